@@ -1,0 +1,188 @@
+# CMake functions of this project.
+#
+# Each folder of lib/ is an OBJECT library; all of them together make one shared
+# libtai, which the tools, the unit tests and the Python module link. The LLVM
+# and MLIR libraries are linked in one place (tai_link_upstream), because naming
+# an upstream CMake target such as MLIRIR anywhere else would add a second,
+# static copy of what libMLIR.so holds.
+
+# The upstream C API exists as static archives only; libtai carries those that
+# the Python module calls.
+set(TAI_UPSTREAM_CAPI IR)
+
+# Archives are named by path: their CMake targets would bring static MLIR along.
+set(TAI_UPSTREAM_CAPI_ARCHIVES)
+foreach(part ${TAI_UPSTREAM_CAPI})
+  list(APPEND TAI_UPSTREAM_CAPI_ARCHIVES "${LLVM_LIBRARY_DIR}/libMLIRCAPI${part}.a")
+endforeach()
+
+if(TAI_PORTABLE)
+  include(TaiPortable)
+endif()
+
+# Links `target` with LLVM and MLIR, in the way that the build mode asks for.
+function(tai_link_upstream target visibility)
+  if(TAI_PORTABLE)
+    target_link_libraries(${target} ${visibility} ${TAI_PORTABLE_LINK})
+  else()
+    target_link_libraries(${target} ${visibility} MLIR LLVM)
+  endif()
+endfunction()
+
+# Flags for every target that sees LLVM's headers.
+function(tai_compile_options target)
+  target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:-fno-exceptions>)
+endfunction()
+
+# tai_tablegen(<target> <file.td> OUTPUTS <out.inc> <generator args> [AND ...])
+#   Runs mlir-tblgen on a file of the current folder, once for each output; the
+#   outputs become part of the target tai-headers. A missing file is skipped.
+function(tai_tablegen target file)
+  file(GLOB found CONFIGURE_DEPENDS "${CMAKE_CURRENT_SOURCE_DIR}/${file}")
+  if(NOT found)
+    return()
+  endif()
+  set(LLVM_TARGET_DEFINITIONS ${file})
+  cmake_parse_arguments(PARSE_ARGV 2 ARG "" "" "OUTPUTS")
+  set(step)
+  foreach(word IN LISTS ARG_OUTPUTS ITEMS AND)
+    if(word STREQUAL "AND")
+      mlir_tablegen(${step})
+      set(step)
+    else()
+      list(APPEND step ${word})
+    endif()
+  endforeach()
+  add_public_tablegen_target(${target})
+  add_dependencies(tai-headers ${target})
+endfunction()
+
+# tai_pass_tablegen(<Name>)
+#   Passes.td of the current folder to Passes.h.inc, with the registration
+#   function register<Name>Passes(), and to reference documentation.
+function(tai_pass_tablegen name)
+  tai_tablegen(${name}PassIncGen Passes.td
+    OUTPUTS Passes.h.inc -gen-pass-decls -name ${name})
+  if(EXISTS "${CMAKE_CURRENT_SOURCE_DIR}/Passes.td")
+    tai_doc(Passes ${name}Passes reference/ -gen-pass-doc)
+  endif()
+endfunction()
+
+# tai_doc(<file without .td> <name> <folder below docs/> <generator args>)
+function(tai_doc file name folder)
+  add_mlir_doc(${file} ${name} ${folder} ${ARGN})
+endfunction()
+
+# The common MLIR headers, compiled once for all targets that see MLIR.
+if(TAI_PCH)
+  file(CONFIGURE OUTPUT "${PROJECT_BINARY_DIR}/pch/pch.cpp"
+    CONTENT "// Carries the precompiled header.\n")
+  add_library(TaiPCH OBJECT "${PROJECT_BINARY_DIR}/pch/pch.cpp")
+  tai_compile_options(TaiPCH)
+  target_precompile_headers(TaiPCH PRIVATE "${PROJECT_SOURCE_DIR}/cmake/TaiPCH.h")
+endif()
+
+# tai_precompile(<target>)
+function(tai_precompile target)
+  if(TAI_PCH)
+    target_precompile_headers(${target} REUSE_FROM TaiPCH)
+  endif()
+endfunction()
+
+# add_tai_library(<Name> [sources] [PLUGIN] [NO_MLIR]
+#                 [LINK_LIBS libs] [DEPENDS targets])
+#   An OBJECT library that becomes part of libtai. Without sources it takes the
+#   *.cpp below the current folder, so that adding a file needs no edit here; a
+#   folder without any is skipped.
+#   PLUGIN   part of TaiPlugin.so too: may use nothing but LLVM and MLIR
+#   NO_MLIR  sees neither the generated headers nor the precompiled header
+#   LINK_LIBS  libraries other than LLVM and MLIR; libtai links them
+function(add_tai_library name)
+  cmake_parse_arguments(ARG "PLUGIN;NO_MLIR" "" "LINK_LIBS;DEPENDS" ${ARGN})
+  set(sources ${ARG_UNPARSED_ARGUMENTS})
+  if(NOT sources)
+    file(GLOB_RECURSE sources CONFIGURE_DEPENDS "${CMAKE_CURRENT_SOURCE_DIR}/*.cpp")
+  endif()
+  if(NOT sources)
+    return()
+  endif()
+  add_library(${name} OBJECT ${sources})
+  tai_compile_options(${name})
+  if(NOT ARG_NO_MLIR)
+    tai_precompile(${name})
+    add_dependencies(${name} tai-headers)
+  endif()
+  if(ARG_DEPENDS)
+    add_dependencies(${name} ${ARG_DEPENDS})
+  endif()
+  target_link_libraries(${name} PRIVATE ${ARG_LINK_LIBS})
+  set_property(GLOBAL APPEND PROPERTY TAI_LIBRARIES ${name})
+  set_property(GLOBAL APPEND PROPERTY TAI_LINK_LIBS ${ARG_LINK_LIBS})
+  if(ARG_PLUGIN)
+    set_property(GLOBAL APPEND PROPERTY TAI_PLUGIN_LIBRARIES ${name})
+  endif()
+endfunction()
+
+# The objects of the libraries in the global property `property`.
+function(tai_objects property result)
+  get_property(libraries GLOBAL PROPERTY ${property})
+  list(TRANSFORM libraries REPLACE "(.+)" "$<TARGET_OBJECTS:\\1>")
+  set(${result} "${libraries}" PARENT_SCOPE)
+endfunction()
+
+# add_tai_shared_library(): libtai, from every add_tai_library() before it.
+function(add_tai_shared_library)
+  tai_objects(TAI_LIBRARIES objects)
+  if(NOT objects)
+    return()
+  endif()
+  add_library(tai SHARED ${objects})
+  set_target_properties(tai PROPERTIES LINKER_LANGUAGE CXX)
+  get_property(libs GLOBAL PROPERTY TAI_LINK_LIBS)
+  list(REMOVE_DUPLICATES libs)
+  target_link_libraries(tai PRIVATE
+    -Wl,--whole-archive ${TAI_UPSTREAM_CAPI_ARCHIVES} -Wl,--no-whole-archive ${libs})
+  if(TAI_PORTABLE)
+    tai_link_upstream(tai PRIVATE)
+  else()
+    tai_link_upstream(tai PUBLIC)
+  endif()
+  target_link_options(tai PRIVATE -Wl,-z,defs -Wl,--no-undefined)
+endfunction()
+
+# add_tai_tool(<name> [sources] [LINK_LIBS libs] [DEPENDS targets])
+#   An executable in bin/ that links libtai; *.cpp of the folder by default.
+function(add_tai_tool name)
+  cmake_parse_arguments(ARG "" "" "LINK_LIBS;DEPENDS" ${ARGN})
+  set(sources ${ARG_UNPARSED_ARGUMENTS})
+  if(NOT sources)
+    file(GLOB sources CONFIGURE_DEPENDS "${CMAKE_CURRENT_SOURCE_DIR}/*.cpp")
+  endif()
+  if(NOT sources OR NOT TARGET tai)
+    return()
+  endif()
+  add_executable(${name} ${sources})
+  tai_compile_options(${name})
+  tai_precompile(${name})
+  add_dependencies(${name} tai-headers ${ARG_DEPENDS})
+  target_link_libraries(${name} PRIVATE tai ${ARG_LINK_LIBS})
+  set_property(GLOBAL APPEND PROPERTY TAI_TOOLS ${name})
+endfunction()
+
+# add_tai_unittest(<name> [sources] [LINK_LIBS libs])
+#   One GoogleTest program, of *.cpp below the current folder by default.
+function(add_tai_unittest name)
+  cmake_parse_arguments(ARG "" "" "LINK_LIBS" ${ARGN})
+  set(sources ${ARG_UNPARSED_ARGUMENTS})
+  if(NOT sources)
+    file(GLOB_RECURSE sources CONFIGURE_DEPENDS "${CMAKE_CURRENT_SOURCE_DIR}/*.cpp")
+  endif()
+  if(NOT sources OR NOT TARGET tai)
+    return()
+  endif()
+  add_executable(${name} ${sources})
+  tai_compile_options(${name})
+  tai_precompile(${name})
+  add_dependencies(${name} tai-headers)
+  target_link_libraries(${name} PRIVATE tai GTest::gtest GTest::gtest_main ${ARG_LINK_LIBS})
+endfunction()
