@@ -1,0 +1,234 @@
+//===-- tai-c/Tai.h - C API of tai --------------------------------*- C -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Contexts, fields, kernels and tapes for programs in any language. IR is
+// built through MLIR's own C API (mlir-c), which libtai re-exports, in the
+// MlirContext of a TaiContext.
+//
+// Every function that can fail returns a TaiStatus; on failure
+// `taiContextLastError` holds the diagnostic. Nothing aborts the process.
+// A context may be used by one thread at a time; contexts are independent.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_C_TAI_H
+#define TAI_C_TAI_H
+
+#include "mlir-c/IR.h"
+#include "mlir-c/Support.h"
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#if defined(_WIN32)
+#define TAI_EXPORT
+#else
+#define TAI_EXPORT __attribute__((visibility("default")))
+#endif
+
+typedef struct TaiContextImpl *TaiContext;
+typedef struct TaiFieldImpl *TaiField;
+typedef struct TaiKernelImpl *TaiKernel;
+typedef struct TaiTapeImpl *TaiTape;
+
+typedef enum TaiStatus {
+  TAI_OK = 0,
+  TAI_ERROR_SYNTAX = 1,   // IR or layout text that does not parse
+  TAI_ERROR_TYPE = 2,     // IR that does not verify
+  TAI_ERROR_AUTODIFF = 3, // no derivative, or an access rule is broken
+  TAI_ERROR_RUNTIME = 4,  // an assertion, an index, a failed launch
+  TAI_ERROR_MEMORY = 5,   // out of memory
+  TAI_ERROR_INTERNAL = 6, // a bug of ours; the message names the reproducer
+  TAI_ERROR_USAGE = 7     // a call that makes no sense in this state
+} TaiStatus;
+
+//===----------------------------------------------------------------------===//
+// Context
+//===----------------------------------------------------------------------===//
+
+TAI_EXPORT const char *taiVersion(void);
+
+TAI_EXPORT TaiContext taiContextCreate(void);
+TAI_EXPORT void taiContextDestroy(TaiContext context);
+
+/// Options, as text; unknown names and values are TAI_ERROR_USAGE with the
+/// names that exist. They hold for kernels created afterwards.
+///   threads           number, 0 = all cores
+///   deterministic     true | false
+///   debug             true | false: assertions, bounds checks
+///   fast_math         true | false
+///   opt_level         0..3
+///   seed              number, for tai.random
+///   cache_dir         folder of the compile cache; empty = no cache
+///   print_ir          empty, "all", or a comma list of stage names
+///   profiler          true | false
+TAI_EXPORT TaiStatus taiContextSetOption(TaiContext context, const char *name,
+                                         const char *value);
+
+/// The MLIR context in which IR for this context is built.
+TAI_EXPORT MlirContext taiContextGetMlirContext(TaiContext context);
+
+/// The last failure. `diagnostics` is the full text with one line for each
+/// diagnostic and note, as "file:line:col: error: …".
+typedef struct TaiError {
+  TaiStatus status;
+  const char *message; // the first error, without its location
+  const char *file;    // "" where unknown
+  int line, column;    // 1-based, 0 where unknown
+  const char *diagnostics;
+} TaiError;
+TAI_EXPORT TaiError taiContextLastError(TaiContext context);
+
+/// Waits for everything launched.
+TAI_EXPORT TaiStatus taiContextSynchronize(TaiContext context);
+
+//===----------------------------------------------------------------------===//
+// Trees and fields
+//===----------------------------------------------------------------------===//
+
+/// Adds a tree of the given layout, e.g. "!tai.root<dense<[i: 8], {x: f32}>>",
+/// and allocates it (lazily committed, zero). The name becomes that of its
+/// `tai.tree`.
+TAI_EXPORT TaiStatus taiContextAddTree(TaiContext context, const char *name,
+                                       const char *layout);
+
+/// Frees a tree. Its fields become invalid; kernels that name them fail.
+TAI_EXPORT TaiStatus taiContextDestroyTree(TaiContext context,
+                                           const char *name);
+
+/// Declares a field. `declaration` is the text of a `tai.field` op, e.g.
+/// "tai.field @x = @scene[\"x\"] : f32, rank 1, adjoint @x_grad". The adjoint
+/// named need not exist yet.
+TAI_EXPORT TaiStatus taiContextAddField(TaiContext context,
+                                        const char *declaration,
+                                        TaiField *field);
+
+typedef enum TaiScalarType {
+  TAI_I8 = 0, TAI_I16, TAI_I32, TAI_I64, TAI_F16, TAI_BF16, TAI_F32, TAI_F64,
+  TAI_I1
+} TaiScalarType;
+
+#define TAI_MAX_RANK 12
+
+typedef struct TaiFieldInfo {
+  TaiScalarType type;
+  int rank;                     // number of indices
+  int64_t shape[TAI_MAX_RANK];
+  int64_t offset[TAI_MAX_RANK]; // first index
+  int element_rank;             // 0 scalar, 1 vector, 2 matrix
+  int64_t element_shape[2];
+} TaiFieldInfo;
+TAI_EXPORT TaiStatus taiFieldGetInfo(TaiField field, TaiFieldInfo *info);
+
+/// One element or one component, as double or int64 whatever the type.
+/// `indices` has rank numbers; `component` is row-major in the element.
+TAI_EXPORT TaiStatus taiFieldReadF64(TaiField field, const int64_t *indices,
+                                     int64_t component, double *value);
+TAI_EXPORT TaiStatus taiFieldWriteF64(TaiField field, const int64_t *indices,
+                                      int64_t component, double value);
+TAI_EXPORT TaiStatus taiFieldReadI64(TaiField field, const int64_t *indices,
+                                     int64_t component, int64_t *value);
+TAI_EXPORT TaiStatus taiFieldWriteI64(TaiField field, const int64_t *indices,
+                                      int64_t component, int64_t value);
+
+/// All elements from or to a row-major array of the field's own scalar type,
+/// of shape (shape..., element_shape...).
+TAI_EXPORT TaiStatus taiFieldCopyToHost(TaiField field, void *array);
+TAI_EXPORT TaiStatus taiFieldCopyFromHost(TaiField field, const void *array);
+TAI_EXPORT TaiStatus taiFieldFillF64(TaiField field, double value);
+TAI_EXPORT TaiStatus taiFieldFillI64(TaiField field, int64_t value);
+
+/// Sets all adjoint fields that may be non-zero to zero.
+TAI_EXPORT TaiStatus taiContextClearGradients(TaiContext context);
+
+//===----------------------------------------------------------------------===//
+// Kernels
+//===----------------------------------------------------------------------===//
+
+/// Takes a module that holds one `tai.kernel` of the given name (and any
+/// `func.func` helpers). The trees and fields of the context that it uses are
+/// declared for it: the module need not hold `tai.tree` and `tai.field` ops.
+/// The module is verified here and compiled on the first launch. The module is
+/// owned by the kernel afterwards, also on failure.
+TAI_EXPORT TaiStatus taiKernelCreate(TaiContext context, MlirModule module,
+                                     const char *name, TaiKernel *kernel);
+TAI_EXPORT void taiKernelDestroy(TaiKernel kernel);
+
+/// Launches with arguments in slots (see tai/Runtime/Abi.h). `results` may be
+/// null for a kernel without result. Recorded by the active tape.
+TAI_EXPORT TaiStatus taiKernelLaunch(TaiKernel kernel, const uint64_t *args,
+                                     int64_t slots, uint64_t *results);
+/// Launches the adjoint of the kernel.
+TAI_EXPORT TaiStatus taiKernelLaunchGrad(TaiKernel kernel,
+                                         const uint64_t *args, int64_t slots);
+
+/// Compiles the kernel (and its adjoint) now. Several in parallel.
+TAI_EXPORT TaiStatus taiKernelsCompile(TaiContext context, TaiKernel *kernels,
+                                       int64_t count, bool adjoints);
+
+/// The IR of the kernel at a stage: "tai" as given, "autodiff" with the
+/// adjoint, "scf", "llvm" dialect, "llvmir", "asm". The text belongs to the
+/// kernel and holds until the next call.
+TAI_EXPORT TaiStatus taiKernelGetIR(TaiKernel kernel, const char *stage,
+                                    const char **text);
+
+//===----------------------------------------------------------------------===//
+// Tape
+//===----------------------------------------------------------------------===//
+
+/// Starts recording the launches of the context. `loss` is a 0-D field with an
+/// adjoint, or null where the caller seeds gradients. With `clear_gradients`,
+/// adjoint fields are cleared first. Tapes do not nest.
+TAI_EXPORT TaiStatus taiTapeBegin(TaiContext context, TaiField loss,
+                                  bool clear_gradients, TaiTape *tape);
+/// Stops recording (the tape can still be run backward and replayed).
+TAI_EXPORT TaiStatus taiTapeEnd(TaiTape tape);
+/// Seeds the adjoint of the loss with 1 and replays the adjoints in reverse.
+TAI_EXPORT TaiStatus taiTapeBackward(TaiTape tape);
+/// Runs the recorded launches again on the present contents of the fields.
+/// forward: the primal launches; backward: clear gradients, seed, reverse.
+TAI_EXPORT TaiStatus taiTapeReplay(TaiTape tape, bool forward, bool backward);
+/// Records a host function to be called in place: `backward` at its place in
+/// the reverse sweep (custom gradients). Launches made between
+/// taiTapeSuspend and taiTapeResume are not recorded.
+typedef TaiStatus (*TaiTapeCallback)(void *user);
+TAI_EXPORT TaiStatus taiTapeRecordCallback(TaiTape tape,
+                                           TaiTapeCallback forward,
+                                           TaiTapeCallback backward,
+                                           void *user);
+TAI_EXPORT TaiStatus taiTapeSuspend(TaiTape tape);
+TAI_EXPORT TaiStatus taiTapeResume(TaiTape tape);
+/// One line for each record: replayed or skipped, and why. Owned by the tape.
+TAI_EXPORT const char *taiTapeExplain(TaiTape tape);
+TAI_EXPORT int64_t taiTapeNumRecords(TaiTape tape);
+TAI_EXPORT int64_t taiTapeNumSkipped(TaiTape tape);
+TAI_EXPORT void taiTapeDestroy(TaiTape tape);
+
+//===----------------------------------------------------------------------===//
+// Profiler
+//===----------------------------------------------------------------------===//
+
+typedef struct TaiProfileRow {
+  const char *kernel;
+  int64_t launches;
+  double total_ms, min_ms, max_ms;
+} TaiProfileRow;
+/// Rows of kernel time since the last clear; owned by the context.
+TAI_EXPORT TaiStatus taiProfilerRows(TaiContext context,
+                                     const TaiProfileRow **rows,
+                                     int64_t *count);
+TAI_EXPORT TaiStatus taiProfilerClear(TaiContext context);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif // TAI_C_TAI_H

@@ -1,0 +1,45 @@
+//===- TaiAttrs.td - Attributes of the tai dialect ---------*- tablegen -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_DIALECT_TAI_IR_TAIATTRS_TD
+#define TAI_DIALECT_TAI_IR_TAIATTRS_TD
+
+include "mlir/IR/AttrTypeBase.td"
+include "mlir/IR/EnumAttr.td"
+include "tai/Dialect/Tai/IR/TaiBase.td"
+
+def Tai_AtomicKind : I32EnumAttr<"AtomicKind", "read-modify-write operation", [
+    I32EnumAttrCase<"Add", 0, "add">, I32EnumAttrCase<"Sub", 1, "sub">,
+    I32EnumAttrCase<"Mul", 2, "mul">, I32EnumAttrCase<"Min", 3, "min">,
+    I32EnumAttrCase<"Max", 4, "max">, I32EnumAttrCase<"And", 5, "and">,
+    I32EnumAttrCase<"Or", 6, "or">, I32EnumAttrCase<"Xor", 7, "xor">]> {
+  let cppNamespace = "::mlir::tai";
+  let genSpecializedAttr = 0;
+}
+def Tai_AtomicKindAttr
+    : EnumAttr<Tai_Dialect, Tai_AtomicKind, "atomic_kind"> {
+  let assemblyFormat = "$value";
+}
+
+/// How a kernel touches one field.
+def Tai_AccessAttr : AttrDef<Tai_Dialect, "Access"> {
+  let mnemonic = "access";
+  let summary = "one access of a kernel to a field";
+  let description = [{
+    `kind` is one of `read`, `write`, `accumulate`; `map`, where the indices are
+    affine, takes the loop indices of the enclosing loops (dimensions) and the
+    integer arguments of the kernel (symbols) to the indices of the field.
+  }];
+  let parameters = (ins
+    "::mlir::FlatSymbolRefAttr":$field,
+    StringRefParameter<"read, write or accumulate">:$kind,
+    OptionalParameter<"::mlir::AffineMapAttr">:$map
+  );
+  let assemblyFormat = "`<` $kind $field (`,` $map^)? `>`";
+}
+
+#endif // TAI_DIALECT_TAI_IR_TAIATTRS_TD

@@ -1,0 +1,108 @@
+//===- TaiHostOps.td - Launches, tapes and checks ----------*- tablegen -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+// What stands in a `func.func` that runs on the host. `tai.load` and
+// `tai.store` may stand there too, for single elements.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_DIALECT_TAI_IR_TAIHOSTOPS_TD
+#define TAI_DIALECT_TAI_IR_TAIHOSTOPS_TD
+
+include "tai/Dialect/Tai/IR/TaiOpBase.td"
+
+def Tai_LaunchOp : Tai_Op<"launch", [
+    DeclareOpInterfaceMethods<SymbolUserOpInterface>]> {
+  let summary = "run a kernel";
+  let description = [{
+    Runs the kernel with the given arguments and waits for what it returns.
+    Inside `tai.tape` the launch is recorded, to be replayed in reverse.
+
+    Example:
+
+    ```mlir
+    tai.launch @step(%t) : (i32) -> ()
+    ```
+  }];
+  let arguments = (ins FlatSymbolRefAttr:$kernel, Variadic<AnyType>:$operands);
+  let results = (outs Variadic<AnyType>:$results);
+  let assemblyFormat = [{
+    $kernel `(` $operands `)` attr-dict `:` functional-type($operands, $results)
+  }];
+}
+
+def Tai_TapeOp : Tai_Op<"tape", [
+    SingleBlockImplicitTerminator<"YieldOp">, RecursiveMemoryEffects,
+    DeclareOpInterfaceMethods<SymbolUserOpInterface>]> {
+  let summary = "record launches and propagate gradients back through them";
+  let description = [{
+    Clears the adjoint fields, runs the region and records its launches, sets
+    the adjoint of `loss` (a 0-D field with an adjoint) to one, and then runs
+    the adjoints of the recorded launches in reverse order with the recorded
+    arguments (paper, section 3.2). Launches that cannot reach the loss are
+    skipped.
+
+    Example:
+
+    ```mlir
+    tai.tape loss(@loss) {
+      tai.launch @step(%t) : (i32) -> ()
+      tai.launch @compute_loss() : () -> ()
+    }
+    ```
+  }];
+  let arguments = (ins FlatSymbolRefAttr:$loss);
+  let regions = (region SizedRegion<1>:$body);
+  let assemblyFormat = "`loss` `(` $loss `)` $body attr-dict";
+}
+
+def Tai_CheckGradientOp : Tai_Op<"check_gradient", [
+    SingleBlockImplicitTerminator<"YieldOp">, RecursiveMemoryEffects,
+    DeclareOpInterfaceMethods<SymbolUserOpInterface>]> {
+  let summary = "compare a gradient with central differences";
+  let description = [{
+    Runs the region as `tai.tape` does, then compares the adjoint of each field
+    of `wrt` with central differences of the loss along random directions with
+    components of both signs, for a ladder of step sizes with Richardson
+    extrapolation. The program fails if the best relative error exceeds
+    `tolerance` for some direction. Fields should be f64. The fields of `wrt`
+    and the loss are left as the tape left them.
+
+    Example:
+
+    ```mlir
+    tai.check_gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
+      tai.launch @compute_loss() : () -> ()
+    }
+    ```
+  }];
+  let arguments = (ins FlatSymbolRefAttr:$loss,
+                       TypedArrayAttrBase<FlatSymbolRefAttr, "fields">:$wrt,
+                       F64Attr:$tolerance);
+  let regions = (region SizedRegion<1>:$body);
+  let assemblyFormat = [{
+    `loss` `(` $loss `)` `wrt` $wrt `tolerance` $tolerance $body attr-dict
+  }];
+}
+
+def Tai_CheckCloseOp : Tai_Op<"check_close", [
+    AllTypesMatch<["actual", "expected"]>, MemoryEffects<[MemWrite]>]> {
+  let summary = "fail unless two numbers agree";
+  let description = [{
+    The program fails, and says both numbers and where, unless
+    |actual − expected| ≤ tolerance · max(1, |expected|).
+
+    ```mlir
+    tai.check_close %a, %b tolerance 1.0e-6 : f32
+    ```
+  }];
+  let arguments = (ins AnyFloat:$actual, AnyFloat:$expected,
+                       F64Attr:$tolerance);
+  let assemblyFormat = [{
+    $actual `,` $expected `tolerance` $tolerance attr-dict `:` type($actual)
+  }];
+}
+
+#endif // TAI_DIALECT_TAI_IR_TAIHOSTOPS_TD

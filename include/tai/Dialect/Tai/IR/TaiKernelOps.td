@@ -1,0 +1,263 @@
+//===- TaiKernelOps.td - Kernels, loops and locals ---------*- tablegen -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_DIALECT_TAI_IR_TAIKERNELOPS_TD
+#define TAI_DIALECT_TAI_IR_TAIKERNELOPS_TD
+
+include "tai/Dialect/Tai/IR/TaiOpBase.td"
+
+def Tai_KernelOp : Tai_Op<"kernel", [
+    FunctionOpInterface, IsolatedFromAbove, AffineScope,
+    AutomaticAllocationScope]> {
+  let summary = "a program that runs over fields";
+  let description = [{
+    A kernel is launched from the host, by `tai.launch` or through the runtime.
+    Its body is serial code in which `tai.parallel_for` stands at the top level.
+    Arguments are scalars, small vectors, and `memref`s (arrays owned by the
+    caller). A kernel may return one value.
+
+    `adjoint` names the kernel that accumulates its gradient; it takes the same
+    arguments. `summary` lists what the kernel reads, writes and accumulates
+    (see `#tai.access`).
+
+    Example:
+
+    ```mlir
+    tai.tree @scene : !tai.root<dense<[i: 16], {x: f32, y: f32}>>
+    tai.field @x = @scene["x"] : f32, rank 1
+    tai.field @y = @scene["y"] : f32, rank 1
+    tai.kernel @square(%a: f32) {
+      tai.parallel_for (%i) in @x {
+        %0 = tai.load @x[%i] : f32
+        %1 = arith.mulf %0, %0 : f32
+        %2 = arith.mulf %1, %a : f32
+        tai.store %2, @y[%i] : f32
+      }
+      tai.return
+    }
+    ```
+  }];
+  let arguments = (ins
+    SymbolNameAttr:$sym_name,
+    TypeAttrOf<FunctionType>:$function_type,
+    OptionalAttr<DictArrayAttr>:$arg_attrs,
+    OptionalAttr<DictArrayAttr>:$res_attrs,
+    OptionalAttr<StrAttr>:$sym_visibility,
+    OptionalAttr<FlatSymbolRefAttr>:$adjoint,
+    OptionalAttr<ArrayAttr>:$summary
+  );
+  let regions = (region SizedRegion<1>:$body);
+  let skipDefaultBuilders = 1;
+  let builders = [OpBuilder<(ins "::llvm::StringRef":$name,
+                                 "::mlir::FunctionType":$type)>];
+  let hasCustomAssemblyFormat = 1;
+  let hasVerifier = 1;
+  let extraClassDeclaration = [{
+    ::llvm::ArrayRef<::mlir::Type> getArgumentTypes() {
+      return getFunctionType().getInputs();
+    }
+    ::llvm::ArrayRef<::mlir::Type> getResultTypes() {
+      return getFunctionType().getResults();
+    }
+    ::mlir::Region *getCallableRegion() { return &getBody(); }
+  }];
+}
+
+def Tai_ReturnOp : Tai_Op<"return", [
+    Pure, HasParent<"KernelOp">, ReturnLike, Terminator]> {
+  let summary = "end a kernel";
+  let description = [{
+    Ends a kernel and hands its value, if it has one, to the host.
+
+    Example:
+
+    ```mlir
+    tai.kernel @seven() -> i32 {
+      %c = arith.constant 7 : i32
+      tai.return %c : i32
+    }
+    ```
+  }];
+  let arguments = (ins Variadic<Tai_Value>:$operands);
+  let assemblyFormat = "attr-dict ($operands^ `:` type($operands))?";
+  let hasVerifier = 1;
+  let builders = [OpBuilder<(ins), [{}]>];
+}
+
+def Tai_YieldOp : Tai_Op<"yield", [
+    Pure, ReturnLike, Terminator,
+    ParentOneOf<["ParallelForOp", "TapeOp", "CheckGradientOp"]>]> {
+  let summary = "end a region of the dialect";
+  let assemblyFormat = "attr-dict";
+}
+
+def Tai_ParallelForOp : Tai_Op<"parallel_for", [
+    AttrSizedOperandSegments, AutomaticAllocationScope,
+    RecursiveMemoryEffects, SingleBlockImplicitTerminator<"YieldOp">,
+    DeclareOpInterfaceMethods<LoopLikeOpInterface>,
+    DeclareOpInterfaceMethods<SymbolUserOpInterface>]> {
+  let summary = "run iterations in parallel";
+  let description = [{
+    Runs its body once for each point of a box of indices, or for each active
+    element of a field, in any order and possibly at the same time. Iterations
+    communicate through `tai.atomic` alone.
+
+    The box form takes the lower bounds (included) and upper bounds (excluded)
+    of each dimension; an empty range runs nothing. The field form visits the
+    elements of the named field whose cell is active. Activity that the body
+    itself makes does not join the running loop.
+
+    `serialize` runs the iterations in ascending order on one thread.
+    `block_dim` is the number of GPU threads in a block.
+
+    Example:
+
+    ```mlir
+    tai.parallel_for (%i, %j) = (%c0, %c0) to (%n, %m) {
+      tai.store %zero, @y[%i, %j] : f32
+    }
+    tai.parallel_for (%i, %j) in @y {
+      tai.store %zero, @y[%i, %j] : f32
+    }
+    ```
+  }];
+  let arguments = (ins
+    Variadic<Index>:$lowerBounds,
+    Variadic<Index>:$upperBounds,
+    OptionalAttr<FlatSymbolRefAttr>:$field,
+    UnitAttr:$serialize,
+    OptionalAttr<I64Attr>:$block_dim
+  );
+  let regions = (region SizedRegion<1>:$body);
+  let hasCustomAssemblyFormat = 1;
+  let hasVerifier = 1;
+  let skipDefaultBuilders = 1;
+  let builders = [
+    OpBuilder<(ins "::mlir::ValueRange":$lowerBounds,
+                   "::mlir::ValueRange":$upperBounds)>,
+    OpBuilder<(ins "::mlir::FlatSymbolRefAttr":$field, "unsigned":$rank)>
+  ];
+  let extraClassDeclaration = [{
+    /// True for the form that visits the elements of a field.
+    bool isStructFor() { return getField().has_value(); }
+    ::mlir::Block::BlockArgListType getInductionVars() {
+      return getBody().getArguments();
+    }
+  }];
+}
+
+//===----------------------------------------------------------------------===//
+// Locals
+//===----------------------------------------------------------------------===//
+
+def Tai_AllocaOp : Tai_Op<"alloca", []> {
+  let summary = "make a mutable local variable";
+  let description = [{
+    Makes a variable that holds zero until the first `tai.local_store`. It
+    belongs to one iteration of the parallel loop around it.
+
+    Example:
+
+    ```mlir
+    %a = tai.alloca : !tai.local<f32>
+    tai.local_store %x, %a : f32
+    %y = tai.local_load %a : f32
+    ```
+  }];
+  let results = (outs Res<Tai_AnyLocal, "", [MemAlloc]>:$local);
+  let assemblyFormat = "attr-dict `:` type($local)";
+  let hasVerifier = 1;
+}
+
+def Tai_LocalLoadOp : Tai_Op<"local_load", [
+    TypesMatchWith<"the local holds the result type", "value", "local",
+                   "::mlir::tai::LocalType::get($_self)">]> {
+  let summary = "read a local variable";
+  let description = [{
+    Yields the value last stored to the variable, or zero; see `tai.alloca`.
+  }];
+  let arguments = (ins Arg<Tai_AnyLocal, "", [MemRead]>:$local);
+  let results = (outs Tai_Value:$value);
+  let assemblyFormat = "$local attr-dict `:` type($value)";
+}
+
+def Tai_LocalStoreOp : Tai_Op<"local_store", [
+    TypesMatchWith<"the local holds the value's type", "value", "local",
+                   "::mlir::tai::LocalType::get($_self)">]> {
+  let summary = "write a local variable";
+  let description = [{
+    Replaces the value of the variable; see `tai.alloca`.
+  }];
+  let arguments = (ins Tai_Value:$value,
+                       Arg<Tai_AnyLocal, "", [MemWrite]>:$local);
+  let assemblyFormat = "$value `,` $local attr-dict `:` type($value)";
+}
+
+//===----------------------------------------------------------------------===//
+// Random numbers, checks, output
+//===----------------------------------------------------------------------===//
+
+def Tai_RandomOp : Tai_Op<"random", [MemoryEffects<[MemRead, MemWrite]>]> {
+  let summary = "draw a random number";
+  let description = [{
+    A float in [0, 1), or an integer with all bits random. The generator is
+    Philox 4x32-10, keyed by the seed of the context and counted by launch,
+    iteration and `stream`, so that a number depends on neither the number of
+    threads nor the order of iterations. `stream` tells the draws of one
+    kernel apart; repeated draws of one op in one iteration advance a count.
+    The derivative is zero.
+
+    Example:
+
+    ```mlir
+    %u = tai.random stream 0 : f32
+    ```
+  }];
+  let arguments = (ins DefaultValuedAttr<I64Attr, "0">:$stream);
+  let results = (outs AnyTypeOf<[AnySignlessInteger, AnyFloat]>:$value);
+  let assemblyFormat = "`stream` $stream attr-dict `:` type($value)";
+}
+
+def Tai_AssertOp : Tai_Op<"assert", [MemoryEffects<[MemWrite]>]> {
+  let summary = "report an error if a condition is false";
+  let description = [{
+    If the condition is false the launch fails with the message, in which
+    `{}` stands for the arguments in turn. The iteration goes on; the first
+    failure of a launch is the one reported. Removed unless the context checks
+    assertions (debug mode).
+
+    Example:
+
+    ```mlir
+    tai.assert %ok, "mass {} of particle {}"(%m, %i) : f32, index
+    ```
+  }];
+  let arguments = (ins I1:$condition, StrAttr:$message,
+                       Variadic<AnyType>:$args);
+  let assemblyFormat = [{
+    $condition `,` $message (`(` $args^ `)` `:` type($args))? attr-dict
+  }];
+  let hasCanonicalizeMethod = 1;
+}
+
+def Tai_PrintOp : Tai_Op<"print", [MemoryEffects<[MemWrite]>]> {
+  let summary = "print values from a kernel";
+  let description = [{
+    Prints the format, in which `{}` stands for the arguments in turn, and a
+    newline. Lines of parallel iterations come in any order, whole.
+
+    Example:
+
+    ```mlir
+    tai.print "x = {}"(%x) : f32
+    ```
+  }];
+  let arguments = (ins StrAttr:$format, Variadic<AnyType>:$args);
+  let assemblyFormat = "$format (`(` $args^ `)` `:` type($args))? attr-dict";
+}
+
+#endif // TAI_DIALECT_TAI_IR_TAIKERNELOPS_TD

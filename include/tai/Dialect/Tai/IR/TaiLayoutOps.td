@@ -1,0 +1,73 @@
+//===- TaiLayoutOps.td - Trees and fields ------------------*- tablegen -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_DIALECT_TAI_IR_TAILAYOUTOPS_TD
+#define TAI_DIALECT_TAI_IR_TAILAYOUTOPS_TD
+
+include "tai/Dialect/Tai/IR/TaiOpBase.td"
+
+def Tai_TreeOp : Tai_Op<"tree", [Symbol]> {
+  let summary = "declare a tree of storage";
+  let description = [{
+    Declares the storage whose layout is the given `!tai.root` type. Storage
+    starts as zero. The names of all places in one tree are distinct.
+
+    Example:
+
+    ```mlir
+    tai.tree @scene : !tai.root<dense<[i: 256], {x: vector<2xf32>, m: f32}>>
+    ```
+  }];
+  let arguments = (ins SymbolNameAttr:$sym_name, TypeAttrOf<Tai_RootType>:$layout,
+                       OptionalAttr<StrAttr>:$sym_visibility);
+  let assemblyFormat = "$sym_name `:` $layout attr-dict";
+  let hasVerifier = 1;
+}
+
+def Tai_FieldOp : Tai_Op<"field", [Symbol,
+    DeclareOpInterfaceMethods<SymbolUserOpInterface>]> {
+  let summary = "name a place of a tree as a field";
+  let description = [{
+    A field is what kernels read and write. It has the element type of its
+    place, and one index for each axis divided on the path to the place; the
+    indices are in the order of the axes `i`, `j`, `k`, … unless `order` lists
+    the axes otherwise. `offset` is the index of the first element along each
+    dimension, zero where absent.
+
+    `adjoint` names the field, of the same element type and rank, that
+    accumulates the derivative of the loss with respect to this one. `dual`
+    names the field that holds its tangent in forward mode.
+
+    Example:
+
+    ```mlir
+    tai.tree @scene : !tai.root<dense<[i: 256], {x: f32, x_grad: f32}>>
+    tai.field @x_grad = @scene["x_grad"] : f32, rank 1
+    tai.field @x = @scene["x"] : f32, rank 1, adjoint @x_grad
+    ```
+  }];
+  let arguments = (ins
+    SymbolNameAttr:$sym_name,
+    FlatSymbolRefAttr:$tree,
+    StrAttr:$place,
+    TypeAttr:$type,
+    I64Attr:$rank,
+    OptionalAttr<FlatSymbolRefAttr>:$adjoint,
+    OptionalAttr<FlatSymbolRefAttr>:$dual,
+    OptionalAttr<DenseI64ArrayAttr>:$offset,
+    OptionalAttr<DenseI64ArrayAttr>:$order,
+    OptionalAttr<StrAttr>:$sym_visibility
+  );
+  let assemblyFormat = [{
+    $sym_name `=` $tree `[` $place `]` `:` $type `,` `rank` $rank
+    (`,` `adjoint` $adjoint^)? (`,` `dual` $dual^)?
+    (`,` `offset` $offset^)? (`,` `order` $order^)? attr-dict
+  }];
+  let hasVerifier = 1;
+}
+
+#endif // TAI_DIALECT_TAI_IR_TAILAYOUTOPS_TD

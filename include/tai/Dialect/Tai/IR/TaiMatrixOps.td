@@ -1,0 +1,240 @@
+//===- TaiMatrixOps.td - Small vectors and matrices --------*- tablegen -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+// Small dense algebra on `vector<n x f>` and `vector<n x m x f>`. Each op owns
+// an analytic derivative, which is why it is one op until after the adjoint is
+// made. Elementwise work is `arith` and `math` on vectors.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_DIALECT_TAI_IR_TAIMATRIXOPS_TD
+#define TAI_DIALECT_TAI_IR_TAIMATRIXOPS_TD
+
+include "tai/Dialect/Tai/IR/TaiOpBase.td"
+
+class Tai_MatrixOp<string mnemonic, list<Trait> traits = []>
+    : Tai_Op<mnemonic, !listconcat([Pure], traits)> {
+  let hasVerifier = 1;
+}
+
+def Tai_MatmulOp : Tai_MatrixOp<"matmul"> {
+  let summary = "matrix-matrix or matrix-vector product";
+  let description = [{
+    The product of an n×k matrix and a k×m matrix, or an n×k matrix and a
+    vector of k.
+
+    ```mlir
+    %c = tai.matmul %a, %b : (vector<2x3xf32>, vector<3x2xf32>) -> vector<2x2xf32>
+    ```
+  }];
+  let arguments = (ins Tai_NumberMatrix:$lhs,
+                       AnyTypeOf<[Tai_NumberMatrix, Tai_NumberVector]>:$rhs);
+  let results = (outs AnyTypeOf<[Tai_NumberMatrix, Tai_NumberVector]>:$result);
+  let assemblyFormat = "$lhs `,` $rhs attr-dict `:` functional-type(operands, results)";
+}
+
+def Tai_TransposeOp : Tai_MatrixOp<"transpose"> {
+  let summary = "transpose of a matrix";
+  let description = [{
+    ```mlir
+    %t = tai.transpose %a : vector<2x3xf32> -> vector<3x2xf32>
+    ```
+  }];
+  let arguments = (ins Tai_NumberMatrix:$matrix);
+  let results = (outs Tai_NumberMatrix:$result);
+  let assemblyFormat = "$matrix attr-dict `:` type($matrix) `->` type($result)";
+  let hasFolder = 1;
+}
+
+def Tai_DotOp : Tai_MatrixOp<"dot", [AllTypesMatch<["lhs", "rhs"]>,
+    TypesMatchWith<"result is the element type", "lhs", "result",
+                   "::llvm::cast<::mlir::VectorType>($_self).getElementType()">]> {
+  let summary = "sum of the products of components";
+  let description = [{
+    Σ aᵢ bᵢ over all components; matrices are taken componentwise too.
+
+    ```mlir
+    %d = tai.dot %a, %b : vector<3xf32>
+    ```
+  }];
+  let arguments = (ins VectorOfAnyRankOf<[AnySignlessInteger, AnyFloat]>:$lhs,
+                       VectorOfAnyRankOf<[AnySignlessInteger, AnyFloat]>:$rhs);
+  let results = (outs AnyTypeOf<[AnySignlessInteger, AnyFloat]>:$result);
+  let assemblyFormat = "$lhs `,` $rhs attr-dict `:` type($lhs)";
+  let hasVerifier = 0;
+}
+
+def Tai_SumOp : Tai_MatrixOp<"sum", [
+    TypesMatchWith<"result is the element type", "vector", "result",
+                   "::llvm::cast<::mlir::VectorType>($_self).getElementType()">]> {
+  let summary = "sum of all components";
+  let description = [{
+    ```mlir
+    %s = tai.sum %a : vector<2x2xf32>
+    ```
+  }];
+  let arguments = (ins VectorOfAnyRankOf<[AnySignlessInteger, AnyFloat]>:$vector);
+  let results = (outs AnyTypeOf<[AnySignlessInteger, AnyFloat]>:$result);
+  let assemblyFormat = "$vector attr-dict `:` type($vector)";
+  let hasVerifier = 0;
+}
+
+def Tai_CrossOp : Tai_MatrixOp<"cross", [
+    AllTypesMatch<["lhs", "rhs", "result"]>]> {
+  let summary = "cross product of two 3-vectors";
+  let description = [{
+    ```mlir
+    %c = tai.cross %a, %b : vector<3xf32>
+    ```
+  }];
+  let arguments = (ins Tai_NumberVector:$lhs, Tai_NumberVector:$rhs);
+  let results = (outs Tai_NumberVector:$result);
+  let assemblyFormat = "$lhs `,` $rhs attr-dict `:` type($lhs)";
+}
+
+def Tai_OuterOp : Tai_MatrixOp<"outer"> {
+  let summary = "outer product of two vectors";
+  let description = [{
+    The matrix aᵢ bⱼ.
+
+    ```mlir
+    %m = tai.outer %a, %b : (vector<2xf32>, vector<3xf32>) -> vector<2x3xf32>
+    ```
+  }];
+  let arguments = (ins Tai_NumberVector:$lhs, Tai_NumberVector:$rhs);
+  let results = (outs Tai_NumberMatrix:$result);
+  let assemblyFormat = "$lhs `,` $rhs attr-dict `:` functional-type(operands, results)";
+}
+
+def Tai_NormOp : Tai_MatrixOp<"norm", [
+    TypesMatchWith<"result is the element type", "vector", "result",
+                   "::llvm::cast<::mlir::VectorType>($_self).getElementType()">]> {
+  let summary = "Euclidean norm of all components";
+  let description = [{
+    √(Σ aᵢ²). The derivative is a/‖a‖, and zero at a = 0.
+
+    ```mlir
+    %l = tai.norm %a : vector<2xf32>
+    ```
+  }];
+  let arguments = (ins VectorOfAnyRankOf<[AnyFloat]>:$vector);
+  let results = (outs AnyFloat:$result);
+  let assemblyFormat = "$vector attr-dict `:` type($vector)";
+  let hasVerifier = 0;
+}
+
+def Tai_TraceOp : Tai_MatrixOp<"trace", [
+    TypesMatchWith<"result is the element type", "matrix", "result",
+                   "::llvm::cast<::mlir::VectorType>($_self).getElementType()">]> {
+  let summary = "sum of the diagonal of a square matrix";
+  let description = [{
+    ```mlir
+    %t = tai.trace %a : vector<3x3xf32>
+    ```
+  }];
+  let arguments = (ins Tai_NumberMatrix:$matrix);
+  let results = (outs AnyTypeOf<[AnySignlessInteger, AnyFloat]>:$result);
+  let assemblyFormat = "$matrix attr-dict `:` type($matrix)";
+}
+
+def Tai_DeterminantOp : Tai_MatrixOp<"determinant", [
+    TypesMatchWith<"result is the element type", "matrix", "result",
+                   "::llvm::cast<::mlir::VectorType>($_self).getElementType()">]> {
+  let summary = "determinant of a square matrix of size 1 to 4";
+  let description = [{
+    By cofactors. The derivative is the cofactor matrix, which exists for
+    singular matrices too.
+
+    ```mlir
+    %d = tai.determinant %a : vector<3x3xf32>
+    ```
+  }];
+  let arguments = (ins Tai_FloatMatrix:$matrix);
+  let results = (outs AnyFloat:$result);
+  let assemblyFormat = "$matrix attr-dict `:` type($matrix)";
+}
+
+def Tai_InverseOp : Tai_MatrixOp<"inverse", [
+    AllTypesMatch<["matrix", "result"]>]> {
+  let summary = "inverse of a square matrix of size 1 to 4";
+  let description = [{
+    Adjugate over determinant; not finite for a singular matrix. The derivative
+    is dA⁻¹ = −A⁻¹ dA A⁻¹.
+
+    ```mlir
+    %i = tai.inverse %a : vector<2x2xf32>
+    ```
+  }];
+  let arguments = (ins Tai_FloatMatrix:$matrix);
+  let results = (outs Tai_FloatMatrix:$result);
+  let assemblyFormat = "$matrix attr-dict `:` type($matrix)";
+}
+
+def Tai_SolveOp : Tai_MatrixOp<"solve", [
+    AllTypesMatch<["rhs", "result"]>]> {
+  let summary = "solve a square linear system of size 1 to 4";
+  let description = [{
+    The x with A x = b. The derivative is that of A⁻¹ b.
+
+    ```mlir
+    %x = tai.solve %a, %b : vector<3x3xf32>, vector<3xf32>
+    ```
+  }];
+  let arguments = (ins Tai_FloatMatrix:$matrix, Tai_FloatVector:$rhs);
+  let results = (outs Tai_FloatVector:$result);
+  let assemblyFormat = "$matrix `,` $rhs attr-dict `:` type($matrix) `,` type($rhs)";
+}
+
+def Tai_PolarOp : Tai_MatrixOp<"polar", [
+    AllTypesMatch<["matrix", "rotation", "stretch"]>]> {
+  let summary = "polar decomposition of a 2×2 or 3×3 matrix";
+  let description = [{
+    A = R S with R a rotation and S symmetric. The derivative of R is that of
+    the rotation nearest to A; it is finite wherever σᵢ + σⱼ is not zero.
+
+    ```mlir
+    %r, %s = tai.polar %a : vector<2x2xf32>
+    ```
+  }];
+  let arguments = (ins Tai_FloatMatrix:$matrix);
+  let results = (outs Tai_FloatMatrix:$rotation, Tai_FloatMatrix:$stretch);
+  let assemblyFormat = "$matrix attr-dict `:` type($matrix)";
+}
+
+def Tai_SvdOp : Tai_MatrixOp<"svd", [
+    AllTypesMatch<["matrix", "u", "sigma", "v"]>]> {
+  let summary = "singular value decomposition of a 2×2 or 3×3 matrix";
+  let description = [{
+    A = U Σ Vᵀ with rotations U and V and diagonal Σ, singular values in
+    descending order, the last one negative where det A is.
+
+    ```mlir
+    %u, %s, %v = tai.svd %a : vector<3x3xf32>
+    ```
+  }];
+  let arguments = (ins Tai_FloatMatrix:$matrix);
+  let results = (outs Tai_FloatMatrix:$u, Tai_FloatMatrix:$sigma,
+                      Tai_FloatMatrix:$v);
+  let assemblyFormat = "$matrix attr-dict `:` type($matrix)";
+}
+
+def Tai_SymEigOp : Tai_MatrixOp<"sym_eig", [
+    AllTypesMatch<["matrix", "vectors"]>]> {
+  let summary = "eigenvalues and eigenvectors of a symmetric matrix";
+  let description = [{
+    Of a symmetric 2×2 or 3×3 matrix (the lower triangle is read): the
+    eigenvalues in descending order, and the matrix whose columns are the
+    eigenvectors.
+
+    ```mlir
+    %l, %q = tai.sym_eig %a : vector<2x2xf32> -> vector<2xf32>
+    ```
+  }];
+  let arguments = (ins Tai_FloatMatrix:$matrix);
+  let results = (outs Tai_FloatVector:$values, Tai_FloatMatrix:$vectors);
+  let assemblyFormat = "$matrix attr-dict `:` type($matrix) `->` type($values)";
+}
+
+#endif // TAI_DIALECT_TAI_IR_TAIMATRIXOPS_TD

@@ -1,0 +1,40 @@
+//===- TaiOpBase.td - What the ops of the dialect share ----*- tablegen -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_DIALECT_TAI_IR_TAIOPBASE_TD
+#define TAI_DIALECT_TAI_IR_TAIOPBASE_TD
+
+include "mlir/IR/BuiltinAttributes.td"
+include "mlir/IR/CommonAttrConstraints.td"
+include "mlir/IR/CommonTypeConstraints.td"
+include "mlir/IR/OpAsmInterface.td"
+include "mlir/IR/OpBase.td"
+include "mlir/IR/SymbolInterfaces.td"
+include "mlir/Interfaces/CallInterfaces.td"
+include "mlir/Interfaces/ControlFlowInterfaces.td"
+include "mlir/Interfaces/FunctionInterfaces.td"
+include "mlir/Interfaces/InferTypeOpInterface.td"
+include "mlir/Interfaces/LoopLikeInterface.td"
+include "mlir/Interfaces/SideEffectInterfaces.td"
+include "tai/Dialect/Tai/IR/TaiAttrs.td"
+include "tai/Dialect/Tai/IR/TaiTypes.td"
+
+class Tai_Op<string mnemonic, list<Trait> traits = []>
+    : Op<Tai_Dialect, mnemonic, traits>;
+
+/// A value that a field can hold or a local can take.
+def Tai_Value : AnyTypeOf<[AnySignlessInteger, AnyFloat,
+    VectorOfAnyRankOf<[AnySignlessInteger, AnyFloat]>]>;
+def Tai_FloatOrVector : AnyTypeOf<[AnyFloat, VectorOfAnyRankOf<[AnyFloat]>]>;
+def Tai_NumberVector : VectorOfRankAndType<[1], [AnySignlessInteger, AnyFloat]>;
+def Tai_FloatVector : VectorOfRankAndType<[1], [AnyFloat]>;
+def Tai_FloatMatrix : VectorOfRankAndType<[2], [AnyFloat]>;
+def Tai_NumberMatrix : VectorOfRankAndType<[2], [AnySignlessInteger, AnyFloat]>;
+def Tai_AnyLocal : Type<CPred<"::llvm::isa<::mlir::tai::LocalType>($_self)">,
+                        "local variable", "::mlir::tai::LocalType">;
+
+#endif // TAI_DIALECT_TAI_IR_TAIOPBASE_TD

@@ -1,0 +1,143 @@
+//===- Abi.h - What compiled kernels and the runtime share ------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The binary interface between compiled kernels and the runtime, in C. A
+// compiled kernel holds no address of its own: all it needs comes through the
+// frame, so that object code can be cached on disk and shared by contexts.
+// `TAI_ABI_VERSION` is part of the key of every cache entry; raise it with any
+// change here.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_RUNTIME_ABI_H
+#define TAI_RUNTIME_ABI_H
+
+#include <stdint.h>
+
+#define TAI_ABI_VERSION 1
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct TaiRuntime TaiRuntime;
+
+/// What one launch of a kernel is given. Offsets are part of the interface:
+/// compiled code reads the fields by position.
+typedef struct TaiFrame {
+  /// Base address of each tree that the module of the kernel declares, in the
+  /// order of its `tai.tree` ops.
+  void **trees;
+  /// Arguments in slots of eight bytes: a scalar takes one (stored in its own
+  /// type at the start of the slot, i1 as one byte, index as int64), a vector
+  /// or matrix one slot for each component (row-major), a memref one pointer
+  /// slot followed by one int64 slot for each dimension (row-major,
+  /// contiguous).
+  const uint64_t *args;
+  /// The returned value, in slots as above.
+  uint64_t *results;
+  TaiRuntime *runtime;
+  /// Seed of the context and number of this launch, for `tai.random`.
+  uint64_t seed;
+  uint64_t launch;
+} TaiFrame;
+
+/// A compiled kernel. Returns 0, or non-zero if the launch failed (the runtime
+/// holds the message).
+typedef int32_t (*TaiKernelFn)(TaiFrame *frame);
+
+/// The body of a parallel loop: runs the iterations [begin, end) of the
+/// linearised index space. `part` in [0, parts) names the partition, for
+/// partial sums and private buffers.
+typedef void (*TaiLoopBody)(TaiFrame *frame, void *closure, int64_t begin,
+                            int64_t end, int64_t part);
+
+/// How a loop of `n` iterations will be cut. `cost` estimates the nanoseconds
+/// of one iteration. With `fixed` the answer depends on n and cost alone
+/// (deterministic mode, or whenever partial results are combined in order and
+/// must not depend on the number of threads); else it follows the threads. Is
+/// at least 1 for n >= 1.
+int64_t tai_rt_parts(TaiFrame *frame, int64_t n, int64_t cost, int32_t reduces);
+
+/// Runs `body` over [0, n) cut into `parts` contiguous partitions, partition p
+/// covering [n*p/parts, n*(p+1)/parts). Inline on the calling thread where
+/// parts is 1.
+void tai_rt_parallel_for(TaiFrame *frame, TaiLoopBody body, void *closure,
+                         int64_t n, int64_t parts);
+
+/// Zeroed scratch memory of this launch, aligned to 64 bytes; valid until the
+/// kernel returns. Null never comes back: out of memory fails the launch and
+/// yields a pointer to a shared sink that is never read.
+void *tai_rt_scratch(TaiFrame *frame, int64_t bytes);
+
+/// Zeroed private accumulation buffers: `parts` blocks of `bytes` bytes each
+/// (rounded up to 64), one after another.
+void *tai_rt_private(TaiFrame *frame, int64_t bytes, int64_t parts);
+
+/// Adds the private buffers into `target` in partition order, in parallel over
+/// elements: target[e] += sum over p of buffer[p][e]. kind: 0 f32, 1 f64.
+void tai_rt_combine(TaiFrame *frame, void *target, const void *buffers,
+                    int64_t count, int64_t parts, int32_t kind);
+
+/// Random bits: Philox 4x32-10 keyed by seed, counted by (launch, iteration,
+/// stream, sequence).
+uint32_t tai_rt_random_u32(uint64_t seed, uint64_t launch, uint64_t iteration,
+                           uint32_t stream, uint32_t sequence);
+
+/// Kinds of printed and reported values.
+enum TaiValueKind {
+  TAI_VALUE_I64 = 0, // int64_t slot (all integers are sign-extended)
+  TAI_VALUE_F64 = 1, // double slot (all floats are extended)
+  TAI_VALUE_U64 = 2,
+  TAI_VALUE_BOOL = 3
+};
+
+/// Prints `format` with `{}` replaced by the values in turn, and a newline.
+/// `shapes[k]` components belong to value k (1 for a scalar), with the slots
+/// one after another.
+void tai_rt_print(TaiFrame *frame, const char *format, int32_t count,
+                  const int32_t *kinds, const int32_t *shapes,
+                  const uint64_t *slots);
+
+/// Records the first failure of a launch. `where` is "file:line:col" or empty.
+enum TaiFailure {
+  TAI_FAIL_ASSERT = 1,
+  TAI_FAIL_INDEX = 2,
+  TAI_FAIL_MEMORY = 3,
+  TAI_FAIL_CHECK = 4
+};
+void tai_rt_fail(TaiFrame *frame, int32_t failure, const char *message,
+                 const char *where, int32_t count, const int32_t *kinds,
+                 const int32_t *shapes, const uint64_t *slots);
+
+/// Non-zero if this launch has failed.
+int32_t tai_rt_failed(TaiFrame *frame);
+
+//===----------------------------------------------------------------------===//
+// Host programs (`func.func` run by tai-run)
+//===----------------------------------------------------------------------===//
+
+/// Launches a kernel of the same module by name, with argument slots as above.
+int32_t tai_rt_host_launch(TaiFrame *frame, const char *kernel,
+                           const uint64_t *args, int64_t slots,
+                           uint64_t *results, int64_t result_slots);
+/// Begins recording; ends it and runs the reverse sweep for the named loss.
+int32_t tai_rt_host_tape_begin(TaiFrame *frame, const char *loss);
+int32_t tai_rt_host_tape_end(TaiFrame *frame);
+/// Runs `region(frame, closure)` under a tape and compares the gradient with
+/// central differences; `wrt` are `count` field names.
+int32_t tai_rt_host_check_gradient(TaiFrame *frame, const char *loss,
+                                   const char **wrt, int64_t count,
+                                   double tolerance,
+                                   int32_t (*region)(TaiFrame *, void *),
+                                   void *closure, const char *where);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif // TAI_RUNTIME_ABI_H
