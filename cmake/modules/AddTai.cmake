@@ -73,19 +73,53 @@ function(tai_doc file name folder)
   add_mlir_doc(${file} ${name} ${folder} ${ARGN})
 endfunction()
 
-# The common MLIR headers, compiled once for all targets that see MLIR.
+# The upstream headers that most files need, compiled once for all targets that
+# see MLIR: a small pass compiles in 0.6 s instead of 5 s. Sources still include
+# what they use; a build with TAI_PCH=OFF must pass.
 if(TAI_PCH)
+  set(headers
+    <mlir/Dialect/Arith/IR/Arith.h>
+    <mlir/Dialect/Func/IR/FuncOps.h>
+    <mlir/Dialect/LLVMIR/LLVMDialect.h>
+    <mlir/Dialect/Math/IR/Math.h>
+    <mlir/Dialect/MemRef/IR/MemRef.h>
+    <mlir/Dialect/SCF/IR/SCF.h>
+    <mlir/Dialect/Vector/IR/VectorOps.h>
+    <mlir/IR/Builders.h>
+    <mlir/IR/BuiltinOps.h>
+    <mlir/IR/DialectImplementation.h>
+    <mlir/IR/IRMapping.h>
+    <mlir/IR/OpImplementation.h>
+    <mlir/IR/PatternMatch.h>
+    <mlir/Pass/PassManager.h>
+    <mlir/Transforms/DialectConversion.h>
+    <mlir/Transforms/GreedyPatternRewriteDriver.h>
+    <llvm/ADT/TypeSwitch.h>)
   file(CONFIGURE OUTPUT "${PROJECT_BINARY_DIR}/pch/pch.cpp"
     CONTENT "// Carries the precompiled header.\n")
   add_library(TaiPCH OBJECT "${PROJECT_BINARY_DIR}/pch/pch.cpp")
   tai_compile_options(TaiPCH)
-  target_precompile_headers(TaiPCH PRIVATE "${PROJECT_SOURCE_DIR}/cmake/TaiPCH.h")
+  target_precompile_headers(TaiPCH PRIVATE ${headers})
+  # A precompiled header holds absolute paths. So it is never taken from ccache,
+  # and ccache identifies it by a checksum of what it means, not by its bytes:
+  # objects are then shared between checkouts.
+  set_target_properties(TaiPCH PROPERTIES CXX_COMPILER_LAUNCHER "")
+  string(SHA256 checksum "${headers} ${LLVM_PACKAGE_VERSION} ${CMAKE_CXX_COMPILER_VERSION}")
+  file(CONFIGURE OUTPUT "${PROJECT_BINARY_DIR}/CMakeFiles/TaiPCH.dir/cmake_pch.hxx.pch.sum"
+    CONTENT "${checksum}\n")
 endif()
 
 # tai_precompile(<target>)
+#   Not by REUSE_FROM, which names the header by an absolute path that ccache
+#   does not see through.
 function(tai_precompile target)
   if(TAI_PCH)
-    target_precompile_headers(${target} REUSE_FROM TaiPCH)
+    set(pch CMakeFiles/TaiPCH.dir/cmake_pch.hxx.pch)
+    target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:SHELL:-include-pch ${pch}>)
+    get_target_property(sources ${target} SOURCES)
+    list(FILTER sources EXCLUDE REGEX "TARGET_OBJECTS")
+    set_property(SOURCE ${sources} APPEND PROPERTY OBJECT_DEPENDS "${PROJECT_BINARY_DIR}/${pch}")
+    add_dependencies(${target} TaiPCH)
   endif()
 endfunction()
 
