@@ -1,0 +1,49 @@
+# Names for the common commands. Each sets up the machine first when needed.
+# PRESET=debug or PRESET=asan builds and tests another configuration.
+
+PRESET ?= release
+JOBS ?= $(shell nproc)
+BUILD := $(if $(filter release,$(PRESET)),build,build-$(PRESET))
+PYTHON := .venv/bin/python
+
+.DEFAULT_GOAL := help
+.PHONY: help build demo test test-gpu bench fmt lint portable docs clean setup
+
+help: ## list these commands
+	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /\1\t/' | \
+	  while IFS="$$(printf '\t')" read -r name text; do printf '  make %-10s %s\n' "$$name" "$$text"; done
+
+setup: ## install system packages and make .venv (the others call it)
+	@scripts/setup.sh
+
+build: setup ## configure and compile everything
+	@test -f $(BUILD)/build.ninja || cmake --preset $(PRESET)
+	@ninja -C $(BUILD) -j$(JOBS)
+
+demo: build ## optimise a mass-spring triangle by gradients, and draw it
+	@$(PYTHON) examples/mass_spring_simple.py
+
+test: build ## run lit, GoogleTest, pytest and the style checks
+	@$(PYTHON) scripts/run_tests.py --build $(BUILD) --jobs $(JOBS)
+
+test-gpu: build ## run the tests that need an NVIDIA GPU
+	@$(PYTHON) scripts/run_tests.py --build $(BUILD) --jobs $(JOBS) --gpu
+
+bench: build ## time the scenes against other systems: CSV and plot
+	@$(PYTHON) benchmarks/run.py
+
+fmt: setup ## format C++ and Python
+	@$(PYTHON) scripts/lint.py --fix
+
+lint: setup ## check the format and the style of C++ and Python
+	@$(PYTHON) scripts/lint.py
+
+portable: setup ## make dist/tai-portable-*.tar.xz, which needs no LLVM to run
+	@scripts/portable.sh $(JOBS)
+
+docs: build ## generate the reference of dialect and passes in build/docs
+	@ninja -C $(BUILD) mlir-doc
+	@echo "the reference is in $(BUILD)/docs/reference"
+
+clean: ## remove what was built (.venv stays)
+	rm -rf build build-debug build-asan build-portable dist python/tai/_core*.so

@@ -1,0 +1,102 @@
+"""Checks, or with --fix repairs, the style of the tracked C++ and Python files.
+
+Each check prints what it found and counts as one test of `make test`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+LICENSE_TAG = "SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception"
+MAX_LINES = 800
+
+
+def tracked(*patterns: str) -> list[str]:
+    """Files of the checkout that match, tracked or about to be."""
+    command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "--", *patterns]
+    output = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    return sorted(name for name in set(output.splitlines()) if (ROOT / name).is_file())
+
+
+def run(command: list[str]) -> str:
+    """Runs `command`; returns its output if it failed, and "" if it passed."""
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    return "" if result.returncode == 0 else (result.stdout + result.stderr).strip() or "failed"
+
+
+def clang_format(fix: bool) -> str:
+    files = tracked("*.cpp", "*.h")
+    mode = ["-i"] if fix else ["--dry-run", "-Werror"]
+    return run(["clang-format-22", *mode, *files]) if files else ""
+
+
+def ruff_format(fix: bool) -> str:
+    mode = [] if fix else ["--check"]
+    return run([sys.executable, "-m", "ruff", "format", "-q", *mode, "."])
+
+
+def ruff_check(fix: bool) -> str:
+    mode = ["--fix"] if fix else []
+    return run([sys.executable, "-m", "ruff", "check", "-q", *mode, "."])
+
+
+def license_headers(_fix: bool) -> str:
+    """Every C++ file names its licence."""
+    bad = [name for name in tracked("*.cpp", "*.h") if LICENSE_TAG not in (ROOT / name).read_text()]
+    return "\n".join(f"{name}: no licence header" for name in bad)
+
+
+def file_sizes(_fix: bool) -> str:
+    """A file that cannot be read in one sitting should be two."""
+    bad = []
+    for name in tracked("*.cpp", "*.h", "*.td", "*.py"):
+        lines = (ROOT / name).read_text().count("\n")
+        if lines > MAX_LINES:
+            bad.append(f"{name}: {lines} lines, at most {MAX_LINES}")
+    return "\n".join(bad)
+
+
+def lit_run_lines(_fix: bool) -> str:
+    """Every lit test runs something and checks the outcome."""
+    bad = []
+    for name in tracked("test/*.mlir"):
+        if "/Inputs/" in name or name.startswith("test/python/"):
+            continue
+        text = (ROOT / name).read_text()
+        if not re.search(r"^\s*//\s*RUN:", text, re.M):
+            bad.append(f"{name}: no RUN line")
+    return "\n".join(bad)
+
+
+CHECKS: dict[str, Callable[[bool], str]] = {
+    "clang-format": clang_format,
+    "ruff format": ruff_format,
+    "ruff check": ruff_check,
+    "licence headers": license_headers,
+    "file sizes": file_sizes,
+    "RUN lines": lit_run_lines,
+}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--fix", action="store_true", help="repair what can be repaired")
+    fix = parser.parse_args().fix
+    failed = 0
+    for name, check in CHECKS.items():
+        problem = check(fix)
+        if problem:
+            failed += 1
+            print(f"FAIL lint: {name}\n{problem}")
+    print(f"lint: {len(CHECKS) - failed} passed, {failed} failed")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,156 @@
+"""Runs all tests: lit, GoogleTest, pytest and the style checks.
+
+Each kind closes on its own count, and the last line counts all of them. A runner
+that dies, or that finds no test, is a failure of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+LLVM_BIN = Path(os.environ.get("TAI_LLVM_BIN", "/usr/lib/llvm-22/bin"))
+
+
+@dataclass
+class Result:
+    """What one runner reported."""
+
+    kind: str
+    passed: int = 0
+    failed: int = 0
+    failures: list[str] = field(default_factory=list)
+    skipped: list[str] = field(default_factory=list)
+
+    def add_junit(self, path: Path) -> None:
+        """Adds the test cases of a JUnit XML file, as lit and pytest write it."""
+        for case in ElementTree.parse(path).getroot().iter("testcase"):
+            name = f"{case.get('classname', '')}.{case.get('name', '')}".strip(".")
+            skip = case.find("skipped")
+            if case.find("failure") is not None or case.find("error") is not None:
+                self.fail(name)
+            elif skip is not None:
+                self.skipped.append(f"{name}: {skip.get('message') or 'no reason given'}")
+            else:
+                self.passed += 1
+
+    def fail(self, what: str) -> None:
+        self.failed += 1
+        self.failures.append(what)
+
+    def close(self, status: int) -> Result:
+        """Counts a runner that died or that found nothing, and prints the count."""
+        if status != 0 and self.failed == 0:
+            self.fail(f"the runner ended with status {status}")
+        elif self.passed + self.failed == 0:
+            self.fail("no test ran")
+        for line in self.skipped:
+            print(f"SKIP {self.kind}: {line}")
+        for line in self.failures:
+            print(f"FAIL {self.kind}: {line}")
+        skipped = f", {len(self.skipped)} skipped" if self.skipped else ""
+        print(f"{self.kind}: {self.passed} passed, {self.failed} failed{skipped}\n", flush=True)
+        return self
+
+
+def call(command: list[object]) -> int:
+    """Runs a runner with its output on ours."""
+    print("$", *command, flush=True)
+    return subprocess.run([str(word) for word in command], cwd=ROOT).returncode
+
+
+def run_lit(build: Path, jobs: int, out: Path, gpu: bool) -> Result:
+    result = Result("lit")
+    xml = out / "lit.xml"
+    suite = build / "test" / ("Integration/CUDA" if gpu else "")
+    lit = [sys.executable, LLVM_BIN / "lit", "-s", "-v", "--timeout=300"]
+    status = call([*lit, f"-j{jobs}", f"--xunit-xml-output={xml}", suite])
+    if xml.exists():
+        result.add_junit(xml)
+    return result.close(status)
+
+
+def run_gtest(build: Path, out: Path) -> Result:
+    result = Result("gtest")
+    program, report = build / "bin/tai-unit-tests", out / "gtest.json"
+    if not program.exists():
+        result.fail(f"{program} was not built")
+        return result.close(1)
+    status = call([program, "--gtest_brief=1", f"--gtest_output=json:{report}"])
+    if report.exists():
+        for suite in json.loads(report.read_text())["testsuites"]:
+            for case in suite["testsuite"]:
+                name = f"{suite['name']}.{case['name']}"
+                if case.get("failures"):
+                    result.fail(name)
+                elif case.get("result") == "SKIPPED":
+                    reasons = [s.get("message", "") for s in case.get("skipped", [])]
+                    result.skipped.append(f"{name}: {' '.join(reasons) or 'no reason given'}")
+                elif case.get("status") == "RUN":
+                    result.passed += 1
+    return result.close(status)
+
+
+def run_pytest(jobs: int, out: Path, gpu: bool) -> Result:
+    result = Result("pytest")
+    xml = out / "pytest.xml"
+    command = [sys.executable, "-m", "pytest", "-q", "--tb=short", f"--junitxml={xml}"]
+    command += ["-m", "gpu" if gpu else "not gpu"]
+    if jobs > 1:
+        command += ["-n", str(jobs)]
+    status = call([*command, "test/python"])
+    if xml.exists():
+        result.add_junit(xml)
+    return result.close(status)
+
+
+def run_lint() -> Result:
+    # Imported here: the other kinds do not depend on it.
+    import lint
+
+    result = Result("lint")
+    for name, check in lint.CHECKS.items():
+        problem = check(False)
+        if problem:
+            print(problem)
+            result.fail(name)
+        else:
+            result.passed += 1
+    return result.close(0)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--build", type=Path, default=Path("build"), help="build folder")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--gpu", action="store_true", help="only the tests that need a GPU")
+    parser.add_argument("--only", nargs="+", choices=["lit", "gtest", "pytest", "lint"])
+    args = parser.parse_args()
+    build = (ROOT / args.build).resolve()
+    kinds = args.only or (["lit", "pytest"] if args.gpu else ["lit", "gtest", "pytest", "lint"])
+
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder)
+        runners = {
+            "lit": lambda: run_lit(build, args.jobs, out, args.gpu),
+            "gtest": lambda: run_gtest(build, out),
+            "pytest": lambda: run_pytest(args.jobs, out, args.gpu),
+            "lint": run_lint,
+        }
+        results = [runners[kind]() for kind in kinds]
+    passed = sum(result.passed for result in results)
+    failed = sum(result.failed for result in results)
+    print(f"{passed} passed, {failed} failed")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,67 @@
+"""lit configuration: which files are tests, and which tools they call.
+
+To run one test: `build/bin/tai-lit test/Dialect/Tai/IR/ops.mlir`.
+"""
+
+# `config` and `lit_config` are given by lit.
+# ruff: noqa: F821
+
+import ctypes
+import os
+
+import lit.formats
+from lit.llvm import llvm_config
+from lit.llvm.subst import ToolSubst
+
+config.name = "tai"
+config.test_format = lit.formats.ShTest(execute_external=False)
+config.suffixes = [".mlir", ".test"]
+config.test_source_root = os.path.dirname(__file__)
+config.test_exec_root = os.path.join(config.tai_build_dir, "test")
+config.excludes = ["Inputs", "python", "unit", "fuzz", "CMakeLists.txt"]
+
+llvm_config.with_system_environment(["HOME", "TMP", "TEMP", "CUDA_HOME", "CUDA_ROOT"])
+llvm_config.use_default_substitutions()
+# A variable without $ lives to the next label only, so that one function's
+# capture cannot satisfy another's check.
+config.environment["FILECHECK_OPTS"] = "-enable-var-scope --allow-unused-prefixes=false"
+
+# Compiled kernels of the tests stay out of the user's cache.
+config.environment["TAI_CACHE_DIR"] = os.path.join(config.test_exec_root, "cache")
+
+tai_tools = ["tai-opt", "tai-run", "tai-translate", "tai-lsp-server", "tai-reduce"]
+tools = [ToolSubst(tool, unresolved="ignore") for tool in tai_tools]
+tools += [
+    ToolSubst("mlir-opt-22", os.path.join(config.llvm_tools_dir, "mlir-opt")),
+    ToolSubst("mlir-translate-22", os.path.join(config.llvm_tools_dir, "mlir-translate")),
+]
+llvm_config.add_tool_substitutions(tools, [config.tai_tools_dir, config.llvm_tools_dir])
+config.substitutions.append(("%tai_plugin", config.tai_plugin))
+config.substitutions.append(("%tai_lib", config.tai_lib_dir))
+config.substitutions.append(("%tai_src", config.tai_source_dir))
+config.substitutions.append(("%python", config.python_executable))
+
+# Features, for REQUIRES lines.
+if os.path.exists(config.tai_plugin):
+    config.available_features.add("plugin")
+for tool in tai_tools:
+    if os.path.exists(os.path.join(config.tai_tools_dir, tool)):
+        config.available_features.add(tool)
+if config.tai_python:
+    config.available_features.add("python")
+if config.tai_sanitize:
+    config.available_features.add("sanitizer")
+
+
+def has_gpu() -> bool:
+    """Returns whether the CUDA driver opens and sees a device."""
+    try:
+        driver = ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        return False
+    count = ctypes.c_int(0)
+    return driver.cuInit(0) == 0 and driver.cuDeviceGetCount(ctypes.byref(count)) == 0 and count
+
+
+if has_gpu():
+    config.available_features.add("cuda")
