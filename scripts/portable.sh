@@ -1,0 +1,43 @@
+#!/usr/bin/env bash
+# Makes dist/tai-portable-<version>-linux-x86_64.tar.xz: one libtai with LLVM and
+# MLIR inside, the tools, the C headers and the Python package. It runs where no
+# LLVM is installed. Usage: portable.sh [jobs]
+set -euo pipefail
+cd "$(dirname "$0")/.."
+jobs=${1:-$(nproc)}
+limit=$((40 * 1024 * 1024))
+
+test -f build-portable/build.ninja || cmake --preset portable
+ninja -C build-portable -j"$jobs"
+
+version=$(sed -n 's/^project(Tai VERSION \([0-9.]*\).*/\1/p' CMakeLists.txt)
+name=tai-portable-$version-linux-$(uname -m)
+root=dist/$name
+rm -rf "$root" "$root.tar.xz"
+cmake --install build-portable --prefix "$root" --strip >/dev/null
+cp LICENSE "$root/"
+cp docs/portable.md "$root/README.md"
+
+# The libraries that a base system does not hold come along.
+cp -L "$(ldd "$root/lib/libtai.so" | awk '$1 == "libtbb.so.12" { print $3 }')" "$root/lib/"
+
+# Nothing else may be asked of the machine.
+base='^(linux-vdso|lib(c|m|dl|rt|pthread|stdc\+\+|gcc_s)|/lib64/ld-linux.*)\.so'
+for file in "$root"/lib/*.so* "$root"/bin/* "$root"/python/tai/_core*.so; do
+  [ -e "$file" ] || continue
+  foreign=$(ldd "$file" | awk '{ print $1, $3 }' | grep -vE "$base" |
+    awk -v root="$(pwd)/$root" 'index($2, root) != 1' || true)
+  if [ -n "$foreign" ]; then
+    printf 'portable: %s needs more than the bundle and the base system:\n%s\n' "$file" "$foreign" >&2
+    exit 1
+  fi
+done
+"$root/bin/tai-opt" --version >/dev/null
+
+tar -C dist -c "$name" | xz -9 -T1 >"$root.tar.xz"
+size=$(stat -c %s "$root.tar.xz")
+printf 'portable: %s, %d.%d MB\n' "$root.tar.xz" $((size / 1000000)) $((size / 100000 % 10))
+if [ "$size" -gt "$limit" ]; then
+  echo "portable: error: larger than $((limit / 1024 / 1024)) MB" >&2
+  exit 1
+fi
