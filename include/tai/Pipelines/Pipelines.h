@@ -1,0 +1,76 @@
+//===- Pipelines.h - The pass pipelines of tai ------------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The pipelines by name: as functions that add their passes to a pass manager,
+// and as the options `--tai-autodiff` and `--tai-to-llvm` of tai-opt.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_PIPELINES_PIPELINES_H
+#define TAI_PIPELINES_PIPELINES_H
+
+#include "mlir/Pass/PassManager.h"
+#include "mlir/Pass/PassOptions.h"
+
+namespace mlir::tai {
+
+/// How kernels are lowered for the CPU.
+struct ToLLVMOptions : PassPipelineOptions<ToLLVMOptions> {
+  ToLLVMOptions() = default;
+  // Options are bound to their parser and cannot be moved: copy the values.
+  ToLLVMOptions(const ToLLVMOptions &other) : PassPipelineOptions() {
+    *this = other;
+  }
+  ToLLVMOptions &operator=(const ToLLVMOptions &other) {
+    deterministic = other.deterministic.getValue();
+    debug = other.debug.getValue();
+    boundsCheck = other.boundsCheck.getValue();
+    fastMath = other.fastMath.getValue();
+    contract = other.contract.getValue();
+    optLevel = other.optLevel.getValue();
+    return *this;
+  }
+
+  Option<bool> deterministic{
+      *this, "deterministic",
+      llvm::cl::desc("Make results bit-identical from run to run and over "
+                     "numbers of threads"),
+      llvm::cl::init(false)};
+  Option<bool> debug{
+      *this, "debug",
+      llvm::cl::desc("Check tai.assert, and every index (see bounds-check)"),
+      llvm::cl::init(false)};
+  Option<bool> boundsCheck{
+      *this, "bounds-check",
+      llvm::cl::desc("Report indices that lie outside their field or array"),
+      llvm::cl::init(false)};
+  Option<bool> fastMath{
+      *this, "fast-math",
+      llvm::cl::desc("Let float operations be reordered and approximated; "
+                     "infinities and NaN keep their meaning"),
+      llvm::cl::init(false)};
+  Option<bool> contract{
+      *this, "contract",
+      llvm::cl::desc("Let a product and a sum be rounded once"),
+      llvm::cl::init(true)};
+  Option<unsigned> optLevel{
+      *this, "opt-level",
+      llvm::cl::desc("Effort, 0 to 3; 0 leaves out what only makes code fast"),
+      llvm::cl::init(3)};
+};
+
+/// Lowers a module of trees, fields, kernels and host functions to the LLVM
+/// dialect. Each kernel and each host function becomes
+/// `i32 @name(TaiFrame *)`; see tai/Runtime/Abi.h. Anchored on the module.
+void buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options);
+
+/// Makes `--tai-to-llvm` known to pass pipelines given as text.
+void registerToLLVMPipeline();
+
+} // namespace mlir::tai
+
+#endif // TAI_PIPELINES_PIPELINES_H
