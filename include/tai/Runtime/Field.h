@@ -1,0 +1,160 @@
+//===- Field.h - Trees and fields as the host sees them ---------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Storage and its description. The compiler decides where an element lies; the
+// runtime is told so by a FieldLayout and uses it for host access only.
+// Compiled kernels compute addresses on their own.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_RUNTIME_FIELD_H
+#define TAI_RUNTIME_FIELD_H
+
+#include "tai/Runtime/Status.h"
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+namespace mlir::tai::runtime {
+
+class Runtime;
+
+/// Scalar types, with the numbers of TaiScalarType. i1 is stored as one byte.
+enum class ScalarKind : uint8_t {
+  I8 = 0,
+  I16,
+  I32,
+  I64,
+  F16,
+  BF16,
+  F32,
+  F64,
+  I1
+};
+int64_t byteSize(ScalarKind kind);
+bool isFloat(ScalarKind kind);
+const char *spelling(ScalarKind kind);
+
+/// One allocation, zero when made. Pages are committed when first written.
+class Tree {
+public:
+  const std::string &name() const { return treeName; }
+  /// Null once the tree has been destroyed; aligned to 64 bytes.
+  char *base() const { return address; }
+  int64_t bytes() const { return size; }
+
+private:
+  friend class Runtime;
+  std::string treeName;
+  char *address = nullptr;
+  int64_t size = 0;
+  void *mapping = nullptr;
+  size_t mapped = 0;
+};
+using TreePtr = std::shared_ptr<Tree>;
+
+/// A level of the tree divides one index into digits:
+///   digit = index / divisor % extent, and the address grows by digit * stride.
+struct LayoutLevel {
+  int64_t divisor;
+  int64_t extent;
+  int64_t stride; // bytes
+};
+
+/// Where the elements of a field lie in its tree: component c of element
+/// (i0, i1, ...) is at
+///   tree + placeOffset + sum over indices and levels of digit * stride
+///        + c * componentStride.
+struct FieldLayout {
+  ScalarKind scalar = ScalarKind::F32;
+  /// Empty for a scalar, one number for a vector, two for a matrix.
+  std::vector<int64_t> elementShape;
+  int64_t placeOffset = 0;
+  /// Bytes from one component to the next; 0 means the size of the scalar.
+  int64_t componentStride = 0;
+  /// For each index, in the order in which the field is indexed, the levels
+  /// that divide its axis. The shape follows: the product of the extents.
+  std::vector<std::vector<LayoutLevel>> indices;
+  /// First index along each dimension; empty means zeros.
+  std::vector<int64_t> offset;
+};
+
+class Field {
+public:
+  const std::string &name() const { return fieldName; }
+  const FieldLayout &layout() const { return fieldLayout; }
+  ScalarKind scalar() const { return fieldLayout.scalar; }
+  int rank() const { return static_cast<int>(shapeOf.size()); }
+  const std::vector<int64_t> &shape() const { return shapeOf; }
+  const std::vector<int64_t> &elementShape() const {
+    return fieldLayout.elementShape;
+  }
+  int64_t numElements() const { return elements; }
+  /// Components of one element.
+  int64_t numComponents() const { return components; }
+  /// Bytes of the row-major host array of the whole field.
+  int64_t hostBytes() const {
+    return elements * components * byteSize(fieldLayout.scalar);
+  }
+  const Tree &tree() const { return *owner; }
+  /// False once the tree has been destroyed.
+  bool valid() const { return owner->base() != nullptr; }
+  /// True where the elements lie one after another in row-major order.
+  bool contiguous() const { return isContiguous; }
+  /// Address of the place: of the first element.
+  char *data() const { return owner->base() + fieldLayout.placeOffset; }
+
+  /// The field that accumulates the derivative of the loss by this one; null
+  /// where there is none (yet).
+  Field *adjoint() const { return adjointField.get(); }
+  Field *dual() const { return dualField.get(); }
+  /// True where this field is the adjoint of another.
+  bool isAdjoint() const { return ofPrimal; }
+
+  /// Of adjoint fields: may hold something else than zeros.
+  bool dirty() const { return dirtyFlag.load(std::memory_order_relaxed); }
+  void markDirty() {
+    if (!dirty())
+      dirtyFlag.store(true, std::memory_order_relaxed);
+  }
+
+  /// Address of the element, or null if an index is out of range. Indices
+  /// count from the offset of the field.
+  char *elementAddress(const int64_t *index) const;
+
+  /// One component (row-major in the element) of one element, converted from
+  /// or to the type of the field. Integers wrap, as in C; writing marks the
+  /// field as dirty.
+  Status readF64(const int64_t *index, int64_t component, double &value) const;
+  Status writeF64(const int64_t *index, int64_t component, double value);
+  Status readI64(const int64_t *index, int64_t component, int64_t &value) const;
+  Status writeI64(const int64_t *index, int64_t component, int64_t value);
+
+private:
+  friend class Runtime;
+  Status access(const int64_t *index, int64_t component, char *&address) const;
+
+  std::string fieldName;
+  TreePtr owner;
+  FieldLayout fieldLayout;
+  std::vector<int64_t> shapeOf;
+  int64_t elements = 1;
+  int64_t components = 1;
+  bool isContiguous = false;
+  bool ofPrimal = false;
+  std::string adjointName, dualName;
+  std::shared_ptr<Field> adjointField, dualField;
+  std::atomic<bool> dirtyFlag{false};
+};
+using FieldPtr = std::shared_ptr<Field>;
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_RUNTIME_FIELD_H

@@ -1,0 +1,120 @@
+//===- Kernel.h - Compiled kernels as the runtime sees them -----*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A kernel is a function pointer, or a promise of one, with a summary of what
+// it touches. The tape works from summaries alone.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_RUNTIME_KERNEL_H
+#define TAI_RUNTIME_KERNEL_H
+
+#include "tai/Runtime/Abi.h"
+#include "tai/Runtime/Field.h"
+#include <functional>
+#include <mutex>
+
+namespace mlir::tai::runtime {
+
+class Kernel;
+using KernelPtr = std::shared_ptr<Kernel>;
+
+enum class AccessKind : uint8_t { Read, Write, Accumulate };
+
+/// One line of a summary.
+struct Access {
+  FieldPtr field;
+  AccessKind kind;
+};
+
+struct KernelInfo {
+  std::string name;
+  /// Slots of arguments and results, as Abi.h counts them.
+  int64_t argSlots = 0;
+  int64_t resultSlots = 0;
+  /// The trees of the module, in the order of its `tai.tree` ops.
+  std::vector<TreePtr> trees;
+  /// What the kernel reads, writes and accumulates. It must be complete: a
+  /// field left out is one that the tape may skip.
+  std::vector<Access> summary;
+  /// The function, or how to get it: called once, before the first launch, by
+  /// one thread. May call Kernel::setTrees.
+  TaiKernelFn function = nullptr;
+  std::function<Status(Kernel &kernel, TaiKernelFn &function)> resolve;
+  /// The adjoint kernel, or how to get it: called once, when a reverse sweep
+  /// first needs it. A null kernel with success says that there is nothing to
+  /// differentiate.
+  KernelPtr adjoint;
+  std::function<Status(Kernel &kernel, KernelPtr &adjoint)> makeAdjoint;
+  /// False if no derivative can flow through the kernel; the tape skips it.
+  bool differentiable = true;
+};
+
+/// Times of one kernel while the profiler is on.
+struct KernelTimes {
+  int64_t launches = 0;
+  int64_t totalNs = 0;
+  int64_t minNs = 0;
+  int64_t maxNs = 0;
+};
+
+class Kernel : public std::enable_shared_from_this<Kernel> {
+public:
+  explicit Kernel(KernelInfo info);
+
+  const std::string &name() const { return info.name; }
+  int64_t argSlots() const { return info.argSlots; }
+  int64_t resultSlots() const { return info.resultSlots; }
+  const std::vector<Access> &summary() const { return info.summary; }
+  bool differentiable() const { return info.differentiable; }
+
+  /// Compiles now what the first launch would compile. Any thread.
+  Status resolve();
+  bool resolved() const {
+    return function.load(std::memory_order_acquire) != nullptr;
+  }
+  /// The adjoint, made now if need be; null if there is nothing to
+  /// differentiate. Any thread.
+  Status resolveAdjoint(Kernel *&adjoint);
+
+  /// To be called before the kernel is launched or from its resolver.
+  void setTrees(std::vector<TreePtr> trees);
+  void setSummary(std::vector<Access> summary);
+
+private:
+  friend class Runtime;
+  friend class Tape;
+
+  /// Fills the table of bases; fails if a tree has been destroyed.
+  Status bindTrees();
+
+  KernelInfo info;
+  std::atomic<TaiKernelFn> function{nullptr};
+  /// Recursive: the resolver of an adjoint may resolve its primal.
+  std::recursive_mutex mutex;
+  bool adjointAsked = false;
+
+  std::vector<void *> bases;
+  /// State of the trees for which `bases` holds; 0 is never current.
+  std::atomic<uint64_t> boundEpoch{0};
+  /// Adjoint fields that a launch may change.
+  std::vector<Field *> changedAdjoints;
+  /// Fields whose adjoints its adjoint adds to (fields that it reads).
+  std::vector<Field *> adjointTargets;
+  /// Fields whose adjoints its adjoint reads (fields that it changes).
+  std::vector<Field *> adjointSources;
+  /// Number of the last launch, so that an adjoint launched by hand sees the
+  /// same random numbers.
+  uint64_t lastLaunch = 0;
+  /// Stamp of the last tape that holds this kernel.
+  uint64_t tapeStamp = 0;
+  KernelTimes times;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_RUNTIME_KERNEL_H

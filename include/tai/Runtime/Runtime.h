@@ -1,0 +1,237 @@
+//===- Runtime.h - Trees, fields, launches ----------------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// One Runtime holds the storage, the workers and the state of launches of one
+// context. There is no global state: several live in one process.
+//
+// Threads: launches may come from several threads at once (a parallel loop
+// that finds the workers taken runs on its own thread). Everything else,
+// recording a tape included, belongs to one thread at a time.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_RUNTIME_RUNTIME_H
+#define TAI_RUNTIME_RUNTIME_H
+
+#include "tai/Runtime/Kernel.h"
+#include "tai/Runtime/Tape.h"
+#include <string_view>
+#include <unordered_map>
+
+/// What the opaque pointer of Abi.h points to.
+struct TaiRuntime {};
+
+namespace mlir::tai::runtime {
+
+class ForkGuard;
+class WorkerPool;
+struct Launch;
+
+struct Options {
+  /// 0 = as many as the process may use.
+  int threads = 0;
+  /// Partitions of reductions do not depend on the number of threads.
+  bool deterministic = false;
+  /// Recorded for those who ask; the runtime itself checks always.
+  bool debug = false;
+  bool profiler = false;
+  uint64_t seed = 0;
+  /// Most bytes of trees and scratch; 0 = the memory of the machine (or of its
+  /// control group).
+  int64_t memoryLimit = 0;
+};
+
+struct FieldInfo {
+  std::string name;
+  TreePtr tree;
+  FieldLayout layout;
+  /// Names of other fields, which need not exist yet; empty for none.
+  std::string adjoint, dual;
+};
+
+/// What a host program (a `func.func` run on the host) may name.
+struct HostModule {
+  std::function<Kernel *(std::string_view name)> findKernel;
+};
+
+struct Counters {
+  int64_t launches = 0;
+  int64_t forks = 0;       // parallel loops that used workers
+  int64_t inlineLoops = 0; // those too small to pay for a fork
+  int64_t recorded = 0;
+  int64_t replayed = 0;
+  int64_t skipped = 0;
+  int64_t clearedFields = 0;
+};
+
+struct ProfileRow {
+  std::string kernel;
+  KernelTimes times;
+};
+
+class Runtime final : public ::TaiRuntime {
+public:
+  explicit Runtime(Options options = {});
+  ~Runtime();
+  Runtime(const Runtime &) = delete;
+  Runtime &operator=(const Runtime &) = delete;
+
+  const Options &options() const { return opts; }
+  /// Changes what may be changed at any time between launches.
+  void setThreads(int threads);
+  void setDeterministic(bool on) { opts.deterministic = on; }
+  void setDebug(bool on) { opts.debug = on; }
+  void setProfiler(bool on) { opts.profiler = on; }
+  /// Also restarts the numbering of launches, so that what follows draws the
+  /// same random numbers again.
+  void setSeed(uint64_t seed);
+  int threads() const { return numThreads; }
+
+  //===--------------------------------------------------------------------===//
+  // Storage
+  //===--------------------------------------------------------------------===//
+
+  Status addTree(std::string name, int64_t bytes, TreePtr &tree);
+  /// Frees the storage and forgets the fields. Handles stay safe to use and
+  /// report that the tree is gone.
+  Status destroyTree(const std::string &name);
+  TreePtr findTree(const std::string &name) const;
+  int64_t reservedBytes() const { return reserved; }
+
+  Status addField(FieldInfo info, FieldPtr &field);
+  FieldPtr findField(const std::string &name) const;
+  std::vector<FieldPtr> fields() const;
+
+  /// The whole field from or to a row-major array of its own scalar type, of
+  /// shape (shape..., element shape...).
+  Status copyToHost(const Field &field, void *array);
+  Status copyFromHost(Field &field, const void *array);
+  Status fillF64(Field &field, double value);
+  Status fillI64(Field &field, int64_t value);
+  /// Sets the adjoint fields that are dirty to zero.
+  void clearGradients();
+
+  //===--------------------------------------------------------------------===//
+  // Launches
+  //===--------------------------------------------------------------------===//
+
+  KernelPtr createKernel(KernelInfo info);
+  /// Launches and, where a tape records, records. `results` may be null for a
+  /// kernel without results.
+  Status launch(Kernel &kernel, const uint64_t *args, int64_t slots,
+                uint64_t *results);
+  /// Launches the adjoint with the arguments of the primal; never recorded.
+  Status launchAdjoint(Kernel &kernel, const uint64_t *args, int64_t slots);
+  /// Runs a host program, which may launch kernels and open tapes.
+  Status runHost(TaiKernelFn function, const std::vector<TreePtr> &trees,
+                 HostModule &module, const uint64_t *args, uint64_t *results);
+  /// Asks running launches to stop at the next partition of a parallel loop;
+  /// they fail with Interrupted. Safe in a signal handler. The request stands
+  /// until clearInterrupt().
+  void interrupt() { interrupted.store(true, std::memory_order_relaxed); }
+  void clearInterrupt() { interrupted.store(false, std::memory_order_relaxed); }
+
+  //===--------------------------------------------------------------------===//
+  // Tape
+  //===--------------------------------------------------------------------===//
+
+  /// Starts recording. `loss` may be null; else it is 0-D, with an adjoint.
+  Status beginTape(FieldPtr loss, bool clearGradients,
+                   std::unique_ptr<Tape> &tape);
+  Tape *recordingTape() const { return activeTape; }
+
+  //===--------------------------------------------------------------------===//
+  // What one sees
+  //===--------------------------------------------------------------------===//
+
+  /// Where printed lines go (one whole line a call, with its newline); the
+  /// standard output by default.
+  using Sink = std::function<void(std::string_view line)>;
+  void setPrintSink(Sink sink);
+  void print(std::string_view line);
+
+  /// Kernels that ran while the profiler was on, longest total first.
+  std::vector<ProfileRow> profile() const;
+  void clearProfile();
+  Counters counters() const;
+
+  //===--------------------------------------------------------------------===//
+  // For the ABI functions and for bulk work on the host
+  //===--------------------------------------------------------------------===//
+
+  int64_t partition(int64_t n, int64_t cost, bool reduces);
+  /// Calls task(context, p) for p in [0, parts), on the workers.
+  void parallel(int64_t parts, void (*task)(void *context, int64_t part),
+                void *context);
+  bool interruptRequested() const {
+    return interrupted.load(std::memory_order_relaxed);
+  }
+  int64_t memoryLimit() const { return limit; }
+
+private:
+  friend class Tape;
+
+  Status ready(Kernel &kernel);
+  Status run(Launch &launch, Kernel &kernel, const uint64_t *args,
+             uint64_t *results, uint64_t number);
+  Launch *acquireLaunch();
+  void releaseLaunch(Launch *launch);
+  WorkerPool &workers();
+  void fillWith(Field &field, const void *element);
+  template <typename Move>
+  void forEachRow(const Field &field, const Move &move);
+
+  Options opts;
+  int numThreads;
+  int64_t limit;
+  int64_t reserved = 0;
+  uint64_t treesMade = 0;
+  std::unordered_map<std::string, TreePtr> trees;
+  std::unordered_map<std::string, FieldPtr> fieldsByName;
+  std::vector<FieldPtr> fieldList;
+  /// Raised when a tree goes: kernels then check theirs again.
+  std::atomic<uint64_t> treeEpoch{1};
+
+  std::unique_ptr<ForkGuard> forkGuard;
+  std::unique_ptr<WorkerPool> pool;
+  std::mutex poolMutex;
+  std::atomic<WorkerPool *> currentPool{nullptr};
+
+  std::atomic<Launch *> spareLaunch{nullptr};
+  std::vector<std::unique_ptr<Launch>> launches;
+  std::vector<Launch *> freeLaunches;
+  std::mutex launchMutex;
+  std::atomic<uint64_t> launchCounter{0};
+  std::atomic<bool> interrupted{false};
+  std::atomic<int64_t> inlineCredit{0};
+
+  Tape *activeTape = nullptr;
+  uint64_t tapeStamps = 0;
+
+  mutable std::mutex profileMutex;
+  std::vector<std::weak_ptr<Kernel>> profiled;
+  struct AtomicCounters {
+    std::atomic<int64_t> forks{0}, inlineLoops{0};
+    int64_t recorded = 0, replayed = 0, skipped = 0, clearedFields = 0;
+  } counts;
+  uint64_t countedFrom = 0;
+
+  std::mutex printMutex;
+  Sink sink;
+};
+
+/// A function that compiled code may call, for the symbol table of a JIT.
+struct RuntimeSymbol {
+  const char *name;
+  void *address;
+};
+/// All functions of Abi.h.
+std::vector<RuntimeSymbol> runtimeSymbols();
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_RUNTIME_RUNTIME_H

@@ -1,0 +1,124 @@
+//===- Tape.h - Recorded launches and their reverse replay ------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The tape is data: a list of (kernel, argument slots). The reverse sweep
+// launches the adjoints in reverse order, and only those that can contribute: a
+// launch is needed if it changes a field whose adjoint may be non-zero, and
+// then the adjoints of what it reads may be non-zero too.
+//
+// Calls that fields hold in time (x[t] from x[t-1]) look like overwrites in a
+// summary; the tape therefore claims nothing about values that a later launch
+// overwrote. `overwrites` lists the candidates for a checkpoint planner.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_RUNTIME_TAPE_H
+#define TAI_RUNTIME_TAPE_H
+
+#include "tai/Runtime/Kernel.h"
+
+namespace mlir::tai::runtime {
+
+/// A host function in the sequence. It may be called again by a replay.
+struct TapeCallback {
+  /// Called by a forward replay in place of what ran when it was recorded; may
+  /// be empty.
+  std::function<Status()> forward;
+  /// Called at its place in the reverse sweep; may be empty.
+  std::function<Status()> backward;
+};
+
+class Tape {
+public:
+  /// Made by Runtime::beginTape.
+  ~Tape();
+  Tape(const Tape &) = delete;
+  Tape &operator=(const Tape &) = delete;
+
+  /// Stops recording. Ending twice is harmless.
+  void end();
+  bool recording() const;
+
+  /// Launches between the two are not recorded. Pairs nest.
+  void suspend() { ++suspended; }
+  Status resume();
+
+  void recordCallback(TapeCallback callback);
+
+  /// Seeds the adjoint of the loss with 1 (if there is a loss) and replays the
+  /// adjoints in reverse. Ends recording first.
+  Status backward();
+
+  /// Runs the recorded launches again on the present contents of the fields.
+  /// backward: clears the gradients, then as backward(). Random numbers are
+  /// drawn anew by a forward replay.
+  Status replay(bool forward, bool backward);
+
+  int64_t numRecords() const { return static_cast<int64_t>(records.size()); }
+  /// Records that the last reverse sweep skipped (before the first: that one
+  /// seeded by the loss alone would).
+  int64_t numSkipped();
+  /// One line for each record: replayed or skipped, and why.
+  const std::string &explain();
+
+  /// A launch that writes a field which an earlier record reads or writes.
+  struct Overwrite {
+    int64_t record;
+    const Field *field;
+    int64_t earlier; // the last such record before it
+  };
+  std::vector<Overwrite> overwrites() const;
+
+private:
+  friend class Runtime;
+  Tape(Runtime &runtime, FieldPtr loss, uint64_t stamp);
+
+  struct Record {
+    Kernel *kernel;   // null for a callback
+    uint64_t launch;  // number, relative to firstLaunch
+    uint64_t payload; // first argument slot, or number of the callback
+  };
+  enum class Decision : uint8_t {
+    Replay,
+    SkipNoDerivative, // the kernel has none
+    SkipUnreached,    // changes no field with a live adjoint
+    SkipNoEffect,     // reads no field with an adjoint
+    Callback,
+    SkipCallback // nothing to call in reverse
+  };
+
+  /// Called by the launch; inline in the fast path of the runtime.
+  void record(Kernel &kernel, const uint64_t *args, uint64_t launch);
+  Decision decide(const Record &record) const;
+  void plan();
+  Status sweep();
+  Status runForward();
+  std::vector<Field *> liveAdjoints() const;
+
+  Runtime &runtime;
+  FieldPtr loss;
+  uint64_t stamp;
+  int suspended = 0;
+  std::vector<Record> records;
+  std::vector<uint64_t> slots;
+  std::vector<TapeCallback> callbacks;
+  std::vector<KernelPtr> kernels; // keeps the recorded kernels alive
+  uint64_t firstLaunch = 0;
+  uint64_t lastLaunch = 0;
+  bool anyLaunch = false;
+
+  /// The plan of the reverse sweep, and what it holds for.
+  std::vector<Decision> decisions;
+  std::vector<uint32_t> needed;
+  std::vector<Field *> plannedLive;
+  bool planned = false;
+  std::string explanation;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_RUNTIME_TAPE_H
