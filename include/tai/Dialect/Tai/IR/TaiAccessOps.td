@@ -97,7 +97,7 @@ def Tai_AtomicOp : Tai_AccessOp<"atomic", [AttrSizedOperandSegments,
                        Variadic<Index>:$components, UnitAttr:$exclusive);
   let results = (outs Tai_Value:$old);
   let assemblyFormat = [{
-    $kind $value `,` $field `[` $indices `]`
+    `` $kind $value `,` $field `[` $indices `]`
     (`component` `[` $components^ `]`)? (`exclusive` $exclusive^)?
     attr-dict `:` type($value)
   }];
@@ -116,9 +116,7 @@ def Tai_AtomicOp : Tai_AccessOp<"atomic", [AttrSizedOperandSegments,
 /// An op on the cell `level` levels above the place of a field; level 1 is the
 /// innermost SNode.
 class Tai_TopologyOp<string mnemonic, list<Trait> traits = []>
-    : Tai_AccessOp<mnemonic, traits> {
-  let hasVerifier = 1;
-}
+    : Tai_AccessOp<mnemonic, traits>;
 
 def Tai_ActivateOp : Tai_TopologyOp<"activate"> {
   let summary = "make a cell active";

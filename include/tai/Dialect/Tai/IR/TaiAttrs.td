@@ -25,18 +25,25 @@ def Tai_AtomicKindAttr
   let assemblyFormat = "$value";
 }
 
+def Tai_AccessKind : I32EnumAttr<"AccessKind", "how a kernel uses a field", [
+    I32EnumAttrCase<"Read", 0, "read">, I32EnumAttrCase<"Write", 1, "write">,
+    I32EnumAttrCase<"Accumulate", 2, "accumulate">]> {
+  let cppNamespace = "::mlir::tai";
+  let genSpecializedAttr = 0;
+}
+
 /// How a kernel touches one field.
 def Tai_AccessAttr : AttrDef<Tai_Dialect, "Access"> {
   let mnemonic = "access";
   let summary = "one access of a kernel to a field";
   let description = [{
-    `kind` is one of `read`, `write`, `accumulate`; `map`, where the indices are
+    `#tai.access<read @x, affine_map<(d0)[s0] -> (s0 - 1, d0)>>`: `kind` is one of `read`, `write`, `accumulate`; `map`, where the indices are
     affine, takes the loop indices of the enclosing loops (dimensions) and the
     integer arguments of the kernel (symbols) to the indices of the field.
   }];
   let parameters = (ins
+    EnumParameter<Tai_AccessKind>:$kind,
     "::mlir::FlatSymbolRefAttr":$field,
-    StringRefParameter<"read, write or accumulate">:$kind,
     OptionalParameter<"::mlir::AffineMapAttr">:$map
   );
   let assemblyFormat = "`<` $kind $field (`,` $map^)? `>`";

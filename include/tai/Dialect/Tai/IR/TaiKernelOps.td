@@ -85,7 +85,6 @@ def Tai_ReturnOp : Tai_Op<"return", [
   let arguments = (ins Variadic<Tai_Value>:$operands);
   let assemblyFormat = "attr-dict ($operands^ `:` type($operands))?";
   let hasVerifier = 1;
-  let builders = [OpBuilder<(ins), [{}]>];
 }
 
 def Tai_YieldOp : Tai_Op<"yield", [
@@ -98,7 +97,8 @@ def Tai_YieldOp : Tai_Op<"yield", [
 def Tai_ParallelForOp : Tai_Op<"parallel_for", [
     AttrSizedOperandSegments, AutomaticAllocationScope,
     RecursiveMemoryEffects, SingleBlockImplicitTerminator<"YieldOp">,
-    DeclareOpInterfaceMethods<LoopLikeOpInterface>,
+    DeclareOpInterfaceMethods<LoopLikeOpInterface,
+                              ["getLoopInductionVars"]>,
     DeclareOpInterfaceMethods<SymbolUserOpInterface>]> {
   let summary = "run iterations in parallel";
   let description = [{
@@ -169,7 +169,7 @@ def Tai_AllocaOp : Tai_Op<"alloca", []> {
     ```
   }];
   let results = (outs Res<Tai_AnyLocal, "", [MemAlloc]>:$local);
-  let assemblyFormat = "attr-dict `:` type($local)";
+  let assemblyFormat = "attr-dict `:` qualified(type($local))";
   let hasVerifier = 1;
 }
 

@@ -64,8 +64,7 @@ def Tai_FieldOp : Tai_Op<"field", [Symbol,
   );
   let assemblyFormat = [{
     $sym_name `=` $tree `[` $place `]` `:` $type `,` `rank` $rank
-    (`,` `adjoint` $adjoint^)? (`,` `dual` $dual^)?
-    (`,` `offset` $offset^)? (`,` `order` $order^)? attr-dict
+    `` custom<FieldClauses>($adjoint, $dual, $offset, $order) attr-dict
   }];
   let hasVerifier = 1;
 }

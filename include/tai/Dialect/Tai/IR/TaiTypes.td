@@ -135,6 +135,9 @@ def Tai_LocalType : Tai_Type<"Local", "local"> {
     the innermost parallel loop around it and cannot be captured by another.
   }];
   let parameters = (ins "::mlir::Type":$elementType);
+  let builders = [TypeBuilderWithInferredContext<
+      (ins "::mlir::Type":$elementType),
+      [{ return $_get(elementType.getContext(), elementType); }]>];
   let assemblyFormat = "`<` $elementType `>`";
 }
 

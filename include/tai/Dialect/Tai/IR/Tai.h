@@ -1,0 +1,59 @@
+//===- Tai.h - The tai dialect ----------------------------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Types, attributes, ops and interfaces of the dialect.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_DIALECT_TAI_IR_TAI_H
+#define TAI_DIALECT_TAI_IR_TAI_H
+
+#include "mlir/Bytecode/BytecodeOpInterface.h"
+#include "mlir/IR/BuiltinAttributes.h"
+#include "mlir/IR/BuiltinTypes.h"
+#include "mlir/IR/Dialect.h"
+#include "mlir/IR/OpDefinition.h"
+#include "mlir/IR/OpImplementation.h"
+#include "mlir/IR/SymbolTable.h"
+#include "mlir/Interfaces/CallInterfaces.h"
+#include "mlir/Interfaces/ControlFlowInterfaces.h"
+#include "mlir/Interfaces/DataLayoutInterfaces.h"
+#include "mlir/Interfaces/FunctionInterfaces.h"
+#include "mlir/Interfaces/InferTypeOpInterface.h"
+#include "mlir/Interfaces/LoopLikeInterface.h"
+#include "mlir/Interfaces/SideEffectInterfaces.h"
+
+namespace mlir::tai {
+/// Size in bytes of a cell that holds `children`, padded to its alignment.
+uint64_t computeCellSize(ArrayRef<Type> children, const DataLayout &layout);
+/// Alignment in bytes of a cell that holds `children`.
+uint64_t computeCellAlignment(ArrayRef<Type> children,
+                              const DataLayout &layout);
+} // namespace mlir::tai
+
+#include "tai/Dialect/Tai/IR/TaiDialect.h.inc"
+#include "tai/Dialect/Tai/IR/TaiEnums.h.inc"
+
+#include "tai/Dialect/Tai/IR/TaiTypeInterfaces.h.inc"
+
+#define GET_TYPEDEF_CLASSES
+#include "tai/Dialect/Tai/IR/TaiTypes.h.inc"
+
+#define GET_ATTRDEF_CLASSES
+#include "tai/Dialect/Tai/IR/TaiAttrs.h.inc"
+
+namespace mlir::tai {
+/// The effects of accesses to fields; an effect names the field by symbol.
+struct FieldResource : SideEffects::Resource::Base<FieldResource> {
+  StringRef getName() final { return "tai.field"; }
+};
+} // namespace mlir::tai
+
+#define GET_OP_CLASSES
+#include "tai/Dialect/Tai/IR/TaiOps.h.inc"
+
+#endif // TAI_DIALECT_TAI_IR_TAI_H

@@ -1,0 +1,244 @@
+//===- Layout.cpp - Where the elements of a field are ---------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include "llvm/Support/MathExtras.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+char tai::getAxisLetter(unsigned axis) { return static_cast<char>('i' + axis); }
+
+std::optional<unsigned> tai::parseAxisLetter(StringRef letter) {
+  if (letter.size() != 1 || letter[0] < 'i' ||
+      letter[0] >= static_cast<char>('i' + kMaxAxes))
+    return std::nullopt;
+  return letter[0] - 'i';
+}
+
+//===----------------------------------------------------------------------===//
+// Sizes
+//===----------------------------------------------------------------------===//
+
+/// Bytes of one component; i1 is stored as a byte.
+static uint64_t getScalarSize(Type type) {
+  return llvm::divideCeil(type.getIntOrFloatBitWidth(), 8);
+}
+
+uint64_t tai::getValueSize(Type type, const DataLayout &) {
+  if (auto vector = dyn_cast<VectorType>(type))
+    return getScalarSize(vector.getElementType()) * vector.getNumElements();
+  return getScalarSize(type);
+}
+
+uint64_t tai::getValueAlignment(Type type, const DataLayout &) {
+  return getScalarSize(getElementTypeOrSelf(type));
+}
+
+static uint64_t getChildSize(Type child, const DataLayout &layout) {
+  if (auto places = dyn_cast<PlacesType>(child))
+    return llvm::alignTo(
+        getPlaceOffset(places, places.getTypes().size(), layout),
+        computeCellAlignment(child, layout));
+  auto level = cast<SNodeTypeInterface>(child);
+  return level.getNumCells() * level.getCellSize(layout);
+}
+
+uint64_t tai::computeCellAlignment(ArrayRef<Type> children,
+                                   const DataLayout &layout) {
+  uint64_t alignment = 1;
+  for (Type child : children) {
+    if (auto places = dyn_cast<PlacesType>(child)) {
+      for (Type type : places.getTypes())
+        alignment = std::max(alignment, getValueAlignment(type, layout));
+    } else {
+      alignment = std::max(
+          alignment, cast<SNodeTypeInterface>(child).getCellAlignment(layout));
+    }
+  }
+  return alignment;
+}
+
+uint64_t tai::getChildOffset(ArrayRef<Type> children, unsigned index,
+                             const DataLayout &layout) {
+  uint64_t offset = 0;
+  for (unsigned i = 0; i <= index && i < children.size(); ++i) {
+    offset = llvm::alignTo(offset, computeCellAlignment(children[i], layout));
+    if (i < index)
+      offset += getChildSize(children[i], layout);
+  }
+  return offset;
+}
+
+uint64_t tai::computeCellSize(ArrayRef<Type> children,
+                              const DataLayout &layout) {
+  return llvm::alignTo(getChildOffset(children, children.size(), layout),
+                       computeCellAlignment(children, layout));
+}
+
+uint64_t tai::getPlaceOffset(PlacesType places, unsigned index,
+                             const DataLayout &layout) {
+  uint64_t offset = 0;
+  for (auto [i, type] : llvm::enumerate(places.getTypes())) {
+    if (i > index)
+      break;
+    offset = llvm::alignTo(offset, getValueAlignment(type, layout));
+    if (i < index)
+      offset += getValueSize(type, layout);
+  }
+  return offset;
+}
+
+uint64_t tai::getTreeSize(RootType root, const DataLayout &layout) {
+  // Blocks at the root start on cache lines, so that arrays do not share one.
+  uint64_t size = 0;
+  for (Type child : root.getChildren())
+    size = llvm::alignTo(size, 64) + getChildSize(child, layout);
+  return size;
+}
+
+/// Offset of child `index` of the root; see getTreeSize.
+static uint64_t getRootChildOffset(RootType root, unsigned index,
+                                   const DataLayout &layout) {
+  uint64_t size = 0;
+  for (Type child : root.getChildren().take_front(index))
+    size = llvm::alignTo(size, 64) + getChildSize(child, layout);
+  return llvm::alignTo(size, 64);
+}
+
+//===----------------------------------------------------------------------===//
+// Paths
+//===----------------------------------------------------------------------===//
+
+SNodeTypeInterface PlacePath::getFirstSparse() const {
+  for (const PathLevel &level : levels)
+    if (level.type.isSparse())
+      return level.type;
+  return {};
+}
+
+static void walkChildren(ArrayRef<Type> children, PlacePath &path,
+                         function_ref<void(const PlacePath &)> callback) {
+  for (auto [position, child] : llvm::enumerate(children)) {
+    if (auto places = dyn_cast<PlacesType>(child)) {
+      path.places = places;
+      path.placesChild = position;
+      for (unsigned place = 0, e = places.getNames().size(); place != e;
+           ++place) {
+        path.place = place;
+        callback(path);
+      }
+      continue;
+    }
+    auto level = cast<SNodeTypeInterface>(child);
+    PlacePath below = path;
+    below.levels.push_back({level, static_cast<unsigned>(position)});
+    for (auto [axis, extent] : llvm::zip(level.getAxes(), level.getShape())) {
+      auto *at = llvm::lower_bound(below.axes, axis);
+      size_t index = at - below.axes.begin();
+      if (at != below.axes.end() && *at == axis) {
+        below.shape[index] *= extent;
+      } else {
+        below.axes.insert(at, axis);
+        below.shape.insert(below.shape.begin() + index, extent);
+      }
+    }
+    walkChildren(level.getChildren(), below, callback);
+  }
+}
+
+void tai::walkPlaces(RootType root,
+                     function_ref<void(const PlacePath &)> callback) {
+  PlacePath path;
+  walkChildren(root.getChildren(), path, callback);
+}
+
+std::optional<PlacePath> tai::findPlace(RootType root, StringRef name) {
+  std::optional<PlacePath> found;
+  walkPlaces(root, [&](const PlacePath &path) {
+    if (!found && path.places.getNames()[path.place].getValue() == name)
+      found = path;
+  });
+  return found;
+}
+
+//===----------------------------------------------------------------------===//
+// Fields
+//===----------------------------------------------------------------------===//
+
+FieldOp tai::lookupField(Operation *from, FlatSymbolRefAttr name) {
+  return SymbolTable::lookupNearestSymbolFrom<FieldOp>(from, name);
+}
+
+FailureOr<FieldLayout> tai::getFieldLayout(FieldOp field) {
+  FieldLayout layout;
+  layout.field = field;
+  layout.tree = SymbolTable::lookupNearestSymbolFrom<TreeOp>(
+      field->getParentOp(), field.getTreeAttr());
+  if (!layout.tree)
+    return failure();
+  std::optional<PlacePath> path =
+      findPlace(cast<RootType>(layout.tree.getLayout()), field.getPlace());
+  if (!path)
+    return failure();
+  layout.path = std::move(*path);
+  unsigned rank = layout.path.getRank();
+  layout.axisOfIndex = layout.path.axes;
+  if (std::optional<ArrayRef<int64_t>> order = field.getOrder())
+    for (unsigned i = 0; i != rank; ++i)
+      layout.axisOfIndex[i] = (*order)[i];
+  for (unsigned axis : layout.axisOfIndex)
+    layout.shape.push_back(
+        layout.path.shape[llvm::find(layout.path.axes, axis) -
+                          layout.path.axes.begin()]);
+  layout.offset.assign(rank, 0);
+  if (std::optional<ArrayRef<int64_t>> offset = field.getOffset())
+    layout.offset.assign(offset->begin(), offset->end());
+  return layout;
+}
+
+FailureOr<DenseStorage> tai::getDenseStorage(const FieldLayout &layout,
+                                             const DataLayout &dataLayout) {
+  const PlacePath &path = layout.path;
+  if (path.getFirstSparse())
+    return failure();
+  DenseStorage storage;
+  auto root =
+      cast<RootType>(layout.tree->getAttrOfType<TypeAttr>("layout").getValue());
+  ArrayRef<Type> children = root.getChildren();
+
+  // What is left of each axis below the level at hand.
+  SmallVector<int64_t> below(kMaxAxes, 1), whole(kMaxAxes, 1);
+  for (auto [axis, extent] : llvm::zip(path.axes, path.shape))
+    below[axis] = whole[axis] = extent;
+
+  for (auto [position, level] : llvm::enumerate(path.levels)) {
+    storage.offset += position == 0
+                          ? getRootChildOffset(root, level.child, dataLayout)
+                          : getChildOffset(children, level.child, dataLayout);
+    uint64_t stride = level.type.getCellSize(dataLayout);
+    SmallVector<IndexDigit> digits;
+    for (size_t i = level.type.getAxes().size(); i-- > 0;) {
+      unsigned axis = level.type.getAxes()[i];
+      int64_t extent = level.type.getShape()[i];
+      below[axis] /= extent;
+      unsigned dimension =
+          llvm::find(layout.axisOfIndex, axis) - layout.axisOfIndex.begin();
+      digits.push_back({dimension, static_cast<unsigned>(position), below[axis],
+                        extent, stride, extent == whole[axis]});
+      stride *= extent;
+    }
+    storage.digits.append(digits.rbegin(), digits.rend());
+    children = level.type.getChildren();
+  }
+  storage.offset +=
+      path.levels.empty()
+          ? getRootChildOffset(root, path.placesChild, dataLayout)
+          : getChildOffset(children, path.placesChild, dataLayout);
+  storage.offset += getPlaceOffset(path.places, path.place, dataLayout);
+  return storage;
+}

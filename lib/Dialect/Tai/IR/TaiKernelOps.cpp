@@ -1,0 +1,261 @@
+//===- TaiKernelOps.cpp - Kernels and parallel loops ----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/IR/Builders.h"
+#include "mlir/IR/Matchers.h"
+#include "mlir/IR/PatternMatch.h"
+#include "mlir/Interfaces/FunctionImplementation.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+//===----------------------------------------------------------------------===//
+// KernelOp, ReturnOp
+//===----------------------------------------------------------------------===//
+
+void KernelOp::build(OpBuilder &builder, OperationState &state, StringRef name,
+                     FunctionType type) {
+  auto &props = state.getOrAddProperties<Properties>();
+  props.sym_name = builder.getStringAttr(name);
+  props.function_type = TypeAttr::get(type);
+  Block &entry = state.addRegion()->emplaceBlock();
+  for (Type input : type.getInputs())
+    entry.addArgument(input, state.location);
+}
+
+ParseResult KernelOp::parse(OpAsmParser &parser, OperationState &result) {
+  auto buildType = [](Builder &builder, ArrayRef<Type> inputs,
+                      ArrayRef<Type> results,
+                      function_interface_impl::VariadicFlag, std::string &) {
+    return builder.getFunctionType(inputs, results);
+  };
+  return function_interface_impl::parseFunctionOp(
+      parser, result, /*allowVariadic=*/false,
+      getFunctionTypeAttrName(result.name), buildType,
+      getArgAttrsAttrName(result.name), getResAttrsAttrName(result.name));
+}
+
+void KernelOp::print(OpAsmPrinter &printer) {
+  function_interface_impl::printFunctionOp(
+      printer, *this, /*isVariadic=*/false, getFunctionTypeAttrName(),
+      getArgAttrsAttrName(), getResAttrsAttrName());
+}
+
+/// True for the types a kernel can take: scalars, small vectors, memrefs of
+/// them.
+static bool isKernelArgumentType(Type type) {
+  if (auto memref = dyn_cast<MemRefType>(type))
+    return memref.getLayout().isIdentity() &&
+           isKernelArgumentType(memref.getElementType());
+  Type element = getElementTypeOrSelf(type);
+  return element.isIntOrIndexOrFloat() &&
+         (!isa<ShapedType>(type) || isa<VectorType>(type));
+}
+
+LogicalResult KernelOp::verify() {
+  if (!getBody().hasOneBlock())
+    return emitOpError("expects a body of one block");
+  FunctionType type = getFunctionType();
+  for (auto [i, input] : llvm::enumerate(type.getInputs()))
+    if (!isKernelArgumentType(input))
+      return emitOpError("argument ")
+             << i << " has type " << input
+             << "; expects a scalar, a vector, or a memref of them with the "
+                "identity layout";
+  if (type.getNumResults() > 1)
+    return emitOpError("expects at most one result, but got ")
+           << type.getNumResults();
+  for (Type result : type.getResults())
+    if (isa<MemRefType>(result) || !isKernelArgumentType(result))
+      return emitOpError("returns ")
+             << result << "; expects a scalar or a vector";
+  if (!isa<ReturnOp>(getBody().front().getTerminator()))
+    return emitOpError("expects a body that ends with 'tai.return'");
+  return success();
+}
+
+LogicalResult ReturnOp::verify() {
+  auto kernel = cast<KernelOp>((*this)->getParentOp());
+  ArrayRef<Type> expected = kernel.getResultTypes();
+  if (TypeRange(expected) == getOperandTypes())
+    return success();
+  InFlightDiagnostic diag = emitOpError("expects operands of types (")
+                            << expected << "), but got (" << getOperandTypes()
+                            << ")";
+  diag.attachNote(kernel.getLoc()) << "kernel defined here";
+  return diag;
+}
+
+//===----------------------------------------------------------------------===//
+// ParallelForOp
+//===----------------------------------------------------------------------===//
+
+/// Adds the body block with `rank` indices and its terminator.
+static void addBody(OpBuilder &builder, OperationState &state, size_t rank) {
+  OpBuilder::InsertionGuard guard(builder);
+  Region *region = state.addRegion();
+  Block *block = builder.createBlock(region);
+  for (size_t i = 0; i != rank; ++i)
+    block->addArgument(builder.getIndexType(), state.location);
+  ParallelForOp::ensureTerminator(*region, builder, state.location);
+}
+
+void ParallelForOp::build(OpBuilder &builder, OperationState &state,
+                          ValueRange lowerBounds, ValueRange upperBounds) {
+  state.addOperands(lowerBounds);
+  state.addOperands(upperBounds);
+  auto &props = state.getOrAddProperties<Properties>();
+  props.operandSegmentSizes = {static_cast<int32_t>(lowerBounds.size()),
+                               static_cast<int32_t>(upperBounds.size())};
+  addBody(builder, state, lowerBounds.size());
+}
+
+void ParallelForOp::build(OpBuilder &builder, OperationState &state,
+                          FlatSymbolRefAttr field, unsigned rank) {
+  auto &props = state.getOrAddProperties<Properties>();
+  props.field = field;
+  props.operandSegmentSizes = {0, 0};
+  addBody(builder, state, rank);
+}
+
+// parallel-for ::= `tai.parallel_for` `(` ssa-ids `)`
+//                  (`=` `(` bounds `)` `to` `(` bounds `)` | `in` symbol)
+//                  (`serialize`)? (`block_dim` integer)? region attr-dict
+ParseResult ParallelForOp::parse(OpAsmParser &parser, OperationState &result) {
+  Builder &builder = parser.getBuilder();
+  auto &props = result.getOrAddProperties<Properties>();
+  SmallVector<OpAsmParser::Argument> ivs;
+  if (parser.parseArgumentList(ivs, OpAsmParser::Delimiter::Paren))
+    return failure();
+  for (OpAsmParser::Argument &iv : ivs)
+    iv.type = builder.getIndexType();
+
+  SmallVector<OpAsmParser::UnresolvedOperand> lower, upper;
+  if (succeeded(parser.parseOptionalKeyword("in"))) {
+    FlatSymbolRefAttr field;
+    if (parser.parseAttribute(field))
+      return failure();
+    props.field = field;
+  } else {
+    if (parser.parseEqual() ||
+        parser.parseOperandList(lower, ivs.size(),
+                                OpAsmParser::Delimiter::Paren) ||
+        parser.parseKeyword("to") ||
+        parser.parseOperandList(upper, ivs.size(),
+                                OpAsmParser::Delimiter::Paren) ||
+        parser.resolveOperands(lower, builder.getIndexType(),
+                               result.operands) ||
+        parser.resolveOperands(upper, builder.getIndexType(), result.operands))
+      return failure();
+  }
+  props.operandSegmentSizes = {static_cast<int32_t>(lower.size()),
+                               static_cast<int32_t>(upper.size())};
+  if (succeeded(parser.parseOptionalKeyword("serialize")))
+    props.serialize = builder.getUnitAttr();
+  if (succeeded(parser.parseOptionalKeyword("block_dim"))) {
+    int64_t size;
+    if (parser.parseInteger(size))
+      return failure();
+    props.block_dim = builder.getI64IntegerAttr(size);
+  }
+  Region *body = result.addRegion();
+  if (parser.parseRegion(*body, ivs) ||
+      parser.parseOptionalAttrDict(result.attributes))
+    return failure();
+  ParallelForOp::ensureTerminator(*body, builder, result.location);
+  return success();
+}
+
+void ParallelForOp::print(OpAsmPrinter &printer) {
+  printer << " (";
+  llvm::interleaveComma(getInductionVars(), printer.getStream(),
+                        [&](BlockArgument iv) { printer << iv; });
+  printer << ")";
+  if (isStructFor())
+    printer << " in " << getFieldAttr();
+  else
+    printer << " = (" << getLowerBounds() << ") to (" << getUpperBounds()
+            << ")";
+  if (getSerialize())
+    printer << " serialize";
+  if (getBlockDim())
+    printer << " block_dim " << *getBlockDim();
+  printer << " ";
+  printer.printRegion(getBody(), /*printEntryBlockArgs=*/false,
+                      /*printBlockTerminators=*/false);
+  printer.printOptionalAttrDict((*this)->getAttrs(),
+                                {getOperandSegmentSizesAttrName(),
+                                 getFieldAttrName(), getSerializeAttrName(),
+                                 getBlockDimAttrName()});
+}
+
+LogicalResult ParallelForOp::verify() {
+  size_t rank = getBody().getNumArguments();
+  for (BlockArgument iv : getBody().getArguments())
+    if (!iv.getType().isIndex())
+      return emitOpError(
+                 "expects induction variables of type 'index', but got ")
+             << iv.getType();
+  if (isStructFor()) {
+    if (!getLowerBounds().empty())
+      return emitOpError("runs over a field and cannot take bounds");
+    return success();
+  }
+  if (rank == 0)
+    return emitOpError("expects at least one dimension");
+  if (getLowerBounds().size() != rank || getUpperBounds().size() != rank)
+    return emitOpError("expects ")
+           << rank << " lower and upper bounds, but got "
+           << getLowerBounds().size() << " and " << getUpperBounds().size();
+  if ((*this)->getParentOfType<ParallelForOp>())
+    return emitOpError("cannot stand in another parallel loop; use 'scf.for'");
+  return success();
+}
+
+LogicalResult ParallelForOp::verifySymbolUses(SymbolTableCollection &symbols) {
+  if (!isStructFor())
+    return success();
+  auto field = symbols.lookupNearestSymbolFrom<FieldOp>(*this, getFieldAttr());
+  if (!field)
+    return emitOpError() << "names '" << getFieldAttr()
+                         << "', which is not a field";
+  if (field.getRank() == getBody().getNumArguments())
+    return success();
+  InFlightDiagnostic diag = emitOpError("expects ")
+                            << field.getRank() << " indices, but got "
+                            << getBody().getNumArguments();
+  diag.attachNote(field.getLoc()) << "field defined here";
+  return diag;
+}
+
+SmallVector<Region *> ParallelForOp::getLoopRegions() { return {&getRegion()}; }
+
+std::optional<SmallVector<Value>> ParallelForOp::getLoopInductionVars() {
+  return SmallVector<Value>(getInductionVars());
+}
+
+//===----------------------------------------------------------------------===//
+// Locals, asserts
+//===----------------------------------------------------------------------===//
+
+LogicalResult AllocaOp::verify() {
+  Type type = cast<LocalType>(getLocal().getType()).getElementType();
+  Type element = getElementTypeOrSelf(type);
+  if (element.isIntOrIndexOrFloat() &&
+      (!isa<ShapedType>(type) || isa<VectorType>(type)))
+    return success();
+  return emitOpError("expects a scalar or a vector, but got ") << type;
+}
+
+LogicalResult AssertOp::canonicalize(AssertOp op, PatternRewriter &rewriter) {
+  if (!matchPattern(op.getCondition(), m_One()))
+    return failure();
+  rewriter.eraseOp(op);
+  return success();
+}

@@ -1,0 +1,464 @@
+//===- TaiOps.cpp - Trees, fields and accesses ----------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/IR/Builders.h"
+#include "mlir/IR/Matchers.h"
+#include "mlir/IR/PatternMatch.h"
+#include "mlir/Interfaces/FunctionImplementation.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "llvm/ADT/StringSet.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Parses the clauses that may follow the rank, in any order:
+/// `, adjoint @a`, `, dual @d`, `, offset [n, …]`, `, order [axis, …]`.
+static ParseResult parseFieldClauses(OpAsmParser &parser,
+                                     FlatSymbolRefAttr &adjoint,
+                                     FlatSymbolRefAttr &dual,
+                                     DenseI64ArrayAttr &offset,
+                                     DenseI64ArrayAttr &order) {
+  while (succeeded(parser.parseOptionalComma())) {
+    SMLoc loc = parser.getCurrentLocation();
+    StringRef clause;
+    if (parser.parseKeyword(&clause))
+      return failure();
+    auto parseInto = [&](auto &attr) -> ParseResult {
+      if (attr)
+        return parser.emitError(loc) << "'" << clause << "' is given twice";
+      if constexpr (std::is_same_v<std::decay_t<decltype(attr)>,
+                                   DenseI64ArrayAttr>) {
+        attr = dyn_cast_if_present<DenseI64ArrayAttr>(
+            DenseI64ArrayAttr::parse(parser, Type()));
+        return success(static_cast<bool>(attr));
+      } else {
+        return parser.parseAttribute(attr);
+      }
+    };
+    ParseResult parsed = success();
+    if (clause == "adjoint")
+      parsed = parseInto(adjoint);
+    else if (clause == "dual")
+      parsed = parseInto(dual);
+    else if (clause == "offset")
+      parsed = parseInto(offset);
+    else if (clause == "order")
+      parsed = parseInto(order);
+    else
+      return parser.emitError(loc)
+             << "expected 'adjoint', 'dual', 'offset' or 'order', but got '"
+             << clause << "'";
+    if (failed(parsed))
+      return failure();
+  }
+  return success();
+}
+
+static void printFieldClauses(OpAsmPrinter &printer, FieldOp,
+                              FlatSymbolRefAttr adjoint, FlatSymbolRefAttr dual,
+                              DenseI64ArrayAttr offset,
+                              DenseI64ArrayAttr order) {
+  if (adjoint)
+    printer << ", adjoint " << adjoint;
+  if (dual)
+    printer << ", dual " << dual;
+  auto printArray = [&](StringRef name, DenseI64ArrayAttr array) {
+    if (!array)
+      return;
+    printer << ", " << name << " ";
+    array.print(printer);
+  };
+  printArray("offset", offset);
+  printArray("order", order);
+}
+
+#define GET_OP_CLASSES
+#include "tai/Dialect/Tai/IR/TaiOps.cpp.inc"
+
+void TaiDialect::registerOps() {
+  addOperations<
+#define GET_OP_LIST
+#include "tai/Dialect/Tai/IR/TaiOps.cpp.inc"
+      >();
+}
+
+//===----------------------------------------------------------------------===//
+// TreeOp, FieldOp
+//===----------------------------------------------------------------------===//
+
+LogicalResult TreeOp::verify() {
+  llvm::StringSet<> names;
+  LogicalResult result = success();
+  walkPlaces(cast<RootType>(getLayout()), [&](const PlacePath &path) {
+    StringRef name = path.places.getNames()[path.place].getValue();
+    if (succeeded(result) && !names.insert(name).second)
+      result = emitOpError("has two places named '") << name << "'";
+  });
+  return result;
+}
+
+LogicalResult FieldOp::verify() {
+  int64_t rank = getRank();
+  if (getOffset() && static_cast<int64_t>(getOffset()->size()) != rank)
+    return emitOpError("expects ")
+           << rank << " offsets, but got " << getOffset()->size();
+  return success();
+}
+
+/// Checks that `related` can hold derivatives of `field`.
+static LogicalResult verifyRelatedField(FieldOp field,
+                                        FlatSymbolRefAttr related,
+                                        StringRef role,
+                                        SymbolTableCollection &symbols) {
+  auto other =
+      symbols.lookupNearestSymbolFrom<FieldOp>(field->getParentOp(), related);
+  if (!other)
+    return field.emitOpError() << role << " '" << related << "' is not a field";
+  if (other.getType() == field.getType() && other.getRank() == field.getRank())
+    return success();
+  InFlightDiagnostic diag = field.emitOpError()
+                            << "expects " << role << " '" << related
+                            << "' to have type " << field.getType()
+                            << " and rank " << field.getRank();
+  diag.attachNote(other.getLoc())
+      << "it has type " << other.getType() << " and rank " << other.getRank();
+  return diag;
+}
+
+LogicalResult FieldOp::verifySymbolUses(SymbolTableCollection &symbols) {
+  auto tree = symbols.lookupNearestSymbolFrom<TreeOp>((*this)->getParentOp(),
+                                                      getTreeAttr());
+  if (!tree)
+    return emitOpError() << "names '" << getTreeAttr()
+                         << "', which is not a tree";
+  std::optional<PlacePath> path =
+      findPlace(cast<RootType>(tree.getLayout()), getPlace());
+  if (!path) {
+    InFlightDiagnostic diag = emitOpError()
+                              << "names place '" << getPlace()
+                              << "', which the tree does not have";
+    diag.attachNote(tree.getLoc()) << "tree declared here";
+    return diag;
+  }
+  if (path->getElementType() != getType()) {
+    InFlightDiagnostic diag =
+        emitOpError() << "has type " << getType() << ", but place '"
+                      << getPlace() << "' holds " << path->getElementType();
+    diag.attachNote(tree.getLoc()) << "tree declared here";
+    return diag;
+  }
+  if (path->getRank() != getRank()) {
+    InFlightDiagnostic diag = emitOpError()
+                              << "has rank " << getRank()
+                              << ", but the path to place '" << getPlace()
+                              << "' divides " << path->getRank() << " axes";
+    diag.attachNote(tree.getLoc()) << "tree declared here";
+    return diag;
+  }
+  if (std::optional<ArrayRef<int64_t>> order = getOrder()) {
+    SmallVector<int64_t> sorted(*order);
+    llvm::sort(sorted);
+    if (!llvm::equal(sorted, path->axes))
+      return emitOpError("expects an order that lists each axis of its path "
+                         "once");
+  }
+  if (getAdjointAttr() &&
+      failed(verifyRelatedField(*this, getAdjointAttr(), "adjoint", symbols)))
+    return failure();
+  if (getDualAttr() &&
+      failed(verifyRelatedField(*this, getDualAttr(), "dual", symbols)))
+    return failure();
+  return success();
+}
+
+//===----------------------------------------------------------------------===//
+// Accesses
+//===----------------------------------------------------------------------===//
+
+/// Finds the field an op names, or says that there is none.
+static FieldOp lookupOrError(Operation *op, FlatSymbolRefAttr name,
+                             SymbolTableCollection &symbols) {
+  auto field = symbols.lookupNearestSymbolFrom<FieldOp>(op, name);
+  if (!field)
+    op->emitOpError() << "names '" << name << "', which is not a field";
+  return field;
+}
+
+static LogicalResult verifyIndices(Operation *op, FieldOp field,
+                                   size_t indices) {
+  if (indices == field.getRank())
+    return success();
+  InFlightDiagnostic diag = op->emitOpError("expects ")
+                            << field.getRank() << " indices, but got "
+                            << indices;
+  diag.attachNote(field.getLoc()) << "field defined here";
+  return diag;
+}
+
+/// Checks indices, components and the type of the value of an access.
+static LogicalResult verifyAccess(Operation *op, FlatSymbolRefAttr name,
+                                  size_t indices, size_t components,
+                                  Type valueType,
+                                  SymbolTableCollection &symbols) {
+  FieldOp field = lookupOrError(op, name, symbols);
+  if (!field || failed(verifyIndices(op, field, indices)))
+    return failure();
+  Type expected = field.getType();
+  if (components) {
+    auto vector = dyn_cast<VectorType>(expected);
+    int64_t rank = vector ? vector.getRank() : 0;
+    if (static_cast<int64_t>(components) != rank) {
+      InFlightDiagnostic diag = op->emitOpError("expects ")
+                                << rank << " component indices, but got "
+                                << components;
+      diag.attachNote(field.getLoc()) << "field defined here";
+      return diag;
+    }
+    expected = vector.getElementType();
+  }
+  if (valueType == expected)
+    return success();
+  InFlightDiagnostic diag = op->emitOpError("expects a value of type ")
+                            << expected << ", but got " << valueType;
+  diag.attachNote(field.getLoc()) << "field defined here";
+  return diag;
+}
+
+LogicalResult LoadOp::verifySymbolUses(SymbolTableCollection &symbols) {
+  return verifyAccess(*this, getFieldAttr(), getIndices().size(),
+                      getComponents().size(), getValue().getType(), symbols);
+}
+LogicalResult StoreOp::verifySymbolUses(SymbolTableCollection &symbols) {
+  return verifyAccess(*this, getFieldAttr(), getIndices().size(),
+                      getComponents().size(), getValue().getType(), symbols);
+}
+LogicalResult AtomicOp::verifySymbolUses(SymbolTableCollection &symbols) {
+  return verifyAccess(*this, getFieldAttr(), getIndices().size(),
+                      getComponents().size(), getValue().getType(), symbols);
+}
+
+LogicalResult AtomicOp::verify() {
+  Type element = getElementTypeOrSelf(getValue().getType());
+  bool isBitwise = llvm::is_contained(
+      {AtomicKind::And, AtomicKind::Or, AtomicKind::Xor}, getKind());
+  if (isBitwise && !element.isInteger())
+    return emitOpError() << "'" << stringifyAtomicKind(getKind())
+                         << "' expects integers, but got " << element;
+  return success();
+}
+
+void AtomicOp::build(OpBuilder &, OperationState &state, AtomicKind kind,
+                     Value value, FlatSymbolRefAttr field, ValueRange indices,
+                     ValueRange components, bool exclusive) {
+  state.addOperands(value);
+  state.addOperands(indices);
+  state.addOperands(components);
+  auto &props = state.getOrAddProperties<Properties>();
+  props.kind = AtomicKindAttr::get(state.getContext(), kind);
+  props.field = field;
+  if (exclusive)
+    props.exclusive = UnitAttr::get(state.getContext());
+  props.operandSegmentSizes = {1, static_cast<int32_t>(indices.size()),
+                               static_cast<int32_t>(components.size())};
+  state.addTypes(value.getType());
+}
+
+using Effects = SmallVectorImpl<MemoryEffects::EffectInstance>;
+
+static void addEffect(Effects &effects, MemoryEffects::Effect *effect,
+                      FlatSymbolRefAttr field) {
+  effects.emplace_back(effect, field, FieldResource::get());
+}
+
+void LoadOp::getEffects(Effects &effects) {
+  addEffect(effects, MemoryEffects::Read::get(), getFieldAttr());
+}
+void StoreOp::getEffects(Effects &effects) {
+  addEffect(effects, MemoryEffects::Write::get(), getFieldAttr());
+}
+void AtomicOp::getEffects(Effects &effects) {
+  addEffect(effects, MemoryEffects::Read::get(), getFieldAttr());
+  addEffect(effects, MemoryEffects::Write::get(), getFieldAttr());
+}
+
+/// True if every index of the access is a constant inside the field.
+static bool isInBounds(FieldOp field, OperandRange indices) {
+  if (!field)
+    return false;
+  FailureOr<FieldLayout> layout = getFieldLayout(field);
+  if (failed(layout))
+    return false;
+  for (auto [index, extent, first] :
+       llvm::zip(indices, layout->shape, layout->offset)) {
+    llvm::APInt value;
+    if (!matchPattern(index, m_ConstantInt(&value)))
+      return false;
+    int64_t digit = value.getSExtValue() - first;
+    if (digit < 0 || digit >= extent)
+      return false;
+  }
+  return true;
+}
+
+// Reading an inactive cell yields zero, so only the bounds can forbid to read
+// where the program would not have.
+Speculation::Speculatability LoadOp::getSpeculatability() {
+  for (Value component : getComponents())
+    if (!matchPattern(component, m_Constant()))
+      return Speculation::NotSpeculatable;
+  return isInBounds(lookupField(*this, getFieldAttr()), getIndices())
+             ? Speculation::Speculatable
+             : Speculation::NotSpeculatable;
+}
+
+//===----------------------------------------------------------------------===//
+// Topology
+//===----------------------------------------------------------------------===//
+
+/// The innermost level above the place of a field, `up` levels up.
+static SNodeTypeInterface getLevelAbove(FieldOp field, int64_t up) {
+  FailureOr<FieldLayout> layout = getFieldLayout(field);
+  if (failed(layout) || up > static_cast<int64_t>(layout->path.levels.size()))
+    return {};
+  return layout->path.levels[layout->path.levels.size() - up].type;
+}
+
+static LogicalResult verifyLevelAccess(Operation *op, FlatSymbolRefAttr name,
+                                       size_t indices, int64_t level,
+                                       SymbolTableCollection &symbols) {
+  FieldOp field = lookupOrError(op, name, symbols);
+  if (!field || failed(verifyIndices(op, field, indices)))
+    return failure();
+  if (getLevelAbove(field, level))
+    return success();
+  InFlightDiagnostic diag = op->emitOpError("names level ")
+                            << level << ", but the path to the field has fewer";
+  diag.attachNote(field.getLoc()) << "field defined here";
+  return diag;
+}
+
+static LogicalResult verifyListAccess(Operation *op, FlatSymbolRefAttr name,
+                                      size_t indices, Type valueType,
+                                      SymbolTableCollection &symbols) {
+  FieldOp field = lookupOrError(op, name, symbols);
+  if (!field)
+    return failure();
+  auto list = dyn_cast_or_null<DynamicType>(Type(getLevelAbove(field, 1)));
+  if (!list) {
+    InFlightDiagnostic diag =
+        op->emitOpError("expects a field below a 'dynamic' level");
+    diag.attachNote(field.getLoc()) << "field defined here";
+    return diag;
+  }
+  if (indices + 1 != field.getRank())
+    return op->emitOpError("expects ")
+           << field.getRank() - 1 << " indices, those of the list, but got "
+           << indices;
+  if (valueType && valueType != field.getType())
+    return op->emitOpError("expects a value of type ")
+           << field.getType() << ", but got " << valueType;
+  return success();
+}
+
+LogicalResult ActivateOp::verifySymbolUses(SymbolTableCollection &symbols) {
+  return verifyLevelAccess(*this, getFieldAttr(), getIndices().size(),
+                           getLevel(), symbols);
+}
+LogicalResult DeactivateOp::verifySymbolUses(SymbolTableCollection &symbols) {
+  return verifyLevelAccess(*this, getFieldAttr(), getIndices().size(),
+                           getLevel(), symbols);
+}
+LogicalResult IsActiveOp::verifySymbolUses(SymbolTableCollection &symbols) {
+  return verifyLevelAccess(*this, getFieldAttr(), getIndices().size(),
+                           getLevel(), symbols);
+}
+LogicalResult AppendOp::verifySymbolUses(SymbolTableCollection &symbols) {
+  return verifyListAccess(*this, getFieldAttr(), getIndices().size(),
+                          getValue().getType(), symbols);
+}
+LogicalResult LengthOp::verifySymbolUses(SymbolTableCollection &symbols) {
+  return verifyListAccess(*this, getFieldAttr(), getIndices().size(), Type(),
+                          symbols);
+}
+
+void ActivateOp::getEffects(Effects &effects) {
+  addEffect(effects, MemoryEffects::Write::get(), getFieldAttr());
+}
+void DeactivateOp::getEffects(Effects &effects) {
+  addEffect(effects, MemoryEffects::Write::get(), getFieldAttr());
+}
+void IsActiveOp::getEffects(Effects &effects) {
+  addEffect(effects, MemoryEffects::Read::get(), getFieldAttr());
+}
+void AppendOp::getEffects(Effects &effects) {
+  addEffect(effects, MemoryEffects::Read::get(), getFieldAttr());
+  addEffect(effects, MemoryEffects::Write::get(), getFieldAttr());
+}
+void LengthOp::getEffects(Effects &effects) {
+  addEffect(effects, MemoryEffects::Read::get(), getFieldAttr());
+}
+
+//===----------------------------------------------------------------------===//
+// Host ops
+//===----------------------------------------------------------------------===//
+
+LogicalResult LaunchOp::verifySymbolUses(SymbolTableCollection &symbols) {
+  auto kernel =
+      symbols.lookupNearestSymbolFrom<KernelOp>(*this, getKernelAttr());
+  if (!kernel)
+    return emitOpError() << "names '" << getKernelAttr()
+                         << "', which is not a kernel";
+  FunctionType type = kernel.getFunctionType();
+  if (TypeRange(type.getInputs()) == getOperandTypes() &&
+      TypeRange(type.getResults()) == getResultTypes())
+    return success();
+  InFlightDiagnostic diag = emitOpError("expects the type ")
+                            << type << " of the kernel";
+  diag.attachNote(kernel.getLoc()) << "kernel defined here";
+  return diag;
+}
+
+/// Checks that `name` is a 0-D scalar float field with an adjoint.
+static LogicalResult verifyLoss(Operation *op, FlatSymbolRefAttr name,
+                                SymbolTableCollection &symbols) {
+  FieldOp field = lookupOrError(op, name, symbols);
+  if (!field)
+    return failure();
+  if (field.getRank() != 0 || !isa<FloatType>(field.getType())) {
+    InFlightDiagnostic diag =
+        op->emitOpError("expects the loss to be a float field of rank 0");
+    diag.attachNote(field.getLoc()) << "field defined here";
+    return diag;
+  }
+  if (!field.getAdjointAttr()) {
+    InFlightDiagnostic diag =
+        op->emitOpError("expects the loss to have an adjoint");
+    diag.attachNote(field.getLoc()) << "field defined here";
+    return diag;
+  }
+  return success();
+}
+
+LogicalResult TapeOp::verifySymbolUses(SymbolTableCollection &symbols) {
+  return verifyLoss(*this, getLossAttr(), symbols);
+}
+
+LogicalResult
+CheckGradientOp::verifySymbolUses(SymbolTableCollection &symbols) {
+  if (failed(verifyLoss(*this, getLossAttr(), symbols)))
+    return failure();
+  for (auto name : getWrt().getAsRange<FlatSymbolRefAttr>()) {
+    FieldOp field = lookupOrError(*this, name, symbols);
+    if (!field)
+      return failure();
+    if (!field.getAdjointAttr())
+      return emitOpError() << "expects field '" << name
+                           << "' to have an adjoint";
+  }
+  return success();
+}
