@@ -223,16 +223,16 @@ class TestMpm:
         loss, _ = diffmpm.crawler_forward(x, muscles, scenes.crawler_weights())
         assert loss == pytest.approx(-0.250387, abs=2e-6)
 
-    @pytest.mark.parametrize("sticky", [False, True])
-    def test_block_against_differences(self, sticky: bool):
+    @pytest.mark.parametrize(("sticky", "each"), [(False, False), (True, True)])
+    def test_block_against_differences(self, sticky: bool, each: bool):
         material = diffmpm.Material(n=40, sticky=sticky)
         # Touches the floor and the left wall, so that both are on the tested path.
         x = scenes.mpm_block(6, 0.7, material.dx) - material.dx * np.array([7.3, 22.4])
         at = {"x": x, "v": scenes.smooth_particle_velocity(x) - 1.0}
-        target = np.array([0.3, 0.6])
-        _, gx, gv = diffmpm.block_gradient(at["x"], at["v"], target, material, 20, segment=6)
+        rest = (np.array([0.3, 0.6]), material, 20)
+        _, gx, gv = diffmpm.block_gradient(at["x"], at["v"], *rest, segment=6, each=each)
         error = ladder_error(
-            lambda a: diffmpm.block_forward(a["x"], a["v"], target, material, 20)[0],
+            lambda a: diffmpm.block_forward(a["x"], a["v"], *rest, each=each)[0],
             at,
             {"x": gx, "v": gv},
         )

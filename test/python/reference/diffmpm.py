@@ -241,14 +241,30 @@ def _stress_adjoint(f, g_sigma, gf, active, material):
     return gf, 2.0 * np.sum(turned * second, axis=1)
 
 
+def _block_loss(x: np.ndarray, target: np.ndarray, each: bool) -> tuple[float, np.ndarray]:
+    """Loss of the last positions, and its gradient with respect to them (p, 2)."""
+    distance = (x if each else x.mean(axis=0, keepdims=True)) - target
+    loss = 0.5 * float(np.mean(np.sum(distance**2, axis=1)))
+    return loss, np.broadcast_to(distance / len(x), x.shape).copy()
+
+
 def block_forward(
-    x: np.ndarray, v: np.ndarray, target: np.ndarray, material: Material, slots: int
+    x: np.ndarray,
+    v: np.ndarray,
+    target: np.ndarray,
+    material: Material,
+    slots: int,
+    each: bool = False,
 ) -> tuple[float, State]:
-    """Loss half the squared distance of the mean position to target (2,), last state."""
+    """Loss and last state of a block that is driven to target (2,).
+
+    The loss is half the squared distance of the mean position, or with `each` the mean
+    over the particles of half their squared distances.
+    """
     state = rest_state(x, v)
     for _ in range(1, slots):
         state = step(state, material)
-    return 0.5 * float(np.sum((state[0].mean(axis=0) - target) ** 2)), state
+    return _block_loss(state[0], target, each)[0], state
 
 
 def block_gradient(
@@ -258,8 +274,9 @@ def block_gradient(
     material: Material,
     slots: int,
     segment: int = 32,
+    each: bool = False,
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Loss and its gradient with respect to x and v (p, 2) of slot 0.
+    """Loss of `block_forward` and its gradient with respect to x and v (p, 2) of slot 0.
 
     Only every `segment`-th state is kept, the others are recomputed when needed.
     """
@@ -269,10 +286,9 @@ def block_gradient(
         state = step(state, material)
         if t % segment == 0:
             kept.append(state)
-    distance = state[0].mean(axis=0) - target
-    count = len(x)
-    zero = np.zeros((count, 2, 2))
-    g: State = (np.tile(distance / count, (count, 1)), np.zeros((count, 2)), zero, zero)
+    loss, gx = _block_loss(state[0], target, each)
+    zero = np.zeros((len(x), 2, 2))
+    g: State = (gx, np.zeros_like(gx), zero, zero)
     last = slots - 1
     while kept:
         first = (len(kept) - 1) * segment
@@ -282,7 +298,7 @@ def block_gradient(
         for before in reversed(states[: last - first]):
             g, _ = step_adjoint(before, g, material)
         last = first
-    return 0.5 * float(np.sum(distance**2)), g[0], g[1]
+    return loss, g[0], g[1]
 
 
 def muscle_actuation(weights: dict[str, np.ndarray], t: int, dt: float) -> np.ndarray:

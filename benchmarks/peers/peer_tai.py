@@ -1,0 +1,33 @@
+"""Our own side of the benchmark: tai_scenes.py on tai."""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+import harness
+
+
+def load(cache: Path):
+    import tai
+
+    tai.init(
+        arch=tai.cpu,
+        default_fp=tai.f32,
+        offline_cache=True,
+        offline_cache_file_path=str(cache),
+    )
+    import tai_scenes
+
+    try:
+        name = version("tai")
+    except PackageNotFoundError:
+        name = "in tree"
+    return name, tai_scenes.SCENES, tai_scenes.make_launch
+
+
+if __name__ == "__main__":
+    sys.exit(harness.main("tai", load))

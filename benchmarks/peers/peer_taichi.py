@@ -1,0 +1,31 @@
+"""The peer taichi: the source of tai_scenes.py with taichi under the name tai."""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+import harness
+
+
+def load(cache: Path):
+    import taichi
+
+    sys.modules["tai"] = taichi
+    taichi.init(
+        arch=taichi.cpu,
+        default_fp=taichi.f32,
+        offline_cache=True,
+        offline_cache_file_path=str(cache),
+        log_level=taichi.ERROR,
+    )
+    import tai_scenes
+
+    return version("taichi"), tai_scenes.SCENES, tai_scenes.make_launch
+
+
+if __name__ == "__main__":
+    sys.exit(harness.main("taichi", load))
