@@ -202,6 +202,8 @@ LogicalResult ParallelForOp::verify() {
       return emitOpError(
                  "expects induction variables of type 'index', but got ")
              << iv.getType();
+  if ((*this)->getParentOfType<ParallelForOp>())
+    return emitOpError("cannot stand in another parallel loop; use 'scf.for'");
   if (isStructFor()) {
     if (!getLowerBounds().empty())
       return emitOpError("runs over a field and cannot take bounds");
@@ -213,8 +215,6 @@ LogicalResult ParallelForOp::verify() {
     return emitOpError("expects ")
            << rank << " lower and upper bounds, but got "
            << getLowerBounds().size() << " and " << getUpperBounds().size();
-  if ((*this)->getParentOfType<ParallelForOp>())
-    return emitOpError("cannot stand in another parallel loop; use 'scf.for'");
   return success();
 }
 
