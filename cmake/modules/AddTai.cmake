@@ -182,7 +182,7 @@ function(add_tai_shared_library)
     tai_link_upstream(tai PUBLIC)
   endif()
   target_link_options(tai PRIVATE -Wl,-z,defs)
-  install(TARGETS tai LIBRARY COMPONENT library)
+  install(TARGETS tai EXPORT TaiTargets LIBRARY COMPONENT library)
 endfunction()
 
 # add_tai_tool(<name> [sources] [LINK_LIBS libs] [DEPENDS targets])
