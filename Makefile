@@ -5,6 +5,8 @@ PRESET ?= release
 JOBS ?= $(shell nproc)
 BUILD := $(if $(filter release,$(PRESET)),build,build-$(PRESET))
 PYTHON := .venv/bin/python
+# A sanitizer's run time cannot be loaded into an interpreter built without it.
+KINDS := $(if $(filter asan,$(PRESET)),--only lit gtest)
 
 .DEFAULT_GOAL := help
 .PHONY: help build demo test test-gpu bench fmt lint portable docs clean setup
@@ -24,7 +26,7 @@ demo: build ## optimise a mass-spring triangle by gradients, and draw it
 	@$(PYTHON) examples/mass_spring_simple.py
 
 test: build ## run lit, GoogleTest, pytest and the style checks
-	@$(PYTHON) scripts/run_tests.py --build $(BUILD) --jobs $(JOBS)
+	@$(PYTHON) scripts/run_tests.py --build $(BUILD) --jobs $(JOBS) $(KINDS)
 
 test-gpu: build ## run the tests that need an NVIDIA GPU
 	@$(PYTHON) scripts/run_tests.py --build $(BUILD) --jobs $(JOBS) --gpu

@@ -181,7 +181,6 @@ function(add_tai_shared_library)
   else()
     tai_link_upstream(tai PUBLIC)
   endif()
-  target_link_options(tai PRIVATE -Wl,-z,defs)
   install(TARGETS tai EXPORT TaiTargets LIBRARY COMPONENT library)
 endfunction()
 
