@@ -18,7 +18,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-
 from problems import PROBLEMS
 
 clock = time.perf_counter

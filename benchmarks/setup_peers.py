@@ -26,7 +26,7 @@ PEERS: dict[str, list[str]] = {
     "taichi": ["taichi==1.7.4"],
     "quadrants": ["quadrants"],
     "jax": ["jax[cpu]"],
-    "torch": ["torch", "--index-url", "https://download.pytorch.org/whl/cpu"],
+    "torch": ["torch", "--retries", "0", "--index-url", "https://download.pytorch.org/whl/cpu"],
     "warp": ["warp-lang"],
 }
 
@@ -47,7 +47,7 @@ def create(directory: Path, names: list[str]) -> dict[str, bool]:
         done = subprocess.run(base + PEERS[name], check=False).returncode == 0
         if not done and name == "torch":
             # The CPU index may be out of reach where PyPI is not.
-            done = subprocess.run(base + ["torch"], check=False).returncode == 0
+            done = subprocess.run([*base, "torch"], check=False).returncode == 0
         outcome[name] = done
         print(f"{name}: {'installed' if done else 'not installed'}", flush=True)
     return outcome

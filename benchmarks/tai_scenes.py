@@ -9,8 +9,9 @@ programs. The kernels' annotations must be objects, not strings, for taichi.
 """
 
 import numpy as np
-import tai as ti
 from harness import Program, clock
+
+import tai as ti
 
 
 def place_components(node, *fields) -> None:
@@ -281,7 +282,7 @@ def make_mpm(problem) -> Program:
             new_F = (ti.Matrix.diag(dim=2, val=1.0) + dt * C[t, p]) @ F[t, p]
             F[t + 1, p] = new_F
             J = new_F.determinant()
-            R, S = ti.polar_decompose(new_F)
+            R, _ = ti.polar_decompose(new_F)
             cauchy = 2.0 * mu * (new_F - R) @ new_F.transpose() + ti.Matrix.diag(
                 dim=2, val=lam * (J - 1.0) * J
             )
