@@ -25,7 +25,7 @@ def Tai_AtomicKindAttr
   let assemblyFormat = "$value";
 }
 
-def Tai_AccessKind : I32EnumAttr<"AccessKind", "how a kernel uses a field", [
+def Tai_FieldUse : I32EnumAttr<"FieldUse", "how a kernel uses a field", [
     I32EnumAttrCase<"Read", 0, "read">, I32EnumAttrCase<"Write", 1, "write">,
     I32EnumAttrCase<"Accumulate", 2, "accumulate">]> {
   let cppNamespace = "::mlir::tai";
@@ -42,7 +42,7 @@ def Tai_AccessAttr : AttrDef<Tai_Dialect, "Access"> {
     integer arguments of the kernel (symbols) to the indices of the field.
   }];
   let parameters = (ins
-    EnumParameter<Tai_AccessKind>:$kind,
+    EnumParameter<Tai_FieldUse>:$kind,
     "::mlir::FlatSymbolRefAttr":$field,
     OptionalParameter<"::mlir::AffineMapAttr">:$map
   );
