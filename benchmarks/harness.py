@@ -18,6 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+
 from problems import PROBLEMS
 
 clock = time.perf_counter
@@ -173,7 +174,8 @@ def main(
     parser.add_argument("--small", action="store_true", help="tiny scenes, to try the program")
     parser.add_argument("--cache", type=Path, default=None, help="folder of compiled code")
     options = parser.parse_args(arguments)
-    cache = options.cache or Path("build/bench/cache") / peer / options.scene
+    size = "small" if options.small else "full"
+    cache = options.cache or Path("build/bench") / f"cache-{size}" / peer / options.scene
     cold = not cache.exists() or not any(cache.iterdir())
     cache.mkdir(parents=True, exist_ok=True)
 

@@ -103,6 +103,22 @@ class RobotProblem:
         return loss, np.concatenate([gradient[k].ravel() for k in ("w1", "b1", "w2", "b2")])
 
 
+@dataclass(frozen=True)
+class FirstKernelProblem:
+    """The sum of the squares of x (n,): what a first kernel and its gradient cost."""
+
+    x: np.ndarray
+
+    units = 1
+
+    def reference(self) -> tuple[float, np.ndarray]:
+        return float(np.sum(self.x**2)), 2.0 * self.x
+
+
+def first_kernel_problem(small: bool = False) -> FirstKernelProblem:
+    return FirstKernelProblem(np.cos(np.arange(8 if small else 64)))
+
+
 def smoke_problem(small: bool = False) -> SmokeProblem:
     n, slots = (30, 8) if small else (110, 100)
     return SmokeProblem(n, slots, 6, scenes.smooth_velocity(n), scenes.stripes(n), scenes.yy(n))
@@ -132,4 +148,5 @@ PROBLEMS: dict[str, Callable[[bool], object]] = {
     "diffmpm": mpm_problem,
     "wave": wave_problem,
     "mass_spring": robot_problem,
+    "first_kernel": first_kernel_problem,
 }

@@ -107,7 +107,8 @@ def plot(
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    shown = [s for s in scenes if any(time_of(records, p, s, "forward") for p in peers)]
+    timed = [s for s in scenes if s != "first_kernel"]
+    shown = [s for s in timed if any(time_of(records, p, s, "forward") for p in peers)]
     if not shown:
         return None
     figure, axes = pyplot.subplots(
@@ -149,5 +150,8 @@ def _front(axis, records, scene, present, colours) -> None:
     axis.set_yscale("log")
     axis.set_xlabel("ms of an iteration")
     axis.set_ylabel("relative error of the gradient")
+    low, high = axis.get_ylim()
+    # Errors of one size should look like it, whatever their digits.
+    axis.set_ylim(low / 3.0, high * 3.0)
     if axis.get_legend_handles_labels()[0]:
         axis.legend(fontsize=7)

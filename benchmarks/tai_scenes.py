@@ -9,9 +9,9 @@ programs. The kernels' annotations must be objects, not strings, for taichi.
 """
 
 import numpy as np
-from harness import Program, clock
-
 import tai as ti
+
+from harness import Program, clock
 
 
 def place_components(node, *fields) -> None:
@@ -484,6 +484,19 @@ def make_mass_spring(problem) -> Program:
     return TapeProgram(loss, unknowns, forward, prepare)
 
 
+def make_first_kernel(problem) -> Program:
+    x = ti.field(dtype=ti.f32, shape=len(problem.x), needs_grad=True)
+    loss = ti.field(dtype=ti.f32, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def compute_loss():
+        for i in x:
+            loss[None] += x[i] ** 2
+
+    x.from_numpy(problem.x.astype(np.float32))
+    return TapeProgram(loss, [(x, whole)], compute_loss)
+
+
 def make_launch():
     """A launch of a compiled kernel with one argument, and what waits for it."""
     value = ti.field(dtype=ti.f32, shape=())
@@ -500,4 +513,5 @@ SCENES = {
     "wave": make_wave,
     "diffmpm": make_mpm,
     "mass_spring": make_mass_spring,
+    "first_kernel": make_first_kernel,
 }

@@ -10,8 +10,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import harness
 import numpy as np
+
+import harness
 
 
 class JaxProgram(harness.Program):
@@ -228,6 +229,10 @@ def make_mass_spring(problem) -> harness.Program:
     return JaxProgram(loss, weights)
 
 
+def make_first_kernel(problem) -> harness.Program:
+    return JaxProgram(lambda x: (x * x).sum(), problem.x.astype(np.float32))
+
+
 def make_launch():
     import jax
     import jax.numpy as jnp
@@ -249,6 +254,7 @@ def load(cache: Path):
         "wave": make_wave,
         "diffmpm": make_mpm,
         "mass_spring": make_mass_spring,
+        "first_kernel": make_first_kernel,
     }
     return jax.__version__, scenes, make_launch
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import harness
 import numpy as np
+
+import harness
 
 
 class TorchProgram(harness.Program):
@@ -201,6 +202,10 @@ def make_mass_spring(problem) -> harness.Program:
     return TorchProgram(loss, weights)
 
 
+def make_first_kernel(problem) -> harness.Program:
+    return TorchProgram(lambda x: (x * x).sum(), [tensor(problem.x, leaf=True)])
+
+
 def make_launch():
     import torch
 
@@ -216,6 +221,7 @@ def load(_cache: Path):
         "wave": make_wave,
         "diffmpm": make_mpm,
         "mass_spring": make_mass_spring,
+        "first_kernel": make_first_kernel,
     }
     return torch.__version__, scenes, make_launch
 

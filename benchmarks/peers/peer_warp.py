@@ -7,8 +7,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import harness
 import numpy as np
+
+import harness
 
 
 class WarpProgram(harness.Program):
@@ -531,6 +532,23 @@ def make_mass_spring(problem) -> harness.Program:
     return WarpProgram(wp, loss, unknowns, forward, (increment, centre))
 
 
+def make_first_kernel(problem) -> harness.Program:
+    import warp as wp
+
+    @wp.kernel
+    def compute_loss(x: wp.array(dtype=float), loss: wp.array(dtype=float)):
+        i = wp.tid()
+        wp.atomic_add(loss, 0, x[i] * x[i])
+
+    x = wp.array(problem.x.astype(np.float32), dtype=float, requires_grad=True)
+    loss = wp.zeros(1, dtype=float, requires_grad=True)
+
+    def forward():
+        wp.launch(compute_loss, len(problem.x), [x, loss])
+
+    return WarpProgram(wp, loss, [(x, whole)], forward)
+
+
 def make_launch():
     import warp as wp
 
@@ -554,6 +572,7 @@ def load(cache: Path):
         "wave": make_wave,
         "diffmpm": make_mpm,
         "mass_spring": make_mass_spring,
+        "first_kernel": make_first_kernel,
     }
     return wp.config.version, scenes, make_launch
 
