@@ -185,7 +185,8 @@ function(add_tai_shared_library)
 endfunction()
 
 # add_tai_tool(<name> [sources] [LINK_LIBS libs] [DEPENDS targets])
-#   An executable in bin/ that links libtai; *.cpp of the folder by default.
+#   An executable in bin/ that links libtai and the objects of tools/common;
+#   *.cpp of the folder by default.
 function(add_tai_tool name)
   cmake_parse_arguments(ARG "" "" "LINK_LIBS;DEPENDS" ${ARGN})
   set(sources ${ARG_UNPARSED_ARGUMENTS})
@@ -199,9 +200,10 @@ function(add_tai_tool name)
   tai_compile_options(${name}-objects)
   tai_precompile(${name}-objects)
   add_dependencies(${name}-objects tai-headers ${ARG_DEPENDS})
+  target_link_libraries(${name}-objects PRIVATE TaiToolsCommon ${ARG_LINK_LIBS})
   add_executable(${name} $<TARGET_OBJECTS:${name}-objects>)
   set_target_properties(${name} PROPERTIES LINKER_LANGUAGE CXX)
-  target_link_libraries(${name} PRIVATE tai ${ARG_LINK_LIBS})
+  target_link_libraries(${name} PRIVATE tai TaiToolsCommon ${ARG_LINK_LIBS})
   install(TARGETS ${name} RUNTIME COMPONENT tools)
   set_property(GLOBAL APPEND PROPERTY TAI_TOOLS ${name})
 endfunction()

@@ -22,7 +22,7 @@ set(TAI_PORTABLE_LINK
 # use of it, nothing else: a process may hold another LLVM too.
 function(tai_portable_exports)
   get_property(tools GLOBAL PROPERTY TAI_TOOLS)
-  set(objects)
+  set(objects $<TARGET_OBJECTS:TaiToolsCommon>)
   foreach(tool ${tools})
     list(APPEND objects $<TARGET_OBJECTS:${tool}-objects>)
   endforeach()
