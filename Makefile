@@ -1,5 +1,6 @@
 # Names for the common commands. Each sets up the machine first when needed.
-# PRESET=debug or PRESET=asan builds and tests another configuration.
+# PRESET=debug or PRESET=asan builds and tests another configuration;
+# ARGS="..." goes to the program that demo and bench run.
 
 PRESET ?= release
 JOBS ?= $(shell nproc)
@@ -23,7 +24,7 @@ build: setup ## configure and compile everything
 	@ninja -C $(BUILD) -j$(JOBS)
 
 demo: build ## optimise a mass-spring triangle by gradients, and draw it
-	@$(PYTHON) examples/mass_spring_simple.py
+	@$(PYTHON) examples/mass_spring_simple.py $(ARGS)
 
 test: build ## run lit, GoogleTest, pytest and the style checks
 	@$(PYTHON) scripts/run_tests.py --build $(BUILD) --jobs $(JOBS) $(KINDS)
@@ -32,7 +33,7 @@ test-gpu: build ## run the tests that need an NVIDIA GPU
 	@$(PYTHON) scripts/run_tests.py --build $(BUILD) --jobs $(JOBS) --gpu
 
 bench: build ## time the scenes against other systems: CSV and plot
-	@$(PYTHON) benchmarks/run.py
+	@$(PYTHON) benchmarks/run.py $(ARGS)
 
 fmt: setup ## format C++ and Python
 	@$(PYTHON) scripts/lint.py --fix
