@@ -32,9 +32,6 @@ WARM_UPS = 3
 class Program(ABC):
     """One scene written for one peer, ready to run."""
 
-    # Seconds that building it spent on trials of its own, which are no compilation.
-    trials = 0.0
-
     @abstractmethod
     def run(self) -> tuple[float, float]:
         """Forward and backward once; the seconds that each took."""
@@ -100,7 +97,7 @@ def measure_scene(
     start = clock()
     program = make(problem)
     program.run()
-    first = clock() - start - program.trials
+    first = clock() - start
     for _ in range(WARM_UPS - 1):
         program.run()
     times = []

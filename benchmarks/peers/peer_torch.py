@@ -19,20 +19,6 @@ class TorchProgram(harness.Program):
         self.function = loss
         self.leaves = leaves
         self.last = None
-        self._choose_threads()
-
-    def _choose_threads(self) -> None:
-        """One thread where that is faster: most tensors here are too small to be shared."""
-        import torch
-
-        start = harness.clock()
-        times = {}
-        for threads in dict.fromkeys([1, torch.get_num_threads()]):
-            torch.set_num_threads(threads)
-            times[threads] = min(sum(self.run()) for _ in range(2))
-        torch.set_num_threads(min(times, key=times.get))
-        self.trials = harness.clock() - start
-        print(f"threads: {times}", file=sys.stderr)
 
     def run(self) -> tuple[float, float]:
         for leaf in self.leaves:

@@ -5,22 +5,23 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// mlir-opt with the dialect, the passes and the pipelines of this project.
+// Runs passes and pipelines on `.mlir` files: those of tai, `--tai-autodiff`
+// and
+// `--tai-to-llvm` among them, and all of upstream.
 //
 //===----------------------------------------------------------------------===//
 
-#include "mlir/InitAllDialects.h"
-#include "mlir/InitAllExtensions.h"
-#include "mlir/InitAllPasses.h"
+#include "common/Upstream.h"
+#include "mlir/IR/DialectRegistry.h"
 #include "mlir/Tools/mlir-opt/MlirOptMain.h"
-#include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/InitAll.h"
 
 int main(int argc, char **argv) {
   mlir::DialectRegistry registry;
-  mlir::registerAllDialects(registry);
-  mlir::registerAllExtensions(registry);
-  mlir::registerAllPasses();
-  registry.insert<mlir::tai::TaiDialect>();
-  return mlir::asMainReturnCode(mlir::MlirOptMain(
-      argc, argv, "Optimizer of the tai compiler\n", registry));
+  mlir::tai::registerUpstreamDialects(registry);
+  mlir::tai::registerAll(registry);
+  mlir::tai::registerUpstreamPasses();
+  mlir::tai::registerAllPasses();
+  return mlir::asMainReturnCode(
+      mlir::MlirOptMain(argc, argv, "tai optimizer driver\n", registry));
 }

@@ -15,5 +15,6 @@ include "tai/Dialect/Tai/IR/TaiKernelOps.td"
 include "tai/Dialect/Tai/IR/TaiAccessOps.td"
 include "tai/Dialect/Tai/IR/TaiMatrixOps.td"
 include "tai/Dialect/Tai/IR/TaiHostOps.td"
+include "tai/Dialect/Tai/IR/TaiLoweringOps.td"
 
 #endif // TAI_DIALECT_TAI_IR_TAIOPS_TD

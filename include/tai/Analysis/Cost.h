@@ -1,0 +1,35 @@
+//===- Cost.h - What code costs to run --------------------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// One estimate for all decisions about how a loop runs. It need be right within
+// a small factor only: it tells loops that pay for a fork from those that do
+// not.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_ANALYSIS_COST_H
+#define TAI_ANALYSIS_COST_H
+
+#include "mlir/IR/Block.h"
+
+namespace mlir::tai {
+
+/// Nanoseconds that handing a loop to other cores and waiting for them takes.
+constexpr double kForkNanoseconds = 2000;
+
+/// Trips assumed of a loop whose bounds are not known.
+constexpr int64_t kAssumedTrips = 8;
+
+/// The number of trips of a loop op, assumed where unknown.
+int64_t estimateTrips(Operation *loop);
+
+/// Nanoseconds that one run of the block takes on one core.
+double estimateNanoseconds(Block &block);
+
+} // namespace mlir::tai
+
+#endif // TAI_ANALYSIS_COST_H

@@ -1,0 +1,95 @@
+//===- Passes.td - Lowering passes -------------------------*- tablegen -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_CONVERSION_PASSES_TD
+#define TAI_CONVERSION_PASSES_TD
+
+include "mlir/Pass/PassBase.td"
+
+def LowerStructFor : Pass<"tai-lower-struct-for"> {
+  let summary = "turn loops over a field into loops over its index space";
+  let description = [{
+    A field whose levels are all dense has a fixed index space: the loop over it
+    becomes a box, whose dimensions are ordered so that the innermost one walks
+    through memory with the smallest stride.
+
+    ```mlir
+    tai.parallel_for (%i, %j) in @x { … }
+    // becomes, for a layout dense<[i: 4, j: 8], {x: f32}>
+    tai.parallel_for (%i, %j) = (%c0, %c0) to (%c4, %c8) { … }
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect"];
+}
+
+def LowerLayout : Pass<"tai-lower-layout"> {
+  let summary = "turn accesses to fields into loads and stores of memory";
+  let description = [{
+    Replaces accesses to fields by address arithmetic on the base of their tree
+    (`tai.tree_base`) and accesses of the LLVM dialect, and accesses to `memref`
+    arguments likewise. Fields do not overlap: each access says so by alias
+    scopes, one for each place of a tree.
+
+    With `bounds-check`, an access outside its field or array is reported by
+    `tai.assert` and skipped; a skipped load yields zero.
+  }];
+  let options = [
+    Option<"boundsCheck", "bounds-check", "bool", /*default=*/"false",
+           "Check indices, and report and skip what lies outside">,
+  ];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect",
+                           "::mlir::memref::MemRefDialect",
+                           "::mlir::LLVM::LLVMDialect"];
+}
+
+def ConvertTaiToSCF : Pass<"convert-tai-to-scf", "::mlir::ModuleOp"> {
+  let summary = "turn kernels into functions, and parallel loops into calls";
+  let description = [{
+    A kernel becomes `i32 @name(ptr frame)`; a parallel loop becomes a function
+    that runs one partition of its iterations, handed to the runtime with what
+    it captures; a loop too small to be worth a fork stays where it is. Host
+    functions become `i32 @name(ptr frame)` too, and their launches calls of the
+    runtime. See tai/Runtime/Abi.h. Control flow stays in `scf`.
+  }];
+  let options = [
+    Option<"deterministic", "deterministic", "bool", /*default=*/"false",
+           "Cut loops in a way that does not depend on the number of threads">,
+    Option<"debug", "debug", "bool", /*default=*/"false",
+           "Keep tai.assert">,
+  ];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect",
+                           "::mlir::LLVM::LLVMDialect"];
+}
+
+def ConvertToLLVM : Pass<"tai-convert-to-llvm", "::mlir::ModuleOp"> {
+  let summary = "convert scf, arith, math and cf to the LLVM dialect at once";
+  let description = [{
+    The last step. One conversion over upstream's patterns, because each pass
+    over a module costs compile time. Sets the float options on all arithmetic
+    first.
+  }];
+  let options = [
+    Option<"fastMath", "fast-math", "bool", /*default=*/"false",
+           "Let float operations be reordered and approximated">,
+    Option<"contract", "contract", "bool", /*default=*/"true",
+           "Let a product and a sum be rounded once">,
+  ];
+  let dependentDialects = ["::mlir::LLVM::LLVMDialect",
+                           "::mlir::cf::ControlFlowDialect",
+                           "::mlir::func::FuncDialect"];
+}
+
+def VerifyLLVM : Pass<"tai-verify-llvm", "::mlir::ModuleOp"> {
+  let summary = "check that only the LLVM dialect is left";
+  let description = [{
+    Fails at each operation of another dialect, by its name.
+  }];
+}
+
+#endif // TAI_CONVERSION_PASSES_TD

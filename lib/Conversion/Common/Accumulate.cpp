@@ -1,0 +1,137 @@
+//===- Accumulate.cpp - Read-modify-write of memory -----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "Accumulate.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+Value tai::emitCombination(OpBuilder &builder, Location loc, AtomicKind kind,
+                           Value a, Value b) {
+  bool isFloat = isa<FloatType>(a.getType());
+  switch (kind) {
+  case AtomicKind::Add:
+    if (isFloat)
+      return arith::AddFOp::create(builder, loc, a, b);
+    return arith::AddIOp::create(builder, loc, a, b);
+  case AtomicKind::Sub:
+    if (isFloat)
+      return arith::SubFOp::create(builder, loc, a, b);
+    return arith::SubIOp::create(builder, loc, a, b);
+  case AtomicKind::Mul:
+    if (isFloat)
+      return arith::MulFOp::create(builder, loc, a, b);
+    return arith::MulIOp::create(builder, loc, a, b);
+  case AtomicKind::Min:
+    if (isFloat)
+      return arith::MinimumFOp::create(builder, loc, a, b);
+    return arith::MinSIOp::create(builder, loc, a, b);
+  case AtomicKind::Max:
+    if (isFloat)
+      return arith::MaximumFOp::create(builder, loc, a, b);
+    return arith::MaxSIOp::create(builder, loc, a, b);
+  case AtomicKind::And:
+    return arith::AndIOp::create(builder, loc, a, b);
+  case AtomicKind::Or:
+    return arith::OrIOp::create(builder, loc, a, b);
+  case AtomicKind::Xor:
+    return arith::XOrIOp::create(builder, loc, a, b);
+  }
+  llvm_unreachable("unknown kind");
+}
+
+Value tai::emitPlainUpdate(OpBuilder &builder, Location loc, AtomicKind kind,
+                           Value value, Value pointer, AliasScopes scopes) {
+  Value old = emitLoad(builder, loc, value.getType(), pointer, scopes);
+  Value combined = emitCombination(builder, loc, kind, old, value);
+  emitStore(builder, loc, combined, pointer, scopes);
+  return old;
+}
+
+/// The instruction that does `kind`, if there is one.
+static std::optional<LLVM::AtomicBinOp> getBinOp(AtomicKind kind,
+                                                 bool isFloat) {
+  switch (kind) {
+  case AtomicKind::Add:
+    return isFloat ? LLVM::AtomicBinOp::fadd : LLVM::AtomicBinOp::add;
+  case AtomicKind::Sub:
+    return isFloat ? LLVM::AtomicBinOp::fsub : LLVM::AtomicBinOp::sub;
+  case AtomicKind::Mul:
+    return std::nullopt;
+  case AtomicKind::Min:
+    return isFloat ? LLVM::AtomicBinOp::fminimum : LLVM::AtomicBinOp::min;
+  case AtomicKind::Max:
+    return isFloat ? LLVM::AtomicBinOp::fmaximum : LLVM::AtomicBinOp::max;
+  case AtomicKind::And:
+    return LLVM::AtomicBinOp::_and;
+  case AtomicKind::Or:
+    return LLVM::AtomicBinOp::_or;
+  case AtomicKind::Xor:
+    return LLVM::AtomicBinOp::_xor;
+  }
+  llvm_unreachable("unknown kind");
+}
+
+/// Repeats compare-and-exchange until no other thread came between.
+static Value emitExchangeLoop(OpBuilder &builder, Location loc, AtomicKind kind,
+                              Value value, Value pointer, AliasScopes scopes) {
+  Type storage = getStorageType(value.getType());
+  Type bits = builder.getIntegerType(storage.getIntOrFloatBitWidth());
+  auto toBits = [&](OpBuilder &b, Value v) -> Value {
+    if (v.getType().isInteger(1))
+      return arith::ExtUIOp::create(b, loc, bits, v);
+    if (v.getType() == bits)
+      return v;
+    return arith::BitcastOp::create(b, loc, bits, v);
+  };
+  auto fromBits = [&](OpBuilder &b, Value v) -> Value {
+    if (value.getType().isInteger(1))
+      return arith::TruncIOp::create(b, loc, value.getType(), v);
+    if (value.getType() == bits)
+      return v;
+    return arith::BitcastOp::create(b, loc, value.getType(), v);
+  };
+
+  auto first = LLVM::LoadOp::create(builder, loc, bits, pointer);
+  first.setAliasScopesAttr(scopes.own);
+  first.setNoaliasScopesAttr(scopes.others);
+  auto loop = scf::WhileOp::create(
+      builder, loc, TypeRange{bits}, ValueRange{first},
+      [&](OpBuilder &b, Location, ValueRange args) {
+        Value next = emitCombination(b, loc, kind, fromBits(b, args[0]), value);
+        Value exchanged = LLVM::AtomicCmpXchgOp::create(
+            b, loc, pointer, args[0], toBits(b, next),
+            LLVM::AtomicOrdering::monotonic, LLVM::AtomicOrdering::monotonic);
+        Value seen = LLVM::ExtractValueOp::create(b, loc, exchanged, 0);
+        Value done = LLVM::ExtractValueOp::create(b, loc, exchanged, 1);
+        Value yes = arith::ConstantIntOp::create(b, loc, 1, 1);
+        Value again = arith::XOrIOp::create(b, loc, done, yes);
+        scf::ConditionOp::create(b, loc, again, seen);
+      },
+      [&](OpBuilder &b, Location, ValueRange args) {
+        scf::YieldOp::create(b, loc, args);
+      });
+  return fromBits(builder, loop.getResult(0));
+}
+
+Value tai::emitAtomicUpdate(OpBuilder &builder, Location loc, AtomicKind kind,
+                            Value value, Value pointer, AliasScopes scopes) {
+  std::optional<LLVM::AtomicBinOp> binOp =
+      getBinOp(kind, isa<FloatType>(value.getType()));
+  if (!binOp || value.getType().isInteger(1))
+    return emitExchangeLoop(builder, loc, kind, value, pointer, scopes);
+  if (value.getType().isIndex())
+    value =
+        arith::IndexCastOp::create(builder, loc, builder.getI64Type(), value);
+  auto update = LLVM::AtomicRMWOp::create(builder, loc, *binOp, pointer, value,
+                                          LLVM::AtomicOrdering::monotonic);
+  update.setAliasScopesAttr(scopes.own);
+  update.setNoaliasScopesAttr(scopes.others);
+  return update;
+}

@@ -1,0 +1,38 @@
+//===- Accumulate.h - Read-modify-write of memory ---------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CONVERSION_COMMON_ACCUMULATE_H
+#define TAI_LIB_CONVERSION_COMMON_ACCUMULATE_H
+
+#include "FieldAddress.h"
+
+namespace mlir::tai {
+
+/// On tai.atomic: how `tai-relax-atomics` decided to do it, "register" or
+/// "private". Absent: atomic, or plain if exclusive.
+constexpr llvm::StringLiteral kAccumulateAttrName = "tai.accumulate";
+
+/// On tai.assert: the TaiFailure it reports (see tai/Runtime/Abi.h). Absent:
+/// that of the user's own assertion, which only debug mode keeps.
+constexpr llvm::StringLiteral kFailureAttrName = "tai.failure";
+
+/// a (kind) b, for scalars.
+Value emitCombination(OpBuilder &builder, Location loc, AtomicKind kind,
+                      Value a, Value b);
+
+/// Reads, combines and writes, for memory that no other thread touches. Yields
+/// what was read.
+Value emitPlainUpdate(OpBuilder &builder, Location loc, AtomicKind kind,
+                      Value value, Value pointer, AliasScopes scopes);
+
+/// The same in one indivisible step.
+Value emitAtomicUpdate(OpBuilder &builder, Location loc, AtomicKind kind,
+                       Value value, Value pointer, AliasScopes scopes);
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CONVERSION_COMMON_ACCUMULATE_H

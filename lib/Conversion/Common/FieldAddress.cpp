@@ -1,0 +1,264 @@
+//===- FieldAddress.cpp - Addresses of the elements of fields -------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "FieldAddress.h"
+#include "IndexMath.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+//===----------------------------------------------------------------------===//
+// FieldTable
+//===----------------------------------------------------------------------===//
+
+FieldTable::FieldTable(Operation *root)
+    : symbols(root), dataLayout(DataLayout::closest(root)),
+      domain(LLVM::AliasScopeDomainAttr::get(
+          root->getContext(), StringAttr::get(root->getContext(), "tai"),
+          StringAttr())) {}
+
+LLVM::AliasScopeAttr FieldTable::makeScope(StringRef id) {
+  MLIRContext *context = domain.getContext();
+  return LLVM::AliasScopeAttr::get(context, StringAttr::get(context, id),
+                                   domain, StringAttr());
+}
+
+FailureOr<const FieldInfo *> FieldTable::lookup(Operation *user,
+                                                FlatSymbolRefAttr name) {
+  std::unique_ptr<FieldInfo> &slot = fields[name.getAttr()];
+  if (slot)
+    return const_cast<const FieldInfo *>(slot.get());
+
+  auto field = symbols.lookup<FieldOp>(name.getAttr());
+  if (!field)
+    return user->emitOpError("names ") << name << ", which is not a field";
+  FailureOr<FieldLayout> layout = getFieldLayout(field);
+  if (failed(layout))
+    return user->emitOpError("names the field ")
+           << name << ", which has no place in a tree";
+  if (SNodeTypeInterface sparse = layout->path.getFirstSparse()) {
+    InFlightDiagnostic diag = user->emitOpError("reaches the field ")
+                              << name << " through a '" << sparse.getKind()
+                              << "' level, which cannot be lowered yet";
+    diag.attachNote(field.getLoc()) << "field defined here";
+    diag.attachNote(layout->tree.getLoc())
+        << "a layout of 'dense' levels alone can be lowered";
+    return diag;
+  }
+
+  auto info = std::make_unique<FieldInfo>();
+  info->layout = *layout;
+  info->storage = *getDenseStorage(info->layout, dataLayout);
+  Type type = layout->path.getElementType();
+  info->scalarType = getElementTypeOrSelf(type);
+  info->scalarSize = getValueSize(info->scalarType, dataLayout);
+  info->numComponents = 1;
+  if (auto vector = dyn_cast<VectorType>(type)) {
+    info->elementShape.assign(vector.getShape().begin(),
+                              vector.getShape().end());
+    info->numComponents = vector.getNumElements();
+  }
+  std::string id = (layout->tree.getSymName() + "." + field.getPlace()).str();
+  info->scope = makeScope(id);
+  if (!llvm::is_contained(scopes, info->scope)) {
+    scopes.push_back(info->scope);
+    otherScopes.clear();
+  }
+  slot = std::move(info);
+  return const_cast<const FieldInfo *>(slot.get());
+}
+
+AliasScopes FieldTable::getScopes(LLVM::AliasScopeAttr scope) {
+  MLIRContext *context = domain.getContext();
+  ArrayAttr &others = otherScopes[scope];
+  if (!others) {
+    SmallVector<Attribute> list;
+    for (LLVM::AliasScopeAttr other : scopes)
+      if (other != scope)
+        list.push_back(other);
+    others = ArrayAttr::get(context, list);
+  }
+  return {ArrayAttr::get(context, {scope}), others.empty() ? nullptr : others};
+}
+
+AliasScopes FieldTable::getScopes(const FieldInfo &field) {
+  return getScopes(field.scope);
+}
+
+AliasScopes FieldTable::getArrayScopes() {
+  return getScopes(makeScope("arrays"));
+}
+
+std::optional<FieldSlice> FieldTable::getSlice(const FieldInfo &field,
+                                               ArrayRef<bool> fixed) {
+  ArrayRef<IndexDigit> digits = field.storage.digits;
+  // Digits by ascending stride, those of extent 1 left out: they add nothing.
+  SmallVector<unsigned> order;
+  for (unsigned i = 0; i != digits.size(); ++i)
+    if (digits[i].extent != 1)
+      order.push_back(i);
+  llvm::sort(order, [&](unsigned a, unsigned b) {
+    return std::pair(digits[a].stride, a) < std::pair(digits[b].stride, b);
+  });
+
+  // A fixed dimension stays fixed if all its digits stand outside all free
+  // ones. Freeing a dimension can only free more, so one scan from the inside,
+  // repeated while something changes, ends.
+  FieldSlice slice;
+  slice.fixed.assign(fixed.begin(), fixed.end());
+  for (bool changed = true; changed;) {
+    changed = false;
+    bool freeOutside = false;
+    for (unsigned i : llvm::reverse(order)) {
+      bool isFixed = slice.fixed[digits[i].dimension];
+      if (isFixed && freeOutside) {
+        slice.fixed[digits[i].dimension] = false;
+        changed = true;
+      }
+      freeOutside |= !isFixed;
+    }
+  }
+
+  slice.digitCells.assign(digits.size(), 0);
+  slice.cellStride = field.numComponents * field.scalarSize;
+  slice.numCells = 1;
+  bool first = true;
+  for (unsigned i : order) {
+    if (slice.fixed[digits[i].dimension])
+      continue;
+    int64_t stride = digits[i].stride;
+    if (first)
+      slice.cellStride = stride;
+    first = false;
+    if (stride != slice.cellStride * slice.numCells)
+      return std::nullopt;
+    slice.digitCells[i] = slice.numCells;
+    slice.numCells *= digits[i].extent;
+  }
+  return slice;
+}
+
+//===----------------------------------------------------------------------===//
+// Addresses
+//===----------------------------------------------------------------------===//
+
+SmallVector<Value> tai::emitZeroBased(OpBuilder &builder, Location loc,
+                                      const FieldInfo &field,
+                                      ValueRange indices) {
+  IndexMath math(builder, loc);
+  SmallVector<Value> result;
+  for (auto [index, offset] : llvm::zip(indices, field.layout.offset))
+    result.push_back(math.sub(index, offset));
+  return result;
+}
+
+Value tai::emitDigit(OpBuilder &builder, Location loc, const FieldInfo &field,
+                     const IndexDigit &digit, ValueRange zeroBased) {
+  IndexMath math(builder, loc);
+  Value value = math.div(zeroBased[digit.dimension], digit.divisor);
+  // The outermost digit of a dimension needs no remainder: what is in range
+  // cannot exceed it.
+  if (digit.divisor * digit.extent == field.layout.shape[digit.dimension])
+    return value;
+  return math.rem(value, digit.extent);
+}
+
+Value tai::emitComponent(OpBuilder &builder, Location loc,
+                         ArrayRef<int64_t> elementShape,
+                         ValueRange components) {
+  IndexMath math(builder, loc);
+  Value position = math.constant(0);
+  for (auto [extent, component] : llvm::zip(elementShape, components))
+    position = math.add(math.mul(position, extent), component);
+  return position;
+}
+
+Value tai::emitElementOffset(OpBuilder &builder, Location loc,
+                             const FieldInfo &field, ValueRange zeroBased,
+                             ValueRange components) {
+  IndexMath math(builder, loc);
+  Value offset;
+  for (const IndexDigit &digit : field.storage.digits) {
+    if (digit.extent == 1)
+      continue;
+    Value value = emitDigit(builder, loc, field, digit, zeroBased);
+    Value part = math.mul(value, digit.stride / field.scalarSize);
+    offset = offset ? math.add(offset, part) : part;
+  }
+  if (!components.empty()) {
+    Value part = emitComponent(builder, loc, field.elementShape, components);
+    offset = offset ? math.add(offset, part) : part;
+  }
+  return offset ? offset : math.constant(0);
+}
+
+Value tai::emitFieldBase(OpBuilder &builder, Location loc,
+                         const FieldInfo &field) {
+  auto pointerType = LLVM::LLVMPointerType::get(builder.getContext());
+  Value base = TreeBaseOp::create(
+      builder, loc, pointerType,
+      FlatSymbolRefAttr::get(TreeOp(field.layout.tree).getSymNameAttr()));
+  if (field.storage.offset == 0)
+    return base;
+  // A constant of a GEP has 32 bits; trees may be larger.
+  LLVM::GEPArg offset = static_cast<int32_t>(field.storage.offset);
+  if (!llvm::isInt<32>(field.storage.offset))
+    offset = IndexMath(builder, loc)
+                 .toI64(IndexMath(builder, loc).constant(field.storage.offset));
+  return LLVM::GEPOp::create(
+      builder, loc, pointerType, builder.getI8Type(), base, {offset},
+      LLVM::GEPNoWrapFlags::inbounds | LLVM::GEPNoWrapFlags::nuw);
+}
+
+//===----------------------------------------------------------------------===//
+// Loads and stores
+//===----------------------------------------------------------------------===//
+
+Type tai::getStorageType(Type scalar) {
+  if (scalar.isInteger(1))
+    return IntegerType::get(scalar.getContext(), 8);
+  if (scalar.isIndex())
+    return IntegerType::get(scalar.getContext(), 64);
+  return scalar;
+}
+
+Value tai::emitPointer(OpBuilder &builder, Location loc, Type storageType,
+                       Value base, Value offset) {
+  std::optional<int64_t> constant = getConstantIntValue(offset);
+  if (constant && *constant == 0)
+    return base;
+  Value amount = IndexMath(builder, loc).toI64(offset);
+  return LLVM::GEPOp::create(
+      builder, loc, LLVM::LLVMPointerType::get(builder.getContext()),
+      storageType, base, ArrayRef<LLVM::GEPArg>{amount},
+      LLVM::GEPNoWrapFlags::inbounds | LLVM::GEPNoWrapFlags::nuw);
+}
+
+Value tai::emitLoad(OpBuilder &builder, Location loc, Type scalar,
+                    Value pointer, AliasScopes scopes) {
+  Type storage = getStorageType(scalar);
+  auto load = LLVM::LoadOp::create(builder, loc, storage, pointer);
+  load.setAliasScopesAttr(scopes.own);
+  load.setNoaliasScopesAttr(scopes.others);
+  if (scalar.isInteger(1))
+    return arith::TruncIOp::create(builder, loc, scalar, load);
+  if (scalar.isIndex())
+    return arith::IndexCastOp::create(builder, loc, scalar, load);
+  return load;
+}
+
+void tai::emitStore(OpBuilder &builder, Location loc, Value value,
+                    Value pointer, AliasScopes scopes) {
+  Type storage = getStorageType(value.getType());
+  if (value.getType().isInteger(1))
+    value = arith::ExtUIOp::create(builder, loc, storage, value);
+  else if (value.getType().isIndex())
+    value = arith::IndexCastOp::create(builder, loc, storage, value);
+  auto store = LLVM::StoreOp::create(builder, loc, value, pointer);
+  store.setAliasScopesAttr(scopes.own);
+  store.setNoaliasScopesAttr(scopes.others);
+}

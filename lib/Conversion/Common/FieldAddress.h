@@ -1,0 +1,132 @@
+//===- FieldAddress.h - Addresses of the elements of fields -----*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Turns the indices of an access into an address, for fields whose levels are
+// all dense.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CONVERSION_COMMON_FIELDADDRESS_H
+#define TAI_LIB_CONVERSION_COMMON_FIELDADDRESS_H
+
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "mlir/IR/Builders.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include <memory>
+
+namespace mlir::tai {
+
+/// The scope of an access, and those that it does not overlap; may be null.
+struct AliasScopes {
+  ArrayAttr own, others;
+};
+
+/// What the lowering needs to know about one field.
+struct FieldInfo {
+  FieldLayout layout;
+  DenseStorage storage;
+  /// Type of one component, its size in bytes, and the shape of an element
+  /// (empty for a scalar).
+  Type scalarType;
+  int64_t scalarSize;
+  SmallVector<int64_t> elementShape;
+  int64_t numComponents;
+  /// Identity of the storage: fields that name the same place share it.
+  LLVM::AliasScopeAttr scope;
+
+  /// Product of the extents of all dimensions.
+  int64_t getNumElements() const {
+    int64_t count = 1;
+    for (int64_t extent : layout.shape)
+      count *= extent;
+    return count;
+  }
+};
+
+/// The part of a field in which some leading indices are fixed, where that part
+/// is evenly spaced in memory: element `e` (in storage order) of the remaining
+/// digits lies at base + e * cellStride.
+struct FieldSlice {
+  /// For each dimension, whether its index is fixed.
+  SmallVector<bool> fixed;
+  int64_t cellStride; // bytes
+  int64_t numCells;
+  /// Value of one step of each digit of the free dimensions, in cells;
+  /// parallel to FieldInfo::storage.digits, 0 for digits of fixed dimensions.
+  SmallVector<int64_t> digitCells;
+};
+
+/// Finds the fields of a module, computes their layout once, and builds
+/// addresses.
+class FieldTable {
+public:
+  explicit FieldTable(Operation *root);
+
+  /// The field that `user` names. A sparse level is an error at `user`.
+  FailureOr<const FieldInfo *> lookup(Operation *user, FlatSymbolRefAttr name);
+
+  /// Whether the part of `field` with the given dimensions fixed is evenly
+  /// spaced; dimensions whose digits stand inside free ones become free.
+  static std::optional<FieldSlice> getSlice(const FieldInfo &field,
+                                            ArrayRef<bool> fixed);
+
+  /// The scopes for an access to a place, given all places looked up so far.
+  AliasScopes getScopes(const FieldInfo &field);
+
+  /// The scopes for an access to an array that the caller owns. Arrays may be
+  /// one another, but none is a field.
+  AliasScopes getArrayScopes();
+
+private:
+  LLVM::AliasScopeAttr makeScope(StringRef id);
+  AliasScopes getScopes(LLVM::AliasScopeAttr scope);
+
+  SymbolTable symbols;
+  DataLayout dataLayout;
+  LLVM::AliasScopeDomainAttr domain;
+  llvm::DenseMap<StringAttr, std::unique_ptr<FieldInfo>> fields;
+  SmallVector<LLVM::AliasScopeAttr> scopes;
+  llvm::DenseMap<Attribute, ArrayAttr> otherScopes;
+};
+
+/// The indices with the offset of the field subtracted: all from zero.
+SmallVector<Value> emitZeroBased(OpBuilder &builder, Location loc,
+                                 const FieldInfo &field, ValueRange indices);
+
+/// The digit of its zero-based index.
+Value emitDigit(OpBuilder &builder, Location loc, const FieldInfo &field,
+                const IndexDigit &digit, ValueRange zeroBased);
+
+/// Row-major position of a component in an element.
+Value emitComponent(OpBuilder &builder, Location loc,
+                    ArrayRef<int64_t> elementShape, ValueRange components);
+
+/// Distance from the first component of the field to the one at the zero-based
+/// indices, in units of the size of a component.
+Value emitElementOffset(OpBuilder &builder, Location loc,
+                        const FieldInfo &field, ValueRange zeroBased,
+                        ValueRange components);
+
+/// The address of the first component of a field.
+Value emitFieldBase(OpBuilder &builder, Location loc, const FieldInfo &field);
+
+/// How a scalar is stored: i1 takes a byte.
+Type getStorageType(Type scalar);
+
+/// &base[offset] for elements of the given storage type.
+Value emitPointer(OpBuilder &builder, Location loc, Type storageType,
+                  Value base, Value offset);
+
+/// Loads or stores a scalar.
+Value emitLoad(OpBuilder &builder, Location loc, Type scalar, Value pointer,
+               AliasScopes scopes);
+void emitStore(OpBuilder &builder, Location loc, Value value, Value pointer,
+               AliasScopes scopes);
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CONVERSION_COMMON_FIELDADDRESS_H

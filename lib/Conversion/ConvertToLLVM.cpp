@@ -1,0 +1,102 @@
+//===- ConvertToLLVM.cpp - The last conversion ----------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Conversion/ArithToLLVM/ArithToLLVM.h"
+#include "mlir/Conversion/ControlFlowToLLVM/ControlFlowToLLVM.h"
+#include "mlir/Conversion/FuncToLLVM/ConvertFuncToLLVM.h"
+#include "mlir/Conversion/LLVMCommon/ConversionTarget.h"
+#include "mlir/Conversion/LLVMCommon/TypeConverter.h"
+#include "mlir/Conversion/MathToLLVM/MathToLLVM.h"
+#include "mlir/Conversion/MathToLibm/MathToLibm.h"
+#include "mlir/Conversion/SCFToControlFlow/SCFToControlFlow.h"
+#include "mlir/Conversion/UBToLLVM/UBToLLVM.h"
+#include "mlir/Dialect/Arith/Transforms/Passes.h"
+#include "mlir/Dialect/ControlFlow/IR/ControlFlow.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "mlir/Dialect/Math/Transforms/Passes.h"
+#include "tai/Conversion/Passes.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_CONVERTTOLLVM
+#define GEN_PASS_DEF_VERIFYLLVM
+#include "tai/Conversion/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Adds float options to all arithmetic that does not carry them yet.
+static void setFloatOptions(Operation *root, bool fastMath, bool contract) {
+  using arith::FastMathFlags;
+  FastMathFlags flags = FastMathFlags::none;
+  if (contract)
+    flags = flags | FastMathFlags::contract;
+  if (fastMath)
+    flags = flags | FastMathFlags::reassoc | FastMathFlags::nsz |
+            FastMathFlags::arcp | FastMathFlags::contract | FastMathFlags::afn;
+  if (flags == FastMathFlags::none)
+    return;
+  root->walk([&](Operation *op) {
+    auto arithmetic = dyn_cast<arith::ArithFastMathInterface>(op);
+    // Comparisons and selects gain nothing, and what they decide must not move;
+    // conversions have no such flags in LLVM.
+    if (!arithmetic ||
+        isa<arith::CmpFOp, arith::SelectOp, arith::ExtFOp, arith::TruncFOp>(op))
+      return;
+    FastMathFlags old = FastMathFlags::none;
+    if (arith::FastMathFlagsAttr attr = arithmetic.getFastMathFlagsAttr())
+      old = attr.getValue();
+    op->setAttr(arithmetic.getFastMathAttrName(),
+                arith::FastMathFlagsAttr::get(op->getContext(), old | flags));
+  });
+}
+
+namespace {
+struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
+  using Base::Base;
+
+  void runOnOperation() override {
+    ModuleOp module = getOperation();
+    MLIRContext *context = &getContext();
+    setFloatOptions(module, fastMath, contract);
+
+    LLVMTypeConverter converter(context);
+    RewritePatternSet patterns(context);
+    populateSCFToControlFlowConversionPatterns(patterns);
+    arith::populateCeilFloorDivExpandOpsPatterns(patterns);
+    arith::populateArithToLLVMConversionPatterns(converter, patterns);
+    cf::populateControlFlowToLLVMConversionPatterns(converter, patterns);
+    ub::populateUBToLLVMConversionPatterns(converter, patterns);
+    populateMathToLLVMConversionPatterns(converter, patterns,
+                                         /*approximateLog1p=*/false);
+    // What LLVM has no intrinsic for is called in libm.
+    populateMathToLibmConversionPatterns(patterns, /*benefit=*/0);
+    populateFuncToLLVMConversionPatterns(converter, patterns);
+
+    LLVMConversionTarget target(*context);
+    if (failed(applyPartialConversion(module, target, std::move(patterns))))
+      signalPassFailure();
+  }
+};
+
+struct VerifyLLVM : tai::impl::VerifyLLVMBase<VerifyLLVM> {
+  using Base::Base;
+
+  void runOnOperation() override {
+    WalkResult result = getOperation().walk([](Operation *op) {
+      if (isa<ModuleOp>(op) ||
+          isa_and_present<LLVM::LLVMDialect>(op->getDialect()))
+        return WalkResult::advance();
+      op->emitOpError("was not lowered to the LLVM dialect");
+      return WalkResult::interrupt();
+    });
+    if (result.wasInterrupted())
+      return signalPassFailure();
+    markAllAnalysesPreserved();
+  }
+};
+} // namespace

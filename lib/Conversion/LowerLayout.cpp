@@ -1,0 +1,323 @@
+//===- LowerLayout.cpp - Accesses to fields become memory accesses --------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Replaces tai.load, tai.store and tai.atomic, and accesses to the arrays that
+// a kernel takes, by address arithmetic and accesses of the LLVM dialect.
+// Atomics for which `tai-relax-atomics` chose a register or a private buffer
+// stay: their address depends on the partition, which only
+// `convert-tai-to-scf` knows.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Common/Accumulate.h"
+#include "Common/FieldAddress.h"
+#include "Common/IndexMath.h"
+#include "mlir/Dialect/Arith/Utils/Utils.h"
+#include "mlir/Dialect/Func/IR/FuncOps.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/Conversion/Passes.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_LOWERLAYOUT
+#include "tai/Conversion/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+/// Lowers the accesses of one kernel or function.
+class AccessLowering {
+public:
+  AccessLowering(FunctionOpInterface function, FieldTable &fields,
+                 bool boundsCheck)
+      : function(function), fields(fields), boundsCheck(boundsCheck) {}
+
+  LogicalResult run();
+
+private:
+  LogicalResult lowerField(Operation *op);
+  void lowerArray(Operation *op);
+
+  /// The address of the first component of the field, built once at the top of
+  /// the function.
+  Value getFieldBase(const FieldInfo &field);
+
+  /// Runs `access` if `inRange` holds (always, if null) and replaces the
+  /// results of `op` by what it yields, or zero.
+  void guard(OpBuilder &builder, Operation *op, Value inRange,
+             function_ref<Value(OpBuilder &)> access);
+
+  /// Emits an assertion that each index is in its range; null if unchecked.
+  Value checkRange(OpBuilder &builder, Location loc, ValueRange zeroBased,
+                   ArrayRef<OpFoldResult> extents, const Twine &what,
+                   ValueRange shown);
+
+  FunctionOpInterface function;
+  FieldTable &fields;
+  bool boundsCheck;
+  llvm::DenseMap<const FieldInfo *, Value> bases;
+};
+} // namespace
+
+Value AccessLowering::getFieldBase(const FieldInfo &field) {
+  Value &base = bases[&field];
+  if (!base) {
+    auto builder = OpBuilder::atBlockBegin(&function.getFunctionBody().front());
+    base = emitFieldBase(builder, function.getLoc(), field);
+  }
+  return base;
+}
+
+Value AccessLowering::checkRange(OpBuilder &builder, Location loc,
+                                 ValueRange zeroBased,
+                                 ArrayRef<OpFoldResult> extents,
+                                 const Twine &what, ValueRange shown) {
+  if (!boundsCheck)
+    return {};
+  Value inRange;
+  for (auto [index, extent] : llvm::zip(zeroBased, extents)) {
+    Value bound = getValueOrCreateConstantIndexOp(builder, loc, extent);
+    Value holds = arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::ult,
+                                        index, bound);
+    inRange =
+        inRange
+            ? arith::AndIOp::create(builder, loc, inRange, holds).getResult()
+            : holds;
+  }
+  if (!inRange)
+    return {};
+  std::string message = "index [";
+  llvm::raw_string_ostream os(message);
+  llvm::interleaveComma(shown, os, [&](Value) { os << "{}"; });
+  os << "] is out of range for " << what;
+  auto assertion = AssertOp::create(builder, loc, inRange,
+                                    builder.getStringAttr(message), shown);
+  assertion->setAttr(kFailureAttrName, builder.getI32IntegerAttr(2));
+  return inRange;
+}
+
+void AccessLowering::guard(OpBuilder &builder, Operation *op, Value inRange,
+                           function_ref<Value(OpBuilder &)> access) {
+  Location loc = op->getLoc();
+  if (!inRange) {
+    Value value = access(builder);
+    if (op->getNumResults() && value)
+      op->getResult(0).replaceAllUsesWith(value);
+    return;
+  }
+  bool hasValue = op->getNumResults() && !op->getResult(0).use_empty();
+  if (!hasValue) {
+    auto branch = scf::IfOp::create(builder, loc, inRange);
+    OpBuilder inside = branch.getThenBodyBuilder();
+    access(inside);
+    return;
+  }
+  auto branch = scf::IfOp::create(builder, loc, op->getResultTypes(), inRange,
+                                  /*addThenBlock=*/true, /*addElseBlock=*/true);
+  OpBuilder inside = OpBuilder::atBlockBegin(branch.thenBlock());
+  scf::YieldOp::create(inside, loc, access(inside));
+  OpBuilder outside = OpBuilder::atBlockBegin(branch.elseBlock());
+  Value zero = arith::ConstantOp::create(
+      outside, loc, outside.getZeroAttr(op->getResult(0).getType()));
+  scf::YieldOp::create(outside, loc, zero);
+  op->replaceAllUsesWith(branch.getResults());
+}
+
+/// "field '@x' of shape [4, 8]", with the first index where it is not zero.
+static std::string describe(const FieldInfo &field) {
+  std::string text;
+  llvm::raw_string_ostream os(text);
+  os << "field '@" << FieldOp(field.layout.field).getSymName()
+     << "' of shape [";
+  llvm::interleaveComma(field.layout.shape, os);
+  os << "]";
+  if (llvm::any_of(field.layout.offset, [](int64_t o) { return o != 0; })) {
+    os << " from [";
+    llvm::interleaveComma(field.layout.offset, os);
+    os << "]";
+  }
+  return text;
+}
+
+LogicalResult AccessLowering::lowerField(Operation *op) {
+  OpBuilder builder(op);
+  Location loc = op->getLoc();
+  auto name = op->getAttrOfType<FlatSymbolRefAttr>("field");
+  FailureOr<const FieldInfo *> found = fields.lookup(op, name);
+  if (failed(found))
+    return failure();
+  const FieldInfo &field = **found;
+
+  ValueRange indices, components;
+  Value stored;
+  if (auto load = dyn_cast<LoadOp>(op)) {
+    indices = load.getIndices();
+    components = load.getComponents();
+  } else if (auto store = dyn_cast<StoreOp>(op)) {
+    indices = store.getIndices();
+    components = store.getComponents();
+    stored = store.getValue();
+  } else {
+    auto atomic = cast<AtomicOp>(op);
+    indices = atomic.getIndices();
+    components = atomic.getComponents();
+    stored = atomic.getValue();
+  }
+  Type type = stored ? stored.getType() : op->getResult(0).getType();
+  if (isa<VectorType>(type))
+    return op->emitOpError("reaches layout lowering with ")
+           << type << "; expects scalars, as tai-scalarize makes them";
+
+  SmallVector<Value> zeroBased = emitZeroBased(builder, loc, field, indices);
+  SmallVector<OpFoldResult> extents =
+      getAsIndexOpFoldResult(builder.getContext(), field.layout.shape);
+  Value inRange =
+      checkRange(builder, loc, zeroBased, extents, describe(field), indices);
+  if (boundsCheck && llvm::any_of(components, [](Value component) {
+        return !getConstantIntValue(component);
+      })) {
+    extents = getAsIndexOpFoldResult(builder.getContext(), field.elementShape);
+    Value inElement = checkRange(
+        builder, loc, components, extents,
+        "an element of field '@" + name.getValue() + "'", components);
+    inRange = inRange ? arith::AndIOp::create(builder, loc, inRange, inElement)
+                            .getResult()
+                      : inElement;
+  }
+
+  // What stays is guarded all the same.
+  if (op->hasAttr(kAccumulateAttrName)) {
+    if (inRange) {
+      auto branch = scf::IfOp::create(builder, loc, inRange);
+      op->moveBefore(branch.thenBlock(), branch.thenBlock()->begin());
+    }
+    return success();
+  }
+
+  AliasScopes scopes = fields.getScopes(field);
+  Value base = getFieldBase(field);
+  guard(builder, op, inRange, [&](OpBuilder &b) -> Value {
+    Value offset = emitElementOffset(b, loc, field, zeroBased, components);
+    Value pointer = emitPointer(b, loc, getStorageType(type), base, offset);
+    if (isa<LoadOp>(op))
+      return emitLoad(b, loc, type, pointer, scopes);
+    if (isa<StoreOp>(op)) {
+      emitStore(b, loc, stored, pointer, scopes);
+      return {};
+    }
+    auto atomic = cast<AtomicOp>(op);
+    if (atomic.getExclusive())
+      return emitPlainUpdate(b, loc, atomic.getKind(), stored, pointer, scopes);
+    return emitAtomicUpdate(b, loc, atomic.getKind(), stored, pointer, scopes);
+  });
+  op->erase();
+  return success();
+}
+
+/// The address of the element at `indices` of a row-major, contiguous array.
+static Value emitArrayPointer(OpBuilder &builder, Location loc, Value array,
+                              ValueRange indices,
+                              ArrayRef<OpFoldResult> extents) {
+  IndexMath math(builder, loc);
+  Value offset = math.constant(0);
+  for (auto [index, extent] : llvm::zip(indices, extents)) {
+    Value size = getValueOrCreateConstantIndexOp(builder, loc, extent);
+    offset = math.add(math.mul(offset, size), index);
+  }
+  Value address =
+      memref::ExtractAlignedPointerAsIndexOp::create(builder, loc, array);
+  Value base = LLVM::IntToPtrOp::create(
+      builder, loc, LLVM::LLVMPointerType::get(builder.getContext()),
+      math.toI64(address));
+  Type scalar = cast<MemRefType>(array.getType()).getElementType();
+  return emitPointer(builder, loc, getStorageType(scalar), base, offset);
+}
+
+void AccessLowering::lowerArray(Operation *op) {
+  OpBuilder builder(op);
+  Location loc = op->getLoc();
+  auto load = dyn_cast<memref::LoadOp>(op);
+  auto store = dyn_cast<memref::StoreOp>(op);
+  Value array = load ? load.getMemRef() : store.getMemRef();
+  ValueRange indices = load ? load.getIndices() : store.getIndices();
+  auto type = cast<MemRefType>(array.getType());
+
+  SmallVector<OpFoldResult> extents;
+  for (int64_t i = 0; i != type.getRank(); ++i)
+    extents.push_back(
+        type.isDynamicDim(i)
+            ? OpFoldResult(
+                  memref::DimOp::create(builder, loc, array, i).getResult())
+            : OpFoldResult(builder.getIndexAttr(type.getDimSize(i))));
+  std::string what = "an array of type ";
+  llvm::raw_string_ostream(what) << type;
+  Value inRange = checkRange(builder, loc, indices, extents, what, indices);
+  guard(builder, op, inRange, [&](OpBuilder &b) -> Value {
+    Type scalar = type.getElementType();
+    Value pointer = emitArrayPointer(b, loc, array, indices, extents);
+    if (load)
+      return emitLoad(b, loc, scalar, pointer, fields.getArrayScopes());
+    emitStore(b, loc, store.getValueToStore(), pointer,
+              fields.getArrayScopes());
+    return {};
+  });
+  op->erase();
+}
+
+LogicalResult AccessLowering::run() {
+  SmallVector<Operation *> accesses, arrays;
+  // All fields of the function are looked up first: an access names the scopes
+  // of all the others.
+  WalkResult result = function->walk([&](Operation *op) {
+    if (isa<LoadOp, StoreOp, AtomicOp>(op)) {
+      accesses.push_back(op);
+      if (failed(
+              fields.lookup(op, op->getAttrOfType<FlatSymbolRefAttr>("field"))))
+        return WalkResult::interrupt();
+    } else if (isa<memref::LoadOp, memref::StoreOp>(op)) {
+      arrays.push_back(op);
+    } else if (isa<ActivateOp, DeactivateOp, IsActiveOp, AppendOp, LengthOp>(
+                   op)) {
+      op->emitOpError("acts on the topology of a sparse level, which cannot "
+                      "be lowered yet");
+      return WalkResult::interrupt();
+    }
+    return WalkResult::advance();
+  });
+  if (result.wasInterrupted())
+    return failure();
+  for (Operation *op : accesses)
+    if (failed(lowerField(op)))
+      return failure();
+  for (Operation *op : arrays)
+    lowerArray(op);
+  return success();
+}
+
+namespace {
+struct LowerLayout : tai::impl::LowerLayoutBase<LowerLayout> {
+  using Base::Base;
+
+  void runOnOperation() override {
+    Operation *table = SymbolTable::getNearestSymbolTable(getOperation());
+    if (!table)
+      return;
+    FieldTable fields(table);
+    WalkResult result = getOperation()->walk([&](FunctionOpInterface function) {
+      if (function.isExternal() || !isa<KernelOp, func::FuncOp>(function))
+        return WalkResult::skip();
+      AccessLowering lowering(function, fields, boundsCheck);
+      return failed(lowering.run()) ? WalkResult::interrupt()
+                                    : WalkResult::skip();
+    });
+    if (result.wasInterrupted())
+      signalPassFailure();
+  }
+};
+} // namespace

@@ -1,0 +1,196 @@
+//===- Closure.cpp - Functions made from pieces of others -----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "Lowering.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+LLVM::LLVMFuncOp tai::createFunction(ModuleOp module, Location loc,
+                                     StringRef name, Type result,
+                                     ArrayRef<Type> arguments,
+                                     bool isInternal) {
+  OpBuilder builder = OpBuilder::atBlockEnd(module.getBody());
+  Type returned =
+      result ? result : LLVM::LLVMVoidType::get(module.getContext());
+  auto function = LLVM::LLVMFuncOp::create(
+      builder, loc, name, LLVM::LLVMFunctionType::get(returned, arguments),
+      isInternal ? LLVM::Linkage::Internal : LLVM::Linkage::External);
+  // Nothing here throws; unwind tables would only cost time to make.
+  function.setNoUnwind(true);
+  function.addEntryBlock(builder);
+  return function;
+}
+
+//===----------------------------------------------------------------------===//
+// Closure
+//===----------------------------------------------------------------------===//
+
+Closure::Closure(LLVM::LLVMFuncOp inner, Value frame, Operation *call)
+    : inner(inner), call(call), entry(inner.getContext()) {
+  known[frame] = inner.getArgument(0);
+}
+
+FailureOr<Value> Closure::get(Value outer) {
+  Value &value = known[outer];
+  if (value)
+    return value;
+  entry.setInsertionPointToStart(&inner.getBody().front());
+  Operation *definition = outer.getDefiningOp();
+  if (definition && definition->getNumOperands() == 0 &&
+      (definition->hasTrait<OpTrait::ConstantLike>() ||
+       isa<TreeBaseOp, LLVM::AddressOfOp>(definition))) {
+    value = entry.clone(*definition)->getResult(0);
+    return value;
+  }
+  Type type = outer.getType();
+  if (!type.isIntOrIndexOrFloat() && !isa<LLVM::LLVMPointerType>(type)) {
+    InFlightDiagnostic diag =
+        call->emitOpError("uses a value of type ")
+        << type << " from outside; expects scalars, as tai-scalarize makes "
+        << "them";
+    diag.attachNote(outer.getLoc()) << "value defined here";
+    return diag;
+  }
+  Value slot =
+      emitSlot(entry, call->getLoc(), inner.getArgument(1), captured.size());
+  value = emitSlotLoad(entry, call->getLoc(), type, slot);
+  captured[outer] = value;
+  return value;
+}
+
+LogicalResult Closure::capture(Region &region) {
+  auto isOutside = [&](Value value) {
+    Region *at = value.getParentRegion();
+    return !inner.getBody().isAncestor(at);
+  };
+  WalkResult result = region.walk([&](Operation *op) {
+    for (OpOperand &operand : op->getOpOperands()) {
+      if (!isOutside(operand.get()))
+        continue;
+      FailureOr<Value> value = get(operand.get());
+      if (failed(value))
+        return WalkResult::interrupt();
+      operand.set(*value);
+    }
+    return WalkResult::advance();
+  });
+  return failure(result.wasInterrupted());
+}
+
+Value Closure::emit(RuntimeCalls &runtime) {
+  OpBuilder builder(call);
+  Location loc = call->getLoc();
+  if (captured.empty())
+    return runtime.null(builder, loc);
+  Value slots = emitStackSlots(builder, loc, captured.size());
+  for (auto [i, pair] : llvm::enumerate(captured))
+    emitSlotStore(builder, loc, pair.first, emitSlot(builder, loc, slots, i));
+  return slots;
+}
+
+//===----------------------------------------------------------------------===//
+// Arguments and results
+//===----------------------------------------------------------------------===//
+
+/// Replaces an array argument by its address and extents, which is what
+/// tai-lower-layout left of it.
+static LogicalResult replaceArray(BlockArgument array, Value address,
+                                  ArrayRef<Value> extents) {
+  for (OpOperand &use : llvm::make_early_inc_range(array.getUses())) {
+    Operation *user = use.getOwner();
+    if (auto pointer = dyn_cast<memref::ExtractAlignedPointerAsIndexOp>(user)) {
+      // address -> index -> i64 -> pointer is the address itself.
+      for (Operation *cast : llvm::make_early_inc_range(pointer->getUsers())) {
+        if (!isa<arith::IndexCastOp>(cast))
+          return cast->emitOpError("cannot be lowered on the address of an "
+                                   "array");
+        for (Operation *back : llvm::make_early_inc_range(cast->getUsers())) {
+          if (!isa<LLVM::IntToPtrOp>(back))
+            return back->emitOpError("cannot be lowered on the address of an "
+                                     "array");
+          back->getResult(0).replaceAllUsesWith(address);
+          back->erase();
+        }
+        cast->erase();
+      }
+      user->erase();
+      continue;
+    }
+    auto dim = dyn_cast<memref::DimOp>(user);
+    std::optional<int64_t> index = dim ? dim.getConstantIndex() : std::nullopt;
+    if (!index || *index < 0 || *index >= int64_t(extents.size()))
+      return user->emitOpError("cannot be lowered on an array argument of a "
+                               "kernel");
+    dim.getResult().replaceAllUsesWith(extents[*index]);
+    dim.erase();
+  }
+  return success();
+}
+
+LogicalResult tai::replaceArguments(Block &from, TypeRange types, Value frame,
+                                    OpBuilder &builder, RuntimeCalls &runtime) {
+  if (types.empty())
+    return success();
+  Location loc = from.getArgument(0).getLoc();
+  Value slots = runtime.frameMember(
+      builder, loc, frame, offsetof(TaiFrame, args), runtime.getPointerType());
+  int64_t next = 0;
+  auto loadNext = [&](Type type) {
+    return emitSlotLoad(builder, loc, type,
+                        emitSlot(builder, loc, slots, next++));
+  };
+  for (auto [argument, type] : llvm::zip(from.getArguments(), types)) {
+    if (auto memref = dyn_cast<MemRefType>(type)) {
+      Value address = loadNext(runtime.getPointerType());
+      SmallVector<Value> extents;
+      for (int64_t i = 0; i != memref.getRank(); ++i)
+        extents.push_back(loadNext(builder.getIndexType()));
+      if (failed(replaceArray(argument, address, extents)))
+        return failure();
+      continue;
+    }
+    if (auto vector = dyn_cast<VectorType>(type)) {
+      SmallVector<Value> components;
+      for (int64_t i = 0; i != vector.getNumElements(); ++i)
+        components.push_back(loadNext(vector.getElementType()));
+      for (OpOperand &use : llvm::make_early_inc_range(argument.getUses())) {
+        auto parts = dyn_cast<vector::ToElementsOp>(use.getOwner());
+        if (!parts)
+          return use.getOwner()->emitOpError("uses ")
+                 << type << "; expects scalars, as tai-scalarize makes them";
+        parts->replaceAllUsesWith(components);
+        parts->erase();
+      }
+      continue;
+    }
+    argument.replaceAllUsesWith(loadNext(type));
+  }
+  return success();
+}
+
+void tai::emitResults(ValueRange values, Location loc, Value frame,
+                      OpBuilder &builder, RuntimeCalls &runtime) {
+  if (values.empty())
+    return;
+  Value slots =
+      runtime.frameMember(builder, loc, frame, offsetof(TaiFrame, results),
+                          runtime.getPointerType());
+  int64_t next = 0;
+  for (Value value : values) {
+    SmallVector<Value> components{value};
+    auto parts = value.getDefiningOp<vector::FromElementsOp>();
+    if (parts)
+      components.assign(parts.getElements().begin(), parts.getElements().end());
+    for (Value component : components)
+      emitSlotStore(builder, loc, component,
+                    emitSlot(builder, loc, slots, next++));
+  }
+}

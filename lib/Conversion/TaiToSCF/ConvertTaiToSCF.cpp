@@ -1,0 +1,123 @@
+//===- ConvertTaiToSCF.cpp - Kernels become functions ---------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Gives kernels and host functions the signature that the runtime calls, and
+// removes the last ops of the dialect. Bodies are moved, not copied: each piece
+// of code is compiled once.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Lowering.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "tai/Conversion/Passes.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_CONVERTTAITOSCF
+#include "tai/Conversion/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+ModuleLowering::ModuleLowering(ModuleOp module, bool deterministic, bool debug)
+    : module(module), runtime(module), fields(module),
+      deterministic(deterministic), debug(debug) {
+  for (auto [i, tree] : llvm::enumerate(module.getOps<TreeOp>()))
+    treeIndex[tree.getSymNameAttr()] = i;
+}
+
+/// True if the launch can fail in this function or in what it runs.
+static bool canFail(ArrayRef<LLVM::LLVMFuncOp> functions) {
+  for (LLVM::LLVMFuncOp function : functions) {
+    WalkResult result = function.walk([](LLVM::CallOp call) {
+      std::optional<StringRef> callee = call.getCallee();
+      return callee && llvm::is_contained(
+                           {"tai_rt_fail", "tai_rt_scratch", "tai_rt_private"},
+                           *callee)
+                 ? WalkResult::interrupt()
+                 : WalkResult::advance();
+    });
+    if (result.wasInterrupted())
+      return true;
+  }
+  return false;
+}
+
+LogicalResult tai::lowerKernel(KernelOp kernel, ModuleLowering &lowering) {
+  std::string name = kernel.getSymName().str();
+  Location loc = kernel.getLoc();
+  RuntimeCalls &runtime = lowering.runtime;
+  auto function = createFunction(lowering.module, loc, name,
+                                 IntegerType::get(kernel.getContext(), 32),
+                                 {runtime.getPointerType()},
+                                 /*isInternal=*/false);
+  Block *entry = &function.getBody().front();
+  Value frame = entry->getArgument(0);
+
+  Block &body = kernel.getBody().front();
+  OpBuilder builder = OpBuilder::atBlockEnd(entry);
+  if (failed(replaceArguments(body, kernel.getArgumentTypes(), frame, builder,
+                              runtime)))
+    return failure();
+  entry->getOperations().splice(entry->end(), body.getOperations());
+
+  auto ret = cast<ReturnOp>(entry->getTerminator());
+  builder.setInsertionPoint(ret);
+  emitResults(ret.getOperands(), ret.getLoc(), frame, builder, runtime);
+  SmallVector<Value> returned(ret.getOperands());
+  ret.erase();
+  for (Value value : returned)
+    if (auto parts = value.getDefiningOp<vector::FromElementsOp>())
+      if (parts->use_empty())
+        parts.erase();
+
+  SmallVector<LLVM::LLVMFuncOp> functions{function};
+  SmallVector<ParallelForOp> loops;
+  numberDraws(function, {});
+  function.walk([&](ParallelForOp loop) { loops.push_back(loop); });
+  for (auto [i, loop] : llvm::enumerate(loops)) {
+    std::string loopName = name + ".loop" + llvm::Twine(i).str();
+    if (failed(lowerParallelFor(loop, frame, loopName, lowering, functions)))
+      return failure();
+  }
+  for (LLVM::LLVMFuncOp f : functions)
+    if (failed(lowerLeafOps(f, lowering)))
+      return failure();
+
+  builder.setInsertionPointToEnd(entry);
+  Value status = canFail(functions)
+                     ? runtime.call(builder, loc, "tai_rt_failed",
+                                    builder.getI32Type(), {frame})
+                     : runtime.i32(builder, loc, 0);
+  LLVM::ReturnOp::create(builder, loc, status);
+  kernel.erase();
+  return success();
+}
+
+namespace {
+struct ConvertTaiToSCF : tai::impl::ConvertTaiToSCFBase<ConvertTaiToSCF> {
+  using Base::Base;
+
+  void runOnOperation() override {
+    ModuleOp module = getOperation();
+    ModuleLowering lowering(module, deterministic, debug);
+    for (auto kernel : llvm::make_early_inc_range(module.getOps<KernelOp>()))
+      if (failed(lowerKernel(kernel, lowering)))
+        return signalPassFailure();
+    for (auto function :
+         llvm::make_early_inc_range(module.getOps<func::FuncOp>()))
+      if (failed(lowerHostFunction(function, lowering)))
+        return signalPassFailure();
+    // Storage is the runtime's from here on.
+    for (Operation &op : llvm::make_early_inc_range(*module.getBody()))
+      if (isa<FieldOp, TreeOp>(op))
+        op.erase();
+  }
+};
+} // namespace

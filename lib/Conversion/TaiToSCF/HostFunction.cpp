@@ -1,0 +1,262 @@
+//===- HostFunction.cpp - Host programs become functions ------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A `func.func` that runs on the host becomes `i32 @name(ptr frame)`, with
+// calls of the runtime for launches, tapes and checks. A failed launch makes
+// the runtime skip those that follow, so the code needs no early exits.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Lowering.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Math/IR/Math.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+static LogicalResult lowerLaunch(LaunchOp op, Value frame,
+                                 RuntimeCalls &runtime) {
+  OpBuilder builder(op);
+  Location loc = op.getLoc();
+  int64_t numArgs = 0, numResults = 0;
+  for (Type type : op.getOperandTypes()) {
+    if (isa<MemRefType>(type))
+      return op.emitOpError("passes an array, which host programs have not");
+    numArgs += getNumSlots(type);
+  }
+  for (Type type : op.getResultTypes())
+    numResults += getNumSlots(type);
+
+  Value args = numArgs ? emitStackSlots(builder, loc, numArgs)
+                       : runtime.null(builder, loc);
+  int64_t next = 0;
+  for (Value operand : op.getOperands()) {
+    SmallVector<Value> components{operand};
+    if (isa<VectorType>(operand.getType())) {
+      auto parts = operand.getDefiningOp<vector::FromElementsOp>();
+      if (!parts)
+        return op.emitOpError("passes ")
+               << operand.getType()
+               << "; expects its components, as tai-scalarize makes them";
+      components.assign(parts.getElements().begin(), parts.getElements().end());
+    }
+    for (Value component : components)
+      emitSlotStore(builder, loc, component,
+                    emitSlot(builder, loc, args, next++));
+  }
+  Value results = numResults ? emitStackSlots(builder, loc, numResults)
+                             : runtime.null(builder, loc);
+  Value name = runtime.string(builder, loc, op.getKernel());
+  runtime.call(builder, loc, "tai_rt_host_launch", builder.getI32Type(),
+               {frame, name, args, runtime.i64(builder, loc, numArgs), results,
+                runtime.i64(builder, loc, numResults)});
+  next = 0;
+  for (Value result : op.getResults()) {
+    auto vector = dyn_cast<VectorType>(result.getType());
+    if (!vector) {
+      result.replaceAllUsesWith(
+          emitSlotLoad(builder, loc, result.getType(),
+                       emitSlot(builder, loc, results, next++)));
+      continue;
+    }
+    SmallVector<Value> components;
+    for (int64_t i = 0; i != vector.getNumElements(); ++i)
+      components.push_back(
+          emitSlotLoad(builder, loc, vector.getElementType(),
+                       emitSlot(builder, loc, results, next++)));
+    for (Operation *user : llvm::make_early_inc_range(result.getUsers())) {
+      if (!isa<vector::ToElementsOp>(user))
+        return user->emitOpError("uses ")
+               << vector << "; expects scalars, as tai-scalarize makes them";
+      user->replaceAllUsesWith(components);
+      user->erase();
+    }
+  }
+  op.erase();
+  return success();
+}
+
+/// tape_begin, the launches, tape_end.
+static void lowerTape(TapeOp op, Value frame, RuntimeCalls &runtime) {
+  OpBuilder builder(op);
+  Location loc = op.getLoc();
+  Type i32 = builder.getI32Type();
+  Value loss = runtime.string(builder, loc, op.getLoss());
+  runtime.call(builder, loc, "tai_rt_host_tape_begin", i32, {frame, loss});
+  Block &body = op.getBody().front();
+  body.getTerminator()->erase();
+  op->getBlock()->getOperations().splice(op->getIterator(),
+                                         body.getOperations());
+  runtime.call(builder, loc, "tai_rt_host_tape_end", i32, {frame});
+  op.erase();
+}
+
+/// |actual - expected| <= tolerance * max(1, |expected|), or a failure. Written
+/// so that NaN fails.
+static void lowerCheckClose(CheckCloseOp op, Value frame,
+                            RuntimeCalls &runtime) {
+  OpBuilder builder(op);
+  Location loc = op.getLoc();
+  Type f64 = builder.getF64Type();
+  auto toDouble = [&](Value value) -> Value {
+    if (value.getType() == f64)
+      return value;
+    return arith::ExtFOp::create(builder, loc, f64, value);
+  };
+  auto constant = [&](double value) -> Value {
+    return arith::ConstantOp::create(builder, loc,
+                                     builder.getF64FloatAttr(value));
+  };
+  double tolerance = op.getTolerance().convertToDouble();
+  Value actual = toDouble(op.getActual()),
+        expected = toDouble(op.getExpected());
+  Value difference = math::AbsFOp::create(
+      builder, loc, arith::SubFOp::create(builder, loc, actual, expected));
+  Value scale = arith::MaximumFOp::create(
+      builder, loc, constant(1), math::AbsFOp::create(builder, loc, expected));
+  Value allowed =
+      arith::MulFOp::create(builder, loc, constant(tolerance), scale);
+  // "Unordered or greater": a NaN on either side is a failure.
+  Value wrong = arith::CmpFOp::create(builder, loc, arith::CmpFPredicate::UGT,
+                                      difference, allowed);
+  auto branch = scf::IfOp::create(builder, loc, wrong);
+  OpBuilder inside = branch.getThenBodyBuilder();
+  Value shown =
+      arith::ConstantOp::create(inside, loc, inside.getF64FloatAttr(tolerance));
+  emitFail(runtime, inside, loc, frame, TAI_FAIL_CHECK,
+           "check failed: got {}, expected {} within {}",
+           {actual, expected, shown}, {});
+  op.erase();
+}
+
+/// The launches become a function, which the runtime runs as often as the
+/// differences need.
+static LogicalResult lowerCheckGradient(CheckGradientOp op, StringRef name,
+                                        Value frame, ModuleLowering &lowering) {
+  OpBuilder builder(op);
+  Location loc = op.getLoc();
+  RuntimeCalls &runtime = lowering.runtime;
+  Type pointer = runtime.getPointerType(), i32 = builder.getI32Type();
+  auto region = createFunction(lowering.module, loc, name, i32,
+                               {pointer, pointer}, /*isInternal=*/true);
+  Block *entry = &region.getBody().front();
+  Block &body = op.getBody().front();
+  body.getTerminator()->erase();
+  entry->getOperations().splice(entry->end(), body.getOperations());
+  Closure closure(region, frame, op);
+  if (failed(closure.capture(region.getBody())))
+    return failure();
+  OpBuilder inside = OpBuilder::atBlockEnd(entry);
+  Value status =
+      runtime.call(inside, loc, "tai_rt_failed", i32, {region.getArgument(0)});
+  LLVM::ReturnOp::create(inside, loc, status);
+
+  int64_t count = op.getWrt().size();
+  Value names = emitStackSlots(builder, loc, count);
+  for (auto [i, field] : llvm::enumerate(op.getWrt()))
+    emitSlotStore(
+        builder, loc,
+        runtime.string(builder, loc, cast<FlatSymbolRefAttr>(field).getValue()),
+        emitSlot(builder, loc, names, i));
+  Value loss = runtime.string(builder, loc, op.getLoss());
+  Value tolerance =
+      arith::ConstantOp::create(builder, loc, op.getToleranceAttr());
+  Value address = LLVM::AddressOfOp::create(builder, loc, region);
+  Value where = runtime.string(builder, loc, describeLocation(loc));
+  runtime.call(builder, loc, "tai_rt_host_check_gradient", i32,
+               {frame, loss, names, runtime.i64(builder, loc, count), tolerance,
+                address, closure.emit(runtime), where});
+  op.erase();
+  return success();
+}
+
+LogicalResult tai::lowerHostFunction(func::FuncOp function,
+                                     ModuleLowering &lowering) {
+  if (function.isPrivate()) {
+    // A helper, which was inlined where it is used.
+    auto uses = SymbolTable::getSymbolUses(function, lowering.module);
+    if (uses && uses->empty()) {
+      function.erase();
+      return success();
+    }
+    if (uses)
+      return uses->begin()->getUser()->emitOpError("calls ")
+             << "'" << function.getSymName()
+             << "', which cannot be inlined; helpers cannot call themselves";
+  }
+
+  Location loc = function.getLoc();
+  RuntimeCalls &runtime = lowering.runtime;
+  std::string name = function.getSymName().str();
+  auto type = IntegerType::get(function.getContext(), 32);
+  auto host = createFunction(lowering.module, loc, name, type,
+                             {runtime.getPointerType()}, /*isInternal=*/false);
+  Block *entry = &host.getBody().front();
+  Value frame = entry->getArgument(0);
+  if (!function.getBody().hasOneBlock())
+    return function.emitOpError("expects one block: control flow of a host "
+                                "program stands in 'scf'");
+  Block &body = function.getBody().front();
+  OpBuilder builder = OpBuilder::atBlockEnd(entry);
+  if (failed(replaceArguments(body, function.getArgumentTypes(), frame, builder,
+                              runtime)))
+    return failure();
+  entry->getOperations().splice(entry->end(), body.getOperations());
+  auto ret = cast<func::ReturnOp>(entry->getTerminator());
+  builder.setInsertionPoint(ret);
+  emitResults(ret.getOperands(), loc, frame, builder, runtime);
+  SmallVector<Value> returned(ret.getOperands());
+  ret.erase();
+  for (Value value : returned)
+    if (auto parts = value.getDefiningOp<vector::FromElementsOp>())
+      if (parts->use_empty())
+        parts.erase();
+
+  SmallVector<Operation *> ops;
+  host.walk([&](Operation *op) {
+    if (isa<LaunchOp, TapeOp, CheckGradientOp, CheckCloseOp, RandomOp,
+            ParallelForOp, func::CallOp>(op))
+      ops.push_back(op);
+  });
+  // Innermost first: a walk is in post-order.
+  unsigned numRegions = 0;
+  for (Operation *op : ops) {
+    LogicalResult result =
+        llvm::TypeSwitch<Operation *, LogicalResult>(op)
+            .Case([&](LaunchOp launch) {
+              return lowerLaunch(launch, frame, runtime);
+            })
+            .Case([&](TapeOp tape) {
+              lowerTape(tape, frame, runtime);
+              return success();
+            })
+            .Case([&](CheckGradientOp check) -> LogicalResult {
+              std::string region =
+                  (name + ".check" + llvm::Twine(numRegions++)).str();
+              return lowerCheckGradient(check, region, frame, lowering);
+            })
+            .Case([&](CheckCloseOp check) {
+              lowerCheckClose(check, frame, runtime);
+              return success();
+            })
+            .Default([](Operation *other) {
+              return other->emitOpError("cannot run on the host");
+            });
+    if (failed(result))
+      return failure();
+  }
+  if (failed(lowerLeafOps(host, lowering)))
+    return failure();
+
+  builder.setInsertionPointToEnd(entry);
+  Value status = runtime.call(builder, loc, "tai_rt_failed", type, {frame});
+  LLVM::ReturnOp::create(builder, loc, status);
+  function.erase();
+  return success();
+}

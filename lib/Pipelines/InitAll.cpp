@@ -1,0 +1,39 @@
+//===- InitAll.cpp - Registration of everything in tai --------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/InitAll.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/ControlFlow/IR/ControlFlow.h"
+#include "mlir/Dialect/Func/Extensions/InlinerExtension.h"
+#include "mlir/Dialect/Func/IR/FuncOps.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "mlir/Dialect/Math/IR/Math.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/UB/IR/UBOps.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "tai/Conversion/Passes.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+using namespace mlir;
+
+void tai::registerAll(DialectRegistry &registry) {
+  registry.insert<TaiDialect, arith::ArithDialect, cf::ControlFlowDialect,
+                  func::FuncDialect, LLVM::LLVMDialect, math::MathDialect,
+                  memref::MemRefDialect, scf::SCFDialect, ub::UBDialect,
+                  vector::VectorDialect>();
+  func::registerInlinerExtension(registry);
+}
+
+void tai::registerAllPasses() {
+  registerTaiConversionPasses();
+  registerToLLVMPipeline();
+}
+
+void tai::buildPipeline(OpPassManager &pm, const ToLLVMOptions &options) {
+  buildToLLVMPipeline(pm, options);
+}

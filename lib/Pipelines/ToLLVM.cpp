@@ -1,0 +1,50 @@
+//===- ToLLVM.cpp - From kernels to the LLVM dialect ----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Pass/PassRegistry.h"
+#include "mlir/Transforms/Passes.h"
+#include "tai/Conversion/Passes.h"
+#include "tai/Pipelines/Pipelines.h"
+
+using namespace mlir;
+
+void tai::buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options) {
+  bool checked = options.boundsCheck || options.debug;
+  bool fast = options.optLevel > 0;
+
+  // Helpers go into the kernels that call them. The inliner's own cleaning of
+  // every function costs more than all that follows, so it is left out.
+  pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
+
+  // From here on loops run over boxes.
+  pm.addPass(createLowerStructFor());
+
+  if (fast)
+    pm.addPass(createCSEPass());
+
+  LowerLayoutOptions layout;
+  layout.boundsCheck = checked;
+  pm.addPass(createLowerLayout(layout));
+
+  ConvertTaiToSCFOptions scf;
+  scf.deterministic = options.deterministic;
+  scf.debug = options.debug;
+  pm.addPass(createConvertTaiToSCF(scf));
+
+  ConvertToLLVMOptions llvm;
+  llvm.fastMath = options.fastMath;
+  llvm.contract = options.contract;
+  pm.addPass(createConvertToLLVM(llvm));
+  pm.addPass(createVerifyLLVM());
+}
+
+void tai::registerToLLVMPipeline() {
+  PassPipelineRegistration<ToLLVMOptions>(
+      "tai-to-llvm",
+      "Lower trees, fields, kernels and host functions to the LLVM dialect",
+      buildToLLVMPipeline);
+}

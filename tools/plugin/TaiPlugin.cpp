@@ -1,0 +1,30 @@
+//===- TaiPlugin.cpp - tai for a stock mlir-opt ---------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+//   mlir-opt-22 --load-dialect-plugin=TaiPlugin.so \
+//     --load-pass-plugin=TaiPlugin.so \
+//     --pass-pipeline='builtin.module(tai-to-llvm)' kernel.mlir
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Tools/Plugins/DialectPlugin.h"
+#include "mlir/Tools/Plugins/PassPlugin.h"
+#include "tai/InitAll.h"
+
+extern "C" LLVM_ATTRIBUTE_WEAK mlir::DialectPluginLibraryInfo
+mlirGetDialectPluginInfo() {
+  return {MLIR_PLUGIN_API_VERSION, "tai", "0.1.0",
+          [](mlir::DialectRegistry *registry) {
+            mlir::tai::registerAll(*registry);
+          }};
+}
+
+extern "C" LLVM_ATTRIBUTE_WEAK mlir::PassPluginLibraryInfo
+mlirGetPassPluginInfo() {
+  return {MLIR_PLUGIN_API_VERSION, "tai", "0.1.0",
+          mlir::tai::registerAllPasses};
+}

@@ -1,0 +1,18 @@
+//===- tai-lsp-server.cpp - Language server for .mlir files ---------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "common/Upstream.h"
+#include "mlir/IR/DialectRegistry.h"
+#include "mlir/Tools/mlir-lsp-server/MlirLspServerMain.h"
+#include "tai/InitAll.h"
+
+int main(int argc, char **argv) {
+  mlir::DialectRegistry registry;
+  mlir::tai::registerUpstreamDialects(registry);
+  mlir::tai::registerAll(registry);
+  return mlir::failed(mlir::MlirLspServerMain(argc, argv, registry));
+}

@@ -1,0 +1,21 @@
+//===- tai-reduce.cpp - Shrinks a failing .mlir file ----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "common/Upstream.h"
+#include "mlir/IR/MLIRContext.h"
+#include "mlir/Tools/mlir-reduce/MlirReduceMain.h"
+#include "tai/InitAll.h"
+
+int main(int argc, char **argv) {
+  mlir::tai::registerUpstreamPasses();
+  mlir::tai::registerAllPasses();
+  mlir::DialectRegistry registry;
+  mlir::tai::registerUpstreamDialects(registry);
+  mlir::tai::registerAll(registry);
+  mlir::MLIRContext context(registry);
+  return mlir::failed(mlir::mlirReduceMain(argc, argv, context));
+}
