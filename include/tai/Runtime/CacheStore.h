@@ -15,6 +15,7 @@
 #ifndef TAI_RUNTIME_CACHESTORE_H
 #define TAI_RUNTIME_CACHESTORE_H
 
+#include <atomic>
 #include <cstdint>
 #include <functional>
 #include <mutex>
@@ -41,9 +42,12 @@ public:
   using Warn = std::function<void(const std::string &message)>;
   explicit CacheStore(std::string folder, int64_t maxBytes = int64_t(1) << 30,
                       Warn warn = nullptr);
+  ~CacheStore();
+  CacheStore(const CacheStore &) = delete;
+  CacheStore &operator=(const CacheStore &) = delete;
 
   /// False where there is no folder that may be trusted and written.
-  bool usable() const { return isUsable; }
+  bool usable() const { return folderDescriptor >= 0; }
   const std::string &folder() const { return path; }
 
   /// The bytes stored for the key; nothing if there are none or if the entry
@@ -69,14 +73,17 @@ public:
   static std::string fileName(std::string_view key);
 
 private:
-  std::optional<std::string> read(const std::string &file, std::string_view key,
-                                  bool &broken) const;
+  int openFolder(std::string &reason) const;
+  std::optional<std::string> readEntry(const std::string &name,
+                                       const std::string_view *key,
+                                       bool &broken) const;
   void warnOnce(int kind, const std::string &message);
 
   std::string path;
   int64_t maxBytes;
   Warn warn;
-  bool isUsable = false;
+  int folderDescriptor = -1;
+  std::atomic<uint64_t> nextTemporary{0};
   mutable std::mutex mutex;
   CacheStats counters;
   unsigned warned = 0;

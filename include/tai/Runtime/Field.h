@@ -139,6 +139,7 @@ public:
 
 private:
   friend class Runtime;
+  friend class Tape;
   Status access(const int64_t *index, int64_t component, char *&address) const;
 
   std::string fieldName;
@@ -152,6 +153,8 @@ private:
   std::string adjointName, dualName;
   std::shared_ptr<Field> adjointField, dualField;
   std::atomic<bool> dirtyFlag{false};
+  /// Stamp of the plan in which the field is live.
+  uint64_t planMark = 0;
 };
 using FieldPtr = std::shared_ptr<Field>;
 

@@ -50,7 +50,7 @@ struct KernelInfo {
   /// differentiate.
   KernelPtr adjoint;
   std::function<Status(Kernel &kernel, KernelPtr &adjoint)> makeAdjoint;
-  /// False if no derivative can flow through the kernel; the tape skips it.
+  /// False if an adjoint of the kernel would do nothing; the tape skips it.
   bool differentiable = true;
 };
 
@@ -89,17 +89,19 @@ private:
   friend class Runtime;
   friend class Tape;
 
-  /// Fills the table of bases; fails if a tree has been destroyed.
-  Status bindTrees();
+  /// Fills the tables below; fails if a tree has been destroyed.
+  Status bind(uint64_t epoch);
 
   KernelInfo info;
   std::atomic<TaiKernelFn> function{nullptr};
   /// Recursive: the resolver of an adjoint may resolve its primal.
   std::recursive_mutex mutex;
   bool adjointAsked = false;
+  /// Set once the adjoint has been found, so that a sweep takes no lock.
+  std::atomic<Kernel *> knownAdjoint{nullptr};
 
   std::vector<void *> bases;
-  /// State of the trees for which `bases` holds; 0 is never current.
+  /// State of the storage for which the tables hold; 0 is never current.
   std::atomic<uint64_t> boundEpoch{0};
   /// Adjoint fields that a launch may change.
   std::vector<Field *> changedAdjoints;
@@ -107,12 +109,13 @@ private:
   std::vector<Field *> adjointTargets;
   /// Fields whose adjoints its adjoint reads (fields that it changes).
   std::vector<Field *> adjointSources;
+  /// Those of them that are overwritten, not accumulated.
+  std::vector<Field *> overwritten;
   /// Number of the last launch, so that an adjoint launched by hand sees the
   /// same random numbers.
-  uint64_t lastLaunch = 0;
+  std::atomic<uint64_t> lastLaunch{0};
   /// Stamp of the last tape that holds this kernel.
   uint64_t tapeStamp = 0;
-  KernelTimes times;
 };
 
 } // namespace mlir::tai::runtime

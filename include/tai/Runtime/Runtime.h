@@ -28,6 +28,7 @@ struct TaiRuntime {};
 namespace mlir::tai::runtime {
 
 class ForkGuard;
+class GradientCheck;
 class WorkerPool;
 struct Launch;
 
@@ -103,6 +104,8 @@ public:
   int64_t reservedBytes() const { return reserved; }
 
   Status addField(FieldInfo info, FieldPtr &field);
+  /// Gives a field another adjoint than the one that it was declared with.
+  Status setAdjoint(Field &field, const FieldPtr &adjoint);
   FieldPtr findField(const std::string &name) const;
   std::vector<FieldPtr> fields() const;
 
@@ -174,14 +177,24 @@ public:
 
 private:
   friend class Tape;
+  friend class GradientCheck;
 
+  void freeTree(Tree &tree);
+  Status checkPartners(const Field &added) const;
+  void linkPartners(const FieldPtr &added);
+  void storageChanged() {
+    storageEpoch.fetch_add(1, std::memory_order_relaxed);
+  }
   Status ready(Kernel &kernel);
   Status run(Launch &launch, Kernel &kernel, const uint64_t *args,
              uint64_t *results, uint64_t number);
+  int32_t runTimed(Launch &launch, Kernel &kernel, TaiKernelFn function);
+  Status runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
+                    const uint64_t *args, uint64_t number);
   Launch *acquireLaunch();
   void releaseLaunch(Launch *launch);
   WorkerPool &workers();
-  void fillWith(Field &field, const void *element);
+  void fillWith(Field &field, const void *scalarBytes);
   template <typename Move>
   void forEachRow(const Field &field, const Move &move);
 
@@ -193,8 +206,8 @@ private:
   std::unordered_map<std::string, TreePtr> trees;
   std::unordered_map<std::string, FieldPtr> fieldsByName;
   std::vector<FieldPtr> fieldList;
-  /// Raised when a tree goes: kernels then check theirs again.
-  std::atomic<uint64_t> treeEpoch{1};
+  /// Raised when a tree goes or an adjoint comes: kernels then look again.
+  std::atomic<uint64_t> storageEpoch{1};
 
   std::unique_ptr<ForkGuard> forkGuard;
   std::unique_ptr<WorkerPool> pool;
@@ -210,15 +223,15 @@ private:
   std::atomic<int64_t> inlineCredit{0};
 
   Tape *activeTape = nullptr;
-  uint64_t tapeStamps = 0;
+  /// Stamps of tapes and of their plans.
+  uint64_t stamps = 0;
 
   mutable std::mutex profileMutex;
-  std::vector<std::weak_ptr<Kernel>> profiled;
+  std::unordered_map<std::string, KernelTimes> profiled;
   struct AtomicCounters {
     std::atomic<int64_t> forks{0}, inlineLoops{0};
     int64_t recorded = 0, replayed = 0, skipped = 0, clearedFields = 0;
   } counts;
-  uint64_t countedFrom = 0;
 
   std::mutex printMutex;
   Sink sink;

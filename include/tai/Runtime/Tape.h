@@ -20,6 +20,7 @@
 #define TAI_RUNTIME_TAPE_H
 
 #include "tai/Runtime/Kernel.h"
+#include <unordered_map>
 
 namespace mlir::tai::runtime {
 
@@ -31,6 +32,8 @@ struct TapeCallback {
   /// Called at its place in the reverse sweep; may be empty.
   std::function<Status()> backward;
 };
+
+struct Launch;
 
 class Tape {
 public:
@@ -75,6 +78,7 @@ public:
 
 private:
   friend class Runtime;
+  class HeldLaunch;
   Tape(Runtime &runtime, FieldPtr loss, uint64_t stamp);
 
   struct Record {
@@ -86,18 +90,26 @@ private:
     Replay,
     SkipNoDerivative, // the kernel has none
     SkipUnreached,    // changes no field with a live adjoint
-    SkipNoEffect,     // reads no field with an adjoint
+    SkipNoEffect,     // reads no field with an adjoint, overwrites none
     Callback,
     SkipCallback // nothing to call in reverse
   };
 
-  /// Called by the launch; inline in the fast path of the runtime.
+  /// Called by the launch.
   void record(Kernel &kernel, const uint64_t *args, uint64_t launch);
-  Decision decide(const Record &record) const;
+  /// What the reverse sweep does with a record, given which fields are live:
+  /// have an adjoint that may be non-zero.
+  template <typename Live>
+  Decision decide(size_t index, const Live &live) const;
+  /// Decides on all records, from the summaries alone.
   void plan();
-  Status sweep();
+  bool planHolds() const;
+  /// The reverse sweep by the plan, or, around callbacks, by what is dirty.
+  Status sweepPlanned();
+  Status sweepAroundCallbacks();
+  Status replayAdjoint(Launch &launch, const Record &record);
   Status runForward();
-  std::vector<Field *> liveAdjoints() const;
+  std::vector<Field *> liveFields() const;
 
   Runtime &runtime;
   FieldPtr loss;
@@ -111,11 +123,15 @@ private:
   uint64_t lastLaunch = 0;
   bool anyLaunch = false;
 
+  /// The record that first changes each field with an adjoint.
+  std::unordered_map<const Field *, size_t> firstChange;
+  bool reverseCallbacks = false;
+
   /// The plan of the reverse sweep, and what it holds for.
   std::vector<Decision> decisions;
   std::vector<uint32_t> needed;
   std::vector<Field *> plannedLive;
-  bool planned = false;
+  uint64_t plannedEpoch = 0;
   std::string explanation;
 };
 

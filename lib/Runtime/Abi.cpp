@@ -1,0 +1,300 @@
+//===- Abi.cpp - The functions that compiled kernels call -----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Implements tai/Runtime/Abi.h for kernels. The functions for host programs are
+// in HostProgram.cpp.
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Runtime/Abi.h"
+#include "Launch.h"
+#include "tai/Runtime/Philox.h"
+#include <algorithm>
+#include <cstring>
+
+using namespace mlir::tai::runtime;
+
+static_assert(sizeof(TaiFrame) == 48, "compiled code reads frames by position");
+
+//===----------------------------------------------------------------------===//
+// Parallel loops
+//===----------------------------------------------------------------------===//
+
+/// n * part / parts, without overflow.
+static int64_t boundOf(int64_t n, int64_t part, int64_t parts) {
+  return n / parts * part + n % parts * part / parts;
+}
+
+extern "C" int64_t tai_rt_parts(TaiFrame *frame, int64_t n, int64_t cost,
+                                int32_t reduces) {
+  return launchOf(frame).owner().partition(n, cost, reduces != 0);
+}
+
+namespace {
+struct Loop {
+  Launch *launch;
+  TaiLoopBody body;
+  void *closure;
+  int64_t n, parts;
+};
+} // namespace
+
+static void runPart(void *context, int64_t part) {
+  Loop &loop = *static_cast<Loop *>(context);
+  // What is left of a launch that has failed would be thrown away.
+  if (loop.launch->hasFailed())
+    return;
+  if (loop.launch->owner().interruptRequested()) {
+    loop.launch->fail(Status::failure(StatusCode::Interrupted, "interrupted"));
+    return;
+  }
+  loop.body(loop.launch, loop.closure, boundOf(loop.n, part, loop.parts),
+            boundOf(loop.n, part + 1, loop.parts), part);
+}
+
+extern "C" void tai_rt_parallel_for(TaiFrame *frame, TaiLoopBody body,
+                                    void *closure, int64_t n, int64_t parts) {
+  if (n <= 0)
+    return;
+  Launch &launch = launchOf(frame);
+  if (parts <= 1) {
+    body(frame, closure, 0, n, 0);
+    return;
+  }
+  Loop loop{&launch, body, closure, n, std::min<int64_t>(parts, INT32_MAX)};
+  launch.owner().parallel(loop.parts, runPart, &loop);
+}
+
+//===----------------------------------------------------------------------===//
+// Scratch memory
+//===----------------------------------------------------------------------===//
+
+static constexpr int64_t largestScratch = int64_t(1) << 46;
+
+namespace {
+struct Zeroing {
+  char *address;
+  int64_t bytes, parts;
+};
+} // namespace
+
+/// Zeroes, on the workers where it is much.
+static void zero(Launch &launch, char *address, int64_t bytes) {
+  constexpr int64_t partBytes = 128 << 10;
+  int64_t parts =
+      std::clamp<int64_t>(bytes / partBytes, 1, launch.owner().threads());
+  if (parts == 1) {
+    std::memset(address, 0, static_cast<size_t>(bytes));
+    return;
+  }
+  Zeroing zeroing{address, bytes, parts};
+  launch.owner().parallel(
+      parts,
+      [](void *context, int64_t part) {
+        Zeroing &zeroing = *static_cast<Zeroing *>(context);
+        int64_t begin = boundOf(zeroing.bytes, part, zeroing.parts);
+        int64_t end = boundOf(zeroing.bytes, part + 1, zeroing.parts);
+        std::memset(zeroing.address + begin, 0,
+                    static_cast<size_t>(end - begin));
+      },
+      &zeroing);
+}
+
+static void *scratch(TaiFrame *frame, int64_t bytes, const char *purpose) {
+  Launch &launch = launchOf(frame);
+  int64_t limit = std::min(launch.owner().memoryLimit(), largestScratch);
+  if (bytes >= 0 && bytes <= limit) {
+    int64_t dirty = 0;
+    int64_t rounded = std::max<int64_t>((bytes + 63) / 64 * 64, 64);
+    if (char *address = launch.arena.allocate(rounded, dirty)) {
+      zero(launch, address, dirty);
+      return address;
+    }
+  }
+  launch.fail(Status::failure(
+      StatusCode::Memory,
+      bytes < 0 ? std::string("a kernel asked for memory of negative size")
+                : "out of memory: a kernel needs " + formatBytes(bytes) +
+                      " of " + purpose + ", of " + formatBytes(limit)));
+  return launch.sink(std::clamp<int64_t>(bytes, 0, largestScratch));
+}
+
+extern "C" void *tai_rt_scratch(TaiFrame *frame, int64_t bytes) {
+  return scratch(frame, bytes, "scratch memory");
+}
+
+extern "C" void *tai_rt_private(TaiFrame *frame, int64_t bytes, int64_t parts) {
+  int64_t block = bytes < 0 ? 0 : (bytes + 63) / 64 * 64;
+  int64_t total;
+  if (bytes < 0 || __builtin_mul_overflow(block, parts, &total))
+    total = INT64_MAX;
+  return scratch(frame, total, "private copies for its partial sums");
+}
+
+//===----------------------------------------------------------------------===//
+// Combining partial sums
+//===----------------------------------------------------------------------===//
+
+namespace {
+using AddBuffers = void (*)(void *target, const char *buffers, int64_t begin,
+                            int64_t end, int64_t parts, int64_t stride);
+
+struct Combining {
+  void *target;
+  const char *buffers;
+  int64_t count, parts, stride, cuts;
+  AddBuffers add;
+};
+} // namespace
+
+/// Adds elements [begin, end) of all buffers. The sum of the buffers is formed
+/// first, in their order, in blocks that stay in the first-level cache.
+template <typename T>
+__attribute__((always_inline)) static inline void
+addBuffers(void *targetBytes, const char *buffers, int64_t begin, int64_t end,
+           int64_t parts, int64_t stride) {
+  constexpr int64_t block = 1024;
+  T sums[block];
+  T *target = static_cast<T *>(targetBytes);
+  for (int64_t at = begin; at < end; at += block) {
+    int64_t count = std::min(block, end - at);
+    const T *first = reinterpret_cast<const T *>(buffers) + at;
+    std::memcpy(sums, first, static_cast<size_t>(count) * sizeof(T));
+    for (int64_t p = 1; p < parts; ++p) {
+      const T *from = reinterpret_cast<const T *>(buffers + p * stride) + at;
+      for (int64_t e = 0; e < count; ++e)
+        sums[e] += from[e];
+    }
+    for (int64_t e = 0; e < count; ++e)
+      target[at + e] += sums[e];
+  }
+}
+
+// Compiled for the vector units that there may be; the sums are the same.
+#if defined(__x86_64__)
+#define TAI_ADD_BUFFERS(name, type, unit)                                      \
+  __attribute__((target(unit))) static void name(                              \
+      void *to, const char *buffers, int64_t begin, int64_t end,               \
+      int64_t parts, int64_t stride) {                                         \
+    addBuffers<type>(to, buffers, begin, end, parts, stride);                  \
+  }
+TAI_ADD_BUFFERS(addF32Avx2, float, "avx2")
+TAI_ADD_BUFFERS(addF64Avx2, double, "avx2")
+#undef TAI_ADD_BUFFERS
+#endif
+
+static AddBuffers chooseAdd(bool isDouble) {
+#if defined(__x86_64__)
+  if (__builtin_cpu_supports("avx2"))
+    return isDouble ? addF64Avx2 : addF32Avx2;
+#endif
+  return isDouble ? addBuffers<double> : addBuffers<float>;
+}
+
+extern "C" void tai_rt_combine(TaiFrame *frame, void *target,
+                               const void *buffers, int64_t count,
+                               int64_t parts, int32_t kind) {
+  Launch &launch = launchOf(frame);
+  // After a failure the buffers may not be what the code believes.
+  if (count <= 0 || parts <= 0 || launch.hasFailed())
+    return;
+  int64_t size = kind == 0 ? sizeof(float) : sizeof(double);
+  int64_t stride = (count * size + 63) / 64 * 64;
+  // Bytes read by one worker that repay its fork.
+  constexpr int64_t cutBytes = 64 << 10;
+  int64_t cuts = std::clamp<int64_t>(count * size / cutBytes * parts, 1,
+                                     launch.owner().threads());
+  Combining combining{target,
+                      static_cast<const char *>(buffers),
+                      count,
+                      parts,
+                      stride,
+                      cuts,
+                      chooseAdd(kind != 0)};
+  auto run = [](void *context, int64_t cut) {
+    Combining &c = *static_cast<Combining *>(context);
+    c.add(c.target, c.buffers, boundOf(c.count, cut, c.cuts),
+          boundOf(c.count, cut + 1, c.cuts), c.parts, c.stride);
+  };
+  if (cuts == 1)
+    run(&combining, 0);
+  else
+    launch.owner().parallel(cuts, run, &combining);
+}
+
+//===----------------------------------------------------------------------===//
+// Random numbers, messages, failures
+//===----------------------------------------------------------------------===//
+
+extern "C" uint32_t tai_rt_random_u32(uint64_t seed, uint64_t launch,
+                                      uint64_t iteration, uint32_t stream,
+                                      uint32_t sequence) {
+  // 192 bits of position and a counter of 128: the launch goes into the key,
+  // behind a bijection of the seed, so that launches of one context never
+  // share a key. Four consecutive numbers of a sequence are one block.
+  uint64_t key = seed + 0x9E3779B97F4A7C15u;
+  key = (key ^ (key >> 30)) * 0xBF58476D1CE4E5B9u;
+  key = (key ^ (key >> 27)) * 0x94D049BB133111EBu;
+  key = (key ^ (key >> 31)) ^ launch;
+  return philox4x32({static_cast<uint32_t>(iteration),
+                     static_cast<uint32_t>(iteration >> 32), stream,
+                     sequence >> 2},
+                    {static_cast<uint32_t>(key),
+                     static_cast<uint32_t>(key >> 32)})[sequence & 3];
+}
+
+extern "C" void tai_rt_print(TaiFrame *frame, const char *format, int32_t count,
+                             const int32_t *kinds, const int32_t *shapes,
+                             const uint64_t *slots) {
+  std::string line = formatValues(format, count, kinds, shapes, slots);
+  line += '\n';
+  launchOf(frame).owner().print(line);
+}
+
+extern "C" void tai_rt_fail(TaiFrame *frame, int32_t failure,
+                            const char *message, const char *where,
+                            int32_t count, const int32_t *kinds,
+                            const int32_t *shapes, const uint64_t *slots) {
+  Launch &launch = launchOf(frame);
+  if (launch.hasFailed())
+    return;
+  StatusCode code = failure >= TAI_FAIL_ASSERT && failure <= TAI_FAIL_CHECK
+                        ? static_cast<StatusCode>(failure)
+                        : StatusCode::Internal;
+  launch.fail(
+      Status::failure(code, formatValues(message, count, kinds, shapes, slots),
+                      where ? where : ""));
+}
+
+extern "C" int32_t tai_rt_failed(TaiFrame *frame) {
+  return launchOf(frame).hasFailed();
+}
+
+//===----------------------------------------------------------------------===//
+// Symbols
+//===----------------------------------------------------------------------===//
+
+std::vector<RuntimeSymbol> mlir::tai::runtime::runtimeSymbols() {
+#define TAI_SYMBOL(name)                                                       \
+  {                                                                            \
+    #name, reinterpret_cast<void *>(&name)                                     \
+  }
+  return {TAI_SYMBOL(tai_rt_parts),
+          TAI_SYMBOL(tai_rt_parallel_for),
+          TAI_SYMBOL(tai_rt_scratch),
+          TAI_SYMBOL(tai_rt_private),
+          TAI_SYMBOL(tai_rt_combine),
+          TAI_SYMBOL(tai_rt_random_u32),
+          TAI_SYMBOL(tai_rt_print),
+          TAI_SYMBOL(tai_rt_fail),
+          TAI_SYMBOL(tai_rt_failed),
+          TAI_SYMBOL(tai_rt_host_launch),
+          TAI_SYMBOL(tai_rt_host_tape_begin),
+          TAI_SYMBOL(tai_rt_host_tape_end),
+          TAI_SYMBOL(tai_rt_host_check_gradient)};
+#undef TAI_SYMBOL
+}

@@ -1,0 +1,95 @@
+//===- Field.cpp - Single elements of fields ------------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Where an element lies, and its conversion from and to the host's numbers.
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Runtime/Field.h"
+#include "Scalars.h"
+
+using namespace mlir::tai::runtime;
+
+char *Field::elementAddress(const int64_t *index) const {
+  char *address = data();
+  for (size_t d = 0; d < shapeOf.size(); ++d) {
+    int64_t i = index[d];
+    if (!fieldLayout.offset.empty())
+      i -= fieldLayout.offset[d];
+    if (i < 0 || i >= shapeOf[d])
+      return nullptr;
+    for (const LayoutLevel &level : fieldLayout.indices[d])
+      address += i / level.divisor % level.extent * level.stride;
+  }
+  return address;
+}
+
+Status Field::access(const int64_t *index, int64_t component,
+                     char *&address) const {
+  if (!valid())
+    return Status::failure(StatusCode::Usage,
+                           "field '" + fieldName + "' is gone: its tree '" +
+                               owner->name() + "' has been destroyed");
+  if (component < 0 || component >= components)
+    return Status::failure(
+        StatusCode::Index,
+        "component " + std::to_string(component) + " of field '" + fieldName +
+            "', whose elements have " + std::to_string(components));
+  address = elementAddress(index);
+  if (!address) {
+    std::string text = "index (";
+    for (size_t d = 0; d < shapeOf.size(); ++d)
+      text += (d ? ", " : "") + std::to_string(index[d]);
+    text += ") is out of range of field '" + fieldName + "', whose indices are";
+    for (size_t d = 0; d < shapeOf.size(); ++d) {
+      int64_t first = fieldLayout.offset.empty() ? 0 : fieldLayout.offset[d];
+      text += (d ? ", " : " ") + std::to_string(first) + " to " +
+              std::to_string(first + shapeOf[d] - 1);
+    }
+    return Status::failure(StatusCode::Index, std::move(text));
+  }
+  address += component * fieldLayout.componentStride;
+  return Status::success();
+}
+
+Status Field::readF64(const int64_t *index, int64_t component,
+                      double &value) const {
+  char *address = nullptr;
+  Status status = access(index, component, address);
+  if (status)
+    value = loadF64(scalar(), address);
+  return status;
+}
+
+Status Field::writeF64(const int64_t *index, int64_t component, double value) {
+  char *address = nullptr;
+  Status status = access(index, component, address);
+  if (status) {
+    storeF64(scalar(), address, value);
+    markDirty();
+  }
+  return status;
+}
+
+Status Field::readI64(const int64_t *index, int64_t component,
+                      int64_t &value) const {
+  char *address = nullptr;
+  Status status = access(index, component, address);
+  if (status)
+    value = loadI64(scalar(), address);
+  return status;
+}
+
+Status Field::writeI64(const int64_t *index, int64_t component, int64_t value) {
+  char *address = nullptr;
+  Status status = access(index, component, address);
+  if (status) {
+    storeI64(scalar(), address, value);
+    markDirty();
+  }
+  return status;
+}

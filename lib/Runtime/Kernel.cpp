@@ -1,0 +1,107 @@
+//===- Kernel.cpp - Kernels and their summaries ---------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Lazy compilation of kernels and adjoints, and what summaries say.
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Runtime/Kernel.h"
+#include <algorithm>
+
+using namespace mlir::tai::runtime;
+
+Kernel::Kernel(KernelInfo kernelInfo) : info(std::move(kernelInfo)) {
+  function.store(info.function, std::memory_order_release);
+}
+
+Status Kernel::resolve() {
+  if (resolved())
+    return Status::success();
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  if (resolved())
+    return Status::success();
+  if (!info.resolve)
+    return Status::failure(StatusCode::Usage,
+                           "kernel '" + name() + "' has no code");
+  // A failure is not remembered: what was wrong outside (a full disk) may be
+  // put right.
+  TaiKernelFn result = nullptr;
+  Status status = info.resolve(*this, result);
+  if (!status)
+    return status;
+  if (!result)
+    return Status::failure(StatusCode::Internal,
+                           "kernel '" + name() + "' was compiled to nothing");
+  function.store(result, std::memory_order_release);
+  return status;
+}
+
+Status Kernel::resolveAdjoint(Kernel *&adjoint) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  adjoint = nullptr;
+  if (!info.differentiable)
+    return Status::success();
+  if (!info.adjoint && !adjointAsked) {
+    if (!info.makeAdjoint)
+      return Status::failure(StatusCode::Usage,
+                             "kernel '" + name() + "' has no adjoint");
+    Status status = info.makeAdjoint(*this, info.adjoint);
+    if (!status)
+      return status;
+    adjointAsked = true;
+  }
+  adjoint = info.adjoint.get();
+  knownAdjoint.store(adjoint, std::memory_order_release);
+  return Status::success();
+}
+
+void Kernel::setTrees(std::vector<TreePtr> trees) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  info.trees = std::move(trees);
+  boundEpoch.store(0, std::memory_order_release);
+}
+
+void Kernel::setSummary(std::vector<Access> summary) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  info.summary = std::move(summary);
+  boundEpoch.store(0, std::memory_order_release);
+}
+
+static void addOnce(std::vector<Field *> &fields, Field *field) {
+  if (std::find(fields.begin(), fields.end(), field) == fields.end())
+    fields.push_back(field);
+}
+
+Status Kernel::bind(uint64_t epoch) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  if (boundEpoch.load(std::memory_order_acquire) == epoch)
+    return Status::success();
+  for (const TreePtr &tree : info.trees)
+    if (!tree->base())
+      return Status::failure(StatusCode::Usage,
+                             "kernel '" + name() + "' uses tree '" +
+                                 tree->name() + "', which has been destroyed");
+  bases.clear();
+  for (const TreePtr &tree : info.trees)
+    bases.push_back(tree->base());
+  changedAdjoints.clear();
+  adjointTargets.clear();
+  adjointSources.clear();
+  overwritten.clear();
+  for (const Access &access : info.summary) {
+    Field *field = access.field.get();
+    bool changes = access.kind != AccessKind::Read;
+    if (changes && field->isAdjoint())
+      addOnce(changedAdjoints, field);
+    if (field->adjoint())
+      addOnce(changes ? adjointSources : adjointTargets, field);
+    if (field->adjoint() && access.kind == AccessKind::Write)
+      addOnce(overwritten, field);
+  }
+  boundEpoch.store(epoch, std::memory_order_release);
+  return Status::success();
+}

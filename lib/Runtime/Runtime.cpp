@@ -1,0 +1,608 @@
+//===- Runtime.cpp - Trees, fields and launches ---------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Storage and the path of a launch. The launch is the part of which a small
+// simulation makes hundreds of thousands: no lock, no allocation, no look-up.
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Runtime/Runtime.h"
+#include "Launch.h"
+#include "Scalars.h"
+#include "WorkerPool.h"
+#include <algorithm>
+#include <chrono>
+#include <cstdio>
+#include <sys/mman.h>
+#include <unistd.h>
+
+using namespace mlir::tai::runtime;
+
+/// What the machine, or the control group of this process, has.
+static int64_t availableMemory() {
+  int64_t limit = static_cast<int64_t>(sysconf(_SC_PHYS_PAGES)) *
+                  static_cast<int64_t>(sysconf(_SC_PAGESIZE));
+  if (FILE *file = std::fopen("/sys/fs/cgroup/memory.max", "re")) {
+    long long bytes = 0;
+    if (std::fscanf(file, "%lld", &bytes) == 1 && bytes > 0)
+      limit = std::min<int64_t>(limit, bytes);
+    std::fclose(file);
+  }
+  return limit;
+}
+
+static int threadsFor(int wanted) {
+  return wanted > 0 ? std::min(wanted, 1024) : availableThreads();
+}
+
+Runtime::Runtime(Options options)
+    : opts(options), numThreads(threadsFor(options.threads)),
+      limit(options.memoryLimit > 0 ? options.memoryLimit : availableMemory()),
+      forkGuard(new ForkGuard) {}
+
+Runtime::~Runtime() {
+  if (!forkGuard->sameProcess())
+    (void)pool.release(); // in a forked child: its threads are not here
+  pool.reset();
+  for (auto &entry : trees)
+    freeTree(*entry.second);
+}
+
+//===----------------------------------------------------------------------===//
+// Trees
+//===----------------------------------------------------------------------===//
+
+Status Runtime::addTree(std::string name, int64_t bytes, TreePtr &tree) {
+  if (trees.count(name))
+    return Status::failure(StatusCode::Usage,
+                           "a tree '" + name + "' exists already");
+  if (bytes < 0)
+    return Status::failure(StatusCode::Usage,
+                           "tree '" + name + "' has a negative size");
+  if (bytes > limit - reserved)
+    return Status::failure(
+        StatusCode::Memory,
+        "out of memory: tree '" + name + "' needs " + formatBytes(bytes) +
+            ", " + formatBytes(reserved) + " of " + formatBytes(limit) +
+            " are taken by " + std::to_string(trees.size()) + " other trees");
+  size_t page = static_cast<size_t>(sysconf(_SC_PAGESIZE));
+  // Trees start at different offsets in their pages: loops over several arrays
+  // that share the low bits of their addresses stall on false dependences.
+  size_t stagger = (treesMade % 8) * 320;
+  size_t mapped = (static_cast<size_t>(bytes) + stagger + page) / page * page;
+  void *memory = mmap(nullptr, mapped, PROT_READ | PROT_WRITE,
+                      MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+  if (memory == MAP_FAILED)
+    return Status::failure(StatusCode::Memory,
+                           "out of memory: the system refuses " +
+                               formatBytes(bytes) + " for tree '" + name +
+                               "' (" + formatBytes(reserved) +
+                               " are taken by other trees)");
+  if (bytes >= (int64_t(8) << 20))
+    (void)madvise(memory, mapped, MADV_HUGEPAGE);
+  ++treesMade;
+  tree = std::make_shared<Tree>();
+  tree->treeName = name;
+  tree->address = static_cast<char *>(memory) + stagger;
+  tree->size = bytes;
+  tree->mapping = memory;
+  tree->mapped = mapped;
+  reserved += bytes;
+  trees.emplace(std::move(name), tree);
+  return Status::success();
+}
+
+void Runtime::freeTree(Tree &tree) {
+  munmap(tree.mapping, tree.mapped);
+  reserved -= tree.size;
+  tree.address = nullptr;
+  tree.mapping = nullptr;
+}
+
+Status Runtime::destroyTree(const std::string &name) {
+  auto found = trees.find(name);
+  if (found == trees.end())
+    return Status::failure(StatusCode::Usage,
+                           "there is no tree '" + name + "'");
+  Tree *tree = found->second.get();
+  for (size_t i = 0; i < fieldList.size();) {
+    if (&fieldList[i]->tree() == tree) {
+      // Adjoints elsewhere no longer have a primal that can reach them.
+      if (fieldList[i]->adjointField)
+        fieldList[i]->adjointField->ofPrimal = false;
+      fieldsByName.erase(fieldList[i]->name());
+      fieldList.erase(fieldList.begin() + static_cast<ptrdiff_t>(i));
+    } else {
+      ++i;
+    }
+  }
+  for (const FieldPtr &field : fieldList) {
+    if (field->adjointField && &field->adjointField->tree() == tree)
+      field->adjointField.reset();
+    if (field->dualField && &field->dualField->tree() == tree)
+      field->dualField.reset();
+  }
+  freeTree(*tree);
+  trees.erase(found);
+  storageChanged();
+  return Status::success();
+}
+
+TreePtr Runtime::findTree(const std::string &name) const {
+  auto found = trees.find(name);
+  return found == trees.end() ? nullptr : found->second;
+}
+
+//===----------------------------------------------------------------------===//
+// Fields
+//===----------------------------------------------------------------------===//
+
+static Status badField(const std::string &name, const std::string &why) {
+  return Status::failure(StatusCode::Usage, "field '" + name + "' " + why);
+}
+
+Status Runtime::addField(FieldInfo info, FieldPtr &result) {
+  if (fieldsByName.count(info.name))
+    return badField(info.name, "exists already");
+  if (!info.tree || !info.tree->base())
+    return badField(info.name, "has no tree");
+  auto field = std::make_shared<Field>();
+  FieldLayout &layout = field->fieldLayout;
+  layout = std::move(info.layout);
+  int64_t scalar = byteSize(layout.scalar);
+  if (layout.componentStride == 0)
+    layout.componentStride = scalar;
+  for (int64_t extent : layout.elementShape) {
+    if (extent < 1)
+      return badField(info.name, "has elements without components");
+    field->components *= extent;
+  }
+  // The compiler's word is checked here once, so that host access cannot leave
+  // the tree.
+  int64_t last = layout.placeOffset;
+  bool inside = layout.placeOffset >= 0 && layout.componentStride >= scalar;
+  for (const std::vector<LayoutLevel> &levels : layout.indices) {
+    int64_t extent = 1;
+    for (const LayoutLevel &level : levels) {
+      if (level.extent < 1 || level.divisor < 1 || level.stride < 0)
+        return badField(info.name, "has a level without extent");
+      if (__builtin_mul_overflow(extent, level.extent, &extent))
+        return badField(info.name, "has more elements than can be counted");
+      int64_t span;
+      inside &=
+          !__builtin_mul_overflow(level.extent - 1, level.stride, &span) &&
+          !__builtin_add_overflow(last, span, &last);
+    }
+    field->shapeOf.push_back(extent);
+    if (__builtin_mul_overflow(field->elements, extent, &field->elements))
+      return badField(info.name, "has more elements than can be counted");
+  }
+  if (!layout.offset.empty() && layout.offset.size() != layout.indices.size())
+    return badField(info.name, "has offsets for another number of indices");
+  int64_t elementBytes =
+      (field->components - 1) * layout.componentStride + scalar;
+  if (!inside || last + elementBytes > info.tree->bytes())
+    return badField(info.name,
+                    "does not fit into tree '" + info.tree->name() + "' of " +
+                        std::to_string(info.tree->bytes()) + " bytes");
+  field->isContiguous =
+      layout.componentStride == scalar &&
+      isRowMajor(layout, field->shapeOf, field->components * scalar);
+  field->fieldName = info.name;
+  field->owner = std::move(info.tree);
+  field->adjointName = std::move(info.adjoint);
+  field->dualName = std::move(info.dual);
+  Status status = checkPartners(*field);
+  if (!status)
+    return status;
+  fieldsByName.emplace(info.name, field);
+  fieldList.push_back(field);
+  linkPartners(field);
+  result = field;
+  return Status::success();
+}
+
+static bool sameElements(const Field &a, const Field &b) {
+  return a.elementShape() == b.elementShape() && a.shape() == b.shape() &&
+         isFloat(a.scalar()) == isFloat(b.scalar());
+}
+
+Status Runtime::checkPartners(const Field &added) const {
+  auto check = [&](const Field &primal, const Field &partner) {
+    if (sameElements(primal, partner))
+      return Status::success();
+    return badField(primal.name(), "and its adjoint or tangent '" +
+                                       partner.name() +
+                                       "' differ in shape or element type");
+  };
+  for (const FieldPtr &other : fieldList) {
+    Status status;
+    if (other->name() == added.adjointName || other->name() == added.dualName)
+      status = check(added, *other);
+    else if (other->adjointName == added.name() ||
+             other->dualName == added.name())
+      status = check(*other, added);
+    if (!status)
+      return status;
+  }
+  return Status::success();
+}
+
+void Runtime::linkPartners(const FieldPtr &added) {
+  bool linked = false;
+  auto link = [&](Field &primal, const FieldPtr &partner) {
+    if (primal.adjointName == partner->name()) {
+      primal.adjointField = partner;
+      partner->ofPrimal = true;
+      linked = true;
+    }
+    if (primal.dualName == partner->name())
+      primal.dualField = partner;
+  };
+  for (const FieldPtr &other : fieldList) {
+    link(*added, other);
+    link(*other, added);
+  }
+  if (linked)
+    storageChanged();
+}
+
+Status Runtime::setAdjoint(Field &field, const FieldPtr &adjoint) {
+  if (!sameElements(field, *adjoint))
+    return badField(field.name(), "and its adjoint '" + adjoint->name() +
+                                      "' differ in shape or element type");
+  if (field.adjointField)
+    field.adjointField->ofPrimal = false;
+  field.adjointName = adjoint->name();
+  field.adjointField = adjoint;
+  adjoint->ofPrimal = true;
+  storageChanged();
+  return Status::success();
+}
+
+FieldPtr Runtime::findField(const std::string &name) const {
+  auto found = fieldsByName.find(name);
+  return found == fieldsByName.end() ? nullptr : found->second;
+}
+
+std::vector<FieldPtr> Runtime::fields() const { return fieldList; }
+
+//===----------------------------------------------------------------------===//
+// Launches
+//===----------------------------------------------------------------------===//
+
+KernelPtr Runtime::createKernel(KernelInfo info) {
+  return std::make_shared<Kernel>(std::move(info));
+}
+
+void Runtime::setSeed(uint64_t seed) {
+  opts.seed = seed;
+  launchCounter.store(0, std::memory_order_relaxed);
+}
+
+Launch *Runtime::acquireLaunch() {
+  if (Launch *launch = spareLaunch.exchange(nullptr, std::memory_order_acquire))
+    return launch;
+  std::lock_guard<std::mutex> lock(launchMutex);
+  if (!freeLaunches.empty()) {
+    Launch *launch = freeLaunches.back();
+    freeLaunches.pop_back();
+    return launch;
+  }
+  launches.push_back(std::make_unique<Launch>(*this));
+  return launches.back().get();
+}
+
+void Runtime::releaseLaunch(Launch *launch) {
+  Launch *none = nullptr;
+  if (spareLaunch.compare_exchange_strong(
+          none, launch, std::memory_order_release, std::memory_order_relaxed))
+    return;
+  std::lock_guard<std::mutex> lock(launchMutex);
+  freeLaunches.push_back(launch);
+}
+
+Status Runtime::ready(Kernel &kernel) {
+  Status status = kernel.resolve();
+  if (status)
+    status = kernel.bind(storageEpoch.load(std::memory_order_relaxed));
+  return status;
+}
+
+static Status failureOf(Launch &launch, const Kernel &kernel) {
+  if (launch.hasFailed())
+    return launch.takeFailure();
+  return Status::failure(StatusCode::Internal,
+                         "kernel '" + kernel.name() + "' failed");
+}
+
+Status Runtime::run(Launch &launch, Kernel &kernel, const uint64_t *args,
+                    uint64_t *results, uint64_t number) {
+  if (__builtin_expect(kernel.boundEpoch.load(std::memory_order_acquire) !=
+                               storageEpoch.load(std::memory_order_relaxed) ||
+                           !kernel.resolved(),
+                       false)) {
+    Status status = ready(kernel);
+    if (!status)
+      return status;
+  }
+  if (__builtin_expect(interruptRequested(), false))
+    return Status::failure(StatusCode::Interrupted, "interrupted");
+  if (__builtin_expect(!results && kernel.resultSlots() > 0, false)) {
+    launch.unwanted.resize(static_cast<size_t>(kernel.resultSlots()));
+    results = launch.unwanted.data();
+  }
+  launch.trees = kernel.bases.data();
+  launch.args = args;
+  launch.results = results;
+  launch.seed = opts.seed;
+  launch.launch = number;
+  int32_t code;
+  TaiKernelFn function = kernel.function.load(std::memory_order_relaxed);
+  if (__builtin_expect(opts.profiler, false))
+    code = runTimed(launch, kernel, function);
+  else
+    code = function(&launch);
+  for (Field *field : kernel.changedAdjoints)
+    field->markDirty();
+  if (launch.arena.used())
+    launch.arena.reset();
+  if (__builtin_expect(code != 0 || launch.hasFailed(), false)) {
+    launch.freeSinks();
+    return failureOf(launch, kernel);
+  }
+  return Status::success();
+}
+
+int32_t Runtime::runTimed(Launch &launch, Kernel &kernel,
+                          TaiKernelFn function) {
+  auto start = std::chrono::steady_clock::now();
+  int32_t code = function(&launch);
+  int64_t ns = std::chrono::duration_cast<std::chrono::nanoseconds>(
+                   std::chrono::steady_clock::now() - start)
+                   .count();
+  std::lock_guard<std::mutex> lock(profileMutex);
+  KernelTimes &times = profiled[kernel.name()];
+  times.minNs = times.launches ? std::min(times.minNs, ns) : ns;
+  times.maxNs = std::max(times.maxNs, ns);
+  times.totalNs += ns;
+  ++times.launches;
+  return code;
+}
+
+static Status wrongSlots(const Kernel &kernel, int64_t slots) {
+  return Status::failure(StatusCode::Usage,
+                         "kernel '" + kernel.name() + "' takes " +
+                             std::to_string(kernel.argSlots()) +
+                             " argument slots, but got " +
+                             std::to_string(slots));
+}
+
+Status Runtime::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
+                       uint64_t *results) {
+  if (__builtin_expect(slots != kernel.argSlots(), false))
+    return wrongSlots(kernel, slots);
+  Launch *launch = acquireLaunch();
+  uint64_t number = launchCounter.fetch_add(1, std::memory_order_relaxed);
+  kernel.lastLaunch.store(number, std::memory_order_relaxed);
+  Status status = run(*launch, kernel, args, results, number);
+  releaseLaunch(launch);
+  if (__builtin_expect(activeTape != nullptr, false) && status)
+    activeTape->record(kernel, args, number);
+  return status;
+}
+
+Status Runtime::launchAdjoint(Kernel &kernel, const uint64_t *args,
+                              int64_t slots) {
+  if (slots != kernel.argSlots())
+    return wrongSlots(kernel, slots);
+  Kernel *adjoint = nullptr;
+  Status status = kernel.resolveAdjoint(adjoint);
+  if (!status || !adjoint)
+    return status;
+  Launch *launch = acquireLaunch();
+  status = runAdjoint(*launch, kernel, *adjoint, args,
+                      kernel.lastLaunch.load(std::memory_order_relaxed));
+  releaseLaunch(launch);
+  return status;
+}
+
+Status Runtime::runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
+                           const uint64_t *args, uint64_t number) {
+  uint64_t epoch = storageEpoch.load(std::memory_order_relaxed);
+  if (__builtin_expect(
+          kernel.boundEpoch.load(std::memory_order_acquire) != epoch, false)) {
+    Status status = kernel.bind(epoch);
+    if (!status)
+      return status;
+  }
+  // The adjoint's own summary need not be known.
+  for (Field *field : kernel.adjointTargets)
+    field->adjoint()->markDirty();
+  return run(launch, adjoint, args, nullptr, number);
+}
+
+Status Runtime::runHost(TaiKernelFn function, const std::vector<TreePtr> &trees,
+                        HostModule &module, const uint64_t *args,
+                        uint64_t *results) {
+  std::vector<void *> bases;
+  for (const TreePtr &tree : trees) {
+    if (!tree->base())
+      return Status::failure(StatusCode::Usage, "the host program uses tree '" +
+                                                    tree->name() +
+                                                    "', which has been "
+                                                    "destroyed");
+    bases.push_back(tree->base());
+  }
+  HostState state;
+  state.module = &module;
+  Launch *launch = acquireLaunch();
+  launch->host = &state;
+  launch->trees = bases.data();
+  launch->args = args;
+  launch->results = results;
+  launch->seed = opts.seed;
+  launch->launch = launchCounter.fetch_add(1, std::memory_order_relaxed);
+  int32_t code = function(launch);
+  state.tape.reset();
+  launch->host = nullptr;
+  if (launch->arena.used())
+    launch->arena.reset();
+  Status status;
+  if (code != 0 || launch->hasFailed()) {
+    launch->freeSinks();
+    status = launch->hasFailed() ? launch->takeFailure()
+                                 : Status::failure(StatusCode::Internal,
+                                                   "the host program failed");
+  }
+  releaseLaunch(launch);
+  return status;
+}
+
+//===----------------------------------------------------------------------===//
+// Workers
+//===----------------------------------------------------------------------===//
+
+void Runtime::setThreads(int threads) {
+  opts.threads = threads;
+  int wanted = threadsFor(threads);
+  if (wanted == numThreads)
+    return;
+  std::lock_guard<std::mutex> lock(poolMutex);
+  if (!forkGuard->sameProcess()) {
+    (void)pool.release();
+    forkGuard->rearm();
+  }
+  currentPool.store(nullptr, std::memory_order_release);
+  pool.reset();
+  numThreads = wanted;
+}
+
+WorkerPool &Runtime::workers() {
+  WorkerPool *current = currentPool.load(std::memory_order_acquire);
+  if (__builtin_expect(current && forkGuard->sameProcess(), true))
+    return *current;
+  std::lock_guard<std::mutex> lock(poolMutex);
+  if (!forkGuard->sameProcess()) {
+    // A forked child has none of the threads. The object of the parent is left
+    // as it is: it may have been in the middle of a loop.
+    (void)pool.release();
+    forkGuard->rearm();
+  }
+  if (!pool)
+    pool = std::make_unique<WorkerPool>(numThreads);
+  currentPool.store(pool.get(), std::memory_order_release);
+  return *pool;
+}
+
+void Runtime::parallel(int64_t parts, void (*task)(void *context, int64_t part),
+                       void *context) {
+  if (parts > 1 && numThreads > 1) {
+    if (workers().tryRun(task, context, parts)) {
+      counts.forks.fetch_add(1, std::memory_order_relaxed);
+      return;
+    }
+  }
+  counts.inlineLoops.fetch_add(1, std::memory_order_relaxed);
+  for (int64_t part = 0; part < parts; ++part)
+    task(context, part);
+}
+
+int64_t Runtime::partition(int64_t n, int64_t cost, bool reduces) {
+  if (n <= 1)
+    return 1;
+  // Nanoseconds, by the estimate of the compiler.
+  int64_t total;
+  if (__builtin_mul_overflow(n, std::max<int64_t>(cost, 1), &total))
+    total = INT64_MAX;
+  if (reduces && opts.deterministic) {
+    // Depends on the loop alone. Every part costs a private copy of what is
+    // reduced, so there are few.
+    constexpr int64_t partNs = 16000, mostParts = 32;
+    return std::min(n, std::clamp<int64_t>(total / partNs, 1, mostParts));
+  }
+  if (numThreads == 1)
+    return 1;
+  // Below `spinNs` a fork does not pay even with workers that wait for it, and
+  // below `wakeNs` not if they must be woken first. Loops in between, if there
+  // are many, earn the waking.
+  constexpr int64_t spinNs = 4000, wakeNs = 20000, wakeCredit = 60000;
+  if (total < spinNs)
+    return 1;
+  if (total < wakeNs) {
+    WorkerPool *current = currentPool.load(std::memory_order_acquire);
+    if (!current || !current->awake()) {
+      if (inlineCredit.fetch_add(total, std::memory_order_relaxed) < wakeCredit)
+        return 1;
+      inlineCredit.store(0, std::memory_order_relaxed);
+    }
+  }
+  constexpr int64_t leastPartNs = 2000;
+  int64_t parts = std::min<int64_t>(numThreads, total / leastPartNs);
+  if (!reduces) {
+    // Smaller parts even out what other processes take, and let a long loop be
+    // interrupted.
+    constexpr int64_t goodPartNs = 25000, longestPartNs = 10000000;
+    parts =
+        std::max({parts, std::min<int64_t>(4 * numThreads, total / goodPartNs),
+                  std::min<int64_t>(total / longestPartNs, 1 << 16)});
+  }
+  return std::clamp<int64_t>(parts, 1, n);
+}
+
+//===----------------------------------------------------------------------===//
+// Print, profile, counters
+//===----------------------------------------------------------------------===//
+
+void Runtime::setPrintSink(Sink newSink) {
+  std::lock_guard<std::mutex> lock(printMutex);
+  sink = std::move(newSink);
+}
+
+void Runtime::print(std::string_view line) {
+  std::lock_guard<std::mutex> lock(printMutex);
+  if (sink) {
+    sink(line);
+    return;
+  }
+  std::fwrite(line.data(), 1, line.size(), stdout);
+  std::fflush(stdout);
+}
+
+std::vector<ProfileRow> Runtime::profile() const {
+  std::vector<ProfileRow> rows;
+  {
+    std::lock_guard<std::mutex> lock(profileMutex);
+    for (const auto &[name, times] : profiled)
+      rows.push_back({name, times});
+  }
+  std::sort(rows.begin(), rows.end(),
+            [](const ProfileRow &a, const ProfileRow &b) {
+              return a.times.totalNs != b.times.totalNs
+                         ? a.times.totalNs > b.times.totalNs
+                         : a.kernel < b.kernel;
+            });
+  return rows;
+}
+
+void Runtime::clearProfile() {
+  std::lock_guard<std::mutex> lock(profileMutex);
+  profiled.clear();
+}
+
+Counters Runtime::counters() const {
+  Counters result;
+  result.launches =
+      static_cast<int64_t>(launchCounter.load(std::memory_order_relaxed));
+  result.forks = counts.forks.load(std::memory_order_relaxed);
+  result.inlineLoops = counts.inlineLoops.load(std::memory_order_relaxed);
+  result.recorded = counts.recorded;
+  result.replayed = counts.replayed;
+  result.skipped = counts.skipped;
+  result.clearedFields = counts.clearedFields;
+  return result;
+}

@@ -1,0 +1,370 @@
+//===- Tape.cpp - Recorded launches and their reverse replay --------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The reverse sweep runs by a plan, made once for a sequence of records and a
+// set of adjoints that are non-zero at its start. A callback may touch
+// anything, so a tape with callbacks decides as it goes, from the dirty flags
+// of the adjoint fields, which every launch and every host write keep.
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Runtime/Tape.h"
+#include "Launch.h"
+#include "Scalars.h"
+#include <algorithm>
+#include <cstring>
+
+using namespace mlir::tai::runtime;
+
+//===----------------------------------------------------------------------===//
+// Recording
+//===----------------------------------------------------------------------===//
+
+Status Runtime::beginTape(FieldPtr loss, bool clear,
+                          std::unique_ptr<Tape> &tape) {
+  if (activeTape)
+    return Status::failure(StatusCode::Usage,
+                           "a tape is being recorded already, and tapes do not "
+                           "nest");
+  if (loss) {
+    if (loss->rank() != 0 || loss->numComponents() != 1 ||
+        !isFloat(loss->scalar()))
+      return Status::failure(StatusCode::Usage,
+                             "the loss '" + loss->name() +
+                                 "' must be one floating-point number (a field "
+                                 "without indices)");
+    if (!loss->adjoint())
+      return Status::failure(StatusCode::Usage, "the loss '" + loss->name() +
+                                                    "' has no adjoint field");
+    if (!loss->valid() || !loss->adjoint()->valid())
+      return Status::failure(StatusCode::Usage, "the tree of the loss '" +
+                                                    loss->name() +
+                                                    "' has been destroyed");
+  }
+  if (clear)
+    clearGradients();
+  tape.reset(new Tape(*this, std::move(loss), ++stamps));
+  activeTape = tape.get();
+  return Status::success();
+}
+
+Tape::Tape(Runtime &runtime, FieldPtr loss, uint64_t stamp)
+    : runtime(runtime), loss(std::move(loss)), stamp(stamp) {}
+
+Tape::~Tape() { end(); }
+
+void Tape::end() {
+  if (recording())
+    runtime.activeTape = nullptr;
+}
+
+bool Tape::recording() const { return runtime.activeTape == this; }
+
+Status Tape::resume() {
+  if (suspended == 0)
+    return Status::failure(StatusCode::Usage, "the tape is not suspended");
+  --suspended;
+  return Status::success();
+}
+
+void Tape::record(Kernel &kernel, const uint64_t *args, uint64_t launch) {
+  if (suspended)
+    return;
+  if (kernel.tapeStamp != stamp) {
+    kernel.tapeStamp = stamp;
+    kernels.push_back(kernel.shared_from_this());
+  }
+  if (!anyLaunch) {
+    anyLaunch = true;
+    firstLaunch = launch;
+  }
+  lastLaunch = launch - firstLaunch;
+  records.push_back({&kernel, lastLaunch, slots.size()});
+  slots.insert(slots.end(), args, args + kernel.argSlots());
+  ++runtime.counts.recorded;
+}
+
+void Tape::recordCallback(TapeCallback callback) {
+  if (suspended || !recording())
+    return;
+  reverseCallbacks |= static_cast<bool>(callback.backward);
+  records.push_back({nullptr, 0, callbacks.size()});
+  callbacks.push_back(std::move(callback));
+}
+
+//===----------------------------------------------------------------------===//
+// What the reverse sweep needs
+//===----------------------------------------------------------------------===//
+
+template <typename Live>
+Tape::Decision Tape::decide(size_t index, const Live &live) const {
+  const Record &record = records[index];
+  if (!record.kernel)
+    return callbacks[record.payload].backward ? Decision::Callback
+                                              : Decision::SkipCallback;
+  const Kernel &kernel = *record.kernel;
+  if (!kernel.differentiable())
+    return Decision::SkipNoDerivative;
+  const auto &sources = kernel.adjointSources;
+  if (std::none_of(sources.begin(), sources.end(), live))
+    return Decision::SkipUnreached;
+  if (!kernel.adjointTargets.empty())
+    return Decision::Replay;
+  // What remains is to forget the adjoints of what the kernel overwrote. That
+  // matters only to those who wrote it before.
+  for (Field *field : kernel.overwritten) {
+    auto first = firstChange.find(field);
+    if (live(field) && first != firstChange.end() && first->second < index)
+      return Decision::Replay;
+  }
+  return Decision::SkipNoEffect;
+}
+
+std::vector<Field *> Tape::liveFields() const {
+  std::vector<Field *> live;
+  for (const FieldPtr &field : runtime.fieldList)
+    if (field->adjoint() && (field == loss || field->adjoint()->dirty()))
+      live.push_back(field.get());
+  return live;
+}
+
+bool Tape::planHolds() const {
+  return decisions.size() == records.size() &&
+         plannedEpoch == runtime.storageEpoch.load(std::memory_order_relaxed) &&
+         plannedLive == liveFields();
+}
+
+void Tape::plan() {
+  plannedEpoch = runtime.storageEpoch.load(std::memory_order_relaxed);
+  plannedLive = liveFields();
+  decisions.assign(records.size(), Decision::SkipUnreached);
+  needed.clear();
+  firstChange.clear();
+  for (const KernelPtr &kernel : kernels)
+    // A tree that has gone is an error when the kernel is launched.
+    (void)kernel->bind(plannedEpoch);
+  for (size_t i = 0; i < records.size(); ++i)
+    if (Kernel *kernel = records[i].kernel)
+      for (Field *field : kernel->adjointSources)
+        firstChange.try_emplace(field, i);
+
+  uint64_t mark = ++runtime.stamps;
+  for (Field *field : plannedLive)
+    field->planMark = mark;
+  bool all = false;
+  auto live = [&](const Field *field) {
+    return all || field->planMark == mark;
+  };
+  for (size_t i = records.size(); i-- > 0;) {
+    decisions[i] = decide(i, live);
+    if (decisions[i] == Decision::Callback)
+      all = true;
+    if (decisions[i] != Decision::Replay)
+      continue;
+    needed.push_back(static_cast<uint32_t>(i));
+    for (Field *field : records[i].kernel->adjointTargets)
+      field->planMark = mark;
+  }
+}
+
+//===----------------------------------------------------------------------===//
+// Replay
+//===----------------------------------------------------------------------===//
+
+Status Tape::replayAdjoint(Launch &launch, const Record &record) {
+  Kernel &kernel = *record.kernel;
+  // Found once; the look-up below takes a lock.
+  Kernel *adjoint = kernel.knownAdjoint.load(std::memory_order_acquire);
+  if (!adjoint) {
+    Status status = kernel.resolveAdjoint(adjoint);
+    if (!status || !adjoint)
+      return status;
+  }
+  ++runtime.counts.replayed;
+  return runtime.runAdjoint(launch, kernel, *adjoint,
+                            slots.data() + record.payload,
+                            firstLaunch + record.launch);
+}
+
+/// A launch for as long as a sweep takes.
+class Tape::HeldLaunch {
+public:
+  explicit HeldLaunch(Runtime &runtime)
+      : runtime(runtime), launch(runtime.acquireLaunch()) {}
+  ~HeldLaunch() { runtime.releaseLaunch(launch); }
+  Launch &get() const { return *launch; }
+
+private:
+  Runtime &runtime;
+  Launch *launch;
+};
+
+Status Tape::sweepPlanned() {
+  if (!planHolds())
+    plan();
+  runtime.counts.skipped += numRecords() - static_cast<int64_t>(needed.size());
+  HeldLaunch held(runtime);
+  for (uint32_t index : needed) {
+    Status status = replayAdjoint(held.get(), records[index]);
+    if (!status)
+      return status;
+  }
+  return Status::success();
+}
+
+Status Tape::sweepAroundCallbacks() {
+  plan();
+  HeldLaunch held(runtime);
+  auto live = [](const Field *field) { return field->adjoint()->dirty(); };
+  for (size_t i = records.size(); i-- > 0;) {
+    const Record &record = records[i];
+    decisions[i] = decide(i, live);
+    Status status;
+    if (decisions[i] == Decision::Callback)
+      status = callbacks[record.payload].backward();
+    else if (decisions[i] == Decision::Replay)
+      status = replayAdjoint(held.get(), record);
+    else
+      ++runtime.counts.skipped;
+    if (!status)
+      return status;
+  }
+  return Status::success();
+}
+
+Status Tape::backward() {
+  end();
+  if (loss) {
+    Field *adjoint = loss->adjoint();
+    if (!adjoint || !adjoint->valid() || !loss->valid())
+      return Status::failure(StatusCode::Usage, "the tree of the loss '" +
+                                                    loss->name() +
+                                                    "' has been destroyed");
+    storeF64(adjoint->scalar(), adjoint->data(), 1.0);
+    adjoint->markDirty();
+  }
+  return reverseCallbacks ? sweepAroundCallbacks() : sweepPlanned();
+}
+
+Status Tape::runForward() {
+  // New numbers for all launches, at the same distances.
+  firstLaunch = runtime.launchCounter.fetch_add(anyLaunch ? lastLaunch + 1 : 0,
+                                                std::memory_order_relaxed);
+  HeldLaunch held(runtime);
+  for (const Record &record : records) {
+    Status status;
+    if (record.kernel) {
+      uint64_t number = firstLaunch + record.launch;
+      record.kernel->lastLaunch.store(number, std::memory_order_relaxed);
+      status = runtime.run(held.get(), *record.kernel,
+                           slots.data() + record.payload, nullptr, number);
+    } else if (callbacks[record.payload].forward) {
+      status = callbacks[record.payload].forward();
+    }
+    if (!status)
+      return status;
+  }
+  return Status::success();
+}
+
+Status Tape::replay(bool forward, bool reverse) {
+  if (runtime.activeTape)
+    return Status::failure(StatusCode::Usage,
+                           "a tape cannot be replayed while one is being "
+                           "recorded");
+  if (reverse)
+    runtime.clearGradients();
+  if (forward) {
+    Status status = runForward();
+    if (!status)
+      return status;
+  }
+  return reverse ? backward() : Status::success();
+}
+
+//===----------------------------------------------------------------------===//
+// What one sees
+//===----------------------------------------------------------------------===//
+
+int64_t Tape::numSkipped() {
+  if (decisions.size() != records.size())
+    plan();
+  return std::count_if(
+      decisions.begin(), decisions.end(), [](Decision decision) {
+        return decision != Decision::Replay && decision != Decision::Callback;
+      });
+}
+
+static void appendNames(std::string &text, const std::vector<Field *> &fields) {
+  for (size_t i = 0; i < fields.size(); ++i)
+    text += (i ? ", @" : "@") + fields[i]->name();
+}
+
+const std::string &Tape::explain() {
+  if (decisions.size() != records.size())
+    plan();
+  explanation.clear();
+  for (size_t i = 0; i < records.size(); ++i) {
+    const Record &record = records[i];
+    std::string name =
+        record.kernel ? "@" + record.kernel->name() : "(host function)";
+    explanation += std::to_string(i) + ": " + name + ": ";
+    switch (decisions[i]) {
+    case Decision::Replay:
+      explanation += "replayed, from the adjoints of ";
+      appendNames(explanation, record.kernel->adjointSources);
+      if (!record.kernel->adjointTargets.empty()) {
+        explanation += " to those of ";
+        appendNames(explanation, record.kernel->adjointTargets);
+      }
+      break;
+    case Decision::SkipNoDerivative:
+      explanation += "skipped: it has nothing to differentiate";
+      break;
+    case Decision::SkipUnreached:
+      if (record.kernel->adjointSources.empty()) {
+        explanation += "skipped: it changes no field that has an adjoint";
+      } else {
+        explanation += "skipped: no adjoint reaches ";
+        appendNames(explanation, record.kernel->adjointSources);
+      }
+      break;
+    case Decision::SkipNoEffect:
+      explanation += "skipped: it reads no field that has an adjoint";
+      break;
+    case Decision::Callback:
+      explanation += "called";
+      break;
+    case Decision::SkipCallback:
+      explanation += "skipped: it has no reverse function";
+      break;
+    }
+    explanation += '\n';
+  }
+  return explanation;
+}
+
+std::vector<Tape::Overwrite> Tape::overwrites() const {
+  std::vector<Overwrite> result;
+  std::unordered_map<const Field *, int64_t> lastUse;
+  for (size_t i = 0; i < records.size(); ++i) {
+    if (!records[i].kernel)
+      continue;
+    const auto &summary = records[i].kernel->summary();
+    for (const Access &access : summary) {
+      if (access.kind != AccessKind::Write)
+        continue;
+      auto earlier = lastUse.find(access.field.get());
+      if (earlier != lastUse.end())
+        result.push_back(
+            {static_cast<int64_t>(i), access.field.get(), earlier->second});
+    }
+    for (const Access &access : summary)
+      lastUse[access.field.get()] = static_cast<int64_t>(i);
+  }
+  return result;
+}
