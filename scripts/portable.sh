@@ -19,7 +19,7 @@ cp LICENSE "$root/"
 cp docs/portable.md "$root/README.md"
 
 # The libraries that a base system does not hold come along.
-cp -L "$(ldd "$root/lib/libtai.so" | awk '$1 == "libtbb.so.12" { print $3 }')" "$root/lib/"
+ldd "$root/lib/libtai.so" | awk '$1 ~ /^libtbb/ { print $3 }' | xargs -r cp -L -t "$root/lib"
 
 # Nothing else may be asked of the machine.
 base='^(linux-vdso|lib(c|m|dl|rt|pthread|stdc\+\+|gcc_s)|/lib64/ld-linux.*)\.so'
