@@ -20,7 +20,8 @@ void tai::buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options) {
   // every function costs more than all that follows, so it is left out.
   pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
 
-  // From here on loops run over boxes.
+  // From here on values are scalars, and loops run over boxes.
+  pm.addPass(createScalarize());
   pm.addPass(createLowerStructFor());
 
   if (fast)

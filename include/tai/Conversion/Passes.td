@@ -10,6 +10,37 @@
 
 include "mlir/Pass/PassBase.td"
 
+def Scalarize : Pass<"tai-scalarize"> {
+  let summary = "turn small vectors and matrices into scalars";
+  let description = [{
+    Replaces each value of vector type in kernels and host functions by one
+    scalar for each component: elementwise operations, the matrix operations of
+    the dialect, accesses to fields, and the values that loops and branches
+    carry. LLVM vectorises over the iterations of a loop, which it cannot do
+    where the values are vectors already.
+
+    What the caller of a kernel passes and receives keeps its type: arguments
+    are taken apart by `vector.to_elements` on entry, and results put together
+    by `vector.from_elements` on return.
+
+    ```mlir
+    %a = tai.load @v[%i] : vector<2xf32>
+    %b = arith.mulf %a, %a : vector<2xf32>
+    %n = tai.sum %b : vector<2xf32>
+    // becomes
+    %a0 = tai.load @v[%i] component [%c0] : f32
+    %a1 = tai.load @v[%i] component [%c1] : f32
+    %b0 = arith.mulf %a0, %a0 : f32
+    %b1 = arith.mulf %a1, %a1 : f32
+    %n = arith.addf %b0, %b1 : f32
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::math::MathDialect",
+                           "::mlir::scf::SCFDialect",
+                           "::mlir::vector::VectorDialect"];
+}
+
 def LowerStructFor : Pass<"tai-lower-struct-for"> {
   let summary = "turn loops over a field into loops over its index space";
   let description = [{

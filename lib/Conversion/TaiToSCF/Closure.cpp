@@ -135,11 +135,11 @@ static LogicalResult replaceArray(BlockArgument array, Value address,
   return success();
 }
 
-LogicalResult tai::replaceArguments(Block &from, TypeRange types, Value frame,
+LogicalResult tai::replaceArguments(FunctionOpInterface function, Value frame,
                                     OpBuilder &builder, RuntimeCalls &runtime) {
-  if (types.empty())
+  if (function.getNumArguments() == 0)
     return success();
-  Location loc = from.getArgument(0).getLoc();
+  Location loc = function.getLoc();
   Value slots = runtime.frameMember(
       builder, loc, frame, offsetof(TaiFrame, args), runtime.getPointerType());
   int64_t next = 0;
@@ -147,11 +147,17 @@ LogicalResult tai::replaceArguments(Block &from, TypeRange types, Value frame,
     return emitSlotLoad(builder, loc, type,
                         emitSlot(builder, loc, slots, next++));
   };
-  for (auto [argument, type] : llvm::zip(from.getArguments(), types)) {
+  for (BlockArgument argument : function.getArguments()) {
+    Type type = argument.getType();
     if (auto memref = dyn_cast<MemRefType>(type)) {
       Value address = loadNext(runtime.getPointerType());
       SmallVector<Value> extents;
-      for (int64_t i = 0; i != memref.getRank(); ++i)
+      // The dimensions of an element are not the caller's; see tai-scalarize.
+      auto elementRank = function.getArgAttrOfType<IntegerAttr>(
+          argument.getArgNumber(), "tai.element_rank");
+      int64_t rank =
+          memref.getRank() - (elementRank ? elementRank.getInt() : 0);
+      for (int64_t i = 0; i != rank; ++i)
         extents.push_back(loadNext(builder.getIndexType()));
       if (failed(replaceArray(argument, address, extents)))
         return failure();

@@ -62,8 +62,7 @@ LogicalResult tai::lowerKernel(KernelOp kernel, ModuleLowering &lowering) {
 
   Block &body = kernel.getBody().front();
   OpBuilder builder = OpBuilder::atBlockEnd(entry);
-  if (failed(replaceArguments(body, kernel.getArgumentTypes(), frame, builder,
-                              runtime)))
+  if (failed(replaceArguments(kernel, frame, builder, runtime)))
     return failure();
   entry->getOperations().splice(entry->end(), body.getOperations());
 

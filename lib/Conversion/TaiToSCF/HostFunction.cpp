@@ -204,8 +204,7 @@ LogicalResult tai::lowerHostFunction(func::FuncOp function,
                                 "program stands in 'scf'");
   Block &body = function.getBody().front();
   OpBuilder builder = OpBuilder::atBlockEnd(entry);
-  if (failed(replaceArguments(body, function.getArgumentTypes(), frame, builder,
-                              runtime)))
+  if (failed(replaceArguments(function, frame, builder, runtime)))
     return failure();
   entry->getOperations().splice(entry->end(), body.getOperations());
   auto ret = cast<func::ReturnOp>(entry->getTerminator());

@@ -62,8 +62,8 @@ LLVM::LLVMFuncOp createFunction(ModuleOp module, Location loc, StringRef name,
                                 bool isInternal);
 
 /// Loads arguments from the slots of the frame in place of the arguments of
-/// `from`, which are replaced; arrays are replaced use by use.
-LogicalResult replaceArguments(Block &from, TypeRange types, Value frame,
+/// `function`, which are replaced; arrays are replaced use by use.
+LogicalResult replaceArguments(FunctionOpInterface function, Value frame,
                                OpBuilder &builder, RuntimeCalls &runtime);
 
 /// Stores returned values to the slots of the frame.

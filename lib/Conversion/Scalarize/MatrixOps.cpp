@@ -1,0 +1,231 @@
+//===- MatrixOps.cpp - Expansion of small matrix ops ----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "Scalarizer.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+static int64_t getRows(Value matrix) {
+  return cast<VectorType>(matrix.getType()).getDimSize(0);
+}
+static int64_t getColumns(Value matrix) {
+  auto type = cast<VectorType>(matrix.getType());
+  return type.getRank() == 2 ? type.getDimSize(1) : 1;
+}
+
+static Components emitMatmul(ScalarMath &math, ArrayRef<Value> a,
+                             ArrayRef<Value> b, unsigned n, unsigned k,
+                             unsigned m) {
+  Components result;
+  for (unsigned i = 0; i != n; ++i)
+    for (unsigned j = 0; j != m; ++j) {
+      Value sum;
+      for (unsigned l = 0; l != k; ++l) {
+        Value product = math.mul(a[i * k + l], b[l * m + j]);
+        sum = sum ? math.add(sum, product) : product;
+      }
+      result.push_back(sum);
+    }
+  return result;
+}
+
+/// The matrix without one row and one column.
+static Components getMinor(ArrayRef<Value> a, unsigned n, unsigned row,
+                           unsigned column) {
+  Components minor;
+  for (unsigned i = 0; i != n; ++i)
+    for (unsigned j = 0; j != n; ++j)
+      if (i != row && j != column)
+        minor.push_back(a[i * n + j]);
+  return minor;
+}
+
+static Value emitDeterminant(ScalarMath &math, ArrayRef<Value> a, unsigned n) {
+  if (n == 1)
+    return a[0];
+  if (n == 2)
+    return math.sub(math.mul(a[0], a[3]), math.mul(a[1], a[2]));
+  Value sum;
+  for (unsigned j = 0; j != n; ++j) {
+    Value term =
+        math.mul(a[j], emitDeterminant(math, getMinor(a, n, 0, j), n - 1));
+    sum = !sum ? term : j % 2 ? math.sub(sum, term) : math.add(sum, term);
+  }
+  return sum;
+}
+
+/// Adjugate over determinant.
+static Components emitInverse(ScalarMath &math, ArrayRef<Value> a, unsigned n) {
+  Value one = math.constant(a[0].getType(), 1);
+  if (n == 1)
+    return {math.div(one, a[0])};
+  Components cofactors;
+  for (unsigned i = 0; i != n; ++i)
+    for (unsigned j = 0; j != n; ++j) {
+      Value minor = emitDeterminant(math, getMinor(a, n, i, j), n - 1);
+      cofactors.push_back((i + j) % 2 ? math.neg(minor) : minor);
+    }
+  Value determinant =
+      math.dot(a.take_front(n), ArrayRef(cofactors).take_front(n));
+  Value scale = math.div(one, determinant);
+  Components result;
+  for (unsigned i = 0; i != n; ++i)
+    for (unsigned j = 0; j != n; ++j)
+      result.push_back(math.mul(cofactors[j * n + i], scale));
+  return result;
+}
+
+/// Gaussian elimination with the largest pivot of each column, which keeps the
+/// error small where the determinant would cancel. Rows are swapped by selects.
+static Components emitSolve(ScalarMath &math, ArrayRef<Value> matrix,
+                            ArrayRef<Value> rhs, unsigned n) {
+  Components a(matrix), b(rhs);
+  for (unsigned k = 0; k != n; ++k) {
+    for (unsigned i = k + 1; i != n; ++i) {
+      Value larger = math.less(math.abs(a[k * n + k]), math.abs(a[i * n + k]));
+      auto swap = [&](Value &x, Value &y) {
+        Value first = math.select(larger, y, x);
+        y = math.select(larger, x, y);
+        x = first;
+      };
+      for (unsigned j = k; j != n; ++j)
+        swap(a[k * n + j], a[i * n + j]);
+      swap(b[k], b[i]);
+    }
+    for (unsigned i = k + 1; i != n; ++i) {
+      Value factor = math.div(a[i * n + k], a[k * n + k]);
+      for (unsigned j = k + 1; j != n; ++j)
+        a[i * n + j] = math.sub(a[i * n + j], math.mul(factor, a[k * n + j]));
+      b[i] = math.sub(b[i], math.mul(factor, b[k]));
+    }
+  }
+  for (unsigned k = n; k-- > 0;) {
+    for (unsigned j = k + 1; j != n; ++j)
+      b[k] = math.sub(b[k], math.mul(a[k * n + j], b[j]));
+    b[k] = math.div(b[k], a[k * n + k]);
+  }
+  return b;
+}
+
+/// The diagonal matrix of the given values.
+static Components emitDiagonal(ScalarMath &math, ArrayRef<Value> values) {
+  unsigned n = values.size();
+  Value zero = math.constant(values[0].getType(), 0);
+  Components result(n * n, zero);
+  for (unsigned i = 0; i != n; ++i)
+    result[i * n + i] = values[i];
+  return result;
+}
+
+bool tai::expandMatrixOp(Operation *op, Scalarizer &scalarizer) {
+  OpBuilder builder(op);
+  ScalarMath math(builder, op->getLoc());
+  auto get = [&](Value value) { return scalarizer.get(value); };
+
+  return llvm::TypeSwitch<Operation *, bool>(op)
+      .Case([&](MatmulOp matmul) {
+        scalarizer.set(
+            matmul.getResult(),
+            emitMatmul(math, get(matmul.getLhs()), get(matmul.getRhs()),
+                       getRows(matmul.getLhs()), getColumns(matmul.getLhs()),
+                       getColumns(matmul.getRhs())));
+        return true;
+      })
+      .Case([&](TransposeOp transpose) {
+        Components from = get(transpose.getMatrix()), to;
+        unsigned n = getRows(transpose.getMatrix());
+        unsigned m = getColumns(transpose.getMatrix());
+        for (unsigned j = 0; j != m; ++j)
+          for (unsigned i = 0; i != n; ++i)
+            to.push_back(from[i * m + j]);
+        scalarizer.set(transpose.getResult(), std::move(to));
+        return true;
+      })
+      .Case([&](DotOp dot) {
+        scalarizer.set(dot.getResult(),
+                       {math.dot(get(dot.getLhs()), get(dot.getRhs()))});
+        return true;
+      })
+      .Case([&](SumOp sum) {
+        Components values = get(sum.getVector());
+        Value total = values[0];
+        for (Value value : ArrayRef(values).drop_front())
+          total = math.add(total, value);
+        scalarizer.set(sum.getResult(), {total});
+        return true;
+      })
+      .Case([&](CrossOp cross) {
+        scalarizer.set(cross.getResult(),
+                       math.cross(get(cross.getLhs()), get(cross.getRhs())));
+        return true;
+      })
+      .Case([&](OuterOp outer) {
+        Components a = get(outer.getLhs()), b = get(outer.getRhs()), result;
+        for (Value x : a)
+          for (Value y : b)
+            result.push_back(math.mul(x, y));
+        scalarizer.set(outer.getResult(), std::move(result));
+        return true;
+      })
+      .Case([&](NormOp norm) {
+        Components values = get(norm.getVector());
+        scalarizer.set(norm.getResult(), {math.sqrt(math.dot(values, values))});
+        return true;
+      })
+      .Case([&](TraceOp trace) {
+        Components values = get(trace.getMatrix());
+        unsigned n = getRows(trace.getMatrix());
+        Value total = values[0];
+        for (unsigned i = 1; i != n; ++i)
+          total = math.add(total, values[i * n + i]);
+        scalarizer.set(trace.getResult(), {total});
+        return true;
+      })
+      .Case([&](DeterminantOp determinant) {
+        scalarizer.set(determinant.getResult(),
+                       {emitDeterminant(math, get(determinant.getMatrix()),
+                                        getRows(determinant.getMatrix()))});
+        return true;
+      })
+      .Case([&](InverseOp inverse) {
+        scalarizer.set(inverse.getResult(),
+                       emitInverse(math, get(inverse.getMatrix()),
+                                   getRows(inverse.getMatrix())));
+        return true;
+      })
+      .Case([&](SolveOp solve) {
+        scalarizer.set(solve.getResult(),
+                       emitSolve(math, get(solve.getMatrix()),
+                                 get(solve.getRhs()),
+                                 getRows(solve.getMatrix())));
+        return true;
+      })
+      .Case([&](PolarOp polar) {
+        Polar result =
+            emitPolar(math, get(polar.getMatrix()), getRows(polar.getMatrix()));
+        scalarizer.set(polar.getRotation(), std::move(result.rotation));
+        scalarizer.set(polar.getStretch(), std::move(result.stretch));
+        return true;
+      })
+      .Case([&](SvdOp svd) {
+        Svd result =
+            emitSvd(math, get(svd.getMatrix()), getRows(svd.getMatrix()));
+        scalarizer.set(svd.getU(), std::move(result.u));
+        scalarizer.set(svd.getSigma(), emitDiagonal(math, result.sigma));
+        scalarizer.set(svd.getV(), std::move(result.v));
+        return true;
+      })
+      .Case([&](SymEigOp eig) {
+        SymEig result =
+            emitSymEig(math, get(eig.getMatrix()), getRows(eig.getMatrix()));
+        scalarizer.set(eig.getValues(), std::move(result.values));
+        scalarizer.set(eig.getVectors(), std::move(result.vectors));
+        return true;
+      })
+      .Default([](Operation *) { return false; });
+}
