@@ -16,8 +16,11 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/UB/IR/UBOps.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "tai/AD/Differentiable.h"
+#include "tai/AD/Passes.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Dialect/Tai/Transforms/Passes.h"
 
 using namespace mlir;
 
@@ -27,13 +30,18 @@ void tai::registerAll(DialectRegistry &registry) {
                   memref::MemRefDialect, scf::SCFDialect, ub::UBDialect,
                   vector::VectorDialect>();
   func::registerInlinerExtension(registry);
+  registerDifferentiableModels(registry);
 }
 
 void tai::registerAllPasses() {
+  registerTaiADPasses();
+  registerTaiTransformsPasses();
   registerTaiConversionPasses();
+  registerAutodiffPipeline();
   registerToLLVMPipeline();
 }
 
 void tai::buildPipeline(OpPassManager &pm, const ToLLVMOptions &options) {
+  buildAutodiffPipeline(pm, AutodiffOptions());
   buildToLLVMPipeline(pm, options);
 }

@@ -18,6 +18,32 @@
 
 namespace mlir::tai {
 
+/// Which kernels get an adjoint, and how.
+struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
+  AutodiffOptions() = default;
+  // Options are bound to their parser and cannot be moved: copy the values.
+  AutodiffOptions(const AutodiffOptions &other) : PassPipelineOptions() {
+    kernels = other.kernels;
+    flatten = other.flatten.getValue();
+  }
+
+  ListOption<std::string> kernels{
+      *this, "kernel",
+      llvm::cl::desc("Names of the kernels to differentiate; by default those "
+                     "launched under a tape, or all if there is no tape")};
+  Option<bool> flatten{
+      *this, "flatten",
+      llvm::cl::desc("Turn cheap and safe branches into selects first"),
+      llvm::cl::init(true)};
+};
+
+/// Makes the adjoints of kernels and the summaries of all kernels. Anchored on
+/// the module.
+void buildAutodiffPipeline(OpPassManager &pm, const AutodiffOptions &options);
+
+/// Makes `--tai-autodiff` known to pass pipelines given as text.
+void registerAutodiffPipeline();
+
 /// How kernels are lowered for the CPU.
 struct ToLLVMOptions : PassPipelineOptions<ToLLVMOptions> {
   ToLLVMOptions() = default;

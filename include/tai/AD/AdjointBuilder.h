@@ -1,0 +1,176 @@
+//===- AdjointBuilder.h - Builds the reverse of a kernel --------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The state of reverse-mode differentiation, and what rules call to use it.
+//
+// The adjoint kernel mirrors the blocks of the primal one. Each mirrored block
+// is a `Frame` of two parts: first the primal values that the second part asks
+// for, recomputed in program order, then the reverse sweep. A primal value is
+// recomputed when a rule first asks for it, so that nothing is computed that no
+// partial derivative needs. Adjoints are SSA values: no memory is touched but
+// the adjoint fields.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_AD_ADJOINTBUILDER_H
+#define TAI_AD_ADJOINTBUILDER_H
+
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/IR/IRMapping.h"
+#include "mlir/IR/ImplicitLocOpBuilder.h"
+#include "tai/Analysis/AccessOrder.h"
+#include "tai/Analysis/Activity.h"
+#include "tai/Analysis/FloatFacts.h"
+#include "llvm/ADT/MapVector.h"
+#include <map>
+
+namespace mlir::tai {
+
+/// The adjoint of one value while it is being summed: a part for the whole
+/// value and, for vectors, parts for single components (row-major; null is
+/// zero).
+struct PartialAdjoint {
+  Value whole;
+  SmallVector<Value> components;
+};
+
+/// A primal block and its mirror in the adjoint kernel.
+struct Frame {
+  Frame(Frame *parent, Block *primal, Block *mirror)
+      : parent(parent), primal(primal), mirror(mirror) {}
+
+  struct ProgramOrder {
+    bool operator()(Operation *lhs, Operation *rhs) const {
+      return lhs->isBeforeInBlock(rhs);
+    }
+  };
+
+  Frame *parent;
+  Block *primal;
+  Block *mirror;
+  /// Recomputed ops stand between these two. Both are null in a frame that only
+  /// recomputes: it ends where its mirror does.
+  Operation *recomputeBegin = nullptr;
+  Operation *sweepBegin = nullptr;
+  /// What primal values of this block are in the mirror.
+  IRMapping values;
+  /// For each recomputed op, the first op that stands for it.
+  std::map<Operation *, Operation *, ProgramOrder> recomputed;
+  /// Adjoints known in this frame, of values of this block and of captured
+  /// ones.
+  llvm::MapVector<Value, PartialAdjoint> adjoints;
+  /// In the reverse of a serial loop: which iteration of the primal loop this
+  /// is, counted from 0.
+  Value iteration;
+};
+
+class AdjointBuilder : public ImplicitLocOpBuilder {
+public:
+  /// Builds into the body of `adjoint`, whose arguments begin with those of
+  /// `primal`. `adjointOf` gives the storage of adjoints, or none.
+  AdjointBuilder(FunctionOpInterface primal, FunctionOpInterface adjoint,
+                 std::function<Storage(Storage)> adjointOf);
+
+  /// Builds the whole adjoint; the terminator is left to the caller. Fails
+  /// after an error at the op that cannot be differentiated.
+  LogicalResult build();
+
+  //===--------------------------------------------------------------------===//
+  // For rules
+  //===--------------------------------------------------------------------===//
+
+  /// True if the value carries a derivative that is wanted.
+  bool isActive(Value value) const { return activity.isActive(value); }
+  /// The primal value, recomputed in the adjoint kernel.
+  Value getPrimal(Value value);
+  SmallVector<Value> getPrimals(ValueRange values);
+  /// The adjoint, or null where it is zero.
+  Value getAdjoint(Value value);
+  /// The adjoint, as a constant zero where it is zero.
+  Value getAdjointOrZero(Value value);
+  /// Row-major components of the adjoint of a vector; null where zero.
+  SmallVector<Value> getAdjointComponents(Value value);
+  /// Adds to the adjoint of `value`; nothing happens if it is not active or
+  /// the contribution is null.
+  void addAdjoint(Value value, Value contribution);
+  /// Adds to one component (row-major) of the adjoint of a vector.
+  void addAdjointComponent(Value value, int64_t component, Value contribution);
+  /// What is known of primal values.
+  FloatFacts &getFacts() { return facts; }
+
+  /// A float or splat constant of the given type.
+  Value createConstant(Type type, double value);
+  Value createZero(Type type) { return createConstant(type, 0.0); }
+  /// A component (row-major) of a vector of any rank.
+  Value createExtract(Value vector, int64_t component);
+  /// A vector from components, null for zero.
+  Value createVector(VectorType type, ArrayRef<Value> components);
+  /// select(condition, value, 0)
+  Value createMask(Value condition, Value value);
+  /// select(adjoint == 0, 0, value): a zero adjoint contributes zero.
+  Value createGuard(Value adjoint, Value value);
+
+  //===--------------------------------------------------------------------===//
+  // For loops and branches
+  //===--------------------------------------------------------------------===//
+
+  const Activity &getActivity() const { return activity; }
+  Frame &getFrame() { return *current; }
+  Storage getAdjointStorage(Storage storage) { return adjointOf(storage); }
+
+  /// Reverses `primal` into `mirror`, whose terminator is left to the caller.
+  /// `begin` maps the arguments of the block and seeds the adjoints of what the
+  /// terminator passes on; it cannot ask for primal values. `end` runs after
+  /// the sweep, at its end.
+  LogicalResult reverseBlock(Block *primal, Block *mirror,
+                             llvm::function_ref<void(Frame &)> begin,
+                             llvm::function_ref<void(Frame &)> end);
+  /// Mirrors a block for its primal values alone: those that its terminator
+  /// passes on, and the terminator itself.
+  void recomputeBlock(Block *primal, Block *mirror);
+  /// The adjoints in `frame` of values defined outside of its block.
+  llvm::MapVector<Value, Value> takeCaptured(Frame &frame);
+  /// The number of iterations of a serial loop, as an index.
+  Value createTripCount(scf::ForOp loop);
+  /// Frees what was recorded for the reverse of `loop`.
+  void freeHistory(scf::ForOp loop);
+
+  /// Reports that `op` cannot be differentiated; building then fails.
+  InFlightDiagnostic emitError(Operation *op, const Twine &message);
+
+private:
+  Value materialize(Frame &frame, Value value);
+  Value materializeArgument(Frame &frame, BlockArgument argument);
+  void recompute(Frame &frame, Operation *op);
+  void recomputeRegions(Operation *op, Operation *copy);
+  bool checkRecomputable(Operation *op);
+  LogicalResult reverseOp(Operation *op);
+  LogicalResult reverseAccess(Operation *op);
+  Value sumUp(Value value, PartialAdjoint &entry);
+
+  FunctionOpInterface primal, adjoint;
+  std::function<Storage(Storage)> adjointOf;
+  Activity activity;
+  AccessTable accesses;
+  FloatFacts facts;
+  Frame *current = nullptr;
+  bool hasErrors = false;
+  /// What recomputed loops record, by primal loop, by the frame they stand in,
+  /// and by carried argument.
+  llvm::DenseMap<std::pair<Operation *, Frame *>,
+                 llvm::SmallMapVector<unsigned, Value, 2>>
+      histories;
+  DenseSet<Operation *> recomputedDraws, refused;
+};
+
+/// Removes from the serial loops in `region` the carried values that neither
+/// the results in use nor an effect in the body need.
+void dropDeadCarried(Region &region);
+
+} // namespace mlir::tai
+
+#endif // TAI_AD_ADJOINTBUILDER_H

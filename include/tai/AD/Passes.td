@@ -1,0 +1,75 @@
+//===- Passes.td - Differentiation passes ------------------*- tablegen -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_AD_PASSES_TD
+#define TAI_AD_PASSES_TD
+
+include "mlir/Pass/PassBase.td"
+
+def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
+  let summary = "make kernels that accumulate the gradients of kernels";
+  let description = [{
+    For a kernel `@k`, makes the kernel `@k_grad` that reads the adjoints of what
+    `@k` writes and accumulates the adjoints of what it reads (paper, section
+    3.1 and appendix B), and names it in the `adjoint` attribute of `@k`.
+
+    Parallel loops stay parallel, serial loops run backwards, branches are
+    mirrored. The adjoint recomputes the primal values that its partial
+    derivatives need and no others; it stores nothing but adjoints. Fields
+    without an adjoint, and what cannot reach both a read and a written field
+    that have one, get no code. Values that a serial loop carries and the
+    gradient needs are recorded by running the loop forward once.
+
+    A zero adjoint contributes zero, whatever the partial derivative is, so that
+    no infinity or NaN enters a gradient from where the loss does not depend on
+    it. See `docs/derivatives.md` for the rules.
+
+    Without options, takes the kernels launched in a `tai.tape` or
+    `tai.check_gradient`, or all kernels of a module that has none of these, and
+    the functions with the unit attribute `tai.differentiate`. A function takes
+    its float memref arguments as both inputs and outputs; `@f_grad` has one
+    more memref for each of them, at the end, in the same order. So has the
+    adjoint of a kernel with float memref arguments.
+
+    ```mlir
+    tai.kernel @square() {
+      tai.parallel_for (%i) in @x {
+        %0 = tai.load @x[%i] : f32
+        %1 = arith.mulf %0, %0 : f32
+        tai.store %1, @y[%i] : f32
+      }
+      tai.return
+    }
+    ```
+
+    becomes, after `canonicalize` and `cse`,
+
+    ```mlir
+    tai.kernel @square_grad() {
+      tai.parallel_for (%i) in @x {
+        %0 = tai.load @x[%i] : f32
+        %1 = tai.load @y_grad[%i] : f32
+        %2 = arith.mulf %1, %0 : f32
+        %3 = arith.addf %2, %2 : f32
+        %4 = tai.atomic add %3, @x_grad[%i] exclusive : f32
+      }
+      tai.return
+    }
+    ```
+  }];
+  let dependentDialects = [
+    "::mlir::arith::ArithDialect", "::mlir::math::MathDialect",
+    "::mlir::memref::MemRefDialect", "::mlir::scf::SCFDialect",
+    "::mlir::vector::VectorDialect", "::mlir::tai::TaiDialect"
+  ];
+  let options = [
+    ListOption<"kernels", "kernel", "std::string",
+               "Names of the kernels or functions to differentiate">,
+  ];
+}
+
+#endif // TAI_AD_PASSES_TD

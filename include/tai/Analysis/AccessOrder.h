@@ -1,0 +1,56 @@
+//===- AccessOrder.h - Which access follows which ---------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// All accesses of a function by storage, in program order, and the relations
+// between two of them that the global data access rules speak of.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_ANALYSIS_ACCESSORDER_H
+#define TAI_ANALYSIS_ACCESSORDER_H
+
+#include "mlir/Interfaces/FunctionInterfaces.h"
+#include "tai/AD/Differentiable.h"
+#include "llvm/ADT/MapVector.h"
+
+namespace mlir::tai {
+
+using Accesses = SmallVector<DifferentiableAccessInterface>;
+
+/// The accesses of a function by storage (see getStorageKey), each list in
+/// program order.
+class AccessTable {
+public:
+  explicit AccessTable(FunctionOpInterface function);
+
+  const llvm::MapVector<const void *, Accesses> &getStorages() const {
+    return storages;
+  }
+
+  /// A write that runs after `read` and reaches the same element for certain,
+  /// or null.
+  DifferentiableAccessInterface
+  findLaterWrite(DifferentiableAccessInterface read) const;
+
+private:
+  llvm::MapVector<const void *, Accesses> storages;
+};
+
+/// True if both accesses reach the same element, or one a component of the
+/// other: in the same iteration of the loops around both, and in corresponding
+/// iterations of two loops over the same range.
+bool reachSameElement(DifferentiableAccessInterface lhs,
+                      DifferentiableAccessInterface rhs);
+
+/// True if `second` runs after `first`, in the same iteration of the loops
+/// around both, whenever both run; and one of them always runs if the other
+/// does, so that no pair of conditions can keep them apart.
+bool runsAfter(Operation *first, Operation *second);
+
+} // namespace mlir::tai
+
+#endif // TAI_ANALYSIS_ACCESSORDER_H

@@ -1,0 +1,50 @@
+//===- Activity.h - Which values carry derivatives --------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A value is active if it depends on what is read from a storage with an
+// adjoint, and is used by what is written to a storage with an adjoint, through
+// ops that carry derivatives. No other value gets adjoint code.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_ANALYSIS_ACTIVITY_H
+#define TAI_ANALYSIS_ACTIVITY_H
+
+#include "mlir/Interfaces/FunctionInterfaces.h"
+#include "tai/AD/Differentiable.h"
+#include "llvm/ADT/DenseSet.h"
+
+namespace mlir::tai {
+
+class Activity {
+public:
+  /// Analyses a function, given which storages have an adjoint.
+  Activity(FunctionOpInterface function,
+           llvm::function_ref<bool(Storage)> hasAdjoint);
+
+  /// True if the value depends on a wanted input and reaches a wanted output.
+  bool isActive(Value value) const {
+    return varied.contains(value) && useful.contains(value);
+  }
+  /// True if the value depends on a wanted input.
+  bool isVaried(Value value) const { return varied.contains(value); }
+  /// True if the access moves derivatives: a read of, or a write of an active
+  /// value to, a storage with an adjoint.
+  bool isActiveAccess(Operation *op) const {
+    return activeAccesses.contains(op);
+  }
+  /// True if a region of `op` holds an active access.
+  bool holdsActiveAccess(Operation *op) const { return holders.contains(op); }
+
+private:
+  llvm::DenseSet<Value> varied, useful;
+  llvm::DenseSet<Operation *> activeAccesses, holders;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_ANALYSIS_ACTIVITY_H

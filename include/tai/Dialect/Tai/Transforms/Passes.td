@@ -1,0 +1,136 @@
+//===- Passes.td - Passes on kernels -----------------------*- tablegen -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_DIALECT_TAI_TRANSFORMS_PASSES_TD
+#define TAI_DIALECT_TAI_TRANSFORMS_PASSES_TD
+
+include "mlir/Pass/PassBase.td"
+
+def EliminateLocals : Pass<"tai-eliminate-locals"> {
+  let summary = "turn mutable local variables into values";
+  let description = [{
+    Replaces each `tai.local_load` by the value that the last `tai.local_store`
+    wrote, or zero before the first (paper, figure 4, right). What a branch or a
+    loop writes leaves it as a result; what a loop carries from one iteration to
+    the next becomes one of its `iter_args`.
+
+    A variable that is used in a parallel loop nested in its scope, or in an op
+    that is not `scf.if`, `scf.for` or `scf.while`, is an error: iterations that
+    run at the same time cannot share it.
+
+    ```mlir
+    %a = tai.alloca : !tai.local<f32>
+    tai.local_store %x, %a : f32
+    scf.if %c {
+      tai.local_store %y, %a : f32
+    }
+    %r = tai.local_load %a : f32
+    ```
+
+    becomes
+
+    ```mlir
+    %r = scf.if %c -> (f32) {
+      scf.yield %y : f32
+    } else {
+      scf.yield %x : f32
+    }
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect",
+                           "::mlir::tai::TaiDialect"];
+}
+
+def FlattenBranches : Pass<"tai-flatten-branches"> {
+  let summary = "turn cheap and safe branches into selects";
+  let description = [{
+    Replaces an `scf.if` by the operations of both arms, followed by one
+    `arith.select` for each result (paper, figure 4, middle), where
+
+    - neither arm has a side effect or can fault: a `tai.load` counts as safe
+      where its indices are known to lie in the field;
+    - neither arm can make a value or a derivative that is not finite from what
+      is: a division, root or logarithm stays under its condition unless its
+      operand is known to be safe. (Flattening these is how NaN enters the
+      gradients of untaken branches.)
+    - the arms together have at most `max-ops` operations.
+
+    Any other branch stays, and the adjoint mirrors it. With `force`, only side
+    effects, faults and loops keep a branch.
+
+    ```mlir
+    %r = scf.if %c -> (f32) {
+      scf.yield %a : f32
+    } else {
+      %2 = arith.mulf %a, %b : f32
+      scf.yield %2 : f32
+    }
+    ```
+
+    becomes
+
+    ```mlir
+    %2 = arith.mulf %a, %b : f32
+    %r = arith.select %c, %a, %2 : f32
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect"];
+  let options = [
+    Option<"force", "force", "bool", /*default=*/"false",
+           "Flatten branches of any size that have no effects and cannot fault">,
+    Option<"maxOps", "max-ops", "unsigned", /*default=*/"16",
+           "Largest number of operations in both arms of a branch together">,
+  ];
+}
+
+def CheckAccessRules : Pass<"tai-check-access-rules"> {
+  let summary = "refuse proven violations of the global data access rules";
+  let description = [{
+    The gradient of a kernel is right if its accesses to fields follow two rules
+    (paper, section 3):
+
+    1. if an element is written more than once, then from the second write on it
+       is accumulated (`tai.atomic add` or `sub`);
+    2. no element is read before its accumulation is done.
+
+    Reports an error where a kernel breaks a rule for certain and its gradient
+    would be wrong: the two accesses reach the same element of a field that has
+    an adjoint, one runs after the other, and a derivative passes through the
+    value that is lost. What cannot be proven is left alone. Changes nothing.
+  }];
+}
+
+def SummarizeKernels : Pass<"tai-summarize-kernels"> {
+  let summary = "list what each kernel reads, writes and accumulates";
+  let description = [{
+    Sets the `summary` attribute of each kernel: one `#tai.access` for each
+    field, kind of access and index map, in the order of the first such access.
+    Where indices are affine, the map takes the induction variables of the loops
+    around the access (dimensions, from the outermost) and the integer arguments
+    of the kernel (symbols) to the indices. A kernel that touches part of a
+    field in a way that is not affine has an entry without a map.
+
+    ```mlir
+    tai.kernel @step(%t: i32) attributes {summary = [
+        #tai.access<read @x, affine_map<(d0)[s0] -> (s0 - 1, d0)>>,
+        #tai.access<write @x, affine_map<(d0)[s0] -> (s0, d0)>>]}
+    ```
+  }];
+}
+
+def MarkExclusive : Pass<"tai-mark-exclusive"> {
+  let summary = "find atomics that need not be atomic";
+  let description = [{
+    Marks a `tai.atomic` as `exclusive` where no other iteration of the parallel
+    loop around it writes the same element: all writes of the loop to that field
+    agree in indices that tell its iterations apart. The mark is removed where
+    that does not hold.
+  }];
+}
+
+#endif // TAI_DIALECT_TAI_TRANSFORMS_PASSES_TD

@@ -1,0 +1,287 @@
+//===- AdjointBuilder.cpp - Builds the reverse of a kernel ----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The reverse sweep: blocks, ops and sums of adjoints. Recomputation of primal
+// values is in Recompute.cpp.
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/AD/AdjointBuilder.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "mlir/IR/Matchers.h"
+#include "mlir/Interfaces/CallInterfaces.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+AdjointBuilder::AdjointBuilder(FunctionOpInterface primal,
+                               FunctionOpInterface adjoint,
+                               std::function<Storage(Storage)> adjointOf)
+    : ImplicitLocOpBuilder(primal.getLoc(), primal.getContext()),
+      primal(primal), adjoint(adjoint), adjointOf(std::move(adjointOf)),
+      activity(primal,
+               [this](Storage storage) {
+                 return static_cast<bool>(this->adjointOf(storage));
+               }),
+      accesses(primal) {}
+
+LogicalResult AdjointBuilder::build() {
+  Block *body = &primal.getFunctionBody().front();
+  Block *mirror = &adjoint.getFunctionBody().front();
+  LogicalResult result = reverseBlock(
+      body, mirror,
+      [&](Frame &frame) {
+        for (auto [from, to] :
+             llvm::zip(body->getArguments(), mirror->getArguments()))
+          frame.values.map(from, to);
+      },
+      [](Frame &) {});
+  if (failed(result) || hasErrors)
+    return failure();
+  dropDeadCarried(adjoint.getFunctionBody());
+  return success();
+}
+
+InFlightDiagnostic AdjointBuilder::emitError(Operation *op,
+                                             const Twine &message) {
+  hasErrors = true;
+  return op->emitError() << message;
+}
+
+//===----------------------------------------------------------------------===//
+// The sweep
+//===----------------------------------------------------------------------===//
+
+LogicalResult
+AdjointBuilder::reverseBlock(Block *primal, Block *mirror,
+                             llvm::function_ref<void(Frame &)> begin,
+                             llvm::function_ref<void(Frame &)> end) {
+  OpBuilder::InsertionGuard guard(*this);
+  Location loc = getLoc();
+  setInsertionPointToEnd(mirror);
+  Frame frame(current, primal, mirror);
+  current = &frame;
+  begin(frame);
+  // Two ops that only mark places; they are gone when the block is done.
+  auto createMarker = [&] { return createConstant(getF32Type(), 0); };
+  frame.recomputeBegin = createMarker().getDefiningOp();
+  frame.sweepBegin = createMarker().getDefiningOp();
+  LogicalResult result = success();
+  for (Operation &op : llvm::reverse(primal->without_terminator())) {
+    setLoc(op.getLoc());
+    if (failed(reverseOp(&op)))
+      result = failure();
+  }
+  setLoc(loc);
+  end(frame);
+  frame.recomputeBegin->erase();
+  frame.sweepBegin->erase();
+  current = frame.parent;
+  return result;
+}
+
+static bool hasAdjoint(Frame &frame, Value value) {
+  return frame.adjoints.contains(value);
+}
+
+LogicalResult AdjointBuilder::reverseOp(Operation *op) {
+  if (isa<DifferentiableAccessInterface>(op))
+    return activity.isActiveAccess(op) ? reverseAccess(op) : success();
+  bool matters = activity.holdsActiveAccess(op) ||
+                 llvm::any_of(op->getResults(), [&](Value result) {
+                   return hasAdjoint(*current, result);
+                 });
+  if (isa<CallOpInterface>(op) && !isMemoryEffectFree(op)) {
+    emitError(op, "cannot differentiate a call that was not inlined")
+            .attachNote()
+        << "run 'inline' first; a recursive function cannot be differentiated";
+    return failure();
+  }
+  if (!matters)
+    return success();
+  if (auto loop = dyn_cast<AdjointLoopInterface>(op))
+    return loop.buildReverse(*this);
+  if (auto rule = dyn_cast<DifferentiableOpInterface>(op))
+    return rule.buildAdjoint(*this);
+  emitError(op, "'" + op->getName().getStringRef() +
+                    "' has no derivative rule, but a gradient passes through "
+                    "it")
+          .attachNote()
+      << "compute the value from differentiable ops, or keep it out of what "
+         "the gradient is taken of";
+  return failure();
+}
+
+LogicalResult AdjointBuilder::reverseAccess(Operation *op) {
+  auto access = cast<DifferentiableAccessInterface>(op);
+  Value value = access.getAccessedValue();
+  Storage storage = adjointOf(access.getAccessedStorage());
+  if (access.getAccessKind() == AccessKind::Update) {
+    emitError(op, "cannot differentiate this read-modify-write of a field "
+                  "with an adjoint")
+            .attachNote()
+        << "only 'add' and 'sub' accumulate; compute the new value from what "
+           "was read and store it to another element";
+    return failure();
+  }
+  bool isRead = access.getAccessKind() == AccessKind::Read;
+  if (!isRead)
+    for (Value result : op->getResults())
+      if (hasAdjoint(*current, result)) {
+        emitError(op, "the value before the accumulation is used in what the "
+                      "gradient is taken of")
+                .attachNote()
+            << "an element must not be read before its accumulation is done; "
+               "load it in a later loop";
+        return failure();
+      }
+  Value seed = isRead ? getAdjoint(value) : Value();
+  if (isRead && !seed)
+    return success();
+  SmallVector<Value> indices = getPrimals(access.getAccessIndices());
+  SmallVector<Value> components = getPrimals(access.getAccessComponents());
+  if (isRead) {
+    access.createAdjointAccumulate(*this, seed, storage, indices, components);
+    return success();
+  }
+  Value read = access.createAdjointRead(*this, storage, indices, components);
+  if (access.isNegated())
+    read = arith::NegFOp::create(*this, read);
+  addAdjoint(value, read);
+  return success();
+}
+
+//===----------------------------------------------------------------------===//
+// Sums of adjoints
+//===----------------------------------------------------------------------===//
+
+static Value addUp(ImplicitLocOpBuilder &builder, Value sum, Value term) {
+  if (!sum || !term)
+    return sum ? sum : term;
+  return arith::AddFOp::create(builder, sum, term);
+}
+
+void AdjointBuilder::addAdjoint(Value value, Value contribution) {
+  if (!contribution || !isActive(value))
+    return;
+  PartialAdjoint &entry = current->adjoints[value];
+  entry.whole = addUp(*this, entry.whole, contribution);
+}
+
+void AdjointBuilder::addAdjointComponent(Value value, int64_t component,
+                                         Value contribution) {
+  if (!contribution || !isActive(value))
+    return;
+  PartialAdjoint &entry = current->adjoints[value];
+  if (entry.components.empty())
+    entry.components.resize(cast<VectorType>(value.getType()).getNumElements());
+  Value &sum = entry.components[component];
+  sum = addUp(*this, sum, contribution);
+}
+
+Value AdjointBuilder::sumUp(Value value, PartialAdjoint &entry) {
+  if (entry.components.empty())
+    return entry.whole;
+  auto type = cast<VectorType>(value.getType());
+  SmallVector<Value> components = std::move(entry.components);
+  entry.components.clear();
+  if (entry.whole)
+    for (auto [i, component] : llvm::enumerate(components))
+      component = addUp(*this, createExtract(entry.whole, i), component);
+  entry.whole = createVector(type, components);
+  return entry.whole;
+}
+
+Value AdjointBuilder::getAdjoint(Value value) {
+  auto it = current->adjoints.find(value);
+  return it == current->adjoints.end() ? Value() : sumUp(value, it->second);
+}
+
+Value AdjointBuilder::getAdjointOrZero(Value value) {
+  Value sum = getAdjoint(value);
+  return sum ? sum : createZero(value.getType());
+}
+
+SmallVector<Value> AdjointBuilder::getAdjointComponents(Value value) {
+  auto type = cast<VectorType>(value.getType());
+  auto it = current->adjoints.find(value);
+  if (it == current->adjoints.end())
+    return SmallVector<Value>(type.getNumElements());
+  PartialAdjoint &entry = it->second;
+  if (!entry.whole)
+    return entry.components;
+  SmallVector<Value> components(entry.components);
+  components.resize(type.getNumElements());
+  for (auto [i, component] : llvm::enumerate(components))
+    component = addUp(*this, createExtract(entry.whole, i), component);
+  return components;
+}
+
+llvm::MapVector<Value, Value> AdjointBuilder::takeCaptured(Frame &frame) {
+  llvm::MapVector<Value, Value> captured;
+  for (auto &[value, entry] : frame.adjoints)
+    if (value.getParentBlock() != frame.primal)
+      captured[value] = sumUp(value, entry);
+  return captured;
+}
+
+//===----------------------------------------------------------------------===//
+// Small helpers for rules
+//===----------------------------------------------------------------------===//
+
+Value AdjointBuilder::createConstant(Type type, double value) {
+  Type element = getElementTypeOrSelf(type);
+  TypedAttr attr = getFloatAttr(element, value);
+  if (auto vector = dyn_cast<VectorType>(type))
+    attr = DenseElementsAttr::get(vector, Attribute(attr));
+  return arith::ConstantOp::create(*this, attr);
+}
+
+Value AdjointBuilder::createExtract(Value vector, int64_t component) {
+  // Looks through what made the vector, so that sums of components stay
+  // scalar.
+  if (auto elements = vector.getDefiningOp<vector::FromElementsOp>())
+    return elements.getElements()[component];
+  if (auto broadcast = vector.getDefiningOp<vector::BroadcastOp>();
+      broadcast && !isa<VectorType>(broadcast.getSourceType()))
+    return broadcast.getSource();
+  auto type = cast<VectorType>(vector.getType());
+  SmallVector<int64_t> position(type.getRank());
+  for (int64_t dim = type.getRank() - 1; dim >= 0; --dim) {
+    position[dim] = component % type.getDimSize(dim);
+    component /= type.getDimSize(dim);
+  }
+  return vector::ExtractOp::create(*this, vector, position);
+}
+
+Value AdjointBuilder::createVector(VectorType type,
+                                   ArrayRef<Value> components) {
+  SmallVector<Value> elements(components);
+  Value zero;
+  for (Value &element : elements)
+    if (!element) {
+      if (!zero)
+        zero = createZero(type.getElementType());
+      element = zero;
+    }
+  return vector::FromElementsOp::create(*this, type, elements);
+}
+
+Value AdjointBuilder::createMask(Value condition, Value value) {
+  return arith::SelectOp::create(*this, condition, value,
+                                 createZero(value.getType()));
+}
+
+Value AdjointBuilder::createGuard(Value adjoint, Value value) {
+  Value zero = createZero(adjoint.getType());
+  Value isZero =
+      arith::CmpFOp::create(*this, arith::CmpFPredicate::OEQ, adjoint, zero);
+  if (adjoint.getType() != value.getType())
+    zero = createZero(value.getType());
+  return arith::SelectOp::create(*this, isZero, zero, value);
+}

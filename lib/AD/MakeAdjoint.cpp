@@ -1,0 +1,205 @@
+//===- MakeAdjoint.cpp - Adjoint kernels ----------------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Finds what to differentiate, makes the shell of each adjoint and has
+// AdjointBuilder fill it. The primal is read, not changed.
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Func/IR/FuncOps.h"
+#include "mlir/Dialect/Math/IR/Math.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/Passes.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_MAKEADJOINT
+#include "tai/AD/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+static constexpr StringLiteral kDifferentiate = "tai.differentiate";
+
+/// True for the memref arguments that carry derivatives.
+static bool isDifferentiableMemRef(Type type) {
+  auto memref = dyn_cast<MemRefType>(type);
+  return memref && isFloatOrVector(memref.getElementType());
+}
+
+/// The type of the adjoint: the same arguments, then the adjoints of those that
+/// are arrays of floats; no results.
+static FunctionType getAdjointType(FunctionOpInterface function) {
+  SmallVector<Type> inputs(function.getArgumentTypes());
+  for (Type type : function.getArgumentTypes())
+    if (isDifferentiableMemRef(type))
+      inputs.push_back(type);
+  return FunctionType::get(function.getContext(), inputs, {});
+}
+
+/// An empty adjoint next to `function`.
+static FunctionOpInterface createShell(FunctionOpInterface function,
+                                       StringRef name) {
+  OpBuilder builder(function.getContext());
+  builder.setInsertionPointAfter(function);
+  FunctionType type = getAdjointType(function);
+  if (isa<KernelOp>(function.getOperation()))
+    return KernelOp::create(builder, function.getLoc(), name, type);
+  auto shell = func::FuncOp::create(builder, function.getLoc(), name, type);
+  shell.addEntryBlock();
+  return shell;
+}
+
+/// Fills the adjoint of `function`.
+static LogicalResult fillAdjoint(FunctionOpInterface function,
+                                 FunctionOpInterface shell) {
+  // The last arguments of the adjoint are the adjoints of memref arguments.
+  DenseMap<Value, Value> shadows;
+  unsigned next = function.getNumArguments();
+  for (BlockArgument argument : function.getArguments())
+    if (isDifferentiableMemRef(argument.getType()))
+      shadows[argument] = shell.getArgument(next++);
+  auto adjointOf = [&](Storage storage) -> Storage {
+    if (storage.memref)
+      return shadows.lookup(storage.memref);
+    FieldOp field = lookupField(function, storage.field);
+    return field && field.getAdjointAttr() && isFloatOrVector(field.getType())
+               ? Storage(field.getAdjointAttr())
+               : Storage();
+  };
+  AdjointBuilder builder(function, shell, adjointOf);
+  if (failed(builder.build()))
+    return failure();
+  builder.setLoc(function.getLoc());
+  builder.setInsertionPointToEnd(&shell.getFunctionBody().front());
+  if (isa<KernelOp>(shell.getOperation()))
+    ReturnOp::create(builder, ValueRange());
+  else
+    func::ReturnOp::create(builder);
+  markExclusiveAtomics(shell);
+  return success();
+}
+
+namespace {
+struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
+  using Base::Base;
+
+  void getDependentDialects(DialectRegistry &registry) const override {
+    Base::getDependentDialects(registry);
+    registerDifferentiableModels(registry);
+  }
+
+  void runOnOperation() override {
+    SmallVector<FunctionOpInterface> functions;
+    if (failed(collect(functions)))
+      return signalPassFailure();
+    SymbolTable symbols(getOperation());
+    bool failedAny = false;
+    // One error does not hide the next: every kernel is tried.
+    for (FunctionOpInterface function : functions)
+      failedAny |= failed(differentiate(function, symbols));
+    if (failedAny)
+      signalPassFailure();
+  }
+
+  LogicalResult differentiate(FunctionOpInterface function,
+                              SymbolTable &symbols) {
+    if (!function.getFunctionBody().hasOneBlock())
+      return function.emitError(
+          "cannot differentiate a function of several blocks; structured "
+          "control flow is expected");
+    std::string name = (function.getName() + "_grad").str();
+    if (Operation *taken = symbols.lookup(name)) {
+      InFlightDiagnostic diag = function.emitError()
+                                << "cannot make the adjoint '@" << name
+                                << "': the name is taken";
+      diag.attachNote(taken->getLoc()) << "by this";
+      return diag;
+    }
+    FunctionOpInterface shell = createShell(function, name);
+    if (failed(fillAdjoint(function, shell))) {
+      shell.erase();
+      return failure();
+    }
+    symbols.insert(shell);
+    auto reference = FlatSymbolRefAttr::get(&getContext(), name);
+    if (auto kernel = dyn_cast<KernelOp>(function.getOperation()))
+      kernel.setAdjointAttr(reference);
+    else
+      function->setAttr("tai.adjoint", reference);
+    return success();
+  }
+
+  /// The functions to differentiate, in the order of the module.
+  LogicalResult collect(SmallVectorImpl<FunctionOpInterface> &functions) {
+    ModuleOp module = getOperation();
+    if (!kernels.empty()) {
+      for (const std::string &name : kernels) {
+        auto function = module.lookupSymbol<FunctionOpInterface>(name);
+        if (!function)
+          return module.emitError() << "there is no kernel or function '@"
+                                    << name << "' to differentiate";
+        if (!hasAdjointAlready(function))
+          functions.push_back(function);
+      }
+      return success();
+    }
+    // Adjoints need none of their own.
+    DenseSet<StringAttr> adjoints;
+    for (auto kernel : module.getOps<KernelOp>())
+      if (FlatSymbolRefAttr adjoint = kernel.getAdjointAttr())
+        adjoints.insert(adjoint.getAttr());
+    std::optional<DenseSet<StringAttr>> taped = collectTaped(module);
+    for (auto function : module.getOps<FunctionOpInterface>()) {
+      if (function.isExternal() || hasAdjointAlready(function))
+        continue;
+      bool isWanted = isa<KernelOp>(function.getOperation())
+                          ? !taped || taped->contains(function.getNameAttr())
+                          : function->hasAttr(kDifferentiate);
+      if (isWanted && !adjoints.contains(function.getNameAttr()))
+        functions.push_back(function);
+    }
+    return success();
+  }
+
+  static bool hasAdjointAlready(FunctionOpInterface function) {
+    return function->hasAttr("adjoint") || function->hasAttr("tai.adjoint");
+  }
+
+  /// The kernels launched where gradients are taken, or nothing if the module
+  /// takes none.
+  static std::optional<DenseSet<StringAttr>> collectTaped(ModuleOp module) {
+    DenseSet<StringAttr> kernels;
+    SmallVector<Operation *> pending;
+    module.walk([&](Operation *op) {
+      if (isa<TapeOp, CheckGradientOp>(op))
+        pending.push_back(op);
+    });
+    if (pending.empty())
+      return std::nullopt;
+    DenseSet<Operation *> visited;
+    while (!pending.empty()) {
+      pending.pop_back_val()->walk([&](Operation *op) {
+        if (auto launch = dyn_cast<LaunchOp>(op))
+          kernels.insert(launch.getKernelAttr().getAttr());
+        else if (auto call = dyn_cast<func::CallOp>(op))
+          if (auto callee = module.lookupSymbol<func::FuncOp>(call.getCallee());
+              callee && visited.insert(callee).second)
+            pending.push_back(callee);
+      });
+    }
+    return kernels;
+  }
+};
+} // namespace

@@ -1,0 +1,214 @@
+//===- DecompositionModels.cpp - Derivatives of matrix decompositions -----===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Polar, singular value and symmetric eigenvalue decompositions. Where values
+// coincide, the factors turn freely and have no derivative; a loss that does
+// not depend on that freedom has one, and gets it: the terms are arranged so
+// that what must cancel is divided alone, and the quotient is zero where the
+// divisor is.
+//
+//===----------------------------------------------------------------------===//
+
+#include "MatrixHelpers.h"
+#include "Models.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+
+/// A number in a formula.
+struct S {
+  AdjointBuilder *b;
+  Value v;
+};
+S operator+(S a, S c) { return {a.b, arith::AddFOp::create(*a.b, a.v, c.v)}; }
+S operator-(S a, S c) { return {a.b, arith::SubFOp::create(*a.b, a.v, c.v)}; }
+S operator*(S a, S c) { return {a.b, arith::MulFOp::create(*a.b, a.v, c.v)}; }
+S operator-(S a) { return {a.b, arith::NegFOp::create(*a.b, a.v)}; }
+S operator*(double a, S c) {
+  return S{c.b, c.b->createConstant(c.v.getType(), a)} * c;
+}
+S abs(S a) { return {a.b, math::AbsFOp::create(*a.b, a.v)}; }
+
+/// a / c, and 0 where |c| is not above `floor`.
+S divideAbove(S a, S c, S floor) {
+  AdjointBuilder &b = *a.b;
+  Value isLarge =
+      arith::CmpFOp::create(b, arith::CmpFPredicate::OGT, abs(c).v, floor.v);
+  return {&b, b.createMask(isLarge, arith::DivFOp::create(b, a.v, c.v))};
+}
+
+/// A small matrix taken apart.
+struct M {
+  AdjointBuilder *b;
+  Value v;
+  S operator()(int64_t i, int64_t j) const {
+    return {b, b->createExtract(v, i * getRows(v) + j)};
+  }
+};
+
+/// What the relative distance of two values must exceed to be told apart.
+double getTolerance(Type type) {
+  return getElementTypeOrSelf(type).isF64() ? 8 * 2.220446e-16
+                                            : 8 * 1.192093e-7;
+}
+
+/// The vector w with [w]ₓ = P - Pᵀ.
+SmallVector<S> getAxial(M p) {
+  return {p(2, 1) - p(1, 2), p(0, 2) - p(2, 0), p(1, 0) - p(0, 1)};
+}
+
+/// A = R S. With S = Rᵀ A the adjoint of S joins those of R and A; R turns by
+/// dR = R [w]ₓ with (tr(S) I - S) w = axial(Rᵀ dA - dAᵀ R).
+struct PolarModel
+    : DifferentiableOpInterface::ExternalModel<PolarModel, PolarOp> {
+  LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
+    auto polar = cast<PolarOp>(op);
+    Value a = polar.getMatrix();
+    Value r = b.getPrimal(polar.getRotation());
+    Value gr = b.getAdjoint(polar.getRotation());
+    if (Value gs = b.getAdjoint(polar.getStretch())) {
+      b.addAdjoint(a, createMatmul(b, r, gs));
+      Value turned = createMatmul(b, b.getPrimal(a), createTranspose(b, gs));
+      gr = gr ? Value(arith::AddFOp::create(b, gr, turned)) : turned;
+    }
+    if (getRows(a) == 2)
+      buildPlanar(b, a, r, gr);
+    else
+      buildSpatial(b, polar, r, gr);
+    return success();
+  }
+
+  /// R turns by the angle of (a₀₀ + a₁₁, a₁₀ - a₀₁).
+  static void buildPlanar(AdjointBuilder &b, Value matrix, Value r, Value gr) {
+    M a{&b, b.getPrimal(matrix)}, rotation{&b, r}, g{&b, gr};
+    S c = rotation(0, 0), s = rotation(1, 0);
+    S angle = c * (g(1, 0) - g(0, 1)) - s * (g(0, 0) + g(1, 1));
+    S x = a(0, 0) + a(1, 1), y = a(1, 0) - a(0, 1);
+    S zero{&b, b.createZero(x.v.getType())};
+    S scale = divideAbove(angle, x * x + y * y, zero);
+    S gx = -(y * scale), gy = x * scale;
+    b.addAdjointComponent(matrix, 0, gx.v);
+    b.addAdjointComponent(matrix, 3, gx.v);
+    b.addAdjointComponent(matrix, 1, (-gy).v);
+    b.addAdjointComponent(matrix, 2, gy.v);
+  }
+
+  static void buildSpatial(AdjointBuilder &b, PolarOp op, Value r, Value gr) {
+    auto type = cast<VectorType>(r.getType());
+    Type element = type.getElementType();
+    auto vectorType = VectorType::get({3}, element);
+    M p{&b, createMatmul(b, createTranspose(b, r), gr)};
+    SmallVector<Value> axial =
+        llvm::map_to_vector(getAxial(p), [](S s) { return s.v; });
+    M stretch{&b, b.getPrimal(op.getStretch())};
+    S trace = stretch(0, 0) + stretch(1, 1) + stretch(2, 2);
+    SmallVector<Value> k;
+    for (int64_t i = 0; i != 3; ++i)
+      for (int64_t j = 0; j != 3; ++j)
+        k.push_back((i == j ? trace - stretch(i, j) : -stretch(i, j)).v);
+    Value system = b.createVector(type, k);
+    // Singular where two singular values cancel: R jumps there.
+    Value determinant = DeterminantOp::create(b, element, system);
+    Value isRegular = arith::CmpFOp::create(b, arith::CmpFPredicate::ONE,
+                                            determinant, b.createZero(element));
+    Value w = SolveOp::create(b, vectorType, system,
+                              b.createVector(vectorType, axial));
+    w = b.createMask(isRegular, w);
+    auto at = [&](int64_t i) { return S{&b, b.createExtract(w, i)}; };
+    Value skew =
+        b.createVector(type, {Value(), (-at(2)).v, at(1).v, at(2).v, Value(),
+                              (-at(0)).v, (-at(1)).v, at(0).v, Value()});
+    b.addAdjoint(op.getMatrix(), createMatmul(b, r, skew));
+  }
+};
+
+/// Uᵀ G, or zeros.
+M getTurned(AdjointBuilder &b, Value u, Value g) {
+  if (!g)
+    return {&b, b.createZero(u.getType())};
+  return {&b, createMatmul(b, createTranspose(b, u), g)};
+}
+
+/// A = U Σ Vᵀ. In the frame of the factors, dU = U Ω and dV = V Ψ with skew Ω,
+/// Ψ; for i < j the sum and difference of their entries are
+///   Ωᵢⱼ + Ψᵢⱼ = (Pᵢⱼ + Pⱼᵢ) / (σⱼ - σᵢ),  Ωᵢⱼ - Ψᵢⱼ = (Pᵢⱼ - Pⱼᵢ) / (σⱼ + σᵢ),
+/// where P = Uᵀ dA V.
+struct SvdModel : DifferentiableOpInterface::ExternalModel<SvdModel, SvdOp> {
+  LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
+    auto svd = cast<SvdOp>(op);
+    int64_t n = getRows(svd.getMatrix());
+    auto type = cast<VectorType>(svd.getMatrix().getType());
+    Value u = b.getPrimal(svd.getU()), v = b.getPrimal(svd.getV());
+    M sigma{&b, b.getPrimal(svd.getSigma())};
+    M gu = getTurned(b, u, b.getAdjoint(svd.getU()));
+    M gv = getTurned(b, v, b.getAdjoint(svd.getV()));
+    M gs{&b, b.getAdjointOrZero(svd.getSigma())};
+    S floor = getTolerance(type) * abs(sigma(0, 0));
+    SmallVector<Value> p(n * n);
+    for (int64_t i = 0; i != n; ++i) {
+      p[i * n + i] = gs(i, i).v;
+      for (int64_t j = i + 1; j != n; ++j) {
+        S omega = gu(i, j) - gu(j, i), psi = gv(i, j) - gv(j, i);
+        S si = sigma(i, i), sj = sigma(j, j);
+        S even = divideAbove(0.5 * (omega + psi), sj - si, floor);
+        S odd = divideAbove(0.5 * (omega - psi), sj + si, floor);
+        p[i * n + j] = (even + odd).v;
+        p[j * n + i] = (even - odd).v;
+      }
+    }
+    Value inner = b.createVector(type, p);
+    b.addAdjoint(svd.getMatrix(), createMatmul(b, createMatmul(b, u, inner),
+                                               createTranspose(b, v)));
+    return success();
+  }
+};
+
+/// A = Q Λ Qᵀ with A read below the diagonal: dQ = Q Ω, Ωᵢⱼ = Pᵢⱼ / (λⱼ - λᵢ),
+/// where P = Qᵀ dA Q.
+struct SymEigModel
+    : DifferentiableOpInterface::ExternalModel<SymEigModel, SymEigOp> {
+  LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
+    auto eig = cast<SymEigOp>(op);
+    int64_t n = getRows(eig.getMatrix());
+    auto type = cast<VectorType>(eig.getMatrix().getType());
+    Value q = b.getPrimal(eig.getVectors());
+    Value values = b.getPrimal(eig.getValues());
+    auto lambda = [&](int64_t i) { return S{&b, b.createExtract(values, i)}; };
+    M gq = getTurned(b, q, b.getAdjoint(eig.getVectors()));
+    SmallVector<Value> gl = b.getAdjointComponents(eig.getValues());
+    S floor = getTolerance(type) * (abs(lambda(0)) + abs(lambda(n - 1)));
+    SmallVector<Value> p(n * n);
+    for (int64_t i = 0; i != n; ++i) {
+      p[i * n + i] = gl[i];
+      for (int64_t j = i + 1; j != n; ++j) {
+        S half = divideAbove(0.5 * (gq(i, j) - gq(j, i)), lambda(j) - lambda(i),
+                             floor);
+        p[i * n + j] = p[j * n + i] = half.v;
+      }
+    }
+    Value inner = b.createVector(type, p);
+    M full{&b,
+           createMatmul(b, createMatmul(b, q, inner), createTranspose(b, q))};
+    for (int64_t i = 0; i != n; ++i)
+      for (int64_t j = 0; j <= i; ++j)
+        b.addAdjointComponent(
+            eig.getMatrix(), i * n + j,
+            (i == j ? full(i, j) : full(i, j) + full(j, i)).v);
+    return success();
+  }
+};
+} // namespace
+
+void mlir::tai::registerDecompositionModels(DialectRegistry &registry) {
+  registry.addExtension(+[](MLIRContext *context, TaiDialect *) {
+    PolarOp::attachInterface<PolarModel>(*context);
+    SvdOp::attachInterface<SvdModel>(*context);
+    SymEigOp::attachInterface<SymEigModel>(*context);
+  });
+}

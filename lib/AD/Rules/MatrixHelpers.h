@@ -1,0 +1,77 @@
+//===- MatrixHelpers.h - Formulas on small matrices -------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_AD_RULES_MATRIXHELPERS_H
+#define TAI_LIB_AD_RULES_MATRIXHELPERS_H
+
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Math/IR/Math.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "tai/AD/AdjointBuilder.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+namespace mlir::tai {
+
+inline int64_t getRows(Value matrix) {
+  return cast<VectorType>(matrix.getType()).getDimSize(0);
+}
+
+inline Value createTranspose(AdjointBuilder &b, Value matrix) {
+  auto type = cast<VectorType>(matrix.getType());
+  auto result = VectorType::get({type.getDimSize(1), type.getDimSize(0)},
+                                type.getElementType());
+  return TransposeOp::create(b, result, matrix);
+}
+
+inline Value createMatmul(AdjointBuilder &b, Value lhs, Value rhs) {
+  auto left = cast<VectorType>(lhs.getType());
+  auto right = cast<VectorType>(rhs.getType());
+  SmallVector<int64_t> shape = {left.getDimSize(0)};
+  if (right.getRank() == 2)
+    shape.push_back(right.getDimSize(1));
+  return MatmulOp::create(b, VectorType::get(shape, left.getElementType()), lhs,
+                          rhs);
+}
+
+inline Value createOuter(AdjointBuilder &b, Value lhs, Value rhs) {
+  auto left = cast<VectorType>(lhs.getType());
+  auto right = cast<VectorType>(rhs.getType());
+  return OuterOp::create(
+      b,
+      VectorType::get({left.getDimSize(0), right.getDimSize(0)},
+                      left.getElementType()),
+      lhs, rhs);
+}
+
+/// vector * scalar
+inline Value createScaled(AdjointBuilder &b, Value vector, Value scalar) {
+  Value factor = vector::BroadcastOp::create(b, vector.getType(), scalar);
+  return arith::MulFOp::create(b, vector, factor);
+}
+
+/// Zero where the whole adjoint is zero: a component of the result can depend
+/// on all components of it.
+inline Value createMatrixGuard(AdjointBuilder &b, Value adjoint, Value value) {
+  Value any = adjoint;
+  if (isa<VectorType>(adjoint.getType())) // a sum of squares could underflow
+    any = SumOp::create(b, getElementTypeOrSelf(adjoint.getType()),
+                        math::AbsFOp::create(b, adjoint));
+  return b.createGuard(any, value);
+}
+
+/// Guards a product with the primal value `factor` where that may not be
+/// finite.
+inline Value guardFor(AdjointBuilder &b, Value factor, Value adjoint,
+                      Value value) {
+  return b.getFacts().mayBeNonFinite(factor)
+             ? createMatrixGuard(b, adjoint, value)
+             : value;
+}
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_AD_RULES_MATRIXHELPERS_H

@@ -1,0 +1,217 @@
+//===- MatrixModels.cpp - Derivatives of small matrix algebra -------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Each rule states its formula: G is the adjoint of the result, R the result.
+// A product with a primal value that may be infinite or NaN is guarded, so that
+// a zero adjoint contributes zero there too.
+//
+//===----------------------------------------------------------------------===//
+
+#include "MatrixHelpers.h"
+#include "Models.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+
+/// An op with one result and a rule that gets the adjoint of it.
+template <typename Model, typename OpTy>
+struct MatrixModel : DifferentiableOpInterface::ExternalModel<Model, OpTy> {
+  LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
+    static_cast<const Model *>(this)->build(cast<OpTy>(op), b,
+                                            b.getAdjoint(op->getResult(0)));
+    return success();
+  }
+};
+
+/// R = A B:  A* += G Bᵀ,  B* += Aᵀ G.
+struct MatmulModel : MatrixModel<MatmulModel, MatmulOp> {
+  void build(MatmulOp op, AdjointBuilder &b, Value g) const {
+    Value lhs = op.getLhs(), rhs = op.getRhs();
+    if (b.isActive(lhs)) {
+      Value factor = b.getPrimal(rhs);
+      Value product = cast<VectorType>(rhs.getType()).getRank() == 1
+                          ? createOuter(b, g, factor)
+                          : createMatmul(b, g, createTranspose(b, factor));
+      b.addAdjoint(lhs, guardFor(b, rhs, g, product));
+    }
+    if (b.isActive(rhs)) {
+      Value product = createMatmul(b, createTranspose(b, b.getPrimal(lhs)), g);
+      b.addAdjoint(rhs, guardFor(b, lhs, g, product));
+    }
+  }
+};
+
+/// R = Aᵀ:  A* += Gᵀ.
+struct TransposeModel : MatrixModel<TransposeModel, TransposeOp> {
+  void build(TransposeOp op, AdjointBuilder &b, Value g) const {
+    b.addAdjoint(op.getMatrix(), createTranspose(b, g));
+  }
+};
+
+/// r = Σ aᵢ bᵢ:  a* += g b,  b* += g a.
+struct DotModel : MatrixModel<DotModel, DotOp> {
+  void build(DotOp op, AdjointBuilder &b, Value g) const {
+    Value lhs = op.getLhs(), rhs = op.getRhs();
+    for (auto [to, other] : {std::pair(lhs, rhs), std::pair(rhs, lhs)})
+      if (b.isActive(to))
+        b.addAdjoint(
+            to, guardFor(b, other, g, createScaled(b, b.getPrimal(other), g)));
+  }
+};
+
+/// r = Σ aᵢ:  a* += g everywhere.
+struct SumModel : MatrixModel<SumModel, SumOp> {
+  void build(SumOp op, AdjointBuilder &b, Value g) const {
+    b.addAdjoint(op.getVector(),
+                 vector::BroadcastOp::create(b, op.getVector().getType(), g));
+  }
+};
+
+/// R = a × b:  a* += b × G,  b* += G × a.
+struct CrossModel : MatrixModel<CrossModel, CrossOp> {
+  void build(CrossOp op, AdjointBuilder &b, Value g) const {
+    Value lhs = op.getLhs(), rhs = op.getRhs();
+    if (b.isActive(lhs))
+      b.addAdjoint(
+          lhs, guardFor(b, rhs, g,
+                        CrossOp::create(b, g.getType(), b.getPrimal(rhs), g)));
+    if (b.isActive(rhs))
+      b.addAdjoint(
+          rhs, guardFor(b, lhs, g,
+                        CrossOp::create(b, g.getType(), g, b.getPrimal(lhs))));
+  }
+};
+
+/// R = a bᵀ:  a* += G b,  b* += Gᵀ a.
+struct OuterModel : MatrixModel<OuterModel, OuterOp> {
+  void build(OuterOp op, AdjointBuilder &b, Value g) const {
+    Value lhs = op.getLhs(), rhs = op.getRhs();
+    if (b.isActive(lhs))
+      b.addAdjoint(lhs, createMatmul(b, g, b.getPrimal(rhs)));
+    if (b.isActive(rhs))
+      b.addAdjoint(rhs,
+                   createMatmul(b, createTranspose(b, g), b.getPrimal(lhs)));
+  }
+};
+
+/// r = ‖a‖:  a* += (g / r) a, and nothing where r = 0.
+struct NormModel : MatrixModel<NormModel, NormOp> {
+  void build(NormOp op, AdjointBuilder &b, Value g) const {
+    Value r = b.getPrimal(op.getResult());
+    Value isZero = arith::CmpFOp::create(b, arith::CmpFPredicate::OEQ, r,
+                                         b.createZero(r.getType()));
+    Value ratio = arith::SelectOp::create(b, isZero, b.createZero(r.getType()),
+                                          arith::DivFOp::create(b, g, r));
+    Value scaled = createScaled(b, b.getPrimal(op.getVector()), ratio);
+    b.addAdjoint(op.getVector(), guardFor(b, op.getVector(), g, scaled));
+  }
+};
+
+/// r = tr A:  the diagonal of A* += g.
+struct TraceModel : MatrixModel<TraceModel, TraceOp> {
+  void build(TraceOp op, AdjointBuilder &b, Value g) const {
+    int64_t n = getRows(op.getMatrix());
+    for (int64_t i = 0; i != n; ++i)
+      b.addAdjointComponent(op.getMatrix(), i * n + i, g);
+  }
+};
+
+/// The determinant of the rows and columns listed, by cofactors of its first
+/// row.
+Value createMinor(AdjointBuilder &b, Value matrix, ArrayRef<int64_t> rows,
+                  ArrayRef<int64_t> columns) {
+  int64_t n = getRows(matrix);
+  if (rows.empty())
+    return b.createConstant(getElementTypeOrSelf(matrix.getType()), 1);
+  if (rows.size() == 1)
+    return b.createExtract(matrix, rows[0] * n + columns[0]);
+  Value sum;
+  for (auto [k, column] : llvm::enumerate(columns)) {
+    SmallVector<int64_t> rest(columns);
+    rest.erase(rest.begin() + k);
+    Value term =
+        arith::MulFOp::create(b, b.createExtract(matrix, rows[0] * n + column),
+                              createMinor(b, matrix, rows.drop_front(), rest));
+    if (!sum)
+      sum = term;
+    else if (k % 2)
+      sum = arith::SubFOp::create(b, sum, term);
+    else
+      sum = arith::AddFOp::create(b, sum, term);
+  }
+  return sum;
+}
+
+/// r = det A:  A* += g cof A.
+struct DeterminantModel : MatrixModel<DeterminantModel, DeterminantOp> {
+  void build(DeterminantOp op, AdjointBuilder &b, Value g) const {
+    Value matrix = op.getMatrix(), primal = b.getPrimal(matrix);
+    int64_t n = getRows(matrix);
+    SmallVector<Value> components;
+    for (int64_t i = 0; i != n; ++i)
+      for (int64_t j = 0; j != n; ++j) {
+        SmallVector<int64_t> rows, columns;
+        for (int64_t k = 0; k != n; ++k) {
+          if (k != i)
+            rows.push_back(k);
+          if (k != j)
+            columns.push_back(k);
+        }
+        Value term = createMinor(b, primal, rows, columns);
+        term = arith::MulFOp::create(b, g, term);
+        if ((i + j) % 2)
+          term = arith::NegFOp::create(b, term);
+        components.push_back(term);
+      }
+    Value sum = b.createVector(cast<VectorType>(matrix.getType()), components);
+    b.addAdjoint(matrix, guardFor(b, matrix, g, sum));
+  }
+};
+
+/// R = A⁻¹:  A* -= Rᵀ G Rᵀ.
+struct InverseModel : MatrixModel<InverseModel, InverseOp> {
+  void build(InverseOp op, AdjointBuilder &b, Value g) const {
+    Value t = createTranspose(b, b.getPrimal(op.getResult()));
+    Value product = createMatmul(b, createMatmul(b, t, g), t);
+    b.addAdjoint(op.getMatrix(),
+                 createMatrixGuard(b, g, arith::NegFOp::create(b, product)));
+  }
+};
+
+/// A x = b:  b* += A⁻ᵀ G,  A* -= (A⁻ᵀ G) xᵀ.
+struct SolveModel : MatrixModel<SolveModel, SolveOp> {
+  void build(SolveOp op, AdjointBuilder &b, Value g) const {
+    Value transposed = createTranspose(b, b.getPrimal(op.getMatrix()));
+    Value solved =
+        createMatrixGuard(b, g, SolveOp::create(b, g.getType(), transposed, g));
+    b.addAdjoint(op.getRhs(), solved);
+    if (!b.isActive(op.getMatrix()))
+      return;
+    Value product = createOuter(b, solved, b.getPrimal(op.getResult()));
+    b.addAdjoint(op.getMatrix(),
+                 createMatrixGuard(b, g, arith::NegFOp::create(b, product)));
+  }
+};
+} // namespace
+
+void mlir::tai::registerMatrixModels(DialectRegistry &registry) {
+  registry.addExtension(+[](MLIRContext *context, TaiDialect *) {
+    MatmulOp::attachInterface<MatmulModel>(*context);
+    TransposeOp::attachInterface<TransposeModel>(*context);
+    DotOp::attachInterface<DotModel>(*context);
+    SumOp::attachInterface<SumModel>(*context);
+    CrossOp::attachInterface<CrossModel>(*context);
+    OuterOp::attachInterface<OuterModel>(*context);
+    NormOp::attachInterface<NormModel>(*context);
+    TraceOp::attachInterface<TraceModel>(*context);
+    DeterminantOp::attachInterface<DeterminantModel>(*context);
+    InverseOp::attachInterface<InverseModel>(*context);
+    SolveOp::attachInterface<SolveModel>(*context);
+  });
+}

@@ -1,0 +1,323 @@
+//===- SCFModels.cpp - Reverses of structured control flow ----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A branch is mirrored, a serial loop runs backwards. Adjoints of captured
+// values leave a region as results of its op: each region first sums what it
+// contributes, and the op is made again once it is known what leaves.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Models.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/IR/Matchers.h"
+#include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/ParallelReverse.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+using Captured = llvm::MapVector<Value, Value>;
+
+namespace {
+
+struct IfModel : AdjointLoopInterface::ExternalModel<IfModel, scf::IfOp> {
+  LogicalResult buildReverse(Operation *op, AdjointBuilder &b) const {
+    auto primal = cast<scf::IfOp>(op);
+    Value condition = b.getPrimal(primal.getCondition());
+    SmallVector<Value> seeds;
+    for (OpResult result : primal.getResults())
+      seeds.push_back(b.getAdjoint(result));
+
+    auto draft = scf::IfOp::create(b, TypeRange(), condition,
+                                   /*addThenBlock=*/false,
+                                   /*addElseBlock=*/false);
+    Captured captured[2];
+    for (auto [i, region] : llvm::enumerate(primal->getRegions())) {
+      if (region.empty())
+        continue;
+      OpBuilder::InsertionGuard guard(b);
+      Block *mirror = b.createBlock(&draft->getRegion(i));
+      Operation *yield = region.front().getTerminator();
+      auto begin = [&](Frame &) {
+        for (auto [value, seed] : llvm::zip(yield->getOperands(), seeds))
+          b.addAdjoint(value, seed);
+      };
+      auto end = [&, i = i](Frame &frame) {
+        captured[i] = b.takeCaptured(frame);
+      };
+      if (failed(b.reverseBlock(&region.front(), mirror, begin, end)))
+        return failure();
+    }
+
+    // What either arm contributes to; the other contributes zero.
+    llvm::SetVector<Value> values;
+    SmallVector<Type> types;
+    for (Captured &arm : captured)
+      for (auto &[value, adjoint] : arm)
+        if (values.insert(value))
+          types.push_back(value.getType());
+    auto mirrored = scf::IfOp::create(b, types, condition,
+                                      /*addThenBlock=*/false,
+                                      /*addElseBlock=*/false);
+    mirrored.getThenRegion().takeBody(draft.getThenRegion());
+    mirrored.getElseRegion().takeBody(draft.getElseRegion());
+    draft.erase();
+    for (auto [i, region] : llvm::enumerate(mirrored->getRegions())) {
+      OpBuilder::InsertionGuard guard(b);
+      if (region.empty()) {
+        if (values.empty())
+          continue;
+        b.createBlock(&region);
+      }
+      b.setInsertionPointToEnd(&region.front());
+      SmallVector<Value> yields;
+      for (Value value : values) {
+        Value adjoint = captured[i].lookup(value);
+        yields.push_back(adjoint ? adjoint : b.createZero(value.getType()));
+      }
+      scf::YieldOp::create(b, yields);
+    }
+    b.setInsertionPointAfter(mirrored);
+    for (auto [value, result] : llvm::zip(values, mirrored.getResults()))
+      b.addAdjoint(value, result);
+    return success();
+  }
+};
+
+struct ForModel : AdjointLoopInterface::ExternalModel<ForModel, scf::ForOp> {
+  LogicalResult buildReverse(Operation *op, AdjointBuilder &b) const {
+    auto primal = cast<scf::ForOp>(op);
+    if (primal.getUnsignedCmp()) {
+      b.emitError(op, "cannot reverse a loop with unsigned bounds");
+      return failure();
+    }
+    // Adjoints of carried values are carried the other way.
+    SmallVector<unsigned> carried;
+    SmallVector<Value> inits;
+    for (auto [i, argument] : llvm::enumerate(primal.getRegionIterArgs()))
+      if (b.isActive(argument) || b.isActive(primal.getResult(i))) {
+        carried.push_back(i);
+        inits.push_back(b.getAdjointOrZero(primal.getResult(i)));
+      }
+    Value zero = arith::ConstantIndexOp::create(b, 0);
+    Value one = arith::ConstantIndexOp::create(b, 1);
+    Value count = b.createTripCount(primal);
+    Value lower = b.getPrimal(primal.getLowerBound());
+    Value step = b.getPrimal(primal.getStep());
+
+    auto draft = scf::ForOp::create(b, zero, count, one, inits);
+    Block *mirror = draft.getBody();
+    if (!mirror->empty())
+      mirror->back().erase();
+    Captured captured;
+    SmallVector<Value> yields;
+    auto begin = [&](Frame &frame) {
+      Value last = b.createOrFold<arith::SubIOp>(count, one);
+      frame.iteration =
+          b.createOrFold<arith::SubIOp>(last, draft.getInductionVar());
+      Value iv = frame.iteration;
+      if (!lower.getType().isIndex())
+        iv = arith::IndexCastOp::create(b, lower.getType(), iv);
+      if (!matchPattern(step, m_One()))
+        iv = arith::MulIOp::create(b, iv, step);
+      if (!matchPattern(lower, m_Zero()))
+        iv = arith::AddIOp::create(b, lower, iv);
+      frame.values.map(primal.getInductionVar(), iv);
+      for (auto [i, argument] : llvm::zip(carried, draft.getRegionIterArgs()))
+        b.addAdjoint(primal.getYieldedValues()[i], argument);
+    };
+    auto end = [&](Frame &frame) {
+      for (unsigned i : carried)
+        yields.push_back(b.getAdjointOrZero(primal.getRegionIterArg(i)));
+      captured = b.takeCaptured(frame);
+    };
+    if (failed(b.reverseBlock(primal.getBody(), mirror, begin, end)))
+      return failure();
+
+    for (auto &[value, adjoint] : captured)
+      inits.push_back(b.createZero(value.getType()));
+    auto reversed = scf::ForOp::create(b, zero, count, one, inits);
+    reversed.getRegion().takeBody(draft.getRegion());
+    draft.erase();
+    {
+      OpBuilder::InsertionGuard guard(b);
+      b.setInsertionPointToEnd(mirror);
+      for (auto &[value, adjoint] : captured) {
+        Value sum = mirror->addArgument(value.getType(), value.getLoc());
+        yields.push_back(arith::AddFOp::create(b, sum, adjoint));
+      }
+      scf::YieldOp::create(b, yields);
+    }
+    b.setInsertionPointAfter(reversed);
+    ResultRange results = reversed.getResults();
+    for (auto [i, result] : llvm::zip(carried, results))
+      b.addAdjoint(primal.getInitArgs()[i], result);
+    for (auto [entry, result] :
+         llvm::zip(captured, results.drop_front(carried.size())))
+      b.addAdjoint(entry.first, result);
+    b.freeHistory(primal);
+    return success();
+  }
+};
+
+/// A loop that carries no derivative and does not read what it writes: its
+/// iterations are independent as far as derivatives go, so their reverses may
+/// run in the order in which the loop finds them.
+struct WhileModel
+    : AdjointLoopInterface::ExternalModel<WhileModel, scf::WhileOp> {
+  LogicalResult buildReverse(Operation *op, AdjointBuilder &b) const {
+    auto primal = cast<scf::WhileOp>(op);
+    if (failed(checkIndependent(primal, b)))
+      return failure();
+    SmallVector<Value> inits = b.getPrimals(primal.getInits());
+    auto draft = scf::WhileOp::create(b, TypeRange(), ValueRange());
+    Captured captured;
+    SmallVector<Value> next;
+    Block *before = b.createBlock(&draft.getBefore());
+    for (BlockArgument argument : primal.getBeforeArguments())
+      before->addArgument(argument.getType(), argument.getLoc());
+    b.recomputeBlock(primal.getBeforeBody(), before);
+    Block *after = b.createBlock(&draft.getAfter());
+    for (BlockArgument argument : primal.getAfterArguments())
+      after->addArgument(argument.getType(), argument.getLoc());
+    auto begin = [&](Frame &frame) {
+      for (auto [from, to] :
+           llvm::zip(primal.getAfterArguments(), after->getArguments()))
+        frame.values.map(from, to);
+    };
+    auto end = [&](Frame &frame) {
+      next = b.getPrimals(primal.getYieldOp().getOperands());
+      captured = b.takeCaptured(frame);
+    };
+    if (failed(b.reverseBlock(primal.getAfterBody(), after, begin, end)))
+      return failure();
+
+    // The sums of captured adjoints go round with the primal values.
+    auto condition = cast<scf::ConditionOp>(before->getTerminator());
+    SmallVector<Type> types(primal.getResultTypes());
+    SmallVector<Value> passed(condition.getArgs());
+    b.setInsertionPointToEnd(after);
+    for (auto &[value, adjoint] : captured) {
+      types.push_back(value.getType());
+      passed.push_back(before->addArgument(value.getType(), value.getLoc()));
+      Value sum = after->addArgument(value.getType(), value.getLoc());
+      next.push_back(arith::AddFOp::create(b, sum, adjoint));
+    }
+    scf::YieldOp::create(b, next);
+    condition.getArgsMutable().assign(passed);
+    b.setInsertionPoint(draft);
+    for (auto &[value, adjoint] : captured)
+      inits.push_back(b.createZero(value.getType()));
+    auto mirrored = scf::WhileOp::create(b, types, inits);
+    mirrored.getBefore().takeBody(draft.getBefore());
+    mirrored.getAfter().takeBody(draft.getAfter());
+    draft.erase();
+    b.setInsertionPointAfter(mirrored);
+    for (auto [entry, result] :
+         llvm::zip(captured, mirrored.getResults().take_back(captured.size())))
+      b.addAdjoint(entry.first, result);
+    return success();
+  }
+
+  LogicalResult checkIndependent(scf::WhileOp op, AdjointBuilder &b) const {
+    auto isActive = [&](Value value) { return b.isActive(value); };
+    if (llvm::any_of(op.getResults(), isActive) ||
+        llvm::any_of(op.getBeforeArguments(), isActive) ||
+        llvm::any_of(op.getAfterArguments(), isActive)) {
+      b.emitError(op, "cannot differentiate a 'while' loop that carries a "
+                      "value with a derivative")
+              .attachNote()
+          << "use a 'for' loop over the largest number of iterations with a "
+             "condition in it, or keep the value of each iteration in a field";
+      return failure();
+    }
+    Operation *accessInCondition = nullptr, *conflict = nullptr;
+    llvm::SmallDenseSet<const void *> reads, writes;
+    op->walk([&](DifferentiableAccessInterface access) {
+      if (!b.getActivity().isActiveAccess(access))
+        return;
+      if (op.getBefore().isAncestor(access->getParentRegion()))
+        accessInCondition = access;
+      const void *key = access.getAccessedStorage().getOpaque();
+      bool isRead = access.getAccessKind() == AccessKind::Read;
+      (isRead ? reads : writes).insert(key);
+      if ((isRead ? writes : reads).contains(key))
+        conflict = access;
+    });
+    if (Operation *access = accessInCondition ? accessInCondition : conflict) {
+      b.emitError(access, accessInCondition
+                              ? "cannot differentiate an access in the "
+                                "condition of a 'while' loop"
+                              : "cannot differentiate a 'while' loop that "
+                                "reads and writes the same field")
+              .attachNote(op.getLoc())
+          << "in this loop; use a 'for' loop over the largest number of "
+             "iterations with a condition in it";
+      return failure();
+    }
+    return success();
+  }
+};
+
+/// Stays parallel. Reductions by addition pass their adjoint to each
+/// iteration.
+struct ParallelModel
+    : AdjointLoopInterface::ExternalModel<ParallelModel, scf::ParallelOp> {
+  bool runsInParallel(Operation *) const { return true; }
+
+  LogicalResult buildReverse(Operation *op, AdjointBuilder &b) const {
+    auto primal = cast<scf::ParallelOp>(op);
+    auto reduce = cast<scf::ReduceOp>(primal.getBody()->getTerminator());
+    SmallVector<Value> seeds;
+    for (auto [i, result] : llvm::enumerate(primal.getResults())) {
+      Value seed = b.getAdjoint(result);
+      seeds.push_back(seed);
+      if (!seed)
+        continue;
+      if (!isSum(reduce.getReductions()[i])) {
+        b.emitError(op, "cannot differentiate a reduction that is not a sum");
+        return failure();
+      }
+      b.addAdjoint(primal.getInitVals()[i], seed);
+    }
+    auto loop = scf::ParallelOp::create(b, b.getPrimals(primal.getLowerBound()),
+                                        b.getPrimals(primal.getUpperBound()),
+                                        b.getPrimals(primal.getStep()));
+    OpBuilder::InsertionGuard guard(b);
+    Block *mirror = loop.getBody();
+    mirror->getTerminator()->erase();
+    auto begin = [&](Frame &frame) {
+      for (auto [from, to] :
+           llvm::zip(primal.getInductionVars(), loop.getInductionVars()))
+        frame.values.map(from, to);
+      for (auto [value, seed] : llvm::zip(reduce.getOperands(), seeds))
+        b.addAdjoint(value, seed);
+    };
+    return reverseParallelBody(b, loop, *primal.getBody(), *mirror, begin,
+                               [&] { scf::ReduceOp::create(b); });
+  }
+
+  /// True if the region adds its two arguments.
+  static bool isSum(Region &region) {
+    Block &block = region.front();
+    auto result = cast<scf::ReduceReturnOp>(block.getTerminator()).getResult();
+    auto add = result.getDefiningOp<arith::AddFOp>();
+    return add && add->getBlock() == &block && add.getLhs() != add.getRhs() &&
+           isa<BlockArgument>(add.getLhs()) && isa<BlockArgument>(add.getRhs());
+  }
+};
+} // namespace
+
+void mlir::tai::registerSCFModels(DialectRegistry &registry) {
+  registry.addExtension(+[](MLIRContext *context, scf::SCFDialect *) {
+    scf::IfOp::attachInterface<IfModel>(*context);
+    scf::ForOp::attachInterface<ForModel>(*context);
+    scf::WhileOp::attachInterface<WhileModel>(*context);
+    scf::ParallelOp::attachInterface<ParallelModel>(*context);
+  });
+}

@@ -1,0 +1,231 @@
+//===- ScalarRules.cpp - The table of derivatives -------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Every scalar op that has a derivative, one row for each: the op, the partials
+// by operand, and what holds at kinks. docs/derivatives.md shows the same
+// table; a test compares the two.
+//
+// A partial has a guard (a zero adjoint contributes zero, whatever the partial
+// is) unless it is finite: see `Partial::mayBeNonFinite`.
+//
+//===----------------------------------------------------------------------===//
+
+#include "ScalarRules.h"
+#include <cmath>
+
+using namespace mlir;
+using namespace mlir::tai;
+
+Num RuleArgs::cast(Num a, unsigned i) {
+  Type from = a.value.getType(), to = op->getOperand(i).getType();
+  if (getElementTypeOrSelf(from).getIntOrFloatBitWidth() <
+      getElementTypeOrSelf(to).getIntOrFloatBitWidth())
+    return {a.builder, arith::ExtFOp::create(builder, to, a.value)};
+  return {a.builder, arith::TruncFOp::create(builder, to, a.value)};
+}
+
+//===----------------------------------------------------------------------===//
+// Where a partial may not be finite
+//===----------------------------------------------------------------------===//
+
+static Value operand(RuleArgs &a, unsigned i) {
+  return a.getOperation()->getOperand(i);
+}
+static bool never(RuleArgs &) { return false; }
+static bool always(RuleArgs &) { return true; }
+static bool unlessXPositive(RuleArgs &a) {
+  return !a.facts().isPositive(operand(a, 0));
+}
+static bool unlessXNonNegative(RuleArgs &a) {
+  return !a.facts().isNonNegative(operand(a, 0));
+}
+static bool unlessXNonPositive(RuleArgs &a) {
+  return !a.facts().isNonPositive(operand(a, 0));
+}
+static bool unlessYNonZero(RuleArgs &a) {
+  return !a.facts().isNonZero(operand(a, 1));
+}
+
+//===----------------------------------------------------------------------===//
+// Functions that formulas use
+//===----------------------------------------------------------------------===//
+
+static Num sin(Num a) { return make<math::SinOp>(a); }
+static Num cos(Num a) { return make<math::CosOp>(a); }
+static Num sinh(Num a) { return make<math::SinhOp>(a); }
+static Num cosh(Num a) { return make<math::CoshOp>(a); }
+static Num exp(Num a) { return make<math::ExpOp>(a); }
+static Num log(Num a) { return make<math::LogOp>(a); }
+static Num sqrt(Num a) { return make<math::SqrtOp>(a); }
+static Num trunc(Num a) { return make<math::TruncOp>(a); }
+static Num pow(Num a, Num b) { return make<math::PowFOp>(a, b); }
+static Num copysign(Num a, Num b) { return make<math::CopySignOp>(a, b); }
+
+/// ±g by the sign of x, and 0 at x = 0.
+static Num bySign(Num x, Num g) { return select(x > 0, g, where(x < 0, -g)); }
+
+/// n x^(n - 1) for an integer n; 0 where n = 0.
+static Num powerByInteger(RuleArgs &a) {
+  AdjointBuilder &b = *a.g().builder;
+  Value n = a.truth(1).value;
+  Type element = getElementTypeOrSelf(n.getType());
+  TypedAttr oneAttr = b.getIntegerAttr(element, 1);
+  TypedAttr zeroAttr = b.getIntegerAttr(element, 0);
+  if (auto vector = dyn_cast<VectorType>(n.getType())) {
+    oneAttr = DenseElementsAttr::get(vector, Attribute(oneAttr));
+    zeroAttr = DenseElementsAttr::get(vector, Attribute(zeroAttr));
+  }
+  Value one = arith::ConstantOp::create(b, oneAttr);
+  Value zero = arith::ConstantOp::create(b, zeroAttr);
+  Num x = a.x();
+  Value less = b.createOrFold<arith::SubIOp>(n, one);
+  Num power = {&b, math::FPowIOp::create(b, x.value, less)};
+  Num factor = {&b, arith::SIToFPOp::create(b, x.value.getType(), n)};
+  Truth isZero = {&b,
+                  arith::CmpIOp::create(b, arith::CmpIPredicate::eq, n, zero)};
+  return unless(isZero, factor * power);
+}
+
+static Num powerByX(RuleArgs &a) {
+  Num contribution = a.g() * (a.y() * pow(a.x(), a.y() - 1));
+  return a.facts().isNonZero(operand(a, 1)) ? contribution
+                                            : unless(a.y() == 0, contribution);
+}
+
+static Num atan2By(RuleArgs &a, Num numerator) {
+  Num square = a.x() * a.x() + a.y() * a.y();
+  return unless(square == 0, a.g() * numerator / square);
+}
+
+using A = RuleArgs &;
+static const double kLn2 = 0.693147180559945309417232121458;
+static const double kLn10 = 2.302585092994045684017991454684;
+static const double kTwoBySqrtPi = 1.128379167095512573896158903122;
+
+//===----------------------------------------------------------------------===//
+// The table
+//===----------------------------------------------------------------------===//
+
+ArrayRef<ScalarRule> mlir::tai::getScalarRules() {
+  // clang-format off
+  static const ScalarRule rules[] = {
+    // Sums and products
+    {"arith.addf", {{0, "g", never, [](A a) { return a.g(); }},
+                    {1, "g", never, [](A a) { return a.g(); }}}},
+    {"arith.subf", {{0, "g", never, [](A a) { return a.g(); }},
+                    {1, "-g", never, [](A a) { return -a.g(); }}}},
+    {"arith.negf", {{0, "-g", never, [](A a) { return -a.g(); }}}},
+    {"arith.mulf", {{0, "g y", never, [](A a) { return a.g() * a.y(); }},
+                    {1, "g x", never, [](A a) { return a.g() * a.x(); }}}},
+    {"arith.divf", {{0, "g / y", unlessYNonZero, [](A a) { return a.g() / a.y(); }},
+                    {1, "-(g / y) r", unlessYNonZero, [](A a) { return -(a.g() / a.y() * a.r()); }}}},
+    {"arith.remf", {{0, "g", never, [](A a) { return a.g(); }},
+                    {1, "-g trunc(x / y)", unlessYNonZero, [](A a) { return -(a.g() * trunc(a.x() / a.y())); }}},
+     "at a multiple of y: as just above it"},
+    {"math.fma", {{0, "g y", never, [](A a) { return a.g() * a.y(); }},
+                  {1, "g x", never, [](A a) { return a.g() * a.x(); }},
+                  {2, "g", never, [](A a) { return a.g(); }}}},
+    {"vector.fma", {{0, "g y", never, [](A a) { return a.g() * a.y(); }},
+                    {1, "g x", never, [](A a) { return a.g() * a.x(); }},
+                    {2, "g", never, [](A a) { return a.g(); }}}},
+
+    // Choices
+    {"arith.select", {{1, "g where x", never, [](A a) { return where(a.truth(0), a.g()); }},
+                      {2, "g unless x", never, [](A a) { return unless(a.truth(0), a.g()); }}},
+     "the arm not taken gets 0"},
+    {"arith.maximumf", {{0, "g where x > y", never, [](A a) { return where(a.x() > a.y(), a.g()); }},
+                        {1, "g unless x > y", never, [](A a) { return unless(a.x() > a.y(), a.g()); }}},
+     "a tie: y gets all"},
+    {"arith.minimumf", {{0, "g where x < y", never, [](A a) { return where(a.x() < a.y(), a.g()); }},
+                        {1, "g unless x < y", never, [](A a) { return unless(a.x() < a.y(), a.g()); }}},
+     "a tie: y gets all"},
+    {"arith.maxnumf", {{0, "g where x > y", never, [](A a) { return where(a.x() > a.y() || isNaN(a.y()), a.g()); }},
+                       {1, "g unless x > y", never, [](A a) { return unless(a.x() > a.y() || isNaN(a.y()), a.g()); }}},
+     "a tie: y gets all; NaN: the number gets all"},
+    {"arith.minnumf", {{0, "g where x < y", never, [](A a) { return where(a.x() < a.y() || isNaN(a.y()), a.g()); }},
+                       {1, "g unless x < y", never, [](A a) { return unless(a.x() < a.y() || isNaN(a.y()), a.g()); }}},
+     "a tie: y gets all; NaN: the number gets all"},
+    {"math.clampf", {{0, "g where y <= x <= z", never, [](A a) { return unless(a.x() < a.y() || a.x() > a.z(), a.g()); }},
+                     {1, "g where x < y", never, [](A a) { return where(a.x() < a.y(), a.g()); }},
+                     {2, "g where x > z", never, [](A a) { return where(a.x() > a.z(), a.g()); }}},
+     "at either edge: x gets all"},
+    {"math.absf", {{0, "g sign x", never, [](A a) { return bySign(a.x(), a.g()); }}},
+     "x = 0: 0"},
+    {"math.copysign", {{0, "g sign x sign y", never,
+                        [](A a) { return bySign(a.x(), a.g() * copysign(constant(a.g(), 1), a.y())); }}},
+     "x = 0: 0; by y: 0"},
+
+    // Casts and rounding
+    {"arith.extf", {{0, "g", never, [](A a) { return a.cast(a.g(), 0); }}}},
+    {"arith.truncf", {{0, "g", never, [](A a) { return a.cast(a.g(), 0); }}}},
+    {"arith.fptosi", {}, "0 everywhere"},
+    {"arith.fptoui", {}, "0 everywhere"},
+    {"arith.cmpf", {}, "0 everywhere"},
+    {"math.ceil", {}, "0 everywhere"},
+    {"math.floor", {}, "0 everywhere"},
+    {"math.round", {}, "0 everywhere"},
+    {"math.roundeven", {}, "0 everywhere"},
+    {"math.trunc", {}, "0 everywhere"},
+    {"math.isfinite", {}, "0 everywhere"},
+    {"math.isinf", {}, "0 everywhere"},
+    {"math.isnan", {}, "0 everywhere"},
+    {"math.isnormal", {}, "0 everywhere"},
+
+    // Powers and logarithms
+    {"math.sqrt", {{0, "g / (2 r)", unlessXPositive, [](A a) { return a.g() / (a.r() + a.r()); }}},
+     "x = 0: infinite, or 0 where g = 0"},
+    {"math.rsqrt", {{0, "-g r^3 / 2", unlessXPositive, [](A a) { return -0.5 * a.g() * (a.r() * a.r() * a.r()); }}},
+     "x = 0: infinite, or 0 where g = 0"},
+    {"math.cbrt", {{0, "g / (3 r^2)", unlessXPositive, [](A a) { return a.g() / (3 * (a.r() * a.r())); }}},
+     "x = 0: infinite, or 0 where g = 0"},
+    {"math.exp", {{0, "g r", never, [](A a) { return a.g() * a.r(); }}}},
+    {"math.exp2", {{0, "g r ln 2", never, [](A a) { return kLn2 * (a.g() * a.r()); }}}},
+    {"math.expm1", {{0, "g exp(x)", unlessXNonPositive, [](A a) { return a.g() * exp(a.x()); }}}},
+    {"math.log", {{0, "g / x", unlessXPositive, [](A a) { return a.g() / a.x(); }}},
+     "x = 0: infinite, or 0 where g = 0"},
+    {"math.log2", {{0, "g / (x ln 2)", unlessXPositive, [](A a) { return a.g() / (kLn2 * a.x()); }}},
+     "x = 0: infinite, or 0 where g = 0"},
+    {"math.log10", {{0, "g / (x ln 10)", unlessXPositive, [](A a) { return a.g() / (kLn10 * a.x()); }}},
+     "x = 0: infinite, or 0 where g = 0"},
+    {"math.log1p", {{0, "g / (1 + x)", unlessXNonNegative, [](A a) { return a.g() / (1 + a.x()); }}},
+     "x = -1: infinite, or 0 where g = 0"},
+    {"math.powf", {{0, "g y x^(y - 1)", always, powerByX},
+                   {1, "g r log x", always, [](A a) { return unless(a.x() == 0, a.g() * a.r() * log(a.x())); }}},
+     "y = 0: 0 by x; x = 0: 0 by y; x < 0: exact by x, NaN by y"},
+    {"math.fpowi", {{0, "g y x^(y - 1)", always, [](A a) { return a.g() * powerByInteger(a); }}},
+     "y = 0: 0"},
+
+    // Trigonometry
+    {"math.sin", {{0, "g cos x", never, [](A a) { return a.g() * cos(a.x()); }}}},
+    {"math.cos", {{0, "-g sin x", never, [](A a) { return -(a.g() * sin(a.x())); }}}},
+    {"math.tan", {{0, "g (1 + r^2)", never, [](A a) { return a.g() * (1 + a.r() * a.r()); }}}},
+    {"math.asin", {{0, "g / sqrt((1 - x)(1 + x))", always, [](A a) { return a.g() / sqrt((1 - a.x()) * (1 + a.x())); }}},
+     "x = ±1: infinite, or 0 where g = 0"},
+    {"math.acos", {{0, "-g / sqrt((1 - x)(1 + x))", always, [](A a) { return -(a.g() / sqrt((1 - a.x()) * (1 + a.x()))); }}},
+     "x = ±1: infinite, or 0 where g = 0"},
+    {"math.atan", {{0, "g / (1 + x^2)", never, [](A a) { return a.g() / (1 + a.x() * a.x()); }}}},
+    {"math.atan2", {{0, "g y / (x^2 + y^2)", never, [](A a) { return atan2By(a, a.y()); }},
+                    {1, "-g x / (x^2 + y^2)", never, [](A a) { return atan2By(a, -a.x()); }}},
+     "x = y = 0: 0, 0"},
+
+    // Hyperbolic functions
+    {"math.sinh", {{0, "g cosh x", always, [](A a) { return a.g() * cosh(a.x()); }}}},
+    {"math.cosh", {{0, "g sinh x", always, [](A a) { return a.g() * sinh(a.x()); }}}},
+    {"math.tanh", {{0, "g (1 - r)(1 + r)", never, [](A a) { return a.g() * ((1 - a.r()) * (1 + a.r())); }}}},
+    {"math.asinh", {{0, "g / sqrt(1 + x^2)", never, [](A a) { return a.g() / sqrt(1 + a.x() * a.x()); }}}},
+    {"math.acosh", {{0, "g / sqrt((x - 1)(x + 1))", always, [](A a) { return a.g() / sqrt((a.x() - 1) * (1 + a.x())); }}},
+     "x = 1: infinite, or 0 where g = 0"},
+    {"math.atanh", {{0, "g / ((1 - x)(1 + x))", always, [](A a) { return a.g() / ((1 - a.x()) * (1 + a.x())); }}},
+     "x = ±1: infinite, or 0 where g = 0"},
+
+    // Error functions
+    {"math.erf", {{0, "2/sqrt(pi) g exp(-x^2)", never, [](A a) { return kTwoBySqrtPi * (a.g() * exp(-(a.x() * a.x()))); }}}},
+    {"math.erfc", {{0, "-2/sqrt(pi) g exp(-x^2)", never, [](A a) { return -kTwoBySqrtPi * (a.g() * exp(-(a.x() * a.x()))); }}}},
+  };
+  // clang-format on
+  return rules;
+}

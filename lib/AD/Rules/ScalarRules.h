@@ -1,0 +1,152 @@
+//===- ScalarRules.h - The table of derivatives -----------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The form of the rows of ScalarRules.cpp, and a small notation for formulas on
+// SSA values.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_AD_RULES_SCALARRULES_H
+#define TAI_LIB_AD_RULES_SCALARRULES_H
+
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Math/IR/Math.h"
+#include "tai/AD/AdjointBuilder.h"
+
+namespace mlir::tai {
+
+/// A float value, or a vector taken component by component.
+struct Num {
+  AdjointBuilder *builder;
+  Value value;
+};
+
+/// A truth value, or a vector of them.
+struct Truth {
+  AdjointBuilder *builder;
+  Value value;
+};
+
+template <typename OpTy> Num make(Num a) {
+  return {a.builder, OpTy::create(*a.builder, a.value)};
+}
+template <typename OpTy> Num make(Num a, Num b) {
+  return {a.builder, OpTy::create(*a.builder, a.value, b.value)};
+}
+inline Num constant(Num like, double value) {
+  return {like.builder,
+          like.builder->createConstant(like.value.getType(), value)};
+}
+inline Truth compare(arith::CmpFPredicate predicate, Num a, Num b) {
+  return {a.builder,
+          arith::CmpFOp::create(*a.builder, predicate, a.value, b.value)};
+}
+
+inline Num operator+(Num a, Num b) { return make<arith::AddFOp>(a, b); }
+inline Num operator-(Num a, Num b) { return make<arith::SubFOp>(a, b); }
+inline Num operator*(Num a, Num b) { return make<arith::MulFOp>(a, b); }
+inline Num operator/(Num a, Num b) { return make<arith::DivFOp>(a, b); }
+inline Num operator-(Num a) { return make<arith::NegFOp>(a); }
+inline Num operator+(double a, Num b) { return constant(b, a) + b; }
+inline Num operator-(double a, Num b) { return constant(b, a) - b; }
+inline Num operator-(Num a, double b) { return a - constant(a, b); }
+inline Num operator*(double a, Num b) { return constant(b, a) * b; }
+
+inline Truth operator>(Num a, Num b) {
+  return compare(arith::CmpFPredicate::OGT, a, b);
+}
+inline Truth operator<(Num a, Num b) {
+  return compare(arith::CmpFPredicate::OLT, a, b);
+}
+inline Truth operator==(Num a, double b) {
+  return compare(arith::CmpFPredicate::OEQ, a, constant(a, b));
+}
+inline Truth operator>(Num a, double b) { return a > constant(a, b); }
+inline Truth operator<(Num a, double b) { return a < constant(a, b); }
+inline Truth isNaN(Num a) { return compare(arith::CmpFPredicate::UNE, a, a); }
+inline Truth operator||(Truth a, Truth b) {
+  return {a.builder, arith::OrIOp::create(*a.builder, a.value, b.value)};
+}
+inline Num select(Truth condition, Num a, Num b) {
+  return {a.builder, arith::SelectOp::create(*a.builder, condition.value,
+                                             a.value, b.value)};
+}
+/// a where the condition holds, zero elsewhere.
+inline Num where(Truth condition, Num a) {
+  return select(condition, a, constant(a, 0));
+}
+inline Num unless(Truth condition, Num a) {
+  return select(condition, constant(a, 0), a);
+}
+
+/// What a formula may speak of. Primal values are recomputed only if they are
+/// asked for.
+class RuleArgs {
+public:
+  RuleArgs(AdjointBuilder &builder, Operation *op, Value seed)
+      : builder(builder), op(op), seed(seed) {}
+
+  /// The adjoint of the result.
+  Num g() { return {&builder, seed}; }
+  /// The operands.
+  Num x() { return use(op->getOperand(0)); }
+  Num y() { return use(op->getOperand(1)); }
+  Num z() { return use(op->getOperand(2)); }
+  /// The result.
+  Num r() { return use(op->getResult(0)); }
+  /// A condition or an integer operand.
+  Truth truth(unsigned i) {
+    return {&builder, builder.getPrimal(op->getOperand(i))};
+  }
+  /// `a` in the float type of operand i.
+  Num cast(Num a, unsigned i);
+
+  Operation *getOperation() { return op; }
+  FloatFacts &facts() { return builder.getFacts(); }
+  /// True if some primal value that was asked for may be infinite or NaN.
+  bool usesNonFinite() const { return usedNonFinite; }
+
+private:
+  Num use(Value value) {
+    usedNonFinite |= facts().mayBeNonFinite(value);
+    return {&builder, builder.getPrimal(value)};
+  }
+
+  AdjointBuilder &builder;
+  Operation *op;
+  Value seed;
+  bool usedNonFinite = false;
+};
+
+/// The derivative by one operand.
+struct Partial {
+  /// Position of the operand.
+  unsigned operand;
+  /// The contribution to its adjoint, for the reader: g is the adjoint of the
+  /// result r, and x, y, z are the operands.
+  const char *formula;
+  /// False if the partial is finite wherever the operands are; then there is no
+  /// guard for a zero adjoint.
+  bool (*mayBeNonFinite)(RuleArgs &);
+  /// Builds the contribution.
+  Num (*build)(RuleArgs &);
+};
+
+/// One op. Operands without a partial have the derivative zero.
+struct ScalarRule {
+  const char *op;
+  SmallVector<Partial, 3> partials;
+  /// What holds at kinks and singular points, for the reader.
+  const char *kinks = "";
+};
+
+/// The table.
+ArrayRef<ScalarRule> getScalarRules();
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_AD_RULES_SCALARRULES_H

@@ -1,0 +1,117 @@
+//===- TaiModels.cpp - Derivatives of accesses and parallel loops ---------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "Models.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/ParallelReverse.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+
+/// What the accesses share: the adjoint of an element is read and accumulated
+/// at the same indices of the adjoint field.
+template <typename Model, typename OpTy>
+struct AccessModel : DifferentiableAccessInterface::ExternalModel<Model, OpTy> {
+  Storage getAccessedStorage(Operation *op) const {
+    return cast<OpTy>(op).getFieldAttr();
+  }
+  OperandRange getAccessIndices(Operation *op) const {
+    return cast<OpTy>(op).getIndices();
+  }
+  ValueRange getAccessComponents(Operation *op) const {
+    return cast<OpTy>(op).getComponents();
+  }
+  Value getAccessedValue(Operation *op) const {
+    return cast<OpTy>(op).getValue();
+  }
+  Value createAdjointRead(Operation *op, OpBuilder &b, Storage storage,
+                          ValueRange indices, ValueRange components) const {
+    return LoadOp::create(b, op->getLoc(), getAccessedValue(op).getType(),
+                          storage.field, indices, components);
+  }
+  void createAdjointAccumulate(Operation *op, OpBuilder &b, Value value,
+                               Storage storage, ValueRange indices,
+                               ValueRange components) const {
+    AtomicOp::create(b, op->getLoc(), AtomicKind::Add, value, storage.field,
+                     indices, components);
+  }
+};
+
+struct LoadModel : AccessModel<LoadModel, LoadOp> {
+  AccessKind getAccessKind(Operation *) const { return AccessKind::Read; }
+};
+
+struct StoreModel : AccessModel<StoreModel, StoreOp> {
+  AccessKind getAccessKind(Operation *) const { return AccessKind::Write; }
+};
+
+struct AtomicModel : AccessModel<AtomicModel, AtomicOp> {
+  AccessKind getAccessKind(Operation *op) const {
+    AtomicKind kind = cast<AtomicOp>(op).getKind();
+    return kind == AtomicKind::Add || kind == AtomicKind::Sub
+               ? AccessKind::Accumulate
+               : AccessKind::Update;
+  }
+  bool isNegated(Operation *op) const {
+    return cast<AtomicOp>(op).getKind() == AtomicKind::Sub;
+  }
+};
+
+/// A parallel loop stays parallel: its iterations are reversed each for itself.
+struct ParallelForModel
+    : AdjointLoopInterface::ExternalModel<ParallelForModel, ParallelForOp> {
+  bool runsInParallel(Operation *) const { return true; }
+
+  LogicalResult buildReverse(Operation *op, AdjointBuilder &b) const {
+    auto primal = cast<ParallelForOp>(op);
+    SmallVector<Value> lower = b.getPrimals(primal.getLowerBounds());
+    SmallVector<Value> upper = b.getPrimals(primal.getUpperBounds());
+    if (primal.getSerialize() && primal.isStructFor()) {
+      b.emitError(op, "cannot reverse a serialized loop over a field")
+              .attachNote()
+          << "run it over a range, or use 'scf.for'";
+      return failure();
+    }
+    IRMapping mapping;
+    mapping.map(primal.getLowerBounds(), lower);
+    mapping.map(primal.getUpperBounds(), upper);
+    Operation *loop = b.insert(op->cloneWithoutRegions(mapping));
+    OpBuilder::InsertionGuard guard(b);
+    Block *mirror = b.createBlock(&loop->getRegion(0));
+    for (BlockArgument iv : primal.getInductionVars())
+      mirror->addArgument(iv.getType(), iv.getLoc());
+    auto begin = [&](Frame &frame) {
+      for (auto [i, iv] : llvm::enumerate(primal.getInductionVars())) {
+        Value position = mirror->getArgument(i);
+        if (primal.getSerialize()) {
+          // Iterations may build on one another: run them backwards.
+          Value last = arith::SubIOp::create(
+              b, arith::AddIOp::create(b, lower[i], upper[i]),
+              arith::ConstantIndexOp::create(b, 1));
+          position = arith::SubIOp::create(b, last, position);
+        }
+        frame.values.map(iv, position);
+      }
+    };
+    return reverseParallelBody(b, loop, primal.getBody().getBlocks().front(),
+                               *mirror, begin, [&] { YieldOp::create(b); });
+  }
+};
+} // namespace
+
+void mlir::tai::registerTaiModels(DialectRegistry &registry) {
+  registry.addExtension(+[](MLIRContext *context, TaiDialect *) {
+    LoadOp::attachInterface<LoadModel>(*context);
+    StoreOp::attachInterface<StoreModel>(*context);
+    AtomicOp::attachInterface<AtomicModel>(*context);
+    ParallelForOp::attachInterface<ParallelForModel>(*context);
+  });
+}

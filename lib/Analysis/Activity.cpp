@@ -1,0 +1,143 @@
+//===- Activity.cpp - Which values carry derivatives ----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Two worklists over the uses and definitions of values: forward from reads,
+// backward from writes. Values cross regions along the edges that
+// RegionBranchOpInterface reports.
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Analysis/Activity.h"
+#include "mlir/Interfaces/ControlFlowInterfaces.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+/// The edges along which ops with regions pass values on: from an operand of
+/// the op or of a terminator to an argument of a region or a result.
+struct RegionEdges {
+  DenseMap<OpOperand *, SmallVector<Value, 2>> targets;
+  DenseMap<Value, SmallVector<Value, 2>> sources;
+
+  void add(OperandRange operands, ValueRange inputs) {
+    MutableArrayRef<OpOperand> uses;
+    if (!operands.empty()) {
+      OpOperand *first = operands.getBase();
+      uses = MutableArrayRef<OpOperand>(first, operands.size());
+    }
+    for (auto [use, input] : llvm::zip(uses, inputs)) {
+      targets[&use].push_back(input);
+      sources[input].push_back(use.get());
+    }
+  }
+
+  void collect(RegionBranchOpInterface op) {
+    SmallVector<RegionSuccessor> successors;
+    op.getSuccessorRegions(RegionBranchPoint::parent(), successors);
+    for (RegionSuccessor &successor : successors)
+      add(op.getEntrySuccessorOperands(successor),
+          successor.getSuccessorInputs());
+    for (Region &region : op->getRegions())
+      for (Block &block : region) {
+        auto terminator =
+            dyn_cast<RegionBranchTerminatorOpInterface>(block.back());
+        if (!terminator)
+          continue;
+        successors.clear();
+        op.getSuccessorRegions(RegionBranchPoint(terminator), successors);
+        for (RegionSuccessor &successor : successors)
+          add(terminator.getSuccessorOperands(successor),
+              successor.getSuccessorInputs());
+      }
+  }
+};
+} // namespace
+
+/// True if derivatives may pass from the operand to the results of its op. An
+/// op without a rule is taken to carry them, so that it is found and refused.
+static bool carriesDerivative(OpOperand &operand) {
+  if (auto op = dyn_cast<DifferentiableOpInterface>(operand.getOwner()))
+    return op.carriesDerivative(operand);
+  return true;
+}
+
+Activity::Activity(FunctionOpInterface function,
+                   llvm::function_ref<bool(Storage)> hasAdjoint) {
+  RegionEdges edges;
+  SmallVector<DifferentiableAccessInterface> reads, writes;
+  function.walk([&](Operation *op) {
+    if (auto access = dyn_cast<DifferentiableAccessInterface>(op)) {
+      if (isFloatOrVector(access.getAccessedValue().getType()) &&
+          hasAdjoint(access.getAccessedStorage()))
+        (access.getAccessKind() == AccessKind::Read ? reads : writes)
+            .push_back(access);
+    } else if (auto branch = dyn_cast<RegionBranchOpInterface>(op)) {
+      edges.collect(branch);
+    }
+  });
+
+  SmallVector<Value> worklist;
+  auto markVaried = [&](Value value) {
+    if (varied.insert(value).second)
+      worklist.push_back(value);
+  };
+  for (DifferentiableAccessInterface read : reads)
+    markVaried(read.getAccessedValue());
+  // What a read-modify-write returns is a read too.
+  for (DifferentiableAccessInterface write : writes)
+    for (Value result : write->getResults())
+      markVaried(result);
+  while (!worklist.empty()) {
+    Value value = worklist.pop_back_val();
+    for (OpOperand &use : value.getUses()) {
+      Operation *user = use.getOwner();
+      if (isa<DifferentiableAccessInterface>(user))
+        continue;
+      if (auto it = edges.targets.find(&use); it != edges.targets.end()) {
+        llvm::for_each(it->second, markVaried);
+        continue;
+      }
+      if (isa<RegionBranchOpInterface, RegionBranchTerminatorOpInterface>(user))
+        continue; // a condition or a bound
+      if (carriesDerivative(use))
+        llvm::for_each(user->getResults(), markVaried);
+    }
+  }
+
+  auto markUseful = [&](Value value) {
+    if (useful.insert(value).second)
+      worklist.push_back(value);
+  };
+  for (DifferentiableAccessInterface write : writes) {
+    markUseful(write.getAccessedValue());
+    if (varied.contains(write.getAccessedValue()))
+      activeAccesses.insert(write);
+  }
+  while (!worklist.empty()) {
+    Value value = worklist.pop_back_val();
+    if (auto it = edges.sources.find(value); it != edges.sources.end()) {
+      llvm::for_each(it->second, markUseful);
+      continue;
+    }
+    Operation *op = value.getDefiningOp();
+    if (!op || isa<DifferentiableAccessInterface>(op))
+      continue;
+    for (OpOperand &operand : op->getOpOperands())
+      if (carriesDerivative(operand))
+        markUseful(operand.get());
+  }
+  for (DifferentiableAccessInterface read : reads)
+    if (isActive(read.getAccessedValue()))
+      activeAccesses.insert(read);
+
+  for (Operation *access : activeAccesses)
+    for (Operation *parent = access->getParentOp();
+         parent && parent != function && holders.insert(parent).second;
+         parent = parent->getParentOp())
+      ;
+}

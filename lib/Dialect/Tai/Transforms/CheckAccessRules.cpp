@@ -1,0 +1,233 @@
+//===- CheckAccessRules.cpp - The global data access rules ----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Compares the accesses of a kernel to each field that has an adjoint, pair by
+// pair. A pair is reported if it breaks a rule for certain and a derivative is
+// lost by it; a legal program is never refused.
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/IR/Matchers.h"
+#include "tai/Analysis/AccessOrder.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/Activity.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Dialect/Tai/Transforms/Passes.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_CHECKACCESSRULES
+#include "tai/Dialect/Tai/Transforms/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+static std::string getName(DifferentiableAccessInterface access) {
+  if (FlatSymbolRefAttr field = access.getAccessedStorage().field)
+    return ("field '@" + field.getValue() + "'").str();
+  return "array";
+}
+
+/// The number of iterations of a loop along `dim`, if it is known.
+static std::optional<int64_t> getExtent(Operation *loop, unsigned dim) {
+  auto getConstant = [](Value value) -> std::optional<int64_t> {
+    APInt constant;
+    if (!matchPattern(value, m_ConstantInt(&constant)))
+      return std::nullopt;
+    return constant.getSExtValue();
+  };
+  std::optional<int64_t> lower, upper;
+  if (auto parallel = dyn_cast<ParallelForOp>(loop)) {
+    if (parallel.isStructFor()) {
+      FieldOp field = lookupField(parallel, parallel.getFieldAttr());
+      FailureOr<FieldLayout> layout =
+          field ? getFieldLayout(field) : FailureOr<FieldLayout>(failure());
+      // Which cells of a sparse field are active is not known here.
+      if (failed(layout) || layout->path.getFirstSparse())
+        return std::nullopt;
+      return layout->shape[dim];
+    }
+    lower = getConstant(parallel.getLowerBounds()[dim]);
+    upper = getConstant(parallel.getUpperBounds()[dim]);
+  } else if (auto serial = dyn_cast<scf::ForOp>(loop)) {
+    if (matchPattern(serial.getStep(), m_One())) {
+      lower = getConstant(serial.getLowerBound());
+      upper = getConstant(serial.getUpperBound());
+    }
+  }
+  if (!lower || !upper)
+    return std::nullopt;
+  return *upper - *lower;
+}
+
+/// A loop around `access`, with no branch in between, of which at least two
+/// iterations reach the same element; or null.
+static Operation *findRepeatingLoop(DifferentiableAccessInterface access) {
+  SmallVector<LinearIndex> indices =
+      getLinearIndices(access.getAccessIndices());
+  SmallVector<LinearIndex> parts =
+      getLinearIndices(access.getAccessComponents());
+  indices.append(parts);
+  Operation *op = access;
+  for (Operation *parent = op->getParentOp();
+       isa<ParallelForOp, scf::ForOp>(parent); parent = parent->getParentOp()) {
+    // Indices that the body computes can differ in each iteration.
+    for (const LinearIndex &index : indices)
+      for (auto [value, coefficient] : index.terms)
+        if (!isa<BlockArgument>(value) &&
+            parent->isAncestor(value.getDefiningOp()))
+          return nullptr;
+    unsigned dims = isa<scf::ForOp>(parent)
+                        ? 1
+                        : cast<ParallelForOp>(parent).getInductionVars().size();
+    Block &body = parent->getRegion(0).front();
+    for (BlockArgument argument : body.getArguments().drop_front(dims))
+      for (const LinearIndex &index : indices)
+        if (index.getCoefficient(argument) != 0)
+          return nullptr; // carried
+    for (unsigned dim = 0; dim != dims; ++dim) {
+      Value iv = body.getArgument(dim);
+      bool isUsed = llvm::any_of(indices, [&](const LinearIndex &index) {
+        return index.getCoefficient(iv) != 0;
+      });
+      std::optional<int64_t> extent = getExtent(parent, dim);
+      if (!isUsed && extent && *extent >= 2)
+        return parent;
+    }
+  }
+  return nullptr;
+}
+
+namespace {
+/// Checks one function.
+class Checker {
+public:
+  Checker(FunctionOpInterface function, const Activity &activity)
+      : table(function), activity(activity) {}
+
+  LogicalResult check() {
+    for (auto &[storage, accesses] : table.getStorages()) {
+      for (DifferentiableAccessInterface access : accesses)
+        checkRepeated(access);
+      for (DifferentiableAccessInterface first : accesses)
+        for (DifferentiableAccessInterface second : accesses)
+          if (first != second && runsAfter(first, second))
+            checkPair(first, second);
+    }
+    return failure(hasErrors);
+  }
+
+private:
+  InFlightDiagnostic report(Operation *op, const Twine &message) {
+    hasErrors = true;
+    return op->emitError() << message;
+  }
+
+  bool isActive(DifferentiableAccessInterface access) {
+    return activity.isActiveAccess(access);
+  }
+
+  /// Rule 1 for one store in a loop that does not move with the loop.
+  void checkRepeated(DifferentiableAccessInterface access) {
+    if (access.getAccessKind() != AccessKind::Write || !isActive(access))
+      return;
+    Operation *loop = findRepeatingLoop(access);
+    if (!loop || !reported.insert(access).second)
+      return;
+    InFlightDiagnostic diag =
+        report(access, "an element of " + getName(access) +
+                           " is overwritten in every iteration of a loop, so "
+                           "its gradient would be wrong");
+    diag.attachNote(loop->getLoc()) << "the indices do not depend on this loop";
+    diag.attachNote() << "accumulate with 'tai.atomic add', or store to an "
+                         "element for each iteration";
+  }
+
+  void checkPair(DifferentiableAccessInterface first,
+                 DifferentiableAccessInterface second) {
+    AccessKind before = first.getAccessKind(), after = second.getAccessKind();
+    bool isRead = before == AccessKind::Read;
+    if (isRead ? after == AccessKind::Read || !isActive(first)
+        : after == AccessKind::Read ? before != AccessKind::Accumulate
+                                    : after == AccessKind::Accumulate)
+      return;
+    if (!isRead && !isActive(first))
+      return;
+    if (reported.contains(second) || !reachSameElement(first, second))
+      return;
+    if (after == AccessKind::Read)
+      return checkEarlyRead(first, second);
+    reported.insert(second);
+    InFlightDiagnostic diag = report(
+        second, isRead ? "an element of " + getName(second) +
+                             " is written after it was read, so its gradient "
+                             "would be wrong"
+                       : "an element of " + getName(second) +
+                             " is written a second time, so its gradient would "
+                             "be wrong");
+    diag.attachNote(first->getLoc()) << (isRead ? "read here" : "written here");
+    if (isRead)
+      diag.attachNote() << "store to another element, such as one more time "
+                           "step of the field";
+    else
+      diag.attachNote() << "from the second write on, accumulate with "
+                           "'tai.atomic add'; or combine both values in a "
+                           "local variable and store once";
+  }
+
+  /// Rule 2 inside one parallel loop: other iterations still accumulate.
+  void checkEarlyRead(DifferentiableAccessInterface accumulation,
+                      DifferentiableAccessInterface read) {
+    Operation *loop = getEnclosingParallelLoop(accumulation);
+    if (!loop || !loop->isAncestor(read) || !isActive(read))
+      return;
+    auto parallel = dyn_cast<ParallelForOp>(loop);
+    if (!parallel || parallel.getSerialize() ||
+        findRepeatingLoop(accumulation) != loop)
+      return;
+    reported.insert(read);
+    InFlightDiagnostic diag = report(
+        read, "an element of " + getName(read) +
+                  " is read before its accumulation is done, so its value and "
+                  "its gradient would be wrong");
+    diag.attachNote(accumulation->getLoc())
+        << "other iterations of the loop still accumulate here";
+    diag.attachNote() << "read it in a later loop";
+  }
+
+  AccessTable table;
+  const Activity &activity;
+  DenseSet<Operation *> reported;
+  bool hasErrors = false;
+};
+
+struct CheckAccessRules : tai::impl::CheckAccessRulesBase<CheckAccessRules> {
+  void getDependentDialects(DialectRegistry &registry) const override {
+    registerDifferentiableModels(registry);
+  }
+
+  void runOnOperation() override {
+    bool failedAny = false;
+    getOperation()->walk([&](KernelOp kernel) {
+      // Adjoint kernels only accumulate, and are not differentiated.
+      Activity activity(kernel, [&](Storage storage) {
+        if (!storage.field)
+          return isa<BlockArgument>(storage.memref) &&
+                 storage.memref.getParentBlock() == &kernel.getBody().front();
+        FieldOp field = lookupField(kernel, storage.field);
+        return field && field.getAdjointAttr();
+      });
+      failedAny |= failed(Checker(kernel, activity).check());
+    });
+    if (failedAny)
+      signalPassFailure();
+    markAllAnalysesPreserved();
+  }
+};
+} // namespace

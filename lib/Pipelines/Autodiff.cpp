@@ -1,0 +1,49 @@
+//===- Autodiff.cpp - From kernels to kernels with adjoints ---------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Pass/PassRegistry.h"
+#include "mlir/Transforms/Passes.h"
+#include "tai/AD/Passes.h"
+#include "tai/Dialect/Tai/Transforms/Passes.h"
+#include "tai/Pipelines/Pipelines.h"
+
+using namespace mlir;
+
+void tai::buildAutodiffPipeline(OpPassManager &pm,
+                                const AutodiffOptions &options) {
+  // Helpers go into the kernels that call them: a call hides what it reads. The
+  // inliner's own cleaning of every function is left out, see below.
+  pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
+  // Values instead of variables, so that the rest sees what depends on what.
+  pm.addPass(createEliminateLocals());
+  pm.addPass(createCanonicalizerPass());
+  // One value for each index, so that equal elements are seen to be equal.
+  pm.addPass(createCSEPass());
+  // On the program as it was written: flattened branches hide conditions.
+  pm.addPass(createCheckAccessRules());
+  if (options.flatten)
+    pm.addPass(createFlattenBranches());
+
+  MakeAdjointOptions adjoint;
+  adjoint.kernels.assign(options.kernels.begin(), options.kernels.end());
+  pm.addPass(createMakeAdjoint(adjoint));
+
+  // Rules write the formula, not its simplest form.
+  pm.addPass(createCanonicalizerPass());
+  pm.addPass(createCSEPass());
+  // What a backward loop recomputes need not be recomputed in each iteration.
+  pm.addPass(createLoopInvariantCodeMotionPass());
+  pm.addPass(createMarkExclusive());
+  pm.addPass(createSummarizeKernels());
+}
+
+void tai::registerAutodiffPipeline() {
+  PassPipelineRegistration<AutodiffOptions>(
+      "tai-autodiff",
+      "Make the adjoints of kernels, and the summaries of all kernels",
+      buildAutodiffPipeline);
+}
