@@ -38,7 +38,8 @@ class Result:
             if case.find("failure") is not None or case.find("error") is not None:
                 self.fail(name)
             elif skip is not None:
-                self.skipped.append(f"{name}: {skip.get('message') or 'no reason given'}")
+                reason = " ".join([skip.get("message") or "", skip.text or ""]).strip()
+                self.skipped.append(f"{name}: {reason or 'no reason given'}")
             else:
                 self.passed += 1
 
@@ -71,7 +72,7 @@ def run_lit(build: Path, jobs: int, out: Path, gpu: bool) -> Result:
     result = Result("lit")
     xml = out / "lit.xml"
     suite = build / "test" / ("Integration/CUDA" if gpu else "")
-    lit = [sys.executable, LLVM_BIN / "lit", "-s", "-v", "--timeout=300"]
+    lit = [sys.executable, LLVM_BIN / "lit", "-s", "-v"]
     status = call([*lit, f"-j{jobs}", f"--xunit-xml-output={xml}", suite])
     if xml.exists():
         result.add_junit(xml)

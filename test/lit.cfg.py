@@ -7,6 +7,7 @@ To run one test: `build/bin/tai-lit test/Dialect/Tai/IR/ops.mlir`.
 # ruff: noqa: F821
 
 import ctypes
+import importlib.util
 import os
 
 import lit.formats
@@ -40,6 +41,10 @@ config.substitutions.append(("%tai_plugin", config.tai_plugin))
 config.substitutions.append(("%tai_lib", config.tai_lib_dir))
 config.substitutions.append(("%tai_src", config.tai_source_dir))
 config.substitutions.append(("%python", config.python_executable))
+
+# A test that hangs fails; lit needs psutil to end its processes.
+if importlib.util.find_spec("psutil"):
+    lit_config.maxIndividualTestTime = 300
 
 # Features, for REQUIRES lines.
 if os.path.exists(config.tai_plugin):
