@@ -67,9 +67,12 @@ TAI_EXPORT void taiContextDestroy(TaiContext context);
 ///   fast_math         true | false
 ///   opt_level         0..3
 ///   seed              number, for tai.random
-///   cache_dir         folder of the compile cache; empty = no cache
+///   cache_dir         folder of the compile cache; empty = no cache. Where the
+///                     option is not set: $TAI_CACHE_DIR, else the folder `tai`
+///                     in the user's cache folder
 ///   print_ir          empty, "all", or a comma list of stage names
 ///   profiler          true | false
+///   compile_profile   true | false: times of each compilation, on stderr
 TAI_EXPORT TaiStatus taiContextSetOption(TaiContext context, const char *name,
                                          const char *value);
 
@@ -89,6 +92,17 @@ TAI_EXPORT TaiError taiContextLastError(TaiContext context);
 
 /// Waits for everything launched.
 TAI_EXPORT TaiStatus taiContextSynchronize(TaiContext context);
+
+/// Asks running launches to stop; they fail with TAI_ERROR_RUNTIME. Safe in a
+/// signal handler and from any thread. The request stands until it is cleared.
+TAI_EXPORT void taiContextInterrupt(TaiContext context);
+TAI_EXPORT void taiContextClearInterrupt(TaiContext context);
+
+/// Where the lines of `tai.print` go, each whole and with its newline, from any
+/// thread; null for the standard output.
+typedef void (*TaiPrintHandler)(const char *line, size_t length, void *user);
+TAI_EXPORT void taiContextSetPrintHandler(TaiContext context,
+                                          TaiPrintHandler handler, void *user);
 
 //===----------------------------------------------------------------------===//
 // Trees and fields
@@ -112,7 +126,14 @@ TAI_EXPORT TaiStatus taiContextAddField(TaiContext context,
                                         TaiField *field);
 
 typedef enum TaiScalarType {
-  TAI_I8 = 0, TAI_I16, TAI_I32, TAI_I64, TAI_F16, TAI_BF16, TAI_F32, TAI_F64,
+  TAI_I8 = 0,
+  TAI_I16,
+  TAI_I32,
+  TAI_I64,
+  TAI_F16,
+  TAI_BF16,
+  TAI_F32,
+  TAI_F64,
   TAI_I1
 } TaiScalarType;
 
@@ -120,7 +141,7 @@ typedef enum TaiScalarType {
 
 typedef struct TaiFieldInfo {
   TaiScalarType type;
-  int rank;                     // number of indices
+  int rank; // number of indices
   int64_t shape[TAI_MAX_RANK];
   int64_t offset[TAI_MAX_RANK]; // first index
   int element_rank;             // 0 scalar, 1 vector, 2 matrix
@@ -160,6 +181,10 @@ TAI_EXPORT TaiStatus taiContextClearGradients(TaiContext context);
 /// owned by the kernel afterwards, also on failure.
 TAI_EXPORT TaiStatus taiKernelCreate(TaiContext context, MlirModule module,
                                      const char *name, TaiKernel *kernel);
+/// The same for IR given as text; `file` names it in diagnostics.
+TAI_EXPORT TaiStatus taiKernelParse(TaiContext context, const char *text,
+                                    const char *file, const char *name,
+                                    TaiKernel *kernel);
 TAI_EXPORT void taiKernelDestroy(TaiKernel kernel);
 
 /// Launches with arguments in slots (see tai/Runtime/Abi.h). `results` may be
@@ -167,8 +192,8 @@ TAI_EXPORT void taiKernelDestroy(TaiKernel kernel);
 TAI_EXPORT TaiStatus taiKernelLaunch(TaiKernel kernel, const uint64_t *args,
                                      int64_t slots, uint64_t *results);
 /// Launches the adjoint of the kernel.
-TAI_EXPORT TaiStatus taiKernelLaunchGrad(TaiKernel kernel,
-                                         const uint64_t *args, int64_t slots);
+TAI_EXPORT TaiStatus taiKernelLaunchGrad(TaiKernel kernel, const uint64_t *args,
+                                         int64_t slots);
 
 /// Compiles the kernel (and its adjoint) now. Several in parallel.
 TAI_EXPORT TaiStatus taiKernelsCompile(TaiContext context, TaiKernel *kernels,

@@ -299,6 +299,20 @@ int64_t Tape::numSkipped() {
       });
 }
 
+std::vector<Kernel *> Tape::pendingAdjoints() {
+  if (!planHolds())
+    plan();
+  std::vector<Kernel *> pending;
+  for (uint32_t index : needed) {
+    Kernel *kernel = records[index].kernel;
+    if (!kernel->knownAdjoint.load(std::memory_order_relaxed) &&
+        !kernel->adjointAsked &&
+        std::find(pending.begin(), pending.end(), kernel) == pending.end())
+      pending.push_back(kernel);
+  }
+  return pending;
+}
+
 static void appendNames(std::string &text, const std::vector<Field *> &fields) {
   for (size_t i = 0; i < fields.size(); ++i)
     text += (i ? ", @" : "@") + fields[i]->name();

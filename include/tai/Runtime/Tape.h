@@ -65,6 +65,9 @@ public:
   /// Records that the last reverse sweep skipped (before the first: that one
   /// seeded by the loss alone would).
   int64_t numSkipped();
+  /// Kernels that the reverse sweep would replay and whose adjoints have not
+  /// been made, so that they can be compiled together ahead of it.
+  std::vector<Kernel *> pendingAdjoints();
   /// One line for each record: replayed or skipped, and why.
   const std::string &explain();
 

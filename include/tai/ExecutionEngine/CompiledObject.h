@@ -1,0 +1,38 @@
+//===- CompiledObject.h - What a compilation leaves -------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Object code and what must be known to run it, as one block of bytes: the
+// payload of an entry of the compile cache.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_EXECUTIONENGINE_COMPILEDOBJECT_H
+#define TAI_EXECUTIONENGINE_COMPILEDOBJECT_H
+
+#include "llvm/ADT/SmallVector.h"
+#include "llvm/ADT/StringRef.h"
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace mlir::tai {
+
+struct CompiledObject {
+  /// The function to call. Empty for an adjoint that has nothing to do.
+  std::string symbol;
+  /// The trees whose bases the function is given, in order.
+  std::vector<std::string> trees;
+  llvm::SmallVector<char, 0> code;
+
+  std::string serialize() const;
+  /// Nothing where the bytes are not those of a serialized object.
+  static std::optional<CompiledObject> deserialize(llvm::StringRef bytes);
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_EXECUTIONENGINE_COMPILEDOBJECT_H

@@ -1,0 +1,148 @@
+//===- Compiler.h - From a module to a function that runs -------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Compiles kernels for the CPU that it runs on: differentiation where the
+// adjoint is wanted, lowering, LLVM's optimiser, object code, and a place in
+// memory. Object code is kept in a cache on disk, in front of everything else:
+// a hit runs no pass.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_EXECUTIONENGINE_COMPILER_H
+#define TAI_EXECUTIONENGINE_COMPILER_H
+
+#include "mlir/IR/BuiltinOps.h"
+#include "mlir/Pass/PassManager.h"
+#include "tai/ExecutionEngine/CompiledObject.h"
+#include "tai/ExecutionEngine/Diagnostics.h"
+#include "tai/ExecutionEngine/Linker.h"
+#include "tai/ExecutionEngine/ObjectCompiler.h"
+#include <array>
+#include <functional>
+
+namespace mlir::tai {
+
+/// What decides the code made from a kernel.
+struct CompileOptions {
+  CodegenOptions codegen;
+  /// Assertions and bounds checks.
+  bool debug = false;
+  /// Results do not depend on threads.
+  bool deterministic = false;
+
+  bool operator==(const CompileOptions &other) const {
+    return codegen == other.codegen && debug == other.debug &&
+           deterministic == other.deterministic;
+  }
+  /// The options as text, for the key of the cache.
+  std::string str() const;
+};
+
+/// Steps of a compilation, for the profile.
+enum class Phase { Cache, Autodiff, Lower, Translate, Optimize, Emit, Link };
+constexpr unsigned kNumPhases = 7;
+StringRef stringifyPhase(Phase phase);
+
+/// Seconds spent in each phase.
+using PhaseTimes = std::array<double, kNumPhases>;
+
+/// Where compiled objects are kept from run to run. Both calls come from any
+/// thread.
+struct ObjectCache {
+  /// The bytes stored under the key, or nothing. Bytes that were damaged are
+  /// never returned.
+  std::function<std::optional<std::string>(StringRef key)> load;
+  std::function<void(StringRef key, StringRef bytes)> store;
+  explicit operator bool() const { return static_cast<bool>(load); }
+};
+
+/// What to compile.
+struct CompileRequest {
+  enum class Goal { Primal, Adjoint };
+
+  /// Left as it is. Holds the function, what it calls, and the trees and
+  /// fields that it uses.
+  ModuleOp module;
+  StringRef name;
+  Goal goal;
+};
+
+class Compiler {
+public:
+  /// The pass pipelines. Each is built once and run by one thread at a time.
+  struct Pipelines {
+    std::function<void(OpPassManager &, const CompileOptions &)> autodiff;
+    std::function<void(OpPassManager &, const CompileOptions &)> toLLVM;
+    /// The pass after which the IR is "scf".
+    std::string scfPass;
+  };
+
+  /// The dialects that the pipelines make must be loaded: several threads use
+  /// the context.
+  Compiler(MLIRContext *context, Pipelines pipelines,
+           ArrayRef<runtime::RuntimeSymbol> runtime);
+  ~Compiler();
+
+  /// Loads what the pipelines depend on into the context.
+  void loadDialects();
+
+  void setCache(ObjectCache cache) { this->cache = std::move(cache); }
+
+  struct Function {
+    /// Null for an adjoint that has nothing to do.
+    void *address = nullptr;
+    Linker::Library *library = nullptr;
+    /// The trees whose bases the function is given, in order.
+    std::vector<std::string> trees;
+    bool fromCache = false;
+    PhaseTimes times = {};
+  };
+
+  /// Compiles, or takes from the cache, and links. Called by several threads.
+  std::optional<Function> compile(CompileRequest request,
+                                  const CompileOptions &options,
+                                  Failure &failure);
+
+  /// Frees a function that is not running.
+  void unload(const Function &function);
+
+  /// The IR at a stage: "tai", "autodiff", "scf", "llvm", "llvmir", "asm".
+  std::optional<std::string> print(CompileRequest request, StringRef stage,
+                                   const CompileOptions &options,
+                                   Failure &failure);
+  static ArrayRef<StringRef> getStages();
+
+  /// Seconds spent in each phase since the start, over all threads.
+  PhaseTimes getTotals();
+
+private:
+  struct Worker;
+  class WorkerLease;
+
+  std::optional<CompiledObject> compileObject(CompileRequest request,
+                                              const CompileOptions &options,
+                                              PhaseTimes &times,
+                                              Failure &failure);
+  OwningOpRef<ModuleOp> runPasses(Worker &worker, CompileRequest request,
+                                  CompiledObject &object, PhaseTimes &times,
+                                  Failure &failure, std::string *scf);
+  std::string getKey(CompileRequest request, const CompileOptions &options);
+  Linker *getLinker(Failure &failure);
+
+  MLIRContext *context;
+  Pipelines pipelines;
+  std::vector<runtime::RuntimeSymbol> runtime;
+  ObjectCache cache;
+  std::mutex mutex;
+  std::unique_ptr<Linker> linker;
+  std::vector<std::unique_ptr<Worker>> idle;
+  PhaseTimes totals = {};
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_EXECUTIONENGINE_COMPILER_H

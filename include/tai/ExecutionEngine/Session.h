@@ -1,0 +1,168 @@
+//===- Session.h - A context in which programs run --------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Ties an MLIR context, the runtime and the compiler together, and keeps what
+// was declared: trees, fields, kernels. The C API and tai-run stand on it.
+//
+// A session may be used by one thread at a time; it compiles on several.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_EXECUTIONENGINE_SESSION_H
+#define TAI_EXECUTIONENGINE_SESSION_H
+
+#include "mlir/IR/OwningOpRef.h"
+#include "mlir/IR/SymbolTable.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/ExecutionEngine/Compiler.h"
+#include "tai/Runtime/CacheStore.h"
+#include "tai/Runtime/Runtime.h"
+#include "llvm/Support/ThreadPool.h"
+
+namespace mlir::tai {
+
+/// What a kernel is compiled from, and the code made so far. It lives as long
+/// as the runtime may launch it, which a tape can make longer than its handle.
+struct KernelCode {
+  KernelCode(Compiler &compiler, StringRef name, const CompileOptions &options)
+      : compiler(compiler), name(name.str()), options(options) {}
+  ~KernelCode();
+
+  Compiler &compiler;
+  std::string name;
+  CompileOptions options;
+  OwningOpRef<ModuleOp> module;
+  std::vector<Compiler::Function> functions;
+};
+
+/// A kernel of a session. It is compiled when it is first launched.
+struct SessionKernel {
+  std::shared_ptr<KernelCode> code;
+  runtime::KernelPtr kernel;
+};
+
+class Session {
+public:
+  Session();
+  ~Session();
+
+  MLIRContext *getContext() { return context.get(); }
+  runtime::Runtime &getRuntime() { return *rt; }
+  Compiler &getCompiler() { return *compiler; }
+
+  /// The last failure; every call below that returns failure sets it.
+  const Failure &getFailure() const { return lastFailure; }
+  LogicalResult fail(Failure failure);
+  LogicalResult fail(FailureKind kind, const Twine &message);
+
+  /// Sets an option of `taiContextSetOption`. Those that decide code hold for
+  /// kernels created afterwards.
+  LogicalResult setOption(StringRef name, StringRef value);
+
+  //===--------------------------------------------------------------------===//
+  // Declarations
+  //===--------------------------------------------------------------------===//
+
+  /// Adds a tree, by the text of its layout or by its op.
+  LogicalResult addTree(StringRef name, StringRef layout);
+  LogicalResult addTree(TreeOp tree);
+  LogicalResult destroyTree(StringRef name);
+
+  /// Adds a field, by the text of a `tai.field` op or by the op. The adjoint
+  /// that it names may be added later.
+  FailureOr<runtime::FieldPtr> addField(StringRef declaration);
+  FailureOr<runtime::FieldPtr> addField(FieldOp field);
+
+  /// Takes a module with a kernel of the given name, adds the trees and fields
+  /// that it uses, and verifies it.
+  FailureOr<SessionKernel *> createKernel(OwningOpRef<ModuleOp> module,
+                                          StringRef name);
+  /// The same for a module given as text; `file` names it in diagnostics.
+  FailureOr<SessionKernel *> parseKernel(StringRef text, StringRef file,
+                                         StringRef name);
+  void destroyKernel(SessionKernel *kernel);
+
+  //===--------------------------------------------------------------------===//
+  // Running
+  //===--------------------------------------------------------------------===//
+
+  LogicalResult launch(SessionKernel &kernel, const uint64_t *args,
+                       int64_t slots, uint64_t *results) {
+    runtime::Status status = rt->launch(*kernel.kernel, args, slots, results);
+    if (LLVM_LIKELY(status.ok()))
+      return success();
+    return fail(status);
+  }
+  LogicalResult launchAdjoint(SessionKernel &kernel, const uint64_t *args,
+                              int64_t slots);
+
+  /// Compiles kernels, and their adjoints if asked, on several threads.
+  LogicalResult compile(ArrayRef<SessionKernel *> kernels, bool adjoints);
+
+  /// Compiles the adjoints that the reverse sweep of the tape will launch.
+  LogicalResult prepareReverse(runtime::Tape &tape);
+
+  /// Compiles the host function of the given name in the module and runs it.
+  /// The kernels that it launches are those of the session.
+  LogicalResult runHost(ModuleOp module, StringRef name);
+
+  /// The IR of a kernel at a stage.
+  FailureOr<std::string> getIR(SessionKernel &kernel, StringRef stage);
+
+  /// The session's kernel behind a kernel of the runtime, or null.
+  SessionKernel *findKernel(StringRef name) const;
+
+  /// Keeps a failure and makes a status that stands for it, to pass it through
+  /// the runtime. Any thread.
+  runtime::Status keepFailure(Failure failure);
+  /// Turns a status of the runtime into the failure of the session.
+  LogicalResult fail(const runtime::Status &status);
+  LogicalResult check(const runtime::Status &status) {
+    return status.ok() ? success() : fail(status);
+  }
+
+private:
+  /// Adds the declarations that `module` refers to and does not hold.
+  LogicalResult declareUsed(ModuleOp module);
+  LogicalResult verifyModule(ModuleOp module);
+  std::vector<runtime::Access> summarize(ModuleOp module);
+  std::vector<runtime::TreePtr> findTrees(ArrayRef<std::string> names);
+  runtime::Status compilePrimal(KernelCode &code,
+                                runtime::Kernel &runtimeKernel,
+                                TaiKernelFn &function);
+  runtime::Status compileAdjoint(KernelCode &code,
+                                 runtime::Kernel &runtimeKernel,
+                                 runtime::KernelPtr &adjoint);
+  std::optional<Compiler::Function>
+  compileAs(KernelCode &code, CompileRequest::Goal goal, Failure &failure);
+  void printStages(KernelCode &code, CompileRequest::Goal goal);
+  void printProfile(StringRef name, CompileRequest::Goal goal,
+                    const Compiler::Function &function);
+  void useCache(StringRef folder);
+
+  std::unique_ptr<llvm::ThreadPoolInterface> pool;
+  std::unique_ptr<MLIRContext> context;
+  std::unique_ptr<runtime::Runtime> rt;
+  std::unique_ptr<Compiler> compiler;
+  std::shared_ptr<runtime::CacheStore> cache;
+  CompileOptions options;
+  SmallVector<std::string> printedStages;
+  bool printsProfile = false;
+
+  /// Holds the trees and fields that were added.
+  OwningOpRef<ModuleOp> declarations;
+  std::optional<SymbolTable> symbols;
+  std::vector<std::unique_ptr<SessionKernel>> kernels;
+  /// Failures of compilations, which the runtime passes on by number.
+  std::vector<Failure> compileFailures;
+  std::mutex mutex;
+  Failure lastFailure;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_EXECUTIONENGINE_SESSION_H

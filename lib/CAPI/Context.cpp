@@ -1,0 +1,178 @@
+//===- Context.cpp - Contexts, trees and fields in the C API --------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "Impl.h"
+#include "mlir/CAPI/IR.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+static StringRef toRef(const char *text) { return text ? text : ""; }
+
+//===----------------------------------------------------------------------===//
+// Context
+//===----------------------------------------------------------------------===//
+
+const char *taiVersion(void) { return TAI_VERSION; }
+
+TaiContext taiContextCreate(void) { return new TaiContextImpl(); }
+
+void taiContextDestroy(TaiContext context) { delete context; }
+
+TaiStatus taiContextSetOption(TaiContext context, const char *name,
+                              const char *value) {
+  return context->status(context->session.setOption(toRef(name), toRef(value)));
+}
+
+MlirContext taiContextGetMlirContext(TaiContext context) {
+  return wrap(context->session.getContext());
+}
+
+TaiError taiContextLastError(TaiContext context) {
+  const Failure &failure = context->session.getFailure();
+  return {static_cast<TaiStatus>(failure.kind),
+          failure.message.c_str(),
+          failure.file.c_str(),
+          failure.line,
+          failure.column,
+          failure.text.c_str()};
+}
+
+TaiStatus taiContextSynchronize(TaiContext) {
+  // Launches on the CPU have ended when they return.
+  return TAI_OK;
+}
+
+void taiContextInterrupt(TaiContext context) {
+  context->session.getRuntime().interrupt();
+}
+
+void taiContextClearInterrupt(TaiContext context) {
+  context->session.getRuntime().clearInterrupt();
+}
+
+void taiContextSetPrintHandler(TaiContext context, TaiPrintHandler handler,
+                               void *user) {
+  runtime::Runtime::Sink sink;
+  if (handler)
+    sink = [handler, user](std::string_view line) {
+      handler(line.data(), line.size(), user);
+    };
+  context->session.getRuntime().setPrintSink(std::move(sink));
+}
+
+//===----------------------------------------------------------------------===//
+// Trees and fields
+//===----------------------------------------------------------------------===//
+
+TaiStatus taiContextAddTree(TaiContext context, const char *name,
+                            const char *layout) {
+  return context->status(context->session.addTree(toRef(name), toRef(layout)));
+}
+
+TaiStatus taiContextDestroyTree(TaiContext context, const char *name) {
+  return context->status(context->session.destroyTree(toRef(name)));
+}
+
+TaiStatus taiContextAddField(TaiContext context, const char *declaration,
+                             TaiField *field) {
+  FailureOr<runtime::FieldPtr> made =
+      context->session.addField(toRef(declaration));
+  if (failed(made))
+    return context->status(failure());
+  context->fields.push_back(std::unique_ptr<TaiFieldImpl>(
+      new TaiFieldImpl{*context, std::move(*made)}));
+  *field = context->fields.back().get();
+  return TAI_OK;
+}
+
+TaiStatus taiFieldGetInfo(TaiField handle, TaiFieldInfo *info) {
+  const runtime::Field &field = *handle->field;
+  *info = TaiFieldInfo();
+  info->type = static_cast<TaiScalarType>(field.scalar());
+  info->rank = field.rank();
+  llvm::copy(field.shape(), info->shape);
+  llvm::copy(field.layout().offset, info->offset);
+  info->element_rank = field.elementShape().size();
+  llvm::copy(field.elementShape(), info->element_shape);
+  return TAI_OK;
+}
+
+TaiStatus taiFieldReadF64(TaiField handle, const int64_t *indices,
+                          int64_t component, double *value) {
+  return handle->context.status(
+      handle->field->readF64(indices, component, *value));
+}
+
+TaiStatus taiFieldWriteF64(TaiField handle, const int64_t *indices,
+                           int64_t component, double value) {
+  return handle->context.status(
+      handle->field->writeF64(indices, component, value));
+}
+
+TaiStatus taiFieldReadI64(TaiField handle, const int64_t *indices,
+                          int64_t component, int64_t *value) {
+  return handle->context.status(
+      handle->field->readI64(indices, component, *value));
+}
+
+TaiStatus taiFieldWriteI64(TaiField handle, const int64_t *indices,
+                           int64_t component, int64_t value) {
+  return handle->context.status(
+      handle->field->writeI64(indices, component, value));
+}
+
+TaiStatus taiFieldCopyToHost(TaiField handle, void *array) {
+  TaiContextImpl &context = handle->context;
+  return context.status(
+      context.session.getRuntime().copyToHost(*handle->field, array));
+}
+
+TaiStatus taiFieldCopyFromHost(TaiField handle, const void *array) {
+  TaiContextImpl &context = handle->context;
+  return context.status(
+      context.session.getRuntime().copyFromHost(*handle->field, array));
+}
+
+TaiStatus taiFieldFillF64(TaiField handle, double value) {
+  TaiContextImpl &context = handle->context;
+  return context.status(
+      context.session.getRuntime().fillF64(*handle->field, value));
+}
+
+TaiStatus taiFieldFillI64(TaiField handle, int64_t value) {
+  TaiContextImpl &context = handle->context;
+  return context.status(
+      context.session.getRuntime().fillI64(*handle->field, value));
+}
+
+TaiStatus taiContextClearGradients(TaiContext context) {
+  context->session.getRuntime().clearGradients();
+  return TAI_OK;
+}
+
+//===----------------------------------------------------------------------===//
+// Profiler
+//===----------------------------------------------------------------------===//
+
+TaiStatus taiProfilerRows(TaiContext context, const TaiProfileRow **rows,
+                          int64_t *count) {
+  context->profile = context->session.getRuntime().profile();
+  context->profileRows.clear();
+  for (const runtime::ProfileRow &row : context->profile)
+    context->profileRows.push_back(
+        {row.kernel.c_str(), row.times.launches, row.times.totalNs * 1e-6,
+         row.times.minNs * 1e-6, row.times.maxNs * 1e-6});
+  *rows = context->profileRows.data();
+  *count = context->profileRows.size();
+  return TAI_OK;
+}
+
+TaiStatus taiProfilerClear(TaiContext context) {
+  context->session.getRuntime().clearProfile();
+  return TAI_OK;
+}

@@ -1,0 +1,56 @@
+//===- Impl.h - What the handles of the C API point to ----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CAPI_IMPL_H
+#define TAI_LIB_CAPI_IMPL_H
+
+#include "tai-c/Tai.h"
+#include "tai/ExecutionEngine/Session.h"
+
+/// Owns every handle made in it: only kernels and tapes are destroyed earlier.
+struct TaiContextImpl {
+  mlir::tai::Session session;
+  std::vector<std::unique_ptr<TaiFieldImpl>> fields;
+  std::vector<std::unique_ptr<TaiKernelImpl>> kernels;
+  std::vector<std::unique_ptr<TaiTapeImpl>> tapes;
+  std::vector<mlir::tai::runtime::ProfileRow> profile;
+  std::vector<TaiProfileRow> profileRows;
+
+  /// The status of a call of the session.
+  TaiStatus status(llvm::LogicalResult result) {
+    if (succeeded(result))
+      return TAI_OK;
+    return static_cast<TaiStatus>(session.getFailure().kind);
+  }
+  /// The status of a call of the runtime.
+  TaiStatus status(const mlir::tai::runtime::Status &result) {
+    if (LLVM_LIKELY(result.ok()))
+      return TAI_OK;
+    return status(session.fail(result));
+  }
+  TaiStatus usage(const llvm::Twine &message) {
+    return status(session.fail(mlir::tai::FailureKind::Usage, message));
+  }
+};
+
+struct TaiFieldImpl {
+  TaiContextImpl &context;
+  mlir::tai::runtime::FieldPtr field;
+};
+
+struct TaiKernelImpl {
+  TaiContextImpl &context;
+  mlir::tai::SessionKernel *kernel;
+  std::string text;
+};
+
+struct TaiTapeImpl {
+  TaiContextImpl &context;
+  std::unique_ptr<mlir::tai::runtime::Tape> tape;
+};
+
+#endif // TAI_LIB_CAPI_IMPL_H

@@ -1,0 +1,173 @@
+//===- Kernel.cpp - Kernels and tapes in the C API ------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "Impl.h"
+#include "mlir/CAPI/IR.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+//===----------------------------------------------------------------------===//
+// Kernels
+//===----------------------------------------------------------------------===//
+
+static TaiKernel keep(TaiContextImpl &context, SessionKernel *kernel) {
+  context.kernels.push_back(
+      std::unique_ptr<TaiKernelImpl>(new TaiKernelImpl{context, kernel, ""}));
+  return context.kernels.back().get();
+}
+
+TaiStatus taiKernelCreate(TaiContext context, MlirModule module,
+                          const char *name, TaiKernel *kernel) {
+  OwningOpRef<ModuleOp> owned(unwrap(module));
+  if (!name)
+    return context->usage("a kernel needs a name");
+  FailureOr<SessionKernel *> made =
+      context->session.createKernel(std::move(owned), name);
+  if (failed(made))
+    return context->status(failure());
+  *kernel = keep(*context, *made);
+  return TAI_OK;
+}
+
+TaiStatus taiKernelParse(TaiContext context, const char *text, const char *file,
+                         const char *name, TaiKernel *kernel) {
+  FailureOr<SessionKernel *> made = context->session.parseKernel(
+      text ? text : "", file ? file : "", name ? name : "");
+  if (failed(made))
+    return context->status(failure());
+  *kernel = keep(*context, *made);
+  return TAI_OK;
+}
+
+void taiKernelDestroy(TaiKernel kernel) {
+  TaiContextImpl &context = kernel->context;
+  context.session.destroyKernel(kernel->kernel);
+  llvm::erase_if(context.kernels,
+                 [&](const auto &owned) { return owned.get() == kernel; });
+}
+
+TaiStatus taiKernelLaunch(TaiKernel kernel, const uint64_t *args, int64_t slots,
+                          uint64_t *results) {
+  TaiContextImpl &context = kernel->context;
+  return context.status(context.session.getRuntime().launch(
+      *kernel->kernel->kernel, args, slots, results));
+}
+
+TaiStatus taiKernelLaunchGrad(TaiKernel kernel, const uint64_t *args,
+                              int64_t slots) {
+  TaiContextImpl &context = kernel->context;
+  return context.status(context.session.getRuntime().launchAdjoint(
+      *kernel->kernel->kernel, args, slots));
+}
+
+TaiStatus taiKernelsCompile(TaiContext context, TaiKernel *kernels,
+                            int64_t count, bool adjoints) {
+  SmallVector<SessionKernel *> list;
+  for (int64_t i = 0; i < count; ++i)
+    list.push_back(kernels[i]->kernel);
+  return context->status(context->session.compile(list, adjoints));
+}
+
+TaiStatus taiKernelGetIR(TaiKernel kernel, const char *stage,
+                         const char **text) {
+  TaiContextImpl &context = kernel->context;
+  FailureOr<std::string> printed =
+      context.session.getIR(*kernel->kernel, stage ? stage : "");
+  if (failed(printed))
+    return context.status(failure());
+  kernel->text = std::move(*printed);
+  *text = kernel->text.c_str();
+  return TAI_OK;
+}
+
+//===----------------------------------------------------------------------===//
+// Tape
+//===----------------------------------------------------------------------===//
+
+TaiStatus taiTapeBegin(TaiContext context, TaiField loss, bool clearGradients,
+                       TaiTape *tape) {
+  std::unique_ptr<runtime::Tape> made;
+  TaiStatus status = context->status(context->session.getRuntime().beginTape(
+      loss ? loss->field : nullptr, clearGradients, made));
+  if (status != TAI_OK)
+    return status;
+  context->tapes.push_back(
+      std::unique_ptr<TaiTapeImpl>(new TaiTapeImpl{*context, std::move(made)}));
+  *tape = context->tapes.back().get();
+  return TAI_OK;
+}
+
+TaiStatus taiTapeEnd(TaiTape tape) {
+  tape->tape->end();
+  return TAI_OK;
+}
+
+TaiStatus taiTapeBackward(TaiTape tape) {
+  TaiContextImpl &context = tape->context;
+  if (failed(context.session.prepareReverse(*tape->tape)))
+    return context.status(failure());
+  return context.status(tape->tape->backward());
+}
+
+TaiStatus taiTapeReplay(TaiTape tape, bool forward, bool backward) {
+  TaiContextImpl &context = tape->context;
+  if (backward && failed(context.session.prepareReverse(*tape->tape)))
+    return context.status(failure());
+  return context.status(tape->tape->replay(forward, backward));
+}
+
+/// Calls back into the host's language; what failed there is the context's last
+/// error, or unknown.
+static std::function<runtime::Status()>
+wrapCallback(TaiContextImpl &context, TaiTapeCallback callback, void *user) {
+  if (!callback)
+    return nullptr;
+  return [&context, callback, user] {
+    TaiStatus status = callback(user);
+    if (status == TAI_OK)
+      return runtime::Status::success();
+    Failure failure = context.session.getFailure();
+    if (failure.kind != static_cast<FailureKind>(status))
+      failure = Failure::get(static_cast<FailureKind>(status),
+                             "a function recorded by the tape failed");
+    return context.session.keepFailure(std::move(failure));
+  };
+}
+
+TaiStatus taiTapeRecordCallback(TaiTape tape, TaiTapeCallback forward,
+                                TaiTapeCallback backward, void *user) {
+  TaiContextImpl &context = tape->context;
+  if (!tape->tape->recording())
+    return context.usage("the tape does not record");
+  tape->tape->recordCallback({wrapCallback(context, forward, user),
+                              wrapCallback(context, backward, user)});
+  return TAI_OK;
+}
+
+TaiStatus taiTapeSuspend(TaiTape tape) {
+  tape->tape->suspend();
+  return TAI_OK;
+}
+
+TaiStatus taiTapeResume(TaiTape tape) {
+  return tape->context.status(tape->tape->resume());
+}
+
+const char *taiTapeExplain(TaiTape tape) {
+  return tape->tape->explain().c_str();
+}
+
+int64_t taiTapeNumRecords(TaiTape tape) { return tape->tape->numRecords(); }
+
+int64_t taiTapeNumSkipped(TaiTape tape) { return tape->tape->numSkipped(); }
+
+void taiTapeDestroy(TaiTape tape) {
+  TaiContextImpl &context = tape->context;
+  llvm::erase_if(context.tapes,
+                 [&](const auto &owned) { return owned.get() == tape; });
+}

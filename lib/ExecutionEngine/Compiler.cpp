@@ -1,0 +1,483 @@
+//===- Compiler.cpp - From a module to a function that runs ---------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/ExecutionEngine/Compiler.h"
+#include "BuildId.h"
+#include "mlir/Pass/Pass.h"
+#include "mlir/Pass/PassInstrumentation.h"
+#include "mlir/Target/LLVMIR/Export.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "llvm/ADT/StringExtras.h"
+#include "llvm/IR/LLVMContext.h"
+#include "llvm/IR/Module.h"
+#include "llvm/Support/BLAKE3.h"
+#include "llvm/Support/FileSystem.h"
+#include <chrono>
+
+using namespace mlir;
+using namespace mlir::tai;
+
+std::string CompileOptions::str() const {
+  std::string text;
+  llvm::raw_string_ostream(text)
+      << "opt=" << codegen.optLevel << " fast=" << codegen.fastMath
+      << " contract=" << codegen.contract << " debug=" << debug
+      << " deterministic=" << deterministic;
+  return text;
+}
+
+StringRef mlir::tai::stringifyPhase(Phase phase) {
+  static constexpr StringRef names[kNumPhases] = {
+      "cache", "autodiff", "lower", "translate", "optimize", "emit", "link"};
+  return names[static_cast<unsigned>(phase)];
+}
+
+namespace {
+/// Adds the time until its end to a phase.
+class PhaseTimer {
+public:
+  PhaseTimer(PhaseTimes &times, Phase phase)
+      : slot(times[static_cast<unsigned>(phase)]),
+        start(std::chrono::steady_clock::now()) {}
+  ~PhaseTimer() {
+    slot +=
+        std::chrono::duration<double>(std::chrono::steady_clock::now() - start)
+            .count();
+  }
+
+private:
+  double &slot;
+  std::chrono::steady_clock::time_point start;
+};
+
+/// Keeps the IR as it is after the last run of one pass.
+class CaptureAfterPass : public PassInstrumentation {
+public:
+  CaptureAfterPass(StringRef argument, std::string **text)
+      : argument(argument.str()), text(text) {}
+
+  void runAfterPass(Pass *pass, Operation *op) override {
+    if (!*text || pass->getArgument() != argument)
+      return;
+    (*text)->clear();
+    llvm::raw_string_ostream stream(**text);
+    op->print(stream);
+  }
+
+private:
+  std::string argument;
+  /// The string to fill in the present run, if any.
+  std::string **text;
+};
+} // namespace
+
+//===----------------------------------------------------------------------===//
+// Workers
+//===----------------------------------------------------------------------===//
+
+/// What one thread needs to compile. Pass managers are kept, because a pass
+/// collects its patterns when it first runs, and target machines are costly.
+struct Compiler::Worker {
+  Worker(MLIRContext *context, const Pipelines &pipelines,
+         const CompileOptions &options)
+      : options(options), autodiff(context), toLLVM(context) {
+    for (PassManager *manager : {&autodiff, &toLLVM})
+      manager->enableVerifier(options.debug);
+    if (pipelines.autodiff)
+      pipelines.autodiff(autodiff, options);
+    if (pipelines.toLLVM)
+      pipelines.toLLVM(toLLVM, options);
+    toLLVM.addInstrumentation(
+        std::make_unique<CaptureAfterPass>(pipelines.scfPass, &scf));
+  }
+
+  CompileOptions options;
+  PassManager autodiff;
+  PassManager toLLVM;
+  std::unique_ptr<ObjectCompiler> objects;
+  std::string *scf = nullptr;
+};
+
+/// Takes a worker for these options from the idle ones, and puts it back.
+class Compiler::WorkerLease {
+public:
+  WorkerLease(Compiler &compiler, const CompileOptions &options)
+      : compiler(compiler) {
+    {
+      std::lock_guard<std::mutex> lock(compiler.mutex);
+      auto found = llvm::find_if(compiler.idle, [&](const auto &candidate) {
+        return candidate->options == options;
+      });
+      if (found != compiler.idle.end()) {
+        worker = std::move(*found);
+        compiler.idle.erase(found);
+      }
+    }
+    if (!worker)
+      worker = std::make_unique<Worker>(compiler.context, compiler.pipelines,
+                                        options);
+  }
+  ~WorkerLease() {
+    std::lock_guard<std::mutex> lock(compiler.mutex);
+    compiler.idle.push_back(std::move(worker));
+  }
+
+  Worker &operator*() { return *worker; }
+
+private:
+  Compiler &compiler;
+  std::unique_ptr<Worker> worker;
+};
+
+Compiler::Compiler(MLIRContext *context, Pipelines pipelines,
+                   ArrayRef<runtime::RuntimeSymbol> runtime)
+    : context(context), pipelines(std::move(pipelines)),
+      runtime(runtime.begin(), runtime.end()) {}
+
+Compiler::~Compiler() = default;
+
+void Compiler::loadDialects() {
+  Worker worker(context, pipelines, CompileOptions());
+  DialectRegistry registry;
+  worker.autodiff.getDependentDialects(registry);
+  worker.toLLVM.getDependentDialects(registry);
+  context->appendDialectRegistry(registry);
+  for (StringRef name : registry.getDialectNames())
+    context->getOrLoadDialect(name);
+}
+
+Linker *Compiler::getLinker(Failure &failure) {
+  std::lock_guard<std::mutex> lock(mutex);
+  if (!linker) {
+    auto made = Linker::create(runtime);
+    if (!made) {
+      failure =
+          Failure::get(FailureKind::Internal, llvm::toString(made.takeError()));
+      return nullptr;
+    }
+    linker = std::move(*made);
+  }
+  return linker.get();
+}
+
+PhaseTimes Compiler::getTotals() {
+  std::lock_guard<std::mutex> lock(mutex);
+  return totals;
+}
+
+//===----------------------------------------------------------------------===//
+// Passes
+//===----------------------------------------------------------------------===//
+
+/// Writes the module, with the pipeline that failed on it, to a file that
+/// `tai-opt --run-reproducer` takes, and returns its path.
+static std::string writeReproducer(ModuleOp module, PassManager &manager) {
+  SmallString<128> path;
+  int descriptor;
+  if (llvm::sys::fs::createTemporaryFile("tai-reproducer", "mlir", descriptor,
+                                         path))
+    return "(no reproducer could be written)";
+  llvm::raw_fd_ostream stream(descriptor, /*shouldClose=*/true);
+  module.print(stream, OpPrintingFlags().enableDebugInfo());
+  std::string pipeline;
+  llvm::raw_string_ostream pipelineStream(pipeline);
+  manager.printAsTextualPipeline(pipelineStream);
+  stream << "\n{-#\n  external_resources: {\n    mlir_reproducer: {\n"
+         << "      pipeline: \"";
+  stream.write_escaped(pipeline);
+  stream << "\",\n      disable_threading: true,\n"
+         << "      verify_each: true\n    }\n  }\n#-}\n";
+  return path.str().str();
+}
+
+/// Runs a pipeline. A pass that fails without saying why is a bug of ours.
+static LogicalResult runPipeline(PassManager &manager, ModuleOp module,
+                                 ModuleOp input, StringRef name,
+                                 FailureKind kind, StringRef title,
+                                 Failure &failure) {
+  DiagnosticCollector collector(module.getContext());
+  if (succeeded(manager.run(module)))
+    return success();
+  if (collector.hasErrors()) {
+    failure = collector.take(kind);
+    return mlir::failure();
+  }
+  failure = Failure::get(FailureKind::Internal,
+                         Twine(title) + " of '" + name +
+                             "' failed inside the compiler; reproducer: " +
+                             writeReproducer(input, manager));
+  return mlir::failure();
+}
+
+OwningOpRef<ModuleOp> Compiler::runPasses(Worker &worker,
+                                          CompileRequest request,
+                                          CompiledObject &object,
+                                          PhaseTimes &times, Failure &failure,
+                                          std::string *scf) {
+  OwningOpRef<ModuleOp> module = request.module.clone();
+  object.symbol = request.name.str();
+  if (request.goal == CompileRequest::Goal::Adjoint) {
+    PhaseTimer timer(times, Phase::Autodiff);
+    auto given = module->lookupSymbol<KernelOp>(request.name);
+    if (!pipelines.autodiff) {
+      failure = Failure::get(FailureKind::Autodiff,
+                             "this build cannot differentiate kernels");
+      return {};
+    }
+    // A kernel may come with its adjoint.
+    if (!(given && given.getAdjoint()) &&
+        failed(runPipeline(worker.autodiff, *module, request.module,
+                           request.name, FailureKind::Autodiff,
+                           "differentiation", failure)))
+      return {};
+    // The primal is compiled on its own, when it is first launched.
+    auto kernel = module->lookupSymbol<KernelOp>(request.name);
+    FlatSymbolRefAttr adjoint = kernel ? kernel.getAdjointAttr() : nullptr;
+    if (kernel)
+      kernel.erase();
+    if (!adjoint) {
+      object.symbol.clear();
+      return module;
+    }
+    object.symbol = adjoint.getValue().str();
+  }
+  for (TreeOp tree : module->getOps<TreeOp>())
+    object.trees.push_back(tree.getSymName().str());
+  PhaseTimer timer(times, Phase::Lower);
+  worker.scf = scf;
+  LogicalResult lowered =
+      runPipeline(worker.toLLVM, *module, request.module, request.name,
+                  FailureKind::Type, "lowering", failure);
+  worker.scf = nullptr;
+  if (failed(lowered))
+    return {};
+  return module;
+}
+
+/// Translates to LLVM IR with nothing visible but the function to call, so that
+/// LLVM may inline and drop the rest.
+static std::unique_ptr<llvm::Module>
+translate(ModuleOp module, llvm::LLVMContext &llvmContext, StringRef symbol,
+          PhaseTimes &times, Failure &failure) {
+  PhaseTimer timer(times, Phase::Translate);
+  DiagnosticCollector collector(module.getContext());
+  std::unique_ptr<llvm::Module> llvmModule = translateModuleToLLVMIR(
+      module, llvmContext, symbol, /*disableVerification=*/true);
+  if (!llvmModule) {
+    failure =
+        collector.take(FailureKind::Internal, "translation to LLVM IR failed");
+    return nullptr;
+  }
+  llvm::Function *entry = llvmModule->getFunction(symbol);
+  if (!entry || entry->isDeclaration()) {
+    failure = Failure::get(FailureKind::Internal,
+                           "no function '" + symbol + "' after lowering");
+    return nullptr;
+  }
+  for (llvm::GlobalValue &value : llvmModule->global_values())
+    if (!value.isDeclaration() && &value != entry)
+      value.setLinkage(llvm::GlobalValue::InternalLinkage);
+  return llvmModule;
+}
+
+std::optional<CompiledObject>
+Compiler::compileObject(CompileRequest request, const CompileOptions &options,
+                        PhaseTimes &times, Failure &failure) {
+  WorkerLease lease(*this, options);
+  Worker &worker = *lease;
+  CompiledObject object;
+  OwningOpRef<ModuleOp> module =
+      runPasses(worker, request, object, times, failure, nullptr);
+  if (!module)
+    return std::nullopt;
+  if (object.symbol.empty())
+    return object;
+  llvm::LLVMContext llvmContext;
+  std::unique_ptr<llvm::Module> llvmModule =
+      translate(*module, llvmContext, object.symbol, times, failure);
+  if (!llvmModule)
+    return std::nullopt;
+  if (!worker.objects) {
+    auto made = ObjectCompiler::create(options.codegen);
+    if (!made) {
+      failure =
+          Failure::get(FailureKind::Internal, llvm::toString(made.takeError()));
+      return std::nullopt;
+    }
+    worker.objects = std::move(*made);
+  }
+  {
+    PhaseTimer timer(times, Phase::Optimize);
+    worker.objects->optimize(*llvmModule);
+  }
+  PhaseTimer timer(times, Phase::Emit);
+  auto code = worker.objects->emitObject(*llvmModule);
+  if (!code) {
+    failure =
+        Failure::get(FailureKind::Internal, llvm::toString(code.takeError()));
+    return std::nullopt;
+  }
+  object.code = std::move(*code);
+  return object;
+}
+
+//===----------------------------------------------------------------------===//
+// Compilation
+//===----------------------------------------------------------------------===//
+
+std::string Compiler::getKey(CompileRequest request,
+                             const CompileOptions &options) {
+  // Locations are in the code only where checks report them.
+  std::string text;
+  llvm::raw_string_ostream stream(text);
+  const HostCpu &host = HostCpu::get();
+  stream << getBuildId() << '\n'
+         << host.triple << ' ' << host.name << ' ' << host.features << '\n'
+         << options.str() << '\n'
+         << request.name << ' ' << static_cast<int>(request.goal) << '\n';
+  OpPrintingFlags flags;
+  // Assertions and checks put the place they stand at into the code.
+  bool hasPlaces =
+      options.debug ||
+      request.module.walk([](CheckCloseOp) { return WalkResult::interrupt(); })
+          .wasInterrupted();
+  flags.enableDebugInfo(hasPlaces);
+  flags.assumeVerified();
+  request.module->print(stream, flags);
+  llvm::BLAKE3 hasher;
+  hasher.update(text);
+  return llvm::toHex(hasher.final(), /*LowerCase=*/true);
+}
+
+std::optional<Compiler::Function>
+Compiler::compile(CompileRequest request, const CompileOptions &options,
+                  Failure &failure) {
+  Function function;
+  std::optional<CompiledObject> object;
+  std::string key;
+  if (cache) {
+    PhaseTimer timer(function.times, Phase::Cache);
+    key = getKey(request, options);
+    if (std::optional<std::string> bytes = cache.load(key))
+      object = CompiledObject::deserialize(*bytes);
+    function.fromCache = object.has_value();
+  }
+  if (!object) {
+    object = compileObject(request, options, function.times, failure);
+    if (!object)
+      return std::nullopt;
+    if (cache) {
+      PhaseTimer timer(function.times, Phase::Cache);
+      cache.store(key, object->serialize());
+    }
+  }
+  if (!object->symbol.empty()) {
+    PhaseTimer timer(function.times, Phase::Link);
+    Linker *linker = getLinker(failure);
+    if (!linker)
+      return std::nullopt;
+    auto linked = linker->link(object->code, object->symbol);
+    if (!linked) {
+      failure = Failure::get(FailureKind::Internal,
+                             "linking '" + request.name + "' failed: " +
+                                 llvm::toString(linked.takeError()));
+      return std::nullopt;
+    }
+    function.address = linked->addresses.front();
+    function.library = linked->library;
+  }
+  function.trees = std::move(object->trees);
+  std::lock_guard<std::mutex> lock(mutex);
+  for (unsigned i = 0; i < kNumPhases; ++i)
+    totals[i] += function.times[i];
+  return function;
+}
+
+void Compiler::unload(const Function &function) {
+  if (function.library)
+    linker->unload(function.library);
+}
+
+//===----------------------------------------------------------------------===//
+// Printing
+//===----------------------------------------------------------------------===//
+
+ArrayRef<StringRef> Compiler::getStages() {
+  static constexpr StringRef stages[] = {"tai",  "autodiff", "scf",
+                                         "llvm", "llvmir",   "asm"};
+  return stages;
+}
+
+std::optional<std::string> Compiler::print(CompileRequest request,
+                                           StringRef stage,
+                                           const CompileOptions &options,
+                                           Failure &failure) {
+  std::string text;
+  llvm::raw_string_ostream stream(text);
+  if (stage == "tai") {
+    request.module->print(stream);
+    return text;
+  }
+  WorkerLease lease(*this, options);
+  Worker &worker = *lease;
+  PhaseTimes times = {};
+  if (stage == "autodiff") {
+    if (!pipelines.autodiff) {
+      failure = Failure::get(FailureKind::Autodiff,
+                             "this build cannot differentiate kernels");
+      return std::nullopt;
+    }
+    OwningOpRef<ModuleOp> module = request.module.clone();
+    if (failed(runPipeline(worker.autodiff, *module, request.module,
+                           request.name, FailureKind::Autodiff,
+                           "differentiation", failure)))
+      return std::nullopt;
+    module->print(stream);
+    return text;
+  }
+  CompiledObject object;
+  std::string scf;
+  OwningOpRef<ModuleOp> module =
+      runPasses(worker, request, object, times, failure, &scf);
+  if (!module)
+    return std::nullopt;
+  if (stage == "scf")
+    return scf;
+  if (stage == "llvm" || object.symbol.empty()) {
+    module->print(stream);
+    return text;
+  }
+  llvm::LLVMContext llvmContext;
+  std::unique_ptr<llvm::Module> llvmModule =
+      translate(*module, llvmContext, object.symbol, times, failure);
+  if (!llvmModule)
+    return std::nullopt;
+  auto objects = ObjectCompiler::create(options.codegen);
+  if (!objects) {
+    failure = Failure::get(FailureKind::Internal,
+                           llvm::toString(objects.takeError()));
+    return std::nullopt;
+  }
+  (*objects)->optimize(*llvmModule);
+  if (stage == "llvmir") {
+    llvmModule->print(stream, nullptr);
+    return text;
+  }
+  if (stage != "asm") {
+    failure = Failure::get(FailureKind::Usage,
+                           "unknown stage '" + stage + "'; the stages are " +
+                               llvm::join(getStages(), ", "));
+    return std::nullopt;
+  }
+  auto assembly = (*objects)->emitAssembly(*llvmModule);
+  if (!assembly) {
+    failure = Failure::get(FailureKind::Internal,
+                           llvm::toString(assembly.takeError()));
+    return std::nullopt;
+  }
+  return *assembly;
+}

@@ -1,0 +1,195 @@
+//===- ObjectCompiler.cpp - LLVM IR to object code for this CPU -----------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/ExecutionEngine/ObjectCompiler.h"
+#include "llvm/Analysis/TargetLibraryInfo.h"
+#include "llvm/IR/DiagnosticInfo.h"
+#include "llvm/IR/DiagnosticPrinter.h"
+#include "llvm/IR/InstIterator.h"
+#include "llvm/IR/LegacyPassManager.h"
+#include "llvm/IR/Module.h"
+#include "llvm/IR/Operator.h"
+#include "llvm/MC/TargetRegistry.h"
+#include "llvm/Passes/PassBuilder.h"
+#include "llvm/Support/DynamicLibrary.h"
+#include "llvm/Support/TargetSelect.h"
+#include "llvm/Target/TargetMachine.h"
+#include "llvm/TargetParser/Host.h"
+#include "llvm/TargetParser/SubtargetFeature.h"
+#include "llvm/TargetParser/Triple.h"
+
+using namespace llvm;
+using namespace mlir::tai;
+
+const HostCpu &HostCpu::get() {
+  static const HostCpu host = [] {
+    InitializeNativeTarget();
+    InitializeNativeTargetAsmPrinter();
+    InitializeNativeTargetAsmParser();
+    HostCpu cpu;
+    cpu.triple = sys::getProcessTriple();
+    cpu.name = sys::getHostCPUName().str();
+    // Sorted, because the string is part of the key of cached code.
+    StringMap<bool> map = sys::getHostCPUFeatures();
+    SmallVector<StringRef> names(map.keys());
+    sort(names);
+    SubtargetFeatures features;
+    for (StringRef name : names)
+      features.AddFeature(name, map[name]);
+    cpu.features = features.getString();
+    return cpu;
+  }();
+  return host;
+}
+
+ObjectCompiler::ObjectCompiler(const CodegenOptions &options)
+    : options(options) {}
+
+ObjectCompiler::~ObjectCompiler() = default;
+
+Expected<std::unique_ptr<ObjectCompiler>>
+ObjectCompiler::create(const CodegenOptions &options) {
+  const HostCpu &host = HostCpu::get();
+  Triple triple(host.triple);
+  std::string message;
+  const Target *target = TargetRegistry::lookupTarget(triple, message);
+  if (!target)
+    return createStringError("no code generator for this CPU: %s",
+                             message.c_str());
+  TargetOptions targetOptions;
+  targetOptions.AllowFPOpFusion =
+      options.contract ? FPOpFusion::Fast : FPOpFusion::Standard;
+  // Nothing unwinds through a kernel.
+  targetOptions.ExceptionModel = ExceptionHandling::None;
+  static constexpr CodeGenOptLevel levels[] = {
+      CodeGenOptLevel::None, CodeGenOptLevel::Less, CodeGenOptLevel::Default,
+      CodeGenOptLevel::Aggressive};
+  std::unique_ptr<ObjectCompiler> compiler(new ObjectCompiler(options));
+  // Position-independent code in the small model: the linker may place it
+  // anywhere, and reaches the runtime through its own table.
+  compiler->machine.reset(target->createTargetMachine(
+      triple, host.name, host.features, targetOptions, Reloc::PIC_,
+      CodeModel::Small, levels[std::min(options.optLevel, 3u)], /*JIT=*/true));
+  if (!compiler->machine)
+    return createStringError("no target machine for %s", host.triple.c_str());
+  return compiler;
+}
+
+/// Allows what fast_math allows. Infinities and NaN stay exact.
+static void addFastMathFlags(Module &module) {
+  FastMathFlags flags;
+  flags.setAllowReassoc();
+  flags.setNoSignedZeros();
+  flags.setAllowReciprocal();
+  flags.setAllowContract();
+  flags.setApproxFunc();
+  for (Function &function : module)
+    for (Instruction &instruction : instructions(function))
+      if (isa<FPMathOperator>(instruction))
+        instruction.setFastMathFlags(instruction.getFastMathFlags() | flags);
+}
+
+/// True if glibc's vector math library can be loaded into this process.
+static bool hasVectorMathLibrary() {
+  static const bool found =
+      sys::DynamicLibrary::getPermanentLibrary("libmvec.so.1").isValid();
+  return found;
+}
+
+void ObjectCompiler::optimize(Module &module) {
+  module.setTargetTriple(machine->getTargetTriple());
+  module.setDataLayout(machine->createDataLayout());
+  if (options.fastMath)
+    addFastMathFlags(module);
+  for (Function &function : module) {
+    if (function.isDeclaration())
+      continue;
+    function.setDoesNotThrow();
+    function.addFnAttr("no-trapping-math", "true");
+  }
+  if (options.optLevel == 0)
+    return;
+
+  PipelineTuningOptions tuning;
+  tuning.LoopVectorization = options.optLevel > 1;
+  tuning.SLPVectorization = options.optLevel > 1;
+  tuning.LoopInterleaving = options.optLevel > 1;
+  LoopAnalysisManager loops;
+  FunctionAnalysisManager functions;
+  CGSCCAnalysisManager sccs;
+  ModuleAnalysisManager modules;
+  TargetLibraryInfoImpl libraryInfo(machine->getTargetTriple());
+  // Its results are within 4 ulp, which only fast_math may accept.
+  if (options.fastMath && machine->getTargetTriple().isX86() &&
+      hasVectorMathLibrary())
+    libraryInfo.addVectorizableFunctionsFromVecLib(VectorLibrary::LIBMVEC,
+                                                   machine->getTargetTriple());
+  functions.registerPass([&] { return TargetLibraryAnalysis(libraryInfo); });
+  PassBuilder builder(machine.get(), tuning);
+  builder.registerModuleAnalyses(modules);
+  builder.registerCGSCCAnalyses(sccs);
+  builder.registerFunctionAnalyses(functions);
+  builder.registerLoopAnalyses(loops);
+  builder.crossRegisterProxies(loops, functions, sccs, modules);
+  static const OptimizationLevel levels[] = {
+      OptimizationLevel::O0, OptimizationLevel::O1, OptimizationLevel::O2,
+      OptimizationLevel::O3};
+  ModulePassManager passes = builder.buildPerModuleDefaultPipeline(
+      levels[std::min(options.optLevel, 3u)]);
+  passes.run(module, modules);
+}
+
+namespace {
+/// Keeps the first error that code generation reports.
+struct ErrorKeeper : DiagnosticHandler {
+  explicit ErrorKeeper(std::string &message) : message(message) {}
+
+  bool handleDiagnostics(const DiagnosticInfo &info) override {
+    if (info.getSeverity() == DS_Error && message.empty()) {
+      raw_string_ostream stream(message);
+      DiagnosticPrinterRawOStream printer(stream);
+      info.print(printer);
+    }
+    return true;
+  }
+
+  std::string &message;
+};
+} // namespace
+
+static Error emit(TargetMachine &machine, Module &module,
+                  raw_pwrite_stream &stream, CodeGenFileType type) {
+  std::string message;
+  module.getContext().setDiagnosticHandler(
+      std::make_unique<ErrorKeeper>(message));
+  legacy::PassManager passes;
+  if (machine.addPassesToEmitFile(passes, stream, /*DwoOut=*/nullptr, type,
+                                  /*DisableVerify=*/true))
+    return createStringError("this target cannot emit the file type");
+  passes.run(module);
+  module.getContext().setDiagnosticHandler(nullptr);
+  if (!message.empty())
+    return createStringError(message);
+  return Error::success();
+}
+
+Expected<SmallVector<char, 0>> ObjectCompiler::emitObject(Module &module) {
+  SmallVector<char, 0> object;
+  raw_svector_ostream stream(object);
+  if (Error error = emit(*machine, module, stream, CodeGenFileType::ObjectFile))
+    return error;
+  return object;
+}
+
+Expected<std::string> ObjectCompiler::emitAssembly(Module &module) {
+  SmallVector<char, 0> text;
+  raw_svector_ostream stream(text);
+  if (Error error =
+          emit(*machine, module, stream, CodeGenFileType::AssemblyFile))
+    return error;
+  return std::string(text.begin(), text.end());
+}

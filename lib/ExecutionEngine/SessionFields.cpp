@@ -1,0 +1,287 @@
+//===- SessionFields.cpp - Trees and fields of a session ------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Takes declarations, tells the runtime where elements lie, and gives each
+// kernel the declarations that it uses.
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/AsmParser/AsmParser.h"
+#include "mlir/IR/Verifier.h"
+#include "mlir/Parser/Parser.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/ExecutionEngine/Session.h"
+#include "llvm/ADT/SetVector.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+//===----------------------------------------------------------------------===//
+// Trees
+//===----------------------------------------------------------------------===//
+
+LogicalResult Session::addTree(StringRef name, StringRef layout) {
+  DiagnosticCollector collector(context.get());
+  size_t read = 0;
+  Type type = parseType(layout, context.get(), &read,
+                        /*isKnownNullTerminated=*/false);
+  if (!type)
+    return fail(collector.take(FailureKind::Syntax,
+                               "the layout '" + layout + "' does not parse"));
+  if (!layout.substr(read).trim().empty())
+    return fail(FailureKind::Syntax, "the layout of '" + name +
+                                         "' ends with '" +
+                                         layout.substr(read).trim() +
+                                         "', which does not belong to it");
+  auto root = dyn_cast<RootType>(type);
+  if (!root)
+    return fail(FailureKind::Type,
+                "the layout of a tree is a !tai.root type, but got '" + layout +
+                    "'");
+  OpBuilder builder(context.get());
+  OperationState state(UnknownLoc::get(context.get()),
+                       TreeOp::getOperationName());
+  state.addAttribute("sym_name", builder.getStringAttr(name));
+  state.addAttribute("layout", TypeAttr::get(root));
+  OwningOpRef<TreeOp> tree(cast<TreeOp>(builder.create(state)));
+  return addTree(*tree);
+}
+
+LogicalResult Session::addTree(TreeOp tree) {
+  StringRef name = tree.getSymName();
+  DiagnosticCollector collector(context.get());
+  if (symbols->lookup(name))
+    return fail(FailureKind::Usage, "'" + name + "' is already declared");
+  if (failed(verify(tree)))
+    return fail(collector.take(FailureKind::Type, "'" + name + "' is invalid"));
+  RootType root = tree.getLayout();
+  SNodeTypeInterface sparse;
+  walkPlaces(root, [&](const PlacePath &path) {
+    if (!sparse)
+      sparse = path.getFirstSparse();
+  });
+  if (sparse) {
+    tree.emitError() << "the tree '" << name << "' has a '" << sparse.getKind()
+                     << "' level, and only 'dense' levels can be run";
+    return fail(collector.take(FailureKind::Type));
+  }
+  DataLayout dataLayout(*declarations);
+  uint64_t bytes = getTreeSize(root, dataLayout);
+  runtime::TreePtr made;
+  if (failed(check(rt->addTree(name.str(), bytes, made))))
+    return failure();
+  symbols->insert(tree.clone());
+  return success();
+}
+
+LogicalResult Session::destroyTree(StringRef name) {
+  if (failed(check(rt->destroyTree(name.str()))))
+    return failure();
+  for (FieldOp field :
+       llvm::make_early_inc_range(declarations->getOps<FieldOp>()))
+    if (field.getTree() == name)
+      symbols->erase(field);
+  if (Operation *tree = symbols->lookup(name))
+    symbols->erase(tree);
+  return success();
+}
+
+//===----------------------------------------------------------------------===//
+// Fields
+//===----------------------------------------------------------------------===//
+
+FailureOr<runtime::FieldPtr> Session::addField(StringRef declaration) {
+  DiagnosticCollector collector(context.get());
+  // Not verified yet: the adjoint and the tree are not in the text.
+  ParserConfig config(context.get(), /*verifyAfterParse=*/false);
+  OwningOpRef<ModuleOp> module =
+      parseSourceString<ModuleOp>(declaration, config, "declaration");
+  if (!module)
+    return fail(
+        collector.take(FailureKind::Syntax, "the declaration does not parse"));
+  Block *body = module->getBody();
+  if (!llvm::hasSingleElement(*body) || !isa<FieldOp>(body->front()))
+    return fail(FailureKind::Syntax,
+                "a declaration is one 'tai.field' op, but got '" + declaration +
+                    "'");
+  return addField(cast<FieldOp>(body->front()));
+}
+
+/// Verifies a field by itself, with its tree but without its adjoint, which may
+/// come later.
+static LogicalResult verifyAlone(FieldOp field, TreeOp tree) {
+  OwningOpRef<ModuleOp> scratch = ModuleOp::create(field.getLoc());
+  scratch->push_back(tree.clone());
+  FieldOp copy = field.clone();
+  copy.removeAdjointAttr();
+  copy.removeDualAttr();
+  scratch->push_back(copy);
+  return verify(*scratch);
+}
+
+static std::optional<runtime::ScalarKind> getScalarKind(Type type) {
+  using Kind = runtime::ScalarKind;
+  if (type.isInteger(1))
+    return Kind::I1;
+  if (type.isInteger(8))
+    return Kind::I8;
+  if (type.isInteger(16))
+    return Kind::I16;
+  if (type.isInteger(32))
+    return Kind::I32;
+  if (type.isInteger(64))
+    return Kind::I64;
+  if (type.isF16())
+    return Kind::F16;
+  if (type.isBF16())
+    return Kind::BF16;
+  if (type.isF32())
+    return Kind::F32;
+  if (type.isF64())
+    return Kind::F64;
+  return std::nullopt;
+}
+
+FailureOr<runtime::FieldPtr> Session::addField(FieldOp field) {
+  StringRef name = field.getSymName();
+  if (symbols->lookup(name))
+    return fail(FailureKind::Usage, "'" + name + "' is already declared");
+  auto tree = symbols->lookup<TreeOp>(field.getTree());
+  if (!tree)
+    return fail(FailureKind::Usage, "field '" + name + "' names the tree '" +
+                                        field.getTree() +
+                                        "', which is not there");
+  DiagnosticCollector collector(context.get());
+  if (failed(verifyAlone(field, tree)))
+    return fail(
+        collector.take(FailureKind::Type, "field '" + name + "' is invalid"));
+  FieldOp kept = field.clone();
+  symbols->insert(kept);
+  auto undo = [&](LogicalResult result) {
+    symbols->erase(kept);
+    return result;
+  };
+
+  FailureOr<FieldLayout> layout = getFieldLayout(kept);
+  if (failed(layout))
+    return undo(fail(collector.take(FailureKind::Type,
+                                    "field '" + name + "' has no layout")));
+  FailureOr<DenseStorage> storage =
+      getDenseStorage(*layout, DataLayout(*declarations));
+  if (failed(storage))
+    return undo(fail(collector.take(
+        FailureKind::Type, "field '" + name + "' is not stored densely")));
+  runtime::FieldInfo info;
+  info.name = name.str();
+  info.tree = rt->findTree(field.getTree().str());
+  Type scalar = field.getType();
+  if (auto vector = dyn_cast<VectorType>(scalar)) {
+    scalar = vector.getElementType();
+    info.layout.elementShape.assign(vector.getShape().begin(),
+                                    vector.getShape().end());
+  }
+  std::optional<runtime::ScalarKind> kind = getScalarKind(scalar);
+  if (!kind) {
+    field.emitError() << "fields of " << scalar << " cannot be run";
+    return undo(fail(collector.take(FailureKind::Type)));
+  }
+  info.layout.scalar = *kind;
+  info.layout.placeOffset = storage->offset;
+  info.layout.indices.resize(layout->shape.size());
+  for (const IndexDigit &digit : storage->digits)
+    info.layout.indices[digit.dimension].push_back(
+        {digit.divisor, digit.extent, static_cast<int64_t>(digit.stride)});
+  info.layout.offset.assign(layout->offset.begin(), layout->offset.end());
+  if (field.getAdjoint())
+    info.adjoint = field.getAdjoint()->str();
+  if (field.getDual())
+    info.dual = field.getDual()->str();
+  runtime::FieldPtr made;
+  if (failed(check(rt->addField(std::move(info), made))))
+    return undo(failure());
+  return made;
+}
+
+//===----------------------------------------------------------------------===//
+// What kernels use
+//===----------------------------------------------------------------------===//
+
+LogicalResult Session::declareUsed(ModuleOp module) {
+  // In the order of first use, so that the module, and with it the key of its
+  // cached code, does not depend on what else the session holds.
+  llvm::SetVector<StringAttr> pending;
+  module.walk([&](Operation *op) {
+    op->getAttrDictionary().walk([&](SymbolRefAttr symbol) {
+      pending.insert(symbol.getRootReference());
+    });
+  });
+  SmallVector<Operation *> used;
+  for (size_t i = 0; i < pending.size(); ++i) {
+    StringAttr name = pending[i];
+    Operation *held = SymbolTable::lookupSymbolIn(module, name);
+    Operation *known = symbols->lookup(name);
+    if (auto tree = dyn_cast_or_null<TreeOp>(held)) {
+      auto knownTree = dyn_cast_or_null<TreeOp>(known);
+      if (!knownTree || knownTree.getLayout() != tree.getLayout())
+        return fail(FailureKind::Usage,
+                    "the tree '" + name.getValue() +
+                        "' of the module is not that of the context");
+    }
+    Operation *op = held ? held : known;
+    if (!held && known)
+      used.push_back(known);
+    if (auto field = dyn_cast_or_null<FieldOp>(op))
+      for (NamedAttribute attribute : field->getAttrs())
+        if (auto symbol = dyn_cast<SymbolRefAttr>(attribute.getValue()))
+          pending.insert(symbol.getRootReference());
+  }
+  OpBuilder builder = OpBuilder::atBlockBegin(module.getBody());
+  for (bool wantTrees : {true, false})
+    for (Operation *op : used)
+      if (isa<TreeOp>(op) == wantTrees)
+        builder.clone(*op);
+  return success();
+}
+
+LogicalResult Session::verifyModule(ModuleOp module) {
+  DiagnosticCollector collector(context.get());
+  if (succeeded(verify(module)))
+    return success();
+  return fail(collector.take(FailureKind::Type, "the module does not verify"));
+}
+
+std::vector<runtime::Access> Session::summarize(ModuleOp module) {
+  using Kind = runtime::AccessKind;
+  llvm::SetVector<std::pair<StringAttr, unsigned>> found;
+  auto add = [&](FlatSymbolRefAttr field, Kind kind) {
+    found.insert({field.getAttr(), static_cast<unsigned>(kind)});
+  };
+  module.walk([&](Operation *op) {
+    auto field = op->getAttrOfType<FlatSymbolRefAttr>("field");
+    if (!field || isa<ParallelForOp>(op))
+      return;
+    if (isa<LoadOp, IsActiveOp, LengthOp>(op))
+      return add(field, Kind::Read);
+    if (isa<StoreOp, ActivateOp, DeactivateOp>(op))
+      return add(field, Kind::Write);
+    if (auto atomic = dyn_cast<AtomicOp>(op)) {
+      bool isSum = atomic.getKind() == AtomicKind::Add ||
+                   atomic.getKind() == AtomicKind::Sub;
+      if (!isSum || !atomic.getOld().use_empty())
+        add(field, Kind::Read);
+      return add(field, isSum ? Kind::Accumulate : Kind::Write);
+    }
+    // Whatever else touches a field may do anything to it.
+    add(field, Kind::Read);
+    add(field, Kind::Write);
+  });
+  std::vector<runtime::Access> summary;
+  for (auto [field, kind] : found)
+    if (runtime::FieldPtr known = rt->findField(field.str()))
+      summary.push_back({known, static_cast<Kind>(kind)});
+  return summary;
+}

@@ -1,0 +1,206 @@
+//===- tai-run.cpp - Run the program in an .mlir file ---------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Compiles the kernels of a file for this machine and runs its `func.func
+// @main`, or one of its kernels. Ends with a non-zero status on any error and
+// on a failed check, so that a file can test itself.
+//
+//===----------------------------------------------------------------------===//
+
+#include "PrintField.h"
+#include "mlir/Dialect/Func/IR/FuncOps.h"
+#include "mlir/Parser/Parser.h"
+#include "tai/ExecutionEngine/Session.h"
+#include "llvm/ADT/SetVector.h"
+#include "llvm/Support/CommandLine.h"
+#include "llvm/Support/InitLLVM.h"
+#include "llvm/Support/SourceMgr.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace cl = llvm::cl;
+
+namespace {
+/// Made in main, once LLVM's own options are out of the way: some have the same
+/// names.
+struct Options {
+  cl::opt<std::string> inputFile{cl::Positional, cl::init("-"),
+                                 cl::desc("<file>")};
+  cl::opt<std::string> kernelName{
+      "kernel", cl::desc("Launch this kernel instead of @main")};
+  cl::list<std::string> printedFields{
+      "print-field", cl::desc("Print a field at the end (may be repeated)"),
+      cl::value_desc("@x"), cl::CommaSeparated};
+  cl::opt<std::string> arch{"arch", cl::init("cpu"),
+                            cl::desc("Machine to run on: cpu")};
+  cl::opt<unsigned> threads{"threads", cl::init(0),
+                            cl::desc("Number of threads, 0 = all cores")};
+  cl::opt<bool> deterministic{
+      "deterministic", cl::desc("Bit-identical results from run to run")};
+  cl::opt<bool> debug{"debug", cl::desc("Check assertions and indices")};
+  cl::opt<bool> fastMath{"fast-math",
+                         cl::desc("Reorder and approximate float math")};
+  cl::opt<unsigned> optLevel{"opt-level", cl::init(3),
+                             cl::desc("Effort of the optimiser, 0 to 3")};
+  cl::opt<std::string> seed{"seed", cl::init("0"),
+                            cl::desc("Seed of tai.random")};
+  cl::opt<std::string> printIR{
+      "print-ir",
+      cl::desc("Print the IR of each kernel that is compiled: all, or "
+               "some of tai,autodiff,scf,llvm,llvmir,asm"),
+      cl::value_desc("stages")};
+  cl::opt<bool> noCache{"no-cache",
+                        cl::desc("Do not keep or use compiled code")};
+  cl::opt<std::string> cacheDir{"cache-dir",
+                                cl::desc("Folder of compiled code")};
+  cl::opt<bool> compileProfile{"compile-profile",
+                               cl::desc("Print times of compilation")};
+};
+} // namespace
+
+static LogicalResult setOptions(Session &session, const Options &given) {
+  auto text = [](bool on) { return on ? "true" : "false"; };
+  SmallVector<std::pair<StringRef, std::string>> options = {
+      {"threads", std::to_string(given.threads)},
+      {"deterministic", text(given.deterministic)},
+      {"debug", text(given.debug)},
+      {"fast_math", text(given.fastMath)},
+      {"opt_level", std::to_string(given.optLevel)},
+      {"seed", given.seed},
+      {"print_ir", given.printIR},
+      {"compile_profile", text(given.compileProfile)}};
+  if (given.noCache)
+    options.push_back({"cache_dir", ""});
+  else if (given.cacheDir.getNumOccurrences())
+    options.push_back({"cache_dir", given.cacheDir});
+  for (const auto &[name, value] : options)
+    if (failed(session.setOption(name, value)))
+      return failure();
+  if (given.arch != "cpu")
+    return session.fail(FailureKind::Usage,
+                        "--given.arch=" + given.arch +
+                            " is not there; this version runs "
+                            "on 'cpu'");
+  return success();
+}
+
+/// Reads and verifies the file.
+static OwningOpRef<ModuleOp> parse(Session &session, const Options &given) {
+  DiagnosticCollector collector(session.getContext());
+  auto file = llvm::MemoryBuffer::getFileOrSTDIN(given.inputFile);
+  if (!file) {
+    (void)session.fail(FailureKind::Usage,
+                       "cannot read '" + given.inputFile +
+                           "': " + file.getError().message());
+    return {};
+  }
+  llvm::SourceMgr sources;
+  sources.AddNewSourceBuffer(std::move(*file), llvm::SMLoc());
+  OwningOpRef<ModuleOp> module =
+      parseSourceFile<ModuleOp>(sources, session.getContext());
+  if (!module)
+    (void)session.fail(
+        collector.take(FailureKind::Syntax, "the file does not parse"));
+  return module;
+}
+
+/// A module with one kernel and the functions and kernels that it names.
+static OwningOpRef<ModuleOp> extract(ModuleOp file, KernelOp kernel) {
+  llvm::SetVector<Operation *> needed;
+  needed.insert(kernel);
+  for (size_t i = 0; i < needed.size(); ++i) {
+    needed[i]->walk([&](Operation *op) {
+      op->getAttrDictionary().walk([&](SymbolRefAttr symbol) {
+        Operation *named = file.lookupSymbol(symbol.getRootReference());
+        if (isa_and_nonnull<KernelOp, func::FuncOp>(named))
+          needed.insert(named);
+      });
+    });
+  }
+  OwningOpRef<ModuleOp> module = ModuleOp::create(kernel.getLoc());
+  for (Operation *op : needed)
+    module->push_back(op->clone());
+  return module;
+}
+
+/// Declares what the file declares.
+static LogicalResult declare(Session &session, ModuleOp file) {
+  for (TreeOp tree : file.getOps<TreeOp>())
+    if (failed(session.addTree(tree)))
+      return failure();
+  for (FieldOp field : file.getOps<FieldOp>())
+    if (failed(session.addField(field)))
+      return failure();
+  for (KernelOp kernel : file.getOps<KernelOp>())
+    if (failed(
+            session.createKernel(extract(file, kernel), kernel.getSymName())))
+      return failure();
+  return success();
+}
+
+static LogicalResult launchKernel(Session &session, StringRef name) {
+  SessionKernel *kernel = session.findKernel(name);
+  if (!kernel)
+    return session.fail(FailureKind::Usage,
+                        "the file holds no kernel '" + name + "'");
+  if (kernel->kernel->argSlots() > 0)
+    return session.fail(FailureKind::Usage,
+                        "kernel '" + name +
+                            "' takes arguments; launch it from a @main");
+  std::vector<uint64_t> results(kernel->kernel->resultSlots());
+  return session.launch(*kernel, nullptr, 0, results.data());
+}
+
+static LogicalResult run(Session &session, const Options &given) {
+  if (failed(setOptions(session, given)))
+    return failure();
+  OwningOpRef<ModuleOp> file = parse(session, given);
+  if (!file || failed(declare(session, *file)))
+    return failure();
+  if (given.kernelName.getNumOccurrences())
+    return launchKernel(session, StringRef(given.kernelName).ltrim('@'));
+  auto main = file->lookupSymbol<func::FuncOp>("main");
+  if (!main)
+    return session.fail(FailureKind::Usage,
+                        "the file holds no 'func.func @main'; name a kernel "
+                        "with --kernel to launch it alone");
+  if (main.getNumArguments() || main.getNumResults()) {
+    DiagnosticCollector collector(session.getContext());
+    main.emitError("@main takes no arguments and returns nothing");
+    return session.fail(collector.take(FailureKind::Type));
+  }
+  return session.runHost(*file, "main");
+}
+
+static LogicalResult printFields(Session &session, const Options &given) {
+  for (const std::string &name : given.printedFields) {
+    StringRef bare = StringRef(name).ltrim('@');
+    runtime::FieldPtr field = session.getRuntime().findField(bare.str());
+    if (!field)
+      return session.fail(FailureKind::Usage,
+                          "there is no field '" + bare + "' to print");
+    if (failed(session.check(printField(llvm::outs(), *field))))
+      return failure();
+  }
+  return success();
+}
+
+int main(int argc, char **argv) {
+  llvm::InitLLVM initialize(argc, argv);
+  cl::ResetCommandLineParser();
+  Options options;
+  cl::ParseCommandLineOptions(argc, argv,
+                              "Runs the program in an .mlir file.\n");
+  Session session;
+  if (succeeded(run(session, options)) &&
+      succeeded(printFields(session, options)))
+    return 0;
+  llvm::outs().flush();
+  llvm::errs() << session.getFailure().text;
+  return 1;
+}
