@@ -47,7 +47,9 @@ public:
 /// The pipelines of tai for the options of a kernel.
 static Compiler::Pipelines getPipelines() {
   Compiler::Pipelines pipelines;
-  // TODO: buildAutodiffPipeline, once it is there.
+  pipelines.autodiff = [](OpPassManager &manager, const CompileOptions &) {
+    buildAutodiffPipeline(manager, AutodiffOptions());
+  };
   pipelines.toLLVM = [](OpPassManager &manager, const CompileOptions &options) {
     ToLLVMOptions lowering;
     lowering.deterministic = options.deterministic;

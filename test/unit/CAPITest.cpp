@@ -1,0 +1,294 @@
+//===- CAPITest.cpp - Contexts, threads and bad input ---------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "EngineTestUtil.h"
+#include <thread>
+
+using namespace tai_test;
+
+namespace {
+
+bool contains(const std::string &text, const std::string &part) {
+  return text.find(part) != std::string::npos;
+}
+
+//===----------------------------------------------------------------------===//
+// Contexts
+//===----------------------------------------------------------------------===//
+
+TEST(CAPI, ContextsAreIndependent) {
+  Context a, b;
+  a.addFields();
+  b.addFields();
+  TaiKernel inA = a.kernel("squares", squares("1.0"));
+  TaiKernel inB = b.kernel("squares", squares("10.0"));
+  a.ok(taiFieldFillF64(a.x, 1));
+  b.ok(taiFieldFillF64(b.x, 2));
+  a.ok(taiKernelLaunch(inA, nullptr, 0, nullptr));
+  b.ok(taiKernelLaunch(inB, nullptr, 0, nullptr));
+  EXPECT_EQ(a.read(a.y), 4);
+  EXPECT_EQ(b.read(b.y), 160);
+  EXPECT_EQ(a.read(a.x), 1);
+}
+
+TEST(CAPI, ContextsOnThreads) {
+  std::vector<std::thread> threads;
+  std::array<double, 4> results = {};
+  for (size_t i = 0; i < results.size(); ++i)
+    threads.emplace_back([i, &results] {
+      Context context;
+      context.addFields();
+      TaiKernel kernel =
+          context.kernel("squares", squares(std::to_string(i + 1) + ".0"));
+      context.ok(taiFieldFillF64(context.x, 1));
+      context.ok(taiKernelLaunch(kernel, nullptr, 0, nullptr));
+      results[i] = context.read(context.y);
+    });
+  for (std::thread &thread : threads)
+    thread.join();
+  for (size_t i = 0; i < results.size(); ++i)
+    EXPECT_EQ(results[i], 4.0 * (i + 1));
+}
+
+TEST(CAPI, ManyKernelsCompileInParallel) {
+  Context context;
+  context.addFields();
+  std::vector<TaiKernel> kernels;
+  for (int i = 1; i <= 8; ++i)
+    kernels.push_back(
+        context.kernel("squares", squares(std::to_string(i) + ".0")));
+  context.ok(taiKernelsCompile(context, kernels.data(), kernels.size(), true));
+  context.ok(taiFieldFillF64(context.x, 1));
+  context.ok(taiFieldFillF64(context.gy, 1));
+  for (TaiKernel kernel : kernels) {
+    context.ok(taiKernelLaunch(kernel, nullptr, 0, nullptr));
+    context.ok(taiKernelLaunchGrad(kernel, nullptr, 0));
+  }
+  EXPECT_EQ(context.read(context.y), 4.0 * 36);
+  EXPECT_EQ(context.read(context.gx), 2.0 * 36);
+}
+
+TEST(CAPI, ArgumentsAndResults) {
+  Context context;
+  context.addFields();
+  TaiKernel kernel = context.kernel("f", R"(
+    tai.kernel @f(%a: f32, %v: vector<2xf64>, %m: memref<?xf64>, %b: i1) -> f64 {
+      %c1 = arith.constant 1 : index
+      %e = tai.sum %v : vector<2xf64>
+      %w = arith.extf %a : f32 to f64
+      %s = arith.addf %e, %w : f64
+      %x = memref.load %m[%c1] : memref<?xf64>
+      %t = arith.addf %s, %x : f64
+      %n = arith.negf %t : f64
+      %r = arith.select %b, %n, %t : f64
+      tai.return %r : f64
+    })");
+  double array[3] = {1000, 2000, 3000};
+  uint64_t args[6] = {};
+  float a = 1;
+  double v[2] = {10, 100};
+  memcpy(&args[0], &a, sizeof(a));
+  memcpy(&args[1], v, sizeof(v));
+  args[3] = reinterpret_cast<uint64_t>(array);
+  args[4] = 3;
+  args[5] = 1;
+  uint64_t result;
+  context.ok(taiKernelLaunch(kernel, args, 6, &result));
+  double value;
+  memcpy(&value, &result, sizeof(value));
+  EXPECT_EQ(value, -2111.0);
+}
+
+TEST(CAPI, DestroyedKernelsStayOnTheTape) {
+  Context context;
+  context.addFields();
+  TaiKernel kernel = context.kernel("squares", squares("1.0"));
+  context.ok(taiFieldFillF64(context.x, 3));
+  TaiTape tape;
+  context.ok(taiTapeBegin(context, context.y, true, &tape));
+  context.ok(taiKernelLaunch(kernel, nullptr, 0, nullptr));
+  taiKernelDestroy(kernel);
+  context.ok(taiTapeBackward(tape));
+  EXPECT_EQ(context.read(context.gx, 1), 6);
+  taiTapeDestroy(tape);
+}
+
+//===----------------------------------------------------------------------===//
+// Bad input
+//===----------------------------------------------------------------------===//
+
+TEST(CAPIErrors, Layouts) {
+  Context context;
+  EXPECT_EQ(
+      taiContextAddTree(context, "t", "!tai.root<dense<[i: 4] {x: f64}>>"),
+      TAI_ERROR_SYNTAX);
+  EXPECT_FALSE(context.message().empty());
+  EXPECT_EQ(
+      taiContextAddTree(context, "t", "!tai.root<dense<[i: 0], {x: f64}>>"),
+      TAI_ERROR_SYNTAX);
+  EXPECT_EQ(taiContextAddTree(context, "t", "f32"), TAI_ERROR_TYPE);
+  EXPECT_EQ(taiContextAddTree(context, "t", "!tai.root<{x: f64}> and more"),
+            TAI_ERROR_SYNTAX);
+  EXPECT_TRUE(contains(context.message(), "and more"));
+  EXPECT_EQ(taiContextAddTree(context, "t",
+                              "!tai.root<pointer<[i: 4], dense<[i: 4], "
+                              "{x: f64}>>>"),
+            TAI_ERROR_TYPE);
+  EXPECT_TRUE(contains(context.message(), "'pointer'")) << context.message();
+  // None of them left a tree behind.
+  context.ok(taiContextAddTree(context, "t", "!tai.root<{x: f64}>"));
+  EXPECT_EQ(taiContextAddTree(context, "t", "!tai.root<{x: f64}>"),
+            TAI_ERROR_USAGE);
+}
+
+TEST(CAPIErrors, MemoryNamesTheTree) {
+  Context context;
+  EXPECT_EQ(taiContextAddTree(context, "huge",
+                              "!tai.root<dense<[i: 1000000000, j: 1000000], "
+                              "{x: f64}>>"),
+            TAI_ERROR_MEMORY);
+  EXPECT_TRUE(contains(context.message(), "huge")) << context.message();
+}
+
+TEST(CAPIErrors, Fields) {
+  Context context;
+  context.ok(
+      taiContextAddTree(context, "t", "!tai.root<dense<[i: 4], {x: f64}>>"));
+  TaiField field;
+  auto add = [&](const char *text) {
+    return taiContextAddField(context, text, &field);
+  };
+  // Before its tree is placed.
+  EXPECT_EQ(add("tai.field @x = @later[\"x\"] : f64, rank 1"), TAI_ERROR_USAGE);
+  EXPECT_TRUE(contains(context.message(), "later")) << context.message();
+  EXPECT_EQ(add("tai.field @x = @t[\"z\"] : f64, rank 1"), TAI_ERROR_TYPE);
+  EXPECT_TRUE(contains(context.message(), "z")) << context.message();
+  EXPECT_EQ(add("tai.field @x = @t[\"x\"] : f32, rank 1"), TAI_ERROR_TYPE);
+  EXPECT_EQ(add("tai.field @x = @t[\"x\"] : f64, rank 2"), TAI_ERROR_TYPE);
+  EXPECT_EQ(add("tai.field @x = "), TAI_ERROR_SYNTAX);
+  EXPECT_EQ(add("tai.tree @u : !tai.root<{x: f64}>"), TAI_ERROR_SYNTAX);
+  EXPECT_EQ(add("tai.field @x = @t[\"x\"] : f64, rank 1"), TAI_OK);
+  EXPECT_EQ(add("tai.field @x = @t[\"x\"] : f64, rank 1"), TAI_ERROR_USAGE);
+}
+
+TEST(CAPIErrors, Access) {
+  Context context;
+  context.addFields();
+  int64_t index = 4;
+  double value;
+  EXPECT_NE(taiFieldReadF64(context.x, &index, 0, &value), TAI_OK);
+  EXPECT_TRUE(contains(context.message(), "4")) << context.message();
+  index = 0;
+  EXPECT_NE(taiFieldWriteF64(context.x, &index, 1, 1.0), TAI_OK);
+  context.ok(taiContextDestroyTree(context, "t"));
+  EXPECT_NE(taiFieldReadF64(context.x, &index, 0, &value), TAI_OK);
+  EXPECT_NE(taiContextDestroyTree(context, "t"), TAI_OK);
+}
+
+TEST(CAPIErrors, Kernels) {
+  Context context;
+  context.addFields();
+  TaiKernel kernel = nullptr;
+  EXPECT_EQ(context.create("cubes", squares("1.0"), kernel), TAI_ERROR_USAGE);
+  EXPECT_TRUE(contains(context.message(), "cubes"));
+  // An unknown field, at its line.
+  EXPECT_EQ(context.create("k", R"(tai.kernel @k() {
+      %v = tai.load @q[] : f64
+      tai.store %v, @y[] : f64
+      tai.return
+    })",
+                           kernel),
+            TAI_ERROR_TYPE);
+  EXPECT_TRUE(contains(context.message(), "q")) << context.message();
+  EXPECT_EQ(std::string(context.error().file), "kernel.mlir");
+  EXPECT_EQ(context.error().line, 2);
+  // The wrong number of indices.
+  EXPECT_EQ(context.create("k", R"(tai.kernel @k() {
+      %v = tai.load @x[] : f64
+      tai.store %v, @y[] : f64
+      tai.return
+    })",
+                           kernel),
+            TAI_ERROR_TYPE);
+  EXPECT_TRUE(contains(context.message(), "ind")) << context.message();
+}
+
+TEST(CAPIErrors, Launches) {
+  Context context;
+  context.addFields();
+  TaiKernel kernel = context.kernel("squares", squares("1.0"));
+  uint64_t args[1] = {0};
+  EXPECT_EQ(taiKernelLaunch(kernel, args, 1, nullptr), TAI_ERROR_USAGE);
+  context.ok(taiContextDestroyTree(context, "t"));
+  EXPECT_EQ(taiKernelLaunch(kernel, nullptr, 0, nullptr), TAI_ERROR_USAGE);
+  EXPECT_TRUE(contains(context.message(), "t")) << context.message();
+}
+
+TEST(CAPIErrors, GradientsThatAreNotThere) {
+  Context context;
+  context.addFields();
+  TaiField plain = nullptr;
+  context.ok(taiContextAddTree(context, "u", "!tai.root<{p: f64}>"));
+  plain = context.field("tai.field @p = @u[\"p\"] : f64, rank 0");
+  TaiTape tape = nullptr;
+  EXPECT_EQ(taiTapeBegin(context, plain, true, &tape), TAI_ERROR_USAGE);
+  EXPECT_TRUE(contains(context.message(), "p")) << context.message();
+  EXPECT_EQ(taiTapeBegin(context, context.x, true, &tape), TAI_ERROR_USAGE);
+  context.ok(taiTapeBegin(context, context.y, true, &tape));
+  TaiTape second = nullptr;
+  EXPECT_EQ(taiTapeBegin(context, context.y, true, &second), TAI_ERROR_USAGE);
+  taiTapeDestroy(tape);
+}
+
+TEST(CAPIErrors, ChecksInDebugMode) {
+  Context context;
+  context.set("debug", "true");
+  context.addFields();
+  TaiKernel index = context.kernel("index", R"(tai.kernel @index(%i: i32) {
+      %n = arith.index_cast %i : i32 to index
+      %v = tai.load @x[%n] : f64
+      tai.store %v, @y[] : f64
+      tai.return
+    })");
+  uint64_t args[1] = {2};
+  context.ok(taiKernelLaunch(index, args, 1, nullptr));
+  args[0] = 4;
+  EXPECT_EQ(taiKernelLaunch(index, args, 1, nullptr), TAI_ERROR_RUNTIME);
+  EXPECT_TRUE(contains(context.message(), "4")) << context.message();
+  EXPECT_TRUE(contains(context.message(), "x")) << context.message();
+  EXPECT_EQ(context.error().line, 3);
+  TaiKernel claim = context.kernel("claim", R"(tai.kernel @claim(%i: i32) {
+      %c = arith.constant 7 : i32
+      %ok = arith.cmpi slt, %i, %c : i32
+      tai.assert %ok, "{} is too large"(%i) : i32
+      tai.return
+    })");
+  context.ok(taiKernelLaunch(claim, args, 1, nullptr));
+  args[0] = 8;
+  EXPECT_EQ(taiKernelLaunch(claim, args, 1, nullptr), TAI_ERROR_RUNTIME);
+  EXPECT_TRUE(contains(context.message(), "8 is too large"))
+      << context.message();
+  // The context goes on.
+  args[0] = 1;
+  context.ok(taiKernelLaunch(claim, args, 1, nullptr));
+}
+
+TEST(CAPIErrors, Options) {
+  Context context;
+  EXPECT_EQ(taiContextSetOption(context, "threads", "many"), TAI_ERROR_USAGE);
+  EXPECT_EQ(taiContextSetOption(context, "opt_level", "4"), TAI_ERROR_USAGE);
+  EXPECT_EQ(taiContextSetOption(context, "print_ir", "ast"), TAI_ERROR_USAGE);
+  EXPECT_TRUE(contains(context.message(), "llvmir"));
+  EXPECT_EQ(taiContextSetOption(context, "debug", "perhaps"), TAI_ERROR_USAGE);
+  context.addFields();
+  TaiKernel kernel = context.kernel("squares", squares("1.0"));
+  const char *text;
+  EXPECT_EQ(taiKernelGetIR(kernel, "bytes", &text), TAI_ERROR_USAGE);
+  EXPECT_TRUE(contains(context.message(), "autodiff"));
+}
+
+} // namespace
