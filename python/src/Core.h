@@ -1,0 +1,69 @@
+//===- Core.h - What the parts of the extension module share ----*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The extension module `tai._core` stands on tai-c and mlir-c alone: it knows
+// neither LLVM nor C++ MLIR. It is compiled with exceptions, which no function
+// of libtai sees.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_PYTHON_CORE_H
+#define TAI_PYTHON_CORE_H
+
+#include "tai-c/Tai.h"
+
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include <memory>
+#include <string>
+
+namespace taipy {
+
+namespace py = pybind11;
+
+/// A TaiContext with shared ownership: fields, kernels and tapes keep it alive.
+struct Context {
+  Context() : handle(taiContextCreate()) {}
+  ~Context() { taiContextDestroy(handle); }
+  Context(const Context &) = delete;
+  Context &operator=(const Context &) = delete;
+
+  /// Raises the Python exception for the last failure if `status` is one.
+  void check(TaiStatus status) const {
+    if (status != TAI_OK)
+      raise(status);
+  }
+  [[noreturn]] void raise(TaiStatus status) const;
+
+  TaiContext handle;
+};
+using ContextRef = std::shared_ptr<Context>;
+
+/// Sets the Python error for the last failure of `context` by way of
+/// `tai.errors.from_core`, without throwing.
+void setError(TaiContext context, TaiStatus status);
+
+/// A compiled (or yet to be compiled) kernel.
+struct Kernel {
+  Kernel(ContextRef context, TaiKernel handle)
+      : context(std::move(context)), handle(handle) {}
+  ~Kernel() { taiKernelDestroy(handle); }
+  Kernel(const Kernel &) = delete;
+  Kernel &operator=(const Kernel &) = delete;
+
+  ContextRef context;
+  TaiKernel handle;
+};
+
+void bindRuntime(py::module_ &module);
+void bindBuilder(py::module_ &module);
+void bindLauncher(py::module_ &module);
+
+} // namespace taipy
+
+#endif // TAI_PYTHON_CORE_H

@@ -1,0 +1,478 @@
+//===- Launcher.cpp - Calling kernels from Python -------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// `Launcher` is the base class of kernels in Python. A call finds the
+// specialisation that its arguments ask for, packs the arguments and launches,
+// without running Python code. Where no specialisation fits, it calls the
+// method `_launch_slow(args, kwargs)`, which compiles one, adds it with
+// `_add`, and launches again.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Core.h"
+
+#include <algorithm>
+#include <cstring>
+#include <structmember.h>
+#include <vector>
+
+using namespace taipy;
+
+namespace {
+
+/// Specialisations of an older generation belong to a context that `ti.init`
+/// or `ti.reset` has replaced.
+uint64_t generation = 1;
+
+/// The tape that records, or null; it keeps alive the arrays that it points to.
+PyObject *activeTape = nullptr;
+
+enum class ArgKind : char {
+  F32 = 'f',
+  F64 = 'd',
+  Integer = 'i', // any integer of up to 64 bits; see `bits`
+  Bool = 'b',
+  Constant = 'c', // part of the specialisation; takes no slot
+  Array = 'a'     // a buffer, as pointer and extents
+};
+
+struct Arg {
+  ArgKind kind;
+  int bits = 0; // Integer: width
+  bool isUnsigned = false;
+  py::object constant;          // Constant: the object
+  std::string format;           // Array: struct format of an element
+  int rank = 0;                 // Array: dimensions, the element's included
+  std::vector<int64_t> element; // Array: extents of the element
+};
+
+struct Result {
+  char kind = 0; // 0 none, 'f', 'd', 'i', 'u', 'b', 'h' (f16)
+  int bits = 0;
+  int count = 0;   // slots
+  py::object wrap; // turns a tuple of numbers into a matrix, or none
+};
+
+struct Specialization {
+  std::shared_ptr<Kernel> kernel;
+  uint64_t generation;
+  bool grad;
+  std::vector<Arg> args;
+  Result result;
+};
+
+struct Launcher {
+  PyObject_HEAD vectorcallfunc vectorcall;
+  PyObject *dict;
+  PyObject *weakrefs;
+  std::vector<std::unique_ptr<Specialization>> *specializations;
+};
+
+enum class Match { Yes, No, Error };
+
+/// Buffers held during a launch.
+struct HeldBuffers {
+  std::vector<Py_buffer> buffers;
+  ~HeldBuffers() {
+    for (Py_buffer &buffer : buffers)
+      PyBuffer_Release(&buffer);
+  }
+};
+
+bool isSameConstant(PyObject *wanted, PyObject *given) {
+  if (wanted == given)
+    return true;
+  if (Py_TYPE(wanted) != Py_TYPE(given))
+    return false;
+  if (!PyLong_Check(wanted) && !PyFloat_Check(wanted) &&
+      !PyUnicode_Check(wanted) && !PyTuple_Check(wanted))
+    return false;
+  int same = PyObject_RichCompareBool(wanted, given, Py_EQ);
+  if (same < 0)
+    PyErr_Clear();
+  return same == 1;
+}
+
+/// The format of a buffer without a byte-order mark.
+const char *formatOf(const Py_buffer &view) {
+  const char *format = view.format ? view.format : "B";
+  if (*format == '@' || *format == '=' || *format == '<')
+    ++format;
+  return format;
+}
+
+/// numpy calls int64 'l' and int64 may also be 'q'.
+bool isSameFormat(const std::string &wanted, const char *given) {
+  auto normal = [](const char *f) -> std::string {
+    if (!std::strcmp(f, "l"))
+      return "q";
+    if (!std::strcmp(f, "L"))
+      return "Q";
+    return f;
+  };
+  return normal(wanted.c_str()) == normal(given);
+}
+
+Match packArray(const Arg &arg, PyObject *object, std::vector<uint64_t> &slots,
+                HeldBuffers &held) {
+  if (!PyObject_CheckBuffer(object))
+    return Match::No;
+  Py_buffer view;
+  if (PyObject_GetBuffer(object, &view,
+                         PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | PyBUF_WRITABLE) !=
+      0) {
+    PyErr_Clear();
+    return Match::No;
+  }
+  held.buffers.push_back(view);
+  if (view.ndim != arg.rank || !isSameFormat(arg.format, formatOf(view)))
+    return Match::No;
+  size_t outer = arg.rank - arg.element.size();
+  for (size_t d = 0; d < arg.element.size(); ++d)
+    if (view.shape[outer + d] != arg.element[d])
+      return Match::No;
+  slots.push_back(reinterpret_cast<uint64_t>(view.buf));
+  for (int d = 0; d < view.ndim; ++d)
+    slots.push_back(static_cast<uint64_t>(view.shape[d]));
+  return Match::Yes;
+}
+
+Match packInteger(const Arg &arg, PyObject *object, uint64_t &slot) {
+  if (!PyLong_Check(object) && !PyIndex_Check(object))
+    return Match::No;
+  int overflow = 0;
+  long long number;
+  if (PyLong_CheckExact(object)) {
+    number = PyLong_AsLongLongAndOverflow(object, &overflow);
+  } else {
+    PyObject *whole = PyNumber_Index(object);
+    if (!whole)
+      return Match::Error;
+    number = PyLong_AsLongLongAndOverflow(whole, &overflow);
+    Py_DECREF(whole);
+  }
+  if (overflow ||
+      (arg.bits < 64 && arg.isUnsigned && (number < 0 || number >> arg.bits)) ||
+      (arg.bits < 64 && !arg.isUnsigned &&
+       (number >> (arg.bits - 1)) != (number < 0 ? -1 : 0)))
+    return Match::No; // the slow path says what is wrong
+  slot = static_cast<uint64_t>(number);
+  return Match::Yes;
+}
+
+Match packArg(const Arg &arg, PyObject *object, std::vector<uint64_t> &slots,
+              HeldBuffers &held) {
+  uint64_t slot = 0;
+  switch (arg.kind) {
+  case ArgKind::Constant:
+    return isSameConstant(arg.constant.ptr(), object) ? Match::Yes : Match::No;
+  case ArgKind::Array:
+    return packArray(arg, object, slots, held);
+  case ArgKind::F32:
+  case ArgKind::F64: {
+    double number;
+    if (PyFloat_CheckExact(object)) {
+      number = PyFloat_AS_DOUBLE(object);
+    } else {
+      if (PyUnicode_Check(object) || PyBytes_Check(object))
+        return Match::No;
+      number = PyFloat_AsDouble(object);
+      if (number == -1.0 && PyErr_Occurred()) {
+        PyErr_Clear();
+        return Match::No;
+      }
+    }
+    if (arg.kind == ArgKind::F32) {
+      float single = static_cast<float>(number);
+      std::memcpy(&slot, &single, sizeof single);
+    } else {
+      std::memcpy(&slot, &number, sizeof number);
+    }
+    break;
+  }
+  case ArgKind::Integer: {
+    Match match = packInteger(arg, object, slot);
+    if (match != Match::Yes)
+      return match;
+    break;
+  }
+  case ArgKind::Bool: {
+    if (!PyBool_Check(object) && !PyLong_Check(object))
+      return Match::No;
+    slot = PyObject_IsTrue(object) == 1;
+    break;
+  }
+  }
+  slots.push_back(slot);
+  return Match::Yes;
+}
+
+PyObject *toPython(const Result &result, uint64_t slot) {
+  switch (result.kind) {
+  case 'f': {
+    float number;
+    std::memcpy(&number, &slot, sizeof number);
+    return PyFloat_FromDouble(number);
+  }
+  case 'd': {
+    double number;
+    std::memcpy(&number, &slot, sizeof number);
+    return PyFloat_FromDouble(number);
+  }
+  case 'b':
+    return PyBool_FromLong(static_cast<long>(slot & 1));
+  case 'u':
+    if (result.bits < 64)
+      slot &= (uint64_t(1) << result.bits) - 1;
+    return PyLong_FromUnsignedLongLong(slot);
+  default:
+    // The value fills the low bits of its slot.
+    return PyLong_FromLongLong(
+        static_cast<int64_t>(slot << (64 - result.bits)) >> (64 - result.bits));
+  }
+}
+
+PyObject *launch(Specialization &spec, const std::vector<uint64_t> &slots) {
+  TaiKernel kernel = spec.kernel->handle;
+  int64_t count = static_cast<int64_t>(slots.size());
+  uint64_t results[16] = {};
+  TaiStatus status =
+      spec.grad ? taiKernelLaunchGrad(kernel, slots.data(), count)
+                : taiKernelLaunch(kernel, slots.data(), count,
+                                  spec.result.count ? results : nullptr);
+  if (status != TAI_OK) {
+    setError(spec.kernel->context->handle, status);
+    return nullptr;
+  }
+  if (spec.grad || !spec.result.count)
+    Py_RETURN_NONE;
+  if (spec.result.wrap.is_none())
+    return toPython(spec.result, results[0]);
+  PyObject *numbers = PyTuple_New(spec.result.count);
+  if (!numbers)
+    return nullptr;
+  for (int i = 0; i < spec.result.count; ++i)
+    PyTuple_SET_ITEM(numbers, i, toPython(spec.result, results[i]));
+  PyObject *wrapped = PyObject_CallOneArg(spec.result.wrap.ptr(), numbers);
+  Py_DECREF(numbers);
+  return wrapped;
+}
+
+/// Tries one specialisation. Yes: `answer` is the result or null on error.
+Match tryLaunch(Specialization &spec, PyObject *const *args, size_t count,
+                PyObject *&answer) {
+  if (spec.generation != generation || spec.args.size() != count)
+    return Match::No;
+  static thread_local std::vector<uint64_t> slots;
+  slots.clear();
+  HeldBuffers held;
+  for (size_t i = 0; i < count; ++i) {
+    Match match = packArg(spec.args[i], args[i], slots, held);
+    if (match != Match::Yes)
+      return match;
+  }
+  if (activeTape && !held.buffers.empty())
+    for (Py_buffer &buffer : held.buffers) {
+      PyObject *kept = PyObject_CallMethod(activeTape, "keep", "O", buffer.obj);
+      if (!kept)
+        return Match::Error;
+      Py_DECREF(kept);
+    }
+  // The launch may call Python back, which may launch: take the slots along.
+  std::vector<uint64_t> mine;
+  mine.swap(slots);
+  answer = launch(spec, mine);
+  slots.swap(mine);
+  return Match::Yes;
+}
+
+PyObject *callSlow(Launcher *self, PyObject *const *args, size_t count,
+                   PyObject *names) {
+  PyObject *positional = PyTuple_New(static_cast<Py_ssize_t>(count));
+  if (!positional)
+    return nullptr;
+  for (size_t i = 0; i < count; ++i)
+    PyTuple_SET_ITEM(positional, i, Py_NewRef(args[i]));
+  PyObject *keywords = PyDict_New();
+  if (keywords && names)
+    for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(names); ++i)
+      PyDict_SetItem(keywords, PyTuple_GET_ITEM(names, i), args[count + i]);
+  PyObject *answer = nullptr;
+  if (keywords)
+    answer = PyObject_CallMethod(reinterpret_cast<PyObject *>(self),
+                                 "_launch_slow", "OO", positional, keywords);
+  Py_XDECREF(keywords);
+  Py_DECREF(positional);
+  return answer;
+}
+
+PyObject *call(PyObject *object, PyObject *const *args, size_t flags,
+               PyObject *names) {
+  auto *self = reinterpret_cast<Launcher *>(object);
+  size_t count = static_cast<size_t>(PyVectorcall_NARGS(flags));
+  if (!names) {
+    auto &all = *self->specializations;
+    for (size_t i = all.size(); i-- > 0;) {
+      PyObject *answer = nullptr;
+      Match match = tryLaunch(*all[i], args, count, answer);
+      if (match == Match::Error)
+        return nullptr;
+      if (match == Match::No)
+        continue;
+      if (i + 1 != all.size()) // most recently used last
+        std::swap(all[i], all.back());
+      return answer;
+    }
+  }
+  return callSlow(self, args, count, names);
+}
+
+PyObject *launcherNew(PyTypeObject *type, PyObject *, PyObject *) {
+  auto *self = reinterpret_cast<Launcher *>(type->tp_alloc(type, 0));
+  if (!self)
+    return nullptr;
+  self->vectorcall = call;
+  self->specializations = new std::vector<std::unique_ptr<Specialization>>;
+  return reinterpret_cast<PyObject *>(self);
+}
+
+int launcherTraverse(PyObject *object, visitproc visit, void *arg) {
+  auto *self = reinterpret_cast<Launcher *>(object);
+  Py_VISIT(Py_TYPE(object));
+  Py_VISIT(self->dict);
+  for (auto &spec : *self->specializations)
+    for (Arg &constant : spec->args)
+      Py_VISIT(constant.constant.ptr());
+  return 0;
+}
+
+int launcherClear(PyObject *object) {
+  auto *self = reinterpret_cast<Launcher *>(object);
+  Py_CLEAR(self->dict);
+  std::vector<std::unique_ptr<Specialization>> all;
+  all.swap(*self->specializations);
+  return 0;
+}
+
+void launcherDealloc(PyObject *object) {
+  auto *self = reinterpret_cast<Launcher *>(object);
+  PyObject_GC_UnTrack(object);
+  if (self->weakrefs)
+    PyObject_ClearWeakRefs(object);
+  launcherClear(object);
+  delete self->specializations;
+  PyTypeObject *type = Py_TYPE(object);
+  type->tp_free(object);
+  Py_DECREF(type);
+}
+
+Arg parseArg(const py::tuple &description) {
+  Arg arg;
+  arg.kind = static_cast<ArgKind>(description[0].cast<std::string>().at(0));
+  arg.constant = py::none();
+  if (arg.kind == ArgKind::Integer) {
+    arg.bits = description[1].cast<int>();
+    arg.isUnsigned = description[2].cast<bool>();
+  } else if (arg.kind == ArgKind::Constant) {
+    arg.constant = description[1];
+  } else if (arg.kind == ArgKind::Array) {
+    arg.format = description[1].cast<std::string>();
+    arg.element = description[3].cast<std::vector<int64_t>>();
+    arg.rank =
+        description[2].cast<int>() + static_cast<int>(arg.element.size());
+  }
+  return arg;
+}
+
+Launcher *toLauncher(const py::object &object) {
+  return reinterpret_cast<Launcher *>(object.ptr());
+}
+
+PyMemberDef members[] = {
+    {"__dictoffset__", T_PYSSIZET, offsetof(Launcher, dict), READONLY, nullptr},
+    {"__weaklistoffset__", T_PYSSIZET, offsetof(Launcher, weakrefs), READONLY,
+     nullptr},
+    {"__vectorcalloffset__", T_PYSSIZET, offsetof(Launcher, vectorcall),
+     READONLY, nullptr},
+    {nullptr, 0, 0, 0, nullptr}};
+
+PyType_Slot slots[] = {
+    {Py_tp_new, reinterpret_cast<void *>(launcherNew)},
+    {Py_tp_dealloc, reinterpret_cast<void *>(launcherDealloc)},
+    {Py_tp_traverse, reinterpret_cast<void *>(launcherTraverse)},
+    {Py_tp_clear, reinterpret_cast<void *>(launcherClear)},
+    {Py_tp_call, reinterpret_cast<void *>(PyVectorcall_Call)},
+    {Py_tp_members, members},
+    {0, nullptr}};
+
+PyType_Spec spec = {"tai._core.Launcher", sizeof(Launcher), 0,
+                    Py_TPFLAGS_DEFAULT | Py_TPFLAGS_BASETYPE |
+                        Py_TPFLAGS_HAVE_GC | Py_TPFLAGS_HAVE_VECTORCALL,
+                    slots};
+
+} // namespace
+
+void taipy::bindLauncher(py::module_ &module) {
+  auto type = py::reinterpret_steal<py::object>(PyType_FromSpec(&spec));
+  if (!type)
+    throw py::error_already_set();
+  module.attr("Launcher") = type;
+
+  module.def("set_tape", [](const py::object &tape) {
+    Py_XDECREF(activeTape);
+    activeTape = tape.is_none() ? nullptr : tape.inc_ref().ptr();
+  });
+  module.def("next_generation", [] { return ++generation; });
+  module.def("add_specialization",
+             [](const py::object &launcher, std::shared_ptr<Kernel> kernel,
+                bool grad, const std::vector<py::tuple> &args,
+                const py::tuple &result) {
+               auto made = std::make_unique<Specialization>();
+               made->kernel = std::move(kernel);
+               made->generation = generation;
+               made->grad = grad;
+               for (const py::tuple &arg : args)
+                 made->args.push_back(parseArg(arg));
+               if (!result.empty()) {
+                 made->result.kind = result[0].cast<std::string>().at(0);
+                 made->result.bits = result[1].cast<int>();
+                 made->result.count = result[2].cast<int>();
+                 made->result.wrap = result[3];
+               }
+               auto &all = *toLauncher(launcher)->specializations;
+               // Those of a replaced context never match again.
+               all.erase(std::remove_if(all.begin(), all.end(),
+                                        [](const auto &one) {
+                                          return one->generation != generation;
+                                        }),
+                         all.end());
+               all.push_back(std::move(made));
+             });
+  // Launches with slots that the caller packed: vectors, matrices, copies.
+  module.def("launch_slots",
+             [](const std::shared_ptr<Kernel> &kernel, bool grad,
+                const std::vector<uint64_t> &slots, const py::tuple &result) {
+               Specialization one;
+               one.kernel = kernel;
+               one.grad = grad;
+               one.result.wrap = py::none();
+               if (!result.empty()) {
+                 one.result.kind = result[0].cast<std::string>().at(0);
+                 one.result.bits = result[1].cast<int>();
+                 one.result.count = result[2].cast<int>();
+                 one.result.wrap = result[3];
+               }
+               PyObject *answer = launch(one, slots);
+               if (!answer)
+                 throw py::error_already_set();
+               return py::reinterpret_steal<py::object>(answer);
+             });
+  // Drops the specialisations of a launcher.
+  module.def("clear_specializations", [](const py::object &launcher) {
+    toLauncher(launcher)->specializations->clear();
+  });
+}

@@ -1,0 +1,346 @@
+//===- Runtime.cpp - Contexts, fields, kernels and tapes ------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "Core.h"
+
+#include <vector>
+
+using namespace taipy;
+
+namespace taipy {
+
+void setError(TaiContext context, TaiStatus status) {
+  TaiError error = taiContextLastError(context);
+  try {
+    py::object make = py::module_::import("tai.errors").attr("from_core");
+    auto text = [](const char *string) {
+      return py::str(string ? string : "");
+    };
+    py::object exception =
+        make(static_cast<int>(status), text(error.message), text(error.file),
+             error.line, error.column, text(error.diagnostics));
+    PyErr_SetObject(reinterpret_cast<PyObject *>(Py_TYPE(exception.ptr())),
+                    exception.ptr());
+  } catch (py::error_already_set &failure) {
+    failure.restore();
+  }
+}
+
+void Context::raise(TaiStatus status) const {
+  setError(handle, status);
+  throw py::error_already_set();
+}
+
+} // namespace taipy
+
+namespace {
+
+struct Field {
+  ContextRef context;
+  TaiField handle;
+  TaiFieldInfo info;
+
+  bool isFloat() const {
+    return info.type == TAI_F16 || info.type == TAI_BF16 ||
+           info.type == TAI_F32 || info.type == TAI_F64;
+  }
+  int64_t numComponents() const {
+    int64_t count = 1;
+    for (int d = 0; d < info.element_rank; ++d)
+      count *= info.element_shape[d];
+    return count;
+  }
+  int64_t numScalars() const {
+    int64_t count = numComponents();
+    for (int d = 0; d < info.rank; ++d)
+      count *= info.shape[d];
+    return count;
+  }
+  int64_t scalarSize() const {
+    switch (info.type) {
+    case TAI_I1:
+    case TAI_I8:
+      return 1;
+    case TAI_I16:
+    case TAI_F16:
+    case TAI_BF16:
+      return 2;
+    case TAI_I32:
+    case TAI_F32:
+      return 4;
+    case TAI_I64:
+    case TAI_F64:
+      return 8;
+    }
+    return 8;
+  }
+};
+
+/// The indices of one element. The rank and the range are checked in Python's
+/// terms here, so that the message can name what was written.
+std::vector<int64_t> toIndices(const Field &field, const py::tuple &indices) {
+  if (static_cast<int>(indices.size()) != field.info.rank)
+    throw py::index_error("expects " + std::to_string(field.info.rank) +
+                          (field.info.rank == 1 ? " index" : " indices") +
+                          ", but got " + std::to_string(indices.size()));
+  std::vector<int64_t> result;
+  result.reserve(indices.size());
+  for (size_t d = 0; d < indices.size(); ++d) {
+    PyObject *number = PyNumber_Index(indices[d].ptr());
+    if (!number)
+      throw py::error_already_set();
+    int64_t index = PyLong_AsLongLong(number);
+    Py_DECREF(number);
+    if (index == -1 && PyErr_Occurred())
+      throw py::error_already_set();
+    int64_t low = field.info.offset[d], high = low + field.info.shape[d];
+    if (index < low || index >= high)
+      throw py::index_error(
+          "index " + std::to_string(index) + " is out of range for dimension " +
+          std::to_string(d) + ", which runs from " + std::to_string(low) +
+          " to " + std::to_string(high - 1));
+    result.push_back(index);
+  }
+  return result;
+}
+
+py::object readElement(const Field &field, const py::tuple &indices,
+                       int64_t component) {
+  std::vector<int64_t> at = toIndices(field, indices);
+  if (field.isFloat()) {
+    double value = 0;
+    field.context->check(
+        taiFieldReadF64(field.handle, at.data(), component, &value));
+    return py::float_(value);
+  }
+  int64_t value = 0;
+  field.context->check(
+      taiFieldReadI64(field.handle, at.data(), component, &value));
+  return py::int_(value);
+}
+
+void writeElement(const Field &field, const py::tuple &indices,
+                  int64_t component, const py::object &value) {
+  std::vector<int64_t> at = toIndices(field, indices);
+  if (field.isFloat()) {
+    double number = PyFloat_AsDouble(value.ptr());
+    if (number == -1.0 && PyErr_Occurred())
+      throw py::error_already_set();
+    field.context->check(
+        taiFieldWriteF64(field.handle, at.data(), component, number));
+    return;
+  }
+  py::object whole =
+      py::reinterpret_steal<py::object>(PyNumber_Long(value.ptr()));
+  if (!whole)
+    throw py::error_already_set();
+  // Unsigned values of 64 bits are stored as the same bits.
+  int64_t number =
+      static_cast<int64_t>(PyLong_AsUnsignedLongLongMask(whole.ptr()));
+  if (PyErr_Occurred())
+    throw py::error_already_set();
+  field.context->check(
+      taiFieldWriteI64(field.handle, at.data(), component, number));
+}
+
+/// Checks that a buffer is a C-contiguous array of all scalars of the field.
+struct ArrayView {
+  ArrayView(const Field &field, const py::object &array, bool writable) {
+    int flags = PyBUF_C_CONTIGUOUS | (writable ? PyBUF_WRITABLE : 0);
+    if (PyObject_GetBuffer(array.ptr(), &view, flags) != 0)
+      throw py::error_already_set();
+    if (view.len != field.numScalars() * field.scalarSize()) {
+      PyBuffer_Release(&view);
+      throw py::value_error("the array has not the size of the field");
+    }
+  }
+  ~ArrayView() { PyBuffer_Release(&view); }
+  Py_buffer view;
+};
+
+struct Tape {
+  ContextRef context;
+  TaiTape handle;
+  // Python objects that the records point to: callables and arrays.
+  std::vector<std::unique_ptr<py::object>> kept;
+
+  ~Tape() {
+    if (handle)
+      taiTapeDestroy(handle);
+  }
+};
+
+/// Runs one of a pair of Python callables without arguments for the tape. An
+/// exception stays set and becomes a failure of the sweep.
+TaiStatus callBack(void *pair, int which) {
+  PyObject *callable =
+      PyTuple_GET_ITEM(static_cast<py::object *>(pair)->ptr(), which);
+  PyObject *result = PyObject_CallNoArgs(callable);
+  if (!result)
+    return TAI_ERROR_RUNTIME;
+  Py_DECREF(result);
+  return TAI_OK;
+}
+
+/// A failed sweep is the exception of a callback, if one is set.
+void checkSweep(Tape &tape, TaiStatus status) {
+  if (PyErr_Occurred())
+    throw py::error_already_set();
+  tape.context->check(status);
+}
+
+void bindTape(py::module_ &module) {
+  py::class_<Tape>(module, "Tape")
+      .def("end", [](Tape &t) { t.context->check(taiTapeEnd(t.handle)); })
+      .def("backward",
+           [](Tape &t) { checkSweep(t, taiTapeBackward(t.handle)); })
+      .def("replay",
+           [](Tape &t, bool forward, bool backward) {
+             checkSweep(t, taiTapeReplay(t.handle, forward, backward));
+           })
+      .def("suspend",
+           [](Tape &t) { t.context->check(taiTapeSuspend(t.handle)); })
+      .def("resume", [](Tape &t) { t.context->check(taiTapeResume(t.handle)); })
+      .def("keep",
+           [](Tape &t, py::object object) {
+             t.kept.push_back(std::make_unique<py::object>(std::move(object)));
+           })
+      .def("record",
+           [](Tape &t, py::object forward, py::object backward) {
+             // One user pointer serves both directions: a pair of callables.
+             auto pair = std::make_unique<py::object>(
+                 py::make_tuple(std::move(forward), std::move(backward)));
+             void *user = pair.get();
+             t.kept.push_back(std::move(pair));
+             t.context->check(taiTapeRecordCallback(
+                 t.handle, [](void *user) { return callBack(user, 0); },
+                 [](void *user) { return callBack(user, 1); }, user));
+           })
+      .def("explain",
+           [](Tape &t) { return std::string(taiTapeExplain(t.handle)); })
+      .def_property_readonly(
+          "records", [](Tape &t) { return taiTapeNumRecords(t.handle); })
+      .def_property_readonly(
+          "skipped", [](Tape &t) { return taiTapeNumSkipped(t.handle); });
+}
+
+void bindField(py::module_ &module) {
+  py::class_<Field>(module, "Field")
+      .def("get", &readElement)
+      .def("set", &writeElement)
+      .def("fill",
+           [](Field &f, const py::object &value) {
+             if (f.isFloat())
+               f.context->check(
+                   taiFieldFillF64(f.handle, value.cast<double>()));
+             else
+               f.context->check(taiFieldFillI64(
+                   f.handle, static_cast<int64_t>(
+                                 PyLong_AsUnsignedLongLongMask(value.ptr()))));
+           })
+      .def("copy_to",
+           [](Field &f, const py::object &array) {
+             ArrayView view(f, array, /*writable=*/true);
+             f.context->check(taiFieldCopyToHost(f.handle, view.view.buf));
+           })
+      .def("copy_from",
+           [](Field &f, const py::object &array) {
+             ArrayView view(f, array, /*writable=*/false);
+             f.context->check(taiFieldCopyFromHost(f.handle, view.view.buf));
+           })
+      .def_property_readonly("shape", [](Field &f) {
+        py::tuple shape(f.info.rank);
+        for (int d = 0; d < f.info.rank; ++d)
+          shape[d] = f.info.shape[d];
+        return shape;
+      });
+}
+
+void bindKernel(py::module_ &module) {
+  py::class_<Kernel, std::shared_ptr<Kernel>>(module, "Kernel")
+      .def("ir",
+           [](Kernel &k, const std::string &stage) {
+             const char *text = nullptr;
+             k.context->check(taiKernelGetIR(k.handle, stage.c_str(), &text));
+             return std::string(text);
+           })
+      .def("compile", [](Kernel &k, bool adjoint) {
+        k.context->check(
+            taiKernelsCompile(k.context->handle, &k.handle, 1, adjoint));
+      });
+}
+
+} // namespace
+
+void taipy::bindRuntime(py::module_ &module) {
+  py::class_<Context, ContextRef>(module, "Context")
+      .def(py::init<>())
+      .def("set_option",
+           [](Context &c, const std::string &name, const std::string &value) {
+             c.check(
+                 taiContextSetOption(c.handle, name.c_str(), value.c_str()));
+           })
+      .def("synchronize",
+           [](Context &c) { c.check(taiContextSynchronize(c.handle)); })
+      .def("add_tree",
+           [](Context &c, const std::string &name, const std::string &layout) {
+             c.check(taiContextAddTree(c.handle, name.c_str(), layout.c_str()));
+           })
+      .def("destroy_tree",
+           [](Context &c, const std::string &name) {
+             c.check(taiContextDestroyTree(c.handle, name.c_str()));
+           })
+      .def("add_field",
+           [](ContextRef c, const std::string &declaration) {
+             auto field = std::make_unique<Field>();
+             field->context = c;
+             c->check(taiContextAddField(c->handle, declaration.c_str(),
+                                         &field->handle));
+             c->check(taiFieldGetInfo(field->handle, &field->info));
+             return field;
+           })
+      .def("clear_gradients",
+           [](Context &c) { c.check(taiContextClearGradients(c.handle)); })
+      .def("compile",
+           [](Context &c, const std::vector<std::shared_ptr<Kernel>> &kernels,
+              bool adjoints) {
+             std::vector<TaiKernel> handles;
+             for (const auto &kernel : kernels)
+               handles.push_back(kernel->handle);
+             c.check(taiKernelsCompile(c.handle, handles.data(),
+                                       static_cast<int64_t>(handles.size()),
+                                       adjoints));
+           })
+      .def(
+          "tape",
+          [](ContextRef c, const Field *loss, bool clear) {
+            auto tape = std::make_unique<Tape>();
+            tape->context = c;
+            tape->handle = nullptr;
+            c->check(taiTapeBegin(c->handle, loss ? loss->handle : nullptr,
+                                  clear, &tape->handle));
+            return tape;
+          },
+          py::arg("loss").none(true), py::arg("clear"))
+      .def("profile",
+           [](Context &c) {
+             const TaiProfileRow *rows = nullptr;
+             int64_t count = 0;
+             c.check(taiProfilerRows(c.handle, &rows, &count));
+             py::list result;
+             for (int64_t i = 0; i < count; ++i)
+               result.append(py::make_tuple(rows[i].kernel, rows[i].launches,
+                                            rows[i].total_ms, rows[i].min_ms,
+                                            rows[i].max_ms));
+             return result;
+           })
+      .def("clear_profile",
+           [](Context &c) { c.check(taiProfilerClear(c.handle)); });
+  bindField(module);
+  bindKernel(module);
+  bindTape(module);
+}

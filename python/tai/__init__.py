@@ -1,0 +1,218 @@
+# ruff: noqa: F401
+"""tai: differentiable simulation, compiled.
+
+```python
+import tai as ti
+
+ti.init()
+x = ti.field(ti.f32, shape=8, needs_grad=True)
+loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+@ti.kernel
+def energy():
+    for i in x:
+        loss[None] += x[i] ** 2
+
+with ti.ad.Tape(loss):
+    energy()
+print(x.grad)
+```
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from . import dtypes, types
+from .dtypes import (
+    f16,
+    f32,
+    f64,
+    float16,
+    float32,
+    float64,
+    i8,
+    i16,
+    i32,
+    i64,
+    int8,
+    int16,
+    int32,
+    int64,
+    u1,
+    u8,
+    u16,
+    u32,
+    u64,
+    uint8,
+    uint16,
+    uint32,
+    uint64,
+)
+from .errors import (
+    TaiAssertionError,
+    TaiAutodiffError,
+    TaichiAssertionError,
+    TaichiAutodiffError,
+    TaichiCompilationError,
+    TaichiIndexError,
+    TaichiNameError,
+    TaichiRuntimeError,
+    TaichiRuntimeTypeError,
+    TaichiSyntaxError,
+    TaichiTypeError,
+    TaiCompilationError,
+    TaiError,
+    TaiIndexError,
+    TaiMemoryError,
+    TaiNameError,
+    TaiRuntimeError,
+    TaiRuntimeTypeError,
+    TaiSyntaxError,
+    TaiTypeError,
+)
+from .field import Field, MatrixField, ScalarField, field
+from .matrix import Matrix, Vector
+from .ndarray import Ndarray, ndarray
+from .ops import (
+    abs,
+    acos,
+    activate,
+    append,
+    asin,
+    atan2,
+    atomic_add,
+    atomic_and,
+    atomic_max,
+    atomic_min,
+    atomic_mul,
+    atomic_or,
+    atomic_sub,
+    atomic_xor,
+    bit_cast,
+    block_local,
+    cache_read_only,
+    cast,
+    ceil,
+    cos,
+    deactivate,
+    eig,
+    exp,
+    floor,
+    get_addr,
+    grouped,
+    is_active,
+    length,
+    log,
+    logical_and,
+    logical_not,
+    logical_or,
+    loop_config,
+    max,
+    min,
+    ndrange,
+    no_activate,
+    one,
+    polar_decompose,
+    pow,
+    randn,
+    random,
+    raw_div,
+    raw_mod,
+    rescale_index,
+    round,
+    rsqrt,
+    select,
+    sin,
+    solve,
+    sqrt,
+    static,
+    static_assert,
+    static_print,
+    svd,
+    sym_eig,
+    tan,
+    tanh,
+    zero,
+)
+from .program import (
+    CRITICAL,
+    DEBUG,
+    ERROR,
+    INFO,
+    TRACE,
+    WARN,
+    amdgpu,
+    arm64,
+    cpu,
+    cuda,
+    dx11,
+    gles,
+    gpu,
+    init,
+    metal,
+    opengl,
+    reset,
+    root,
+    sync,
+    vulkan,
+    x64,
+)
+from .snode import (
+    FieldsBuilder,
+    Layout,
+    SNode,
+    axes,
+    i,
+    ij,
+    ijk,
+    ijkl,
+    ijl,
+    ik,
+    ikl,
+    il,
+    j,
+    jk,
+    jkl,
+    jl,
+    k,
+    kl,
+    l,
+)
+from .types import template
+
+__version__ = "0.1.0"
+
+# Loaded when they are first used: the extension module with libtai behind it, and what
+# draws and writes pictures.
+_LAZY = {
+    "kernel": "kernel", "func": "kernel", "pyfunc": "kernel", "real_func": "kernel",
+    "data_oriented": "kernel", "Kernel": "kernel",
+    "Tape": "ad", "clear_all_gradients": "ad", "no_grad": "ad", "grad_replaced": "ad",
+    "complex_kernel": "ad", "complex_kernel_grad": "ad",
+    "GUI": "gui", "rgb_to_hex": "gui", "hex_to_rgb": "gui",
+}  # fmt: skip
+_MODULES = {"ad", "errors", "gui", "lang", "math", "profiler", "testing", "tools"}
+
+
+def __getattr__(name: str) -> Any:
+    import importlib
+
+    if name in _LAZY:
+        value = getattr(importlib.import_module(f".{_LAZY[name]}", __name__), name)
+    elif name in _MODULES:
+        value = importlib.import_module(f".{name}", __name__)
+    else:
+        from .errors import did_you_mean
+
+        error = AttributeError(f"module 'tai' has no attribute '{name}'")
+        hint = did_you_mean(name, __dir__())
+        if hint:
+            error.add_note(hint)
+        raise error
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LAZY, *_MODULES})

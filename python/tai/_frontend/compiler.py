@@ -1,0 +1,236 @@
+"""From a Python function and the kinds of its arguments to the module of a kernel."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable
+from typing import Any
+
+from .. import _state
+from ..errors import TaiCompilationError, TaiError, TaiIndexError, TaiSyntaxError, TaiTypeError
+from .calls import Calls
+from .emitter import Emitter
+from .expressions import Expressions
+from .loops import Loops
+from .refs import ArrayArgument, Variable
+from .scope import Bound, Frame
+from .source import function_ast
+from .statements import Statements, StaticBreak, StaticContinue
+
+
+class Compiler(Expressions, Statements, Loops, Calls):
+    """Compiles one specialisation of one kernel.
+
+    Args:
+        program: the `Program` whose fields it uses.
+        function: the Python function.
+        symbol: the name of the kernel in IR.
+        parameters: for each parameter, its name and `ArgumentSpec`.
+        result: the `ResultSpec`, or None.
+    """
+
+    def __init__(
+        self,
+        program: Any,
+        function: Callable[..., Any],
+        symbol: str,
+        parameters: list[tuple[str, Any]],
+        result: Any,
+    ):
+        self.program, self.kernel_name = program, symbol
+        self.parameters, self.result = parameters, result
+        from .. import _core
+
+        node = function_ast(function)
+        self.frame = Frame(function, node, "kernel")
+        self.frames = [self.frame]
+        self.builder = _core.Builder(program.context, self.frame.filename)
+        self.emitter = Emitter(self.builder)
+        self.emitter.call = self.call_from_python
+        self.depth = 0
+        self.is_dead = False
+        self.loop_options: dict[str, Any] = {}
+        self._methods: dict[type, Callable[[Any], Any]] = {}
+        self._lines: dict[tuple[str, int], str] = {}
+        self.last_node: Any = node
+
+    def compile(self) -> Any:
+        """Builds and verifies the module.
+
+        Returns:
+            The `_core.Kernel`.
+
+        Raises:
+            TaiError: with the place in the program.
+        """
+        outer, _state.emitter = _state.emitter, self.emitter
+        try:
+            self.build()
+        except TaiError as error:
+            error.trail = error.trail or self.trail()
+            raise
+        finally:
+            _state.emitter = outer
+        return self.builder.finish(self.kernel_name)
+
+    def build(self) -> None:
+        builder, frame = self.builder, self.frame
+        node = frame.node
+        self.at(node)
+        types = [spec.mlir_type for _, spec in self.parameters if spec.has_slot]
+        region = builder.region()
+        block = builder.block(region, [builder.type(t) for t in types])
+        self.emitter.entry = block
+        builder.set_block(block)
+        position = 0
+        for name, spec in self.parameters:
+            handle = None
+            if spec.has_slot:
+                handle = block.argument(position)
+                position += 1
+            frame.define(name, self.argument(name, spec, handle))
+        self.body(node.body)
+        if not frame.has_returned:
+            if self.result is not None:
+                raise TaiSyntaxError(
+                    f"kernel '{frame.name}' has a return type, but no return"
+                ).locate(frame.filename, node.lineno, node.col_offset + 1)
+            builder.op("tai.return", [])
+        results = "()" if self.result is None else self.result.mlir_type
+        builder.enter_module()
+        self.at(node)
+        builder.op(
+            "tai.kernel",
+            [],
+            [],
+            {
+                "sym_name": builder.string(self.kernel_name),
+                "function_type": builder.attribute(f"({', '.join(types)}) -> {results}"),
+            },
+            [region],
+        )
+
+    def argument(self, name: str, spec: Any, handle: Any) -> Variable | Bound:
+        """What a parameter of the kernel stands for in its body."""
+        if spec.kind == "template":
+            return Bound(spec.constant)
+        if spec.kind == "array":
+            return Bound(
+                ArrayArgument(self.emitter, name, handle, spec.dt, spec.ndim, spec.element_shape)
+            )
+        value = self.emitter.value(handle, spec.dt, spec.shape)
+        if not spec.shape and spec.dt.kind == "i":
+            value.index = "cast"
+        return Variable(name, value, "kernel argument")
+
+    def return_from_kernel(self, value: Any, node: ast.Return) -> None:
+        if value is None:
+            if self.result is not None:
+                raise TaiSyntaxError("the kernel has a return type: return a value")
+            self.builder.op("tai.return", [])
+            return
+        if self.result is None:
+            raise TaiSyntaxError(
+                "a kernel that returns a value needs a return type",
+                f"def {self.frame.name}(…) -> ti.f32",
+            )
+        value = self.result.convert(self.emitter, value)
+        self.at(node)
+        self.builder.op("tai.return", [value.handle])
+
+    def call_from_python(self, function: Any, args: tuple, kwargs: dict) -> Any:
+        """Inlines a `ti.func` that a plain Python function calls while it is traced."""
+        node = ast.Call(ast.Name(function.__name__, ast.Load()), [], [])
+        ast.copy_location(node, self.last_node)
+        return self.call(function, list(args), kwargs, node)
+
+    # Walking
+
+    def visit(self, node: ast.AST) -> Any:
+        """Compiles a node; an error that has no place yet gets that of the node."""
+        method = self._methods.get(type(node))
+        if method is None:
+            name = "visit_" + type(node).__name__
+            fallback = self.generic_statement if isinstance(node, ast.stmt) else self.refuse
+            method = self._methods[type(node)] = getattr(self, name, fallback)
+        return self.guarded(method, node)
+
+    def refuse(self, node: ast.AST) -> Any:
+        raise TaiSyntaxError(f"kernels have no '{type(node).__name__}'")
+
+    def guarded(self, method: Callable[[Any], Any], node: Any) -> Any:
+        """Runs a method on a node and gives errors without a place that of the node."""
+        try:
+            return method(node)
+        except TaiError as error:
+            self.place(error, node)
+            raise
+        except (StaticBreak, StaticContinue):
+            raise
+        except Exception as error:
+            raise self.translated(error, node) from error
+
+    def translated(self, error: Exception, node: ast.AST) -> TaiError:
+        """An exception of Python code that ran at compile time, as one of ours."""
+        kinds = {IndexError: TaiIndexError, KeyError: TaiIndexError, TypeError: TaiTypeError}
+        kind = next((k for e, k in kinds.items() if isinstance(error, e)), TaiCompilationError)
+        text = str(error) or type(error).__name__
+        if isinstance(error, KeyError):
+            text = f"no item {text}"
+        elif isinstance(error, RecursionError):
+            text = "the program nests too deeply"
+        made = kind(text)
+        self.place(made, node)
+        return made
+
+    def place(self, error: TaiError, node: Any) -> None:
+        if error.lineno is not None or not hasattr(node, "lineno"):
+            return
+        same_line = node.end_lineno == node.lineno
+        error.locate(
+            self.frame.filename,
+            node.lineno,
+            self.column(node.lineno, node.col_offset) + 1,
+            self.column(node.lineno, node.end_col_offset) + 1 if same_line else None,
+        )
+        error.trail = self.trail()
+
+    def column(self, line: int, offset: int) -> int:
+        """A column in characters; `ast` counts bytes."""
+        key = (self.frame.filename, line)
+        text = self._lines.get(key)
+        if text is None:
+            import linecache
+
+            text = self._lines[key] = linecache.getline(*key)
+        return offset if text.isascii() else len(text.encode()[:offset].decode(errors="ignore"))
+
+    def trail(self) -> list[str]:
+        """Where the code being compiled stands: functions, innermost first."""
+        from ..errors import shorten
+
+        lines = []
+        for frame in reversed(self.frames):
+            if frame.kind == "kernel":
+                lines.append(f"in kernel '{frame.name}'")
+            else:
+                filename, line = frame.call
+                lines.append(f"in function '{frame.name}', called at {shorten(filename)}:{line}")
+        return lines[:6]
+
+    def at(self, node: Any) -> None:
+        """Operations made from now on stand at this node."""
+        self.last_node = node
+        self.builder.set_location(node.lineno, node.col_offset + 1)
+
+    # Frames
+
+    def enter(self, frame: Frame) -> None:
+        self.frames.append(frame)
+        self.frame = frame
+        self.builder.set_file(frame.filename)
+
+    def leave(self) -> None:
+        self.frames.pop()
+        self.frame = self.frames[-1]
+        self.builder.set_file(self.frame.filename)

@@ -1,0 +1,191 @@
+"""Exceptions. Each shows the line of the program, with a caret, and a hint."""
+
+from __future__ import annotations
+
+import difflib
+import linecache
+import os
+from collections.abc import Iterable
+
+
+class TaiError(Exception):
+    """Base of all errors of this package.
+
+    Attributes:
+        message: what is wrong, in one line.
+        filename, lineno, column: where in the user's program (1-based), or None.
+        end_column: end of the offending text on that line, or None.
+        hint: how to put it right, or None.
+        trail: lines "in kernel 'f'", "called from file:line", innermost first.
+    """
+
+    def __init__(self, message: str, hint: str | None = None):
+        super().__init__(message)
+        self.message, self.hint = message, hint
+        self.filename: str | None = None
+        self.lineno: int | None = None
+        self.column: int | None = None
+        self.end_column: int | None = None
+        self.trail: list[str] = []
+        self.details: str | None = None
+
+    def locate(
+        self, filename: str, lineno: int, column: int, end_column: int | None = None
+    ) -> TaiError:
+        """Sets the place, unless an inner one is known already."""
+        if self.lineno is None:
+            self.filename, self.lineno = filename, lineno
+            self.column, self.end_column = column, end_column
+        return self
+
+    def __str__(self) -> str:
+        lines = [self.message]
+        if self.lineno is not None:
+            lines.append(f"  --> {shorten(self.filename)}:{self.lineno}:{self.column}")
+            lines += show_line(self.filename, self.lineno, self.column, self.end_column)
+        lines += [f"  {line}" for line in self.trail]
+        if self.details:
+            lines += [f"  {line}" for line in self.details.splitlines()]
+        if self.hint:
+            lines.append(f"  hint: {self.hint}")
+        return "\n".join(lines)
+
+
+class TaiCompilationError(TaiError):
+    """A kernel that cannot be compiled."""
+
+
+class TaiSyntaxError(TaiCompilationError, SyntaxError):
+    """Python syntax that kernels do not have, or use of a construct in the wrong place."""
+
+    # SyntaxError has slots of its own for the place, which Python prints an uncaught
+    # error from; the whole text must stand in `msg`.
+    filename = lineno = text = None
+
+    @property
+    def msg(self) -> str:
+        return TaiError.__str__(self)
+
+    __str__ = TaiError.__str__
+
+
+class TaiNameError(TaiCompilationError, NameError):
+    """A name that is not defined."""
+
+
+class TaiTypeError(TaiCompilationError, TypeError):
+    """A value of the wrong type, rank or shape."""
+
+
+class TaiIndexError(TaiCompilationError, IndexError):
+    """An index that is out of range, or too many or too few of them."""
+
+
+class TaiAutodiffError(TaiCompilationError):
+    """A gradient that cannot be had: no rule, no adjoint field, an access rule broken."""
+
+
+class TaiRuntimeError(TaiError, RuntimeError):
+    """A failure while a kernel runs, or a call that makes no sense now."""
+
+
+class TaiRuntimeTypeError(TaiRuntimeError, TypeError):
+    """An argument of the wrong type."""
+
+
+class TaiAssertionError(TaiRuntimeError, AssertionError):
+    """An `assert` in a kernel that did not hold, or an index out of range in debug mode."""
+
+
+class TaiMemoryError(TaiRuntimeError, MemoryError):
+    """Not enough memory for a tree of fields."""
+
+
+def shorten(filename: str | None) -> str:
+    """The path relative to the working directory where that is shorter."""
+    if not filename:
+        return "<unknown>"
+    try:
+        relative = os.path.relpath(filename)
+    except ValueError:
+        return filename
+    return relative if len(relative) < len(filename) else filename
+
+
+def show_line(
+    filename: str | None, lineno: int, column: int | None, end_column: int | None = None
+) -> list[str]:
+    """The source line and a line with carets, or nothing where the source is not at hand."""
+    source = linecache.getline(filename or "", lineno).rstrip("\n")
+    if not source.strip():
+        return []
+    margin = f"{lineno:5d} | "
+    lines = [margin + source.replace("\t", " ")]
+    if column:
+        width = max(1, (end_column or column + 1) - column)
+        width = min(width, max(1, len(source) - column + 1))
+        lines.append(" " * (len(margin) - 2) + "| " + " " * (column - 1) + "^" * width)
+    return lines
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str | None:
+    """A hint with the nearest of the known names, or None."""
+    close = difflib.get_close_matches(name, [k for k in known if isinstance(k, str)], n=1)
+    return f"did you mean '{close[0]}'?" if close else None
+
+
+# TaiStatus of the C API.
+_BY_STATUS = {
+    1: TaiSyntaxError,
+    2: TaiTypeError,
+    3: TaiAutodiffError,
+    4: TaiRuntimeError,
+    5: TaiMemoryError,
+    6: TaiCompilationError,
+    7: TaiRuntimeError,
+}
+
+
+def from_core(
+    status: int, message: str, file: str, line: int, column: int, diagnostics: str
+) -> TaiError:
+    """The exception for a failure of the C API; called from the extension module."""
+    kind = _BY_STATUS.get(status, TaiRuntimeError)
+    if status == 4 and ("assert" in message or "out of range" in message or "bounds" in message):
+        kind = TaiAssertionError
+    error = kind(message or "unknown failure")
+    if file and line > 0:
+        error.locate(file, line, max(column, 1))
+    error.details = _notes(diagnostics)
+    if status == 6:
+        error.hint = "this is a bug of tai, not of the program: please report it"
+    return error
+
+
+def _notes(diagnostics: str) -> str | None:
+    """The notes of a diagnostic, each with the line that it points to."""
+    shown = []
+    for line in diagnostics.splitlines():
+        place, mark, text = line.partition(": note: ")
+        if not mark:
+            continue
+        parts = place.rsplit(":", 2)
+        if len(parts) == 3 and parts[1].isdigit() and parts[2].isdigit():
+            shown.append(f"note: {text}")
+            shown.append(f"  --> {shorten(parts[0])}:{parts[1]}:{parts[2]}")
+            shown += show_line(parts[0], int(parts[1]), int(parts[2]))
+        else:
+            shown.append(f"note: {text}")
+    return "\n".join(shown) or None
+
+
+# Taichi's names.
+TaichiCompilationError = TaiCompilationError
+TaichiSyntaxError = TaiSyntaxError
+TaichiNameError = TaiNameError
+TaichiTypeError = TaiTypeError
+TaichiIndexError = TaiIndexError
+TaichiAutodiffError = TaiAutodiffError
+TaichiRuntimeError = TaiRuntimeError
+TaichiRuntimeTypeError = TaiRuntimeTypeError
+TaichiAssertionError = TaiAssertionError

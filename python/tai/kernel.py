@@ -1,0 +1,637 @@
+"""`@ti.kernel` and `@ti.func`."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from . import _core, _state, dtypes
+from .errors import (
+    TaiCompilationError,
+    TaiError,
+    TaiRuntimeTypeError,
+    TaiSyntaxError,
+    TaiTypeError,
+)
+from .program import get_program, name_fields
+from .types import MatrixType, NdarrayType, ScalarType, template
+
+_SLOT_KINDS = {"f32": ("f",), "f64": ("d",), "u1": ("b",)}
+
+
+class ArgumentSpec:
+    """What one parameter of a kernel is in one specialisation.
+
+    Attributes:
+        kind: `scalar`, `matrix`, `array` or `template`.
+        dt, shape: type of a number or matrix.
+        ndim, element_shape: of an array.
+        constant: what a template parameter stands for.
+    """
+
+    def __init__(
+        self, kind: str, dt: Any = None, shape: tuple[int, ...] = (), ndim: int = 0,
+        element_shape: tuple[int, ...] = (), constant: Any = None,
+    ):  # fmt: skip
+        self.kind, self.dt, self.shape = kind, dt, shape
+        self.ndim, self.element_shape, self.constant = ndim, element_shape, constant
+
+    @property
+    def has_slot(self) -> bool:
+        return self.kind != "template"
+
+    @property
+    def mlir_type(self) -> str:
+        if self.kind == "array":
+            extents = ["?"] * self.ndim + [str(e) for e in self.element_shape]
+            return f"memref<{'x'.join([*extents, self.dt.mlir])}>"
+        if self.shape:
+            return f"vector<{'x'.join(map(str, self.shape))}x{self.dt.mlir}>"
+        return self.dt.mlir
+
+    def description(self) -> tuple | None:
+        """The argument for the launcher in C++, or None where Python must pack it."""
+        if self.kind == "template":
+            return ("c", self.constant)
+        if self.kind == "array":
+            return ("a", self.dt.numpy.char, self.ndim, list(self.element_shape))
+        if self.kind == "matrix":
+            return None
+        if self.dt.is_int:
+            return ("i", self.dt.bits, self.dt.kind == "u")
+        return _SLOT_KINDS[self.dt.name]
+
+
+class ResultSpec:
+    """The type of what a kernel returns."""
+
+    def __init__(self, type_: ScalarType | MatrixType):
+        self.type = type_
+        self.dt, self.shape = type_.dtype, type_.shape
+
+    @property
+    def mlir_type(self) -> str:
+        return ArgumentSpec("matrix", self.dt, self.shape).mlir_type
+
+    def convert(self, emitter: Any, value: Any) -> Any:
+        return self.type.convert(emitter, value)
+
+    def description(self) -> tuple:
+        """Kind and width of a number, how many, and what makes a matrix of them."""
+        kind = "d" if self.dt.name == "f64" else self.dt.kind
+        count = int(np.prod(self.shape, dtype=int))
+        return (kind, self.dt.bits, count, self._wrap if self.shape else None)
+
+    def _wrap(self, numbers: tuple) -> Any:
+        from .matrix import Matrix
+
+        return Matrix._wrap(np.array(numbers, self.dt.numpy).reshape(self.shape))
+
+
+class Specialization:
+    """A kernel compiled for some kinds of arguments."""
+
+    def __init__(self, core: Any, specs: list[ArgumentSpec], result: ResultSpec | None):
+        self.core, self.specs = core, specs
+        self.result = () if result is None else result.description()
+
+
+class Parameter:
+    """A parameter of a kernel, as it is annotated."""
+
+    __slots__ = ("default", "has_default", "name", "type")
+
+    def __init__(self, name: str, type_: Any, has_default: bool, default: Any):
+        self.name, self.type = name, type_
+        self.has_default, self.default = has_default, default
+
+
+class Kernel(_core.Launcher):
+    """A function that is compiled and runs over fields.
+
+    Calling it runs it; the first call with new kinds of arguments compiles it. `grad` runs
+    the kernel that accumulates its gradient.
+    """
+
+    _tai_kernel = True
+
+    def __init__(self, function: Callable[..., Any], is_method: bool):
+        self._function, self._is_method = function, is_method
+        self.__name__ = function.__name__
+        self.__qualname__ = function.__qualname__
+        self.__doc__ = function.__doc__
+        self.__module__ = function.__module__
+        self.__wrapped__ = function
+        self._parameters: list[Parameter] | None = None
+        self._result: ResultSpec | None = None
+        self._program: Any = None
+        self._specializations: dict[tuple, Specialization] = {}
+        self._last: Specialization | None = None
+        self.grad = GradientKernel(self)
+        check_annotations(function, is_method)
+
+    def __get__(self, instance: Any, owner: Any = None) -> Any:
+        return self if instance is None else BoundKernel(self, instance)
+
+    def __repr__(self) -> str:
+        return f"<ti.kernel '{self.__qualname__}'>"
+
+    # Calling
+
+    def _launch_slow(self, args: tuple, kwargs: dict) -> Any:
+        return self._launch(self, args, kwargs, False)
+
+    def _launch(self, launcher: Any, args: tuple, kwargs: dict, grad: bool) -> Any:
+        if _state.emitter is not None:
+            raise TaiSyntaxError(
+                f"kernel '{self.__name__}' is called while another kernel is compiled",
+                "make it a @ti.func",
+            )
+        values = self._bind(args, kwargs)
+        found = self._specialize(values)
+        descriptions = [spec.description() for spec in found.specs]
+        if None not in descriptions and not kwargs and len(args) == len(values):
+            slots, copies, kept = self._pack(found, values)
+            if not copies:
+                _core.add_specialization(launcher, found.core, grad, descriptions, found.result)
+        else:
+            slots, copies, kept = self._pack(found, values)
+        if _state.tape is not None:
+            for array in kept:
+                _state.tape.keep(array)
+        answer = _core.launch_slots(found.core, grad, slots, found.result)
+        for target, copy in copies:
+            target[...] = copy
+        return answer
+
+    def _bind(self, args: tuple, kwargs: dict) -> list[Any]:
+        """The value of each parameter."""
+        parameters = self._get_parameters()
+        if len(args) > len(parameters):
+            raise TaiRuntimeTypeError(
+                f"kernel '{self.__name__}' takes {len(parameters)} arguments, but got {len(args)}"
+            )
+        values = list(args)
+        for parameter in parameters[len(args) :]:
+            if parameter.name in kwargs:
+                values.append(kwargs.pop(parameter.name))
+            elif parameter.has_default:
+                values.append(parameter.default)
+            else:
+                raise TaiRuntimeTypeError(
+                    f"kernel '{self.__name__}' needs an argument '{parameter.name}'"
+                )
+        if kwargs:
+            raise TaiRuntimeTypeError(
+                f"kernel '{self.__name__}' has no parameter '{next(iter(kwargs))}'"
+            )
+        return values
+
+    def _get_parameters(self) -> list[Parameter]:
+        if self._parameters is None:
+            self._parameters, result = parse_signature(self._function, self._is_method)
+            self._result = None if result is None else ResultSpec(result)
+        return self._parameters
+
+    def _specialize(self, values: list[Any]) -> Specialization:
+        """The compiled kernel for these arguments."""
+        program = get_program()
+        if self._program is not program:
+            self._program = program
+            self._specializations.clear()
+            self._parameters = None  # default types may be others now
+        specs, key = [], []
+        for parameter, value in zip(self._get_parameters(), values, strict=True):
+            spec = self._spec(parameter, value)
+            specs.append(spec)
+            if spec.kind == "template":
+                key.append(_template_key(spec.constant))
+            elif spec.kind == "array":
+                key.append((spec.dt.name, spec.ndim, spec.element_shape))
+        found = self._specializations.get(tuple(key))
+        if found is None:
+            found = self._specializations[tuple(key)] = self._compile(program, specs)
+        self._last = found
+        return found
+
+    def _spec(self, parameter: Parameter, value: Any) -> ArgumentSpec:
+        type_ = parameter.type
+        if isinstance(type_, ScalarType):
+            return ArgumentSpec("scalar", type_.dtype)
+        if isinstance(type_, MatrixType):
+            return ArgumentSpec("matrix", type_.dtype, type_.shape)
+        if isinstance(type_, NdarrayType):
+            return self._array_spec(parameter, value)
+        return ArgumentSpec("template", constant=value)
+
+    def _array_spec(self, parameter: Parameter, value: Any) -> ArgumentSpec:
+        type_ = parameter.type
+        what = f"argument '{parameter.name}' of kernel '{self.__name__}'"
+        array = _as_array(value)
+        if array is None:
+            raise TaiRuntimeTypeError(f"{what} expects an array, but got {type(value).__name__}")
+        dt = dtypes.to_dtype(array.dtype)
+        if dt is None:
+            raise TaiRuntimeTypeError(f"{what} expects numbers, but got {array.dtype}")
+        if type_.dtype is not None and type_.dtype is not dt:
+            raise TaiRuntimeTypeError(
+                f"{what} expects an array of {type_.dtype}, but got {dt}",
+                f"convert it: array.astype(np.{type_.dtype.numpy})",
+            )
+        element_dim = type_.element_dim or len(getattr(value, "element_shape", ()))
+        ndim = array.ndim - element_dim
+        if ndim < 0 or (type_.ndim is not None and type_.ndim != ndim):
+            wanted = type_.ndim if type_.ndim is not None else f"at least {element_dim}"
+            raise TaiRuntimeTypeError(f"{what} expects {wanted} dimensions, but got {ndim}")
+        element_shape = tuple(array.shape[ndim:])
+        if type_.element_shape is not None and tuple(type_.element_shape) != element_shape:
+            raise TaiRuntimeTypeError(
+                f"{what} expects elements of shape {tuple(type_.element_shape)}, "
+                f"but got {element_shape}"
+            )
+        return ArgumentSpec("array", dt, ndim=ndim, element_shape=element_shape)
+
+    def _pack(self, found: Specialization, values: list[Any]) -> tuple[list, list, list]:
+        """Slots of the arguments, arrays to copy back, and arrays to keep alive."""
+        slots: list[int] = []
+        copies: list[tuple[np.ndarray, np.ndarray]] = []
+        kept: list[np.ndarray] = []
+        pairs = zip(self._get_parameters(), found.specs, values, strict=True)
+        for parameter, spec, value in pairs:
+            if spec.kind == "scalar":
+                slots.append(self._slot(parameter, spec.dt, value))
+            elif spec.kind == "matrix":
+                array = np.asarray(value)
+                if array.shape != spec.shape:
+                    raise TaiRuntimeTypeError(
+                        f"argument '{parameter.name}' of kernel '{self.__name__}' expects "
+                        f"{parameter.type!r}, but got shape {array.shape}"
+                    )
+                slots += [self._slot(parameter, spec.dt, x.item()) for x in array.ravel()]
+            elif spec.kind == "array":
+                array = _as_array(value)
+                if not array.flags.c_contiguous or not array.flags.writeable:
+                    copy = np.array(array, order="C")
+                    if array.flags.writeable:
+                        copies.append((array, copy))
+                    array = copy
+                kept.append(array)
+                slots += [array.ctypes.data, *array.shape]
+        return slots, copies, kept
+
+    def _slot(self, parameter: Parameter, dt: Any, value: Any) -> int:
+        """A number in the bits of its slot."""
+        good = isinstance(value, (bool, int, float, np.generic)) or (
+            not isinstance(value, (str, bytes)) and hasattr(value, "__float__")
+        )
+        whole = isinstance(value, (bool, int, np.integer, np.bool_))
+        if not good or (not dt.is_float and not whole):
+            kind = "a number" if dt.is_float else "a whole number"
+            raise TaiRuntimeTypeError(
+                f"argument '{parameter.name}' of kernel '{self.__name__}' expects {kind} "
+                f"({dt}), but got {value!r}"
+            )
+        if dt.is_int and not dt.min <= int(value) <= dt.max:
+            raise TaiRuntimeTypeError(
+                f"argument '{parameter.name}' of kernel '{self.__name__}': {value} does not "
+                f"fit {dt}"
+            )
+        data = np.asarray(value).astype(dt.numpy).tobytes()
+        return int.from_bytes(data, "little")
+
+    # Compiling
+
+    def _compile(self, program: Any, specs: list[ArgumentSpec]) -> Specialization:
+        from ._frontend.compiler import Compiler
+        from ._frontend.source import closure_of
+
+        for parameter, spec in zip(self._get_parameters(), specs, strict=True):
+            if spec.dt is not None and spec.dt.name == "f16" and spec.kind != "array":
+                raise TaiTypeError(f"argument '{parameter.name}' cannot be f16", "use ti.f32")
+        name_fields(closure_of(self._function))
+        for spec in specs:
+            if spec.kind == "template" and hasattr(spec.constant, "__dict__"):
+                name_fields(vars(spec.constant))
+        program.materialize(self._function.__globals__)
+        symbol = program.unique_symbol(self.__name__)
+        names = [parameter.name for parameter in self._get_parameters()]
+        parameters = list(zip(names, specs, strict=True))
+        try:
+            compiler = Compiler(program, self._function, symbol, parameters, self._result)
+            return Specialization(compiler.compile(), specs, self._result)
+        except TaiError as error:
+            # How the compiler came there says nothing about the program.
+            raise error.with_traceback(None)  # noqa: B904
+
+    def mlir(self, *args: Any, stage: str = "tai") -> str:
+        """The IR of the kernel.
+
+        Args:
+            args: arguments, to choose a specialisation; the last one used if left out.
+            stage: `tai`, `autodiff`, `scf`, `llvm`, `llvmir` or `asm`.
+        """
+        if args or (self._last is None or self._program is not _state.program):
+            parameters = self._get_parameters()
+            if not args and all(isinstance(p.type, (ScalarType, MatrixType)) for p in parameters):
+                found = self._specialize([None] * len(parameters))
+            else:
+                found = self._specialize(self._bind(args, {}))
+        else:
+            found = self._last
+        return found.core.ir(stage)
+
+    def compile(self, *args: Any, grad: bool = False) -> None:
+        """Compiles the kernel for these arguments without running it."""
+        self._specialize(self._bind(args, {})).core.compile(grad)
+
+
+class GradientKernel(_core.Launcher):
+    """Runs the kernel that accumulates the gradient: `kernel.grad(…)`."""
+
+    def __init__(self, kernel: Kernel):
+        self._kernel = kernel
+        self.__name__ = kernel.__name__ + ".grad"
+
+    def _launch_slow(self, args: tuple, kwargs: dict) -> Any:
+        return self._kernel._launch(self, args, kwargs, True)
+
+
+class BoundKernel:
+    """A kernel of a class, bound to an instance."""
+
+    __slots__ = ("_instance", "_kernel")
+    _tai_kernel = True
+
+    def __init__(self, kernel: Any, instance: Any):
+        self._kernel, self._instance = kernel, instance
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        return self._kernel(self._instance, *args, **kwargs)
+
+    @property
+    def grad(self) -> BoundKernel:
+        return BoundKernel(self._kernel.grad, self._instance)
+
+    @property
+    def __self__(self) -> Any:
+        return self._instance
+
+    def mlir(self, *args: Any, stage: str = "tai") -> str:
+        """The IR; see `Kernel.mlir`."""
+        return self._kernel.mlir(self._instance, *args, stage=stage)
+
+    def compile(self, *args: Any, grad: bool = False) -> None:
+        """Compiles the kernel; see `Kernel.compile`."""
+        self._kernel.compile(self._instance, *args, grad=grad)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._kernel, name)
+
+
+def _as_array(value: Any) -> np.ndarray | None:
+    """The NumPy array that shares the memory of `value`, or None."""
+    if isinstance(value, np.ndarray):
+        return value
+    if hasattr(value, "array") and isinstance(value.array, np.ndarray):
+        return value.array
+    if hasattr(value, "detach") and hasattr(value, "numpy"):  # a torch tensor
+        return value.detach().numpy()
+    return None
+
+
+def _template_key(value: Any) -> Any:
+    """Equal keys for template arguments that may share compiled code."""
+    if isinstance(value, (bool, int, float, str, type(None))):
+        return (type(value), value)
+    if isinstance(value, (tuple, list)):
+        return (type(value), *(_template_key(v) for v in value))
+    if getattr(value, "is_matrix", False):
+        array = value.to_numpy()
+        return ("matrix", array.dtype.char, array.shape, array.tobytes())
+    return ("object", id(value))
+
+
+# Signatures
+
+
+def _names(function: Callable[..., Any]) -> list[str]:
+    code = function.__code__
+    return list(code.co_varnames[: code.co_argcount + code.co_kwonlyargcount])
+
+
+def _located(error: TaiCompilationError, function: Callable[..., Any]) -> TaiCompilationError:
+    """Places an error at the `def` line of a function."""
+    code = function.__code__
+    line = code.co_firstlineno
+    try:
+        from ._frontend.source import function_ast
+
+        node = function_ast(function)
+        error.locate(code.co_filename, node.lineno, node.col_offset + 1)
+    except TaiSyntaxError:
+        error.locate(code.co_filename, line, 1)
+    return error
+
+
+def check_annotations(function: Callable[..., Any], is_method: bool) -> None:
+    """Refuses parameters of a kernel without a type."""
+    code = function.__code__
+    if code.co_flags & 0x0C:
+        raise _located(
+            TaiSyntaxError(f"kernel '{function.__name__}' cannot have *args or **kwargs"), function
+        )
+    for name in _names(function)[1 if is_method else 0 :]:
+        if name not in function.__annotations__:
+            raise _located(
+                TaiSyntaxError(
+                    f"parameter '{name}' of kernel '{function.__name__}' has no type",
+                    f"annotate it: {name}: ti.f32, {name}: ti.template(), …",
+                ),
+                function,
+            )
+
+
+def _resolve(annotation: Any, function: Callable[..., Any]) -> Any:
+    """An annotation as an object; `from __future__ import annotations` leaves text."""
+    if not isinstance(annotation, str):
+        return annotation
+    from ._frontend.source import closure_of
+
+    try:
+        return eval(annotation, function.__globals__, closure_of(function))
+    except Exception as error:
+        raise _located(
+            TaiSyntaxError(f"the annotation '{annotation}' has no meaning: {error}"), function
+        ) from error
+
+
+def _is_template(annotation: Any) -> bool:
+    return annotation is template or isinstance(annotation, template)
+
+
+def parse_type(annotation: Any, function: Callable[..., Any], what: str) -> Any:
+    """The type that an annotation of a parameter or result names."""
+    annotation = _resolve(annotation, function)
+    if _is_template(annotation):
+        return template()
+    if annotation is NdarrayType:
+        return NdarrayType()
+    if isinstance(annotation, (NdarrayType, MatrixType)):
+        return annotation
+    if dtypes.to_dtype(annotation) is not None:
+        return ScalarType(annotation)
+    raise _located(
+        TaiSyntaxError(
+            f"{what} of '{function.__name__}' has a type that kernels do not know: {annotation!r}",
+            "use a number type, ti.template(), ti.types.ndarray() or ti.types.vector(…)",
+        ),
+        function,
+    )
+
+
+def parse_signature(
+    function: Callable[..., Any], is_method: bool
+) -> tuple[list[Parameter], ScalarType | MatrixType | None]:
+    """The parameters of a kernel and the type of its result."""
+    defaults = dict(zip(reversed(_names(function)), reversed(function.__defaults__ or ()),
+                        strict=False))  # fmt: skip
+    parameters = []
+    for number, name in enumerate(_names(function)):
+        if number == 0 and is_method and name not in function.__annotations__:
+            type_: Any = template()
+        else:
+            type_ = parse_type(function.__annotations__[name], function, f"parameter '{name}'")
+        parameters.append(Parameter(name, type_, name in defaults, defaults.get(name)))
+    annotation = function.__annotations__.get("return")
+    if annotation is None or _resolve(annotation, function) is None:
+        return parameters, None
+    result = parse_type(annotation, function, "the result")
+    if not isinstance(result, (ScalarType, MatrixType)) or result.dtype.name == "f16":
+        raise _located(
+            TaiSyntaxError(
+                f"kernel '{function.__name__}' cannot return {annotation!r}",
+                "return a number, a vector or a matrix",
+            ),
+            function,
+        )
+    if int(np.prod(result.shape, dtype=int)) > 16:
+        raise _located(TaiSyntaxError("a kernel returns at most 16 numbers"), function)
+    return parameters, result
+
+
+class FunctionInfo:
+    """What the compiler needs of a `ti.func`."""
+
+    def __init__(self, function: Callable[..., Any]):
+        self.function, self.name = function, function.__name__
+        self.names = _names(function)
+        self._kinds: dict[str, Any] | None = None
+        self._defaults = dict(
+            zip(reversed(self.names), reversed(function.__defaults__ or ()), strict=False)
+        )
+
+    @property
+    def kinds(self) -> dict[str, Any]:
+        """For each parameter `"template"`, a type with `convert`, or None."""
+        if self._kinds is None:
+            self._kinds = {}
+            for name in self.names:
+                annotation = self.function.__annotations__.get(name)
+                if annotation is None:
+                    self._kinds[name] = None
+                    continue
+                type_ = parse_type(annotation, self.function, f"parameter '{name}'")
+                if isinstance(type_, template):
+                    self._kinds[name] = "template"
+                else:
+                    self._kinds[name] = None if isinstance(type_, NdarrayType) else type_
+        return self._kinds
+
+    @property
+    def has_templates(self) -> bool:
+        return "template" in self.kinds.values()
+
+    @property
+    def result_type(self) -> Any:
+        annotation = self.function.__annotations__.get("return")
+        if annotation is None or _resolve(annotation, self.function) is None:
+            return None
+        type_ = parse_type(annotation, self.function, "the result")
+        return type_ if isinstance(type_, (ScalarType, MatrixType)) else None
+
+    def bind(self, args: list, kwargs: dict) -> dict[str, Any]:
+        """The value of each parameter."""
+        if len(args) > len(self.names):
+            raise TaiTypeError(
+                f"function '{self.name}' takes {len(self.names)} arguments, but got {len(args)}"
+            )
+        bound = dict(zip(self.names, args, strict=False))
+        for name, value in kwargs.items():
+            if name not in self.names or name in bound:
+                problem = "gets two values for" if name in bound else "has no"
+                raise TaiTypeError(f"function '{self.name}' {problem} parameter '{name}'")
+            bound[name] = value
+        for name in self.names:
+            if name not in bound:
+                if name not in self._defaults:
+                    raise TaiTypeError(f"function '{self.name}' needs an argument '{name}'")
+                bound[name] = self._defaults[name]
+        return bound
+
+
+def _is_in_class(function: Callable[..., Any]) -> bool:
+    parts = function.__qualname__.split(".")
+    return len(parts) > 1 and parts[-2] != "<locals>"
+
+
+def kernel(function: Callable[..., Any]) -> Kernel:
+    """Compiles a function to a kernel: its outermost loops run in parallel."""
+    if isinstance(function, (staticmethod, classmethod)):
+        raise TaiSyntaxError("put @staticmethod above @ti.kernel")
+    if not hasattr(function, "__code__"):
+        raise TaiTypeError(f"@ti.kernel takes a function, but got {function!r}")
+    return Kernel(function, _is_in_class(function) and "self" in _names(function)[:1])
+
+
+def func(function: Callable[..., Any], is_real_function: bool = False) -> Callable[..., Any]:
+    """Makes a function that kernels can call; it is compiled in place of each call."""
+    return _make_function(function, False)
+
+
+def pyfunc(function: Callable[..., Any]) -> Callable[..., Any]:
+    """As `ti.func`, and Python can call it too."""
+    return _make_function(function, True)
+
+
+real_func = func
+
+
+def _make_function(function: Callable[..., Any], in_python: bool) -> Callable[..., Any]:
+    if not hasattr(function, "__code__"):
+        raise TaiTypeError(f"@ti.func takes a function, but got {function!r}")
+
+    @functools.wraps(function)
+    def wrapper(*args: Any, **kwargs: Any) -> Any:
+        if _state.emitter is not None:
+            return _state.emitter.call(wrapper, args, kwargs)
+        if in_python:
+            return function(*args, **kwargs)
+        raise TaiSyntaxError(
+            f"function '{function.__name__}' can be called in kernels only",
+            "decorate it with @ti.pyfunc to call it from Python too",
+        )
+
+    wrapper._tai_func = FunctionInfo(function)  # type: ignore[attr-defined]
+    return wrapper
+
+
+def data_oriented(cls: type) -> type:
+    """Marks a class whose methods are kernels and functions."""
+    cls._tai_data_oriented = True  # type: ignore[attr-defined]
+    return cls
+
+
+__all__ = ["Kernel", "data_oriented", "func", "kernel", "pyfunc", "real_func"]

@@ -1,0 +1,163 @@
+"""`ti.math`: vector types and shader-like functions, for kernels and for Python."""
+
+from __future__ import annotations
+
+import math as _math
+from typing import Any
+
+from . import dtypes, ops
+from .ops import (
+    acos,
+    asin,
+    atan2,
+    ceil,
+    cos,
+    exp,
+    floor,
+    log,
+    max,
+    min,
+    pow,
+    round,
+    sin,
+    sqrt,
+    tan,
+    tanh,
+)
+from .types import matrix, vector
+
+pi, e, inf, nan = _math.pi, _math.e, _math.inf, _math.nan
+
+vec2, vec3, vec4 = (vector(n, float) for n in (2, 3, 4))
+ivec2, ivec3, ivec4 = (vector(n, int) for n in (2, 3, 4))
+uvec2, uvec3, uvec4 = (vector(n, dtypes.u32) for n in (2, 3, 4))
+mat2, mat3, mat4 = (matrix(n, n, float) for n in (2, 3, 4))
+
+
+def clamp(x: Any, low: Any, high: Any) -> Any:
+    """x, but at least `low` and at most `high`."""
+    return max(low, min(x, high))
+
+
+def mix(x: Any, y: Any, a: Any) -> Any:
+    """x for a = 0, y for a = 1, on the line between them otherwise."""
+    return x * (1.0 - a) + y * a
+
+
+def sign(x: Any) -> Any:
+    """-1, 0 or 1."""
+    return ops.select(x > 0, 1.0, ops.select(x < 0, -1.0, 0.0))
+
+
+def fract(x: Any) -> Any:
+    """x - floor(x)."""
+    return x - floor(x)
+
+
+def step(edge: Any, x: Any) -> Any:
+    """0 below the edge, else 1."""
+    return ops.select(x < edge, 0.0, 1.0)
+
+
+def smoothstep(edge0: Any, edge1: Any, x: Any) -> Any:
+    """A smooth step from 0 to 1 between two edges."""
+    t = clamp((x - edge0) / (edge1 - edge0), 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+def dot(x: Any, y: Any) -> Any:
+    """Σ xᵢ yᵢ."""
+    return x.dot(y)
+
+
+def cross(x: Any, y: Any) -> Any:
+    """The cross product."""
+    return x.cross(y)
+
+
+def length(x: Any) -> Any:
+    """The norm of a vector."""
+    return x.norm()
+
+
+def distance(x: Any, y: Any) -> Any:
+    """The norm of x - y."""
+    return (x - y).norm()
+
+
+def normalize(x: Any) -> Any:
+    """The vector of norm 1 in the direction of x, and zero for zero."""
+    return x.normalized()
+
+
+def reflect(x: Any, n: Any) -> Any:
+    """x reflected at the plane with the unit normal n."""
+    return x - 2.0 * x.dot(n) * n
+
+
+def refract(x: Any, n: Any, eta: Any) -> Any:
+    """The refracted direction of x at the unit normal n; zero for total reflection."""
+    d = x.dot(n)
+    k = 1.0 - eta * eta * (1.0 - d * d)
+    safe = max(k, 0.0)
+    bent = eta * x - (eta * d + sqrt(safe)) * n
+    return ops.select(k < 0.0, 0.0 * x, bent)
+
+
+def degrees(x: Any) -> Any:
+    return x * (180.0 / pi)
+
+
+def radians(x: Any) -> Any:
+    return x * (pi / 180.0)
+
+
+def log2(x: Any) -> Any:
+    return log(x) * (1.0 / _math.log(2.0))
+
+
+def exp2(x: Any) -> Any:
+    return exp(x * _math.log(2.0))
+
+
+def isnan(x: Any) -> Any:
+    """Whether x is not a number."""
+    return x != x
+
+
+def isinf(x: Any) -> Any:
+    """Whether x is infinite."""
+    return ops.abs(x) == inf
+
+
+def inverse(m: Any) -> Any:
+    return m.inverse()
+
+
+def determinant(m: Any) -> Any:
+    return m.determinant()
+
+
+def eye(n: int) -> Any:
+    """The identity of size n."""
+    from .matrix import Matrix
+
+    return Matrix.identity(float, n)
+
+
+def rotation2d(angle: Any) -> Any:
+    """The matrix that turns by an angle, counter-clockwise."""
+    from .matrix import Matrix
+
+    c, s = cos(angle), sin(angle)
+    return Matrix([[c, -s], [s, c]])
+
+
+__all__ = [
+    "acos", "asin", "atan2", "ceil", "clamp", "cos", "cross", "degrees", "determinant", "distance",
+    "dot", "e", "exp", "exp2", "eye", "floor", "fract", "inf", "inverse", "isinf", "isnan",
+    "ivec2", "ivec3", "ivec4", "length", "log", "log2", "mat2", "mat3", "mat4", "max", "min",
+    "mix", "nan", "normalize", "pi", "pow", "radians", "reflect", "refract", "rotation2d",
+    "round", "sign", "sin", "smoothstep", "sqrt", "step", "tan", "tanh", "uvec2", "uvec3",
+    "uvec4", "vec2", "vec3", "vec4",
+]  # fmt: skip

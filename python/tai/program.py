@@ -1,0 +1,254 @@
+"""`ti.init` and what it sets up: options, the C++ context and the trees of fields."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, fields
+from typing import Any
+
+from . import _state, dtypes
+from .errors import TaiRuntimeError, TaiRuntimeTypeError, did_you_mean
+
+
+class Arch(str):
+    """A target: `ti.cpu`, `ti.cuda`, …"""
+
+    __slots__ = ()
+
+
+cpu, x64, arm64 = Arch("cpu"), Arch("x64"), Arch("arm64")
+cuda, gpu, vulkan, metal = Arch("cuda"), Arch("gpu"), Arch("vulkan"), Arch("metal")
+opengl, gles, dx11, amdgpu = Arch("opengl"), Arch("gles"), Arch("dx11"), Arch("amdgpu")
+
+TRACE, DEBUG, INFO, WARN, ERROR, CRITICAL = "trace", "debug", "info", "warn", "error", "critical"
+
+
+@dataclass
+class Options:
+    """The options of `ti.init` that change what happens."""
+
+    arch: Arch = cpu
+    default_fp: dtypes.DataType = dtypes.f32
+    default_ip: dtypes.DataType = dtypes.i32
+    debug: bool = False
+    check_out_of_bound: bool = False
+    fast_math: bool = False
+    random_seed: int = 0
+    print_ir: Any = False
+    kernel_profiler: bool = False
+    cpu_max_num_threads: int = 0
+    deterministic: bool = False
+    offline_cache: bool = True
+    offline_cache_file_path: str = ""
+    opt_level: int = 3
+    log_level: str = WARN
+
+
+_KNOWN = {f.name for f in fields(Options)}
+
+# Options of Taichi that ask for what is always so here, or tune its own passes.
+_ACCEPTED = {
+    "advanced_optimization", "flatten_if", "device_memory_GB", "device_memory_fraction",
+    "ad_stack_size", "default_ad_stack_size", "demote_dense_struct_fors", "verbose",
+    "kernel_profile", "print_preprocessed_ir", "print_kernel_llvm_ir", "print_struct_llvm_ir",
+    "print_kernel_llvm_ir_optimized", "print_accessor_ir", "print_evaluator_ir", "gdb_trigger",
+    "excepthook", "simplify_before_lower_access", "lower_access", "simplify_after_lower_access",
+    "saturating_grid_dim", "max_block_dim", "default_cpu_block_dim", "default_gpu_block_dim",
+    "cpu_block_dim_adaptive", "move_loop_invariant_outside_if", "cache_loop_invariant_global_vars",
+    "make_thread_local", "make_block_local", "make_mesh_block_local", "detect_read_only",
+    "real_matrix_scalarize", "force_scalarize_matrix", "half2_vectorization",
+    "short_circuit_operators", "use_llvm", "experimental_auto_mesh_local",
+    "quant_opt_store_fusion", "quant_opt_atomic_demotion", "ndarray_use_cached_allocator",
+    "check_autodiff_valid", "validate_autodiff", "auto_mesh_local", "external_optimization_level",
+    "timeline", "print_benchmark_stat", "constant_folding", "cuda_stack_limit",
+    "block_dim_adaptive",
+    "offline_cache_cleaning_policy", "offline_cache_max_size_of_files",
+    "offline_cache_cleaning_factor", "enable_fallback", "require_version", "vk_api_version",
+    "num_compile_threads", "packed", "lazy_compilation", "use_unified_memory", "unrolling_limit",
+    "ndrange_order", "random_seed_is_time",
+}  # fmt: skip
+
+
+class Program:
+    """What lives from one `ti.init` to the next."""
+
+    def __init__(self, options: Options):
+        from . import _core
+        from .snode import Root
+
+        self.options = options
+        self.context = _core.Context()
+        self.root = Root()
+        self.symbols: set[str] = set()
+        self.num_trees = 0
+        # Fields by symbol, for diagnostics and for clearing gradients.
+        self.fields: dict[str, Any] = {}
+        self._set_options()
+
+    def _set_options(self) -> None:
+        o = self.options
+
+        def flag(value: bool) -> str:
+            return "true" if value else "false"
+
+        values = {
+            "threads": str(o.cpu_max_num_threads),
+            "deterministic": flag(o.deterministic),
+            "debug": flag(o.debug or o.check_out_of_bound),
+            "fast_math": flag(o.fast_math),
+            "opt_level": str(o.opt_level),
+            "seed": str(o.random_seed),
+            "print_ir": "all" if o.print_ir is True else str(o.print_ir or ""),
+            "profiler": flag(o.kernel_profiler),
+        }
+        if not o.offline_cache:
+            values["cache_dir"] = ""
+        elif o.offline_cache_file_path:
+            values["cache_dir"] = o.offline_cache_file_path
+        for name, value in values.items():
+            self.context.set_option(name, value)
+
+    def unique_symbol(self, wanted: str) -> str:
+        """A symbol that no tree, place or field of this program has."""
+        base = "".join(c if c.isalnum() or c == "_" else "_" for c in wanted) or "field"
+        if base[0].isdigit():
+            base = "_" + base
+        symbol, count = base, 0
+        while symbol in self.symbols:
+            count += 1
+            symbol = f"{base}_{count}"
+        self.symbols.add(symbol)
+        return symbol
+
+    def materialize(self, namespace: dict[str, Any] | None = None) -> None:
+        """Allocates the tree of what was placed under `ti.root` since the last time.
+
+        Args:
+            namespace: variables of the caller, to name fields after, so that the IR and
+                diagnostics say `@x` for the field that the program calls `x`.
+        """
+        root = self.root
+        if not root.children:
+            return
+        from .snode import Root
+
+        if namespace is not None:
+            name_fields(namespace)
+        self.root = Root()
+        root.allocate(self)
+
+
+def name_fields(namespace: dict[str, Any]) -> None:
+    """Names the fields that variables of `namespace` hold, where they have no name yet."""
+    from .field import Field
+
+    for name, value in list(namespace.items()):
+        if isinstance(value, Field):
+            value.suggest_name(name)
+        elif isinstance(value, (list, tuple)):
+            for index, item in enumerate(value):
+                if isinstance(item, Field):
+                    item.suggest_name(f"{name}_{index}")
+
+
+def get_program() -> Program:
+    """The program, made with default options if `ti.init` was not called."""
+    if _state.program is None:
+        _state.program = Program(_state.options)
+    return _state.program
+
+
+_state.options = Options()
+
+
+def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = None, **options: Any):
+    """Starts anew: forgets all fields and kernels, and sets the options.
+
+    Args:
+        arch: `ti.cpu` (or `ti.x64`). `ti.gpu` takes the CPU where there is no GPU.
+        default_fp, default_ip: the types of `float` and `int` in kernels.
+        debug: check assertions and indices.
+        fast_math: let the compiler reorder floating-point arithmetic.
+        random_seed: seed of `ti.random`.
+        print_ir: True, or a comma list of stages: print the IR of kernels.
+        kernel_profiler: time kernels; see `ti.profiler`.
+        cpu_max_num_threads: 0 for all cores.
+        deterministic: the same bits from run to run, whatever the number of threads.
+        offline_cache, offline_cache_file_path: keep compiled kernels on disk, and where.
+
+    Raises:
+        TaiRuntimeError: an option that does not exist, or a target that is not built in.
+        TaiRuntimeTypeError: a type that cannot be the default.
+    """
+    import os
+
+    reset()
+    chosen: dict[str, Any] = {}
+    for name, value in options.items():
+        if name in _KNOWN:
+            chosen[name] = value
+        elif name not in _ACCEPTED:
+            raise TaiRuntimeError(
+                f"ti.init has no option '{name}'",
+                did_you_mean(name, [*_KNOWN, *_ACCEPTED]) or "see help(ti.init)",
+            )
+    for name, given, kind in (("default_fp", default_fp, "f"), ("default_ip", default_ip, "iu")):
+        if given is None:
+            continue
+        dtype = dtypes.to_dtype(given)
+        if dtype is None or dtype.kind not in kind:
+            what = "a float type" if kind == "f" else "an integer type"
+            raise TaiRuntimeTypeError(f"{name} must be {what}, but got {given!r}")
+        chosen[name] = dtype
+    chosen["arch"] = _choose_arch(os.environ.get("TI_ARCH") or arch)
+    _state.options = Options(**chosen)
+    _state.program = Program(_state.options)
+
+
+def _choose_arch(arch: Any) -> Arch:
+    """The target to use; falls back to the CPU for `ti.gpu` alone."""
+    if isinstance(arch, (list, tuple)):
+        arch = next((a for a in arch if a in (cpu, x64, arm64)), arch[0] if arch else None)
+    if arch is None or arch in (cpu, x64, arm64):
+        return cpu
+    if arch == gpu:
+        print("[tai] no GPU in this build, falling back to arch=cpu", file=sys.stderr)
+        return cpu
+    if arch == cuda:
+        raise TaiRuntimeError(
+            "arch=ti.cuda is not in this build yet", "use arch=ti.cpu, or arch=ti.gpu to fall back"
+        )
+    known = ["cpu", "x64", "cuda", "gpu"]
+    raise TaiRuntimeError(f"there is no target '{arch}'", did_you_mean(str(arch), known))
+
+
+def reset() -> None:
+    """Forgets all fields and compiled kernels."""
+    if _state.tape is not None:
+        raise TaiRuntimeError("the program cannot be reset inside a ti.ad.Tape")
+    if _state.program is None:
+        return
+    from . import _core
+
+    _core.next_generation()
+    _state.program = None
+
+
+def sync() -> None:
+    """Waits until everything that was launched has run."""
+    if _state.program is not None:
+        _state.program.context.synchronize()
+
+
+class _Root:
+    """`ti.root`: the root of the tree that is being laid out."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(get_program().root, name)
+
+    def __repr__(self) -> str:
+        return "ti.root"
+
+
+root = _Root()
+__all__ = ["Arch", "Options", "Program", "get_program", "init", "reset", "root", "sync"]

@@ -1,0 +1,331 @@
+"""Layouts: the tree of `ti.root.dense(ti.ij, (8, 8)).place(x, y)`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from . import _state
+from .errors import TaiRuntimeError, TaiRuntimeTypeError
+
+if TYPE_CHECKING:
+    from .field import Field, ScalarField
+    from .program import Program
+
+AXIS_NAMES = "ijklmnopqrst"
+
+
+class Axes(tuple):
+    """One or more axes: `ti.i`, `ti.ij`, `ti.axes(0, 2)`."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        return "ti." + "".join(AXIS_NAMES[a] for a in self)
+
+
+def axes(*numbers: int) -> Axes:
+    """The axes of these numbers, 0 being `i`."""
+    for number in numbers:
+        if not isinstance(number, int) or not 0 <= number < len(AXIS_NAMES):
+            raise TaiRuntimeTypeError(f"there is no axis {number!r}: axes are 0 to 11")
+    return Axes(numbers)
+
+
+class SNode:
+    """A level of a layout.
+
+    Attributes:
+        kind: `root`, `dense`, `pointer`, `bitmasked`, `hash` or `dynamic`.
+        axes: the axes that it divides.
+        extents: the number of cells along each of `axes`.
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        parent: SNode | None,
+        axes: Sequence[int] = (),
+        extents: Sequence[int] = (),
+        chunk: int = 0,
+    ):
+        self.kind, self._parent = kind, parent
+        self.axes, self.extents, self.chunk = tuple(axes), tuple(extents), chunk
+        self.children: list[SNode | ScalarField] = []
+
+    # Levels
+
+    def dense(self, axes: Axes, dimensions: Any) -> SNode:
+        """A block of cells that all exist, the last axis fastest."""
+        return self._add("dense", axes, dimensions)
+
+    def pointer(self, axes: Axes, dimensions: Any) -> SNode:
+        """Cells that are allocated on first write."""
+        return self._add("pointer", axes, dimensions)
+
+    def bitmasked(self, axes: Axes, dimensions: Any) -> SNode:
+        """Cells of which each has an activity bit."""
+        return self._add("bitmasked", axes, dimensions)
+
+    def hash(self, axes: Axes, dimensions: Any) -> SNode:
+        """Cells that are kept in a hash table."""
+        return self._add("hash", axes, dimensions)
+
+    def dynamic(self, axis: Axes, dimension: int, chunk_size: int | None = None) -> SNode:
+        """A list along one axis that grows by `append`."""
+        if len(axis) != 1:
+            raise TaiRuntimeTypeError("a dynamic level has one axis")
+        return self._add("dynamic", axis, dimension, chunk_size or max(1, int(dimension) // 32))
+
+    def _add(self, kind: str, axes: Any, dimensions: Any, chunk: int = 0) -> SNode:
+        self._check_open()
+        if isinstance(axes, int):
+            axes = (axes,)
+        if not isinstance(axes, tuple) or not axes:
+            raise TaiRuntimeTypeError(f"expects axes such as ti.ij, but got {axes!r}")
+        if len(set(axes)) != len(axes):
+            raise TaiRuntimeTypeError("an axis stands twice in one level")
+        if not isinstance(dimensions, (tuple, list)):
+            dimensions = (dimensions,) * len(axes)
+        if len(dimensions) != len(axes):
+            raise TaiRuntimeTypeError(
+                f"{len(axes)} axes need {len(axes)} extents, but got {len(dimensions)}"
+            )
+        extents = []
+        for extent in dimensions:
+            try:
+                value = extent.__index__()
+            except AttributeError:
+                raise TaiRuntimeTypeError(
+                    f"an extent must be a whole number, but got {extent!r}"
+                ) from None
+            if value <= 0:
+                raise TaiRuntimeTypeError(f"an extent must be positive, but got {value}")
+            extents.append(value)
+        child = SNode(kind, self, axes, extents, chunk)
+        self.children.append(child)
+        return child
+
+    def place(self, *fields: Any, offset: Any = None) -> SNode:
+        """Puts one element of each field into each cell.
+
+        Args:
+            fields: fields without a place; lists and tuples of them are taken apart.
+            offset: the first index along each dimension.
+        """
+        self._check_open()
+        for field in _flatten(fields):
+            if not hasattr(field, "put_into"):
+                raise TaiRuntimeTypeError(f"place expects fields, but got {field!r}")
+            field.put_into(self, offset)
+        return self
+
+    def lazy_grad(self) -> None:
+        """Places the gradient of every float field below, beside the field."""
+        self._place_companions("grad")
+
+    def lazy_dual(self) -> None:
+        """Places the tangent of every float field below, beside the field."""
+        self._place_companions("dual")
+
+    def _place_companions(self, which: str) -> None:
+        self._check_open()
+        for child in list(self.children):
+            if isinstance(child, SNode):
+                child._place_companions(which)
+            elif child.role == "primal" and child.dtype.is_float:
+                companion = getattr(child, which)
+                if companion.snode is None:
+                    companion.put_into(self, child.offset or None)
+
+    def _check_open(self) -> None:
+        root = self.root_node
+        if root.allocated:
+            raise TaiRuntimeError(
+                "this tree is in use already and cannot be extended",
+                "lay out all fields of a tree before the first kernel runs",
+            )
+
+    # Queries
+
+    def parent(self, n: int = 1) -> SNode | None:
+        """The level `n` levels up."""
+        node: SNode | None = self
+        for _ in range(n):
+            node = node._parent if node is not None else None
+        return node
+
+    @property
+    def root_node(self) -> Root:
+        node = self
+        while node._parent is not None:
+            node = node._parent
+        return node  # type: ignore[return-value]
+
+    def path(self) -> list[SNode]:
+        """The levels from the root's child down to this one."""
+        levels = []
+        node: SNode | None = self
+        while node is not None and node._parent is not None:
+            levels.append(node)
+            node = node._parent
+        return levels[::-1]
+
+    def axis_extents(self) -> dict[int, int]:
+        """The number of cells along each axis divided so far, in the order of the axes."""
+        total: dict[int, int] = {}
+        for level in self.path():
+            for axis, extent in zip(level.axes, level.extents, strict=True):
+                total[axis] = total.get(axis, 1) * extent
+        return dict(sorted(total.items()))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The number of cells along each dimension, over all levels down to this one."""
+        return tuple(self.axis_extents().values())
+
+    @property
+    def num_dims(self) -> int:
+        return len(self.shape)
+
+    def deactivate_all(self) -> None:
+        """Deactivates the cells of this level: sparse layouts, not built in yet."""
+        raise TaiRuntimeError("deactivate_all needs sparse levels, which are not built in yet")
+
+    def places(self) -> Iterator[ScalarField]:
+        """The fields below, in storage order."""
+        for child in self.children:
+            if isinstance(child, SNode):
+                yield from child.places()
+            else:
+                yield child
+
+    def layout(self) -> str:
+        """This level in the assembly of `!tai.root`, without the prefix."""
+        inner: list[str] = []
+        record: list[str] = []
+
+        def close() -> None:
+            if record:
+                inner.append("{" + ", ".join(record) + "}")
+                record.clear()
+
+        for child in self.children:
+            if isinstance(child, SNode):
+                close()
+                if next(child.places(), None) is not None:
+                    inner.append(child.layout())
+            else:
+                record.append(f"{child.symbol}: {child.mlir_type}")
+        close()
+        if self.kind == "root":
+            return f"!tai.root<{', '.join(inner)}>"
+        head = ", ".join(
+            f"{AXIS_NAMES[a]}: {n}" for a, n in zip(self.axes, self.extents, strict=True)
+        )
+        chunk = f", chunk {self.chunk}" if self.kind == "dynamic" else ""
+        return f"{self.kind}<[{head}]{chunk}, {', '.join(inner)}>"
+
+    def __repr__(self) -> str:
+        if self.kind == "root":
+            return "ti.root"
+        names = "".join(AXIS_NAMES[a] for a in self.axes)
+        return f"{self._parent!r}.{self.kind}(ti.{names}, {self.extents})"
+
+
+class Root(SNode):
+    """The root of one tree."""
+
+    def __init__(self) -> None:
+        super().__init__("root", None)
+        self.allocated = False
+        self.tree: str | None = None
+
+    def allocate(self, program: Program) -> None:
+        """Makes the tree in the program's context and declares its fields."""
+        for field in list(self.places()):
+            field.place_missing_grad()
+        fields = list(self.places())
+        if not fields:
+            return
+        self.allocated = True
+        for field in fields:
+            field.choose_symbol(program)
+        _refuse_sparse(self)
+        self.tree = program.unique_symbol(f"tree{program.num_trees}")
+        program.num_trees += 1
+        program.context.add_tree(self.tree, self.layout())
+        # Adjoints first, so that they exist when a primal names them.
+        for field in sorted(fields, key=lambda f: f.role == "primal"):
+            field.declare(program, self.tree)
+
+
+def _refuse_sparse(node: SNode) -> None:
+    """Sparse levels are part of the layout language; their storage is not built in yet."""
+    if node.kind not in ("root", "dense"):
+        raise TaiRuntimeError(
+            f"'{node.kind}' levels are not built in yet", "use ti.root.dense(…) for now"
+        )
+    for child in node.children:
+        if isinstance(child, SNode):
+            _refuse_sparse(child)
+
+
+def _flatten(items: Any) -> Iterator[Field]:
+    for item in items:
+        if isinstance(item, (list, tuple)):
+            yield from _flatten(item)
+        else:
+            yield item
+
+
+class FieldsBuilder:
+    """A tree of its own, which can be freed: `dense`, `place`, …, then `finalize`."""
+
+    def __init__(self) -> None:
+        from .program import get_program
+
+        get_program()
+        self._root = Root()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._root, name)
+
+    def finalize(self, raise_warning: bool = True) -> SNodeTree:
+        """Allocates the fields."""
+        from .program import get_program
+
+        program = get_program()
+        if not any(True for _ in self._root.places()):
+            raise TaiRuntimeError("the tree holds no field", "place a field before finalize()")
+        self._root.allocate(program)
+        return SNodeTree(self._root)
+
+
+class SNodeTree:
+    """An allocated tree of a `FieldsBuilder`."""
+
+    def __init__(self, root: Root):
+        self._root = root
+
+    def destroy(self) -> None:
+        """Frees the fields of the tree; using one afterwards is an error."""
+        if self._root.tree is None or _state.program is None:
+            raise TaiRuntimeError("the tree is freed already")
+        _state.program.context.destroy_tree(self._root.tree)
+        for field in self._root.places():
+            field.forget()
+        self._root.tree = None
+
+
+class Layout:
+    """How the components of a vector or matrix field are stored."""
+
+    AOS = "aos"
+    SOA = "soa"
+
+
+i, j, k, l = (Axes((n,)) for n in range(4))  # noqa: E741
+ij, ik, il, jk, jl, kl = (Axes(pair) for pair in ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)))
+ijk, ijl, ikl, jkl = (Axes(t) for t in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)))
+ijkl = Axes((0, 1, 2, 3))
