@@ -34,6 +34,7 @@ tai_tools = ["tai-opt", "tai-run", "tai-translate", "tai-lsp-server", "tai-reduc
 tools = [ToolSubst(tool, unresolved="ignore") for tool in tai_tools]
 tools += [
     ToolSubst("mlir-opt-22", os.path.join(config.llvm_tools_dir, "mlir-opt")),
+    ToolSubst("split-file", os.path.join(config.llvm_tools_dir, "split-file")),
     ToolSubst("mlir-translate-22", os.path.join(config.llvm_tools_dir, "mlir-translate")),
 ]
 llvm_config.add_tool_substitutions(tools, [config.tai_tools_dir, config.llvm_tools_dir])

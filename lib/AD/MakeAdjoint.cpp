@@ -39,21 +39,21 @@ static bool isDifferentiableMemRef(Type type) {
 }
 
 /// The type of the adjoint: the same arguments, then the adjoints of those that
-/// are arrays of floats; no results.
-static FunctionType getAdjointType(FunctionOpInterface function) {
+/// are arrays of floats, if wanted; no results.
+static FunctionType getAdjointType(FunctionOpInterface function, bool arrays) {
   SmallVector<Type> inputs(function.getArgumentTypes());
   for (Type type : function.getArgumentTypes())
-    if (isDifferentiableMemRef(type))
+    if (arrays && isDifferentiableMemRef(type))
       inputs.push_back(type);
   return FunctionType::get(function.getContext(), inputs, {});
 }
 
 /// An empty adjoint next to `function`.
 static FunctionOpInterface createShell(FunctionOpInterface function,
-                                       StringRef name) {
+                                       StringRef name, bool arrays) {
   OpBuilder builder(function.getContext());
   builder.setInsertionPointAfter(function);
-  FunctionType type = getAdjointType(function);
+  FunctionType type = getAdjointType(function, arrays);
   if (isa<KernelOp>(function.getOperation()))
     return KernelOp::create(builder, function.getLoc(), name, type);
   auto shell = func::FuncOp::create(builder, function.getLoc(), name, type);
@@ -63,12 +63,12 @@ static FunctionOpInterface createShell(FunctionOpInterface function,
 
 /// Fills the adjoint of `function`.
 static LogicalResult fillAdjoint(FunctionOpInterface function,
-                                 FunctionOpInterface shell) {
+                                 FunctionOpInterface shell, bool arrays) {
   // The last arguments of the adjoint are the adjoints of memref arguments.
   DenseMap<Value, Value> shadows;
   unsigned next = function.getNumArguments();
   for (BlockArgument argument : function.getArguments())
-    if (isDifferentiableMemRef(argument.getType()))
+    if (arrays && isDifferentiableMemRef(argument.getType()))
       shadows[argument] = shell.getArgument(next++);
   auto adjointOf = [&](Storage storage) -> Storage {
     if (storage.memref)
@@ -127,8 +127,10 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
       diag.attachNote(taken->getLoc()) << "by this";
       return diag;
     }
-    FunctionOpInterface shell = createShell(function, name);
-    if (failed(fillAdjoint(function, shell))) {
+    // The arguments of a function are all that it can be differentiated by.
+    bool arrays = arrayAdjoints || !isa<KernelOp>(function.getOperation());
+    FunctionOpInterface shell = createShell(function, name, arrays);
+    if (failed(fillAdjoint(function, shell, arrays))) {
       shell.erase();
       return failure();
     }

@@ -48,7 +48,10 @@ public:
 static Compiler::Pipelines getPipelines() {
   Compiler::Pipelines pipelines;
   pipelines.autodiff = [](OpPassManager &manager, const CompileOptions &) {
-    buildAutodiffPipeline(manager, AutodiffOptions());
+    AutodiffOptions autodiff;
+    // An adjoint is launched with the arguments of its primal and no others.
+    autodiff.arrayAdjoints = false;
+    buildAutodiffPipeline(manager, autodiff);
   };
   pipelines.toLLVM = [](OpPassManager &manager, const CompileOptions &options) {
     ToLLVMOptions lowering;

@@ -103,6 +103,29 @@ TEST(CAPI, ArgumentsAndResults) {
   EXPECT_EQ(value, -2111.0);
 }
 
+TEST(CAPI, ArraysAreConstantForTheAdjoint) {
+  Context context;
+  context.addFields();
+  TaiKernel kernel = context.kernel("weigh", R"(
+    tai.kernel @weigh(%w: memref<?xf64>) {
+      tai.parallel_for (%i) in @x {
+        %v = tai.load @x[%i] : f64
+        %f = memref.load %w[%i] : memref<?xf64>
+        %p = arith.mulf %v, %f : f64
+        %old = tai.atomic add %p, @y[] : f64
+      }
+      tai.return
+    })");
+  double weights[4] = {1, 2, 3, 4};
+  uint64_t args[2] = {reinterpret_cast<uint64_t>(weights), 4};
+  context.ok(taiFieldFillF64(context.x, 1));
+  context.ok(taiKernelLaunch(kernel, args, 2, nullptr));
+  EXPECT_EQ(context.read(context.y), 10);
+  context.ok(taiFieldFillF64(context.gy, 1));
+  context.ok(taiKernelLaunchGrad(kernel, args, 2));
+  EXPECT_EQ(context.read(context.gx, 2), 3);
+}
+
 TEST(CAPI, DestroyedKernelsStayOnTheTape) {
   Context context;
   context.addFields();

@@ -83,7 +83,7 @@ static LogicalResult setOptions(Session &session, const Options &given) {
       return failure();
   if (given.arch != "cpu")
     return session.fail(FailureKind::Usage,
-                        "--given.arch=" + given.arch +
+                        "--arch=" + given.arch +
                             " is not there; this version runs "
                             "on 'cpu'");
   return success();

@@ -33,7 +33,8 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
     the functions with the unit attribute `tai.differentiate`. A function takes
     its float memref arguments as both inputs and outputs; `@f_grad` has one
     more memref for each of them, at the end, in the same order. So has the
-    adjoint of a kernel with float memref arguments.
+    adjoint of a kernel with float memref arguments, unless `array-adjoints` is
+    off: then what a kernel reads from its arrays is constant.
 
     ```mlir
     tai.kernel @square() {
@@ -69,6 +70,8 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
   let options = [
     ListOption<"kernels", "kernel", "std::string",
                "Names of the kernels or functions to differentiate">,
+    Option<"arrayAdjoints", "array-adjoints", "bool", /*default=*/"true",
+           "Give the adjoint of a kernel the adjoints of its float memrefs">,
   ];
 }
 

@@ -25,6 +25,7 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
   AutodiffOptions(const AutodiffOptions &other) : PassPipelineOptions() {
     kernels = other.kernels;
     flatten = other.flatten.getValue();
+    arrayAdjoints = other.arrayAdjoints.getValue();
   }
 
   ListOption<std::string> kernels{
@@ -34,6 +35,11 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
   Option<bool> flatten{
       *this, "flatten",
       llvm::cl::desc("Turn cheap and safe branches into selects first"),
+      llvm::cl::init(true)};
+  Option<bool> arrayAdjoints{
+      *this, "array-adjoints",
+      llvm::cl::desc("Give the adjoint of a kernel the adjoints of its float "
+                     "memrefs; without, they are constant"),
       llvm::cl::init(true)};
 };
 
