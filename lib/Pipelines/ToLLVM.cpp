@@ -8,6 +8,7 @@
 #include "mlir/Pass/PassRegistry.h"
 #include "mlir/Transforms/Passes.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Dialect/Tai/Transforms/Passes.h"
 #include "tai/Pipelines/Pipelines.h"
 
 using namespace mlir;
@@ -19,6 +20,17 @@ void tai::buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options) {
   // Helpers go into the kernels that call them. The inliner's own cleaning of
   // every function costs more than all that follows, so it is left out.
   pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
+
+  // On the program as it was written when indices are checked: a report names
+  // the index that the program computed.
+  if (fast && !checked) {
+    pm.addPass(createMarkExclusive());
+    pm.addPass(createGatherAccumulations());
+    pm.addPass(createNormalizeIndices());
+    pm.addPass(createSplitInterior());
+    // The interior's answers are constants now, and dead questions go.
+    pm.addPass(createCanonicalizerPass());
+  }
 
   // From here on values are scalars, and loops run over boxes.
   pm.addPass(createScalarize());
@@ -35,6 +47,8 @@ void tai::buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options) {
   scf.deterministic = options.deterministic;
   scf.debug = options.debug;
   pm.addPass(createConvertTaiToSCF(scf));
+  if (fast && !checked)
+    pm.addPass(createSplitLoops());
 
   ConvertToLLVMOptions llvm;
   llvm.fastMath = options.fastMath;

@@ -133,4 +133,129 @@ def MarkExclusive : Pass<"tai-mark-exclusive"> {
   }];
 }
 
+//===----------------------------------------------------------------------===//
+// Loops
+//===----------------------------------------------------------------------===//
+
+def NormalizeIndices : Pass<"tai-normalize-indices"> {
+  let summary = "write shifted and wrapped indices in one form";
+  let description = [{
+    Replaces an index of an access that is a shift of one index of the parallel
+    loop, wrapped around its range or not, by an addition and at most one
+    select on `index`. What an expression is, is found by evaluating it for each
+    value of the loop index, so the bounds of the loop must be constants.
+
+    ```mlir
+    // x[(i - 1) mod 8], in 32 bits, with the sign of the divisor
+    %0 = arith.index_cast %i : index to i32
+    %1 = arith.subi %0, %c1 : i32
+    %2 = arith.floordivsi %1, %c8 : i32
+    %3 = arith.muli %2, %c8 : i32
+    %4 = arith.subi %1, %3 : i32
+    %5 = arith.index_cast %4 : i32 to index
+    %6 = tai.load @x[%5] : f32
+    // becomes
+    %0 = arith.addi %i, %cm1 : index
+    %1 = arith.cmpi slt, %0, %c0 : index
+    %2 = arith.addi %i, %c7 : index
+    %3 = arith.select %1, %2, %0 : index
+    %4 = tai.load @x[%3] : f32
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect"];
+}
+
+def GatherAccumulations : Pass<"tai-gather-accumulations"> {
+  let summary = "turn scatters to shifted indices into gathers";
+  let description = [{
+    In a parallel loop over all elements of a field, additions to shifted
+    elements (`x[i + 1] += f(i)`, wrapped around the end of the field or left
+    out there) are replaced by one addition to the element of the iteration's
+    own index: `x[i] += f(i - 1)`. It is the adjoint of a stencil, written as a
+    stencil. The addition is `exclusive`, so that it needs no atomic operation,
+    its order is fixed, and the loop vectorises.
+
+    Left alone: additions at an index that is no shift of a loop index, loops
+    that do not cover the field exactly, values that cannot be computed twice or
+    that read what the loop writes, and more than `max-ops` operations to
+    compute again.
+
+    ```mlir
+    tai.parallel_for (%i) in @x {
+      %0 = tai.load @y[%i] : f32
+      %1 = arith.addi %i, %c1 : index
+      %2 = arith.remui %1, %c8 : index
+      %3 = tai.atomic add %0, @x[%2] : f32
+    }
+    // becomes, with %s = %i - 1 wrapped into [0, 8)
+    tai.parallel_for (%i) in @x {
+      %0 = tai.load @y[%s] : f32
+      %1 = tai.atomic add %0, @x[%i] exclusive : f32
+    }
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect"];
+  let options = [
+    Option<"maxOps", "max-ops", "unsigned", /*default=*/"256",
+           "Largest number of operations computed again for one field">,
+  ];
+}
+
+def SplitInterior : Pass<"tai-split-interior"> {
+  let summary = "give a loop a second body for its interior";
+  let description = [{
+    Where all questions that a body asks about the innermost loop index (is this
+    a border, does an index wrap) have one answer on most of its range, wraps
+    the body in an `scf.if` on that range, in which the answers are constants.
+    The branch carries the range as `tai.interior` for `tai-split-loops`.
+
+    ```mlir
+    tai.parallel_for (%i) in @x {
+      %0 = arith.cmpi eq, %i, %c0 : index
+      %1 = arith.select %0, %c7, %im1 : index
+      ...
+    }
+    // becomes
+    tai.parallel_for (%i) in @x {
+      %0 = %i in [1, 8)
+      scf.if %0 {
+        ... // with %im1
+      } else {
+        ... // as before
+      } {tai.interior = array<i64: 1, 8>}
+    }
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect"];
+  let options = [
+    Option<"minLength", "min-length", "int64_t", /*default=*/"16",
+           "Shortest range of the innermost index that is split">,
+    Option<"maxOps", "max-ops", "int64_t", /*default=*/"400",
+           "Largest body that is copied, in operations">,
+  ];
+}
+
+def SplitLoops : Pass<"tai-split-loops"> {
+  let summary = "run the interior of a loop apart from its borders";
+  let description = [{
+    Splits a serial loop whose body is a branch marked `tai.interior` into a
+    loop over the interior, without the branch, and loops over the borders.
+
+    ```mlir
+    scf.for %i = %lo to %hi step %c1 {
+      scf.if %inside { A } else { B } {tai.interior = array<i64: 1, 8>}
+    }
+    // becomes, with lo <= a <= b <= hi
+    scf.for %i = %a to %b step %c1 { A }
+    scf.for %side = %c0 to %c2 step %c1 {
+      scf.for %i = ... { B } // [lo, a), then [b, hi)
+    }
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect"];
+}
+
 #endif // TAI_DIALECT_TAI_TRANSFORMS_PASSES_TD

@@ -1,0 +1,452 @@
+//===- GatherAccumulations.cpp - Turn scatters into gathers ---------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The adjoint of a stencil, which reads at shifted indices, is a scatter to
+// shifted indices: iterations that run at the same time add to the same
+// elements. Where every index is a shift of one loop index (cut off at the end
+// of the field or wrapped around it), the iteration that owns an element can
+// make all additions to it: it recomputes what the shifted iterations would
+// have added. What is left is one plain addition for each element, in a fixed
+// order, which needs no atomics and vectorises.
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/IR/IRMapping.h"
+#include "mlir/IR/Matchers.h"
+#include "mlir/Transforms/RegionUtils.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/IndexShift.h"
+#include "tai/Analysis/LoopBox.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Dialect/Tai/Transforms/Passes.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_GATHERACCUMULATIONS
+#include "tai/Dialect/Tai/Transforms/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+/// One addition that can be gathered.
+struct Scatter {
+  AtomicOp op;
+  /// The `scf.if` ops around it, outermost first.
+  SmallVector<scf::IfOp> conditions;
+  /// For each induction variable, the dimension of the field that it indexes
+  /// and how it does.
+  SmallVector<unsigned> dimension;
+  SmallVector<IndexShift> shift;
+};
+
+/// Additions to one slice of a field.
+using Group = SmallVector<Scatter>;
+} // namespace
+
+//===----------------------------------------------------------------------===//
+// What can be gathered
+//===----------------------------------------------------------------------===//
+
+/// The constant component that an access reaches: -1 for the whole element,
+/// nothing if it is not constant.
+static std::optional<int64_t> getComponent(ValueRange components, Type type) {
+  if (components.empty())
+    return -1;
+  int64_t flat = 0;
+  for (auto [component, size] :
+       llvm::zip(components, cast<VectorType>(type).getShape())) {
+    llvm::APInt value;
+    if (!matchPattern(component, m_ConstantInt(&value)))
+      return std::nullopt;
+    flat = flat * size + value.getSExtValue();
+  }
+  return flat;
+}
+
+/// Describes `op` as a gatherable addition, if it is one.
+static std::optional<Scatter> getScatter(AtomicOp op, LoopBox &box,
+                                         const FieldLayout &layout) {
+  if (op.getKind() != AtomicKind::Add || !op.getOld().use_empty() ||
+      !isa<FloatType>(getElementTypeOrSelf(op.getValue().getType())))
+    return std::nullopt;
+  Scatter scatter{op, {}, {}, {}};
+  for (Operation *parent = op->getParentOp(); parent != box.loop;
+       parent = parent->getParentOp()) {
+    auto condition = dyn_cast<scf::IfOp>(parent);
+    if (!condition)
+      return std::nullopt;
+    scatter.conditions.insert(scatter.conditions.begin(), condition);
+  }
+
+  Region &scope = box.loop.getBody();
+  SmallVector<int> dimensionOf(box.ivs().size(), -1);
+  for (auto [dimension, index] : llvm::enumerate(op.getIndices())) {
+    SmallVector<Value> variables;
+    if (!collectIndexVariables(index, scope, variables))
+      return std::nullopt;
+    if (variables.empty())
+      continue;
+    std::optional<unsigned> k = box.find(variables.front());
+    // Two dimensions of one variable are a diagonal, which has no owner.
+    if (variables.size() > 1 || !k || dimensionOf[*k] >= 0)
+      return std::nullopt;
+    dimensionOf[*k] = dimension;
+  }
+  for (auto [k, iv] : llvm::enumerate(box.ivs())) {
+    int dimension = dimensionOf[k];
+    // Without a dimension the additions of all its values would meet.
+    if (dimension < 0)
+      return std::nullopt;
+    // The loop must own each element: its range is that of the dimension.
+    if (box.lower[k] != layout.offset[dimension] ||
+        box.upper[k] != layout.offset[dimension] + layout.shape[dimension])
+      return std::nullopt;
+    std::optional<IndexShift> shift = getIndexShift(
+        op.getIndices()[dimension], iv, box.lower[k], box.upper[k]);
+    if (!shift)
+      return std::nullopt;
+    scatter.dimension.push_back(dimension);
+    scatter.shift.push_back(*shift);
+  }
+  return scatter;
+}
+
+/// The indices that do not depend on the loop.
+static SmallVector<Value> getSliceIndices(const Scatter &scatter) {
+  SmallVector<Value> indices;
+  for (auto [dimension, index] :
+       llvm::enumerate(const_cast<Scatter &>(scatter).op.getIndices()))
+    if (!llvm::is_contained(scatter.dimension, dimension))
+      indices.push_back(index);
+  return indices;
+}
+
+/// The indices of `all` at the positions that are slice indices of `scatter`.
+static SmallVector<Value> selectSliceIndices(const Scatter &scatter,
+                                             ValueRange all) {
+  SmallVector<Value> indices;
+  for (auto [dimension, index] : llvm::enumerate(all))
+    if (!llvm::is_contained(scatter.dimension, dimension))
+      indices.push_back(index);
+  return indices;
+}
+
+/// True if `access` certainly touches another slice than the group, or another
+/// component.
+static bool isApart(Scatter &scatter, ValueRange indices,
+                    std::optional<int64_t> component) {
+  std::optional<int64_t> own = getComponent(
+      scatter.op.getComponents(),
+      lookupField(scatter.op, scatter.op.getFieldAttr()).getType());
+  if (component && own && *component >= 0 && *own >= 0 && *component != *own)
+    return true;
+  return areProvablyDistinct(getSliceIndices(scatter),
+                             selectSliceIndices(scatter, indices));
+}
+
+/// True if `value` can be computed again in another iteration: it is made of
+/// operations without effects, and of reads from storage that the loop does
+/// not write (`written`).
+static bool canRecompute(Value value, LoopBox &box,
+                         const llvm::SmallDenseSet<const void *> &written,
+                         llvm::SmallDenseSet<Operation *> &seen) {
+  Operation *op = value.getDefiningOp();
+  if (!op || !box.loop->isProperAncestor(op) || !seen.insert(op).second)
+    return true;
+  bool isAllowed = true;
+  op->walk([&](Operation *inner) {
+    bool reads =
+        (isa<LoadOp>(inner) && !written.contains(getStorageKey(inner))) ||
+        inner->hasTrait<OpTrait::HasRecursiveMemoryEffects>();
+    isAllowed &= reads || isMemoryEffectFree(inner);
+  });
+  if (!isAllowed)
+    return false;
+  bool operands = llvm::all_of(op->getOperands(), [&](Value operand) {
+    return canRecompute(operand, box, written, seen);
+  });
+  llvm::SetVector<Value> captured;
+  getUsedValuesDefinedAbove(op->getRegions(), captured);
+  return operands && llvm::all_of(captured, [&](Value operand) {
+           return canRecompute(operand, box, written, seen);
+         });
+}
+
+/// Groups the additions to one field by slice and component. Empty if one of
+/// them cannot be gathered, or another access might meet them.
+static SmallVector<Group> getGroups(FieldOp field, LoopBox &box,
+                                    ArrayRef<AtomicOp> atomics,
+                                    unsigned maxOps) {
+  FailureOr<FieldLayout> layout = getFieldLayout(field);
+  if (failed(layout) || layout->path.getFirstSparse())
+    return {};
+  // Reads of the field itself are the business of isOnlyAccess.
+  llvm::SmallDenseSet<const void *> written;
+  box.loop.walk([&](Operation *op) {
+    if (isa<StoreOp, AtomicOp>(op))
+      written.insert(getStorageKey(op));
+  });
+  written.erase(getStorageKey(atomics.front()));
+
+  SmallVector<Group> groups;
+  unsigned ops = 0;
+  for (AtomicOp op : atomics) {
+    std::optional<int64_t> component =
+        getComponent(op.getComponents(), field.getType());
+    std::optional<Scatter> scatter = getScatter(op, box, *layout);
+    llvm::SmallDenseSet<Operation *> recomputed;
+    if (!scatter || !component ||
+        !canRecompute(op.getValue(), box, written, recomputed))
+      return {};
+    for (scf::IfOp condition : scatter->conditions)
+      if (!canRecompute(condition.getCondition(), box, written, recomputed))
+        return {};
+    ops += recomputed.size();
+    // Joins the group of its slice, and must be apart from all others.
+    Group *home = nullptr;
+    for (Group &group : groups) {
+      Scatter &first = group.front();
+      if (first.dimension == scatter->dimension &&
+          first.op.getComponents().size() == op.getComponents().size() &&
+          getComponent(first.op.getComponents(), field.getType()) ==
+              component &&
+          areProvablyEqual(getSliceIndices(first), getSliceIndices(*scatter))) {
+        home = &group;
+        continue;
+      }
+      if (!isApart(first, op.getIndices(), component))
+        return {};
+    }
+    if (!home)
+      home = &groups.emplace_back();
+    home->push_back(std::move(*scatter));
+  }
+  if (ops > maxOps)
+    return {};
+  return groups;
+}
+
+/// True if nothing else in the loop may touch the elements of the groups.
+static bool isOnlyAccess(FieldOp field, LoopBox &box,
+                         MutableArrayRef<Group> groups) {
+  const void *storage = getStorageKey(groups.front().front().op);
+  WalkResult result = box.loop.getBody().walk([&](Operation *op) {
+    ValueRange indices, components;
+    if (auto load = dyn_cast<LoadOp>(op)) {
+      indices = load.getIndices();
+      components = load.getComponents();
+    } else if (auto store = dyn_cast<StoreOp>(op)) {
+      indices = store.getIndices();
+      components = store.getComponents();
+    } else {
+      return isa<ActivateOp, DeactivateOp, AppendOp>(op)
+                 ? WalkResult::interrupt()
+                 : WalkResult::advance();
+    }
+    if (getStorageKey(op) != storage)
+      return WalkResult::advance();
+    std::optional<int64_t> component =
+        getComponent(components, field.getType());
+    for (Group &group : groups)
+      if (!isApart(group.front(), indices, component))
+        return WalkResult::interrupt();
+    return WalkResult::advance();
+  });
+  return !result.wasInterrupted();
+}
+
+//===----------------------------------------------------------------------===//
+// Rewriting
+//===----------------------------------------------------------------------===//
+
+namespace {
+/// Recomputes values of the loop body in the iteration that `mapping` gives.
+class Recomputation {
+public:
+  Recomputation(OpBuilder &builder, LoopBox &box, IRMapping mapping)
+      : builder(builder), box(box), mapping(std::move(mapping)) {}
+
+  Value get(Value value) {
+    if (Value known = mapping.lookupOrNull(value))
+      return known;
+    Operation *op = value.getDefiningOp();
+    if (!op || !box.loop->isProperAncestor(op))
+      return value;
+    for (Value operand : op->getOperands())
+      get(operand);
+    llvm::SetVector<Value> captured;
+    getUsedValuesDefinedAbove(op->getRegions(), captured);
+    for (Value operand : captured)
+      get(operand);
+    Operation *clone = builder.clone(*op, mapping);
+    return clone->getResult(cast<OpResult>(value).getResultNumber());
+  }
+
+  OpBuilder &builder;
+  LoopBox &box;
+  IRMapping mapping;
+};
+} // namespace
+
+static Value createZero(OpBuilder &builder, Location loc, Type type) {
+  return arith::ConstantOp::create(builder, loc, builder.getZeroAttr(type));
+}
+
+/// The value that `scatter` adds, below its conditions from `depth` on; zero
+/// where one of them does not hold.
+static Value recomputeBelow(Recomputation &at, Scatter &scatter,
+                            unsigned depth) {
+  Location loc = scatter.op.getLoc();
+  if (depth == scatter.conditions.size())
+    return at.get(scatter.op.getValue());
+  scf::IfOp original = scatter.conditions[depth];
+  Type type = scatter.op.getValue().getType();
+  bool inThen =
+      original.getThenRegion().isAncestor(scatter.op->getParentRegion());
+  Value condition = at.get(original.getCondition());
+  auto branch = [&](bool taken) {
+    return [&, taken](OpBuilder &builder, Location) {
+      Value result;
+      if (taken) {
+        Recomputation inner(builder, at.box, at.mapping);
+        result = recomputeBelow(inner, scatter, depth + 1);
+      } else {
+        result = createZero(builder, loc, type);
+      }
+      scf::YieldOp::create(builder, loc, result);
+    };
+  };
+  return scf::IfOp::create(at.builder, loc, condition, branch(inThen),
+                           branch(!inThen))
+      .getResult(0);
+}
+
+/// The iteration whose addition lands where `iv` is: iv - offset, wrapped if
+/// the shift wraps. Else adds to `inside` the test that there is one.
+static Value invertShift(OpBuilder &builder, Location loc, Value iv,
+                         IndexShift shift, int64_t lower, int64_t upper,
+                         SmallVectorImpl<Value> &inside) {
+  if (shift.isIdentity())
+    return iv;
+  auto constant = [&](int64_t value) -> Value {
+    return arith::ConstantIndexOp::create(builder, loc, value);
+  };
+  Value source =
+      arith::AddIOp::create(builder, loc, iv, constant(-shift.offset));
+  bool fallsBelow = shift.offset > 0;
+  Value isOutside = arith::CmpIOp::create(
+      builder, loc,
+      fallsBelow ? arith::CmpIPredicate::slt : arith::CmpIPredicate::sge,
+      source, constant(fallsBelow ? lower : upper));
+  if (shift.wraps) {
+    int64_t turn = fallsBelow ? upper - lower : lower - upper;
+    Value wrapped =
+        arith::AddIOp::create(builder, loc, iv, constant(turn - shift.offset));
+    return arith::SelectOp::create(builder, loc, isOutside, wrapped, source);
+  }
+  Value truth = arith::ConstantIntOp::create(builder, loc, 1, 1);
+  inside.push_back(arith::XOrIOp::create(builder, loc, isOutside, truth));
+  return source;
+}
+
+/// What `scatter` adds to the element that the present iteration owns.
+static Value recompute(OpBuilder &builder, LoopBox &box, Scatter &scatter) {
+  Location loc = scatter.op.getLoc();
+  IRMapping mapping;
+  SmallVector<Value> inside;
+  for (auto [k, iv] : llvm::enumerate(box.ivs()))
+    mapping.map(iv, invertShift(builder, loc, iv, scatter.shift[k],
+                                box.lower[k], box.upper[k], inside));
+  if (inside.empty()) {
+    Recomputation at(builder, box, std::move(mapping));
+    return recomputeBelow(at, scatter, 0);
+  }
+  Value condition = inside.front();
+  for (Value other : llvm::drop_begin(inside))
+    condition = arith::AndIOp::create(builder, loc, condition, other);
+  return scf::IfOp::create(
+             builder, loc, condition,
+             [&](OpBuilder &nested, Location) {
+               Recomputation at(nested, box, mapping);
+               scf::YieldOp::create(nested, loc,
+                                    recomputeBelow(at, scatter, 0));
+             },
+             [&](OpBuilder &nested, Location) {
+               scf::YieldOp::create(
+                   nested, loc,
+                   createZero(nested, loc, scatter.op.getValue().getType()));
+             })
+      .getResult(0);
+}
+
+/// Replaces the additions of `group` by one addition at the end of the body.
+static void gather(LoopBox &box, Group &group) {
+  OpBuilder builder(box.body().getTerminator());
+  Scatter &first = group.front();
+  Location loc = first.op.getLoc();
+  Value sum;
+  for (Scatter &scatter : group) {
+    Value value = recompute(builder, box, scatter);
+    sum = sum ? arith::AddFOp::create(builder, loc, sum, value).getResult()
+              : value;
+  }
+  IRMapping identity;
+  for (BlockArgument iv : box.ivs())
+    identity.map(iv, iv);
+  Recomputation here(builder, box, std::move(identity));
+  SmallVector<Value> indices, components;
+  for (Value index : first.op.getIndices())
+    indices.push_back(Value(index));
+  for (auto [dimension, index] : llvm::enumerate(first.op.getIndices())) {
+    const auto *k = llvm::find(first.dimension, dimension);
+    indices[dimension] = k == first.dimension.end()
+                             ? here.get(index)
+                             : Value(box.ivs()[k - first.dimension.begin()]);
+  }
+  for (Value component : first.op.getComponents())
+    components.push_back(here.get(component));
+  AtomicOp::create(builder, loc, AtomicKind::Add, sum, first.op.getFieldAttr(),
+                   indices, components, /*exclusive=*/true);
+  for (Scatter &scatter : group)
+    scatter.op.erase();
+}
+
+namespace {
+struct GatherAccumulations
+    : tai::impl::GatherAccumulationsBase<GatherAccumulations> {
+  using Base::Base;
+
+  void runOnOperation() override {
+    getOperation()->walk([&](ParallelForOp loop) {
+      std::optional<LoopBox> box = getConstantBox(loop);
+      if (!box || loop.getInductionVars().empty())
+        return;
+      // Fields in the order of their first addition.
+      llvm::MapVector<const void *, SmallVector<AtomicOp>> byStorage;
+      loop.walk(
+          [&](AtomicOp op) { byStorage[getStorageKey(op)].push_back(op); });
+      for (auto &[storage, atomics] : byStorage) {
+        // Additions that nobody else can meet are plain already.
+        if (llvm::all_of(atomics,
+                         [](AtomicOp op) { return op.getExclusive(); }))
+          continue;
+        FieldOp field =
+            lookupField(atomics.front(), atomics.front().getFieldAttr());
+        SmallVector<Group> groups = getGroups(field, *box, atomics, maxOps);
+        if (groups.empty() || !isOnlyAccess(field, *box, groups))
+          continue;
+        for (Group &group : groups)
+          gather(*box, group);
+      }
+    });
+  }
+};
+} // namespace

@@ -1,0 +1,196 @@
+// RUN: tai-opt %s --tai-gather-accumulations --canonicalize --cse --split-input-file | FileCheck %s
+
+tai.tree @t : !tai.root<dense<[i: 2, j: 8], {g: f32, y: f32}>>
+tai.field @g = @t["g"] : f32, rank 2
+tai.field @y = @t["y"] : f32, rank 2
+
+// The adjoint of y[t, i] = x[t, (i + 1) % 8] + x[t, (i - 1) % 8]: element i gets
+// what iterations i - 1 and i + 1 would have added, around the end.
+// CHECK-LABEL: tai.kernel @ring(
+//  CHECK-SAME:     %[[T:.+]]: index)
+//   CHECK-DAG:   %[[C0:.+]] = arith.constant 0 : index
+//   CHECK-DAG:   %[[C1:.+]] = arith.constant 1 : index
+//   CHECK-DAG:   %[[C7:.+]] = arith.constant 7 : index
+//   CHECK-DAG:   %[[CM1:.+]] = arith.constant -1 : index
+//   CHECK-DAG:   %[[C8:.+]] = arith.constant 8 : index
+//   CHECK-DAG:   %[[CM7:.+]] = arith.constant -7 : index
+//       CHECK:   tai.parallel_for (%[[I:.+]]) = (%[[C0]]) to (%[[C8]]) {
+//  CHECK-NEXT:     %[[D:.+]] = arith.addi %[[I]], %[[CM1]]
+//  CHECK-NEXT:     %[[DO:.+]] = arith.cmpi slt, %[[D]], %[[C0]]
+//  CHECK-NEXT:     %[[DW:.+]] = arith.addi %[[I]], %[[C7]]
+//  CHECK-NEXT:     %[[DI:.+]] = arith.select %[[DO]], %[[DW]], %[[D]]
+//  CHECK-NEXT:     %[[A:.+]] = tai.load @y[%[[T]], %[[DI]]]
+//  CHECK-NEXT:     %[[U:.+]] = arith.addi %[[I]], %[[C1]]
+//  CHECK-NEXT:     %[[UO:.+]] = arith.cmpi sge, %[[U]], %[[C8]]
+//  CHECK-NEXT:     %[[UW:.+]] = arith.addi %[[I]], %[[CM7]]
+//  CHECK-NEXT:     %[[UI:.+]] = arith.select %[[UO]], %[[UW]], %[[U]]
+//  CHECK-NEXT:     %[[B:.+]] = tai.load @y[%[[T]], %[[UI]]]
+//  CHECK-NEXT:     %[[S:.+]] = arith.addf %[[A]], %[[B]]
+//  CHECK-NEXT:     tai.atomic add %[[S]], @g[%[[T]], %[[I]]] exclusive
+//  CHECK-NEXT:   }
+tai.kernel @ring(%t: index) {
+  %c0 = arith.constant 0 : index
+  %c8 = arith.constant 8 : index
+  tai.parallel_for (%i) = (%c0) to (%c8) {
+    %c1_i32 = arith.constant 1 : i32
+    %c8_i32 = arith.constant 8 : i32
+    %c0_i32 = arith.constant 0 : i32
+    %0 = tai.load @y[%t, %i] : f32
+    %i_i32 = arith.index_cast %i : index to i32
+    %up = arith.addi %i_i32, %c1_i32 : i32
+    %up_r = arith.remsi %up, %c8_i32 : i32
+    %up_i = arith.index_cast %up_r : i32 to index
+    %1 = tai.atomic add %0, @g[%t, %up_i] : f32
+    %down = arith.subi %i_i32, %c1_i32 : i32
+    %down_r = arith.remsi %down, %c8_i32 : i32
+    %neg = arith.cmpi slt, %down_r, %c0_i32 : i32
+    %down_w = arith.addi %down_r, %c8_i32 : i32
+    %down_m = arith.select %neg, %down_w, %down_r : i32
+    %down_i = arith.index_cast %down_m : i32 to index
+    %2 = tai.atomic add %0, @g[%t, %down_i] : f32
+  }
+  tai.return
+}
+
+// -----
+
+tai.tree @t : !tai.root<dense<[i: 3, j: 8], {g: f32}>>
+tai.field @g = @t["g"] : f32, rank 2
+
+// Conditions move along; what would fall outside the loop is left out. Two
+// slices of one field are two groups, read a third.
+// CHECK-LABEL: tai.kernel @cut_off(
+//       CHECK:   tai.parallel_for (%[[I:.+]]) =
+//       CHECK:     scf.if
+//       CHECK:       tai.load @g[%{{.+}}, %{{.+}}]
+//       CHECK:     tai.atomic add %{{.+}}, @g[%{{.+}}, %[[I]]] exclusive
+//       CHECK:     tai.atomic add %{{.+}}, @g[%{{.+}}, %[[I]]] exclusive
+//   CHECK-NOT:     tai.atomic
+tai.kernel @cut_off(%t: i32) {
+  %c0 = arith.constant 0 : index
+  %c8 = arith.constant 8 : index
+  %c7 = arith.constant 7 : index
+  %c1 = arith.constant 1 : index
+  %c1_i32 = arith.constant 1 : i32
+  %c2_i32 = arith.constant 2 : i32
+  %slot = arith.index_cast %t : i32 to index
+  tai.parallel_for (%i) = (%c0) to (%c8) {
+    %before = arith.subi %t, %c1_i32 : i32
+    %before_i = arith.index_cast %before : i32 to index
+    %long = arith.subi %t, %c2_i32 : i32
+    %long_i = arith.index_cast %long : i32 to index
+    %0 = tai.load @g[%slot, %i] : f32
+    %inside = arith.cmpi slt, %i, %c7 : index
+    scf.if %inside {
+      %up = arith.addi %i, %c1 : index
+      %1 = tai.atomic add %0, @g[%before_i, %up] : f32
+    }
+    %2 = tai.atomic add %0, @g[%before_i, %i] : f32
+    %3 = tai.atomic add %0, @g[%long_i, %i] : f32
+  }
+  tai.return
+}
+
+// -----
+
+tai.tree @t : !tai.root<dense<[i: 8], {g: f32, y: f32, p: i32, h: f32}>,
+                        dense<[i: 4, j: 4], {m: f32}>, {s: f32}>
+tai.field @g = @t["g"] : f32, rank 1
+tai.field @y = @t["y"] : f32, rank 1
+tai.field @h = @t["h"] : f32, rank 1
+tai.field @p = @t["p"] : i32, rank 1
+tai.field @m = @t["m"] : f32, rank 2
+
+// An index that is read from memory has no inverse.
+// CHECK-LABEL: tai.kernel @data_dependent(
+//       CHECK:   tai.atomic add %{{.+}}, @g[%{{.+}}] : f32
+tai.kernel @data_dependent(%f: f32) {
+  tai.parallel_for (%i) in @g {
+    %0 = tai.load @p[%i] : i32
+    %1 = arith.index_cast %0 : i32 to index
+    %2 = tai.atomic add %f, @g[%1] : f32
+  }
+  tai.return
+}
+
+// Many iterations add to one element: a reduction, not a scatter.
+// CHECK-LABEL: tai.kernel @reduction(
+//       CHECK:   tai.atomic add %{{.+}}, @g[%{{.+}}] : f32
+tai.kernel @reduction(%f: f32) {
+  tai.parallel_for (%i, %j) in @m {
+    %0 = tai.atomic add %f, @g[%i] : f32
+  }
+  tai.return
+}
+
+// The loop covers a part of the field: nobody owns the rest.
+// CHECK-LABEL: tai.kernel @partial(
+//       CHECK:   tai.atomic add %{{.+}}, @g[%{{.+}}] : f32
+tai.kernel @partial(%f: f32) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c7 = arith.constant 7 : index
+  tai.parallel_for (%i) = (%c0) to (%c7) {
+    %up = arith.addi %i, %c1 : index
+    %0 = tai.atomic add %f, @g[%up] : f32
+  }
+  tai.return
+}
+
+// What is added is read from a field that the loop writes.
+// CHECK-LABEL: tai.kernel @written(
+//       CHECK:   tai.atomic add %{{.+}}, @g[%{{.+}}] : f32
+tai.kernel @written(%f: f32) {
+  %c8 = arith.constant 8 : index
+  %c1 = arith.constant 1 : index
+  tai.parallel_for (%i) in @g {
+    %0 = tai.load @h[%i] : f32
+    tai.store %f, @h[%i] : f32
+    %up = arith.addi %i, %c1 : index
+    %wrapped = arith.remui %up, %c8 : index
+    %1 = tai.atomic add %0, @g[%wrapped] : f32
+  }
+  tai.return
+}
+
+// The field is read where it is added to.
+// CHECK-LABEL: tai.kernel @read_back(
+//       CHECK:   tai.atomic add %{{.+}}, @g[%{{.+}}] : f32
+tai.kernel @read_back() {
+  %c8 = arith.constant 8 : index
+  %c1 = arith.constant 1 : index
+  tai.parallel_for (%i) in @g {
+    %0 = tai.load @g[%i] : f32
+    %up = arith.addi %i, %c1 : index
+    %wrapped = arith.remui %up, %c8 : index
+    %1 = tai.atomic add %0, @g[%wrapped] : f32
+  }
+  tai.return
+}
+
+// A random number cannot be drawn again elsewhere.
+// CHECK-LABEL: tai.kernel @random(
+//       CHECK:   tai.atomic add %{{.+}}, @g[%{{.+}}] : f32
+tai.kernel @random() {
+  %c8 = arith.constant 8 : index
+  %c1 = arith.constant 1 : index
+  tai.parallel_for (%i) in @g {
+    %0 = tai.random stream 0 : f32
+    %up = arith.addi %i, %c1 : index
+    %wrapped = arith.remui %up, %c8 : index
+    %1 = tai.atomic add %0, @g[%wrapped] : f32
+  }
+  tai.return
+}
+
+// The map must be a shift: this one visits some elements twice.
+// CHECK-LABEL: tai.kernel @halves(
+//       CHECK:   tai.atomic add %{{.+}}, @g[%{{.+}}] : f32
+tai.kernel @halves(%f: f32) {
+  %c2 = arith.constant 2 : index
+  tai.parallel_for (%i) in @g {
+    %0 = arith.divsi %i, %c2 : index
+    %1 = tai.atomic add %f, @g[%0] : f32
+  }
+  tai.return
+}
