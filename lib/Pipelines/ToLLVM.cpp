@@ -39,6 +39,11 @@ void tai::buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options) {
   if (fast)
     pm.addPass(createCSEPass());
 
+  // How accumulations are done is decided while they still name fields.
+  RelaxAtomicsOptions relax;
+  relax.deterministic = options.deterministic;
+  pm.addPass(createRelaxAtomics(relax));
+
   LowerLayoutOptions layout;
   layout.boundsCheck = checked;
   pm.addPass(createLowerLayout(layout));

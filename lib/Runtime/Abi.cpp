@@ -226,6 +226,73 @@ extern "C" void tai_rt_combine(TaiFrame *frame, void *target,
     launch.owner().parallel(cuts, run, &combining);
 }
 
+namespace {
+struct StridedCombining {
+  char *target;
+  const char *buffers;
+  int64_t cells, components, targetStride, parts, bufferStride, cuts;
+};
+} // namespace
+
+/// Adds cells [begin, end) of all buffers, summed in their order.
+template <typename T> static void addStrided(void *context, int64_t cut) {
+  const auto &c = *static_cast<StridedCombining *>(context);
+  int64_t begin = boundOf(c.cells, cut, c.cuts);
+  int64_t end = boundOf(c.cells, cut + 1, c.cuts);
+  constexpr int64_t block = 1024;
+  T sums[block];
+  // Whole cells, as many as fit; a matrix has at most 16 components.
+  int64_t cellsInBlock = std::max<int64_t>(block / c.components, 1);
+  for (int64_t at = begin; at < end; at += cellsInBlock) {
+    int64_t cells = std::min(cellsInBlock, end - at);
+    for (int64_t first = 0; first < c.components; first += block) {
+      int64_t width = std::min(c.components - first, block);
+      int64_t count = cells * width;
+      for (int64_t p = 0; p < c.parts; ++p) {
+        const T *from =
+            reinterpret_cast<const T *>(c.buffers + p * c.bufferStride) +
+            at * c.components + first;
+        for (int64_t e = 0; e < count; ++e)
+          sums[e] = p == 0 ? from[e] : sums[e] + from[e];
+      }
+      for (int64_t cell = 0; cell < cells; ++cell) {
+        T *to = reinterpret_cast<T *>(c.target + (at + cell) * c.targetStride) +
+                first;
+        for (int64_t e = 0; e < width; ++e)
+          to[e] += sums[cell * width + e];
+      }
+    }
+  }
+}
+
+extern "C" void tai_rt_combine_strided(TaiFrame *frame, void *target,
+                                       const void *buffers, int64_t cells,
+                                       int64_t components, int64_t stride,
+                                       int64_t parts, int32_t kind) {
+  Launch &launch = launchOf(frame);
+  if (cells <= 0 || components <= 0 || parts <= 0 || launch.hasFailed())
+    return;
+  int64_t bytes =
+      cells * components *
+      (kind == 0 ? int64_t(sizeof(float)) : int64_t(sizeof(double)));
+  constexpr int64_t cutBytes = 64 << 10;
+  int64_t cuts = std::clamp<int64_t>(bytes / cutBytes * parts, 1,
+                                     launch.owner().threads());
+  StridedCombining combining{static_cast<char *>(target),
+                             static_cast<const char *>(buffers),
+                             cells,
+                             components,
+                             stride,
+                             parts,
+                             (bytes + 63) / 64 * 64,
+                             cuts};
+  auto run = kind == 0 ? addStrided<float> : addStrided<double>;
+  if (cuts == 1)
+    run(&combining, 0);
+  else
+    launch.owner().parallel(cuts, run, &combining);
+}
+
 //===----------------------------------------------------------------------===//
 // Random numbers, messages, failures
 //===----------------------------------------------------------------------===//
@@ -283,18 +350,13 @@ std::vector<RuntimeSymbol> mlir::tai::runtime::runtimeSymbols() {
   {                                                                            \
     #name, reinterpret_cast<void *>(&name)                                     \
   }
-  return {TAI_SYMBOL(tai_rt_parts),
-          TAI_SYMBOL(tai_rt_parallel_for),
-          TAI_SYMBOL(tai_rt_scratch),
-          TAI_SYMBOL(tai_rt_private),
-          TAI_SYMBOL(tai_rt_combine),
-          TAI_SYMBOL(tai_rt_random_u32),
-          TAI_SYMBOL(tai_rt_print),
-          TAI_SYMBOL(tai_rt_fail),
-          TAI_SYMBOL(tai_rt_failed),
-          TAI_SYMBOL(tai_rt_host_launch),
-          TAI_SYMBOL(tai_rt_host_tape_begin),
-          TAI_SYMBOL(tai_rt_host_tape_end),
-          TAI_SYMBOL(tai_rt_host_check_gradient)};
+  return {
+      TAI_SYMBOL(tai_rt_parts),         TAI_SYMBOL(tai_rt_parallel_for),
+      TAI_SYMBOL(tai_rt_scratch),       TAI_SYMBOL(tai_rt_private),
+      TAI_SYMBOL(tai_rt_combine),       TAI_SYMBOL(tai_rt_combine_strided),
+      TAI_SYMBOL(tai_rt_random_u32),    TAI_SYMBOL(tai_rt_print),
+      TAI_SYMBOL(tai_rt_fail),          TAI_SYMBOL(tai_rt_failed),
+      TAI_SYMBOL(tai_rt_host_launch),   TAI_SYMBOL(tai_rt_host_tape_begin),
+      TAI_SYMBOL(tai_rt_host_tape_end), TAI_SYMBOL(tai_rt_host_check_gradient)};
 #undef TAI_SYMBOL
 }

@@ -19,7 +19,7 @@
 namespace mlir::tai {
 
 /// Nanoseconds that handing a loop to other cores and waiting for them takes.
-constexpr double kForkNanoseconds = 2000;
+constexpr double kForkNanoseconds = 4000;
 
 /// Trips assumed of a loop whose bounds are not known.
 constexpr int64_t kAssumedTrips = 8;

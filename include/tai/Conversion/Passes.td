@@ -54,7 +54,34 @@ def LowerStructFor : Pass<"tai-lower-struct-for"> {
     tai.parallel_for (%i, %j) = (%c0, %c0) to (%c4, %c8) { … }
     ```
   }];
-  let dependentDialects = ["::mlir::arith::ArithDialect"];
+  // Alias scopes identify the storage of fields.
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::LLVM::LLVMDialect"];
+}
+
+def RelaxAtomics : Pass<"tai-relax-atomics"> {
+  let summary = "choose how each accumulation of a parallel loop is done";
+  let description = [{
+    An atomic update in a parallel loop is
+    * a plain read and write (`exclusive`), where each iteration has elements of
+      its own;
+    * a sum in a register (`tai.accumulate = "register"`), one for each
+      partition, where all iterations update one element;
+    * an addition to a buffer of the partition (`tai.accumulate = "private"`),
+      where the updated part of the field is small against the number of
+      updates;
+    * atomic otherwise.
+
+    Partial sums and buffers are combined in the order of the partitions, which
+    makes the result independent of timing. With `deterministic`, no float
+    accumulation stays atomic: a loop whose accumulations cannot be made
+    independent of timing runs on one thread.
+  }];
+  let options = [
+    Option<"deterministic", "deterministic", "bool", /*default=*/"false",
+           "Leave no accumulation whose result depends on timing">,
+  ];
+  let dependentDialects = ["::mlir::LLVM::LLVMDialect"];
 }
 
 def LowerLayout : Pass<"tai-lower-layout"> {

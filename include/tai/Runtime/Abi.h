@@ -83,6 +83,13 @@ void *tai_rt_private(TaiFrame *frame, int64_t bytes, int64_t parts);
 void tai_rt_combine(TaiFrame *frame, void *target, const void *buffers,
                     int64_t count, int64_t parts, int32_t kind);
 
+/// The same for a part of a field that shares its cells with other fields: the
+/// target holds `cells` records of `components` numbers each, `stride` bytes
+/// from one to the next, the buffers the numbers alone.
+void tai_rt_combine_strided(TaiFrame *frame, void *target, const void *buffers,
+                            int64_t cells, int64_t components, int64_t stride,
+                            int64_t parts, int32_t kind);
+
 /// Random bits: Philox 4x32-10 keyed by seed, counted by (launch, iteration,
 /// stream, sequence).
 uint32_t tai_rt_random_u32(uint64_t seed, uint64_t launch, uint64_t iteration,

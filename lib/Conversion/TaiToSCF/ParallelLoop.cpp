@@ -14,6 +14,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "../Common/IndexMath.h"
+#include "Accumulators.h"
 #include "Lowering.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "tai/Analysis/Cost.h"
@@ -157,9 +158,17 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   std::optional<int64_t> total = box.constantCount(box.rank());
   if (loop.getSerialize() || loop->getParentOfType<ParallelForOp>() ||
       (total && *total <= 1)) {
+    SmallVector<AtomicOp> atomics;
+    loop.walk([&](AtomicOp atomic) { atomics.push_back(atomic); });
+    for (AtomicOp atomic : atomics)
+      if (failed(lowerPlainly(atomic, lowering.fields)))
+        return failure();
     lowerSerially(loop, box);
     return success();
   }
+  FailureOr<Accumulators> accumulators = Accumulators::collect(loop, lowering);
+  if (failed(accumulators))
+    return failure();
 
   // What a partition counts.
   std::optional<int64_t> rows = box.constantCount(box.rank() - 1);
@@ -188,26 +197,38 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
     builder.setInsertionPoint(loop);
   }
 
+  bool reduces = !accumulators->empty();
+  Value fixed = runtime.i32(builder, loc, reduces || lowering.deterministic);
+  Value nanoseconds =
+      runtime.i64(builder, loc, std::max<int64_t>(1, std::llround(cost)));
+  Value parts = runtime.call(builder, loc, "tai_rt_parts", i64,
+                             {frame, count, nanoseconds, fixed});
+  if (reduces) {
+    parts = accumulators->limitParts(builder, loc, parts, count,
+                                     byRows ? double(*rowLength) : 1.0);
+    accumulators->emitBefore(builder, loc, frame, parts);
+  }
+
   Closure closure(function, frame, loop);
   Block *entry = &function.getBody().front();
   OpBuilder inside = OpBuilder::atBlockEnd(entry);
+  accumulators->emitEntry(inside, loc, entry->getArgument(4));
   auto ret = LLVM::ReturnOp::create(inside, loc, ValueRange());
   inside.setInsertionPoint(ret);
   IndexMath insideMath(inside, loc);
   emitPartition(inside, loop, box, insideMath.toIndex(entry->getArgument(2)),
                 insideMath.toIndex(entry->getArgument(3)), byRows);
+  accumulators->rewriteUpdates();
+  inside.setInsertionPoint(ret);
+  accumulators->emitExit(inside, loc);
   if (failed(closure.capture(function.getBody())))
     return failure();
 
   Value address = LLVM::AddressOfOp::create(builder, loc, function);
   Value environment = closure.emit(runtime);
-  Value fixed = runtime.i32(builder, loc, lowering.deterministic);
-  Value nanoseconds =
-      runtime.i64(builder, loc, std::max<int64_t>(1, std::llround(cost)));
-  Value parts = runtime.call(builder, loc, "tai_rt_parts", i64,
-                             {frame, count, nanoseconds, fixed});
   runtime.call(builder, loc, "tai_rt_parallel_for", Type(),
                {frame, address, environment, count, parts});
+  accumulators->emitAfter(builder, loc, frame, parts);
   loop.erase();
   return success();
 }

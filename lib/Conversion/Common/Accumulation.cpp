@@ -1,0 +1,157 @@
+//===- Accumulation.cpp - What a parallel loop adds up --------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "Accumulation.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Utils/StaticValueUtils.h"
+#include "tai/Analysis/Cost.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+FailureOr<SmallVector<AccumulationGroup>>
+tai::groupAccumulations(ParallelForOp loop, ArrayRef<AtomicOp> atomics,
+                        FieldTable &fields) {
+  SmallVector<AccumulationGroup> groups;
+  for (AtomicOp atomic : atomics) {
+    FailureOr<const FieldInfo *> field =
+        fields.lookup(atomic, atomic.getFieldAttr());
+    if (failed(field))
+      return failure();
+    SmallVector<Value> fixed;
+    for (Value index : atomic.getIndices())
+      fixed.push_back(loop.isDefinedOutsideOfLoop(index) ? index : Value());
+    auto *group = llvm::find_if(groups, [&](AccumulationGroup &other) {
+      return other.field == *field && other.fixed == fixed;
+    });
+    if (group == groups.end()) {
+      groups.push_back({*field, fixed, {}});
+      group = std::prev(groups.end());
+    }
+    group->atomics.push_back(atomic);
+  }
+  return groups;
+}
+
+bool tai::updatesSameComponent(AtomicOp a, AtomicOp b) {
+  auto same = [](ValueRange x, ValueRange y) {
+    return llvm::all_of(llvm::zip_equal(x, y), [](auto pair) {
+      auto [p, q] = pair;
+      std::optional<int64_t> constant = getConstantIntValue(p);
+      return p == q || (constant && constant == getConstantIntValue(q));
+    });
+  };
+  return a.getField() == b.getField() && same(a.getIndices(), b.getIndices()) &&
+         a.getComponents().size() == b.getComponents().size() &&
+         same(a.getComponents(), b.getComponents());
+}
+
+/// The induction variable of `loop` that `index` is an injective function of,
+/// for fixed other values; null if none is found.
+static BlockArgument getSource(Value index, ParallelForOp loop) {
+  while (true) {
+    if (auto argument = dyn_cast<BlockArgument>(index))
+      return argument.getOwner() == &loop.getBody().front() ? argument
+                                                            : BlockArgument();
+    Operation *op = index.getDefiningOp();
+    if (isa<arith::IndexCastOp, arith::ExtSIOp>(op)) {
+      index = op->getOperand(0);
+      continue;
+    }
+    if (!isa<arith::AddIOp, arith::SubIOp, arith::MulIOp>(op))
+      return {};
+    Value a = op->getOperand(0), b = op->getOperand(1);
+    if (isa<arith::MulIOp>(op)) {
+      std::optional<int64_t> factor = getConstantIntValue(b);
+      if (!factor || *factor == 0)
+        return {};
+      index = a;
+    } else if (loop.isDefinedOutsideOfLoop(b) || getConstantIntValue(b)) {
+      index = a;
+    } else if (loop.isDefinedOutsideOfLoop(a) || getConstantIntValue(a)) {
+      index = b;
+    } else {
+      return {};
+    }
+  }
+}
+
+bool tai::isInjective(ParallelForOp loop, ValueRange indices) {
+  llvm::SmallDenseSet<BlockArgument> sources;
+  for (Value index : indices)
+    if (BlockArgument source = getSource(index, loop))
+      sources.insert(source);
+  return llvm::all_of(llvm::enumerate(loop.getInductionVars()), [&](auto pair) {
+    if (sources.contains(pair.value()))
+      return true;
+    if (loop.isStructFor())
+      return false;
+    std::optional<int64_t> lower =
+        getConstantIntValue(loop.getLowerBounds()[pair.index()]);
+    std::optional<int64_t> upper =
+        getConstantIntValue(loop.getUpperBounds()[pair.index()]);
+    return lower && upper && *upper - *lower <= 1;
+  });
+}
+
+double tai::estimateRuns(Operation *op, ParallelForOp loop) {
+  double runs = 1;
+  for (Operation *parent = op->getParentOp(); parent != loop;
+       parent = parent->getParentOp())
+    runs *= estimateTrips(parent);
+  return runs;
+}
+
+std::optional<int64_t> tai::getNumIterations(ParallelForOp loop) {
+  if (loop.isStructFor())
+    return std::nullopt;
+  int64_t product = 1;
+  for (auto [lower, upper] :
+       llvm::zip(loop.getLowerBounds(), loop.getUpperBounds())) {
+    std::optional<int64_t> from = getConstantIntValue(lower);
+    std::optional<int64_t> to = getConstantIntValue(upper);
+    if (!from || !to ||
+        llvm::MulOverflow(product, std::max<int64_t>(0, *to - *from), product))
+      return std::nullopt;
+  }
+  return product;
+}
+
+AtomicKind tai::getCombiningKind(AtomicKind kind) {
+  return kind == AtomicKind::Sub ? AtomicKind::Add : kind;
+}
+
+TypedAttr tai::getIdentity(AtomicKind kind, Type type) {
+  Builder builder(type.getContext());
+  if (auto floatType = dyn_cast<FloatType>(type)) {
+    const llvm::fltSemantics &semantics = floatType.getFloatSemantics();
+    switch (kind) {
+    case AtomicKind::Mul:
+      return builder.getFloatAttr(floatType, 1.0);
+    case AtomicKind::Min:
+      return builder.getFloatAttr(floatType, llvm::APFloat::getInf(semantics));
+    case AtomicKind::Max:
+      return builder.getFloatAttr(floatType,
+                                  llvm::APFloat::getInf(semantics, true));
+    default:
+      return builder.getFloatAttr(floatType, 0.0);
+    }
+  }
+  unsigned width = type.getIntOrFloatBitWidth();
+  switch (kind) {
+  case AtomicKind::Mul:
+    return builder.getIntegerAttr(type, llvm::APInt(width, 1));
+  case AtomicKind::Min:
+    return builder.getIntegerAttr(type, llvm::APInt::getSignedMaxValue(width));
+  case AtomicKind::Max:
+    return builder.getIntegerAttr(type, llvm::APInt::getSignedMinValue(width));
+  case AtomicKind::And:
+    return builder.getIntegerAttr(type, llvm::APInt::getAllOnes(width));
+  default:
+    return builder.getIntegerAttr(type, llvm::APInt::getZero(width));
+  }
+}

@@ -1,0 +1,225 @@
+//===- RelaxAtomics.cpp - How each accumulation is done -------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// An atomic float addition is a loop around a compare-and-exchange on CPUs, and
+// nothing vectorises around it. Nearly all accumulations of simulators and of
+// their adjoints can do without: each iteration has its own element, or all
+// share one, or the part of the field that is updated is small.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Common/Accumulation.h"
+#include "mlir/Transforms/LoopInvariantCodeMotionUtils.h"
+#include "tai/Analysis/Cost.h"
+#include "tai/Conversion/Passes.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_RELAXATOMICS
+#include "tai/Conversion/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Private buffers larger than this are left alone: they would fill the memory
+/// of a machine with many cores.
+constexpr int64_t kMaxPrivateElements = int64_t(1) << 24;
+
+namespace {
+/// The accesses of a loop to one field.
+struct FieldAccesses {
+  SmallVector<AtomicOp> atomics; // those that are not exclusive yet
+  bool hasPlainAccess = false;
+};
+
+class LoopRelaxation {
+public:
+  LoopRelaxation(ParallelForOp loop, FieldTable &fields, bool deterministic)
+      : loop(loop), fields(fields), deterministic(deterministic) {}
+
+  LogicalResult run();
+
+private:
+  void serialize();
+  bool isIndependentOfTiming(AtomicOp atomic);
+  void relaxField(FieldAccesses &accesses);
+  bool isWorthPrivate(const AccumulationGroup &group);
+
+  ParallelForOp loop;
+  FieldTable &fields;
+  bool deterministic;
+};
+} // namespace
+
+/// Runs the loop on one thread, where every update is plain.
+void LoopRelaxation::serialize() {
+  loop.setSerialize(true);
+  loop.walk([](AtomicOp atomic) { atomic.setExclusive(true); });
+}
+
+/// Integer updates give the same result in any order, unless somebody looks at
+/// what was there before.
+bool LoopRelaxation::isIndependentOfTiming(AtomicOp atomic) {
+  if (!atomic.getOld().use_empty())
+    return false;
+  Type type = getElementTypeOrSelf(atomic.getValue().getType());
+  return !isa<FloatType>(type) || atomic.getKind() == AtomicKind::Min ||
+         atomic.getKind() == AtomicKind::Max;
+}
+
+static void setStrategy(AtomicOp atomic, StringRef strategy) {
+  atomic->setAttr(kAccumulateAttrName,
+                  StringAttr::get(atomic.getContext(), strategy));
+}
+
+/// True if buffers for the updated part of the field cost less than the atomic
+/// updates.
+bool LoopRelaxation::isWorthPrivate(const AccumulationGroup &group) {
+  const FieldInfo &field = *group.field;
+  if (!field.scalarType.isF32() && !field.scalarType.isF64())
+    return false;
+  double updates = 0;
+  for (AtomicOp atomic : group.atomics) {
+    if (atomic.getKind() != AtomicKind::Add &&
+        atomic.getKind() != AtomicKind::Sub)
+      return false;
+    updates += estimateRuns(atomic, loop);
+  }
+  SmallVector<bool> fixed =
+      llvm::map_to_vector(group.fixed, [](Value index) { return bool(index); });
+  std::optional<FieldSlice> slice = FieldTable::getSlice(field, fixed);
+  if (!slice)
+    return false;
+  int64_t elements = slice->numCells * field.numComponents;
+  if (elements > kMaxPrivateElements)
+    return false;
+  // Where the number of iterations is known at run time only, so is what pays:
+  // too few of them run in one partition, which needs no buffers.
+  std::optional<int64_t> iterations = getNumIterations(loop);
+  return !iterations || elements <= *iterations * updates * kElementsPerUpdate;
+}
+
+/// Chooses for the updates of one field.
+void LoopRelaxation::relaxField(FieldAccesses &accesses) {
+  SmallVector<AtomicOp> &atomics = accesses.atomics;
+  auto sameElement = [&](AtomicOp atomic) {
+    return llvm::equal(atomic.getIndices(), atomics.front().getIndices());
+  };
+  if (llvm::all_of(atomics, sameElement) &&
+      isInjective(loop, atomics.front().getIndices())) {
+    for (AtomicOp atomic : atomics)
+      atomic.setExclusive(true);
+    return;
+  }
+  // What the iterations read in between would not be there yet.
+  auto usesOld = [](AtomicOp atomic) { return !atomic.getOld().use_empty(); };
+  if (accesses.hasPlainAccess || llvm::any_of(atomics, usesOld))
+    return;
+  FailureOr<SmallVector<AccumulationGroup>> groups =
+      groupAccumulations(loop, atomics, fields);
+  if (failed(groups))
+    return;
+  // Groups of one field may overlap: all must leave the field alone until the
+  // end, or none.
+  SmallVector<StringRef> strategies;
+  for (AccumulationGroup &group : *groups) {
+    auto isFixed = [&](AtomicOp atomic) {
+      return llvm::all_of(atomic.getComponents(), [&](Value component) {
+        return getConstantIntValue(component) ||
+               loop.isDefinedOutsideOfLoop(component);
+      });
+    };
+    if (group.isFixed() && llvm::all_of(group.atomics, isFixed))
+      strategies.push_back(kRegister);
+    else if (isWorthPrivate(group))
+      strategies.push_back(kPrivate);
+    else
+      return;
+  }
+  for (auto [group, strategy] : llvm::zip(*groups, strategies))
+    for (AtomicOp atomic : group.atomics)
+      setStrategy(atomic, strategy);
+}
+
+LogicalResult LoopRelaxation::run() {
+  if (loop.getSerialize()) {
+    serialize();
+    return success();
+  }
+  // Indices that are the same in all iterations are computed before the loop:
+  // they tell which part of a field is updated.
+  moveLoopInvariantCode(cast<LoopLikeOpInterface>(loop.getOperation()));
+
+  std::optional<int64_t> iterations = getNumIterations(loop);
+  if (iterations && *iterations * estimateNanoseconds(loop.getBody().front()) <
+                        kForkNanoseconds) {
+    serialize();
+    return success();
+  }
+
+  llvm::MapVector<Attribute, FieldAccesses> places;
+  WalkResult result = loop.walk([&](Operation *op) {
+    if (!isa<LoadOp, StoreOp, AtomicOp>(op))
+      return WalkResult::advance();
+    FailureOr<const FieldInfo *> field =
+        fields.lookup(op, op->getAttrOfType<FlatSymbolRefAttr>("field"));
+    if (failed(field))
+      return WalkResult::interrupt();
+    FieldAccesses &accesses = places[(*field)->scope];
+    auto atomic = dyn_cast<AtomicOp>(op);
+    if (!atomic || atomic.getExclusive())
+      accesses.hasPlainAccess = true;
+    else
+      accesses.atomics.push_back(atomic);
+    return WalkResult::advance();
+  });
+  if (result.wasInterrupted())
+    return failure();
+  for (auto &[place, accesses] : places)
+    if (!accesses.atomics.empty())
+      relaxField(accesses);
+
+  if (!deterministic)
+    return success();
+  // What is left of float accumulations depends on timing.
+  bool dependsOnTiming = false;
+  loop.walk([&](AtomicOp atomic) {
+    dependsOnTiming |= !atomic.getExclusive() &&
+                       !atomic->hasAttr(kAccumulateAttrName) &&
+                       !isIndependentOfTiming(atomic);
+  });
+  if (dependsOnTiming) {
+    loop.walk([](AtomicOp atomic) { atomic->removeAttr(kAccumulateAttrName); });
+    serialize();
+  }
+  return success();
+}
+
+namespace {
+struct RelaxAtomics : tai::impl::RelaxAtomicsBase<RelaxAtomics> {
+  using Base::Base;
+
+  void runOnOperation() override {
+    Operation *table = SymbolTable::getNearestSymbolTable(getOperation());
+    if (!table)
+      return;
+    FieldTable fields(table);
+    SmallVector<ParallelForOp> loops;
+    getOperation()->walk([&](Operation *op) {
+      if (auto loop = dyn_cast<ParallelForOp>(op))
+        loops.push_back(loop);
+      // Serial code of a kernel runs on one thread.
+      auto atomic = dyn_cast<AtomicOp>(op);
+      if (atomic && !op->getParentOfType<ParallelForOp>())
+        atomic.setExclusive(true);
+    });
+    for (ParallelForOp loop : loops)
+      if (failed(LoopRelaxation(loop, fields, deterministic).run()))
+        return signalPassFailure();
+  }
+};
+} // namespace
