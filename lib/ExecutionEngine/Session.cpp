@@ -417,7 +417,14 @@ runtime::Status Session::compilePrimal(KernelCode &code,
   auto compiled = compileAs(code, CompileRequest::Goal::Primal, failure);
   if (!compiled)
     return keepFailure(std::move(failure));
-  runtimeKernel.setTrees(findTrees(compiled->trees));
+  std::vector<runtime::TreePtr> trees = findTrees(compiled->trees);
+  for (size_t i = 0; i < trees.size(); ++i)
+    if (!trees[i])
+      return runtime::Status::failure(runtime::StatusCode::Usage,
+                                      "kernel '" + code.name + "' uses tree '" +
+                                          compiled->trees[i] +
+                                          "', which has been destroyed");
+  runtimeKernel.setTrees(std::move(trees));
   function = reinterpret_cast<TaiKernelFn>(compiled->address);
   return runtime::Status::success();
 }
