@@ -100,13 +100,13 @@ Status Launch::takeFailure() {
   return std::move(failure);
 }
 
-/// A failed launch goes on to its end, so it needs memory to write to even
-/// where there is none: a few pages of a file mapped again and again.
+/// A failed launch may go on to its end, so it needs memory to write to even
+/// where there is none: a piece of a file mapped again and again.
 void *Launch::sink(int64_t bytes) {
-  constexpr size_t pieceSize = size_t(16) << 20;
+  constexpr size_t pieceSize = size_t(64) << 20, most = size_t(1) << 38;
   std::lock_guard<std::mutex> lock(failureMutex);
   size_t size = static_cast<size_t>(std::max<int64_t>(bytes, 1));
-  size = (size + pieceSize - 1) / pieceSize * pieceSize;
+  size = std::min((size + pieceSize - 1) / pieceSize * pieceSize, most);
   void *memory = mmap(nullptr, size, PROT_READ | PROT_WRITE,
                       MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
   if (memory == MAP_FAILED) {

@@ -16,6 +16,11 @@
 using namespace mlir::tai::runtime;
 using namespace mlir::tai::runtime::test;
 
+#ifdef TAI_TEST_THREAD_SANITIZER
+// It refuses threads in a forked child unless told otherwise.
+extern "C" const char *__tsan_default_options() { return "die_after_fork=0"; }
+#endif
+
 namespace {
 int32_t sumInParallel(TaiFrame *frame) {
   std::atomic<int64_t> sum{0};

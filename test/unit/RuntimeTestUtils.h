@@ -16,6 +16,16 @@
 #include "gtest/gtest.h"
 #include <cstring>
 
+// The sanitizers keep freed memory for a while, so that its size says nothing.
+#if defined(__has_feature)
+#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
+#define TAI_TEST_SANITIZED 1
+#endif
+#if __has_feature(thread_sanitizer)
+#define TAI_TEST_THREAD_SANITIZER 1
+#endif
+#endif
+
 namespace mlir::tai::runtime::test {
 
 inline ::testing::AssertionResult isOk(const Status &status) {
