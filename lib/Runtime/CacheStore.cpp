@@ -18,8 +18,12 @@
 #include <cstdio>
 #include <cstring>
 #include <ctime>
+#include <deque>
 #include <dirent.h>
 #include <fcntl.h>
+#include <mutex>
+#include <pthread.h>
+#include <signal.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -205,6 +209,7 @@ CacheStore::CacheStore(std::string folderPath, int64_t mostBytes, Warn warning)
 }
 
 CacheStore::~CacheStore() {
+  flush();
   if (folderDescriptor >= 0)
     close(folderDescriptor);
 }
@@ -242,12 +247,8 @@ int CacheStore::openFolder(std::string &reason) const {
 }
 
 void CacheStore::warnOnce(int kind, const std::string &message) {
-  {
-    std::lock_guard<std::mutex> lock(mutex);
-    if (warned & 1u << kind)
-      return;
-    warned |= 1u << kind;
-  }
+  if (warned.fetch_or(1u << kind) & 1u << kind)
+    return;
   if (warn)
     warn(message);
   else
@@ -310,11 +311,8 @@ std::optional<std::string> CacheStore::get(std::string_view key) {
   std::string name = fileName(key);
   bool broken;
   std::optional<std::string> bytes = readEntry(name, &key, broken);
-  {
-    std::lock_guard<std::mutex> lock(mutex);
-    ++(bytes ? counters.hits : counters.misses);
-    counters.corrupt += broken;
-  }
+  ++(bytes ? hits : misses);
+  corrupt += broken;
   if (broken)
     warnOnce(EntryTrouble, "an entry of the compile cache is damaged and will "
                            "be made again: " +
@@ -375,28 +373,94 @@ bool CacheStore::put(std::string_view key, std::string_view bytes) {
                                "': " + std::strerror(error));
     return false;
   }
-  bool shouldPrune;
-  {
-    std::lock_guard<std::mutex> lock(mutex);
-    ++counters.stored;
-    bytesSincePrune +=
-        static_cast<int64_t>(sizeof(header) + key.size() + bytes.size());
-    // Looking through the folder is worth it now and then only.
-    shouldPrune = !prunedOnce || bytesSincePrune > maxBytes / 16;
-  }
-  if (shouldPrune)
+  ++stored;
+  bytesSincePrune +=
+      static_cast<int64_t>(sizeof(header) + key.size() + bytes.size());
+  // Looking through the folder is worth it now and then only.
+  if (!prunedOnce || bytesSincePrune > maxBytes / 16)
     prune();
   return true;
+}
+
+/// What is to be written, and the thread that writes it, if one runs.
+struct CacheStore::Writer {
+  CacheStore *store;
+  pid_t process = getpid();
+  std::mutex mutex;
+  std::deque<std::pair<std::string, std::string>> queue;
+  bool running = false;
+  bool toBeJoined = false;
+  pthread_t thread = {};
+
+  explicit Writer(CacheStore *store) : store(store) {}
+
+  static void *run(void *argument) {
+    Writer &writer = *static_cast<Writer *>(argument);
+    while (true) {
+      std::pair<std::string, std::string> next;
+      {
+        std::lock_guard<std::mutex> lock(writer.mutex);
+        writer.running = !writer.queue.empty();
+        if (!writer.running)
+          return nullptr;
+        next = std::move(writer.queue.front());
+        writer.queue.pop_front();
+      }
+      writer.store->put(next.first, next.second);
+    }
+  }
+
+  void join() {
+    if (toBeJoined)
+      pthread_join(thread, nullptr);
+    toBeJoined = false;
+  }
+};
+
+CacheStore::Writer &CacheStore::currentWriter() {
+  // A forked child has no such thread, and the parent writes what it began.
+  if (writer && writer->process != getpid())
+    (void)writer.release();
+  if (!writer)
+    writer = std::make_unique<Writer>(this);
+  return *writer;
+}
+
+void CacheStore::putLater(std::string key, std::string bytes) {
+  if (!usable())
+    return;
+  std::lock_guard<std::mutex> callers(writerMutex);
+  Writer &current = currentWriter();
+  {
+    std::lock_guard<std::mutex> lock(current.mutex);
+    current.queue.emplace_back(std::move(key), std::move(bytes));
+    if (current.running)
+      return;
+    current.running = true;
+  }
+  current.join();
+  // Signals belong to the threads of the program.
+  sigset_t all, old;
+  sigfillset(&all);
+  pthread_sigmask(SIG_SETMASK, &all, &old);
+  current.toBeJoined =
+      pthread_create(&current.thread, nullptr, &Writer::run, &current) == 0;
+  pthread_sigmask(SIG_SETMASK, &old, nullptr);
+  if (!current.toBeJoined)
+    Writer::run(&current);
+}
+
+void CacheStore::flush() {
+  std::lock_guard<std::mutex> callers(writerMutex);
+  if (writer)
+    currentWriter().join();
 }
 
 void CacheStore::prune() {
   if (!usable())
     return;
-  {
-    std::lock_guard<std::mutex> lock(mutex);
-    prunedOnce = true;
-    bytesSincePrune = 0;
-  }
+  prunedOnce = true;
+  bytesSincePrune = 0;
   struct Entry {
     std::string name;
     timespec used;
@@ -436,8 +500,7 @@ void CacheStore::prune() {
       ++removed;
     total -= entry.bytes;
   }
-  std::lock_guard<std::mutex> lock(mutex);
-  counters.pruned += removed;
+  pruned += removed;
 }
 
 void CacheStore::clean() {
@@ -466,8 +529,7 @@ int64_t CacheStore::verify() {
 }
 
 CacheStats CacheStore::stats() const {
-  std::lock_guard<std::mutex> lock(mutex);
-  return counters;
+  return {hits, misses, corrupt, stored, pruned};
 }
 
 CacheStore::Size CacheStore::size() const {

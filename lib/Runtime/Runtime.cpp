@@ -530,7 +530,7 @@ int64_t Runtime::partition(int64_t n, int64_t cost, bool reduces) {
   // Below `spinNs` a fork does not pay even with workers that wait for it, and
   // below `wakeNs` not if they must be woken first. Loops in between, if there
   // are many, earn the waking.
-  constexpr int64_t spinNs = 4000, wakeNs = 20000, wakeCredit = 60000;
+  constexpr int64_t spinNs = 4000, wakeNs = 50000, wakeCredit = 100000;
   if (total < spinNs)
     return 1;
   if (total < wakeNs) {

@@ -24,10 +24,10 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 /// An idle worker spins this long (first pausing, then giving way to others
-/// that want the core) before it sleeps. Longer than the gaps between the
-/// launches of one time step, shorter than what a person would call load.
-constexpr auto pauseFor = std::chrono::microseconds(40);
-constexpr auto yieldUntil = std::chrono::microseconds(120);
+/// that want the core) before it sleeps. Waking it costs the caller some 15 us
+/// on a virtual machine, a hundred times a fork to a worker that spins.
+constexpr auto pauseFor = std::chrono::microseconds(50);
+constexpr auto yieldUntil = std::chrono::microseconds(500);
 
 inline void pauseCpu() {
 #if defined(__x86_64__) || defined(__i386__)

@@ -110,6 +110,38 @@ TEST_F(RuntimeCache, GivesBackWhatWasStored) {
   EXPECT_TRUE(files(folder).empty());
 }
 
+TEST_F(RuntimeCache, StoresInTheBackground) {
+  {
+    CacheStore store(folder, 1 << 30, collect());
+    for (int i = 0; i < 20; ++i)
+      store.putLater("k" + std::to_string(i), std::string(1000, char('a' + i)));
+    store.flush();
+    for (int i = 0; i < 20; ++i)
+      EXPECT_EQ(store.get("k" + std::to_string(i)),
+                std::string(1000, char('a' + i)));
+    store.putLater("last", "v"); // the destructor waits
+    pid_t child = fork();
+    ASSERT_GE(child, 0);
+    if (child == 0) {
+      alarm(20);
+      store.flush();
+      store.putLater("child", "w");
+      store.flush();
+      _exit(store.get("child") == "w" ? 0 : 1);
+    }
+    int status = 0;
+    ASSERT_EQ(waitpid(child, &status, 0), child);
+    EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 0);
+  }
+  CacheStore store(folder);
+  EXPECT_EQ(store.get("last"), "v");
+  EXPECT_EQ(store.size().entries, 22);
+  EXPECT_TRUE(warnings.empty());
+  CacheStore none("");
+  none.putLater("k", "v");
+  none.flush();
+}
+
 TEST_F(RuntimeCache, MakesFoldersAbove) {
   CacheStore store(root + "/a/b", 1 << 30, collect());
   EXPECT_TRUE(store.usable());

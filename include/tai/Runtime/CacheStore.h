@@ -18,6 +18,7 @@
 #include <atomic>
 #include <cstdint>
 #include <functional>
+#include <memory>
 #include <mutex>
 #include <optional>
 #include <string>
@@ -55,6 +56,11 @@ public:
   std::optional<std::string> get(std::string_view key);
   /// Stores; false if that was not possible. Any thread.
   bool put(std::string_view key, std::string_view bytes);
+  /// The same on a thread of its own, since waiting for the disk takes
+  /// milliseconds. Until it is done, get() may not find the entry.
+  void putLater(std::string key, std::string bytes);
+  /// Waits for what putLater has begun; so does the destructor.
+  void flush();
   /// Removes least recently used entries beyond the limit, and what killed
   /// processes left behind.
   void prune();
@@ -84,11 +90,16 @@ private:
   Warn warn;
   int folderDescriptor = -1;
   std::atomic<uint64_t> nextTemporary{0};
-  mutable std::mutex mutex;
-  CacheStats counters;
-  unsigned warned = 0;
-  int64_t bytesSincePrune = 0;
-  bool prunedOnce = false;
+  struct Writer;
+  Writer &currentWriter();
+
+  std::atomic<int64_t> hits{0}, misses{0}, corrupt{0}, stored{0}, pruned{0};
+  std::atomic<unsigned> warned{0};
+  std::atomic<int64_t> bytesSincePrune{0};
+  std::atomic<bool> prunedOnce{false};
+  /// Held by callers of putLater and flush for a moment, never by the writer.
+  std::mutex writerMutex;
+  std::unique_ptr<Writer> writer;
 };
 
 /// XXH64, a fast hash of 64 bits that is not cryptographic.
