@@ -61,6 +61,10 @@ Status Kernel::resolveAdjoint(Kernel *&adjoint) {
 
 void Kernel::setTrees(std::vector<TreePtr> trees) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
+  for (TreePtr &tree : trees)
+    for (const TreePtr &known : info.trees)
+      if (tree && known && tree->name() == known->name())
+        tree = known;
   info.trees = std::move(trees);
   boundEpoch.store(0, std::memory_order_release);
 }
@@ -81,7 +85,11 @@ Status Kernel::bind(uint64_t epoch) {
   if (boundEpoch.load(std::memory_order_acquire) == epoch)
     return Status::success();
   for (const TreePtr &tree : info.trees)
-    if (!tree->base())
+    if (!tree)
+      return Status::failure(StatusCode::Usage,
+                             "kernel '" + name() +
+                                 "' uses a tree that has been destroyed");
+    else if (!tree->base())
       return Status::failure(StatusCode::Usage,
                              "kernel '" + name() + "' uses tree '" +
                                  tree->name() + "', which has been destroyed");

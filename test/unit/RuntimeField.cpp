@@ -76,6 +76,31 @@ TEST(RuntimeTree, HandlesOutliveTheTree) {
   EXPECT_EQ(get(*x, {3}), 2.5);
 }
 
+// A kernel was compiled for a layout; a later tree of the same name may have
+// another.
+TEST(RuntimeTree, KernelsStayWithTheirTree) {
+  Runtime runtime;
+  FieldPtr x = makeField(runtime, "x", ScalarKind::F32, {8});
+  KernelInfo info;
+  info.name = "k";
+  info.trees = {runtime.findTree("x_tree")};
+  info.resolve = [&](Kernel &kernel, TaiKernelFn &function) {
+    kernel.setTrees({runtime.findTree("x_tree")});
+    function = [](TaiFrame *) { return 0; };
+    return Status::success();
+  };
+  KernelPtr late = runtime.createKernel(info);
+  KernelPtr never = runtime.createKernel(info);
+  ASSERT_OK(runtime.destroyTree("x_tree"));
+  EXPECT_EQ(runtime.launch(*never, nullptr, 0, nullptr).message(),
+            "kernel 'k' uses a tree that has been destroyed");
+  x = makeField(runtime, "x", ScalarKind::F32, {2});
+  EXPECT_EQ(runtime.launch(*late, nullptr, 0, nullptr).message(),
+            "kernel 'k' uses tree 'x_tree', which has been destroyed");
+  info.trees = {runtime.findTree("x_tree")};
+  EXPECT_OK(runtime.launch(*runtime.createKernel(info), nullptr, 0, nullptr));
+}
+
 static long residentPages() {
   long size = 0, resident = 0;
   if (FILE *file = std::fopen("/proc/self/statm", "r")) {

@@ -81,7 +81,9 @@ public:
   /// differentiate. Any thread.
   Status resolveAdjoint(Kernel *&adjoint);
 
-  /// To be called before the kernel is launched or from its resolver.
+  /// To be called before the kernel is launched or from its resolver. A tree
+  /// of the name of one that the kernel has already stays that one: it was
+  /// made for its layout, not for that of a later tree of the same name.
   void setTrees(std::vector<TreePtr> trees);
   void setSummary(std::vector<Access> summary);
 
