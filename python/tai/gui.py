@@ -1,0 +1,261 @@
+"""`ti.GUI` without a window: it draws into pictures.
+
+Coordinates run from 0 to 1, the second one upward. `show("frame.png")` writes a picture.
+`show()` writes one for each frame into the folder that the option `frames_dir`, or the
+environment variable TAI_GUI_DIR, names; without one it only counts. As there is nobody to
+close the window, `running` turns false after `max_frames` frames (TAI_GUI_FRAMES, 1000).
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+
+from .errors import TaiRuntimeTypeError
+
+# Shapes are drawn this many times larger and then reduced: smooth edges.
+_SCALE = 2
+
+
+def hex_to_rgb(color: int) -> tuple[float, float, float]:
+    """0xRRGGBB as three numbers from 0 to 1."""
+    return ((color >> 16 & 255) / 255, (color >> 8 & 255) / 255, (color & 255) / 255)
+
+
+def rgb_to_hex(rgb: Any) -> Any:
+    """Three numbers (or arrays) from 0 to 1 as 0xRRGGBB."""
+
+    def channel(x: Any) -> Any:
+        return np.clip(np.asarray(x) * 255, 0, 255).astype(np.int64)
+
+    value = (channel(rgb[0]) << 16) | (channel(rgb[1]) << 8) | channel(rgb[2])
+    return int(value) if np.ndim(value) == 0 else value
+
+
+def _bytes(color: Any) -> tuple[int, int, int]:
+    color = int(color)
+    return (color >> 16 & 255, color >> 8 & 255, color & 255)
+
+
+def _array(values: Any) -> np.ndarray:
+    return np.asarray(values.to_numpy() if hasattr(values, "to_numpy") else values, float)
+
+
+class GUI:
+    """A canvas of `res` pixels.
+
+    Args:
+        name: title; part of nothing that is drawn.
+        res: width and height, or one number for both.
+        background_color: 0xRRGGBB.
+        frames_dir: folder for the frames of `show()`.
+        max_frames: frames after which `running` is false.
+    """
+
+    # Keys and events, for programs that ask.
+    ESCAPE, SPACE, RETURN, SHIFT, CTRL, ALT = "Escape", " ", "Return", "Shift", "Control", "Alt"
+    LEFT, RIGHT, UP, DOWN, TAB, EXIT = "Left", "Right", "Up", "Down", "Tab", "WMClose"
+    LMB, MMB, RMB, WHEEL, MOVE = "LMB", "MMB", "RMB", "Wheel", "Motion"
+    PRESS, RELEASE, MOTION = "Press", "Release", "Motion"
+
+    def __init__(
+        self,
+        name: str = "tai",
+        res: Any = 512,
+        background_color: int = 0x000000,
+        show_gui: bool = True,
+        fullscreen: bool = False,
+        fast_gui: bool = False,
+        frames_dir: str | None = None,
+        max_frames: int | None = None,
+    ):
+        self.name = name
+        self.res = (int(res), int(res)) if np.ndim(res) == 0 else (int(res[0]), int(res[1]))
+        self.background_color = background_color
+        self.frames_dir = frames_dir or os.environ.get("TAI_GUI_DIR")
+        self.max_frames = max_frames or int(os.environ.get("TAI_GUI_FRAMES", 1000))
+        self.frame = 0
+        self.running = True
+        self.fps_limit = 60
+        self.event: Any = None
+        self.clear()
+
+    # The canvas
+
+    def clear(self, color: int | None = None) -> None:
+        """Fills the canvas with one colour."""
+        from PIL import Image, ImageDraw
+
+        fill = _bytes(self.background_color if color is None else color)
+        size = (self.res[0] * _SCALE, self.res[1] * _SCALE)
+        self._image = Image.new("RGB", size, fill)
+        self._draw = ImageDraw.Draw(self._image)
+
+    def set_image(self, image: Any) -> None:
+        """Shows an array of shape res, res + (3,) or res + (4,), first index to the right."""
+        from PIL import Image, ImageDraw
+
+        pixels = image.to_numpy() if hasattr(image, "to_numpy") else np.asarray(image)
+        if pixels.shape[:2] != self.res:
+            raise TaiRuntimeTypeError(
+                f"the image has shape {pixels.shape[:2]}, but the GUI {self.res}",
+                "make the GUI with res= the shape of the image",
+            )
+        if pixels.dtype != np.uint8:
+            pixels = (np.clip(np.nan_to_num(pixels.astype(float)), 0, 1) * 255).astype(np.uint8)
+        if pixels.ndim == 2:
+            pixels = np.repeat(pixels[..., None], 3, axis=2)
+        upright = np.ascontiguousarray(pixels[..., :3].swapaxes(0, 1)[::-1])
+        size = (self.res[0] * _SCALE, self.res[1] * _SCALE)
+        self._image = Image.fromarray(upright).resize(size, Image.Resampling.NEAREST)
+        self._draw = ImageDraw.Draw(self._image)
+
+    def _points(self, positions: Any, dimensions: int = 2) -> np.ndarray:
+        """Positions in pixels of the enlarged canvas."""
+        array = np.atleast_2d(_array(positions))
+        if array.shape[-1] != dimensions:
+            raise TaiRuntimeTypeError(f"a position has {dimensions} coordinates: {array.shape}")
+        array = np.nan_to_num(array, nan=-9.0, posinf=9.0, neginf=-9.0).clip(-9.0, 9.0)
+        size = np.array(self.res) * _SCALE
+        return np.stack([array[:, 0] * size[0], (1 - array[:, 1]) * size[1]], axis=1)
+
+    # Shapes
+
+    def circle(self, pos: Any, color: int = 0xFFFFFF, radius: float = 1) -> None:
+        """A disc; the radius is in pixels."""
+        self.circles([pos], radius, color)
+
+    def circles(
+        self, pos: Any, radius: Any = 1, color: Any = 0xFFFFFF, palette: Any = None,
+        palette_indices: Any = None,
+    ) -> None:  # fmt: skip
+        """Many discs; radius and colour may be arrays."""
+        points = self._points(pos)
+        colors = self._colors(color, len(points), palette, palette_indices)
+        radii = np.broadcast_to(_array(radius), len(points)) * _SCALE
+        for (x, y), r, fill in zip(points.tolist(), radii.tolist(), colors, strict=True):
+            self._draw.ellipse((x - r, y - r, x + r, y + r), fill=fill)
+
+    def _colors(self, color: Any, count: int, palette: Any, indices: Any) -> list:
+        if palette is not None:
+            table = [_bytes(c) for c in palette]
+            chosen = _array(indices).astype(int).ravel()
+            return [table[c] for c in np.broadcast_to(chosen, count)]
+        color = color.to_numpy() if hasattr(color, "to_numpy") else color
+        if np.ndim(color) == 0:
+            return [_bytes(color)] * count
+        return [_bytes(c) for c in color]
+
+    def line(self, begin: Any, end: Any, radius: float = 1, color: int = 0xFFFFFF) -> None:
+        """A line; the radius, half of its width, is in pixels."""
+        self.lines([begin], [end], radius, color)
+
+    def lines(self, begin: Any, end: Any, radius: Any = 1, color: Any = 0xFFFFFF) -> None:
+        """Many lines."""
+        starts, ends = self._points(begin), self._points(end)
+        colors = self._colors(color, len(starts), None, None)
+        widths = np.broadcast_to(_array(radius), len(starts)) * _SCALE
+        for a, b, w, fill in zip(starts, ends, widths, colors, strict=True):
+            self._draw.line([*a.tolist(), *b.tolist()], fill=fill, width=max(1, round(2 * w)))
+            for x, y in (a, b):
+                if w > 1:
+                    self._draw.ellipse((x - w, y - w, x + w, y + w), fill=fill)
+
+    def triangle(self, a: Any, b: Any, c: Any, color: int = 0xFFFFFF) -> None:
+        """A filled triangle."""
+        self.triangles([a], [b], [c], color)
+
+    def triangles(self, a: Any, b: Any, c: Any, color: Any = 0xFFFFFF) -> None:
+        """Many filled triangles."""
+        corners = [self._points(p) for p in (a, b, c)]
+        colors = self._colors(color, len(corners[0]), None, None)
+        for p, q, r, fill in zip(*corners, colors, strict=True):
+            self._draw.polygon([tuple(p), tuple(q), tuple(r)], fill=fill)
+
+    def rect(self, topleft: Any, bottomright: Any, radius: float = 1, color: int = 0xFFFFFF):
+        """The outline of a rectangle."""
+        (x0, y0), (x1, y1) = _array(topleft), _array(bottomright)
+        corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+        self.lines(corners, [*corners[1:], corners[0]], radius, color)
+
+    def arrow(self, orig: Any, direction: Any, radius: float = 1, color: int = 0xFFFFFF) -> None:
+        """A line with a head at its end."""
+        start, way = _array(orig), _array(direction)
+        tip = start + way
+        self.line(start, tip, radius, color)
+        side = np.array([-way[1], way[0]])
+        for sign in (-1, 1):
+            self.line(tip, tip - 0.25 * way + 0.15 * sign * side, radius, color)
+
+    def arrows(self, orig: Any, direction: Any, radius: float = 1, color: int = 0xFFFFFF) -> None:
+        """Many arrows."""
+        for start, way in zip(_array(orig), _array(direction), strict=True):
+            self.arrow(start, way, radius, color)
+
+    def text(self, content: str, pos: Any, font_size: int = 15, color: int = 0xFFFFFF) -> None:
+        """A line of text; the position is its upper left corner."""
+        from PIL import ImageFont
+
+        ((x, y),) = self._points(pos)
+        font = ImageFont.load_default(size=font_size * _SCALE)
+        self._draw.text((x, y), content, fill=_bytes(color), font=font)
+
+    # Frames
+
+    def picture(self) -> Any:
+        """The canvas as a Pillow image of `res` pixels."""
+        from PIL import Image
+
+        return self._image.resize(self.res, Image.Resampling.BOX)
+
+    def get_image(self) -> np.ndarray:
+        """The canvas as an array of shape res + (4,) from 0 to 1, first index to the right."""
+        pixels = np.asarray(self.picture(), np.float32)[::-1].swapaxes(0, 1) / 255
+        return np.concatenate([pixels, np.ones((*self.res, 1), np.float32)], axis=2)
+
+    def show(self, file: str | None = None) -> None:
+        """Ends a frame: writes the picture if there is a place for it, and clears the canvas."""
+        if file is None and self.frames_dir:
+            os.makedirs(self.frames_dir, exist_ok=True)
+            file = os.path.join(self.frames_dir, f"{self.frame:06d}.png")
+        if file is not None:
+            folder = os.path.dirname(str(file))
+            if folder:
+                os.makedirs(folder, exist_ok=True)
+            self.picture().save(str(file))
+        self.frame += 1
+        if self.frame >= self.max_frames:
+            self.running = False
+        self.clear()
+
+    def close(self) -> None:
+        """Ends the program's loop over frames."""
+        self.running = False
+
+    # Nobody is at the keyboard
+
+    def get_event(self, *filters: Any) -> bool:
+        return False
+
+    def get_events(self, *filters: Any) -> list:
+        return []
+
+    def get_key_event(self) -> None:
+        return None
+
+    def is_pressed(self, *keys: Any) -> bool:
+        return False
+
+    def get_cursor_pos(self) -> tuple[float, float]:
+        return (0.5, 0.5)
+
+    def has_key_event(self) -> bool:
+        return False
+
+    def __enter__(self) -> GUI:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.close()

@@ -1,0 +1,52 @@
+"""`ti.lang.impl`: the program behind the package."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from .. import _state, program
+from ..ops import grouped, ndrange, static
+from ..program import root
+
+
+class Runtime:
+    """What `get_runtime()` returns."""
+
+    @property
+    def prog(self) -> program.Program:
+        return program.get_program()
+
+    @property
+    def materialized(self) -> bool:
+        return not self.prog.root.children
+
+    def materialize(self) -> None:
+        """Allocates the fields that were placed."""
+        self.prog.materialize(sys._getframe(1).f_globals)
+
+    def sync(self) -> None:
+        program.sync()
+
+    @property
+    def default_fp(self) -> Any:
+        return _state.options.default_fp
+
+    @property
+    def default_ip(self) -> Any:
+        return _state.options.default_ip
+
+
+_runtime = Runtime()
+
+
+def get_runtime() -> Runtime:
+    return _runtime
+
+
+def current_cfg() -> program.Options:
+    """The options of `ti.init`."""
+    return _state.options
+
+
+__all__ = ["Runtime", "current_cfg", "get_runtime", "grouped", "ndrange", "root", "static"]

@@ -1,0 +1,5 @@
+"""`ti.lang.matrix`."""
+
+from ..matrix import Matrix, Vector
+
+__all__ = ["Matrix", "Vector"]

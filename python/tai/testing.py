@@ -1,0 +1,88 @@
+"""Checks of gradients, for tests and for programs in doubt."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from .ad import Tape
+from .errors import TaiAutodiffError
+
+
+def check_gradient(
+    loss: Any,
+    wrt: Sequence[Any],
+    run: Callable[[], None],
+    tolerance: float = 1e-7,
+    directions: int = 4,
+    seed: int = 0,
+) -> float:
+    """Compares gradients with central differences.
+
+    For each field of `wrt` and each of some random directions (components of both signs), the
+    derivative of the loss along the direction is taken by central differences for a ladder of
+    step sizes, improved by Richardson extrapolation. The best rung is compared.
+
+    Args:
+        loss: the field of the loss; f64, as all fields should be.
+        wrt: fields with gradients.
+        run: runs the kernels from the fields of `wrt` to the loss.
+        tolerance: greatest relative error.
+
+    Returns:
+        The greatest relative error.
+
+    Raises:
+        AssertionError: the error exceeds the tolerance; says for which field.
+        TaiAutodiffError: a field is not f64: differences would be too coarse.
+    """
+    for field in (loss, *wrt):
+        if field.dtype.name != "f64":
+            raise TaiAutodiffError(
+                f"field '{field.name}' is of type {field.dtype}: differences need f64"
+            )
+    with Tape(loss):
+        run()
+    gradients = [field.grad.to_numpy() for field in wrt]
+    generator = np.random.default_rng(seed)
+    worst = 0.0
+    for field, gradient in zip(wrt, gradients, strict=True):
+        start = field.to_numpy()
+
+        def value(array: np.ndarray, field: Any = field) -> float:
+            field.from_numpy(array)
+            run()
+            return loss[None]
+
+        for _ in range(directions):
+            direction = generator.standard_normal(start.shape)
+            direction /= np.linalg.norm(direction)
+            expected = float(np.sum(gradient * direction))
+            error = _best_error(lambda h, d=direction, s=start: value(s + h * d), expected)
+            if not error <= tolerance:
+                field.from_numpy(start)
+                raise AssertionError(
+                    f"the gradient of '{field.name}' along a direction is {expected!r}, but "
+                    f"central differences disagree by {error:.3g} (relative)"
+                )
+            worst = max(worst, error)
+        field.from_numpy(start)
+    run()
+    return worst
+
+
+def _best_error(value: Callable[[float], float], expected: float) -> float:
+    """The least relative error over a ladder of steps."""
+    best, coarse = np.inf, None
+    scale = max(abs(expected), 1e-3)
+    for exponent in range(3, 9):
+        step = 2.0 ** (-2 * exponent + 2)
+        fine = (value(step) - value(-step)) / (2 * step)
+        estimates = [fine]
+        if coarse is not None:  # the last step was four times as large
+            estimates.append(fine + (fine - coarse) / 15)
+        coarse = fine
+        best = min([best, *(abs(e - expected) / scale for e in estimates)])
+    return float(best)

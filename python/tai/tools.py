@@ -1,0 +1,168 @@
+"""`ti.tools`: pictures and videos in files."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+
+from .errors import TaiRuntimeError
+
+
+def cook_image_to_bytes(image: Any) -> np.ndarray:
+    """An array of a field or an array as bytes, rows downward: (height, width, channels)."""
+    pixels = image.to_numpy() if hasattr(image, "to_numpy") else np.asarray(image)
+    if pixels.dtype != np.uint8:
+        if pixels.dtype.kind == "f":
+            pixels = np.clip(np.nan_to_num(pixels), 0, 1) * 255
+        pixels = pixels.astype(np.uint8)
+    if pixels.ndim == 2:
+        pixels = pixels[..., None]
+    return np.ascontiguousarray(pixels.swapaxes(0, 1)[::-1])
+
+
+def imwrite(image: Any, filename: str) -> None:
+    """Writes a picture; the first index of `image` goes to the right, the second one upward."""
+    from PIL import Image
+
+    pixels = cook_image_to_bytes(image)
+    Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(filename)
+
+
+def imread(filename: str, channels: int = 0) -> np.ndarray:
+    """Reads a picture as bytes, first index to the right, second one upward."""
+    from PIL import Image
+
+    mode = {1: "L", 3: "RGB", 4: "RGBA"}.get(channels)
+    with Image.open(filename) as picture:
+        pixels = np.asarray(picture.convert(mode) if mode else picture)
+    return np.ascontiguousarray(pixels[::-1].swapaxes(0, 1))
+
+
+def imresize(image: Any, width: int, height: int | None = None) -> np.ndarray:
+    """The picture in another size, by nearest pixels."""
+    pixels = image.to_numpy() if hasattr(image, "to_numpy") else np.asarray(image)
+    height = width if height is None else height
+    columns = np.arange(width) * pixels.shape[0] // width
+    rows = np.arange(height) * pixels.shape[1] // height
+    return pixels[columns][:, rows]
+
+
+def imshow(image: Any, title: str = "imshow") -> None:
+    """Shows a picture, that is, writes one frame of a `ti.GUI`."""
+    from .gui import GUI
+
+    pixels = image.to_numpy() if hasattr(image, "to_numpy") else np.asarray(image)
+    gui = GUI(title, res=pixels.shape[:2])
+    gui.set_image(pixels)
+    gui.show()
+
+
+def write_gif(frames: list, filename: str, framerate: float = 24) -> None:
+    """Writes Pillow images or arrays (rows downward) as an animation that repeats."""
+    from PIL import Image
+
+    if not frames:
+        raise TaiRuntimeError("an animation needs at least one frame")
+    pictures = [f if isinstance(f, Image.Image) else Image.fromarray(f) for f in frames]
+    colors = [p.convert("P", palette=Image.Palette.ADAPTIVE, colors=64) for p in pictures]
+    colors[0].save(
+        filename, save_all=True, append_images=colors[1:], duration=round(1000 / framerate), loop=0
+    )
+
+
+class VideoManager:
+    """Collects frames in a folder and makes a video of them.
+
+    Args:
+        output_dir: the folder; frames go to `frames` in it.
+        framerate: frames in a second.
+        automatic_build: make the video when the program ends.
+    """
+
+    def __init__(
+        self, output_dir: str, video_filename: str | None = None, framerate: int = 24,
+        automatic_build: bool = True, width: int | None = None, height: int | None = None,
+        post_processor: Any = None,
+    ):  # fmt: skip
+        self.directory, self.framerate = output_dir, framerate
+        self.filename = video_filename or "video"
+        self.post_processor = post_processor
+        self.frame_directory = os.path.join(output_dir, "frames")
+        os.makedirs(self.frame_directory, exist_ok=True)
+        self.frame_fns: list[str] = []
+
+    def get_output_filename(self, suffix: str) -> str:
+        return os.path.join(self.directory, self.filename + suffix)
+
+    def write_frame(self, image: Any) -> None:
+        """Adds a frame; axes as in `imwrite`."""
+        name = os.path.join(self.frame_directory, f"{len(self.frame_fns):06d}.png")
+        imwrite(image if self.post_processor is None else self.post_processor(image), name)
+        self.frame_fns.append(name)
+
+    def make_video(self, mp4: bool = True, gif: bool = True) -> None:
+        """Writes `video.gif` and, where imageio can, `video.mp4`."""
+        from PIL import Image
+
+        pictures = [Image.open(name).convert("RGB") for name in self.frame_fns]
+        if gif:
+            write_gif(pictures, self.get_output_filename(".gif"), self.framerate)
+        if mp4:
+            try:
+                import imageio
+
+                imageio.mimwrite(
+                    self.get_output_filename(".mp4"),
+                    [np.asarray(p) for p in pictures],
+                    fps=self.framerate,
+                )
+            except (ImportError, ValueError) as error:
+                raise TaiRuntimeError(
+                    f"no mp4: {error}", "pip install imageio-ffmpeg, or make_video(mp4=False)"
+                ) from error
+
+
+class Progress:
+    """A progress bar around an iterable: by rich where it is installed, else plain lines.
+
+    ```python
+    bar = ti.tools.Progress(range(100), "optimising")
+    for i in bar:
+        bar.note(f"loss {loss[None]:.3g}")
+    ```
+    """
+
+    def __init__(self, items: Any, title: str):
+        self.items, self.title = items, title
+        self._text = ""
+
+    def note(self, text: str) -> None:
+        """Shows a text beside the bar from now on."""
+        self._text = text
+
+    def __iter__(self) -> Any:
+        import sys
+
+        total = len(self.items)
+        try:
+            from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+            from rich.progress import Progress as Bar
+        except ImportError:
+            Bar = None  # noqa: N806
+        if Bar is None or not sys.stderr.isatty():
+            for count, item in enumerate(self.items, 1):
+                yield item
+                if count % max(1, total // 5) == 0 or count == total:
+                    print(f"{self.title} {count}/{total} {self._text}", file=sys.stderr)
+            return
+        from rich.console import Console
+
+        columns = [TextColumn(self.title), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
+        columns.append(TextColumn("{task.fields[note]}"))
+        with Bar(*columns, console=Console(stderr=True)) as bar:
+            task = bar.add_task("", total=total, note="")
+            for item in self.items:
+                yield item
+                bar.update(task, advance=1, note=self._text)
