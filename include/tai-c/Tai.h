@@ -210,8 +210,8 @@ TAI_EXPORT TaiStatus taiKernelGetIR(TaiKernel kernel, const char *stage,
 //===----------------------------------------------------------------------===//
 
 /// Starts recording the launches of the context. `loss` is a 0-D field with an
-/// adjoint, or null where the caller seeds gradients. With `clear_gradients`,
-/// adjoint fields are cleared first. Tapes do not nest.
+/// adjoint, or null where the caller seeds gradients; it is set to zero. With
+/// `clear_gradients`, adjoint fields are cleared first. Tapes do not nest.
 TAI_EXPORT TaiStatus taiTapeBegin(TaiContext context, TaiField loss,
                                   bool clear_gradients, TaiTape *tape);
 /// Stops recording (the tape can still be run backward and replayed).

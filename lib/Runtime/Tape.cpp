@@ -47,6 +47,12 @@ Status Runtime::beginTape(FieldPtr loss, bool clear,
   }
   if (clear)
     clearGradients();
+  // Losses are summed up, so a tape starts from an empty one.
+  if (loss) {
+    Status status = fillF64(*loss, 0.0);
+    if (!status)
+      return status;
+  }
   tape.reset(new Tape(*this, std::move(loss), ++stamps));
   activeTape = tape.get();
   return Status::success();
@@ -279,7 +285,9 @@ Status Tape::replay(bool forward, bool reverse) {
   if (reverse)
     runtime.clearGradients();
   if (forward) {
-    Status status = runForward();
+    Status status = loss ? runtime.fillF64(*loss, 0.0) : Status::success();
+    if (status)
+      status = runForward();
     if (!status)
       return status;
   }

@@ -186,8 +186,8 @@ __version__ = "0.1.0"
 # Loaded when they are first used: the extension module with libtai behind it, and what
 # draws and writes pictures.
 _LAZY = {
-    "kernel": "kernel", "func": "kernel", "pyfunc": "kernel", "real_func": "kernel",
-    "data_oriented": "kernel", "Kernel": "kernel",
+    "kernel": "_kernel", "func": "_kernel", "pyfunc": "_kernel", "real_func": "_kernel",
+    "data_oriented": "_kernel", "Kernel": "_kernel",
     "Tape": "ad", "clear_all_gradients": "ad", "no_grad": "ad", "grad_replaced": "ad",
     "complex_kernel": "ad", "complex_kernel_grad": "ad",
     "GUI": "gui", "rgb_to_hex": "gui", "hex_to_rgb": "gui",

@@ -38,8 +38,8 @@ def Tai_TapeOp : Tai_Op<"tape", [
     DeclareOpInterfaceMethods<SymbolUserOpInterface>]> {
   let summary = "record launches and propagate gradients back through them";
   let description = [{
-    Clears the adjoint fields, runs the region and records its launches, sets
-    the adjoint of `loss` (a 0-D field with an adjoint) to one, and then runs
+    Clears the adjoint fields and the loss, runs the region and records its
+    launches, sets the adjoint of `loss` (a 0-D field with an adjoint) to one, and then runs
     the adjoints of the recorded launches in reverse order with the recorded
     arguments (paper, section 3.2). Launches that cannot reach the loss are
     skipped.
