@@ -18,9 +18,6 @@ cmake --install build-portable --prefix "$root" --strip >/dev/null
 cp LICENSE "$root/"
 cp docs/portable.md "$root/README.md"
 
-# The libraries that a base system does not hold come along.
-ldd "$root/lib/libtai.so" | awk '$1 ~ /^libtbb/ { print $3 }' | xargs -r cp -L -t "$root/lib"
-
 # Nothing else may be asked of the machine.
 base='^(linux-vdso|lib(c|m|dl|rt|pthread|stdc\+\+|gcc_s)|/lib64/ld-linux.*)\.so'
 for file in "$root"/lib/*.so* "$root"/bin/* "$root"/python/tai/_core*.so; do

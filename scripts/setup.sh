@@ -8,7 +8,7 @@ packages=(
   # LLVM and MLIR, and the libraries that find_package(MLIR) asks for
   llvm-22-dev libmlir-22-dev mlir-22-tools llvm-22-tools clang-22 lld-22
   zlib1g-dev libzstd-dev libcurl4-openssl-dev libedit-dev libxml2-dev
-  # the run time, the build, the tests
+  # the build, the tests; oneTBB for the benchmarks' hand-written programs
   libtbb-dev ninja-build cmake ccache libgtest-dev clang-format-22
   python3 python3-venv python3-dev xz-utils ca-certificates
 )
