@@ -200,8 +200,9 @@ TAI_EXPORT TaiStatus taiKernelsCompile(TaiContext context, TaiKernel *kernels,
                                        int64_t count, bool adjoints);
 
 /// The IR of the kernel at a stage: "tai" as given, "autodiff" with the
-/// adjoint, "scf", "llvm" dialect, "llvmir", "asm". The text belongs to the
-/// kernel and holds until the next call.
+/// adjoint, "scf", "llvm" dialect, "llvmir", "asm". The last four show the
+/// kernel itself; with "adjoint." before the name they show its adjoint. The
+/// text belongs to the kernel and holds until the next call.
 TAI_EXPORT TaiStatus taiKernelGetIR(TaiKernel kernel, const char *stage,
                                     const char **text);
 

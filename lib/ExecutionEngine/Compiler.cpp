@@ -258,30 +258,86 @@ OwningOpRef<ModuleOp> Compiler::runPasses(Worker &worker,
   return module;
 }
 
-/// Translates to LLVM IR with nothing visible but the function to call, so that
-/// LLVM may inline and drop the rest.
-static std::unique_ptr<llvm::Module>
-translate(ModuleOp module, llvm::LLVMContext &llvmContext, StringRef symbol,
-          PhaseTimes &times, Failure &failure) {
+//===----------------------------------------------------------------------===//
+// LLVM
+//===----------------------------------------------------------------------===//
+
+namespace {
+/// A module of LLVM IR with its context, and the tools of a worker to work on
+/// it. After a fatal error inside LLVM nothing of it may be touched again.
+class LLVMJob {
+public:
+  explicit LLVMJob(std::unique_ptr<ObjectCompiler> &objects)
+      : objects(objects), context(std::make_unique<llvm::LLVMContext>()) {}
+  ~LLVMJob() {
+    if (!objects || !objects->isBroken())
+      return;
+    (void)module.release();
+    (void)context.release();
+    (void)objects.release();
+  }
+
+  /// Translates to LLVM IR with nothing visible but the function to call, so
+  /// that LLVM may inline and drop the rest.
+  LogicalResult translate(ModuleOp source, StringRef symbol, PhaseTimes &times,
+                          Failure &failure);
+  LogicalResult optimize(const CodegenOptions &options, PhaseTimes &times,
+                         Failure &failure);
+
+  llvm::Module &getModule() { return *module; }
+  ObjectCompiler &getObjectCompiler() { return *objects; }
+
+private:
+  std::unique_ptr<ObjectCompiler> &objects;
+  std::unique_ptr<llvm::LLVMContext> context;
+  std::unique_ptr<llvm::Module> module;
+};
+} // namespace
+
+LogicalResult LLVMJob::translate(ModuleOp source, StringRef symbol,
+                                 PhaseTimes &times, Failure &failure) {
   PhaseTimer timer(times, Phase::Translate);
-  DiagnosticCollector collector(module.getContext());
-  std::unique_ptr<llvm::Module> llvmModule = translateModuleToLLVMIR(
-      module, llvmContext, symbol, /*disableVerification=*/true);
-  if (!llvmModule) {
+  DiagnosticCollector collector(source.getContext());
+  module = translateModuleToLLVMIR(source, *context, symbol,
+                                   /*disableVerification=*/true);
+  if (!module) {
     failure =
         collector.take(FailureKind::Internal, "translation to LLVM IR failed");
-    return nullptr;
+    return mlir::failure();
   }
-  llvm::Function *entry = llvmModule->getFunction(symbol);
+  llvm::Function *entry = module->getFunction(symbol);
   if (!entry || entry->isDeclaration()) {
     failure = Failure::get(FailureKind::Internal,
                            "no function '" + symbol + "' after lowering");
-    return nullptr;
+    return mlir::failure();
   }
-  for (llvm::GlobalValue &value : llvmModule->global_values())
+  for (llvm::GlobalValue &value : module->global_values())
     if (!value.isDeclaration() && &value != entry)
       value.setLinkage(llvm::GlobalValue::InternalLinkage);
-  return llvmModule;
+  return success();
+}
+
+/// A failure of LLVM, which is a bug of ours: we gave it what it cannot
+/// compile.
+static LogicalResult failInLLVM(llvm::Error error, Failure &failure) {
+  failure =
+      Failure::get(FailureKind::Internal, "code generation failed: " +
+                                              llvm::toString(std::move(error)));
+  return mlir::failure();
+}
+
+LogicalResult LLVMJob::optimize(const CodegenOptions &options,
+                                PhaseTimes &times, Failure &failure) {
+  PhaseTimer timer(times, Phase::Optimize);
+  if (!objects) {
+    auto made = ObjectCompiler::create(options);
+    if (!made)
+      return failInLLVM(made.takeError(), failure);
+    objects = std::move(*made);
+  }
+  if (llvm::Error error = objects->optimize(*module))
+    return failInLLVM(std::move(error), failure);
+  return success();
 }
 
 std::optional<CompiledObject>
@@ -296,29 +352,14 @@ Compiler::compileObject(CompileRequest request, const CompileOptions &options,
     return std::nullopt;
   if (object.symbol.empty())
     return object;
-  llvm::LLVMContext llvmContext;
-  std::unique_ptr<llvm::Module> llvmModule =
-      translate(*module, llvmContext, object.symbol, times, failure);
-  if (!llvmModule)
+  LLVMJob job(worker.objects);
+  if (failed(job.translate(*module, object.symbol, times, failure)) ||
+      failed(job.optimize(options.codegen, times, failure)))
     return std::nullopt;
-  if (!worker.objects) {
-    auto made = ObjectCompiler::create(options.codegen);
-    if (!made) {
-      failure =
-          Failure::get(FailureKind::Internal, llvm::toString(made.takeError()));
-      return std::nullopt;
-    }
-    worker.objects = std::move(*made);
-  }
-  {
-    PhaseTimer timer(times, Phase::Optimize);
-    worker.objects->optimize(*llvmModule);
-  }
   PhaseTimer timer(times, Phase::Emit);
-  auto code = worker.objects->emitObject(*llvmModule);
+  auto code = job.getObjectCompiler().emitObject(job.getModule());
   if (!code) {
-    failure =
-        Failure::get(FailureKind::Internal, llvm::toString(code.takeError()));
+    (void)failInLLVM(code.takeError(), failure);
     return std::nullopt;
   }
   object.code = std::move(*code);
@@ -416,6 +457,12 @@ std::optional<std::string> Compiler::print(CompileRequest request,
                                            StringRef stage,
                                            const CompileOptions &options,
                                            Failure &failure) {
+  if (!llvm::is_contained(getStages(), stage)) {
+    failure = Failure::get(FailureKind::Usage,
+                           "unknown stage '" + stage + "'; the stages are " +
+                               llvm::join(getStages(), ", "));
+    return std::nullopt;
+  }
   std::string text;
   llvm::raw_string_ostream stream(text);
   if (stage == "tai") {
@@ -451,32 +498,17 @@ std::optional<std::string> Compiler::print(CompileRequest request,
     module->print(stream);
     return text;
   }
-  llvm::LLVMContext llvmContext;
-  std::unique_ptr<llvm::Module> llvmModule =
-      translate(*module, llvmContext, object.symbol, times, failure);
-  if (!llvmModule)
+  LLVMJob job(worker.objects);
+  if (failed(job.translate(*module, object.symbol, times, failure)) ||
+      failed(job.optimize(options.codegen, times, failure)))
     return std::nullopt;
-  auto objects = ObjectCompiler::create(options.codegen);
-  if (!objects) {
-    failure = Failure::get(FailureKind::Internal,
-                           llvm::toString(objects.takeError()));
-    return std::nullopt;
-  }
-  (*objects)->optimize(*llvmModule);
   if (stage == "llvmir") {
-    llvmModule->print(stream, nullptr);
+    job.getModule().print(stream, nullptr);
     return text;
   }
-  if (stage != "asm") {
-    failure = Failure::get(FailureKind::Usage,
-                           "unknown stage '" + stage + "'; the stages are " +
-                               llvm::join(getStages(), ", "));
-    return std::nullopt;
-  }
-  auto assembly = (*objects)->emitAssembly(*llvmModule);
+  auto assembly = job.getObjectCompiler().emitAssembly(job.getModule());
   if (!assembly) {
-    failure = Failure::get(FailureKind::Internal,
-                           llvm::toString(assembly.takeError()));
+    (void)failInLLVM(assembly.takeError(), failure);
     return std::nullopt;
   }
   return *assembly;

@@ -16,11 +16,14 @@
 #include "llvm/MC/TargetRegistry.h"
 #include "llvm/Passes/PassBuilder.h"
 #include "llvm/Support/DynamicLibrary.h"
+#include "llvm/Support/ErrorHandling.h"
 #include "llvm/Support/TargetSelect.h"
 #include "llvm/Target/TargetMachine.h"
 #include "llvm/TargetParser/Host.h"
 #include "llvm/TargetParser/SubtargetFeature.h"
 #include "llvm/TargetParser/Triple.h"
+#include <csetjmp>
+#include <mutex>
 
 using namespace llvm;
 using namespace mlir::tai;
@@ -100,7 +103,67 @@ static bool hasVectorMathLibrary() {
   return found;
 }
 
-void ObjectCompiler::optimize(Module &module) {
+//===----------------------------------------------------------------------===//
+// Fatal errors
+//===----------------------------------------------------------------------===//
+
+namespace {
+/// Where a fatal error of LLVM returns to, on a thread that runs LLVM.
+struct FatalTarget {
+  std::jmp_buf place;
+  std::string message;
+};
+} // namespace
+
+static thread_local FatalTarget *fatalTarget = nullptr;
+
+static void onFatalError(void *, const char *message, bool) {
+  if (fatalTarget) {
+    fatalTarget->message = message;
+    std::longjmp(fatalTarget->place, 1);
+  }
+  // Somebody else's error, on another thread: as if there were no handler.
+  errs() << "LLVM ERROR: " << message << '\n';
+}
+
+/// LLVM ends the process where its code generator cannot go on. A compiler that
+/// lives in somebody's program must not, so it leaves by a long jump, as LLVM's
+/// own crash recovery does, but without taking over the process's signals.
+Error ObjectCompiler::guard(function_ref<void()> task) {
+  static std::mutex mutex;
+  static unsigned users = 0;
+  auto count = [](int change) {
+    std::lock_guard<std::mutex> lock(mutex);
+    if (users == 0)
+      install_fatal_error_handler(onFatalError);
+    users += change;
+    if (users == 0)
+      remove_fatal_error_handler();
+  };
+  FatalTarget target;
+  count(1);
+  if (setjmp(target.place) == 0) {
+    fatalTarget = &target;
+    task();
+  } else {
+    broken = true;
+  }
+  fatalTarget = nullptr;
+  count(-1);
+  if (broken)
+    return createStringError(target.message);
+  return Error::success();
+}
+
+//===----------------------------------------------------------------------===//
+// Optimisation
+//===----------------------------------------------------------------------===//
+
+Error ObjectCompiler::optimize(Module &module) {
+  return guard([&] { runPasses(module); });
+}
+
+void ObjectCompiler::runPasses(Module &module) {
   module.setTargetTriple(machine->getTargetTriple());
   module.setDataLayout(machine->createDataLayout());
   if (options.fastMath)
@@ -143,6 +206,10 @@ void ObjectCompiler::optimize(Module &module) {
   passes.run(module, modules);
 }
 
+//===----------------------------------------------------------------------===//
+// Code generation
+//===----------------------------------------------------------------------===//
+
 namespace {
 /// Keeps the first error that code generation reports.
 struct ErrorKeeper : DiagnosticHandler {
@@ -161,17 +228,26 @@ struct ErrorKeeper : DiagnosticHandler {
 };
 } // namespace
 
-static Error emit(TargetMachine &machine, Module &module,
-                  raw_pwrite_stream &stream, CodeGenFileType type) {
+Error ObjectCompiler::emit(Module &module, raw_pwrite_stream &stream,
+                           bool assembly) {
   std::string message;
   module.getContext().setDiagnosticHandler(
       std::make_unique<ErrorKeeper>(message));
-  legacy::PassManager passes;
-  if (machine.addPassesToEmitFile(passes, stream, /*DwoOut=*/nullptr, type,
-                                  /*DisableVerify=*/true))
-    return createStringError("this target cannot emit the file type");
-  passes.run(module);
+  bool supported = true;
+  Error error = guard([&] {
+    legacy::PassManager passes;
+    supported = !machine->addPassesToEmitFile(
+        passes, stream, /*DwoOut=*/nullptr,
+        assembly ? CodeGenFileType::AssemblyFile : CodeGenFileType::ObjectFile,
+        /*DisableVerify=*/true);
+    if (supported)
+      passes.run(module);
+  });
+  if (error)
+    return error;
   module.getContext().setDiagnosticHandler(nullptr);
+  if (!supported)
+    return createStringError("this target cannot emit the file type");
   if (!message.empty())
     return createStringError(message);
   return Error::success();
@@ -180,7 +256,7 @@ static Error emit(TargetMachine &machine, Module &module,
 Expected<SmallVector<char, 0>> ObjectCompiler::emitObject(Module &module) {
   SmallVector<char, 0> object;
   raw_svector_ostream stream(object);
-  if (Error error = emit(*machine, module, stream, CodeGenFileType::ObjectFile))
+  if (Error error = emit(module, stream, /*assembly=*/false))
     return error;
   return object;
 }
@@ -188,8 +264,7 @@ Expected<SmallVector<char, 0>> ObjectCompiler::emitObject(Module &module) {
 Expected<std::string> ObjectCompiler::emitAssembly(Module &module) {
   SmallVector<char, 0> text;
   raw_svector_ostream stream(text);
-  if (Error error =
-          emit(*machine, module, stream, CodeGenFileType::AssemblyFile))
+  if (Error error = emit(module, stream, /*assembly=*/true))
     return error;
   return std::string(text.begin(), text.end());
 }

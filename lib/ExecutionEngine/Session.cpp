@@ -84,6 +84,7 @@ Session::Session() : pool(std::make_unique<InlineThreadPool>()) {
   compiler->loadDialects();
   declarations = ModuleOp::create(UnknownLoc::get(context.get()));
   symbols.emplace(*declarations);
+  printsProfile = llvm::sys::Process::GetEnv("TAI_COMPILE_PROFILE").has_value();
   if (std::optional<std::string> folder =
           llvm::sys::Process::GetEnv("TAI_CACHE_DIR")) {
     useCache(*folder);
@@ -547,9 +548,12 @@ LogicalResult Session::runHost(ModuleOp module, StringRef name) {
 
 FailureOr<std::string> Session::getIR(SessionKernel &kernel, StringRef stage) {
   Failure failure;
-  std::optional<std::string> text = compiler->print(
-      {*kernel.code->module, kernel.code->name, CompileRequest::Goal::Primal},
-      stage, kernel.code->options, failure);
+  CompileRequest::Goal goal = stage.consume_front("adjoint.")
+                                  ? CompileRequest::Goal::Adjoint
+                                  : CompileRequest::Goal::Primal;
+  std::optional<std::string> text =
+      compiler->print({*kernel.code->module, kernel.code->name, goal}, stage,
+                      kernel.code->options, failure);
   if (!text)
     return fail(std::move(failure));
   return *text;

@@ -300,6 +300,27 @@ TEST(CAPIErrors, ChecksInDebugMode) {
   context.ok(taiKernelLaunch(claim, args, 1, nullptr));
 }
 
+TEST(CAPIErrors, CodeGeneratorFailsWithoutAborting) {
+  Context context;
+  context.addFields();
+  // An instruction of another machine: LLVM calls that a fatal error.
+  TaiKernel kernel = context.kernel("k", R"(tai.kernel @k() {
+      %r = llvm.call_intrinsic "llvm.nvvm.read.ptx.sreg.tid.x"() : () -> i32
+      %f = arith.sitofp %r : i32 to f64
+      tai.store %f, @y[] : f64
+      tai.return
+    })");
+  for (int i = 0; i < 2; ++i) {
+    EXPECT_EQ(taiKernelLaunch(kernel, nullptr, 0, nullptr), TAI_ERROR_INTERNAL);
+    EXPECT_TRUE(contains(context.message(), "code generation failed"))
+        << context.message();
+  }
+  TaiKernel good = context.kernel("squares", squares("1.0"));
+  context.ok(taiFieldFillF64(context.x, 1));
+  context.ok(taiKernelLaunch(good, nullptr, 0, nullptr));
+  EXPECT_EQ(context.read(context.y), 4);
+}
+
 TEST(CAPIErrors, Options) {
   Context context;
   EXPECT_EQ(taiContextSetOption(context, "threads", "many"), TAI_ERROR_USAGE);
@@ -310,6 +331,8 @@ TEST(CAPIErrors, Options) {
   context.addFields();
   TaiKernel kernel = context.kernel("squares", squares("1.0"));
   const char *text;
+  context.ok(taiKernelGetIR(kernel, "adjoint.llvm", &text));
+  EXPECT_TRUE(contains(text, "squares_grad"));
   EXPECT_EQ(taiKernelGetIR(kernel, "bytes", &text), TAI_ERROR_USAGE);
   EXPECT_TRUE(contains(context.message(), "autodiff"));
 }

@@ -14,6 +14,7 @@
 #ifndef TAI_EXECUTIONENGINE_OBJECTCOMPILER_H
 #define TAI_EXECUTIONENGINE_OBJECTCOMPILER_H
 
+#include "llvm/ADT/STLFunctionalExtras.h"
 #include "llvm/ADT/SmallVector.h"
 #include "llvm/Support/Error.h"
 #include <memory>
@@ -22,6 +23,7 @@
 namespace llvm {
 class Module;
 class TargetMachine;
+class raw_pwrite_stream;
 } // namespace llvm
 
 namespace mlir::tai {
@@ -60,7 +62,7 @@ public:
   const CodegenOptions &getOptions() const { return options; }
 
   /// Sets the target of the module and runs the optimisation pipeline on it.
-  void optimize(llvm::Module &module);
+  llvm::Error optimize(llvm::Module &module);
 
   /// The object code of an optimised module.
   llvm::Expected<llvm::SmallVector<char, 0>> emitObject(llvm::Module &module);
@@ -68,11 +70,21 @@ public:
   /// The assembly text of an optimised module.
   llvm::Expected<std::string> emitAssembly(llvm::Module &module);
 
+  /// True once LLVM has met a fatal error in here. The module that it was
+  /// given, and this, are then in no state to be used or even destroyed: leak
+  /// them.
+  bool isBroken() const { return broken; }
+
 private:
   explicit ObjectCompiler(const CodegenOptions &options);
+  void runPasses(llvm::Module &module);
+  llvm::Error guard(llvm::function_ref<void()> task);
+  llvm::Error emit(llvm::Module &module, llvm::raw_pwrite_stream &stream,
+                   bool assembly);
 
   CodegenOptions options;
   std::unique_ptr<llvm::TargetMachine> machine;
+  bool broken = false;
 };
 
 } // namespace mlir::tai
