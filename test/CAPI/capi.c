@@ -94,7 +94,7 @@ int main(void) {
   check(create(sumText, "sum", &sum));
   check(taiKernelsCompile(context, &sum, 1, true));
   TaiTape tape;
-  /* 0 + 1 + 4 + 9, and 16 that was there */
+  /* 0 + 1 + 4 + 9: the tape clears the 16 that was there */
   check(taiFieldFillF64(y, 16));
   check(taiTapeBegin(context, y, true, &tape));
   check(taiKernelLaunch(sum, NULL, 0, NULL));
