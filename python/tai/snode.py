@@ -201,30 +201,46 @@ class SNode:
                 yield child
 
     def layout(self) -> str:
-        """This level in the assembly of `!tai.root`, without the prefix."""
-        inner: list[str] = []
-        record: list[str] = []
+        """The tree below the root as a `!tai.root` type."""
+        return f"!tai.root<{', '.join(self._bodies()['primal'])}>"
+
+    def _levels(self) -> list[str]:
+        """This level in the assembly of `!tai.root`, without the prefix.
+
+        A dense level with gradients becomes a level for each role, side by side: a forward
+        kernel then reads and writes whole cache lines of what it needs. Sparse levels keep
+        gradients in the cells of their primals, whose activity they share.
+        """
+        head = ", ".join(
+            f"{AXIS_NAMES[a]}: {n}" for a, n in zip(self.axes, self.extents, strict=True)
+        )
+        chunk = f", chunk {self.chunk}" if self.kind == "dynamic" else ""
+        return [
+            f"{self.kind}<[{head}]{chunk}, {', '.join(inner)}>"
+            for inner in self._bodies().values()
+            if inner
+        ]
+
+    def _bodies(self) -> dict[str, list[str]]:
+        """What the cells hold, for each role that has cells of its own."""
+        bodies: dict[str, list[str]] = {"primal": []}
+        records: dict[str, list[str]] = {}
 
         def close() -> None:
-            if record:
-                inner.append("{" + ", ".join(record) + "}")
-                record.clear()
+            for role, record in records.items():
+                bodies.setdefault(role, []).append("{" + ", ".join(record) + "}")
+            records.clear()
 
         for child in self.children:
             if isinstance(child, SNode):
                 close()
                 if next(child.places(), None) is not None:
-                    inner.append(child.layout())
+                    bodies["primal"].extend(child._levels())
             else:
-                record.append(f"{child.symbol}: {child.mlir_type}")
+                role = child.role if self.kind == "dense" else "primal"
+                records.setdefault(role, []).append(f"{child.symbol}: {child.mlir_type}")
         close()
-        if self.kind == "root":
-            return f"!tai.root<{', '.join(inner)}>"
-        head = ", ".join(
-            f"{AXIS_NAMES[a]}: {n}" for a, n in zip(self.axes, self.extents, strict=True)
-        )
-        chunk = f", chunk {self.chunk}" if self.kind == "dynamic" else ""
-        return f"{self.kind}<[{head}]{chunk}, {', '.join(inner)}>"
+        return bodies
 
     def __repr__(self) -> str:
         if self.kind == "root":
