@@ -79,7 +79,13 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
 
     LLVMConversionTarget target(*context);
     if (failed(applyPartialConversion(module, target, std::move(patterns))))
-      signalPassFailure();
+      return signalPassFailure();
+    // The conversions carry annotations of loops along without knowing them.
+    module.walk([](LLVM::BrOp branch) {
+      if (auto annotation = dyn_cast_if_present<LLVM::LoopAnnotationAttr>(
+              branch->removeDiscardableAttr("llvm.loop_annotation")))
+        branch.setLoopAnnotationAttr(annotation);
+    });
   }
 };
 

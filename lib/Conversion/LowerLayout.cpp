@@ -145,6 +145,21 @@ static std::string describe(const FieldInfo &field) {
   return text;
 }
 
+/// The group of the independent loop around an access, if there is one. Arrays
+/// may be one another, but iterations do not communicate through them either.
+static ArrayAttr getAccessGroup(Operation *op) {
+  auto loop = op->getParentOfType<ParallelForOp>();
+  if (!loop || !loop->hasAttr(kIndependentAttrName))
+    return {};
+  MLIRContext *context = op->getContext();
+  auto group = loop->getAttrOfType<LLVM::AccessGroupAttr>(kAccessGroupAttrName);
+  if (!group) {
+    group = LLVM::AccessGroupAttr::get(context);
+    loop->setAttr(kAccessGroupAttrName, group);
+  }
+  return ArrayAttr::get(context, {group});
+}
+
 LogicalResult AccessLowering::lowerField(Operation *op) {
   OpBuilder builder(op);
   Location loc = op->getLoc();
@@ -201,6 +216,7 @@ LogicalResult AccessLowering::lowerField(Operation *op) {
   }
 
   AliasScopes scopes = fields.getScopes(field);
+  scopes.groups = getAccessGroup(op);
   Value base = getFieldBase(field);
   guard(builder, op, inRange, [&](OpBuilder &b) -> Value {
     Value offset = emitElementOffset(b, loc, field, zeroBased, components);
@@ -260,11 +276,12 @@ void AccessLowering::lowerArray(Operation *op) {
   Value inRange = checkRange(builder, loc, indices, extents, what, indices);
   guard(builder, op, inRange, [&](OpBuilder &b) -> Value {
     Type scalar = type.getElementType();
+    AliasScopes scopes = fields.getArrayScopes();
+    scopes.groups = getAccessGroup(op);
     Value pointer = emitArrayPointer(b, loc, array, indices, extents);
     if (load)
-      return emitLoad(b, loc, scalar, pointer, fields.getArrayScopes());
-    emitStore(b, loc, store.getValueToStore(), pointer,
-              fields.getArrayScopes());
+      return emitLoad(b, loc, scalar, pointer, scopes);
+    emitStore(b, loc, store.getValueToStore(), pointer, scopes);
     return {};
   });
   op->erase();

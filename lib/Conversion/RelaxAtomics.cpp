@@ -58,7 +58,10 @@ private:
 /// Runs the loop on one thread, where every update is plain.
 void LoopRelaxation::serialize() {
   loop.setSerialize(true);
-  loop.walk([](AtomicOp atomic) { atomic.setExclusive(true); });
+  loop.walk([](AtomicOp atomic) {
+    atomic->removeAttr(kAccumulateAttrName);
+    atomic.setExclusive(true);
+  });
 }
 
 /// Integer updates give the same result in any order, unless somebody looks at
@@ -154,13 +157,6 @@ LogicalResult LoopRelaxation::run() {
   // they tell which part of a field is updated.
   moveLoopInvariantCode(cast<LoopLikeOpInterface>(loop.getOperation()));
 
-  std::optional<int64_t> iterations = getNumIterations(loop);
-  if (iterations && *iterations * estimateNanoseconds(loop.getBody().front()) <
-                        kForkNanoseconds) {
-    serialize();
-    return success();
-  }
-
   llvm::MapVector<Attribute, FieldAccesses> places;
   WalkResult result = loop.walk([&](Operation *op) {
     if (!isa<LoadOp, StoreOp, AtomicOp>(op))
@@ -183,19 +179,26 @@ LogicalResult LoopRelaxation::run() {
     if (!accesses.atomics.empty())
       relaxField(accesses);
 
-  if (!deterministic)
-    return success();
-  // What is left of float accumulations depends on timing.
-  bool dependsOnTiming = false;
+  // Sums in registers are no memory.
+  bool inMemory = false, dependsOnTiming = false;
   loop.walk([&](AtomicOp atomic) {
-    dependsOnTiming |= !atomic.getExclusive() &&
-                       !atomic->hasAttr(kAccumulateAttrName) &&
-                       !isIndependentOfTiming(atomic);
+    if (atomic.getExclusive())
+      return;
+    auto strategy = atomic->getAttrOfType<StringAttr>(kAccumulateAttrName);
+    inMemory |= !strategy || strategy.getValue() != kRegister;
+    dependsOnTiming |= !strategy && !isIndependentOfTiming(atomic);
   });
-  if (dependsOnTiming) {
-    loop.walk([](AtomicOp atomic) { atomic->removeAttr(kAccumulateAttrName); });
+
+  std::optional<int64_t> iterations = getNumIterations(loop);
+  bool isSmall =
+      iterations && *iterations * estimateNanoseconds(loop.getBody().front()) <
+                        kForkNanoseconds;
+  if (isSmall || (deterministic && dependsOnTiming)) {
+    loop.walk([&](AtomicOp atomic) { inMemory |= !atomic.getExclusive(); });
     serialize();
   }
+  if (!inMemory)
+    loop->setAttr(kIndependentAttrName, UnitAttr::get(loop.getContext()));
   return success();
 }
 

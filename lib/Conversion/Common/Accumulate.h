@@ -16,6 +16,13 @@ namespace mlir::tai {
 /// "private". Absent: atomic, or plain if exclusive.
 constexpr llvm::StringLiteral kAccumulateAttrName = "tai.accumulate";
 
+/// On tai.parallel_for: no iteration touches memory that another writes, so
+/// that LLVM may vectorise over them whatever the addresses.
+constexpr llvm::StringLiteral kIndependentAttrName = "tai.independent";
+
+/// On tai.parallel_for: the group that its accesses were put into.
+constexpr llvm::StringLiteral kAccessGroupAttrName = "tai.access_group";
+
 /// On tai.assert: the TaiFailure it reports (see tai/Runtime/Abi.h). Absent:
 /// that of the user's own assertion, which only debug mode keeps.
 constexpr llvm::StringLiteral kFailureAttrName = "tai.failure";

@@ -82,7 +82,8 @@ AliasScopes FieldTable::getScopes(LLVM::AliasScopeAttr scope) {
         list.push_back(other);
     others = ArrayAttr::get(context, list);
   }
-  return {ArrayAttr::get(context, {scope}), others.empty() ? nullptr : others};
+  return {ArrayAttr::get(context, {scope}), others.empty() ? nullptr : others,
+          nullptr};
 }
 
 AliasScopes FieldTable::getScopes(const FieldInfo &field) {
@@ -244,6 +245,7 @@ Value tai::emitLoad(OpBuilder &builder, Location loc, Type scalar,
   auto load = LLVM::LoadOp::create(builder, loc, storage, pointer);
   load.setAliasScopesAttr(scopes.own);
   load.setNoaliasScopesAttr(scopes.others);
+  load.setAccessGroupsAttr(scopes.groups);
   if (scalar.isInteger(1))
     return arith::TruncIOp::create(builder, loc, scalar, load);
   if (scalar.isIndex())
@@ -261,4 +263,5 @@ void tai::emitStore(OpBuilder &builder, Location loc, Value value,
   auto store = LLVM::StoreOp::create(builder, loc, value, pointer);
   store.setAliasScopesAttr(scopes.own);
   store.setNoaliasScopesAttr(scopes.others);
+  store.setAccessGroupsAttr(scopes.groups);
 }

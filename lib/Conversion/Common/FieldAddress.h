@@ -20,9 +20,11 @@
 
 namespace mlir::tai {
 
-/// The scope of an access, and those that it does not overlap; may be null.
+/// What LLVM is told of an access; each may be null: its scope, the scopes that
+/// it does not overlap, and the groups of accesses that do not depend on those
+/// of other iterations.
 struct AliasScopes {
-  ArrayAttr own, others;
+  ArrayAttr own, others, groups;
 };
 
 /// What the lowering needs to know about one field.

@@ -59,17 +59,24 @@ struct Box {
 };
 } // namespace
 
-/// Moves the body of `loop` to the end of `block`, before its terminator if it
-/// has one, with the given induction variables.
-static void moveBody(ParallelForOp loop, Block *block, ValueRange ivs) {
+/// Moves the body of `loop` into the innermost of the loops that take its
+/// place, with the given induction variables.
+static void moveBody(ParallelForOp loop, scf::ForOp innermost, ValueRange ivs) {
+  Block *block = innermost.getBody();
   Block &body = loop.getBody().front();
   for (auto [argument, iv] : llvm::zip(body.getArguments(), ivs))
     argument.replaceAllUsesWith(iv);
   body.getTerminator()->erase();
-  auto at = block->end();
-  if (!block->empty() && block->back().hasTrait<OpTrait::IsTerminator>())
-    at = std::prev(at);
-  block->getOperations().splice(at, body.getOperations());
+  block->getOperations().splice(block->getTerminator()->getIterator(),
+                                body.getOperations());
+  // The loop says that accesses of this group do not depend on one another.
+  auto group = loop->getAttrOfType<LLVM::AccessGroupAttr>(kAccessGroupAttrName);
+  if (!group)
+    return;
+  auto annotation = LLVM::LoopAnnotationAttr::get(
+      loop.getContext(), /*disableNonforced=*/{}, {}, {}, {}, {}, {}, {}, {},
+      {}, {}, {}, {}, {}, {}, ArrayRef(group));
+  innermost->setAttr("llvm.loop_annotation", annotation);
 }
 
 static scf::ForOp createFor(OpBuilder &builder, Location loc, Value lower,
@@ -82,12 +89,11 @@ static scf::ForOp createFor(OpBuilder &builder, Location loc, Value lower,
 static void lowerSerially(ParallelForOp loop, const Box &box) {
   OpBuilder builder(loop);
   SmallVector<Value> ivs;
-  Block *innermost = nullptr;
+  scf::ForOp innermost;
   for (auto [lower, upper] : llvm::zip(box.lower, box.upper)) {
-    auto nested = createFor(builder, loop.getLoc(), lower, upper);
-    ivs.push_back(nested.getInductionVar());
-    innermost = nested.getBody();
-    builder.setInsertionPointToStart(innermost);
+    innermost = createFor(builder, loop.getLoc(), lower, upper);
+    ivs.push_back(innermost.getInductionVar());
+    builder.setInsertionPointToStart(innermost.getBody());
   }
   moveBody(loop, innermost, ivs);
   loop.erase();
@@ -117,7 +123,7 @@ static void emitPartition(OpBuilder &builder, ParallelForOp loop,
   if (box.rank() == 1) {
     auto inner =
         createFor(builder, loc, math.add(lower, begin), math.add(lower, end));
-    return moveBody(loop, inner.getBody(), inner.getInductionVar());
+    return moveBody(loop, inner, inner.getInductionVar());
   }
 
   Value extent = box.extent.back();
@@ -138,7 +144,7 @@ static void emitPartition(OpBuilder &builder, ParallelForOp loop,
   }
   auto inner = createFor(builder, loc, from, to);
   ivs.push_back(inner.getInductionVar());
-  moveBody(loop, inner.getBody(), ivs);
+  moveBody(loop, inner, ivs);
 }
 
 LogicalResult

@@ -79,7 +79,7 @@ static std::optional<Split> matchSplit(scf::IfOp branch) {
 /// of the branch.
 static void createPart(OpBuilder &builder, Split &split, Value lower,
                        Value upper, Block &side) {
-  scf::ForOp::create(
+  auto part = scf::ForOp::create(
       builder, split.loop.getLoc(), lower, upper, split.loop.getStep(),
       ValueRange(), [&](OpBuilder &nested, Location loc, Value iv, ValueRange) {
         IRMapping mapping;
@@ -94,6 +94,8 @@ static void createPart(OpBuilder &builder, Split &split, Value lower,
         }
         scf::YieldOp::create(nested, loc);
       });
+  // What is known of the iterations of the loop is known of these.
+  part->setDiscardableAttrs(split.loop->getDiscardableAttrDictionary());
 }
 
 static void apply(Split &split) {
