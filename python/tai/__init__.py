@@ -71,9 +71,9 @@ from .errors import (
     TaiSyntaxError,
     TaiTypeError,
 )
-from .field import Field, MatrixField, ScalarField, field
+from .fields import Field, MatrixField, ScalarField, field
 from .matrix import Matrix, Vector
-from .ndarray import Ndarray, ndarray
+from .arrays import Ndarray, ndarray
 from .ops import (
     abs,
     acos,
@@ -186,8 +186,8 @@ __version__ = "0.1.0"
 # Loaded when they are first used: the extension module with libtai behind it, and what
 # draws and writes pictures.
 _LAZY = {
-    "kernel": "_kernel", "func": "_kernel", "pyfunc": "_kernel", "real_func": "_kernel",
-    "data_oriented": "_kernel", "Kernel": "_kernel",
+    "kernel": "kernels", "func": "kernels", "pyfunc": "kernels", "real_func": "kernels",
+    "data_oriented": "kernels", "Kernel": "kernels",
     "Tape": "ad", "clear_all_gradients": "ad", "no_grad": "ad", "grad_replaced": "ad",
     "complex_kernel": "ad", "complex_kernel_grad": "ad",
     "GUI": "gui", "rgb_to_hex": "gui", "hex_to_rgb": "gui",

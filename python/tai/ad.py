@@ -32,7 +32,7 @@ class Tape:
         self, loss: Any = None, clear_gradients: bool = True, validation: bool = False,
         grad_check: Any = None,
     ):  # fmt: skip
-        from .field import ScalarField
+        from .fields import ScalarField
 
         if grad_check:
             raise TaiAutodiffError(

@@ -300,7 +300,7 @@ class Matrix:
         layout: str = "aos", ndim: int | None = None,
     ) -> Any:  # fmt: skip
         """A field of n×m matrices; for the other arguments see `ti.field`."""
-        from .field import make_field
+        from .fields import make_field
 
         return make_field(
             (_extent(n), _extent(m)), dtype, shape, order, name or None, offset, needs_grad,
@@ -310,7 +310,7 @@ class Matrix:
     @staticmethod
     def ndarray(n: int, m: int, dtype: Any, shape: Any) -> Any:
         """An array of n×m matrices."""
-        from .ndarray import Ndarray
+        from .arrays import Ndarray
 
         return Ndarray(dtype, shape, (n, m))
 
@@ -327,7 +327,7 @@ class Vector(Matrix):
         layout: str = "aos",
     ) -> Any:  # fmt: skip
         """A field of vectors of n components; for the other arguments see `ti.field`."""
-        from .field import make_field
+        from .fields import make_field
 
         return make_field(
             (_extent(n),), dtype, shape, order, name or None, offset, needs_grad, needs_dual,
@@ -337,7 +337,7 @@ class Vector(Matrix):
     @staticmethod
     def ndarray(n: int, dtype: Any, shape: Any) -> Any:
         """An array of vectors of n components."""
-        from .ndarray import Ndarray
+        from .arrays import Ndarray
 
         return Ndarray(dtype, shape, (n,))
 

@@ -140,7 +140,7 @@ class Program:
 
 def name_fields(namespace: dict[str, Any]) -> None:
     """Names the fields that variables of `namespace` hold, where they have no name yet."""
-    from .field import Field
+    from .fields import Field
 
     for name, value in list(namespace.items()):
         if isinstance(value, Field):

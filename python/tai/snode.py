@@ -9,7 +9,7 @@ from . import _state
 from .errors import TaiRuntimeError, TaiRuntimeTypeError
 
 if TYPE_CHECKING:
-    from .field import Field, ScalarField
+    from .fields import Field, ScalarField
     from .program import Program
 
 AXIS_NAMES = "ijklmnopqrst"

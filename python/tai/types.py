@@ -77,7 +77,7 @@ class MatrixType:
 
     def ndarray(self, shape: Any) -> Any:
         """An array of such elements."""
-        from .ndarray import Ndarray
+        from .arrays import Ndarray
 
         return Ndarray(self.dtype, shape, self.shape)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from .. import ops
 from ..errors import TaiSyntaxError, TaiTypeError
-from ..field import Field
+from ..fields import Field
 from .expressions import FormattedText
 from .refs import Place, Variable
 from .scope import Bound, Frame

@@ -748,7 +748,7 @@ def _name(thing: Any) -> str:
 
 def describe_misuse(thing: Any) -> str:
     """Why `thing` is no number."""
-    from ..field import Field
+    from ..fields import Field
 
     if isinstance(thing, Field):
         return f"field '{thing.name}' stands where a number is needed"
@@ -761,7 +761,7 @@ def describe_misuse(thing: Any) -> str:
 
 
 def misuse_hint(thing: Any) -> str | None:
-    from ..field import Field
+    from ..fields import Field
 
     if isinstance(thing, Field):
         indices = (

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..dtypes import DataType, promote, u1
 from ..errors import TaiNameError, TaiSyntaxError, TaiTypeError, did_you_mean
-from ..field import Field
+from ..fields import Field
 from ..matrix import swizzle
 from .emitter import describe_misuse, misuse_hint
 from .refs import ArrayArgument, Part, Place, Variable, VariablePlace, field_element

@@ -8,7 +8,7 @@ from typing import Any
 from .. import ops
 from ..dtypes import DataType, i32, promote, u1
 from ..errors import TaiSyntaxError, TaiTypeError
-from ..field import ComponentField, Field, MatrixField, ScalarField
+from ..fields import ComponentField, Field, MatrixField, ScalarField
 from ..snode import SNode
 from .refs import ArrayArgument, FieldElement, Variable, use_field
 from .scope import Bound, Loop

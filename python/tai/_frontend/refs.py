@@ -6,7 +6,7 @@ from typing import Any
 
 from ..dtypes import DataType
 from ..errors import TaiAutodiffError, TaiIndexError, TaiRuntimeError, TaiTypeError
-from ..field import ComponentField, Field, MatrixField, ScalarField
+from ..fields import ComponentField, Field, MatrixField, ScalarField
 from .emitter import Emitter
 from .value import MatrixValue, Value
 

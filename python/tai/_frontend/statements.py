@@ -10,7 +10,7 @@ import numpy as np
 
 from ..dtypes import u1
 from ..errors import TaiSyntaxError, TaiTypeError
-from ..field import Field
+from ..fields import Field
 from .expressions import BINARY, FormattedText
 from .refs import ArrayArgument, Place, Variable, VariablePlace
 from .scope import Bound, Loop
