@@ -205,9 +205,9 @@ Value tai::emitFieldBase(OpBuilder &builder, Location loc,
       FlatSymbolRefAttr::get(TreeOp(field.layout.tree).getSymNameAttr()));
   if (field.storage.offset == 0)
     return base;
-  // A constant of a GEP has 32 bits; trees may be larger.
+  // A constant of a GEP has 29 bits; trees may be larger.
   LLVM::GEPArg offset = static_cast<int32_t>(field.storage.offset);
-  if (!llvm::isInt<32>(field.storage.offset))
+  if (!llvm::isInt<29>(field.storage.offset))
     offset = IndexMath(builder, loc)
                  .toI64(IndexMath(builder, loc).constant(field.storage.offset));
   return LLVM::GEPOp::create(
