@@ -24,6 +24,7 @@ from __future__ import annotations
 from typing import Any
 
 from . import dtypes, types
+from .arrays import Ndarray, ndarray
 from .dtypes import (
     f16,
     f32,
@@ -73,7 +74,6 @@ from .errors import (
 )
 from .fields import Field, MatrixField, ScalarField, field
 from .matrix import Matrix, Vector
-from .arrays import Ndarray, ndarray
 from .ops import (
     abs,
     acos,
