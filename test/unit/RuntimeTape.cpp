@@ -566,10 +566,10 @@ TEST(RuntimeHost, ChecksGradients) {
   program.kernels["step"] = scene.sineOf(scene.x, scene.y);
   program.kernels["sum"] = scene.squaresOf(scene.y);
   scene.startAt(0.3);
-  set(*scene.loss, {}, 10); // accumulated onto, each time from the same value
+  set(*scene.loss, {}, 10); // a tape starts from an empty loss
   ASSERT_OK(program.run(checkX));
   // Everything is as the tape left it.
-  double loss = 10;
+  double loss = 0;
   for (int64_t i = 0; i < n; ++i) {
     EXPECT_EQ(get(*scene.x, {i}), 0.3 + 0.1 * double(i));
     EXPECT_NEAR(get(*scene.x->adjoint(), {i}), scene.expected(0.3, i, 2),
