@@ -35,11 +35,13 @@ tools = [ToolSubst(tool, unresolved="ignore") for tool in tai_tools]
 tools += [
     ToolSubst("mlir-opt-22", os.path.join(config.llvm_tools_dir, "mlir-opt")),
     ToolSubst("split-file", os.path.join(config.llvm_tools_dir, "split-file")),
+    ToolSubst("mlir-runner", os.path.join(config.llvm_tools_dir, "mlir-runner")),
     ToolSubst("mlir-translate-22", os.path.join(config.llvm_tools_dir, "mlir-translate")),
 ]
 llvm_config.add_tool_substitutions(tools, [config.tai_tools_dir, config.llvm_tools_dir])
 config.substitutions.append(("%tai_plugin", config.tai_plugin))
 config.substitutions.append(("%tai_lib", config.tai_lib_dir))
+config.substitutions.append(("%llvm_lib", os.path.join(config.llvm_tools_dir, "..", "lib")))
 config.substitutions.append(("%tai_src", config.tai_source_dir))
 config.substitutions.append(("%python", config.python_executable))
 

@@ -156,6 +156,54 @@ LogicalResult AdjointBuilder::reverseAccess(Operation *op) {
   return success();
 }
 
+/// The ops of the block of `value` that make it from reads, as far as they are
+/// active. False if one of them cannot be swept by itself, or they are many.
+static bool collectMakers(AdjointBuilder &b, Value value,
+                          llvm::SetVector<Operation *> &makers) {
+  constexpr unsigned kMany = 32;
+  Block *block = value.getParentBlock();
+  SmallVector<Value> pending = {value};
+  while (!pending.empty()) {
+    Operation *op = pending.pop_back_val().getDefiningOp();
+    if (!op || op->getBlock() != block || op->getNumRegions() != 0)
+      return false;
+    if (!makers.insert(op))
+      continue;
+    if (makers.size() > kMany)
+      return false;
+    if (isa<DifferentiableAccessInterface>(op))
+      continue;
+    if (!isa<DifferentiableOpInterface>(op))
+      return false;
+    for (Value operand : op->getOperands())
+      if (b.isActive(operand))
+        pending.push_back(operand);
+  }
+  return true;
+}
+
+void AdjointBuilder::sweepCaptured() {
+  Frame &frame = *current;
+  llvm::SetVector<Operation *> all;
+  for (auto &[value, entry] : frame.adjoints) {
+    llvm::SetVector<Operation *> makers;
+    if (value.getParentBlock() == frame.parent->primal &&
+        collectMakers(*this, value, makers))
+      all.insert(makers.begin(), makers.end());
+  }
+  SmallVector<Operation *> ordered = all.takeVector();
+  llvm::sort(ordered, [](Operation *lhs, Operation *rhs) {
+    return rhs->isBeforeInBlock(lhs);
+  });
+  for (Operation *op : ordered) {
+    setLoc(op->getLoc());
+    if (failed(reverseOp(op)))
+      hasErrors = true;
+    for (Value result : op->getResults())
+      frame.adjoints.erase(result);
+  }
+}
+
 //===----------------------------------------------------------------------===//
 // Sums of adjoints
 //===----------------------------------------------------------------------===//

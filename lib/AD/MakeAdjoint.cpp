@@ -61,6 +61,49 @@ static FunctionOpInterface createShell(FunctionOpInterface function,
   return shell;
 }
 
+/// Makes accumulations into arrays plain where no other iteration can reach the
+/// element, and refuses those that would have to be atomic but cannot.
+static LogicalResult finishArrayAccumulations(FunctionOpInterface function) {
+  llvm::MapVector<std::pair<Operation *, Value>, SmallVector<Operation *>>
+      groups;
+  function.walk([&](Operation *op) {
+    if (!isa<memref::AtomicRMWOp, memref::StoreOp>(op))
+      return;
+    Value memref =
+        cast<DifferentiableAccessInterface>(op).getAccessedStorage().memref;
+    if (isa<BlockArgument>(memref))
+      groups[{getEnclosingParallelLoop(op), memref}].push_back(op);
+  });
+  for (auto &[key, writes] : groups) {
+    SmallVector<SmallVector<LinearIndex>> indices =
+        llvm::map_to_vector(writes, [](Operation *op) {
+          return getLinearIndices(
+              cast<DifferentiableAccessInterface>(op).getAccessIndices());
+        });
+    bool exclusive = !key.first || isExclusive(key.first, indices);
+    for (Operation *write : writes) {
+      if (!exclusive && write->hasAttr(kPlainAccumulation))
+        return write->emitError()
+               << "the gradient of an array of vectors is accumulated by "
+                  "iterations that run at the same time, which is not "
+                  "supported; use an array of scalars, or a field";
+      write->removeAttr(kPlainAccumulation);
+      auto atomic = dyn_cast<memref::AtomicRMWOp>(write);
+      if (!exclusive || !atomic)
+        continue;
+      OpBuilder builder(atomic);
+      Value old = memref::LoadOp::create(
+          builder, atomic.getLoc(), atomic.getMemref(), atomic.getIndices());
+      Value sum = arith::AddFOp::create(builder, atomic.getLoc(), old,
+                                        atomic.getValue());
+      memref::StoreOp::create(builder, atomic.getLoc(), sum, atomic.getMemref(),
+                              atomic.getIndices());
+      atomic.erase();
+    }
+  }
+  return success();
+}
+
 /// Fills the adjoint of `function`.
 static LogicalResult fillAdjoint(FunctionOpInterface function,
                                  FunctionOpInterface shell, bool arrays) {
@@ -88,7 +131,7 @@ static LogicalResult fillAdjoint(FunctionOpInterface function,
   else
     func::ReturnOp::create(builder);
   markExclusiveAtomics(shell);
-  return success();
+  return finishArrayAccumulations(shell);
 }
 
 namespace {
@@ -120,7 +163,16 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
           "cannot differentiate a function of several blocks; structured "
           "control flow is expected");
     std::string name = (function.getName() + "_grad").str();
-    if (Operation *taken = symbols.lookup(name)) {
+    Operation *taken = symbols.lookup(name);
+    bool arrays = arrayAdjoints || !isa<KernelOp>(function.getOperation());
+    // A declaration lets the module call an adjoint that is yet to be made.
+    if (auto declared = dyn_cast_if_present<func::FuncOp>(taken);
+        declared && declared.isExternal() &&
+        declared.getFunctionType() == getAdjointType(function, arrays)) {
+      symbols.erase(declared);
+      taken = nullptr;
+    }
+    if (taken) {
       InFlightDiagnostic diag = function.emitError()
                                 << "cannot make the adjoint '@" << name
                                 << "': the name is taken";
@@ -128,7 +180,6 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
       return diag;
     }
     // The arguments of a function are all that it can be differentiated by.
-    bool arrays = arrayAdjoints || !isa<KernelOp>(function.getOperation());
     FunctionOpInterface shell = createShell(function, name, arrays);
     if (failed(fillAdjoint(function, shell, arrays))) {
       shell.erase();

@@ -20,6 +20,10 @@ mlir::tai::reverseParallelBody(AdjointBuilder &b, Operation *loop,
   // One buffer for each captured value, of one element for each component.
   SmallVector<std::pair<Value, Value>> sums;
   auto end = [&](Frame &frame) {
+    // Most captured values come from a few reads. What each iteration
+    // contributes to them is added to the adjoint fields at once, which the
+    // lowering of accumulations knows how to do fast and in a fixed order.
+    b.sweepCaptured();
     for (auto [value, adjoint] : b.takeCaptured(frame)) {
       Type type = value.getType();
       auto vector = dyn_cast<VectorType>(type);

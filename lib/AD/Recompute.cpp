@@ -212,6 +212,41 @@ Value AdjointBuilder::createTripCount(scf::ForOp loop) {
   return count;
 }
 
+// A vector is kept component by component, so that what lowers the adjoint need
+// not know memrefs of vectors.
+
+static MemRefType getHistoryType(Type type) {
+  SmallVector<int64_t> shape = {ShapedType::kDynamic};
+  if (auto vector = dyn_cast<VectorType>(type))
+    shape.push_back(vector.getNumElements());
+  return MemRefType::get(shape, getElementTypeOrSelf(type));
+}
+
+static void storeHistory(AdjointBuilder &b, Value value, Value buffer,
+                         Value position) {
+  auto vector = dyn_cast<VectorType>(value.getType());
+  if (!vector) {
+    memref::StoreOp::create(b, value, buffer, position);
+    return;
+  }
+  for (int64_t i = 0, e = vector.getNumElements(); i != e; ++i)
+    memref::StoreOp::create(
+        b, b.createExtract(value, i), buffer,
+        ValueRange{position, arith::ConstantIndexOp::create(b, i)});
+}
+
+static Value loadHistory(AdjointBuilder &b, Type type, Value buffer,
+                         Value position) {
+  auto vector = dyn_cast<VectorType>(type);
+  if (!vector)
+    return memref::LoadOp::create(b, buffer, position);
+  SmallVector<Value> components;
+  for (int64_t i = 0, e = vector.getNumElements(); i != e; ++i)
+    components.push_back(memref::LoadOp::create(
+        b, buffer, ValueRange{position, arith::ConstantIndexOp::create(b, i)}));
+  return b.createVector(vector, components);
+}
+
 Value AdjointBuilder::materializeArgument(Frame &frame,
                                           BlockArgument argument) {
   auto primalLoop = dyn_cast<scf::ForOp>(frame.primal->getParentOp());
@@ -241,8 +276,8 @@ Value AdjointBuilder::materializeArgument(Frame &frame,
     setLoc(primalLoop.getLoc());
     Value zero = arith::ConstantIndexOp::create(*this, 0);
     Value size = createOrFold<arith::MaxSIOp>(count, zero);
-    auto type = MemRefType::get({ShapedType::kDynamic}, argument.getType());
-    buffer = memref::AllocOp::create(*this, type, size);
+    buffer = memref::AllocOp::create(*this, getHistoryType(argument.getType()),
+                                     size);
     // One element for each iteration, written where the iteration begins.
     setInsertionPointToStart(loop.getBody());
     Value position = loop.getInductionVar();
@@ -252,11 +287,10 @@ Value AdjointBuilder::materializeArgument(Frame &frame,
       position = arith::DivSIOp::create(*this, position, loop.getStep());
     if (!position.getType().isIndex())
       position = arith::IndexCastOp::create(*this, getIndexType(), position);
-    memref::StoreOp::create(*this, loop.getRegionIterArg(index), buffer,
-                            position);
+    storeHistory(*this, loop.getRegionIterArg(index), buffer, position);
   }
   setInsertionPoint(frame.recomputeBegin);
-  Value value = memref::LoadOp::create(*this, buffer, frame.iteration);
+  Value value = loadHistory(*this, argument.getType(), buffer, frame.iteration);
   frame.values.map(argument, value);
   return value;
 }

@@ -202,25 +202,28 @@ AffineMap mlir::tai::getAffineMap(Operation *access, ValueRange indices) {
   if (!function || function.isExternal())
     return {};
   MLIRContext *context = access->getContext();
-  DenseMap<Value, AffineExpr> exprs;
+  // In a fixed order: terms are sorted by address.
+  SmallVector<std::pair<Value, AffineExpr>> exprs;
   SmallVector<Value> dims = getEnclosingInductionVars(access);
   for (auto [i, iv] : llvm::enumerate(dims))
-    exprs[iv] = getAffineDimExpr(i, context);
+    exprs.emplace_back(iv, getAffineDimExpr(i, context));
   unsigned symbols = 0;
   for (BlockArgument argument : function.getArguments())
     if (argument.getType().isIntOrIndex())
-      exprs[argument] = getAffineSymbolExpr(symbols++, context);
+      exprs.emplace_back(argument, getAffineSymbolExpr(symbols++, context));
   SmallVector<AffineExpr> results;
   for (Value index : indices) {
     LinearIndex form = getLinearIndex(index);
-    AffineExpr expr = getAffineConstantExpr(form.constant, context);
-    for (auto [value, coefficient] : form.terms) {
-      AffineExpr term = exprs.lookup(value);
-      if (!term || form.mayWrap)
-        return {};
-      expr = term * coefficient + expr;
-    }
-    results.push_back(expr);
+    AffineExpr expr = getAffineConstantExpr(0, context);
+    size_t used = 0;
+    for (auto [value, unit] : exprs)
+      if (int64_t coefficient = form.getCoefficient(value)) {
+        expr = expr + unit * coefficient;
+        ++used;
+      }
+    if (used != form.terms.size() || form.mayWrap)
+      return {};
+    results.push_back(expr + form.constant);
   }
   return AffineMap::get(dims.size(), symbols, results, context);
 }
@@ -249,6 +252,20 @@ const void *mlir::tai::getStorageKey(Operation *op) {
   if (auto access = dyn_cast<DifferentiableAccessInterface>(op))
     return access.getAccessedStorage().getOpaque();
   return nullptr;
+}
+
+// The positions in which all writes agree must tell iterations apart.
+bool mlir::tai::isExclusive(Operation *loop,
+                            ArrayRef<SmallVector<LinearIndex>> writes) {
+  SmallVector<LinearIndex> common;
+  for (auto [i, first] : llvm::enumerate(writes.front())) {
+    size_t position = i;
+    const LinearIndex &index = first;
+    if (llvm::all_of(writes,
+                     [&](auto &indices) { return indices[position] == index; }))
+      common.push_back(index);
+  }
+  return isInjectiveOver(common, getParallelInductionVars(loop));
 }
 
 namespace {
@@ -280,19 +297,8 @@ void mlir::tai::markExclusiveAtomics(FunctionOpInterface function) {
     // else is there.
     auto parallel = dyn_cast_if_present<ParallelForOp>(loop);
     bool exclusive = !loop || (parallel && parallel.getSerialize());
-    if (!exclusive) {
-      // The positions in which all writes agree must tell iterations apart.
-      SmallVector<LinearIndex> common;
-      for (auto [i, first] : llvm::enumerate(writes.indices.front())) {
-        size_t position = i;
-        const LinearIndex &index = first;
-        if (llvm::all_of(writes.indices, [&](auto &indices) {
-              return indices[position] == index;
-            }))
-          common.push_back(index);
-      }
-      exclusive = isInjectiveOver(common, getParallelInductionVars(loop));
-    }
+    if (!exclusive)
+      exclusive = isExclusive(loop, writes.indices);
     for (AtomicOp atomic : writes.atomics)
       atomic.setExclusive(exclusive);
   }

@@ -7,7 +7,8 @@
 //
 // Two worklists over the uses and definitions of values: forward from reads,
 // backward from writes. Values cross regions along the edges that
-// RegionBranchOpInterface reports.
+// RegionBranchOpInterface reports; where it reports none, every float that goes
+// in is taken to reach every result.
 //
 //===----------------------------------------------------------------------===//
 
@@ -66,6 +67,12 @@ static bool carriesDerivative(OpOperand &operand) {
   return true;
 }
 
+/// True if what the op does with an operand is said by its regions or by those
+/// of the op it ends.
+static bool passesThroughRegions(Operation *op) {
+  return op->getNumRegions() != 0 || op->hasTrait<OpTrait::IsTerminator>();
+}
+
 Activity::Activity(FunctionOpInterface function,
                    llvm::function_ref<bool(Storage)> hasAdjoint) {
   RegionEdges edges;
@@ -102,10 +109,15 @@ Activity::Activity(FunctionOpInterface function,
         llvm::for_each(it->second, markVaried);
         continue;
       }
-      if (isa<RegionBranchOpInterface, RegionBranchTerminatorOpInterface>(user))
-        continue; // a condition or a bound
-      if (carriesDerivative(use))
-        llvm::for_each(user->getResults(), markVaried);
+      if (!passesThroughRegions(user)) {
+        if (carriesDerivative(use))
+          llvm::for_each(user->getResults(), markVaried);
+      } else if (isFloatOrVector(value.getType())) {
+        // Not a condition or a bound: what it feeds is not known.
+        bool isEnd = user->hasTrait<OpTrait::IsTerminator>();
+        Operation *op = isEnd ? user->getParentOp() : user;
+        llvm::for_each(op->getResults(), markVaried);
+      }
     }
   }
 
@@ -113,9 +125,16 @@ Activity::Activity(FunctionOpInterface function,
     if (useful.insert(value).second)
       worklist.push_back(value);
   };
+  auto markFloatsUseful = [&](Operation *op) {
+    for (Value operand : op->getOperands())
+      if (isFloatOrVector(operand.getType()))
+        markUseful(operand);
+  };
   for (DifferentiableAccessInterface write : writes) {
     markUseful(write.getAccessedValue());
-    if (varied.contains(write.getAccessedValue()))
+    // A product or a maximum depends on the old element too.
+    if (varied.contains(write.getAccessedValue()) ||
+        write.getAccessKind() == AccessKind::Update)
       activeAccesses.insert(write);
   }
   while (!worklist.empty()) {
@@ -127,6 +146,14 @@ Activity::Activity(FunctionOpInterface function,
     Operation *op = value.getDefiningOp();
     if (!op || isa<DifferentiableAccessInterface>(op))
       continue;
+    if (op->getNumRegions() != 0) {
+      markFloatsUseful(op);
+      for (Region &region : op->getRegions())
+        for (Block &block : region)
+          if (!block.empty())
+            markFloatsUseful(&block.back());
+      continue;
+    }
     for (OpOperand &operand : op->getOpOperands())
       if (carriesDerivative(operand))
         markUseful(operand.get());

@@ -17,6 +17,7 @@
 #include "mlir/Dialect/Arith/Transforms/Passes.h"
 #include "mlir/Dialect/ControlFlow/IR/ControlFlow.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/Math/Transforms/Passes.h"
 #include "tai/Conversion/Passes.h"
 
@@ -56,6 +57,20 @@ static void setFloatOptions(Operation *root, bool fastMath, bool contract) {
 }
 
 namespace {
+/// clampf %x to [%lo, %hi]  ->  minimumf (maximumf %x, %lo), %hi
+/// Upstream's expansion takes the bounds the wrong way round.
+struct ExpandClamp : OpRewritePattern<math::ClampFOp> {
+  using OpRewritePattern::OpRewritePattern;
+  LogicalResult matchAndRewrite(math::ClampFOp op,
+                                PatternRewriter &rewriter) const override {
+    Value low = arith::MaximumFOp::create(rewriter, op.getLoc(), op.getValue(),
+                                          op.getMin(), op.getFastmathAttr());
+    rewriter.replaceOpWithNewOp<arith::MinimumFOp>(op, low, op.getMax(),
+                                                   op.getFastmathAttr());
+    return success();
+  }
+};
+
 struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
   using Base::Base;
 
@@ -73,6 +88,10 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
     ub::populateUBToLLVMConversionPatterns(converter, patterns);
     populateMathToLLVMConversionPatterns(converter, patterns,
                                          /*approximateLog1p=*/false);
+    // LLVM 22 crashes when it vectorises a loop with the intrinsic for sine and
+    // cosine together; it finds the pair by itself.
+    math::populateExpansionPatterns(patterns, {"sincos"});
+    patterns.add<ExpandClamp>(context);
     // What LLVM has no intrinsic for is called in libm.
     populateMathToLibmConversionPatterns(patterns, /*benefit=*/0);
     populateFuncToLLVMConversionPatterns(converter, patterns);

@@ -16,6 +16,7 @@
 #include "Common/Accumulate.h"
 #include "Common/FieldAddress.h"
 #include "Common/IndexMath.h"
+#include "Common/LocalArrays.h"
 #include "mlir/Dialect/Arith/Utils/Utils.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
@@ -260,8 +261,13 @@ void AccessLowering::lowerArray(Operation *op) {
   Location loc = op->getLoc();
   auto load = dyn_cast<memref::LoadOp>(op);
   auto store = dyn_cast<memref::StoreOp>(op);
-  Value array = load ? load.getMemRef() : store.getMemRef();
-  ValueRange indices = load ? load.getIndices() : store.getIndices();
+  auto atomic = dyn_cast<memref::AtomicRMWOp>(op);
+  Value array = load    ? load.getMemRef()
+                : store ? store.getMemRef()
+                        : atomic.getMemref();
+  ValueRange indices = load    ? load.getIndices()
+                       : store ? store.getIndices()
+                               : atomic.getIndices();
   auto type = cast<MemRefType>(array.getType());
 
   SmallVector<OpFoldResult> extents;
@@ -281,13 +287,20 @@ void AccessLowering::lowerArray(Operation *op) {
     Value pointer = emitArrayPointer(b, loc, array, indices, extents);
     if (load)
       return emitLoad(b, loc, scalar, pointer, scopes);
-    emitStore(b, loc, store.getValueToStore(), pointer, scopes);
-    return {};
+    if (store) {
+      emitStore(b, loc, store.getValueToStore(), pointer, scopes);
+      return {};
+    }
+    return LLVM::AtomicRMWOp::create(b, loc, LLVM::AtomicBinOp::fadd, pointer,
+                                     atomic.getValue(),
+                                     LLVM::AtomicOrdering::monotonic);
   });
   op->erase();
 }
 
 LogicalResult AccessLowering::run() {
+  if (failed(lowerLocalArrays(function)))
+    return failure();
   SmallVector<Operation *> accesses, arrays;
   // All fields of the function are looked up first: an access names the scopes
   // of all the others.
@@ -298,6 +311,12 @@ LogicalResult AccessLowering::run() {
               fields.lookup(op, op->getAttrOfType<FlatSymbolRefAttr>("field"))))
         return WalkResult::interrupt();
     } else if (isa<memref::LoadOp, memref::StoreOp>(op)) {
+      arrays.push_back(op);
+    } else if (auto atomic = dyn_cast<memref::AtomicRMWOp>(op)) {
+      if (atomic.getKind() != arith::AtomicRMWKind::addf) {
+        op->emitOpError("of this kind cannot be lowered; only 'addf' can");
+        return WalkResult::interrupt();
+      }
       arrays.push_back(op);
     } else if (isa<ActivateOp, DeactivateOp, IsActiveOp, AppendOp, LengthOp>(
                    op)) {

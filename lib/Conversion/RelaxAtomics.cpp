@@ -14,7 +14,6 @@
 
 #include "Common/Accumulation.h"
 #include "mlir/Transforms/LoopInvariantCodeMotionUtils.h"
-#include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Cost.h"
 #include "tai/Conversion/Passes.h"
 
@@ -34,7 +33,7 @@ namespace {
 /// The accesses of a loop to one field.
 struct FieldAccesses {
   SmallVector<AtomicOp> atomics; // those that are not exclusive yet
-  SmallVector<Operation *> others;
+  bool hasPlainAccess = false;
 };
 
 class LoopRelaxation {
@@ -47,7 +46,6 @@ public:
 private:
   void serialize();
   bool isIndependentOfTiming(AtomicOp atomic);
-  bool mayReach(ValueRange a, ValueRange b);
   void relaxField(FieldAccesses &accesses);
   bool isWorthPrivate(const AccumulationGroup &group);
 
@@ -108,22 +106,6 @@ bool LoopRelaxation::isWorthPrivate(const AccumulationGroup &group) {
   return !iterations || elements <= *iterations * updates * kElementsPerUpdate;
 }
 
-static ValueRange getIndices(Operation *access) {
-  return llvm::TypeSwitch<Operation *, ValueRange>(access)
-      .Case<LoadOp, StoreOp, AtomicOp>([](auto op) { return op.getIndices(); });
-}
-
-/// False if accesses at `a` and `b` reach different elements in any two
-/// iterations: an index that is the same in all of them tells them apart, such
-/// as the time slot.
-bool LoopRelaxation::mayReach(ValueRange a, ValueRange b) {
-  for (auto [x, y] : llvm::zip_equal(a, b))
-    if (loop.isDefinedOutsideOfLoop(x) && loop.isDefinedOutsideOfLoop(y) &&
-        areProvablyDistinct(x, y))
-      return false;
-  return true;
-}
-
 /// Chooses for the updates of one field.
 void LoopRelaxation::relaxField(FieldAccesses &accesses) {
   SmallVector<AtomicOp> &atomics = accesses.atomics;
@@ -138,12 +120,7 @@ void LoopRelaxation::relaxField(FieldAccesses &accesses) {
   }
   // What the iterations read in between would not be there yet.
   auto usesOld = [](AtomicOp atomic) { return !atomic.getOld().use_empty(); };
-  if (llvm::any_of(atomics, usesOld) ||
-      llvm::any_of(atomics, [&](AtomicOp atomic) {
-        return llvm::any_of(accesses.others, [&](Operation *other) {
-          return mayReach(atomic.getIndices(), getIndices(other));
-        });
-      }))
+  if (accesses.hasPlainAccess || llvm::any_of(atomics, usesOld))
     return;
   FailureOr<SmallVector<AccumulationGroup>> groups =
       groupAccumulations(loop, atomics, fields);
@@ -191,7 +168,7 @@ LogicalResult LoopRelaxation::run() {
     FieldAccesses &accesses = places[(*field)->scope];
     auto atomic = dyn_cast<AtomicOp>(op);
     if (!atomic || atomic.getExclusive())
-      accesses.others.push_back(op);
+      accesses.hasPlainAccess = true;
     else
       accesses.atomics.push_back(atomic);
     return WalkResult::advance();

@@ -134,6 +134,10 @@ public:
   void recomputeBlock(Block *primal, Block *mirror);
   /// The adjoints in `frame` of values defined outside of its block.
   llvm::MapVector<Value, Value> takeCaptured(Frame &frame);
+  /// Carries the sweep on, from the current frame, into the ops of the block
+  /// around it that made captured values, down to the reads they come from;
+  /// leaves the captured values for which these ops are many or hold regions.
+  void sweepCaptured();
   /// The number of iterations of a serial loop, as an index.
   Value createTripCount(scf::ForOp loop);
   /// Frees what was recorded for the reverse of `loop`.

@@ -56,6 +56,10 @@ inline bool isFloatOrVector(Type type) {
   return isa<FloatType>(type);
 }
 
+/// Marks, in an adjoint, the store that ends the accumulation of a vector into
+/// an array: it is no atomic, and must be shown to need none.
+constexpr llvm::StringLiteral kPlainAccumulation = "tai.plain_accumulation";
+
 /// Attaches the interfaces to the ops of arith, math, scf, vector, memref and
 /// tai, when these dialects are loaded.
 void registerDifferentiableModels(DialectRegistry &registry);

@@ -13,9 +13,9 @@
 namespace mlir::tai {
 
 /// Reverses the body of a parallel loop into `mirror`, the body of `loop` in
-/// the adjoint kernel. Adjoints of values that the body captures are summed
-/// over the iterations in memory, by atomic adds, and then added to what the
-/// builder knows. `begin` maps the arguments, `terminate` adds the terminator.
+/// the adjoint kernel. What iterations contribute to values that the body
+/// captures goes on to the reads that these come from, or, where they come from
+/// elsewhere, is summed in memory by atomic adds. `begin` maps the arguments, `terminate` adds the terminator.
 LogicalResult reverseParallelBody(AdjointBuilder &builder, Operation *loop,
                                   Block &primal, Block &mirror,
                                   llvm::function_ref<void(Frame &)> begin,

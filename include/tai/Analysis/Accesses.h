@@ -52,6 +52,10 @@ bool areProvablyDistinct(ValueRange lhs, ValueRange rhs);
 /// `indices`, all else in them being equal.
 bool isInjectiveOver(ArrayRef<LinearIndex> indices, ValueRange ivs);
 
+/// True if no two iterations of the parallel loop reach the same element by any
+/// of the writes, given by their indices.
+bool isExclusive(Operation *loop, ArrayRef<SmallVector<LinearIndex>> writes);
+
 /// The induction variables of an op that runs its body in parallel, or none.
 ValueRange getParallelInductionVars(Operation *op);
 /// The innermost parallel loop around `op`, or null.
@@ -59,8 +63,7 @@ Operation *getEnclosingParallelLoop(Operation *op);
 /// The induction variables of all loops between `op` and the function around
 /// it, from the outermost to the innermost.
 SmallVector<Value> getEnclosingInductionVars(Operation *op);
-/// The innermost induction variables, trip count and so on need the loop of
-/// an induction variable: the op whose region has `iv` as an argument.
+/// The op whose region has `iv` as an argument.
 Operation *getLoopOf(Value iv);
 
 /// The indices as a map from the induction variables of the loops around

@@ -16,8 +16,7 @@ using namespace mlir::tai;
 
 namespace {
 
-/// Adds to an element of a memref. Atomic updates exist for scalars alone, so a
-/// vector element is taken as that many scalars.
+/// Adds to an element of a memref. Atomic updates exist for scalars alone.
 void createAccumulate(OpBuilder &b, Location loc, Value value, Value memref,
                       ValueRange indices) {
   if (!isa<VectorType>(value.getType())) {
@@ -27,7 +26,8 @@ void createAccumulate(OpBuilder &b, Location loc, Value value, Value memref,
   }
   Value old = memref::LoadOp::create(b, loc, memref, indices);
   Value sum = arith::AddFOp::create(b, loc, old, value);
-  memref::StoreOp::create(b, loc, sum, memref, indices);
+  auto store = memref::StoreOp::create(b, loc, sum, memref, indices);
+  store->setAttr(kPlainAccumulation, b.getUnitAttr());
 }
 
 template <typename Model, typename OpTy>

@@ -1,0 +1,264 @@
+// RUN: tai-opt %s --tai-check-access-rules --split-input-file --verify-diagnostics
+
+// What breaks a rule for certain is reported; the rest of the file is legal, or
+// cannot be proven, and stays silent.
+
+!t = !tai.root<dense<[i: 8, j: 16], {x: f32, x_grad: f32, y: f32, y_grad: f32}>>
+tai.tree @t : !t
+tai.field @x_grad = @t["x_grad"] : f32, rank 2
+tai.field @y_grad = @t["y_grad"] : f32, rank 2
+tai.field @x = @t["x"] : f32, rank 2, adjoint @x_grad
+tai.field @y = @t["y"] : f32, rank 2, adjoint @y_grad
+
+// x[i, j] = sin(x[i, j])
+tai.kernel @in_place() {
+  tai.parallel_for (%i, %j) in @x {
+    // expected-note @+1 {{read here}}
+    %0 = tai.load @x[%i, %j] : f32
+    %1 = math.sin %0 : f32
+    // expected-error @+2 {{an element of field '@x' is written after it was read, so its gradient would be wrong}}
+    // expected-note @+1 {{store to another element, such as one more time step of the field}}
+    tai.store %1, @x[%i, %j] : f32
+  }
+  tai.return
+}
+
+// x[i, j] += x[i, j]^2: the adjoint would square the new value.
+tai.kernel @read_then_accumulate() {
+  tai.parallel_for (%i, %j) in @x {
+    // expected-note @+1 {{read here}}
+    %0 = tai.load @x[%i, %j] : f32
+    %1 = arith.mulf %0, %0 : f32
+    // expected-error @+2 {{an element of field '@x' is written after it was read}}
+    // expected-note @+1 {{store to another element}}
+    tai.atomic add %1, @x[%i, %j] : f32
+  }
+  tai.return
+}
+
+// The index is the same though it is computed twice.
+tai.kernel @twice(%t: i32) {
+  %c1 = arith.constant 1 : index
+  tai.parallel_for (%i, %j) in @x {
+    %0 = tai.load @x[%i, %j] : f32
+    %k = arith.addi %j, %c1 : index
+    // expected-note @+1 {{written here}}
+    tai.store %0, @y[%i, %k] : f32
+    %1 = math.sin %0 : f32
+    %l = arith.addi %c1, %j : index
+    // expected-error @+2 {{an element of field '@y' is written a second time, so its gradient would be wrong}}
+    // expected-note @+1 {{from the second write on, accumulate with 'tai.atomic add'; or combine both values in a local variable and store once}}
+    tai.store %1, @y[%i, %l] : f32
+  }
+  tai.return
+}
+
+// Whenever the condition holds, the first value is lost.
+tai.kernel @override(%c: i1) {
+  tai.parallel_for (%i, %j) in @x {
+    %0 = tai.load @x[%i, %j] : f32
+    // expected-note @+1 {{written here}}
+    tai.store %0, @y[%i, %j] : f32
+    scf.if %c {
+      %1 = math.sin %0 : f32
+      // expected-error @+2 {{an element of field '@y' is written a second time}}
+      // expected-note @+1 {{from the second write on}}
+      tai.store %1, @y[%i, %j] : f32
+    }
+  }
+  tai.return
+}
+
+// Two loops over the same range meet in every element.
+tai.kernel @two_loops() {
+  tai.parallel_for (%i, %j) in @x {
+    // expected-note @+1 {{read here}}
+    %0 = tai.load @x[%i, %j] : f32
+    tai.store %0, @y[%i, %j] : f32
+  }
+  tai.parallel_for (%i, %j) in @x {
+    %1 = tai.load @y[%i, %j] : f32
+    // expected-error @+2 {{an element of field '@x' is written after it was read}}
+    // expected-note @+1 {{store to another element}}
+    tai.store %1, @x[%i, %j] : f32
+  }
+  tai.return
+}
+
+// Eight iterations of the serial loop store to one element.
+tai.kernel @overwritten_in_loop() {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c8 = arith.constant 8 : index
+  tai.parallel_for (%j) = (%c0) to (%c8) {
+    // expected-note @+1 {{the indices do not depend on this loop}}
+    scf.for %i = %c0 to %c8 step %c1 {
+      %0 = tai.load @x[%i, %j] : f32
+      // expected-error @+2 {{an element of field '@y' is overwritten in every iteration of a loop, so its gradient would be wrong}}
+      // expected-note @+1 {{accumulate with 'tai.atomic add', or store to an element for each iteration}}
+      tai.store %0, @y[%c0, %j] : f32
+    }
+  }
+  tai.return
+}
+
+// The sum is not complete while the loop that sums runs.
+tai.kernel @early_read() {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i, %j) in @x {
+    %0 = tai.load @x[%i, %j] : f32
+    // expected-note @+1 {{other iterations of the loop still accumulate here}}
+    tai.atomic add %0, @y[%c0, %c0] : f32
+    // expected-error @+2 {{an element of field '@y' is read before its accumulation is done, so its value and its gradient would be wrong}}
+    // expected-note @+1 {{read it in a later loop}}
+    %1 = tai.load @y[%c0, %c0] : f32
+    tai.atomic add %1, @x[%c0, %j] : f32
+  }
+  tai.return
+}
+
+// -----
+
+!t = !tai.root<dense<[i: 8, j: 16], {x: f32, x_grad: f32, y: f32, y_grad: f32, n: i32, plain: f32, v: vector<2xf32>, v_grad: vector<2xf32>}>>
+tai.tree @t : !t
+tai.field @x_grad = @t["x_grad"] : f32, rank 2
+tai.field @y_grad = @t["y_grad"] : f32, rank 2
+tai.field @v_grad = @t["v_grad"] : vector<2xf32>, rank 2
+tai.field @x = @t["x"] : f32, rank 2, adjoint @x_grad
+tai.field @y = @t["y"] : f32, rank 2, adjoint @y_grad
+tai.field @v = @t["v"] : vector<2xf32>, rank 2, adjoint @v_grad
+tai.field @n = @t["n"] : i32, rank 2
+tai.field @plain = @t["plain"] : f32, rank 2
+
+// One time step reads the one before.
+tai.kernel @step(%t: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c16 = arith.constant 16 : index
+  %before = arith.subi %t, %c1 : index
+  tai.parallel_for (%j) = (%c0) to (%c16) {
+    %0 = tai.load @x[%before, %j] : f32
+    %1 = math.sin %0 : f32
+    tai.store %1, @x[%t, %j] : f32
+    %2 = tai.load @x[%t, %j] : f32
+    tai.store %2, @y[%t, %j] : f32
+  }
+  tai.return
+}
+
+// Accumulate as often as you like, and read in a later loop.
+tai.kernel @accumulate_then_read() {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i, %j) in @x {
+    %0 = tai.load @x[%i, %j] : f32
+    tai.atomic add %0, @y[%c0, %c0] : f32
+    tai.atomic sub %0, @y[%c0, %c0] : f32
+  }
+  tai.parallel_for (%i, %j) in @x {
+    %0 = tai.load @y[%c0, %c0] : f32
+    tai.atomic add %0, @plain[%i, %j] : f32
+  }
+  tai.return
+}
+
+// An element that one iteration accumulates is complete for that iteration.
+tai.kernel @own_element() {
+  tai.parallel_for (%i, %j) in @x {
+    %0 = tai.load @x[%i, %j] : f32
+    tai.store %0, @y[%i, %j] : f32
+    tai.atomic add %0, @y[%i, %j] : f32
+    %1 = tai.load @y[%i, %j] : f32
+    tai.atomic add %1, @v[%i, %j] component [%j] : f32
+  }
+  tai.return
+}
+
+// Clearing loses no derivative; a field without an adjoint has none.
+tai.kernel @clear_and_count() {
+  %zero = arith.constant 0.0 : f32
+  %one = arith.constant 1 : i32
+  tai.parallel_for (%i, %j) in @x {
+    tai.store %zero, @y[%i, %j] : f32
+    %0 = tai.load @x[%i, %j] : f32
+    tai.store %0, @y[%i, %j] : f32
+    %1 = tai.load @plain[%i, %j] : f32
+    %2 = arith.mulf %1, %1 : f32
+    tai.store %2, @plain[%i, %j] : f32
+    %3 = tai.load @n[%i, %j] : i32
+    %4 = arith.addi %3, %one : i32
+    tai.store %4, @n[%i, %j] : i32
+  }
+  tai.return
+}
+
+// Each arm writes once.
+tai.kernel @either(%c: i1, %d: i1) {
+  tai.parallel_for (%i, %j) in @x {
+    %0 = tai.load @x[%i, %j] : f32
+    scf.if %c {
+      tai.store %0, @y[%i, %j] : f32
+    } else {
+      %1 = math.sin %0 : f32
+      tai.store %1, @y[%i, %j] : f32
+    }
+  }
+  tai.return
+}
+
+// Two conditions may exclude each other: even cells read, odd ones are written.
+tai.kernel @conditions(%c: i1, %d: i1) {
+  tai.parallel_for (%i, %j) in @x {
+    scf.if %c {
+      %0 = tai.load @x[%i, %j] : f32
+      tai.atomic add %0, @y[%i, %j] : f32
+    }
+    scf.if %d {
+      %1 = tai.load @y[%j, %i] : f32
+      tai.store %1, @x[%i, %j] : f32
+    }
+  }
+  tai.return
+}
+
+// Components of one element are elements of their own.
+tai.kernel @components() {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  tai.parallel_for (%i, %j) in @x {
+    %0 = tai.load @v[%i, %j] component [%c0] : f32
+    tai.store %0, @v[%i, %j] component [%c1] : f32
+  }
+  tai.return
+}
+
+// Whether two symbols are equal, or an index read from a field repeats, is not
+// known here.
+tai.kernel @unknown(%s: index, %t: index) {
+  %c0 = arith.constant 0 : index
+  %c16 = arith.constant 16 : index
+  tai.parallel_for (%j) = (%c0) to (%c16) {
+    %0 = tai.load @x[%s, %j] : f32
+    tai.store %0, @x[%t, %j] : f32
+    %1 = tai.load @n[%s, %j] : i32
+    %2 = arith.index_cast %1 : i32 to index
+    tai.store %0, @y[%s, %2] : f32
+  }
+  tai.return
+}
+
+// An index that depends on the loop, or a branch around the store: no proof.
+tai.kernel @moving(%c: i1) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c8 = arith.constant 8 : index
+  tai.parallel_for (%j) = (%c0) to (%c8) {
+    scf.for %i = %c0 to %c8 step %c1 {
+      %0 = tai.load @x[%i, %j] : f32
+      tai.store %0, @y[%i, %j] : f32
+      scf.if %c {
+        tai.store %0, @v[%c0, %j] component [%c0] : f32
+      }
+    }
+  }
+  tai.return
+}
