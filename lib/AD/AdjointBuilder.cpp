@@ -12,9 +12,11 @@
 
 #include "tai/AD/AdjointBuilder.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/CallInterfaces.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -31,6 +33,8 @@ AdjointBuilder::AdjointBuilder(FunctionOpInterface primal,
       accesses(primal) {}
 
 LogicalResult AdjointBuilder::build() {
+  if (failed(checkAccesses()))
+    return failure();
   Block *body = &primal.getFunctionBody().front();
   Block *mirror = &adjoint.getFunctionBody().front();
   LogicalResult result = reverseBlock(
@@ -45,6 +49,57 @@ LogicalResult AdjointBuilder::build() {
     return failure();
   dropDeadCarried(adjoint.getFunctionBody());
   return success();
+}
+
+/// True for what only looks at an array.
+static bool isQuery(Operation *op) {
+  return isa<memref::DimOp, memref::RankOp, memref::DeallocOp>(op);
+}
+
+// What is not understood would be left out of the gradient in silence.
+LogicalResult AdjointBuilder::checkAccesses() {
+  for (BlockArgument argument : primal.getArguments()) {
+    if (!isa<MemRefType>(argument.getType()) || !adjointOf(Storage(argument)))
+      continue;
+    for (Operation *user : argument.getUsers()) {
+      auto access = dyn_cast<DifferentiableAccessInterface>(user);
+      if (isQuery(user) ||
+          (access && access.getAccessedStorage().memref == argument) ||
+          !refused.insert(user).second)
+        continue;
+      emitError(user, "cannot differentiate '" +
+                          user->getName().getStringRef() +
+                          "' on an array with a derivative")
+              .attachNote()
+          << "access its elements by 'memref.load', 'memref.store' and "
+             "'memref.atomic_rmw addf'";
+    }
+  }
+  primal.walk([&](Operation *op) {
+    if (auto access = dyn_cast<DifferentiableAccessInterface>(op)) {
+      Storage storage = access.getAccessedStorage();
+      if (access.getAccessKind() == AccessKind::Read) {
+        if (activity.isActiveAccess(op))
+          accumulated.insert(adjointOf(storage).getOpaque());
+      } else if (storage.memref && !isa<BlockArgument>(storage.memref) &&
+                 activity.isVaried(access.getAccessedValue())) {
+        emitError(op, "a derivative is lost in an array that the function "
+                      "makes for itself")
+                .attachNote()
+            << "use a local variable, a field, or an array that is an argument";
+      }
+      return;
+    }
+    // Output and checks take what they like; regions are looked into.
+    if (op->getNumRegions() != 0 || isMemoryEffectFree(op) ||
+        isa<PrintOp, AssertOp>(op))
+      return;
+    if (llvm::any_of(op->getOperands(),
+                     [&](Value v) { return activity.isVaried(v); }))
+      emitError(op, "a derivative is lost in '" + op->getName().getStringRef() +
+                        "', which cannot be differentiated");
+  });
+  return failure(hasErrors);
 }
 
 InFlightDiagnostic AdjointBuilder::emitError(Operation *op,

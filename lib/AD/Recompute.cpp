@@ -176,22 +176,35 @@ bool AdjointBuilder::checkRecomputable(Operation *op) {
              "there";
       return false;
     }
-    if (Operation *write = accesses.findLaterWrite(access)) {
-      InFlightDiagnostic diag =
-          emitError(op, "the value read here is needed by the gradient, but is "
-                        "overwritten");
-      diag.attachNote(write->getLoc()) << "overwritten here";
-      diag.attachNote() << "store the new value to another element, such as "
-                           "one more time step of the field";
-      return false;
-    }
-    return true;
+    return checkReadable(access);
   }
   if (isMemoryEffectFree(op) || hasSingleEffect<MemoryEffects::Read>(op))
     return true;
   emitError(op, "the result of '" + op->getName().getStringRef() +
                     "' is needed by the gradient and cannot be computed again");
   return false;
+}
+
+// The adjoint reads what the primal read only if nothing has written the
+// element since.
+bool AdjointBuilder::checkReadable(DifferentiableAccessInterface read) {
+  if (Operation *write = accesses.findLaterWrite(read)) {
+    InFlightDiagnostic diag =
+        emitError(read, "the value read here is needed by the gradient, but is "
+                        "overwritten");
+    diag.attachNote(write->getLoc()) << "overwritten here";
+    diag.attachNote() << "store the new value to another element, such as one "
+                         "more time step of the field";
+    return false;
+  }
+  if (accumulated.contains(read.getAccessedStorage().getOpaque())) {
+    emitError(read, "the value read here is needed by the gradient, but is an "
+                    "adjoint that the gradient itself accumulates")
+            .attachNote()
+        << "copy the adjoint to a field of its own first";
+    return false;
+  }
+  return true;
 }
 
 //===----------------------------------------------------------------------===//

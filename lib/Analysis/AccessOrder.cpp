@@ -26,8 +26,9 @@ AccessTable::findLaterWrite(DifferentiableAccessInterface read) const {
   if (it == storages.end())
     return {};
   for (DifferentiableAccessInterface access : it->second)
-    if (access.getAccessKind() != AccessKind::Read && runsAfter(read, access) &&
-        reachSameElement(read, access))
+    if (access.getAccessKind() != AccessKind::Read &&
+        ((runsAfter(read, access) && reachSameElement(read, access)) ||
+         meetInEveryIteration(read, access)))
       return access;
   return {};
 }
@@ -60,6 +61,27 @@ bool mlir::tai::runsAfter(Operation *first, Operation *second) {
     return false;
   return firstUp->isBeforeInBlock(secondUp) &&
          (!isConditional(first, firstUp) || !isConditional(second, secondUp));
+}
+
+bool mlir::tai::meetInEveryIteration(DifferentiableAccessInterface lhs,
+                                     DifferentiableAccessInterface rhs) {
+  Operation *lhsUp = lhs, *rhsUp = rhs;
+  if (!findCommonBlock(lhsUp, rhsUp) || isConditional(lhs, lhsUp) ||
+      isConditional(rhs, rhsUp) || !reachSameElement(lhs, rhs))
+    return false;
+  SmallVector<LinearIndex> indices = getLinearIndices(lhs.getAccessIndices());
+  for (Operation *loop = lhsUp->getParentOp();
+       isa<scf::ForOp, scf::WhileOp>(loop); loop = loop->getParentOp()) {
+    // Only what comes from outside is the same in all iterations.
+    bool moves = llvm::any_of(indices, [&](const LinearIndex &index) {
+      return llvm::any_of(index.terms, [&](auto term) {
+        return loop->isAncestor(term.first.getParentBlock()->getParentOp());
+      });
+    });
+    if (!moves)
+      return true;
+  }
+  return false;
 }
 
 /// The loops between `op` and the op `outer` around it, outermost first.

@@ -152,6 +152,8 @@ private:
   void recompute(Frame &frame, Operation *op);
   void recomputeRegions(Operation *op, Operation *copy);
   bool checkRecomputable(Operation *op);
+  bool checkReadable(DifferentiableAccessInterface read);
+  LogicalResult checkAccesses();
   LogicalResult reverseOp(Operation *op);
   LogicalResult reverseAccess(Operation *op);
   Value sumUp(Value value, PartialAdjoint &entry);
@@ -169,6 +171,8 @@ private:
                  llvm::SmallMapVector<unsigned, Value, 2>>
       histories;
   DenseSet<Operation *> recomputedDraws, refused;
+  /// The storages that the adjoint accumulates into.
+  DenseSet<const void *> accumulated;
 };
 
 /// Removes from the serial loops in `region` the carried values that neither

@@ -32,7 +32,8 @@ public:
   }
 
   /// A write that runs after `read` and reaches the same element for certain,
-  /// or null.
+  /// in the same iteration of the loops around both or in a later iteration of
+  /// a serial one; or null.
   DifferentiableAccessInterface
   findLaterWrite(DifferentiableAccessInterface read) const;
 
@@ -45,6 +46,11 @@ private:
 /// iterations of two loops over the same range.
 bool reachSameElement(DifferentiableAccessInterface lhs,
                       DifferentiableAccessInterface rhs);
+
+/// True if both accesses stand in one serial loop, and reach the same element in
+/// each of its iterations.
+bool meetInEveryIteration(DifferentiableAccessInterface lhs,
+                          DifferentiableAccessInterface rhs);
 
 /// True if `second` runs after `first`, in the same iteration of the loops
 /// around both, whenever both run; and one of them always runs if the other

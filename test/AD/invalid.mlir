@@ -1,0 +1,272 @@
+// RUN: tai-opt %s --tai-make-adjoint --split-input-file --verify-diagnostics
+
+// What cannot be differentiated is refused where it stands, with a way out.
+
+!t = !tai.root<dense<[i: 16], {x: f32, x_grad: f32, y: f32, y_grad: f32, n: i32, plain: f32}>>
+tai.tree @t : !t
+tai.field @x_grad = @t["x_grad"] : f32, rank 1
+tai.field @y_grad = @t["y_grad"] : f32, rank 1
+tai.field @x = @t["x"] : f32, rank 1, adjoint @x_grad
+tai.field @y = @t["y"] : f32, rank 1, adjoint @y_grad
+tai.field @n = @t["n"] : i32, rank 1
+tai.field @plain = @t["plain"] : f32, rank 1
+
+tai.kernel @maximum() {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    // expected-error @+2 {{cannot differentiate this read-modify-write of a field with an adjoint}}
+    // expected-note @+1 {{only 'add' and 'sub' accumulate; compute the new value from what was read and store it to another element}}
+    tai.atomic max %0, @y[%c0] : f32
+  }
+  tai.return
+}
+
+// A product with a constant scales the derivative of the old element, too.
+tai.kernel @product() {
+  %two = arith.constant 2.0 : f32
+  tai.parallel_for (%i) in @x {
+    // expected-error @+2 {{cannot differentiate this read-modify-write}}
+    // expected-note @+1 {{only 'add' and 'sub' accumulate}}
+    tai.atomic mul %two, @y[%i] : f32
+  }
+  tai.return
+}
+
+tai.kernel @old_value() {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    // expected-error @+2 {{the value before the accumulation is used in what the gradient is taken of}}
+    // expected-note @+1 {{an element must not be read before its accumulation is done; load it in a later loop}}
+    %1 = tai.atomic add %0, @y[%c0] : f32
+    tai.atomic add %1, @x[%i] : f32
+  }
+  tai.return
+}
+
+// The slot that a counter gave away cannot be found again.
+tai.kernel @counter() {
+  %c0 = arith.constant 0 : index
+  %one = arith.constant 1 : i32
+  tai.parallel_for (%i) in @x {
+    // expected-error @+2 {{the value before the update is needed by the gradient, but is gone when the gradient runs}}
+    // expected-note @+1 {{store it to a field that nothing else writes, and load it from there}}
+    %0 = tai.atomic add %one, @n[%c0] : i32
+    %1 = arith.index_cast %0 : i32 to index
+    %2 = tai.load @x[%i] : f32
+    tai.store %2, @y[%1] : f32
+  }
+  tai.return
+}
+
+// A field without an adjoint may be overwritten, but not if the gradient needs
+// what it held.
+tai.kernel @scratch() {
+  tai.parallel_for (%i) in @x {
+    // expected-error @+2 {{the value read here is needed by the gradient, but is overwritten}}
+    // expected-note @+1 {{store the new value to another element, such as one more time step of the field}}
+    %0 = tai.load @plain[%i] : f32
+    %1 = tai.load @x[%i] : f32
+    %2 = arith.mulf %0, %1 : f32
+    tai.store %2, @y[%i] : f32
+    // expected-note @+1 {{overwritten here}}
+    tai.store %1, @plain[%i] : f32
+  }
+  tai.return
+}
+
+// The last iteration decides what the scratch element holds in the end.
+tai.kernel @scratch_in_loop() {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c16 = arith.constant 16 : index
+  scf.for %i = %c0 to %c16 step %c1 {
+    %k = arith.index_cast %i : index to i32
+    %f = arith.sitofp %k : i32 to f32
+    // expected-note @+1 {{overwritten here}}
+    tai.store %f, @plain[%c0] : f32
+    // expected-error @+2 {{the value read here is needed by the gradient, but is overwritten}}
+    // expected-note @+1 {{store the new value to another element}}
+    %0 = tai.load @plain[%c0] : f32
+    %1 = tai.load @x[%i] : f32
+    %2 = arith.mulf %0, %1 : f32
+    tai.store %2, @y[%i] : f32
+  }
+  tai.return
+}
+
+// The gradient would read what it is adding to.
+tai.kernel @reads_adjoint() {
+  tai.parallel_for (%i) in @x {
+    // expected-error @+2 {{the value read here is needed by the gradient, but is an adjoint that the gradient itself accumulates}}
+    // expected-note @+1 {{copy the adjoint to a field of its own first}}
+    %0 = tai.load @x_grad[%i] : f32
+    %1 = tai.load @x[%i] : f32
+    %2 = arith.mulf %0, %1 : f32
+    tai.store %2, @y[%i] : f32
+  }
+  tai.return
+}
+
+// Bits have no derivative, and a float must not pass through them unseen.
+tai.kernel @bits() {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = arith.bitcast %0 : f32 to i32
+    // expected-error @+2 {{'arith.bitcast' has no derivative rule, but a gradient passes through it}}
+    // expected-note @+1 {{compute the value from differentiable ops, or keep it out of what the gradient is taken of}}
+    %2 = arith.bitcast %1 : i32 to f32
+    tai.store %2, @y[%i] : f32
+  }
+  tai.return
+}
+
+tai.kernel @while(%limit: f32) {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    // expected-error @+2 {{cannot differentiate a 'while' loop that carries a value with a derivative}}
+    // expected-note @+1 {{use a 'for' loop over the largest number of iterations with a condition in it, or keep the value of each iteration in a field}}
+    %1 = scf.while (%v = %0) : (f32) -> f32 {
+      %c = arith.cmpf olt, %v, %limit : f32
+      scf.condition(%c) %v : f32
+    } do {
+    ^bb0(%v: f32):
+      %2 = arith.addf %v, %v : f32
+      scf.yield %2 : f32
+    }
+    tai.store %1, @y[%i] : f32
+  }
+  tai.return
+}
+
+tai.kernel @while_with_recurrence() {
+  %zero = arith.constant 0 : index
+  %one = arith.constant 1 : index
+  // expected-note @+1 {{in this loop; use a 'for' loop over the largest number of iterations with a condition in it}}
+  %r = scf.while (%k = %one) : (index) -> index {
+    %v = tai.load @plain[%k] : f32
+    %c = arith.cmpf ogt, %v, %v : f32
+    scf.condition(%c) %k : index
+  } do {
+  ^bb0(%k: index):
+    %before = arith.subi %k, %one : index
+    %0 = tai.load @x[%before] : f32
+    // expected-error @+1 {{cannot differentiate a 'while' loop that reads and writes the same field}}
+    tai.store %0, @x[%k] : f32
+    %next = arith.addi %k, %one : index
+    scf.yield %next : index
+  }
+  tai.return
+}
+
+// Numbers drawn in a serial loop would come in another order.
+tai.kernel @random_in_loop() {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c4 = arith.constant 4 : index
+  tai.parallel_for (%i) in @x {
+    scf.for %k = %c0 to %c4 step %c1 {
+      // expected-error @+2 {{a random number drawn here is needed by the gradient and cannot be drawn again in the same order}}
+      // expected-note @+1 {{draw it outside of serial loops and branches, or store it to a field in a kernel of its own}}
+      %u = tai.random stream 0 : f32
+      %0 = tai.load @x[%i] : f32
+      %1 = arith.mulf %0, %u : f32
+      tai.atomic add %1, @y[%k] : f32
+    }
+  }
+  tai.return
+}
+
+func.func private @helper(%v: f32) -> f32 {
+  tai.print "{}"(%v) : f32
+  return %v : f32
+}
+tai.kernel @call() {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    // expected-error @+1 {{a derivative is lost in 'func.call', which cannot be differentiated}}
+    %1 = func.call @helper(%0) : (f32) -> f32
+    tai.store %1, @y[%i] : f32
+  }
+  tai.return
+}
+
+// -----
+
+// expected-note @+1 {{by this}}
+func.func @k_grad() {
+  return
+}
+// expected-error @+1 {{cannot make the adjoint '@k_grad': the name is taken}}
+tai.kernel @k() {
+  tai.return
+}
+
+// -----
+
+func.func @copy(%x: memref<?xf32>, %y: memref<?xf32>) attributes {tai.differentiate} {
+  // expected-error @+2 {{cannot differentiate 'memref.copy' on an array with a derivative}}
+  // expected-note @+1 {{access its elements by 'memref.load', 'memref.store' and 'memref.atomic_rmw addf'}}
+  memref.copy %x, %y : memref<?xf32> to memref<?xf32>
+  return
+}
+
+// -----
+
+func.func @temporary(%x: memref<4xf32>, %y: memref<4xf32>) attributes {tai.differentiate} {
+  %c0 = arith.constant 0 : index
+  %tmp = memref.alloca() : memref<4xf32>
+  %0 = memref.load %x[%c0] : memref<4xf32>
+  // expected-error @+2 {{a derivative is lost in an array that the function makes for itself}}
+  // expected-note @+1 {{use a local variable, a field, or an array that is an argument}}
+  memref.store %0, %tmp[%c0] : memref<4xf32>
+  %1 = memref.load %tmp[%c0] : memref<4xf32>
+  memref.store %1, %y[%c0] : memref<4xf32>
+  return
+}
+
+// -----
+
+func.func @vectors(%x: memref<?xvector<2xf32>>, %at: memref<?xi32>, %y: memref<?xvector<2xf32>>) attributes {tai.differentiate} {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %n = memref.dim %y, %c0 : memref<?xvector<2xf32>>
+  scf.parallel (%i) = (%c0) to (%n) step (%c1) {
+    %k = memref.load %at[%i] : memref<?xi32>
+    %j = arith.index_cast %k : i32 to index
+    // expected-error @+1 {{the gradient of an array of vectors is accumulated by iterations that run at the same time, which is not supported; use an array of scalars, or a field}}
+    %v = memref.load %x[%j] : memref<?xvector<2xf32>>
+    memref.store %v, %y[%i] : memref<?xvector<2xf32>>
+  }
+  return
+}
+
+// -----
+
+func.func @product(%x: memref<4xf32>, %out: memref<f32>) attributes {tai.differentiate} {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c4 = arith.constant 4 : index
+  %one = arith.constant 1.0 : f32
+  // expected-error @+1 {{cannot differentiate a reduction that is not a sum}}
+  %p = scf.parallel (%i) = (%c0) to (%c4) step (%c1) init (%one) -> f32 {
+    %v = memref.load %x[%i] : memref<4xf32>
+    scf.reduce(%v : f32) {
+    ^bb0(%l: f32, %r: f32):
+      %m = arith.mulf %l, %r : f32
+      scf.reduce.return %m : f32
+    }
+  }
+  memref.store %p, %out[] : memref<f32>
+  return
+}
+
+// -----
+
+// expected-error @+1 {{cannot differentiate a function of several blocks; structured control flow is expected}}
+func.func @blocks(%x: memref<4xf32>) attributes {tai.differentiate} {
+  cf.br ^next
+^next:
+  return
+}
