@@ -1,0 +1,109 @@
+// RUN: tai-opt %s --tai-make-adjoint --canonicalize --cse | FileCheck %s
+
+// A zero adjoint contributes zero, whatever the partial is. The guard is there
+// where the partial may be infinite or NaN, and nowhere else.
+
+!t = !tai.root<dense<[i: 16], {x: f32, x_grad: f32, y: f32, y_grad: f32, z: f32, z_grad: f32, v: vector<2xf32>, v_grad: vector<2xf32>}>>
+tai.tree @t : !t
+tai.field @x_grad = @t["x_grad"] : f32, rank 1
+tai.field @y_grad = @t["y_grad"] : f32, rank 1
+tai.field @z_grad = @t["z_grad"] : f32, rank 1
+tai.field @v_grad = @t["v_grad"] : vector<2xf32>, rank 1
+tai.field @x = @t["x"] : f32, rank 1, adjoint @x_grad
+tai.field @y = @t["y"] : f32, rank 1, adjoint @y_grad
+tai.field @z = @t["z"] : f32, rank 1, adjoint @z_grad
+tai.field @v = @t["v"] : vector<2xf32>, rank 1, adjoint @v_grad
+
+// CHECK-LABEL: tai.kernel @root_grad(
+//   CHECK-DAG:   %[[ZERO:.+]] = arith.constant 0.000000e+00 : f32
+//       CHECK:   %[[R:.+]] = math.sqrt
+//       CHECK:   %[[G:.+]] = tai.load @y_grad
+//       CHECK:   %[[D:.+]] = arith.divf %[[G]], %{{.+}}
+//       CHECK:   %[[IS_ZERO:.+]] = arith.cmpf oeq, %[[G]], %[[ZERO]]
+//       CHECK:   %[[GUARDED:.+]] = arith.select %[[IS_ZERO]], %[[ZERO]], %[[D]]
+//       CHECK:   tai.atomic add %[[GUARDED]], @x_grad
+tai.kernel @root() {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = math.sqrt %0 : f32
+    tai.store %1, @y[%i] : f32
+  }
+  tai.return
+}
+
+// The root of a square plus a positive number cannot be zero.
+// CHECK-LABEL: tai.kernel @safe_root_grad(
+//   CHECK-NOT:   arith.select
+//       CHECK:   tai.return
+tai.kernel @safe_root() {
+  %eps = arith.constant 1.0e-6 : f32
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = arith.mulf %0, %0 : f32
+    %2 = arith.addf %1, %eps : f32
+    %3 = math.sqrt %2 : f32
+    tai.store %3, @y[%i] : f32
+  }
+  tai.return
+}
+
+// Nor can a constant, or a norm plus a positive number.
+// CHECK-LABEL: tai.kernel @safe_quotients_grad(
+//       CHECK:   %[[L:.+]] = tai.norm
+//       CHECK:   %[[S:.+]] = arith.addf %[[L]]
+//       CHECK:   arith.divf %{{.+}}, %[[S]]
+//   CHECK-NOT:   arith.cmpf oeq, %{{.+}}, %{{.+}} : vector
+//       CHECK:   tai.atomic add %{{.+}}, @x_grad
+tai.kernel @safe_quotients() {
+  %eps = arith.constant 1.0e-4 : f32
+  %three = arith.constant 3.0 : f32
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = arith.divf %0, %three : f32
+    %v = tai.load @v[%i] : vector<2xf32>
+    %l = tai.norm %v : vector<2xf32>
+    %s = arith.addf %l, %eps : f32
+    %q = arith.divf %1, %s : f32
+    tai.store %q, @y[%i] : f32
+  }
+  tai.return
+}
+
+// A product is finite where its factors are: no guard for loaded values, but one
+// for a factor that a division made. (That is how NaN of an untaken arm would
+// reach the other factor.)
+// CHECK-LABEL: tai.kernel @products_grad(
+//       CHECK:   %[[X:.+]] = tai.load @x[
+//       CHECK:   %[[Y:.+]] = tai.load @y[
+//       CHECK:   %[[Q:.+]] = arith.divf %[[X]], %[[Y]]
+//       CHECK:   %[[G:.+]] = tai.load @z_grad
+//       CHECK:   %[[GX:.+]] = arith.mulf %[[G]], %[[X]]
+//       CHECK:   %[[GQ:.+]] = arith.mulf %[[G]], %[[Q]]
+//       CHECK:   %[[C:.+]] = arith.cmpf oeq, %[[G]], %{{.+}}
+//       CHECK:   arith.select %[[C]], %{{.+}}, %[[GQ]]
+//   CHECK-NOT:   arith.select %{{.+}}, %{{.+}}, %[[GX]]
+//       CHECK:   tai.return
+tai.kernel @products() {
+  tai.parallel_for (%i) in @x {
+    %x = tai.load @x[%i] : f32
+    %y = tai.load @y[%i] : f32
+    %q = arith.divf %x, %y : f32
+    %p = arith.mulf %x, %q : f32
+    tai.store %p, @z[%i] : f32
+  }
+  tai.return
+}
+
+// Vectors are guarded component by component.
+// CHECK-LABEL: tai.kernel @vectors_grad(
+//       CHECK:   %[[C:.+]] = arith.cmpf oeq, %{{.+}}, %{{.+}} : vector<2xf32>
+//       CHECK:   arith.select %[[C]], %{{.+}}, %{{.+}} : vector<2xi1>, vector<2xf32>
+tai.kernel @vectors() {
+  tai.parallel_for (%i) in @x {
+    %v = tai.load @v[%i] : vector<2xf32>
+    %l = math.log %v : vector<2xf32>
+    %s = tai.sum %l : vector<2xf32>
+    tai.store %s, @y[%i] : f32
+  }
+  tai.return
+}
