@@ -77,10 +77,10 @@ tai.kernel @safe_quotients() {
 //       CHECK:   %[[Y:.+]] = tai.load @y[
 //       CHECK:   %[[Q:.+]] = arith.divf %[[X]], %[[Y]]
 //       CHECK:   %[[G:.+]] = tai.load @z_grad
-//       CHECK:   %[[GX:.+]] = arith.mulf %[[G]], %[[X]]
 //       CHECK:   %[[GQ:.+]] = arith.mulf %[[G]], %[[Q]]
 //       CHECK:   %[[C:.+]] = arith.cmpf oeq, %[[G]], %{{.+}}
 //       CHECK:   arith.select %[[C]], %{{.+}}, %[[GQ]]
+//       CHECK:   %[[GX:.+]] = arith.mulf %[[G]], %[[X]]
 //   CHECK-NOT:   arith.select %{{.+}}, %{{.+}}, %[[GX]]
 //       CHECK:   tai.return
 tai.kernel @products() {
