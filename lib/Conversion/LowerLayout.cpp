@@ -256,6 +256,39 @@ static Value emitArrayPointer(OpBuilder &builder, Location loc, Value array,
   return emitPointer(builder, loc, getStorageType(scalar), base, offset);
 }
 
+/// The atomic instruction for a kind; LLVM has none for products.
+static std::optional<LLVM::AtomicBinOp>
+toAtomicBinOp(arith::AtomicRMWKind kind) {
+  switch (kind) {
+  case arith::AtomicRMWKind::addf:
+    return LLVM::AtomicBinOp::fadd;
+  case arith::AtomicRMWKind::addi:
+    return LLVM::AtomicBinOp::add;
+  case arith::AtomicRMWKind::andi:
+    return LLVM::AtomicBinOp::_and;
+  case arith::AtomicRMWKind::ori:
+    return LLVM::AtomicBinOp::_or;
+  case arith::AtomicRMWKind::xori:
+    return LLVM::AtomicBinOp::_xor;
+  case arith::AtomicRMWKind::assign:
+    return LLVM::AtomicBinOp::xchg;
+  case arith::AtomicRMWKind::maxnumf:
+    return LLVM::AtomicBinOp::fmax;
+  case arith::AtomicRMWKind::minnumf:
+    return LLVM::AtomicBinOp::fmin;
+  case arith::AtomicRMWKind::maxs:
+    return LLVM::AtomicBinOp::max;
+  case arith::AtomicRMWKind::mins:
+    return LLVM::AtomicBinOp::min;
+  case arith::AtomicRMWKind::maxu:
+    return LLVM::AtomicBinOp::umax;
+  case arith::AtomicRMWKind::minu:
+    return LLVM::AtomicBinOp::umin;
+  default:
+    return std::nullopt;
+  }
+}
+
 void AccessLowering::lowerArray(Operation *op) {
   OpBuilder builder(op);
   Location loc = op->getLoc();
@@ -291,8 +324,8 @@ void AccessLowering::lowerArray(Operation *op) {
       emitStore(b, loc, store.getValueToStore(), pointer, scopes);
       return {};
     }
-    return LLVM::AtomicRMWOp::create(b, loc, LLVM::AtomicBinOp::fadd, pointer,
-                                     atomic.getValue(),
+    return LLVM::AtomicRMWOp::create(b, loc, *toAtomicBinOp(atomic.getKind()),
+                                     pointer, atomic.getValue(),
                                      LLVM::AtomicOrdering::monotonic);
   });
   op->erase();
@@ -313,8 +346,10 @@ LogicalResult AccessLowering::run() {
     } else if (isa<memref::LoadOp, memref::StoreOp>(op)) {
       arrays.push_back(op);
     } else if (auto atomic = dyn_cast<memref::AtomicRMWOp>(op)) {
-      if (atomic.getKind() != arith::AtomicRMWKind::addf) {
-        op->emitOpError("of this kind cannot be lowered; only 'addf' can");
+      if (!toAtomicBinOp(atomic.getKind())) {
+        op->emitOpError("of kind '")
+            << arith::stringifyAtomicRMWKind(atomic.getKind())
+            << "' cannot be lowered";
         return WalkResult::interrupt();
       }
       arrays.push_back(op);

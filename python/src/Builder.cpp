@@ -61,11 +61,7 @@ public:
     module = mlirModuleCreateEmpty(location);
   }
   ~Builder() {
-    // What was not given to an op is here because the front end reported an
-    // error. Inner regions use values of outer ones, so they go first.
-    for (auto region = regions.rbegin(); region != regions.rend(); ++region)
-      if ((*region)->handle.ptr)
-        mlirRegionDestroy((*region)->handle);
+    dropRegions();
     if (module.ptr)
       mlirModuleDestroy(module);
   }
@@ -199,6 +195,7 @@ public:
   bool verify() { return mlirOperationVerify(mlirModuleGetOperation(module)); }
 
   std::shared_ptr<Kernel> finish(const std::string &name) {
+    dropRegions(); // they may use values of the module, which goes its own way
     TaiKernel kernel = nullptr;
     MlirModule owned = module;
     module.ptr = nullptr; // the kernel owns it, also on failure
@@ -208,6 +205,15 @@ public:
   }
 
 private:
+  /// Destroys the regions that no op took: the front end did not need them, or
+  /// reported an error. Inner ones use values of outer ones, so they go first.
+  void dropRegions() {
+    for (auto region = regions.rbegin(); region != regions.rend(); ++region)
+      if ((*region)->handle.ptr)
+        mlirRegionDestroy((*region)->handle);
+    regions.clear();
+  }
+
   MlirOperation checked(MlirOperation op, const std::string &name) {
     if (mlirOperationIsNull(op))
       throw std::runtime_error("the op " + name + " could not be built");

@@ -108,9 +108,8 @@ std::vector<int64_t> toIndices(const Field &field, const py::tuple &indices) {
   return result;
 }
 
-py::object readElement(const Field &field, const py::tuple &indices,
-                       int64_t component) {
-  std::vector<int64_t> at = toIndices(field, indices);
+py::object readAt(const Field &field, const std::vector<int64_t> &at,
+                  int64_t component) {
   if (field.isFloat()) {
     double value = 0;
     field.context->check(
@@ -123,9 +122,22 @@ py::object readElement(const Field &field, const py::tuple &indices,
   return py::int_(value);
 }
 
-void writeElement(const Field &field, const py::tuple &indices,
-                  int64_t component, const py::object &value) {
+py::object readElement(const Field &field, const py::tuple &indices,
+                       int64_t component) {
+  return readAt(field, toIndices(field, indices), component);
+}
+
+/// All components of one element.
+py::list readAll(const Field &field, const py::tuple &indices) {
   std::vector<int64_t> at = toIndices(field, indices);
+  py::list values(field.numComponents());
+  for (size_t component = 0; component < values.size(); ++component)
+    values[component] = readAt(field, at, static_cast<int64_t>(component));
+  return values;
+}
+
+void writeAt(const Field &field, const std::vector<int64_t> &at,
+             int64_t component, const py::object &value) {
   if (field.isFloat()) {
     double number = PyFloat_AsDouble(value.ptr());
     if (number == -1.0 && PyErr_Occurred())
@@ -145,6 +157,18 @@ void writeElement(const Field &field, const py::tuple &indices,
     throw py::error_already_set();
   field.context->check(
       taiFieldWriteI64(field.handle, at.data(), component, number));
+}
+
+void writeElement(const Field &field, const py::tuple &indices,
+                  int64_t component, const py::object &value) {
+  writeAt(field, toIndices(field, indices), component, value);
+}
+
+void writeAll(const Field &field, const py::tuple &indices,
+              const py::sequence &values) {
+  std::vector<int64_t> at = toIndices(field, indices);
+  for (size_t component = 0; component < values.size(); ++component)
+    writeAt(field, at, static_cast<int64_t>(component), values[component]);
 }
 
 /// Checks that a buffer is a C-contiguous array of all scalars of the field.
@@ -232,6 +256,8 @@ void bindField(py::module_ &module) {
   py::class_<Field>(module, "Field")
       .def("get", &readElement)
       .def("set", &writeElement)
+      .def("get_all", &readAll)
+      .def("set_all", &writeAll)
       .def("fill",
            [](Field &f, const py::object &value) {
              if (f.isFloat())

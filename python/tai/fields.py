@@ -565,8 +565,12 @@ class MatrixField(Field):
     def read(self, key: tuple) -> np.ndarray:
         """The components of one element."""
         if self._single is not None:
-            count = len(self.components)
-            values = [self._single.get_component(key, c) for c in range(count)]
+            try:
+                values = self._single.core.get_all(key)
+            except IndexError as error:
+                raise self._single._index_error(error) from None
+            if not self.dtype.is_float:
+                values = [self._single._to_python(v) for v in values]
         else:
             values = [component[key] for component in self.components]
         return np.array(values, self.dtype.numpy).reshape(self.element_shape)
@@ -589,8 +593,15 @@ class MatrixField(Field):
                 f"but got {values.shape}"
             )
         at = _index_tuple(key)
-        for component, number in enumerate(values.ravel()):
-            self.write(at, component, number.item())
+        numbers = values.ravel().tolist()
+        if self._single is None:
+            for component, number in zip(self.components, numbers, strict=True):
+                component[at] = number
+            return
+        try:
+            self._single.core.set_all(at, numbers)
+        except IndexError as error:
+            raise self._single._index_error(error) from None
 
     # Whole field
 

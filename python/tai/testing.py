@@ -63,6 +63,7 @@ def check_gradient(
             error = _best_error(lambda h, d=direction, s=start: value(s + h * d), expected)
             if not error <= tolerance:
                 field.from_numpy(start)
+                run()
                 raise AssertionError(
                     f"the gradient of '{field.name}' along a direction is {expected!r}, but "
                     f"central differences disagree by {error:.3g} (relative)"

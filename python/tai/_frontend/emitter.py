@@ -103,7 +103,7 @@ class Emitter:
     def constant(self, number: Any, dt: DataType) -> Value:
         """A scalar constant; they stand at the start of the kernel, one for each number."""
         if dt.is_float:
-            number = float(number)
+            number = float(number) if dt.bits == 64 else float(dt.numpy.type(number))
         elif dt.is_bool:
             number = bool(number)
         else:

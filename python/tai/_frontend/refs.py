@@ -297,8 +297,8 @@ class ArrayElement(Place):
             return self.emitter.matrix(old, self.dt, self.shape)
         if op == "-":
             return self.atomic("+", self.emitter.unary("neg", value))
-        names = {"+": ("addf", "addi"), "*": ("mulf", "muli"), "max": ("maxnumf", "maxs"),
-                 "min": ("minnumf", "mins"), "&": ("", "andi"), "|": ("", "ori")}  # fmt: skip
+        names = {"+": ("addf", "addi"), "max": ("maxnumf", "maxs"), "min": ("minnumf", "mins"),
+                 "&": ("", "andi"), "|": ("", "ori"), "^": ("", "xori")}  # fmt: skip
         if op not in names:
             return super().atomic(op, value)
         name = names[op][0 if self.dt.is_float else 1]

@@ -225,7 +225,9 @@ class Statements:
         carried = [v.value.handle for v in variables]
         self.depth += 1
         if loop.broken is None:
-            go_on = condition() or emitter.constant(True, u1)
+            go_on = condition()
+            if go_on is None:
+                go_on = emitter.constant(True, u1)
         else:
             running = emitter.unary("not", loop.broken.value)
             go_on = self.both(running, condition)

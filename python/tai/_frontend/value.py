@@ -70,6 +70,14 @@ class Value:
             "ti.static needs values that are known when the kernel is compiled",
         )
 
+    def __int__(self) -> int:
+        raise TaiTypeError(
+            "Python's int and float cannot convert a value that is known only when the kernel runs",
+            "in a plain Python function, use ti.cast(x, int)",
+        )
+
+    __float__ = __int__
+
     def __getitem__(self, key: Any) -> Any:
         raise TaiTypeError(f"a number of type {self.kind_name} has no elements")
 

@@ -1,0 +1,302 @@
+"""Fields: layouts, placement, element access from Python, copies."""
+
+import numpy as np
+import pytest
+import tai as ti
+
+
+def test_scalar_field():
+    x = ti.field(ti.f32, shape=(2, 3), name="x")
+    assert x.shape == (2, 3) and x.dtype is ti.f32
+    x[1, 2] = 5
+    assert x[1, 2] == 5.0 and x[0, 0] == 0.0
+    x.fill(2)
+    assert x.to_numpy().tolist() == [[2.0] * 3] * 2
+    x.from_numpy(np.arange(6).reshape(2, 3))
+    assert x[1, 0] == 3
+    assert str(x) == str(x.to_numpy())
+
+
+def test_types():
+    for dtype in (ti.i8, ti.i16, ti.i32, ti.i64, ti.u8, ti.u16, ti.u32, ti.u64, ti.f32, ti.f64):
+        x = ti.field(dtype, shape=3)
+        x[1] = 100
+        assert x.to_numpy().dtype == dtype.numpy
+        assert x.to_numpy().tolist() == [0, 100, 0]
+    x = ti.field(ti.u8, shape=2)
+    x[0] = 250
+    assert x[0] == 250
+    y = ti.field(float, shape=1)
+    assert y.dtype is ti.f32
+
+
+def test_zero_dimensions():
+    x = ti.field(ti.i32, shape=())
+    x[None] = 3
+    assert x[None] == 3 and x.shape == ()
+    assert x.to_numpy() == 3
+
+
+def test_vector_field():
+    v = ti.Vector.field(3, ti.f64, shape=2)
+    assert (v.n, v.m, v.shape) == (3, 1, (2,))
+    v[0] = [1, 2, 3]
+    v[1][2] = 5
+    v[1].x = 4
+    assert v.to_numpy().tolist() == [[1, 2, 3], [4, 0, 5]]
+    assert v[0].norm_sqr() == 14
+    assert v[0][1] == 2
+    v.fill(7)
+    assert v[1].to_list() == [7, 7, 7]
+    v.fill(ti.Vector([1.0, 2.0, 3.0]))
+    assert v[1].to_list() == [1, 2, 3]
+    assert v.get_scalar_field(1)[0] == 2
+    v.get_scalar_field(1)[0] = 9
+    assert v[0].to_list() == [1, 9, 3]
+
+
+def test_matrix_field():
+    m = ti.Matrix.field(2, 3, ti.f32, shape=(2, 2))
+    assert (m.n, m.m) == (2, 3)
+    m[1, 1] = [[1, 2, 3], [4, 5, 6]]
+    m[0, 1][1, 2] = 8
+    array = m.to_numpy()
+    assert array.shape == (2, 2, 2, 3)
+    assert array[1, 1].tolist() == [[1, 2, 3], [4, 5, 6]] and array[0, 1, 1, 2] == 8
+    m.from_numpy(array * 2)
+    assert m[1, 1][1, 0] == 8
+    assert m.get_scalar_field(1, 2).to_numpy()[0, 1] == 16
+
+
+# Shapes by the rule of the index: the axes in their order i, j, k, l, whatever the tree.
+PLACEMENTS = [
+    (lambda r, f: r.dense(ti.l, 5).dense(ti.i, 3).place(f), (3, 5)),
+    (lambda r, f: r.dense(ti.j, 2).dense(ti.i, 3).place(f), (3, 2)),
+    (lambda r, f: r.dense(ti.k, 4).dense(ti.ij, (2, 3)).place(f), (2, 3, 4)),
+    (lambda r, f: r.dense(ti.i, 2).dense(ti.jk, (3, 4)).place(f), (2, 3, 4)),
+    (lambda r, f: r.dense(ti.i, 2).dense(ti.ij, (3, 4)).place(f), (6, 4)),
+    (lambda r, f: r.dense(ti.ij, (2, 3)).dense(ti.i, 4).place(f), (8, 3)),
+    (lambda r, f: r.dense(ti.ij, 4).place(f), (4, 4)),
+    (lambda r, f: r.dense(ti.axes(1, 0), (2, 3)).place(f), (3, 2)),
+    (lambda r, f: r.dense(ti.ijkl, (2, 1, 3, 2)).place(f), (2, 1, 3, 2)),
+    (lambda r, f: r.place(f), ()),
+]
+
+
+@pytest.mark.parametrize("number", range(len(PLACEMENTS)))
+def test_layouts_agree(number):
+    place, shape = PLACEMENTS[number]
+    x, y = ti.field(ti.i32), ti.Vector.field(2, ti.f32)
+    place(ti.root, x)
+    place(ti.root, y)
+    assert x.shape == shape and y.shape == shape
+
+    @ti.kernel
+    def kernel():
+        for I in ti.grouped(x):
+            digest = 0
+            for d in ti.static(range(len(shape))):
+                digest = digest * 10 + I[d]
+            x[I] = digest
+            y[I] = ti.Vector([digest, -digest])
+
+    if shape:
+        kernel()
+    else:
+        x[None] = 0
+    expected = np.zeros(shape, int)
+    for index in np.ndindex(*shape):
+        for number in index:
+            expected[index] = expected[index] * 10 + number
+    assert x.to_numpy().tolist() == expected.tolist()
+    assert y.to_numpy()[..., 1].tolist() == (-expected).tolist()
+
+
+@pytest.mark.parametrize("order", ["ij", "ji"])
+def test_order(order):
+    x = ti.field(ti.i32, shape=(2, 3), order=order)
+    assert x.shape == (2, 3)
+
+    @ti.kernel
+    def kernel():
+        for i, j in x:
+            x[i, j] = 10 * i + j
+
+    kernel()
+    assert x.to_numpy().tolist() == [[0, 1, 2], [10, 11, 12]]
+
+
+def test_offset():
+    x = ti.field(ti.i32, shape=(4, 4), offset=(-2, 10))
+
+    @ti.kernel
+    def kernel():
+        for i, j in x:
+            x[i, j] = 100 * i + j
+
+    kernel()
+    assert x[-2, 10] == -190 and x[1, 13] == 113
+    assert x.to_numpy()[0, 0] == -190
+    with pytest.raises(ti.TaiIndexError, match="-2 to 1"):
+        _ = x[2, 10]
+
+
+def test_components_placed_one_by_one():
+    v = ti.Vector.field(2, ti.f64)
+    for i in range(2):
+        ti.root.dense(ti.i, 4).place(v.get_scalar_field(i))
+    ti.root.lazy_grad()
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def fill():
+        for i in v:
+            v[i] = ti.Vector([i, 10.0 * i])
+            v[i][1] += 1
+            v[i] += ti.Vector([0.5, 0.5])
+
+    @ti.kernel
+    def energy():
+        for i in v:
+            loss[None] += v[i].dot(v[i]) + v[i].x
+
+    fill()
+    expected = np.array([[i + 0.5, 10 * i + 1.5] for i in range(4)])
+    assert v.to_numpy().tolist() == expected.tolist()
+    v[2] = [3, 4]
+    assert v[2].to_list() == [3, 4]
+    v.from_numpy(expected)
+    with ti.ad.Tape(loss):
+        energy()
+    assert loss[None] == pytest.approx((expected**2).sum() + expected[:, 0].sum())
+    assert v.grad.to_numpy().tolist() == (2 * expected + [1, 0]).tolist()
+
+
+def test_structure_of_arrays():
+    a = ti.Matrix.field(2, 2, ti.f32, shape=3, layout=ti.Layout.SOA, needs_grad=True)
+
+    @ti.kernel
+    def kernel():
+        for i in a:
+            a[i] = ti.Matrix([[1, 2], [3, i]])
+
+    kernel()
+    assert a.to_numpy().tolist() == [[[1, 2], [3, i]] for i in range(3)]
+    assert a.grad.to_numpy().shape == (3, 2, 2)
+    a.fill(4)
+    assert a[1].to_list() == [[4, 4], [4, 4]]
+
+
+def test_gradients_are_placed_beside():
+    x, y, n = ti.field(ti.f32), ti.field(ti.f32), ti.field(ti.i32)
+    ti.root.dense(ti.i, 4).place(x, n)
+    ti.root.dense(ti.i, 4).place(y, y.grad)
+    ti.root.lazy_grad()
+    assert x.grad.shape == (4,) and y.grad.shape == (4,)
+    assert n.grad is None
+    x.grad[2] = 3
+    assert x.grad.to_numpy().tolist() == [0, 0, 3, 0]
+
+
+def test_fields_made_later():
+    x = ti.field(ti.i32, shape=2)
+    x[0] = 1
+    y = ti.field(ti.i32, shape=3)
+    ti.root.dense(ti.i, 2).place(z := ti.field(ti.i32))
+
+    @ti.kernel
+    def kernel():
+        for i in y:
+            y[i] = x[0] + i
+        for i in z:
+            z[i] = 7
+
+    kernel()
+    assert y.to_numpy().tolist() == [1, 2, 3] and z[1] == 7
+
+
+def test_copies():
+    x = ti.field(ti.f32, shape=3)
+    y = ti.field(ti.f32, shape=3)
+    x.from_numpy(np.array([1, 2, 3], np.float32))
+    y.copy_from(x)
+    assert y.to_numpy().tolist() == [1, 2, 3]
+    with pytest.raises(ti.TaiRuntimeTypeError, match=r"\(3,\)"):
+        y.from_numpy(np.zeros(4))
+
+
+def test_snode_queries():
+    x = ti.field(ti.f32)
+    block = ti.root.dense(ti.i, 4)
+    leaf = block.dense(ti.ij, (2, 3))
+    leaf.place(x)
+    assert x.snode is leaf and x.parent() is leaf and x.parent(2) is block
+    assert leaf.shape == (8, 3) and block.shape == (4,)
+    assert leaf.parent() is block
+
+
+def test_fields_builder():
+    builder = ti.FieldsBuilder()
+    x = ti.field(ti.f32)
+    builder.dense(ti.i, 4).place(x)
+    tree = builder.finalize()
+
+    @ti.kernel
+    def kernel():
+        for i in x:
+            x[i] = i
+
+    kernel()
+    assert x.to_numpy().tolist() == [0, 1, 2, 3]
+    tree.destroy()
+    with pytest.raises(ti.TaiRuntimeError, match="freed"):
+        _ = x[0]
+
+
+def test_large_fields():
+    """Two fields far apart in one tree: offsets beyond 2^28 bytes."""
+    far = ti.field(ti.f32, shape=1 << 27)
+    near = ti.field(ti.f32, shape=8)
+    last = ti.field(ti.f32, shape=1 << 27)
+
+    @ti.kernel
+    def kernel():
+        for i in near:
+            near[i] = i
+            far[(1 << 27) - 1 - i] = i
+            last[(1 << 27) - 1 - i] = -i
+
+    kernel()
+    assert near.to_numpy().tolist() == list(range(8))
+    assert far[(1 << 27) - 3] == 2 and last[(1 << 27) - 6] == -5
+
+
+def test_names_in_the_ir():
+    pressure = ti.field(ti.f32, shape=3)
+
+    @ti.kernel
+    def kernel():
+        for i in pressure:
+            pressure[i] = 1.0
+
+    kernel()
+    assert "@pressure" in kernel.mlir()
+
+
+@pytest.mark.parametrize("stage", ["tai", "autodiff", "scf", "llvm", "llvmir", "asm"])
+def test_stages(stage):
+    x = ti.field(ti.f32, shape=4, needs_grad=True)
+
+    @ti.kernel
+    def kernel(a: ti.f32):
+        for i in x:
+            x[i] += a
+
+    text = kernel.mlir(stage=stage)
+    assert len(text) > 100
+
+
+def test_no_memory_for_a_tree():
+    huge = ti.field(ti.f64, shape=(1 << 30, 1 << 20))
+    with pytest.raises(ti.TaiMemoryError):
+        huge[0, 0] = 1

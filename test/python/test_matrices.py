@@ -1,0 +1,267 @@
+"""Small vectors and matrices, in kernels and in Python, against NumPy."""
+
+import numpy as np
+import pytest
+import tai as ti
+
+A = np.array([[1.0, 2.0, -1.0], [0.5, 3.0, 2.0], [4.0, -2.0, 1.5]])
+B = np.array([[2.0, -1.0, 0.5], [1.0, 0.0, 3.0], [-0.5, 2.0, 1.0]])
+U = np.array([1.0, -2.0, 0.5])
+V = np.array([3.0, 1.0, 2.0])
+
+
+@pytest.fixture(autouse=True)
+def double_precision():
+    ti.init(default_fp=ti.f64, offline_cache=False)
+
+
+def matrix_result(function, shape):
+    """What `function(a, b, u, v)` gives in a kernel, as an array of the given shape."""
+    a = ti.Matrix.field(3, 3, ti.f64, shape=())
+    b = ti.Matrix.field(3, 3, ti.f64, shape=())
+    u = ti.Vector.field(3, ti.f64, shape=())
+    v = ti.Vector.field(3, ti.f64, shape=())
+    for field, value in ((a, A), (b, B), (u, U), (v, V)):
+        field.from_numpy(value)
+    if len(shape) == 2:
+        out = ti.Matrix.field(*shape, ti.f64, shape=())
+    elif len(shape) == 1:
+        out = ti.Vector.field(*shape, ti.f64, shape=())
+    else:
+        out = ti.field(ti.f64, shape=())
+
+    @ti.kernel
+    def kernel():
+        out[None] = function(a[None], b[None], u[None], v[None])
+
+    kernel()
+    return out.to_numpy()
+
+
+CASES = [
+    (lambda a, b, u, v: a + b, A + B),
+    (lambda a, b, u, v: a - 2 * b, A - 2 * B),
+    (lambda a, b, u, v: a * b, A * B),
+    (lambda a, b, u, v: a / b[0, 0], A / B[0, 0]),
+    (lambda a, b, u, v: 1 / (a + 10), 1 / (A + 10)),
+    (lambda a, b, u, v: a @ b, A @ B),
+    (lambda a, b, u, v: a @ u, A @ U),
+    (lambda a, b, u, v: -a, -A),
+    (lambda a, b, u, v: abs(a), abs(A)),
+    (lambda a, b, u, v: u**2 + v, U**2 + V),
+    (lambda a, b, u, v: u % 1.5, U % 1.5),
+    (lambda a, b, u, v: a.transpose(), A.T),
+    (lambda a, b, u, v: u.outer_product(v), np.outer(U, V)),
+    (lambda a, b, u, v: u.cross(v), np.cross(U, V)),
+    (lambda a, b, u, v: u.dot(v), U @ V),
+    (lambda a, b, u, v: u.norm(), np.linalg.norm(U)),
+    (lambda a, b, u, v: u.norm(0.25), np.sqrt(U @ U + 0.25)),
+    (lambda a, b, u, v: u.norm_sqr(), U @ U),
+    (lambda a, b, u, v: u.norm_inv(), 1 / np.linalg.norm(U)),
+    (lambda a, b, u, v: u.normalized(), U / np.linalg.norm(U)),
+    (lambda a, b, u, v: u.normalized(0.5), U / (np.linalg.norm(U) + 0.5)),
+    (lambda a, b, u, v: (0 * u).normalized(), 0 * U),
+    (lambda a, b, u, v: a.trace(), np.trace(A)),
+    (lambda a, b, u, v: a.determinant(), np.linalg.det(A)),
+    (lambda a, b, u, v: a.inverse(), np.linalg.inv(A)),
+    (lambda a, b, u, v: a.sum(), A.sum()),
+    (lambda a, b, u, v: a.max() - a.min(), A.max() - A.min()),
+    (lambda a, b, u, v: a.norm(), np.linalg.norm(A)),
+    (lambda a, b, u, v: ti.sin(a), np.sin(A)),
+    (lambda a, b, u, v: ti.exp(u), np.exp(U)),
+    (lambda a, b, u, v: ti.max(u, v), np.maximum(U, V)),
+    (lambda a, b, u, v: ti.min(u, 0.0), np.minimum(U, 0)),
+    (lambda a, b, u, v: ti.select(u < v, u, v), np.minimum(U, V)),
+    (lambda a, b, u, v: ti.floor(a), np.floor(A)),
+    (lambda a, b, u, v: ti.solve(a, u), np.linalg.solve(A, U)),
+    (lambda a, b, u, v: u.xy, U[:2]),
+    (lambda a, b, u, v: u.zyx, U[::-1]),
+    (lambda a, b, u, v: u.xxz, U[[0, 0, 2]]),
+    (lambda a, b, u, v: u.z * v.y, U[2] * V[1]),
+    (lambda a, b, u, v: a[1, 2], A[1, 2]),
+    (lambda a, b, u, v: a[1, :], A[1]),
+    (lambda a, b, u, v: a[:, 0], A[:, 0]),
+    (lambda a, b, u, v: ti.Matrix.rows([u, v]), np.stack([U, V])),
+    (lambda a, b, u, v: ti.Matrix.cols([u, v]), np.stack([U, V], axis=1)),
+    (lambda a, b, u, v: ti.Matrix([[u[0], 1], [2, 3]]), np.array([[U[0], 1], [2, 3]])),
+    (lambda a, b, u, v: ti.Matrix.diag(2, 4.5), 4.5 * np.eye(2)),
+    (lambda a, b, u, v: ti.Matrix.identity(ti.f64, 3), np.eye(3)),
+    (lambda a, b, u, v: ti.Vector.zero(ti.f64, 2), np.zeros(2)),
+    (lambda a, b, u, v: ti.Vector.one(ti.f64, 2), np.ones(2)),
+    (lambda a, b, u, v: ti.Vector.unit(3, 1, ti.f64), np.array([0, 1, 0])),
+    (lambda a, b, u, v: ti.math.clamp(u, -1.0, 0.7), U.clip(-1, 0.7)),
+    (lambda a, b, u, v: ti.math.mix(u, v, 0.25), 0.75 * U + 0.25 * V),
+    (lambda a, b, u, v: ti.math.dot(u, v), U @ V),
+    (lambda a, b, u, v: ti.math.cross(u, v), np.cross(U, V)),
+    (lambda a, b, u, v: ti.math.normalize(v), V / np.linalg.norm(V)),
+    (lambda a, b, u, v: ti.math.length(v), np.linalg.norm(V)),
+    (lambda a, b, u, v: ti.math.sign(u), np.sign(U)),
+    (lambda a, b, u, v: ti.math.vec2(u.xy), U[:2]),
+    (lambda a, b, u, v: ti.math.vec3(u.xy, 4.0), np.array([*U[:2], 4])),
+    (lambda a, b, u, v: ti.math.vec3(2.0), np.full(3, 2.0)),
+    (lambda a, b, u, v: ti.math.mat2(1, 2, 3, 4), np.array([[1, 2], [3, 4]])),
+]
+
+
+@pytest.mark.parametrize("number", range(len(CASES)))
+def test_in_a_kernel(number):
+    function, expected = CASES[number]
+    shape = np.shape(expected)
+    np.testing.assert_allclose(matrix_result(function, shape), expected, rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "function, expected",
+    # ti.solve stands in kernels only.
+    [case for case in CASES if "solve" not in case[0].__code__.co_names],
+)
+def test_in_python(function, expected):
+    arguments = [ti.Matrix(A), ti.Matrix(B), ti.Vector(U), ti.Vector(V)]
+    result = function(*arguments)
+    result = result.to_numpy() if hasattr(result, "to_numpy") else result
+    np.testing.assert_allclose(result, expected, rtol=1e-6, atol=1e-12)
+
+
+def test_polar_svd_eigen():
+    a = ti.Matrix.field(2, 2, ti.f64, shape=8)
+    worst = ti.field(ti.f64, shape=8)
+    a.from_numpy(np.random.default_rng(1).standard_normal((8, 2, 2)))
+
+    @ti.kernel
+    def kernel():
+        for i in a:
+            r, s = ti.polar_decompose(a[i])
+            u, sig, v = ti.svd(a[i])
+            sym = a[i] + a[i].transpose()
+            values, vectors = ti.sym_eig(sym)
+            one = ti.Matrix.identity(ti.f64, 2)
+            w = (r @ s - a[i]).norm() + (r @ r.transpose() - one).norm()
+            w += (s - s.transpose()).norm()
+            w += (u @ sig @ v.transpose() - a[i]).norm()
+            w += (sym @ vectors - vectors @ ti.Matrix([[values[0], 0], [0, values[1]]])).norm()
+            worst[i] = w
+
+    kernel()
+    assert worst.to_numpy().max() < 1e-12
+
+
+def test_dynamic_index():
+    x = ti.field(ti.f64, shape=(3, 3))
+    y = ti.Vector.field(3, ti.f64, shape=3)
+
+    @ti.kernel
+    def read():
+        m = ti.Matrix([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]])
+        for i in range(3):
+            for j in range(3):
+                x[i, j] = m[i, j]
+
+    @ti.kernel
+    def write():
+        for i in y:
+            v = ti.Vector([0.0, 0.0, 0.0])
+            for j in range(i + 1):
+                v[j] = 10 * i + j
+            y[i] = v
+            y[i][i] += 100
+
+    read()
+    write()
+    assert x.to_numpy().tolist() == np.arange(1, 10).reshape(3, 3).tolist()
+    assert y.to_numpy().tolist() == [[100, 0, 0], [10, 111, 0], [20, 21, 122]]
+
+
+def test_component_assignment():
+    y = ti.Matrix.field(2, 2, ti.f64, shape=2)
+
+    @ti.kernel
+    def kernel():
+        for i in y:
+            m = ti.Matrix([[0.0, 0.0], [0.0, 0.0]])
+            m[0, 1] = 3
+            m[1, 0] += i
+            if i == 1:
+                m[1, 1] = 7
+            y[i] = m
+            y[i][0, 0] = 5
+            y[i][0, 0] += 1
+
+    kernel()
+    assert y.to_numpy().tolist() == [[[6, 3], [0, 0]], [[6, 3], [1, 7]]]
+
+
+def test_swizzle_assignment():
+    y = ti.Vector.field(3, ti.f64, shape=2)
+
+    @ti.kernel
+    def kernel():
+        for i in y:
+            v = ti.Vector([1.0, 2.0, 3.0])
+            v.xy = v.yx
+            v.z *= 10
+            y[i] = v
+            y[i].x += i
+            y[i].yz = ti.Vector([8.0, 9.0])
+
+    kernel()
+    assert y.to_numpy().tolist() == [[2, 8, 9], [3, 8, 9]]
+
+
+def test_vectors_carried_by_loops():
+    @ti.kernel
+    def kernel(n: ti.i32) -> ti.types.vector(2, ti.f64):
+        v = ti.Vector([1.0, 0.0])
+        ti.loop_config(serialize=True)
+        for i in range(n):
+            if i % 2 == 0:
+                v += ti.Vector([0.5, i])
+            else:
+                v = v * 2
+        return v
+
+    v = np.array([1.0, 0.0])
+    for i in range(5):
+        v = v + [0.5, i] if i % 2 == 0 else v * 2
+    assert kernel(5).to_list() == v.tolist()
+
+
+def test_integer_vectors():
+    @ti.kernel
+    def kernel(n: ti.i32) -> ti.types.vector(4, ti.i32):
+        a = ti.Vector([n, 7])
+        b = a // 2 + ti.Vector([1, -1]) * a
+        c = (a > 3).any()
+        d = (a > 3).all()
+        return ti.Vector([b[0], b[1], c, d])
+
+    assert kernel(-5).to_list() == [-3 - 5, 3 - 7, 1, 0]
+
+
+def test_vector_sums_are_atomic():
+    total = ti.Vector.field(2, ti.f64, shape=())
+
+    @ti.kernel
+    def kernel():
+        for i in range(1000):
+            total[None] += ti.Vector([1.0, i])
+
+    kernel()
+    assert total[None].to_list() == [1000, 499500]
+
+
+def test_python_matrices():
+    v = ti.Vector([1, 2, 3])
+    v[1] = 5
+    v.z = 7
+    assert v.to_list() == [1, 5, 7] and v.n == 3 and v.m == 1
+    assert (v == ti.Vector([1, 5, 7])).all()
+    assert len(v) == 3 and list(v) == [1, 5, 7]
+    m = ti.Matrix([[1, 2], [3, 4]], dt=ti.f32)
+    assert m.dtype is ti.f32 and m.n == 2 and m.m == 2
+    assert (3 + m)[1, 1] == 7 and (m @ m).to_list() == [[7, 10], [15, 22]]
+    with pytest.raises(ti.TaiRuntimeTypeError):
+        m @ v
+    with pytest.raises(ti.TaiRuntimeTypeError):
+        v + ti.Vector([1, 2])
+    with pytest.raises(AttributeError):
+        _ = v.w
