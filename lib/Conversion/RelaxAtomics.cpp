@@ -13,7 +13,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "Common/Accumulation.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Transforms/LoopInvariantCodeMotionUtils.h"
+#include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Cost.h"
 #include "tai/Conversion/Passes.h"
 
@@ -33,7 +35,7 @@ namespace {
 /// The accesses of a loop to one field.
 struct FieldAccesses {
   SmallVector<AtomicOp> atomics; // those that are not exclusive yet
-  bool hasPlainAccess = false;
+  SmallVector<Operation *> others;
 };
 
 class LoopRelaxation {
@@ -46,6 +48,7 @@ public:
 private:
   void serialize();
   bool isIndependentOfTiming(AtomicOp atomic);
+  bool mayReach(ValueRange a, ValueRange b);
   void relaxField(FieldAccesses &accesses);
   bool isWorthPrivate(const AccumulationGroup &group);
 
@@ -106,6 +109,22 @@ bool LoopRelaxation::isWorthPrivate(const AccumulationGroup &group) {
   return !iterations || elements <= *iterations * updates * kElementsPerUpdate;
 }
 
+static ValueRange getIndices(Operation *access) {
+  return llvm::TypeSwitch<Operation *, ValueRange>(access)
+      .Case<LoadOp, StoreOp, AtomicOp>([](auto op) { return op.getIndices(); });
+}
+
+/// False if accesses at `a` and `b` reach different elements in any two
+/// iterations: an index that is the same in all of them tells them apart, such
+/// as the time slot.
+bool LoopRelaxation::mayReach(ValueRange a, ValueRange b) {
+  for (auto [x, y] : llvm::zip_equal(a, b))
+    if (loop.isDefinedOutsideOfLoop(x) && loop.isDefinedOutsideOfLoop(y) &&
+        areProvablyDistinct(x, y))
+      return false;
+  return true;
+}
+
 /// Chooses for the updates of one field.
 void LoopRelaxation::relaxField(FieldAccesses &accesses) {
   SmallVector<AtomicOp> &atomics = accesses.atomics;
@@ -120,7 +139,12 @@ void LoopRelaxation::relaxField(FieldAccesses &accesses) {
   }
   // What the iterations read in between would not be there yet.
   auto usesOld = [](AtomicOp atomic) { return !atomic.getOld().use_empty(); };
-  if (accesses.hasPlainAccess || llvm::any_of(atomics, usesOld))
+  if (llvm::any_of(atomics, usesOld) ||
+      llvm::any_of(atomics, [&](AtomicOp atomic) {
+        return llvm::any_of(accesses.others, [&](Operation *other) {
+          return mayReach(atomic.getIndices(), getIndices(other));
+        });
+      }))
     return;
   FailureOr<SmallVector<AccumulationGroup>> groups =
       groupAccumulations(loop, atomics, fields);
@@ -168,7 +192,7 @@ LogicalResult LoopRelaxation::run() {
     FieldAccesses &accesses = places[(*field)->scope];
     auto atomic = dyn_cast<AtomicOp>(op);
     if (!atomic || atomic.getExclusive())
-      accesses.hasPlainAccess = true;
+      accesses.others.push_back(op);
     else
       accesses.atomics.push_back(atomic);
     return WalkResult::advance();
@@ -187,6 +211,14 @@ LogicalResult LoopRelaxation::run() {
     auto strategy = atomic->getAttrOfType<StringAttr>(kAccumulateAttrName);
     inMemory |= !strategy || strategy.getValue() != kRegister;
     dependsOnTiming |= !strategy && !isIndependentOfTiming(atomic);
+  });
+  // Arrays of the caller stay as they are; those of an iteration are its own.
+  loop.walk([&](memref::AtomicRMWOp atomic) {
+    if (!loop.isDefinedOutsideOfLoop(atomic.getMemref()))
+      return;
+    inMemory = true;
+    dependsOnTiming |= isa<FloatType>(atomic.getValue().getType()) ||
+                       !atomic.getResult().use_empty();
   });
 
   std::optional<int64_t> iterations = getNumIterations(loop);

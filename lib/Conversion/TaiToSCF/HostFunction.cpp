@@ -185,10 +185,16 @@ LogicalResult tai::lowerHostFunction(func::FuncOp function,
       function.erase();
       return success();
     }
-    if (uses)
-      return uses->begin()->getUser()->emitOpError("calls ")
-             << "'" << function.getSymName()
+    if (uses) {
+      // The call that makes it recursive says more than that from outside.
+      Operation *user = uses->begin()->getUser();
+      for (SymbolTable::SymbolUse use : *uses)
+        if (function->isProperAncestor(use.getUser()))
+          user = use.getUser();
+      return user->emitOpError("calls '")
+             << function.getSymName()
              << "', which cannot be inlined; helpers cannot call themselves";
+    }
   }
 
   Location loc = function.getLoc();

@@ -1,0 +1,87 @@
+// RUN: tai-opt %s --convert-tai-to-scf | FileCheck %s
+
+tai.tree @t : !tai.root<dense<[i: 4, j: 100], {g: vector<2xf32>}>,
+                        dense<[i: 100], {h: f32, other: i32}>, {loss: f32}>
+tai.field @g = @t["g"] : vector<2xf32>, rank 2
+tai.field @h = @t["h"] : f32, rank 1
+tai.field @loss = @t["loss"] : f32, rank 0
+
+// The partition sums in a slot of its stack, with the order of the sum left to
+// LLVM; the kernel adds the partial sums in order. One partition needs no
+// memory for them.
+// CHECK-LABEL: llvm.func @reduction(
+//       CHECK:   %[[PARTS:.+]] = llvm.call @tai_rt_parts
+//       CHECK:   %[[ROOM:.+]] = scf.if %{{.+}} -> (!llvm.ptr)
+//       CHECK:     scf.yield
+//       CHECK:   } else {
+//       CHECK:     llvm.call @tai_rt_scratch
+//       CHECK:   llvm.call @tai_rt_parallel_for
+//       CHECK:   %[[ZERO:.+]] = arith.constant 0.0
+//       CHECK:   %[[SUM:.+]] = scf.for {{.+}} iter_args(%[[S:.+]] = %[[ZERO]]) -> (f32)
+//       CHECK:     %[[P:.+]] = llvm.load
+//       CHECK:     arith.addf %[[S]], %[[P]] : f32
+//       CHECK:   %[[OLD:.+]] = llvm.load
+//       CHECK:   %[[NEW:.+]] = arith.addf %[[OLD]], %[[SUM]]
+//       CHECK:   llvm.store %[[NEW]]
+// CHECK-LABEL: llvm.func internal @reduction.loop0(
+//       CHECK:   %[[SLOT:.+]] = llvm.alloca
+//       CHECK:   llvm.store %{{.+}}, %[[SLOT]]
+//       CHECK:   scf.for
+//       CHECK:     %[[A:.+]] = llvm.load %[[SLOT]]
+//       CHECK:     %[[B:.+]] = arith.subf %[[A]], %{{.+}} fastmath<reassoc,contract>
+//       CHECK:     llvm.store %[[B]], %[[SLOT]]
+//       CHECK:   %[[TOTAL:.+]] = llvm.load %[[SLOT]]
+//       CHECK:   llvm.store %[[TOTAL]]
+tai.kernel @reduction(%x: f32, %n: index) {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = tai.atomic sub %x, @loss[] {tai.accumulate = "register"} : f32
+  }
+  tai.return
+}
+
+// A slice that fills its memory: the buffer has the layout of the field, and
+// one partition updates the field itself. More partitions than their buffers
+// are worth are not made.
+// CHECK-LABEL: llvm.func @slice(
+//       CHECK:   llvm.call @tai_rt_parts
+//       CHECK:   %[[PARTS:.+]] = arith.minsi
+//       CHECK:   %[[BUFFER:.+]] = scf.if %{{.+}} -> (!llvm.ptr)
+//       CHECK:     scf.yield %[[TARGET:.+]] : !llvm.ptr
+//       CHECK:   } else {
+//       CHECK:     %[[BYTES:.+]] = arith.constant 800 : i64
+//       CHECK:     llvm.call @tai_rt_private(%{{.+}}, %[[BYTES]], %[[PARTS]])
+//       CHECK:   %[[ROUNDED:.+]] = arith.constant 832 : i64
+//       CHECK:   llvm.call @tai_rt_parallel_for
+//       CHECK:   scf.if
+//       CHECK:     %[[COUNT:.+]] = arith.constant 200 : i64
+//       CHECK:     llvm.call @tai_rt_combine(%{{.+}}, %[[TARGET]], %[[BUFFER]], %[[COUNT]], %[[PARTS]], %{{.+}})
+// CHECK-LABEL: llvm.func internal @slice.loop0(
+//       CHECK:   scf.for %[[J:.+]] =
+//       CHECK:     %[[TWO:.+]] = arith.constant 2 : index
+//       CHECK:     arith.muli %[[J]], %[[TWO]]
+//   CHECK-NOT:     atomicrmw
+//       CHECK:     %[[OLD:.+]] = llvm.load
+//       CHECK:     arith.addf %[[OLD]]
+//       CHECK:     llvm.store
+tai.kernel @slice(%t: index, %x: f32, %n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  tai.parallel_for (%j) = (%c0) to (%n) {
+    %0 = tai.atomic add %x, @g[%t, %j] component [%c1] {tai.accumulate = "private"} : f32
+  }
+  tai.return
+}
+
+// Cells that hold other fields too: the buffer is compact, and the distance of
+// its elements is known at run time, as one partition updates the field itself.
+// CHECK-LABEL: llvm.func @strided(
+//       CHECK:   %[[CELL:.+]] = arith.select %{{.+}}, %[[EIGHT:.+]], %[[FOUR:.+]] : i64
+//       CHECK:   llvm.call @tai_rt_combine_strided
+tai.kernel @strided(%x: f32, %n: index) {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%j) = (%c0) to (%n) {
+    %0 = tai.atomic add %x, @h[%j] {tai.accumulate = "private"} : f32
+  }
+  tai.return
+}

@@ -1,0 +1,75 @@
+// RUN: tai-opt %s --split-input-file --verify-diagnostics --convert-tai-to-scf
+
+tai.tree @t : !tai.root<dense<[i: 8], {x: f32}>>
+tai.field @x = @t["x"] : f32, rank 1
+tai.kernel @field_form() {
+  // expected-error @+1 {{'tai.parallel_for' op runs over a field; expects a box, as tai-lower-struct-for makes it}}
+  tai.parallel_for (%i) in @x {
+  }
+  tai.return
+}
+
+// -----
+
+tai.tree @t : !tai.root<dense<[i: 8], {x: f32}>>
+tai.field @x = @t["x"] : f32, rank 1
+tai.kernel @atomic(%n: index, %x: f32) {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    // expected-error @+1 {{'tai.atomic' op reaches the lowering of loops; expects tai-lower-layout to run before}}
+    %0 = tai.atomic add %x, @x[%i] : f32
+  }
+  tai.return
+}
+
+// -----
+
+tai.kernel @captured_vector(%v: vector<2xf32>, %n: index) {
+  %c0 = arith.constant 0 : index
+  // expected-error @below {{'vector.extract' op uses 'vector<2xf32>'; expects scalars, as tai-scalarize makes them}}
+  %0 = vector.extract %v[0] : f32 from vector<2xf32>
+  tai.return
+}
+
+// -----
+
+tai.kernel @local_vector() {
+  // expected-error @+1 {{'tai.alloca' op holds 'vector<2xf32>'; expects a scalar, as tai-scalarize makes it}}
+  %l = tai.alloca : !tai.local<vector<2xf32>>
+  tai.return
+}
+
+// -----
+
+func.func private @again(%x: f32) -> f32 {
+  // expected-error @+1 {{'func.call' op calls 'again', which cannot be inlined; helpers cannot call themselves}}
+  %0 = func.call @again(%x) : (f32) -> f32
+  return %0 : f32
+}
+
+// -----
+
+// expected-error @+1 {{'func.func' op expects one block: control flow of a host program stands in 'scf'}}
+func.func @jumps() {
+  cf.br ^bb1
+^bb1:
+  return
+}
+
+// -----
+
+func.func @parallel_host(%n: index) {
+  %c0 = arith.constant 0 : index
+  // expected-error @+1 {{'tai.parallel_for' op cannot run on the host}}
+  tai.parallel_for (%i) = (%c0) to (%n) {
+  }
+  return
+}
+
+// -----
+
+tai.kernel @strange(%m: memref<?xf32>) {
+  // expected-error @+1 {{'memref.cast' op cannot be lowered on an array argument of a kernel}}
+  %0 = memref.cast %m : memref<?xf32> to memref<4xf32>
+  tai.return
+}

@@ -1,0 +1,47 @@
+// RUN: tai-opt %s --tai-lower-layout=bounds-check=true | FileCheck %s
+// RUN: tai-opt %s --tai-lower-layout | FileCheck %s --check-prefix=OFF
+
+tai.tree @t : !tai.root<dense<[i: 4, j: 8], {x: f32, v: vector<3xf32>}>>
+tai.field @x = @t["x"] : f32, rank 2, offset [1, 0]
+tai.field @v = @t["v"] : vector<3xf32>, rank 2
+
+// Negative indices are large ones: one comparison for each dimension. A load
+// outside yields zero.
+// CHECK-LABEL: tai.kernel @read(
+//  CHECK-SAME:     %[[I:.+]]: index, %[[J:.+]]: index
+//       CHECK:   %[[I0:.+]] = arith.subi %[[I]]
+//       CHECK:   %[[A:.+]] = arith.cmpi ult, %[[I0]], %{{.+}}
+//       CHECK:   %[[B:.+]] = arith.cmpi ult, %[[J]], %{{.+}}
+//       CHECK:   %[[OK:.+]] = arith.andi %[[A]], %[[B]]
+//       CHECK:   tai.assert %[[OK]], "index [{}, {}] is out of range for field '@x' of shape [4, 8] from [1, 0]"(%[[I]], %[[J]])
+//  CHECK-SAME:     {tai.failure = 2 : i32}
+//       CHECK:   %[[R:.+]] = scf.if %[[OK]] -> (f32) {
+//       CHECK:     llvm.load
+//       CHECK:   } else {
+//       CHECK:     %[[ZERO:.+]] = arith.constant 0.0
+//       CHECK:     scf.yield %[[ZERO]]
+//       CHECK:   tai.return %[[R]]
+//   OFF-LABEL: tai.kernel @read
+//     OFF-NOT:   tai.assert
+tai.kernel @read(%i: index, %j: index) -> f32 {
+  %0 = tai.load @x[%i, %j] : f32
+  tai.return %0 : f32
+}
+
+// A component that is not constant is checked too; a store outside is skipped.
+// CHECK-LABEL: tai.kernel @write(
+//       CHECK:   tai.assert {{.+}} for field '@v' of shape [4, 8]"
+//       CHECK:   tai.assert {{.+}} for an element of field '@v'"
+//       CHECK:   scf.if
+//       CHECK:     llvm.store
+tai.kernel @write(%i: index, %c: index, %x: f32) {
+  tai.store %x, @v[%i, %i] component [%c] : f32
+  tai.return
+}
+
+// CHECK-LABEL: tai.kernel @array(
+//       CHECK:   tai.assert {{.+}} for an array of type memref<?xf32>"
+tai.kernel @array(%m: memref<?xf32>, %i: index, %x: f32) {
+  memref.store %x, %m[%i] : memref<?xf32>
+  tai.return
+}

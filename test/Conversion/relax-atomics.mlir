@@ -1,0 +1,205 @@
+// RUN: tai-opt %s --tai-relax-atomics | FileCheck %s --check-prefixes=CHECK,FREE
+// RUN: tai-opt %s --tai-relax-atomics=deterministic=true | FileCheck %s --check-prefixes=CHECK,DET
+
+tai.tree @t : !tai.root<dense<[i: 100000], {x: f32}>, dense<[i: 100000], {y: f32}>,
+                        dense<[i: 16], dense<[j: 100, k: 100], {grid: f32}>>,
+                        dense<[i: 1000000], {huge: f32}>, {loss: f32, count: i32}>
+tai.field @x = @t["x"] : f32, rank 1
+tai.field @y = @t["y"] : f32, rank 1
+tai.field @grid = @t["grid"] : f32, rank 3
+tai.field @huge = @t["huge"] : f32, rank 1
+tai.field @loss = @t["loss"] : f32, rank 0
+tai.field @count = @t["count"] : i32, rank 0
+
+// Each iteration has an element of its own: a plain update.
+// CHECK-LABEL: tai.kernel @own
+//       CHECK:   tai.parallel_for
+//       CHECK:     tai.atomic add %{{.+}}, @y[%{{.+}}] exclusive : f32
+//       CHECK:   } {tai.independent}
+tai.kernel @own() {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %n = arith.constant 99999 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = tai.load @x[%i] : f32
+    %1 = arith.addi %i, %c1 : index
+    %2 = tai.atomic add %0, @y[%1] : f32
+  }
+  tai.return
+}
+
+// Two different elements: the neighbour's iteration updates this one too.
+// CHECK-LABEL: tai.kernel @neighbours
+//       CHECK:     tai.atomic add %{{.+}}, @y[%{{.+}}] {tai.accumulate = "private"} : f32
+//       CHECK:     tai.atomic add %{{.+}}, @y[%{{.+}}] {tai.accumulate = "private"} : f32
+//       CHECK:   }
+//   CHECK-NOT:   tai.independent
+//       CHECK:   tai.return
+tai.kernel @neighbours() {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %n = arith.constant 99999 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = tai.load @x[%i] : f32
+    %1 = arith.addi %i, %c1 : index
+    %2 = tai.atomic add %0, @y[%1] : f32
+    %3 = tai.atomic add %0, @y[%i] : f32
+  }
+  tai.return
+}
+
+// All iterations share one element: sums in registers.
+// CHECK-LABEL: tai.kernel @reduction
+//       CHECK:     tai.atomic add %{{.+}}, @loss[] {tai.accumulate = "register"} : f32
+//       CHECK:     tai.atomic add %{{.+}}, @count[] {tai.accumulate = "register"} : i32
+//       CHECK:   } {tai.independent}
+tai.kernel @reduction() {
+  %c0 = arith.constant 0 : index
+  %one = arith.constant 1 : i32
+  %n = arith.constant 100000 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = tai.load @x[%i] : f32
+    %1 = tai.atomic add %0, @loss[] : f32
+    %2 = tai.atomic add %one, @count[] : i32
+  }
+  tai.return
+}
+
+// The time slot is the same for all iterations, computed before the loop, and
+// what is read is another slot: the slice that is updated gets buffers.
+// CHECK-LABEL: tai.kernel @slice(
+//  CHECK-SAME:     %[[T:.+]]: index
+//       CHECK:   %[[NEXT:.+]] = arith.addi %[[T]], %{{.+}} : index
+//       CHECK:   tai.parallel_for
+//       CHECK:     tai.atomic add %{{.+}}, @grid[%[[NEXT]], {{.+}}] {tai.accumulate = "private"} : f32
+tai.kernel @slice(%t: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c100 = arith.constant 100 : i32
+  %n = arith.constant 100000 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %next = arith.addi %t, %c1 : index
+    %0 = tai.load @grid[%t, %c0, %c0] : f32
+    %1 = arith.index_cast %i : index to i32
+    %2 = arith.remui %1, %c100 : i32
+    %j = arith.index_cast %2 : i32 to index
+    %3 = tai.atomic add %0, @grid[%next, %j, %j] : f32
+  }
+  tai.return
+}
+
+// What is updated is read as well: the updates stay in memory. Deterministic
+// mode runs such a loop on one thread.
+// CHECK-LABEL: tai.kernel @reads
+//        FREE:     tai.atomic add %{{.+}}, @y[%{{[^]]+}}] : f32
+//         DET:   tai.parallel_for {{.+}} serialize
+//         DET:     tai.atomic add %{{.+}}, @y[%{{[^]]+}}] exclusive : f32
+tai.kernel @reads() {
+  %c0 = arith.constant 0 : index
+  %c7 = arith.constant 7 : index
+  %n = arith.constant 100000 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = tai.load @y[%i] : f32
+    %1 = arith.remui %i, %c7 : index
+    %2 = tai.atomic add %0, @y[%1] : f32
+  }
+  tai.return
+}
+
+// Somebody looks at the old value.
+// CHECK-LABEL: tai.kernel @old
+//        FREE:     %[[OLD:.+]] = tai.atomic add %{{.+}}, @count[] : i32
+//         DET:   tai.parallel_for {{.+}} serialize
+tai.kernel @old() {
+  %c0 = arith.constant 0 : index
+  %one = arith.constant 1 : i32
+  %n = arith.constant 100000 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = tai.atomic add %one, @count[] : i32
+    %1 = arith.sitofp %0 : i32 to f32
+    tai.store %1, @x[%i] : f32
+  }
+  tai.return
+}
+
+// A million elements for some thousand updates: buffers would cost more.
+// CHECK-LABEL: tai.kernel @sparse_updates
+//        FREE:   tai.parallel_for
+//    FREE-NOT:   serialize
+//        FREE:     tai.atomic add %{{.+}}, @huge[%{{[^]]+}}] : f32
+//         DET:   tai.parallel_for {{.+}} serialize
+tai.kernel @sparse_updates() {
+  %c0 = arith.constant 0 : index
+  %c7 = arith.constant 7 : index
+  %n = arith.constant 10000 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = tai.load @x[%i] : f32
+    %1 = arith.muli %i, %i : index
+    %2 = arith.remui %1, %c7 : index
+    %3 = tai.atomic add %0, @huge[%2] : f32
+  }
+  tai.return
+}
+
+// Integer sums do not depend on the order.
+// CHECK-LABEL: tai.kernel @histogram(
+//   CHECK-NOT:   serialize
+//       CHECK:   tai.atomic min %{{.+}}, @y[%{{[^]]+}}] : f32
+tai.kernel @histogram() {
+  %c0 = arith.constant 0 : index
+  %c7 = arith.constant 7 : index
+  %n = arith.constant 100000 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = tai.load @x[%i] : f32
+    %1 = arith.remui %i, %c7 : index
+    %2 = tai.atomic min %0, @y[%1] : f32
+  }
+  tai.return
+}
+
+// Too small to pay for a fork: in place, where all updates are plain. They may
+// still meet: the iterations are not independent.
+// CHECK-LABEL: tai.kernel @small
+//       CHECK:   tai.parallel_for {{.+}} serialize
+//       CHECK:     tai.atomic add %{{.+}}, @loss[] exclusive : f32
+//       CHECK:   }
+//   CHECK-NOT:   tai.independent
+//       CHECK:   tai.return
+tai.kernel @small() {
+  %c0 = arith.constant 0 : index
+  %n = arith.constant 8 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = tai.load @x[%i] : f32
+    %1 = tai.atomic add %0, @loss[] : f32
+  }
+  tai.return
+}
+
+// Serial code of a kernel has no rivals.
+// CHECK-LABEL: tai.kernel @serial
+//       CHECK:   tai.atomic add %{{.+}}, @loss[] exclusive : f32
+tai.kernel @serial(%x: f32) {
+  %0 = tai.atomic add %x, @loss[] : f32
+  tai.return
+}
+
+// Sums into an array of the caller stay atomic.
+// CHECK-LABEL: tai.kernel @array(
+//        FREE:   tai.parallel_for
+//    FREE-NOT:   serialize
+//         DET:   tai.parallel_for {{.+}} serialize
+//       CHECK:     memref.atomic_rmw addf
+//       CHECK:   }
+//   CHECK-NOT:   tai.independent
+//       CHECK:   tai.return
+tai.kernel @array(%m: memref<?xf32>) {
+  %c0 = arith.constant 0 : index
+  %c7 = arith.constant 7 : index
+  %n = arith.constant 100000 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = tai.load @x[%i] : f32
+    %1 = arith.remui %i, %c7 : index
+    %2 = memref.atomic_rmw addf %0, %m[%1] : (f32, memref<?xf32>) -> f32
+  }
+  tai.return
+}
