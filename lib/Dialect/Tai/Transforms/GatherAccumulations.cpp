@@ -387,36 +387,80 @@ static Value recompute(OpBuilder &builder, LoopBox &box, Scatter &scatter) {
       .getResult(0);
 }
 
-/// Replaces the additions of `group` by one addition at the end of the body.
-static void gather(LoopBox &box, Group &group) {
+namespace {
+/// The one addition that takes the place of a group.
+struct Gathered {
+  AtomicOp pattern;
+  Value sum;
+  SmallVector<Value> indices, components;
+};
+} // namespace
+
+/// Computes at the end of the body what `group` adds to the element that the
+/// iteration owns.
+static Gathered gather(LoopBox &box, Group &group) {
   OpBuilder builder(box.body().getTerminator());
   Scatter &first = group.front();
-  Location loc = first.op.getLoc();
-  Value sum;
+  Gathered gathered{first.op, {}, {}, {}};
   for (Scatter &scatter : group) {
     Value value = recompute(builder, box, scatter);
-    sum = sum ? arith::AddFOp::create(builder, loc, sum, value).getResult()
-              : value;
+    gathered.sum = gathered.sum
+                       ? arith::AddFOp::create(builder, first.op.getLoc(),
+                                               gathered.sum, value)
+                             .getResult()
+                       : value;
   }
   IRMapping identity;
   for (BlockArgument iv : box.ivs())
     identity.map(iv, iv);
   Recomputation here(builder, box, std::move(identity));
-  SmallVector<Value> indices, components;
-  for (Value index : first.op.getIndices())
-    indices.push_back(Value(index));
   for (auto [dimension, index] : llvm::enumerate(first.op.getIndices())) {
     const auto *k = llvm::find(first.dimension, dimension);
-    indices[dimension] = k == first.dimension.end()
-                             ? here.get(index)
-                             : Value(box.ivs()[k - first.dimension.begin()]);
+    gathered.indices.push_back(
+        k == first.dimension.end()
+            ? here.get(index)
+            : Value(box.ivs()[k - first.dimension.begin()]));
   }
   for (Value component : first.op.getComponents())
-    components.push_back(here.get(component));
-  AtomicOp::create(builder, loc, AtomicKind::Add, sum, first.op.getFieldAttr(),
-                   indices, components, /*exclusive=*/true);
-  for (Scatter &scatter : group)
-    scatter.op.erase();
+    gathered.components.push_back(here.get(component));
+  return gathered;
+}
+
+/// Moves the plain additions of the body behind everything that is read, so
+/// that LLVM's reuse of a neighbour's load from one iteration to the next does
+/// not have to be carried across a store, which would stop the vectoriser.
+static void sinkAdditions(LoopBox &box) {
+  Operation *end = box.body().getTerminator();
+  for (AtomicOp op :
+       llvm::make_early_inc_range(box.body().getOps<AtomicOp>())) {
+    const void *storage = getStorageKey(op);
+    bool isFree = op.getExclusive() && op.getOld().use_empty();
+    for (Operation *later = op->getNextNode(); isFree && later != end;
+         later = later->getNextNode())
+      later->walk([&](Operation *inner) {
+        isFree &= !isa<LoadOp, StoreOp, AtomicOp>(inner) ||
+                  getStorageKey(inner) != storage;
+      });
+    if (isFree)
+      op->moveBefore(end);
+  }
+}
+
+/// Replaces the additions of each group by one at the end of the body.
+static void rewrite(LoopBox &box, MutableArrayRef<Group> groups) {
+  SmallVector<Gathered> all;
+  for (Group &group : groups)
+    all.push_back(gather(box, group));
+  sinkAdditions(box);
+  OpBuilder builder(box.body().getTerminator());
+  for (Gathered &gathered : all)
+    AtomicOp::create(builder, gathered.pattern.getLoc(), AtomicKind::Add,
+                     gathered.sum, gathered.pattern.getFieldAttr(),
+                     gathered.indices, gathered.components,
+                     /*exclusive=*/true);
+  for (Group &group : groups)
+    for (Scatter &scatter : group)
+      scatter.op.erase();
 }
 
 namespace {
@@ -443,8 +487,7 @@ struct GatherAccumulations
         SmallVector<Group> groups = getGroups(field, *box, atomics, maxOps);
         if (groups.empty() || !isOnlyAccess(field, *box, groups))
           continue;
-        for (Group &group : groups)
-          gather(*box, group);
+        rewrite(*box, groups);
       }
     });
   }
