@@ -203,13 +203,16 @@ class Matrix:
         return Matrix._wrap(np.outer(self._array, _plain(other)))
 
     def transpose(self) -> Any:
+        """The transpose; that of a vector is a matrix of one row."""
         array = self._array[None, :] if self.ndim == 1 else self._array.T
         return Matrix._wrap(np.ascontiguousarray(array))
 
     def determinant(self) -> float:
+        """The determinant of a square matrix."""
         return float(np.linalg.det(self._square()))
 
     def inverse(self) -> Any:
+        """The inverse of a square matrix."""
         return Matrix._wrap(np.linalg.inv(self._square()).astype(self._array.dtype))
 
     def _square(self) -> np.ndarray:
@@ -218,24 +221,31 @@ class Matrix:
         return self._array
 
     def trace(self) -> Any:
+        """The sum of the diagonal."""
         return np.trace(self._square()).item()
 
     def sum(self) -> Any:
+        """The sum of all components."""
         return self._array.sum(dtype=self._array.dtype).item()
 
     def max(self) -> Any:
+        """The greatest component."""
         return self._array.max().item()
 
     def min(self) -> Any:
+        """The least component."""
         return self._array.min().item()
 
     def any(self) -> bool:
+        """Whether a component is not zero."""
         return bool(self._array.any())
 
     def all(self) -> bool:
+        """Whether no component is zero."""
         return bool(self._array.all())
 
     def norm_sqr(self) -> Any:
+        """Σ aᵢ²."""
         return (self._array * self._array).sum().item()
 
     def norm(self, eps: float = 0) -> float:
@@ -243,6 +253,7 @@ class Matrix:
         return math.sqrt(self.norm_sqr() + eps)
 
     def norm_inv(self, eps: float = 0) -> float:
+        """1 / norm(eps)."""
         return 1 / self.norm(eps)
 
     def normalized(self, eps: float = 0) -> Any:
@@ -251,6 +262,7 @@ class Matrix:
         return self * (1 / length if length else 0.0)
 
     def cast(self, dtype: Any) -> Any:
+        """The matrix in another type."""
         return Matrix._wrap(self._array.astype(dtypes.to_dtype(dtype).numpy))
 
     def fill(self, value: Any) -> None:
@@ -260,14 +272,17 @@ class Matrix:
 
     @staticmethod
     def zero(dt: Any, n: int, m: int | None = None) -> Any:
+        """A vector of n, or a matrix of n×m zeros."""
         return _full(0, dt, n, m)
 
     @staticmethod
     def one(dt: Any, n: int, m: int | None = None) -> Any:
+        """A vector of n, or a matrix of n×m ones."""
         return _full(1, dt, n, m)
 
     @staticmethod
     def identity(dt: Any, n: int) -> Any:
+        """The identity of size n."""
         return _from_rows([[int(r == c) for c in range(n)] for r in range(n)], dt)
 
     @staticmethod

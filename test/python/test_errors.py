@@ -1,0 +1,286 @@
+"""What is wrong in a program is reported at its line, with a caret and a hint."""
+
+import inspect
+
+import numpy as np
+import pytest
+import tai as ti
+
+import bad_expressions  # noqa: F401
+import bad_register
+import bad_statements
+
+
+def bad_line(function):
+    """The line that ends with the mark, its text, and the columns of its code."""
+    if function.__name__ == "recursion":
+        lines, start = inspect.getsourcelines(bad_statements)
+        mark = "# BAD-RECURSION"
+    else:
+        lines, start = inspect.getsourcelines(function)
+        mark = "# BAD"
+    for number, line in enumerate(lines):
+        if mark in line:
+            return max(start, 1) + number, line.rstrip("\n"), line.index(mark)
+    raise AssertionError(f"{function.__name__} has no line marked {mark}")
+
+
+@pytest.mark.parametrize("case", bad_register.CASES, ids=lambda case: case[0].__name__)
+def test_bad_kernel(case):
+    function, kind, message, hint = case
+    with pytest.raises(kind) as caught:
+        function()
+    error = caught.value
+    text = str(error)
+    assert message in error.message
+    if hint is not None:
+        assert hint in error.hint
+        assert f"hint: {error.hint}" in text
+    lineno, line, end = bad_line(function)
+    assert error.filename == function.__code__.co_filename
+    assert error.lineno == lineno
+    begin = len(line) - len(line.lstrip()) + 1
+    assert begin <= error.column <= end
+    # The text shows the line and carets under the part that is wrong.
+    shown = text.splitlines()
+    at = next(i for i, s in enumerate(shown) if s.strip().startswith(f"{lineno} |"))
+    assert line.strip() in shown[at]
+    carets = shown[at + 1]
+    offset = shown[at].index("| ") + 2
+    assert carets.strip("| ^") == "" and "^" in carets
+    assert carets.index("^") - offset == error.column - 1
+    assert isinstance(error, ti.TaiError)
+
+
+def test_there_are_many():
+    assert len(bad_register.CASES) >= 60
+
+
+def test_functions_are_named_on_the_way():
+    @ti.func
+    def inner(a):
+        return a + missing_name  # noqa: F821
+
+    @ti.func
+    def outer(a):
+        return inner(a)
+
+    @ti.kernel
+    def kernel(a: ti.f32) -> ti.f32:
+        return outer(a)
+
+    with pytest.raises(ti.TaiNameError) as caught:
+        kernel(1.0)
+    text = str(caught.value)
+    assert text.index("in function 'inner'") < text.index("in function 'outer'")
+    assert "in kernel 'kernel'" in text
+
+
+def test_the_program_goes_on_after_an_error():
+    x = ti.field(ti.i32, shape=3)
+
+    @ti.kernel
+    def wrong():
+        for i in x:
+            x[i] = undefined  # noqa: F821
+
+    @ti.kernel
+    def right():
+        for i in x:
+            x[i] = i
+
+    for _ in range(2):
+        with pytest.raises(ti.TaiNameError):
+            wrong()
+    right()
+    assert x.to_numpy().tolist() == [0, 1, 2]
+
+
+def test_access_rule_is_broken():
+    x = ti.field(ti.f32, shape=4, needs_grad=True)
+    y = ti.field(ti.f32, shape=4, needs_grad=True)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def kernel():
+        for i in x:
+            y[i] += x[i]
+            loss[None] += y[i] * y[i]
+            y[i] = x[i] * 2
+
+    with pytest.raises(ti.TaiAutodiffError) as caught, ti.ad.Tape(loss):
+        kernel()
+    error = caught.value
+    assert error.lineno is not None and "test_errors.py" in str(error)
+
+
+# Calls from Python
+
+
+def test_wrong_arguments_of_a_kernel():
+    @ti.kernel
+    def kernel(n: ti.i32, a: ti.f32 = 1.0):
+        pass
+
+    with pytest.raises(ti.TaiRuntimeTypeError, match="needs an argument 'n'"):
+        kernel()
+    with pytest.raises(ti.TaiRuntimeTypeError, match="takes 2 arguments, but got 3"):
+        kernel(1, 2, 3)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="'n'.*whole number"):
+        kernel(1.5)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="'a'.*number"):
+        kernel(1, "x")
+    with pytest.raises(ti.TaiRuntimeTypeError, match="no parameter 'b'"):
+        kernel(1, b=2)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="does not fit i32"):
+        kernel(2**40)
+    kernel(np.int64(3), np.float32(2))
+    kernel(True, 2)
+
+
+def test_wrong_arrays():
+    @ti.kernel
+    def kernel(a: ti.types.ndarray(dtype=ti.f32, ndim=2)):
+        pass
+
+    with pytest.raises(ti.TaiRuntimeTypeError, match="expects an array of f32, but got f64"):
+        kernel(np.zeros((2, 2)))
+    with pytest.raises(ti.TaiRuntimeTypeError, match="expects 2 dimensions, but got 1"):
+        kernel(np.zeros(2, np.float32))
+    with pytest.raises(ti.TaiRuntimeTypeError, match="expects an array, but got list"):
+        kernel([[1.0]])
+    with pytest.raises(ti.TaiRuntimeTypeError, match="expects numbers"):
+        kernel(np.array([["a"]]))
+
+
+def test_function_outside_of_a_kernel():
+    @ti.func
+    def function(a):
+        return a
+
+    with pytest.raises(ti.TaiSyntaxError, match="in kernels only"):
+        function(1)
+    with pytest.raises(ti.TaiSyntaxError, match="kernels"):
+        ti.random()
+
+
+def test_source_that_is_not_at_hand():
+    space = {"ti": ti}
+    exec("def f():\n    pass\nk = ti.kernel(f)", space)
+    with pytest.raises(ti.TaiSyntaxError, match="cannot be read"):
+        space["k"]()
+
+
+# Fields and layouts
+
+
+def test_element_access():
+    x = ti.field(ti.f32, shape=(2, 3), name="x")
+    for bad in [(2, 0), (-1, 0), (0, 3)]:
+        with pytest.raises(ti.TaiIndexError, match="'x'.*out of range"):
+            x[bad]
+        with pytest.raises(IndexError):
+            x[bad] = 1
+    with pytest.raises(ti.TaiIndexError, match="expects 2 indices, but got 1"):
+        _ = x[0]
+    with pytest.raises(TypeError):
+        x[0, 0.5] = 1
+    with pytest.raises(ti.TaiRuntimeTypeError, match="not 'a'"):
+        x[0, 0] = "a"
+    v = ti.Vector.field(2, ti.f32, shape=2, name="v")
+    with pytest.raises(ti.TaiRuntimeTypeError, match=r"shape \(2,\), but got \(3,\)"):
+        v[0] = [1, 2, 3]
+
+
+def test_placement():
+    x = ti.field(ti.f32, name="x")
+    with pytest.raises(ti.TaiRuntimeError, match="'x' is not placed"):
+        _ = x[0]
+    with pytest.raises(ti.TaiRuntimeError, match="'x' is not placed"):
+        _ = x.shape
+    ti.root.dense(ti.i, 4).place(x)
+    with pytest.raises(ti.TaiRuntimeError, match="placed already"):
+        ti.root.dense(ti.i, 4).place(x)
+    with pytest.raises(ti.TaiAutodiffError, match="'x' has no gradient"):
+        _ = x.grad[0]
+    block = ti.root.dense(ti.i, 4)
+    x[0] = 1
+    with pytest.raises(ti.TaiRuntimeError, match="in use already"):
+        block.place(ti.field(ti.f32))
+
+
+def test_layouts():
+    with pytest.raises(ti.TaiRuntimeTypeError, match="must be positive, but got 0"):
+        ti.root.dense(ti.i, 0)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="whole number"):
+        ti.root.dense(ti.i, 2.5)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="2 axes need 2 extents, but got 3"):
+        ti.root.dense(ti.ij, (1, 2, 3))
+    with pytest.raises(ti.TaiRuntimeTypeError, match="twice"):
+        ti.root.dense(ti.axes(0, 0), 4)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="place expects fields"):
+        ti.root.dense(ti.i, 4).place(3)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="holds numbers"):
+        ti.field("f32", shape=3)
+    with pytest.raises(ti.TaiAutodiffError, match="can have no gradient"):
+        ti.field(ti.i32, shape=3, needs_grad=True)
+
+
+@pytest.mark.parametrize("kind", ["pointer", "bitmasked", "hash", "dynamic"])
+def test_sparse_levels_are_refused_by_name(kind):
+    x = ti.field(ti.f32)
+    getattr(ti.root, kind)(ti.i, 16).place(x)
+    with pytest.raises(ti.TaiRuntimeError, match=f"'{kind}' levels are not built in yet"):
+        x[0] = 1
+
+
+# Options and tapes
+
+
+def test_options():
+    with pytest.raises(ti.TaiRuntimeError, match="no option 'defualt_fp'") as caught:
+        ti.init(defualt_fp=ti.f64)
+    assert "default_fp" in str(caught.value)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="default_fp must be a float type"):
+        ti.init(default_fp=ti.i32)
+    with pytest.raises(ti.TaiRuntimeError, match="cuda"):
+        ti.init(arch=ti.cuda)
+    with pytest.raises(ti.TaiRuntimeError, match="no target 'vulcan'"):
+        ti.init(arch="vulcan")
+    ti.init(arch=ti.cpu, flatten_if=True, advanced_optimization=True, device_memory_GB=2)
+
+
+def test_gpu_falls_back(capfd):
+    ti.init(arch=ti.gpu)
+    assert "falling back" in capfd.readouterr().err
+    assert ti.lang.impl.current_cfg().arch == ti.cpu
+
+
+def test_tapes():
+    x = ti.field(ti.f32, shape=3, needs_grad=True)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+    plain = ti.field(ti.f32, shape=(), name="plain")
+    whole = ti.field(ti.i32, shape=())
+    with pytest.raises(ti.TaiRuntimeTypeError, match="nothing"):
+        ti.ad.Tape()
+    with pytest.raises(ti.TaiRuntimeTypeError, match="one number"):
+        ti.ad.Tape(x)
+    with pytest.raises(ti.TaiAutodiffError, match="not a float"):
+        ti.ad.Tape(whole)
+    with pytest.raises(ti.TaiAutodiffError, match="'plain' has no gradient"), ti.ad.Tape(plain):
+        pass
+    with pytest.raises(ti.TaiRuntimeError, match="do not nest"), ti.ad.Tape(loss), ti.ad.Tape(loss):
+        pass
+    with pytest.raises(ti.TaiRuntimeError, match="inside a ti.ad.Tape"), ti.ad.Tape(loss):
+        ti.init()
+    tape = ti.ad.Tape(loss)
+    with pytest.raises(ti.TaiRuntimeError, match="holds nothing"):
+        tape.replay()
+    with pytest.raises(ti.TaiAutodiffError, match="takes no gradient of its own"):
+        ti.ad.grad_for(test_options)
+
+
+def test_unknown_name_of_the_package():
+    with pytest.raises(AttributeError, match="no attribute 'fild'") as caught:
+        _ = ti.fild
+    assert "field" in caught.value.__notes__[0]
