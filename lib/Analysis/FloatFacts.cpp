@@ -8,6 +8,7 @@
 #include "tai/Analysis/FloatFacts.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Math/IR/Math.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/LoopLikeInterface.h"
@@ -205,37 +206,54 @@ static bool makesNonFinite(Operation *op, FloatFacts &facts) {
       .Default([](Operation *) { return false; });
 }
 
-bool FloatFacts::computeMayBeNonFinite(Operation *op) {
-  // The bounds of a clamp hold for an infinite operand too; NaN passes, but
-  // comes from an operand that is itself not finite.
-  if (makesNonFinite(op, *this))
-    return true;
-  for (Value operand : op->getOperands())
-    if (isFloatOrVector(operand.getType()) && mayBeNonFinite(operand))
-      return true;
-  return false;
-}
-
 bool FloatFacts::mayBeNonFinite(Value value) {
-  auto [it, isNew] = nonFinite.try_emplace(value, true);
+  auto [it, isNew] = nonFinite.try_emplace(value, false);
   if (!isNew)
     return it->second;
-  // Values that pass through a loop or a branch stay true: what arrives there
-  // is not looked into.
-  bool result = true;
+  size_t mark = concludedFinite.size();
+  bool result = computeMayBeNonFinite(value);
+  nonFinite[value] = result;
+  if (!result) {
+    concludedFinite.push_back(value);
+  } else if (isa<BlockArgument>(value)) {
+    // While the answer was open it counted as no, since a loop asks for itself.
+    // What was concluded from that does not hold.
+    for (Value later : ArrayRef(concludedFinite).drop_front(mark))
+      nonFinite.erase(later);
+    concludedFinite.truncate(mark);
+  }
+  return result;
+}
+
+bool FloatFacts::computeMayBeNonFinite(Value value) {
+  if (!isFloatOrVector(value.getType()))
+    return false;
   if (auto argument = dyn_cast<BlockArgument>(value)) {
     Operation *parent = argument.getOwner()->getParentOp();
-    result = isFloatOrVector(value.getType()) &&
-             isa<LoopLikeOpInterface>(parent) && !isa<ParallelForOp>(parent);
-  } else if (Operation *op = value.getDefiningOp(); op->getNumRegions() == 0) {
-    if (isFloatOrVector(value.getType()) && matchPattern(op, m_Constant()))
-      result =
-          !matchConstant(value, [](const APFloat &x) { return x.isFinite(); });
-    else
-      result = computeMayBeNonFinite(op);
+    if (auto loop = dyn_cast<scf::ForOp>(parent)) {
+      unsigned index = argument.getArgNumber() - loop.getNumInductionVars();
+      return mayBeNonFinite(loop.getInitArgs()[index]) ||
+             mayBeNonFinite(loop.getYieldedValues()[index]);
+    }
+    return isa<LoopLikeOpInterface>(parent);
   }
-  nonFinite[value] = result;
-  return result;
+  Operation *op = value.getDefiningOp();
+  unsigned number = cast<OpResult>(value).getResultNumber();
+  if (auto branch = dyn_cast<scf::IfOp>(op))
+    return mayBeNonFinite(branch.thenYield().getOperand(number)) ||
+           mayBeNonFinite(branch.elseYield().getOperand(number));
+  if (auto loop = dyn_cast<scf::ForOp>(op))
+    return mayBeNonFinite(loop.getRegionIterArg(number));
+  if (op->getNumRegions() != 0)
+    return true; // what arrives there is not looked into
+  if (matchPattern(op, m_Constant()))
+    return !matchConstant(value,
+                          [](const APFloat &x) { return x.isFinite(); });
+  // The bounds of a clamp hold for an infinite operand too; NaN passes, but
+  // comes from an operand that is itself not finite.
+  return makesNonFinite(op, *this) ||
+         llvm::any_of(op->getOperands(),
+                      [&](Value operand) { return mayBeNonFinite(operand); });
 }
 
 bool mlir::tai::mayHaveNonFinitePartial(Operation *op, FloatFacts &facts) {

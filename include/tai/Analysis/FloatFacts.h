@@ -20,6 +20,7 @@
 
 #include "mlir/IR/Value.h"
 #include "llvm/ADT/DenseMap.h"
+#include "llvm/ADT/SmallVector.h"
 
 namespace mlir::tai {
 
@@ -42,9 +43,11 @@ private:
   static constexpr unsigned kDepth = 8;
   bool isPositive(Value value, unsigned depth);
   bool isNonNegative(Value value, unsigned depth);
-  bool computeMayBeNonFinite(Operation *op);
+  bool computeMayBeNonFinite(Value value);
 
   llvm::DenseMap<Value, bool> nonFinite;
+  /// The values that it has as finite, in the order of the answers.
+  llvm::SmallVector<Value> concludedFinite;
 };
 
 /// True if the derivative of `op` may be infinite or NaN though its operands
