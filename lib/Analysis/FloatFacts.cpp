@@ -247,8 +247,7 @@ bool FloatFacts::computeMayBeNonFinite(Value value) {
   if (op->getNumRegions() != 0)
     return true; // what arrives there is not looked into
   if (matchPattern(op, m_Constant()))
-    return !matchConstant(value,
-                          [](const APFloat &x) { return x.isFinite(); });
+    return !matchConstant(value, [](const APFloat &x) { return x.isFinite(); });
   // The bounds of a clamp hold for an infinite operand too; NaN passes, but
   // comes from an operand that is itself not finite.
   return makesNonFinite(op, *this) ||

@@ -15,7 +15,8 @@ namespace mlir::tai {
 /// Reverses the body of a parallel loop into `mirror`, the body of `loop` in
 /// the adjoint kernel. What iterations contribute to values that the body
 /// captures goes on to the reads that these come from, or, where they come from
-/// elsewhere, is summed in memory by atomic adds. `begin` maps the arguments, `terminate` adds the terminator.
+/// elsewhere, is summed in memory by atomic adds. `begin` maps the arguments,
+/// `terminate` adds the terminator.
 LogicalResult reverseParallelBody(AdjointBuilder &builder, Operation *loop,
                                   Block &primal, Block &mirror,
                                   llvm::function_ref<void(Frame &)> begin,

@@ -47,8 +47,8 @@ private:
 bool reachSameElement(DifferentiableAccessInterface lhs,
                       DifferentiableAccessInterface rhs);
 
-/// True if both accesses stand in one serial loop, and reach the same element in
-/// each of its iterations.
+/// True if both accesses stand in one serial loop, and reach the same element
+/// in each of its iterations.
 bool meetInEveryIteration(DifferentiableAccessInterface lhs,
                           DifferentiableAccessInterface rhs);
 

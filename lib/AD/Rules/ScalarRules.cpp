@@ -15,7 +15,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "ScalarRules.h"
-#include <cmath>
+#include "mlir/IR/Matchers.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -48,6 +48,17 @@ static bool unlessXNonPositive(RuleArgs &a) {
 }
 static bool unlessYNonZero(RuleArgs &a) {
   return !a.facts().isNonZero(operand(a, 1));
+}
+/// Of powers: x^(y - 1) is finite then.
+static bool unlessYAtLeastOne(RuleArgs &a) {
+  APFloat number(0.0f);
+  APInt integer;
+  Value y = operand(a, 1);
+  if (matchPattern(y, m_ConstantFloat(&number)))
+    return number < APFloat(number.getSemantics(), 1);
+  if (matchPattern(y, m_ConstantInt(&integer)))
+    return integer.slt(1);
+  return true;
 }
 
 //===----------------------------------------------------------------------===//
@@ -193,10 +204,10 @@ ArrayRef<ScalarRule> mlir::tai::getScalarRules() {
      "x = 0: infinite, or 0 where g = 0"},
     {"math.log1p", {{0, "g / (1 + x)", unlessXNonNegative, [](A a) { return a.g() / (1 + a.x()); }}},
      "x = -1: infinite, or 0 where g = 0"},
-    {"math.powf", {{0, "g y x^(y - 1)", always, powerByX},
+    {"math.powf", {{0, "g y x^(y - 1)", unlessYAtLeastOne, powerByX},
                    {1, "g r log x", always, [](A a) { return unless(a.x() == 0, a.g() * a.r() * log(a.x())); }}},
      "y = 0: 0 by x; x = 0: 0 by y; x < 0: exact by x, NaN by y"},
-    {"math.fpowi", {{0, "g y x^(y - 1)", always, [](A a) { return a.g() * powerByInteger(a); }}},
+    {"math.fpowi", {{0, "g y x^(y - 1)", unlessYAtLeastOne, [](A a) { return a.g() * powerByInteger(a); }}},
      "y = 0: 0"},
 
     // Trigonometry
