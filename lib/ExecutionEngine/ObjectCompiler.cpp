@@ -211,6 +211,21 @@ void ObjectCompiler::runPasses(Module &module) {
 //===----------------------------------------------------------------------===//
 
 namespace {
+/// The code generator's passes without strength reduction. That pass takes half
+/// of the time of code generation, because loops over many arrays give it many
+/// formulas to weigh, and what it gains the addressing modes of the machine
+/// give for nothing.
+class CodegenPasses : public legacy::PassManager {
+public:
+  void add(Pass *pass) override {
+    if (pass->getPassName() == "Loop Strength Reduction") {
+      delete pass;
+      return;
+    }
+    legacy::PassManager::add(pass);
+  }
+};
+
 /// Keeps the first error that code generation reports.
 struct ErrorKeeper : DiagnosticHandler {
   explicit ErrorKeeper(std::string &message) : message(message) {}
@@ -235,7 +250,7 @@ Error ObjectCompiler::emit(Module &module, raw_pwrite_stream &stream,
       std::make_unique<ErrorKeeper>(message));
   bool supported = true;
   Error error = guard([&] {
-    legacy::PassManager passes;
+    CodegenPasses passes;
     supported = !machine->addPassesToEmitFile(
         passes, stream, /*DwoOut=*/nullptr,
         assembly ? CodeGenFileType::AssemblyFile : CodeGenFileType::ObjectFile,

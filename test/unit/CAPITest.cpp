@@ -126,6 +126,43 @@ TEST(CAPI, ArraysAreConstantForTheAdjoint) {
   EXPECT_EQ(context.read(context.gx, 2), 3);
 }
 
+TEST(CAPI, AdjointsCompileAheadOfNeed) {
+  // Many kernels under one tape, some destroyed while their adjoints may still
+  // be compiling.
+  Context context;
+  context.addFields();
+  context.ok(taiFieldFillF64(context.x, 1));
+  for (int round = 0; round < 3; ++round) {
+    TaiTape tape;
+    context.ok(taiTapeBegin(context, context.y, true, &tape));
+    std::vector<TaiKernel> kernels;
+    for (int i = 1; i <= 6; ++i) {
+      kernels.push_back(
+          context.kernel("squares", squares(std::to_string(i) + ".0")));
+      context.ok(taiKernelLaunch(kernels.back(), nullptr, 0, nullptr));
+    }
+    if (round == 1)
+      taiTapeDestroy(tape);
+    for (TaiKernel kernel : kernels)
+      taiKernelDestroy(kernel);
+    if (round == 1)
+      continue;
+    context.ok(taiTapeBackward(tape));
+    EXPECT_EQ(context.read(context.gx, 3), 2.0 * 21);
+    taiTapeDestroy(tape);
+  }
+}
+
+TEST(CAPI, TreesOfTheSameNameAreNotConfused) {
+  Context context;
+  context.addFields();
+  TaiKernel kernel = context.kernel("squares", squares("1.0"));
+  context.ok(taiContextDestroyTree(context, "t"));
+  // Smaller, so that the old code would write beyond it.
+  context.ok(taiContextAddTree(context, "t", "!tai.root<{x: i8}>"));
+  EXPECT_EQ(taiKernelLaunch(kernel, nullptr, 0, nullptr), TAI_ERROR_USAGE);
+}
+
 TEST(CAPI, DestroyedKernelsStayOnTheTape) {
   Context context;
   context.addFields();

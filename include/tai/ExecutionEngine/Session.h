@@ -18,6 +18,7 @@
 #include "mlir/IR/OwningOpRef.h"
 #include "mlir/IR/SymbolTable.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/ExecutionEngine/Background.h"
 #include "tai/ExecutionEngine/Compiler.h"
 #include "tai/Runtime/CacheStore.h"
 #include "tai/Runtime/Runtime.h"
@@ -28,15 +29,24 @@ namespace mlir::tai {
 /// What a kernel is compiled from, and the code made so far. It lives as long
 /// as the runtime may launch it, which a tape can make longer than its handle.
 struct KernelCode {
-  KernelCode(Compiler &compiler, StringRef name, const CompileOptions &options)
-      : compiler(compiler), name(name.str()), options(options) {}
+  KernelCode(Compiler &compiler, Background &background, StringRef name,
+             const CompileOptions &options)
+      : compiler(compiler), background(background), name(name.str()),
+        options(options) {}
   ~KernelCode();
 
   Compiler &compiler;
+  Background &background;
   std::string name;
   CompileOptions options;
   OwningOpRef<ModuleOp> module;
+  /// The trees that the module declares.
+  std::vector<runtime::TreePtr> trees;
   std::vector<Compiler::Function> functions;
+  /// The adjoint, compiled ahead of need, and what became of it.
+  Background::JobPtr ahead;
+  std::optional<Compiler::Function> aheadResult;
+  Failure aheadFailure;
 };
 
 /// A kernel of a session. It is compiled when it is first launched.
@@ -130,7 +140,6 @@ private:
   LogicalResult declareUsed(ModuleOp module);
   LogicalResult verifyModule(ModuleOp module);
   std::vector<runtime::Access> summarize(ModuleOp module);
-  std::vector<runtime::TreePtr> findTrees(ArrayRef<std::string> names);
   runtime::Status compilePrimal(KernelCode &code,
                                 runtime::Kernel &runtimeKernel,
                                 TaiKernelFn &function);
@@ -148,6 +157,7 @@ private:
   std::unique_ptr<MLIRContext> context;
   std::unique_ptr<runtime::Runtime> rt;
   std::unique_ptr<Compiler> compiler;
+  Background background;
   std::shared_ptr<runtime::CacheStore> cache;
   CompileOptions options;
   SmallVector<std::string> printedStages;
