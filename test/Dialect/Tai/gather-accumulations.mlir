@@ -93,6 +93,32 @@ tai.kernel @cut_off(%t: i32) {
 
 // -----
 
+tai.tree @t : !tai.root<dense<[i: 8], {g: f32, y: f32, h: f32}>>
+tai.field @g = @t["g"] : f32, rank 1
+tai.field @y = @t["y"] : f32, rank 1
+tai.field @h = @t["h"] : f32, rank 1
+
+// Plain additions come last, behind all that is read.
+// CHECK-LABEL: tai.kernel @sink(
+//       CHECK:   tai.load
+//       CHECK:   tai.load
+//  CHECK-NEXT:   tai.atomic add %{{.+}}, @h[%[[I:.+]]] exclusive
+//  CHECK-NEXT:   tai.atomic add %{{.+}}, @g[%[[I]]] exclusive
+tai.kernel @sink() {
+  %c8 = arith.constant 8 : index
+  %c1 = arith.constant 1 : index
+  tai.parallel_for (%i) in @g {
+    %0 = tai.load @y[%i] : f32
+    %1 = tai.atomic add %0, @h[%i] exclusive : f32
+    %up = arith.addi %i, %c1 : index
+    %wrapped = arith.remui %up, %c8 : index
+    %2 = tai.atomic add %0, @g[%wrapped] : f32
+  }
+  tai.return
+}
+
+// -----
+
 tai.tree @t : !tai.root<dense<[i: 8], {g: f32, y: f32, p: i32, h: f32}>,
                         dense<[i: 4, j: 4], {m: f32}>, {s: f32}>
 tai.field @g = @t["g"] : f32, rank 1

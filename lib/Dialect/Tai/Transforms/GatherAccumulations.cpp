@@ -431,8 +431,9 @@ static Gathered gather(LoopBox &box, Group &group) {
 /// not have to be carried across a store, which would stop the vectoriser.
 static void sinkAdditions(LoopBox &box) {
   Operation *end = box.body().getTerminator();
-  for (AtomicOp op :
-       llvm::make_early_inc_range(box.body().getOps<AtomicOp>())) {
+  // A copy of the list: what is moved must not be met again.
+  SmallVector<AtomicOp> additions(box.body().getOps<AtomicOp>());
+  for (AtomicOp op : additions) {
     const void *storage = getStorageKey(op);
     bool isFree = op.getExclusive() && op.getOld().use_empty();
     for (Operation *later = op->getNextNode(); isFree && later != end;
