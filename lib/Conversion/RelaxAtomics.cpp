@@ -223,8 +223,8 @@ LogicalResult LoopRelaxation::run() {
 
   std::optional<int64_t> iterations = getNumIterations(loop);
   bool isSmall =
-      iterations && *iterations * estimateNanoseconds(loop.getBody().front()) <
-                        kForkNanoseconds;
+      iterations &&
+      *iterations * estimateIteration(loop, !inMemory) < kForkNanoseconds;
   if (isSmall || (deterministic && dependsOnTiming)) {
     loop.walk([&](AtomicOp atomic) { inMemory |= !atomic.getExclusive(); });
     serialize();

@@ -106,6 +106,15 @@ double tai::estimateRuns(Operation *op, ParallelForOp loop) {
   return runs;
 }
 
+double tai::estimateIteration(ParallelForOp loop, bool isIndependent) {
+  double cost = estimateNanoseconds(loop.getBody().front());
+  // Half the lanes: gathers and remainders take the rest.
+  constexpr double speedup = 4;
+  WalkResult innerLoops = loop.getBody().walk(
+      [](LoopLikeOpInterface) { return WalkResult::interrupt(); });
+  return isIndependent && !innerLoops.wasInterrupted() ? cost / speedup : cost;
+}
+
 std::optional<int64_t> tai::getNumIterations(ParallelForOp loop) {
   if (loop.isStructFor())
     return std::nullopt;

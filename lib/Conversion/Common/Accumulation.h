@@ -50,6 +50,10 @@ bool isInjective(ParallelForOp loop, ValueRange indices);
 /// How often `op` runs in one iteration of `loop`, assumed where unknown.
 double estimateRuns(Operation *op, ParallelForOp loop);
 
+/// Nanoseconds of one iteration of `loop` on one core. LLVM vectorises a loop
+/// whose iterations are independent, if it has no loop inside.
+double estimateIteration(ParallelForOp loop, bool isIndependent);
+
 /// The number of iterations, where it is constant.
 std::optional<int64_t> getNumIterations(ParallelForOp loop);
 

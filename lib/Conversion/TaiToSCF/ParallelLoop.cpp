@@ -17,7 +17,6 @@
 #include "Accumulators.h"
 #include "Lowering.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
-#include "tai/Analysis/Cost.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -180,7 +179,7 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   std::optional<int64_t> rows = box.constantCount(box.rank() - 1);
   std::optional<int64_t> rowLength = getConstantIntValue(box.extent.back());
   bool byRows = box.rank() > 1 && rows && *rows >= kManyRows && rowLength;
-  double cost = estimateNanoseconds(*loop.getBody().begin());
+  double cost = estimateIteration(loop, loop->hasAttr(kIndependentAttrName));
   if (byRows)
     cost *= *rowLength;
   Value count =
