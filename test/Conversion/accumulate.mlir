@@ -85,3 +85,22 @@ tai.kernel @strided(%x: f32, %n: index) {
   }
   tai.return
 }
+
+// An update under a condition moves behind it, where every iteration adds.
+// CHECK-LABEL: llvm.func internal @conditional.loop0(
+//       CHECK:   scf.for
+//       CHECK:     %[[ADDED:.+]] = scf.if %{{.+}} -> (f32) {
+//       CHECK:       scf.yield %{{.+}} : f32
+//       CHECK:     } else {
+//       CHECK:       %[[NONE:.+]] = arith.constant -0.0
+//       CHECK:       scf.yield %[[NONE]] : f32
+//       CHECK:     arith.addf %{{.+}}, %[[ADDED]] fastmath<reassoc,contract>
+tai.kernel @conditional(%c: i1, %x: f32, %n: index) {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    scf.if %c {
+      %0 = tai.atomic add %x, @loss[] {tai.accumulate = "register"} : f32
+    }
+  }
+  tai.return
+}

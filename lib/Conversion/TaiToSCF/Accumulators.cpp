@@ -283,12 +283,58 @@ void Accumulators::emitEntry(OpBuilder &builder, Location loc, Value part) {
   }
 }
 
+/// Moves an update behind the branches that it stands in; where it would not
+/// run it adds what changes nothing. LLVM vectorises the sum then, which it
+/// does not do for one that only some iterations change.
+static void moveBehindBranches(AtomicOp atomic) {
+  while (auto branch = dyn_cast<scf::IfOp>(atomic->getParentOp())) {
+    // tai-split-loops takes this branch out of the loop.
+    if (branch->hasAttr("tai.interior"))
+      return;
+    Location loc = branch.getLoc();
+    Type type = atomic.getValue().getType();
+    SmallVector<Type> types(branch.getResultTypes());
+    types.push_back(type);
+    OpBuilder builder(branch);
+    auto moved = scf::IfOp::create(builder, loc, types, branch.getCondition(),
+                                   /*addThenBlock=*/false,
+                                   /*addElseBlock=*/false);
+    moved->setDiscardableAttrs(branch->getDiscardableAttrDictionary());
+    moved.getThenRegion().takeBody(branch.getThenRegion());
+    moved.getElseRegion().takeBody(branch.getElseRegion());
+    if (moved.getElseRegion().empty()) {
+      Block &block = moved.getElseRegion().emplaceBlock();
+      OpBuilder end = OpBuilder::atBlockEnd(&block);
+      scf::YieldOp::create(end, loc);
+    }
+    for (Region *region : moved.getRegions()) {
+      Operation *yield = region->front().getTerminator();
+      Value value = atomic.getValue();
+      if (!region->isAncestor(atomic->getParentRegion())) {
+        builder.setInsertionPoint(yield);
+        // x + -0 is x, also for x = -0.
+        TypedAttr nothing = getIdentity(atomic.getKind(), type);
+        if (atomic.getKind() == AtomicKind::Add && isa<FloatType>(type))
+          nothing = builder.getFloatAttr(type, -0.0);
+        value = arith::ConstantOp::create(builder, loc, nothing);
+      }
+      yield->insertOperands(yield->getNumOperands(), value);
+    }
+    branch->replaceAllUsesWith(
+        moved.getResults().take_front(branch.getNumResults()));
+    branch.erase();
+    atomic->moveAfter(moved);
+    atomic.getValueMutable().assign(moved.getResults().back());
+  }
+}
+
 void Accumulators::rewriteUpdates() {
   auto reassociable = arith::FastMathFlagsAttr::get(
       lowering->module.getContext(),
       arith::FastMathFlags::reassoc | arith::FastMathFlags::contract);
   for (Register &sum : registers) {
     for (AtomicOp atomic : sum.atomics) {
+      moveBehindBranches(atomic);
       OpBuilder builder(atomic);
       Location loc = atomic.getLoc();
       Value old = emitSlotLoad(builder, loc, sum.type, sum.slot);
