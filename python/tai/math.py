@@ -36,7 +36,8 @@ mat2, mat3, mat4 = (matrix(n, n, float) for n in (2, 3, 4))
 
 def clamp(x: Any, low: Any, high: Any) -> Any:
     """x, but at least `low` and at most `high`."""
-    return max(low, min(x, high))
+    # In this order x wins the ties at both ends.
+    return min(high, max(low, x))
 
 
 def mix(x: Any, y: Any, a: Any) -> Any:

@@ -38,6 +38,9 @@ _PREDICATES = {
     ">=": (3, 5, 9),
 }
 
+# Float predicates for a constant as the second operand and as the first: ordered, unordered.
+_TIES = {"max": (2, 9), "min": (4, 11)}
+
 _MATH = {
     name: f"math.{name}"
     for name in (
@@ -517,7 +520,10 @@ class Emitter:
             dt = _state.options.default_fp
         if dt.is_bool and op not in "&|^" and op not in ("max", "min"):
             dt = _state.options.default_ip
+        is_constant = a.const is not None, b.const is not None
         a, b = self.unify(a, b, dt)
+        if op in _TIES and dt.is_float and any(is_constant) and not all(is_constant):
+            return self._pick(op, a, b, is_constant[0])
         forms = _ARITHMETIC[op]
         name = forms[0] if dt.is_float else forms[1] if dt.kind == "i" else forms[2]
         if name is None:
@@ -537,6 +543,17 @@ class Emitter:
             if known and (op != "*" or a.const is not None or b.const is not None):
                 made.index = (op, a, b)
         return made
+
+    def _pick(self, op: str, a: Value, b: Value, first_is_constant: bool) -> Value:
+        """Maximum or minimum with a constant, which says which side wins a tie.
+
+        The second operand wins, and gets the gradient. The maximum's own op would not do:
+        it commutes, and a constant would be moved to its second place. Where the other
+        operand is NaN the constant is taken, as that op does.
+        """
+        predicate = _TIES[op][first_is_constant]
+        attrs = {"predicate": self._attribute(f"{predicate} : i64")}
+        return self.select(self._elementwise("arith.cmpf", [a, b], u1, attrs), a, b)
 
     def _divide_whole(self, op: str, a: Any, b: Any) -> Any:
         """Division that rounds down, and its remainder, which has the sign of the divisor."""
