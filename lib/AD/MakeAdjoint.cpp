@@ -18,6 +18,7 @@
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/AD/AdjointBuilder.h"
 #include "tai/AD/Passes.h"
+#include "tai/AD/Selection.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
@@ -29,8 +30,6 @@ namespace mlir::tai {
 
 using namespace mlir;
 using namespace mlir::tai;
-
-static constexpr StringLiteral kDifferentiate = "tai.differentiate";
 
 /// True for the memref arguments that carry derivatives.
 static bool isDifferentiableMemRef(Type type) {
@@ -144,13 +143,14 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
   }
 
   void runOnOperation() override {
-    SmallVector<FunctionOpInterface> functions;
-    if (failed(collect(functions)))
+    FailureOr<SmallVector<FunctionOpInterface>> functions =
+        selectFunctions(getOperation(), kernels);
+    if (failed(functions))
       return signalPassFailure();
     SymbolTable symbols(getOperation());
     bool failedAny = false;
     // One error does not hide the next: every kernel is tried.
-    for (FunctionOpInterface function : functions)
+    for (FunctionOpInterface function : *functions)
       failedAny |= failed(differentiate(function, symbols));
     if (failedAny)
       signalPassFailure();
@@ -192,67 +192,6 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
     else
       function->setAttr("tai.adjoint", reference);
     return success();
-  }
-
-  /// The functions to differentiate, in the order of the module.
-  LogicalResult collect(SmallVectorImpl<FunctionOpInterface> &functions) {
-    ModuleOp module = getOperation();
-    if (!kernels.empty()) {
-      for (const std::string &name : kernels) {
-        auto function = module.lookupSymbol<FunctionOpInterface>(name);
-        if (!function)
-          return module.emitError() << "there is no kernel or function '@"
-                                    << name << "' to differentiate";
-        if (!hasAdjointAlready(function))
-          functions.push_back(function);
-      }
-      return success();
-    }
-    // Adjoints need none of their own.
-    DenseSet<StringAttr> adjoints;
-    for (auto kernel : module.getOps<KernelOp>())
-      if (FlatSymbolRefAttr adjoint = kernel.getAdjointAttr())
-        adjoints.insert(adjoint.getAttr());
-    std::optional<DenseSet<StringAttr>> taped = collectTaped(module);
-    for (auto function : module.getOps<FunctionOpInterface>()) {
-      if (function.isExternal() || hasAdjointAlready(function))
-        continue;
-      bool isWanted = isa<KernelOp>(function.getOperation())
-                          ? !taped || taped->contains(function.getNameAttr())
-                          : function->hasAttr(kDifferentiate);
-      if (isWanted && !adjoints.contains(function.getNameAttr()))
-        functions.push_back(function);
-    }
-    return success();
-  }
-
-  static bool hasAdjointAlready(FunctionOpInterface function) {
-    return function->hasAttr("adjoint") || function->hasAttr("tai.adjoint");
-  }
-
-  /// The kernels launched where gradients are taken, or nothing if the module
-  /// takes none.
-  static std::optional<DenseSet<StringAttr>> collectTaped(ModuleOp module) {
-    DenseSet<StringAttr> kernels;
-    SmallVector<Operation *> pending;
-    module.walk([&](Operation *op) {
-      if (isa<TapeOp, CheckGradientOp>(op))
-        pending.push_back(op);
-    });
-    if (pending.empty())
-      return std::nullopt;
-    DenseSet<Operation *> visited;
-    while (!pending.empty()) {
-      pending.pop_back_val()->walk([&](Operation *op) {
-        if (auto launch = dyn_cast<LaunchOp>(op))
-          kernels.insert(launch.getKernelAttr().getAttr());
-        else if (auto call = dyn_cast<func::CallOp>(op))
-          if (auto callee = module.lookupSymbol<func::FuncOp>(call.getCallee());
-              callee && visited.insert(callee).second)
-            pending.push_back(callee);
-      });
-    }
-    return kernels;
   }
 };
 } // namespace

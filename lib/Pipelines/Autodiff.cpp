@@ -24,7 +24,9 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
   // One value for each index, so that equal elements are seen to be equal.
   pm.addPass(createCSEPass());
   // On the program as it was written: flattened branches hide conditions.
-  pm.addPass(createCheckAccessRules());
+  CheckAccessRulesOptions rules;
+  rules.kernels.assign(options.kernels.begin(), options.kernels.end());
+  pm.addPass(createCheckAccessRules(rules));
   if (options.flatten)
     pm.addPass(createFlattenBranches());
 

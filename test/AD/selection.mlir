@@ -1,12 +1,13 @@
 // RUN: tai-opt %s --tai-make-adjoint | FileCheck %s --check-prefix=TAPED
 // RUN: tai-opt %s --tai-make-adjoint=kernel=unused | FileCheck %s --check-prefix=NAMED
+// RUN: tai-opt %s --tai-autodiff | FileCheck %s --check-prefix=TAPED
 // RUN: not tai-opt %s --tai-make-adjoint=kernel=missing 2>&1 | FileCheck %s --check-prefix=MISSING
 
 // Without names, the kernels that run under a tape are differentiated, also
 // those launched by a function called there. With names, these alone.
 
-// TAPED-DAG: tai.kernel @direct() attributes {adjoint = @direct_grad}
-// TAPED-DAG: tai.kernel @called() attributes {adjoint = @called_grad}
+// TAPED-DAG: tai.kernel @direct() attributes {adjoint = @direct_grad{{.*}}}
+// TAPED-DAG: tai.kernel @called() attributes {adjoint = @called_grad{{.*}}}
 // TAPED-NOT: @unused_grad
 // TAPED-NOT: @replaced_grad
 // NAMED-NOT: @direct_grad
@@ -45,4 +46,17 @@ func.func @main() {
     tai.launch @replaced() : () -> ()
   }
   return
+}
+
+// What only runs forward may overwrite what it read.
+tai.field @x_grad = @s["x_grad"] : f32, rank 1
+tai.field @x = @s["x"] : f32, rank 1, adjoint @x_grad
+tai.tree @s : !tai.root<dense<[i: 4], {x: f32, x_grad: f32}>>
+tai.kernel @in_place() {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = math.sin %0 : f32
+    tai.store %1, @x[%i] : f32
+  }
+  tai.return
 }

@@ -13,6 +13,7 @@
 
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Matchers.h"
+#include "tai/AD/Selection.h"
 #include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Activity.h"
@@ -208,23 +209,27 @@ private:
 };
 
 struct CheckAccessRules : tai::impl::CheckAccessRulesBase<CheckAccessRules> {
+  using Base::Base;
+
   void getDependentDialects(DialectRegistry &registry) const override {
     registerDifferentiableModels(registry);
   }
 
   void runOnOperation() override {
+    FailureOr<SmallVector<FunctionOpInterface>> functions =
+        selectFunctions(getOperation(), kernels);
+    if (failed(functions))
+      return signalPassFailure();
     bool failedAny = false;
-    getOperation()->walk([&](KernelOp kernel) {
-      // Adjoint kernels only accumulate, and are not differentiated.
-      Activity activity(kernel, [&](Storage storage) {
+    for (FunctionOpInterface function : *functions) {
+      Activity activity(function, [&](Storage storage) {
         if (!storage.field)
-          return isa<BlockArgument>(storage.memref) &&
-                 storage.memref.getParentBlock() == &kernel.getBody().front();
-        FieldOp field = lookupField(kernel, storage.field);
+          return isa<BlockArgument>(storage.memref);
+        FieldOp field = lookupField(function, storage.field);
         return field && field.getAdjointAttr();
       });
-      failedAny |= failed(Checker(kernel, activity).check());
-    });
+      failedAny |= failed(Checker(function, activity).check());
+    }
     if (failedAny)
       signalPassFailure();
     markAllAnalysesPreserved();

@@ -88,7 +88,7 @@ def FlattenBranches : Pass<"tai-flatten-branches"> {
   ];
 }
 
-def CheckAccessRules : Pass<"tai-check-access-rules"> {
+def CheckAccessRules : Pass<"tai-check-access-rules", "::mlir::ModuleOp"> {
   let summary = "refuse proven violations of the global data access rules";
   let description = [{
     The gradient of a kernel is right if its accesses to fields follow two rules
@@ -102,7 +102,14 @@ def CheckAccessRules : Pass<"tai-check-access-rules"> {
     would be wrong: the two accesses reach the same element of a field that has
     an adjoint, one runs after the other, and a derivative passes through the
     value that is lost. What cannot be proven is left alone. Changes nothing.
+
+    Looks at the kernels that `tai-make-adjoint` would differentiate: a kernel
+    that only runs forward may do as it likes.
   }];
+  let options = [
+    ListOption<"kernels", "kernel", "std::string",
+               "Names of the kernels or functions to check">,
+  ];
 }
 
 def SummarizeKernels : Pass<"tai-summarize-kernels"> {

@@ -1,0 +1,25 @@
+//===- Selection.h - What is to be differentiated ---------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_AD_SELECTION_H
+#define TAI_AD_SELECTION_H
+
+#include "mlir/IR/BuiltinOps.h"
+#include "mlir/Interfaces/FunctionInterfaces.h"
+
+namespace mlir::tai {
+
+/// The kernels and functions of `module` that are to be differentiated and have
+/// no adjoint yet, in the order of the module: those of the given names, which
+/// must exist; or without names, the kernels launched under a tape (all, if
+/// there is no tape) and the functions with the attribute `tai.differentiate`.
+FailureOr<SmallVector<FunctionOpInterface>>
+selectFunctions(ModuleOp module, ArrayRef<std::string> names);
+
+} // namespace mlir::tai
+
+#endif // TAI_AD_SELECTION_H

@@ -1,0 +1,76 @@
+//===- Selection.cpp - What is to be differentiated -----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/AD/Selection.h"
+#include "mlir/Dialect/Func/IR/FuncOps.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+static constexpr StringLiteral kDifferentiate = "tai.differentiate";
+
+static bool hasAdjointAlready(FunctionOpInterface function) {
+  return function->hasAttr("adjoint") || function->hasAttr("tai.adjoint");
+}
+
+/// The kernels launched where gradients are taken, or nothing if the module
+/// takes none.
+static std::optional<DenseSet<StringAttr>> collectTaped(ModuleOp module) {
+  DenseSet<StringAttr> kernels;
+  SmallVector<Operation *> pending;
+  module.walk([&](Operation *op) {
+    if (isa<TapeOp, CheckGradientOp>(op))
+      pending.push_back(op);
+  });
+  if (pending.empty())
+    return std::nullopt;
+  DenseSet<Operation *> visited;
+  while (!pending.empty())
+    pending.pop_back_val()->walk([&](Operation *op) {
+      if (auto launch = dyn_cast<LaunchOp>(op)) {
+        kernels.insert(launch.getKernelAttr().getAttr());
+      } else if (auto call = dyn_cast<func::CallOp>(op)) {
+        auto callee = module.lookupSymbol<func::FuncOp>(call.getCallee());
+        if (callee && visited.insert(callee).second)
+          pending.push_back(callee);
+      }
+    });
+  return kernels;
+}
+
+FailureOr<SmallVector<FunctionOpInterface>>
+mlir::tai::selectFunctions(ModuleOp module, ArrayRef<std::string> names) {
+  SmallVector<FunctionOpInterface> functions;
+  if (!names.empty()) {
+    for (const std::string &name : names) {
+      auto function = module.lookupSymbol<FunctionOpInterface>(name);
+      if (!function)
+        return module.emitError() << "there is no kernel or function '@" << name
+                                  << "' to differentiate";
+      if (!hasAdjointAlready(function))
+        functions.push_back(function);
+    }
+    return functions;
+  }
+  // Adjoints need none of their own.
+  DenseSet<StringAttr> adjoints;
+  for (auto kernel : module.getOps<KernelOp>())
+    if (FlatSymbolRefAttr adjoint = kernel.getAdjointAttr())
+      adjoints.insert(adjoint.getAttr());
+  std::optional<DenseSet<StringAttr>> taped = collectTaped(module);
+  for (auto function : module.getOps<FunctionOpInterface>()) {
+    if (function.isExternal() || hasAdjointAlready(function))
+      continue;
+    bool isWanted = isa<KernelOp>(function.getOperation())
+                        ? !taped || taped->contains(function.getNameAttr())
+                        : function->hasAttr(kDifferentiate);
+    if (isWanted && !adjoints.contains(function.getNameAttr()))
+      functions.push_back(function);
+  }
+  return functions;
+}
