@@ -30,6 +30,8 @@ from setup_peers import create, peers_python
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
 OURS = "tai"
+# Our own compiler in other modes.
+MODES = ["tai_deterministic"]
 PEERS = ["taichi", "quadrants", "jax", "torch", "warp"]
 FLOOR_SCENES = ["smoke", "wave", "diffmpm"]
 FIELDS = [
@@ -116,7 +118,7 @@ class Peers:
     def run(self, peer: str, scene: str) -> list[dict]:
         if peer == "floor":
             return self._run_floor(scene)
-        python = Path(sys.executable) if peer == OURS else self.python
+        python = Path(sys.executable) if peer in (OURS, *MODES) else self.python
         if not python.exists():
             reason = "no environment of peers: run benchmarks/setup_peers.py"
             return [problem_record(peer, scene, "missing", reason)]
@@ -185,7 +187,7 @@ def listed(text: str, known: list[str], what: str) -> list[str]:
 def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     scenes = [*PROBLEMS, "launch"]
-    everyone = [OURS, "floor", *PEERS]
+    everyone = [OURS, *MODES, "floor", *PEERS]
     parser.add_argument("--scenes", default=",".join(scenes), help="comma-separated")
     parser.add_argument("--peers", default=",".join(everyone), help="comma-separated")
     parser.add_argument("--rounds", type=int, default=2, help="processes per measurement")

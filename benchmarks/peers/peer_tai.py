@@ -11,12 +11,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import harness
 
 
-def load(cache: Path):
+def load(cache: Path, **options):
+    """Starts tai; `options` are further arguments of its `init`."""
     import tai
 
     tai.init(
         arch=tai.cpu,
         default_fp=tai.f32,
+        **options,
         offline_cache=True,
         offline_cache_file_path=str(cache),
     )
