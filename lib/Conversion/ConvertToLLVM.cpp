@@ -92,6 +92,16 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
     // cosine together; it finds the pair by itself.
     math::populateExpansionPatterns(patterns, {"sincos"});
     patterns.add<ExpandClamp>(context);
+    // In f32, polynomials that are right to some units in the last place: they
+    // vectorise, which calls of libm do not.
+    if (fastMath)
+      populateMathPolynomialApproximationPatterns(
+          patterns,
+          [](StringRef name) {
+            return llvm::is_contained({"math.exp", "math.log", "math.tanh"},
+                                      name);
+          },
+          /*benefit=*/2);
     // What LLVM has no intrinsic for is called in libm.
     populateMathToLibmConversionPatterns(patterns, /*benefit=*/0);
     populateFuncToLLVMConversionPatterns(converter, patterns);

@@ -27,6 +27,9 @@ llvm.func @floats(%a: f32, %b: f32) -> f32 {
 //       CHECK:   llvm.call @erff
 //       CHECK:   llvm.call @cbrtf
 //       CHECK:   llvm.call @log1pf
+//  FAST-LABEL: llvm.func @functions
+//    FAST-NOT:   llvm.intr.exp
+//        FAST:   llvm.intr.sqrt
 llvm.func @functions(%x: f32) -> f32 {
   %0 = math.exp %x : f32
   %1 = math.sqrt %0 : f32
