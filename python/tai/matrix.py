@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -405,6 +406,26 @@ for _name, _function in {
         f"__{_name}__",
         lambda self, other, function=_function: self._compare(function, other),
     )
+
+
+def _dispatch(name: str) -> None:
+    """Lets `ti.Vector.normalized(v)` take a value of a kernel, which has the same method."""
+    method = getattr(Matrix, name)
+
+    @functools.wraps(method)
+    def either(self: Any, *args: Any, **kwargs: Any) -> Any:
+        if hasattr(self, "emit_operand"):
+            return getattr(self, name)(*args, **kwargs)
+        return method(self, *args, **kwargs)
+
+    setattr(Matrix, name, either)
+
+
+for _name in (
+    "dot", "cross", "outer_product", "transpose", "determinant", "inverse", "trace", "sum", "max",
+    "min", "any", "all", "norm_sqr", "norm", "norm_inv", "normalized", "cast",
+):  # fmt: skip
+    _dispatch(_name)
 
 
 def _to_array(arr: Any) -> np.ndarray:

@@ -59,6 +59,10 @@ CASES = [
     (lambda a, b, u, v: u.norm_sqr(), U @ U),
     (lambda a, b, u, v: u.norm_inv(), 1 / np.linalg.norm(U)),
     (lambda a, b, u, v: u.normalized(), U / np.linalg.norm(U)),
+    (
+        lambda a, b, u, v: ti.Vector.normalized(v) * ti.Matrix.norm(u),
+        V / np.linalg.norm(V) * np.linalg.norm(U),
+    ),
     (lambda a, b, u, v: u.normalized(0.5), U / (np.linalg.norm(U) + 0.5)),
     (lambda a, b, u, v: (0 * u).normalized(), 0 * U),
     (lambda a, b, u, v: a.trace(), np.trace(A)),
