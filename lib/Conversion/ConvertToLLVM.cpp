@@ -5,6 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "Common/Accumulate.h"
 #include "mlir/Conversion/ArithToLLVM/ArithToLLVM.h"
 #include "mlir/Conversion/ControlFlowToLLVM/ControlFlowToLLVM.h"
 #include "mlir/Conversion/FuncToLLVM/ConvertFuncToLLVM.h"
@@ -39,13 +40,11 @@ static void setFloatOptions(Operation *root, bool fastMath, bool contract) {
   if (fastMath)
     flags = flags | FastMathFlags::reassoc | FastMathFlags::nsz |
             FastMathFlags::arcp | FastMathFlags::contract | FastMathFlags::afn;
-  if (flags == FastMathFlags::none)
-    return;
   root->walk([&](Operation *op) {
     auto arithmetic = dyn_cast<arith::ArithFastMathInterface>(op);
     // Comparisons and selects gain nothing, and what they decide must not move;
     // conversions have no such flags in LLVM.
-    if (!arithmetic ||
+    if (!arithmetic || op->removeAttr(kOrderedAttrName) ||
         isa<arith::CmpFOp, arith::SelectOp, arith::ExtFOp, arith::TruncFOp>(op))
       return;
     FastMathFlags old = FastMathFlags::none;

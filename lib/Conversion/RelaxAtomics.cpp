@@ -27,6 +27,11 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
+/// More sums than this in one field are held in a buffer rather than in
+/// registers: they are neighbours as a rule (the weights of a sum written out),
+/// which LLVM updates as vectors, while it would spill so many registers.
+constexpr size_t kMaxRegisters = 8;
+
 /// Private buffers larger than this are left alone: they would fill the memory
 /// of a machine with many cores.
 constexpr int64_t kMaxPrivateElements = int64_t(1) << 24;
@@ -55,6 +60,7 @@ private:
   ParallelForOp loop;
   FieldTable &fields;
   bool deterministic;
+  int64_t numBuffers = 0;
 };
 } // namespace
 
@@ -63,6 +69,7 @@ void LoopRelaxation::serialize() {
   loop.setSerialize(true);
   loop.walk([](AtomicOp atomic) {
     atomic->removeAttr(kAccumulateAttrName);
+    atomic->removeAttr(kBufferAttrName);
     atomic.setExclusive(true);
   });
 }
@@ -82,6 +89,13 @@ static void setStrategy(AtomicOp atomic, StringRef strategy) {
                   StringAttr::get(atomic.getContext(), strategy));
 }
 
+/// The slice of the field that a group updates.
+static std::optional<FieldSlice> getSlice(const AccumulationGroup &group) {
+  SmallVector<bool> fixed =
+      llvm::map_to_vector(group.fixed, [](Value index) { return bool(index); });
+  return FieldTable::getSlice(*group.field, fixed);
+}
+
 /// True if buffers for the updated part of the field cost less than the atomic
 /// updates.
 bool LoopRelaxation::isWorthPrivate(const AccumulationGroup &group) {
@@ -95,9 +109,7 @@ bool LoopRelaxation::isWorthPrivate(const AccumulationGroup &group) {
       return false;
     updates += estimateRuns(atomic, loop);
   }
-  SmallVector<bool> fixed =
-      llvm::map_to_vector(group.fixed, [](Value index) { return bool(index); });
-  std::optional<FieldSlice> slice = FieldTable::getSlice(field, fixed);
+  std::optional<FieldSlice> slice = getSlice(group);
   if (!slice)
     return false;
   int64_t elements = slice->numCells * field.numComponents;
@@ -107,6 +119,14 @@ bool LoopRelaxation::isWorthPrivate(const AccumulationGroup &group) {
   // too few of them run in one partition, which needs no buffers.
   std::optional<int64_t> iterations = getNumIterations(loop);
   return !iterations || elements <= *iterations * updates * kElementsPerUpdate;
+}
+
+/// True if a buffer for the group has the layout of the field, so that all its
+/// addresses are known to LLVM.
+static bool isContiguous(const AccumulationGroup &group) {
+  std::optional<FieldSlice> slice = getSlice(group);
+  return slice && slice->cellStride ==
+                      group.field->numComponents * group.field->scalarSize;
 }
 
 static ValueRange getIndices(Operation *access) {
@@ -152,7 +172,7 @@ void LoopRelaxation::relaxField(FieldAccesses &accesses) {
     return;
   // Groups of one field may overlap: all must leave the field alone until the
   // end, or none.
-  SmallVector<StringRef> strategies;
+  SmallVector<AccumulationGroup> sums, buffers;
   for (AccumulationGroup &group : *groups) {
     auto isFixed = [&](AtomicOp atomic) {
       return llvm::all_of(atomic.getComponents(), [&](Value component) {
@@ -161,15 +181,32 @@ void LoopRelaxation::relaxField(FieldAccesses &accesses) {
       });
     };
     if (group.isFixed() && llvm::all_of(group.atomics, isFixed))
-      strategies.push_back(kRegister);
+      sums.push_back(std::move(group));
     else if (isWorthPrivate(group))
-      strategies.push_back(kPrivate);
+      buffers.push_back(std::move(group));
     else
       return;
   }
-  for (auto [group, strategy] : llvm::zip(*groups, strategies))
+  if (sums.size() > kMaxRegisters) {
+    AccumulationGroup merged = sums.front();
+    for (const AccumulationGroup &group : ArrayRef(sums).drop_front())
+      mergeGroups(merged, group);
+    if (isWorthPrivate(merged) && isContiguous(merged)) {
+      buffers.push_back(std::move(merged));
+      sums.clear();
+    }
+  }
+  for (AccumulationGroup &group : sums)
     for (AtomicOp atomic : group.atomics)
-      setStrategy(atomic, strategy);
+      setStrategy(atomic, kRegister);
+  for (AccumulationGroup &group : buffers) {
+    auto number =
+        IntegerAttr::get(IntegerType::get(loop.getContext(), 64), numBuffers++);
+    for (AtomicOp atomic : group.atomics) {
+      setStrategy(atomic, kPrivate);
+      atomic->setAttr(kBufferAttrName, number);
+    }
+  }
 }
 
 LogicalResult LoopRelaxation::run() {

@@ -19,7 +19,7 @@ tai.field @loss = @t["loss"] : f32, rank 0
 //       CHECK:   %[[ZERO:.+]] = arith.constant 0.0
 //       CHECK:   %[[SUM:.+]] = scf.for {{.+}} iter_args(%[[S:.+]] = %[[ZERO]]) -> (f32)
 //       CHECK:     %[[P:.+]] = llvm.load
-//       CHECK:     arith.addf %[[S]], %[[P]] : f32
+//       CHECK:     arith.addf %[[S]], %[[P]] {tai.ordered} : f32
 //       CHECK:   %[[OLD:.+]] = llvm.load
 //       CHECK:   %[[NEW:.+]] = arith.addf %[[OLD]], %[[SUM]]
 //       CHECK:   llvm.store %[[NEW]]

@@ -30,8 +30,8 @@ tai.kernel @own() {
 
 // Two different elements: the neighbour's iteration updates this one too.
 // CHECK-LABEL: tai.kernel @neighbours
-//       CHECK:     tai.atomic add %{{.+}}, @y[%{{.+}}] {tai.accumulate = "private"} : f32
-//       CHECK:     tai.atomic add %{{.+}}, @y[%{{.+}}] {tai.accumulate = "private"} : f32
+//       CHECK:     tai.atomic add %{{.+}}, @y[%{{.+}}] {tai.accumulate = "private", tai.buffer = 0 : i64} : f32
+//       CHECK:     tai.atomic add %{{.+}}, @y[%{{.+}}] {tai.accumulate = "private", tai.buffer = 0 : i64} : f32
 //       CHECK:   }
 //   CHECK-NOT:   tai.independent
 //       CHECK:   tai.return
@@ -71,7 +71,7 @@ tai.kernel @reduction() {
 //  CHECK-SAME:     %[[T:.+]]: index
 //       CHECK:   %[[NEXT:.+]] = arith.addi %[[T]], %{{.+}} : index
 //       CHECK:   tai.parallel_for
-//       CHECK:     tai.atomic add %{{.+}}, @grid[%[[NEXT]], {{.+}}] {tai.accumulate = "private"} : f32
+//       CHECK:     tai.atomic add %{{.+}}, @grid[%[[NEXT]], {{.+}}] {tai.accumulate = "private", tai.buffer = 0 : i64} : f32
 tai.kernel @slice(%t: index) {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
@@ -200,6 +200,36 @@ tai.kernel @array(%m: memref<?xf32>) {
     %0 = tai.load @x[%i] : f32
     %1 = arith.remui %i, %c7 : index
     %2 = memref.atomic_rmw addf %0, %m[%1] : (f32, memref<?xf32>) -> f32
+  }
+  tai.return
+}
+
+// Many sums of one field are neighbours: they share a buffer.
+// CHECK-LABEL: tai.kernel @row
+//  CHECK-SAME:     %[[T:.+]]: index
+// CHECK-COUNT-9:   tai.atomic add %{{.+}}, @grid[%[[T]], {{.+}}] {tai.accumulate = "private", tai.buffer = 0 : i64} : f32
+tai.kernel @row(%t: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c2 = arith.constant 2 : index
+  %c3 = arith.constant 3 : index
+  %c4 = arith.constant 4 : index
+  %c5 = arith.constant 5 : index
+  %c6 = arith.constant 6 : index
+  %c7 = arith.constant 7 : index
+  %c8 = arith.constant 8 : index
+  %n = arith.constant 100000 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %x = tai.load @x[%i] : f32
+    %a = tai.atomic add %x, @grid[%t, %c0, %c0] : f32
+    %b = tai.atomic add %x, @grid[%t, %c0, %c1] : f32
+    %c = tai.atomic add %x, @grid[%t, %c0, %c2] : f32
+    %d = tai.atomic add %x, @grid[%t, %c0, %c3] : f32
+    %e = tai.atomic add %x, @grid[%t, %c0, %c4] : f32
+    %f = tai.atomic add %x, @grid[%t, %c0, %c5] : f32
+    %g = tai.atomic add %x, @grid[%t, %c0, %c6] : f32
+    %h = tai.atomic add %x, @grid[%t, %c0, %c7] : f32
+    %j = tai.atomic add %x, @grid[%t, %c0, %c8] : f32
   }
   tai.return
 }

@@ -23,6 +23,9 @@ constexpr llvm::StringLiteral kIndependentAttrName = "tai.independent";
 /// On tai.parallel_for: the group that its accesses were put into.
 constexpr llvm::StringLiteral kAccessGroupAttrName = "tai.access_group";
 
+/// On an op of floats: its order is part of the result in every mode.
+constexpr llvm::StringLiteral kOrderedAttrName = "tai.ordered";
+
 /// On tai.assert: the TaiFailure it reports (see tai/Runtime/Abi.h). Absent:
 /// that of the user's own assertion, which only debug mode keeps.
 constexpr llvm::StringLiteral kFailureAttrName = "tai.failure";

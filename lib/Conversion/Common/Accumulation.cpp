@@ -25,16 +25,30 @@ tai::groupAccumulations(ParallelForOp loop, ArrayRef<AtomicOp> atomics,
     SmallVector<Value> fixed;
     for (Value index : atomic.getIndices())
       fixed.push_back(loop.isDefinedOutsideOfLoop(index) ? index : Value());
+    Attribute buffer = atomic->getAttr(kBufferAttrName);
+    AccumulationGroup single{*field, fixed, {atomic}};
     auto *group = llvm::find_if(groups, [&](AccumulationGroup &other) {
-      return other.field == *field && other.fixed == fixed;
+      if (other.field != *field)
+        return false;
+      return buffer ? other.atomics.front()->getAttr(kBufferAttrName) == buffer
+                    : other.fixed == fixed;
     });
-    if (group == groups.end()) {
-      groups.push_back({*field, fixed, {}});
-      group = std::prev(groups.end());
-    }
-    group->atomics.push_back(atomic);
+    if (group == groups.end())
+      groups.push_back(std::move(single));
+    else
+      mergeGroups(*group, single);
   }
   return groups;
+}
+
+void tai::mergeGroups(AccumulationGroup &into, const AccumulationGroup &from) {
+  for (auto [a, b] : llvm::zip_equal(into.fixed, from.fixed)) {
+    std::optional<int64_t> constant =
+        a && b ? getConstantIntValue(a) : std::nullopt;
+    if (a != b && !(constant && constant == getConstantIntValue(b)))
+      a = Value();
+  }
+  llvm::append_range(into.atomics, from.atomics);
 }
 
 bool tai::updatesSameComponent(AtomicOp a, AtomicOp b) {

@@ -35,11 +35,18 @@ struct AccumulationGroup {
   }
 };
 
+/// On a tai.atomic that goes to a buffer: the number of the buffer in its loop.
+constexpr llvm::StringLiteral kBufferAttrName = "tai.buffer";
+
 /// Groups the given updates, which stand in `loop`, by field and by the indices
-/// that do not vary. Fails at a field that cannot be lowered.
+/// that do not vary, or by their buffer if they have one. Fails at a field that
+/// cannot be lowered.
 FailureOr<SmallVector<AccumulationGroup>>
 groupAccumulations(ParallelForOp loop, ArrayRef<AtomicOp> atomics,
                    FieldTable &fields);
+
+/// Makes one group of two of one field: what they do not share varies.
+void mergeGroups(AccumulationGroup &into, const AccumulationGroup &from);
 
 /// The same element is updated, if the operands are the same.
 bool updatesSameComponent(AtomicOp a, AtomicOp b);

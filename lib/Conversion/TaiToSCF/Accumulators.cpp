@@ -213,6 +213,7 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
         Value partial =
             emitSlotLoad(b, loc, sums[i].getType(), emitSlot(b, loc, slots, i));
         next.push_back(emitCombination(b, loc, sum.kind, sums[i], partial));
+        next.back().getDefiningOp()->setAttr(kOrderedAttrName, b.getUnitAttr());
       }
       scf::YieldOp::create(b, loc, next);
     };
