@@ -85,6 +85,9 @@ def run_gtest(build: Path, out: Path) -> Result:
     if not program.exists():
         result.fail(f"{program} was not built")
         return result.close(1)
+    # For builds with sanitizers; see test/lit.cfg.py.
+    os.environ.setdefault("ASAN_OPTIONS", "allow_user_poisoning=0")
+    os.environ.setdefault("LSAN_OPTIONS", f"suppressions={ROOT / 'test/lsan.supp'}")
     status = call([program, "--gtest_brief=1", f"--gtest_output=json:{report}"])
     if report.exists():
         for suite in json.loads(report.read_text())["testsuites"]:

@@ -27,6 +27,11 @@ llvm_config.use_default_substitutions()
 # capture cannot satisfy another's check.
 config.environment["FILECHECK_OPTS"] = "-enable-var-scope --allow-unused-prefixes=false"
 
+# LLVM's allocators poison memory that the package's own, not instrumented, code
+# then uses.
+if config.tai_sanitize:
+    config.environment["ASAN_OPTIONS"] = "allow_user_poisoning=0"
+
 # Compiled kernels of the tests stay out of the user's cache.
 config.environment["TAI_CACHE_DIR"] = os.path.join(config.test_exec_root, "cache")
 
@@ -50,7 +55,8 @@ if importlib.util.find_spec("psutil"):
     lit_config.maxIndividualTestTime = 300
 
 # Features, for REQUIRES lines.
-if os.path.exists(config.tai_plugin):
+# A stock mlir-opt cannot load what needs a sanitizer.
+if os.path.exists(config.tai_plugin) and not config.tai_sanitize:
     config.available_features.add("plugin")
 for tool in tai_tools:
     if os.path.exists(os.path.join(config.tai_tools_dir, tool)):
