@@ -24,7 +24,8 @@ class Tape:
     Args:
         loss: a field without dimensions that has a gradient.
         clear_gradients: set all gradients to zero first.
-        validation: report a kernel that overwrites what the reverse sweep needs.
+        validation: check at run time that no kernel overwrites what the reverse sweep needs:
+            not built in yet. What can be proven when a kernel is compiled is always reported.
         grad_check: not available; see `tai.testing`.
     """
 
@@ -34,6 +35,11 @@ class Tape:
     ):  # fmt: skip
         from .fields import ScalarField
 
+        if validation:
+            raise TaiAutodiffError(
+                "validation=True is not built in yet",
+                "a broken access rule that can be proven is reported without it",
+            )
         if grad_check:
             raise TaiAutodiffError(
                 "grad_check is not built in yet",
@@ -53,7 +59,6 @@ class Tape:
         if not loss.dtype.is_float:
             raise TaiAutodiffError(f"the loss '{loss.name}' is of type {loss.dtype}, not a float")
         self.loss, self.clear_gradients = loss, clear_gradients
-        self.validation = validation
         self._core: Any = None
         self._is_recording = False
 

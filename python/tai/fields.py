@@ -265,6 +265,10 @@ class ScalarField(Field):
         self._core = None
         self._tree_freed = True
 
+    def release(self) -> None:
+        """The program is over."""
+        self._core = None
+
     @property
     def core(self) -> Any:
         """The field in C++; allocates its tree at the first use."""

@@ -30,6 +30,7 @@ class ArgumentSpec:
         dt, shape: type of a number or matrix.
         ndim, element_shape: of an array.
         constant: what a template parameter stands for.
+        is_written: whether the kernel writes the array; known once it is compiled.
     """
 
     def __init__(
@@ -38,6 +39,7 @@ class ArgumentSpec:
     ):  # fmt: skip
         self.kind, self.dt, self.shape = kind, dt, shape
         self.ndim, self.element_shape, self.constant = ndim, element_shape, constant
+        self.is_written = False
 
     @property
     def has_slot(self) -> bool:
@@ -96,6 +98,8 @@ class Specialization:
 
     def __init__(self, core: Any, specs: list[ArgumentSpec], result: ResultSpec | None):
         self.core, self.specs = core, specs
+        # Whether the launcher in C++ knows it, for `grad` false and true.
+        self.registered: set[bool] = set()
         self.result = () if result is None else result.description()
 
 
@@ -152,13 +156,11 @@ class Kernel(_core.Launcher):
             )
         values = self._bind(args, kwargs)
         found = self._specialize(values)
+        slots, copies, kept = self._pack(found, values)
         descriptions = [spec.description() for spec in found.specs]
-        if None not in descriptions and not kwargs and len(args) == len(values):
-            slots, copies, kept = self._pack(found, values)
-            if not copies:
-                _core.add_specialization(launcher, found.core, grad, descriptions, found.result)
-        else:
-            slots, copies, kept = self._pack(found, values)
+        if grad not in found.registered and None not in descriptions:
+            found.registered.add(grad)
+            _core.add_specialization(launcher, found.core, grad, descriptions, found.result)
         if _state.tape is not None:
             for array in kept:
                 _state.tape.keep(array)
@@ -201,7 +203,7 @@ class Kernel(_core.Launcher):
         program = get_program()
         if self._program is not program:
             self._program = program
-            self._specializations.clear()
+            program.kernels.add(self)
             self._parameters = None  # default types may be others now
         specs, key = [], []
         for parameter, value in zip(self._get_parameters(), values, strict=True):
@@ -216,6 +218,13 @@ class Kernel(_core.Launcher):
             found = self._specializations[tuple(key)] = self._compile(program, specs)
         self._last = found
         return found
+
+    def release(self) -> None:
+        """The program is over: forgets what was compiled for it."""
+        self._program = self._last = None
+        self._specializations.clear()
+        _core.clear_specializations(self)
+        _core.clear_specializations(self.grad)
 
     def _spec(self, parameter: Parameter, value: Any) -> ArgumentSpec:
         type_ = parameter.type
@@ -273,6 +282,12 @@ class Kernel(_core.Launcher):
                 slots += [self._slot(parameter, spec.dt, x.item()) for x in array.ravel()]
             elif spec.kind == "array":
                 array = _as_array(value)
+                if spec.is_written and not array.flags.writeable:
+                    raise TaiRuntimeTypeError(
+                        f"argument '{parameter.name}' of kernel '{self.__name__}' is written, "
+                        "but the array is read-only",
+                        "pass a copy: array.copy()",
+                    )
                 if not array.flags.c_contiguous or not array.flags.writeable:
                     copy = np.array(array, order="C")
                     if array.flags.writeable:

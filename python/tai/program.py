@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import weakref
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -83,7 +84,16 @@ class Program:
         self.num_trees = 0
         # Fields by symbol, for diagnostics and for clearing gradients.
         self.fields: dict[str, Any] = {}
+        self.kernels: weakref.WeakSet = weakref.WeakSet()
         self._set_options()
+
+    def close(self) -> None:
+        """Lets go of all memory, although the program's fields and kernels may live on."""
+        for field in self.fields.values():
+            field.release()
+        for kernel in self.kernels:
+            kernel.release()
+        self.fields.clear()
 
     def _set_options(self) -> None:
         o = self.options
@@ -231,6 +241,7 @@ def reset() -> None:
     from . import _core
 
     _core.next_generation()
+    _state.program.close()
     _state.program = None
 
 

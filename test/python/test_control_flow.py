@@ -1,5 +1,8 @@
 """Branches, loops, functions and compile-time evaluation in kernels."""
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 import tai as ti
@@ -502,6 +505,26 @@ def test_kernels_compile_again_after_init():
     assert kernel() == 1 / 3
 
 
+def test_old_programs_are_let_go():
+    """What a program held is freed by the next ti.init, although its kernels live on."""
+    x = ti.field(ti.f32, shape=4)
+
+    @ti.kernel
+    def kernel():
+        for i in x:
+            x[i] = 1.0
+
+    kernel()
+    context = weakref.ref(ti.program.get_program().context)
+    ti.init(offline_cache=False)
+    gc.collect()
+    assert context() is None
+    with pytest.raises(ti.TaiRuntimeError, match="before the last ti.init"):
+        _ = x[0]
+    with pytest.raises(ti.TaiRuntimeError, match="before the last ti.init"):
+        kernel()
+
+
 def test_keyword_and_default_arguments():
     @ti.kernel
     def kernel(a: ti.i32, b: ti.i32 = 5) -> ti.i32:
@@ -553,6 +576,26 @@ def test_arrays():
     bins = np.zeros(4, np.int32)
     count(np.array([0, 1, 1, 3, 3, 3], np.int32), bins)
     assert bins.tolist() == [1, 2, 0, 3]
+
+
+def test_read_only_arrays():
+    @ti.kernel
+    def total(a: ti.types.ndarray()) -> ti.f32:
+        s = 0.0
+        for i in range(a.shape[0]):
+            s += a[i]
+        return s
+
+    @ti.kernel
+    def clear(a: ti.types.ndarray()):
+        for i in range(a.shape[0]):
+            a[i] = 0.0
+
+    array = np.arange(4, dtype=np.float32)
+    array.flags.writeable = False
+    assert total(array) == 6
+    with pytest.raises(ti.TaiRuntimeTypeError, match="'a' of kernel 'clear' is written"):
+        clear(array)
 
 
 def test_arrays_of_vectors():

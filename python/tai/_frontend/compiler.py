@@ -115,9 +115,7 @@ class Compiler(Expressions, Statements, Loops, Calls):
         if spec.kind == "template":
             return Bound(spec.constant)
         if spec.kind == "array":
-            return Bound(
-                ArrayArgument(self.emitter, name, handle, spec.dt, spec.ndim, spec.element_shape)
-            )
+            return Bound(ArrayArgument(self.emitter, name, handle, spec))
         value = self.emitter.value(handle, spec.dt, spec.shape)
         if not spec.shape and spec.dt.kind == "i":
             value.index = "cast"

@@ -283,6 +283,7 @@ class ArrayElement(Place):
         )
 
     def store(self, value: Any) -> None:
+        self.array.spec.is_written = True
         if self.shape:
             for number, scalar in enumerate(value.scalars()):
                 self.component(number).store(scalar)
@@ -292,6 +293,7 @@ class ArrayElement(Place):
         )
 
     def atomic(self, op: str, value: Any) -> Value:
+        self.array.spec.is_written = True
         if self.shape:
             old = [self.component(c).atomic(op, v) for c, v in enumerate(value.scalars())]
             return self.emitter.matrix(old, self.dt, self.shape)
@@ -344,12 +346,9 @@ class _Handle:
 class ArrayArgument:
     """An array that was given to the kernel: `ti.types.ndarray`."""
 
-    def __init__(
-        self, emitter: Emitter, name: str, handle: Any, dt: DataType, ndim: int,
-        element_shape: tuple[int, ...],
-    ):  # fmt: skip
-        self.emitter, self.name, self.handle, self.dt = emitter, name, handle, dt
-        self.ndim, self.element_shape = ndim, element_shape
+    def __init__(self, emitter: Emitter, name: str, handle: Any, spec: Any):
+        self.emitter, self.name, self.handle, self.spec = emitter, name, handle, spec
+        self.dt, self.ndim, self.element_shape = spec.dt, spec.ndim, spec.element_shape
 
     @property
     def dtype(self) -> DataType:
