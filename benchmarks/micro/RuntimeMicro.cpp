@@ -16,6 +16,7 @@
 #include <chrono>
 #include <cstdio>
 #include <cstdlib>
+#include <filesystem>
 #include <string>
 #include <unistd.h>
 #include <vector>
@@ -208,14 +209,15 @@ int main(int argc, char **argv) {
          [&] { must(big->readF64(&index, 0, value)); });
 
   std::printf("\ncache store\n");
-  char folder[] = "/tmp/tai-micro-XXXXXX";
-  if (mkdtemp(folder)) {
+  std::string folder =
+      (std::filesystem::temp_directory_path() / "tai-micro-XXXXXX").string();
+  if (mkdtemp(folder.data())) {
     CacheStore store(folder);
     std::string bytes(20000, 'x'), key(5000, 'k');
     report("  put 20 kB", 50, 1, [&] { store.put(key, bytes); });
     report("  get 20 kB", 200, 1, [&] { (void)store.get(key); });
     store.clean();
-    rmdir(folder);
+    rmdir(folder.c_str());
   }
   return 0;
 }
