@@ -168,6 +168,37 @@ tai.kernel @nested() {
   tai.return
 }
 
+// Loop counters of 32 bits, from a negative bound, in steps of two, used as a
+// number; and a carried integer that the gradient needs.
+tai.kernel @counters() {
+  %one = arith.constant 1 : i32
+  %two = arith.constant 2 : i32
+  %three = arith.constant 3 : i32
+  %low = arith.constant -3 : i32
+  %tenth = arith.constant 0.1 : f64
+  tai.parallel_for (%i) in @x {
+    %x = tai.load @x[%i] : f64
+    %n = tai.load @n[%i] : i32
+    %high = arith.muli %n, %two : i32
+    %r:2 = scf.for %k = %low to %high step %two iter_args(%v = %x, %p = %one) -> (f64, i32) : i32 {
+      %f = arith.sitofp %k : i32 to f64
+      %g = arith.sitofp %p : i32 to f64
+      %a = arith.mulf %f, %tenth : f64
+      %b = arith.mulf %a, %v : f64
+      %s = math.sin %b : f64
+      %m = arith.mulf %g, %tenth : f64
+      %w = arith.mulf %m, %v : f64
+      %t = arith.addf %s, %w : f64
+      %q = arith.muli %p, %three : i32
+      %p2 = arith.remsi %q, %low : i32
+      %p3 = arith.addi %p2, %two : i32
+      scf.yield %t, %p3 : f64, i32
+    }
+    tai.atomic add %r#0, @loss[] : f64
+  }
+  tai.return
+}
+
 // A recurrence along a field inside a serial loop: iterations depend on each
 // other through memory, so they must be reversed in order.
 tai.kernel @recurrence() {
@@ -334,6 +365,10 @@ func.func @main() {
   tai.check_gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @nested() : () -> ()
+  }
+  tai.check_gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
+    tai.store %zero, @loss[] : f64
+    tai.launch @counters() : () -> ()
   }
   tai.check_gradient loss(@loss) wrt [@x, @a] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
