@@ -115,7 +115,8 @@ InFlightDiagnostic AdjointBuilder::emitError(Operation *op,
 LogicalResult
 AdjointBuilder::reverseBlock(Block *primal, Block *mirror,
                              llvm::function_ref<void(Frame &)> begin,
-                             llvm::function_ref<void(Frame &)> end) {
+                             llvm::function_ref<void(Frame &)> end,
+                             llvm::function_ref<void()> beforeSweep) {
   OpBuilder::InsertionGuard guard(*this);
   Location loc = getLoc();
   setInsertionPointToEnd(mirror);
@@ -126,6 +127,8 @@ AdjointBuilder::reverseBlock(Block *primal, Block *mirror,
   auto createMarker = [&] { return createConstant(getF32Type(), 0); };
   frame.recomputeBegin = createMarker().getDefiningOp();
   frame.sweepBegin = createMarker().getDefiningOp();
+  if (beforeSweep)
+    beforeSweep();
   LogicalResult result = success();
   for (Operation &op : llvm::reverse(primal->without_terminator())) {
     setLoc(op.getLoc());

@@ -168,6 +168,37 @@ tai.kernel @list() {
   tai.return
 }
 
+// A while loop that carries a derivative runs once to count, once to record, and
+// then backwards. The last condition passed on the result: it is reversed first.
+// CHECK-LABEL: tai.kernel @newton_grad(
+//       CHECK:     %[[X:.+]] = tai.load @x
+//       CHECK:     %[[G:.+]] = tai.load @y_grad
+//       CHECK:     %[[COUNT:.+]]:2 = scf.while (%{{.+}} = %[[X]], %{{.+}} = %{{.+}}) : (f32, index) -> (f32, index)
+//       CHECK:     %[[SIZE:.+]] = arith.addi %[[COUNT]]#1, %{{.+}}
+//       CHECK:     %[[H:.+]] = memref.alloc(%[[SIZE]]) : memref<?xf32>
+//       CHECK:     scf.while (%[[V:.+]] = %[[X]], %[[AT:.+]] = %{{.+}})
+//       CHECK:       memref.store %[[V]], %[[H]][%[[AT]]]
+//       CHECK:     %[[GX:.+]] = scf.for %[[K:.+]] = %{{.+}} to %[[COUNT]]#1 step %{{.+}} iter_args(%{{.+}} = %[[G]]) -> (f32) {
+//       CHECK:       memref.load %[[H]]
+//       CHECK:       scf.yield
+//       CHECK:     memref.dealloc %[[H]]
+//       CHECK:     tai.atomic add %[[GX]], @x_grad
+tai.kernel @newton(%limit: f32) {
+  tai.parallel_for (%i) in @x {
+    %x = tai.load @x[%i] : f32
+    %r = scf.while (%v = %x) : (f32) -> f32 {
+      %more = arith.cmpf ogt, %v, %limit : f32
+      scf.condition(%more) %v : f32
+    } do {
+    ^bb0(%v: f32):
+      %s = math.sin %v : f32
+      scf.yield %s : f32
+    }
+    tai.store %r, @y[%i] : f32
+  }
+  tai.return
+}
+
 // The adjoint of what the top level read goes on to the field inside the loop.
 // CHECK-LABEL: tai.kernel @captured_grad(
 //       CHECK:   %[[A:.+]] = tai.load @a[]

@@ -122,44 +122,6 @@ tai.kernel @bits() {
   tai.return
 }
 
-tai.kernel @while(%limit: f32) {
-  tai.parallel_for (%i) in @x {
-    %0 = tai.load @x[%i] : f32
-    // expected-error @+2 {{cannot differentiate a 'while' loop that carries a value with a derivative}}
-    // expected-note @+1 {{use a 'for' loop over the largest number of iterations with a condition in it, or keep the value of each iteration in a field}}
-    %1 = scf.while (%v = %0) : (f32) -> f32 {
-      %c = arith.cmpf olt, %v, %limit : f32
-      scf.condition(%c) %v : f32
-    } do {
-    ^bb0(%v: f32):
-      %2 = arith.addf %v, %v : f32
-      scf.yield %2 : f32
-    }
-    tai.store %1, @y[%i] : f32
-  }
-  tai.return
-}
-
-tai.kernel @while_with_recurrence() {
-  %zero = arith.constant 0 : index
-  %one = arith.constant 1 : index
-  // expected-note @+1 {{in this loop; use a 'for' loop over the largest number of iterations with a condition in it}}
-  %r = scf.while (%k = %one) : (index) -> index {
-    %v = tai.load @plain[%k] : f32
-    %c = arith.cmpf ogt, %v, %v : f32
-    scf.condition(%c) %k : index
-  } do {
-  ^bb0(%k: index):
-    %before = arith.subi %k, %one : index
-    %0 = tai.load @x[%before] : f32
-    // expected-error @+1 {{cannot differentiate a 'while' loop that reads and writes the same field}}
-    tai.store %0, @x[%k] : f32
-    %next = arith.addi %k, %one : index
-    scf.yield %next : index
-  }
-  tai.return
-}
-
 // Numbers drawn in a serial loop would come in another order.
 tai.kernel @random_in_loop() {
   %c0 = arith.constant 0 : index

@@ -66,6 +66,9 @@ struct Frame {
   /// In the reverse of a serial loop: which iteration of the primal loop this
   /// is, counted from 0.
   Value iteration;
+  /// Values of the primal block of `parent` that are passed on as the arguments
+  /// of this one, if that is where they come from.
+  SmallVector<Value> argumentValues;
 };
 
 class AdjointBuilder : public ImplicitLocOpBuilder {
@@ -124,11 +127,12 @@ public:
 
   /// Reverses `primal` into `mirror`, whose terminator is left to the caller.
   /// `begin` maps the arguments of the block and seeds the adjoints of what the
-  /// terminator passes on; it cannot ask for primal values. `end` runs after
-  /// the sweep, at its end.
+  /// terminator passes on; it cannot ask for primal values. `beforeSweep`,
+  /// where given, and `end` run at the two ends of the sweep.
   LogicalResult reverseBlock(Block *primal, Block *mirror,
                              llvm::function_ref<void(Frame &)> begin,
-                             llvm::function_ref<void(Frame &)> end);
+                             llvm::function_ref<void(Frame &)> end,
+                             llvm::function_ref<void()> beforeSweep = {});
   /// Mirrors a block for its primal values alone: those that its terminator
   /// passes on, and the terminator itself.
   void recomputeBlock(Block *primal, Block *mirror);
@@ -140,15 +144,22 @@ public:
   void sweepCaptured();
   /// The number of iterations of a serial loop, as an index.
   Value createTripCount(scf::ForOp loop);
+  /// Runs a loop forward; returns how often its second region runs. From then
+  /// on, a frame of its first region that knows its iteration knows the
+  /// arguments too.
+  Value recordWhile(scf::WhileOp loop);
   /// Frees what was recorded for the reverse of `loop`.
-  void freeHistory(scf::ForOp loop);
+  void freeHistory(Operation *loop);
 
   /// Reports that `op` cannot be differentiated; building then fails.
   InFlightDiagnostic emitError(Operation *op, const Twine &message);
 
 private:
   Value materialize(Frame &frame, Value value);
-  Value materializeArgument(Frame &frame, BlockArgument argument);
+  void materializeArgument(Frame &frame, BlockArgument argument);
+  Value recordFor(scf::ForOp loop, unsigned index);
+  Value recordWhile(scf::WhileOp loop, unsigned index);
+  scf::WhileOp createCountedCopy(scf::WhileOp loop);
   void recompute(Frame &frame, Operation *op);
   void recomputeRegions(Operation *op, Operation *copy);
   bool checkRecomputable(Operation *op);
@@ -170,6 +181,13 @@ private:
   llvm::DenseMap<std::pair<Operation *, Frame *>,
                  llvm::SmallMapVector<unsigned, Value, 2>>
       histories;
+  /// The copies of `scf.while` loops that record, by the same, and how often
+  /// their second region runs.
+  struct RecordedWhile {
+    scf::WhileOp copy;
+    Value count;
+  };
+  llvm::DenseMap<std::pair<Operation *, Frame *>, RecordedWhile> recordedLoops;
   DenseSet<Operation *> recomputedDraws, refused;
   /// The storages that the adjoint accumulates into.
   DenseSet<const void *> accumulated;

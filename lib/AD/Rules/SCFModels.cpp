@@ -23,6 +23,55 @@ using namespace mlir::tai;
 
 using Captured = llvm::MapVector<Value, Value>;
 
+/// Makes the reversed loop `draft` again with the adjoints of captured values
+/// as additional carried values, and hands their sums on. Returns the results
+/// for `inits`.
+static ResultRange closeLoop(AdjointBuilder &b, scf::ForOp draft,
+                             SmallVector<Value> inits,
+                             SmallVector<Value> yields,
+                             const Captured &captured) {
+  size_t own = inits.size();
+  for (auto &[value, adjoint] : captured)
+    inits.push_back(b.createZero(value.getType()));
+  auto reversed = scf::ForOp::create(
+      b, draft.getLowerBound(), draft.getUpperBound(), draft.getStep(), inits);
+  reversed.getRegion().takeBody(draft.getRegion());
+  draft.erase();
+  {
+    OpBuilder::InsertionGuard guard(b);
+    Block *body = reversed.getBody();
+    b.setInsertionPointToEnd(body);
+    for (auto &[value, adjoint] : captured) {
+      Value sum = body->addArgument(value.getType(), value.getLoc());
+      yields.push_back(arith::AddFOp::create(b, sum, adjoint));
+    }
+    scf::YieldOp::create(b, yields);
+  }
+  b.setInsertionPointAfter(reversed);
+  for (auto [entry, result] :
+       llvm::zip(captured, reversed.getResults().drop_front(own)))
+    b.addAdjoint(entry.first, result);
+  return reversed.getResults().take_front(own);
+}
+
+/// An empty loop of `count` iterations, without a terminator.
+static scf::ForOp createDraft(AdjointBuilder &b, Value count,
+                              ValueRange inits) {
+  Value zero = arith::ConstantIndexOp::create(b, 0);
+  Value one = arith::ConstantIndexOp::create(b, 1);
+  auto draft = scf::ForOp::create(b, zero, count, one, inits);
+  if (!draft.getBody()->empty())
+    draft.getBody()->back().erase();
+  return draft;
+}
+
+/// Which iteration of the primal loop an iteration of its reverse stands for.
+static Value createIteration(AdjointBuilder &b, scf::ForOp reverse) {
+  Value one = arith::ConstantIndexOp::create(b, 1);
+  Value last = b.createOrFold<arith::SubIOp>(reverse.getUpperBound(), one);
+  return b.createOrFold<arith::SubIOp>(last, reverse.getInductionVar());
+}
+
 namespace {
 
 struct IfModel : AdjointLoopInterface::ExternalModel<IfModel, scf::IfOp> {
@@ -104,22 +153,15 @@ struct ForModel : AdjointLoopInterface::ExternalModel<ForModel, scf::ForOp> {
         carried.push_back(i);
         inits.push_back(b.getAdjointOrZero(primal.getResult(i)));
       }
-    Value zero = arith::ConstantIndexOp::create(b, 0);
-    Value one = arith::ConstantIndexOp::create(b, 1);
     Value count = b.createTripCount(primal);
     Value lower = b.getPrimal(primal.getLowerBound());
     Value step = b.getPrimal(primal.getStep());
 
-    auto draft = scf::ForOp::create(b, zero, count, one, inits);
-    Block *mirror = draft.getBody();
-    if (!mirror->empty())
-      mirror->back().erase();
+    scf::ForOp draft = createDraft(b, count, inits);
     Captured captured;
     SmallVector<Value> yields;
     auto begin = [&](Frame &frame) {
-      Value last = b.createOrFold<arith::SubIOp>(count, one);
-      frame.iteration =
-          b.createOrFold<arith::SubIOp>(last, draft.getInductionVar());
+      frame.iteration = createIteration(b, draft);
       Value iv = frame.iteration;
       if (!lower.getType().isIndex())
         iv = arith::IndexCastOp::create(b, lower.getType(), iv);
@@ -136,44 +178,49 @@ struct ForModel : AdjointLoopInterface::ExternalModel<ForModel, scf::ForOp> {
         yields.push_back(b.getAdjointOrZero(primal.getRegionIterArg(i)));
       captured = b.takeCaptured(frame);
     };
-    if (failed(b.reverseBlock(primal.getBody(), mirror, begin, end)))
+    if (failed(b.reverseBlock(primal.getBody(), draft.getBody(), begin, end)))
       return failure();
-
-    for (auto &[value, adjoint] : captured)
-      inits.push_back(b.createZero(value.getType()));
-    auto reversed = scf::ForOp::create(b, zero, count, one, inits);
-    reversed.getRegion().takeBody(draft.getRegion());
-    draft.erase();
-    {
-      OpBuilder::InsertionGuard guard(b);
-      b.setInsertionPointToEnd(mirror);
-      for (auto &[value, adjoint] : captured) {
-        Value sum = mirror->addArgument(value.getType(), value.getLoc());
-        yields.push_back(arith::AddFOp::create(b, sum, adjoint));
-      }
-      scf::YieldOp::create(b, yields);
-    }
-    b.setInsertionPointAfter(reversed);
-    ResultRange results = reversed.getResults();
+    ResultRange results =
+        closeLoop(b, draft, inits, std::move(yields), captured);
     for (auto [i, result] : llvm::zip(carried, results))
       b.addAdjoint(primal.getInitArgs()[i], result);
-    for (auto [entry, result] :
-         llvm::zip(captured, results.drop_front(carried.size())))
-      b.addAdjoint(entry.first, result);
     b.freeHistory(primal);
     return success();
   }
 };
 
-/// A loop that carries no derivative and does not read what it writes: its
-/// iterations are independent as far as derivatives go, so their reverses may
-/// run in the order in which the loop finds them.
+/// A loop that carries no derivative and does not read what it writes has
+/// iterations that are independent as far as derivatives go: their reverses run
+/// in the order in which the loop finds them. Any other loop is run forward
+/// first, and its reverse is a loop over the iterations that it took.
 struct WhileModel
     : AdjointLoopInterface::ExternalModel<WhileModel, scf::WhileOp> {
   LogicalResult buildReverse(Operation *op, AdjointBuilder &b) const {
     auto primal = cast<scf::WhileOp>(op);
-    if (failed(checkIndependent(primal, b)))
-      return failure();
+    return isIndependent(primal, b) ? repeat(primal, b) : reverse(primal, b);
+  }
+
+  static bool isIndependent(scf::WhileOp op, AdjointBuilder &b) {
+    auto isActive = [&](Value value) { return b.isActive(value); };
+    if (llvm::any_of(op.getResults(), isActive) ||
+        llvm::any_of(op.getBeforeArguments(), isActive) ||
+        llvm::any_of(op.getAfterArguments(), isActive))
+      return false;
+    bool isIndependent = true;
+    llvm::SmallDenseSet<const void *> reads, writes;
+    op->walk([&](DifferentiableAccessInterface access) {
+      if (!b.getActivity().isActiveAccess(access))
+        return;
+      const void *key = access.getAccessedStorage().getOpaque();
+      bool isRead = access.getAccessKind() == AccessKind::Read;
+      (isRead ? reads : writes).insert(key);
+      isIndependent &= !(isRead ? writes : reads).contains(key) &&
+                       !op.getBefore().isAncestor(access->getParentRegion());
+    });
+    return isIndependent;
+  }
+
+  static LogicalResult repeat(scf::WhileOp primal, AdjointBuilder &b) {
     SmallVector<Value> inits = b.getPrimals(primal.getInits());
     auto draft = scf::WhileOp::create(b, TypeRange(), ValueRange());
     Captured captured;
@@ -224,42 +271,78 @@ struct WhileModel
     return success();
   }
 
-  LogicalResult checkIndependent(scf::WhileOp op, AdjointBuilder &b) const {
-    auto isActive = [&](Value value) { return b.isActive(value); };
-    if (llvm::any_of(op.getResults(), isActive) ||
-        llvm::any_of(op.getBeforeArguments(), isActive) ||
-        llvm::any_of(op.getAfterArguments(), isActive)) {
-      b.emitError(op, "cannot differentiate a 'while' loop that carries a "
-                      "value with a derivative")
-              .attachNote()
-          << "use a 'for' loop over the largest number of iterations with a "
-             "condition in it, or keep the value of each iteration in a field";
+  static LogicalResult reverse(scf::WhileOp primal, AdjointBuilder &b) {
+    Block *before = primal.getBeforeBody(), *after = primal.getAfterBody();
+    ValueRange passed = primal.getConditionOp().getArgs();
+    SmallVector<unsigned> carried;
+    for (BlockArgument argument : before->getArguments())
+      if (b.isActive(argument))
+        carried.push_back(argument.getArgNumber());
+    SmallVector<Value> seeds =
+        llvm::map_to_vector(primal.getResults(),
+                            [&](Value result) { return b.getAdjoint(result); });
+    Value count = b.recordWhile(primal);
+
+    // The last evaluation of the condition, whose values are the results.
+    SmallVector<Value> inits;
+    Captured captured;
+    auto beginLast = [&](Frame &frame) {
+      frame.iteration = count;
+      for (auto [value, seed] : llvm::zip(passed, seeds))
+        b.addAdjoint(value, seed);
+    };
+    auto endLast = [&](Frame &frame) {
+      for (unsigned i : carried)
+        inits.push_back(b.getAdjointOrZero(before->getArgument(i)));
+      captured = b.takeCaptured(frame);
+    };
+    if (failed(
+            b.reverseBlock(before, b.getInsertionBlock(), beginLast, endLast)))
       return failure();
-    }
-    Operation *accessInCondition = nullptr, *conflict = nullptr;
-    llvm::SmallDenseSet<const void *> reads, writes;
-    op->walk([&](DifferentiableAccessInterface access) {
-      if (!b.getActivity().isActiveAccess(access))
-        return;
-      if (op.getBefore().isAncestor(access->getParentRegion()))
-        accessInCondition = access;
-      const void *key = access.getAccessedStorage().getOpaque();
-      bool isRead = access.getAccessKind() == AccessKind::Read;
-      (isRead ? reads : writes).insert(key);
-      if ((isRead ? writes : reads).contains(key))
-        conflict = access;
-    });
-    if (Operation *access = accessInCondition ? accessInCondition : conflict) {
-      b.emitError(access, accessInCondition
-                              ? "cannot differentiate an access in the "
-                                "condition of a 'while' loop"
-                              : "cannot differentiate a 'while' loop that "
-                                "reads and writes the same field")
-              .attachNote(op.getLoc())
-          << "in this loop; use a 'for' loop over the largest number of "
-             "iterations with a condition in it";
+    for (auto &[value, adjoint] : captured)
+      b.addAdjoint(value, adjoint);
+
+    // Iterations from the last to the first: the body, then the condition that
+    // let it run.
+    scf::ForOp draft = createDraft(b, count, inits);
+    SmallVector<Value> yields;
+    LogicalResult result = success();
+    auto begin = [&](Frame &frame) {
+      frame.iteration = createIteration(b, draft);
+    };
+    auto reverseBody = [&] {
+      SmallVector<Value> contributions;
+      Captured fromBody;
+      auto beginBody = [&](Frame &frame) {
+        frame.argumentValues.assign(passed.begin(), passed.end());
+        for (auto [i, adjoint] : llvm::zip(carried, draft.getRegionIterArgs()))
+          b.addAdjoint(primal.getYieldOp().getOperand(i), adjoint);
+      };
+      auto endBody = [&](Frame &frame) {
+        for (BlockArgument argument : after->getArguments())
+          contributions.push_back(b.getAdjoint(argument));
+        fromBody = b.takeCaptured(frame);
+      };
+      result = b.reverseBlock(after, draft.getBody(), beginBody, endBody);
+      for (auto &[value, adjoint] : fromBody)
+        b.addAdjoint(value, adjoint);
+      for (auto [value, contribution] : llvm::zip(passed, contributions))
+        b.addAdjoint(value, contribution);
+    };
+    auto end = [&](Frame &frame) {
+      for (unsigned i : carried)
+        yields.push_back(b.getAdjointOrZero(before->getArgument(i)));
+      captured = b.takeCaptured(frame);
+    };
+    if (failed(
+            b.reverseBlock(before, draft.getBody(), begin, end, reverseBody)) ||
+        failed(result))
       return failure();
-    }
+    ResultRange results =
+        closeLoop(b, draft, inits, std::move(yields), captured);
+    for (auto [i, adjoint] : llvm::zip(carried, results))
+      b.addAdjoint(primal.getInits()[i], adjoint);
+    b.freeHistory(primal);
     return success();
   }
 };

@@ -268,6 +268,101 @@ tai.kernel @lists() {
   tai.return
 }
 
+// While loops that carry derivatives, with an exit that depends on data: in a
+// branch, with a captured value, a vector, an integer that the gradient needs,
+// a condition that computes what it passes on, and one loop inside another.
+tai.kernel @whiles() {
+  %half = arith.constant 0.5 : f64
+  %limit = arith.constant 2.5 : f64
+  %zero = arith.constant 0 : i32
+  %one = arith.constant 1 : i32
+  tai.parallel_for (%i) in @x {
+    %x = tai.load @x[%i] : f64
+    %a = tai.load @a[] : f64
+    %p = tai.load @p[%i] : vector<2xf64>
+    %c = arith.cmpf ogt, %x, %half : f64
+    %r = scf.if %c -> (f64) {
+      %w:3 = scf.while (%v = %x, %q = %p, %k = %one) : (f64, vector<2xf64>, i32) -> (f64, vector<2xf64>, i32) {
+        %g = arith.addf %v, %a : f64
+        %more = arith.cmpf olt, %g, %limit : f64
+        scf.condition(%more) %g, %q, %k : f64, vector<2xf64>, i32
+      } do {
+      ^bb0(%v: f64, %q: vector<2xf64>, %k: i32):
+        %f = arith.sitofp %k : i32 to f64
+        %s = math.sin %v : f64
+        %t = arith.divf %s, %f : f64
+        %u = arith.addf %v, %t : f64
+        %b = vector.broadcast %s : f64 to vector<2xf64>
+        %m = arith.mulf %b, %q : vector<2xf64>
+        %inner:2 = scf.while (%z = %t, %j = %k) : (f64, i32) -> (f64, i32) {
+          %go = arith.cmpi sgt, %j, %zero : i32
+          scf.condition(%go) %z, %j : f64, i32
+        } do {
+        ^bb0(%z: f64, %j: i32):
+          %y = math.cos %z : f64
+          %y2 = arith.mulf %y, %v : f64
+          %less = arith.subi %j, %one : i32
+          scf.yield %y2, %less : f64, i32
+        }
+        %d = arith.mulf %inner#0, %half : f64
+        %e = math.absf %d : f64
+        %o = arith.addf %u, %e : f64
+        %n = arith.addi %k, %one : i32
+        scf.yield %o, %m, %n : f64, vector<2xf64>, i32
+      }
+      %l = tai.sum %w#1 : vector<2xf64>
+      %h = arith.mulf %l, %w#0 : f64
+      scf.yield %h : f64
+    } else {
+      %h = arith.mulf %x, %x : f64
+      scf.yield %h : f64
+    }
+    tai.atomic add %r, @loss[] : f64
+  }
+  tai.return
+}
+
+// Variables, and accesses in both regions: a recurrence that reads and writes
+// one field until a sum is reached.
+tai.kernel @while_recurrence() {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c11 = arith.constant 11 : index
+  %limit = arith.constant 3.0 : f64
+  %x0 = tai.load @x[%c0] : f64
+  tai.store %x0, @y[%c0] : f64
+  %sum = tai.alloca : !tai.local<f64>
+  %at = tai.alloca : !tai.local<i32>
+  scf.while : () -> () {
+    %t32 = tai.local_load %at : i32
+    %t = arith.index_cast %t32 : i32 to index
+    %y = tai.load @y[%t] : f64
+    %s = tai.local_load %sum : f64
+    %r = arith.addf %s, %y : f64
+    tai.local_store %r, %sum : f64
+    %small = arith.cmpf olt, %r, %limit : f64
+    %inside = arith.cmpi ult, %t, %c11 : index
+    %more = arith.andi %small, %inside : i1
+    scf.condition(%more)
+  } do {
+    %t32 = tai.local_load %at : i32
+    %t = arith.index_cast %t32 : i32 to index
+    %next = arith.addi %t, %c1 : index
+    %y = tai.load @y[%t] : f64
+    %x = tai.load @x[%next] : f64
+    %m = arith.mulf %y, %x : f64
+    %s = math.cos %m : f64
+    tai.store %s, @y[%next] : f64
+    %next32 = arith.index_cast %next : index to i32
+    tai.local_store %next32, %at : i32
+    scf.yield
+  }
+  %r = tai.local_load %sum : f64
+  %q = arith.mulf %r, %r : f64
+  tai.atomic add %q, @loss[] : f64
+  tai.return
+}
+
 // Values of the top level that a parallel loop captures.
 tai.kernel @captured() {
   %c3 = arith.constant 3 : index
@@ -381,6 +476,14 @@ func.func @main() {
   tai.check_gradient loss(@loss) wrt [@x, @a] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @lists() : () -> ()
+  }
+  tai.check_gradient loss(@loss) wrt [@x, @a, @p] tolerance 1.0e-7 {
+    tai.store %zero, @loss[] : f64
+    tai.launch @whiles() : () -> ()
+  }
+  tai.check_gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
+    tai.store %zero, @loss[] : f64
+    tai.launch @while_recurrence() : () -> ()
   }
   tai.check_gradient loss(@loss) wrt [@x, @a, @p] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
