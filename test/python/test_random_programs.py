@@ -1,0 +1,192 @@
+"""Random programs give in a kernel what they give in Python.
+
+Kernels are Python syntax, so each program is one text, run once by Python and once compiled.
+Integers stay small enough not to wrap; floats are f64 on both sides.
+"""
+
+import importlib.util
+import random
+
+import pytest
+import tai as ti
+
+PROGRAMS = 40
+POINTS = [(0, 0.5), (3, -1.25), (7, 2.0), (-4, 0.1)]
+
+
+class Writer:
+    """Writes a random function body over integers `a…` and floats `f…`."""
+
+    def __init__(self, seed):
+        self.random = random.Random(seed)
+        self.lines = []
+        self.integers, self.floats = ["n"], ["x"]
+        self.count = 0
+
+    def pick(self, *options):
+        return self.random.choice(options)
+
+    def integer(self, depth=2):
+        if depth == 0 or self.random.random() < 0.25:
+            return self.pick(self.random.choice(self.integers), str(self.random.randint(-9, 9)))
+        a, b = self.integer(depth - 1), self.integer(depth - 1)
+        return self.pick(
+            f"({a} + {b})",
+            f"({a} - {b})",
+            f"(({a}) * ({b}) % 101)",
+            f"(({a}) // {self.random.choice([-3, -2, 2, 5])})",
+            f"(({a}) % {self.random.choice([-4, 3, 7])})",
+            f"min({a}, {b})",
+            f"max({a}, {b})",
+            f"abs({a})",
+            f"(({a}) & 15)",
+            f"(-{a})" if not a.startswith("-") else f"({a})",
+            f"({a} if {self.condition(depth - 1)} else {b})",
+            f"int({self.real(depth - 1)})",
+        )
+
+    def real(self, depth=2):
+        if depth == 0 or self.random.random() < 0.25:
+            return self.pick(self.random.choice(self.floats), f"{self.random.uniform(-2, 2):.3f}")
+        a, b = self.real(depth - 1), self.real(depth - 1)
+        return self.pick(
+            f"({a} + {b})",
+            f"({a} - {b})",
+            f"({a} * {b})",
+            f"({a} / (1.5 + abs({b})))",
+            f"math.sin({a})",
+            f"math.exp(-abs({a}))",
+            f"math.sqrt(abs({a}))",
+            f"(({a}) ** 2)",
+            f"min({a}, {b})",
+            f"max({a}, {b})",
+            f"({a} if {self.condition(depth - 1)} else {b})",
+            f"float({self.integer(depth - 1)})",
+        )
+
+    def condition(self, depth=1):
+        if depth <= 0:
+            return f"{self.integer(0)} {self.pick('<', '<=', '==', '!=')} {self.integer(0)}"
+        return self.pick(
+            f"({self.integer(depth)} < {self.integer(depth)})",
+            f"({self.real(depth)} >= {self.real(depth)})",
+            f"({self.condition(depth - 1)} and {self.condition(depth - 1)})",
+            f"({self.condition(depth - 1)} or {self.condition(depth - 1)})",
+            f"(not {self.condition(depth - 1)})",
+            f"({self.integer(0)} < {self.integer(0)} < {self.integer(0)})",
+        )
+
+    def emit(self, indent, text):
+        self.lines.append("    " * indent + text)
+
+    def assignment(self, indent):
+        """A new variable, or a change of an old one; magnitudes stay bounded."""
+        kind = self.random.random()
+        targets = [[v for v in self.integers if v[0] == "a"], [v for v in self.floats if v != "x"]]
+        if kind < 0.3 and targets[0]:
+            self.emit(indent, f"{self.random.choice(targets[0])} = ({self.integer()}) % 1000")
+        elif kind < 0.6 and targets[1]:
+            self.emit(indent, f"{self.random.choice(targets[1])} = math.tanh({self.real()})")
+        elif kind < 0.7 and targets[1]:
+            self.emit(indent, f"{self.random.choice(targets[1])} += math.tanh({self.real(1)})")
+        elif kind < 0.85:
+            self.count += 1
+            self.emit(indent, f"a{self.count} = ({self.integer()}) % 1000")
+            self.integers.append(f"a{self.count}")
+        else:
+            self.count += 1
+            self.emit(indent, f"f{self.count} = math.tanh({self.real()})")
+            self.floats.append(f"f{self.count}")
+
+    def block(self, indent, depth, loop):
+        """Some statements; names that they define end with them."""
+        known = list(self.integers), list(self.floats)
+        for _ in range(self.random.randint(1, 4)):
+            self.statement(indent, depth, loop)
+        self.integers, self.floats = known
+
+    def statement(self, indent, depth, loop):
+        choice = self.random.random()
+        if depth == 0 or choice < 0.5:
+            self.assignment(indent)
+        elif choice < 0.7:
+            self.emit(indent, f"if {self.condition()}:")
+            self.block(indent + 1, depth - 1, loop)
+            if loop and self.random.random() < 0.4:
+                self.emit(indent + 1, self.pick("break", "continue"))
+            elif self.random.random() < 0.5:
+                self.emit(indent, "else:")
+                self.block(indent + 1, depth - 1, loop)
+        elif choice < 0.88:
+            self.count += 1
+            name = f"i{self.count}"
+            self.emit(indent, f"for {name} in range({self.pick('3', '5', 'abs(n)', '2, 6')}):")
+            self.integers.append(name)
+            self.block(indent + 1, depth - 1, True)
+            self.integers.remove(name)
+        else:
+            self.count += 1
+            name = f"w{self.count}"
+            self.emit(indent, f"{name} = 0")
+            self.emit(indent, f"while {name} < 6 and {self.condition(0)}:")
+            self.emit(indent + 1, f"{name} += 1")
+            self.block(indent + 1, depth - 1, True)
+
+    def program(self):
+        self.emit(1, "a0 = 1")
+        self.emit(1, "f0 = 0.5")
+        self.integers.append("a0")
+        self.floats.append("f0")
+        for _ in range(6):
+            self.statement(1, 3, False)
+        body = "\n".join(self.lines)
+        result = " + ".join(
+            [*(f"{v} * {i + 1}" for i, v in enumerate(self.integers)), *self.floats]
+        )
+        return body, result
+
+
+TEMPLATE = """
+import math
+
+import tai as ti
+
+
+def plain(n, x):
+{body}
+    return {result}
+
+
+inlined = ti.func(plain)
+y = ti.field(ti.f64, shape=8)
+
+
+@ti.kernel
+def serial(n: ti.i32, x: ti.f64) -> ti.f64:
+    result = 0.0
+    if n < 1000:  # loops inside are serial
+        result = inlined(n, x)
+    return result
+
+
+@ti.kernel
+def parallel(x: ti.f64):
+    for k in y:
+        y[k] = inlined(k - 4, x)
+"""
+
+
+@pytest.mark.parametrize("seed", range(PROGRAMS))
+def test_program(seed, tmp_path):
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    body, result = Writer(seed).program()
+    file = tmp_path / f"random_program_{seed}.py"
+    file.write_text(TEMPLATE.format(body=body, result=result))
+    spec = importlib.util.spec_from_file_location(f"random_program_{seed}", file)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    for n, x in POINTS:
+        assert module.serial(n, x) == pytest.approx(module.plain(n, x), rel=1e-12, abs=1e-12)
+    module.parallel(0.3)
+    expected = [module.plain(k - 4, 0.3) for k in range(8)]
+    assert module.y.to_numpy().tolist() == pytest.approx(expected, rel=1e-12, abs=1e-12)
