@@ -175,7 +175,7 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
     """Starts anew: forgets all fields and kernels, and sets the options.
 
     Args:
-        arch: `ti.cpu` (or `ti.x64`). `ti.gpu` takes the CPU where there is no GPU.
+        arch: `ti.cpu` (or `ti.x64`). `ti.gpu` and `ti.cuda` take the CPU where there is no GPU.
         default_fp, default_ip: the types of `float` and `int` in kernels.
         debug: check assertions and indices.
         fast_math: let the compiler reorder floating-point arithmetic.
@@ -216,18 +216,14 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
 
 
 def _choose_arch(arch: Any) -> Arch:
-    """The target to use; falls back to the CPU for `ti.gpu` alone."""
+    """The target to use: the CPU, with a word about it where a GPU was asked for."""
     if isinstance(arch, (list, tuple)):
         arch = next((a for a in arch if a in (cpu, x64, arm64)), arch[0] if arch else None)
     if arch is None or arch in (cpu, x64, arm64):
         return cpu
-    if arch == gpu:
-        print("[tai] no GPU in this build, falling back to arch=cpu", file=sys.stderr)
+    if arch in (gpu, cuda):
+        print(f"[tai] arch=ti.{arch} is not in this build, using ti.cpu", file=sys.stderr)
         return cpu
-    if arch == cuda:
-        raise TaiRuntimeError(
-            "arch=ti.cuda is not in this build yet", "use arch=ti.cpu, or arch=ti.gpu to fall back"
-        )
     known = ["cpu", "x64", "cuda", "gpu"]
     raise TaiRuntimeError(f"there is no target '{arch}'", did_you_mean(str(arch), known))
 

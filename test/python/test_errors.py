@@ -243,8 +243,6 @@ def test_options():
     assert "default_fp" in str(caught.value)
     with pytest.raises(ti.TaiRuntimeTypeError, match="default_fp must be a float type"):
         ti.init(default_fp=ti.i32)
-    with pytest.raises(ti.TaiRuntimeError, match="cuda"):
-        ti.init(arch=ti.cuda)
     with pytest.raises(ti.TaiRuntimeError, match="no target 'vulcan'"):
         ti.init(arch="vulcan")
     ti.init(arch=ti.cpu, flatten_if=True, advanced_optimization=True, device_memory_GB=2)

@@ -6,6 +6,7 @@ import ast
 import builtins
 import math
 from collections.abc import Callable
+from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from .. import ops
 from ..errors import TaiSyntaxError, TaiTypeError
 from ..fields import Field
+from ..matrix import Matrix
 from .expressions import FormattedText
 from .refs import Place, Variable
 from .scope import Bound, Frame
@@ -49,6 +51,13 @@ _ATOMICS = {
     ops.atomic_and: "&",
     ops.atomic_or: "|",
     ops.atomic_xor: "^",
+}
+
+# Methods of matrices, for calls such as ti.Vector.normalized(v).
+_MATRIX_METHODS = {
+    function
+    for name, function in vars(Matrix).items()
+    if isinstance(function, FunctionType) and not name.startswith("_")
 }
 
 _NOT_YET = {
@@ -175,6 +184,9 @@ class Calls:
                     return self.fold("|" if function is builtins.any else "&", args, True)
                 if function is isinstance:
                     return False
+                if function in _MATRIX_METHODS and args:
+                    receiver = self.emitter.as_value(args[0])
+                    return getattr(receiver, function.__name__)(*args[1:], **kwargs)
                 function = _TRANSLATED.get(function, function)
         if isinstance(function, np.ufunc) and dynamic:
             raise TaiTypeError(
