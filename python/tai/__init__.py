@@ -192,6 +192,12 @@ _LAZY = {
     "complex_kernel": "ad", "complex_kernel_grad": "ad",
     "GUI": "gui", "rgb_to_hex": "gui", "hex_to_rgb": "gui",
 }  # fmt: skip
+# Names of Taichi that are known and missing: the answer should say so.
+_NOT_YET = {
+    "Struct", "StructField", "dataclass", "linalg", "sparse", "BitpackedFields", "Texture",
+    "stop_grad", "mesh_local", "Mesh", "ui", "simt", "extension", "aot", "graph",
+    "volatile_load", "frexp", "assume_in_range", "loop_unique", "ref",
+}  # fmt: skip
 _MODULES = {"ad", "errors", "gui", "lang", "math", "profiler", "testing", "tools"}
 
 
@@ -205,6 +211,8 @@ def __getattr__(name: str) -> Any:
     else:
         from .errors import did_you_mean
 
+        if name in _NOT_YET:
+            raise AttributeError(f"ti.{name} is not built in yet")
         error = AttributeError(f"module 'tai' has no attribute '{name}'")
         hint = did_you_mean(name, __dir__())
         if hint:

@@ -7,6 +7,9 @@ import linecache
 import os
 from collections.abc import Iterable
 
+# Whether errors of kernels show the way through the compiler, for those who work on it.
+SHOW_TRACEBACK = bool(os.environ.get("TAI_TRACEBACK"))
+
 
 class TaiError(Exception):
     """Base of all errors of this package.

@@ -10,6 +10,7 @@ import numpy as np
 
 from . import _core, _state, dtypes
 from .errors import (
+    SHOW_TRACEBACK,
     TaiCompilationError,
     TaiError,
     TaiRuntimeTypeError,
@@ -146,7 +147,11 @@ class Kernel(_core.Launcher):
     # Calling
 
     def _launch_slow(self, args: tuple, kwargs: dict) -> Any:
-        return self._launch(self, args, kwargs, False)
+        try:
+            return self._launch(self, args, kwargs, False)
+        except TaiError as error:
+            # How the compiler came there says nothing about the program.
+            raise error if SHOW_TRACEBACK else error.with_traceback(None)  # noqa: B904
 
     def _launch(self, launcher: Any, args: tuple, kwargs: dict, grad: bool) -> Any:
         if _state.emitter is not None:
@@ -334,12 +339,8 @@ class Kernel(_core.Launcher):
         symbol = program.unique_symbol(self.__name__)
         names = [parameter.name for parameter in self._get_parameters()]
         parameters = list(zip(names, specs, strict=True))
-        try:
-            compiler = Compiler(program, self._function, symbol, parameters, self._result)
-            return Specialization(compiler.compile(), specs, self._result)
-        except TaiError as error:
-            # How the compiler came there says nothing about the program.
-            raise error.with_traceback(None)  # noqa: B904
+        compiler = Compiler(program, self._function, symbol, parameters, self._result)
+        return Specialization(compiler.compile(), specs, self._result)
 
     def mlir(self, *args: Any, stage: str = "tai") -> str:
         """The IR of the kernel.
@@ -371,7 +372,10 @@ class GradientKernel(_core.Launcher):
         self.__name__ = kernel.__name__ + ".grad"
 
     def _launch_slow(self, args: tuple, kwargs: dict) -> Any:
-        return self._kernel._launch(self, args, kwargs, True)
+        try:
+            return self._kernel._launch(self, args, kwargs, True)
+        except TaiError as error:
+            raise error if SHOW_TRACEBACK else error.with_traceback(None)  # noqa: B904
 
 
 class BoundKernel:

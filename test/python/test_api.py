@@ -71,6 +71,12 @@ def test_every_method_of_the_api_surface():
         assert callable(getattr(ti.root, method))
 
 
+def test_missing_names_say_so():
+    with pytest.raises(AttributeError, match="ti.Struct is not built in yet"):
+        _ = ti.Struct
+    assert not hasattr(ti, "__path_of_nothing__")
+
+
 def test_import_loads_neither_the_compiler_nor_plotting():
     program = """
 import sys, tai

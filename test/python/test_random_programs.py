@@ -7,6 +7,7 @@ Integers stay small enough not to wrap; floats are f64 on both sides.
 import importlib.util
 import random
 
+import numpy as np
 import pytest
 import tai as ti
 
@@ -158,7 +159,9 @@ def plain(n, x):
 
 
 inlined = ti.func(plain)
+x = ti.field(ti.f64, shape=8, needs_grad=True)
 y = ti.field(ti.f64, shape=8)
+loss = ti.field(ti.f64, shape=(), needs_grad=True)
 
 
 @ti.kernel
@@ -173,20 +176,50 @@ def serial(n: ti.i32, x: ti.f64) -> ti.f64:
 def parallel(x: ti.f64):
     for k in y:
         y[k] = inlined(k - 4, x)
+
+
+@ti.kernel
+def total():
+    for k in x:
+        loss[None] += inlined(k - 4, x[k])
 """
 
 
-@pytest.mark.parametrize("seed", range(PROGRAMS))
-def test_program(seed, tmp_path):
+def load(seed, folder):
+    """A random program as a module."""
     ti.init(default_fp=ti.f64, offline_cache=False)
     body, result = Writer(seed).program()
-    file = tmp_path / f"random_program_{seed}.py"
+    file = folder / f"random_program_{seed}.py"
     file.write_text(TEMPLATE.format(body=body, result=result))
-    spec = importlib.util.spec_from_file_location(f"random_program_{seed}", file)
+    spec = importlib.util.spec_from_file_location(file.stem, file)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("seed", range(PROGRAMS))
+def test_values(seed, tmp_path):
+    module = load(seed, tmp_path)
     for n, x in POINTS:
         assert module.serial(n, x) == pytest.approx(module.plain(n, x), rel=1e-12, abs=1e-12)
     module.parallel(0.3)
     expected = [module.plain(k - 4, 0.3) for k in range(8)]
     assert module.y.to_numpy().tolist() == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(1000, 1000 + PROGRAMS))
+def test_gradient(seed, tmp_path):
+    """Against central differences of the Python function; the best of some steps."""
+    module = load(seed, tmp_path)
+    points = np.random.default_rng(seed).uniform(-2, 2, 8)
+    module.x.from_numpy(points)
+    with ti.ad.Tape(module.loss):
+        module.total()
+    gradient = module.x.grad.to_numpy()
+    for k, x in enumerate(points):
+        differences = [
+            (module.plain(k - 4, x + h) - module.plain(k - 4, x - h)) / (2 * h)
+            for h in (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
+        ]
+        error = min(abs(d - gradient[k]) / max(1, abs(d)) for d in differences)
+        assert error < 1e-6

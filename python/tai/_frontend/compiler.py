@@ -7,7 +7,14 @@ from collections.abc import Callable
 from typing import Any
 
 from .. import _state
-from ..errors import TaiCompilationError, TaiError, TaiIndexError, TaiSyntaxError, TaiTypeError
+from ..errors import (
+    SHOW_TRACEBACK,
+    TaiCompilationError,
+    TaiError,
+    TaiIndexError,
+    TaiSyntaxError,
+    TaiTypeError,
+)
 from .calls import Calls
 from .emitter import Emitter
 from .expressions import Expressions
@@ -166,7 +173,7 @@ class Compiler(Expressions, Statements, Loops, Calls):
         except (StaticBreak, StaticContinue):
             raise
         except Exception as error:
-            raise self.translated(error, node) from error
+            raise self.translated(error, node) from (error if SHOW_TRACEBACK else None)
 
     def translated(self, error: Exception, node: ast.AST) -> TaiError:
         """An exception of Python code that ran at compile time, as one of ours."""
@@ -178,6 +185,8 @@ class Compiler(Expressions, Statements, Loops, Calls):
         elif isinstance(error, RecursionError):
             text = "the program nests too deeply"
         made = kind(text)
+        if isinstance(error, (AssertionError, AttributeError, RuntimeError)):
+            made.hint = "TAI_TRACEBACK=1 in the environment shows where in Python this arose"
         self.place(made, node)
         return made
 
