@@ -222,7 +222,7 @@ def _choose_arch(arch: Any) -> Arch:
     if arch is None or arch in (cpu, x64, arm64):
         return cpu
     if arch in (gpu, cuda):
-        print(f"[tai] arch=ti.{arch} is not in this build, using ti.cpu", file=sys.stderr)
+        print(f"[tai] no arch=ti.{arch} in this build, falling back to arch=cpu", file=sys.stderr)
         return cpu
     known = ["cpu", "x64", "cuda", "gpu"]
     raise TaiRuntimeError(f"there is no target '{arch}'", did_you_mean(str(arch), known))
