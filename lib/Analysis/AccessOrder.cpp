@@ -16,20 +16,22 @@ using namespace mlir::tai;
 
 AccessTable::AccessTable(FunctionOpInterface function) {
   function.walk([&](DifferentiableAccessInterface access) {
-    storages[getStorageKey(access)].push_back(access);
+    const void *key = getStorageKey(access);
+    storages[key].push_back(access);
+    if (access.getAccessKind() != AccessKind::Read)
+      writes[key].push_back(access);
   });
 }
 
 DifferentiableAccessInterface
 AccessTable::findLaterWrite(DifferentiableAccessInterface read) const {
-  auto it = storages.find(getStorageKey(read));
-  if (it == storages.end())
+  auto it = writes.find(getStorageKey(read));
+  if (it == writes.end())
     return {};
-  for (DifferentiableAccessInterface access : it->second)
-    if (access.getAccessKind() != AccessKind::Read &&
-        ((runsAfter(read, access) && reachSameElement(read, access)) ||
-         meetInEveryIteration(read, access)))
-      return access;
+  for (DifferentiableAccessInterface write : it->second)
+    if ((runsAfter(read, write) && reachSameElement(read, write)) ||
+        meetInEveryIteration(read, write))
+      return write;
   return {};
 }
 

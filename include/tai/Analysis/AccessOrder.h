@@ -39,6 +39,8 @@ public:
 
 private:
   llvm::MapVector<const void *, Accesses> storages;
+  /// Those that are not reads.
+  llvm::DenseMap<const void *, Accesses> writes;
 };
 
 /// True if both accesses reach the same element, or one a component of the
