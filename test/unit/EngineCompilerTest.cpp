@@ -1,0 +1,156 @@
+//===- EngineCompilerTest.cpp - The compiler by itself --------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "mlir/Parser/Parser.h"
+#include "mlir/Pass/Pass.h"
+#include "mlir/Target/LLVMIR/Dialect/Builtin/BuiltinToLLVMIRTranslation.h"
+#include "mlir/Target/LLVMIR/Dialect/LLVMIR/LLVMToLLVMIRTranslation.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/ExecutionEngine/Background.h"
+#include "tai/ExecutionEngine/Compiler.h"
+#include "llvm/Support/FileSystem.h"
+#include "llvm/Support/MemoryBuffer.h"
+#include "gtest/gtest.h"
+#include <atomic>
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+
+/// Fails and does not say why.
+struct SilentFailure : PassWrapper<SilentFailure, OperationPass<ModuleOp>> {
+  MLIR_DEFINE_EXPLICIT_INTERNAL_INLINE_TYPE_ID(SilentFailure)
+  StringRef getArgument() const override { return "test-silent-failure"; }
+  void runOnOperation() override { signalPassFailure(); }
+};
+
+/// Fails with two errors and a note.
+struct LoudFailure : PassWrapper<LoudFailure, OperationPass<ModuleOp>> {
+  MLIR_DEFINE_EXPLICIT_INTERNAL_INLINE_TYPE_ID(LoudFailure)
+  void runOnOperation() override {
+    Operation &first = getOperation().getBody()->front();
+    InFlightDiagnostic error = first.emitError("the first");
+    error.attachNote() << "a note";
+    error.report();
+    first.emitError("the second");
+    signalPassFailure();
+  }
+};
+
+class EngineCompiler : public testing::Test {
+protected:
+  EngineCompiler() {
+    DialectRegistry registry;
+    registry.insert<LLVM::LLVMDialect, TaiDialect>();
+    registerBuiltinDialectTranslation(registry);
+    registerLLVMDialectTranslation(registry);
+    context.appendDialectRegistry(registry);
+    context.loadAllAvailableDialects();
+    module = parseSourceString<ModuleOp>(R"(
+      llvm.func @helper(%x: i32) -> i32 {
+        %c = llvm.mlir.constant(41 : i32) : i32
+        %r = llvm.add %x, %c : i32
+        llvm.return %r : i32
+      }
+      llvm.func @k(%frame: !llvm.ptr) -> i32 {
+        %c = llvm.mlir.constant(1 : i32) : i32
+        %r = llvm.call @helper(%c) : (i32) -> i32
+        llvm.return %r : i32
+      })",
+                                         &context, "k.mlir");
+  }
+
+  template <typename PassTy> Failure compileWith() {
+    Compiler::Pipelines pipelines;
+    pipelines.toLLVM = [](OpPassManager &manager, const CompileOptions &) {
+      manager.addPass(std::make_unique<PassTy>());
+    };
+    Compiler compiler(&context, pipelines, {});
+    Failure failure;
+    EXPECT_FALSE(compiler.compile({*module, "k", CompileRequest::Goal::Primal},
+                                  CompileOptions(), failure));
+    return failure;
+  }
+
+  MLIRContext context;
+  OwningOpRef<ModuleOp> module;
+};
+
+TEST_F(EngineCompiler, CompilesAndLinks) {
+  Compiler compiler(&context, {}, {});
+  for (unsigned level = 0; level <= 3; ++level) {
+    CompileOptions options;
+    options.codegen.optLevel = level;
+    Failure failure;
+    auto function = compiler.compile(
+        {*module, "k", CompileRequest::Goal::Primal}, options, failure);
+    ASSERT_TRUE(function) << failure.text;
+    EXPECT_EQ(reinterpret_cast<int32_t (*)(void *)>(function->address)(nullptr),
+              42);
+    compiler.unload(*function);
+  }
+}
+
+TEST_F(EngineCompiler, SilentFailuresLeaveAReproducer) {
+  Failure failure = compileWith<SilentFailure>();
+  EXPECT_EQ(failure.kind, FailureKind::Internal);
+  StringRef message = failure.message;
+  size_t at = message.find("reproducer: ");
+  ASSERT_NE(at, StringRef::npos) << failure.message;
+  StringRef path = message.drop_front(at + strlen("reproducer: "));
+  auto file = llvm::MemoryBuffer::getFile(path);
+  ASSERT_TRUE(static_cast<bool>(file)) << path.str();
+  EXPECT_TRUE((*file)->getBuffer().contains("llvm.func @helper"));
+  EXPECT_TRUE((*file)->getBuffer().contains("test-silent-failure"));
+  // What --run-reproducer reads.
+  EXPECT_TRUE(parseSourceString<ModuleOp>((*file)->getBuffer(), &context));
+  llvm::sys::fs::remove(path);
+}
+
+TEST_F(EngineCompiler, KeepsAllDiagnostics) {
+  Failure failure = compileWith<LoudFailure>();
+  EXPECT_EQ(failure.kind, FailureKind::Type);
+  EXPECT_EQ(failure.message, "the first");
+  EXPECT_EQ(failure.file, "k.mlir");
+  EXPECT_EQ(failure.line, 2);
+  EXPECT_EQ(failure.column, 7);
+  StringRef text = failure.text;
+  EXPECT_TRUE(text.contains("k.mlir:2:7: error: the first\n"));
+  EXPECT_TRUE(text.contains("k.mlir:2:7: note: a note\n"));
+  EXPECT_TRUE(text.contains("k.mlir:2:7: error: the second\n"));
+}
+
+TEST(Background, RunsTakesOverAndCancels) {
+  std::atomic<int> ran{0};
+  auto count = [&] { ++ran; };
+  {
+    // Without threads a job waits until it is wanted.
+    Background none(0);
+    auto wanted = none.start(count), dropped = none.start(count);
+    EXPECT_EQ(ran, 0);
+    none.finish(*wanted);
+    none.finish(*wanted);
+    EXPECT_EQ(ran, 1);
+    none.cancel(*dropped);
+    none.finish(*dropped);
+    EXPECT_EQ(ran, 1);
+  }
+  Background some(2);
+  std::vector<Background::JobPtr> jobs;
+  for (int round = 0; round < 50; ++round) {
+    for (int i = 0; i < 8; ++i)
+      jobs.push_back(some.start(count));
+    for (auto &job : jobs)
+      some.finish(*job);
+    jobs.clear();
+  }
+  EXPECT_EQ(ran, 401);
+}
+
+} // namespace
