@@ -163,6 +163,15 @@ Error ObjectCompiler::optimize(Module &module) {
   return guard([&] { runPasses(module); });
 }
 
+/// The number of instructions in the largest basic block.
+static size_t getLargestBlock(const Module &module) {
+  size_t largest = 0;
+  for (const Function &function : module)
+    for (const BasicBlock &block : function)
+      largest = std::max(largest, block.size());
+  return largest;
+}
+
 void ObjectCompiler::runPasses(Module &module) {
   module.setTargetTriple(machine->getTargetTriple());
   module.setDataLayout(machine->createDataLayout());
@@ -179,7 +188,10 @@ void ObjectCompiler::runPasses(Module &module) {
 
   PipelineTuningOptions tuning;
   tuning.LoopVectorization = options.optLevel > 1;
-  tuning.SLPVectorization = options.optLevel > 1;
+  // Its time grows with the square of a block, and unrolled programs make
+  // blocks that would take seconds.
+  tuning.SLPVectorization =
+      options.optLevel > 1 && getLargestBlock(module) < 2000;
   tuning.LoopInterleaving = options.optLevel > 1;
   LoopAnalysisManager loops;
   FunctionAnalysisManager functions;
