@@ -13,9 +13,12 @@
 
 #include "Lowering.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/Conversion/Passes.h"
+#include "llvm/Analysis/TargetLibraryInfo.h"
+#include "llvm/TargetParser/Triple.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_CONVERTTAITOSCF
@@ -99,6 +102,20 @@ LogicalResult tai::lowerKernel(KernelOp kernel, ModuleLowering &lowering) {
   return success();
 }
 
+/// Refuses names that belong to functions which compiled code calls: the entry
+/// point would take their place, and `math.sin` in a kernel `@sin` would call
+/// the kernel.
+static LogicalResult verifyName(FunctionOpInterface function) {
+  StringRef name = function.getName();
+  llvm::TargetLibraryInfoImpl library{llvm::Triple("x86_64-unknown-linux-gnu")};
+  llvm::LibFunc known;
+  if (!library.getLibFunc(name, known) && !name.starts_with("tai_rt_"))
+    return success();
+  return function.emitOpError("has the name of a function that compiled code "
+                              "may call, '")
+         << name << "'; give it another";
+}
+
 namespace {
 struct ConvertTaiToSCF : tai::impl::ConvertTaiToSCFBase<ConvertTaiToSCF> {
   using Base::Base;
@@ -106,6 +123,10 @@ struct ConvertTaiToSCF : tai::impl::ConvertTaiToSCFBase<ConvertTaiToSCF> {
   void runOnOperation() override {
     ModuleOp module = getOperation();
     ModuleLowering lowering(module, deterministic, debug);
+    for (auto function : module.getOps<FunctionOpInterface>())
+      if (isa<KernelOp, func::FuncOp>(function) && !function.isExternal() &&
+          failed(verifyName(function)))
+        return signalPassFailure();
     for (auto kernel : llvm::make_early_inc_range(module.getOps<KernelOp>()))
       if (failed(lowerKernel(kernel, lowering)))
         return signalPassFailure();
