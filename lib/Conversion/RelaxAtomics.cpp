@@ -18,6 +18,7 @@
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Cost.h"
 #include "tai/Conversion/Passes.h"
+#include "llvm/ADT/TypeSwitch.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_RELAXATOMICS

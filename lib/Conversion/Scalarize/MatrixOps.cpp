@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Scalarizer.h"
+#include "llvm/ADT/TypeSwitch.h"
 
 using namespace mlir;
 using namespace mlir::tai;

@@ -9,6 +9,7 @@
 #include "../Common/IndexMath.h"
 #include "Lowering.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "llvm/ADT/TypeSwitch.h"
 
 using namespace mlir;
 using namespace mlir::tai;
