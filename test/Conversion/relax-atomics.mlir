@@ -233,3 +233,20 @@ tai.kernel @row(%t: index) {
   }
   tai.return
 }
+
+// A product of 32 bits may wrap: two iterations may meet.
+// CHECK-LABEL: tai.kernel @wraps
+//   CHECK-NOT:   exclusive
+//       CHECK:   tai.return
+tai.kernel @wraps(%n: index) {
+  %c0 = arith.constant 0 : index
+  %f = arith.constant 65536 : i32
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = tai.load @x[%i] : f32
+    %1 = arith.index_cast %i : index to i32
+    %2 = arith.muli %1, %f : i32
+    %3 = arith.index_cast %2 : i32 to index
+    %4 = tai.atomic add %0, @huge[%3] : f32
+  }
+  tai.return
+}

@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "Accumulation.h"
-#include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
+#include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Cost.h"
 
 using namespace mlir;
@@ -64,52 +64,19 @@ bool tai::updatesSameComponent(AtomicOp a, AtomicOp b) {
          same(a.getComponents(), b.getComponents());
 }
 
-/// The induction variable of `loop` that `index` is an injective function of,
-/// for fixed other values; null if none is found.
-static BlockArgument getSource(Value index, ParallelForOp loop) {
-  while (true) {
-    if (auto argument = dyn_cast<BlockArgument>(index))
-      return argument.getOwner() == &loop.getBody().front() ? argument
-                                                            : BlockArgument();
-    Operation *op = index.getDefiningOp();
-    if (isa<arith::IndexCastOp, arith::ExtSIOp>(op)) {
-      index = op->getOperand(0);
-      continue;
-    }
-    if (!isa<arith::AddIOp, arith::SubIOp, arith::MulIOp>(op))
-      return {};
-    Value a = op->getOperand(0), b = op->getOperand(1);
-    if (isa<arith::MulIOp>(op)) {
-      std::optional<int64_t> factor = getConstantIntValue(b);
-      if (!factor || *factor == 0)
-        return {};
-      index = a;
-    } else if (loop.isDefinedOutsideOfLoop(b) || getConstantIntValue(b)) {
-      index = a;
-    } else if (loop.isDefinedOutsideOfLoop(a) || getConstantIntValue(a)) {
-      index = b;
-    } else {
-      return {};
-    }
-  }
-}
-
 bool tai::isInjective(ParallelForOp loop, ValueRange indices) {
-  llvm::SmallDenseSet<BlockArgument> sources;
-  for (Value index : indices)
-    if (BlockArgument source = getSource(index, loop))
-      sources.insert(source);
-  return llvm::all_of(llvm::enumerate(loop.getInductionVars()), [&](auto pair) {
-    if (sources.contains(pair.value()))
-      return true;
-    if (loop.isStructFor())
-      return false;
-    std::optional<int64_t> lower =
-        getConstantIntValue(loop.getLowerBounds()[pair.index()]);
-    std::optional<int64_t> upper =
-        getConstantIntValue(loop.getUpperBounds()[pair.index()]);
-    return lower && upper && *upper - *lower <= 1;
-  });
+  // A dimension of one step tells nothing apart.
+  SmallVector<Value> ivs;
+  for (auto [i, iv] : llvm::enumerate(loop.getInductionVars())) {
+    std::optional<int64_t> lower, upper;
+    if (!loop.isStructFor()) {
+      lower = getConstantIntValue(loop.getLowerBounds()[i]);
+      upper = getConstantIntValue(loop.getUpperBounds()[i]);
+    }
+    if (!lower || !upper || *upper - *lower > 1)
+      ivs.push_back(iv);
+  }
+  return isInjectiveOver(getLinearIndices(indices), ivs);
 }
 
 double tai::estimateRuns(Operation *op, ParallelForOp loop) {
