@@ -10,6 +10,7 @@
 #include "mlir/Pass/Pass.h"
 #include "mlir/Pass/PassInstrumentation.h"
 #include "mlir/Target/LLVMIR/Export.h"
+#include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/IR/LLVMContext.h"
@@ -219,7 +220,7 @@ OwningOpRef<ModuleOp> Compiler::runPasses(Worker &worker,
                                           PhaseTimes &times, Failure &failure,
                                           std::string *scf) {
   OwningOpRef<ModuleOp> module = request.module.clone();
-  object.symbol = request.name.str();
+  object.symbol = getEntryPointName(request.name);
   if (request.goal == CompileRequest::Goal::Adjoint) {
     PhaseTimer timer(times, Phase::Autodiff);
     auto given = module->lookupSymbol<KernelOp>(request.name);
@@ -243,7 +244,7 @@ OwningOpRef<ModuleOp> Compiler::runPasses(Worker &worker,
       object.symbol.clear();
       return module;
     }
-    object.symbol = adjoint.getValue().str();
+    object.symbol = getEntryPointName(adjoint.getValue());
   }
   for (TreeOp tree : module->getOps<TreeOp>())
     object.trees.push_back(tree.getSymName().str());

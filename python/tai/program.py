@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import weakref
 from dataclasses import dataclass, fields
@@ -10,35 +9,6 @@ from typing import Any
 
 from . import _state, dtypes
 from .errors import TaiRuntimeError, TaiRuntimeTypeError, did_you_mean
-
-# Functions of the C library that compiled code may call: a kernel `sin` gets another symbol.
-_LIBRARY_NAMES = frozenset(
-    name + suffix
-    for name in (
-        *(name for name in vars(math) if not name.startswith("_")),
-        *("abs", "cbrt", "exp10", "exp2", "fdim", "fmax", "fmaximum", "fmaximum_num", "fmin"),
-        *("fminimum", "fminimum_num", "labs", "llabs", "logb", "ilogb", "nan", "nearbyint"),
-        *("rint", "round", "roundeven", "sincos", "sincospi", "tgamma", "scalbn", "scalbln"),
-        *(
-            "access",
-            "atof",
-            "atoi",
-            "atol",
-            "bcmp",
-            "bcopy",
-            "bzero",
-            "calloc",
-            "close",
-            "closedir",
-        ),
-        *("exit", "abort", "ferror", "fopen", "fread", "free", "fwrite", "getenv", "malloc"),
-        *("memchr", "memcmp", "memcpy", "memmove", "memset", "mkdir", "open", "perror", "popen"),
-        *("printf", "putchar", "puts", "read", "realloc", "remove", "rename", "rewind", "rmdir"),
-        *("scanf", "stat", "strchr", "strcmp", "strcpy", "strlen", "system", "times", "uname"),
-        *("unlink", "valloc", "write", "main"),
-    )
-    for suffix in ("", "f", "l")
-)
 
 
 class Arch(str):
@@ -110,7 +80,7 @@ class Program:
         self.options = options
         self.context = _core.Context()
         self.root = Root()
-        self.symbols: set[str] = set(_LIBRARY_NAMES)
+        self.symbols: set[str] = set()
         self.num_trees = 0
         # Fields by symbol, for diagnostics and for clearing gradients.
         self.fields: dict[str, Any] = {}

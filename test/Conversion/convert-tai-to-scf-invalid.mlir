@@ -73,11 +73,3 @@ tai.kernel @strange(%m: memref<?xf32>) {
   %0 = memref.cast %m : memref<?xf32> to memref<4xf32>
   tai.return
 }
-
-// -----
-
-// expected-error @+1 {{'tai.kernel' op has the name of a function that compiled code may call, 'atan2'; give it another}}
-tai.kernel @atan2(%a: f32) -> f32 {
-  %0 = math.atan2 %a, %a : f32
-  tai.return %0 : f32
-}

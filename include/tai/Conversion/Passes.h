@@ -44,6 +44,11 @@ namespace mlir::tai {
 
 #define GEN_PASS_REGISTRATION
 #include "tai/Conversion/Passes.h.inc"
+/// The symbol of the compiled function of a kernel or host function: its name,
+/// or `name.entry` where the name is that of a library function which compiled
+/// code may call (`math.tan` in a kernel `@tan` must not call the kernel).
+std::string getEntryPointName(StringRef name);
+
 } // namespace mlir::tai
 
 #endif // TAI_CONVERSION_PASSES_H

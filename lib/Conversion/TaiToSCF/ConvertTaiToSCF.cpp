@@ -54,7 +54,7 @@ static bool canFail(ArrayRef<LLVM::LLVMFuncOp> functions) {
 }
 
 LogicalResult tai::lowerKernel(KernelOp kernel, ModuleLowering &lowering) {
-  std::string name = kernel.getSymName().str();
+  std::string name = getEntryPointName(kernel.getSymName());
   Location loc = kernel.getLoc();
   RuntimeCalls &runtime = lowering.runtime;
   auto function = createFunction(lowering.module, loc, name,
@@ -103,18 +103,11 @@ LogicalResult tai::lowerKernel(KernelOp kernel, ModuleLowering &lowering) {
   return success();
 }
 
-/// Refuses names that belong to functions which compiled code calls: the entry
-/// point would take their place, and `math.sin` in a kernel `@sin` would call
-/// the kernel.
-static LogicalResult verifyName(FunctionOpInterface function) {
-  StringRef name = function.getName();
+std::string tai::getEntryPointName(StringRef name) {
   llvm::TargetLibraryInfoImpl library{llvm::Triple("x86_64-unknown-linux-gnu")};
   llvm::LibFunc known;
-  if (!library.getLibFunc(name, known) && !name.starts_with("tai_rt_"))
-    return success();
-  return function.emitOpError("has the name of a function that compiled code "
-                              "may call, '")
-         << name << "'; give it another";
+  bool isTaken = library.getLibFunc(name, known) || name.starts_with("tai_rt_");
+  return isTaken ? (name + ".entry").str() : name.str();
 }
 
 namespace {
@@ -124,10 +117,6 @@ struct ConvertTaiToSCF : tai::impl::ConvertTaiToSCFBase<ConvertTaiToSCF> {
   void runOnOperation() override {
     ModuleOp module = getOperation();
     ModuleLowering lowering(module, deterministic, debug);
-    for (auto function : module.getOps<FunctionOpInterface>())
-      if (isa<KernelOp, func::FuncOp>(function) && !function.isExternal() &&
-          failed(verifyName(function)))
-        return signalPassFailure();
     for (auto kernel : llvm::make_early_inc_range(module.getOps<KernelOp>()))
       if (failed(lowerKernel(kernel, lowering)))
         return signalPassFailure();

@@ -16,6 +16,7 @@
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "tai/Conversion/Passes.h"
 #include "llvm/ADT/TypeSwitch.h"
 
 using namespace mlir;
@@ -200,7 +201,7 @@ LogicalResult tai::lowerHostFunction(func::FuncOp function,
 
   Location loc = function.getLoc();
   RuntimeCalls &runtime = lowering.runtime;
-  std::string name = function.getSymName().str();
+  std::string name = getEntryPointName(function.getSymName());
   auto type = IntegerType::get(function.getContext(), 32);
   auto host = createFunction(lowering.module, loc, name, type,
                              {runtime.getPointerType()}, /*isInternal=*/false);
