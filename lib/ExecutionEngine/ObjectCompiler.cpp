@@ -22,6 +22,7 @@
 #include "llvm/TargetParser/Host.h"
 #include "llvm/TargetParser/SubtargetFeature.h"
 #include "llvm/TargetParser/Triple.h"
+#include "llvm/Transforms/Scalar/GVN.h"
 #include <csetjmp>
 #include <mutex>
 
@@ -172,6 +173,18 @@ static size_t getLargestBlock(const Module &module) {
   return largest;
 }
 
+namespace {
+/// Value numbering that does not carry a load over to the next iteration of a
+/// loop. A stencil reads each element in several iterations, and a value that
+/// is carried across branches or stores keeps the loop from being vectorised.
+struct StencilGVN : PassInfoMixin<StencilGVN> {
+  PreservedAnalyses run(Function &function, FunctionAnalysisManager &analyses) {
+    return GVNPass(GVNOptions().setLoadInLoopPRE(false))
+        .run(function, analyses);
+  }
+};
+} // namespace
+
 void ObjectCompiler::runPasses(Module &module) {
   module.setTargetTriple(machine->getTargetTriple());
   module.setDataLayout(machine->createDataLayout());
@@ -204,7 +217,16 @@ void ObjectCompiler::runPasses(Module &module) {
     libraryInfo.addVectorizableFunctionsFromVecLib(VectorLibrary::LIBMVEC,
                                                    machine->getTargetTriple());
   functions.registerPass([&] { return TargetLibraryAnalysis(libraryInfo); });
-  PassBuilder builder(machine.get(), tuning);
+  // The pipeline's own value numbering makes way for ours, which is all that an
+  // option of the pipeline could do, if it had one.
+  PassInstrumentationCallbacks callbacks;
+  callbacks.registerShouldRunOptionalPassCallback(
+      [](StringRef name, Any) { return name != "GVNPass"; });
+  PassBuilder builder(machine.get(), tuning, std::nullopt, &callbacks);
+  builder.registerScalarOptimizerLateEPCallback(
+      [](FunctionPassManager &late, OptimizationLevel) {
+        late.addPass(StencilGVN());
+      });
   builder.registerModuleAnalyses(modules);
   builder.registerCGSCCAnalyses(sccs);
   builder.registerFunctionAnalyses(functions);
