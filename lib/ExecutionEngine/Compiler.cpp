@@ -85,11 +85,14 @@ private:
 struct Compiler::Worker {
   Worker(MLIRContext *context, const Pipelines &pipelines,
          const CompileOptions &options)
-      : options(options), autodiff(context), toLLVM(context) {
-    for (PassManager *manager : {&autodiff, &toLLVM})
+      : options(options), autodiff(context), clearing(context),
+        toLLVM(context) {
+    for (PassManager *manager : {&autodiff, &clearing, &toLLVM})
       manager->enableVerifier(options.debug);
     if (pipelines.autodiff)
       pipelines.autodiff(autodiff, options);
+    if (pipelines.clearing)
+      pipelines.clearing(clearing, options);
     if (pipelines.toLLVM)
       pipelines.toLLVM(toLLVM, options);
     toLLVM.addInstrumentation(
@@ -98,6 +101,7 @@ struct Compiler::Worker {
 
   CompileOptions options;
   PassManager autodiff;
+  PassManager clearing;
   PassManager toLLVM;
   std::unique_ptr<ObjectCompiler> objects;
   std::string *scf = nullptr;
@@ -145,6 +149,7 @@ void Compiler::loadDialects() {
   Worker worker(context, pipelines, CompileOptions());
   DialectRegistry registry;
   worker.autodiff.getDependentDialects(registry);
+  worker.clearing.getDependentDialects(registry);
   worker.toLLVM.getDependentDialects(registry);
   context->appendDialectRegistry(registry);
   for (StringRef name : registry.getDialectNames())
@@ -245,6 +250,16 @@ OwningOpRef<ModuleOp> Compiler::runPasses(Worker &worker,
       return module;
     }
     object.symbol = getEntryPointName(adjoint.getValue());
+  }
+  if (request.goal == CompileRequest::Goal::Clearing) {
+    PhaseTimer timer(times, Phase::Autodiff);
+    if (failed(runPipeline(worker.clearing, *module, request.module,
+                           request.name, FailureKind::Autodiff,
+                           "clearing adjoints", failure)))
+      return {};
+    std::string name = (request.name + "_clear").str();
+    module->lookupSymbol<KernelOp>(request.name).setSymName(name);
+    object.symbol = getEntryPointName(name);
   }
   for (TreeOp tree : module->getOps<TreeOp>())
     object.trees.push_back(tree.getSymName().str());

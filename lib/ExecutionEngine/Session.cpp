@@ -50,6 +50,9 @@ static Compiler::Pipelines getPipelines() {
     autodiff.arrayAdjoints = false;
     buildAutodiffPipeline(manager, autodiff);
   };
+  pipelines.clearing = [](OpPassManager &manager, const CompileOptions &) {
+    buildClearingPipeline(manager);
+  };
   pipelines.toLLVM = [](OpPassManager &manager, const CompileOptions &options) {
     ToLLVMOptions lowering;
     lowering.deterministic = options.deterministic;

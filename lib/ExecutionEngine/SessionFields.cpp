@@ -253,35 +253,3 @@ LogicalResult Session::verifyModule(ModuleOp module) {
     return success();
   return fail(collector.take(FailureKind::Type, "the module does not verify"));
 }
-
-std::vector<runtime::Access> Session::summarize(ModuleOp module) {
-  using Kind = runtime::AccessKind;
-  llvm::SetVector<std::pair<StringAttr, unsigned>> found;
-  auto add = [&](FlatSymbolRefAttr field, Kind kind) {
-    found.insert({field.getAttr(), static_cast<unsigned>(kind)});
-  };
-  module.walk([&](Operation *op) {
-    auto field = op->getAttrOfType<FlatSymbolRefAttr>("field");
-    if (!field || isa<ParallelForOp>(op))
-      return;
-    if (isa<LoadOp, IsActiveOp, LengthOp>(op))
-      return add(field, Kind::Read);
-    if (isa<StoreOp, ActivateOp, DeactivateOp>(op))
-      return add(field, Kind::Write);
-    if (auto atomic = dyn_cast<AtomicOp>(op)) {
-      bool isSum = atomic.getKind() == AtomicKind::Add ||
-                   atomic.getKind() == AtomicKind::Sub;
-      if (!isSum || !atomic.getOld().use_empty())
-        add(field, Kind::Read);
-      return add(field, isSum ? Kind::Accumulate : Kind::Write);
-    }
-    // Whatever else touches a field may do anything to it.
-    add(field, Kind::Read);
-    add(field, Kind::Write);
-  });
-  std::vector<runtime::Access> summary;
-  for (auto [field, kind] : found)
-    if (runtime::FieldPtr known = rt->findField(field.str()))
-      summary.push_back({known, static_cast<Kind>(kind)});
-  return summary;
-}

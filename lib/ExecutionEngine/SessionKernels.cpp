@@ -23,22 +23,6 @@ using namespace mlir::tai;
 // Kernels
 //===----------------------------------------------------------------------===//
 
-/// Slots of a value of the type; see Abi.h.
-static int64_t countSlots(Type type) {
-  if (auto vector = dyn_cast<VectorType>(type))
-    return vector.getNumElements();
-  if (auto memref = dyn_cast<MemRefType>(type))
-    return 1 + memref.getRank();
-  return 1;
-}
-
-static int64_t countSlots(TypeRange types) {
-  int64_t slots = 0;
-  for (Type type : types)
-    slots += countSlots(type);
-  return slots;
-}
-
 FailureOr<SessionKernel *> Session::createKernel(OwningOpRef<ModuleOp> module,
                                                  StringRef name) {
   auto op = module->lookupSymbol<KernelOp>(name);
@@ -53,7 +37,7 @@ FailureOr<SessionKernel *> Session::createKernel(OwningOpRef<ModuleOp> module,
       std::make_shared<KernelCode>(*compiler, background, name, options);
   runtime::KernelInfo info;
   info.name = kernel->code->name;
-  info.argSlots = countSlots(op.getArgumentTypes());
+  info.argSlots = kernel->code->argSlots = countSlots(op.getArgumentTypes());
   info.resultSlots = countSlots(op.getResultTypes());
   info.summary = summarize(*module);
   for (TreeOp tree : module->getOps<TreeOp>())
@@ -66,6 +50,10 @@ FailureOr<SessionKernel *> Session::createKernel(OwningOpRef<ModuleOp> module,
   info.makeAdjoint = [this, code = kernel->code](runtime::Kernel &runtimeKernel,
                                                  runtime::KernelPtr &adjoint) {
     return compileAdjoint(*code, runtimeKernel, adjoint);
+  };
+  info.makeClearing = [this,
+                       code = kernel->code](runtime::KernelPtr &clearing) {
+    return compileClearing(*code, clearing);
   };
   kernel->code->module = std::move(module);
   kernel->kernel = rt->createKernel(std::move(info));
@@ -120,6 +108,8 @@ static std::vector<runtime::TreePtr> findTrees(const KernelCode &code,
 
 void Session::printStages(KernelCode &code, CompileRequest::Goal goal) {
   bool isAdjoint = goal == CompileRequest::Goal::Adjoint;
+  if (goal == CompileRequest::Goal::Clearing)
+    return;
   for (const std::string &stage : printedStages) {
     if (isAdjoint && stage == "tai")
       continue;
@@ -137,13 +127,24 @@ void Session::printStages(KernelCode &code, CompileRequest::Goal goal) {
   }
 }
 
+static StringRef getGoalName(CompileRequest::Goal goal) {
+  switch (goal) {
+  case CompileRequest::Goal::Primal:
+    return "primal";
+  case CompileRequest::Goal::Adjoint:
+    return "adjoint";
+  case CompileRequest::Goal::Clearing:
+    return "clearing";
+  }
+  llvm_unreachable("unknown goal");
+}
+
 void Session::printProfile(StringRef name, CompileRequest::Goal goal,
                            const Compiler::Function &function) {
   std::lock_guard<std::mutex> lock(mutex);
-  llvm::errs() << llvm::formatv(
-      "{0,-32} {1,-8} {2,-5}", name,
-      goal == CompileRequest::Goal::Adjoint ? "adjoint" : "primal",
-      function.fromCache ? "hit" : "miss");
+  llvm::errs() << llvm::formatv("{0,-32} {1,-8} {2,-5}", name,
+                                getGoalName(goal),
+                                function.fromCache ? "hit" : "miss");
   for (unsigned i = 0; i < kNumPhases; ++i)
     llvm::errs() << llvm::formatv(" {0} {1,7:F2} ms",
                                   stringifyPhase(static_cast<Phase>(i)),
@@ -196,6 +197,18 @@ runtime::Status Session::compilePrimal(KernelCode &code,
   return runtime::Status::success();
 }
 
+/// A kernel that is launched with the arguments of the one it was made from.
+static runtime::KernelInfo getHelperInfo(const KernelCode &code,
+                                         const Compiler::Function &compiled,
+                                         StringRef suffix) {
+  runtime::KernelInfo info;
+  info.name = code.name + suffix.str();
+  info.argSlots = code.argSlots;
+  info.trees = findTrees(code, compiled.trees);
+  info.function = reinterpret_cast<TaiKernelFn>(compiled.address);
+  return info;
+}
+
 runtime::Status Session::compileAdjoint(KernelCode &code,
                                         runtime::Kernel &runtimeKernel,
                                         runtime::KernelPtr &adjoint) {
@@ -213,12 +226,17 @@ runtime::Status Session::compileAdjoint(KernelCode &code,
     return keepFailure(std::move(failure));
   if (!compiled->address)
     return runtime::Status::success();
-  runtime::KernelInfo info;
-  info.name = code.name + "_grad";
-  info.argSlots = runtimeKernel.argSlots();
-  info.trees = findTrees(code, compiled->trees);
-  info.function = reinterpret_cast<TaiKernelFn>(compiled->address);
-  adjoint = rt->createKernel(std::move(info));
+  adjoint = rt->createKernel(getHelperInfo(code, *compiled, "_grad"));
+  return runtime::Status::success();
+}
+
+runtime::Status Session::compileClearing(KernelCode &code,
+                                         runtime::KernelPtr &clearing) {
+  Failure failure;
+  auto compiled = compileAs(code, CompileRequest::Goal::Clearing, failure);
+  if (!compiled)
+    return keepFailure(std::move(failure));
+  clearing = rt->createKernel(getHelperInfo(code, *compiled, "_clear"));
   return runtime::Status::success();
 }
 

@@ -44,6 +44,12 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
   pm.addPass(createSummarizeKernels());
 }
 
+void tai::buildClearingPipeline(OpPassManager &pm) {
+  pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
+  pm.addPass(createEliminateLocals());
+  pm.addPass(createClearOverwritten());
+}
+
 void tai::registerAutodiffPipeline() {
   PassPipelineRegistration<AutodiffOptions>(
       "tai-autodiff",

@@ -14,6 +14,17 @@
 
 using namespace mlir::tai::runtime;
 
+int64_t FixedIndex::evaluate(const uint64_t *args) const {
+  // Wraps where the arguments do.
+  uint64_t sum = static_cast<uint64_t>(constant);
+  for (const Term &term : terms) {
+    unsigned unused = 64 - term.bits;
+    auto value = static_cast<int64_t>(args[term.slot] << unused) >> unused;
+    sum += static_cast<uint64_t>(value) * static_cast<uint64_t>(term.factor);
+  }
+  return static_cast<int64_t>(sum);
+}
+
 Kernel::Kernel(KernelInfo kernelInfo) : info(std::move(kernelInfo)) {
   function.store(info.function, std::memory_order_release);
 }
@@ -59,6 +70,17 @@ Status Kernel::resolveAdjoint(Kernel *&adjoint) {
   return Status::success();
 }
 
+Status Kernel::resolveClearing(Kernel *&result) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  if (!clearing && info.makeClearing) {
+    Status status = info.makeClearing(clearing);
+    if (!status)
+      return status;
+  }
+  result = clearing.get();
+  return Status::success();
+}
+
 void Kernel::setTrees(std::vector<TreePtr> trees) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
   for (TreePtr &tree : trees)
@@ -100,6 +122,7 @@ Status Kernel::bind(uint64_t epoch) {
   adjointTargets.clear();
   adjointSources.clear();
   overwritten.clear();
+  repeatsStores = false;
   for (const Access &access : info.summary) {
     Field *field = access.field.get();
     bool changes = access.kind != AccessKind::Read;
@@ -107,8 +130,10 @@ Status Kernel::bind(uint64_t epoch) {
       addOnce(changedAdjoints, field);
     if (field->adjoint())
       addOnce(changes ? adjointSources : adjointTargets, field);
-    if (field->adjoint() && access.kind == AccessKind::Write)
+    if (field->adjoint() && access.kind == AccessKind::Write) {
       addOnce(overwritten, field);
+      repeatsStores |= !access.fixed;
+    }
   }
   boundEpoch.store(epoch, std::memory_order_release);
   return Status::success();

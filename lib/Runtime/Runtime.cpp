@@ -402,13 +402,28 @@ Status Runtime::launchAdjoint(Kernel &kernel, const uint64_t *args,
     return wrongSlots(kernel, slots);
   Kernel *adjoint = nullptr;
   Status status = kernel.resolveAdjoint(adjoint);
-  if (!status || !adjoint)
+  if (!status)
+    return status;
+  status = kernel.bind(storageEpoch.load(std::memory_order_relaxed));
+  if (!status)
     return status;
   Launch *launch = acquireLaunch();
-  status = runAdjoint(*launch, kernel, *adjoint, args,
-                      kernel.lastLaunch.load(std::memory_order_relaxed));
+  uint64_t number = kernel.lastLaunch.load(std::memory_order_relaxed);
+  if (adjoint)
+    status = runAdjoint(*launch, kernel, *adjoint, args, number);
+  if (status && kernel.repeatsStores)
+    status = runClearing(*launch, kernel, args, number);
   releaseLaunch(launch);
   return status;
+}
+
+Status Runtime::runClearing(Launch &launch, Kernel &kernel,
+                            const uint64_t *args, uint64_t number) {
+  Kernel *clearing = nullptr;
+  Status status = kernel.resolveClearing(clearing);
+  if (!status || !clearing)
+    return status;
+  return run(launch, *clearing, args, nullptr, number);
 }
 
 Status Runtime::runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,

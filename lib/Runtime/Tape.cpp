@@ -122,11 +122,9 @@ Tape::Decision Tape::decide(size_t index, const Live &live) const {
     return Decision::Replay;
   // What remains is to forget the adjoints of what the kernel overwrote. That
   // matters only to those who wrote it before.
-  for (Field *field : kernel.overwritten) {
-    auto first = firstChange.find(field);
-    if (live(field) && first != firstChange.end() && first->second < index)
-      return Decision::Replay;
-  }
+  if (storesAgain[index] &&
+      std::any_of(kernel.overwritten.begin(), kernel.overwritten.end(), live))
+    return Decision::Replay;
   return Decision::SkipNoEffect;
 }
 
@@ -144,19 +142,84 @@ bool Tape::planHolds() const {
          plannedLive == liveFields();
 }
 
+namespace {
+/// The elements of a field that the records so far have used: positions along
+/// the first dimension in which a launch fixes its index.
+struct Used {
+  int64_t dimension;
+  std::vector<bool> positions;
+  bool anywhere = false;
+  bool any = false;
+
+  /// The position of an access, or -1 if it is not known.
+  int64_t locate(const Access &access, const uint64_t *args) const {
+    if (!access.fixed || access.fixed->dimension != dimension)
+      return -1;
+    int64_t position =
+        access.fixed->evaluate(args) - access.field->firstIndex(dimension);
+    bool inRange = position >= 0 && position < int64_t(positions.size());
+    return inRange ? position : -1;
+  }
+  bool has(int64_t position) const {
+    return anywhere || (position < 0 ? any : positions[position]);
+  }
+  void add(int64_t position) {
+    any = true;
+    if (position < 0)
+      anywhere = true;
+    else
+      positions[position] = true;
+  }
+};
+} // namespace
+
+void Tape::findRepeatedStores() {
+  storesAgain.assign(records.size(), false);
+  uint64_t mark = ++runtime.stamps;
+  std::vector<Used> used;
+  auto lookup = [&](const Access &access) -> size_t {
+    Field &field = *access.field;
+    if (field.seenMark != mark) {
+      field.seenMark = mark;
+      field.seenIndex = used.size();
+      Used entry;
+      entry.dimension = access.fixed ? access.fixed->dimension : -1;
+      if (access.fixed)
+        entry.positions.resize(field.shape()[entry.dimension]);
+      used.push_back(std::move(entry));
+    }
+    return field.seenIndex;
+  };
+  std::vector<std::pair<size_t, int64_t>> uses;
+  for (size_t i = 0; i < records.size(); ++i) {
+    if (!records[i].kernel)
+      continue;
+    const uint64_t *args = slots.data() + records[i].payload;
+    uses.clear();
+    bool again = false;
+    for (const Access &access : records[i].kernel->summary()) {
+      if (!access.field->adjoint())
+        continue;
+      size_t index = lookup(access);
+      int64_t position = used[index].locate(access, args);
+      again |= access.kind == AccessKind::Write && used[index].has(position);
+      uses.emplace_back(index, position);
+    }
+    storesAgain[i] = again;
+    for (auto [index, position] : uses)
+      used[index].add(position);
+  }
+}
+
 void Tape::plan() {
   plannedEpoch = runtime.storageEpoch.load(std::memory_order_relaxed);
   plannedLive = liveFields();
   decisions.assign(records.size(), Decision::SkipUnreached);
   needed.clear();
-  firstChange.clear();
   for (const KernelPtr &kernel : kernels)
     // A tree that has gone is an error when the kernel is launched.
     (void)kernel->bind(plannedEpoch);
-  for (size_t i = 0; i < records.size(); ++i)
-    if (Kernel *kernel = records[i].kernel)
-      for (Field *field : kernel->adjointSources)
-        firstChange.try_emplace(field, i);
+  findRepeatedStores();
 
   uint64_t mark = ++runtime.stamps;
   for (Field *field : plannedLive)
@@ -181,19 +244,26 @@ void Tape::plan() {
 // Replay
 //===----------------------------------------------------------------------===//
 
-Status Tape::replayAdjoint(Launch &launch, const Record &record) {
+Status Tape::replayAdjoint(Launch &launch, size_t index) {
+  const Record &record = records[index];
   Kernel &kernel = *record.kernel;
   // Found once; the look-up below takes a lock.
   Kernel *adjoint = kernel.knownAdjoint.load(std::memory_order_acquire);
   if (!adjoint) {
     Status status = kernel.resolveAdjoint(adjoint);
-    if (!status || !adjoint)
+    if (!status)
       return status;
   }
-  ++runtime.counts.replayed;
-  return runtime.runAdjoint(launch, kernel, *adjoint,
-                            slots.data() + record.payload,
-                            firstLaunch + record.launch);
+  const uint64_t *args = slots.data() + record.payload;
+  Status status;
+  if (adjoint) {
+    ++runtime.counts.replayed;
+    status = runtime.runAdjoint(launch, kernel, *adjoint, args,
+                                firstLaunch + record.launch);
+  }
+  if (!status || !storesAgain[index])
+    return status;
+  return runtime.runClearing(launch, kernel, args, firstLaunch + record.launch);
 }
 
 /// A launch for as long as a sweep takes.
@@ -215,7 +285,7 @@ Status Tape::sweepPlanned() {
   runtime.counts.skipped += numRecords() - static_cast<int64_t>(needed.size());
   HeldLaunch held(runtime);
   for (uint32_t index : needed) {
-    Status status = replayAdjoint(held.get(), records[index]);
+    Status status = replayAdjoint(held.get(), index);
     if (!status)
       return status;
   }
@@ -233,7 +303,7 @@ Status Tape::sweepAroundCallbacks() {
     if (decisions[i] == Decision::Callback)
       status = callbacks[record.payload].backward();
     else if (decisions[i] == Decision::Replay)
-      status = replayAdjoint(held.get(), record);
+      status = replayAdjoint(held.get(), i);
     else
       ++runtime.counts.skipped;
     if (!status)

@@ -162,3 +162,8 @@ __all__ = [
     "round", "sign", "sin", "smoothstep", "sqrt", "step", "tan", "tanh", "uvec2", "uvec3",
     "uvec4", "vec2", "vec3", "vec4",
 ]  # fmt: skip
+
+
+def mod(x: Any, y: Any) -> Any:
+    """x - y floor(x / y), which has the sign of y."""
+    return x - y * floor(x / y)

@@ -75,4 +75,39 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
   ];
 }
 
+def ClearOverwritten : Pass<"tai-clear-overwritten", "::mlir::ModuleOp"> {
+  let summary = "turn kernels into ones that zero the adjoints of what they store";
+  let description = [{
+    Replaces each store to a field with an adjoint by a store of zero to the
+    adjoint, at the same indices, and removes all other output. A reverse sweep
+    runs the result after the adjoint of a kernel that has overwritten elements
+    which an earlier launch had changed: what remains there would otherwise be
+    counted for that launch too.
+
+    ```mlir
+    tai.kernel @scale(%a: f32) {
+      tai.parallel_for (%i) in @x {
+        %0 = tai.load @x[%i] : f32
+        %1 = arith.mulf %0, %a : f32
+        tai.store %1, @y[%i] : f32
+      }
+      tai.return
+    }
+    ```
+
+    becomes
+
+    ```mlir
+    tai.kernel @scale(%a: f32) {
+      tai.parallel_for (%i) in @x {
+        %zero = arith.constant 0.0 : f32
+        tai.store %zero, @y_grad[%i] : f32
+      }
+      tai.return
+    }
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect"];
+}
+
 #endif // TAI_AD_PASSES_TD

@@ -62,7 +62,8 @@ struct ObjectCache {
 
 /// What to compile.
 struct CompileRequest {
-  enum class Goal { Primal, Adjoint };
+  /// Clearing: what zeroes the adjoints of the elements that the kernel stores.
+  enum class Goal { Primal, Adjoint, Clearing };
 
   /// Left as it is. Holds the function, what it calls, and the trees and
   /// fields that it uses.
@@ -76,6 +77,7 @@ public:
   /// The pass pipelines. Each is built once and run by one thread at a time.
   struct Pipelines {
     std::function<void(OpPassManager &, const CompileOptions &)> autodiff;
+    std::function<void(OpPassManager &, const CompileOptions &)> clearing;
     std::function<void(OpPassManager &, const CompileOptions &)> toLLVM;
     /// The pass after which the IR is "scf".
     std::string scfPass;

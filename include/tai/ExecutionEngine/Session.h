@@ -40,6 +40,7 @@ struct KernelCode {
   std::string name;
   CompileOptions options;
   OwningOpRef<ModuleOp> module;
+  int64_t argSlots = 0;
   /// The trees that the module declares.
   std::vector<runtime::TreePtr> trees;
   std::vector<Compiler::Function> functions;
@@ -48,6 +49,9 @@ struct KernelCode {
   std::optional<Compiler::Function> aheadResult;
   Failure aheadFailure;
 };
+
+/// Slots of values of these types; see Abi.h.
+int64_t countSlots(TypeRange types);
 
 /// A kernel of a session. It is compiled when it is first launched.
 struct SessionKernel {
@@ -146,6 +150,8 @@ private:
   runtime::Status compileAdjoint(KernelCode &code,
                                  runtime::Kernel &runtimeKernel,
                                  runtime::KernelPtr &adjoint);
+  runtime::Status compileClearing(KernelCode &code,
+                                  runtime::KernelPtr &clearing);
   std::optional<Compiler::Function>
   compileAs(KernelCode &code, CompileRequest::Goal goal, Failure &failure);
   void printStages(KernelCode &code, CompileRequest::Goal goal);

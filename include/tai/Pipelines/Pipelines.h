@@ -47,6 +47,9 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
 /// the module.
 void buildAutodiffPipeline(OpPassManager &pm, const AutodiffOptions &options);
 
+/// Makes of kernels what zeroes the adjoints of the elements that they store.
+void buildClearingPipeline(OpPassManager &pm);
+
 /// Makes `--tai-autodiff` known to pass pipelines given as text.
 void registerAutodiffPipeline();
 

@@ -99,6 +99,10 @@ public:
   int64_t numElements() const { return elements; }
   /// Components of one element.
   int64_t numComponents() const { return components; }
+  /// The first index along a dimension.
+  int64_t firstIndex(int64_t dimension) const {
+    return fieldLayout.offset.empty() ? 0 : fieldLayout.offset[dimension];
+  }
   /// Bytes of the row-major host array of the whole field.
   int64_t hostBytes() const {
     return elements * components * byteSize(fieldLayout.scalar);
@@ -154,6 +158,10 @@ private:
   std::shared_ptr<Field> adjointField, dualField;
   std::atomic<bool> dirtyFlag{false};
   /// Stamp of the plan in which the field is live.
+  /// Of the plan in which seenIndex is the place of the field among those that
+  /// change.
+  uint64_t seenMark = 0;
+  size_t seenIndex = 0;
   uint64_t planMark = 0;
 };
 using FieldPtr = std::shared_ptr<Field>;

@@ -17,6 +17,7 @@
 #include "tai/Runtime/Field.h"
 #include <functional>
 #include <mutex>
+#include <optional>
 
 namespace mlir::tai::runtime {
 
@@ -25,10 +26,40 @@ using KernelPtr = std::shared_ptr<Kernel>;
 
 enum class AccessKind : uint8_t { Read, Write, Accumulate };
 
+/// An index that is the same in all iterations of a launch: a constant plus
+/// multiples of integer arguments.
+struct FixedIndex {
+  struct Term {
+    int64_t slot; // of the argument
+    unsigned bits;
+    int64_t factor;
+
+    bool operator==(const Term &other) const {
+      return slot == other.slot && bits == other.bits && factor == other.factor;
+    }
+  };
+  int64_t dimension;
+  int64_t constant;
+  std::vector<Term> terms;
+
+  int64_t evaluate(const uint64_t *args) const;
+  bool operator==(const FixedIndex &other) const {
+    return dimension == other.dimension && constant == other.constant &&
+           terms == other.terms;
+  }
+};
+
 /// One line of a summary.
 struct Access {
   FieldPtr field;
   AccessKind kind;
+  /// The first index that is fixed, if any: launches that differ in it touch
+  /// different elements.
+  std::optional<FixedIndex> fixed = std::nullopt;
+
+  bool operator==(const Access &other) const {
+    return field == other.field && kind == other.kind && fixed == other.fixed;
+  }
 };
 
 struct KernelInfo {
@@ -52,6 +83,9 @@ struct KernelInfo {
   std::function<Status(Kernel &kernel, KernelPtr &adjoint)> makeAdjoint;
   /// False if an adjoint of the kernel would do nothing; the tape skips it.
   bool differentiable = true;
+  /// How to get the kernel that zeroes the adjoints of the elements which this
+  /// one stores. Called once, when elements turn out to be stored again.
+  std::function<Status(KernelPtr &clearing)> makeClearing;
 };
 
 /// Times of one kernel while the profiler is on.
@@ -81,6 +115,10 @@ public:
   /// differentiate. Any thread.
   Status resolveAdjoint(Kernel *&adjoint);
 
+  /// What zeroes the adjoints of the elements that this kernel stores; null if
+  /// it cannot be made. Any thread.
+  Status resolveClearing(Kernel *&clearing);
+
   /// To be called before the kernel is launched or from its resolver. A tree
   /// of the name of one that the kernel has already stays that one: it was
   /// made for its layout, not for that of a later tree of the same name.
@@ -101,6 +139,7 @@ private:
   bool adjointAsked = false;
   /// Set once the adjoint has been found, so that a sweep takes no lock.
   std::atomic<Kernel *> knownAdjoint{nullptr};
+  KernelPtr clearing;
 
   std::vector<void *> bases;
   /// State of the storage for which the tables hold; 0 is never current.
@@ -113,6 +152,9 @@ private:
   std::vector<Field *> adjointSources;
   /// Those of them that are overwritten, not accumulated.
   std::vector<Field *> overwritten;
+  /// Every launch stores the same elements of one of them, whatever the
+  /// arguments are.
+  bool repeatsStores = false;
   /// Number of the last launch, so that an adjoint launched by hand sees the
   /// same random numbers.
   std::atomic<uint64_t> lastLaunch{0};

@@ -127,7 +127,8 @@ public:
   /// kernel without results.
   Status launch(Kernel &kernel, const uint64_t *args, int64_t slots,
                 uint64_t *results);
-  /// Launches the adjoint with the arguments of the primal; never recorded.
+  /// Launches the adjoint with the arguments of the primal; never recorded. If
+  /// every launch stores the same elements, their adjoints are zero afterwards.
   Status launchAdjoint(Kernel &kernel, const uint64_t *args, int64_t slots);
   /// Runs a host program, which may launch kernels and open tapes.
   Status runHost(TaiKernelFn function, const std::vector<TreePtr> &trees,
@@ -189,6 +190,9 @@ private:
   Status run(Launch &launch, Kernel &kernel, const uint64_t *args,
              uint64_t *results, uint64_t number);
   int32_t runTimed(Launch &launch, Kernel &kernel, TaiKernelFn function);
+  /// Zeroes the adjoints of the elements that the kernel stores.
+  Status runClearing(Launch &launch, Kernel &kernel, const uint64_t *args,
+                     uint64_t number);
   Status runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
                     const uint64_t *args, uint64_t number);
   Launch *acquireLaunch();

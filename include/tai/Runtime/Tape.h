@@ -10,9 +10,14 @@
 // launch is needed if it changes a field whose adjoint may be non-zero, and
 // then the adjoints of what it reads may be non-zero too.
 //
-// Calls that fields hold in time (x[t] from x[t-1]) look like overwrites in a
-// summary; the tape therefore claims nothing about values that a later launch
-// overwrote. `overwrites` lists the candidates for a checkpoint planner.
+// A launch that stores elements again ends the life of what stood there and was
+// written or read before: after its adjoint has run, the adjoints of these
+// elements are zeroed. Indices that are fixed in a launch (x[t] from x[t-1])
+// tell which accesses do not meet; only where they may meet is anything zeroed.
+//
+// The tape claims nothing about values that a later launch overwrote and the
+// adjoint of an earlier one reads. `overwrites` lists the candidates for a
+// checkpoint planner.
 //
 //===----------------------------------------------------------------------===//
 
@@ -20,7 +25,6 @@
 #define TAI_RUNTIME_TAPE_H
 
 #include "tai/Runtime/Kernel.h"
-#include <unordered_map>
 
 namespace mlir::tai::runtime {
 
@@ -70,6 +74,8 @@ public:
   std::vector<Kernel *> pendingAdjoints();
   /// One line for each record: replayed or skipped, and why.
   const std::string &explain();
+  /// Whether the sweep zeroes adjoints after that of the record.
+  bool clearsAfter(int64_t record) const { return storesAgain[record]; }
 
   /// A launch that writes a field which an earlier record reads or writes.
   struct Overwrite {
@@ -110,7 +116,11 @@ private:
   /// The reverse sweep by the plan, or, around callbacks, by what is dirty.
   Status sweepPlanned();
   Status sweepAroundCallbacks();
-  Status replayAdjoint(Launch &launch, const Record &record);
+  /// Runs the adjoint of a record and, where it stored elements again, zeroes
+  /// the adjoints of those.
+  Status replayAdjoint(Launch &launch, size_t index);
+  /// Finds the records that store elements which an earlier one has used.
+  void findRepeatedStores();
   Status runForward();
   std::vector<Field *> liveFields() const;
 
@@ -126,8 +136,9 @@ private:
   uint64_t lastLaunch = 0;
   bool anyLaunch = false;
 
-  /// The record that first changes each field with an adjoint.
-  std::unordered_map<const Field *, size_t> firstChange;
+  /// For each record, whether it stores elements with an adjoint that an
+  /// earlier one has used, as far as summaries tell.
+  std::vector<bool> storesAgain;
   bool reverseCallbacks = false;
 
   /// The plan of the reverse sweep, and what it holds for.
