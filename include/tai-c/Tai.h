@@ -236,6 +236,37 @@ TAI_EXPORT TaiStatus taiTapeResume(TaiTape tape);
 TAI_EXPORT const char *taiTapeExplain(TaiTape tape);
 TAI_EXPORT int64_t taiTapeNumRecords(TaiTape tape);
 TAI_EXPORT int64_t taiTapeNumSkipped(TaiTape tape);
+/// Launches one record again, on what the fields hold now and with the random
+/// numbers it had. Another tape that records records it.
+TAI_EXPORT TaiStatus taiTapeRunRecord(TaiTape tape, int64_t record);
+/// The name of the kernel of a record, or null for a host function.
+TAI_EXPORT const char *taiTapeRecordKernel(TaiTape tape, int64_t record);
+/// What a record does to a field. `index` is the position that the launch fixes
+/// along `dimension`, counted from the field's first; dimension is -1 where it
+/// fixes none. Kinds: 0 reads, 1 writes, 2 accumulates.
+typedef struct TaiTapeAccess {
+  const char *field;
+  int32_t kind, dimension;
+  int64_t index;
+} TaiTapeAccess;
+/// The rows belong to the tape and hold until the next call.
+TAI_EXPORT TaiStatus taiTapeRecordAccesses(TaiTape tape, int64_t record,
+                                           const TaiTapeAccess **rows,
+                                           int64_t *count);
+/// What the adjoint of a record left in the adjoint of a field: of the finite
+/// numbers the greatest magnitude and the norm.
+typedef struct TaiTapeHealthRow {
+  int64_t record;
+  const char *field;
+  int64_t nans, infs;
+  double max_abs, norm;
+} TaiTapeHealthRow;
+/// Whether reverse sweeps from now on examine what each record leaves.
+TAI_EXPORT TaiStatus taiTapeWatchHealth(TaiTape tape, bool on);
+/// Of the last sweep, in its order. The rows belong to the tape and hold until
+/// the next call.
+TAI_EXPORT TaiStatus taiTapeHealth(TaiTape tape, const TaiTapeHealthRow **rows,
+                                   int64_t *count);
 TAI_EXPORT void taiTapeDestroy(TaiTape tape);
 
 //===----------------------------------------------------------------------===//

@@ -51,6 +51,8 @@ struct TaiKernelImpl {
 struct TaiTapeImpl {
   TaiContextImpl &context;
   std::unique_ptr<mlir::tai::runtime::Tape> tape;
+  std::vector<TaiTapeAccess> accesses;
+  std::vector<TaiTapeHealthRow> health;
 };
 
 #endif // TAI_LIB_CAPI_IMPL_H

@@ -261,6 +261,8 @@ Status Tape::replayAdjoint(Launch &launch, size_t index) {
     status = runtime.runAdjoint(launch, kernel, *adjoint, args,
                                 firstLaunch + record.launch);
   }
+  if (__builtin_expect(watching, false) && status)
+    examine(index);
   if (!status || !storesAgain[index])
     return status;
   return runtime.runClearing(launch, kernel, args, firstLaunch + record.launch);
@@ -308,12 +310,15 @@ Status Tape::sweepAroundCallbacks() {
       ++runtime.counts.skipped;
     if (!status)
       return status;
+    if (watching && decisions[i] == Decision::Callback)
+      examine(i);
   }
   return Status::success();
 }
 
 Status Tape::backward() {
   end();
+  examined.clear();
   if (loss) {
     Field *adjoint = loss->adjoint();
     if (!adjoint || !adjoint->valid() || !loss->valid())

@@ -7,6 +7,7 @@
 
 #include "Core.h"
 
+#include <map>
 #include <vector>
 
 using namespace taipy;
@@ -191,6 +192,8 @@ struct Tape {
   TaiTape handle;
   // Python objects that the records point to: callables and arrays.
   std::vector<std::unique_ptr<py::object>> kept;
+  // The forward callables of host functions, by record, for reports.
+  std::map<int64_t, py::object> hostFunctions;
 
   ~Tape() {
     if (handle)
@@ -235,6 +238,7 @@ void bindTape(py::module_ &module) {
            })
       .def("record",
            [](Tape &t, py::object forward, py::object backward) {
+             t.hostFunctions[taiTapeNumRecords(t.handle)] = forward;
              // One user pointer serves both directions: a pair of callables.
              auto pair = std::make_unique<py::object>(
                  py::make_tuple(std::move(forward), std::move(backward)));
@@ -249,7 +253,48 @@ void bindTape(py::module_ &module) {
       .def_property_readonly(
           "records", [](Tape &t) { return taiTapeNumRecords(t.handle); })
       .def_property_readonly(
-          "skipped", [](Tape &t) { return taiTapeNumSkipped(t.handle); });
+          "skipped", [](Tape &t) { return taiTapeNumSkipped(t.handle); })
+      .def("run_record",
+           [](Tape &t, int64_t record) {
+             checkSweep(t, taiTapeRunRecord(t.handle, record));
+           })
+      .def("kernel_of",
+           [](Tape &t, int64_t record) -> py::object {
+             const char *name = taiTapeRecordKernel(t.handle, record);
+             return name ? py::object(py::str(name)) : py::object(py::none());
+           })
+      .def("host_function",
+           [](Tape &t, int64_t record) -> py::object {
+             auto found = t.hostFunctions.find(record);
+             return found == t.hostFunctions.end() ? py::object(py::none())
+                                                   : found->second;
+           })
+      .def("accesses",
+           [](Tape &t, int64_t record) {
+             const TaiTapeAccess *rows = nullptr;
+             int64_t count = 0;
+             t.context->check(
+                 taiTapeRecordAccesses(t.handle, record, &rows, &count));
+             py::list result;
+             for (const TaiTapeAccess *row = rows; row != rows + count; ++row)
+               result.append(py::make_tuple(row->field, row->kind,
+                                            row->dimension, row->index));
+             return result;
+           })
+      .def("watch_health",
+           [](Tape &t, bool on) {
+             t.context->check(taiTapeWatchHealth(t.handle, on));
+           })
+      .def("health", [](Tape &t) {
+        const TaiTapeHealthRow *rows = nullptr;
+        int64_t count = 0;
+        t.context->check(taiTapeHealth(t.handle, &rows, &count));
+        py::list result;
+        for (const TaiTapeHealthRow *row = rows; row != rows + count; ++row)
+          result.append(py::make_tuple(row->record, row->field, row->nans,
+                                       row->infs, row->max_abs, row->norm));
+        return result;
+      });
 }
 
 void bindField(py::module_ &module) {

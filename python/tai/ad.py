@@ -8,6 +8,11 @@ from collections.abc import Callable
 from typing import Any
 
 from . import _state
+from ._ad_check import CheckResult as CheckResult
+from ._ad_check import GradCheck
+from ._ad_check import GradientCheckError as GradientCheckError
+from ._ad_check import check as check
+from ._ad_health import HealthReport, take_health
 from .errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
 from .program import get_program
 
@@ -26,12 +31,15 @@ class Tape:
         clear_gradients: set all gradients to zero first.
         validation: check at run time that no kernel overwrites what the reverse sweep needs:
             not built in yet. What can be proven when a kernel is compiled is always reported.
-        grad_check: not available; see `tai.testing`.
+        grad_check: a list of f64 fields whose gradients are compared with forward mode and
+            differences when the block is left; a wrong one raises `GradientCheckError`, with
+            a report that names the first kernel to blame. See `ti.ad.check`.
+        health: look at the adjoints after each record of the reverse sweep; see `health()`.
     """
 
     def __init__(
         self, loss: Any = None, clear_gradients: bool = True, validation: bool = False,
-        grad_check: Any = None,
+        grad_check: Any = None, health: bool = False,
     ):  # fmt: skip
         from .fields import ScalarField
 
@@ -39,11 +47,6 @@ class Tape:
             raise TaiAutodiffError(
                 "validation=True is not built in yet",
                 "a broken access rule that can be proven is reported without it",
-            )
-        if grad_check:
-            raise TaiAutodiffError(
-                "grad_check is not built in yet",
-                "compare with central differences by tai.testing.check_gradient",
             )
         if not isinstance(loss, ScalarField):
             what = "nothing" if loss is None else repr(loss)
@@ -61,6 +64,8 @@ class Tape:
         self.loss, self.clear_gradients = loss, clear_gradients
         self._core: Any = None
         self._is_recording = False
+        self._check = GradCheck(grad_check) if grad_check else None
+        self._watches = health
 
     def __enter__(self) -> Tape:
         from . import _core
@@ -72,7 +77,10 @@ class Tape:
         grad = self.loss.grad
         if grad.snode is None:
             grad._placed_node()  # raises
+        if self._check:
+            self._check.begin(self.loss)
         self._core = program.context.tape(self.loss.core, self.clear_gradients)
+        self._core.watch_health(self._watches)
         _state.tape = self._core
         _core.set_tape(self._core)
         self._is_recording = True
@@ -90,6 +98,8 @@ class Tape:
         self._stop()
         if kind is None:
             self._core.backward()
+            if self._check:
+                self._check.end(self._core, self.loss)
 
     def grad(self) -> None:
         """Runs the gradients of what was recorded, again."""
@@ -109,6 +119,15 @@ class Tape:
         """One line for each record: replayed or skipped, and why."""
         self._need_record()
         return self._core.explain()
+
+    def health(self) -> HealthReport:
+        """What the reverse sweep did to the adjoints: NaN, overflow, growth, flatness.
+
+        From the last sweep if the tape was made with `health=True`; otherwise the sweep runs
+        once more, and the gradients are put back.
+        """
+        self._need_record()
+        return take_health(self._core, self.loss, self._watches)
 
     def _need_record(self) -> None:
         if self._core is None or self._is_recording:
@@ -138,7 +157,7 @@ def no_grad(function: Callable[..., Any]) -> Callable[..., Any]:
         if tape is None:
             return function(*args, **kwargs)
         result = _unrecorded(tape, function, args, kwargs)
-        tape.record(lambda: function(*args, **kwargs), lambda: None)
+        tape.record(functools.partial(function, *args, **kwargs), lambda: None)
         return result
 
     return decorated
@@ -162,7 +181,8 @@ def grad_replaced(function: Callable[..., Any]) -> Callable[..., Any]:
             )
         result = _unrecorded(tape, function, args, kwargs)
         gradient = decorated.grad
-        tape.record(lambda: function(*args, **kwargs), lambda: gradient(*args, **kwargs))
+        forward = functools.partial(function, *args, **kwargs)
+        tape.record(forward, lambda: gradient(*args, **kwargs))
         return result
 
     decorated.grad = None  # type: ignore[attr-defined]

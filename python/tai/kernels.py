@@ -337,6 +337,7 @@ class Kernel(_core.Launcher):
                 name_fields(vars(spec.constant))
         program.materialize(self._function.__globals__)
         symbol = program.unique_symbol(self.__name__)
+        program.kernel_functions[symbol] = self._function
         names = [parameter.name for parameter in self._get_parameters()]
         parameters = list(zip(names, specs, strict=True))
         compiler = Compiler(program, self._function, symbol, parameters, self._result)

@@ -84,6 +84,8 @@ class Program:
         self.num_trees = 0
         # Fields by symbol, for diagnostics and for clearing gradients.
         self.fields: dict[str, Any] = {}
+        # Functions of kernels by symbol, for reports that name a line.
+        self.kernel_functions: dict[str, Any] = {}
         self.kernels: weakref.WeakSet = weakref.WeakSet()
         self._set_options()
 

@@ -85,6 +85,37 @@ public:
   };
   std::vector<Overwrite> overwrites() const;
 
+  //===--------------------------------------------------------------------===//
+  // Tools for trust (TapeTrust.cpp)
+  //===--------------------------------------------------------------------===//
+
+  /// Launches one record again, on what the fields hold now and with the random
+  /// numbers it had. Another tape that records records it.
+  Status runRecord(int64_t record);
+  /// The kernel of a record, or null for a host function.
+  const Kernel *kernelOf(int64_t record) const {
+    return records[record].kernel;
+  }
+  const uint64_t *argsOf(int64_t record) const {
+    return slots.data() + records[record].payload;
+  }
+
+  /// What the adjoint of a record left in the adjoint of a field that it adds
+  /// to; of the elements at the record's fixed index, where it has one. For a
+  /// host function, one line for each adjoint that may be non-zero.
+  struct Health {
+    int64_t record;
+    const Field *field;
+    int64_t nans;
+    int64_t infs;
+    double maxAbs;     // of the finite numbers
+    double sumSquares; // of the finite numbers
+  };
+  /// Whether reverse sweeps from now on examine each adjoint they replay.
+  void watchHealth(bool on);
+  /// Of the last sweep, in the order of the sweep.
+  const std::vector<Health> &health() const { return examined; }
+
 private:
   friend class Runtime;
   class HeldLaunch;
@@ -123,6 +154,7 @@ private:
   void findRepeatedStores();
   Status runForward();
   std::vector<Field *> liveFields() const;
+  void examine(size_t index);
 
   Runtime &runtime;
   FieldPtr loss;
@@ -140,6 +172,9 @@ private:
   /// earlier one has used, as far as summaries tell.
   std::vector<bool> storesAgain;
   bool reverseCallbacks = false;
+
+  bool watching = false;
+  std::vector<Health> examined;
 
   /// The plan of the reverse sweep, and what it holds for.
   std::vector<Decision> decisions;

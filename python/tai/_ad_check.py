@@ -1,0 +1,690 @@
+"""`ti.ad.check`: whether a gradient is right, and if it is not, which kernel is to blame.
+
+The gradient of the reverse sweep is compared with forward mode, whose tangents need no step
+size, and with a ladder of differences. Every comparison is along random directions. All fields
+are put back bit for bit.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from . import _state
+from ._ad_probe import FORWARD_TOLERANCE, Probe, climb, direction, relative_error
+from ._ad_source import Place
+from .errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
+from .program import get_program
+
+READ, WRITE, ACCUMULATE = 0, 1, 2
+
+
+class GradientCheckError(TaiAutodiffError, AssertionError):
+    """A gradient that does not agree; `result` says where."""
+
+    result: CheckResult
+
+
+@dataclass
+class FieldCheck:
+    """How the gradient of one field fared.
+
+    Attributes:
+        name, dtype: of the field.
+        probes: one for each direction and method.
+        skipped: why it was not checked, or None.
+    """
+
+    name: str
+    dtype: str
+    probes: list[Probe] = field(default_factory=list)
+    skipped: str | None = None
+
+    @property
+    def passed(self) -> bool:
+        return all(probe.passed for probe in self.probes)
+
+    @property
+    def worst(self) -> Probe:
+        """The probe with the greatest error, measured by what is allowed."""
+        return max(
+            self.probes,
+            key=lambda p: (not p.passed, np.inf if np.isnan(p.error) else p.error / p.tolerance),
+        )
+
+    @property
+    def error(self) -> float:
+        """The greatest relative error."""
+        errors = [probe.error for probe in self.probes]
+        return float("nan") if any(np.isnan(errors)) else max(errors, default=0.0)
+
+    @property
+    def best_step(self) -> float | None:
+        """The step of the best difference along the worst direction."""
+        return self.worst.step if self.probes else None
+
+    @property
+    def kink(self) -> bool:
+        return any(probe.kink for probe in self.probes)
+
+    @property
+    def verdict(self) -> str:
+        if self.skipped:
+            return f"not checked: {self.skipped}"
+        text = "agrees" if self.passed else "DISAGREES"
+        if any(np.isnan(probe.reverse) for probe in self.probes):
+            text = "IS NAN"
+        if any(probe.jump for probe in self.probes):
+            text += ", the program jumps here"
+        elif self.kink:
+            text += ", a kink is suspected: the slopes of the two sides differ"
+        return text
+
+
+@dataclass
+class Culprit:
+    """The first record of a tape whose own gradient is wrong."""
+
+    record: int
+    kernel: str
+    filename: str | None
+    lineno: int | None
+    fields: list[FieldCheck]
+    place: str
+
+    def __str__(self) -> str:
+        names = ", ".join(f"'{f.name}'" for f in self.fields if not f.passed)
+        return f"record {self.record}, {self.place}: its gradient by {names} is wrong"
+
+
+@dataclass
+class CheckResult:
+    """What `ti.ad.check` found; true if every gradient agrees.
+
+    Attributes:
+        what: the program that was checked.
+        fields: one entry for each field.
+        culprit: the first record that is wrong by itself, where one was found.
+        note: what else there is to know.
+    """
+
+    what: str
+    fields: list[FieldCheck]
+    culprit: Culprit | None = None
+    note: str | None = None
+
+    def __bool__(self) -> bool:
+        return all(f.passed for f in self.fields) and self.culprit is None
+
+    @property
+    def error(self) -> float:
+        """The greatest relative error of all fields."""
+        errors = [f.error for f in self.fields]
+        return float("nan") if any(np.isnan(errors)) else max(errors, default=0.0)
+
+    def __str__(self) -> str:
+        lines = [f"gradient of {self.what}: {'agrees' if self else 'DISAGREES'}"]
+        width = max([len(f.name) for f in self.fields] + [5])
+        lines.append(f"  {'field':{width}} type method        error   bound  step  verdict")
+        for f in self.fields:
+            if not f.probes:
+                lines.append(f"  {f.name:{width}} {f.dtype:4} {f.verdict}")
+            for method in dict.fromkeys(p.method for p in f.probes):
+                part = FieldCheck(f.name, f.dtype, [p for p in f.probes if p.method == method])
+                p = part.worst
+                step = "-" if p.step is None else f"{p.step:.0e}"
+                lines.append(
+                    f"  {f.name:{width}} {f.dtype:4} {method:11} {part.error:7.1e} "
+                    f"{p.tolerance:7.0e} {step:>5}  {part.verdict}"
+                )
+        for f in self.fields:
+            if not f.passed:
+                p = f.worst
+                lines.append(
+                    f"  '{f.name}' along one direction: {p.reverse:.15g} by the reverse sweep, "
+                    f"{p.expected:.15g} by {p.method}"
+                )
+                lines += [f"  {line}" for line in p.show()] if p.ladder else []
+        if self.culprit:
+            lines.append(f"  first wrong: {self.culprit}")
+        if self.note:
+            lines.append(f"  note: {self.note}")
+        return "\n".join(lines)
+
+    __repr__ = __str__
+
+    def raise_if_wrong(self) -> CheckResult:
+        """Raises GradientCheckError if a gradient does not agree."""
+        if not self:
+            error = GradientCheckError(str(self))
+            error.result = self
+            raise error
+        return self
+
+
+# State
+
+
+class Snapshot:
+    """The contents of all fields of the program, to put back bit for bit."""
+
+    def __init__(self, arrays: Sequence[np.ndarray] = ()):
+        self._fields = [f for f in get_program().fields.values() if f._core is not None]
+        self._kept = [self._take(f) for f in self._fields]
+        self._arrays = [(a, a.copy()) for a in arrays]
+
+    @staticmethod
+    def _take(f: Any) -> np.ndarray:
+        array = np.empty(f.shape + f.element_shape, f.dtype.numpy)
+        f.core.copy_to(array)
+        return array
+
+    def restore(self, only_primal: bool = False) -> None:
+        for f, kept in zip(self._fields, self._kept, strict=True):
+            if only_primal and f.role != "primal":
+                continue
+            f.core.copy_from(kept)
+        for array, kept in self._arrays:
+            array[...] = kept
+
+
+def differentiable_fields() -> dict[str, Any]:
+    """The placed fields of the program that have a gradient, by symbol."""
+    found = {}
+    for symbol, f in get_program().fields.items():
+        if f.role == "primal" and f.dtype.is_float and f._core is not None:
+            grad = f._companions.get("grad")
+            if grad is not None and grad._core is not None:
+                found[symbol] = f
+    return found
+
+
+def storage(f: Any) -> list[Any]:
+    """The places that hold a field, which a symbol names."""
+    if getattr(f, "is_window", False):
+        f = f._whole
+    return list(f.parts) if hasattr(f, "parts") else [f]
+
+
+def _seed(f: Any, array: np.ndarray) -> None:
+    f._companions["grad"].core.copy_from(np.ascontiguousarray(array, f.dtype.numpy))
+
+
+def _gradient(f: Any) -> np.ndarray:
+    return Snapshot._take(f._companions["grad"]).astype(np.float64)
+
+
+@contextmanager
+def recording(loss: Any = None) -> Iterator[Any]:
+    """A tape of its own, with gradients cleared; yields the core object."""
+    from . import _core
+
+    if _state.tape is not None:
+        raise TaiRuntimeError("a gradient cannot be checked inside a tape", "leave the tape first")
+    core = get_program().context.tape(None if loss is None else loss.core, True)
+    _state.tape = core
+    _core.set_tape(core)
+    try:
+        yield core
+    finally:
+        _state.tape = None
+        _core.set_tape(None)
+        core.end()
+
+
+class Accesses:
+    """What a tape reads before it writes it, and what it changes.
+
+    Attributes:
+        known: the fields with gradients, by symbol.
+        masks: the elements that are read before they are written, by symbol.
+        changed: the fields that are written or accumulated, by symbol.
+        unsure: fields that one kernel reads and writes, in an order that is not known here.
+    """
+
+    def __init__(self, core: Any, loss: Any, run_host_functions: bool = False):
+        self.known = differentiable_fields()
+        self.masks: dict[str, np.ndarray] = {}
+        self.changed: dict[str, Any] = {}
+        self.unsure: set[str] = set()
+        self._written: dict[str, np.ndarray] = {}
+        self._loss = None if loss is None else loss.symbol
+        for record in range(core.records):
+            if core.kernel_of(record) is not None:
+                self._of_kernel(core.accesses(record))
+            elif run_host_functions:
+                self._of_host_function(core, record)
+
+    def _of_kernel(self, accesses: list[tuple[str, int, int, int]]) -> None:
+        accesses = [a for a in accesses if a[0] in self.known]
+        for symbol, kind, dimension, index in accesses:
+            if symbol == self._loss or kind == WRITE:
+                continue
+            f = self.known[symbol]
+            here = elements(f, dimension, index)
+            mask = self.masks.setdefault(symbol, np.zeros(f.shape + f.element_shape, bool))
+            done = self._written.get(symbol)
+            mask[here] |= True if done is None else ~done[here]
+        for symbol, kind, dimension, index in accesses:
+            if kind == READ:
+                continue
+            f = self.known[symbol]
+            self.changed[symbol] = f
+            here = elements(f, dimension, index)
+            if symbol in self.masks and self.masks[symbol][here].any():
+                self.unsure.add(symbol)
+            if kind == WRITE:
+                empty = np.zeros(f.shape + f.element_shape, bool)
+                self._written.setdefault(symbol, empty)[here] = True
+
+    def _of_host_function(self, core: Any, record: int) -> None:
+        """A function with a gradient of its own may touch anything: what it changes is seen."""
+        # From another point: at the present one it may have run already.
+        here = Snapshot()
+        generator = np.random.default_rng(1)
+        before = {}
+        for symbol, f in self.known.items():
+            array = Snapshot._take(f)
+            array += (1e-3 * (1 + np.abs(array)) * generator.random(array.shape)).astype(
+                array.dtype
+            )
+            f.core.copy_from(array)
+            before[symbol] = array.tobytes()
+        core.run_record(record)
+        after = {symbol: Snapshot._take(f).tobytes() for symbol, f in self.known.items()}
+        here.restore()
+        for symbol, f in self.known.items():
+            if before[symbol] != after[symbol]:
+                self.changed[symbol] = f
+            elif symbol != self._loss and symbol not in self._written:
+                shape = f.shape + f.element_shape
+                self.masks.setdefault(symbol, np.ones(shape, bool))
+
+
+# Programs
+
+
+class Program:
+    """What is checked: a function that can be run again from a state of the fields.
+
+    Attributes:
+        run: runs it on what the fields hold.
+        outputs: fields whose weighted sum is differentiated; found from the accesses if None.
+        loss: the only output, zeroed first; or None.
+    """
+
+    def __init__(self, run: Callable[[], Any], loss: Any = None, start: Snapshot | None = None):
+        self.run, self.loss = run, loss
+        self.start = start or Snapshot()
+        self.core: Any = None
+        self.outputs: list[Any] = [] if loss is None else storage(loss)
+        self.inputs: list[tuple[Any, np.ndarray | None]] = []
+
+    def record(self) -> None:
+        """Runs it once on a tape, and finds out what it reads and changes."""
+        self.start.restore(only_primal=True)
+        with recording(self.loss) as core:
+            self.run()
+        self.core = core
+        if core.records == 0:
+            raise TaiAutodiffError("nothing was launched, so there is no gradient to check")
+        reads, changes = self._find_accesses()
+        if self.loss is None:
+            self.outputs = changes
+        self.inputs = reads
+
+    def _find_accesses(self) -> tuple[list[tuple[Any, Any]], list[Any]]:
+        found = Accesses(self.core, self.loss, run_host_functions=True)
+        self.written = set(found.changed)
+        inputs = [(found.known[s], mask) for s, mask in found.masks.items() if mask.any()]
+        return inputs, list(found.changed.values())
+
+    def values(self) -> list[np.ndarray]:
+        """Runs it from what the fields hold; the outputs."""
+        if self.loss is not None:
+            self.loss.core.fill(0.0)
+        self.run()
+        return [Snapshot._take(f).astype(np.float64) for f in self.outputs]
+
+    def at(self, f: Any, offset: np.ndarray) -> Callable[[float], list[np.ndarray]]:
+        """The outputs as a function of the distance along a direction of one field."""
+
+        def value(step: float) -> list[np.ndarray]:
+            self.start.restore(only_primal=True)
+            if step:
+                f.core.copy_from((begin + step * offset).astype(f.dtype.numpy))
+            return self.values()
+
+        self.start.restore(only_primal=True)
+        begin = Snapshot._take(f)
+        return value
+
+    def sweep(self, seeds: list[np.ndarray]) -> dict[str, np.ndarray]:
+        """The gradient of the weighted outputs by each input."""
+        self.start.restore(only_primal=True)
+        with recording(self.loss) as core:
+            self.run()
+        if self.loss is None:
+            for f, seed in zip(self.outputs, seeds, strict=True):
+                _seed(f, seed)
+        core.backward()
+        return {f.symbol: _gradient(f) for f, _ in self.inputs}
+
+    def is_input(self, f: Any, mask: Any) -> bool:
+        """Whether what a field holds at the start matters at all, if the program writes it."""
+        if f.symbol not in self.written:
+            return True
+        value = self.at(f, np.where(mask, 0.37, 0.0))
+        base = value(0.0)
+        for step in (1.0, -2.7):
+            moved = value(step)
+            same = (a.tobytes() == b.tobytes() for a, b in zip(base, moved, strict=True))
+            if not all(same):
+                return True
+        return False
+
+
+def elements(f: Any, dimension: int, index: int) -> tuple:
+    """The elements of a field that an access touches."""
+    if dimension < 0 or not 0 <= index < f.shape[dimension]:
+        return (...,)
+    return (slice(None),) * dimension + (index,)
+
+
+# The check
+
+
+def probe_program(
+    program: Program,
+    wrt: Sequence[Any] | None,
+    directions: int,
+    generator: np.random.Generator,
+    tolerance: float | None = None,
+    forward_tolerance: float | None = None,
+    methods: Sequence[str] = ("forward", "differences"),
+    quick: bool = False,
+) -> list[FieldCheck]:
+    """Compares the gradients of a program that has been recorded."""
+    wanted = program.inputs
+    if wrt is not None:
+        parts = [p for f in wrt for p in storage(f)]
+        masks = {f.symbol: mask for f, mask in program.inputs}
+        wanted = [(f, masks.get(f.symbol)) for f in parts]
+        program.inputs = wanted
+    checks = []
+    rounds = [None] if program.loss is not None else range(directions)
+    for number in rounds:
+        if number is None:
+            seeds = [np.ones(f.shape + f.element_shape) for f in program.outputs]
+        else:
+            seeds = [generator.standard_normal(f.shape + f.element_shape) for f in program.outputs]
+        gradients = program.sweep(seeds)
+        for place, (f, mask) in enumerate(wanted):
+            if number in (None, 0):
+                checks.append(FieldCheck(f.name, f.dtype.name))
+                if f.dtype.name not in ("f64", "f32"):
+                    checks[-1].skipped = "differences need f64 or f32"
+                elif not program.is_input(f, True if mask is None else mask):
+                    checks[-1].skipped = "it is overwritten before it is read"
+            check = checks[place]
+            if check.skipped:
+                continue
+            gradient = gradients[f.symbol]
+            count = directions if number is None else 1
+            for _ in range(count):
+                check.probes += _probe_field(
+                    program, f, mask, gradient, seeds, generator, tolerance, forward_tolerance,
+                    methods, quick,
+                )  # fmt: skip
+    return checks
+
+
+def _probe_field(
+    program: Program, f: Any, mask: Any, gradient: np.ndarray, seeds: list[np.ndarray],
+    generator: np.random.Generator, tolerance: float | None, forward_tolerance: float | None,
+    methods: Sequence[str], quick: bool,
+) -> list[Probe]:  # fmt: skip
+    along = direction(generator, gradient, mask)
+    with np.errstate(all="ignore"):
+        reverse = float(np.sum(gradient[along != 0] * along[along != 0]))
+        finite = gradient[np.isfinite(gradient)]
+        scale = float(np.linalg.norm(finite)) / max(1.0, np.sqrt(gradient.size))
+    dtype = f.dtype.name
+    probes = []
+    if "forward" in methods:
+        expected = forward_derivative(program, f, along, seeds)
+        if expected is not None:
+            bound = forward_tolerance or FORWARD_TOLERANCE[dtype]
+            error = relative_error(reverse, expected, scale)
+            probes.append(Probe("forward", reverse, expected, error, bound))
+    if "differences" in methods:
+        value = program.at(f, along)
+        probes.append(climb(value, seeds, reverse, scale, dtype, tolerance, quick))
+    return probes
+
+
+def forward_derivative(
+    program: Program, f: Any, along: np.ndarray, seeds: list[np.ndarray]
+) -> float | None:
+    """The derivative of the weighted outputs by forward mode, or None where there is none."""
+    return None
+
+
+def check(
+    target: Any,
+    *args: Any,
+    loss: Any = None,
+    wrt: Any = None,
+    directions: int = 4,
+    seed: int = 0,
+    tolerance: float | None = None,
+    forward_tolerance: float | None = None,
+    bisect: bool = True,
+) -> CheckResult:
+    """Checks gradients against forward mode and against differences.
+
+    ```python
+    result = ti.ad.check(simulate, loss=loss, wrt=[x])
+    print(result)
+    assert result
+    ```
+
+    Args:
+        target: a kernel; a function that runs kernels; or a `ti.ad.Tape` that has been left
+            and whose fields hold again what they held when it was entered.
+        args: arguments of the kernel or function.
+        loss: the field of the loss. Without it all fields that the target changes are
+            weighted by random numbers.
+        wrt: the fields to check; all that the target reads if left out. They need gradients.
+        directions: how many random directions for each field.
+        seed: of the random directions.
+        tolerance: greatest relative error of the differences; 1e-7 for f64, 5e-3 for f32.
+        forward_tolerance: greatest relative error against forward mode; 1e-12 and 1e-4.
+        bisect: if a gradient is wrong, look for the first kernel to blame.
+
+    Returns:
+        A result that is true if everything agrees, and prints as a report.
+
+    Raises:
+        TaiAutodiffError: nothing was launched, or a field has no gradient.
+        TaiRuntimeError: called inside a tape; the start of the tape is gone; or the program
+            gives another result when it is run again.
+    """
+    from .ad import Tape
+
+    if _state.tape is not None:
+        raise TaiRuntimeError("a gradient cannot be checked inside a tape", "leave the tape first")
+    if isinstance(target, Tape):
+        target._need_record()
+        run, what = functools.partial(run_records, target._core), "the tape"
+        loss = target.loss if loss is None else loss
+        recorded = loss[None] if loss is not None else None
+    elif callable(target):
+        run = functools.partial(target, *args)
+        what = f"'{getattr(target, '__name__', 'the function')}'"
+        recorded = None
+    else:
+        raise TaiRuntimeTypeError(
+            f"ti.ad.check takes a kernel, a function or a tape, but got {target!r}"
+        )
+    wrt = _as_fields(wrt, "wrt")
+    if loss is not None:
+        _as_fields([loss], "loss")
+        what += f", loss '{loss.name}'"
+    for f in [*(wrt or ()), *([loss] if loss is not None else [])]:
+        f.materialize()
+    before = Snapshot()
+    try:
+        program = Program(run, loss, before)
+        program.record()
+        _check_start(program, recorded)
+        core = target._core if isinstance(target, Tape) else program.core
+        return _check_program(
+            program, core, what, wrt, directions, seed, tolerance, forward_tolerance, bisect
+        )
+    finally:
+        before.restore()
+
+
+def _check_program(
+    program: Program, core: Any, what: str, wrt: Any, directions: int, seed: int,
+    tolerance: float | None, forward_tolerance: float | None, bisect: bool,
+) -> CheckResult:  # fmt: skip
+    generator = np.random.default_rng(seed)
+    checks = probe_program(program, wrt, directions, generator, tolerance, forward_tolerance)
+    result = CheckResult(what, checks)
+    if not checks:
+        result.note = "it reads no field that has a gradient"
+    if not result and bisect:
+        result.culprit = find_culprit(
+            core, program.start, program.loss, generator, tolerance, forward_tolerance
+        )
+        if result.culprit is None:
+            result.note = (
+                "each record is right by itself: look for values that are overwritten, or "
+                "changed from Python, between records"
+            )
+    return result
+
+
+def _as_fields(wanted: Any, what: str) -> list[Any] | None:
+    from .fields import Field
+
+    if wanted is None:
+        return None
+    fields = list(wanted) if isinstance(wanted, (list, tuple)) else [wanted]
+    for f in fields:
+        if not isinstance(f, Field):
+            raise TaiRuntimeTypeError(f"{what} takes fields, but got {f!r}")
+        if f.grad is None:
+            raise TaiAutodiffError(f"field '{f.name}' is of type {f.dtype}, not a float")
+        f.grad._placed_node()  # raises
+    return fields
+
+
+def _check_start(program: Program, recorded: float | None) -> None:
+    """Refuses programs that cannot be run again from the same state."""
+    program.start.restore(only_primal=True)
+    first = program.values()
+    program.start.restore(only_primal=True)
+    second = program.values()
+    for a, b in zip(first, second, strict=True):
+        close = np.allclose(a, b, rtol=1e-9 if a.dtype == np.float64 else 1e-4, equal_nan=True)
+        if not close:
+            raise TaiRuntimeError(
+                "the program gives another result when it is run again from the same state",
+                "record it by ti.ad.Tape and check the tape: its random numbers are drawn again",
+            )
+    if recorded is not None:
+        again = float(first[0].ravel()[0])
+        if not np.isclose(again, recorded, rtol=1e-6, atol=0, equal_nan=True):
+            raise TaiRuntimeError(
+                f"the tape gives {again!r} when it is run again, but gave {recorded!r}: the fields "
+                "do not hold any more what they held at its start",
+                "check the function: ti.ad.check(function, loss=…), or use Tape(grad_check=[x])",
+            )
+
+
+def run_records(core: Any) -> None:
+    """Runs all records of a tape, each with the random numbers it had."""
+    for record in range(core.records):
+        core.run_record(record)
+
+
+def find_culprit(
+    core: Any, start: Snapshot, loss: Any, generator: np.random.Generator,
+    tolerance: float | None = None, forward_tolerance: float | None = None,
+) -> Culprit | None:  # fmt: skip
+    """The first record whose gradient, by itself and on its own state, is wrong."""
+    start.restore(only_primal=True)
+    if loss is not None:
+        loss.core.fill(0.0)
+    for record in range(core.records):
+        here = Snapshot()
+        program = Program(functools.partial(core.run_record, record), None, here)
+        try:
+            program.record()
+            wrong: list[FieldCheck] = []
+            if program.outputs and program.inputs:
+                checks = probe_program(
+                    program, None, 2, generator, tolerance, forward_tolerance, quick=True
+                )
+                wrong = [c for c in checks if not c.passed]
+        finally:
+            here.restore()
+        if wrong:
+            place = Place(core, record)
+            return Culprit(record, place.kernel, place.filename, place.lineno, wrong, str(place))
+        core.run_record(record)
+    return None
+
+
+class GradCheck:
+    """`Tape(grad_check=[…])`: checks the gradients of these fields when the tape is left."""
+
+    def __init__(self, fields: Any):
+        if not isinstance(fields, (list, tuple)):
+            raise TaiRuntimeTypeError(
+                f"grad_check takes a list of fields, but got {fields!r}", "grad_check=[x]"
+            )
+        self.fields = _as_fields(fields, "grad_check")
+        for f in self.fields or ():
+            if f.dtype.name != "f64":
+                raise TaiAutodiffError(
+                    f"grad_check needs f64, but field '{f.name}' is of type {f.dtype}",
+                    "make the fields f64 while checking, or use ti.ad.check with its bound for f32",
+                )
+
+    def begin(self, loss: Any) -> None:
+        """The tape is entered: keeps the state."""
+        if loss.dtype.name != "f64":
+            raise TaiAutodiffError(
+                f"grad_check needs f64, but the loss '{loss.name}' is of type {loss.dtype}"
+            )
+        for f in self.fields or ():
+            f.materialize()
+        self._start = Snapshot()
+
+    def end(self, core: Any, loss: Any) -> CheckResult:
+        """The tape has swept: compares, prints a line for each field, raises if one is wrong."""
+        after = Snapshot()
+        try:
+            program = Program(functools.partial(run_records, core), loss, self._start)
+            program.record()
+            result = _check_program(
+                program, core, f"the tape, loss '{loss.name}'", self.fields, 4, 0, None, None, True
+            )
+        finally:
+            after.restore()
+        for f in result.fields:
+            if f.passed:
+                print(f"gradient check: field '{f.name}' passes (error {f.error:.1e})")
+        return result.raise_if_wrong()
+
+
+__all__ = ["CheckResult", "GradCheck", "GradientCheckError", "check"]

@@ -1,0 +1,310 @@
+"""`ti.ad.check` and `Tape(grad_check=…)` pass what is right, catch what is wrong and name the
+kernel to blame; all fields are put back."""
+
+import inspect
+
+import numpy as np
+import pytest
+import tai as ti
+
+
+class Chain:
+    """y = sin(x) |v|, z = y exp(y), loss = sum of z²; with wrong gradients on demand."""
+
+    def __init__(self, dtype=ti.f64):
+        ti.init(default_fp=dtype, offline_cache=False)
+        x = self.x = ti.field(dtype, shape=5, needs_grad=True)
+        v = self.v = ti.Vector.field(3, dtype, shape=5, needs_grad=True)
+        y = self.y = ti.field(dtype, shape=5, needs_grad=True)
+        z = self.z = ti.field(dtype, shape=5, needs_grad=True)
+        loss = self.loss = ti.field(dtype, shape=(), needs_grad=True)
+        self.count = ti.field(ti.i32, shape=())
+
+        @ti.kernel
+        def first():
+            for i in x:
+                y[i] = ti.sin(x[i]) * v[i].norm()
+
+        @ti.kernel
+        def second():
+            for i in y:
+                z[i] = y[i] * ti.exp(y[i])
+
+        @ti.kernel
+        def third():
+            for i in z:
+                loss[None] += z[i] ** 2
+
+        @ti.ad.grad_replaced
+        def wrong_second():
+            second()
+
+        @ti.ad.grad_for(wrong_second)
+        def gradient():
+            second.grad()
+            y.grad[3] = y.grad[3] * 1.001
+
+        self.first, self.second, self.third = first, second, third
+        self.wrong_second = wrong_second
+        generator = np.random.default_rng(0)
+        x.from_numpy(generator.uniform(0.2, 1, 5).astype(dtype.numpy))
+        v.from_numpy(generator.uniform(-1, 1, (5, 3)).astype(dtype.numpy))
+
+    def run(self):
+        self.first()
+        self.second()
+        self.third()
+
+    def run_wrong(self):
+        self.first()
+        self.wrong_second()
+        self.third()
+
+    def contents(self):
+        fields = [self.x, self.v, self.y, self.z, self.loss]
+        return [f.to_numpy().tobytes() + f.grad.to_numpy().tobytes() for f in fields]
+
+
+def test_a_right_gradient_agrees():
+    chain = Chain()
+    before = chain.contents()
+    result = ti.ad.check(chain.run, loss=chain.loss)
+    assert result, str(result)
+    assert [f.name for f in result.fields] == ["x", "v"]
+    assert result.error < 1e-7
+    for field in result.fields:
+        differences = [p for p in field.probes if p.method == "differences"]
+        assert len(differences) == 4
+        assert [rung.step for rung in differences[0].ladder] == [10.0**-k for k in range(2, 11)]
+    assert "agrees" in str(result)
+    assert chain.contents() == before
+
+
+def test_a_kernel_alone():
+    chain = Chain()
+    result = ti.ad.check(chain.second)
+    assert result, str(result)
+    assert [f.name for f in result.fields] == ["y"]
+
+
+def test_a_kernel_with_arguments():
+    chain = Chain()
+    x, y = chain.x, chain.y
+
+    @ti.kernel
+    def scaled(a: ti.f64, n: ti.i32):
+        for i in range(n):
+            y[i] += a * x[i] ** 3
+
+    result = ti.ad.check(scaled, 0.7, 4, wrt=x)
+    assert result, str(result)
+
+
+def test_a_tape():
+    chain = Chain()
+    with ti.ad.Tape(chain.loss) as tape:
+        chain.run()
+    before = chain.contents()
+    assert ti.ad.check(tape)
+    assert ti.ad.check(tape, wrt=[chain.v])
+    assert chain.contents() == before
+
+
+def test_a_tape_whose_start_is_gone():
+    chain = Chain()
+    with ti.ad.Tape(chain.loss) as tape:
+        chain.run()
+    chain.x.fill(0.123)
+    with pytest.raises(ti.TaiRuntimeError, match="do not hold any more"):
+        ti.ad.check(tape)
+
+
+def test_random_numbers_of_a_tape_are_drawn_again():
+    chain = Chain()
+    x, loss = chain.x, chain.loss
+
+    @ti.kernel
+    def noisy():
+        for i in x:
+            loss[None] += x[i] ** 2 * ti.random(ti.f64)
+
+    with ti.ad.Tape(loss) as tape:
+        noisy()
+    assert ti.ad.check(tape)
+    with pytest.raises(ti.TaiRuntimeError, match="another result"):
+        ti.ad.check(noisy, loss=loss)
+
+
+def test_a_wrong_gradient_is_caught_and_located():
+    chain = Chain()
+    before = chain.contents()
+    result = ti.ad.check(chain.run_wrong, loss=chain.loss)
+    assert not result
+    wrong = {f.name for f in result.fields if not f.passed}
+    assert "x" in wrong
+    assert 1e-5 < result.error < 1e-1
+    culprit = result.culprit
+    assert (culprit.record, culprit.kernel) == (1, "wrong_second")
+    assert culprit.filename == __file__
+    assert culprit.lineno == inspect.unwrap(chain.wrong_second).__code__.co_firstlineno
+    assert [f.name for f in culprit.fields] == ["y"]
+    text = str(result)
+    assert "DISAGREES" in text
+    assert "wrong_second" in text
+    assert "1e-06" in text  # the ladder
+    assert chain.contents() == before
+
+
+def test_without_bisection():
+    chain = Chain()
+    result = ti.ad.check(chain.run_wrong, loss=chain.loss, bisect=False)
+    assert not result
+    assert result.culprit is None
+
+
+def test_errors_below_the_bound_of_differences_pass():
+    """The bound is what it is said to be: 1e-7, not what suits."""
+    chain = Chain()
+    y, second = chain.y, chain.second
+    for factor, expected in ((1e-9, True), (1e-5, False)):
+
+        @ti.ad.grad_replaced
+        def slightly_wrong():
+            second()
+
+        @ti.ad.grad_for(slightly_wrong)
+        def gradient(factor=factor):
+            second.grad()
+            for i in range(5):
+                y.grad[i] = y.grad[i] * (1 + factor)
+
+        def run(inner=slightly_wrong):
+            chain.first()
+            inner()
+            chain.third()
+
+        assert bool(ti.ad.check(run, loss=chain.loss, bisect=False)) is expected
+
+
+def test_a_gradient_that_is_missing_is_caught():
+    chain = Chain()
+
+    def run():
+        chain.first()
+        ti.ad.no_grad(chain.second)()
+        chain.third()
+
+    result = ti.ad.check(run, loss=chain.loss)
+    assert not result
+    assert result.culprit.kernel == "second"
+
+
+def test_f32():
+    chain = Chain(ti.f32)
+    assert ti.ad.check(chain.run, loss=chain.loss)
+    y, second = chain.y, chain.second
+
+    @ti.ad.grad_for(chain.wrong_second)
+    def gradient():
+        second.grad()
+        y.grad[3] = y.grad[3] * 1.5
+
+    assert not ti.ad.check(chain.run_wrong, loss=chain.loss, bisect=False)
+
+
+def test_kinks_and_jumps():
+    chain = Chain()
+    x, loss = chain.x, chain.loss
+    x.fill(1.0)
+
+    @ti.kernel
+    def kink():
+        for i in x:
+            loss[None] += ti.max(x[i] - 1, 0) * 2 + x[i] ** 2
+
+    @ti.kernel
+    def jump():
+        for i in x:
+            if x[i] >= 1:
+                loss[None] += x[i] + 3
+
+    result = ti.ad.check(kink, loss=loss)
+    assert result, str(result)
+    assert result.fields[0].kink
+    assert "a kink is suspected" in str(result)
+    result = ti.ad.check(jump, loss=loss)
+    assert not result
+    assert any(p.jump for p in result.fields[0].probes)
+    assert "jumps" in str(result)
+
+
+def test_nan_is_never_right():
+    chain = Chain()
+    x, loss = chain.x, chain.loss
+    x[2] = -1.0
+
+    @ti.kernel
+    def logarithm():
+        for i in x:
+            loss[None] += x[i] * ti.log(x[i])
+
+    result = ti.ad.check(logarithm, loss=loss)
+    assert not result
+    assert "IS NAN" in str(result)
+
+
+def test_what_is_overwritten_before_it_is_read_is_no_input():
+    chain = Chain()
+    result = ti.ad.check(chain.run, loss=chain.loss, wrt=[chain.x, chain.y])
+    assert result
+    assert result.fields[1].skipped == "it is overwritten before it is read"
+
+
+def test_refusals():
+    chain = Chain()
+    with pytest.raises(ti.TaiRuntimeTypeError, match="takes a kernel, a function or a tape"):
+        ti.ad.check(3)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="wrt takes fields"):
+        ti.ad.check(chain.run, loss=chain.loss, wrt=["x"])
+    with pytest.raises(ti.TaiAutodiffError, match="not a float"):
+        ti.ad.check(chain.run, loss=chain.loss, wrt=[chain.count])
+    with pytest.raises(ti.TaiAutodiffError, match="nothing was launched"):
+        ti.ad.check(lambda: None, loss=chain.loss)
+    with (
+        pytest.raises(ti.TaiRuntimeError, match="inside a tape"),
+        ti.ad.Tape(chain.loss),
+    ):
+        ti.ad.check(chain.run, loss=chain.loss)
+    assert ti.ad.check(chain.run, loss=chain.loss)  # and it works after all of this
+
+
+class TestGradCheck:
+    def test_passes(self, capsys):
+        chain = Chain()
+        with ti.ad.Tape(chain.loss, grad_check=[chain.x, chain.v]):
+            chain.run()
+        gradient = chain.x.grad.to_numpy()
+        lines = capsys.readouterr().out.splitlines()
+        assert len(lines) == 2
+        assert "'x' passes" in lines[0]
+        with ti.ad.Tape(chain.loss):
+            chain.run()
+        assert chain.x.grad.to_numpy().tobytes() == gradient.tobytes()
+
+    def test_raises(self):
+        chain = Chain()
+        with (
+            pytest.raises(AssertionError, match="wrong_second") as caught,
+            ti.ad.Tape(chain.loss, grad_check=[chain.x]),
+        ):
+            chain.run_wrong()
+        assert caught.value.result.culprit.record == 1
+        assert isinstance(caught.value, ti.TaiAutodiffError)
+
+    def test_needs_a_list_of_f64(self):
+        chain = Chain()
+        with pytest.raises(ti.TaiRuntimeTypeError, match="list of fields"):
+            ti.ad.Tape(chain.loss, grad_check=True)
+        chain = Chain(ti.f32)
+        with pytest.raises(ti.TaiAutodiffError, match="needs f64"):
+            ti.ad.Tape(chain.loss, grad_check=[chain.x])

@@ -1,0 +1,212 @@
+"""The health report: chaos, flat landscapes, NaN and overflow are named with their kernels."""
+
+import inspect
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import tai as ti
+
+
+class Logistic:
+    """x[t + 1] = 4 x[t] (1 - x[t]), one kernel for each step."""
+
+    def __init__(self, dtype=ti.f64, steps=100):
+        ti.init(default_fp=dtype, offline_cache=False)
+        x = self.x = ti.field(dtype, shape=steps + 1, needs_grad=True)
+        loss = self.loss = ti.field(dtype, shape=(), needs_grad=True)
+
+        @ti.kernel
+        def step(t: ti.i32):
+            for _ in range(1):
+                x[t + 1] = 4 * x[t] * (1 - x[t])
+
+        @ti.kernel
+        def last(n: ti.i32):
+            loss[None] += x[n]
+
+        self.step, self.last = step, last
+
+    def run(self, n, **options):
+        self.x[0] = 0.3125  # exact in binary
+        with ti.ad.Tape(self.loss, **options) as tape:
+            for t in range(n):
+                self.step(t)
+            self.last(n)
+        return tape
+
+
+def logistic_derivative(n):
+    """By rational numbers, rounded to 400 bits at each step."""
+    bits = 400
+    x, slope = Fraction(5, 16), Fraction(1)
+    for _ in range(n):
+        x, slope = 4 * x * (1 - x), slope * 4 * (1 - 2 * x)
+        x = Fraction(round(x * 2**bits), 2**bits)
+        slope = Fraction(round(slope * 2**bits), 2**bits)
+    return float(slope)
+
+
+@pytest.mark.parametrize(("n", "bound"), [(20, 1e-9), (40, 1e-4)])
+def test_chaos_is_right_while_it_can_be(n, bound):
+    program = Logistic()
+    program.run(n)
+    assert program.x.grad[0] == pytest.approx(logistic_derivative(n), rel=bound)
+
+
+@pytest.mark.parametrize("n", [20, 40, 100])
+def test_chaos_is_flagged(n):
+    program = Logistic()
+    report = program.run(n, health=True).health()
+    assert not report
+    step = next(k for k in report.kernels if k.kernel == "step")
+    assert step.replays == n
+    assert step.growth == pytest.approx(math.log(2), abs=0.1)
+    finding = next(f for f in report.findings if f.kind == "growth")
+    assert finding.kernel == "step"
+    assert finding.filename == __file__
+    # Fields with a time axis: a row is about the step's own part.
+    assert [row.record for row in report.rows[:3]] == [n, n - 1, n - 2]
+    assert report.rows[0].norm == 1.0
+
+
+def test_what_contracts_is_healthy():
+    program = Logistic()
+    x, loss = program.x, program.loss
+
+    @ti.kernel
+    def decay(t: ti.i32):
+        for _ in range(1):
+            x[t + 1] = 0.9 * x[t]
+
+    x[0] = 1.0
+    with ti.ad.Tape(loss, health=True) as tape:
+        for t in range(50):
+            decay(t)
+        program.last(50)
+    report = tape.health()
+    assert report, str(report)
+    decay_row = next(k for k in report.kernels if k.kernel == "decay")
+    assert decay_row.growth == pytest.approx(math.log(0.9), abs=1e-6)
+    assert "good" in str(report)
+
+
+def test_overflow_in_f32():
+    program = Logistic(ti.f32, 200)
+    report = program.run(200, health=True).health()
+    assert any(f.kind in ("overflow", "nan") for f in report.findings)
+    assert report.first_nan.kernel == "step"
+
+
+def test_asked_for_afterwards():
+    """Without health=True the sweep runs once more, and the gradients stay."""
+    program = Logistic()
+    tape = program.run(30)
+    before = program.x.grad.to_numpy().tobytes()
+    later = tape.health()
+    assert program.x.grad.to_numpy().tobytes() == before
+    now = program.run(30, health=True).health()
+    assert later.to_dict() == now.to_dict()
+
+
+def make_fields():
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    x = ti.field(ti.f64, shape=3, needs_grad=True, name="x")
+    y = ti.field(ti.f64, shape=3, needs_grad=True, name="y")
+    loss = ti.field(ti.f64, shape=(), needs_grad=True, name="loss")
+    return x, y, loss
+
+
+def test_flat():
+    """Balls that do not meet: the loss is not zero, and its gradient is exactly zero."""
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    steps = 16
+    start = ti.Vector.field(2, ti.f64, shape=(), needs_grad=True, name="start")
+    position = ti.Vector.field(2, ti.f64, shape=(steps, 2), needs_grad=True, name="position")
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def begin():
+        position[0, 0] = start[None]
+        position[0, 1] = ti.Vector([1.0, 0.5])
+
+    @ti.kernel
+    def move(t: ti.i32):
+        for i in range(2):
+            d = position[t - 1, 1] - position[t - 1, 0]
+            push = ti.Vector([0.0, 0.0])
+            if d.norm() < 0.1:
+                push = d * (2 * i - 1)
+            position[t, i] = position[t - 1, i] + push
+
+    @ti.kernel
+    def miss(t: ti.i32):
+        loss[None] += (position[t, 1] - ti.Vector([0.75, 0.5])).norm_sqr()
+
+    with ti.ad.Tape(loss, health=True) as tape:
+        begin()
+        for t in range(1, steps):
+            move(t)
+        miss(steps - 1)
+    assert loss[None] == 0.0625
+    assert start.grad[None][0] == 0.0
+    report = tape.health()
+    assert not report
+    assert report.flat == ["start"]
+    assert "the loss does not depend on 'start'" in str(report)
+
+
+def test_nan_is_traced_to_its_kernel_and_line():
+    x, y, loss = make_fields()
+
+    @ti.kernel
+    def inner():
+        for i in x:
+            scaled = 2 * x[i]
+            y[i] = scaled * ti.log(x[i])
+
+    @ti.kernel
+    def outer():
+        for i in y:
+            loss[None] += y[i] if i != 1 else 3 * x[i]
+
+    x.from_numpy(np.array([1.0, 2.0, -1.0]))
+    with ti.ad.Tape(loss, health=True) as tape:
+        inner()
+        outer()
+    report = tape.health()
+    finding = report.first_nan
+    lines, start = inspect.getsourcelines(inner.__wrapped__)
+    log_line = start + next(n for n, text in enumerate(lines) if "ti.log" in text)
+    assert (finding.record, finding.kernel) == (0, "inner")
+    assert finding.filename == __file__
+    assert finding.lineno == log_line
+    rows = [row for row in report.rows if row.nans]
+    assert rows[0].kernel == "inner"
+    assert rows[0].field == "x"
+    assert rows[0].nans == 1
+    assert "NaN" in str(report)
+
+
+def test_host_functions_are_examined():
+    x, y, loss = make_fields()
+
+    @ti.kernel
+    def total():
+        for i in x:
+            loss[None] += x[i]
+
+    @ti.ad.grad_replaced
+    def custom():
+        total()
+
+    @ti.ad.grad_for(custom)
+    def gradient():
+        x.grad[1] = float("nan")
+
+    with ti.ad.Tape(loss, health=True) as tape:
+        custom()
+    report = tape.health()
+    assert report.first_nan.kernel == "custom"
+    assert y.grad[0] == 0.0
