@@ -16,6 +16,7 @@
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/CallInterfaces.h"
+#include "tai/AD/Conventions.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
@@ -384,6 +385,8 @@ Value AdjointBuilder::createMask(Value condition, Value value) {
 }
 
 Value AdjointBuilder::createGuard(Value adjoint, Value value) {
+  if (!Conventions::of(primal).guards)
+    return value;
   Value zero = createZero(adjoint.getType());
   Value isZero =
       arith::CmpFOp::create(*this, arith::CmpFPredicate::OEQ, adjoint, zero);

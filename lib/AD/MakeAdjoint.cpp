@@ -17,6 +17,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/Conventions.h"
 #include "tai/AD/Passes.h"
 #include "tai/AD/Selection.h"
 #include "tai/Analysis/Accesses.h"
@@ -158,6 +159,8 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
 
   LogicalResult differentiate(FunctionOpInterface function,
                               SymbolTable &symbols) {
+    if (failed(Conventions::verify(function)))
+      return failure();
     if (!function.getFunctionBody().hasOneBlock())
       return function.emitError(
           "cannot differentiate a function of several blocks; structured "

@@ -251,6 +251,8 @@ class Matrix:
 
     def norm(self, eps: float = 0) -> float:
         """√(Σ aᵢ² + eps)."""
+        if eps == 0:  # right where the squares over- or underflow
+            return math.hypot(*self._array.ravel().tolist())
         return math.sqrt(self.norm_sqr() + eps)
 
     def norm_inv(self, eps: float = 0) -> float:
@@ -260,7 +262,7 @@ class Matrix:
     def normalized(self, eps: float = 0) -> Any:
         """a / (‖a‖ + eps), and zero for a zero vector."""
         length = self.norm() + eps
-        return self * (1 / length if length else 0.0)
+        return self / length if length else self * 0.0
 
     def cast(self, dtype: Any) -> Any:
         """The matrix in another type."""

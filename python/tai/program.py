@@ -34,6 +34,9 @@ class Options:
     debug: bool = False
     check_out_of_bound: bool = False
     fast_math: bool = False
+    ad_ties: str = "second"
+    ad_arcs: str = "exact"
+    ad_guards: bool = True
     random_seed: int = 0
     print_ir: Any = False
     kernel_profiler: bool = False
@@ -46,6 +49,9 @@ class Options:
 
 
 _KNOWN = {f.name for f in fields(Options)}
+
+# Options that take one of a few words.
+_CHOICES = {"ad_ties": ("second", "split"), "ad_arcs": ("exact", "clamp")}
 
 # Options of Taichi that ask for what is always so here, or tune its own passes.
 _ACCEPTED = {
@@ -180,7 +186,14 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
         arch: `ti.cpu` (or `ti.x64`). `ti.gpu` and `ti.cuda` take the CPU where there is no GPU.
         default_fp, default_ip: the types of `float` and `int` in kernels.
         debug: check assertions and indices.
-        fast_math: let the compiler reorder floating-point arithmetic.
+        fast_math: let the compiler reorder floating-point arithmetic, and take norms without
+            care for squares that over- or underflow.
+        ad_ties: what `max` and `min` of equal numbers do in gradients: `second`: the second
+            one gets all; `split`: half each.
+        ad_arcs: the derivatives of asin and acos at ±1: `exact`: infinite; `clamp`: as at the
+            next number inside.
+        ad_guards: a zero adjoint contributes zero whatever the partial derivative is; False
+            leaves the test for it out, to measure what it costs.
         random_seed: seed of `ti.random`.
         print_ir: True, or a comma list of stages: print the IR of kernels.
         kernel_profiler: time kernels; see `ti.profiler`.
@@ -212,6 +225,10 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
             what = "a float type" if kind == "f" else "an integer type"
             raise TaiRuntimeTypeError(f"{name} must be {what}, but got {given!r}")
         chosen[name] = dtype
+    for name, known in _CHOICES.items():
+        if chosen.get(name, known[0]) not in known:
+            words = " or ".join(repr(word) for word in known)
+            raise TaiRuntimeError(f"{name} is {words}, but got {chosen[name]!r}")
     chosen["arch"] = _choose_arch(os.environ.get("TI_ARCH") or arch)
     _state.options = Options(**chosen)
     _state.program = Program(_state.options)

@@ -26,14 +26,44 @@ tai.kernel @integers(%a: vector<2xi32>, %b: vector<2xi32>) -> i32 {
   tai.return %0 : i32
 }
 
+// Components are scaled by a power of two where the sum of their squares is not
+// in the middle of the range.
 // CHECK-LABEL: tai.kernel @norm(
 //       CHECK:   %[[X:.+]]:3 = vector.to_elements
 //       CHECK:   arith.mulf %[[X]]#0, %[[X]]#0
 //       CHECK:   arith.mulf %[[X]]#1, %[[X]]#1
 //       CHECK:   arith.mulf %[[X]]#2, %[[X]]#2
-//       CHECK:   math.sqrt
+//       CHECK:   %[[SUM:.+]] = arith.addf
+//   CHECK-DAG:   %[[LEAST:.+]] = arith.constant 7.88860905E-31 : f32
+//   CHECK-DAG:   %[[GREATEST:.+]] = arith.constant 3.40282347E+38 : f32
+//       CHECK:   %[[ABOVE:.+]] = arith.cmpf ole, %[[LEAST]], %[[SUM]]
+//       CHECK:   %[[BELOW:.+]] = arith.cmpf ole, %[[SUM]], %[[GREATEST]]
+//       CHECK:   %[[IN:.+]] = arith.andi %[[ABOVE]], %[[BELOW]]
+//       CHECK:   scf.if %[[IN]]
+//  CHECK-NEXT:     math.sqrt %[[SUM]]
+//       CHECK:   } else {
+//       CHECK:     %[[BY:.+]] = arith.select
+//       CHECK:     arith.mulf %[[X]]#0, %[[BY]]
+//       CHECK:     math.sqrt
 tai.kernel @norm(%x: vector<3xf32>) -> f32 {
   %0 = tai.norm %x : vector<3xf32>
+  tai.return %0 : f32
+}
+
+// The question can be left out, and needs not be asked of one component.
+// CHECK-LABEL: tai.kernel @fast_norm(
+//   CHECK-NOT:   scf.if
+//       CHECK:   math.sqrt
+tai.kernel @fast_norm(%x: vector<3xf32>) -> f32 {
+  %0 = tai.norm fast %x : vector<3xf32>
+  tai.return %0 : f32
+}
+
+// CHECK-LABEL: tai.kernel @length_of_one(
+//   CHECK-NOT:   math.sqrt
+//       CHECK:   math.absf
+tai.kernel @length_of_one(%x: vector<1xf32>) -> f32 {
+  %0 = tai.norm %x : vector<1xf32>
   tai.return %0 : f32
 }
 

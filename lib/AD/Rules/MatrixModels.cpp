@@ -103,13 +103,34 @@ struct OuterModel : MatrixModel<OuterModel, OuterOp> {
 /// r = ‖a‖:  a* += (g / r) a, and nothing where r = 0.
 struct NormModel : MatrixModel<NormModel, NormOp> {
   void build(NormOp op, AdjointBuilder &b, Value g) const {
-    Value r = b.getPrimal(op.getResult());
+    Value a = b.getPrimal(op.getVector()), r = b.getPrimal(op.getResult());
     Value isZero = arith::CmpFOp::create(b, arith::CmpFPredicate::OEQ, r,
                                          b.createZero(r.getType()));
+    if (!op.getFast())
+      scale(b, a, r);
     Value ratio = arith::SelectOp::create(b, isZero, b.createZero(r.getType()),
                                           arith::DivFOp::create(b, g, r));
-    Value scaled = createScaled(b, b.getPrimal(op.getVector()), ratio);
+    Value scaled = createScaled(b, a, ratio);
     b.addAdjoint(op.getVector(), guardFor(b, op.getVector(), g, scaled));
+  }
+
+  /// Multiplies both by a power of two where g / r could over- or underflow.
+  static void scale(AdjointBuilder &b, Value &a, Value &r) {
+    Type type = r.getType();
+    if (!type.isF32() && !type.isF64())
+      return;
+    double exponent = type.isF64() ? 500 : 60,
+           factor = type.isF64() ? 600 : 100;
+    auto power = [&](double n) { return b.createConstant(type, std::exp2(n)); };
+    Value isSmall = arith::CmpFOp::create(b, arith::CmpFPredicate::OLT, r,
+                                          power(-exponent));
+    Value isLarge =
+        arith::CmpFOp::create(b, arith::CmpFPredicate::OGT, r, power(exponent));
+    Value by = arith::SelectOp::create(
+        b, isSmall, power(factor),
+        arith::SelectOp::create(b, isLarge, power(-factor), power(0)));
+    a = createScaled(b, a, by);
+    r = arith::MulFOp::create(b, r, by);
   }
 };
 

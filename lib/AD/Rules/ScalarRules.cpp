@@ -79,6 +79,35 @@ static Num copysign(Num a, Num b) { return make<math::CopySignOp>(a, b); }
 /// ±g by the sign of x, and 0 at x = 0.
 static Num bySign(Num x, Num g) { return select(x > 0, g, where(x < 0, -g)); }
 
+/// What the first operand of max or min gets where it wins by `wins`; the
+/// second gets the rest, and so all of a tie.
+static Num toFirst(RuleArgs &a, Truth wins) {
+  if (!a.getConventions().splitTies)
+    return where(wins, a.g());
+  return select(wins, a.g(), where(a.x() == a.y(), 0.5 * a.g()));
+}
+static Num toSecond(RuleArgs &a, Truth wins) {
+  if (!a.getConventions().splitTies)
+    return unless(wins, a.g());
+  return unless(wins, select(a.x() == a.y(), 0.5 * a.g(), a.g()));
+}
+
+/// 1 / sqrt(1 - x^2).
+static Num arcSlope(RuleArgs &a) {
+  Num x = a.x();
+  if (!a.getConventions().clampArcs)
+    return sqrt((1 - x) * (1 + x));
+  // At ±1 as at the next number inside: 1 - x^2 is at least 2 (1 - inside).
+  const llvm::fltSemantics &semantics =
+      cast<FloatType>(getElementTypeOrSelf(x.value.getType()))
+          .getFloatSemantics();
+  APFloat inside(semantics, 1);
+  inside.next(/*nextDown=*/true);
+  double least = 2 * (1 - inside.convertToDouble());
+  Num square = (1 - x) * (1 + x);
+  return sqrt(select(square < constant(x, least), constant(x, least), square));
+}
+
 /// n x^(n - 1) for an integer n; 0 where n = 0.
 static Num powerByInteger(RuleArgs &a) {
   AdjointBuilder &b = *a.g().builder;
@@ -107,9 +136,20 @@ static Num powerByX(RuleArgs &a) {
                                             : unless(a.y() == 0, contribution);
 }
 
-static Num atan2By(RuleArgs &a, Num numerator) {
-  Num square = a.x() * a.x() + a.y() * a.y();
-  return unless(square == 0, a.g() * numerator / square);
+/// g n / (x^2 + y^2), 0 where both are 0. Scaled by a power of two where the
+/// squares would over- or underflow.
+static Num atan2By(RuleArgs &a, bool byX) {
+  Num x = a.x(), y = a.y();
+  bool isDouble = getElementTypeOrSelf(x.value.getType()).isF64();
+  double exponent = isDouble ? 480 : 50, factor = isDouble ? 600 : 100;
+  Num size =
+      make<arith::MaximumFOp>(make<math::AbsFOp>(x), make<math::AbsFOp>(y));
+  Num by = select(size < std::exp2(-exponent), constant(x, std::exp2(factor)),
+                  select(size > std::exp2(exponent),
+                         constant(x, std::exp2(-factor)), constant(x, 1)));
+  x = x * by, y = y * by;
+  Num square = x * x + y * y;
+  return unless(square == 0, a.g() * ((byX ? y : -x) / square) * by);
 }
 
 using A = RuleArgs &;
@@ -148,18 +188,18 @@ ArrayRef<ScalarRule> mlir::tai::getScalarRules() {
     {"arith.select", {{1, "g where x", never, [](A a) { return where(a.truth(0), a.g()); }},
                       {2, "g unless x", never, [](A a) { return unless(a.truth(0), a.g()); }}},
      "the arm not taken gets 0"},
-    {"arith.maximumf", {{0, "g where x > y", never, [](A a) { return where(a.x() > a.y(), a.g()); }},
-                        {1, "g unless x > y", never, [](A a) { return unless(a.x() > a.y(), a.g()); }}},
-     "a tie: y gets all"},
-    {"arith.minimumf", {{0, "g where x < y", never, [](A a) { return where(a.x() < a.y(), a.g()); }},
-                        {1, "g unless x < y", never, [](A a) { return unless(a.x() < a.y(), a.g()); }}},
-     "a tie: y gets all"},
-    {"arith.maxnumf", {{0, "g where x > y", never, [](A a) { return where(a.x() > a.y() || isNaN(a.y()), a.g()); }},
-                       {1, "g unless x > y", never, [](A a) { return unless(a.x() > a.y() || isNaN(a.y()), a.g()); }}},
-     "a tie: y gets all; NaN: the number gets all"},
-    {"arith.minnumf", {{0, "g where x < y", never, [](A a) { return where(a.x() < a.y() || isNaN(a.y()), a.g()); }},
-                       {1, "g unless x < y", never, [](A a) { return unless(a.x() < a.y() || isNaN(a.y()), a.g()); }}},
-     "a tie: y gets all; NaN: the number gets all"},
+    {"arith.maximumf", {{0, "g where x > y", never, [](A a) { return toFirst(a, a.x() > a.y()); }},
+                        {1, "g unless x > y", never, [](A a) { return toSecond(a, a.x() > a.y()); }}},
+     "a tie: y gets all, or each half with `ties = split`"},
+    {"arith.minimumf", {{0, "g where x < y", never, [](A a) { return toFirst(a, a.x() < a.y()); }},
+                        {1, "g unless x < y", never, [](A a) { return toSecond(a, a.x() < a.y()); }}},
+     "a tie: y gets all, or each half with `ties = split`"},
+    {"arith.maxnumf", {{0, "g where x > y", never, [](A a) { return toFirst(a, a.x() > a.y() || isNaN(a.y())); }},
+                       {1, "g unless x > y", never, [](A a) { return toSecond(a, a.x() > a.y() || isNaN(a.y())); }}},
+     "a tie: y gets all, or each half with `ties = split`; NaN: the number gets all"},
+    {"arith.minnumf", {{0, "g where x < y", never, [](A a) { return toFirst(a, a.x() < a.y() || isNaN(a.y())); }},
+                       {1, "g unless x < y", never, [](A a) { return toSecond(a, a.x() < a.y() || isNaN(a.y())); }}},
+     "a tie: y gets all, or each half with `ties = split`; NaN: the number gets all"},
     {"math.clampf", {{0, "g where y <= x <= z", never, [](A a) { return unless(a.x() < a.y() || a.x() > a.z(), a.g()); }},
                      {1, "g where x < y", never, [](A a) { return where(a.x() < a.y(), a.g()); }},
                      {2, "g where x > z", never, [](A a) { return where(a.x() > a.z(), a.g()); }}},
@@ -214,13 +254,13 @@ ArrayRef<ScalarRule> mlir::tai::getScalarRules() {
     {"math.sin", {{0, "g cos x", never, [](A a) { return a.g() * cos(a.x()); }}}},
     {"math.cos", {{0, "-g sin x", never, [](A a) { return -(a.g() * sin(a.x())); }}}},
     {"math.tan", {{0, "g (1 + r^2)", never, [](A a) { return a.g() * (1 + a.r() * a.r()); }}}},
-    {"math.asin", {{0, "g / sqrt((1 - x)(1 + x))", always, [](A a) { return a.g() / sqrt((1 - a.x()) * (1 + a.x())); }}},
-     "x = ±1: infinite, or 0 where g = 0"},
-    {"math.acos", {{0, "-g / sqrt((1 - x)(1 + x))", always, [](A a) { return -(a.g() / sqrt((1 - a.x()) * (1 + a.x()))); }}},
-     "x = ±1: infinite, or 0 where g = 0"},
+    {"math.asin", {{0, "g / sqrt((1 - x)(1 + x))", always, [](A a) { return a.g() / arcSlope(a); }}},
+     "x = ±1: infinite, or 0 where g = 0; with `arcs = clamp` as at the next number inside"},
+    {"math.acos", {{0, "-g / sqrt((1 - x)(1 + x))", always, [](A a) { return -(a.g() / arcSlope(a)); }}},
+     "x = ±1: infinite, or 0 where g = 0; with `arcs = clamp` as at the next number inside"},
     {"math.atan", {{0, "g / (1 + x^2)", never, [](A a) { return a.g() / (1 + a.x() * a.x()); }}}},
-    {"math.atan2", {{0, "g y / (x^2 + y^2)", never, [](A a) { return atan2By(a, a.y()); }},
-                    {1, "-g x / (x^2 + y^2)", never, [](A a) { return atan2By(a, -a.x()); }}},
+    {"math.atan2", {{0, "g y / (x^2 + y^2)", never, [](A a) { return atan2By(a, true); }},
+                    {1, "-g x / (x^2 + y^2)", never, [](A a) { return atan2By(a, false); }}},
      "x = y = 0: 0, 0"},
 
     // Hyperbolic functions

@@ -16,6 +16,7 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/Conventions.h"
 
 namespace mlir::tai {
 
@@ -62,6 +63,9 @@ inline Truth operator>(Num a, Num b) {
 inline Truth operator<(Num a, Num b) {
   return compare(arith::CmpFPredicate::OLT, a, b);
 }
+inline Truth operator==(Num a, Num b) {
+  return compare(arith::CmpFPredicate::OEQ, a, b);
+}
 inline Truth operator==(Num a, double b) {
   return compare(arith::CmpFPredicate::OEQ, a, constant(a, b));
 }
@@ -106,6 +110,8 @@ public:
   Num cast(Num a, unsigned i);
 
   Operation *getOperation() { return op; }
+  /// What the program chose at kinks.
+  Conventions getConventions() { return Conventions::of(op); }
   FloatFacts &facts() { return builder.getFacts(); }
   /// True if some primal value that was asked for may be infinite or NaN.
   bool usesNonFinite() const { return usedNonFinite; }

@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Scalarizer.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
 #include "llvm/ADT/TypeSwitch.h"
 
 using namespace mlir;
@@ -113,6 +114,52 @@ static Components emitSolve(ScalarMath &math, ArrayRef<Value> matrix,
   return b;
 }
 
+/// The norm. Squares under- and overflow at half the exponents of the type;
+/// only then components are scaled by a power of two, which is exact. The
+/// branch is the same for almost all vectors, so that it costs little more than
+/// its question.
+static Value emitNorm(ScalarMath &math, ArrayRef<Value> values, bool fast) {
+  Type type = values[0].getType();
+  if (values.size() == 1)
+    return math.abs(values[0]);
+  Value square = math.dot(values, values);
+  if (fast || !(type.isF32() || type.isF64()))
+    return math.sqrt(square);
+  bool isDouble = type.isF64();
+  const llvm::fltSemantics &semantics =
+      cast<FloatType>(type).getFloatSemantics();
+  Value least = math.constant(type, isDouble ? 0x1p-960 : 0x1p-100);
+  Value greatest =
+      math.constant(type, APFloat::getLargest(semantics).convertToDouble());
+  OpBuilder &builder = math.getBuilder();
+  Value inRange = arith::AndIOp::create(builder, math.getLoc(),
+                                        math.lessOrEqual(least, square),
+                                        math.lessOrEqual(square, greatest));
+  auto branch = scf::IfOp::create(
+      builder, math.getLoc(), inRange,
+      [&](OpBuilder &inside, Location loc) {
+        scf::YieldOp::create(inside, loc, ScalarMath(inside, loc).sqrt(square));
+      },
+      [&](OpBuilder &inside, Location loc) {
+        ScalarMath rare(inside, loc);
+        Value isSmall = rare.less(square, least);
+        auto choose = [&](double small, double large) {
+          return rare.select(isSmall, rare.constant(type, small),
+                             rare.constant(type, large));
+        };
+        Value scale =
+            isDouble ? choose(0x1p+600, 0x1p-600) : choose(0x1p+100, 0x1p-100);
+        Value inverse =
+            isDouble ? choose(0x1p-600, 0x1p+600) : choose(0x1p-100, 0x1p+100);
+        Components scaled;
+        for (Value value : values)
+          scaled.push_back(rare.mul(value, scale));
+        Value length = rare.sqrt(rare.dot(scaled, scaled));
+        scf::YieldOp::create(inside, loc, rare.mul(length, inverse));
+      });
+  return branch.getResult(0);
+}
+
 /// The diagonal matrix of the given values.
 static Components emitDiagonal(ScalarMath &math, ArrayRef<Value> values) {
   unsigned n = values.size();
@@ -174,8 +221,8 @@ bool tai::expandMatrixOp(Operation *op, Scalarizer &scalarizer) {
         return true;
       })
       .Case([&](NormOp norm) {
-        Components values = get(norm.getVector());
-        scalarizer.set(norm.getResult(), {math.sqrt(math.dot(values, values))});
+        scalarizer.set(norm.getResult(),
+                       {emitNorm(math, get(norm.getVector()), norm.getFast())});
         return true;
       })
       .Case([&](TraceOp trace) {

@@ -113,9 +113,23 @@ class Compiler(Expressions, Statements, Loops, Calls):
             {
                 "sym_name": builder.string(self.kernel_name),
                 "function_type": builder.attribute(f"({', '.join(types)}) -> {results}"),
+                **self.conventions(),
             },
             [region],
         )
+
+    def conventions(self) -> dict[str, Any]:
+        """What `ti.init` chose for gradients at kinks, as an attribute of the kernel."""
+        options, chosen = _state.options, []
+        if options.ad_ties == "split":
+            chosen.append('ties = "split"')
+        if options.ad_arcs == "clamp":
+            chosen.append('arcs = "clamp"')
+        if not options.ad_guards:
+            chosen.append("guards = false")
+        if not chosen:
+            return {}
+        return {"tai.conventions": self.builder.attribute("{" + ", ".join(chosen) + "}")}
 
     def argument(self, name: str, spec: Any, handle: Any) -> Variable | Bound:
         """What a parameter of the kernel stands for in its body."""

@@ -522,7 +522,8 @@ class Emitter:
             dt = _state.options.default_ip
         is_constant = a.const is not None, b.const is not None
         a, b = self.unify(a, b, dt)
-        if op in _TIES and dt.is_float and any(is_constant) and not all(is_constant):
+        mixed = any(is_constant) and not all(is_constant)
+        if op in _TIES and dt.is_float and mixed and _state.options.ad_ties == "second":
             return self._pick(op, a, b, is_constant[0])
         forms = _ARITHMETIC[op]
         name = forms[0] if dt.is_float else forms[1] if dt.kind == "i" else forms[2]

@@ -249,7 +249,11 @@ class MatrixValue(Value):
         a = self.emitter.to_float(self)
         if not _is_zero(eps):
             return self.emitter.unary("sqrt", a.dot(a) + eps)
-        return self.emitter.scalar_op("tai.norm", [a], a.dt)
+        # Without `fast`, it is right where the squares over- or underflow.
+        fast = (
+            {"fast": self.emitter.builder.attribute("unit")} if _state.options.fast_math else None
+        )
+        return self.emitter.scalar_op("tai.norm", [a], a.dt, fast)
 
     def norm_inv(self, eps: Any = 0) -> Value:
         return 1.0 / self.norm(eps)

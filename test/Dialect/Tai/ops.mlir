@@ -137,6 +137,8 @@ tai.kernel @matrices(%a: vector<2x3xf32>, %b: vector<3x2xf32>,
   %o = tai.outer %w, %v : (vector<2xf32>, vector<3xf32>) -> vector<2x3xf32>
   // CHECK: tai.norm %{{.+}} : vector<2xf32>
   %l = tai.norm %w : vector<2xf32>
+  // CHECK: tai.norm fast %{{.+}} : vector<2xf32>
+  %fast = tai.norm fast %w : vector<2xf32>
   // CHECK: tai.trace %{{.+}} : vector<3x3xf32>
   %tr = tai.trace %m : vector<3x3xf32>
   // CHECK: tai.determinant %{{.+}} : vector<3x3xf32>

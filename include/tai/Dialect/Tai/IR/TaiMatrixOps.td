@@ -115,13 +115,18 @@ def Tai_NormOp : Tai_MatrixOp<"norm", [
   let description = [{
     √(Σ aᵢ²). The derivative is a/‖a‖, and zero at a = 0.
 
+    Where the sum of the squares over- or underflows, components are scaled
+    first: the norm is right wherever it is a number of the type. Not so with
+    `fast`, which saves the question.
+
     ```mlir
     %l = tai.norm %a : vector<2xf32>
+    %m = tai.norm fast %a : vector<2xf32>
     ```
   }];
-  let arguments = (ins VectorOfAnyRankOf<[AnyFloat]>:$vector);
+  let arguments = (ins VectorOfAnyRankOf<[AnyFloat]>:$vector, UnitAttr:$fast);
   let results = (outs AnyFloat:$result);
-  let assemblyFormat = "$vector attr-dict `:` type($vector)";
+  let assemblyFormat = "(`fast` $fast^)? $vector attr-dict `:` type($vector)";
   let hasVerifier = 0;
 }
 

@@ -1,0 +1,39 @@
+//===- Conventions.h - What a program chooses at kinks ----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A kernel or function may choose another derivative at some kinks, by the
+// attribute `tai.conventions`, a dictionary:
+//
+//   ties = "split"   both operands of a max or min that tie get half
+//   arcs = "clamp"   the derivatives of asin and acos at ±1 are those of the
+//                    next number inside
+//   guards = false   a zero adjoint is multiplied like any other: what it costs
+//                    to test for it is measured so
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_AD_CONVENTIONS_H
+#define TAI_AD_CONVENTIONS_H
+
+#include "mlir/IR/Operation.h"
+
+namespace mlir::tai {
+
+struct Conventions {
+  bool splitTies = false;
+  bool clampArcs = false;
+  bool guards = true;
+
+  /// Those of the kernel or function that `op` is, or stands in.
+  static Conventions of(Operation *op);
+  /// Fails after an error if the attribute has another form.
+  static LogicalResult verify(Operation *function);
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_AD_CONVENTIONS_H
