@@ -12,97 +12,128 @@
 
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/AD/AdjointBuilder.h"
+#include "tai/Analysis/CarriedValues.h"
 
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Which carried values results in use and effects in the body need.
-static SmallVector<bool> findLiveCarried(scf::ForOp loop) {
-  SmallVector<bool> live(loop.getNumRegionIterArgs(), false);
-  Block *body = loop.getBody();
-  DenseSet<Operation *> visited;
-  SmallVector<Value> worklist;
-  auto visitOp = [&](Operation *op) {
-    if (visited.insert(op).second)
-      op->walk([&](Operation *nested) {
-        llvm::append_range(worklist, nested->getOperands());
-      });
-  };
-  auto visitCarried = [&](unsigned index) {
-    if (live[index])
-      return;
-    live[index] = true;
-    worklist.push_back(loop.getYieldedValues()[index]);
-  };
-  for (OpResult result : loop.getResults())
-    if (!result.use_empty())
-      visitCarried(result.getResultNumber());
-  for (Operation &op : body->without_terminator())
-    if (!wouldOpBeTriviallyDead(&op))
-      visitOp(&op);
-  while (!worklist.empty()) {
-    Value value = worklist.pop_back_val();
-    if (auto argument = dyn_cast<BlockArgument>(value)) {
-      if (argument.getOwner() == body && argument.getArgNumber() != 0)
-        visitCarried(argument.getArgNumber() - 1);
-    } else if (Operation *op =
-                   body->findAncestorOpInBlock(*value.getDefiningOp())) {
-      visitOp(op);
+template <typename Range>
+static SmallVector<Value> filter(Range &&values, ArrayRef<bool> kept) {
+  SmallVector<Value> result;
+  for (auto [value, isKept] : llvm::zip(values, kept))
+    if (isKept)
+      result.push_back(value);
+  return result;
+}
+
+/// Erases the arguments from `first` that are not kept. Only dead ops can still
+/// use them; they get the given values.
+static void eraseArguments(Block *block, unsigned first, ArrayRef<bool> kept,
+                           ValueRange values) {
+  for (size_t i = kept.size(); i-- != 0;)
+    if (!kept[i]) {
+      block->getArgument(first + i).replaceAllUsesWith(values[i]);
+      block->eraseArgument(first + i);
     }
-  }
-  return live;
 }
 
-/// Erases the ops of `block` whose results nothing uses.
-static void eraseDeadOps(Block *block) {
-  for (Operation &op : llvm::make_early_inc_range(llvm::reverse(*block)))
-    if (isOpTriviallyDead(&op)) // never a terminator
-      op.erase();
+static void replaceResults(Operation *loop, Operation *smaller,
+                           ArrayRef<bool> kept, ValueRange values) {
+  unsigned next = 0;
+  for (OpResult result : loop->getResults())
+    result.replaceAllUsesWith(kept[result.getResultNumber()]
+                                  ? Value(smaller->getResult(next++))
+                                  : values[result.getResultNumber()]);
+  loop->erase();
 }
 
-static scf::ForOp dropFromLoop(scf::ForOp loop) {
-  SmallVector<bool> live = findLiveCarried(loop);
-  if (!llvm::is_contained(live, false))
-    return loop;
-  auto filter = [&](ValueRange values) {
-    SmallVector<Value> kept;
-    for (auto [value, isLive] : llvm::zip(values, live))
-      if (isLive)
-        kept.push_back(value);
-    return kept;
-  };
+static void dropFromFor(scf::ForOp loop, ArrayRef<bool> kept) {
   OpBuilder builder(loop);
+  SmallVector<Value> inits(loop.getInitArgs());
   auto smaller = scf::ForOp::create(builder, loop.getLoc(),
                                     loop.getLowerBound(), loop.getUpperBound(),
-                                    loop.getStep(), filter(loop.getInitArgs()));
+                                    loop.getStep(), filter(inits, kept));
   smaller.getRegion().takeBody(loop.getRegion());
   Block *body = smaller.getBody();
   Operation *yield = body->getTerminator();
-  yield->setOperands(filter(yield->getOperands()));
-  eraseDeadOps(body);
-  unsigned kept = 0;
-  for (auto [result, isLive] : llvm::zip(loop.getResults(), live)) {
-    if (isLive) {
-      result.replaceAllUsesWith(smaller.getResult(kept++));
-      continue;
+  yield->setOperands(filter(yield->getOperands(), kept));
+  eraseArguments(body, 1, kept, inits);
+  replaceResults(loop, smaller, kept, inits);
+}
+
+/// `kept` are carried values, `passed` those that the first region hands on.
+static void dropFromWhile(scf::WhileOp loop, ArrayRef<bool> kept,
+                          ArrayRef<bool> passed) {
+  OpBuilder builder(loop);
+  SmallVector<Value> inits(loop.getInits());
+  // Dead ops may use what is not passed on: any value will do.
+  SmallVector<Value> dead;
+  for (Type type : loop.getResultTypes())
+    dead.push_back(
+        UnrealizedConversionCastOp::create(builder, loop.getLoc(), type, {})
+            .getResult(0));
+  SmallVector<Type> types;
+  for (auto [type, isPassed] : llvm::zip(loop.getResultTypes(), passed))
+    if (isPassed)
+      types.push_back(type);
+  auto smaller =
+      scf::WhileOp::create(builder, loop.getLoc(), types, filter(inits, kept));
+  smaller.getBefore().takeBody(loop.getBefore());
+  smaller.getAfter().takeBody(loop.getAfter());
+  scf::ConditionOp condition = smaller.getConditionOp();
+  SmallVector<Value> arguments = filter(condition.getArgs(), passed);
+  condition.getArgsMutable().assign(arguments);
+  scf::YieldOp yield = smaller.getYieldOp();
+  yield->setOperands(filter(yield->getOperands(), kept));
+  eraseArguments(smaller.getBeforeBody(), 0, kept, inits);
+  eraseArguments(smaller.getAfterBody(), 0, passed, dead);
+  replaceResults(loop, smaller, passed, dead);
+}
+
+/// Erases the ops whose results nothing uses.
+static void eraseDeadOps(Region &region) {
+  for (Block &block : region)
+    for (Operation &op : llvm::make_early_inc_range(llvm::reverse(block))) {
+      for (Region &nested : op.getRegions())
+        eraseDeadOps(nested);
+      if (isOpTriviallyDead(&op)) // never a terminator
+        op.erase();
     }
-    // Only ops that feed each other in a circle can still use it.
-    BlockArgument argument = body->getArgument(1 + kept);
-    argument.replaceAllUsesWith(loop.getInitArgs()[result.getResultNumber()]);
-    body->eraseArgument(1 + kept);
-  }
-  loop.erase();
-  return smaller;
 }
 
 void mlir::tai::dropDeadCarried(Region &region) {
-  // Outer loops first: they may carry results of inner ones.
-  for (Block &block : region)
-    for (Operation &op : llvm::make_early_inc_range(block)) {
-      Operation *kept = &op;
-      if (auto loop = dyn_cast<scf::ForOp>(op))
-        kept = dropFromLoop(loop);
-      for (Region &nested : kept->getRegions())
-        dropDeadCarried(nested);
+  LiveValues live(region);
+  auto find = [&](ValueRange values, ValueRange others) {
+    SmallVector<bool> kept;
+    for (auto [i, value] : llvm::enumerate(values))
+      kept.push_back(live.isLive(value) ||
+                     (!others.empty() && live.isLive(others[i])));
+    return kept;
+  };
+  struct Drop {
+    Operation *loop;
+    SmallVector<bool> kept, passed;
+  };
+  SmallVector<Drop> drops;
+  region.walk([&](Operation *op) {
+    if (auto loop = dyn_cast<scf::ForOp>(op)) {
+      SmallVector<bool> kept =
+          find(loop.getRegionIterArgs(), loop.getResults());
+      if (llvm::is_contained(kept, false))
+        drops.push_back({op, kept, {}});
+    } else if (auto loop = dyn_cast<scf::WhileOp>(op)) {
+      SmallVector<bool> kept = find(loop.getBeforeArguments(), {});
+      SmallVector<bool> passed =
+          find(loop.getAfterArguments(), loop.getResults());
+      if (llvm::is_contained(kept, false) || llvm::is_contained(passed, false))
+        drops.push_back({op, kept, passed});
     }
+  });
+  for (Drop &drop : drops) {
+    if (auto loop = dyn_cast<scf::ForOp>(drop.loop))
+      dropFromFor(loop, drop.kept);
+    else
+      dropFromWhile(cast<scf::WhileOp>(drop.loop), drop.kept, drop.passed);
+  }
+  eraseDeadOps(region);
 }

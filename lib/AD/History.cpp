@@ -5,16 +5,15 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What one iteration of a serial loop begins with cannot be computed again from
-// that iteration alone. The loop is run forward once more and records it; only
-// the carried values that a rule asks for are recorded.
+// How an iteration of a reversed loop gets what the iteration of the loop began
+// with. That cannot be computed again from the iteration alone. Nothing is done
+// for carried values that no rule asks for.
 //
 //===----------------------------------------------------------------------===//
 
 #include "mlir/Dialect/Arith/IR/Arith.h"
-#include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/IR/Matchers.h"
-#include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/LoopHistory.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -33,133 +32,6 @@ Value AdjointBuilder::createTripCount(scf::ForOp loop) {
   return count;
 }
 
-// A vector is kept component by component, so that what lowers the adjoint need
-// not know memrefs of vectors.
-
-static MemRefType getHistoryType(Type type) {
-  SmallVector<int64_t> shape = {ShapedType::kDynamic};
-  if (auto vector = dyn_cast<VectorType>(type))
-    shape.push_back(vector.getNumElements());
-  return MemRefType::get(shape, getElementTypeOrSelf(type));
-}
-
-static void storeHistory(AdjointBuilder &b, Value value, Value buffer,
-                         Value position) {
-  auto vector = dyn_cast<VectorType>(value.getType());
-  if (!vector) {
-    memref::StoreOp::create(b, value, buffer, position);
-    return;
-  }
-  for (int64_t i = 0, e = vector.getNumElements(); i != e; ++i)
-    memref::StoreOp::create(
-        b, b.createExtract(value, i), buffer,
-        ValueRange{position, arith::ConstantIndexOp::create(b, i)});
-}
-
-static Value loadHistory(AdjointBuilder &b, Type type, Value buffer,
-                         Value position) {
-  auto vector = dyn_cast<VectorType>(type);
-  if (!vector)
-    return memref::LoadOp::create(b, buffer, position);
-  SmallVector<Value> components;
-  for (int64_t i = 0, e = vector.getNumElements(); i != e; ++i)
-    components.push_back(memref::LoadOp::create(
-        b, buffer, ValueRange{position, arith::ConstantIndexOp::create(b, i)}));
-  return b.createVector(vector, components);
-}
-
-/// The buffer of a carried value: made before `loop`, and written by it where
-/// an iteration begins, at `position`.
-static Value createHistory(AdjointBuilder &b, Operation *loop, Value carried,
-                           Value size, function_ref<Value()> getPosition) {
-  b.setInsertionPoint(loop);
-  b.setLoc(loop->getLoc());
-  Value buffer =
-      memref::AllocOp::create(b, getHistoryType(carried.getType()), size);
-  b.setInsertionPointToStart(cast<BlockArgument>(carried).getOwner());
-  Value position = getPosition();
-  storeHistory(b, carried, buffer, position);
-  return buffer;
-}
-
-Value AdjointBuilder::recordFor(scf::ForOp primalLoop, unsigned index) {
-  // The recomputed loop stands in the frame around, once for all that it
-  // records and for its results.
-  getPrimal(primalLoop.getResult(index));
-  if (hasErrors)
-    return {};
-  auto loop = cast<scf::ForOp>(current->recomputed.at(primalLoop));
-  setInsertionPoint(loop);
-  Value count = createTripCount(primalLoop);
-  Value &buffer = histories[{primalLoop, current}][index];
-  if (buffer)
-    return buffer;
-  Value zero = arith::ConstantIndexOp::create(*this, 0);
-  Value size = createOrFold<arith::MaxSIOp>(count, zero);
-  buffer = createHistory(
-      *this, loop, loop.getRegionIterArg(index), size, [&]() -> Value {
-        Value position = loop.getInductionVar();
-        if (!matchPattern(loop.getLowerBound(), m_Zero()))
-          position =
-              arith::SubIOp::create(*this, position, loop.getLowerBound());
-        if (!matchPattern(loop.getStep(), m_One()))
-          position = arith::DivSIOp::create(*this, position, loop.getStep());
-        if (!position.getType().isIndex())
-          position =
-              arith::IndexCastOp::create(*this, getIndexType(), position);
-        return position;
-      });
-  return buffer;
-}
-
-scf::WhileOp AdjointBuilder::createCountedCopy(scf::WhileOp primalLoop) {
-  SmallVector<Value> inits = getPrimals(primalLoop.getInits());
-  inits.push_back(arith::ConstantIndexOp::create(*this, 0));
-  SmallVector<Type> types(primalLoop.getResultTypes());
-  types.push_back(getIndexType());
-  auto copy = scf::WhileOp::create(*this, types, inits);
-  OpBuilder::InsertionGuard guard(*this);
-  for (auto [from, to] :
-       llvm::zip(primalLoop->getRegions(), copy->getRegions())) {
-    Block *mirror = createBlock(&to);
-    for (BlockArgument argument : from.getArguments())
-      mirror->addArgument(argument.getType(), argument.getLoc());
-    Value count = mirror->addArgument(getIndexType(), getLoc());
-    recomputeBlock(&from.front(), mirror);
-    Operation *terminator = mirror->getTerminator();
-    if (isa<scf::YieldOp>(terminator)) {
-      setInsertionPoint(terminator);
-      Value one = arith::ConstantIndexOp::create(*this, 1);
-      count = arith::AddIOp::create(*this, count, one);
-    }
-    terminator->insertOperands(terminator->getNumOperands(), count);
-  }
-  return copy;
-}
-
-Value AdjointBuilder::recordWhile(scf::WhileOp primalLoop) {
-  // The number of iterations is known after one run; then there is room to
-  // record the next.
-  Value count = createCountedCopy(primalLoop).getResults().back();
-  recordedLoops[{primalLoop, current}] = {createCountedCopy(primalLoop), count};
-  return count;
-}
-
-Value AdjointBuilder::recordWhile(scf::WhileOp primalLoop, unsigned index) {
-  auto [loop, count] = recordedLoops.lookup({primalLoop, current});
-  Value &buffer = histories[{primalLoop, current}][index];
-  if (buffer)
-    return buffer;
-  // The condition is evaluated once more than the body runs.
-  setInsertionPoint(loop);
-  Value one = arith::ConstantIndexOp::create(*this, 1);
-  Value size = arith::AddIOp::create(*this, count, one);
-  Block::BlockArgListType carried = loop.getBeforeArguments();
-  buffer = createHistory(*this, loop, carried[index], size,
-                         [&]() -> Value { return carried.back(); });
-  return buffer;
-}
-
 void AdjointBuilder::materializeArgument(Frame &frame, BlockArgument argument) {
   Operation *parent = frame.primal->getParentOp();
   unsigned index = argument.getArgNumber();
@@ -167,16 +39,10 @@ void AdjointBuilder::materializeArgument(Frame &frame, BlockArgument argument) {
   Value value;
   if (!frame.argumentValues.empty()) {
     value = getPrimal(frame.argumentValues[index]);
-  } else if (frame.iteration) {
-    Value buffer;
+  } else if (frame.history) {
     if (auto loop = dyn_cast<scf::ForOp>(parent))
-      buffer = recordFor(loop, index - loop.getNumInductionVars());
-    else
-      buffer = recordWhile(cast<scf::WhileOp>(parent), index);
-    if (buffer) {
-      setInsertionPoint(frame.recomputeBegin);
-      value = loadHistory(*this, argument.getType(), buffer, frame.iteration);
-    }
+      index -= loop.getNumInductionVars();
+    value = frame.history->getCarried(frame, index);
   } else {
     emitError(parent, "the gradient needs a value that this op carries, which "
                       "cannot be recomputed");
@@ -186,14 +52,246 @@ void AdjointBuilder::materializeArgument(Frame &frame, BlockArgument argument) {
     frame.values.map(argument, value);
 }
 
-void AdjointBuilder::freeHistory(Operation *loop) {
-  auto it = histories.find({loop, current});
-  if (it != histories.end()) {
-    for (auto [index, buffer] : it->second)
-      memref::DeallocOp::create(*this, buffer);
-    histories.erase(it);
-  } else if (scf::WhileOp copy = recordedLoops.lookup({loop, current}).copy) {
-    copy.erase(); // there was nothing to record
+LoopHistory::LoopHistory(AdjointBuilder &builder, scf::ForOp loop, Value count)
+    : b(builder), loop(loop), around(&builder.getFrame()), carried(loop),
+      count(count) {}
+
+LoopHistory::LoopHistory(AdjointBuilder &builder, scf::WhileOp loop)
+    : b(builder), loop(loop), around(&builder.getFrame()), carried(loop) {
+  counted = createCopy(/*counted=*/true);
+  count = counted.getResults().back();
+}
+
+/// The loop once more, where the builder stands; `counted` adds a last carried
+/// value that counts how often the second region runs.
+scf::WhileOp LoopHistory::createCopy(bool counted) {
+  auto primal = cast<scf::WhileOp>(loop);
+  SmallVector<Value> inits = b.getPrimals(primal.getInits());
+  SmallVector<Type> types(primal.getResultTypes());
+  if (counted) {
+    inits.push_back(arith::ConstantIndexOp::create(b, 0));
+    types.push_back(b.getIndexType());
   }
-  recordedLoops.erase({loop, current});
+  auto copy = scf::WhileOp::create(b, types, inits);
+  OpBuilder::InsertionGuard guard(b);
+  for (auto [from, to] : llvm::zip(loop->getRegions(), copy->getRegions())) {
+    Block *mirror = b.createBlock(&to);
+    for (BlockArgument argument : from.getArguments())
+      mirror->addArgument(argument.getType(), argument.getLoc());
+    Value number;
+    if (counted)
+      number = mirror->addArgument(b.getIndexType(), b.getLoc());
+    b.recomputeBlock(&from.front(), mirror);
+    if (!counted)
+      continue;
+    Operation *terminator = mirror->getTerminator();
+    if (isa<scf::YieldOp>(terminator)) {
+      b.setInsertionPoint(terminator);
+      Value one = arith::ConstantIndexOp::create(b, 1);
+      number = arith::AddIOp::create(b, number, one);
+    }
+    terminator->insertOperands(terminator->getNumOperands(), number);
+  }
+  return copy;
+}
+
+/// The loop that runs the iterations again: the recomputed one in the frame
+/// around, or, where the length had to be counted, a copy that knows it. Its
+/// results are the carried values after the last iteration.
+scf::ForOp LoopHistory::getForward() {
+  if (forward)
+    return forward;
+  OpBuilder::InsertionGuard guard(b);
+  Frame *saved = b.current;
+  b.current = around;
+  if (!counted) {
+    b.getPrimal(loop->getResult(0));
+    if (!b.hasErrors)
+      forward = cast<scf::ForOp>(around->recomputed.at(loop));
+    b.current = saved;
+    return forward;
+  }
+  Location loc = b.getLoc();
+  b.setLoc(loop->getLoc());
+  b.setInsertionPointAfter(counted);
+  scf::WhileOp copy = createCopy(/*counted=*/false);
+  Value zero = arith::ConstantIndexOp::create(b, 0);
+  Value one = arith::ConstantIndexOp::create(b, 1);
+  forward = scf::ForOp::create(b, zero, count, one, copy.getInits());
+  // Every iteration that is counted runs the condition, which holds, and the
+  // body.
+  Block *body = forward.getBody();
+  if (!body->empty())
+    body->back().erase();
+  scf::ConditionOp condition = copy.getConditionOp();
+  SmallVector<Value> passed(condition.getArgs());
+  for (auto [from, to] :
+       llvm::zip(copy.getBeforeArguments(), forward.getRegionIterArgs()))
+    from.replaceAllUsesWith(to);
+  for (Value &value : passed)
+    if (auto argument = dyn_cast<BlockArgument>(value);
+        argument && argument.getOwner() == copy.getBeforeBody())
+      value = forward.getRegionIterArg(argument.getArgNumber());
+  condition.erase();
+  body->getOperations().splice(body->end(),
+                               copy.getBeforeBody()->getOperations());
+  for (auto [from, to] : llvm::zip(copy.getAfterArguments(), passed))
+    from.replaceAllUsesWith(to);
+  body->getOperations().splice(body->end(),
+                               copy.getAfterBody()->getOperations());
+  copy->erase();
+  b.setLoc(loc);
+  b.current = saved;
+  return forward;
+}
+
+BlockArgument LoopHistory::getArgument(unsigned index) {
+  if (auto forOp = dyn_cast<scf::ForOp>(loop))
+    return forOp.getRegionIterArg(index);
+  return cast<scf::WhileOp>(loop).getBeforeArguments()[index];
+}
+
+Value LoopHistory::getCarried(Frame &frame, unsigned index) {
+  const CarriedValue &value = carried[index];
+  if (value.kind == CarriedKind::ClosedForm) {
+    closed.insert(index);
+    return createClosedForm(frame, value, index);
+  }
+  if (!getForward())
+    return {};
+  // Only the end of a loop that was counted is an iteration of its own.
+  if (frame.iteration == count)
+    return forward.getResult(index);
+  if (value.kind == CarriedKind::Invertible) {
+    inverted.insert(index);
+    return createInverse(frame, value);
+  }
+  return createRecorded(frame, index);
+}
+
+/// The primal value of an operand of a step, at the very beginning of the
+/// iteration. Nothing that the sweep recomputes there is known yet.
+Value LoopHistory::getEarly(Frame &frame, Value value) {
+  if (!loop->isAncestor(value.getParentBlock()->getParentOp()))
+    return b.getPrimal(value);
+  if (std::optional<unsigned> index = carried.getIndex(value)) {
+    b.current = &frame;
+    Value known = b.getPrimal(getArgument(*index));
+    b.current = frame.parent;
+    return known;
+  }
+  if (isa<BlockArgument>(value)) // the induction variable
+    return frame.values.lookup(value);
+  Operation *op = value.getDefiningOp();
+  IRMapping mapping;
+  for (Value operand : op->getOperands())
+    mapping.map(operand, getEarly(frame, operand));
+  b.setInsertionPoint(frame.recomputeBegin);
+  return b.clone(*op, mapping)
+      ->getResult(cast<OpResult>(value).getResultNumber());
+}
+
+Value LoopHistory::createClosedForm(Frame &frame, const CarriedValue &value,
+                                    unsigned index) {
+  auto [op, operand] = value.steps.front();
+  Value init = b.getPrimal(isa<scf::ForOp>(loop)
+                               ? cast<scf::ForOp>(loop).getInitArgs()[index]
+                               : cast<scf::WhileOp>(loop).getInits()[index]);
+  Value by = getEarly(frame, op->getOperand(1 - operand));
+  b.setInsertionPoint(frame.recomputeBegin);
+  Type type = init.getType();
+  Value times = frame.iteration;
+  if (isa<arith::XOrIOp>(op))
+    times =
+        arith::AndIOp::create(b, times, arith::ConstantIndexOp::create(b, 1));
+  if (!type.isIndex())
+    times = arith::IndexCastOp::create(b, type, times);
+  Value change =
+      matchPattern(by, m_One()) ? times : arith::MulIOp::create(b, times, by);
+  if (isa<arith::XOrIOp>(op))
+    return arith::XOrIOp::create(b, init, change);
+  if (isa<arith::SubIOp>(op))
+    return arith::SubIOp::create(b, init, change);
+  return b.createOrFold<arith::AddIOp>(init, change);
+}
+
+/// What carried value `index` was when the next iteration began.
+Value LoopHistory::getNext(unsigned index) {
+  BlockArgument &next = nexts[index];
+  if (!next)
+    next = draft.getBody()->addArgument(getArgument(index).getType(),
+                                        loop->getLoc());
+  return next;
+}
+
+/// The number `x` with `value * x == 1` in as many bits.
+static APInt invertOdd(const APInt &value) {
+  APInt inverse = value; // right in 3 bits, and in twice as many each time
+  APInt two(value.getBitWidth(), 2, false, /*implicitTrunc=*/true);
+  for (unsigned bits = 3; bits < value.getBitWidth(); bits *= 2)
+    inverse *= two - value * inverse;
+  return inverse;
+}
+
+Value LoopHistory::createInverse(Frame &frame, const CarriedValue &value) {
+  Value result = getNext(value.source);
+  for (auto [op, operand] : llvm::reverse(value.steps)) {
+    Value other;
+    if (op->getNumOperands() == 2)
+      other = getEarly(frame, op->getOperand(1 - operand));
+    b.setInsertionPoint(frame.recomputeBegin);
+    if (isa<arith::AddIOp>(op)) {
+      result = arith::SubIOp::create(b, result, other);
+    } else if (isa<arith::SubIOp>(op)) {
+      result = operand == 0
+                   ? arith::AddIOp::create(b, result, other).getResult()
+                   : arith::SubIOp::create(b, other, result).getResult();
+    } else if (isa<arith::XOrIOp>(op)) {
+      result = arith::XOrIOp::create(b, result, other);
+    } else if (isa<arith::MulIOp>(op)) {
+      APInt factor;
+      matchPattern(other, m_ConstantInt(&factor));
+      TypedAttr attr = b.getIntegerAttr(getElementTypeOrSelf(result.getType()),
+                                        invertOdd(factor));
+      if (auto vector = dyn_cast<VectorType>(result.getType()))
+        attr = DenseElementsAttr::get(vector, Attribute(attr));
+      result =
+          arith::MulIOp::create(b, result, arith::ConstantOp::create(b, attr));
+    } else {
+      result = arith::NegFOp::create(b, result);
+    }
+  }
+  return result;
+}
+
+scf::ForOp LoopHistory::createReverse(ValueRange inits) {
+  Value zero = arith::ConstantIndexOp::create(b, 0);
+  Value one = arith::ConstantIndexOp::create(b, 1);
+  draft = scf::ForOp::create(b, zero, count, one, inits);
+  if (!draft.getBody()->empty())
+    draft.getBody()->back().erase();
+  draftInits.assign(inits.begin(), inits.end());
+  return draft;
+}
+
+void LoopHistory::beginIteration(Frame &frame) {
+  Value zero = arith::ConstantIndexOp::create(b, 0);
+  Value one = arith::ConstantIndexOp::create(b, 1);
+  last = arith::SubIOp::create(b, count, one);
+  local = arith::SubIOp::create(b, last->getResult(0), draft.getInductionVar());
+  iteration = arith::AddIOp::create(b, local->getResult(0), zero);
+  frame.iteration = iteration->getResult(0);
+  frame.history = this;
+}
+
+void LoopHistory::beginLast(Frame &frame) {
+  frame.iteration = count;
+  frame.history = this;
+}
+
+void LoopHistory::endIteration() {
+  // Getting one may take the next value of another.
+  for (size_t i = 0; i != nexts.size(); ++i)
+    nextYields.push_back(
+        b.getPrimal(getArgument(nexts.getArrayRef()[i].first)));
 }

@@ -106,7 +106,8 @@ static LogicalResult finishArrayAccumulations(FunctionOpInterface function) {
 
 /// Fills the adjoint of `function`.
 static LogicalResult fillAdjoint(FunctionOpInterface function,
-                                 FunctionOpInterface shell, bool arrays) {
+                                 FunctionOpInterface shell, bool arrays,
+                                 int64_t historyBytes) {
   // The last arguments of the adjoint are the adjoints of memref arguments.
   DenseMap<Value, Value> shadows;
   unsigned next = function.getNumArguments();
@@ -122,6 +123,7 @@ static LogicalResult fillAdjoint(FunctionOpInterface function,
                : Storage();
   };
   AdjointBuilder builder(function, shell, adjointOf);
+  builder.setHistoryLimit(historyBytes);
   if (failed(builder.build()))
     return failure();
   builder.setLoc(function.getLoc());
@@ -184,7 +186,7 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
     }
     // The arguments of a function are all that it can be differentiated by.
     FunctionOpInterface shell = createShell(function, name, arrays);
-    if (failed(fillAdjoint(function, shell, arrays))) {
+    if (failed(fillAdjoint(function, shell, arrays, historyBytes))) {
       shell.erase();
       return failure();
     }

@@ -27,7 +27,7 @@ std::string CompileOptions::str() const {
   llvm::raw_string_ostream(text)
       << "opt=" << codegen.optLevel << " fast=" << codegen.fastMath
       << " contract=" << codegen.contract << " debug=" << debug
-      << " deterministic=" << deterministic;
+      << " deterministic=" << deterministic << " history=" << historyBytes;
   return text;
 }
 

@@ -44,10 +44,12 @@ public:
 /// The pipelines of tai for the options of a kernel.
 static Compiler::Pipelines getPipelines() {
   Compiler::Pipelines pipelines;
-  pipelines.autodiff = [](OpPassManager &manager, const CompileOptions &) {
+  pipelines.autodiff = [](OpPassManager &manager,
+                          const CompileOptions &options) {
     AutodiffOptions autodiff;
     // An adjoint is launched with the arguments of its primal and no others.
     autodiff.arrayAdjoints = false;
+    autodiff.historyBytes = options.historyBytes;
     buildAutodiffPipeline(manager, autodiff);
   };
   pipelines.clearing = [](OpPassManager &manager, const CompileOptions &) {
@@ -236,6 +238,13 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
     options.codegen.optLevel = level;
     return success();
   }
+  if (name == "history_bytes") {
+    int64_t bytes;
+    if (value.getAsInteger(10, bytes) || bytes < 0)
+      return badValue("a number of bytes");
+    options.historyBytes = bytes;
+    return success();
+  }
   if (name == "seed") {
     uint64_t seed;
     if (value.getAsInteger(0, seed))
@@ -270,5 +279,5 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
               "unknown option '" + name +
                   "'; the options are threads, deterministic, debug, "
                   "fast_math, opt_level, seed, cache_dir, print_ir, profiler, "
-                  "compile_profile");
+                  "compile_profile, history_bytes");
 }

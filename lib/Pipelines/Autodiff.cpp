@@ -33,6 +33,7 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
   MakeAdjointOptions adjoint;
   adjoint.kernels.assign(options.kernels.begin(), options.kernels.end());
   adjoint.arrayAdjoints = options.arrayAdjoints;
+  adjoint.historyBytes = options.historyBytes;
   pm.addPass(createMakeAdjoint(adjoint));
 
   // Rules write the formula, not its simplest form.

@@ -46,6 +46,7 @@ class Options:
     offline_cache_file_path: str = ""
     opt_level: int = 3
     log_level: str = WARN
+    ad_history_bytes: int = 256 * 1024
 
 
 _KNOWN = {f.name for f in fields(Options)}
@@ -118,6 +119,7 @@ class Program:
             "seed": str(o.random_seed),
             "print_ir": "all" if o.print_ir is True else str(o.print_ir or ""),
             "profiler": flag(o.kernel_profiler),
+            "history_bytes": str(o.ad_history_bytes),
         }
         if not o.offline_cache:
             values["cache_dir"] = ""
@@ -200,6 +202,9 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
         cpu_max_num_threads: 0 for all cores.
         deterministic: the same bits from run to run, whatever the number of threads.
         offline_cache, offline_cache_file_path: keep compiled kernels on disk, and where.
+        ad_history_bytes: what the gradient of a loop may keep in memory for each thread; a
+            loop that would need more is run again in parts. `ad_stack_size` is accepted
+            and not needed: loops may be of any length.
 
     Raises:
         TaiRuntimeError: an option that does not exist, or a target that is not built in.

@@ -82,43 +82,6 @@ tai.kernel @sum(%n: index) {
   tai.return
 }
 
-// A value whose history the gradient needs is recorded: the loop runs forward
-// once more, without the sum that nobody needs, and the history is freed.
-// CHECK-LABEL: tai.kernel @trajectory_grad(
-//  CHECK-SAME:     %[[N:.+]]: index)
-//       CHECK:   tai.parallel_for
-//       CHECK:     %[[X:.+]] = tai.load @x
-//       CHECK:     %[[SIZE:.+]] = arith.maxsi %[[N]], %{{.+}} : index
-//       CHECK:     %[[H:.+]] = memref.alloc(%[[SIZE]]) : memref<?xf32>
-//       CHECK:     scf.for %[[J:.+]] = %{{.+}} to %[[N]] step %{{.+}} iter_args(%[[V:.+]] = %[[X]]) -> (f32) {
-//       CHECK:       memref.store %[[V]], %[[H]][%[[J]]]
-//       CHECK:       math.sin
-//   CHECK-NOT:       arith.addf
-//       CHECK:       scf.yield
-//       CHECK:     %[[G:.+]] = tai.load @y_grad
-//       CHECK:     %[[GX:.+]] = scf.for %[[K:.+]] = %{{.+}} to %[[N]] step %{{.+}} iter_args(%[[GV:.+]] = %{{.+}})
-//       CHECK:       %[[J2:.+]] = arith.subi %{{.+}}, %[[K]]
-//       CHECK:       %[[V2:.+]] = memref.load %[[H]][%[[J2]]]
-//       CHECK:       math.cos %[[V2]]
-//       CHECK:       scf.yield
-//       CHECK:     memref.dealloc %[[H]]
-//       CHECK:     tai.atomic add %[[GX]], @x_grad
-tai.kernel @trajectory(%n: index) {
-  %c0 = arith.constant 0 : index
-  %c1 = arith.constant 1 : index
-  %zero = arith.constant 0.0 : f32
-  tai.parallel_for (%i) in @x {
-    %x = tai.load @x[%i] : f32
-    %r:2 = scf.for %j = %c0 to %n step %c1 iter_args(%s = %zero, %v = %x) -> (f32, f32) {
-      %w = math.sin %v : f32
-      %t = arith.addf %s, %w : f32
-      scf.yield %t, %w : f32, f32
-    }
-    tai.store %r#0, @y[%i] : f32
-  }
-  tai.return
-}
-
 // Bounds and step other than 0 and 1: iteration k of the reverse is iteration
 // n - 1 - k of the loop.
 // CHECK-LABEL: tai.kernel @steps_grad(
@@ -164,37 +127,6 @@ tai.kernel @list() {
       %n = tai.load @next[%j] : i32
       scf.yield %n : i32
     }
-  }
-  tai.return
-}
-
-// A while loop that carries a derivative runs once to count, once to record, and
-// then backwards. The last condition passed on the result: it is reversed first.
-// CHECK-LABEL: tai.kernel @newton_grad(
-//       CHECK:     %[[X:.+]] = tai.load @x
-//       CHECK:     %[[G:.+]] = tai.load @y_grad
-//       CHECK:     %[[COUNT:.+]]:2 = scf.while (%{{.+}} = %[[X]], %{{.+}} = %{{.+}}) : (f32, index) -> (f32, index)
-//       CHECK:     %[[SIZE:.+]] = arith.addi %[[COUNT]]#1, %{{.+}}
-//       CHECK:     %[[H:.+]] = memref.alloc(%[[SIZE]]) : memref<?xf32>
-//       CHECK:     scf.while (%[[V:.+]] = %[[X]], %[[AT:.+]] = %{{.+}})
-//       CHECK:       memref.store %[[V]], %[[H]][%[[AT]]]
-//       CHECK:     %[[GX:.+]] = scf.for %[[K:.+]] = %{{.+}} to %[[COUNT]]#1 step %{{.+}} iter_args(%{{.+}} = %[[G]]) -> (f32) {
-//       CHECK:       memref.load %[[H]]
-//       CHECK:       scf.yield
-//       CHECK:     memref.dealloc %[[H]]
-//       CHECK:     tai.atomic add %[[GX]], @x_grad
-tai.kernel @newton(%limit: f32) {
-  tai.parallel_for (%i) in @x {
-    %x = tai.load @x[%i] : f32
-    %r = scf.while (%v = %x) : (f32) -> f32 {
-      %more = arith.cmpf ogt, %v, %limit : f32
-      scf.condition(%more) %v : f32
-    } do {
-    ^bb0(%v: f32):
-      %s = math.sin %v : f32
-      scf.yield %s : f32
-    }
-    tai.store %r, @y[%i] : f32
   }
   tai.return
 }

@@ -4,6 +4,8 @@ Powers have closed forms; the rest is compared with central differences (f64, re
 1e-7), and in f32 with the gradient in f64.
 """
 
+import resource
+
 import numpy as np
 import pytest
 import tai as ti
@@ -531,12 +533,61 @@ def case_affine_integers(c):
     def kernel():
         for i in c.x:
             value, at, twice, down = c.x[i], i, 1, 40
-            for j in range(6):
+            for _ in range(6):
                 value = value * c.x[at % N] + 0.1 * twice - 0.01 * down
                 at += 3
                 twice *= 2
                 down -= at
             c.loss[None] += value
+
+    return kernel
+
+
+def case_invertible_integers(c):
+    @ti.kernel
+    def kernel():
+        for i in c.x:
+            a, b, seed, bits, flips = 1, i, 7, 85, 1.0
+            value = c.x[i]
+            for j in range(c.n[i] + 9):
+                value = ti.sin(value * (a % 5) + flips * 0.1 * (seed % 8)) + c.x[bits % N]
+                a, b = b, (a + b) % 1024 + j
+                seed = seed * 5 + j * j
+                bits = (bits ^ (j * 3)) + 1
+                flips = -flips
+            c.loss[None] += value * flips
+
+    return kernel
+
+
+def case_two_step_recurrence(c):
+    @ti.kernel
+    def kernel():
+        for i in c.x:
+            older, old = c.x[i], c.x[(i + 1) % N]
+            for j in range(c.n[i] + 7):
+                new = 1.5 * old - 0.7 * older * old + 0.1 * c.x[j % N]
+                older, old = old, new
+            c.loss[None] += old * older
+
+    return kernel
+
+
+def case_long_loops_inside(c):
+    @ti.kernel
+    def kernel():
+        for i in c.x:
+            value, u = c.x[i], c.v[i]
+            for j in range(c.n[i] + 20):
+                part = value
+                for k in range(j % 7 + 11):
+                    part = ti.sin(part + 0.1 * u[k % 3]) + 0.05 * k
+                    if part > 0.9:
+                        u = u * 0.9 + part * part
+                value = 0.5 * value + ti.cos(part)
+                while value > 1.0:
+                    value = value * 0.9 - 0.05 * u[1] * value
+            c.loss[None] += value + u.dot(u)
 
     return kernel
 
@@ -569,3 +620,68 @@ def test_single_precision(name):
         gradients.append([field.grad.to_numpy() for field in case.inputs])
     for exact, single in zip(*gradients, strict=True):
         np.testing.assert_allclose(single, exact, rtol=1e-4, atol=1e-4 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_running_parts_again_changes_no_bit(name):
+    """Histories in chunks of a few iterations, against whole ones."""
+    gradients = []
+    for history in (1 << 20, 40, 0):
+        ti.init(
+            default_fp=ti.f64, deterministic=True, ad_history_bytes=history, offline_cache=False
+        )
+        case = Case(ti.f64)
+        kernel = CASES[name](case)
+        with ti.ad.Tape(case.loss):
+            kernel()
+        gradients.append([field.grad.to_numpy() for field in case.inputs])
+    for parts in gradients[1:]:
+        for whole, part in zip(gradients[0], parts, strict=True):
+            np.testing.assert_array_equal(whole, part)
+
+
+def peak_memory():
+    """Greatest resident size of this process, in bytes."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def test_a_million_trips_in_bounded_memory():
+    """The whole record would take 64 loops x 1e6 iterations x 32 bytes = 2 GB."""
+    trips, lanes = 1_000_000, 64
+    x = ti.field(ti.f64, shape=lanes, needs_grad=True)
+    y = ti.field(ti.f64, shape=lanes, needs_grad=True)
+    c = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def kernel(n: ti.i32):
+        for i in x:
+            u = ti.Vector([x[i], 1.0, x[i], 2.0])
+            for _ in range(n):
+                u *= c[None]
+            y[i] = u.dot(u)
+
+    def run(n):
+        c[None] = base = 1 + 1 / n
+        x.from_numpy(np.linspace(0.5, 1.5, lanes))
+        ti.ad.clear_all_gradients()
+        y.grad.fill(1.0)
+        kernel.grad(n)
+        return base, x.to_numpy()
+
+    run(100)
+    before = peak_memory()
+    base, start = run(trips)
+    assert peak_memory() - before < 64 << 20
+    np.testing.assert_allclose(x.grad.to_numpy(), 4 * start * base ** (2 * trips), rtol=1e-9)
+    slope = 2 * trips * base ** (2 * trips - 1) * (2 * start**2 + 5).sum()
+    assert c.grad[None] == pytest.approx(slope, rel=1e-9)
+
+
+def test_stack_sizes_are_not_needed():
+    ti.init(default_fp=ti.f64, ad_stack_size=16, default_ad_stack_size=4, offline_cache=False)
+    (c, n, x, y), kernels = power_kernels(ti.f64)
+    c[None], n[None] = 1.01, 300
+    x.fill(1.0)
+    y.grad.fill(1.0)
+    kernels["field"].grad()
+    np.testing.assert_allclose(x.grad.to_numpy(), 1.01**300, rtol=1e-12)

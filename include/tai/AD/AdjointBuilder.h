@@ -30,6 +30,8 @@
 
 namespace mlir::tai {
 
+class LoopHistory;
+
 /// The adjoint of one value while it is being summed: a part for the whole
 /// value and, for vectors, parts for single components (row-major; null is
 /// zero).
@@ -64,8 +66,9 @@ struct Frame {
   /// ones.
   llvm::MapVector<Value, PartialAdjoint> adjoints;
   /// In the reverse of a serial loop: which iteration of the primal loop this
-  /// is, counted from 0.
+  /// is, counted from 0, and what knows the values that it began with.
   Value iteration;
+  LoopHistory *history = nullptr;
   /// Values of the primal block of `parent` that are passed on as the arguments
   /// of this one, if that is where they come from.
   SmallVector<Value> argumentValues;
@@ -144,22 +147,19 @@ public:
   void sweepCaptured();
   /// The number of iterations of a serial loop, as an index.
   Value createTripCount(scf::ForOp loop);
-  /// Runs a loop forward; returns how often its second region runs. From then
-  /// on, a frame of its first region that knows its iteration knows the
-  /// arguments too.
-  Value recordWhile(scf::WhileOp loop);
-  /// Frees what was recorded for the reverse of `loop`.
-  void freeHistory(Operation *loop);
+  /// The bytes that a loop may record at once; it is recorded in chunks where
+  /// it takes more.
+  int64_t getHistoryLimit() const { return historyLimit; }
+  void setHistoryLimit(int64_t bytes) { historyLimit = bytes; }
 
   /// Reports that `op` cannot be differentiated; building then fails.
   InFlightDiagnostic emitError(Operation *op, const Twine &message);
 
 private:
+  friend class LoopHistory;
+
   Value materialize(Frame &frame, Value value);
   void materializeArgument(Frame &frame, BlockArgument argument);
-  Value recordFor(scf::ForOp loop, unsigned index);
-  Value recordWhile(scf::WhileOp loop, unsigned index);
-  scf::WhileOp createCountedCopy(scf::WhileOp loop);
   void recompute(Frame &frame, Operation *op);
   void recomputeRegions(Operation *op, Operation *copy);
   bool checkRecomputable(Operation *op);
@@ -176,18 +176,7 @@ private:
   FloatFacts facts;
   Frame *current = nullptr;
   bool hasErrors = false;
-  /// What recomputed loops record, by primal loop, by the frame they stand in,
-  /// and by carried argument.
-  llvm::DenseMap<std::pair<Operation *, Frame *>,
-                 llvm::SmallMapVector<unsigned, Value, 2>>
-      histories;
-  /// The copies of `scf.while` loops that record, by the same, and how often
-  /// their second region runs.
-  struct RecordedWhile {
-    scf::WhileOp copy;
-    Value count;
-  };
-  llvm::DenseMap<std::pair<Operation *, Frame *>, RecordedWhile> recordedLoops;
+  int64_t historyLimit = kDefaultHistoryBytes;
   DenseSet<Operation *> recomputedDraws, refused;
   /// The storages that the adjoint accumulates into.
   DenseSet<const void *> accumulated;

@@ -56,6 +56,10 @@ inline bool isFloatOrVector(Type type) {
   return isa<FloatType>(type);
 }
 
+/// Bytes that a loop of one thread may record at once, unless told otherwise:
+/// part of what its core keeps close.
+constexpr int64_t kDefaultHistoryBytes = 256 * 1024;
+
 /// Marks, in an adjoint, the store that ends the accumulation of a vector into
 /// an array: it is no atomic, and must be shown to need none.
 constexpr llvm::StringLiteral kPlainAccumulation = "tai.plain_accumulation";

@@ -9,6 +9,7 @@
 #define TAI_AD_PASSES_H
 
 #include "mlir/Pass/Pass.h"
+#include "tai/AD/Differentiable.h"
 #include <memory>
 
 namespace mlir::tai {

@@ -22,7 +22,13 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
     derivatives need and no others; it stores nothing but adjoints. Fields
     without an adjoint, and what cannot reach both a read and a written field
     that have one, get no code. Values that a serial loop carries and the
-    gradient needs are recorded by running the loop forward once.
+    gradient needs are had in the cheapest way that is exact: computed, where they
+    are a formula of the number of the iteration (`i += 2`); carried backwards,
+    where the next value gives the value (integers, swaps, a change of sign); or
+    recorded by running the loop forward. What no rule asks for is not recorded:
+    a sum is linear. A loop whose record takes more than `history-bytes` keeps
+    what every chunk of about sqrt(n) iterations began with, and runs each chunk
+    once more before it reverses it.
 
     A zero adjoint contributes zero, whatever the partial derivative is, so that
     no infinity or NaN enters a gradient from where the loss does not depend on
@@ -72,6 +78,10 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
                "Names of the kernels or functions to differentiate">,
     Option<"arrayAdjoints", "array-adjoints", "bool", /*default=*/"true",
            "Give the adjoint of a kernel the adjoints of its float memrefs">,
+    Option<"historyBytes", "history-bytes", "int64_t",
+           /*default=*/"::mlir::tai::kDefaultHistoryBytes",
+           "Bytes that a loop may record at once; where it takes more, parts of "
+           "the loop are run once more">,
   ];
 }
 

@@ -17,6 +17,7 @@
 
 #include "mlir/IR/BuiltinOps.h"
 #include "mlir/Pass/PassManager.h"
+#include "tai/AD/Differentiable.h"
 #include "tai/ExecutionEngine/CompiledObject.h"
 #include "tai/ExecutionEngine/Diagnostics.h"
 #include "tai/ExecutionEngine/Linker.h"
@@ -33,10 +34,13 @@ struct CompileOptions {
   bool debug = false;
   /// Results do not depend on threads.
   bool deterministic = false;
+  /// What a loop of an adjoint may record at once.
+  int64_t historyBytes = kDefaultHistoryBytes;
 
   bool operator==(const CompileOptions &other) const {
     return codegen == other.codegen && debug == other.debug &&
-           deterministic == other.deterministic;
+           deterministic == other.deterministic &&
+           historyBytes == other.historyBytes;
   }
   /// The options as text, for the key of the cache.
   std::string str() const;

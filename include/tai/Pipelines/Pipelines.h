@@ -15,6 +15,7 @@
 
 #include "mlir/Pass/PassManager.h"
 #include "mlir/Pass/PassOptions.h"
+#include "tai/AD/Differentiable.h"
 
 namespace mlir::tai {
 
@@ -26,6 +27,7 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
     kernels = other.kernels;
     flatten = other.flatten.getValue();
     arrayAdjoints = other.arrayAdjoints.getValue();
+    historyBytes = other.historyBytes.getValue();
   }
 
   ListOption<std::string> kernels{
@@ -41,6 +43,11 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
       llvm::cl::desc("Give the adjoint of a kernel the adjoints of its float "
                      "memrefs; without, they are constant"),
       llvm::cl::init(true)};
+  Option<int64_t> historyBytes{
+      *this, "history-bytes",
+      llvm::cl::desc("Bytes that a loop may record at once; where it takes "
+                     "more, parts of the loop are run once more"),
+      llvm::cl::init(kDefaultHistoryBytes)};
 };
 
 /// Makes the adjoints of kernels and the summaries of all kernels. Anchored on

@@ -15,62 +15,13 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Matchers.h"
-#include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/LoopHistory.h"
 #include "tai/AD/ParallelReverse.h"
 
 using namespace mlir;
 using namespace mlir::tai;
 
 using Captured = llvm::MapVector<Value, Value>;
-
-/// Makes the reversed loop `draft` again with the adjoints of captured values
-/// as additional carried values, and hands their sums on. Returns the results
-/// for `inits`.
-static ResultRange closeLoop(AdjointBuilder &b, scf::ForOp draft,
-                             SmallVector<Value> inits,
-                             SmallVector<Value> yields,
-                             const Captured &captured) {
-  size_t own = inits.size();
-  for (auto &[value, adjoint] : captured)
-    inits.push_back(b.createZero(value.getType()));
-  auto reversed = scf::ForOp::create(
-      b, draft.getLowerBound(), draft.getUpperBound(), draft.getStep(), inits);
-  reversed.getRegion().takeBody(draft.getRegion());
-  draft.erase();
-  {
-    OpBuilder::InsertionGuard guard(b);
-    Block *body = reversed.getBody();
-    b.setInsertionPointToEnd(body);
-    for (auto &[value, adjoint] : captured) {
-      Value sum = body->addArgument(value.getType(), value.getLoc());
-      yields.push_back(arith::AddFOp::create(b, sum, adjoint));
-    }
-    scf::YieldOp::create(b, yields);
-  }
-  b.setInsertionPointAfter(reversed);
-  for (auto [entry, result] :
-       llvm::zip(captured, reversed.getResults().drop_front(own)))
-    b.addAdjoint(entry.first, result);
-  return reversed.getResults().take_front(own);
-}
-
-/// An empty loop of `count` iterations, without a terminator.
-static scf::ForOp createDraft(AdjointBuilder &b, Value count,
-                              ValueRange inits) {
-  Value zero = arith::ConstantIndexOp::create(b, 0);
-  Value one = arith::ConstantIndexOp::create(b, 1);
-  auto draft = scf::ForOp::create(b, zero, count, one, inits);
-  if (!draft.getBody()->empty())
-    draft.getBody()->back().erase();
-  return draft;
-}
-
-/// Which iteration of the primal loop an iteration of its reverse stands for.
-static Value createIteration(AdjointBuilder &b, scf::ForOp reverse) {
-  Value one = arith::ConstantIndexOp::create(b, 1);
-  Value last = b.createOrFold<arith::SubIOp>(reverse.getUpperBound(), one);
-  return b.createOrFold<arith::SubIOp>(last, reverse.getInductionVar());
-}
 
 namespace {
 
@@ -157,11 +108,12 @@ struct ForModel : AdjointLoopInterface::ExternalModel<ForModel, scf::ForOp> {
     Value lower = b.getPrimal(primal.getLowerBound());
     Value step = b.getPrimal(primal.getStep());
 
-    scf::ForOp draft = createDraft(b, count, inits);
+    LoopHistory history(b, primal, count);
+    scf::ForOp draft = history.createReverse(inits);
     Captured captured;
     SmallVector<Value> yields;
     auto begin = [&](Frame &frame) {
-      frame.iteration = createIteration(b, draft);
+      history.beginIteration(frame);
       Value iv = frame.iteration;
       if (!lower.getType().isIndex())
         iv = arith::IndexCastOp::create(b, lower.getType(), iv);
@@ -177,14 +129,12 @@ struct ForModel : AdjointLoopInterface::ExternalModel<ForModel, scf::ForOp> {
       for (unsigned i : carried)
         yields.push_back(b.getAdjointOrZero(primal.getRegionIterArg(i)));
       captured = b.takeCaptured(frame);
+      history.endIteration();
     };
     if (failed(b.reverseBlock(primal.getBody(), draft.getBody(), begin, end)))
       return failure();
-    ResultRange results =
-        closeLoop(b, draft, inits, std::move(yields), captured);
-    for (auto [i, result] : llvm::zip(carried, results))
+    for (auto [i, result] : llvm::zip(carried, history.close(yields, captured)))
       b.addAdjoint(primal.getInitArgs()[i], result);
-    b.freeHistory(primal);
     return success();
   }
 };
@@ -281,13 +231,13 @@ struct WhileModel
     SmallVector<Value> seeds =
         llvm::map_to_vector(primal.getResults(),
                             [&](Value result) { return b.getAdjoint(result); });
-    Value count = b.recordWhile(primal);
+    LoopHistory history(b, primal);
 
     // The last evaluation of the condition, whose values are the results.
     SmallVector<Value> inits;
     Captured captured;
     auto beginLast = [&](Frame &frame) {
-      frame.iteration = count;
+      history.beginLast(frame);
       for (auto [value, seed] : llvm::zip(passed, seeds))
         b.addAdjoint(value, seed);
     };
@@ -304,12 +254,10 @@ struct WhileModel
 
     // Iterations from the last to the first: the body, then the condition that
     // let it run.
-    scf::ForOp draft = createDraft(b, count, inits);
+    scf::ForOp draft = history.createReverse(inits);
     SmallVector<Value> yields;
     LogicalResult result = success();
-    auto begin = [&](Frame &frame) {
-      frame.iteration = createIteration(b, draft);
-    };
+    auto begin = [&](Frame &frame) { history.beginIteration(frame); };
     auto reverseBody = [&] {
       SmallVector<Value> contributions;
       Captured fromBody;
@@ -333,16 +281,15 @@ struct WhileModel
       for (unsigned i : carried)
         yields.push_back(b.getAdjointOrZero(before->getArgument(i)));
       captured = b.takeCaptured(frame);
+      history.endIteration();
     };
     if (failed(
             b.reverseBlock(before, draft.getBody(), begin, end, reverseBody)) ||
         failed(result))
       return failure();
-    ResultRange results =
-        closeLoop(b, draft, inits, std::move(yields), captured);
-    for (auto [i, adjoint] : llvm::zip(carried, results))
+    for (auto [i, adjoint] :
+         llvm::zip(carried, history.close(yields, captured)))
       b.addAdjoint(primal.getInits()[i], adjoint);
-    b.freeHistory(primal);
     return success();
   }
 };

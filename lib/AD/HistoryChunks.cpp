@@ -1,0 +1,328 @@
+//===- HistoryChunks.cpp - Recording loops in bounded memory --------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A loop of few iterations records them all. One of many, or of a number that
+// only the run knows, is recorded in chunks of about the square root of that
+// number: the first pass keeps what each chunk began with, and ends with a
+// record of the last one; each of the others is run and recorded again before
+// its reverse. While the whole record is small, the chunk is the whole loop, so
+// that nothing is run again.
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Math/IR/Math.h"
+#include "mlir/IR/Matchers.h"
+#include "tai/AD/LoopHistory.h"
+#include "llvm/Support/MathExtras.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+// A vector is kept component by component, so that what lowers the adjoint need
+// not know memrefs of vectors.
+
+static MemRefType getHistoryType(Type type) {
+  SmallVector<int64_t> shape = {ShapedType::kDynamic};
+  if (auto vector = dyn_cast<VectorType>(type))
+    shape.push_back(vector.getNumElements());
+  return MemRefType::get(shape, getElementTypeOrSelf(type));
+}
+
+static int64_t getBytes(Type type) {
+  Type element = getElementTypeOrSelf(type);
+  int64_t bytes = element.isIndex()
+                      ? 8
+                      : llvm::divideCeil(element.getIntOrFloatBitWidth(), 8);
+  auto vector = dyn_cast<VectorType>(type);
+  return vector ? bytes * vector.getNumElements() : bytes;
+}
+
+static void storeState(AdjointBuilder &b, Value value, Value buffer,
+                       Value position) {
+  auto vector = dyn_cast<VectorType>(value.getType());
+  if (!vector) {
+    memref::StoreOp::create(b, value, buffer, position);
+    return;
+  }
+  for (int64_t i = 0, e = vector.getNumElements(); i != e; ++i)
+    memref::StoreOp::create(
+        b, b.createExtract(value, i), buffer,
+        ValueRange{position, arith::ConstantIndexOp::create(b, i)});
+}
+
+static Value loadState(AdjointBuilder &b, Type type, Value buffer,
+                       Value position) {
+  auto vector = dyn_cast<VectorType>(type);
+  if (!vector)
+    return memref::LoadOp::create(b, buffer, position);
+  SmallVector<Value> components;
+  for (int64_t i = 0, e = vector.getNumElements(); i != e; ++i)
+    components.push_back(memref::LoadOp::create(
+        b, buffer, ValueRange{position, arith::ConstantIndexOp::create(b, i)}));
+  return b.createVector(vector, components);
+}
+
+/// The value of a carried value that is recorded. How large its buffer is and
+/// what writes it is decided when the reverse is complete.
+Value LoopHistory::createRecorded(Frame &frame, unsigned index) {
+  Type type = getArgument(index).getType();
+  memref::AllocOp &buffer = histories[index];
+  if (!buffer) {
+    b.setInsertionPoint(forward);
+    buffer = memref::AllocOp::create(b, getHistoryType(type), count);
+  }
+  b.setInsertionPoint(frame.recomputeBegin);
+  return loadState(b, type, buffer, local->getResult(0));
+}
+
+int64_t LoopHistory::getBytesPerIteration() {
+  int64_t bytes = 0;
+  for (auto [index, buffer] : histories)
+    bytes += getBytes(forward.getRegionIterArg(index).getType());
+  return bytes;
+}
+
+/// Stores what is recorded at the beginning of the body of `recorder`, at the
+/// position of the iteration among those of `recorder`.
+void LoopHistory::storeRecorded(scf::ForOp recorder) {
+  b.setInsertionPointToStart(recorder.getBody());
+  Value position = recorder.getInductionVar();
+  if (!matchPattern(recorder.getLowerBound(), m_Zero()))
+    position = arith::SubIOp::create(b, position, recorder.getLowerBound());
+  if (!matchPattern(recorder.getStep(), m_One()))
+    position = arith::DivSIOp::create(b, position, recorder.getStep());
+  if (!position.getType().isIndex())
+    position = arith::IndexCastOp::create(b, b.getIndexType(), position);
+  for (auto [index, buffer] : histories)
+    storeState(b, recorder.getRegionIterArg(index), buffer, position);
+}
+
+/// The size and number of chunks, or nulls if there is to be one.
+LoopHistory::Chunks LoopHistory::createChunks() {
+  int64_t limit =
+      std::max<int64_t>(1, b.getHistoryLimit() / getBytesPerIteration());
+  APInt constant;
+  if (matchPattern(count, m_ConstantInt(&constant))) {
+    int64_t trips = std::max<int64_t>(constant.getSExtValue(), 0);
+    if (trips <= limit)
+      return {};
+    int64_t size = std::max(
+        limit, static_cast<int64_t>(std::ceil(std::sqrt(double(trips)))));
+    return {arith::ConstantIndexOp::create(b, size),
+            arith::ConstantIndexOp::create(b, llvm::divideCeil(trips, size))};
+  }
+  Value zero = arith::ConstantIndexOp::create(b, 0);
+  Value one = arith::ConstantIndexOp::create(b, 1);
+  Value most = arith::ConstantIndexOp::create(b, limit);
+  Value isLong =
+      arith::CmpIOp::create(b, arith::CmpIPredicate::sgt, count, most);
+  auto choice =
+      scf::IfOp::create(b, TypeRange{b.getIndexType(), b.getIndexType()},
+                        isLong, /*withElseRegion=*/true);
+  OpBuilder::InsertionGuard guard(b);
+  b.setInsertionPointToStart(choice.thenBlock());
+  Type wide = b.getI64Type(), real = b.getF64Type();
+  Value root = arith::SIToFPOp::create(
+      b, real, arith::IndexCastOp::create(b, wide, count));
+  root = math::CeilOp::create(b, math::SqrtOp::create(b, root));
+  Value size = arith::IndexCastOp::create(
+      b, b.getIndexType(), arith::FPToSIOp::create(b, wide, root));
+  size = arith::MaxSIOp::create(b, size, most);
+  Value up =
+      arith::AddIOp::create(b, count, arith::SubIOp::create(b, size, one));
+  scf::YieldOp::create(b,
+                       ValueRange{size, arith::DivUIOp::create(b, up, size)});
+  b.setInsertionPointToStart(choice.elseBlock());
+  size = arith::MaxSIOp::create(b, count, zero);
+  scf::YieldOp::create(b,
+                       ValueRange{size, arith::MinSIOp::create(b, size, one)});
+  return {choice.getResult(0), choice.getResult(1)};
+}
+
+/// Lets the forward loop write the record, whole or of its last chunk.
+void LoopHistory::record() {
+  OpBuilder::InsertionGuard guard(b);
+  b.setInsertionPoint(forward);
+  if (auto forOp = dyn_cast<scf::ForOp>(loop)) // known to the sweep only
+    count = b.createTripCount(forOp);
+  chunks = createChunks();
+  Value size = chunks.size;
+  if (!size)
+    size = b.createOrFold<arith::MaxSIOp>(count,
+                                          arith::ConstantIndexOp::create(b, 0));
+  for (auto [index, buffer] : histories) {
+    buffer.getDynamicSizesMutable().assign(size);
+    buffer->moveBefore(forward);
+  }
+  if (chunks.size)
+    recordChunks();
+  else
+    storeRecorded(forward);
+}
+
+/// The bounds, in terms of the induction variable of the loop, of the
+/// iterations from `begin` to `end`.
+std::pair<Value, Value> LoopHistory::createRange(Value begin, Value end) {
+  auto forOp = dyn_cast<scf::ForOp>(loop);
+  if (!forOp)
+    return {begin, end};
+  Frame *saved = b.current;
+  b.current = around;
+  Value lower = b.getPrimal(forOp.getLowerBound());
+  Value upper = b.getPrimal(forOp.getUpperBound());
+  Value step = b.getPrimal(forOp.getStep());
+  b.current = saved;
+  bool isUnit = matchPattern(step, m_One());
+  auto scale = [&](Value position) {
+    if (!lower.getType().isIndex())
+      position = arith::IndexCastOp::create(b, lower.getType(), position);
+    if (!isUnit)
+      position = arith::MulIOp::create(b, position, step);
+    if (!matchPattern(lower, m_Zero()))
+      position = arith::AddIOp::create(b, lower, position);
+    return position;
+  };
+  Value first = scale(begin), after = scale(end);
+  // The end of the last chunk may not be a number of the type.
+  if (!isUnit)
+    after = arith::SelectOp::create(
+        b, arith::CmpIOp::create(b, arith::CmpIPredicate::eq, end, count),
+        upper, after);
+  return {first, after};
+}
+
+/// Turns the forward loop into one over chunks, which keeps what each begins
+/// with, around one over the iterations of a chunk.
+void LoopHistory::recordChunks() {
+  inner =
+      scf::ForOp::create(b, forward.getLowerBound(), forward.getUpperBound(),
+                         forward.getStep(), forward.getInitArgs());
+  inner.getRegion().takeBody(forward.getRegion());
+  SmallVector<Type> types = {b.getIndexType()};
+  llvm::append_range(types, inner.getResultTypes());
+  Block *body = b.createBlock(&forward.getRegion(), {}, types,
+                              SmallVector<Location>(types.size(), b.getLoc()));
+  Value begin = arith::MulIOp::create(b, body->getArgument(0), chunks.size);
+  Value end = arith::MinSIOp::create(
+      b, arith::AddIOp::create(b, begin, chunks.size), count);
+  auto [lower, upper] = createRange(begin, end);
+  inner->moveBefore(body, body->end());
+  inner.getInitArgsMutable().assign(body->getArguments().drop_front());
+  inner.setLowerBound(lower);
+  inner.setUpperBound(upper);
+  b.setInsertionPointToEnd(body);
+  scf::YieldOp::create(b, inner.getResults());
+  b.setInsertionPoint(forward);
+  forward.setLowerBound(arith::ConstantIndexOp::create(b, 0));
+  forward.setUpperBound(chunks.number);
+  forward.setStep(arith::ConstantIndexOp::create(b, 1));
+  storeRecorded(inner);
+
+  // A chunk begins with all that its record depends on.
+  LiveValues live(forward.getRegion());
+  for (BlockArgument argument : inner.getRegionIterArgs()) {
+    unsigned index = argument.getArgNumber() - 1;
+    if (!live.isLive(argument))
+      continue;
+    b.setInsertionPoint(forward);
+    memref::AllocOp start = memref::AllocOp::create(
+        b, getHistoryType(argument.getType()), chunks.number);
+    starts[index] = start;
+    b.setInsertionPointToStart(forward.getBody());
+    storeState(b, forward.getRegionIterArg(index), start,
+               forward.getInductionVar());
+  }
+}
+
+/// Moves the body of the draft to `reverse`, with the given yields.
+scf::ForOp LoopHistory::finishReverse(scf::ForOp reverse,
+                                      ArrayRef<Value> yields) {
+  reverse.getRegion().takeBody(draft.getRegion());
+  OpBuilder::InsertionGuard guard(b);
+  b.setInsertionPointToEnd(reverse.getBody());
+  scf::YieldOp::create(b, yields);
+  return reverse;
+}
+
+/// The loop over chunks from the last to the first: each but the last, of which
+/// there is a record, is recorded before the reverse of its iterations.
+scf::ForOp LoopHistory::createReverseChunks(ArrayRef<Value> inits,
+                                            ArrayRef<Value> yields) {
+  Value zero = arith::ConstantIndexOp::create(b, 0);
+  Value one = arith::ConstantIndexOp::create(b, 1);
+  auto outer = scf::ForOp::create(b, zero, chunks.number, one, inits);
+  if (!outer.getBody()->empty())
+    outer.getBody()->back().erase();
+  OpBuilder::InsertionGuard guard(b);
+  b.setInsertionPointToEnd(outer.getBody());
+  Value chunk = arith::SubIOp::create(
+      b, arith::SubIOp::create(b, chunks.number, one), outer.getInductionVar());
+  Value begin = arith::MulIOp::create(b, chunk, chunks.size);
+  Value end = arith::MinSIOp::create(
+      b, arith::AddIOp::create(b, begin, chunks.size), count);
+
+  Value isLast = arith::CmpIOp::create(b, arith::CmpIPredicate::eq,
+                                       outer.getInductionVar(), zero);
+  Value rerunEnd = arith::SelectOp::create(b, isLast, begin, end);
+  auto [lower, upper] = createRange(begin, rerunEnd);
+  // What the record does not depend on will be dropped.
+  SmallVector<Value> states(forward.getInitArgs());
+  for (auto [index, start] : starts)
+    states[index] = loadState(b, getArgument(index).getType(), start, chunk);
+  IRMapping mapping;
+  mapping.map(inner.getLowerBound(), lower);
+  mapping.map(inner.getUpperBound(), upper);
+  mapping.map(forward.getRegionIterArgs(), states);
+  b.clone(*inner, mapping);
+
+  Value length = arith::SubIOp::create(b, end, begin);
+  auto reverse =
+      scf::ForOp::create(b, zero, length, one, outer.getRegionIterArgs());
+  last->setOperand(0, length);
+  iteration->setOperand(1, begin);
+  scf::YieldOp::create(b, reverse.getResults());
+  finishReverse(reverse, yields);
+  return outer;
+}
+
+ResultRange LoopHistory::close(ArrayRef<Value> yields,
+                               const llvm::MapVector<Value, Value> &captured) {
+  size_t own = draftInits.size();
+  SmallVector<Value> inits(draftInits), all(yields);
+  if (!histories.empty())
+    record();
+  for (auto [index, next] : nexts)
+    inits.push_back(forward.getResult(index));
+  llvm::append_range(all, nextYields);
+  {
+    OpBuilder::InsertionGuard guard(b);
+    Block *body = draft.getBody();
+    for (auto &[value, adjoint] : captured) {
+      b.setInsertionPoint(draft);
+      inits.push_back(b.createZero(value.getType()));
+      Value sum = body->addArgument(value.getType(), value.getLoc());
+      b.setInsertionPointToEnd(body);
+      all.push_back(arith::AddFOp::create(b, sum, adjoint));
+    }
+  }
+  scf::ForOp reverse =
+      chunks.size ? createReverseChunks(inits, all)
+                  : finishReverse(scf::ForOp::create(b, draft.getLowerBound(),
+                                                     draft.getUpperBound(),
+                                                     draft.getStep(), inits),
+                                  all);
+  draft.erase();
+  for (auto [entry, result] :
+       llvm::zip(captured, reverse.getResults().drop_front(draftInits.size() +
+                                                           nexts.size())))
+    b.addAdjoint(entry.first, result);
+  for (auto &buffers : {histories, starts})
+    for (auto [index, buffer] : buffers)
+      memref::DeallocOp::create(b, buffer);
+  return reverse.getResults().take_front(own);
+}

@@ -1,0 +1,170 @@
+//===- CarriedValues.cpp - What serial loops carry ------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The values of one iteration and those of the next are a system of equations,
+// `next[i] = f(values)`. Those equations that a chain of exact steps leads to
+// from one unknown value are solved for it, until none is left.
+//
+// Integers wrap, so that addition, exclusive or and multiplication by an odd
+// number are exact both ways. Of the steps of floats only the change of sign
+// is: `(y + c) - c` is not `y`.
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Analysis/CarriedValues.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/IR/Matchers.h"
+#include "mlir/Interfaces/SideEffectInterfaces.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+StringRef mlir::tai::stringifyCarriedKind(CarriedKind kind) {
+  switch (kind) {
+  case CarriedKind::ClosedForm:
+    return "closed form";
+  case CarriedKind::Invertible:
+    return "invertible";
+  case CarriedKind::Trajectory:
+    return "trajectory";
+  }
+  llvm_unreachable("no such kind");
+}
+
+/// The number of values that the loop carries.
+static unsigned getNumCarried(Operation *loop) {
+  if (auto forOp = dyn_cast<scf::ForOp>(loop))
+    return forOp.getNumRegionIterArgs();
+  return cast<scf::WhileOp>(loop).getBeforeArguments().size();
+}
+
+CarriedValues::CarriedValues(Operation *loop)
+    : loop(loop), values(getNumCarried(loop)) {
+  SmallVector<bool> known(size(), false);
+  for (unsigned i = 0; i != size(); ++i) {
+    findClosedForm(i);
+    known[i] = values[i].kind == CarriedKind::ClosedForm;
+  }
+  for (bool changed = true; changed;) {
+    changed = false;
+    for (unsigned i = 0; i != size(); ++i)
+      changed |= invert(i, known);
+    for (unsigned i = 0; i != size(); ++i)
+      known[i] = values[i].kind != CarriedKind::Trajectory;
+  }
+}
+
+std::optional<unsigned> CarriedValues::getIndex(Value value) const {
+  auto argument = dyn_cast<BlockArgument>(value);
+  if (!argument || argument.getOwner()->getParentOp() != loop)
+    return {};
+  unsigned index = argument.getArgNumber();
+  if (isa<scf::ForOp>(loop))
+    return index == 0 ? std::nullopt : std::optional(index - 1);
+  auto whileOp = cast<scf::WhileOp>(loop);
+  if (argument.getOwner() == whileOp.getBeforeBody())
+    return index;
+  return getIndex(whileOp.getConditionOp().getArgs()[index]);
+}
+
+Value CarriedValues::getNext(unsigned index) const {
+  if (auto forOp = dyn_cast<scf::ForOp>(loop))
+    return forOp.getYieldedValues()[index];
+  return cast<scf::WhileOp>(loop).getYieldOp().getOperand(index);
+}
+
+bool CarriedValues::isInvariant(Value value) const {
+  return !loop->isAncestor(value.getParentBlock()->getParentOp()) ||
+         matchPattern(value, m_Constant());
+}
+
+/// True if `value` is cheap to compute, before anything else in the iteration,
+/// from the number of the iteration and the known carried values.
+bool CarriedValues::isComputable(Value value, ArrayRef<bool> known,
+                                 unsigned budget) const {
+  if (isInvariant(value))
+    return true;
+  if (std::optional<unsigned> index = getIndex(value))
+    return known[*index];
+  if (auto argument = dyn_cast<BlockArgument>(value))
+    return isa<scf::ForOp>(loop) &&
+           argument.getOwner()->getParentOp() == loop; // induction variable
+  Operation *op = value.getDefiningOp();
+  return budget != 0 && op->getParentOp() == loop && op->getNumRegions() == 0 &&
+         isMemoryEffectFree(op) && isSpeculatable(op) &&
+         llvm::all_of(op->getOperands(), [&](Value operand) {
+           return isComputable(operand, known, budget / 2);
+         });
+}
+
+/// A step that a formula is known for when it is repeated: `x + k`, `x - k` and
+/// `x ^ k`, where `k` does not change.
+void CarriedValues::findClosedForm(unsigned index) {
+  Operation *op = getNext(index).getDefiningOp();
+  if (!op || !isa<arith::AddIOp, arith::SubIOp, arith::XOrIOp>(op) ||
+      !op->getResult(0).getType().isIntOrIndex())
+    return;
+  for (unsigned operand : {0u, 1u}) {
+    if (operand == 1 && isa<arith::SubIOp>(op))
+      continue;
+    if (getIndex(op->getOperand(operand)) == index &&
+        isInvariant(op->getOperand(1 - operand))) {
+      values[index] = {CarriedKind::ClosedForm, {{op, operand}}, index};
+      return;
+    }
+  }
+}
+
+/// True if the result and all other operands of the step give the operand
+/// exactly.
+static bool isInvertible(CarriedStep step) {
+  Operation *op = step.op;
+  if (isa<arith::AddIOp, arith::SubIOp, arith::XOrIOp, arith::NegFOp>(op))
+    return op->getNumOperands() == 1 || op->getOperand(0) != op->getOperand(1);
+  APInt factor;
+  return isa<arith::MulIOp>(op) &&
+         matchPattern(op->getOperand(1 - step.operand),
+                      m_ConstantInt(&factor)) &&
+         factor[0];
+}
+
+/// Solves the equation of carried value `source` for an unknown one.
+bool CarriedValues::invert(unsigned source, ArrayRef<bool> known) {
+  constexpr unsigned kBudget = 64;
+  for (const CarriedValue &solved : values)
+    if (solved.kind == CarriedKind::Invertible && solved.source == source)
+      return false;
+  SmallVector<CarriedStep> steps;
+  Value value = getNext(source);
+  for (;;) {
+    std::optional<unsigned> index = getIndex(value);
+    if (index) {
+      if (known[*index])
+        return false;
+      std::reverse(steps.begin(), steps.end());
+      values[*index] = {CarriedKind::Invertible, std::move(steps), source};
+      return true;
+    }
+    Operation *op = value.getDefiningOp();
+    if (!op || op->getParentOp() != loop || steps.size() == 8 ||
+        op->getNumResults() != 1)
+      return false;
+    std::optional<unsigned> unknown;
+    for (auto [i, operand] : llvm::enumerate(op->getOperands())) {
+      if (isComputable(operand, known, kBudget))
+        continue;
+      if (unknown)
+        return false;
+      unknown = i;
+    }
+    if (!unknown || !isInvertible({op, *unknown}))
+      return false;
+    steps.push_back({op, *unknown});
+    value = op->getOperand(*unknown);
+  }
+}
