@@ -267,6 +267,35 @@ TAI_EXPORT TaiStatus taiTapeWatchHealth(TaiTape tape, bool on);
 /// the next call.
 TAI_EXPORT TaiStatus taiTapeHealth(TaiTape tape, const TaiTapeHealthRow **rows,
                                    int64_t *count);
+/// Checks the global data access rules in the launches that follow, element by
+/// element, and keeps the first `limit` violations.
+TAI_EXPORT TaiStatus taiTapeCheckAccesses(TaiTape tape, int64_t limit);
+/// One access of a violation: the kernel, the launch (counted among the checked
+/// ones, -1 if not known), what it does (0 read, 1 write, 2 accumulate) and
+/// where in the source.
+typedef struct TaiAccessPlace {
+  const char *kernel;
+  int64_t launch;
+  int32_t kind;
+  const char *file;
+  int64_t line, column;
+} TaiAccessPlace;
+/// kind: 0 overwritten after it was read, 1 accumulated after it was read,
+/// 2 written twice, 3 written by two iterations, 4 read while another iteration
+/// writes. `component` is row-major, -1 for scalars.
+typedef struct TaiViolation {
+  int32_t kind;
+  const char *field;
+  const int64_t *indices;
+  int32_t rank;
+  int64_t component;
+  TaiAccessPlace access, earlier;
+} TaiViolation;
+/// What has been found; `total` counts also what was not kept. Valid until the
+/// next call on the tape.
+TAI_EXPORT TaiStatus taiTapeViolations(TaiTape tape, const TaiViolation **rows,
+                                       int64_t *count, int64_t *total);
+
 TAI_EXPORT void taiTapeDestroy(TaiTape tape);
 
 //===----------------------------------------------------------------------===//

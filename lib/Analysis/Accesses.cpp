@@ -240,13 +240,17 @@ static FlatSymbolRefAttr getFieldName(Operation *op) {
       .Default([](Operation *) { return FlatSymbolRefAttr(); });
 }
 
+const void *mlir::tai::getFieldStorageKey(FieldOp field) {
+  return ArrayAttr::get(field.getContext(),
+                        {field.getTreeAttr(), field.getPlaceAttr()})
+      .getAsOpaquePointer();
+}
+
 const void *mlir::tai::getStorageKey(Operation *op) {
   if (FlatSymbolRefAttr name = getFieldName(op)) {
     // A place is named once in its tree, so tree and place name the storage.
     if (FieldOp field = lookupField(op, name))
-      return ArrayAttr::get(op->getContext(),
-                            {field.getTreeAttr(), field.getPlaceAttr()})
-          .getAsOpaquePointer();
+      return getFieldStorageKey(field);
     return name.getAsOpaquePointer();
   }
   if (auto access = dyn_cast<DifferentiableAccessInterface>(op))

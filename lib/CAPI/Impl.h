@@ -53,6 +53,7 @@ struct TaiTapeImpl {
   std::unique_ptr<mlir::tai::runtime::Tape> tape;
   std::vector<TaiTapeAccess> accesses;
   std::vector<TaiTapeHealthRow> health;
+  std::vector<TaiViolation> violations;
 };
 
 #endif // TAI_LIB_CAPI_IMPL_H

@@ -96,8 +96,8 @@ TaiStatus taiTapeBegin(TaiContext context, TaiField loss, bool clearGradients,
       loss ? loss->field : nullptr, clearGradients, made));
   if (status != TAI_OK)
     return status;
-  context->tapes.push_back(
-      std::unique_ptr<TaiTapeImpl>(new TaiTapeImpl{*context, std::move(made)}));
+  context->tapes.push_back(std::unique_ptr<TaiTapeImpl>(
+      new TaiTapeImpl{*context, std::move(made), {}, {}, {}}));
   *tape = context->tapes.back().get();
   return TAI_OK;
 }

@@ -55,6 +55,10 @@ FailureOr<SessionKernel *> Session::createKernel(OwningOpRef<ModuleOp> module,
                        code = kernel->code](runtime::KernelPtr &clearing) {
     return compileClearing(*code, clearing);
   };
+  info.makeChecked = [this,
+                      code = kernel->code](runtime::CheckedKernel &checked) {
+    return compileChecked(*code, checked);
+  };
   kernel->code->module = std::move(module);
   kernel->kernel = rt->createKernel(std::move(info));
   kernels.push_back(std::move(kernel));

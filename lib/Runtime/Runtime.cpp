@@ -389,7 +389,9 @@ Status Runtime::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
   Launch *launch = acquireLaunch();
   uint64_t number = launchCounter.fetch_add(1, std::memory_order_relaxed);
   kernel.lastLaunch.store(number, std::memory_order_relaxed);
-  Status status = run(*launch, kernel, args, results, number);
+  AccessChecks *checks = activeTape ? activeTape->activeChecks() : nullptr;
+  Status status = checks ? checks->run(*launch, kernel, args, results, number)
+                         : run(*launch, kernel, args, results, number);
   releaseLaunch(launch);
   if (__builtin_expect(activeTape != nullptr, false) && status)
     activeTape->record(kernel, args, number);

@@ -220,6 +220,27 @@ void checkSweep(Tape &tape, TaiStatus status) {
   tape.context->check(status);
 }
 
+/// (total, [(kind, field, indices, component, access, earlier)]), where an
+/// access is (kernel, launch, kind, file, line, column).
+py::tuple getViolations(Tape &tape) {
+  const TaiViolation *rows = nullptr;
+  int64_t count = 0, total = 0;
+  tape.context->check(taiTapeViolations(tape.handle, &rows, &count, &total));
+  auto place = [](const TaiAccessPlace &p) {
+    return py::make_tuple(p.kernel, p.launch, p.kind, p.file, p.line, p.column);
+  };
+  py::list list;
+  for (const TaiViolation *row = rows; row != rows + count; ++row) {
+    py::list indices;
+    for (int32_t i = 0; i != row->rank; ++i)
+      indices.append(row->indices[i]);
+    list.append(py::make_tuple(row->kind, row->field, py::tuple(indices),
+                               row->component, place(row->access),
+                               place(row->earlier)));
+  }
+  return py::make_tuple(total, list);
+}
+
 void bindTape(py::module_ &module) {
   py::class_<Tape>(module, "Tape")
       .def("end", [](Tape &t) { t.context->check(taiTapeEnd(t.handle)); })
@@ -285,6 +306,11 @@ void bindTape(py::module_ &module) {
            [](Tape &t, bool on) {
              t.context->check(taiTapeWatchHealth(t.handle, on));
            })
+      .def("check_accesses",
+           [](Tape &t, int64_t limit) {
+             t.context->check(taiTapeCheckAccesses(t.handle, limit));
+           })
+      .def("violations", &getViolations)
       .def("health", [](Tape &t) {
         const TaiTapeHealthRow *rows = nullptr;
         int64_t count = 0;

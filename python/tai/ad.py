@@ -13,6 +13,8 @@ from ._ad_check import GradCheck
 from ._ad_check import GradientCheckError as GradientCheckError
 from ._ad_check import check as check
 from ._ad_health import HealthReport, take_health
+from ._ad_validation import LIMIT, raise_violations
+from ._ad_validation import Violation as Violation
 from .errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
 from .program import get_program
 
@@ -29,8 +31,10 @@ class Tape:
     Args:
         loss: a field without dimensions that has a gradient.
         clear_gradients: set all gradients to zero first.
-        validation: check at run time that no kernel overwrites what the reverse sweep needs:
-            not built in yet. What can be proven when a kernel is compiled is always reported.
+        validation: check the global data access rules at run time, element by element: no
+            element is written again but by accumulation, and none once it was read. What
+            breaks them raises `TaiAssertionError` when the block is left, also where the tape
+            could have saved the value; the `violations` of the error list them.
         grad_check: a list of f64 fields whose gradients are compared with forward mode and
             differences when the block is left; a wrong one raises `GradientCheckError`, with
             a report that names the first kernel to blame. See `ti.ad.check`.
@@ -39,15 +43,10 @@ class Tape:
 
     def __init__(
         self, loss: Any = None, clear_gradients: bool = True, validation: bool = False,
-        grad_check: Any = None, health: bool = False,
+        grad_check: Any = None, health: bool = False, *, validate: bool = False,
     ):  # fmt: skip
         from .fields import ScalarField
 
-        if validation:
-            raise TaiAutodiffError(
-                "validation=True is not built in yet",
-                "a broken access rule that can be proven is reported without it",
-            )
         if not isinstance(loss, ScalarField):
             what = "nothing" if loss is None else repr(loss)
             raise TaiRuntimeTypeError(
@@ -66,6 +65,7 @@ class Tape:
         self._is_recording = False
         self._check = GradCheck(grad_check) if grad_check else None
         self._watches = health
+        self._validates = validation or validate
 
     def __enter__(self) -> Tape:
         from . import _core
@@ -81,6 +81,8 @@ class Tape:
             self._check.begin(self.loss)
         self._core = program.context.tape(self.loss.core, self.clear_gradients)
         self._core.watch_health(self._watches)
+        if self._validates:
+            self._core.check_accesses(LIMIT)
         _state.tape = self._core
         _core.set_tape(self._core)
         self._is_recording = True
@@ -97,6 +99,8 @@ class Tape:
     def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
         self._stop()
         if kind is None:
+            if self._validates:
+                raise_violations(self._core)
             self._core.backward()
             if self._check:
                 self._check.end(self._core, self.loss)

@@ -20,6 +20,7 @@
 #include "tai/AD/Differentiable.h"
 
 namespace mlir::tai {
+class FieldOp;
 
 /// A sum of values times constants, plus a constant. Terms are sorted by value
 /// and have non-zero coefficients. A value that is not itself a sum is a term.
@@ -74,6 +75,8 @@ AffineMap getAffineMap(Operation *access, ValueRange indices);
 /// A name for the storage that an access reaches, the same for all fields that
 /// name one place.
 const void *getStorageKey(Operation *op);
+/// The same, of a field.
+const void *getFieldStorageKey(FieldOp field);
 
 /// Marks each `tai.atomic` add or sub as exclusive where no other iteration of
 /// the parallel loop around it can reach its element, and lifts the mark where

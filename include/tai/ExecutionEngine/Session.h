@@ -152,6 +152,8 @@ private:
                                  runtime::KernelPtr &adjoint);
   runtime::Status compileClearing(KernelCode &code,
                                   runtime::KernelPtr &clearing);
+  runtime::Status compileChecked(KernelCode &code,
+                                 runtime::CheckedKernel &checked);
   std::optional<Compiler::Function>
   compileAs(KernelCode &code, CompileRequest::Goal goal, Failure &failure);
   void printStages(KernelCode &code, CompileRequest::Goal goal);

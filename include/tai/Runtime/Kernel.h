@@ -22,6 +22,7 @@
 namespace mlir::tai::runtime {
 
 class Kernel;
+struct CheckedKernel;
 using KernelPtr = std::shared_ptr<Kernel>;
 
 enum class AccessKind : uint8_t { Read, Write, Accumulate };
@@ -86,6 +87,9 @@ struct KernelInfo {
   /// How to get the kernel that zeroes the adjoints of the elements which this
   /// one stores. Called once, when elements turn out to be stored again.
   std::function<Status(KernelPtr &clearing)> makeClearing;
+  /// How to get the form that checks the access rules as it runs; called once,
+  /// when a tape that checks launches the kernel. None: nothing to check.
+  std::function<Status(CheckedKernel &checked)> makeChecked;
 };
 
 /// Times of one kernel while the profiler is on.
@@ -119,6 +123,9 @@ public:
   /// it cannot be made. Any thread.
   Status resolveClearing(Kernel *&clearing);
 
+  /// The form that checks the access rules; null if there is nothing to check.
+  Status resolveChecked(CheckedKernel *&checked);
+
   /// To be called before the kernel is launched or from its resolver. A tree
   /// of the name of one that the kernel has already stays that one: it was
   /// made for its layout, not for that of a later tree of the same name.
@@ -140,6 +147,7 @@ private:
   /// Set once the adjoint has been found, so that a sweep takes no lock.
   std::atomic<Kernel *> knownAdjoint{nullptr};
   KernelPtr clearing;
+  std::shared_ptr<CheckedKernel> checked;
 
   std::vector<void *> bases;
   /// State of the storage for which the tables hold; 0 is never current.

@@ -179,6 +179,7 @@ public:
 private:
   friend class Tape;
   friend class GradientCheck;
+  friend class AccessChecks;
 
   void freeTree(Tree &tree);
   Status checkPartners(const Field &added) const;

@@ -24,6 +24,7 @@
 #ifndef TAI_RUNTIME_TAPE_H
 #define TAI_RUNTIME_TAPE_H
 
+#include "tai/Runtime/AccessChecks.h"
 #include "tai/Runtime/Kernel.h"
 
 namespace mlir::tai::runtime {
@@ -64,6 +65,18 @@ public:
   /// backward: clears the gradients, then as backward(). Random numbers are
   /// drawn anew by a forward replay.
   Status replay(bool forward, bool backward);
+
+  /// Checks the access rules in the launches from now on; the first `limit`
+  /// violations are kept.
+  void checkAccesses(int64_t limit) {
+    checks = std::make_unique<AccessChecks>(runtime, limit);
+  }
+  /// What has been found, or null where nothing is checked.
+  const AccessChecks *accessChecks() const { return checks.get(); }
+  /// What checks the next launch, or null.
+  AccessChecks *activeChecks() const {
+    return suspended ? nullptr : checks.get();
+  }
 
   int64_t numRecords() const { return static_cast<int64_t>(records.size()); }
   /// Records that the last reverse sweep skipped (before the first: that one
@@ -160,6 +173,7 @@ private:
   FieldPtr loss;
   uint64_t stamp;
   int suspended = 0;
+  std::unique_ptr<AccessChecks> checks;
   std::vector<Record> records;
   std::vector<uint64_t> slots;
   std::vector<TapeCallback> callbacks;

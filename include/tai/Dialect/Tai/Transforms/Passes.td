@@ -112,6 +112,52 @@ def CheckAccessRules : Pass<"tai-check-access-rules", "::mlir::ModuleOp"> {
   ];
 }
 
+def InstrumentAccesses : Pass<"tai-instrument-accesses", "::mlir::ModuleOp"> {
+  let summary = "make kernels check the global data access rules as they run";
+  let description = [{
+    Gives each kernel additional arguments at the end: a shadow array
+    (`memref<?xi32>`) for each field of the module that has an adjoint, in the
+    order of the module, a log (`memref<?xi64>`), and a number (`i32`), which is
+    added to the numbers of its accesses. Each access to such a field then
+    leaves its number in the shadow array, and puts into the log what breaks a
+    rule: a write to an element that was read, a second store, a read of what
+    another iteration of the loop writes. See `tai/Runtime/AccessLog.h` for the
+    layout of both. What a kernel computes does not change.
+
+    `tai.checked_accesses` says of each access its field, its use and where it
+    stands.
+
+    Calls hide accesses: run `inline` first. A store of a constant before all
+    others counts as clearing, and not as the first of two stores.
+
+    ```mlir
+    tai.kernel @k() {
+      tai.parallel_for (%i) in @x {
+        %0 = tai.load @x[%i] : f32
+      }
+      tai.return
+    }
+    ```
+
+    becomes
+
+    ```mlir
+    tai.kernel @k(%shadow: memref<?xi32>, %log: memref<?xi64>, %base: i32) {
+      tai.parallel_for (%i) in @x {
+        %id = arith.addi %base, %c1_i32 : i32
+        ... // has another iteration written x[i]?
+        memref.atomic_rmw assign %id, %shadow[...]
+        %0 = tai.load @x[%i] : f32
+      }
+      tai.return
+    }
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::memref::MemRefDialect",
+                           "::mlir::scf::SCFDialect"];
+}
+
 def SummarizeKernels : Pass<"tai-summarize-kernels"> {
   let summary = "list what each kernel reads, writes and accumulates";
   let description = [{

@@ -1,0 +1,90 @@
+//===- SessionChecks.cpp - Kernels that watch their accesses --------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Makes the form of a kernel that a checking tape launches in its place.
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Pass/PassManager.h"
+#include "mlir/Transforms/Passes.h"
+#include "tai/Dialect/Tai/Transforms/AccessShadow.h"
+#include "tai/Dialect/Tai/Transforms/Passes.h"
+#include "tai/ExecutionEngine/Diagnostics.h"
+#include "tai/ExecutionEngine/Session.h"
+#include "tai/Runtime/AccessChecks.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+static runtime::AccessKind getRuntimeKind(FieldUse use) {
+  switch (use) {
+  case FieldUse::Read:
+    return runtime::AccessKind::Read;
+  case FieldUse::Write:
+    return runtime::AccessKind::Write;
+  case FieldUse::Accumulate:
+    return runtime::AccessKind::Accumulate;
+  }
+  llvm_unreachable("unknown use");
+}
+
+runtime::Status Session::compileChecked(KernelCode &code,
+                                        runtime::CheckedKernel &checked) {
+  OwningOpRef<ModuleOp> module = code.module->clone();
+  for (FieldOp field : getShadowedFields(*module))
+    if (runtime::FieldPtr known = rt->findField(field.getName().str()))
+      checked.fields.push_back(known);
+  if (checked.fields.empty())
+    return runtime::Status::success();
+  PassManager manager(context.get());
+  manager.addPass(createInlinerPass({}, [](OpPassManager &) {}));
+  manager.addPass(createCanonicalizerPass());
+  manager.addPass(createInstrumentAccesses());
+  DiagnosticCollector collector(context.get());
+  if (mlir::failed(manager.run(*module)))
+    return keepFailure(collector.take(
+        FailureKind::Internal, "cannot check the accesses of the kernel"));
+  auto kernel = module->lookupSymbol<KernelOp>(code.name);
+  auto described =
+      cast<ArrayAttr>(kernel->removeAttr(kCheckedAccessesAttrName));
+  for (auto access : described.getAsRange<ArrayAttr>()) {
+    runtime::CheckedAccess row;
+    row.field =
+        rt->findField(cast<FlatSymbolRefAttr>(access[0]).getValue().str())
+            .get();
+    row.kind = getRuntimeKind(
+        static_cast<FieldUse>(cast<IntegerAttr>(access[1]).getInt()));
+    if (FileLineColLoc place =
+            findFileLocation(Location(cast<LocationAttr>(access[2])))) {
+      row.file = place.getFilename().str();
+      row.line = place.getLine();
+      row.column = place.getColumn();
+    }
+    checked.accesses.push_back(std::move(row));
+  }
+  Failure failure;
+  auto compiled =
+      compiler->compile({*module, code.name, CompileRequest::Goal::Primal},
+                        code.options, failure);
+  if (!compiled)
+    return keepFailure(std::move(failure));
+  {
+    std::lock_guard<std::mutex> lock(mutex);
+    code.functions.push_back(*compiled);
+  }
+  runtime::KernelInfo info;
+  info.name = code.name;
+  info.argSlots = countSlots(kernel.getArgumentTypes());
+  info.resultSlots = countSlots(kernel.getResultTypes());
+  for (const std::string &name : compiled->trees)
+    info.trees.push_back(*llvm::find_if(
+        code.trees, [&](const auto &tree) { return tree->name() == name; }));
+  info.summary = summarize(*code.module);
+  info.function = reinterpret_cast<TaiKernelFn>(compiled->address);
+  checked.kernel = rt->createKernel(std::move(info));
+  return runtime::Status::success();
+}
