@@ -10,7 +10,7 @@ PYTHON := .venv/bin/python
 KINDS := $(if $(filter asan,$(PRESET)),--only lit gtest)
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test test-gpu bench fmt lint portable docs clean setup
+.PHONY: help build demo test test-gpu fuzz bench fmt lint portable docs clean setup
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /\1\t/' | \
@@ -31,6 +31,9 @@ test: build ## run lit, GoogleTest, pytest and the style checks
 
 test-gpu: build ## run the tests that need an NVIDIA GPU
 	@$(PYTHON) scripts/run_tests.py --build $(BUILD) --jobs $(JOBS) --gpu
+
+fuzz: build ## differentiate 5000 random kernels (ARGS="--count 500 --first 9000")
+	@$(PYTHON) test/fuzz/run.py --jobs $(JOBS) --log $(BUILD)/fuzz.jsonl $(ARGS)
 
 bench: build ## time the scenes against other systems: CSV and plot
 	@$(PYTHON) benchmarks/run.py $(ARGS)

@@ -471,8 +471,31 @@ def _probe_field(
 def forward_derivative(
     program: Program, f: Any, along: np.ndarray, seeds: list[np.ndarray]
 ) -> float | None:
-    """The derivative of the weighted outputs by forward mode, or None where there is none."""
-    return None
+    """The derivative of the weighted outputs by forward mode.
+
+    None where a field has a gradient and no dual: a tangent would end there.
+    """
+    try:
+        from ._ad_forward import clear_duals, forward_mode
+    except ImportError:
+        return None
+    if any(not _has_dual(known) for known in differentiable_fields().values()):
+        return None
+    program.start.restore(only_primal=True)
+    clear_duals()
+    f._companions["dual"].core.copy_from(np.ascontiguousarray(along, f.dtype.numpy))
+    with forward_mode():
+        program.values()
+    total = 0.0
+    for output, seed in zip(program.outputs, seeds, strict=True):
+        tangent = Snapshot._take(output._companions["dual"]).astype(np.float64)
+        total += float(np.sum(tangent[seed != 0] * seed[seed != 0]))
+    return total
+
+
+def _has_dual(f: Any) -> bool:
+    dual = f._companions.get("dual")
+    return dual is not None and dual._core is not None
 
 
 def check(

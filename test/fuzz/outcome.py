@@ -1,0 +1,215 @@
+"""What becomes of one random program: agree, refused, undefined or FAIL."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import random_kernels as programs
+import tai as ti
+from tai import _ad_check, _ad_probe
+from tai.errors import TaiCompilationError, TaiError
+
+
+@dataclass
+class Outcome:
+    """The outcome of one seed.
+
+    Attributes:
+        kind: `agree`; `kink` (the differences see a kink, and the gradient lies between the
+            slopes of its sides); `undefined` (the program itself gives no finite number);
+            `undecided` (the differences do not settle, and there is no other reference);
+            `refused` (an error that points to a line); or `FAIL`.
+        reason: why, without names and numbers, so that it can be counted.
+        detail: the whole message.
+    """
+
+    kind: str
+    reason: str = ""
+    detail: str = ""
+
+
+def load(text: str, folder: Path, name: str):
+    """The program as a module, with its own fields."""
+    ti.init(default_fp=ti.f64, cpu_max_num_threads=1, opt_level=OPT_LEVEL, **CACHE)
+    file = folder / f"{name}.py"
+    file.write_text(text)
+    spec = importlib.util.spec_from_file_location(name, file)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+OPT_LEVEL = 1
+CACHE: dict = {"offline_cache": False}
+
+
+def fill(module, seed: int, kinked: bool) -> None:
+    """The point at which the program is differentiated."""
+    generator = np.random.default_rng(seed)
+    for name in programs.FLOAT_FIELDS:
+        f = getattr(module, name)
+        f.suggest_name(name)
+        shape = f.shape + f.element_shape
+        values = generator.uniform(-1.5, 1.5, shape)
+        if kinked:
+            special = generator.choice(np.array(programs.SPECIAL), shape)
+            values = np.where(generator.random(shape) < 0.7, special, values)
+            huge = generator.choice(np.array(programs.HUGE), shape)
+            values = np.where(generator.random(shape) < 0.01, huge, values)
+        f.from_numpy(values)
+    n = programs.N
+    module.p.from_numpy(generator.permutation(n).astype(np.int32))
+    module.q.from_numpy(generator.integers(0, n, n).astype(np.int32))
+    module.k.from_numpy(generator.integers(0, 4, n).astype(np.int32))
+
+
+def judge(text: str, seed: int, kinked: bool, folder: Path) -> Outcome:
+    """Runs and differentiates a program; never raises."""
+    try:
+        module = load(text, folder, f"seed_{seed}".replace("-", "m"))
+        fill(module, seed, kinked)
+        return _judge(module, seed, kinked)
+    except TaiError as error:
+        located = error.lineno is not None
+        if isinstance(error, TaiCompilationError) and located and not _is_bug(error):
+            return Outcome("refused", f"{type(error).__name__}: {plain(error.message)}", str(error))
+        return Outcome("FAIL", f"{type(error).__name__}: {plain(error.message)}", str(error))
+    except Exception as error:
+        return Outcome("FAIL", f"{type(error).__name__}: {plain(str(error))}", repr(error))
+
+
+def _is_bug(error: TaiError) -> bool:
+    return "bug" in (error.hint or "") or "internal" in error.message
+
+
+def plain(message: str) -> str:
+    """A message without names and numbers."""
+    line = message.splitlines()[0] if message else ""
+    line = re.sub(r"'[^']*'", "'…'", line)
+    line = re.sub(r"@\w+", "@…", line)
+    return re.sub(r"-?\d+(\.\d+)?(e[-+]?\d+)?", "#", line)[:150]
+
+
+def _judge(module, seed: int, kinked: bool) -> Outcome:
+    generator = np.random.default_rng(seed)
+    program = _ad_check.Program(module.run, module.loss)
+    program.record()
+    program.start.restore(only_primal=True)
+    base = program.values()[0]
+    if not np.isfinite(base).all():
+        # Still differentiated: that must not crash.
+        program.sweep([np.ones(())])
+        return Outcome("undefined", "the loss is not finite")
+    wanted = [
+        (f, mask) for f, mask in program.inputs if program.is_input(f, mask)
+    ]  # intermediate fields have no derivative of their own
+    program.inputs = wanted
+    gradients = program.sweep([np.ones(())])
+    worst = Outcome("agree")
+    for f, mask in wanted:
+        gradient = gradients[f.symbol]
+        outcome = _check_finite(program, f, mask, gradient)
+        if outcome.kind == "agree":
+            outcome = _check_forward(program, f, mask, gradient, generator, kinked)
+        if outcome.kind == "agree" and not kinked:
+            outcome = _check_differences(program, f, mask, gradient, generator)
+        if _RANK[outcome.kind] > _RANK[worst.kind]:
+            worst = outcome
+    return worst
+
+
+_RANK = {"agree": 0, "kink": 1, "undecided": 2, "undefined": 3, "refused": 4, "FAIL": 5}
+
+
+def _check_finite(program, f, mask, gradient) -> Outcome:
+    """Where the gradient is NaN or infinite, the slopes must not have a finite limit."""
+    for position in np.argwhere(~np.isfinite(gradient) & mask):
+        at = tuple(position)
+        limits = [_one_sided_limit(program, f, at, sign) for sign in (1.0, -1.0)]
+        if all(limit is not None for limit in limits):
+            return Outcome(
+                "FAIL",
+                "the gradient is not finite, but the slopes are",
+                f"{f.name}{list(map(int, at))} = {_value(program, f, at)!r}: gradient "
+                f"{gradient[at]!r}, slopes {limits}",
+            )
+    return Outcome("agree")
+
+
+def _value(program, f, at):
+    program.start.restore(only_primal=True)
+    return _ad_check.Snapshot._take(f)[at]
+
+
+def _one_sided_limit(program, f, at, sign: float) -> float | None:
+    """The limit of the slopes on one side, or None where they do not settle on a finite one."""
+    here = abs(_value(program, f, at))
+    if not here < 1e100 or 0 < here < 1e-100:
+        return None  # differences cannot be taken at such scales
+    offset = np.zeros(f.shape + f.element_shape)
+    offset[at] = sign
+    value = program.at(f, offset)
+    base = float(value(0.0)[0])
+    slopes = []
+    for exponent in range(3, 10):
+        step = 4.0**-exponent
+        slopes.append(sign * (float(value(step)[0]) - base) / step)
+    last = np.array(slopes[-4:])
+    if not np.isfinite(last).all():
+        return None
+    scale = max(1e-6, float(np.max(np.abs(last))))
+    if not 1e-15 * abs(base) * 4.0**9 < 1e-4 * scale:
+        return None  # the loss is too large to see them
+    changes = np.abs(np.diff(last))
+    settles = changes[-1] <= 1e-3 * scale and changes[-1] <= 0.6 * changes[0] + 1e-6 * scale
+    return float(last[-1]) if settles else None
+
+
+def _check_forward(program, f, mask, gradient, generator, kinked: bool) -> Outcome:
+    finite = np.isfinite(gradient) & mask
+    if not finite.any():
+        return Outcome("agree")
+    along = _ad_probe.direction(generator, gradient, finite)
+    expected = _ad_check.forward_derivative(program, f, along, [np.ones(())])
+    if expected is None:
+        return Outcome("agree")
+    parts = (gradient * along)[finite]
+    reverse = float(np.sum(parts))
+    scale = float(np.sum(np.abs(parts)))
+    error = _ad_probe.relative_error(reverse, expected, scale)
+    # Products of huge and tiny numbers may cancel in one order and not in the other.
+    bound = 1e-9 if kinked else 1e-12
+    if error <= bound or (kinked and not scale < 1e250):
+        return Outcome("agree")
+    return Outcome(
+        "FAIL",
+        "reverse and forward mode differ",
+        f"{f.name}: reverse {reverse!r}, forward {expected!r}, error {error:.2g}",
+    )
+
+
+def _check_differences(program, f, mask, gradient, generator) -> Outcome:
+    along = _ad_probe.direction(generator, gradient, mask)
+    reverse = float(np.sum(gradient * along))
+    scale = float(np.linalg.norm(gradient)) / math.sqrt(gradient.size)
+    value = program.at(f, along)
+    probe = _ad_probe.climb(value, [np.ones(())], reverse, scale, quick=True)
+    if probe.error <= probe.tolerance:
+        return Outcome("agree")
+    detail = "\n".join([f"{f.name}: reverse {reverse!r}, {probe.method} {probe.expected!r}, "
+                        f"error {probe.error:.2g}", *probe.show()])  # fmt: skip
+    if probe.passed:
+        return Outcome("kink", "", detail)
+    rungs = [r for r in probe.ladder if r.improved is not None]
+    spread = min(
+        abs(a.improved - b.improved) / max(abs(a.improved), scale, 1e-300)
+        for a, b in zip(rungs, rungs[1:], strict=False)
+    )
+    if probe.jump or not spread < 1e-2 * probe.error:
+        return Outcome("undecided", "the differences do not settle", detail)
+    return Outcome("FAIL", "the gradient and differences disagree", detail)
