@@ -73,6 +73,7 @@ TAI_EXPORT void taiContextDestroy(TaiContext context);
 ///   print_ir          empty, "all", or a comma list of stage names
 ///   profiler          true | false
 ///   compile_profile   true | false: times of each compilation, on stderr
+///   history_bytes     number: what a loop of an adjoint may record at once
 TAI_EXPORT TaiStatus taiContextSetOption(TaiContext context, const char *name,
                                          const char *value);
 

@@ -145,7 +145,7 @@ scf::ForOp LoopHistory::getForward() {
   return forward;
 }
 
-BlockArgument LoopHistory::getArgument(unsigned index) {
+BlockArgument LoopHistory::getArgument(unsigned index) const {
   if (auto forOp = dyn_cast<scf::ForOp>(loop))
     return forOp.getRegionIterArg(index);
   return cast<scf::WhileOp>(loop).getBeforeArguments()[index];

@@ -33,7 +33,7 @@ static MemRefType getHistoryType(Type type) {
   return MemRefType::get(shape, getElementTypeOrSelf(type));
 }
 
-static int64_t getBytes(Type type) {
+int64_t LoopHistory::getBytes(Type type) {
   Type element = getElementTypeOrSelf(type);
   int64_t bytes = element.isIndex()
                       ? 8
@@ -324,5 +324,6 @@ ResultRange LoopHistory::close(ArrayRef<Value> yields,
   for (auto &buffers : {histories, starts})
     for (auto [index, buffer] : buffers)
       memref::DeallocOp::create(b, buffer);
+  report();
   return reverse.getResults().take_front(own);
 }

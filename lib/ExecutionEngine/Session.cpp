@@ -13,6 +13,7 @@
 #include "tai/ExecutionEngine/Session.h"
 #include "mlir/Target/LLVMIR/Dialect/Builtin/BuiltinToLLVMIRTranslation.h"
 #include "mlir/Target/LLVMIR/Dialect/LLVMIR/LLVMToLLVMIRTranslation.h"
+#include "tai/ExecutionEngine/Explain.h"
 #include "tai/InitAll.h"
 #include "tai/Pipelines/Pipelines.h"
 #include "llvm/Support/FormatVariadic.h"
@@ -83,6 +84,7 @@ Session::Session()
   context->printOpOnDiagnostic(false);
   // Threads may not load dialects, so all that can be needed are there first.
   context->loadAllAvailableDialects();
+  RemarkScope::prepare(context.get());
   rt = std::make_unique<runtime::Runtime>();
   compiler = std::make_unique<Compiler>(context.get(), getPipelines(),
                                         runtime::runtimeSymbols());

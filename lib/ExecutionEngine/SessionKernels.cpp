@@ -346,6 +346,8 @@ LogicalResult Session::runHost(ModuleOp module, StringRef name) {
 }
 
 FailureOr<std::string> Session::getIR(SessionKernel &kernel, StringRef stage) {
+  if (stage == "explain")
+    return explain(kernel);
   Failure failure;
   CompileRequest::Goal goal = stage.consume_front("adjoint.")
                                   ? CompileRequest::Goal::Adjoint

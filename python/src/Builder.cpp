@@ -120,11 +120,17 @@ public:
     return regions.back();
   }
 
-  Block block(const RegionRef &region, const std::vector<Type> &arguments) {
+  /// The last arguments get the given names, for remarks.
+  Block block(const RegionRef &region, const std::vector<Type> &arguments,
+              const std::vector<std::string> &names) {
     std::vector<MlirType> argumentTypes;
     for (Type argument : arguments)
       argumentTypes.push_back(argument.handle);
     std::vector<MlirLocation> locations(arguments.size(), location);
+    for (size_t i = 0; i != std::min(names.size(), locations.size()); ++i)
+      locations[locations.size() - names.size() + i] = mlirLocationNameGet(
+          mlir, mlirStringRefCreate(names[i].data(), names[i].size()),
+          location);
     MlirBlock block = mlirBlockCreate(static_cast<intptr_t>(arguments.size()),
                                       argumentTypes.data(), locations.data());
     mlirRegionAppendOwnedBlock(region->handle, block);
@@ -303,7 +309,8 @@ void taipy::bindBuilder(py::module_ &module) {
       .def("string", &Builder::stringAttribute)
       .def("number", &Builder::number)
       .def("region", &Builder::region)
-      .def("block", &Builder::block)
+      .def("block", &Builder::block, py::arg("region"), py::arg("arguments"),
+           py::arg("names") = std::vector<std::string>())
       .def("set_block", &Builder::setBlock)
       .def("get_block", &Builder::getBlock)
       .def("op", &Builder::op, py::arg("name"), py::arg("operands"),

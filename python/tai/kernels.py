@@ -350,15 +350,33 @@ class Kernel(_core.Launcher):
             args: arguments, to choose a specialisation; the last one used if left out.
             stage: `tai`, `autodiff`, `scf`, `llvm`, `llvmir` or `asm`.
         """
-        if args or (self._last is None or self._program is not _state.program):
-            parameters = self._get_parameters()
-            if not args and all(isinstance(p.type, (ScalarType, MatrixType)) for p in parameters):
-                found = self._specialize([None] * len(parameters))
-            else:
-                found = self._specialize(self._bind(args, {}))
-        else:
-            found = self._last
-        return found.core.ir(stage)
+        return self._find(args).core.ir(stage)
+
+    def explain(self, *args: Any) -> str:
+        """What the gradient of the kernel does, in words.
+
+        For each serial loop: how many iterations it has, what is remembered of them, and for
+        each value that it carries from one to the next whether it is *linear*, of a *closed
+        form*, *invertible* or a *trajectory* (see docs/loops.md). For each branch: whether it
+        was flattened, or why not. Then the fields that the gradient reads and adds to, and what
+        the tape saves for it.
+
+        Args:
+            args: arguments, to choose a specialisation; the last one used if left out.
+
+        Raises:
+            TaiAutodiffError: the kernel cannot be differentiated.
+        """
+        return self._find(args).core.ir("explain")
+
+    def _find(self, args: tuple) -> Specialization:
+        """The specialisation for these arguments; the last one used if there are none."""
+        if not args and self._last is not None and self._program is _state.program:
+            return self._last
+        parameters = self._get_parameters()
+        if not args and all(isinstance(p.type, (ScalarType, MatrixType)) for p in parameters):
+            return self._specialize([None] * len(parameters))
+        return self._specialize(self._bind(args, {}))
 
     def compile(self, *args: Any, grad: bool = False) -> None:
         """Compiles the kernel for these arguments without running it."""
@@ -402,6 +420,10 @@ class BoundKernel:
     def mlir(self, *args: Any, stage: str = "tai") -> str:
         """The IR; see `Kernel.mlir`."""
         return self._kernel.mlir(self._instance, *args, stage=stage)
+
+    def explain(self, *args: Any) -> str:
+        """What the gradient does, in words; see `Kernel.explain`."""
+        return self._kernel.explain(self._instance, *args)
 
     def compile(self, *args: Any, grad: bool = False) -> None:
         """Compiles the kernel; see `Kernel.compile`."""

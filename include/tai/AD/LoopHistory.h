@@ -68,7 +68,7 @@ private:
   Value createRecorded(Frame &frame, unsigned index);
   Value getNext(unsigned index);
   Value getEarly(Frame &frame, Value value);
-  BlockArgument getArgument(unsigned index);
+  BlockArgument getArgument(unsigned index) const;
 
   Chunks createChunks();
   void record();
@@ -77,7 +77,10 @@ private:
   scf::ForOp createReverseChunks(ArrayRef<Value> inits, ArrayRef<Value> yields);
   scf::ForOp finishReverse(scf::ForOp reverse, ArrayRef<Value> yields);
   std::pair<Value, Value> createRange(Value begin, Value end);
+  static int64_t getBytes(Type type);
   int64_t getBytesPerIteration();
+  llvm::StringRef classify(unsigned index) const;
+  void report();
 
   AdjointBuilder &b;
   Operation *loop;

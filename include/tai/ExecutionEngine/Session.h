@@ -124,8 +124,10 @@ public:
   /// The kernels that it launches are those of the session.
   LogicalResult runHost(ModuleOp module, StringRef name);
 
-  /// The IR of a kernel at a stage.
+  /// The IR of a kernel at a stage, or what `explain` says for "explain".
   FailureOr<std::string> getIR(SessionKernel &kernel, StringRef stage);
+  /// What the gradient of a kernel does about loops, branches and memory.
+  FailureOr<std::string> explain(SessionKernel &kernel);
 
   /// The session's kernel behind a kernel of the runtime, or null.
   SessionKernel *findKernel(StringRef name) const;

@@ -322,7 +322,8 @@ class Loops:
         types = [emitter.type_of(v.value.dt, v.value.shape) for v in variables]
         outer = builder.get_block()
         region = builder.region()
-        block = builder.block(region, [emitter.index_type, *types])
+        names = [v.name for v in variables]
+        block = builder.block(region, [emitter.index_type, *types], names)
         builder.set_block(block)
         self.take_arguments(block, variables, 1)
         self.depth += 1
@@ -348,7 +349,8 @@ class Loops:
         initial = [begin, *(v.value.handle for v in variables)]
         outer = builder.get_block()
         before, after = builder.region(), builder.region()
-        head = builder.block(before, all_types)
+        names = ["index", *(v.name for v in variables)]
+        head = builder.block(before, all_types, names)
         builder.set_block(head)
         self.take_arguments(head, variables, 1)
         index = head.argument(0)
@@ -358,7 +360,7 @@ class Loops:
         go_on = emitter.binary("&", Value(emitter, more, u1), running)
         carried = [v.value.handle for v in variables]
         builder.op("scf.condition", [go_on.handle, index, *carried])
-        block = builder.block(after, all_types)
+        block = builder.block(after, all_types, names)
         builder.set_block(block)
         self.take_arguments(block, variables, 1)
         self.depth += 1

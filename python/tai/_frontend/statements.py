@@ -219,7 +219,8 @@ class Statements:
         initial = [v.value.handle for v in variables]
         outer = builder.get_block()
         before, after = builder.region(), builder.region()
-        head = builder.block(before, types)
+        names = [v.name for v in variables]
+        head = builder.block(before, types, names)
         builder.set_block(head)
         self.take_arguments(head, variables)
         carried = [v.value.handle for v in variables]
@@ -233,7 +234,7 @@ class Statements:
             go_on = self.both(running, condition)
         self.at(node)
         builder.op("scf.condition", [go_on.handle, *carried])
-        block = builder.block(after, types)
+        block = builder.block(after, types, names)
         builder.set_block(block)
         self.take_arguments(block, variables)
         self.loop_body(loop, node)

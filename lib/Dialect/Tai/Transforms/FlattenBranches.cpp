@@ -15,6 +15,8 @@
 
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/IR/Remarks.h"
+#include "mlir/Interfaces/FunctionInterfaces.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/AD/Differentiable.h"
 #include "tai/Analysis/FloatFacts.h"
@@ -67,29 +69,53 @@ struct FlattenBranches : tai::impl::FlattenBranchesBase<FlattenBranches> {
     SmallVector<scf::IfOp> branches;
     getOperation()->walk<WalkOrder::PostOrder>(
         [&](scf::IfOp branch) { branches.push_back(branch); });
-    for (scf::IfOp branch : branches)
-      if (canFlatten(branch))
+    for (scf::IfOp branch : branches) {
+      StringRef reason = findReasonToKeep(branch);
+      report(branch, reason);
+      if (reason.empty())
         flatten(branch);
+    }
   }
 
-  bool canFlatten(scf::IfOp branch) {
+  static void report(scf::IfOp branch, StringRef reason) {
+    auto function = branch->getParentOfType<FunctionOpInterface>();
+    auto options =
+        remark::RemarkOpts::name(reason.empty() ? "flattened" : "kept")
+            .category("tai-branches")
+            .function(function ? function.getName() : "");
+    if (reason.empty())
+      remark::passed(branch.getLoc(), options)
+          << remark::add("both arms run, and a select takes the result");
+    else
+      remark::missed(branch.getLoc(), options)
+          << remark::add("the branch stays")
+          << remark::metric("Reason", reason.str());
+  }
+
+  /// Why the branch must not or need not be flat; empty if it is to be.
+  StringRef findReasonToKeep(scf::IfOp branch) {
     if (!llvm::all_of(branch.getResultTypes(), canSelect))
-      return false;
+      return "a result has a type that cannot be selected";
     unsigned count = 0;
     FloatFacts facts;
     for (Region &region : branch->getRegions()) {
       if (region.empty())
         continue;
       for (Operation &op : region.front().without_terminator()) {
+        if (op.getNumRegions() != 0)
+          return "an arm holds a loop or a branch that stays";
         if (!mayRunAnyway(&op))
-          return false;
-        if (!force &&
-            (!staysFinite(&op, facts) ||
-             (!op.hasTrait<OpTrait::ConstantLike>() && ++count > maxOps)))
-          return false;
+          return "an arm has an effect or can fault";
+        if (force)
+          continue;
+        if (!staysFinite(&op, facts))
+          return "a value or derivative can be infinite or NaN where its arm "
+                 "does not run";
+        if (!op.hasTrait<OpTrait::ConstantLike>() && ++count > maxOps)
+          return "the arms are long";
       }
     }
-    return true;
+    return "";
   }
 
   static void flatten(scf::IfOp branch) {

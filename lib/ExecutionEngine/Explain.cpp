@@ -1,0 +1,206 @@
+//===- Explain.cpp - What the compiler did, in words ----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The remarks of the passes on one kernel, put in the order of the program, and
+// what its adjoint reads and adds to.
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/ExecutionEngine/Explain.h"
+#include "mlir/Parser/Parser.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/ExecutionEngine/Diagnostics.h"
+#include "tai/ExecutionEngine/Session.h"
+#include "llvm/ADT/SetVector.h"
+#include "llvm/Support/Path.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+StringRef KeptRemark::get(StringRef key) const {
+  for (const auto &[name, value] : args)
+    if (name == key)
+      return value;
+  return "";
+}
+
+static thread_local RemarkScope *currentScope = nullptr;
+
+namespace mlir::tai {
+/// Hands the remarks of a thread to its scope.
+class RemarkKeeper : public remark::detail::MLIRRemarkStreamerBase {
+public:
+  void streamOptimizationRemark(const remark::detail::Remark &remark) override {
+    if (!currentScope)
+      return;
+    KeptRemark kept{remark.getCategoryName().str(),
+                    remark.getRemarkName().str(),
+                    remark.getLocation(),
+                    {}};
+    for (const auto &arg : remark.getArgs())
+      kept.args.push_back({arg.key, arg.val});
+    currentScope->remarks.push_back(std::move(kept));
+  }
+};
+} // namespace mlir::tai
+
+RemarkScope::RemarkScope() : outer(currentScope) { currentScope = this; }
+RemarkScope::~RemarkScope() { currentScope = outer; }
+
+void RemarkScope::prepare(MLIRContext *context) {
+  remark::RemarkCategories categories;
+  // `all` alone enables nothing in this version of MLIR.
+  categories.passed = categories.missed = categories.analysis = "tai-.*";
+  // Cannot fail: nothing is written.
+  (void)remark::enableOptimizationRemarks(
+      *context, std::make_unique<RemarkKeeper>(),
+      std::make_unique<remark::RemarkEmittingPolicyAll>(), categories);
+}
+
+//===----------------------------------------------------------------------===//
+// Text
+//===----------------------------------------------------------------------===//
+
+static std::string formatPlace(Location location) {
+  FileLineColLoc place = findFileLocation(location);
+  if (!place)
+    return "an unknown place";
+  return llvm::formatv("{0}:{1}",
+                       llvm::sys::path::filename(place.getFilename()),
+                       place.getLine());
+}
+
+static unsigned getLine(const KeptRemark &remark) {
+  FileLineColLoc place = findFileLocation(remark.location);
+  return place ? place.getLine() : 0;
+}
+
+static void describeCarried(llvm::raw_ostream &os, const KeptRemark &remark) {
+  StringRef kind = remark.get("Class");
+  os << "    " << remark.get("Value") << ": " << remark.get("Type") << ", "
+     << kind;
+  if (kind == "linear")
+    os << ": no history, its adjoint needs no value of it";
+  else if (kind == "closed form")
+    os << ": computed from the number of the iteration";
+  else if (kind == "invertible")
+    os << ": carried backwards";
+  else if (kind == "trajectory")
+    os << ": " << remark.get("BytesPerIteration")
+       << " bytes of history for each iteration";
+  if (remark.get("BytesPerChunk") != "0")
+    os << (kind == "trajectory" ? " of a chunk, " : "; ")
+       << remark.get("BytesPerChunk") << " bytes for each chunk";
+  os << '\n';
+}
+
+static void describeFields(llvm::raw_ostream &os, StringRef what,
+                           const llvm::SetVector<StringRef> &names) {
+  if (!names.empty())
+    os << "  " << what << ": " << llvm::join(names, ", ") << '\n';
+}
+
+static void describeMemory(llvm::raw_ostream &os, ModuleOp module,
+                           KernelOp adjoint) {
+  llvm::DenseSet<StringRef> adjoints;
+  for (FieldOp field : module.getOps<FieldOp>())
+    if (FlatSymbolRefAttr symbol = field.getAdjointAttr())
+      adjoints.insert(symbol.getValue());
+  llvm::SetVector<StringRef> reads, gradients, sums, writes;
+  adjoint.walk([&](Operation *op) {
+    if (auto load = dyn_cast<LoadOp>(op))
+      (adjoints.contains(load.getField()) ? gradients : reads)
+          .insert(load.getField());
+    else if (auto atomic = dyn_cast<AtomicOp>(op))
+      sums.insert(atomic.getField());
+    else if (auto store = dyn_cast<StoreOp>(op))
+      writes.insert(store.getField());
+  });
+  describeFields(os, "the gradient reads the values of", reads);
+  describeFields(os, "reads the gradients", gradients);
+  describeFields(os, "adds to", sums);
+  describeFields(os, "stores to", writes);
+  auto describeSymbols = [&](StringRef name, StringRef what) {
+    auto symbols = adjoint->getAttrOfType<ArrayAttr>(name);
+    if (!symbols)
+      return;
+    llvm::SetVector<StringRef> fields;
+    for (Attribute symbol : symbols)
+      if (auto reference = dyn_cast<FlatSymbolRefAttr>(symbol))
+        fields.insert(reference.getValue());
+    describeFields(os, what, fields);
+  };
+  describeSymbols("tai.before", "the tape saves, before each launch");
+  if (adjoint->hasAttr("tai.reruns"))
+    os << "  the kernel is run again, before its gradient, on what was saved\n";
+}
+
+std::string mlir::tai::explainAdjoint(ModuleOp module, StringRef name,
+                                      ArrayRef<KeptRemark> remarks) {
+  std::string text;
+  llvm::raw_string_ostream os(text);
+  os << "kernel '" << name << "'\n";
+  auto kernel = module.lookupSymbol<KernelOp>(name);
+  KernelOp adjoint;
+  if (kernel && kernel.getAdjointAttr())
+    adjoint = module.lookupSymbol<KernelOp>(kernel.getAdjointAttr());
+  if (!adjoint) {
+    os << "  has no gradient\n";
+    return text;
+  }
+  // Each remark on a loop is followed by those on the values that it carries.
+  struct Entry {
+    const KeptRemark *remark;
+    ArrayRef<KeptRemark> carried;
+  };
+  SmallVector<Entry> entries;
+  for (size_t i = 0; i != remarks.size(); ++i) {
+    if (remarks[i].name == "carried")
+      continue;
+    size_t end = i + 1;
+    while (end != remarks.size() && remarks[end].name == "carried")
+      ++end;
+    entries.push_back({&remarks[i], remarks.slice(i + 1, end - i - 1)});
+  }
+  llvm::stable_sort(entries, [](const Entry &lhs, const Entry &rhs) {
+    return getLine(*lhs.remark) < getLine(*rhs.remark);
+  });
+  for (const Entry &entry : entries) {
+    const KeptRemark &remark = *entry.remark;
+    if (remark.category == "tai-loops") {
+      StringRef iterations = remark.get("Iterations");
+      os << "  loop at " << formatPlace(remark.location) << ": ";
+      if (llvm::all_of(iterations, llvm::isDigit))
+        os << iterations << " iterations";
+      else
+        os << "iterations " << iterations;
+      os << "; history: " << remark.get("History") << '\n';
+      for (const KeptRemark &carried : entry.carried)
+        describeCarried(os, carried);
+    } else if (remark.category == "tai-branches") {
+      os << "  branch at " << formatPlace(remark.location) << ": "
+         << remark.name;
+      if (StringRef reason = remark.get("Reason"); !reason.empty())
+        os << ", because " << reason;
+      os << '\n';
+    }
+  }
+  describeMemory(os, module, adjoint);
+  return text;
+}
+
+FailureOr<std::string> Session::explain(SessionKernel &kernel) {
+  RemarkScope scope;
+  FailureOr<std::string> text = getIR(kernel, "autodiff");
+  if (failed(text))
+    return failure();
+  OwningOpRef<ModuleOp> module =
+      parseSourceString<ModuleOp>(*text, ParserConfig(context.get()));
+  if (!module)
+    return fail(FailureKind::Internal, "the gradient cannot be read back");
+  return explainAdjoint(*module, kernel.code->name, scope.getRemarks());
+}
