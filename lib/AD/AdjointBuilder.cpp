@@ -24,18 +24,20 @@ using namespace mlir::tai;
 
 AdjointBuilder::AdjointBuilder(FunctionOpInterface primal,
                                FunctionOpInterface adjoint,
-                               std::function<Storage(Storage)> adjointOf)
+                               std::function<Storage(Storage)> adjointOf,
+                               bool takesAll)
     : ImplicitLocOpBuilder(primal.getLoc(), primal.getContext()),
       primal(primal), adjoint(adjoint), adjointOf(std::move(adjointOf)),
       activity(primal,
                [this](Storage storage) {
                  return static_cast<bool>(this->adjointOf(storage));
                }),
-      accesses(primal) {}
+      accesses(primal), takesAll(takesAll) {}
 
 LogicalResult AdjointBuilder::build() {
   if (failed(checkAccesses()))
     return failure();
+  findTakes();
   Block *body = &primal.getFunctionBody().front();
   Block *mirror = &adjoint.getFunctionBody().front();
   LogicalResult result = reverseBlock(
@@ -46,7 +48,7 @@ LogicalResult AdjointBuilder::build() {
           frame.values.map(from, to);
       },
       [](Frame &) {});
-  if (failed(result) || hasErrors)
+  if (failed(result) || hasErrors || failed(chooseStates()))
     return failure();
   dropDeadCarried(adjoint.getFunctionBody());
   return success();
@@ -150,8 +152,8 @@ static bool hasAdjoint(Frame &frame, Value value) {
 
 LogicalResult AdjointBuilder::reverseOp(Operation *op) {
   if (isa<DifferentiableAccessInterface>(op))
-    return activity.isActiveAccess(op) ? reverseAccess(op) : success();
-  bool matters = activity.holdsActiveAccess(op) ||
+    return isReversed(op) ? reverseAccess(op) : success();
+  bool matters = activity.holdsActiveAccess(op) || takeHolders.contains(op) ||
                  llvm::any_of(op->getResults(), [&](Value result) {
                    return hasAdjoint(*current, result);
                  });
@@ -208,8 +210,12 @@ LogicalResult AdjointBuilder::reverseAccess(Operation *op) {
     access.createAdjointAccumulate(*this, seed, storage, indices, components);
     return success();
   }
-  Value read = access.createAdjointRead(*this, storage, indices, components);
-  if (access.isNegated())
+  Value read;
+  if (activity.isActiveAccess(op))
+    read = access.createAdjointRead(*this, storage, indices, components);
+  if (takes.contains(op))
+    access.createAdjointZero(*this, storage, indices, components);
+  if (read && access.isNegated())
     read = arith::NegFOp::create(*this, read);
   addAdjoint(value, read);
   return success();
@@ -230,8 +236,12 @@ static bool collectMakers(AdjointBuilder &b, Value value,
       continue;
     if (makers.size() > kMany)
       return false;
-    if (isa<DifferentiableAccessInterface>(op))
+    if (auto read = dyn_cast<DifferentiableAccessInterface>(op)) {
+      // Nor may what comes between touch the adjoint of the element.
+      if (b.mayBeOverwritten(read))
+        return false;
       continue;
+    }
     if (!isa<DifferentiableOpInterface>(op))
       return false;
     for (Value operand : op->getOperands())

@@ -107,7 +107,7 @@ static LogicalResult finishArrayAccumulations(FunctionOpInterface function) {
 /// Fills the adjoint of `function`.
 static LogicalResult fillAdjoint(FunctionOpInterface function,
                                  FunctionOpInterface shell, bool arrays,
-                                 int64_t historyBytes) {
+                                 int64_t historyBytes, bool takes) {
   // The last arguments of the adjoint are the adjoints of memref arguments.
   DenseMap<Value, Value> shadows;
   unsigned next = function.getNumArguments();
@@ -122,7 +122,7 @@ static LogicalResult fillAdjoint(FunctionOpInterface function,
                ? Storage(field.getAdjointAttr())
                : Storage();
   };
-  AdjointBuilder builder(function, shell, adjointOf);
+  AdjointBuilder builder(function, shell, adjointOf, takes);
   builder.setHistoryLimit(historyBytes);
   if (failed(builder.build()))
     return failure();
@@ -186,7 +186,10 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
     }
     // The arguments of a function are all that it can be differentiated by.
     FunctionOpInterface shell = createShell(function, name, arrays);
-    if (failed(fillAdjoint(function, shell, arrays, historyBytes))) {
+    bool takesAll = takes && isa<KernelOp>(function.getOperation());
+    if (takesAll)
+      shell->setAttr(kTakesAttrName, UnitAttr::get(&getContext()));
+    if (failed(fillAdjoint(function, shell, arrays, historyBytes, takesAll))) {
       shell.erase();
       return failure();
     }

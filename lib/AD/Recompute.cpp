@@ -185,18 +185,8 @@ bool AdjointBuilder::checkRecomputable(Operation *op) {
   return false;
 }
 
-// The adjoint reads what the primal read only if nothing has written the
-// element since.
 bool AdjointBuilder::checkReadable(DifferentiableAccessInterface read) {
-  if (Operation *write = accesses.findLaterWrite(read)) {
-    InFlightDiagnostic diag =
-        emitError(read, "the value read here is needed by the gradient, but is "
-                        "overwritten");
-    diag.attachNote(write->getLoc()) << "overwritten here";
-    diag.attachNote() << "store the new value to another element, such as one "
-                         "more time step of the field";
-    return false;
-  }
+  needed.insert(read);
   if (accumulated.contains(read.getAccessedStorage().getOpaque())) {
     emitError(read, "the value read here is needed by the gradient, but is an "
                     "adjoint that the gradient itself accumulates")

@@ -24,19 +24,26 @@ AccessTable::AccessTable(FunctionOpInterface function) {
 }
 
 DifferentiableAccessInterface
-AccessTable::findLaterWrite(DifferentiableAccessInterface read) const {
-  auto it = writes.find(getStorageKey(read));
+AccessTable::findLaterWrite(DifferentiableAccessInterface access) const {
+  auto it = writes.find(getStorageKey(access));
   if (it == writes.end())
     return {};
-  for (DifferentiableAccessInterface write : it->second)
-    if ((runsAfter(read, write) && reachSameElement(read, write)) ||
-        meetInEveryIteration(read, write))
-      return write;
-  return {};
+  const auto *found = llvm::find_if(
+      it->second, [&](auto write) { return mayReachLater(access, write); });
+  return found == it->second.end() ? DifferentiableAccessInterface() : *found;
 }
 
-/// The innermost block around both ops, and the op in it around each.
-static Block *findCommonBlock(Operation *&lhs, Operation *&rhs) {
+DifferentiableAccessInterface
+AccessTable::findEarlierWrite(DifferentiableAccessInterface access) const {
+  auto it = writes.find(getStorageKey(access));
+  if (it == writes.end())
+    return {};
+  const auto *found = llvm::find_if(
+      it->second, [&](auto write) { return mayReachLater(write, access); });
+  return found == it->second.end() ? DifferentiableAccessInterface() : *found;
+}
+
+Block *mlir::tai::findCommonBlock(Operation *&lhs, Operation *&rhs) {
   for (Operation *up = lhs; up && !isa<FunctionOpInterface>(up);
        up = up->getParentOp())
     if (Operation *other = up->getBlock()->findAncestorOpInBlock(*rhs)) {
@@ -63,27 +70,6 @@ bool mlir::tai::runsAfter(Operation *first, Operation *second) {
     return false;
   return firstUp->isBeforeInBlock(secondUp) &&
          (!isConditional(first, firstUp) || !isConditional(second, secondUp));
-}
-
-bool mlir::tai::meetInEveryIteration(DifferentiableAccessInterface lhs,
-                                     DifferentiableAccessInterface rhs) {
-  Operation *lhsUp = lhs, *rhsUp = rhs;
-  if (!findCommonBlock(lhsUp, rhsUp) || isConditional(lhs, lhsUp) ||
-      isConditional(rhs, rhsUp) || !reachSameElement(lhs, rhs))
-    return false;
-  SmallVector<LinearIndex> indices = getLinearIndices(lhs.getAccessIndices());
-  for (Operation *loop = lhsUp->getParentOp();
-       isa<scf::ForOp, scf::WhileOp>(loop); loop = loop->getParentOp()) {
-    // Only what comes from outside is the same in all iterations.
-    bool moves = llvm::any_of(indices, [&](const LinearIndex &index) {
-      return llvm::any_of(index.terms, [&](auto term) {
-        return loop->isAncestor(term.first.getParentBlock()->getParentOp());
-      });
-    });
-    if (!moves)
-      return true;
-  }
-  return false;
 }
 
 /// The loops between `op` and the op `outer` around it, outermost first.

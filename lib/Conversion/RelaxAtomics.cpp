@@ -152,7 +152,14 @@ void LoopRelaxation::relaxField(FieldAccesses &accesses) {
   auto sameElement = [&](AtomicOp atomic) {
     return llvm::equal(atomic.getIndices(), atomics.front().getIndices());
   };
-  if (llvm::all_of(atomics, sameElement) &&
+  // A store of another iteration would be lost to a plain addition of zero,
+  // which a branch that was turned into a select makes.
+  bool meetsStore = llvm::any_of(accesses.others, [&](Operation *other) {
+    ValueRange indices = atomics.front().getIndices();
+    return isa<StoreOp>(other) && !llvm::equal(getIndices(other), indices) &&
+           mayReach(getIndices(other), indices);
+  });
+  if (llvm::all_of(atomics, sameElement) && !meetsStore &&
       isInjective(loop, atomics.front().getIndices())) {
     for (AtomicOp atomic : atomics)
       atomic.setExclusive(true);

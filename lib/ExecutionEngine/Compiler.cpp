@@ -85,14 +85,14 @@ private:
 struct Compiler::Worker {
   Worker(MLIRContext *context, const Pipelines &pipelines,
          const CompileOptions &options)
-      : options(options), autodiff(context), clearing(context),
+      : options(options), autodiff(context), takingAutodiff(context),
         toLLVM(context) {
-    for (PassManager *manager : {&autodiff, &clearing, &toLLVM})
+    for (PassManager *manager : {&autodiff, &takingAutodiff, &toLLVM})
       manager->enableVerifier(options.debug);
-    if (pipelines.autodiff)
-      pipelines.autodiff(autodiff, options);
-    if (pipelines.clearing)
-      pipelines.clearing(clearing, options);
+    if (pipelines.autodiff) {
+      pipelines.autodiff(autodiff, options, /*takes=*/false);
+      pipelines.autodiff(takingAutodiff, options, /*takes=*/true);
+    }
     if (pipelines.toLLVM)
       pipelines.toLLVM(toLLVM, options);
     toLLVM.addInstrumentation(
@@ -101,7 +101,7 @@ struct Compiler::Worker {
 
   CompileOptions options;
   PassManager autodiff;
-  PassManager clearing;
+  PassManager takingAutodiff;
   PassManager toLLVM;
   std::unique_ptr<ObjectCompiler> objects;
   std::string *scf = nullptr;
@@ -149,7 +149,6 @@ void Compiler::loadDialects() {
   Worker worker(context, pipelines, CompileOptions());
   DialectRegistry registry;
   worker.autodiff.getDependentDialects(registry);
-  worker.clearing.getDependentDialects(registry);
   worker.toLLVM.getDependentDialects(registry);
   context->appendDialectRegistry(registry);
   for (StringRef name : registry.getDialectNames())
@@ -219,6 +218,42 @@ static LogicalResult runPipeline(PassManager &manager, ModuleOp module,
   return mlir::failure();
 }
 
+/// An adjoint that came with its kernel must say that it takes.
+static LogicalResult checkTakes(ModuleOp module, KernelOp kernel,
+                                Failure &failure) {
+  DiagnosticCollector collector(module.getContext());
+  auto adjoint = module.lookupSymbol<KernelOp>(*kernel.getAdjoint());
+  if (!adjoint || adjoint->hasAttr(kTakesAttrName))
+    return success();
+  adjoint.emitError("this adjoint must leave zero in the adjoints of what '@" +
+                    kernel.getName() +
+                    "' stores, which an earlier launch has used")
+          .attachNote()
+      << "store zero there after reading them, and give it the attribute '"
+      << kTakesAttrName << "'";
+  failure = collector.take(FailureKind::Autodiff);
+  return mlir::failure();
+}
+
+/// Refuses adjoints that need what stood in a field before the launch, which
+/// the tape does not bring back.
+static LogicalResult checkRestored(ModuleOp module, FlatSymbolRefAttr name,
+                                   Failure &failure) {
+  auto adjoint = module.lookupSymbol<KernelOp>(name.getValue());
+  if (!adjoint || (!adjoint->hasAttr(kBeforeAttrName) &&
+                   !adjoint->hasAttr(kRerunsAttrName)))
+    return success();
+  DiagnosticCollector collector(module.getContext());
+  adjoint.emitError("the gradient of this kernel needs values that the kernel "
+                    "itself overwrites")
+          .attachNote()
+      << "store the new values to other elements, such as one more time step "
+         "of "
+         "the field";
+  failure = collector.take(FailureKind::Autodiff);
+  return mlir::failure();
+}
+
 OwningOpRef<ModuleOp> Compiler::runPasses(Worker &worker,
                                           CompileRequest request,
                                           CompiledObject &object,
@@ -226,20 +261,25 @@ OwningOpRef<ModuleOp> Compiler::runPasses(Worker &worker,
                                           std::string *scf) {
   OwningOpRef<ModuleOp> module = request.module.clone();
   object.symbol = getEntryPointName(request.name);
-  if (request.goal == CompileRequest::Goal::Adjoint) {
+  if (request.goal != CompileRequest::Goal::Primal) {
     PhaseTimer timer(times, Phase::Autodiff);
-    auto given = module->lookupSymbol<KernelOp>(request.name);
+    bool takes = request.goal == CompileRequest::Goal::TakingAdjoint;
     if (!pipelines.autodiff) {
       failure = Failure::get(FailureKind::Autodiff,
                              "this build cannot differentiate kernels");
       return {};
     }
     // A kernel may come with its adjoint.
-    if (!(given && given.getAdjoint()) &&
-        failed(runPipeline(worker.autodiff, *module, request.module,
-                           request.name, FailureKind::Autodiff,
-                           "differentiation", failure)))
+    auto given = module->lookupSymbol<KernelOp>(request.name);
+    if (given && given.getAdjoint()) {
+      if (takes && failed(checkTakes(*module, given, failure)))
+        return {};
+    } else if (failed(runPipeline(
+                   takes ? worker.takingAutodiff : worker.autodiff, *module,
+                   request.module, request.name, FailureKind::Autodiff,
+                   "differentiation", failure))) {
       return {};
+    }
     // The primal is compiled on its own, when it is first launched.
     auto kernel = module->lookupSymbol<KernelOp>(request.name);
     FlatSymbolRefAttr adjoint = kernel ? kernel.getAdjointAttr() : nullptr;
@@ -249,17 +289,9 @@ OwningOpRef<ModuleOp> Compiler::runPasses(Worker &worker,
       object.symbol.clear();
       return module;
     }
-    object.symbol = getEntryPointName(adjoint.getValue());
-  }
-  if (request.goal == CompileRequest::Goal::Clearing) {
-    PhaseTimer timer(times, Phase::Autodiff);
-    if (failed(runPipeline(worker.clearing, *module, request.module,
-                           request.name, FailureKind::Autodiff,
-                           "clearing adjoints", failure)))
+    if (failed(checkRestored(*module, adjoint, failure)))
       return {};
-    std::string name = (request.name + "_clear").str();
-    module->lookupSymbol<KernelOp>(request.name).setSymName(name);
-    object.symbol = getEntryPointName(name);
+    object.symbol = getEntryPointName(adjoint.getValue());
   }
   for (TreeOp tree : module->getOps<TreeOp>())
     object.trees.push_back(tree.getSymName().str());

@@ -45,16 +45,14 @@ public:
 /// The pipelines of tai for the options of a kernel.
 static Compiler::Pipelines getPipelines() {
   Compiler::Pipelines pipelines;
-  pipelines.autodiff = [](OpPassManager &manager,
-                          const CompileOptions &options) {
+  pipelines.autodiff = [](OpPassManager &manager, const CompileOptions &options,
+                          bool takes) {
     AutodiffOptions autodiff;
+    autodiff.takes = takes;
     // An adjoint is launched with the arguments of its primal and no others.
     autodiff.arrayAdjoints = false;
     autodiff.historyBytes = options.historyBytes;
     buildAutodiffPipeline(manager, autodiff);
-  };
-  pipelines.clearing = [](OpPassManager &manager, const CompileOptions &) {
-    buildClearingPipeline(manager);
   };
   pipelines.toLLVM = [](OpPassManager &manager, const CompileOptions &options) {
     ToLLVMOptions lowering;

@@ -49,11 +49,12 @@ FailureOr<SessionKernel *> Session::createKernel(OwningOpRef<ModuleOp> module,
   };
   info.makeAdjoint = [this, code = kernel->code](runtime::Kernel &runtimeKernel,
                                                  runtime::KernelPtr &adjoint) {
-    return compileAdjoint(*code, runtimeKernel, adjoint);
+    return compileAdjoint(*code, runtimeKernel, /*takes=*/false, adjoint);
   };
-  info.makeClearing = [this,
-                       code = kernel->code](runtime::KernelPtr &clearing) {
-    return compileClearing(*code, clearing);
+  info.makeTakingAdjoint = [this,
+                            code = kernel->code](runtime::Kernel &runtimeKernel,
+                                                 runtime::KernelPtr &adjoint) {
+    return compileAdjoint(*code, runtimeKernel, /*takes=*/true, adjoint);
   };
   info.makeChecked = [this,
                       code = kernel->code](runtime::CheckedKernel &checked) {
@@ -111,9 +112,7 @@ static std::vector<runtime::TreePtr> findTrees(const KernelCode &code,
 }
 
 void Session::printStages(KernelCode &code, CompileRequest::Goal goal) {
-  bool isAdjoint = goal == CompileRequest::Goal::Adjoint;
-  if (goal == CompileRequest::Goal::Clearing)
-    return;
+  bool isAdjoint = goal != CompileRequest::Goal::Primal;
   for (const std::string &stage : printedStages) {
     if (isAdjoint && stage == "tai")
       continue;
@@ -137,8 +136,8 @@ static StringRef getGoalName(CompileRequest::Goal goal) {
     return "primal";
   case CompileRequest::Goal::Adjoint:
     return "adjoint";
-  case CompileRequest::Goal::Clearing:
-    return "clearing";
+  case CompileRequest::Goal::TakingAdjoint:
+    return "taking";
   }
   llvm_unreachable("unknown goal");
 }
@@ -215,10 +214,13 @@ static runtime::KernelInfo getHelperInfo(const KernelCode &code,
 
 runtime::Status Session::compileAdjoint(KernelCode &code,
                                         runtime::Kernel &runtimeKernel,
+                                        bool takes,
                                         runtime::KernelPtr &adjoint) {
   Failure failure;
   std::optional<Compiler::Function> compiled;
-  if (code.ahead) {
+  if (takes) {
+    compiled = compileAs(code, CompileRequest::Goal::TakingAdjoint, failure);
+  } else if (code.ahead) {
     background.finish(*code.ahead);
     compiled = std::move(code.aheadResult);
     failure = std::move(code.aheadFailure);
@@ -231,16 +233,6 @@ runtime::Status Session::compileAdjoint(KernelCode &code,
   if (!compiled->address)
     return runtime::Status::success();
   adjoint = rt->createKernel(getHelperInfo(code, *compiled, "_grad"));
-  return runtime::Status::success();
-}
-
-runtime::Status Session::compileClearing(KernelCode &code,
-                                         runtime::KernelPtr &clearing) {
-  Failure failure;
-  auto compiled = compileAs(code, CompileRequest::Goal::Clearing, failure);
-  if (!compiled)
-    return keepFailure(std::move(failure));
-  clearing = rt->createKernel(getHelperInfo(code, *compiled, "_clear"));
   return runtime::Status::success();
 }
 
@@ -288,13 +280,13 @@ LogicalResult Session::compile(ArrayRef<SessionKernel *> kernels,
 }
 
 LogicalResult Session::prepareReverse(runtime::Tape &tape) {
-  std::vector<runtime::Kernel *> needed = tape.pendingAdjoints();
+  std::vector<runtime::Tape::Pending> needed = tape.pendingAdjoints();
   if (needed.size() < 2)
     return success();
   std::vector<runtime::Status> statuses(needed.size());
   runInParallel(needed.size(), [&](size_t i) {
     runtime::Kernel *adjoint = nullptr;
-    statuses[i] = needed[i]->resolveAdjoint(adjoint);
+    statuses[i] = needed[i].kernel->resolveAdjoint(adjoint, needed[i].takes);
   });
   for (const runtime::Status &status : statuses)
     if (!status.ok())

@@ -34,6 +34,7 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
   adjoint.kernels.assign(options.kernels.begin(), options.kernels.end());
   adjoint.arrayAdjoints = options.arrayAdjoints;
   adjoint.historyBytes = options.historyBytes;
+  adjoint.takes = options.takes;
   pm.addPass(createMakeAdjoint(adjoint));
 
   // Rules write the formula, not its simplest form.
@@ -43,12 +44,6 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
   pm.addPass(createLoopInvariantCodeMotionPass());
   pm.addPass(createMarkExclusive());
   pm.addPass(createSummarizeKernels());
-}
-
-void tai::buildClearingPipeline(OpPassManager &pm) {
-  pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
-  pm.addPass(createEliminateLocals());
-  pm.addPass(createClearOverwritten());
 }
 
 void tai::registerAutodiffPipeline() {

@@ -27,6 +27,9 @@ int64_t FixedIndex::evaluate(const uint64_t *args) const {
 
 Kernel::Kernel(KernelInfo kernelInfo) : info(std::move(kernelInfo)) {
   function.store(info.function, std::memory_order_release);
+  adjointForms[0].kernel = info.adjoint;
+  if (info.adjointTakes)
+    adjointForms[1].kernel = info.adjoint;
 }
 
 Status Kernel::resolve() {
@@ -51,33 +54,26 @@ Status Kernel::resolve() {
   return status;
 }
 
-Status Kernel::resolveAdjoint(Kernel *&adjoint) {
+Status Kernel::resolveAdjoint(Kernel *&adjoint, bool takes) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
   adjoint = nullptr;
   if (!info.differentiable)
     return Status::success();
-  if (!info.adjoint && !adjointAsked) {
-    if (!info.makeAdjoint)
-      return Status::failure(StatusCode::Usage,
-                             "kernel '" + name() + "' has no adjoint");
-    Status status = info.makeAdjoint(*this, info.adjoint);
+  AdjointForm &form = adjointForms[takes];
+  if (!form.asked && !form.kernel) {
+    const auto &make = takes ? info.makeTakingAdjoint : info.makeAdjoint;
+    if (!make)
+      return Status::failure(
+          StatusCode::Usage,
+          "kernel '" + name() + "' has no adjoint" +
+              (takes ? " that takes the adjoints of what it stores" : ""));
+    Status status = make(*this, form.kernel);
     if (!status)
       return status;
-    adjointAsked = true;
+    form.asked = true;
   }
-  adjoint = info.adjoint.get();
-  knownAdjoint.store(adjoint, std::memory_order_release);
-  return Status::success();
-}
-
-Status Kernel::resolveClearing(Kernel *&result) {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
-  if (!clearing && info.makeClearing) {
-    Status status = info.makeClearing(clearing);
-    if (!status)
-      return status;
-  }
-  result = clearing.get();
+  adjoint = form.kernel.get();
+  form.known.store(adjoint, std::memory_order_release);
   return Status::success();
 }
 

@@ -402,30 +402,19 @@ Status Runtime::launchAdjoint(Kernel &kernel, const uint64_t *args,
                               int64_t slots) {
   if (slots != kernel.argSlots())
     return wrongSlots(kernel, slots);
-  Kernel *adjoint = nullptr;
-  Status status = kernel.resolveAdjoint(adjoint);
+  Status status = kernel.bind(storageEpoch.load(std::memory_order_relaxed));
   if (!status)
     return status;
-  status = kernel.bind(storageEpoch.load(std::memory_order_relaxed));
+  Kernel *adjoint = nullptr;
+  status = kernel.resolveAdjoint(adjoint, kernel.repeatsStores);
   if (!status)
     return status;
   Launch *launch = acquireLaunch();
   uint64_t number = kernel.lastLaunch.load(std::memory_order_relaxed);
   if (adjoint)
     status = runAdjoint(*launch, kernel, *adjoint, args, number);
-  if (status && kernel.repeatsStores)
-    status = runClearing(*launch, kernel, args, number);
   releaseLaunch(launch);
   return status;
-}
-
-Status Runtime::runClearing(Launch &launch, Kernel &kernel,
-                            const uint64_t *args, uint64_t number) {
-  Kernel *clearing = nullptr;
-  Status status = kernel.resolveClearing(clearing);
-  if (!status || !clearing)
-    return status;
-  return run(launch, *clearing, args, nullptr, number);
 }
 
 Status Runtime::runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,

@@ -247,25 +247,22 @@ void Tape::plan() {
 Status Tape::replayAdjoint(Launch &launch, size_t index) {
   const Record &record = records[index];
   Kernel &kernel = *record.kernel;
+  bool takes = storesAgain[index];
   // Found once; the look-up below takes a lock.
-  Kernel *adjoint = kernel.knownAdjoint.load(std::memory_order_acquire);
+  Kernel *adjoint =
+      kernel.adjointForms[takes].known.load(std::memory_order_acquire);
   if (!adjoint) {
-    Status status = kernel.resolveAdjoint(adjoint);
-    if (!status)
+    Status status = kernel.resolveAdjoint(adjoint, takes);
+    if (!status || !adjoint)
       return status;
   }
-  const uint64_t *args = slots.data() + record.payload;
-  Status status;
-  if (adjoint) {
-    ++runtime.counts.replayed;
-    status = runtime.runAdjoint(launch, kernel, *adjoint, args,
-                                firstLaunch + record.launch);
-  }
+  ++runtime.counts.replayed;
+  Status status = runtime.runAdjoint(launch, kernel, *adjoint,
+                                     slots.data() + record.payload,
+                                     firstLaunch + record.launch);
   if (__builtin_expect(watching, false) && status)
     examine(index);
-  if (!status || !storesAgain[index])
-    return status;
-  return runtime.runClearing(launch, kernel, args, firstLaunch + record.launch);
+  return status;
 }
 
 /// A launch for as long as a sweep takes.
@@ -382,16 +379,16 @@ int64_t Tape::numSkipped() {
       });
 }
 
-std::vector<Kernel *> Tape::pendingAdjoints() {
+std::vector<Tape::Pending> Tape::pendingAdjoints() {
   if (!planHolds())
     plan();
-  std::vector<Kernel *> pending;
+  std::vector<Pending> pending;
   for (uint32_t index : needed) {
-    Kernel *kernel = records[index].kernel;
-    if (!kernel->knownAdjoint.load(std::memory_order_relaxed) &&
-        !kernel->adjointAsked &&
-        std::find(pending.begin(), pending.end(), kernel) == pending.end())
-      pending.push_back(kernel);
+    Pending entry = {records[index].kernel, storesAgain[index]};
+    const Kernel::AdjointForm &form = entry.kernel->adjointForms[entry.takes];
+    if (!form.known.load(std::memory_order_relaxed) && !form.asked &&
+        std::find(pending.begin(), pending.end(), entry) == pending.end())
+      pending.push_back(entry);
   }
   return pending;
 }

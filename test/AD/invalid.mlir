@@ -60,22 +60,6 @@ tai.kernel @counter() {
   tai.return
 }
 
-// A field without an adjoint may be overwritten, but not if the gradient needs
-// what it held.
-tai.kernel @scratch() {
-  tai.parallel_for (%i) in @x {
-    // expected-error @+2 {{the value read here is needed by the gradient, but is overwritten}}
-    // expected-note @+1 {{store the new value to another element, such as one more time step of the field}}
-    %0 = tai.load @plain[%i] : f32
-    %1 = tai.load @x[%i] : f32
-    %2 = arith.mulf %0, %1 : f32
-    tai.store %2, @y[%i] : f32
-    // expected-note @+1 {{overwritten here}}
-    tai.store %1, @plain[%i] : f32
-  }
-  tai.return
-}
-
 // The last iteration decides what the scratch element holds in the end.
 tai.kernel @scratch_in_loop() {
   %c0 = arith.constant 0 : index
@@ -84,7 +68,8 @@ tai.kernel @scratch_in_loop() {
   scf.for %i = %c0 to %c16 step %c1 {
     %k = arith.index_cast %i : index to i32
     %f = arith.sitofp %k : i32 to f32
-    // expected-note @+1 {{overwritten here}}
+    // expected-note @+2 {{overwritten here}}
+    // expected-note @+1 {{and what stood there before is replaced here}}
     tai.store %f, @plain[%c0] : f32
     // expected-error @+2 {{the value read here is needed by the gradient, but is overwritten}}
     // expected-note @+1 {{store the new value to another element}}
@@ -221,6 +206,20 @@ func.func @product(%x: memref<4xf32>, %out: memref<f32>) attributes {tai.differe
     }
   }
   memref.store %p, %out[] : memref<f32>
+  return
+}
+
+// -----
+
+// Nobody could bring back what the caller's array held.
+func.func @in_place(%x: memref<?xf32>, %y: memref<?xf32>) attributes {tai.differentiate} {
+  %c0 = arith.constant 0 : index
+  // expected-error @+2 {{the value read here is needed by the gradient, but is overwritten}}
+  // expected-note @+1 {{store the new value to another element}}
+  %0 = memref.load %x[%c0] : memref<?xf32>
+  %1 = arith.mulf %0, %0 : f32
+  // expected-note @+1 {{overwritten here}}
+  memref.store %1, %x[%c0] : memref<?xf32>
   return
 }
 

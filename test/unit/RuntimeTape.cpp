@@ -35,10 +35,14 @@ int32_t sine(TaiFrame *frame) {
     in<1>(frame)[i] = scaleOf(frame) * std::sin(in<0>(frame)[i]);
   return 0;
 }
+template <bool takes>
 int32_t sineAdjoint(TaiFrame *frame) { // from, to, from_grad, to_grad
-  for (int64_t i = 0; i < n; ++i)
+  for (int64_t i = 0; i < n; ++i) {
     in<2>(frame)[i] +=
         in<3>(frame)[i] * scaleOf(frame) * std::cos(in<0>(frame)[i]);
+    if (takes)
+      in<3>(frame)[i] = 0;
+  }
   return 0;
 }
 /// loss += sum of from[i]^2
@@ -78,14 +82,15 @@ struct Scene {
   }
 
   KernelPtr pair(std::string name, FieldPtr from, FieldPtr to, AccessKind kind,
-                 TaiKernelFn function, TaiKernelFn reverse, int64_t slots) {
+                 TaiKernelFn function, TaiKernelFn reverse, int64_t slots,
+                 TaiKernelFn taking = nullptr) {
     KernelInfo info;
     info.name = name;
     info.argSlots = slots;
     info.trees = {tree(*from), tree(*to)};
     info.summary = {{from, AccessKind::Read}, {to, kind}};
     info.function = function;
-    info.makeAdjoint = [=](Kernel &primal, KernelPtr &adjoint) {
+    auto make = [=](Kernel &primal, TaiKernelFn reverse, KernelPtr &adjoint) {
       ++adjointsMade;
       KernelInfo info;
       info.name = primal.name() + "_grad";
@@ -96,11 +101,19 @@ struct Scene {
       adjoint = runtime.createKernel(info);
       return Status::success();
     };
+    info.makeAdjoint = [=](Kernel &primal, KernelPtr &adjoint) {
+      return make(primal, reverse, adjoint);
+    };
+    if (taking)
+      info.makeTakingAdjoint = [=](Kernel &primal, KernelPtr &adjoint) {
+        return make(primal, taking, adjoint);
+      };
     return runtime.createKernel(info);
   }
   KernelPtr sineOf(FieldPtr from, FieldPtr to) {
     return pair(to->name() + "=sin(" + from->name() + ")", from, to,
-                AccessKind::Write, sine, sineAdjoint, 1);
+                AccessKind::Write, sine, sineAdjoint<false>, 1,
+                sineAdjoint<true>);
   }
   KernelPtr squaresOf(FieldPtr from) {
     return pair("loss+=" + from->name() + "^2", from, loss,
@@ -117,6 +130,7 @@ struct Scene {
     reverse.trees = {tree(*to), tree(*to->adjoint())};
     reverse.function = onesAdjoint;
     info.adjoint = runtime.createKernel(reverse);
+    info.adjointTakes = true;
     return runtime.createKernel(info);
   }
 
@@ -375,7 +389,14 @@ TEST(RuntimeTape, FollowsWhatCallbacksLaunch) {
           in<2>(frame)[i] += in<3>(frame)[i];
         return 0;
       },
-      0);
+      0,
+      [](TaiFrame *frame) {
+        for (int64_t i = 0; i < n; ++i) {
+          in<2>(frame)[i] += in<3>(frame)[i];
+          in<3>(frame)[i] = 0;
+        }
+        return 0;
+      });
   auto sum = scene.squaresOf(scene.z);
   scene.startAt(0.3);
   auto tape = scene.begin();

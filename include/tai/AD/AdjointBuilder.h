@@ -26,6 +26,7 @@
 #include "tai/Analysis/Activity.h"
 #include "tai/Analysis/FloatFacts.h"
 #include "llvm/ADT/MapVector.h"
+#include "llvm/ADT/SetVector.h"
 #include <map>
 
 namespace mlir::tai {
@@ -77,9 +78,11 @@ struct Frame {
 class AdjointBuilder : public ImplicitLocOpBuilder {
 public:
   /// Builds into the body of `adjoint`, whose arguments begin with those of
-  /// `primal`. `adjointOf` gives the storage of adjoints, or none.
+  /// `primal`. `adjointOf` gives the storage of adjoints, or none. With
+  /// `takesAll`, all stores take the adjoints of their elements.
   AdjointBuilder(FunctionOpInterface primal, FunctionOpInterface adjoint,
-                 std::function<Storage(Storage)> adjointOf);
+                 std::function<Storage(Storage)> adjointOf,
+                 bool takesAll = false);
 
   /// Builds the whole adjoint; the terminator is left to the caller. Fails
   /// after an error at the op that cannot be differentiated.
@@ -107,6 +110,17 @@ public:
   void addAdjointComponent(Value value, int64_t component, Value contribution);
   /// What is known of primal values.
   FloatFacts &getFacts() { return facts; }
+  /// True if the reverse of the access does something.
+  bool isReversed(Operation *access) const {
+    return activity.isActiveAccess(access) || takes.contains(access);
+  }
+  /// True if the reverse of the store takes the adjoint of the element: it
+  /// leaves zero, for the value before the store.
+  bool takesAdjoint(Operation *store) const { return takes.contains(store); }
+  /// True if a write may follow on `read` and reach the same element.
+  bool mayBeOverwritten(DifferentiableAccessInterface read) const {
+    return static_cast<bool>(accesses.findLaterWrite(read));
+  }
 
   /// A float or splat constant of the given type.
   Value createConstant(Type type, double value);
@@ -165,6 +179,8 @@ private:
   bool checkRecomputable(Operation *op);
   bool checkReadable(DifferentiableAccessInterface read);
   LogicalResult checkAccesses();
+  void findTakes();
+  LogicalResult chooseStates();
   LogicalResult reverseOp(Operation *op);
   LogicalResult reverseAccess(Operation *op);
   Value sumUp(Value value, PartialAdjoint &entry);
@@ -174,6 +190,11 @@ private:
   Activity activity;
   AccessTable accesses;
   FloatFacts facts;
+  bool takesAll;
+  /// The stores that take, and the ops around them.
+  DenseSet<Operation *> takes, takeHolders;
+  /// The reads that the adjoint repeats.
+  llvm::SetVector<Operation *> needed;
   Frame *current = nullptr;
   bool hasErrors = false;
   int64_t historyLimit = kDefaultHistoryBytes;

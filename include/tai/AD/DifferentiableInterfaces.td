@@ -94,6 +94,12 @@ def Tai_DifferentiableAccessInterface
       (ins "::mlir::OpBuilder &":$builder, "::mlir::Value":$value,
            "::mlir::tai::Storage":$storage, "::mlir::ValueRange":$indices,
            "::mlir::ValueRange":$components)>,
+    InterfaceMethod<[{
+        Stores zero to the same element of `storage`, which holds adjoints.
+      }],
+      "void", "createAdjointZero",
+      (ins "::mlir::OpBuilder &":$builder, "::mlir::tai::Storage":$storage,
+           "::mlir::ValueRange":$indices, "::mlir::ValueRange":$components)>,
   ];
 }
 

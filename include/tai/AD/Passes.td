@@ -34,6 +34,12 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
     no infinity or NaN enters a gradient from where the loss does not depend on
     it. See `docs/derivatives.md` for the rules.
 
+    A store ends the life of the value before it: its adjoint takes the adjoint
+    of the element and leaves zero, where an access before the store may have
+    used the element in the same kernel; with the option `takes`, always. A tape
+    asks for this form, which has the attribute `tai.takes`, where an earlier
+    launch has used the elements.
+
     Without options, takes the kernels launched in a `tai.tape` or
     `tai.check_gradient`, or all kernels of a module that has none of these, and
     the functions with the unit attribute `tai.differentiate`. A function takes
@@ -82,42 +88,9 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
            /*default=*/"::mlir::tai::kDefaultHistoryBytes",
            "Bytes that a loop may record at once; where it takes more, parts of "
            "the loop are run once more">,
+    Option<"takes", "takes", "bool", /*default=*/"false",
+           "Leave zero in the adjoints of all that a kernel stores">,
   ];
-}
-
-def ClearOverwritten : Pass<"tai-clear-overwritten", "::mlir::ModuleOp"> {
-  let summary = "turn kernels into ones that zero the adjoints of what they store";
-  let description = [{
-    Replaces each store to a field with an adjoint by a store of zero to the
-    adjoint, at the same indices, and removes all other output. A reverse sweep
-    runs the result after the adjoint of a kernel that has overwritten elements
-    which an earlier launch had changed: what remains there would otherwise be
-    counted for that launch too.
-
-    ```mlir
-    tai.kernel @scale(%a: f32) {
-      tai.parallel_for (%i) in @x {
-        %0 = tai.load @x[%i] : f32
-        %1 = arith.mulf %0, %a : f32
-        tai.store %1, @y[%i] : f32
-      }
-      tai.return
-    }
-    ```
-
-    becomes
-
-    ```mlir
-    tai.kernel @scale(%a: f32) {
-      tai.parallel_for (%i) in @x {
-        %zero = arith.constant 0.0 : f32
-        tai.store %zero, @y_grad[%i] : f32
-      }
-      tai.return
-    }
-    ```
-  }];
-  let dependentDialects = ["::mlir::arith::ArithDialect"];
 }
 
 #endif // TAI_AD_PASSES_TD

@@ -31,11 +31,12 @@ public:
     return storages;
   }
 
-  /// A write that runs after `read` and reaches the same element for certain,
-  /// in the same iteration of the loops around both or in a later iteration of
-  /// a serial one; or null.
+  /// A write that may run after `access` and reach the same element, or null.
   DifferentiableAccessInterface
-  findLaterWrite(DifferentiableAccessInterface read) const;
+  findLaterWrite(DifferentiableAccessInterface access) const;
+  /// A write that may run before `access` and reach the same element, or null.
+  DifferentiableAccessInterface
+  findEarlierWrite(DifferentiableAccessInterface access) const;
 
 private:
   llvm::MapVector<const void *, Accesses> storages;
@@ -49,10 +50,19 @@ private:
 bool reachSameElement(DifferentiableAccessInterface lhs,
                       DifferentiableAccessInterface rhs);
 
-/// True if both accesses stand in one serial loop, and reach the same element
-/// in each of its iterations.
-bool meetInEveryIteration(DifferentiableAccessInterface lhs,
-                          DifferentiableAccessInterface rhs);
+/// False if `second` cannot run after `first` and reach the same element: in
+/// the same iteration of the loops around both, or in a later iteration of a
+/// serial one. Iterations of one parallel loop do not meet: a program in which
+/// they do has no defined result. True wherever that is not proven.
+bool mayReachLater(DifferentiableAccessInterface first,
+                   DifferentiableAccessInterface second);
+
+/// True if the op runs iterations one after another.
+bool isSerialLoop(Operation *op);
+
+/// The innermost block around both ops, and the op in it around each; null if
+/// they are in different functions.
+Block *findCommonBlock(Operation *&lhs, Operation *&rhs);
 
 /// True if `second` runs after `first`, in the same iteration of the loops
 /// around both, whenever both run; and one of them always runs if the other

@@ -66,8 +66,9 @@ struct ObjectCache {
 
 /// What to compile.
 struct CompileRequest {
-  /// Clearing: what zeroes the adjoints of the elements that the kernel stores.
-  enum class Goal { Primal, Adjoint, Clearing };
+  /// TakingAdjoint: the adjoint that leaves zero in the adjoints of the
+  /// elements which the kernel stores.
+  enum class Goal { Primal, Adjoint, TakingAdjoint };
 
   /// Left as it is. Holds the function, what it calls, and the trees and
   /// fields that it uses.
@@ -80,8 +81,8 @@ class Compiler {
 public:
   /// The pass pipelines. Each is built once and run by one thread at a time.
   struct Pipelines {
-    std::function<void(OpPassManager &, const CompileOptions &)> autodiff;
-    std::function<void(OpPassManager &, const CompileOptions &)> clearing;
+    std::function<void(OpPassManager &, const CompileOptions &, bool takes)>
+        autodiff;
     std::function<void(OpPassManager &, const CompileOptions &)> toLLVM;
     /// The pass after which the IR is "scf".
     std::string scfPass;

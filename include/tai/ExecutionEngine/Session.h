@@ -150,10 +150,8 @@ private:
                                 runtime::Kernel &runtimeKernel,
                                 TaiKernelFn &function);
   runtime::Status compileAdjoint(KernelCode &code,
-                                 runtime::Kernel &runtimeKernel,
+                                 runtime::Kernel &runtimeKernel, bool takes,
                                  runtime::KernelPtr &adjoint);
-  runtime::Status compileClearing(KernelCode &code,
-                                  runtime::KernelPtr &clearing);
   runtime::Status compileChecked(KernelCode &code,
                                  runtime::CheckedKernel &checked);
   std::optional<Compiler::Function>

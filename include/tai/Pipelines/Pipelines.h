@@ -28,6 +28,7 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
     flatten = other.flatten.getValue();
     arrayAdjoints = other.arrayAdjoints.getValue();
     historyBytes = other.historyBytes.getValue();
+    takes = other.takes.getValue();
   }
 
   ListOption<std::string> kernels{
@@ -48,14 +49,17 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
       llvm::cl::desc("Bytes that a loop may record at once; where it takes "
                      "more, parts of the loop are run once more"),
       llvm::cl::init(kDefaultHistoryBytes)};
+  Option<bool> takes{
+      *this, "takes",
+      llvm::cl::desc(
+          "Make the form of adjoints that leaves zero in the adjoints "
+          "of all that kernels store"),
+      llvm::cl::init(false)};
 };
 
 /// Makes the adjoints of kernels and the summaries of all kernels. Anchored on
 /// the module.
 void buildAutodiffPipeline(OpPassManager &pm, const AutodiffOptions &options);
-
-/// Makes of kernels what zeroes the adjoints of the elements that they store.
-void buildClearingPipeline(OpPassManager &pm);
 
 /// Makes `--tai-autodiff` known to pass pipelines given as text.
 void registerAutodiffPipeline();

@@ -15,6 +15,7 @@
 
 #include "tai/Runtime/Abi.h"
 #include "tai/Runtime/Field.h"
+#include <array>
 #include <functional>
 #include <mutex>
 #include <optional>
@@ -81,12 +82,15 @@ struct KernelInfo {
   /// first needs it. A null kernel with success says that there is nothing to
   /// differentiate.
   KernelPtr adjoint;
+  /// True if `adjoint` leaves zero in the adjoints of what the kernel stores.
+  bool adjointTakes = false;
   std::function<Status(Kernel &kernel, KernelPtr &adjoint)> makeAdjoint;
   /// False if an adjoint of the kernel would do nothing; the tape skips it.
   bool differentiable = true;
-  /// How to get the kernel that zeroes the adjoints of the elements which this
-  /// one stores. Called once, when elements turn out to be stored again.
-  std::function<Status(KernelPtr &clearing)> makeClearing;
+  /// The same for the form of the adjoint that takes: it leaves zero in the
+  /// adjoints of the elements which the kernel stores. Called once, when
+  /// elements turn out to be stored again.
+  std::function<Status(Kernel &kernel, KernelPtr &adjoint)> makeTakingAdjoint;
   /// How to get the form that checks the access rules as it runs; called once,
   /// when a tape that checks launches the kernel. None: nothing to check.
   std::function<Status(CheckedKernel &checked)> makeChecked;
@@ -115,13 +119,9 @@ public:
   bool resolved() const {
     return function.load(std::memory_order_acquire) != nullptr;
   }
-  /// The adjoint, made now if need be; null if there is nothing to
-  /// differentiate. Any thread.
-  Status resolveAdjoint(Kernel *&adjoint);
-
-  /// What zeroes the adjoints of the elements that this kernel stores; null if
-  /// it cannot be made. Any thread.
-  Status resolveClearing(Kernel *&clearing);
+  /// The adjoint, or the form of it that takes, made now if need be; null if
+  /// there is nothing to differentiate. Any thread.
+  Status resolveAdjoint(Kernel *&adjoint, bool takes = false);
 
   /// The form that checks the access rules; null if there is nothing to check.
   Status resolveChecked(CheckedKernel *&checked);
@@ -143,10 +143,14 @@ private:
   std::atomic<TaiKernelFn> function{nullptr};
   /// Recursive: the resolver of an adjoint may resolve its primal.
   std::recursive_mutex mutex;
-  bool adjointAsked = false;
-  /// Set once the adjoint has been found, so that a sweep takes no lock.
-  std::atomic<Kernel *> knownAdjoint{nullptr};
-  KernelPtr clearing;
+  /// Of both forms of the adjoint: the plain one and the one that takes.
+  struct AdjointForm {
+    KernelPtr kernel;
+    bool asked = false;
+    /// Set once the adjoint has been found, so that a sweep takes no lock.
+    std::atomic<Kernel *> known{nullptr};
+  };
+  std::array<AdjointForm, 2> adjointForms;
   std::shared_ptr<CheckedKernel> checked;
 
   std::vector<void *> bases;

@@ -191,9 +191,6 @@ private:
   Status run(Launch &launch, Kernel &kernel, const uint64_t *args,
              uint64_t *results, uint64_t number);
   int32_t runTimed(Launch &launch, Kernel &kernel, TaiKernelFn function);
-  /// Zeroes the adjoints of the elements that the kernel stores.
-  Status runClearing(Launch &launch, Kernel &kernel, const uint64_t *args,
-                     uint64_t number);
   Status runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
                     const uint64_t *args, uint64_t number);
   Launch *acquireLaunch();

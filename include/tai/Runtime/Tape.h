@@ -82,13 +82,22 @@ public:
   /// Records that the last reverse sweep skipped (before the first: that one
   /// seeded by the loss alone would).
   int64_t numSkipped();
-  /// Kernels that the reverse sweep would replay and whose adjoints have not
-  /// been made, so that they can be compiled together ahead of it.
-  std::vector<Kernel *> pendingAdjoints();
+  /// An adjoint, in one of its two forms.
+  struct Pending {
+    Kernel *kernel;
+    bool takes;
+    bool operator==(const Pending &other) const {
+      return kernel == other.kernel && takes == other.takes;
+    }
+  };
+  /// Adjoints that the reverse sweep would launch and that have not been made,
+  /// so that they can be compiled together ahead of it.
+  std::vector<Pending> pendingAdjoints();
   /// One line for each record: replayed or skipped, and why.
   const std::string &explain();
-  /// Whether the sweep zeroes adjoints after that of the record.
-  bool clearsAfter(int64_t record) const { return storesAgain[record]; }
+  /// Whether the sweep launches the adjoint of the record in the form that
+  /// takes.
+  bool takesAt(int64_t record) const { return storesAgain[record]; }
 
   /// A launch that writes a field which an earlier record reads or writes.
   struct Overwrite {

@@ -47,6 +47,13 @@ struct AccessModel : DifferentiableAccessInterface::ExternalModel<Model, OpTy> {
                                ValueRange) const {
     createAccumulate(b, op->getLoc(), value, storage.memref, indices);
   }
+  void createAdjointZero(Operation *op, OpBuilder &b, Storage storage,
+                         ValueRange indices, ValueRange) const {
+    Type type = cast<MemRefType>(storage.memref.getType()).getElementType();
+    Value zero = arith::ConstantOp::create(
+        b, op->getLoc(), cast<TypedAttr>(b.getZeroAttr(type)));
+    memref::StoreOp::create(b, op->getLoc(), zero, storage.memref, indices);
+  }
 };
 
 struct LoadModel : AccessModel<LoadModel, memref::LoadOp> {

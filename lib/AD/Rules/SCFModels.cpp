@@ -159,8 +159,9 @@ struct WhileModel
     bool isIndependent = true;
     llvm::SmallDenseSet<const void *> reads, writes;
     op->walk([&](DifferentiableAccessInterface access) {
-      if (!b.getActivity().isActiveAccess(access))
+      if (!b.isReversed(access))
         return;
+      isIndependent &= !b.takesAdjoint(access);
       const void *key = access.getAccessedStorage().getOpaque();
       bool isRead = access.getAccessKind() == AccessKind::Read;
       (isRead ? reads : writes).insert(key);

@@ -43,6 +43,13 @@ struct AccessModel : DifferentiableAccessInterface::ExternalModel<Model, OpTy> {
     AtomicOp::create(b, op->getLoc(), AtomicKind::Add, value, storage.field,
                      indices, components);
   }
+  void createAdjointZero(Operation *op, OpBuilder &b, Storage storage,
+                         ValueRange indices, ValueRange components) const {
+    auto zero = cast<TypedAttr>(b.getZeroAttr(getAccessedValue(op).getType()));
+    StoreOp::create(b, op->getLoc(),
+                    arith::ConstantOp::create(b, op->getLoc(), zero),
+                    storage.field, indices, components);
+  }
 };
 
 struct LoadModel : AccessModel<LoadModel, LoadOp> {

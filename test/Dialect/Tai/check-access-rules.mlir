@@ -10,94 +10,15 @@ tai.field @y_grad = @t["y_grad"] : f32, rank 2
 tai.field @x = @t["x"] : f32, rank 2, adjoint @x_grad
 tai.field @y = @t["y"] : f32, rank 2, adjoint @y_grad
 
-// x[i, j] = sin(x[i, j])
-tai.kernel @in_place() {
-  tai.parallel_for (%i, %j) in @x {
-    // expected-note @+1 {{read here}}
-    %0 = tai.load @x[%i, %j] : f32
-    %1 = math.sin %0 : f32
-    // expected-error @+2 {{an element of field '@x' is written after it was read, so its gradient would be wrong}}
-    // expected-note @+1 {{store to another element, such as one more time step of the field}}
-    tai.store %1, @x[%i, %j] : f32
-  }
-  tai.return
-}
-
-// x[i, j] += x[i, j]^2: the adjoint would square the new value.
-tai.kernel @read_then_accumulate() {
-  tai.parallel_for (%i, %j) in @x {
-    // expected-note @+1 {{read here}}
-    %0 = tai.load @x[%i, %j] : f32
-    %1 = arith.mulf %0, %0 : f32
-    // expected-error @+2 {{an element of field '@x' is written after it was read}}
-    // expected-note @+1 {{store to another element}}
-    tai.atomic add %1, @x[%i, %j] : f32
-  }
-  tai.return
-}
-
-// The index is the same though it is computed twice.
-tai.kernel @twice(%t: i32) {
-  %c1 = arith.constant 1 : index
-  tai.parallel_for (%i, %j) in @x {
-    %0 = tai.load @x[%i, %j] : f32
-    %k = arith.addi %j, %c1 : index
-    // expected-note @+1 {{written here}}
-    tai.store %0, @y[%i, %k] : f32
-    %1 = math.sin %0 : f32
-    %l = arith.addi %c1, %j : index
-    // expected-error @+2 {{an element of field '@y' is written a second time, so its gradient would be wrong}}
-    // expected-note @+1 {{from the second write on, accumulate with 'tai.atomic add'; or combine both values in a local variable and store once}}
-    tai.store %1, @y[%i, %l] : f32
-  }
-  tai.return
-}
-
-// Whenever the condition holds, the first value is lost.
-tai.kernel @override(%c: i1) {
-  tai.parallel_for (%i, %j) in @x {
-    %0 = tai.load @x[%i, %j] : f32
-    // expected-note @+1 {{written here}}
-    tai.store %0, @y[%i, %j] : f32
-    scf.if %c {
-      %1 = math.sin %0 : f32
-      // expected-error @+2 {{an element of field '@y' is written a second time}}
-      // expected-note @+1 {{from the second write on}}
-      tai.store %1, @y[%i, %j] : f32
-    }
-  }
-  tai.return
-}
-
-// Two loops over the same range meet in every element.
-tai.kernel @two_loops() {
-  tai.parallel_for (%i, %j) in @x {
-    // expected-note @+1 {{read here}}
-    %0 = tai.load @x[%i, %j] : f32
-    tai.store %0, @y[%i, %j] : f32
-  }
-  tai.parallel_for (%i, %j) in @x {
-    %1 = tai.load @y[%i, %j] : f32
-    // expected-error @+2 {{an element of field '@x' is written after it was read}}
-    // expected-note @+1 {{store to another element}}
-    tai.store %1, @x[%i, %j] : f32
-  }
-  tai.return
-}
-
-// Eight iterations of the serial loop store to one element.
+// All iterations along i store to one element.
 tai.kernel @overwritten_in_loop() {
   %c0 = arith.constant 0 : index
-  %c1 = arith.constant 1 : index
-  %c8 = arith.constant 8 : index
-  tai.parallel_for (%j) = (%c0) to (%c8) {
-    // expected-note @+1 {{the indices do not depend on this loop}}
-    scf.for %i = %c0 to %c8 step %c1 {
-      %0 = tai.load @x[%i, %j] : f32
-      // expected-error @+2 {{an element of field '@y' is overwritten in every iteration of a loop, so its gradient would be wrong}}
-      // expected-note @+1 {{accumulate with 'tai.atomic add', or store to an element for each iteration}}
-      tai.store %0, @y[%c0, %j] : f32
-    }
+  // expected-note @+1 {{the indices do not depend on this loop}}
+  tai.parallel_for (%i, %j) in @x {
+    %0 = tai.load @x[%i, %j] : f32
+    // expected-error @+2 {{an element of field '@y' is overwritten in every iteration of a parallel loop, so its value and its gradient would be wrong}}
+    // expected-note @+1 {{accumulate with 'tai.atomic add', or store to an element for each iteration}}
+    tai.store %0, @y[%c0, %j] : f32
   }
   tai.return
 }
@@ -129,6 +50,42 @@ tai.field @y = @t["y"] : f32, rank 2, adjoint @y_grad
 tai.field @v = @t["v"] : vector<2xf32>, rank 2, adjoint @v_grad
 tai.field @n = @t["n"] : i32, rank 2
 tai.field @plain = @t["plain"] : f32, rank 2
+
+// Within an iteration, and from loop to loop, the order of accesses is known.
+tai.kernel @in_place(%c: i1) {
+  tai.parallel_for (%i, %j) in @x {
+    %0 = tai.load @x[%i, %j] : f32
+    %1 = math.sin %0 : f32
+    tai.store %1, @x[%i, %j] : f32
+    tai.atomic add %1, @x[%i, %j] : f32
+    scf.if %c {
+      tai.store %0, @x[%i, %j] : f32
+    }
+  }
+  tai.parallel_for (%i, %j) in @x {
+    %0 = tai.load @y[%i, %j] : f32
+    tai.store %0, @x[%i, %j] : f32
+  }
+  tai.return
+}
+
+// So is that of the iterations of a serial loop.
+tai.kernel @overwritten_in_serial_loop() {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c8 = arith.constant 8 : index
+  tai.parallel_for (%j) = (%c0) to (%c8) {
+    scf.for %i = %c0 to %c8 step %c1 {
+      %0 = tai.load @x[%i, %j] : f32
+      tai.store %0, @y[%c0, %j] : f32
+    }
+  }
+  tai.parallel_for (%i) = (%c0) to (%c8) serialize {
+    %0 = tai.load @x[%i, %c0] : f32
+    tai.store %0, @y[%c0, %c0] : f32
+  }
+  tai.return
+}
 
 // One time step reads the one before.
 tai.kernel @step(%t: index) {

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Compares the accesses of a kernel to each field that has an adjoint, pair by
-// pair. A pair is reported if it breaks a rule for certain and a derivative is
-// lost by it; a legal program is never refused.
+// Looks for iterations of one parallel loop that meet in an element of a field
+// with an adjoint, so that neither its value nor its gradient is defined. What
+// is reported is so for certain; a legal program is never refused.
 //
 //===----------------------------------------------------------------------===//
 
@@ -67,8 +67,8 @@ static std::optional<int64_t> getExtent(Operation *loop, unsigned dim) {
   return *upper - *lower;
 }
 
-/// A loop around `access`, with no branch in between, of which at least two
-/// iterations reach the same element; or null.
+/// A parallel loop around `access`, with no branch in between, of which at
+/// least two iterations reach the same element; or null.
 static Operation *findRepeatingLoop(DifferentiableAccessInterface access) {
   SmallVector<LinearIndex> indices =
       getLinearIndices(access.getAccessIndices());
@@ -98,7 +98,7 @@ static Operation *findRepeatingLoop(DifferentiableAccessInterface access) {
         return index.getCoefficient(iv) != 0;
       });
       std::optional<int64_t> extent = getExtent(parent, dim);
-      if (!isUsed && extent && *extent >= 2)
+      if (!isUsed && extent && *extent >= 2 && !isSerialLoop(parent))
         return parent;
     }
   }
@@ -116,13 +116,11 @@ public:
     for (auto &[storage, accesses] : table.getStorages()) {
       for (DifferentiableAccessInterface access : accesses)
         checkRepeated(access);
-      // Most fields are only read, or only written, by a kernel.
-      if (llvm::none_of(accesses, [&](auto access) { return isWrite(access); }))
-        continue;
       for (DifferentiableAccessInterface first : accesses)
         for (DifferentiableAccessInterface second : accesses)
-          if ((isWrite(first) || isWrite(second)) && first != second)
-            checkPair(first, second);
+          if (first.getAccessKind() == AccessKind::Accumulate &&
+              second.getAccessKind() == AccessKind::Read)
+            checkEarlyRead(first, second);
     }
     return failure(hasErrors);
   }
@@ -133,68 +131,33 @@ private:
     return op->emitError() << message;
   }
 
-  static bool isWrite(DifferentiableAccessInterface access) {
-    return access.getAccessKind() != AccessKind::Read;
-  }
-
   bool isActive(DifferentiableAccessInterface access) {
     return activity.isActiveAccess(access);
   }
 
-  /// Rule 1 for one store in a loop that does not move with the loop.
+  /// One store in a parallel loop that does not move with the loop.
   void checkRepeated(DifferentiableAccessInterface access) {
     if (access.getAccessKind() != AccessKind::Write || !isActive(access))
       return;
     Operation *loop = findRepeatingLoop(access);
     if (!loop || !reported.insert(access).second)
       return;
-    InFlightDiagnostic diag =
-        report(access, "an element of " + getName(access) +
-                           " is overwritten in every iteration of a loop, so "
-                           "its gradient would be wrong");
+    InFlightDiagnostic diag = report(
+        access, "an element of " + getName(access) +
+                    " is overwritten in every iteration of a parallel "
+                    "loop, so its value and its gradient would be wrong");
     diag.attachNote(loop->getLoc()) << "the indices do not depend on this loop";
     diag.attachNote() << "accumulate with 'tai.atomic add', or store to an "
                          "element for each iteration";
-  }
-
-  void checkPair(DifferentiableAccessInterface first,
-                 DifferentiableAccessInterface second) {
-    AccessKind before = first.getAccessKind(), after = second.getAccessKind();
-    bool isRead = before == AccessKind::Read;
-    if (isRead ? after == AccessKind::Read || !isActive(first)
-        : after == AccessKind::Read ? before != AccessKind::Accumulate
-                                    : after == AccessKind::Accumulate)
-      return;
-    if (!isRead && !isActive(first))
-      return;
-    if (reported.contains(second) || !runsAfter(first, second) ||
-        !reachSameElement(first, second))
-      return;
-    if (after == AccessKind::Read)
-      return checkEarlyRead(first, second);
-    reported.insert(second);
-    InFlightDiagnostic diag = report(
-        second, isRead ? "an element of " + getName(second) +
-                             " is written after it was read, so its gradient "
-                             "would be wrong"
-                       : "an element of " + getName(second) +
-                             " is written a second time, so its gradient would "
-                             "be wrong");
-    diag.attachNote(first->getLoc()) << (isRead ? "read here" : "written here");
-    if (isRead)
-      diag.attachNote() << "store to another element, such as one more time "
-                           "step of the field";
-    else
-      diag.attachNote() << "from the second write on, accumulate with "
-                           "'tai.atomic add'; or combine both values in a "
-                           "local variable and store once";
   }
 
   /// Rule 2 inside one parallel loop: other iterations still accumulate.
   void checkEarlyRead(DifferentiableAccessInterface accumulation,
                       DifferentiableAccessInterface read) {
     Operation *loop = getEnclosingParallelLoop(accumulation);
-    if (!loop || !loop->isAncestor(read) || !isActive(read))
+    if (!loop || !loop->isAncestor(read) || !isActive(read) ||
+        reported.contains(read) || !runsAfter(accumulation, read) ||
+        !reachSameElement(accumulation, read))
       return;
     auto parallel = dyn_cast<ParallelForOp>(loop);
     if (!parallel || parallel.getSerialize() ||

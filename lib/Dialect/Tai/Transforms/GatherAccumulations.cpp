@@ -188,13 +188,14 @@ static SmallVector<Group> getGroups(FieldOp field, LoopBox &box,
   FailureOr<FieldLayout> layout = getFieldLayout(field);
   if (failed(layout) || layout->path.getFirstSparse())
     return {};
-  // Reads of the field itself are the business of isOnlyAccess.
+  // Reads of the field itself are the business of isOnlyAccess, unless the loop
+  // stores to it: what an iteration reads would then depend on which one it is.
   llvm::SmallDenseSet<const void *> written;
+  const void *own = getStorageKey(atomics.front());
   box.loop.walk([&](Operation *op) {
-    if (isa<StoreOp, AtomicOp>(op))
+    if (isa<StoreOp>(op) || (isa<AtomicOp>(op) && getStorageKey(op) != own))
       written.insert(getStorageKey(op));
   });
-  written.erase(getStorageKey(atomics.front()));
 
   SmallVector<Group> groups;
   unsigned ops = 0;

@@ -51,6 +51,19 @@ namespace mlir::tai {
 struct FieldResource : SideEffects::Resource::Base<FieldResource> {
   StringRef getName() final { return "tai.field"; }
 };
+
+// Attributes of adjoint kernels: what a tape must know to launch them.
+
+/// The adjoint leaves zero in the adjoints of all that the kernel stores.
+constexpr llvm::StringLiteral kTakesAttrName = "tai.takes";
+/// The fields that the adjoint reads as they were before the launch.
+constexpr llvm::StringLiteral kBeforeAttrName = "tai.before";
+/// The adjoint writes to these fields while it runs: they must be put back to
+/// what they were before the launch once more when it is done.
+constexpr llvm::StringLiteral kRerunsAttrName = "tai.reruns";
+/// On a kernel: it is a part of the named kernel, launched in its place under a
+/// tape.
+constexpr llvm::StringLiteral kPartOfAttrName = "tai.part_of";
 } // namespace mlir::tai
 
 #define GET_OP_CLASSES

@@ -89,19 +89,20 @@ def FlattenBranches : Pass<"tai-flatten-branches"> {
 }
 
 def CheckAccessRules : Pass<"tai-check-access-rules", "::mlir::ModuleOp"> {
-  let summary = "refuse proven violations of the global data access rules";
+  let summary = "refuse kernels whose parallel iterations meet in an element";
   let description = [{
-    The gradient of a kernel is right if its accesses to fields follow two rules
-    (paper, section 3):
+    The paper (section 3) asks of a kernel that an element which is written more
+    than once is accumulated from the second write on, and that no element is
+    read before its accumulation is done. Within one iteration, in serial loops
+    and from loop to loop the order of accesses is known, and differentiation
+    deals with such programs. What remains is between the iterations of one
+    parallel loop: in a field with an adjoint,
 
-    1. if an element is written more than once, then from the second write on it
-       is accumulated (`tai.atomic add` or `sub`);
-    2. no element is read before its accumulation is done.
+    1. two iterations must not store to the same element;
+    2. none may read an element that others still accumulate.
 
-    Reports an error where a kernel breaks a rule for certain and its gradient
-    would be wrong: the two accesses reach the same element of a field that has
-    an adjoint, one runs after the other, and a derivative passes through the
-    value that is lost. What cannot be proven is left alone. Changes nothing.
+    Reports an error where a kernel breaks a rule for certain. What cannot be
+    proven is left alone. Changes nothing.
 
     Looks at the kernels that `tai-make-adjoint` would differentiate: a kernel
     that only runs forward may do as it likes.
