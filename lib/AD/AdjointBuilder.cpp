@@ -17,6 +17,7 @@
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/CallInterfaces.h"
 #include "tai/AD/Conventions.h"
+#include "tai/AD/Rerun.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
@@ -25,14 +26,24 @@ using namespace mlir::tai;
 AdjointBuilder::AdjointBuilder(FunctionOpInterface primal,
                                FunctionOpInterface adjoint,
                                std::function<Storage(Storage)> adjointOf,
-                               bool takesAll)
+                               bool takesAll, const RerunPlan &plan)
     : ImplicitLocOpBuilder(primal.getLoc(), primal.getContext()),
       primal(primal), adjoint(adjoint), adjointOf(std::move(adjointOf)),
       activity(primal,
                [this](Storage storage) {
                  return static_cast<bool>(this->adjointOf(storage));
                }),
-      accesses(primal), takesAll(takesAll) {}
+      accesses(primal), takesAll(takesAll), plan(plan), larger(plan) {
+  for (Operation *op : plan.recorded) {
+    Block *unit = getRerunUnit(op);
+    units.insert(unit);
+    for (Operation *parent = op->getParentOp(); parent != unit->getParentOp();
+         parent = parent->getParentOp())
+      holders.insert(parent);
+  }
+}
+
+AdjointBuilder::~AdjointBuilder() = default;
 
 LogicalResult AdjointBuilder::build() {
   if (failed(checkAccesses()))
@@ -48,7 +59,10 @@ LogicalResult AdjointBuilder::build() {
           frame.values.map(from, to);
       },
       [](Frame &) {});
-  if (failed(result) || hasErrors || failed(chooseStates()))
+  if (failed(result) || hasErrors)
+    return failure();
+  collectRerunReads();
+  if (failed(chooseStates()))
     return failure();
   dropDeadCarried(adjoint.getFunctionBody());
   return success();
@@ -130,6 +144,8 @@ AdjointBuilder::reverseBlock(Block *primal, Block *mirror,
   auto createMarker = [&] { return createConstant(getF32Type(), 0); };
   frame.recomputeBegin = createMarker().getDefiningOp();
   frame.sweepBegin = createMarker().getDefiningOp();
+  if (units.contains(primal))
+    beginRerun(frame);
   if (beforeSweep)
     beforeSweep();
   LogicalResult result = success();
@@ -139,9 +155,11 @@ AdjointBuilder::reverseBlock(Block *primal, Block *mirror,
       result = failure();
   }
   setLoc(loc);
+  if (units.contains(primal))
+    endRerun(frame);
   end(frame);
-  frame.recomputeBegin->erase();
   frame.sweepBegin->erase();
+  leaveMirror(frame);
   current = frame.parent;
   return result;
 }
@@ -214,7 +232,8 @@ LogicalResult AdjointBuilder::reverseAccess(Operation *op) {
   if (activity.isActiveAccess(op))
     read = access.createAdjointRead(*this, storage, indices, components);
   if (takes.contains(op))
-    access.createAdjointZero(*this, storage, indices, components);
+    access.createAdjointStore(*this, createZero(value.getType()), storage,
+                              indices, components);
   if (read && access.isNegated())
     read = arith::NegFOp::create(*this, read);
   addAdjoint(value, read);

@@ -39,6 +39,8 @@ void AdjointBuilder::materializeArgument(Frame &frame, BlockArgument argument) {
   Value value;
   if (!frame.argumentValues.empty()) {
     value = getPrimal(frame.argumentValues[index]);
+  } else if (isRecorded(argument)) {
+    value = fetchRecorded(frame, argument);
   } else if (frame.history) {
     if (auto loop = dyn_cast<scf::ForOp>(parent))
       index -= loop.getNumInductionVars();
@@ -58,6 +60,10 @@ LoopHistory::LoopHistory(AdjointBuilder &builder, scf::ForOp loop, Value count)
 
 LoopHistory::LoopHistory(AdjointBuilder &builder, scf::WhileOp loop)
     : b(builder), loop(loop), around(&builder.getFrame()), carried(loop) {
+  if (b.isRecordedLoop(loop)) {
+    count = b.fetchCount(loop);
+    return;
+  }
   counted = createCopy(/*counted=*/true);
   count = counted.getResults().back();
 }

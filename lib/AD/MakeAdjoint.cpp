@@ -104,10 +104,10 @@ static LogicalResult finishArrayAccumulations(FunctionOpInterface function) {
   return success();
 }
 
-/// Fills the adjoint of `function`.
-static LogicalResult fillAdjoint(FunctionOpInterface function,
-                                 FunctionOpInterface shell, bool arrays,
-                                 int64_t historyBytes, bool takes) {
+LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
+                                     FunctionOpInterface shell, bool arrays,
+                                     int64_t historyBytes, bool takes,
+                                     bool *needsParts) {
   // The last arguments of the adjoint are the adjoints of memref arguments.
   DenseMap<Value, Value> shadows;
   unsigned next = function.getNumArguments();
@@ -122,16 +122,28 @@ static LogicalResult fillAdjoint(FunctionOpInterface function,
                ? Storage(field.getAdjointAttr())
                : Storage();
   };
-  AdjointBuilder builder(function, shell, adjointOf, takes);
-  builder.setHistoryLimit(historyBytes);
-  if (failed(builder.build()))
-    return failure();
-  builder.setLoc(function.getLoc());
-  builder.setInsertionPointToEnd(&shell.getFunctionBody().front());
+  // What the adjoint has to run forward again shows when it is built.
+  RerunPlan plan;
+  while (true) {
+    AdjointBuilder builder(function, shell, adjointOf, takes, plan);
+    builder.setHistoryLimit(historyBytes);
+    LogicalResult built = builder.build();
+    if (needsParts)
+      *needsParts = builder.needsParts();
+    if (failed(built))
+      return failure();
+    if (!builder.needsMore())
+      break;
+    plan = RerunPlan(builder.getLargerPlan());
+    Block &body = shell.getFunctionBody().front();
+    body.dropAllReferences();
+    body.getOperations().clear();
+  }
+  OpBuilder builder = OpBuilder::atBlockEnd(&shell.getFunctionBody().front());
   if (isa<KernelOp>(shell.getOperation()))
-    ReturnOp::create(builder, ValueRange());
+    ReturnOp::create(builder, function.getLoc(), ValueRange());
   else
-    func::ReturnOp::create(builder);
+    func::ReturnOp::create(builder, function.getLoc());
   markExclusiveAtomics(shell);
   return finishArrayAccumulations(shell);
 }

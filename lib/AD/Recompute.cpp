@@ -41,13 +41,17 @@ SmallVector<Value> AdjointBuilder::getPrimals(ValueRange values) {
 
 /// Appends the ops of this block that `op` needs and that are not recomputed
 /// yet. Returns true if there are any.
-static bool needsOperands(Frame &frame, Operation *op,
-                          SmallVectorImpl<Operation *> &missing) {
+bool AdjointBuilder::needsOperands(Frame &frame, Operation *op,
+                                   SmallVectorImpl<Operation *> &missing) {
   size_t before = missing.size();
   for (Value operand : op->getOperands())
     if (operand.getParentBlock() == frame.primal && operand.getDefiningOp() &&
-        !frame.values.contains(operand))
-      missing.push_back(operand.getDefiningOp());
+        !frame.values.contains(operand)) {
+      if (isRecorded(operand))
+        frame.values.map(operand, fetchRecorded(frame, operand));
+      else
+        missing.push_back(operand.getDefiningOp());
+    }
   return missing.size() != before;
 }
 
@@ -58,6 +62,8 @@ Value AdjointBuilder::materialize(Frame &frame, Value value) {
   current = &frame;
   if (auto argument = dyn_cast<BlockArgument>(value)) {
     materializeArgument(frame, argument);
+  } else if (isRecorded(value)) {
+    frame.values.map(value, fetchRecorded(frame, value));
   } else {
     // A list of pending ops and not recursion: chains can be long.
     SmallVector<Operation *> pending = {value.getDefiningOp()};
@@ -158,14 +164,22 @@ bool AdjointBuilder::checkRecomputable(Operation *op) {
     return false;
   }
   if (isa<RandomOp>(op)) {
-    if (!isInSerialLoop(op) && recomputedDraws.insert(op).second)
-      return true;
-    emitError(op, "a random number drawn here is needed by the gradient and "
-                  "cannot be drawn again in the same order")
-            .attachNote()
-        << "draw it outside of serial loops and branches, or store it to a "
-           "field in a kernel of its own";
-    return false;
+    auto loop = op->getParentOfType<ParallelForOp>();
+    if (loop && loop.getSerialize()) {
+      emitError(op, "a random number drawn here is needed by the gradient, "
+                    "whose iterations run in another order")
+              .attachNote()
+          << "draw it in a serial loop inside of a parallel one, or store it "
+             "to "
+             "a field in a kernel of its own";
+      return false;
+    }
+    // Else it is drawn in the order of the kernel, and recorded.
+    if (isInSerialLoop(op) || !recomputedDraws.insert(op).second) {
+      larger.recorded.insert(op);
+      wantsMore = true;
+    }
+    return true;
   }
   if (auto access = dyn_cast<DifferentiableAccessInterface>(op)) {
     if (access.getAccessKind() != AccessKind::Read) {

@@ -43,8 +43,8 @@ static std::optional<DenseSet<StringAttr>> collectTaped(ModuleOp module) {
   return kernels;
 }
 
-FailureOr<SmallVector<FunctionOpInterface>>
-mlir::tai::selectFunctions(ModuleOp module, ArrayRef<std::string> names) {
+static FailureOr<SmallVector<FunctionOpInterface>>
+selectWhole(ModuleOp module, ArrayRef<std::string> names) {
   SmallVector<FunctionOpInterface> functions;
   if (!names.empty()) {
     for (const std::string &name : names) {
@@ -73,4 +73,28 @@ mlir::tai::selectFunctions(ModuleOp module, ArrayRef<std::string> names) {
       functions.push_back(function);
   }
   return functions;
+}
+
+FailureOr<SmallVector<FunctionOpInterface>>
+mlir::tai::selectFunctions(ModuleOp module, ArrayRef<std::string> names) {
+  auto selected = selectWhole(module, names);
+  if (failed(selected))
+    return selected;
+  llvm::MapVector<StringAttr, SmallVector<FunctionOpInterface>> parts;
+  for (auto kernel : module.getOps<KernelOp>())
+    if (auto whole = kernel->getAttrOfType<FlatSymbolRefAttr>(kPartOfAttrName))
+      parts[whole.getAttr()].push_back(kernel);
+  if (parts.empty())
+    return selected;
+  llvm::SetVector<FunctionOpInterface> functions;
+  for (FunctionOpInterface function : *selected) {
+    auto it = parts.find(function.getNameAttr());
+    if (it == parts.end())
+      functions.insert(function);
+    else
+      for (FunctionOpInterface part : it->second)
+        if (!hasAdjointAlready(part))
+          functions.insert(part);
+  }
+  return SmallVector<FunctionOpInterface>(functions.getArrayRef());
 }

@@ -48,7 +48,7 @@ static std::optional<int64_t> getConstant(Value value) {
 }
 
 /// What is known of a term of an index.
-static Interval getRange(Value value) {
+static Interval getInterval(Value value) {
   Interval range;
   if (auto rem = value.getDefiningOp<arith::RemSIOp>()) {
     std::optional<int64_t> divisor = getConstant(rem.getRhs());
@@ -74,14 +74,20 @@ static Interval getRange(Value value) {
 namespace {
 /// How the second of two accesses is later than the first: in the same
 /// iteration of all loops around both (no loop), or in a later one of a serial
-/// loop, of which `moving` has grown, where that is known of an induction
-/// variable.
+/// loop, by the same positive number of steps of all that is known to move.
 struct Later {
   Operation *loop = nullptr;
-  Value moving;
-  int64_t step = 1;
-  /// Induction variables of the loop that are the same.
-  ValueRange same;
+  /// Values that grow by a constant, possibly negative, in each iteration.
+  SmallVector<std::pair<Value, int64_t>, 2> moving;
+  /// Values of the loop, or of both regions of one, that are the same.
+  SmallVector<Value, 2> same;
+  /// Iterations between the first and the last, if known.
+  std::optional<int64_t> most;
+
+  bool moves(Value value) const {
+    return llvm::any_of(moving,
+                        [&](auto &entry) { return entry.first == value; });
+  }
 };
 
 /// A linear form of which it is asked whether it can be zero.
@@ -118,33 +124,70 @@ private:
 };
 } // namespace
 
+/// The form in terms of what a loop `scf.while` begins an iteration with: its
+/// second region is given values of the first one.
+static LinearIndex getForm(Value value) {
+  LinearIndex form = getLinearIndex(value);
+  for (unsigned round = 0; round != 4; ++round) {
+    bool changed = false;
+    LinearIndex next;
+    next.constant = form.constant;
+    next.mayWrap = form.mayWrap;
+    auto add = [&](Value term, int64_t factor) {
+      auto *it = llvm::find_if(
+          next.terms, [&](auto &known) { return known.first == term; });
+      if (it == next.terms.end())
+        next.terms.emplace_back(term, factor);
+      else
+        it->second += factor;
+    };
+    for (auto [term, factor] : form.terms) {
+      auto argument = dyn_cast<BlockArgument>(term);
+      auto loop = dyn_cast_if_present<scf::WhileOp>(getLoopOf(term));
+      if (!argument || !loop || argument.getOwner() != loop.getAfterBody()) {
+        add(term, factor);
+        continue;
+      }
+      LinearIndex passed = getLinearIndex(
+          loop.getConditionOp().getArgs()[argument.getArgNumber()]);
+      next.constant += factor * passed.constant;
+      next.mayWrap |= passed.mayWrap;
+      for (auto [inner, innerFactor] : passed.terms)
+        add(inner, factor * innerFactor);
+      changed = true;
+    }
+    llvm::erase_if(next.terms, [](auto &term) { return term.second == 0; });
+    form = std::move(next);
+    if (!changed)
+      break;
+  }
+  return form;
+}
+
 /// True if the indices differ whenever `second` is so much later.
 static bool areApart(const LinearIndex &first, const LinearIndex &second,
                      Block *common, const Later &later) {
   auto isShared = [&](Value value) {
+    if (llvm::is_contained(later.same, value))
+      return true;
     Operation *owner = value.getParentBlock()->getParentOp();
-    if (!later.loop)
-      return owner->isAncestor(common->getParentOp());
-    return !later.loop->isAncestor(owner) ||
-           llvm::is_contained(later.same, value);
+    return later.loop ? !later.loop->isAncestor(owner)
+                      : owner->isAncestor(common->getParentOp());
   };
   Difference difference;
   difference.addConstant(first.constant - second.constant);
-  Value moving = later.moving;
-  if (moving) {
-    // The later value lies a positive number of steps ahead.
-    Interval ahead = {1, std::nullopt};
-    Interval range = getRange(moving);
-    if (range.low && range.high)
-      ahead.high =
-          std::max<int64_t>((*range.high - *range.low) / later.step, 1);
-    difference.addUnknown(-second.getCoefficient(moving) * later.step, ahead);
-    difference.addUnknown(
-        first.getCoefficient(moving) - second.getCoefficient(moving), range);
+  // What moves lies a positive number of steps ahead.
+  int64_t perStep = 0;
+  for (auto [value, step] : later.moving) {
+    perStep -= second.getCoefficient(value) * step;
+    difference.addUnknown(first.getCoefficient(value) -
+                              second.getCoefficient(value),
+                          getInterval(value));
   }
+  difference.addUnknown(perStep, {1, later.most});
   auto addTerms = [&](const LinearIndex &form, int64_t sign) {
     for (auto [value, factor] : form.terms) {
-      if (value == moving)
+      if (later.moves(value))
         continue;
       int64_t rest = sign * factor;
       if (isShared(value)) {
@@ -155,7 +198,7 @@ static bool areApart(const LinearIndex &first, const LinearIndex &second,
           continue;
         rest -= sign * otherFactor;
       }
-      difference.addUnknown(rest, getRange(value));
+      difference.addUnknown(rest, getInterval(value));
     }
   };
   addTerms(first, 1);
@@ -168,33 +211,53 @@ static bool areApart(ValueRange first, ValueRange second, Block *common,
                      const Later &later) {
   return llvm::any_of(llvm::zip(first, second), [&](auto pair) {
     auto [lhs, rhs] = pair;
-    return areApart(getLinearIndex(lhs), getLinearIndex(rhs), common, later);
+    return areApart(getForm(lhs), getForm(rhs), common, later);
   });
 }
 
 /// The ways in which an iteration of `loop` can be later than another.
 static SmallVector<Later> getWays(Operation *loop) {
   SmallVector<Later> ways;
+  Later later;
+  later.loop = loop;
+  auto setMost = [&](Value iv, int64_t step) {
+    Interval range = getInterval(iv);
+    if (range.low && range.high)
+      later.most = std::max<int64_t>((*range.high - *range.low) / step, 1);
+    else
+      later.most = std::nullopt;
+  };
   if (auto serial = dyn_cast<scf::ForOp>(loop)) {
     // Steps are positive.
-    int64_t step = getConstant(serial.getStep()).value_or(1);
-    ways.push_back({loop, serial.getInductionVar(), std::max<int64_t>(step, 1),
-                    ValueRange()});
+    int64_t step =
+        std::max<int64_t>(getConstant(serial.getStep()).value_or(1), 1);
+    later.moving.emplace_back(serial.getInductionVar(), step);
+    setMost(serial.getInductionVar(), step);
+  } else if (auto parallel = dyn_cast<ParallelForOp>(loop)) {
+    // In order of the last induction variable, then of the one before.
+    for (BlockArgument iv : parallel.getInductionVars()) {
+      later.moving.assign({{iv, 1}});
+      setMost(iv, 1);
+      ways.push_back(later);
+      later.same.push_back(iv);
+    }
     return ways;
+  } else if (auto whileOp = dyn_cast<scf::WhileOp>(loop)) {
+    for (auto [argument, next] : llvm::zip(whileOp.getBeforeArguments(),
+                                           whileOp.getYieldOp().getOperands()))
+      if (argument.getType().isIntOrIndex()) {
+        LinearIndex form = getForm(next);
+        if (form.terms.size() == 1 && form.getCoefficient(argument) == 1)
+          later.moving.emplace_back(argument, form.constant);
+      }
   }
-  if (auto parallel = dyn_cast<ParallelForOp>(loop)) {
-    ValueRange ivs = parallel.getInductionVars();
-    for (auto [i, iv] : llvm::enumerate(ivs))
-      ways.push_back({loop, iv, 1, ivs.take_front(i)});
-    return ways;
-  }
-  ways.emplace_back();
-  ways.back().loop = loop;
+  ways.push_back(later);
   return ways;
 }
 
 bool mlir::tai::mayReachLater(DifferentiableAccessInterface first,
-                              DifferentiableAccessInterface second) {
+                              DifferentiableAccessInterface second,
+                              Block *scope) {
   Operation *firstUp = first, *secondUp = second;
   Block *common = findCommonBlock(firstUp, secondUp);
   if (!common)
@@ -209,15 +272,27 @@ bool mlir::tai::mayReachLater(DifferentiableAccessInterface first,
     return parts.size() != otherParts.size() || parts.empty() ||
            !areApart(parts, otherParts, common, later);
   };
-  // Arms of a branch exclude each other; regions of other ops may follow on one
-  // another.
-  bool follows = firstUp == secondUp
-                     ? first != second && !isa<scf::IfOp>(firstUp)
-                     : firstUp->isBeforeInBlock(secondUp);
-  if (follows && mayMeet(Later()))
+  Later inSame;
+  bool follows;
+  Operation *loop = common->getParentOp();
+  if (firstUp != secondUp) {
+    follows = firstUp->isBeforeInBlock(secondUp);
+  } else if (auto whileOp = dyn_cast<scf::WhileOp>(firstUp);
+             whileOp && first != second) {
+    // The second region runs after the first; in the next iteration it is the
+    // other way round.
+    follows = whileOp.getBefore().isAncestor(first->getParentRegion());
+    llvm::append_range(inSame.same, whileOp.getBeforeArguments());
+    loop = whileOp;
+  } else {
+    // Arms of a branch exclude each other.
+    follows = first != second && !isa<scf::IfOp>(firstUp);
+  }
+  if (follows && mayMeet(inSame))
     return true;
-  for (Operation *loop = common->getParentOp();
-       loop && !isa<FunctionOpInterface>(loop); loop = loop->getParentOp())
+  for (; loop && !isa<FunctionOpInterface>(loop) &&
+         !(scope && loop == scope->getParentOp());
+       loop = loop->getParentOp())
     if (isSerialLoop(loop) && llvm::any_of(getWays(loop), mayMeet))
       return true;
   return false;

@@ -237,19 +237,22 @@ static LogicalResult checkTakes(ModuleOp module, KernelOp kernel,
 
 /// Refuses adjoints that need what stood in a field before the launch, which
 /// the tape does not bring back.
-static LogicalResult checkRestored(ModuleOp module, FlatSymbolRefAttr name,
-                                   Failure &failure) {
-  auto adjoint = module.lookupSymbol<KernelOp>(name.getValue());
-  if (!adjoint || (!adjoint->hasAttr(kBeforeAttrName) &&
-                   !adjoint->hasAttr(kRerunsAttrName)))
+static LogicalResult checkRestored(ModuleOp module, KernelOp kernel,
+                                   FlatSymbolRefAttr name, Failure &failure) {
+  auto adjoint =
+      name ? module.lookupSymbol<KernelOp>(name.getValue()) : KernelOp();
+  bool isSplit = llvm::any_of(module.getOps<KernelOp>(), [](KernelOp part) {
+    return part->hasAttr(kPartOfAttrName);
+  });
+  if (!isSplit && (!adjoint || (!adjoint->hasAttr(kBeforeAttrName) &&
+                                !adjoint->hasAttr(kRerunsAttrName))))
     return success();
   DiagnosticCollector collector(module.getContext());
-  adjoint.emitError("the gradient of this kernel needs values that the kernel "
-                    "itself overwrites")
+  kernel.emitError("the gradient of this kernel needs values that the kernel "
+                   "itself overwrites")
           .attachNote()
       << "store the new values to other elements, such as one more time step "
-         "of "
-         "the field";
+         "of the field";
   failure = collector.take(FailureKind::Autodiff);
   return mlir::failure();
 }
@@ -283,14 +286,14 @@ OwningOpRef<ModuleOp> Compiler::runPasses(Worker &worker,
     // The primal is compiled on its own, when it is first launched.
     auto kernel = module->lookupSymbol<KernelOp>(request.name);
     FlatSymbolRefAttr adjoint = kernel ? kernel.getAdjointAttr() : nullptr;
+    if (kernel && failed(checkRestored(*module, kernel, adjoint, failure)))
+      return {};
     if (kernel)
       kernel.erase();
     if (!adjoint) {
       object.symbol.clear();
       return module;
     }
-    if (failed(checkRestored(*module, adjoint, failure)))
-      return {};
     object.symbol = getEntryPointName(adjoint.getValue());
   }
   for (TreeOp tree : module->getOps<TreeOp>())

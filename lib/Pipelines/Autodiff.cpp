@@ -27,8 +27,16 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
   CheckAccessRulesOptions rules;
   rules.kernels.assign(options.kernels.begin(), options.kernels.end());
   pm.addPass(createCheckAccessRules(rules));
+  ForwardStoresOptions forward;
+  forward.kernels.assign(options.kernels.begin(), options.kernels.end());
+  pm.addPass(createForwardStores(forward));
+  pm.addPass(createEliminateLocals());
   if (options.flatten)
     pm.addPass(createFlattenBranches());
+
+  SplitKernelOptions split;
+  split.kernels.assign(options.kernels.begin(), options.kernels.end());
+  pm.addPass(createSplitKernel(split));
 
   MakeAdjointOptions adjoint;
   adjoint.kernels.assign(options.kernels.begin(), options.kernels.end());

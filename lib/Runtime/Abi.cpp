@@ -14,6 +14,7 @@
 #include "Launch.h"
 #include "tai/Runtime/Philox.h"
 #include <algorithm>
+#include <cstdlib>
 #include <cstring>
 
 using namespace mlir::tai::runtime;
@@ -133,6 +134,41 @@ extern "C" void *tai_rt_private(TaiFrame *frame, int64_t bytes, int64_t parts) {
   if (bytes < 0 || __builtin_mul_overflow(block, parts, &total))
     total = INT64_MAX;
   return scratch(frame, total, "private copies for its partial sums");
+}
+
+//===----------------------------------------------------------------------===//
+// Stacks
+//===----------------------------------------------------------------------===//
+
+static char *inlineSlots(TaiStack *stack) {
+  return reinterpret_cast<char *>(stack + 1);
+}
+
+extern "C" void tai_rt_stack_grow(TaiFrame *frame, TaiStack *stack) {
+  Launch &launch = launchOf(frame);
+  char *own = inlineSlots(stack);
+  int64_t bytes = stack->capacity * static_cast<int64_t>(sizeof(int64_t));
+  char *grown = stack->slots == own ? nullptr : stack->slots;
+  void *larger = nullptr;
+  if (bytes <= launch.owner().memoryLimit() / 2)
+    larger = std::realloc(grown, static_cast<size_t>(2 * bytes));
+  if (!larger) {
+    launch.fail(Status::failure(StatusCode::Memory,
+                                "out of memory: a gradient records more than " +
+                                    formatBytes(bytes) +
+                                    " of values in one iteration"));
+    stack->size = 0;
+    return;
+  }
+  stack->slots = static_cast<char *>(larger);
+  if (!grown)
+    std::memcpy(larger, own, static_cast<size_t>(bytes));
+  stack->capacity *= 2;
+}
+
+extern "C" void tai_rt_stack_free(TaiStack *stack) {
+  if (stack->slots != inlineSlots(stack))
+    std::free(stack->slots);
 }
 
 //===----------------------------------------------------------------------===//
@@ -356,6 +392,7 @@ std::vector<RuntimeSymbol> mlir::tai::runtime::runtimeSymbols() {
       TAI_SYMBOL(tai_rt_combine),       TAI_SYMBOL(tai_rt_combine_strided),
       TAI_SYMBOL(tai_rt_random_u32),    TAI_SYMBOL(tai_rt_print),
       TAI_SYMBOL(tai_rt_fail),          TAI_SYMBOL(tai_rt_failed),
+      TAI_SYMBOL(tai_rt_stack_grow),    TAI_SYMBOL(tai_rt_stack_free),
       TAI_SYMBOL(tai_rt_host_launch),   TAI_SYMBOL(tai_rt_host_tape_begin),
       TAI_SYMBOL(tai_rt_host_tape_end), TAI_SYMBOL(tai_rt_host_check_gradient)};
 #undef TAI_SYMBOL

@@ -60,27 +60,6 @@ tai.kernel @counter() {
   tai.return
 }
 
-// The last iteration decides what the scratch element holds in the end.
-tai.kernel @scratch_in_loop() {
-  %c0 = arith.constant 0 : index
-  %c1 = arith.constant 1 : index
-  %c16 = arith.constant 16 : index
-  scf.for %i = %c0 to %c16 step %c1 {
-    %k = arith.index_cast %i : index to i32
-    %f = arith.sitofp %k : i32 to f32
-    // expected-note @+2 {{overwritten here}}
-    // expected-note @+1 {{and what stood there before is replaced here}}
-    tai.store %f, @plain[%c0] : f32
-    // expected-error @+2 {{the value read here is needed by the gradient, but is overwritten}}
-    // expected-note @+1 {{store the new value to another element}}
-    %0 = tai.load @plain[%c0] : f32
-    %1 = tai.load @x[%i] : f32
-    %2 = arith.mulf %0, %1 : f32
-    tai.store %2, @y[%i] : f32
-  }
-  tai.return
-}
-
 // The gradient would read what it is adding to.
 tai.kernel @reads_adjoint() {
   tai.parallel_for (%i) in @x {
@@ -107,20 +86,56 @@ tai.kernel @bits() {
   tai.return
 }
 
-// Numbers drawn in a serial loop would come in another order.
-tai.kernel @random_in_loop() {
+// The reverse of an ordered loop runs the other way.
+tai.kernel @random_in_order() {
+  %c0 = arith.constant 0 : index
+  %c4 = arith.constant 4 : index
+  tai.parallel_for (%i) = (%c0) to (%c4) serialize {
+    // expected-error @+2 {{a random number drawn here is needed by the gradient, whose iterations run in another order}}
+    // expected-note @+1 {{draw it in a serial loop inside of a parallel one, or store it to a field in a kernel of its own}}
+    %u = tai.random stream 0 : f32
+    %0 = tai.load @x[%i] : f32
+    %1 = arith.mulf %0, %u : f32
+    tai.atomic add %1, @y[%c0] : f32
+  }
+  tai.return
+}
+
+// Parallel loops in a serial one are run many times: no launch has one state.
+tai.kernel @parallel_in_serial() {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   %c4 = arith.constant 4 : index
-  tai.parallel_for (%i) in @x {
-    scf.for %k = %c0 to %c4 step %c1 {
-      // expected-error @+2 {{a random number drawn here is needed by the gradient and cannot be drawn again in the same order}}
-      // expected-note @+1 {{draw it outside of serial loops and branches, or store it to a field in a kernel of its own}}
-      %u = tai.random stream 0 : f32
+  scf.for %t = %c0 to %c4 step %c1 {
+    tai.parallel_for (%i) in @x {
+      // expected-error @+2 {{the value read here is needed by the gradient, but is overwritten}}
+      // expected-note @+1 {{store the new value to another element}}
       %0 = tai.load @x[%i] : f32
-      %1 = arith.mulf %0, %u : f32
-      tai.atomic add %1, @y[%k] : f32
+      %1 = math.sin %0 : f32
+      // expected-note @+2 {{overwritten here}}
+      // expected-note @+1 {{and what stood there before is replaced here}}
+      tai.store %1, @x[%i] : f32
     }
+  }
+  tai.return
+}
+
+// Both loops need what x held before them.
+tai.kernel @two_loops() {
+  tai.parallel_for (%i) in @x {
+    // expected-error @+2 {{the value read here is needed by the gradient, but is overwritten}}
+    // expected-note @+1 {{store the new value to another element}}
+    %0 = tai.load @x[%i] : f32
+    %1 = math.sin %0 : f32
+    // expected-note @+2 {{overwritten here}}
+    // expected-note @+1 {{and what stood there before is replaced here}}
+    tai.store %1, @x[%i] : f32
+  }
+  tai.parallel_for (%i) in @x {
+    // expected-note @+1 {{the gradient also needs the value read here}}
+    %0 = tai.load @x[%i] : f32
+    %1 = math.sin %0 : f32
+    tai.store %1, @x[%i] : f32
   }
   tai.return
 }

@@ -41,6 +41,16 @@ struct PartialAdjoint {
   SmallVector<Value> components;
 };
 
+/// What an adjoint cannot compute from memory as it is: see Rerun.cpp.
+struct RerunPlan {
+  /// Reads whose elements are overwritten, and draws in serial loops.
+  llvm::SetVector<Operation *> recorded;
+  /// The storages that are written when the primal runs again.
+  DenseSet<const void *> storages;
+};
+
+class Rerun;
+
 /// A primal block and its mirror in the adjoint kernel.
 struct Frame {
   Frame(Frame *parent, Block *primal, Block *mirror)
@@ -73,6 +83,8 @@ struct Frame {
   /// Values of the primal block of `parent` that are passed on as the arguments
   /// of this one, if that is where they come from.
   SmallVector<Value> argumentValues;
+  /// The recorded values that have been popped here.
+  DenseSet<Value> popped;
 };
 
 class AdjointBuilder : public ImplicitLocOpBuilder {
@@ -81,12 +93,20 @@ public:
   /// `primal`. `adjointOf` gives the storage of adjoints, or none. With
   /// `takesAll`, all stores take the adjoints of their elements.
   AdjointBuilder(FunctionOpInterface primal, FunctionOpInterface adjoint,
-                 std::function<Storage(Storage)> adjointOf,
-                 bool takesAll = false);
+                 std::function<Storage(Storage)> adjointOf, bool takesAll,
+                 const RerunPlan &plan);
+  ~AdjointBuilder();
 
   /// Builds the whole adjoint; the terminator is left to the caller. Fails
   /// after an error at the op that cannot be differentiated.
   LogicalResult build();
+
+  /// True if what was built has to be built again, by a larger plan.
+  bool needsMore() const { return wantsMore; }
+  const RerunPlan &getLargerPlan() const { return larger; }
+  /// True if building failed because several states of a field are needed, and
+  /// not all by one loop.
+  bool needsParts() const { return wantsParts; }
 
   //===--------------------------------------------------------------------===//
   // For rules
@@ -166,6 +186,12 @@ public:
   int64_t getHistoryLimit() const { return historyLimit; }
   void setHistoryLimit(int64_t bytes) { historyLimit = bytes; }
 
+  /// True if values of the loop are recorded while the primal runs again: they
+  /// cannot be computed again from one iteration or from several.
+  bool isRecordedLoop(Operation *loop) const { return holders.contains(loop); }
+  /// How often the second region of such a loop has run.
+  Value fetchCount(scf::WhileOp loop);
+
   /// Reports that `op` cannot be differentiated; building then fails.
   InFlightDiagnostic emitError(Operation *op, const Twine &message);
 
@@ -181,6 +207,18 @@ private:
   LogicalResult checkAccesses();
   void findTakes();
   LogicalResult chooseStates();
+  LogicalResult chooseState(ArrayRef<DifferentiableAccessInterface> reads,
+                            SmallVectorImpl<Attribute> &before);
+  bool planRerun(DifferentiableAccessInterface lost,
+                 ArrayRef<DifferentiableAccessInterface> reads);
+  bool isRecorded(Value value) const;
+  bool needsOperands(Frame &frame, Operation *op,
+                     SmallVectorImpl<Operation *> &missing);
+  void beginRerun(Frame &frame);
+  void endRerun(Frame &frame);
+  void leaveMirror(Frame &frame);
+  Value fetchRecorded(Frame &frame, Value value);
+  void collectRerunReads();
   LogicalResult reverseOp(Operation *op);
   LogicalResult reverseAccess(Operation *op);
   Value sumUp(Value value, PartialAdjoint &entry);
@@ -195,6 +233,17 @@ private:
   DenseSet<Operation *> takes, takeHolders;
   /// The reads that the adjoint repeats.
   llvm::SetVector<Operation *> needed;
+  const RerunPlan &plan;
+  /// The plan for the next attempt, if this one turns out to lack something.
+  RerunPlan larger;
+  bool wantsMore = false, wantsParts = false;
+  /// The ops with regions around recorded ones, and the blocks to run again.
+  DenseSet<Operation *> holders;
+  DenseSet<Block *> units;
+  /// The innermost block that is being run again.
+  std::unique_ptr<Rerun> rerun;
+  /// The reads for which those marked with kRerunReadAttrName stand.
+  SmallVector<Operation *> rerunReads;
   Frame *current = nullptr;
   bool hasErrors = false;
   int64_t historyLimit = kDefaultHistoryBytes;
@@ -202,6 +251,14 @@ private:
   /// The storages that the adjoint accumulates into.
   DenseSet<const void *> accumulated;
 };
+
+/// Fills the empty adjoint `shell` of `function`. `arrays` and `takes` are as
+/// the options of `tai-make-adjoint`; `needsParts` is told whether a failure
+/// can be helped by splitting the kernel.
+LogicalResult fillAdjoint(FunctionOpInterface function,
+                          FunctionOpInterface shell, bool arrays,
+                          int64_t historyBytes, bool takes,
+                          bool *needsParts = nullptr);
 
 /// Removes from the serial loops in `region` the carried values that neither
 /// the results in use nor an effect in the body need.

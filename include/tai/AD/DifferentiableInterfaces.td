@@ -95,11 +95,13 @@ def Tai_DifferentiableAccessInterface
            "::mlir::tai::Storage":$storage, "::mlir::ValueRange":$indices,
            "::mlir::ValueRange":$components)>,
     InterfaceMethod<[{
-        Stores zero to the same element of `storage`, which holds adjoints.
+        Stores `value` to the same element of `storage`, which may be that of
+        the access itself.
       }],
-      "void", "createAdjointZero",
-      (ins "::mlir::OpBuilder &":$builder, "::mlir::tai::Storage":$storage,
-           "::mlir::ValueRange":$indices, "::mlir::ValueRange":$components)>,
+      "void", "createAdjointStore",
+      (ins "::mlir::OpBuilder &":$builder, "::mlir::Value":$value,
+           "::mlir::tai::Storage":$storage, "::mlir::ValueRange":$indices,
+           "::mlir::ValueRange":$components)>,
   ];
 }
 

@@ -93,4 +93,68 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
   ];
 }
 
+def ForwardStores : Pass<"tai-forward-stores", "::mlir::ModuleOp"> {
+  let summary = "keep elements that are stored and read again in variables";
+  let description = [{
+    Where an iteration, or serial code, reads an element that it has stored and
+    stores it again, the adjoint would need several states of the field. If all
+    its accesses to the element are at the same indices, this pass loads the
+    element once into a variable, works on that, and stores it once. Run
+    `tai-eliminate-locals` afterwards to have values in place of variables.
+
+    ```mlir
+    tai.store %a, @x[%i] : f32
+    %0 = tai.load @x[%i] : f32
+    %1 = arith.mulf %0, %0 : f32
+    tai.store %1, @x[%i] : f32
+    ```
+
+    becomes, after these, `canonicalize` and `cse`,
+
+    ```mlir
+    %1 = arith.mulf %a, %a : f32
+    tai.store %1, @x[%i] : f32
+    ```
+
+    What the adjoint can read as it was before the launch, or as it is after it,
+    stays as it is. So does an element that the iteration might not own: one that
+    it does not store for certain.
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::tai::TaiDialect"];
+  let options = [
+    ListOption<"kernels", "kernel", "std::string",
+               "Names of the kernels or functions that are differentiated">,
+  ];
+}
+
+def SplitKernel : Pass<"tai-split-kernel", "::mlir::ModuleOp"> {
+  let summary = "make kernels of the loops of kernels, where gradients need it";
+  let description = [{
+    An adjoint reads each field as it was before the launch, or as it is
+    afterwards. Where the loops of a kernel need several states of one field
+    between them, as two loops that each scale a field by itself do, this pass
+    makes a kernel of each: `@k.0`, `@k.1` and so on, with the arguments of `@k`
+    and the attribute `tai.part_of = @k`. What happens between loops is then what
+    happens between launches, and a tape records the parts in place of `@k`,
+    which stays as it is. The last part has the result.
+
+    Serial code between two loops is a part. Values that several parts use are
+    computed in each of them; a value that is read from a field is refused if
+    what happens in between may overwrite it.
+
+    Kernels whose adjoint can be made, and those for which a split would not
+    help, are left alone.
+  }];
+  let dependentDialects = [
+    "::mlir::arith::ArithDialect", "::mlir::math::MathDialect",
+    "::mlir::memref::MemRefDialect", "::mlir::scf::SCFDialect",
+    "::mlir::vector::VectorDialect", "::mlir::tai::TaiDialect"
+  ];
+  let options = [
+    ListOption<"kernels", "kernel", "std::string",
+               "Names of the kernels to differentiate">,
+  ];
+}
+
 #endif // TAI_AD_PASSES_TD

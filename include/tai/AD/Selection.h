@@ -17,6 +17,7 @@ namespace mlir::tai {
 /// no adjoint yet, in the order of the module: those of the given names, which
 /// must exist; or without names, the kernels launched under a tape (all, if
 /// there is no tape) and the functions with the attribute `tai.differentiate`.
+/// The parts of a kernel that was split stand for it.
 FailureOr<SmallVector<FunctionOpInterface>>
 selectFunctions(ModuleOp module, ArrayRef<std::string> names);
 

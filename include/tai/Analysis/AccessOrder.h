@@ -53,9 +53,11 @@ bool reachSameElement(DifferentiableAccessInterface lhs,
 /// False if `second` cannot run after `first` and reach the same element: in
 /// the same iteration of the loops around both, or in a later iteration of a
 /// serial one. Iterations of one parallel loop do not meet: a program in which
-/// they do has no defined result. True wherever that is not proven.
+/// they do has no defined result. True wherever that is not proven. With
+/// `scope`, a block around both, only within one run of it.
 bool mayReachLater(DifferentiableAccessInterface first,
-                   DifferentiableAccessInterface second);
+                   DifferentiableAccessInterface second,
+                   Block *scope = nullptr);
 
 /// True if the op runs iterations one after another.
 bool isSerialLoop(Operation *op);

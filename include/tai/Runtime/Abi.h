@@ -69,6 +69,21 @@ int64_t tai_rt_parts(TaiFrame *frame, int64_t n, int64_t cost, int32_t reduces);
 void tai_rt_parallel_for(TaiFrame *frame, TaiLoopBody body, void *closure,
                          int64_t n, int64_t parts);
 
+/// A stack of scalars in slots of eight bytes. The first TAI_STACK_SLOTS have
+/// their place behind the structure.
+#define TAI_STACK_SLOTS 13
+typedef struct TaiStack {
+  char *slots;
+  int64_t size;
+  int64_t capacity;
+} TaiStack;
+
+/// Makes room for more. Out of memory fails the launch, and what was on the stack
+/// is overwritten.
+void tai_rt_stack_grow(TaiFrame *frame, TaiStack *stack);
+/// Frees the slots of a stack that has grown.
+void tai_rt_stack_free(TaiStack *stack);
+
 /// Zeroed scratch memory of this launch, aligned to 64 bytes; valid until the
 /// kernel returns. Null never comes back: out of memory fails the launch and
 /// yields a pointer to a shared sink that is never read.

@@ -47,12 +47,10 @@ struct AccessModel : DifferentiableAccessInterface::ExternalModel<Model, OpTy> {
                                ValueRange) const {
     createAccumulate(b, op->getLoc(), value, storage.memref, indices);
   }
-  void createAdjointZero(Operation *op, OpBuilder &b, Storage storage,
-                         ValueRange indices, ValueRange) const {
-    Type type = cast<MemRefType>(storage.memref.getType()).getElementType();
-    Value zero = arith::ConstantOp::create(
-        b, op->getLoc(), cast<TypedAttr>(b.getZeroAttr(type)));
-    memref::StoreOp::create(b, op->getLoc(), zero, storage.memref, indices);
+  void createAdjointStore(Operation *op, OpBuilder &b, Value value,
+                          Storage storage, ValueRange indices,
+                          ValueRange) const {
+    memref::StoreOp::create(b, op->getLoc(), value, storage.memref, indices);
   }
 };
 

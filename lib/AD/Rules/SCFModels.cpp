@@ -152,7 +152,7 @@ struct WhileModel
 
   static bool isIndependent(scf::WhileOp op, AdjointBuilder &b) {
     auto isActive = [&](Value value) { return b.isActive(value); };
-    if (llvm::any_of(op.getResults(), isActive) ||
+    if (b.isRecordedLoop(op) || llvm::any_of(op.getResults(), isActive) ||
         llvm::any_of(op.getBeforeArguments(), isActive) ||
         llvm::any_of(op.getAfterArguments(), isActive))
       return false;

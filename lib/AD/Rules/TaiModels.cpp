@@ -43,12 +43,10 @@ struct AccessModel : DifferentiableAccessInterface::ExternalModel<Model, OpTy> {
     AtomicOp::create(b, op->getLoc(), AtomicKind::Add, value, storage.field,
                      indices, components);
   }
-  void createAdjointZero(Operation *op, OpBuilder &b, Storage storage,
-                         ValueRange indices, ValueRange components) const {
-    auto zero = cast<TypedAttr>(b.getZeroAttr(getAccessedValue(op).getType()));
-    StoreOp::create(b, op->getLoc(),
-                    arith::ConstantOp::create(b, op->getLoc(), zero),
-                    storage.field, indices, components);
+  void createAdjointStore(Operation *op, OpBuilder &b, Value value,
+                          Storage storage, ValueRange indices,
+                          ValueRange components) const {
+    StoreOp::create(b, op->getLoc(), value, storage.field, indices, components);
   }
 };
 

@@ -41,9 +41,10 @@ static bool canFail(ArrayRef<LLVM::LLVMFuncOp> functions) {
   for (LLVM::LLVMFuncOp function : functions) {
     WalkResult result = function.walk([](LLVM::CallOp call) {
       std::optional<StringRef> callee = call.getCallee();
-      return callee && llvm::is_contained(
-                           {"tai_rt_fail", "tai_rt_scratch", "tai_rt_private"},
-                           *callee)
+      return callee &&
+                     llvm::is_contained({"tai_rt_fail", "tai_rt_scratch",
+                                         "tai_rt_private", "tai_rt_stack_grow"},
+                                        *callee)
                  ? WalkResult::interrupt()
                  : WalkResult::advance();
     });

@@ -241,7 +241,7 @@ LogicalResult tai::lowerLeafOps(LLVM::LLVMFuncOp function,
   SmallVector<Operation *> ops;
   llvm::DenseMap<StringAttr, Value> bases;
   function.walk([&](Operation *op) {
-    if (isa<AllocaOp, AssertOp, PrintOp, TreeBaseOp>(op) ||
+    if (isa<AllocaOp, StackCreateOp, AssertOp, PrintOp, TreeBaseOp>(op) ||
         (isa<UnrealizedConversionCastOp>(op) && op->hasAttr("stream")))
       ops.push_back(op);
   });
@@ -249,6 +249,9 @@ LogicalResult tai::lowerLeafOps(LLVM::LLVMFuncOp function,
     LogicalResult result =
         llvm::TypeSwitch<Operation *, LogicalResult>(op)
             .Case([&](AllocaOp alloca) { return lowerLocal(alloca); })
+            .Case([&](StackCreateOp stack) {
+              return lowerStack(stack, frame, runtime);
+            })
             .Case([&](AssertOp assertion) {
               return lowerAssert(assertion, frame, lowering);
             })

@@ -78,6 +78,7 @@ LogicalResult lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
                                ModuleLowering &lowering,
                                SmallVectorImpl<LLVM::LLVMFuncOp> &functions);
 LogicalResult lowerLeafOps(LLVM::LLVMFuncOp function, ModuleLowering &lowering);
+LogicalResult lowerStack(StackCreateOp op, Value frame, RuntimeCalls &runtime);
 
 /// Gives each tai.random below `loop` its iteration number, and a count to
 /// those that may draw more than once in one; `loop` may be null, for the

@@ -113,6 +113,23 @@ tai.kernel @k() {
 
 // -----
 
+tai.kernel @k() {
+  // expected-error @+1 {{'tai.stack_create' op expects a scalar of at most 64 bits, but got 'vector<2xf32>'}}
+  %0 = tai.stack_create : !tai.stack<vector<2xf32>>
+  tai.return
+}
+
+// -----
+
+tai.kernel @k(%x: f64) {
+  %0 = tai.stack_create : !tai.stack<f32>
+  // expected-error @+1 {{'tai.stack_push' op failed to verify that the stack holds the type of the value}}
+  "tai.stack_push"(%x, %0) : (f64, !tai.stack<f32>) -> ()
+  tai.return
+}
+
+// -----
+
 func.func @main() {
   // expected-error @+1 {{'tai.launch' op names '@k', which is not a kernel}}
   tai.launch @k() : () -> ()

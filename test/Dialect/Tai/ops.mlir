@@ -117,6 +117,19 @@ tai.kernel @locals(%x: f32, %i: index, %ok: i1) -> f32 {
   tai.return %y : f32
 }
 
+// CHECK-LABEL: tai.kernel @stacks(
+tai.kernel @stacks(%x: f32) -> f32 {
+  // CHECK: %[[S:.+]] = tai.stack_create : !tai.stack<f32>
+  %s = tai.stack_create : !tai.stack<f32>
+  // CHECK: tai.stack_push %{{.+}}, %[[S]] : f32
+  tai.stack_push %x, %s : f32
+  // CHECK: tai.stack_pop %[[S]] : f32
+  %y = tai.stack_pop %s : f32
+  // CHECK: tai.stack_destroy %[[S]] : !tai.stack<f32>
+  tai.stack_destroy %s : !tai.stack<f32>
+  tai.return %y : f32
+}
+
 // CHECK-LABEL: tai.kernel @matrices(
 tai.kernel @matrices(%a: vector<2x3xf32>, %b: vector<3x2xf32>,
                      %m: vector<3x3xf32>, %q: vector<2x2xf32>,

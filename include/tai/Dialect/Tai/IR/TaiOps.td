@@ -13,6 +13,7 @@
 include "tai/Dialect/Tai/IR/TaiLayoutOps.td"
 include "tai/Dialect/Tai/IR/TaiKernelOps.td"
 include "tai/Dialect/Tai/IR/TaiAccessOps.td"
+include "tai/Dialect/Tai/IR/TaiStackOps.td"
 include "tai/Dialect/Tai/IR/TaiMatrixOps.td"
 include "tai/Dialect/Tai/IR/TaiHostOps.td"
 include "tai/Dialect/Tai/IR/TaiLoweringOps.td"

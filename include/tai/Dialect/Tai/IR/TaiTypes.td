@@ -141,4 +141,17 @@ def Tai_LocalType : Tai_Type<"Local", "local"> {
   let assemblyFormat = "`<` $elementType `>`";
 }
 
+def Tai_StackType : Tai_Type<"Stack", "stack"> {
+  let summary = "a growing stack of scalars";
+  let description = [{
+    The handle of a stack made by `tai.stack_create`. It is used in the iteration
+    of the parallel loop that makes it, and cannot be captured by another.
+  }];
+  let parameters = (ins "::mlir::Type":$elementType);
+  let builders = [TypeBuilderWithInferredContext<
+      (ins "::mlir::Type":$elementType),
+      [{ return $_get(elementType.getContext(), elementType); }]>];
+  let assemblyFormat = "`<` $elementType `>`";
+}
+
 #endif // TAI_DIALECT_TAI_IR_TAITYPES_TD

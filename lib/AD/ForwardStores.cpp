@@ -1,0 +1,284 @@
+//===- ForwardStores.cpp - Elements that are worked on in variables -------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Scopes are the blocks of a function, from the outermost to the innermost. In
+// each, the accesses at the same indices are a group, which lives in a variable
+// if nothing else in the scope can touch the element.
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/IR/Matchers.h"
+#include "tai/AD/Passes.h"
+#include "tai/AD/Selection.h"
+#include "tai/Analysis/AccessOrder.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_FORWARDSTORES
+#include "tai/AD/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+/// Accesses to one element within a scope, in program order.
+struct Group {
+  SmallVector<LinearIndex> indices, components;
+  Accesses accesses;
+};
+
+/// Works on one scope.
+class Scope {
+public:
+  explicit Scope(Block *block) : block(block) {}
+
+  void run();
+
+private:
+  bool isVisible(Value value);
+  bool sees(ArrayRef<LinearIndex> forms);
+  bool canLive(Group &group, ArrayRef<DifferentiableAccessInterface> all);
+  bool isOwned(Group &group, ArrayRef<DifferentiableAccessInterface> all);
+  bool needsVariable(const Group &group);
+  bool isCertain(Operation *access);
+  DifferentiableAccessInterface findLeader(const Group &group,
+                                           Operation *before);
+  void rewrite(const Group &group);
+
+  Block *block;
+};
+} // namespace
+
+static bool isWrite(DifferentiableAccessInterface access) {
+  return access.getAccessKind() != AccessKind::Read;
+}
+
+/// True if the value is the same throughout one run of the scope.
+bool Scope::isVisible(Value value) {
+  return value.getParentBlock()->getParentOp()->isAncestor(
+      block->getParentOp());
+}
+
+bool Scope::sees(ArrayRef<LinearIndex> forms) {
+  return llvm::all_of(forms, [&](const LinearIndex &form) {
+    return llvm::all_of(form.terms,
+                        [&](auto &term) { return isVisible(term.first); });
+  });
+}
+
+/// True if the access is made whenever the scope runs.
+bool Scope::isCertain(Operation *access) {
+  for (Operation *up = access; up->getBlock() != block;
+       up = up->getParentOp()) {
+    auto loop = dyn_cast<scf::ForOp>(up->getParentOp());
+    APInt lower, upper;
+    if (!loop || !matchPattern(loop.getLowerBound(), m_ConstantInt(&lower)) ||
+        !matchPattern(loop.getUpperBound(), m_ConstantInt(&upper)) ||
+        lower.sge(upper))
+      return false;
+  }
+  return true;
+}
+
+/// True if no state of memory, before or after the scope, has all that is read.
+bool Scope::needsVariable(const Group &group) {
+  bool lost = false, changed = false;
+  for (DifferentiableAccessInterface read : group.accesses) {
+    if (isWrite(read))
+      continue;
+    for (DifferentiableAccessInterface write : group.accesses)
+      if (isWrite(write)) {
+        lost |= mayReachLater(read, write, block);
+        changed |= mayReachLater(write, read, block);
+      }
+  }
+  return lost && changed;
+}
+
+/// True if no other iteration of the parallel loop around can touch the
+/// element.
+bool Scope::isOwned(Group &group, ArrayRef<DifferentiableAccessInterface> all) {
+  if (llvm::any_of(group.accesses, [&](auto access) {
+        return access.getAccessKind() == AccessKind::Write && isCertain(access);
+      }))
+    return true;
+  // A store makes cells of sparse fields active.
+  if (FlatSymbolRefAttr name =
+          group.accesses.front().getAccessedStorage().field) {
+    FieldOp field = lookupField(group.accesses.front(), name);
+    FailureOr<FieldLayout> layout =
+        field ? getFieldLayout(field) : FailureOr<FieldLayout>(failure());
+    if (failed(layout) || layout->path.getFirstSparse())
+      return false;
+  }
+  Operation *inner = block->getTerminator();
+  Operation *loop = getEnclosingParallelLoop(inner);
+  if (!loop || isSerialLoop(loop))
+    return true;
+  return isExclusive(
+      loop, llvm::map_to_vector(all, [](DifferentiableAccessInterface access) {
+        return getLinearIndices(access.getAccessIndices());
+      }));
+}
+
+bool Scope::canLive(Group &group, ArrayRef<DifferentiableAccessInterface> all) {
+  if (!sees(group.indices) || !sees(group.components) ||
+      !needsVariable(group) || llvm::none_of(group.accesses, [&](auto access) {
+        return isCertain(access);
+      }))
+    return false;
+  for (DifferentiableAccessInterface access : group.accesses) {
+    // What other ops return is not the value before for certain.
+    if (access.getAccessKind() == AccessKind::Update ||
+        (access.getAccessKind() == AccessKind::Accumulate &&
+         !isa<AtomicOp>(access) && !access->use_empty()))
+      return false;
+    for (Operation *up = access->getParentOp(); up != block->getParentOp();
+         up = up->getParentOp())
+      if (!isa<scf::IfOp, scf::ForOp, scf::WhileOp>(up))
+        return false;
+  }
+  for (DifferentiableAccessInterface other : all) {
+    if (llvm::is_contained(group.accesses, other))
+      continue;
+    for (DifferentiableAccessInterface own : group.accesses)
+      if ((isWrite(own) || isWrite(other)) &&
+          (mayReachLater(own, other, block) ||
+           mayReachLater(other, own, block)))
+        return false;
+  }
+  return isOwned(group, all);
+}
+
+/// An access whose indices are known before `before`.
+DifferentiableAccessInterface Scope::findLeader(const Group &group,
+                                                Operation *before) {
+  auto isKnown = [&](Value value) {
+    Operation *owner = value.getDefiningOp();
+    return isVisible(value) && (!owner || owner->getBlock() != block ||
+                                owner->isBeforeInBlock(before));
+  };
+  for (DifferentiableAccessInterface access : group.accesses)
+    if (llvm::all_of(access.getAccessIndices(), isKnown) &&
+        llvm::all_of(access.getAccessComponents(), isKnown))
+      return access;
+  return {};
+}
+
+static Value createSum(OpBuilder &b, DifferentiableAccessInterface access,
+                       Value old) {
+  Location loc = access.getLoc();
+  Value value = access.getAccessedValue();
+  bool isFloat = isa<FloatType>(getElementTypeOrSelf(value.getType()));
+  if (access.isNegated())
+    return isFloat ? arith::SubFOp::create(b, loc, old, value).getResult()
+                   : arith::SubIOp::create(b, loc, old, value).getResult();
+  return isFloat ? arith::AddFOp::create(b, loc, old, value).getResult()
+                 : arith::AddIOp::create(b, loc, old, value).getResult();
+}
+
+void Scope::rewrite(const Group &group) {
+  Operation *first = block->findAncestorOpInBlock(*group.accesses.front());
+  Operation *last = block->findAncestorOpInBlock(*group.accesses.back());
+  DifferentiableAccessInterface leader = findLeader(group, first);
+  if (!leader)
+    return;
+  Type type = leader.getAccessedValue().getType();
+  Storage storage = leader.getAccessedStorage();
+  SmallVector<Value> indices(leader.getAccessIndices());
+  SmallVector<Value> components(leader.getAccessComponents());
+  OpBuilder b(first);
+  Value variable = AllocaOp::create(b, leader.getLoc(), LocalType::get(type));
+  LocalStoreOp::create(
+      b, leader.getLoc(),
+      leader.createAdjointRead(b, storage, indices, components), variable);
+  b.setInsertionPointAfter(last);
+  leader.createAdjointStore(
+      b, LocalLoadOp::create(b, last->getLoc(), type, variable), storage,
+      indices, components);
+  for (DifferentiableAccessInterface access : group.accesses) {
+    b.setInsertionPoint(access);
+    Location loc = access.getLoc();
+    if (access.getAccessKind() == AccessKind::Write) {
+      LocalStoreOp::create(b, loc, access.getAccessedValue(), variable);
+    } else {
+      Value old = LocalLoadOp::create(b, loc, type, variable);
+      if (isWrite(access))
+        LocalStoreOp::create(b, loc, createSum(b, access, old), variable);
+      access->replaceAllUsesWith(ValueRange{old});
+    }
+    access->erase();
+  }
+}
+
+void Scope::run() {
+  llvm::MapVector<const void *, Accesses> byStorage;
+  for (Operation &op : *block)
+    op.walk([&](DifferentiableAccessInterface access) {
+      byStorage[getStorageKey(access)].push_back(access);
+    });
+  for (auto &[storage, all] : byStorage) {
+    if (llvm::none_of(all, isWrite))
+      continue;
+    SmallVector<Group> groups;
+    for (DifferentiableAccessInterface access : all) {
+      SmallVector<LinearIndex> indices =
+          getLinearIndices(access.getAccessIndices());
+      SmallVector<LinearIndex> components =
+          getLinearIndices(access.getAccessComponents());
+      auto *group = llvm::find_if(groups, [&](const Group &candidate) {
+        return candidate.indices == indices &&
+               candidate.components == components;
+      });
+      if (group == groups.end())
+        group = &groups.emplace_back(Group{indices, components, {}});
+      group->accesses.push_back(access);
+    }
+    // One at a time: the next looks at what this one leaves.
+    for (Group &group : groups)
+      if (canLive(group, all)) {
+        rewrite(group);
+        return run();
+      }
+  }
+}
+
+/// Runs on the blocks of a function, from the outermost. Arms of branches are
+/// scopes too: what they store, they own.
+static void visit(Block &block) {
+  Scope(&block).run();
+  for (Operation &op : block)
+    for (Region &region : op.getRegions())
+      for (Block &inner : region)
+        visit(inner);
+}
+
+namespace {
+struct ForwardStores : tai::impl::ForwardStoresBase<ForwardStores> {
+  using Base::Base;
+
+  void getDependentDialects(DialectRegistry &registry) const override {
+    Base::getDependentDialects(registry);
+    registerDifferentiableModels(registry);
+  }
+
+  void runOnOperation() override {
+    FailureOr<SmallVector<FunctionOpInterface>> functions =
+        selectFunctions(getOperation(), kernels);
+    if (failed(functions))
+      return signalPassFailure();
+    for (FunctionOpInterface function : *functions)
+      if (function.getFunctionBody().hasOneBlock())
+        visit(function.getFunctionBody().front());
+  }
+};
+} // namespace

@@ -1,0 +1,282 @@
+//===- SplitKernel.cpp - One kernel for each loop -------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Cuts a kernel where its loops need several states of one field between them.
+// Whether they do shows when the adjoint is built, so it is built on trial for
+// kernels of several loops of which one writes what another one accesses.
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Func/IR/FuncOps.h"
+#include "mlir/Dialect/Math/IR/Math.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "mlir/IR/Diagnostics.h"
+#include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/Passes.h"
+#include "tai/AD/Selection.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_SPLITKERNEL
+#include "tai/AD/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Which segment an op at the top level is in, or that any part may repeat it.
+constexpr int kShared = -1;
+
+/// True if the op changes anything but arrays that it makes itself.
+static bool hasEffect(Operation *op) {
+  WalkResult result = op->walk([](Operation *inner) {
+    bool isHarmless = inner->hasTrait<OpTrait::HasRecursiveMemoryEffects>() ||
+                      isMemoryEffectFree(inner) ||
+                      hasSingleEffect<MemoryEffects::Read>(inner);
+    return isHarmless ? WalkResult::advance() : WalkResult::interrupt();
+  });
+  return result.wasInterrupted();
+}
+
+static bool holdsParallelLoop(Operation *op) {
+  return op
+      ->walk([](ParallelForOp loop) {
+        return isSerialLoop(loop) ? WalkResult::advance()
+                                  : WalkResult::interrupt();
+      })
+      .wasInterrupted();
+}
+
+/// The segments of the ops at the top level. Serial code in a row is one.
+static SmallVector<int> findSegments(KernelOp kernel, int &count) {
+  SmallVector<int> segments;
+  count = 0;
+  bool inSerial = false;
+  for (Operation &op : kernel.getBody().front().without_terminator()) {
+    if (!hasEffect(&op)) {
+      segments.push_back(kShared);
+      continue;
+    }
+    bool isParallel = holdsParallelLoop(&op);
+    if (isParallel || !inSerial)
+      ++count;
+    inSerial = !isParallel;
+    segments.push_back(count - 1);
+  }
+  return segments;
+}
+
+/// The ops at the top level of a kernel, by position.
+static SmallVector<Operation *> getTopLevel(KernelOp kernel) {
+  return llvm::map_to_vector(kernel.getBody().front().without_terminator(),
+                             [](Operation &op) { return &op; });
+}
+
+/// True if some storage is written in one segment and accessed in another.
+static bool sharesStorage(KernelOp kernel, ArrayRef<int> segments) {
+  struct Use {
+    int first = kShared;
+    bool inSeveral = false, written = false;
+  };
+  DenseMap<const void *, Use> uses;
+  for (auto [op, segment] : llvm::zip(getTopLevel(kernel), segments))
+    op->walk([&, segment = segment](DifferentiableAccessInterface access) {
+      auto [it, isNew] = uses.try_emplace(getStorageKey(access));
+      Use &use = it->second;
+      if (isNew)
+        use.first = segment;
+      use.inSeveral |= use.first != segment;
+      use.written |= access.getAccessKind() != AccessKind::Read;
+    });
+  return llvm::any_of(uses, [](auto &entry) {
+    return entry.second.inSeveral && entry.second.written;
+  });
+}
+
+/// True if the adjoint cannot be made of the kernel as a whole, but might be of
+/// its parts.
+static bool needsParts(KernelOp kernel) {
+  ScopedDiagnosticHandler silence(kernel.getContext(),
+                                  [](Diagnostic &) { return success(); });
+  OpBuilder builder(kernel);
+  auto shell = KernelOp::create(
+      builder, kernel.getLoc(), (kernel.getSymName() + ".trial").str(),
+      FunctionType::get(kernel.getContext(), kernel.getArgumentTypes(), {}));
+  bool result = false;
+  // What the kernel reads from its arrays is constant here.
+  bool failing =
+      failed(fillAdjoint(kernel, shell, /*arrays=*/false, kDefaultHistoryBytes,
+                         /*takes=*/false, &result));
+  shell.erase();
+  return failing && result;
+}
+
+namespace {
+/// Splits one kernel.
+class Splitter {
+public:
+  Splitter(KernelOp kernel, ArrayRef<int> segments, int count)
+      : kernel(kernel), ops(getTopLevel(kernel)), segments(segments),
+        count(count) {
+    for (auto [i, op] : llvm::enumerate(ops))
+      position[op] = i;
+  }
+
+  LogicalResult check();
+  void split();
+
+private:
+  LogicalResult checkUse(Operation *shared, int segment, Operation *user,
+                         DenseSet<Operation *> &visited);
+
+  KernelOp kernel;
+  SmallVector<Operation *> ops;
+  ArrayRef<int> segments;
+  int count;
+  DenseMap<Operation *, size_t> position;
+};
+} // namespace
+
+/// Checks that the part of `segment` can compute the value of `shared`, which
+/// `user` uses, by itself.
+LogicalResult Splitter::checkUse(Operation *shared, int segment,
+                                 Operation *user,
+                                 DenseSet<Operation *> &visited) {
+  size_t at = position.lookup(shared);
+  if (segments[at] == segment || !visited.insert(shared).second)
+    return success();
+  if (segments[at] != kShared) {
+    InFlightDiagnostic diag = shared->emitError(
+        "the gradient needs the loops of this kernel to be "
+        "launched one by one, but a later one uses a value of "
+        "this one");
+    diag.attachNote(user->getLoc()) << "used here";
+    diag.attachNote() << "store it to a field, or make two kernels";
+    return diag;
+  }
+  Operation *write = nullptr;
+  WalkResult result = shared->walk([&](DifferentiableAccessInterface read)
+                                       -> WalkResult {
+    for (auto [i, other] : llvm::enumerate(ops)) {
+      if (i < at || segments[i] == kShared || segments[i] >= segment)
+        continue;
+      other->walk([&](DifferentiableAccessInterface access) {
+        if (access.getAccessKind() != AccessKind::Read &&
+            getStorageKey(access) == getStorageKey(read) &&
+            mayReachLater(read, access))
+          write = access;
+      });
+      if (write) {
+        InFlightDiagnostic diag = read.emitError(
+            "the gradient needs the loops of this kernel to be launched one "
+            "by one, but the value read here is used by a later one");
+        diag.attachNote(user->getLoc()) << "used here";
+        diag.attachNote(write->getLoc()) << "overwritten here in between";
+        diag.attachNote() << "store the new value to another element, or "
+                             "make two kernels";
+        return WalkResult::interrupt();
+      }
+    }
+    return WalkResult::advance();
+  });
+  if (result.wasInterrupted())
+    return failure();
+  LogicalResult all = success();
+  shared->walk([&](Operation *inner) {
+    for (Value operand : inner->getOperands())
+      if (Operation *owner = operand.getDefiningOp();
+          owner && position.count(owner) && owner != shared &&
+          failed(checkUse(owner, segment, user, visited)))
+        all = failure();
+  });
+  return all;
+}
+
+LogicalResult Splitter::check() {
+  SmallVector<DenseSet<Operation *>> visited(count);
+  auto checkOperands = [&](Operation *user, int segment) {
+    LogicalResult result = success();
+    user->walk([&](Operation *inner) {
+      for (Value operand : inner->getOperands())
+        if (Operation *owner = operand.getDefiningOp();
+            owner && position.count(owner) && owner != user &&
+            failed(checkUse(owner, segment, user, visited[segment])))
+          result = failure();
+    });
+    return result;
+  };
+  LogicalResult result = success();
+  for (auto [op, segment] : llvm::zip(ops, segments))
+    if (segment != kShared && failed(checkOperands(op, segment)))
+      result = failure();
+  if (failed(
+          checkOperands(kernel.getBody().front().getTerminator(), count - 1)))
+    result = failure();
+  return result;
+}
+
+void Splitter::split() {
+  OpBuilder builder(kernel.getContext());
+  Operation *after = kernel;
+  for (int part = 0; part != count; ++part) {
+    auto clone = cast<KernelOp>(kernel->clone());
+    builder.setInsertionPointAfter(after);
+    builder.insert(clone);
+    after = clone;
+    clone.setSymName((kernel.getSymName() + "." + Twine(part)).str());
+    clone->setAttr(kPartOfAttrName,
+                   FlatSymbolRefAttr::get(kernel.getSymNameAttr()));
+    if (part + 1 != count) {
+      clone.getBody().front().getTerminator()->setOperands({});
+      clone.setFunctionType(FunctionType::get(
+          clone.getContext(), clone.getArgumentTypes(), TypeRange()));
+      clone.removeResAttrsAttr();
+    }
+    SmallVector<Operation *> copies = getTopLevel(clone);
+    for (size_t i = copies.size(); i-- > 0;) {
+      bool isOther = segments[i] != kShared && segments[i] != part;
+      if (isOther || (segments[i] == kShared && copies[i]->use_empty()))
+        copies[i]->erase();
+    }
+  }
+}
+
+namespace {
+struct SplitKernel : tai::impl::SplitKernelBase<SplitKernel> {
+  using Base::Base;
+
+  void getDependentDialects(DialectRegistry &registry) const override {
+    Base::getDependentDialects(registry);
+    registerDifferentiableModels(registry);
+  }
+
+  void runOnOperation() override {
+    FailureOr<SmallVector<FunctionOpInterface>> functions =
+        selectFunctions(getOperation(), kernels);
+    if (failed(functions))
+      return signalPassFailure();
+    for (FunctionOpInterface function : *functions) {
+      auto kernel = dyn_cast<KernelOp>(function.getOperation());
+      if (!kernel || kernel->hasAttr(kPartOfAttrName) ||
+          !kernel.getBody().hasOneBlock())
+        continue;
+      int count = 0;
+      SmallVector<int> segments = findSegments(kernel, count);
+      if (count < 2 || !sharesStorage(kernel, segments) || !needsParts(kernel))
+        continue;
+      Splitter splitter(kernel, segments, count);
+      if (failed(splitter.check()))
+        return signalPassFailure();
+      splitter.split();
+    }
+  }
+};
+} // namespace

@@ -1,0 +1,119 @@
+//===- Stacks.cpp - Stacks of scalars -------------------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A stack is a TaiStack in the frame of the function, followed by its first
+// slots. Pushing and popping are a few instructions; the runtime is called to
+// grow, and to free what has grown.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Lowering.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+static_assert(sizeof(TaiStack) == 3 * sizeof(int64_t), "members are slots");
+
+namespace {
+/// Emits the ops on one stack.
+class StackLowering {
+public:
+  StackLowering(OpBuilder &builder, Location loc, Value stack, Value frame,
+                RuntimeCalls &runtime)
+      : builder(builder), loc(loc), stack(stack), frame(frame),
+        runtime(runtime) {}
+
+  void create() {
+    store(getMember(3), 0);
+    store(runtime.i64(builder, loc, 0), 1);
+    store(runtime.i64(builder, loc, TAI_STACK_SLOTS), 2);
+  }
+
+  void push(Value value) {
+    Value isFull = arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::eq,
+                                         loadSize(), load(2));
+    call(isFull, "tai_rt_stack_grow", {frame, stack});
+    Value size = loadSize();
+    emitSlotStore(builder, loc, value, getTop(size));
+    store(add(size, 1), 1);
+  }
+
+  Value pop(Type type) {
+    // Not below the ground, where a failure to grow has emptied the stack.
+    Value size = arith::MaxSIOp::create(builder, loc, add(loadSize(), -1),
+                                        runtime.i64(builder, loc, 0));
+    store(size, 1);
+    return emitSlotLoad(builder, loc, type, getTop(size));
+  }
+
+  void destroy() {
+    Value grown =
+        arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::ne, load(2),
+                              runtime.i64(builder, loc, TAI_STACK_SLOTS));
+    call(grown, "tai_rt_stack_free", {stack});
+  }
+
+private:
+  Value getMember(int64_t index) {
+    return emitSlot(builder, loc, stack, index);
+  }
+  void store(Value value, int64_t index) {
+    emitSlotStore(builder, loc, value, getMember(index));
+  }
+  Value load(int64_t index) {
+    return emitSlotLoad(builder, loc, builder.getI64Type(), getMember(index));
+  }
+  Value loadSize() { return load(1); }
+  Value add(Value value, int64_t constant) {
+    return arith::AddIOp::create(builder, loc, value,
+                                 runtime.i64(builder, loc, constant));
+  }
+  /// The address of the slot at `position`.
+  Value getTop(Value position) {
+    Value slots = emitSlotLoad(builder, loc, runtime.getPointerType(), stack);
+    return LLVM::GEPOp::create(
+        builder, loc, slots.getType(), builder.getI64Type(), slots,
+        ArrayRef<LLVM::GEPArg>{position}, LLVM::GEPNoWrapFlags::inbounds);
+  }
+  void call(Value condition, StringRef name, ValueRange arguments) {
+    auto branch = scf::IfOp::create(builder, loc, condition);
+    OpBuilder inside = branch.getThenBodyBuilder();
+    runtime.call(inside, loc, name, Type(), arguments);
+  }
+
+  OpBuilder &builder;
+  Location loc;
+  Value stack, frame;
+  RuntimeCalls &runtime;
+};
+} // namespace
+
+LogicalResult tai::lowerStack(StackCreateOp op, Value frame,
+                              RuntimeCalls &runtime) {
+  OpBuilder builder(op);
+  Value stack = emitStackSlots(builder, op.getLoc(), 3 + TAI_STACK_SLOTS);
+  StackLowering(builder, op.getLoc(), stack, frame, runtime).create();
+  for (Operation *user : llvm::make_early_inc_range(op->getUsers())) {
+    builder.setInsertionPoint(user);
+    StackLowering lowering(builder, user->getLoc(), stack, frame, runtime);
+    if (auto push = dyn_cast<StackPushOp>(user)) {
+      lowering.push(push.getValue());
+    } else if (auto pop = dyn_cast<StackPopOp>(user)) {
+      Value value = lowering.pop(pop.getValue().getType());
+      pop.getValue().replaceAllUsesWith(value);
+    } else if (isa<StackDestroyOp>(user)) {
+      lowering.destroy();
+    } else {
+      return user->emitOpError("cannot be lowered on a stack");
+    }
+    user->erase();
+  }
+  op.erase();
+  return success();
+}

@@ -1,0 +1,19 @@
+//===- TaiStackOps.cpp - Stacks of values ---------------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+LogicalResult StackCreateOp::verify() {
+  Type type = cast<StackType>(getStack().getType()).getElementType();
+  if (type.isIndex() ||
+      (type.isIntOrFloat() && type.getIntOrFloatBitWidth() <= 64))
+    return success();
+  return emitOpError("expects a scalar of at most 64 bits, but got ") << type;
+}

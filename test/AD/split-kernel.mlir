@@ -1,0 +1,113 @@
+// RUN: tai-opt %s --split-input-file --verify-diagnostics --tai-split-kernel | FileCheck %s
+// RUN: tai-opt %s --split-input-file --verify-diagnostics --tai-split-kernel --tai-make-adjoint | FileCheck %s --check-prefix=GRAD
+
+!t = !tai.root<dense<[i: 16], {x: f32, x_grad: f32, y: f32, y_grad: f32}>, {a: f32, a_grad: f32}>
+tai.tree @t : !t
+tai.field @x_grad = @t["x_grad"] : f32, rank 1
+tai.field @y_grad = @t["y_grad"] : f32, rank 1
+tai.field @a_grad = @t["a_grad"] : f32, rank 0
+tai.field @x = @t["x"] : f32, rank 1, adjoint @x_grad
+tai.field @y = @t["y"] : f32, rank 1, adjoint @y_grad
+tai.field @a = @t["a"] : f32, rank 0, adjoint @a_grad
+
+// Each of two loops needs what x held before it. What both compute with is
+// computed in both; the last has the result.
+// CHECK-LABEL: tai.kernel @twice(%{{.+}}: f32) -> f32
+//       CHECK:   tai.parallel_for
+//       CHECK:   tai.parallel_for
+// CHECK-LABEL: tai.kernel @twice.0(
+//  CHECK-SAME:     %[[S:.+]]: f32) attributes {tai.part_of = @twice} {
+//       CHECK:   arith.mulf %[[S]], %[[S]]
+//       CHECK:   tai.parallel_for
+//       CHECK:     math.sin
+//   CHECK-NOT:   tai.parallel_for
+//       CHECK:   tai.return
+// CHECK-LABEL: tai.kernel @twice.1(
+//  CHECK-SAME:     %[[S:.+]]: f32) -> f32 attributes {tai.part_of = @twice} {
+//       CHECK:   %[[SS:.+]] = arith.mulf %[[S]], %[[S]]
+//       CHECK:   tai.parallel_for
+//       CHECK:     math.exp
+//       CHECK:   tai.return %[[SS]]
+//
+// GRAD-DAG: tai.kernel @twice.0_grad(%{{.+}}: f32) attributes {tai.before = [@x]}
+// GRAD-DAG: tai.kernel @twice.1_grad(%{{.+}}: f32) attributes {tai.before = [@x]}
+// GRAD-NOT: @twice_grad
+tai.kernel @twice(%s: f32) -> f32 {
+  %ss = arith.mulf %s, %s : f32
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = math.sin %0 : f32
+    %2 = arith.mulf %1, %ss : f32
+    tai.store %2, @x[%i] : f32
+  }
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = math.exp %0 : f32
+    %2 = arith.mulf %1, %ss : f32
+    tai.store %2, @x[%i] : f32
+  }
+  tai.return %ss : f32
+}
+
+// Loops that agree stay together, and so does one loop that is run again.
+// CHECK-LABEL: tai.kernel @agree
+//   CHECK-NOT: @agree.0
+// CHECK-LABEL: tai.kernel @alone
+//   CHECK-NOT: @alone.0
+// GRAD-DAG: tai.kernel @agree_grad() attributes {tai.before = [@x]}
+// GRAD-DAG: tai.kernel @alone_grad() attributes {tai.before = [@x], tai.reruns}
+tai.kernel @agree() {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = math.sin %0 : f32
+    tai.store %1, @y[%i] : f32
+  }
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @y[%i] : f32
+    tai.store %0, @x[%i] : f32
+  }
+  tai.return
+}
+tai.kernel @alone() {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = math.sin %0 : f32
+    tai.store %1, @x[%i] : f32
+    %2 = tai.load @x[%i] : f32
+    %3 = math.sin %2 : f32
+    tai.store %3, @x[%i] : f32
+  }
+  tai.return
+}
+
+// -----
+
+!t = !tai.root<dense<[i: 16], {x: f32, x_grad: f32}>, {a: f32, a_grad: f32}>
+tai.tree @t : !t
+tai.field @x_grad = @t["x_grad"] : f32, rank 1
+tai.field @a_grad = @t["a_grad"] : f32, rank 0
+tai.field @x = @t["x"] : f32, rank 1, adjoint @x_grad
+tai.field @a = @t["a"] : f32, rank 0, adjoint @a_grad
+
+tai.kernel @read_early() {
+  // expected-note @+2 {{store the new value to another element, or make two kernels}}
+  // expected-error @+1 {{the gradient needs the loops of this kernel to be launched one by one, but the value read here is used by a later one}}
+  %a = tai.load @a[] : f32
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = math.sin %0 : f32
+    %2 = arith.mulf %1, %a : f32
+    tai.store %2, @x[%i] : f32
+  }
+  %double = arith.addf %a, %a : f32
+  // expected-note @+1 {{overwritten here in between}}
+  tai.store %double, @a[] : f32
+  // expected-note @+1 {{used here}}
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = math.exp %0 : f32
+    %2 = arith.mulf %1, %a : f32
+    tai.store %2, @x[%i] : f32
+  }
+  tai.return
+}
