@@ -202,7 +202,8 @@ void Tape::findRepeatedStores() {
         continue;
       size_t index = lookup(access);
       int64_t position = used[index].locate(access, args);
-      again |= access.kind == AccessKind::Write && used[index].has(position);
+      again |= access.kind == AccessKind::Write &&
+               (takesAll || used[index].has(position));
       uses.emplace_back(index, position);
     }
     storesAgain[i] = again;

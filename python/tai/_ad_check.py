@@ -238,20 +238,20 @@ def recording(loss: Any = None) -> Iterator[Any]:
 
 
 class Accesses:
-    """What a tape reads before it writes it, and what it changes.
+    """What a tape reads, and what it changes.
 
     Attributes:
         known: the fields with gradients, by symbol.
-        masks: the elements that are read before they are written, by symbol.
-        changed: the fields that are written or accumulated, by symbol.
-        unsure: fields that one kernel reads and writes, in an order that is not known here.
+        masks: the elements that are read, by symbol.
+        sure: those of them that are certainly read before they are stored.
+        changed: the fields that are stored or accumulated, by symbol.
     """
 
     def __init__(self, core: Any, loss: Any, run_host_functions: bool = False):
         self.known = differentiable_fields()
         self.masks: dict[str, np.ndarray] = {}
         self.changed: dict[str, Any] = {}
-        self.unsure: set[str] = set()
+        self.sure: dict[str, np.ndarray] = {}
         self._written: dict[str, np.ndarray] = {}
         self._loss = None if loss is None else loss.symbol
         for record in range(core.records):
@@ -261,26 +261,23 @@ class Accesses:
                 self._of_host_function(core, record)
 
     def _of_kernel(self, accesses: list[tuple[str, int, int, int]]) -> None:
-        accesses = [a for a in accesses if a[0] in self.known]
+        here: dict[int, dict[str, np.ndarray]] = {READ: {}, WRITE: {}}
         for symbol, kind, dimension, index in accesses:
-            if symbol == self._loss or kind == WRITE:
+            if symbol not in self.known or symbol == self._loss:
                 continue
             f = self.known[symbol]
-            here = elements(f, dimension, index)
-            mask = self.masks.setdefault(symbol, np.zeros(f.shape + f.element_shape, bool))
-            done = self._written.get(symbol)
-            mask[here] |= True if done is None else ~done[here]
-        for symbol, kind, dimension, index in accesses:
-            if kind == READ:
-                continue
-            f = self.known[symbol]
-            self.changed[symbol] = f
-            here = elements(f, dimension, index)
-            if symbol in self.masks and self.masks[symbol][here].any():
-                self.unsure.add(symbol)
-            if kind == WRITE:
-                empty = np.zeros(f.shape + f.element_shape, bool)
-                self._written.setdefault(symbol, empty)[here] = True
+            if kind != READ:
+                self.changed[symbol] = f
+            empty = np.zeros(f.shape + f.element_shape, bool)
+            where = here[WRITE if kind == WRITE else READ].setdefault(symbol, empty)
+            where[elements(f, dimension, index)] = True
+        for symbol, read in here[READ].items():
+            # Stored by the same kernel: before or after, who knows.
+            fresh = read & ~here[WRITE].get(symbol, False) & ~self._written.get(symbol, False)
+            _join(self.masks, symbol, read)
+            _join(self.sure, symbol, fresh)
+        for symbol, write in here[WRITE].items():
+            _join(self._written, symbol, write)
 
     def _of_host_function(self, core: Any, record: int) -> None:
         """A function with a gradient of its own may touch anything: what it changes is seen."""
@@ -302,8 +299,13 @@ class Accesses:
             if before[symbol] != after[symbol]:
                 self.changed[symbol] = f
             elif symbol != self._loss and symbol not in self._written:
-                shape = f.shape + f.element_shape
-                self.masks.setdefault(symbol, np.ones(shape, bool))
+                everything = np.ones(f.shape + f.element_shape, bool)
+                _join(self.masks, symbol, everything)
+                _join(self.sure, symbol, everything)
+
+
+def _join(masks: dict[str, np.ndarray], symbol: str, more: np.ndarray) -> None:
+    masks[symbol] = masks[symbol] | more if symbol in masks else more
 
 
 # Programs
@@ -323,7 +325,7 @@ class Program:
         self.start = start or Snapshot()
         self.core: Any = None
         self.outputs: list[Any] = [] if loss is None else storage(loss)
-        self.inputs: list[tuple[Any, np.ndarray | None]] = []
+        self.inputs: list[tuple[Any, np.ndarray]] = []
 
     def record(self) -> None:
         """Runs it once on a tape, and finds out what it reads and changes."""
@@ -340,7 +342,7 @@ class Program:
 
     def _find_accesses(self) -> tuple[list[tuple[Any, Any]], list[Any]]:
         found = Accesses(self.core, self.loss, run_host_functions=True)
-        self.written = set(found.changed)
+        self.written, self.sure = set(found.changed), found.sure
         inputs = [(found.known[s], mask) for s, mask in found.masks.items() if mask.any()]
         return inputs, list(found.changed.values())
 
@@ -365,13 +367,26 @@ class Program:
         return value
 
     def sweep(self, seeds: list[np.ndarray]) -> dict[str, np.ndarray]:
-        """The gradient of the weighted outputs by each input."""
+        """The gradient of the weighted outputs by what each input holds at the start.
+
+        As a user's sweep gives it, but for elements that may be stored before they are read:
+        those keep the adjoint of what was stored, and so come from a sweep that forgets it.
+        """
+        found = self._sweep(seeds, False)
+        sure = {f.symbol: self.sure.get(f.symbol, False) for f, _ in self.inputs}
+        if not all(np.all(sure[f.symbol] | ~mask) for f, mask in self.inputs):
+            taken = self._sweep(seeds, True)
+            found = {s: np.where(sure[s], gradient, taken[s]) for s, gradient in found.items()}
+        return found
+
+    def _sweep(self, seeds: list[np.ndarray], take_all: bool) -> dict[str, np.ndarray]:
         self.start.restore(only_primal=True)
         with recording(self.loss) as core:
             self.run()
         if self.loss is None:
             for f, seed in zip(self.outputs, seeds, strict=True):
                 _seed(f, seed)
+        core.take_all(take_all)
         core.backward()
         return {f.symbol: _gradient(f) for f, _ in self.inputs}
 
@@ -410,12 +425,12 @@ def probe_program(
     quick: bool = False,
 ) -> list[FieldCheck]:
     """Compares the gradients of a program that has been recorded."""
-    wanted = program.inputs
     if wrt is not None:
         parts = [p for f in wrt for p in storage(f)]
-        masks = {f.symbol: mask for f, mask in program.inputs}
-        wanted = [(f, masks.get(f.symbol)) for f in parts]
-        program.inputs = wanted
+        program.inputs = [(f, np.ones(f.shape + f.element_shape, bool)) for f in parts]
+    else:
+        program.inputs = [(f, mask) for f, mask in program.inputs if program.is_input(f, mask)]
+    wanted = program.inputs
     checks = []
     rounds = [None] if program.loss is not None else range(directions)
     for number in rounds:
@@ -429,7 +444,7 @@ def probe_program(
                 checks.append(FieldCheck(f.name, f.dtype.name))
                 if f.dtype.name not in ("f64", "f32"):
                     checks[-1].skipped = "differences need f64 or f32"
-                elif not program.is_input(f, True if mask is None else mask):
+                elif wrt is not None and not program.is_input(f, mask):
                     checks[-1].skipped = "it is overwritten before it is read"
             check = checks[place]
             if check.skipped:

@@ -292,9 +292,11 @@ def _find_flat(report: HealthReport, core: Any, loss: Any) -> None:
     """Fields that are read before they are written, whose gradient is exactly zero."""
     found = Accesses(core, loss)
     alive = {row.symbol for row in report.rows if row.norm or row.nans or row.infs}
-    for symbol, mask in found.masks.items():
+    for symbol, reads in found.masks.items():
         f = found.known[symbol]
-        if not mask.any() or (symbol in found.unsure and symbol in alive):
+        # Where it may be stored before it is read, only what no adjoint ever reached is flat.
+        mask = found.sure[symbol] if symbol in alive else reads
+        if not mask.any():
             continue
         if not np.any(Snapshot._take(f._companions["grad"])[mask]):
             report.flat.append(f.name)

@@ -133,6 +133,13 @@ public:
     double maxAbs;     // of the finite numbers
     double sumSquares; // of the finite numbers
   };
+  /// Whether reverse sweeps from now on treat every element that is stored as
+  /// one that was used before, so that all gradients are by what the fields
+  /// held at the start.
+  void takeAll(bool on) {
+    takesAll = on;
+    decisions.clear();
+  }
   /// Whether reverse sweeps from now on examine each adjoint they replay.
   void watchHealth(bool on);
   /// Of the last sweep, in the order of the sweep.
@@ -196,6 +203,7 @@ private:
   std::vector<bool> storesAgain;
   bool reverseCallbacks = false;
 
+  bool takesAll = false;
   bool watching = false;
   std::vector<Health> examined;
 
