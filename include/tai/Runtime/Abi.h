@@ -78,8 +78,8 @@ typedef struct TaiStack {
   int64_t capacity;
 } TaiStack;
 
-/// Makes room for more. Out of memory fails the launch, and what was on the stack
-/// is overwritten.
+/// Makes room for more. Out of memory fails the launch, and what was on the
+/// stack is overwritten.
 void tai_rt_stack_grow(TaiFrame *frame, TaiStack *stack);
 /// Frees the slots of a stack that has grown.
 void tai_rt_stack_free(TaiStack *stack);

@@ -58,8 +58,8 @@ struct FieldResource : SideEffects::Resource::Base<FieldResource> {
 constexpr llvm::StringLiteral kTakesAttrName = "tai.takes";
 /// The fields that the adjoint reads as they were before the launch.
 constexpr llvm::StringLiteral kBeforeAttrName = "tai.before";
-/// The adjoint writes to fields while it runs: those of `tai.before` must be put
-/// back to what they were before the launch once more when it is done.
+/// The adjoint writes to fields while it runs: those of `tai.before` must be
+/// put back to what they were before the launch once more when it is done.
 constexpr llvm::StringLiteral kRerunsAttrName = "tai.reruns";
 /// On a kernel: it is a part of the named kernel, launched in its place under a
 /// tape.
