@@ -11,6 +11,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/AD/AdjointBuilder.h"
+#include "ContendedAtomics.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
@@ -18,6 +19,7 @@
 #include "mlir/Interfaces/CallInterfaces.h"
 #include "tai/AD/Conventions.h"
 #include "tai/AD/Rerun.h"
+#include "tai/Analysis/Accesses.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
@@ -33,7 +35,8 @@ AdjointBuilder::AdjointBuilder(FunctionOpInterface primal,
                [this](Storage storage) {
                  return static_cast<bool>(this->adjointOf(storage));
                }),
-      accesses(primal), takesAll(takesAll), plan(plan), larger(plan) {
+      accesses(primal), takesAll(takesAll), plan(plan), larger(plan),
+      contended(std::make_unique<ContendedAtomics>(*this)) {
   for (Operation *op : plan.recorded) {
     Block *unit = getRerunUnit(op);
     units.insert(unit);
@@ -66,6 +69,17 @@ LogicalResult AdjointBuilder::build() {
     return failure();
   dropDeadCarried(adjoint.getFunctionBody());
   return success();
+}
+
+LogicalResult AdjointBuilder::beginContended(ParallelForOp loop) {
+  return contended->begin(primal, loop);
+}
+
+void AdjointBuilder::endContended() { contended->end(); }
+
+bool AdjointBuilder::runsAgain(Operation *access) const {
+  return plan.recorded.contains(access) ||
+         plan.storages.contains(getStorageKey(access));
 }
 
 /// True for what only looks at an array.
@@ -200,14 +214,6 @@ LogicalResult AdjointBuilder::reverseAccess(Operation *op) {
   auto access = cast<DifferentiableAccessInterface>(op);
   Value value = access.getAccessedValue();
   Storage storage = adjointOf(access.getAccessedStorage());
-  if (access.getAccessKind() == AccessKind::Update) {
-    emitError(op, "cannot differentiate this read-modify-write of a field "
-                  "with an adjoint")
-            .attachNote()
-        << "only 'add' and 'sub' accumulate; compute the new value from what "
-           "was read and store it to another element";
-    return failure();
-  }
   bool isRead = access.getAccessKind() == AccessKind::Read;
   if (!isRead)
     for (Value result : op->getResults())
@@ -219,6 +225,18 @@ LogicalResult AdjointBuilder::reverseAccess(Operation *op) {
                "load it in a later loop";
         return failure();
       }
+  if (access.getAccessKind() == AccessKind::Update) {
+    auto atomic = dyn_cast<AtomicOp>(op);
+    if (Value share = atomic ? contended->getAdjoint(atomic) : Value()) {
+      addAdjoint(value, share);
+      return success();
+    }
+    emitError(op, "cannot differentiate this read-modify-write of a field "
+                  "with an adjoint")
+            .attachNote()
+        << "run 'tai-expand-atomics' first, or write it as a load and a store";
+    return failure();
+  }
   Value seed = isRead ? getAdjoint(value) : Value();
   if (isRead && !seed)
     return success();

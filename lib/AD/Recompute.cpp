@@ -187,7 +187,8 @@ bool AdjointBuilder::checkRecomputable(Operation *op) {
                     "but is gone when the gradient runs")
               .attachNote()
           << "store it to a field that nothing else writes, and load it from "
-             "there";
+             "there in a later kernel: slot[i] = atomic_add(n, 1), and then "
+             "y[slot[i]]";
       return false;
     }
     return checkReadable(access);

@@ -58,8 +58,13 @@ LogicalResult AdjointBuilder::chooseStates() {
       if (needed.contains(access) || plan.recorded.contains(access))
         byStorage[storage].push_back(access);
   SmallVector<Attribute> before;
+  llvm::SmallDenseSet<const void *> chosen;
+  for (Operation *op : wantsBefore)
+    if (chosen.insert(getStorageKey(op)).second)
+      before.push_back(
+          cast<DifferentiableAccessInterface>(op).getAccessedStorage().field);
   for (auto &[storage, reads] : byStorage)
-    if (failed(chooseState(reads, before)))
+    if (!chosen.contains(storage) && failed(chooseState(reads, before)))
       hasErrors = true;
   if (hasErrors)
     return failure();

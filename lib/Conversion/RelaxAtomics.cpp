@@ -262,8 +262,11 @@ LogicalResult LoopRelaxation::run() {
     if (!loop.isDefinedOutsideOfLoop(atomic.getMemref()))
       return;
     inMemory = true;
-    dependsOnTiming |= isa<FloatType>(atomic.getValue().getType()) ||
-                       !atomic.getResult().use_empty();
+    bool isExtreme = atomic.getKind() == arith::AtomicRMWKind::minimumf ||
+                     atomic.getKind() == arith::AtomicRMWKind::maximumf;
+    dependsOnTiming |=
+        (isa<FloatType>(atomic.getValue().getType()) && !isExtreme) ||
+        !atomic.getResult().use_empty();
   });
 
   std::optional<int64_t> iterations = getNumIterations(loop);

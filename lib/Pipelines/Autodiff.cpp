@@ -23,6 +23,9 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
   pm.addPass(createCanonicalizerPass());
   // One value for each index, so that equal elements are seen to be equal.
   pm.addPass(createCSEPass());
+  ExpandAtomicsOptions expand;
+  expand.kernels.assign(options.kernels.begin(), options.kernels.end());
+  pm.addPass(createExpandAtomics(expand));
   // On the program as it was written: flattened branches hide conditions.
   CheckAccessRulesOptions rules;
   rules.kernels.assign(options.kernels.begin(), options.kernels.end());

@@ -11,24 +11,92 @@ tai.field @y = @t["y"] : f32, rank 1, adjoint @y_grad
 tai.field @n = @t["n"] : i32, rank 1
 tai.field @plain = @t["plain"] : f32, rank 1
 
-tai.kernel @maximum() {
+// In serial code, an atomic is a load and a store.
+tai.kernel @serial_maximum() {
+  %c0 = arith.constant 0 : index
+  %0 = tai.load @x[%c0] : f32
+  // expected-error @+2 {{cannot differentiate this read-modify-write of a field with an adjoint}}
+  // expected-note @+1 {{run 'tai-expand-atomics' first, or write it as a load and a store}}
+  tai.atomic max %0, @y[%c0] : f32
+  tai.return
+}
+
+// What an iteration reads depends on which others have run.
+tai.kernel @maximum_so_far() {
   %c0 = arith.constant 0 : index
   tai.parallel_for (%i) in @x {
     %0 = tai.load @x[%i] : f32
-    // expected-error @+2 {{cannot differentiate this read-modify-write of a field with an adjoint}}
-    // expected-note @+1 {{only 'add' and 'sub' accumulate; compute the new value from what was read and store it to another element}}
+    // expected-error @+2 {{an element that iterations combine at the same time is also accessed in another way}}
+    // expected-note @+1 {{do this in a loop of its own}}
+    tai.atomic max %0, @y[%c0] : f32
+    // expected-note @+1 {{read here}}
+    %1 = tai.load @y[%c0] : f32
+    tai.atomic add %1, @x[%i] : f32
+  }
+  tai.return
+}
+
+// The order of a sum and a product decides.
+tai.kernel @two_kinds() {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    // expected-error @+2 {{an element that iterations combine at the same time is also accessed in another way}}
+    // expected-note @+1 {{do this in a loop of its own}}
+    tai.atomic mul %0, @y[%c0] : f32
+    // expected-note @+1 {{written here}}
+    tai.atomic add %0, @y[%c0] : f32
+  }
+  tai.return
+}
+
+// The gradient needs the element as it was before the loop.
+tai.kernel @cleared_before() {
+  %c0 = arith.constant 0 : index
+  %zero = arith.constant 0.0 : f32
+  // expected-note @+1 {{written here}}
+  tai.store %zero, @y[%c0] : f32
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    // expected-error @+2 {{an element that iterations combine at the same time is also accessed outside of the loop}}
+    // expected-note @+1 {{do this in a kernel of its own}}
     tai.atomic max %0, @y[%c0] : f32
   }
   tai.return
 }
 
-// A product with a constant scales the derivative of the old element, too.
-tai.kernel @product() {
-  %two = arith.constant 2.0 : f32
+// How many values there will be is not known before the loop.
+tai.kernel @as_often_as_a_field_says() {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
   tai.parallel_for (%i) in @x {
-    // expected-error @+2 {{cannot differentiate this read-modify-write}}
-    // expected-note @+1 {{only 'add' and 'sub' accumulate}}
-    tai.atomic mul %two, @y[%i] : f32
+    %0 = tai.load @x[%i] : f32
+    %1 = tai.load @n[%i] : i32
+    %2 = arith.index_cast %1 : i32 to index
+    // expected-note @+1 {{because of this loop}}
+    scf.for %j = %c0 to %2 step %c1 {
+      // expected-error @+2 {{how often an iteration combines its values with those of others is not known before the loop}}
+      // expected-note @+1 {{combine them in a local variable first, and then that with the field}}
+      tai.atomic min %0, @y[%c0] : f32
+    }
+  }
+  tai.return
+}
+
+// What decides depends on the order of iterations.
+tai.kernel @first_come() {
+  %c0 = arith.constant 0 : index
+  %one = arith.constant 1 : i32
+  %ten = arith.constant 10 : i32
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    // expected-error @+2 {{the value before the update is needed by the gradient, but is gone when the gradient runs}}
+    // expected-note @+1 {{store it to a field}}
+    %1 = tai.atomic add %one, @n[%c0] : i32
+    %2 = arith.cmpi slt, %1, %ten : i32
+    scf.if %2 {
+      tai.atomic max %0, @y[%c0] : f32
+    }
   }
   tai.return
 }

@@ -30,6 +30,8 @@
 #include <map>
 
 namespace mlir::tai {
+class ContendedAtomics;
+class ParallelForOp;
 
 class LoopHistory;
 
@@ -192,6 +194,20 @@ public:
   /// How often the second region of such a loop has run.
   Value fetchCount(scf::WhileOp loop);
 
+  /// Before and after the reverse of a parallel loop: what it needs for
+  /// elements that its iterations multiply, or compare with their values, at
+  /// the same time.
+  LogicalResult beginContended(ParallelForOp loop);
+  void endContended();
+  /// The adjoint reads the field of the access as it was before the launch.
+  void requireBefore(Operation *access) { wantsBefore.insert(access); }
+  /// A kernel of its own for each loop would do.
+  void requestParts() { wantsParts = true; }
+  /// True if the adjoint runs stores to the storage of the access again.
+  bool runsAgain(Operation *access) const;
+  /// Checks that a read gives in the adjoint what it gave in the primal.
+  bool checkReadable(DifferentiableAccessInterface read);
+
   /// Reports that `op` cannot be differentiated; building then fails.
   InFlightDiagnostic emitError(Operation *op, const Twine &message);
 
@@ -203,7 +219,6 @@ private:
   void recompute(Frame &frame, Operation *op);
   void recomputeRegions(Operation *op, Operation *copy);
   bool checkRecomputable(Operation *op);
-  bool checkReadable(DifferentiableAccessInterface read);
   LogicalResult checkAccesses();
   void findTakes();
   LogicalResult chooseStates();
@@ -250,6 +265,9 @@ private:
   DenseSet<Operation *> recomputedDraws, refused;
   /// The storages that the adjoint accumulates into.
   DenseSet<const void *> accumulated;
+  /// Accesses whose fields the adjoint reads as they were before the launch.
+  llvm::SetVector<Operation *> wantsBefore;
+  std::unique_ptr<ContendedAtomics> contended;
 };
 
 /// Fills the empty adjoint `shell` of `function`. `arrays` and `takes` are as

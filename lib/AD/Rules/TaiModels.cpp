@@ -85,6 +85,8 @@ struct ParallelForModel
           << "run it over a range, or use 'scf.for'";
       return failure();
     }
+    if (failed(b.beginContended(primal)))
+      return failure();
     IRMapping mapping;
     mapping.map(primal.getLowerBounds(), lower);
     mapping.map(primal.getUpperBounds(), upper);
@@ -106,8 +108,11 @@ struct ParallelForModel
         frame.values.map(iv, position);
       }
     };
-    return reverseParallelBody(b, loop, primal.getBody().getBlocks().front(),
-                               *mirror, begin, [&] { YieldOp::create(b); });
+    LogicalResult result =
+        reverseParallelBody(b, loop, primal.getBody().getBlocks().front(),
+                            *mirror, begin, [&] { YieldOp::create(b); });
+    b.endContended();
+    return result;
   }
 };
 } // namespace

@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "LocalArrays.h"
+#include "Accumulate.h"
 #include "FieldAddress.h"
 #include "IndexMath.h"
 #include "mlir/Dialect/LLVMIR/FunctionCallUtils.h"
@@ -16,6 +17,23 @@
 using namespace mlir;
 using namespace mlir::tai;
 
+/// The combination of `tai.atomic` that an upstream kind names.
+static std::optional<AtomicKind> toAtomicKind(arith::AtomicRMWKind kind) {
+  switch (kind) {
+  case arith::AtomicRMWKind::addf:
+  case arith::AtomicRMWKind::addi:
+    return AtomicKind::Add;
+  case arith::AtomicRMWKind::mulf:
+    return AtomicKind::Mul;
+  case arith::AtomicRMWKind::minimumf:
+    return AtomicKind::Min;
+  case arith::AtomicRMWKind::maximumf:
+    return AtomicKind::Max;
+  default:
+    return std::nullopt;
+  }
+}
+
 namespace {
 /// Lowers one array.
 class ArrayLowering {
@@ -25,11 +43,14 @@ public:
         type(cast<MemRefType>(array.getType())) {}
 
   LogicalResult run() {
-    for (Operation *user : array.getUsers())
-      if (!isa<memref::LoadOp, memref::StoreOp, memref::AtomicRMWOp,
-               memref::DeallocOp>(user))
+    for (Operation *user : array.getUsers()) {
+      auto atomic = dyn_cast<memref::AtomicRMWOp>(user);
+      if (atomic
+              ? !toAtomicKind(atomic.getKind())
+              : !isa<memref::LoadOp, memref::StoreOp, memref::DeallocOp>(user))
         return user->emitOpError(
             "cannot be lowered on an array that a kernel makes");
+    }
     if (!type.getLayout().isIdentity() ||
         !type.getElementType().isIntOrIndexOrFloat())
       return alloc->emitOpError("makes an array of a type that cannot be "
@@ -97,10 +118,9 @@ private:
       emitStore(builder, loc, store.getValueToStore(),
                 getElement(builder, loc, store.getIndices()), {});
     } else if (auto atomic = dyn_cast<memref::AtomicRMWOp>(user)) {
-      Value old = LLVM::AtomicRMWOp::create(
-          builder, loc, LLVM::AtomicBinOp::fadd,
-          getElement(builder, loc, atomic.getIndices()), atomic.getValue(),
-          LLVM::AtomicOrdering::monotonic);
+      Value old = emitAtomicUpdate(
+          builder, loc, *toAtomicKind(atomic.getKind()), atomic.getValue(),
+          getElement(builder, loc, atomic.getIndices()), {});
       atomic.getResult().replaceAllUsesWith(old);
     } else {
       Operation *table = SymbolTable::getNearestSymbolTable(function);

@@ -17,6 +17,7 @@
 #include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Activity.h"
+#include "tai/Analysis/Races.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Dialect/Tai/Transforms/Passes.h"
@@ -121,6 +122,7 @@ public:
           if (first.getAccessKind() == AccessKind::Accumulate &&
               second.getAccessKind() == AccessKind::Read)
             checkEarlyRead(first, second);
+      checkRaces(accesses);
     }
     return failure(hasErrors);
   }
@@ -171,6 +173,45 @@ private:
     diag.attachNote(accumulation->getLoc())
         << "other iterations of the loop still accumulate here";
     diag.attachNote() << "read it in a later loop";
+  }
+
+  /// Iterations of a parallel loop that reach the same element, of which one
+  /// stores to it, or reads what the others write.
+  void checkRaces(const Accesses &accesses) {
+    for (size_t i = 0; i != accesses.size(); ++i) {
+      DifferentiableAccessInterface write = accesses[i];
+      if (write.getAccessKind() == AccessKind::Read)
+        continue;
+      bool isStore = write.getAccessKind() == AccessKind::Write;
+      for (size_t j = 0; j != accesses.size(); ++j) {
+        DifferentiableAccessInterface other = accesses[j];
+        bool isRead = other.getAccessKind() == AccessKind::Read;
+        bool isOrdered = other.getAccessKind() != AccessKind::Write || j > i;
+        if ((!isRead && (!isStore || !isOrdered)) || reported.contains(other) ||
+            reported.contains(write) ||
+            (!isActive(other) && (isRead || !isActive(write))))
+          continue;
+        if (Operation *loop = findRace(write, other))
+          reportRace(write, other, loop);
+      }
+    }
+  }
+
+  void reportRace(DifferentiableAccessInterface write,
+                  DifferentiableAccessInterface other, Operation *loop) {
+    bool isRead = other.getAccessKind() == AccessKind::Read;
+    reported.insert(other);
+    InFlightDiagnostic diag = report(
+        other, "an element of " + getName(other) + " is " +
+                   (isRead ? "read" : "written") +
+                   " here by one iteration of a parallel loop, while another "
+                   "one writes it, so its value and its gradient would be "
+                   "wrong");
+    diag.attachNote(write->getLoc()) << "written here";
+    diag.attachNote(loop->getLoc())
+        << "run this loop on one thread ('serialize')"
+        << (isRead ? ", or write to another field and copy it in a later loop"
+                   : ", or accumulate with 'tai.atomic add'");
   }
 
   AccessTable table;

@@ -1,0 +1,350 @@
+//===- Contention.cpp - Who gets the adjoint of a product or maximum ------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Minimum and maximum: the contributions that are equal to the greatest of them
+// share the adjoint equally, if that is not less than what stood there before;
+// then what stood there gets nothing, and else all.
+//
+// Product: what stood there is one factor among the others. Each factor gets
+// the product of the others: of no zero among them, all divided by itself; of
+// one, only that zero gets anything; of more, none.
+//
+//===----------------------------------------------------------------------===//
+
+#include "ContendedAtomics.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// More elements than this are not kept for one field.
+static constexpr int64_t kMaxElements = int64_t(1) << 28;
+
+//===----------------------------------------------------------------------===//
+// Small helpers
+//===----------------------------------------------------------------------===//
+
+Value Contention::load(Value buffer, Value at) {
+  return memref::LoadOp::create(b, buffer, at);
+}
+
+void Contention::store(Value value, Value buffer, Value at) {
+  memref::StoreOp::create(b, value, buffer, at);
+}
+
+Value Contention::compare(arith::CmpFPredicate predicate, Value lhs,
+                          Value rhs) {
+  return arith::CmpFOp::create(b, predicate, lhs, rhs);
+}
+
+Value Contention::select(Value condition, Value yes, Value no) {
+  return arith::SelectOp::create(b, condition, yes, no);
+}
+
+Value Contention::integer(int64_t value) {
+  return arith::ConstantIntOp::create(b, value, 32);
+}
+
+Value Contention::isInteger(Value value, int64_t expected) {
+  return arith::CmpIOp::create(b, arith::CmpIPredicate::eq, value,
+                               integer(expected));
+}
+
+Value Contention::isZero(Value value) {
+  return compare(arith::CmpFPredicate::OEQ, value, constant(0));
+}
+
+Value Contention::toReal(Value value) {
+  if (value.getType() == real)
+    return value;
+  return arith::ExtFOp::create(b, real, value);
+}
+
+Value Contention::loadElement(Storage storage, const Element &element) {
+  Type type = atomics.front().getValue().getType();
+  return toReal(LoadOp::create(b, type, storage.field, element.indices,
+                               element.components));
+}
+
+void Contention::storeElement(Value value, Storage storage,
+                              const Element &element) {
+  Type type = atomics.front().getValue().getType();
+  if (type != real)
+    value = arith::TruncFOp::create(b, type, value);
+  StoreOp::create(b, value, storage.field, element.indices, element.components);
+}
+
+//===----------------------------------------------------------------------===//
+// Memory and loops
+//===----------------------------------------------------------------------===//
+
+LogicalResult Contention::findDimensions() {
+  AtomicOp first = atomics.front();
+  FailureOr<FieldLayout> layout =
+      getFieldLayout(lookupField(first, first.getFieldAttr()));
+  if (failed(layout))
+    return failure();
+  rank = layout->shape.size();
+  for (auto [extent, offset] : llvm::zip(layout->shape, layout->offset))
+    dimensions.push_back({Value(), offset, extent});
+  if (auto vector = dyn_cast<VectorType>(layout->path.getElementType()))
+    for (int64_t extent : vector.getShape())
+      dimensions.push_back({Value(), 0, extent});
+  SmallVector<Value> position = getElementPosition(first);
+  int64_t elements = 1;
+  for (auto [i, dimension] : llvm::enumerate(dimensions)) {
+    bool isFixed = llvm::all_of(atomics, [&, i = i](AtomicOp atomic) {
+      Value index = getElementPosition(atomic)[i];
+      return isKnownBefore(loop, index) && areProvablyEqual(index, position[i]);
+    });
+    if (isFixed) {
+      dimension.fixed = b.getPrimal(position[i]);
+      continue;
+    }
+    elements *= dimension.extent;
+    if (elements > kMaxElements) {
+      b.emitError(first, "the gradient needs room for every element of the "
+                         "field that iterations combine here, and they are too "
+                         "many")
+              .attachNote()
+          << "combine into a smaller field";
+      return failure();
+    }
+  }
+  numElements = arith::ConstantIndexOp::create(b, elements);
+  return success();
+}
+
+/// An array of `size` elements of the given type, set to `init`.
+Value Contention::createBuffer(Value size, Type type, Value init) {
+  auto bufferType = MemRefType::get({ShapedType::kDynamic}, type);
+  Value buffer = memref::AllocOp::create(b, bufferType, size);
+  createLoop(size, [&](ValueRange ivs) { store(init, buffer, ivs.front()); });
+  return buffer;
+}
+
+void Contention::createLoop(ValueRange sizes,
+                            llvm::function_ref<void(ValueRange)> createBody) {
+  Value zero = arith::ConstantIndexOp::create(b, 0);
+  SmallVector<Value> lower(sizes.size(), zero);
+  auto parallel = ParallelForOp::create(b, lower, sizes);
+  OpBuilder::InsertionGuard guard(b);
+  Block &body = parallel.getBody().front();
+  b.setInsertionPoint(body.getTerminator());
+  SmallVector<Value> ivs(body.getArguments());
+  createBody(ivs);
+}
+
+void Contention::createElementLoop(
+    llvm::function_ref<void(const Element &)> createBody) {
+  SmallVector<Value> sizes;
+  for (const Dimension &dimension : dimensions)
+    if (!dimension.fixed)
+      sizes.push_back(arith::ConstantIndexOp::create(b, dimension.extent));
+  if (sizes.empty())
+    sizes.push_back(arith::ConstantIndexOp::create(b, 1));
+  createLoop(sizes, [&](ValueRange ivs) {
+    Element element;
+    element.number = arith::ConstantIndexOp::create(b, 0);
+    for (auto [i, dimension] : llvm::enumerate(dimensions)) {
+      Value index = dimension.fixed;
+      if (!index) {
+        Value extent = arith::ConstantIndexOp::create(b, dimension.extent);
+        Value first = arith::ConstantIndexOp::create(b, dimension.first);
+        index = b.createOrFold<arith::AddIOp>(ivs.front(), first);
+        element.number = b.createOrFold<arith::AddIOp>(
+            b.createOrFold<arith::MulIOp>(element.number, extent), ivs.front());
+        ivs = ivs.drop_front();
+      }
+      (i < rank ? element.indices : element.components).push_back(index);
+    }
+    createBody(element);
+  });
+}
+
+/// Visits the runs of an atomic: (run, element, value).
+void Contention::createValueLoop(
+    const KeptValues &kept,
+    llvm::function_ref<void(Value, Value, Value)> create) {
+  createLoop(kept.size, [&](ValueRange ivs) {
+    Value run = ivs.front(), element = load(kept.elements, run);
+    Value zero = arith::ConstantIndexOp::create(b, 0);
+    Value ran =
+        arith::CmpIOp::create(b, arith::CmpIPredicate::sge, element, zero);
+    auto branch = scf::IfOp::create(b, ran, /*withElseRegion=*/false);
+    b.setInsertionPointToStart(branch.thenBlock());
+    create(run, element, load(kept.values, run));
+  });
+}
+
+LogicalResult Contention::prepare() {
+  Type type = atomics.front().getValue().getType();
+  if (!isa<FloatType>(type)) {
+    b.emitError(atomics.front(), "this combines several components at once; "
+                                 "run 'tai-expand-atomics' first");
+    return failure();
+  }
+  real = type.getIntOrFloatBitWidth() < 32 ? Type(b.getF32Type()) : type;
+  if (failed(findDimensions()))
+    return failure();
+  double infinity = std::numeric_limits<double>::infinity();
+  double identity = kind == AtomicKind::Mul   ? 1.0
+                    : kind == AtomicKind::Max ? -infinity
+                                              : infinity;
+  total = createBuffer(numElements, real, constant(identity));
+  count = createBuffer(numElements, b.getI32Type(), integer(0));
+  weight = createBuffer(numElements, real, constant(0));
+  if (kind == AtomicKind::Mul)
+    startProduct();
+  return success();
+}
+
+KeptValues Contention::createKept(ArrayRef<CountedLoop> loops) {
+  KeptValues kept;
+  llvm::append_range(kept.loops, loops);
+  kept.size = arith::ConstantIndexOp::create(b, 1);
+  for (const CountedLoop &counted : loops)
+    kept.size = b.createOrFold<arith::MulIOp>(kept.size, counted.extent);
+  kept.values = memref::AllocOp::create(
+      b, MemRefType::get({ShapedType::kDynamic}, real), kept.size);
+  Value none = arith::ConstantIndexOp::create(b, -1);
+  kept.elements = createBuffer(kept.size, b.getIndexType(), none);
+  return kept;
+}
+
+//===----------------------------------------------------------------------===//
+// Values
+//===----------------------------------------------------------------------===//
+
+/// What stood there before is the first factor.
+void Contention::startProduct() {
+  createElementLoop([&](const Element &element) {
+    Value before = loadElement(getStorage(), element);
+    Value none = isZero(before);
+    store(select(none, constant(1), before), total, element.number);
+    store(select(none, integer(1), integer(0)), count, element.number);
+  });
+}
+
+void Contention::keepValue(const KeptValues &kept, AtomicOp copy, Value run) {
+  Value element = arith::ConstantIndexOp::create(b, 0);
+  for (auto [index, dimension] :
+       llvm::zip(getElementPosition(copy), dimensions)) {
+    if (dimension.fixed)
+      continue;
+    Value extent = arith::ConstantIndexOp::create(b, dimension.extent);
+    Value first = arith::ConstantIndexOp::create(b, dimension.first);
+    element = b.createOrFold<arith::AddIOp>(
+        b.createOrFold<arith::MulIOp>(element, extent),
+        b.createOrFold<arith::SubIOp>(index, first));
+  }
+  Value value = toReal(copy.getValue());
+  store(value, kept.values, run);
+  store(element, kept.elements, run);
+  arith::AtomicRMWKind combine = arith::AtomicRMWKind::minimumf;
+  if (kind == AtomicKind::Mul) {
+    combine = arith::AtomicRMWKind::mulf;
+    value = select(isZero(value), constant(1), value);
+  } else if (kind == AtomicKind::Max) {
+    combine = arith::AtomicRMWKind::maximumf;
+  }
+  memref::AtomicRMWOp::create(b, combine, value, total, element);
+}
+
+/// Counts the values that are equal to the extreme one, or the zeros.
+void Contention::countDeciding(const KeptValues &kept) {
+  createValueLoop(kept, [&](Value, Value element, Value value) {
+    Value decides =
+        kind == AtomicKind::Mul
+            ? isZero(value)
+            : compare(arith::CmpFPredicate::OEQ, value, load(total, element));
+    Value one = select(decides, integer(1), integer(0));
+    memref::AtomicRMWOp::create(b, arith::AtomicRMWKind::addi, one, count,
+                                element);
+  });
+}
+
+//===----------------------------------------------------------------------===//
+// Adjoints
+//===----------------------------------------------------------------------===//
+
+/// The adjoint of one factor of an element, given the weight of the element:
+/// its adjoint times its product without zeros.
+Value Contention::createFactorAdjoint(Value factor, Value element) {
+  Value all = load(weight, element), zeros = load(count, element);
+  Value zero = constant(0);
+  Value isFactorZero = isZero(factor);
+  Value others =
+      arith::DivFOp::create(b, all, select(isFactorZero, constant(1), factor));
+  Value only = select(isFactorZero, all, zero);
+  return select(isInteger(zeros, 0), others,
+                select(isInteger(zeros, 1), only, zero));
+}
+
+void Contention::createProductWeights() {
+  Storage adjoint = b.getAdjointStorage(getStorage());
+  createElementLoop([&](const Element &element) {
+    Value g = loadElement(adjoint, element);
+    Value product = load(total, element.number);
+    // A zero adjoint contributes zero, whatever the product.
+    Value all =
+        select(isZero(g), constant(0), arith::MulFOp::create(b, g, product));
+    store(all, weight, element.number);
+    Value before = loadElement(getStorage(), element);
+    storeElement(createFactorAdjoint(before, element.number), adjoint, element);
+  });
+}
+
+void Contention::createExtremeWeights() {
+  Storage adjoint = b.getAdjointStorage(getStorage());
+  createElementLoop([&](const Element &element) {
+    Value g = loadElement(adjoint, element);
+    Value number = load(count, element.number);
+    // What stood there before loses a tie.
+    Value wins = compare(kind == AtomicKind::Max ? arith::CmpFPredicate::OGE
+                                                 : arith::CmpFPredicate::OLE,
+                         load(total, element.number),
+                         loadElement(getStorage(), element));
+    Value any =
+        arith::CmpIOp::create(b, arith::CmpIPredicate::sgt, number, integer(0));
+    wins = arith::AndIOp::create(b, wins, any);
+    Value shares = arith::SIToFPOp::create(b, real, number);
+    Value share = arith::DivFOp::create(b, g, shares);
+    store(select(wins, share, constant(0)), weight, element.number);
+    storeElement(select(wins, constant(0), g), adjoint, element);
+  });
+}
+
+void Contention::createShares(const KeptValues &kept) {
+  createValueLoop(kept, [&](Value run, Value element, Value value) {
+    Value share;
+    if (kind == AtomicKind::Mul) {
+      share = createFactorAdjoint(value, element);
+    } else {
+      Value decides =
+          compare(arith::CmpFPredicate::OEQ, value, load(total, element));
+      share = select(decides, load(weight, element), constant(0));
+    }
+    store(share, kept.values, run);
+  });
+}
+
+void Contention::createAdjoints(ArrayRef<KeptValues> kept) {
+  for (const KeptValues &values : kept)
+    countDeciding(values);
+  if (kind == AtomicKind::Mul)
+    createProductWeights();
+  else
+    createExtremeWeights();
+  for (const KeptValues &values : kept)
+    createShares(values);
+  for (Value buffer : {total, count, weight})
+    memref::DeallocOp::create(b, buffer);
+}
