@@ -273,8 +273,10 @@ TAI_EXPORT TaiStatus taiTapeWatchHealth(TaiTape tape, bool on);
 TAI_EXPORT TaiStatus taiTapeHealth(TaiTape tape, const TaiTapeHealthRow **rows,
                                    int64_t *count);
 /// Checks the global data access rules in the launches that follow, element by
-/// element, and keeps the first `limit` violations.
-TAI_EXPORT TaiStatus taiTapeCheckAccesses(TaiTape tape, int64_t limit);
+/// element, and keeps the first `limit` violations. With `races_only`, looks
+/// for iterations of one loop that meet in an element (kinds 3 and 4) alone.
+TAI_EXPORT TaiStatus taiTapeCheckAccesses(TaiTape tape, int64_t limit,
+                                          bool races_only);
 /// One access of a violation: the kernel, the launch (counted among the checked
 /// ones, -1 if not known), what it does (0 read, 1 write, 2 accumulate) and
 /// where in the source.

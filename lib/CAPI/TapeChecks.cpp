@@ -9,10 +9,10 @@
 
 using namespace mlir::tai;
 
-TaiStatus taiTapeCheckAccesses(TaiTape tape, int64_t limit) {
+TaiStatus taiTapeCheckAccesses(TaiTape tape, int64_t limit, bool racesOnly) {
   if (limit < 1)
     return tape->context.usage("at least one violation must be kept");
-  tape->tape->checkAccesses(limit);
+  tape->tape->checkAccesses(limit, racesOnly);
   return TAI_OK;
 }
 

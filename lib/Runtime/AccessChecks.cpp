@@ -86,15 +86,22 @@ AccessPlace AccessChecks::getPlace(int64_t id) const {
           access.column};
 }
 
+/// True if two iterations of one loop are in each other's way.
+static bool isRace(int64_t kind) {
+  return kind == static_cast<int64_t>(ViolationKind::Race) ||
+         kind == static_cast<int64_t>(ViolationKind::EarlyRead);
+}
+
 void AccessChecks::collect(const Range &range) {
   int64_t count = static_cast<int64_t>(range.kernel->accesses.size());
   for (int64_t ordinal = 1; ordinal <= count; ++ordinal) {
     const int64_t *words = log.data() + ordinal * kLogWords;
-    total += words[0];
     int64_t kept = std::min(words[0], kLogEntries);
     std::vector<const int64_t *> entries;
     for (int64_t i = 0; i < kept; ++i)
-      entries.push_back(words + 1 + 3 * i);
+      if (!racesOnly || isRace(words[1 + 3 * i + 2]))
+        entries.push_back(words + 1 + 3 * i);
+    total += racesOnly ? static_cast<int64_t>(entries.size()) : words[0];
     // Threads report in any order.
     std::sort(entries.begin(), entries.end(),
               [](const int64_t *a, const int64_t *b) { return a[1] < b[1]; });

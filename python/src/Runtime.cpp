@@ -311,8 +311,8 @@ void bindTape(py::module_ &module) {
              t.context->check(taiTapeWatchHealth(t.handle, on));
            })
       .def("check_accesses",
-           [](Tape &t, int64_t limit) {
-             t.context->check(taiTapeCheckAccesses(t.handle, limit));
+           [](Tape &t, int64_t limit, bool racesOnly) {
+             t.context->check(taiTapeCheckAccesses(t.handle, limit, racesOnly));
            })
       .def("violations", &getViolations)
       .def("health", [](Tape &t) {

@@ -18,6 +18,7 @@ _KINDS = [
     ("is written by two iterations of one loop", "the other writes here"),
     ("is read while other iterations of the loop still write it", "written here"),
 ]
+_RACES = (3, 4)
 
 
 class Place(NamedTuple):
@@ -79,7 +80,8 @@ def take_violations(tape: Any) -> tuple[int, list[Violation]]:
 
 def _place(row: tuple) -> Place:
     kernel, launch, _, file, line, column = row
-    return Place(kernel, launch, file, line, column)
+    # A kernel may be launched in parts, "k.0", "k.1".
+    return Place(kernel.partition(".")[0], launch, file, line, column)
 
 
 def _where(place: Place) -> str:
@@ -100,11 +102,16 @@ def raise_violations(tape: Any) -> None:
         return
     _, rows = tape.violations()
     times = "once" if total == 1 else f"{total} times"
+    if rows[0][0] in _RACES:
+        hint = "accumulate by +=, or run the loop on one thread: ti.loop_config(serialize=True)"
+    else:
+        hint = (
+            "store to another element, such as one more time step of the field, and accumulate "
+            "by += what is written more than once; or leave validation out: the tape then saves "
+            "what is overwritten"
+        )
     error = TaiAssertionError(
-        f"the global data access rules are broken {times}: {found[0].message}",
-        "store to another element, such as one more time step of the field, and accumulate by "
-        "+= what is written more than once; or leave validation out: the tape then saves what is "
-        "overwritten",
+        f"the global data access rules are broken {times}: {found[0].message}", hint
     )
     first = found[0].access
     if first.filename:

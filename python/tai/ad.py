@@ -34,7 +34,8 @@ class Tape:
         validation: check the global data access rules at run time, element by element: no
             element is written again but by accumulation, and none once it was read. What
             breaks them raises `TaiAssertionError` when the block is left, also where the tape
-            could have saved the value; the `violations` of the error list them.
+            could have saved the value; the `violations` of the error list them. In debug
+            mode, iterations of one loop that meet in an element are reported without it.
         grad_check: a list of f64 fields whose gradients are compared with forward mode and
             differences when the block is left; a wrong one raises `GradientCheckError`, with
             a report that names the first kernel to blame. See `ti.ad.check`.
@@ -81,8 +82,9 @@ class Tape:
             self._check.begin(self.loss)
         self._core = program.context.tape(self.loss.core, self.clear_gradients)
         self._core.watch_health(self._watches)
-        if self._validates:
-            self._core.check_accesses(LIMIT)
+        self._checks = self._validates or program.options.debug
+        if self._checks:
+            self._core.check_accesses(LIMIT, not self._validates)
         _state.tape = self._core
         _core.set_tape(self._core)
         self._is_recording = True
@@ -99,7 +101,7 @@ class Tape:
     def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
         self._stop()
         if kind is None:
-            if self._validates:
+            if self._checks:
                 raise_violations(self._core)
             self._core.backward()
             if self._check:

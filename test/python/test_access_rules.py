@@ -225,6 +225,25 @@ def test_read_before_the_sum_is_done():
     assert "'y'[0] is read while other iterations of the loop still write it" in messages
 
 
+def test_debug_mode_finds_races_alone():
+    ti.init(arch=ti.cpu, offline_cache=False, debug=True)
+    f = Fields()
+
+    @ti.kernel
+    def first():
+        for i in f.x:
+            f.y[i] = f.x[i]
+
+    @ti.kernel
+    def halve():
+        for i in f.x:
+            f.y[i // 2] = f.x[i]
+
+    run(f.loss, first, first)  # what the tape saves is no error
+    with pytest.raises(ti.TaiAssertionError, match="is written by two iterations of one loop"):
+        run(f.loss, halve)
+
+
 def test_all_are_counted():
     x = ti.field(ti.f64, shape=500, needs_grad=True)
     loss = ti.field(ti.f64, shape=(), needs_grad=True)

@@ -57,9 +57,9 @@ struct Violation {
 
 class AccessChecks {
 public:
-  /// Keeps the first `limit` violations.
-  AccessChecks(Runtime &runtime, int64_t limit)
-      : runtime(runtime), limit(limit) {}
+  /// Keeps the first `limit` violations; of races alone, if so asked.
+  AccessChecks(Runtime &runtime, int64_t limit, bool racesOnly)
+      : runtime(runtime), limit(limit), racesOnly(racesOnly) {}
 
   /// Launches the checking form of the kernel in its place, and reads its log.
   Status run(Launch &launch, Kernel &kernel, const uint64_t *args,
@@ -83,6 +83,7 @@ private:
 
   Runtime &runtime;
   int64_t limit;
+  bool racesOnly;
   int64_t total = 0;
   int64_t nextBase = 0;
   std::unordered_map<Field *, std::vector<int32_t>> shadows;

@@ -67,9 +67,9 @@ public:
   Status replay(bool forward, bool backward);
 
   /// Checks the access rules in the launches from now on; the first `limit`
-  /// violations are kept.
-  void checkAccesses(int64_t limit) {
-    checks = std::make_unique<AccessChecks>(runtime, limit);
+  /// violations are kept; of races alone, if so asked.
+  void checkAccesses(int64_t limit, bool racesOnly) {
+    checks = std::make_unique<AccessChecks>(runtime, limit, racesOnly);
   }
   /// What has been found, or null where nothing is checked.
   const AccessChecks *accessChecks() const { return checks.get(); }

@@ -26,13 +26,16 @@ tai.kernel @overwritten_in_loop() {
 // The sum is not complete while the loop that sums runs.
 tai.kernel @early_read() {
   %c0 = arith.constant 0 : index
+  // expected-note @+1 {{run this loop on one thread ('serialize')}}
   tai.parallel_for (%i, %j) in @x {
+    // expected-error @+1 {{an element of field '@x' is read here by one iteration of a parallel loop, while another one writes it}}
     %0 = tai.load @x[%i, %j] : f32
     // expected-note @+1 {{other iterations of the loop still accumulate here}}
     tai.atomic add %0, @y[%c0, %c0] : f32
     // expected-error @+2 {{an element of field '@y' is read before its accumulation is done, so its value and its gradient would be wrong}}
     // expected-note @+1 {{read it in a later loop}}
     %1 = tai.load @y[%c0, %c0] : f32
+    // expected-note @+1 {{written here}}
     tai.atomic add %1, @x[%c0, %j] : f32
   }
   tai.return

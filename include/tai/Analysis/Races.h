@@ -1,0 +1,23 @@
+//===- Races.h - Iterations that meet for certain ---------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_ANALYSIS_RACES_H
+#define TAI_ANALYSIS_RACES_H
+
+#include "tai/AD/Differentiable.h"
+
+namespace mlir::tai {
+
+/// The parallel loop around both accesses, if two different iterations of it
+/// reach the same element for certain, one by each access; or null. The two may
+/// be one access.
+Operation *findRace(DifferentiableAccessInterface lhs,
+                    DifferentiableAccessInterface rhs);
+
+} // namespace mlir::tai
+
+#endif // TAI_ANALYSIS_RACES_H

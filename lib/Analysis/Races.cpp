@@ -1,0 +1,141 @@
+//===- Races.cpp - Iterations that meet for certain -----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Looks for two points i != j of the box of a parallel loop with lhs(i) ==
+// rhs(j). Indices are linear forms in which at most one loop index occurs, so
+// that each dimension of the box can be solved for itself; anything else is not
+// proven.
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Analysis/Races.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/LoopBox.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+/// What is known of one dimension of i and j.
+struct Unknown {
+  std::optional<int64_t> i, j, difference; // j - i
+
+  static bool set(std::optional<int64_t> &slot, int64_t value) {
+    if (slot && *slot != value)
+      return false;
+    slot = value;
+    return true;
+  }
+};
+} // namespace
+
+/// The one loop index of a form and its coefficient; dimension -1 if it has
+/// none. Fails where there are several, or where other parts of the form are
+/// not the same in all iterations.
+static FailureOr<std::pair<int, int64_t>> getLoopTerm(LoopBox &box,
+                                                      const LinearIndex &form) {
+  std::pair<int, int64_t> found(-1, 0);
+  if (form.mayWrap)
+    return failure();
+  for (auto [value, coefficient] : form.terms) {
+    std::optional<unsigned> dim = box.find(value);
+    if (!dim) {
+      if (box.loop->isAncestor(value.getParentBlock()->getParentOp()))
+        return failure();
+      continue;
+    }
+    if (found.first >= 0)
+      return failure();
+    found = {static_cast<int>(*dim), coefficient};
+  }
+  return found;
+}
+
+/// The part of the form that is the same in all iterations, less its constant.
+static LinearIndex dropLoopTerms(LoopBox &box, LinearIndex form) {
+  llvm::erase_if(form.terms, [&](auto &term) { return box.find(term.first); });
+  form.constant = 0;
+  return form;
+}
+
+/// Adds lhs(i) == rhs(j) for one index. False if it cannot hold, or is not
+/// understood.
+static bool addEquation(LoopBox &box, const LinearIndex &lhs,
+                        const LinearIndex &rhs,
+                        MutableArrayRef<Unknown> unknowns) {
+  FailureOr<std::pair<int, int64_t>> a = getLoopTerm(box, lhs);
+  FailureOr<std::pair<int, int64_t>> b = getLoopTerm(box, rhs);
+  if (failed(a) || failed(b) ||
+      !(dropLoopTerms(box, lhs) == dropLoopTerms(box, rhs)))
+    return false;
+  int64_t constant = lhs.constant - rhs.constant;
+  auto [aDim, aFactor] = *a;
+  auto [bDim, bFactor] = *b;
+  if (aDim < 0 && bDim < 0)
+    return constant == 0;
+  if (aDim >= 0 && bDim >= 0)
+    return aDim == bDim && aFactor == bFactor && constant % aFactor == 0 &&
+           Unknown::set(unknowns[aDim].difference, constant / aFactor);
+  if (aDim >= 0)
+    return constant % aFactor == 0 &&
+           Unknown::set(unknowns[aDim].i, -constant / aFactor);
+  return constant % bFactor == 0 &&
+         Unknown::set(unknowns[bDim].j, constant / bFactor);
+}
+
+/// True if one dimension has a solution in [lower, upper); sets `differ` if
+/// there is one with i != j.
+static bool solve(Unknown unknown, int64_t lower, int64_t upper, bool &differ) {
+  auto isInside = [&](std::optional<int64_t> value) {
+    return !value || (*value >= lower && *value < upper);
+  };
+  if (unknown.difference) {
+    int64_t difference = *unknown.difference;
+    if (unknown.i && !Unknown::set(unknown.j, *unknown.i + difference))
+      return false;
+    if (unknown.j && !Unknown::set(unknown.i, *unknown.j - difference))
+      return false;
+    if (std::abs(difference) >= upper - lower)
+      return false;
+    differ |= difference != 0;
+  } else if (unknown.i && unknown.j) {
+    differ |= *unknown.i != *unknown.j;
+  } else {
+    differ |= upper - lower >= 2;
+  }
+  return upper > lower && isInside(unknown.i) && isInside(unknown.j);
+}
+
+Operation *mlir::tai::findRace(DifferentiableAccessInterface lhs,
+                               DifferentiableAccessInterface rhs) {
+  // Under a condition, or in a loop, an access may not run at all.
+  auto loop = dyn_cast_if_present<ParallelForOp>(lhs->getParentOp());
+  if (!loop || loop.getSerialize() || rhs->getParentOp() != loop)
+    return nullptr;
+  std::optional<LoopBox> box = getConstantBox(loop);
+  ValueRange lhsParts = lhs.getAccessComponents();
+  ValueRange rhsParts = rhs.getAccessComponents();
+  if (!box || lhs.getAccessIndices().size() != rhs.getAccessIndices().size())
+    return nullptr;
+  SmallVector<Unknown> unknowns(box->lower.size());
+  auto add = [&](ValueRange a, ValueRange b) {
+    return llvm::all_of(llvm::zip_equal(a, b), [&](auto pair) {
+      auto [x, y] = pair;
+      return addEquation(*box, getLinearIndex(x), getLinearIndex(y), unknowns);
+    });
+  };
+  if (!add(lhs.getAccessIndices(), rhs.getAccessIndices()) ||
+      (lhsParts.size() == rhsParts.size() && !add(lhsParts, rhsParts)))
+    return nullptr;
+  bool differ = false;
+  for (auto [unknown, lower, upper] :
+       llvm::zip(unknowns, box->lower, box->upper))
+    if (!solve(unknown, lower, upper, differ))
+      return nullptr;
+  return differ ? loop.getOperation() : nullptr;
+}
