@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from . import dtypes, types
+from . import _alias, dtypes, types
 from .arrays import Ndarray, ndarray
 from .dtypes import (
     f16,
@@ -129,6 +129,7 @@ from .ops import (
     static,
     static_assert,
     static_print,
+    stop_grad,
     svd,
     sym_eig,
     tan,
@@ -183,6 +184,8 @@ from .types import template
 
 __version__ = "0.1.0"
 
+_alias.install()
+
 # Loaded when they are first used: the extension module with libtai behind it, and what
 # draws and writes pictures.
 _LAZY = {
@@ -190,12 +193,13 @@ _LAZY = {
     "data_oriented": "kernels", "Kernel": "kernels",
     "Tape": "ad", "clear_all_gradients": "ad", "no_grad": "ad", "grad_replaced": "ad",
     "complex_kernel": "ad", "complex_kernel_grad": "ad",
+    "extension": "lang.misc", "is_extension_supported": "lang.misc",
     "GUI": "gui", "rgb_to_hex": "gui", "hex_to_rgb": "gui",
 }  # fmt: skip
 # Names of Taichi that are known and missing: the answer should say so.
 _NOT_YET = {
     "Struct", "StructField", "dataclass", "linalg", "sparse", "BitpackedFields", "Texture",
-    "stop_grad", "mesh_local", "Mesh", "ui", "simt", "extension", "aot", "graph",
+    "mesh_local", "Mesh", "ui", "simt", "aot", "graph",
     "volatile_load", "frexp", "assume_in_range", "loop_unique", "ref",
 }  # fmt: skip
 _MODULES = {"ad", "errors", "gui", "lang", "math", "profiler", "testing", "tools"}

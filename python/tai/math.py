@@ -13,8 +13,10 @@ from .ops import (
     ceil,
     cos,
     exp,
+    expm1,
     floor,
     log,
+    log1p,
     max,
     min,
     pow,
@@ -156,8 +158,9 @@ def rotation2d(angle: Any) -> Any:
 
 __all__ = [
     "acos", "asin", "atan2", "ceil", "clamp", "cos", "cross", "degrees", "determinant", "distance",
-    "dot", "e", "exp", "exp2", "eye", "floor", "fract", "inf", "inverse", "isinf", "isnan",
-    "ivec2", "ivec3", "ivec4", "length", "log", "log2", "mat2", "mat3", "mat4", "max", "min",
+    "dot", "e", "exp", "exp2", "expm1", "eye", "floor", "fract", "inf", "inverse", "isinf", "isnan",
+    "ivec2", "ivec3", "ivec4", "length", "log", "log1p", "log2", "mat2", "mat3", "mat4", "max",
+    "min",
     "mix", "nan", "normalize", "pi", "pow", "radians", "reflect", "refract", "rotation2d",
     "round", "sign", "sin", "smoothstep", "sqrt", "step", "tan", "tanh", "uvec2", "uvec3",
     "uvec4", "vec2", "vec3", "vec4",

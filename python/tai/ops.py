@@ -68,6 +68,8 @@ cosh = _unary("cosh", _or_nan(math.cosh), "Hyperbolic cosine.")
 tanh = _unary("tanh", math.tanh, "Hyperbolic tangent.")
 exp = _unary("exp", _or_nan(math.exp), "e to the power of x.")
 log = _unary("log", _or_nan(math.log), "Natural logarithm.")
+log1p = _unary("log1p", _or_nan(math.log1p), "log(1 + x), also for small x.")
+expm1 = _unary("expm1", _or_nan(math.expm1), "exp(x) - 1, also for small x.")
 sqrt = _unary("sqrt", _or_nan(math.sqrt), "Square root.")
 rsqrt = _unary("rsqrt", lambda x: 1 / math.sqrt(x) if x > 0 else math.inf, "1 / √x.")
 trunc = _unary("trunc", lambda x: float(math.trunc(x)), "The integer part, as a float.")
@@ -247,6 +249,15 @@ def randn(dtype: Any = None) -> Any:
     return sqrt(-2.0 * log(u1)) * cos(2.0 * math.pi * u2)
 
 
+def stop_grad(x: Any) -> Any:
+    """A number that gradients take for a constant: not built in yet, in kernels."""
+    if _state.emitter is not None:
+        raise TaiSyntaxError(
+            "ti.stop_grad is not built in yet", "keep the constant in a field without a gradient"
+        )
+    return x
+
+
 # Matrices
 
 
@@ -259,7 +270,9 @@ def polar_decompose(a: Any, dt: Any = None) -> Any:
 def svd(a: Any, dt: Any = None) -> Any:
     """A = U Σ Vᵀ of a 2×2 or 3×3 matrix: `U, sigma, V`."""
     matrix = _square("svd", a)
-    return _state.emitter.decompose("tai.svd", matrix, [matrix.shape] * 3)
+    u, sigma, v = _state.emitter.decompose("tai.svd", matrix, [matrix.shape] * 3)
+    sigma.is_diagonal = True
+    return u, sigma, v
 
 
 def sym_eig(a: Any, dt: Any = None) -> Any:

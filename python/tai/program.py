@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import weakref
 from dataclasses import dataclass, fields
@@ -47,9 +48,16 @@ class Options:
     opt_level: int = 3
     log_level: str = WARN
     ad_history_bytes: int = 256 * 1024
+    # What was given for options that are accepted and change nothing.
+    accepted: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+    def __getattr__(self, name: str) -> Any:
+        if name in _ACCEPTED:
+            return self.__dict__.get("accepted", {}).get(name)
+        raise AttributeError(f"ti.init has no option '{name}'")
 
 
-_KNOWN = {f.name for f in fields(Options)}
+_KNOWN = {f.name for f in fields(Options)} - {"accepted"}
 
 # Options that take one of a few words.
 _CHOICES = {"ad_ties": ("second", "split"), "ad_arcs": ("exact", "clamp")}
@@ -205,6 +213,8 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
         ad_history_bytes: what the gradient of a loop may keep in memory for each thread; a
             loop that would need more is run again in parts. `ad_stack_size` is accepted
             and not needed: loops may be of any length.
+        require: extensions that the target must have (`ti.extension.data64`, …).
+        exclude: targets that the program does not run on.
 
     Raises:
         TaiRuntimeError: an option that does not exist, or a target that is not built in.
@@ -213,11 +223,14 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
     import os
 
     reset()
-    chosen: dict[str, Any] = {}
+    chosen: dict[str, Any] = {"accepted": {}}
+    needs, unwanted = options.pop("require", ()), options.pop("exclude", ())
     for name, value in options.items():
         if name in _KNOWN:
             chosen[name] = value
-        elif name not in _ACCEPTED:
+        elif name in _ACCEPTED:
+            chosen["accepted"][name] = value
+        else:
             raise TaiRuntimeError(
                 f"ti.init has no option '{name}'",
                 did_you_mean(name, [*_KNOWN, *_ACCEPTED]) or "see help(ti.init)",
@@ -235,8 +248,25 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
             words = " or ".join(repr(word) for word in known)
             raise TaiRuntimeError(f"{name} is {words}, but got {chosen[name]!r}")
     chosen["arch"] = _choose_arch(os.environ.get("TI_ARCH") or arch)
+    _check_target(chosen["arch"], needs, unwanted)
     _state.options = Options(**chosen)
     _state.program = Program(_state.options)
+
+
+def _check_target(arch: Arch, needs: Any, unwanted: Any) -> None:
+    """Refuses a target that lacks an extension in `needs`, or is one of `unwanted`."""
+
+    def each(what: Any) -> Any:
+        return what if isinstance(what, (list, tuple, set)) else (what,)
+
+    if needs:
+        from .lang.misc import is_extension_supported
+
+        for extension in each(needs):
+            if not is_extension_supported(arch, extension):
+                raise TaiRuntimeError(f"arch=ti.{arch} has no {extension}")
+    if arch in each(unwanted) or (arch == cpu and x64 in each(unwanted)):
+        raise TaiRuntimeError(f"arch=ti.{arch} is excluded by this program")
 
 
 def _choose_arch(arch: Any) -> Arch:

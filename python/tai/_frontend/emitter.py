@@ -46,6 +46,7 @@ _MATH = {
     for name in (
         "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "exp2",
         "log", "log2", "sqrt", "rsqrt", "floor", "ceil", "round", "trunc", "erf",
+        "log1p", "expm1",
     )
 }  # fmt: skip
 

@@ -139,7 +139,7 @@ class MatrixValue(Value):
     vectors, such as grid indices, scalar. The SSA vector is then made where it is needed.
     """
 
-    __slots__ = ("elements", "shape")
+    __slots__ = ("elements", "is_diagonal", "shape")
     is_matrix = True
 
     def __init__(
@@ -152,6 +152,8 @@ class MatrixValue(Value):
     ):
         super().__init__(emitter, handle, dt)
         self.shape, self.elements = shape, elements
+        # Zero off the diagonal, by what it is.
+        self.is_diagonal = False
 
     @property
     def handle(self) -> Any:
@@ -314,6 +316,8 @@ class MatrixValue(Value):
         return self.emitter.scalar_op("tai.trace", [a], a.dt)
 
     def sum(self) -> Value:
+        if self.is_diagonal:  # its zeros are no variables, also to the gradient
+            return self.trace()
         if self.elements is not None:
             return self.emitter.reduce("+", self.elements)
         if self.dt.is_bool:

@@ -1,5 +1,16 @@
-"""Names of Taichi's inner modules that programs reach for."""
+"""Names of Taichi's inner modules that programs reach for.
 
-from . import exception, impl, matrix, misc, util
+They are loaded when they are first used: some need the extension module.
+"""
 
-__all__ = ["exception", "impl", "matrix", "misc", "util"]
+import importlib
+
+__all__ = [
+    "enums", "exception", "field", "impl", "kernel_impl", "matrix", "misc", "ops", "snode", "util",
+]  # fmt: skip
+
+
+def __getattr__(name: str):
+    if name in __all__:
+        return importlib.import_module(f".{name}", __name__)
+    raise AttributeError(f"module 'tai.lang' has no attribute '{name}'")

@@ -6,6 +6,8 @@ import sys
 from typing import Any
 
 from .. import _state, program
+from ..arrays import ndarray
+from ..fields import field
 from ..ops import grouped, ndrange, static
 from ..program import root
 
@@ -49,4 +51,7 @@ def current_cfg() -> program.Options:
     return _state.options
 
 
-__all__ = ["Runtime", "current_cfg", "get_runtime", "grouped", "ndrange", "root", "static"]
+__all__ = [
+    "Runtime", "current_cfg", "field", "get_runtime", "grouped", "ndarray", "ndrange", "root",
+    "static",
+]  # fmt: skip

@@ -1,7 +1,43 @@
-"""`ti.lang.misc`."""
+"""`ti.lang.misc`: targets, and what they can do."""
 
-from ..ops import ndrange
-from ..program import Arch, cpu, cuda, gpu, x64
+from enum import Enum
+
+from ..ops import block_local, cache_read_only, loop_config, ndrange, no_activate
+from ..program import Arch, arm64, cpu, cuda, gpu, init, reset, x64
+
+
+class Extension(Enum):
+    """What a target may have, or not."""
+
+    sparse = "sparse"
+    quant = "quant"
+    quant_basic = "quant_basic"
+    data64 = "data64"
+    adstack = "adstack"
+    bls = "bls"
+    assertion = "assertion"
+    extfunc = "extfunc"
+    mesh = "mesh"
+
+
+extension = Extension
+
+# Block-local storage is a hint without effect here; programs that ask for it run.
+_SUPPORTED = {Extension.data64, Extension.adstack, Extension.assertion, Extension.bls}
+
+
+def is_extension_supported(arch: Arch, ext: Extension) -> bool:
+    """Whether a target has what `ext` names.
+
+    Loops that carry values are differentiable without a limit, which is what `adstack`
+    asks for.
+    """
+    return arch in (cpu, x64, arm64) and ext in _SUPPORTED
+
+
+def is_arch_supported(arch: Arch, use_gles: bool = False) -> bool:
+    """Whether this build runs kernels on a target."""
+    return arch in (cpu, x64)
 
 
 def get_host_arch_list() -> list[Arch]:
@@ -9,4 +45,8 @@ def get_host_arch_list() -> list[Arch]:
     return [x64]
 
 
-__all__ = ["cpu", "cuda", "get_host_arch_list", "gpu", "ndrange", "x64"]
+__all__ = [
+    "block_local", "cache_read_only", "cpu", "cuda", "extension", "get_host_arch_list", "gpu",
+    "init", "is_arch_supported", "is_extension_supported", "loop_config", "ndrange",
+    "no_activate", "reset", "x64",
+]  # fmt: skip

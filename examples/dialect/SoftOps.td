@@ -1,0 +1,30 @@
+//===- SoftOps.td - Smooth versions of kinked functions ----*- tablegen -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef SOFT_OPS_TD
+#define SOFT_OPS_TD
+
+include "mlir/IR/OpBase.td"
+include "mlir/Interfaces/SideEffectInterfaces.td"
+include "tai/AD/DifferentiableInterfaces.td"
+
+def Soft_Dialect : Dialect {
+  let name = "soft";
+  let cppNamespace = "::soft";
+}
+
+// An op that says itself how it is differentiated.
+def Soft_PlusOp : Op<Soft_Dialect, "plus", [
+    Pure, AllTypesMatch<["value", "result"]>,
+    DeclareOpInterfaceMethods<Tai_DifferentiableOpInterface>]> {
+  let summary = "log(1 + exp(x)), a ramp without a kink";
+  let arguments = (ins AnyFloat:$value);
+  let results = (outs AnyFloat:$result);
+  let assemblyFormat = "$value attr-dict `:` type($value)";
+}
+
+#endif // SOFT_OPS_TD

@@ -1,0 +1,26 @@
+"""`ti.lang.enums`: names of modes and kinds that programs compare with."""
+
+from enum import Enum
+
+from ..snode import Layout
+
+
+class AutodiffMode(Enum):
+    """How a kernel takes part in differentiation."""
+
+    NONE = 0
+    VALIDATION = 1
+    FORWARD = 2
+    REVERSE = 3
+
+
+class SNodeGradType(Enum):
+    """What a place holds: values, or something of their derivatives."""
+
+    PRIMAL = 0
+    ADJOINT = 1
+    DUAL = 2
+    ADJOINT_CHECKBIT = 3
+
+
+__all__ = ["AutodiffMode", "Layout", "SNodeGradType"]
