@@ -145,6 +145,7 @@ LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
   else
     func::ReturnOp::create(builder, function.getLoc());
   markExclusiveAtomics(shell);
+  separateTakes(shell);
   return finishArrayAccumulations(shell);
 }
 

@@ -270,3 +270,32 @@ func.func @copy_and_clear(%x: memref<?xf32>, %y: memref<?xf32>) attributes {tai.
   memref.store %zero, %x[%c0] : memref<?xf32>
   return
 }
+
+// The additions of a stencil are to be gathered, so what they read is not zeroed
+// until they are done.
+// CHECK-LABEL: tai.kernel @stencil_grad()
+//   CHECK-NOT:   tai.store
+//       CHECK:   tai.return
+// TAKES-LABEL: tai.kernel @stencil_grad() attributes {tai.takes} {
+//       TAKES:   tai.parallel_for
+//   TAKES-NOT:     tai.store
+//       TAKES:     %[[G:.+]] = tai.load @y_grad
+//       TAKES:     tai.atomic add %{{.+}}, @x_grad
+//       TAKES:     tai.atomic add %{{.+}}, @x_grad
+//       TAKES:   }
+//       TAKES:   tai.parallel_for (%[[I:.+]]) =
+//  TAKES-NEXT:     tai.store %{{.+}}, @y_grad[%[[I]]]
+//  TAKES-NEXT:   }
+tai.kernel @stencil() {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c15 = arith.constant 15 : index
+  tai.parallel_for (%i) = (%c0) to (%c15) {
+    %next = arith.addi %i, %c1 : index
+    %0 = tai.load @x[%i] : f32
+    %1 = tai.load @x[%next] : f32
+    %2 = arith.addf %0, %1 : f32
+    tai.store %2, @y[%i] : f32
+  }
+  tai.return
+}

@@ -278,6 +278,10 @@ LogicalResult fillAdjoint(FunctionOpInterface function,
                           int64_t historyBytes, bool takes,
                           bool *needsParts = nullptr);
 
+/// Zeroes what parallel loops of an adjoint take in loops of their own, where
+/// that lets the additions of the others be gathered.
+void separateTakes(FunctionOpInterface adjoint);
+
 /// Removes from the serial loops in `region` the carried values that neither
 /// the results in use nor an effect in the body need.
 void dropDeadCarried(Region &region);

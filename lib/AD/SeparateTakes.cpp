@@ -1,0 +1,87 @@
+//===- SeparateTakes.cpp - Zeroing in a loop of its own -------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Where the reverse of a stencil takes, its additions to neighbours depend on
+// what it zeroes, and could not be gathered: another iteration would find zero
+// there, or not. If nothing else in the loop changes the elements, they can as
+// well be zeroed by a loop that runs afterwards.
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/IR/Matchers.h"
+#include "mlir/IR/PatternMatch.h"
+#include "mlir/Transforms/RegionUtils.h"
+#include "tai/AD/AdjointBuilder.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// True for ops that a loop may repeat, or leave out, without a change.
+static bool isHarmless(Operation *op) {
+  return isa<LoadOp, AtomicOp, StoreOp>(op) || isMemoryEffectFree(op) ||
+         op->hasTrait<OpTrait::HasRecursiveMemoryEffects>();
+}
+
+/// The stores of the loop, all of zero, if they can be made afterwards. Empty
+/// if not, or if nothing is gained.
+static SmallVector<StoreOp> findTakes(ParallelForOp loop) {
+  SmallVector<StoreOp> takes;
+  SmallVector<LoadOp> loads;
+  llvm::SmallDenseSet<const void *> added;
+  bool isFit = true, scatters = false;
+  loop.getBody().walk([&](Operation *op) {
+    isFit &= isHarmless(op) && (op->getNumRegions() == 0 || isa<scf::IfOp>(op));
+    if (auto store = dyn_cast<StoreOp>(op)) {
+      takes.push_back(store);
+      isFit &= matchPattern(store.getValue(), m_AnyZeroFloat()) ||
+               matchPattern(store.getValue(), m_Zero());
+    } else if (auto load = dyn_cast<LoadOp>(op)) {
+      loads.push_back(load);
+    } else if (auto atomic = dyn_cast<AtomicOp>(op)) {
+      added.insert(getStorageKey(op));
+      scatters |= !atomic.getExclusive();
+      isFit &= atomic.getOld().use_empty();
+    }
+  });
+  if (!isFit || !scatters)
+    return {};
+  for (StoreOp take : takes) {
+    if (added.contains(getStorageKey(take)))
+      return {};
+    for (LoadOp load : loads)
+      if (getStorageKey(load) == getStorageKey(take) &&
+          mayReachLater(
+              cast<DifferentiableAccessInterface>(take.getOperation()),
+              cast<DifferentiableAccessInterface>(load.getOperation())))
+        return {};
+  }
+  return takes;
+}
+
+void mlir::tai::separateTakes(FunctionOpInterface adjoint) {
+  SmallVector<ParallelForOp> loops;
+  adjoint.getFunctionBody().walk([&](ParallelForOp loop) {
+    if (!loop.getSerialize())
+      loops.push_back(loop);
+  });
+  for (ParallelForOp loop : loops) {
+    SmallVector<StoreOp> takes = findTakes(loop);
+    if (takes.empty())
+      continue;
+    OpBuilder builder(loop->getContext());
+    builder.setInsertionPointAfter(loop);
+    Operation *zeroing = builder.clone(*loop);
+    for (StoreOp take : takes)
+      take.erase();
+    zeroing->walk([](AtomicOp atomic) { atomic.erase(); });
+    IRRewriter rewriter(loop->getContext());
+    (void)runRegionDCE(rewriter, zeroing->getRegions());
+  }
+}
