@@ -216,6 +216,25 @@ TAI_EXPORT TaiStatus taiKernelGetIR(TaiKernel kernel, const char *stage,
 /// `clear_gradients`, adjoint fields are cleared first. Tapes do not nest.
 TAI_EXPORT TaiStatus taiTapeBegin(TaiContext context, TaiField loss,
                                   bool clear_gradients, TaiTape *tape);
+/// Adds a field that the sweep starts from, while the tape has no records. A
+/// field of one number is set to zero, and its seed is 1.
+TAI_EXPORT TaiStatus taiTapeAddLoss(TaiTape tape, TaiField loss);
+/// What the gradient of a loss is at the start of a sweep: a row-major array
+/// of the type of the gradient.
+TAI_EXPORT TaiStatus taiTapeSetSeed(TaiTape tape, TaiField loss,
+                                    const void *array);
+/// How the tape recomputes values instead of saving all that are overwritten;
+/// to be chosen before anything is recorded. `snapshots`: most of them, 0 for
+/// about the square root of the number of records. `budget`: most bytes of
+/// snapshots and saved values, 0 for no limit.
+typedef enum TaiCheckpoint {
+  TAI_CHECKPOINT_NONE = 0, // saves
+  TAI_CHECKPOINT_PERIODIC, // snapshots at even distances, saves in between
+  TAI_CHECKPOINT_BINOMIAL, // snapshots alone
+  TAI_CHECKPOINT_MIXED     // periodic where the values in between fit
+} TaiCheckpoint;
+TAI_EXPORT TaiStatus taiTapeSetCheckpoint(TaiTape tape, TaiCheckpoint kind,
+                                          int64_t snapshots, int64_t budget);
 /// Stops recording (the tape can still be run backward and replayed).
 TAI_EXPORT TaiStatus taiTapeEnd(TaiTape tape);
 /// Seeds the adjoint of the loss with 1 and replays the adjoints in reverse.
@@ -237,6 +256,17 @@ TAI_EXPORT TaiStatus taiTapeResume(TaiTape tape);
 TAI_EXPORT const char *taiTapeExplain(TaiTape tape);
 TAI_EXPORT int64_t taiTapeNumRecords(TaiTape tape);
 TAI_EXPORT int64_t taiTapeNumSkipped(TaiTape tape);
+/// What the tape keeps. With a checkpoint policy: the most snapshots at any
+/// time, the bytes of the largest, records run again since the sequence last
+/// ran forward, and how many the binomial formula asks for.
+typedef struct TaiTapeStats {
+  int64_t saved_bytes, peak_bytes;
+  int64_t snapshots, snapshot_bytes, recomputed, optimum;
+} TaiTapeStats;
+TAI_EXPORT TaiStatus taiTapeGetStats(TaiTape tape, TaiTapeStats *stats);
+/// What a careful user should know about the last sweep. The text holds until
+/// the next one; null after the last line.
+TAI_EXPORT const char *taiTapeWarning(TaiTape tape, int64_t number);
 /// Launches one record again, on what the fields hold now and with the random
 /// numbers it had. Another tape that records records it.
 TAI_EXPORT TaiStatus taiTapeRunRecord(TaiTape tape, int64_t record);

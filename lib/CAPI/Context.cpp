@@ -110,8 +110,9 @@ TaiStatus taiFieldReadF64(TaiField handle, const int64_t *indices,
 
 TaiStatus taiFieldWriteF64(TaiField handle, const int64_t *indices,
                            int64_t component, double value) {
-  return handle->context.status(
-      handle->field->writeF64(indices, component, value));
+  TaiContextImpl &context = handle->context;
+  return context.status(context.session.getRuntime().writeF64(
+      *handle->field, indices, component, value));
 }
 
 TaiStatus taiFieldReadI64(TaiField handle, const int64_t *indices,
@@ -122,8 +123,9 @@ TaiStatus taiFieldReadI64(TaiField handle, const int64_t *indices,
 
 TaiStatus taiFieldWriteI64(TaiField handle, const int64_t *indices,
                            int64_t component, int64_t value) {
-  return handle->context.status(
-      handle->field->writeI64(indices, component, value));
+  TaiContextImpl &context = handle->context;
+  return context.status(context.session.getRuntime().writeI64(
+      *handle->field, indices, component, value));
 }
 
 TaiStatus taiFieldCopyToHost(TaiField handle, void *array) {

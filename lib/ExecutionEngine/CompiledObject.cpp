@@ -13,7 +13,7 @@ using namespace mlir::tai;
 
 // The magic, the symbol, the code, and the trees up to the end; each string as
 // its length in eight bytes and its bytes.
-static constexpr StringLiteral magic = "TAIOBJ1\n";
+static constexpr StringLiteral magic = "TAIOBJ2\n";
 
 static void append(std::string &bytes, StringRef string) {
   char length[8];
@@ -38,6 +38,7 @@ std::string CompiledObject::serialize() const {
   std::string bytes = magic.str();
   append(bytes, symbol);
   append(bytes, StringRef(code.data(), code.size()));
+  append(bytes, needs);
   for (const std::string &tree : trees)
     append(bytes, tree);
   return bytes;
@@ -48,7 +49,8 @@ std::optional<CompiledObject> CompiledObject::deserialize(StringRef bytes) {
     return std::nullopt;
   std::optional<StringRef> symbol = consume(bytes);
   std::optional<StringRef> code = symbol ? consume(bytes) : std::nullopt;
-  if (!code)
+  std::optional<StringRef> needs = code ? consume(bytes) : std::nullopt;
+  if (!needs)
     return std::nullopt;
   CompiledObject object;
   while (!bytes.empty()) {
@@ -58,6 +60,7 @@ std::optional<CompiledObject> CompiledObject::deserialize(StringRef bytes) {
     object.trees.push_back(tree->str());
   }
   object.symbol = symbol->str();
+  object.needs = needs->str();
   object.code.assign(code->begin(), code->end());
   return object;
 }

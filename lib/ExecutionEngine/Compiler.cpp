@@ -12,6 +12,7 @@
 #include "mlir/Target/LLVMIR/Export.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/ExecutionEngine/AdjointNeeds.h"
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/IR/LLVMContext.h"
 #include "llvm/IR/Module.h"
@@ -235,78 +236,70 @@ static LogicalResult checkTakes(ModuleOp module, KernelOp kernel,
   return mlir::failure();
 }
 
-/// Refuses adjoints that need what stood in a field before the launch, which
-/// the tape does not bring back.
-static LogicalResult checkRestored(ModuleOp module, KernelOp kernel,
-                                   FlatSymbolRefAttr name, Failure &failure) {
-  auto adjoint =
-      name ? module.lookupSymbol<KernelOp>(name.getValue()) : KernelOp();
-  bool isSplit = llvm::any_of(module.getOps<KernelOp>(), [](KernelOp part) {
-    return part->hasAttr(kPartOfAttrName);
-  });
-  if (!isSplit && (!adjoint || (!adjoint->hasAttr(kBeforeAttrName) &&
-                                !adjoint->hasAttr(kRerunsAttrName))))
-    return success();
-  DiagnosticCollector collector(module.getContext());
-  kernel.emitError("the gradient of this kernel needs values that the kernel "
-                   "itself overwrites")
-          .attachNote()
-      << "store the new values to other elements, such as one more time step "
-         "of the field";
-  failure = collector.take(FailureKind::Autodiff);
-  return mlir::failure();
+static void eraseOtherKernels(ModuleOp module, StringRef name) {
+  for (KernelOp other : llvm::make_early_inc_range(module.getOps<KernelOp>()))
+    if (other.getSymName() != name)
+      other.erase();
 }
 
-OwningOpRef<ModuleOp> Compiler::runPasses(Worker &worker,
-                                          CompileRequest request,
-                                          CompiledObject &object,
-                                          PhaseTimes &times, Failure &failure,
-                                          std::string *scf) {
-  OwningOpRef<ModuleOp> module = request.module.clone();
-  object.symbol = getEntryPointName(request.name);
+LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
+                                      Prepared &prepared, Failure &failure) {
+  prepared.module = request.module.clone();
+  OwningOpRef<ModuleOp> &module = prepared.module;
+  prepared.symbol = getEntryPointName(request.name);
+  auto given = module->lookupSymbol<KernelOp>(request.name);
+  if (request.goal == CompileRequest::Goal::Primal && given) {
+    given.removeAdjointAttr();
+    eraseOtherKernels(*module, request.name);
+  }
   if (request.goal != CompileRequest::Goal::Primal) {
-    PhaseTimer timer(times, Phase::Autodiff);
+    PhaseTimer timer(prepared.times, Phase::Autodiff);
     bool takes = request.goal == CompileRequest::Goal::TakingAdjoint;
     if (!pipelines.autodiff) {
       failure = Failure::get(FailureKind::Autodiff,
                              "this build cannot differentiate kernels");
-      return {};
+      return mlir::failure();
     }
     // A kernel may come with its adjoint.
-    auto given = module->lookupSymbol<KernelOp>(request.name);
     if (given && given.getAdjoint()) {
       if (takes && failed(checkTakes(*module, given, failure)))
-        return {};
+        return mlir::failure();
     } else if (failed(runPipeline(
                    takes ? worker.takingAutodiff : worker.autodiff, *module,
                    request.module, request.name, FailureKind::Autodiff,
                    "differentiation", failure))) {
-      return {};
+      return mlir::failure();
     }
+    prepared.needs = getAdjointNeeds(*module, request.name).serialize();
     // The primal is compiled on its own, when it is first launched.
     auto kernel = module->lookupSymbol<KernelOp>(request.name);
     FlatSymbolRefAttr adjoint = kernel ? kernel.getAdjointAttr() : nullptr;
-    if (kernel && failed(checkRestored(*module, kernel, adjoint, failure)))
-      return {};
     if (kernel)
       kernel.erase();
     if (!adjoint) {
-      object.symbol.clear();
-      return module;
+      prepared.symbol.clear();
+      return success();
     }
-    object.symbol = getEntryPointName(adjoint.getValue());
+    prepared.symbol = getEntryPointName(adjoint.getValue());
+    // Parts of the kernel are kernels of their own.
+    eraseOtherKernels(*module, adjoint.getValue());
   }
-  for (TreeOp tree : module->getOps<TreeOp>())
-    object.trees.push_back(tree.getSymName().str());
-  PhaseTimer timer(times, Phase::Lower);
+  return success();
+}
+
+LogicalResult Compiler::lower(Worker &worker, CompileRequest request,
+                              Prepared &prepared,
+                              std::vector<std::string> &trees, Failure &failure,
+                              std::string *scf) {
+  for (TreeOp tree : prepared.module->getOps<TreeOp>())
+    trees.push_back(tree.getSymName().str());
+  PhaseTimer timer(prepared.times, Phase::Lower);
   worker.scf = scf;
   LogicalResult lowered =
-      runPipeline(worker.toLLVM, *module, request.module, request.name,
+      runPipeline(worker.toLLVM, *prepared.module, request.module, request.name,
                   FailureKind::Type, "lowering", failure);
   worker.scf = nullptr;
-  if (failed(lowered))
-    return {};
-  return module;
+  return lowered;
 }
 
 //===----------------------------------------------------------------------===//
@@ -393,18 +386,19 @@ LogicalResult LLVMJob::optimize(const CodegenOptions &options,
 
 std::optional<CompiledObject>
 Compiler::compileObject(CompileRequest request, const CompileOptions &options,
-                        PhaseTimes &times, Failure &failure) {
-  WorkerLease lease(*this, options);
-  Worker &worker = *lease;
+                        Prepared &prepared, Failure &failure) {
   CompiledObject object;
-  OwningOpRef<ModuleOp> module =
-      runPasses(worker, request, object, times, failure, nullptr);
-  if (!module)
-    return std::nullopt;
+  object.symbol = prepared.symbol;
+  object.needs = prepared.needs;
   if (object.symbol.empty())
     return object;
+  WorkerLease lease(*this, options);
+  Worker &worker = *lease;
+  PhaseTimes &times = prepared.times;
+  if (failed(lower(worker, request, prepared, object.trees, failure, nullptr)))
+    return std::nullopt;
   LLVMJob job(worker.objects);
-  if (failed(job.translate(*module, object.symbol, times, failure)) ||
+  if (failed(job.translate(*prepared.module, object.symbol, times, failure)) ||
       failed(job.optimize(options.codegen, times, failure)))
     return std::nullopt;
   PhaseTimer timer(times, Phase::Emit);
@@ -448,25 +442,48 @@ std::string Compiler::getKey(CompileRequest request,
 std::optional<Compiler::Function>
 Compiler::compile(CompileRequest request, const CompileOptions &options,
                   Failure &failure) {
-  Function function;
-  std::optional<CompiledObject> object;
-  std::string key;
+  std::optional<Prepared> prepared = prepare(request, options, failure);
+  if (!prepared)
+    return std::nullopt;
+  return finish(std::move(*prepared), request, options, failure);
+}
+
+std::optional<Compiler::Prepared>
+Compiler::prepare(CompileRequest request, const CompileOptions &options,
+                  Failure &failure) {
+  Prepared prepared;
   if (cache) {
-    PhaseTimer timer(function.times, Phase::Cache);
-    key = getKey(request, options);
-    if (std::optional<std::string> bytes = cache.load(key))
-      object = CompiledObject::deserialize(*bytes);
-    function.fromCache = object.has_value();
+    PhaseTimer timer(prepared.times, Phase::Cache);
+    prepared.key = getKey(request, options);
+    if (std::optional<std::string> bytes = cache.load(prepared.key))
+      prepared.object = CompiledObject::deserialize(*bytes);
   }
+  if (prepared.object) {
+    prepared.needs = prepared.object->needs;
+    return prepared;
+  }
+  WorkerLease lease(*this, options);
+  if (failed(differentiate(*lease, request, prepared, failure)))
+    return std::nullopt;
+  return prepared;
+}
+
+std::optional<Compiler::Function>
+Compiler::finish(Prepared prepared, CompileRequest request,
+                 const CompileOptions &options, Failure &failure) {
+  Function function;
+  std::optional<CompiledObject> object = std::move(prepared.object);
+  function.fromCache = object.has_value();
   if (!object) {
-    object = compileObject(request, options, function.times, failure);
+    object = compileObject(request, options, prepared, failure);
     if (!object)
       return std::nullopt;
     if (cache) {
-      PhaseTimer timer(function.times, Phase::Cache);
-      cache.store(key, object->serialize());
+      PhaseTimer timer(prepared.times, Phase::Cache);
+      cache.store(prepared.key, object->serialize());
     }
   }
+  function.times = prepared.times;
   if (!object->symbol.empty()) {
     PhaseTimer timer(function.times, Phase::Link);
     Linker *linker = getLinker(failure);
@@ -537,20 +554,23 @@ std::optional<std::string> Compiler::print(CompileRequest request,
     module->print(stream);
     return text;
   }
-  CompiledObject object;
+  Prepared prepared;
+  std::vector<std::string> trees;
   std::string scf;
-  OwningOpRef<ModuleOp> module =
-      runPasses(worker, request, object, times, failure, &scf);
-  if (!module)
+  if (failed(differentiate(worker, request, prepared, failure)))
     return std::nullopt;
-  if (stage == "scf")
+  ModuleOp module = *prepared.module;
+  if (!prepared.symbol.empty() &&
+      failed(lower(worker, request, prepared, trees, failure, &scf)))
+    return std::nullopt;
+  if (stage == "scf" && !prepared.symbol.empty())
     return scf;
-  if (stage == "llvm" || object.symbol.empty()) {
+  if (stage == "llvm" || prepared.symbol.empty()) {
     module->print(stream);
     return text;
   }
   LLVMJob job(worker.objects);
-  if (failed(job.translate(*module, object.symbol, times, failure)) ||
+  if (failed(job.translate(module, prepared.symbol, times, failure)) ||
       failed(job.optimize(options.codegen, times, failure)))
     return std::nullopt;
   if (stage == "llvmir") {

@@ -83,7 +83,8 @@ runtime::Status Session::compileChecked(KernelCode &code,
   for (const std::string &name : compiled->trees)
     info.trees.push_back(*llvm::find_if(
         code.trees, [&](const auto &tree) { return tree->name() == name; }));
-  info.summary = summarize(*code.module);
+  info.summary =
+      summarize(*code.module, code.module->lookupSymbol<KernelOp>(code.name));
   info.function = reinterpret_cast<TaiKernelFn>(compiled->address);
   checked.kernel = rt->createKernel(std::move(info));
   return runtime::Status::success();

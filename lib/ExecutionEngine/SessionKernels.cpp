@@ -12,6 +12,7 @@
 
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Parser/Parser.h"
+#include "tai/ExecutionEngine/AdjointNeeds.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "llvm/Support/FormatVariadic.h"
 #include <thread>
@@ -23,8 +24,8 @@ using namespace mlir::tai;
 // Kernels
 //===----------------------------------------------------------------------===//
 
-FailureOr<SessionKernel *> Session::createKernel(OwningOpRef<ModuleOp> module,
-                                                 StringRef name) {
+FailureOr<std::pair<std::shared_ptr<KernelCode>, runtime::KernelPtr>>
+Session::makeKernel(OwningOpRef<ModuleOp> module, StringRef name) {
   auto op = module->lookupSymbol<KernelOp>(name);
   if (!op)
     return fail(FailureKind::Usage,
@@ -32,37 +33,47 @@ FailureOr<SessionKernel *> Session::createKernel(OwningOpRef<ModuleOp> module,
   if (failed(declareUsed(*module)) || failed(verifyModule(*module)))
     return failure();
 
-  auto kernel = std::make_unique<SessionKernel>();
-  kernel->code =
+  auto code =
       std::make_shared<KernelCode>(*compiler, background, name, options);
   runtime::KernelInfo info;
-  info.name = kernel->code->name;
-  info.argSlots = kernel->code->argSlots = countSlots(op.getArgumentTypes());
+  info.name = code->name;
+  info.argSlots = code->argSlots = countSlots(op.getArgumentTypes());
   info.resultSlots = countSlots(op.getResultTypes());
-  info.summary = summarize(*module);
+  info.summary = summarize(*module, op);
   for (TreeOp tree : module->getOps<TreeOp>())
-    kernel->code->trees.push_back(rt->findTree(tree.getSymName().str()));
-  info.trees = kernel->code->trees;
-  info.resolve = [this, code = kernel->code](runtime::Kernel &runtimeKernel,
-                                             TaiKernelFn &function) {
+    code->trees.push_back(rt->findTree(tree.getSymName().str()));
+  info.trees = code->trees;
+  info.resolve = [this, code](runtime::Kernel &runtimeKernel,
+                              TaiKernelFn &function) {
     return compilePrimal(*code, runtimeKernel, function);
   };
-  info.makeAdjoint = [this, code = kernel->code](runtime::Kernel &runtimeKernel,
-                                                 runtime::KernelPtr &adjoint) {
+  info.makeAdjoint = [this, code](runtime::Kernel &runtimeKernel,
+                                  runtime::KernelPtr &adjoint) {
     return compileAdjoint(*code, runtimeKernel, /*takes=*/false, adjoint);
   };
-  info.makeTakingAdjoint = [this,
-                            code = kernel->code](runtime::Kernel &runtimeKernel,
-                                                 runtime::KernelPtr &adjoint) {
+  info.makeTakingAdjoint = [this, code](runtime::Kernel &runtimeKernel,
+                                        runtime::KernelPtr &adjoint) {
     return compileAdjoint(*code, runtimeKernel, /*takes=*/true, adjoint);
   };
-  info.makeChecked = [this,
-                      code = kernel->code](runtime::CheckedKernel &checked) {
+  info.makeChecked = [this, code](runtime::CheckedKernel &checked) {
     return compileChecked(*code, checked);
   };
-  kernel->code->module = std::move(module);
-  kernel->kernel = rt->createKernel(std::move(info));
-  kernels.push_back(std::move(kernel));
+  info.planAdjoint = [this, code](runtime::Kernel &runtimeKernel,
+                                  runtime::AdjointPlan &plan) {
+    return planAdjoint(*code, runtimeKernel, plan);
+  };
+  code->module = std::move(module);
+  runtime::KernelPtr kernel = rt->createKernel(std::move(info));
+  return std::make_pair(std::move(code), std::move(kernel));
+}
+
+FailureOr<SessionKernel *> Session::createKernel(OwningOpRef<ModuleOp> module,
+                                                 StringRef name) {
+  auto made = makeKernel(std::move(module), name);
+  if (failed(made))
+    return failure();
+  kernels.push_back(std::make_unique<SessionKernel>(
+      SessionKernel{std::move(made->first), std::move(made->second)}));
   return kernels.back().get();
 }
 
@@ -171,6 +182,66 @@ std::optional<Compiler::Function> Session::compileAs(KernelCode &code,
   return function;
 }
 
+/// True if the kernel may store elements that it reads: then the adjoint must
+/// always take, whatever the launches before it have done.
+static bool storesWhatItReads(const std::vector<runtime::Access> &summary) {
+  using Kind = runtime::AccessKind;
+  auto areApart = [](const runtime::Access &a, const runtime::Access &b) {
+    return a.fixed && b.fixed && a.fixed->dimension == b.fixed->dimension &&
+           a.fixed->terms == b.fixed->terms &&
+           a.fixed->constant != b.fixed->constant;
+  };
+  for (const runtime::Access &store : summary)
+    for (const runtime::Access &read : summary)
+      if (store.kind == Kind::Write && read.kind == Kind::Read &&
+          store.field == read.field && store.field->adjoint() &&
+          !areApart(store, read))
+        return true;
+  return false;
+}
+
+static CompileRequest::Goal getPlannedGoal(const KernelCode &code) {
+  return code.planTakes ? CompileRequest::Goal::TakingAdjoint
+                        : CompileRequest::Goal::Adjoint;
+}
+
+LogicalResult Session::prepareAdjoint(KernelCode &code, Failure &failure) {
+  if (code.prepared)
+    return success();
+  code.prepared = compiler->prepare(
+      {*code.module, code.name, getPlannedGoal(code)}, code.options, failure);
+  if (!code.prepared)
+    return mlir::failure();
+  code.needs = code.prepared->needs;
+  return success();
+}
+
+std::optional<Compiler::Function> Session::compileAdjoint(KernelCode &code,
+                                                          Failure &failure) {
+  CompileRequest::Goal goal = getPlannedGoal(code);
+  std::optional<Compiler::Prepared> prepared;
+  {
+    // Who plans the tape waits for this step, but not for the next.
+    std::lock_guard<std::mutex> lock(code.prepareMutex);
+    if (failed(prepareAdjoint(code, failure)))
+      return std::nullopt;
+    prepared = std::move(code.prepared);
+    code.prepared.reset();
+  }
+  if (!printedStages.empty())
+    printStages(code, goal);
+  auto function =
+      compiler->finish(std::move(*prepared), {*code.module, code.name, goal},
+                       code.options, failure);
+  if (!function)
+    return std::nullopt;
+  if (printsProfile)
+    printProfile(code.name, goal, *function);
+  std::lock_guard<std::mutex> lock(mutex);
+  code.functions.push_back(*function);
+  return function;
+}
+
 /// True if a reverse sweep may launch the adjoint: the kernel reads a field
 /// that has one, and changes such a field.
 static bool carriesGradients(const runtime::Kernel &kernel) {
@@ -181,15 +252,25 @@ static bool carriesGradients(const runtime::Kernel &kernel) {
   return reads && changes;
 }
 
+/// Decides, once, which form of the adjoint a tape launches for all we know.
+static void choosePlannedForm(KernelCode &code, runtime::Kernel &kernel) {
+  std::lock_guard<std::mutex> lock(code.prepareMutex);
+  if (code.needs || code.ahead)
+    return;
+  // One that came with the kernel is what it is.
+  auto op = code.module->lookupSymbol<KernelOp>(code.name);
+  code.planTakes = !op.getAdjoint() && storesWhatItReads(kernel.summary());
+}
+
 runtime::Status Session::compilePrimal(KernelCode &code,
                                        runtime::Kernel &runtimeKernel,
                                        TaiKernelFn &function) {
   // A launch under a tape: the adjoint will be wanted soon, and has its own
   // core while this one goes on with the forward pass.
+  choosePlannedForm(code, runtimeKernel);
   if (rt->recordingTape() && !code.ahead && carriesGradients(runtimeKernel))
     code.ahead = background.start([this, &code] {
-      code.aheadResult =
-          compileAs(code, CompileRequest::Goal::Adjoint, code.aheadFailure);
+      code.aheadResult = compileAdjoint(code, code.aheadFailure);
     });
   Failure failure;
   auto compiled = compileAs(code, CompileRequest::Goal::Primal, failure);
@@ -218,21 +299,83 @@ runtime::Status Session::compileAdjoint(KernelCode &code,
                                         runtime::KernelPtr &adjoint) {
   Failure failure;
   std::optional<Compiler::Function> compiled;
-  if (takes) {
-    compiled = compileAs(code, CompileRequest::Goal::TakingAdjoint, failure);
+  choosePlannedForm(code, runtimeKernel);
+  if (takes != code.planTakes) {
+    compiled = compileAs(code,
+                         takes ? CompileRequest::Goal::TakingAdjoint
+                               : CompileRequest::Goal::Adjoint,
+                         failure);
   } else if (code.ahead) {
     background.finish(*code.ahead);
     compiled = std::move(code.aheadResult);
     failure = std::move(code.aheadFailure);
     code.ahead.reset();
   } else {
-    compiled = compileAs(code, CompileRequest::Goal::Adjoint, failure);
+    compiled = compileAdjoint(code, failure);
   }
   if (!compiled)
     return keepFailure(std::move(failure));
   if (!compiled->address)
     return runtime::Status::success();
   adjoint = rt->createKernel(getHelperInfo(code, *compiled, "_grad"));
+  return runtime::Status::success();
+}
+
+runtime::Status Session::planAdjoint(KernelCode &code,
+                                     runtime::Kernel &runtimeKernel,
+                                     runtime::AdjointPlan &plan) {
+  // Most kernels need no look at their adjoints.
+  bool reads = false, changes = false;
+  for (const runtime::Access &access : runtimeKernel.summary()) {
+    if (access.kind == runtime::AccessKind::Read)
+      reads = true;
+    else if (access.field->adjoint())
+      changes = true;
+  }
+  if (!reads || !changes) {
+    plan.provisional = !changes;
+    return runtime::Status::success();
+  }
+  choosePlannedForm(code, runtimeKernel);
+  plan.takes = code.planTakes;
+  std::optional<AdjointNeeds> needs;
+  {
+    std::lock_guard<std::mutex> lock(code.prepareMutex);
+    Failure failure;
+    if (!code.needs && failed(prepareAdjoint(code, failure)))
+      return keepFailure(std::move(failure));
+    needs = AdjointNeeds::deserialize(*code.needs);
+  }
+  auto findField = [&](const std::string &name) {
+    // The fields that the kernel was made for, even if others have their names
+    // by now.
+    for (const runtime::Access &access : runtimeKernel.summary())
+      if (access.field->name() == name)
+        return access.field;
+    return rt->findField(name);
+  };
+  for (const NamedAccess &access : needs->reads)
+    if (runtime::FieldPtr field = findField(access.field))
+      plan.reads.push_back({field, access.kind, access.fixed});
+  for (const std::string &name : needs->before)
+    if (runtime::FieldPtr field = findField(name))
+      plan.before.push_back(field);
+  plan.reruns = needs->reruns;
+  if (needs->parts.empty())
+    return runtime::Status::success();
+  ParserConfig config(context.get());
+  OwningOpRef<ModuleOp> parts =
+      parseSourceString<ModuleOp>(needs->parts, config, code.name);
+  if (!parts)
+    return runtime::Status::failure(runtime::StatusCode::Internal,
+                                    "the parts of '" + code.name +
+                                        "' do not parse");
+  for (auto &[name, module] : splitParts(*parts)) {
+    auto made = makeKernel(std::move(module), name);
+    if (failed(made))
+      return keepFailure(lastFailure);
+    plan.parts.push_back(std::move(made->second));
+  }
   return runtime::Status::success();
 }
 

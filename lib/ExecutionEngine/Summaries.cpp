@@ -10,6 +10,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Analysis/Accesses.h"
+#include "tai/ExecutionEngine/AdjointNeeds.h"
 #include "tai/ExecutionEngine/Session.h"
 
 using namespace mlir;
@@ -66,19 +67,19 @@ getFixedIndex(ValueRange indices, const DenseMap<Value, int64_t> &slots) {
   return std::nullopt;
 }
 
-std::vector<runtime::Access> Session::summarize(ModuleOp module) {
+std::vector<NamedAccess> mlir::tai::listAccesses(Operation *root) {
   using Kind = runtime::AccessKind;
-  DenseMap<Value, int64_t> slots = findIntegerArguments(module);
-  std::vector<runtime::Access> summary;
+  auto module = root->getParentOfType<ModuleOp>();
+  DenseMap<Value, int64_t> slots =
+      findIntegerArguments(module ? module : cast<ModuleOp>(root));
+  std::vector<NamedAccess> list;
   auto add = [&](FlatSymbolRefAttr field, Kind kind, ValueRange indices = {}) {
-    runtime::FieldPtr known = rt->findField(field.getValue().str());
-    if (!known)
-      return;
-    runtime::Access access{known, kind, getFixedIndex(indices, slots)};
-    if (!llvm::is_contained(summary, access))
-      summary.push_back(std::move(access));
+    NamedAccess access{field.getValue().str(), kind,
+                       getFixedIndex(indices, slots)};
+    if (!llvm::is_contained(list, access))
+      list.push_back(std::move(access));
   };
-  module.walk([&](Operation *op) {
+  root->walk([&](Operation *op) {
     auto field = op->getAttrOfType<FlatSymbolRefAttr>("field");
     if (!field || isa<ParallelForOp>(op))
       return;
@@ -102,5 +103,24 @@ std::vector<runtime::Access> Session::summarize(ModuleOp module) {
     add(field, Kind::Read);
     add(field, Kind::Write);
   });
+  return list;
+}
+
+std::vector<runtime::Access> Session::summarize(ModuleOp module,
+                                                KernelOp kernel) {
+  std::vector<runtime::Access> summary;
+  for (Operation &op : *module.getBody()) {
+    // The adjoint that a kernel may come with is not part of it.
+    if (isa<KernelOp>(op) && &op != kernel)
+      continue;
+    for (NamedAccess &access : listAccesses(&op)) {
+      runtime::FieldPtr field = rt->findField(access.field);
+      if (!field)
+        continue;
+      runtime::Access line{field, access.kind, std::move(access.fixed)};
+      if (!llvm::is_contained(summary, line))
+        summary.push_back(std::move(line));
+    }
+  }
   return summary;
 }

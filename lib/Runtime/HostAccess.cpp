@@ -41,10 +41,8 @@ struct RowPart {
 };
 } // namespace
 
-/// The distance from one element to the next along an index, or nothing if it
-/// varies.
-static bool constantStep(const std::vector<LayoutLevel> &levels,
-                         int64_t &step) {
+bool mlir::tai::runtime::findConstantStep(
+    const std::vector<LayoutLevel> &levels, int64_t &step) {
   int64_t weight = 1;
   bool any = false;
   step = 0;
@@ -69,7 +67,7 @@ bool mlir::tai::runtime::isRowMajor(const FieldLayout &layout,
   int64_t expected = elementBytes;
   for (size_t d = shape.size(); d-- > 0;) {
     int64_t step;
-    if (!constantStep(layout.indices[d], step))
+    if (!findConstantStep(layout.indices[d], step))
       return false;
     if (shape[d] > 1 && step != expected)
       return false;
@@ -89,7 +87,7 @@ void Runtime::forEachRow(const Field &field, const Move &move) {
   std::vector<std::vector<int64_t>> tables(static_cast<size_t>(rank));
   std::vector<int64_t> steps(static_cast<size_t>(rank), 0);
   for (int d = 0; d < rank; ++d) {
-    if (constantStep(layout.indices[d], steps[d]))
+    if (findConstantStep(layout.indices[d], steps[d]))
       continue;
     tables[d].resize(static_cast<size_t>(shape[d]));
     for (int64_t i = 0; i < shape[d]; ++i)
@@ -212,9 +210,7 @@ Status Runtime::copyToHost(const Field &field, void *array) {
   return Status::success();
 }
 
-Status Runtime::copyFromHost(Field &field, const void *array) {
-  if (!field.valid())
-    return gone(field);
+void Runtime::copyIn(Field &field, const void *array) {
   int64_t scalar = byteSize(field.scalar());
   int64_t components = field.numComponents();
   int64_t element = scalar * components;
@@ -238,8 +234,6 @@ Status Runtime::copyFromHost(Field &field, const void *array) {
       });
     }
   });
-  field.markDirty();
-  return Status::success();
 }
 
 void Runtime::fillWith(Field &field, const void *scalarBytes) {
@@ -267,26 +261,6 @@ void Runtime::fillWith(Field &field, const void *scalarBytes) {
       }
     });
   });
-}
-
-Status Runtime::fillF64(Field &field, double value) {
-  if (!field.valid())
-    return gone(field);
-  char bytes[8];
-  storeF64(field.scalar(), bytes, value);
-  fillWith(field, bytes);
-  field.markDirty();
-  return Status::success();
-}
-
-Status Runtime::fillI64(Field &field, int64_t value) {
-  if (!field.valid())
-    return gone(field);
-  char bytes[8];
-  storeI64(field.scalar(), bytes, value);
-  fillWith(field, bytes);
-  field.markDirty();
-  return Status::success();
 }
 
 void Runtime::clearGradients() {

@@ -14,17 +14,6 @@
 
 using namespace mlir::tai::runtime;
 
-int64_t FixedIndex::evaluate(const uint64_t *args) const {
-  // Wraps where the arguments do.
-  uint64_t sum = static_cast<uint64_t>(constant);
-  for (const Term &term : terms) {
-    unsigned unused = 64 - term.bits;
-    auto value = static_cast<int64_t>(args[term.slot] << unused) >> unused;
-    sum += static_cast<uint64_t>(value) * static_cast<uint64_t>(term.factor);
-  }
-  return static_cast<int64_t>(sum);
-}
-
 Kernel::Kernel(KernelInfo kernelInfo) : info(std::move(kernelInfo)) {
   function.store(info.function, std::memory_order_release);
   adjointForms[0].kernel = info.adjoint;
@@ -75,6 +64,26 @@ Status Kernel::resolveAdjoint(Kernel *&adjoint, bool takes) {
   adjoint = form.kernel.get();
   form.known.store(adjoint, std::memory_order_release);
   return Status::success();
+}
+
+const AdjointPlan &Kernel::plan() {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  if (adjointPlan && !adjointPlan->provisional)
+    return *adjointPlan;
+  adjointPlan = std::make_unique<AdjointPlan>();
+  if (!info.differentiable)
+    return *adjointPlan;
+  if (!info.planAdjoint) {
+    adjointPlan->reads = info.summary;
+    return *adjointPlan;
+  }
+  // Without an adjoint nothing is read. What is wrong is said when a reverse
+  // sweep needs it.
+  if (!info.planAdjoint(*this, *adjointPlan))
+    *adjointPlan = AdjointPlan();
+  adjointReruns = adjointPlan->reruns;
+  alwaysTakes = adjointPlan->takes;
+  return *adjointPlan;
 }
 
 void Kernel::setTrees(std::vector<TreePtr> trees) {

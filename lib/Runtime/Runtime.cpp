@@ -276,12 +276,24 @@ std::vector<FieldPtr> Runtime::fields() const { return fieldList; }
 //===----------------------------------------------------------------------===//
 
 KernelPtr Runtime::createKernel(KernelInfo info) {
-  return std::make_shared<Kernel>(std::move(info));
+  auto kernel = std::make_shared<Kernel>(std::move(info));
+  std::lock_guard<std::mutex> lock(launchMutex);
+  if (kernelList.size() >= kernelsToKeep) {
+    auto gone = [](const auto &entry) { return entry.expired(); };
+    kernelList.erase(std::remove_if(kernelList.begin(), kernelList.end(), gone),
+                     kernelList.end());
+    kernelsToKeep = std::max<size_t>(64, 2 * kernelList.size());
+  }
+  kernelList.push_back(kernel);
+  return kernel;
 }
 
 void Runtime::setSeed(uint64_t seed) {
   opts.seed = seed;
   launchCounter.store(0, std::memory_order_relaxed);
+  for (const std::weak_ptr<Kernel> &entry : kernelList)
+    if (KernelPtr kernel = entry.lock())
+      kernel->lastLaunch.store(0, std::memory_order_relaxed);
 }
 
 Launch *Runtime::acquireLaunch() {
@@ -389,12 +401,11 @@ Status Runtime::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
   Launch *launch = acquireLaunch();
   uint64_t number = launchCounter.fetch_add(1, std::memory_order_relaxed);
   kernel.lastLaunch.store(number, std::memory_order_relaxed);
-  AccessChecks *checks = activeTape ? activeTape->activeChecks() : nullptr;
-  Status status = checks ? checks->run(*launch, kernel, args, results, number)
-                         : run(*launch, kernel, args, results, number);
+  Status status =
+      __builtin_expect(activeTape != nullptr, false)
+          ? activeTape->launch(*launch, kernel, args, results, number)
+          : run(*launch, kernel, args, results, number);
   releaseLaunch(launch);
-  if (__builtin_expect(activeTape != nullptr, false) && status)
-    activeTape->record(kernel, args, number);
   return status;
 }
 
@@ -405,8 +416,17 @@ Status Runtime::launchAdjoint(Kernel &kernel, const uint64_t *args,
   Status status = kernel.bind(storageEpoch.load(std::memory_order_relaxed));
   if (!status)
     return status;
+  const AdjointPlan &plan = kernel.plan();
+  if (!plan.before.empty() || !plan.parts.empty())
+    return Status::failure(
+        StatusCode::Usage,
+        "the gradient of kernel '" + kernel.name() +
+            "' needs values that the kernel itself overwrites, which only a "
+            "tape keeps: launch it under a tape, or store the new values to "
+            "other elements");
   Kernel *adjoint = nullptr;
-  status = kernel.resolveAdjoint(adjoint, kernel.repeatsStores);
+  status = kernel.resolveAdjoint(adjoint,
+                                 kernel.repeatsStores || kernel.alwaysTakes);
   if (!status)
     return status;
   Launch *launch = acquireLaunch();

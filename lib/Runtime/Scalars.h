@@ -27,6 +27,10 @@ uint16_t bfloatFromDouble(double value);
 double doubleFromHalf(uint16_t bits);
 double doubleFromBfloat(uint16_t bits);
 
+/// The distance from one element to the next along an index; false where it
+/// varies.
+bool findConstantStep(const std::vector<LayoutLevel> &levels, int64_t &step);
+
 /// True where the elements lie one after another in row-major order.
 bool isRowMajor(const FieldLayout &layout, const std::vector<int64_t> &shape,
                 int64_t elementBytes);

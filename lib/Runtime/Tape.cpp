@@ -13,16 +13,15 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Tape.h"
+#include "HostWrite.h"
 #include "Launch.h"
 #include "Scalars.h"
+#include "TapeCheckpoint.h"
+#include "TapeMemory.h"
 #include <algorithm>
 #include <cstring>
 
 using namespace mlir::tai::runtime;
-
-//===----------------------------------------------------------------------===//
-// Recording
-//===----------------------------------------------------------------------===//
 
 Status Runtime::beginTape(FieldPtr loss, bool clear,
                           std::unique_ptr<Tape> &tape) {
@@ -30,6 +29,7 @@ Status Runtime::beginTape(FieldPtr loss, bool clear,
     return Status::failure(StatusCode::Usage,
                            "a tape is being recorded already, and tapes do not "
                            "nest");
+  std::unique_ptr<Tape> made(new Tape(*this, ++stamps));
   if (loss) {
     if (loss->rank() != 0 || loss->numComponents() != 1 ||
         !isFloat(loss->scalar()))
@@ -37,69 +37,15 @@ Status Runtime::beginTape(FieldPtr loss, bool clear,
                              "the loss '" + loss->name() +
                                  "' must be one floating-point number (a field "
                                  "without indices)");
-    if (!loss->adjoint())
-      return Status::failure(StatusCode::Usage, "the loss '" + loss->name() +
-                                                    "' has no adjoint field");
-    if (!loss->valid() || !loss->adjoint()->valid())
-      return Status::failure(StatusCode::Usage, "the tree of the loss '" +
-                                                    loss->name() +
-                                                    "' has been destroyed");
-  }
-  if (clear)
-    clearGradients();
-  // Losses are summed up, so a tape starts from an empty one.
-  if (loss) {
-    Status status = fillF64(*loss, 0.0);
+    Status status = made->addLoss(std::move(loss));
     if (!status)
       return status;
   }
-  tape.reset(new Tape(*this, std::move(loss), ++stamps));
+  if (clear)
+    clearGradients();
+  tape = std::move(made);
   activeTape = tape.get();
   return Status::success();
-}
-
-Tape::Tape(Runtime &runtime, FieldPtr loss, uint64_t stamp)
-    : runtime(runtime), loss(std::move(loss)), stamp(stamp) {}
-
-Tape::~Tape() { end(); }
-
-void Tape::end() {
-  if (recording())
-    runtime.activeTape = nullptr;
-}
-
-bool Tape::recording() const { return runtime.activeTape == this; }
-
-Status Tape::resume() {
-  if (suspended == 0)
-    return Status::failure(StatusCode::Usage, "the tape is not suspended");
-  --suspended;
-  return Status::success();
-}
-
-void Tape::record(Kernel &kernel, const uint64_t *args, uint64_t launch) {
-  if (suspended)
-    return;
-  if (kernel.tapeStamp != stamp) {
-    kernel.tapeStamp = stamp;
-    kernels.push_back(kernel.shared_from_this());
-  }
-  if (!anyLaunch) {
-    anyLaunch = true;
-    firstLaunch = launch;
-  }
-  lastLaunch = launch - firstLaunch;
-  records.push_back({&kernel, lastLaunch, slots.size()});
-  slots.insert(slots.end(), args, args + kernel.argSlots());
-  ++runtime.counts.recorded;
-}
-
-void Tape::recordCallback(TapeCallback callback) {
-  if (suspended || !recording())
-    return;
-  reverseCallbacks |= static_cast<bool>(callback.backward);
-  records.push_back({nullptr, 0, callbacks.size()});
-  callbacks.push_back(std::move(callback));
 }
 
 //===----------------------------------------------------------------------===//
@@ -109,9 +55,14 @@ void Tape::recordCallback(TapeCallback callback) {
 template <typename Live>
 Tape::Decision Tape::decide(size_t index, const Live &live) const {
   const Record &record = records[index];
-  if (!record.kernel)
+  if (record.kind == Kind::Callback)
     return callbacks[record.payload].backward ? Decision::Callback
                                               : Decision::SkipCallback;
+  if (record.kind == Kind::Write) {
+    const Field *field = getWrite(record).field;
+    return field->adjoint() && live(field) ? Decision::Overwrite
+                                           : Decision::SkipUnreached;
+  }
   const Kernel &kernel = *record.kernel;
   if (!kernel.differentiable())
     return Decision::SkipNoDerivative;
@@ -131,7 +82,7 @@ Tape::Decision Tape::decide(size_t index, const Live &live) const {
 std::vector<Field *> Tape::liveFields() const {
   std::vector<Field *> live;
   for (const FieldPtr &field : runtime.fieldList)
-    if (field->adjoint() && (field == loss || field->adjoint()->dirty()))
+    if (field->adjoint() && (isLoss(*field) || field->adjoint()->dirty()))
       live.push_back(field.get());
   return live;
 }
@@ -196,7 +147,7 @@ void Tape::findRepeatedStores() {
       continue;
     const uint64_t *args = slots.data() + records[i].payload;
     uses.clear();
-    bool again = false;
+    bool again = records[i].kernel->alwaysTakes;
     for (const Access &access : records[i].kernel->summary()) {
       if (!access.field->adjoint())
         continue;
@@ -233,6 +184,8 @@ void Tape::plan() {
     decisions[i] = decide(i, live);
     if (decisions[i] == Decision::Callback)
       all = true;
+    if (decisions[i] == Decision::Overwrite)
+      needed.push_back(static_cast<uint32_t>(i));
     if (decisions[i] != Decision::Replay)
       continue;
     needed.push_back(static_cast<uint32_t>(i));
@@ -246,6 +199,18 @@ void Tape::plan() {
 //===----------------------------------------------------------------------===//
 
 Status Tape::replayAdjoint(Launch &launch, size_t index) {
+  const Record &record = records[index];
+  if (record.kind == Kind::Write)
+    return overwrite(getWrite(record));
+  Kernel &kernel = *record.kernel;
+  bool changes = kernel.adjointReruns;
+  memory->enter(static_cast<uint32_t>(index), changes);
+  Status status = runAdjoint(launch, index);
+  memory->leave(changes);
+  return status;
+}
+
+Status Tape::runAdjoint(Launch &launch, size_t index) {
   const Record &record = records[index];
   Kernel &kernel = *record.kernel;
   bool takes = storesAgain[index];
@@ -292,41 +257,56 @@ Status Tape::sweepPlanned() {
   return Status::success();
 }
 
+Status Tape::reverseRecord(Launch &launch, size_t i) {
+  if (reverseCallbacks)
+    decisions[i] =
+        decide(i, [](const Field *field) { return field->adjoint()->dirty(); });
+  Status status;
+  if (decisions[i] == Decision::Callback) {
+    memory->enter(static_cast<uint32_t>(i), /*reruns=*/false);
+    status = callbacks[records[i].payload].backward();
+    if (status && watching)
+      examine(i);
+  } else if (decisions[i] == Decision::Replay ||
+             decisions[i] == Decision::Overwrite) {
+    status = replayAdjoint(launch, i);
+  } else {
+    ++runtime.counts.skipped;
+  }
+  return status;
+}
+
 Status Tape::sweepAroundCallbacks() {
   plan();
   HeldLaunch held(runtime);
-  auto live = [](const Field *field) { return field->adjoint()->dirty(); };
-  for (size_t i = records.size(); i-- > 0;) {
-    const Record &record = records[i];
-    decisions[i] = decide(i, live);
-    Status status;
-    if (decisions[i] == Decision::Callback)
-      status = callbacks[record.payload].backward();
-    else if (decisions[i] == Decision::Replay)
-      status = replayAdjoint(held.get(), i);
-    else
-      ++runtime.counts.skipped;
-    if (!status)
-      return status;
-    if (watching && decisions[i] == Decision::Callback)
-      examine(i);
-  }
-  return Status::success();
+  Status status;
+  for (size_t i = records.size(); i-- > 0 && status;)
+    status = reverseRecord(held.get(), i);
+  return status;
 }
 
 Status Tape::backward() {
   end();
   examined.clear();
-  if (loss) {
-    Field *adjoint = loss->adjoint();
-    if (!adjoint || !adjoint->valid() || !loss->valid())
-      return Status::failure(StatusCode::Usage, "the tree of the loss '" +
-                                                    loss->name() +
-                                                    "' has been destroyed");
-    storeF64(adjoint->scalar(), adjoint->data(), 1.0);
-    adjoint->markDirty();
-  }
-  return reverseCallbacks ? sweepAroundCallbacks() : sweepPlanned();
+  notes.clear();
+  Status status = checkVersions();
+  if (status)
+    status = seed();
+  if (status)
+    status = memory->beginReverse();
+  if (!status)
+    return status;
+  if (checkpoints)
+    status = sweepRecomputing();
+  else
+    status = reverseCallbacks ? sweepAroundCallbacks() : sweepPlanned();
+  if (!checkpoints)
+    memory->endReverse();
+  // Host functions may have changed what they like.
+  markVersions();
+  if (status)
+    checkEffect();
+  return status;
 }
 
 Status Tape::runForward() {
@@ -334,20 +314,35 @@ Status Tape::runForward() {
   firstLaunch = runtime.launchCounter.fetch_add(anyLaunch ? lastLaunch + 1 : 0,
                                                 std::memory_order_relaxed);
   HeldLaunch held(runtime);
-  for (const Record &record : records) {
-    Status status;
+  memory->restart();
+  sweptBefore = false;
+  Status status;
+  for (size_t i = 0; i < records.size() && status; ++i) {
+    const Record &record = records[i];
+    if (checkpoints) {
+      checkpoints->reach(static_cast<uint32_t>(i));
+      status = recompute(held.get(), i, /*saving=*/false, 0);
+      continue;
+    }
+    status = memory->beforeReplay(static_cast<uint32_t>(i));
+    if (!status)
+      break;
     if (record.kernel) {
       uint64_t number = firstLaunch + record.launch;
       record.kernel->lastLaunch.store(number, std::memory_order_relaxed);
       status = runtime.run(held.get(), *record.kernel,
                            slots.data() + record.payload, nullptr, number);
+    } else if (record.kind == Kind::Write) {
+      runtime.perform(getWrite(record));
     } else if (callbacks[record.payload].forward) {
       status = callbacks[record.payload].forward();
     }
-    if (!status)
-      return status;
+    memory->settle();
   }
-  return Status::success();
+  markVersions();
+  recomputed = 0;
+  recomputedAt.clear();
+  return status;
 }
 
 Status Tape::replay(bool forward, bool reverse) {
@@ -358,9 +353,10 @@ Status Tape::replay(bool forward, bool reverse) {
   if (reverse)
     runtime.clearGradients();
   if (forward) {
-    Status status = loss ? runtime.fillF64(*loss, 0.0) : Status::success();
-    if (status)
-      status = runForward();
+    for (const Loss &loss : losses)
+      if (loss.field->valid())
+        clearSum(*loss.field);
+    Status status = runForward();
     if (!status)
       return status;
   }
@@ -376,7 +372,8 @@ int64_t Tape::numSkipped() {
     plan();
   return std::count_if(
       decisions.begin(), decisions.end(), [](Decision decision) {
-        return decision != Decision::Replay && decision != Decision::Callback;
+        return decision != Decision::Replay && decision != Decision::Callback &&
+               decision != Decision::Overwrite;
       });
 }
 
@@ -385,6 +382,8 @@ std::vector<Tape::Pending> Tape::pendingAdjoints() {
     plan();
   std::vector<Pending> pending;
   for (uint32_t index : needed) {
+    if (!records[index].kernel)
+      continue;
     Pending entry = {records[index].kernel, storesAgain[index]};
     const Kernel::AdjointForm &form = entry.kernel->adjointForms[entry.takes];
     if (!form.known.load(std::memory_order_relaxed) && !form.asked &&
@@ -406,7 +405,10 @@ const std::string &Tape::explain() {
   for (size_t i = 0; i < records.size(); ++i) {
     const Record &record = records[i];
     std::string name =
-        record.kernel ? "@" + record.kernel->name() : "(host function)";
+        record.kernel ? "@" + record.kernel->name()
+        : record.kind == Kind::Write
+            ? "(write of @" + getWrite(record).field->name() + ")"
+            : "(host function)";
     explanation += std::to_string(i) + ": " + name + ": ";
     switch (decisions[i]) {
     case Decision::Replay:
@@ -421,7 +423,9 @@ const std::string &Tape::explain() {
       explanation += "skipped: it has nothing to differentiate";
       break;
     case Decision::SkipUnreached:
-      if (record.kernel->adjointSources.empty()) {
+      if (!record.kernel) {
+        explanation += "skipped: no adjoint reaches it";
+      } else if (record.kernel->adjointSources.empty()) {
         explanation += "skipped: it changes no field that has an adjoint";
       } else {
         explanation += "skipped: no adjoint reaches ";
@@ -437,7 +441,15 @@ const std::string &Tape::explain() {
     case Decision::SkipCallback:
       explanation += "skipped: it has no reverse function";
       break;
+    case Decision::Overwrite:
+      explanation += "ends the adjoints of what it overwrites";
+      break;
     }
+    if (int64_t bytes = memory->bytesAt(static_cast<uint32_t>(i)))
+      explanation += "; saved " + formatBytes(bytes);
+    if (i < recomputedAt.size() && recomputedAt[i])
+      explanation +=
+          "; recomputed " + std::to_string(recomputedAt[i]) + " times";
     explanation += '\n';
   }
   return explanation;

@@ -12,6 +12,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "HostWrite.h"
 #include "Launch.h"
 #include "Scalars.h"
 #include "tai/Runtime/Tape.h"
@@ -29,6 +30,8 @@ Status Tape::runRecord(int64_t index) {
                            "records");
   const Record &record = records[index];
   Tape *other = runtime.activeTape;
+  if (record.kind == Kind::Write)
+    return runtime.change(getWrite(record));
   if (!record.kernel) {
     const TapeCallback &callback = callbacks[record.payload];
     if (other)
@@ -47,12 +50,10 @@ Status Tape::runRecord(int64_t index) {
   Launch *launch = runtime.acquireLaunch();
   std::vector<uint64_t> results(kernel.resultSlots());
   kernel.lastLaunch.store(number, std::memory_order_relaxed);
-  Status status =
-      runtime.run(*launch, kernel, args,
-                  results.empty() ? nullptr : results.data(), number);
+  uint64_t *wanted = results.empty() ? nullptr : results.data();
+  Status status = other ? other->launch(*launch, kernel, args, wanted, number)
+                        : runtime.run(*launch, kernel, args, wanted, number);
   runtime.releaseLaunch(launch);
-  if (status && other)
-    other->record(kernel, args, number);
   return status;
 }
 

@@ -261,13 +261,47 @@ void bindTape(py::module_ &module) {
            [](Tape &t, py::object forward, py::object backward) {
              t.hostFunctions[taiTapeNumRecords(t.handle)] = forward;
              // One user pointer serves both directions: a pair of callables.
+             bool reverses = !backward.is_none();
              auto pair = std::make_unique<py::object>(
                  py::make_tuple(std::move(forward), std::move(backward)));
              void *user = pair.get();
              t.kept.push_back(std::move(pair));
              t.context->check(taiTapeRecordCallback(
                  t.handle, [](void *user) { return callBack(user, 0); },
-                 [](void *user) { return callBack(user, 1); }, user));
+                 reverses ? +[](void *user) { return callBack(user, 1); }
+                          : nullptr,
+                 user));
+           })
+      .def("add_loss",
+           [](Tape &t, const Field &loss) {
+             t.context->check(taiTapeAddLoss(t.handle, loss.handle));
+           })
+      .def("set_seed",
+           [](Tape &t, const Field &loss, const py::buffer &array) {
+             t.context->check(
+                 taiTapeSetSeed(t.handle, loss.handle, array.request().ptr));
+           })
+      .def(
+          "set_checkpoint",
+          [](Tape &t, int kind, int64_t snapshots, int64_t budget) {
+            t.context->check(taiTapeSetCheckpoint(
+                t.handle, static_cast<TaiCheckpoint>(kind), snapshots, budget));
+          })
+      .def("stats",
+           [](Tape &t) {
+             TaiTapeStats stats;
+             t.context->check(taiTapeGetStats(t.handle, &stats));
+             return py::make_tuple(stats.saved_bytes, stats.peak_bytes,
+                                   stats.snapshots, stats.snapshot_bytes,
+                                   stats.recomputed, stats.optimum);
+           })
+      .def("warnings",
+           [](Tape &t) {
+             std::vector<std::string> lines;
+             while (const char *line = taiTapeWarning(
+                        t.handle, static_cast<int64_t>(lines.size())))
+               lines.push_back(line);
+             return lines;
            })
       .def("explain",
            [](Tape &t) { return std::string(taiTapeExplain(t.handle)); })

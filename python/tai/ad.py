@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import functools
 import sys
+import warnings
 from collections.abc import Callable
 from typing import Any
+
+import numpy as np
 
 from . import _state
 from ._ad_check import CheckResult as CheckResult
@@ -13,6 +16,18 @@ from ._ad_check import GradCheck
 from ._ad_check import GradientCheckError as GradientCheckError
 from ._ad_check import check as check
 from ._ad_health import HealthReport, take_health
+from ._ad_memory import TapeStats, parse_checkpoint
+from ._ad_seeds import TaiGradientWarning as TaiGradientWarning
+from ._ad_seeds import (
+    as_losses,
+    as_seed,
+    as_seeds,
+    is_number,
+    parts_of,
+    require_grad,
+    set_seeds,
+    warn,
+)
 from ._ad_validation import LIMIT, raise_violations
 from ._ad_validation import Violation as Violation
 from .errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
@@ -28,8 +43,17 @@ class Tape:
     print(x.grad[0])
     ```
 
+    A kernel may overwrite what others have read, as in `x[i] += dt * v[i]`: the tape saves
+    the old values that the reverse sweep reads, and puts them back at their place. After it,
+    all fields hold what they held at the end of the block. Where that takes too much memory,
+    the tape keeps snapshots and runs kernels again: see `memory_budget` and `checkpoint`.
+
     Args:
-        loss: a field without dimensions that has a gradient.
+        loss: a field without dimensions that has a gradient: a sum, which is set to zero when
+            the block is entered, and whose gradient starts as 1. Or any field, or a list of
+            fields: those of more than one number need a seed, here or in `grad`. Or None:
+            then nothing runs in reverse before `backward({field: seed})`, or `grad()` after
+            gradients were set by hand.
         clear_gradients: set all gradients to zero first.
         validation: check the global data access rules at run time, element by element: no
             element is written again but by accumulation, and none once it was read. What
@@ -40,33 +64,35 @@ class Tape:
             differences when the block is left; a wrong one raises `GradientCheckError`, with
             a report that names the first kernel to blame. See `ti.ad.check`.
         health: look at the adjoints after each record of the reverse sweep; see `health()`.
+        seed: what the gradient of the loss is when the reverse sweep starts: a number or an
+            array of the shape of the loss; for several losses, a list of them.
+        memory_budget: most bytes that the tape may keep of old values. What does not fit is
+            computed again: kernels run once more, with the same random numbers.
+        checkpoint: how: "periodic" (snapshots at even distances, and saved values between
+            two of them), "binomial" (snapshots alone, placed so that as little as possible
+            runs again), a number (binomial, with so many snapshots), "mixed" (periodic where
+            the values in between fit). None saves everything, or is "mixed" under a budget.
     """
 
     def __init__(
         self, loss: Any = None, clear_gradients: bool = True, validation: bool = False,
         grad_check: Any = None, health: bool = False, *, validate: bool = False,
+        seed: Any = None, memory_budget: Any = None, checkpoint: Any = None,
     ):  # fmt: skip
-        from .fields import ScalarField
-
-        if not isinstance(loss, ScalarField):
-            what = "nothing" if loss is None else repr(loss)
-            raise TaiRuntimeTypeError(
-                f"ti.ad.Tape takes the field of the loss, but got {what}",
-                "loss = ti.field(ti.f32, shape=(), needs_grad=True)",
-            )
-        if loss.shape != ():
-            raise TaiRuntimeTypeError(
-                f"the loss '{loss.name}' has shape {loss.shape}, but must be one number",
-                "loss = ti.field(ti.f32, shape=(), needs_grad=True)",
-            )
-        if not loss.dtype.is_float:
-            raise TaiAutodiffError(f"the loss '{loss.name}' is of type {loss.dtype}, not a float")
+        self._losses = as_losses(loss)
+        self._seed = seed
+        self._checkpoint = parse_checkpoint(checkpoint, memory_budget)
         self.loss, self.clear_gradients = loss, clear_gradients
         self._core: Any = None
         self._is_recording = False
+        self._was_seeded = False
         self._check = GradCheck(grad_check) if grad_check else None
         self._watches = health
         self._validates = validation or validate
+        if (grad_check or health) and not (
+            len(self._losses) == 1 and is_number(self._losses[0]) and seed is None
+        ):
+            raise TaiAutodiffError("grad_check and health need a loss of one number")
 
     def __enter__(self) -> Tape:
         from . import _core
@@ -74,13 +100,26 @@ class Tape:
         if _state.tape is not None:
             raise TaiRuntimeError("tapes do not nest", "close the outer ti.ad.Tape first")
         program = get_program()
-        self.loss.materialize(sys._getframe(1))
-        grad = self.loss.grad
-        if grad.snode is None:
-            grad._placed_node()  # raises
+        for field in self._losses:
+            require_grad(field, sys._getframe(1))
         if self._check:
             self._check.begin(self.loss)
-        self._core = program.context.tape(self.loss.core, self.clear_gradients)
+        # Wrong seeds are found before anything is computed.
+        seeds = None if self._seed is None else as_seeds(self._losses, self._seed)
+        self._core = program.context.tape(None, self.clear_gradients)
+        try:
+            for field in self._losses:
+                for part, _ in parts_of(field):
+                    self._core.add_loss(part.core)
+            if seeds is not None:
+                set_seeds(self._core, self._losses, seeds)
+            self._core.set_checkpoint(*self._checkpoint)
+        except BaseException:
+            self._core.end()
+            raise
+        self._was_seeded = seeds is not None or (
+            bool(self._losses) and all(map(is_number, self._losses))
+        )
         self._core.watch_health(self._watches)
         self._checks = self._validates or program.options.debug
         if self._checks:
@@ -100,23 +139,99 @@ class Tape:
 
     def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
         self._stop()
-        if kind is None:
-            if self._checks:
-                raise_violations(self._core)
+        if kind is None and self._checks:
+            raise_violations(self._core)
+        if kind is None and self._was_seeded:
             self._core.backward()
+            warn(self._core, 2)
             if self._check:
                 self._check.end(self._core, self.loss)
 
-    def grad(self) -> None:
-        """Runs the gradients of what was recorded, again."""
+    def __del__(self) -> None:
+        if getattr(self, "_core", None) and self._losses and not self._was_seeded:
+            names = ", ".join(f"'{field.name}'" for field in self._losses)
+            warnings.warn(
+                f"the gradient of {names} was never computed: a loss of more than one number "
+                "needs a seed, as in tape.grad(seed=np.ones(loss.shape))",
+                TaiGradientWarning,
+                stacklevel=2,
+            )
+
+    def grad(self, seed: Any = None) -> None:
+        """Runs the gradients of what was recorded, once more or with other seeds.
+
+        Args:
+            seed: as for the tape itself. None takes the seeds of the last time. Gradients are
+                set to zero first, unless the tape was made with `clear_gradients=False` or
+                has no loss.
+
+        Raises:
+            TaiRuntimeTypeError: a seed of the wrong shape.
+            TaiRuntimeError: a field that the gradient reads has been changed since.
+        """
         self._need_record()
+        if seed is not None:
+            if not self._losses:
+                raise TaiRuntimeTypeError(
+                    "the tape has no loss that a seed could belong to",
+                    "tape.backward({field: seed})",
+                )
+            set_seeds(self._core, self._losses, as_seeds(self._losses, seed))
+            self._was_seeded = True
+        self._sweep(clear=self.clear_gradients and bool(self._losses))
+
+    def backward(self, seeds: dict[Any, Any] | None = None) -> None:
+        """Runs the gradients of what was recorded, from gradients given for any fields.
+
+        Args:
+            seeds: for fields that have a gradient, arrays of their shapes. Losses of the tape
+                that are not among them start from zero. None is `grad()`.
+        """
+        if seeds is None:
+            return self.grad()
+        self._need_record()
+        fields = as_losses(list(seeds))
+        for field in fields:
+            require_grad(field, sys._getframe(1))
+        arrays = [as_seed(field, seed) for field, seed in zip(fields, seeds.values(), strict=True)]
+        given = {id(field) for field in fields}
+        for field in self._losses:
+            if id(field) not in given:
+                fields.append(field)
+                arrays.append(as_seed(field, np.zeros(field.shape + field.element_shape)))
+        if self.clear_gradients:
+            get_program().context.clear_gradients()
+        known = {id(field) for field in self._losses}
+        for field, array in zip(fields, arrays, strict=True):
+            if id(field) in known:
+                set_seeds(self._core, [field], [array])
+            else:
+                field.grad.from_numpy(array)
+        self._was_seeded = True
+        self._sweep(clear=False)
+
+    def _sweep(self, clear: bool) -> None:
+        if clear:
+            get_program().context.clear_gradients()
         self._core.backward()
+        warn(self._core, 3)
+
+    def stats(self) -> TapeStats:
+        """How much the tape keeps, and how much it has computed again."""
+        if self._core is None:
+            raise TaiRuntimeError("the tape holds nothing yet", "enter its `with` block first")
+        return TapeStats(*self._core.stats())
+
+    @property
+    def memory(self) -> int:
+        """The most bytes of old values that the tape has kept at any time."""
+        return self.stats().peak_bytes
 
     def replay(self, forward: bool = True, backward: bool = True) -> None:
         """Runs the recorded kernels, and their gradients, on what the fields hold now.
 
-        One native call, without Python between the kernels. Gradients are cleared before
-        the reverse sweep.
+        One native call, without Python between the kernels. What the host wrote inside the
+        block is written again. Gradients are cleared before the reverse sweep.
         """
         self._need_record()
         self._core.replay(forward, backward)
@@ -163,7 +278,7 @@ def no_grad(function: Callable[..., Any]) -> Callable[..., Any]:
         if tape is None:
             return function(*args, **kwargs)
         result = _unrecorded(tape, function, args, kwargs)
-        tape.record(functools.partial(function, *args, **kwargs), lambda: None)
+        tape.record(functools.partial(function, *args, **kwargs), None)
         return result
 
     return decorated

@@ -96,7 +96,7 @@ def test_the_program_goes_on_after_an_error():
     assert x.to_numpy().tolist() == [0, 1, 2]
 
 
-def test_access_rule_is_broken():
+def test_access_rule_that_need_not_be_kept():
     x = ti.field(ti.f32, shape=4, needs_grad=True)
     y = ti.field(ti.f32, shape=4, needs_grad=True)
     loss = ti.field(ti.f32, shape=(), needs_grad=True)
@@ -108,10 +108,11 @@ def test_access_rule_is_broken():
             loss[None] += y[i] * y[i]
             y[i] = x[i] * 2
 
-    with pytest.raises(ti.TaiAutodiffError) as caught, ti.ad.Tape(loss):
+    for i in range(4):
+        x[i] = i + 1
+    with ti.ad.Tape(loss):
         kernel()
-    error = caught.value
-    assert error.lineno is not None and "test_errors.py" in str(error)
+    assert x.grad.to_numpy().tolist() == [2, 4, 6, 8]
 
 
 # Calls from Python
@@ -259,10 +260,10 @@ def test_tapes():
     loss = ti.field(ti.f32, shape=(), needs_grad=True)
     plain = ti.field(ti.f32, shape=(), name="plain")
     whole = ti.field(ti.i32, shape=())
-    with pytest.raises(ti.TaiRuntimeTypeError, match="nothing"):
-        ti.ad.Tape()
-    with pytest.raises(ti.TaiRuntimeTypeError, match="one number"):
-        ti.ad.Tape(x)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="takes the field of the loss, but got 3"):
+        ti.ad.Tape(3)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="given twice"):
+        ti.ad.Tape([x, x])
     with pytest.raises(ti.TaiAutodiffError, match="not a float"):
         ti.ad.Tape(whole)
     with pytest.raises(ti.TaiAutodiffError, match="'plain' has no gradient"), ti.ad.Tape(plain):

@@ -163,12 +163,14 @@ TEST(EngineCache, ObjectsSurviveSerialization) {
   CompiledObject object;
   object.symbol = "k";
   object.code = {'a', '\0', 'b'};
+  object.needs = "n";
   object.trees = {"t", ""};
   std::string bytes = object.serialize();
   std::optional<CompiledObject> read = CompiledObject::deserialize(bytes);
   ASSERT_TRUE(read);
   EXPECT_EQ(read->symbol, object.symbol);
   EXPECT_EQ(read->code, object.code);
+  EXPECT_EQ(read->needs, object.needs);
   EXPECT_EQ(read->trees, object.trees);
   for (size_t length = 0; length < bytes.size(); ++length) {
     std::optional<CompiledObject> cut =

@@ -26,6 +26,8 @@ struct CompiledObject {
   std::string symbol;
   /// The trees whose bases the function is given, in order.
   std::vector<std::string> trees;
+  /// Of adjoints, what they ask of memory: a serialized AdjointNeeds.
+  std::string needs;
   llvm::SmallVector<char, 0> code;
 
   std::string serialize() const;

@@ -16,6 +16,7 @@
 #define TAI_EXECUTIONENGINE_COMPILER_H
 
 #include "mlir/IR/BuiltinOps.h"
+#include "mlir/IR/OwningOpRef.h"
 #include "mlir/Pass/PassManager.h"
 #include "tai/AD/Differentiable.h"
 #include "tai/ExecutionEngine/CompiledObject.h"
@@ -114,6 +115,25 @@ public:
                                   const CompileOptions &options,
                                   Failure &failure);
 
+  /// The same in two steps. After the first, what the adjoint asks of memory is
+  /// known; with code in the cache, it is all there is to do.
+  struct Prepared {
+    std::string key;
+    /// From the cache.
+    std::optional<CompiledObject> object;
+    /// Else the module, differentiated, and the symbol of its entry point.
+    OwningOpRef<ModuleOp> module;
+    std::string symbol;
+    std::string needs;
+    PhaseTimes times = {};
+  };
+  std::optional<Prepared> prepare(CompileRequest request,
+                                  const CompileOptions &options,
+                                  Failure &failure);
+  std::optional<Function> finish(Prepared prepared, CompileRequest request,
+                                 const CompileOptions &options,
+                                 Failure &failure);
+
   /// Frees a function that is not running.
   void unload(const Function &function);
 
@@ -130,13 +150,16 @@ private:
   struct Worker;
   class WorkerLease;
 
+  /// Makes the module to be lowered: for an adjoint, by differentiation.
+  LogicalResult differentiate(Worker &worker, CompileRequest request,
+                              Prepared &prepared, Failure &failure);
+  LogicalResult lower(Worker &worker, CompileRequest request,
+                      Prepared &prepared, std::vector<std::string> &trees,
+                      Failure &failure, std::string *scf);
   std::optional<CompiledObject> compileObject(CompileRequest request,
                                               const CompileOptions &options,
-                                              PhaseTimes &times,
+                                              Prepared &prepared,
                                               Failure &failure);
-  OwningOpRef<ModuleOp> runPasses(Worker &worker, CompileRequest request,
-                                  CompiledObject &object, PhaseTimes &times,
-                                  Failure &failure, std::string *scf);
   std::string getKey(CompileRequest request, const CompileOptions &options);
   Linker *getLinker(Failure &failure);
 

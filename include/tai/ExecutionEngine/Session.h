@@ -44,6 +44,13 @@ struct KernelCode {
   /// The trees that the module declares.
   std::vector<runtime::TreePtr> trees;
   std::vector<Compiler::Function> functions;
+  /// The adjoint, in the form that a tape launches for all we know, between the
+  /// two steps of its compilation, taken by whoever makes the second; and what
+  /// it asks of memory.
+  std::mutex prepareMutex;
+  bool planTakes = false;
+  std::optional<Compiler::Prepared> prepared;
+  std::optional<std::string> needs;
   /// The adjoint, compiled ahead of need, and what became of it.
   Background::JobPtr ahead;
   std::optional<Compiler::Function> aheadResult;
@@ -145,7 +152,7 @@ private:
   /// Adds the declarations that `module` refers to and does not hold.
   LogicalResult declareUsed(ModuleOp module);
   LogicalResult verifyModule(ModuleOp module);
-  std::vector<runtime::Access> summarize(ModuleOp module);
+  std::vector<runtime::Access> summarize(ModuleOp module, KernelOp kernel);
   runtime::Status compilePrimal(KernelCode &code,
                                 runtime::Kernel &runtimeKernel,
                                 TaiKernelFn &function);
@@ -156,6 +163,15 @@ private:
                                  runtime::CheckedKernel &checked);
   std::optional<Compiler::Function>
   compileAs(KernelCode &code, CompileRequest::Goal goal, Failure &failure);
+  /// Differentiates the kernel unless that has been done. The caller holds
+  /// `prepareMutex`.
+  LogicalResult prepareAdjoint(KernelCode &code, Failure &failure);
+  std::optional<Compiler::Function> compileAdjoint(KernelCode &code,
+                                                   Failure &failure);
+  runtime::Status planAdjoint(KernelCode &code, runtime::Kernel &runtimeKernel,
+                              runtime::AdjointPlan &plan);
+  FailureOr<std::pair<std::shared_ptr<KernelCode>, runtime::KernelPtr>>
+  makeKernel(OwningOpRef<ModuleOp> module, StringRef name);
   void printStages(KernelCode &code, CompileRequest::Goal goal);
   void printProfile(StringRef name, CompileRequest::Goal goal,
                     const Compiler::Function &function);

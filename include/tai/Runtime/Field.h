@@ -135,7 +135,7 @@ public:
 
   /// One component (row-major in the element) of one element, converted from
   /// or to the type of the field. Integers wrap, as in C; writing marks the
-  /// field as dirty.
+  /// field as dirty. No tape hears of it: see Runtime::writeF64.
   Status readF64(const int64_t *index, int64_t component, double &value) const;
   Status writeF64(const int64_t *index, int64_t component, double value);
   Status readI64(const int64_t *index, int64_t component, int64_t &value) const;
@@ -157,6 +157,8 @@ private:
   std::string adjointName, dualName;
   std::shared_ptr<Field> adjointField, dualField;
   std::atomic<bool> dirtyFlag{false};
+  /// Number of times that the host has changed it.
+  uint64_t hostVersion = 0;
   /// Stamp of the plan in which the field is live.
   /// Of the plan in which seenIndex is the place of the field among those that
   /// change.

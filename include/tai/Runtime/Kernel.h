@@ -44,7 +44,16 @@ struct FixedIndex {
   int64_t constant;
   std::vector<Term> terms;
 
-  int64_t evaluate(const uint64_t *args) const;
+  int64_t evaluate(const uint64_t *args) const {
+    // Wraps where the arguments do.
+    uint64_t sum = static_cast<uint64_t>(constant);
+    for (const Term &term : terms) {
+      unsigned unused = 64 - term.bits;
+      auto value = static_cast<int64_t>(args[term.slot] << unused) >> unused;
+      sum += static_cast<uint64_t>(value) * static_cast<uint64_t>(term.factor);
+    }
+    return static_cast<int64_t>(sum);
+  }
   bool operator==(const FixedIndex &other) const {
     return dimension == other.dimension && constant == other.constant &&
            terms == other.terms;
@@ -62,6 +71,24 @@ struct Access {
   bool operator==(const Access &other) const {
     return field == other.field && kind == other.kind && fixed == other.fixed;
   }
+};
+
+/// What the adjoint of a kernel asks of memory, known before its code is.
+struct AdjointPlan {
+  /// The fields of the primal that it reads.
+  std::vector<Access> reads;
+  /// Those that it reads as they were before the launch.
+  std::vector<FieldPtr> before;
+  /// It changes these while it runs.
+  bool reruns = false;
+  /// If not empty: what is recorded in the place of the kernel, in this order.
+  /// They take its arguments; one of them may return its results.
+  std::vector<KernelPtr> parts;
+  /// It holds for the form of the adjoint that takes, which is the one to use.
+  bool takes = false;
+  /// Nothing of this is worth keeping: there may be more to plan when there are
+  /// other adjoint fields.
+  bool provisional = false;
 };
 
 struct KernelInfo {
@@ -85,6 +112,9 @@ struct KernelInfo {
   /// True if `adjoint` leaves zero in the adjoints of what the kernel stores.
   bool adjointTakes = false;
   std::function<Status(Kernel &kernel, KernelPtr &adjoint)> makeAdjoint;
+  /// What the adjoint asks of memory: called once, when the kernel is first
+  /// recorded. Without it, the adjoint may read all that the kernel touches.
+  std::function<Status(Kernel &kernel, AdjointPlan &plan)> planAdjoint;
   /// False if an adjoint of the kernel would do nothing; the tape skips it.
   bool differentiable = true;
   /// The same for the form of the adjoint that takes: it leaves zero in the
@@ -123,6 +153,11 @@ public:
   /// there is nothing to differentiate. Any thread.
   Status resolveAdjoint(Kernel *&adjoint, bool takes = false);
 
+  /// What the adjoint asks of memory. Any thread.
+  const AdjointPlan &plan();
+  /// Whether the plan, if there is one, has parts.
+  bool hasParts() const { return adjointPlan && !adjointPlan->parts.empty(); }
+
   /// The form that checks the access rules; null if there is nothing to check.
   Status resolveChecked(CheckedKernel *&checked);
 
@@ -152,6 +187,9 @@ private:
   };
   std::array<AdjointForm, 2> adjointForms;
   std::shared_ptr<CheckedKernel> checked;
+  std::unique_ptr<AdjointPlan> adjointPlan;
+  bool adjointReruns = false;
+  bool alwaysTakes = false;
 
   std::vector<void *> bases;
   /// State of the storage for which the tables hold; 0 is never current.
@@ -172,6 +210,8 @@ private:
   std::atomic<uint64_t> lastLaunch{0};
   /// Stamp of the last tape that holds this kernel.
   uint64_t tapeStamp = 0;
+  /// What that tape knows of it.
+  const void *tapeUses = nullptr;
 };
 
 } // namespace mlir::tai::runtime

@@ -28,6 +28,7 @@ struct TaiRuntime {};
 namespace mlir::tai::runtime {
 
 class ForkGuard;
+struct HostWrite;
 class GradientCheck;
 class WorkerPool;
 struct Launch;
@@ -115,6 +116,11 @@ public:
   Status copyFromHost(Field &field, const void *array);
   Status fillF64(Field &field, double value);
   Status fillI64(Field &field, int64_t value);
+  /// One component of one element, as Field::writeF64.
+  Status writeF64(Field &field, const int64_t *index, int64_t component,
+                  double value);
+  Status writeI64(Field &field, const int64_t *index, int64_t component,
+                  int64_t value);
   /// Sets the adjoint fields that are dirty to zero.
   void clearGradients();
 
@@ -143,7 +149,7 @@ public:
   // Tape
   //===--------------------------------------------------------------------===//
 
-  /// Starts recording. `loss` may be null; else it is 0-D, with an adjoint.
+  /// Starts recording. `loss` may be null; losses can also be added later.
   Status beginTape(FieldPtr loss, bool clearGradients,
                    std::unique_ptr<Tape> &tape);
   Tape *recordingTape() const { return activeTape; }
@@ -197,6 +203,10 @@ private:
   void releaseLaunch(Launch *launch);
   WorkerPool &workers();
   void fillWith(Field &field, const void *scalarBytes);
+  void copyIn(Field &field, const void *array);
+  /// Changes a field on behalf of the host: a tape that records hears of it.
+  Status change(const HostWrite &write);
+  void perform(const HostWrite &write);
   template <typename Move>
   void forEachRow(const Field &field, const Move &move);
 
@@ -208,6 +218,9 @@ private:
   std::unordered_map<std::string, TreePtr> trees;
   std::unordered_map<std::string, FieldPtr> fieldsByName;
   std::vector<FieldPtr> fieldList;
+  /// Kernels that may be launched, to find those that were.
+  std::vector<std::weak_ptr<Kernel>> kernelList;
+  size_t kernelsToKeep = 64;
   /// Raised when a tree goes or an adjoint comes: kernels then look again.
   std::atomic<uint64_t> storageEpoch{1};
 

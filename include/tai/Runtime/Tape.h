@@ -15,9 +15,10 @@
 // elements are zeroed. Indices that are fixed in a launch (x[t] from x[t-1])
 // tell which accesses do not meet; only where they may meet is anything zeroed.
 //
-// The tape claims nothing about values that a later launch overwrote and the
-// adjoint of an earlier one reads. `overwrites` lists the candidates for a
-// checkpoint planner.
+// Adjoints read primal values. Where a launch, a host function or a write of
+// the host is about to change what an earlier adjoint reads, the tape keeps the
+// old contents; the reverse sweep puts them back at their place, and leaves
+// memory as it found it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -38,7 +39,39 @@ struct TapeCallback {
   std::function<Status()> backward;
 };
 
+struct HostWrite;
 struct Launch;
+class Checkpoints;
+class TapeMemory;
+/// What a tape keeps.
+struct TapeStats {
+  /// Bytes of overwritten values that it keeps now, and most at any time.
+  int64_t savedBytes = 0;
+  int64_t peakBytes = 0;
+  /// With a checkpoint policy: the most snapshots at any time, the bytes of the
+  /// largest, how many records have been run again in all sweeps, and how many
+  /// a sweep that knew their number beforehand would run again with as many
+  /// snapshots, by the binomial formula.
+  int64_t snapshots = 0;
+  int64_t snapshotBytes = 0;
+  int64_t recomputed = 0;
+  int64_t optimum = 0;
+};
+
+/// How a tape recomputes values instead of saving all that are overwritten.
+struct CheckpointPolicy {
+  enum class Kind : uint8_t {
+    None,     // saves
+    Periodic, // snapshots at even distances, saves between two of them
+    Binomial, // snapshots alone
+    Mixed     // as periodic where the values between two fit
+  };
+  Kind kind = Kind::None;
+  /// Most snapshots; 0 for about the square root of the number of records.
+  int64_t snapshots = 0;
+  /// Most bytes of snapshots and saved values; 0 for no limit.
+  int64_t budget = 0;
+};
 
 class Tape {
 public:
@@ -52,13 +85,25 @@ public:
   bool recording() const;
 
   /// Launches between the two are not recorded. Pairs nest.
-  void suspend() { ++suspended; }
+  void suspend();
   Status resume();
 
   void recordCallback(TapeCallback callback);
 
-  /// Seeds the adjoint of the loss with 1 (if there is a loss) and replays the
-  /// adjoints in reverse. Ends recording first.
+  /// Adds a field that the sweep starts from. A field of one number is a sum:
+  /// it is set to zero, and its seed is 1.
+  Status addLoss(FieldPtr loss);
+  /// What the adjoint of a loss is at the start of a sweep: a row-major array
+  /// of the scalar type of the adjoint.
+  Status setSeed(const Field &loss, const void *array);
+
+  /// To be called before anything is recorded.
+  Status setCheckpoints(CheckpointPolicy policy);
+
+  /// Seeds the adjoints of the losses and replays the adjoints in reverse. Ends
+  /// recording first. Fails if an adjoint would read what has been changed
+  /// since the last launch of the sequence. Primal fields are as they were
+  /// before, whatever was put back in between.
   Status backward();
 
   /// Runs the recorded launches again on the present contents of the fields.
@@ -95,6 +140,9 @@ public:
   std::vector<Pending> pendingAdjoints();
   /// One line for each record: replayed or skipped, and why.
   const std::string &explain();
+  TapeStats stats() const;
+  /// What a careful user should know about the last sweep, one line each.
+  const std::vector<std::string> &warnings() const { return notes; }
   /// Whether the sweep launches the adjoint of the record in the form that
   /// takes.
   bool takesAt(int64_t record) const { return storesAgain[record]; }
@@ -148,12 +196,20 @@ public:
 private:
   friend class Runtime;
   class HeldLaunch;
-  Tape(Runtime &runtime, FieldPtr loss, uint64_t stamp);
+  Tape(Runtime &runtime, uint64_t stamp);
 
+  enum class Kind : uint8_t { Launch, Callback, Write };
   struct Record {
-    Kernel *kernel;   // null for a callback
+    Kernel *kernel;   // of a launch
     uint64_t launch;  // number, relative to firstLaunch
-    uint64_t payload; // first argument slot, or number of the callback
+    uint64_t payload; // first argument slot, or number of callback or write
+    Kind kind = Kind::Launch;
+  };
+  struct Write;
+  struct Loss {
+    FieldPtr field;
+    /// Of the adjoint; empty for 1.
+    std::vector<char> seed;
   };
   enum class Decision : uint8_t {
     Replay,
@@ -161,11 +217,19 @@ private:
     SkipUnreached,    // changes no field with a live adjoint
     SkipNoEffect,     // reads no field with an adjoint, overwrites none
     Callback,
-    SkipCallback // nothing to call in reverse
+    SkipCallback, // nothing to call in reverse
+    Overwrite     // the adjoint of what the host wrote becomes zero
   };
 
-  /// Called by the launch.
+  /// Launches and records, with its parts where it is made of such.
+  Status launch(Launch &launch, Kernel &kernel, const uint64_t *args,
+                uint64_t *results, uint64_t number);
+  Status launchOne(Launch &launch, Kernel &kernel, const uint64_t *args,
+                   uint64_t *results, uint64_t number);
+  Status adopt(Kernel &kernel);
   void record(Kernel &kernel, const uint64_t *args, uint64_t launch);
+  /// Changes a field and records that.
+  Status write(const HostWrite &write);
   /// What the reverse sweep does with a record, given which fields are live:
   /// have an adjoint that may be non-zero.
   template <typename Live>
@@ -176,27 +240,67 @@ private:
   /// The reverse sweep by the plan, or, around callbacks, by what is dirty.
   Status sweepPlanned();
   Status sweepAroundCallbacks();
+  /// One record of such a sweep.
+  Status reverseRecord(Launch &launch, size_t index);
+
+  // TapeRecompute.cpp
+  Status sweepRecomputing();
+  Status reverseRange(Launch &launch, size_t from, size_t to);
+  Status reverseSaving(Launch &launch, size_t from, size_t to);
+  Status recompute(Launch &launch, size_t index, bool saving, size_t oldest);
+  Status recomputeRange(Launch &launch, size_t from, size_t to);
+  Status runAgain(Launch &launch, size_t index);
+  template <typename Body> Status forEachChange(size_t index, const Body &body);
+  bool mayNeed(size_t index) const;
+  bool isShort(size_t from, size_t to) const;
+  int64_t freeSnapshots() const;
+  int64_t bestSnapshots() const;
   /// Runs the adjoint of a record and, where it stored elements again, zeroes
   /// the adjoints of those.
   Status replayAdjoint(Launch &launch, size_t index);
+  Status runAdjoint(Launch &launch, size_t index);
   /// Finds the records that store elements which an earlier one has used.
   void findRepeatedStores();
   Status runForward();
   std::vector<Field *> liveFields() const;
   void examine(size_t index);
 
+  Status seed();
+  void clearSum(Field &loss);
+  bool isLoss(const Field &field) const;
+  HostWrite getWrite(const Record &record) const;
+  Status overwrite(const HostWrite &write);
+  /// Remembers what the fields hold now, and finds out what has changed since.
+  void markVersions();
+  Status checkVersions();
+  void checkEffect();
+
   Runtime &runtime;
-  FieldPtr loss;
+  std::vector<Loss> losses;
   uint64_t stamp;
   int suspended = 0;
   std::unique_ptr<AccessChecks> checks;
+  std::unique_ptr<TapeMemory> memory;
+  std::unique_ptr<Checkpoints> checkpoints;
+  /// How often records were run again, and each of them.
+  int64_t recomputed = 0;
+  std::vector<uint32_t> recomputedAt;
+  bool sweptBefore = false;
+  /// Number of the first launch of the host function to come.
+  uint64_t suspendedAt = UINT64_MAX;
   std::vector<Record> records;
+  std::vector<std::unique_ptr<Write>> writes;
   std::vector<uint64_t> slots;
   std::vector<TapeCallback> callbacks;
   std::vector<KernelPtr> kernels; // keeps the recorded kernels alive
   uint64_t firstLaunch = 0;
   uint64_t lastLaunch = 0;
   bool anyLaunch = false;
+  /// Changes by the host when the sequence last ran, and the number of the next
+  /// launch then.
+  std::vector<std::pair<FieldPtr, uint64_t>> versions;
+  uint64_t endLaunch = 0;
+  std::vector<std::string> notes;
 
   /// For each record, whether it stores elements with an adjoint that an
   /// earlier one has used, as far as summaries tell.

@@ -1,0 +1,62 @@
+//===- AdjointNeeds.h - What an adjoint asks of memory ----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A tape must know which primal values an adjoint reads before anything
+// overwrites them: long before the adjoint has been compiled. This is found as
+// soon as a kernel has been differentiated, and is kept beside its code.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_EXECUTIONENGINE_ADJOINTNEEDS_H
+#define TAI_EXECUTIONENGINE_ADJOINTNEEDS_H
+
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Runtime/Kernel.h"
+
+namespace mlir::tai {
+
+/// A line of a summary, by the name of the field.
+struct NamedAccess {
+  std::string field;
+  runtime::AccessKind kind;
+  std::optional<runtime::FixedIndex> fixed;
+
+  bool operator==(const NamedAccess &other) const {
+    return field == other.field && kind == other.kind && fixed == other.fixed;
+  }
+};
+
+/// What the ops under `root` do to fields; indices are told from the arguments
+/// of kernels.
+std::vector<NamedAccess> listAccesses(Operation *root);
+
+struct AdjointNeeds {
+  /// Fields that the adjoint reads, those of other adjoints among them.
+  std::vector<NamedAccess> reads;
+  /// Those that it reads as they were before the launch.
+  std::vector<std::string> before;
+  /// It changes these while it runs.
+  bool reruns = false;
+  /// If not empty, the module with the parts of the kernel, as text.
+  std::string parts;
+
+  std::string serialize() const;
+  /// Nothing where the bytes are not those of needs.
+  static std::optional<AdjointNeeds> deserialize(StringRef bytes);
+};
+
+/// Of the kernel of this name, in a module that has been differentiated.
+AdjointNeeds getAdjointNeeds(ModuleOp module, StringRef name);
+
+/// The modules of the parts, each with its kernel, in the order in which they
+/// run.
+SmallVector<std::pair<std::string, OwningOpRef<ModuleOp>>>
+splitParts(ModuleOp parts);
+
+} // namespace mlir::tai
+
+#endif // TAI_EXECUTIONENGINE_ADJOINTNEEDS_H

@@ -1,0 +1,41 @@
+//===- TapeMemory.cpp - Losses, seeds and memory of tapes in the C API ----===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "Impl.h"
+
+using namespace mlir::tai;
+
+TaiStatus taiTapeAddLoss(TaiTape tape, TaiField loss) {
+  return tape->context.status(tape->tape->addLoss(loss->field));
+}
+
+TaiStatus taiTapeSetSeed(TaiTape tape, TaiField loss, const void *array) {
+  return tape->context.status(tape->tape->setSeed(*loss->field, array));
+}
+
+TaiStatus taiTapeSetCheckpoint(TaiTape tape, TaiCheckpoint kind,
+                               int64_t snapshots, int64_t budget) {
+  runtime::CheckpointPolicy policy;
+  policy.kind = static_cast<runtime::CheckpointPolicy::Kind>(kind);
+  policy.snapshots = snapshots;
+  policy.budget = budget;
+  return tape->context.status(tape->tape->setCheckpoints(policy));
+}
+
+TaiStatus taiTapeGetStats(TaiTape tape, TaiTapeStats *stats) {
+  runtime::TapeStats found = tape->tape->stats();
+  *stats = {found.savedBytes,    found.peakBytes,  found.snapshots,
+            found.snapshotBytes, found.recomputed, found.optimum};
+  return TAI_OK;
+}
+
+const char *taiTapeWarning(TaiTape tape, int64_t number) {
+  const std::vector<std::string> &lines = tape->tape->warnings();
+  if (number < 0 || number >= static_cast<int64_t>(lines.size()))
+    return nullptr;
+  return lines[static_cast<size_t>(number)].c_str();
+}

@@ -1,0 +1,238 @@
+//===- AdjointNeeds.cpp - What an adjoint asks of memory ------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/ExecutionEngine/AdjointNeeds.h"
+#include "mlir/IR/SymbolTable.h"
+#include "llvm/ADT/SetVector.h"
+#include "llvm/ADT/StringExtras.h"
+#include "llvm/Support/Endian.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+//===----------------------------------------------------------------------===//
+// Analysis
+//===----------------------------------------------------------------------===//
+
+/// The loads that decide which elements the stores of a kernel reach: the form
+/// of the adjoint that leaves zero there computes them too.
+static SetVector<Operation *> findLoadsBehindStores(KernelOp kernel) {
+  SetVector<Operation *> slice, loads;
+  auto addValues = [&](ValueRange values) {
+    for (Value value : values) {
+      if (Operation *op = value.getDefiningOp())
+        slice.insert(op);
+      else if (Operation *owner =
+                   cast<BlockArgument>(value).getOwner()->getParentOp())
+        if (owner != kernel)
+          slice.insert(owner);
+    }
+  };
+  auto addParents = [&](Operation *op) {
+    for (Operation *parent = op->getParentOp(); parent != kernel;
+         parent = parent->getParentOp())
+      addValues(parent->getOperands());
+  };
+  kernel.walk([&](StoreOp store) {
+    addValues(store.getIndices());
+    addValues(store.getComponents());
+    addParents(store);
+  });
+  for (size_t i = 0; i < slice.size(); ++i) {
+    Operation *op = slice[i];
+    if (isa<LoadOp>(op))
+      loads.insert(op);
+    addValues(op->getOperands());
+    addParents(op);
+    // What a loop or a branch computes may come from anything in it.
+    for (Region &region : op->getRegions())
+      region.walk([&](Operation *inner) { slice.insert(inner); });
+  }
+  return loads;
+}
+
+AdjointNeeds mlir::tai::getAdjointNeeds(ModuleOp module, StringRef name) {
+  AdjointNeeds needs;
+  auto add = [&](std::vector<NamedAccess> accesses) {
+    for (NamedAccess &access : accesses)
+      if (access.kind == runtime::AccessKind::Read &&
+          !llvm::is_contained(needs.reads, access))
+        needs.reads.push_back(std::move(access));
+  };
+  auto kernel = module.lookupSymbol<KernelOp>(name);
+  if (!kernel)
+    return needs;
+  for (KernelOp part : module.getOps<KernelOp>()) {
+    auto whole = part->getAttrOfType<FlatSymbolRefAttr>(kPartOfAttrName);
+    if (!whole || whole.getValue() != name)
+      continue;
+    llvm::raw_string_ostream stream(needs.parts);
+    module->print(stream, OpPrintingFlags().enableDebugInfo().assumeVerified());
+    return needs;
+  }
+  for (Operation *load : findLoadsBehindStores(kernel))
+    add(listAccesses(load));
+  auto adjoint = kernel.getAdjoint()
+                     ? module.lookupSymbol<KernelOp>(*kernel.getAdjoint())
+                     : KernelOp();
+  if (!adjoint)
+    return needs;
+  add(listAccesses(adjoint));
+  for (Operation &helper : *module.getBody())
+    if (!isa<KernelOp>(helper))
+      add(listAccesses(&helper));
+  auto addNames = [&](Attribute attribute) {
+    if (auto names = dyn_cast_or_null<ArrayAttr>(attribute))
+      for (auto field : names.getAsRange<FlatSymbolRefAttr>())
+        if (!llvm::is_contained(needs.before, field.getValue()))
+          needs.before.push_back(field.getValue().str());
+  };
+  addNames(adjoint->getAttr(kBeforeAttrName));
+  addNames(adjoint->getAttr(kRerunsAttrName));
+  needs.reruns = adjoint->hasAttr(kRerunsAttrName);
+  return needs;
+}
+
+SmallVector<std::pair<std::string, OwningOpRef<ModuleOp>>>
+mlir::tai::splitParts(ModuleOp parts) {
+  SmallVector<std::pair<std::string, OwningOpRef<ModuleOp>>> result;
+  for (KernelOp part : parts.getOps<KernelOp>()) {
+    if (!part->hasAttr(kPartOfAttrName))
+      continue;
+    OwningOpRef<ModuleOp> module = parts.clone();
+    for (KernelOp other :
+         llvm::make_early_inc_range(module->getOps<KernelOp>()))
+      if (other.getSymName() != part.getSymName())
+        other.erase();
+    // Which form of its adjoint is wanted shows later.
+    auto copy = module->lookupSymbol<KernelOp>(part.getSymName());
+    copy.removeAdjointAttr();
+    copy->removeAttr(kPartOfAttrName);
+    result.emplace_back(part.getSymName().str(), std::move(module));
+  }
+  // "k.10" comes after "k.9".
+  auto numberOf = [](StringRef name) {
+    unsigned number = 0;
+    (void)name.rsplit('.').second.getAsInteger(10, number);
+    return number;
+  };
+  llvm::sort(result, [&](const auto &a, const auto &b) {
+    return numberOf(a.first) < numberOf(b.first);
+  });
+  return result;
+}
+
+//===----------------------------------------------------------------------===//
+// Bytes
+//===----------------------------------------------------------------------===//
+
+namespace {
+class Writer {
+public:
+  void add(int64_t number) {
+    char buffer[8];
+    llvm::support::endian::write64le(buffer, static_cast<uint64_t>(number));
+    bytes.append(buffer, sizeof(buffer));
+  }
+  void add(StringRef text) {
+    add(static_cast<int64_t>(text.size()));
+    bytes.append(text.data(), text.size());
+  }
+  std::string bytes;
+};
+
+/// Reads what a Writer wrote; at the end, `ok` says whether it was all there.
+class Reader {
+public:
+  explicit Reader(StringRef bytes) : bytes(bytes) {}
+  int64_t number() {
+    if (bytes.size() < 8) {
+      ok = false;
+      bytes = {};
+      return 0;
+    }
+    auto value =
+        static_cast<int64_t>(llvm::support::endian::read64le(bytes.data()));
+    bytes = bytes.drop_front(8);
+    return value;
+  }
+  /// The length of a list whose entries take at least eight bytes.
+  int64_t length() {
+    int64_t value = number();
+    if (value < 0 || value > static_cast<int64_t>(bytes.size() / 8)) {
+      ok = false;
+      return 0;
+    }
+    return value;
+  }
+  std::string text() {
+    int64_t size = number();
+    if (size < 0 || size > static_cast<int64_t>(bytes.size())) {
+      ok = false;
+      return "";
+    }
+    std::string result = bytes.take_front(size).str();
+    bytes = bytes.drop_front(size);
+    return result;
+  }
+  bool ok = true;
+  bool atEnd() const { return bytes.empty(); }
+
+private:
+  StringRef bytes;
+};
+} // namespace
+
+std::string AdjointNeeds::serialize() const {
+  Writer writer;
+  writer.add(static_cast<int64_t>(reads.size()));
+  for (const NamedAccess &access : reads) {
+    writer.add(access.field);
+    writer.add(access.fixed ? access.fixed->dimension : int64_t(-1));
+    if (!access.fixed)
+      continue;
+    writer.add(access.fixed->constant);
+    writer.add(static_cast<int64_t>(access.fixed->terms.size()));
+    for (const runtime::FixedIndex::Term &term : access.fixed->terms) {
+      writer.add(term.slot);
+      writer.add(static_cast<int64_t>(term.bits));
+      writer.add(term.factor);
+    }
+  }
+  writer.add(static_cast<int64_t>(before.size()));
+  for (const std::string &field : before)
+    writer.add(field);
+  writer.add(static_cast<int64_t>(reruns));
+  writer.add(parts);
+  return std::move(writer.bytes);
+}
+
+std::optional<AdjointNeeds> AdjointNeeds::deserialize(StringRef bytes) {
+  AdjointNeeds needs;
+  Reader reader(bytes);
+  for (int64_t i = reader.length(); i > 0; --i) {
+    NamedAccess access{reader.text(), runtime::AccessKind::Read, {}};
+    int64_t dimension = reader.number();
+    if (dimension >= 0) {
+      runtime::FixedIndex fixed{dimension, reader.number(), {}};
+      for (int64_t t = reader.length(); t > 0; --t) {
+        int64_t slot = reader.number();
+        auto bits = static_cast<unsigned>(reader.number());
+        fixed.terms.push_back({slot, bits, reader.number()});
+      }
+      access.fixed = std::move(fixed);
+    }
+    needs.reads.push_back(std::move(access));
+  }
+  for (int64_t i = reader.length(); i > 0; --i)
+    needs.before.push_back(reader.text());
+  needs.reruns = reader.number() != 0;
+  needs.parts = reader.text();
+  if (!reader.ok || !reader.atEnd())
+    return std::nullopt;
+  return needs;
+}

@@ -1,0 +1,101 @@
+//===- HostWrite.cpp - Changes that the host makes to fields --------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "HostWrite.h"
+#include "Scalars.h"
+#include "Slabs.h"
+#include "tai/Runtime/Runtime.h"
+#include <cstring>
+
+using namespace mlir::tai::runtime;
+
+void Runtime::perform(const HostWrite &write) {
+  Field &field = *write.field;
+  switch (write.what) {
+  case HostWrite::What::Fill:
+    fillWith(field, write.bytes);
+    break;
+  case HostWrite::What::Array:
+    copyIn(field, write.bytes);
+    break;
+  case HostWrite::What::Element:
+    std::memcpy(field.elementAddress(write.index) +
+                    write.component * field.layout().componentStride,
+                write.bytes, static_cast<size_t>(byteSize(field.scalar())));
+    break;
+  }
+  field.markDirty();
+}
+
+/// Whether the write would change nothing. Of a fill, nobody has asked yet.
+static bool isVain(const HostWrite &write) {
+  const Field &field = *write.field;
+  if (write.what == HostWrite::What::Array)
+    return Slabs(field, -1).equal(0, field.numElements(),
+                                  static_cast<const char *>(write.bytes));
+  if (write.what == HostWrite::What::Fill)
+    return false;
+  return std::memcmp(field.elementAddress(write.index) +
+                         write.component * field.layout().componentStride,
+                     write.bytes,
+                     static_cast<size_t>(byteSize(field.scalar()))) == 0;
+}
+
+Status Runtime::change(const HostWrite &write) {
+  Field &field = *write.field;
+  if (!field.valid())
+    return Status::failure(StatusCode::Usage,
+                           "field '" + field.name() + "' is gone: its tree '" +
+                               field.tree().name() + "' has been destroyed");
+  if (write.what == HostWrite::What::Element) {
+    char *address = nullptr;
+    Status status = field.access(write.index, write.component, address);
+    if (!status)
+      return status;
+  }
+  // Gradients are no values that a program computes from.
+  if (field.isAdjoint()) {
+    perform(write);
+    return Status::success();
+  }
+  if (activeTape)
+    return activeTape->write(write);
+  if (!isVain(write))
+    ++field.hostVersion;
+  perform(write);
+  return Status::success();
+}
+
+Status Runtime::copyFromHost(Field &field, const void *array) {
+  return change({HostWrite::What::Array, &field, array});
+}
+
+Status Runtime::fillF64(Field &field, double value) {
+  char bytes[8];
+  storeF64(field.scalar(), bytes, value);
+  return change({HostWrite::What::Fill, &field, bytes});
+}
+
+Status Runtime::fillI64(Field &field, int64_t value) {
+  char bytes[8];
+  storeI64(field.scalar(), bytes, value);
+  return change({HostWrite::What::Fill, &field, bytes});
+}
+
+Status Runtime::writeF64(Field &field, const int64_t *index, int64_t component,
+                         double value) {
+  char bytes[8];
+  storeF64(field.scalar(), bytes, value);
+  return change({HostWrite::What::Element, &field, bytes, index, component});
+}
+
+Status Runtime::writeI64(Field &field, const int64_t *index, int64_t component,
+                         int64_t value) {
+  char bytes[8];
+  storeI64(field.scalar(), bytes, value);
+  return change({HostWrite::What::Element, &field, bytes, index, component});
+}

@@ -1,0 +1,130 @@
+//===- Slabs.cpp - Parts of fields, moved to and from buffers -------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "Slabs.h"
+#include "Scalars.h"
+#include <algorithm>
+#include <cstring>
+
+using namespace mlir::tai::runtime;
+
+Slabs::Slabs(const Field &field, int dimension)
+    : field(&field), slowDimension(dimension),
+      bytes(field.numComponents() * byteSize(field.scalar())),
+      isContiguous(field.contiguous() && dimension <= 0) {
+  if (dimension >= 0)
+    slabs = field.shape()[dimension];
+  slabElements = slabs ? field.numElements() / slabs : 0;
+  if (isContiguous)
+    return;
+  auto add = [&](int d) {
+    const std::vector<LayoutLevel> &levels = field.layout().indices[d];
+    Dimension entry{field.shape()[d], 0, {}};
+    if (!findConstantStep(levels, entry.step)) {
+      entry.table.resize(entry.extent);
+      for (int64_t i = 0; i < entry.extent; ++i)
+        for (const LayoutLevel &level : levels)
+          entry.table[i] += i / level.divisor % level.extent * level.stride;
+    }
+    dimensions.push_back(std::move(entry));
+  };
+  if (dimension >= 0)
+    add(dimension);
+  for (int d = 0; d < field.rank(); ++d)
+    if (d != dimension)
+      add(d);
+}
+
+/// Calls run(address, bytes, offset in the buffer) for each piece of memory
+/// that lies densely in both, until it returns false. The number of bytes is a
+/// constant where it is a usual one.
+template <typename Run>
+bool Slabs::forEachRun(int64_t first, int64_t count, const Run &run) const {
+  if (count == 0)
+    return true;
+  if (isContiguous)
+    return run(field->data() + first * bytes, count * bytes, int64_t(0));
+  int64_t scalar = byteSize(field->scalar());
+  int64_t stride = field->layout().componentStride;
+  bool dense = stride == scalar || field->numComponents() == 1;
+  auto element = [&](char *address, int64_t offset) {
+    if (dense) {
+      switch (bytes) {
+      case 4:
+        return run(address, std::integral_constant<int64_t, 4>(), offset);
+      case 8:
+        return run(address, std::integral_constant<int64_t, 8>(), offset);
+      case 12:
+        return run(address, std::integral_constant<int64_t, 12>(), offset);
+      case 16:
+        return run(address, std::integral_constant<int64_t, 16>(), offset);
+      case 24:
+        return run(address, std::integral_constant<int64_t, 24>(), offset);
+      default:
+        return run(address, bytes, offset);
+      }
+    }
+    for (int64_t c = 0; c < field->numComponents(); ++c)
+      if (!run(address + c * stride, scalar, offset + c * scalar))
+        return false;
+    return true;
+  };
+  if (dimensions.empty())
+    return element(field->data(), 0);
+  std::vector<int64_t> index(dimensions.size());
+  int64_t rest = first;
+  for (size_t d = index.size(); d-- > 0;) {
+    index[d] = rest % dimensions[d].extent;
+    rest /= dimensions[d].extent;
+  }
+  size_t last = index.size() - 1;
+  const Dimension &row = dimensions[last];
+  for (int64_t done = 0; done < count;) {
+    char *base = field->data();
+    for (size_t d = 0; d < last; ++d)
+      base += dimensions[d].at(index[d]);
+    int64_t length = std::min(count - done, row.extent - index[last]);
+    if (dense && row.table.empty() && row.step == bytes) {
+      if (!run(base + index[last] * bytes, length * bytes, done * bytes))
+        return false;
+    } else {
+      for (int64_t k = 0; k < length; ++k)
+        if (!element(base + row.at(index[last] + k), (done + k) * bytes))
+          return false;
+    }
+    done += length;
+    index[last] = 0;
+    for (size_t d = last; d-- > 0;) {
+      if (++index[d] < dimensions[d].extent)
+        break;
+      index[d] = 0;
+    }
+  }
+  return true;
+}
+
+void Slabs::load(int64_t first, int64_t count, char *to) const {
+  forEachRun(first, count, [&](char *address, auto size, int64_t offset) {
+    std::memcpy(to + offset, address, static_cast<size_t>(size));
+    return true;
+  });
+}
+
+void Slabs::store(int64_t first, int64_t count, const char *from) const {
+  forEachRun(first, count, [&](char *address, auto size, int64_t offset) {
+    std::memcpy(address, from + offset, static_cast<size_t>(size));
+    return true;
+  });
+}
+
+bool Slabs::equal(int64_t first, int64_t count, const char *expected) const {
+  return forEachRun(first, count,
+                    [&](const char *address, auto size, int64_t offset) {
+                      return std::memcmp(address, expected + offset,
+                                         static_cast<size_t>(size)) == 0;
+                    });
+}

@@ -1,0 +1,414 @@
+//===- TapeMemory.cpp - What a tape knows and keeps of memory -------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "TapeMemory.h"
+#include "Launch.h"
+#include "TapeCheckpoint.h"
+#include <algorithm>
+#include <cstring>
+#include <new>
+
+using namespace mlir::tai::runtime;
+
+/// Bytes of a cell, and of a piece, where fields are larger.
+static constexpr int64_t cellBytes = 8 << 10;
+
+//===----------------------------------------------------------------------===//
+// What launches do to memory
+//===----------------------------------------------------------------------===//
+
+Track::Track(FieldPtr fieldPtr, int dimension)
+    : field(std::move(fieldPtr)), slabs(*field, dimension) {
+  cellElements = std::clamp<int64_t>(cellBytes / slabs.elementBytes(), 1,
+                                     std::max<int64_t>(slabs.elements(), 1));
+  cellsPerSlab = (slabs.elements() + cellElements - 1) / cellElements;
+}
+
+int64_t Track::longestRun() const {
+  return std::max<int64_t>(cellBytes / (cellElements * slabs.elementBytes()),
+                           1);
+}
+
+void Track::markRead(int64_t slab, uint32_t stamp) {
+  lastRead = stamp;
+  if (slab < 0) {
+    readAnywhere = stamp;
+    return;
+  }
+  if (readAt.empty())
+    readAt.resize(static_cast<size_t>(slabs.count()));
+  readAt[slab] = stamp;
+}
+
+int64_t TapeMemory::Use::locate(const uint64_t *args) const {
+  if (!fixed)
+    return -1;
+  int64_t slab = fixed->evaluate(args) - firstIndex;
+  return slab >= 0 && slab < track->slabs.count() ? slab : -1;
+}
+
+Track &TapeMemory::trackOf(const FieldPtr &field,
+                           const std::optional<FixedIndex> &fixed) {
+  std::unique_ptr<Track> &track =
+      tracks[{&field->tree(), field->layout().placeOffset}];
+  int dimension = fixed ? static_cast<int>(fixed->dimension) : -1;
+  if (!track) {
+    track = std::make_unique<Track>(field, dimension);
+  } else if (track->slabs.dimension() < 0 && dimension >= 0 &&
+             !track->everSaved) {
+    // So far it has only been used as a whole.
+    uint32_t read = track->lastRead;
+    *track = Track(track->field, dimension);
+    track->readAnywhere = track->lastRead = read;
+  }
+  return *track;
+}
+
+TapeMemory::Use TapeMemory::makeUse(const Access &access) {
+  Use use;
+  use.track = &trackOf(access.field, access.fixed);
+  if (access.fixed && access.fixed->dimension == use.track->slabs.dimension()) {
+    use.fixed = access.fixed;
+    use.firstIndex = access.field->firstIndex(access.fixed->dimension);
+  }
+  return use;
+}
+
+const TapeMemory::KernelUses &TapeMemory::usesOf(Kernel &kernel) {
+  std::unique_ptr<KernelUses> &uses = kernelUses[&kernel];
+  if (uses)
+    return *uses;
+  uses = std::make_unique<KernelUses>();
+  const AdjointPlan &plan = kernel.plan();
+  auto add = [](std::vector<Use> &list, Use use) {
+    if (std::find(list.begin(), list.end(), use) == list.end())
+      list.push_back(std::move(use));
+  };
+  for (const Access &access : kernel.summary()) {
+    if (access.field->isAdjoint() || !access.field->valid())
+      continue;
+    Use use = makeUse(access);
+    add(uses->touches, use);
+    if (access.kind == AccessKind::Read)
+      continue;
+    use.before = std::any_of(
+        plan.before.begin(), plan.before.end(), [&](const FieldPtr &field) {
+          return &trackOf(field, std::nullopt) == use.track;
+        });
+    add(uses->changes, std::move(use));
+  }
+  for (const Access &access : plan.reads)
+    if (!access.field->isAdjoint() && access.field->valid())
+      add(uses->reads, makeUse(access));
+  uses->reruns = plan.reruns;
+  return *uses;
+}
+
+const Track *TapeMemory::findTrack(const Field &field) const {
+  auto track = tracks.find({&field.tree(), field.layout().placeOffset});
+  return track == tracks.end() ? nullptr : track->second.get();
+}
+
+bool TapeMemory::isRead(const Field &field) const {
+  const Track *track = findTrack(field);
+  return track && track->lastRead != 0;
+}
+
+//===----------------------------------------------------------------------===//
+// Forward
+//===----------------------------------------------------------------------===//
+
+Status TapeMemory::beforeLaunch(const KernelUses &uses, const uint64_t *args,
+                                uint32_t record, bool isPart) {
+  if (checkpoints) {
+    checkpoints->reach(record);
+    lost |= !isPart && !changedParts.empty();
+  }
+  for (const Use &use : uses.changes) {
+    Track &track = *use.track;
+    // The adjoint of a part is the business of the host function.
+    bool before = use.before && !isPart;
+    if (track.lastRead == 0 && !before && !checkpoints)
+      continue;
+    int64_t slab = use.locate(args);
+    uint32_t stamp = before ? stampOf(record) : track.readStamp(slab);
+    Status status;
+    if (checkpoints) {
+      status = checkpoints->log(track, slab);
+      if (isPart)
+        changedParts.push_back({&track, slab});
+    }
+    if (stamp != 0 && status)
+      status = propose({&track, slab, record, stamp, before});
+    if (!status)
+      return status;
+  }
+  return Status::success();
+}
+
+void TapeMemory::afterLaunch(const KernelUses &uses, const uint64_t *args,
+                             uint32_t record) {
+  settle();
+  for (const Use &use : uses.reads)
+    use.track->markRead(use.locate(args), stampOf(record));
+}
+
+void TapeMemory::afterPart(const KernelUses &uses, const uint64_t *args) {
+  settle();
+  for (const Use &use : uses.touches)
+    parts.push_back({use.track, use.locate(args)});
+}
+
+Status TapeMemory::beforeWrite(const FieldPtr &field, const int64_t *index,
+                               uint32_t record) {
+  Track &track = trackOf(field, std::nullopt);
+  int dimension = track.slabs.dimension();
+  int64_t slab = -1;
+  if (index && dimension >= 0)
+    slab = index[dimension] - field->firstIndex(dimension);
+  parts.push_back({&track, slab});
+  uint32_t stamp = track.readStamp(slab);
+  if (checkpoints) {
+    checkpoints->reach(record);
+    changedParts.push_back({&track, slab});
+    Status status = checkpoints->log(track, slab);
+    if (!status)
+      return status;
+  }
+  return stamp ? propose({&track, slab, record, stamp, false})
+               : Status::success();
+}
+
+void TapeMemory::endParts(uint32_t record, bool readsInReverse) {
+  if (readsInReverse)
+    for (const Part &part : parts)
+      part.track->markRead(part.slab, stampOf(record));
+  parts.clear();
+  if (!changedParts.empty()) {
+    std::vector<Part> &kept = partsByRecord[record];
+    for (const Part &part : changedParts)
+      if (std::find(kept.begin(), kept.end(), part) == kept.end())
+        kept.push_back(part);
+    changedParts.clear();
+  }
+}
+
+const std::vector<TapeMemory::Part> &TapeMemory::partsAt(size_t record) const {
+  static const std::vector<Part> none;
+  auto found = partsByRecord.find(record);
+  return found == partsByRecord.end() ? none : found->second;
+}
+
+Status TapeMemory::propose(Candidate candidate) {
+  candidates.push_back(candidate);
+  return checkpoints ? Status::success() : save(candidate);
+}
+
+Status TapeMemory::save(const Candidate &candidate) {
+  Track &track = *candidate.track;
+  if (track.savedAt.empty())
+    track.savedAt.resize(static_cast<size_t>(track.numCells()));
+  track.everSaved = true;
+  return track.forEachRun(
+      candidate.slab,
+      [&](int64_t cell) { return track.savedAt[cell] <= candidate.stamp; },
+      [&](int64_t cell, int64_t endCell) {
+        return addPiece(candidate, cell, endCell);
+      });
+}
+
+Status Piece::allocate(Runtime &runtime, int64_t kept) {
+  int64_t size = bytes();
+  if (size <= runtime.memoryLimit() - runtime.reservedBytes() - kept)
+    data.reset(new (std::nothrow) char[static_cast<size_t>(size)]);
+  if (!data)
+    return Status::failure(
+        StatusCode::Memory,
+        "out of memory: the tape keeps " + formatBytes(kept) +
+            " of values that were overwritten, and needs " + formatBytes(size) +
+            " more for field '" + track->field->name() +
+            "'; with a memory budget it recomputes values instead");
+  track->slabs.load(first(), count(), data.get());
+  return Status::success();
+}
+
+Status TapeMemory::addPiece(const Candidate &candidate, int64_t cell,
+                            int64_t endCell) {
+  Track &track = *candidate.track;
+  Piece piece{&track, candidate.record, candidate.before, cell, endCell, {}};
+  Status status =
+      piece.allocate(runtime, saved + (checkpoints ? checkpoints->bytes() : 0));
+  if (!status)
+    return status;
+  // A save that is put back before the adjoint serves that adjoint too.
+  uint32_t stamp = stampOf(candidate.record) + (candidate.before ? 1 : 0);
+  std::fill(track.savedAt.begin() + cell, track.savedAt.begin() + endCell,
+            stamp);
+  saved += piece.bytes();
+  pieces.push_back(std::move(piece));
+  return Status::success();
+}
+
+void TapeMemory::notePeak() {
+  peak = std::max(peak, saved + (checkpoints ? checkpoints->bytes() : 0));
+}
+
+void TapeMemory::settle() {
+  if (checkpoints && checkpoints->count() > 0)
+    checkpoints->settle();
+  size_t kept = unsettled;
+  for (size_t i = unsettled; i < pieces.size(); ++i) {
+    Piece &piece = pieces[i];
+    Track &track = *piece.track;
+    if (piece.holds()) {
+      // Still what the last read needs.
+      saved -= piece.bytes();
+      std::fill(track.savedAt.begin() + piece.cell,
+                track.savedAt.begin() + piece.endCell, 0);
+      continue;
+    }
+    if (kept != i)
+      pieces[kept] = std::move(piece);
+    ++kept;
+  }
+  pieces.resize(kept);
+  unsettled = kept;
+  notePeak();
+}
+
+void TapeMemory::restart() {
+  beginSegment(0);
+  peak = 0;
+  if (checkpoints)
+    checkpoints->restart();
+}
+
+void TapeMemory::beginSegment(uint32_t record) {
+  for (const Piece &piece : pieces)
+    std::fill(piece.track->savedAt.begin() + piece.cell,
+              piece.track->savedAt.begin() + piece.endCell, 0);
+  pieces.clear();
+  unsettled = 0;
+  saved = 0;
+  nextCandidate = firstCandidate(record);
+}
+
+size_t TapeMemory::firstCandidate(uint32_t record) const {
+  return static_cast<size_t>(
+      std::lower_bound(candidates.begin(), candidates.end(), record,
+                       [](const Candidate &candidate, uint32_t wanted) {
+                         return candidate.record < wanted;
+                       }) -
+      candidates.begin());
+}
+
+Status TapeMemory::beforeReplay(uint32_t record, uint32_t oldest) {
+  for (; nextCandidate < candidates.size() &&
+         candidates[nextCandidate].record <= record;
+       ++nextCandidate) {
+    const Candidate &candidate = candidates[nextCandidate];
+    if (candidate.stamp < stampOf(oldest))
+      continue;
+    Status status = save(candidate);
+    if (!status)
+      return status;
+  }
+  return Status::success();
+}
+
+int64_t TapeMemory::mostBytes(uint32_t from, uint32_t to) const {
+  int64_t bytes = 0;
+  for (size_t i = firstCandidate(from);
+       i < candidates.size() && candidates[i].record < to; ++i)
+    if (candidates[i].stamp >= stampOf(from))
+      bytes += candidates[i].track->slabBytes(candidates[i].slab);
+  return bytes;
+}
+
+int64_t TapeMemory::bytesAt(uint32_t record) const {
+  auto at = std::lower_bound(pieces.begin(), pieces.end(), record,
+                             [](const Piece &piece, uint32_t record) {
+                               return piece.record < record;
+                             });
+  int64_t bytes = 0;
+  for (; at != pieces.end() && at->record == record; ++at)
+    bytes += at->bytes();
+  return bytes;
+}
+
+//===----------------------------------------------------------------------===//
+// Reverse
+//===----------------------------------------------------------------------===//
+
+void TapeMemory::swap(Piece &piece) {
+  auto bytes = static_cast<size_t>(piece.bytes());
+  if (spare.size() < bytes)
+    spare.resize(bytes);
+  const Slabs &slabs = piece.track->slabs;
+  slabs.load(piece.first(), piece.count(), spare.data());
+  slabs.store(piece.first(), piece.count(), piece.data.get());
+  std::memcpy(piece.data.get(), spare.data(), bytes);
+}
+
+Status TapeMemory::beginReverse() {
+  cursor = pieces.size();
+  entered = -1;
+  for (const Piece &piece : pieces)
+    if (!piece.track->field->valid())
+      return Status::failure(StatusCode::Usage,
+                             "the tape has saved values of field '" +
+                                 piece.track->field->name() +
+                                 "', whose tree has been destroyed");
+  return Status::success();
+}
+
+/// Visits the pieces that the record entered last wants put back early.
+template <typename Visit> void TapeMemory::forEachEntered(const Visit &visit) {
+  for (size_t i = cursor; i > 0 && pieces[i - 1].record == entered; --i)
+    if (pieces[i - 1].before)
+      visit(pieces[i - 1]);
+}
+
+void TapeMemory::enter(uint32_t record, bool reruns) {
+  while (cursor > 0 && pieces[cursor - 1].record > record) {
+    Piece &piece = pieces[--cursor];
+    if (!piece.before || entered != piece.record)
+      swap(piece);
+  }
+  entered = record;
+  forEachEntered([&](Piece &piece) { swap(piece); });
+  if (!reruns)
+    return;
+  beforeCopy.clear();
+  forEachEntered([&](Piece &piece) {
+    size_t at = beforeCopy.size();
+    beforeCopy.resize(at + static_cast<size_t>(piece.bytes()));
+    piece.track->slabs.load(piece.first(), piece.count(),
+                            beforeCopy.data() + at);
+  });
+}
+
+void TapeMemory::leave(bool reruns) {
+  if (!reruns)
+    return;
+  size_t at = 0;
+  forEachEntered([&](Piece &piece) {
+    piece.track->slabs.store(piece.first(), piece.count(),
+                             beforeCopy.data() + at);
+    at += static_cast<size_t>(piece.bytes());
+  });
+}
+
+void TapeMemory::endReverse() {
+  // Of the record that was entered last, what was wanted early is back already.
+  for (; cursor > 0 && pieces[cursor - 1].record == entered; --cursor)
+    if (!pieces[cursor - 1].before)
+      swap(pieces[cursor - 1]);
+  for (; cursor < pieces.size(); ++cursor)
+    swap(pieces[cursor]);
+  entered = -1;
+}
