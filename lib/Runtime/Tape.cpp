@@ -202,6 +202,8 @@ Status Tape::replayAdjoint(Launch &launch, size_t index) {
   const Record &record = records[index];
   if (record.kind == Kind::Write)
     return overwrite(getWrite(record));
+  if (memory->empty())
+    return runAdjoint(launch, index);
   Kernel &kernel = *record.kernel;
   bool changes = kernel.adjointReruns;
   memory->enter(static_cast<uint32_t>(index), changes);
