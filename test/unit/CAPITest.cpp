@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "EngineTestUtil.h"
+#include <cmath>
 #include <thread>
 
 using namespace tai_test;
@@ -175,6 +176,54 @@ TEST(CAPI, DestroyedKernelsStayOnTheTape) {
   context.ok(taiTapeBackward(tape));
   EXPECT_EQ(context.read(context.gx, 1), 6);
   taiTapeDestroy(tape);
+}
+
+TEST(CAPI, TapesSaveAndRecompute) {
+  // x = x^2 in place, three times: the sum of squares at the end is x^16.
+  for (TaiCheckpoint kind : {TAI_CHECKPOINT_NONE, TAI_CHECKPOINT_PERIODIC,
+                             TAI_CHECKPOINT_BINOMIAL, TAI_CHECKPOINT_MIXED}) {
+    Context context;
+    context.addFields();
+    TaiKernel square = context.kernel("square", R"(
+      tai.kernel @square() {
+        tai.parallel_for (%i) in @x {
+          %v = tai.load @x[%i] : f64
+          %p = arith.mulf %v, %v : f64
+          tai.store %p, @x[%i] : f64
+        }
+        tai.return
+      })");
+    TaiKernel sum = context.kernel("squares", squares("1.0"));
+    context.ok(taiFieldFillF64(context.x, 1.5));
+    TaiTape tape;
+    context.ok(taiTapeBegin(context, nullptr, true, &tape));
+    context.ok(taiTapeAddLoss(tape, context.y));
+    EXPECT_EQ(taiTapeAddLoss(tape, context.y), TAI_ERROR_USAGE);
+    context.ok(taiTapeSetCheckpoint(tape, kind, 2, 0));
+    double seed = 0.5;
+    context.ok(taiTapeSetSeed(tape, context.y, &seed));
+    EXPECT_EQ(taiTapeSetSeed(tape, context.x, &seed), TAI_ERROR_USAGE);
+    for (int i = 0; i < 3; ++i)
+      context.ok(taiKernelLaunch(square, nullptr, 0, nullptr));
+    context.ok(taiKernelLaunch(sum, nullptr, 0, nullptr));
+    EXPECT_EQ(taiTapeSetCheckpoint(tape, kind, 2, 0), TAI_ERROR_USAGE);
+    context.ok(taiTapeBackward(tape));
+    EXPECT_NEAR(context.read(context.gx, 2), 0.5 * 16 * std::pow(1.5, 15),
+                1e-9);
+    EXPECT_NEAR(context.read(context.x, 2), std::pow(1.5, 8), 1e-12);
+    EXPECT_EQ(taiTapeWarning(tape, 0), nullptr);
+    TaiTapeStats stats;
+    context.ok(taiTapeGetStats(tape, &stats));
+    EXPECT_GE(stats.peak_bytes, 4 * 8);
+    EXPECT_EQ(stats.recomputed > 0, kind != TAI_CHECKPOINT_NONE);
+    taiTapeDestroy(tape);
+    context.ok(taiTapeBegin(context, context.y, true, &tape));
+    context.ok(taiTapeBackward(tape));
+    EXPECT_STREQ(taiTapeWarning(tape, 0),
+                 "the tape has recorded no launch: there is nothing to "
+                 "differentiate");
+    taiTapeDestroy(tape);
+  }
 }
 
 //===----------------------------------------------------------------------===//
