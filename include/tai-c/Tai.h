@@ -73,6 +73,8 @@ TAI_EXPORT void taiContextDestroy(TaiContext context);
 ///   print_ir          empty, "all", or a comma list of stage names
 ///   profiler          true | false
 ///   compile_profile   true | false: times of each compilation, on stderr
+///   forward_mode      true | false: launch every kernel with the tangents that
+///                     it carries along, those of a tape and adjoints too
 ///   history_bytes     number: what a loop of an adjoint may record at once
 TAI_EXPORT TaiStatus taiContextSetOption(TaiContext context, const char *name,
                                          const char *value);
@@ -202,8 +204,9 @@ TAI_EXPORT TaiStatus taiKernelsCompile(TaiContext context, TaiKernel *kernels,
 
 /// The IR of the kernel at a stage: "tai" as given, "autodiff" with the
 /// adjoint, "scf", "llvm" dialect, "llvmir", "asm". The last four show the
-/// kernel itself; with "adjoint." before the name they show its adjoint. The
-/// text belongs to the kernel and holds until the next call.
+/// kernel itself; with "adjoint." before the name they show its adjoint, and
+/// with "tangent." before that the kernel that carries tangents along. The text
+/// belongs to the kernel and holds until the next call.
 TAI_EXPORT TaiStatus taiKernelGetIR(TaiKernel kernel, const char *stage,
                                     const char **text);
 

@@ -17,7 +17,6 @@
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/CallInterfaces.h"
-#include "tai/AD/Conventions.h"
 #include "tai/AD/Rerun.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
@@ -29,8 +28,8 @@ AdjointBuilder::AdjointBuilder(FunctionOpInterface primal,
                                FunctionOpInterface adjoint,
                                std::function<Storage(Storage)> adjointOf,
                                bool takesAll, const RerunPlan &plan)
-    : ImplicitLocOpBuilder(primal.getLoc(), primal.getContext()),
-      primal(primal), adjoint(adjoint), adjointOf(std::move(adjointOf)),
+    : DerivativeBuilder(primal), primal(primal), adjoint(adjoint),
+      adjointOf(std::move(adjointOf)),
       activity(primal,
                [this](Storage storage) {
                  return static_cast<bool>(this->adjointOf(storage));
@@ -382,62 +381,4 @@ llvm::MapVector<Value, Value> AdjointBuilder::takeCaptured(Frame &frame) {
     if (value.getParentBlock() != frame.primal)
       captured[value] = sumUp(value, entry);
   return captured;
-}
-
-//===----------------------------------------------------------------------===//
-// Small helpers for rules
-//===----------------------------------------------------------------------===//
-
-Value AdjointBuilder::createConstant(Type type, double value) {
-  Type element = getElementTypeOrSelf(type);
-  TypedAttr attr = getFloatAttr(element, value);
-  if (auto vector = dyn_cast<VectorType>(type))
-    attr = DenseElementsAttr::get(vector, Attribute(attr));
-  return arith::ConstantOp::create(*this, attr);
-}
-
-Value AdjointBuilder::createExtract(Value vector, int64_t component) {
-  // Looks through what made the vector, so that sums of components stay
-  // scalar.
-  if (auto elements = vector.getDefiningOp<vector::FromElementsOp>())
-    return elements.getElements()[component];
-  if (auto broadcast = vector.getDefiningOp<vector::BroadcastOp>();
-      broadcast && !isa<VectorType>(broadcast.getSourceType()))
-    return broadcast.getSource();
-  auto type = cast<VectorType>(vector.getType());
-  SmallVector<int64_t> position(type.getRank());
-  for (int64_t dim = type.getRank() - 1; dim >= 0; --dim) {
-    position[dim] = component % type.getDimSize(dim);
-    component /= type.getDimSize(dim);
-  }
-  return vector::ExtractOp::create(*this, vector, position);
-}
-
-Value AdjointBuilder::createVector(VectorType type,
-                                   ArrayRef<Value> components) {
-  SmallVector<Value> elements(components);
-  Value zero;
-  for (Value &element : elements)
-    if (!element) {
-      if (!zero)
-        zero = createZero(type.getElementType());
-      element = zero;
-    }
-  return vector::FromElementsOp::create(*this, type, elements);
-}
-
-Value AdjointBuilder::createMask(Value condition, Value value) {
-  return arith::SelectOp::create(*this, condition, value,
-                                 createZero(value.getType()));
-}
-
-Value AdjointBuilder::createGuard(Value adjoint, Value value) {
-  if (!Conventions::of(primal).guards)
-    return value;
-  Value zero = createZero(adjoint.getType());
-  Value isZero =
-      arith::CmpFOp::create(*this, arith::CmpFPredicate::OEQ, adjoint, zero);
-  if (adjoint.getType() != value.getType())
-    zero = createZero(value.getType());
-  return arith::SelectOp::create(*this, isZero, zero, value);
 }

@@ -8,6 +8,7 @@
 #include "tai/AD/Differentiable.h"
 #include "Rules/Models.h"
 #include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/TangentBuilder.h"
 
 using namespace mlir;
 using namespace mlir::tai;

@@ -87,13 +87,15 @@ struct Compiler::Worker {
   Worker(MLIRContext *context, const Pipelines &pipelines,
          const CompileOptions &options)
       : options(options), autodiff(context), takingAutodiff(context),
-        toLLVM(context) {
-    for (PassManager *manager : {&autodiff, &takingAutodiff, &toLLVM})
+        forward(context), toLLVM(context) {
+    for (PassManager *manager : {&autodiff, &takingAutodiff, &forward, &toLLVM})
       manager->enableVerifier(options.debug);
     if (pipelines.autodiff) {
       pipelines.autodiff(autodiff, options, /*takes=*/false);
       pipelines.autodiff(takingAutodiff, options, /*takes=*/true);
     }
+    if (pipelines.forward)
+      pipelines.forward(forward, options);
     if (pipelines.toLLVM)
       pipelines.toLLVM(toLLVM, options);
     toLLVM.addInstrumentation(
@@ -103,6 +105,7 @@ struct Compiler::Worker {
   CompileOptions options;
   PassManager autodiff;
   PassManager takingAutodiff;
+  PassManager forward;
   PassManager toLLVM;
   std::unique_ptr<ObjectCompiler> objects;
   std::string *scf = nullptr;
@@ -150,6 +153,7 @@ void Compiler::loadDialects() {
   Worker worker(context, pipelines, CompileOptions());
   DialectRegistry registry;
   worker.autodiff.getDependentDialects(registry);
+  worker.forward.getDependentDialects(registry);
   worker.toLLVM.getDependentDialects(registry);
   context->appendDialectRegistry(registry);
   for (StringRef name : registry.getDialectNames())
@@ -242,6 +246,23 @@ static void eraseOtherKernels(ModuleOp module, StringRef name) {
       other.erase();
 }
 
+LogicalResult Compiler::extendByTangents(Worker &worker, CompileRequest request,
+                                         Prepared &prepared, Failure &failure) {
+  PhaseTimer timer(prepared.times, Phase::Autodiff);
+  ModuleOp module = *prepared.module;
+  auto kernels = llvm::to_vector(module.getOps<KernelOp>());
+  if (failed(runPipeline(worker.forward, module, request.module, request.name,
+                         FailureKind::Autodiff, "forward mode", failure)))
+    return mlir::failure();
+  for (KernelOp kernel : kernels) {
+    auto tangent = kernel->getAttrOfType<FlatSymbolRefAttr>("tai.tangent");
+    if (getEntryPointName(kernel.getSymName()) == prepared.symbol)
+      prepared.symbol = getEntryPointName(tangent.getValue());
+    kernel.erase();
+  }
+  return success();
+}
+
 LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
                                       Prepared &prepared, Failure &failure) {
   prepared.module = request.module.clone();
@@ -284,6 +305,8 @@ LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
     // Parts of the kernel are kernels of their own.
     eraseOtherKernels(*module, adjoint.getValue());
   }
+  if (request.forward)
+    return extendByTangents(worker, request, prepared, failure);
   return success();
 }
 
@@ -424,7 +447,8 @@ std::string Compiler::getKey(CompileRequest request,
   stream << getBuildId() << '\n'
          << host.triple << ' ' << host.name << ' ' << host.features << '\n'
          << options.str() << '\n'
-         << request.name << ' ' << static_cast<int>(request.goal) << '\n';
+         << request.name << ' ' << static_cast<int>(request.goal)
+         << (request.forward ? " forward" : "") << '\n';
   OpPrintingFlags flags;
   // Assertions and checks put the place they stand at into the code.
   bool hasPlaces =
@@ -540,6 +564,13 @@ std::optional<std::string> Compiler::print(CompileRequest request,
   WorkerLease lease(*this, options);
   Worker &worker = *lease;
   PhaseTimes times = {};
+  if (stage == "autodiff" && request.forward) {
+    Prepared prepared;
+    if (failed(differentiate(worker, request, prepared, failure)))
+      return std::nullopt;
+    prepared.module->print(stream);
+    return text;
+  }
   if (stage == "autodiff") {
     if (!pipelines.autodiff) {
       failure = Failure::get(FailureKind::Autodiff,

@@ -54,6 +54,10 @@ static Compiler::Pipelines getPipelines() {
     autodiff.historyBytes = options.historyBytes;
     buildAutodiffPipeline(manager, autodiff);
   };
+  pipelines.forward = [](OpPassManager &manager, const CompileOptions &) {
+    // A copy is launched with the arguments of its primal and no others.
+    buildForwardPipeline(manager, /*arrayTangents=*/false);
+  };
   pipelines.toLLVM = [](OpPassManager &manager, const CompileOptions &options) {
     ToLLVMOptions lowering;
     lowering.deterministic = options.deterministic;
@@ -222,6 +226,8 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
     return setBool([&](bool on) { options.codegen.fastMath = on; });
   if (name == "profiler")
     return setBool([&](bool on) { rt->setProfiler(on); });
+  if (name == "forward_mode")
+    return setBool([&](bool on) { rt->setForward(on); });
   if (name == "compile_profile")
     return setBool([&](bool on) { printsProfile = on; });
   if (name == "threads") {
@@ -279,5 +285,5 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
               "unknown option '" + name +
                   "'; the options are threads, deterministic, debug, "
                   "fast_math, opt_level, seed, cache_dir, print_ir, profiler, "
-                  "compile_profile, history_bytes");
+                  "compile_profile, forward_mode, history_bytes");
 }

@@ -62,6 +62,10 @@ Session::makeKernel(OwningOpRef<ModuleOp> module, StringRef name) {
                                   runtime::AdjointPlan &plan) {
     return planAdjoint(*code, runtimeKernel, plan);
   };
+  info.makeTangent = [this, code](runtime::KernelPtr &tangent) {
+    return compileTangent(*code, CompileRequest::Goal::Primal, tangent);
+  };
+  code->resultSlots = info.resultSlots;
   code->module = std::move(module);
   runtime::KernelPtr kernel = rt->createKernel(std::move(info));
   return std::make_pair(std::move(code), std::move(kernel));
@@ -122,19 +126,21 @@ static std::vector<runtime::TreePtr> findTrees(const KernelCode &code,
   return trees;
 }
 
-void Session::printStages(KernelCode &code, CompileRequest::Goal goal) {
+void Session::printStages(KernelCode &code, CompileRequest::Goal goal,
+                          bool forward) {
   bool isAdjoint = goal != CompileRequest::Goal::Primal;
   for (const std::string &stage : printedStages) {
-    if (isAdjoint && stage == "tai")
+    if ((isAdjoint || forward) && stage == "tai")
       continue;
     // The primal is compiled without differentiation.
-    if (!isAdjoint && stage == "autodiff")
+    if (!isAdjoint && !forward && stage == "autodiff")
       continue;
     Failure failure;
     std::optional<std::string> text = compiler->print(
-        {*code.module, code.name, goal}, stage, code.options, failure);
+        {*code.module, code.name, goal, forward}, stage, code.options, failure);
     std::lock_guard<std::mutex> lock(mutex);
     llvm::errs() << "// -----// " << stage << " of "
+                 << (forward ? "the tangent of " : "")
                  << (isAdjoint ? "the adjoint of " : "") << code.name
                  << " //----- //\n"
                  << (text ? *text : failure.text) << "\n";
@@ -168,11 +174,12 @@ void Session::printProfile(StringRef name, CompileRequest::Goal goal,
 
 std::optional<Compiler::Function> Session::compileAs(KernelCode &code,
                                                      CompileRequest::Goal goal,
-                                                     Failure &failure) {
+                                                     Failure &failure,
+                                                     bool forward) {
   if (!printedStages.empty())
-    printStages(code, goal);
-  auto function =
-      compiler->compile({*code.module, code.name, goal}, code.options, failure);
+    printStages(code, goal, forward);
+  auto function = compiler->compile({*code.module, code.name, goal, forward},
+                                    code.options, failure);
   if (!function)
     return std::nullopt;
   if (printsProfile)
@@ -317,7 +324,34 @@ runtime::Status Session::compileAdjoint(KernelCode &code,
     return keepFailure(std::move(failure));
   if (!compiled->address)
     return runtime::Status::success();
-  adjoint = rt->createKernel(getHelperInfo(code, *compiled, "_grad"));
+  runtime::KernelInfo info = getHelperInfo(code, *compiled, "_grad");
+  auto goal = takes ? CompileRequest::Goal::TakingAdjoint
+                    : CompileRequest::Goal::Adjoint;
+  info.makeTangent = [this, &code, goal](runtime::KernelPtr &tangent) {
+    return compileTangent(code, goal, tangent);
+  };
+  adjoint = rt->createKernel(std::move(info));
+  return runtime::Status::success();
+}
+
+runtime::Status Session::compileTangent(KernelCode &code,
+                                        CompileRequest::Goal goal,
+                                        runtime::KernelPtr &tangent) {
+  auto fields = code.module->getOps<FieldOp>();
+  if (llvm::none_of(fields, [](FieldOp field) { return field.getDual(); }))
+    return runtime::Status::success();
+  Failure failure;
+  auto compiled = compileAs(code, goal, failure, /*forward=*/true);
+  if (!compiled)
+    return keepFailure(std::move(failure));
+  if (!compiled->address)
+    return runtime::Status::success();
+  runtime::KernelInfo info = getHelperInfo(
+      code, *compiled,
+      goal == CompileRequest::Goal::Primal ? "_fwd" : "_grad_fwd");
+  if (goal == CompileRequest::Goal::Primal)
+    info.resultSlots = code.resultSlots;
+  tangent = rt->createKernel(std::move(info));
   return runtime::Status::success();
 }
 
@@ -484,12 +518,13 @@ FailureOr<std::string> Session::getIR(SessionKernel &kernel, StringRef stage) {
   if (stage == "explain")
     return explain(kernel);
   Failure failure;
+  bool forward = stage.consume_front("tangent.");
   CompileRequest::Goal goal = stage.consume_front("adjoint.")
                                   ? CompileRequest::Goal::Adjoint
                                   : CompileRequest::Goal::Primal;
   std::optional<std::string> text =
-      compiler->print({*kernel.code->module, kernel.code->name, goal}, stage,
-                      kernel.code->options, failure);
+      compiler->print({*kernel.code->module, kernel.code->name, goal, forward},
+                      stage, kernel.code->options, failure);
   if (!text)
     return fail(std::move(failure));
   return *text;

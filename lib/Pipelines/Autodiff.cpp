@@ -57,6 +57,20 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
   pm.addPass(createSummarizeKernels());
 }
 
+void tai::buildForwardPipeline(OpPassManager &pm, bool arrayTangents) {
+  pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
+  pm.addPass(createEliminateLocals());
+  pm.addPass(createCanonicalizerPass());
+  pm.addPass(createCSEPass());
+  ForwardDiffOptions forward;
+  forward.arrayTangents = arrayTangents;
+  pm.addPass(createForwardDiff(forward));
+  // Rules write the formula, not its simplest form.
+  pm.addPass(createCanonicalizerPass());
+  pm.addPass(createCSEPass());
+  pm.addPass(createMarkExclusive());
+}
+
 void tai::registerAutodiffPipeline() {
   PassPipelineRegistration<AutodiffOptions>(
       "tai-autodiff",

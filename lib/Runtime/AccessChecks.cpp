@@ -38,6 +38,10 @@ std::vector<int32_t> &AccessChecks::shadowOf(Field &field) {
 
 Status AccessChecks::run(Launch &launch, Kernel &kernel, const uint64_t *args,
                          uint64_t *results, uint64_t number) {
+  if (runtime.forward)
+    return Status::failure(StatusCode::Usage,
+                           "a tape cannot check the access rules in forward "
+                           "mode; check them in a run of its own");
   CheckedKernel *checked = nullptr;
   Status status = kernel.resolveChecked(checked);
   if (!status)

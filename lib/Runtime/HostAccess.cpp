@@ -266,6 +266,8 @@ void Runtime::fillWith(Field &field, const void *scalarBytes) {
 void Runtime::clearGradients() {
   const char zeros[8] = {};
   for (const FieldPtr &field : fieldList) {
+    if (forward && field->isAdjoint() && field->dual())
+      fillWith(*field->dual(), zeros);
     if (!field->isAdjoint() || !field->dirty())
       continue;
     fillWith(*field, zeros);

@@ -86,6 +86,18 @@ const AdjointPlan &Kernel::plan() {
   return *adjointPlan;
 }
 
+Status Kernel::resolveTangent(Kernel *&result) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  if (!tangentAsked && info.makeTangent) {
+    Status status = info.makeTangent(tangent);
+    if (!status)
+      return status;
+    tangentAsked = true;
+  }
+  result = tangent ? tangent.get() : this;
+  return Status::success();
+}
+
 void Kernel::setTrees(std::vector<TreePtr> trees) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
   for (TreePtr &tree : trees)

@@ -332,8 +332,21 @@ static Status failureOf(Launch &launch, const Kernel &kernel) {
                          "kernel '" + kernel.name() + "' failed");
 }
 
-Status Runtime::run(Launch &launch, Kernel &kernel, const uint64_t *args,
-                    uint64_t *results, uint64_t number) {
+Status Runtime::runTangent(Launch &launch, Kernel &kernel, const uint64_t *args,
+                           uint64_t *results, uint64_t number) {
+  Kernel *tangent = nullptr;
+  Status status = kernel.resolveTangent(tangent);
+  if (status)
+    status = kernel.bind(storageEpoch.load(std::memory_order_relaxed));
+  if (!status)
+    return status;
+  for (Field *field : kernel.changedAdjoints)
+    field->markDirty();
+  return runCode(launch, *tangent, args, results, number);
+}
+
+Status Runtime::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
+                        uint64_t *results, uint64_t number) {
   if (__builtin_expect(kernel.boundEpoch.load(std::memory_order_acquire) !=
                                storageEpoch.load(std::memory_order_relaxed) ||
                            !kernel.resolved(),

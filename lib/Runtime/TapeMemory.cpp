@@ -363,6 +363,15 @@ Status TapeMemory::beginReverse() {
                              "the tape has saved values of field '" +
                                  piece.track->field->name() +
                                  "', whose tree has been destroyed");
+  // Values would come back without their tangents.
+  if (runtime.isForward() && !pieces.empty())
+    return Status::failure(
+        StatusCode::Usage,
+        "the reverse sweep brings back values of field '" +
+            pieces.front().track->field->name() +
+            "' that were overwritten, but in forward mode not their tangents; "
+            "store new values to other elements, such as one more time step of "
+            "the field");
   return Status::success();
 }
 

@@ -27,6 +27,11 @@ Status Tape::setCheckpoints(CheckpointPolicy policy) {
     return Status::failure(StatusCode::Usage,
                            "how a tape keeps values is decided before it "
                            "records");
+  if (policy.kind != CheckpointPolicy::Kind::None && runtime.isForward())
+    return Status::failure(
+        StatusCode::Usage,
+        "a tape that recomputes values cannot be recorded in "
+        "forward mode: snapshots hold no tangents");
   if (policy.snapshots < 0 || policy.budget < 0)
     return Status::failure(StatusCode::Usage,
                            "the number of snapshots and the memory budget of a "
@@ -215,6 +220,10 @@ int64_t Tape::bestSnapshots() const {
 }
 
 Status Tape::sweepRecomputing() {
+  if (runtime.isForward())
+    return Status::failure(StatusCode::Usage,
+                           "a tape that recomputes values cannot be swept in "
+                           "forward mode: snapshots hold no tangents");
   plan();
   if (records.empty())
     return Status::success();

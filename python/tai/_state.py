@@ -20,3 +20,5 @@ program: Program | None = None
 emitter: Emitter | None = None
 # The tape that is recording, or None.
 tape: Any = None
+# Whether kernels are launched with their tangents.
+forward: bool = False

@@ -15,6 +15,9 @@ from ._ad_check import CheckResult as CheckResult
 from ._ad_check import GradCheck
 from ._ad_check import GradientCheckError as GradientCheckError
 from ._ad_check import check as check
+from ._ad_forward import FwdMode as FwdMode
+from ._ad_forward import hvp as hvp
+from ._ad_forward import jvp as jvp
 from ._ad_health import HealthReport, take_health
 from ._ad_memory import TapeStats, parse_checkpoint
 from ._ad_seeds import TaiGradientWarning as TaiGradientWarning
@@ -274,6 +277,12 @@ def no_grad(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def decorated(*args: Any, **kwargs: Any) -> Any:
+        if _state.forward:
+            raise TaiAutodiffError(
+                f"function '{function.__name__}' is marked by no_grad, which forward mode "
+                "does not know yet",
+                "call it outside of forward mode",
+            )
         tape = _state.tape
         if tape is None:
             return function(*args, **kwargs)
@@ -341,13 +350,6 @@ def grad_for(primal: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         return decorated
 
     return decorator
-
-
-class FwdMode:
-    """Forward mode: not built in yet."""
-
-    def __init__(self, *args: Any, **kwargs: Any):
-        raise TaiAutodiffError("forward mode is not built in yet", "use ti.ad.Tape")
 
 
 # The names of the paper.

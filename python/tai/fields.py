@@ -55,7 +55,9 @@ class Field:
     # Companions
 
     def _companion(self, which: str) -> Field | None:
-        if not self.dtype.is_float or self.role != "primal":
+        # A gradient has a dual: the derivative of the gradient.
+        nests = self.role == "primal" or (self.role == "grad" and which == "dual")
+        if not self.dtype.is_float or not nests:
             return None
         if which not in self._companions:
             made = self._make_companion(which)
@@ -94,6 +96,11 @@ class Field:
                 raise TaiAutodiffError(
                     f"field '{self.primal.name}' has no gradient",
                     "make it with needs_grad=True, or call ti.root.lazy_grad() after placing it",
+                )
+            if self.role == "dual":
+                raise TaiAutodiffError(
+                    f"field '{self.primal.name}' has no dual",
+                    "make it with needs_dual=True, or call ti.root.lazy_dual() after placing it",
                 )
             raise TaiRuntimeError(
                 f"field '{self.name}' is not placed",
@@ -223,12 +230,18 @@ class ScalarField(Field):
             self.offset = tuple(int(v) for v in values)
 
     def place_missing_grad(self) -> None:
-        """Places a gradient that was asked for and not placed, beside the field."""
+        """Places a gradient or dual that was asked for and not placed, beside the field."""
         for which, needed in (("grad", self.needs_grad), ("dual", self.needs_dual)):
             if needed:
                 companion = self._companion(which)
                 if companion is not None and companion.snode is None:
                     companion.put_into(self._snode, self.offset or None)
+        placed = {which: f for which, f in self._companions.items() if f.snode is not None}
+        if self.role == "primal" and len(placed) == 2:
+            # Both modes together give the derivative of the gradient.
+            second = placed["grad"]._companion("dual")
+            if second.snode is None:
+                second.put_into(placed["grad"].snode, placed["grad"].offset or None)
 
     def _make_companion(self, which: str) -> ScalarField:
         return ScalarField(self.dtype, None, which, self.element_shape)

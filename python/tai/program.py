@@ -286,6 +286,8 @@ def reset() -> None:
     """Forgets all fields and compiled kernels."""
     if _state.tape is not None:
         raise TaiRuntimeError("the program cannot be reset inside a ti.ad.Tape")
+    if _state.forward:
+        raise TaiRuntimeError("the program cannot be reset in forward mode")
     if _state.program is None:
         return
     from . import _core

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import tai as ti
 
-MODES = ["reverse"]
+MODES = ["reverse", "forward"]
 TYPES = {"f64": ti.f64, "f32": ti.f32}
 
 

@@ -21,10 +21,9 @@
 
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/IRMapping.h"
-#include "mlir/IR/ImplicitLocOpBuilder.h"
+#include "tai/AD/DerivativeBuilder.h"
 #include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Activity.h"
-#include "tai/Analysis/FloatFacts.h"
 #include "llvm/ADT/MapVector.h"
 #include "llvm/ADT/SetVector.h"
 #include <map>
@@ -89,7 +88,7 @@ struct Frame {
   DenseSet<Value> popped;
 };
 
-class AdjointBuilder : public ImplicitLocOpBuilder {
+class AdjointBuilder : public DerivativeBuilder {
 public:
   /// Builds into the body of `adjoint`, whose arguments begin with those of
   /// `primal`. `adjointOf` gives the storage of adjoints, or none. With
@@ -117,7 +116,7 @@ public:
   /// True if the value carries a derivative that is wanted.
   bool isActive(Value value) const { return activity.isActive(value); }
   /// The primal value, recomputed in the adjoint kernel.
-  Value getPrimal(Value value);
+  Value getPrimal(Value value) override;
   SmallVector<Value> getPrimals(ValueRange values);
   /// The adjoint, or null where it is zero.
   Value getAdjoint(Value value);
@@ -130,8 +129,6 @@ public:
   void addAdjoint(Value value, Value contribution);
   /// Adds to one component (row-major) of the adjoint of a vector.
   void addAdjointComponent(Value value, int64_t component, Value contribution);
-  /// What is known of primal values.
-  FloatFacts &getFacts() { return facts; }
   /// True if the reverse of the access does something.
   bool isReversed(Operation *access) const {
     return activity.isActiveAccess(access) || takes.contains(access);
@@ -143,18 +140,6 @@ public:
   bool mayBeOverwritten(DifferentiableAccessInterface read) const {
     return static_cast<bool>(accesses.findLaterWrite(read));
   }
-
-  /// A float or splat constant of the given type.
-  Value createConstant(Type type, double value);
-  Value createZero(Type type) { return createConstant(type, 0.0); }
-  /// A component (row-major) of a vector of any rank.
-  Value createExtract(Value vector, int64_t component);
-  /// A vector from components, null for zero.
-  Value createVector(VectorType type, ArrayRef<Value> components);
-  /// select(condition, value, 0)
-  Value createMask(Value condition, Value value);
-  /// select(adjoint == 0, 0, value): a zero adjoint contributes zero.
-  Value createGuard(Value adjoint, Value value);
 
   //===--------------------------------------------------------------------===//
   // For loops and branches
@@ -242,7 +227,6 @@ private:
   std::function<Storage(Storage)> adjointOf;
   Activity activity;
   AccessTable accesses;
-  FloatFacts facts;
   bool takesAll;
   /// The stores that take, and the ops around them.
   DenseSet<Operation *> takes, takeHolders;

@@ -26,6 +26,7 @@ class OpBuilder;
 
 namespace mlir::tai {
 class AdjointBuilder;
+class TangentBuilder;
 
 /// What an access does to an element. `Update` is any combination with the old
 /// value that is not a sum.
@@ -63,6 +64,12 @@ constexpr int64_t kDefaultHistoryBytes = 256 * 1024;
 /// Marks, in an adjoint, the store that ends the accumulation of a vector into
 /// an array: it is no atomic, and must be shown to need none.
 constexpr llvm::StringLiteral kPlainAccumulation = "tai.plain_accumulation";
+
+/// Reports that `op` has no tangent rule; for the defaults of the interfaces.
+LogicalResult refuseTangent(Operation *op, TangentBuilder &builder);
+/// Extends the regions of an op that passes no tangents on, or reports that it
+/// would have to.
+LogicalResult extendRegions(Operation *op, TangentBuilder &builder);
 
 /// Attaches the interfaces to the ops of arith, math, scf, vector, memref and
 /// tai, when these dialects are loaded.

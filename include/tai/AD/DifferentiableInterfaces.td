@@ -29,6 +29,15 @@ def Tai_DifferentiableOpInterface : OpInterface<"DifferentiableOpInterface"> {
       "::llvm::LogicalResult", "buildAdjoint",
       (ins "::mlir::tai::AdjointBuilder &":$adjoint)>,
     InterfaceMethod<[{
+        Sets the tangents of the results to what the tangents of the operands
+        make them; see `TangentBuilder`. Called where at least one operand may
+        have a tangent. The default says that there is no rule.
+      }],
+      "::llvm::LogicalResult", "buildTangent",
+      (ins "::mlir::tai::TangentBuilder &":$tangent), "", [{
+        return ::mlir::tai::refuseTangent($_op, tangent);
+      }]>,
+    InterfaceMethod<[{
         True if a small change of the operand changes a result. The default
         says so of floats: conversions to integers and comparisons say no.
       }],
@@ -52,6 +61,15 @@ def Tai_AdjointLoopInterface : OpInterface<"AdjointLoopInterface"> {
       }],
       "::llvm::LogicalResult", "buildReverse",
       (ins "::mlir::tai::AdjointBuilder &":$adjoint)>,
+    InterfaceMethod<[{
+        Gives the op, which stands in the kernel that is being extended by
+        tangents, the tangents of what it passes on, and extends its regions.
+        The default does so where nothing that is passed on has a tangent.
+      }],
+      "::llvm::LogicalResult", "buildTangent",
+      (ins "::mlir::tai::TangentBuilder &":$tangent), "", [{
+        return ::mlir::tai::extendRegions($_op, tangent);
+      }]>,
     InterfaceMethod<"True if iterations may run at the same time.",
       "bool", "runsInParallel", (ins), "", "return false;">,
   ];
@@ -102,6 +120,16 @@ def Tai_DifferentiableAccessInterface
       (ins "::mlir::OpBuilder &":$builder, "::mlir::Value":$value,
            "::mlir::tai::Storage":$storage, "::mlir::ValueRange":$indices,
            "::mlir::ValueRange":$components)>,
+    InterfaceMethod<[{
+        Does to `storage`, which holds tangents, what makes it hold the tangent
+        of the element after the access, and sets the tangent of what the
+        access yields. The default says that there is no rule.
+      }],
+      "::llvm::LogicalResult", "buildTangent",
+      (ins "::mlir::tai::TangentBuilder &":$tangent,
+           "::mlir::tai::Storage":$storage), "", [{
+        return ::mlir::tai::refuseTangent($_op, tangent);
+      }]>,
   ];
 }
 

@@ -157,4 +157,71 @@ def SplitKernel : Pass<"tai-split-kernel", "::mlir::ModuleOp"> {
   ];
 }
 
+def ForwardDiff : Pass<"tai-forward-diff", "::mlir::ModuleOp"> {
+  let summary = "make kernels that carry tangents along";
+  let description = [{
+    For a kernel `@k`, makes the kernel `@k_fwd` that does what `@k` does and
+    carries tangents (directional derivatives) along: what it reads from a field
+    with a dual, it reads together with the dual; what it stores there, it
+    stores together with the tangent (forward mode). The attribute `tai.tangent`
+    of `@k` names it.
+
+    Every value is at hand when its tangent is computed: overwritten elements,
+    all kinds of atomics and what they yield, loops and branches of any depth
+    are differentiated as they run. Where iterations of a `tai.parallel_for` may
+    meet in an element, and its tangent depends on their order (products,
+    extremes, values before the update), the loop of `@k_fwd` runs in order. The
+    rules are those of `tai-make-adjoint`: one table, read in two directions.
+
+    An adjoint is a kernel like any other. Applied to `@k_grad`, where the
+    adjoint fields have duals, the pass makes `@k_grad_fwd`, which accumulates
+    products of the Hessian and a vector in the duals of the adjoints.
+
+    Without options, takes all kernels, and the functions with the unit
+    attribute `tai.differentiate`. `@f_fwd` has one more memref for each float
+    memref of a function `@f`, at the end, in the same order. So has that of a
+    kernel, unless `array-tangents` is off: then what a kernel reads from its
+    arrays is constant, and a tangent that is stored there is an error.
+
+    ```mlir
+    tai.kernel @square() {
+      tai.parallel_for (%i) in @x {
+        %0 = tai.load @x[%i] : f32
+        %1 = arith.mulf %0, %0 : f32
+        tai.store %1, @y[%i] : f32
+      }
+      tai.return
+    }
+    ```
+
+    becomes, after `canonicalize` and `cse`,
+
+    ```mlir
+    tai.kernel @square_fwd() {
+      tai.parallel_for (%i) in @x {
+        %0 = tai.load @x[%i] : f32
+        %1 = tai.load @x_dual[%i] : f32
+        %2 = arith.mulf %0, %0 : f32
+        %3 = arith.mulf %1, %0 : f32
+        %4 = arith.addf %3, %3 : f32
+        tai.store %2, @y[%i] : f32
+        tai.store %4, @y_dual[%i] : f32
+      }
+      tai.return
+    }
+    ```
+  }];
+  let dependentDialects = [
+    "::mlir::arith::ArithDialect", "::mlir::math::MathDialect",
+    "::mlir::memref::MemRefDialect", "::mlir::scf::SCFDialect",
+    "::mlir::vector::VectorDialect", "::mlir::tai::TaiDialect"
+  ];
+  let options = [
+    ListOption<"kernels", "kernel", "std::string",
+               "Names of the kernels or functions to differentiate">,
+    Option<"arrayTangents", "array-tangents", "bool", /*default=*/"true",
+           "Give the copy of a kernel the tangents of its float memrefs">,
+  ];
+}
+
 #endif // TAI_AD_PASSES_TD

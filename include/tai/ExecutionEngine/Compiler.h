@@ -76,6 +76,8 @@ struct CompileRequest {
   ModuleOp module;
   StringRef name;
   Goal goal;
+  /// Make what carries tangents along instead.
+  bool forward = false;
 };
 
 class Compiler {
@@ -84,6 +86,8 @@ public:
   struct Pipelines {
     std::function<void(OpPassManager &, const CompileOptions &, bool takes)>
         autodiff;
+    /// Extends all kernels of a module by tangents.
+    std::function<void(OpPassManager &, const CompileOptions &)> forward;
     std::function<void(OpPassManager &, const CompileOptions &)> toLLVM;
     /// The pass after which the IR is "scf".
     std::string scfPass;
@@ -160,6 +164,9 @@ private:
                                               const CompileOptions &options,
                                               Prepared &prepared,
                                               Failure &failure);
+  /// Replaces the kernels of a module by those that carry tangents.
+  LogicalResult extendByTangents(Worker &worker, CompileRequest request,
+                                 Prepared &prepared, Failure &failure);
   std::string getKey(CompileRequest request, const CompileOptions &options);
   Linker *getLinker(Failure &failure);
 

@@ -41,6 +41,7 @@ struct KernelCode {
   CompileOptions options;
   OwningOpRef<ModuleOp> module;
   int64_t argSlots = 0;
+  int64_t resultSlots = 0;
   /// The trees that the module declares.
   std::vector<runtime::TreePtr> trees;
   std::vector<Compiler::Function> functions;
@@ -161,8 +162,13 @@ private:
                                  runtime::KernelPtr &adjoint);
   runtime::Status compileChecked(KernelCode &code,
                                  runtime::CheckedKernel &checked);
-  std::optional<Compiler::Function>
-  compileAs(KernelCode &code, CompileRequest::Goal goal, Failure &failure);
+  /// What carries tangents along with the kernel or a form of its adjoint.
+  runtime::Status compileTangent(KernelCode &code, CompileRequest::Goal goal,
+                                 runtime::KernelPtr &tangent);
+  std::optional<Compiler::Function> compileAs(KernelCode &code,
+                                              CompileRequest::Goal goal,
+                                              Failure &failure,
+                                              bool forward = false);
   /// Differentiates the kernel unless that has been done. The caller holds
   /// `prepareMutex`.
   LogicalResult prepareAdjoint(KernelCode &code, Failure &failure);
@@ -172,7 +178,8 @@ private:
                               runtime::AdjointPlan &plan);
   FailureOr<std::pair<std::shared_ptr<KernelCode>, runtime::KernelPtr>>
   makeKernel(OwningOpRef<ModuleOp> module, StringRef name);
-  void printStages(KernelCode &code, CompileRequest::Goal goal);
+  void printStages(KernelCode &code, CompileRequest::Goal goal,
+                   bool forward = false);
   void printProfile(StringRef name, CompileRequest::Goal goal,
                     const Compiler::Function &function);
   void useCache(StringRef folder);

@@ -61,6 +61,9 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
 /// the module.
 void buildAutodiffPipeline(OpPassManager &pm, const AutodiffOptions &options);
 
+/// Makes of all kernels those that carry tangents along.
+void buildForwardPipeline(OpPassManager &pm, bool arrayTangents);
+
 /// Makes `--tai-autodiff` known to pass pipelines given as text.
 void registerAutodiffPipeline();
 

@@ -124,6 +124,10 @@ struct KernelInfo {
   /// How to get the form that checks the access rules as it runs; called once,
   /// when a tape that checks launches the kernel. None: nothing to check.
   std::function<Status(CheckedKernel &checked)> makeChecked;
+  /// How to get the kernel that carries tangents along, which is launched in
+  /// the place of this one in forward mode. A null kernel with success says
+  /// that there are none to carry. Called once.
+  std::function<Status(KernelPtr &tangent)> makeTangent;
 };
 
 /// Times of one kernel while the profiler is on.
@@ -161,6 +165,10 @@ public:
   /// The form that checks the access rules; null if there is nothing to check.
   Status resolveChecked(CheckedKernel *&checked);
 
+  /// What is launched in the place of this kernel in forward mode: itself, if
+  /// it has no tangents to carry. Any thread.
+  Status resolveTangent(Kernel *&tangent);
+
   /// To be called before the kernel is launched or from its resolver. A tree
   /// of the name of one that the kernel has already stays that one: it was
   /// made for its layout, not for that of a later tree of the same name.
@@ -190,6 +198,8 @@ private:
   std::unique_ptr<AdjointPlan> adjointPlan;
   bool adjointReruns = false;
   bool alwaysTakes = false;
+  KernelPtr tangent;
+  bool tangentAsked = false;
 
   std::vector<void *> bases;
   /// State of the storage for which the tables hold; 0 is never current.

@@ -88,6 +88,10 @@ public:
   void setDeterministic(bool on) { opts.deterministic = on; }
   void setDebug(bool on) { opts.debug = on; }
   void setProfiler(bool on) { opts.profiler = on; }
+  /// In forward mode every kernel is launched with the tangents that it carries
+  /// along: also those that a tape replays, and adjoints.
+  void setForward(bool on) { forward = on; }
+  bool isForward() const { return forward; }
   /// Also restarts the numbering of launches, so that what follows draws the
   /// same random numbers again.
   void setSeed(uint64_t seed);
@@ -121,7 +125,8 @@ public:
                   double value);
   Status writeI64(Field &field, const int64_t *index, int64_t component,
                   int64_t value);
-  /// Sets the adjoint fields that are dirty to zero.
+  /// Sets the adjoint fields that are dirty to zero; in forward mode the
+  /// tangents of adjoints too.
   void clearGradients();
 
   //===--------------------------------------------------------------------===//
@@ -195,7 +200,15 @@ private:
   }
   Status ready(Kernel &kernel);
   Status run(Launch &launch, Kernel &kernel, const uint64_t *args,
-             uint64_t *results, uint64_t number);
+             uint64_t *results, uint64_t number) {
+    if (__builtin_expect(forward, false))
+      return runTangent(launch, kernel, args, results, number);
+    return runCode(launch, kernel, args, results, number);
+  }
+  Status runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
+                 uint64_t *results, uint64_t number);
+  Status runTangent(Launch &launch, Kernel &kernel, const uint64_t *args,
+                    uint64_t *results, uint64_t number);
   int32_t runTimed(Launch &launch, Kernel &kernel, TaiKernelFn function);
   Status runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
                     const uint64_t *args, uint64_t number);
@@ -238,6 +251,7 @@ private:
   std::atomic<int64_t> inlineCredit{0};
 
   Tape *activeTape = nullptr;
+  bool forward = false;
   /// Stamps of tapes and of their plans.
   uint64_t stamps = 0;
 

@@ -23,7 +23,7 @@ namespace {
 
 /// A number in a formula.
 struct S {
-  AdjointBuilder *b;
+  DerivativeBuilder *b;
   Value v;
 };
 S operator+(S a, S c) { return {a.b, arith::AddFOp::create(*a.b, a.v, c.v)}; }
@@ -37,7 +37,7 @@ S abs(S a) { return {a.b, math::AbsFOp::create(*a.b, a.v)}; }
 
 /// a / c, and 0 where |c| is not above `floor`.
 S divideAbove(S a, S c, S floor) {
-  AdjointBuilder &b = *a.b;
+  DerivativeBuilder &b = *a.b;
   Value isLarge =
       arith::CmpFOp::create(b, arith::CmpFPredicate::OGT, abs(c).v, floor.v);
   return {&b, b.createMask(isLarge, arith::DivFOp::create(b, a.v, c.v))};
@@ -45,7 +45,7 @@ S divideAbove(S a, S c, S floor) {
 
 /// A small matrix taken apart.
 struct M {
-  AdjointBuilder *b;
+  DerivativeBuilder *b;
   Value v;
   S operator()(int64_t i, int64_t j) const {
     return {b, b->createExtract(v, i * getRows(v) + j)};
@@ -84,6 +84,39 @@ struct PolarModel
     return success();
   }
 
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    auto polar = cast<PolarOp>(op);
+    Value r = polar.getRotation(), a = polar.getMatrix();
+    Value tangent = b.getTangent(a);
+    Value turned = createMatmul(b, createTranspose(b, r), tangent);
+    Value turn = getRows(a) == 2 ? extendPlanar(b, a, r, tangent)
+                                 : extendSpatial(b, polar, r, turned);
+    b.setTangent(r, turn);
+    // S = Rᵀ A
+    Value stretched = createMatmul(b, createTranspose(b, turn), a);
+    b.setTangent(polar.getStretch(),
+                 arith::AddFOp::create(b, turned, stretched));
+    return success();
+  }
+
+  static Value extendPlanar(TangentBuilder &b, Value matrix, Value r,
+                            Value tangent) {
+    M a{&b, matrix}, d{&b, tangent}, rotation{&b, r};
+    S x = a(0, 0) + a(1, 1), y = a(1, 0) - a(0, 1);
+    S dx = d(0, 0) + d(1, 1), dy = d(1, 0) - d(0, 1);
+    S zero{&b, b.createZero(x.v.getType())};
+    S angle = divideAbove(x * dy - y * dx, x * x + y * y, zero);
+    S dc = -(rotation(1, 0) * angle), ds = rotation(0, 0) * angle;
+    return b.createVector(cast<VectorType>(r.getType()),
+                          {dc.v, (-ds).v, ds.v, dc.v});
+  }
+
+  static Value extendSpatial(TangentBuilder &b, PolarOp op, Value r,
+                             Value turned) {
+    Value axial = createAxis(b, op.getStretch(), M{&b, turned});
+    return createMatmul(b, r, createSkew(b, axial));
+  }
+
   /// R turns by the angle of (a₀₀ + a₁₁, a₁₀ - a₀₁).
   static void buildPlanar(AdjointBuilder &b, Value matrix, Value r, Value gr) {
     M a{&b, b.getPrimal(matrix)}, rotation{&b, r}, g{&b, gr};
@@ -100,13 +133,19 @@ struct PolarModel
   }
 
   static void buildSpatial(AdjointBuilder &b, PolarOp op, Value r, Value gr) {
-    auto type = cast<VectorType>(r.getType());
+    M p{&b, createMatmul(b, createTranspose(b, r), gr)};
+    Value w = createAxis(b, b.getPrimal(op.getStretch()), p);
+    b.addAdjoint(op.getMatrix(), createMatmul(b, r, createSkew(b, w)));
+  }
+
+  /// The solution w of (tr(S) I - S) w = axial(P - Pᵀ).
+  static Value createAxis(DerivativeBuilder &b, Value stretchMatrix, M p) {
+    auto type = cast<VectorType>(stretchMatrix.getType());
     Type element = type.getElementType();
     auto vectorType = VectorType::get({3}, element);
-    M p{&b, createMatmul(b, createTranspose(b, r), gr)};
     SmallVector<Value> axial =
         llvm::map_to_vector(getAxial(p), [](S s) { return s.v; });
-    M stretch{&b, b.getPrimal(op.getStretch())};
+    M stretch{&b, stretchMatrix};
     S trace = stretch(0, 0) + stretch(1, 1) + stretch(2, 2);
     SmallVector<Value> k;
     for (int64_t i = 0; i != 3; ++i)
@@ -119,17 +158,21 @@ struct PolarModel
                                             determinant, b.createZero(element));
     Value w = SolveOp::create(b, vectorType, system,
                               b.createVector(vectorType, axial));
-    w = b.createMask(isRegular, w);
+    return b.createMask(isRegular, w);
+  }
+
+  /// [w]ₓ
+  static Value createSkew(DerivativeBuilder &b, Value w) {
+    auto type =
+        VectorType::get({3, 3}, cast<VectorType>(w.getType()).getElementType());
     auto at = [&](int64_t i) { return S{&b, b.createExtract(w, i)}; };
-    Value skew =
-        b.createVector(type, {Value(), (-at(2)).v, at(1).v, at(2).v, Value(),
-                              (-at(0)).v, (-at(1)).v, at(0).v, Value()});
-    b.addAdjoint(op.getMatrix(), createMatmul(b, r, skew));
+    return b.createVector(type, {Value(), (-at(2)).v, at(1).v, at(2).v, Value(),
+                                 (-at(0)).v, (-at(1)).v, at(0).v, Value()});
   }
 };
 
 /// Uᵀ G, or zeros.
-M getTurned(AdjointBuilder &b, Value u, Value g) {
+M getTurned(DerivativeBuilder &b, Value u, Value g) {
   if (!g)
     return {&b, b.createZero(u.getType())};
   return {&b, createMatmul(b, createTranspose(b, u), g)};
@@ -167,6 +210,36 @@ struct SvdModel : DifferentiableOpInterface::ExternalModel<SvdModel, SvdOp> {
                                                createTranspose(b, v)));
     return success();
   }
+
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    auto svd = cast<SvdOp>(op);
+    int64_t n = getRows(svd.getMatrix());
+    auto type = cast<VectorType>(svd.getMatrix().getType());
+    Value u = svd.getU(), v = svd.getV();
+    M sigma{&b, svd.getSigma()};
+    M p{&b, createMatmul(b,
+                         createMatmul(b, createTranspose(b, u),
+                                      b.getTangent(svd.getMatrix())),
+                         v)};
+    S floor = getTolerance(type) * abs(sigma(0, 0));
+    SmallVector<Value> omega(n * n), psi(n * n), values(n * n);
+    for (int64_t i = 0; i != n; ++i) {
+      values[i * n + i] = p(i, i).v;
+      for (int64_t j = i + 1; j != n; ++j) {
+        S si = sigma(i, i), sj = sigma(j, j);
+        S even = divideAbove(0.5 * (p(i, j) + p(j, i)), sj - si, floor);
+        S odd = divideAbove(0.5 * (p(i, j) - p(j, i)), sj + si, floor);
+        omega[i * n + j] = (even + odd).v;
+        omega[j * n + i] = (-(even + odd)).v;
+        psi[i * n + j] = (even - odd).v;
+        psi[j * n + i] = (odd - even).v;
+      }
+    }
+    b.setTangent(svd.getSigma(), b.createVector(type, values));
+    b.setTangent(u, createMatmul(b, u, b.createVector(type, omega)));
+    b.setTangent(v, createMatmul(b, v, b.createVector(type, psi)));
+    return success();
+  }
 };
 
 /// A = Q Λ Qᵀ with A read below the diagonal: dQ = Q Ω, Ωᵢⱼ = Pᵢⱼ / (λⱼ - λᵢ),
@@ -200,6 +273,36 @@ struct SymEigModel
         b.addAdjointComponent(
             eig.getMatrix(), i * n + j,
             (i == j ? full(i, j) : full(i, j) + full(j, i)).v);
+    return success();
+  }
+
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    auto eig = cast<SymEigOp>(op);
+    int64_t n = getRows(eig.getMatrix());
+    auto type = cast<VectorType>(eig.getMatrix().getType());
+    Value q = eig.getVectors(), values = eig.getValues();
+    auto lambda = [&](int64_t i) { return S{&b, b.createExtract(values, i)}; };
+    M tangent{&b, b.getTangent(eig.getMatrix())};
+    SmallVector<Value> lower(n * n);
+    for (int64_t i = 0; i != n; ++i)
+      for (int64_t j = 0; j <= i; ++j)
+        lower[i * n + j] = lower[j * n + i] = tangent(i, j).v;
+    Value symmetric = b.createVector(type, lower);
+    M p{&b,
+        createMatmul(b, createMatmul(b, createTranspose(b, q), symmetric), q)};
+    S floor = getTolerance(type) * (abs(lambda(0)) + abs(lambda(n - 1)));
+    SmallVector<Value> diagonal, omega(n * n);
+    for (int64_t i = 0; i != n; ++i) {
+      diagonal.push_back(p(i, i).v);
+      for (int64_t j = i + 1; j != n; ++j) {
+        S turn = divideAbove(p(i, j), lambda(j) - lambda(i), floor);
+        omega[i * n + j] = turn.v;
+        omega[j * n + i] = (-turn).v;
+      }
+    }
+    b.setTangent(values,
+                 b.createVector(cast<VectorType>(values.getType()), diagonal));
+    b.setTangent(q, createMatmul(b, q, b.createVector(type, omega)));
     return success();
   }
 };

@@ -12,6 +12,7 @@
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/TangentBuilder.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 namespace mlir::tai {
@@ -20,14 +21,14 @@ inline int64_t getRows(Value matrix) {
   return cast<VectorType>(matrix.getType()).getDimSize(0);
 }
 
-inline Value createTranspose(AdjointBuilder &b, Value matrix) {
+inline Value createTranspose(DerivativeBuilder &b, Value matrix) {
   auto type = cast<VectorType>(matrix.getType());
   auto result = VectorType::get({type.getDimSize(1), type.getDimSize(0)},
                                 type.getElementType());
   return TransposeOp::create(b, result, matrix);
 }
 
-inline Value createMatmul(AdjointBuilder &b, Value lhs, Value rhs) {
+inline Value createMatmul(DerivativeBuilder &b, Value lhs, Value rhs) {
   auto left = cast<VectorType>(lhs.getType());
   auto right = cast<VectorType>(rhs.getType());
   SmallVector<int64_t> shape = {left.getDimSize(0)};
@@ -37,7 +38,7 @@ inline Value createMatmul(AdjointBuilder &b, Value lhs, Value rhs) {
                           rhs);
 }
 
-inline Value createOuter(AdjointBuilder &b, Value lhs, Value rhs) {
+inline Value createOuter(DerivativeBuilder &b, Value lhs, Value rhs) {
   auto left = cast<VectorType>(lhs.getType());
   auto right = cast<VectorType>(rhs.getType());
   return OuterOp::create(
@@ -48,14 +49,15 @@ inline Value createOuter(AdjointBuilder &b, Value lhs, Value rhs) {
 }
 
 /// vector * scalar
-inline Value createScaled(AdjointBuilder &b, Value vector, Value scalar) {
+inline Value createScaled(DerivativeBuilder &b, Value vector, Value scalar) {
   Value factor = vector::BroadcastOp::create(b, vector.getType(), scalar);
   return arith::MulFOp::create(b, vector, factor);
 }
 
 /// Zero where the whole adjoint is zero: a component of the result can depend
 /// on all components of it.
-inline Value createMatrixGuard(AdjointBuilder &b, Value adjoint, Value value) {
+inline Value createMatrixGuard(DerivativeBuilder &b, Value adjoint,
+                               Value value) {
   Value any = adjoint;
   if (isa<VectorType>(adjoint.getType())) // a sum of squares could underflow
     any = SumOp::create(b, getElementTypeOrSelf(adjoint.getType()),
@@ -65,12 +67,30 @@ inline Value createMatrixGuard(AdjointBuilder &b, Value adjoint, Value value) {
 
 /// Guards a product with the primal value `factor` where that may not be
 /// finite.
-inline Value guardFor(AdjointBuilder &b, Value factor, Value adjoint,
+inline Value guardFor(DerivativeBuilder &b, Value factor, Value adjoint,
                       Value value) {
   return b.getFacts().mayBeNonFinite(factor)
              ? createMatrixGuard(b, adjoint, value)
              : value;
 }
+
+/// The component by component sum of two terms of a tangent, null for zero.
+inline Value addTerms(DerivativeBuilder &b, Value lhs, Value rhs) {
+  if (!lhs || !rhs)
+    return lhs ? lhs : rhs;
+  return arith::AddFOp::create(b, lhs, rhs);
+}
+
+/// The tangent of a product of two operands: of one tangent and one primal
+/// value in turn. `multiply` builds the op. Where a tangent may be infinite or
+/// NaN, a zero of the other operand takes nothing of it; then `multiply` is
+/// built component by component, from the products of single numbers.
+Value createBilinearTangent(
+    TangentBuilder &b, Value lhs, Value rhs,
+    llvm::function_ref<Value(Value lhs, Value rhs)> multiply,
+    llvm::function_ref<
+        Value(llvm::function_ref<Value(int64_t lhs, int64_t rhs)> term)>
+        expand);
 
 } // namespace mlir::tai
 

@@ -17,6 +17,36 @@
 using namespace mlir;
 using namespace mlir::tai;
 
+Value mlir::tai::createBilinearTangent(
+    TangentBuilder &b, Value lhs, Value rhs,
+    function_ref<Value(Value, Value)> multiply,
+    function_ref<Value(function_ref<Value(int64_t, int64_t)>)> expand) {
+  Value sum;
+  auto add = [&](Value of, Value other, bool isLeft) {
+    Value tangent = b.getTangent(of);
+    if (!tangent)
+      return;
+    bool mayBeNonFinite = b.getFacts().mayBeNonFinite(other);
+    if (!mayBeNonFinite && !b.isWild(of)) {
+      sum = addTerms(b, sum,
+                     isLeft ? multiply(tangent, rhs) : multiply(lhs, tangent));
+      return;
+    }
+    auto term = [&](int64_t i, int64_t j) {
+      Value t = b.createExtract(tangent, isLeft ? i : j);
+      Value p = b.createExtract(other, isLeft ? j : i);
+      Value product = arith::MulFOp::create(b, t, p);
+      if (mayBeNonFinite)
+        product = b.createGuard(t, product);
+      return b.isWild(of) ? b.createGuard(p, product) : product;
+    };
+    sum = addTerms(b, sum, expand(term));
+  };
+  add(lhs, rhs, /*isLeft=*/true);
+  add(rhs, lhs, /*isLeft=*/false);
+  return sum;
+}
+
 namespace {
 
 /// An op with one result and a rule that gets the adjoint of it.
@@ -25,6 +55,11 @@ struct MatrixModel : DifferentiableOpInterface::ExternalModel<Model, OpTy> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     static_cast<const Model *>(this)->build(cast<OpTy>(op), b,
                                             b.getAdjoint(op->getResult(0)));
+    return success();
+  }
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    b.setTangent(op->getResult(0),
+                 static_cast<const Model *>(this)->extend(cast<OpTy>(op), b));
     return success();
   }
 };
@@ -45,12 +80,36 @@ struct MatmulModel : MatrixModel<MatmulModel, MatmulOp> {
       b.addAdjoint(rhs, guardFor(b, lhs, g, product));
     }
   }
+  /// Ṙ = Ȧ B + A Ḃ
+  Value extend(MatmulOp op, TangentBuilder &b) const {
+    Value lhs = op.getLhs(), rhs = op.getRhs();
+    auto left = cast<VectorType>(lhs.getType());
+    auto type = cast<VectorType>(op.getType());
+    int64_t rows = left.getDimSize(0), inner = left.getDimSize(1);
+    int64_t columns = type.getRank() == 1 ? 1 : type.getDimSize(1);
+    return createBilinearTangent(
+        b, lhs, rhs, [&](Value x, Value y) { return createMatmul(b, x, y); },
+        [&](auto term) {
+          SmallVector<Value> components;
+          for (int64_t i = 0; i != rows; ++i)
+            for (int64_t j = 0; j != columns; ++j) {
+              Value sum;
+              for (int64_t k = 0; k != inner; ++k)
+                sum = addTerms(b, sum, term(i * inner + k, k * columns + j));
+              components.push_back(sum);
+            }
+          return b.createVector(type, components);
+        });
+  }
 };
 
 /// R = Aᵀ:  A* += Gᵀ.
 struct TransposeModel : MatrixModel<TransposeModel, TransposeOp> {
   void build(TransposeOp op, AdjointBuilder &b, Value g) const {
     b.addAdjoint(op.getMatrix(), createTranspose(b, g));
+  }
+  Value extend(TransposeOp op, TangentBuilder &b) const {
+    return createTranspose(b, b.getTangent(op.getMatrix()));
   }
 };
 
@@ -63,6 +122,21 @@ struct DotModel : MatrixModel<DotModel, DotOp> {
         b.addAdjoint(
             to, guardFor(b, other, g, createScaled(b, b.getPrimal(other), g)));
   }
+  /// ṙ = Σ ȧᵢ bᵢ + aᵢ ḃᵢ
+  Value extend(DotOp op, TangentBuilder &b) const {
+    int64_t n = cast<VectorType>(op.getLhs().getType()).getNumElements();
+    return createBilinearTangent(
+        b, op.getLhs(), op.getRhs(),
+        [&](Value x, Value y) -> Value {
+          return DotOp::create(b, op.getType(), x, y);
+        },
+        [&](auto term) {
+          Value sum;
+          for (int64_t i = 0; i != n; ++i)
+            sum = addTerms(b, sum, term(i, i));
+          return sum;
+        });
+  }
 };
 
 /// r = Σ aᵢ:  a* += g everywhere.
@@ -70,6 +144,9 @@ struct SumModel : MatrixModel<SumModel, SumOp> {
   void build(SumOp op, AdjointBuilder &b, Value g) const {
     b.addAdjoint(op.getVector(),
                  vector::BroadcastOp::create(b, op.getVector().getType(), g));
+  }
+  Value extend(SumOp op, TangentBuilder &b) const {
+    return SumOp::create(b, op.getType(), b.getTangent(op.getVector()));
   }
 };
 
@@ -86,6 +163,24 @@ struct CrossModel : MatrixModel<CrossModel, CrossOp> {
           rhs, guardFor(b, lhs, g,
                         CrossOp::create(b, g.getType(), g, b.getPrimal(lhs))));
   }
+  /// Ṙ = ȧ × b + a × ḃ
+  Value extend(CrossOp op, TangentBuilder &b) const {
+    auto type = cast<VectorType>(op.getType());
+    return createBilinearTangent(
+        b, op.getLhs(), op.getRhs(),
+        [&](Value x, Value y) -> Value {
+          return CrossOp::create(b, type, x, y);
+        },
+        [&](auto term) {
+          SmallVector<Value> components;
+          for (int64_t i = 0; i != 3; ++i) {
+            int64_t j = (i + 1) % 3, k = (i + 2) % 3;
+            components.push_back(
+                arith::SubFOp::create(b, term(j, k), term(k, j)));
+          }
+          return b.createVector(type, components);
+        });
+  }
 };
 
 /// R = a bᵀ:  a* += G b,  b* += Gᵀ a.
@@ -97,6 +192,20 @@ struct OuterModel : MatrixModel<OuterModel, OuterOp> {
     if (b.isActive(rhs))
       b.addAdjoint(rhs,
                    createMatmul(b, createTranspose(b, g), b.getPrimal(lhs)));
+  }
+  /// Ṙ = ȧ bᵀ + a ḃᵀ
+  Value extend(OuterOp op, TangentBuilder &b) const {
+    auto type = cast<VectorType>(op.getType());
+    return createBilinearTangent(
+        b, op.getLhs(), op.getRhs(),
+        [&](Value x, Value y) { return createOuter(b, x, y); },
+        [&](auto term) {
+          SmallVector<Value> components;
+          for (int64_t i = 0; i != type.getDimSize(0); ++i)
+            for (int64_t j = 0; j != type.getDimSize(1); ++j)
+              components.push_back(term(i, j));
+          return b.createVector(type, components);
+        });
   }
 };
 
@@ -132,6 +241,22 @@ struct NormModel : MatrixModel<NormModel, NormOp> {
     a = createScaled(b, a, by);
     r = arith::MulFOp::create(b, r, by);
   }
+
+  /// ṙ = (a / r) · ȧ, and 0 where r = 0.
+  Value extend(NormOp op, TangentBuilder &b) const {
+    Value vector = op.getVector(), r = op.getResult();
+    Value length = vector::BroadcastOp::create(b, vector.getType(), r);
+    Value unit = arith::DivFOp::create(b, vector, length);
+    Value isZero = arith::CmpFOp::create(b, arith::CmpFPredicate::OEQ, r,
+                                         b.createZero(r.getType()));
+    unit = arith::SelectOp::create(b, isZero, b.createZero(vector.getType()),
+                                   unit);
+    Value tangent = b.getTangent(vector);
+    Value product = b.createProduct(
+        vector, arith::MulFOp::create(b, unit, tangent),
+        b.getFacts().mayBeNonFinite(vector), [&] { return unit; });
+    return SumOp::create(b, r.getType(), product);
+  }
 };
 
 /// r = tr A:  the diagonal of A* += g.
@@ -141,11 +266,14 @@ struct TraceModel : MatrixModel<TraceModel, TraceOp> {
     for (int64_t i = 0; i != n; ++i)
       b.addAdjointComponent(op.getMatrix(), i * n + i, g);
   }
+  Value extend(TraceOp op, TangentBuilder &b) const {
+    return TraceOp::create(b, op.getType(), b.getTangent(op.getMatrix()));
+  }
 };
 
 /// The determinant of the rows and columns listed, by cofactors of its first
 /// row.
-Value createMinor(AdjointBuilder &b, Value matrix, ArrayRef<int64_t> rows,
+Value createMinor(DerivativeBuilder &b, Value matrix, ArrayRef<int64_t> rows,
                   ArrayRef<int64_t> columns) {
   int64_t n = getRows(matrix);
   if (rows.empty())
@@ -169,29 +297,46 @@ Value createMinor(AdjointBuilder &b, Value matrix, ArrayRef<int64_t> rows,
   return sum;
 }
 
+/// The cofactors of a matrix, row-major.
+SmallVector<Value> createCofactors(DerivativeBuilder &b, Value matrix) {
+  int64_t n = getRows(matrix);
+  SmallVector<Value> cofactors;
+  for (int64_t i = 0; i != n; ++i)
+    for (int64_t j = 0; j != n; ++j) {
+      SmallVector<int64_t> rows, columns;
+      for (int64_t k = 0; k != n; ++k) {
+        if (k != i)
+          rows.push_back(k);
+        if (k != j)
+          columns.push_back(k);
+      }
+      Value minor = createMinor(b, matrix, rows, columns);
+      if ((i + j) % 2)
+        minor = arith::NegFOp::create(b, minor);
+      cofactors.push_back(minor);
+    }
+  return cofactors;
+}
+
 /// r = det A:  A* += g cof A.
 struct DeterminantModel : MatrixModel<DeterminantModel, DeterminantOp> {
   void build(DeterminantOp op, AdjointBuilder &b, Value g) const {
-    Value matrix = op.getMatrix(), primal = b.getPrimal(matrix);
-    int64_t n = getRows(matrix);
-    SmallVector<Value> components;
-    for (int64_t i = 0; i != n; ++i)
-      for (int64_t j = 0; j != n; ++j) {
-        SmallVector<int64_t> rows, columns;
-        for (int64_t k = 0; k != n; ++k) {
-          if (k != i)
-            rows.push_back(k);
-          if (k != j)
-            columns.push_back(k);
-        }
-        Value term = createMinor(b, primal, rows, columns);
-        term = arith::MulFOp::create(b, g, term);
-        if ((i + j) % 2)
-          term = arith::NegFOp::create(b, term);
-        components.push_back(term);
-      }
+    Value matrix = op.getMatrix();
+    SmallVector<Value> components = createCofactors(b, b.getPrimal(matrix));
+    for (Value &component : components)
+      component = arith::MulFOp::create(b, g, component);
     Value sum = b.createVector(cast<VectorType>(matrix.getType()), components);
     b.addAdjoint(matrix, guardFor(b, matrix, g, sum));
+  }
+  /// ṙ = Σ cof(A)ᵢⱼ Ȧᵢⱼ
+  Value extend(DeterminantOp op, TangentBuilder &b) const {
+    Value matrix = op.getMatrix(), tangent = b.getTangent(matrix);
+    Value cofactors = b.createVector(cast<VectorType>(matrix.getType()),
+                                     createCofactors(b, matrix));
+    Value product = b.createProduct(
+        matrix, arith::MulFOp::create(b, cofactors, tangent),
+        b.getFacts().mayBeNonFinite(matrix), [&] { return cofactors; });
+    return SumOp::create(b, op.getType(), product);
   }
 };
 
@@ -202,6 +347,12 @@ struct InverseModel : MatrixModel<InverseModel, InverseOp> {
     Value product = createMatmul(b, createMatmul(b, t, g), t);
     b.addAdjoint(op.getMatrix(),
                  createMatrixGuard(b, g, arith::NegFOp::create(b, product)));
+  }
+  /// Ṙ = -R Ȧ R
+  Value extend(InverseOp op, TangentBuilder &b) const {
+    Value r = op.getResult(), tangent = b.getTangent(op.getMatrix());
+    Value product = createMatmul(b, createMatmul(b, r, tangent), r);
+    return createMatrixGuard(b, tangent, arith::NegFOp::create(b, product));
   }
 };
 
@@ -217,6 +368,18 @@ struct SolveModel : MatrixModel<SolveModel, SolveOp> {
     Value product = createOuter(b, solved, b.getPrimal(op.getResult()));
     b.addAdjoint(op.getMatrix(),
                  createMatrixGuard(b, g, arith::NegFOp::create(b, product)));
+  }
+  /// ẋ = A⁻¹ (ḃ - Ȧ x)
+  Value extend(SolveOp op, TangentBuilder &b) const {
+    Value rest = b.getTangent(op.getRhs());
+    if (Value tangent = b.getTangent(op.getMatrix())) {
+      Value product = createMatmul(b, tangent, op.getResult());
+      product = createMatrixGuard(b, tangent, product);
+      rest = rest ? Value(arith::SubFOp::create(b, rest, product))
+                  : Value(arith::NegFOp::create(b, product));
+    }
+    return createMatrixGuard(
+        b, rest, SolveOp::create(b, op.getType(), op.getMatrix(), rest));
   }
 };
 } // namespace

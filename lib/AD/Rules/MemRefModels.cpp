@@ -57,12 +57,26 @@ struct AccessModel : DifferentiableAccessInterface::ExternalModel<Model, OpTy> {
 struct LoadModel : AccessModel<LoadModel, memref::LoadOp> {
   AccessKind getAccessKind(Operation *) const { return AccessKind::Read; }
   Value getAccessedValue(Operation *op) const { return op->getResult(0); }
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b,
+                             Storage tangents) const {
+    b.setTangent(op->getResult(0),
+                 memref::LoadOp::create(b, tangents.memref,
+                                        cast<memref::LoadOp>(op).getIndices()));
+    return success();
+  }
 };
 
 struct StoreModel : AccessModel<StoreModel, memref::StoreOp> {
   AccessKind getAccessKind(Operation *) const { return AccessKind::Write; }
   Value getAccessedValue(Operation *op) const {
     return cast<memref::StoreOp>(op).getValueToStore();
+  }
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b,
+                             Storage tangents) const {
+    auto store = cast<memref::StoreOp>(op);
+    memref::StoreOp::create(b, b.getTangentOrZero(store.getValueToStore()),
+                            tangents.memref, store.getIndices());
+    return success();
   }
 };
 
@@ -80,7 +94,57 @@ struct AtomicModel : AccessModel<AtomicModel, memref::AtomicRMWOp> {
   Value getAccessedValue(Operation *op) const {
     return cast<memref::AtomicRMWOp>(op).getValue();
   }
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b,
+                             Storage tangents) const;
 };
+
+// As for `tai.atomic`.
+LogicalResult AtomicModel::buildTangent(Operation *op, TangentBuilder &b,
+                                        Storage tangents) const {
+  using Kind = arith::AtomicRMWKind;
+  auto atomic = cast<memref::AtomicRMWOp>(op);
+  Kind kind = atomic.getKind();
+  Value value = atomic.getValue(), old = atomic.getResult();
+  Value tangent = b.getTangent(value), memref = tangents.memref;
+  ValueRange indices = atomic.getIndices();
+  bool isLinear = kind == Kind::addf || (kind == Kind::mulf && !tangent);
+  bool isAlone = isLinear && old.use_empty();
+  if (!isAlone && !b.isExclusive(op) && failed(b.runInOrder(op)))
+    return failure();
+  Value oldTangent;
+  if (!isAlone) {
+    oldTangent = memref::LoadOp::create(b, memref, indices);
+    b.setTangent(old, oldTangent);
+  }
+  if (isLinear) {
+    if (Value operand = kind == Kind::addf ? tangent : value)
+      memref::AtomicRMWOp::create(b, kind, operand, memref, indices);
+    return success();
+  }
+  Value result;
+  switch (kind) {
+  case Kind::assign:
+    result = b.getTangentOrZero(value);
+    break;
+  case Kind::mulf:
+    result =
+        createUpdatedTangent(b, UpdateKind::Product, old, oldTangent, value);
+    break;
+  case Kind::maximumf:
+  case Kind::maxnumf:
+    result =
+        createUpdatedTangent(b, UpdateKind::Greatest, old, oldTangent, value);
+    break;
+  case Kind::minimumf:
+  case Kind::minnumf:
+    result = createUpdatedTangent(b, UpdateKind::Least, old, oldTangent, value);
+    break;
+  default:
+    return refuseTangent(op, b);
+  }
+  memref::StoreOp::create(b, result, memref, indices);
+  return success();
+}
 } // namespace
 
 void mlir::tai::registerMemRefModels(DialectRegistry &registry) {

@@ -13,6 +13,9 @@
 #ifndef TAI_LIB_AD_RULES_MODELS_H
 #define TAI_LIB_AD_RULES_MODELS_H
 
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/AD/TangentBuilder.h"
+
 namespace mlir {
 class DialectRegistry;
 } // namespace mlir
@@ -26,6 +29,23 @@ void registerSCFModels(DialectRegistry &registry);
 void registerTaiModels(DialectRegistry &registry);
 void registerMatrixModels(DialectRegistry &registry);
 void registerDecompositionModels(DialectRegistry &registry);
+
+/// True if a region of `scf.reduce` adds its two arguments.
+bool isSumReduction(Region &region);
+
+/// Forward mode of structured control flow (SCFTangents.cpp).
+LogicalResult extendIf(scf::IfOp op, TangentBuilder &b);
+LogicalResult extendFor(scf::ForOp op, TangentBuilder &b);
+LogicalResult extendWhile(scf::WhileOp op, TangentBuilder &b);
+LogicalResult extendParallel(scf::ParallelOp op, TangentBuilder &b);
+
+/// How an update combines the element with a value.
+enum class UpdateKind { Product, Greatest, Least };
+/// The tangent of an element after an update, given the element and its tangent
+/// before, and the value and its tangent. A tie goes to the value, as for the
+/// second operand of `arith.maximumf`, or half to each.
+Value createUpdatedTangent(TangentBuilder &b, UpdateKind kind, Value old,
+                           Value oldTangent, Value value);
 } // namespace mlir::tai
 
 #endif // TAI_LIB_AD_RULES_MODELS_H

@@ -26,6 +26,9 @@ using Captured = llvm::MapVector<Value, Value>;
 namespace {
 
 struct IfModel : AdjointLoopInterface::ExternalModel<IfModel, scf::IfOp> {
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    return extendIf(cast<scf::IfOp>(op), b);
+  }
   LogicalResult buildReverse(Operation *op, AdjointBuilder &b) const {
     auto primal = cast<scf::IfOp>(op);
     Value condition = b.getPrimal(primal.getCondition());
@@ -90,6 +93,9 @@ struct IfModel : AdjointLoopInterface::ExternalModel<IfModel, scf::IfOp> {
 };
 
 struct ForModel : AdjointLoopInterface::ExternalModel<ForModel, scf::ForOp> {
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    return extendFor(cast<scf::ForOp>(op), b);
+  }
   LogicalResult buildReverse(Operation *op, AdjointBuilder &b) const {
     auto primal = cast<scf::ForOp>(op);
     if (primal.getUnsignedCmp()) {
@@ -145,6 +151,9 @@ struct ForModel : AdjointLoopInterface::ExternalModel<ForModel, scf::ForOp> {
 /// first, and its reverse is a loop over the iterations that it took.
 struct WhileModel
     : AdjointLoopInterface::ExternalModel<WhileModel, scf::WhileOp> {
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    return extendWhile(cast<scf::WhileOp>(op), b);
+  }
   LogicalResult buildReverse(Operation *op, AdjointBuilder &b) const {
     auto primal = cast<scf::WhileOp>(op);
     return isIndependent(primal, b) ? repeat(primal, b) : reverse(primal, b);
@@ -301,6 +310,9 @@ struct ParallelModel
     : AdjointLoopInterface::ExternalModel<ParallelModel, scf::ParallelOp> {
   bool runsInParallel(Operation *) const { return true; }
 
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    return extendParallel(cast<scf::ParallelOp>(op), b);
+  }
   LogicalResult buildReverse(Operation *op, AdjointBuilder &b) const {
     auto primal = cast<scf::ParallelOp>(op);
     auto reduce = cast<scf::ReduceOp>(primal.getBody()->getTerminator());
@@ -310,7 +322,7 @@ struct ParallelModel
       seeds.push_back(seed);
       if (!seed)
         continue;
-      if (!isSum(reduce.getReductions()[i])) {
+      if (!isSumReduction(reduce.getReductions()[i])) {
         b.emitError(op, "cannot differentiate a reduction that is not a sum");
         return failure();
       }
@@ -331,15 +343,6 @@ struct ParallelModel
     };
     return reverseParallelBody(b, loop, *primal.getBody(), *mirror, begin,
                                [&] { scf::ReduceOp::create(b); });
-  }
-
-  /// True if the region adds its two arguments.
-  static bool isSum(Region &region) {
-    Block &block = region.front();
-    auto result = cast<scf::ReduceReturnOp>(block.getTerminator()).getResult();
-    auto add = result.getDefiningOp<arith::AddFOp>();
-    return add && add->getBlock() == &block && add.getLhs() != add.getRhs() &&
-           isa<BlockArgument>(add.getLhs()) && isa<BlockArgument>(add.getRhs());
   }
 };
 } // namespace

@@ -13,6 +13,8 @@
 #include "Models.h"
 #include "ScalarRules.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "tai/AD/AdjointBuilder.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
 #include "llvm/ADT/StringMap.h"
 
 using namespace mlir;
@@ -42,6 +44,99 @@ static void applyRule(Operation *op, AdjointBuilder &adjoint) {
   }
 }
 
+static void applyTangentRule(Operation *op, TangentBuilder &b) {
+  Value sum;
+  for (const Partial &partial : getRule(op).partials) {
+    Value operand = op->getOperand(partial.operand);
+    Value tangent = b.getTangent(operand);
+    if (!tangent)
+      continue;
+    RuleArgs args(b, op, tangent, RuleArgs::Mode::Forward);
+    Value product = partial.build(args).value;
+    Value term = b.createProduct(
+        operand, product, args.usesNonFinite() || partial.mayBeNonFinite(args),
+        [&] {
+          Value one = b.createConstant(tangent.getType(), 1);
+          RuleArgs unit(b, op, one, RuleArgs::Mode::Forward);
+          return partial.build(unit).value;
+        });
+    sum = sum ? Value(arith::AddFOp::create(b, sum, term)) : term;
+  }
+  b.setTangent(op->getResult(0), sum);
+}
+
+/// The value whose zeros a guard tests for, or null.
+static Value getGuarded(arith::SelectOp guard) {
+  auto test = guard.getCondition().getDefiningOp<arith::CmpFOp>();
+  if (!test || test.getPredicate() != arith::CmpFPredicate::OEQ)
+    return {};
+  Value tested = test.getLhs();
+  // All components of a matrix at once: a sum of absolute values.
+  if (auto sum = tested.getDefiningOp<SumOp>())
+    if (auto abs = sum.getVector().getDefiningOp<math::AbsFOp>())
+      return abs.getOperand();
+  return tested;
+}
+
+/// A guard stands for the product g p, with 0 where g = 0 whatever p is. The
+/// derivative of that is g' p + g p', with 0 where both g and g' are zero.
+static LogicalResult applyGuardRule(arith::SelectOp guard, TangentBuilder &b) {
+  Value guarded = getGuarded(guard);
+  if (!guarded) {
+    b.emitError(guard, "cannot differentiate this guard against zero again");
+    return failure();
+  }
+  Value product = b.getTangent(guard.getFalseValue());
+  if (!product)
+    return success();
+  Value condition = guard.getCondition();
+  if (Value tangent = b.getTangent(guarded)) {
+    if (!isa<VectorType>(condition.getType()) &&
+        isa<VectorType>(tangent.getType()))
+      tangent = SumOp::create(b, getElementTypeOrSelf(tangent.getType()),
+                              math::AbsFOp::create(b, tangent));
+    Value isZero = arith::CmpFOp::create(b, arith::CmpFPredicate::OEQ, tangent,
+                                         b.createZero(tangent.getType()));
+    condition = arith::AndIOp::create(b, condition, isZero);
+  }
+  auto again = arith::SelectOp::create(
+      b, condition, b.createZero(product.getType()), product);
+  // Its condition is none that this rule knows: a third derivative is refused.
+  again->setAttr(kGuard, b.getUnitAttr());
+  b.setTangent(guard, again);
+  return success();
+}
+
+Value mlir::tai::createUpdatedTangent(TangentBuilder &b, UpdateKind kind,
+                                      Value old, Value oldTangent,
+                                      Value value) {
+  Value tangent = b.getTangent(value);
+  if (kind == UpdateKind::Product) {
+    Value kept = arith::MulFOp::create(b, oldTangent, value);
+    if (b.getFacts().mayBeNonFinite(value))
+      kept = b.createGuard(oldTangent, kept);
+    if (!tangent)
+      return kept;
+    Value added =
+        b.createProduct(value, arith::MulFOp::create(b, old, tangent),
+                        /*partialMayBeNonFinite=*/false, [&] { return old; });
+    return arith::AddFOp::create(b, kept, added);
+  }
+  auto predicate = kind == UpdateKind::Greatest ? arith::CmpFPredicate::OGT
+                                                : arith::CmpFPredicate::OLT;
+  Value stays = arith::CmpFOp::create(b, predicate, old, value);
+  Value comes = b.getTangentOrZero(value);
+  if (b.getConventions().splitTies) {
+    Value isTie =
+        arith::CmpFOp::create(b, arith::CmpFPredicate::OEQ, old, value);
+    Value half =
+        arith::MulFOp::create(b, b.createConstant(comes.getType(), 0.5),
+                              arith::AddFOp::create(b, oldTangent, comes));
+    comes = arith::SelectOp::create(b, isTie, half, comes);
+  }
+  return arith::SelectOp::create(b, stays, oldTangent, comes);
+}
+
 namespace {
 /// An op with a row in the table.
 template <typename OpTy>
@@ -49,6 +144,13 @@ struct ScalarModel
     : DifferentiableOpInterface::ExternalModel<ScalarModel<OpTy>, OpTy> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &adjoint) const {
     applyRule(op, adjoint);
+    return success();
+  }
+  LogicalResult buildTangent(Operation *op, TangentBuilder &tangent) const {
+    if (auto select = dyn_cast<arith::SelectOp>(op);
+        select && op->hasAttr(kGuard))
+      return applyGuardRule(select, tangent);
+    applyTangentRule(op, tangent);
     return success();
   }
   bool carriesDerivative(Operation *op, OpOperand &operand) const {
@@ -71,6 +173,19 @@ struct SincosModel
           sincos.getOperand(),
           arith::NegFOp::create(
               b, arith::MulFOp::create(b, g, b.getPrimal(sincos.getSin()))));
+    return success();
+  }
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    auto sincos = cast<math::SincosOp>(op);
+    Value x = sincos.getOperand(), tangent = b.getTangent(x);
+    auto times = [&](Value partial) {
+      return b.createProduct(x, arith::MulFOp::create(b, tangent, partial),
+                             b.getFacts().mayBeNonFinite(x),
+                             [&] { return partial; });
+    };
+    b.setTangent(sincos.getSin(), times(sincos.getCos()));
+    b.setTangent(sincos.getCos(),
+                 arith::NegFOp::create(b, times(sincos.getSin())));
     return success();
   }
 };

@@ -21,7 +21,9 @@ using namespace mlir;
 using namespace mlir::tai;
 
 Num RuleArgs::cast(Num a, unsigned i) {
-  Type from = a.value.getType(), to = op->getOperand(i).getType();
+  Value target =
+      mode == Mode::Backward ? op->getOperand(i) : Value(op->getResult(0));
+  Type from = a.value.getType(), to = target.getType();
   if (getElementTypeOrSelf(from).getIntOrFloatBitWidth() <
       getElementTypeOrSelf(to).getIntOrFloatBitWidth())
     return {a.builder, arith::ExtFOp::create(builder, to, a.value)};
@@ -110,7 +112,7 @@ static Num arcSlope(RuleArgs &a) {
 
 /// n x^(n - 1) for an integer n; 0 where n = 0.
 static Num powerByInteger(RuleArgs &a) {
-  AdjointBuilder &b = *a.g().builder;
+  DerivativeBuilder &b = *a.g().builder;
   Value n = a.truth(1).value;
   Type element = getElementTypeOrSelf(n.getType());
   TypedAttr oneAttr = b.getIntegerAttr(element, 1);

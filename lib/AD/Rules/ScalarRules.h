@@ -15,20 +15,20 @@
 
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Math/IR/Math.h"
-#include "tai/AD/AdjointBuilder.h"
 #include "tai/AD/Conventions.h"
+#include "tai/AD/DerivativeBuilder.h"
 
 namespace mlir::tai {
 
 /// A float value, or a vector taken component by component.
 struct Num {
-  AdjointBuilder *builder;
+  DerivativeBuilder *builder;
   Value value;
 };
 
 /// A truth value, or a vector of them.
 struct Truth {
-  AdjointBuilder *builder;
+  DerivativeBuilder *builder;
   Value value;
 };
 
@@ -91,10 +91,18 @@ inline Num unless(Truth condition, Num a) {
 /// asked for.
 class RuleArgs {
 public:
-  RuleArgs(AdjointBuilder &builder, Operation *op, Value seed)
-      : builder(builder), op(op), seed(seed) {}
+  /// Backward, `seed` is the adjoint of the result, and a formula gives the
+  /// contribution to the adjoint of its operand. It is linear in the seed, and
+  /// works on each component by itself: so it is its own transpose, and with
+  /// the tangent of the operand as the seed it gives the contribution to the
+  /// tangent of the result.
+  enum class Mode { Backward, Forward };
 
-  /// The adjoint of the result.
+  RuleArgs(DerivativeBuilder &builder, Operation *op, Value seed,
+           Mode mode = Mode::Backward)
+      : builder(builder), op(op), seed(seed), mode(mode) {}
+
+  /// The adjoint of the result, or the tangent of the operand.
   Num g() { return {&builder, seed}; }
   /// The operands.
   Num x() { return use(op->getOperand(0)); }
@@ -106,7 +114,7 @@ public:
   Truth truth(unsigned i) {
     return {&builder, builder.getPrimal(op->getOperand(i))};
   }
-  /// `a` in the float type of operand i.
+  /// `a` in the float type of operand i; forward, in that of the result.
   Num cast(Num a, unsigned i);
 
   Operation *getOperation() { return op; }
@@ -122,9 +130,10 @@ private:
     return {&builder, builder.getPrimal(value)};
   }
 
-  AdjointBuilder &builder;
+  DerivativeBuilder &builder;
   Operation *op;
   Value seed;
+  Mode mode;
   bool usedNonFinite = false;
 };
 

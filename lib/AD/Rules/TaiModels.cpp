@@ -52,10 +52,25 @@ struct AccessModel : DifferentiableAccessInterface::ExternalModel<Model, OpTy> {
 
 struct LoadModel : AccessModel<LoadModel, LoadOp> {
   AccessKind getAccessKind(Operation *) const { return AccessKind::Read; }
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b,
+                             Storage tangents) const {
+    auto load = cast<LoadOp>(op);
+    b.setTangent(load.getValue(),
+                 LoadOp::create(b, load.getType(), tangents.field,
+                                load.getIndices(), load.getComponents()));
+    return success();
+  }
 };
 
 struct StoreModel : AccessModel<StoreModel, StoreOp> {
   AccessKind getAccessKind(Operation *) const { return AccessKind::Write; }
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b,
+                             Storage tangents) const {
+    auto store = cast<StoreOp>(op);
+    StoreOp::create(b, b.getTangentOrZero(store.getValue()), tangents.field,
+                    store.getIndices(), store.getComponents());
+    return success();
+  }
 };
 
 struct AtomicModel : AccessModel<AtomicModel, AtomicOp> {
@@ -68,7 +83,44 @@ struct AtomicModel : AccessModel<AtomicModel, AtomicOp> {
   bool isNegated(Operation *op) const {
     return cast<AtomicOp>(op).getKind() == AtomicKind::Sub;
   }
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b,
+                             Storage tangents) const;
 };
+
+// A sum of tangents is a sum, in any order. All else depends on the element
+// before the update, which other iterations may change between the update of
+// the element and that of its tangent.
+LogicalResult AtomicModel::buildTangent(Operation *op, TangentBuilder &b,
+                                        Storage tangents) const {
+  auto atomic = cast<AtomicOp>(op);
+  AtomicKind kind = atomic.getKind();
+  Value value = atomic.getValue(), old = atomic.getOld();
+  Value tangent = b.getTangent(value);
+  bool isSum = kind == AtomicKind::Add || kind == AtomicKind::Sub;
+  bool isLinear = isSum || (kind == AtomicKind::Mul && !tangent);
+  bool isAlone = isLinear && old.use_empty();
+  if (!isAlone && !b.isExclusive(op) && failed(b.runInOrder(op)))
+    return failure();
+  ValueRange indices = atomic.getIndices(), components = atomic.getComponents();
+  Value oldTangent;
+  if (!isAlone) {
+    oldTangent =
+        LoadOp::create(b, old.getType(), tangents.field, indices, components);
+    b.setTangent(old, oldTangent);
+  }
+  if (isLinear) {
+    if (Value operand = isSum ? tangent : value)
+      AtomicOp::create(b, kind, operand, tangents.field, indices, components,
+                       atomic.getExclusive());
+    return success();
+  }
+  UpdateKind update = kind == AtomicKind::Mul   ? UpdateKind::Product
+                      : kind == AtomicKind::Max ? UpdateKind::Greatest
+                                                : UpdateKind::Least;
+  StoreOp::create(b, createUpdatedTangent(b, update, old, oldTangent, value),
+                  tangents.field, indices, components);
+  return success();
+}
 
 /// A parallel loop stays parallel: its iterations are reversed each for itself.
 struct ParallelForModel

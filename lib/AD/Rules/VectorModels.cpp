@@ -48,6 +48,10 @@ void addComponents(AdjointBuilder &b, Value to, int64_t toFirst,
 struct BroadcastModel
     : DifferentiableOpInterface::ExternalModel<BroadcastModel,
                                                vector::BroadcastOp> {
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    b.applyToTangents(op);
+    return success();
+  }
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     auto broadcast = cast<vector::BroadcastOp>(op);
     Value source = broadcast.getSource();
@@ -80,6 +84,10 @@ struct BroadcastModel
 struct ExtractModel
     : DifferentiableOpInterface::ExternalModel<ExtractModel,
                                                vector::ExtractOp> {
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    b.applyToTangents(op);
+    return success();
+  }
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     auto extract = cast<vector::ExtractOp>(op);
     Value source = extract.getSource();
@@ -107,6 +115,10 @@ struct ExtractModel
 
 struct InsertModel
     : DifferentiableOpInterface::ExternalModel<InsertModel, vector::InsertOp> {
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    b.applyToTangents(op);
+    return success();
+  }
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     auto insert = cast<vector::InsertOp>(op);
     Value value = insert.getValueToStore();
@@ -137,6 +149,10 @@ struct InsertModel
 struct FromElementsModel
     : DifferentiableOpInterface::ExternalModel<FromElementsModel,
                                                vector::FromElementsOp> {
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    b.applyToTangents(op);
+    return success();
+  }
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     SmallVector<Value> seeds = b.getAdjointComponents(op->getResult(0));
     for (auto [element, seed] : llvm::zip(op->getOperands(), seeds))
@@ -148,6 +164,10 @@ struct FromElementsModel
 struct ToElementsModel
     : DifferentiableOpInterface::ExternalModel<ToElementsModel,
                                                vector::ToElementsOp> {
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    b.applyToTangents(op);
+    return success();
+  }
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     for (OpResult element : op->getResults())
       b.addAdjointComponent(op->getOperand(0), element.getResultNumber(),
@@ -159,6 +179,10 @@ struct ToElementsModel
 struct ShapeCastModel
     : DifferentiableOpInterface::ExternalModel<ShapeCastModel,
                                                vector::ShapeCastOp> {
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    b.applyToTangents(op);
+    return success();
+  }
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     addComponents(b, op->getOperand(0), 0,
                   b.getAdjointComponents(op->getResult(0)));
@@ -169,6 +193,10 @@ struct ShapeCastModel
 struct ShuffleModel
     : DifferentiableOpInterface::ExternalModel<ShuffleModel,
                                                vector::ShuffleOp> {
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    b.applyToTangents(op);
+    return success();
+  }
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     auto shuffle = cast<vector::ShuffleOp>(op);
     // The mask speaks of the leading dimension; each entry moves a slice.
@@ -191,6 +219,10 @@ struct ShuffleModel
 struct TransposeModel
     : DifferentiableOpInterface::ExternalModel<TransposeModel,
                                                vector::TransposeOp> {
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    b.applyToTangents(op);
+    return success();
+  }
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     auto transpose = cast<vector::TransposeOp>(op);
     VectorType from = transpose.getSourceVectorType();
@@ -217,6 +249,48 @@ struct TransposeModel
 struct ReductionModel
     : DifferentiableOpInterface::ExternalModel<ReductionModel,
                                                vector::ReductionOp> {
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    auto reduction = cast<vector::ReductionOp>(op);
+    using Kind = vector::CombiningKind;
+    Kind kind = reduction.getKind();
+    if (kind == Kind::ADD) {
+      b.applyToTangents(op);
+      return success();
+    }
+    Value vector = reduction.getVector(), acc = reduction.getAcc();
+    bool isMax = kind == Kind::MAXIMUMF || kind == Kind::MAXNUMF;
+    bool isMin = kind == Kind::MINIMUMF || kind == Kind::MINNUMF;
+    if (kind != Kind::MUL && !isMax && !isMin) {
+      b.emitError(op, "this kind of 'vector.reduction' has no derivative");
+      return failure();
+    }
+    SmallVector<std::pair<Value, Value>> terms;
+    Value tangents = b.getTangentOrZero(vector);
+    auto type = cast<VectorType>(vector.getType());
+    for (int64_t i = 0, e = type.getNumElements(); i != e; ++i)
+      terms.emplace_back(b.createExtract(vector, i),
+                         b.createExtract(tangents, i));
+    if (acc)
+      terms.emplace_back(acc, b.getTangentOrZero(acc));
+    Value result = reduction.getDest(), sum, product;
+    auto predicate =
+        isMax ? arith::CmpFPredicate::OGE : arith::CmpFPredicate::OLE;
+    for (auto [operand, tangent] : terms) {
+      if (!sum) {
+        sum = tangent;
+        product = operand;
+      } else if (kind == Kind::MUL) {
+        sum = arith::AddFOp::create(b, arith::MulFOp::create(b, sum, operand),
+                                    arith::MulFOp::create(b, product, tangent));
+        product = arith::MulFOp::create(b, product, operand);
+      } else {
+        Value wins = arith::CmpFOp::create(b, predicate, operand, result);
+        sum = arith::SelectOp::create(b, wins, tangent, sum);
+      }
+    }
+    b.setTangent(result, sum);
+    return success();
+  }
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     auto reduction = cast<vector::ReductionOp>(op);
     using Kind = vector::CombiningKind;

@@ -447,11 +447,11 @@ class Loops:
         return variables
 
     def shared_memory(self, name: str, dt: DataType, shape: tuple[int, ...]) -> ScalarField:
-        """A field of one element, with a gradient, that belongs to this kernel."""
+        """A field of one element, with a gradient and a dual, that belongs to this kernel."""
         from ..snode import Root
 
         field = ScalarField(dt, f"{self.kernel_name}_{name}", "primal", shape)
-        field.needs_grad = dt.is_float
+        field.needs_grad = field.needs_dual = dt.is_float
         root = Root()
         root.place(field)
         root.allocate(self.program)

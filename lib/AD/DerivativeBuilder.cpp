@@ -1,0 +1,75 @@
+//===- DerivativeBuilder.cpp - What rules of both modes call --------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/AD/DerivativeBuilder.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+DerivativeBuilder::DerivativeBuilder(FunctionOpInterface function)
+    : ImplicitLocOpBuilder(function.getLoc(), function.getContext()),
+      conventions(Conventions::of(function)) {}
+
+DerivativeBuilder::~DerivativeBuilder() = default;
+
+Value DerivativeBuilder::createConstant(Type type, double value) {
+  Type element = getElementTypeOrSelf(type);
+  TypedAttr attr = getFloatAttr(element, value);
+  if (auto vector = dyn_cast<VectorType>(type))
+    attr = DenseElementsAttr::get(vector, Attribute(attr));
+  return arith::ConstantOp::create(*this, attr);
+}
+
+Value DerivativeBuilder::createExtract(Value vector, int64_t component) {
+  // Looks through what made the vector, so that sums of components stay
+  // scalar.
+  if (auto elements = vector.getDefiningOp<vector::FromElementsOp>())
+    return elements.getElements()[component];
+  if (auto broadcast = vector.getDefiningOp<vector::BroadcastOp>();
+      broadcast && !isa<VectorType>(broadcast.getSourceType()))
+    return broadcast.getSource();
+  auto type = cast<VectorType>(vector.getType());
+  SmallVector<int64_t> position(type.getRank());
+  for (int64_t dim = type.getRank() - 1; dim >= 0; --dim) {
+    position[dim] = component % type.getDimSize(dim);
+    component /= type.getDimSize(dim);
+  }
+  return vector::ExtractOp::create(*this, vector, position);
+}
+
+Value DerivativeBuilder::createVector(VectorType type,
+                                      ArrayRef<Value> components) {
+  SmallVector<Value> elements(components);
+  Value zero;
+  for (Value &element : elements)
+    if (!element) {
+      if (!zero)
+        zero = createZero(type.getElementType());
+      element = zero;
+    }
+  return vector::FromElementsOp::create(*this, type, elements);
+}
+
+Value DerivativeBuilder::createMask(Value condition, Value value) {
+  return arith::SelectOp::create(*this, condition, value,
+                                 createZero(value.getType()));
+}
+
+Value DerivativeBuilder::createGuard(Value derivative, Value value) {
+  if (!conventions.guards)
+    return value;
+  Value zero = createZero(derivative.getType());
+  Value isZero =
+      arith::CmpFOp::create(*this, arith::CmpFPredicate::OEQ, derivative, zero);
+  if (derivative.getType() != value.getType())
+    zero = createZero(value.getType());
+  auto guard = arith::SelectOp::create(*this, isZero, zero, value);
+  guard->setAttr(kGuard, getUnitAttr());
+  return guard;
+}

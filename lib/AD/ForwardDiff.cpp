@@ -1,0 +1,146 @@
+//===- ForwardDiff.cpp - Kernels that carry tangents ----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Copies what is to be differentiated and has TangentBuilder extend the copy.
+// The primal is read, not changed.
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Math/IR/Math.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "tai/AD/Conventions.h"
+#include "tai/AD/Passes.h"
+#include "tai/AD/TangentBuilder.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_FORWARDDIFF
+#include "tai/AD/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Names the extended copy, on what it was made from.
+static constexpr StringLiteral kTangent = "tai.tangent";
+
+/// Adds an argument for the tangents of each argument that is an array of
+/// floats, and returns which belongs to which.
+static DenseMap<Value, Value> addArrays(FunctionOpInterface function) {
+  DenseMap<Value, Value> tangents;
+  for (unsigned i = 0, e = function.getNumArguments(); i != e; ++i) {
+    BlockArgument argument = function.getArgument(i);
+    auto type = dyn_cast<MemRefType>(argument.getType());
+    if (!type || !isFloatOrVector(type.getElementType()))
+      continue;
+    unsigned position = function.getNumArguments();
+    (void)function.insertArgument(position, type, {}, argument.getLoc());
+    tangents[argument] = function.getArgument(position);
+  }
+  return tangents;
+}
+
+namespace {
+struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
+  using Base::Base;
+
+  void getDependentDialects(DialectRegistry &registry) const override {
+    Base::getDependentDialects(registry);
+    registerDifferentiableModels(registry);
+  }
+
+  void runOnOperation() override {
+    SymbolTable symbols(getOperation());
+    SmallVector<FunctionOpInterface> functions;
+    if (failed(select(symbols, functions)))
+      return signalPassFailure();
+    bool failedAny = false;
+    // One error does not hide the next: every kernel is tried.
+    for (FunctionOpInterface function : functions)
+      failedAny |= failed(differentiate(function, symbols));
+    if (failedAny)
+      signalPassFailure();
+  }
+
+  /// The kernels and functions of the given names; or without names, all
+  /// kernels, and the functions with the attribute `tai.differentiate`.
+  LogicalResult select(SymbolTable &symbols,
+                       SmallVectorImpl<FunctionOpInterface> &functions) {
+    for (const std::string &name : kernels) {
+      auto function = symbols.lookup<FunctionOpInterface>(name);
+      if (!function)
+        return getOperation().emitError() << "there is no kernel or function '@"
+                                          << name << "' to differentiate";
+      functions.push_back(function);
+    }
+    if (!kernels.empty())
+      return success();
+    for (auto function : getOperation().getOps<FunctionOpInterface>())
+      if (!function.isExternal() && !function->hasAttr(kTangent) &&
+          (isa<KernelOp>(function.getOperation()) ||
+           function->hasAttr("tai.differentiate")))
+        functions.push_back(function);
+    return success();
+  }
+
+  LogicalResult differentiate(FunctionOpInterface function,
+                              SymbolTable &symbols) {
+    if (function->hasAttr(kTangent))
+      return success();
+    if (!function.getFunctionBody().hasOneBlock())
+      return function.emitError(
+          "cannot differentiate a function of several blocks; structured "
+          "control flow is expected");
+    if (failed(Conventions::verify(function)))
+      return failure();
+    std::string name = (function.getName() + "_fwd").str();
+    if (Operation *taken = symbols.lookup(name)) {
+      InFlightDiagnostic diag = function.emitError()
+                                << "cannot make the tangent '@" << name
+                                << "': the name is taken";
+      diag.attachNote(taken->getLoc()) << "by this";
+      return diag;
+    }
+    FunctionOpInterface made = function.clone();
+    made.setName(name);
+    for (StringRef attribute :
+         {"adjoint", "tai.adjoint", "tai.differentiate", "summary"})
+      made->removeAttr(attribute);
+    symbols.insert(made, std::next(function->getIterator()));
+    if (failed(extend(made))) {
+      symbols.erase(made);
+      return failure();
+    }
+    function->setAttr(kTangent, FlatSymbolRefAttr::get(&getContext(), name));
+    return success();
+  }
+
+  LogicalResult extend(FunctionOpInterface function) {
+    DenseMap<Value, Value> arrays;
+    if (arrayTangents || !isa<KernelOp>(function.getOperation()))
+      arrays = addArrays(function);
+    auto tangentOf = [&](Storage storage) -> Storage {
+      if (storage.memref)
+        return arrays.lookup(storage.memref);
+      FieldOp field = lookupField(function, storage.field);
+      return field && field.getDualAttr() && isFloatOrVector(field.getType())
+                 ? Storage(field.getDualAttr())
+                 : Storage();
+    };
+    TangentBuilder builder(function, tangentOf);
+    if (failed(builder.build()))
+      return failure();
+    markExclusiveAtomics(function);
+    return success();
+  }
+};
+} // namespace
