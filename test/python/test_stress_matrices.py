@@ -86,8 +86,9 @@ SINGULAR = {
     "axis": np.diag([1.0, 0.0, 0.0]),
     "mirror": np.diag([1.0, 1.0, -1.0]),
     "mirror of all": -np.eye(3),
+    "denormal": np.diag([1e-310, 1e-310, 1e-310]),
 }
-COMPOSITES = ["polar", "stretch"]
+COMPOSITES = ["polar", "stretch", "rotation of svd", "product of svd"]
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -43,6 +43,15 @@ S divideAbove(S a, S c, S floor) {
   return {&b, b.createMask(isLarge, arith::DivFOp::create(b, a.v, c.v))};
 }
 
+/// a, and 0 where |a| is not above `floor`. NaN stays.
+S dropBelow(S a, S floor) {
+  AdjointBuilder &b = *a.b;
+  Value isSmall =
+      arith::CmpFOp::create(b, arith::CmpFPredicate::OLE, abs(a).v, floor.v);
+  return {&b, arith::SelectOp::create(b, isSmall, b.createZero(a.v.getType()),
+                                      a.v)};
+}
+
 /// A small matrix taken apart.
 struct M {
   DerivativeBuilder *b;
@@ -51,6 +60,15 @@ struct M {
     return {b, b->createExtract(v, i * getRows(v) + j)};
   }
 };
+
+/// The greatest magnitude of an entry.
+S getGreatest(M m, int64_t n) {
+  S greatest = abs(m(0, 0));
+  for (int64_t k = 1; k != n * n; ++k)
+    greatest = {m.b, arith::MaximumFOp::create(*m.b, greatest.v,
+                                               abs(m(k / n, k % n)).v)};
+  return greatest;
+}
 
 /// What the relative distance of two values must exceed to be told apart.
 double getTolerance(Type type) {
@@ -181,7 +199,13 @@ M getTurned(DerivativeBuilder &b, Value u, Value g) {
 /// A = U Σ Vᵀ. In the frame of the factors, dU = U Ω and dV = V Ψ with skew Ω,
 /// Ψ; for i < j the sum and difference of their entries are
 ///   Ωᵢⱼ + Ψᵢⱼ = (Pᵢⱼ + Pⱼᵢ) / (σⱼ - σᵢ),  Ωᵢⱼ - Ψᵢⱼ = (Pᵢⱼ - Pⱼᵢ) / (σⱼ + σᵢ),
-/// where P = Uᵀ dA V.
+/// where P = Uᵀ dA V. Where σᵢ = σⱼ, the first quotient is 0 / 0 for a loss
+/// that does not depend on how U and V turn together. What such a loss makes of
+/// U Σ Vᵀ then stands in the adjoint of Σ off the diagonal, where Σ is zero: dΣ
+/// gets the symmetric part of P there. Away from σᵢ = σⱼ this is taken out of
+/// the quotient, which is the same but for rounding: of a difference that
+/// cancels, nothing is left but noise, which is dropped before it is divided by
+/// little.
 struct SvdModel : DifferentiableOpInterface::ExternalModel<SvdModel, SvdOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     auto svd = cast<SvdOp>(op);
@@ -192,14 +216,21 @@ struct SvdModel : DifferentiableOpInterface::ExternalModel<SvdModel, SvdOp> {
     M gu = getTurned(b, u, b.getAdjoint(svd.getU()));
     M gv = getTurned(b, v, b.getAdjoint(svd.getV()));
     M gs{&b, b.getAdjointOrZero(svd.getSigma())};
-    S floor = getTolerance(type) * abs(sigma(0, 0));
+    S least{&b,
+            b.createConstant(type.getElementType(),
+                             type.getElementType().isF64() ? 1e-300 : 1e-37)};
+    S floor = getTolerance(type) * abs(sigma(0, 0)) + least;
+    S noise =
+        2 * getTolerance(type) * (getGreatest(gu, n) + getGreatest(gv, n));
     SmallVector<Value> p(n * n);
     for (int64_t i = 0; i != n; ++i) {
       p[i * n + i] = gs(i, i).v;
       for (int64_t j = i + 1; j != n; ++j) {
         S omega = gu(i, j) - gu(j, i), psi = gv(i, j) - gv(j, i);
         S si = sigma(i, i), sj = sigma(j, j);
-        S even = divideAbove(0.5 * (omega + psi), sj - si, floor);
+        S off = 0.5 * (gs(i, j) + gs(j, i));
+        S rest = dropBelow(0.5 * (omega + psi) - off * (sj - si), noise);
+        S even = off + divideAbove(rest, sj - si, floor);
         S odd = divideAbove(0.5 * (omega - psi), sj + si, floor);
         p[i * n + j] = (even + odd).v;
         p[j * n + i] = (even - odd).v;
