@@ -45,7 +45,7 @@ S divideAbove(S a, S c, S floor) {
 
 /// a, and 0 where |a| is not above `floor`. NaN stays.
 S dropBelow(S a, S floor) {
-  AdjointBuilder &b = *a.b;
+  DerivativeBuilder &b = *a.b;
   Value isSmall =
       arith::CmpFOp::create(b, arith::CmpFPredicate::OLE, abs(a).v, floor.v);
   return {&b, arith::SelectOp::create(b, isSmall, b.createZero(a.v.getType()),
