@@ -145,13 +145,79 @@ def dynamic_break_of_a_static_loop():
     kernel(1)
 
 
-@bad(ti.TaiSyntaxError, "'return' inside of a branch or loop", "at the end")
-def early_return():
+@bad(ti.TaiSyntaxError, "cannot be left by 'return'", "serialize=True")
+def return_from_a_parallel_loop():
+    @ti.kernel
+    def kernel():
+        for i in range(8):
+            if i > 3:
+                return  # BAD
+
+    kernel()
+
+
+@bad(ti.TaiSyntaxError, "can end without a return", "at its end")
+def return_in_one_branch_only():
+    @ti.kernel
+    def kernel(n: ti.i32) -> ti.i32:  # BAD
+        if n > 1:
+            return 3
+
+    kernel(1)
+
+
+@bad(ti.TaiSyntaxError, "can end without a return", "at its end")
+def function_that_returns_in_one_branch_only():
+    @ti.func
+    def maybe_three(n):  # BAD
+        if n > 1:
+            return 3
+
     @ti.kernel
     def kernel(n: ti.i32) -> ti.i32:
+        return maybe_three(n)
+
+    kernel(1)
+
+
+@bad(ti.TaiTypeError, "1 value and another 2 values", "everywhere")
+def returns_of_different_length():
+    @ti.func
+    def one_or_two(n):
         if n > 1:
-            return 3  # BAD
-        return 4
+            return 3
+        return 1, 2  # BAD
+
+    @ti.kernel
+    def kernel(n: ti.i32) -> ti.i32:
+        return one_or_two(n)
+
+    kernel(1)
+
+
+@bad(ti.TaiTypeError, "gives numbers, vectors or matrices")
+def return_of_a_field_in_a_branch():
+    x = ti.field(ti.f32, shape=4)
+
+    @ti.func
+    def first_of(x: ti.template(), n):
+        if n > 1:
+            return x  # BAD
+        return x
+
+    @ti.kernel
+    def kernel(n: ti.i32) -> ti.f32:
+        return first_of(x, n)
+
+    kernel(1)
+
+
+@bad(ti.TaiSyntaxError, "needs a return type", "->")
+def return_early_without_a_type():
+    @ti.kernel
+    def kernel(n: ti.i32):
+        if n > 1:
+            return n  # BAD
 
     kernel(1)
 

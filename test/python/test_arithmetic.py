@@ -381,3 +381,39 @@ def test_raw_division():
         return ti.Vector([ti.raw_div(p, q), ti.raw_mod(p, q)])
 
     assert kernel(-7, 2).to_list() == [-3, -1]
+
+
+def test_and_and_or_give_the_operand_that_decides():
+    @ti.kernel
+    def either(a: ti.i32, b: ti.i32) -> ti.i32:
+        return a or b
+
+    @ti.kernel
+    def both(a: ti.f32, b: ti.i32) -> ti.f32:
+        return a and b
+
+    @ti.kernel
+    def several(a: ti.i32, b: ti.f32) -> ti.f32:
+        return (a > 2 and b) or a or 0.25
+
+    for a in (0, 3):
+        for b in (0, 7):
+            assert either(a, b) == (a or b)
+            assert both(a + 0.5 * a, b) == ((a + 0.5 * a) and b)
+            assert several(a, b) == ((a > 2 and b) or a or 0.25)
+    assert several(0, 2.5) == 0.25
+
+
+def test_gradient_of_or_belongs_to_the_operand_that_decides():
+    x = ti.field(ti.f32, shape=2, needs_grad=True)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def kernel():
+        loss[None] += (x[0] or 3 * x[1]) + 10 * (x[0] and x[1] ** 2)
+
+    for first, expected in ((0.0, [10, 3]), (2.0, [1, 100])):
+        x[0], x[1] = first, 5.0
+        with ti.ad.Tape(loss):
+            kernel()
+        assert x.grad.to_numpy().tolist() == expected

@@ -319,10 +319,12 @@ class Calls:
         options, self.loop_options = self.loop_options, {}
         was_dead, self.is_dead = self.is_dead, False
         self.enter(frame)
+        self.prepare_returns()
         self.body(frame.node.body)
+        result = self.finish_function()
         self.leave()
         self.is_dead, self.loop_options = was_dead, options
-        return frame.result
+        return result
 
     def parameter(self, name: str, value: Any, kind: Any, node: ast.expr | None) -> Any:
         """What a parameter of an inlined function stands for."""

@@ -20,12 +20,13 @@ from .emitter import Emitter
 from .expressions import Expressions
 from .loops import Loops
 from .refs import ArrayArgument, Variable
+from .returns import Returns
 from .scope import Bound, Frame
 from .source import function_ast
 from .statements import Statements, StaticBreak, StaticContinue
 
 
-class Compiler(Expressions, Statements, Loops, Calls):
+class Compiler(Expressions, Statements, Returns, Loops, Calls):
     """Compiles one specialisation of one kernel.
 
     Args:
@@ -56,6 +57,9 @@ class Compiler(Expressions, Statements, Loops, Calls):
         self.emitter.call = self.call_from_python
         self.depth = 0
         self.is_dead = False
+        # The depth at which loops run in parallel, and what is known of inlined functions.
+        self.top_depth = 0
+        self.return_forms: dict[tuple, Any] = {}
         self.loop_options: dict[str, Any] = {}
         self._methods: dict[type, Callable[[Any], Any]] = {}
         self._lines: dict[tuple[str, int], str] = {}
@@ -96,8 +100,14 @@ class Compiler(Expressions, Statements, Loops, Calls):
                 handle = block.argument(position)
                 position += 1
             frame.define(name, self.argument(name, spec, handle))
+        self.prepare_returns()
         self.body(node.body)
-        if not frame.has_returned:
+        results = frame.results
+        if not frame.has_returned and results is not None and results.may_have_run:
+            self.refuse_open_end()
+            self.at(node)
+            builder.op("tai.return", [variable.value.handle for variable in results.parts])
+        elif not frame.has_returned:
             if self.result is not None:
                 raise TaiSyntaxError(
                     f"kernel '{frame.name}' has a return type, but no return"
@@ -142,17 +152,20 @@ class Compiler(Expressions, Statements, Loops, Calls):
             value.index = "cast"
         return Variable(name, value, "kernel argument")
 
-    def return_from_kernel(self, value: Any, node: ast.Return) -> None:
-        if value is None:
-            if self.result is not None:
-                raise TaiSyntaxError("the kernel has a return type: return a value")
-            self.builder.op("tai.return", [])
-            return
-        if self.result is None:
+    def check_kernel_result(self, value: Any) -> None:
+        if value is None and self.result is not None:
+            raise TaiSyntaxError("the kernel has a return type: return a value")
+        if value is not None and self.result is None:
             raise TaiSyntaxError(
                 "a kernel that returns a value needs a return type",
                 f"def {self.frame.name}(…) -> ti.f32",
             )
+
+    def return_from_kernel(self, value: Any, node: ast.Return) -> None:
+        self.check_kernel_result(value)
+        if value is None:
+            self.builder.op("tai.return", [])
+            return
         value = self.result.convert(self.emitter, value)
         self.at(node)
         self.builder.op("tai.return", [value.handle])

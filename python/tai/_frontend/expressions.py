@@ -316,31 +316,41 @@ class Expressions:
                     return result
                 result = self.visit(right)
                 continue
-            result = self.short_circuit(is_and, self.emitter.to_bool(result), right)
+            result = self.short_circuit(is_and, result, right)
         return result
 
     def short_circuit(self, is_and: bool, left: Value, right_node: ast.expr) -> Value:
+        """As in Python, the operand that decides: `a or b` is `a` unless that is zero."""
         emitter, builder = self.emitter, self.builder
+        truth = emitter.to_bool(left)
         outer = builder.get_block()
         region = builder.region()
         block = builder.block(region, [])
         builder.set_block(block)
         self.depth += 1
-        right = emitter.to_bool(self.visit(right_node))
+        right = self.visit(right_node)
+        right_truth = emitter.to_bool(right)
+        # A plain number takes the type of the other operand, as it does in arithmetic.
+        _, right, dt = emitter.operands(left, right)
+        right = right_truth if dt is u1 else emitter.cast(right, dt)
         self.depth -= 1
         self.at(right_node)
         if all(name in _SPECULATABLE for name in builder.op_names(block)):
             builder.set_block(outer)
             builder.splice(block)
-            return emitter.binary("&" if is_and else "|", left, right)
+            if dt is u1:
+                return emitter.binary("&" if is_and else "|", truth, right)
+            left = emitter.cast(left, dt)
+            return emitter.select(truth, *((right, left) if is_and else (left, right)))
         builder.op("scf.yield", [right.handle])
         other = builder.region()
         builder.set_block(builder.block(other, []))
-        builder.op("scf.yield", [emitter.constant(not is_and, u1).handle])
+        kept = emitter.constant(not is_and, u1) if dt is u1 else emitter.cast(left, dt)
+        builder.op("scf.yield", [kept.handle])
         builder.set_block(outer)
         regions = [region, other] if is_and else [other, region]
-        handle = builder.op("scf.if", [left.handle], [emitter.type_of(u1)], None, regions)
-        return Value(emitter, handle, u1)
+        handle = builder.op("scf.if", [truth.handle], [emitter.type_of(dt)], None, regions)
+        return Value(emitter, handle, dt)
 
     def visit_IfExp(self, node: ast.IfExp) -> Any:
         static = self.static_argument(node.test)

@@ -31,6 +31,7 @@ class Loops:
     builder: Any
     frame: Any
     depth: int
+    top_depth: int
     loop_options: dict[str, Any]
 
     def visit_For(self, node: ast.For) -> None:
@@ -43,14 +44,14 @@ class Loops:
             return
         domain, grouped = self.domain(node.iter)
         self.at(node)
-        top = self.depth == 0 and not options.get("serialize", False)
+        top = self.depth == self.top_depth and not options.get("serialize", False)
         if isinstance(domain, Bounds):
             if top and options.get("parallelize", 0) != 1:
                 self.parallel_for(node, domain, None, grouped, options)
             else:
                 self.serial_for(node, domain, grouped)
             return
-        if self.depth > 0:
+        if self.depth > self.top_depth:
             raise TaiSyntaxError(
                 f"a loop over field '{domain.name}' must stand at the top of a kernel",
                 f"inside, loop over its indices: for I in ti.grouped(ti.ndrange(*{domain.name}"
@@ -220,7 +221,13 @@ class Loops:
     def static_for(self, node: ast.For, thing: Any) -> None:
         loop = Loop("static", self.depth)
         self.frame.loops.append(loop)
-        for item in self.static_items(thing, node.iter):
+        self.unrolled(node, loop, self.static_items(thing, node.iter))
+        self.frame.loops.pop()
+
+    def unrolled(self, node: ast.For, loop: Loop, items: list) -> None:
+        """The iterations of an unrolled loop; after a possible return only without it."""
+        loop.depth = self.depth
+        for number, item in enumerate(items):
             self.frame.push()
             self.bind_static(node.target, item)
             try:
@@ -229,11 +236,17 @@ class Loops:
                 pass
             except StaticBreak:
                 self.frame.pop(node.lineno)
-                break
+                return
             self.frame.pop(node.lineno)
             if self.frame.has_returned or self.is_dead:
-                break
-        self.frame.loops.pop()
+                return
+            rest = items[number + 1 :]
+            running = self.still_running(node) if rest else None
+            if running is not None:
+                self.rest_of_body(
+                    running, lambda rest=rest: self.unrolled(node, loop, rest), node.body, node
+                )
+                return
 
     def bind_static(self, target: ast.expr, item: Any) -> None:
         """Gives an item of an unrolled loop to its target."""
@@ -280,6 +293,7 @@ class Loops:
         dt = self.index_type_of([low, high])
         last = dimension + 1 == len(bounds.lower)
         loop = Loop("for", self.depth + 1)
+        returns = bool(self.exit_flags(None, node.body))
         if last and _has_break(node.body):
             loop.broken = Variable("break", emitter.constant(False, u1))
         self.frame.loops.append(loop)
@@ -300,7 +314,7 @@ class Loops:
             self.frame.loops.pop()
             self.is_dead = False
 
-        if loop.broken is not None:
+        if loop.broken is not None or returns:
             self.counted_while(loop, variables, begin, end, inside, node)
         else:
             self.carried_for(variables, begin, end, inside, node)
@@ -340,10 +354,10 @@ class Loops:
         self, loop: Loop, variables: list[Variable], begin: Any, end: Any, inside: Any,
         node: ast.For,
     ) -> None:  # fmt: skip
-        """A range that `break` can leave: an `scf.while` that also carries the index."""
+        """A range that can be left: an `scf.while` that also carries the index."""
         emitter, builder = self.emitter, self.builder
-        if loop.broken not in variables:
-            variables = [loop.broken, *variables]
+        flags = self.exit_flags(loop.broken, node.body)
+        variables = [*(f for f in flags if f not in variables), *variables]
         types = [emitter.type_of(v.value.dt, v.value.shape) for v in variables]
         all_types = [emitter.index_type, *types]
         initial = [begin, *(v.value.handle for v in variables)]
@@ -356,8 +370,7 @@ class Loops:
         index = head.argument(0)
         attrs = {"predicate": builder.attribute("2 : i64")}
         more = builder.op("arith.cmpi", [index, end], [emitter.type_of(u1)], attrs)
-        running = emitter.unary("not", loop.broken.value)
-        go_on = emitter.binary("&", Value(emitter, more, u1), running)
+        go_on = emitter.binary("&", Value(emitter, more, u1), self.running(flags))
         carried = [v.value.handle for v in variables]
         builder.op("scf.condition", [go_on.handle, index, *carried])
         block = builder.block(after, all_types, names)

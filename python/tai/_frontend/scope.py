@@ -52,6 +52,10 @@ class Frame:
         self.result: Any = None
         self.result_type: Any = None
         self.has_returned = False
+        # What `return` gives where it stands in branches and loops; while their types are
+        # being found, the form of that.
+        self.results: Any = None
+        self.form: Any = None
         self.depth = 0
         self.call: tuple[str, int] | None = None
 

@@ -1,4 +1,4 @@
-"""Statements: assignments, branches, `while`, `return`, `assert`."""
+"""Statements: assignments, branches, `while`, `assert`."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from ..errors import TaiSyntaxError, TaiTypeError
 from ..fields import Field
 from .expressions import BINARY, FormattedText
 from .refs import ArrayArgument, Place, Variable, VariablePlace
+from .returns import always_returns, find_return
 from .scope import Bound, Loop
 from .source import AssignedNames, own_exits
 from .value import Value
@@ -52,34 +53,61 @@ class Statements:
     builder: Any
     frame: Any
     depth: int
+    top_depth: int
     # Set while the statements that follow cannot be reached.
     is_dead: bool
 
     def body(self, statements: list[ast.stmt]) -> None:
         """Compiles a list of statements; what follows a possible exit runs only without it."""
         for number, statement in enumerate(statements):
+            rest = statements[number + 1 :]
+            if isinstance(statement, ast.If) and rest and always_returns(statement.body):
+                # What follows is all that the other branch does.
+                self.guarded(lambda node, rest=rest: self.visit_If(node, rest), statement)
+                return
             self.visit(statement)
             if self.is_dead or self.frame.has_returned:
                 return
-            rest = statements[number + 1 :]
-            if rest and isinstance(statement, ast.If) and own_exits([statement]):
-                running = self.still_running()
-                if running is None:
-                    continue
-                self.branch(running, lambda rest=rest: self.body(rest), None, rest, statement)
+            running = self.still_running(statement) if rest else None
+            if running is not None:
+                self.rest_of_body(running, lambda rest=rest: self.body(rest), rest, statement)
                 return
 
-    def still_running(self) -> Value | None:
-        """The condition that neither `break` nor `continue` has run, or None if surely."""
+    def rest_of_body(
+        self, running: Value, action: Callable[[], None], rest: list[ast.stmt], node: ast.stmt
+    ) -> None:
+        """What runs only if nothing has been left before."""
+        is_dead = self.branch(running, self.as_top(action), None, rest, node)[0]
+        # Either it was left before, or it is left there.
+        self.is_dead = is_dead
+
+    def as_top(self, action: Callable[[], None]) -> Callable[[], None]:
+        """Lets the outermost loops of what follows a return still run in parallel."""
+        if self.depth != self.top_depth:
+            return action
+
+        def wrapped() -> None:
+            self.top_depth += 1
+            action()
+            self.top_depth -= 1
+
+        return wrapped
+
+    def still_running(self, statement: ast.stmt) -> Value | None:
+        """The condition that a statement was not left by an exit, or None if surely."""
+        stopped = self.returned_since([statement])
         loop = self.frame.loops[-1] if self.frame.loops else None
-        if loop is None or loop.kind == "static":
-            return None
-        stopped = None
-        for flag in (loop.broken, loop.skipped):
-            if flag is None or flag.value.const is False:
-                continue
-            value = flag.value
-            stopped = value if stopped is None else self.emitter.binary("|", stopped, value)
+        if (
+            loop is not None
+            and loop.kind != "static"
+            and isinstance(statement, ast.If)
+            and own_exits([statement])
+        ):
+            for flag in (loop.broken, loop.skipped):
+                if flag is None or flag.value.const is False:
+                    continue
+                value = flag.value
+                stopped = value if stopped is None else self.emitter.binary("|", stopped, value)
         return None if stopped is None else self.emitter.unary("not", stopped)
 
     # Regions
@@ -98,6 +126,8 @@ class Statements:
                 for flag in (loop.broken, loop.skipped):
                     if flag is not None and flag not in found:
                         found.append(flag)
+            if self.frame.results is not None and find_return(statements) is not None:
+                found += [v for v in self.frame.results.variables if v not in found]
         return [v for v in found if v.hidden is None and v.fixed is None]
 
     def branch(
@@ -107,8 +137,12 @@ class Statements:
         orelse: Callable[[], None] | None,
         statements: list[ast.stmt],
         node: ast.stmt,
-    ) -> None:
-        """An `scf.if` that yields the variables that its branches change."""
+    ) -> list[bool]:
+        """An `scf.if` that yields the variables that its branches change.
+
+        Returns:
+            For each branch, whether it ends by an exit.
+        """
         emitter, builder = self.emitter, self.builder
         variables = self.changed_by(statements)
         before = [v.value for v in variables]
@@ -147,6 +181,7 @@ class Statements:
         results = builder.op("scf.if", [condition.handle], types, None, regions)
         self.take_results(results, [variables[n] for n in merged])
         self.is_dead = len(ends) == 2 and all(ends)
+        return ends or [False]
 
     def take_results(self, results: Any, variables: list[Variable]) -> None:
         """Gives the results of a structured op to the variables that it carries."""
@@ -157,7 +192,8 @@ class Statements:
 
     # Branches
 
-    def visit_If(self, node: ast.If) -> None:
+    def visit_If(self, node: ast.If, rest: list[ast.stmt] | None = None) -> None:
+        """A branch; `rest` is what follows where its first part returns."""
         static = self.static_argument(node.test)
         condition = self.visit(static if static is not None else node.test)
         if isinstance(condition, Value) and static is not None:
@@ -169,16 +205,22 @@ class Statements:
             from .emitter import describe_misuse, misuse_hint
 
             raise TaiTypeError(describe_misuse(condition), misuse_hint(condition))
+        orelse = [*node.orelse, *(rest or [])]
+        compile_else: Callable[[], None] | None = None
+        if rest:
+            compile_else = self.as_top(lambda: self.body(orelse))
+        elif orelse:
+            compile_else = lambda: self.body(orelse)  # noqa: E731
         if not isinstance(condition, Value):
-            self.body(node.body if condition else node.orelse)
+            self.body(node.body if condition else orelse)
             return
         self.at(node)
         condition = self.emitter.to_bool(condition)
         self.branch(
             condition,
             lambda: self.body(node.body),
-            (lambda: self.body(node.orelse)) if node.orelse else None,
-            [*node.body, *node.orelse],
+            compile_else,
+            [*node.body, *orelse],
             node,
         )
 
@@ -202,6 +244,9 @@ class Statements:
         variables = self.changed_by(node.body)
         self.frame.loops.pop()
         self.carried_while(loop, variables, condition, node)
+        # Without a condition and `break`, only `return` leaves it.
+        endless = isinstance(node.test, ast.Constant) and node.test.value
+        self.is_dead = bool(endless) and loop.broken is None and bool(find_return(node.body))
 
     def carried_while(
         self,
@@ -213,8 +258,8 @@ class Statements:
     ) -> None:
         """An `scf.while`; `condition` is not evaluated any more once `break` has run."""
         emitter, builder = self.emitter, self.builder
-        if loop.broken is not None and loop.broken not in variables:
-            variables = [loop.broken, *variables]
+        flags = self.exit_flags(loop.broken, node.body)
+        variables = [*(f for f in flags if f not in variables), *variables]
         types = [emitter.type_of(v.value.dt, v.value.shape) for v in variables]
         initial = [v.value.handle for v in variables]
         outer = builder.get_block()
@@ -225,13 +270,12 @@ class Statements:
         self.take_arguments(head, variables)
         carried = [v.value.handle for v in variables]
         self.depth += 1
-        if loop.broken is None:
+        if not flags:
             go_on = condition()
             if go_on is None:
                 go_on = emitter.constant(True, u1)
         else:
-            running = emitter.unary("not", loop.broken.value)
-            go_on = self.both(running, condition)
+            go_on = self.both(self.running(flags), condition)
         self.at(node)
         builder.op("scf.condition", [go_on.handle, *carried])
         block = builder.block(after, types, names)
@@ -479,21 +523,6 @@ class Statements:
         if value.dt.kind == "u" and value.dt.bits < 64:
             return self.emitter.cast(value, i64)
         return value
-
-    def visit_Return(self, node: ast.Return) -> None:
-        frame = self.frame
-        if self.depth > frame.depth:
-            raise TaiSyntaxError(
-                "'return' inside of a branch or loop is not supported",
-                "assign the result to a variable and return it at the end",
-            )
-        value = None if node.value is None else self.visit(node.value)
-        self.at(node)
-        frame.has_returned = True
-        if frame.kind == "kernel":
-            self.return_from_kernel(value, node)
-        else:
-            frame.result = self.convert_result(value)
 
     def convert_result(self, value: Any) -> Any:
         """The result of a `ti.func` in the type of its annotation, if it has one."""
