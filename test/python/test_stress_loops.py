@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import tai as ti
 
-from derivatives import MODES, Derivation
+from derivatives import Derivation
 
 
 def compare(found, expected, dtype, condition=1.0):
@@ -13,7 +13,7 @@ def compare(found, expected, dtype, condition=1.0):
     np.testing.assert_allclose(found, expected, rtol=bound)
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", ["reverse"])
 @pytest.mark.parametrize("dtype", ["f64", "f32"])
 @pytest.mark.parametrize("trips", [0, 1, 30, 31, 100, 5000])
 def test_powers(trips, dtype, mode):
@@ -30,7 +30,7 @@ def test_powers(trips, dtype, mode):
     compare(gradient[0], trips * at ** (trips - 1) if trips else 0.0, dtype, trips)
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", ["reverse"])
 @pytest.mark.parametrize("dtype", ["f64", "f32"])
 def test_trips_from_a_number(dtype, mode):
     """The number of trips is computed from the data, which has no derivative by it."""
@@ -50,7 +50,7 @@ def test_trips_from_a_number(dtype, mode):
         compare(gradient, [trips * at ** (trips - 1) if trips else 0.0, 0.0], dtype, trips)
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", ["reverse"])
 @pytest.mark.parametrize("dtype", ["f64", "f32"])
 def test_while_in_a_branch(dtype, mode):
     """Newton's square root until it converges, where x is not negative."""
