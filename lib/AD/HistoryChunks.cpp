@@ -17,6 +17,7 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/IR/Matchers.h"
+#include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/AD/LoopHistory.h"
 #include "llvm/Support/MathExtras.h"
 
@@ -102,6 +103,38 @@ void LoopHistory::storeRecorded(scf::ForOp recorder) {
     storeState(b, recorder.getRegionIterArg(index), buffer, position);
 }
 
+/// True if the value can be computed before a loop around `block`.
+static bool canLeave(Value value, Block *block, unsigned depth) {
+  if (value.getParentBlock() != block)
+    return true;
+  Operation *op = value.getDefiningOp();
+  return op && depth != 0 && op->getNumRegions() == 0 &&
+         isMemoryEffectFree(op) && isSpeculatable(op) &&
+         llvm::all_of(op->getOperands(), [&](Value operand) {
+           return canLeave(operand, block, depth - 1);
+         });
+}
+
+/// The square root of `trips`, but at least `most`, and how many of these there
+/// are. There is no integer division, which could not leave a loop around.
+static std::pair<Value, Value> createSquareRoots(AdjointBuilder &b, Value trips,
+                                                 Value most) {
+  Type wide = b.getI64Type(), real = b.getF64Type();
+  auto toReal = [&](Value index) -> Value {
+    return arith::SIToFPOp::create(b, real,
+                                   arith::IndexCastOp::create(b, wide, index));
+  };
+  auto toIndex = [&](Value number) -> Value {
+    return arith::IndexCastOp::create(
+        b, b.getIndexType(),
+        arith::FPToSIOp::create(b, wide, math::CeilOp::create(b, number)));
+  };
+  Value size = arith::MaxSIOp::create(
+      b, toIndex(math::SqrtOp::create(b, toReal(trips))), most);
+  Value number = toIndex(arith::DivFOp::create(b, toReal(trips), toReal(size)));
+  return {size, number};
+}
+
 /// The size and number of chunks, or nulls if there is to be one.
 LoopHistory::Chunks LoopHistory::createChunks() {
   int64_t limit =
@@ -113,35 +146,34 @@ LoopHistory::Chunks LoopHistory::createChunks() {
       return {};
     int64_t size = std::max(
         limit, static_cast<int64_t>(std::ceil(std::sqrt(double(trips)))));
-    return {arith::ConstantIndexOp::create(b, size),
-            arith::ConstantIndexOp::create(b, llvm::divideCeil(trips, size))};
+    Value chunk = arith::ConstantIndexOp::create(b, size);
+    return {chunk,
+            arith::ConstantIndexOp::create(b, llvm::divideCeil(trips, size)),
+            chunk};
   }
   Value zero = arith::ConstantIndexOp::create(b, 0);
   Value one = arith::ConstantIndexOp::create(b, 1);
+  Value trips = arith::MaxSIOp::create(b, count, zero);
   Value most = arith::ConstantIndexOp::create(b, limit);
-  Value isLong =
-      arith::CmpIOp::create(b, arith::CmpIPredicate::sgt, count, most);
-  auto choice =
-      scf::IfOp::create(b, TypeRange{b.getIndexType(), b.getIndexType()},
-                        isLong, /*withElseRegion=*/true);
-  OpBuilder::InsertionGuard guard(b);
-  b.setInsertionPointToStart(choice.thenBlock());
-  Type wide = b.getI64Type(), real = b.getF64Type();
-  Value root = arith::SIToFPOp::create(
-      b, real, arith::IndexCastOp::create(b, wide, count));
-  root = math::CeilOp::create(b, math::SqrtOp::create(b, root));
-  Value size = arith::IndexCastOp::create(
-      b, b.getIndexType(), arith::FPToSIOp::create(b, wide, root));
-  size = arith::MaxSIOp::create(b, size, most);
-  Value up =
-      arith::AddIOp::create(b, count, arith::SubIOp::create(b, size, one));
-  scf::YieldOp::create(b,
-                       ValueRange{size, arith::DivUIOp::create(b, up, size)});
-  b.setInsertionPointToStart(choice.elseBlock());
-  size = arith::MaxSIOp::create(b, count, zero);
-  scf::YieldOp::create(b,
-                       ValueRange{size, arith::MinSIOp::create(b, size, one)});
-  return {choice.getResult(0), choice.getResult(1)};
+  Value size, number;
+  if (canLeave(count, forward->getBlock(), /*depth=*/8)) {
+    std::tie(size, number) = createSquareRoots(b, trips, most);
+  } else {
+    Value isLong =
+        arith::CmpIOp::create(b, arith::CmpIPredicate::sgt, trips, most);
+    auto choice =
+        scf::IfOp::create(b, TypeRange{b.getIndexType(), b.getIndexType()},
+                          isLong, /*withElseRegion=*/true);
+    OpBuilder::InsertionGuard guard(b);
+    b.setInsertionPointToStart(choice.thenBlock());
+    std::tie(size, number) = createSquareRoots(b, trips, most);
+    scf::YieldOp::create(b, ValueRange{size, number});
+    b.setInsertionPointToStart(choice.elseBlock());
+    number = arith::MinSIOp::create(b, trips, one);
+    scf::YieldOp::create(b, ValueRange{most, number});
+    size = choice.getResult(0), number = choice.getResult(1);
+  }
+  return {size, number, arith::MinSIOp::create(b, trips, size)};
 }
 
 /// Lets the forward loop write the record, whole or of its last chunk.
@@ -151,12 +183,15 @@ void LoopHistory::record() {
   if (auto forOp = dyn_cast<scf::ForOp>(loop)) // known to the sweep only
     count = b.createTripCount(forOp);
   chunks = createChunks();
-  Value size = chunks.size;
-  if (!size)
-    size = b.createOrFold<arith::MaxSIOp>(count,
+  Value room = chunks.room;
+  if (!room)
+    room = b.createOrFold<arith::MaxSIOp>(count,
                                           arith::ConstantIndexOp::create(b, 0));
+  // What a chunk begins with stands behind the record of the value.
+  if (chunks.number)
+    room = b.createOrFold<arith::AddIOp>(room, chunks.number);
   for (auto [index, buffer] : histories) {
-    buffer.getDynamicSizesMutable().assign(size);
+    buffer.getDynamicSizesMutable().assign(room);
     buffer->moveBefore(forward);
   }
   if (chunks.size)
@@ -229,14 +264,24 @@ void LoopHistory::recordChunks() {
     unsigned index = argument.getArgNumber() - 1;
     if (!live.isLive(argument))
       continue;
-    b.setInsertionPoint(forward);
-    memref::AllocOp start = memref::AllocOp::create(
-        b, getHistoryType(argument.getType()), chunks.number);
+    memref::AllocOp start = histories.lookup(index);
+    if (!start) {
+      b.setInsertionPoint(forward);
+      start = memref::AllocOp::create(b, getHistoryType(argument.getType()),
+                                      chunks.number);
+    }
     starts[index] = start;
     b.setInsertionPointToStart(forward.getBody());
     storeState(b, forward.getRegionIterArg(index), start,
-               forward.getInductionVar());
+               getStart(index, forward.getInductionVar()));
   }
+}
+
+/// Where the buffer of a carried value holds what a chunk begins with.
+Value LoopHistory::getStart(unsigned index, Value chunk) {
+  return histories.contains(index)
+             ? arith::AddIOp::create(b, chunks.room, chunk).getResult()
+             : chunk;
 }
 
 /// Moves the body of the draft to `reverse`, with the given yields.
@@ -273,7 +318,8 @@ scf::ForOp LoopHistory::createReverseChunks(ArrayRef<Value> inits,
   // What the record does not depend on will be dropped.
   SmallVector<Value> states(forward.getInitArgs());
   for (auto [index, start] : starts)
-    states[index] = loadState(b, getArgument(index).getType(), start, chunk);
+    states[index] = loadState(b, getArgument(index).getType(), start,
+                              getStart(index, chunk));
   IRMapping mapping;
   mapping.map(inner.getLowerBound(), lower);
   mapping.map(inner.getUpperBound(), upper);
@@ -321,9 +367,11 @@ ResultRange LoopHistory::close(ArrayRef<Value> yields,
        llvm::zip(captured, reverse.getResults().drop_front(draftInits.size() +
                                                            nexts.size())))
     b.addAdjoint(entry.first, result);
-  for (auto &buffers : {histories, starts})
-    for (auto [index, buffer] : buffers)
-      memref::DeallocOp::create(b, buffer);
+  for (auto [index, start] : starts)
+    if (!histories.contains(index))
+      memref::DeallocOp::create(b, start);
+  for (auto [index, history] : histories)
+    memref::DeallocOp::create(b, history);
   report();
   return reverse.getResults().take_front(own);
 }

@@ -52,6 +52,8 @@ void tai::buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options) {
   scf.deterministic = options.deterministic;
   scf.debug = options.debug;
   pm.addPass(createConvertTaiToSCF(scf));
+  if (fast)
+    pm.addPass(createHoistAllocations());
   if (fast && !checked)
     pm.addPass(createSplitLoops());
 

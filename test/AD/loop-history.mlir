@@ -43,10 +43,11 @@ tai.field @n = @t["n"] : i32, rank 1
 //   TIGHT-DAG:   %[[C25:.+]] = arith.constant 25 : index
 //   TIGHT-DAG:   %[[C4:.+]] = arith.constant 4 : index
 //       TIGHT:     %[[X:.+]] = tai.load @x
-//       TIGHT:     %[[H:.+]] = memref.alloc() : memref<25xf32>
-//       TIGHT:     %[[S:.+]] = memref.alloc() : memref<4xf32>
+//       TIGHT:     %[[H:.+]] = memref.alloc() : memref<29xf32>
+//   TIGHT-NOT:     memref.alloc
 //       TIGHT:     scf.for %[[C:.+]] = %{{.+}} to %[[C4]] step %{{.+}} iter_args(%[[V:.+]] = %[[X]]) -> (f32) {
-//       TIGHT:       memref.store %[[V]], %[[S]][%[[C]]]
+//       TIGHT:       %[[S:.+]] = arith.addi %[[C]], %[[C25]]
+//       TIGHT:       memref.store %[[V]], %[[H]][%[[S]]]
 //       TIGHT:       %[[BEGIN:.+]] = arith.muli %[[C]], %[[C25]]
 //       TIGHT:       scf.for %[[J:.+]] = %[[BEGIN]] to %{{.+}} step %{{.+}} iter_args(%[[W:.+]] = %[[V]]) -> (f32) {
 //       TIGHT:         %[[AT:.+]] = arith.subi %[[J]], %[[BEGIN]]
@@ -57,14 +58,14 @@ tai.field @n = @t["n"] : i32, rank 1
 //       TIGHT:       %[[BEGIN2:.+]] = arith.muli %[[C2]], %[[C25]]
 //       TIGHT:       %[[ISLAST:.+]] = arith.cmpi eq, %[[K]], %{{.+}}
 //       TIGHT:       %[[END:.+]] = arith.select %[[ISLAST]], %[[BEGIN2]], %{{.+}}
-//       TIGHT:       %[[START:.+]] = memref.load %[[S]][%[[C2]]]
+//       TIGHT:       %[[S2:.+]] = arith.subi %{{.+}}, %[[K]]
+//       TIGHT:       %[[START:.+]] = memref.load %[[H]][%[[S2]]]
 //       TIGHT:       scf.for %{{.+}} = %[[BEGIN2]] to %[[END]] step %{{.+}} iter_args(%{{.+}} = %[[START]]) -> (f32) {
 //       TIGHT:         memref.store %{{.+}}, %[[H]]
 //       TIGHT:       scf.for %{{.+}} iter_args(%{{.+}} = %[[GV]]) -> (f32) {
 //       TIGHT:         memref.load %[[H]]
 //       TIGHT:         math.cos
 //       TIGHT:     memref.dealloc %[[H]]
-//       TIGHT:     memref.dealloc %[[S]]
 tai.kernel @trajectory() {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
@@ -87,16 +88,16 @@ tai.kernel @trajectory() {
 // CHECK-LABEL: tai.kernel @dynamic_grad(
 //  CHECK-SAME:     %[[N:.+]]: index)
 //   CHECK-DAG:   %[[ROOM:.+]] = arith.constant 65536 : index
-//       CHECK:     %[[LONG:.+]] = arith.cmpi sgt, %[[N]], %[[ROOM]]
-//       CHECK:     %[[CHUNKS:.+]]:2 = scf.if %[[LONG]] -> (index, index) {
-//       CHECK:       math.sqrt
-//       CHECK:       arith.maxsi %{{.+}}, %[[ROOM]]
-//       CHECK:       arith.divui
-//       CHECK:     } else {
-//       CHECK:       arith.maxsi %[[N]]
-//       CHECK:     memref.alloc(%[[CHUNKS]]#0) : memref<?xf32>
-//       CHECK:     memref.alloc(%[[CHUNKS]]#1) : memref<?xf32>
-//       CHECK:     scf.for %{{.+}} = %{{.+}} to %[[CHUNKS]]#1
+//       CHECK:     %[[TRIPS:.+]] = arith.maxsi %[[N]], %{{.+}} : index
+//       CHECK:     math.sqrt
+//       CHECK:     math.ceil
+//       CHECK:     %[[SIZE:.+]] = arith.maxsi %{{.+}}, %[[ROOM]] : index
+//       CHECK:     arith.divf
+//       CHECK:     %[[NUMBER:.+]] = arith.index_cast %{{.+}} : i64 to index
+//       CHECK:     %[[USED:.+]] = arith.minsi %[[TRIPS]], %[[SIZE]] : index
+//       CHECK:     %[[BOTH:.+]] = arith.addi %[[USED]], %[[NUMBER]]
+//       CHECK:     memref.alloc(%[[BOTH]]) : memref<?xf32>
+//       CHECK:     scf.for %{{.+}} = %{{.+}} to %[[NUMBER]] step
 tai.kernel @dynamic(%n: index) {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
@@ -265,8 +266,12 @@ tai.kernel @turns() {
 //       CHECK:     %[[G:.+]] = tai.load @y_grad
 //       CHECK:     %[[COUNT:.+]]:2 = scf.while (%{{.+}} = %[[X]], %{{.+}} = %{{.+}}) : (f32, index) -> (f32, index)
 //   CHECK-NOT:       arith.addf
-//       CHECK:     %[[CHUNKS:.+]]:2 = scf.if
-//       CHECK:     %[[H:.+]] = memref.alloc(%[[CHUNKS]]#0) : memref<?xf32>
+//   CHECK-NOT:     scf.while
+//       CHECK:     %[[LONG:.+]] = arith.cmpi sgt
+//       CHECK:     scf.if %[[LONG]] -> (index, index) {
+//       CHECK:       math.sqrt
+//       CHECK:     } else {
+//       CHECK:     %[[H:.+]] = memref.alloc(%{{.+}}) : memref<?xf32>
 //   CHECK-NOT:     scf.while
 //       CHECK:     scf.for
 //       CHECK:       scf.for
@@ -296,9 +301,8 @@ tai.kernel @newton(%limit: f32) {
 // A chunk begins with all that its record depends on: %b decides the next %v
 // although no rule asks for it.
 // TIGHT-LABEL: tai.kernel @closure_grad(
-//       TIGHT:   memref.alloc() : memref<25xf32>
-//   TIGHT-DAG:   memref.alloc() : memref<8xf32>
-//   TIGHT-DAG:   memref.alloc() : memref<8xi1>
+//       TIGHT:   memref.alloc() : memref<33xf32>
+//       TIGHT:   memref.alloc() : memref<8xi1>
 //   TIGHT-NOT:   memref.alloc
 //       TIGHT: tai.return
 tai.kernel @closure() {

@@ -58,6 +58,8 @@ private:
     /// Iterations in each but the last; null if there is one chunk for sure.
     Value size;
     Value number;
+    /// Iterations in the longest.
+    Value room;
   };
 
   scf::WhileOp createCopy(bool counted);
@@ -73,6 +75,7 @@ private:
   Chunks createChunks();
   void record();
   void recordChunks();
+  Value getStart(unsigned index, Value chunk);
   void storeRecorded(scf::ForOp recorder);
   scf::ForOp createReverseChunks(ArrayRef<Value> inits, ArrayRef<Value> yields);
   scf::ForOp finishReverse(scf::ForOp reverse, ArrayRef<Value> yields);

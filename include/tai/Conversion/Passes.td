@@ -126,6 +126,16 @@ def ConvertTaiToSCF : Pass<"convert-tai-to-scf", "::mlir::ModuleOp"> {
                            "::mlir::LLVM::LLVMDialect"];
 }
 
+def HoistAllocations : Pass<"tai-hoist-allocations"> {
+  let summary = "allocate once what each iteration of a loop allocates and frees";
+  let description = [{
+    Moves a call of `malloc` in the body of an `scf.for` before the loop, and the
+    `free` of the same block behind it, if the size does not change. Adjoints
+    record what loops carry in such memory; after `convert-tai-to-scf` every
+    thread that runs a part of a parallel loop then allocates once.
+  }];
+}
+
 def ConvertToLLVM : Pass<"tai-convert-to-llvm", "::mlir::ModuleOp"> {
   let summary = "convert scf, arith, math and cf to the LLVM dialect at once";
   let description = [{
