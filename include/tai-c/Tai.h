@@ -192,6 +192,11 @@ TAI_EXPORT void taiKernelDestroy(TaiKernel kernel);
 
 /// Launches with arguments in slots (see tai/Runtime/Abi.h). `results` may be
 /// null for a kernel without result. Recorded by the active tape.
+///
+/// A kernel with the attribute `tai.gradients` is differentiated by arguments
+/// and results. What a tape records of it, and its adjoint, take slots for
+/// their adjoints after those of the arguments, as for arrays (see
+/// `--tai-make-adjoint`). That memory must live as long as the tape.
 TAI_EXPORT TaiStatus taiKernelLaunch(TaiKernel kernel, const uint64_t *args,
                                      int64_t slots, uint64_t *results);
 /// Launches the adjoint of the kernel.

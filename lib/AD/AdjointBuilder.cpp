@@ -27,13 +27,17 @@ using namespace mlir::tai;
 AdjointBuilder::AdjointBuilder(FunctionOpInterface primal,
                                FunctionOpInterface adjoint,
                                std::function<Storage(Storage)> adjointOf,
-                               bool takesAll, const RerunPlan &plan)
+                               bool takesAll, const RerunPlan &plan,
+                               ValueShadows valueShadows)
     : DerivativeBuilder(primal), primal(primal), adjoint(adjoint),
       adjointOf(std::move(adjointOf)),
-      activity(primal,
-               [this](Storage storage) {
-                 return static_cast<bool>(this->adjointOf(storage));
-               }),
+      shadows(std::move(valueShadows)),
+      activity(
+          primal,
+          [this](Storage storage) {
+            return static_cast<bool>(this->adjointOf(storage));
+          },
+          shadows.inputs, shadows.outputs),
       accesses(primal), takesAll(takesAll), plan(plan), larger(plan),
       contended(std::make_unique<ContendedAtomics>(*this)) {
   for (Operation *op : plan.recorded) {
@@ -59,8 +63,9 @@ LogicalResult AdjointBuilder::build() {
         for (auto [from, to] :
              llvm::zip(body->getArguments(), mirror->getArguments()))
           frame.values.map(from, to);
+        seedOutputs();
       },
-      [](Frame &) {});
+      [&](Frame &) { accumulateInputs(); });
   if (failed(result) || hasErrors)
     return failure();
   collectRerunReads();

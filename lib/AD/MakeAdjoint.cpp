@@ -20,6 +20,7 @@
 #include "tai/AD/Conventions.h"
 #include "tai/AD/Passes.h"
 #include "tai/AD/Selection.h"
+#include "tai/AD/Signature.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
@@ -32,28 +33,22 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// True for the memref arguments that carry derivatives.
-static bool isDifferentiableMemRef(Type type) {
-  auto memref = dyn_cast<MemRefType>(type);
-  return memref && isFloatOrVector(memref.getElementType());
-}
-
-/// The type of the adjoint: the same arguments, then the adjoints of those that
-/// are arrays of floats, if wanted; no results.
-static FunctionType getAdjointType(FunctionOpInterface function, bool arrays) {
+/// The type of the adjoint: the same arguments, then the memrefs of adjoints;
+/// no results.
+static FunctionType getAdjointType(FunctionOpInterface function,
+                                   const AdjointSignature &signature) {
   SmallVector<Type> inputs(function.getArgumentTypes());
-  for (Type type : function.getArgumentTypes())
-    if (arrays && isDifferentiableMemRef(type))
-      inputs.push_back(type);
+  llvm::append_range(inputs, signature.getShadowTypes(function));
   return FunctionType::get(function.getContext(), inputs, {});
 }
 
 /// An empty adjoint next to `function`.
 static FunctionOpInterface createShell(FunctionOpInterface function,
-                                       StringRef name, bool arrays) {
+                                       StringRef name,
+                                       const AdjointSignature &signature) {
   OpBuilder builder(function.getContext());
   builder.setInsertionPointAfter(function);
-  FunctionType type = getAdjointType(function, arrays);
+  FunctionType type = getAdjointType(function, signature);
   if (isa<KernelOp>(function.getOperation()))
     return KernelOp::create(builder, function.getLoc(), name, type);
   auto shell = func::FuncOp::create(builder, function.getLoc(), name, type);
@@ -62,8 +57,8 @@ static FunctionOpInterface createShell(FunctionOpInterface function,
 }
 
 /// Makes accumulations into arrays plain where no other iteration can reach the
-/// element, and refuses those that would have to be atomic but cannot.
-static LogicalResult finishArrayAccumulations(FunctionOpInterface function) {
+/// element.
+static void relaxArrayAccumulations(FunctionOpInterface function) {
   llvm::MapVector<std::pair<Operation *, Value>, SmallVector<Operation *>>
       groups;
   function.walk([&](Operation *op) {
@@ -82,14 +77,9 @@ static LogicalResult finishArrayAccumulations(FunctionOpInterface function) {
         });
     bool exclusive = !key.first || isExclusive(key.first, indices);
     for (Operation *write : writes) {
-      if (!exclusive && write->hasAttr(kPlainAccumulation))
-        return write->emitError()
-               << "the gradient of an array of vectors is accumulated by "
-                  "iterations that run at the same time, which is not "
-                  "supported; use an array of scalars, or a field";
-      write->removeAttr(kPlainAccumulation);
       auto atomic = dyn_cast<memref::AtomicRMWOp>(write);
-      if (!exclusive || !atomic)
+      if (!exclusive || !atomic ||
+          atomic.getKind() != arith::AtomicRMWKind::addf)
         continue;
       OpBuilder builder(atomic);
       Value old = memref::LoadOp::create(
@@ -101,22 +91,34 @@ static LogicalResult finishArrayAccumulations(FunctionOpInterface function) {
       atomic.erase();
     }
   }
-  return success();
 }
 
 LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
-                                     FunctionOpInterface shell, bool arrays,
+                                     FunctionOpInterface shell,
+                                     const AdjointSignature &signature,
                                      int64_t historyBytes, bool takes,
                                      bool *needsParts) {
-  // The last arguments of the adjoint are the adjoints of memref arguments.
-  DenseMap<Value, Value> shadows;
+  DenseMap<Value, Value> arrays;
+  ValueShadows values;
   unsigned next = function.getNumArguments();
-  for (BlockArgument argument : function.getArguments())
-    if (arrays && isDifferentiableMemRef(argument.getType()))
-      shadows[argument] = shell.getArgument(next++);
+  for (unsigned position : signature.arguments) {
+    BlockArgument argument = function.getArgument(position);
+    Value shadow = shell.getArgument(next++);
+    if (isa<MemRefType>(argument.getType())) {
+      arrays[argument] = shadow;
+      continue;
+    }
+    values.inputs.push_back(argument);
+    values.inputShadows.push_back(shadow);
+  }
+  Operation *end = function.getFunctionBody().front().getTerminator();
+  for (unsigned position : signature.results) {
+    values.outputs.push_back(end->getOperand(position));
+    values.outputShadows.push_back(shell.getArgument(next++));
+  }
   auto adjointOf = [&](Storage storage) -> Storage {
     if (storage.memref)
-      return shadows.lookup(storage.memref);
+      return arrays.lookup(storage.memref);
     FieldOp field = lookupField(function, storage.field);
     return field && field.getAdjointAttr() && isFloatOrVector(field.getType())
                ? Storage(field.getAdjointAttr())
@@ -125,7 +127,7 @@ LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
   // What the adjoint has to run forward again shows when it is built.
   RerunPlan plan;
   while (true) {
-    AdjointBuilder builder(function, shell, adjointOf, takes, plan);
+    AdjointBuilder builder(function, shell, adjointOf, takes, plan, values);
     builder.setHistoryLimit(historyBytes);
     LogicalResult built = builder.build();
     if (needsParts)
@@ -146,7 +148,8 @@ LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
     func::ReturnOp::create(builder, function.getLoc());
   markExclusiveAtomics(shell);
   separateTakes(shell);
-  return finishArrayAccumulations(shell);
+  relaxArrayAccumulations(shell);
+  return success();
 }
 
 namespace {
@@ -182,11 +185,16 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
           "control flow is expected");
     std::string name = (function.getName() + "_grad").str();
     Operation *taken = symbols.lookup(name);
+    // The arguments of a function are all that it can be differentiated by.
     bool arrays = arrayAdjoints || !isa<KernelOp>(function.getOperation());
+    FailureOr<AdjointSignature> signature =
+        AdjointSignature::get(function, arrays);
+    if (failed(signature))
+      return failure();
     // A declaration lets the module call an adjoint that is yet to be made.
     if (auto declared = dyn_cast_if_present<func::FuncOp>(taken);
         declared && declared.isExternal() &&
-        declared.getFunctionType() == getAdjointType(function, arrays)) {
+        declared.getFunctionType() == getAdjointType(function, *signature)) {
       symbols.erase(declared);
       taken = nullptr;
     }
@@ -197,12 +205,12 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
       diag.attachNote(taken->getLoc()) << "by this";
       return diag;
     }
-    // The arguments of a function are all that it can be differentiated by.
-    FunctionOpInterface shell = createShell(function, name, arrays);
+    FunctionOpInterface shell = createShell(function, name, *signature);
     bool takesAll = takes && isa<KernelOp>(function.getOperation());
     if (takesAll)
       shell->setAttr(kTakesAttrName, UnitAttr::get(&getContext()));
-    if (failed(fillAdjoint(function, shell, arrays, historyBytes, takesAll))) {
+    if (failed(
+            fillAdjoint(function, shell, *signature, historyBytes, takesAll))) {
       shell.erase();
       return failure();
     }

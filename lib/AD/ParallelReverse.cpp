@@ -8,6 +8,7 @@
 #include "tai/AD/ParallelReverse.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/IR/Matchers.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -17,7 +18,8 @@ mlir::tai::reverseParallelBody(AdjointBuilder &b, Operation *loop,
                                Block &primal, Block &mirror,
                                llvm::function_ref<void(Frame &)> begin,
                                llvm::function_ref<void()> terminate) {
-  // One buffer for each captured value, of one element for each component.
+  // One buffer for each captured value, of one element for each component. The
+  // lowering of loops sums into it in registers; see tai-relax-atomics.
   SmallVector<std::pair<Value, Value>> sums;
   auto end = [&](Frame &frame) {
     // Most captured values come from a few reads. What each iteration
@@ -40,11 +42,13 @@ mlir::tai::reverseParallelBody(AdjointBuilder &b, Operation *loop,
               b, zero, buffer,
               ValueRange{arith::ConstantIndexOp::create(b, i)});
       }
-      for (int64_t i = 0; i != count; ++i)
-        memref::AtomicRMWOp::create(
-            b, arith::AtomicRMWKind::addf,
-            vector ? b.createExtract(adjoint, i) : adjoint, buffer,
-            ValueRange{arith::ConstantIndexOp::create(b, i)});
+      for (int64_t i = 0; i != count; ++i) {
+        Value part = vector ? b.createExtract(adjoint, i) : adjoint;
+        if (!matchPattern(part, m_AnyZeroFloat()))
+          memref::AtomicRMWOp::create(
+              b, arith::AtomicRMWKind::addf, part, buffer,
+              ValueRange{arith::ConstantIndexOp::create(b, i)});
+      }
       sums.emplace_back(value, buffer);
     }
     terminate();

@@ -7,6 +7,7 @@
 
 #include "tai/AD/Selection.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
+#include "tai/AD/Signature.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
@@ -18,9 +19,25 @@ static bool hasAdjointAlready(FunctionOpInterface function) {
   return function->hasAttr("adjoint") || function->hasAttr("tai.adjoint");
 }
 
+/// Refuses a launch under a tape that would have to say where adjoints are.
+static LogicalResult checkTaped(LaunchOp launch, ModuleOp module) {
+  auto kernel = module.lookupSymbol<KernelOp>(launch.getKernel());
+  if (!kernel || !kernel->hasAttr(kGradients))
+    return success();
+  InFlightDiagnostic diag =
+      launch.emitError()
+      << "a host program cannot launch '@" << kernel.getName()
+      << "' under a tape: it has no memory for the adjoints of arguments and "
+         "results";
+  diag.attachNote(kernel.getLoc())
+      << "differentiated by arguments or results here; use fields instead";
+  return diag;
+}
+
 /// The kernels launched where gradients are taken, or nothing if the module
 /// takes none.
-static std::optional<DenseSet<StringAttr>> collectTaped(ModuleOp module) {
+static FailureOr<std::optional<DenseSet<StringAttr>>>
+collectTaped(ModuleOp module) {
   DenseSet<StringAttr> kernels;
   SmallVector<Operation *> pending;
   module.walk([&](Operation *op) {
@@ -28,19 +45,23 @@ static std::optional<DenseSet<StringAttr>> collectTaped(ModuleOp module) {
       pending.push_back(op);
   });
   if (pending.empty())
-    return std::nullopt;
+    return std::optional<DenseSet<StringAttr>>();
   DenseSet<Operation *> visited;
+  bool isGood = true;
   while (!pending.empty())
     pending.pop_back_val()->walk([&](Operation *op) {
       if (auto launch = dyn_cast<LaunchOp>(op)) {
         kernels.insert(launch.getKernelAttr().getAttr());
+        isGood &= succeeded(checkTaped(launch, module));
       } else if (auto call = dyn_cast<func::CallOp>(op)) {
         auto callee = module.lookupSymbol<func::FuncOp>(call.getCallee());
         if (callee && visited.insert(callee).second)
           pending.push_back(callee);
       }
     });
-  return kernels;
+  if (!isGood)
+    return failure();
+  return std::optional(kernels);
 }
 
 static FailureOr<SmallVector<FunctionOpInterface>>
@@ -62,7 +83,11 @@ selectWhole(ModuleOp module, ArrayRef<std::string> names) {
   for (auto kernel : module.getOps<KernelOp>())
     if (FlatSymbolRefAttr adjoint = kernel.getAdjointAttr())
       adjoints.insert(adjoint.getAttr());
-  std::optional<DenseSet<StringAttr>> taped = collectTaped(module);
+  FailureOr<std::optional<DenseSet<StringAttr>>> launched =
+      collectTaped(module);
+  if (failed(launched))
+    return failure();
+  const std::optional<DenseSet<StringAttr>> &taped = *launched;
   for (auto function : module.getOps<FunctionOpInterface>()) {
     if (function.isExternal() || hasAdjointAlready(function))
       continue;

@@ -107,13 +107,19 @@ static bool needsParts(KernelOp kernel) {
   ScopedDiagnosticHandler silence(kernel.getContext(),
                                   [](Diagnostic &) { return success(); });
   OpBuilder builder(kernel);
+  // What the kernel reads from its arrays is constant here.
+  FailureOr<AdjointSignature> signature =
+      AdjointSignature::get(kernel, /*arrays=*/false);
+  if (failed(signature))
+    return false;
+  SmallVector<Type> inputs(kernel.getArgumentTypes());
+  llvm::append_range(inputs, signature->getShadowTypes(kernel));
   auto shell = KernelOp::create(
       builder, kernel.getLoc(), (kernel.getSymName() + ".trial").str(),
-      FunctionType::get(kernel.getContext(), kernel.getArgumentTypes(), {}));
+      FunctionType::get(kernel.getContext(), inputs, {}));
   bool result = false;
-  // What the kernel reads from its arrays is constant here.
   bool failing =
-      failed(fillAdjoint(kernel, shell, /*arrays=*/false, kDefaultHistoryBytes,
+      failed(fillAdjoint(kernel, shell, *signature, kDefaultHistoryBytes,
                          /*takes=*/false, &result));
   shell.erase();
   return failing && result;
@@ -223,6 +229,18 @@ LogicalResult Splitter::check() {
   return result;
 }
 
+/// Differentiates a part that returns nothing by its arguments alone.
+static void dropResults(KernelOp part) {
+  auto positions = part->getAttrOfType<DenseI64ArrayAttr>(kGradients);
+  if (!positions)
+    return;
+  SmallVector<int64_t> kept;
+  for (int64_t position : positions.asArrayRef())
+    if (position < part.getNumArguments())
+      kept.push_back(position);
+  part->setAttr(kGradients, DenseI64ArrayAttr::get(part.getContext(), kept));
+}
+
 void Splitter::split() {
   OpBuilder builder(kernel.getContext());
   Operation *after = kernel;
@@ -239,6 +257,7 @@ void Splitter::split() {
       clone.setFunctionType(FunctionType::get(
           clone.getContext(), clone.getArgumentTypes(), TypeRange()));
       clone.removeResAttrsAttr();
+      dropResults(clone);
     }
     SmallVector<Operation *> copies = getTopLevel(clone);
     for (size_t i = copies.size(); i-- > 0;) {

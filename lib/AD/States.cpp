@@ -21,7 +21,8 @@ using namespace mlir::tai;
 
 /// Finds the stores that take the adjoints of their elements: those of elements
 /// that an earlier access of the kernel may have used, for its reverse must not
-/// see the adjoint of the stored value.
+/// see the adjoint of the stored value. Those of arrays all do, because a tape
+/// does not know which elements another launch has used.
 void AdjointBuilder::findTakes() {
   for (auto &[storage, list] : accesses.getStorages()) {
     SmallVector<DifferentiableAccessInterface> active, stores;
@@ -35,7 +36,8 @@ void AdjointBuilder::findTakes() {
         stores.push_back(access);
     }
     for (DifferentiableAccessInterface store : stores)
-      if (takesAll || llvm::any_of(active, [&](auto access) {
+      if (takesAll || store.getAccessedStorage().memref ||
+          llvm::any_of(active, [&](auto access) {
             return mayReachLater(access, store);
           }))
         takes.insert(store);

@@ -74,7 +74,8 @@ static bool passesThroughRegions(Operation *op) {
 }
 
 Activity::Activity(FunctionOpInterface function,
-                   llvm::function_ref<bool(Storage)> hasAdjoint) {
+                   llvm::function_ref<bool(Storage)> hasAdjoint,
+                   ArrayRef<Value> inputs, ArrayRef<Value> outputs) {
   RegionEdges edges;
   SmallVector<DifferentiableAccessInterface> reads, writes;
   function.walk([&](Operation *op) {
@@ -93,6 +94,7 @@ Activity::Activity(FunctionOpInterface function,
     if (varied.insert(value).second)
       worklist.push_back(value);
   };
+  llvm::for_each(inputs, markVaried);
   for (DifferentiableAccessInterface read : reads)
     markVaried(read.getAccessedValue());
   // What a read-modify-write returns is a read too.
@@ -130,6 +132,7 @@ Activity::Activity(FunctionOpInterface function,
       if (isFloatOrVector(operand.getType()))
         markUseful(operand);
   };
+  llvm::for_each(outputs, markUseful);
   for (DifferentiableAccessInterface write : writes) {
     markUseful(write.getAccessedValue());
     // A product or a maximum depends on the old element too.

@@ -14,6 +14,7 @@
 
 #include "Common/Accumulation.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/Transforms/LoopInvariantCodeMotionUtils.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Cost.h"
@@ -36,6 +37,9 @@ constexpr size_t kMaxRegisters = 8;
 /// Private buffers larger than this are left alone: they would fill the memory
 /// of a machine with many cores.
 constexpr int64_t kMaxPrivateElements = int64_t(1) << 24;
+
+/// Local arrays up to this size are summed in registers: a matrix.
+constexpr int64_t kMaxLocalSums = 16;
 
 namespace {
 /// The accesses of a loop to one field.
@@ -65,6 +69,26 @@ private:
 };
 } // namespace
 
+/// True if the update is a sum in a small array that the kernel makes for it,
+/// and nothing else in the loop touches the array: adjoints of what the body of
+/// a loop takes from outside.
+static bool isLocalSum(memref::AtomicRMWOp atomic, ParallelForOp loop) {
+  auto array = atomic.getMemref().getDefiningOp<memref::AllocaOp>();
+  if (!array || loop->isAncestor(array) ||
+      array.getType().getNumElements() > kMaxLocalSums)
+    return false;
+  return llvm::all_of(array->getUsers(), [&](Operation *user) {
+    if (!loop->isAncestor(user))
+      return true;
+    auto other = dyn_cast<memref::AtomicRMWOp>(user);
+    return other && other.getKind() == arith::AtomicRMWKind::addf &&
+           other.getResult().use_empty() &&
+           llvm::all_of(other.getIndices(), [](Value index) {
+             return getConstantIntValue(index).has_value();
+           });
+  });
+}
+
 /// Runs the loop on one thread, where every update is plain.
 void LoopRelaxation::serialize() {
   loop.setSerialize(true);
@@ -72,6 +96,9 @@ void LoopRelaxation::serialize() {
     atomic->removeAttr(kAccumulateAttrName);
     atomic->removeAttr(kBufferAttrName);
     atomic.setExclusive(true);
+  });
+  loop.walk([](memref::AtomicRMWOp atomic) {
+    atomic->removeAttr(kAccumulateAttrName);
   });
 }
 
@@ -261,6 +288,11 @@ LogicalResult LoopRelaxation::run() {
   loop.walk([&](memref::AtomicRMWOp atomic) {
     if (!loop.isDefinedOutsideOfLoop(atomic.getMemref()))
       return;
+    if (isLocalSum(atomic, loop)) {
+      atomic->setAttr(kAccumulateAttrName,
+                      StringAttr::get(atomic.getContext(), kRegister));
+      return;
+    }
     inMemory = true;
     bool isExtreme = atomic.getKind() == arith::AtomicRMWKind::minimumf ||
                      atomic.getKind() == arith::AtomicRMWKind::maximumf;

@@ -12,6 +12,7 @@
 
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Parser/Parser.h"
+#include "tai/AD/Signature.h"
 #include "tai/ExecutionEngine/AdjointNeeds.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "llvm/Support/FormatVariadic.h"
@@ -24,6 +25,32 @@ using namespace mlir::tai;
 // Kernels
 //===----------------------------------------------------------------------===//
 
+/// What the adjoint of a kernel is given besides the arguments.
+static FailureOr<runtime::CallerAdjoints> getCallerAdjoints(KernelOp kernel,
+                                                            Failure &problem) {
+  DiagnosticCollector collector(kernel.getContext());
+  FailureOr<AdjointSignature> signature =
+      AdjointSignature::get(kernel, /*arrays=*/false);
+  if (failed(signature)) {
+    problem = collector.take(FailureKind::Type, "the kernel is not valid");
+    return failure();
+  }
+  runtime::CallerAdjoints adjoints;
+  adjoints.hasTargets = !signature->arguments.empty();
+  SmallVector<MemRefType> types = signature->getShadowTypes(kernel);
+  for (auto [i, type] : llvm::enumerate(types)) {
+    if (i >= signature->arguments.size())
+      adjoints.results.push_back(
+          {adjoints.slots,
+           type.getNumElements() * type.getElementTypeBitWidth() / 8});
+    else
+      adjoints.hasArrays |=
+          isa<MemRefType>(kernel.getArgumentTypes()[signature->arguments[i]]);
+    adjoints.slots += countSlots(type);
+  }
+  return adjoints;
+}
+
 FailureOr<std::pair<std::shared_ptr<KernelCode>, runtime::KernelPtr>>
 Session::makeKernel(OwningOpRef<ModuleOp> module, StringRef name) {
   auto op = module->lookupSymbol<KernelOp>(name);
@@ -33,12 +60,18 @@ Session::makeKernel(OwningOpRef<ModuleOp> module, StringRef name) {
   if (failed(declareUsed(*module)) || failed(verifyModule(*module)))
     return failure();
 
+  Failure problem;
+  FailureOr<runtime::CallerAdjoints> adjoints = getCallerAdjoints(op, problem);
+  if (failed(adjoints))
+    return fail(std::move(problem));
+
   auto code =
       std::make_shared<KernelCode>(*compiler, background, name, options);
   runtime::KernelInfo info;
   info.name = code->name;
   info.argSlots = code->argSlots = countSlots(op.getArgumentTypes());
   info.resultSlots = countSlots(op.getResultTypes());
+  info.callerAdjoints = std::move(*adjoints);
   info.summary = summarize(*module, op);
   for (TreeOp tree : module->getOps<TreeOp>())
     code->trees.push_back(rt->findTree(tree.getSymName().str()));
@@ -252,7 +285,8 @@ std::optional<Compiler::Function> Session::compileAdjoint(KernelCode &code,
 /// True if a reverse sweep may launch the adjoint: the kernel reads a field
 /// that has one, and changes such a field.
 static bool carriesGradients(const runtime::Kernel &kernel) {
-  bool reads = false, changes = false;
+  bool reads = kernel.callerAdjoints().hasTargets;
+  bool changes = kernel.callerAdjoints().hasSources();
   for (const runtime::Access &access : kernel.summary())
     if (access.field->adjoint())
       (access.kind == runtime::AccessKind::Read ? reads : changes) = true;

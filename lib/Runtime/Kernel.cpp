@@ -14,6 +14,17 @@
 
 using namespace mlir::tai::runtime;
 
+bool CallerAdjoints::areZero(const uint64_t *callerSlots) const {
+  if (hasArrays)
+    return false;
+  for (const Result &result : results) {
+    auto *bytes = reinterpret_cast<const char *>(callerSlots[result.slot]);
+    if (std::any_of(bytes, bytes + result.bytes, [](char c) { return c; }))
+      return false;
+  }
+  return true;
+}
+
 Kernel::Kernel(KernelInfo kernelInfo) : info(std::move(kernelInfo)) {
   function.store(info.function, std::memory_order_release);
   adjointForms[0].kernel = info.adjoint;

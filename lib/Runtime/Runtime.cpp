@@ -399,18 +399,25 @@ int32_t Runtime::runTimed(Launch &launch, Kernel &kernel,
   return code;
 }
 
-static Status wrongSlots(const Kernel &kernel, int64_t slots) {
-  return Status::failure(StatusCode::Usage,
-                         "kernel '" + kernel.name() + "' takes " +
-                             std::to_string(kernel.argSlots()) +
-                             " argument slots, but got " +
-                             std::to_string(slots));
+static Status wrongSlots(const Kernel &kernel, int64_t wanted, int64_t slots) {
+  std::string message = "kernel '" + kernel.name() + "' takes " +
+                        std::to_string(wanted) + " argument slots, but got " +
+                        std::to_string(slots);
+  if (wanted != kernel.argSlots())
+    message += "; the last " + std::to_string(wanted - kernel.argSlots()) +
+               " are for the adjoints of its arguments and results";
+  return Status::failure(StatusCode::Usage, std::move(message));
 }
 
 Status Runtime::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
                        uint64_t *results) {
-  if (__builtin_expect(slots != kernel.argSlots(), false))
-    return wrongSlots(kernel, slots);
+  // Only what is recorded needs to say where adjoints are.
+  if (__builtin_expect(slots != kernel.tapeSlots(), false)) {
+    bool recorded = activeTape && !activeTape->suspended;
+    if (recorded || slots != kernel.argSlots())
+      return wrongSlots(
+          kernel, recorded ? kernel.tapeSlots() : kernel.argSlots(), slots);
+  }
   Launch *launch = acquireLaunch();
   uint64_t number = launchCounter.fetch_add(1, std::memory_order_relaxed);
   kernel.lastLaunch.store(number, std::memory_order_relaxed);
@@ -424,8 +431,8 @@ Status Runtime::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
 
 Status Runtime::launchAdjoint(Kernel &kernel, const uint64_t *args,
                               int64_t slots) {
-  if (slots != kernel.argSlots())
-    return wrongSlots(kernel, slots);
+  if (slots != kernel.tapeSlots())
+    return wrongSlots(kernel, kernel.tapeSlots(), slots);
   Status status = kernel.bind(storageEpoch.load(std::memory_order_relaxed));
   if (!status)
     return status;

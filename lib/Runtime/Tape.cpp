@@ -67,9 +67,11 @@ Tape::Decision Tape::decide(size_t index, const Live &live) const {
   if (!kernel.differentiable())
     return Decision::SkipNoDerivative;
   const auto &sources = kernel.adjointSources;
-  if (std::none_of(sources.begin(), sources.end(), live))
+  const CallerAdjoints &caller = kernel.info.callerAdjoints;
+  if (std::none_of(sources.begin(), sources.end(), live) &&
+      !caller.hasSources())
     return Decision::SkipUnreached;
-  if (!kernel.adjointTargets.empty())
+  if (!kernel.adjointTargets.empty() || caller.hasTargets)
     return Decision::Replay;
   // What remains is to forget the adjoints of what the kernel overwrote. That
   // matters only to those who wrote it before.
@@ -216,6 +218,14 @@ Status Tape::runAdjoint(Launch &launch, size_t index) {
   const Record &record = records[index];
   Kernel &kernel = *record.kernel;
   bool takes = storesAgain[index];
+  // A value that was returned and not used any more costs nothing.
+  const auto &sources = kernel.adjointSources;
+  if (!kernel.info.callerAdjoints.results.empty() &&
+      std::none_of(sources.begin(), sources.end(),
+                   [](Field *field) { return field->adjoint()->dirty(); }) &&
+      kernel.info.callerAdjoints.areZero(slots.data() + record.payload +
+                                         kernel.argSlots()))
+    return Status::success();
   // Found once; the look-up below takes a lock.
   Kernel *adjoint =
       kernel.adjointForms[takes].known.load(std::memory_order_acquire);

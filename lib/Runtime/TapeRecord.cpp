@@ -138,7 +138,7 @@ void Tape::record(Kernel &kernel, const uint64_t *args, uint64_t launch) {
   }
   lastLaunch = launch - firstLaunch;
   records.push_back({&kernel, lastLaunch, slots.size()});
-  slots.insert(slots.end(), args, args + kernel.argSlots());
+  slots.insert(slots.end(), args, args + kernel.tapeSlots());
   ++runtime.counts.recorded;
 }
 

@@ -258,22 +258,6 @@ func.func @temporary(%x: memref<4xf32>, %y: memref<4xf32>) attributes {tai.diffe
 
 // -----
 
-func.func @vectors(%x: memref<?xvector<2xf32>>, %at: memref<?xi32>, %y: memref<?xvector<2xf32>>) attributes {tai.differentiate} {
-  %c0 = arith.constant 0 : index
-  %c1 = arith.constant 1 : index
-  %n = memref.dim %y, %c0 : memref<?xvector<2xf32>>
-  scf.parallel (%i) = (%c0) to (%n) step (%c1) {
-    %k = memref.load %at[%i] : memref<?xi32>
-    %j = arith.index_cast %k : i32 to index
-    // expected-error @+1 {{the gradient of an array of vectors is accumulated by iterations that run at the same time, which is not supported; use an array of scalars, or a field}}
-    %v = memref.load %x[%j] : memref<?xvector<2xf32>>
-    memref.store %v, %y[%i] : memref<?xvector<2xf32>>
-  }
-  return
-}
-
-// -----
-
 func.func @product(%x: memref<4xf32>, %out: memref<f32>) attributes {tai.differentiate} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index

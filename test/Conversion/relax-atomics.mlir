@@ -250,3 +250,47 @@ tai.kernel @wraps(%n: index) {
   }
   tai.return
 }
+
+// A small array of the kernel that iterations only add to: sums in registers,
+// whatever the mode.
+// CHECK-LABEL: tai.kernel @local_sums
+//       CHECK:   tai.parallel_for
+//       CHECK:     memref.atomic_rmw addf {{.+}} {tai.accumulate = "register"}
+//       CHECK:     memref.atomic_rmw addf {{.+}} {tai.accumulate = "register"}
+//       CHECK:   } {tai.independent}
+tai.kernel @local_sums() -> f32 {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %n = arith.constant 99999 : index
+  %zero = arith.constant 0.0 : f32
+  %sums = memref.alloca() : memref<2xf32>
+  memref.store %zero, %sums[%c0] : memref<2xf32>
+  memref.store %zero, %sums[%c1] : memref<2xf32>
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = tai.load @x[%i] : f32
+    %1 = memref.atomic_rmw addf %0, %sums[%c0] : (f32, memref<2xf32>) -> f32
+    %2 = tai.load @y[%i] : f32
+    %3 = memref.atomic_rmw addf %2, %sums[%c1] : (f32, memref<2xf32>) -> f32
+  }
+  %4 = memref.load %sums[%c1] : memref<2xf32>
+  tai.return %4 : f32
+}
+
+// One that is read in the loop, or indexed by it, is added to in memory.
+// CHECK-LABEL: tai.kernel @local_array
+//  FREE:   tai.parallel_for
+//   CHECK-NOT: tai.accumulate
+//  DET:    serialize
+tai.kernel @local_array() -> f32 {
+  %c0 = arith.constant 0 : index
+  %n = arith.constant 99999 : index
+  %zero = arith.constant 0.0 : f32
+  %sum = memref.alloca() : memref<1xf32>
+  memref.store %zero, %sum[%c0] : memref<1xf32>
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = memref.load %sum[%c0] : memref<1xf32>
+    %1 = memref.atomic_rmw addf %0, %sum[%c0] : (f32, memref<1xf32>) -> f32
+  }
+  %4 = memref.load %sum[%c0] : memref<1xf32>
+  tai.return %4 : f32
+}

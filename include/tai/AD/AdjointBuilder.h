@@ -22,6 +22,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/IRMapping.h"
 #include "tai/AD/DerivativeBuilder.h"
+#include "tai/AD/Signature.h"
 #include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Activity.h"
 #include "llvm/ADT/MapVector.h"
@@ -88,6 +89,13 @@ struct Frame {
   DenseSet<Value> popped;
 };
 
+/// Values of a function that have an adjoint, each with the memref that holds
+/// it: arguments that are no arrays, and what the function returns.
+struct ValueShadows {
+  SmallVector<Value> inputs, inputShadows;
+  SmallVector<Value> outputs, outputShadows;
+};
+
 class AdjointBuilder : public DerivativeBuilder {
 public:
   /// Builds into the body of `adjoint`, whose arguments begin with those of
@@ -95,7 +103,7 @@ public:
   /// `takesAll`, all stores take the adjoints of their elements.
   AdjointBuilder(FunctionOpInterface primal, FunctionOpInterface adjoint,
                  std::function<Storage(Storage)> adjointOf, bool takesAll,
-                 const RerunPlan &plan);
+                 const RerunPlan &plan, ValueShadows shadows = {});
   ~AdjointBuilder();
 
   /// Builds the whole adjoint; the terminator is left to the caller. Fails
@@ -222,9 +230,12 @@ private:
   LogicalResult reverseOp(Operation *op);
   LogicalResult reverseAccess(Operation *op);
   Value sumUp(Value value, PartialAdjoint &entry);
+  void seedOutputs();
+  void accumulateInputs();
 
   FunctionOpInterface primal, adjoint;
   std::function<Storage(Storage)> adjointOf;
+  ValueShadows shadows;
   Activity activity;
   AccessTable accesses;
   bool takesAll;
@@ -254,11 +265,13 @@ private:
   std::unique_ptr<ContendedAtomics> contended;
 };
 
-/// Fills the empty adjoint `shell` of `function`. `arrays` and `takes` are as
-/// the options of `tai-make-adjoint`; `needsParts` is told whether a failure
-/// can be helped by splitting the kernel.
+/// Fills the empty adjoint `shell` of `function`, which has the arguments that
+/// `signature` asks for. `takes` is as the option of `tai-make-adjoint`;
+/// `needsParts` is told whether a failure can be helped by splitting the
+/// kernel.
 LogicalResult fillAdjoint(FunctionOpInterface function,
-                          FunctionOpInterface shell, bool arrays,
+                          FunctionOpInterface shell,
+                          const AdjointSignature &signature,
                           int64_t historyBytes, bool takes,
                           bool *needsParts = nullptr);
 

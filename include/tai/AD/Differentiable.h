@@ -61,10 +61,6 @@ inline bool isFloatOrVector(Type type) {
 /// part of what its core keeps close.
 constexpr int64_t kDefaultHistoryBytes = 256 * 1024;
 
-/// Marks, in an adjoint, the store that ends the accumulation of a vector into
-/// an array: it is no atomic, and must be shown to need none.
-constexpr llvm::StringLiteral kPlainAccumulation = "tai.plain_accumulation";
-
 /// Reports that `op` has no tangent rule; for the defaults of the interfaces.
 LogicalResult refuseTangent(Operation *op, TangentBuilder &builder);
 /// Extends the regions of an op that passes no tangents on, or reports that it

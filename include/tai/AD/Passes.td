@@ -46,7 +46,33 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
     its float memref arguments as both inputs and outputs; `@f_grad` has one
     more memref for each of them, at the end, in the same order. So has the
     adjoint of a kernel with float memref arguments, unless `array-adjoints` is
-    off: then what a kernel reads from its arrays is constant.
+    off: then what a kernel reads from its arrays is constant. The adjoint of an
+    array of vectors is an array of their components:
+    `memref<?x3xf32>` for `memref<?xvector<3xf32>>`.
+
+    The attribute `tai.gradients` says instead by what a kernel or function is
+    differentiated besides fields: it lists positions of arguments and, counted
+    on from these, of results. The adjoint has one more memref for each. It adds
+    to the adjoints of numbers and vectors among the arguments, and reads those
+    of results: `memref<f32>` for `f32`, `memref<3xf32>` for `vector<3xf32>`.
+    What is not listed is constant. What iterations of a parallel loop
+    contribute to a number is summed in registers. Two arguments must not be
+    memrefs that overlap.
+
+    ```mlir
+    tai.kernel @scaled(%a: f32, %x: memref<?xf32>) -> f32
+        attributes {tai.gradients = array<i64: 0, 2>}
+    ```
+
+    has the adjoint, by `%a` and the result,
+
+    ```mlir
+    tai.kernel @scaled_grad(%a: f32, %x: memref<?xf32>,
+                            %a_adjoint: memref<f32>, %adjoint: memref<f32>)
+    ```
+
+    Host programs have no arrays to pass: they cannot launch such a kernel under
+    a tape.
 
     ```mlir
     tai.kernel @square() {

@@ -7,7 +7,8 @@
 //
 // A value is active if it depends on what is read from a storage with an
 // adjoint, and is used by what is written to a storage with an adjoint, through
-// ops that carry derivatives. No other value gets adjoint code.
+// ops that carry derivatives. No other value gets adjoint code. Arguments may
+// be read, and results written, in the same sense.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,9 +23,11 @@ namespace mlir::tai {
 
 class Activity {
 public:
-  /// Analyses a function, given which storages have an adjoint.
+  /// Analyses a function, given which storages have an adjoint, and which of
+  /// its values have: arguments, and operands of its terminator.
   Activity(FunctionOpInterface function,
-           llvm::function_ref<bool(Storage)> hasAdjoint);
+           llvm::function_ref<bool(Storage)> hasAdjoint,
+           ArrayRef<Value> inputs = {}, ArrayRef<Value> outputs = {});
 
   /// True if the value depends on a wanted input and reaches a wanted output.
   bool isActive(Value value) const {

@@ -66,7 +66,8 @@ def RelaxAtomics : Pass<"tai-relax-atomics"> {
     * a plain read and write (`exclusive`), where each iteration has elements of
       its own;
     * a sum in a register (`tai.accumulate = "register"`), one for each
-      partition, where all iterations update one element;
+      partition, where all iterations update one element of a field, or of a
+      small array (`memref.alloca`) that the kernel makes for such sums;
     * an addition to a buffer of the partition (`tai.accumulate = "private"`),
       where the updated part of the field is small against the number of
       updates;

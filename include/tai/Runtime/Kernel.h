@@ -91,11 +91,34 @@ struct AdjointPlan {
   bool provisional = false;
 };
 
+/// The adjoints of arguments and results, which are in memory of the caller. A
+/// launch that may be differentiated passes them in slots after those of the
+/// arguments: pointers and extents, as for arrays.
+struct CallerAdjoints {
+  int64_t slots = 0;
+  /// The adjoint adds to that of an argument or array.
+  bool hasTargets = false;
+  /// It reads the adjoint of an array.
+  bool hasArrays = false;
+  /// The adjoint of a result: its pointer's slot, counted from the first of
+  /// these slots, and its size.
+  struct Result {
+    int64_t slot;
+    int64_t bytes;
+  };
+  std::vector<Result> results;
+
+  bool hasSources() const { return hasArrays || !results.empty(); }
+  /// True if all adjoints that the adjoint kernel reads are known to be zero.
+  bool areZero(const uint64_t *callerSlots) const;
+};
+
 struct KernelInfo {
   std::string name;
   /// Slots of arguments and results, as Abi.h counts them.
   int64_t argSlots = 0;
   int64_t resultSlots = 0;
+  CallerAdjoints callerAdjoints;
   /// The trees of the module, in the order of its `tai.tree` ops.
   std::vector<TreePtr> trees;
   /// What the kernel reads, writes and accumulates. It must be complete: a
@@ -144,7 +167,12 @@ public:
 
   const std::string &name() const { return info.name; }
   int64_t argSlots() const { return info.argSlots; }
+  /// Slots of a launch that may be differentiated.
+  int64_t tapeSlots() const {
+    return info.argSlots + info.callerAdjoints.slots;
+  }
   int64_t resultSlots() const { return info.resultSlots; }
+  const CallerAdjoints &callerAdjoints() const { return info.callerAdjoints; }
   const std::vector<Access> &summary() const { return info.summary; }
   bool differentiable() const { return info.differentiable; }
 

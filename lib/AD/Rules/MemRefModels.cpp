@@ -8,6 +8,7 @@
 #include "Models.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/Utils/IndexingUtils.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/AD/AdjointBuilder.h"
 
@@ -16,18 +17,22 @@ using namespace mlir::tai;
 
 namespace {
 
-/// Adds to an element of a memref. Atomic updates exist for scalars alone.
-void createAccumulate(OpBuilder &b, Location loc, Value value, Value memref,
-                      ValueRange indices) {
-  if (!isa<VectorType>(value.getType())) {
-    memref::AtomicRMWOp::create(b, loc, arith::AtomicRMWKind::addf, value,
-                                memref, indices);
-    return;
+/// Calls `action` with the indices of each component of an element of this type
+/// in the array of its adjoints, which holds components as elements.
+void forEachComponent(
+    OpBuilder &b, Location loc, Type type, ValueRange indices,
+    function_ref<void(ArrayRef<int64_t>, ValueRange)> action) {
+  auto vector = dyn_cast<VectorType>(type);
+  if (!vector)
+    return action({}, indices);
+  for (int64_t i = 0, e = vector.getNumElements(); i != e; ++i) {
+    SmallVector<int64_t> position =
+        delinearize(i, computeSuffixProduct(vector.getShape()));
+    SmallVector<Value> all(indices);
+    for (int64_t index : position)
+      all.push_back(arith::ConstantIndexOp::create(b, loc, index));
+    action(position, all);
   }
-  Value old = memref::LoadOp::create(b, loc, memref, indices);
-  Value sum = arith::AddFOp::create(b, loc, old, value);
-  auto store = memref::StoreOp::create(b, loc, sum, memref, indices);
-  store->setAttr(kPlainAccumulation, b.getUnitAttr());
 }
 
 template <typename Model, typename OpTy>
@@ -40,12 +45,31 @@ struct AccessModel : DifferentiableAccessInterface::ExternalModel<Model, OpTy> {
   }
   Value createAdjointRead(Operation *op, OpBuilder &b, Storage storage,
                           ValueRange indices, ValueRange) const {
-    return memref::LoadOp::create(b, op->getLoc(), storage.memref, indices);
+    Location loc = op->getLoc();
+    auto array = cast<MemRefType>(cast<OpTy>(op).getMemref().getType());
+    Type type = array.getElementType();
+    SmallVector<Value> parts;
+    forEachComponent(
+        b, loc, type, indices, [&](ArrayRef<int64_t>, ValueRange at) {
+          parts.push_back(memref::LoadOp::create(b, loc, storage.memref, at));
+        });
+    if (!isa<VectorType>(type))
+      return parts.front();
+    return vector::FromElementsOp::create(b, loc, type, parts);
   }
   void createAdjointAccumulate(Operation *op, OpBuilder &b, Value value,
                                Storage storage, ValueRange indices,
                                ValueRange) const {
-    createAccumulate(b, op->getLoc(), value, storage.memref, indices);
+    Location loc = op->getLoc();
+    forEachComponent(
+        b, loc, value.getType(), indices,
+        [&](ArrayRef<int64_t> position, ValueRange at) {
+          Value part = value;
+          if (!position.empty())
+            part = vector::ExtractOp::create(b, loc, value, position);
+          memref::AtomicRMWOp::create(b, loc, arith::AtomicRMWKind::addf, part,
+                                      storage.memref, at);
+        });
   }
   void createAdjointStore(Operation *op, OpBuilder &b, Value value,
                           Storage storage, ValueRange indices,

@@ -12,6 +12,7 @@
 #include "mlir/Dialect/LLVMIR/FunctionCallUtils.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
@@ -118,10 +119,7 @@ private:
       emitStore(builder, loc, store.getValueToStore(),
                 getElement(builder, loc, store.getIndices()), {});
     } else if (auto atomic = dyn_cast<memref::AtomicRMWOp>(user)) {
-      Value old = emitAtomicUpdate(
-          builder, loc, *toAtomicKind(atomic.getKind()), atomic.getValue(),
-          getElement(builder, loc, atomic.getIndices()), {});
-      atomic.getResult().replaceAllUsesWith(old);
+      lowerSum(atomic);
     } else {
       Operation *table = SymbolTable::getNearestSymbolTable(function);
       FailureOr<LLVM::LLVMFuncOp> free =
@@ -129,6 +127,38 @@ private:
       LLVM::CallOp::create(builder, loc, *free, base);
     }
     user->erase();
+  }
+
+  void lowerSum(memref::AtomicRMWOp atomic) {
+    OpBuilder builder(atomic);
+    Location loc = atomic.getLoc();
+    AtomicKind kind = *toAtomicKind(atomic.getKind());
+    Attribute strategy = atomic->getAttr(kAccumulateAttrName);
+    if (!strategy) {
+      auto loop = atomic->getParentOfType<ParallelForOp>();
+      bool isAlone = !loop || loop.getSerialize();
+      Value element = getElement(builder, loc, atomic.getIndices());
+      Value old = isAlone ? emitPlainUpdate(builder, loc, kind,
+                                            atomic.getValue(), element, {})
+                          : emitAtomicUpdate(builder, loc, kind,
+                                             atomic.getValue(), element, {});
+      atomic.getResult().replaceAllUsesWith(old);
+      return;
+    }
+    // The loop sums in a register; the address is wanted behind it.
+    OpBuilder start(builder.getContext());
+    start.setInsertionPointAfterValue(base);
+    IndexMath math(start, loc);
+    auto constants = llvm::map_to_vector(
+        atomic.getIndices(), [&](Value index) -> Value {
+          return math.constant(*getConstantIntValue(index));
+        });
+    auto update = LLVM::AtomicRMWOp::create(
+        builder, loc, LLVM::AtomicBinOp::fadd,
+        getElement(start, loc, constants), atomic.getValue(),
+        LLVM::AtomicOrdering::monotonic);
+    update->setAttr(kAccumulateAttrName, strategy);
+    atomic.getResult().replaceAllUsesWith(update);
   }
 
   FunctionOpInterface function;

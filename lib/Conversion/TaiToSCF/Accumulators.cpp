@@ -59,11 +59,14 @@ FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
                                 atomic.getValue().getType(),
                                 getOutside(atomic.getIndices(), loop),
                                 getOutside(atomic.getComponents(), loop),
+                                Value(),
+                                {},
                                 Value()});
     return WalkResult::advance();
   });
   if (walked.wasInterrupted())
     return failure();
+  result.collectLocalSums(loop);
 
   FailureOr<SmallVector<AccumulationGroup>> groups =
       groupAccumulations(loop, inBuffers, lowering.fields);
@@ -86,6 +89,26 @@ FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
     result.buffers.push_back(std::move(buffer));
   }
   return result;
+}
+
+void Accumulators::collectLocalSums(ParallelForOp loop) {
+  loop.walk([&](LLVM::AtomicRMWOp update) {
+    if (!update->hasAttr(kAccumulateAttrName))
+      return;
+    auto found = llvm::find_if(registers, [&](Register &other) {
+      return other.address == update.getPtr();
+    });
+    if (found != registers.end()) {
+      found->updates.push_back(update);
+      return;
+    }
+    Register sum = {nullptr, {}, AtomicKind::Add, update.getVal().getType(),
+                    {},      {}, Value(),         {},
+                    Value()};
+    sum.address = update.getPtr();
+    sum.updates.push_back(update);
+    registers.push_back(std::move(sum));
+  });
 }
 
 //===----------------------------------------------------------------------===//
@@ -221,6 +244,11 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
         scf::ForOp::create(builder, loc, math.constant(0), math.toIndex(parts),
                            math.constant(1), initial, combine);
     for (auto [i, sum] : llvm::enumerate(registers)) {
+      if (sum.address) {
+        emitPlainUpdate(builder, loc, sum.kind, total.getResult(i), sum.address,
+                        {});
+        continue;
+      }
       const FieldInfo &field = *sum.field;
       SmallVector<Value> zeroBased =
           emitZeroBased(builder, loc, field, sum.indices);
@@ -287,13 +315,14 @@ void Accumulators::emitEntry(OpBuilder &builder, Location loc, Value part) {
 /// Moves an update behind the branches that it stands in; where it would not
 /// run it adds what changes nothing. LLVM vectorises the sum then, which it
 /// does not do for one that only some iterations change.
-static void moveBehindBranches(AtomicOp atomic) {
-  while (auto branch = dyn_cast<scf::IfOp>(atomic->getParentOp())) {
+static void moveBehindBranches(Operation *update, OpOperand &updated,
+                               AtomicKind kind) {
+  while (auto branch = dyn_cast<scf::IfOp>(update->getParentOp())) {
     // tai-split-loops takes this branch out of the loop.
     if (branch->hasAttr("tai.interior"))
       return;
     Location loc = branch.getLoc();
-    Type type = atomic.getValue().getType();
+    Type type = updated.get().getType();
     SmallVector<Type> types(branch.getResultTypes());
     types.push_back(type);
     OpBuilder builder(branch);
@@ -310,12 +339,12 @@ static void moveBehindBranches(AtomicOp atomic) {
     }
     for (Region *region : moved.getRegions()) {
       Operation *yield = region->front().getTerminator();
-      Value value = atomic.getValue();
-      if (!region->isAncestor(atomic->getParentRegion())) {
+      Value value = updated.get();
+      if (!region->isAncestor(update->getParentRegion())) {
         builder.setInsertionPoint(yield);
         // x + -0 is x, also for x = -0.
-        TypedAttr nothing = getIdentity(atomic.getKind(), type);
-        if (atomic.getKind() == AtomicKind::Add && isa<FloatType>(type))
+        TypedAttr nothing = getIdentity(kind, type);
+        if (kind == AtomicKind::Add && isa<FloatType>(type))
           nothing = builder.getFloatAttr(type, -0.0);
         value = arith::ConstantOp::create(builder, loc, nothing);
       }
@@ -324,8 +353,8 @@ static void moveBehindBranches(AtomicOp atomic) {
     branch->replaceAllUsesWith(
         moved.getResults().take_front(branch.getNumResults()));
     branch.erase();
-    atomic->moveAfter(moved);
-    atomic.getValueMutable().assign(moved.getResults().back());
+    update->moveAfter(moved);
+    updated.assign(moved.getResults().back());
   }
 }
 
@@ -333,21 +362,25 @@ void Accumulators::rewriteUpdates() {
   auto reassociable = arith::FastMathFlagsAttr::get(
       lowering->module.getContext(),
       arith::FastMathFlags::reassoc | arith::FastMathFlags::contract);
+  auto rewrite = [&](Register &sum, Operation *update, OpOperand &value,
+                     AtomicKind kind) {
+    moveBehindBranches(update, value, kind);
+    OpBuilder builder(update);
+    Location loc = update->getLoc();
+    Value old = emitSlotLoad(builder, loc, sum.type, sum.slot);
+    Value next = emitCombination(builder, loc, kind, old, value.get());
+    // The order of a sum over iterations is ours to choose; LLVM needs to
+    // know to vectorise it.
+    if (isa<arith::AddFOp, arith::SubFOp>(next.getDefiningOp()))
+      next.getDefiningOp()->setAttr("fastmath", reassociable);
+    emitSlotStore(builder, loc, next, sum.slot);
+    update->erase();
+  };
   for (Register &sum : registers) {
-    for (AtomicOp atomic : sum.atomics) {
-      moveBehindBranches(atomic);
-      OpBuilder builder(atomic);
-      Location loc = atomic.getLoc();
-      Value old = emitSlotLoad(builder, loc, sum.type, sum.slot);
-      Value next = emitCombination(builder, loc, atomic.getKind(), old,
-                                   atomic.getValue());
-      // The order of a sum over iterations is ours to choose; LLVM needs to
-      // know to vectorise it.
-      if (isa<arith::AddFOp, arith::SubFOp>(next.getDefiningOp()))
-        next.getDefiningOp()->setAttr("fastmath", reassociable);
-      emitSlotStore(builder, loc, next, sum.slot);
-      atomic.erase();
-    }
+    for (AtomicOp atomic : sum.atomics)
+      rewrite(sum, atomic, atomic.getValueMutable(), atomic.getKind());
+    for (LLVM::AtomicRMWOp update : sum.updates)
+      rewrite(sum, update, update.getValMutable(), AtomicKind::Add);
   }
   for (Buffer &buffer : buffers) {
     const FieldInfo &field = *buffer.group.field;

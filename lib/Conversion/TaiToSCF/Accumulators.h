@@ -55,6 +55,9 @@ private:
     Type type;
     // In the kernel:
     SmallVector<Value> indices, components;
+    /// Where a local sum goes, which is of no field.
+    Value address;
+    SmallVector<LLVM::AtomicRMWOp> updates;
     // In the function of the loop:
     Value slot;
   };
@@ -78,6 +81,8 @@ private:
   };
 
   explicit Accumulators(ModuleLowering &lowering) : lowering(&lowering) {}
+  /// Sums in arrays that the kernel makes for them.
+  void collectLocalSums(ParallelForOp loop);
   Value emitTarget(OpBuilder &builder, Location loc, const Buffer &buffer);
   int64_t getPartialBytes() const;
 

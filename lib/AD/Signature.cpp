@@ -1,0 +1,79 @@
+//===- Signature.cpp - What an adjoint is given besides -------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/AD/Signature.h"
+#include "tai/AD/Differentiable.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+// The elements of vectors are dimensions of their own, because no atomic
+// addition takes a vector.
+MemRefType mlir::tai::getShadowType(Type type) {
+  SmallVector<int64_t> shape;
+  auto memref = dyn_cast<MemRefType>(type);
+  if (memref) {
+    llvm::append_range(shape, memref.getShape());
+    type = memref.getElementType();
+  }
+  if (!isFloatOrVector(type))
+    return {};
+  if (memref && isa<FloatType>(type))
+    return memref;
+  if (auto vector = dyn_cast<VectorType>(type))
+    llvm::append_range(shape, vector.getShape());
+  return MemRefType::get(shape, getElementTypeOrSelf(type));
+}
+
+FailureOr<AdjointSignature> AdjointSignature::get(FunctionOpInterface function,
+                                                  bool arrays) {
+  AdjointSignature signature;
+  ArrayRef<Type> inputs = function.getArgumentTypes();
+  ArrayRef<Type> results = function.getResultTypes();
+  Attribute given = function->getAttr(kGradients);
+  if (!given) {
+    for (auto [i, type] : llvm::enumerate(inputs))
+      if (arrays && isa<MemRefType>(type) && getShadowType(type))
+        signature.arguments.push_back(i);
+    return signature;
+  }
+  auto positions = dyn_cast<DenseI64ArrayAttr>(given);
+  if (!positions || !llvm::is_sorted(positions.asArrayRef(), std::less_equal()))
+    return function.emitError("expects '")
+           << kGradients
+           << "' to be an array of positions in ascending order, such as "
+              "array<i64: 0, 2>";
+  for (int64_t position : positions.asArrayRef()) {
+    int64_t numInputs = inputs.size();
+    if (position < 0 || position >= numInputs + int64_t(results.size()))
+      return function.emitError("cannot differentiate by position ")
+             << position << ": there are " << numInputs << " arguments and "
+             << results.size() << " results";
+    bool isInput = position < numInputs;
+    Type type = isInput ? inputs[position] : results[position - numInputs];
+    if (!getShadowType(type))
+      return function.emitError("cannot differentiate by ")
+             << (isInput ? "argument " : "result ")
+             << (isInput ? position : position - numInputs)
+             << ", which is no float but " << type;
+    if (isInput)
+      signature.arguments.push_back(position);
+    else
+      signature.results.push_back(position - numInputs);
+  }
+  return signature;
+}
+
+SmallVector<MemRefType>
+AdjointSignature::getShadowTypes(FunctionOpInterface function) const {
+  SmallVector<MemRefType> types;
+  for (unsigned position : arguments)
+    types.push_back(getShadowType(function.getArgumentTypes()[position]));
+  for (unsigned position : results)
+    types.push_back(getShadowType(function.getResultTypes()[position]));
+  return types;
+}

@@ -1,0 +1,61 @@
+//===- ValueShadows.cpp - Adjoints of arguments and results ---------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The sweep begins with the adjoints of what the function returned and ends
+// with those of its arguments. Both are in memory of the caller, component by
+// component.
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/Utils/IndexingUtils.h"
+#include "tai/AD/AdjointBuilder.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// The indices of a component, counted row by row, of what `shadow` holds.
+static SmallVector<Value> createIndices(AdjointBuilder &b, Value shadow,
+                                        int64_t component) {
+  ArrayRef<int64_t> shape = cast<MemRefType>(shadow.getType()).getShape();
+  return llvm::map_to_vector(
+      delinearize(component, computeSuffixProduct(shape)),
+      [&](int64_t index) -> Value {
+        return arith::ConstantIndexOp::create(b, index);
+      });
+}
+
+void AdjointBuilder::seedOutputs() {
+  for (auto [output, shadow] :
+       llvm::zip(shadows.outputs, shadows.outputShadows)) {
+    if (!isActive(output))
+      continue;
+    auto vector = dyn_cast<VectorType>(output.getType());
+    SmallVector<Value> parts;
+    for (int64_t i = 0, e = vector ? vector.getNumElements() : 1; i != e; ++i)
+      parts.push_back(memref::LoadOp::create(*this, shadow,
+                                             createIndices(*this, shadow, i)));
+    addAdjoint(output, vector ? createVector(vector, parts) : parts.front());
+  }
+}
+
+void AdjointBuilder::accumulateInputs() {
+  for (auto [input, shadow] : llvm::zip(shadows.inputs, shadows.inputShadows)) {
+    Value adjoint = getAdjoint(input);
+    if (!adjoint)
+      continue;
+    auto vector = dyn_cast<VectorType>(input.getType());
+    for (int64_t i = 0, e = vector ? vector.getNumElements() : 1; i != e; ++i) {
+      SmallVector<Value> indices = createIndices(*this, shadow, i);
+      Value old = memref::LoadOp::create(*this, shadow, indices);
+      Value part = vector ? createExtract(adjoint, i) : adjoint;
+      Value sum = arith::AddFOp::create(*this, old, part);
+      memref::StoreOp::create(*this, sum, shadow, indices);
+    }
+  }
+}
