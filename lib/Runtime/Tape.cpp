@@ -406,6 +406,8 @@ std::vector<Tape::Pending> Tape::pendingAdjoints() {
 }
 
 static void appendNames(std::string &text, const std::vector<Field *> &fields) {
+  if (fields.empty())
+    text += "arrays or returned values";
   for (size_t i = 0; i < fields.size(); ++i)
     text += (i ? ", @" : "@") + fields[i]->name();
 }

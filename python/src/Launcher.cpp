@@ -28,8 +28,11 @@ namespace {
 /// or `ti.reset` has replaced.
 uint64_t generation = 1;
 
-/// The tape that records, or null; it keeps alive the arrays that it points to.
+/// The tape that records, or null.
 PyObject *activeTape = nullptr;
+
+/// The class of numbers that have a gradient.
+PyObject *trackedType = nullptr;
 
 enum class ArgKind : char {
   F32 = 'f',
@@ -63,6 +66,8 @@ struct Specialization {
   bool grad;
   std::vector<Arg> args;
   Result result;
+  /// Under a tape, Python says where adjoints are.
+  bool isTracked = false;
 };
 
 struct Launcher {
@@ -178,7 +183,10 @@ Match packArg(const Arg &arg, PyObject *object, std::vector<uint64_t> &slots,
     if (PyFloat_CheckExact(object)) {
       number = PyFloat_AS_DOUBLE(object);
     } else {
-      if (PyUnicode_Check(object) || PyBytes_Check(object))
+      if (PyUnicode_Check(object) || PyBytes_Check(object) ||
+          (activeTape && trackedType &&
+           PyObject_TypeCheck(object,
+                              reinterpret_cast<PyTypeObject *>(trackedType))))
         return Match::No;
       number = PyFloat_AsDouble(object);
       if (number == -1.0 && PyErr_Occurred()) {
@@ -265,7 +273,8 @@ PyObject *launch(Specialization &spec, const std::vector<uint64_t> &slots) {
 /// Tries one specialisation. Yes: `answer` is the result or null on error.
 Match tryLaunch(Specialization &spec, PyObject *const *args, size_t count,
                 PyObject *&answer) {
-  if (spec.generation != generation || spec.args.size() != count)
+  if (spec.generation != generation || spec.args.size() != count ||
+      (activeTape && spec.isTracked))
     return Match::No;
   static thread_local std::vector<uint64_t> slots;
   slots.clear();
@@ -275,13 +284,6 @@ Match tryLaunch(Specialization &spec, PyObject *const *args, size_t count,
     if (match != Match::Yes)
       return match;
   }
-  if (activeTape && !held.buffers.empty())
-    for (Py_buffer &buffer : held.buffers) {
-      PyObject *kept = PyObject_CallMethod(activeTape, "keep", "O", buffer.obj);
-      if (!kept)
-        return Match::Error;
-      Py_DECREF(kept);
-    }
   // The launch may call Python back, which may launch: take the slots along.
   std::vector<uint64_t> mine;
   mine.swap(slots);
@@ -426,15 +428,19 @@ void taipy::bindLauncher(py::module_ &module) {
     Py_XDECREF(activeTape);
     activeTape = tape.is_none() ? nullptr : tape.inc_ref().ptr();
   });
+  module.def("set_tracked_type", [](const py::object &type) {
+    trackedType = type.inc_ref().ptr();
+  });
   module.def("next_generation", [] { return ++generation; });
   module.def("add_specialization",
              [](const py::object &launcher, std::shared_ptr<Kernel> kernel,
                 bool grad, const std::vector<py::tuple> &args,
-                const py::tuple &result) {
+                const py::tuple &result, bool isTracked) {
                auto made = std::make_unique<Specialization>();
                made->kernel = std::move(kernel);
                made->generation = generation;
                made->grad = grad;
+               made->isTracked = isTracked;
                for (const py::tuple &arg : args)
                  made->args.push_back(parseArg(arg));
                if (!result.empty()) {

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _state
+from . import _ad_values, _state
 from ._ad_check import CheckResult as CheckResult
 from ._ad_check import GradCheck
 from ._ad_check import GradientCheckError as GradientCheckError
@@ -33,6 +33,7 @@ from ._ad_seeds import (
 )
 from ._ad_validation import LIMIT, raise_violations
 from ._ad_validation import Violation as Violation
+from ._ad_values import variable as variable
 from .errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
 from .program import get_program
 
@@ -55,8 +56,8 @@ class Tape:
         loss: a field without dimensions that has a gradient: a sum, which is set to zero when
             the block is entered, and whose gradient starts as 1. Or any field, or a list of
             fields: those of more than one number need a seed, here or in `grad`. Or None:
-            then nothing runs in reverse before `backward({field: seed})`, or `grad()` after
-            gradients were set by hand.
+            then nothing runs in reverse before `backward(…)`, or `grad()` after gradients were
+            set by hand. Or a `ti.ndarray` of one number that has a gradient.
         clear_gradients: set all gradients to zero first.
         validation: check the global data access rules at run time, element by element: no
             element is written again but by accumulation, and none once it was read. What
@@ -82,6 +83,17 @@ class Tape:
         grad_check: Any = None, health: bool = False, *, validate: bool = False,
         seed: Any = None, memory_budget: Any = None, checkpoint: Any = None,
     ):  # fmt: skip
+        from .arrays import Ndarray
+
+        # What the sweep starts from, besides fields.
+        self._outer_loss = loss if isinstance(loss, Ndarray) else None
+        if self._outer_loss is not None:
+            _ad_values.check_loss(loss)
+            loss = None
+        if grad_check and loss is None:
+            raise TaiAutodiffError(
+                "grad_check needs the field of the loss", "see also ti.ad.check and tai.testing"
+            )
         self._losses = as_losses(loss)
         self._seed = seed
         self._checkpoint = parse_checkpoint(checkpoint, memory_budget)
@@ -109,7 +121,12 @@ class Tape:
             self._check.begin(self.loss)
         # Wrong seeds are found before anything is computed.
         seeds = None if self._seed is None else as_seeds(self._losses, self._seed)
+        if self._outer_loss is not None:
+            self._outer_loss.fill(0)
+        if self.clear_gradients:
+            _ad_values.clear_gradients()
         self._core = program.context.tape(None, self.clear_gradients)
+        self._values = _ad_values.begin(self._core)
         try:
             for field in self._losses:
                 for part, _ in parts_of(field):
@@ -119,8 +136,9 @@ class Tape:
             self._core.set_checkpoint(*self._checkpoint)
         except BaseException:
             self._core.end()
+            _ad_values.end()
             raise
-        self._was_seeded = seeds is not None or (
+        self._was_seeded = (seeds is not None or self._outer_loss is not None) or (
             bool(self._losses) and all(map(is_number, self._losses))
         )
         self._core.watch_health(self._watches)
@@ -137,6 +155,7 @@ class Tape:
 
         _state.tape = None
         _core.set_tape(None)
+        _ad_values.end()
         self._is_recording = False
         self._core.end()
 
@@ -145,7 +164,8 @@ class Tape:
         if kind is None and self._checks:
             raise_violations(self._core)
         if kind is None and self._was_seeded:
-            self._core.backward()
+            with self._values.sweep(self._outer_seeds()):
+                self._core.backward()
             warn(self._core, 2)
             if self._check:
                 self._check.end(self._core, self.loss)
@@ -181,18 +201,41 @@ class Tape:
                 )
             set_seeds(self._core, self._losses, as_seeds(self._losses, seed))
             self._was_seeded = True
-        self._sweep(clear=self.clear_gradients and bool(self._losses))
+        self._sweep(self.clear_gradients and (bool(self._losses) or self._outer_loss is not None))
 
-    def backward(self, seeds: dict[Any, Any] | None = None) -> None:
-        """Runs the gradients of what was recorded, from gradients given for any fields.
+    def backward(self, *losses: Any) -> None:
+        """Runs the gradients of what was recorded, from gradients given for any values.
+
+        ```python
+        with ti.ad.Tape() as tape:
+            energy = step(a)
+            drift = deviation(a)
+        tape.backward(energy, (drift, 0.5), {x: np.ones(x.shape)})
+        ```
 
         Args:
-            seeds: for fields that have a gradient, arrays of their shapes. Losses of the tape
-                that are not among them start from zero. None is `grad()`.
+            losses: numbers, or pairs of a value and its seed, which has the shape of the value:
+                numbers, vectors and matrices that kernels returned under the tape, numbers
+                computed from these, and arrays with a gradient. And a dictionary of seeds for
+                fields that have a gradient, arrays of their shapes. Losses of the tape that are
+                not among them start from zero. Nothing is `grad()`.
+
+        Raises:
+            TaiRuntimeTypeError: a value that is none of these, or a seed that does not fit.
         """
-        if seeds is None:
+        losses = tuple(loss for loss in losses if loss is not None)
+        if not losses and (self._losses or self._outer_loss is not None):
             return self.grad()
         self._need_record()
+        if not losses:
+            raise TaiRuntimeTypeError(
+                "the tape has no loss: say what to differentiate", "tape.backward(L)"
+            )
+        seeds: dict[Any, Any] = {}
+        for loss in losses:
+            if isinstance(loss, dict):
+                seeds.update(loss)
+        values = _ad_values.parse_losses(tuple(x for x in losses if not isinstance(x, dict)))
         fields = as_losses(list(seeds))
         for field in fields:
             require_grad(field, sys._getframe(1))
@@ -203,7 +246,7 @@ class Tape:
                 fields.append(field)
                 arrays.append(as_seed(field, np.zeros(field.shape + field.element_shape)))
         if self.clear_gradients:
-            get_program().context.clear_gradients()
+            self._clear()
         known = {id(field) for field in self._losses}
         for field, array in zip(fields, arrays, strict=True):
             if id(field) in known:
@@ -211,12 +254,20 @@ class Tape:
             else:
                 field.grad.from_numpy(array)
         self._was_seeded = True
-        self._sweep(clear=False)
+        self._sweep(False, values)
 
-    def _sweep(self, clear: bool) -> None:
+    def _outer_seeds(self) -> tuple:
+        return () if self._outer_loss is None else ((self._outer_loss, 1.0),)
+
+    def _clear(self) -> None:
+        get_program().context.clear_gradients()
+        _ad_values.clear_gradients()
+
+    def _sweep(self, clear: bool, losses: tuple | None = None) -> None:
         if clear:
-            get_program().context.clear_gradients()
-        self._core.backward()
+            self._clear()
+        with self._values.sweep(self._outer_seeds() if losses is None else losses):
+            self._core.backward()
         warn(self._core, 3)
 
     def stats(self) -> TapeStats:
@@ -237,7 +288,25 @@ class Tape:
         block is written again. Gradients are cleared before the reverse sweep.
         """
         self._need_record()
-        self._core.replay(forward, backward)
+        if forward:
+            self._values.check_replay()
+        if backward:
+            _ad_values.clear_gradients()
+        if self._outer_loss is not None:
+            if forward:
+                self._outer_loss.fill(0)
+            losses: tuple = ((self._outer_loss, 1.0),)
+        else:
+            losses = ()
+        if not backward:
+            self._core.replay(forward, False)
+            return
+        if forward and self._values.restores:
+            # The sweep leaves the arrays as the kernels leave them now.
+            self._core.replay(True, False)
+            forward = False
+        with self._values.sweep(losses):
+            self._core.replay(forward, True)
 
     def explain(self) -> str:
         """One line for each record: replayed or skipped, and why."""
@@ -267,9 +336,10 @@ class Tape:
 
 
 def clear_all_gradients() -> None:
-    """Sets the gradients of all fields to zero."""
+    """Sets the gradients of all fields, arrays and variables to zero."""
     get_program().materialize(sys._getframe(1).f_globals)
     get_program().context.clear_gradients()
+    _ad_values.clear_gradients()
 
 
 def no_grad(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from . import dtypes
-from .errors import TaiRuntimeTypeError
+from . import _ad_values, dtypes
+from .errors import TaiRuntimeError, TaiRuntimeTypeError
 
 
 class Ndarray:
@@ -17,9 +17,12 @@ class Ndarray:
         array: the memory, of shape `shape + element_shape`.
         shape: the extents, without those of the element.
         element_shape: `()`, `(n,)` or `(n, m)`.
+        grad: the gradient, an array of the same kind; None without `needs_grad`.
     """
 
-    def __init__(self, dtype: Any, shape: Any, element_shape: tuple[int, ...] = ()):
+    def __init__(
+        self, dtype: Any, shape: Any, element_shape: tuple[int, ...] = (), needs_grad: bool = False
+    ):
         from .types import MatrixType
 
         if isinstance(dtype, MatrixType):
@@ -30,6 +33,34 @@ class Ndarray:
         self.dtype, self.element_shape = resolved, tuple(element_shape)
         self.shape = tuple(shape) if isinstance(shape, (tuple, list)) else (int(shape),)
         self.array = np.zeros(self.shape + self.element_shape, resolved.numpy)
+        self._grad: Ndarray | None = None
+        if needs_grad:
+            if not resolved.is_float:
+                raise TaiRuntimeTypeError(
+                    f"an array of {resolved} has no gradient",
+                    "needs_grad=True goes with a float type such as ti.f32",
+                )
+            self._grad = Ndarray(resolved, self.shape, self.element_shape)
+            _ad_values.note_gradient_array(self._grad)
+
+    @property
+    def grad(self) -> Ndarray | None:
+        return self._grad
+
+    @grad.setter
+    def grad(self, value: Any) -> None:
+        raise TaiRuntimeTypeError(
+            "the gradient of an array cannot be replaced", "fill it: a.grad.from_numpy(array)"
+        )
+
+    def _refuse_in_tape(self) -> None:
+        """A change by Python that a tape does not see, of what its launches have used."""
+        values = _ad_values.recording()
+        if values is not None and values.uses(self.array):
+            raise TaiRuntimeError(
+                "an array that the tape has recorded launches on is changed from Python",
+                "change it in a kernel, or before the tape begins",
+            )
 
     def __getitem__(self, key: Any) -> Any:
         from .matrix import Matrix
@@ -38,6 +69,7 @@ class Ndarray:
         return Matrix._wrap(item) if np.ndim(item) else item.item()
 
     def __setitem__(self, key: Any, value: Any) -> None:
+        self._refuse_in_tape()
         self.array[() if key is None else key] = np.asarray(value)
 
     def to_numpy(self) -> np.ndarray:
@@ -49,9 +81,11 @@ class Ndarray:
             raise TaiRuntimeTypeError(
                 f"expects an array of shape {self.array.shape}, but got {array.shape}"
             )
+        self._refuse_in_tape()
         self.array[...] = array
 
     def fill(self, value: Any) -> None:
+        self._refuse_in_tape()
         self.array[...] = value
 
     def copy_from(self, other: Any) -> None:
@@ -65,11 +99,14 @@ class Ndarray:
 
 
 def ndarray(dtype: Any, shape: Any, needs_grad: bool = False) -> Ndarray:
-    """An array of zeros that kernels take as `ti.types.ndarray()`."""
-    if needs_grad:
-        from .errors import TaiAutodiffError
+    """An array of zeros that kernels take as `ti.types.ndarray()`.
 
-        raise TaiAutodiffError(
-            "gradients of arrays are not built in yet", "keep what is differentiated in fields"
-        )
-    return Ndarray(dtype, shape)
+    Args:
+        dtype: a number type, or a vector or matrix type.
+        shape: the extents.
+        needs_grad: give it a gradient, `grad`, which tapes add to.
+
+    Raises:
+        TaiRuntimeTypeError: a type that is none of these, or a gradient of whole numbers.
+    """
+    return Ndarray(dtype, shape, needs_grad=needs_grad)

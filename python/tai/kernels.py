@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from . import _core, _state, dtypes
+from . import _ad_values, _core, _state, dtypes
+from .arrays import Ndarray
 from .errors import (
     SHOW_TRACEBACK,
+    TaiAutodiffError,
     TaiCompilationError,
     TaiError,
     TaiRuntimeTypeError,
@@ -19,6 +21,8 @@ from .errors import (
 )
 from .program import get_program, name_fields
 from .types import MatrixType, NdarrayType, ScalarType, template
+
+_core.set_tracked_type(_ad_values.Number)
 
 _SLOT_KINDS = {"f32": ("f",), "f64": ("d",), "u1": ("b",)}
 
@@ -31,20 +35,33 @@ class ArgumentSpec:
         dt, shape: type of a number or matrix.
         ndim, element_shape: of an array.
         constant: what a template parameter stands for.
+        has_gradient: whether the kernel is differentiated by it. An array then comes with
+            the array of its gradient.
+        alias: the number of the parameter that is the same array, or None.
         is_written: whether the kernel writes the array; known once it is compiled.
+        uses_gradient: whether it names the gradient of the array; known then, too.
     """
 
     def __init__(
         self, kind: str, dt: Any = None, shape: tuple[int, ...] = (), ndim: int = 0,
-        element_shape: tuple[int, ...] = (), constant: Any = None,
+        element_shape: tuple[int, ...] = (), constant: Any = None, has_gradient: bool = False,
     ):  # fmt: skip
         self.kind, self.dt, self.shape = kind, dt, shape
         self.ndim, self.element_shape, self.constant = ndim, element_shape, constant
-        self.is_written = False
+        self.has_gradient = has_gradient
+        self.alias: int | None = None
+        self.is_written = self.uses_gradient = False
 
     @property
     def has_slot(self) -> bool:
-        return self.kind != "template"
+        return self.kind != "template" and self.alias is None
+
+    @property
+    def mlir_types(self) -> list[str]:
+        """Of the arguments in IR that stand for this one."""
+        if not self.has_slot:
+            return []
+        return [self.mlir_type] * (2 if self.kind == "array" and self.has_gradient else 1)
 
     @property
     def mlir_type(self) -> str:
@@ -60,6 +77,8 @@ class ArgumentSpec:
         if self.kind == "template":
             return ("c", self.constant)
         if self.kind == "array":
+            if self.has_gradient or self.alias is not None:
+                return None
             return ("a", self.dt.numpy.char, self.ndim, list(self.element_shape))
         if self.kind == "matrix":
             return None
@@ -88,6 +107,10 @@ class ResultSpec:
         count = int(np.prod(self.shape, dtype=int))
         return (kind, self.dt.bits, count, self._wrap if self.shape else None)
 
+    @property
+    def has_gradient(self) -> bool:
+        return self.dt.is_float
+
     def _wrap(self, numbers: tuple) -> Any:
         from .matrix import Matrix
 
@@ -102,6 +125,10 @@ class Specialization:
         # Whether the launcher in C++ knows it, for `grad` false and true.
         self.registered: set[bool] = set()
         self.result = () if result is None else result.description()
+        self.result_spec = result
+        arrays = any(spec.kind == "array" for spec in specs)
+        # Under a tape, Python must look at the arrays, and say where adjoints are.
+        self.is_tracked = arrays or (result is not None and result.has_gradient)
 
 
 class Parameter:
@@ -160,19 +187,88 @@ class Kernel(_core.Launcher):
                 "make it a @ti.func",
             )
         values = self._bind(args, kwargs)
-        found = self._specialize(values)
+        tracks = grad or _state.tape is not None
+        found = self._specialize(values, tracks)
         slots, copies, kept = self._pack(found, values)
+        if tracks:
+            self._check_arrays(found, values)
         descriptions = [spec.description() for spec in found.specs]
-        if grad not in found.registered and None not in descriptions:
+        wants_gradients = any(spec.has_gradient for spec in found.specs)
+        if (
+            grad not in found.registered
+            and None not in descriptions
+            and not wants_gradients
+            and not (grad and found.is_tracked)
+        ):
             found.registered.add(grad)
-            _core.add_specialization(launcher, found.core, grad, descriptions, found.result)
-        if _state.tape is not None:
-            for array in kept:
-                _state.tape.keep(array)
+            _core.add_specialization(
+                launcher, found.core, grad, descriptions, found.result, found.is_tracked
+            )
+        tape = _ad_values.recording()
+        if tape is not None:
+            for spec, array in kept:
+                tape.use(array, spec.is_written)
+        gradient = None
+        if tracks:
+            adjoints, gradient = self._adjoint_slots(found, values, tape)
+            slots += adjoints
         answer = _core.launch_slots(found.core, grad, slots, found.result)
         for target, copy in copies:
             target[...] = copy
-        return answer
+        return answer if gradient is None else _ad_values.wrap_result(answer, gradient)
+
+    def _adjoint_slots(self, found: Specialization, values: list, tape: Any) -> tuple[list, Any]:
+        """Where the adjoints of arguments and of the result are, and the gradient of that."""
+        slots: list[int] = []
+
+        def add(buffer: np.ndarray) -> None:
+            slots.extend([buffer.ctypes.data, *buffer.shape])
+
+        for spec, value in zip(found.specs, values, strict=True):
+            if not spec.has_gradient or spec.alias is not None:
+                continue
+            if spec.kind == "array":
+                buffer = _ad_values.gradient_array(value)
+                if tape is not None:
+                    tape.core.keep(buffer)
+                add(buffer)
+                continue
+            gradient = _ad_values.gradient_of(value)
+            add(gradient.buffer(spec.dt) if tape is None else tape.argument(gradient, spec.dt))
+        result = found.result_spec
+        if result is None or not result.has_gradient:
+            return slots, None
+        if tape is None:  # the gradient is run by hand, and nothing depends on the result
+            buffer = np.zeros(result.shape, result.dt.numpy)
+            found.zero = buffer
+            add(buffer)
+            return slots, None
+        gradient, buffer = tape.result(result.shape, result.dt)
+        add(buffer)
+        return slots, gradient
+
+    def _check_arrays(self, found: Specialization, values: list) -> None:
+        """Refuses what cannot be differentiated right."""
+        names = [parameter.name for parameter in self._get_parameters()]
+        arrays = []
+        for name, spec, value in zip(names, found.specs, values, strict=True):
+            if spec.uses_gradient:
+                raise TaiAutodiffError(
+                    f"kernel '{self.__name__}' uses the gradient of array '{name}' and cannot be "
+                    "differentiated",
+                    "call it outside of the tape, or under ti.ad.no_grad",
+                )
+            if spec.kind == "array" and spec.alias is None:
+                arrays.append((name, spec, _as_array(value)))
+        for number, (name, spec, array) in enumerate(arrays):
+            for other, other_spec, other_array in arrays[:number]:
+                differentiated = spec.has_gradient or other_spec.has_gradient
+                if differentiated and np.may_share_memory(array, other_array):
+                    raise TaiAutodiffError(
+                        f"arrays '{other}' and '{name}' of kernel '{self.__name__}' overlap, and "
+                        "one has a gradient",
+                        "pass the same ti.ndarray for both, or a copy",
+                    )
 
     def _bind(self, args: tuple, kwargs: dict) -> list[Any]:
         """The value of each parameter."""
@@ -203,8 +299,13 @@ class Kernel(_core.Launcher):
             self._result = None if result is None else ResultSpec(result)
         return self._parameters
 
-    def _specialize(self, values: list[Any]) -> Specialization:
-        """The compiled kernel for these arguments."""
+    def _specialize(self, values: list[Any], tracks: bool = False) -> Specialization:
+        """The compiled kernel for these arguments.
+
+        Args:
+            values: one for each parameter.
+            tracks: whether numbers that have a gradient are to be differentiated by.
+        """
         program = get_program()
         if self._program is not program:
             self._program = program
@@ -217,7 +318,12 @@ class Kernel(_core.Launcher):
             if spec.kind == "template":
                 key.append(_template_key(spec.constant))
             elif spec.kind == "array":
-                key.append((spec.dt.name, spec.ndim, spec.element_shape))
+                spec.alias = _find_alias(spec, value, values, specs)
+                key.append((spec.dt.name, spec.ndim, spec.element_shape, spec.has_gradient,
+                            spec.alias))  # fmt: skip
+            elif tracks and spec.dt.is_float and _ad_values.gradient_of(value) is not None:
+                spec.has_gradient = True
+                key.append(len(specs))
         found = self._specializations.get(tuple(key))
         if found is None:
             found = self._specializations[tuple(key)] = self._compile(program, specs)
@@ -239,6 +345,12 @@ class Kernel(_core.Launcher):
             return ArgumentSpec("matrix", type_.dtype, type_.shape)
         if isinstance(type_, NdarrayType):
             return self._array_spec(parameter, value)
+        if _ad_values.gradient_of(value) is not None and _state.tape is not None:
+            raise TaiAutodiffError(
+                f"template argument '{parameter.name}' of kernel '{self.__name__}' is a constant, "
+                "but got a value with a gradient",
+                f"annotate it by a type: {parameter.name}: ti.f32",
+            )
         return ArgumentSpec("template", constant=value)
 
     def _array_spec(self, parameter: Parameter, value: Any) -> ArgumentSpec:
@@ -266,13 +378,21 @@ class Kernel(_core.Launcher):
                 f"{what} expects elements of shape {tuple(type_.element_shape)}, "
                 f"but got {element_shape}"
             )
-        return ArgumentSpec("array", dt, ndim=ndim, element_shape=element_shape)
+        has_gradient = dt.is_float and _ad_values.gradient_array(value) is not None
+        if type_.needs_grad and isinstance(value, Ndarray) and not has_gradient:
+            raise TaiRuntimeTypeError(
+                f"{what} expects an array with a gradient",
+                "make it with needs_grad=True",
+            )
+        return ArgumentSpec(
+            "array", dt, ndim=ndim, element_shape=element_shape, has_gradient=has_gradient
+        )
 
     def _pack(self, found: Specialization, values: list[Any]) -> tuple[list, list, list]:
-        """Slots of the arguments, arrays to copy back, and arrays to keep alive."""
+        """Slots of the arguments, arrays to copy back, and all arrays with their specs."""
         slots: list[int] = []
         copies: list[tuple[np.ndarray, np.ndarray]] = []
-        kept: list[np.ndarray] = []
+        kept: list[tuple[ArgumentSpec, np.ndarray]] = []
         pairs = zip(self._get_parameters(), found.specs, values, strict=True)
         for parameter, spec, value in pairs:
             if spec.kind == "scalar":
@@ -285,7 +405,7 @@ class Kernel(_core.Launcher):
                         f"{parameter.type!r}, but got shape {array.shape}"
                     )
                 slots += [self._slot(parameter, spec.dt, x.item()) for x in array.ravel()]
-            elif spec.kind == "array":
+            elif spec.kind == "array" and spec.alias is None:
                 array = _as_array(value)
                 if spec.is_written and not array.flags.writeable:
                     raise TaiRuntimeTypeError(
@@ -298,8 +418,11 @@ class Kernel(_core.Launcher):
                     if array.flags.writeable:
                         copies.append((array, copy))
                     array = copy
-                kept.append(array)
+                kept.append((spec, array))
                 slots += [array.ctypes.data, *array.shape]
+                if spec.has_gradient:
+                    grad = _ad_values.gradient_array(value)
+                    slots += [grad.ctypes.data, *grad.shape]
         return slots, copies, kept
 
     def _slot(self, parameter: Parameter, dt: Any, value: Any) -> int:
@@ -431,6 +554,19 @@ class BoundKernel:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._kernel, name)
+
+
+def _find_alias(
+    spec: ArgumentSpec, value: Any, values: list[Any], specs: list[ArgumentSpec]
+) -> int | None:
+    """The number of an earlier argument that is the same array, if that must be known."""
+    if not spec.has_gradient:
+        return None
+    for number, other in enumerate(specs[:-1]):
+        if other.kind == "array" and other.alias is None and values[number] is value:
+            same = (other.ndim, other.element_shape) == (spec.ndim, spec.element_shape)
+            return number if same else None
+    return None
 
 
 def _as_array(value: Any) -> np.ndarray | None:

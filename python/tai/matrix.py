@@ -326,11 +326,11 @@ class Matrix:
         )  # fmt: skip
 
     @staticmethod
-    def ndarray(n: int, m: int, dtype: Any, shape: Any) -> Any:
-        """An array of n×m matrices."""
+    def ndarray(n: int, m: int, dtype: Any, shape: Any, needs_grad: bool = False) -> Any:
+        """An array of n×m matrices; see `ti.ndarray`."""
         from .arrays import Ndarray
 
-        return Ndarray(dtype, shape, (n, m))
+        return Ndarray(dtype, shape, (n, m), needs_grad)
 
 
 class Vector(Matrix):
@@ -353,11 +353,11 @@ class Vector(Matrix):
         )  # fmt: skip
 
     @staticmethod
-    def ndarray(n: int, dtype: Any, shape: Any) -> Any:
-        """An array of vectors of n components."""
+    def ndarray(n: int, dtype: Any, shape: Any, needs_grad: bool = False) -> Any:
+        """An array of vectors of n components; see `ti.ndarray`."""
         from .arrays import Ndarray
 
-        return Ndarray(dtype, shape, (n,))
+        return Ndarray(dtype, shape, (n,), needs_grad)
 
 
 class ElementOfField(Vector):

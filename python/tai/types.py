@@ -75,11 +75,11 @@ class MatrixType:
             return Vector.field(self.n, self.dtype, shape, **options)
         return Matrix.field(self.n, self.columns, self.dtype, shape, **options)
 
-    def ndarray(self, shape: Any) -> Any:
-        """An array of such elements."""
+    def ndarray(self, shape: Any, needs_grad: bool = False) -> Any:
+        """An array of such elements; see `ti.ndarray`."""
         from .arrays import Ndarray
 
-        return Ndarray(self.dtype, shape, self.shape)
+        return Ndarray(self.dtype, shape, self.shape, needs_grad)
 
     def convert(self, emitter: Any, value: Any) -> Any:
         """A value of a kernel in this type."""
@@ -130,6 +130,8 @@ class NdarrayType:
         ndim: number of dimensions without those of the element; any if left out.
         element_dim: 1 or 2: the last dimensions are vectors or matrices.
         element_shape: the extents of the element.
+        needs_grad: refuse a `ti.ndarray` without a gradient. An array that has one is always
+            differentiated; a NumPy array is always constant.
     """
 
     def __init__(
@@ -140,6 +142,7 @@ class NdarrayType:
         self.ndim = ndim if ndim is not None else field_dim
         self.element_shape = element_shape
         self.element_dim = element_dim
+        self.needs_grad = bool(needs_grad)
         if isinstance(dtype, MatrixType):
             self.element_shape, dtype = dtype.shape, dtype.dtype
         if self.element_shape is not None:

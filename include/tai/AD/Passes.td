@@ -48,7 +48,9 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
     adjoint of a kernel with float memref arguments, unless `array-adjoints` is
     off: then what a kernel reads from its arrays is constant. The adjoint of an
     array of vectors is an array of their components:
-    `memref<?x3xf32>` for `memref<?xvector<3xf32>>`.
+    `memref<?x3xf32>` for `memref<?xvector<3xf32>>`. The adjoint of a store to
+    an array takes the adjoint of the element and leaves zero: that of the value
+    before starts from there.
 
     The attribute `tai.gradients` says instead by what a kernel or function is
     differentiated besides fields: it lists positions of arguments and, counted

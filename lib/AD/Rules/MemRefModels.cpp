@@ -74,7 +74,18 @@ struct AccessModel : DifferentiableAccessInterface::ExternalModel<Model, OpTy> {
   void createAdjointStore(Operation *op, OpBuilder &b, Value value,
                           Storage storage, ValueRange indices,
                           ValueRange) const {
-    memref::StoreOp::create(b, op->getLoc(), value, storage.memref, indices);
+    Location loc = op->getLoc();
+    auto array = cast<MemRefType>(storage.memref.getType());
+    if (array.getElementType() == value.getType()) {
+      memref::StoreOp::create(b, loc, value, storage.memref, indices);
+      return;
+    }
+    forEachComponent(
+        b, loc, value.getType(), indices,
+        [&](ArrayRef<int64_t> position, ValueRange at) {
+          Value part = vector::ExtractOp::create(b, loc, value, position);
+          memref::StoreOp::create(b, loc, part, storage.memref, at);
+        });
   }
 };
 

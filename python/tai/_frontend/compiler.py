@@ -88,18 +88,19 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls):
         builder, frame = self.builder, self.frame
         node = frame.node
         self.at(node)
-        types = [spec.mlir_type for _, spec in self.parameters if spec.has_slot]
+        types = [t for _, spec in self.parameters for t in spec.mlir_types]
         region = builder.region()
         block = builder.block(region, [builder.type(t) for t in types])
         self.emitter.entry = block
         builder.set_block(block)
-        position = 0
+        position, gradients, handles = 0, [], []
         for name, spec in self.parameters:
-            handle = None
-            if spec.has_slot:
-                handle = block.argument(position)
-                position += 1
-            frame.define(name, self.argument(name, spec, handle))
+            handles.append([block.argument(position + i) for i in range(len(spec.mlir_types))])
+            if spec.has_gradient and spec.has_slot:
+                gradients.append(position)
+            position += len(spec.mlir_types)
+            given = handles[-1] if spec.alias is None else handles[spec.alias]
+            frame.define(name, self.argument(name, spec, given))
         self.prepare_returns()
         self.body(node.body)
         results = frame.results
@@ -113,7 +114,9 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls):
                     f"kernel '{frame.name}' has a return type, but no return"
                 ).locate(frame.filename, node.lineno, node.col_offset + 1)
             builder.op("tai.return", [])
-        results = "()" if self.result is None else self.result.mlir_type
+        types_out = "()" if self.result is None else self.result.mlir_type
+        if self.result is not None and self.result.has_gradient:
+            gradients.append(position)
         builder.enter_module()
         self.at(node)
         builder.op(
@@ -122,11 +125,19 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls):
             [],
             {
                 "sym_name": builder.string(self.kernel_name),
-                "function_type": builder.attribute(f"({', '.join(types)}) -> {results}"),
+                "function_type": builder.attribute(f"({', '.join(types)}) -> {types_out}"),
+                **self.differentiated(gradients),
                 **self.conventions(),
             },
             [region],
         )
+
+    def differentiated(self, positions: list[int]) -> dict[str, Any]:
+        """By what the kernel is differentiated besides fields, as an attribute of it."""
+        if not positions:
+            return {}
+        listed = ", ".join(map(str, positions))
+        return {"tai.gradients": self.builder.attribute(f"array<i64: {listed}>")}
 
     def conventions(self) -> dict[str, Any]:
         """What `ti.init` chose for gradients at kinks, as an attribute of the kernel."""
@@ -141,13 +152,13 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls):
             return {}
         return {"tai.conventions": self.builder.attribute("{" + ", ".join(chosen) + "}")}
 
-    def argument(self, name: str, spec: Any, handle: Any) -> Variable | Bound:
+    def argument(self, name: str, spec: Any, handles: list) -> Variable | Bound:
         """What a parameter of the kernel stands for in its body."""
         if spec.kind == "template":
             return Bound(spec.constant)
         if spec.kind == "array":
-            return Bound(ArrayArgument(self.emitter, name, handle, spec))
-        value = self.emitter.value(handle, spec.dt, spec.shape)
+            return Bound(ArrayArgument(self.emitter, name, handles, spec))
+        value = self.emitter.value(handles[0], spec.dt, spec.shape)
         if not spec.shape and spec.dt.kind == "i":
             value.index = "cast"
         return Variable(name, value, "kernel argument")

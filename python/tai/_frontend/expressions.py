@@ -6,8 +6,9 @@ import ast
 import operator
 from typing import Any
 
+from .._ad_values import Number, TrackedMatrix, TrackedVector
 from ..dtypes import DataType, promote, u1
-from ..errors import TaiNameError, TaiSyntaxError, TaiTypeError, did_you_mean
+from ..errors import TaiAutodiffError, TaiNameError, TaiSyntaxError, TaiTypeError, did_you_mean
 from ..fields import Field
 from ..matrix import swizzle
 from .emitter import describe_misuse, misuse_hint
@@ -69,6 +70,11 @@ class Expressions:
 
     def visit_Name(self, node: ast.Name) -> Any:
         found = self.locate(node)
+        if isinstance(found, (Number, TrackedVector, TrackedMatrix)):
+            raise TaiAutodiffError(
+                f"'{ast.unparse(node)}': a value with a gradient is a constant here",
+                "pass it to the kernel as an argument, or its plain value: float(…), .to_numpy()",
+            )
         return found.load() if isinstance(found, Place) else found
 
     visit_Attribute = visit_Subscript = visit_Name

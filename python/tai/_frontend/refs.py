@@ -346,8 +346,10 @@ class _Handle:
 class ArrayArgument:
     """An array that was given to the kernel: `ti.types.ndarray`."""
 
-    def __init__(self, emitter: Emitter, name: str, handle: Any, spec: Any):
-        self.emitter, self.name, self.handle, self.spec = emitter, name, handle, spec
+    def __init__(self, emitter: Emitter, name: str, handles: list, spec: Any):
+        self.emitter, self.name, self.spec = emitter, name, spec
+        # The array, and its gradient if it has one.
+        self.handle, self._gradient = handles[0], handles[1:]
         self.dt, self.ndim, self.element_shape = spec.dt, spec.ndim, spec.element_shape
 
     @property
@@ -373,12 +375,15 @@ class ArrayArgument:
         return tuple(extents)
 
     def __getattr__(self, name: str) -> Any:
-        if name == "grad":
+        if name != "grad":
+            raise AttributeError(name)
+        if not self._gradient:
             raise TaiAutodiffError(
-                f"the gradient of array '{self.name}' is not available yet",
-                "keep what is differentiated in fields: x.from_numpy(array)",
+                f"array '{self.name}' has no gradient",
+                "pass a ti.ndarray that was made with needs_grad=True",
             )
-        raise AttributeError(name)
+        self.spec.uses_gradient = True
+        return ArrayArgument(self.emitter, f"{self.name}.grad", self._gradient, self.spec)
 
     def element(self, key: Any) -> ArrayElement:
         indices = flatten_indices(key)
