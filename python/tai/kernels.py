@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from . import _ad_values, _core, _state, dtypes
+from ._ad_arguments import adjoint_slots, as_array, check_arrays, find_alias
 from .arrays import Ndarray
 from .errors import (
     SHOW_TRACEBACK,
@@ -191,7 +192,7 @@ class Kernel(_core.Launcher):
         found = self._specialize(values, tracks)
         slots, copies, kept = self._pack(found, values)
         if tracks:
-            self._check_arrays(found, values)
+            check_arrays(self.__name__, self._get_parameters(), found, values)
         descriptions = [spec.description() for spec in found.specs]
         wants_gradients = any(spec.has_gradient for spec in found.specs)
         if (
@@ -210,65 +211,12 @@ class Kernel(_core.Launcher):
                 tape.use(array, spec.is_written)
         gradient = None
         if tracks:
-            adjoints, gradient = self._adjoint_slots(found, values, tape)
+            adjoints, gradient = adjoint_slots(found, values, tape)
             slots += adjoints
         answer = _core.launch_slots(found.core, grad, slots, found.result)
         for target, copy in copies:
             target[...] = copy
         return answer if gradient is None else _ad_values.wrap_result(answer, gradient)
-
-    def _adjoint_slots(self, found: Specialization, values: list, tape: Any) -> tuple[list, Any]:
-        """Where the adjoints of arguments and of the result are, and the gradient of that."""
-        slots: list[int] = []
-
-        def add(buffer: np.ndarray) -> None:
-            slots.extend([buffer.ctypes.data, *buffer.shape])
-
-        for spec, value in zip(found.specs, values, strict=True):
-            if not spec.has_gradient or spec.alias is not None:
-                continue
-            if spec.kind == "array":
-                buffer = _ad_values.gradient_array(value)
-                if tape is not None:
-                    tape.core.keep(buffer)
-                add(buffer)
-                continue
-            gradient = _ad_values.gradient_of(value)
-            add(gradient.buffer(spec.dt) if tape is None else tape.argument(gradient, spec.dt))
-        result = found.result_spec
-        if result is None or not result.has_gradient:
-            return slots, None
-        if tape is None:  # the gradient is run by hand, and nothing depends on the result
-            buffer = np.zeros(result.shape, result.dt.numpy)
-            found.zero = buffer
-            add(buffer)
-            return slots, None
-        gradient, buffer = tape.result(result.shape, result.dt)
-        add(buffer)
-        return slots, gradient
-
-    def _check_arrays(self, found: Specialization, values: list) -> None:
-        """Refuses what cannot be differentiated right."""
-        names = [parameter.name for parameter in self._get_parameters()]
-        arrays = []
-        for name, spec, value in zip(names, found.specs, values, strict=True):
-            if spec.uses_gradient:
-                raise TaiAutodiffError(
-                    f"kernel '{self.__name__}' uses the gradient of array '{name}' and cannot be "
-                    "differentiated",
-                    "call it outside of the tape, or under ti.ad.no_grad",
-                )
-            if spec.kind == "array" and spec.alias is None:
-                arrays.append((name, spec, _as_array(value)))
-        for number, (name, spec, array) in enumerate(arrays):
-            for other, other_spec, other_array in arrays[:number]:
-                differentiated = spec.has_gradient or other_spec.has_gradient
-                if differentiated and np.may_share_memory(array, other_array):
-                    raise TaiAutodiffError(
-                        f"arrays '{other}' and '{name}' of kernel '{self.__name__}' overlap, and "
-                        "one has a gradient",
-                        "pass the same ti.ndarray for both, or a copy",
-                    )
 
     def _bind(self, args: tuple, kwargs: dict) -> list[Any]:
         """The value of each parameter."""
@@ -318,7 +266,7 @@ class Kernel(_core.Launcher):
             if spec.kind == "template":
                 key.append(_template_key(spec.constant))
             elif spec.kind == "array":
-                spec.alias = _find_alias(spec, value, values, specs)
+                spec.alias = find_alias(spec, value, values, specs)
                 key.append((spec.dt.name, spec.ndim, spec.element_shape, spec.has_gradient,
                             spec.alias))  # fmt: skip
             elif tracks and spec.dt.is_float and _ad_values.gradient_of(value) is not None:
@@ -356,7 +304,7 @@ class Kernel(_core.Launcher):
     def _array_spec(self, parameter: Parameter, value: Any) -> ArgumentSpec:
         type_ = parameter.type
         what = f"argument '{parameter.name}' of kernel '{self.__name__}'"
-        array = _as_array(value)
+        array = as_array(value)
         if array is None:
             raise TaiRuntimeTypeError(f"{what} expects an array, but got {type(value).__name__}")
         dt = dtypes.to_dtype(array.dtype)
@@ -406,7 +354,7 @@ class Kernel(_core.Launcher):
                     )
                 slots += [self._slot(parameter, spec.dt, x.item()) for x in array.ravel()]
             elif spec.kind == "array" and spec.alias is None:
-                array = _as_array(value)
+                array = as_array(value)
                 if spec.is_written and not array.flags.writeable:
                     raise TaiRuntimeTypeError(
                         f"argument '{parameter.name}' of kernel '{self.__name__}' is written, "
@@ -554,30 +502,6 @@ class BoundKernel:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._kernel, name)
-
-
-def _find_alias(
-    spec: ArgumentSpec, value: Any, values: list[Any], specs: list[ArgumentSpec]
-) -> int | None:
-    """The number of an earlier argument that is the same array, if that must be known."""
-    if not spec.has_gradient:
-        return None
-    for number, other in enumerate(specs[:-1]):
-        if other.kind == "array" and other.alias is None and values[number] is value:
-            same = (other.ndim, other.element_shape) == (spec.ndim, spec.element_shape)
-            return number if same else None
-    return None
-
-
-def _as_array(value: Any) -> np.ndarray | None:
-    """The NumPy array that shares the memory of `value`, or None."""
-    if isinstance(value, np.ndarray):
-        return value
-    if hasattr(value, "array") and isinstance(value.array, np.ndarray):
-        return value.array
-    if hasattr(value, "detach") and hasattr(value, "numpy"):  # a torch tensor
-        return value.detach().numpy()
-    return None
 
 
 def _template_key(value: Any) -> Any:

@@ -185,26 +185,60 @@ def test_the_same_array_for_two_parameters(precision):
 
 def test_an_array_that_is_read_and_written(precision):
     """Each step reads one part of the array and overwrites the other one."""
-    x, loss = array([1, 2, 3, 0, 0, 0]), scalar_loss()
+    x, loss = array([[1, 2, 3], [0, 0, 0]]), scalar_loss()
 
     @ti.kernel
-    def step(x: ti.types.ndarray(), source: ti.i32, target: ti.i32):
+    def add_up(x: ti.types.ndarray()):
         for i in range(3):
-            x[target + i] = x[source + i] ** 2 + 1
+            loss[None] += x[0, i] + x[1, i]
+
+    @ti.kernel
+    def step(x: ti.types.ndarray(), source: ti.template(), target: ti.template()):
+        for i in range(3):
+            x[target, i] = x[source, i] ** 2 + 1
 
     for _ in range(2):
-        x.from_numpy(np.array([1, 2, 3, 7, 8, 9], x.dtype.numpy))
+        x.from_numpy(np.array([[1, 2, 3], [7, 8, 9]], x.dtype.numpy))
         with ti.ad.Tape(loss):
-            step(x, 0, 3)
-            step(x, 3, 0)
-            step(x, 0, 3)
-            total(x, loss)
+            step(x, 0, 1)
+            step(x, 1, 0)
+            step(x, 0, 1)
+            add_up(x)
         a = np.array([1.0, 2.0, 3.0])
         b = a**2 + 1
         c = b**2 + 1
-        np.testing.assert_allclose(x.to_numpy(), [*c, *(c**2 + 1)], rtol=precision)
+        np.testing.assert_allclose(x.to_numpy(), [c, c**2 + 1], rtol=precision)
         expected = (1 + 2 * c) * 2 * b * 2 * a
-        np.testing.assert_allclose(x.grad.to_numpy(), [*expected, 0, 0, 0], rtol=precision)
+        np.testing.assert_allclose(x.grad.to_numpy(), [expected, [0, 0, 0]], rtol=precision)
+
+
+def test_an_array_changed_in_place(precision):
+    x, loss = array([1, 2, 3]), scalar_loss()
+
+    @ti.kernel
+    def step(x: ti.types.ndarray()):
+        for i in range(x.shape[0]):
+            x[i] = 3 * x[i] + 1
+
+    with ti.ad.Tape(loss):
+        step(x)
+        step(x)
+        total(x, loss)
+    np.testing.assert_allclose(x.to_numpy(), [13, 22, 31])
+    np.testing.assert_allclose(x.grad.to_numpy(), [9, 9, 9], rtol=precision)
+
+
+def test_a_value_of_an_array_that_is_gone_in_the_same_kernel():
+    x, loss = array([1, 2, 3]), scalar_loss()
+
+    @ti.kernel
+    def step(x: ti.types.ndarray()):
+        for i in range(x.shape[0]):
+            x[i] = x[i] * x[i]
+
+    with pytest.raises(ti.TaiAutodiffError, match="is overwritten"), ti.ad.Tape(loss):
+        step(x)
+        total(x, loss)
 
 
 def test_a_constant_ends_what_an_array_held(precision):
