@@ -48,13 +48,14 @@ struct AccessModel : DifferentiableAccessInterface::ExternalModel<Model, OpTy> {
     Location loc = op->getLoc();
     auto array = cast<MemRefType>(cast<OpTy>(op).getMemref().getType());
     Type type = array.getElementType();
+    auto held = cast<MemRefType>(storage.memref.getType());
+    if (held.getElementType() == type)
+      return memref::LoadOp::create(b, loc, storage.memref, indices);
     SmallVector<Value> parts;
     forEachComponent(
         b, loc, type, indices, [&](ArrayRef<int64_t>, ValueRange at) {
           parts.push_back(memref::LoadOp::create(b, loc, storage.memref, at));
         });
-    if (!isa<VectorType>(type))
-      return parts.front();
     return vector::FromElementsOp::create(b, loc, type, parts);
   }
   void createAdjointAccumulate(Operation *op, OpBuilder &b, Value value,
