@@ -30,8 +30,7 @@ AdjointBuilder::AdjointBuilder(FunctionOpInterface primal,
                                bool takesAll, const RerunPlan &plan,
                                ValueShadows valueShadows)
     : DerivativeBuilder(primal), primal(primal), adjoint(adjoint),
-      adjointOf(std::move(adjointOf)),
-      shadows(std::move(valueShadows)),
+      adjointOf(std::move(adjointOf)), shadows(std::move(valueShadows)),
       activity(
           primal,
           [this](Storage storage) {

@@ -149,8 +149,8 @@ private:
     OpBuilder start(builder.getContext());
     start.setInsertionPointAfterValue(base);
     IndexMath math(start, loc);
-    auto constants = llvm::map_to_vector(
-        atomic.getIndices(), [&](Value index) -> Value {
+    auto constants =
+        llvm::map_to_vector(atomic.getIndices(), [&](Value index) -> Value {
           return math.constant(*getConstantIntValue(index));
         });
     auto update = LLVM::AtomicRMWOp::create(
