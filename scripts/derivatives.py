@@ -1,4 +1,7 @@
-"""Keeps the table in docs/derivatives.md equal to the one in lib/AD/Rules/ScalarRules.cpp.
+"""Keeps docs/derivatives.md equal to the rules in lib/AD/Rules.
+
+The table of scalar ops is that of ScalarRules.cpp. The formulas of matrix ops are those above
+the models in MatrixModels.cpp. Every op with a rule, and every kind of atomic, is on the page.
 
 python scripts/derivatives.py          checks; exits with 1 and a diff if they differ
 python scripts/derivatives.py --fix    rewrites the table in the page
@@ -14,6 +17,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 RULES = ROOT / "lib/AD/Rules/ScalarRules.cpp"
+MATRICES = ROOT / "lib/AD/Rules/MatrixModels.cpp"
+ATTRIBUTES = ROOT / "include/tai/Dialect/Tai/IR/TaiAttrs.td"
+DIALECT = ROOT / "include/tai/Dialect/Tai/IR"
 PAGE = ROOT / "docs/derivatives.md"
 BEGIN, END = "<!-- table: begin -->\n", "<!-- table: end -->\n"
 
@@ -60,6 +66,54 @@ def table(source: str) -> str:
     return "\n".join(lines) + "\n"
 
 
+# /// R = A B:  A* += G Bᵀ,  B* += Aᵀ G.
+# struct MatmulModel : MatrixModel<MatmulModel, MatmulOp> {
+FORMULA = re.compile(
+    r"^/// (?P<value>[^\n]*?):  (?P<adjoints>[^\n]*)\.\n"
+    r"struct \w+ : MatrixModel<\w+, (?P<op>\w+)Op>",
+    re.M,
+)
+ATTACHED = re.compile(r"(?:(?P<dialect>\w+)::)?(?P<op>\w+)Op::attachInterface<")
+DEFINED = re.compile(r'def Tai_(?P<op>\w+)Op : \w+<"(?P<mnemonic>\w+)"')
+ATOMIC_KIND = re.compile(r"def Tai_AtomicKind .*?\]>", re.S)
+UPSTREAM = {"AtomicRMW": "atomic_rmw", "For": "for", "If": "if", "While": "while"}
+
+
+def snake(name: str) -> str:
+    return UPSTREAM.get(name, re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower())
+
+
+def missing(page: str) -> list[str]:
+    """What the rules say and the page does not."""
+    problems = []
+    mnemonics = {}
+    for file in sorted(DIALECT.glob("*.td")):
+        for match in DEFINED.finditer(file.read_text()):
+            mnemonics[match["op"]] = match["mnemonic"]
+    formulas = list(FORMULA.finditer(MATRICES.read_text()))
+    if len(formulas) != MATRICES.read_text().count(" : MatrixModel<"):
+        problems.append(f"a rule in {MATRICES.name} has no line '/// value:  adjoints.'")
+    for match in formulas:
+        row = f"| `tai.{mnemonics[match['op']]}` | {match['value']} | {match['adjoints']} |"
+        if row not in page:
+            problems.append(f"no row '{row}'")
+    for file in sorted(RULES.parent.glob("*Models.cpp")):
+        for match in ATTACHED.finditer(file.read_text()):
+            if match["dialect"]:
+                name = f"{match['dialect']}.{snake(match['op'])}"
+            elif match["op"] in mnemonics:
+                name = f"tai.{mnemonics[match['op']]}"
+            else:
+                continue  # a type parameter
+            if f"`{name}" not in page:
+                problems.append(f"no `{name}`, which has a rule in {file.name}")
+    atomics = page.partition("## Accesses and control flow")[2]
+    for kind in re.findall(r'"(\w+)">', ATOMIC_KIND.search(ATTRIBUTES.read_text())[0]):
+        if not re.search(rf"`(tai\.atomic )?{kind}`", atomics):
+            problems.append(f"no atomic `{kind}`")
+    return problems
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fix", action="store_true", help="rewrite the table in the page")
@@ -77,8 +131,11 @@ def main() -> int:
     if not begin or not end:
         print(f"{PAGE.name} has no marks for the table")
         return 1
+    problems = missing(page)
+    for problem in problems:
+        print(f"{PAGE.name} has {problem}")
     if old == rows:
-        return 0
+        return 1 if problems else 0
     if fix:
         PAGE.write_text(before + begin + rows + end + after)
         return 0

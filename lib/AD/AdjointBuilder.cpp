@@ -29,8 +29,9 @@ AdjointBuilder::AdjointBuilder(FunctionOpInterface primal,
                                std::function<Storage(Storage)> adjointOf,
                                bool takesAll, const RerunPlan &plan,
                                ValueShadows valueShadows)
-    : DerivativeBuilder(primal), primal(primal), adjoint(adjoint),
-      adjointOf(std::move(adjointOf)), shadows(std::move(valueShadows)),
+    : DerivativeBuilder(primal, /*usesConditions=*/true), primal(primal),
+      adjoint(adjoint), adjointOf(std::move(adjointOf)),
+      shadows(std::move(valueShadows)),
       activity(
           primal,
           [this](Storage storage) {

@@ -12,9 +12,10 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-DerivativeBuilder::DerivativeBuilder(FunctionOpInterface function)
+DerivativeBuilder::DerivativeBuilder(FunctionOpInterface function,
+                                     bool usesConditions)
     : ImplicitLocOpBuilder(function.getLoc(), function.getContext()),
-      conventions(Conventions::of(function)) {}
+      facts(usesConditions), conventions(Conventions::of(function)) {}
 
 DerivativeBuilder::~DerivativeBuilder() = default;
 

@@ -15,6 +15,8 @@
 #include "tai/AD/Differentiable.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "llvm/ADT/TypeSwitch.h"
+#include <cmath>
+#include <limits>
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -35,171 +37,304 @@ static bool matchConstant(Value value,
   return false;
 }
 
-static bool isConstantPositive(Value value) {
-  return matchConstant(value, [](const APFloat &x) {
-    return x.isFinite() && !x.isZero() && !x.isNegative();
+//===----------------------------------------------------------------------===//
+// Ranges
+//===----------------------------------------------------------------------===//
+
+using Interval = FloatFacts::Interval;
+
+static constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+/// The range of a constant's components, if `value` is a constant.
+static std::optional<Interval> getConstantRange(Value value) {
+  Interval range = {kInfinity, -kInfinity};
+  bool isNumber = matchConstant(value, [&](const APFloat &x) {
+    if (x.isNaN())
+      return false;
+    APFloat number = x;
+    bool losesInfo;
+    number.convert(APFloat::IEEEdouble(), APFloat::rmNearestTiesToEven,
+                   &losesInfo);
+    range.low = std::min(range.low, number.convertToDouble());
+    range.high = std::max(range.high, number.convertToDouble());
+    return true;
   });
+  return isNumber && range.low <= range.high ? std::optional(range)
+                                             : std::nullopt;
 }
 
-bool FloatFacts::isPositive(Value value, unsigned depth) {
-  if (isConstantPositive(value))
-    return true;
-  Operation *op = value.getDefiningOp();
-  if (!op || depth-- == 0)
-    return false;
-  auto both = [&](Value a, Value b) {
-    return isPositive(a, depth) && isPositive(b, depth);
+/// Bounds as a result of type `type` can have them. Rounding is monotone, so
+/// that a rounded bound is one; what may underflow is 0. NaN, as of infinity
+/// less infinity, says nothing.
+static Interval makeRange(double low, double high, Type type) {
+  if (std::isnan(low))
+    low = -kInfinity;
+  if (std::isnan(high))
+    high = kInfinity;
+  Type element = getElementTypeOrSelf(type);
+  if (!element.isF32() && !element.isF64()) // only signs are kept
+    return {low >= 0 ? 0 : -kInfinity, high <= 0 ? 0 : kInfinity};
+  auto round = [&](double bound) {
+    double least = element.isF64() ? std::numeric_limits<double>::min()
+                                   : std::numeric_limits<float>::min();
+    if (std::abs(bound) < least)
+      return 0.0;
+    return element.isF64() ? bound
+                           : static_cast<double>(static_cast<float>(bound));
   };
-  auto either = [&](Value a, Value b) {
-    return isPositive(a, depth) || isPositive(b, depth);
-  };
-  return llvm::TypeSwitch<Operation *, bool>(op)
-      .Case<arith::AddFOp>([&](auto op) {
-        Value a = op.getLhs(), b = op.getRhs();
-        return (isPositive(a, depth) && isNonNegative(b, depth)) ||
-               (isNonNegative(a, depth) && isPositive(b, depth));
-      })
-      .Case<arith::MaximumFOp, arith::MaxNumFOp>(
-          [&](auto op) { return either(op.getLhs(), op.getRhs()); })
-      .Case<arith::MinimumFOp, arith::MinNumFOp>(
-          [&](auto op) { return both(op.getLhs(), op.getRhs()); })
-      .Case<arith::SelectOp>(
-          [&](auto op) { return both(op.getTrueValue(), op.getFalseValue()); })
-      .Case<math::SqrtOp, math::AbsFOp>(
-          [&](auto op) { return isPositive(op.getOperand(), depth); })
-      .Case<math::ClampFOp>(
-          [&](auto op) { return both(op.getMin(), op.getMax()); })
-      .Case<math::CoshOp>([](auto) { return true; })
-      .Case<arith::ExtFOp>(
-          [&](auto op) { return isPositive(op.getIn(), depth); })
-      .Case<vector::BroadcastOp>(
-          [&](auto op) { return isPositive(op.getSource(), depth); })
-      .Default([](Operation *) { return false; });
+  return {round(low), round(high)};
 }
 
-bool FloatFacts::isNonNegative(Value value, unsigned depth) {
-  if (matchConstant(value, [](const APFloat &x) {
-        return !x.isNaN() && (!x.isNegative() || x.isZero());
-      }))
-    return true;
-  Operation *op = value.getDefiningOp();
+/// What is at least this far from zero can be divided by, and cubed, without
+/// leaving the range of the type.
+static double getClearance(Type type) {
+  Type element = getElementTypeOrSelf(type);
+  return element.isF64() ? 1e-100 : element.isF32() ? 1e-12 : kInfinity;
+}
+
+static Interval addRanges(Interval a, Interval b, Type type) {
+  return makeRange(a.low + b.low, a.high + b.high, type);
+}
+
+static Interval negate(Interval a) { return {-a.high, -a.low}; }
+
+/// Products of bounds, with 0 times infinity as 0: a bound may be reached, and
+/// an infinite one is never exceeded.
+static Interval multiply(Interval a, Interval b, Type type) {
+  auto product = [](double x, double y) {
+    return x == 0 || y == 0 ? 0.0 : x * y;
+  };
+  double p[] = {product(a.low, b.low), product(a.low, b.high),
+                product(a.high, b.low), product(a.high, b.high)};
+  return makeRange(*llvm::min_element(p), *llvm::max_element(p), type);
+}
+
+static Interval invert(Interval a, Type type) {
+  if (a.low > 0)
+    return makeRange(1 / a.high, 1 / a.low, type);
+  if (a.high < 0)
+    return makeRange(1 / a.high, 1 / a.low, type);
+  // A zero has either sign.
+  return {-kInfinity, kInfinity};
+}
+
+static Interval join(Interval a, Interval b) {
+  return {std::min(a.low, b.low), std::max(a.high, b.high)};
+}
+
+/// x * x, and other even powers.
+static Interval square(Interval a, Type type) {
+  double least = std::max({a.low, -a.high, 0.0});
+  return makeRange(least * least, kInfinity, type);
+}
+
+/// What `condition`, being `holds`, says of `value`.
+static void narrow(Interval &range, Value value, Value condition, bool holds,
+                   unsigned depth) {
+  Operation *op = condition.getDefiningOp();
   if (!op || depth-- == 0)
-    return false;
-  auto both = [&](Value a, Value b) {
-    return isNonNegative(a, depth) && isNonNegative(b, depth);
-  };
-  auto either = [&](Value a, Value b) {
-    return isNonNegative(a, depth) || isNonNegative(b, depth);
-  };
-  return llvm::TypeSwitch<Operation *, bool>(op)
-      .Case<arith::MulFOp>([&](auto op) {
-        return op.getLhs() == op.getRhs() || both(op.getLhs(), op.getRhs());
+    return;
+  // Both parts hold of a conjunction; of a disjunction, neither, if it fails.
+  if ((holds && isa<arith::AndIOp>(op)) || (!holds && isa<arith::OrIOp>(op))) {
+    narrow(range, value, op->getOperand(0), holds, depth);
+    narrow(range, value, op->getOperand(1), holds, depth);
+    return;
+  }
+  auto compare = dyn_cast<arith::CmpFOp>(op);
+  if (!compare)
+    return;
+  Value lhs = compare.getLhs(), rhs = compare.getRhs();
+  if (lhs != value && rhs != value)
+    return;
+  std::optional<Interval> bound = getConstantRange(lhs == value ? rhs : lhs);
+  if (!bound)
+    return;
+  // Which end of the range it bounds, with the value on the left. A comparison
+  // that fails holds in reverse, since the value is taken to be a number.
+  using P = arith::CmpFPredicate;
+  bool isAbove;
+  switch (compare.getPredicate()) {
+  case P::OLT:
+  case P::ULT:
+  case P::OLE:
+  case P::ULE:
+    isAbove = false;
+    break;
+  case P::OGT:
+  case P::UGT:
+  case P::OGE:
+  case P::UGE:
+    isAbove = true;
+    break;
+  default:
+    return;
+  }
+  if (lhs != value)
+    isAbove = !isAbove;
+  if (!holds)
+    isAbove = !isAbove;
+  if (isAbove)
+    range.low = std::max(range.low, bound->low);
+  else
+    range.high = std::min(range.high, bound->high);
+}
+
+Interval FloatFacts::getRange(Value value, Operation *at) {
+  return getRange(value, at, kDepth);
+}
+
+Interval FloatFacts::getRange(Value value, Operation *at, unsigned depth) {
+  Interval range = computeRange(value, at, depth);
+  if (!usesConditions || !at)
+    return range;
+  // What the branches around the place say.
+  for (Operation *op = at; Operation *parent = op->getParentOp(); op = parent)
+    if (auto branch = dyn_cast<scf::IfOp>(parent))
+      narrow(range, value, branch.getCondition(),
+             op->getParentRegion() == &branch.getThenRegion(), kDepth);
+  return range;
+}
+
+Interval FloatFacts::computeRange(Value value, Operation *at, unsigned depth) {
+  const Interval all = {-kInfinity, kInfinity}, unit = {-1, 1};
+  if (std::optional<Interval> constant = getConstantRange(value))
+    return *constant;
+  Operation *op = value.getDefiningOp();
+  if (!op || depth-- == 0 || op->getNumResults() == 0)
+    return all;
+  Type type = value.getType();
+  auto of = [&](Value operand) { return getRange(operand, at, depth); };
+  auto atLeast = [](double low) { return Interval{low, kInfinity}; };
+  return llvm::TypeSwitch<Operation *, Interval>(op)
+      .Case([&](arith::AddFOp op) {
+        return addRanges(of(op.getLhs()), of(op.getRhs()), type);
       })
-      .Case<arith::AddFOp, arith::DivFOp, arith::MinimumFOp, arith::MinNumFOp>(
-          [&](auto op) { return both(op.getLhs(), op.getRhs()); })
-      .Case<arith::MaximumFOp, arith::MaxNumFOp>(
-          [&](auto op) { return either(op.getLhs(), op.getRhs()); })
-      .Case<arith::SelectOp>(
-          [&](auto op) { return both(op.getTrueValue(), op.getFalseValue()); })
-      .Case<math::ClampFOp>(
-          [&](auto op) { return both(op.getMin(), op.getMax()); })
-      .Case<math::FmaOp>([&](auto op) {
-        return op.getA() == op.getB() && isNonNegative(op.getC(), depth);
+      .Case([&](arith::SubFOp op) {
+        return addRanges(of(op.getLhs()), negate(of(op.getRhs())), type);
       })
-      .Case<math::AbsFOp, math::SqrtOp, math::ExpOp, math::Exp2Op, math::CoshOp,
-            math::AcosOp, math::AcoshOp, math::ErfcOp, NormOp>(
-          [](auto) { return true; })
-      .Case<DotOp>([](auto op) { return op.getLhs() == op.getRhs(); })
-      .Case<SumOp>(
-          [&](auto op) { return isNonNegative(op.getVector(), depth); })
-      .Case<math::FPowIOp>([&](auto op) {
+      .Case([&](arith::NegFOp op) { return negate(of(op.getOperand())); })
+      .Case([&](arith::MulFOp op) {
+        if (op.getLhs() == op.getRhs())
+          return square(of(op.getLhs()), type);
+        return multiply(of(op.getLhs()), of(op.getRhs()), type);
+      })
+      .Case([&](arith::DivFOp op) {
+        Interval rhs = of(op.getRhs());
+        // The sign of a quotient by 0 or more is that of the dividend.
+        Interval inverse = rhs.low >= 0    ? Interval{0, kInfinity}
+                           : rhs.high <= 0 ? Interval{-kInfinity, 0}
+                                           : all;
+        if (rhs.low > 0 || rhs.high < 0)
+          inverse = invert(rhs, type);
+        return multiply(of(op.getLhs()), inverse, type);
+      })
+      .Case([&](math::FmaOp op) {
+        Interval product = op.getA() == op.getB()
+                               ? square(of(op.getA()), type)
+                               : multiply(of(op.getA()), of(op.getB()), type);
+        return addRanges(product, of(op.getC()), type);
+      })
+      .Case<arith::MaximumFOp, arith::MaxNumFOp>([&](auto op) {
+        Interval a = of(op.getLhs()), b = of(op.getRhs());
+        return Interval{std::max(a.low, b.low), std::max(a.high, b.high)};
+      })
+      .Case<arith::MinimumFOp, arith::MinNumFOp>([&](auto op) {
+        Interval a = of(op.getLhs()), b = of(op.getRhs());
+        return Interval{std::min(a.low, b.low), std::min(a.high, b.high)};
+      })
+      .Case([&](math::ClampFOp op) {
+        return Interval{of(op.getMin()).low, of(op.getMax()).high};
+      })
+      .Case([&](arith::SelectOp op) {
+        Interval a = of(op.getTrueValue()), b = of(op.getFalseValue());
+        if (!isa<VectorType>(op.getCondition().getType())) {
+          // The arm is only taken where the condition says so: a maximum
+          // written as a choice.
+          narrow(a, op.getTrueValue(), op.getCondition(), true, depth);
+          narrow(b, op.getFalseValue(), op.getCondition(), false, depth);
+        }
+        return join(a, b);
+      })
+      .Case([&](math::AbsFOp op) {
+        Interval a = of(op.getOperand());
+        return Interval{std::max({a.low, -a.high, 0.0}),
+                        std::max(-a.low, a.high)};
+      })
+      .Case([&](math::SqrtOp op) {
+        Interval a = of(op.getOperand());
+        return makeRange(std::sqrt(std::max(a.low, 0.0)),
+                         std::sqrt(std::max(a.high, 0.0)), type);
+      })
+      .Case([&](math::FPowIOp op) {
         APInt power;
-        return matchPattern(op.getRhs(), m_ConstantInt(&power)) && !power[0];
+        if (!matchPattern(op.getRhs(), m_ConstantInt(&power)) || power[0])
+          return all;
+        return power == 2 ? square(of(op.getLhs()), type) : atLeast(0);
       })
-      .Case<math::PowFOp>(
-          [&](auto op) { return isNonNegative(op.getLhs(), depth); })
-      .Case<arith::ExtFOp, arith::TruncFOp>(
-          [&](auto op) { return isNonNegative(op.getIn(), depth); })
-      .Case<arith::UIToFPOp>([](auto) { return true; })
+      .Case([&](math::PowFOp op) {
+        return of(op.getLhs()).low >= 0 ? atLeast(0) : all;
+      })
+      .Case<math::ExpOp, math::Exp2Op, math::AcosOp, math::AcoshOp,
+            math::ErfcOp, NormOp, arith::UIToFPOp>(
+          [&](auto) { return atLeast(0); })
+      .Case<math::ExpM1Op>([&](auto) { return atLeast(-1); })
+      .Case<math::CoshOp>([&](auto) { return atLeast(1); })
+      .Case<math::SinOp, math::CosOp, math::TanhOp, math::ErfOp>(
+          [&](auto) { return unit; })
+      .Case([&](DotOp op) {
+        return op.getLhs() == op.getRhs() ? atLeast(0) : all;
+      })
+      .Case([&](SumOp op) {
+        return of(op.getVector()).low >= 0 ? atLeast(0) : all;
+      })
+      .Case<arith::ExtFOp, arith::TruncFOp>([&](auto op) {
+        Interval a = of(op.getIn());
+        return makeRange(a.low, a.high, type);
+      })
       .Case<vector::BroadcastOp, vector::ExtractOp>(
-          [&](auto op) { return isNonNegative(op.getSource(), depth); })
-      .Default([](Operation *) { return false; });
+          [&](auto op) { return of(op.getSource()); })
+      .Case([&](StopGradientOp op) { return of(op.getValue()); })
+      .Default([&](Operation *) { return all; });
 }
 
-bool FloatFacts::isNonZero(Value value) {
+bool FloatFacts::isPositive(Value value, Operation *at) {
+  return getRange(value, at).low >= getClearance(value.getType());
+}
+bool FloatFacts::isNonNegative(Value value, Operation *at) {
+  return getRange(value, at).low >= 0;
+}
+bool FloatFacts::isNonZero(Value value, Operation *at) {
+  // Constants of both signs have a range around zero.
   if (matchConstant(
           value, [](const APFloat &x) { return x.isFinite() && !x.isZero(); }))
     return true;
-  if (auto neg = value.getDefiningOp<arith::NegFOp>())
-    return isNonZero(neg.getOperand());
-  return isPositive(value);
+  Interval range = getRange(value, at);
+  double clearance = getClearance(value.getType());
+  return range.low >= clearance || range.high <= -clearance;
 }
-
-bool FloatFacts::isNonPositive(Value value) {
-  if (matchConstant(value, [](const APFloat &x) {
-        return !x.isNaN() && (x.isNegative() || x.isZero());
-      }))
-    return true;
-  Operation *op = value.getDefiningOp();
-  if (!op)
-    return false;
-  return llvm::TypeSwitch<Operation *, bool>(op)
-      .Case<arith::NegFOp>(
-          [&](auto op) { return isNonNegative(op.getOperand()); })
-      .Case<arith::MulFOp>([&](auto op) {
-        auto isMixed = [&](Value a, Value b) {
-          return isNonNegative(a) && isNonPositive(b);
-        };
-        return isMixed(op.getLhs(), op.getRhs()) ||
-               isMixed(op.getRhs(), op.getLhs());
-      })
-      .Case<arith::DivFOp>([&](auto op) {
-        return isNonPositive(op.getLhs()) && isPositive(op.getRhs());
-      })
-      .Case<arith::MinimumFOp, arith::MinNumFOp>([&](auto op) {
-        return isNonPositive(op.getLhs()) || isNonPositive(op.getRhs());
-      })
-      .Default([](Operation *) { return false; });
+bool FloatFacts::isNonPositive(Value value, Operation *at) {
+  return getRange(value, at).high <= 0;
 }
-
-bool FloatFacts::isInUnitInterval(Value value) {
-  auto isInside = [](Value bound) {
-    return matchConstant(bound, [](const APFloat &x) {
-      APFloat magnitude = abs(x);
-      APFloat one(x.getSemantics(), 1);
-      return magnitude.isFinite() &&
-             magnitude.compare(one) != APFloat::cmpGreaterThan;
-    });
-  };
-  if (isInside(value))
-    return true;
-  Operation *op = value.getDefiningOp();
-  if (!op)
-    return false;
-  return llvm::TypeSwitch<Operation *, bool>(op)
-      .Case<math::SinOp, math::CosOp, math::TanhOp, math::ErfOp>(
-          [](auto) { return true; })
-      .Case<math::ClampFOp>([&](auto op) {
-        return isInside(op.getMin()) && isInside(op.getMax());
-      })
-      .Default([](Operation *) { return false; });
+bool FloatFacts::isInUnitInterval(Value value, Operation *at) {
+  Interval range = getRange(value, at);
+  return range.low >= -1 && range.high <= 1;
 }
 
 /// Of ops whose value can be infinite or NaN though all operands are finite.
 static bool makesNonFinite(Operation *op, FloatFacts &facts) {
   return llvm::TypeSwitch<Operation *, bool>(op)
       .Case<arith::DivFOp, arith::RemFOp>(
-          [&](auto op) { return !facts.isNonZero(op.getRhs()); })
+          [&](auto op) { return !facts.isNonZero(op.getRhs(), op); })
       .Case<math::SqrtOp>(
-          [&](auto op) { return !facts.isNonNegative(op.getOperand()); })
+          [&](auto op) { return !facts.isNonNegative(op.getOperand(), op); })
       .Case<math::RsqrtOp, math::LogOp, math::Log2Op, math::Log10Op>(
-          [&](auto op) { return !facts.isPositive(op.getOperand()); })
+          [&](auto op) { return !facts.isPositive(op.getOperand(), op); })
       .Case<math::Log1pOp>(
-          [&](auto op) { return !facts.isNonNegative(op.getOperand()); })
+          [&](auto op) { return !facts.isNonNegative(op.getOperand(), op); })
       .Case<math::ExpOp, math::Exp2Op, math::ExpM1Op>(
-          [&](auto op) { return !facts.isNonPositive(op.getOperand()); })
+          [&](auto op) { return !facts.isNonPositive(op.getOperand(), op); })
       .Case<math::AcosOp, math::AsinOp>(
-          [&](auto op) { return !facts.isInUnitInterval(op.getOperand()); })
+          [&](auto op) { return !facts.isInUnitInterval(op.getOperand(), op); })
       .Case<math::PowFOp, math::FPowIOp, math::AcoshOp, math::AtanhOp,
             math::CoshOp, math::SinhOp, InverseOp, SolveOp>(
           [](auto) { return true; })
@@ -260,7 +395,7 @@ bool mlir::tai::mayHaveNonFinitePartial(Operation *op, FloatFacts &facts) {
     return true;
   return llvm::TypeSwitch<Operation *, bool>(op)
       .Case<math::SqrtOp, math::CbrtOp>(
-          [&](auto op) { return !facts.isPositive(op.getOperand()); })
+          [&](auto op) { return !facts.isPositive(op.getOperand(), op); })
       .Case<math::TanOp>([](auto) { return true; })
       .Case<math::AcosOp, math::AsinOp>([](auto) { return true; })
       .Case<math::Atan2Op>([](auto) { return false; })

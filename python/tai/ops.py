@@ -250,11 +250,14 @@ def randn(dtype: Any = None) -> Any:
 
 
 def stop_grad(x: Any) -> Any:
-    """A number that gradients take for a constant: not built in yet, in kernels."""
-    if _state.emitter is not None:
-        raise TaiSyntaxError(
-            "ti.stop_grad is not built in yet", "keep the constant in a field without a gradient"
-        )
+    """A number or matrix that gradients take for a constant.
+
+    Of a field, as a statement: what its block reads of the field is a constant.
+    """
+    if hasattr(x, "emit_operand") or (_state.emitter is not None and isinstance(x, Matrix)):
+        from ._frontend.value import stop_gradient
+
+        return stop_gradient(_state.emitter.as_value(x))
     return x
 
 

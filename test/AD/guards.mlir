@@ -107,3 +107,128 @@ tai.kernel @vectors() {
   }
   tai.return
 }
+
+// What ranges tell: 1 + exp(x), max(x, eps), 2 + sin(x), 1 + x^2, and quotients
+// of them, cannot be zero.
+// CHECK-LABEL: tai.kernel @ranges_grad(
+//   CHECK-NOT:   arith.cmpf oeq
+//       CHECK:   tai.return
+tai.kernel @ranges() {
+  %eps = arith.constant 1.0e-5 : f32
+  %one = arith.constant 1.0 : f32
+  %two = arith.constant 2.0 : f32
+  tai.parallel_for (%i) in @x {
+    %x = tai.load @x[%i] : f32
+    %y = tai.load @y[%i] : f32
+    %t = math.tanh %x : f32
+    %a = arith.maximumf %x, %eps : f32
+    %0 = arith.divf %y, %a : f32
+    %s = math.sin %y : f32
+    %b = arith.addf %s, %two : f32
+    %1 = math.log %b : f32
+    %c = arith.subf %two, %t : f32
+    %2 = math.rsqrt %c : f32
+    %d = arith.mulf %a, %b : f32
+    %3 = math.sqrt %d : f32
+    %sq = arith.mulf %x, %x : f32
+    %e = arith.addf %sq, %one : f32
+    %f = arith.divf %one, %e : f32
+    %n = arith.negf %e : f32
+    %4 = arith.divf %f, %n : f32
+    %5 = arith.addf %0, %1 : f32
+    %6 = arith.addf %2, %3 : f32
+    %7 = arith.addf %5, %6 : f32
+    %8 = arith.addf %7, %4 : f32
+    tai.store %8, @z[%i] : f32
+  }
+  tai.return
+}
+
+// These may vanish: 1 + sin(x), 1 - tanh(x), a number that is only not negative,
+// and one that is positive, but so small that its inverse overflows.
+// CHECK-LABEL: tai.kernel @may_vanish_grad(
+// CHECK-COUNT-4: arith.cmpf oeq
+//       CHECK:   tai.return
+tai.kernel @may_vanish() {
+  %tiny = arith.constant 1.0e-38 : f32
+  %one = arith.constant 1.0 : f32
+  tai.parallel_for (%i) in @x {
+    %x = tai.load @x[%i] : f32
+    %s = math.sin %x : f32
+    %a = arith.addf %s, %one : f32
+    %0 = math.sqrt %a : f32
+    tai.store %0, @y[%i] : f32
+  }
+  tai.parallel_for (%i) in @x {
+    %x = tai.load @x[%i] : f32
+    %t = math.tanh %x : f32
+    %b = arith.subf %one, %t : f32
+    %1 = math.log %b : f32
+    tai.store %1, @z[%i] : f32
+  }
+  tai.parallel_for (%i) in @v {
+    %v = tai.load @v[%i] : vector<2xf32>
+    %l = tai.norm %v : vector<2xf32>
+    %2 = math.sqrt %l : f32
+    tai.atomic add %2, @y[%i] : f32
+  }
+  tai.parallel_for (%i) in @x {
+    %x = tai.load @x[%i] : f32
+    %a = math.absf %x : f32
+    %c = arith.addf %a, %tiny : f32
+    %3 = math.rsqrt %c : f32
+    tai.atomic add %3, @z[%i] : f32
+  }
+  tai.return
+}
+
+// A branch says what holds in it: the time of impact divides by a speed that is
+// known to be large there.
+// CHECK-LABEL: tai.kernel @conditions_grad(
+//       CHECK:   scf.if
+//   CHECK-NOT:   arith.cmpf oeq
+//       CHECK:   tai.return
+tai.kernel @conditions() {
+  %zero = arith.constant 0.0 : f32
+  %slow = arith.constant -1.0e-4 : f32
+  tai.parallel_for (%i) in @x {
+    %x = tai.load @x[%i] : f32
+    %y = tai.load @y[%i] : f32
+    %low = arith.cmpf olt, %x, %zero : f32
+    %fast = arith.cmpf olt, %y, %slow : f32
+    %hits = arith.andi %low, %fast : i1
+    %toi = scf.if %hits -> (f32) {
+      %0 = arith.divf %x, %y : f32
+      scf.yield %0 : f32
+    } else {
+      scf.yield %zero : f32
+    }
+    %p = arith.mulf %toi, %y : f32
+    tai.store %p, @z[%i] : f32
+  }
+  tai.return
+}
+
+// Not so in the other arm, nor of a disjunction.
+// CHECK-LABEL: tai.kernel @other_arm_grad(
+//       CHECK:   arith.cmpf oeq
+//       CHECK:   tai.return
+tai.kernel @other_arm() {
+  %zero = arith.constant 0.0 : f32
+  %slow = arith.constant -1.0e-4 : f32
+  tai.parallel_for (%i) in @x {
+    %x = tai.load @x[%i] : f32
+    %y = tai.load @y[%i] : f32
+    %low = arith.cmpf olt, %x, %zero : f32
+    %fast = arith.cmpf olt, %y, %slow : f32
+    %hits = arith.ori %low, %fast : i1
+    %toi = scf.if %hits -> (f32) {
+      %0 = arith.divf %x, %y : f32
+      scf.yield %0 : f32
+    } else {
+      scf.yield %zero : f32
+    }
+    tai.store %toi, @z[%i] : f32
+  }
+  tai.return
+}

@@ -30,7 +30,9 @@ constexpr llvm::StringLiteral kGuard = "tai.guard";
 class DerivativeBuilder : public ImplicitLocOpBuilder {
 public:
   /// For derivatives of `function`, which says what its conventions are.
-  explicit DerivativeBuilder(FunctionOpInterface function);
+  /// With `usesConditions`, what branches say of values counts among the facts.
+  explicit DerivativeBuilder(FunctionOpInterface function,
+                             bool usesConditions = false);
   virtual ~DerivativeBuilder();
 
   /// What stands for a value of the primal program in the one that is built.

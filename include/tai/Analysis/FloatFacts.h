@@ -18,7 +18,7 @@
 #ifndef TAI_ANALYSIS_FLOATFACTS_H
 #define TAI_ANALYSIS_FLOATFACTS_H
 
-#include "mlir/IR/Value.h"
+#include "mlir/IR/Operation.h"
 #include "llvm/ADT/DenseMap.h"
 #include "llvm/ADT/SmallVector.h"
 
@@ -26,25 +26,37 @@ namespace mlir::tai {
 
 class FloatFacts {
 public:
+  /// Between these two lies every component, if it is a number.
+  struct Interval {
+    double low, high;
+  };
+
+  /// With `usesConditions`, what the branches around a place say counts; not so
+  /// for one who asks whether the branch can go.
+  explicit FloatFacts(bool usesConditions = false)
+      : usesConditions(usesConditions) {}
+
   /// False if the value is finite wherever what it is computed from is.
   bool mayBeNonFinite(Value value);
-  /// True if every component is > 0.
-  bool isPositive(Value value) { return isPositive(value, kDepth); }
-  /// True if every component is >= 0.
-  bool isNonNegative(Value value) { return isNonNegative(value, kDepth); }
-  /// True if no component is 0.
-  bool isNonZero(Value value);
-  /// True if every component is <= 0.
-  bool isNonPositive(Value value);
+
+  // Of each component, as seen from the place `at`. What is positive or not
+  // zero is so clearly: an inverse does not overflow. (A constant is what it
+  // is.)
+  bool isPositive(Value value, Operation *at = nullptr);
+  bool isNonNegative(Value value, Operation *at = nullptr);
+  bool isNonZero(Value value, Operation *at = nullptr);
+  bool isNonPositive(Value value, Operation *at = nullptr);
   /// True if every component lies in [-1, 1].
-  bool isInUnitInterval(Value value);
+  bool isInUnitInterval(Value value, Operation *at = nullptr);
+  Interval getRange(Value value, Operation *at = nullptr);
 
 private:
   static constexpr unsigned kDepth = 8;
-  bool isPositive(Value value, unsigned depth);
-  bool isNonNegative(Value value, unsigned depth);
+  Interval getRange(Value value, Operation *at, unsigned depth);
+  Interval computeRange(Value value, Operation *at, unsigned depth);
   bool computeMayBeNonFinite(Value value);
 
+  bool usesConditions;
   llvm::DenseMap<Value, bool> nonFinite;
   /// The values that it has as finite, in the order of the answers.
   llvm::SmallVector<Value> concludedFinite;

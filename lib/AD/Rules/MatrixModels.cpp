@@ -259,6 +259,19 @@ struct NormModel : MatrixModel<NormModel, NormOp> {
   }
 };
 
+/// Nothing passes.
+struct StopGradientModel
+    : DifferentiableOpInterface::ExternalModel<StopGradientModel,
+                                               StopGradientOp> {
+  LogicalResult buildAdjoint(Operation *, AdjointBuilder &) const {
+    return success();
+  }
+  LogicalResult buildTangent(Operation *, TangentBuilder &) const {
+    return success();
+  }
+  bool carriesDerivative(Operation *, OpOperand &) const { return false; }
+};
+
 /// r = tr A:  the diagonal of A* += g.
 struct TraceModel : MatrixModel<TraceModel, TraceOp> {
   void build(TraceOp op, AdjointBuilder &b, Value g) const {
@@ -393,6 +406,7 @@ void mlir::tai::registerMatrixModels(DialectRegistry &registry) {
     CrossOp::attachInterface<CrossModel>(*context);
     OuterOp::attachInterface<OuterModel>(*context);
     NormOp::attachInterface<NormModel>(*context);
+    StopGradientOp::attachInterface<StopGradientModel>(*context);
     TraceOp::attachInterface<TraceModel>(*context);
     DeterminantOp::attachInterface<DeterminantModel>(*context);
     InverseOp::attachInterface<InverseModel>(*context);

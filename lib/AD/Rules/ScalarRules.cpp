@@ -40,16 +40,16 @@ static Value operand(RuleArgs &a, unsigned i) {
 static bool never(RuleArgs &) { return false; }
 static bool always(RuleArgs &) { return true; }
 static bool unlessXPositive(RuleArgs &a) {
-  return !a.facts().isPositive(operand(a, 0));
+  return !a.facts().isPositive(operand(a, 0), a.getOperation());
 }
 static bool unlessXNonNegative(RuleArgs &a) {
-  return !a.facts().isNonNegative(operand(a, 0));
+  return !a.facts().isNonNegative(operand(a, 0), a.getOperation());
 }
 static bool unlessXNonPositive(RuleArgs &a) {
-  return !a.facts().isNonPositive(operand(a, 0));
+  return !a.facts().isNonPositive(operand(a, 0), a.getOperation());
 }
 static bool unlessYNonZero(RuleArgs &a) {
-  return !a.facts().isNonZero(operand(a, 1));
+  return !a.facts().isNonZero(operand(a, 1), a.getOperation());
 }
 /// Of powers: x^(y - 1) is finite then.
 static bool unlessYAtLeastOne(RuleArgs &a) {
@@ -134,8 +134,9 @@ static Num powerByInteger(RuleArgs &a) {
 
 static Num powerByX(RuleArgs &a) {
   Num contribution = a.g() * (a.y() * pow(a.x(), a.y() - 1));
-  return a.facts().isNonZero(operand(a, 1)) ? contribution
-                                            : unless(a.y() == 0, contribution);
+  return a.facts().isNonZero(operand(a, 1), a.getOperation())
+             ? contribution
+             : unless(a.y() == 0, contribution);
 }
 
 /// g n / (x^2 + y^2), 0 where both are 0. Scaled by a power of two where the

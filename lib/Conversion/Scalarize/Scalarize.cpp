@@ -324,6 +324,12 @@ LogicalResult Scalarizer::process(Operation *op) {
   if (isa<ParallelForOp, TapeOp, CheckGradientOp>(op))
     return processBlock(op->getRegion(0).front());
 
+  if (auto stop = dyn_cast<StopGradientOp>(op)) {
+    set(stop.getResult(), get(stop.getValue()));
+    dead.push_back(op);
+    return success();
+  }
+
   auto isVectorLocal = [](Value value) {
     auto local = dyn_cast<LocalType>(value.getType());
     return local && isa<VectorType>(local.getElementType());

@@ -77,6 +77,8 @@ class Emitter:
         self._constants: dict[tuple, Any] = {}
         self.index_type = builder.type("index")
         self.num_random = 0
+        # The places whose loads are constants to gradients, by identity.
+        self.stopped: set[int] = set()
         # Operands and results of one op are all of one kind most of the time.
         self._op = builder.op
         self._attribute = builder.attribute

@@ -8,7 +8,7 @@ from ..dtypes import DataType
 from ..errors import TaiAutodiffError, TaiIndexError, TaiRuntimeError, TaiTypeError
 from ..fields import ComponentField, Field, MatrixField, ScalarField
 from .emitter import Emitter
-from .value import MatrixValue, Value
+from .value import MatrixValue, Value, stop_gradient
 
 # Kinds of `tai.atomic` by operator.
 ATOMIC_KINDS = {"+": "add", "-": "sub", "*": "mul", "min": "min", "max": "max",
@@ -197,7 +197,9 @@ class FieldElement(Place):
             [self.emitter.type_of(self.dt, self.shape)],
             {"field": self._symbol, "operandSegmentSizes": self._segments()},
         )
-        return self.emitter.value(handle, self.dt, self.shape)
+        value = self.emitter.value(handle, self.dt, self.shape)
+        stopped = id(self.field) in self.emitter.stopped
+        return stop_gradient(value) if stopped else value
 
     def store(self, value: Value) -> None:
         self.emitter.builder.op(

@@ -11,6 +11,7 @@ import numpy as np
 from ..dtypes import u1
 from ..errors import TaiSyntaxError, TaiTypeError
 from ..fields import Field
+from ..ops import stop_grad
 from .expressions import BINARY, FormattedText
 from .refs import ArrayArgument, Place, Variable, VariablePlace
 from .returns import always_returns, find_return
@@ -59,6 +60,31 @@ class Statements:
 
     def body(self, statements: list[ast.stmt]) -> None:
         """Compiles a list of statements; what follows a possible exit runs only without it."""
+        outer, self.emitter.stopped = self.emitter.stopped, self.stopped_in(statements)
+        try:
+            self.statements(statements)
+        finally:
+            self.emitter.stopped = outer
+
+    def stopped_in(self, statements: list[ast.stmt]) -> set[int]:
+        """The places that `ti.stop_grad(field)` makes constants, here and around.
+
+        The statement holds for the whole block that it stands in.
+        """
+        found = self.emitter.stopped
+        for statement in statements:
+            call = getattr(statement, "value", None)
+            if not isinstance(statement, ast.Expr) or not isinstance(call, ast.Call):
+                continue
+            if len(call.args) == 1 and self.static_callee(call.func) is stop_grad:
+                field = self.static_callee(call.args[0])
+                if isinstance(field, Field):
+                    field.materialize()
+                    found = found | {id(field), *map(id, getattr(field, "parts", ()))}
+        return found
+
+    def statements(self, statements: list[ast.stmt]) -> None:
+        """Compiles the statements of a block."""
         for number, statement in enumerate(statements):
             rest = statements[number + 1 :]
             if isinstance(statement, ast.If) and rest and always_returns(statement.body):

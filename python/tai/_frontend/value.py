@@ -339,6 +339,13 @@ class MatrixValue(Value):
         return emitter.reduce("&", [emitter.to_bool(v) for v in self.scalars()])
 
 
+def stop_gradient(value: Value) -> Value:
+    """The value, which gradients take for a constant."""
+    if not value.dt.is_float:
+        return value
+    return value.emitter._elementwise("tai.stop_gradient", [value], value.dt)
+
+
 def _is_zero(eps: Any) -> bool:
     return isinstance(eps, (int, float)) and eps == 0
 

@@ -130,6 +130,21 @@ def Tai_NormOp : Tai_MatrixOp<"norm", [
   let hasVerifier = 0;
 }
 
+def Tai_StopGradientOp : Tai_Op<"stop_gradient", [
+    Pure, AllTypesMatch<["value", "result"]>]> {
+  let summary = "a value that gradients take for a constant";
+  let description = [{
+    The operand. No derivative passes.
+
+    ```mlir
+    %b = tai.stop_gradient %a : vector<2xf32>
+    ```
+  }];
+  let arguments = (ins AnyTypeOf<[AnyFloat, VectorOfAnyRankOf<[AnyFloat]>]>:$value);
+  let results = (outs AnyTypeOf<[AnyFloat, VectorOfAnyRankOf<[AnyFloat]>]>:$result);
+  let assemblyFormat = "$value attr-dict `:` type($value)";
+}
+
 def Tai_TraceOp : Tai_MatrixOp<"trace", [
     TypesMatchWith<"result is the element type", "matrix", "result",
                    "::llvm::cast<::mlir::VectorType>($_self).getElementType()">]> {
