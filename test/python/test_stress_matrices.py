@@ -91,7 +91,7 @@ SINGULAR = {
 COMPOSITES = ["polar", "stretch", "rotation of svd", "product of svd"]
 
 
-@pytest.mark.parametrize("mode", ["reverse"])
+@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("dtype", ["f64", "f32"])
 @pytest.mark.parametrize("name", COMPOSITES)
 @pytest.mark.parametrize("n", [2, 3])
@@ -110,7 +110,7 @@ def test_composites_are_right(n, name, dtype, mode):
         assert error <= 10 * BOUNDS[dtype], (where, error)
 
 
-@pytest.mark.parametrize("mode", ["reverse"])
+@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("dtype", ["f64", "f32"])
 @pytest.mark.parametrize("name", [*COMPOSITES, "u", "v"])
 def test_singular_points_are_finite(name, dtype, mode):

@@ -252,18 +252,25 @@ struct SvdModel : DifferentiableOpInterface::ExternalModel<SvdModel, SvdOp> {
                          createMatmul(b, createTranspose(b, u),
                                       b.getTangent(svd.getMatrix())),
                          v)};
-    S floor = getTolerance(type) * abs(sigma(0, 0));
+    S least{&b,
+            b.createConstant(type.getElementType(),
+                             type.getElementType().isF64() ? 1e-300 : 1e-37)};
+    S floor = getTolerance(type) * abs(sigma(0, 0)) + least;
     SmallVector<Value> omega(n * n), psi(n * n), values(n * n);
     for (int64_t i = 0; i != n; ++i) {
       values[i * n + i] = p(i, i).v;
       for (int64_t j = i + 1; j != n; ++j) {
         S si = sigma(i, i), sj = sigma(j, j);
-        S even = divideAbove(0.5 * (p(i, j) + p(j, i)), sj - si, floor);
+        S symmetric = 0.5 * (p(i, j) + p(j, i));
+        S even = divideAbove(symmetric, sj - si, floor);
         S odd = divideAbove(0.5 * (p(i, j) - p(j, i)), sj + si, floor);
         omega[i * n + j] = (even + odd).v;
         omega[j * n + i] = (-(even + odd)).v;
         psi[i * n + j] = (even - odd).v;
         psi[j * n + i] = (odd - even).v;
+        // Where σᵢ = σⱼ, U and V are not told to turn, and Σ takes the rest.
+        values[i * n + j] = values[j * n + i] =
+            (symmetric - even * (sj - si)).v;
       }
     }
     b.setTangent(svd.getSigma(), b.createVector(type, values));
