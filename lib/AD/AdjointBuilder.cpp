@@ -13,6 +13,7 @@
 #include "tai/AD/AdjointBuilder.h"
 #include "ContendedAtomics.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/Matchers.h"
@@ -203,8 +204,12 @@ LogicalResult AdjointBuilder::reverseOp(Operation *op) {
     return success();
   if (auto loop = dyn_cast<AdjointLoopInterface>(op))
     return loop.buildReverse(*this);
-  if (auto rule = dyn_cast<DifferentiableOpInterface>(op))
-    return rule.buildAdjoint(*this);
+  if (auto rule = dyn_cast<DifferentiableOpInterface>(op)) {
+    seedIsInfinite = createInfinityTest(op);
+    LogicalResult result = rule.buildAdjoint(*this);
+    seedIsInfinite = {};
+    return result;
+  }
   emitError(op, "'" + op->getName().getStringRef() +
                     "' has no derivative rule, but a gradient passes through "
                     "it")
@@ -324,11 +329,49 @@ static Value addUp(ImplicitLocOpBuilder &builder, Value sum, Value term) {
   return arith::AddFOp::create(builder, sum, term);
 }
 
+/// Whether some adjoint of a result of `op` is infinite; null where that cannot
+/// be.
+Value AdjointBuilder::createInfinityTest(Operation *op) {
+  Value any;
+  for (Value result : op->getResults()) {
+    if (!mayBeInfinite.contains(result))
+      continue;
+    Value size = getAdjoint(result);
+    if (!size)
+      continue;
+    size = math::AbsFOp::create(*this, size);
+    if (isa<VectorType>(size.getType()))
+      size = SumOp::create(*this, getElementTypeOrSelf(size.getType()), size);
+    Value infinity =
+        createConstant(size.getType(), std::numeric_limits<double>::infinity());
+    Value test =
+        arith::CmpFOp::create(*this, arith::CmpFPredicate::OEQ, size, infinity);
+    any = any ? Value(arith::OrIOp::create(*this, any, test)) : test;
+  }
+  return any;
+}
+
+/// What an infinite adjoint contributes: nothing where the partial derivative
+/// is zero, and not the NaN that the product of both is.
+Value AdjointBuilder::createFinite(Value value, Value contribution) {
+  if (!seedIsInfinite)
+    return contribution;
+  mayBeInfinite.insert(value);
+  Value isNaN = arith::CmpFOp::create(*this, arith::CmpFPredicate::UNO,
+                                      contribution, contribution);
+  Value infinite = seedIsInfinite;
+  if (isa<VectorType>(isNaN.getType()))
+    infinite = vector::BroadcastOp::create(*this, isNaN.getType(), infinite);
+  Value drops = arith::AndIOp::create(*this, infinite, isNaN);
+  return arith::SelectOp::create(
+      *this, drops, createZero(contribution.getType()), contribution);
+}
+
 void AdjointBuilder::addAdjoint(Value value, Value contribution) {
   if (!contribution || !isActive(value))
     return;
   PartialAdjoint &entry = current->adjoints[value];
-  entry.whole = addUp(*this, entry.whole, contribution);
+  entry.whole = addUp(*this, entry.whole, createFinite(value, contribution));
 }
 
 void AdjointBuilder::addAdjointComponent(Value value, int64_t component,
@@ -339,7 +382,7 @@ void AdjointBuilder::addAdjointComponent(Value value, int64_t component,
   if (entry.components.empty())
     entry.components.resize(cast<VectorType>(value.getType()).getNumElements());
   Value &sum = entry.components[component];
-  sum = addUp(*this, sum, contribution);
+  sum = addUp(*this, sum, createFinite(value, contribution));
 }
 
 Value AdjointBuilder::sumUp(Value value, PartialAdjoint &entry) {

@@ -107,7 +107,21 @@ def test_composites_are_right(n, name, dtype, mode):
         # What is lost in the factors is lost by the condition of the composite.
         scale = np.abs(expected).max() if not product else np.abs(w).max()
         error = np.abs(found - expected).max() / scale
-        assert error <= 10 * BOUNDS[dtype], (where, error)
+        bound = 10 * BOUNDS[dtype]
+        if mode == "forward" and "svd" in name:
+            bound = max(bound, lost_by_turning(a, np.finfo(number).eps))
+        assert error <= bound, (where, error)
+
+
+def lost_by_turning(a, eps):
+    """What rounding leaves of tangents that cancel: U and V turn by 1 / gap, and back.
+
+    A tangent cannot know that the factors will be multiplied. Reverse mode can.
+    """
+    values = np.linalg.svd(a, compute_uv=False)
+    gaps = np.diff(-values)
+    gaps = gaps[gaps > 8 * eps * values[0]]
+    return 32 * eps * values[0] / gaps.min() if len(gaps) else 0
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -201,6 +201,9 @@ public:
   /// Checks that a read gives in the adjoint what it gave in the primal.
   bool checkReadable(DifferentiableAccessInterface read);
 
+  /// Says that what was added to the adjoint of `value` may be infinite.
+  void markInfinite(Value value) { mayBeInfinite.insert(value); }
+
   /// Reports that `op` cannot be differentiated; building then fails.
   InFlightDiagnostic emitError(Operation *op, const Twine &message);
 
@@ -230,6 +233,8 @@ private:
   LogicalResult reverseOp(Operation *op);
   LogicalResult reverseAccess(Operation *op);
   Value sumUp(Value value, PartialAdjoint &entry);
+  Value createInfinityTest(Operation *op);
+  Value createFinite(Value value, Value contribution);
   void seedOutputs();
   void accumulateInputs();
 
@@ -257,6 +262,10 @@ private:
   Frame *current = nullptr;
   bool hasErrors = false;
   int64_t historyLimit = kDefaultHistoryBytes;
+  /// Values whose adjoint may be infinite, and whether one of those is that the
+  /// rule at hand starts from (null: no).
+  DenseSet<Value> mayBeInfinite;
+  Value seedIsInfinite;
   DenseSet<Operation *> recomputedDraws, refused;
   /// The storages that the adjoint accumulates into.
   DenseSet<const void *> accumulated;

@@ -55,6 +55,9 @@ public:
   /// zero. Just the value, if the program wants no guards.
   Value createGuard(Value derivative, Value value);
 
+  /// False if the program wants no tests for zero derivatives.
+  bool wantsGuards() const { return conventions.guards; }
+
 private:
   FloatFacts facts;
   Conventions conventions;

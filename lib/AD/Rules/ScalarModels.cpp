@@ -38,8 +38,11 @@ static void applyRule(Operation *op, AdjointBuilder &adjoint) {
       continue;
     RuleArgs args(adjoint, op, seed);
     Value contribution = partial.build(args).value;
-    if (args.usesNonFinite() || partial.mayBeNonFinite(args))
+    if (args.usesNonFinite() || partial.mayBeNonFinite(args)) {
       contribution = adjoint.createGuard(seed, contribution);
+      if (adjoint.wantsGuards())
+        adjoint.markInfinite(operand);
+    }
     adjoint.addAdjoint(operand, contribution);
   }
 }

@@ -1,0 +1,41 @@
+// RUN: tai-opt %s --tai-make-adjoint --canonicalize --cse | FileCheck %s
+
+tai.tree @t : !tai.root<dense<[i: 8], {x: f64, gx: f64, y: f64, gy: f64}>>
+tai.field @x = @t["x"] : f64, rank 1, adjoint @gx
+tai.field @gx = @t["gx"] : f64, rank 1
+tai.field @y = @t["y"] : f64, rank 1, adjoint @gy
+tai.field @gy = @t["gy"] : f64, rank 1
+
+// At zero the adjoint of the square is infinite and its derivative zero: the
+// product is dropped, and not NaN.
+// CHECK-LABEL: tai.kernel @root_of_square_grad
+//       CHECK:   %[[SIZE:.+]] = math.absf
+//       CHECK:   %[[INFINITE:.+]] = arith.cmpf oeq, %[[SIZE]]
+//       CHECK:   %[[C:.+]] = arith.mulf
+//       CHECK:   %[[NAN:.+]] = arith.cmpf uno, %[[C]], %[[C]]
+//       CHECK:   %[[DROPS:.+]] = arith.andi %[[INFINITE]], %[[NAN]]
+//       CHECK:   arith.select %[[DROPS]]
+tai.kernel @root_of_square() {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f64
+    %1 = arith.mulf %0, %0 : f64
+    %2 = math.sqrt %1 : f64
+    tai.store %2, @y[%i] : f64
+  }
+  tai.return
+}
+
+// Where nothing can be infinite, nothing asks.
+// CHECK-LABEL: tai.kernel @polynomial_grad
+//   CHECK-NOT:   math.absf
+//   CHECK-NOT:   arith.cmpf
+//       CHECK:   tai.return
+tai.kernel @polynomial() {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f64
+    %1 = arith.mulf %0, %0 : f64
+    %2 = arith.addf %1, %0 : f64
+    tai.store %2, @y[%i] : f64
+  }
+  tai.return
+}
