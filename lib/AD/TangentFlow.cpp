@@ -14,6 +14,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Interfaces/ControlFlowInterfaces.h"
 #include "tai/AD/TangentBuilder.h"
+#include "tai/Analysis/Activity.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
@@ -76,23 +77,9 @@ void FlowWalk::visitAccess(DifferentiableAccessInterface access) {
 }
 
 void FlowWalk::visitBranch(RegionBranchOpInterface op) {
-  SmallVector<RegionSuccessor> successors;
-  op.getSuccessorRegions(RegionBranchPoint::parent(), successors);
-  for (RegionSuccessor &successor : successors)
-    pass(op.getEntrySuccessorOperands(successor),
-         successor.getSuccessorInputs());
-  for (Region &region : op->getRegions())
-    for (Block &block : region) {
-      auto terminator =
-          dyn_cast<RegionBranchTerminatorOpInterface>(block.back());
-      if (!terminator)
-        continue;
-      successors.clear();
-      op.getSuccessorRegions(RegionBranchPoint(terminator), successors);
-      for (RegionSuccessor &successor : successors)
-        pass(terminator.getSuccessorOperands(successor),
-             successor.getSuccessorInputs());
-    }
+  forEachHandover(op, [&](OperandRange operands, ValueRange inputs) {
+    pass(operands, inputs);
+  });
 }
 
 void FlowWalk::visit(Operation *op) {

@@ -36,28 +36,30 @@ struct RegionEdges {
       sources[input].push_back(use.get());
     }
   }
-
-  void collect(RegionBranchOpInterface op) {
-    SmallVector<RegionSuccessor> successors;
-    op.getSuccessorRegions(RegionBranchPoint::parent(), successors);
-    for (RegionSuccessor &successor : successors)
-      add(op.getEntrySuccessorOperands(successor),
-          successor.getSuccessorInputs());
-    for (Region &region : op->getRegions())
-      for (Block &block : region) {
-        auto terminator =
-            dyn_cast<RegionBranchTerminatorOpInterface>(block.back());
-        if (!terminator)
-          continue;
-        successors.clear();
-        op.getSuccessorRegions(RegionBranchPoint(terminator), successors);
-        for (RegionSuccessor &successor : successors)
-          add(terminator.getSuccessorOperands(successor),
-              successor.getSuccessorInputs());
-      }
-  }
 };
 } // namespace
+
+void mlir::tai::forEachHandover(
+    RegionBranchOpInterface op,
+    llvm::function_ref<void(OperandRange, ValueRange)> pass) {
+  SmallVector<RegionSuccessor> successors;
+  op.getSuccessorRegions(RegionBranchPoint::parent(), successors);
+  for (RegionSuccessor &successor : successors)
+    pass(op.getEntrySuccessorOperands(successor),
+         successor.getSuccessorInputs());
+  for (Region &region : op->getRegions())
+    for (Block &block : region) {
+      auto terminator =
+          dyn_cast<RegionBranchTerminatorOpInterface>(block.back());
+      if (!terminator)
+        continue;
+      successors.clear();
+      op.getSuccessorRegions(RegionBranchPoint(terminator), successors);
+      for (RegionSuccessor &successor : successors)
+        pass(terminator.getSuccessorOperands(successor),
+             successor.getSuccessorInputs());
+    }
+}
 
 /// True if derivatives may pass from the operand to the results of its op. An
 /// op without a rule is taken to carry them, so that it is found and refused.
@@ -85,7 +87,9 @@ Activity::Activity(FunctionOpInterface function,
         (access.getAccessKind() == AccessKind::Read ? reads : writes)
             .push_back(access);
     } else if (auto branch = dyn_cast<RegionBranchOpInterface>(op)) {
-      edges.collect(branch);
+      forEachHandover(branch, [&](OperandRange operands, ValueRange inputs) {
+        edges.add(operands, inputs);
+      });
     }
   });
 

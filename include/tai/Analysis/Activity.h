@@ -15,11 +15,17 @@
 #ifndef TAI_ANALYSIS_ACTIVITY_H
 #define TAI_ANALYSIS_ACTIVITY_H
 
+#include "mlir/Interfaces/ControlFlowInterfaces.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
 #include "tai/AD/Differentiable.h"
 #include "llvm/ADT/DenseSet.h"
 
 namespace mlir::tai {
+
+/// Calls `pass` with the operands that a branch or loop hands on, and the
+/// values that they become: on entry, and at the end of each of its blocks.
+void forEachHandover(RegionBranchOpInterface op,
+                     llvm::function_ref<void(OperandRange, ValueRange)> pass);
 
 class Activity {
 public:
