@@ -121,6 +121,37 @@ TAI_EXPORT TaiStatus taiContextAddTree(TaiContext context, const char *name,
 TAI_EXPORT TaiStatus taiContextDestroyTree(TaiContext context,
                                            const char *name);
 
+/// What is known of one sparse level of a tree. Levels are numbered as they
+/// stand in the layout, those above before those below; cells row-major, level
+/// below level.
+typedef struct TaiSparseLevel {
+  int64_t numCells;
+  int64_t cellBytes;
+  int64_t numActive;
+  /// Lists of active cells that were made, and that were used again.
+  int64_t listsMade;
+  int64_t listsReused;
+} TaiSparseLevel;
+TAI_EXPORT TaiStatus taiContextGetSparseLevel(TaiContext context,
+                                              const char *tree, int64_t level,
+                                              TaiSparseLevel *result);
+
+/// Copies the numbers of the active cells, ascending, to an array of numActive
+/// numbers.
+TAI_EXPORT TaiStatus taiContextGetActiveCells(TaiContext context,
+                                              const char *tree, int64_t level,
+                                              int64_t *cells, int64_t count);
+
+/// Makes a cell active (1) or inactive (0); inactive cells are zeroed, with all
+/// that lies below.
+TAI_EXPORT TaiStatus taiContextSetActive(TaiContext context, const char *tree,
+                                         int64_t level, int64_t cell,
+                                         int active);
+
+/// Makes all cells of a level inactive.
+TAI_EXPORT TaiStatus taiContextDeactivateAll(TaiContext context,
+                                             const char *tree, int64_t level);
+
 /// Declares a field. `declaration` is the text of a `tai.field` op, e.g.
 /// "tai.field @x = @scene[\"x\"] : f32, rank 1, adjoint @x_grad". The adjoint
 /// named need not exist yet.

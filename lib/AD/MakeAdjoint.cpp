@@ -93,6 +93,20 @@ static void relaxArrayAccumulations(FunctionOpInterface function) {
   }
 }
 
+/// True if some field that the function accesses has a sparse level above it.
+static bool reachesSparse(FunctionOpInterface function) {
+  WalkResult result = function->walk([](Operation *op) {
+    auto name = op->getAttrOfType<FlatSymbolRefAttr>("field");
+    FieldOp field = name ? lookupField(op, name) : FieldOp();
+    FailureOr<FieldLayout> layout =
+        field ? getFieldLayout(field) : FailureOr<FieldLayout>(failure());
+    return succeeded(layout) && layout->path.getFirstSparse()
+               ? WalkResult::interrupt()
+               : WalkResult::advance();
+  });
+  return result.wasInterrupted();
+}
+
 LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
                                      FunctionOpInterface shell,
                                      const AdjointSignature &signature,
@@ -146,6 +160,9 @@ LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
     ReturnOp::create(builder, function.getLoc(), ValueRange());
   else
     func::ReturnOp::create(builder, function.getLoc());
+  // What is active is the business of the primal.
+  if (isa<KernelOp>(shell.getOperation()) && reachesSparse(shell))
+    shell->setAttr(kKeepsActivityAttrName, builder.getUnitAttr());
   markExclusiveAtomics(shell);
   separateTakes(shell);
   relaxArrayAccumulations(shell);

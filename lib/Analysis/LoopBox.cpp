@@ -21,6 +21,8 @@ std::optional<unsigned> LoopBox::find(Value value) {
 
 std::optional<LoopBox> tai::getConstantBox(ParallelForOp loop) {
   LoopBox box{loop, {}, {}};
+  if (loop.getLevel())
+    return std::nullopt;
   if (loop.isStructFor()) {
     FailureOr<FieldLayout> layout =
         getFieldLayout(lookupField(loop, loop.getFieldAttr()));

@@ -78,6 +78,71 @@ TaiStatus taiContextDestroyTree(TaiContext context, const char *name) {
   return context->status(context->session.destroyTree(toRef(name)));
 }
 
+/// The sparse level of that number, or null after an error.
+static runtime::SparseNode *findLevel(TaiContext context, const char *name,
+                                      int64_t level, TaiStatus &status) {
+  runtime::TreePtr tree = context->session.getRuntime().findTree(name);
+  bool known =
+      tree && level >= 0 && level < int64_t(tree->sparseNodes().size());
+  status = context->status(
+      known ? success()
+            : context->session.fail(FailureKind::Usage,
+                                    "there is no sparse level " + Twine(level) +
+                                        " in a tree '" + name + "'"));
+  return known ? tree->sparseNodes()[level].get() : nullptr;
+}
+
+TaiStatus taiContextGetSparseLevel(TaiContext context, const char *tree,
+                                   int64_t level, TaiSparseLevel *result) {
+  TaiStatus status;
+  if (const runtime::SparseNode *node = findLevel(context, tree, level, status))
+    *result = {node->numCells(), node->cellBytes(), node->numActive(),
+               node->listsMade(), node->listsReused()};
+  return status;
+}
+
+TaiStatus taiContextGetActiveCells(TaiContext context, const char *tree,
+                                   int64_t level, int64_t *cells,
+                                   int64_t count) {
+  TaiStatus status;
+  if (runtime::SparseNode *node = findLevel(context, tree, level, status)) {
+    runtime::ActiveListPtr list = node->list(context->session.getRuntime());
+    if (count != int64_t(list->cells.size()))
+      return context->status(context->session.fail(
+          FailureKind::Usage, "there are " + Twine(list->cells.size()) +
+                                  " active cells, but room for " +
+                                  Twine(count)));
+    llvm::copy(list->cells, cells);
+  }
+  return status;
+}
+
+TaiStatus taiContextSetActive(TaiContext context, const char *tree,
+                              int64_t level, int64_t cell, int active) {
+  TaiStatus status;
+  runtime::SparseNode *node = findLevel(context, tree, level, status);
+  if (!node)
+    return status;
+  if (cell < 0 || cell >= node->numCells())
+    return context->status(context->session.fail(
+        FailureKind::Usage, "there is no cell " + Twine(cell) + " in " +
+                                node->info().label + ", which has " +
+                                Twine(node->numCells())));
+  if (!active)
+    node->deactivate(cell);
+  else
+    node->activate(cell);
+  return status;
+}
+
+TaiStatus taiContextDeactivateAll(TaiContext context, const char *tree,
+                                  int64_t level) {
+  TaiStatus status;
+  if (runtime::SparseNode *node = findLevel(context, tree, level, status))
+    node->deactivateAll();
+  return status;
+}
+
 TaiStatus taiContextAddField(TaiContext context, const char *declaration,
                              TaiField *field) {
   FailureOr<runtime::FieldPtr> made =

@@ -45,9 +45,17 @@ private:
   LogicalResult lowerField(Operation *op);
   void lowerArray(Operation *op);
 
-  /// The address of the first component of the field, built once at the top of
-  /// the function.
+  LogicalResult lowerTopology(Operation *op);
+
+  /// The address of the first component of the field, and of its tree, built
+  /// once at the top of the function.
   Value getFieldBase(const FieldInfo &field);
+  Value getTreeBase(const FieldInfo &field);
+
+  /// Makes the cell of an element active, or only asks whether it is where the
+  /// kernel keeps activity as it is. Yields whether it is then.
+  Value emitActivation(OpBuilder &builder, Location loc, const FieldInfo &field,
+                       ValueRange zeroBased);
 
   /// Runs `access` if `inRange` holds (always, if null) and replaces the
   /// results of `op` by what it yields, or zero.
@@ -63,6 +71,7 @@ private:
   FieldTable &fields;
   bool boundsCheck;
   llvm::DenseMap<const FieldInfo *, Value> bases;
+  llvm::DenseMap<Operation *, Value> trees;
 };
 } // namespace
 
@@ -73,6 +82,35 @@ Value AccessLowering::getFieldBase(const FieldInfo &field) {
     base = emitFieldBase(builder, function.getLoc(), field);
   }
   return base;
+}
+
+Value AccessLowering::getTreeBase(const FieldInfo &field) {
+  Value &base = trees[field.layout.tree];
+  if (!base) {
+    auto builder = OpBuilder::atBlockBegin(&function.getFunctionBody().front());
+    base = emitTreeBase(builder, function.getLoc(), field);
+  }
+  return base;
+}
+
+Value AccessLowering::emitActivation(OpBuilder &builder, Location loc,
+                                     const FieldInfo &field,
+                                     ValueRange zeroBased) {
+  const SparseInfo &sparse = field.sparse.back();
+  Value tree = getTreeBase(field);
+  Value cell = emitCellNumber(builder, loc, field, sparse.level, zeroBased);
+  Value isActive = emitIsActive(builder, loc, sparse, tree, cell);
+  if (function->hasAttr(kKeepsActivityAttrName))
+    return isActive;
+  auto branch = scf::IfOp::create(builder, loc, builder.getI1Type(), isActive,
+                                  /*addThenBlock=*/true, /*addElseBlock=*/true);
+  OpBuilder inside = OpBuilder::atBlockBegin(branch.thenBlock());
+  scf::YieldOp::create(inside, loc, isActive);
+  OpBuilder outside = OpBuilder::atBlockBegin(branch.elseBlock());
+  Value done = ActivateCellOp::create(outside, loc, outside.getI1Type(), tree,
+                                      sparse.node, cell);
+  scf::YieldOp::create(outside, loc, done);
+  return branch.getResult(0);
 }
 
 Value AccessLowering::checkRange(OpBuilder &builder, Location loc,
@@ -219,7 +257,7 @@ LogicalResult AccessLowering::lowerField(Operation *op) {
   AliasScopes scopes = fields.getScopes(field);
   scopes.groups = getAccessGroup(op);
   Value base = getFieldBase(field);
-  guard(builder, op, inRange, [&](OpBuilder &b) -> Value {
+  auto access = [&](OpBuilder &b) -> Value {
     Value offset = emitElementOffset(b, loc, field, zeroBased, components);
     Value pointer = emitPointer(b, loc, getStorageType(type), base, offset);
     if (isa<LoadOp>(op))
@@ -232,6 +270,87 @@ LogicalResult AccessLowering::lowerField(Operation *op) {
     if (atomic.getExclusive())
       return emitPlainUpdate(b, loc, atomic.getKind(), stored, pointer, scopes);
     return emitAtomicUpdate(b, loc, atomic.getKind(), stored, pointer, scopes);
+  };
+  // Memory of inactive cells is zero, so that reads need not ask.
+  bool asks = !field.sparse.empty() && !isa<LoadOp>(op) &&
+              !op->hasAttr(kActiveAttrName);
+  if (asks) {
+    bool hasValue = op->getNumResults() && !op->getResult(0).use_empty();
+    auto activateAndAccess = [&](OpBuilder &b) -> Value {
+      Value isActive = emitActivation(b, loc, field, zeroBased);
+      if (!hasValue) {
+        auto branch = scf::IfOp::create(b, loc, isActive);
+        OpBuilder inside = branch.getThenBodyBuilder();
+        access(inside);
+        return {};
+      }
+      auto branch =
+          scf::IfOp::create(b, loc, op->getResultTypes(), isActive,
+                            /*addThenBlock=*/true, /*addElseBlock=*/true);
+      OpBuilder inside = OpBuilder::atBlockBegin(branch.thenBlock());
+      Value old = access(inside);
+      scf::YieldOp::create(inside, loc, old);
+      OpBuilder outside = OpBuilder::atBlockBegin(branch.elseBlock());
+      Value zero = arith::ConstantOp::create(
+          outside, loc, outside.getZeroAttr(op->getResult(0).getType()));
+      scf::YieldOp::create(outside, loc, zero);
+      return branch.getResult(0);
+    };
+    guard(builder, op, inRange, activateAndAccess);
+  } else {
+    guard(builder, op, inRange, access);
+  }
+  op->erase();
+  return success();
+}
+
+/// The sparse level of the path that a topology op means: that `up` levels up,
+/// 1 being the innermost, or the nearest above it. Null where all cells exist.
+static const SparseInfo *findSparse(const FieldInfo &field, int64_t up) {
+  int64_t level = int64_t(field.layout.path.levels.size()) - up;
+  for (const SparseInfo &sparse : llvm::reverse(field.sparse))
+    if (int64_t(sparse.level) <= level)
+      return &sparse;
+  return nullptr;
+}
+
+LogicalResult AccessLowering::lowerTopology(Operation *op) {
+  OpBuilder builder(op);
+  Location loc = op->getLoc();
+  auto name = op->getAttrOfType<FlatSymbolRefAttr>("field");
+  FailureOr<const FieldInfo *> found = fields.lookup(op, name);
+  if (failed(found))
+    return failure();
+  const FieldInfo &field = **found;
+  if (auto length = dyn_cast<LengthOp>(op)) {
+    Value list = emitListNumber(builder, loc, field, length.getIndices());
+    length.replaceAllUsesWith(emitLength(builder, loc, field.sparse.back(),
+                                         getTreeBase(field), list));
+    op->erase();
+    return success();
+  }
+  int64_t up = op->getAttrOfType<IntegerAttr>("level").getInt();
+  const SparseInfo *sparse = findSparse(field, up);
+  SmallVector<Value> zeroBased =
+      emitZeroBased(builder, loc, field, op->getOperands());
+  SmallVector<OpFoldResult> extents =
+      getAsIndexOpFoldResult(builder.getContext(), field.layout.shape);
+  Value inRange = checkRange(builder, loc, zeroBased, extents, describe(field),
+                             op->getOperands());
+  guard(builder, op, inRange, [&](OpBuilder &b) -> Value {
+    if (!sparse)
+      return isa<IsActiveOp>(op)
+                 ? arith::ConstantIntOp::create(b, loc, 1, 1).getResult()
+                 : Value();
+    Value tree = getTreeBase(field);
+    Value cell = emitCellNumber(b, loc, field, sparse->level, zeroBased);
+    if (isa<IsActiveOp>(op))
+      return emitIsActive(b, loc, *sparse, tree, cell);
+    if (isa<ActivateOp>(op))
+      ActivateCellOp::create(b, loc, b.getI1Type(), tree, sparse->node, cell);
+    else
+      DeactivateCellOp::create(b, loc, tree, sparse->node, cell);
+    return {};
   });
   op->erase();
   return success();
@@ -334,7 +453,7 @@ void AccessLowering::lowerArray(Operation *op) {
 LogicalResult AccessLowering::run() {
   if (failed(lowerLocalArrays(function)))
     return failure();
-  SmallVector<Operation *> accesses, arrays;
+  SmallVector<Operation *> accesses, arrays, topology;
   // All fields of the function are looked up first: an access names the scopes
   // of all the others.
   WalkResult result = function->walk([&](Operation *op) {
@@ -353,10 +472,11 @@ LogicalResult AccessLowering::run() {
         return WalkResult::interrupt();
       }
       arrays.push_back(op);
-    } else if (isa<ActivateOp, DeactivateOp, IsActiveOp, AppendOp, LengthOp>(
-                   op)) {
-      op->emitOpError("acts on the topology of a sparse level, which cannot "
-                      "be lowered yet");
+    } else if (isa<ActivateOp, DeactivateOp, IsActiveOp, LengthOp>(op)) {
+      topology.push_back(op);
+    } else if (isa<AppendOp>(op)) {
+      op->emitOpError("reaches layout lowering; expects a cell and a store, as "
+                      "tai-scalarize makes them");
       return WalkResult::interrupt();
     }
     return WalkResult::advance();
@@ -365,6 +485,9 @@ LogicalResult AccessLowering::run() {
     return failure();
   for (Operation *op : accesses)
     if (failed(lowerField(op)))
+      return failure();
+  for (Operation *op : topology)
+    if (failed(lowerTopology(op)))
       return failure();
   for (Operation *op : arrays)
     lowerArray(op);

@@ -10,8 +10,14 @@
 // innermost, so that consecutive iterations touch consecutive memory whatever
 // the layout.
 //
+// A sparse field is a box too: its first dimension runs over the list of the
+// active cells of the innermost sparse level, the others over the digits of the
+// dense levels below. The indices of the field follow from the number of the
+// cell and the digits.
+//
 //===----------------------------------------------------------------------===//
 
+#include "Common/Accumulate.h"
 #include "Common/FieldAddress.h"
 #include "Common/IndexMath.h"
 #include "tai/Conversion/Passes.h"
@@ -38,6 +44,135 @@ static SmallVector<unsigned> getMemoryOrder(const FieldInfo &field) {
   return order;
 }
 
+/// Moves the body of `loop` to `box`, which takes its place.
+static void moveBody(ParallelForOp loop, ParallelForOp box,
+                     ValueRange indices) {
+  Block *to = &box.getBody().front();
+  Block *from = &loop.getBody().front();
+  from->getTerminator()->erase();
+  to->getOperations().splice(to->getTerminator()->getIterator(),
+                             from->getOperations());
+  for (auto [argument, index] : llvm::zip_equal(from->getArguments(), indices))
+    argument.replaceAllUsesWith(index);
+  loop.erase();
+}
+
+static ParallelForOp createBox(OpBuilder &builder, ParallelForOp loop,
+                               ValueRange lower, ValueRange upper) {
+  auto box = ParallelForOp::create(builder, loop.getLoc(), lower, upper);
+  box->setDiscardableAttrs(loop->getDiscardableAttrDictionary());
+  box.setSerialize(loop.getSerialize());
+  box.setBlockDimAttr(loop.getBlockDimAttr());
+  return box;
+}
+
+/// Marks the writes that reach the cell of the iteration itself: it is active.
+static void markActive(ParallelForOp loop, const FieldInfo &field,
+                       FieldTable &fields) {
+  loop.walk([&](Operation *op) {
+    ValueRange indices;
+    if (auto store = dyn_cast<StoreOp>(op))
+      indices = store.getIndices();
+    else if (auto atomic = dyn_cast<AtomicOp>(op))
+      indices = atomic.getIndices();
+    else
+      return;
+    FailureOr<const FieldInfo *> other =
+        fields.lookup(op, op->getAttrOfType<FlatSymbolRefAttr>("field"));
+    if (failed(other) || (*other)->sparse.empty() ||
+        (*other)->layout.tree != field.layout.tree ||
+        (*other)->sparse.back().node != field.sparse.back().node ||
+        (*other)->layout.axisOfIndex != field.layout.axisOfIndex ||
+        (*other)->layout.offset != field.layout.offset ||
+        !llvm::equal(indices, loop.getInductionVars()))
+      return;
+    op->setAttr(kActiveAttrName, UnitAttr::get(op->getContext()));
+  });
+}
+
+/// The digits of a field whose level is in [first, last), as dimensions of a
+/// box.
+static SmallVector<const IndexDigit *>
+getDigits(const FieldInfo &field, unsigned first, unsigned last) {
+  SmallVector<const IndexDigit *> digits;
+  for (const IndexDigit &digit : field.storage.digits)
+    if (digit.level >= first && digit.level < last && digit.extent != 1)
+      digits.push_back(&digit);
+  return digits;
+}
+
+/// Replaces a loop over a sparse field, or over the cells of one of its levels,
+/// by the box form. `last` is the number of levels that are looped over.
+static void lowerByDigits(ParallelForOp loop, const FieldInfo &field,
+                          unsigned last) {
+  OpBuilder builder(loop);
+  Location loc = loop.getLoc();
+  IndexMath math(builder, loc);
+  SmallVector<Value> lower, upper;
+  const SparseInfo *sparse = nullptr;
+  for (const SparseInfo &candidate : field.sparse)
+    if (candidate.level < last)
+      sparse = &candidate;
+  unsigned first = 0;
+  ActiveCellsOp cells;
+  if (sparse) {
+    Value base = emitTreeBase(builder, loc, field);
+    cells = ActiveCellsOp::create(builder, loc, base, sparse->node);
+    lower.push_back(math.constant(0));
+    upper.push_back(cells.getCount());
+    first = sparse->level + 1;
+  }
+  SmallVector<const IndexDigit *> inner = getDigits(field, first, last);
+  for (const IndexDigit *digit : inner) {
+    lower.push_back(math.constant(0));
+    upper.push_back(math.constant(digit->extent));
+  }
+  if (lower.empty()) {
+    lower.push_back(math.constant(0));
+    upper.push_back(math.constant(1));
+  }
+  ParallelForOp box = createBox(builder, loop, lower, upper);
+
+  builder.setInsertionPointToStart(&box.getBody().front());
+  SmallVector<Value> indices;
+  for (int64_t start : field.layout.offset)
+    indices.push_back(math.constant(start));
+  auto add = [&](const IndexDigit &digit, Value value) {
+    Value &index = indices[digit.dimension];
+    index = math.add(math.mul(value, digit.divisor), index);
+  };
+  ArrayRef<BlockArgument> ivs = box.getInductionVars();
+  if (sparse) {
+    box->setAttr(kOuterDimsAttrName, builder.getI64IntegerAttr(1));
+    Type i64 = builder.getI64Type();
+    Value pointer = LLVM::GEPOp::create(
+        builder, loc, cells.getCells().getType(), i64, cells.getCells(),
+        ArrayRef<LLVM::GEPArg>{math.toI64(ivs.front())},
+        LLVM::GEPNoWrapFlags::inbounds | LLVM::GEPNoWrapFlags::nuw);
+    ivs = ivs.drop_front();
+    // Nothing writes to the list while the kernel runs.
+    Value rest = math.toIndex(LLVM::LoadOp::create(
+        builder, loc, i64, pointer, /*alignment=*/8, /*isVolatile=*/false,
+        /*isNonTemporal=*/false, /*isInvariant=*/true));
+    for (unsigned level = first; level-- > 0;) {
+      int64_t count = field.layout.path.levels[level].type.getNumCells();
+      Value cell = level == 0 ? rest : math.rem(rest, count);
+      if (level != 0)
+        rest = math.div(rest, count);
+      for (const IndexDigit *digit : getDigits(field, level, level + 1)) {
+        Value value = math.div(cell, digit->weight);
+        // The outermost digit of a level needs no remainder.
+        add(*digit, digit->weight * digit->extent == count
+                        ? value
+                        : math.rem(value, digit->extent));
+      }
+    }
+  }
+  for (auto [digit, iv] : llvm::zip(inner, ivs))
+    add(*digit, iv);
+  moveBody(loop, box, indices);
+}
+
 /// Replaces the field form of `loop` by the box form.
 static void lower(ParallelForOp loop, const FieldInfo &field) {
   OpBuilder builder(loop);
@@ -54,18 +189,11 @@ static void lower(ParallelForOp loop, const FieldInfo &field) {
     lower.push_back(math.constant(first));
     upper.push_back(math.constant(first + field.layout.shape[dimension]));
   }
-  auto box = ParallelForOp::create(builder, loop.getLoc(), lower, upper);
-  box->setDiscardableAttrs(loop->getDiscardableAttrDictionary());
-  box.setSerialize(loop.getSerialize());
-  box.setBlockDimAttr(loop.getBlockDimAttr());
-
-  Block *to = &box.getBody().front();
-  Block *from = &loop.getBody().front();
-  to->getTerminator()->erase();
-  to->getOperations().splice(to->end(), from->getOperations());
+  ParallelForOp box = createBox(builder, loop, lower, upper);
+  SmallVector<Value> indices(order.size());
   for (auto [position, dimension] : llvm::enumerate(order))
-    from->getArgument(dimension).replaceAllUsesWith(to->getArgument(position));
-  loop.erase();
+    indices[dimension] = box.getInductionVars()[position];
+  moveBody(loop, box, indices);
 }
 
 namespace {
@@ -92,8 +220,19 @@ struct LowerStructFor : tai::impl::LowerStructForBase<LowerStructFor> {
     });
     if (result.wasInterrupted())
       return signalPassFailure();
-    for (auto [loop, field] : loops)
-      lower(loop, *field);
+    for (auto [loop, field] : loops) {
+      unsigned levels = field->layout.path.levels.size();
+      // A body that deactivates may do so to the cell of the iteration.
+      WalkResult deactivates =
+          loop.walk([](DeactivateOp) { return WalkResult::interrupt(); });
+      if (!field->sparse.empty() && !loop.getLevel() &&
+          !deactivates.wasInterrupted())
+        markActive(loop, *field, *fields);
+      if (field->sparse.empty() && !loop.getLevel())
+        lower(loop, *field);
+      else
+        lowerByDigits(loop, *field, levels + 1 - loop.getLevel().value_or(1));
+    }
   }
 };
 } // namespace

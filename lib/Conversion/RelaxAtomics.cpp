@@ -205,6 +205,11 @@ void LoopRelaxation::relaxField(FieldAccesses &accesses) {
       groupAccumulations(loop, atomics, fields);
   if (failed(groups))
     return;
+  // An update may have to make its cell active first.
+  if (llvm::any_of(*groups, [](const AccumulationGroup &group) {
+        return !group.field->sparse.empty();
+      }))
+    return;
   // Groups of one field may overlap: all must leave the field alone until the
   // end, or none.
   SmallVector<AccumulationGroup> sums, buffers;

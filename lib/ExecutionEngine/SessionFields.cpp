@@ -51,6 +51,46 @@ LogicalResult Session::addTree(StringRef name, StringRef layout) {
   return addTree(*tree);
 }
 
+/// "the 'pointer' level above @x, @v", for messages.
+static std::string describeNode(RootType root, const SparseNode &node) {
+  std::string label;
+  llvm::raw_string_ostream os(label);
+  os << "the '" << node.type.getKind() << "' level above ";
+  unsigned count = 0;
+  walkPlaces(root, [&](const PlacePath &path) {
+    ArrayRef<unsigned> position = node.position;
+    if (path.levels.size() < position.size() ||
+        !llvm::all_of(llvm::zip(position, path.levels), [](auto pair) {
+          return std::get<0>(pair) == std::get<1>(pair).child;
+        }))
+      return;
+    if (++count <= 3)
+      os << (count > 1 ? ", " : "") << '@'
+         << path.places.getNames()[path.place].getValue();
+  });
+  if (count > 3)
+    os << " and " << count - 3 << " more";
+  return label;
+}
+
+/// What the runtime must know of the sparse levels of a tree.
+static std::vector<runtime::SparseInfo>
+describeSparse(RootType root, const DataLayout &dataLayout) {
+  std::vector<runtime::SparseInfo> infos;
+  for (const SparseNode &node : getSparseNodes(root, dataLayout)) {
+    runtime::SparseInfo info;
+    info.label = describeNode(root, node);
+    info.isList = node.isList();
+    info.parent = node.parent ? int(*node.parent) : -1;
+    for (const SparseNode::Step &step : node.steps)
+      info.steps.push_back({step.cells, static_cast<int64_t>(step.stride)});
+    info.offset = node.offset;
+    info.activityOffset = node.activityOffset;
+    infos.push_back(std::move(info));
+  }
+  return infos;
+}
+
 LogicalResult Session::addTree(TreeOp tree) {
   StringRef name = tree.getSymName();
   DiagnosticCollector collector(context.get());
@@ -59,20 +99,10 @@ LogicalResult Session::addTree(TreeOp tree) {
   if (failed(verify(tree)))
     return fail(collector.take(FailureKind::Type, "'" + name + "' is invalid"));
   RootType root = tree.getLayout();
-  SNodeTypeInterface sparse;
-  walkPlaces(root, [&](const PlacePath &path) {
-    if (!sparse)
-      sparse = path.getFirstSparse();
-  });
-  if (sparse) {
-    tree.emitError() << "the tree '" << name << "' has a '" << sparse.getKind()
-                     << "' level, and only 'dense' levels can be run";
-    return fail(collector.take(FailureKind::Type));
-  }
   DataLayout dataLayout(*declarations);
-  uint64_t bytes = getTreeSize(root, dataLayout);
   runtime::TreePtr made;
-  if (failed(check(rt->addTree(name.str(), bytes, made))))
+  if (failed(check(rt->addTree(name.str(), getTreeSize(root, dataLayout).total,
+                               made, describeSparse(root, dataLayout)))))
     return failure();
   symbols->insert(tree.clone());
   return success();
@@ -170,11 +200,7 @@ FailureOr<runtime::FieldPtr> Session::addField(FieldOp field) {
   if (failed(layout))
     return undo(fail(collector.take(FailureKind::Type,
                                     "field '" + name + "' has no layout")));
-  FailureOr<DenseStorage> storage =
-      getDenseStorage(*layout, DataLayout(*declarations));
-  if (failed(storage))
-    return undo(fail(collector.take(
-        FailureKind::Type, "field '" + name + "' is not stored densely")));
+  FieldStorage storage = getFieldStorage(*layout, DataLayout(*declarations));
   runtime::FieldInfo info;
   info.name = name.str();
   info.tree = rt->findTree(field.getTree().str());
@@ -190,11 +216,23 @@ FailureOr<runtime::FieldPtr> Session::addField(FieldOp field) {
     return undo(fail(collector.take(FailureKind::Type)));
   }
   info.layout.scalar = *kind;
-  info.layout.placeOffset = storage->offset;
+  info.layout.placeOffset = storage.offset;
   info.layout.indices.resize(layout->shape.size());
-  for (const IndexDigit &digit : storage->digits)
+  unsigned innermost = 0;
+  if (!storage.sparse.empty()) {
+    innermost = storage.sparse.back().level + 1;
+    info.layout.sparseNode = storage.sparse.back().node;
+  }
+  for (const IndexDigit &digit : storage.digits) {
+    // What one step of the digit is worth in cells of the innermost sparse
+    // level: nothing for the digits below it.
+    int64_t cells = digit.level < innermost ? digit.weight : 0;
+    for (unsigned level = digit.level + 1; level < innermost; ++level)
+      cells *= layout->path.levels[level].type.getNumCells();
     info.layout.indices[digit.dimension].push_back(
-        {digit.divisor, digit.extent, static_cast<int64_t>(digit.stride)});
+        {digit.divisor, digit.extent, static_cast<int64_t>(digit.stride),
+         cells});
+  }
   info.layout.offset.assign(layout->offset.begin(), layout->offset.end());
   if (field.getAdjoint())
     info.adjoint = field.getAdjoint()->str();

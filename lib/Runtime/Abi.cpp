@@ -390,6 +390,8 @@ std::vector<RuntimeSymbol> mlir::tai::runtime::runtimeSymbols() {
       TAI_SYMBOL(tai_rt_parts),         TAI_SYMBOL(tai_rt_parallel_for),
       TAI_SYMBOL(tai_rt_scratch),       TAI_SYMBOL(tai_rt_private),
       TAI_SYMBOL(tai_rt_combine),       TAI_SYMBOL(tai_rt_combine_strided),
+      TAI_SYMBOL(tai_rt_activate),      TAI_SYMBOL(tai_rt_deactivate),
+      TAI_SYMBOL(tai_rt_append),        TAI_SYMBOL(tai_rt_active_cells),
       TAI_SYMBOL(tai_rt_random_u32),    TAI_SYMBOL(tai_rt_print),
       TAI_SYMBOL(tai_rt_fail),          TAI_SYMBOL(tai_rt_failed),
       TAI_SYMBOL(tai_rt_stack_grow),    TAI_SYMBOL(tai_rt_stack_free),

@@ -28,6 +28,18 @@ char *Field::elementAddress(const int64_t *index) const {
   return address;
 }
 
+int64_t Field::cellNumber(const int64_t *index) const {
+  int64_t cell = 0;
+  for (size_t d = 0; d < shapeOf.size(); ++d) {
+    int64_t at = index[d] - firstIndex(static_cast<int64_t>(d));
+    if (at < 0 || at >= shapeOf[d])
+      return -1;
+    for (const LayoutLevel &level : fieldLayout.indices[d])
+      cell += at / level.divisor % level.extent * level.cells;
+  }
+  return cell;
+}
+
 Status Field::access(const int64_t *index, int64_t component,
                      char *&address) const {
   if (!valid())
@@ -69,6 +81,8 @@ Status Field::writeF64(const int64_t *index, int64_t component, double value) {
   char *address = nullptr;
   Status status = access(index, component, address);
   if (status) {
+    if (SparseNode *node = sparseNode())
+      node->activate(cellNumber(index));
     storeF64(scalar(), address, value);
     markDirty();
   }
@@ -88,6 +102,8 @@ Status Field::writeI64(const int64_t *index, int64_t component, int64_t value) {
   char *address = nullptr;
   Status status = access(index, component, address);
   if (status) {
+    if (SparseNode *node = sparseNode())
+      node->activate(cellNumber(index));
     storeI64(scalar(), address, value);
     markDirty();
   }

@@ -45,6 +45,27 @@ static bool isVain(const HostWrite &write) {
                      static_cast<size_t>(byteSize(field.scalar()))) == 0;
 }
 
+/// What the host writes to becomes active. A fill is for what is active.
+Status Runtime::activateFor(const HostWrite &write) {
+  SparseNode *node = write.field->sparseNode();
+  if (!node || write.what == HostWrite::What::Fill)
+    return Status::success();
+  if (write.what == HostWrite::What::Element) {
+    int64_t cell = write.field->cellNumber(write.index);
+    Status status = checkActiveBytes(*node, node->isActive(cell) ? 0 : 1);
+    if (status)
+      node->activate(cell);
+    return status;
+  }
+  // An array has a value for every element.
+  Status status = checkActiveBytes(*node, node->numCells() - node->numActive());
+  if (!status)
+    return status;
+  for (int64_t cell = 0, end = node->numCells(); cell < end; ++cell)
+    node->activate(cell);
+  return status;
+}
+
 Status Runtime::change(const HostWrite &write) {
   Field &field = *write.field;
   if (!field.valid())
@@ -57,6 +78,9 @@ Status Runtime::change(const HostWrite &write) {
     if (!status)
       return status;
   }
+  Status active = activateFor(write);
+  if (!active)
+    return active;
   // Gradients are no values that a program computes from.
   if (field.isAdjoint()) {
     perform(write);

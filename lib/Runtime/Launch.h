@@ -77,7 +77,14 @@ struct Launch : TaiFrame {
   /// Scratch memory that a launch which has failed may write to.
   void *sink(int64_t bytes);
 
+  /// Keeps what compiled code iterates over until the kernel returns.
+  void keep(ActiveListPtr list) {
+    std::lock_guard<std::mutex> lock(failureMutex);
+    lists.push_back(std::move(list));
+  }
+
   Arena arena;
+  std::vector<ActiveListPtr> lists;
   std::atomic<bool> failed{false};
   std::mutex failureMutex;
   Status failure;

@@ -56,14 +56,27 @@ Runtime::~Runtime() {
 // Trees
 //===----------------------------------------------------------------------===//
 
-Status Runtime::addTree(std::string name, int64_t bytes, TreePtr &tree) {
+/// Trees of sparse levels may reserve this much; the system gives out less
+/// than 47 bits of addresses.
+static constexpr int64_t largestReservation = int64_t(1) << 45;
+
+Status Runtime::addTree(std::string name, int64_t bytes, TreePtr &tree,
+                        std::vector<SparseInfo> sparse) {
   if (trees.count(name))
     return Status::failure(StatusCode::Usage,
                            "a tree '" + name + "' exists already");
   if (bytes < 0)
     return Status::failure(StatusCode::Usage,
                            "tree '" + name + "' has a negative size");
-  if (bytes > limit - reserved)
+  if (!sparse.empty() && bytes > largestReservation)
+    return Status::failure(StatusCode::Memory,
+                           "tree '" + name + "' spans " + formatBytes(bytes) +
+                               " with all cells active, and " +
+                               formatBytes(largestReservation) +
+                               " is the most that can be addressed");
+  // What a sparse tree needs is known when cells become active.
+  int64_t needed = sparse.empty() ? bytes : 0;
+  if (needed > limit - reserved)
     return Status::failure(
         StatusCode::Memory,
         "out of memory: tree '" + name + "' needs " + formatBytes(bytes) +
@@ -72,7 +85,8 @@ Status Runtime::addTree(std::string name, int64_t bytes, TreePtr &tree) {
   size_t page = static_cast<size_t>(sysconf(_SC_PAGESIZE));
   // Trees start at different offsets in their pages: loops over several arrays
   // that share the low bits of their addresses stall on false dependences.
-  size_t stagger = (treesMade % 8) * 320;
+  // The address of the tree stands in front of its base.
+  size_t stagger = 64 + (treesMade % 8) * 320;
   size_t mapped = (static_cast<size_t>(bytes) + stagger + page) / page * page;
   void *memory = mmap(nullptr, mapped, PROT_READ | PROT_WRITE,
                       MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
@@ -82,7 +96,7 @@ Status Runtime::addTree(std::string name, int64_t bytes, TreePtr &tree) {
                                formatBytes(bytes) + " for tree '" + name +
                                "' (" + formatBytes(reserved) +
                                " are taken by other trees)");
-  if (bytes >= (int64_t(8) << 20))
+  if (sparse.empty() && bytes >= (int64_t(8) << 20))
     (void)madvise(memory, mapped, MADV_HUGEPAGE);
   ++treesMade;
   tree = std::make_shared<Tree>();
@@ -91,14 +105,24 @@ Status Runtime::addTree(std::string name, int64_t bytes, TreePtr &tree) {
   tree->size = bytes;
   tree->mapping = memory;
   tree->mapped = mapped;
-  reserved += bytes;
+  tree->charged = needed;
+  tree->allActiveBytes = &sparseBytes;
+  reinterpret_cast<Tree **>(tree->address)[-1] = tree.get();
+  for (SparseInfo &info : sparse) {
+    SparseNode *parent =
+        info.parent < 0 ? nullptr : tree->nodes[info.parent].get();
+    tree->nodes.push_back(
+        std::make_unique<SparseNode>(*tree, std::move(info), parent));
+  }
+  reserved += needed;
   trees.emplace(std::move(name), tree);
   return Status::success();
 }
 
 void Runtime::freeTree(Tree &tree) {
   munmap(tree.mapping, tree.mapped);
-  reserved -= tree.size;
+  reserved -= tree.charged;
+  sparseBytes -= tree.activeCellBytes();
   tree.address = nullptr;
   tree.mapping = nullptr;
 }
@@ -376,6 +400,8 @@ Status Runtime::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
     field->markDirty();
   if (launch.arena.used())
     launch.arena.reset();
+  if (!launch.lists.empty())
+    launch.lists.clear();
   if (__builtin_expect(code != 0 || launch.hasFailed(), false)) {
     launch.freeSinks();
     return failureOf(launch, kernel);

@@ -429,6 +429,36 @@ void taipy::bindRuntime(py::module_ &module) {
            [](Context &c, const std::string &name) {
              c.check(taiContextDestroyTree(c.handle, name.c_str()));
            })
+      .def("sparse_level",
+           [](Context &c, const std::string &tree, int64_t level) {
+             TaiSparseLevel info = {};
+             c.check(taiContextGetSparseLevel(c.handle, tree.c_str(), level,
+                                              &info));
+             return py::make_tuple(info.numCells, info.cellBytes,
+                                   info.numActive, info.listsMade,
+                                   info.listsReused);
+           })
+      .def("active_cells",
+           [](Context &c, const std::string &tree, int64_t level) {
+             TaiSparseLevel info = {};
+             c.check(taiContextGetSparseLevel(c.handle, tree.c_str(), level,
+                                              &info));
+             std::vector<int64_t> cells(info.numActive);
+             c.check(taiContextGetActiveCells(c.handle, tree.c_str(), level,
+                                              cells.data(), cells.size()));
+             return py::bytes(reinterpret_cast<const char *>(cells.data()),
+                              cells.size() * sizeof(int64_t));
+           })
+      .def("set_active",
+           [](Context &c, const std::string &tree, int64_t level, int64_t cell,
+              bool active) {
+             c.check(taiContextSetActive(c.handle, tree.c_str(), level, cell,
+                                         active));
+           })
+      .def("deactivate_all",
+           [](Context &c, const std::string &tree, int64_t level) {
+             c.check(taiContextDeactivateAll(c.handle, tree.c_str(), level));
+           })
       .def("add_field",
            [](ContextRef c, const std::string &declaration) {
              auto field = std::make_unique<Field>();

@@ -188,9 +188,79 @@ class SNode:
     def num_dims(self) -> int:
         return len(self.shape)
 
+    # Activity
+
     def deactivate_all(self) -> None:
-        """Deactivates the cells of this level: sparse layouts, not built in yet."""
-        raise TaiRuntimeError("deactivate_all needs sparse levels, which are not built in yet")
+        """Makes all cells of this level inactive, and of those below; what they held is zero.
+
+        Of a dense level: of the sparse levels below it.
+        """
+        if self.kind not in ("root", "dense"):
+            context, tree, number = self._sparse()
+            context.deactivate_all(tree, number)
+            return
+        for child in self.children:
+            if isinstance(child, SNode):
+                child.deactivate_all()
+
+    @property
+    def num_active(self) -> int:
+        """The number of active cells of a sparse level."""
+        context, tree, number = self._sparse()
+        return context.sparse_level(tree, number)[2]
+
+    def active_cells(self) -> Any:
+        """The indices of the active cells of a sparse level.
+
+        Returns:
+            A NumPy array of shape (number of active cells, dimensions), in the order of memory.
+        """
+        import numpy as np
+
+        context, tree, number = self._sparse()
+        cells = np.frombuffer(context.active_cells(tree, number), dtype=np.int64)
+        extents = self.axis_extents()
+        result = np.zeros((len(cells), len(extents)), dtype=np.int64)
+        column = {axis: position for position, axis in enumerate(extents)}
+        span = dict.fromkeys(extents, 1)
+        for level in reversed(self.path()):
+            for axis, extent in zip(level.axes[::-1], level.extents[::-1], strict=True):
+                result[:, column[axis]] += cells % extent * span[axis]
+                cells = cells // extent
+                span[axis] *= extent
+        return result
+
+    @property
+    def _num_dynamically_allocated(self) -> int:
+        return self.num_active
+
+    def _sparse(self) -> tuple[Any, str, int]:
+        """The context, the tree, and the number of this sparse level in it."""
+        if self.kind in ("root", "dense"):
+            raise TaiRuntimeError(
+                f"all cells of a {self.kind} level are active",
+                "ask a pointer, bitmasked, hash or dynamic level",
+            )
+        root = self.root_node
+        if root.tree is None:
+            field = next(self.places(), None)
+            if field is None:
+                raise TaiRuntimeError("this level holds no field", "place one below it")
+            field.materialize()
+        if root.tree is None or _state.program is None:
+            raise TaiRuntimeError("the tree of this level has been destroyed")
+        for number, level in enumerate(root.sparse_levels()):
+            if level is self:
+                return _state.program.context, root.tree, number
+        raise TaiRuntimeError("this level holds no field", "place one below it")
+
+    def sparse_levels(self) -> Iterator[SNode]:
+        """The sparse levels below that hold fields, each before those below it."""
+        for child in self.children:
+            if isinstance(child, SNode) and next(child.places(), None) is not None:
+                if child.kind != "dense":
+                    yield child
+                yield from child.sparse_levels()
 
     def places(self) -> Iterator[ScalarField]:
         """The fields below, in storage order."""
@@ -267,24 +337,12 @@ class Root(SNode):
         self.allocated = True
         for field in fields:
             field.choose_symbol(program)
-        _refuse_sparse(self)
         self.tree = program.unique_symbol(f"tree{program.num_trees}")
         program.num_trees += 1
         program.context.add_tree(self.tree, self.layout())
         # Adjoints first, so that they exist when a primal names them.
         for field in sorted(fields, key=lambda f: f.role == "primal"):
             field.declare(program, self.tree)
-
-
-def _refuse_sparse(node: SNode) -> None:
-    """Sparse levels are part of the layout language; their storage is not built in yet."""
-    if node.kind not in ("root", "dense"):
-        raise TaiRuntimeError(
-            f"'{node.kind}' levels are not built in yet", "use ti.root.dense(…) for now"
-        )
-    for child in node.children:
-        if isinstance(child, SNode):
-            _refuse_sparse(child)
 
 
 def _flatten(items: Any) -> Iterator[Field]:

@@ -76,15 +76,14 @@ def call_of_a_number():
     kernel(1.0)
 
 
-@bad(ti.TaiSyntaxError, "ti.is_active needs sparse layouts, not built in yet")
-def sparse_operation():
+@bad(ti.TaiTypeError, "ti.length takes a dynamic level, but this is the 'dense' level over i")
+def length_of_a_dense_level():
     x, _, _, _ = fields()
 
     @ti.kernel
     def kernel():
         for i in x:
-            if ti.is_active(x.parent(), i):  # BAD
-                x[i] = 1.0
+            x[i] = ti.length(x.parent(), [])  # BAD
 
     kernel()
 

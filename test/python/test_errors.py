@@ -227,14 +227,6 @@ def test_layouts():
         ti.field(ti.i32, shape=3, needs_grad=True)
 
 
-@pytest.mark.parametrize("kind", ["pointer", "bitmasked", "hash", "dynamic"])
-def test_sparse_levels_are_refused_by_name(kind):
-    x = ti.field(ti.f32)
-    getattr(ti.root, kind)(ti.i, 16).place(x)
-    with pytest.raises(ti.TaiRuntimeError, match=f"'{kind}' levels are not built in yet"):
-        x[0] = 1
-
-
 # Options and tapes
 
 

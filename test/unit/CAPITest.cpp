@@ -243,14 +243,42 @@ TEST(CAPIErrors, Layouts) {
   EXPECT_EQ(taiContextAddTree(context, "t", "!tai.root<{x: f64}> and more"),
             TAI_ERROR_SYNTAX);
   EXPECT_TRUE(contains(context.message(), "and more"));
-  EXPECT_EQ(taiContextAddTree(context, "t",
-                              "!tai.root<pointer<[i: 4], dense<[i: 4], "
-                              "{x: f64}>>>"),
-            TAI_ERROR_TYPE);
-  EXPECT_TRUE(contains(context.message(), "'pointer'")) << context.message();
   // None of them left a tree behind.
   context.ok(taiContextAddTree(context, "t", "!tai.root<{x: f64}>"));
   EXPECT_EQ(taiContextAddTree(context, "t", "!tai.root<{x: f64}>"),
+            TAI_ERROR_USAGE);
+}
+
+TEST(CAPISparse, ActivityOfCells) {
+  Context context;
+  context.ok(taiContextAddTree(
+      context, "t", "!tai.root<pointer<[i: 4], bitmasked<[i: 4], {x: f64}>>>"));
+  TaiSparseLevel level = {};
+  context.ok(taiContextGetSparseLevel(context, "t", 1, &level));
+  EXPECT_EQ(level.numCells, 16);
+  EXPECT_EQ(level.cellBytes, 8);
+  EXPECT_EQ(level.numActive, 0);
+  // A cell brings those above it along.
+  context.ok(taiContextSetActive(context, "t", 1, 6, 1));
+  context.ok(taiContextSetActive(context, "t", 1, 5, 1));
+  int64_t cells[2] = {-1, -1};
+  context.ok(taiContextGetActiveCells(context, "t", 1, cells, 2));
+  EXPECT_EQ(cells[0], 5);
+  EXPECT_EQ(cells[1], 6);
+  context.ok(taiContextGetActiveCells(context, "t", 0, cells, 1));
+  EXPECT_EQ(cells[0], 1);
+  // And takes those below it away.
+  context.ok(taiContextSetActive(context, "t", 0, 1, 0));
+  context.ok(taiContextGetSparseLevel(context, "t", 1, &level));
+  EXPECT_EQ(level.numActive, 0);
+  context.ok(taiContextDeactivateAll(context, "t", 0));
+
+  EXPECT_EQ(taiContextSetActive(context, "t", 1, 16, 1), TAI_ERROR_USAGE);
+  EXPECT_TRUE(contains(context.message(), "'bitmasked' level above @x"))
+      << context.message();
+  EXPECT_EQ(taiContextGetSparseLevel(context, "t", 2, &level), TAI_ERROR_USAGE);
+  EXPECT_EQ(taiContextGetSparseLevel(context, "u", 0, &level), TAI_ERROR_USAGE);
+  EXPECT_EQ(taiContextGetActiveCells(context, "t", 0, cells, 1),
             TAI_ERROR_USAGE);
 }
 

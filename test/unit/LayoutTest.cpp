@@ -33,15 +33,14 @@ protected:
   void claim(FieldOp field, std::set<uint64_t> &bytes) {
     FailureOr<FieldLayout> layout = getFieldLayout(field);
     ASSERT_TRUE(succeeded(layout));
-    FailureOr<DenseStorage> storage = getDenseStorage(*layout, dataLayout);
-    ASSERT_TRUE(succeeded(storage));
+    FieldStorage storage = getFieldStorage(*layout, dataLayout);
     uint64_t size = getValueSize(field.getType(), dataLayout);
     uint64_t total =
-        getTreeSize(cast<RootType>(layout->tree.getLayout()), dataLayout);
+        getTreeSize(cast<RootType>(layout->tree.getLayout()), dataLayout).cells;
     SmallVector<int64_t> index(layout->shape.size(), 0);
     for (bool more = true; more;) {
-      uint64_t address = storage->offset;
-      for (const IndexDigit &digit : storage->digits)
+      uint64_t address = storage.offset;
+      for (const IndexDigit &digit : storage.digits)
         address += index[digit.dimension] / digit.divisor % digit.extent *
                    digit.stride;
       EXPECT_EQ(address % getValueAlignment(field.getType(), dataLayout), 0u);
@@ -100,26 +99,49 @@ TEST_F(LayoutTest, ShapeFollowsAxesAndOrder) {
   ASSERT_TRUE(succeeded(layout));
   EXPECT_EQ(layout->shape, (SmallVector<int64_t>{9, 8}));
   EXPECT_EQ(layout->offset, (SmallVector<int64_t>{-1, 5}));
-  FailureOr<DenseStorage> storage = getDenseStorage(*layout, dataLayout);
-  ASSERT_TRUE(succeeded(storage));
-  ASSERT_EQ(storage->digits.size(), 3u);
-  EXPECT_TRUE(storage->digits[0].isWhole);
-  EXPECT_EQ(storage->digits[0].stride, 32u);
-  EXPECT_FALSE(storage->digits[1].isWhole);
-  EXPECT_EQ(storage->digits[1].divisor, 2);
-  EXPECT_EQ(storage->digits[1].stride, 8u);
-  EXPECT_EQ(storage->digits[2].divisor, 1);
-  EXPECT_EQ(storage->digits[2].stride, 4u);
+  FieldStorage storage = getFieldStorage(*layout, dataLayout);
+  ASSERT_EQ(storage.digits.size(), 3u);
+  EXPECT_TRUE(storage.digits[0].isWhole);
+  EXPECT_EQ(storage.digits[0].stride, 32u);
+  EXPECT_FALSE(storage.digits[1].isWhole);
+  EXPECT_EQ(storage.digits[1].divisor, 2);
+  EXPECT_EQ(storage.digits[1].stride, 8u);
+  EXPECT_EQ(storage.digits[2].divisor, 1);
+  EXPECT_EQ(storage.digits[2].stride, 4u);
 }
 
-TEST_F(LayoutTest, SparsePathsHaveNoFixedStorage) {
+TEST_F(LayoutTest, SparseCellsAreWhereDenseOnesWouldBe) {
   OwningOpRef<ModuleOp> module = parse(R"(
-    tai.tree @t : !tai.root<pointer<[i: 4], dense<[i: 2], {x: f32}>>>
-    tai.field @x = @t["x"] : f32, rank 1)");
+    tai.tree @t : !tai.root<dense<[i: 3], {s: f32}>,
+        pointer<[i: 4], bitmasked<[i: 2], dense<[i: 5], {x: f32}>>,
+                        dynamic<[j: 7], chunk 1, {y: f64}>>>
+    tai.field @x = @t["x"] : f32, rank 1
+    tai.field @y = @t["y"] : f64, rank 2)");
   ASSERT_TRUE(module);
-  FailureOr<FieldLayout> layout =
-      getFieldLayout(*module->getOps<FieldOp>().begin());
+  auto tree = *module->getOps<TreeOp>().begin();
+  auto fields = llvm::to_vector(module->getOps<FieldOp>());
+  SmallVector<SparseNode> nodes = getSparseNodes(tree.getLayout(), dataLayout);
+  ASSERT_EQ(nodes.size(), 3u);
+  EXPECT_EQ(nodes[0].getNumCells(), 4);
+  EXPECT_EQ(nodes[1].getNumCells(), 8);
+  EXPECT_EQ(nodes[1].parent, 0u);
+  EXPECT_TRUE(nodes[2].isList());
+  EXPECT_EQ(nodes[2].getNumCells(), 28);
+  EXPECT_EQ(nodes[2].parent, 0u);
+  TreeSize size = getTreeSize(tree.getLayout(), dataLayout);
+  EXPECT_EQ(size.cells, 64u + 4 * (2 * 5 * 4 + 7 * 8));
+  EXPECT_EQ(nodes[0].activityOffset % 4096, 0u);
+  EXPECT_GE(nodes[0].activityOffset, size.cells);
+  EXPECT_EQ(nodes[2].activityOffset, nodes[1].activityOffset + 64);
+
+  std::set<uint64_t> bytes;
+  for (FieldOp field : fields)
+    claim(field, bytes);
+  FailureOr<FieldLayout> layout = getFieldLayout(fields[0]);
   ASSERT_TRUE(succeeded(layout));
   EXPECT_EQ(layout->path.getFirstSparse().getKind(), "pointer");
-  EXPECT_TRUE(failed(getDenseStorage(*layout, dataLayout)));
+  FieldStorage storage = getFieldStorage(*layout, dataLayout);
+  ASSERT_EQ(storage.sparse.size(), 2u);
+  EXPECT_EQ(storage.sparse[1].level, 1u);
+  EXPECT_EQ(storage.sparse[1].node, 1u);
 }

@@ -18,7 +18,7 @@
 
 #include <stdint.h>
 
-#define TAI_ABI_VERSION 1
+#define TAI_ABI_VERSION 2
 
 #ifdef __cplusplus
 extern "C" {
@@ -104,6 +104,29 @@ void tai_rt_combine(TaiFrame *frame, void *target, const void *buffers,
 void tai_rt_combine_strided(TaiFrame *frame, void *target, const void *buffers,
                             int64_t cells, int64_t components, int64_t stride,
                             int64_t parts, int32_t kind);
+
+//===----------------------------------------------------------------------===//
+// Sparse levels
+//===----------------------------------------------------------------------===//
+//
+// `tree` is a base address from the frame, `node` the number of a sparse level
+// in the tree, those above before those below. Cells are numbered row-major,
+// level below level. Whether a cell is active is read from the tree.
+
+/// Makes a cell and those above it active. Returns 0, and fails the launch, if
+/// there is no memory for it: the caller then must not write to it.
+int32_t tai_rt_activate(TaiFrame *frame, void *tree, int32_t node,
+                        int64_t cell);
+/// Makes a cell (the whole list, for a `dynamic` level) inactive and zeroes it,
+/// with all that lies below.
+void tai_rt_deactivate(TaiFrame *frame, void *tree, int32_t node, int64_t cell);
+/// Appends a cell to list number `list` of a `dynamic` level. Returns its
+/// number in the list, or -1 and fails the launch if the list is full.
+int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node, int64_t list);
+/// The active cells of a level, ascending, as they are now. The array stays as
+/// it is until the kernel returns. Returns their number.
+int64_t tai_rt_active_cells(TaiFrame *frame, void *tree, int32_t node,
+                            const int64_t **cells);
 
 /// Random bits: Philox 4x32-10 keyed by seed, counted by (launch, iteration,
 /// stream, sequence).

@@ -14,6 +14,7 @@
 #ifndef TAI_RUNTIME_FIELD_H
 #define TAI_RUNTIME_FIELD_H
 
+#include "tai/Runtime/Sparse.h"
 #include "tai/Runtime/Status.h"
 #include <atomic>
 #include <cstddef>
@@ -49,14 +50,30 @@ public:
   /// Null once the tree has been destroyed; aligned to 64 bytes.
   char *base() const { return address; }
   int64_t bytes() const { return size; }
+  /// The sparse levels, those above before those below.
+  const std::vector<std::unique_ptr<SparseNode>> &sparseNodes() const {
+    return nodes;
+  }
+  /// Memory of the active cells of the innermost sparse levels.
+  int64_t activeCellBytes() const {
+    return activeBytes.load(std::memory_order_relaxed);
+  }
+  /// The tree of a base address.
+  static Tree &of(void *base) { return *static_cast<Tree **>(base)[-1]; }
 
 private:
   friend class Runtime;
+  friend class SparseNode;
   std::string treeName;
   char *address = nullptr;
   int64_t size = 0;
+  int64_t charged = 0; // of the memory limit
   void *mapping = nullptr;
   size_t mapped = 0;
+  std::vector<std::unique_ptr<SparseNode>> nodes;
+  std::atomic<int64_t> activeBytes{0};
+  /// The same for all trees of the runtime.
+  std::atomic<int64_t> *allActiveBytes = nullptr;
 };
 using TreePtr = std::shared_ptr<Tree>;
 
@@ -66,6 +83,9 @@ struct LayoutLevel {
   int64_t divisor;
   int64_t extent;
   int64_t stride; // bytes
+  /// What the digit adds to the number of the cell of the innermost sparse
+  /// level.
+  int64_t cells = 0;
 };
 
 /// Where the elements of a field lie in its tree: component c of element
@@ -84,6 +104,9 @@ struct FieldLayout {
   std::vector<std::vector<LayoutLevel>> indices;
   /// First index along each dimension; empty means zeros.
   std::vector<int64_t> offset;
+  /// The innermost sparse level above the place, by its number in the tree; or
+  /// -1.
+  int sparseNode = -1;
 };
 
 class Field {
@@ -128,6 +151,16 @@ public:
     if (!dirty())
       dirtyFlag.store(true, std::memory_order_relaxed);
   }
+
+  /// The innermost sparse level above the field, or null.
+  SparseNode *sparseNode() const {
+    return fieldLayout.sparseNode < 0
+               ? nullptr
+               : owner->sparseNodes()[fieldLayout.sparseNode].get();
+  }
+  /// The cell of that level that holds the element, or -1 if an index is out of
+  /// range.
+  int64_t cellNumber(const int64_t *index) const;
 
   /// Address of the element, or null if an index is out of range. Indices
   /// count from the offset of the field.

@@ -101,12 +101,18 @@ public:
   // Storage
   //===--------------------------------------------------------------------===//
 
-  Status addTree(std::string name, int64_t bytes, TreePtr &tree);
+  /// `sparse` describes the sparse levels, those above before those below.
+  Status addTree(std::string name, int64_t bytes, TreePtr &tree,
+                 std::vector<SparseInfo> sparse = {});
   /// Frees the storage and forgets the fields. Handles stay safe to use and
   /// report that the tree is gone.
   Status destroyTree(const std::string &name);
   TreePtr findTree(const std::string &name) const;
   int64_t reservedBytes() const { return reserved; }
+  /// Memory of the active cells of all sparse trees.
+  int64_t activeCellBytes() const {
+    return sparseBytes.load(std::memory_order_relaxed);
+  }
 
   Status addField(FieldInfo info, FieldPtr &field);
   /// Gives a field another adjoint than the one that it was declared with.
@@ -182,6 +188,8 @@ public:
   /// Calls task(context, p) for p in [0, parts), on the workers.
   void parallel(int64_t parts, void (*task)(void *context, int64_t part),
                 void *context);
+  /// Fails if there is no memory for that many cells more.
+  Status checkActiveBytes(const SparseNode &node, int64_t cells) const;
   bool interruptRequested() const {
     return interrupted.load(std::memory_order_relaxed);
   }
@@ -220,6 +228,9 @@ private:
   /// Changes a field on behalf of the host: a tape that records hears of it.
   Status change(const HostWrite &write);
   void perform(const HostWrite &write);
+  Status activateFor(const HostWrite &write);
+  /// The same for the active cells of a sparse field.
+  void fillActive(Field &field, const void *scalarBytes);
   template <typename Move>
   void forEachRow(const Field &field, const Move &move);
 
@@ -227,6 +238,7 @@ private:
   int numThreads;
   int64_t limit;
   int64_t reserved = 0;
+  std::atomic<int64_t> sparseBytes{0};
   uint64_t treesMade = 0;
   std::unordered_map<std::string, TreePtr> trees;
   std::unordered_map<std::string, FieldPtr> fieldsByName;

@@ -23,6 +23,13 @@ constexpr llvm::StringLiteral kIndependentAttrName = "tai.independent";
 /// On tai.parallel_for: the group that its accesses were put into.
 constexpr llvm::StringLiteral kAccessGroupAttrName = "tai.access_group";
 
+/// On tai.parallel_for: a partition counts only so many of the first
+/// dimensions.
+constexpr llvm::StringLiteral kOuterDimsAttrName = "tai.outer_dims";
+
+/// On a write: its cell is known to be active.
+constexpr llvm::StringLiteral kActiveAttrName = "tai.active";
+
 /// On an op of floats: its order is part of the result in every mode.
 constexpr llvm::StringLiteral kOrderedAttrName = "tai.ordered";
 

@@ -40,19 +40,18 @@ FailureOr<const FieldInfo *> FieldTable::lookup(Operation *user,
   if (failed(layout))
     return user->emitOpError("names the field ")
            << name << ", which has no place in a tree";
-  if (SNodeTypeInterface sparse = layout->path.getFirstSparse()) {
-    InFlightDiagnostic diag = user->emitOpError("reaches the field ")
-                              << name << " through a '" << sparse.getKind()
-                              << "' level, which cannot be lowered yet";
-    diag.attachNote(field.getLoc()) << "field defined here";
-    diag.attachNote(layout->tree.getLoc())
-        << "a layout of 'dense' levels alone can be lowered";
-    return diag;
-  }
-
   auto info = std::make_unique<FieldInfo>();
   info->layout = *layout;
-  info->storage = *getDenseStorage(info->layout, dataLayout);
+  info->storage = getFieldStorage(info->layout, dataLayout);
+  if (!info->storage.sparse.empty()) {
+    SmallVector<SparseNode> nodes =
+        getSparseNodes(layout->tree.getLayout(), dataLayout);
+    for (auto [level, number] : info->storage.sparse) {
+      const SparseNode &node = nodes[number];
+      info->sparse.push_back({level, number, node.activityOffset, node.isList(),
+                              node.steps.back().cells});
+    }
+  }
   Type type = layout->path.getElementType();
   info->scalarType = getElementTypeOrSelf(type);
   info->scalarSize = getValueSize(info->scalarType, dataLayout);
@@ -197,12 +196,98 @@ Value tai::emitElementOffset(OpBuilder &builder, Location loc,
   return offset ? offset : math.constant(0);
 }
 
+Value tai::emitCellNumber(OpBuilder &builder, Location loc,
+                          const FieldInfo &field, unsigned level,
+                          ValueRange zeroBased) {
+  IndexMath math(builder, loc);
+  Value cell = math.constant(0);
+  for (unsigned l = 0; l <= level; ++l) {
+    cell = math.mul(cell, field.layout.path.levels[l].type.getNumCells());
+    for (const IndexDigit &digit : field.storage.digits)
+      if (digit.level == l && digit.extent != 1)
+        cell = math.add(
+            cell, math.mul(emitDigit(builder, loc, field, digit, zeroBased),
+                           digit.weight));
+  }
+  return cell;
+}
+
+unsigned tai::getListDimension(const FieldInfo &field) {
+  const IndexDigit *digit =
+      llvm::find_if(field.storage.digits, [&](const IndexDigit &digit) {
+        return digit.level == field.sparse.back().level;
+      });
+  return digit->dimension;
+}
+
+Value tai::emitListNumber(OpBuilder &builder, Location loc,
+                          const FieldInfo &field, ValueRange indices) {
+  // The cell before which the list begins: its own index is zero.
+  SmallVector<Value> all(indices);
+  unsigned dimension = getListDimension(field);
+  IndexMath math(builder, loc);
+  all.insert(all.begin() + dimension,
+             math.constant(field.layout.offset[dimension]));
+  SmallVector<Value> zeroBased = emitZeroBased(builder, loc, field, all);
+  const SparseInfo &list = field.sparse.back();
+  return math.div(emitCellNumber(builder, loc, field, list.level, zeroBased),
+                  list.capacity);
+}
+
+/// Element `number` of an array in the tree that other threads may write to.
+static Value emitAtomicLoad(OpBuilder &builder, Location loc, Type type,
+                            Value tree, uint64_t offset, Value number) {
+  IndexMath math(builder, loc);
+  auto pointerType = LLVM::LLVMPointerType::get(builder.getContext());
+  unsigned bytes = type.getIntOrFloatBitWidth() / 8;
+  Value position = math.add(math.mul(number, bytes), math.constant(offset));
+  Value pointer = LLVM::GEPOp::create(
+      builder, loc, pointerType, builder.getI8Type(), tree,
+      ArrayRef<LLVM::GEPArg>{math.toI64(position)},
+      LLVM::GEPNoWrapFlags::inbounds | LLVM::GEPNoWrapFlags::nuw);
+  return LLVM::LoadOp::create(builder, loc, type, pointer, /*alignment=*/bytes,
+                              /*isVolatile=*/false, /*isNonTemporal=*/false,
+                              /*isInvariant=*/false,
+                              /*isInvariantGroup=*/false,
+                              LLVM::AtomicOrdering::monotonic);
+}
+
+Value tai::emitLength(OpBuilder &builder, Location loc,
+                      const SparseInfo &sparse, Value tree, Value list) {
+  Value length = emitAtomicLoad(builder, loc, builder.getI32Type(), tree,
+                                sparse.activityOffset, list);
+  return arith::IndexCastOp::create(builder, loc, builder.getIndexType(),
+                                    length);
+}
+
+Value tai::emitIsActive(OpBuilder &builder, Location loc,
+                        const SparseInfo &sparse, Value tree, Value cell) {
+  IndexMath math(builder, loc);
+  if (sparse.isList) {
+    Value length =
+        emitLength(builder, loc, sparse, tree, math.div(cell, sparse.capacity));
+    return arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::slt,
+                                 math.rem(cell, sparse.capacity), length);
+  }
+  Type i64 = builder.getI64Type();
+  Value word = emitAtomicLoad(builder, loc, i64, tree, sparse.activityOffset,
+                              math.div(cell, 64));
+  Value bit = arith::ShRUIOp::create(builder, loc, word,
+                                     math.toI64(math.rem(cell, 64)));
+  return arith::TruncIOp::create(builder, loc, builder.getI1Type(), bit);
+}
+
+Value tai::emitTreeBase(OpBuilder &builder, Location loc,
+                        const FieldInfo &field) {
+  return TreeBaseOp::create(
+      builder, loc, LLVM::LLVMPointerType::get(builder.getContext()),
+      FlatSymbolRefAttr::get(TreeOp(field.layout.tree).getSymNameAttr()));
+}
+
 Value tai::emitFieldBase(OpBuilder &builder, Location loc,
                          const FieldInfo &field) {
   auto pointerType = LLVM::LLVMPointerType::get(builder.getContext());
-  Value base = TreeBaseOp::create(
-      builder, loc, pointerType,
-      FlatSymbolRefAttr::get(TreeOp(field.layout.tree).getSymNameAttr()));
+  Value base = emitTreeBase(builder, loc, field);
   if (field.storage.offset == 0)
     return base;
   // A constant of a GEP has 29 bits; trees may be larger.

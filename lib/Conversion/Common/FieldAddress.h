@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Turns the indices of an access into an address, for fields whose levels are
-// all dense.
+// Turns the indices of an access into an address, and into the number of the
+// cell that must be active for it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -27,10 +27,21 @@ struct AliasScopes {
   ArrayAttr own, others, groups;
 };
 
+/// A sparse level on the path to a field.
+struct SparseInfo {
+  unsigned level; // position on the path
+  unsigned node;  // number in the tree
+  uint64_t activityOffset;
+  bool isList;
+  int64_t capacity; // of a list
+};
+
 /// What the lowering needs to know about one field.
 struct FieldInfo {
   FieldLayout layout;
-  DenseStorage storage;
+  FieldStorage storage;
+  /// The sparse levels on the path, outermost first.
+  SmallVector<SparseInfo> sparse;
   /// Type of one component, its size in bytes, and the shape of an element
   /// (empty for a scalar).
   Type scalarType;
@@ -68,7 +79,7 @@ class FieldTable {
 public:
   explicit FieldTable(Operation *root);
 
-  /// The field that `user` names. A sparse level is an error at `user`.
+  /// The field that `user` names.
   FailureOr<const FieldInfo *> lookup(Operation *user, FlatSymbolRefAttr name);
 
   /// Whether the part of `field` with the given dimensions fixed is evenly
@@ -112,6 +123,28 @@ Value emitComponent(OpBuilder &builder, Location loc,
 Value emitElementOffset(OpBuilder &builder, Location loc,
                         const FieldInfo &field, ValueRange zeroBased,
                         ValueRange components);
+
+/// The number of the cell at position `level` of the path.
+Value emitCellNumber(OpBuilder &builder, Location loc, const FieldInfo &field,
+                     unsigned level, ValueRange zeroBased);
+
+/// The number of the list of a `dynamic` level above a field. `indices` are
+/// those of the field without that along the list.
+Value emitListNumber(OpBuilder &builder, Location loc, const FieldInfo &field,
+                     ValueRange indices);
+/// The position of the index along the list.
+unsigned getListDimension(const FieldInfo &field);
+
+/// Whether a cell of a sparse level is active; `tree` is the base of the tree.
+Value emitIsActive(OpBuilder &builder, Location loc, const SparseInfo &sparse,
+                   Value tree, Value cell);
+
+/// The length of a list of a `dynamic` level, as an index.
+Value emitLength(OpBuilder &builder, Location loc, const SparseInfo &sparse,
+                 Value tree, Value list);
+
+/// The base address of the tree of a field.
+Value emitTreeBase(OpBuilder &builder, Location loc, const FieldInfo &field);
 
 /// The address of the first component of a field.
 Value emitFieldBase(OpBuilder &builder, Location loc, const FieldInfo &field);

@@ -471,8 +471,9 @@ struct Scalarize : tai::impl::ScalarizeBase<Scalarize> {
     WalkResult result = getOperation()->walk([](FunctionOpInterface function) {
       if (function.isExternal() || !isa<KernelOp, func::FuncOp>(function))
         return WalkResult::skip();
-      return failed(Scalarizer(function).run()) ? WalkResult::interrupt()
-                                                : WalkResult::skip();
+      bool done = succeeded(expandAppends(function)) &&
+                  succeeded(Scalarizer(function).run());
+      return done ? WalkResult::skip() : WalkResult::interrupt();
     });
     if (result.wasInterrupted())
       signalPassFailure();

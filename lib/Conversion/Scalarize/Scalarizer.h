@@ -75,6 +75,9 @@ struct SymEig {
 };
 SymEig emitSymEig(ScalarMath &math, ArrayRef<Value> matrix, unsigned n);
 
+/// Splits the appends of a function into new cells and stores to them.
+LogicalResult expandAppends(FunctionOpInterface function);
+
 } // namespace mlir::tai
 
 #endif // TAI_LIB_CONVERSION_SCALARIZE_SCALARIZER_H

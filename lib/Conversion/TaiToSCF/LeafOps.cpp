@@ -234,6 +234,47 @@ static LogicalResult lowerPrint(PrintOp op, Value frame,
   return success();
 }
 
+//===----------------------------------------------------------------------===//
+// Sparse levels
+//===----------------------------------------------------------------------===//
+
+/// Calls a function of the runtime for cell ops: (frame, tree, node, number).
+static void lowerCellOp(Operation *op, Value frame, RuntimeCalls &runtime) {
+  OpBuilder builder(op);
+  Location loc = op->getLoc();
+  IndexMath math(builder, loc);
+  Type i32 = builder.getI32Type(), i64 = builder.getI64Type();
+  Value tree = op->getOperand(0);
+  Value node = runtime.i32(builder, loc,
+                           op->getAttrOfType<IntegerAttr>("node").getInt());
+  if (auto cells = dyn_cast<ActiveCellsOp>(op)) {
+    Value slot = emitStackSlots(builder, loc, 1);
+    Value count = runtime.call(builder, loc, "tai_rt_active_cells", i64,
+                               {frame, tree, node, slot});
+    Value list =
+        LLVM::LoadOp::create(builder, loc, runtime.getPointerType(), slot);
+    cells.getCells().replaceAllUsesWith(list);
+    cells.getCount().replaceAllUsesWith(math.toIndex(count));
+    return op->erase();
+  }
+  Value number = math.toI64(op->getOperand(1));
+  if (auto activate = dyn_cast<ActivateCellOp>(op)) {
+    Value done = runtime.call(builder, loc, "tai_rt_activate", i32,
+                              {frame, tree, node, number});
+    activate.getDone().replaceAllUsesWith(
+        arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::ne, done,
+                              runtime.i32(builder, loc, 0)));
+  } else if (auto append = dyn_cast<AppendCellOp>(op)) {
+    Value at = runtime.call(builder, loc, "tai_rt_append", i64,
+                            {frame, tree, node, number});
+    append.getAt().replaceAllUsesWith(math.toIndex(at));
+  } else {
+    runtime.call(builder, loc, "tai_rt_deactivate", Type(),
+                 {frame, tree, node, number});
+  }
+  op->erase();
+}
+
 LogicalResult tai::lowerLeafOps(LLVM::LLVMFuncOp function,
                                 ModuleLowering &lowering) {
   Value frame = function.getArgument(0);
@@ -241,7 +282,9 @@ LogicalResult tai::lowerLeafOps(LLVM::LLVMFuncOp function,
   SmallVector<Operation *> ops;
   llvm::DenseMap<StringAttr, Value> bases;
   function.walk([&](Operation *op) {
-    if (isa<AllocaOp, StackCreateOp, AssertOp, PrintOp, TreeBaseOp>(op) ||
+    if (isa<AllocaOp, StackCreateOp, AssertOp, PrintOp, TreeBaseOp,
+            ActiveCellsOp, ActivateCellOp, DeactivateCellOp, AppendCellOp>(
+            op) ||
         (isa<UnrealizedConversionCastOp>(op) && op->hasAttr("stream")))
       ops.push_back(op);
   });
@@ -257,6 +300,11 @@ LogicalResult tai::lowerLeafOps(LLVM::LLVMFuncOp function,
             })
             .Case([&](PrintOp print) {
               return lowerPrint(print, frame, runtime);
+            })
+            .Case<ActiveCellsOp, ActivateCellOp, DeactivateCellOp,
+                  AppendCellOp>([&](auto cell) {
+              lowerCellOp(cell, frame, runtime);
+              return success();
             })
             .Case([&](UnrealizedConversionCastOp draw) {
               lowerDraw(draw, frame, runtime);

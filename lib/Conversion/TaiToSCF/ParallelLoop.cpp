@@ -125,6 +125,20 @@ static void emitPartition(OpBuilder &builder, ParallelForOp loop,
     return moveBody(loop, inner, inner.getInductionVar());
   }
 
+  // One loop for each dimension: the partition counts the first.
+  if (loop->hasAttr(kOuterDimsAttrName)) {
+    SmallVector<Value> ivs;
+    scf::ForOp inner;
+    for (auto [d, from] : llvm::enumerate(box.lower)) {
+      inner = d == 0 ? createFor(builder, loc, math.add(from, begin),
+                                 math.add(from, end))
+                     : createFor(builder, loc, from, box.upper[d]);
+      ivs.push_back(inner.getInductionVar());
+      builder.setInsertionPointToStart(inner.getBody());
+    }
+    return moveBody(loop, inner, ivs);
+  }
+
   Value extent = box.extent.back();
   Value firstRow = begin, endRow = end;
   if (!byRows) {
@@ -180,10 +194,17 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   std::optional<int64_t> rowLength = getConstantIntValue(box.extent.back());
   bool byRows = box.rank() > 1 && rows && *rows >= kManyRows && rowLength;
   double cost = estimateIteration(loop, loop->hasAttr(kIndependentAttrName));
-  if (byRows)
-    cost *= *rowLength;
-  Value count =
-      math.toI64(box.count(byRows ? box.rank() - 1 : box.rank(), builder, loc));
+  // Iterations in one step of what the partition counts.
+  double perStep = byRows ? double(*rowLength) : 1.0;
+  size_t counted = byRows ? box.rank() - 1 : box.rank();
+  if (auto outer = loop->getAttrOfType<IntegerAttr>(kOuterDimsAttrName)) {
+    counted = outer.getInt();
+    for (Value extent : ArrayRef(box.extent).drop_front(counted))
+      perStep *= getConstantIntValue(extent).value_or(1);
+    byRows = false;
+  }
+  cost *= perStep;
+  Value count = math.toI64(box.count(counted, builder, loc));
 
   Type pointer = runtime.getPointerType();
   Type i64 = builder.getI64Type();
@@ -209,8 +230,7 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   Value parts = runtime.call(builder, loc, "tai_rt_parts", i64,
                              {frame, count, nanoseconds, fixed});
   if (reduces) {
-    parts = accumulators->limitParts(builder, loc, parts, count,
-                                     byRows ? double(*rowLength) : 1.0);
+    parts = accumulators->limitParts(builder, loc, parts, count, perStep);
     accumulators->emitBefore(builder, loc, frame, parts);
   }
 

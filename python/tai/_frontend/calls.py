@@ -60,11 +60,8 @@ _MATRIX_METHODS = {
     if isinstance(function, FunctionType) and not name.startswith("_")
 }
 
-_NOT_YET = {
-    ops.append: "sparse layouts", ops.activate: "sparse layouts",
-    ops.deactivate: "sparse layouts", ops.is_active: "sparse layouts",
-    ops.length: "sparse layouts", ops.rescale_index: "sparse layouts",
-    ops.get_addr: "sparse layouts",
+_LEVEL_CALLS = {
+    ops.append, ops.activate, ops.deactivate, ops.is_active, ops.length, ops.rescale_index,
 }  # fmt: skip
 
 
@@ -166,9 +163,13 @@ class Calls:
             raise TaiTypeError(f"'{ast.unparse(node.func)}' is not a function")
         dynamic = any(_contains_value(a) for a in (*args, *kwargs.values()))
         if _is_hashable(function):
-            if function in _NOT_YET:
+            if function in _LEVEL_CALLS:
+                if kwargs:
+                    raise TaiTypeError(f"ti.{function.__name__} takes no keywords")
+                return self.level_call(function, args)
+            if function is ops.get_addr:
                 raise TaiSyntaxError(
-                    f"ti.{function.__name__} needs {_NOT_YET[function]}, not built in yet"
+                    "ti.get_addr is not available: where elements lie is the layout's business"
                 )
             if dynamic:
                 if function is range:

@@ -23,10 +23,11 @@ from .refs import ArrayArgument, Variable
 from .returns import Returns
 from .scope import Bound, Frame
 from .source import function_ast
+from .sparse import Sparse
 from .statements import Statements, StaticBreak, StaticContinue
 
 
-class Compiler(Expressions, Statements, Returns, Loops, Calls):
+class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse):
     """Compiles one specialisation of one kernel.
 
     Args:

@@ -13,6 +13,7 @@ from ..fields import Field
 from ..matrix import swizzle
 from .emitter import describe_misuse, misuse_hint
 from .refs import ArrayArgument, Part, Place, Variable, VariablePlace, field_element
+from .sparse import list_element
 from .value import MatrixValue, NoAttribute, Value
 
 BINARY = {
@@ -109,7 +110,8 @@ class Expressions:
                 return base.at(key)
             base = base.load()
         if isinstance(base, Field):
-            return field_element(self.emitter, base, key)
+            found = list_element(self, base, key)
+            return field_element(self.emitter, base, key) if found is None else found
         if isinstance(base, ArrayArgument):
             return base.element(key)
         if isinstance(base, Value):

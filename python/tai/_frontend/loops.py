@@ -13,6 +13,7 @@ from ..snode import SNode
 from .refs import ArrayArgument, FieldElement, Variable, use_field
 from .scope import Bound, Loop
 from .source import own_exits
+from .sparse import Level
 from .statements import StaticBreak, StaticContinue
 from .value import MatrixValue, Value
 
@@ -53,9 +54,8 @@ class Loops:
             return
         if self.depth > self.top_depth:
             raise TaiSyntaxError(
-                f"a loop over field '{domain.name}' must stand at the top of a kernel",
-                f"inside, loop over its indices: for I in ti.grouped(ti.ndrange(*{domain.name}"
-                ".shape))",
+                f"a loop over {self._name_of(domain)} must stand at the top of a kernel",
+                "inside, loop over its indices: for I in ti.grouped(ti.ndrange(*x.shape))",
             )
         options["serialize"] = not top
         self.parallel_for(node, None, domain, grouped, options)
@@ -97,6 +97,10 @@ class Loops:
             return Bounds([0] * len(shape), shape), False
         self.refuse_domain(thing, node)
 
+    def _name_of(self, domain: Any) -> str:
+        """What a message calls a field or a level."""
+        return "a level" if isinstance(domain, Level) else f"field '{domain.name}'"
+
     def refuse_domain(self, thing: Any, node: ast.expr) -> None:
         text = ast.unparse(node)
         if isinstance(thing, Value) and not isinstance(thing, MatrixValue):
@@ -114,9 +118,9 @@ class Loops:
 
     def field_domain(self, thing: Any) -> Any:
         if isinstance(thing, SNode):
-            raise TaiSyntaxError(
-                "loops over a level of the layout are not built in yet", "loop over its field"
-            )
+            if thing.kind == "root":
+                raise TaiTypeError("ti.root cannot be looped over", "loop over a level or a field")
+            return Level(thing, "a loop")
         if not isinstance(thing, Field):
             raise TaiTypeError("ti.grouped takes a field or a ti.ndrange")
         use_field(thing)
@@ -396,13 +400,14 @@ class Loops:
     ) -> None:  # fmt: skip
         """A `tai.parallel_for` over a box of indices or the elements of a field."""
         emitter, builder = self.emitter, self.builder
-        storage = field
+        level = field if isinstance(field, Level) else None
+        storage = field = level.field if level is not None else field
         if isinstance(field, MatrixField):
             storage = field.single or field.components[0]
         elif isinstance(field, ComponentField) and field.is_window:
             storage = field._whole.single
         rank = len(field.shape) if bounds is None else len(bounds.lower)
-        names = self.targets(node, rank, grouped)
+        names = self.targets(node, rank if level is None else level.rank, grouped)
         operands: list[Any] = []
         attrs: dict[str, Any] = {}
         if bounds is not None:
@@ -416,6 +421,8 @@ class Loops:
         else:
             attrs["field"] = builder.attribute(f"@{storage.symbol}")
             attrs["operandSegmentSizes"] = builder.attribute("array<i32: 0, 0>")
+            if level is not None:
+                attrs["level"] = builder.attribute(f"{level.up} : i64")
         if options.get("serialize"):
             attrs["serialize"] = builder.attribute("unit")
         if options.get("block_dim"):
@@ -437,6 +444,12 @@ class Loops:
                 scaled = emitter.binary("*", index, bounds.step)
                 index = emitter.binary("+", bounds.lower[dimension], scaled)
             indices.append(index)
+        if level is not None:
+            offset = field.offset or (0,) * rank
+            indices = [
+                emitter.binary("//", emitter.binary("-", indices[d], offset[d]), level.scale[d])
+                for d in level.dimensions
+            ]
         self.define_indices(names, indices, grouped)
         self.loop_body(loop, node)
         self.frame.pop(node.lineno)

@@ -23,7 +23,13 @@ class Extension(Enum):
 extension = Extension
 
 # Block-local storage is a hint without effect here; programs that ask for it run.
-_SUPPORTED = {Extension.data64, Extension.adstack, Extension.assertion, Extension.bls}
+_SUPPORTED = {
+    Extension.data64,
+    Extension.adstack,
+    Extension.assertion,
+    Extension.bls,
+    Extension.sparse,
+}
 
 
 def is_extension_supported(arch: Arch, ext: Extension) -> bool:

@@ -6,7 +6,6 @@
 // RUN: not tai-run %t/no-main.mlir --kernel=k --print-field=@q 2>&1 | FileCheck %s --check-prefix=FIELD
 // RUN: tai-run %t/no-main.mlir --kernel=@k --print-field=@x | FileCheck %s --check-prefix=VALUE
 // RUN: not tai-run %t/no-main.mlir --kernel=k --arch=tpu 2>&1 | FileCheck %s --check-prefix=ARCH
-// RUN: not tai-run %t/sparse.mlir 2>&1 | FileCheck %s --check-prefix=SPARSE
 // RUN: not tai-run %t/missing.mlir 2>&1 | FileCheck %s --check-prefix=MISSING
 
 // KERNEL: kernel.mlir:2:{{[0-9]+}}: error: {{.*}}stepp
@@ -15,7 +14,6 @@
 // FIELD: error: there is no field 'q'
 // VALUE: @x : f32 = 0.1
 // ARCH: error: --arch=tpu is not there
-// SPARSE: sparse.mlir:1:1: error: the tree 't' has a 'pointer' level
 // MISSING: error: cannot read '{{.*}}missing.mlir'
 
 //--- kernel.mlir
@@ -31,10 +29,4 @@ tai.kernel @k() {
   %c = arith.constant 0.1 : f32
   tai.store %c, @x[] : f32
   tai.return
-}
-
-//--- sparse.mlir
-tai.tree @t : !tai.root<pointer<[i: 4], dense<[i: 4], {x: f32}>>>
-func.func @main() {
-  return
 }

@@ -93,7 +93,8 @@ uint64_t tai::getPlaceOffset(PlacesType places, unsigned index,
   return offset;
 }
 
-uint64_t tai::getTreeSize(RootType root, const DataLayout &layout) {
+/// Size of the cells of a tree.
+static uint64_t getCellsSize(RootType root, const DataLayout &layout) {
   // Blocks at the root start on cache lines, so that arrays do not share one.
   uint64_t size = 0;
   for (Type child : root.getChildren())
@@ -101,7 +102,7 @@ uint64_t tai::getTreeSize(RootType root, const DataLayout &layout) {
   return size;
 }
 
-/// Offset of child `index` of the root; see getTreeSize.
+/// Offset of child `index` of the root; see getCellsSize.
 static uint64_t getRootChildOffset(RootType root, unsigned index,
                                    const DataLayout &layout) {
   uint64_t size = 0;
@@ -201,26 +202,112 @@ FailureOr<FieldLayout> tai::getFieldLayout(FieldOp field) {
   return layout;
 }
 
-FailureOr<DenseStorage> tai::getDenseStorage(const FieldLayout &layout,
-                                             const DataLayout &dataLayout) {
+//===----------------------------------------------------------------------===//
+// Storage
+//===----------------------------------------------------------------------===//
+
+int64_t SparseNode::getNumCells() const {
+  int64_t count = 1;
+  for (const Step &step : steps)
+    count *= step.cells;
+  return count;
+}
+
+/// Activity starts on a page of its own: the pages of the cells can then be
+/// given back one by one.
+static constexpr uint64_t kPage = 4096;
+
+static uint64_t getActivitySize(const SparseNode &node) {
+  uint64_t cells = node.getNumCells();
+  if (node.isList())
+    return llvm::alignTo(cells / node.steps.back().cells * 4, 64);
+  return llvm::alignTo(cells, 512) / 8;
+}
+
+namespace {
+struct SparseWalk {
+  const DataLayout &dataLayout;
+  SmallVector<SparseNode> nodes;
+
+  void visit(ArrayRef<Type> children, const SparseNode &above,
+             function_ref<uint64_t(unsigned)> getOffset) {
+    for (auto [number, child] : llvm::enumerate(children)) {
+      auto level = dyn_cast<SNodeTypeInterface>(child);
+      if (!level)
+        continue;
+      SparseNode node = above;
+      node.type = level;
+      node.position.push_back(number);
+      node.offset += getOffset(number);
+      node.steps.push_back(
+          {level.getNumCells(), level.getCellSize(dataLayout)});
+      SparseNode below = node;
+      if (level.isSparse()) {
+        below.parent = nodes.size();
+        nodes.push_back(std::move(node));
+      }
+      ArrayRef<Type> inner = level.getChildren();
+      visit(inner, below, [&](unsigned index) {
+        return getChildOffset(inner, index, dataLayout);
+      });
+    }
+  }
+};
+} // namespace
+
+SmallVector<SparseNode> tai::getSparseNodes(RootType root,
+                                            const DataLayout &dataLayout) {
+  SparseWalk walk{dataLayout, {}};
+  walk.visit(root.getChildren(), SparseNode(), [&](unsigned index) {
+    return getRootChildOffset(root, index, dataLayout);
+  });
+  uint64_t offset = llvm::alignTo(getCellsSize(root, dataLayout), kPage);
+  for (SparseNode &node : walk.nodes) {
+    node.activityOffset = offset;
+    offset += getActivitySize(node);
+  }
+  return walk.nodes;
+}
+
+TreeSize tai::getTreeSize(RootType root, const DataLayout &dataLayout) {
+  uint64_t cells = getCellsSize(root, dataLayout);
+  SmallVector<SparseNode> nodes = getSparseNodes(root, dataLayout);
+  if (nodes.empty())
+    return {cells, cells};
+  return {cells, nodes.back().activityOffset + getActivitySize(nodes.back())};
+}
+
+FieldStorage tai::getFieldStorage(const FieldLayout &layout,
+                                  const DataLayout &dataLayout) {
   const PlacePath &path = layout.path;
-  if (path.getFirstSparse())
-    return failure();
-  DenseStorage storage;
+  FieldStorage storage;
   auto root =
       cast<RootType>(layout.tree->getAttrOfType<TypeAttr>("layout").getValue());
   ArrayRef<Type> children = root.getChildren();
+  SmallVector<SparseNode> nodes;
+  if (path.getFirstSparse())
+    nodes = getSparseNodes(root, dataLayout);
 
   // What is left of each axis below the level at hand.
   SmallVector<int64_t> below(kMaxAxes, 1), whole(kMaxAxes, 1);
   for (auto [axis, extent] : llvm::zip(path.axes, path.shape))
     below[axis] = whole[axis] = extent;
 
-  for (auto [position, level] : llvm::enumerate(path.levels)) {
-    storage.offset += position == 0
+  SmallVector<unsigned> position;
+  for (auto [number, level] : llvm::enumerate(path.levels)) {
+    position.push_back(level.child);
+    if (level.type.isSparse()) {
+      auto *node = llvm::find_if(nodes, [&](const SparseNode &candidate) {
+        return candidate.position == position;
+      });
+      storage.sparse.push_back({static_cast<unsigned>(number),
+                                static_cast<unsigned>(node - nodes.begin())});
+    }
+    storage.offset += number == 0
                           ? getRootChildOffset(root, level.child, dataLayout)
                           : getChildOffset(children, level.child, dataLayout);
     uint64_t stride = level.type.getCellSize(dataLayout);
+    int64_t weight = 1;
     SmallVector<IndexDigit> digits;
     for (size_t i = level.type.getAxes().size(); i-- > 0;) {
       unsigned axis = level.type.getAxes()[i];
@@ -228,9 +315,10 @@ FailureOr<DenseStorage> tai::getDenseStorage(const FieldLayout &layout,
       below[axis] /= extent;
       unsigned dimension =
           llvm::find(layout.axisOfIndex, axis) - layout.axisOfIndex.begin();
-      digits.push_back({dimension, static_cast<unsigned>(position), below[axis],
-                        extent, stride, extent == whole[axis]});
+      digits.push_back({dimension, static_cast<unsigned>(number), below[axis],
+                        extent, stride, weight, extent == whole[axis]});
       stride *= extent;
+      weight *= extent;
     }
     storage.digits.append(digits.rbegin(), digits.rend());
     children = level.type.getChildren();

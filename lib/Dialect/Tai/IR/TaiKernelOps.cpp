@@ -125,7 +125,8 @@ void ParallelForOp::build(OpBuilder &builder, OperationState &state,
 }
 
 // parallel-for ::= `tai.parallel_for` `(` ssa-ids `)`
-//                  (`=` `(` bounds `)` `to` `(` bounds `)` | `in` symbol)
+//                  (`=` `(` bounds `)` `to` `(` bounds `)` |
+//                   `in` symbol (`level` integer)?)
 //                  (`serialize`)? (`block_dim` integer)? region attr-dict
 ParseResult ParallelForOp::parse(OpAsmParser &parser, OperationState &result) {
   Builder &builder = parser.getBuilder();
@@ -142,6 +143,12 @@ ParseResult ParallelForOp::parse(OpAsmParser &parser, OperationState &result) {
     if (parser.parseAttribute(field))
       return failure();
     props.field = field;
+    if (succeeded(parser.parseOptionalKeyword("level"))) {
+      int64_t level;
+      if (parser.parseInteger(level))
+        return failure();
+      props.level = builder.getI64IntegerAttr(level);
+    }
   } else {
     if (parser.parseEqual() ||
         parser.parseOperandList(lower, ivs.size(),
@@ -179,7 +186,9 @@ void ParallelForOp::print(OpAsmPrinter &printer) {
   printer << ")";
   if (isStructFor())
     printer << " in " << getFieldAttr();
-  else
+  if (getLevel())
+    printer << " level " << *getLevel();
+  if (!isStructFor())
     printer << " = (" << getLowerBounds() << ") to (" << getUpperBounds()
             << ")";
   if (getSerialize())
@@ -189,10 +198,10 @@ void ParallelForOp::print(OpAsmPrinter &printer) {
   printer << " ";
   printer.printRegion(getBody(), /*printEntryBlockArgs=*/false,
                       /*printBlockTerminators=*/false);
-  printer.printOptionalAttrDict((*this)->getAttrs(),
-                                {getOperandSegmentSizesAttrName(),
-                                 getFieldAttrName(), getSerializeAttrName(),
-                                 getBlockDimAttrName()});
+  printer.printOptionalAttrDict(
+      (*this)->getAttrs(),
+      {getOperandSegmentSizesAttrName(), getFieldAttrName(), getLevelAttrName(),
+       getSerializeAttrName(), getBlockDimAttrName()});
 }
 
 LogicalResult ParallelForOp::verify() {
@@ -209,6 +218,8 @@ LogicalResult ParallelForOp::verify() {
       return emitOpError("runs over a field and cannot take bounds");
     return success();
   }
+  if (getLevel())
+    return emitOpError("names a level, but runs over a box");
   if (rank == 0)
     return emitOpError("expects at least one dimension");
   if (getLowerBounds().size() != rank || getUpperBounds().size() != rank)
@@ -225,11 +236,21 @@ LogicalResult ParallelForOp::verifySymbolUses(SymbolTableCollection &symbols) {
   if (!field)
     return emitOpError() << "names '" << getFieldAttr()
                          << "', which is not a field";
-  if (field.getRank() == getBody().getNumArguments())
+  if (field.getRank() != getBody().getNumArguments()) {
+    InFlightDiagnostic diag = emitOpError("expects ")
+                              << field.getRank() << " indices, but got "
+                              << getBody().getNumArguments();
+    diag.attachNote(field.getLoc()) << "field defined here";
+    return diag;
+  }
+  if (!getLevel())
     return success();
-  InFlightDiagnostic diag = emitOpError("expects ")
-                            << field.getRank() << " indices, but got "
-                            << getBody().getNumArguments();
+  FailureOr<FieldLayout> layout = getFieldLayout(field);
+  if (failed(layout) || *getLevel() <= layout->path.levels.size())
+    return success();
+  InFlightDiagnostic diag = emitOpError("names level ")
+                            << *getLevel() << " above " << getFieldAttr()
+                            << ", which has " << layout->path.levels.size();
   diag.attachNote(field.getLoc()) << "field defined here";
   return diag;
 }

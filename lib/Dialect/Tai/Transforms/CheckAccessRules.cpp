@@ -51,7 +51,8 @@ static std::optional<int64_t> getExtent(Operation *loop, unsigned dim) {
       FailureOr<FieldLayout> layout =
           field ? getFieldLayout(field) : FailureOr<FieldLayout>(failure());
       // Which cells of a sparse field are active is not known here.
-      if (failed(layout) || layout->path.getFirstSparse())
+      if (failed(layout) || parallel.getLevel() ||
+          layout->path.getFirstSparse())
         return std::nullopt;
       return layout->shape[dim];
     }

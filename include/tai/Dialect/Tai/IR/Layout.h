@@ -22,6 +22,10 @@ constexpr unsigned kMaxAxes = 12;
 char getAxisLetter(unsigned axis);
 std::optional<unsigned> parseAxisLetter(StringRef letter);
 
+/// On a kernel: it adds nothing to inactive cells, instead of making them
+/// active. Adjoints are so, which have no say in what is active.
+constexpr llvm::StringLiteral kKeepsActivityAttrName = "tai.keeps_activity";
+
 /// One level on the path from the root to a place.
 struct PathLevel {
   SNodeTypeInterface type;
@@ -30,14 +34,15 @@ struct PathLevel {
 };
 
 /// How one level divides one dimension of a field: the digit of index x is
-/// (x / divisor) % extent, and is worth `stride` bytes where the level is
-/// dense.
+/// (x / divisor) % extent, and is worth `stride` bytes, or `weight` cells of
+/// its level.
 struct IndexDigit {
   unsigned dimension; // position among the indices of the field
   unsigned level;     // position on the path
   int64_t divisor;
   int64_t extent;
   uint64_t stride;
+  int64_t weight;
   /// The digit is the whole index: divisor 1 and no level above divides it.
   bool isWhole;
 };
@@ -84,18 +89,58 @@ FailureOr<FieldLayout> getFieldLayout(FieldOp field);
 /// The field of that name visible from `from`, or null.
 FieldOp lookupField(Operation *from, FlatSymbolRefAttr name);
 
-/// Storage of a path whose levels are all dense: the digits of its indices, and
-/// the offset of the place when all digits are zero, in bytes from the base of
-/// the tree. Fails at a sparse level.
-struct DenseStorage {
+/// A sparse level of a tree. Every cell has an address whether it is active or
+/// not (see docs/decisions/0006-sparse-storage.md); cells are numbered
+/// row-major, level below level.
+struct SparseNode {
+  SNodeTypeInterface type;
+  /// Positions among the children, from the root down.
+  SmallVector<unsigned> position;
+  /// The nearest sparse level above, as its number.
+  std::optional<unsigned> parent;
+  /// For each level down to this one, its cells below one cell of the level
+  /// above, and the distance between them in bytes.
+  struct Step {
+    int64_t cells;
+    uint64_t stride;
+  };
+  SmallVector<Step> steps;
+  /// Where cell 0 lies, in bytes from the base of the tree.
+  uint64_t offset = 0;
+  /// Where its activity is kept: one bit for each cell, in words of 64 bits, or
+  /// for `dynamic` the length of each list, in 32 bits.
+  uint64_t activityOffset = 0;
+
+  /// Cells in the whole tree.
+  int64_t getNumCells() const;
+  bool isList() const { return isa<DynamicType>(type); }
+};
+
+/// The sparse levels of a tree, those above before those below.
+SmallVector<SparseNode> getSparseNodes(RootType root,
+                                       const DataLayout &dataLayout);
+
+/// Where the elements of a field are: the digits of its indices, and the offset
+/// of the place when all digits are zero, in bytes from the base of the tree.
+struct FieldStorage {
   SmallVector<IndexDigit> digits;
   uint64_t offset = 0;
+  /// The sparse levels on the path: its position there, and its number in the
+  /// tree.
+  struct SparseLevel {
+    unsigned level;
+    unsigned node;
+  };
+  SmallVector<SparseLevel> sparse;
 };
-FailureOr<DenseStorage> getDenseStorage(const FieldLayout &layout,
-                                        const DataLayout &dataLayout);
+FieldStorage getFieldStorage(const FieldLayout &layout,
+                             const DataLayout &dataLayout);
 
-/// Size in bytes of a tree whose levels are all dense.
-uint64_t getTreeSize(RootType root, const DataLayout &dataLayout);
+/// Size in bytes of a tree: of its cells and of what says which are active.
+struct TreeSize {
+  uint64_t cells, total;
+};
+TreeSize getTreeSize(RootType root, const DataLayout &dataLayout);
 
 /// Offset in bytes of child `index` in a cell that holds `children`.
 uint64_t getChildOffset(ArrayRef<Type> children, unsigned index,

@@ -111,6 +111,10 @@ def Tai_ParallelForOp : Tai_Op<"parallel_for", [
     elements of the named field whose cell is active. Activity that the body
     itself makes does not join the running loop.
 
+    With `level n`, the field form visits the active cells of the level `n`
+    levels up (1 is the innermost), with the indices of the first element in
+    each.
+
     `serialize` runs the iterations in ascending order on one thread.
     `block_dim` is the number of GPU threads in a block.
 
@@ -129,6 +133,7 @@ def Tai_ParallelForOp : Tai_Op<"parallel_for", [
     Variadic<Index>:$lowerBounds,
     Variadic<Index>:$upperBounds,
     OptionalAttr<FlatSymbolRefAttr>:$field,
+    OptionalAttr<ConfinedAttr<I64Attr, [IntPositive]>>:$level,
     UnitAttr:$serialize,
     OptionalAttr<I64Attr>:$block_dim
   );

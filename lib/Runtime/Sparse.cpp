@@ -1,0 +1,268 @@
+//===- Sparse.cpp - Which cells of a tree are active ----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Runtime/Sparse.h"
+#include "tai/Runtime/Runtime.h"
+#include <algorithm>
+#include <cstdlib>
+#include <cstring>
+#include <sys/mman.h>
+#include <unistd.h>
+
+using namespace mlir::tai::runtime;
+
+/// Atomic views of words in the memory of the tree, which compiled code reads
+/// too.
+static uint64_t loadWord(const uint64_t *word) {
+  return __atomic_load_n(word, __ATOMIC_RELAXED);
+}
+static int32_t loadLength(const int32_t *length) {
+  return __atomic_load_n(length, __ATOMIC_RELAXED);
+}
+
+SparseNode::SparseNode(Tree &tree, SparseInfo info, SparseNode *parent)
+    : tree(tree), layout(std::move(info)), parent(parent) {
+  for (const SparseInfo::Step &step : layout.steps)
+    cells *= step.cells;
+  cellsBelow = parent ? cells / parent->cells : cells;
+  if (parent)
+    parent->children.push_back(this);
+  // One bit for each 64 cells, or for each list, and one for each 64 of them.
+  int64_t groups = layout.isList ? cells / capacity() : (cells + 63) / 64;
+  numMarks = (groups + 63) / 64;
+  marks = static_cast<std::atomic<uint64_t> *>(
+      std::calloc(static_cast<size_t>(numMarks), sizeof(uint64_t)));
+}
+
+SparseNode::~SparseNode() { std::free(marks); }
+
+uint64_t *SparseNode::words() const {
+  return reinterpret_cast<uint64_t *>(tree.base() + layout.activityOffset);
+}
+
+int32_t *SparseNode::lengths() const {
+  return reinterpret_cast<int32_t *>(tree.base() + layout.activityOffset);
+}
+
+char *SparseNode::addressOf(int64_t cell) const {
+  int64_t offset = layout.offset;
+  for (size_t i = layout.steps.size(); i-- > 0;) {
+    const SparseInfo::Step &step = layout.steps[i];
+    offset += cell % step.cells * step.stride;
+    cell /= step.cells;
+  }
+  return tree.base() + offset;
+}
+
+void SparseNode::markWord(int64_t word) {
+  std::atomic<uint64_t> &mark = marks[word / 64];
+  uint64_t bit = uint64_t(1) << (word % 64);
+  if (!(mark.load(std::memory_order_relaxed) & bit))
+    mark.fetch_or(bit, std::memory_order_relaxed);
+}
+
+void SparseNode::changed(int64_t by) {
+  active.fetch_add(by, std::memory_order_relaxed);
+  if (children.empty()) {
+    tree.activeBytes.fetch_add(by * cellBytes(), std::memory_order_relaxed);
+    tree.allActiveBytes->fetch_add(by * cellBytes(), std::memory_order_relaxed);
+  }
+  changes.fetch_add(1, std::memory_order_release);
+}
+
+//===----------------------------------------------------------------------===//
+// Activity of one cell
+//===----------------------------------------------------------------------===//
+
+bool SparseNode::isActive(int64_t cell) const {
+  if (layout.isList)
+    return cell % capacity() < loadLength(lengths() + cell / capacity());
+  return loadWord(words() + cell / 64) >> (cell % 64) & 1;
+}
+
+bool SparseNode::activate(int64_t cell) {
+  if (layout.isList) {
+    int32_t *length = lengths() + cell / capacity();
+    int32_t wanted = static_cast<int32_t>(cell % capacity()) + 1;
+    int32_t known = loadLength(length);
+    while (known < wanted &&
+           !__atomic_compare_exchange_n(length, &known, wanted, true,
+                                        __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {
+    }
+    if (known >= wanted)
+      return false;
+    markWord(cell / capacity());
+    changed(wanted - known);
+  } else {
+    uint64_t bit = uint64_t(1) << (cell % 64);
+    uint64_t before =
+        __atomic_fetch_or(words() + cell / 64, bit, __ATOMIC_RELAXED);
+    if (before & bit)
+      return false;
+    markWord(cell / 64);
+    changed(1);
+  }
+  if (parent)
+    parent->activate(cell / cellsBelow);
+  return true;
+}
+
+int64_t SparseNode::length(int64_t list) const {
+  return loadLength(lengths() + list);
+}
+
+int64_t SparseNode::append(int64_t list) {
+  int32_t *length = lengths() + list;
+  int32_t known = loadLength(length);
+  do {
+    if (known >= capacity())
+      return -1;
+  } while (!__atomic_compare_exchange_n(length, &known, known + 1, true,
+                                        __ATOMIC_RELAXED, __ATOMIC_RELAXED));
+  markWord(list);
+  changed(1);
+  if (parent)
+    parent->activate(list * capacity() / cellsBelow);
+  return known;
+}
+
+/// Zeroes memory, and gives whole pages back.
+static void release(char *begin, int64_t bytes) {
+  static const int64_t page = sysconf(_SC_PAGESIZE);
+  auto address = reinterpret_cast<intptr_t>(begin);
+  intptr_t first = (address + page - 1) / page * page;
+  intptr_t last = (address + bytes) / page * page;
+  if (last - first < 2 * page) {
+    std::memset(begin, 0, static_cast<size_t>(bytes));
+    return;
+  }
+  std::memset(begin, 0, static_cast<size_t>(first - address));
+  // Reads as zero from then on.
+  madvise(reinterpret_cast<void *>(first), static_cast<size_t>(last - first),
+          MADV_DONTNEED);
+  std::memset(reinterpret_cast<void *>(last), 0,
+              static_cast<size_t>(address + bytes - last));
+}
+
+void SparseNode::clearRange(int64_t first, int64_t count) {
+  int64_t cleared = 0;
+  if (layout.isList) {
+    for (int64_t list = first / capacity(), end = (first + count) / capacity();
+         list < end; ++list)
+      cleared += __atomic_exchange_n(lengths() + list, 0, __ATOMIC_RELAXED);
+  } else {
+    for (int64_t cell = first, end = first + count; cell < end;) {
+      int64_t bits = std::min<int64_t>(64 - cell % 64, end - cell);
+      uint64_t mask = bits == 64 ? ~uint64_t(0)
+                                 : ((uint64_t(1) << bits) - 1) << (cell % 64);
+      uint64_t *word = words() + cell / 64;
+      if (loadWord(word) & mask)
+        cleared += __builtin_popcountll(
+            __atomic_fetch_and(word, ~mask, __ATOMIC_RELAXED) & mask);
+      cell += bits;
+    }
+  }
+  if (cleared == 0)
+    return;
+  changed(-cleared);
+  for (SparseNode *child : children)
+    child->clearRange(first * child->cellsBelow, count * child->cellsBelow);
+}
+
+void SparseNode::deactivate(int64_t cell) {
+  if (layout.isList) {
+    int64_t list = cell / capacity();
+    int32_t length = __atomic_exchange_n(lengths() + list, 0, __ATOMIC_RELAXED);
+    if (length == 0)
+      return;
+    for (SparseNode *child : children)
+      child->clearRange(list * capacity() * child->cellsBelow,
+                        capacity() * child->cellsBelow);
+    release(addressOf(list * capacity()), length * cellBytes());
+    changed(-length);
+    return;
+  }
+  uint64_t bit = uint64_t(1) << (cell % 64);
+  uint64_t before =
+      __atomic_fetch_and(words() + cell / 64, ~bit, __ATOMIC_RELAXED);
+  if (!(before & bit))
+    return;
+  for (SparseNode *child : children)
+    child->clearRange(cell * child->cellsBelow, child->cellsBelow);
+  release(addressOf(cell), cellBytes());
+  changed(-1);
+}
+
+void SparseNode::deactivateAll() {
+  std::vector<int64_t> found;
+  collectInto(found, 0, numMarks);
+  for (int64_t cell : found)
+    if (!layout.isList || cell % capacity() == 0)
+      deactivate(cell);
+}
+
+//===----------------------------------------------------------------------===//
+// Lists
+//===----------------------------------------------------------------------===//
+
+void SparseNode::collectInto(std::vector<int64_t> &found, int64_t begin,
+                             int64_t end) const {
+  for (int64_t m = begin; m < end; ++m) {
+    uint64_t mark = marks[m].load(std::memory_order_relaxed);
+    for (; mark; mark &= mark - 1) {
+      int64_t group = m * 64 + __builtin_ctzll(mark);
+      if (layout.isList) {
+        int64_t first = group * capacity();
+        for (int64_t i = 0, n = length(group); i < n; ++i)
+          found.push_back(first + i);
+        continue;
+      }
+      for (uint64_t word = loadWord(words() + group); word; word &= word - 1)
+        found.push_back(group * 64 + __builtin_ctzll(word));
+    }
+  }
+}
+
+ActiveListPtr SparseNode::list(Runtime &runtime) {
+  std::lock_guard<std::mutex> lock(mutex);
+  uint64_t now = epoch();
+  if (current && current->epoch == now) {
+    ++reused;
+    return current;
+  }
+  auto list = std::make_shared<ActiveList>();
+  list->epoch = now;
+  // Enough cells to repay a fork.
+  constexpr int64_t kManyCells = 1 << 15;
+  int64_t parts = numActive() < kManyCells
+                      ? 1
+                      : std::min<int64_t>(runtime.threads(), numMarks);
+  if (parts <= 1) {
+    list->cells.reserve(static_cast<size_t>(std::max<int64_t>(numActive(), 0)));
+    collectInto(list->cells, 0, numMarks);
+  } else {
+    struct Job {
+      const SparseNode *node;
+      int64_t parts;
+      std::vector<std::vector<int64_t>> found;
+    } job{this, parts, std::vector<std::vector<int64_t>>(parts)};
+    runtime.parallel(
+        parts,
+        [](void *context, int64_t part) {
+          Job &job = *static_cast<Job *>(context);
+          int64_t marks = job.node->numMarks;
+          job.node->collectInto(job.found[part], marks * part / job.parts,
+                                marks * (part + 1) / job.parts);
+        },
+        &job);
+    for (const std::vector<int64_t> &found : job.found)
+      list->cells.insert(list->cells.end(), found.begin(), found.end());
+  }
+  ++made;
+  current = std::move(list);
+  return current;
+}

@@ -1,0 +1,207 @@
+"""Levels of a layout in kernels: activity, lists, and loops over active cells."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .. import ops
+from ..errors import TaiIndexError, TaiTypeError
+from ..fields import Field, MatrixField, ScalarField
+from ..snode import AXIS_NAMES, SNode
+from .emitter import Emitter
+from .refs import flatten_indices, use_field
+from .value import Value
+
+
+def level_of(thing: Any, what: str) -> SNode:
+    """The level that an argument means: itself, or the one that holds a field."""
+    if isinstance(thing, Field):
+        use_field(thing)
+        return thing.snode
+    if isinstance(thing, SNode) and thing.kind != "root":
+        return thing
+    raise TaiTypeError(
+        f"{what} takes a level of a layout, but got {thing!r}",
+        "keep what ti.root.pointer(…) returns, or write x.parent()",
+    )
+
+
+class Level:
+    """A level, seen from a field below it.
+
+    Attributes:
+        field: the first field below, whose indices name cells.
+        up: how many levels it stands above the field; 1 is the innermost.
+        scale: for each dimension of the field, how many of its indices one cell spans.
+        dimensions: for each dimension of the level, that of the field.
+    """
+
+    def __init__(self, node: SNode, what: str):
+        self.node = node
+        field = next(node.places(), None)
+        if field is None:
+            raise TaiTypeError(f"{what} takes a level that holds a field", "place one below it")
+        use_field(field)
+        self.field: ScalarField = field
+        below = field.snode
+        self.up = len(below.path()) - len(node.path()) + 1
+        extents, own = below.axis_extents(), node.axis_extents()
+        self.scale = [extents[axis] // own.get(axis, 1) for axis in extents]
+        self.dimensions = [list(extents).index(axis) for axis in own]
+
+    @property
+    def rank(self) -> int:
+        return len(self.dimensions)
+
+    def element(self, emitter: Emitter, indices: list[Any]) -> list[Any]:
+        """Handles of the indices of the first element in a cell."""
+        offset = self.field.offset or (0,) * len(self.scale)
+        handles = [emitter.index(first) for first in offset]
+        for dimension, index in zip(self.dimensions, indices, strict=True):
+            value = emitter.binary("*", index, self.scale[dimension])
+            handles[dimension] = emitter.to_index(emitter.binary("+", value, offset[dimension]))
+        return handles
+
+
+def _describe(node: SNode) -> str:
+    names = "".join(AXIS_NAMES[axis] for axis in node.axis_extents())
+    return f"the '{node.kind}' level over {names}"
+
+
+class Sparse:
+    """The part of the compiler that handles levels."""
+
+    emitter: Any
+    builder: Any
+
+    def level_call(self, function: Any, args: list) -> Any:
+        """A call of `ti.activate`, `ti.is_active`, `ti.append`, …"""
+        name = f"ti.{function.__name__}"
+        if function is ops.rescale_index:
+            return self._rescale(args)
+        if len(args) != (3 if function is ops.append else 2):
+            form = "level, indices, value" if function is ops.append else "level, indices"
+            raise TaiTypeError(f"{name} takes ({form})")
+        level = Level(level_of(args[0], name), name)
+        indices = flatten_indices(args[1])
+        if function in (ops.append, ops.length):
+            value = args[2] if function is ops.append else None
+            return self.list_call(level, indices, value, name)
+        if level.node.kind == "dynamic" and function is ops.deactivate:
+            # A list goes as a whole.
+            if len(indices) == level.rank - 1:
+                indices = self._with_list_index(level, indices, 0)
+        if len(indices) != level.rank:
+            raise TaiIndexError(
+                f"{_describe(level.node)} has {level.rank} indices, but got {len(indices)}"
+            )
+        op = {ops.activate: "activate", ops.deactivate: "deactivate", ops.is_active: "is_active"}
+        results = [self.builder.type("i1")] if function is ops.is_active else []
+        handle = self.builder.op(
+            f"tai.{op[function]}",
+            level.element(self.emitter, indices),
+            results,
+            {
+                "field": self.builder.attribute(f"@{level.field.symbol}"),
+                "level": self.builder.attribute(f"{level.up} : i64"),
+            },
+        )
+        if function is not ops.is_active:
+            return None
+        from ..dtypes import u1
+
+        return self.emitter.value(handle, u1)
+
+    def list_call(self, level: Level, indices: list, value: Any, name: str) -> Any:
+        """`ti.append` (with a value) or `ti.length` of a list."""
+        from ..dtypes import i32
+
+        node, emitter = level.node, self.emitter
+        if node.kind != "dynamic":
+            raise TaiTypeError(
+                f"{name} takes a dynamic level, but this is {_describe(node)}",
+                "ti.root.dynamic(ti.j, 1024).place(x)",
+            )
+        if len(indices) != level.rank - 1:
+            raise TaiIndexError(
+                f"a list of {_describe(node)} has {level.rank - 1} indices, but got {len(indices)}"
+            )
+        handles = level.element(emitter, self._with_list_index(level, indices, 0))
+        del handles[self._list_dimension(level)]
+        attrs = {"field": self.builder.attribute(f"@{level.field.symbol}")}
+        index = self.builder.type("index")
+        if value is None:
+            count = self.builder.op("tai.length", handles, [index], attrs)
+            return emitter.from_index(count, i32)
+        places = [p for p in node.places() if p.role == "primal"]
+        if len(places) != 1:
+            raise TaiTypeError(
+                f"{name} takes a list of one field, but this one holds {len(places)}",
+                "write to the elements: the list grows to the highest index",
+            )
+        element = emitter.as_value(value)
+        element = emitter.broadcast(
+            emitter.cast(element, level.field.dtype), level.field.element_shape
+        )
+        at = self.builder.op("tai.append", [element.handle, *handles], [index], attrs)
+        return emitter.from_index(at, i32)
+
+    def _list_dimension(self, level: Level) -> int:
+        axes = list(level.node.axis_extents())
+        return level.dimensions[axes.index(level.node.axes[0])]
+
+    def _with_list_index(self, level: Level, indices: list, index: Any) -> list:
+        axes = list(level.node.axis_extents())
+        at = axes.index(level.node.axes[0])
+        return [*indices[:at], index, *indices[at:]]
+
+    def _rescale(self, args: list) -> Any:
+        if len(args) != 3:
+            raise TaiTypeError("ti.rescale_index takes (from level, to level, indices)")
+        source, target = (level_of(a, "ti.rescale_index") for a in args[:2])
+        have, want = source.axis_extents(), target.axis_extents()
+        indices = flatten_indices(args[2])
+        if list(have) != list(want) or len(indices) != len(have):
+            raise TaiTypeError("ti.rescale_index takes levels and indices of the same axes")
+        result = []
+        for axis, index in zip(have, indices, strict=True):
+            if want[axis] >= have[axis]:
+                result.append(self.emitter.binary("*", index, want[axis] // have[axis]))
+            else:
+                result.append(self.emitter.binary("//", index, have[axis] // want[axis]))
+        from ..matrix import Vector
+
+        return Vector(result)
+
+
+class ListElement:
+    """`y[i]` where `y` lies below a dynamic level: the list as a whole."""
+
+    def __init__(self, compiler: Any, field: Field, indices: list[Any]):
+        self._compiler, self._indices = compiler, indices
+        self._level = Level(field.snode, f"field '{field.name}'")
+
+    def append(self, value: Any) -> Value:
+        """Adds a cell and returns its index."""
+        return self._compiler.list_call(self._level, self._indices, value, "append")
+
+    def length(self) -> Value:
+        """The number of cells."""
+        return self._compiler.list_call(self._level, self._indices, None, "length")
+
+    def deactivate(self) -> None:
+        """Empties the list."""
+        self._compiler.level_call(ops.deactivate, [self._level.node, self._indices])
+
+
+def list_element(compiler: Any, field: Field, key: Any) -> ListElement | None:
+    """The list that a subscript with one index less than the field names, or None."""
+    storage = field.parts[0] if isinstance(field, MatrixField) else field
+    node = storage.snode
+    if node is None or node.kind != "dynamic":
+        return None
+    indices = [] if key is None else flatten_indices(key)
+    if len(indices) != len(field.shape) - 1:
+        return None
+    use_field(field)
+    return ListElement(compiler, storage, indices)
