@@ -76,6 +76,9 @@ TAI_EXPORT void taiContextDestroy(TaiContext context);
 ///   forward_mode      true | false: launch every kernel with the tangents that
 ///                     it carries along, those of a tape and adjoints too
 ///   history_bytes     number: what a loop of an adjoint may record at once
+///   skip              "all", "none", or a comma list of what is left out where
+///                     it is not needed ("-name" takes one away); results do
+///                     not depend on it
 TAI_EXPORT TaiStatus taiContextSetOption(TaiContext context, const char *name,
                                          const char *value);
 
@@ -388,6 +391,20 @@ TAI_EXPORT TaiStatus taiProfilerRows(TaiContext context,
                                      const TaiProfileRow **rows,
                                      int64_t *count);
 TAI_EXPORT TaiStatus taiProfilerClear(TaiContext context);
+
+/// One counter of one skip: of what the system leaves out, or does, because the
+/// scene does not need it, or does. Rows of one skip stand together.
+typedef struct TaiSkipRow {
+  const char *skip;    // a name for the option "skip"
+  const char *counter; // "bytes…" for an amount of memory
+  int64_t value;
+  int on; // whether the skip is
+} TaiSkipRow;
+/// All counters since the last clear; owned by the context, valid until the
+/// next call. Amounts of memory in use are those of now.
+TAI_EXPORT TaiStatus taiProfilerSkips(TaiContext context,
+                                      const TaiSkipRow **rows, int64_t *count);
+TAI_EXPORT TaiStatus taiProfilerClearSkips(TaiContext context);
 
 #ifdef __cplusplus
 }

@@ -11,9 +11,10 @@
 using namespace llvm;
 using namespace mlir::tai;
 
-// The magic, the symbol, the code, and the trees up to the end; each string as
-// its length in eight bytes and its bytes.
-static constexpr StringLiteral magic = "TAIOBJ2\n";
+// The magic, the symbol, the code, what the adjoint needs, the counts, the loop
+// levels, and the trees up to the end; each string as its length in eight bytes
+// and its bytes.
+static constexpr StringLiteral magic = "TAIOBJ3\n";
 
 static void append(std::string &bytes, StringRef string) {
   char length[8];
@@ -34,11 +35,32 @@ static std::optional<StringRef> consume(StringRef &bytes) {
   return string;
 }
 
+/// Numbers, as a string of eight bytes for each.
+static void append(std::string &bytes, ArrayRef<int64_t> numbers) {
+  std::string string(8 * numbers.size(), '\0');
+  for (auto [i, number] : enumerate(numbers))
+    support::endian::write64le(&string[8 * i], static_cast<uint64_t>(number));
+  append(bytes, string);
+}
+
+static std::optional<std::vector<int64_t>> consumeNumbers(StringRef &bytes) {
+  std::optional<StringRef> string = consume(bytes);
+  if (!string || string->size() % 8)
+    return std::nullopt;
+  std::vector<int64_t> numbers;
+  for (; !string->empty(); string = string->drop_front(8))
+    numbers.push_back(
+        static_cast<int64_t>(support::endian::read64le(string->data())));
+  return numbers;
+}
+
 std::string CompiledObject::serialize() const {
   std::string bytes = magic.str();
   append(bytes, symbol);
   append(bytes, StringRef(code.data(), code.size()));
   append(bytes, needs);
+  append(bytes, ArrayRef<int64_t>(skipped.data(), skipped.size()));
+  append(bytes, ArrayRef<int64_t>(loopLevels));
   for (const std::string &tree : trees)
     append(bytes, tree);
   return bytes;
@@ -52,7 +74,13 @@ std::optional<CompiledObject> CompiledObject::deserialize(StringRef bytes) {
   std::optional<StringRef> needs = code ? consume(bytes) : std::nullopt;
   if (!needs)
     return std::nullopt;
+  auto counts = consumeNumbers(bytes);
+  auto levels = counts ? consumeNumbers(bytes) : std::nullopt;
+  if (!levels || counts->size() != kNumSkipCounts || levels->size() % 2)
+    return std::nullopt;
   CompiledObject object;
+  copy(*counts, object.skipped.begin());
+  object.loopLevels = std::move(*levels);
   while (!bytes.empty()) {
     std::optional<StringRef> tree = consume(bytes);
     if (!tree)

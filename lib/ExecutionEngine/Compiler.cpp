@@ -10,9 +10,11 @@
 #include "mlir/Pass/Pass.h"
 #include "mlir/Pass/PassInstrumentation.h"
 #include "mlir/Target/LLVMIR/Export.h"
+#include "tai/Analysis/SkipScope.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/ExecutionEngine/AdjointNeeds.h"
+#include "tai/ExecutionEngine/LoopLevels.h"
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/IR/LLVMContext.h"
 #include "llvm/IR/Module.h"
@@ -28,7 +30,8 @@ std::string CompileOptions::str() const {
   llvm::raw_string_ostream(text)
       << "opt=" << codegen.optLevel << " fast=" << codegen.fastMath
       << " contract=" << codegen.contract << " debug=" << debug
-      << " deterministic=" << deterministic << " history=" << historyBytes;
+      << " deterministic=" << deterministic << " history=" << historyBytes
+      << " skip=" << skips.str();
   return text;
 }
 
@@ -413,13 +416,18 @@ Compiler::compileObject(CompileRequest request, const CompileOptions &options,
   CompiledObject object;
   object.symbol = prepared.symbol;
   object.needs = prepared.needs;
+  object.skipped = prepared.skipped;
   if (object.symbol.empty())
     return object;
+  SkipScope scope;
+  object.loopLevels = findLoopLevels(*prepared.module, object.symbol);
   WorkerLease lease(*this, options);
   Worker &worker = *lease;
   PhaseTimes &times = prepared.times;
   if (failed(lower(worker, request, prepared, object.trees, failure, nullptr)))
     return std::nullopt;
+  for (auto [sum, amount] : llvm::zip(object.skipped, scope.getAmounts()))
+    sum += amount;
   LLVMJob job(worker.objects);
   if (failed(job.translate(*prepared.module, object.symbol, times, failure)) ||
       failed(job.optimize(options.codegen, times, failure)))
@@ -487,8 +495,10 @@ Compiler::prepare(CompileRequest request, const CompileOptions &options,
     return prepared;
   }
   WorkerLease lease(*this, options);
+  SkipScope scope;
   if (failed(differentiate(*lease, request, prepared, failure)))
     return std::nullopt;
+  prepared.skipped = scope.getAmounts();
   return prepared;
 }
 
@@ -524,6 +534,8 @@ Compiler::finish(Prepared prepared, CompileRequest request,
     function.library = linked->library;
   }
   function.trees = std::move(object->trees);
+  function.skipped = object->skipped;
+  function.loopLevels = std::move(object->loopLevels);
   std::lock_guard<std::mutex> lock(mutex);
   for (unsigned i = 0; i < kNumPhases; ++i)
     totals[i] += function.times[i];

@@ -251,6 +251,15 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
     options.historyBytes = bytes;
     return success();
   }
+  if (name == "skip") {
+    SkipSet skips;
+    std::string error;
+    if (!SkipSet::parse(value, skips, error))
+      return fail(FailureKind::Usage, "option 'skip': " + error);
+    options.skips = skips & SkipSet::ofCompiler();
+    rt->setSkips(skips);
+    return success();
+  }
   if (name == "seed") {
     uint64_t seed;
     if (value.getAsInteger(0, seed))
@@ -285,5 +294,5 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
               "unknown option '" + name +
                   "'; the options are threads, deterministic, debug, "
                   "fast_math, opt_level, seed, cache_dir, print_ir, profiler, "
-                  "compile_profile, forward_mode, history_bytes");
+                  "compile_profile, forward_mode, history_bytes, skip");
 }

@@ -104,6 +104,28 @@ Session::makeKernel(OwningOpRef<ModuleOp> module, StringRef name) {
   return std::make_pair(std::move(code), std::move(kernel));
 }
 
+/// True if a reverse sweep may launch the adjoint: the kernel reads a field
+/// that has one, and changes such a field.
+static bool carriesGradients(const runtime::Kernel &kernel) {
+  bool reads = kernel.callerAdjoints().hasTargets;
+  bool changes = kernel.callerAdjoints().hasSources();
+  for (const runtime::Access &access : kernel.summary())
+    if (access.field->adjoint())
+      (access.kind == runtime::AccessKind::Read ? reads : changes) = true;
+  return reads && changes;
+}
+
+LogicalResult Session::compileEagerly(runtime::Kernel &kernel) {
+  runtime::Kernel *adjoint = nullptr;
+  runtime::Status status = kernel.resolve();
+  if (!status.ok())
+    return fail(status);
+  // That there is no gradient is an error for those who ask for it.
+  if (carriesGradients(kernel))
+    (void)kernel.resolveAdjoint(adjoint);
+  return success();
+}
+
 FailureOr<SessionKernel *> Session::createKernel(OwningOpRef<ModuleOp> module,
                                                  StringRef name) {
   auto made = makeKernel(std::move(module), name);
@@ -111,6 +133,10 @@ FailureOr<SessionKernel *> Session::createKernel(OwningOpRef<ModuleOp> module,
     return failure();
   kernels.push_back(std::make_unique<SessionKernel>(
       SessionKernel{std::move(made->first), std::move(made->second)}));
+  rt->skipCounters().bump(SkipCount::KernelsDefined);
+  if (!rt->skips(Skip::LazyCompilation) &&
+      failed(compileEagerly(*kernels.back()->kernel)))
+    return failure();
   return kernels.back().get();
 }
 
@@ -157,6 +183,14 @@ static std::vector<runtime::TreePtr> findTrees(const KernelCode &code,
     trees.push_back(*llvm::find_if(
         code.trees, [&](const auto &tree) { return tree->name() == name; }));
   return trees;
+}
+
+static std::vector<runtime::LoopLevel>
+getLoopLevels(const Compiler::Function &function) {
+  std::vector<runtime::LoopLevel> levels;
+  for (size_t i = 0; i + 1 < function.loopLevels.size(); i += 2)
+    levels.push_back({function.loopLevels[i], function.loopLevels[i + 1]});
+  return levels;
 }
 
 void Session::printStages(KernelCode &code, CompileRequest::Goal goal,
@@ -217,9 +251,19 @@ std::optional<Compiler::Function> Session::compileAs(KernelCode &code,
     return std::nullopt;
   if (printsProfile)
     printProfile(code.name, goal, *function);
+  if (!forward)
+    count(*function, goal != CompileRequest::Goal::Primal);
   std::lock_guard<std::mutex> lock(mutex);
   code.functions.push_back(*function);
   return function;
+}
+
+void Session::count(const Compiler::Function &function, bool isAdjoint) {
+  SkipCounters &counters = rt->skipCounters();
+  counters.add(function.skipped);
+  if (function.address)
+    counters.add(isAdjoint ? SkipCount::AdjointsCompiled
+                           : SkipCount::KernelsCompiled);
 }
 
 /// True if the kernel may store elements that it reads: then the adjoint must
@@ -277,20 +321,10 @@ std::optional<Compiler::Function> Session::compileAdjoint(KernelCode &code,
     return std::nullopt;
   if (printsProfile)
     printProfile(code.name, goal, *function);
+  count(*function, /*isAdjoint=*/true);
   std::lock_guard<std::mutex> lock(mutex);
   code.functions.push_back(*function);
   return function;
-}
-
-/// True if a reverse sweep may launch the adjoint: the kernel reads a field
-/// that has one, and changes such a field.
-static bool carriesGradients(const runtime::Kernel &kernel) {
-  bool reads = kernel.callerAdjoints().hasTargets;
-  bool changes = kernel.callerAdjoints().hasSources();
-  for (const runtime::Access &access : kernel.summary())
-    if (access.field->adjoint())
-      (access.kind == runtime::AccessKind::Read ? reads : changes) = true;
-  return reads && changes;
 }
 
 /// Decides, once, which form of the adjoint a tape launches for all we know.
@@ -318,6 +352,7 @@ runtime::Status Session::compilePrimal(KernelCode &code,
   if (!compiled)
     return keepFailure(std::move(failure));
   runtimeKernel.setTrees(findTrees(code, compiled->trees));
+  runtimeKernel.setLoopLevels(getLoopLevels(*compiled));
   function = reinterpret_cast<TaiKernelFn>(compiled->address);
   return runtime::Status::success();
 }
@@ -330,6 +365,7 @@ static runtime::KernelInfo getHelperInfo(const KernelCode &code,
   info.name = code.name + suffix.str();
   info.argSlots = code.argSlots;
   info.trees = findTrees(code, compiled.trees);
+  info.loopLevels = getLoopLevels(compiled);
   info.function = reinterpret_cast<TaiKernelFn>(compiled.address);
   return info;
 }

@@ -8,6 +8,7 @@
 #include "Launch.h"
 #include "tai/Runtime/Abi.h"
 
+using namespace mlir::tai;
 using namespace mlir::tai::runtime;
 
 static SparseNode &nodeOf(void *tree, int32_t node) {
@@ -78,5 +79,7 @@ extern "C" int64_t tai_rt_active_cells(TaiFrame *frame, void *tree,
   *cells = list->cells.data();
   int64_t count = static_cast<int64_t>(list->cells.size());
   launch.keep(std::move(list));
+  if (count == 0)
+    launch.owner().skipCounters().add(SkipCount::EmptyLoops);
   return count;
 }

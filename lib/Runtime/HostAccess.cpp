@@ -304,10 +304,17 @@ void Runtime::clearGradients() {
   for (const FieldPtr &field : fieldList) {
     if (forward && field->isAdjoint() && field->dual())
       fillWith(*field->dual(), zeros);
-    if (!field->isAdjoint() || !field->dirty())
+    if (!field->isAdjoint())
       continue;
+    int64_t bytes = bytesInUse(*field);
+    if (!field->dirty() && skips(Skip::FlaggedClears)) {
+      skipCounts.bump(SkipCount::FieldsNotCleared);
+      skipCounts.bump(SkipCount::BytesNotCleared, bytes);
+      continue;
+    }
     fillWith(*field, zeros);
     field->dirtyFlag.store(false, std::memory_order_relaxed);
-    ++counts.clearedFields;
+    skipCounts.bump(SkipCount::FieldsCleared);
+    skipCounts.bump(SkipCount::BytesCleared, bytes);
   }
 }

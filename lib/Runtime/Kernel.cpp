@@ -125,6 +125,12 @@ void Kernel::setSummary(std::vector<Access> summary) {
   boundEpoch.store(0, std::memory_order_release);
 }
 
+void Kernel::setLoopLevels(std::vector<LoopLevel> levels) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  info.loopLevels = std::move(levels);
+  boundEpoch.store(0, std::memory_order_release);
+}
+
 static void addOnce(std::vector<Field *> &fields, Field *field) {
   if (std::find(fields.begin(), fields.end(), field) == fields.end())
     fields.push_back(field);
@@ -146,6 +152,10 @@ Status Kernel::bind(uint64_t epoch) {
   bases.clear();
   for (const TreePtr &tree : info.trees)
     bases.push_back(tree->base());
+  loopLevels.clear();
+  for (const LoopLevel &level : info.loopLevels)
+    loopLevels.push_back(
+        info.trees[level.tree]->sparseNodes()[level.node].get());
   changedAdjoints.clear();
   adjointTargets.clear();
   adjointSources.clear();

@@ -98,6 +98,8 @@ Status Runtime::addTree(std::string name, int64_t bytes, TreePtr &tree,
                                " are taken by other trees)");
   if (sparse.empty() && bytes >= (int64_t(8) << 20))
     (void)madvise(memory, mapped, MADV_HUGEPAGE);
+  if (sparse.empty() && !skips(Skip::LazyMemory))
+    commitPages(static_cast<char *>(memory), static_cast<int64_t>(mapped));
   ++treesMade;
   tree = std::make_shared<Tree>();
   tree->treeName = name;
@@ -392,7 +394,11 @@ Status Runtime::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
   launch.launch = number;
   int32_t code;
   TaiKernelFn function = kernel.function.load(std::memory_order_relaxed);
-  if (__builtin_expect(opts.profiler, false))
+  if (!kernel.loopLevels.empty() && skips(Skip::EmptyLists) &&
+      kernel.hasNoActiveCells()) {
+    skipCounts.add(SkipCount::EmptyLaunches);
+    code = 0;
+  } else if (__builtin_expect(opts.profiler, false))
     code = runTimed(launch, kernel, function);
   else
     code = function(&launch);
@@ -672,9 +678,9 @@ Counters Runtime::counters() const {
       static_cast<int64_t>(launchCounter.load(std::memory_order_relaxed));
   result.forks = counts.forks.load(std::memory_order_relaxed);
   result.inlineLoops = counts.inlineLoops.load(std::memory_order_relaxed);
-  result.recorded = counts.recorded;
-  result.replayed = counts.replayed;
-  result.skipped = counts.skipped;
-  result.clearedFields = counts.clearedFields;
+  result.recorded = skipCounts.get(SkipCount::TapeRecorded);
+  result.replayed = skipCounts.get(SkipCount::TapeReplayed);
+  result.skipped = skipCounts.get(SkipCount::TapeSkipped);
+  result.clearedFields = skipCounts.get(SkipCount::FieldsCleared);
   return result;
 }

@@ -13,6 +13,7 @@
 #include <sys/mman.h>
 #include <unistd.h>
 
+using namespace mlir::tai;
 using namespace mlir::tai::runtime;
 
 /// Atomic views of words in the memory of the tree, which compiled code reads
@@ -230,8 +231,9 @@ void SparseNode::collectInto(std::vector<int64_t> &found, int64_t begin,
 ActiveListPtr SparseNode::list(Runtime &runtime) {
   std::lock_guard<std::mutex> lock(mutex);
   uint64_t now = epoch();
-  if (current && current->epoch == now) {
+  if (current && current->epoch == now && runtime.skips(Skip::ListReuse)) {
     ++reused;
+    runtime.skipCounters().add(SkipCount::ListsReused);
     return current;
   }
   auto list = std::make_shared<ActiveList>();
@@ -263,6 +265,7 @@ ActiveListPtr SparseNode::list(Runtime &runtime) {
       list->cells.insert(list->cells.end(), found.begin(), found.end());
   }
   ++made;
+  runtime.skipCounters().add(SkipCount::ListsMade);
   current = std::move(list);
   return current;
 }

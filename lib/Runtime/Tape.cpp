@@ -81,6 +81,14 @@ Tape::Decision Tape::decide(size_t index, const Live &live) const {
   return Decision::SkipNoEffect;
 }
 
+Tape::Decision Tape::withoutPruning(size_t index, Decision decision) const {
+  bool prunes =
+      decision == Decision::SkipUnreached || decision == Decision::SkipNoEffect;
+  return prunes && records[index].kernel && !runtime.skips(Skip::TapePruning)
+             ? Decision::Unpruned
+             : decision;
+}
+
 std::vector<Field *> Tape::liveFields() const {
   std::vector<Field *> live;
   for (const FieldPtr &field : runtime.fieldList)
@@ -183,14 +191,13 @@ void Tape::plan() {
     return all || field->planMark == mark;
   };
   for (size_t i = records.size(); i-- > 0;) {
-    decisions[i] = decide(i, live);
+    decisions[i] = withoutPruning(i, decide(i, live));
     if (decisions[i] == Decision::Callback)
       all = true;
-    if (decisions[i] == Decision::Overwrite)
+    if (isReplayed(decisions[i]))
       needed.push_back(static_cast<uint32_t>(i));
     if (decisions[i] != Decision::Replay)
       continue;
-    needed.push_back(static_cast<uint32_t>(i));
     for (Field *field : records[i].kernel->adjointTargets)
       field->planMark = mark;
   }
@@ -220,7 +227,8 @@ Status Tape::runAdjoint(Launch &launch, size_t index) {
   bool takes = storesAgain[index];
   // A value that was returned and not used any more costs nothing.
   const auto &sources = kernel.adjointSources;
-  if (!kernel.info.callerAdjoints.results.empty() &&
+  if (runtime.skips(Skip::TapePruning) &&
+      !kernel.info.callerAdjoints.results.empty() &&
       std::none_of(sources.begin(), sources.end(),
                    [](Field *field) { return field->adjoint()->dirty(); }) &&
       kernel.info.callerAdjoints.areZero(slots.data() + record.payload +
@@ -231,10 +239,13 @@ Status Tape::runAdjoint(Launch &launch, size_t index) {
       kernel.adjointForms[takes].known.load(std::memory_order_acquire);
   if (!adjoint) {
     Status status = kernel.resolveAdjoint(adjoint, takes);
+    // What the loss does not depend on need not be differentiable.
+    if (!status && decisions[index] == Decision::Unpruned)
+      return Status::success();
     if (!status || !adjoint)
       return status;
   }
-  ++runtime.counts.replayed;
+  runtime.skipCounts.bump(SkipCount::TapeReplayed);
   Status status = runtime.runAdjoint(launch, kernel, *adjoint,
                                      slots.data() + record.payload,
                                      firstLaunch + record.launch);
@@ -259,7 +270,8 @@ private:
 Status Tape::sweepPlanned() {
   if (!planHolds())
     plan();
-  runtime.counts.skipped += numRecords() - static_cast<int64_t>(needed.size());
+  runtime.skipCounts.bump(SkipCount::TapeSkipped,
+                          numRecords() - static_cast<int64_t>(needed.size()));
   HeldLaunch held(runtime);
   for (uint32_t index : needed) {
     Status status = replayAdjoint(held.get(), index);
@@ -271,19 +283,19 @@ Status Tape::sweepPlanned() {
 
 Status Tape::reverseRecord(Launch &launch, size_t i) {
   if (reverseCallbacks)
-    decisions[i] =
-        decide(i, [](const Field *field) { return field->adjoint()->dirty(); });
+    decisions[i] = withoutPruning(i, decide(i, [](const Field *field) {
+                                    return field->adjoint()->dirty();
+                                  }));
   Status status;
   if (decisions[i] == Decision::Callback) {
     memory->enter(static_cast<uint32_t>(i), /*reruns=*/false);
     status = callbacks[records[i].payload].backward();
     if (status && watching)
       examine(i);
-  } else if (decisions[i] == Decision::Replay ||
-             decisions[i] == Decision::Overwrite) {
+  } else if (isReplayed(decisions[i])) {
     status = replayAdjoint(launch, i);
   } else {
-    ++runtime.counts.skipped;
+    runtime.skipCounts.bump(SkipCount::TapeSkipped);
   }
   return status;
 }
@@ -384,8 +396,7 @@ int64_t Tape::numSkipped() {
     plan();
   return std::count_if(
       decisions.begin(), decisions.end(), [](Decision decision) {
-        return decision != Decision::Replay && decision != Decision::Callback &&
-               decision != Decision::Overwrite;
+        return !isReplayed(decision) && decision != Decision::Callback;
       });
 }
 
@@ -394,7 +405,8 @@ std::vector<Tape::Pending> Tape::pendingAdjoints() {
     plan();
   std::vector<Pending> pending;
   for (uint32_t index : needed) {
-    if (!records[index].kernel)
+    // Those that are not pruned need not be differentiable.
+    if (!records[index].kernel || decisions[index] == Decision::Unpruned)
       continue;
     Pending entry = {records[index].kernel, storesAgain[index]};
     const Kernel::AdjointForm &form = entry.kernel->adjointForms[entry.takes];
@@ -432,6 +444,9 @@ const std::string &Tape::explain() {
         explanation += " to those of ";
         appendNames(explanation, record.kernel->adjointTargets);
       }
+      break;
+    case Decision::Unpruned:
+      explanation += "replayed, without effect: 'tape-pruning' is off";
       break;
     case Decision::SkipNoDerivative:
       explanation += "skipped: it has nothing to differentiate";

@@ -121,8 +121,7 @@ Status Tape::recomputeRange(Launch &launch, size_t from, size_t to) {
 
 /// Whether the sweep has anything to do at the record.
 bool Tape::mayNeed(size_t index) const {
-  return reverseCallbacks || decisions[index] == Decision::Replay ||
-         decisions[index] == Decision::Overwrite;
+  return reverseCallbacks || isReplayed(decisions[index]);
 }
 
 /// Goes through [from, to) in reverse by saving what is overwritten there.

@@ -139,7 +139,7 @@ void Tape::record(Kernel &kernel, const uint64_t *args, uint64_t launch) {
   lastLaunch = launch - firstLaunch;
   records.push_back({&kernel, lastLaunch, slots.size()});
   slots.insert(slots.end(), args, args + kernel.tapeSlots());
-  ++runtime.counts.recorded;
+  runtime.skipCounts.bump(SkipCount::TapeRecorded);
 }
 
 //===----------------------------------------------------------------------===//

@@ -504,7 +504,20 @@ void taipy::bindRuntime(py::module_ &module) {
              return result;
            })
       .def("clear_profile",
-           [](Context &c) { c.check(taiProfilerClear(c.handle)); });
+           [](Context &c) { c.check(taiProfilerClear(c.handle)); })
+      .def("skips",
+           [](Context &c) {
+             const TaiSkipRow *rows = nullptr;
+             int64_t count = 0;
+             c.check(taiProfilerSkips(c.handle, &rows, &count));
+             py::list result;
+             for (const TaiSkipRow *row = rows; row != rows + count; ++row)
+               result.append(py::make_tuple(row->skip, row->counter, row->value,
+                                            bool(row->on)));
+             return result;
+           })
+      .def("clear_skips",
+           [](Context &c) { c.check(taiProfilerClearSkips(c.handle)); });
   bindField(module);
   bindKernel(module);
   bindTape(module);

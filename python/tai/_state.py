@@ -20,5 +20,7 @@ program: Program | None = None
 emitter: Emitter | None = None
 # The tape that is recording, or None.
 tape: Any = None
+# How many kernels have been defined.
+kernels_made: int = 0
 # Whether kernels are launched with their tangents.
 forward: bool = False

@@ -163,6 +163,9 @@ class Kernel(_core.Launcher):
         self._program: Any = None
         self._specializations: dict[tuple, Specialization] = {}
         self._last: Specialization | None = None
+        # Of the kernels of this process, the how manieth.
+        self.number = _state.kernels_made
+        _state.kernels_made += 1
         self.grad = GradientKernel(self)
         check_annotations(function, is_method)
 

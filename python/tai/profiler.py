@@ -1,4 +1,7 @@
-"""`ti.profiler`: how long kernels run. Needs `ti.init(kernel_profiler=True)`."""
+"""`ti.profiler`: how long kernels run, and what was left out.
+
+Times need `ti.init(kernel_profiler=True)`; `skips` and `print_skips` do not.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from . import _state
+from ._skips import Skips as Skips
+from ._skips import clear_skips as clear_skips
+from ._skips import print_skips as print_skips
+from ._skips import skips as skips
 from .errors import TaiRuntimeError
 
 

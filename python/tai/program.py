@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from . import _state, dtypes
+from ._skips import option_text
 from .errors import TaiRuntimeError, TaiRuntimeTypeError, did_you_mean
 
 
@@ -48,6 +49,7 @@ class Options:
     opt_level: int = 3
     log_level: str = WARN
     ad_history_bytes: int = 256 * 1024
+    skip: Any = "all"
     # What was given for options that are accepted and change nothing.
     accepted: dict[str, Any] = dataclasses.field(default_factory=dict)
 
@@ -102,6 +104,7 @@ class Program:
         # Functions of kernels by symbol, for reports that name a line.
         self.kernel_functions: dict[str, Any] = {}
         self.kernels: weakref.WeakSet = weakref.WeakSet()
+        self.count_kernels_from_here()
         self._set_options()
 
     def close(self) -> None:
@@ -111,6 +114,15 @@ class Program:
         for kernel in self.kernels:
             kernel.release()
         self.fields.clear()
+
+    def count_kernels_from_here(self) -> None:
+        """Forgets the kernels that were defined so far."""
+        self.first_kernel = _state.kernels_made
+
+    def kernels_defined(self) -> int:
+        """How many kernels were defined since, and those before that are in use."""
+        earlier = sum(kernel.number < self.first_kernel for kernel in self.kernels)
+        return _state.kernels_made - self.first_kernel + earlier
 
     def _set_options(self) -> None:
         o = self.options
@@ -128,6 +140,7 @@ class Program:
             "print_ir": "all" if o.print_ir is True else str(o.print_ir or ""),
             "profiler": flag(o.kernel_profiler),
             "history_bytes": str(o.ad_history_bytes),
+            "skip": option_text(o.skip),
         }
         if not o.offline_cache:
             values["cache_dir"] = ""
@@ -213,6 +226,9 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
         ad_history_bytes: what the gradient of a loop may keep in memory for each thread; a
             loop that would need more is run again in parts. `ad_stack_size` is accepted
             and not needed: loops may be of any length.
+        skip: what is left out where it is not needed: `all`, `none`, or names, as a comma list
+            or a list of strings; `-name` takes one away. Results do not depend on it; see
+            `ti.profiler.skips`.
         require: extensions that the target must have (`ti.extension.data64`, …).
         exclude: targets that the program does not run on.
 

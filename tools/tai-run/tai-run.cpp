@@ -60,6 +60,12 @@ struct Options {
                                 cl::desc("Folder of compiled code")};
   cl::opt<bool> compileProfile{"compile-profile",
                                cl::desc("Print times of compilation")};
+  cl::opt<std::string> skip{
+      "tai-skip", cl::init("all"),
+      cl::desc("What is left out where it is not needed: all, none, or names; "
+               "-name takes one away"),
+      cl::value_desc("names")};
+  cl::opt<bool> skips{"skips", cl::desc("Print what was left out")};
 };
 } // namespace
 
@@ -73,7 +79,8 @@ static LogicalResult setOptions(Session &session, const Options &given) {
       {"opt_level", std::to_string(given.optLevel)},
       {"seed", given.seed},
       {"print_ir", given.printIR},
-      {"compile_profile", text(given.compileProfile)}};
+      {"compile_profile", text(given.compileProfile)},
+      {"skip", given.skip}};
   if (given.noCache)
     options.push_back({"cache_dir", ""});
   else if (given.cacheDir.getNumOccurrences())
@@ -198,8 +205,11 @@ int main(int argc, char **argv) {
                               "Runs the program in an .mlir file.\n");
   Session session;
   if (succeeded(run(session, options)) &&
-      succeeded(printFields(session, options)))
+      succeeded(printFields(session, options))) {
+    if (options.skips)
+      llvm::outs() << session.getRuntime().skipTable();
     return 0;
+  }
   llvm::outs().flush();
   llvm::errs() << session.getFailure().text;
   return 1;

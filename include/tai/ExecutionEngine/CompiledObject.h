@@ -13,6 +13,7 @@
 #ifndef TAI_EXECUTIONENGINE_COMPILEDOBJECT_H
 #define TAI_EXECUTIONENGINE_COMPILEDOBJECT_H
 
+#include "tai/Runtime/Skips.h"
 #include "llvm/ADT/SmallVector.h"
 #include "llvm/ADT/StringRef.h"
 #include <optional>
@@ -28,6 +29,11 @@ struct CompiledObject {
   std::vector<std::string> trees;
   /// Of adjoints, what they ask of memory: a serialized AdjointNeeds.
   std::string needs;
+  /// What the passes have left out, and what they have not.
+  SkipAmounts skipped{};
+  /// Of a kernel that does nothing but loop over active cells: pairs of a tree,
+  /// by its position among `trees`, and the number of a level in it.
+  std::vector<int64_t> loopLevels;
   llvm::SmallVector<char, 0> code;
 
   std::string serialize() const;

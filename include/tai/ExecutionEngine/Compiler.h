@@ -23,6 +23,7 @@
 #include "tai/ExecutionEngine/Diagnostics.h"
 #include "tai/ExecutionEngine/Linker.h"
 #include "tai/ExecutionEngine/ObjectCompiler.h"
+#include "tai/Runtime/Skips.h"
 #include <array>
 #include <functional>
 
@@ -37,11 +38,13 @@ struct CompileOptions {
   bool deterministic = false;
   /// What a loop of an adjoint may record at once.
   int64_t historyBytes = kDefaultHistoryBytes;
+  /// Of the skips, those that passes look at.
+  SkipSet skips = SkipSet::ofCompiler();
 
   bool operator==(const CompileOptions &other) const {
     return codegen == other.codegen && debug == other.debug &&
            deterministic == other.deterministic &&
-           historyBytes == other.historyBytes;
+           historyBytes == other.historyBytes && skips == other.skips;
   }
   /// The options as text, for the key of the cache.
   std::string str() const;
@@ -110,6 +113,9 @@ public:
     Linker::Library *library = nullptr;
     /// The trees whose bases the function is given, in order.
     std::vector<std::string> trees;
+    /// As in CompiledObject.
+    SkipAmounts skipped{};
+    std::vector<int64_t> loopLevels;
     bool fromCache = false;
     PhaseTimes times = {};
   };
@@ -129,6 +135,7 @@ public:
     OwningOpRef<ModuleOp> module;
     std::string symbol;
     std::string needs;
+    SkipAmounts skipped{};
     PhaseTimes times = {};
   };
   std::optional<Prepared> prepare(CompileRequest request,

@@ -176,6 +176,10 @@ private:
                                                    Failure &failure);
   runtime::Status planAdjoint(KernelCode &code, runtime::Kernel &runtimeKernel,
                               runtime::AdjointPlan &plan);
+  /// The kernel and its adjoint, before anyone launches them.
+  LogicalResult compileEagerly(runtime::Kernel &kernel);
+  /// What passes have left out of a function that was made or loaded.
+  void count(const Compiler::Function &function, bool isAdjoint);
   FailureOr<std::pair<std::shared_ptr<KernelCode>, runtime::KernelPtr>>
   makeKernel(OwningOpRef<ModuleOp> module, StringRef name);
   void printStages(KernelCode &code, CompileRequest::Goal goal,

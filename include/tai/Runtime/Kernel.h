@@ -73,6 +73,13 @@ struct Access {
   }
 };
 
+/// A sparse level over whose active cells a kernel loops: the tree, by its
+/// position among those of the kernel, and the number of the level in it.
+struct LoopLevel {
+  int64_t tree;
+  int64_t node;
+};
+
 /// What the adjoint of a kernel asks of memory, known before its code is.
 struct AdjointPlan {
   /// The fields of the primal that it reads.
@@ -151,6 +158,8 @@ struct KernelInfo {
   /// the place of this one in forward mode. A null kernel with success says
   /// that there are none to carry. Called once.
   std::function<Status(KernelPtr &tangent)> makeTangent;
+  /// Where the kernel does nothing but loop over active cells: of which levels.
+  std::vector<LoopLevel> loopLevels;
 };
 
 /// Times of one kernel while the profiler is on.
@@ -202,6 +211,7 @@ public:
   /// made for its layout, not for that of a later tree of the same name.
   void setTrees(std::vector<TreePtr> trees);
   void setSummary(std::vector<Access> summary);
+  void setLoopLevels(std::vector<LoopLevel> levels);
 
 private:
   friend class Runtime;
@@ -229,7 +239,17 @@ private:
   KernelPtr tangent;
   bool tangentAsked = false;
 
+  /// True if none of the levels that the kernel loops over has active cells.
+  bool hasNoActiveCells() const {
+    for (const SparseNode *level : loopLevels)
+      if (level->numActive() != 0)
+        return false;
+    return true;
+  }
+
   std::vector<void *> bases;
+  /// The levels that it loops over and does nothing else, or none.
+  std::vector<const SparseNode *> loopLevels;
   /// State of the storage for which the tables hold; 0 is never current.
   std::atomic<uint64_t> boundEpoch{0};
   /// Adjoint fields that a launch may change.

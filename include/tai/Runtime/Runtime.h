@@ -18,6 +18,7 @@
 #define TAI_RUNTIME_RUNTIME_H
 
 #include "tai/Runtime/Kernel.h"
+#include "tai/Runtime/Skips.h"
 #include "tai/Runtime/Tape.h"
 #include <string_view>
 #include <unordered_map>
@@ -45,6 +46,8 @@ struct Options {
   /// Most bytes of trees and scratch; 0 = the memory of the machine (or of its
   /// control group).
   int64_t memoryLimit = 0;
+  /// What is left out where it is not needed.
+  SkipSet skips;
 };
 
 struct FieldInfo {
@@ -88,6 +91,8 @@ public:
   void setDeterministic(bool on) { opts.deterministic = on; }
   void setDebug(bool on) { opts.debug = on; }
   void setProfiler(bool on) { opts.profiler = on; }
+  void setSkips(SkipSet skips);
+  bool skips(Skip skip) const { return opts.skips.has(skip); }
   /// In forward mode every kernel is launched with the tangents that it carries
   /// along: also those that a tape replays, and adjoints.
   void setForward(bool on) { forward = on; }
@@ -179,6 +184,11 @@ public:
   std::vector<ProfileRow> profile() const;
   void clearProfile();
   Counters counters() const;
+  /// What was left out, and what was not; see docs/decisions/0008-skips.md.
+  SkipCounters &skipCounters() { return skipCounts; }
+  SkipAmounts skipAmounts() const;
+  /// The same as a table to read, one line for each skip.
+  std::string skipTable() const;
 
   //===--------------------------------------------------------------------===//
   // For the ABI functions and for bulk work on the host
@@ -201,6 +211,7 @@ private:
   friend class AccessChecks;
 
   void freeTree(Tree &tree);
+  void addMemory(SkipAmounts &amounts) const;
   Status checkPartners(const Field &added) const;
   void linkPartners(const FieldPtr &added);
   void storageChanged() {
@@ -271,12 +282,17 @@ private:
   std::unordered_map<std::string, KernelTimes> profiled;
   struct AtomicCounters {
     std::atomic<int64_t> forks{0}, inlineLoops{0};
-    int64_t recorded = 0, replayed = 0, skipped = 0, clearedFields = 0;
   } counts;
+  SkipCounters skipCounts;
 
   std::mutex printMutex;
   Sink sink;
 };
+
+/// Bytes of the elements of a field that are active.
+int64_t bytesInUse(const Field &field);
+/// Makes the system provide memory that it would provide when it is written.
+void commitPages(char *begin, int64_t bytes);
 
 /// A function that compiled code may call, for the symbol table of a JIT.
 struct RuntimeSymbol {

@@ -218,6 +218,7 @@ private:
     SkipNoEffect,     // reads no field with an adjoint, overwrites none
     Callback,
     SkipCallback, // nothing to call in reverse
+    Unpruned,     // replayed although it has no effect: pruning is off
     Overwrite     // the adjoint of what the host wrote becomes zero
   };
 
@@ -234,6 +235,12 @@ private:
   /// have an adjoint that may be non-zero.
   template <typename Live>
   Decision decide(size_t index, const Live &live) const;
+  /// The same where everything that can be replayed is.
+  Decision withoutPruning(size_t index, Decision decision) const;
+  static bool isReplayed(Decision decision) {
+    return decision == Decision::Replay || decision == Decision::Overwrite ||
+           decision == Decision::Unpruned;
+  }
   /// Decides on all records, from the summaries alone.
   void plan();
   bool planHolds() const;

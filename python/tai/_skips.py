@@ -1,0 +1,83 @@
+"""What the system left out because the scene did not need it: `ti.profiler.skips()`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from . import _state
+
+
+def format_bytes(count: int) -> str:
+    """An amount of memory, to read."""
+    value, unit = float(count), 0
+    units = ("B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB")
+    while value >= 1024 and unit < len(units) - 1:
+        value, unit = value / 1024, unit + 1
+    return f"{value:.1f} {units[unit]}" if unit else f"{count} B"
+
+
+class Skips(dict):
+    """Counters by the name of the skip: `skips()["list-reuse"]["reused"]`.
+
+    `str` makes a table of them.
+
+    Attributes:
+        on: the names of the skips that are on.
+    """
+
+    def __init__(self, rows: list[tuple[str, str, int, bool]]):
+        super().__init__()
+        self.on: set[str] = set()
+        for skip, counter, value, is_on in rows:
+            self.setdefault(skip, {})[counter] = value
+            if is_on:
+                self.on.add(skip)
+
+    def __str__(self) -> str:
+        lines = []
+        for skip, counters in self.items():
+            shown = [
+                f"{name.replace('_', ' ')} "
+                + (format_bytes(value) if name.startswith("bytes") else str(value))
+                for name, value in counters.items()
+            ]
+            state = "on" if skip in self.on else "off"
+            lines.append(f"{skip:<22}{state:<5}{', '.join(shown)}")
+        return "\n".join(lines)
+
+
+def skips() -> Skips:
+    """What was left out since `ti.init` or the last `clear_skips`.
+
+    Returns:
+        A dictionary of dictionaries, by the names that `ti.init(skip=…)` takes; see
+        docs/decisions/0008-skips.md for what each number counts.
+    """
+    from .program import get_program
+
+    found = Skips(get_program().context.skips())
+    found["lazy-compilation"]["kernels_defined"] = _state.program.kernels_defined()
+    return found
+
+
+def print_skips() -> None:
+    """Prints a table of what was left out, one line for each skip."""
+    print(skips())
+
+
+def clear_skips() -> None:
+    """Sets the counters to zero."""
+    if _state.program is not None:
+        _state.program.context.clear_skips()
+        _state.program.count_kernels_from_here()
+
+
+def option_text(value: Any) -> str:
+    """The option `skip` of `ti.init` as text: a string, or a list or tuple of names."""
+    if value is True or value is None:
+        return "all"
+    if value is False:
+        return "none"
+    if isinstance(value, str):
+        return value
+    return ",".join(str(name) for name in value) or "none"

@@ -1,0 +1,360 @@
+"""What is left out because a scene does not need it: counters, and the same bits without."""
+
+import numpy as np
+import pytest
+import tai as ti
+from tai.errors import TaiRuntimeError
+
+NAMES = list(ti.profiler.skips())
+
+
+def bits(array):
+    return np.ascontiguousarray(array).view(np.uint8)
+
+
+def counters(name):
+    return ti.profiler.skips()[name]
+
+
+# A scene with something for every skip to leave out
+
+
+def layout_of(kind, *fields):
+    """Places fields of 64 x 64 elements, in blocks of 8 x 8 unless they are dense."""
+    if kind == "dense":
+        ti.root.dense(ti.ij, (64, 64)).place(*fields)
+    elif kind == "bitmasked":
+        ti.root.dense(ti.ij, (8, 8)).bitmasked(ti.ij, (8, 8)).place(*fields)
+    else:
+        getattr(ti.root, kind)(ti.ij, (8, 8)).dense(ti.ij, (8, 8)).place(*fields)
+
+
+def run_scene(skip, kind, deterministic=True):
+    """Grows a blob, smooths it, and differentiates its energy; returns all that is computed."""
+    ti.init(skip=skip, deterministic=deterministic, offline_cache=False)
+    x, y = ti.field(ti.f32), ti.field(ti.f32)
+    layout_of(kind, x, x.grad, y, y.grad)
+    unused = ti.field(ti.f32, shape=(256, 256), needs_grad=True)
+    idle = ti.field(ti.f32)
+    ti.root.pointer(ti.i, 16).dense(ti.i, 16).place(idle)
+    seed = ti.field(ti.f32, shape=(), needs_grad=True)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def paint(cx: ti.i32, cy: ti.i32):
+        for a, b in ti.ndrange(3, 3):
+            x[cx + a, cy + b] = seed[None] * ti.cast(a + 2 * b + cx % 3, ti.f32) / 7
+
+    @ti.kernel
+    def smooth():
+        for i, j in x:
+            v = x[i, j]
+            for k in range(3):
+                v = 0.9 * v + 0.1 * ti.sin(v * (k + 1))
+            y[i, j] = v + 0.25 * x[(i + 1) % 64, j]
+
+    @ti.kernel
+    def back():
+        for i, j in y:
+            x[i, j] += 0.1 * y[i, j] * y[i, j]
+
+    @ti.kernel
+    def rest():
+        for i in idle:
+            idle[i] = idle[i] + 1.0
+
+    @ti.kernel
+    def aside():
+        for i, j in x:
+            unused[i, j] += 2.0 * x[i, j] + 1.0
+
+    @ti.kernel
+    def energy():
+        for i, j in x:
+            loss[None] += x[i, j] * x[i, j]
+
+    seed[None] = 0.7
+    with ti.ad.Tape(loss):
+        for c in range(6):
+            paint(7 * c + 3, 5 * c + 11)
+        for _ in range(4):
+            smooth()
+            rest()
+        back()
+        aside()
+        energy()
+    values = [loss.to_numpy(), x.to_numpy(), y.to_numpy(), unused.to_numpy(), idle.to_numpy()]
+    gradients = [seed.grad.to_numpy(), x.grad.to_numpy(), y.grad.to_numpy()]
+    return values + gradients
+
+
+def assert_same_bits(left, right):
+    for a, b in zip(left, right, strict=True):
+        assert np.array_equal(bits(a), bits(b))
+
+
+KINDS = ["dense", "pointer", "bitmasked", "hash"]
+with_all = {}
+
+
+def reference(kind):
+    if kind not in with_all:
+        with_all[kind] = run_scene("all", kind)
+        assert with_all[kind][0] != 0
+        assert np.count_nonzero(with_all[kind][5]) == 1
+    return with_all[kind]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", NAMES)
+def test_results_have_the_same_bits_without_one_skip(name, kind):
+    expected = reference(kind)
+    found = run_scene(f"all,-{name}", kind)
+    assert name not in ti.profiler.skips().on
+    assert_same_bits(found, expected)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_results_have_the_same_bits_without_any_skip(kind):
+    expected = reference(kind)
+    assert_same_bits(run_scene("none", kind), expected)
+    assert ti.profiler.skips().on == set()
+
+
+# Each skip, on a scene of known numbers
+
+
+def sparse_field(*places):
+    ti.root.pointer(ti.i, 8).dense(ti.i, 4).place(*places)
+
+
+@pytest.mark.parametrize("skip, made, reused", [("all", 2, 8), ("all,-list-reuse", 10, 0)])
+def test_lists_are_made_when_activity_changes(skip, made, reused):
+    ti.init(skip=skip)
+    x = ti.field(ti.i32)
+    sparse_field(x)
+
+    @ti.kernel
+    def step():
+        for i in x:
+            x[i] += 1
+
+    x[5] = 1
+    for _ in range(5):
+        step()
+    x[20] = 1
+    for _ in range(5):
+        step()
+    assert counters("list-reuse") == {"made": made, "reused": reused}
+    assert x.to_numpy().sum() == 10 * 4 + 5 * 4 + 2
+
+
+@pytest.mark.parametrize("skip, skipped, empty", [("all", 3, 0), ("all,-empty-lists", 0, 3)])
+def test_a_launch_over_nothing_is_left_out(skip, skipped, empty):
+    ti.init(skip=skip)
+    x, n = ti.field(ti.i32), ti.field(ti.i32, shape=())
+    sparse_field(x)
+
+    @ti.kernel
+    def step():
+        for i in x:
+            x[i] += 1
+
+    @ti.kernel
+    def count():
+        n[None] += 1
+        for _i in x:
+            n[None] += 1
+
+    for _ in range(3):
+        step()
+    expected = {"launches_skipped": skipped, "empty_loops_run": empty}
+    assert counters("empty-lists") == expected
+    count()  # does something besides
+    assert n[None] == 1
+    assert counters("empty-lists")["launches_skipped"] == skipped
+    x[3] = 5
+    step()
+    assert x[3] == 6
+    ti.profiler.clear_skips()
+    x.parent().parent().deactivate_all()
+    step()
+    assert counters("empty-lists")["launches_skipped"] == (1 if skipped else 0)
+
+
+@pytest.mark.parametrize("skip, adjoints", [("all", 1), ("all,-lazy-compilation", 2)])
+def test_only_what_is_launched_is_compiled(skip, adjoints):
+    ti.init(skip=skip, offline_cache=False)
+    x = ti.field(ti.f32, shape=4, needs_grad=True)
+    y = ti.field(ti.f32, shape=4, needs_grad=True)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def never():
+        for i in x:
+            y[i] = x[i]
+
+    @ti.kernel
+    def before():
+        for i in x:
+            y[i] = 2 * x[i]
+
+    @ti.kernel
+    def total():
+        for i in x:
+            loss[None] += x[i] * x[i]
+
+    before()
+    with ti.ad.Tape(loss):
+        total()
+    expected = {"kernels_defined": 3, "kernels_compiled": 2, "adjoints_compiled": adjoints}
+    assert counters("lazy-compilation") == expected
+
+
+@pytest.mark.parametrize("lazy", [True, False])
+def test_what_is_not_written_takes_no_memory(lazy):
+    ti.init(skip="all" if lazy else "all,-lazy-memory")
+    n = 1 << 20
+    x = ti.field(ti.f32, shape=n, needs_grad=True)
+    x[0] = 1
+    found = counters("lazy-memory")
+    assert found["bytes_reserved"] >= 8 * n
+    assert found["bytes_of_gradients_reserved"] == 4 * n
+    if lazy:
+        assert found["bytes_used"] < 4 * n
+        assert found["bytes_of_gradients_used"] == 0
+    else:
+        assert found["bytes_used"] >= 8 * n
+        assert found["bytes_of_gradients_used"] == 4 * n
+    x.fill(1)
+    x.grad.fill(1)
+    assert counters("lazy-memory")["bytes_used"] >= 8 * n
+
+
+def prunable_scene():
+    """A tape of four launches, of which the loss depends on two."""
+    x = ti.field(ti.f32, shape=4, needs_grad=True)
+    y = ti.field(ti.f32, shape=4, needs_grad=True)
+    z = ti.field(ti.f32, shape=4, needs_grad=True)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def double():
+        for i in x:
+            y[i] = 2 * x[i]
+
+    @ti.kernel
+    def aside():
+        for i in x:
+            z[i] += 3 * x[i]
+
+    @ti.kernel
+    def total():
+        for i in y:
+            loss[None] += y[i] * y[i]
+
+    x.from_numpy(np.arange(4, dtype=np.float32))
+    with ti.ad.Tape(loss):
+        double()
+        aside()
+        aside()
+        total()
+    return x.grad.to_numpy()
+
+
+@pytest.mark.parametrize("skip, replayed", [("all", 2), ("all,-tape-pruning", 4)])
+def test_launches_that_the_loss_does_not_depend_on_are_not_replayed(skip, replayed):
+    ti.init(skip=skip)
+    assert np.array_equal(prunable_scene(), 8 * np.arange(4))
+    expected = {"recorded": 4, "replayed": replayed, "skipped": 4 - replayed}
+    assert counters("tape-pruning") == expected
+
+
+@pytest.mark.parametrize("skip", ["all", "all,-tape-pruning"])
+def test_what_the_loss_does_not_depend_on_need_not_be_differentiable(skip):
+    ti.init(skip=skip)
+    x = ti.field(ti.f32, shape=4, needs_grad=True)
+    z = ti.field(ti.f32, shape=4, needs_grad=True)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def refused():
+        for i in x:
+            z[i] = ti.atomic_add(x[i], 1.0) * x[i]
+
+    @ti.kernel
+    def total():
+        for i in x:
+            loss[None] += x[i]
+
+    with ti.ad.Tape(loss):
+        total()
+    with ti.ad.Tape(loss):
+        refused()
+        total()
+    assert np.array_equal(x.grad.to_numpy(), np.ones(4))
+
+
+@pytest.mark.parametrize("skip, cleared", [("all", 1), ("all,-flagged-clears", 3)])
+def test_only_gradients_that_were_written_are_cleared(skip, cleared):
+    ti.init(skip=skip)
+    x, y, z = (ti.field(ti.f32, shape=100, needs_grad=True) for _ in range(3))
+    x[0] = y[0] = z[0] = 1
+    x.grad[1] = 5
+    ti.profiler.clear_skips()
+    ti.ad.clear_all_gradients()
+    assert x.grad[1] == 0
+    assert counters("flagged-clears") == {
+        "fields_cleared": cleared,
+        "fields_left": 3 - cleared,
+        "bytes_cleared": 400 * cleared,
+        "bytes_left": 400 * (3 - cleared),
+    }
+
+
+# The switch
+
+
+def test_names_that_do_not_exist_are_refused():
+    for wrong in ["lists", "all,-lists", ["list-reuse", "lists"]]:
+        with pytest.raises(TaiRuntimeError, match="no skip 'lists'; the skips are all, none, .*"):
+            ti.init(skip=wrong)
+    ti.init()
+
+
+@pytest.mark.parametrize(
+    "skip, on",
+    [
+        ("all", set(NAMES)),
+        ("none", set()),
+        ([], set()),
+        ("list-reuse", {"list-reuse"}),
+        (["list-reuse", "tape-pruning"], {"list-reuse", "tape-pruning"}),
+        ("all, -list-reuse", set(NAMES) - {"list-reuse"}),
+        (["-list-reuse"], set(NAMES) - {"list-reuse"}),
+        ("none,empty-lists", {"empty-lists"}),
+    ],
+)
+def test_the_option_takes_names(skip, on):
+    ti.init(skip=skip)
+    assert ti.profiler.skips().on == on
+
+
+def test_the_table_has_a_line_for_each_skip(capsys):
+    ti.init(skip="all,-list-reuse")
+    ti.profiler.print_skips()
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == NAMES
+    assert lines[0].split()[:4] == ["list-reuse", "off", "made", "0,"]
+    assert all(line.split()[1] == "on" for line in lines[1:])
+
+
+def test_counters_are_cleared():
+    ti.init()
+    prunable_scene()
+    assert counters("tape-pruning")["recorded"] == 4
+    ti.profiler.clear_skips()
+    assert counters("tape-pruning")["recorded"] == 0
+    prunable_scene()
+    ti.init()
+    assert counters("tape-pruning")["recorded"] == 0
