@@ -79,6 +79,8 @@ TAI_EXPORT void taiContextDestroy(TaiContext context);
 ///   skip              "all", "none", or a comma list of what is left out where
 ///                     it is not needed ("-name" takes one away); results do
 ///                     not depend on it
+///   memory_limit      number of bytes that fields may take; 0 = what the
+///                     machine has
 TAI_EXPORT TaiStatus taiContextSetOption(TaiContext context, const char *name,
                                          const char *value);
 
@@ -134,6 +136,8 @@ typedef struct TaiSparseLevel {
   /// Lists of active cells that were made, and that were used again.
   int64_t listsMade;
   int64_t listsReused;
+  /// The most cells that were active at any time.
+  int64_t peakActive;
 } TaiSparseLevel;
 TAI_EXPORT TaiStatus taiContextGetSparseLevel(TaiContext context,
                                               const char *tree, int64_t level,
@@ -197,8 +201,23 @@ TAI_EXPORT TaiStatus taiFieldReadI64(TaiField field, const int64_t *indices,
 TAI_EXPORT TaiStatus taiFieldWriteI64(TaiField field, const int64_t *indices,
                                       int64_t component, int64_t value);
 
+/// The elements at `count` index tuples, `indices` being of shape (count,
+/// rank), from or to an array of the field's own scalar type, of shape (count,
+/// element_shape...). Writing makes the cells active.
+TAI_EXPORT TaiStatus taiFieldReadElements(TaiField field,
+                                          const int64_t *indices, int64_t count,
+                                          void *values);
+TAI_EXPORT TaiStatus taiFieldWriteElements(TaiField field,
+                                           const int64_t *indices,
+                                           int64_t count, const void *values);
+
+/// Where the element at these indices lies in memory.
+TAI_EXPORT TaiStatus taiFieldGetAddress(TaiField field, const int64_t *indices,
+                                        void **address);
+
 /// All elements from or to a row-major array of the field's own scalar type,
-/// of shape (shape..., element_shape...).
+/// of shape (shape..., element_shape...). Of a sparse field, cells become
+/// active that hold something else than zero.
 TAI_EXPORT TaiStatus taiFieldCopyToHost(TaiField field, void *array);
 TAI_EXPORT TaiStatus taiFieldCopyFromHost(TaiField field, const void *array);
 TAI_EXPORT TaiStatus taiFieldFillF64(TaiField field, double value);

@@ -96,8 +96,8 @@ TaiStatus taiContextGetSparseLevel(TaiContext context, const char *tree,
                                    int64_t level, TaiSparseLevel *result) {
   TaiStatus status;
   if (const runtime::SparseNode *node = findLevel(context, tree, level, status))
-    *result = {node->numCells(), node->cellBytes(), node->numActive(),
-               node->listsMade(), node->listsReused()};
+    *result = {node->numCells(),  node->cellBytes(),   node->numActive(),
+               node->listsMade(), node->listsReused(), node->peakActive()};
   return status;
 }
 
@@ -191,6 +191,28 @@ TaiStatus taiFieldWriteI64(TaiField handle, const int64_t *indices,
   TaiContextImpl &context = handle->context;
   return context.status(context.session.getRuntime().writeI64(
       *handle->field, indices, component, value));
+}
+
+TaiStatus taiFieldReadElements(TaiField handle, const int64_t *indices,
+                               int64_t count, void *values) {
+  return handle->context.status(
+      handle->field->readElements(indices, count, values));
+}
+
+TaiStatus taiFieldWriteElements(TaiField handle, const int64_t *indices,
+                                int64_t count, const void *values) {
+  TaiContextImpl &context = handle->context;
+  return context.status(context.session.getRuntime().writeElements(
+      *handle->field, indices, count, values));
+}
+
+TaiStatus taiFieldGetAddress(TaiField handle, const int64_t *indices,
+                             void **address) {
+  char *found = nullptr;
+  TaiStatus status =
+      handle->context.status(handle->field->access(indices, 0, found));
+  *address = found;
+  return status;
 }
 
 TaiStatus taiFieldCopyToHost(TaiField handle, void *array) {

@@ -323,9 +323,22 @@ LogicalResult AccessLowering::lowerTopology(Operation *op) {
     return failure();
   const FieldInfo &field = **found;
   if (auto length = dyn_cast<LengthOp>(op)) {
-    Value list = emitListNumber(builder, loc, field, length.getIndices());
-    length.replaceAllUsesWith(emitLength(builder, loc, field.sparse.back(),
-                                         getTreeBase(field), list));
+    ValueRange indices = length.getIndices();
+    unsigned dimension = getListDimension(field);
+    SmallVector<Value> zeroBased(indices);
+    zeroBased.insert(zeroBased.begin() + dimension,
+                     arith::ConstantIndexOp::create(
+                         builder, loc, field.layout.offset[dimension]));
+    zeroBased = emitZeroBased(builder, loc, field, zeroBased);
+    SmallVector<OpFoldResult> extents =
+        getAsIndexOpFoldResult(builder.getContext(), field.layout.shape);
+    Value inRange =
+        checkRange(builder, loc, zeroBased, extents, describe(field), indices);
+    guard(builder, op, inRange, [&](OpBuilder &b) -> Value {
+      Value list = emitListNumber(b, loc, field, indices);
+      return emitLength(b, loc, getInnermostList(field), getTreeBase(field),
+                        list);
+    });
     op->erase();
     return success();
   }

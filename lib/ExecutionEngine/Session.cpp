@@ -260,6 +260,13 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
     rt->setSkips(skips);
     return success();
   }
+  if (name == "memory_limit") {
+    int64_t bytes;
+    if (value.getAsInteger(10, bytes) || bytes < 0)
+      return badValue("a number of bytes, or 0");
+    rt->setMemoryLimit(bytes);
+    return success();
+  }
   if (name == "seed") {
     uint64_t seed;
     if (value.getAsInteger(0, seed))
@@ -294,5 +301,6 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
               "unknown option '" + name +
                   "'; the options are threads, deterministic, debug, "
                   "fast_math, opt_level, seed, cache_dir, print_ir, profiler, "
-                  "compile_profile, forward_mode, history_bytes, skip");
+                  "compile_profile, forward_mode, history_bytes, skip, "
+                  "memory_limit");
 }

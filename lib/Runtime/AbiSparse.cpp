@@ -33,42 +33,69 @@ Status Runtime::checkActiveBytes(const SparseNode &node, int64_t cells) const {
                              " of " + formatBytes(limit));
 }
 
+/// Fails the launch at a line of the program.
+static void failAt(TaiFrame *frame, StatusCode code, std::string message,
+                   const char *where) {
+  launchOf(frame).fail(
+      Status::failure(code, std::move(message), where ? where : ""));
+}
+
+/// True if there is such a cell; else the launch fails. Where indices are not
+/// checked, some that are out of range name a cell all the same.
+static bool checkCell(TaiFrame *frame, const SparseNode &node, int64_t cell,
+                      const char *where) {
+  if (cell >= 0 && cell < node.numCells())
+    return true;
+  failAt(frame, StatusCode::Index,
+         "index out of range: there is no cell " + std::to_string(cell) +
+             " in " + node.info().label + ", which has " +
+             std::to_string(node.numCells()),
+         where);
+  return false;
+}
+
 /// True if there is memory for one more cell; else the launch fails.
-static bool checkMemory(TaiFrame *frame, const SparseNode &node) {
-  Launch &launch = launchOf(frame);
-  Status status = launch.owner().checkActiveBytes(node, 1);
+static bool checkMemory(TaiFrame *frame, const SparseNode &node,
+                        const char *where) {
+  Status status = launchOf(frame).owner().checkActiveBytes(node, 1);
   if (status)
     return true;
-  launch.fail(std::move(status));
+  failAt(frame, status.code(), status.message(), where);
   return false;
 }
 
 extern "C" int32_t tai_rt_activate(TaiFrame *frame, void *tree, int32_t node,
-                                   int64_t cell) {
+                                   int64_t cell, const char *where) {
   SparseNode &sparse = nodeOf(tree, node);
-  if (!checkMemory(frame, sparse))
+  if (!checkCell(frame, sparse, cell, where) ||
+      !checkMemory(frame, sparse, where))
     return 0;
   sparse.activate(cell);
   return 1;
 }
 
-extern "C" void tai_rt_deactivate(TaiFrame *, void *tree, int32_t node,
-                                  int64_t cell) {
-  nodeOf(tree, node).deactivate(cell);
+extern "C" void tai_rt_deactivate(TaiFrame *frame, void *tree, int32_t node,
+                                  int64_t cell, const char *where) {
+  SparseNode &sparse = nodeOf(tree, node);
+  if (checkCell(frame, sparse, cell, where))
+    sparse.deactivate(cell);
 }
 
 extern "C" int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node,
-                                 int64_t list) {
+                                 int64_t list, const char *where) {
   SparseNode &sparse = nodeOf(tree, node);
-  if (!checkMemory(frame, sparse))
+  int64_t first;
+  if (__builtin_mul_overflow(list, sparse.capacity(), &first))
+    first = -1;
+  if (!checkCell(frame, sparse, first, where) ||
+      !checkMemory(frame, sparse, where))
     return -1;
   int64_t at = sparse.append(list);
   if (at < 0)
-    launchOf(frame).fail(Status::failure(
-        StatusCode::Index, "append to a full list: " + sparse.info().label +
-                               " of tree '" + Tree::of(tree).name() +
-                               "' holds at most " +
-                               std::to_string(sparse.capacity()) + " cells"));
+    failAt(frame, StatusCode::Index,
+           "append to a full list: " + sparse.info().label + " holds at most " +
+               std::to_string(sparse.capacity()) + " cells",
+           where);
   return at;
 }
 

@@ -57,13 +57,7 @@ Status Runtime::activateFor(const HostWrite &write) {
       node->activate(cell);
     return status;
   }
-  // An array has a value for every element.
-  Status status = checkActiveBytes(*node, node->numCells() - node->numActive());
-  if (!status)
-    return status;
-  for (int64_t cell = 0, end = node->numCells(); cell < end; ++cell)
-    node->activate(cell);
-  return status;
+  return activateNonzero(*write.field, write.bytes);
 }
 
 Status Runtime::change(const HostWrite &write) {

@@ -52,6 +52,10 @@ Runtime::~Runtime() {
     freeTree(*entry.second);
 }
 
+void Runtime::setMemoryLimit(int64_t bytes) {
+  limit = bytes > 0 ? bytes : availableMemory();
+}
+
 //===----------------------------------------------------------------------===//
 // Trees
 //===----------------------------------------------------------------------===//

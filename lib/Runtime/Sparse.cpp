@@ -67,7 +67,11 @@ void SparseNode::markWord(int64_t word) {
 }
 
 void SparseNode::changed(int64_t by) {
-  active.fetch_add(by, std::memory_order_relaxed);
+  int64_t now = active.fetch_add(by, std::memory_order_relaxed) + by;
+  for (int64_t most = peakActive();
+       now > most &&
+       !peak.compare_exchange_weak(most, now, std::memory_order_relaxed);) {
+  }
   if (children.empty()) {
     tree.activeBytes.fetch_add(by * cellBytes(), std::memory_order_relaxed);
     tree.allActiveBytes->fetch_add(by * cellBytes(), std::memory_order_relaxed);

@@ -377,6 +377,28 @@ void bindField(py::module_ &module) {
                    f.handle, static_cast<int64_t>(
                                  PyLong_AsUnsignedLongLongMask(value.ptr()))));
            })
+      .def("address",
+           [](Field &f, const py::tuple &indices) {
+             void *address = nullptr;
+             f.context->check(taiFieldGetAddress(
+                 f.handle, toIndices(f, indices).data(), &address));
+             return reinterpret_cast<uintptr_t>(address);
+           })
+      .def("read_elements",
+           [](Field &f, const py::buffer &indices, const py::buffer &values) {
+             // The caller sees to shapes and types.
+             py::buffer_info at = indices.request();
+             f.context->check(taiFieldReadElements(
+                 f.handle, static_cast<const int64_t *>(at.ptr), at.shape[0],
+                 values.request(/*writable=*/true).ptr));
+           })
+      .def("write_elements",
+           [](Field &f, const py::buffer &indices, const py::buffer &values) {
+             py::buffer_info at = indices.request();
+             f.context->check(taiFieldWriteElements(
+                 f.handle, static_cast<const int64_t *>(at.ptr), at.shape[0],
+                 values.request().ptr));
+           })
       .def("copy_to",
            [](Field &f, const py::object &array) {
              ArrayView view(f, array, /*writable=*/true);
@@ -436,7 +458,7 @@ void taipy::bindRuntime(py::module_ &module) {
                                               &info));
              return py::make_tuple(info.numCells, info.cellBytes,
                                    info.numActive, info.listsMade,
-                                   info.listsReused);
+                                   info.listsReused, info.peakActive);
            })
       .def("active_cells",
            [](Context &c, const std::string &tree, int64_t level) {

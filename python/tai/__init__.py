@@ -194,15 +194,17 @@ _LAZY = {
     "Tape": "ad", "clear_all_gradients": "ad", "no_grad": "ad", "grad_replaced": "ad",
     "complex_kernel": "ad", "complex_kernel_grad": "ad",
     "extension": "lang.misc", "is_extension_supported": "lang.misc",
+    "Struct": "structs", "StructField": "structs", "dataclass": "structs",
+    "BitpackedFields": "types", "loop_unique": "ops",
     "GUI": "gui", "rgb_to_hex": "gui", "hex_to_rgb": "gui",
 }  # fmt: skip
 # Names of Taichi that are known and missing: the answer should say so.
 _NOT_YET = {
-    "Struct", "StructField", "dataclass", "linalg", "sparse", "BitpackedFields", "Texture",
-    "mesh_local", "Mesh", "ui", "simt", "aot", "graph",
-    "volatile_load", "frexp", "assume_in_range", "loop_unique", "ref",
+    "linalg", "Texture", "mesh_local", "Mesh", "ui", "simt", "aot", "graph",
+    "volatile_load", "frexp", "assume_in_range", "ref",
 }  # fmt: skip
-_MODULES = {"ad", "errors", "gui", "lang", "math", "profiler", "testing", "tools"}
+_MODULES = {"ad", "errors", "gui", "lang", "math", "profiler", "sparse", "testing", "tools",
+            "volumes", "_lib"}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

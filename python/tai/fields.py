@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from . import _state, dtypes
+from ._shapes import to_order, to_shape
 from .errors import TaiAutodiffError, TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
 from .program import get_program, name_fields
-from .snode import AXIS_NAMES, Axes, Layout, SNode
+from .snode import Layout, Place, SNode
 
 
 class Field:
@@ -21,7 +22,7 @@ class Field:
         n, m: rows and columns of an element; 1 for a scalar, m is 1 for a vector.
         element_shape: `()`, `(n,)` or `(n, m)`.
         role: `primal`, `grad` or `dual`.
-        snode: the level that holds the field, or None before it is placed.
+        level: the level that holds the field, or None before it is placed.
     """
 
     def __init__(self, dtype: Any, element_shape: tuple[int, ...], name: str | None, role: str):
@@ -37,6 +38,7 @@ class Field:
         self.needs_grad = self.needs_dual = False
         self._name = name
         self._companions: dict[str, Field] = {}
+        self._place: Place | None = None
 
     # Names
 
@@ -81,7 +83,7 @@ class Field:
     # Shape
 
     @property
-    def snode(self) -> SNode | None:
+    def level(self) -> SNode | None:
         raise NotImplementedError
 
     @property
@@ -91,7 +93,7 @@ class Field:
         return node.shape
 
     def _placed_node(self) -> SNode:
-        if self.snode is None:
+        if self.level is None:
             if self.role == "grad":
                 raise TaiAutodiffError(
                     f"field '{self.primal.name}' has no gradient",
@@ -106,11 +108,21 @@ class Field:
                 f"field '{self.name}' is not placed",
                 "give it a shape, or place it: ti.root.dense(ti.i, n).place(x)",
             )
-        return self.snode
+        return self.level
+
+    @property
+    def snode(self) -> Place | None:
+        """The place of the field, below its level; None before it is placed."""
+        if self.level is None:
+            return None
+        if self._place is None:
+            self._place = Place(self)
+        return self._place
 
     def parent(self, n: int = 1) -> SNode | None:
-        """The level `n` levels above the field."""
-        return self._placed_node().parent(n - 1)
+        """The level `n` levels above the field; for 0, its place."""
+        self._placed_node()
+        return self.snode.parent(n)
 
     @property
     def num_indices(self) -> int:
@@ -157,13 +169,13 @@ class Field:
         self.from_numpy(tensor.detach().cpu().numpy())
 
     def __str__(self) -> str:
-        if self.snode is None:
+        if self.level is None:
             return f"<field '{self.name}', not placed>"
         return str(self.to_numpy())
 
     def __repr__(self) -> str:
         kind = "field" if not self.element_shape else f"field of {self.element_shape}"
-        place = "not placed" if self.snode is None else f"shape {self.shape}"
+        place = "not placed" if self.level is None else f"shape {self.shape}"
         return f"<{self.dtype} {kind} '{self.name}', {place}>"
 
     def __iter__(self) -> Any:
@@ -196,7 +208,7 @@ class ScalarField(Field):
         element_shape: tuple[int, ...] = (),
     ):
         super().__init__(dtype, element_shape, name, role)
-        self._snode: SNode | None = None
+        self._level: SNode | None = None
         self.offset: tuple[int, ...] = ()
         self.symbol: str | None = None
         self._core: Any = None
@@ -205,8 +217,8 @@ class ScalarField(Field):
     # Placement
 
     @property
-    def snode(self) -> SNode | None:
-        return self._snode
+    def level(self) -> SNode | None:
+        return self._level
 
     @property
     def mlir_type(self) -> str:
@@ -216,9 +228,9 @@ class ScalarField(Field):
 
     def put_into(self, node: SNode, offset: Any = None) -> None:
         """Becomes a place of the cells of `node`."""
-        if self._snode is not None:
+        if self._level is not None:
             raise TaiRuntimeError(f"field '{self.name}' is placed already")
-        self._snode = node
+        self._level = node
         node.children.append(self)
         if offset is not None:
             rank = len(node.shape)
@@ -234,14 +246,14 @@ class ScalarField(Field):
         for which, needed in (("grad", self.needs_grad), ("dual", self.needs_dual)):
             if needed:
                 companion = self._companion(which)
-                if companion is not None and companion.snode is None:
-                    companion.put_into(self._snode, self.offset or None)
-        placed = {which: f for which, f in self._companions.items() if f.snode is not None}
+                if companion is not None and companion.level is None:
+                    companion.put_into(self._level, self.offset or None)
+        placed = {which: f for which, f in self._companions.items() if f.level is not None}
         if self.role == "primal" and len(placed) == 2:
             # Both modes together give the derivative of the gradient.
             second = placed["grad"]._companion("dual")
-            if second.snode is None:
-                second.put_into(placed["grad"].snode, placed["grad"].offset or None)
+            if second.level is None:
+                second.put_into(placed["grad"].level, placed["grad"].offset or None)
 
     def _make_companion(self, which: str) -> ScalarField:
         return ScalarField(self.dtype, None, which, self.element_shape)
@@ -258,10 +270,10 @@ class ScalarField(Field):
     def declaration(self, tree: str) -> str:
         """The `tai.field` op of this field."""
         text = f'tai.field @{self.symbol} = @{tree}["{self.symbol}"] : {self.mlir_type}'
-        text += f", rank {len(self._snode.shape)}"
+        text += f", rank {len(self._level.shape)}"
         for which, word in (("grad", "adjoint"), ("dual", "dual")):
             companion = self._companions.get(which)
-            if companion is not None and companion.snode is not None:
+            if companion is not None and companion.level is not None:
                 companion.choose_symbol(get_program())
                 text += f", {word} @{companion.symbol}"
         if any(self.offset):
@@ -306,6 +318,10 @@ class ScalarField(Field):
         root = node.root_node
         if self._tree_freed:
             raise TaiRuntimeError(f"the tree of field '{self.name}' was freed")
+        if root.refused is not None:
+            raise TaiRuntimeError(
+                f"field '{self.name}' is not there, as its tree was refused: {root.refused}"
+            )
         if root is program.root:
             program.materialize()
         elif not root.allocated:
@@ -325,6 +341,10 @@ class ScalarField(Field):
         """Whether the field is one of the program that runs now."""
         program = _state.program
         return program is not None and program.fields.get(self.symbol) is self
+
+    def storage(self) -> tuple[ScalarField, int]:
+        """The place that holds the field, and the component in it that comes first."""
+        return self, 0
 
     # Elements
 
@@ -427,13 +447,16 @@ class ComponentField(ScalarField):
         pass
 
     @property
-    def snode(self) -> SNode | None:
+    def level(self) -> SNode | None:
         single = self._whole._single
-        return single.snode if single is not None else self._snode
+        return single.level if single is not None else self._level
 
     @property
     def is_window(self) -> bool:
         return self._whole._single is not None
+
+    def storage(self) -> tuple[ScalarField, int]:
+        return (self._whole._single, self._index) if self.is_window else (self, 0)
 
     def __getitem__(self, key: Any) -> Any:
         if self.is_window:
@@ -529,7 +552,7 @@ class MatrixField(Field):
     @property
     def is_split(self) -> bool:
         """Whether each component is an array of its own."""
-        return self._single is None and any(c._snode is not None for c in self._components or ())
+        return self._single is None and any(c._level is not None for c in self._components or ())
 
     @property
     def single(self) -> ScalarField | None:
@@ -537,11 +560,11 @@ class MatrixField(Field):
         return self._single
 
     @property
-    def snode(self) -> SNode | None:
+    def level(self) -> SNode | None:
         if self._single is not None:
-            return self._single.snode
-        if self._components and all(c._snode is not None for c in self._components):
-            return self._components[0]._snode
+            return self._single.level
+        if self._components and all(c._level is not None for c in self._components):
+            return self._components[0]._level
         return None
 
     def put_into(self, node: SNode, offset: Any = None) -> None:
@@ -570,6 +593,9 @@ class MatrixField(Field):
     @property
     def offset(self) -> tuple[int, ...]:
         return self.parts[0].offset
+
+    def storage(self) -> tuple[ScalarField, int]:
+        return self.parts[0], 0
 
     # Elements
 
@@ -728,8 +754,8 @@ def make_field(
         if order is not None:
             raise TaiRuntimeTypeError("order needs a shape")
         return made
-    shape = _to_shape(shape)
-    axes = _to_order(order, len(shape))
+    shape = to_shape(shape)
+    axes = to_order(order, len(shape))
     extents = tuple(shape[a] for a in axes)
 
     def put(field: Any) -> None:
@@ -748,29 +774,6 @@ def make_field(
     if needs_dual:
         put(made.dual)
     return made
-
-
-def _to_shape(shape: Any) -> tuple[int, ...]:
-    if not isinstance(shape, (tuple, list)):
-        shape = (shape,)
-    result = []
-    for extent in shape:
-        if not hasattr(extent, "__index__"):
-            raise TaiRuntimeTypeError(f"a shape is made of whole numbers, but got {extent!r}")
-        result.append(extent.__index__())
-    if len(result) > len(AXIS_NAMES):
-        raise TaiRuntimeTypeError(f"a field has at most {len(AXIS_NAMES)} dimensions")
-    return tuple(result)
-
-
-def _to_order(order: str | None, rank: int) -> Axes:
-    if order is None:
-        return Axes(range(rank))
-    if sorted(order) != sorted(AXIS_NAMES[:rank]):
-        raise TaiRuntimeTypeError(
-            f"order must hold each of '{AXIS_NAMES[:rank]}' once, but got '{order}'"
-        )
-    return Axes(AXIS_NAMES.index(c) for c in order)
 
 
 def field(

@@ -374,21 +374,31 @@ def cache_read_only(*fields: Any) -> None:
 
 
 def no_activate(*nodes: Any) -> None:
-    """A hint for sparse layouts; without effect on dense ones."""
+    """A promise that a loop writes to active cells only; without effect: what it may skip is
+    skipped wherever the compiler sees that it may be."""
+
+
+def loop_unique(value: Any, covers: Any = None) -> Any:
+    """A promise that iterations of a loop have different values; the value itself."""
+    return value
 
 
 # Only the compiler gives these a meaning.
 
 
-def _place_operation(name: str, doc: str) -> Callable[..., Any]:
+def _place_operation(name: str, doc: str, hint: str | None = None) -> Callable[..., Any]:
     def function(*args: Any) -> Any:
-        raise TaiSyntaxError(f"ti.{name} stands in kernels and functions only")
+        raise TaiSyntaxError(f"ti.{name} stands in kernels and functions only", hint)
 
     function.__name__ = function.__qualname__ = name
     function.__doc__ = doc
     return function
 
 
+_IN_PYTHON = (
+    "in Python, writing to an element makes its cell active, level.active_cells() lists the "
+    "active ones, and level.deactivate_all() empties a level"
+)
 atomic_add = _place_operation("atomic_add", "x += y in one step; returns the old x.")
 atomic_sub = _place_operation("atomic_sub", "x -= y in one step; returns the old x.")
 atomic_mul = _place_operation("atomic_mul", "x *= y in one step; returns the old x.")
@@ -397,10 +407,10 @@ atomic_max = _place_operation("atomic_max", "x = max(x, y) in one step; returns 
 atomic_and = _place_operation("atomic_and", "x &= y in one step; returns the old x.")
 atomic_or = _place_operation("atomic_or", "x |= y in one step; returns the old x.")
 atomic_xor = _place_operation("atomic_xor", "x ^= y in one step; returns the old x.")
-append = _place_operation("append", "Adds a cell to a dynamic list.")
-activate = _place_operation("activate", "Makes a cell active.")
-deactivate = _place_operation("deactivate", "Makes a cell inactive.")
-is_active = _place_operation("is_active", "Whether a cell is active.")
-length = _place_operation("length", "The number of cells of a dynamic list.")
+append = _place_operation("append", "Adds a cell to a dynamic list.", _IN_PYTHON)
+activate = _place_operation("activate", "Makes a cell active.", _IN_PYTHON)
+deactivate = _place_operation("deactivate", "Makes a cell inactive.", _IN_PYTHON)
+is_active = _place_operation("is_active", "Whether a cell is active.", _IN_PYTHON)
+length = _place_operation("length", "The number of cells of a dynamic list.", _IN_PYTHON)
 rescale_index = _place_operation("rescale_index", "The index of a cell of another level.")
 get_addr = _place_operation("get_addr", "The address of an element.")

@@ -50,6 +50,7 @@ class Options:
     log_level: str = WARN
     ad_history_bytes: int = 256 * 1024
     skip: Any = "all"
+    memory_limit: int = 0
     # What was given for options that are accepted and change nothing.
     accepted: dict[str, Any] = dataclasses.field(default_factory=dict)
 
@@ -99,6 +100,8 @@ class Program:
         self.root = Root()
         self.symbols: set[str] = set()
         self.num_trees = 0
+        # The roots of the trees that are allocated.
+        self.trees: list[Any] = []
         # Fields by symbol, for diagnostics and for clearing gradients.
         self.fields: dict[str, Any] = {}
         # Functions of kernels by symbol, for reports that name a line.
@@ -114,6 +117,7 @@ class Program:
         for kernel in self.kernels:
             kernel.release()
         self.fields.clear()
+        self.trees.clear()
 
     def count_kernels_from_here(self) -> None:
         """Forgets the kernels that were defined so far."""
@@ -141,6 +145,7 @@ class Program:
             "profiler": flag(o.kernel_profiler),
             "history_bytes": str(o.ad_history_bytes),
             "skip": option_text(o.skip),
+            "memory_limit": str(o.memory_limit),
         }
         if not o.offline_cache:
             values["cache_dir"] = ""
@@ -229,6 +234,8 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
         skip: what is left out where it is not needed: `all`, `none`, or names, as a comma list
             or a list of strings; `-name` takes one away. Results do not depend on it; see
             `ti.profiler.skips`.
+        memory_limit: bytes that fields may take, those of sparse levels by their active cells;
+            0 for what the machine has. More is a `TaiMemoryError`, and the program can go on.
         require: extensions that the target must have (`ti.extension.data64`, …).
         exclude: targets that the program does not run on.
 
@@ -322,8 +329,22 @@ def sync() -> None:
 class _Root:
     """`ti.root`: the root of the tree that is being laid out."""
 
+    is_root = True
+
     def __getattr__(self, name: str) -> Any:
         return getattr(get_program().root, name)
+
+    def deactivate_all(self) -> None:
+        """Makes all cells of all sparse levels inactive, in all trees."""
+        program = get_program()
+        program.materialize(sys._getframe(1).f_globals)
+        for tree in program.trees:
+            tree.deactivate_all()
+
+    def __eq__(self, other: Any) -> bool:
+        return other is self or getattr(other, "kind", None) == "root"
+
+    __hash__ = object.__hash__
 
     def __repr__(self) -> str:
         return "ti.root"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from . import _state
-from .errors import TaiRuntimeError, TaiRuntimeTypeError
+from . import _state, _storage
+from .errors import TaiError, TaiRuntimeError, TaiRuntimeTypeError
 
 if TYPE_CHECKING:
     from .fields import Field, ScalarField
@@ -72,10 +72,25 @@ class SNode:
         return self._add("hash", axes, dimensions)
 
     def dynamic(self, axis: Axes, dimension: int, chunk_size: int | None = None) -> SNode:
-        """A list along one axis that grows by `append`."""
-        if len(axis) != 1:
-            raise TaiRuntimeTypeError("a dynamic level has one axis")
-        return self._add("dynamic", axis, dimension, chunk_size or max(1, int(dimension) // 32))
+        """Lists along one axis, which no other level divides, that grow by `append`.
+
+        Args:
+            axis: one axis, such as `ti.j`.
+            dimension: how many cells a list holds at most; one more is an error.
+            chunk_size: accepted; cells have fixed addresses, and nothing is cut in chunks.
+        """
+        if isinstance(axis, tuple) and len(axis) != 1:
+            raise TaiRuntimeTypeError(
+                f"a dynamic level has one axis, but got {axis!r}",
+                "put a level for each other axis above it: ti.root.dense(ti.i, n).dynamic(ti.j, m)",
+            )
+        return self._add("dynamic", axis, dimension, chunk_size or 0)
+
+    def quant_array(self, axes: Axes, dimensions: Any, max_num_bits: int) -> SNode:
+        """Numbers of a few bits side by side: not built in."""
+        from .types import refuse_quant
+
+        refuse_quant("quant_array")
 
     def _add(self, kind: str, axes: Any, dimensions: Any, chunk: int = 0) -> SNode:
         self._check_open()
@@ -102,9 +117,25 @@ class SNode:
             if value <= 0:
                 raise TaiRuntimeTypeError(f"an extent must be positive, but got {value}")
             extents.append(value)
+        self._check_list_axes(kind, axes)
+        if kind == "dynamic":
+            chunk = min(max(1, int(chunk) or extents[0] // 32), extents[0])
         child = SNode(kind, self, axes, extents, chunk)
         self.children.append(child)
         return child
+
+    def _check_list_axes(self, kind: str, axes: Sequence[int]) -> None:
+        """The index along a list must be one number: its axis is divided by no other level."""
+        above = self.path()
+        for axis in axes:
+            for level in above:
+                if axis in level.axes and "dynamic" in (kind, level.kind):
+                    letter = AXIS_NAMES[axis]
+                    raise TaiRuntimeTypeError(
+                        f"a {kind} level cannot divide axis {letter}, which a {level.kind} level "
+                        f"above it divides: the axis of a list is its own",
+                        "give the list another axis: ti.root.dense(ti.i, n).dynamic(ti.j, m)",
+                    )
 
     def place(self, *fields: Any, offset: Any = None) -> SNode:
         """Puts one element of each field into each cell.
@@ -135,7 +166,7 @@ class SNode:
                 child._place_companions(which)
             elif child.role == "primal" and child.dtype.is_float:
                 companion = getattr(child, which)
-                if companion.snode is None:
+                if companion.level is None:
                     companion.put_into(self, child.offset or None)
 
     def _check_open(self) -> None:
@@ -149,7 +180,7 @@ class SNode:
     # Queries
 
     def parent(self, n: int = 1) -> SNode | None:
-        """The level `n` levels up."""
+        """The level `n` levels up, the last being `ti.root`; None above that."""
         node: SNode | None = self
         for _ in range(n):
             node = node._parent if node is not None else None
@@ -196,6 +227,8 @@ class SNode:
         Of a dense level: of the sparse levels below it.
         """
         if self.kind not in ("root", "dense"):
+            if next(self.places(), None) is None:
+                return
             context, tree, number = self._sparse()
             context.deactivate_all(tree, number)
             return
@@ -232,7 +265,56 @@ class SNode:
 
     @property
     def _num_dynamically_allocated(self) -> int:
-        return self.num_active
+        """The most cells of a sparse level that were active at any time."""
+        context, tree, number = self._sparse()
+        return context.sparse_level(tree, number)[5]
+
+    # What Taichi's programs ask of its levels
+
+    def _get_children(self) -> list[SNode]:
+        """The levels and places in a cell."""
+        return [c if isinstance(c, SNode) else c.snode for c in self.children]
+
+    def _path_from_root(self) -> list[SNode]:
+        """From the root down to this level."""
+        return [self.root_node, *self.path()]
+
+    def _physical_index_position(self) -> dict[int, int]:
+        """The axis of each index."""
+        return dict(enumerate(self.axis_extents()))
+
+    @property
+    def _cell_size_bytes(self) -> int:
+        """Bytes of one cell, with all that lies in it, active or not."""
+        return _storage.cell_size(self)
+
+    @property
+    def _offset_bytes_in_parent_cell(self) -> int:
+        """Where the first of these cells lies in the cell above."""
+        return _storage.offset_in_parent(self)
+
+    @property
+    def _snode_tree_id(self) -> int:
+        """The number of the tree, in the order in which trees were allocated."""
+        root = self.root_node
+        if root.number is None:
+            self._allocate()
+        return root.number
+
+    @property
+    def _id(self) -> int:
+        return id(self)
+
+    @property
+    def _name(self) -> str:
+        return self.kind
+
+    def _allocate(self) -> None:
+        """Allocates the tree, as the first use of a field does."""
+        field = next(self.places(), None)
+        if field is None:
+            raise TaiRuntimeError("this level holds no field", "place one below it")
+        field.materialize()
 
     def _sparse(self) -> tuple[Any, str, int]:
         """The context, the tree, and the number of this sparse level in it."""
@@ -242,13 +324,15 @@ class SNode:
                 "ask a pointer, bitmasked, hash or dynamic level",
             )
         root = self.root_node
-        if root.tree is None:
-            field = next(self.places(), None)
-            if field is None:
-                raise TaiRuntimeError("this level holds no field", "place one below it")
-            field.materialize()
+        if root.tree is None and not root.is_destroyed:
+            self._allocate()
         if root.tree is None or _state.program is None:
             raise TaiRuntimeError("the tree of this level has been destroyed")
+        if not any(tree is root for tree in _state.program.trees):
+            raise TaiRuntimeError(
+                "this level was made before the last ti.init and is gone",
+                "make levels after ti.init",
+            )
         for number, level in enumerate(root.sparse_levels()):
             if level is self:
                 return _state.program.context, root.tree, number
@@ -274,7 +358,7 @@ class SNode:
         """The tree below the root as a `!tai.root` type."""
         return f"!tai.root<{', '.join(self._bodies()['primal'])}>"
 
-    def _levels(self) -> list[str]:
+    def _level(self, role: str) -> str:
         """This level in the assembly of `!tai.root`, without the prefix.
 
         A dense level with gradients becomes a level for each role, side by side: a forward
@@ -285,30 +369,43 @@ class SNode:
             f"{AXIS_NAMES[a]}: {n}" for a, n in zip(self.axes, self.extents, strict=True)
         )
         chunk = f", chunk {self.chunk}" if self.kind == "dynamic" else ""
-        return [
-            f"{self.kind}<[{head}]{chunk}, {', '.join(inner)}>"
-            for inner in self._bodies().values()
-            if inner
-        ]
+        return f"{self.kind}<[{head}]{chunk}, {', '.join(self._bodies()[role])}>"
 
     def _bodies(self) -> dict[str, list[str]]:
         """What the cells hold, for each role that has cells of its own."""
-        bodies: dict[str, list[str]] = {"primal": []}
-        records: dict[str, list[str]] = {}
+        bodies = {}
+        for role, parts in self.contents().items():
+            body = bodies.setdefault(role, [])
+            for part in parts:
+                if isinstance(part, tuple):
+                    child, of = part
+                    body.append(child._level(of))
+                else:
+                    body.append("{" + ", ".join(f"{f.symbol}: {f.mlir_type}" for f in part) + "}")
+        return bodies
+
+    def contents(self) -> dict[str, list]:
+        """What the cells hold, for each role that has cells of its own.
+
+        A part is a list of fields side by side, or a pair of a level and one of its roles.
+        """
+        bodies: dict[str, list] = {"primal": []}
+        records: dict[str, list] = {}
 
         def close() -> None:
             for role, record in records.items():
-                bodies.setdefault(role, []).append("{" + ", ".join(record) + "}")
+                bodies.setdefault(role, []).append(record)
             records.clear()
 
         for child in self.children:
             if isinstance(child, SNode):
                 close()
                 if next(child.places(), None) is not None:
-                    bodies["primal"].extend(child._levels())
+                    bodies["primal"] += [(child, role) for role, body in child.contents().items()
+                                         if body]  # fmt: skip
             else:
                 role = child.role if self.kind == "dense" else "primal"
-                records.setdefault(role, []).append(f"{child.symbol}: {child.mlir_type}")
+                records.setdefault(role, []).append(child)
         close()
         return bodies
 
@@ -318,14 +415,62 @@ class SNode:
         names = "".join(AXIS_NAMES[a] for a in self.axes)
         return f"{self._parent!r}.{self.kind}(ti.{names}, {self.extents})"
 
+    def __str__(self) -> str:
+        shapes = [f"{level.kind} {list(level.shape)}" for level in self.path()]
+        return " => ".join(["ti.root", *shapes])
+
+
+class Place(SNode):
+    """Where a field stands in a cell: the end of the path from the root.
+
+    A loop over it, and what is asked of its activity, mean the level that holds it.
+    """
+
+    def __init__(self, field: Any):
+        super().__init__("place", field.level)
+        self.field = field
+
+    def _add(self, kind: str, axes: Any, dimensions: Any, chunk: int = 0) -> SNode:
+        raise TaiRuntimeError(
+            f"a field has no {kind} level in it", "put levels below a level: x.parent()"
+        )
+
+    def place(self, *fields: Any, offset: Any = None) -> SNode:
+        raise TaiRuntimeError(
+            "a field holds no other field", "place it beside: x.parent().place(y)"
+        )
+
+    def places(self) -> Iterator[ScalarField]:
+        yield from getattr(self.field, "parts", [self.field])
+
+    def deactivate_all(self) -> None:
+        self._parent.deactivate_all()
+
+    def _sparse(self) -> tuple[Any, str, int]:
+        return self._parent._sparse()
+
+    @property
+    def _name(self) -> str:
+        return self.field.name
+
+    @property
+    def _dtype(self) -> Any:
+        return self.field.dtype
+
+    def __repr__(self) -> str:
+        return f"<place of field '{self.field.name}'>"
+
 
 class Root(SNode):
     """The root of one tree."""
 
     def __init__(self) -> None:
         super().__init__("root", None)
-        self.allocated = False
+        self.allocated = self.is_destroyed = False
         self.tree: str | None = None
+        self.number: int | None = None
+        # Why there is no such tree.
+        self.refused: str | None = None
 
     def allocate(self, program: Program) -> None:
         """Makes the tree in the program's context and declares its fields."""
@@ -337,12 +482,24 @@ class Root(SNode):
         self.allocated = True
         for field in fields:
             field.choose_symbol(program)
-        self.tree = program.unique_symbol(f"tree{program.num_trees}")
+        tree = program.unique_symbol(f"tree{program.num_trees}")
+        try:
+            program.context.add_tree(tree, self.layout())
+        except TaiError as error:
+            self.refused = error.message
+            raise
+        self.tree, self.number = tree, program.num_trees
         program.num_trees += 1
-        program.context.add_tree(self.tree, self.layout())
+        program.trees.append(self)
         # Adjoints first, so that they exist when a primal names them.
         for field in sorted(fields, key=lambda f: f.role == "primal"):
             field.declare(program, self.tree)
+
+    def __eq__(self, other: Any) -> bool:
+        # All roots are `ti.root`, as programs compare parents with it.
+        return isinstance(other, Root) or getattr(other, "is_root", False)
+
+    __hash__ = object.__hash__
 
 
 def _flatten(items: Any) -> Iterator[Field]:
@@ -365,11 +522,37 @@ class FieldsBuilder:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._root, name)
 
+    @property
+    def root(self) -> Root:
+        """The root of the tree."""
+        return self._root
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing was laid out yet."""
+        return not self._root.children
+
+    @property
+    def finalized(self) -> bool:
+        """Whether the fields are allocated."""
+        return self._root.allocated
+
+    @classmethod
+    def _finalized_roots(cls) -> list[Root]:
+        """The roots of all trees in use."""
+        return [] if _state.program is None else list(_state.program.trees)
+
     def finalize(self, raise_warning: bool = True) -> SNodeTree:
-        """Allocates the fields."""
+        """Allocates the fields.
+
+        Raises:
+            TaiRuntimeError: the tree holds no field, or is finalized already.
+        """
         from .program import get_program
 
         program = get_program()
+        if self._root.allocated:
+            raise TaiRuntimeError("the tree is finalized already", "make a new ti.FieldsBuilder()")
         if not any(True for _ in self._root.places()):
             raise TaiRuntimeError("the tree holds no field", "place a field before finalize()")
         self._root.allocate(program)
@@ -382,6 +565,13 @@ class SNodeTree:
     def __init__(self, root: Root):
         self._root = root
 
+    @property
+    def id(self) -> int:
+        """The number of the tree, in the order in which trees were allocated."""
+        if self._root.is_destroyed:
+            raise TaiRuntimeError("the tree is freed already")
+        return self._root.number
+
     def destroy(self) -> None:
         """Frees the fields of the tree; using one afterwards is an error."""
         if self._root.tree is None or _state.program is None:
@@ -389,7 +579,8 @@ class SNodeTree:
         _state.program.context.destroy_tree(self._root.tree)
         for field in self._root.places():
             field.forget()
-        self._root.tree = None
+        _state.program.trees = [t for t in _state.program.trees if t is not self._root]
+        self._root.tree, self._root.is_destroyed = None, True
 
 
 class Layout:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from . import dtypes
-from .errors import TaiRuntimeTypeError, TaiTypeError
+from .errors import TaiRuntimeError, TaiRuntimeTypeError, TaiTypeError
 from .matrix import Matrix, Vector
 
 
@@ -170,10 +170,36 @@ def matrix(n: int, m: int, dtype: Any) -> MatrixType:
 
 
 def struct(**members: Any) -> Any:
-    """Struct types: not built in yet."""
-    raise TaiRuntimeTypeError(
-        "ti.types.struct is not built in yet", "use one field for each member"
+    """The type of structs with these members."""
+    from .structs import StructType
+
+    return StructType(members)
+
+
+def refuse_quant(what: str) -> None:
+    """Says that there are no types of a few bits."""
+    raise TaiRuntimeError(
+        f"{what}: types of a few bits are not built in", "use ti.i8, ti.i16, ti.u8 or ti.f16"
     )
+
+
+class _Quant:
+    """`ti.types.quant`: every use is refused."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return lambda *args, **options: refuse_quant(f"ti.types.quant.{name}")
+
+
+quant = _Quant()
+
+
+class BitpackedFields:
+    """Fields of a few bits side by side: not built in."""
+
+    def __init__(self, max_num_bits: int = 32):
+        refuse_quant("ti.BitpackedFields")
 
 
 def is_integral(dtype: Any) -> bool:

@@ -111,3 +111,19 @@ tai.kernel @append(%i: index, %v: vector<2xf32>) -> i64 {
   %3 = arith.index_cast %2 : index to i64
   tai.return %3 : i64
 }
+
+// -----
+
+// The length of a list is that of the innermost one, whatever lies in its
+// cells.
+
+tai.tree @t : !tai.root<dense<[i: 3], dynamic<[j: 8], chunk 1, pointer<[k: 4], {x: f32}>>>>
+tai.field @x = @t["x"] : f32, rank 3
+
+// CHECK-LABEL: tai.kernel @length
+//       CHECK:   %[[LENGTH:.+]] = llvm.load {{.*}} atomic monotonic {{.*}} -> i32
+tai.kernel @length(%i: index, %k: index) -> i64 {
+  %0 = tai.length @x[%i, %k]
+  %1 = arith.index_cast %0 : index to i64
+  tai.return %1 : i64
+}

@@ -72,8 +72,8 @@ def test_every_method_of_the_api_surface():
 
 
 def test_missing_names_say_so():
-    with pytest.raises(AttributeError, match="ti.Struct is not built in yet"):
-        _ = ti.Struct
+    with pytest.raises(AttributeError, match="ti.simt is not built in yet"):
+        _ = ti.simt
     assert not hasattr(ti, "__path_of_nothing__")
 
 

@@ -230,7 +230,7 @@ def test_snode_queries():
     block = ti.root.dense(ti.i, 4)
     leaf = block.dense(ti.ij, (2, 3))
     leaf.place(x)
-    assert x.snode is leaf and x.parent() is leaf and x.parent(2) is block
+    assert x.snode.parent() is leaf and x.parent() is leaf and x.parent(2) is block
     assert leaf.shape == (8, 3) and block.shape == (4,)
     assert leaf.parent() is block
 

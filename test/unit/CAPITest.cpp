@@ -282,6 +282,63 @@ TEST(CAPISparse, ActivityOfCells) {
             TAI_ERROR_USAGE);
 }
 
+TEST(CAPISparse, SomeElements) {
+  Context context;
+  context.ok(taiContextAddTree(context, "t",
+                               "!tai.root<pointer<[i: 4, j: 4], dense<[i: 2, "
+                               "j: 2], {x: vector<2xf32>}>>>"));
+  TaiField x;
+  context.ok(taiContextAddField(
+      context, "tai.field @x = @t[\"x\"] : vector<2xf32>, rank 2", &x));
+  const int64_t at[] = {0, 1, 7, 6};
+  const float values[] = {1, 2, 3, 4};
+  context.ok(taiFieldWriteElements(x, at, 2, values));
+  TaiSparseLevel level = {};
+  context.ok(taiContextGetSparseLevel(context, "t", 0, &level));
+  EXPECT_EQ(level.numActive, 2);
+  context.ok(taiContextDeactivateAll(context, "t", 0));
+  context.ok(taiContextGetSparseLevel(context, "t", 0, &level));
+  EXPECT_EQ(level.numActive, 0);
+  EXPECT_EQ(level.peakActive, 2);
+
+  context.ok(taiFieldWriteElements(x, at, 2, values));
+  float read[4] = {};
+  context.ok(taiFieldReadElements(x, at, 2, read));
+  for (int k = 0; k < 4; ++k)
+    EXPECT_EQ(read[k], values[k]);
+  void *address = nullptr;
+  context.ok(taiFieldGetAddress(x, at + 2, &address));
+  EXPECT_EQ(static_cast<const float *>(address)[1], 4);
+
+  const int64_t outside[] = {8, 0};
+  EXPECT_NE(taiFieldReadElements(x, outside, 1, read), TAI_OK);
+  EXPECT_NE(taiFieldWriteElements(x, outside, 1, values), TAI_OK);
+  EXPECT_NE(taiFieldGetAddress(x, outside, &address), TAI_OK);
+  EXPECT_TRUE(contains(context.message(), "out of range")) << context.message();
+}
+
+TEST(CAPISparse, ArraysActivateWhatIsNotZero) {
+  Context context;
+  context.ok(taiContextAddTree(
+      context, "t", "!tai.root<pointer<[i: 4], dense<[i: 2], {x: f64}>>>"));
+  TaiField x;
+  context.ok(taiContextAddField(context,
+                                "tai.field @x = @t[\"x\"] : f64, rank 1", &x));
+  const double values[8] = {0, 0, 0, 5, 0, 0, 0, 0};
+  context.ok(taiFieldCopyFromHost(x, values));
+  TaiSparseLevel level = {};
+  context.ok(taiContextGetSparseLevel(context, "t", 0, &level));
+  EXPECT_EQ(level.numActive, 1);
+  // Cells of 16 bytes: there is room for one.
+  context.ok(taiContextSetOption(context, "memory_limit", "16"));
+  const double more[8] = {1, 1, 1, 1, 1, 1, 1, 1};
+  EXPECT_EQ(taiFieldCopyFromHost(x, more), TAI_ERROR_MEMORY);
+  EXPECT_EQ(taiContextSetOption(context, "memory_limit", "-1"),
+            TAI_ERROR_USAGE);
+  context.ok(taiContextSetOption(context, "memory_limit", "0"));
+  context.ok(taiFieldCopyFromHost(x, more));
+}
+
 TEST(CAPIErrors, MemoryNamesTheTree) {
   Context context;
   EXPECT_EQ(taiContextAddTree(context, "huge",

@@ -111,18 +111,21 @@ void tai_rt_combine_strided(TaiFrame *frame, void *target, const void *buffers,
 //
 // `tree` is a base address from the frame, `node` the number of a sparse level
 // in the tree, those above before those below. Cells are numbered row-major,
-// level below level. Whether a cell is active is read from the tree.
+// level below level. Whether a cell is active is read from the tree. `where` is
+// as for tai_rt_fail; a number that no cell has fails the launch.
 
 /// Makes a cell and those above it active. Returns 0, and fails the launch, if
 /// there is no memory for it: the caller then must not write to it.
-int32_t tai_rt_activate(TaiFrame *frame, void *tree, int32_t node,
-                        int64_t cell);
+int32_t tai_rt_activate(TaiFrame *frame, void *tree, int32_t node, int64_t cell,
+                        const char *where);
 /// Makes a cell (the whole list, for a `dynamic` level) inactive and zeroes it,
 /// with all that lies below.
-void tai_rt_deactivate(TaiFrame *frame, void *tree, int32_t node, int64_t cell);
+void tai_rt_deactivate(TaiFrame *frame, void *tree, int32_t node, int64_t cell,
+                       const char *where);
 /// Appends a cell to list number `list` of a `dynamic` level. Returns its
 /// number in the list, or -1 and fails the launch if the list is full.
-int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node, int64_t list);
+int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node, int64_t list,
+                      const char *where);
 /// The active cells of a level, ascending, as they are now. The array stays as
 /// it is until the kernel returns. Returns their number.
 int64_t tai_rt_active_cells(TaiFrame *frame, void *tree, int32_t node,

@@ -173,11 +173,16 @@ public:
   Status writeF64(const int64_t *index, int64_t component, double value);
   Status readI64(const int64_t *index, int64_t component, int64_t &value) const;
   Status writeI64(const int64_t *index, int64_t component, int64_t value);
+  /// All components of the elements at `count` index tuples, as they are
+  /// stored. For the other direction see Runtime::writeElements.
+  Status readElements(const int64_t *indices, int64_t count,
+                      void *values) const;
+  /// Where a component is, or why there is none.
+  Status access(const int64_t *index, int64_t component, char *&address) const;
 
 private:
   friend class Runtime;
   friend class Tape;
-  Status access(const int64_t *index, int64_t component, char *&address) const;
 
   std::string fieldName;
   TreePtr owner;

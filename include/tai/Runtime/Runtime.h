@@ -136,6 +136,10 @@ public:
                   double value);
   Status writeI64(Field &field, const int64_t *index, int64_t component,
                   int64_t value);
+  /// The elements at `count` index tuples, from an array of the type of the
+  /// field; their cells become active.
+  Status writeElements(Field &field, const int64_t *indices, int64_t count,
+                       const void *values);
   /// Sets the adjoint fields that are dirty to zero; in forward mode the
   /// tangents of adjoints too.
   void clearGradients();
@@ -204,6 +208,8 @@ public:
     return interrupted.load(std::memory_order_relaxed);
   }
   int64_t memoryLimit() const { return limit; }
+  /// 0 for what the machine has. Trees that take more already stay.
+  void setMemoryLimit(int64_t bytes);
 
 private:
   friend class Tape;
@@ -240,6 +246,9 @@ private:
   Status change(const HostWrite &write);
   void perform(const HostWrite &write);
   Status activateFor(const HostWrite &write);
+  /// Makes those cells of a sparse field active in which an array of all its
+  /// elements holds something else than zero.
+  Status activateNonzero(Field &field, const void *array);
   /// The same for the active cells of a sparse field.
   void fillActive(Field &field, const void *scalarBytes);
   template <typename Move>

@@ -69,6 +69,8 @@ public:
   /// Bytes of one cell.
   int64_t cellBytes() const { return layout.steps.back().stride; }
   int64_t numActive() const { return active.load(std::memory_order_relaxed); }
+  /// The most cells that were active at any time.
+  int64_t peakActive() const { return peak.load(std::memory_order_relaxed); }
   /// Changes with every change of activity.
   uint64_t epoch() const { return changes.load(std::memory_order_acquire); }
 
@@ -117,7 +119,7 @@ private:
   /// One bit for each word of bits that is not zero (it may be zero again).
   std::atomic<uint64_t> *marks = nullptr;
   int64_t numMarks = 0;
-  std::atomic<int64_t> active{0};
+  std::atomic<int64_t> active{0}, peak{0};
   std::atomic<uint64_t> changes{1};
   std::mutex mutex;
   ActiveListPtr current;

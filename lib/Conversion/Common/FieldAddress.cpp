@@ -212,10 +212,16 @@ Value tai::emitCellNumber(OpBuilder &builder, Location loc,
   return cell;
 }
 
+const SparseInfo &tai::getInnermostList(const FieldInfo &field) {
+  return *llvm::find_if(llvm::reverse(field.sparse),
+                        [](const SparseInfo &level) { return level.isList; });
+}
+
 unsigned tai::getListDimension(const FieldInfo &field) {
+  unsigned level = getInnermostList(field).level;
   const IndexDigit *digit =
       llvm::find_if(field.storage.digits, [&](const IndexDigit &digit) {
-        return digit.level == field.sparse.back().level;
+        return digit.level == level;
       });
   return digit->dimension;
 }
@@ -229,7 +235,7 @@ Value tai::emitListNumber(OpBuilder &builder, Location loc,
   all.insert(all.begin() + dimension,
              math.constant(field.layout.offset[dimension]));
   SmallVector<Value> zeroBased = emitZeroBased(builder, loc, field, all);
-  const SparseInfo &list = field.sparse.back();
+  const SparseInfo &list = getInnermostList(field);
   return math.div(emitCellNumber(builder, loc, field, list.level, zeroBased),
                   list.capacity);
 }

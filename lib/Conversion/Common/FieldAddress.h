@@ -128,8 +128,10 @@ Value emitElementOffset(OpBuilder &builder, Location loc,
 Value emitCellNumber(OpBuilder &builder, Location loc, const FieldInfo &field,
                      unsigned level, ValueRange zeroBased);
 
-/// The number of the list of a `dynamic` level above a field. `indices` are
-/// those of the field without that along the list.
+/// The innermost `dynamic` level above a field, which must have one.
+const SparseInfo &getInnermostList(const FieldInfo &field);
+/// The number of the list of that level. `indices` are those of the field
+/// without that along the list.
 Value emitListNumber(OpBuilder &builder, Location loc, const FieldInfo &field,
                      ValueRange indices);
 /// The position of the index along the list.

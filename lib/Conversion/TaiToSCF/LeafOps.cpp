@@ -238,7 +238,8 @@ static LogicalResult lowerPrint(PrintOp op, Value frame,
 // Sparse levels
 //===----------------------------------------------------------------------===//
 
-/// Calls a function of the runtime for cell ops: (frame, tree, node, number).
+/// Calls a function of the runtime for cell ops: (frame, tree, node, number),
+/// and where in the program that is.
 static void lowerCellOp(Operation *op, Value frame, RuntimeCalls &runtime) {
   OpBuilder builder(op);
   Location loc = op->getLoc();
@@ -258,19 +259,20 @@ static void lowerCellOp(Operation *op, Value frame, RuntimeCalls &runtime) {
     return op->erase();
   }
   Value number = math.toI64(op->getOperand(1));
+  Value where = runtime.string(builder, loc, describeLocation(loc));
   if (auto activate = dyn_cast<ActivateCellOp>(op)) {
     Value done = runtime.call(builder, loc, "tai_rt_activate", i32,
-                              {frame, tree, node, number});
+                              {frame, tree, node, number, where});
     activate.getDone().replaceAllUsesWith(
         arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::ne, done,
                               runtime.i32(builder, loc, 0)));
   } else if (auto append = dyn_cast<AppendCellOp>(op)) {
     Value at = runtime.call(builder, loc, "tai_rt_append", i64,
-                            {frame, tree, node, number});
+                            {frame, tree, node, number, where});
     append.getAt().replaceAllUsesWith(math.toIndex(at));
   } else {
     runtime.call(builder, loc, "tai_rt_deactivate", Type(),
-                 {frame, tree, node, number});
+                 {frame, tree, node, number, where});
   }
   op->erase();
 }

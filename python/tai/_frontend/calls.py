@@ -19,6 +19,7 @@ from .expressions import FormattedText
 from .refs import Place, Variable
 from .scope import Bound, Frame
 from .source import function_ast
+from .structs import StructValue, StructVariable
 from .value import Value
 
 _MAX_INLINE_DEPTH = 50
@@ -163,14 +164,10 @@ class Calls:
             raise TaiTypeError(f"'{ast.unparse(node.func)}' is not a function")
         dynamic = any(_contains_value(a) for a in (*args, *kwargs.values()))
         if _is_hashable(function):
-            if function in _LEVEL_CALLS:
+            if function in _LEVEL_CALLS or function is ops.get_addr:
                 if kwargs:
                     raise TaiTypeError(f"ti.{function.__name__} takes no keywords")
                 return self.level_call(function, args)
-            if function is ops.get_addr:
-                raise TaiSyntaxError(
-                    "ti.get_addr is not available: where elements lie is the layout's business"
-                )
             if dynamic:
                 if function is range:
                     raise TaiSyntaxError(
@@ -332,9 +329,11 @@ class Calls:
         if kind == "template":
             if isinstance(node, ast.Name):
                 meaning = self.frame.find(node.id)
-                if isinstance(meaning, Variable):
+                if isinstance(meaning, (Variable, StructVariable)):
                     return meaning
             return Variable(name, value) if isinstance(value, Value) else Bound(value)
+        if isinstance(value, StructValue):
+            return StructVariable(self.emitter, name, value)
         if kind is not None:
             return Variable(name, kind.convert(self.emitter, value))
         if isinstance(value, (Value, bool, int, float, np.generic)) or getattr(

@@ -11,9 +11,11 @@ from ..dtypes import DataType, promote, u1
 from ..errors import TaiAutodiffError, TaiNameError, TaiSyntaxError, TaiTypeError, did_you_mean
 from ..fields import Field
 from ..matrix import swizzle
+from ..structs import StructField
 from .emitter import describe_misuse, misuse_hint
 from .refs import ArrayArgument, Part, Place, Variable, VariablePlace, field_element
-from .sparse import list_element
+from .sparse import list_element, list_method
+from .structs import StructPlace, struct_element
 from .value import MatrixValue, NoAttribute, Value
 
 BINARY = {
@@ -81,6 +83,8 @@ class Expressions:
     visit_Attribute = visit_Subscript = visit_Name
 
     def attribute(self, base: Any, name: str) -> Any:
+        if isinstance(base, StructPlace):
+            return base.member(name)
         if isinstance(base, Place):
             if len(base.shape) == 1:
                 found = swizzle(name, base.shape[0])
@@ -90,6 +94,11 @@ class Expressions:
                     return Part(base, found, (len(found),))
             base = base.load()
         if isinstance(base, Field) and not hasattr(type(base), name):
+            found = list_method(self, base, name)
+            if found is not None:
+                return found
+            if isinstance(base, StructField) and name in base.members:
+                return base.members[name]
             raise TaiTypeError(
                 f"field '{base.name}' has no attribute '{name}'",
                 did_you_mean(name, [m for m in dir(base) if not m.startswith("_")]),
@@ -111,7 +120,10 @@ class Expressions:
             base = base.load()
         if isinstance(base, Field):
             found = list_element(self, base, key)
-            return field_element(self.emitter, base, key) if found is None else found
+            if found is not None:
+                return found
+            element = struct_element if isinstance(base, StructField) else field_element
+            return element(self.emitter, base, key)
         if isinstance(base, ArrayArgument):
             return base.element(key)
         if isinstance(base, Value):

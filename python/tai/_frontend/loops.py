@@ -9,7 +9,8 @@ from .. import ops
 from ..dtypes import DataType, i32, promote, u1
 from ..errors import TaiSyntaxError, TaiTypeError
 from ..fields import ComponentField, Field, MatrixField, ScalarField
-from ..snode import SNode
+from ..snode import Place, SNode
+from ..structs import StructField
 from .refs import ArrayArgument, FieldElement, Variable, use_field
 from .scope import Bound, Loop
 from .source import own_exits
@@ -117,6 +118,8 @@ class Loops:
         )
 
     def field_domain(self, thing: Any) -> Any:
+        if isinstance(thing, Place):
+            thing = thing.field
         if isinstance(thing, SNode):
             if thing.kind == "root":
                 raise TaiTypeError("ti.root cannot be looped over", "loop over a level or a field")
@@ -124,7 +127,7 @@ class Loops:
         if not isinstance(thing, Field):
             raise TaiTypeError("ti.grouped takes a field or a ti.ndrange")
         use_field(thing)
-        return thing
+        return thing.first if isinstance(thing, StructField) else thing
 
     def range_bounds(self, node: ast.Call) -> Bounds:
         if node.keywords:

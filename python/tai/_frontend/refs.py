@@ -472,7 +472,7 @@ def use_field(field: Field) -> None:
     if isinstance(field, ComponentField) and field.is_window:
         field = field._whole
     field._placed_node()
-    parts = field.parts if isinstance(field, MatrixField) else [field]
+    parts = getattr(field, "parts", [field])
     for part in parts:
         part.materialize()
         if not part.is_current():

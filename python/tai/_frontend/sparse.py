@@ -6,20 +6,29 @@ from typing import Any
 
 from .. import ops
 from ..errors import TaiIndexError, TaiTypeError
-from ..fields import Field, MatrixField, ScalarField
-from ..snode import AXIS_NAMES, SNode
+from ..fields import Field, ScalarField
+from ..snode import AXIS_NAMES, Place, SNode
 from .emitter import Emitter
-from .refs import flatten_indices, use_field
+from .refs import FieldElement, flatten_indices, use_field
+from .structs import StructValue
 from .value import Value
 
 
 def level_of(thing: Any, what: str) -> SNode:
     """The level that an argument means: itself, or the one that holds a field."""
+    node = thing
     if isinstance(thing, Field):
         use_field(thing)
-        return thing.snode
-    if isinstance(thing, SNode) and thing.kind != "root":
-        return thing
+        node = thing.level
+    elif isinstance(thing, Place):
+        node = thing.parent()
+    if isinstance(node, SNode) and node.kind != "root":
+        return node
+    if isinstance(thing, (Field, Place)):
+        raise TaiTypeError(
+            f"{what} takes a level of a layout, but '{thing._name}' stands in none",
+            "place it in one: ti.root.pointer(ti.i, n).place(x)",
+        )
     raise TaiTypeError(
         f"{what} takes a level of a layout, but got {thing!r}",
         "keep what ti.root.pointer(…) returns, or write x.parent()",
@@ -43,7 +52,7 @@ class Level:
             raise TaiTypeError(f"{what} takes a level that holds a field", "place one below it")
         use_field(field)
         self.field: ScalarField = field
-        below = field.snode
+        below = field.level
         self.up = len(below.path()) - len(node.path()) + 1
         extents, own = below.axis_extents(), node.axis_extents()
         self.scale = [extents[axis] // own.get(axis, 1) for axis in extents]
@@ -79,6 +88,8 @@ class Sparse:
         name = f"ti.{function.__name__}"
         if function is ops.rescale_index:
             return self._rescale(args)
+        if function is ops.get_addr:
+            return self._address(args)
         if len(args) != (3 if function is ops.append else 2):
             form = "level, indices, value" if function is ops.append else "level, indices"
             raise TaiTypeError(f"{name} takes ({form})")
@@ -122,6 +133,12 @@ class Sparse:
                 f"{name} takes a dynamic level, but this is {_describe(node)}",
                 "ti.root.dynamic(ti.j, 1024).place(x)",
             )
+        inner = [n for n in level.field.level.path() if n.kind == "dynamic"][-1]
+        if inner is not node:
+            raise TaiTypeError(
+                f"{name} takes the innermost list, and there are lists in {_describe(node)}",
+                "keep the number of outer cells in a field",
+            )
         if len(indices) != level.rank - 1:
             raise TaiIndexError(
                 f"a list of {_describe(node)} has {level.rank - 1} indices, but got {len(indices)}"
@@ -133,18 +150,72 @@ class Sparse:
         if value is None:
             count = self.builder.op("tai.length", handles, [index], attrs)
             return emitter.from_index(count, i32)
-        places = [p for p in node.places() if p.role == "primal"]
-        if len(places) != 1:
+        if any(isinstance(child, SNode) for child in node.children):
             raise TaiTypeError(
-                f"{name} takes a list of one field, but this one holds {len(places)}",
+                f"{name} takes a list of numbers, but there are levels in {_describe(node)}",
                 "write to the elements: the list grows to the highest index",
             )
-        element = emitter.as_value(value)
-        element = emitter.broadcast(
-            emitter.cast(element, level.field.dtype), level.field.element_shape
-        )
-        at = self.builder.op("tai.append", [element.handle, *handles], [index], attrs)
-        return emitter.from_index(at, i32)
+        places = [p for p in node.places() if p.role == "primal"]
+        values = list(value.leaves()) if isinstance(value, StructValue) else [value]
+        if len(places) != len(values):
+            fields = "1 field" if len(places) == 1 else f"{len(places)} fields"
+            what = f"{len(values)} members" if isinstance(value, StructValue) else "one value"
+            raise TaiTypeError(
+                f"{name} takes a value for each field of the list, which holds {fields}, "
+                f"but got {what}",
+                "place a struct field in the list, or write to the elements: "
+                "the list grows to the highest index",
+            )
+        elements = []
+        for place, one in zip(places, values, strict=True):
+            converted = FieldElement(emitter, place, []).convert(one)
+            elements.append(converted)
+        at = self.builder.op("tai.append", [elements[0].handle, *handles], [index], attrs)
+        dimension, offset = self._list_dimension(level), level.field.offset
+        first = offset[dimension] if offset else 0
+        number = emitter.from_index(at, i32)
+        where = emitter.to_index(emitter.binary("+", number, first))
+        handles.insert(dimension, where)
+        for place, element in zip(places[1:], elements[1:], strict=True):
+            FieldElement(emitter, place, handles).store(element)
+        return number
+
+    def _address(self, args: list) -> Any:
+        """`ti.get_addr(field, indices)`: where an element lies, as a u64."""
+        from ..dtypes import i64, u64
+
+        if len(args) != 2 or not isinstance(args[0], Field):
+            raise TaiTypeError("ti.get_addr takes (field, indices)")
+        field, indices = args[0], flatten_indices(args[1])
+        use_field(field)
+        if len(indices) != len(field.shape):
+            raise TaiIndexError(
+                f"field '{field.name}' takes {len(field.shape)} indices, but got {len(indices)}"
+            )
+        storage, component = field.storage()
+        emitter, node = self.emitter, storage.level
+        begin = list(storage.offset or (0,) * len(indices))
+        base = storage.core.address(tuple(begin))
+        size = storage.dtype.numpy.itemsize
+        address = emitter.constant(base + component * size, i64)
+        axes = list(node.axis_extents())
+        below = node.axis_extents()
+        for level in node.path():
+            for axis, extent in zip(level.axes, level.extents, strict=True):
+                below[axis] //= extent
+                if extent == 1:
+                    continue
+                dimension = axes.index(axis)
+                # A step along one digit is worth the same everywhere.
+                step = list(begin)
+                step[dimension] += below[axis]
+                stride = storage.core.address(tuple(step)) - base
+                index = emitter.cast(emitter.as_value(indices[dimension]), i64)
+                digit = emitter.binary("-", index, begin[dimension])
+                digit = emitter.binary("//", digit, below[axis])
+                digit = emitter.binary("%", digit, extent)
+                address = emitter.binary("+", address, emitter.binary("*", digit, stride))
+        return emitter.cast(address, u64)
 
     def _list_dimension(self, level: Level) -> int:
         axes = list(level.node.axis_extents())
@@ -174,12 +245,23 @@ class Sparse:
         return Vector(result)
 
 
+_LIST_METHODS = ("append", "length", "deactivate")
+
+
+def list_method(compiler: Any, field: Field, name: str) -> Any:
+    """`x.append`, `x.length`, `x.deactivate` of a field that is one list, or None."""
+    if name not in _LIST_METHODS or field.level is None or len(field.shape) != 1:
+        return None
+    found = list_element(compiler, field, None)
+    return None if found is None else getattr(found, name)
+
+
 class ListElement:
     """`y[i]` where `y` lies below a dynamic level: the list as a whole."""
 
     def __init__(self, compiler: Any, field: Field, indices: list[Any]):
         self._compiler, self._indices = compiler, indices
-        self._level = Level(field.snode, f"field '{field.name}'")
+        self._level = Level(field.level, f"field '{field.name}'")
 
     def append(self, value: Any) -> Value:
         """Adds a cell and returns its index."""
@@ -196,8 +278,8 @@ class ListElement:
 
 def list_element(compiler: Any, field: Field, key: Any) -> ListElement | None:
     """The list that a subscript with one index less than the field names, or None."""
-    storage = field.parts[0] if isinstance(field, MatrixField) else field
-    node = storage.snode
+    storage, _ = field.storage()
+    node = storage.level
     if node is None or node.kind != "dynamic":
         return None
     indices = [] if key is None else flatten_indices(key)

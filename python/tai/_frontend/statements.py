@@ -17,6 +17,7 @@ from .refs import ArrayArgument, Place, Variable, VariablePlace
 from .returns import always_returns, find_return
 from .scope import Bound, Loop
 from .source import AssignedNames, own_exits
+from .structs import StructPlace, StructValue, StructVariable
 from .value import Value
 
 _ATOMIC_ASSIGN = {"+", "-", "&", "|", "^"}
@@ -145,7 +146,9 @@ class Statements:
         for statements in lists:
             for name in collector.collect(statements):
                 meaning = self.frame.find(name)
-                if isinstance(meaning, Variable) and meaning not in found:
+                if isinstance(meaning, StructVariable):
+                    found += [v for v in meaning.thing.variables() if v not in found]
+                elif isinstance(meaning, Variable) and meaning not in found:
                     found.append(meaning)
             loop = self.frame.loops[-1] if self.frame.loops else None
             if loop is not None and own_exits(statements):
@@ -418,7 +421,7 @@ class Statements:
 
     def number(self, value: Any) -> Any:
         """The right side of an assignment as something to compute with."""
-        if isinstance(value, Value):
+        if isinstance(value, (Value, StructValue)):
             return value
         if isinstance(value, (bool, int, float, np.generic)):
             return value.item() if isinstance(value, np.generic) else value
@@ -438,6 +441,12 @@ class Statements:
         if isinstance(meaning, Variable):
             place = VariablePlace(self.emitter, meaning)
             place.store(place.convert(self.number(value)))
+            return
+        if isinstance(meaning, StructVariable):
+            meaning.store(value)
+            return
+        if isinstance(value, StructValue) and meaning is None and not is_static:
+            self.frame.define(name, StructVariable(self.emitter, name, value))
             return
         is_number = isinstance(value, (Value, bool, int, float, np.generic)) or getattr(
             value, "is_matrix", False
@@ -474,6 +483,8 @@ class Statements:
             self.augment_static(node, op, place, value)
             return
         self.refuse_non_number(value, (value,))
+        if isinstance(place, StructPlace):
+            raise TaiTypeError("structs have no arithmetic", "compute with their members")
         value = self.number(value)
         if op in _ATOMIC_ASSIGN and place.dt.is_float and op in "&|^":
             raise TaiTypeError(f"'{op}=' takes whole numbers, but the target holds {place.dt}")

@@ -2,7 +2,14 @@
 
 from enum import Enum
 
-from ..ops import block_local, cache_read_only, loop_config, ndrange, no_activate
+from ..ops import (
+    block_local,
+    cache_read_only,
+    loop_config,
+    loop_unique,
+    ndrange,
+    no_activate,
+)
 from ..program import Arch, arm64, cpu, cuda, gpu, init, reset, x64
 
 
@@ -53,6 +60,6 @@ def get_host_arch_list() -> list[Arch]:
 
 __all__ = [
     "block_local", "cache_read_only", "cpu", "cuda", "extension", "get_host_arch_list", "gpu",
-    "init", "is_arch_supported", "is_extension_supported", "loop_config", "ndrange",
+    "init", "is_arch_supported", "is_extension_supported", "loop_config", "loop_unique", "ndrange",
     "no_activate", "reset", "x64",
 ]  # fmt: skip

@@ -343,14 +343,24 @@ static LogicalResult verifyLevelAccess(Operation *op, FlatSymbolRefAttr name,
   return diag;
 }
 
+/// Whether a field stands below a list; `directly`: in its cells.
+static bool isBelowList(FieldOp field, bool directly) {
+  if (directly)
+    return isa_and_nonnull<DynamicType>(Type(getLevelAbove(field, 1)));
+  FailureOr<FieldLayout> layout = getFieldLayout(field);
+  return succeeded(layout) &&
+         llvm::any_of(layout->path.levels, [](const PathLevel &level) {
+           return isa<DynamicType>(level.type);
+         });
+}
+
 static LogicalResult verifyListAccess(Operation *op, FlatSymbolRefAttr name,
                                       size_t indices, Type valueType,
                                       SymbolTableCollection &symbols) {
   FieldOp field = lookupOrError(op, name, symbols);
   if (!field)
     return failure();
-  auto list = dyn_cast_or_null<DynamicType>(Type(getLevelAbove(field, 1)));
-  if (!list) {
+  if (!isBelowList(field, /*directly=*/bool(valueType))) {
     InFlightDiagnostic diag =
         op->emitOpError("expects a field below a 'dynamic' level");
     diag.attachNote(field.getLoc()) << "field defined here";

@@ -1,0 +1,15 @@
+"""`ti._lib`: what programs ask of Taichi's core."""
+
+from .errors import TaiRuntimeError
+from .snode import AXIS_NAMES
+
+
+class core:  # noqa: N801
+    """Names of the core."""
+
+    TaichiRuntimeError = TaiRuntimeError
+
+    @staticmethod
+    def get_max_num_indices() -> int:
+        """The most dimensions of a field."""
+        return len(AXIS_NAMES)
