@@ -111,6 +111,7 @@ LogicalResult AdjointBuilder::checkAccesses() {
              "'memref.atomic_rmw addf'";
     }
   }
+  checkActivityChanges();
   primal.walk([&](Operation *op) {
     if (auto access = dyn_cast<DifferentiableAccessInterface>(op)) {
       Storage storage = access.getAccessedStorage();
@@ -130,10 +131,15 @@ LogicalResult AdjointBuilder::checkAccesses() {
     if (op->getNumRegions() != 0 || isMemoryEffectFree(op) ||
         isa<PrintOp, AssertOp>(op))
       return;
-    if (llvm::any_of(op->getOperands(),
-                     [&](Value v) { return activity.isVaried(v); }))
-      emitError(op, "a derivative is lost in '" + op->getName().getStringRef() +
-                        "', which cannot be differentiated");
+    if (llvm::none_of(op->getOperands(),
+                      [&](Value v) { return activity.isVaried(v); }))
+      return;
+    InFlightDiagnostic diag = emitError(
+        op, "a derivative is lost in '" + op->getName().getStringRef() +
+                "', which cannot be differentiated");
+    if (isa<AppendOp>(op))
+      diag.attachNote() << "store the value to the element by an index; the "
+                           "list grows to the highest one";
   });
   return failure(hasErrors);
 }

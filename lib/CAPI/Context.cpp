@@ -80,8 +80,11 @@ TaiStatus taiContextDestroyTree(TaiContext context, const char *name) {
 
 /// The sparse level of that number, or null after an error.
 static runtime::SparseNode *findLevel(TaiContext context, const char *name,
-                                      int64_t level, TaiStatus &status) {
+                                      int64_t level, TaiStatus &status,
+                                      runtime::TreePtr *found = nullptr) {
   runtime::TreePtr tree = context->session.getRuntime().findTree(name);
+  if (found)
+    *found = tree;
   bool known =
       tree && level >= 0 && level < int64_t(tree->sparseNodes().size());
   status = context->status(
@@ -120,7 +123,8 @@ TaiStatus taiContextGetActiveCells(TaiContext context, const char *tree,
 TaiStatus taiContextSetActive(TaiContext context, const char *tree,
                               int64_t level, int64_t cell, int active) {
   TaiStatus status;
-  runtime::SparseNode *node = findLevel(context, tree, level, status);
+  runtime::TreePtr found;
+  runtime::SparseNode *node = findLevel(context, tree, level, status, &found);
   if (!node)
     return status;
   if (cell < 0 || cell >= node->numCells())
@@ -128,19 +132,17 @@ TaiStatus taiContextSetActive(TaiContext context, const char *tree,
         FailureKind::Usage, "there is no cell " + Twine(cell) + " in " +
                                 node->info().label + ", which has " +
                                 Twine(node->numCells())));
-  if (!active)
-    node->deactivate(cell);
-  else
-    node->activate(cell);
-  return status;
+  return context->status(
+      context->session.setActive(found, level, cell, active != 0));
 }
 
 TaiStatus taiContextDeactivateAll(TaiContext context, const char *tree,
                                   int64_t level) {
   TaiStatus status;
-  if (runtime::SparseNode *node = findLevel(context, tree, level, status))
-    node->deactivateAll();
-  return status;
+  runtime::TreePtr found;
+  if (!findLevel(context, tree, level, status, &found))
+    return status;
+  return context->status(context->session.setActive(found, level, -1, false));
 }
 
 TaiStatus taiContextAddField(TaiContext context, const char *declaration,

@@ -82,6 +82,13 @@ AdjointNeeds mlir::tai::getAdjointNeeds(ModuleOp module, StringRef name) {
   if (!adjoint)
     return needs;
   add(listAccesses(adjoint));
+  adjoint.walk([&](Operation *op) {
+    if (!isa<IsActiveOp, LengthOp>(op))
+      return;
+    StringRef field = op->getAttrOfType<FlatSymbolRefAttr>("field").getValue();
+    if (!llvm::is_contained(needs.activity, field))
+      needs.activity.push_back(field.str());
+  });
   for (Operation &helper : *module.getBody())
     if (!isa<KernelOp>(helper))
       add(listAccesses(&helper));
@@ -206,6 +213,9 @@ std::string AdjointNeeds::serialize() const {
   writer.add(static_cast<int64_t>(before.size()));
   for (const std::string &field : before)
     writer.add(field);
+  writer.add(static_cast<int64_t>(activity.size()));
+  for (const std::string &field : activity)
+    writer.add(field);
   writer.add(static_cast<int64_t>(reruns));
   writer.add(parts);
   return std::move(writer.bytes);
@@ -230,6 +240,8 @@ std::optional<AdjointNeeds> AdjointNeeds::deserialize(StringRef bytes) {
   }
   for (int64_t i = reader.length(); i > 0; --i)
     needs.before.push_back(reader.text());
+  for (int64_t i = reader.length(); i > 0; --i)
+    needs.activity.push_back(reader.text());
   needs.reruns = reader.number() != 0;
   needs.parts = reader.text();
   if (!reader.ok || !reader.atEnd())

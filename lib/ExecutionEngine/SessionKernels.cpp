@@ -464,6 +464,9 @@ runtime::Status Session::planAdjoint(KernelCode &code,
   for (const std::string &name : needs->before)
     if (runtime::FieldPtr field = findField(name))
       plan.before.push_back(field);
+  for (const std::string &name : needs->activity)
+    if (runtime::FieldPtr field = findField(name))
+      plan.activity.push_back(field);
   plan.reruns = needs->reruns;
   if (needs->parts.empty())
     return runtime::Status::success();

@@ -121,6 +121,18 @@ std::vector<runtime::Access> Session::summarize(ModuleOp module,
       if (!llvm::is_contained(summary, line))
         summary.push_back(std::move(line));
     }
+    // All that lies below a cell becomes zero, whichever field names it.
+    op.walk([&](DeactivateOp deactivate) {
+      runtime::FieldPtr named = rt->findField(deactivate.getField().str());
+      for (const runtime::FieldPtr &field : rt->fields()) {
+        if (!named || &field->tree() != &named->tree() ||
+            !field->sparseNode() || field->isAdjoint())
+          continue;
+        runtime::Access line{field, runtime::AccessKind::Write, {}};
+        if (!llvm::is_contained(summary, line))
+          summary.push_back(std::move(line));
+      }
+    });
   }
   return summary;
 }

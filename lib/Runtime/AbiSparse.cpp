@@ -102,11 +102,9 @@ extern "C" int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node,
 extern "C" int64_t tai_rt_active_cells(TaiFrame *frame, void *tree,
                                        int32_t node, const int64_t **cells) {
   Launch &launch = launchOf(frame);
-  ActiveListPtr list = nodeOf(tree, node).list(launch.owner());
-  *cells = list->cells.data();
-  int64_t count = static_cast<int64_t>(list->cells.size());
-  launch.keep(std::move(list));
-  if (count == 0)
+  const std::vector<int64_t> &list = launch.cellsFor(nodeOf(tree, node));
+  *cells = list.data();
+  if (list.empty())
     launch.owner().skipCounters().add(SkipCount::EmptyLoops);
-  return count;
+  return static_cast<int64_t>(list.size());
 }

@@ -211,6 +211,8 @@ Status Runtime::copyToHost(const Field &field, void *array) {
 }
 
 void Runtime::copyIn(Field &field, const void *array) {
+  if (field.sparseNode())
+    return copyInActive(field, array);
   int64_t scalar = byteSize(field.scalar());
   int64_t components = field.numComponents();
   int64_t element = scalar * components;
@@ -232,40 +234,6 @@ void Runtime::copyIn(Field &field, const void *array) {
           std::memcpy(to, host + k * static_cast<int64_t>(size), size);
         });
       });
-    }
-  });
-}
-
-void Runtime::fillActive(Field &field, const void *scalarBytes) {
-  // The elements in a cell, as distances from its first one: those of the
-  // digits that do not count cells.
-  std::vector<int64_t> inner = {0};
-  // The other digits, by what they are worth in cells.
-  std::vector<LayoutLevel> outer;
-  for (const std::vector<LayoutLevel> &levels : field.layout().indices)
-    for (const LayoutLevel &level : levels) {
-      if (level.cells != 0) {
-        outer.push_back(level);
-        continue;
-      }
-      std::vector<int64_t> all;
-      for (int64_t i = 0; i < level.extent; ++i)
-        for (int64_t offset : inner)
-          all.push_back(offset + i * level.stride);
-      inner = std::move(all);
-    }
-  int64_t scalar = byteSize(field.scalar());
-  int64_t components = field.numComponents();
-  int64_t stride = field.layout().componentStride;
-  ActiveListPtr list = field.sparseNode()->list(*this);
-  withSize(scalar, [&](auto size) {
-    for (int64_t cell : list->cells) {
-      char *base = field.data();
-      for (const LayoutLevel &level : outer)
-        base += cell / level.cells % level.extent * level.stride;
-      for (int64_t offset : inner)
-        for (int64_t c = 0; c < components; ++c)
-          std::memcpy(base + offset + c * stride, scalarBytes, size);
     }
   });
 }

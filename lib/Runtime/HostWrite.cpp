@@ -72,6 +72,8 @@ Status Runtime::change(const HostWrite &write) {
     if (!status)
       return status;
   }
+  if (activeTape && field.sparseNode())
+    activeTape->watch(field.owner);
   Status active = activateFor(write);
   if (!active)
     return active;

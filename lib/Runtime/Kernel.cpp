@@ -150,8 +150,12 @@ Status Kernel::bind(uint64_t epoch) {
                              "kernel '" + name() + "' uses tree '" +
                                  tree->name() + "', which has been destroyed");
   bases.clear();
-  for (const TreePtr &tree : info.trees)
+  sparseNodes.clear();
+  for (const TreePtr &tree : info.trees) {
     bases.push_back(tree->base());
+    for (const std::unique_ptr<SparseNode> &node : tree->sparseNodes())
+      sparseNodes.push_back(node.get());
+  }
   loopLevels.clear();
   for (const LoopLevel &level : info.loopLevels)
     loopLevels.push_back(

@@ -14,6 +14,7 @@
 #ifndef TAI_LIB_RUNTIME_LAUNCH_H
 #define TAI_LIB_RUNTIME_LAUNCH_H
 
+#include "tai/Runtime/LoopLists.h"
 #include "tai/Runtime/Runtime.h"
 #include <unordered_map>
 
@@ -77,14 +78,17 @@ struct Launch : TaiFrame {
   /// Scratch memory that a launch which has failed may write to.
   void *sink(int64_t bytes);
 
-  /// Keeps what compiled code iterates over until the kernel returns.
-  void keep(ActiveListPtr list) {
-    std::lock_guard<std::mutex> lock(failureMutex);
-    lists.push_back(std::move(list));
-  }
+  /// The cells that a loop over a sparse level goes over; kept until the kernel
+  /// returns. Fails where the launch is an adjoint and its primal has none to
+  /// give.
+  const std::vector<int64_t> &cellsFor(SparseNode &node);
 
   Arena arena;
-  std::vector<ActiveListPtr> lists;
+  /// What the loops of this launch went over.
+  LoopLists loops;
+  /// Of adjoints: what those of the primal did, and its name.
+  const LoopLists *given = nullptr;
+  const std::string *primalName = nullptr;
   std::atomic<bool> failed{false};
   std::mutex failureMutex;
   Status failure;

@@ -241,8 +241,22 @@ static bool sameElements(const Field &a, const Field &b) {
          isFloat(a.scalar()) == isFloat(b.scalar());
 }
 
+/// Adjoints and tangents never make cells active: where they lie below a sparse
+/// level, their primals do that for them.
+static bool sharesActivity(const Field &primal, const Field &partner) {
+  return !partner.sparseNode() ||
+         (partner.sparseNode() == primal.sparseNode() &&
+          primal.layout().offset == partner.layout().offset);
+}
+
 Status Runtime::checkPartners(const Field &added) const {
   auto check = [&](const Field &primal, const Field &partner) {
+    if (!sharesActivity(primal, partner))
+      return badField(primal.name(),
+                      "and its adjoint or tangent '" + partner.name() +
+                          "' must lie below the same sparse level, with the "
+                          "same offsets: they share what is active; place both "
+                          "there");
     if (sameElements(primal, partner))
       return Status::success();
     return badField(primal.name(), "and its adjoint or tangent '" +
@@ -282,9 +296,10 @@ void Runtime::linkPartners(const FieldPtr &added) {
 }
 
 Status Runtime::setAdjoint(Field &field, const FieldPtr &adjoint) {
-  if (!sameElements(field, *adjoint))
-    return badField(field.name(), "and its adjoint '" + adjoint->name() +
-                                      "' differ in shape or element type");
+  if (!sameElements(field, *adjoint) || !sharesActivity(field, *adjoint))
+    return badField(field.name(),
+                    "and its adjoint '" + adjoint->name() +
+                        "' differ in shape, element type or sparse levels");
   if (field.adjointField)
     field.adjointField->ofPrimal = false;
   field.adjointName = adjoint->name();
@@ -340,6 +355,8 @@ Launch *Runtime::acquireLaunch() {
 }
 
 void Runtime::releaseLaunch(Launch *launch) {
+  if (__builtin_expect(!launch->loops.empty(), false))
+    launch->loops.clear();
   Launch *none = nullptr;
   if (spareLaunch.compare_exchange_strong(
           none, launch, std::memory_order_release, std::memory_order_relaxed))
@@ -372,7 +389,14 @@ Status Runtime::runTangent(Launch &launch, Kernel &kernel, const uint64_t *args,
     return status;
   for (Field *field : kernel.changedAdjoints)
     field->markDirty();
-  return runCode(launch, *tangent, args, results, number);
+  if (tangent == &kernel)
+    return runCode(launch, kernel, args, results, number);
+  if (!kernel.sparseNodes.empty() && !launch.given)
+    kernel.noteEpochs();
+  status = runCode(launch, *tangent, args, results, number);
+  if (!launch.loops.empty())
+    kernel.noteLoops(launch.loops);
+  return status;
 }
 
 Status Runtime::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
@@ -396,11 +420,21 @@ Status Runtime::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
   launch.results = results;
   launch.seed = opts.seed;
   launch.launch = number;
+  if (__builtin_expect(!launch.loops.empty(), false))
+    launch.loops.clear();
+  if (__builtin_expect(!kernel.sparseNodes.empty() && !launch.given, false))
+    kernel.noteEpochs();
   int32_t code;
   TaiKernelFn function = kernel.function.load(std::memory_order_relaxed);
   if (!kernel.loopLevels.empty() && skips(Skip::EmptyLists) &&
-      kernel.hasNoActiveCells()) {
+      kernel.hasNoActiveCells() &&
+      !(launch.given && launch.given->hasCells())) {
     skipCounts.add(SkipCount::EmptyLaunches);
+    // Its adjoint may not be so simple.
+    static const ActiveListPtr none = std::make_shared<const ActiveList>();
+    if (!launch.given)
+      for (const SparseNode *level : kernel.loopLevels)
+        launch.loops.add(*level, none);
     code = 0;
   } else if (__builtin_expect(opts.profiler, false))
     code = runTimed(launch, kernel, function);
@@ -410,8 +444,8 @@ Status Runtime::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
     field->markDirty();
   if (launch.arena.used())
     launch.arena.reset();
-  if (!launch.lists.empty())
-    launch.lists.clear();
+  if (__builtin_expect(!launch.loops.empty(), false))
+    kernel.noteLoops(launch.loops);
   if (__builtin_expect(code != 0 || launch.hasFailed(), false)) {
     launch.freeSinks();
     return failureOf(launch, kernel);
@@ -485,16 +519,23 @@ Status Runtime::launchAdjoint(Kernel &kernel, const uint64_t *args,
                                  kernel.repeatsStores || kernel.alwaysTakes);
   if (!status)
     return status;
+  LoopLists loops;
+  bool wasLaunched = false;
+  status = kernel.checkActivity(loops, wasLaunched);
+  if (!status)
+    return status;
   Launch *launch = acquireLaunch();
   uint64_t number = kernel.lastLaunch.load(std::memory_order_relaxed);
   if (adjoint)
-    status = runAdjoint(*launch, kernel, *adjoint, args, number);
+    status = runAdjoint(*launch, kernel, *adjoint, args, number,
+                        wasLaunched ? &loops : nullptr);
   releaseLaunch(launch);
   return status;
 }
 
 Status Runtime::runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
-                           const uint64_t *args, uint64_t number) {
+                           const uint64_t *args, uint64_t number,
+                           const LoopLists *given) {
   uint64_t epoch = storageEpoch.load(std::memory_order_relaxed);
   if (__builtin_expect(
           kernel.boundEpoch.load(std::memory_order_acquire) != epoch, false)) {
@@ -505,7 +546,11 @@ Status Runtime::runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
   // The adjoint's own summary need not be known.
   for (Field *field : kernel.adjointTargets)
     field->adjoint()->markDirty();
-  return run(launch, adjoint, args, nullptr, number);
+  launch.given = given;
+  launch.primalName = &kernel.name();
+  Status status = run(launch, adjoint, args, nullptr, number);
+  launch.given = nullptr;
+  return status;
 }
 
 Status Runtime::runHost(TaiKernelFn function, const std::vector<TreePtr> &trees,

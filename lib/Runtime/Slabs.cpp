@@ -9,13 +9,26 @@
 #include "Scalars.h"
 #include <algorithm>
 #include <cstring>
+#include <iterator>
 
 using namespace mlir::tai::runtime;
 
-Slabs::Slabs(const Field &field, int dimension)
+Slabs::Slabs(const Field &field, int dimension, bool byCell)
     : field(&field), slowDimension(dimension),
       bytes(field.numComponents() * byteSize(field.scalar())),
       isContiguous(field.contiguous() && dimension <= 0) {
+  if (byCell) {
+    cells = std::make_shared<CellElements>(field);
+    bytes = cells->bytes();
+    // A slab must be made of whole cells.
+    if (dimension >= 0 && !cells->separates(dimension))
+      slowDimension = -1;
+    if (slowDimension >= 0) {
+      slabs = field.shape()[slowDimension];
+      slabCells.resize(static_cast<size_t>(slabs));
+    }
+    return;
+  }
   if (dimension >= 0)
     slabs = field.shape()[dimension];
   slabElements = slabs ? field.numElements() / slabs : 0;
@@ -37,6 +50,35 @@ Slabs::Slabs(const Field &field, int dimension)
   for (int d = 0; d < field.rank(); ++d)
     if (d != dimension)
       add(d);
+}
+
+int64_t Slabs::addCells(const ActiveListPtr &list) {
+  int64_t before = numCells();
+  if (list == lastAdded)
+    return before;
+  lastAdded = list;
+  std::set_difference(list->cells.begin(), list->cells.end(), known.begin(),
+                      known.end(), std::back_inserter(numbered));
+  if (numCells() == before)
+    return before;
+  std::vector<int64_t> all(numbered.size());
+  std::merge(known.begin(), known.end(), numbered.begin() + before,
+             numbered.end(), all.begin());
+  known = std::move(all);
+  if (slowDimension >= 0)
+    for (int64_t i = before; i < numCells(); ++i)
+      slabCells[cells->position(numbered[i], slowDimension)].push_back(i);
+  return before;
+}
+
+/// Calls visit(cell, offset in the buffer) until it returns false.
+template <typename Visit>
+bool Slabs::forEachCell(int64_t first, int64_t count,
+                        const Visit &visit) const {
+  for (int64_t i = 0; i < count; ++i)
+    if (!visit(numbered[first + i], i * bytes))
+      return false;
+  return true;
 }
 
 /// Calls run(address, bytes, offset in the buffer) for each piece of memory
@@ -108,6 +150,13 @@ bool Slabs::forEachRun(int64_t first, int64_t count, const Run &run) const {
 }
 
 void Slabs::load(int64_t first, int64_t count, char *to) const {
+  if (cells) {
+    forEachCell(first, count, [&](int64_t cell, int64_t offset) {
+      cells->load(cell, to + offset);
+      return true;
+    });
+    return;
+  }
   forEachRun(first, count, [&](char *address, auto size, int64_t offset) {
     std::memcpy(to + offset, address, static_cast<size_t>(size));
     return true;
@@ -115,6 +164,13 @@ void Slabs::load(int64_t first, int64_t count, char *to) const {
 }
 
 void Slabs::store(int64_t first, int64_t count, const char *from) const {
+  if (cells) {
+    forEachCell(first, count, [&](int64_t cell, int64_t offset) {
+      cells->store(cell, from + offset);
+      return true;
+    });
+    return;
+  }
   forEachRun(first, count, [&](char *address, auto size, int64_t offset) {
     std::memcpy(address, from + offset, static_cast<size_t>(size));
     return true;
@@ -122,9 +178,25 @@ void Slabs::store(int64_t first, int64_t count, const char *from) const {
 }
 
 bool Slabs::equal(int64_t first, int64_t count, const char *expected) const {
+  if (cells)
+    return forEachCell(first, count, [&](int64_t cell, int64_t offset) {
+      return cells->equal(cell, expected + offset);
+    });
   return forEachRun(first, count,
                     [&](const char *address, auto size, int64_t offset) {
                       return std::memcmp(address, expected + offset,
                                          static_cast<size_t>(size)) == 0;
                     });
+}
+
+bool Slabs::isZero(int64_t first, int64_t count) const {
+  return forEachCell(
+      first, count, [&](int64_t cell, int64_t) { return cells->isZero(cell); });
+}
+
+void Slabs::clear(int64_t first, int64_t count) const {
+  forEachCell(first, count, [&](int64_t cell, int64_t) {
+    cells->clear(cell);
+    return true;
+  });
 }

@@ -9,19 +9,23 @@
 // dimension stand together, and copies ranges of such numbers, whatever the
 // layout is.
 //
+// Of a sparse field, only cells count that have ever been active: what is
+// numbered is its part of each such cell, in the order in which they were first
+// seen. The others hold zeros.
+//
 //===----------------------------------------------------------------------===//
 
 #ifndef TAI_LIB_RUNTIME_SLABS_H
 #define TAI_LIB_RUNTIME_SLABS_H
 
-#include "tai/Runtime/Field.h"
+#include "CellElements.h"
 
 namespace mlir::tai::runtime {
 
 class Slabs {
 public:
   /// One slab for each position along the dimension; a single one for -1.
-  Slabs(const Field &field, int dimension);
+  Slabs(const Field &field, int dimension, bool byCell = false);
 
   int dimension() const { return slowDimension; }
   /// Number of slabs, and of elements in each.
@@ -29,13 +33,28 @@ public:
   int64_t elements() const { return slabElements; }
   int64_t elementBytes() const { return bytes; }
 
+  /// Where cells are numbered: how many there are, and those of one slab.
+  bool byCell() const { return cells != nullptr; }
+  int64_t numCells() const { return static_cast<int64_t>(numbered.size()); }
+  const std::vector<int64_t> &cellsOf(int64_t slab) const {
+    return slabCells[slab];
+  }
+  /// Numbers the cells of the list that have no number yet. Returns how many
+  /// had one.
+  int64_t addCells(const ActiveListPtr &list);
+
   /// Copies `count` elements from number `first` on, densely.
   void load(int64_t first, int64_t count, char *to) const;
   void store(int64_t first, int64_t count, const char *from) const;
   /// True where they hold these bytes.
   bool equal(int64_t first, int64_t count, const char *expected) const;
+  /// The same for zeros; where cells are numbered.
+  bool isZero(int64_t first, int64_t count) const;
+  void clear(int64_t first, int64_t count) const;
 
 private:
+  template <typename Visit>
+  bool forEachCell(int64_t first, int64_t count, const Visit &visit) const;
   template <typename Run>
   bool forEachRun(int64_t first, int64_t count, const Run &run) const;
 
@@ -58,6 +77,13 @@ private:
     }
   };
   std::vector<Dimension> dimensions;
+
+  std::shared_ptr<CellElements> cells;
+  /// By number, and ascending.
+  std::vector<int64_t> numbered, known;
+  ActiveListPtr lastAdded;
+  /// Numbers, for each slab.
+  std::vector<std::vector<int64_t>> slabCells;
 };
 
 } // namespace mlir::tai::runtime

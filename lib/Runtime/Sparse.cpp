@@ -12,6 +12,7 @@
 #include <cstring>
 #include <sys/mman.h>
 #include <unistd.h>
+#include <utility>
 
 using namespace mlir::tai;
 using namespace mlir::tai::runtime;
@@ -76,7 +77,60 @@ void SparseNode::changed(int64_t by) {
     tree.activeBytes.fetch_add(by * cellBytes(), std::memory_order_relaxed);
     tree.allActiveBytes->fetch_add(by * cellBytes(), std::memory_order_relaxed);
   }
-  changes.fetch_add(1, std::memory_order_release);
+  uint64_t began = changes.fetch_add(1, std::memory_order_release) + 1;
+  if (by >= 0)
+    return;
+  uint64_t last = removed.load(std::memory_order_relaxed);
+  while (last < began && !removed.compare_exchange_weak(
+                             last, began, std::memory_order_release)) {
+  }
+}
+
+void SparseNode::noteRemovals(bool on) {
+  std::lock_guard<std::mutex> lock(mutex);
+  notesRemovals.store(on, std::memory_order_release);
+  removals.clear();
+}
+
+std::vector<int64_t> SparseNode::takeRemovals() {
+  std::lock_guard<std::mutex> lock(mutex);
+  return std::exchange(removals, {});
+}
+
+void SparseNode::noteRemoved(int64_t first, int64_t count) {
+  if (!notesRemovals.load(std::memory_order_relaxed))
+    return;
+  std::lock_guard<std::mutex> lock(mutex);
+  for (int64_t cell = first; cell < first + count; ++cell)
+    removals.push_back(cell);
+}
+
+void SparseNode::setActivity(const std::vector<int64_t> &some, bool isActive) {
+  int64_t by = 0;
+  for (int64_t cell : some) {
+    if (layout.isList) {
+      int32_t *length = lengths() + cell / capacity();
+      auto position = static_cast<int32_t>(cell % capacity());
+      int32_t wanted = isActive ? std::max(*length, position + 1)
+                                : std::min(*length, position);
+      by += wanted - *length;
+      *length = wanted;
+      markWord(cell / capacity());
+      continue;
+    }
+    uint64_t &word = words()[cell / 64];
+    uint64_t bit = uint64_t(1) << (cell % 64);
+    if (((word & bit) != 0) == isActive)
+      continue;
+    word ^= bit;
+    by += isActive ? 1 : -1;
+    markWord(cell / 64);
+  }
+  if (by == 0)
+    return;
+  uint64_t before = lastRemoval();
+  changed(by);
+  removed.store(before, std::memory_order_release);
 }
 
 //===----------------------------------------------------------------------===//
@@ -157,17 +211,25 @@ void SparseNode::clearRange(int64_t first, int64_t count) {
   int64_t cleared = 0;
   if (layout.isList) {
     for (int64_t list = first / capacity(), end = (first + count) / capacity();
-         list < end; ++list)
-      cleared += __atomic_exchange_n(lengths() + list, 0, __ATOMIC_RELAXED);
+         list < end; ++list) {
+      int32_t length =
+          __atomic_exchange_n(lengths() + list, 0, __ATOMIC_RELAXED);
+      noteRemoved(list * capacity(), length);
+      cleared += length;
+    }
   } else {
     for (int64_t cell = first, end = first + count; cell < end;) {
       int64_t bits = std::min<int64_t>(64 - cell % 64, end - cell);
       uint64_t mask = bits == 64 ? ~uint64_t(0)
                                  : ((uint64_t(1) << bits) - 1) << (cell % 64);
       uint64_t *word = words() + cell / 64;
-      if (loadWord(word) & mask)
-        cleared += __builtin_popcountll(
-            __atomic_fetch_and(word, ~mask, __ATOMIC_RELAXED) & mask);
+      if (loadWord(word) & mask) {
+        uint64_t gone =
+            __atomic_fetch_and(word, ~mask, __ATOMIC_RELAXED) & mask;
+        cleared += __builtin_popcountll(gone);
+        for (; gone; gone &= gone - 1)
+          noteRemoved(cell / 64 * 64 + __builtin_ctzll(gone), 1);
+      }
       cell += bits;
     }
   }
@@ -188,6 +250,7 @@ void SparseNode::deactivate(int64_t cell) {
       child->clearRange(list * capacity() * child->cellsBelow,
                         capacity() * child->cellsBelow);
     release(addressOf(list * capacity()), length * cellBytes());
+    noteRemoved(list * capacity(), length);
     changed(-length);
     return;
   }
@@ -199,6 +262,7 @@ void SparseNode::deactivate(int64_t cell) {
   for (SparseNode *child : children)
     child->clearRange(cell * child->cellsBelow, child->cellsBelow);
   release(addressOf(cell), cellBytes());
+  noteRemoved(cell, 1);
   changed(-1);
 }
 

@@ -18,6 +18,7 @@
 #include "Scalars.h"
 #include "TapeCheckpoint.h"
 #include "TapeMemory.h"
+#include "TapeTopology.h"
 #include <algorithm>
 #include <cstring>
 
@@ -209,6 +210,7 @@ void Tape::plan() {
 
 Status Tape::replayAdjoint(Launch &launch, size_t index) {
   const Record &record = records[index];
+  topology->enter(static_cast<uint32_t>(index));
   if (record.kind == Kind::Write)
     return overwrite(getWrite(record));
   if (memory->empty())
@@ -245,10 +247,15 @@ Status Tape::runAdjoint(Launch &launch, size_t index) {
     if (!status || !adjoint)
       return status;
   }
+  Status status = checkActivity(index);
+  if (!status)
+    return status;
   runtime.skipCounts.bump(SkipCount::TapeReplayed);
-  Status status = runtime.runAdjoint(launch, kernel, *adjoint,
-                                     slots.data() + record.payload,
-                                     firstLaunch + record.launch);
+  static const LoopLists none;
+  const LoopLists *loops = topology->loopsAt(static_cast<uint32_t>(index));
+  status = runtime.runAdjoint(
+      launch, kernel, *adjoint, slots.data() + record.payload,
+      firstLaunch + record.launch, loops ? loops : &none);
   if (__builtin_expect(watching, false) && status)
     examine(index);
   return status;
@@ -288,6 +295,7 @@ Status Tape::reverseRecord(Launch &launch, size_t i) {
                                   }));
   Status status;
   if (decisions[i] == Decision::Callback) {
+    topology->enter(static_cast<uint32_t>(i));
     memory->enter(static_cast<uint32_t>(i), /*reruns=*/false);
     status = callbacks[records[i].payload].backward();
     if (status && watching)
@@ -313,19 +321,23 @@ Status Tape::backward() {
   end();
   examined.clear();
   notes.clear();
-  Status status = checkVersions();
+  Status status = topology->check();
+  if (status)
+    status = checkVersions();
   if (status)
     status = seed();
   if (status)
     status = memory->beginReverse();
   if (!status)
     return status;
+  topology->beginReverse();
   if (checkpoints)
     status = sweepRecomputing();
   else
     status = reverseCallbacks ? sweepAroundCallbacks() : sweepPlanned();
   if (!checkpoints)
     memory->endReverse();
+  topology->endReverse(notes);
   // Host functions may have changed what they like.
   markVersions();
   if (status)
@@ -339,6 +351,7 @@ Status Tape::runForward() {
                                                 std::memory_order_relaxed);
   HeldLaunch held(runtime);
   memory->restart();
+  topology->restart();
   sweptBefore = false;
   Status status;
   for (size_t i = 0; i < records.size() && status; ++i) {
@@ -346,6 +359,9 @@ Status Tape::runForward() {
     if (checkpoints) {
       checkpoints->reach(static_cast<uint32_t>(i));
       status = recompute(held.get(), i, /*saving=*/false, 0);
+      topology->settle(static_cast<uint32_t>(i));
+      if (record.kernel)
+        topology->noteLoops(static_cast<uint32_t>(i), held.get().loops);
       continue;
     }
     status = memory->beforeReplay(static_cast<uint32_t>(i));
@@ -357,12 +373,17 @@ Status Tape::runForward() {
       status = runtime.run(held.get(), *record.kernel,
                            slots.data() + record.payload, nullptr, number);
     } else if (record.kind == Kind::Write) {
+      status = runtime.activateFor(getWrite(record));
       runtime.perform(getWrite(record));
     } else if (callbacks[record.payload].forward) {
       status = callbacks[record.payload].forward();
     }
     memory->settle();
+    topology->settle(static_cast<uint32_t>(i));
+    if (record.kernel)
+      topology->noteLoops(static_cast<uint32_t>(i), held.get().loops);
   }
+  topology->end();
   markVersions();
   recomputed = 0;
   recomputedAt.clear();

@@ -69,6 +69,7 @@ int64_t mlir::tai::runtime::binomialSplit(int64_t steps, int64_t snapshots) {
 void Checkpoints::restart() {
   logs.clear();
   finals.clear();
+  growing.clear();
   unsettled = 0;
   stride = 1;
   total = largest = most = 0;
@@ -117,9 +118,11 @@ void Checkpoints::thin() {
 
 Status Checkpoints::log(Track &track, int64_t slab) {
   Log &top = logs.back();
-  if (track.loggedBy.empty())
-    track.loggedBy.resize(static_cast<size_t>(track.numCells()));
+  track.refresh(runtime);
+  track.loggedBy.resize(static_cast<size_t>(track.numCells()));
   track.everSaved = true;
+  if (track.slabs.byCell())
+    growing.push_back(&track);
   return track.forEachRun(
       slab, [&](int64_t cell) { return track.loggedBy[cell] != top.id; },
       [&](int64_t cell, int64_t endCell) {
@@ -129,8 +132,8 @@ Status Checkpoints::log(Track &track, int64_t slab) {
           return status;
         std::fill(track.loggedBy.begin() + cell,
                   track.loggedBy.begin() + endCell, top.id);
-        top.bytes += piece.bytes();
-        total += piece.bytes();
+        top.bytes += piece.keptBytes();
+        total += piece.keptBytes();
         top.pieces.push_back(std::move(piece));
         return status;
       });
@@ -138,14 +141,25 @@ Status Checkpoints::log(Track &track, int64_t slab) {
 
 void Checkpoints::settle() {
   Log &top = logs.back();
+  // Cells that have become active held zeros before.
+  for (Track *track : growing) {
+    auto first = static_cast<int64_t>(track->loggedBy.size());
+    track->refresh(runtime);
+    int64_t end = track->numCells(), longest = track->longestRun();
+    track->loggedBy.resize(static_cast<size_t>(end), top.id);
+    for (; first < end; first += longest)
+      top.pieces.push_back(
+          {track, top.start, false, first, std::min(first + longest, end), {}});
+  }
+  growing.clear();
   size_t kept = unsettled;
   for (size_t i = unsettled; i < top.pieces.size(); ++i) {
     Piece &piece = top.pieces[i];
     if (piece.holds()) {
       std::fill(piece.track->loggedBy.begin() + piece.cell,
                 piece.track->loggedBy.begin() + piece.endCell, 0);
-      top.bytes -= piece.bytes();
-      total -= piece.bytes();
+      top.bytes -= piece.keptBytes();
+      total -= piece.keptBytes();
       continue;
     }
     if (kept != i)
@@ -183,10 +197,10 @@ void Checkpoints::mergeIntoPrevious(size_t index) {
     if (!track.marks.empty() && std::all_of(begin, end, [&](uint32_t found) {
           return found == mark;
         })) {
-      total -= piece.bytes();
+      total -= piece.keptBytes();
       continue;
     }
-    older.bytes += piece.bytes();
+    older.bytes += piece.keptBytes();
     merged.push_back(std::move(piece));
   }
   for (Piece &piece : older.pieces)
@@ -227,7 +241,7 @@ Status Checkpoints::keepFinal() {
 void Checkpoints::restoreFinal() {
   for (const Piece &piece : finals) {
     piece.putBack();
-    total -= piece.bytes();
+    total -= piece.keptBytes();
   }
   finals.clear();
 }

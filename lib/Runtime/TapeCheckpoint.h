@@ -87,6 +87,8 @@ private:
   std::vector<Log> logs;
   std::vector<Piece> finals;
   size_t unsettled = 0;
+  /// Sparse fields that the record which runs may extend.
+  std::vector<Track *> growing;
   uint32_t ids = 0;
   uint32_t stride = 1;
   int64_t total = 0;

@@ -22,7 +22,13 @@ static constexpr int64_t cellBytes = 8 << 10;
 //===----------------------------------------------------------------------===//
 
 Track::Track(FieldPtr fieldPtr, int dimension)
-    : field(std::move(fieldPtr)), slabs(*field, dimension) {
+    : field(std::move(fieldPtr)),
+      slabs(*field, dimension, field->sparseNode() != nullptr) {
+  if (slabs.byCell()) {
+    cellElements = 1;
+    cellsPerSlab = 0; // not known
+    return;
+  }
   cellElements = std::clamp<int64_t>(cellBytes / slabs.elementBytes(), 1,
                                      std::max<int64_t>(slabs.elements(), 1));
   cellsPerSlab = (slabs.elements() + cellElements - 1) / cellElements;
@@ -31,6 +37,11 @@ Track::Track(FieldPtr fieldPtr, int dimension)
 int64_t Track::longestRun() const {
   return std::max<int64_t>(cellBytes / (cellElements * slabs.elementBytes()),
                            1);
+}
+
+int64_t Track::refresh(Runtime &runtime) {
+  return slabs.byCell() ? slabs.addCells(field->sparseNode()->list(runtime))
+                        : numCells();
 }
 
 void Track::markRead(int64_t slab, uint32_t stamp) {
@@ -210,9 +221,11 @@ Status TapeMemory::propose(Candidate candidate) {
 
 Status TapeMemory::save(const Candidate &candidate) {
   Track &track = *candidate.track;
-  if (track.savedAt.empty())
-    track.savedAt.resize(static_cast<size_t>(track.numCells()));
+  track.refresh(runtime);
+  track.savedAt.resize(static_cast<size_t>(track.numCells()));
   track.everSaved = true;
+  if (track.slabs.byCell())
+    growing.push_back(candidate);
   return track.forEachRun(
       candidate.slab,
       [&](int64_t cell) { return track.savedAt[cell] <= candidate.stamp; },
@@ -244,13 +257,38 @@ Status TapeMemory::addPiece(const Candidate &candidate, int64_t cell,
       piece.allocate(runtime, saved + (checkpoints ? checkpoints->bytes() : 0));
   if (!status)
     return status;
-  // A save that is put back before the adjoint serves that adjoint too.
-  uint32_t stamp = stampOf(candidate.record) + (candidate.before ? 1 : 0);
-  std::fill(track.savedAt.begin() + cell, track.savedAt.begin() + endCell,
-            stamp);
-  saved += piece.bytes();
+  stampSaved(candidate, cell, endCell);
+  saved += piece.keptBytes();
   pieces.push_back(std::move(piece));
   return Status::success();
+}
+
+void TapeMemory::stampSaved(const Candidate &candidate, int64_t cell,
+                            int64_t endCell) {
+  std::vector<uint32_t> &savedAt = candidate.track->savedAt;
+  // A save that is put back before the adjoint serves that adjoint too.
+  uint32_t stamp = stampOf(candidate.record) + (candidate.before ? 1 : 0);
+  std::fill(savedAt.begin() + cell, savedAt.begin() + endCell, stamp);
+}
+
+void TapeMemory::keepZeros() {
+  for (const Candidate &candidate : growing) {
+    Track &track = *candidate.track;
+    auto first = static_cast<int64_t>(track.savedAt.size());
+    track.refresh(runtime);
+    int64_t end = track.numCells(), longest = track.longestRun();
+    track.savedAt.resize(static_cast<size_t>(end));
+    if (first < end)
+      stampSaved(candidate, first, end);
+    for (; first < end; first += longest)
+      pieces.push_back({&track,
+                        candidate.record,
+                        candidate.before,
+                        first,
+                        std::min(first + longest, end),
+                        {}});
+  }
+  growing.clear();
 }
 
 void TapeMemory::notePeak() {
@@ -258,6 +296,7 @@ void TapeMemory::notePeak() {
 }
 
 void TapeMemory::settle() {
+  keepZeros();
   if (checkpoints && checkpoints->count() > 0)
     checkpoints->settle();
   size_t kept = unsettled;
@@ -266,7 +305,7 @@ void TapeMemory::settle() {
     Track &track = *piece.track;
     if (piece.holds()) {
       // Still what the last read needs.
-      saved -= piece.bytes();
+      saved -= piece.keptBytes();
       std::fill(track.savedAt.begin() + piece.cell,
                 track.savedAt.begin() + piece.endCell, 0);
       continue;
@@ -292,6 +331,7 @@ void TapeMemory::beginSegment(uint32_t record) {
     std::fill(piece.track->savedAt.begin() + piece.cell,
               piece.track->savedAt.begin() + piece.endCell, 0);
   pieces.clear();
+  growing.clear();
   unsettled = 0;
   saved = 0;
   nextCandidate = firstCandidate(record);
@@ -336,7 +376,7 @@ int64_t TapeMemory::bytesAt(uint32_t record) const {
                              });
   int64_t bytes = 0;
   for (; at != pieces.end() && at->record == record; ++at)
-    bytes += at->bytes();
+    bytes += at->keptBytes();
   return bytes;
 }
 
@@ -350,7 +390,9 @@ void TapeMemory::swap(Piece &piece) {
     spare.resize(bytes);
   const Slabs &slabs = piece.track->slabs;
   slabs.load(piece.first(), piece.count(), spare.data());
-  slabs.store(piece.first(), piece.count(), piece.data.get());
+  piece.putBack();
+  if (!piece.data)
+    piece.data.reset(new char[bytes]);
   std::memcpy(piece.data.get(), spare.data(), bytes);
 }
 

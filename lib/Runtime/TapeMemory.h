@@ -32,7 +32,8 @@ struct Track {
 
   FieldPtr field;
   Slabs slabs;
-  /// A cell is the unit in which changes are noticed: a slab or a part of one.
+  /// A cell is the unit in which changes are noticed: a slab or a part of one,
+  /// or what the field has in a cell of the sparse level above it.
   int64_t cellElements;
   int64_t cellsPerSlab;
 
@@ -54,23 +55,34 @@ struct Track {
     uint32_t here = readAt.empty() ? 0 : readAt[slab];
     return here > readAnywhere ? here : readAnywhere;
   }
-  int64_t numCells() const { return slabs.count() * cellsPerSlab; }
+  int64_t numCells() const {
+    return slabs.byCell() ? slabs.numCells() : slabs.count() * cellsPerSlab;
+  }
+  /// Counts the cells that are active now among those of a sparse field.
+  /// Returns how many it had before.
+  int64_t refresh(Runtime &runtime);
   /// Cells of a slab (or of all, for -1): calls body(begin, end) for runs of
   /// those that are wanted, none longer than a piece should be.
   template <typename Wanted, typename Body>
   Status forEachRun(int64_t slab, const Wanted &wanted, const Body &body) const;
   int64_t longestRun() const;
   int64_t slabBytes(int64_t slab) const {
+    if (slabs.byCell())
+      return (slab < 0 ? slabs.numCells()
+                       : static_cast<int64_t>(slabs.cellsOf(slab).size())) *
+             slabs.elementBytes();
     return (slab < 0 ? slabs.count() : 1) * slabs.elements() *
            slabs.elementBytes();
   }
   int64_t firstElement(int64_t cell) const {
+    if (slabs.byCell())
+      return cell;
     return cell / cellsPerSlab * slabs.elements() +
            cell % cellsPerSlab * cellElements;
   }
 };
 
-/// Contents of consecutive elements of a field.
+/// Contents of consecutive elements of a field: zeros where there are no data.
 struct Piece {
   Track *track;
   uint32_t record;
@@ -82,22 +94,47 @@ struct Piece {
   int64_t first() const { return track->firstElement(cell); }
   int64_t count() const { return track->firstElement(endCell) - first(); }
   int64_t bytes() const { return count() * track->slabs.elementBytes(); }
+  int64_t keptBytes() const { return data ? bytes() : 0; }
   /// Copies what the field holds; fails where the tape would then keep more
   /// than there is, `kept` being what it keeps so far.
   Status allocate(Runtime &runtime, int64_t kept);
   /// Whether the field still holds that.
   bool holds() const {
-    return track->slabs.equal(first(), count(), data.get());
+    return data ? track->slabs.equal(first(), count(), data.get())
+                : track->slabs.isZero(first(), count());
   }
-  void putBack() const { track->slabs.store(first(), count(), data.get()); }
+  void putBack() const {
+    if (data)
+      track->slabs.store(first(), count(), data.get());
+    else
+      track->slabs.clear(first(), count());
+  }
 };
 
 template <typename Wanted, typename Body>
 Status Track::forEachRun(int64_t slab, const Wanted &wanted,
                          const Body &body) const {
+  int64_t longest = longestRun();
+  if (slab >= 0 && slabs.byCell()) {
+    const std::vector<int64_t> &cells = slabs.cellsOf(slab);
+    for (size_t i = 0; i < cells.size();) {
+      size_t first = i;
+      while (i < cells.size() && wanted(cells[i]) &&
+             cells[i] - cells[first] == int64_t(i - first) &&
+             int64_t(i - first) < longest)
+        ++i;
+      if (i == first) {
+        ++i;
+        continue;
+      }
+      Status status = body(cells[first], cells[i - 1] + 1);
+      if (!status)
+        return status;
+    }
+    return Status::success();
+  }
   int64_t cell = slab < 0 ? 0 : slab * cellsPerSlab;
   int64_t end = slab < 0 ? numCells() : cell + cellsPerSlab;
-  int64_t longest = longestRun();
   while (cell < end) {
     if (!wanted(cell)) {
       ++cell;
@@ -235,6 +272,9 @@ private:
   size_t firstCandidate(uint32_t record) const;
   Status save(const Candidate &candidate);
   Status addPiece(const Candidate &candidate, int64_t cell, int64_t endCell);
+  void stampSaved(const Candidate &candidate, int64_t cell, int64_t endCell);
+  /// Cells that the record has made active held zeros before.
+  void keepZeros();
   void swap(Piece &piece);
   template <typename Visit> void forEachEntered(const Visit &visit);
 
@@ -254,6 +294,8 @@ private:
   std::vector<Piece> pieces;
   /// Those from here on have not been compared yet.
   size_t unsettled = 0;
+  /// Of the record that runs: what is kept of sparse fields.
+  std::vector<Candidate> growing;
   /// Next candidate of a forward replay.
   size_t nextCandidate = 0;
   /// In a reverse sweep: pieces from here on have been put back.

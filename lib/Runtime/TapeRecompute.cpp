@@ -17,6 +17,7 @@
 #include "Launch.h"
 #include "TapeCheckpoint.h"
 #include "TapeMemory.h"
+#include "TapeTopology.h"
 #include "TapeWrite.h"
 #include <algorithm>
 
@@ -74,6 +75,8 @@ Status Tape::runAgain(Launch &launch, size_t index) {
     return runtime.run(launch, *record.kernel, slots.data() + record.payload,
                        nullptr, number);
   case Kind::Write:
+    if (Status status = runtime.activateFor(getWrite(record)); !status)
+      return status;
     runtime.perform(getWrite(record));
     return Status::success();
   case Kind::Callback:
@@ -96,16 +99,19 @@ Status Tape::runAgain(Launch &launch, size_t index) {
 
 Status Tape::recompute(Launch &launch, size_t index, bool saving,
                        size_t oldest) {
+  topology->goBefore(static_cast<uint32_t>(index));
   Status status = forEachChange(index, [&](Track &track, int64_t slab) {
     return checkpoints->log(track, slab);
   });
   if (status && saving)
     status = memory->beforeReplay(static_cast<uint32_t>(index),
                                   static_cast<uint32_t>(oldest));
+  topology->runsAgain(static_cast<uint32_t>(index));
   if (status)
     status = runAgain(launch, index);
   checkpoints->settle();
   memory->settle();
+  topology->ranAgain(static_cast<uint32_t>(index));
   ++recomputed;
   recomputedAt.resize(records.size());
   ++recomputedAt[index];

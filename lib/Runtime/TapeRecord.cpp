@@ -16,6 +16,7 @@
 #include "Scalars.h"
 #include "TapeCheckpoint.h"
 #include "TapeMemory.h"
+#include "TapeTopology.h"
 #include "TapeWrite.h"
 #include "tai/Runtime/AccessChecks.h"
 #include "tai/Runtime/Tape.h"
@@ -25,7 +26,8 @@ using namespace mlir::tai::runtime;
 
 Tape::Tape(Runtime &runtime, uint64_t stamp)
     : runtime(runtime), stamp(stamp),
-      memory(std::make_unique<TapeMemory>(runtime)) {}
+      memory(std::make_unique<TapeMemory>(runtime)),
+      topology(std::make_unique<TapeTopology>(runtime)) {}
 
 Tape::~Tape() { end(); }
 
@@ -33,6 +35,7 @@ void Tape::end() {
   if (!recording())
     return;
   runtime.activeTape = nullptr;
+  topology->end();
   markVersions();
 }
 
@@ -73,6 +76,9 @@ Status Tape::adopt(Kernel &kernel) {
     if (!status)
       return status;
   }
+  for (const TreePtr &tree : kernel.info.trees)
+    if (tree)
+      topology->watch(tree);
   kernel.tapeUses = &memory->usesOf(kernel);
   kernel.tapeStamp = stamp;
   if (std::find_if(kernels.begin(), kernels.end(), [&](const KernelPtr &known) {
@@ -127,6 +133,8 @@ Status Tape::launchOne(Launch &launch, Kernel &kernel, const uint64_t *args,
     return status;
   }
   memory->afterLaunch(uses, args, index);
+  topology->settle(index);
+  topology->noteLoops(index, launch.loops);
   record(kernel, args, number);
   return status;
 }
@@ -162,6 +170,7 @@ void Tape::recordCallback(TapeCallback callback) {
   }
   if (next > firstLaunch)
     lastLaunch = next - 1 - firstLaunch;
+  topology->settle(static_cast<uint32_t>(records.size()));
   records.push_back(
       {nullptr, start - firstLaunch, callbacks.size(), Kind::Callback});
   callbacks.push_back(std::move(callback));
@@ -183,6 +192,7 @@ Status Tape::write(const HostWrite &write) {
     return status;
   memory->endParts(static_cast<uint32_t>(records.size()),
                    /*readsInReverse=*/false);
+  topology->settle(static_cast<uint32_t>(records.size()));
   records.push_back({nullptr, 0, writes.size(), Kind::Write});
   writes.push_back(std::make_unique<Write>(field, write));
   return status;

@@ -12,6 +12,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "CellElements.h"
 #include "HostWrite.h"
 #include "Launch.h"
 #include "Scalars.h"
@@ -62,15 +63,41 @@ void Tape::watchHealth(bool on) {
   examined.clear();
 }
 
+static void examineElement(const Field &adjoint, const char *address,
+                           Tape::Health &found) {
+  for (int64_t c = 0; c < adjoint.numComponents(); ++c) {
+    double value = loadF64(adjoint.scalar(),
+                           address + c * adjoint.layout().componentStride);
+    if (std::isnan(value)) {
+      ++found.nans;
+    } else if (std::isinf(value)) {
+      ++found.infs;
+    } else {
+      found.maxAbs = std::max(found.maxAbs, std::fabs(value));
+      found.sumSquares += value * value;
+    }
+  }
+}
+
+/// The same as below where only active cells hold anything.
+static void examineCells(Runtime &runtime, const Field &adjoint,
+                         int64_t dimension, int64_t position,
+                         Tape::Health &found) {
+  CellElements elements(adjoint);
+  if (dimension >= 0 && !elements.separates(static_cast<int>(dimension)))
+    dimension = -1;
+  ActiveListPtr list = adjoint.sparseNode()->list(runtime);
+  for (int64_t cell : list->cells)
+    if (dimension < 0 ||
+        elements.position(cell, static_cast<int>(dimension)) == position)
+      for (const CellElements::Element &element : elements.elements())
+        examineElement(adjoint, elements.base(cell) + element.offset, found);
+}
+
 /// Examines the elements of an adjoint; those at one position of a dimension,
 /// unless that is -1.
 static void examineElements(const Field &adjoint, int64_t dimension,
                             int64_t position, Tape::Health &found) {
-  ScalarKind kind = adjoint.scalar();
-  int64_t components = adjoint.numComponents();
-  int64_t stride = adjoint.layout().componentStride
-                       ? adjoint.layout().componentStride
-                       : byteSize(kind);
   int rank = adjoint.rank();
   std::vector<int64_t> index(rank), first(rank), last(rank);
   for (int d = 0; d < rank; ++d) {
@@ -82,18 +109,7 @@ static void examineElements(const Field &adjoint, int64_t dimension,
   }
   index = first;
   while (true) {
-    const char *address = adjoint.elementAddress(index.data());
-    for (int64_t c = 0; c < components; ++c) {
-      double value = loadF64(kind, address + c * stride);
-      if (std::isnan(value)) {
-        ++found.nans;
-      } else if (std::isinf(value)) {
-        ++found.infs;
-      } else {
-        found.maxAbs = std::max(found.maxAbs, std::fabs(value));
-        found.sumSquares += value * value;
-      }
-    }
+    examineElement(adjoint, adjoint.elementAddress(index.data()), found);
     int d = rank - 1;
     while (d >= 0 && index[d] == last[d]) {
       index[d] = first[d];
@@ -112,7 +128,10 @@ void Tape::examine(size_t index) {
     if (!adjoint || !adjoint->valid())
       return;
     Health found{static_cast<int64_t>(index), &field, 0, 0, 0.0, 0.0};
-    examineElements(*adjoint, dimension, position, found);
+    if (adjoint->sparseNode())
+      examineCells(runtime, *adjoint, dimension, position, found);
+    else
+      examineElements(*adjoint, dimension, position, found);
     examined.push_back(found);
   };
   if (!record.kernel) {

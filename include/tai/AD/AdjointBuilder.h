@@ -216,6 +216,7 @@ private:
   void recomputeRegions(Operation *op, Operation *copy);
   bool checkRecomputable(Operation *op);
   LogicalResult checkAccesses();
+  void checkActivityChanges();
   void findTakes();
   LogicalResult chooseStates();
   LogicalResult chooseState(ArrayRef<DifferentiableAccessInterface> reads,

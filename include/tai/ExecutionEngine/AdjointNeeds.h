@@ -39,6 +39,8 @@ struct AdjointNeeds {
   std::vector<NamedAccess> reads;
   /// Those that it reads as they were before the launch.
   std::vector<std::string> before;
+  /// Fields above which it asks for activity.
+  std::vector<std::string> activity;
   /// It changes these while it runs.
   bool reruns = false;
   /// If not empty, the module with the parts of the kernel, as text.

@@ -93,6 +93,11 @@ public:
   LogicalResult addTree(StringRef name, StringRef layout);
   LogicalResult addTree(TreeOp tree);
   LogicalResult destroyTree(StringRef name);
+  /// See Runtime::setActive.
+  LogicalResult setActive(const runtime::TreePtr &tree, int64_t level,
+                          int64_t cell, bool isActive) {
+    return check(rt->setActive(tree, level, cell, isActive));
+  }
 
   /// Adds a field, by the text of a `tai.field` op or by the op. The adjoint
   /// that it names may be added later.

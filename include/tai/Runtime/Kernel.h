@@ -15,6 +15,7 @@
 
 #include "tai/Runtime/Abi.h"
 #include "tai/Runtime/Field.h"
+#include "tai/Runtime/LoopLists.h"
 #include <array>
 #include <functional>
 #include <mutex>
@@ -96,6 +97,8 @@ struct AdjointPlan {
   /// Nothing of this is worth keeping: there may be more to plan when there are
   /// other adjoint fields.
   bool provisional = false;
+  /// It asks which cells of the sparse levels above these are active.
+  std::vector<FieldPtr> activity = {};
 };
 
 /// The adjoints of arguments and results, which are in memory of the caller. A
@@ -217,6 +220,12 @@ private:
   friend class Runtime;
   friend class Tape;
 
+  void noteEpochs();
+  void noteLoops(const LoopLists &loops);
+  /// What the loops of the last launch went over. Fails if activity has changed
+  /// since so that the adjoint cannot run.
+  Status checkActivity(LoopLists &loops, bool &wasLaunched);
+
   /// Fills the tables below; fails if a tree has been destroyed.
   Status bind(uint64_t epoch);
 
@@ -266,6 +275,13 @@ private:
   /// Number of the last launch, so that an adjoint launched by hand sees the
   /// same random numbers.
   std::atomic<uint64_t> lastLaunch{0};
+  /// Sparse levels of its trees. Of the last launch: their epochs when it
+  /// began, and what its loops went over, so that an adjoint launched by hand
+  /// can tell.
+  std::vector<SparseNode *> sparseNodes;
+  std::mutex activityMutex;
+  std::vector<uint64_t> lastEpochs;
+  LoopLists lastLoops;
   /// Stamp of the last tape that holds this kernel.
   uint64_t tapeStamp = 0;
   /// What that tape knows of it.

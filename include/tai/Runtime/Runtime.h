@@ -119,6 +119,11 @@ public:
     return sparseBytes.load(std::memory_order_relaxed);
   }
 
+  /// Makes a cell of a sparse level active or inactive, or, for -1, all of them
+  /// inactive. A tape that records does so again where it replays.
+  Status setActive(const TreePtr &tree, int64_t level, int64_t cell,
+                   bool isActive);
+
   Status addField(FieldInfo info, FieldPtr &field);
   /// Gives a field another adjoint than the one that it was declared with.
   Status setAdjoint(Field &field, const FieldPtr &adjoint);
@@ -235,8 +240,11 @@ private:
   Status runTangent(Launch &launch, Kernel &kernel, const uint64_t *args,
                     uint64_t *results, uint64_t number);
   int32_t runTimed(Launch &launch, Kernel &kernel, TaiKernelFn function);
+  /// `given`: what the loops of the primal over sparse levels went over; null
+  /// for what is active now.
   Status runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
-                    const uint64_t *args, uint64_t number);
+                    const uint64_t *args, uint64_t number,
+                    const LoopLists *given);
   Launch *acquireLaunch();
   void releaseLaunch(Launch *launch);
   WorkerPool &workers();
@@ -251,6 +259,7 @@ private:
   Status activateNonzero(Field &field, const void *array);
   /// The same for the active cells of a sparse field.
   void fillActive(Field &field, const void *scalarBytes);
+  void copyInActive(Field &field, const void *array);
   template <typename Move>
   void forEachRow(const Field &field, const Move &move);
 

@@ -73,6 +73,16 @@ public:
   int64_t peakActive() const { return peak.load(std::memory_order_relaxed); }
   /// Changes with every change of activity.
   uint64_t epoch() const { return changes.load(std::memory_order_acquire); }
+  /// The epoch that began when a cell was last made inactive; 0 for never.
+  uint64_t lastRemoval() const {
+    return removed.load(std::memory_order_acquire);
+  }
+  SparseNode *above() const { return parent; }
+
+  /// Whether to note which cells are made inactive, for a tape.
+  void noteRemovals(bool on);
+  /// Those since the last call, in any order.
+  std::vector<int64_t> takeRemovals();
 
   bool isActive(int64_t cell) const;
   /// Makes the cell and those above it active; of a list, the cells before it
@@ -82,6 +92,9 @@ public:
   /// list, that is the whole list.
   void deactivate(int64_t cell);
   void deactivateAll();
+  /// Goes to another state of this level alone that there has been, with the
+  /// memory of its cells left as it is: for a tape, which restores that itself.
+  void setActivity(const std::vector<int64_t> &some, bool isActive);
 
   /// Of a list: its length, and one more cell at its end. Returns the number of
   /// the new cell within the list, or -1 if the list is full.
@@ -103,6 +116,7 @@ private:
   /// one cell that is being deactivated.
   void clearRange(int64_t first, int64_t count);
   void zero(int64_t cell);
+  void noteRemoved(int64_t first, int64_t count);
   void markWord(int64_t word);
   void changed(int64_t by);
   /// Appends the active cells of which the marks [begin, end) speak.
@@ -121,6 +135,9 @@ private:
   int64_t numMarks = 0;
   std::atomic<int64_t> active{0}, peak{0};
   std::atomic<uint64_t> changes{1};
+  std::atomic<uint64_t> removed{0};
+  std::atomic<bool> notesRemovals{false};
+  std::vector<int64_t> removals;
   std::mutex mutex;
   ActiveListPtr current;
   int64_t made = 0, reused = 0;

@@ -43,6 +43,7 @@ struct HostWrite;
 struct Launch;
 class Checkpoints;
 class TapeMemory;
+class TapeTopology;
 /// What a tape keeps.
 struct TapeStats {
   /// Bytes of overwritten values that it keeps now, and most at any time.
@@ -231,6 +232,13 @@ private:
   void record(Kernel &kernel, const uint64_t *args, uint64_t launch);
   /// Changes a field and records that.
   Status write(const HostWrite &write);
+  /// To be called before the host makes cells of the tree active.
+  void watch(const TreePtr &tree);
+  /// Changes the activity of a tree on behalf of the host, and records that.
+  Status changeActivity(const TreePtr &tree, std::function<Status()> change);
+  /// Fails if the adjoint of a record asks for activity that the record itself
+  /// has changed.
+  Status checkActivity(size_t index);
   /// What the reverse sweep does with a record, given which fields are live:
   /// have an adjoint that may be non-zero.
   template <typename Live>
@@ -288,6 +296,7 @@ private:
   int suspended = 0;
   std::unique_ptr<AccessChecks> checks;
   std::unique_ptr<TapeMemory> memory;
+  std::unique_ptr<TapeTopology> topology;
   std::unique_ptr<Checkpoints> checkpoints;
   /// How often records were run again, and each of them.
   int64_t recomputed = 0;

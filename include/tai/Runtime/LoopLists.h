@@ -1,0 +1,62 @@
+//===- LoopLists.h - What loops over sparse levels went over ----*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The reverse of a loop over active cells goes over those cells that the loop
+// went over, whatever is active by then. So the lists of a launch are kept:
+// they are shared, and cost nothing while activity stays as it is.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_RUNTIME_LOOPLISTS_H
+#define TAI_RUNTIME_LOOPLISTS_H
+
+#include "tai/Runtime/Sparse.h"
+
+namespace mlir::tai::runtime {
+
+class LoopLists {
+public:
+  struct Entry {
+    const SparseNode *node;
+    ActiveListPtr list;
+    /// Another loop of the launch over the same level went over other cells.
+    bool differs = false;
+  };
+
+  void add(const SparseNode &node, ActiveListPtr list) {
+    bool differs = false;
+    for (Entry &entry : entries) {
+      if (entry.node != &node || entry.list == list)
+        continue;
+      bool isOther = entry.list->cells != list->cells;
+      entry.differs |= isOther;
+      differs |= isOther;
+    }
+    entries.push_back({&node, std::move(list), differs});
+  }
+  const Entry *find(const SparseNode &node) const {
+    for (const Entry &entry : entries)
+      if (entry.node == &node)
+        return &entry;
+    return nullptr;
+  }
+  bool empty() const { return entries.empty(); }
+  bool hasCells() const {
+    for (const Entry &entry : entries)
+      if (!entry.list->cells.empty())
+        return true;
+    return false;
+  }
+  void clear() { entries.clear(); }
+
+private:
+  std::vector<Entry> entries;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_RUNTIME_LOOPLISTS_H

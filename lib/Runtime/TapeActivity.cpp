@@ -1,0 +1,81 @@
+//===- TapeActivity.cpp - Changes of activity by the host -----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// What the host does to the activity of a tree while a tape records, and what
+// adjoints ask of it.
+//
+//===----------------------------------------------------------------------===//
+
+#include "TapeMemory.h"
+#include "TapeTopology.h"
+#include "tai/Runtime/Tape.h"
+
+using namespace mlir::tai::runtime;
+
+Status Runtime::setActive(const TreePtr &tree, int64_t level, int64_t cell,
+                          bool isActive) {
+  auto change = [tree, level, cell, isActive]() {
+    if (!tree->base())
+      return Status::failure(StatusCode::Usage,
+                             "tree '" + tree->name() + "' has been destroyed");
+    SparseNode &node = *tree->sparseNodes()[level];
+    if (isActive)
+      node.activate(cell);
+    else if (cell < 0)
+      node.deactivateAll();
+    else
+      node.deactivate(cell);
+    return Status::success();
+  };
+  if (activeTape)
+    return activeTape->changeActivity(tree, change);
+  SparseNode &node = *tree->sparseNodes()[level];
+  uint64_t before = node.lastRemoval();
+  Status status = change();
+  // What inactive cells hold has become zero.
+  if (node.lastRemoval() != before)
+    for (const FieldPtr &field : fieldList)
+      if (field->owner == tree && field->sparseNode())
+        ++field->hostVersion;
+  return status;
+}
+
+void Tape::watch(const TreePtr &tree) { topology->watch(tree); }
+
+Status Tape::changeActivity(const TreePtr &tree,
+                            std::function<Status()> change) {
+  watch(tree);
+  auto index = static_cast<uint32_t>(records.size());
+  for (const FieldPtr &field : runtime.fields()) {
+    if (field->owner != tree || field->isAdjoint() || !field->sparseNode())
+      continue;
+    Status status = memory->beforeWrite(field, nullptr, index);
+    if (!status)
+      return status;
+  }
+  Status status = change();
+  memory->settle();
+  recordCallback({std::move(change), nullptr});
+  return status;
+}
+
+Status Tape::checkActivity(size_t index) {
+  Kernel &kernel = *records[index].kernel;
+  if (kernel.sparseNodes.empty())
+    return Status::success();
+  for (const FieldPtr &field : kernel.plan().activity)
+    for (const SparseNode *node = field->sparseNode(); node;
+         node = node->above())
+      if (topology->changes(static_cast<uint32_t>(index), *node))
+        return Status::failure(
+            StatusCode::Usage,
+            "kernel '" + kernel.name() + "' asks which cells of " +
+                node->info().label +
+                " are active and changes that as well, and its gradient needs "
+                "the answers; make the changes in a kernel of their own");
+  return Status::success();
+}

@@ -1,0 +1,275 @@
+//===- TapeTopology.cpp - What a tape knows of activity -------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "TapeTopology.h"
+#include "CellElements.h"
+#include "Launch.h"
+#include <algorithm>
+#include <iterator>
+
+using namespace mlir::tai::runtime;
+
+//===----------------------------------------------------------------------===//
+// Forward
+//===----------------------------------------------------------------------===//
+
+void TapeTopology::watch(const TreePtr &tree) {
+  if (tree->sparseNodes().empty() || !tree->base())
+    return;
+  for (const Watched &entry : watched)
+    if (entry.tree == tree)
+      return;
+  for (const std::unique_ptr<SparseNode> &node : tree->sparseNodes()) {
+    ActiveListPtr now = node->list(runtime);
+    watched.push_back({tree, node.get(), now, now});
+    node->noteRemovals(true);
+  }
+}
+
+void TapeTopology::noteRemovals(bool on) {
+  for (Watched &entry : watched)
+    entry.node->noteRemovals(on);
+}
+
+void TapeTopology::end() {
+  settle(kEnd);
+  noteRemovals(false);
+}
+
+void TapeTopology::update(Watched &entry, uint32_t record) {
+  if (!entry.tree->base() || entry.known->epoch == entry.node->epoch())
+    return;
+  ActiveListPtr now = entry.node->list(runtime);
+  Change change{record, entry.node, {}, {}, {}};
+  const std::vector<int64_t> &before = entry.known->cells, &after = now->cells;
+  std::set_difference(after.begin(), after.end(), before.begin(), before.end(),
+                      std::back_inserter(change.added));
+  std::set_difference(before.begin(), before.end(), after.begin(), after.end(),
+                      std::back_inserter(change.removed));
+  std::vector<int64_t> gone = entry.node->takeRemovals();
+  std::sort(gone.begin(), gone.end());
+  gone.erase(std::unique(gone.begin(), gone.end()), gone.end());
+  std::set_intersection(before.begin(), before.end(), gone.begin(), gone.end(),
+                        std::back_inserter(change.cleared));
+  entry.known = std::move(now);
+  if (!change.cleared.empty() || !change.added.empty() ||
+      !change.removed.empty())
+    changed.push_back(std::move(change));
+}
+
+void TapeTopology::settle(uint32_t record) {
+  for (Watched &entry : watched)
+    update(entry, record);
+  cursor = passed = changed.size();
+  knowsEver = false;
+}
+
+void TapeTopology::noteLoops(uint32_t record, const LoopLists &lists) {
+  if (!lists.empty())
+    loops[record] = lists;
+}
+
+void TapeTopology::restart() {
+  changed.clear();
+  loops.clear();
+  cursor = passed = 0;
+  for (Watched &entry : watched)
+    if (entry.tree->base())
+      entry.known = entry.first = entry.node->list(runtime);
+  noteRemovals(true);
+}
+
+//===----------------------------------------------------------------------===//
+// Reverse
+//===----------------------------------------------------------------------===//
+
+std::vector<TapeTopology::Change>::const_iterator
+TapeTopology::firstAt(uint32_t record) const {
+  return std::lower_bound(
+      changed.begin(), changed.end(), record,
+      [](const Change &change, uint32_t r) { return change.record < r; });
+}
+
+bool TapeTopology::changes(uint32_t record, const SparseNode &node) const {
+  auto at = firstAt(record);
+  for (; at != changed.end() && at->record == record; ++at)
+    if (at->node == &node)
+      return true;
+  return false;
+}
+
+Status TapeTopology::check() const {
+  for (const Watched &entry : watched) {
+    const std::string &label = entry.node->info().label;
+    if (!entry.tree->base())
+      return Status::failure(StatusCode::Usage,
+                             "the tape has recorded the activity of " + label +
+                                 " of tree '" + entry.tree->name() +
+                                 "', which has been destroyed");
+    const std::vector<int64_t> &cells = entry.known->cells;
+    auto gone = entry.known->epoch == entry.node->epoch()
+                    ? 0
+                    : std::count_if(cells.begin(), cells.end(), [&](int64_t c) {
+                        return !entry.node->isActive(c);
+                      });
+    if (gone)
+      return Status::failure(
+          StatusCode::Usage,
+          std::to_string(gone) + " cells of " + label +
+              " were deactivated after the tape had recorded, and the gradient "
+              "may need them; take the gradient first, or replay the tape "
+              "forward and backward");
+  }
+  return Status::success();
+}
+
+void TapeTopology::seek(uint32_t position) {
+  for (; cursor > 0 && changed[cursor - 1].record >= position; --cursor) {
+    const Change &change = changed[cursor - 1];
+    change.node->setActivity(change.added, false);
+    change.node->setActivity(change.removed, true);
+  }
+  for (; cursor < changed.size() && changed[cursor].record < position;
+       ++cursor) {
+    const Change &change = changed[cursor];
+    change.node->setActivity(change.removed, false);
+    change.node->setActivity(change.added, true);
+  }
+}
+
+template <typename Body>
+void TapeTopology::forEachAdjoint(const SparseNode &node,
+                                  const Body &body) const {
+  for (const FieldPtr &field : runtime.fields())
+    if (field->isAdjoint() && field->sparseNode() == &node)
+      body(*field);
+}
+
+void TapeTopology::findEver() {
+  for (Watched &entry : watched) {
+    std::vector<int64_t> all = entry.first->cells;
+    for (const Change &change : changed)
+      if (change.node == entry.node)
+        all.insert(all.end(), change.added.begin(), change.added.end());
+    std::sort(all.begin(), all.end());
+    all.erase(std::unique(all.begin(), all.end()), all.end());
+    entry.ever = std::move(all);
+  }
+  knowsEver = true;
+}
+
+static bool isBelow(const SparseNode *node, const SparseNode *above) {
+  while (node && node != above)
+    node = node->above();
+  return node;
+}
+
+template <typename Body>
+void TapeTopology::forEachCleared(uint32_t record, const Body &body) const {
+  for (auto at = firstAt(record); at != changed.end() && at->record == record;
+       ++at)
+    for (const Watched &entry : watched) {
+      if (at->cleared.empty() || !isBelow(entry.node, at->node))
+        continue;
+      int64_t span = entry.node->numCells() / at->node->numCells();
+      forEachAdjoint(*entry.node, [&](Field &field) {
+        CellElements elements(field);
+        for (int64_t cell : at->cleared)
+          for (auto below = std::lower_bound(entry.ever.begin(),
+                                             entry.ever.end(), cell * span);
+               below != entry.ever.end() && *below < (cell + 1) * span; ++below)
+            body(elements, *below);
+      });
+    }
+}
+
+void TapeTopology::runsAgain(uint32_t record) {
+  keptAdjoints.clear();
+  if (!knowsEver)
+    findEver();
+  forEachCleared(record, [&](const CellElements &elements, int64_t cell) {
+    size_t at = keptAdjoints.size();
+    keptAdjoints.resize(at + static_cast<size_t>(elements.bytes()));
+    elements.load(cell, keptAdjoints.data() + at);
+  });
+}
+
+void TapeTopology::ranAgain(uint32_t record) {
+  const char *kept = keptAdjoints.data();
+  forEachCleared(record, [&](const CellElements &elements, int64_t cell) {
+    elements.store(cell, kept);
+    kept += elements.bytes();
+  });
+  // The bits are there already, but for lists that other threads filled in
+  // another order.
+  seek(record + 1);
+}
+
+void TapeTopology::clearAdjoints(const Change &change) {
+  if (!change.cleared.empty())
+    forEachAdjoint(*change.node, [&](Field &field) {
+      CellElements elements(field);
+      for (int64_t cell : change.cleared)
+        elements.clear(cell);
+    });
+}
+
+void TapeTopology::enter(uint32_t record) {
+  for (; passed > 0 && changed[passed - 1].record > record; --passed)
+    clearAdjoints(changed[passed - 1]);
+  goAfter(record);
+}
+
+int64_t TapeTopology::dropAdjoints(const Change &change, Field &field,
+                                   size_t firstPassed) const {
+  const std::vector<int64_t> *first = nullptr;
+  for (const Watched &entry : watched)
+    if (entry.node == change.node)
+      first = &entry.first->cells;
+  auto has = [](const std::vector<int64_t> &cells, int64_t cell) {
+    return std::binary_search(cells.begin(), cells.end(), cell);
+  };
+  // What was cleared before the sweep reached it belonged to nobody's start.
+  auto wasCleared = [&](int64_t cell) {
+    for (size_t i = 0; i < firstPassed; ++i)
+      if (changed[i].node == change.node && has(changed[i].cleared, cell))
+        return true;
+    return false;
+  };
+  CellElements elements(field);
+  int64_t lost = 0;
+  for (int64_t cell : change.cleared) {
+    if (change.node->isActive(cell) || elements.isZero(cell))
+      continue;
+    elements.clear(cell);
+    lost += has(*first, cell) && !wasCleared(cell);
+  }
+  return lost;
+}
+
+void TapeTopology::endReverse(std::vector<std::string> &notes) {
+  seek(UINT32_MAX);
+  // Cells that are inactive now hold nothing, adjoints among it.
+  for (size_t i = passed; i < changed.size(); ++i) {
+    const Change &change = changed[i];
+    if (change.cleared.empty())
+      continue;
+    forEachAdjoint(*change.node, [&](Field &field) {
+      if (int64_t lost = dropAdjoints(change, field, passed))
+        notes.push_back(
+            "the gradient '" + field.name() + "' is lost in " +
+            std::to_string(lost) + " cells of " + change.node->info().label +
+            ", which were deactivated while the tape recorded and are inactive "
+            "now; copy what matters to a field that stays, and differentiate "
+            "by that");
+    });
+  }
+  passed = changed.size();
+  for (Watched &entry : watched)
+    if (entry.tree->base())
+      entry.known = entry.node->list(runtime);
+}
