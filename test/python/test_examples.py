@@ -25,7 +25,7 @@ def losses(output):
     return float(first), float(last)
 
 
-@pytest.mark.parametrize("name", ["mass_spring_simple", "wave", "smoke", "diffmpm"])
+@pytest.mark.parametrize("name", ["mass_spring_simple", "wave", "smoke", "diffmpm", "sparse_mpm"])
 def test_help(name):
     command = [sys.executable, str(EXAMPLES / f"{name}.py"), "--help"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -61,3 +61,47 @@ def test_diffmpm(tmp_path):
     first, last = losses(run("diffmpm", tmp_path, "--iterations", 3))
     assert first == pytest.approx(-0.250387, abs=2e-5)
     assert last == pytest.approx(-0.263767, abs=2e-4)
+
+
+def numbers(output, line):
+    """The numbers in the lines of the output that begin with a word."""
+    found = [text for text in output.splitlines() if text.startswith(line)]
+    return [list(map(float, re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", text))) for text in found]
+
+
+def test_sparse_mpm(tmp_path):
+    options = ["--steps", 220, "--iterations", 3, "--large", 4096, "--double", "--check"]
+    output = run("sparse_mpm", tmp_path, *options)
+    large, small = numbers(output, "room")
+    # The same blocks and the same loss, in a room of 1024 times as many blocks.
+    assert (large[0], small[0], large[3], small[3]) == (4096, 128, 512**2, 256)
+    assert large[2] == small[2] < 40 and large[4] == small[4]
+    for slope, difference in numbers(output, "check"):
+        assert slope == pytest.approx(difference, rel=1e-5)
+    first, last = losses(output)
+    assert last < first
+
+
+def test_neighbours(tmp_path):
+    output = run("neighbours", tmp_path, "--points", 400, "--iterations", 30, "--check")
+    (pairs, listed), (energy, expected), (error,) = numbers(output, "check")
+    assert pairs == listed > 400
+    assert energy == pytest.approx(expected, rel=1e-9)
+    assert error < 1e-9
+    first, last = losses(output)
+    assert last < 0.5 * first
+    before, after = re.search(r"gap\s+(\S+) -> (\S+)", output).groups()
+    assert float(after) > max(0.4, 5 * float(before))
+
+
+def test_active_blocks(tmp_path):
+    sparse = run("active_blocks", tmp_path, "--n", 256, "--steps", 800)
+    dense = run("active_blocks", tmp_path, "--n", 256, "--steps", 800, "--dense")
+    most, total, visited = numbers(sparse, "blocks")[0]
+    assert total == 32**2 and visited < 0.5 * total and most < total
+    assert numbers(dense, "blocks")[0][2] == total
+    # Leaving out what is at rest does not change the wave.
+    for one, other in zip(numbers(sparse, "wave")[0], numbers(dense, "wave")[0], strict=True):
+        assert one == pytest.approx(other, rel=1e-3) and other > 100
+    picture = Image.open(tmp_path / "active_blocks.png")
+    assert picture.size == (256, 256)
