@@ -10,6 +10,7 @@
 #include "tai/Runtime/Runtime.h"
 #include <algorithm>
 #include <limits>
+#include <sys/mman.h>
 
 using namespace mlir::tai::runtime;
 using namespace mlir::tai::runtime::accesslog;
@@ -27,13 +28,34 @@ Status Kernel::resolveChecked(CheckedKernel *&result) {
   return Status::success();
 }
 
-std::vector<int32_t> &AccessChecks::shadowOf(Field &field) {
-  std::vector<int32_t> &shadow = shadows[&field];
-  if (shadow.empty())
-    shadow.assign(static_cast<size_t>(field.numElements() *
-                                      field.numComponents() * kShadowWords),
-                  0);
-  return shadow;
+AccessChecks::Shadow::~Shadow() {
+  if (words)
+    munmap(words, count * sizeof(int32_t));
+}
+
+Status AccessChecks::findShadow(Field &field, const Shadow *&result) {
+  Shadow &shadow = shadows[&field];
+  result = &shadow;
+  if (shadow.words)
+    return Status::success();
+  size_t count = 0;
+  void *memory = MAP_FAILED;
+  if (!__builtin_mul_overflow(
+          static_cast<size_t>(field.numElements()),
+          static_cast<size_t>(field.numComponents() * kShadowWords), &count) &&
+      count <= SIZE_MAX / sizeof(int32_t))
+    memory = mmap(nullptr, std::max<size_t>(count, 1) * sizeof(int32_t),
+                  PROT_READ | PROT_WRITE,
+                  MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+  if (memory == MAP_FAILED)
+    return Status::failure(StatusCode::Memory,
+                           "out of memory: the accesses to field '" +
+                               field.name() +
+                               "' cannot be checked, which would need some "
+                               "words for each element of its whole box");
+  shadow.words = static_cast<int32_t *>(memory);
+  shadow.count = std::max<size_t>(count, 1);
+  return Status::success();
 }
 
 Status AccessChecks::run(Launch &launch, Kernel &kernel, const uint64_t *args,
@@ -59,8 +81,11 @@ Status AccessChecks::run(Launch &launch, Kernel &kernel, const uint64_t *args,
     slots.push_back(size);
   };
   for (const FieldPtr &field : checked->fields) {
-    const std::vector<int32_t> &shadow = shadowOf(*field);
-    addArray(shadow.data(), shadow.size());
+    const Shadow *shadow = nullptr;
+    status = findShadow(*field, shadow);
+    if (!status)
+      return status;
+    addArray(shadow->words, shadow->count);
   }
   log.assign(static_cast<size_t>((count + 1) * kLogWords), 0);
   addArray(log.data(), log.size());

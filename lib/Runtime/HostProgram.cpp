@@ -132,7 +132,15 @@ public:
         region(region), closure(closure) {}
 
   /// Runs the region under a tape. Returns zero if all went well.
-  int32_t run() {
+  int32_t run(const char *where) {
+    for (const auto &entry : runtime.trees)
+      if (!entry.second->sparseNodes().empty())
+        return reportUsage(
+            launch,
+            "a gradient is checked on copies of all trees, and tree '" +
+                entry.second->name() +
+                "' has sparse levels; compare with 'tai.check_close' instead",
+            where);
     Status status = runtime.beginTape(loss, true, launch.host->tape);
     if (!status)
       return report(launch, std::move(status));
@@ -301,7 +309,7 @@ tai_rt_host_check_gradient(TaiFrame *frame, const char *lossName,
     fields.push_back(std::move(field));
   }
   GradientCheck check(launch, std::move(loss), region, closure);
-  if (check.run() != 0)
+  if (check.run(where) != 0)
     return 1;
   for (const FieldPtr &field : fields)
     if (check.check(*field, tolerance, where) != 0)

@@ -9,6 +9,7 @@
 #include "Scalars.h"
 #include "Slabs.h"
 #include "tai/Runtime/Runtime.h"
+#include <algorithm>
 #include <cstring>
 
 using namespace mlir::tai::runtime;
@@ -45,7 +46,18 @@ static bool isVain(const HostWrite &write) {
                      static_cast<size_t>(byteSize(field.scalar()))) == 0;
 }
 
-/// What the host writes to becomes active. A fill is for what is active.
+/// True for adjoints and tangents of other fields.
+bool Runtime::isPartner(const Field &field) const {
+  return field.isAdjoint() || std::any_of(fieldList.begin(), fieldList.end(),
+                                          [&](const FieldPtr &other) {
+                                            return other->dual() == &field ||
+                                                   other->adjoint() == &field;
+                                          });
+}
+
+/// What the host writes to becomes active. A fill is for what is active, and so
+/// is an array of adjoints or tangents: what an inactive cell holds is a
+/// constant.
 Status Runtime::activateFor(const HostWrite &write) {
   SparseNode *node = write.field->sparseNode();
   if (!node || write.what == HostWrite::What::Fill)
@@ -57,6 +69,8 @@ Status Runtime::activateFor(const HostWrite &write) {
       node->activate(cell);
     return status;
   }
+  if (isPartner(*write.field))
+    return Status::success();
   return activateNonzero(*write.field, write.bytes);
 }
 

@@ -75,7 +75,11 @@ const std::vector<int64_t> &Launch::cellsFor(SparseNode &node) {
   if (entry && !entry->differs)
     return entry->list->cells;
   std::string what = "the gradient of kernel '" + *primalName + "' ";
-  if (entry)
+  if (entry && owner().inReverseFunction())
+    what += "loops over the active cells of " + node.info().label +
+            ", and the host function that launched it has changed them; change "
+            "them outside of that function";
+  else if (entry)
     what += "needs the cells of " + node.info().label +
             " that each of its loops went over, but they went over different "
             "ones; split the kernel, with such a loop in each part";

@@ -521,7 +521,10 @@ Status Runtime::launchAdjoint(Kernel &kernel, const uint64_t *args,
     return status;
   LoopLists loops;
   bool wasLaunched = false;
-  status = kernel.checkActivity(loops, wasLaunched);
+  if (sweeping)
+    status = sweeping->findLoops(kernel, loops, wasLaunched);
+  else
+    status = kernel.checkActivity(loops, wasLaunched);
   if (!status)
     return status;
   Launch *launch = acquireLaunch();

@@ -297,7 +297,7 @@ Status Tape::reverseRecord(Launch &launch, size_t i) {
   if (decisions[i] == Decision::Callback) {
     topology->enter(static_cast<uint32_t>(i));
     memory->enter(static_cast<uint32_t>(i), /*reruns=*/false);
-    status = callbacks[records[i].payload].backward();
+    status = callReverse(i);
     if (status && watching)
       examine(i);
   } else if (isReplayed(decisions[i])) {

@@ -13,6 +13,7 @@
 #include "TapeMemory.h"
 #include "TapeTopology.h"
 #include "tai/Runtime/Tape.h"
+#include <utility>
 
 using namespace mlir::tai::runtime;
 
@@ -63,8 +64,29 @@ Status Tape::changeActivity(const TreePtr &tree,
   return status;
 }
 
+Status Tape::callReverse(size_t index) {
+  Tape *outer = std::exchange(runtime.sweeping, this);
+  reverseFunction = index;
+  Status status = callbacks[records[index].payload].backward();
+  runtime.sweeping = outer;
+  return status;
+}
+
+Status Tape::findLoops(Kernel &kernel, LoopLists &lists, bool &found) {
+  // Activity is what it was when the function was done.
+  found = true;
+  for (SparseNode *node : kernel.sparseNodes)
+    lists.addUnknown(
+        *node, node->list(runtime),
+        topology->changes(static_cast<uint32_t>(reverseFunction), *node));
+  return checkActivity(kernel, reverseFunction);
+}
+
 Status Tape::checkActivity(size_t index) {
-  Kernel &kernel = *records[index].kernel;
+  return checkActivity(*records[index].kernel, index);
+}
+
+Status Tape::checkActivity(Kernel &kernel, size_t index) {
   if (kernel.sparseNodes.empty())
     return Status::success();
   for (const FieldPtr &field : kernel.plan().activity)
@@ -74,8 +96,9 @@ Status Tape::checkActivity(size_t index) {
         return Status::failure(
             StatusCode::Usage,
             "kernel '" + kernel.name() + "' asks which cells of " +
-                node->info().label +
-                " are active and changes that as well, and its gradient needs "
-                "the answers; make the changes in a kernel of their own");
+                node->info().label + " are active, which the same " +
+                (records[index].kernel ? "kernel" : "host function") +
+                " changes, and its gradient needs the answers; make the "
+                "changes in a kernel of their own");
   return Status::success();
 }

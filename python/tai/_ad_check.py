@@ -18,6 +18,7 @@ import numpy as np
 from . import _state
 from ._ad_probe import FORWARD_TOLERANCE, Probe, climb, direction, relative_error
 from ._ad_source import Place
+from ._ad_sparse import Activity, active_elements, require_small, sparse_level
 from .errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
 from .program import get_program
 
@@ -175,6 +176,10 @@ class Snapshot:
 
     def __init__(self, arrays: Sequence[np.ndarray] = ()):
         self._fields = [f for f in get_program().fields.values() if f._core is not None]
+        for f in self._fields:
+            if sparse_level(f) is not None:
+                require_small(f)
+        self._activity = Activity()
         self._kept = [self._take(f) for f in self._fields]
         self._arrays = [(a, a.copy()) for a in arrays]
 
@@ -185,6 +190,7 @@ class Snapshot:
         return array
 
     def restore(self, only_primal: bool = False) -> None:
+        self._activity.restore()
         for f, kept in zip(self._fields, self._kept, strict=True):
             if only_primal and f.role != "primal":
                 continue
@@ -425,11 +431,13 @@ def probe_program(
     quick: bool = False,
 ) -> list[FieldCheck]:
     """Compares the gradients of a program that has been recorded."""
+    # What an inactive cell holds is a constant.
+    program.start.restore(only_primal=True)
     if wrt is not None:
-        parts = [p for f in wrt for p in storage(f)]
-        program.inputs = [(f, np.ones(f.shape + f.element_shape, bool)) for f in parts]
+        program.inputs = [(p, active_elements(p)) for f in wrt for p in storage(f)]
     else:
-        program.inputs = [(f, mask) for f, mask in program.inputs if program.is_input(f, mask)]
+        inputs = [(f, mask & active_elements(f)) for f, mask in program.inputs]
+        program.inputs = [(f, mask) for f, mask in inputs if program.is_input(f, mask)]
     wanted = program.inputs
     checks = []
     rounds = [None] if program.loss is not None else range(directions)

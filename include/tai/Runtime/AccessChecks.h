@@ -16,6 +16,7 @@
 #include "tai/Runtime/AccessLog.h"
 #include "tai/Runtime/Kernel.h"
 #include <unordered_map>
+#include <utility>
 
 namespace mlir::tai::runtime {
 
@@ -77,7 +78,19 @@ private:
     int64_t launch;
   };
 
-  std::vector<int32_t> &shadowOf(Field &field);
+  /// Words beside the components of a field, zero when made. The system
+  /// provides them when they are first written: a sparse field may span far
+  /// more elements than it has.
+  struct Shadow {
+    Shadow() = default;
+    Shadow(Shadow &&other) noexcept
+        : words(std::exchange(other.words, nullptr)), count(other.count) {}
+    Shadow &operator=(Shadow &&) = delete;
+    ~Shadow();
+    int32_t *words = nullptr;
+    size_t count = 0;
+  };
+  Status findShadow(Field &field, const Shadow *&shadow);
   void collect(const Range &range);
   AccessPlace getPlace(int64_t id) const;
 
@@ -86,7 +99,7 @@ private:
   bool racesOnly;
   int64_t total = 0;
   int64_t nextBase = 0;
-  std::unordered_map<Field *, std::vector<int32_t>> shadows;
+  std::unordered_map<Field *, Shadow> shadows;
   std::vector<Range> ranges;
   std::vector<int64_t> log;
   std::vector<uint64_t> slots;

@@ -44,6 +44,10 @@ public:
         return &entry;
     return nullptr;
   }
+  /// Adds what is active now, for a launch whose own lists nobody has kept.
+  void addUnknown(const SparseNode &node, ActiveListPtr list, bool differs) {
+    entries.push_back({&node, std::move(list), differs});
+  }
   bool empty() const { return entries.empty(); }
   bool hasCells() const {
     for (const Entry &entry : entries)

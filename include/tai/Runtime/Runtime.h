@@ -213,6 +213,8 @@ public:
     return interrupted.load(std::memory_order_relaxed);
   }
   int64_t memoryLimit() const { return limit; }
+  /// True while a reverse sweep has called a function of the host.
+  bool inReverseFunction() const { return sweeping; }
   /// 0 for what the machine has. Trees that take more already stay.
   void setMemoryLimit(int64_t bytes);
 
@@ -254,6 +256,7 @@ private:
   Status change(const HostWrite &write);
   void perform(const HostWrite &write);
   Status activateFor(const HostWrite &write);
+  bool isPartner(const Field &field) const;
   /// Makes those cells of a sparse field active in which an array of all its
   /// elements holds something else than zero.
   Status activateNonzero(Field &field, const void *array);
@@ -292,6 +295,8 @@ private:
   std::atomic<int64_t> inlineCredit{0};
 
   Tape *activeTape = nullptr;
+  /// The tape whose sweep has called a function of the host.
+  Tape *sweeping = nullptr;
   bool forward = false;
   /// Stamps of tapes and of their plans.
   uint64_t stamps = 0;

@@ -239,6 +239,11 @@ private:
   /// Fails if the adjoint of a record asks for activity that the record itself
   /// has changed.
   Status checkActivity(size_t index);
+  Status checkActivity(Kernel &kernel, size_t index);
+  /// What the loops of a kernel went over that the host function launched whose
+  /// reverse is running.
+  Status findLoops(Kernel &kernel, LoopLists &lists, bool &found);
+  Status callReverse(size_t index);
   /// What the reverse sweep does with a record, given which fields are live:
   /// have an adjoint that may be non-zero.
   template <typename Live>
@@ -322,6 +327,8 @@ private:
   /// earlier one has used, as far as summaries tell.
   std::vector<bool> storesAgain;
   bool reverseCallbacks = false;
+  /// The host function whose reverse is running.
+  size_t reverseFunction = 0;
 
   bool takesAll = false;
   bool watching = false;
