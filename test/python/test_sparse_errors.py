@@ -439,6 +439,37 @@ def test_kernel_of_a_destroyed_tree():
         tree.destroy()
 
 
+def test_tree_destroyed_before_the_gradient():
+    builder = ti.FieldsBuilder()
+    x = ti.field(ti.f32)
+    builder.pointer(ti.i, 8).place(x)
+    builder.lazy_grad()
+    tree = builder.finalize()
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def run():
+        for i in x:
+            loss[None] += x[i] ** 2
+
+    x[3] = 1
+    with raises(ti.TaiRuntimeError, "which has been destroyed"):
+        with ti.ad.Tape(loss):
+            run()
+            tree.destroy()
+    # The next tape is none the worse.
+    y = ti.field(ti.f32, shape=2, needs_grad=True)
+
+    @ti.kernel
+    def again():
+        for i in y:
+            loss[None] += 3 * y[i]
+
+    with ti.ad.Tape(loss):
+        again()
+    assert y.grad.to_numpy().tolist() == [3, 3]
+
+
 def test_level_of_an_earlier_program():
     x, outer = blocks()
     x[0] = 1

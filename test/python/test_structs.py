@@ -1,0 +1,119 @@
+"""Structs in kernels: variables, arguments of functions, nested members, layouts."""
+
+import numpy as np
+import tai as ti
+
+
+def pair():
+    return ti.types.struct(a=ti.i32, b=ti.types.vector(2, ti.f32))
+
+
+def test_variables_change_in_branches_and_loops():
+    made = pair()
+    f = made.field(shape=3)
+
+    @ti.func
+    def bump(p: ti.template(), k):
+        p.a += k
+
+    @ti.func
+    def make(k):
+        return made(a=k, b=[k, k])
+
+    @ti.func
+    def keep(p):
+        p.a = 1000
+        return p.b[1]
+
+    @ti.kernel
+    def run(n: ti.i32) -> ti.f32:
+        p = made(a=1, b=[2.0, 3.0])
+        i = 0
+        while i < n:
+            p.a += i
+            if i % 2 == 0:
+                p.b[0] += 1.0
+            i += 1
+        bump(p, 100)
+        q = make(7)
+        f[0], f[1] = p, q
+        for _ in range(2):
+            q.a += 1
+        q = made(q.a + 1, q.b)
+        f[2] = q
+        return keep(p)
+
+    assert run(5) == 3.0
+    assert [f[k].a for k in range(3)] == [111, 7, 10]
+    assert f[0].b.to_list() == [5, 3] and f[2].b.to_list() == [7, 7]
+
+
+def test_variables_are_shared_by_parallel_iterations():
+    made = pair()
+
+    @ti.kernel
+    def run() -> ti.i32:
+        p = made(a=1, b=[0.0, 0.0])
+        for i in range(10):
+            p.a += i
+        return p.a
+
+    assert run() == 46
+
+
+def test_nested_structs_and_defaults():
+    inner = ti.types.struct(u=ti.f32, w=ti.i32)
+    outer = ti.types.struct(p=inner, q=ti.f32)
+    f = outer.field()
+    ti.root.pointer(ti.i, 4).dense(ti.i, 2).place(f)
+
+    @ti.kernel
+    def run():
+        f[3].p.u = 2.0
+        f[3].q = f[3].p.u + 1
+        o = outer(p=inner(u=5.0, w=3), q=1.0)
+        o.p.w += 4
+        f[6] = o
+        f[7] = outer(q=2.0)
+
+    run()
+    assert (f[3].q, f[6].p.w, f[6].p.u, f.p.w[6], f[7].q, f[7].p.u) == (3, 7, 5, 7, 2, 0)
+    assert outer(q=2.5).to_dict() == {"p": {"u": 0.0, "w": 0}, "q": 2.5}
+
+
+def test_layouts_and_whole_fields():
+    soa = ti.Struct.field({"a": ti.f32, "b": ti.i32}, shape=4, layout=ti.Layout.SOA)
+    aos = ti.Struct.field({"a": ti.f32, "b": ti.i32}, shape=4)
+    soa[2].a, soa[2].b = 3, 4
+    assert soa.a.parent()._cell_size_bytes == 4 and aos.a.parent()._cell_size_bytes == 8
+    aos.copy_from(soa)
+    assert (aos[2].a, aos[2].b, aos[1].b) == (3, 4, 0)
+    aos.fill(2)
+    aos.from_numpy({"a": np.arange(4, dtype=np.float32)})
+    assert aos.to_numpy()["a"].tolist() == [0, 1, 2, 3] and aos[3].b == 2
+    aos[0] = {"a": 9, "b": 8}
+    aos[1] = ti.Struct(a=7, b=6)
+    assert (aos[0].a, aos[0].b, aos[1].a, aos[1].b) == (9, 8, 7, 6)
+    assert aos.keys == ["a", "b"] and aos.get_member_field("a") is aos.a
+
+
+def test_gradient_through_a_struct_variable():
+    made = ti.types.struct(x=ti.f64, y=ti.f64)
+    f = made.field(shape=3, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def run():
+        for i in f:
+            p = f[i]
+            for _ in range(3):
+                p.x = p.x * p.y
+            loss[None] += p.x
+
+    for k in range(3):
+        f[k] = made(k + 1.0, k + 2.0)
+    with ti.ad.Tape(loss):
+        run()
+    for k in range(3):
+        x, y = k + 1.0, k + 2.0
+        assert np.isclose(f.grad[k].x, y**3) and np.isclose(f.grad[k].y, 3 * x * y**2)
