@@ -319,6 +319,13 @@ class SNode:
     def _sparse(self) -> tuple[Any, str, int]:
         """The context, the tree, and the number of this sparse level in it."""
         if self.kind in ("root", "dense"):
+            above = next((n for n in reversed(self.path()) if n.kind != "dense"), None)
+            if above is not None:
+                raise TaiRuntimeError(
+                    f"the cells of a dense level are active as those of the {above.kind} level "
+                    "above it are",
+                    "ask that one: level.parent()",
+                )
             raise TaiRuntimeError(
                 f"all cells of a {self.kind} level are active",
                 "ask a pointer, bitmasked, hash or dynamic level",

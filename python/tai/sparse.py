@@ -31,8 +31,10 @@ def grid(members: dict[str, Any], shape: Any) -> StructField:
 
 
 def usage(field: Field) -> float:
-    """The active part of the cells of the level that holds a field, from 0 to 1."""
-    level = field.parent()
+    """The active part of a field, from 0 to 1: of the cells of the innermost sparse level."""
+    from .volumes import innermost
+
+    level = innermost(field)
     cells = 1
     for extent in level.shape:
         cells *= extent

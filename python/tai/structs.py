@@ -322,6 +322,9 @@ def make_struct_field(
         if layout == Layout.SOA and extents:
             node = root.dense(axes, sizes)
         node.place(leaf, offset=offset)
+        for which, wanted in (("grad", leaf.needs_grad), ("dual", leaf.needs_dual)):
+            if wanted:
+                node.place(getattr(leaf, which), offset=offset)
     return made
 
 

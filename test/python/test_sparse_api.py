@@ -2,6 +2,7 @@
 """Sparse levels by the names that programs written for Taichi use."""
 
 import ctypes
+import random
 import subprocess
 import sys
 
@@ -69,6 +70,41 @@ def test_sizes_and_offsets_are_those_in_memory():
     addresses()
     found = (o.to_numpy() - o[0]).tolist()
     assert found == [0, 8, 16, 24, 16 + b._cell_size_bytes, 16 + a._cell_size_bytes]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_offsets_in_random_trees(seed):
+    choice = random.Random(seed)
+    fields = []
+
+    def grow(node, depth):
+        for _ in range(choice.randint(1, 3)):
+            if depth < 3 and choice.random() < 0.5:
+                kind = choice.choice(["dense", "pointer", "bitmasked", "hash"])
+                grow(getattr(node, kind)(ti.i, choice.randint(1, 5)), depth + 1)
+            else:
+                dtype = choice.choice([ti.u8, ti.f16, ti.i32, ti.f64])
+                n = choice.randint(1, 3)
+                field = ti.field(dtype) if n == 1 else ti.Vector.field(n, dtype)
+                node.place(field)
+                fields.append(field)
+
+    grow(ti.root.dense(ti.i, 3), 1)
+    if choice.random() < 0.5:
+        ti.root.lazy_grad()
+
+    def offset(field):
+        path = field.snode._path_from_root()
+        return sum(level._offset_bytes_in_parent_cell for level in path)
+
+    first = [field.storage()[0].core.address((0,)) for field in fields]
+    expected = [offset(field) - offset(fields[0]) for field in fields]
+    assert [address - first[0] for address in first] == expected
+    for field in fields:
+        storage, level = field.storage()[0], field.parent()
+        if level.shape[0] > 1 and level.extents[0] > 1:
+            size = storage.core.address((1,)) - storage.core.address((0,))
+            assert size == level._cell_size_bytes
 
 
 def test_addresses_hold_the_elements():

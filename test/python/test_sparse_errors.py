@@ -373,6 +373,13 @@ def test_dense_levels_have_no_activity():
     level.place(x)
     with raises(ti.TaiRuntimeError, "all cells of a dense level are active"):
         level.active_cells()
+    y, outer = blocks()
+    with raises(ti.TaiRuntimeError, "as those of the pointer level above it", "level.parent()"):
+        y.parent().active_cells()
+    y[0] = 1
+    assert ti.sparse.usage(y) == 1 / 8
+    with raises(ti.TaiRuntimeError, "it is below no sparse level"):
+        ti.sparse.usage(x)
 
 
 def test_sparse_grids_have_two_or_three_dimensions():

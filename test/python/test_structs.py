@@ -97,6 +97,15 @@ def test_layouts_and_whole_fields():
     assert aos.keys == ["a", "b"] and aos.get_member_field("a") is aos.a
 
 
+def test_gradients_and_duals_are_there_at_once():
+    f = ti.Struct.field(
+        {"a": ti.f32, "v": ti.types.vector(3, ti.f32), "n": ti.i32},
+        shape=(2, 3), offset=(1, 0), needs_grad=True, needs_dual=True,
+    )  # fmt: skip
+    assert f.a.grad[1, 2] == 0 and f.v.dual.shape == (2, 3) and f.dual.a[2, 0] == 0
+    assert f.grad.keys == ["a", "v"] and f.grad.v.element_shape == (3,)
+
+
 def test_gradient_through_a_struct_variable():
     made = ti.types.struct(x=ti.f64, y=ti.f64)
     f = made.field(shape=3, needs_grad=True)
