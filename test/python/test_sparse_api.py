@@ -379,6 +379,26 @@ def test_lists():
     assert lists.active_cells().tolist() == [[1, 0], [1, 1]]
 
 
+def test_order_of_lists_in_deterministic_mode():
+    ti.init(arch=ti.cpu, deterministic=True, cpu_max_num_threads=4, offline_cache=False)
+    count = 1 << 16
+    x = ti.field(ti.i32)
+    lists = ti.root.dynamic(ti.i, count)
+    lists.place(x)
+
+    @ti.func
+    def put(i):
+        x.append(i)
+
+    @ti.kernel
+    def fill():
+        for i in range(count):
+            put(i)
+
+    fill()
+    np.testing.assert_array_equal(x.to_numpy(), np.arange(count))
+
+
 def test_a_field_that_is_one_list():
     x, v = ti.field(ti.i32), ti.Vector.field(3, ti.f32)
     ti.root.dynamic(ti.i, 1024, chunk_size=32).place(x)

@@ -454,7 +454,11 @@ class Loops:
                 for d in level.dimensions
             ]
         self.define_indices(names, indices, grouped)
+        self.appends = False
         self.loop_body(loop, node)
+        if self.appends and self.program.options.deterministic:
+            # On many threads, the order of a list would be that in which they come.
+            attrs["serialize"] = builder.attribute("unit")
         self.frame.pop(node.lineno)
         self.depth -= 1
         self.at(node)

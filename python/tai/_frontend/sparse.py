@@ -82,6 +82,8 @@ class Sparse:
 
     emitter: Any
     builder: Any
+    # Whether the loop being compiled appends to a list.
+    appends = False
 
     def level_call(self, function: Any, args: list) -> Any:
         """A call of `ti.activate`, `ti.is_active`, `ti.append`, …"""
@@ -170,6 +172,7 @@ class Sparse:
         for place, one in zip(places, values, strict=True):
             converted = FieldElement(emitter, place, []).convert(one)
             elements.append(converted)
+        self.appends = True
         at = self.builder.op("tai.append", [elements[0].handle, *handles], [index], attrs)
         dimension, offset = self._list_dimension(level), level.field.offset
         first = offset[dimension] if offset else 0
