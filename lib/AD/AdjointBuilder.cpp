@@ -29,7 +29,7 @@ AdjointBuilder::AdjointBuilder(FunctionOpInterface primal,
                                FunctionOpInterface adjoint,
                                std::function<Storage(Storage)> adjointOf,
                                bool takesAll, const RerunPlan &plan,
-                               ValueShadows valueShadows)
+                               ValueShadows valueShadows, SkipSet skips)
     : DerivativeBuilder(primal, /*usesConditions=*/true), primal(primal),
       adjoint(adjoint), adjointOf(std::move(adjointOf)),
       shadows(std::move(valueShadows)),
@@ -38,8 +38,11 @@ AdjointBuilder::AdjointBuilder(FunctionOpInterface primal,
           [this](Storage storage) {
             return static_cast<bool>(this->adjointOf(storage));
           },
-          shadows.inputs, shadows.outputs),
-      accesses(primal), takesAll(takesAll), plan(plan), larger(plan),
+          shadows.inputs, shadows.outputs,
+          /*assumeVaried=*/!skips.has(Skip::ActivityAnalysis)),
+      accesses(primal), takesAll(takesAll),
+      recordsAll(!skips.has(Skip::RecordingAnalysis)),
+      keepsDead(!skips.has(Skip::ActivityAnalysis)), plan(plan), larger(plan),
       contended(std::make_unique<ContendedAtomics>(*this)) {
   for (Operation *op : plan.recorded) {
     Block *unit = getRerunUnit(op);
@@ -72,7 +75,8 @@ LogicalResult AdjointBuilder::build() {
   collectRerunReads();
   if (failed(chooseStates()))
     return failure();
-  dropDeadCarried(adjoint.getFunctionBody());
+  if (!keepsDead)
+    dropDeadCarried(adjoint.getFunctionBody());
   return success();
 }
 

@@ -159,7 +159,7 @@ BlockArgument LoopHistory::getArgument(unsigned index) const {
 
 Value LoopHistory::getCarried(Frame &frame, unsigned index) {
   const CarriedValue &value = carried[index];
-  if (value.kind == CarriedKind::ClosedForm) {
+  if (value.kind == CarriedKind::ClosedForm && !b.recordsAll) {
     closed.insert(index);
     return createClosedForm(frame, value, index);
   }
@@ -168,7 +168,7 @@ Value LoopHistory::getCarried(Frame &frame, unsigned index) {
   // Only the end of a loop that was counted is an iteration of its own.
   if (frame.iteration == count)
     return forward.getResult(index);
-  if (value.kind == CarriedKind::Invertible) {
+  if (value.kind == CarriedKind::Invertible && !b.recordsAll) {
     inverted.insert(index);
     return createInverse(frame, value);
   }
@@ -296,6 +296,9 @@ void LoopHistory::beginLast(Frame &frame) {
 }
 
 void LoopHistory::endIteration() {
+  if (b.recordsAll)
+    for (unsigned i = 0, e = static_cast<unsigned>(carried.size()); i != e; ++i)
+      b.getPrimal(getArgument(i));
   // Getting one may take the next value of another.
   for (size_t i = 0; i != nexts.size(); ++i)
     nextYields.push_back(

@@ -372,6 +372,8 @@ ResultRange LoopHistory::close(ArrayRef<Value> yields,
       memref::DeallocOp::create(b, start);
   for (auto [index, history] : histories)
     memref::DeallocOp::create(b, history);
+  b.carriedValues += static_cast<int64_t>(carried.size());
+  b.recordedValues += static_cast<int64_t>(histories.size());
   report();
   return reverse.getResults().take_front(own);
 }

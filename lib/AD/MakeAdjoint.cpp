@@ -22,6 +22,7 @@
 #include "tai/AD/Selection.h"
 #include "tai/AD/Signature.h"
 #include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/Cost.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
@@ -107,11 +108,17 @@ static bool reachesSparse(FunctionOpInterface function) {
   return result.wasInterrupted();
 }
 
-LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
-                                     FunctionOpInterface shell,
-                                     const AdjointSignature &signature,
-                                     int64_t historyBytes, bool takes,
-                                     bool *needsParts) {
+static void clearBody(FunctionOpInterface shell) {
+  Block &body = shell.getFunctionBody().front();
+  body.dropAllReferences();
+  body.getOperations().clear();
+}
+
+static LogicalResult fillWith(FunctionOpInterface function,
+                              FunctionOpInterface shell,
+                              const AdjointSignature &signature,
+                              int64_t historyBytes, bool takes,
+                              bool *needsParts, SkipSet skips) {
   DenseMap<Value, Value> arrays;
   ValueShadows values;
   unsigned next = function.getNumArguments();
@@ -141,19 +148,20 @@ LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
   // What the adjoint has to run forward again shows when it is built.
   RerunPlan plan;
   while (true) {
-    AdjointBuilder builder(function, shell, adjointOf, takes, plan, values);
+    AdjointBuilder builder(function, shell, adjointOf, takes, plan, values,
+                           skips);
     builder.setHistoryLimit(historyBytes);
     LogicalResult built = builder.build();
     if (needsParts)
       *needsParts = builder.needsParts();
     if (failed(built))
       return failure();
-    if (!builder.needsMore())
+    if (!builder.needsMore()) {
+      builder.countSkips();
       break;
+    }
     plan = RerunPlan(builder.getLargerPlan());
-    Block &body = shell.getFunctionBody().front();
-    body.dropAllReferences();
-    body.getOperations().clear();
+    clearBody(shell);
   }
   OpBuilder builder = OpBuilder::atBlockEnd(&shell.getFunctionBody().front());
   if (isa<KernelOp>(shell.getOperation()))
@@ -167,6 +175,37 @@ LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
   separateTakes(shell);
   relaxArrayAccumulations(shell);
   return success();
+}
+
+LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
+                                     FunctionOpInterface shell,
+                                     const AdjointSignature &signature,
+                                     int64_t historyBytes, bool takes,
+                                     bool *needsParts, SkipSet skips) {
+  if (!skips.has(Skip::ActivityAnalysis)) {
+    // Not all that is assumed to carry derivatives can be differentiated.
+    ScopedDiagnosticHandler silence(function.getContext(),
+                                    [](Diagnostic &) { return success(); });
+    if (succeeded(fillWith(function, shell, signature, historyBytes, takes,
+                           needsParts, skips)))
+      return success();
+    clearBody(shell);
+    skips.set(Skip::ActivityAnalysis, true);
+  }
+  return fillWith(function, shell, signature, historyBytes, takes, needsParts,
+                  skips);
+}
+
+/// Decides by the loops as they were written how those of the adjoint, which
+/// take over what they say of themselves, are cut.
+static void fixCosts(FunctionOpInterface function) {
+  // A gradient takes about three times as long.
+  constexpr double perPrimal = 3;
+  Builder builder(function.getContext());
+  function->walk([&](ParallelForOp loop) {
+    double cost = perPrimal * estimateNanoseconds(loop.getBody().front());
+    loop->setAttr(kFixedCostAttrName, builder.getF64FloatAttr(cost));
+  });
 }
 
 namespace {
@@ -226,8 +265,10 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
     bool takesAll = takes && isa<KernelOp>(function.getOperation());
     if (takesAll)
       shell->setAttr(kTakesAttrName, UnitAttr::get(&getContext()));
-    if (failed(
-            fillAdjoint(function, shell, *signature, historyBytes, takesAll))) {
+    if (deterministic)
+      fixCosts(function);
+    if (failed(fillAdjoint(function, shell, *signature, historyBytes, takesAll,
+                           /*needsParts=*/nullptr, skip.getValue()))) {
       shell.erase();
       return failure();
     }

@@ -21,6 +21,7 @@
 #include "tai/AD/Passes.h"
 #include "tai/AD/Selection.h"
 #include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/SkipScope.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
@@ -118,6 +119,7 @@ static bool needsParts(KernelOp kernel) {
       builder, kernel.getLoc(), (kernel.getSymName() + ".trial").str(),
       FunctionType::get(kernel.getContext(), inputs, {}));
   bool result = false;
+  SkipScope unheard;
   bool failing =
       failed(fillAdjoint(kernel, shell, *signature, kDefaultHistoryBytes,
                          /*takes=*/false, &result));

@@ -77,7 +77,8 @@ static bool passesThroughRegions(Operation *op) {
 
 Activity::Activity(FunctionOpInterface function,
                    llvm::function_ref<bool(Storage)> hasAdjoint,
-                   ArrayRef<Value> inputs, ArrayRef<Value> outputs) {
+                   ArrayRef<Value> inputs, ArrayRef<Value> outputs,
+                   bool assumeVaried) {
   RegionEdges edges;
   SmallVector<DifferentiableAccessInterface> reads, writes;
   function.walk([&](Operation *op) {
@@ -140,7 +141,7 @@ Activity::Activity(FunctionOpInterface function,
   for (DifferentiableAccessInterface write : writes) {
     markUseful(write.getAccessedValue());
     // A product or a maximum depends on the old element too.
-    if (varied.contains(write.getAccessedValue()) ||
+    if (assumeVaried || varied.contains(write.getAccessedValue()) ||
         write.getAccessKind() == AccessKind::Update)
       activeAccesses.insert(write);
   }
@@ -165,6 +166,14 @@ Activity::Activity(FunctionOpInterface function,
       if (carriesDerivative(operand))
         markUseful(operand.get());
   }
+  if (assumeVaried)
+    for (Value value : useful) {
+      Operation *op = value.getDefiningOp();
+      if (isFloatOrVector(value.getType()) &&
+          (op ? isa<DifferentiableOpInterface, RegionBranchOpInterface>(op)
+              : edges.sources.contains(value)))
+        assumed.insert(value);
+    }
   for (DifferentiableAccessInterface read : reads)
     if (isActive(read.getAccessedValue()))
       activeAccesses.insert(read);

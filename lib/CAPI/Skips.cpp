@@ -16,8 +16,8 @@ TaiStatus taiProfilerSkips(TaiContext context, const TaiSkipRow **rows,
   context->skipRows.clear();
   for (unsigned i = 0; i < kNumSkipCounts; ++i) {
     Skip skip = kSkipCounts[i].skip;
-    context->skipRows.push_back(
-        {getName(skip), kSkipCounts[i].name, amounts[i], runtime.skips(skip)});
+    context->skipRows.push_back({getSkipName(skip), kSkipCounts[i].name,
+                                 amounts[i], runtime.skips(skip)});
   }
   *rows = context->skipRows.data();
   *count = context->skipRows.size();

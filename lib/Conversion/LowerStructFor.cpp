@@ -18,8 +18,11 @@
 //===----------------------------------------------------------------------===//
 
 #include "Common/Accumulate.h"
+#include "Common/CountWrites.h"
 #include "Common/FieldAddress.h"
 #include "Common/IndexMath.h"
+#include "tai/Analysis/Cost.h"
+#include "tai/Analysis/SkipScope.h"
 #include "tai/Conversion/Passes.h"
 
 namespace mlir::tai {
@@ -102,9 +105,11 @@ getDigits(const FieldInfo &field, unsigned first, unsigned last) {
 }
 
 /// Replaces a loop over a sparse field, or over the cells of one of its levels,
-/// by the box form. `last` is the number of levels that are looped over.
+/// by the box form. `last` is the number of levels that are looped over; unless
+/// `hoists`, every element finds its cell for itself.
 static void lowerByDigits(ParallelForOp loop, const FieldInfo &field,
-                          unsigned last) {
+                          unsigned last, bool hoists, bool deterministic) {
+  double cost = estimateNanoseconds(loop.getBody().front());
   OpBuilder builder(loop);
   Location loc = loop.getLoc();
   IndexMath math(builder, loc);
@@ -144,16 +149,23 @@ static void lowerByDigits(ParallelForOp loop, const FieldInfo &field,
   ArrayRef<BlockArgument> ivs = box.getInductionVars();
   if (sparse) {
     box->setAttr(kOuterDimsAttrName, builder.getI64IntegerAttr(1));
+    if (deterministic && !loop->hasAttr(kFixedCostAttrName))
+      box->setAttr(kFixedCostAttrName, builder.getF64FloatAttr(cost));
     Type i64 = builder.getI64Type();
     Value pointer = LLVM::GEPOp::create(
         builder, loc, cells.getCells().getType(), i64, cells.getCells(),
         ArrayRef<LLVM::GEPArg>{math.toI64(ivs.front())},
         LLVM::GEPNoWrapFlags::inbounds | LLVM::GEPNoWrapFlags::nuw);
     ivs = ivs.drop_front();
+    int64_t elements = 1;
+    for (const IndexDigit *digit : inner)
+      elements *= digit->extent;
     // Nothing writes to the list while the kernel runs.
     Value rest = math.toIndex(LLVM::LoadOp::create(
-        builder, loc, i64, pointer, /*alignment=*/8, /*isVolatile=*/false,
-        /*isNonTemporal=*/false, /*isInvariant=*/true));
+        builder, loc, i64, pointer, /*alignment=*/8, /*isVolatile=*/!hoists,
+        /*isNonTemporal=*/false, /*isInvariant=*/hoists));
+    SkipScope::count(SkipCount::CellsVisited, elements);
+    SkipScope::count(SkipCount::CellsLocated, hoists ? 1 : elements);
     for (unsigned level = first; level-- > 0;) {
       int64_t count = field.layout.path.levels[level].type.getNumCells();
       Value cell = level == 0 ? rest : math.rem(rest, count);
@@ -204,6 +216,7 @@ struct LowerStructFor : tai::impl::LowerStructForBase<LowerStructFor> {
     Operation *table = SymbolTable::getNearestSymbolTable(getOperation());
     if (!table)
       return;
+    const SkipSet skip = this->skip;
     std::optional<FieldTable> fields;
     SmallVector<std::pair<ParallelForOp, const FieldInfo *>> loops;
     WalkResult result = getOperation()->walk([&](ParallelForOp loop) {
@@ -226,13 +239,15 @@ struct LowerStructFor : tai::impl::LowerStructForBase<LowerStructFor> {
       WalkResult deactivates =
           loop.walk([](DeactivateOp) { return WalkResult::interrupt(); });
       if (!field->sparse.empty() && !loop.getLevel() &&
-          !deactivates.wasInterrupted())
+          !deactivates.wasInterrupted() && skip.has(Skip::ActivationDemotion))
         markActive(loop, *field, *fields);
       if (field->sparse.empty() && !loop.getLevel())
         lower(loop, *field);
       else
-        lowerByDigits(loop, *field, levels + 1 - loop.getLevel().value_or(1));
+        lowerByDigits(loop, *field, levels + 1 - loop.getLevel().value_or(1),
+                      skip.has(Skip::AccessorHoisting), deterministic);
     }
+    countWrites(getOperation());
   }
 };
 } // namespace

@@ -416,9 +416,10 @@ Compiler::compileObject(CompileRequest request, const CompileOptions &options,
   CompiledObject object;
   object.symbol = prepared.symbol;
   object.needs = prepared.needs;
-  object.skipped = prepared.skipped;
+  // Parts of a kernel count for themselves.
   if (object.symbol.empty())
     return object;
+  object.skipped = prepared.skipped;
   SkipScope scope;
   object.loopLevels = findLoopLevels(*prepared.module, object.symbol);
   WorkerLease lease(*this, options);

@@ -52,6 +52,8 @@ static Compiler::Pipelines getPipelines() {
     // An adjoint is launched with the arguments of its primal and no others.
     autodiff.arrayAdjoints = false;
     autodiff.historyBytes = options.historyBytes;
+    autodiff.deterministic = options.deterministic;
+    autodiff.skip = options.skips;
     buildAutodiffPipeline(manager, autodiff);
   };
   pipelines.forward = [](OpPassManager &manager, const CompileOptions &) {
@@ -66,6 +68,7 @@ static Compiler::Pipelines getPipelines() {
     lowering.fastMath = options.codegen.fastMath;
     lowering.contract = options.codegen.contract;
     lowering.optLevel = options.codegen.optLevel;
+    lowering.skip = options.skips;
     buildToLLVMPipeline(manager, lowering);
   };
   pipelines.scfPass = "convert-tai-to-scf";

@@ -46,6 +46,8 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
   adjoint.arrayAdjoints = options.arrayAdjoints;
   adjoint.historyBytes = options.historyBytes;
   adjoint.takes = options.takes;
+  adjoint.deterministic = options.deterministic;
+  adjoint.skip = options.skip;
   pm.addPass(createMakeAdjoint(adjoint));
 
   // Rules write the formula, not its simplest form.

@@ -34,7 +34,10 @@ void tai::buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options) {
 
   // From here on values are scalars, and loops run over boxes.
   pm.addPass(createScalarize());
-  pm.addPass(createLowerStructFor());
+  LowerStructForOptions loops;
+  loops.deterministic = options.deterministic;
+  loops.skip = options.skip;
+  pm.addPass(createLowerStructFor(loops));
 
   if (fast)
     pm.addPass(createCSEPass());

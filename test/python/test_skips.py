@@ -312,6 +312,170 @@ def test_only_gradients_that_were_written_are_cleared(skip, cleared):
     }
 
 
+@pytest.mark.parametrize("skip, demoted", [("all", 2), ("all,-activation-demotion", 0)])
+def test_writes_to_the_cell_of_the_iteration_do_not_ask(skip, demoted):
+    ti.init(skip=skip, offline_cache=False)
+    x, y, z = ti.field(ti.i32), ti.field(ti.i32), ti.field(ti.i32)
+    sparse_field(x, y, z)
+
+    @ti.kernel
+    def step():
+        for i in x:
+            x[i] += 1
+            y[i] = x[i]
+            z[i - 1] = 3
+
+    x[8] = 1
+    step()
+    assert counters("activation-demotion") == {
+        "writes_demoted": demoted,
+        "writes_kept": 3 - demoted,
+    }
+    assert list(x.to_numpy()[7:13]) == [0, 2, 1, 1, 1, 0]
+    assert list(y.to_numpy()[7:13]) == [0, 2, 1, 1, 1, 0]
+    assert list(z.to_numpy()[6:13]) == [0, 3, 3, 3, 3, 0, 0]
+
+
+@pytest.mark.parametrize("skip, located", [("all", 1), ("all,-accessor-hoisting", 4)])
+def test_a_block_is_located_once(skip, located):
+    ti.init(skip=skip, offline_cache=False)
+    x = ti.field(ti.i32)
+    sparse_field(x)
+
+    @ti.kernel
+    def step():
+        for i in x:
+            x[i] += i
+
+    x[5] = 1
+    step()
+    assert counters("accessor-hoisting") == {"cells": 4, "located": located}
+    assert list(x.to_numpy()[3:9]) == [0, 4, 6, 6, 7, 0]
+
+
+def differentiate_loop():
+    """The gradient of sum((c * c * sin(...sin(x)))) and of a count, over three iterations."""
+    x = ti.field(ti.f32, shape=5, needs_grad=True)
+    c = ti.field(ti.f32, shape=5)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+    log = ti.field(ti.f32, shape=5, needs_grad=True)
+
+    @ti.kernel
+    def iterate():
+        for i in x:
+            v, total, n = x[i], 0.0, 1
+            for _ in range(3):
+                v = ti.sin(v * ti.cast(n, ti.f32))
+                total += v
+                n += 2
+            loss[None] += total * (c[i] * c[i])
+
+    @ti.kernel
+    def constant():
+        for i in log:
+            log[i] = c[i] * c[i]
+
+    x.from_numpy(np.linspace(0.1, 0.9, 5, dtype=np.float32))
+    c.from_numpy(np.linspace(1, 2, 5, dtype=np.float32))
+    with ti.ad.Tape(loss):
+        constant()
+        iterate()
+    return x.grad.to_numpy()
+
+
+def gradient_of_loop():
+    """The same by the chain rule."""
+    x, c = np.linspace(0.1, 0.9, 5), np.linspace(1, 2, 5)
+    v, slope, result = x, np.ones(5), np.zeros(5)
+    for n in (1, 3, 5):
+        slope = slope * np.cos(v * n) * n
+        v = np.sin(v * n)
+        result += slope * c * c
+    return result
+
+
+@pytest.mark.parametrize("skip, recorded", [("all", 1), ("all,-recording-analysis", 3)])
+def test_only_what_the_gradient_needs_is_recorded(skip, recorded):
+    ti.init(skip=skip, offline_cache=False, deterministic=True)
+    np.testing.assert_allclose(differentiate_loop(), gradient_of_loop(), rtol=1e-4)
+    assert counters("recording-analysis") == {"values_recorded": recorded, "values_carried": 3}
+
+
+@pytest.mark.parametrize("skip", ["all", "all,-activity-analysis"])
+def test_only_what_carries_a_derivative_has_an_adjoint(skip):
+    ti.init(skip=skip, offline_cache=False)
+    x = ti.field(ti.f32, shape=4, needs_grad=True)
+    c = ti.field(ti.f32, shape=4)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def scaled():
+        for i in x:
+            loss[None] += x[i] * (c[i] * c[i])
+
+    c.from_numpy(np.arange(4, dtype=np.float32))
+    with ti.ad.Tape(loss):
+        scaled()
+    assert np.array_equal(x.grad.to_numpy(), np.arange(4) ** 2)
+    # x and the product with it; c, and c squared, which does not depend on x.
+    assert counters("activity-analysis") == {
+        "values_active": 2 if skip == "all" else 3,
+        "values": 4,
+        "kernels_without_adjoint": 0,
+    }
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_gradients_of_loops_have_the_same_bits_without_one_skip(name):
+    ti.init(deterministic=True)
+    expected = differentiate_loop()
+    ti.init(deterministic=True, skip=f"all,-{name}")
+    assert np.array_equal(bits(differentiate_loop()), bits(expected))
+
+
+def test_the_cache_tells_the_same(tmp_path):
+    found = []
+    for skip in ["all", "none", "all", "none"]:
+        ti.init(skip=skip, offline_cache=True, offline_cache_file_path=str(tmp_path))
+        differentiate_loop()
+        found.append([counters("recording-analysis"), counters("activity-analysis")])
+    assert found[0] == found[2]
+    assert found[1] == found[3]
+    assert found[0][0]["values_recorded"] == 1
+    assert found[1][0]["values_recorded"] == 3
+
+
+@pytest.mark.parametrize("kind", ["pointer", "bitmasked"])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_large_sums_have_the_same_bits_without_any_skip(kind, threads):
+    def run(skip):
+        ti.init(skip=skip, deterministic=True, cpu_max_num_threads=threads)
+        x, y = ti.field(ti.f32), ti.field(ti.f32)
+        outer, inner = (32, 32) if kind == "pointer" else (64, 64)
+        if kind == "pointer":
+            ti.root.pointer(ti.ij, outer).dense(ti.ij, inner).place(x, y)
+        else:
+            ti.root.dense(ti.ij, outer // 8).bitmasked(ti.ij, inner).place(x, y)
+        total = ti.field(ti.f32, shape=())
+
+        @ti.kernel
+        def fill():
+            for i, j in ti.ndrange(200, 300):
+                x[i, j] = ti.sin(0.1 * i) * ti.cos(0.3 * j)
+
+        @ti.kernel
+        def add():
+            for i, j in x:
+                y[i, j] = x[i, j] * 1.5 + x[i, j] ** 2
+                total[None] += y[i, j]
+
+        fill()
+        add()
+        return total.to_numpy(), y.to_numpy()
+
+    assert_same_bits(run("none"), run("all"))
+
+
 # The switch
 
 

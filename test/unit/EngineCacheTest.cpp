@@ -164,6 +164,8 @@ TEST(EngineCache, ObjectsSurviveSerialization) {
   object.symbol = "k";
   object.code = {'a', '\0', 'b'};
   object.needs = "n";
+  object.skipped[1] = 7;
+  object.loopLevels = {0, 2};
   object.trees = {"t", ""};
   std::string bytes = object.serialize();
   std::optional<CompiledObject> read = CompiledObject::deserialize(bytes);
@@ -171,6 +173,8 @@ TEST(EngineCache, ObjectsSurviveSerialization) {
   EXPECT_EQ(read->symbol, object.symbol);
   EXPECT_EQ(read->code, object.code);
   EXPECT_EQ(read->needs, object.needs);
+  EXPECT_EQ(read->skipped, object.skipped);
+  EXPECT_EQ(read->loopLevels, object.loopLevels);
   EXPECT_EQ(read->trees, object.trees);
   for (size_t length = 0; length < bytes.size(); ++length) {
     std::optional<CompiledObject> cut =

@@ -25,6 +25,7 @@
 #include "tai/AD/Signature.h"
 #include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Activity.h"
+#include "tai/Runtime/Skips.h"
 #include "llvm/ADT/MapVector.h"
 #include "llvm/ADT/SetVector.h"
 #include <map>
@@ -103,13 +104,16 @@ public:
   /// `takesAll`, all stores take the adjoints of their elements.
   AdjointBuilder(FunctionOpInterface primal, FunctionOpInterface adjoint,
                  std::function<Storage(Storage)> adjointOf, bool takesAll,
-                 const RerunPlan &plan, ValueShadows shadows = {});
+                 const RerunPlan &plan, ValueShadows shadows = {},
+                 SkipSet skips = SkipSet::all());
   ~AdjointBuilder();
 
   /// Builds the whole adjoint; the terminator is left to the caller. Fails
   /// after an error at the op that cannot be differentiated.
   LogicalResult build();
 
+  /// Counts what the analyses kept out of what was built.
+  void countSkips();
   /// True if what was built has to be built again, by a larger plan.
   bool needsMore() const { return wantsMore; }
   const RerunPlan &getLargerPlan() const { return larger; }
@@ -245,6 +249,11 @@ private:
   Activity activity;
   AccessTable accesses;
   bool takesAll;
+  /// What analyses may leave out: whether all values that loops carry are
+  /// recorded, and adjoint code kept that reaches no memory.
+  bool recordsAll, keepsDead;
+  /// Of the loops that are reversed.
+  int64_t carriedValues = 0, recordedValues = 0;
   /// The stores that take, and the ops around them.
   DenseSet<Operation *> takes, takeHolders;
   /// The reads that the adjoint repeats.
@@ -278,12 +287,12 @@ private:
 /// Fills the empty adjoint `shell` of `function`, which has the arguments that
 /// `signature` asks for. `takes` is as the option of `tai-make-adjoint`;
 /// `needsParts` is told whether a failure can be helped by splitting the
-/// kernel.
-LogicalResult fillAdjoint(FunctionOpInterface function,
-                          FunctionOpInterface shell,
-                          const AdjointSignature &signature,
-                          int64_t historyBytes, bool takes,
-                          bool *needsParts = nullptr);
+/// kernel. Values that only lack of `activity-analysis` among the skips gives
+/// an adjoint need not have one that can be made.
+LogicalResult
+fillAdjoint(FunctionOpInterface function, FunctionOpInterface shell,
+            const AdjointSignature &signature, int64_t historyBytes, bool takes,
+            bool *needsParts = nullptr, SkipSet skips = SkipSet::all());
 
 /// Zeroes what parallel loops of an adjoint take in loops of their own, where
 /// that lets the additions of the others be gathered.

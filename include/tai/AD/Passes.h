@@ -10,6 +10,7 @@
 
 #include "mlir/Pass/Pass.h"
 #include "tai/AD/Differentiable.h"
+#include "tai/Analysis/SkipOption.h"
 #include <memory>
 
 namespace mlir::tai {

@@ -40,6 +40,10 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
     asks for this form, which has the attribute `tai.takes`, where an earlier
     launch has used the elements.
 
+    Without the skip `activity-analysis`, values that do not depend on what is
+    differentiated by get adjoints too, as far as that can be. Without
+    `recording-analysis`, all values that loops carry are recorded.
+
     Without options, takes the kernels launched in a `tai.tape` or
     `tai.check_gradient`, or all kernels of a module that has none of these, and
     the functions with the unit attribute `tai.differentiate`. A function takes
@@ -118,6 +122,11 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
            "the loop are run once more">,
     Option<"takes", "takes", "bool", /*default=*/"false",
            "Leave zero in the adjoints of all that a kernel stores">,
+    Option<"deterministic", "deterministic", "bool", /*default=*/"false",
+           "Let how loops are cut not depend on what they record">,
+    Option<"skip", "skip", "::mlir::tai::SkipSet",
+           /*default=*/"::mlir::tai::SkipSet::all()",
+           "What to leave out where it is not needed: all, none, or names">,
   ];
 }
 

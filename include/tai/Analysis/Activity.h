@@ -30,14 +30,18 @@ void forEachHandover(RegionBranchOpInterface op,
 class Activity {
 public:
   /// Analyses a function, given which storages have an adjoint, and which of
-  /// its values have: arguments, and operands of its terminator.
+  /// its values have: arguments, and operands of its terminator. With
+  /// `assumeVaried`, whatever can carry a derivative is taken to depend on a
+  /// wanted input.
   Activity(FunctionOpInterface function,
            llvm::function_ref<bool(Storage)> hasAdjoint,
-           ArrayRef<Value> inputs = {}, ArrayRef<Value> outputs = {});
+           ArrayRef<Value> inputs = {}, ArrayRef<Value> outputs = {},
+           bool assumeVaried = false);
 
   /// True if the value depends on a wanted input and reaches a wanted output.
   bool isActive(Value value) const {
-    return varied.contains(value) && useful.contains(value);
+    return (varied.contains(value) || assumed.contains(value)) &&
+           useful.contains(value);
   }
   /// True if the value depends on a wanted input.
   bool isVaried(Value value) const { return varied.contains(value); }
@@ -50,7 +54,7 @@ public:
   bool holdsActiveAccess(Operation *op) const { return holders.contains(op); }
 
 private:
-  llvm::DenseSet<Value> varied, useful;
+  llvm::DenseSet<Value> varied, useful, assumed;
   llvm::DenseSet<Operation *> activeAccesses, holders;
 };
 

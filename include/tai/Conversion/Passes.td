@@ -53,7 +53,18 @@ def LowerStructFor : Pass<"tai-lower-struct-for"> {
     // becomes, for a layout dense<[i: 4, j: 8], {x: f32}>
     tai.parallel_for (%i, %j) = (%c0, %c0) to (%c4, %c8) { … }
     ```
+
+    With the skip `activation-demotion`, a write to the cell of the iteration
+    does not ask whether it is active. Without `accessor-hoisting`, every
+    element of a sparse field reads the list of cells again.
   }];
+  let options = [
+    Option<"deterministic", "deterministic", "bool", /*default=*/"false",
+           "Let the order of sums not depend on how a loop is lowered">,
+    Option<"skip", "skip", "::mlir::tai::SkipSet",
+           /*default=*/"::mlir::tai::SkipSet::all()",
+           "What to leave out where it is not needed: all, none, or names">,
+  ];
   // Alias scopes identify the storage of fields.
   let dependentDialects = ["::mlir::arith::ArithDialect",
                            "::mlir::LLVM::LLVMDialect"];

@@ -16,6 +16,7 @@
 #include "mlir/Pass/PassManager.h"
 #include "mlir/Pass/PassOptions.h"
 #include "tai/AD/Differentiable.h"
+#include "tai/Analysis/SkipOption.h"
 
 namespace mlir::tai {
 
@@ -29,6 +30,8 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
     arrayAdjoints = other.arrayAdjoints.getValue();
     historyBytes = other.historyBytes.getValue();
     takes = other.takes.getValue();
+    deterministic = other.deterministic.getValue();
+    skip = other.skip.getValue();
   }
 
   ListOption<std::string> kernels{
@@ -55,6 +58,14 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
           "Make the form of adjoints that leaves zero in the adjoints "
           "of all that kernels store"),
       llvm::cl::init(false)};
+  Option<bool> deterministic{
+      *this, "deterministic",
+      llvm::cl::desc("Let results not depend on what adjoints record"),
+      llvm::cl::init(false)};
+  Option<SkipSet> skip{*this, "skip",
+                       llvm::cl::desc("What to leave out where it is not "
+                                      "needed: all, none, or names"),
+                       llvm::cl::init(SkipSet::all())};
 };
 
 /// Makes the adjoints of kernels and the summaries of all kernels. Anchored on
@@ -81,6 +92,7 @@ struct ToLLVMOptions : PassPipelineOptions<ToLLVMOptions> {
     fastMath = other.fastMath.getValue();
     contract = other.contract.getValue();
     optLevel = other.optLevel.getValue();
+    skip = other.skip.getValue();
     return *this;
   }
 
@@ -110,6 +122,10 @@ struct ToLLVMOptions : PassPipelineOptions<ToLLVMOptions> {
       *this, "opt-level",
       llvm::cl::desc("Effort, 0 to 3; 0 leaves out what only makes code fast"),
       llvm::cl::init(3)};
+  Option<SkipSet> skip{*this, "skip",
+                       llvm::cl::desc("What to leave out where it is not "
+                                      "needed: all, none, or names"),
+                       llvm::cl::init(SkipSet::all())};
 };
 
 /// Lowers a module of trees, fields, kernels and host functions to the LLVM

@@ -53,7 +53,7 @@ inline constexpr SkipCountInfo kSkipCounts[] = {
 inline constexpr unsigned kNumSkipCounts =
     sizeof(kSkipCounts) / sizeof(kSkipCounts[0]);
 
-inline constexpr const char *getName(Skip skip) {
+inline constexpr const char *getSkipName(Skip skip) {
   return kSkips[static_cast<unsigned>(skip)].name;
 }
 
@@ -63,7 +63,10 @@ public:
   static constexpr SkipSet all() { return SkipSet((1u << kNumSkips) - 1); }
   static constexpr SkipSet none() { return SkipSet(0); }
   /// Those that decide code: the passes look at them.
-  static constexpr SkipSet ofCompiler() { return none(); }
+  static constexpr SkipSet ofCompiler() {
+    return SkipSet(bit(Skip::ActivationDemotion) | bit(Skip::AccessorHoisting) |
+                   bit(Skip::ActivityAnalysis) | bit(Skip::RecordingAnalysis));
+  }
 
   constexpr SkipSet() = default;
 

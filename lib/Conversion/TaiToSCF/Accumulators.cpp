@@ -8,6 +8,7 @@
 #include "Accumulators.h"
 #include "../Common/IndexMath.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/Analysis/Cost.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -29,6 +30,14 @@ static SmallVector<Value> getOutside(ValueRange values, ParallelForOp loop) {
 FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
                                               ModuleLowering &lowering) {
   Accumulators result(lowering);
+  // Otherwise LLVM sees the same loop whatever has been left out of it.
+  result.keepsOrder = loop->hasAttr(kFixedCostAttrName) &&
+                      (loop->hasAttr(kOuterDimsAttrName) ||
+                       loop.walk([&](LoopLikeOpInterface inner) {
+                             return inner == loop ? WalkResult::advance()
+                                                  : WalkResult::interrupt();
+                           })
+                           .wasInterrupted());
   SmallVector<AtomicOp> inBuffers;
   WalkResult walked = loop.walk([&](AtomicOp atomic) {
     auto strategy = atomic->getAttrOfType<StringAttr>(kAccumulateAttrName);
@@ -371,7 +380,7 @@ void Accumulators::rewriteUpdates() {
     Value next = emitCombination(builder, loc, kind, old, value.get());
     // The order of a sum over iterations is ours to choose; LLVM needs to
     // know to vectorise it.
-    if (isa<arith::AddFOp, arith::SubFOp>(next.getDefiningOp()))
+    if (!keepsOrder && isa<arith::AddFOp, arith::SubFOp>(next.getDefiningOp()))
       next.getDefiningOp()->setAttr("fastmath", reassociable);
     emitSlotStore(builder, loc, next, sum.slot);
     update->erase();

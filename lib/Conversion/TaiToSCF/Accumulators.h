@@ -87,6 +87,8 @@ private:
   int64_t getPartialBytes() const;
 
   ModuleLowering *lowering;
+  /// Whether LLVM may not reorder the sums.
+  bool keepsOrder = false;
   std::vector<Register> registers;
   std::vector<Buffer> buffers;
   /// Room for the registers of all partitions, in the kernel.

@@ -17,6 +17,7 @@
 #include "Accumulators.h"
 #include "Lowering.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/Analysis/Cost.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -194,6 +195,8 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   std::optional<int64_t> rowLength = getConstantIntValue(box.extent.back());
   bool byRows = box.rank() > 1 && rows && *rows >= kManyRows && rowLength;
   double cost = estimateIteration(loop, loop->hasAttr(kIndependentAttrName));
+  if (auto fixed = loop->getAttrOfType<FloatAttr>(kFixedCostAttrName))
+    cost = fixed.getValueAsDouble();
   // Iterations in one step of what the partition counts.
   double perStep = byRows ? double(*rowLength) : 1.0;
   size_t counted = byRows ? box.rank() - 1 : box.rank();
