@@ -69,6 +69,26 @@ static ParallelForOp createBox(OpBuilder &builder, ParallelForOp loop,
   return box;
 }
 
+/// Whether equal indices mean the same cell of the innermost sparse level above
+/// both fields, which may divide what lies below it in other ways.
+static bool shareCells(const FieldInfo &a, const FieldInfo &b) {
+  if (a.sparse.empty() || b.sparse.empty() || a.layout.tree != b.layout.tree ||
+      a.sparse.back().node != b.sparse.back().node ||
+      a.layout.offset != b.layout.offset)
+    return false;
+  auto digits = [](const FieldInfo &field) {
+    return llvm::make_filter_range(
+        field.storage.digits, [&](const IndexDigit &digit) {
+          return digit.level <= field.sparse.back().level;
+        });
+  };
+  return llvm::equal(digits(a), digits(b),
+                     [](const IndexDigit &x, const IndexDigit &y) {
+                       return x.dimension == y.dimension &&
+                              x.divisor == y.divisor && x.extent == y.extent;
+                     });
+}
+
 /// Marks the writes that reach the cell of the iteration itself: it is active.
 static void markActive(ParallelForOp loop, const FieldInfo &field,
                        FieldTable &fields) {
@@ -82,11 +102,7 @@ static void markActive(ParallelForOp loop, const FieldInfo &field,
       return;
     FailureOr<const FieldInfo *> other =
         fields.lookup(op, op->getAttrOfType<FlatSymbolRefAttr>("field"));
-    if (failed(other) || (*other)->sparse.empty() ||
-        (*other)->layout.tree != field.layout.tree ||
-        (*other)->sparse.back().node != field.sparse.back().node ||
-        (*other)->layout.axisOfIndex != field.layout.axisOfIndex ||
-        (*other)->layout.offset != field.layout.offset ||
+    if (failed(other) || !shareCells(**other, field) ||
         !llvm::equal(indices, loop.getInductionVars()))
       return;
     op->setAttr(kActiveAttrName, UnitAttr::get(op->getContext()));

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _state, dtypes
+from . import _active, _state, dtypes
 from ._shapes import to_order, to_shape
 from .errors import TaiAutodiffError, TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
 from .program import get_program, name_fields
@@ -139,7 +139,7 @@ class Field:
         raise NotImplementedError
 
     def fill(self, value: Any) -> None:
-        """Sets all elements to `value`."""
+        """Sets all elements to `value`; of a sparse field, those that are active."""
         raise NotImplementedError
 
     def _check_array(self, array: Any) -> np.ndarray:
@@ -485,7 +485,8 @@ class ComponentField(ScalarField):
     def fill(self, value: Any) -> None:
         if not self.is_window:
             return super().fill(value)
-        self.from_numpy(np.full(self.shape, value, self.dtype.numpy))
+        if not _active.fill_component(self._whole._single, self._index, value):
+            self.from_numpy(np.full(self.shape, value, self.dtype.numpy))
 
 
 class MatrixField(Field):
@@ -670,11 +671,7 @@ class MatrixField(Field):
             component.from_numpy(np.ascontiguousarray(array[(..., *component._indices)]))
 
     def fill(self, value: Any) -> None:
-        values = np.asarray(value.to_numpy() if hasattr(value, "to_numpy") else value)
-        if values.ndim == 0 and self._single is not None:
-            self._single.fill(values.item())
-            return
-        self.from_numpy(np.broadcast_to(values, self.shape + self.element_shape))
+        _active.fill_matrices(self, value)
 
 
 class _Whole(ScalarField):

@@ -202,6 +202,10 @@ class SNode:
             node = node._parent
         return levels[::-1]
 
+    def nearest_sparse(self) -> SNode | None:
+        """This level or the innermost one above it whose cells can be inactive."""
+        return next((level for level in self.path()[::-1] if level.kind != "dense"), None)
+
     def axis_extents(self) -> dict[int, int]:
         """The number of cells along each axis divided so far, in the order of the axes."""
         total: dict[int, int] = {}

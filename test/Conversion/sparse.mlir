@@ -127,3 +127,28 @@ tai.kernel @length(%i: index, %k: index) -> i64 {
   %1 = arith.index_cast %0 : index to i64
   tai.return %1 : i64
 }
+
+// -----
+
+// Two fields below one level: equal indices are the same cell only where both
+// divide what lies below it alike.
+tai.tree @t : !tai.root<pointer<[i: 4], dense<[i: 8], {x: f32}>, dense<[i: 2], {y: f32}>, dense<[i: 8], {z: f32}>>>
+tai.field @x = @t["x"] : f32, rank 1
+tai.field @y = @t["y"] : f32, rank 1
+tai.field @z = @t["z"] : f32, rank 1
+
+// LOOP-LABEL: tai.kernel @siblings
+//       LOOP:   tai.store {{.*}}, @y[%{{[^]]*}}] : f32
+//       LOOP:   tai.store {{.*}}, @z[%{{[^]]*}}] {tai.active} : f32
+// CHECK-LABEL: tai.kernel @siblings
+//       CHECK:   tai.activate_cell
+//   CHECK-NOT:   tai.activate_cell
+//       CHECK:   tai.return
+tai.kernel @siblings() {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    tai.store %0, @y[%i] : f32
+    tai.store %0, @z[%i] : f32
+  }
+  tai.return
+}

@@ -146,7 +146,7 @@ class Sparse:
                 f"a list of {_describe(node)} has {level.rank - 1} indices, but got {len(indices)}"
             )
         handles = level.element(emitter, self._with_list_index(level, indices, 0))
-        del handles[self._list_dimension(level)]
+        del handles[self.list_dimension(level)]
         attrs = {"field": self.builder.attribute(f"@{level.field.symbol}")}
         index = self.builder.type("index")
         if value is None:
@@ -174,7 +174,7 @@ class Sparse:
             elements.append(converted)
         self.appends = True
         at = self.builder.op("tai.append", [elements[0].handle, *handles], [index], attrs)
-        dimension, offset = self._list_dimension(level), level.field.offset
+        dimension, offset = self.list_dimension(level), level.field.offset
         first = offset[dimension] if offset else 0
         number = emitter.from_index(at, i32)
         where = emitter.to_index(emitter.binary("+", number, first))
@@ -220,7 +220,8 @@ class Sparse:
                 address = emitter.binary("+", address, emitter.binary("*", digit, stride))
         return emitter.cast(address, u64)
 
-    def _list_dimension(self, level: Level) -> int:
+    def list_dimension(self, level: Level) -> int:
+        """The position of the index along a list among those of its field."""
         axes = list(level.node.axis_extents())
         return level.dimensions[axes.index(level.node.axes[0])]
 
@@ -263,8 +264,15 @@ class ListElement:
     """`y[i]` where `y` lies below a dynamic level: the list as a whole."""
 
     def __init__(self, compiler: Any, field: Field, indices: list[Any]):
-        self._compiler, self._indices = compiler, indices
-        self._level = Level(field.level, f"field '{field.name}'")
+        self._compiler = compiler
+        self._level = level = Level(field.level, f"field '{field.name}'")
+        # Indices of the field begin at its offset, those of a list at zero.
+        first = list(field.offset or (0,) * level.rank)
+        del first[compiler.list_dimension(level)]
+        self._indices = [
+            compiler.emitter.binary("-", index, start) if start else index
+            for index, start in zip(indices, first, strict=True)
+        ]
 
     def append(self, value: Any) -> Value:
         """Adds a cell and returns its index."""

@@ -101,3 +101,13 @@ tai.kernel @length(%i: index) {
   %0 = tai.length @x[%i]
   tai.return
 }
+
+// -----
+
+tai.tree @t : !tai.root<dense<[j: 2, i: 4], dynamic<[i: 4], chunk 2, {x: f32}>>>
+tai.field @x = @t["x"] : f32, rank 2
+tai.kernel @length(%i: index) {
+  // expected-error @+1 {{'tai.length' op names a list along axis 'i', which a level above divides as well; the indices do not say which list it is}}
+  %0 = tai.length @x[%i]
+  tai.return
+}

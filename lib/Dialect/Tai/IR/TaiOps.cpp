@@ -366,6 +366,20 @@ static LogicalResult verifyListAccess(Operation *op, FlatSymbolRefAttr name,
     diag.attachNote(field.getLoc()) << "field defined here";
     return diag;
   }
+  // The innermost list, whose axis must be its own: that index is left out.
+  FailureOr<FieldLayout> layout = getFieldLayout(field);
+  ArrayRef<PathLevel> above = layout->path.levels;
+  while (!isa<DynamicType>(above.back().type))
+    above = above.drop_back();
+  unsigned along = above.back().type.getAxes().front();
+  for (const PathLevel &level : above.drop_back())
+    for (auto [axis, extent] :
+         llvm::zip(level.type.getAxes(), level.type.getShape()))
+      if (axis == along && extent != 1)
+        return op->emitOpError("names a list along axis '")
+               << getAxisLetter(axis)
+               << "', which a level above divides as well; the indices do not "
+                  "say which list it is";
   if (indices + 1 != field.getRank())
     return op->emitOpError("expects ")
            << field.getRank() - 1 << " indices, those of the list, but got "

@@ -1,0 +1,56 @@
+"""Fields below sparse levels: where their elements are active, and fills of those alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+def active_elements(field: Any) -> np.ndarray | None:
+    """The indices of the elements in active cells, one row for each; None if all are."""
+    level = field.level
+    sparse = level.nearest_sparse()
+    if sparse is None:
+        return None
+    cells = sparse.active_cells()
+    extents, own = level.axis_extents(), sparse.axis_extents()
+    spans = [extent // own.get(axis, 1) for axis, extent in extents.items()]
+    first = np.zeros((len(cells), len(spans)), np.int64)
+    for column, axis in enumerate(own):
+        dimension = list(extents).index(axis)
+        first[:, dimension] = cells[:, column] * spans[dimension]
+    inside = np.indices(spans).reshape(len(spans), -1).T
+    found = (first[:, None, :] + inside[None, :, :]).reshape(-1, len(spans))
+    return np.ascontiguousarray(found + np.array(field.offset or (0,) * len(spans)))
+
+
+def fill_component(field: Any, component: int, value: Any) -> bool:
+    """Fills a component of a vector field where it is active; False if it is not sparse."""
+    at = active_elements(field)
+    if at is None:
+        return False
+    values = np.empty((len(at), *field.element_shape), field.dtype.numpy)
+    field.core.read_elements(at, values)
+    values.reshape(len(at), -1)[:, component] = value
+    field.core.write_elements(at, values)
+    return True
+
+
+def fill_matrices(field: Any, value: Any) -> None:
+    """Fills a vector or matrix field with a number or an element, where it is active."""
+    values = np.asarray(value.to_numpy() if hasattr(value, "to_numpy") else value)
+    single = field.single
+    if values.ndim == 0 and single is not None:
+        single.fill(values.item())
+        return
+    whole = np.broadcast_to(values, field.element_shape).astype(field.dtype.numpy)
+    if single is None:
+        for component, number in zip(field.components, whole.ravel().tolist(), strict=True):
+            component.fill(number)
+        return
+    at = active_elements(single)
+    if at is None:
+        field.from_numpy(np.broadcast_to(whole, field.shape + field.element_shape))
+    else:
+        single.core.write_elements(at, np.tile(whole.ravel(), (len(at), 1)))
