@@ -10,11 +10,11 @@ PYTHON := .venv/bin/python
 KINDS := $(if $(filter asan,$(PRESET)),--only lit gtest)
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test test-gpu fuzz bench fmt lint portable docs clean setup
+.PHONY: help build demo test test-gpu test-layouts fuzz fuzz-sparse bench fmt lint portable docs clean setup
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /\1\t/' | \
-	  while IFS="$$(printf '\t')" read -r name text; do printf '  make %-10s %s\n' "$$name" "$$text"; done
+	  while IFS="$$(printf '\t')" read -r name text; do printf '  make %-12s %s\n' "$$name" "$$text"; done
 
 setup: ## install system packages and make .venv (the others call it)
 	@scripts/setup.sh
@@ -32,8 +32,14 @@ test: build ## run lit, GoogleTest, pytest and the style checks
 test-gpu: build ## run the tests that need an NVIDIA GPU
 	@$(PYTHON) scripts/run_tests.py --build $(BUILD) --jobs $(JOBS) --gpu
 
+test-layouts: build ## run the tests of kernels on every layout, and compare
+	@$(PYTHON) scripts/run_tests.py --build $(BUILD) --jobs $(JOBS) --layouts
+
 fuzz: build ## differentiate 5000 random kernels (ARGS="--count 500 --first 9000")
 	@$(PYTHON) test/fuzz/run.py --jobs $(JOBS) --log $(BUILD)/fuzz.jsonl $(ARGS)
+
+fuzz-sparse: build ## play 10000 random sequences on random sparse trees (ARGS="--first 900")
+	@$(PYTHON) test/fuzz/run_sparse.py --jobs $(JOBS) --log $(BUILD)/fuzz-sparse.jsonl $(ARGS)
 
 bench: build ## time the scenes against other systems: CSV and plot
 	@$(PYTHON) benchmarks/run.py $(ARGS)
