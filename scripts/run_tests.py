@@ -116,6 +116,30 @@ def run_pytest(jobs: int, out: Path, gpu: bool) -> Result:
     return result.close(status)
 
 
+def run_layouts(build: Path, jobs: int, out: Path) -> list[Result]:
+    """The tests of kernels on every layout: those of pytest, and whole programs in MLIR."""
+    result = Result("layouts")
+    xml = out / "layouts.xml"
+    layouts = ["pointer", "bitmasked", "hash"]
+    command = [sys.executable, "-m", "pytest", "-q", "--tb=short", f"--junitxml={xml}"]
+    command += ["-m", "not gpu", *(f"--layout={name}" for name in layouts)]
+    if jobs > 1:
+        command += ["-n", str(jobs)]
+    status = call([*command, "test/python"])
+    if xml.exists():
+        result.add_junit(xml)
+    programs = Result("programs on layouts")
+    tools = [build / "bin/tai-run", build / "bin/tai-opt", LLVM_BIN / "FileCheck", LLVM_BIN / "not"]
+    folder = ROOT / "test/Integration"
+    again = call(
+        [sys.executable, folder / "layouts.py", folder / "CPU", out / "layouts"]
+        + ["--layouts", ",".join(layouts), "--jobs", jobs, "--log", out / "programs.xml", *tools]
+    )
+    if (out / "programs.xml").exists():
+        programs.add_junit(out / "programs.xml")
+    return [result.close(status), programs.close(again)]
+
+
 def run_lint() -> Result:
     # Imported here: the other kinds do not depend on it.
     import lint
@@ -136,6 +160,7 @@ def main() -> int:
     parser.add_argument("--build", type=Path, default=Path("build"), help="build folder")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--gpu", action="store_true", help="only the tests that need a GPU")
+    parser.add_argument("--layouts", action="store_true", help="the tests on every layout")
     parser.add_argument("--only", nargs="+", choices=["lit", "gtest", "pytest", "lint"])
     args = parser.parse_args()
     build = (ROOT / args.build).resolve()
@@ -149,7 +174,9 @@ def main() -> int:
             "pytest": lambda: run_pytest(args.jobs, out, args.gpu),
             "lint": run_lint,
         }
-        results = [runners[kind]() for kind in kinds]
+        results = [runners[kind]() for kind in kinds if not args.layouts]
+        if args.layouts:
+            results = run_layouts(build, args.jobs, out)
     passed = sum(result.passed for result in results)
     failed = sum(result.failed for result in results)
     print(f"{passed} passed, {failed} failed")

@@ -3,9 +3,72 @@
 import pytest
 import tai as ti
 
+import layouts
+
+# Tests of kernels that run on every layout in the normal run, too.
+ON_EVERY_LAYOUT = {
+    "test_atomic_gradients",
+    "test_infinite_adjoints",
+    "test_matrices",
+    "test_random_programs",
+    "test_semantics_calls",
+    "test_semantics_overwriting",
+    "test_stress_loops",
+    "test_ties",
+}
+
+# Tests that are about layouts, memory or other processes themselves, and say which.
+ABOUT_LAYOUTS = {
+    "test_api", "test_benchmark_scenes", "test_errors", "test_examples", "test_explain",
+    "test_gui", "test_kernel_names", "test_lazy_names", "test_random_kernels", "test_readme",
+    "test_skips", "test_sparse_api", "test_sparse_cells", "test_sparse_errors",
+    "test_sparse_model", "test_taichi_names", "test_trust", "test_tutorial", "test_volumes",
+}  # fmt: skip
+# Refused on every layout, but for another reason: no tape keeps what is overwritten.
+DENSE_ALONE = {"test_a_product_that_is_no_atomic_is_refused"}
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--layout", action="append", choices=[*layouts.LAYOUTS, *layouts.LAZY],
+        help="run each test with its fields on this layout; may be given many times",
+    )  # fmt: skip
+
+
+def pytest_generate_tests(metafunc):
+    if "layout" not in metafunc.fixturenames:
+        return
+    chosen = metafunc.config.getoption("--layout")
+    if not chosen and metafunc.module.__name__ in ON_EVERY_LAYOUT:
+        chosen = layouts.LAYOUTS
+    name = metafunc.module.__name__
+    if name in ABOUT_LAYOUTS or name.startswith("test_sparse"):
+        chosen = None
+    if metafunc.function.__name__ in DENSE_ALONE:
+        chosen = None
+    if chosen:
+        metafunc.parametrize("layout", chosen, indirect=True)
+
+
+def pytest_collection_modifyitems(config, items):
+    if config.getoption("--layout"):
+        items[:] = [item for item in items if "layout" in getattr(item, "callspec", _NONE).params]
+
+
+class _NONE:
+    params: tuple = ()
+
+
+@pytest.fixture
+def layout(request):
+    """The name of the layout that dense levels at the root have in this test."""
+    name = getattr(request, "param", "dense")
+    with layouts.below(name):
+        yield name
+
 
 @pytest.fixture(autouse=True)
-def fresh_program():
+def fresh_program(layout):
     """Each test starts with no fields and the default options."""
     ti.init(arch=ti.cpu, offline_cache=False)
     yield

@@ -16,6 +16,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import layouts  # noqa: E402
 from reference import mpm3d  # noqa: E402
 
 PROGRAMS = Path(__file__).with_name("programs")
@@ -25,7 +26,7 @@ def run(name, *arguments, cwd=PROGRAMS):
     """What the program reports when it runs on its own."""
     environment = dict(os.environ, PYTHONWARNINGS="error::SyntaxWarning")
     done = subprocess.run(
-        [sys.executable, str(PROGRAMS / f"{name}.py"), *map(str, arguments)],
+        [*layouts.command(), str(PROGRAMS / f"{name}.py"), *map(str, arguments)],
         cwd=cwd, env=environment, capture_output=True, text=True, timeout=300, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
