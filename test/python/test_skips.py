@@ -5,6 +5,8 @@ import pytest
 import tai as ti
 from tai.errors import TaiRuntimeError
 
+import test_loop_gradients
+
 NAMES = list(ti.profiler.skips())
 
 
@@ -431,6 +433,20 @@ def test_gradients_of_loops_have_the_same_bits_without_one_skip(name):
     expected = differentiate_loop()
     ti.init(deterministic=True, skip=f"all,-{name}")
     assert np.array_equal(bits(differentiate_loop()), bits(expected))
+
+
+@pytest.mark.parametrize("name", test_loop_gradients.CASES)
+def test_gradients_of_nested_loops_have_the_same_bits_without_any_skip(name):
+    gradients = []
+    for skip in ("all", "none"):
+        ti.init(default_fp=ti.f64, deterministic=True, skip=skip)
+        case = test_loop_gradients.Case(ti.f64)
+        kernel = test_loop_gradients.CASES[name](case)
+        with ti.ad.Tape(case.loss):
+            kernel()
+        gradients.append([field.grad.to_numpy() for field in case.inputs])
+    assert any(np.any(gradient) for gradient in gradients[0])
+    assert_same_bits(*gradients)
 
 
 def test_the_cache_tells_the_same(tmp_path):
