@@ -23,11 +23,14 @@ class Skips(dict):
 
     Attributes:
         on: the names of the skips that are on.
+        levels: for each sparse level of which there was a list, by what it is called in the
+            layout: lists `made` and `reused`.
     """
 
     def __init__(self, rows: list[tuple[str, str, int, bool]]):
         super().__init__()
         self.on: set[str] = set()
+        self.levels: dict[str, dict[str, int]] = {}
         for skip, counter, value, is_on in rows:
             self.setdefault(skip, {})[counter] = value
             if is_on:
@@ -43,6 +46,9 @@ class Skips(dict):
             ]
             state = "on" if skip in self.on else "off"
             lines.append(f"{skip:<22}{state:<5}{', '.join(shown)}")
+            if skip == "list-reuse" and len(self.levels) > 1:
+                for level, lists in self.levels.items():
+                    lines.append(f"{'':<29}{level}: made {lists['made']}, reused {lists['reused']}")
         return "\n".join(lines)
 
 
@@ -56,7 +62,26 @@ def skips() -> Skips:
     from .program import get_program
 
     found = Skips(get_program().context.skips())
-    found["lazy-compilation"]["kernels_defined"] = _state.program.kernels_defined()
+    program = _state.program
+    found["lazy-compilation"]["kernels_defined"] = program.kernels_defined()
+    for level, (made, reused) in _lists(program).items():
+        made_before, reused_before = program.lists_before.get(level, (0, 0))
+        made, reused = made - made_before, reused - reused_before
+        if made or reused:
+            lists = found.levels.setdefault(repr(level), {"made": 0, "reused": 0})
+            lists["made"] += made
+            lists["reused"] += reused
+    return found
+
+
+def _lists(program: Any) -> dict[Any, tuple[int, int]]:
+    """How many lists of active cells each sparse level has made and reused."""
+    found = {}
+    roots = {field.level.root_node for field in program.fields.values() if field.level}
+    for root in roots:
+        if root.tree is not None:
+            for number, level in enumerate(root.sparse_levels()):
+                found[level] = program.context.sparse_level(root.tree, number)[3:5]
     return found
 
 
@@ -70,6 +95,7 @@ def clear_skips() -> None:
     if _state.program is not None:
         _state.program.context.clear_skips()
         _state.program.count_kernels_from_here()
+        _state.program.lists_before = _lists(_state.program)
 
 
 def option_text(value: Any) -> str:

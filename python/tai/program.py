@@ -108,6 +108,8 @@ class Program:
         self.kernel_functions: dict[str, Any] = {}
         self.kernels: weakref.WeakSet = weakref.WeakSet()
         self.count_kernels_from_here()
+        # Lists that sparse levels had made and reused at the last `clear_skips`.
+        self.lists_before: dict[Any, tuple[int, int]] = {}
         self._set_options()
 
     def close(self) -> None:

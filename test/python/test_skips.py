@@ -151,6 +151,39 @@ def test_lists_are_made_when_activity_changes(skip, made, reused):
     assert x.to_numpy().sum() == 10 * 4 + 5 * 4 + 2
 
 
+def test_lists_are_counted_for_each_level():
+    ti.init()
+    x, y, total = ti.field(ti.i32), ti.field(ti.i32), ti.field(ti.i32, shape=())
+    upper = ti.root.pointer(ti.i, 8)
+    upper.bitmasked(ti.i, 4).place(x)
+    ti.root.hash(ti.i, 4).dense(ti.i, 2).place(y)
+
+    @ti.kernel
+    def step():
+        for i in x:
+            x[i] += 1
+        for i in upper:
+            total[None] += i
+        for i in y:
+            y[i] += 1
+
+    x[4] = y[2] = 1
+    for _ in range(3):
+        step()
+    found = ti.profiler.skips()
+    assert found.levels == {
+        "ti.root.pointer(ti.i, (8,)).bitmasked(ti.i, (4,))": {"made": 1, "reused": 2},
+        "ti.root.pointer(ti.i, (8,))": {"made": 1, "reused": 2},
+        "ti.root.hash(ti.i, (4,))": {"made": 1, "reused": 2},
+    }
+    assert found["list-reuse"] == {"made": 3, "reused": 6}
+    assert "ti.root.hash(ti.i, (4,)): made 1, reused 2" in str(found)
+    ti.profiler.clear_skips()
+    assert ti.profiler.skips().levels == {}
+    step()
+    assert ti.profiler.skips().levels["ti.root.hash(ti.i, (4,))"] == {"made": 0, "reused": 1}
+
+
 @pytest.mark.parametrize("skip, skipped, empty", [("all", 3, 0), ("all,-empty-lists", 0, 3)])
 def test_a_launch_over_nothing_is_left_out(skip, skipped, empty):
     ti.init(skip=skip)
