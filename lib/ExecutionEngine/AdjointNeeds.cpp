@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/AdjointNeeds.h"
+#include "AdjointFlags.h"
 #include "mlir/IR/SymbolTable.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/ADT/StringExtras.h"
@@ -89,6 +90,7 @@ AdjointNeeds mlir::tai::getAdjointNeeds(ModuleOp module, StringRef name) {
     if (!llvm::is_contained(needs.activity, field))
       needs.activity.push_back(field.str());
   });
+  needs.flags = findLoopFlags(kernel, adjoint);
   for (Operation &helper : *module.getBody())
     if (!isa<KernelOp>(helper))
       add(listAccesses(&helper));
@@ -216,6 +218,14 @@ std::string AdjointNeeds::serialize() const {
   writer.add(static_cast<int64_t>(activity.size()));
   for (const std::string &field : activity)
     writer.add(field);
+  writer.add(static_cast<int64_t>(flags.size()));
+  for (const LoopFlags &loop : flags) {
+    writer.add(loop.field);
+    writer.add(static_cast<int64_t>(loop.sumsUp));
+    writer.add(static_cast<int64_t>(loop.sources.size()));
+    for (const std::string &source : loop.sources)
+      writer.add(source);
+  }
   writer.add(static_cast<int64_t>(reruns));
   writer.add(parts);
   return std::move(writer.bytes);
@@ -242,6 +252,12 @@ std::optional<AdjointNeeds> AdjointNeeds::deserialize(StringRef bytes) {
     needs.before.push_back(reader.text());
   for (int64_t i = reader.length(); i > 0; --i)
     needs.activity.push_back(reader.text());
+  for (int64_t i = reader.length(); i > 0; --i) {
+    LoopFlags loop{reader.text(), {}, reader.number() != 0};
+    for (int64_t s = reader.length(); s > 0; --s)
+      loop.sources.push_back(reader.text());
+    needs.flags.push_back(std::move(loop));
+  }
   needs.reruns = reader.number() != 0;
   needs.parts = reader.text();
   if (!reader.ok || !reader.atEnd())

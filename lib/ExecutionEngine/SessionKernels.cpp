@@ -467,6 +467,13 @@ runtime::Status Session::planAdjoint(KernelCode &code,
   for (const std::string &name : needs->activity)
     if (runtime::FieldPtr field = findField(name))
       plan.activity.push_back(field);
+  for (const LoopFlags &loop : needs->flags) {
+    runtime::AdjointFlags flags{findField(loop.field), {}, loop.sumsUp};
+    for (const std::string &name : loop.sources)
+      flags.sources.push_back(rt->findField(name));
+    if (flags.loop)
+      plan.flags.push_back(std::move(flags));
+  }
   plan.reruns = needs->reruns;
   if (needs->parts.empty())
     return runtime::Status::success();

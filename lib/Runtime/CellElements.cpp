@@ -98,7 +98,16 @@ bool CellElements::isZero(int64_t cell) const {
   const char *address = base(cell);
   return std::all_of(pieces.begin(), pieces.end(), [&](const Run &run) {
     const char *at = address + run.offset;
-    return std::all_of(at, at + run.bytes, [](char byte) { return byte == 0; });
+    int64_t left = run.bytes;
+    for (; left >= 64; left -= 64, at += 64) {
+      uint64_t words[8], any = 0;
+      std::memcpy(words, at, sizeof(words));
+      for (uint64_t word : words)
+        any |= word;
+      if (any)
+        return false;
+    }
+    return std::all_of(at, at + left, [](char byte) { return byte == 0; });
   });
 }
 

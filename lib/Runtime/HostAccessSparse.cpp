@@ -48,13 +48,15 @@ void Runtime::fillActive(Field &field, const void *scalarBytes) {
   auto scalar = static_cast<size_t>(byteSize(field.scalar()));
   const auto *bytes = static_cast<const char *>(scalarBytes);
   bool zero = std::all_of(bytes, bytes + scalar, [](char b) { return !b; });
+  std::vector<char> pattern;
+  if (!zero)
+    for (int64_t at = 0; at < elements.bytes(); at += int64_t(scalar))
+      pattern.insert(pattern.end(), bytes, bytes + scalar);
   forEachActiveCell(*this, field, elements.bytes(), [&](int64_t cell) {
     if (zero)
-      return elements.clear(cell);
-    char *base = elements.base(cell);
-    for (const CellElements::Run &run : elements.runs())
-      for (int64_t at = 0; at < run.bytes; at += static_cast<int64_t>(scalar))
-        std::memcpy(base + run.offset + at, bytes, scalar);
+      elements.clear(cell);
+    else
+      elements.store(cell, pattern.data());
   });
 }
 

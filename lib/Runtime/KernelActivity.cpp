@@ -67,13 +67,16 @@ const std::vector<int64_t> &Launch::cellsFor(SparseNode &node) {
   static const std::vector<int64_t> none;
   if (!given) {
     ActiveListPtr list = node.list(owner());
-    std::lock_guard<std::mutex> lock(failureMutex);
-    loops.add(node, list);
-    return list->cells; // which `loops` holds
+    {
+      std::lock_guard<std::mutex> lock(failureMutex);
+      loops.add(node, list);
+    }
+    // The list stays, which `loops` holds.
+    return flags ? withoutVain(node, list->cells) : list->cells;
   }
   const LoopLists::Entry *entry = given->find(node);
   if (entry && !entry->differs)
-    return entry->list->cells;
+    return flags ? withoutVain(node, entry->list->cells) : entry->list->cells;
   std::string what = "the gradient of kernel '" + *primalName + "' ";
   if (entry && owner().inReverseFunction())
     what += "loops over the active cells of " + node.info().label +

@@ -89,6 +89,11 @@ struct Launch : TaiFrame {
   /// Of adjoints: what those of the primal did, and its name.
   const LoopLists *given = nullptr;
   const std::string *primalName = nullptr;
+  /// Of adjoints: which cells their loops may leave out, and what is left.
+  const std::vector<AdjointFlags> *flags = nullptr;
+  std::vector<std::unique_ptr<std::vector<int64_t>>> filtered;
+  const std::vector<int64_t> &withoutVain(const SparseNode &node,
+                                          const std::vector<int64_t> &cells);
   std::atomic<bool> failed{false};
   std::mutex failureMutex;
   Status failure;

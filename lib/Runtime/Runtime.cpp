@@ -551,8 +551,12 @@ Status Runtime::runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
     field->adjoint()->markDirty();
   launch.given = given;
   launch.primalName = &kernel.name();
+  if (!kernel.sparseNodes.empty() && skips(Skip::AdjointFlags) && !forward)
+    launch.flags = &kernel.plan().flags;
   Status status = run(launch, adjoint, args, nullptr, number);
   launch.given = nullptr;
+  launch.flags = nullptr;
+  launch.filtered.clear();
   return status;
 }
 

@@ -30,6 +30,15 @@ struct NamedAccess {
   }
 };
 
+/// A loop of an adjoint over a sparse field: what it does in a cell in which
+/// these fields are zero changes nothing. Without any, it may.
+struct LoopFlags {
+  std::string field;
+  std::vector<std::string> sources;
+  /// It adds to elements that lie below no sparse level.
+  bool sumsUp = false;
+};
+
 /// What the ops under `root` do to fields; indices are told from the arguments
 /// of kernels.
 std::vector<NamedAccess> listAccesses(Operation *root);
@@ -41,6 +50,7 @@ struct AdjointNeeds {
   std::vector<std::string> before;
   /// Fields above which it asks for activity.
   std::vector<std::string> activity;
+  std::vector<LoopFlags> flags;
   /// It changes these while it runs.
   bool reruns = false;
   /// If not empty, the module with the parts of the kernel, as text.

@@ -81,6 +81,15 @@ struct LoopLevel {
   int64_t node;
 };
 
+/// A loop of an adjoint over a sparse field that changes nothing in cells where
+/// all of `sources` are zero; without any, it may.
+struct AdjointFlags {
+  FieldPtr loop;
+  std::vector<FieldPtr> sources;
+  /// It adds to elements that lie below no sparse level.
+  bool sumsUp = false;
+};
+
 /// What the adjoint of a kernel asks of memory, known before its code is.
 struct AdjointPlan {
   /// The fields of the primal that it reads.
@@ -99,6 +108,8 @@ struct AdjointPlan {
   bool provisional = false;
   /// It asks which cells of the sparse levels above these are active.
   std::vector<FieldPtr> activity = {};
+  /// Its loops over sparse fields.
+  std::vector<AdjointFlags> flags = {};
 };
 
 /// The adjoints of arguments and results, which are in memory of the caller. A

@@ -1,0 +1,280 @@
+//===- AdjointFlags.cpp - Loops that zero adjoints make vain --------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Every contribution of most adjoint loops is a product with an adjoint that
+// the iteration takes from its own cell. Such a loop has nothing to do in cells
+// where these adjoints are zero. This finds, for each loop, the fields that
+// must be zero, from the set of values that are zero then: the largest one that
+// agrees with what each op does to zeros.
+//
+//===----------------------------------------------------------------------===//
+
+#include "AdjointFlags.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "mlir/IR/Matchers.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include "llvm/ADT/SetVector.h"
+#include "llvm/ADT/TypeSwitch.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+/// One loop over a sparse field.
+class LoopAnalysis {
+public:
+  LoopAnalysis(ParallelForOp loop, FieldLayout layout)
+      : loop(loop), layout(std::move(layout)) {}
+
+  /// False if some effect of an iteration does not vanish.
+  bool run();
+
+  SetVector<StringAttr> sources;
+  bool sumsUp = false;
+
+private:
+  bool isOwn(Operation *op, FlatSymbolRefAttr name, ValueRange indices) const;
+  bool staysZero(Value value) const;
+  bool staysZeroResult(Operation *op, unsigned number) const;
+  bool areZero(ValueRange values) const {
+    return llvm::all_of(values, [&](Value v) { return zeros.contains(v); });
+  }
+  bool isHarmless(Operation *op);
+
+  ParallelForOp loop;
+  FieldLayout layout;
+  DenseSet<Value> zeros;
+};
+} // namespace
+
+/// A loop over the elements of a sparse field, and how that is laid out.
+static std::optional<FieldLayout> getSparseLayout(ParallelForOp loop) {
+  if (!loop.isStructFor())
+    return std::nullopt;
+  FieldOp field = lookupField(loop, loop.getFieldAttr());
+  FailureOr<FieldLayout> layout =
+      field ? getFieldLayout(field) : FailureOr<FieldLayout>(failure());
+  if (failed(layout) || !layout->path.getFirstSparse())
+    return std::nullopt;
+  return *layout;
+}
+
+static bool isFloat(Type type) {
+  return isa<FloatType>(getElementTypeOrSelf(type));
+}
+
+/// True for accesses to the cell of the iteration.
+static bool isOwnAccess(ParallelForOp loop, const FieldLayout &layout,
+                        Operation *op, FlatSymbolRefAttr name,
+                        ValueRange indices) {
+  FieldOp field = lookupField(op, name);
+  FailureOr<FieldLayout> other =
+      field ? getFieldLayout(field) : FailureOr<FieldLayout>(failure());
+  return succeeded(other) && other->tree == layout.tree &&
+         other->path.getFirstSparse() &&
+         other->axisOfIndex == layout.axisOfIndex &&
+         other->offset == layout.offset &&
+         llvm::equal(indices, loop.getInductionVars());
+}
+
+bool LoopAnalysis::isOwn(Operation *op, FlatSymbolRefAttr name,
+                         ValueRange indices) const {
+  return isOwnAccess(loop, layout, op, name, indices);
+}
+
+bool LoopAnalysis::staysZeroResult(Operation *op, unsigned number) const {
+  Attribute constant;
+  if (matchPattern(op->getResult(number), m_Constant(&constant)))
+    return matchPattern(op->getResult(number), m_AnyZeroFloat());
+  return llvm::TypeSwitch<Operation *, bool>(op)
+      .Case([&](LoadOp load) {
+        return sources.contains(load.getFieldAttr().getAttr()) &&
+               isOwn(load, load.getFieldAttr(), load.getIndices());
+      })
+      // Of a product, one factor is enough: the others are finite.
+      .Case<arith::MulFOp, MatmulOp, DotOp, CrossOp, OuterOp>(
+          [&](Operation *product) {
+            return llvm::any_of(product->getOperands(),
+                                [&](Value v) { return zeros.contains(v); });
+          })
+      .Case([&](arith::DivFOp quotient) {
+        return zeros.contains(quotient.getLhs());
+      })
+      .Case([&](arith::SelectOp select) {
+        return zeros.contains(select.getTrueValue()) &&
+               zeros.contains(select.getFalseValue());
+      })
+      .Case<arith::AddFOp, arith::SubFOp, arith::NegFOp, arith::ExtFOp,
+            arith::TruncFOp, TransposeOp, SumOp, TraceOp,
+            vector::FromElementsOp, vector::BroadcastOp, vector::ShuffleOp>(
+          [&](Operation *linear) { return areZero(linear->getOperands()); })
+      .Case([&](vector::ExtractOp extract) {
+        return zeros.contains(extract->getOperand(0));
+      })
+      .Case([&](vector::InsertOp insert) {
+        return zeros.contains(insert->getOperand(0)) &&
+               zeros.contains(insert->getOperand(1));
+      })
+      .Case([&](scf::IfOp branch) {
+        return llvm::all_of(branch->getRegions(), [&](Region &region) {
+          return !region.empty() &&
+                 zeros.contains(
+                     region.front().getTerminator()->getOperand(number));
+        });
+      })
+      .Case([&](scf::ForOp inner) {
+        return zeros.contains(inner.getInits()[number]) &&
+               zeros.contains(
+                   inner.getBody()->getTerminator()->getOperand(number));
+      })
+      .Default([](Operation *) { return false; });
+}
+
+bool LoopAnalysis::staysZero(Value value) const {
+  if (auto result = dyn_cast<OpResult>(value))
+    return staysZeroResult(result.getOwner(), result.getResultNumber());
+  auto argument = cast<BlockArgument>(value);
+  auto inner = dyn_cast<scf::ForOp>(argument.getOwner()->getParentOp());
+  if (!inner || argument.getArgNumber() == 0)
+    return false;
+  unsigned number = argument.getArgNumber() - 1;
+  return zeros.contains(inner.getInits()[number]) &&
+         zeros.contains(inner.getBody()->getTerminator()->getOperand(number));
+}
+
+/// Whether the effects of an op vanish where its zeros are.
+bool LoopAnalysis::isHarmless(Operation *op) {
+  if (auto atomic = dyn_cast<AtomicOp>(op)) {
+    FieldOp field = lookupField(op, atomic.getFieldAttr());
+    FailureOr<FieldLayout> target =
+        field ? getFieldLayout(field) : FailureOr<FieldLayout>(failure());
+    sumsUp |= failed(target) || !target->path.getFirstSparse();
+    // One iteration would make another one matter.
+    if (sources.contains(atomic.getFieldAttr().getAttr()) &&
+        !isOwn(op, atomic.getFieldAttr(), atomic.getIndices()))
+      return false;
+    return (atomic.getKind() == AtomicKind::Add ||
+            atomic.getKind() == AtomicKind::Sub) &&
+           atomic.getOld().use_empty() && zeros.contains(atomic.getValue());
+  }
+  if (auto store = dyn_cast<StoreOp>(op))
+    return sources.contains(store.getFieldAttr().getAttr()) &&
+           isOwn(op, store.getFieldAttr(), store.getIndices()) &&
+           zeros.contains(store.getValue());
+  // What is the iteration's own goes with it.
+  if (isa<StackCreateOp, StackPushOp, StackPopOp, StackDestroyOp>(op))
+    return llvm::all_of(op->getOperands(), [&](Value operand) {
+      return !isa<StackType>(operand.getType()) ||
+             loop->isProperAncestor(operand.getParentBlock()->getParentOp()) ||
+             operand.getParentBlock() == &loop.getBody().front();
+    });
+  return op->getNumRegions() != 0 || isMemoryEffectFree(op) ||
+         hasSingleEffect<MemoryEffects::Read>(op) ||
+         isa<AllocaOp, LocalLoadOp, LocalStoreOp, YieldOp>(op);
+}
+
+bool LoopAnalysis::run() {
+  if (loop.getLevel())
+    return false;
+  // Adjoints of the own cell, read or set to zero.
+  auto addSource = [&](Operation *op, FlatSymbolRefAttr name,
+                       ValueRange indices) {
+    if (isOwn(op, name, indices))
+      sources.insert(name.getAttr());
+  };
+  DenseSet<Attribute> adjoints;
+  for (FieldOp field : loop->getParentOfType<ModuleOp>().getOps<FieldOp>())
+    if (field.getAdjointAttr())
+      adjoints.insert(field.getAdjointAttr().getAttr());
+  loop.walk([&](Operation *op) {
+    if (auto load = dyn_cast<LoadOp>(op)) {
+      if (adjoints.contains(load.getFieldAttr().getAttr()))
+        addSource(op, load.getFieldAttr(), load.getIndices());
+    } else if (auto store = dyn_cast<StoreOp>(op)) {
+      if (adjoints.contains(store.getFieldAttr().getAttr()))
+        addSource(op, store.getFieldAttr(), store.getIndices());
+    }
+  });
+  auto consider = [&](Value value) {
+    if (isFloat(value.getType()))
+      zeros.insert(value);
+  };
+  loop.walk([&](Operation *op) {
+    llvm::for_each(op->getResults(), consider);
+    for (Region &region : op->getRegions())
+      for (Block &block : region)
+        llvm::for_each(block.getArguments(), consider);
+    // Constants of the function.
+    for (Value operand : op->getOperands())
+      if (matchPattern(operand, m_AnyZeroFloat()))
+        zeros.insert(operand);
+  });
+  for (bool changed = true; changed;) {
+    SmallVector<Value> gone;
+    for (Value value : zeros)
+      if (!staysZero(value))
+        gone.push_back(value);
+    for (Value value : gone)
+      zeros.erase(value);
+    changed = !gone.empty();
+  }
+  WalkResult result = loop.walk([&](Operation *op) {
+    return op == loop || isHarmless(op) ? WalkResult::advance()
+                                        : WalkResult::interrupt();
+  });
+  return !result.wasInterrupted() && !sources.empty();
+}
+
+std::vector<LoopFlags> mlir::tai::findLoopFlags(KernelOp primal,
+                                                KernelOp adjoint) {
+  std::vector<LoopFlags> flags;
+  adjoint.walk([&](ParallelForOp loop) {
+    std::optional<FieldLayout> layout = getSparseLayout(loop);
+    if (!layout)
+      return;
+    LoopAnalysis analysis(loop, *layout);
+    bool vanishes = analysis.run();
+    LoopFlags entry{loop.getFieldAttr().getValue().str(), {}, analysis.sumsUp};
+    if (vanishes)
+      for (StringAttr source : analysis.sources)
+        entry.sources.push_back(source.str());
+    flags.push_back(std::move(entry));
+  });
+  // The form of the adjoint that takes sets these to zero, too.
+  primal.walk([&](Operation *op) {
+    auto loop = op->getParentOfType<ParallelForOp>();
+    auto name = op->getAttrOfType<FlatSymbolRefAttr>("field");
+    FieldOp field = name ? lookupField(op, name) : FieldOp();
+    bool stores = isa<StoreOp>(op);
+    if (auto atomic = dyn_cast<AtomicOp>(op))
+      stores = atomic.getKind() != AtomicKind::Add &&
+               atomic.getKind() != AtomicKind::Sub;
+    if (!loop || !field || !stores || !field.getAdjointAttr())
+      return;
+    std::optional<FieldLayout> layout = getSparseLayout(loop);
+    if (!layout)
+      return;
+    auto store = dyn_cast<StoreOp>(op);
+    bool isOwn = store &&
+                 isOwnAccess(loop, *layout, op, name, store.getIndices()) &&
+                 isOwnAccess(loop, *layout, op, field.getAdjointAttr(),
+                             store.getIndices());
+    for (LoopFlags &entry : flags) {
+      if (entry.field != loop.getFieldAttr().getValue() ||
+          entry.sources.empty())
+        continue;
+      std::string source = field.getAdjointAttr().getValue().str();
+      if (!isOwn)
+        entry.sources.clear();
+      else if (!llvm::is_contained(entry.sources, source))
+        entry.sources.push_back(std::move(source));
+    }
+  });
+  return flags;
+}
