@@ -58,56 +58,109 @@ CellElements::CellElements(const Field &field) : field(&field) {
       else
         pieces.push_back({offset, scalar});
     }
+  if (pieces.size() > 1)
+    step = pieces[1].offset - pieces[0].offset;
+  for (size_t i = 0; i < pieces.size(); ++i)
+    if (pieces[i].bytes != pieces[0].bytes ||
+        pieces[i].offset - pieces[0].offset != int64_t(i) * step)
+      step = 0;
   total = static_cast<int64_t>(inner.size()) * field.numComponents() * scalar;
 }
 
-void CellElements::load(int64_t cell, char *to) const {
-  const char *address = base(cell);
+template <typename Body> bool CellElements::forEachRun(const Body &body) const {
+  auto count = static_cast<int64_t>(pieces.size());
+  auto evenly = [&](auto size) {
+    int64_t offset = pieces.front().offset;
+    for (int64_t i = 0; i < count; ++i, offset += step)
+      if (!body(offset, size, i * static_cast<int64_t>(size)))
+        return false;
+    return true;
+  };
+  if (step)
+    switch (pieces.front().bytes) {
+    case 4:
+      return evenly(std::integral_constant<size_t, 4>());
+    case 8:
+      return evenly(std::integral_constant<size_t, 8>());
+    case 12:
+      return evenly(std::integral_constant<size_t, 12>());
+    case 16:
+      return evenly(std::integral_constant<size_t, 16>());
+    case 24:
+      return evenly(std::integral_constant<size_t, 24>());
+    }
+  int64_t position = 0;
   for (const Run &run : pieces) {
-    std::memcpy(to, address + run.offset, static_cast<size_t>(run.bytes));
-    to += run.bytes;
-  }
-}
-
-void CellElements::store(int64_t cell, const char *from) const {
-  char *address = base(cell);
-  for (const Run &run : pieces) {
-    std::memcpy(address + run.offset, from, static_cast<size_t>(run.bytes));
-    from += run.bytes;
-  }
-}
-
-bool CellElements::equal(int64_t cell, const char *expected) const {
-  const char *address = base(cell);
-  for (const Run &run : pieces) {
-    if (std::memcmp(address + run.offset, expected,
-                    static_cast<size_t>(run.bytes)) != 0)
+    if (!body(run.offset, static_cast<size_t>(run.bytes), position))
       return false;
-    expected += run.bytes;
+    position += run.bytes;
   }
   return true;
 }
 
+void CellElements::load(int64_t cell, char *to) const {
+  const char *address = base(cell);
+  forEachRun([&](int64_t offset, auto size, int64_t position) {
+    std::memcpy(to + position, address + offset, size);
+    return true;
+  });
+}
+
+void CellElements::store(int64_t cell, const char *from) const {
+  char *address = base(cell);
+  forEachRun([&](int64_t offset, auto size, int64_t position) {
+    std::memcpy(address + offset, from + position, size);
+    return true;
+  });
+}
+
+bool CellElements::equal(int64_t cell, const char *expected) const {
+  const char *address = base(cell);
+  return forEachRun([&](int64_t offset, auto size, int64_t position) {
+    return std::memcmp(address + offset, expected + position, size) == 0;
+  });
+}
+
+void CellElements::exchange(int64_t cell, char *contents) const {
+  char *address = base(cell);
+  forEachRun([&](int64_t offset, auto size, int64_t position) {
+    char *mine = address + offset, *other = contents + position;
+    std::swap_ranges(mine, mine + static_cast<size_t>(size), other);
+    return true;
+  });
+}
+
 void CellElements::clear(int64_t cell) const {
   char *address = base(cell);
-  for (const Run &run : pieces)
-    std::memset(address + run.offset, 0, static_cast<size_t>(run.bytes));
+  forEachRun([&](int64_t offset, auto size, int64_t) {
+    std::memset(address + offset, 0, size);
+    return true;
+  });
+}
+
+/// True if all bytes are zero.
+static bool areZero(const char *at, size_t bytes) {
+  for (; bytes >= 64; bytes -= 64, at += 64) {
+    uint64_t words[8], any = 0;
+    std::memcpy(words, at, sizeof(words));
+    for (uint64_t word : words)
+      any |= word;
+    if (any)
+      return false;
+  }
+  for (; bytes >= 4; bytes -= 4, at += 4) {
+    uint32_t word;
+    std::memcpy(&word, at, sizeof(word));
+    if (word)
+      return false;
+  }
+  return std::all_of(at, at + bytes, [](char byte) { return byte == 0; });
 }
 
 bool CellElements::isZero(int64_t cell) const {
   const char *address = base(cell);
-  return std::all_of(pieces.begin(), pieces.end(), [&](const Run &run) {
-    const char *at = address + run.offset;
-    int64_t left = run.bytes;
-    for (; left >= 64; left -= 64, at += 64) {
-      uint64_t words[8], any = 0;
-      std::memcpy(words, at, sizeof(words));
-      for (uint64_t word : words)
-        any |= word;
-      if (any)
-        return false;
-    }
-    return std::all_of(at, at + left, [](char byte) { return byte == 0; });
+  return forEachRun([&](int64_t offset, auto size, int64_t) {
+    return areZero(address + offset, size);
   });
 }
 

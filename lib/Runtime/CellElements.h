@@ -45,6 +45,7 @@ public:
   void load(int64_t cell, char *to) const;
   void store(int64_t cell, const char *from) const;
   bool equal(int64_t cell, const char *expected) const;
+  void exchange(int64_t cell, char *contents) const;
   void clear(int64_t cell) const;
   bool isZero(int64_t cell) const;
 
@@ -63,9 +64,16 @@ public:
   int64_t position(int64_t cell, int dimension) const;
 
 private:
+  /// Calls body(offset, constant size, position in the buffer) for all pieces
+  /// until it returns false.
+  template <typename Body> bool forEachRun(const Body &body) const;
+
   const Field *field;
   std::vector<Run> pieces;
   int64_t total = 0;
+  /// Where there are many pieces of one size, evenly spaced, as in records of
+  /// several fields: the distance between them, else 0.
+  int64_t step = 0;
   std::vector<Element> inner;
   /// The digits that count cells; `divisor` is what a step adds to the number
   /// of the element.

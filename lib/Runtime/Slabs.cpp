@@ -189,6 +189,13 @@ bool Slabs::equal(int64_t first, int64_t count, const char *expected) const {
                     });
 }
 
+void Slabs::exchange(int64_t first, int64_t count, char *contents) const {
+  forEachCell(first, count, [&](int64_t cell, int64_t offset) {
+    cells->exchange(cell, contents + offset);
+    return true;
+  });
+}
+
 bool Slabs::isZero(int64_t first, int64_t count) const {
   return forEachCell(
       first, count, [&](int64_t cell, int64_t) { return cells->isZero(cell); });

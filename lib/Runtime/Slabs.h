@@ -48,7 +48,9 @@ public:
   void store(int64_t first, int64_t count, const char *from) const;
   /// True where they hold these bytes.
   bool equal(int64_t first, int64_t count, const char *expected) const;
-  /// The same for zeros; where cells are numbered.
+  /// Stores elements and takes what they held, and compares with zeros or
+  /// stores them; where cells are numbered.
+  void exchange(int64_t first, int64_t count, char *contents) const;
   bool isZero(int64_t first, int64_t count) const;
   void clear(int64_t first, int64_t count) const;
 

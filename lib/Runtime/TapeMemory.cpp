@@ -384,16 +384,51 @@ int64_t TapeMemory::bytesAt(uint32_t record) const {
 // Reverse
 //===----------------------------------------------------------------------===//
 
-void TapeMemory::swap(Piece &piece) {
+void TapeMemory::swap(Piece &piece, std::vector<char> &spare) {
   auto bytes = static_cast<size_t>(piece.bytes());
+  if (piece.track->slabs.byCell()) {
+    if (!piece.data)
+      piece.data.reset(new char[bytes]());
+    piece.track->slabs.exchange(piece.first(), piece.count(), piece.data.get());
+    return;
+  }
   if (spare.size() < bytes)
     spare.resize(bytes);
   const Slabs &slabs = piece.track->slabs;
   slabs.load(piece.first(), piece.count(), spare.data());
   piece.putBack();
-  if (!piece.data)
-    piece.data.reset(new char[bytes]);
   std::memcpy(piece.data.get(), spare.data(), bytes);
+}
+
+void TapeMemory::swapAll(const std::vector<Piece *> &some) {
+  // Pieces of one record do not overlap.
+  constexpr int64_t bytesPerPart = 1 << 20;
+  int64_t bytes = 0;
+  for (const Piece *piece : some)
+    bytes += piece->bytes();
+  struct Job {
+    TapeMemory &memory;
+    const std::vector<Piece *> &pieces;
+    int64_t parts;
+  } job{*this, some,
+        std::clamp<int64_t>(bytes / bytesPerPart, 1,
+                            2 * int64_t(runtime.threads()))};
+  if (job.parts == 1) {
+    for (Piece *piece : some)
+      swap(*piece, spare);
+    return;
+  }
+  runtime.parallel(
+      job.parts,
+      [](void *context, int64_t part) {
+        Job &job = *static_cast<Job *>(context);
+        auto count = static_cast<int64_t>(job.pieces.size());
+        std::vector<char> spare;
+        int64_t end = count * (part + 1) / job.parts;
+        for (int64_t i = count * part / job.parts; i < end; ++i)
+          job.memory.swap(*job.pieces[i], spare);
+      },
+      &job);
 }
 
 Status TapeMemory::beginReverse() {
@@ -426,12 +461,17 @@ template <typename Visit> void TapeMemory::forEachEntered(const Visit &visit) {
 
 void TapeMemory::enter(uint32_t record, bool reruns) {
   while (cursor > 0 && pieces[cursor - 1].record > record) {
-    Piece &piece = pieces[--cursor];
-    if (!piece.before || entered != piece.record)
-      swap(piece);
+    uint32_t last = pieces[cursor - 1].record;
+    some.clear();
+    for (; cursor > 0 && pieces[cursor - 1].record == last; --cursor)
+      if (!pieces[cursor - 1].before || entered != last)
+        some.push_back(&pieces[cursor - 1]);
+    swapAll(some);
   }
   entered = record;
-  forEachEntered([&](Piece &piece) { swap(piece); });
+  some.clear();
+  forEachEntered([&](Piece &piece) { some.push_back(&piece); });
+  swapAll(some);
   if (!reruns)
     return;
   beforeCopy.clear();
@@ -456,10 +496,17 @@ void TapeMemory::leave(bool reruns) {
 
 void TapeMemory::endReverse() {
   // Of the record that was entered last, what was wanted early is back already.
+  some.clear();
   for (; cursor > 0 && pieces[cursor - 1].record == entered; --cursor)
     if (!pieces[cursor - 1].before)
-      swap(pieces[cursor - 1]);
-  for (; cursor < pieces.size(); ++cursor)
-    swap(pieces[cursor]);
+      some.push_back(&pieces[cursor - 1]);
+  swapAll(some);
+  while (cursor < pieces.size()) {
+    uint32_t next = pieces[cursor].record;
+    some.clear();
+    for (; cursor < pieces.size() && pieces[cursor].record == next; ++cursor)
+      some.push_back(&pieces[cursor]);
+    swapAll(some);
+  }
   entered = -1;
 }

@@ -275,7 +275,9 @@ private:
   void stampSaved(const Candidate &candidate, int64_t cell, int64_t endCell);
   /// Cells that the record has made active held zeros before.
   void keepZeros();
-  void swap(Piece &piece);
+  static void swap(Piece &piece, std::vector<char> &spare);
+  /// Those of one record, on the workers where there is much to do.
+  void swapAll(const std::vector<Piece *> &some);
   template <typename Visit> void forEachEntered(const Visit &visit);
 
   static uint32_t stampOf(uint32_t record) { return record + 2; }
@@ -303,6 +305,7 @@ private:
   /// The record whose pieces of the kind `before` have been put back.
   int64_t entered = -1;
   std::vector<char> spare;
+  std::vector<Piece *> some;
   std::vector<char> beforeCopy;
   int64_t saved = 0;
   int64_t peak = 0;
