@@ -99,7 +99,8 @@ Value AccessLowering::emitActivation(OpBuilder &builder, Location loc,
   const SparseInfo &sparse = field.sparse.back();
   Value tree = getTreeBase(field);
   Value cell = emitCellNumber(builder, loc, field, sparse.level, zeroBased);
-  Value isActive = emitIsActive(builder, loc, sparse, tree, cell);
+  CellRef at = sparse.at(tree, cell);
+  Value isActive = sparse.type.emitIsActive(builder, loc, at);
   if (function->hasAttr(kKeepsActivityAttrName))
     return isActive;
   auto branch = scf::IfOp::create(builder, loc, builder.getI1Type(), isActive,
@@ -107,8 +108,7 @@ Value AccessLowering::emitActivation(OpBuilder &builder, Location loc,
   OpBuilder inside = OpBuilder::atBlockBegin(branch.thenBlock());
   scf::YieldOp::create(inside, loc, isActive);
   OpBuilder outside = OpBuilder::atBlockBegin(branch.elseBlock());
-  Value done = ActivateCellOp::create(outside, loc, outside.getI1Type(), tree,
-                                      sparse.node, cell);
+  Value done = sparse.type.emitActivate(outside, loc, at);
   scf::YieldOp::create(outside, loc, done);
   return branch.getResult(0);
 }
@@ -356,13 +356,14 @@ LogicalResult AccessLowering::lowerTopology(Operation *op) {
                  ? arith::ConstantIntOp::create(b, loc, 1, 1).getResult()
                  : Value();
     Value tree = getTreeBase(field);
-    Value cell = emitCellNumber(b, loc, field, sparse->level, zeroBased);
+    CellRef cell = sparse->at(
+        tree, emitCellNumber(b, loc, field, sparse->level, zeroBased));
     if (isa<IsActiveOp>(op))
-      return emitIsActive(b, loc, *sparse, tree, cell);
+      return sparse->type.emitIsActive(b, loc, cell);
     if (isa<ActivateOp>(op))
-      ActivateCellOp::create(b, loc, b.getI1Type(), tree, sparse->node, cell);
+      sparse->type.emitActivate(b, loc, cell);
     else
-      DeactivateCellOp::create(b, loc, tree, sparse->node, cell);
+      sparse->type.emitDeactivate(b, loc, cell);
     return {};
   });
   op->erase();

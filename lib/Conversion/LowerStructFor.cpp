@@ -135,12 +135,12 @@ static void lowerByDigits(ParallelForOp loop, const FieldInfo &field,
     if (candidate.level < last)
       sparse = &candidate;
   unsigned first = 0;
-  ActiveCellsOp cells;
+  CellList cells;
   if (sparse) {
     Value base = emitTreeBase(builder, loc, field);
-    cells = ActiveCellsOp::create(builder, loc, base, sparse->node);
+    cells = sparse->type.emitActiveCells(builder, loc, base, sparse->node);
     lower.push_back(math.constant(0));
-    upper.push_back(cells.getCount());
+    upper.push_back(cells.count);
     first = sparse->level + 1;
   }
   SmallVector<const IndexDigit *> inner = getDigits(field, first, last);
@@ -169,7 +169,7 @@ static void lowerByDigits(ParallelForOp loop, const FieldInfo &field,
       box->setAttr(kFixedCostAttrName, builder.getF64FloatAttr(cost));
     Type i64 = builder.getI64Type();
     Value pointer = LLVM::GEPOp::create(
-        builder, loc, cells.getCells().getType(), i64, cells.getCells(),
+        builder, loc, cells.cells.getType(), i64, cells.cells,
         ArrayRef<LLVM::GEPArg>{math.toI64(ivs.front())},
         LLVM::GEPNoWrapFlags::inbounds | LLVM::GEPNoWrapFlags::nuw);
     ivs = ivs.drop_front();

@@ -80,7 +80,7 @@ describeSparse(RootType root, const DataLayout &dataLayout) {
   for (const SparseNode &node : getSparseNodes(root, dataLayout)) {
     runtime::SparseInfo info;
     info.label = describeNode(root, node);
-    info.isList = node.isList();
+    info.isList = node.type.isList();
     info.parent = node.parent ? int(*node.parent) : -1;
     for (const SparseNode::Step &step : node.steps)
       info.steps.push_back({step.cells, static_cast<int64_t>(step.stride)});

@@ -125,7 +125,7 @@ TEST_F(LayoutTest, SparseCellsAreWhereDenseOnesWouldBe) {
   EXPECT_EQ(nodes[0].getNumCells(), 4);
   EXPECT_EQ(nodes[1].getNumCells(), 8);
   EXPECT_EQ(nodes[1].parent, 0u);
-  EXPECT_TRUE(nodes[2].isList());
+  EXPECT_TRUE(nodes[2].type.isList());
   EXPECT_EQ(nodes[2].getNumCells(), 28);
   EXPECT_EQ(nodes[2].parent, 0u);
   TreeSize size = getTreeSize(tree.getLayout(), dataLayout);

@@ -14,6 +14,7 @@
 #include "PrintField.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Parser/Parser.h"
+#include "mlir/Tools/Plugins/DialectPlugin.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/Support/CommandLine.h"
@@ -65,6 +66,9 @@ struct Options {
       cl::desc("What is left out where it is not needed: all, none, or names; "
                "-name takes one away"),
       cl::value_desc("names")};
+  cl::list<std::string> dialectPlugins{
+      "load-dialect-plugin", cl::value_desc("file"),
+      cl::desc("Load a library of dialects, such as levels of other kinds")};
   cl::opt<bool> skips{"skips", cl::desc("Print what was left out")};
 };
 } // namespace
@@ -163,8 +167,23 @@ static LogicalResult launchKernel(Session &session, StringRef name) {
   return session.launch(*kernel, nullptr, 0, results.data());
 }
 
+/// Makes the dialects of plugins known.
+static LogicalResult loadPlugins(Session &session, const Options &given) {
+  DialectRegistry registry;
+  for (const std::string &file : given.dialectPlugins) {
+    llvm::Expected<DialectPlugin> plugin = DialectPlugin::load(file);
+    if (!plugin)
+      return session.fail(FailureKind::Usage,
+                          "cannot load '" + file +
+                              "': " + llvm::toString(plugin.takeError()));
+    plugin->registerDialectRegistryCallbacks(registry);
+  }
+  session.getContext()->appendDialectRegistry(registry);
+  return success();
+}
+
 static LogicalResult run(Session &session, const Options &given) {
-  if (failed(setOptions(session, given)))
+  if (failed(setOptions(session, given)) || failed(loadPlugins(session, given)))
     return failure();
   OwningOpRef<ModuleOp> file = parse(session, given);
   if (!file || failed(declare(session, *file)))

@@ -48,8 +48,8 @@ FailureOr<const FieldInfo *> FieldTable::lookup(Operation *user,
         getSparseNodes(layout->tree.getLayout(), dataLayout);
     for (auto [level, number] : info->storage.sparse) {
       const SparseNode &node = nodes[number];
-      info->sparse.push_back({level, number, node.activityOffset, node.isList(),
-                              node.steps.back().cells});
+      info->sparse.push_back({node.type, level, number, node.activityOffset,
+                              node.type.getNumCells()});
     }
   }
   Type type = layout->path.getElementType();
@@ -213,8 +213,9 @@ Value tai::emitCellNumber(OpBuilder &builder, Location loc,
 }
 
 const SparseInfo &tai::getInnermostList(const FieldInfo &field) {
-  return *llvm::find_if(llvm::reverse(field.sparse),
-                        [](const SparseInfo &level) { return level.isList; });
+  return *llvm::find_if(
+      llvm::reverse(field.sparse),
+      [](const SparseInfo &level) { return level.type.isList(); });
 }
 
 unsigned tai::getListDimension(const FieldInfo &field) {
@@ -240,47 +241,9 @@ Value tai::emitListNumber(OpBuilder &builder, Location loc,
                   list.capacity);
 }
 
-/// Element `number` of an array in the tree that other threads may write to.
-static Value emitAtomicLoad(OpBuilder &builder, Location loc, Type type,
-                            Value tree, uint64_t offset, Value number) {
-  IndexMath math(builder, loc);
-  auto pointerType = LLVM::LLVMPointerType::get(builder.getContext());
-  unsigned bytes = type.getIntOrFloatBitWidth() / 8;
-  Value position = math.add(math.mul(number, bytes), math.constant(offset));
-  Value pointer = LLVM::GEPOp::create(
-      builder, loc, pointerType, builder.getI8Type(), tree,
-      ArrayRef<LLVM::GEPArg>{math.toI64(position)},
-      LLVM::GEPNoWrapFlags::inbounds | LLVM::GEPNoWrapFlags::nuw);
-  return LLVM::LoadOp::create(builder, loc, type, pointer, /*alignment=*/bytes,
-                              /*isVolatile=*/false, /*isNonTemporal=*/false,
-                              /*isInvariant=*/false,
-                              /*isInvariantGroup=*/false,
-                              LLVM::AtomicOrdering::monotonic);
-}
-
 Value tai::emitLength(OpBuilder &builder, Location loc,
                       const SparseInfo &sparse, Value tree, Value list) {
-  Value length = emitAtomicLoad(builder, loc, builder.getI32Type(), tree,
-                                sparse.activityOffset, list);
-  return arith::IndexCastOp::create(builder, loc, builder.getIndexType(),
-                                    length);
-}
-
-Value tai::emitIsActive(OpBuilder &builder, Location loc,
-                        const SparseInfo &sparse, Value tree, Value cell) {
-  IndexMath math(builder, loc);
-  if (sparse.isList) {
-    Value length =
-        emitLength(builder, loc, sparse, tree, math.div(cell, sparse.capacity));
-    return arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::slt,
-                                 math.rem(cell, sparse.capacity), length);
-  }
-  Type i64 = builder.getI64Type();
-  Value word = emitAtomicLoad(builder, loc, i64, tree, sparse.activityOffset,
-                              math.div(cell, 64));
-  Value bit = arith::ShRUIOp::create(builder, loc, word,
-                                     math.toI64(math.rem(cell, 64)));
-  return arith::TruncIOp::create(builder, loc, builder.getI1Type(), bit);
+  return emitListLength(builder, loc, sparse.at(tree, Value()), list);
 }
 
 Value tai::emitTreeBase(OpBuilder &builder, Location loc,

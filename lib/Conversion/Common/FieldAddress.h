@@ -29,11 +29,16 @@ struct AliasScopes {
 
 /// A sparse level on the path to a field.
 struct SparseInfo {
+  SNodeTypeInterface type;
   unsigned level; // position on the path
   unsigned node;  // number in the tree
   uint64_t activityOffset;
-  bool isList;
   int64_t capacity; // of a list
+
+  /// A cell, for the methods of the interface.
+  CellRef at(Value tree, Value cell) const {
+    return {tree, node, activityOffset, capacity, cell};
+  }
 };
 
 /// What the lowering needs to know about one field.
@@ -136,10 +141,6 @@ Value emitListNumber(OpBuilder &builder, Location loc, const FieldInfo &field,
                      ValueRange indices);
 /// The position of the index along the list.
 unsigned getListDimension(const FieldInfo &field);
-
-/// Whether a cell of a sparse level is active; `tree` is the base of the tree.
-Value emitIsActive(OpBuilder &builder, Location loc, const SparseInfo &sparse,
-                   Value tree, Value cell);
 
 /// The length of a list of a `dynamic` level, as an index.
 Value emitLength(OpBuilder &builder, Location loc, const SparseInfo &sparse,

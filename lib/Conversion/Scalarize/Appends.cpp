@@ -26,7 +26,7 @@ static LogicalResult expandAppend(AppendOp append, FieldTable &fields) {
   if (failed(found))
     return failure();
   const FieldInfo &field = **found;
-  if (field.sparse.empty() || !field.sparse.back().isList)
+  if (field.sparse.empty() || !field.sparse.back().type.isList())
     return append.emitOpError("appends to the field ")
            << append.getFieldAttr()
            << ", which is not directly below a 'dynamic' level";

@@ -39,13 +39,23 @@ uint64_t tai::getValueAlignment(Type type, const DataLayout &) {
   return getScalarSize(getElementTypeOrSelf(type));
 }
 
+SmallVector<uint64_t> tai::computeRowMajorStrides(ArrayRef<int64_t> shape,
+                                                  uint64_t cellSize) {
+  SmallVector<uint64_t> strides(shape.size());
+  for (size_t i = shape.size(); i-- > 0;) {
+    strides[i] = cellSize;
+    cellSize *= shape[i];
+  }
+  return strides;
+}
+
 static uint64_t getChildSize(Type child, const DataLayout &layout) {
   if (auto places = dyn_cast<PlacesType>(child))
     return llvm::alignTo(
         getPlaceOffset(places, places.getTypes().size(), layout),
         computeCellAlignment(child, layout));
   auto level = cast<SNodeTypeInterface>(child);
-  return level.getNumCells() * level.getCellSize(layout);
+  return level.getPoolSize(layout);
 }
 
 uint64_t tai::computeCellAlignment(ArrayRef<Type> children,
@@ -219,7 +229,7 @@ static constexpr uint64_t kPage = 4096;
 
 static uint64_t getActivitySize(const SparseNode &node) {
   uint64_t cells = node.getNumCells();
-  if (node.isList())
+  if (node.type.isList())
     return llvm::alignTo(cells / node.steps.back().cells * 4, 64);
   return llvm::alignTo(cells, 512) / 8;
 }
@@ -228,6 +238,23 @@ namespace {
 struct SparseWalk {
   const DataLayout &dataLayout;
   SmallVector<SparseNode> nodes;
+
+  /// Axes whose cells lie one after another make one step.
+  void addSteps(SNodeTypeInterface level, SparseNode &node) {
+    size_t own = node.steps.size();
+    for (auto [extent, stride] :
+         llvm::zip(level.getShape(), level.getCellStrides(dataLayout))) {
+      if (node.steps.size() > own &&
+          node.steps.back().stride == stride * extent)
+        node.steps.back() = {node.steps.back().cells * extent, stride};
+      else
+        node.steps.push_back({extent, stride});
+    }
+    // The last stride is the size of a cell, by which it is zeroed.
+    uint64_t size = level.getCellSize(dataLayout);
+    if (node.steps.back().stride != size)
+      node.steps.push_back({1, size});
+  }
 
   void visit(ArrayRef<Type> children, const SparseNode &above,
              function_ref<uint64_t(unsigned)> getOffset) {
@@ -239,8 +266,7 @@ struct SparseWalk {
       node.type = level;
       node.position.push_back(number);
       node.offset += getOffset(number);
-      node.steps.push_back(
-          {level.getNumCells(), level.getCellSize(dataLayout)});
+      addSteps(level, node);
       SparseNode below = node;
       if (level.isSparse()) {
         below.parent = nodes.size();
@@ -306,7 +332,7 @@ FieldStorage tai::getFieldStorage(const FieldLayout &layout,
     storage.offset += number == 0
                           ? getRootChildOffset(root, level.child, dataLayout)
                           : getChildOffset(children, level.child, dataLayout);
-    uint64_t stride = level.type.getCellSize(dataLayout);
+    SmallVector<uint64_t> strides = level.type.getCellStrides(dataLayout);
     int64_t weight = 1;
     SmallVector<IndexDigit> digits;
     for (size_t i = level.type.getAxes().size(); i-- > 0;) {
@@ -316,8 +342,7 @@ FieldStorage tai::getFieldStorage(const FieldLayout &layout,
       unsigned dimension =
           llvm::find(layout.axisOfIndex, axis) - layout.axisOfIndex.begin();
       digits.push_back({dimension, static_cast<unsigned>(number), below[axis],
-                        extent, stride, weight, extent == whole[axis]});
-      stride *= extent;
+                        extent, strides[i], weight, extent == whole[axis]});
       weight *= extent;
     }
     storage.digits.append(digits.rbegin(), digits.rend());

@@ -92,7 +92,38 @@ void TaiDialect::registerOps() {
 // TreeOp, FieldOp
 //===----------------------------------------------------------------------===//
 
+/// Checks what a kind of level says of its cells: each has room and alignment.
+static LogicalResult verifyCells(TreeOp tree, ArrayRef<Type> children,
+                                 const DataLayout &layout) {
+  for (Type child : children) {
+    auto level = dyn_cast<SNodeTypeInterface>(child);
+    if (!level)
+      continue;
+    SmallVector<uint64_t> strides = level.getCellStrides(layout);
+    uint64_t end = level.getCellSize(layout);
+    bool isAligned = strides.size() == level.getShape().size();
+    for (auto [extent, stride] : llvm::zip(level.getShape(), strides)) {
+      isAligned &= stride % level.getCellAlignment(layout) == 0;
+      end += (extent - 1) * stride;
+    }
+    if (!isAligned || end > level.getPoolSize(layout))
+      return tree.emitOpError("has a level of kind '")
+             << level.getKind()
+             << "' whose cells are not aligned or leave its pool";
+    if (level.isList() && level.getAxes().size() != 1)
+      return tree.emitOpError("has lists of kind '")
+             << level.getKind() << "' along more than one axis";
+    if (failed(verifyCells(tree, level.getChildren(), layout)))
+      return failure();
+  }
+  return success();
+}
+
 LogicalResult TreeOp::verify() {
+  auto root = cast<RootType>(getLayout());
+  if (failed(
+          verifyCells(*this, root.getChildren(), DataLayout::closest(*this))))
+    return failure();
   llvm::StringSet<> names;
   LogicalResult result = success();
   walkPlaces(cast<RootType>(getLayout()), [&](const PlacePath &path) {
@@ -345,12 +376,14 @@ static LogicalResult verifyLevelAccess(Operation *op, FlatSymbolRefAttr name,
 
 /// Whether a field stands below a list; `directly`: in its cells.
 static bool isBelowList(FieldOp field, bool directly) {
-  if (directly)
-    return isa_and_nonnull<DynamicType>(Type(getLevelAbove(field, 1)));
+  if (directly) {
+    SNodeTypeInterface level = getLevelAbove(field, 1);
+    return level && level.isList();
+  }
   FailureOr<FieldLayout> layout = getFieldLayout(field);
   return succeeded(layout) &&
          llvm::any_of(layout->path.levels, [](const PathLevel &level) {
-           return isa<DynamicType>(level.type);
+           return level.type.isList();
          });
 }
 
@@ -369,7 +402,7 @@ static LogicalResult verifyListAccess(Operation *op, FlatSymbolRefAttr name,
   // The innermost list, whose axis must be its own: that index is left out.
   FailureOr<FieldLayout> layout = getFieldLayout(field);
   ArrayRef<PathLevel> above = layout->path.levels;
-  while (!isa<DynamicType>(above.back().type))
+  while (!above.back().type.isList())
     above = above.drop_back();
   unsigned along = above.back().type.getAxes().front();
   for (const PathLevel &level : above.drop_back())

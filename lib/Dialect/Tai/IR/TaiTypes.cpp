@@ -53,8 +53,8 @@ static ParseResult parseAxisExtent(AsmParser &parser, unsigned &axis,
   return failure(parser.parseColon() || parser.parseInteger(extent));
 }
 
-static ParseResult parseAxes(AsmParser &parser, SmallVector<unsigned> &axes,
-                             SmallVector<int64_t> &shape) {
+ParseResult tai::parseLevelAxes(AsmParser &parser, SmallVector<unsigned> &axes,
+                                SmallVector<int64_t> &shape) {
   return parser.parseCommaSeparatedList(AsmParser::Delimiter::Square, [&]() {
     return parseAxisExtent(parser, axes.emplace_back(), shape.emplace_back());
   });
@@ -110,8 +110,8 @@ static Type parseChild(AsmParser &parser) {
   return {};
 }
 
-static ParseResult parseChildren(AsmParser &parser,
-                                 SmallVector<Type> &children) {
+ParseResult tai::parseLevelChildren(AsmParser &parser,
+                                    SmallVector<Type> &children) {
   do {
     Type child = parseChild(parser);
     if (!child)
@@ -144,8 +144,8 @@ static void printChild(AsmPrinter &printer, Type type) {
       .Default([&](Type other) { printer << other; });
 }
 
-static void printAxes(AsmPrinter &printer, ArrayRef<unsigned> axes,
-                      ArrayRef<int64_t> shape) {
+void tai::printLevelAxes(AsmPrinter &printer, ArrayRef<unsigned> axes,
+                         ArrayRef<int64_t> shape) {
   printer << "[";
   llvm::interleaveComma(llvm::zip(axes, shape), printer.getStream(),
                         [&](auto pair) {
@@ -155,7 +155,7 @@ static void printAxes(AsmPrinter &printer, ArrayRef<unsigned> axes,
   printer << "]";
 }
 
-static void printChildren(AsmPrinter &printer, ArrayRef<Type> children) {
+void tai::printLevelChildren(AsmPrinter &printer, ArrayRef<Type> children) {
   for (Type child : children) {
     printer << ", ";
     printChild(printer, child);
@@ -168,8 +168,8 @@ template <typename Level> static Type parseLevel(AsmParser &parser) {
   SmallVector<int64_t> shape;
   SmallVector<Type> children;
   SMLoc loc = parser.getCurrentLocation();
-  if (parser.parseLess() || parseAxes(parser, axes, shape) ||
-      parser.parseComma() || parseChildren(parser, children) ||
+  if (parser.parseLess() || parseLevelAxes(parser, axes, shape) ||
+      parser.parseComma() || parseLevelChildren(parser, children) ||
       parser.parseGreater())
     return {};
   return Level::getChecked([&] { return parser.emitError(loc); },
@@ -179,8 +179,8 @@ template <typename Level> static Type parseLevel(AsmParser &parser) {
 template <typename Level>
 static void printLevel(AsmPrinter &printer, Level type) {
   printer << "<";
-  printAxes(printer, type.getAxes(), type.getShape());
-  printChildren(printer, type.getChildren());
+  printLevelAxes(printer, type.getAxes(), type.getShape());
+  printLevelChildren(printer, type.getChildren());
   printer << ">";
 }
 
@@ -212,7 +212,7 @@ Type DynamicType::parse(AsmParser &parser) {
       parseAxisExtent(parser, axis, capacity) || parser.parseRSquare() ||
       parser.parseComma() || parser.parseKeyword("chunk") ||
       parser.parseInteger(chunkSize) || parser.parseComma() ||
-      parseChildren(parser, children) || parser.parseGreater())
+      parseLevelChildren(parser, children) || parser.parseGreater())
     return {};
   return getChecked([&] { return parser.emitError(loc); }, parser.getContext(),
                     axis, capacity, chunkSize, children);
@@ -221,14 +221,14 @@ Type DynamicType::parse(AsmParser &parser) {
 void DynamicType::print(AsmPrinter &printer) const {
   printer << "<[" << getAxisLetter(getAxis()) << ": " << getCapacity()
           << "], chunk " << getChunkSize();
-  printChildren(printer, getChildren());
+  printLevelChildren(printer, getChildren());
   printer << ">";
 }
 
 Type RootType::parse(AsmParser &parser) {
   SmallVector<Type> children;
   SMLoc loc = parser.getCurrentLocation();
-  if (parser.parseLess() || parseChildren(parser, children) ||
+  if (parser.parseLess() || parseLevelChildren(parser, children) ||
       parser.parseGreater())
     return {};
   return getChecked([&] { return parser.emitError(loc); }, parser.getContext(),
@@ -377,14 +377,14 @@ LogicalResult PlacesType::verify(EmitError emitError,
 //===----------------------------------------------------------------------===//
 
 StringRef DenseType::getKind() const { return "dense"; }
-bool DenseType::isSparse() const { return false; }
+CellActivity DenseType::getActivity() const { return CellActivity::All; }
 StringRef PointerType::getKind() const { return "pointer"; }
-bool PointerType::isSparse() const { return true; }
+CellActivity PointerType::getActivity() const { return CellActivity::Bits; }
 StringRef BitmaskedType::getKind() const { return "bitmasked"; }
-bool BitmaskedType::isSparse() const { return true; }
+CellActivity BitmaskedType::getActivity() const { return CellActivity::Bits; }
 StringRef HashType::getKind() const { return "hash"; }
-bool HashType::isSparse() const { return true; }
+CellActivity HashType::getActivity() const { return CellActivity::Bits; }
 StringRef DynamicType::getKind() const { return "dynamic"; }
-bool DynamicType::isSparse() const { return true; }
+CellActivity DynamicType::getActivity() const { return CellActivity::Length; }
 ArrayRef<unsigned> DynamicType::getAxes() const { return getImpl()->axis; }
 ArrayRef<int64_t> DynamicType::getShape() const { return getImpl()->capacity; }

@@ -22,6 +22,15 @@ constexpr unsigned kMaxAxes = 12;
 char getAxisLetter(unsigned axis);
 std::optional<unsigned> parseAxisLetter(StringRef letter);
 
+// The syntax of levels, for those of other dialects: `[i: 8, j: 4]`, and after
+// it the children, each behind a comma when printed.
+ParseResult parseLevelAxes(AsmParser &parser, SmallVector<unsigned> &axes,
+                           SmallVector<int64_t> &shape);
+ParseResult parseLevelChildren(AsmParser &parser, SmallVector<Type> &children);
+void printLevelAxes(AsmPrinter &printer, ArrayRef<unsigned> axes,
+                    ArrayRef<int64_t> shape);
+void printLevelChildren(AsmPrinter &printer, ArrayRef<Type> children);
+
 /// On a kernel: it adds nothing to inactive cells, instead of making them
 /// active. Adjoints are so, which have no say in what is active.
 constexpr llvm::StringLiteral kKeepsActivityAttrName = "tai.keeps_activity";
@@ -98,8 +107,9 @@ struct SparseNode {
   SmallVector<unsigned> position;
   /// The nearest sparse level above, as its number.
   std::optional<unsigned> parent;
-  /// For each level down to this one, its cells below one cell of the level
-  /// above, and the distance between them in bytes.
+  /// For each level down to this one, and for each axis of a level whose cells
+  /// do not lie one after another: the number of cells below one cell above,
+  /// and the distance between them in bytes.
   struct Step {
     int64_t cells;
     uint64_t stride;
@@ -113,7 +123,6 @@ struct SparseNode {
 
   /// Cells in the whole tree.
   int64_t getNumCells() const;
-  bool isList() const { return isa<DynamicType>(type); }
 };
 
 /// The sparse levels of a tree, those above before those below.

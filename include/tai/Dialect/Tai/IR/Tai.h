@@ -33,6 +33,46 @@ uint64_t computeCellSize(ArrayRef<Type> children, const DataLayout &layout);
 /// Alignment in bytes of a cell that holds `children`.
 uint64_t computeCellAlignment(ArrayRef<Type> children,
                               const DataLayout &layout);
+/// Strides of cells of the given size that lie one after another.
+SmallVector<uint64_t> computeRowMajorStrides(ArrayRef<int64_t> shape,
+                                             uint64_t cellSize);
+
+/// How one knows which cells of a level are active.
+enum class CellActivity {
+  All,    ///< every cell is, always
+  Bits,   ///< there is a bit for each
+  Length, ///< the cells are those of lists: the first of each, up to its length
+};
+
+/// A cell of a sparse level, in code that is being built.
+struct CellRef {
+  /// The address of the tree, and the number of the level among its sparse
+  /// ones.
+  Value tree;
+  unsigned node;
+  /// Where its bits or lengths begin, in bytes from the tree.
+  uint64_t activityOffset;
+  /// Cells of the level below one parent cell: of a list, its capacity.
+  int64_t capacity;
+  /// The number of the cell in the tree, an index.
+  Value cell;
+};
+
+/// The numbers of active cells, and how many they are.
+struct CellList {
+  Value cells, count;
+};
+
+// What the interface builds where a kind of level does not say otherwise.
+Value emitIsActive(OpBuilder &builder, Location loc, CellActivity activity,
+                   const CellRef &cell);
+Value emitActivate(OpBuilder &builder, Location loc, const CellRef &cell);
+void emitDeactivate(OpBuilder &builder, Location loc, const CellRef &cell);
+/// The length of a list, an index; the cell of `at` is not looked at.
+Value emitListLength(OpBuilder &builder, Location loc, const CellRef &at,
+                     Value list);
+CellList emitActiveCells(OpBuilder &builder, Location loc, Value tree,
+                         unsigned node);
 } // namespace mlir::tai
 
 #include "tai/Dialect/Tai/IR/TaiDialect.h.inc"

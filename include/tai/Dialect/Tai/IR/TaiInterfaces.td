@@ -19,7 +19,16 @@ def Tai_SNodeTypeInterface : TypeInterface<"SNodeTypeInterface"> {
 
     A downstream dialect adds a kind of level by implementing this interface
     on a type of its own; the parser of `!tai.root` accepts such a type
-    wherever a level may stand.
+    wherever a level may stand. Layout, lowering and runtime ask a level
+    nothing but what stands here.
+
+    The pool of a level is address space: every cell has its place in it,
+    active or not (docs/decisions/0006-sparse-storage.md). The system gives
+    memory to a page when it is first written, and takes it back when the cell
+    becomes inactive; memory of an inactive cell is zero.
+
+    Cells are numbered row-major, the last axis of `getAxes` fastest, whatever
+    their addresses are.
   }];
   let methods = [
     InterfaceMethod<
@@ -36,8 +45,10 @@ def Tai_SNodeTypeInterface : TypeInterface<"SNodeTypeInterface"> {
       "The keyword that names this kind of level, for messages.",
       "::llvm::StringRef", "getKind">,
     InterfaceMethod<
-      "True if a cell of this level can be inactive.",
-      "bool", "isSparse">,
+      "How one knows which cells are active. A level of lists has one axis.",
+      "::mlir::tai::CellActivity", "getActivity">,
+
+    // Cells and their addresses.
     InterfaceMethod<
       "The number of cells of this level below one parent cell.",
       "int64_t", "getNumCells", (ins), "", [{
@@ -47,7 +58,7 @@ def Tai_SNodeTypeInterface : TypeInterface<"SNodeTypeInterface"> {
         return count;
       }]>,
     InterfaceMethod<
-      "The distance in bytes from one cell of this level to the next.",
+      "The size of a cell in bytes.",
       "uint64_t", "getCellSize", (ins "const ::mlir::DataLayout &":$layout), "",
       [{ return ::mlir::tai::computeCellSize($_type.getChildren(), layout); }]>,
     InterfaceMethod<
@@ -56,7 +67,58 @@ def Tai_SNodeTypeInterface : TypeInterface<"SNodeTypeInterface"> {
       (ins "const ::mlir::DataLayout &":$layout), "",
       [{ return ::mlir::tai::computeCellAlignment($_type.getChildren(),
                                                   layout); }]>,
+    InterfaceMethod<
+      "The address of a cell: the distance in bytes from one cell to the next "
+      "along each axis of `getAxes`, a multiple of the alignment.",
+      "::llvm::SmallVector<uint64_t>", "getCellStrides",
+      (ins "const ::mlir::DataLayout &":$layout), "",
+      [{ return ::mlir::tai::computeRowMajorStrides(
+             $_type.getShape(), $_type.getCellSize(layout)); }]>,
+    InterfaceMethod<
+      "The size in bytes of the pool: of the address space for all cells below "
+      "one parent cell.",
+      "uint64_t", "getPoolSize", (ins "const ::mlir::DataLayout &":$layout), "",
+      [{ return $_type.getNumCells() * $_type.getCellSize(layout); }]>,
+
+    // Activity, in code that is being built.
+    InterfaceMethod<
+      "Builds the test whether a cell is active, an `i1`.",
+      "::mlir::Value", "emitIsActive",
+      (ins "::mlir::OpBuilder &":$builder, "::mlir::Location":$loc,
+           "const ::mlir::tai::CellRef &":$cell), "",
+      [{ return ::mlir::tai::emitIsActive(builder, loc, $_type.getActivity(),
+                                          cell); }]>,
+    InterfaceMethod<
+      "Builds what makes a cell active, with those above it, and yields "
+      "whether it is then; any number of threads may do so at once.",
+      "::mlir::Value", "emitActivate",
+      (ins "::mlir::OpBuilder &":$builder, "::mlir::Location":$loc,
+           "const ::mlir::tai::CellRef &":$cell), "",
+      [{ return ::mlir::tai::emitActivate(builder, loc, cell); }]>,
+    InterfaceMethod<
+      "Builds what makes a cell inactive and zeroes it, with what lies below.",
+      "void", "emitDeactivate",
+      (ins "::mlir::OpBuilder &":$builder, "::mlir::Location":$loc,
+           "const ::mlir::tai::CellRef &":$cell), "",
+      [{ ::mlir::tai::emitDeactivate(builder, loc, cell); }]>,
+    InterfaceMethod<
+      "Builds the list of the active cells: the address of their numbers, "
+      "ascending, of 64 bits each, and how many they are.",
+      "::mlir::tai::CellList", "emitActiveCells",
+      (ins "::mlir::OpBuilder &":$builder, "::mlir::Location":$loc,
+           "::mlir::Value":$tree, "unsigned":$node), "",
+      [{ return ::mlir::tai::emitActiveCells(builder, loc, tree, node); }]>,
   ];
+  let extraSharedClassDeclaration = [{
+    /// True if a cell of this level can be inactive.
+    bool isSparse() const {
+      return $_type.getActivity() != ::mlir::tai::CellActivity::All;
+    }
+    /// True if the active cells are the first of each list.
+    bool isList() const {
+      return $_type.getActivity() == ::mlir::tai::CellActivity::Length;
+    }
+  }];
 }
 
 #endif // TAI_DIALECT_TAI_IR_TAIINTERFACES_TD
