@@ -95,17 +95,18 @@ class Model:
             else:
                 self.active[above].add(own)
 
-    def deactivate(self, level: Level, cell: Cell) -> None:
+    def deactivate(self, level: Level, *cells: Cell) -> None:
         """Of a sparse level. Of a list, the whole."""
         if level.is_list:
-            key = list_of(level, cell)[0]
+            keys = {list_of(level, cell)[0] for cell in cells}
 
             def inside(below: Level, at: Cell) -> bool:
-                return list_of(level, project(at, below, level))[0] == key
+                return list_of(level, project(at, below, level))[0] in keys
         else:
+            gone = set(cells)
 
             def inside(below: Level, at: Cell) -> bool:
-                return project(at, below, level) == cell
+                return project(at, below, level) in gone
 
         self._clear(level, inside)
 

@@ -296,9 +296,8 @@ class Runner:
         self.module.clear(out, a)
         # What the loop deactivates, it still visits.
         expect(f"visits of {level.name}", out[0], len(visited))
-        for cell in visited:
-            if (sum(cell) + a) % 2 == 0:
-                self.model.deactivate(above, project(cell, level, above))
+        gone = [cell for cell in visited if (sum(cell) + a) % 2 == 0]
+        self.model.deactivate(above, *(project(cell, level, above) for cell in gone))
 
     def _collect(self, _: str, a: int, v: int) -> None:
         self._flush("flush")
