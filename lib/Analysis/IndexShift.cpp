@@ -222,6 +222,24 @@ std::optional<int64_t> tai::evaluateIndex(Value index, Value variable,
   return program ? program.run(at) : std::nullopt;
 }
 
+std::optional<ConstantStretch> tai::getConstantStretch(Value condition,
+                                                       Value variable,
+                                                       int64_t lower,
+                                                       int64_t upper) {
+  if (upper <= lower || upper - lower > kMaxEvaluations)
+    return std::nullopt;
+  IndexProgram program(condition, variable);
+  int64_t low = lower + (upper - lower) / 2, high = low + 1;
+  std::optional<int64_t> answer = program ? program.run(low) : std::nullopt;
+  if (!answer)
+    return std::nullopt;
+  while (low > lower && program.run(low - 1) == answer)
+    --low;
+  while (high < upper && program.run(high) == answer)
+    ++high;
+  return ConstantStretch{low, high, *answer != 0};
+}
+
 std::optional<IndexShift> tai::getIndexShift(Value index, Value variable,
                                              int64_t lower, int64_t upper) {
   int64_t length = upper - lower;

@@ -18,6 +18,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Common/Accumulate.h"
+#include "Common/ActiveCells.h"
 #include "Common/CountWrites.h"
 #include "Common/FieldAddress.h"
 #include "Common/IndexMath.h"
@@ -67,46 +68,6 @@ static ParallelForOp createBox(OpBuilder &builder, ParallelForOp loop,
   box.setSerialize(loop.getSerialize());
   box.setBlockDimAttr(loop.getBlockDimAttr());
   return box;
-}
-
-/// Whether equal indices mean the same cell of the innermost sparse level above
-/// both fields, which may divide what lies below it in other ways.
-static bool shareCells(const FieldInfo &a, const FieldInfo &b) {
-  if (a.sparse.empty() || b.sparse.empty() || a.layout.tree != b.layout.tree ||
-      a.sparse.back().node != b.sparse.back().node ||
-      a.layout.offset != b.layout.offset)
-    return false;
-  auto digits = [](const FieldInfo &field) {
-    return llvm::make_filter_range(
-        field.storage.digits, [&](const IndexDigit &digit) {
-          return digit.level <= field.sparse.back().level;
-        });
-  };
-  return llvm::equal(digits(a), digits(b),
-                     [](const IndexDigit &x, const IndexDigit &y) {
-                       return x.dimension == y.dimension &&
-                              x.divisor == y.divisor && x.extent == y.extent;
-                     });
-}
-
-/// Marks the writes that reach the cell of the iteration itself: it is active.
-static void markActive(ParallelForOp loop, const FieldInfo &field,
-                       FieldTable &fields) {
-  loop.walk([&](Operation *op) {
-    ValueRange indices;
-    if (auto store = dyn_cast<StoreOp>(op))
-      indices = store.getIndices();
-    else if (auto atomic = dyn_cast<AtomicOp>(op))
-      indices = atomic.getIndices();
-    else
-      return;
-    FailureOr<const FieldInfo *> other =
-        fields.lookup(op, op->getAttrOfType<FlatSymbolRefAttr>("field"));
-    if (failed(other) || !shareCells(**other, field) ||
-        !llvm::equal(indices, loop.getInductionVars()))
-      return;
-    op->setAttr(kActiveAttrName, UnitAttr::get(op->getContext()));
-  });
 }
 
 /// The digits of a field whose level is in [first, last), as dimensions of a
@@ -251,12 +212,8 @@ struct LowerStructFor : tai::impl::LowerStructForBase<LowerStructFor> {
       return signalPassFailure();
     for (auto [loop, field] : loops) {
       unsigned levels = field->layout.path.levels.size();
-      // A body that deactivates may do so to the cell of the iteration.
-      WalkResult deactivates =
-          loop.walk([](DeactivateOp) { return WalkResult::interrupt(); });
-      if (!field->sparse.empty() && !loop.getLevel() &&
-          !deactivates.wasInterrupted() && skip.has(Skip::ActivationDemotion))
-        markActive(loop, *field, *fields);
+      if (skip.has(Skip::ActivationDemotion))
+        markActive(loop, *fields);
       if (field->sparse.empty() && !loop.getLevel())
         lower(loop, *field);
       else

@@ -34,6 +34,10 @@ void tai::buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options) {
 
   // From here on values are scalars, and loops run over boxes.
   pm.addPass(createScalarize());
+  // Both are the business of the loop over blocks too.
+  if (fast && !checked && options.skip.has(Skip::ActivationDemotion) &&
+      options.skip.has(Skip::AccessorHoisting))
+    pm.addPass(createVectorizeBlocks());
   LowerStructForOptions loops;
   loops.deterministic = options.deterministic;
   loops.skip = options.skip;

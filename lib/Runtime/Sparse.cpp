@@ -269,9 +269,28 @@ void SparseNode::deactivate(int64_t cell) {
 void SparseNode::deactivateAll() {
   std::vector<int64_t> found;
   collectInto(found, 0, numMarks);
-  for (int64_t cell : found)
-    if (!layout.isList || cell % capacity() == 0)
-      deactivate(cell);
+  // Neighbours are released together: pages are larger than most cells.
+  char *begin = nullptr, *end = nullptr;
+  for (int64_t cell : found) {
+    if (!layout.isList) {
+      __atomic_fetch_and(words() + cell / 64, ~(uint64_t(1) << (cell % 64)),
+                         __ATOMIC_RELAXED);
+    } else if (cell % capacity() == 0) {
+      __atomic_store_n(lengths() + cell / capacity(), 0, __ATOMIC_RELAXED);
+    }
+    for (SparseNode *child : children)
+      child->clearRange(cell * child->cellsBelow, child->cellsBelow);
+    noteRemoved(cell, 1);
+    char *address = addressOf(cell);
+    if (address != end) {
+      release(begin, end - begin);
+      begin = address;
+    }
+    end = address + cellBytes();
+  }
+  release(begin, end - begin);
+  if (!found.empty())
+    changed(-static_cast<int64_t>(found.size()));
 }
 
 //===----------------------------------------------------------------------===//
@@ -294,6 +313,41 @@ void SparseNode::collectInto(std::vector<int64_t> &found, int64_t begin,
         found.push_back(group * 64 + __builtin_ctzll(word));
     }
   }
+}
+
+#ifdef MADV_COLLAPSE
+constexpr int kCollapse = MADV_COLLAPSE;
+#else
+/// Linux 6.1; older ones refuse it, and pages stay small.
+constexpr int kCollapse = 25;
+#endif
+
+/// Large pages save most of the address translation that a stencil over a full
+/// field waits for, but they take memory as a whole: only regions that are
+/// active nearly everywhere get them.
+void SparseNode::useLargePages(const ActiveList &list) {
+  constexpr int64_t kPage = int64_t(2) << 20;
+  // Of the region, so much must be active.
+  constexpr int64_t kEnough = kPage / 8 * 7;
+  if (static_cast<int64_t>(list.cells.size()) * cellBytes() < kEnough)
+    return;
+  std::lock_guard<std::mutex> lock(tree.largePagesMutex);
+  auto advise = [&](uintptr_t region, int64_t bytes) {
+    if (bytes >= kEnough && tree.largePages.insert(region).second)
+      (void)madvise(reinterpret_cast<void *>(region * kPage), kPage, kCollapse);
+  };
+  uintptr_t region = 0;
+  int64_t bytes = 0;
+  for (int64_t cell : list.cells) {
+    uintptr_t here = reinterpret_cast<uintptr_t>(addressOf(cell)) / kPage;
+    if (here != region) {
+      advise(region, bytes);
+      region = here;
+      bytes = 0;
+    }
+    bytes += cellBytes();
+  }
+  advise(region, bytes);
 }
 
 ActiveListPtr SparseNode::list(Runtime &runtime) {
@@ -332,6 +386,8 @@ ActiveListPtr SparseNode::list(Runtime &runtime) {
     for (const std::vector<int64_t> &found : job.found)
       list->cells.insert(list->cells.end(), found.begin(), found.end());
   }
+  if (children.empty())
+    useLargePages(*list);
   ++made;
   runtime.skipCounters().add(SkipCount::ListsMade);
   current = std::move(list);

@@ -40,6 +40,20 @@ bool collectIndexVariables(Value index, Region &scope,
 /// divides by zero.
 std::optional<int64_t> evaluateIndex(Value index, Value variable, int64_t at);
 
+/// A truth value that is `answer` for all values of its variable in
+/// [lower, upper).
+struct ConstantStretch {
+  int64_t lower, upper;
+  bool answer;
+};
+
+/// Where `condition`, whose only variable is `variable`, answers as it does in
+/// the middle of [lower, upper); nothing if it cannot be evaluated there, or
+/// the range is too long to be worth it.
+std::optional<ConstantStretch> getConstantStretch(Value condition,
+                                                  Value variable,
+                                                  int64_t lower, int64_t upper);
+
 /// How `index` shifts `variable` over [lower, upper); nothing if it is no
 /// shift, or if the range is empty or too long to be worth the evaluation.
 std::optional<IndexShift> getIndexShift(Value index, Value variable,

@@ -41,6 +41,38 @@ def Scalarize : Pass<"tai-scalarize"> {
                            "::mlir::vector::VectorDialect"];
 }
 
+def VectorizeBlocks : Pass<"tai-vectorize-blocks"> {
+  let summary = "run loops over blocked fields a row at a time";
+  let description = [{
+    Where the innermost level of a field is dense and cuts the index space into
+    blocks, the neighbours of an element may lie in another block, and the
+    address is no affine function of the index. This pass turns a loop over the
+    elements of such a field into one over its blocks. In the interior, where
+    every question about the indices has the same answer for all elements, each
+    row of a block becomes operations on vectors: what lies across a border is a
+    shuffle of two rows. Other blocks run element by element.
+
+    It takes loops that read elements at constant distances, compute with
+    elementwise operations and write to elements of their own; others stay.
+
+    ```mlir
+    tai.parallel_for (%i, %j) in @x { … }
+    // becomes, for a layout pointer<[i: 4, j: 4], dense<[i: 8, j: 8], {x: f32}>>
+    tai.parallel_for (%i, %j) in @x level 2 {
+      %inside = …
+      scf.if %inside { … : vector<8xf32> } else { scf.for … }
+    }
+    ```
+  }];
+  let options = [
+    Option<"maxOps", "max-ops", "int64_t", /*default=*/"1024",
+           "Unroll rows of a block into at most so many operations">,
+  ];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect",
+                           "::mlir::LLVM::LLVMDialect"];
+}
+
 def LowerStructFor : Pass<"tai-lower-struct-for"> {
   let summary = "turn loops over a field into loops over its index space";
   let description = [{

@@ -20,7 +20,9 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <mutex>
 #include <string>
+#include <unordered_set>
 #include <vector>
 
 namespace mlir::tai::runtime {
@@ -72,6 +74,9 @@ private:
   size_t mapped = 0;
   std::vector<std::unique_ptr<SparseNode>> nodes;
   std::atomic<int64_t> activeBytes{0};
+  /// Regions that have been asked to lie in large pages, by their number.
+  std::unordered_set<uintptr_t> largePages;
+  std::mutex largePagesMutex;
   /// The same for all trees of the runtime.
   std::atomic<int64_t> *allActiveBytes = nullptr;
 };

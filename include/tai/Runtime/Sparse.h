@@ -117,6 +117,7 @@ private:
   void clearRange(int64_t first, int64_t count);
   void zero(int64_t cell);
   void noteRemoved(int64_t first, int64_t count);
+  void useLargePages(const ActiveList &list);
   void markWord(int64_t word);
   void changed(int64_t by);
   /// Appends the active cells of which the marks [begin, end) speak.

@@ -14,7 +14,7 @@ using namespace mlir::tai;
 
 Value tai::emitCombination(OpBuilder &builder, Location loc, AtomicKind kind,
                            Value a, Value b) {
-  bool isFloat = isa<FloatType>(a.getType());
+  bool isFloat = isa<FloatType>(getElementTypeOrSelf(a));
   switch (kind) {
   case AtomicKind::Add:
     if (isFloat)

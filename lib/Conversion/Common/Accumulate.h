@@ -37,7 +37,7 @@ constexpr llvm::StringLiteral kOrderedAttrName = "tai.ordered";
 /// that of the user's own assertion, which only debug mode keeps.
 constexpr llvm::StringLiteral kFailureAttrName = "tai.failure";
 
-/// a (kind) b, for scalars.
+/// a (kind) b, for scalars or vectors of them.
 Value emitCombination(OpBuilder &builder, Location loc, AtomicKind kind,
                       Value a, Value b);
 

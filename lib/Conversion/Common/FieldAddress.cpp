@@ -52,7 +52,13 @@ FailureOr<const FieldInfo *> FieldTable::lookup(Operation *user,
                               node.type.getNumCells()});
     }
   }
-  Type type = layout->path.getElementType();
+  const PlacePath &path = layout->path;
+  if (!path.levels.empty())
+    info->cellOffset =
+        getChildOffset(path.levels.back().type.getChildren(), path.placesChild,
+                       dataLayout) +
+        getPlaceOffset(path.places, path.place, dataLayout);
+  Type type = path.getElementType();
   info->scalarType = getElementTypeOrSelf(type);
   info->scalarSize = getValueSize(info->scalarType, dataLayout);
   info->numComponents = 1;
@@ -253,20 +259,25 @@ Value tai::emitTreeBase(OpBuilder &builder, Location loc,
       FlatSymbolRefAttr::get(TreeOp(field.layout.tree).getSymNameAttr()));
 }
 
-Value tai::emitFieldBase(OpBuilder &builder, Location loc,
-                         const FieldInfo &field) {
+Value tai::emitTreeAddress(OpBuilder &builder, Location loc,
+                           const FieldInfo &field, uint64_t bytes) {
   auto pointerType = LLVM::LLVMPointerType::get(builder.getContext());
   Value base = emitTreeBase(builder, loc, field);
-  if (field.storage.offset == 0)
+  if (bytes == 0)
     return base;
   // A constant of a GEP has 29 bits; trees may be larger.
-  LLVM::GEPArg offset = static_cast<int32_t>(field.storage.offset);
-  if (!llvm::isInt<29>(field.storage.offset))
+  LLVM::GEPArg offset = static_cast<int32_t>(bytes);
+  if (!llvm::isInt<29>(bytes))
     offset = IndexMath(builder, loc)
-                 .toI64(IndexMath(builder, loc).constant(field.storage.offset));
+                 .toI64(IndexMath(builder, loc).constant(bytes));
   return LLVM::GEPOp::create(
       builder, loc, pointerType, builder.getI8Type(), base, {offset},
       LLVM::GEPNoWrapFlags::inbounds | LLVM::GEPNoWrapFlags::nuw);
+}
+
+Value tai::emitFieldBase(OpBuilder &builder, Location loc,
+                         const FieldInfo &field) {
+  return emitTreeAddress(builder, loc, field, field.storage.offset);
 }
 
 //===----------------------------------------------------------------------===//

@@ -51,6 +51,8 @@ struct FieldInfo {
   /// (empty for a scalar).
   Type scalarType;
   int64_t scalarSize;
+  /// Where the place lies in a cell of the innermost level, in bytes.
+  uint64_t cellOffset = 0;
   SmallVector<int64_t> elementShape;
   int64_t numComponents;
   /// Identity of the storage: fields that name the same place share it.
@@ -148,6 +150,10 @@ Value emitLength(OpBuilder &builder, Location loc, const SparseInfo &sparse,
 
 /// The base address of the tree of a field.
 Value emitTreeBase(OpBuilder &builder, Location loc, const FieldInfo &field);
+
+/// The address so many bytes into the tree of a field.
+Value emitTreeAddress(OpBuilder &builder, Location loc, const FieldInfo &field,
+                      uint64_t bytes);
 
 /// The address of the first component of a field.
 Value emitFieldBase(OpBuilder &builder, Location loc, const FieldInfo &field);

@@ -62,21 +62,13 @@ static SmallVector<Value> collectConditions(LoopBox &box, Value iv) {
 
 /// Narrows `interior` to where `condition` answers as it does in the middle.
 static bool narrow(Interior &interior, Value condition, Value iv) {
-  int64_t middle = interior.lower + (interior.upper - interior.lower) / 2;
-  std::optional<int64_t> answer = evaluateIndex(condition, iv, middle);
-  if (!answer)
+  std::optional<ConstantStretch> stretch =
+      getConstantStretch(condition, iv, interior.lower, interior.upper);
+  if (!stretch)
     return false;
-  auto answersAlike = [&](int64_t at) {
-    return evaluateIndex(condition, iv, at) == answer;
-  };
-  int64_t low = middle, high = middle + 1;
-  while (low > interior.lower && answersAlike(low - 1))
-    --low;
-  while (high < interior.upper && answersAlike(high))
-    ++high;
-  interior.lower = low;
-  interior.upper = high;
-  interior.conditions.push_back({condition, *answer != 0});
+  interior.lower = stretch->lower;
+  interior.upper = stretch->upper;
+  interior.conditions.push_back({condition, stretch->answer});
   return true;
 }
 

@@ -1,0 +1,61 @@
+//===- ActiveCells.cpp - Cells that are known to be active ----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "ActiveCells.h"
+#include "Accumulate.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Whether equal indices mean the same cell of the innermost sparse level above
+/// both fields, which may divide what lies below it in other ways.
+static bool shareCells(const FieldInfo &a, const FieldInfo &b) {
+  if (a.sparse.empty() || b.sparse.empty() || a.layout.tree != b.layout.tree ||
+      a.sparse.back().node != b.sparse.back().node ||
+      a.layout.offset != b.layout.offset)
+    return false;
+  auto digits = [](const FieldInfo &field) {
+    return llvm::make_filter_range(
+        field.storage.digits, [&](const IndexDigit &digit) {
+          return digit.level <= field.sparse.back().level;
+        });
+  };
+  return llvm::equal(digits(a), digits(b),
+                     [](const IndexDigit &x, const IndexDigit &y) {
+                       return x.dimension == y.dimension &&
+                              x.divisor == y.divisor && x.extent == y.extent;
+                     });
+}
+
+void tai::markActive(ParallelForOp loop, FieldTable &fields) {
+  if (!loop.isStructFor() || loop.getLevel())
+    return;
+  FailureOr<const FieldInfo *> found = fields.lookup(loop, loop.getFieldAttr());
+  if (failed(found) || (*found)->sparse.empty())
+    return;
+  const FieldInfo &field = **found;
+  // A body that deactivates may do so to the cell of the iteration.
+  WalkResult deactivates =
+      loop.walk([](DeactivateOp) { return WalkResult::interrupt(); });
+  if (deactivates.wasInterrupted())
+    return;
+  loop.walk([&](Operation *op) {
+    ValueRange indices;
+    if (auto store = dyn_cast<StoreOp>(op))
+      indices = store.getIndices();
+    else if (auto atomic = dyn_cast<AtomicOp>(op))
+      indices = atomic.getIndices();
+    else
+      return;
+    FailureOr<const FieldInfo *> other =
+        fields.lookup(op, op->getAttrOfType<FlatSymbolRefAttr>("field"));
+    if (failed(other) || !shareCells(**other, field) ||
+        !llvm::equal(indices, loop.getInductionVars()))
+      return;
+    op->setAttr(kActiveAttrName, UnitAttr::get(op->getContext()));
+  });
+}
