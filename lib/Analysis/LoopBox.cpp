@@ -20,13 +20,23 @@ std::optional<unsigned> LoopBox::find(Value value) {
 }
 
 std::optional<LoopBox> tai::getConstantBox(ParallelForOp loop) {
+  if (loop.isStructFor()) {
+    FailureOr<FieldLayout> layout =
+        getFieldLayout(lookupField(loop, loop.getFieldAttr()));
+    if (failed(layout) || layout->path.getFirstSparse())
+      return std::nullopt;
+  }
+  return getIndexBox(loop);
+}
+
+std::optional<LoopBox> tai::getIndexBox(ParallelForOp loop) {
   LoopBox box{loop, {}, {}};
   if (loop.getLevel())
     return std::nullopt;
   if (loop.isStructFor()) {
     FailureOr<FieldLayout> layout =
         getFieldLayout(lookupField(loop, loop.getFieldAttr()));
-    if (failed(layout) || layout->path.getFirstSparse())
+    if (failed(layout))
       return std::nullopt;
     for (auto [extent, first] : llvm::zip(layout->shape, layout->offset)) {
       box.lower.push_back(first);

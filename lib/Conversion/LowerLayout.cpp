@@ -342,6 +342,18 @@ LogicalResult AccessLowering::lowerTopology(Operation *op) {
     op->erase();
     return success();
   }
+  if (auto visits = dyn_cast<VisitsAllOp>(op)) {
+    Value all =
+        field.sparse.empty()
+            ? arith::ConstantIntOp::create(builder, loc, 1, 1).getResult()
+            : ListIsCurrentOp::create(builder, loc, builder.getI1Type(),
+                                      getTreeBase(field),
+                                      field.sparse.back().node)
+                  .getResult();
+    visits.replaceAllUsesWith(all);
+    op->erase();
+    return success();
+  }
   int64_t up = op->getAttrOfType<IntegerAttr>("level").getInt();
   const SparseInfo *sparse = findSparse(field, up);
   SmallVector<Value> zeroBased =
@@ -486,7 +498,8 @@ LogicalResult AccessLowering::run() {
         return WalkResult::interrupt();
       }
       arrays.push_back(op);
-    } else if (isa<ActivateOp, DeactivateOp, IsActiveOp, LengthOp>(op)) {
+    } else if (isa<ActivateOp, DeactivateOp, IsActiveOp, LengthOp, VisitsAllOp>(
+                   op)) {
       topology.push_back(op);
     } else if (isa<AppendOp>(op)) {
       op->emitOpError("reaches layout lowering; expects a cell and a store, as "

@@ -386,16 +386,26 @@ std::vector<RuntimeSymbol> mlir::tai::runtime::runtimeSymbols() {
   {                                                                            \
     #name, reinterpret_cast<void *>(&name)                                     \
   }
-  return {
-      TAI_SYMBOL(tai_rt_parts),         TAI_SYMBOL(tai_rt_parallel_for),
-      TAI_SYMBOL(tai_rt_scratch),       TAI_SYMBOL(tai_rt_private),
-      TAI_SYMBOL(tai_rt_combine),       TAI_SYMBOL(tai_rt_combine_strided),
-      TAI_SYMBOL(tai_rt_activate),      TAI_SYMBOL(tai_rt_deactivate),
-      TAI_SYMBOL(tai_rt_append),        TAI_SYMBOL(tai_rt_active_cells),
-      TAI_SYMBOL(tai_rt_random_u32),    TAI_SYMBOL(tai_rt_print),
-      TAI_SYMBOL(tai_rt_fail),          TAI_SYMBOL(tai_rt_failed),
-      TAI_SYMBOL(tai_rt_stack_grow),    TAI_SYMBOL(tai_rt_stack_free),
-      TAI_SYMBOL(tai_rt_host_launch),   TAI_SYMBOL(tai_rt_host_tape_begin),
-      TAI_SYMBOL(tai_rt_host_tape_end), TAI_SYMBOL(tai_rt_host_check_gradient)};
+  return {TAI_SYMBOL(tai_rt_parts),
+          TAI_SYMBOL(tai_rt_parallel_for),
+          TAI_SYMBOL(tai_rt_scratch),
+          TAI_SYMBOL(tai_rt_private),
+          TAI_SYMBOL(tai_rt_combine),
+          TAI_SYMBOL(tai_rt_combine_strided),
+          TAI_SYMBOL(tai_rt_activate),
+          TAI_SYMBOL(tai_rt_deactivate),
+          TAI_SYMBOL(tai_rt_append),
+          TAI_SYMBOL(tai_rt_active_cells),
+          TAI_SYMBOL(tai_rt_list_is_current),
+          TAI_SYMBOL(tai_rt_random_u32),
+          TAI_SYMBOL(tai_rt_print),
+          TAI_SYMBOL(tai_rt_fail),
+          TAI_SYMBOL(tai_rt_failed),
+          TAI_SYMBOL(tai_rt_stack_grow),
+          TAI_SYMBOL(tai_rt_stack_free),
+          TAI_SYMBOL(tai_rt_host_launch),
+          TAI_SYMBOL(tai_rt_host_tape_begin),
+          TAI_SYMBOL(tai_rt_host_tape_end),
+          TAI_SYMBOL(tai_rt_host_check_gradient)};
 #undef TAI_SYMBOL
 }

@@ -108,3 +108,11 @@ extern "C" int64_t tai_rt_active_cells(TaiFrame *frame, void *tree,
     launch.owner().skipCounters().add(SkipCount::EmptyLoops);
   return static_cast<int64_t>(list.size());
 }
+
+extern "C" int32_t tai_rt_list_is_current(TaiFrame *frame, void *tree,
+                                          int32_t node) {
+  Launch &launch = launchOf(frame);
+  SparseNode &sparse = nodeOf(tree, node);
+  return !launch.given ||
+         launch.cellsFor(sparse) == sparse.list(launch.owner())->cells;
+}

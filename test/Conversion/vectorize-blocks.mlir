@@ -64,7 +64,9 @@ tai.kernel @scale(%s: f32) {
 // CHECK-LABEL: tai.kernel @keeps
 //   CHECK-NOT:   tai.activate
 //       CHECK:   tai.is_active @y
+//   CHECK-NOT:   tai.activate
 //       CHECK:   vector<8xf32>
+//       CHECK:   tai.return
 tai.kernel @keeps() attributes {tai.keeps_activity} {
   tai.parallel_for (%i, %j) in @x {
     %a = tai.load @x[%i, %j] : f32
@@ -161,6 +163,40 @@ tai.kernel @odd() {
   tai.parallel_for (%i) in @x {
     %v = tai.load @x[%i] : f32
     tai.store %v, @x[%i] : f32
+  }
+  tai.return
+}
+
+// -----
+
+// The interior of a loop that asks for neighbours is where they are active.
+tai.tree @t : !tai.root<bitmasked<[i: 8], dense<[i: 8], {x: f32, g: f32}>>>
+tai.field @x = @t["x"] : f32, rank 1
+tai.field @g = @t["g"] : f32, rank 1
+
+// CHECK-LABEL: tai.kernel @neighbours
+//       CHECK:   tai.parallel_for (%[[I:.+]]) in @x level 2 {
+//       CHECK:     tai.is_active @x[%[[I]]] level 2
+//       CHECK:     %[[RIGHT:.+]] = arith.addi %[[I]], %{{.+}} overflow<nsw> : index
+//       CHECK:     tai.is_active @x[%[[RIGHT]]] level 2
+//       CHECK:     llvm.shufflevector {{.*}} [1, 2, 3, 4, 5, 6, 7, 8]
+//   CHECK-NOT:     tai.is_active
+//       CHECK:     llvm.intr.masked.store
+//       CHECK:   } else {
+//       CHECK:     tai.is_active
+tai.kernel @neighbours() attributes {tai.keeps_activity} {
+  %one = arith.constant 1 : index
+  %zero = arith.constant 0.0 : f32
+  tai.parallel_for (%i) in @x {
+    %right = arith.addi %i, %one : index
+    %there = tai.is_active @x[%right] level 2
+    %v = scf.if %there -> f32 {
+      %0 = tai.load @g[%right] : f32
+      scf.yield %0 : f32
+    } else {
+      scf.yield %zero : f32
+    }
+    tai.atomic add %v, @x[%i] exclusive : f32
   }
   tai.return
 }

@@ -12,8 +12,11 @@ def place_pointer(fields, n=N, b=B):
 
 
 def place_apart(fields, n=N, b=B):
+    # A gradient shares what is active with its field.
     for field in fields:
-        ti.root.bitmasked(ti.ij, n // b).dense(ti.ij, b).place(field)
+        if not any(field is other.grad for other in fields):
+            both = [f for f in fields if f is field or f is field.grad]
+            ti.root.bitmasked(ti.ij, n // b).dense(ti.ij, b).place(*both)
 
 
 def place_two_levels(fields, n=N, b=B):

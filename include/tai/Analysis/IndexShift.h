@@ -51,8 +51,8 @@ struct ConstantStretch {
 /// the middle of [lower, upper); nothing if it cannot be evaluated there, or
 /// the range is too long to be worth it.
 std::optional<ConstantStretch> getConstantStretch(Value condition,
-                                                  Value variable,
-                                                  int64_t lower, int64_t upper);
+                                                  Value variable, int64_t lower,
+                                                  int64_t upper);
 
 /// How `index` shifts `variable` over [lower, upper); nothing if it is no
 /// shift, or if the range is empty or too long to be worth the evaluation.

@@ -28,6 +28,9 @@ struct LoopBox {
 /// where they are not constants, or the field has a sparse level.
 std::optional<LoopBox> getConstantBox(ParallelForOp loop);
 
+/// The same for any field: indices that a loop over active cells may have.
+std::optional<LoopBox> getIndexBox(ParallelForOp loop);
+
 } // namespace mlir::tai
 
 #endif // TAI_ANALYSIS_LOOPBOX_H

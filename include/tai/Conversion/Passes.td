@@ -65,7 +65,7 @@ def VectorizeBlocks : Pass<"tai-vectorize-blocks"> {
     ```
   }];
   let options = [
-    Option<"maxOps", "max-ops", "int64_t", /*default=*/"1024",
+    Option<"maxOps", "max-ops", "int64_t", /*default=*/"512",
            "Unroll rows of a block into at most so many operations">,
   ];
   let dependentDialects = ["::mlir::arith::ArithDialect",

@@ -126,10 +126,13 @@ void tai_rt_deactivate(TaiFrame *frame, void *tree, int32_t node, int64_t cell,
 /// number in the list, or -1 and fails the launch if the list is full.
 int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node, int64_t list,
                       const char *where);
-/// The active cells of a level, ascending, as they are now. The array stays as
-/// it is until the kernel returns. Returns their number.
+/// The active cells of a level, ascending. The array stays as it is until the
+/// kernel returns. Returns their number.
 int64_t tai_rt_active_cells(TaiFrame *frame, void *tree, int32_t node,
                             const int64_t **cells);
+/// Whether those are the cells that are active now: the reverse of a loop gets
+/// the cells that the loop went over.
+int32_t tai_rt_list_is_current(TaiFrame *frame, void *tree, int32_t node);
 
 /// Random bits: Philox 4x32-10 keyed by seed, counted by (launch, iteration,
 /// stream, sequence).

@@ -54,10 +54,9 @@ FailureOr<const FieldInfo *> FieldTable::lookup(Operation *user,
   }
   const PlacePath &path = layout->path;
   if (!path.levels.empty())
-    info->cellOffset =
-        getChildOffset(path.levels.back().type.getChildren(), path.placesChild,
-                       dataLayout) +
-        getPlaceOffset(path.places, path.place, dataLayout);
+    info->cellOffset = getChildOffset(path.levels.back().type.getChildren(),
+                                      path.placesChild, dataLayout) +
+                       getPlaceOffset(path.places, path.place, dataLayout);
   Type type = path.getElementType();
   info->scalarType = getElementTypeOrSelf(type);
   info->scalarSize = getValueSize(info->scalarType, dataLayout);
@@ -268,8 +267,8 @@ Value tai::emitTreeAddress(OpBuilder &builder, Location loc,
   // A constant of a GEP has 29 bits; trees may be larger.
   LLVM::GEPArg offset = static_cast<int32_t>(bytes);
   if (!llvm::isInt<29>(bytes))
-    offset = IndexMath(builder, loc)
-                 .toI64(IndexMath(builder, loc).constant(bytes));
+    offset =
+        IndexMath(builder, loc).toI64(IndexMath(builder, loc).constant(bytes));
   return LLVM::GEPOp::create(
       builder, loc, pointerType, builder.getI8Type(), base, {offset},
       LLVM::GEPNoWrapFlags::inbounds | LLVM::GEPNoWrapFlags::nuw);

@@ -9,6 +9,7 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "mlir/IR/IRMapping.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -49,6 +50,29 @@ FailureOr<Value> Closure::get(Value outer) {
        isa<TreeBaseOp, LLVM::AddressOfOp>(definition))) {
     value = entry.clone(*definition)->getResult(0);
     return value;
+  }
+  // Vectors of scalars from outside are made again.
+  if (definition && isa<VectorType>(outer.getType()) &&
+      definition->getNumRegions() == 0 && isMemoryEffectFree(definition)) {
+    IRMapping operands;
+    Operation *last = nullptr;
+    for (Value operand : definition->getOperands()) {
+      FailureOr<Value> inside = get(operand);
+      if (failed(inside))
+        return failure();
+      operands.map(operand, *inside);
+      Operation *made = inside->getDefiningOp();
+      if (made && (!last || last->isBeforeInBlock(made)))
+        last = made;
+    }
+    if (last)
+      entry.setInsertionPointAfter(last);
+    else
+      entry.setInsertionPointToStart(&inner.getBody().front());
+    Value copy = entry.clone(*definition, operands)
+                     ->getResult(cast<OpResult>(outer).getResultNumber());
+    known[outer] = copy;
+    return copy;
   }
   Type type = outer.getType();
   if (!type.isIntOrIndexOrFloat() && !isa<LLVM::LLVMPointerType>(type)) {

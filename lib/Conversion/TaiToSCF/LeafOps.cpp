@@ -258,6 +258,14 @@ static void lowerCellOp(Operation *op, Value frame, RuntimeCalls &runtime) {
     cells.getCount().replaceAllUsesWith(math.toIndex(count));
     return op->erase();
   }
+  if (auto current = dyn_cast<ListIsCurrentOp>(op)) {
+    Value all = runtime.call(builder, loc, "tai_rt_list_is_current", i32,
+                             {frame, tree, node});
+    current.getCurrent().replaceAllUsesWith(
+        arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::ne, all,
+                              runtime.i32(builder, loc, 0)));
+    return op->erase();
+  }
   Value number = math.toI64(op->getOperand(1));
   Value where = runtime.string(builder, loc, describeLocation(loc));
   if (auto activate = dyn_cast<ActivateCellOp>(op)) {
@@ -285,8 +293,8 @@ LogicalResult tai::lowerLeafOps(LLVM::LLVMFuncOp function,
   llvm::DenseMap<StringAttr, Value> bases;
   function.walk([&](Operation *op) {
     if (isa<AllocaOp, StackCreateOp, AssertOp, PrintOp, TreeBaseOp,
-            ActiveCellsOp, ActivateCellOp, DeactivateCellOp, AppendCellOp>(
-            op) ||
+            ActiveCellsOp, ListIsCurrentOp, ActivateCellOp, DeactivateCellOp,
+            AppendCellOp>(op) ||
         (isa<UnrealizedConversionCastOp>(op) && op->hasAttr("stream")))
       ops.push_back(op);
   });
@@ -303,8 +311,8 @@ LogicalResult tai::lowerLeafOps(LLVM::LLVMFuncOp function,
             .Case([&](PrintOp print) {
               return lowerPrint(print, frame, runtime);
             })
-            .Case<ActiveCellsOp, ActivateCellOp, DeactivateCellOp,
-                  AppendCellOp>([&](auto cell) {
+            .Case<ActiveCellsOp, ListIsCurrentOp, ActivateCellOp,
+                  DeactivateCellOp, AppendCellOp>([&](auto cell) {
               lowerCellOp(cell, frame, runtime);
               return success();
             })

@@ -59,12 +59,68 @@ bool BlockLoop::findBlock(FieldTable &fields) {
   return true;
 }
 
-void BlockLoop::findAnswers() {
+/// Whether each block lies in one cell of a sparse level of another field.
+bool BlockLoop::coversBlocks(const FieldInfo &other, unsigned level) const {
+  if (other.layout.offset != field->layout.offset)
+    return false;
+  SmallVector<int64_t> inner(extents.size(), 1);
+  for (const IndexDigit &digit : other.storage.digits)
+    if (digit.level > level)
+      inner[digit.dimension] *= digit.extent;
+  return llvm::all_of(llvm::zip(inner, extents), [](auto pair) {
+    return std::get<0>(pair) % std::get<1>(pair) == 0;
+  });
+}
+
+/// Takes it that the cells that the op asks about are active in the interior.
+bool BlockLoop::addNeighbours(IsActiveOp op, FieldTable &fields) {
+  FailureOr<const FieldInfo *> found = fields.lookup(op, op.getFieldAttr());
+  if (failed(found) || (*found)->sparse.empty() ||
+      (*found)->sparse.back().isList ||
+      op.getIndices().size() != extents.size())
+    return false;
+  const FieldInfo &other = **found;
+  unsigned level = other.layout.path.levels.size() - op.getLevel();
+  if (!coversBlocks(other, level))
+    return false;
+  BlockAccess access{op, &other, {}, 0, std::nullopt};
+  SmallVector<SmallVector<int64_t>> distances(1);
+  for (auto [d, index] : llvm::enumerate(op.getIndices())) {
+    IndexForm &form = access.indices.emplace_back();
+    if (!getForm(index, form) || !form.isShift() || form.variable != d)
+      return false;
+    int64_t first = llvm::divideFloorSigned(form.shift, extents[d]);
+    int64_t last =
+        llvm::divideFloorSigned(form.shift + extents[d] - 1, extents[d]);
+    SmallVector<SmallVector<int64_t>> longer;
+    for (int64_t distance = first; distance <= last; ++distance)
+      for (SmallVector<int64_t> &all : distances) {
+        longer.push_back(all);
+        longer.back().push_back(distance);
+      }
+    distances = std::move(longer);
+  }
+  require(access);
+  for (SmallVector<int64_t> &distance : distances) {
+    Neighbour neighbour{op.getFieldAttr(), int64_t(op.getLevel()),
+                        std::move(distance)};
+    if (!llvm::is_contained(neighbours, neighbour))
+      neighbours.push_back(std::move(neighbour));
+  }
+  return true;
+}
+
+void BlockLoop::findAnswers(FieldTable &fields) {
   Region &body = loop.getBody();
   llvm::SmallDenseMap<Value, unsigned> dimensions;
   for (auto [dimension, iv] : llvm::enumerate(loop.getInductionVars()))
     dimensions[iv] = dimension;
   body.walk([&](Operation *op) {
+    if (auto ask = dyn_cast<IsActiveOp>(op)) {
+      if (addNeighbours(ask, fields))
+        answers[ask.getActive()] = true;
+      return;
+    }
     for (Value result : op->getResults()) {
       SmallVector<Value> variables;
       if (!result.getType().isInteger(1) ||
@@ -189,14 +245,10 @@ bool BlockLoop::canWrite(BlockAccess &access) {
   // The block lies in one cell of the innermost sparse level.
   if (other.sparse.back().isList || access.indices.size() != extents.size())
     return false;
-  SmallVector<int64_t> inner(extents.size(), 1);
-  for (const IndexDigit &d : other.storage.digits)
-    if (d.level > other.sparse.back().level)
-      inner[d.dimension] *= d.extent;
+  if (!coversBlocks(other, other.sparse.back().level))
+    return false;
   for (auto [d, form] : llvm::enumerate(access.indices))
-    if (!form.isShift() || form.variable != d || form.shift != 0 ||
-        field->layout.offset[d] != other.layout.offset[d] ||
-        inner[d] % extents[d] != 0)
+    if (!form.isShift() || form.variable != d || form.shift != 0)
       return false;
   return true;
 }
@@ -286,6 +338,11 @@ bool BlockLoop::analyzeBody(Block &block, FieldTable &fields) {
         return false;
       continue;
     }
+    if (isa<IsActiveOp>(op)) {
+      if (!answers.contains(op.getResult(0)))
+        return false;
+      continue;
+    }
     if (isa<LoadOp, StoreOp, AtomicOp>(op)) {
       if (!addAccess(&op, fields))
         return false;
@@ -325,7 +382,7 @@ std::optional<BlockLoop> BlockLoop::analyze(ParallelForOp loop,
   if (!loop.isStructFor() || loop.getLevel() || loop.getSerialize() ||
       loop->getParentOfType<ParallelForOp>() || !result.findBlock(fields))
     return std::nullopt;
-  result.findAnswers();
+  result.findAnswers(fields);
   if (!result.analyzeBody(loop.getBody().front(), fields) ||
       readsNeighboursOfWrites(result.accesses))
     return std::nullopt;

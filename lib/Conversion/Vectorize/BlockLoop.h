@@ -62,6 +62,18 @@ public:
   /// The answers in the interior: blocks that lie in [lower, upper).
   llvm::DenseMap<Value, bool> answers;
   SmallVector<int64_t> lower, upper;
+  /// Cells around a block that must be active in the interior: the field that
+  /// asks, how many levels up, and how many blocks away along each dimension.
+  struct Neighbour {
+    FlatSymbolRefAttr field;
+    int64_t up;
+    SmallVector<int64_t> distance;
+    bool operator==(const Neighbour &other) const {
+      return field == other.field && up == other.up &&
+             distance == other.distance;
+    }
+  };
+  SmallVector<Neighbour> neighbours;
   /// Stores whose cell has to be made active, by one op for each level.
   SmallVector<BlockAccess *> activations;
   /// Ops of an iteration in the interior.
@@ -69,7 +81,9 @@ public:
 
 private:
   bool findBlock(FieldTable &fields);
-  void findAnswers();
+  void findAnswers(FieldTable &fields);
+  bool addNeighbours(IsActiveOp op, FieldTable &fields);
+  bool coversBlocks(const FieldInfo &other, unsigned level) const;
   bool analyzeBody(Block &block, FieldTable &fields);
   bool addAccess(Operation *op, FieldTable &fields);
   bool getForm(Value index, IndexForm &form);

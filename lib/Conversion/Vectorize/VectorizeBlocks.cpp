@@ -16,8 +16,8 @@
 
 #include "../Common/ActiveCells.h"
 #include "RowBuilder.h"
-#include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Interfaces/FunctionInterfaces.h"
 #include "tai/Analysis/SkipScope.h"
 #include "tai/Conversion/Passes.h"
 
@@ -53,11 +53,12 @@ static Value emitIsInterior(OpBuilder &builder, const BlockLoop &block,
 }
 
 /// Makes the cells active in which the block writes to other fields than that
-/// of the loop. Yields whether they are, and `inside` holds.
+/// of the loop. Yields whether they are, and the neighbours, and `inside`
+/// holds.
 static Value emitActivations(OpBuilder &builder, const BlockLoop &block,
                              ValueRange origin, Value inside, bool keeps) {
   Location loc = ParallelForOp(block.loop).getLoc();
-  if (block.activations.empty())
+  if (block.activations.empty() && block.neighbours.empty())
     return inside;
   scf::IfOp branch;
   OpBuilder inner = builder;
@@ -69,6 +70,19 @@ static Value emitActivations(OpBuilder &builder, const BlockLoop &block,
     inner = OpBuilder::atBlockBegin(branch.thenBlock());
   }
   Value all;
+  auto require = [&](Value holds) {
+    all =
+        all ? arith::AndIOp::create(inner, loc, all, holds).getResult() : holds;
+  };
+  IndexMath math(inner, loc);
+  for (const BlockLoop::Neighbour &neighbour : block.neighbours) {
+    SmallVector<Value> indices;
+    for (auto [index, distance, extent] :
+         llvm::zip(origin, neighbour.distance, block.extents))
+      indices.push_back(math.add(index, math.constant(distance * extent)));
+    require(IsActiveOp::create(inner, loc, inner.getI1Type(), neighbour.field,
+                               indices, inner.getI64IntegerAttr(neighbour.up)));
+  }
   for (const BlockAccess *access : block.activations) {
     auto name = access->op->getAttrOfType<FlatSymbolRefAttr>("field");
     IntegerAttr up =
@@ -90,8 +104,7 @@ static Value emitActivations(OpBuilder &builder, const BlockLoop &block,
       scf::YieldOp::create(otherwise, loc, active);
       active = known.getResult(0);
     }
-    all = all ? arith::AndIOp::create(inner, loc, all, active).getResult()
-              : active;
+    require(active);
   }
   if (!branch)
     return all;
@@ -174,9 +187,11 @@ static void emitElements(OpBuilder &builder, const BlockLoop &block,
   });
 }
 
-static void vectorize(const BlockLoop &block, FieldTable &fields, bool keeps,
+static void vectorize(const BlockLoop &block, FieldTable &fields,
                       int64_t maxOps) {
   ParallelForOp loop = block.loop;
+  auto function = loop->getParentOfType<FunctionOpInterface>();
+  bool keeps = function && function->hasAttr(kKeepsActivityAttrName);
   OpBuilder builder(loop);
   Location loc = loop.getLoc();
   auto blocks = ParallelForOp::create(builder, loc, loop.getFieldAttr(),
@@ -240,11 +255,10 @@ struct VectorizeBlocks : tai::impl::VectorizeBlocksBase<VectorizeBlocks> {
     });
     if (known.wasInterrupted())
       return signalPassFailure();
-    bool keeps = getOperation()->hasAttr(kKeepsActivityAttrName);
     for (ParallelForOp loop : loops) {
       markActive(loop, fields);
       if (std::optional<BlockLoop> block = BlockLoop::analyze(loop, fields))
-        vectorize(*block, fields, keeps, maxOps);
+        vectorize(*block, fields, maxOps);
     }
   }
 };

@@ -181,6 +181,25 @@ std::optional<PlacePath> tai::findPlace(RootType root, StringRef name) {
 // Fields
 //===----------------------------------------------------------------------===//
 
+/// Which child each level down to the innermost sparse one is.
+static SmallVector<unsigned> getSparsePosition(const PlacePath &path) {
+  SmallVector<unsigned> position;
+  size_t count = 0;
+  for (auto [number, level] : llvm::enumerate(path.levels)) {
+    position.push_back(level.child);
+    if (level.type.isSparse())
+      count = number + 1;
+  }
+  position.truncate(count);
+  return position;
+}
+
+bool mlir::tai::haveSameActivity(const FieldLayout &a, const FieldLayout &b) {
+  return a.tree == b.tree && a.axisOfIndex == b.axisOfIndex &&
+         a.shape == b.shape && a.offset == b.offset &&
+         getSparsePosition(a.path) == getSparsePosition(b.path);
+}
+
 FieldOp tai::lookupField(Operation *from, FlatSymbolRefAttr name) {
   return SymbolTable::lookupNearestSymbolFrom<FieldOp>(from, name);
 }

@@ -423,6 +423,12 @@ static LogicalResult verifyListAccess(Operation *op, FlatSymbolRefAttr name,
   return success();
 }
 
+LogicalResult VisitsAllOp::verifySymbolUses(SymbolTableCollection &symbols) {
+  if (symbols.lookupNearestSymbolFrom<FieldOp>(*this, getFieldAttr()))
+    return success();
+  return emitOpError() << "names '" << getFieldAttr()
+                       << "', which is not a field";
+}
 LogicalResult ActivateOp::verifySymbolUses(SymbolTableCollection &symbols) {
   return verifyLevelAccess(*this, getFieldAttr(), getIndices().size(),
                            getLevel(), symbols);

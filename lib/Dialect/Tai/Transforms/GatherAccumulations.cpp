@@ -13,6 +13,11 @@
 // have added. What is left is one plain addition for each element, in a fixed
 // order, which needs no atomics and vectorises.
 //
+// Of a loop over the active cells of a sparse field, only those iterations
+// count that there are: those whose cell is active. That holds for adjoints,
+// which change no activity, as long as the loop goes over all active cells; the
+// reverse of a loop that went over fewer keeps its scatter.
+//
 //===----------------------------------------------------------------------===//
 
 #include "mlir/Dialect/Arith/IR/Arith.h"
@@ -180,13 +185,32 @@ static bool canRecompute(Value value, LoopBox &box,
          });
 }
 
+/// The field that a loop over active cells visits, if it is one.
+static FailureOr<FieldLayout> getSparseLoopField(ParallelForOp loop) {
+  if (!loop.isStructFor())
+    return failure();
+  FailureOr<FieldLayout> layout =
+      getFieldLayout(lookupField(loop, loop.getFieldAttr()));
+  if (failed(layout) || !layout->path.getFirstSparse())
+    return failure();
+  return layout;
+}
+
+/// True if the loop visits all elements of a field that can be added to.
+static bool ownsAllActive(LoopBox &box, const FieldLayout &field) {
+  FailureOr<FieldLayout> visited = getSparseLoopField(box.loop);
+  if (failed(visited))
+    return !field.path.getFirstSparse();
+  return haveSameActivity(*visited, field);
+}
+
 /// Groups the additions to one field by slice and component. Empty if one of
 /// them cannot be gathered, or another access might meet them.
 static SmallVector<Group> getGroups(FieldOp field, LoopBox &box,
                                     ArrayRef<AtomicOp> atomics,
                                     unsigned maxOps) {
   FailureOr<FieldLayout> layout = getFieldLayout(field);
-  if (failed(layout) || layout->path.getFirstSparse())
+  if (failed(layout) || !ownsAllActive(box, *layout))
     return {};
   // Reads of the field itself are the business of isOnlyAccess, unless the loop
   // stores to it: what an iteration reads would then depend on which one it is.
@@ -358,6 +382,45 @@ static Value invertShift(OpBuilder &builder, Location loc, Value iv,
   return source;
 }
 
+/// Whether a loop over active cells has the iteration with these indices; null
+/// if all loops have.
+static Value emitIsVisited(OpBuilder &builder, LoopBox &box,
+                           const IRMapping &mapping, Scatter &scatter) {
+  FailureOr<FieldLayout> visited = getSparseLoopField(box.loop);
+  if (failed(visited) || llvm::all_of(scatter.shift, [](IndexShift shift) {
+        return shift.isIdentity();
+      }))
+    return {};
+  SmallVector<Value> indices;
+  for (BlockArgument iv : box.ivs())
+    indices.push_back(mapping.lookup(iv));
+  // The innermost sparse level says it.
+  int64_t up = 1;
+  for (const PathLevel &level : llvm::reverse(visited->path.levels)) {
+    if (level.type.isSparse())
+      break;
+    ++up;
+  }
+  return IsActiveOp::create(builder, scatter.op.getLoc(), builder.getI1Type(),
+                            box.loop.getFieldAttr(), indices,
+                            builder.getI64IntegerAttr(up));
+}
+
+/// The value if `condition` holds, zero if not.
+static Value createGuarded(OpBuilder &builder, Location loc, Type type,
+                           Value condition,
+                           function_ref<Value(OpBuilder &builder)> value) {
+  return scf::IfOp::create(
+             builder, loc, condition,
+             [&](OpBuilder &nested, Location) {
+               scf::YieldOp::create(nested, loc, value(nested));
+             },
+             [&](OpBuilder &nested, Location) {
+               scf::YieldOp::create(nested, loc, createZero(nested, loc, type));
+             })
+      .getResult(0);
+}
+
 /// What `scatter` adds to the element that the present iteration owns.
 static Value recompute(OpBuilder &builder, LoopBox &box, Scatter &scatter) {
   Location loc = scatter.op.getLoc();
@@ -366,26 +429,22 @@ static Value recompute(OpBuilder &builder, LoopBox &box, Scatter &scatter) {
   for (auto [k, iv] : llvm::enumerate(box.ivs()))
     mapping.map(iv, invertShift(builder, loc, iv, scatter.shift[k],
                                 box.lower[k], box.upper[k], inside));
-  if (inside.empty()) {
-    Recomputation at(builder, box, std::move(mapping));
-    return recomputeBelow(at, scatter, 0);
-  }
+  Type type = scatter.op.getValue().getType();
+  auto value = [&](OpBuilder &nested) {
+    auto below = [&](OpBuilder &nested) {
+      Recomputation at(nested, box, mapping);
+      return recomputeBelow(at, scatter, 0);
+    };
+    Value visited = emitIsVisited(nested, box, mapping, scatter);
+    return visited ? createGuarded(nested, loc, type, visited, below)
+                   : below(nested);
+  };
+  if (inside.empty())
+    return value(builder);
   Value condition = inside.front();
   for (Value other : llvm::drop_begin(inside))
     condition = arith::AndIOp::create(builder, loc, condition, other);
-  return scf::IfOp::create(
-             builder, loc, condition,
-             [&](OpBuilder &nested, Location) {
-               Recomputation at(nested, box, mapping);
-               scf::YieldOp::create(nested, loc,
-                                    recomputeBelow(at, scatter, 0));
-             },
-             [&](OpBuilder &nested, Location) {
-               scf::YieldOp::create(
-                   nested, loc,
-                   createZero(nested, loc, scatter.op.getValue().getType()));
-             })
-      .getResult(0);
+  return createGuarded(builder, loc, type, condition, value);
 }
 
 namespace {
@@ -465,33 +524,68 @@ static void rewrite(LoopBox &box, MutableArrayRef<Group> groups) {
       scatter.op.erase();
 }
 
+/// Whether the kernel around the loop makes nothing active.
+static bool keepsActivity(ParallelForOp loop) {
+  auto function = loop->getParentOfType<FunctionOpInterface>();
+  return function && function->hasAttr(kKeepsActivityAttrName);
+}
+
+/// Gathers what can be gathered; true if anything was.
+static bool gatherLoop(LoopBox &box, unsigned maxOps) {
+  // Fields in the order of their first addition.
+  llvm::MapVector<const void *, SmallVector<AtomicOp>> byStorage;
+  box.loop.walk(
+      [&](AtomicOp op) { byStorage[getStorageKey(op)].push_back(op); });
+  bool changed = false;
+  for (auto &[storage, atomics] : byStorage) {
+    // Additions that nobody else can meet are plain already.
+    if (llvm::all_of(atomics, [](AtomicOp op) { return op.getExclusive(); }))
+      continue;
+    FieldOp field =
+        lookupField(atomics.front(), atomics.front().getFieldAttr());
+    SmallVector<Group> groups = getGroups(field, box, atomics, maxOps);
+    if (groups.empty() || !isOnlyAccess(field, box, groups))
+      continue;
+    rewrite(box, groups);
+    changed = true;
+  }
+  return changed;
+}
+
+/// The same for a loop over active cells, where it goes over all of them.
+static void gatherSparseLoop(ParallelForOp loop, LoopBox &box,
+                             unsigned maxOps) {
+  ParallelForOp scattered = loop.clone();
+  if (!gatherLoop(box, maxOps)) {
+    scattered.erase();
+    return;
+  }
+  OpBuilder builder(loop);
+  Value all = VisitsAllOp::create(builder, loop.getLoc(), builder.getI1Type(),
+                                  loop.getFieldAttr());
+  auto branch = scf::IfOp::create(builder, loop.getLoc(), all,
+                                  /*withElseRegion=*/true);
+  loop->moveBefore(branch.thenBlock(), branch.thenBlock()->begin());
+  branch.elseBlock()->getOperations().push_front(scattered);
+}
+
 namespace {
 struct GatherAccumulations
     : tai::impl::GatherAccumulationsBase<GatherAccumulations> {
   using Base::Base;
 
   void runOnOperation() override {
-    getOperation()->walk([&](ParallelForOp loop) {
-      std::optional<LoopBox> box = getConstantBox(loop);
+    SmallVector<ParallelForOp> loops;
+    getOperation()->walk([&](ParallelForOp loop) { loops.push_back(loop); });
+    for (ParallelForOp loop : loops) {
+      std::optional<LoopBox> box = getIndexBox(loop);
       if (!box || loop.getInductionVars().empty())
-        return;
-      // Fields in the order of their first addition.
-      llvm::MapVector<const void *, SmallVector<AtomicOp>> byStorage;
-      loop.walk(
-          [&](AtomicOp op) { byStorage[getStorageKey(op)].push_back(op); });
-      for (auto &[storage, atomics] : byStorage) {
-        // Additions that nobody else can meet are plain already.
-        if (llvm::all_of(atomics,
-                         [](AtomicOp op) { return op.getExclusive(); }))
-          continue;
-        FieldOp field =
-            lookupField(atomics.front(), atomics.front().getFieldAttr());
-        SmallVector<Group> groups = getGroups(field, *box, atomics, maxOps);
-        if (groups.empty() || !isOnlyAccess(field, *box, groups))
-          continue;
-        rewrite(*box, groups);
-      }
-    });
+        continue;
+      if (failed(getSparseLoopField(loop)))
+        gatherLoop(*box, maxOps);
+      else if (keepsActivity(loop) && !loop->getParentOfType<ParallelForOp>())
+        gatherSparseLoop(loop, *box, maxOps);
+    }
   }
 };
 } // namespace

@@ -95,6 +95,10 @@ struct FieldLayout {
 /// that holds it.
 FailureOr<FieldLayout> getFieldLayout(FieldOp field);
 
+/// Whether an element of one field is active exactly if that of the other with
+/// the same indices is.
+bool haveSameActivity(const FieldLayout &a, const FieldLayout &b);
+
 /// The field of that name visible from `from`, or null.
 FieldOp lookupField(Operation *from, FlatSymbolRefAttr name);
 

@@ -160,6 +160,23 @@ def Tai_IsActiveOp : Tai_TopologyOp<"is_active"> {
   let assemblyFormat = "$field `[` $indices `]` `level` $level attr-dict";
 }
 
+def Tai_VisitsAllOp : Tai_Op<"visits_all", [
+    DeclareOpInterfaceMethods<SymbolUserOpInterface>]> {
+  let summary = "tell whether a loop goes over all active cells";
+  let description = [{
+    True if a loop over the field visits the cells that are active now. The
+    reverse of a loop visits what the loop visited, which may be fewer. Made by
+    `tai-gather-accumulations`.
+
+    ```mlir
+    %all = tai.visits_all @x
+    ```
+  }];
+  let arguments = (ins FlatSymbolRefAttr:$field);
+  let results = (outs I1:$all);
+  let assemblyFormat = "$field attr-dict";
+}
+
 def Tai_AppendOp : Tai_TopologyOp<"append"> {
   let summary = "add a cell to a dynamic list";
   let description = [{

@@ -54,6 +54,22 @@ def Tai_ActiveCellsOp : Tai_Op<"active_cells", [
   let assemblyFormat = "$base `,` $node attr-dict `:` type($base)";
 }
 
+def Tai_ListIsCurrentOp : Tai_Op<"list_is_current"> {
+  let summary = "tell whether a loop goes over all active cells";
+  let description = [{
+    False if `tai.active_cells` of the same level yields another list than that
+    of the cells that are active now: the reverse of a loop goes over what the
+    loop went over. Made by `tai-lower-layout`.
+
+    ```mlir
+    %all = tai.list_is_current %base, 0 : !llvm.ptr
+    ```
+  }];
+  let arguments = (ins Tai_LLVMPointer:$base, I32Attr:$node);
+  let results = (outs I1:$current);
+  let assemblyFormat = "$base `,` $node attr-dict `:` type($base)";
+}
+
 def Tai_ActivateCellOp : Tai_Op<"activate_cell"> {
   let summary = "make a cell and those above it active";
   let description = [{
