@@ -100,6 +100,9 @@ static void lowerByDigits(ParallelForOp loop, const FieldInfo &field,
   if (sparse) {
     Value base = emitTreeBase(builder, loc, field);
     cells = sparse->type.emitActiveCells(builder, loc, base, sparse->node);
+    Attribute reach = loop->getAttr(kReachAttrName);
+    if (auto list = cells.count.getDefiningOp<ActiveCellsOp>(); list && reach)
+      list->setAttr(kReachAttrName, reach);
     lower.push_back(math.constant(0));
     upper.push_back(cells.count);
     first = sparse->level + 1;

@@ -397,6 +397,7 @@ std::vector<RuntimeSymbol> mlir::tai::runtime::runtimeSymbols() {
           TAI_SYMBOL(tai_rt_append),
           TAI_SYMBOL(tai_rt_active_cells),
           TAI_SYMBOL(tai_rt_list_is_current),
+          TAI_SYMBOL(tai_rt_gathered_cells),
           TAI_SYMBOL(tai_rt_random_u32),
           TAI_SYMBOL(tai_rt_print),
           TAI_SYMBOL(tai_rt_fail),

@@ -99,14 +99,27 @@ extern "C" int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node,
   return at;
 }
 
-extern "C" int64_t tai_rt_active_cells(TaiFrame *frame, void *tree,
-                                       int32_t node, const int64_t **cells) {
-  Launch &launch = launchOf(frame);
-  const std::vector<int64_t> &list = launch.cellsFor(nodeOf(tree, node));
+/// Hands a list to compiled code.
+static int64_t give(Launch &launch, const std::vector<int64_t> &list,
+                    const int64_t **cells) {
   *cells = list.data();
   if (list.empty())
     launch.owner().skipCounters().add(SkipCount::EmptyLoops);
   return static_cast<int64_t>(list.size());
+}
+
+extern "C" int64_t tai_rt_active_cells(TaiFrame *frame, void *tree,
+                                       int32_t node, const int64_t **cells) {
+  Launch &launch = launchOf(frame);
+  return give(launch, launch.cellsFor(nodeOf(tree, node)), cells);
+}
+
+extern "C" int64_t tai_rt_gathered_cells(TaiFrame *frame, void *tree,
+                                         int32_t node, int64_t reach,
+                                         const int64_t **cells) {
+  Launch &launch = launchOf(frame);
+  return give(launch, launch.gatheredCellsFor(nodeOf(tree, node), reach),
+              cells);
 }
 
 extern "C" int32_t tai_rt_list_is_current(TaiFrame *frame, void *tree,
@@ -114,5 +127,5 @@ extern "C" int32_t tai_rt_list_is_current(TaiFrame *frame, void *tree,
   Launch &launch = launchOf(frame);
   SparseNode &sparse = nodeOf(tree, node);
   return !launch.given ||
-         launch.cellsFor(sparse) == sparse.list(launch.owner())->cells;
+         launch.visitedCells(sparse) == sparse.list(launch.owner())->cells;
 }

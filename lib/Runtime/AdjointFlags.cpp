@@ -15,6 +15,7 @@
 #include "Launch.h"
 #include <algorithm>
 #include <array>
+#include <iterator>
 
 using namespace mlir::tai;
 using namespace mlir::tai::runtime;
@@ -104,6 +105,108 @@ Launch::withoutVain(const SparseNode &node, const std::vector<int64_t> &cells) {
   auto visited = static_cast<int64_t>(all->size());
   owner().skipCounters().add(SkipCount::FlaggedVisited, visited);
   owner().skipCounters().add(SkipCount::FlaggedSkipped, count - visited);
+  std::lock_guard<std::mutex> lock(failureMutex);
+  filtered.push_back(std::move(all));
+  return *filtered.back();
+}
+
+namespace {
+/// The cells of the innermost sparse level above a field as a grid.
+class CellGrid {
+public:
+  explicit CellGrid(const Field &field) {
+    const FieldLayout &layout = field.layout();
+    for (size_t d = 0; d < layout.indices.size(); ++d) {
+      Dimension dimension;
+      int64_t unit = field.shape()[d];
+      for (const LayoutLevel &level : layout.indices[d])
+        if (level.cells != 0) {
+          dimension.levels.push_back(level);
+          unit = std::min(unit, level.divisor);
+        }
+      for (LayoutLevel &level : dimension.levels)
+        level.divisor /= unit;
+      dimension.extent = dimension.levels.empty() ? 1 : field.shape()[d] / unit;
+      dimensions.push_back(std::move(dimension));
+    }
+  }
+
+  /// How many cells addAround adds at most.
+  int64_t numAround(int64_t reach) const {
+    int64_t count = 1;
+    for (const Dimension &dimension : dimensions)
+      if (__builtin_mul_overflow(
+              count, std::min(2 * reach + 1, dimension.extent), &count))
+        return INT64_MAX;
+    return count;
+  }
+
+  /// Adds the cell and those up to `reach` away along each dimension.
+  void addAround(int64_t cell, int64_t reach,
+                 std::vector<int64_t> &found) const {
+    addAround(cell, reach, 0, 0, found);
+  }
+
+private:
+  struct Dimension {
+    std::vector<LayoutLevel> levels;
+    int64_t extent;
+  };
+
+  void addAround(int64_t cell, int64_t reach, size_t d, int64_t number,
+                 std::vector<int64_t> &found) const {
+    if (d == dimensions.size())
+      return found.push_back(number);
+    const Dimension &dimension = dimensions[d];
+    int64_t position = 0;
+    for (const LayoutLevel &level : dimension.levels)
+      position += cell / level.cells % level.extent * level.divisor;
+    int64_t end = std::min(position + reach + 1, dimension.extent);
+    for (int64_t at = std::max<int64_t>(position - reach, 0); at < end; ++at) {
+      int64_t next = number;
+      for (const LayoutLevel &level : dimension.levels)
+        next += at / level.divisor % level.extent * level.cells;
+      addAround(cell, reach, d + 1, next, found);
+    }
+  }
+
+  std::vector<Dimension> dimensions;
+};
+} // namespace
+
+const std::vector<int64_t> &Launch::gatheredCellsFor(SparseNode &node,
+                                                     int64_t reach) {
+  const std::vector<int64_t> &cells = visitedCells(node);
+  if (!flags || reach < 0)
+    return cells;
+  const std::vector<int64_t> &busy = withoutVain(node, cells);
+  if (&busy == &cells)
+    return cells;
+  auto loop =
+      std::find_if(flags->begin(), flags->end(), [&](const AdjointFlags &f) {
+        return f.loop->sparseNode() == &node;
+      });
+  CellGrid grid(*loop->loop);
+  auto note = [&](const std::vector<int64_t> &result) {
+    auto more = static_cast<int64_t>(result.size() - busy.size());
+    owner().skipCounters().add(SkipCount::FlaggedVisited, more);
+    owner().skipCounters().add(SkipCount::FlaggedSkipped, -more);
+  };
+  // Where most cells are busy, or each makes many others so, the way around
+  // would cost more than it saves.
+  if (2 * busy.size() > cells.size() || grid.numAround(reach) > 64) {
+    note(cells);
+    return cells;
+  }
+  std::vector<int64_t> around;
+  for (int64_t cell : busy)
+    grid.addAround(cell, reach, around);
+  std::sort(around.begin(), around.end());
+  around.erase(std::unique(around.begin(), around.end()), around.end());
+  auto all = std::make_unique<std::vector<int64_t>>();
+  std::set_intersection(cells.begin(), cells.end(), around.begin(),
+                        around.end(), std::back_inserter(*all));
+  note(*all);
   std::lock_guard<std::mutex> lock(failureMutex);
   filtered.push_back(std::move(all));
   return *filtered.back();

@@ -63,7 +63,7 @@ Status Kernel::checkActivity(LoopLists &loops, bool &wasLaunched) {
   return Status::success();
 }
 
-const std::vector<int64_t> &Launch::cellsFor(SparseNode &node) {
+const std::vector<int64_t> &Launch::visitedCells(SparseNode &node) {
   static const std::vector<int64_t> none;
   if (!given) {
     ActiveListPtr list = node.list(owner());
@@ -72,11 +72,11 @@ const std::vector<int64_t> &Launch::cellsFor(SparseNode &node) {
       loops.add(node, list);
     }
     // The list stays, which `loops` holds.
-    return flags ? withoutVain(node, list->cells) : list->cells;
+    return list->cells;
   }
   const LoopLists::Entry *entry = given->find(node);
   if (entry && !entry->differs)
-    return flags ? withoutVain(node, entry->list->cells) : entry->list->cells;
+    return entry->list->cells;
   std::string what = "the gradient of kernel '" + *primalName + "' ";
   if (entry && owner().inReverseFunction())
     what += "loops over the active cells of " + node.info().label +
@@ -91,4 +91,9 @@ const std::vector<int64_t> &Launch::cellsFor(SparseNode &node) {
             ", but there is no launch of the kernel that it could belong to";
   fail(Status::failure(StatusCode::Usage, std::move(what)));
   return none;
+}
+
+const std::vector<int64_t> &Launch::cellsFor(SparseNode &node) {
+  const std::vector<int64_t> &cells = visitedCells(node);
+  return flags ? withoutVain(node, cells) : cells;
 }

@@ -82,6 +82,10 @@ struct Launch : TaiFrame {
   /// returns. Fails where the launch is an adjoint and its primal has none to
   /// give.
   const std::vector<int64_t> &cellsFor(SparseNode &node);
+  /// The same with those that zero adjoints make vain.
+  const std::vector<int64_t> &visitedCells(SparseNode &node);
+  /// Of those: the ones with others around that are not vain.
+  const std::vector<int64_t> &gatheredCellsFor(SparseNode &node, int64_t reach);
 
   Arena arena;
   /// What the loops of this launch went over.

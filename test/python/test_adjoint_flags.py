@@ -124,3 +124,53 @@ def test_what_visits_everything():
     ti.profiler.clear_skips()
     run(1)
     assert 0 < scattered < sum(counters().values())
+
+
+def test_gathered_adjoints_visit_what_lies_around():
+    """A stencil: the loss looks at one of four bodies, and reaches over the border of a block."""
+    gradients = []
+    for skip in ("all", "all,-adjoint-flags"):
+        ti.init(arch=ti.cpu, default_fp=ti.f64, deterministic=True, skip=skip)
+        n = 128
+        x, y = (ti.field(ti.f64, needs_grad=True) for _ in range(2))
+        ti.root.pointer(ti.ij, n // 8).dense(ti.ij, 8).place(x, y, x.grad, y.grad)
+        loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+        @ti.kernel
+        def fill():
+            for i, j in ti.ndrange(n, n):
+                if i % 64 < 24 and j % 64 < 24:
+                    x[i, j] = i + 0.5 * j
+
+        @ti.kernel
+        def step():
+            for i, j in x:
+                if 0 < i < n - 1 and 0 < j < n - 1:
+                    y[i, j] = x[i, j] * x[i, j - 1] + 2.0 * x[i + 1, j] - x[i - 1, j + 1]
+
+        @ti.kernel
+        def look():
+            loss[None] += y[64, 72] + 3.0 * y[71, 79] + y[87, 65]
+
+        fill()
+        ti.profiler.clear_skips()
+        with ti.ad.Tape(loss):
+            step()
+            look()
+        gradients.append(x.grad.to_numpy())
+        counts = ti.profiler.skips()["adjoint-flags"]
+        if skip == "all":
+            # Of the body of nine, what lies around two of its blocks: all but one.
+            assert counts == {"cells_visited": 8, "cells_skipped": 28}
+    expected = np.zeros((128, 128))
+    for (i, j), weight in {(64, 72): 1.0, (71, 79): 3.0, (87, 65): 1.0}.items():
+        for k, l, partial in (
+            (i, j, i + 0.5 * (j - 1)),
+            (i, j - 1, i + 0.5 * j),
+            (i + 1, j, 2.0),
+            (i - 1, j + 1, -1.0),
+        ):
+            if k % 64 < 24 and l % 64 < 24:
+                expected[k, l] += weight * partial
+    np.testing.assert_allclose(gradients[0], expected, atol=1e-12)
+    assert gradients[0].tobytes() == gradients[1].tobytes()

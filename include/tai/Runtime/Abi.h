@@ -130,6 +130,10 @@ int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node, int64_t list,
 /// kernel returns. Returns their number.
 int64_t tai_rt_active_cells(TaiFrame *frame, void *tree, int32_t node,
                             const int64_t **cells);
+/// Those of them that have, or have within `reach` cells in each direction, an
+/// adjoint that is not zero; all for a negative reach. May yield more.
+int64_t tai_rt_gathered_cells(TaiFrame *frame, void *tree, int32_t node,
+                              int64_t reach, const int64_t **cells);
 /// Whether those are the cells that are active now: the reverse of a loop gets
 /// the cells that the loop went over.
 int32_t tai_rt_list_is_current(TaiFrame *frame, void *tree, int32_t node);

@@ -250,8 +250,13 @@ static void lowerCellOp(Operation *op, Value frame, RuntimeCalls &runtime) {
                            op->getAttrOfType<IntegerAttr>("node").getInt());
   if (auto cells = dyn_cast<ActiveCellsOp>(op)) {
     Value slot = emitStackSlots(builder, loc, 1);
-    Value count = runtime.call(builder, loc, "tai_rt_active_cells", i64,
-                               {frame, tree, node, slot});
+    auto reach = op->getAttrOfType<IntegerAttr>(kReachAttrName);
+    Value count =
+        reach ? runtime.call(builder, loc, "tai_rt_gathered_cells", i64,
+                             {frame, tree, node,
+                              runtime.i64(builder, loc, reach.getInt()), slot})
+              : runtime.call(builder, loc, "tai_rt_active_cells", i64,
+                             {frame, tree, node, slot});
     Value list =
         LLVM::LoadOp::create(builder, loc, runtime.getPointerType(), slot);
     cells.getCells().replaceAllUsesWith(list);

@@ -76,7 +76,7 @@ bool BlockLoop::coversBlocks(const FieldInfo &other, unsigned level) const {
 bool BlockLoop::addNeighbours(IsActiveOp op, FieldTable &fields) {
   FailureOr<const FieldInfo *> found = fields.lookup(op, op.getFieldAttr());
   if (failed(found) || (*found)->sparse.empty() ||
-      (*found)->sparse.back().isList ||
+      (*found)->sparse.back().type.isList() ||
       op.getIndices().size() != extents.size())
     return false;
   const FieldInfo &other = **found;
@@ -243,7 +243,8 @@ bool BlockLoop::canWrite(BlockAccess &access) {
   if (other.sparse.empty() || access.op->hasAttr(kActiveAttrName))
     return true;
   // The block lies in one cell of the innermost sparse level.
-  if (other.sparse.back().isList || access.indices.size() != extents.size())
+  if (other.sparse.back().type.isList() ||
+      access.indices.size() != extents.size())
     return false;
   if (!coversBlocks(other, other.sparse.back().level))
     return false;

@@ -530,8 +530,34 @@ static bool keepsActivity(ParallelForOp loop) {
   return function && function->hasAttr(kKeepsActivityAttrName);
 }
 
+/// How many cells away the iterations are that add to an element, at most; -1
+/// if they may be anywhere.
+static int64_t getReach(const FieldLayout &visited, ArrayRef<Group> groups) {
+  int64_t reach = 0;
+  for (const Group &group : groups)
+    for (const Scatter &scatter : group)
+      for (auto [d, shift] : llvm::enumerate(scatter.shift)) {
+        if (shift.wraps)
+          return -1;
+        // Elements of a cell along this dimension.
+        int64_t extent = 1;
+        for (const PathLevel &level : llvm::reverse(visited.path.levels)) {
+          if (level.type.isSparse())
+            break;
+          for (auto [axis, count] :
+               llvm::zip(level.type.getAxes(), level.type.getShape()))
+            if (axis == visited.axisOfIndex[d])
+              extent *= count;
+        }
+        reach = std::max(reach, (std::abs(shift.offset) + extent - 1) / extent);
+      }
+  return reach;
+}
+
 /// Gathers what can be gathered; true if anything was.
 static bool gatherLoop(LoopBox &box, unsigned maxOps) {
+  FailureOr<FieldLayout> visited = getSparseLoopField(box.loop);
+  int64_t reach = 0;
   // Fields in the order of their first addition.
   llvm::MapVector<const void *, SmallVector<AtomicOp>> byStorage;
   box.loop.walk(
@@ -546,9 +572,16 @@ static bool gatherLoop(LoopBox &box, unsigned maxOps) {
     SmallVector<Group> groups = getGroups(field, box, atomics, maxOps);
     if (groups.empty() || !isOnlyAccess(field, box, groups))
       continue;
+    if (succeeded(visited) && reach >= 0) {
+      int64_t here = getReach(*visited, groups);
+      reach = here < 0 ? here : std::max(reach, here);
+    }
     rewrite(box, groups);
     changed = true;
   }
+  if (changed && succeeded(visited))
+    box.loop->setAttr(kReachAttrName,
+                      Builder(box.loop.getContext()).getI64IntegerAttr(reach));
   return changed;
 }
 

@@ -35,6 +35,10 @@ void printLevelChildren(AsmPrinter &printer, ArrayRef<Type> children);
 /// active. Adjoints are so, which have no say in what is active.
 constexpr llvm::StringLiteral kKeepsActivityAttrName = "tai.keeps_activity";
 
+/// On a loop over active cells: an iteration has something to do if one of the
+/// cells so many cells around it has an adjoint that is not zero; -1: any cell.
+constexpr llvm::StringLiteral kReachAttrName = "tai.reach";
+
 /// One level on the path from the root to a place.
 struct PathLevel {
   SNodeTypeInterface type;
