@@ -43,6 +43,10 @@ fuzz-sparse: build ## play 10000 random sequences on random sparse trees (ARGS="
 
 bench: build ## time the scenes against other systems: CSV and plot
 	@$(PYTHON) benchmarks/run.py $(ARGS)
+	@$(PYTHON) benchmarks/sparse/run.py
+
+bench-sparse: build ## time sparse layouts against dense ones (ARGS="--rounds 3")
+	@$(PYTHON) benchmarks/sparse/run.py $(ARGS)
 
 fmt: setup ## format C++ and Python
 	@$(PYTHON) scripts/lint.py --fix

@@ -110,6 +110,46 @@ def adjoint(ti, layout: str, share: float) -> dict:
     return {"cells": side * side, "ms": least(step.grad, ti)}
 
 
+def bodies(ti, layout: str, count: float) -> dict:
+    """Reverse sweep of ten elastic discs that do not touch; the loss looks at some of them."""
+    n, steps = 1024, 4
+    x, y = (ti.field(ti.f32, needs_grad=True) for _ in range(2))
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+    place(ti, layout, [x, y], n)
+    side, looked = 96, int(count)
+
+    @ti.kernel
+    def fill():
+        for body, i, j in ti.ndrange(10, side, side):
+            x[i + 64, j + body * 100 + 8] = 0.5 + 0.001 * (i + j)
+            y[i + 64, j + body * 100 + 8] = 0.0
+
+    @ti.kernel
+    def step():
+        for i, j in x:
+            if 0 < i < n - 1 and 0 < j < n - 1:
+                near = x[i - 1, j] + x[i + 1, j] + x[i, j - 1] + x[i, j + 1]
+                y[i, j] += 0.01 * ti.sin(x[i, j]) * near
+
+    @ti.kernel
+    def look():
+        for body, i, j in ti.ndrange(looked, side, side):
+            loss[None] += y[i + 64, j + body * 100 + 8]
+
+    fill()
+    with ti.ad.Tape(loss) as tape:
+        for _ in range(steps):
+            step()
+        look()
+
+    def reverse():
+        ti.ad.clear_all_gradients()
+        loss.grad[None] = 1.0
+        tape.grad()
+
+    return {"cells": 10 * side * side, "ms": least(reverse, ti)}
+
+
 def band(ti, layout: str, size: float) -> dict:
     """A narrow band around a sphere in a box of size³: what it takes in memory."""
     n = int(size)
