@@ -151,7 +151,7 @@ def bodies(ti, layout: str, count: float) -> dict:
 
 
 def band(ti, layout: str, size: float) -> dict:
-    """A narrow band around a sphere in a box of size³: what it takes in memory."""
+    """A band of four cells around a sphere in a box of size³: what it takes in memory."""
     n = int(size)
     x = ti.field(ti.f32)
     getattr(ti.root, layout)(ti.ijk, n // B).dense(ti.ijk, B).place(x)
@@ -172,7 +172,7 @@ def band(ti, layout: str, size: float) -> dict:
                 height = ti.sqrt(square)
                 for k in range(2):
                     middle = int(0.5 * n + (height if k == 0 else -height))
-                    for d in range(-1, 1):
+                    for d in range(-2, 2):
                         if 0 <= middle + d < n:
                             x[i, j, middle + d] = 1.0
 
