@@ -286,10 +286,10 @@ def test_matrices(name, size):
     compare_modes(loss, [a, u], kernel, tolerance=1e-11)
 
 
-@pytest.mark.parametrize("layout", [ti.Layout.AOS, ti.Layout.SOA])
-def test_duals_of_vectors(layout):
-    v = ti.Vector.field(2, ti.f64, shape=3, needs_dual=True, layout=layout)
-    w = ti.Vector.field(2, ti.f64, shape=3, needs_dual=True, layout=layout)
+@pytest.mark.parametrize("order", [ti.Layout.AOS, ti.Layout.SOA])
+def test_duals_of_vectors(order):
+    v = ti.Vector.field(2, ti.f64, shape=3, needs_dual=True, layout=order)
+    w = ti.Vector.field(2, ti.f64, shape=3, needs_dual=True, layout=order)
 
     @ti.kernel
     def kernel():
