@@ -22,9 +22,8 @@ static constexpr int64_t kShortestRow = 4, kLongestRow = 64;
 /// How many elements apart the elements of a row may lie.
 static constexpr int64_t kLargestStep = 4;
 
-/// The digit of the row index that counts single elements.
-static const IndexDigit *findInnermost(const FieldInfo &field,
-                                       unsigned dimension) {
+const IndexDigit *tai::findInnermost(const FieldInfo &field,
+                                     unsigned dimension) {
   for (const IndexDigit &digit : field.storage.digits)
     if (digit.dimension == dimension && digit.divisor == 1 && digit.extent != 1)
       return &digit;

@@ -43,6 +43,9 @@ struct BlockAccess {
   std::optional<unsigned> rowIndex;
 };
 
+/// The digit of an index that counts single elements, or null.
+const IndexDigit *findInnermost(const FieldInfo &field, unsigned dimension);
+
 class BlockLoop {
 public:
   /// Describes the loop; nothing if it cannot run on whole rows.

@@ -15,7 +15,7 @@ using namespace mlir::tai;
 RowBuilder::RowBuilder(OpBuilder &builder, const BlockLoop &block,
                        FieldTable &fields, ValueRange indices)
     : builder(builder), block(block), fields(fields),
-      loc(BlockLoop(block).loop.getLoc()), math(builder, loc),
+      loc(ParallelForOp(block.loop).getLoc()), math(builder, loc),
       origin(emitZeroBased(builder, loc, *block.field, indices)) {
   findNeeded();
 }
@@ -54,11 +54,7 @@ void RowBuilder::findNeeded() {
 //===----------------------------------------------------------------------===//
 
 const IndexDigit &RowBuilder::getRowDigit(const BlockAccess &access) const {
-  return *llvm::find_if(access.field->storage.digits,
-                        [&](const IndexDigit &digit) {
-                          return digit.dimension == *access.rowIndex &&
-                                 digit.divisor == 1 && digit.extent != 1;
-                        });
+  return *findInnermost(*access.field, *access.rowIndex);
 }
 
 int64_t RowBuilder::getStep(const BlockAccess &access) const {
