@@ -18,7 +18,7 @@
 
 #include <stdint.h>
 
-#define TAI_ABI_VERSION 2
+#define TAI_ABI_VERSION 3
 
 #ifdef __cplusplus
 extern "C" {
@@ -171,6 +171,39 @@ void tai_rt_fail(TaiFrame *frame, int32_t failure, const char *message,
 
 /// Non-zero if this launch has failed.
 int32_t tai_rt_failed(TaiFrame *frame);
+
+//===----------------------------------------------------------------------===//
+// Devices
+//===----------------------------------------------------------------------===//
+//
+// The host's part of a kernel that was compiled for a GPU calls these. In its
+// frame, `trees` holds addresses in the memory of the device. Each fails the
+// launch where it cannot do its work; the calls after it then do nothing.
+
+/// Queues device function number `function` of this kernel. `iterations` is
+/// the number of iterations of the loop, which decides how many threads run
+/// it, or -1 where only the device knows it. `slots` holds the `count`
+/// parameters, each in its own type at the start of eight bytes.
+void tai_rt_device_launch(TaiFrame *frame, int32_t function, int64_t iterations,
+                          const uint64_t *slots, int32_t count);
+
+/// Zeroed device memory for values that one part of the kernel hands on to
+/// another, aligned to 256 bytes; valid for the work of this launch.
+void *tai_rt_device_scratch(TaiFrame *frame, int64_t bytes);
+
+/// Waits, and copies `bytes` bytes from the device.
+void tai_rt_device_fetch(TaiFrame *frame, void *to, const void *from,
+                         int64_t bytes);
+
+/// The address by which the device can use an array of the caller: itself where
+/// it is device memory, else that of a copy. With `written`, the copy is
+/// brought back when the kernel returns.
+void *tai_rt_device_array(TaiFrame *frame, void *array, int64_t bytes,
+                          int32_t written);
+
+/// The state of the device that services of device code use (failures, output,
+/// random numbers, memory): what they know as their frame.
+void *tai_rt_device_state(TaiFrame *frame);
 
 //===----------------------------------------------------------------------===//
 // Host programs (`func.func` run by tai-run)

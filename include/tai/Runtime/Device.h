@@ -1,0 +1,133 @@
+//===- Device.h - A processor with memory of its own ------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// What the runtime asks of a GPU: memory, copies, code and launches, in the
+// order of one queue. There are two: that of the CUDA driver, and one that runs
+// the same device functions on the CPU, for tests on machines without a GPU.
+// See docs/decisions/0010-cuda.md.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_RUNTIME_DEVICE_H
+#define TAI_RUNTIME_DEVICE_H
+
+#include "tai/Runtime/Status.h"
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace mlir::tai::runtime {
+
+/// An address in the memory of the device; 0 is none.
+using DevicePtr = uint64_t;
+
+/// What device code is compiled for.
+enum class DeviceKind { Cuda, Emulated };
+
+/// Code that has been loaded. Made and owned by a Device.
+class DeviceModule {
+public:
+  virtual ~DeviceModule() = default;
+};
+
+/// A function of a module that can be launched. Lives as long as the module.
+class DeviceFunction {
+public:
+  virtual ~DeviceFunction() = default;
+};
+
+/// How many blocks of how many threads run a function.
+struct LaunchShape {
+  unsigned blocks = 1;
+  unsigned threads = 1;
+  unsigned sharedBytes = 0;
+  /// All blocks must run at the same time: the function has barriers over the
+  /// grid.
+  bool cooperative = false;
+};
+
+struct DeviceLimits {
+  unsigned multiprocessors = 1;
+  unsigned threadsPerBlock = 1;
+  int64_t memoryBytes = 0;
+};
+
+/// A compiled kernel's device code, as the compiler leaves it and the cache
+/// keeps it: PTX text for Cuda, an object file for the host for Emulated.
+struct DeviceImage {
+  DeviceKind kind = DeviceKind::Cuda;
+  std::string bytes;
+  /// Names of the functions in the order in which the host's part numbers
+  /// them.
+  std::vector<std::string> functions;
+};
+
+class Device {
+public:
+  virtual ~Device() = default;
+
+  virtual DeviceKind kind() const = 0;
+  /// For people: "NVIDIA H200", "emulated".
+  virtual std::string name() const = 0;
+  virtual DeviceLimits limits() const = 0;
+  /// What the code must be compiled for: "sm_90"; the CPU for an emulation.
+  virtual std::string target() const = 0;
+
+  //===--------------------------------------------------------------------===//
+  // Memory. All but `allocate` and `free` are queued in order; the copies that
+  // involve the host's memory have read or written it when they return.
+  //===--------------------------------------------------------------------===//
+
+  virtual Status allocate(int64_t bytes, DevicePtr &memory) = 0;
+  /// Waits, where it must, for what uses the memory.
+  virtual void free(DevicePtr memory) = 0;
+  /// What is allocated now, and what the device has left.
+  virtual int64_t allocatedBytes() const = 0;
+  virtual int64_t freeBytes() const = 0;
+
+  virtual Status copyIn(DevicePtr to, const void *from, int64_t bytes) = 0;
+  virtual Status copyOut(void *to, DevicePtr from, int64_t bytes) = 0;
+  virtual Status copy(DevicePtr to, DevicePtr from, int64_t bytes) = 0;
+  /// `count` times a pattern of 1, 2, 4 or 8 bytes.
+  virtual Status fill(DevicePtr to, const void *pattern, int patternBytes,
+                      int64_t count) = 0;
+
+  //===--------------------------------------------------------------------===//
+  // Code
+  //===--------------------------------------------------------------------===//
+
+  virtual Status load(const DeviceImage &image,
+                      std::unique_ptr<DeviceModule> &module) = 0;
+  virtual Status find(DeviceModule &module, const std::string &name,
+                      DeviceFunction *&function) = 0;
+  /// The most threads that a block of this function can have, and a good
+  /// number.
+  virtual unsigned mostThreads(const DeviceFunction &function) const = 0;
+  /// How many blocks of so many threads the device can run at a time.
+  virtual unsigned residentBlocks(const DeviceFunction &function,
+                                  unsigned threads) const = 0;
+  /// Queues a launch. `slots` holds the parameters, each in its own type at
+  /// the start of eight bytes.
+  virtual Status launch(DeviceFunction &function, const LaunchShape &shape,
+                        const uint64_t *slots, int count) = 0;
+
+  /// Waits for all that is queued; reports what failed.
+  virtual Status synchronize() = 0;
+};
+
+/// Opens the CUDA driver and the device of this number. The failure says what
+/// is missing: the driver, a driver new enough, a device.
+Status openCudaDevice(int ordinal, std::unique_ptr<Device> &device);
+
+/// Runs device code on the CPU.
+std::unique_ptr<Device> openEmulatedDevice();
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_RUNTIME_DEVICE_H
