@@ -31,7 +31,7 @@ def run(command: list[str]) -> str:
 
 
 def clang_format(fix: bool) -> str:
-    files = tracked("*.cpp", "*.h")
+    files = tracked("*.cpp", "*.h", "*.cu")
     mode = ["-i"] if fix else ["--dry-run", "-Werror"]
     return run(["clang-format-22", *mode, *files]) if files else ""
 
@@ -48,14 +48,18 @@ def ruff_check(fix: bool) -> str:
 
 def license_headers(_fix: bool) -> str:
     """Every C++ file names its licence."""
-    bad = [name for name in tracked("*.cpp", "*.h") if LICENSE_TAG not in (ROOT / name).read_text()]
+    bad = [
+        name
+        for name in tracked("*.cpp", "*.h", "*.cu")
+        if LICENSE_TAG not in (ROOT / name).read_text()
+    ]
     return "\n".join(f"{name}: no licence header" for name in bad)
 
 
 def file_sizes(_fix: bool) -> str:
     """A file that cannot be read in one sitting should be two."""
     bad = []
-    for name in tracked("*.cpp", "*.h", "*.td", "*.py"):
+    for name in tracked("*.cpp", "*.h", "*.cu", "*.td", "*.py"):
         lines = (ROOT / name).read_text().count("\n")
         if lines > MAX_LINES:
             bad.append(f"{name}: {lines} lines, at most {MAX_LINES}")
