@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Common/Accumulate.h"
+#include "Common/FloatOptions.h"
 #include "mlir/Conversion/ArithToLLVM/ArithToLLVM.h"
 #include "mlir/Conversion/ControlFlowToLLVM/ControlFlowToLLVM.h"
 #include "mlir/Conversion/FuncToLLVM/ConvertFuncToLLVM.h"
@@ -18,7 +19,9 @@
 #include "mlir/Dialect/Arith/Transforms/Passes.h"
 #include "mlir/Dialect/ControlFlow/IR/ControlFlow.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
+#include "mlir/Dialect/GPU/IR/GPUDialect.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "mlir/Dialect/LLVMIR/NVVMDialect.h"
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/Math/Transforms/Passes.h"
 #include "tai/Conversion/Passes.h"
@@ -32,8 +35,7 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Adds float options to all arithmetic that does not carry them yet.
-static void setFloatOptions(Operation *root, bool fastMath, bool contract) {
+void tai::setFloatOptions(Operation *root, bool fastMath, bool contract) {
   using arith::FastMathFlags;
   FastMathFlags flags = FastMathFlags::none;
   if (contract)
@@ -70,7 +72,16 @@ struct ExpandClamp : OpRewritePattern<math::ClampFOp> {
     return success();
   }
 };
+} // namespace
 
+void tai::populateExpansionFixes(RewritePatternSet &patterns) {
+  // LLVM 22 crashes when it vectorises a loop with the intrinsic for sine and
+  // cosine together; it finds the pair by itself.
+  math::populateExpansionPatterns(patterns, {"sincos"});
+  patterns.add<ExpandClamp>(patterns.getContext());
+}
+
+namespace {
 struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
   using Base::Base;
 
@@ -88,10 +99,7 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
     ub::populateUBToLLVMConversionPatterns(converter, patterns);
     populateMathToLLVMConversionPatterns(converter, patterns,
                                          /*approximateLog1p=*/false);
-    // LLVM 22 crashes when it vectorises a loop with the intrinsic for sine and
-    // cosine together; it finds the pair by itself.
-    math::populateExpansionPatterns(patterns, {"sincos"});
-    patterns.add<ExpandClamp>(context);
+    populateExpansionFixes(patterns);
     // In f32, polynomials that are right to some units in the last place: they
     // vectorise, which calls of libm do not.
     if (fastMath)
@@ -123,8 +131,9 @@ struct VerifyLLVM : tai::impl::VerifyLLVMBase<VerifyLLVM> {
 
   void runOnOperation() override {
     WalkResult result = getOperation().walk([](Operation *op) {
-      if (isa<ModuleOp>(op) ||
-          isa_and_present<LLVM::LLVMDialect>(op->getDialect()))
+      if (isa<ModuleOp, gpu::GPUModuleOp>(op) ||
+          isa_and_present<LLVM::LLVMDialect, NVVM::NVVMDialect>(
+              op->getDialect()))
         return WalkResult::advance();
       op->emitOpError("was not lowered to the LLVM dialect");
       return WalkResult::interrupt();

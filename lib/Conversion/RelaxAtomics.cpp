@@ -50,8 +50,10 @@ struct FieldAccesses {
 
 class LoopRelaxation {
 public:
-  LoopRelaxation(ParallelForOp loop, FieldTable &fields, bool deterministic)
-      : loop(loop), fields(fields), deterministic(deterministic) {}
+  LoopRelaxation(ParallelForOp loop, FieldTable &fields, bool deterministic,
+                 bool onDevice)
+      : loop(loop), fields(fields), deterministic(deterministic),
+        onDevice(onDevice) {}
 
   LogicalResult run();
 
@@ -64,7 +66,7 @@ private:
 
   ParallelForOp loop;
   FieldTable &fields;
-  bool deterministic;
+  bool deterministic, onDevice;
   int64_t numBuffers = 0;
 };
 } // namespace
@@ -222,11 +224,13 @@ void LoopRelaxation::relaxField(FieldAccesses &accesses) {
     };
     if (group.isFixed() && llvm::all_of(group.atomics, isFixed))
       sums.push_back(std::move(group));
-    else if (isWorthPrivate(group))
+    else if (!onDevice && isWorthPrivate(group))
       buffers.push_back(std::move(group));
     else
       return;
   }
+  if (onDevice && sums.size() > kMaxRegisters)
+    return;
   if (sums.size() > kMaxRegisters) {
     AccumulationGroup merged = sums.front();
     for (const AccumulationGroup &group : ArrayRef(sums).drop_front())
@@ -308,7 +312,7 @@ LogicalResult LoopRelaxation::run() {
 
   std::optional<int64_t> iterations = getNumIterations(loop);
   bool isSmall =
-      iterations &&
+      !onDevice && iterations &&
       *iterations * estimateIteration(loop, !inMemory) < kForkNanoseconds;
   if (isSmall || (deterministic && dependsOnTiming)) {
     loop.walk([&](AtomicOp atomic) { inMemory |= !atomic.getExclusive(); });
@@ -338,7 +342,7 @@ struct RelaxAtomics : tai::impl::RelaxAtomicsBase<RelaxAtomics> {
         atomic.setExclusive(true);
     });
     for (ParallelForOp loop : loops)
-      if (failed(LoopRelaxation(loop, fields, deterministic).run()))
+      if (failed(LoopRelaxation(loop, fields, deterministic, onDevice).run()))
         return signalPassFailure();
   }
 };

@@ -22,6 +22,12 @@ class ControlFlowDialect;
 namespace func {
 class FuncDialect;
 } // namespace func
+namespace gpu {
+class GPUDialect;
+} // namespace gpu
+namespace NVVM {
+class NVVMDialect;
+} // namespace NVVM
 namespace LLVM {
 class LLVMDialect;
 } // namespace LLVM

@@ -124,6 +124,9 @@ def RelaxAtomics : Pass<"tai-relax-atomics"> {
   let options = [
     Option<"deterministic", "deterministic", "bool", /*default=*/"false",
            "Leave no accumulation whose result depends on timing">,
+    Option<"onDevice", "on-device", "bool", /*default=*/"false",
+           "Choose for a GPU: atomics are fast, threads are many, and no loop "
+           "is too small to be parallel">,
   ];
   let dependentDialects = ["::mlir::LLVM::LLVMDialect"];
 }
@@ -168,6 +171,89 @@ def ConvertTaiToSCF : Pass<"convert-tai-to-scf", "::mlir::ModuleOp"> {
                            "::mlir::math::MathDialect",
                            "::mlir::scf::SCFDialect",
                            "::mlir::LLVM::LLVMDialect"];
+}
+
+def ConvertTaiToGPU : Pass<"convert-tai-to-gpu", "::mlir::ModuleOp"> {
+  let summary = "take kernels apart into device functions and their launches";
+  let description = [{
+    Each parallel loop becomes a function of the `gpu.module @kernels`, a loop
+    over the iterations with the stride of the grid, whose parameters are the
+    values that it uses from outside. Serial code that touches memory becomes
+    such a function too, run by one thread; what it hands on goes through slots
+    of device memory. What is left stays in `i32 @name(ptr frame)`, which
+    launches the functions (`gpu.launch_func`).
+
+    ```mlir
+    tai.kernel @k(%s: f32) {
+      tai.parallel_for (%i) = (%c0) to (%c4096) {
+        … llvm.load, arith, llvm.store …
+      }
+      tai.return
+    }
+    // becomes
+    llvm.func @k(%frame: !llvm.ptr) -> i32 {
+      gpu.launch_func @kernels::@k_0 blocks in (%c16, …) threads in (%c256, …)
+          args(%s : f32, %tree : !llvm.ptr)
+      …
+    }
+    gpu.module @kernels {
+      llvm.func @k_0(%s: f32, %tree: !llvm.ptr) attributes {gpu.kernel} {
+        scf.for %i = %thread to %c4096 step %threads { … }
+      }
+    }
+    ```
+
+    The number of blocks follows from the number of iterations; 0 stands for one
+    that only the device knows. Functions are right for any number of threads:
+    the runtime may take others.
+  }];
+  let options = [
+    Option<"deterministic", "deterministic", "bool", /*default=*/"false",
+           "Add up in an order that does not depend on timing">,
+    Option<"debug", "debug", "bool", /*default=*/"false",
+           "Keep tai.assert">,
+  ];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::gpu::GPUDialect",
+                           "::mlir::math::MathDialect",
+                           "::mlir::scf::SCFDialect",
+                           "::mlir::LLVM::LLVMDialect"];
+}
+
+def LowerLaunches : Pass<"tai-lower-launches", "::mlir::ModuleOp"> {
+  let summary = "turn launches of device functions into calls of the runtime";
+  let description = [{
+    `gpu.launch_func` in functions of the host becomes a call of
+    `tai_rt_device_launch`, with the number of the function in its `gpu.module`
+    and its parameters in slots; see tai/Runtime/Abi.h.
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::LLVM::LLVMDialect"];
+}
+
+def ConvertToNVVM : Pass<"tai-convert-to-nvvm", "::mlir::ModuleOp"> {
+  let summary = "convert device functions to the NVVM and LLVM dialects";
+  let description = [{
+    Functions of `gpu.module`s become what the NVPTX backend takes, with one
+    conversion over upstream's patterns: mathematical functions become calls of
+    libdevice, numbers of threads reads of special registers. Indices have 32
+    bits where all trees of the module are so small that no address needs more.
+
+    With `emulated`, they become what the CPU can run: numbers of threads are
+    asked for by calls (`tai_dev_thread_id`, …), mathematical functions those of
+    libm.
+  }];
+  let options = [
+    Option<"fastMath", "fast-math", "bool", /*default=*/"false",
+           "Let float operations be reordered and approximated">,
+    Option<"contract", "contract", "bool", /*default=*/"true",
+           "Let a product and a sum be rounded once">,
+    Option<"emulated", "emulated", "bool", /*default=*/"false",
+           "Make functions for the CPU">,
+  ];
+  let dependentDialects = ["::mlir::LLVM::LLVMDialect",
+                           "::mlir::NVVM::NVVMDialect",
+                           "::mlir::cf::ControlFlowDialect"];
 }
 
 def HoistAllocations : Pass<"tai-hoist-allocations"> {

@@ -136,6 +136,67 @@ void buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options);
 /// Makes `--tai-to-llvm` known to pass pipelines given as text.
 void registerToLLVMPipeline();
 
+/// How kernels are lowered for a GPU.
+struct ToNVVMOptions : PassPipelineOptions<ToNVVMOptions> {
+  ToNVVMOptions() = default;
+  // Options are bound to their parser and cannot be moved: copy the values.
+  ToNVVMOptions(const ToNVVMOptions &other) : PassPipelineOptions() {
+    deterministic = other.deterministic.getValue();
+    debug = other.debug.getValue();
+    boundsCheck = other.boundsCheck.getValue();
+    fastMath = other.fastMath.getValue();
+    contract = other.contract.getValue();
+    optLevel = other.optLevel.getValue();
+    skip = other.skip.getValue();
+    emulated = other.emulated.getValue();
+  }
+
+  Option<bool> deterministic{
+      *this, "deterministic",
+      llvm::cl::desc("Make results bit-identical from run to run and over "
+                     "sizes of blocks"),
+      llvm::cl::init(false)};
+  Option<bool> debug{
+      *this, "debug",
+      llvm::cl::desc("Check tai.assert, and every index (see bounds-check)"),
+      llvm::cl::init(false)};
+  Option<bool> boundsCheck{
+      *this, "bounds-check",
+      llvm::cl::desc("Report indices that lie outside their field or array"),
+      llvm::cl::init(false)};
+  Option<bool> fastMath{
+      *this, "fast-math",
+      llvm::cl::desc("Let float operations be reordered and approximated; "
+                     "infinities and NaN keep their meaning"),
+      llvm::cl::init(false)};
+  Option<bool> contract{
+      *this, "contract",
+      llvm::cl::desc("Let a product and a sum be rounded once"),
+      llvm::cl::init(true)};
+  Option<unsigned> optLevel{
+      *this, "opt-level",
+      llvm::cl::desc("Effort, 0 to 3; 0 leaves out what only makes code fast"),
+      llvm::cl::init(3)};
+  Option<SkipSet> skip{*this, "skip",
+                       llvm::cl::desc("What to leave out where it is not "
+                                      "needed: all, none, or names"),
+                       llvm::cl::init(SkipSet::all())};
+  Option<bool> emulated{
+      *this, "emulated",
+      llvm::cl::desc("Make device functions that the CPU can run, for tests "
+                     "without a GPU"),
+      llvm::cl::init(false)};
+};
+
+/// Lowers a module of trees, fields, kernels and host functions for a GPU: to
+/// device functions in the `gpu.module @kernels`, in the NVVM dialect, and to
+/// `i32 @name(TaiFrame *)` in the LLVM dialect, which launch them through the
+/// runtime. Anchored on the module.
+void buildToNVVMPipeline(OpPassManager &pm, const ToNVVMOptions &options);
+
+/// Makes `--tai-to-nvvm` known to pass pipelines given as text.
+void registerToNVVMPipeline();
+
 } // namespace mlir::tai
 
 #endif // TAI_PIPELINES_PIPELINES_H

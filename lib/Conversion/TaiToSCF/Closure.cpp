@@ -160,7 +160,8 @@ static LogicalResult replaceArray(BlockArgument array, Value address,
 }
 
 LogicalResult tai::replaceArguments(FunctionOpInterface function, Value frame,
-                                    OpBuilder &builder, RuntimeCalls &runtime) {
+                                    OpBuilder &builder, RuntimeCalls &runtime,
+                                    ArrayAddress arrayAddress) {
   if (function.getNumArguments() == 0)
     return success();
   Location loc = function.getLoc();
@@ -183,6 +184,8 @@ LogicalResult tai::replaceArguments(FunctionOpInterface function, Value frame,
           memref.getRank() - (elementRank ? elementRank.getInt() : 0);
       for (int64_t i = 0; i != rank; ++i)
         extents.push_back(loadNext(builder.getIndexType()));
+      if (arrayAddress)
+        address = arrayAddress(builder, argument, address, extents);
       if (failed(replaceArray(argument, address, extents)))
         return failure();
       continue;

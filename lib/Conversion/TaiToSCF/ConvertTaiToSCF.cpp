@@ -29,9 +29,10 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-ModuleLowering::ModuleLowering(ModuleOp module, bool deterministic, bool debug)
-    : module(module), runtime(module), fields(module),
-      deterministic(deterministic), debug(debug) {
+ModuleLowering::ModuleLowering(ModuleOp module, bool deterministic, bool debug,
+                               Operation *table)
+    : module(module), runtime(table ? table : module.getOperation()),
+      fields(module), deterministic(deterministic), debug(debug) {
   for (auto [i, tree] : llvm::enumerate(module.getOps<TreeOp>()))
     treeIndex[tree.getSymNameAttr()] = i;
 }

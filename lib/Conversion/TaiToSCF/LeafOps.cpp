@@ -51,7 +51,7 @@ static LogicalResult lowerLocal(AllocaOp op) {
 //===----------------------------------------------------------------------===//
 
 /// Operand names would need an op of its own; the numbers travel as operands of
-/// this placeholder: (iteration, sequence) -> bits.
+/// this placeholder: (iteration, sequence[, seed, launch]) -> bits.
 constexpr llvm::StringLiteral kIterationFunction = "tai_rt_random_u32";
 
 void tai::numberDraws(Operation *root, ParallelForOp loop) {
@@ -130,10 +130,14 @@ static void lowerDraw(UnrealizedConversionCastOp op, Value frame,
   Type type = op.getResult(0).getType();
   Type i32 = builder.getI32Type(), i64 = builder.getI64Type();
   Value iteration = op.getOperand(0), sequence = op.getOperand(1);
-  Value seed =
-      runtime.frameMember(builder, loc, frame, offsetof(TaiFrame, seed), i64);
-  Value launch =
-      runtime.frameMember(builder, loc, frame, offsetof(TaiFrame, launch), i64);
+  // A device function is given them, the host's has them in its frame.
+  auto key = [&](unsigned number, size_t offset) {
+    return op->getNumOperands() > 2
+               ? op.getOperand(2 + number)
+               : runtime.frameMember(builder, loc, frame, offset, i64);
+  };
+  Value seed = key(0, offsetof(TaiFrame, seed));
+  Value launch = key(1, offsetof(TaiFrame, launch));
   Value stream = runtime.i32(builder, loc,
                              cast<IntegerAttr>(op->getAttr("stream")).getInt());
   auto draw = [&](Value at) {

@@ -18,7 +18,10 @@ namespace mlir::tai {
 
 /// What the parts share while one module is lowered.
 struct ModuleLowering {
-  ModuleLowering(ModuleOp module, bool deterministic, bool debug);
+  /// `table`: where functions of the runtime are declared, by default the
+  /// module itself.
+  ModuleLowering(ModuleOp module, bool deterministic, bool debug,
+                 Operation *table = nullptr);
 
   ModuleOp module;
   RuntimeCalls runtime;
@@ -61,10 +64,17 @@ LLVM::LLVMFuncOp createFunction(ModuleOp module, Location loc, StringRef name,
                                 Type result, ArrayRef<Type> arguments,
                                 bool isInternal);
 
+/// Yields the address to use for an array of the caller, from that in the slots
+/// and the extents.
+using ArrayAddress =
+    llvm::function_ref<Value(OpBuilder &builder, BlockArgument array,
+                             Value address, ValueRange extents)>;
+
 /// Loads arguments from the slots of the frame in place of the arguments of
 /// `function`, which are replaced; arrays are replaced use by use.
 LogicalResult replaceArguments(FunctionOpInterface function, Value frame,
-                               OpBuilder &builder, RuntimeCalls &runtime);
+                               OpBuilder &builder, RuntimeCalls &runtime,
+                               ArrayAddress arrayAddress = nullptr);
 
 /// Stores returned values to the slots of the frame.
 void emitResults(ValueRange values, Location loc, Value frame,
@@ -78,6 +88,9 @@ LogicalResult lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
                                ModuleLowering &lowering,
                                SmallVectorImpl<LLVM::LLVMFuncOp> &functions);
 LogicalResult lowerLeafOps(LLVM::LLVMFuncOp function, ModuleLowering &lowering);
+/// Replaces a parallel loop by serial ones where it stands; its updates become
+/// plain.
+LogicalResult lowerSerially(ParallelForOp loop, FieldTable &fields);
 LogicalResult lowerStack(StackCreateOp op, Value frame, RuntimeCalls &runtime);
 
 /// Gives each tai.random below `loop` its iteration number, and a count to

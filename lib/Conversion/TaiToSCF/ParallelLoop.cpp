@@ -86,7 +86,13 @@ static scf::ForOp createFor(OpBuilder &builder, Location loc, Value lower,
 }
 
 /// Replaces `loop` by nested serial loops where it stands.
-static void lowerSerially(ParallelForOp loop, const Box &box) {
+static LogicalResult lowerSerially(ParallelForOp loop, const Box &box,
+                                   FieldTable &fields) {
+  SmallVector<AtomicOp> atomics;
+  loop.walk([&](AtomicOp atomic) { atomics.push_back(atomic); });
+  for (AtomicOp atomic : atomics)
+    if (failed(lowerPlainly(atomic, fields)))
+      return failure();
   OpBuilder builder(loop);
   SmallVector<Value> ivs;
   scf::ForOp innermost;
@@ -97,6 +103,12 @@ static void lowerSerially(ParallelForOp loop, const Box &box) {
   }
   moveBody(loop, innermost, ivs);
   loop.erase();
+  return success();
+}
+
+LogicalResult tai::lowerSerially(ParallelForOp loop, FieldTable &fields) {
+  OpBuilder builder(loop);
+  return ::lowerSerially(loop, Box(loop, builder), fields);
 }
 
 /// The indices of the dimensions before the last, for a row number.
@@ -178,13 +190,7 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   std::optional<int64_t> total = box.constantCount(box.rank());
   if (loop.getSerialize() || loop->getParentOfType<ParallelForOp>() ||
       (total && *total <= 1)) {
-    SmallVector<AtomicOp> atomics;
-    loop.walk([&](AtomicOp atomic) { atomics.push_back(atomic); });
-    for (AtomicOp atomic : atomics)
-      if (failed(lowerPlainly(atomic, lowering.fields)))
-        return failure();
-    lowerSerially(loop, box);
-    return success();
+    return ::lowerSerially(loop, box, lowering.fields);
   }
   FailureOr<Accumulators> accumulators = Accumulators::collect(loop, lowering);
   if (failed(accumulators))

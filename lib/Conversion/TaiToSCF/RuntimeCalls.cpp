@@ -12,10 +12,10 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-RuntimeCalls::RuntimeCalls(ModuleOp module)
-    : module(module),
-      pointerType(LLVM::LLVMPointerType::get(module.getContext())) {
-  for (auto function : module.getOps<LLVM::LLVMFuncOp>())
+RuntimeCalls::RuntimeCalls(Operation *table)
+    : table(table),
+      pointerType(LLVM::LLVMPointerType::get(table->getContext())) {
+  for (auto function : table->getRegion(0).getOps<LLVM::LLVMFuncOp>())
     functions[function.getSymName()] = function;
 }
 
@@ -27,8 +27,8 @@ Value RuntimeCalls::call(OpBuilder &builder, Location loc, StringRef name,
         result ? result : LLVM::LLVMVoidType::get(builder.getContext());
     auto type = LLVM::LLVMFunctionType::get(
         returned, llvm::to_vector(arguments.getTypes()));
-    OpBuilder top = OpBuilder::atBlockEnd(module.getBody());
-    function = LLVM::LLVMFuncOp::create(top, module.getLoc(), name, type);
+    OpBuilder top = OpBuilder::atBlockEnd(&table->getRegion(0).front());
+    function = LLVM::LLVMFuncOp::create(top, table->getLoc(), name, type);
     function.setNoUnwind(true);
     if (pure) {
       function.setWillReturn(true);
@@ -45,9 +45,9 @@ Value RuntimeCalls::global(OpBuilder &builder, Location loc, Type type,
                            Attribute value, StringRef prefix) {
   LLVM::GlobalOp &global = globals[value];
   if (!global) {
-    OpBuilder top = OpBuilder::atBlockBegin(module.getBody());
+    OpBuilder top = OpBuilder::atBlockBegin(&table->getRegion(0).front());
     std::string name = (prefix + llvm::Twine(globals.size())).str();
-    global = LLVM::GlobalOp::create(top, module.getLoc(), type,
+    global = LLVM::GlobalOp::create(top, table->getLoc(), type,
                                     /*isConstant=*/true,
                                     LLVM::Linkage::Internal, name, value);
   }

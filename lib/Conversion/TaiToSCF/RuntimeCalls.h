@@ -22,7 +22,9 @@ namespace mlir::tai {
 
 class RuntimeCalls {
 public:
-  explicit RuntimeCalls(ModuleOp module);
+  /// `table` is the module, or the part of it that is compiled for a device:
+  /// what is called is declared there.
+  explicit RuntimeCalls(Operation *table);
 
   /// Calls a function of the runtime; a null `result` stands for void. Pure
   /// functions neither read nor write memory that the kernel sees.
@@ -42,13 +44,12 @@ public:
   Value i64(OpBuilder &builder, Location loc, int64_t value);
 
   LLVM::LLVMPointerType getPointerType() { return pointerType; }
-  ModuleOp getModule() { return module; }
 
 private:
   Value global(OpBuilder &builder, Location loc, Type type, Attribute value,
                StringRef prefix);
 
-  ModuleOp module;
+  Operation *table;
   LLVM::LLVMPointerType pointerType;
   llvm::StringMap<LLVM::LLVMFuncOp> functions;
   llvm::DenseMap<Attribute, LLVM::GlobalOp> globals;

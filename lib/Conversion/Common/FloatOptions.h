@@ -1,0 +1,26 @@
+//===- FloatOptions.h - How exact float arithmetic is -----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CONVERSION_COMMON_FLOATOPTIONS_H
+#define TAI_LIB_CONVERSION_COMMON_FLOATOPTIONS_H
+
+#include "mlir/IR/Operation.h"
+#include "mlir/IR/PatternMatch.h"
+
+namespace mlir::tai {
+
+/// Adds float options to all arithmetic below `root` that does not carry them
+/// yet.
+void setFloatOptions(Operation *root, bool fastMath, bool contract);
+
+/// Adds the expansions of operations for which upstream has none, or a wrong
+/// one.
+void populateExpansionFixes(RewritePatternSet &patterns);
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CONVERSION_COMMON_FLOATOPTIONS_H

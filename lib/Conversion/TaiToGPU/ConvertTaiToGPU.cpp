@@ -1,0 +1,307 @@
+//===- ConvertTaiToGPU.cpp - Kernels for a GPU ----------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Takes kernels apart into functions for the device and a part for the host
+// that launches them; see docs/decisions/0010-cuda.md.
+//
+//===----------------------------------------------------------------------===//
+
+#include "../Common/IndexMath.h"
+#include "Offload.h"
+#include "mlir/Dialect/Math/IR/Math.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "tai/Conversion/Passes.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_CONVERTTAITOGPU
+#include "tai/Conversion/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// True if something is written through an address that comes from this one.
+static bool isWritten(Value address) {
+  SmallVector<Value> work{address};
+  llvm::DenseSet<Value> seen;
+  while (!work.empty()) {
+    Value value = work.pop_back_val();
+    if (!seen.insert(value).second)
+      continue;
+    for (OpOperand &use : value.getUses()) {
+      Operation *user = use.getOwner();
+      if (isa<LLVM::LoadOp, LLVM::ICmpOp>(user))
+        continue;
+      if (isa<LLVM::GEPOp, arith::SelectOp>(user)) {
+        work.append(user->result_begin(), user->result_end());
+        continue;
+      }
+      return true;
+    }
+  }
+  return false;
+}
+
+namespace {
+/// Lowers one kernel.
+class KernelOffload {
+public:
+  KernelOffload(KernelOp kernel, DeviceLowering &lowering)
+      : kernel(kernel), lowering(lowering) {}
+  LogicalResult run();
+
+private:
+  LogicalResult prepareLoops();
+  void replaceTreeBases();
+  void replaceDrawKeys();
+  LogicalResult outlineLoops();
+
+  KernelOp kernel;
+  DeviceLowering &lowering;
+  LLVM::LLVMFuncOp host;
+  Value frame;
+};
+} // namespace
+
+/// Names of device functions are identifiers of PTX.
+static std::string getFunctionName(StringRef kernel, size_t number) {
+  std::string name = kernel.str();
+  for (char &c : name)
+    if (!llvm::isAlnum(c) && c != '_')
+      c = '_';
+  return name + "_" + std::to_string(number);
+}
+
+LogicalResult KernelOffload::prepareLoops() {
+  SmallVector<ParallelForOp> loops;
+  host.walk([&](ParallelForOp loop) { loops.push_back(loop); });
+  numberDraws(host, {});
+  for (ParallelForOp loop : loops) {
+    if (loop.isStructFor())
+      return loop.emitOpError("runs over a field; expects a box, as "
+                              "tai-lower-struct-for makes it");
+    numberDraws(loop, loop);
+    if (isDeviceLoop(loop) && failed(prepareSums(loop, lowering)))
+      return failure();
+  }
+  return success();
+}
+
+/// The addresses of trees come from the frame of the host, once for each.
+void KernelOffload::replaceTreeBases() {
+  RuntimeCalls &runtime = lowering.host.runtime;
+  SmallVector<TreeBaseOp> ops;
+  host.walk([&](TreeBaseOp op) { ops.push_back(op); });
+  llvm::DenseMap<StringAttr, Value> bases;
+  for (TreeBaseOp op : ops) {
+    StringAttr tree = op.getTreeAttr().getAttr();
+    Value &base = bases[tree];
+    if (!base) {
+      auto builder = OpBuilder::atBlockBegin(&host.getBody().front());
+      Location loc = host.getLoc();
+      Value trees =
+          runtime.frameMember(builder, loc, frame, offsetof(TaiFrame, trees),
+                              runtime.getPointerType());
+      base = runtime.frameMember(builder, loc, trees,
+                                 lowering.host.treeIndex.lookup(tree) *
+                                     sizeof(void *),
+                                 runtime.getPointerType());
+    }
+    op.getBase().replaceAllUsesWith(base);
+    op.erase();
+  }
+}
+
+/// So do seed and number of the launch, for random numbers.
+void KernelOffload::replaceDrawKeys() {
+  RuntimeCalls &runtime = lowering.host.runtime;
+  SmallVector<UnrealizedConversionCastOp> draws;
+  host.walk([&](UnrealizedConversionCastOp op) {
+    if (op->hasAttr("stream"))
+      draws.push_back(op);
+  });
+  if (draws.empty())
+    return;
+  auto builder = OpBuilder::atBlockBegin(&host.getBody().front());
+  Location loc = host.getLoc();
+  Type i64 = builder.getI64Type();
+  Value seed =
+      runtime.frameMember(builder, loc, frame, offsetof(TaiFrame, seed), i64);
+  Value launch =
+      runtime.frameMember(builder, loc, frame, offsetof(TaiFrame, launch), i64);
+  for (UnrealizedConversionCastOp draw : draws)
+    draw.getInputsMutable().append({seed, launch});
+}
+
+LogicalResult KernelOffload::outlineLoops() {
+  SmallVector<ParallelForOp> loops;
+  host.walk([&](ParallelForOp loop) {
+    if (isDeviceLoop(loop))
+      loops.push_back(loop);
+  });
+  for (auto [i, loop] : llvm::enumerate(loops))
+    if (failed(outlineLoop(loop, frame, getFunctionName(kernel.getSymName(), i),
+                           lowering)))
+      return failure();
+  return success();
+}
+
+LogicalResult KernelOffload::run() {
+  Location loc = kernel.getLoc();
+  RuntimeCalls &runtime = lowering.host.runtime;
+  host = createFunction(
+      lowering.host.module, loc, getEntryPointName(kernel.getSymName()),
+      IntegerType::get(kernel.getContext(), 32), {runtime.getPointerType()},
+      /*isInternal=*/false);
+  Block *entry = &host.getBody().front();
+  frame = entry->getArgument(0);
+  OpBuilder builder = OpBuilder::atBlockEnd(entry);
+  Block &body = kernel.getBody().front();
+  auto arrayAddress = [&](OpBuilder &b, BlockArgument array, Value address,
+                          ValueRange extents) -> Value {
+    IndexMath math(b, loc);
+    auto type = cast<MemRefType>(array.getType());
+    Type storage = getStorageType(type.getElementType());
+    Value bytes =
+        math.constant(llvm::divideCeil(storage.getIntOrFloatBitWidth(), 8));
+    for (Value extent : extents)
+      bytes = math.mul(bytes, extent);
+    for (int64_t d = extents.size(); d != type.getRank(); ++d)
+      bytes = math.mul(bytes, type.getDimSize(d));
+    // Whether it is written is known when its uses stand.
+    return runtime.call(
+        b, loc, "tai_rt_device_array", runtime.getPointerType(),
+        {frame, address, math.toI64(bytes), runtime.i32(b, loc, 1)});
+  };
+  if (failed(replaceArguments(kernel, frame, builder, runtime, arrayAddress)))
+    return failure();
+  SmallVector<LLVM::CallOp> arrays(entry->getOps<LLVM::CallOp>());
+  // The ops of the kernel stand after this one.
+  auto start = LLVM::ZeroOp::create(builder, loc, runtime.getPointerType());
+  entry->getOperations().splice(entry->end(), body.getOperations());
+  for (LLVM::CallOp array : arrays)
+    if (!isWritten(array.getResult())) {
+      OpBuilder before(array);
+      array.setOperand(3, runtime.i32(before, loc, 0));
+    }
+
+  if (failed(prepareLoops()))
+    return failure();
+  replaceTreeBases();
+  replaceDrawKeys();
+  if (failed(offloadSerialCode(host, start, frame, lowering)) ||
+      failed(outlineLoops()))
+    return failure();
+
+  auto ret = cast<ReturnOp>(entry->getTerminator());
+  builder.setInsertionPoint(ret);
+  emitResults(ret.getOperands(), ret.getLoc(), frame, builder, runtime);
+  SmallVector<Value> returned(ret.getOperands());
+  ret.erase();
+  for (Value value : returned)
+    if (auto parts = value.getDefiningOp<vector::FromElementsOp>())
+      if (parts->use_empty())
+        parts.erase();
+  fetchHostValues(host, frame, lowering);
+  if (failed(lowerLeafOps(host, lowering.host)))
+    return failure();
+  start.erase();
+  builder.setInsertionPointToEnd(entry);
+  Value status = runtime.call(builder, loc, "tai_rt_failed",
+                              builder.getI32Type(), {frame});
+  LLVM::ReturnOp::create(builder, loc, status);
+  kernel.erase();
+  return success();
+}
+
+/// True if 32 bits are enough for every index: no tree is so large, no array
+/// may be, and no number of iterations can be.
+static bool hasSmallIndices(ModuleOp module) {
+  constexpr int64_t most = int64_t(1) << 30;
+  DataLayout layout(module);
+  for (TreeOp tree : module.getOps<TreeOp>())
+    if (getTreeSize(tree.getLayout(), layout).total > uint64_t(most))
+      return false;
+  return !module
+              .walk([&](Operation *op) {
+                if (auto kernel = dyn_cast<KernelOp>(op))
+                  for (Type type : kernel.getArgumentTypes())
+                    if (isa<MemRefType>(type))
+                      return WalkResult::interrupt();
+                if (auto constant = dyn_cast<arith::ConstantOp>(op))
+                  if (constant.getType().isIndex()) {
+                    int64_t value =
+                        cast<IntegerAttr>(constant.getValue()).getInt();
+                    if (value > most || value < -most)
+                      return WalkResult::interrupt();
+                  }
+                if (auto loop = dyn_cast<ParallelForOp>(op)) {
+                  int64_t count = 1;
+                  for (auto [from, to] : llvm::zip(loop.getLowerBounds(),
+                                                   loop.getUpperBounds())) {
+                    std::optional<int64_t> lower = getConstantIntValue(from);
+                    std::optional<int64_t> upper = getConstantIntValue(to);
+                    bool isKnown = lower && upper;
+                    if (!isKnown && loop.getLowerBounds().size() > 1)
+                      return WalkResult::interrupt();
+                    if (isKnown)
+                      count *= std::max<int64_t>(*upper - *lower, 0);
+                    if (count > most)
+                      return WalkResult::interrupt();
+                  }
+                }
+                return WalkResult::advance();
+              })
+              .wasInterrupted();
+}
+
+/// Functions that device code calls and the module declares for the host.
+static void declareCallees(ModuleOp module, gpu::GPUModuleOp kernels) {
+  SymbolTable known(kernels), outer(module);
+  OpBuilder builder = OpBuilder::atBlockBegin(&kernels.getBodyRegion().front());
+  kernels.walk([&](LLVM::CallOp call) {
+    std::optional<StringRef> name = call.getCallee();
+    if (!name || known.lookup(*name))
+      return;
+    if (Operation *declaration = outer.lookup(*name))
+      known.insert(builder.clone(*declaration));
+  });
+}
+
+namespace {
+struct ConvertTaiToGPU : tai::impl::ConvertTaiToGPUBase<ConvertTaiToGPU> {
+  using Base::Base;
+
+  void runOnOperation() override {
+    ModuleOp module = getOperation();
+    OpBuilder builder = OpBuilder::atBlockEnd(module.getBody());
+    auto kernels =
+        gpu::GPUModuleOp::create(builder, module.getLoc(), "kernels");
+    SymbolTable(module).insert(kernels);
+    module->setAttr(gpu::GPUDialect::getContainerModuleAttrName(),
+                    builder.getUnitAttr());
+    if (hasSmallIndices(module))
+      kernels->setAttr(kIndexBitsAttrName, builder.getI64IntegerAttr(32));
+    ModuleLowering host(module, deterministic, debug);
+    ModuleLowering device(module, deterministic, debug, kernels);
+    DeviceLowering lowering{host, device, kernels, deterministic};
+    for (auto kernel : llvm::make_early_inc_range(module.getOps<KernelOp>()))
+      if (failed(KernelOffload(kernel, lowering).run()))
+        return signalPassFailure();
+    declareCallees(module, kernels);
+    for (auto function :
+         llvm::make_early_inc_range(module.getOps<func::FuncOp>()))
+      if (failed(lowerHostFunction(function, host)))
+        return signalPassFailure();
+    // Storage is the runtime's from here on.
+    for (Operation &op : llvm::make_early_inc_range(*module.getBody()))
+      if (isa<FieldOp, TreeOp>(op))
+        op.erase();
+  }
+};
+} // namespace

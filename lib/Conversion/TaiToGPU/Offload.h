@@ -1,0 +1,62 @@
+//===- Offload.h - What of a kernel runs where ------------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The parts of convert-tai-to-gpu; see docs/decisions/0010-cuda.md.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CONVERSION_TAITOGPU_OFFLOAD_H
+#define TAI_LIB_CONVERSION_TAITOGPU_OFFLOAD_H
+
+#include "../TaiToSCF/Lowering.h"
+#include "mlir/Dialect/GPU/IR/GPUDialect.h"
+
+namespace mlir::tai {
+
+/// What the parts share while one module is lowered.
+struct DeviceLowering {
+  /// Of the host's part, and of the functions in `kernels`.
+  ModuleLowering &host, &device;
+  gpu::GPUModuleOp kernels;
+  bool deterministic;
+};
+
+/// On an unrealized_conversion_cast from an address to a value: the value is in
+/// device memory at that address.
+constexpr llvm::StringLiteral kDeviceSlotAttrName = "tai.device_slot";
+
+/// On an unrealized_conversion_cast in a loop: the address to which its sum of
+/// this number goes.
+constexpr llvm::StringLiteral kSumTargetAttrName = "tai.sum_target";
+
+/// On the gpu.module: how many bits an index needs.
+constexpr llvm::StringLiteral kIndexBitsAttrName = "tai.index_bits";
+
+/// True for a loop that becomes a device function.
+bool isDeviceLoop(Operation *op);
+
+/// Wraps what must run on the device and is in no parallel loop, after `start`,
+/// into loops of one iteration. Values that later code uses go through device
+/// memory.
+LogicalResult offloadSerialCode(LLVM::LLVMFuncOp host, Operation *start,
+                                Value frame, DeviceLowering &lowering);
+
+/// Fetches the values in device memory that the host's part still uses.
+void fetchHostValues(LLVM::LLVMFuncOp host, Value frame,
+                     DeviceLowering &lowering);
+
+/// Finds the sums that the iterations of a loop keep in registers, and computes
+/// before the loop where they go.
+LogicalResult prepareSums(ParallelForOp loop, DeviceLowering &lowering);
+
+/// Moves a loop to a function of its own and launches that in its place.
+LogicalResult outlineLoop(ParallelForOp loop, Value frame, StringRef name,
+                          DeviceLowering &lowering);
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CONVERSION_TAITOGPU_OFFLOAD_H

@@ -1,0 +1,310 @@
+//===- OffloadSerialCode.cpp - Serial code on the device ------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Outside of its parallel loops, a kernel is serial code. What touches memory
+// of fields, and what is computed from that, runs on the device: runs of such
+// ops become loops of one iteration, which one thread executes. Arithmetic on
+// arguments, and control flow around loops, stays on the host.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Offload.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "mlir/Interfaces/SideEffectInterfaces.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+bool tai::isDeviceLoop(Operation *op) {
+  auto loop = dyn_cast<ParallelForOp>(op);
+  return loop && !loop.getSerialize() &&
+         !loop->getParentOfType<ParallelForOp>();
+}
+
+/// True if a loop of the device stands below `op`.
+static bool holdsDeviceLoop(Operation *op) {
+  return op
+      ->walk<WalkOrder::PreOrder>([](Operation *inner) {
+        return isDeviceLoop(inner) ? WalkResult::interrupt()
+                                   : WalkResult::advance();
+      })
+      .wasInterrupted();
+}
+
+/// Memory of the device for this launch.
+static Value createScratch(OpBuilder &builder, Location loc, Value frame,
+                           RuntimeCalls &runtime, int64_t bytes) {
+  return runtime.call(builder, loc, "tai_rt_device_scratch",
+                      runtime.getPointerType(),
+                      {frame, runtime.i64(builder, loc, bytes)});
+}
+
+namespace {
+/// Ops of one block that one thread of the device runs, in order.
+struct Group {
+  SmallVector<Operation *> ops;
+};
+
+class SerialOffload {
+public:
+  SerialOffload(Value frame, DeviceLowering &lowering)
+      : frame(frame), lowering(lowering) {}
+
+  /// Decides for the ops of a block, which are given in order.
+  void assign(ArrayRef<Operation *> ops);
+  /// Makes a loop of each group.
+  LogicalResult emit();
+
+private:
+  bool runsOnDevice(Operation *op);
+  void add(Operation *op);
+  Group *findEarlier(Operation *op);
+  LogicalResult emit(Group &group);
+
+  Value frame;
+  DeviceLowering &lowering;
+  std::vector<std::unique_ptr<Group>> groups;
+  /// The group that each op of the device belongs to.
+  llvm::DenseMap<Operation *, Group *> groupOf;
+  /// The one to which more can be added.
+  Group *open = nullptr;
+};
+} // namespace
+
+/// Something else is done than arithmetic. The host's own calls do not count.
+static bool hasEffects(Operation *op) {
+  if (auto call = dyn_cast<LLVM::CallOp>(op))
+    if (call.getCallee() && call.getCallee()->starts_with("tai_rt_device_"))
+      return false;
+  return isa<StackCreateOp, AllocaOp>(op) ||
+         (!isa<TreeBaseOp>(op) && !isMemoryEffectFree(op));
+}
+
+bool SerialOffload::runsOnDevice(Operation *op) {
+  if (hasEffects(op))
+    return true;
+  return op
+      ->walk([&](Operation *inner) {
+        bool usesDevice = llvm::any_of(inner->getOperands(), [&](Value value) {
+          return groupOf.contains(value.getDefiningOp());
+        });
+        return usesDevice ? WalkResult::interrupt() : WalkResult::advance();
+      })
+      .wasInterrupted();
+}
+
+/// A group before other code to which arithmetic on its values can be added:
+/// less to launch.
+Group *SerialOffload::findEarlier(Operation *op) {
+  if (hasEffects(op) || op->getNumRegions() != 0)
+    return nullptr;
+  Group *latest = nullptr;
+  auto forEachNeighbour = [&](auto visit) {
+    for (Value operand : op->getOperands())
+      if (Operation *definition = operand.getDefiningOp())
+        if (definition->getBlock() == op->getBlock())
+          visit(definition, groupOf.lookup(definition));
+  };
+  forEachNeighbour([&](Operation *definition, Group *group) {
+    if (group && (!latest || latest->ops.back()->isBeforeInBlock(definition)))
+      latest = group;
+  });
+  bool isReady = latest != nullptr;
+  forEachNeighbour([&](Operation *definition, Group *group) {
+    isReady &= group || definition->isBeforeInBlock(latest->ops.back());
+  });
+  return isReady ? latest : nullptr;
+}
+
+void SerialOffload::add(Operation *op) {
+  Group *group = open;
+  if (!group) {
+    group = findEarlier(op);
+    if (group)
+      op->moveAfter(group->ops.back());
+  }
+  if (!group) {
+    groups.push_back(std::make_unique<Group>());
+    group = open = groups.back().get();
+  }
+  group->ops.push_back(op);
+  groupOf[op] = group;
+}
+
+void SerialOffload::assign(ArrayRef<Operation *> ops) {
+  open = nullptr;
+  for (Operation *op : ops) {
+    if (op->hasTrait<OpTrait::IsTerminator>())
+      continue;
+    if (isDeviceLoop(op) || holdsDeviceLoop(op)) {
+      open = nullptr;
+      if (!isDeviceLoop(op))
+        for (Region &region : op->getRegions())
+          for (Block &block : region)
+            assign(llvm::map_to_vector(
+                block, [](Operation &inner) { return &inner; }));
+      open = nullptr;
+    } else if (isa<vector::FromElementsOp>(op)) {
+      // What the caller is given is put together by the host.
+      op->moveBefore(op->getBlock()->getTerminator());
+    } else if (runsOnDevice(op)) {
+      add(op);
+    }
+  }
+  open = nullptr;
+}
+
+LogicalResult SerialOffload::emit(Group &group) {
+  Operation *last = group.ops.back();
+  Location loc = group.ops.front()->getLoc();
+  OpBuilder builder(last->getContext());
+  builder.setInsertionPointAfter(last);
+  auto isOutside = [&](Operation *user) {
+    Operation *ancestor = last->getBlock()->findAncestorOpInBlock(*user);
+    return !ancestor || groupOf.lookup(ancestor) != &group;
+  };
+  // What is used outside goes through memory.
+  SmallVector<Value> handedOn;
+  for (Operation *op : group.ops)
+    for (Value result : op->getResults())
+      if (llvm::any_of(result.getUsers(), isOutside))
+        handedOn.push_back(result);
+  for (Value value : handedOn)
+    if (!value.getType().isIntOrIndexOrFloat() &&
+        !isa<LLVM::LLVMPointerType>(value.getType()))
+      return value.getDefiningOp()->emitOpError("yields ")
+             << value.getType()
+             << " to another part of the kernel; parts of a kernel on a GPU "
+                "hand on scalars alone";
+  Value slots;
+  if (!handedOn.empty())
+    slots = createScratch(builder, loc, frame, lowering.host.runtime,
+                          8 * handedOn.size());
+
+  Value zero = arith::ConstantIndexOp::create(builder, loc, 0);
+  Value one = arith::ConstantIndexOp::create(builder, loc, 1);
+  auto loop =
+      ParallelForOp::create(builder, loc, ValueRange{zero}, ValueRange{one});
+  Block *body = &loop.getBody().front();
+  for (Operation *op : group.ops)
+    op->moveBefore(body->getTerminator());
+  for (auto [i, value] : llvm::enumerate(handedOn)) {
+    builder.setInsertionPoint(loop);
+    Value slot = emitSlot(builder, loc, slots, i);
+    builder.setInsertionPointAfter(loop);
+    auto outside = UnrealizedConversionCastOp::create(builder, value.getLoc(),
+                                                      value.getType(), slot);
+    outside->setAttr(kDeviceSlotAttrName, builder.getUnitAttr());
+    value.replaceUsesWithIf(outside.getResult(0), [&](OpOperand &use) {
+      return !loop->isProperAncestor(use.getOwner());
+    });
+    builder.setInsertionPoint(body->getTerminator());
+    emitSlotStore(builder, value.getLoc(), value, slot);
+  }
+  return success();
+}
+
+LogicalResult SerialOffload::emit() {
+  for (auto &group : groups)
+    if (failed(emit(*group)))
+      return failure();
+  return success();
+}
+
+/// Memory that several parts of a kernel use cannot be on the stack of one of
+/// them.
+static void shareLocals(LLVM::LLVMFuncOp host, Value frame,
+                        DeviceLowering &lowering) {
+  RuntimeCalls &runtime = lowering.host.runtime;
+  DataLayout layout(lowering.host.module);
+  SmallVector<LLVM::AllocaOp> arrays;
+  SmallVector<AllocaOp> locals;
+  host.walk<WalkOrder::PreOrder>([&](Operation *op) {
+    if (isDeviceLoop(op))
+      return WalkResult::skip();
+    if (auto array = dyn_cast<LLVM::AllocaOp>(op))
+      arrays.push_back(array);
+    if (auto local = dyn_cast<AllocaOp>(op))
+      locals.push_back(local);
+    return WalkResult::advance();
+  });
+  for (LLVM::AllocaOp array : arrays) {
+    std::optional<int64_t> count = getConstantIntValue(array.getArraySize());
+    OpBuilder builder(array);
+    int64_t bytes = count.value_or(1) * layout.getTypeSize(array.getElemType());
+    array.getResult().replaceAllUsesWith(
+        createScratch(builder, array.getLoc(), frame, runtime, bytes));
+    array.erase();
+  }
+  for (AllocaOp local : locals) {
+    // Below serial code it is a variable of the thread that runs that.
+    auto outer = local->getParentOp();
+    if (outer != host && !holdsDeviceLoop(outer))
+      continue;
+    OpBuilder builder(local);
+    Location loc = local.getLoc();
+    Type type = cast<LocalType>(local.getLocal().getType()).getElementType();
+    if (isa<VectorType>(type))
+      continue;
+    Value slot = createScratch(builder, loc, frame, runtime, 8);
+    Value zero =
+        arith::ConstantOp::create(builder, loc, builder.getZeroAttr(type));
+    emitSlotStore(builder, loc, zero, slot);
+    for (Operation *user : llvm::make_early_inc_range(local->getUsers())) {
+      builder.setInsertionPoint(user);
+      if (auto load = dyn_cast<LocalLoadOp>(user))
+        load.replaceAllUsesWith(
+            emitSlotLoad(builder, load.getLoc(), type, slot));
+      else if (auto store = dyn_cast<LocalStoreOp>(user))
+        emitSlotStore(builder, store.getLoc(), store.getValue(), slot);
+      user->erase();
+    }
+    local.erase();
+  }
+}
+
+LogicalResult tai::offloadSerialCode(LLVM::LLVMFuncOp host, Operation *start,
+                                     Value frame, DeviceLowering &lowering) {
+  shareLocals(host, frame, lowering);
+  SmallVector<Operation *> ops;
+  for (Operation *op = start->getNextNode(); op; op = op->getNextNode())
+    ops.push_back(op);
+  SerialOffload offload(frame, lowering);
+  offload.assign(ops);
+  return offload.emit();
+}
+
+void tai::fetchHostValues(LLVM::LLVMFuncOp host, Value frame,
+                          DeviceLowering &lowering) {
+  RuntimeCalls &runtime = lowering.host.runtime;
+  SmallVector<UnrealizedConversionCastOp> values;
+  host.walk([&](UnrealizedConversionCastOp cast) {
+    if (cast->hasAttr(kDeviceSlotAttrName))
+      values.push_back(cast);
+  });
+  for (UnrealizedConversionCastOp value : values) {
+    if (!value->use_empty()) {
+      // As late as can be: whoever waits for it waits for all before.
+      Operation *first = nullptr;
+      for (Operation *user : value->getUsers()) {
+        Operation *here = value->getBlock()->findAncestorOpInBlock(*user);
+        if (here && (!first || here->isBeforeInBlock(first)))
+          first = here;
+      }
+      OpBuilder builder(first ? first : value.getOperation());
+      Location loc = value.getLoc();
+      Value room = emitStackSlots(builder, loc, 1);
+      runtime.call(
+          builder, loc, "tai_rt_device_fetch", Type(),
+          {frame, room, value.getOperand(0), runtime.i64(builder, loc, 8)});
+      value.getResult(0).replaceAllUsesWith(
+          emitSlotLoad(builder, loc, value.getResult(0).getType(), room));
+    }
+    value.erase();
+  }
+}

@@ -1,0 +1,522 @@
+//===- OutlineLoop.cpp - Parallel loops become device functions -----------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The function of a loop runs over all iterations with the stride of the grid,
+// so that it is right for any number of blocks and threads. Its parameters are
+// the values that the loop uses from outside, each one of its own. Sums of all
+// iterations are kept in a register of each thread, and added up over a block
+// before they go to memory.
+//
+//===----------------------------------------------------------------------===//
+
+#include "../Common/Accumulation.h"
+#include "../Common/IndexMath.h"
+#include "../TaiToSCF/Accumulators.h"
+#include "Offload.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Interfaces/SideEffectInterfaces.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Threads of a block, for what is said of a launch in the IR; the runtime may
+/// take another number.
+constexpr int64_t kBlockDim = 256;
+
+//===----------------------------------------------------------------------===//
+// Sums
+//===----------------------------------------------------------------------===//
+
+namespace {
+/// A sum over the iterations of a loop.
+struct Sum {
+  SmallVector<Operation *> updates;
+  AtomicKind kind;
+  Type type;
+  Value target;
+  ArrayAttr scope;
+  Value slot;
+};
+} // namespace
+
+static bool isKeptInRegister(Operation *update) {
+  auto strategy = update->getAttrOfType<StringAttr>(kAccumulateAttrName);
+  return strategy && strategy.getValue() == kRegister;
+}
+
+LogicalResult tai::prepareSums(ParallelForOp loop, DeviceLowering &lowering) {
+  FieldTable &fields = lowering.device.fields;
+  struct Found {
+    AtomicOp first;
+    Value target;
+  };
+  SmallVector<Found> sums;
+  SmallVector<Value> targets;
+  OpBuilder builder(loop);
+  Location loc = loop.getLoc();
+  auto outside = [&](ValueRange values) {
+    return llvm::map_to_vector(values, [&](Value value) -> Value {
+      if (loop.isDefinedOutsideOfLoop(value))
+        return value;
+      return IndexMath(builder, loc).constant(*getConstantIntValue(value));
+    });
+  };
+  auto number = [&](Operation *op, size_t i) {
+    op->setAttr(kSumTargetAttrName, builder.getI64IntegerAttr(i));
+  };
+  WalkResult result = loop.walk([&](Operation *op) {
+    if (auto update = dyn_cast<LLVM::AtomicRMWOp>(op);
+        update && isKeptInRegister(op)) {
+      auto *known = llvm::find(targets, update.getPtr());
+      number(op, known - targets.begin());
+      if (known == targets.end())
+        targets.push_back(update.getPtr());
+      return WalkResult::advance();
+    }
+    auto atomic = dyn_cast<AtomicOp>(op);
+    if (!atomic || atomic->getParentOfType<ParallelForOp>() != loop)
+      return WalkResult::advance();
+    if (!isKeptInRegister(op)) {
+      atomic.emitOpError("cannot be lowered for a GPU; expects "
+                         "tai-lower-layout to run before");
+      return WalkResult::interrupt();
+    }
+    auto *known = llvm::find_if(sums, [&](Found &other) {
+      return getCombiningKind(other.first.getKind()) ==
+                 getCombiningKind(atomic.getKind()) &&
+             updatesSameComponent(other.first, atomic);
+    });
+    if (known != sums.end()) {
+      number(op, llvm::find(targets, known->target) - targets.begin());
+      return WalkResult::advance();
+    }
+    FailureOr<const FieldInfo *> field =
+        fields.lookup(atomic, atomic.getFieldAttr());
+    if (failed(field))
+      return WalkResult::interrupt();
+    SmallVector<Value> zeroBased =
+        emitZeroBased(builder, loc, **field, outside(atomic.getIndices()));
+    Value offset = emitElementOffset(builder, loc, **field, zeroBased,
+                                     outside(atomic.getComponents()));
+    Value target =
+        emitPointer(builder, loc, getStorageType((*field)->scalarType),
+                    emitFieldBase(builder, loc, **field), offset);
+    number(op, targets.size());
+    targets.push_back(target);
+    sums.push_back({atomic, target});
+    return WalkResult::advance();
+  });
+  if (result.wasInterrupted())
+    return failure();
+  builder.setInsertionPointToStart(&loop.getBody().front());
+  for (auto [i, target] : llvm::enumerate(targets)) {
+    auto marker = UnrealizedConversionCastOp::create(builder, loc,
+                                                     target.getType(), target);
+    marker->setAttr(kSumTargetAttrName, builder.getI64IntegerAttr(i));
+  }
+  return success();
+}
+
+static int64_t getSumNumber(Operation *op) {
+  return op->getAttrOfType<IntegerAttr>(kSumTargetAttrName).getInt();
+}
+
+/// Finds the sums again that prepareSums has numbered, and takes the marks
+/// away.
+static SmallVector<Sum> collectSums(ParallelForOp loop, FieldTable &fields) {
+  SmallVector<Sum> sums;
+  auto at = [&](Operation *op) -> Sum & {
+    size_t number = getSumNumber(op);
+    if (sums.size() <= number)
+      sums.resize(number + 1);
+    return sums[number];
+  };
+  SmallVector<Operation *> markers;
+  loop.walk([&](Operation *op) {
+    if (!op->hasAttr(kSumTargetAttrName))
+      return;
+    Sum &sum = at(op);
+    if (auto marker = dyn_cast<UnrealizedConversionCastOp>(op)) {
+      sum.target = marker.getOperand(0);
+      markers.push_back(marker);
+      return;
+    }
+    sum.updates.push_back(op);
+    if (auto atomic = dyn_cast<AtomicOp>(op)) {
+      sum.kind = getCombiningKind(atomic.getKind());
+      sum.type = atomic.getValue().getType();
+      auto field = fields.lookup(atomic, atomic.getFieldAttr());
+      if (succeeded(field))
+        sum.scope = fields.getScopes(**field).own;
+    } else {
+      sum.kind = AtomicKind::Add;
+      sum.type = cast<LLVM::AtomicRMWOp>(op).getVal().getType();
+    }
+  });
+  for (Operation *marker : markers)
+    marker->erase();
+  return sums;
+}
+
+/// The function of the device library that adds up over a block, or none.
+static std::string getReduction(AtomicKind kind, Type type) {
+  bool isFloat = type.isF32() || type.isF64();
+  if (!isFloat && !type.isInteger(32) && !type.isInteger(64))
+    return "";
+  StringRef name;
+  switch (kind) {
+  case AtomicKind::Add:
+    name = "add";
+    break;
+  case AtomicKind::Mul:
+    name = "mul";
+    break;
+  case AtomicKind::Min:
+    name = "min";
+    break;
+  case AtomicKind::Max:
+    name = "max";
+    break;
+  case AtomicKind::And:
+    name = "and";
+    break;
+  case AtomicKind::Or:
+    name = "or";
+    break;
+  case AtomicKind::Xor:
+    name = "xor";
+    break;
+  default:
+    return "";
+  }
+  return ("tai_dev_reduce_" + name + (isFloat ? "_f" : "_i") +
+          Twine(type.getIntOrFloatBitWidth()))
+      .str();
+}
+
+static void emitSumStart(OpBuilder &builder, Location loc, Sum &sum) {
+  sum.slot = emitStackSlots(builder, loc, 1);
+  Value identity =
+      arith::ConstantOp::create(builder, loc, getIdentity(sum.kind, sum.type));
+  emitSlotStore(builder, loc, identity, sum.slot);
+}
+
+static void rewriteUpdates(Sum &sum) {
+  for (Operation *update : sum.updates) {
+    OpBuilder builder(update);
+    Location loc = update->getLoc();
+    auto atomic = dyn_cast<AtomicOp>(update);
+    AtomicKind kind = atomic ? atomic.getKind() : AtomicKind::Add;
+    Value value =
+        atomic ? atomic.getValue() : cast<LLVM::AtomicRMWOp>(update).getVal();
+    Value old = emitSlotLoad(builder, loc, sum.type, sum.slot);
+    emitSlotStore(builder, loc, emitCombination(builder, loc, kind, old, value),
+                  sum.slot);
+    update->erase();
+  }
+}
+
+static void emitSumEnd(OpBuilder &builder, Location loc, Sum &sum,
+                       RuntimeCalls &runtime) {
+  Value value = emitSlotLoad(builder, loc, sum.type, sum.slot);
+  std::string name = getReduction(sum.kind, sum.type);
+  if (name.empty())
+    emitAtomicUpdate(builder, loc, sum.kind, value, sum.target, AliasScopes());
+  else
+    runtime.call(builder, loc, name, Type(), {sum.target, value});
+}
+
+//===----------------------------------------------------------------------===//
+// Iterations
+//===----------------------------------------------------------------------===//
+
+/// The number of this thread among all, and the number of all.
+static std::pair<Value, Value> emitThread(OpBuilder &builder, Location loc) {
+  IndexMath math(builder, loc);
+  auto x = gpu::Dimension::x;
+  Value block = gpu::BlockIdOp::create(builder, loc, x);
+  Value size = gpu::BlockDimOp::create(builder, loc, x);
+  Value thread = gpu::ThreadIdOp::create(builder, loc, x);
+  Value blocks = gpu::GridDimOp::create(builder, loc, x);
+  return {math.add(math.mul(block, size), thread), math.mul(blocks, size)};
+}
+
+/// Emits the loop over the iterations of this thread and moves the body in.
+static void emitIterations(OpBuilder &builder, ParallelForOp loop) {
+  Location loc = loop.getLoc();
+  IndexMath math(builder, loc);
+  SmallVector<Value> extents;
+  Value count = math.constant(1);
+  // Constants are in reach here: others are captured later.
+  auto inside = [&](Value value) -> Value {
+    if (auto constant = getConstantIntValue(value))
+      return math.constant(*constant);
+    return value;
+  };
+  SmallVector<Value> lower;
+  for (auto [from, to] :
+       llvm::zip(loop.getLowerBounds(), loop.getUpperBounds())) {
+    lower.push_back(inside(from));
+    extents.push_back(math.extent(lower.back(), inside(to)));
+    count = math.mul(count, extents.back());
+  }
+  auto [thread, threads] = emitThread(builder, loc);
+  auto iterations = scf::ForOp::create(builder, loc, thread, count, threads);
+  Block *block = iterations.getBody();
+  builder.setInsertionPointToStart(block);
+  IndexMath in(builder, loc);
+  Value rest = iterations.getInductionVar();
+  SmallVector<Value> indices(extents.size());
+  for (size_t d = extents.size(); d-- > 0;) {
+    Value digit = d == 0 ? rest : in.rem(rest, extents[d]);
+    if (d != 0)
+      rest = in.div(rest, extents[d]);
+    indices[d] = in.add(lower[d], digit);
+  }
+  Block &body = loop.getBody().front();
+  for (auto [argument, index] : llvm::zip(body.getArguments(), indices))
+    argument.replaceAllUsesWith(index);
+  body.getTerminator()->erase();
+  block->getOperations().splice(block->getTerminator()->getIterator(),
+                                body.getOperations());
+}
+
+//===----------------------------------------------------------------------===//
+// Parameters
+//===----------------------------------------------------------------------===//
+
+namespace {
+/// Makes parameters of what a function uses from the host's part.
+class Parameters {
+public:
+  Parameters(LLVM::LLVMFuncOp function, Operation *launch)
+      : function(function), launch(launch), entry(function.getContext()) {}
+
+  LogicalResult capture();
+  /// What to pass, as values of the host's part.
+  ArrayRef<Value> getOperands() const { return operands; }
+
+private:
+  FailureOr<Value> get(Value outer);
+  Value addParameter(Value outer);
+
+  LLVM::LLVMFuncOp function;
+  Operation *launch;
+  OpBuilder entry;
+  SmallVector<Value> operands;
+  llvm::DenseMap<Value, Value> known;
+};
+} // namespace
+
+/// Adds a parameter of a type that a device function can have.
+Value Parameters::addParameter(Value outer) {
+  Block *block = &function.getBody().front();
+  OpBuilder host(launch);
+  Location loc = launch->getLoc();
+  Type type = outer.getType();
+  Type passed = type;
+  if (type.isIndex())
+    passed = entry.getI64Type();
+  else if (type.isInteger(1))
+    passed = entry.getI8Type();
+  Value operand = outer;
+  if (type.isIndex())
+    operand = arith::IndexCastOp::create(host, loc, passed, outer);
+  else if (passed != type)
+    operand = arith::ExtUIOp::create(host, loc, passed, outer);
+  operands.push_back(operand);
+  Value parameter = block->addArgument(passed, outer.getLoc());
+  entry.setInsertionPointToStart(block);
+  if (type.isIndex())
+    return arith::IndexCastOp::create(entry, loc, type, parameter);
+  if (passed != type)
+    return arith::TruncIOp::create(entry, loc, type, parameter);
+  return parameter;
+}
+
+FailureOr<Value> Parameters::get(Value outer) {
+  if (Value value = known.lookup(outer))
+    return value;
+  Operation *definition = outer.getDefiningOp();
+  Value value;
+  if (definition && definition->hasTrait<OpTrait::ConstantLike>()) {
+    entry.setInsertionPointToStart(&function.getBody().front());
+    value = entry.clone(*definition)->getResult(0);
+  } else if (definition && definition->hasAttr(kDeviceSlotAttrName)) {
+    FailureOr<Value> slot = get(definition->getOperand(0));
+    if (failed(slot))
+      return failure();
+    entry.setInsertionPointAfterValue(*slot);
+    value = emitSlotLoad(entry, launch->getLoc(), outer.getType(), *slot);
+  } else if (outer.getType().isIntOrIndexOrFloat() ||
+             isa<LLVM::LLVMPointerType>(outer.getType())) {
+    value = addParameter(outer);
+  } else {
+    InFlightDiagnostic diag = launch->emitOpError("uses a value of type ")
+                              << outer.getType()
+                              << " from outside; expects scalars";
+    diag.attachNote(outer.getLoc()) << "value defined here";
+    return diag;
+  }
+  known[outer] = value;
+  return value;
+}
+
+LogicalResult Parameters::capture() {
+  Region &region = function.getBody();
+  WalkResult result = region.walk([&](Operation *op) {
+    for (OpOperand &operand : op->getOpOperands()) {
+      if (region.isAncestor(operand.get().getParentRegion()))
+        continue;
+      FailureOr<Value> value = get(operand.get());
+      if (failed(value))
+        return WalkResult::interrupt();
+      operand.set(*value);
+    }
+    return WalkResult::advance();
+  });
+  return failure(result.wasInterrupted());
+}
+
+/// Loads of places that the function does not write go past the caches of
+/// writes.
+static void markInvariantLoads(LLVM::LLVMFuncOp function, ArrayRef<Sum> sums) {
+  llvm::DenseSet<Attribute> written;
+  bool writesUnknown = false;
+  auto addWrite = [&](ArrayAttr scope) {
+    if (scope)
+      written.insert(scope);
+  };
+  for (const Sum &sum : sums)
+    addWrite(sum.scope);
+  function.walk([&](Operation *op) {
+    if (auto store = dyn_cast<LLVM::StoreOp>(op))
+      addWrite(store.getAliasScopesAttr());
+    else if (auto update = dyn_cast<LLVM::AtomicRMWOp>(op))
+      addWrite(update.getAliasScopesAttr());
+    else if (isa<LLVM::AtomicCmpXchgOp>(op))
+      writesUnknown = true;
+    else if (isa<ActivateCellOp, DeactivateCellOp, AppendCellOp>(op))
+      writesUnknown = true;
+  });
+  if (writesUnknown)
+    return;
+  function.walk([&](LLVM::LoadOp load) {
+    ArrayAttr scope = load.getAliasScopesAttr();
+    if (scope && !written.contains(scope) &&
+        load.getOrdering() == LLVM::AtomicOrdering::not_atomic)
+      load.setInvariant(true);
+  });
+}
+
+//===----------------------------------------------------------------------===//
+// Launches
+//===----------------------------------------------------------------------===//
+
+/// The number of iterations where the host knows it.
+static Value emitCount(OpBuilder &builder, ParallelForOp loop) {
+  IndexMath math(builder, loop.getLoc());
+  Value count = math.constant(1);
+  for (auto [from, to] :
+       llvm::zip(loop.getLowerBounds(), loop.getUpperBounds())) {
+    for (Value bound : {from, to})
+      if (Operation *definition = bound.getDefiningOp())
+        if (definition->hasAttr(kDeviceSlotAttrName))
+          return Value();
+    count = math.mul(count, math.extent(from, to));
+  }
+  return count;
+}
+
+static void emitLaunch(ParallelForOp loop, LLVM::LLVMFuncOp function,
+                       ValueRange operands, DeviceLowering &lowering) {
+  OpBuilder builder(loop);
+  Location loc = loop.getLoc();
+  IndexMath math(builder, loc);
+  Value one = math.constant(1), threads = math.constant(kBlockDim);
+  // No blocks stand for a number that the device alone knows.
+  Value blocks = math.constant(0);
+  if (Value count = emitCount(builder, loop)) {
+    std::optional<int64_t> constant = getConstantIntValue(count);
+    if (constant && *constant <= 1)
+      threads = one;
+    int64_t size = *getConstantIntValue(threads);
+    blocks = math.div(math.add(count, math.constant(size - 1)), size);
+    if (!constant)
+      // An empty loop is not one of unknown length.
+      blocks = math.max(blocks, one);
+  }
+  auto kernel =
+      SymbolRefAttr::get(lowering.kernels.getSymNameAttr(),
+                         {FlatSymbolRefAttr::get(function.getSymNameAttr())});
+  gpu::LaunchFuncOp::create(builder, loc, kernel,
+                            gpu::KernelDim3{blocks, one, one},
+                            gpu::KernelDim3{threads, one, one},
+                            /*dynamicSharedMemorySize=*/Value(), operands);
+}
+
+LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
+                               DeviceLowering &lowering) {
+  Location loc = loop.getLoc();
+  MLIRContext *context = loop.getContext();
+  RuntimeCalls &runtime = lowering.device.runtime;
+  SmallVector<Sum> sums = collectSums(loop, lowering.device.fields);
+
+  // Loops inside are serial.
+  SmallVector<ParallelForOp> inner;
+  loop.getBody().walk([&](ParallelForOp other) { inner.push_back(other); });
+  for (ParallelForOp other : inner)
+    if (failed(lowerSerially(other, lowering.device.fields)))
+      return failure();
+
+  OpBuilder builder =
+      OpBuilder::atBlockEnd(&lowering.kernels.getBodyRegion().front());
+  auto voidType = LLVM::LLVMVoidType::get(context);
+  auto function = LLVM::LLVMFuncOp::create(
+      builder, loc, name, LLVM::LLVMFunctionType::get(voidType, {}));
+  function.setNoUnwind(true);
+  Block *entry = function.addEntryBlock(builder);
+  // Stands for the state of the device until it is known whether it is used.
+  Value state = entry->addArgument(runtime.getPointerType(), loc);
+  builder.setInsertionPointToEnd(entry);
+  auto ret = LLVM::ReturnOp::create(builder, loc, ValueRange());
+  builder.setInsertionPoint(ret);
+  for (Sum &sum : sums)
+    emitSumStart(builder, loc, sum);
+  builder.setInsertionPoint(ret);
+  emitIterations(builder, loop);
+  for (Sum &sum : sums)
+    rewriteUpdates(sum);
+  builder.setInsertionPoint(ret);
+  for (Sum &sum : sums)
+    emitSumEnd(builder, loc, sum, runtime);
+
+  Parameters parameters(function, loop);
+  if (failed(parameters.capture()))
+    return failure();
+  markInvariantLoads(function, sums);
+  if (failed(lowerLeafOps(function, lowering.device)))
+    return failure();
+
+  SmallVector<Value> operands(parameters.getOperands());
+  if (state.use_empty()) {
+    entry->eraseArgument(0);
+  } else {
+    RuntimeCalls &host = lowering.host.runtime;
+    OpBuilder before(loop);
+    operands.insert(operands.begin(),
+                    host.call(before, loc, "tai_rt_device_state",
+                              host.getPointerType(), {frame}));
+  }
+  function.setFunctionType(LLVM::LLVMFunctionType::get(
+      voidType, llvm::to_vector(entry->getArgumentTypes())));
+  function->setAttr(gpu::GPUDialect::getKernelFuncAttrName(),
+                    UnitAttr::get(context));
+  emitLaunch(loop, function, operands, lowering);
+  loop.erase();
+  return success();
+}

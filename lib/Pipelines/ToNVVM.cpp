@@ -1,0 +1,71 @@
+//===- ToNVVM.cpp - From kernels to device functions and launches ---------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Pass/PassRegistry.h"
+#include "mlir/Transforms/Passes.h"
+#include "tai/Conversion/Passes.h"
+#include "tai/Dialect/Tai/Transforms/Passes.h"
+#include "tai/Pipelines/Pipelines.h"
+
+using namespace mlir;
+
+void tai::buildToNVVMPipeline(OpPassManager &pm, const ToNVVMOptions &options) {
+  bool checked = options.boundsCheck || options.debug;
+  bool fast = options.optLevel > 0;
+
+  pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
+  if (fast && !checked) {
+    pm.addPass(createMarkExclusive());
+    pm.addPass(createGatherAccumulations());
+    pm.addPass(createNormalizeIndices());
+    pm.addPass(createCanonicalizerPass());
+  }
+  pm.addPass(createScalarize());
+  LowerStructForOptions loops;
+  loops.deterministic = options.deterministic;
+  loops.skip = options.skip;
+  pm.addPass(createLowerStructFor(loops));
+  if (fast)
+    pm.addPass(createCSEPass());
+
+  RelaxAtomicsOptions relax;
+  relax.deterministic = options.deterministic;
+  relax.onDevice = true;
+  pm.addPass(createRelaxAtomics(relax));
+
+  LowerLayoutOptions layout;
+  layout.boundsCheck = checked;
+  pm.addPass(createLowerLayout(layout));
+
+  ConvertTaiToGPUOptions gpu;
+  gpu.deterministic = options.deterministic;
+  gpu.debug = options.debug;
+  pm.addPass(createConvertTaiToGPU(gpu));
+  if (fast) {
+    pm.addPass(createHoistAllocations());
+    pm.addPass(createCSEPass());
+  }
+
+  ConvertToNVVMOptions nvvm;
+  nvvm.fastMath = options.fastMath;
+  nvvm.contract = options.contract;
+  nvvm.emulated = options.emulated;
+  pm.addPass(createConvertToNVVM(nvvm));
+  pm.addPass(createLowerLaunches());
+  ConvertToLLVMOptions host;
+  host.contract = options.contract;
+  pm.addPass(createConvertToLLVM(host));
+  pm.addPass(createVerifyLLVM());
+}
+
+void tai::registerToNVVMPipeline() {
+  PassPipelineRegistration<ToNVVMOptions>(
+      "tai-to-nvvm",
+      "Lower trees, fields, kernels and host functions to device functions in "
+      "the NVVM dialect and a part for the host in the LLVM dialect",
+      buildToNVVMPipeline);
+}

@@ -1,0 +1,43 @@
+// RUN: tai-opt %s --tai-to-nvvm | FileCheck %s
+// RUN: tai-opt %s --tai-to-nvvm="emulated=true" | FileCheck %s --check-prefix=EMULATED
+// RUN: tai-opt %s --tai-to-nvvm="debug=true" | FileCheck %s --check-prefix=DEBUG
+
+// From a kernel to device functions and a part for the host in one pipeline.
+
+tai.tree @flat : !tai.root<dense<[i: 128, j: 64], {x: vector<2xf32>}>, dense<[i: 128, j: 64], {y: f32}>, {loss: f32}>
+tai.field @x = @flat["x"] : vector<2xf32>, rank 2
+tai.field @y = @flat["y"] : f32, rank 2
+tai.field @loss = @flat["loss"] : f32, rank 0
+
+// CHECK-LABEL: gpu.module @kernels
+//   CHECK-NOT: {{ (arith|scf|cf|vector|math|tai|func)[.]}}
+//       CHECK: llvm.func @norms_0({{.+}}) attributes {gpu.kernel, no_unwind, nvvm.kernel}
+//   Small trees have small indices.
+//       CHECK:   nvvm.read.ptx.sreg.tid.x : i32
+//       CHECK:   llvm.call @__nv_expf
+//       CHECK:   llvm.call @tai_dev_reduce_add_f32
+// CHECK-LABEL: llvm.func @norms(%{{.+}}: !llvm.ptr) -> i32
+//       CHECK:   llvm.call @tai_rt_device_launch
+//   CHECK-NOT: {{ (arith|scf|cf|vector|math|tai|func)[.]}}
+// EMULATED-NOT: nvvm
+//     EMULATED: llvm.call @tai_dev_thread_id
+//     EMULATED: llvm.intr.exp
+//        DEBUG: llvm.call @tai_rt_fail(%{{.+}}
+//        DEBUG: llvm.call @tai_rt_device_state
+tai.kernel @norms(%scale: f32) {
+  tai.parallel_for (%i, %j) in @x {
+    %0 = tai.load @x[%i, %j] : vector<2xf32>
+    %1 = tai.norm %0 : vector<2xf32>
+    %2 = math.exp %1 : f32
+    %3 = arith.mulf %2, %scale : f32
+    tai.store %3, @y[%i, %j] : f32
+    %4 = tai.atomic add %3, @loss[] : f32
+  }
+  tai.return
+}
+
+func.func @main() {
+  %0 = arith.constant 2.0 : f32
+  tai.launch @norms(%0) : (f32) -> ()
+  return
+}
