@@ -9,6 +9,7 @@ To run one test: `build/bin/tai-lit test/Dialect/Tai/IR/ops.mlir`.
 import ctypes
 import importlib.util
 import os
+import shutil
 
 import lit.formats
 from lit.llvm import llvm_config
@@ -21,7 +22,7 @@ config.test_source_root = os.path.dirname(__file__)
 config.test_exec_root = os.path.join(config.tai_build_dir, "test")
 config.excludes = ["Inputs", "python", "unit", "fuzz", "CMakeLists.txt"]
 
-llvm_config.with_system_environment(["HOME", "TMP", "TEMP", "CUDA_HOME", "CUDA_ROOT"])
+llvm_config.with_system_environment(["HOME", "TMP", "TEMP", "CUDA_HOME", "CUDA_PATH", "CUDA_ROOT"])
 llvm_config.use_default_substitutions()
 # A variable without $ lives to the next label only, so that one function's
 # capture cannot satisfy another's check.
@@ -65,6 +66,22 @@ if config.tai_python:
     config.available_features.add("python")
 if config.tai_sanitize:
     config.available_features.add("sanitizer")
+
+# Parts of the CUDA toolkit, which no test machine must have.
+toolkits = [os.environ.get(name) for name in ("CUDA_HOME", "CUDA_PATH", "CUDA_ROOT")]
+toolkits = [root for root in toolkits if root] + ["/usr/local/cuda"]
+ptxas = shutil.which(
+    "ptxas", path=os.pathsep.join([os.path.join(root, "bin") for root in toolkits])
+) or shutil.which("ptxas")
+if ptxas:
+    config.available_features.add("ptxas")
+    config.substitutions.append(("%ptxas", ptxas))
+else:
+    lit_config.note("no ptxas in CUDA_HOME or PATH: PTX is not assembled by any test")
+if any(os.path.exists(f"{root}/nvvm/libdevice/libdevice.10.bc") for root in toolkits):
+    config.available_features.add("libdevice")
+else:
+    lit_config.note("no libdevice in CUDA_HOME: math functions on a GPU are not tested")
 
 
 def has_gpu() -> bool:

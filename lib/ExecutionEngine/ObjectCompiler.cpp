@@ -6,9 +6,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/ObjectCompiler.h"
+#include "CodegenErrors.h"
 #include "llvm/Analysis/TargetLibraryInfo.h"
-#include "llvm/IR/DiagnosticInfo.h"
-#include "llvm/IR/DiagnosticPrinter.h"
 #include "llvm/IR/InstIterator.h"
 #include "llvm/IR/LegacyPassManager.h"
 #include "llvm/IR/Module.h"
@@ -16,15 +15,12 @@
 #include "llvm/MC/TargetRegistry.h"
 #include "llvm/Passes/PassBuilder.h"
 #include "llvm/Support/DynamicLibrary.h"
-#include "llvm/Support/ErrorHandling.h"
 #include "llvm/Support/TargetSelect.h"
 #include "llvm/Target/TargetMachine.h"
 #include "llvm/TargetParser/Host.h"
 #include "llvm/TargetParser/SubtargetFeature.h"
 #include "llvm/TargetParser/Triple.h"
 #include "llvm/Transforms/Scalar/GVN.h"
-#include <csetjmp>
-#include <mutex>
 
 using namespace llvm;
 using namespace mlir::tai;
@@ -83,8 +79,7 @@ ObjectCompiler::create(const CodegenOptions &options) {
   return compiler;
 }
 
-/// Allows what fast_math allows. Infinities and NaN stay exact.
-static void addFastMathFlags(Module &module) {
+void mlir::tai::allowFastMath(Module &module) {
   FastMathFlags flags;
   flags.setAllowReassoc();
   flags.setNoSignedZeros();
@@ -105,63 +100,11 @@ static bool hasVectorMathLibrary() {
 }
 
 //===----------------------------------------------------------------------===//
-// Fatal errors
-//===----------------------------------------------------------------------===//
-
-namespace {
-/// Where a fatal error of LLVM returns to, on a thread that runs LLVM.
-struct FatalTarget {
-  std::jmp_buf place;
-  std::string message;
-};
-} // namespace
-
-static thread_local FatalTarget *fatalTarget = nullptr;
-
-static void onFatalError(void *, const char *message, bool) {
-  if (fatalTarget) {
-    fatalTarget->message = message;
-    std::longjmp(fatalTarget->place, 1);
-  }
-  // Somebody else's error, on another thread: as if there were no handler.
-  errs() << "LLVM ERROR: " << message << '\n';
-}
-
-/// LLVM ends the process where its code generator cannot go on. A compiler that
-/// lives in somebody's program must not, so it leaves by a long jump, as LLVM's
-/// own crash recovery does, but without taking over the process's signals.
-Error ObjectCompiler::guard(function_ref<void()> task) {
-  static std::mutex mutex;
-  static unsigned users = 0;
-  auto count = [](int change) {
-    std::lock_guard<std::mutex> lock(mutex);
-    if (users == 0)
-      install_fatal_error_handler(onFatalError);
-    users += change;
-    if (users == 0)
-      remove_fatal_error_handler();
-  };
-  FatalTarget target;
-  count(1);
-  if (setjmp(target.place) == 0) {
-    fatalTarget = &target;
-    task();
-  } else {
-    broken = true;
-  }
-  fatalTarget = nullptr;
-  count(-1);
-  if (broken)
-    return createStringError(target.message);
-  return Error::success();
-}
-
-//===----------------------------------------------------------------------===//
 // Optimisation
 //===----------------------------------------------------------------------===//
 
 Error ObjectCompiler::optimize(Module &module) {
-  return guard([&] { runPasses(module); });
+  return guardFatalErrors(broken, [&] { runPasses(module); });
 }
 
 /// The number of instructions in the largest basic block.
@@ -185,11 +128,15 @@ struct StencilGVN : PassInfoMixin<StencilGVN> {
 };
 } // namespace
 
-void ObjectCompiler::runPasses(Module &module) {
+void ObjectCompiler::setTarget(Module &module) {
   module.setTargetTriple(machine->getTargetTriple());
   module.setDataLayout(machine->createDataLayout());
+}
+
+void ObjectCompiler::runPasses(Module &module) {
+  setTarget(module);
   if (options.fastMath)
-    addFastMathFlags(module);
+    allowFastMath(module);
   for (Function &function : module) {
     if (function.isDeclaration())
       continue;
@@ -259,31 +206,15 @@ public:
     legacy::PassManager::add(pass);
   }
 };
-
-/// Keeps the first error that code generation reports.
-struct ErrorKeeper : DiagnosticHandler {
-  explicit ErrorKeeper(std::string &message) : message(message) {}
-
-  bool handleDiagnostics(const DiagnosticInfo &info) override {
-    if (info.getSeverity() == DS_Error && message.empty()) {
-      raw_string_ostream stream(message);
-      DiagnosticPrinterRawOStream printer(stream);
-      info.print(printer);
-    }
-    return true;
-  }
-
-  std::string &message;
-};
 } // namespace
 
 Error ObjectCompiler::emit(Module &module, raw_pwrite_stream &stream,
                            bool assembly) {
   std::string message;
   module.getContext().setDiagnosticHandler(
-      std::make_unique<ErrorKeeper>(message));
+      std::make_unique<CodegenErrors>(message));
   bool supported = true;
-  Error error = guard([&] {
+  Error error = guardFatalErrors(broken, [&] {
     CodegenPasses passes;
     supported = !machine->addPassesToEmitFile(
         passes, stream, /*DwoOut=*/nullptr,

@@ -336,18 +336,7 @@ extern "C" void tai_rt_combine_strided(TaiFrame *frame, void *target,
 extern "C" uint32_t tai_rt_random_u32(uint64_t seed, uint64_t launch,
                                       uint64_t iteration, uint32_t stream,
                                       uint32_t sequence) {
-  // 192 bits of position and a counter of 128: the launch goes into the key,
-  // behind a bijection of the seed, so that launches of one context never
-  // share a key. Four consecutive numbers of a sequence are one block.
-  uint64_t key = seed + 0x9E3779B97F4A7C15u;
-  key = (key ^ (key >> 30)) * 0xBF58476D1CE4E5B9u;
-  key = (key ^ (key >> 27)) * 0x94D049BB133111EBu;
-  key = (key ^ (key >> 31)) ^ launch;
-  return philox4x32({static_cast<uint32_t>(iteration),
-                     static_cast<uint32_t>(iteration >> 32), stream,
-                     sequence >> 2},
-                    {static_cast<uint32_t>(key),
-                     static_cast<uint32_t>(key >> 32)})[sequence & 3];
+  return randomBits(seed, launch, iteration, stream, sequence);
 }
 
 extern "C" void tai_rt_print(TaiFrame *frame, const char *format, int32_t count,

@@ -5,15 +5,18 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// `--mlir-to-llvmir` prints the LLVM IR of what `tai-opt --tai-to-llvm` made.
+// `--mlir-to-llvmir` prints the LLVM IR of what `tai-opt --tai-to-llvm` made,
+// `--tai-to-ptx` (in DeviceCode.cpp) that of its device code.
 //
 //===----------------------------------------------------------------------===//
 
+#include "DeviceCode.h"
 #include "common/Upstream.h"
 #include "mlir/Tools/mlir-translate/MlirTranslateMain.h"
 
 int main(int argc, char **argv) {
   mlir::tai::registerUpstreamTranslations();
+  mlir::tai::registerDeviceCodeTranslations();
   return mlir::failed(
       mlir::mlirTranslateMain(argc, argv, "tai translation driver"));
 }

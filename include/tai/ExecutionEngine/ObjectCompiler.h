@@ -14,7 +14,6 @@
 #ifndef TAI_EXECUTIONENGINE_OBJECTCOMPILER_H
 #define TAI_EXECUTIONENGINE_OBJECTCOMPILER_H
 
-#include "llvm/ADT/STLFunctionalExtras.h"
 #include "llvm/ADT/SmallVector.h"
 #include "llvm/Support/Error.h"
 #include <memory>
@@ -44,6 +43,9 @@ struct CodegenOptions {
   }
 };
 
+/// Allows, for all operations of the module, what fastMath allows.
+void allowFastMath(llvm::Module &module);
+
 /// The CPU that this process runs on.
 struct HostCpu {
   std::string triple;
@@ -60,6 +62,9 @@ public:
   ~ObjectCompiler();
 
   const CodegenOptions &getOptions() const { return options; }
+
+  /// Sets the target of the module, for what is done before optimize().
+  void setTarget(llvm::Module &module);
 
   /// Sets the target of the module and runs the optimisation pipeline on it.
   llvm::Error optimize(llvm::Module &module);
@@ -78,7 +83,6 @@ public:
 private:
   explicit ObjectCompiler(const CodegenOptions &options);
   void runPasses(llvm::Module &module);
-  llvm::Error guard(llvm::function_ref<void()> task);
   llvm::Error emit(llvm::Module &module, llvm::raw_pwrite_stream &stream,
                    bool assembly);
 

@@ -1,0 +1,115 @@
+//===- DeviceCompiler.h - From a gpu.module to an image ---------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The device half of the compiler: makes an image that a runtime::Device loads
+// from the `gpu.module` that the lowering leaves. For CUDA that is PTX text,
+// for the emulated device object code of the host. The device library, and
+// where it is called libdevice, CUDA's math library, are linked in before the
+// code is optimised.
+//
+// Kernels are the functions with the attribute `gpu.kernel` or `nvvm.kernel`,
+// numbered in their order. The emulated device calls a kernel `f` by `f.slots`,
+// which takes the address of the parameters, each in its own type at the start
+// of eight bytes.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_EXECUTIONENGINE_DEVICECOMPILER_H
+#define TAI_EXECUTIONENGINE_DEVICECOMPILER_H
+
+#include "mlir/IR/Operation.h"
+#include "tai/ExecutionEngine/ObjectCompiler.h"
+#include "tai/Runtime/Device.h"
+#include "llvm/ADT/ArrayRef.h"
+#include "llvm/IR/LLVMContext.h"
+#include "llvm/IR/Module.h"
+#include "llvm/Support/Error.h"
+#include <memory>
+#include <string>
+#include <vector>
+
+namespace mlir {
+class DialectRegistry;
+class ModuleOp;
+} // namespace mlir
+
+namespace mlir::tai {
+
+/// The device that code is compiled for, by the words of runtime::Device.
+struct DeviceTarget {
+  runtime::DeviceKind kind = runtime::DeviceKind::Cuda;
+  /// "sm_90"; not looked at for the emulated device.
+  std::string name;
+
+  bool operator==(const DeviceTarget &other) const {
+    return kind == other.kind && name == other.name;
+  }
+  std::string str() const;
+};
+
+/// The suffix of the functions that the emulated device calls.
+constexpr llvm::StringLiteral kSlotsSuffix = ".slots";
+
+/// Device code on its way to an image.
+struct DeviceCode {
+  std::unique_ptr<llvm::LLVMContext> context;
+  std::unique_ptr<llvm::Module> module;
+  /// Names of the kernels, in the order of their numbers.
+  std::vector<std::string> functions;
+};
+
+/// The `gpu.module` of a lowered module. Null where there is none; an error
+/// where there are several.
+llvm::Expected<Operation *> findDeviceModule(ModuleOp module);
+
+/// Registers what the translation of device code needs.
+void registerDeviceTranslations(DialectRegistry &registry);
+
+/// The bitcode of the device library.
+llvm::ArrayRef<char> getDeviceLibrary(runtime::DeviceKind kind);
+
+/// Used by one thread at a time. The floats follow the options: with fastMath,
+/// division and square root are approximate and denormal numbers of 32 bits are
+/// zero; with contract, a product and a sum may be rounded once; without both,
+/// every operation is rounded as IEEE 754 says.
+class DeviceCompiler {
+public:
+  static llvm::Expected<std::unique_ptr<DeviceCompiler>>
+  create(const DeviceTarget &target, const CodegenOptions &options);
+  ~DeviceCompiler();
+
+  /// Translates, links the libraries, and hides all but the kernels. Failures
+  /// of the translation itself are reported as diagnostics and have no text.
+  llvm::Expected<DeviceCode> translate(Operation *deviceModule);
+  llvm::Error optimize(DeviceCode &code);
+  /// PTX text, or object code of the host.
+  llvm::Expected<runtime::DeviceImage> emit(DeviceCode &code);
+
+  /// True once LLVM has met a fatal error: this is then no longer of use.
+  bool isBroken() const;
+
+private:
+  DeviceCompiler(const DeviceTarget &target, const CodegenOptions &options);
+  bool isCuda() const { return target.kind == runtime::DeviceKind::Cuda; }
+  llvm::Error link(llvm::Module &module);
+  llvm::Error linkLibdevice(llvm::Module &module);
+  void prepareForCuda(llvm::Module &module);
+  void runPasses(llvm::Module &module);
+  llvm::Error guard(DeviceCode &code, llvm::function_ref<void()> task);
+
+  DeviceTarget target;
+  CodegenOptions options;
+  /// For CUDA.
+  std::unique_ptr<llvm::TargetMachine> machine;
+  /// For the emulated device.
+  std::unique_ptr<ObjectCompiler> objects;
+  bool broken = false;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_EXECUTIONENGINE_DEVICECOMPILER_H

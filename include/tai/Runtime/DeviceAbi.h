@@ -1,0 +1,65 @@
+//===- DeviceAbi.h - What device code may call ------------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The device library in C: functions that are compiled to bitcode for NVPTX and
+// for the CPU (for the emulated device), and linked into the device code of a
+// kernel before it is optimised. Besides these it has, of Abi.h,
+// tai_rt_random_u32, tai_rt_print, tai_rt_fail, tai_rt_failed and
+// tai_rt_stack_grow/free, which take the address of a TaiDeviceState as their
+// frame.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_RUNTIME_DEVICEABI_H
+#define TAI_RUNTIME_DEVICEABI_H
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/// The place of the thread. Blocks and grids have one dimension.
+int32_t tai_dev_thread_id(void);
+int32_t tai_dev_block_id(void);
+int32_t tai_dev_block_dim(void);
+int32_t tai_dev_grid_dim(void);
+
+/// All threads of the block wait for each other, and see what the others wrote
+/// before.
+void tai_dev_block_barrier(void);
+
+/// All threads of the grid, of `blocks` blocks, do. They must run at the same
+/// time: see LaunchShape::cooperative. `state` is a word in device memory that
+/// was zero before its first use; `barrier` of TaiDeviceState is one.
+void tai_dev_grid_barrier(uint32_t *state, uint32_t blocks);
+
+// Combine the values of all threads of a block, and update the target with the
+// result by one atomic operation. Every thread of the block calls them, at the
+// same place; the block may have any size. The order in which values are
+// combined is not said. Minima and maxima of floats are NaN if any of the
+// values is, and count -0 as less than 0, as on the CPU. A thread that has
+// nothing to contribute gives what leaves others as they are (0, 1, infinity,
+// all bits).
+#define TAI_DEVICE_REDUCTION(op, suffix, type)                                 \
+  void tai_dev_reduce_##op##_##suffix(type *target, type value);
+#include "tai/Runtime/DeviceReductions.def"
+
+//===----------------------------------------------------------------------===//
+// What the host's build of the library asks of the emulated device
+//===----------------------------------------------------------------------===//
+
+int32_t tai_emu_thread_id(void);
+int32_t tai_emu_block_id(void);
+int32_t tai_emu_block_dim(void);
+int32_t tai_emu_grid_dim(void);
+
+#ifdef __cplusplus
+} // extern "C"
+#endif
+
+#endif // TAI_RUNTIME_DEVICEABI_H

@@ -1,0 +1,206 @@
+//===- Reduce.cpp - Reductions over the threads of a block ----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Within a warp values go from register to register, between warps through
+// shared memory, and out of the block by one atomic operation.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Target.h"
+#include "tai/Runtime/DeviceAbi.h"
+
+using namespace tai::device;
+
+//===----------------------------------------------------------------------===//
+// Operations
+//===----------------------------------------------------------------------===//
+
+namespace {
+struct Add {
+  template <typename T> static T combine(T a, T b) { return a + b; }
+};
+struct Mul {
+  template <typename T> static T combine(T a, T b) { return a * b; }
+};
+struct Min {
+  template <typename T> static T combine(T a, T b) { return b < a ? b : a; }
+  static float combine(float a, float b) {
+    return __builtin_elementwise_minimum(a, b);
+  }
+  static double combine(double a, double b) {
+    return __builtin_elementwise_minimum(a, b);
+  }
+};
+struct Max {
+  template <typename T> static T combine(T a, T b) { return a < b ? b : a; }
+  static float combine(float a, float b) {
+    return __builtin_elementwise_maximum(a, b);
+  }
+  static double combine(double a, double b) {
+    return __builtin_elementwise_maximum(a, b);
+  }
+};
+struct And {
+  template <typename T> static T combine(T a, T b) { return a & b; }
+};
+struct Or {
+  template <typename T> static T combine(T a, T b) { return a | b; }
+};
+struct Xor {
+  template <typename T> static T combine(T a, T b) { return a ^ b; }
+};
+
+template <unsigned bytes> struct BitsOf;
+template <> struct BitsOf<4> {
+  using Type = uint32_t;
+};
+template <> struct BitsOf<8> {
+  using Type = uint64_t;
+};
+} // namespace
+
+template <typename To, typename From> static To bitCast(From from) {
+  static_assert(sizeof(To) == sizeof(From), "the same bits");
+  return __builtin_bit_cast(To, from);
+}
+
+/// Repeats until no other thread came between.
+template <typename Op, typename T>
+static void updateInLoop(T *target, T value) {
+  using Bits = typename BitsOf<sizeof(T)>::Type;
+  auto *bits = reinterpret_cast<Bits *>(target);
+  Bits seen = atomicRead(bits);
+  for (;;) {
+    auto wanted = bitCast<Bits>(Op::combine(bitCast<T>(seen), value));
+    // Most minima and maxima change nothing.
+    if (wanted == seen || atomicReplace(bits, seen, wanted))
+      return;
+  }
+}
+
+#define TAI_FETCH(op)                                                          \
+  (void)__scoped_atomic_fetch_##op(target, value, __ATOMIC_RELAXED,            \
+                                   __MEMORY_SCOPE_DEVICE)
+
+template <typename T> static void update(Add, T *target, T value) {
+  TAI_FETCH(add);
+}
+template <typename T> static void update(Mul, T *target, T value) {
+  updateInLoop<Mul>(target, value);
+}
+template <typename T> static void update(Min, T *target, T value) {
+  TAI_FETCH(min);
+}
+template <typename T> static void update(Max, T *target, T value) {
+  TAI_FETCH(max);
+}
+static void update(Min, float *target, float value) {
+  updateInLoop<Min>(target, value);
+}
+static void update(Min, double *target, double value) {
+  updateInLoop<Min>(target, value);
+}
+static void update(Max, float *target, float value) {
+  updateInLoop<Max>(target, value);
+}
+static void update(Max, double *target, double value) {
+  updateInLoop<Max>(target, value);
+}
+template <typename T> static void update(And, T *target, T value) {
+  TAI_FETCH(and);
+}
+template <typename T> static void update(Or, T *target, T value) {
+  TAI_FETCH(or);
+}
+template <typename T> static void update(Xor, T *target, T value) {
+  TAI_FETCH(xor);
+}
+#undef TAI_FETCH
+
+//===----------------------------------------------------------------------===//
+// Blocks
+//===----------------------------------------------------------------------===//
+
+#ifdef __NVPTX__
+
+#define TAI_SHARED __attribute__((address_space(3)))
+
+/// One slot for each warp.
+TAI_SHARED
+__attribute__((loader_uninitialized)) static uint64_t warpValues[warpSize];
+
+static uint32_t shuffleDown(uint32_t mask, uint32_t value, unsigned offset) {
+  return static_cast<uint32_t>(__nvvm_shfl_sync_down_i32(
+      mask, static_cast<int>(value), static_cast<int>(offset), warpSize - 1));
+}
+
+static uint64_t shuffleDown(uint32_t mask, uint64_t value, unsigned offset) {
+  uint64_t low = shuffleDown(mask, static_cast<uint32_t>(value), offset);
+  uint64_t high = shuffleDown(mask, static_cast<uint32_t>(value >> 32), offset);
+  return high << 32 | low;
+}
+
+/// Lane 0 gets the combination of the first `count` lanes; all of `mask` call.
+template <typename Op, typename T>
+static T reduceWarp(uint32_t mask, unsigned lane, unsigned count, T value) {
+  using Bits = typename BitsOf<sizeof(T)>::Type;
+#pragma unroll
+  for (unsigned offset = warpSize / 2; offset; offset /= 2) {
+    T other = bitCast<T>(shuffleDown(mask, bitCast<Bits>(value), offset));
+    T combined = Op::combine(value, other);
+    value = lane + offset < count ? combined : value;
+  }
+  return value;
+}
+
+template <typename Op, typename T> static void reduce(T *target, T value) {
+  auto thread = static_cast<unsigned>(tai_dev_thread_id());
+  auto threads = static_cast<unsigned>(tai_dev_block_dim());
+  unsigned lane = thread % warpSize, warp = thread / warpSize;
+  unsigned warps = (threads + warpSize - 1) / warpSize;
+  unsigned left = threads - warp * warpSize;
+  unsigned count = left < warpSize ? left : warpSize;
+  uint32_t mask = ~uint32_t(0) >> (warpSize - count);
+  value = reduceWarp<Op>(mask, lane, count, value);
+  if (warps > 1) {
+    auto *slots = (TAI_SHARED T *)warpValues;
+    constexpr unsigned stride = sizeof(uint64_t) / sizeof(T);
+    if (lane == 0)
+      slots[warp * stride] = value;
+    __syncthreads();
+    if (warp == 0) {
+      value = slots[(lane < warps ? lane : 0) * stride];
+      value = reduceWarp<Op>(~uint32_t(0), lane, warps, value);
+    }
+    // The slots are free for the next one.
+    __syncthreads();
+  }
+  if (thread == 0)
+    update(Op(), target, value);
+}
+
+#else // the CPU
+
+// A block is one thread.
+template <typename Op, typename T> static void reduce(T *target, T value) {
+  update(Op(), target, value);
+}
+
+#endif
+
+#define TAI_OP_add Add
+#define TAI_OP_mul Mul
+#define TAI_OP_min Min
+#define TAI_OP_max Max
+#define TAI_OP_and And
+#define TAI_OP_or Or
+#define TAI_OP_xor Xor
+#define TAI_DEVICE_REDUCTION(op, suffix, type)                                 \
+  void tai_dev_reduce_##op##_##suffix(type *target, type value) {              \
+    reduce<TAI_OP_##op>(target, value);                                        \
+  }
+#include "tai/Runtime/DeviceReductions.def"

@@ -1,0 +1,53 @@
+//===- Target.h - The processor that the library is compiled for *- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The differences between a GPU and the CPU that stands in for it, in one
+// place. There is no C++ library here, nor a C library but for malloc and free,
+// which the driver of the GPU has too.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_DEVICELIBRARY_TARGET_H
+#define TAI_LIB_DEVICELIBRARY_TARGET_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+extern "C" {
+void *malloc(size_t bytes);
+void free(void *memory);
+#ifndef __NVPTX__
+int sched_yield(void);
+#endif
+}
+
+namespace tai::device {
+
+constexpr unsigned warpSize = 32;
+
+/// What was there before. Other threads of the device see it happen at once,
+/// but it does not order other accesses.
+template <typename T> inline T atomicAdd(T *target, T value) {
+  return __scoped_atomic_fetch_add(target, value, __ATOMIC_RELAXED,
+                                   __MEMORY_SCOPE_DEVICE);
+}
+
+template <typename T> inline T atomicRead(T *source) {
+  return __scoped_atomic_load_n(source, __ATOMIC_RELAXED,
+                                __MEMORY_SCOPE_DEVICE);
+}
+
+/// Updates `seen` with what is there if that is not what is expected.
+template <typename T> inline bool atomicReplace(T *target, T &seen, T value) {
+  return __scoped_atomic_compare_exchange_n(target, &seen, value, /*weak=*/true,
+                                            __ATOMIC_RELAXED, __ATOMIC_RELAXED,
+                                            __MEMORY_SCOPE_DEVICE);
+}
+
+} // namespace tai::device
+
+#endif // TAI_LIB_DEVICELIBRARY_TARGET_H

@@ -1,0 +1,73 @@
+//===- CodegenErrors.cpp - What goes wrong inside LLVM --------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "CodegenErrors.h"
+#include "llvm/IR/DiagnosticInfo.h"
+#include "llvm/IR/DiagnosticPrinter.h"
+#include "llvm/Support/ErrorHandling.h"
+#include "llvm/Support/raw_ostream.h"
+#include <csetjmp>
+#include <mutex>
+
+using namespace llvm;
+using namespace mlir::tai;
+
+namespace {
+/// Where a fatal error of LLVM returns to, on a thread that runs LLVM.
+struct FatalTarget {
+  std::jmp_buf place;
+  std::string message;
+};
+} // namespace
+
+static thread_local FatalTarget *fatalTarget = nullptr;
+
+static void onFatalError(void *, const char *message, bool) {
+  if (fatalTarget) {
+    fatalTarget->message = message;
+    std::longjmp(fatalTarget->place, 1);
+  }
+  // Somebody else's error, on another thread: as if there were no handler.
+  errs() << "LLVM ERROR: " << message << '\n';
+}
+
+/// Leaves by a long jump, as LLVM's own crash recovery does, but without taking
+/// over the process's signals.
+Error mlir::tai::guardFatalErrors(bool &broken, function_ref<void()> task) {
+  static std::mutex mutex;
+  static unsigned users = 0;
+  auto count = [](int change) {
+    std::lock_guard<std::mutex> lock(mutex);
+    if (users == 0)
+      install_fatal_error_handler(onFatalError);
+    users += change;
+    if (users == 0)
+      remove_fatal_error_handler();
+  };
+  FatalTarget target;
+  count(1);
+  if (setjmp(target.place) == 0) {
+    fatalTarget = &target;
+    task();
+  } else {
+    broken = true;
+  }
+  fatalTarget = nullptr;
+  count(-1);
+  if (broken)
+    return createStringError(target.message);
+  return Error::success();
+}
+
+bool CodegenErrors::handleDiagnostics(const DiagnosticInfo &info) {
+  if (info.getSeverity() == DS_Error && message.empty()) {
+    raw_string_ostream stream(message);
+    DiagnosticPrinterRawOStream printer(stream);
+    info.print(printer);
+  }
+  return true;
+}

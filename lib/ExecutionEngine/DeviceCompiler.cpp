@@ -1,0 +1,524 @@
+//===- DeviceCompiler.cpp - From a gpu.module to an image -----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/ExecutionEngine/DeviceCompiler.h"
+#include "CodegenErrors.h"
+#include "Libdevice.h"
+#include "mlir/Dialect/GPU/IR/GPUDialect.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "mlir/Dialect/LLVMIR/NVVMDialect.h"
+#include "mlir/IR/BuiltinOps.h"
+#include "mlir/Target/LLVMIR/Dialect/Builtin/BuiltinToLLVMIRTranslation.h"
+#include "mlir/Target/LLVMIR/Dialect/GPU/GPUToLLVMIRTranslation.h"
+#include "mlir/Target/LLVMIR/Dialect/LLVMIR/LLVMToLLVMIRTranslation.h"
+#include "mlir/Target/LLVMIR/Dialect/NVVM/NVVMToLLVMIRTranslation.h"
+#include "mlir/Target/LLVMIR/Export.h"
+#include "llvm/ADT/StringSet.h"
+#include "llvm/Bitcode/BitcodeReader.h"
+#include "llvm/IR/Constants.h"
+#include "llvm/IR/IRBuilder.h"
+#include "llvm/IR/InstIterator.h"
+#include "llvm/IR/LegacyPassManager.h"
+#include "llvm/IR/Verifier.h"
+#include "llvm/Linker/Linker.h"
+#include "llvm/MC/TargetRegistry.h"
+#include "llvm/Passes/PassBuilder.h"
+#include "llvm/Support/TargetSelect.h"
+#include "llvm/Target/TargetMachine.h"
+#include "llvm/TargetParser/Triple.h"
+#include <mutex>
+
+using namespace mlir;
+using namespace mlir::tai;
+using llvm::createStringError;
+using llvm::Error;
+using llvm::Expected;
+
+// The generated sources of lib/DeviceLibrary.
+namespace mlir::tai {
+extern const unsigned char deviceLibrary_nvptx[], deviceLibrary_host[];
+extern const unsigned long deviceLibrary_nvptx_size, deviceLibrary_host_size;
+} // namespace mlir::tai
+
+llvm::ArrayRef<char> mlir::tai::getDeviceLibrary(runtime::DeviceKind kind) {
+  bool cuda = kind == runtime::DeviceKind::Cuda;
+  const unsigned char *bytes = cuda ? deviceLibrary_nvptx : deviceLibrary_host;
+  return {reinterpret_cast<const char *>(bytes),
+          cuda ? deviceLibrary_nvptx_size : deviceLibrary_host_size};
+}
+
+std::string DeviceTarget::str() const {
+  return kind == runtime::DeviceKind::Cuda ? "cuda:" + name : "emulated";
+}
+
+void mlir::tai::registerDeviceTranslations(DialectRegistry &registry) {
+  registry.insert<gpu::GPUDialect, NVVM::NVVMDialect>();
+  registerBuiltinDialectTranslation(registry);
+  registerLLVMDialectTranslation(registry);
+  registerGPUDialectTranslation(registry);
+  registerNVVMDialectTranslation(registry);
+}
+
+Expected<Operation *> mlir::tai::findDeviceModule(ModuleOp module) {
+  Operation *found = nullptr;
+  for (auto deviceModule : module.getOps<gpu::GPUModuleOp>()) {
+    if (found)
+      return createStringError(
+          "device code is in several modules, '%s' and '%s'",
+          cast<gpu::GPUModuleOp>(found).getName().str().c_str(),
+          deviceModule.getName().str().c_str());
+    found = deviceModule;
+  }
+  return found;
+}
+
+//===----------------------------------------------------------------------===//
+// The target
+//===----------------------------------------------------------------------===//
+
+/// The number of an architecture that the code generator knows, and the oldest
+/// version of PTX that has it and what the device library uses.
+static constexpr struct {
+  unsigned architecture, ptxVersion;
+} architectures[] = {{70, 70},  {72, 70},  {75, 70}, {80, 70},
+                     {86, 71},  {87, 74},  {89, 78}, {90, 78},
+                     {100, 86}, {103, 88}, {120, 87}};
+
+/// Makes the name and the features of the newest processor whose code runs on
+/// the target.
+static Error choosePtxTarget(StringRef name, std::string &cpu,
+                             std::string &features) {
+  StringRef digits = name;
+  unsigned number = 0;
+  if (!digits.consume_front("sm_") || digits.getAsInteger(10, number) ||
+      number < architectures[0].architecture)
+    return createStringError(
+        "unknown GPU '%s': code is made for sm_70 and later",
+        name.str().c_str());
+  for (const auto &known : architectures) {
+    if (known.architecture > number)
+      break;
+    cpu = "sm_" + std::to_string(known.architecture);
+    features = "+ptx" + std::to_string(known.ptxVersion);
+  }
+  return Error::success();
+}
+
+DeviceCompiler::DeviceCompiler(const DeviceTarget &target,
+                               const CodegenOptions &options)
+    : target(target), options(options) {}
+
+DeviceCompiler::~DeviceCompiler() {
+  if (isBroken()) {
+    (void)machine.release();
+    (void)objects.release();
+  }
+}
+
+bool DeviceCompiler::isBroken() const {
+  return broken || (objects && objects->isBroken());
+}
+
+Expected<std::unique_ptr<DeviceCompiler>>
+DeviceCompiler::create(const DeviceTarget &target,
+                       const CodegenOptions &options) {
+  std::unique_ptr<DeviceCompiler> compiler(new DeviceCompiler(target, options));
+  if (!compiler->isCuda()) {
+    auto objects = ObjectCompiler::create(options);
+    if (!objects)
+      return objects.takeError();
+    compiler->objects = std::move(*objects);
+    return compiler;
+  }
+  static std::once_flag initialized;
+  std::call_once(initialized, [] {
+    LLVMInitializeNVPTXTargetInfo();
+    LLVMInitializeNVPTXTarget();
+    LLVMInitializeNVPTXTargetMC();
+    LLVMInitializeNVPTXAsmPrinter();
+  });
+  std::string cpu, features, message;
+  if (Error error = choosePtxTarget(target.name, cpu, features))
+    return error;
+  llvm::Triple triple("nvptx64-nvidia-cuda");
+  const llvm::Target *nvptx =
+      llvm::TargetRegistry::lookupTarget(triple, message);
+  if (!nvptx)
+    return createStringError("no code generator for NVIDIA GPUs: %s",
+                             message.c_str());
+  llvm::TargetOptions targetOptions;
+  // Said for each operation in the PTX, too: ptxas would fuse by itself.
+  targetOptions.AllowFPOpFusion = options.contract || options.fastMath
+                                      ? llvm::FPOpFusion::Fast
+                                      : llvm::FPOpFusion::Strict;
+  compiler->machine.reset(nvptx->createTargetMachine(
+      triple, cpu, features, targetOptions, llvm::Reloc::PIC_, std::nullopt,
+      options.optLevel == 0 ? llvm::CodeGenOptLevel::None
+                            : llvm::CodeGenOptLevel::Aggressive));
+  if (!compiler->machine)
+    return createStringError("no target machine for %s", cpu.c_str());
+  return compiler;
+}
+
+//===----------------------------------------------------------------------===//
+// Libraries
+//===----------------------------------------------------------------------===//
+
+/// Links what is used of a library, without what its compiler knew of the
+/// processor: other attributes than the caller's keep functions from being
+/// inlined.
+static Error linkNeeded(llvm::Module &module, llvm::MemoryBufferRef bitcode) {
+  auto library = llvm::getLazyBitcodeModule(bitcode, module.getContext());
+  if (!library)
+    return library.takeError();
+  (*library)->setTargetTriple(module.getTargetTriple());
+  (*library)->setDataLayout(module.getDataLayout());
+  llvm::StringSet<> before;
+  for (const llvm::Function &function : module)
+    if (!function.isDeclaration())
+      before.insert(function.getName());
+  if (llvm::Linker::linkModules(module, std::move(*library),
+                                llvm::Linker::LinkOnlyNeeded))
+    return createStringError("a library does not link with device code");
+  for (llvm::Function &function : module) {
+    if (before.contains(function.getName()))
+      continue;
+    llvm::AttributeList attributes = function.getAttributes();
+    for (llvm::Attribute attribute : attributes.getFnAttrs())
+      if (attribute.isStringAttribute())
+        function.removeFnAttr(attribute.getKindAsString());
+  }
+  return Error::success();
+}
+
+/// The functions that call or otherwise use one that is not there.
+static std::string getUsers(const llvm::Function &missing) {
+  llvm::StringSet<> names;
+  for (const llvm::User *user : missing.users())
+    if (auto *instruction = dyn_cast<llvm::Instruction>(user))
+      names.insert(instruction->getFunction()->getName());
+  SmallVector<StringRef> sorted(names.keys());
+  llvm::sort(sorted);
+  return sorted.empty() ? "device code"
+                        : "'" + llvm::join(sorted, "', '") + "'";
+}
+
+/// Answers a question that libdevice asks its compiler. Those about denormal
+/// numbers and the processor LLVM answers itself.
+static void answerReflection(llvm::Module &module, StringRef question,
+                             unsigned answer) {
+  llvm::Function *reflect = module.getFunction("__nvvm_reflect");
+  if (!reflect)
+    return;
+  for (llvm::User *user : llvm::make_early_inc_range(reflect->users())) {
+    auto *call = dyn_cast<llvm::CallInst>(user);
+    if (!call || call->arg_size() != 1)
+      continue;
+    auto *text = dyn_cast<llvm::GlobalVariable>(
+        call->getArgOperand(0)->stripPointerCasts());
+    auto *bytes =
+        text && text->hasInitializer()
+            ? dyn_cast<llvm::ConstantDataArray>(text->getInitializer())
+            : nullptr;
+    if (!bytes || !bytes->isCString() || bytes->getAsCString() != question)
+      continue;
+    call->replaceAllUsesWith(llvm::ConstantInt::get(call->getType(), answer));
+    call->eraseFromParent();
+  }
+}
+
+Error DeviceCompiler::linkLibdevice(llvm::Module &module) {
+  const llvm::Function *wanted = nullptr;
+  for (const llvm::Function &function : module)
+    if (function.isDeclaration() && !function.use_empty() &&
+        function.getName().starts_with("__nv_")) {
+      wanted = &function;
+      break;
+    }
+  if (!wanted)
+    return Error::success();
+  std::string searched;
+  std::optional<llvm::MemoryBufferRef> library = getLibdevice(searched);
+  if (!library)
+    return createStringError(
+        "%s calls '%s' of CUDA's math library, but there is no "
+        "libdevice.10.bc: set CUDA_HOME to where CUDA is; searched: %s",
+        getUsers(*wanted).c_str(), wanted->getName().str().c_str(),
+        searched.c_str());
+  if (Error error = linkNeeded(module, *library))
+    return error;
+  answerReflection(module, "__CUDA_PREC_SQRT", !options.fastMath);
+  return Error::success();
+}
+
+Error DeviceCompiler::link(llvm::Module &module) {
+  llvm::ArrayRef<char> library = getDeviceLibrary(target.kind);
+  llvm::MemoryBufferRef bitcode(StringRef(library.data(), library.size()),
+                                "device library");
+  if (Error error = linkNeeded(module, bitcode))
+    return error;
+  return isCuda() ? linkLibdevice(module) : Error::success();
+}
+
+//===----------------------------------------------------------------------===//
+// Translation
+//===----------------------------------------------------------------------===//
+
+/// Adds the function by which the emulated device calls a kernel.
+static llvm::Function *addSlotsFunction(llvm::Function &kernel) {
+  llvm::LLVMContext &context = kernel.getContext();
+  llvm::IRBuilder<> builder(context);
+  auto *type =
+      llvm::FunctionType::get(builder.getVoidTy(), {builder.getPtrTy()}, false);
+  auto *wrapper = llvm::Function::Create(
+      type, llvm::GlobalValue::ExternalLinkage, kernel.getName() + kSlotsSuffix,
+      kernel.getParent());
+  builder.SetInsertPoint(llvm::BasicBlock::Create(context, "", wrapper));
+  SmallVector<llvm::Value *> arguments;
+  for (llvm::Argument &parameter : kernel.args()) {
+    llvm::Value *slot = builder.CreateConstInBoundsGEP1_64(
+        builder.getInt64Ty(), wrapper->getArg(0), parameter.getArgNo());
+    llvm::Type *type = parameter.getType();
+    // A truth value is a byte.
+    if (type->isIntegerTy(1))
+      arguments.push_back(builder.CreateTrunc(
+          builder.CreateAlignedLoad(builder.getInt8Ty(), slot, llvm::Align(8)),
+          type));
+    else
+      arguments.push_back(
+          builder.CreateAlignedLoad(type, slot, llvm::Align(8)));
+  }
+  builder.CreateCall(&kernel, arguments);
+  builder.CreateRetVoid();
+  return wrapper;
+}
+
+/// The parameters of a kernel come in slots of eight bytes.
+static Error checkParameters(const llvm::Function &kernel) {
+  if (!kernel.getReturnType()->isVoidTy())
+    return createStringError("kernel '%s' returns a value",
+                             kernel.getName().str().c_str());
+  const llvm::DataLayout &layout = kernel.getParent()->getDataLayout();
+  for (const llvm::Argument &parameter : kernel.args()) {
+    llvm::Type *type = parameter.getType();
+    if (!type->isSingleValueType() || type->isVectorTy() ||
+        layout.getTypeStoreSize(type) > 8)
+      return createStringError(
+          "parameter %u of kernel '%s' does not fit into eight bytes",
+          parameter.getArgNo(), kernel.getName().str().c_str());
+  }
+  return Error::success();
+}
+
+/// Says for the whole module what PTX can only say for each operation.
+void DeviceCompiler::prepareForCuda(llvm::Module &module) {
+  if (options.fastMath)
+    module.addModuleFlag(llvm::Module::Override, "nvvm-reflect-ftz", 1);
+  // What other threads see is what those of this device see.
+  llvm::SyncScope::ID device =
+      module.getContext().getOrInsertSyncScopeID("device");
+  for (llvm::Function &function : module) {
+    if (function.isDeclaration())
+      continue;
+    if (options.fastMath)
+      function.addFnAttr("denormal-fp-math-f32", "preserve-sign,preserve-sign");
+    function.setDoesNotThrow();
+    function.addFnAttr("no-trapping-math", "true");
+    for (llvm::Instruction &instruction : llvm::instructions(function)) {
+      auto scope = llvm::getAtomicSyncScopeID(&instruction);
+      if (scope && *scope == llvm::SyncScope::System)
+        llvm::setAtomicSyncScopeID(&instruction, device);
+    }
+  }
+}
+
+Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
+  DeviceCode code;
+  for (Operation &op : deviceModule->getRegion(0).front())
+    if (auto function = dyn_cast<LLVM::LLVMFuncOp>(op))
+      if (function->hasAttr(gpu::GPUDialect::getKernelFuncAttrName()) ||
+          function->hasAttr(NVVM::NVVMDialect::getKernelFuncAttrName()))
+        code.functions.push_back(function.getName().str());
+  code.context = std::make_unique<llvm::LLVMContext>();
+  code.module = translateModuleToLLVMIR(deviceModule, *code.context, "kernels",
+                                        /*disableVerification=*/true);
+  if (!code.module)
+    return createStringError("");
+  llvm::Module &module = *code.module;
+  if (isCuda()) {
+    module.setTargetTriple(machine->getTargetTriple());
+    module.setDataLayout(machine->createDataLayout());
+    if (options.fastMath)
+      allowFastMath(module);
+  } else {
+    objects->setTarget(module);
+  }
+  SmallVector<llvm::GlobalValue *> visible;
+  for (const std::string &name : code.functions) {
+    llvm::Function *kernel = module.getFunction(name);
+    if (!kernel || kernel->isDeclaration())
+      return createStringError("kernel '%s' has no body", name.c_str());
+    if (Error error = checkParameters(*kernel))
+      return error;
+    kernel->setCallingConv(isCuda() ? llvm::CallingConv::PTX_Kernel
+                                    : llvm::CallingConv::C);
+    kernel->setLinkage(llvm::GlobalValue::ExternalLinkage);
+    visible.push_back(isCuda() ? kernel : addSlotsFunction(*kernel));
+  }
+  if (Error error = link(module))
+    return error;
+  for (llvm::GlobalValue &value : module.global_values())
+    if (!value.isDeclaration() && !llvm::is_contained(visible, &value))
+      value.setLinkage(llvm::GlobalValue::InternalLinkage);
+  if (isCuda())
+    prepareForCuda(module);
+  std::string message;
+  llvm::raw_string_ostream stream(message);
+  if (llvm::verifyModule(module, &stream))
+    return createStringError("device code is not valid: %s", message.c_str());
+  return code;
+}
+
+//===----------------------------------------------------------------------===//
+// Optimisation
+//===----------------------------------------------------------------------===//
+
+/// Runs a task of LLVM's on the code. After a fatal error the code is left
+/// alone for good.
+Error DeviceCompiler::guard(DeviceCode &code, llvm::function_ref<void()> task) {
+  Error error = guardFatalErrors(broken, task);
+  if (broken) {
+    (void)code.module.release();
+    (void)code.context.release();
+  }
+  return error;
+}
+
+Error DeviceCompiler::optimize(DeviceCode &code) {
+  if (isCuda())
+    return guard(code, [&] { runPasses(*code.module); });
+  Error error = objects->optimize(*code.module);
+  if (objects->isBroken()) {
+    (void)code.module.release();
+    (void)code.context.release();
+  }
+  return error;
+}
+
+void DeviceCompiler::runPasses(llvm::Module &module) {
+  llvm::LoopAnalysisManager loops;
+  llvm::FunctionAnalysisManager functions;
+  llvm::CGSCCAnalysisManager sccs;
+  llvm::ModuleAnalysisManager modules;
+  // The target adds its own passes, the answers to libdevice's questions among
+  // them.
+  llvm::PassBuilder builder(machine.get());
+  builder.registerModuleAnalyses(modules);
+  builder.registerCGSCCAnalyses(sccs);
+  builder.registerFunctionAnalyses(functions);
+  builder.registerLoopAnalyses(loops);
+  builder.crossRegisterProxies(loops, functions, sccs, modules);
+  llvm::ModulePassManager passes =
+      options.optLevel == 0
+          ? builder.buildO0DefaultPipeline(llvm::OptimizationLevel::O0)
+          : builder.buildPerModuleDefaultPipeline(
+                options.optLevel == 1   ? llvm::OptimizationLevel::O1
+                : options.optLevel == 2 ? llvm::OptimizationLevel::O2
+                                        : llvm::OptimizationLevel::O3);
+  passes.run(module, modules);
+}
+
+//===----------------------------------------------------------------------===//
+// Emission
+//===----------------------------------------------------------------------===//
+
+/// Functions that the driver has.
+static bool isDriverFunction(StringRef name) {
+  return name == "malloc" || name == "free" || name == "vprintf";
+}
+
+/// The driver would refuse to load code that calls what is not there, without a
+/// word about who did.
+static Error checkExternals(const llvm::Module &module) {
+  std::string missing;
+  for (const llvm::Function &function : module) {
+    if (!function.isDeclaration() || function.isIntrinsic() ||
+        function.use_empty() || isDriverFunction(function.getName()))
+      continue;
+    missing += missing.empty() ? "" : "; ";
+    missing +=
+        "'" + function.getName().str() + "', called by " + getUsers(function);
+  }
+  if (missing.empty())
+    return Error::success();
+  return createStringError("device code calls what a GPU does not have: %s",
+                           missing.c_str());
+}
+
+/// The same for what the code generator itself calls.
+static Error checkExternals(StringRef ptx) {
+  constexpr StringLiteral keyword = ".extern .func";
+  for (size_t at = ptx.find(keyword); at != StringRef::npos;
+       at = ptx.find(keyword, at)) {
+    StringRef text = ptx.drop_front(at + keyword.size()).ltrim();
+    // A result comes in parentheses before the name.
+    if (text.starts_with("("))
+      text =
+          text.drop_until([](char c) { return c == ')'; }).drop_front().ltrim();
+    StringRef name = text.take_while(
+        [](char c) { return llvm::isAlnum(c) || c == '_' || c == '$'; });
+    if (!isDriverFunction(name))
+      return createStringError("device code calls what a GPU does not have: "
+                               "'%s'",
+                               name.str().c_str());
+    at += keyword.size();
+  }
+  return Error::success();
+}
+
+Expected<runtime::DeviceImage> DeviceCompiler::emit(DeviceCode &code) {
+  runtime::DeviceImage image;
+  image.kind = target.kind;
+  image.functions = code.functions;
+  if (!isCuda()) {
+    auto object = objects->emitObject(*code.module);
+    if (objects->isBroken()) {
+      (void)code.module.release();
+      (void)code.context.release();
+    }
+    if (!object)
+      return object.takeError();
+    image.bytes.assign(object->begin(), object->end());
+    return image;
+  }
+  if (Error error = checkExternals(*code.module))
+    return error;
+  SmallVector<char, 0> text;
+  llvm::raw_svector_ostream stream(text);
+  std::string message;
+  code.context->setDiagnosticHandler(std::make_unique<CodegenErrors>(message));
+  bool supported = true;
+  Error error = guard(code, [&] {
+    llvm::legacy::PassManager passes;
+    supported = !machine->addPassesToEmitFile(
+        passes, stream, /*DwoOut=*/nullptr, llvm::CodeGenFileType::AssemblyFile,
+        /*DisableVerify=*/true);
+    if (supported)
+      passes.run(*code.module);
+  });
+  if (error)
+    return error;
+  code.context->setDiagnosticHandler(nullptr);
+  if (!supported)
+    return createStringError("this target cannot emit PTX");
+  if (!message.empty())
+    return createStringError(message);
+  image.bytes.assign(text.begin(), text.end());
+  if (Error error = checkExternals(StringRef(image.bytes)))
+    return error;
+  return image;
+}

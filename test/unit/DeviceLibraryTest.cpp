@@ -1,0 +1,394 @@
+//===- DeviceLibraryTest.cpp - The device library on the host -------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Calls the library's build for the host, as the emulated device does, and
+// reads what it leaves.
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/ExecutionEngine/DeviceCompiler.h"
+#include "tai/ExecutionEngine/Linker.h"
+#include "tai/Runtime/Abi.h"
+#include "tai/Runtime/DeviceAbi.h"
+#include "tai/Runtime/DeviceReport.h"
+#include "llvm/Bitcode/BitcodeReader.h"
+#include "gtest/gtest.h"
+#include <atomic>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <thread>
+
+using namespace mlir::tai;
+using namespace mlir::tai::runtime;
+
+namespace {
+// Which thread of the emulated device this is.
+thread_local int32_t blockId = 0;
+int32_t gridDim = 1;
+int32_t getZero() { return 0; }
+int32_t getOne() { return 1; }
+int32_t getBlock() { return blockId; }
+int32_t getGrid() { return gridDim; }
+
+class DeviceLibrary : public testing::Test {
+protected:
+  static void SetUpTestSuite() {
+    auto objects = ObjectCompiler::create(CodegenOptions());
+    ASSERT_TRUE(static_cast<bool>(objects));
+    llvm::ArrayRef<char> bytes = getDeviceLibrary(DeviceKind::Emulated);
+    llvm::LLVMContext context;
+    auto module = llvm::parseBitcodeFile(
+        {llvm::StringRef(bytes.data(), bytes.size()), "library"}, context);
+    ASSERT_TRUE(static_cast<bool>(module));
+    ASSERT_FALSE((*objects)->optimize(**module));
+    auto object = (*objects)->emitObject(**module);
+    ASSERT_TRUE(static_cast<bool>(object));
+    std::vector<RuntimeSymbol> symbols = {
+        {"tai_emu_thread_id", reinterpret_cast<void *>(&getZero)},
+        {"tai_emu_block_dim", reinterpret_cast<void *>(&getOne)},
+        {"tai_emu_block_id", reinterpret_cast<void *>(&getBlock)},
+        {"tai_emu_grid_dim", reinterpret_cast<void *>(&getGrid)}};
+    auto made = Linker::create(symbols);
+    ASSERT_TRUE(static_cast<bool>(made));
+    linker = made->release();
+    code = new llvm::SmallVector<char, 0>(std::move(*object));
+  }
+  static void TearDownTestSuite() {
+    delete linker;
+    delete code;
+    linker = nullptr;
+    code = nullptr;
+  }
+
+  /// The library's function of this name, with the type of its declaration.
+  template <typename Fn> Fn *find(Fn &, const char *name) {
+    auto linked = linker->link(*code, {std::string(name)});
+    if (!linked) {
+      ADD_FAILURE() << llvm::toString(linked.takeError());
+      return nullptr;
+    }
+    return reinterpret_cast<Fn *>(linked->addresses.front());
+  }
+#define TAI_FIND(name) find(name, #name)
+
+  /// A state with so many bytes of output behind it.
+  TaiFrame *makeState(uint64_t outputBytes, uint64_t stackLimit = 1 << 20) {
+    memory.assign((sizeof(TaiDeviceState) + outputBytes) / 8, 0xabababababu);
+    state = reinterpret_cast<TaiDeviceState *>(memory.data());
+    *state = freshDeviceState(outputBytes, stackLimit);
+    return reinterpret_cast<TaiFrame *>(state);
+  }
+  DeviceReport read() {
+    DeviceReport report;
+    Status status =
+        readDeviceReport(*state, state + 1, deviceOutputBytes(*state), report);
+    EXPECT_TRUE(status.ok()) << status.message();
+    return report;
+  }
+
+  static Linker *linker;
+  static llvm::SmallVector<char, 0> *code;
+  std::vector<uint64_t> memory;
+  TaiDeviceState *state = nullptr;
+};
+
+Linker *DeviceLibrary::linker = nullptr;
+llvm::SmallVector<char, 0> *DeviceLibrary::code = nullptr;
+
+uint64_t slotOf(double value) {
+  uint64_t slot;
+  std::memcpy(&slot, &value, sizeof(slot));
+  return slot;
+}
+
+TEST_F(DeviceLibrary, RandomBitsAreThoseOfTheCpu) {
+  auto *random = TAI_FIND(tai_rt_random_u32);
+  for (uint32_t sequence = 0; sequence < 9; ++sequence)
+    EXPECT_EQ(random(7, 8, uint64_t(9) << 33, 10, sequence),
+              tai_rt_random_u32(7, 8, uint64_t(9) << 33, 10, sequence));
+}
+
+//===----------------------------------------------------------------------===//
+// Failures and output
+//===----------------------------------------------------------------------===//
+
+TEST_F(DeviceLibrary, KeepsTheFirstFailure) {
+  auto *fail = TAI_FIND(tai_rt_fail);
+  auto *failed = TAI_FIND(tai_rt_failed);
+  TaiFrame *frame = makeState(0);
+  EXPECT_EQ(failed(frame), 0);
+  EXPECT_FALSE(hasDeviceReport(*state));
+  int32_t kinds[] = {TAI_VALUE_I64, TAI_VALUE_F64};
+  int32_t shapes[] = {1, 2};
+  uint64_t slots[] = {static_cast<uint64_t>(-3), slotOf(0.5), slotOf(2)};
+  fail(frame, TAI_FAIL_INDEX, "index {} of {}", "a.py:3:5", 2, kinds, shapes,
+       slots);
+  fail(frame, TAI_FAIL_ASSERT, "later", "", 0, nullptr, nullptr, nullptr);
+  EXPECT_NE(failed(frame), 0);
+  EXPECT_TRUE(hasDeviceReport(*state));
+  Status failure = read().failure;
+  EXPECT_EQ(failure.code(), StatusCode::Index);
+  EXPECT_EQ(failure.message(), "index -3 of [0.5, 2.0]");
+  EXPECT_EQ(failure.where(), "a.py:3:5");
+}
+
+TEST_F(DeviceLibrary, OneOfManyThreadsFails) {
+  auto *fail = TAI_FIND(tai_rt_fail);
+  TaiFrame *frame = makeState(0);
+  std::vector<std::thread> threads;
+  for (uint64_t i = 0; i < 4; ++i)
+    threads.emplace_back([&, i] {
+      int32_t kind = TAI_VALUE_U64;
+      uint64_t slots[] = {i, i, i};
+      int32_t shape = 3;
+      for (int repeat = 0; repeat < 100; ++repeat)
+        fail(frame, TAI_FAIL_ASSERT, "{}", "", 1, &kind, &shape, slots);
+    });
+  for (std::thread &thread : threads)
+    thread.join();
+  std::string message = read().failure.message();
+  std::vector<std::string> possible = {"[0, 0, 0]", "[1, 1, 1]", "[2, 2, 2]",
+                                       "[3, 3, 3]"};
+  EXPECT_TRUE(llvm::is_contained(possible, message)) << message;
+}
+
+TEST_F(DeviceLibrary, LinesComeInOrderUntilThereIsNoRoom) {
+  auto *print = TAI_FIND(tai_rt_print);
+  // A record of one value and a text of four is 56 bytes.
+  TaiFrame *frame = makeState(3 * 56 + 16);
+  int32_t kind = TAI_VALUE_I64;
+  for (uint64_t i = 0; i < 10; ++i)
+    print(frame, "a {}", 1, &kind, nullptr, &i);
+  DeviceReport report = read();
+  EXPECT_EQ(report.lines, (std::vector<std::string>{"a 0", "a 1", "a 2"}));
+  EXPECT_EQ(report.lostLines, 7u);
+  EXPECT_TRUE(report.failure.ok());
+}
+
+TEST_F(DeviceLibrary, LinesOfManyThreadsAreWhole) {
+  auto *print = TAI_FIND(tai_rt_print);
+  TaiFrame *frame = makeState(4000);
+  std::vector<std::thread> threads;
+  for (uint64_t i = 0; i < 4; ++i)
+    threads.emplace_back([&, i] {
+      int32_t kind = TAI_VALUE_U64;
+      // Records of different sizes, so that the last ones leave a gap.
+      std::string text(5 + 20 * i, 'x');
+      for (int repeat = 0; repeat < 50; ++repeat)
+        print(frame, text.c_str(), 1, &kind, nullptr, &i);
+    });
+  for (std::thread &thread : threads)
+    thread.join();
+  DeviceReport report = read();
+  EXPECT_EQ(report.lines.size() + report.lostLines, 200u);
+  EXPECT_GT(report.lostLines, 0u);
+  EXPECT_GT(report.lines.size(), 10u);
+  for (const std::string &line : report.lines) {
+    size_t length = line.find(' ');
+    ASSERT_NE(length, std::string::npos) << line;
+    EXPECT_EQ(line.substr(length + 1), std::to_string((length - 5) / 20));
+  }
+}
+
+TEST_F(DeviceLibrary, WhatFindsNoRoomIsCounted) {
+  auto *print = TAI_FIND(tai_rt_print);
+  TaiFrame *frame = makeState(1 << 14);
+  std::string text(5000, 'y');
+  print(frame, text.c_str(), 0, nullptr, nullptr, nullptr);
+  // 1000 values of one component: the text "{}" and those that fit.
+  std::vector<int32_t> kinds(1000, TAI_VALUE_U64);
+  std::vector<uint64_t> slots(1000, 1);
+  print(frame, "{}", 1000, kinds.data(), nullptr, slots.data());
+  DeviceReport report = read();
+  ASSERT_EQ(report.lines.size(), 2u);
+  EXPECT_EQ(report.lostLines, 0u);
+  size_t kept = report.lines[0].find(' ');
+  EXPECT_GT(kept, 1000u);
+  EXPECT_EQ(report.lines[0].substr(kept),
+            " ... (" + std::to_string(5000 - kept) + " more characters)");
+  // Each of the values that were kept takes a digit and a space.
+  size_t end = report.lines[1].find(" ...");
+  EXPECT_EQ(report.lines[1].substr(end),
+            " ... (" + std::to_string(1000 - (end + 1) / 2) + " more values)");
+}
+
+TEST_F(DeviceLibrary, DamageIsReported) {
+  auto *print = TAI_FIND(tai_rt_print);
+  TaiFrame *frame = makeState(1024);
+  auto check = [&] {
+    DeviceReport report;
+    Status status =
+        readDeviceReport(*state, state + 1, deviceOutputBytes(*state), report);
+    EXPECT_EQ(status.code(), StatusCode::Internal);
+  };
+  print(frame, "line", 0, nullptr, nullptr, nullptr);
+  auto *record = reinterpret_cast<TaiDeviceRecord *>(state + 1);
+  for (uint32_t wrong : {0u, 8u, 33u, 4096u}) {
+    uint32_t right = record->bytes;
+    record->bytes = wrong;
+    check();
+    record->bytes = right;
+  }
+  record->slots = 5;
+  check();
+  record->slots = -1;
+  check();
+  frame = makeState(0);
+  state->failed = 1;
+  state->failure[0] = 1;
+  check();
+  state->magic = 0;
+  check();
+}
+
+//===----------------------------------------------------------------------===//
+// Stacks
+//===----------------------------------------------------------------------===//
+
+TEST_F(DeviceLibrary, StacksGrowUpToTheLimit) {
+  auto *grow = TAI_FIND(tai_rt_stack_grow);
+  auto *release = TAI_FIND(tai_rt_stack_free);
+  TaiFrame *frame = makeState(0, 1024);
+  struct {
+    TaiStack stack;
+    uint64_t slots[TAI_STACK_SLOTS];
+  } inlined;
+  TaiStack &stack = inlined.stack;
+  stack = {reinterpret_cast<char *>(inlined.slots), 0, TAI_STACK_SLOTS};
+  auto push = [&](uint64_t value) {
+    if (stack.size == stack.capacity)
+      grow(frame, &stack);
+    reinterpret_cast<uint64_t *>(stack.slots)[stack.size++] = value;
+  };
+  for (uint64_t i = 0; i < 8 * TAI_STACK_SLOTS; ++i)
+    push(i);
+  EXPECT_EQ(stack.size, 8 * TAI_STACK_SLOTS);
+  for (uint64_t i = 0; i < 8 * TAI_STACK_SLOTS; ++i)
+    EXPECT_EQ(reinterpret_cast<uint64_t *>(stack.slots)[i], i);
+  EXPECT_TRUE(read().failure.ok());
+  // 832 bytes, which 1024 do not allow to double.
+  push(0);
+  EXPECT_EQ(stack.size, 1);
+  release(&stack);
+  Status failure = read().failure;
+  EXPECT_EQ(failure.code(), StatusCode::Memory);
+  EXPECT_EQ(failure.message(), "out of memory: a gradient records more than "
+                               "832 B of values in one iteration");
+}
+
+//===----------------------------------------------------------------------===//
+// Reductions and barriers
+//===----------------------------------------------------------------------===//
+
+/// What a reduction makes of a target and a value.
+template <typename T> T combined(void (*reduce)(T *, T), T target, T value) {
+  reduce(&target, value);
+  return target;
+}
+
+TEST_F(DeviceLibrary, Reductions) {
+  EXPECT_EQ(combined(TAI_FIND(tai_dev_reduce_add_f32), 1.5f, 2.0f), 3.5f);
+  EXPECT_EQ(combined(TAI_FIND(tai_dev_reduce_add_f64), 1.5, 2.0), 3.5);
+  EXPECT_EQ(combined(TAI_FIND(tai_dev_reduce_add_i32), INT32_MAX, 1),
+            INT32_MIN);
+  EXPECT_EQ(combined<int64_t>(TAI_FIND(tai_dev_reduce_add_i64), -5, 3), -2);
+  EXPECT_EQ(combined(TAI_FIND(tai_dev_reduce_mul_f32), 1.5f, 2.0f), 3.0f);
+  EXPECT_EQ(combined(TAI_FIND(tai_dev_reduce_mul_f64), -1.5, 2.0), -3.0);
+  EXPECT_EQ(combined(TAI_FIND(tai_dev_reduce_mul_i32), -3, 7), -21);
+  EXPECT_EQ(combined<int64_t>(TAI_FIND(tai_dev_reduce_mul_i64), 1, 1), 1);
+  EXPECT_EQ(combined(TAI_FIND(tai_dev_reduce_min_i32), -1, 1), -1);
+  EXPECT_EQ(combined(TAI_FIND(tai_dev_reduce_min_u32), ~0u, 1u), 1u);
+  EXPECT_EQ(combined(TAI_FIND(tai_dev_reduce_max_i32), -1, 1), 1);
+  EXPECT_EQ(combined(TAI_FIND(tai_dev_reduce_max_u32), ~0u, 1u), ~0u);
+  EXPECT_EQ(combined<int64_t>(TAI_FIND(tai_dev_reduce_min_i64), -1, 1), -1);
+  EXPECT_EQ(combined<int64_t>(TAI_FIND(tai_dev_reduce_max_i64), -1, 1), 1);
+  EXPECT_EQ(combined<uint64_t>(TAI_FIND(tai_dev_reduce_min_u64), ~0ull, 1), 1u);
+  EXPECT_EQ(combined<uint64_t>(TAI_FIND(tai_dev_reduce_max_u64), ~0ull, 1),
+            ~0ull);
+  EXPECT_EQ(combined(TAI_FIND(tai_dev_reduce_and_i32), 6, 3), 2);
+  EXPECT_EQ(combined(TAI_FIND(tai_dev_reduce_or_i32), 6, 3), 7);
+  EXPECT_EQ(combined(TAI_FIND(tai_dev_reduce_xor_i32), 6, 3), 5);
+  EXPECT_EQ(combined<int64_t>(TAI_FIND(tai_dev_reduce_and_i64), 6, 3), 2);
+  EXPECT_EQ(combined<int64_t>(TAI_FIND(tai_dev_reduce_or_i64), 6, 3), 7);
+  EXPECT_EQ(combined<int64_t>(TAI_FIND(tai_dev_reduce_xor_i64), 6, 3), 5);
+}
+
+/// NaN wins on either side, and -0 is less than 0, as by arith.minimumf.
+template <typename T>
+void checkExtremes(void (*min)(T *, T), void (*max)(T *, T)) {
+  T nan = std::numeric_limits<T>::quiet_NaN();
+  T infinity = std::numeric_limits<T>::infinity();
+  for (auto *reduce : {min, max}) {
+    EXPECT_TRUE(std::isnan(combined<T>(reduce, nan, 1)));
+    EXPECT_TRUE(std::isnan(combined<T>(reduce, 1, nan)));
+    EXPECT_TRUE(std::isnan(combined<T>(reduce, nan, nan)));
+  }
+  EXPECT_TRUE(std::signbit(combined<T>(min, 0, -T(0))));
+  EXPECT_TRUE(std::signbit(combined<T>(min, -T(0), 0)));
+  EXPECT_FALSE(std::signbit(combined<T>(max, 0, -T(0))));
+  EXPECT_FALSE(std::signbit(combined<T>(max, -T(0), 0)));
+  EXPECT_EQ(combined<T>(min, infinity, -2), -2);
+  EXPECT_EQ(combined<T>(max, -infinity, -2), -2);
+}
+
+TEST_F(DeviceLibrary, ExtremesOfFloats) {
+  checkExtremes(TAI_FIND(tai_dev_reduce_min_f32),
+                TAI_FIND(tai_dev_reduce_max_f32));
+  checkExtremes(TAI_FIND(tai_dev_reduce_min_f64),
+                TAI_FIND(tai_dev_reduce_max_f64));
+}
+
+TEST_F(DeviceLibrary, NoUpdateIsLost) {
+  auto *multiply = TAI_FIND(tai_dev_reduce_mul_i64);
+  auto *add = TAI_FIND(tai_dev_reduce_add_f32);
+  int64_t product = 1;
+  float sum = 0;
+  uint64_t expected = 1;
+  for (int i = 0; i < 4000; ++i)
+    expected *= 3;
+  std::vector<std::thread> threads;
+  for (int i = 0; i < 4; ++i)
+    threads.emplace_back([&] {
+      for (int repeat = 0; repeat < 1000; ++repeat) {
+        multiply(&product, 3);
+        add(&sum, 1);
+      }
+    });
+  for (std::thread &thread : threads)
+    thread.join();
+  EXPECT_EQ(static_cast<uint64_t>(product), expected);
+  EXPECT_EQ(sum, 4000.0f);
+}
+
+TEST_F(DeviceLibrary, GridBarrier) {
+  auto *barrier = TAI_FIND(tai_dev_grid_barrier);
+  constexpr int blocks = 3, rounds = 200;
+  uint32_t word = 0;
+  std::atomic<int> arrived{0};
+  std::atomic<int> wrong{0};
+  std::vector<std::thread> threads;
+  for (int block = 0; block < blocks; ++block)
+    threads.emplace_back([&, block] {
+      blockId = block;
+      for (int round = 1; round <= rounds; ++round) {
+        ++arrived;
+        barrier(&word, blocks);
+        if (arrived != round * blocks)
+          ++wrong;
+        barrier(&word, blocks);
+      }
+    });
+  for (std::thread &thread : threads)
+    thread.join();
+  EXPECT_EQ(wrong, 0);
+  // Alone, nobody is waited for.
+  word = 0;
+  barrier(&word, 1);
+  barrier(&word, 1);
+}
+} // namespace
