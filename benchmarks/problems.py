@@ -137,6 +137,15 @@ def mpm_problem(small: bool = False) -> MpmProblem:
     return MpmProblem(slots, position, velocity, material)
 
 
+def large_mpm_problem(small: bool = False) -> MpmProblem:
+    """A million particles. The time step shrinks with the cells, or they would be unstable."""
+    n, side, slots = (256, 32, 6) if small else (1024, 1000, 21)
+    material = diffmpm.Material(n=n, dt=3e-4 * 128 / n)
+    position = scenes.mpm_block(side, 0.5, material.dx)
+    velocity = scenes.smooth_particle_velocity(position)
+    return MpmProblem(slots, position, velocity, material)
+
+
 def robot_problem(small: bool = False) -> RobotProblem:
     body = scenes.robot(3)
     walk = springs.Walk(slots=100 if small else 2048)
@@ -150,3 +159,6 @@ PROBLEMS: dict[str, Callable[[bool], object]] = {
     "mass_spring": robot_problem,
     "first_kernel": first_kernel_problem,
 }
+
+# What a GPU is timed with besides. There is no time for their f64 adjoints.
+LARGE_PROBLEMS: dict[str, Callable[[bool], object]] = {"diffmpm_large": large_mpm_problem}

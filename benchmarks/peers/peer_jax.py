@@ -1,6 +1,7 @@
 """The peer jax: each scene one jitted function whose time loop is a compiled scan.
 
-The times of the backward pass are those of value_and_grad less those of the forward pass.
+The times of the backward pass are those of value_and_grad less those of the forward pass;
+*replay* is value_and_grad alone.
 """
 
 from __future__ import annotations
@@ -38,6 +39,21 @@ class JaxProgram(harness.Program):
             self.last = value, gradient
 
         return harness.combined_run(forward, both)
+
+    def replay(self) -> float:
+        start = harness.clock()
+        self.queue()
+        self.sync()
+        return harness.clock() - start
+
+    def queue(self) -> bool:
+        self.last = self.both(self.argument)
+        return True
+
+    def sync(self) -> None:
+        import jax
+
+        jax.block_until_ready(self.last)
 
     def loss(self) -> float:
         return float(self.last[0])
@@ -242,10 +258,10 @@ def make_launch():
     return lambda: bump(value, 1.0), lambda: bump(value, 1.0).block_until_ready()
 
 
-def load(cache: Path):
+def load(cache: Path, arch: str):
     import jax
 
-    jax.config.update("jax_platforms", "cpu")
+    jax.config.update("jax_platforms", arch)
     jax.config.update("jax_compilation_cache_dir", str(cache))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

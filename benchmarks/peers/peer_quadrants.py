@@ -11,12 +11,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import harness
 
 
-def load(cache: Path):
+def load(cache: Path, arch: str):
     import quadrants
 
     sys.modules["tai"] = quadrants
     quadrants.init(
-        arch=quadrants.cpu,
+        arch=getattr(quadrants, arch),
         default_fp=quadrants.f32,
         offline_cache=True,
         offline_cache_file_path=str(cache),

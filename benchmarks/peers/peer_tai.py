@@ -11,17 +11,20 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import harness
 
 
-def load(cache: Path, **options):
+def load(cache: Path, arch: str, **options):
     """Starts tai; `options` are further arguments of its `init`."""
     import tai
 
     tai.init(
-        arch=tai.cpu,
+        arch=getattr(tai, arch),
         default_fp=tai.f32,
         **options,
         offline_cache=True,
         offline_cache_file_path=str(cache),
     )
+    used = tai.lang.impl.current_cfg().arch
+    if used != arch:
+        raise RuntimeError(f"asked for arch={arch}, and got {used}")
     import tai_scenes
 
     try:

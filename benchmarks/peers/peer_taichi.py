@@ -11,12 +11,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import harness
 
 
-def load(cache: Path):
+def load(cache: Path, arch: str):
     import taichi
 
     sys.modules["tai"] = taichi
     taichi.init(
-        arch=taichi.cpu,
+        arch=getattr(taichi, arch),
         default_fp=taichi.f32,
         offline_cache=True,
         offline_cache_file_path=str(cache),

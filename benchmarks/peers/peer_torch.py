@@ -1,4 +1,7 @@
-"""The peer torch: eager operations on CPU tensors, reverse mode by autograd."""
+"""The peer torch: eager operations, reverse mode by autograd.
+
+On a GPU, *replay* is forward and backward captured in one CUDA graph.
+"""
 
 from __future__ import annotations
 
@@ -19,22 +22,64 @@ class TorchProgram(harness.Program):
         self.function = loss
         self.leaves = leaves
         self.last = None
+        self.graph = None
 
     def run(self) -> tuple[float, float]:
         for leaf in self.leaves:
             leaf.grad = None
         start = harness.clock()
         self.last = self.function(*self.leaves)
+        self.sync()
         middle = harness.clock()
         self.last.backward()
+        self.sync()
         end = harness.clock()
         return middle - start, end - middle
+
+    def replay(self) -> float | None:
+        start = harness.clock()
+        if not self.queue():
+            return None
+        self.sync()
+        return harness.clock() - start
+
+    def queue(self) -> bool:
+        import torch
+
+        if self.leaves[0].device.type != "cuda":
+            return False
+        if self.graph is None:
+            self.capture(torch)
+        self.graph.replay()
+        return True
+
+    def capture(self, torch) -> None:
+        """Records a run as a graph; the gradients are where the captured run puts them."""
+        side = torch.cuda.Stream()
+        side.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(side):
+            for _ in range(2):
+                torch.autograd.grad(self.function(*self.leaves), self.leaves)
+        torch.cuda.current_stream().wait_stream(side)
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            self.last = self.function(*self.leaves)
+            gradients = torch.autograd.grad(self.last, self.leaves)
+        for leaf, gradient in zip(self.leaves, gradients, strict=True):
+            leaf.grad = gradient
+        self.graph = graph
+
+    def sync(self) -> None:
+        import torch
+
+        if self.leaves[0].device.type == "cuda":
+            torch.cuda.synchronize()
 
     def loss(self) -> float:
         return float(self.last.detach())
 
     def gradient(self) -> np.ndarray:
-        return np.concatenate([leaf.grad.numpy().ravel() for leaf in self.leaves])
+        return np.concatenate([leaf.grad.cpu().numpy().ravel() for leaf in self.leaves])
 
 
 def tensor(array, leaf: bool = False):
@@ -210,11 +255,16 @@ def make_launch():
     import torch
 
     value = torch.zeros(())
-    return lambda: value.add_(1.0), lambda: None
+    on_gpu = value.device.type == "cuda"
+    return lambda: value.add_(1.0), torch.cuda.synchronize if on_gpu else lambda: None
 
 
-def load(_cache: Path):
+def load(_cache: Path, arch: str):
     import torch
+
+    if arch == "cuda" and not torch.cuda.is_available():
+        raise ImportError("torch sees no GPU")
+    torch.set_default_device(arch)
 
     scenes = {
         "smoke": make_smoke,

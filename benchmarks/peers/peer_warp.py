@@ -1,4 +1,7 @@
-"""The peer warp: kernels on the CPU device, every time slot stored, reverse by wp.Tape."""
+"""The peer warp: kernels, every time slot stored, reverse by wp.Tape.
+
+On a GPU, *replay* is a run captured in a CUDA graph.
+"""
 
 # Annotations of warp kernels are objects, so they must not be turned into strings.
 
@@ -22,6 +25,7 @@ class WarpProgram(harness.Program):
         self.forward = forward
         self.clear = clear
         self.tape = None
+        self.graph = None
 
     def run(self) -> tuple[float, float]:
         start = harness.clock()
@@ -31,15 +35,43 @@ class WarpProgram(harness.Program):
         tape = self.wp.Tape()
         with tape:
             self.forward()
+        self.sync()
         middle = harness.clock()
         # Only a tape that ran backward knows which adjoints to clear. Clearing belongs to
         # the reverse pass, as it does in ti.ad.Tape.
         if self.tape is not None:
             self.tape.zero()
         tape.backward(self.loss_array)
+        self.sync()
         end = harness.clock()
         self.tape = tape
         return middle - start, end - middle
+
+    def replay(self) -> float | None:
+        start = harness.clock()
+        if not self.queue():
+            return None
+        self.sync()
+        return harness.clock() - start
+
+    def queue(self) -> bool:
+        if not self.wp.get_device().is_cuda:
+            return False
+        if self.graph is None:
+            with self.wp.ScopedCapture() as capture:
+                self.loss_array.zero_()
+                for array in self.clear:
+                    array.zero_()
+                with self.wp.Tape() as tape:
+                    self.forward()
+                self.tape.zero()
+                tape.backward(self.loss_array)
+            self.graph = capture.graph
+        self.wp.capture_launch(self.graph)
+        return True
+
+    def sync(self) -> None:
+        self.wp.synchronize()
 
     def loss(self) -> float:
         return float(self.loss_array.numpy()[0])
@@ -560,13 +592,13 @@ def make_launch():
     return lambda: wp.launch(bump, 1, [value, 1]), wp.synchronize
 
 
-def load(cache: Path):
+def load(cache: Path, arch: str):
     import warp as wp
 
     wp.config.kernel_cache_dir = str(cache)
     wp.config.quiet = True
     wp.init()
-    wp.set_device("cpu")
+    wp.set_device(arch)
     scenes = {
         "smoke": make_smoke,
         "wave": make_wave,
