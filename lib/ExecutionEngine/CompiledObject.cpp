@@ -12,9 +12,10 @@ using namespace llvm;
 using namespace mlir::tai;
 
 // The magic, the symbol, the code, what the adjoint needs, the counts, the loop
-// levels, and the trees up to the end; each string as its length in eight bytes
-// and its bytes.
-static constexpr StringLiteral magic = "TAIOBJ3\n";
+// levels, the image of the device (its kind and the number of its functions, or
+// nothing; its bytes and the functions' names), and the trees up to the end;
+// each string as its length in eight bytes and its bytes.
+static constexpr StringLiteral magic = "TAIOBJ4\n";
 
 static void append(std::string &bytes, StringRef string) {
   char length[8];
@@ -54,6 +55,44 @@ static std::optional<std::vector<int64_t>> consumeNumbers(StringRef &bytes) {
   return numbers;
 }
 
+static void append(std::string &bytes,
+                   const std::optional<runtime::DeviceImage> &image) {
+  if (!image)
+    return append(bytes, ArrayRef<int64_t>());
+  int64_t header[] = {static_cast<int64_t>(image->kind),
+                      static_cast<int64_t>(image->functions.size())};
+  append(bytes, ArrayRef<int64_t>(header));
+  append(bytes, StringRef(image->bytes));
+  for (const std::string &function : image->functions)
+    append(bytes, StringRef(function));
+}
+
+/// False where there is something else.
+static bool consumeImage(StringRef &bytes,
+                         std::optional<runtime::DeviceImage> &image) {
+  auto header = consumeNumbers(bytes);
+  if (!header || (!header->empty() && header->size() != 2))
+    return false;
+  if (header->empty())
+    return true;
+  image.emplace();
+  image->kind = static_cast<runtime::DeviceKind>((*header)[0]);
+  if (image->kind != runtime::DeviceKind::Cuda &&
+      image->kind != runtime::DeviceKind::Emulated)
+    return false;
+  std::optional<StringRef> code = consume(bytes);
+  if (!code)
+    return false;
+  image->bytes = code->str();
+  for (int64_t left = (*header)[1]; left > 0; --left) {
+    std::optional<StringRef> function = consume(bytes);
+    if (!function)
+      return false;
+    image->functions.push_back(function->str());
+  }
+  return true;
+}
+
 std::string CompiledObject::serialize() const {
   std::string bytes = magic.str();
   append(bytes, symbol);
@@ -61,6 +100,7 @@ std::string CompiledObject::serialize() const {
   append(bytes, needs);
   append(bytes, ArrayRef<int64_t>(skipped.data(), skipped.size()));
   append(bytes, ArrayRef<int64_t>(loopLevels));
+  append(bytes, image);
   for (const std::string &tree : trees)
     append(bytes, tree);
   return bytes;
@@ -81,6 +121,8 @@ std::optional<CompiledObject> CompiledObject::deserialize(StringRef bytes) {
   CompiledObject object;
   copy(*counts, object.skipped.begin());
   object.loopLevels = std::move(*levels);
+  if (!consumeImage(bytes, object.image))
+    return std::nullopt;
   while (!bytes.empty()) {
     std::optional<StringRef> tree = consume(bytes);
     if (!tree)

@@ -15,6 +15,7 @@
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/ExecutionEngine/AdjointNeeds.h"
 #include "tai/ExecutionEngine/LoopLevels.h"
+#include "llvm/ADT/ScopeExit.h"
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/IR/LLVMContext.h"
 #include "llvm/IR/Module.h"
@@ -32,6 +33,8 @@ std::string CompileOptions::str() const {
       << " contract=" << codegen.contract << " debug=" << debug
       << " deterministic=" << deterministic << " history=" << historyBytes
       << " skip=" << skips.str();
+  if (device)
+    text += " device=" + DeviceTarget{*device, deviceTarget}.str();
   return text;
 }
 
@@ -90,8 +93,9 @@ struct Compiler::Worker {
   Worker(MLIRContext *context, const Pipelines &pipelines,
          const CompileOptions &options)
       : options(options), autodiff(context), takingAutodiff(context),
-        forward(context), toLLVM(context) {
-    for (PassManager *manager : {&autodiff, &takingAutodiff, &forward, &toLLVM})
+        forward(context), lowering(context) {
+    for (PassManager *manager :
+         {&autodiff, &takingAutodiff, &forward, &lowering})
       manager->enableVerifier(options.debug);
     if (pipelines.autodiff) {
       pipelines.autodiff(autodiff, options, /*takes=*/false);
@@ -99,18 +103,21 @@ struct Compiler::Worker {
     }
     if (pipelines.forward)
       pipelines.forward(forward, options);
-    if (pipelines.toLLVM)
-      pipelines.toLLVM(toLLVM, options);
-    toLLVM.addInstrumentation(
-        std::make_unique<CaptureAfterPass>(pipelines.scfPass, &scf));
+    const auto &lower = options.device ? pipelines.toDevice : pipelines.toLLVM;
+    if (lower)
+      lower(lowering, options);
+    lowering.addInstrumentation(std::make_unique<CaptureAfterPass>(
+        options.device ? pipelines.deviceScfPass : pipelines.scfPass, &scf));
   }
 
   CompileOptions options;
   PassManager autodiff;
   PassManager takingAutodiff;
   PassManager forward;
-  PassManager toLLVM;
+  /// To the LLVM dialect, for a device or without one.
+  PassManager lowering;
   std::unique_ptr<ObjectCompiler> objects;
+  std::unique_ptr<DeviceCompiler> deviceCode;
   std::string *scf = nullptr;
 };
 
@@ -153,11 +160,15 @@ Compiler::Compiler(MLIRContext *context, Pipelines pipelines,
 Compiler::~Compiler() = default;
 
 void Compiler::loadDialects() {
-  Worker worker(context, pipelines, CompileOptions());
+  CompileOptions withDevice;
+  withDevice.device = runtime::DeviceKind::Emulated;
   DialectRegistry registry;
-  worker.autodiff.getDependentDialects(registry);
-  worker.forward.getDependentDialects(registry);
-  worker.toLLVM.getDependentDialects(registry);
+  for (const CompileOptions &options : {CompileOptions(), withDevice}) {
+    Worker worker(context, pipelines, options);
+    worker.autodiff.getDependentDialects(registry);
+    worker.forward.getDependentDialects(registry);
+    worker.lowering.getDependentDialects(registry);
+  }
   context->appendDialectRegistry(registry);
   for (StringRef name : registry.getDialectNames())
     context->getOrLoadDialect(name);
@@ -320,10 +331,15 @@ LogicalResult Compiler::lower(Worker &worker, CompileRequest request,
   for (TreeOp tree : prepared.module->getOps<TreeOp>())
     trees.push_back(tree.getSymName().str());
   PhaseTimer timer(prepared.times, Phase::Lower);
+  if (worker.options.device && !pipelines.toDevice) {
+    failure = Failure::get(FailureKind::Usage,
+                           "this build cannot compile kernels for a GPU");
+    return mlir::failure();
+  }
   worker.scf = scf;
   LogicalResult lowered =
-      runPipeline(worker.toLLVM, *prepared.module, request.module, request.name,
-                  FailureKind::Type, "lowering", failure);
+      runPipeline(worker.lowering, *prepared.module, request.module,
+                  request.name, FailureKind::Type, "lowering", failure);
   worker.scf = nullptr;
   return lowered;
 }
@@ -410,6 +426,87 @@ LogicalResult LLVMJob::optimize(const CodegenOptions &options,
   return success();
 }
 
+//===----------------------------------------------------------------------===//
+// Devices
+//===----------------------------------------------------------------------===//
+
+/// The device code of a lowered module, or null, which is a success.
+static LogicalResult findDeviceCode(ModuleOp module, Operation *&found,
+                                    Failure &failure) {
+  auto deviceModule = findDeviceModule(module);
+  if (!deviceModule)
+    return failInLLVM(deviceModule.takeError(), failure);
+  found = *deviceModule;
+  return success();
+}
+
+LogicalResult Compiler::compileDeviceCode(
+    Worker &worker, const CompileOptions &options, Prepared &prepared,
+    std::optional<runtime::DeviceImage> &image, Failure &failure) {
+  Operation *deviceModule = nullptr;
+  if (failed(findDeviceCode(*prepared.module, deviceModule, failure)))
+    return mlir::failure();
+  if (!deviceModule)
+    return success();
+  PhaseTimes &times = prepared.times;
+  // What is wrong with the target or lacks on this machine is not our bug.
+  auto fail = [&](llvm::Error error) {
+    failure =
+        Failure::get(FailureKind::Usage, llvm::toString(std::move(error)));
+    return mlir::failure();
+  };
+  if (!worker.deviceCode) {
+    PhaseTimer timer(times, Phase::Translate);
+    auto made = DeviceCompiler::create({*options.device, options.deviceTarget},
+                                       options.codegen);
+    if (!made)
+      return fail(made.takeError());
+    worker.deviceCode = std::move(*made);
+  }
+  DeviceCompiler &compiler = *worker.deviceCode;
+  auto leave = llvm::make_scope_exit([&] {
+    if (compiler.isBroken())
+      worker.deviceCode.reset();
+  });
+  auto code = [&] {
+    PhaseTimer timer(times, Phase::Translate);
+    DiagnosticCollector collector(context);
+    auto code = compiler.translate(deviceModule);
+    if (!code && collector.hasErrors())
+      failure = collector.take(FailureKind::Internal);
+    return code;
+  }();
+  if (!code) {
+    if (failure.kind == FailureKind::None)
+      return fail(code.takeError());
+    llvm::consumeError(code.takeError());
+    return mlir::failure();
+  }
+  // A kernel without device functions has nothing to load.
+  if (!code->functions.empty()) {
+    {
+      PhaseTimer timer(times, Phase::Optimize);
+      if (llvm::Error error = compiler.optimize(*code))
+        return failInLLVM(std::move(error), failure);
+    }
+    PhaseTimer timer(times, Phase::Emit);
+    auto made = compiler.emit(*code);
+    if (!made)
+      return failInLLVM(made.takeError(), failure);
+    image = std::move(*made);
+  }
+  deviceModule->erase();
+  return success();
+}
+
+/// The host's part of a kernel that runs on a device is cold.
+static CodegenOptions getHostCodegen(const CompileOptions &options) {
+  CodegenOptions codegen = options.codegen;
+  if (options.device)
+    codegen.optLevel = std::min(codegen.optLevel, 1u);
+  return codegen;
+}
+
 std::optional<CompiledObject>
 Compiler::compileObject(CompileRequest request, const CompileOptions &options,
                         Prepared &prepared, Failure &failure) {
@@ -429,9 +526,12 @@ Compiler::compileObject(CompileRequest request, const CompileOptions &options,
     return std::nullopt;
   for (auto [sum, amount] : llvm::zip(object.skipped, scope.getAmounts()))
     sum += amount;
+  if (options.device && failed(compileDeviceCode(worker, options, prepared,
+                                                 object.image, failure)))
+    return std::nullopt;
   LLVMJob job(worker.objects);
   if (failed(job.translate(*prepared.module, object.symbol, times, failure)) ||
-      failed(job.optimize(options.codegen, times, failure)))
+      failed(job.optimize(getHostCodegen(options), times, failure)))
     return std::nullopt;
   PhaseTimer timer(times, Phase::Emit);
   auto code = job.getObjectCompiler().emitObject(job.getModule());
@@ -537,6 +637,9 @@ Compiler::finish(Prepared prepared, CompileRequest request,
   function.trees = std::move(object->trees);
   function.skipped = object->skipped;
   function.loopLevels = std::move(object->loopLevels);
+  if (object->image)
+    function.image =
+        std::make_shared<const runtime::DeviceImage>(std::move(*object->image));
   std::lock_guard<std::mutex> lock(mutex);
   for (unsigned i = 0; i < kNumPhases; ++i)
     totals[i] += function.times[i];
@@ -553,8 +656,8 @@ void Compiler::unload(const Function &function) {
 //===----------------------------------------------------------------------===//
 
 ArrayRef<StringRef> Compiler::getStages() {
-  static constexpr StringRef stages[] = {"tai",  "autodiff", "scf",
-                                         "llvm", "llvmir",   "asm"};
+  static constexpr StringRef stages[] = {"tai",  "autodiff", "scf",    "llvm",
+                                         "nvvm", "ptx",      "llvmir", "asm"};
   return stages;
 }
 
@@ -566,6 +669,12 @@ std::optional<std::string> Compiler::print(CompileRequest request,
     failure = Failure::get(FailureKind::Usage,
                            "unknown stage '" + stage + "'; the stages are " +
                                llvm::join(getStages(), ", "));
+    return std::nullopt;
+  }
+  if (!options.device && isDeviceStage(stage)) {
+    failure = Failure::get(FailureKind::Usage,
+                           "stage '" + stage +
+                               "' is there for kernels of a GPU alone");
     return std::nullopt;
   }
   std::string text;
@@ -613,9 +722,30 @@ std::optional<std::string> Compiler::print(CompileRequest request,
     module->print(stream);
     return text;
   }
+  if (stage == "nvvm") {
+    Operation *deviceModule = nullptr;
+    if (failed(findDeviceCode(module, deviceModule, failure)))
+      return std::nullopt;
+    if (deviceModule)
+      deviceModule->print(stream);
+    return text;
+  }
+  std::optional<runtime::DeviceImage> image;
+  if (options.device &&
+      failed(compileDeviceCode(worker, options, prepared, image, failure)))
+    return std::nullopt;
+  if (stage == "ptx") {
+    if (!image)
+      return text;
+    if (image->kind == runtime::DeviceKind::Cuda)
+      return std::move(image->bytes);
+    failure =
+        Failure::get(FailureKind::Usage, "the emulated device has no PTX");
+    return std::nullopt;
+  }
   LLVMJob job(worker.objects);
   if (failed(job.translate(module, prepared.symbol, times, failure)) ||
-      failed(job.optimize(options.codegen, times, failure)))
+      failed(job.optimize(getHostCodegen(options), times, failure)))
     return std::nullopt;
   if (stage == "llvmir") {
     job.getModule().print(stream, nullptr);

@@ -11,8 +11,6 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/Session.h"
-#include "mlir/Target/LLVMIR/Dialect/Builtin/BuiltinToLLVMIRTranslation.h"
-#include "mlir/Target/LLVMIR/Dialect/LLVMIR/LLVMToLLVMIRTranslation.h"
 #include "tai/ExecutionEngine/Explain.h"
 #include "tai/InitAll.h"
 #include "tai/Pipelines/Pipelines.h"
@@ -71,7 +69,21 @@ static Compiler::Pipelines getPipelines() {
     lowering.skip = options.skips;
     buildToLLVMPipeline(manager, lowering);
   };
+  pipelines.toDevice = [](OpPassManager &manager,
+                          const CompileOptions &options) {
+    ToNVVMOptions lowering;
+    lowering.deterministic = options.deterministic;
+    lowering.debug = options.debug;
+    lowering.boundsCheck = options.debug;
+    lowering.fastMath = options.codegen.fastMath;
+    lowering.contract = options.codegen.contract;
+    lowering.optLevel = options.codegen.optLevel;
+    lowering.skip = options.skips;
+    lowering.emulated = options.device == runtime::DeviceKind::Emulated;
+    buildToNVVMPipeline(manager, lowering);
+  };
   pipelines.scfPass = "convert-tai-to-scf";
+  pipelines.deviceScfPass = "convert-tai-to-gpu";
   return pipelines;
 }
 
@@ -81,8 +93,7 @@ Session::Session()
       background(std::max(1u, std::thread::hardware_concurrency()) - 1) {
   DialectRegistry registry;
   registerAll(registry);
-  registerBuiltinDialectTranslation(registry);
-  registerLLVMDialectTranslation(registry);
+  registerDeviceTranslations(registry);
   context =
       std::make_unique<MLIRContext>(registry, MLIRContext::Threading::DISABLED);
   context->setThreadPool(*pool);

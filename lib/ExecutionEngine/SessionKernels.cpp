@@ -202,6 +202,8 @@ void Session::printStages(KernelCode &code, CompileRequest::Goal goal,
     // The primal is compiled without differentiation.
     if (!isAdjoint && !forward && stage == "autodiff")
       continue;
+    if (!code.options.device && Compiler::isDeviceStage(stage))
+      continue;
     Failure failure;
     std::optional<std::string> text = compiler->print(
         {*code.module, code.name, goal, forward}, stage, code.options, failure);

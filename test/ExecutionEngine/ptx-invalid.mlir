@@ -6,6 +6,7 @@
 // RUN: not tai-translate --tai-to-ptx %t/wide.mlir 2>&1 | FileCheck %s --check-prefix=WIDE
 // RUN: not tai-translate --tai-to-ptx %t/result.mlir 2>&1 | FileCheck %s --check-prefix=RESULT
 // RUN: not tai-translate --tai-to-ptx %t/foreign.mlir 2>&1 | FileCheck %s --check-prefix=FOREIGN
+// RUN: not tai-translate --tai-to-ptx %t/fatal.mlir 2>&1 | FileCheck %s --check-prefix=FATAL
 // RUN: not tai-translate --tai-to-ptx --device-target=sm_60 %t/good.mlir 2>&1 | FileCheck %s --check-prefix=OLD
 // RUN: not tai-translate --tai-to-ptx --device-target=gfx90a %t/good.mlir 2>&1 | FileCheck %s --check-prefix=OTHER
 // RUN: not tai-translate --tai-to-ptx --device-target=emulated %t/good.mlir 2>&1 | FileCheck %s --check-prefix=EMULATED
@@ -20,6 +21,8 @@
 // WIDE: error: parameter 1 of kernel 'k' does not fit into eight bytes
 // RESULT: error: kernel 'k' returns a value
 // FOREIGN: foreign.mlir:3:5: error: unsupported GPU operation: gpu.barrier
+// What ends LLVM's own tools is an error here.
+// FATAL: error: {{.*}}cos
 // OLD: error: unknown GPU 'sm_60': code is made for sm_70 and later
 // OTHER: error: unknown GPU 'gfx90a': code is made for sm_70 and later
 // EMULATED: error: the emulated device has no PTX
@@ -76,6 +79,15 @@ gpu.module @kernels {
 gpu.module @kernels {
   llvm.func @k() attributes {gpu.kernel} {
     gpu.barrier
+    llvm.return
+  }
+}
+
+//--- fatal.mlir
+gpu.module @kernels {
+  llvm.func @k(%p: !llvm.ptr, %x: f64) attributes {gpu.kernel} {
+    %0 = llvm.intr.cos(%x) : (f64) -> f64
+    llvm.store %0, %p : f64, !llvm.ptr
     llvm.return
   }
 }

@@ -13,6 +13,7 @@
 #ifndef TAI_EXECUTIONENGINE_COMPILEDOBJECT_H
 #define TAI_EXECUTIONENGINE_COMPILEDOBJECT_H
 
+#include "tai/Runtime/Device.h"
 #include "tai/Runtime/Skips.h"
 #include "llvm/ADT/SmallVector.h"
 #include "llvm/ADT/StringRef.h"
@@ -34,6 +35,8 @@ struct CompiledObject {
   /// Of a kernel that does nothing but loop over active cells: pairs of a tree,
   /// by its position among `trees`, and the number of a level in it.
   std::vector<int64_t> loopLevels;
+  /// Of a kernel with device functions, their code.
+  std::optional<runtime::DeviceImage> image;
   llvm::SmallVector<char, 0> code;
 
   std::string serialize() const;

@@ -7,8 +7,9 @@
 //
 // Compiles kernels for the CPU that it runs on: differentiation where the
 // adjoint is wanted, lowering, LLVM's optimiser, object code, and a place in
-// memory. Object code is kept in a cache on disk, in front of everything else:
-// a hit runs no pass.
+// memory. For a GPU that is the host's part of a kernel, next to the image of
+// its device code. Object code is kept in a cache on disk, in front of
+// everything else: a hit runs no pass.
 //
 //===----------------------------------------------------------------------===//
 
@@ -20,6 +21,7 @@
 #include "mlir/Pass/PassManager.h"
 #include "tai/AD/Differentiable.h"
 #include "tai/ExecutionEngine/CompiledObject.h"
+#include "tai/ExecutionEngine/DeviceCompiler.h"
 #include "tai/ExecutionEngine/Diagnostics.h"
 #include "tai/ExecutionEngine/Linker.h"
 #include "tai/ExecutionEngine/ObjectCompiler.h"
@@ -40,11 +42,16 @@ struct CompileOptions {
   int64_t historyBytes = kDefaultHistoryBytes;
   /// Of the skips, those that passes look at.
   SkipSet skips = SkipSet::ofCompiler();
+  /// The device that runs the loops, and what its code is made for, by the
+  /// words of runtime::Device. None for the CPU alone.
+  std::optional<runtime::DeviceKind> device;
+  std::string deviceTarget;
 
   bool operator==(const CompileOptions &other) const {
     return codegen == other.codegen && debug == other.debug &&
            deterministic == other.deterministic &&
-           historyBytes == other.historyBytes && skips == other.skips;
+           historyBytes == other.historyBytes && skips == other.skips &&
+           device == other.device && deviceTarget == other.deviceTarget;
   }
   /// The options as text, for the key of the cache.
   std::string str() const;
@@ -92,8 +99,10 @@ public:
     /// Extends all kernels of a module by tangents.
     std::function<void(OpPassManager &, const CompileOptions &)> forward;
     std::function<void(OpPassManager &, const CompileOptions &)> toLLVM;
-    /// The pass after which the IR is "scf".
-    std::string scfPass;
+    /// The same for a kernel that has a device: leaves a `gpu.module` too.
+    std::function<void(OpPassManager &, const CompileOptions &)> toDevice;
+    /// The pass after which the IR is "scf", and the one with a device.
+    std::string scfPass, deviceScfPass;
   };
 
   /// The dialects that the pipelines make must be loaded: several threads use
@@ -116,6 +125,8 @@ public:
     /// As in CompiledObject.
     SkipAmounts skipped{};
     std::vector<int64_t> loopLevels;
+    /// The code of the device functions that the function launches, if any.
+    std::shared_ptr<const runtime::DeviceImage> image;
     bool fromCache = false;
     PhaseTimes times = {};
   };
@@ -148,11 +159,16 @@ public:
   /// Frees a function that is not running.
   void unload(const Function &function);
 
-  /// The IR at a stage: "tai", "autodiff", "scf", "llvm", "llvmir", "asm".
+  /// The IR at a stage: "tai", "autodiff", "scf", "llvm", "llvmir", "asm"; with
+  /// a device also its code, "nvvm" and "ptx".
   std::optional<std::string> print(CompileRequest request, StringRef stage,
                                    const CompileOptions &options,
                                    Failure &failure);
   static ArrayRef<StringRef> getStages();
+  /// Whether a stage is there only with a device.
+  static bool isDeviceStage(StringRef stage) {
+    return stage == "nvvm" || stage == "ptx";
+  }
 
   /// Seconds spent in each phase since the start, over all threads.
   PhaseTimes getTotals();
@@ -171,6 +187,11 @@ private:
                                               const CompileOptions &options,
                                               Prepared &prepared,
                                               Failure &failure);
+  /// Takes the device code out of a lowered module and compiles it.
+  LogicalResult compileDeviceCode(Worker &worker, const CompileOptions &options,
+                                  Prepared &prepared,
+                                  std::optional<runtime::DeviceImage> &image,
+                                  Failure &failure);
   /// Replaces the kernels of a module by those that carry tangents.
   LogicalResult extendByTangents(Worker &worker, CompileRequest request,
                                  Prepared &prepared, Failure &failure);
