@@ -81,6 +81,13 @@ TAI_EXPORT void taiContextDestroy(TaiContext context);
 ///                     not depend on it
 ///   memory_limit      number of bytes that fields may take; 0 = what the
 ///                     machine has
+///   device_memory_limit  the same for the memory of the GPU; to be set before
+///                     arch
+///   arch              cpu | cuda: where kernels run; to be set before the
+///   first
+///                     tree is added. The error says why there is no GPU
+///   block_dim         number, a multiple of 32: threads of a block on a GPU;
+///                     0 = what suits the kernel
 TAI_EXPORT TaiStatus taiContextSetOption(TaiContext context, const char *name,
                                          const char *value);
 
@@ -211,7 +218,8 @@ TAI_EXPORT TaiStatus taiFieldWriteElements(TaiField field,
                                            const int64_t *indices,
                                            int64_t count, const void *values);
 
-/// Where the element at these indices lies in memory.
+/// Where the element at these indices lies in memory: in that of the GPU, if
+/// the context has one.
 TAI_EXPORT TaiStatus taiFieldGetAddress(TaiField field, const int64_t *indices,
                                         void **address);
 

@@ -42,9 +42,9 @@ TaiError taiContextLastError(TaiContext context) {
           failure.text.c_str()};
 }
 
-TaiStatus taiContextSynchronize(TaiContext) {
+TaiStatus taiContextSynchronize(TaiContext context) {
   // Launches on the CPU have ended when they return.
-  return TAI_OK;
+  return context->status(context->session.getRuntime().synchronize());
 }
 
 void taiContextInterrupt(TaiContext context) {
@@ -210,11 +210,16 @@ TaiStatus taiFieldWriteElements(TaiField handle, const int64_t *indices,
 
 TaiStatus taiFieldGetAddress(TaiField handle, const int64_t *indices,
                              void **address) {
-  char *found = nullptr;
-  TaiStatus status =
-      handle->context.status(handle->field->access(indices, 0, found));
-  *address = found;
-  return status;
+  TaiContextImpl &context = handle->context;
+  const runtime::Tree &tree = handle->field->tree();
+  int64_t offset = 0;
+  runtime::Status status = handle->field->locate(indices, 0, offset);
+  // For kernels, so where they find it.
+  if (status && tree.mirror())
+    status = context.session.getRuntime().deviceAddress(tree, offset, *address);
+  else if (status)
+    *address = tree.base() + offset;
+  return context.status(status);
 }
 
 TaiStatus taiFieldCopyToHost(TaiField handle, void *array) {

@@ -281,6 +281,20 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
     rt->setMemoryLimit(bytes);
     return success();
   }
+  if (name == "arch")
+    return setArch(value);
+  if (name == "device_memory_limit") {
+    if (value.getAsInteger(10, deviceMemoryLimit) || deviceMemoryLimit < 0)
+      return badValue("a number of bytes, or 0");
+    return success();
+  }
+  if (name == "block_dim") {
+    int threads;
+    if (value.getAsInteger(10, threads) || threads < 0 || threads % 32 != 0)
+      return badValue("a multiple of 32, or 0");
+    rt->setBlockThreads(threads);
+    return success();
+  }
   if (name == "seed") {
     uint64_t seed;
     if (value.getAsInteger(0, seed))
@@ -316,5 +330,5 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
                   "'; the options are threads, deterministic, debug, "
                   "fast_math, opt_level, seed, cache_dir, print_ir, profiler, "
                   "compile_profile, forward_mode, history_bytes, skip, "
-                  "memory_limit");
+                  "memory_limit, arch, device_memory_limit, block_dim");
 }

@@ -12,6 +12,7 @@
 
 #include "tai/Runtime/Abi.h"
 #include "Launch.h"
+#include "tai/Runtime/Device.h"
 #include "tai/Runtime/Philox.h"
 #include <algorithm>
 #include <cstdlib>
@@ -393,6 +394,15 @@ std::vector<RuntimeSymbol> mlir::tai::runtime::runtimeSymbols() {
           TAI_SYMBOL(tai_rt_failed),
           TAI_SYMBOL(tai_rt_stack_grow),
           TAI_SYMBOL(tai_rt_stack_free),
+          TAI_SYMBOL(tai_rt_device_launch),
+          TAI_SYMBOL(tai_rt_device_scratch),
+          TAI_SYMBOL(tai_rt_device_fetch),
+          TAI_SYMBOL(tai_rt_device_array),
+          TAI_SYMBOL(tai_rt_device_state),
+          TAI_SYMBOL(tai_emu_thread_id),
+          TAI_SYMBOL(tai_emu_block_id),
+          TAI_SYMBOL(tai_emu_block_dim),
+          TAI_SYMBOL(tai_emu_grid_dim),
           TAI_SYMBOL(tai_rt_host_launch),
           TAI_SYMBOL(tai_rt_host_tape_begin),
           TAI_SYMBOL(tai_rt_host_tape_end),

@@ -14,18 +14,18 @@
 
 using namespace mlir::tai::runtime;
 
-char *Field::elementAddress(const int64_t *index) const {
-  char *address = data();
+int64_t Field::elementOffset(const int64_t *index) const {
+  int64_t offset = fieldLayout.placeOffset;
   for (size_t d = 0; d < shapeOf.size(); ++d) {
     int64_t i = index[d];
     if (!fieldLayout.offset.empty())
       i -= fieldLayout.offset[d];
     if (i < 0 || i >= shapeOf[d])
-      return nullptr;
+      return -1;
     for (const LayoutLevel &level : fieldLayout.indices[d])
-      address += i / level.divisor % level.extent * level.stride;
+      offset += i / level.divisor % level.extent * level.stride;
   }
-  return address;
+  return offset;
 }
 
 int64_t Field::cellNumber(const int64_t *index) const {
@@ -40,8 +40,8 @@ int64_t Field::cellNumber(const int64_t *index) const {
   return cell;
 }
 
-Status Field::access(const int64_t *index, int64_t component,
-                     char *&address) const {
+Status Field::locate(const int64_t *index, int64_t component,
+                     int64_t &offset) const {
   if (!valid())
     return Status::failure(StatusCode::Usage,
                            "field '" + fieldName + "' is gone: its tree '" +
@@ -51,8 +51,8 @@ Status Field::access(const int64_t *index, int64_t component,
         StatusCode::Index,
         "component " + std::to_string(component) + " of field '" + fieldName +
             "', whose elements have " + std::to_string(components));
-  address = elementAddress(index);
-  if (!address) {
+  offset = elementOffset(index);
+  if (offset < 0) {
     std::string text = "index (";
     for (size_t d = 0; d < shapeOf.size(); ++d)
       text += (d ? ", " : "") + std::to_string(index[d]);
@@ -64,48 +64,56 @@ Status Field::access(const int64_t *index, int64_t component,
     }
     return Status::failure(StatusCode::Index, std::move(text));
   }
-  address += component * fieldLayout.componentStride;
+  offset += component * fieldLayout.componentStride;
   return Status::success();
 }
 
 Status Field::readF64(const int64_t *index, int64_t component,
                       double &value) const {
-  char *address = nullptr;
-  Status status = access(index, component, address);
+  int64_t offset = 0;
+  char bytes[8] = {};
+  Status status = locate(index, component, offset);
   if (status)
-    value = loadF64(scalar(), address);
+    status = loadBytes(offset, bytes);
+  if (status)
+    value = loadF64(scalar(), bytes);
   return status;
 }
 
 Status Field::writeF64(const int64_t *index, int64_t component, double value) {
-  char *address = nullptr;
-  Status status = access(index, component, address);
-  if (status) {
-    if (SparseNode *node = sparseNode())
-      node->activate(cellNumber(index));
-    storeF64(scalar(), address, value);
-    markDirty();
-  }
-  return status;
+  int64_t offset = 0;
+  Status status = locate(index, component, offset);
+  if (!status)
+    return status;
+  if (SparseNode *node = sparseNode())
+    node->activate(cellNumber(index));
+  char bytes[8] = {};
+  storeF64(scalar(), bytes, value);
+  markDirty();
+  return storeBytes(offset, bytes);
 }
 
 Status Field::readI64(const int64_t *index, int64_t component,
                       int64_t &value) const {
-  char *address = nullptr;
-  Status status = access(index, component, address);
+  int64_t offset = 0;
+  char bytes[8] = {};
+  Status status = locate(index, component, offset);
   if (status)
-    value = loadI64(scalar(), address);
+    status = loadBytes(offset, bytes);
+  if (status)
+    value = loadI64(scalar(), bytes);
   return status;
 }
 
 Status Field::writeI64(const int64_t *index, int64_t component, int64_t value) {
-  char *address = nullptr;
-  Status status = access(index, component, address);
-  if (status) {
-    if (SparseNode *node = sparseNode())
-      node->activate(cellNumber(index));
-    storeI64(scalar(), address, value);
-    markDirty();
-  }
-  return status;
+  int64_t offset = 0;
+  Status status = locate(index, component, offset);
+  if (!status)
+    return status;
+  if (SparseNode *node = sparseNode())
+    node->activate(cellNumber(index));
+  char bytes[8] = {};
+  storeI64(scalar(), bytes, value);
+  markDirty();
+  return storeBytes(offset, bytes);
 }

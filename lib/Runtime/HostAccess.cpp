@@ -32,8 +32,8 @@ static Status gone(const Field &field) {
 namespace {
 /// Part of a row: element k is at base + offsets[k], or at base + k * step
 /// where offsets is null; it is element `first` + k of the host array.
-struct RowPart {
-  char *base;
+template <typename Data> struct RowPart {
+  Data *base;
   const int64_t *offsets;
   int64_t step;
   int64_t first;
@@ -76,8 +76,9 @@ bool mlir::tai::runtime::isRowMajor(const FieldLayout &layout,
   return true;
 }
 
-template <typename Move>
-void Runtime::forEachRow(const Field &field, const Move &move) {
+/// `data` is the address of the first element.
+template <typename Data, typename Move>
+void Runtime::forEachRow(const Field &field, Data *data, const Move &move) {
   const FieldLayout &layout = field.layout();
   const std::vector<int64_t> &shape = field.shape();
   int rank = field.rank();
@@ -100,7 +101,7 @@ void Runtime::forEachRow(const Field &field, const Move &move) {
 
   auto visit = [&](int64_t begin, int64_t end) {
     if (rank == 0) {
-      move(RowPart{field.data(), nullptr, 0, 0, 1});
+      move(RowPart<Data>{data, nullptr, 0, 0, 1});
       return;
     }
     std::vector<int64_t> index(static_cast<size_t>(rank));
@@ -111,11 +112,11 @@ void Runtime::forEachRow(const Field &field, const Move &move) {
     }
     int last = rank - 1;
     while (begin < end) {
-      char *base = field.data();
+      Data *base = data;
       for (int d = 0; d < last; ++d)
         base += contribution(d, index[d]);
       int64_t count = std::min(end - begin, shape[last] - index[last]);
-      RowPart row{base, nullptr, steps[last], begin, count};
+      RowPart<Data> row{base, nullptr, steps[last], begin, count};
       if (tables[last].empty())
         row.base += index[last] * steps[last];
       else
@@ -151,8 +152,8 @@ void Runtime::forEachRow(const Field &field, const Move &move) {
 }
 
 /// Calls body(address of the element, number of the element) along the row.
-template <typename Body>
-static void alongRow(const RowPart &row, const Body &body) {
+template <typename Data, typename Body>
+static void alongRow(const RowPart<Data> &row, const Body &body) {
   if (row.offsets)
     for (int64_t k = 0; k < row.count; ++k)
       body(row.base + row.offsets[k], row.first + k);
@@ -189,7 +190,9 @@ Status Runtime::copyToHost(const Field &field, void *array) {
   int64_t element = scalar * components;
   int64_t stride = field.layout().componentStride;
   char *host = static_cast<char *>(array);
-  forEachRow(field, [&](const RowPart &row) {
+  if (field.tree().mirror() && copyFromDevice(field, array))
+    return takeDeviceFailure();
+  forEachRow(field, field.readable(), [&](const RowPart<const char> &row) {
     if (stride != scalar) {
       alongRow(row, [&](const char *from, int64_t k) {
         for (int64_t c = 0; c < components; ++c)
@@ -207,7 +210,7 @@ Status Runtime::copyToHost(const Field &field, void *array) {
       });
     }
   });
-  return Status::success();
+  return takeDeviceFailure();
 }
 
 void Runtime::copyIn(Field &field, const void *array) {
@@ -218,7 +221,9 @@ void Runtime::copyIn(Field &field, const void *array) {
   int64_t element = scalar * components;
   int64_t stride = field.layout().componentStride;
   const char *host = static_cast<const char *>(array);
-  forEachRow(field, [&](const RowPart &row) {
+  if (field.tree().mirror() && copyToDevice(field, array))
+    return;
+  forEachRow(field, field.writable(), [&](const RowPart<char> &row) {
     if (stride != scalar) {
       alongRow(row, [&](char *to, int64_t k) {
         for (int64_t c = 0; c < components; ++c)
@@ -246,8 +251,11 @@ void Runtime::fillWith(Field &field, const void *scalarBytes) {
   int64_t stride = field.layout().componentStride;
   const char *bytes = static_cast<const char *>(scalarBytes);
   bool zero = std::all_of(bytes, bytes + scalar, [](char b) { return !b; });
+  if (field.tree().mirror() && fillOnDevice(field, scalarBytes))
+    return;
+  char *data = field.writable();
   withSize(scalar, [&](auto size) {
-    forEachRow(field, [&](const RowPart &row) {
+    forEachRow(field, data, [&](const RowPart<char> &row) {
       bool dense = stride == scalar && !row.offsets &&
                    (row.step == components * scalar || row.count == 1);
       if (dense && zero) {

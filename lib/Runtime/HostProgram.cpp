@@ -36,6 +36,15 @@ static int32_t reportUsage(Launch &launch, std::string message,
                                         where ? where : ""));
 }
 
+/// What the program itself uses it finds on the host, whatever kernels have
+/// done since.
+static int32_t returnTo(Launch &launch, Status status) {
+  if (launch.owner().getDevice())
+    for (const TreePtr &tree : *launch.host->trees)
+      (void)tree->writable();
+  return report(launch, std::move(status));
+}
+
 static FieldPtr findField(Launch &launch, const char *name) {
   return launch.owner().findField(*name == '@' ? name + 1 : name);
 }
@@ -57,7 +66,7 @@ extern "C" int32_t tai_rt_host_launch(TaiFrame *frame, const char *name,
                                    std::to_string(kernel->resultSlots()) +
                                    " slots, but the launch expects " +
                                    std::to_string(resultSlots));
-  return report(launch, launch.owner().launch(*kernel, args, slots, results));
+  return returnTo(launch, launch.owner().launch(*kernel, args, slots, results));
 }
 
 extern "C" int32_t tai_rt_host_tape_begin(TaiFrame *frame, const char *name) {
@@ -67,9 +76,9 @@ extern "C" int32_t tai_rt_host_tape_begin(TaiFrame *frame, const char *name) {
   FieldPtr loss;
   if (name && *name && !(loss = findField(launch, name)))
     return reportUsage(launch, std::string("there is no field '") + name + "'");
-  return report(launch, launch.owner().beginTape(std::move(loss),
-                                                 /*clearGradients=*/true,
-                                                 launch.host->tape));
+  return returnTo(launch, launch.owner().beginTape(std::move(loss),
+                                                   /*clearGradients=*/true,
+                                                   launch.host->tape));
 }
 
 extern "C" int32_t tai_rt_host_tape_end(TaiFrame *frame) {
@@ -78,7 +87,7 @@ extern "C" int32_t tai_rt_host_tape_end(TaiFrame *frame) {
     return reportUsage(launch, "no tape is open");
   Status status = launch.host->tape->backward();
   launch.host->tape.reset();
-  return report(launch, std::move(status));
+  return returnTo(launch, std::move(status));
 }
 
 //===----------------------------------------------------------------------===//
@@ -88,16 +97,17 @@ extern "C" int32_t tai_rt_host_tape_end(TaiFrame *frame) {
 namespace {
 /// The contents of all trees, and the state that random numbers depend on.
 struct Snapshot {
-  std::vector<std::pair<char *, std::string>> trees;
+  std::vector<std::pair<const Tree *, std::string>> trees;
   uint64_t launches = 0;
 
   void restore() const {
-    for (const auto &[base, bytes] : trees)
-      std::memcpy(base, bytes.data(), bytes.size());
+    for (const auto &[tree, bytes] : trees)
+      std::memcpy(tree->writable(), bytes.data(), bytes.size());
   }
 };
 
-/// Addresses of all components of a field in row-major order.
+/// Addresses of all components of a field in row-major order, to be used while
+/// its tree is on the host.
 std::vector<char *> componentsOf(const Field &field) {
   std::vector<char *> result;
   std::vector<int64_t> index(static_cast<size_t>(field.rank()));
@@ -108,7 +118,7 @@ std::vector<char *> componentsOf(const Field &field) {
       index[d] = rest % field.shape()[d] + (offset.empty() ? 0 : offset[d]);
       rest /= field.shape()[d];
     }
-    char *address = field.elementAddress(index.data());
+    char *address = field.tree().base() + field.elementOffset(index.data());
     for (int64_t c = 0; c < field.numComponents(); ++c)
       result.push_back(address + c * field.layout().componentStride);
   }
@@ -160,6 +170,7 @@ public:
     std::vector<char *> values = componentsOf(field);
     std::vector<char *> adjoints = componentsOf(*field.adjoint());
     std::vector<double> gradient;
+    (void)field.adjoint()->readable();
     for (char *adjoint : adjoints)
       gradient.push_back(loadF64(field.adjoint()->scalar(), adjoint));
     constexpr uint32_t directions = 4;
@@ -201,8 +212,8 @@ private:
     Snapshot snapshot;
     for (const auto &entry : runtime.trees)
       snapshot.trees.emplace_back(
-          entry.second->base(),
-          std::string(entry.second->base(),
+          entry.second.get(),
+          std::string(entry.second->readable(),
                       static_cast<size_t>(entry.second->bytes())));
     snapshot.launches = runtime.launchCounter.load();
     return snapshot;
@@ -236,7 +247,7 @@ private:
                loadF64(field.scalar(), values[i]) + step * direction[i]);
     if (region(&launch, closure) != 0 || launch.hasFailed())
       return false;
-    result = loadF64(loss->scalar(), loss->data());
+    result = loadF64(loss->scalar(), loss->readable());
     return true;
   }
 

@@ -51,12 +51,12 @@ Status Field::readElements(const int64_t *indices, int64_t count,
   auto scalar = static_cast<size_t>(byteSize(fieldLayout.scalar));
   char *to = static_cast<char *>(values);
   for (int64_t i = 0; i < count; ++i, indices += rank()) {
-    char *from = nullptr;
-    Status status = access(indices, 0, from);
+    int64_t from = 0;
+    Status status = locate(indices, 0, from);
+    for (int64_t c = 0; c < components && status; ++c, to += scalar)
+      status = loadBytes(from + c * fieldLayout.componentStride, to);
     if (!status)
       return status;
-    for (int64_t c = 0; c < components; ++c, to += scalar)
-      std::memcpy(to, from + c * fieldLayout.componentStride, scalar);
   }
   return Status::success();
 }

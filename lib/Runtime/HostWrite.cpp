@@ -24,9 +24,10 @@ void Runtime::perform(const HostWrite &write) {
     copyIn(field, write.bytes);
     break;
   case HostWrite::What::Element:
-    std::memcpy(field.elementAddress(write.index) +
-                    write.component * field.layout().componentStride,
-                write.bytes, static_cast<size_t>(byteSize(field.scalar())));
+    noteFailure(
+        field.storeBytes(field.elementOffset(write.index) +
+                             write.component * field.layout().componentStride,
+                         write.bytes));
     break;
   }
   field.markDirty();
@@ -40,9 +41,11 @@ static bool isVain(const HostWrite &write) {
                                   static_cast<const char *>(write.bytes));
   if (write.what == HostWrite::What::Fill)
     return false;
-  return std::memcmp(field.elementAddress(write.index) +
-                         write.component * field.layout().componentStride,
-                     write.bytes,
+  char held[8] = {};
+  int64_t offset = field.elementOffset(write.index) +
+                   write.component * field.layout().componentStride;
+  return field.loadBytes(offset, held).ok() &&
+         std::memcmp(held, write.bytes,
                      static_cast<size_t>(byteSize(field.scalar()))) == 0;
 }
 
@@ -81,8 +84,8 @@ Status Runtime::change(const HostWrite &write) {
                            "field '" + field.name() + "' is gone: its tree '" +
                                field.tree().name() + "' has been destroyed");
   if (write.what == HostWrite::What::Element) {
-    char *address = nullptr;
-    Status status = field.access(write.index, write.component, address);
+    int64_t offset = 0;
+    Status status = field.locate(write.index, write.component, offset);
     if (!status)
       return status;
   }
@@ -94,14 +97,15 @@ Status Runtime::change(const HostWrite &write) {
   // Gradients are no values that a program computes from.
   if (field.isAdjoint()) {
     perform(write);
-    return Status::success();
+    return takeDeviceFailure();
   }
   if (activeTape)
     return activeTape->write(write);
-  if (!isVain(write))
+  // On a device it would take a copy to find out; only tapes want to know.
+  if ((tapes == 0 && device) || !isVain(write))
     ++field.hostVersion;
   perform(write);
-  return Status::success();
+  return takeDeviceFailure();
 }
 
 Status Runtime::copyFromHost(Field &field, const void *array) {

@@ -131,6 +131,12 @@ void Kernel::setLoopLevels(std::vector<LoopLevel> levels) {
   boundEpoch.store(0, std::memory_order_release);
 }
 
+void Kernel::setDeviceImage(std::shared_ptr<const DeviceImage> image) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  info.image = std::move(image);
+  boundEpoch.store(0, std::memory_order_release);
+}
+
 static void addOnce(std::vector<Field *> &fields, Field *field) {
   if (std::find(fields.begin(), fields.end(), field) == fields.end())
     fields.push_back(field);

@@ -14,6 +14,7 @@
 #ifndef TAI_LIB_RUNTIME_LAUNCH_H
 #define TAI_LIB_RUNTIME_LAUNCH_H
 
+#include "DeviceContext.h"
 #include "tai/Runtime/LoopLists.h"
 #include "tai/Runtime/Runtime.h"
 #include <unordered_map>
@@ -55,6 +56,8 @@ private:
 /// What a host program has open.
 struct HostState {
   HostModule *module;
+  /// Those that the program itself may use.
+  const std::vector<TreePtr> *trees;
   std::unique_ptr<Tape> tape;
   /// Names come as literals of the module: found once by address.
   std::unordered_map<const char *, Kernel *> kernels;
@@ -102,6 +105,9 @@ struct Launch : TaiFrame {
   std::mutex failureMutex;
   Status failure;
   HostState *host = nullptr;
+  /// What it has on the device; `DeviceLaunch::code` is null where it runs on
+  /// the CPU.
+  std::unique_ptr<DeviceLaunch> onDevice;
   /// For kernels with results when the caller wants none.
   std::vector<uint64_t> unwanted;
   std::vector<std::pair<void *, size_t>> sinks;

@@ -12,6 +12,7 @@
 
 #include "tai/Runtime/Runtime.h"
 #include "Launch.h"
+#include "Mirror.h"
 #include "Scalars.h"
 #include "WorkerPool.h"
 #include <algorithm>
@@ -72,6 +73,12 @@ Status Runtime::addTree(std::string name, int64_t bytes, TreePtr &tree,
   if (bytes < 0)
     return Status::failure(StatusCode::Usage,
                            "tree '" + name + "' has a negative size");
+  if (!sparse.empty() && device)
+    return Status::failure(StatusCode::Usage,
+                           "tree '" + name +
+                               "' has sparse levels, which do not run on the "
+                               "GPU yet; use dense levels, or the CPU for this "
+                               "program");
   if (!sparse.empty() && bytes > largestReservation)
     return Status::failure(StatusCode::Memory,
                            "tree '" + name + "' spans " + formatBytes(bytes) +
@@ -120,12 +127,15 @@ Status Runtime::addTree(std::string name, int64_t bytes, TreePtr &tree,
     tree->nodes.push_back(
         std::make_unique<SparseNode>(*tree, std::move(info), parent));
   }
+  if (device)
+    tree->mirrored = std::make_shared<Mirror>(device, *tree);
   reserved += needed;
   trees.emplace(std::move(name), tree);
   return Status::success();
 }
 
 void Runtime::freeTree(Tree &tree) {
+  tree.mirrored.reset();
   munmap(tree.mapping, tree.mapped);
   reserved -= tree.charged;
   sparseBytes -= tree.activeCellBytes();
@@ -416,6 +426,11 @@ Status Runtime::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
     results = launch.unwanted.data();
   }
   launch.trees = kernel.bases.data();
+  if (__builtin_expect(device != nullptr, false)) {
+    Status status = enterDevice(launch, kernel);
+    if (!status)
+      return status;
+  }
   launch.args = args;
   launch.results = results;
   launch.seed = opts.seed;
@@ -440,6 +455,8 @@ Status Runtime::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
     code = runTimed(launch, kernel, function);
   else
     code = function(&launch);
+  if (__builtin_expect(device != nullptr, false))
+    leaveDevice(launch);
   for (Field *field : kernel.changedAdjoints)
     field->markDirty();
   if (launch.arena.used())
@@ -455,8 +472,13 @@ Status Runtime::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
 
 int32_t Runtime::runTimed(Launch &launch, Kernel &kernel,
                           TaiKernelFn function) {
+  // On a device, the times are those of a program that waits for each kernel.
+  if (device)
+    noteFailure(device->get().synchronize());
   auto start = std::chrono::steady_clock::now();
   int32_t code = function(&launch);
+  if (device)
+    noteFailure(device->get().synchronize());
   int64_t ns = std::chrono::duration_cast<std::chrono::nanoseconds>(
                    std::chrono::steady_clock::now() - start)
                    .count();
@@ -570,10 +592,11 @@ Status Runtime::runHost(TaiKernelFn function, const std::vector<TreePtr> &trees,
                                                     tree->name() +
                                                     "', which has been "
                                                     "destroyed");
-    bases.push_back(tree->base());
+    bases.push_back(tree->writable());
   }
   HostState state;
   state.module = &module;
+  state.trees = &trees;
   Launch *launch = acquireLaunch();
   launch->host = &state;
   launch->trees = bases.data();
@@ -594,7 +617,7 @@ Status Runtime::runHost(TaiKernelFn function, const std::vector<TreePtr> &trees,
                                                    "the host program failed");
   }
   releaseLaunch(launch);
-  return status;
+  return status ? synchronize() : std::move(status);
 }
 
 //===----------------------------------------------------------------------===//

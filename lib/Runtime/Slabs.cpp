@@ -82,18 +82,20 @@ bool Slabs::forEachCell(int64_t first, int64_t count,
 }
 
 /// Calls run(address, bytes, offset in the buffer) for each piece of memory
-/// that lies densely in both, until it returns false. The number of bytes is a
+/// that lies densely in both, until it returns false. `data` is the address of
+/// the field. The number of bytes is a
 /// constant where it is a usual one.
-template <typename Run>
-bool Slabs::forEachRun(int64_t first, int64_t count, const Run &run) const {
+template <typename Data, typename Run>
+bool Slabs::forEachRun(Data *data, int64_t first, int64_t count,
+                       const Run &run) const {
   if (count == 0)
     return true;
   if (isContiguous)
-    return run(field->data() + first * bytes, count * bytes, int64_t(0));
+    return run(data + first * bytes, count * bytes, int64_t(0));
   int64_t scalar = byteSize(field->scalar());
   int64_t stride = field->layout().componentStride;
   bool dense = stride == scalar || field->numComponents() == 1;
-  auto element = [&](char *address, int64_t offset) {
+  auto element = [&](Data *address, int64_t offset) {
     if (dense) {
       switch (bytes) {
       case 4:
@@ -116,7 +118,7 @@ bool Slabs::forEachRun(int64_t first, int64_t count, const Run &run) const {
     return true;
   };
   if (dimensions.empty())
-    return element(field->data(), 0);
+    return element(data, 0);
   std::vector<int64_t> index(dimensions.size());
   int64_t rest = first;
   for (size_t d = index.size(); d-- > 0;) {
@@ -126,7 +128,7 @@ bool Slabs::forEachRun(int64_t first, int64_t count, const Run &run) const {
   size_t last = index.size() - 1;
   const Dimension &row = dimensions[last];
   for (int64_t done = 0; done < count;) {
-    char *base = field->data();
+    Data *base = data;
     for (size_t d = 0; d < last; ++d)
       base += dimensions[d].at(index[d]);
     int64_t length = std::min(count - done, row.extent - index[last]);
@@ -157,10 +159,11 @@ void Slabs::load(int64_t first, int64_t count, char *to) const {
     });
     return;
   }
-  forEachRun(first, count, [&](char *address, auto size, int64_t offset) {
-    std::memcpy(to + offset, address, static_cast<size_t>(size));
-    return true;
-  });
+  forEachRun(field->readable(), first, count,
+             [&](const char *address, auto size, int64_t offset) {
+               std::memcpy(to + offset, address, static_cast<size_t>(size));
+               return true;
+             });
 }
 
 void Slabs::store(int64_t first, int64_t count, const char *from) const {
@@ -171,10 +174,11 @@ void Slabs::store(int64_t first, int64_t count, const char *from) const {
     });
     return;
   }
-  forEachRun(first, count, [&](char *address, auto size, int64_t offset) {
-    std::memcpy(address, from + offset, static_cast<size_t>(size));
-    return true;
-  });
+  forEachRun(field->writable(), first, count,
+             [&](char *address, auto size, int64_t offset) {
+               std::memcpy(address, from + offset, static_cast<size_t>(size));
+               return true;
+             });
 }
 
 bool Slabs::equal(int64_t first, int64_t count, const char *expected) const {
@@ -182,7 +186,7 @@ bool Slabs::equal(int64_t first, int64_t count, const char *expected) const {
     return forEachCell(first, count, [&](int64_t cell, int64_t offset) {
       return cells->equal(cell, expected + offset);
     });
-  return forEachRun(first, count,
+  return forEachRun(field->readable(), first, count,
                     [&](const char *address, auto size, int64_t offset) {
                       return std::memcmp(address, expected + offset,
                                          static_cast<size_t>(size)) == 0;

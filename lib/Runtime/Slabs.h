@@ -57,8 +57,9 @@ public:
 private:
   template <typename Visit>
   bool forEachCell(int64_t first, int64_t count, const Visit &visit) const;
-  template <typename Run>
-  bool forEachRun(int64_t first, int64_t count, const Run &run) const;
+  template <typename Data, typename Run>
+  bool forEachRun(Data *data, int64_t first, int64_t count,
+                  const Run &run) const;
 
   const Field *field;
   int slowDimension;

@@ -27,9 +27,14 @@ using namespace mlir::tai::runtime;
 Tape::Tape(Runtime &runtime, uint64_t stamp)
     : runtime(runtime), stamp(stamp),
       memory(std::make_unique<TapeMemory>(runtime)),
-      topology(std::make_unique<TapeTopology>(runtime)) {}
+      topology(std::make_unique<TapeTopology>(runtime)) {
+  ++runtime.tapes;
+}
 
-Tape::~Tape() { end(); }
+Tape::~Tape() {
+  end();
+  --runtime.tapes;
+}
 
 void Tape::end() {
   if (!recording())

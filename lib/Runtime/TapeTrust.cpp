@@ -108,8 +108,9 @@ static void examineElements(const Field &adjoint, int64_t dimension,
       return;
   }
   index = first;
+  const char *tree = adjoint.tree().readable();
   while (true) {
-    examineElement(adjoint, adjoint.elementAddress(index.data()), found);
+    examineElement(adjoint, tree + adjoint.elementOffset(index.data()), found);
     int d = rank - 1;
     while (d >= 0 && index[d] == last[d]) {
       index[d] = first[d];

@@ -51,6 +51,8 @@ class Options:
     ad_history_bytes: int = 256 * 1024
     skip: Any = "all"
     memory_limit: int = 0
+    device_memory_limit: int = 0
+    default_gpu_block_dim: int = 0
     # What was given for options that are accepted and change nothing.
     accepted: dict[str, Any] = dataclasses.field(default_factory=dict)
 
@@ -72,7 +74,7 @@ _ACCEPTED = {
     "kernel_profile", "print_preprocessed_ir", "print_kernel_llvm_ir", "print_struct_llvm_ir",
     "print_kernel_llvm_ir_optimized", "print_accessor_ir", "print_evaluator_ir", "gdb_trigger",
     "excepthook", "simplify_before_lower_access", "lower_access", "simplify_after_lower_access",
-    "saturating_grid_dim", "max_block_dim", "default_cpu_block_dim", "default_gpu_block_dim",
+    "saturating_grid_dim", "max_block_dim", "default_cpu_block_dim",
     "cpu_block_dim_adaptive", "move_loop_invariant_outside_if", "cache_loop_invariant_global_vars",
     "make_thread_local", "make_block_local", "make_mesh_block_local", "detect_read_only",
     "real_matrix_scalarize", "force_scalarize_matrix", "half2_vectorization",
@@ -137,6 +139,8 @@ class Program:
             return "true" if value else "false"
 
         values = {
+            "device_memory_limit": str(o.device_memory_limit),
+            "arch": str(o.arch),
             "threads": str(o.cpu_max_num_threads),
             "deterministic": flag(o.deterministic),
             "debug": flag(o.debug or o.check_out_of_bound),
@@ -148,6 +152,7 @@ class Program:
             "history_bytes": str(o.ad_history_bytes),
             "skip": option_text(o.skip),
             "memory_limit": str(o.memory_limit),
+            "block_dim": str(o.default_gpu_block_dim),
         }
         if not o.offline_cache:
             values["cache_dir"] = ""
@@ -213,7 +218,8 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
     """Starts anew: forgets all fields and kernels, and sets the options.
 
     Args:
-        arch: `ti.cpu` (or `ti.x64`). `ti.gpu` and `ti.cuda` take the CPU where there is no GPU.
+        arch: `ti.cpu` (or `ti.x64`), `ti.cuda`, or `ti.gpu`: CUDA, or the CPU where there is no
+            GPU. The environment variable TI_ARCH takes precedence.
         default_fp, default_ip: the types of `float` and `int` in kernels.
         debug: check assertions and indices.
         fast_math: let the compiler reorder floating-point arithmetic, and take norms without
@@ -238,11 +244,15 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
             `ti.profiler.skips`.
         memory_limit: bytes that fields may take, those of sparse levels by their active cells;
             0 for what the machine has. More is a `TaiMemoryError`, and the program can go on.
+        device_memory_limit: the same for the memory of the GPU.
+        default_gpu_block_dim: threads of a block on the GPU, a multiple of 32; 0 for what suits
+            each kernel.
+        enable_fallback: take the CPU where `ti.cuda` is not there.
         require: extensions that the target must have (`ti.extension.data64`, …).
         exclude: targets that the program does not run on.
 
     Raises:
-        TaiRuntimeError: an option that does not exist, or a target that is not built in.
+        TaiRuntimeError: an option that does not exist, or a target that is not there, and why.
         TaiRuntimeTypeError: a type that cannot be the default.
     """
     import os
@@ -272,10 +282,25 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
         if chosen.get(name, known[0]) not in known:
             words = " or ".join(repr(word) for word in known)
             raise TaiRuntimeError(f"{name} is {words}, but got {chosen[name]!r}")
-    chosen["arch"] = _choose_arch(os.environ.get("TI_ARCH") or arch)
+    chosen["arch"], may_fall_back = _choose_arch(os.environ.get("TI_ARCH") or arch)
     _check_target(chosen["arch"], needs, unwanted)
+    may_fall_back |= bool(chosen["accepted"].get("enable_fallback"))
+    if chosen["arch"] == cuda and may_fall_back and (why := why_no_cuda()):
+        print(f"[tai] falling back to arch=cpu: {why}", file=sys.stderr)
+        chosen["arch"] = cpu
     _state.options = Options(**chosen)
     _state.program = Program(_state.options)
+
+
+def why_no_cuda() -> str:
+    """Why there is no arch=ti.cuda on this machine; empty where there is."""
+    from . import _core
+
+    try:
+        _core.Context().set_option("arch", "cuda")
+    except TaiRuntimeError as error:
+        return error.message
+    return ""
 
 
 def _check_target(arch: Arch, needs: Any, unwanted: Any) -> None:
@@ -294,15 +319,14 @@ def _check_target(arch: Arch, needs: Any, unwanted: Any) -> None:
         raise TaiRuntimeError(f"arch=ti.{arch} is excluded by this program")
 
 
-def _choose_arch(arch: Any) -> Arch:
-    """The target to use: the CPU, with a word about it where a GPU was asked for."""
+def _choose_arch(arch: Any) -> tuple[Arch, bool]:
+    """The target to use, and whether the CPU will do where it is not there."""
     if isinstance(arch, (list, tuple)):
         arch = next((a for a in arch if a in (cpu, x64, arm64)), arch[0] if arch else None)
     if arch is None or arch in (cpu, x64, arm64):
-        return cpu
+        return cpu, False
     if arch in (gpu, cuda):
-        print(f"[tai] no arch=ti.{arch} in this build, falling back to arch=cpu", file=sys.stderr)
-        return cpu
+        return cuda, arch == gpu
     known = ["cpu", "x64", "cuda", "gpu"]
     raise TaiRuntimeError(f"there is no target '{arch}'", did_you_mean(str(arch), known))
 

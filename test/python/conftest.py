@@ -1,5 +1,7 @@
 """What the tests share."""
 
+import os
+
 import pytest
 import tai as ti
 
@@ -37,6 +39,34 @@ def pytest_addoption(parser):
         "--layout", action="append", choices=[*layouts.LAYOUTS, *layouts.LAZY],
         help="run each test with its fields on this layout; may be given many times",
     )  # fmt: skip
+    parser.addoption(
+        "--arch", choices=["cpu", "cuda", "emulated"], default=os.environ.get("TAI_TEST_ARCH"),
+        help="run each test there, programs that it starts included; emulated: as on a GPU, "
+        "without one",
+    )  # fmt: skip
+
+
+def pytest_configure(config):
+    arch = config.getoption("--arch")
+    if arch:
+        # `ti.init` looks here first.
+        os.environ["TI_ARCH"] = "cpu" if arch == "cpu" else "cuda"
+        os.environ["TAI_CUDA_EMULATION"] = "1" if arch == "emulated" else ""
+
+
+# What an error says of what has not been done for GPUs. Tests that meet it are skipped there.
+NOT_YET = "on the GPU yet"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    try:
+        return (yield)
+    except BaseException as error:
+        if os.environ.get("TI_ARCH") != "cuda" or NOT_YET not in str(error):
+            raise
+        line = next(line for line in str(error).splitlines() if NOT_YET in line)
+        pytest.skip(line.strip())
 
 
 def pytest_generate_tests(metafunc):

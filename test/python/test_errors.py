@@ -241,10 +241,42 @@ def test_options():
     ti.init(arch=ti.cpu, flatten_if=True, advanced_optimization=True, device_memory_GB=2)
 
 
-def test_gpu_falls_back(capfd):
+@pytest.fixture
+def no_driver(monkeypatch):
+    """A machine without a CUDA driver."""
+    for name in ("TI_ARCH", "TAI_CUDA_EMULATION"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("TAI_CUDA_DRIVER", "libno-such-driver.so.1")
+
+
+def test_gpu_falls_back(no_driver, capfd):
     ti.init(arch=ti.gpu)
-    assert "falling back" in capfd.readouterr().err
+    err = capfd.readouterr().err
+    assert err.startswith("[tai] falling back to arch=cpu: no CUDA driver: the library 'libno-such")
+    assert err.count("\n") == 1
     assert ti.lang.impl.current_cfg().arch == ti.cpu
+
+
+def test_cuda_says_why_it_is_not_there(no_driver):
+    with pytest.raises(ti.TaiRuntimeError, match="no CUDA driver: .* cannot be loaded"):
+        ti.init(arch=ti.cuda)
+    assert not ti.lang.misc.is_arch_supported(ti.cuda)
+
+
+def test_cuda_can_be_emulated(no_driver, monkeypatch):
+    monkeypatch.setenv("TAI_CUDA_EMULATION", "1")
+    ti.init(arch=ti.cuda, device_memory_limit=1 << 20)
+    assert ti.lang.impl.current_cfg().arch == ti.cuda
+    x = ti.field(ti.f32, shape=4)
+    x.fill(3)
+    ti.sync()
+    assert x[1] == 3
+    ti.init(arch=ti.gpu)
+    block = ti.root.pointer(ti.i, 4)
+    block.place(ti.field(ti.f32))
+    with pytest.raises(ti.TaiRuntimeError, match="sparse levels, which do not run on the GPU yet"):
+        x = ti.field(ti.f32, shape=4)
+        x[0] = 1
 
 
 def test_tapes():

@@ -25,6 +25,8 @@ PROGRAMS = Path(__file__).with_name("programs")
 def run(name, *arguments, cwd=PROGRAMS):
     """What the program reports when it runs on its own."""
     environment = dict(os.environ, PYTHONWARNINGS="error::SyntaxWarning")
+    # Whatever target they ask for.
+    environment.setdefault("TI_ARCH", "cpu")
     done = subprocess.run(
         [*layouts.command(), str(PROGRAMS / f"{name}.py"), *map(str, arguments)],
         cwd=cwd, env=environment, capture_output=True, text=True, timeout=300, check=False,

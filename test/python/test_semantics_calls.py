@@ -22,10 +22,13 @@ def test_methods_of_matrices_called_through_the_class():
     np.testing.assert_allclose(out.to_numpy(), [0.5, 5, 25 / 6, 3, -2], rtol=1e-6)
 
 
-def test_targets_that_are_not_here_fall_back(capsys):
-    for arch in (ti.cuda, ti.gpu):
-        ti.init(arch=arch, default_fp=ti.f32, device_memory_GB=1.0)
+def test_targets_that_are_not_here_fall_back(capsys, monkeypatch):
+    for name in ("TI_ARCH", "TAI_CUDA_EMULATION"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("TAI_CUDA_DRIVER", "libno-such-driver.so.1")
+    for arch, more in ((ti.gpu, {}), (ti.cuda, {"enable_fallback": True})):
+        ti.init(arch=arch, default_fp=ti.f32, device_memory_GB=1.0, **more)
         x = ti.field(ti.f32, shape=2)
         x.fill(3)
         assert x[1] == 3
-        assert f"no arch=ti.{arch} in this build" in capsys.readouterr().err
+        assert "falling back to arch=cpu: no CUDA driver" in capsys.readouterr().err

@@ -192,6 +192,8 @@ private:
   void printProfile(StringRef name, CompileRequest::Goal goal,
                     const Compiler::Function &function);
   void useCache(StringRef folder);
+  /// Opens the device, or goes back to the CPU.
+  LogicalResult setArch(StringRef name);
 
   std::unique_ptr<llvm::ThreadPoolInterface> pool;
   std::unique_ptr<MLIRContext> context;
@@ -200,6 +202,8 @@ private:
   Background background;
   std::shared_ptr<runtime::CacheStore> cache;
   CompileOptions options;
+  /// Of the device that is opened next.
+  int64_t deviceMemoryLimit = 0;
   SmallVector<std::string> printedStages;
   bool printsProfile = false;
 

@@ -17,6 +17,7 @@
 
 #include "tai/Runtime/Status.h"
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <string>
 #include <string_view>
@@ -94,9 +95,12 @@ public:
   virtual Status copyIn(DevicePtr to, const void *from, int64_t bytes) = 0;
   virtual Status copyOut(void *to, DevicePtr from, int64_t bytes) = 0;
   virtual Status copy(DevicePtr to, DevicePtr from, int64_t bytes) = 0;
-  /// `count` times a pattern of 1, 2, 4 or 8 bytes.
+  /// `count` times a pattern of 1, 2, 4 or 8 bytes, to an address that is a
+  /// multiple of its size.
   virtual Status fill(DevicePtr to, const void *pattern, int patternBytes,
                       int64_t count) = 0;
+  /// Whether device code can use this address of the caller as it is.
+  virtual bool isDeviceMemory(const void *address) const = 0;
 
   //===--------------------------------------------------------------------===//
   // Code
@@ -122,12 +126,29 @@ public:
 };
 
 /// Opens the CUDA driver and the device of this number. The failure says what
-/// is missing: the driver, a driver new enough, a device.
+/// is missing: the driver, a driver new enough, a device. The environment
+/// variable TAI_CUDA_DRIVER names another library to take for the driver.
 Status openCudaDevice(int ordinal, std::unique_ptr<Device> &device);
 
-/// Runs device code on the CPU.
-std::unique_ptr<Device> openEmulatedDevice();
+/// Places an object file in memory and finds functions in it by their names;
+/// null for one that it does not hold. They stay until `library` goes.
+using ObjectLinker = std::function<Status(
+    std::string_view object, const std::vector<std::string> &names,
+    std::vector<void *> &addresses, std::shared_ptr<void> &library)>;
+
+/// Runs device code on the CPU, one thread at a time. Of each function `f` an
+/// image holds `f.slots`, a C function `void (const uint64_t *slots)` that runs
+/// one thread; it asks for its place by the functions below.
+std::unique_ptr<Device> openEmulatedDevice(ObjectLinker linker);
 
 } // namespace mlir::tai::runtime
+
+extern "C" {
+/// The place of the emulated thread that runs on this thread of the host.
+int32_t tai_emu_thread_id(void);
+int32_t tai_emu_block_id(void);
+int32_t tai_emu_block_dim(void);
+int32_t tai_emu_grid_dim(void);
+}
 
 #endif // TAI_RUNTIME_DEVICE_H

@@ -19,6 +19,7 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -27,6 +28,7 @@
 
 namespace mlir::tai::runtime {
 
+class Mirror;
 class Runtime;
 
 /// Scalar types, with the numbers of TaiScalarType. i1 is stored as one byte.
@@ -46,11 +48,30 @@ bool isFloat(ScalarKind kind);
 const char *spelling(ScalarKind kind);
 
 /// One allocation, zero when made. Pages are committed when first written.
+/// Where there is a device, the tree has memory there too, and either may be
+/// behind the other: the host reaches the contents by `readable` and `writable`
+/// alone.
 class Tree {
 public:
   const std::string &name() const { return treeName; }
-  /// Null once the tree has been destroyed; aligned to 64 bytes.
+  /// Which tree it is, and whether it is there: null once it has been
+  /// destroyed. Aligned to 64 bytes. What is there may be out of date on a
+  /// device; sparse trees are on the host always.
   char *base() const { return address; }
+  /// The contents for the host to read, or to read and change, until the next
+  /// launch. What goes wrong with the device is said by the call after.
+  const char *readable() const {
+    if (__builtin_expect(mirrored != nullptr, false))
+      bringToHost();
+    return address;
+  }
+  char *writable() const {
+    if (__builtin_expect(mirrored != nullptr, false))
+      bringToHostToChange();
+    return address;
+  }
+  /// The memory on the device, or null where there is none.
+  Mirror *mirror() const { return mirrored.get(); }
   int64_t bytes() const { return size; }
   /// The sparse levels, those above before those below.
   const std::vector<std::unique_ptr<SparseNode>> &sparseNodes() const {
@@ -66,7 +87,11 @@ public:
 private:
   friend class Runtime;
   friend class SparseNode;
+  void bringToHost() const;
+  void bringToHostToChange() const;
+
   std::string treeName;
+  std::shared_ptr<Mirror> mirrored;
   char *address = nullptr;
   int64_t size = 0;
   int64_t charged = 0; // of the memory limit
@@ -140,8 +165,13 @@ public:
   bool valid() const { return owner->base() != nullptr; }
   /// True where the elements lie one after another in row-major order.
   bool contiguous() const { return isContiguous; }
-  /// Address of the place: of the first element.
+  /// Address of the place: of the first element. As Tree::base().
   char *data() const { return owner->base() + fieldLayout.placeOffset; }
+  /// The same, to read and to change there; see Tree.
+  const char *readable() const {
+    return owner->readable() + fieldLayout.placeOffset;
+  }
+  char *writable() const { return owner->writable() + fieldLayout.placeOffset; }
 
   /// The field that accumulates the derivative of the loss by this one; null
   /// where there is none (yet).
@@ -167,9 +197,9 @@ public:
   /// range.
   int64_t cellNumber(const int64_t *index) const;
 
-  /// Address of the element, or null if an index is out of range. Indices
-  /// count from the offset of the field.
-  char *elementAddress(const int64_t *index) const;
+  /// Where the element is in the tree, or -1 if an index is out of range.
+  /// Indices count from the offset of the field.
+  int64_t elementOffset(const int64_t *index) const;
 
   /// One component (row-major in the element) of one element, converted from
   /// or to the type of the field. Integers wrap, as in C; writing marks the
@@ -182,12 +212,30 @@ public:
   /// stored. For the other direction see Runtime::writeElements.
   Status readElements(const int64_t *indices, int64_t count,
                       void *values) const;
-  /// Where a component is, or why there is none.
-  Status access(const int64_t *index, int64_t component, char *&address) const;
+  /// Where a component is in the tree, or why there is none.
+  Status locate(const int64_t *index, int64_t component, int64_t &offset) const;
+  /// The bytes of one component, which `locate` has found.
+  Status loadBytes(int64_t offset, void *to) const {
+    if (__builtin_expect(owner->mirror() != nullptr, false))
+      return loadMirrored(offset, to);
+    std::memcpy(to, owner->base() + offset,
+                static_cast<size_t>(byteSize(fieldLayout.scalar)));
+    return Status::success();
+  }
+  Status storeBytes(int64_t offset, const void *from) const {
+    if (__builtin_expect(owner->mirror() != nullptr, false))
+      return storeMirrored(offset, from);
+    std::memcpy(owner->base() + offset, from,
+                static_cast<size_t>(byteSize(fieldLayout.scalar)));
+    return Status::success();
+  }
 
 private:
   friend class Runtime;
   friend class Tape;
+
+  Status loadMirrored(int64_t offset, void *to) const;
+  Status storeMirrored(int64_t offset, const void *from) const;
 
   std::string fieldName;
   TreePtr owner;

@@ -25,6 +25,8 @@ namespace mlir::tai::runtime {
 
 class Kernel;
 struct CheckedKernel;
+struct DeviceCode;
+struct DeviceImage;
 using KernelPtr = std::shared_ptr<Kernel>;
 
 enum class AccessKind : uint8_t { Read, Write, Accumulate };
@@ -174,6 +176,9 @@ struct KernelInfo {
   std::function<Status(KernelPtr &tangent)> makeTangent;
   /// Where the kernel does nothing but loop over active cells: of which levels.
   std::vector<LoopLevel> loopLevels;
+  /// Its code for the device that the runtime uses; null where the function
+  /// does everything on the CPU.
+  std::shared_ptr<const DeviceImage> image;
 };
 
 /// Times of one kernel while the profiler is on.
@@ -226,6 +231,7 @@ public:
   void setTrees(std::vector<TreePtr> trees);
   void setSummary(std::vector<Access> summary);
   void setLoopLevels(std::vector<LoopLevel> levels);
+  void setDeviceImage(std::shared_ptr<const DeviceImage> image);
 
 private:
   friend class Runtime;
@@ -267,6 +273,8 @@ private:
     return true;
   }
 
+  /// The code on the device, loaded when the kernel is first launched.
+  std::shared_ptr<DeviceCode> deviceCode;
   std::vector<void *> bases;
   /// The levels that it loops over and does nothing else, or none.
   std::vector<const SparseNode *> loopLevels;

@@ -28,6 +28,8 @@ struct TaiRuntime {};
 
 namespace mlir::tai::runtime {
 
+class Device;
+class DeviceContext;
 class ForkGuard;
 struct HostWrite;
 class GradientCheck;
@@ -48,6 +50,8 @@ struct Options {
   int64_t memoryLimit = 0;
   /// What is left out where it is not needed.
   SkipSet skips;
+  /// Threads of a block on a device; 0 = what suits the kernel.
+  int blockThreads = 0;
 };
 
 struct FieldInfo {
@@ -92,6 +96,8 @@ public:
   void setDebug(bool on) { opts.debug = on; }
   void setProfiler(bool on) { opts.profiler = on; }
   void setSkips(SkipSet skips);
+  /// Kernels that are loaded from then on have blocks of so many threads.
+  void setBlockThreads(int threads) { opts.blockThreads = threads; }
   bool skips(Skip skip) const { return opts.skips.has(skip); }
   /// In forward mode every kernel is launched with the tangents that it carries
   /// along: also those that a tape replays, and adjoints.
@@ -101,6 +107,21 @@ public:
   /// same random numbers again.
   void setSeed(uint64_t seed);
   int threads() const { return numThreads; }
+
+  //===--------------------------------------------------------------------===//
+  // Device
+  //===--------------------------------------------------------------------===//
+
+  /// Runs kernels on the device from now on, with at most so many bytes there
+  /// (0 for what it has). Fails once there are trees.
+  Status useDevice(std::unique_ptr<Device> device, int64_t memoryLimit = 0);
+  /// Null where kernels run on the CPU.
+  Device *getDevice() const;
+  /// Waits for what is queued; reports what failed, and prints what kernels
+  /// have printed.
+  Status synchronize();
+  /// Where device code finds a place in a tree; fails without a device.
+  Status deviceAddress(const Tree &tree, int64_t offset, void *&address);
 
   //===--------------------------------------------------------------------===//
   // Storage
@@ -263,8 +284,25 @@ private:
   /// The same for the active cells of a sparse field.
   void fillActive(Field &field, const void *scalarBytes);
   void copyInActive(Field &field, const void *array);
-  template <typename Move>
-  void forEachRow(const Field &field, const Move &move);
+  template <typename Data, typename Move>
+  void forEachRow(const Field &field, Data *data, const Move &move);
+
+  /// Of fields that have memory on a device: do it there, if that is the better
+  /// place for it.
+  bool copyFromDevice(const Field &field, void *array);
+  bool copyToDevice(Field &field, const void *array);
+  bool fillOnDevice(Field &field, const void *scalarBytes);
+  /// Around the code of a kernel.
+  Status enterDevice(Launch &launch, Kernel &kernel);
+  Status loadOnDevice(Kernel &kernel, uint64_t epoch);
+  void leaveDevice(Launch &launch);
+  /// What calls could not say themselves.
+  void noteFailure(Status status);
+  Status takeDeviceFailure() {
+    return __builtin_expect(device != nullptr, false) ? takeNoted()
+                                                      : Status::success();
+  }
+  Status takeNoted();
 
   Options opts;
   int numThreads;
@@ -280,6 +318,11 @@ private:
   size_t kernelsToKeep = 64;
   /// Raised when a tree goes or an adjoint comes: kernels then look again.
   std::atomic<uint64_t> storageEpoch{1};
+
+  /// Shared with what lies on it.
+  std::shared_ptr<DeviceContext> device;
+  /// Tapes that there are.
+  int tapes = 0;
 
   std::unique_ptr<ForkGuard> forkGuard;
   std::unique_ptr<WorkerPool> pool;

@@ -10,7 +10,7 @@ from ..ops import (
     ndrange,
     no_activate,
 )
-from ..program import Arch, arm64, cpu, cuda, gpu, init, reset, x64
+from ..program import Arch, arm64, cpu, cuda, gpu, init, reset, why_no_cuda, x64
 
 
 class Extension(Enum):
@@ -45,12 +45,14 @@ def is_extension_supported(arch: Arch, ext: Extension) -> bool:
     Loops that carry values are differentiable without a limit, which is what `adstack`
     asks for.
     """
+    if arch == cuda:
+        return ext in _SUPPORTED - {Extension.sparse}
     return arch in (cpu, x64, arm64) and ext in _SUPPORTED
 
 
 def is_arch_supported(arch: Arch, use_gles: bool = False) -> bool:
-    """Whether this build runs kernels on a target."""
-    return arch in (cpu, x64)
+    """Whether kernels can run on a target, on this machine."""
+    return arch in (cpu, x64) or (arch in (cuda, gpu) and not why_no_cuda())
 
 
 def get_host_arch_list() -> list[Arch]:

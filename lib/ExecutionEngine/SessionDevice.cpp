@@ -1,0 +1,58 @@
+//===- SessionDevice.cpp - The machine that a session runs on -------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/ExecutionEngine/Session.h"
+#include "tai/Runtime/Device.h"
+#include "llvm/Support/Process.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Places the code of the emulated device in memory. It has a linker of its
+/// own, which what was linked keeps: that outlives the compiler of the session.
+static runtime::ObjectLinker makeObjectLinker() {
+  auto shared = std::make_shared<std::unique_ptr<Linker>>();
+  return
+      [shared](std::string_view object, const std::vector<std::string> &names,
+               std::vector<void *> &addresses, std::shared_ptr<void> &library) {
+        auto fail = [](llvm::Error error) {
+          return runtime::Status::failure(runtime::StatusCode::Internal,
+                                          "device code cannot be linked: " +
+                                              llvm::toString(std::move(error)));
+        };
+        if (!*shared) {
+          auto made = Linker::create(runtime::runtimeSymbols());
+          if (!made)
+            return fail(made.takeError());
+          *shared = std::move(*made);
+        }
+        auto linked = (*shared)->link({object.data(), object.size()}, names);
+        if (!linked)
+          return fail(linked.takeError());
+        addresses = std::move(linked->addresses);
+        Linker::Library *unit = linked->library;
+        library = std::shared_ptr<void>(
+            unit, [shared, unit](void *) { (*shared)->unload(unit); });
+        return runtime::Status::success();
+      };
+}
+
+LogicalResult Session::setArch(StringRef name) {
+  std::unique_ptr<runtime::Device> device;
+  if (name == "cuda") {
+    std::optional<std::string> emulated =
+        llvm::sys::Process::GetEnv("TAI_CUDA_EMULATION");
+    if (emulated && *emulated == "1")
+      device = runtime::openEmulatedDevice(makeObjectLinker());
+    else if (failed(check(runtime::openCudaDevice(0, device))))
+      return failure();
+  } else if (name != "cpu") {
+    return fail(FailureKind::Usage,
+                "there is no arch '" + name + "'; there are cpu and cuda");
+  }
+  return check(rt->useDevice(std::move(device), deviceMemoryLimit));
+}

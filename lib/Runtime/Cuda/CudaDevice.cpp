@@ -1,0 +1,516 @@
+//===- CudaDevice.cpp - A GPU behind the CUDA driver ----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// One stream carries everything: launches, copies, fills and the end of memory
+// are then in order without events. The context is the primary one of the
+// device, which other libraries of the process use too.
+//
+//===----------------------------------------------------------------------===//
+
+#include "../Launch.h"
+#include "Driver.h"
+#include "tai/Runtime/Device.h"
+#include <algorithm>
+#include <cstdlib>
+#include <cstring>
+#include <map>
+#include <mutex>
+
+using namespace mlir::tai::runtime;
+using namespace mlir::tai::runtime::cuda;
+
+namespace {
+struct CudaModule;
+
+struct CudaFunction : DeviceFunction {
+  Function handle = nullptr;
+  unsigned mostThreads = 0;
+};
+
+class CudaDevice final : public Device {
+public:
+  CudaDevice(const Driver &driver, int number) : cu(driver), number(number) {}
+  ~CudaDevice() override;
+  Status open();
+
+  DeviceKind kind() const override { return DeviceKind::Cuda; }
+  std::string name() const override { return label; }
+  DeviceLimits limits() const override { return most; }
+  std::string target() const override { return architecture; }
+
+  Status allocate(int64_t bytes, DevicePtr &memory) override;
+  void free(DevicePtr memory) override;
+  int64_t allocatedBytes() const override {
+    std::lock_guard<std::mutex> lock(mutex);
+    return allocated;
+  }
+  int64_t freeBytes() const override;
+
+  Status copyIn(DevicePtr to, const void *from, int64_t bytes) override;
+  Status copyOut(void *to, DevicePtr from, int64_t bytes) override;
+  Status copy(DevicePtr to, DevicePtr from, int64_t bytes) override;
+  Status fill(DevicePtr to, const void *pattern, int patternBytes,
+              int64_t count) override;
+  bool isDeviceMemory(const void *address) const override;
+
+  Status load(const DeviceImage &image,
+              std::unique_ptr<DeviceModule> &module) override;
+  Status find(DeviceModule &module, const std::string &name,
+              DeviceFunction *&function) override;
+  unsigned mostThreads(const DeviceFunction &function) const override {
+    return static_cast<const CudaFunction &>(function).mostThreads;
+  }
+  unsigned residentBlocks(const DeviceFunction &function,
+                          unsigned threads) const override;
+  Status launch(DeviceFunction &function, const LaunchShape &shape,
+                const uint64_t *slots, int count) override;
+  Status synchronize() override;
+
+private:
+  friend struct CudaModule;
+
+  Status check(Result result, const char *what) const {
+    if (__builtin_expect(result == kSuccess, true))
+      return Status::success();
+    return failure(result, what);
+  }
+  Status failure(Result result, const char *what) const;
+  /// Another library may have made another context that of this thread.
+  Status enter() const {
+    Context current = nullptr;
+    if (__builtin_expect(
+            cu.ctxGetCurrent(&current) == kSuccess && current == context, true))
+      return Status::success();
+    return check(cu.ctxSetCurrent(context), "a thread cannot use the device");
+  }
+  Status allocateOnce(int64_t bytes, Address &address);
+
+  /// Small copies go through memory that the device reads and writes itself.
+  static constexpr int64_t stagingBytes = 256 << 10;
+  static constexpr int64_t largestStaged = 32 << 10;
+
+  const Driver &cu;
+  DeviceNumber number;
+  Context context = nullptr;
+  Stream stream = nullptr;
+  Pool pool = nullptr;
+  std::string label, architecture;
+  DeviceLimits most;
+  mutable std::mutex mutex;
+  std::map<DevicePtr, int64_t> allocations;
+  int64_t allocated = 0;
+
+  std::mutex stagingMutex;
+  char *staging = nullptr;
+  int64_t staged = 0;
+};
+
+struct CudaModule : DeviceModule {
+  explicit CudaModule(CudaDevice &device) : device(device) {}
+  ~CudaModule() override {
+    if (handle && device.enter())
+      (void)device.cu.moduleUnload(handle);
+  }
+
+  CudaDevice &device;
+  Module handle = nullptr;
+  std::map<std::string, CudaFunction> functions;
+};
+} // namespace
+
+Status CudaDevice::failure(Result result, const char *what) const {
+  return Status::failure(result == kOutOfMemory ? StatusCode::Memory
+                                                : StatusCode::Internal,
+                         std::string(what) + " (" + cu.describe(result) + ")");
+}
+
+//===----------------------------------------------------------------------===//
+// Opening and closing
+//===----------------------------------------------------------------------===//
+
+static Status noDevice(const std::string &why) {
+  std::string message = "no CUDA device: " + why;
+  // The usual reason where there is one in the machine.
+  if (const char *visible = std::getenv("CUDA_VISIBLE_DEVICES"))
+    message += "; the environment variable CUDA_VISIBLE_DEVICES is '" +
+               std::string(visible) + "', which hides all others";
+  return Status::failure(StatusCode::Usage, std::move(message));
+}
+
+Status mlir::tai::runtime::openCudaDevice(int ordinal,
+                                          std::unique_ptr<Device> &device) {
+  const Driver *driver = nullptr;
+  Status status = Driver::get(driver);
+  if (!status)
+    return status;
+  Result result = driver->init(0);
+  if (result == kNoDevice)
+    return noDevice("the driver finds none");
+  if (result != kSuccess)
+    return Status::failure(StatusCode::Usage,
+                           "the CUDA driver does not start (" +
+                               driver->describe(result) + ")");
+  int count = 0;
+  result = driver->deviceGetCount(&count);
+  if (result != kSuccess || count == 0)
+    return noDevice("the driver finds none");
+  if (ordinal < 0 || ordinal >= count)
+    return noDevice("number " + std::to_string(ordinal) +
+                    " was asked for, and the driver finds " +
+                    std::to_string(count));
+  DeviceNumber number = 0;
+  result = driver->deviceGet(&number, ordinal);
+  if (result != kSuccess)
+    return noDevice(driver->describe(result));
+  auto made = std::make_unique<CudaDevice>(*driver, number);
+  status = made->open();
+  if (status)
+    device = std::move(made);
+  return status;
+}
+
+Status CudaDevice::open() {
+  char text[256] = {};
+  (void)cu.deviceGetName(text, sizeof(text) - 1, number);
+  label = text;
+  int major = 0, minor = 0, multiprocessors = 1, threads = 1, pools = 0;
+  size_t bytes = 0;
+  Status status = check(cu.primaryCtxRetain(&context, number),
+                        "the CUDA device cannot be used");
+  if (!status) {
+    context = nullptr;
+    return Status::failure(status.code(),
+                           status.message() + ": " + label +
+                               "; another process may hold all of its memory, "
+                               "or have it to itself");
+  }
+  (void)cu.deviceGetAttribute(&major, kCapabilityMajor, number);
+  (void)cu.deviceGetAttribute(&minor, kCapabilityMinor, number);
+  (void)cu.deviceGetAttribute(&multiprocessors, kMultiprocessorCount, number);
+  (void)cu.deviceGetAttribute(&threads, kMaxThreadsPerBlock, number);
+  (void)cu.deviceGetAttribute(&pools, kMemoryPools, number);
+  (void)cu.deviceTotalMem(&bytes, number);
+  architecture = "sm_" + std::to_string(10 * major + minor);
+  most = {static_cast<unsigned>(multiprocessors),
+          static_cast<unsigned>(threads), static_cast<int64_t>(bytes)};
+  if (major < 6)
+    return Status::failure(
+        StatusCode::Usage,
+        label + " has compute capability " + std::to_string(major) + "." +
+            std::to_string(minor) + ", and 6.0 or newer is needed");
+  status = enter();
+  // In order with the default stream, on which others hand over their arrays.
+  if (status)
+    status = check(cu.streamCreate(&stream, 0), "no stream can be made");
+  void *memory = nullptr;
+  if (status)
+    status = check(cu.memAllocHost(&memory, stagingBytes),
+                   "no memory for copies can be had");
+  staging = static_cast<char *>(memory);
+  if (!status || !pools)
+    return status;
+  PoolProperties properties;
+  properties.locationId = number;
+  if (cu.memPoolCreate(&pool, &properties) != kSuccess) {
+    pool = nullptr;
+    return status;
+  }
+  // What was freed stays in the pool, for the next who asks.
+  uint64_t threshold = UINT64_MAX;
+  (void)cu.memPoolSetAttribute(pool, kPoolReleaseThreshold, &threshold);
+  return status;
+}
+
+CudaDevice::~CudaDevice() {
+  if (!context)
+    return;
+  // At the end of a process the driver may have gone first.
+  if (enter()) {
+    if (stream)
+      (void)cu.streamSynchronize(stream);
+    for (const auto &[address, bytes] : allocations)
+      (void)(pool ? cu.memFreeAsync(address, stream) : cu.memFree(address));
+    if (staging)
+      (void)cu.memFreeHost(staging);
+    if (stream) {
+      (void)cu.streamSynchronize(stream);
+      (void)cu.streamDestroy(stream);
+    }
+    if (pool)
+      (void)cu.memPoolDestroy(pool);
+  }
+  (void)cu.primaryCtxRelease(number);
+}
+
+//===----------------------------------------------------------------------===//
+// Memory
+//===----------------------------------------------------------------------===//
+
+Status CudaDevice::allocateOnce(int64_t bytes, Address &address) {
+  auto size = static_cast<size_t>(bytes);
+  return check(pool ? cu.memAllocFromPoolAsync(&address, size, pool, stream)
+                    : cu.memAlloc(&address, size),
+               "the device has no memory left");
+}
+
+Status CudaDevice::allocate(int64_t bytes, DevicePtr &memory) {
+  memory = 0;
+  Status status = enter();
+  if (!status)
+    return status;
+  bytes = std::max<int64_t>(bytes, 1);
+  Address address = 0;
+  status = allocateOnce(bytes, address);
+  if (status.code() == StatusCode::Memory && pool) {
+    // What the pool holds may be in pieces that are too small.
+    (void)cu.streamSynchronize(stream);
+    (void)cu.memPoolTrimTo(pool, 0);
+    status = allocateOnce(bytes, address);
+  }
+  if (!status)
+    return status;
+  memory = address;
+  std::lock_guard<std::mutex> lock(mutex);
+  allocations.emplace(memory, bytes);
+  allocated += bytes;
+  return status;
+}
+
+void CudaDevice::free(DevicePtr memory) {
+  {
+    std::lock_guard<std::mutex> lock(mutex);
+    auto found = allocations.find(memory);
+    if (found == allocations.end())
+      return;
+    allocated -= found->second;
+    allocations.erase(found);
+  }
+  if (enter())
+    (void)(pool ? cu.memFreeAsync(memory, stream) : cu.memFree(memory));
+}
+
+int64_t CudaDevice::freeBytes() const {
+  size_t left = 0, all = 0;
+  if (!enter() || cu.memGetInfo(&left, &all) != kSuccess)
+    return 0;
+  return static_cast<int64_t>(left);
+}
+
+Status CudaDevice::copyIn(DevicePtr to, const void *from, int64_t bytes) {
+  Status status = enter();
+  if (!status || bytes <= 0)
+    return status;
+  auto size = static_cast<size_t>(bytes);
+  if (bytes > largestStaged) {
+    status = check(cu.memcpyHtoDAsync(to, from, size, stream),
+                   "a copy to the device fails");
+    // Of memory that is pinned, nothing has been read yet.
+    return status ? synchronize() : std::move(status);
+  }
+  std::lock_guard<std::mutex> lock(stagingMutex);
+  int64_t room = (bytes + 63) / 64 * 64;
+  if (staged + room > stagingBytes) {
+    status = synchronize();
+    if (!status)
+      return status;
+    staged = 0;
+  }
+  char *piece = staging + staged;
+  staged += room;
+  std::memcpy(piece, from, size);
+  return check(cu.memcpyHtoDAsync(to, piece, size, stream),
+               "a copy to the device fails");
+}
+
+Status CudaDevice::copyOut(void *to, DevicePtr from, int64_t bytes) {
+  Status status = enter();
+  if (!status || bytes <= 0)
+    return status;
+  auto size = static_cast<size_t>(bytes);
+  const char *what = "a copy from the device fails";
+  if (bytes > largestStaged) {
+    status = check(cu.memcpyDtoHAsync(to, from, size, stream), what);
+    return status ? synchronize() : std::move(status);
+  }
+  std::lock_guard<std::mutex> lock(stagingMutex);
+  int64_t room = (bytes + 63) / 64 * 64;
+  if (staged + room > stagingBytes) {
+    status = synchronize();
+    staged = 0;
+  }
+  char *piece = staging + staged;
+  if (status)
+    status = check(cu.memcpyDtoHAsync(piece, from, size, stream), what);
+  if (status)
+    status = synchronize();
+  if (!status)
+    return status;
+  // All copies that were on their way have arrived.
+  staged = 0;
+  std::memcpy(to, piece, size);
+  return status;
+}
+
+Status CudaDevice::copy(DevicePtr to, DevicePtr from, int64_t bytes) {
+  Status status = enter();
+  if (!status || bytes <= 0)
+    return status;
+  return check(cu.memcpyDtoDAsync(to, from, static_cast<size_t>(bytes), stream),
+               "a copy on the device fails");
+}
+
+Status CudaDevice::fill(DevicePtr to, const void *pattern, int patternBytes,
+                        int64_t count) {
+  Status status = enter();
+  if (!status || count <= 0)
+    return status;
+  auto size = static_cast<size_t>(count);
+  const char *what = "device memory cannot be filled";
+  auto *bytes = static_cast<const char *>(pattern);
+  bool zero =
+      std::all_of(bytes, bytes + patternBytes, [](char b) { return !b; });
+  if (zero || patternBytes == 1)
+    return check(cu.memsetD8Async(to, static_cast<unsigned char>(bytes[0]),
+                                  size * static_cast<size_t>(patternBytes),
+                                  stream),
+                 what);
+  if (patternBytes == 2) {
+    unsigned short value;
+    std::memcpy(&value, pattern, sizeof(value));
+    return check(cu.memsetD16Async(to, value, size, stream), what);
+  }
+  unsigned words[2] = {};
+  std::memcpy(words, pattern, static_cast<size_t>(patternBytes));
+  if (patternBytes == 4 || words[0] == words[1])
+    return check(cu.memsetD32Async(to, words[0],
+                                   size * static_cast<size_t>(patternBytes / 4),
+                                   stream),
+                 what);
+  // The first words of all, one word in each row; then the second ones.
+  for (unsigned half = 0; half < 2 && status; ++half)
+    status = check(
+        cu.memsetD2D32Async(to + 4 * half, 8, words[half], 1, size, stream),
+        what);
+  return status;
+}
+
+bool CudaDevice::isDeviceMemory(const void *address) const {
+  unsigned type = 0;
+  return enter() &&
+         cu.pointerGetAttribute(&type, kAddressMemoryType,
+                                reinterpret_cast<Address>(address)) ==
+             kSuccess &&
+         (type == kMemoryTypeDevice || type == kMemoryTypeUnified);
+}
+
+//===----------------------------------------------------------------------===//
+// Code
+//===----------------------------------------------------------------------===//
+
+Status CudaDevice::load(const DeviceImage &image,
+                        std::unique_ptr<DeviceModule> &module) {
+  if (image.kind != DeviceKind::Cuda)
+    return Status::failure(StatusCode::Internal,
+                           "a CUDA device cannot load this code");
+  Status status = enter();
+  if (!status)
+    return status;
+  constexpr unsigned logBytes = 16 << 10;
+  std::vector<char> info(logBytes), errors(logBytes);
+  int options[] = {kJitInfoBuffer, kJitInfoBytes, kJitErrorBuffer,
+                   kJitErrorBytes};
+  // Sizes are passed in the place of pointers.
+  auto size = reinterpret_cast<void *>(uintptr_t(logBytes));
+  void *values[] = {info.data(), size, errors.data(), size};
+  auto loaded = std::make_unique<CudaModule>(*this);
+  Result result = cu.moduleLoadDataEx(&loaded->handle, image.bytes.c_str(), 4,
+                                      options, values);
+  if (result != kSuccess) {
+    loaded->handle = nullptr;
+    errors.back() = 0;
+    std::string log = errors.data();
+    while (!log.empty() && (log.back() == '\n' || log.back() == ' '))
+      log.pop_back();
+    std::string message = "the CUDA driver does not take the code of a kernel "
+                          "for " +
+                          architecture + " (" + cu.describe(result) + ")";
+    if (result == kUnsupportedPtxVersion)
+      message += "; install a newer NVIDIA driver";
+    if (!log.empty())
+      message += ":\n" + log;
+    return Status::failure(StatusCode::Internal, std::move(message));
+  }
+  module = std::move(loaded);
+  return status;
+}
+
+Status CudaDevice::find(DeviceModule &module, const std::string &name,
+                        DeviceFunction *&function) {
+  auto &loaded = static_cast<CudaModule &>(module);
+  Status status = enter();
+  CudaFunction found;
+  int threads = 1;
+  if (status)
+    status =
+        check(cu.moduleGetFunction(&found.handle, loaded.handle, name.c_str()),
+              ("device code holds no function '" + name + "'").c_str());
+  if (status)
+    status =
+        check(cu.funcGetAttribute(&threads, kFunctionMaxThreads, found.handle),
+              "a device function cannot be examined");
+  if (!status)
+    return status;
+  found.mostThreads = static_cast<unsigned>(std::max(threads, 1));
+  CudaFunction &kept = loaded.functions[name];
+  kept = found;
+  function = &kept;
+  return status;
+}
+
+unsigned CudaDevice::residentBlocks(const DeviceFunction &function,
+                                    unsigned threads) const {
+  int blocks = 0;
+  if (!enter() ||
+      cu.maxActiveBlocks(&blocks,
+                         static_cast<const CudaFunction &>(function).handle,
+                         static_cast<int>(threads), 0) != kSuccess)
+    return 1;
+  return most.multiprocessors * static_cast<unsigned>(std::max(blocks, 1));
+}
+
+Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
+                          const uint64_t *slots, int count) {
+  // All that the driver takes: parameters fill 4096 bytes at most.
+  constexpr int mostParameters = 512;
+  void *parameters[mostParameters];
+  if (__builtin_expect(count > mostParameters, false))
+    return Status::failure(StatusCode::Usage,
+                           "a loop uses more values than a GPU takes as "
+                           "parameters; put some of them into a field");
+  for (int i = 0; i < count; ++i)
+    parameters[i] = const_cast<uint64_t *>(slots + i);
+  Status status = enter();
+  if (!status)
+    return status;
+  Function handle = static_cast<CudaFunction &>(function).handle;
+  Result result =
+      shape.cooperative
+          ? cu.launchCooperativeKernel(handle, shape.blocks, 1, 1,
+                                       shape.threads, 1, 1, shape.sharedBytes,
+                                       stream, parameters)
+          : cu.launchKernel(handle, shape.blocks, 1, 1, shape.threads, 1, 1,
+                            shape.sharedBytes, stream, parameters, nullptr);
+  return check(result, "a kernel cannot be launched");
+}
+
+Status CudaDevice::synchronize() {
+  Status status = enter();
+  if (!status)
+    return status;
+  return check(cu.streamSynchronize(stream),
+               "a kernel has failed on the device");
+}

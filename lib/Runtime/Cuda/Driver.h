@@ -1,0 +1,148 @@
+//===- Driver.h - The functions of the CUDA driver --------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// What the runtime uses of the binary interface of libcuda.so.1, which is there
+// on machines with a GPU and nowhere else: found when a device is opened, so
+// that neither building nor running on the CPU needs any part of CUDA.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_CUDA_DRIVER_H
+#define TAI_LIB_RUNTIME_CUDA_DRIVER_H
+
+#include "tai/Runtime/Status.h"
+#include <cstddef>
+#include <cstdint>
+
+namespace mlir::tai::runtime::cuda {
+
+using Result = int;
+using DeviceNumber = int;
+using Address = unsigned long long;
+using Context = struct ContextStruct *;
+using Stream = struct StreamStruct *;
+using Module = struct ModuleStruct *;
+using Function = struct FunctionStruct *;
+using Pool = struct PoolStruct *;
+
+// Results.
+constexpr Result kSuccess = 0;
+constexpr Result kInvalidValue = 1;
+constexpr Result kOutOfMemory = 2;
+constexpr Result kDeinitialized = 4;
+constexpr Result kNoDevice = 100;
+constexpr Result kInvalidPtx = 218;
+constexpr Result kUnsupportedPtxVersion = 222;
+
+// Attributes of devices.
+constexpr int kMaxThreadsPerBlock = 1;
+constexpr int kMultiprocessorCount = 16;
+constexpr int kCapabilityMajor = 75;
+constexpr int kCapabilityMinor = 76;
+constexpr int kMemoryPools = 115;
+// Of functions.
+constexpr int kFunctionMaxThreads = 0;
+// Of pools.
+constexpr int kPoolReleaseThreshold = 4;
+// Of addresses.
+constexpr int kAddressMemoryType = 2;
+constexpr unsigned kMemoryTypeDevice = 2;
+constexpr unsigned kMemoryTypeUnified = 4;
+// Options of the compiler of PTX.
+constexpr int kJitInfoBuffer = 3;
+constexpr int kJitInfoBytes = 4;
+constexpr int kJitErrorBuffer = 5;
+constexpr int kJitErrorBytes = 6;
+
+struct PoolProperties {
+  int allocationType = 1; // pinned, which is to say: on a device
+  int handleTypes = 0;
+  int locationType = 1; // a device
+  int locationId = 0;
+  void *securityAttributes = nullptr;
+  size_t maxBytes = 0;
+  unsigned char reserved[56] = {};
+};
+static_assert(sizeof(PoolProperties) == 88, "the layout is the driver's");
+
+/// Every function that the runtime calls: its name here, the symbol, and its
+/// parameters.
+#define TAI_CUDA_FUNCTIONS(DO)                                                 \
+  DO(init, "cuInit", (unsigned))                                               \
+  DO(driverGetVersion, "cuDriverGetVersion", (int *))                          \
+  DO(getErrorName, "cuGetErrorName", (Result, const char **))                  \
+  DO(getErrorString, "cuGetErrorString", (Result, const char **))              \
+  DO(deviceGetCount, "cuDeviceGetCount", (int *))                              \
+  DO(deviceGet, "cuDeviceGet", (DeviceNumber *, int))                          \
+  DO(deviceGetName, "cuDeviceGetName", (char *, int, DeviceNumber))            \
+  DO(deviceTotalMem, "cuDeviceTotalMem_v2", (size_t *, DeviceNumber))          \
+  DO(deviceGetAttribute, "cuDeviceGetAttribute", (int *, int, DeviceNumber))   \
+  DO(primaryCtxRetain, "cuDevicePrimaryCtxRetain", (Context *, DeviceNumber))  \
+  DO(primaryCtxRelease, "cuDevicePrimaryCtxRelease_v2", (DeviceNumber))        \
+  DO(ctxGetCurrent, "cuCtxGetCurrent", (Context *))                            \
+  DO(ctxSetCurrent, "cuCtxSetCurrent", (Context))                              \
+  DO(streamCreate, "cuStreamCreate", (Stream *, unsigned))                     \
+  DO(streamDestroy, "cuStreamDestroy_v2", (Stream))                            \
+  DO(streamSynchronize, "cuStreamSynchronize", (Stream))                       \
+  DO(memAlloc, "cuMemAlloc_v2", (Address *, size_t))                           \
+  DO(memFree, "cuMemFree_v2", (Address))                                       \
+  DO(memPoolCreate, "cuMemPoolCreate", (Pool *, const PoolProperties *))       \
+  DO(memPoolDestroy, "cuMemPoolDestroy", (Pool))                               \
+  DO(memPoolSetAttribute, "cuMemPoolSetAttribute", (Pool, int, void *))        \
+  DO(memPoolTrimTo, "cuMemPoolTrimTo", (Pool, size_t))                         \
+  DO(memAllocFromPoolAsync, "cuMemAllocFromPoolAsync",                         \
+     (Address *, size_t, Pool, Stream))                                        \
+  DO(memFreeAsync, "cuMemFreeAsync", (Address, Stream))                        \
+  DO(memGetInfo, "cuMemGetInfo_v2", (size_t *, size_t *))                      \
+  DO(memAllocHost, "cuMemAllocHost_v2", (void **, size_t))                     \
+  DO(memFreeHost, "cuMemFreeHost", (void *))                                   \
+  DO(memcpyHtoDAsync, "cuMemcpyHtoDAsync_v2",                                  \
+     (Address, const void *, size_t, Stream))                                  \
+  DO(memcpyDtoHAsync, "cuMemcpyDtoHAsync_v2",                                  \
+     (void *, Address, size_t, Stream))                                        \
+  DO(memcpyDtoDAsync, "cuMemcpyDtoDAsync_v2",                                  \
+     (Address, Address, size_t, Stream))                                       \
+  DO(memsetD8Async, "cuMemsetD8Async",                                         \
+     (Address, unsigned char, size_t, Stream))                                 \
+  DO(memsetD16Async, "cuMemsetD16Async",                                       \
+     (Address, unsigned short, size_t, Stream))                                \
+  DO(memsetD32Async, "cuMemsetD32Async", (Address, unsigned, size_t, Stream))  \
+  DO(memsetD2D32Async, "cuMemsetD2D32Async_v2",                                \
+     (Address, size_t, unsigned, size_t, size_t, Stream))                      \
+  DO(pointerGetAttribute, "cuPointerGetAttribute", (void *, int, Address))     \
+  DO(moduleLoadDataEx, "cuModuleLoadDataEx",                                   \
+     (Module *, const void *, unsigned, int *, void **))                       \
+  DO(moduleUnload, "cuModuleUnload", (Module))                                 \
+  DO(moduleGetFunction, "cuModuleGetFunction",                                 \
+     (Function *, Module, const char *))                                       \
+  DO(funcGetAttribute, "cuFuncGetAttribute", (int *, int, Function))           \
+  DO(maxActiveBlocks, "cuOccupancyMaxActiveBlocksPerMultiprocessor",           \
+     (int *, Function, int, size_t))                                           \
+  DO(launchKernel, "cuLaunchKernel",                                           \
+     (Function, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned,    \
+      unsigned, Stream, void **, void **))                                     \
+  DO(launchCooperativeKernel, "cuLaunchCooperativeKernel",                     \
+     (Function, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned,    \
+      unsigned, Stream, void **))
+
+struct Driver {
+#define TAI_CUDA_MEMBER(name, symbol, parameters)                              \
+  Result(*name) parameters = nullptr;
+  TAI_CUDA_FUNCTIONS(TAI_CUDA_MEMBER)
+#undef TAI_CUDA_MEMBER
+
+  /// "CUDA_ERROR_NO_DEVICE: no CUDA-capable device is detected".
+  std::string describe(Result result) const;
+
+  /// Loads the library, once for the process, and makes sure that it is new
+  /// enough.
+  static Status get(const Driver *&driver);
+};
+
+} // namespace mlir::tai::runtime::cuda
+
+#endif // TAI_LIB_RUNTIME_CUDA_DRIVER_H

@@ -1,0 +1,140 @@
+//===- DeviceContext.h - What a runtime keeps on its device -----*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The device of a runtime, the account of its memory, the state that device
+// code uses for failures and output, and the code of each kernel there.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_DEVICECONTEXT_H
+#define TAI_LIB_RUNTIME_DEVICECONTEXT_H
+
+#include "tai/Runtime/Device.h"
+#include <atomic>
+#include <map>
+#include <mutex>
+
+namespace mlir::tai::runtime {
+
+class Mirror;
+class Runtime;
+
+class DeviceContext {
+public:
+  /// `limit` as Options::memoryLimit, for the memory of the device.
+  DeviceContext(Runtime &runtime, std::unique_ptr<Device> device,
+                int64_t limit);
+  ~DeviceContext();
+  DeviceContext(const DeviceContext &) = delete;
+  DeviceContext &operator=(const DeviceContext &) = delete;
+
+  Device &get() const { return *device; }
+
+  /// Memory for a tree, or for another purpose; where there is none, the
+  /// failure says who has it. Any thread.
+  Status allocate(int64_t bytes, const std::string &owner, DevicePtr &memory);
+  void free(DevicePtr memory);
+
+  /// The state that device code uses, made at the first call.
+  Status state(DevicePtr &memory);
+  /// Device code may have left something there.
+  void noteStateUsed() { stateUsed.store(true, std::memory_order_relaxed); }
+  /// To be called when the device has been waited for: prints what device code
+  /// has printed, and fails where it has failed.
+  Status report();
+
+  /// Keeps the first failure of a call that could not say so itself.
+  void note(Status status);
+  Status take() {
+    return __builtin_expect(noted.load(std::memory_order_relaxed), false)
+               ? takeNoted()
+               : Status::success();
+  }
+
+private:
+  Status takeNoted();
+
+  Runtime &runtime;
+  std::unique_ptr<Device> device;
+  int64_t limit;
+  std::mutex mutex;
+  struct Holding {
+    std::string owner;
+    int64_t bytes;
+  };
+  std::map<DevicePtr, Holding> holdings;
+  int64_t held = 0;
+  DevicePtr stateMemory = 0;
+  std::atomic<bool> stateUsed{false};
+  std::atomic<bool> noted{false};
+  Status failure;
+};
+
+/// The device code of a kernel, once it has been loaded, and the trees that it
+/// uses.
+struct DeviceCode {
+  explicit DeviceCode(std::shared_ptr<DeviceContext> context)
+      : context(std::move(context)) {}
+
+  struct Function {
+    DeviceFunction *function;
+    unsigned threads;
+    /// That many blocks of so many threads run at a time.
+    unsigned mostBlocks;
+  };
+
+  std::shared_ptr<DeviceContext> context;
+  std::shared_ptr<const DeviceImage> image;
+  std::unique_ptr<DeviceModule> module;
+  std::vector<Function> functions;
+  /// In the order of the trees of the kernel; some of them are changed by it.
+  std::vector<Mirror *> mirrors, changed;
+  std::vector<void *> bases;
+  /// State of the storage for which these hold.
+  uint64_t epoch = 0;
+};
+
+/// What a launch has on the device, kept for the launches after it.
+struct DeviceLaunch {
+  explicit DeviceLaunch(std::shared_ptr<DeviceContext> deviceContext)
+      : context(std::move(deviceContext)),
+        multiprocessors(context->get().limits().multiprocessors) {}
+  ~DeviceLaunch();
+
+  /// Zeroed memory. It is handed out from a block that is zeroed anew when it
+  /// has been used up, which is in order with the launches that used it.
+  Status scratch(int64_t bytes, DevicePtr &memory);
+  /// Device memory that holds what the caller's does.
+  Status array(void *host, int64_t bytes, bool written, DevicePtr &memory);
+  /// Brings arrays back, and lets go of what the launch alone has used.
+  Status finish();
+
+  std::shared_ptr<DeviceContext> context;
+  unsigned multiprocessors;
+  const DeviceCode *code = nullptr;
+  bool usesState = false;
+  /// The device was waited for after the last work was queued.
+  bool waited = false;
+
+private:
+  struct Array {
+    void *host;
+    DevicePtr memory;
+    int64_t bytes;
+    bool written;
+  };
+  std::vector<Array> arrays;
+  DevicePtr block = 0;
+  int64_t blockBytes = 0, used = 0;
+  /// Where this launch has begun in the block.
+  int64_t start = 0;
+  std::vector<DevicePtr> outgrown;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_DEVICECONTEXT_H

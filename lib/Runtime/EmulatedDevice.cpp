@@ -1,0 +1,238 @@
+//===- EmulatedDevice.cpp - Device code on the CPU ------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Runs the device functions of kernels where there is no GPU, for tests. Its
+// memory is not that of the host's side, so that what was not copied is not
+// there, and holds garbage until it is written. Blocks have one thread, which
+// makes barriers and shuffles right by themselves, and run one after another in
+// an order that changes from launch to launch.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Launch.h"
+#include "tai/Runtime/Device.h"
+#include <algorithm>
+#include <cstring>
+#include <map>
+#include <mutex>
+#include <numeric>
+#include <sys/mman.h>
+#include <unistd.h>
+
+using namespace mlir::tai::runtime;
+
+namespace {
+struct Place {
+  int32_t block = 0;
+  int32_t blocks = 1;
+};
+} // namespace
+
+static thread_local Place place;
+
+extern "C" int32_t tai_emu_thread_id(void) { return 0; }
+extern "C" int32_t tai_emu_block_id(void) { return place.block; }
+extern "C" int32_t tai_emu_block_dim(void) { return 1; }
+extern "C" int32_t tai_emu_grid_dim(void) { return place.blocks; }
+
+namespace {
+using ThreadFunction = void (*)(const uint64_t *slots);
+
+struct EmulatedFunction : DeviceFunction {
+  ThreadFunction run = nullptr;
+};
+
+struct EmulatedModule : DeviceModule {
+  std::shared_ptr<void> library;
+  std::map<std::string, EmulatedFunction> functions;
+};
+
+class EmulatedDevice final : public Device {
+public:
+  explicit EmulatedDevice(ObjectLinker linker) : linker(std::move(linker)) {}
+  ~EmulatedDevice() override {
+    for (const auto &[memory, bytes] : allocations)
+      munmap(reinterpret_cast<void *>(memory), mappedBytes(bytes));
+  }
+
+  DeviceKind kind() const override { return DeviceKind::Emulated; }
+  std::string name() const override { return "emulated"; }
+  DeviceLimits limits() const override { return {4, 1, memoryBytes}; }
+  std::string target() const override { return "cpu"; }
+
+  Status allocate(int64_t bytes, DevicePtr &memory) override {
+    std::lock_guard<std::mutex> lock(mutex);
+    memory = 0;
+    void *mapped =
+        bytes > memoryBytes - allocated
+            ? MAP_FAILED
+            : mmap(nullptr, mappedBytes(bytes), PROT_READ | PROT_WRITE,
+                   MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+    if (mapped == MAP_FAILED)
+      return Status::failure(StatusCode::Memory, "the device has no " +
+                                                     formatBytes(bytes) +
+                                                     " left");
+    memory = reinterpret_cast<DevicePtr>(mapped);
+    // Nothing may count on zeros. Of large memory, the start has to do.
+    std::memset(mapped, 0xa5,
+                static_cast<size_t>(std::min<int64_t>(bytes, 16 << 20)));
+    allocations.emplace(memory, bytes);
+    allocated += bytes;
+    return Status::success();
+  }
+
+  void free(DevicePtr memory) override {
+    std::lock_guard<std::mutex> lock(mutex);
+    auto found = allocations.find(memory);
+    if (found == allocations.end())
+      return;
+    munmap(reinterpret_cast<void *>(memory), mappedBytes(found->second));
+    allocated -= found->second;
+    allocations.erase(found);
+  }
+
+  int64_t allocatedBytes() const override {
+    std::lock_guard<std::mutex> lock(mutex);
+    return allocated;
+  }
+  int64_t freeBytes() const override { return memoryBytes - allocatedBytes(); }
+
+  Status copyIn(DevicePtr to, const void *from, int64_t bytes) override {
+    Status status = check(to, bytes);
+    if (status && bytes > 0)
+      std::memcpy(reinterpret_cast<void *>(to), from,
+                  static_cast<size_t>(bytes));
+    return status;
+  }
+  Status copyOut(void *to, DevicePtr from, int64_t bytes) override {
+    Status status = check(from, bytes);
+    if (status && bytes > 0)
+      std::memcpy(to, reinterpret_cast<const void *>(from),
+                  static_cast<size_t>(bytes));
+    return status;
+  }
+  Status copy(DevicePtr to, DevicePtr from, int64_t bytes) override {
+    Status status = check(to, bytes);
+    if (status)
+      status = check(from, bytes);
+    if (status)
+      std::memmove(reinterpret_cast<void *>(to),
+                   reinterpret_cast<const void *>(from),
+                   static_cast<size_t>(bytes));
+    return status;
+  }
+
+  Status fill(DevicePtr to, const void *pattern, int patternBytes,
+              int64_t count) override {
+    Status status = check(to, patternBytes * count);
+    if (status && to % static_cast<unsigned>(patternBytes) != 0)
+      status = Status::failure(StatusCode::Internal,
+                               "a fill of device memory is not aligned");
+    auto *at = reinterpret_cast<char *>(to);
+    if (status)
+      for (int64_t i = 0; i < count; ++i, at += patternBytes)
+        std::memcpy(at, pattern, static_cast<size_t>(patternBytes));
+    return status;
+  }
+
+  bool isDeviceMemory(const void *address) const override {
+    return check(reinterpret_cast<DevicePtr>(address), 1).ok();
+  }
+
+  Status load(const DeviceImage &image,
+              std::unique_ptr<DeviceModule> &module) override {
+    auto loaded = std::make_unique<EmulatedModule>();
+    std::vector<std::string> names;
+    for (const std::string &function : image.functions)
+      names.push_back(function + ".slots");
+    if (!linker || image.kind != DeviceKind::Emulated)
+      return Status::failure(StatusCode::Internal,
+                             "the emulated device cannot load this code");
+    std::vector<void *> addresses;
+    Status status = linker(image.bytes, names, addresses, loaded->library);
+    if (!status)
+      return status;
+    for (size_t i = 0; i < names.size(); ++i)
+      if (addresses[i])
+        loaded->functions[image.functions[i]].run =
+            reinterpret_cast<ThreadFunction>(addresses[i]);
+    module = std::move(loaded);
+    return status;
+  }
+
+  Status find(DeviceModule &module, const std::string &name,
+              DeviceFunction *&function) override {
+    auto &functions = static_cast<EmulatedModule &>(module).functions;
+    auto found = functions.find(name);
+    if (found == functions.end())
+      return Status::failure(StatusCode::Internal,
+                             "device code holds no function '" + name + "'");
+    function = &found->second;
+    return Status::success();
+  }
+
+  unsigned mostThreads(const DeviceFunction &) const override { return 1; }
+  unsigned residentBlocks(const DeviceFunction &, unsigned) const override {
+    return limits().multiprocessors;
+  }
+
+  Status launch(DeviceFunction &function, const LaunchShape &shape,
+                const uint64_t *slots, int) override {
+    // One block has all its grid at barriers over the grid.
+    unsigned blocks = shape.cooperative ? 1 : shape.blocks;
+    ThreadFunction run = static_cast<EmulatedFunction &>(function).run;
+    uint64_t order = launches.fetch_add(1, std::memory_order_relaxed);
+    // Steps that share no divisor with the number of blocks reach each once.
+    uint64_t step = 1 + order % blocks;
+    while (std::gcd(step, uint64_t(blocks)) != 1)
+      ++step;
+    Place before = place;
+    place.blocks = static_cast<int32_t>(blocks);
+    for (unsigned i = 0; i < blocks; ++i) {
+      place.block = static_cast<int32_t>((order + i * step) % blocks);
+      run(slots);
+    }
+    place = before;
+    return Status::success();
+  }
+
+  Status synchronize() override { return Status::success(); }
+
+private:
+  static size_t mappedBytes(int64_t bytes) {
+    auto page = static_cast<int64_t>(sysconf(_SC_PAGESIZE));
+    return static_cast<size_t>((bytes / page + 1) * page);
+  }
+
+  /// A GPU would fault on memory of the host; here it must be looked for.
+  Status check(DevicePtr memory, int64_t bytes) const {
+    std::lock_guard<std::mutex> lock(mutex);
+    auto after = allocations.upper_bound(memory);
+    if (after != allocations.begin()) {
+      auto found = std::prev(after);
+      if (memory - found->first + static_cast<uint64_t>(bytes) <=
+          static_cast<uint64_t>(found->second))
+        return Status::success();
+    }
+    return Status::failure(StatusCode::Internal,
+                           "a copy of " + formatBytes(bytes) +
+                               " leaves the memory of the device");
+  }
+
+  static constexpr int64_t memoryBytes = int64_t(1) << 40;
+  ObjectLinker linker;
+  mutable std::mutex mutex;
+  std::map<DevicePtr, int64_t> allocations;
+  int64_t allocated = 0;
+  std::atomic<uint64_t> launches{0};
+};
+} // namespace
+
+std::unique_ptr<Device>
+mlir::tai::runtime::openEmulatedDevice(ObjectLinker linker) {
+  return std::make_unique<EmulatedDevice>(std::move(linker));
+}

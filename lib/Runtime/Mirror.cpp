@@ -1,0 +1,153 @@
+//===- Mirror.cpp - The memory of a tree on a device ----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// What moves between host and device, and what is done on the device instead.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Mirror.h"
+#include "tai/Runtime/Runtime.h"
+#include <algorithm>
+#include <cstring>
+
+using namespace mlir::tai::runtime;
+
+Mirror::~Mirror() {
+  if (memory)
+    deviceContext->free(memory);
+}
+
+Status Mirror::allocate(DevicePtr &address) {
+  std::lock_guard<std::mutex> lock(mutex);
+  Status status;
+  if (!memory)
+    status = deviceContext->allocate(std::max<int64_t>(tree.bytes(), 1),
+                                     "tree '" + tree.name() + "'", memory);
+  address = memory;
+  return status;
+}
+
+Status Mirror::upload() {
+  DevicePtr address = 0;
+  Status status = allocate(address);
+  if (!status)
+    return status;
+  std::lock_guard<std::mutex> lock(mutex);
+  if (onDevice())
+    return status;
+  const char zero = 0;
+  status = pristine ? device().fill(memory, &zero, 1, tree.bytes())
+                    : device().copyIn(memory, tree.base(), tree.bytes());
+  if (status)
+    deviceCurrent.store(true, std::memory_order_release);
+  return status;
+}
+
+Status Mirror::download() {
+  std::lock_guard<std::mutex> lock(mutex);
+  if (onHost())
+    return Status::success();
+  Status status = device().copyOut(tree.base(), memory, tree.bytes());
+  if (!status)
+    return status;
+  hostCurrent.store(true, std::memory_order_release);
+  return context().report();
+}
+
+/// As many accesses to single elements cost about as much as one of the whole
+/// tree, which comes after them: what others have paid is then at most doubled.
+static int64_t accessesWorth(int64_t bytes) { return bytes >> 17; }
+
+Status Mirror::read(int64_t offset, void *to, int64_t bytes) {
+  Status status;
+  if (!onHost() && reads++ < accessesWorth(tree.bytes())) {
+    status = device().copyOut(to, at(offset), bytes);
+    return status ? context().report() : std::move(status);
+  }
+  status = toHost();
+  if (status)
+    std::memcpy(to, tree.base() + offset, static_cast<size_t>(bytes));
+  return status;
+}
+
+Status Mirror::write(int64_t offset, const void *from, int64_t bytes) {
+  // A write on the device is not waited for.
+  constexpr int64_t few = 8;
+  if (onDevice() && writes++ < few + accessesWorth(tree.bytes())) {
+    pristine = false;
+    // Where both are current, both stay so.
+    if (onHost())
+      std::memcpy(tree.base() + offset, from, static_cast<size_t>(bytes));
+    return device().fill(at(offset), from, static_cast<int>(bytes), 1);
+  }
+  Status status = toHost();
+  if (!status)
+    return status;
+  hostWrites();
+  std::memcpy(tree.base() + offset, from, static_cast<size_t>(bytes));
+  return status;
+}
+
+//===----------------------------------------------------------------------===//
+// Trees and fields
+//===----------------------------------------------------------------------===//
+
+void Tree::bringToHost() const { mirrored->context().note(mirrored->toHost()); }
+
+void Tree::bringToHostToChange() const {
+  Status status = mirrored->toHost();
+  // What could not be read is not to be overwritten with something older.
+  if (status)
+    mirrored->hostWrites();
+  mirrored->context().note(std::move(status));
+}
+
+Status Field::loadMirrored(int64_t offset, void *to) const {
+  return owner->mirror()->read(offset, to, byteSize(fieldLayout.scalar));
+}
+
+Status Field::storeMirrored(int64_t offset, const void *from) const {
+  return owner->mirror()->write(offset, from, byteSize(fieldLayout.scalar));
+}
+
+//===----------------------------------------------------------------------===//
+// Whole fields
+//===----------------------------------------------------------------------===//
+
+bool Runtime::copyFromDevice(const Field &field, void *array) {
+  Mirror &mirror = *field.tree().mirror();
+  if (mirror.onHost() || !field.contiguous())
+    return false;
+  Status status = mirror.device().copyOut(
+      array, mirror.at(field.layout().placeOffset), field.hostBytes());
+  if (status)
+    status = mirror.context().report();
+  mirror.context().note(std::move(status));
+  return true;
+}
+
+bool Runtime::copyToDevice(Field &field, const void *array) {
+  Mirror &mirror = *field.tree().mirror();
+  if (!mirror.onDevice() || !field.contiguous())
+    return false;
+  mirror.deviceWrites();
+  mirror.context().note(mirror.device().copyIn(
+      mirror.at(field.layout().placeOffset), array, field.hostBytes()));
+  return true;
+}
+
+bool Runtime::fillOnDevice(Field &field, const void *scalarBytes) {
+  Mirror &mirror = *field.tree().mirror();
+  if (!mirror.onDevice() || !field.contiguous())
+    return false;
+  mirror.deviceWrites();
+  auto size = static_cast<int>(byteSize(field.scalar()));
+  mirror.context().note(
+      mirror.device().fill(mirror.at(field.layout().placeOffset), scalarBytes,
+                           size, field.numElements() * field.numComponents()));
+  return true;
+}

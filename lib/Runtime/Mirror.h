@@ -1,0 +1,80 @@
+//===- Mirror.h - The memory of a tree on a device --------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A tree has its memory on the host and, from its first use there, on the
+// device. At least one of them is current. Launches bring a tree to the device
+// and change it there; host access brings it back, or reaches for the elements
+// that it wants.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_MIRROR_H
+#define TAI_LIB_RUNTIME_MIRROR_H
+
+#include "DeviceContext.h"
+#include "tai/Runtime/Field.h"
+
+namespace mlir::tai::runtime {
+
+class Mirror {
+public:
+  Mirror(std::shared_ptr<DeviceContext> context, Tree &tree)
+      : deviceContext(std::move(context)), tree(tree) {}
+  ~Mirror();
+
+  DeviceContext &context() const { return *deviceContext; }
+  Device &device() const { return deviceContext->get(); }
+  bool onHost() const { return hostCurrent.load(std::memory_order_acquire); }
+  bool onDevice() const {
+    return deviceCurrent.load(std::memory_order_acquire);
+  }
+
+  /// Makes the memory of the host current.
+  Status toHost() { return onHost() ? Status::success() : download(); }
+  /// The host is about to change it, all of it being current there.
+  void hostWrites() {
+    deviceCurrent.store(false, std::memory_order_relaxed);
+    pristine = false;
+  }
+  /// The memory on the device, which need not be current.
+  Status allocate(DevicePtr &address);
+  /// Makes the memory of the device current.
+  Status toDevice() { return onDevice() ? Status::success() : upload(); }
+  /// Work that changes it has been queued.
+  void deviceWrites() {
+    hostCurrent.store(false, std::memory_order_relaxed);
+    reads = writes = 0;
+    pristine = false;
+  }
+
+  /// A few bytes, from or to wherever they can be had at the least cost.
+  Status read(int64_t offset, void *to, int64_t bytes);
+  Status write(int64_t offset, const void *from, int64_t bytes);
+
+  /// A place in the memory of the device, which must be there.
+  DevicePtr at(int64_t offset) const {
+    return memory + static_cast<DevicePtr>(offset);
+  }
+
+private:
+  Status download();
+  Status upload();
+
+  std::shared_ptr<DeviceContext> deviceContext;
+  Tree &tree;
+  std::mutex mutex;
+  std::atomic<bool> hostCurrent{true}, deviceCurrent{false};
+  /// Nobody has written to it: it holds zeros.
+  std::atomic<bool> pristine{true};
+  DevicePtr memory = 0;
+  /// Elements read and written one by one since the last launch.
+  int64_t reads = 0, writes = 0;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_MIRROR_H

@@ -1,0 +1,313 @@
+//===- FakeCuda.c - A CUDA driver without a GPU, for tests ----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The functions of libcuda.so.1 that the runtime calls, over memory of the
+// host. The environment variable TAI_FAKE_CUDA says what is wrong, as a list of
+// words: no-device, zero-devices, old, busy, small (a megabyte of memory),
+// no-pools, bad-ptx, fault (launches fail when they are waited for). A module
+// has the functions "scale" (double *x, int64_t n, double factor) and "where"
+// (int32_t *blocks_and_threads), whatever its text is.
+//
+//===----------------------------------------------------------------------===//
+
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+typedef int Result;
+typedef unsigned long long Address;
+
+static int has(const char *word) {
+  const char *given = getenv("TAI_FAKE_CUDA");
+  return given && strstr(given, word) != NULL;
+}
+
+static void *current;
+static int context, stream, module, faulted;
+
+Result cuInit(unsigned flags) {
+  (void)flags;
+  return has("no-device") ? 100 : 0;
+}
+Result cuDriverGetVersion(int *version) {
+  *version = has("old") ? 11040 : 12080;
+  return 0;
+}
+Result cuGetErrorName(Result result, const char **text) {
+  *text = result == 2     ? "CUDA_ERROR_OUT_OF_MEMORY"
+          : result == 46  ? "CUDA_ERROR_DEVICE_UNAVAILABLE"
+          : result == 218 ? "CUDA_ERROR_INVALID_PTX"
+          : result == 700 ? "CUDA_ERROR_ILLEGAL_ADDRESS"
+                          : "CUDA_ERROR_UNKNOWN";
+  return 0;
+}
+Result cuGetErrorString(Result result, const char **text) {
+  *text = result == 2     ? "out of memory"
+          : result == 46  ? "device busy or unavailable"
+          : result == 218 ? "invalid PTX"
+          : result == 700 ? "an illegal memory access was encountered"
+                          : "unknown error";
+  return 0;
+}
+Result cuDeviceGetCount(int *count) {
+  *count = has("zero-devices") ? 0 : 2;
+  return 0;
+}
+Result cuDeviceGet(int *device, int ordinal) {
+  *device = ordinal;
+  return 0;
+}
+Result cuDeviceGetName(char *name, int bytes, int device) {
+  snprintf(name, (size_t)bytes, "Fake GPU %d", device);
+  return 0;
+}
+
+/// Bytes of the device, and those that are taken.
+static size_t taken;
+static size_t total(void) {
+  return has("small") ? (size_t)1 << 20 : (size_t)1 << 34;
+}
+Result cuDeviceTotalMem_v2(size_t *bytes, int device) {
+  (void)device;
+  *bytes = total();
+  return 0;
+}
+Result cuMemGetInfo_v2(size_t *left, size_t *all) {
+  *all = total();
+  *left = *all - taken;
+  return 0;
+}
+Result cuDeviceGetAttribute(int *value, int attribute, int device) {
+  (void)device;
+  switch (attribute) {
+  case 1: // threads of a block
+    *value = 1024;
+    return 0;
+  case 16: // multiprocessors
+    *value = 10;
+    return 0;
+  case 75:
+    *value = has("ancient") ? 5 : 9;
+    return 0;
+  case 76:
+    *value = 0;
+    return 0;
+  case 115:
+    *value = !has("no-pools");
+    return 0;
+  }
+  return 1;
+}
+Result cuDevicePrimaryCtxRetain(void **result, int device) {
+  (void)device;
+  if (has("busy"))
+    return 46;
+  *result = &context;
+  return 0;
+}
+Result cuDevicePrimaryCtxRelease_v2(int device) {
+  (void)device;
+  faulted = 0;
+  return 0;
+}
+Result cuCtxGetCurrent(void **result) {
+  *result = current;
+  return 0;
+}
+Result cuCtxSetCurrent(void *given) {
+  current = given;
+  return 0;
+}
+Result cuStreamCreate(void **result, unsigned flags) {
+  (void)flags;
+  *result = &stream;
+  return 0;
+}
+Result cuStreamDestroy_v2(void *given) {
+  (void)given;
+  return 0;
+}
+Result cuStreamSynchronize(void *given) {
+  (void)given;
+  return faulted ? 700 : 0;
+}
+
+/// The size stands in front of the memory.
+static Result allocate(Address *result, size_t bytes) {
+  if (taken + bytes > total())
+    return 2;
+  char *memory = malloc(bytes + 64);
+  if (!memory)
+    return 2;
+  memcpy(memory, &bytes, sizeof(bytes));
+  memset(memory + 64, 0xa5, bytes);
+  taken += bytes;
+  *result = (Address)(uintptr_t)(memory + 64);
+  return 0;
+}
+static Result release(Address address) {
+  char *memory = (char *)(uintptr_t)address - 64;
+  size_t bytes;
+  memcpy(&bytes, memory, sizeof(bytes));
+  taken -= bytes;
+  free(memory);
+  return 0;
+}
+Result cuMemAlloc_v2(Address *result, size_t bytes) {
+  return allocate(result, bytes);
+}
+Result cuMemFree_v2(Address address) { return release(address); }
+Result cuMemPoolCreate(void **pool, const void *properties) {
+  (void)properties;
+  *pool = &taken;
+  return 0;
+}
+Result cuMemPoolDestroy(void *pool) {
+  (void)pool;
+  return 0;
+}
+Result cuMemPoolSetAttribute(void *pool, int attribute, void *value) {
+  (void)pool, (void)attribute, (void)value;
+  return 0;
+}
+Result cuMemPoolTrimTo(void *pool, size_t bytes) {
+  (void)pool, (void)bytes;
+  return 0;
+}
+Result cuMemAllocFromPoolAsync(Address *result, size_t bytes, void *pool,
+                               void *on) {
+  (void)on;
+  // A device without pools has none to allocate from.
+  return pool && !has("no-pools") ? allocate(result, bytes) : 801;
+}
+Result cuMemFreeAsync(Address address, void *on) {
+  (void)on;
+  return has("no-pools") ? 801 : release(address);
+}
+Result cuMemAllocHost_v2(void **result, size_t bytes) {
+  *result = malloc(bytes);
+  return *result ? 0 : 2;
+}
+Result cuMemFreeHost(void *memory) {
+  free(memory);
+  return 0;
+}
+
+Result cuMemcpyHtoDAsync_v2(Address to, const void *from, size_t bytes,
+                            void *on) {
+  (void)on;
+  memcpy((void *)(uintptr_t)to, from, bytes);
+  return 0;
+}
+Result cuMemcpyDtoHAsync_v2(void *to, Address from, size_t bytes, void *on) {
+  (void)on;
+  memcpy(to, (const void *)(uintptr_t)from, bytes);
+  return 0;
+}
+Result cuMemcpyDtoDAsync_v2(Address to, Address from, size_t bytes, void *on) {
+  (void)on;
+  memmove((void *)(uintptr_t)to, (const void *)(uintptr_t)from, bytes);
+  return 0;
+}
+Result cuMemsetD8Async(Address to, unsigned char value, size_t count,
+                       void *on) {
+  (void)on;
+  memset((void *)(uintptr_t)to, value, count);
+  return 0;
+}
+Result cuMemsetD16Async(Address to, unsigned short value, size_t count,
+                        void *on) {
+  (void)on;
+  for (size_t i = 0; i < count; ++i)
+    ((unsigned short *)(uintptr_t)to)[i] = value;
+  return 0;
+}
+Result cuMemsetD32Async(Address to, unsigned value, size_t count, void *on) {
+  (void)on;
+  for (size_t i = 0; i < count; ++i)
+    ((unsigned *)(uintptr_t)to)[i] = value;
+  return 0;
+}
+Result cuMemsetD2D32Async_v2(Address to, size_t pitch, unsigned value,
+                             size_t width, size_t height, void *on) {
+  (void)on;
+  for (size_t row = 0; row < height; ++row)
+    for (size_t i = 0; i < width; ++i)
+      ((unsigned *)(uintptr_t)(to + row * pitch))[i] = value;
+  return 0;
+}
+Result cuPointerGetAttribute(void *value, int attribute, Address address) {
+  (void)value, (void)attribute, (void)address;
+  return 1; // no memory that the driver knows
+}
+
+Result cuModuleLoadDataEx(void **result, const void *image, unsigned count,
+                          int *options, void **values) {
+  if (has("bad-ptx")) {
+    for (unsigned i = 0; i < count; ++i)
+      if (options[i] == 5)
+        strcpy(values[i], "ptxas fatal : line 3: unknown instruction\n");
+    return 218;
+  }
+  *result = strncmp(image, "// PTX", 6) == 0 ? &module : NULL;
+  return *result ? 0 : 218;
+}
+Result cuModuleUnload(void *given) {
+  (void)given;
+  return 0;
+}
+Result cuModuleGetFunction(void **result, void *given, const char *name) {
+  (void)given;
+  *result = strcmp(name, "scale") == 0   ? "scale"
+            : strcmp(name, "where") == 0 ? "where"
+                                         : NULL;
+  return *result ? 0 : 500;
+}
+Result cuFuncGetAttribute(int *value, int attribute, void *function) {
+  (void)attribute, (void)function;
+  *value = 512;
+  return 0;
+}
+Result cuOccupancyMaxActiveBlocksPerMultiprocessor(int *blocks, void *function,
+                                                   int threads, size_t shared) {
+  (void)function, (void)shared;
+  *blocks = 2048 / threads;
+  return 0;
+}
+
+static Result launch(const char *function, unsigned blocks, unsigned threads,
+                     void **parameters) {
+  if (has("fault"))
+    faulted = 1;
+  else if (strcmp(function, "scale") == 0) {
+    double *x = *(double **)parameters[0];
+    int64_t n = *(int64_t *)parameters[1];
+    for (int64_t i = 0; i < n; ++i)
+      x[i] *= *(double *)parameters[2];
+  } else {
+    int32_t *result = *(int32_t **)parameters[0];
+    result[0] = (int32_t)blocks;
+    result[1] = (int32_t)threads;
+  }
+  return 0;
+}
+Result cuLaunchKernel(void *function, unsigned blocks, unsigned by, unsigned bz,
+                      unsigned threads, unsigned ty, unsigned tz,
+                      unsigned shared, void *on, void **parameters,
+                      void **extra) {
+  (void)by, (void)bz, (void)ty, (void)tz, (void)shared, (void)on, (void)extra;
+  return launch(function, blocks, threads, parameters);
+}
+Result cuLaunchCooperativeKernel(void *function, unsigned blocks, unsigned by,
+                                 unsigned bz, unsigned threads, unsigned ty,
+                                 unsigned tz, unsigned shared, void *on,
+                                 void **parameters) {
+  (void)by, (void)bz, (void)ty, (void)tz, (void)shared, (void)on;
+  return launch(function, blocks, threads, parameters);
+}
