@@ -29,8 +29,9 @@ demo: build ## optimise a mass-spring triangle by gradients, and draw it
 test: build ## run lit, GoogleTest, pytest and the style checks
 	@$(PYTHON) scripts/run_tests.py --build $(BUILD) --jobs $(JOBS) $(KINDS)
 
-test-gpu: build ## run the tests that need an NVIDIA GPU
-	@$(PYTHON) scripts/run_tests.py --build $(BUILD) --jobs $(JOBS) --gpu
+# Runs where no LLVM is: from the bundle in dist/, with the Python of the machine.
+test-gpu: ## test and time the portable bundle on a GPU (ARGS="--tests -k smoke")
+	@$(or $(wildcard $(PYTHON)),python3) scripts/test_gpu.py $(ARGS)
 
 test-layouts: build ## run the tests of kernels on every layout, and compare
 	@$(PYTHON) scripts/run_tests.py --build $(BUILD) --jobs $(JOBS) --layouts

@@ -75,6 +75,11 @@ class Job:
     environment: dict[str, str] = field(default_factory=dict)
 
 
+def name_of(device: str) -> str:
+    """A device's name as part of a file's."""
+    return re.sub(r"[^a-z0-9]+", "-", device.lower().replace("nvidia ", "")).strip("-")
+
+
 def first_line(command: list[str]) -> str:
     """The first line that a program prints, or nothing."""
     try:
@@ -128,7 +133,9 @@ class Run:
     def __init__(self, options: argparse.Namespace):
         self.options = options
         self.out = options.out.resolve()
-        self.out.mkdir(parents=True, exist_ok=True)
+        self.work = (options.work or options.out).resolve()
+        for folder in (self.out, self.work):
+            folder.mkdir(parents=True, exist_ok=True)
         self.deadline = time.monotonic() + 60.0 * options.minutes
         self.machine = machine(options.arch)
         self.records: list[dict] = []
@@ -213,7 +220,7 @@ class Run:
 
 def build_floors(run: Run) -> Path | None:
     """Compiles the floors; without nvcc or on failure the report says so."""
-    folder = run.out / "floors"
+    folder = run.work / "floors"
     job = Job("floor", "all", [str(BENCHMARKS / "floor/cuda/build.sh"), str(folder)], 120)
     if not shutil.which("nvcc"):
         run.add([run.trouble(job, "missing", "there is no nvcc")])
@@ -245,7 +252,7 @@ def floor_jobs(run: Run, folder: Path) -> list[Job]:
 def own_jobs(run: Run) -> list[Job]:
     """tai's scenes, with an empty cache and then with a full one, and its other programs."""
     options, jobs = run.options, []
-    caches = run.out / "cache"
+    caches = run.work / "cache"
     shutil.rmtree(caches, ignore_errors=True)
     sizes = ["--small"] if options.small else []
     for group in options.only:
@@ -273,7 +280,7 @@ def peer_jobs(run: Run) -> list[Job]:
                 continue
             command = [options.peers_python, str(BENCHMARKS / f"peers/peer_{peer}.py")]
             command += ["--scene", scene, "--arch", options.arch, "--runs", "10"]
-            command += ["--budget", "3", "--cache", str(run.out / "cache" / peer / scene)]
+            command += ["--budget", "3", "--cache", str(run.work / "cache" / peer / scene)]
             if options.small:
                 command.append("--small")
             # jax would take three quarters of the memory for itself.
@@ -313,6 +320,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--minutes", type=float, default=6.0, help="for all of it")
     parser.add_argument("--name", default=None, help="of the machine, in the files' names")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "bench" / "gpu")
+    parser.add_argument("--work", type=Path, help="folder of what it builds; default: --out")
     parser.add_argument("--peers-python", default=sys.executable)
     options = parser.parse_args()
     options.only = listed(options.only, GROUPS, "group")
@@ -320,8 +328,7 @@ def parse_arguments() -> argparse.Namespace:
     options.runs, options.floor_runs = (10, 20) if options.quick else (20, 50)
     options.budget = 1.5 if options.quick else 4.0
     if options.name is None:
-        device = machine(options.arch)["device"].lower().replace("nvidia ", "")
-        options.name = re.sub(r"[^a-z0-9]+", "-", device).strip("-")
+        options.name = name_of(machine(options.arch)["device"])
     return options
 
 

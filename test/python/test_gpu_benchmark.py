@@ -1,23 +1,33 @@
 """The benchmark for a GPU, tried out without one; and what its report does not let pass."""
 
 import csv
+import os
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "benchmarks" / "gpu"))
+sys.path[:0] = [str(ROOT / "benchmarks" / "gpu"), str(ROOT / "scripts")]
 
 import gpu_report as report  # noqa: E402
 
 import run as benchmark  # noqa: E402
+import test_gpu as script  # noqa: E402
+
+# Where the tests themselves run does not matter here.
+ENVIRONMENT = {k: v for k, v in os.environ.items() if k not in ("TI_ARCH", "TAI_CUDA_EMULATION")}
+
+
+def measure(options: list) -> subprocess.CompletedProcess:
+    command = [sys.executable, ROOT / "benchmarks/gpu/run.py", "--arch", "cpu", "--small"]
+    command += ["--peers", "", "--no-floors", "--name", "try", *options]
+    return subprocess.run(command, capture_output=True, text=True, env=ENVIRONMENT)
 
 
 def test_all_programs_run(tmp_path):
-    command = [sys.executable, ROOT / "benchmarks/gpu/run.py", "--arch", "cpu", "--small"]
-    command += ["--quick", "--peers", "", "--no-floors", "--name", "try", "--out", tmp_path]
     only = ["diffmpm", "diffmpm_large", "launch", "chain", "bandwidth", "sparse"]
-    done = subprocess.run([*command, "--only", ",".join(only)], capture_output=True, text=True)
+    done = measure(["--quick", "--out", tmp_path, "--only", ",".join(only)])
     assert done.returncode == 0, done.stdout + done.stderr
     with (tmp_path / "gpu-try.csv").open() as stream:
         records = list(csv.DictReader(stream))
@@ -31,12 +41,8 @@ def test_all_programs_run(tmp_path):
 
 
 def test_a_program_that_fails_does_not_stop_the_others(tmp_path):
-    command = [sys.executable, ROOT / "benchmarks/gpu/run.py", "--arch", "cpu", "--small"]
-    command += ["--peers", "", "--no-floors", "--name", "try", "--out", tmp_path]
     # No time is left for anything.
-    done = subprocess.run(
-        [*command, "--only", "smoke,launch", "--minutes", "0.01"], capture_output=True, text=True
-    )
+    done = measure(["--out", tmp_path, "--only", "smoke,launch", "--minutes", "0.01"])
     assert done.returncode == 1
     text = (tmp_path / "gpu-try.md").read_text()
     assert "smoke, tai: not run: the time was up" in text
@@ -76,3 +82,31 @@ def test_a_floor_that_computes_something_else_is_named():
     assert not report.disagreements([ours, scene("floor", 1.0, variant="graph")])
     other = {**scene("floor", 1.0, variant="graph"), "loss": 0.4}
     assert len(report.disagreements([ours, other])) == 1
+
+
+XML = """<testsuites><testsuite><testcase classname="a" name="good"/>
+<testcase classname="a" name="bad"><failure message="&#10;assert 1 == 2&#10;more"/></testcase>
+<testcase classname="a" name="worse"><error message="no device"/></testcase>
+<testcase classname="a" name="left"><skipped message="not yet"/></testcase>
+</testsuite></testsuites>"""
+
+# What pytest prints with one process and with many, before it is stopped.
+OUTPUT = """test/python/test_a.py::test_good PASSED [ 1%]
+[gw1] [  2%] FAILED test/python/test_a.py::test_bad[x-1]
+[gw0] [  2%] PASSED test/python/test_b.py::test_other
+[gw0] [  3%] SKIPPED test/python/test_b.py::test_left
+"""
+
+
+def test_outcomes_of_tests_are_counted(tmp_path):
+    junit = tmp_path / "tests.xml"
+    junit.write_text(XML)
+    counts, failures = script.cases(junit, "")
+    assert counts == Counter(passed=1, failed=2, skipped=1)
+    assert failures == ["`a::bad`: assert 1 == 2", "`a::worse`: no device"]
+
+
+def test_outcomes_are_counted_of_a_runner_that_was_stopped(tmp_path):
+    counts, failures = script.cases(tmp_path / "none.xml", OUTPUT)
+    assert counts == Counter(passed=2, failed=1, skipped=1)
+    assert failures == ["`test/python/test_a.py::test_bad[x-1]`"]
