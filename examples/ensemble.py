@@ -1,0 +1,197 @@
+"""Can one controller balance any pole, on as many GPUs as there are?
+
+An ensemble of carts with poles, each of another length, mass and start. A small network pushes
+the carts; all share it. Every process simulates its part of the ensemble and differentiates it
+with tai; to PyTorch the part is a `torch.autograd.Function`, and `torch.distributed` adds up the
+gradients, by NCCL between GPUs and by gloo on CPUs.
+
+    python examples/ensemble.py
+    torchrun --standalone --nproc-per-node 4 examples/ensemble.py --arch cuda
+
+At the end it prints how much more the processes get done together than one of them alone with
+the same number of scenes.
+"""
+
+import argparse
+import os
+import statistics
+import time
+
+parser = argparse.ArgumentParser(
+    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+)
+parser.add_argument("--arch", default="cpu", choices=["cpu", "cuda"])
+parser.add_argument("--scenes", type=int, default=4096, help="scenes per process (4096)")
+parser.add_argument("--steps", type=int, default=100, help="time steps of 0.02 s (100)")
+parser.add_argument("--iterations", type=int, default=60, help="steps of Adam (60)")
+parser.add_argument("--rate", type=float, default=0.03, help="learning rate (0.03)")
+args = parser.parse_args()
+
+RANK, WORLD = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
+if args.arch == "cuda":
+    # One process, one GPU: the others are not there for it. Before anything opens CUDA.
+    devices = os.environ.get("CUDA_VISIBLE_DEVICES", "")
+    local = int(os.environ.get("LOCAL_RANK", 0))
+    os.environ["CUDA_VISIBLE_DEVICES"] = devices.split(",")[local] if devices else str(local)
+
+import numpy as np  # noqa: E402
+import tai as ti  # noqa: E402
+import torch  # noqa: E402
+import torch.distributed as dist  # noqa: E402
+
+ti.init(arch=getattr(ti, args.arch))
+
+SCENES, STEPS, HIDDEN = args.scenes, args.steps, 16
+DT, GRAVITY, CART, PUSH = 0.02, 9.8, 1.0, 10.0
+# w1 (HIDDEN, 4), b1 (HIDDEN), w2 (HIDDEN), one after another.
+COUNT = HIDDEN * 6
+
+# Position and speed of the cart, angle and turning of the pole.
+state = ti.Vector.field(4, ti.f32, shape=(STEPS + 1, SCENES), needs_grad=True)
+length = ti.field(ti.f32, shape=SCENES)
+mass = ti.field(ti.f32, shape=SCENES)
+weights = ti.field(ti.f32, shape=COUNT, needs_grad=True)
+# Each scene has a copy: gradients of all steps add up in it, and over the scenes just once.
+own = ti.field(ti.f32, shape=(COUNT, SCENES), needs_grad=True)
+loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+
+@ti.kernel
+def share():
+    for k, s in own:
+        own[k, s] = weights[k]
+
+
+@ti.kernel
+def step(t: ti.i32):
+    for s in range(SCENES):
+        now = state[t, s]
+        push = 0.0
+        for i in ti.static(range(HIDDEN)):
+            total = own[4 * HIDDEN + i, s]
+            for j in ti.static(range(4)):
+                total += own[4 * i + j, s] * now[j]
+            push += own[5 * HIDDEN + i, s] * ti.tanh(total)
+        whole = CART + mass[s]
+        sine, cosine = ti.sin(now[2]), ti.cos(now[2])
+        drive = (PUSH * ti.tanh(push) + mass[s] * length[s] * now[3] ** 2 * sine) / whole
+        inertia = length[s] * (4.0 / 3.0 - mass[s] * cosine**2 / whole)
+        turning = now[3] + DT * (GRAVITY * sine - cosine * drive) / inertia
+        swing = (GRAVITY * sine - cosine * drive) / inertia
+        speed = now[1] + DT * (drive - mass[s] * length[s] * swing * cosine / whole)
+        state[t + 1, s] = ti.Vector([now[0] + DT * speed, speed, now[2] + DT * turning, turning])
+
+
+@ti.kernel
+def judge():
+    for t, s in ti.ndrange(STEPS, SCENES):
+        after = state[t + 1, s]
+        off = after[2] ** 2 + 0.1 * after[0] ** 2 + 0.01 * after[1] ** 2
+        loss[None] += off / (STEPS * SCENES)
+
+
+def fill_scenes() -> None:
+    """This process's part of the ensemble, which does not depend on how it is split."""
+    draw = np.random.default_rng(1)
+    everything = draw.uniform(size=(WORLD * SCENES, 4)).astype(np.float32)
+    part = everything[RANK * SCENES : (RANK + 1) * SCENES]
+    length.from_numpy(0.3 + 0.7 * part[:, 0])
+    mass.from_numpy(0.05 + 0.3 * part[:, 1])
+    start = np.zeros((STEPS + 1, SCENES, 4), np.float32)
+    start[0, :, 0] = part[:, 2] - 0.5
+    start[0, :, 2] = 0.6 * (part[:, 3] - 0.5)
+    state.from_numpy(start)
+
+
+class Ensemble(torch.autograd.Function):
+    """The mean cost of this process's scenes, as a function of the controller's weights."""
+
+    tape = None
+
+    @staticmethod
+    def forward(ctx, given):
+        weights.from_torch(given)
+        if Ensemble.tape is None:
+            with ti.ad.Tape(loss) as Ensemble.tape:
+                share()
+                for t in range(STEPS):
+                    step(t)
+                judge()
+        else:
+            # The same launches again, forward and backward, as one.
+            loss[None] = 0.0
+            Ensemble.tape.replay()
+        ctx.gradient = weights.grad.to_torch(device=given.device)
+        return torch.tensor(loss[None], device=given.device)
+
+    @staticmethod
+    def backward(ctx, bar):
+        return bar * ctx.gradient
+
+
+def iterate(controller, optimiser, together: bool) -> float:
+    """One step of descent on the mean over all processes, or on this one's own; the loss."""
+    optimiser.zero_grad()
+    cost = Ensemble.apply(controller)
+    cost.backward()
+    both = torch.cat([controller.grad, cost.detach().reshape(1)])
+    if together and WORLD > 1:
+        dist.all_reduce(both)
+        both /= WORLD
+        controller.grad.copy_(both[:-1])
+    optimiser.step()
+    return float(both[-1])
+
+
+def timed(controller, together: bool) -> float:
+    """Median seconds of an iteration, on a copy of the controller."""
+    trial = controller.detach().clone().requires_grad_()
+    optimiser = torch.optim.Adam([trial], lr=args.rate)
+    seconds = []
+    for _ in range(12):
+        begin = time.perf_counter()
+        iterate(trial, optimiser, together)
+        seconds.append(time.perf_counter() - begin)
+    return statistics.median(seconds[2:])
+
+
+def main() -> None:
+    on_gpu = args.arch == "cuda"
+    if WORLD > 1:
+        dist.init_process_group("nccl" if on_gpu else "gloo")
+    device = torch.device("cuda" if on_gpu else "cpu")
+    fill_scenes()
+    first = 0.3 * torch.randn(COUNT, generator=torch.Generator().manual_seed(0))
+    first[5 * HIDDEN :] *= 0.1
+    controller = first.to(device).requires_grad_()
+    optimiser = torch.optim.Adam([controller], lr=args.rate)
+    for iteration in range(args.iterations):
+        cost = iterate(controller, optimiser, True)
+        if RANK == 0 and iteration % 10 == 0:
+            print(f"iteration {iteration:3}  loss {cost:.6f}  |w| {controller.norm():.6f}")
+    if RANK == 0:
+        print(f"iteration {args.iterations:3}  loss {cost:.6f}  |w| {controller.norm():.6f}")
+
+    # Alone: one process after another, so that none of them disturbs it.
+    alone = torch.zeros(WORLD, device=device)
+    for turn in range(WORLD):
+        if turn == RANK:
+            alone[RANK] = timed(controller, False)
+        if WORLD > 1:
+            dist.barrier()
+    together = torch.tensor(timed(controller, True), device=device)
+    if WORLD > 1:
+        dist.all_reduce(alone)
+        dist.all_reduce(together, dist.ReduceOp.MAX)
+    if RANK == 0:
+        slowest, ms = float(alone.max()), 1e3 * float(together)
+        print(
+            f"{WORLD} x {SCENES} scenes: {ms:.3f} ms an iteration, alone {1e3 * slowest:.3f} ms; "
+            f"scaling {WORLD * slowest / float(together):.2f} of {WORLD}"
+        )
+    if WORLD > 1:
+        dist.destroy_process_group()
+
+
+if __name__ == "__main__":
+    main()
