@@ -111,6 +111,8 @@ void KernelOffload::replaceTreeBases() {
                                  lowering.host.treeIndex.lookup(tree) *
                                      sizeof(void *),
                                  runtime.getPointerType());
+      base.getDefiningOp()->setAttr(kAlignmentAttrName,
+                                    builder.getI64IntegerAttr(kTreeAlignment));
     }
     op.getBase().replaceAllUsesWith(base);
     op.erase();

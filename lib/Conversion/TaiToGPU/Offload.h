@@ -33,6 +33,12 @@ constexpr llvm::StringLiteral kDeviceSlotAttrName = "tai.device_slot";
 /// this number goes.
 constexpr llvm::StringLiteral kSumTargetAttrName = "tai.sum_target";
 
+/// On an op of the host's part that makes an address: how it is aligned.
+constexpr llvm::StringLiteral kAlignmentAttrName = "tai.alignment";
+
+/// What every device gives a tree, as much as its widest access needs.
+constexpr int64_t kTreeAlignment = 16;
+
 /// On the gpu.module: how many bits an index needs.
 constexpr llvm::StringLiteral kIndexBitsAttrName = "tai.index_bits";
 

@@ -338,6 +338,29 @@ Value Parameters::addParameter(Value outer) {
   return parameter;
 }
 
+/// What is known of the alignment of an address of the host's part.
+static int64_t getAlignment(Value address) {
+  uint64_t offsets = 0;
+  while (auto element = address.getDefiningOp<LLVM::GEPOp>()) {
+    auto indices = element.getIndices();
+    if (indices.size() != 1 || !element.getElemType().isInteger(8))
+      return 1;
+    auto constant = dyn_cast<IntegerAttr>(indices[0]);
+    APInt offset;
+    if (constant)
+      offset = constant.getValue();
+    else if (!matchPattern(cast<Value>(indices[0]), m_ConstantInt(&offset)))
+      return 1;
+    offsets |= offset.getZExtValue();
+    address = element.getBase();
+  }
+  Operation *definition = address.getDefiningOp();
+  auto known = definition
+                   ? definition->getAttrOfType<IntegerAttr>(kAlignmentAttrName)
+                   : nullptr;
+  return known ? llvm::MinAlign(known.getInt(), offsets) : 1;
+}
+
 FailureOr<Value> Parameters::get(Value outer) {
   if (Value value = known.lookup(outer))
     return value;
@@ -514,6 +537,13 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   }
   function.setFunctionType(LLVM::LLVMFunctionType::get(
       voidType, llvm::to_vector(entry->getArgumentTypes())));
+  // Neighbours in memory are then read and written at once.
+  for (auto [i, operand] : llvm::enumerate(operands))
+    if (isa<LLVM::LLVMPointerType>(operand.getType()))
+      if (int64_t alignment = getAlignment(operand); alignment > 1)
+        function.setArgAttr(
+            i, LLVM::LLVMDialect::getAlignAttrName(),
+            IntegerAttr::get(IntegerType::get(context, 64), alignment));
   function->setAttr(gpu::GPUDialect::getKernelFuncAttrName(),
                     UnitAttr::get(context));
   emitLaunch(loop, function, operands, lowering);
