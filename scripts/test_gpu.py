@@ -7,6 +7,7 @@ the interpreter that runs this script, copies the tests beside it, and runs the 
 
     tests     the Python tests with --arch=cuda, in parallel
     bench     benchmarks/gpu/run.py: tai, hand-written CUDA, and other systems
+    ensemble  examples/ensemble.py on 1, 2 and 4 GPUs, as many as there are
     sanitize  some of the tests under compute-sanitizer, where there is one
 
 Without a choice, tests and bench. Needs Python 3.11 or newer with NumPy, pytest and pybind11,
@@ -40,7 +41,7 @@ sys.path.insert(0, str(ROOT / "benchmarks" / "gpu"))
 # What tests read besides the package.
 TREE = ["test", "benchmarks", "examples", "docs", "scripts", "README.md", "pyproject.toml"]
 # How the time is shared among the steps.
-SHARES = {"tests": 4, "bench": 5, "sanitize": 4}
+SHARES = {"tests": 4, "bench": 5, "ensemble": 2, "sanitize": 4}
 # What runs under compute-sanitizer: each kind of access once, it is slow.
 SANITIZED = (
     "test_fields or test_gradients or test_atomic_gradients or test_loop_gradients or "
@@ -126,7 +127,7 @@ class Stage:
         self.environment = {
             "PYTHONPATH": str(self.root / "python"),
             "TAI_BUILD_DIR": str(self.root),
-            "TAI_COMMIT": self.commit(),
+            "TAI_COMMIT": os.environ.get("TAI_COMMIT") or self.commit(),
         }
 
     @staticmethod
@@ -234,21 +235,29 @@ def pytest_command(options: argparse.Namespace, expression: str | None) -> list[
     return [*command, "test/python"]
 
 
-def cases(junit: Path, output: str) -> tuple[Counter, list[str]]:
-    """Counts of outcomes and the names of failures, from the XML or, without, the output."""
+def cases(junit: Path, output: str) -> tuple[Counter, list[str], Counter]:
+    """Counts of outcomes, the names of failures and how often what was a reason to skip a test.
+
+    From the XML or, where there is none, from the output.
+    """
     counts: Counter = Counter()
+    reasons: Counter = Counter()
     failures = []
     if junit.exists() and junit.stat().st_size:
         for case in ElementTree.parse(junit).getroot().iter("testcase"):
             name = f"{case.get('classname', '')}::{case.get('name', '')}"
             bad = case.find("failure") if case.find("failure") is not None else case.find("error")
+            skip = case.find("skipped")
             if bad is not None:
                 counts["failed"] += 1
                 lines = [line for line in (bad.get("message") or "").splitlines() if line.strip()]
                 failures.append(f"`{name}`: {lines[0][:200] if lines else 'no message'}")
+            elif skip is not None:
+                counts["skipped"] += 1
+                reasons[(skip.get("message") or "no reason")[:200]] += 1
             else:
-                counts["skipped" if case.find("skipped") is not None else "passed"] += 1
-        return counts, failures
+                counts["passed"] += 1
+        return counts, failures, reasons
     words = {"PASSED": "passed", "FAILED": "failed", "ERROR": "failed", "SKIPPED": "skipped"}
     outcome = "|".join(words)
     for line in output.splitlines():
@@ -260,7 +269,7 @@ def cases(junit: Path, output: str) -> tuple[Counter, list[str]]:
             counts[words[word]] += 1
             if words[word] == "failed":
                 failures.append(f"`{name}`")
-    return counts, failures
+    return counts, failures, reasons
 
 
 def run_tests(stage: Stage, seconds: float) -> Step:
@@ -271,14 +280,15 @@ def run_tests(stage: Stage, seconds: float) -> Step:
     if find_spec("xdist") and options.jobs > 1:
         command += ["-n", options.jobs]
     status, output = stage.machine.run(command, seconds, stage.root, stage.environment)
-    counts, failures = cases(junit, output)
+    counts, failures, reasons = cases(junit, output)
     step.summary = ", ".join(f"{counts[w]} {w}" for w in ("passed", "failed", "skipped"))
     if status is None:
         step.summary += f"; stopped after {seconds:.0f} s"
     elif status != 0 and not failures:
         step.summary += f"; pytest ended with status {status}"
     step.failed = status != 0 or not counts["passed"]
-    step.details = failures
+    step.details = [f"failed: {failure}" for failure in failures]
+    step.details += [f"skipped {n} times: {reason}" for reason, n in reasons.most_common()]
     return step
 
 
@@ -312,6 +322,43 @@ def run_bench(stage: Stage, seconds: float) -> Step:
     return step
 
 
+def devices(options: argparse.Namespace) -> int:
+    """How many processes of an ensemble have a processor of their own."""
+    if options.arch != "cuda":
+        return 2
+    listing = subprocess.run(["nvidia-smi", "-L"], capture_output=True, text=True, check=False)
+    return sum(line.startswith("GPU ") for line in listing.stdout.splitlines())
+
+
+def run_ensemble(stage: Stage, seconds: float) -> Step:
+    step, options = Step("ensemble"), stage.options
+    step.failed = False
+    if not find_spec("torch"):
+        step.summary = "this Python has no torch"
+        return step
+    arch = "cpu" if options.arch == "cpu" else "cuda"
+    scenes = 262144 if options.arch == "cuda" else 256
+    environment = stage.environment | {"TI_ARCH": ""}
+    if options.arch == "emulated":
+        environment["TAI_CUDA_EMULATION"] = "1"
+    numbers = [n for n in (1, 2, 4, 8) if n <= devices(options)]
+    for number in numbers:
+        command = [sys.executable, "-m", "torch.distributed.run", "--standalone"]
+        command += ["--nproc-per-node", number, "examples/ensemble.py", "--arch", arch]
+        command += ["--scenes", scenes, "--iterations", 30]
+        share = seconds / len(numbers)
+        status, output = stage.machine.run(command, share, stage.root, environment)
+        line = next((line for line in output.splitlines() if "scaling" in line), None)
+        if status == 0 and line:
+            step.details.append(f"- {line}")
+        else:
+            step.failed = True
+            step.details.append(f"- {number} processes: failed with status {status}, see the log")
+    step.summary = step.details[-1].removeprefix("- ") if step.details else "there is no GPU"
+    step.failed = step.failed or not step.details
+    return step
+
+
 def run_sanitizers(stage: Stage, seconds: float) -> Step:
     step, options = Step("sanitize"), stage.options
     program = shutil.which("compute-sanitizer") or "/usr/local/cuda/bin/compute-sanitizer"
@@ -328,7 +375,7 @@ def run_sanitizers(stage: Stage, seconds: float) -> Step:
         junit.unlink(missing_ok=True)
         command = [*sanitizer, *pytest_command(options, expression), f"--junitxml={junit}"]
         status, output = stage.machine.run(command, share, stage.root, stage.environment)
-        counts, failures = cases(junit, output)
+        counts, failures, _ = cases(junit, output)
         text = log.read_text(errors="replace") if log.exists() else ""
         found = re.findall(r"(?:ERROR|RACECHECK) SUMMARY: (\d+)", text)
         hazards = sum(map(int, found))
@@ -342,7 +389,12 @@ def run_sanitizers(stage: Stage, seconds: float) -> Step:
     return step
 
 
-STEPS = {"tests": run_tests, "bench": run_bench, "sanitize": run_sanitizers}
+STEPS = {
+    "tests": run_tests,
+    "bench": run_bench,
+    "ensemble": run_ensemble,
+    "sanitize": run_sanitizers,
+}
 
 
 def write_report(options: argparse.Namespace, origin: str, steps: list[Step]) -> Path:
@@ -396,7 +448,8 @@ def parse_arguments() -> argparse.Namespace:
     if not options.name:
         import run as benchmark
 
-        options.name = benchmark.name_of(benchmark.machine(options.arch)["device"])
+        device = benchmark.machine(options.arch)["device"]
+        options.name = "emulated" if options.arch == "emulated" else benchmark.name_of(device)
     return options
 
 
@@ -421,8 +474,8 @@ def main() -> int:
     finally:
         print(f"test-gpu: the report is {write_report(options, origin, steps)}", flush=True)
     for step in steps:
-        for line in step.details if step.name == "tests" else []:
-            print(f"FAIL {line}")
+        for line in step.details if step.name != "bench" else []:
+            print(line)
     return 1 if any(step.failed for step in steps) else 0
 
 

@@ -101,12 +101,13 @@ OUTPUT = """test/python/test_a.py::test_good PASSED [ 1%]
 def test_outcomes_of_tests_are_counted(tmp_path):
     junit = tmp_path / "tests.xml"
     junit.write_text(XML)
-    counts, failures = script.cases(junit, "")
+    counts, failures, reasons = script.cases(junit, "")
+    assert reasons == Counter({"not yet": 1})
     assert counts == Counter(passed=1, failed=2, skipped=1)
     assert failures == ["`a::bad`: assert 1 == 2", "`a::worse`: no device"]
 
 
 def test_outcomes_are_counted_of_a_runner_that_was_stopped(tmp_path):
-    counts, failures = script.cases(tmp_path / "none.xml", OUTPUT)
+    counts, failures, _ = script.cases(tmp_path / "none.xml", OUTPUT)
     assert counts == Counter(passed=2, failed=1, skipped=1)
     assert failures == ["`test/python/test_a.py::test_bad[x-1]`"]
