@@ -256,6 +256,7 @@ LogicalResult AccessLowering::lowerField(Operation *op) {
 
   AliasScopes scopes = fields.getScopes(field);
   scopes.groups = getAccessGroup(op);
+  scopes.alignment = getAlignment(field, components);
   Value base = getFieldBase(field);
   auto access = [&](OpBuilder &b) -> Value {
     Value offset = emitElementOffset(b, loc, field, zeroBased, components);

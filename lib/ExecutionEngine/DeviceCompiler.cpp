@@ -19,6 +19,7 @@
 #include "mlir/Target/LLVMIR/Export.h"
 #include "llvm/ADT/StringSet.h"
 #include "llvm/Bitcode/BitcodeReader.h"
+#include "llvm/Bitcode/BitcodeWriter.h"
 #include "llvm/IR/Constants.h"
 #include "llvm/IR/IRBuilder.h"
 #include "llvm/IR/InstIterator.h"
@@ -268,8 +269,7 @@ Error DeviceCompiler::link(llvm::Module &module) {
 // Translation
 //===----------------------------------------------------------------------===//
 
-/// Adds the function by which the emulated device calls a kernel.
-static llvm::Function *addSlotsFunction(llvm::Function &kernel) {
+llvm::Function *mlir::tai::addSlotsFunction(llvm::Function &kernel) {
   llvm::LLVMContext &context = kernel.getContext();
   llvm::IRBuilder<> builder(context);
   auto *type =
@@ -336,6 +336,13 @@ void DeviceCompiler::prepareForCuda(llvm::Module &module) {
   }
 }
 
+void DeviceCompiler::setTarget(llvm::Module &module) {
+  if (!isCuda())
+    return objects->setTarget(module);
+  module.setTargetTriple(machine->getTargetTriple());
+  module.setDataLayout(machine->createDataLayout());
+}
+
 Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
   DeviceCode code;
   for (Operation &op : deviceModule->getRegion(0).front())
@@ -349,14 +356,9 @@ Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
   if (!code.module)
     return createStringError("");
   llvm::Module &module = *code.module;
-  if (isCuda()) {
-    module.setTargetTriple(machine->getTargetTriple());
-    module.setDataLayout(machine->createDataLayout());
-    if (options.fastMath)
-      allowFastMath(module);
-  } else {
-    objects->setTarget(module);
-  }
+  setTarget(module);
+  if (isCuda() && options.fastMath)
+    allowFastMath(module);
   SmallVector<llvm::GlobalValue *> visible;
   for (const std::string &name : code.functions) {
     llvm::Function *kernel = module.getFunction(name);
@@ -480,10 +482,20 @@ static Error checkExternals(StringRef ptx) {
   return Error::success();
 }
 
+/// The module as it is, to be put together with others.
+static std::shared_ptr<const std::string>
+getBitcode(const llvm::Module &module) {
+  auto bytes = std::make_shared<std::string>();
+  llvm::raw_string_ostream stream(*bytes);
+  llvm::WriteBitcodeToFile(module, stream);
+  return bytes;
+}
+
 Expected<runtime::DeviceImage> DeviceCompiler::emit(DeviceCode &code) {
   runtime::DeviceImage image;
   image.kind = target.kind;
   image.functions = code.functions;
+  image.bitcode = getBitcode(*code.module);
   if (!isCuda()) {
     auto object = objects->emitObject(*code.module);
     if (objects->isBroken()) {

@@ -23,7 +23,7 @@
 
 #include "mlir/IR/Operation.h"
 #include "tai/ExecutionEngine/ObjectCompiler.h"
-#include "tai/Runtime/Device.h"
+#include "tai/Runtime/DeviceQueue.h"
 #include "llvm/ADT/ArrayRef.h"
 #include "llvm/IR/LLVMContext.h"
 #include "llvm/IR/Module.h"
@@ -69,6 +69,9 @@ llvm::Expected<Operation *> findDeviceModule(ModuleOp module);
 /// Registers what the translation of device code needs.
 void registerDeviceTranslations(DialectRegistry &registry);
 
+/// Adds the function by which the emulated device calls a kernel.
+llvm::Function *addSlotsFunction(llvm::Function &kernel);
+
 /// The bitcode of the device library.
 llvm::ArrayRef<char> getDeviceLibrary(runtime::DeviceKind kind);
 
@@ -89,6 +92,13 @@ public:
   /// PTX text, or object code of the host.
   llvm::Expected<runtime::DeviceImage> emit(DeviceCode &code);
 
+  /// Makes one kernel, `tai_program`, of the bodies of kernels, given by the
+  /// bitcode of their images and by their names. `scope` is one of TAI_SCOPE_*,
+  /// `threads` the most that a block has; see tai/Runtime/DeviceAbi.h.
+  llvm::Expected<runtime::DeviceImage>
+  makeProgram(llvm::ArrayRef<runtime::ProgramPart> parts, int scope,
+              unsigned threads);
+
   /// True once LLVM has met a fatal error: this is then no longer of use.
   bool isBroken() const;
 
@@ -97,6 +107,7 @@ private:
   bool isCuda() const { return target.kind == runtime::DeviceKind::Cuda; }
   llvm::Error link(llvm::Module &module);
   llvm::Error linkLibdevice(llvm::Module &module);
+  void setTarget(llvm::Module &module);
   void prepareForCuda(llvm::Module &module);
   void runPasses(llvm::Module &module);
   llvm::Error guard(DeviceCode &code, llvm::function_ref<void()> task);

@@ -51,12 +51,26 @@ struct LaunchShape {
   /// All blocks must run at the same time: the function has barriers over the
   /// grid.
   bool cooperative = false;
+  /// Blocks of a cluster; 0 for no clusters.
+  unsigned cluster = 0;
 };
 
 struct DeviceLimits {
   unsigned multiprocessors = 1;
   unsigned threadsPerBlock = 1;
   int64_t memoryBytes = 0;
+  /// Sequences of work can be recorded and run again.
+  bool hasGraphs = false;
+  /// All blocks of a kernel can wait for each other.
+  bool hasGridBarriers = false;
+  /// The most blocks of a cluster; 1 for no clusters.
+  unsigned mostClusterBlocks = 1;
+};
+
+/// Work that has been recorded. Made by a Device.
+class DeviceGraph {
+public:
+  virtual ~DeviceGraph() = default;
 };
 
 /// A compiled kernel's device code, as the compiler leaves it and the cache
@@ -67,6 +81,9 @@ struct DeviceImage {
   /// Names of the functions in the order in which the host's part numbers
   /// them.
   std::vector<std::string> functions;
+  /// LLVM bitcode of the same, to be put together with that of other kernels.
+  /// Null where that is not wanted.
+  std::shared_ptr<const std::string> bitcode;
 };
 
 class Device {
@@ -120,6 +137,18 @@ public:
   /// the start of eight bytes.
   virtual Status launch(DeviceFunction &function, const LaunchShape &shape,
                         const uint64_t *slots, int count) = 0;
+
+  //===--------------------------------------------------------------------===//
+  // Graphs
+  //===--------------------------------------------------------------------===//
+
+  /// What is queued from now on is recorded instead.
+  virtual Status beginCapture();
+  /// Ends that. A graph that is given is changed into the new one where they
+  /// differ in parameters alone, else replaced.
+  virtual Status endCapture(std::unique_ptr<DeviceGraph> &graph);
+  /// Queues what has been recorded.
+  virtual Status run(DeviceGraph &graph);
 
   /// Waits for all that is queued; reports what failed.
   virtual Status synchronize() = 0;

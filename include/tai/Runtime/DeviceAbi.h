@@ -50,6 +50,38 @@ void tai_dev_grid_barrier(uint32_t *state, uint32_t blocks);
 #include "tai/Runtime/DeviceReductions.def"
 
 //===----------------------------------------------------------------------===//
+// Programs
+//===----------------------------------------------------------------------===//
+//
+// A program does the work of a sequence of launches in one kernel. Its table
+// has `steps` rows of `stride` words: the number of a part, and the parameters
+// of that. See docs/decisions/0011-device-programs.md.
+
+/// Who meets at the barrier after a step: the threads of one block, of a
+/// cluster of blocks, or of the grid.
+#define TAI_SCOPE_BLOCK 0
+#define TAI_SCOPE_CLUSTER 1
+#define TAI_SCOPE_GRID 2
+
+/// Parts that every program has. Their parameters: an address, eight bytes of a
+/// pattern, its size and how often; two addresses, to and from, and a size.
+#define TAI_PART_FILL 0
+#define TAI_PART_COPY 1
+/// The number of the first part that is the body of a kernel.
+#define TAI_FIRST_PART 2
+
+/// The most words of a row.
+#define TAI_PROGRAM_STRIDE 128
+
+/// `barrier` is a word as tai_dev_grid_barrier wants it.
+void tai_dev_program_block(const uint64_t *table, uint64_t steps,
+                           uint64_t stride, uint32_t *barrier);
+void tai_dev_program_cluster(const uint64_t *table, uint64_t steps,
+                             uint64_t stride, uint32_t *barrier);
+void tai_dev_program_grid(const uint64_t *table, uint64_t steps,
+                          uint64_t stride, uint32_t *barrier);
+
+//===----------------------------------------------------------------------===//
 // What the host's build of the library asks of the emulated device
 //===----------------------------------------------------------------------===//
 

@@ -283,6 +283,24 @@ Value tai::emitFieldBase(OpBuilder &builder, Location loc,
 // Loads and stores
 //===----------------------------------------------------------------------===//
 
+unsigned tai::getAlignment(const FieldInfo &field, ValueRange components) {
+  // Trees start at multiples of 64 bytes; no access has more than 16.
+  uint64_t multiples = 16 | field.storage.offset;
+  for (const IndexDigit &digit : field.storage.digits)
+    if (digit.extent != 1)
+      multiples |= digit.stride;
+  uint64_t position = 0;
+  for (auto [component, extent] : llvm::zip(components, field.elementShape)) {
+    std::optional<int64_t> constant = getConstantIntValue(component);
+    if (!constant)
+      return 0;
+    position = position * extent + *constant;
+  }
+  multiples |= position * field.scalarSize;
+  uint64_t alignment = multiples & -multiples;
+  return alignment > uint64_t(field.scalarSize) ? alignment : 0;
+}
+
 Type tai::getStorageType(Type scalar) {
   if (scalar.isInteger(1))
     return IntegerType::get(scalar.getContext(), 8);
@@ -310,6 +328,8 @@ Value tai::emitLoad(OpBuilder &builder, Location loc, Type scalar,
   load.setAliasScopesAttr(scopes.own);
   load.setNoaliasScopesAttr(scopes.others);
   load.setAccessGroupsAttr(scopes.groups);
+  if (scopes.alignment)
+    load.setAlignment(scopes.alignment);
   if (scalar.isInteger(1))
     return arith::TruncIOp::create(builder, loc, scalar, load);
   if (scalar.isIndex())
@@ -328,4 +348,6 @@ void tai::emitStore(OpBuilder &builder, Location loc, Value value,
   store.setAliasScopesAttr(scopes.own);
   store.setNoaliasScopesAttr(scopes.others);
   store.setAccessGroupsAttr(scopes.groups);
+  if (scopes.alignment)
+    store.setAlignment(scopes.alignment);
 }

@@ -25,6 +25,8 @@ namespace mlir::tai {
 /// of other iterations.
 struct AliasScopes {
   ArrayAttr own, others, groups;
+  /// Of the address, in bytes; 0 for that of the type.
+  unsigned alignment = 0;
 };
 
 /// A sparse level on the path to a field.
@@ -147,6 +149,10 @@ unsigned getListDimension(const FieldInfo &field);
 /// The length of a list of a `dynamic` level, as an index.
 Value emitLength(OpBuilder &builder, Location loc, const SparseInfo &sparse,
                  Value tree, Value list);
+
+/// What the addresses of a component of all elements are a multiple of, if that
+/// is more than its size; else 0. Neighbours can then be accessed together.
+unsigned getAlignment(const FieldInfo &field, ValueRange components);
 
 /// The base address of the tree of a field.
 Value emitTreeBase(OpBuilder &builder, Location loc, const FieldInfo &field);

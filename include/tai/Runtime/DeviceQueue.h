@@ -1,0 +1,108 @@
+//===- DeviceQueue.h - Work for a device, run again and again ---*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Stands between the runtime and a device. While it collects, work is written
+// down instead of queued; a sequence that comes again becomes one graph, or one
+// kernel that does all of it (docs/decisions/0011-device-programs.md). Which of
+// them is found out by running them in turn.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_RUNTIME_DEVICEQUEUE_H
+#define TAI_RUNTIME_DEVICEQUEUE_H
+
+#include "tai/Runtime/Device.h"
+#include <functional>
+#include <unordered_map>
+
+namespace mlir::tai::runtime {
+
+/// A function of a kernel that goes into a program.
+struct ProgramPart {
+  /// What DeviceImage::bitcode holds.
+  const std::string *bitcode;
+  std::string function;
+};
+
+/// Makes one kernel, `tai_program`, that runs steps of these parts; see
+/// tai/Runtime/DeviceAbi.h. `threads` is the most that a block of it has.
+using ProgramMaker =
+    std::function<Status(const std::vector<ProgramPart> &parts, int scope,
+                         unsigned threads, DeviceImage &image)>;
+
+/// How sequences are run; for tests and measurements.
+enum class ProgramMode { Automatic, Launches, Graph, Block, Cluster, Grid };
+
+class DeviceQueue final : public Device {
+public:
+  explicit DeviceQueue(std::unique_ptr<Device> device);
+  ~DeviceQueue() override;
+
+  /// Without one, sequences become graphs at best.
+  void setProgramMaker(ProgramMaker maker) { makeProgram = std::move(maker); }
+  void setMode(ProgramMode wanted) { mode = wanted; }
+
+  /// Between the two, work is collected. Pairs nest; the end runs what has been
+  /// collected.
+  void beginCollecting() { ++collecting; }
+  Status endCollecting();
+
+  /// What has become of the sequences so far, one line each.
+  std::string explain() const;
+
+  DeviceKind kind() const override { return device->kind(); }
+  std::string name() const override { return device->name(); }
+  DeviceLimits limits() const override { return device->limits(); }
+  std::string target() const override { return device->target(); }
+  Status allocate(int64_t bytes, DevicePtr &memory) override {
+    return device->allocate(bytes, memory);
+  }
+  void free(DevicePtr memory) override;
+  int64_t allocatedBytes() const override { return device->allocatedBytes(); }
+  int64_t freeBytes() const override { return device->freeBytes(); }
+  Status copyIn(DevicePtr to, const void *from, int64_t bytes) override;
+  Status copyOut(void *to, DevicePtr from, int64_t bytes) override;
+  Status copy(DevicePtr to, DevicePtr from, int64_t bytes) override;
+  Status fill(DevicePtr to, const void *pattern, int patternBytes,
+              int64_t count) override;
+  bool isDeviceMemory(const void *address) const override {
+    return device->isDeviceMemory(address);
+  }
+  Status load(const DeviceImage &image,
+              std::unique_ptr<DeviceModule> &module) override;
+  Status find(DeviceModule &module, const std::string &name,
+              DeviceFunction *&function) override;
+  unsigned mostThreads(const DeviceFunction &function) const override;
+  unsigned residentBlocks(const DeviceFunction &function,
+                          unsigned threads) const override;
+  Status launch(DeviceFunction &function, const LaunchShape &shape,
+                const uint64_t *slots, int count) override;
+  Status synchronize() override;
+
+private:
+  struct Function;
+  struct Module;
+  struct Step;
+  struct Sequence;
+  class Program;
+
+  Status flush();
+  Status runSteps(const Sequence &sequence);
+  Program *findProgram(Sequence &&sequence, bool &same);
+
+  std::unique_ptr<Device> device;
+  ProgramMaker makeProgram;
+  ProgramMode mode = ProgramMode::Automatic;
+  int collecting = 0;
+  std::unique_ptr<Sequence> collected;
+  std::vector<DevicePtr> released;
+  std::unordered_multimap<uint64_t, std::unique_ptr<Program>> programs;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_RUNTIME_DEVICEQUEUE_H

@@ -1,0 +1,141 @@
+//===- Program.cpp - One kernel that does the work of many ----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// All threads go through a table of steps together. A row holds the number of a
+// part, which is the body of a kernel, and its parameters. The row of the next
+// step is on its way while a step runs, so that no step waits for it.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Target.h"
+#include "tai/Runtime/DeviceAbi.h"
+
+using namespace tai::device;
+
+// Made by the compiler for each program: calls the part with this number.
+extern "C" void tai_program_dispatch(uint64_t part, const uint64_t *slots);
+
+static uint64_t globalThread() {
+  return static_cast<uint64_t>(tai_dev_block_id()) *
+             static_cast<uint64_t>(tai_dev_block_dim()) +
+         static_cast<uint64_t>(tai_dev_thread_id());
+}
+
+static uint64_t globalThreads() {
+  return static_cast<uint64_t>(tai_dev_grid_dim()) *
+         static_cast<uint64_t>(tai_dev_block_dim());
+}
+
+template <typename T>
+static void fillAs(uint64_t address, uint64_t word, uint64_t count) {
+  auto *to = reinterpret_cast<T *>(address);
+  for (uint64_t i = globalThread(); i < count; i += globalThreads())
+    to[i] = static_cast<T>(word);
+}
+
+/// The address, eight bytes of the pattern, its size, and how often.
+static void fill(const uint64_t *slots) {
+  uint64_t address = slots[0], word = slots[1], size = slots[2],
+           count = slots[3];
+  if (size == 8)
+    fillAs<uint64_t>(address, word, count);
+  else if (size == 4)
+    fillAs<uint32_t>(address, word, count);
+  else if (size == 2)
+    fillAs<uint16_t>(address, word, count);
+  else if (address % 8 || count % 8)
+    fillAs<uint8_t>(address, word, count);
+  else
+    fillAs<uint64_t>(address, word, count / 8);
+}
+
+template <typename T>
+static void copyAs(uint64_t to, uint64_t from, uint64_t bytes) {
+  auto *target = reinterpret_cast<T *>(to);
+  auto *source = reinterpret_cast<const T *>(from);
+  for (uint64_t i = globalThread(); i < bytes / sizeof(T); i += globalThreads())
+    target[i] = source[i];
+}
+
+/// Both addresses and the size.
+static void copy(const uint64_t *slots) {
+  if ((slots[0] | slots[1] | slots[2]) % 8)
+    copyAs<uint8_t>(slots[0], slots[1], slots[2]);
+  else
+    copyAs<uint64_t>(slots[0], slots[1], slots[2]);
+}
+
+static void runPart(uint64_t part, const uint64_t *slots) {
+  if (part == TAI_PART_FILL)
+    fill(slots);
+  else if (part == TAI_PART_COPY)
+    copy(slots);
+  else
+    tai_program_dispatch(part, slots);
+}
+
+#ifdef __NVPTX__
+
+__attribute__((
+    address_space(3),
+    loader_uninitialized)) static uint64_t rows[2][TAI_PROGRAM_STRIDE];
+
+template <typename Barrier>
+static inline void runProgram(const uint64_t *table, uint64_t steps,
+                              uint64_t stride, Barrier barrier) {
+  auto thread = static_cast<uint64_t>(tai_dev_thread_id());
+  auto threads = static_cast<uint64_t>(tai_dev_block_dim());
+  for (uint64_t i = thread; i < stride; i += threads)
+    rows[0][i] = table[i];
+  __syncthreads();
+  for (uint64_t step = 0; step < steps; ++step) {
+    auto *row = (const uint64_t *)rows[step & 1];
+    const uint64_t *next = table + (step + 1) * stride;
+    bool more = step + 1 < steps;
+    // Asked for now, and put down when the step is done.
+    uint64_t word = more && thread < stride ? next[thread] : 0;
+    runPart(row[0], row + 1);
+    if (more) {
+      if (thread < stride)
+        rows[(step + 1) & 1][thread] = word;
+      for (uint64_t i = thread + threads; i < stride; i += threads)
+        rows[(step + 1) & 1][i] = next[i];
+    }
+    barrier();
+  }
+}
+
+void tai_dev_program_block(const uint64_t *table, uint64_t steps,
+                           uint64_t stride, uint32_t *) {
+  runProgram(table, steps, stride, [] { __syncthreads(); });
+}
+
+void tai_dev_program_cluster(const uint64_t *table, uint64_t steps,
+                             uint64_t stride, uint32_t *) {
+  runProgram(table, steps, stride, [] {
+    asm volatile("barrier.cluster.arrive.release.aligned;\n\t"
+                 "barrier.cluster.wait.acquire.aligned;" ::
+                     : "memory");
+  });
+}
+
+void tai_dev_program_grid(const uint64_t *table, uint64_t steps,
+                          uint64_t stride, uint32_t *barrier) {
+  auto blocks = static_cast<uint32_t>(tai_dev_grid_dim());
+  runProgram(table, steps, stride,
+             [=] { tai_dev_grid_barrier(barrier, blocks); });
+}
+
+#else // the CPU, where a program is one thread
+
+void tai_dev_program_block(const uint64_t *table, uint64_t steps,
+                           uint64_t stride, uint32_t *) {
+  for (uint64_t step = 0; step < steps; ++step)
+    runPart(table[step * stride], table + step * stride + 1);
+}
+
+#endif

@@ -1,0 +1,384 @@
+//===- DeviceProgram.cpp - A sequence of work that comes again ------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A program is a table of steps, and a kernel that goes through it: all its
+// threads run a step together, and meet at a barrier before the next one. A
+// barrier costs a fraction of a launch, and the fewer threads take part the
+// less. The table is made again when parameters change, the kernel never.
+//
+//===----------------------------------------------------------------------===//
+
+#include "DeviceProgram.h"
+#include "tai/Runtime/DeviceAbi.h"
+#include <algorithm>
+#include <chrono>
+#include <cstdio>
+#include <unordered_map>
+
+using namespace mlir::tai::runtime;
+
+bool DeviceQueue::Sequence::hasStructureOf(const Sequence &other) const {
+  return hash == other.hash && steps.size() == other.steps.size() &&
+         std::equal(steps.begin(), steps.end(), other.steps.begin(),
+                    [](const Step &a, const Step &b) {
+                      return a.kind == b.kind && a.function == b.function &&
+                             a.numSlots == b.numSlots &&
+                             a.shape.blocks == b.shape.blocks &&
+                             a.shape.threads == b.shape.threads;
+                    });
+}
+
+Status DeviceQueue::Sequence::run(Device &device, const Step &step) const {
+  const uint64_t *values = slots.data() + step.firstSlot;
+  switch (step.kind) {
+  case Step::Kind::Launch:
+    return device.launch(*step.function->function, step.shape, values,
+                         static_cast<int>(step.numSlots));
+  case Step::Kind::Fill:
+    return device.fill(values[0], values + 1, static_cast<int>(values[2]),
+                       static_cast<int64_t>(values[3]));
+  case Step::Kind::Copy:
+    return device.copy(values[0], values[1], static_cast<int64_t>(values[2]));
+  }
+  return Status::success();
+}
+
+Status DeviceQueue::Sequence::run(Device &device) const {
+  Status status;
+  for (const Step &step : steps)
+    if (status)
+      status = run(device, step);
+  return status;
+}
+
+//===----------------------------------------------------------------------===//
+// Ways to run a sequence
+//===----------------------------------------------------------------------===//
+
+DeviceQueue::Program::~Program() {
+  for (Way &way : ways)
+    if (way.table)
+      device.free(way.table);
+}
+
+static const char *nameOf(ProgramMode mode) {
+  switch (mode) {
+  case ProgramMode::Graph:
+    return "a graph";
+  case ProgramMode::Block:
+    return "one kernel of one block";
+  case ProgramMode::Cluster:
+    return "one kernel of a cluster of blocks";
+  case ProgramMode::Grid:
+    return "one kernel of the whole grid";
+  default:
+    return "launches";
+  }
+}
+
+static int scopeOf(ProgramMode mode) {
+  switch (mode) {
+  case ProgramMode::Block:
+    return TAI_SCOPE_BLOCK;
+  case ProgramMode::Cluster:
+    return TAI_SCOPE_CLUSTER;
+  default:
+    return TAI_SCOPE_GRID;
+  }
+}
+
+/// The most threads that a step has work for.
+unsigned DeviceQueue::Program::getWidth() const {
+  uint64_t width = 1;
+  for (const Step &step : sequence.steps)
+    width = std::max(width, uint64_t(step.shape.blocks) * step.shape.threads);
+  return static_cast<unsigned>(std::min<uint64_t>(width, 1u << 30));
+}
+
+/// Milliseconds, by what one launch or barrier costs, and by how often the
+/// threads go around. Constants as measured on an H200; what they decide is
+/// only what is worth trying.
+double DeviceQueue::Program::predict(ProgramMode mode, unsigned blocks,
+                                     unsigned threads) const {
+  constexpr double roundUs = 0.6, graphUs = 1.3, blockUs = 0.15,
+                   clusterUs = 0.45, gridUs = 1.1;
+  double stepUs = mode == ProgramMode::Graph     ? graphUs
+                  : mode == ProgramMode::Block   ? blockUs
+                  : mode == ProgramMode::Cluster ? clusterUs
+                                                 : gridUs;
+  double us = 0;
+  for (const Step &step : sequence.steps) {
+    double width = double(step.shape.blocks) * step.shape.threads;
+    double rounds = 1;
+    if (mode != ProgramMode::Graph)
+      rounds = std::max(1.0, width / (double(blocks) * threads));
+    us += stepUs + roundUs * rounds;
+  }
+  return us * 1e-3;
+}
+
+void DeviceQueue::Program::listWays(ProgramMode wanted,
+                                    const ProgramMaker &maker) {
+  DeviceLimits limits = device.limits();
+  unsigned width = getWidth();
+  auto add = [&](ProgramMode mode, unsigned blocks, unsigned threads) {
+    if (wanted != ProgramMode::Automatic && wanted != mode)
+      return;
+    Way way;
+    way.mode = mode;
+    way.shape.blocks = blocks;
+    way.shape.threads = threads;
+    way.shape.cooperative = mode == ProgramMode::Grid;
+    way.shape.cluster = mode == ProgramMode::Cluster ? blocks : 0;
+    way.predicted = predict(mode, blocks, threads);
+    ways.push_back(std::move(way));
+  };
+  auto warps = [](unsigned threads) { return (threads + 31) / 32 * 32; };
+  if (limits.hasGraphs)
+    add(ProgramMode::Graph, 0, 0);
+  // Every part must be there to be put together again.
+  bool whole = bool(maker);
+  for (const Step &step : sequence.steps)
+    whole &= step.kind != Step::Kind::Launch ||
+             (step.function->bitcode && !step.function->bitcode->empty());
+  if (whole) {
+    unsigned most = limits.threadsPerBlock;
+    add(ProgramMode::Block, 1, std::min(most, warps(width)));
+    if (limits.mostClusterBlocks > 1 && width > most / 2) {
+      unsigned blocks = limits.mostClusterBlocks;
+      unsigned threads =
+          std::clamp(warps((width + blocks - 1) / blocks), 64u, 1024u);
+      add(ProgramMode::Cluster, blocks, std::min(threads, most));
+    }
+    if (limits.hasGridBarriers && width > most) {
+      unsigned threads = std::min(256u, most);
+      // As few blocks as there is work for: each waits for all.
+      unsigned blocks = std::clamp((width + threads - 1) / threads, 2u,
+                                   limits.multiprocessors);
+      if (blocks == limits.multiprocessors)
+        threads = std::min(512u, most);
+      add(ProgramMode::Grid, blocks, threads);
+    }
+  }
+  std::sort(ways.begin(), ways.end(), [](const Way &a, const Way &b) {
+    return a.predicted < b.predicted;
+  });
+  // What is far behind by the model is not tried. A graph is, always: it asks
+  // for no compilation and is what to fall back to.
+  if (wanted == ProgramMode::Automatic && !ways.empty()) {
+    double best = ways.front().predicted;
+    ways.erase(std::remove_if(ways.begin(), ways.end(),
+                              [&](const Way &way) {
+                                return way.mode != ProgramMode::Graph &&
+                                       way.predicted > 3 * best;
+                              }),
+               ways.end());
+  }
+}
+
+//===----------------------------------------------------------------------===//
+// Getting ready
+//===----------------------------------------------------------------------===//
+
+Status DeviceQueue::Program::prepare(Way &way, const ProgramMaker &maker) {
+  way.isReady = true;
+  if (way.mode == ProgramMode::Graph)
+    return Status::success();
+  std::vector<ProgramPart> parts;
+  std::unordered_map<const Function *, bool> seen;
+  for (const Step &step : sequence.steps)
+    if (step.function && !seen[step.function]) {
+      seen[step.function] = true;
+      parts.push_back({step.function->bitcode.get(), step.function->name});
+    }
+  DeviceImage image;
+  Status status = maker(parts, scopeOf(way.mode), way.shape.threads, image);
+  if (status)
+    status = device.load(image, way.module);
+  if (status)
+    status = device.find(*way.module, image.functions.front(), way.function);
+  if (!status)
+    return status;
+  unsigned most = device.mostThreads(*way.function);
+  if (way.shape.threads > most)
+    way.shape.threads = std::max(most / 32 * 32, 1u);
+  if (way.mode == ProgramMode::Grid)
+    way.shape.blocks =
+        std::min(way.shape.blocks,
+                 device.residentBlocks(*way.function, way.shape.threads));
+  return status;
+}
+
+/// Makes what stands for the sequence on the device hold its present slots.
+Status DeviceQueue::Program::update(Way &way) {
+  if (way.mode == ProgramMode::Graph) {
+    Status status = device.beginCapture();
+    if (!status)
+      return status;
+    status = sequence.run(device);
+    Status ended = device.endCapture(way.graph);
+    return status ? std::move(ended) : std::move(status);
+  }
+  // Numbers of the parts, in the order in which prepare found them.
+  std::unordered_map<const Function *, uint64_t> numbers;
+  int stride = 4;
+  for (const Step &step : sequence.steps) {
+    stride = std::max(stride, static_cast<int>(step.numSlots));
+    if (step.function)
+      numbers.emplace(step.function, TAI_FIRST_PART + numbers.size());
+  }
+  // The number of the part, and the parameters.
+  ++stride;
+  std::vector<uint64_t> table(sequence.steps.size() *
+                              static_cast<size_t>(stride));
+  for (size_t i = 0; i < sequence.steps.size(); ++i) {
+    const Step &step = sequence.steps[i];
+    uint64_t *row = table.data() + i * static_cast<size_t>(stride);
+    row[0] = step.function                   ? numbers[step.function]
+             : step.kind == Step::Kind::Fill ? TAI_PART_FILL
+                                             : TAI_PART_COPY;
+    std::copy_n(sequence.slots.begin() + static_cast<ptrdiff_t>(step.firstSlot),
+                step.numSlots, row + 1);
+  }
+  auto bytes = static_cast<int64_t>(table.size() * sizeof(uint64_t));
+  constexpr int64_t barrierBytes = 256;
+  Status status;
+  if (!way.table) {
+    status = device.allocate(barrierBytes + bytes, way.table);
+    uint64_t zero = 0;
+    if (status)
+      status = device.fill(way.table, &zero, 8, barrierBytes / 8);
+  }
+  way.stride = stride;
+  if (status)
+    status = device.copyIn(way.table + barrierBytes, table.data(), bytes);
+  return status;
+}
+
+Status DeviceQueue::Program::launch(Way &way) {
+  if (!way.isCurrent) {
+    Status status = update(way);
+    if (!status)
+      return status;
+    way.isCurrent = true;
+  }
+  if (way.mode == ProgramMode::Graph)
+    return device.run(*way.graph);
+  uint64_t slots[] = {way.table + 256, sequence.steps.size(),
+                      static_cast<uint64_t>(way.stride), way.table};
+  return device.launch(*way.function, way.shape, slots, 4);
+}
+
+//===----------------------------------------------------------------------===//
+// Choosing
+//===----------------------------------------------------------------------===//
+
+Status DeviceQueue::Program::runTimed(Way &way) {
+  using Clock = std::chrono::steady_clock;
+  Status status;
+  if (!way.isCurrent) {
+    status = update(way);
+    way.isCurrent = bool(status);
+  }
+  if (status)
+    status = device.synchronize();
+  auto start = Clock::now();
+  if (status)
+    status = launch(way);
+  if (status)
+    status = device.synchronize();
+  double ms =
+      std::chrono::duration<double, std::milli>(Clock::now() - start).count();
+  if (status)
+    way.measured = way.measured < 0 ? ms : std::min(way.measured, ms);
+  return status;
+}
+
+Status DeviceQueue::Program::run(bool same, ProgramMode mode,
+                                 const ProgramMaker &maker) {
+  if (!same)
+    for (Way &way : ways)
+      way.isCurrent = false;
+  // What comes once need not be made ready for a second time.
+  if (runs++ == 0)
+    return sequence.run(device);
+  if (runs == 2)
+    listWays(mode, maker);
+  if (chosen || ways.empty())
+    return ways.empty() ? sequence.run(device) : launch(ways[current]);
+
+  while (current < ways.size()) {
+    Way &way = ways[current];
+    Status status;
+    if (!way.isReady)
+      status = prepare(way, maker);
+    // The first of three runs brings code and table to where they are used.
+    constexpr int wanted = 3;
+    if (status) {
+      status = tries == 0 ? launch(way) : runTimed(way);
+      // A failure on the device is one of the program, whatever the way.
+      if (!status)
+        return status;
+      if (++tries == wanted) {
+        tries = 0;
+        ++current;
+      }
+      if (current < ways.size())
+        return status;
+    } else {
+      way.refused = status.message();
+      ++current;
+      tries = 0;
+      if (current < ways.size())
+        continue;
+    }
+    // All have been tried.
+    size_t best = ways.size();
+    for (size_t i = 0; i < ways.size(); ++i)
+      if (ways[i].refused.empty() &&
+          (best == ways.size() || ways[i].measured < ways[best].measured))
+        best = i;
+    chosen = true;
+    bool hasRun = bool(status);
+    if (best == ways.size()) {
+      ways.clear();
+      return hasRun ? std::move(status) : sequence.run(device);
+    }
+    current = best;
+    return hasRun ? std::move(status) : launch(ways[best]);
+  }
+  return sequence.run(device);
+}
+
+std::string DeviceQueue::Program::explain() const {
+  std::string text = std::to_string(sequence.steps.size()) + " steps, run " +
+                     std::to_string(runs) + " times";
+  for (size_t i = 0; i < ways.size(); ++i) {
+    const Way &way = ways[i];
+    char line[256];
+    std::snprintf(line, sizeof(line), "; %s", nameOf(way.mode));
+    text += line;
+    if (way.mode != ProgramMode::Graph) {
+      std::snprintf(line, sizeof(line), " (%u x %u threads)", way.shape.blocks,
+                    way.shape.threads);
+      text += line;
+    }
+    if (!way.refused.empty()) {
+      text += ": refused: " + way.refused;
+      continue;
+    }
+    std::snprintf(line, sizeof(line), ": %.4f ms by the model", way.predicted);
+    text += line;
+    if (way.measured >= 0) {
+      std::snprintf(line, sizeof(line), ", %.4f ms measured", way.measured);
+      text += line;
+    }
+    if (chosen && i == current)
+      text += " (chosen)";
+  }
+  return text;
+}

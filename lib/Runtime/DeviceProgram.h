@@ -1,0 +1,145 @@
+//===- DeviceProgram.h - A sequence of work that comes again ----*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_DEVICEPROGRAM_H
+#define TAI_LIB_RUNTIME_DEVICEPROGRAM_H
+
+#include "tai/Runtime/DeviceQueue.h"
+#include <cstring>
+
+namespace mlir::tai::runtime {
+
+struct DeviceQueue::Function : DeviceFunction {
+  DeviceFunction *function = nullptr;
+  std::string name;
+  /// Shared by all functions of a module, which may go before its programs.
+  std::shared_ptr<const std::string> bitcode;
+};
+
+struct DeviceQueue::Module : DeviceModule {
+  std::unique_ptr<DeviceModule> module;
+  std::shared_ptr<const std::string> bitcode;
+  std::vector<std::unique_ptr<Function>> functions;
+};
+
+struct DeviceQueue::Step {
+  enum class Kind : uint32_t { Launch, Fill, Copy };
+  Kind kind;
+  /// Of launches.
+  unsigned numSlots = 0;
+  Function *function = nullptr;
+  LaunchShape shape;
+  /// In the slots of the sequence: the parameters; of a fill the address, the
+  /// pattern, its size and the count; of a copy both addresses and the size.
+  size_t firstSlot = 0;
+};
+
+/// Work, in order.
+struct DeviceQueue::Sequence {
+  std::vector<Step> steps;
+  std::vector<uint64_t> slots;
+  /// Of what the steps are, without the slots.
+  uint64_t hash = 14695981039346656037ull;
+
+  bool empty() const { return steps.empty(); }
+  void addLaunch(Function &function, const LaunchShape &shape,
+                 const uint64_t *values, int count) {
+    Step step{Step::Kind::Launch, static_cast<unsigned>(count), &function,
+              shape, slots.size()};
+    slots.insert(slots.end(), values, values + count);
+    add(step);
+  }
+  void addFill(DevicePtr to, const void *pattern, int patternBytes,
+               int64_t count) {
+    // All sizes of patterns are filled as eight bytes again and again.
+    uint64_t word = 0;
+    for (int at = 0; at < 8; at += patternBytes)
+      std::memcpy(reinterpret_cast<char *>(&word) + at, pattern,
+                  static_cast<size_t>(patternBytes));
+    addWork(Step::Kind::Fill,
+            {to, word, uint64_t(patternBytes), static_cast<uint64_t>(count)});
+  }
+  void addCopy(DevicePtr to, DevicePtr from, int64_t bytes) {
+    addWork(Step::Kind::Copy, {to, from, static_cast<uint64_t>(bytes)});
+  }
+
+  bool hasStructureOf(const Sequence &other) const;
+  /// Queues it step by step.
+  Status run(Device &device) const;
+  Status run(Device &device, const Step &step) const;
+
+private:
+  void add(const Step &step) {
+    auto mix = [&](uint64_t value) {
+      hash = (hash ^ value) * 1099511628211ull;
+    };
+    mix(static_cast<uint64_t>(step.kind));
+    mix(reinterpret_cast<uintptr_t>(step.function));
+    mix(uint64_t(step.shape.blocks) << 32 | step.shape.threads);
+    steps.push_back(step);
+  }
+  void addWork(Step::Kind kind, std::initializer_list<uint64_t> values) {
+    Step step{kind, static_cast<unsigned>(values.size()), nullptr,
+              LaunchShape(), slots.size()};
+    slots.insert(slots.end(), values.begin(), values.end());
+    add(step);
+  }
+};
+
+/// A sequence that has come before, and the ways to run it.
+class DeviceQueue::Program {
+public:
+  Program(Device &device, Sequence sequence)
+      : sequence(std::move(sequence)), device(device) {}
+  ~Program();
+
+  /// `same`: with the slots of the last time.
+  Status run(bool same, ProgramMode mode, const ProgramMaker &maker);
+  std::string explain() const;
+
+  Sequence sequence;
+
+private:
+  /// One way to run it.
+  struct Way {
+    ProgramMode mode;
+    /// By the model, and as measured: milliseconds. Negative for not yet.
+    double predicted = 0, measured = -1;
+    /// Why it cannot be taken.
+    std::string refused;
+    bool isReady = false;
+    std::unique_ptr<DeviceGraph> graph;
+    std::unique_ptr<DeviceModule> module;
+    DeviceFunction *function = nullptr;
+    DevicePtr table = 0;
+    int64_t tableBytes = 0;
+    int stride = 0;
+    LaunchShape shape;
+    bool isCurrent = false;
+  };
+
+  void listWays(ProgramMode wanted, const ProgramMaker &maker);
+  Status prepare(Way &way, const ProgramMaker &maker);
+  Status update(Way &way);
+  Status launch(Way &way);
+  Status runTimed(Way &way);
+  double predict(ProgramMode mode, unsigned blocks, unsigned threads) const;
+  unsigned getWidth() const;
+
+  Device &device;
+  int runs = 0;
+  std::vector<Way> ways;
+  /// The way that is being tried, or that has been chosen.
+  size_t current = 0;
+  bool chosen = false;
+  /// Times that the current way has been run while it is tried.
+  int tries = 0;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_DEVICEPROGRAM_H

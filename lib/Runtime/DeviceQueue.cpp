@@ -1,0 +1,192 @@
+//===- DeviceQueue.cpp - Work for a device, run again and again -----------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "DeviceProgram.h"
+#include <algorithm>
+#include <cstring>
+
+using namespace mlir::tai::runtime;
+
+DeviceQueue::DeviceQueue(std::unique_ptr<Device> device)
+    : device(std::move(device)), collected(std::make_unique<Sequence>()) {}
+
+DeviceQueue::~DeviceQueue() {
+  (void)flush();
+  programs.clear();
+}
+
+//===----------------------------------------------------------------------===//
+// Code
+//===----------------------------------------------------------------------===//
+
+Status DeviceQueue::load(const DeviceImage &image,
+                         std::unique_ptr<DeviceModule> &module) {
+  auto made = std::make_unique<Module>();
+  made->bitcode = image.bitcode;
+  Status status = device->load(image, made->module);
+  if (status)
+    module = std::move(made);
+  return status;
+}
+
+Status DeviceQueue::find(DeviceModule &module, const std::string &name,
+                         DeviceFunction *&function) {
+  auto &owner = static_cast<Module &>(module);
+  auto made = std::make_unique<Function>();
+  made->name = name;
+  made->bitcode = owner.bitcode;
+  Status status = device->find(*owner.module, name, made->function);
+  if (!status)
+    return status;
+  function = made.get();
+  owner.functions.push_back(std::move(made));
+  return status;
+}
+
+unsigned DeviceQueue::mostThreads(const DeviceFunction &function) const {
+  return device->mostThreads(*static_cast<const Function &>(function).function);
+}
+
+unsigned DeviceQueue::residentBlocks(const DeviceFunction &function,
+                                     unsigned threads) const {
+  return device->residentBlocks(
+      *static_cast<const Function &>(function).function, threads);
+}
+
+//===----------------------------------------------------------------------===//
+// Work
+//===----------------------------------------------------------------------===//
+
+Status DeviceQueue::launch(DeviceFunction &function, const LaunchShape &shape,
+                           const uint64_t *slots, int count) {
+  auto &wrapped = static_cast<Function &>(function);
+  if (__builtin_expect(collecting == 0, true))
+    return device->launch(*wrapped.function, shape, slots, count);
+  collected->addLaunch(wrapped, shape, slots, count);
+  return Status::success();
+}
+
+Status DeviceQueue::copy(DevicePtr to, DevicePtr from, int64_t bytes) {
+  if (collecting == 0)
+    return device->copy(to, from, bytes);
+  if (bytes > 0)
+    collected->addCopy(to, from, bytes);
+  return Status::success();
+}
+
+Status DeviceQueue::fill(DevicePtr to, const void *pattern, int patternBytes,
+                         int64_t count) {
+  if (collecting == 0)
+    return device->fill(to, pattern, patternBytes, count);
+  if (count > 0)
+    collected->addFill(to, pattern, patternBytes, count);
+  return Status::success();
+}
+
+Status DeviceQueue::copyIn(DevicePtr to, const void *from, int64_t bytes) {
+  Status status = flush();
+  return status ? device->copyIn(to, from, bytes) : std::move(status);
+}
+
+Status DeviceQueue::copyOut(void *to, DevicePtr from, int64_t bytes) {
+  Status status = flush();
+  return status ? device->copyOut(to, from, bytes) : std::move(status);
+}
+
+Status DeviceQueue::synchronize() {
+  Status status = flush();
+  return status ? device->synchronize() : std::move(status);
+}
+
+void DeviceQueue::free(DevicePtr memory) {
+  // What has been collected may use it.
+  if (collected->empty())
+    device->free(memory);
+  else
+    released.push_back(memory);
+}
+
+Status DeviceQueue::endCollecting() {
+  if (--collecting > 0)
+    return Status::success();
+  return flush();
+}
+
+//===----------------------------------------------------------------------===//
+// Sequences
+//===----------------------------------------------------------------------===//
+
+Status DeviceQueue::runSteps(const Sequence &sequence) {
+  return sequence.run(*device);
+}
+
+DeviceQueue::Program *DeviceQueue::findProgram(Sequence &&sequence,
+                                               bool &same) {
+  auto range = programs.equal_range(sequence.hash);
+  for (auto it = range.first; it != range.second; ++it)
+    if (it->second->sequence.hasStructureOf(sequence)) {
+      Program &program = *it->second;
+      same = program.sequence.slots == sequence.slots;
+      if (!same)
+        program.sequence = std::move(sequence);
+      return &program;
+    }
+  // Programs whose sequences never come again would pile up.
+  constexpr size_t mostPrograms = 64;
+  if (programs.size() >= mostPrograms)
+    programs.clear();
+  uint64_t hash = sequence.hash;
+  auto made = std::make_unique<Program>(*device, std::move(sequence));
+  Program *program = made.get();
+  programs.emplace(hash, std::move(made));
+  same = false;
+  return program;
+}
+
+Status DeviceQueue::flush() {
+  if (collected->empty())
+    return Status::success();
+  // Nothing of this may be collected in its turn.
+  Sequence sequence = std::move(*collected);
+  *collected = Sequence();
+  std::vector<DevicePtr> unused;
+  unused.swap(released);
+  Status status;
+  // Less than this is not worth a graph.
+  constexpr size_t fewest = 4;
+  if (sequence.steps.size() < fewest || mode == ProgramMode::Launches) {
+    status = runSteps(sequence);
+  } else {
+    bool same = false;
+    Program *program = findProgram(std::move(sequence), same);
+    status = program->run(same, mode, makeProgram);
+  }
+  for (DevicePtr memory : unused)
+    device->free(memory);
+  return status;
+}
+
+std::string DeviceQueue::explain() const {
+  std::string text;
+  for (const auto &[hash, program] : programs)
+    text += program->explain() + "\n";
+  return text;
+}
+
+//===----------------------------------------------------------------------===//
+// Devices without graphs
+//===----------------------------------------------------------------------===//
+
+static Status hasNoGraphs() {
+  return Status::failure(StatusCode::Internal, "this device has no graphs");
+}
+
+Status Device::beginCapture() { return hasNoGraphs(); }
+Status Device::endCapture(std::unique_ptr<DeviceGraph> &) {
+  return hasNoGraphs();
+}
+Status Device::run(DeviceGraph &) { return hasNoGraphs(); }
