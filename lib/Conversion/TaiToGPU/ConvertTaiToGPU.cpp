@@ -86,7 +86,7 @@ LogicalResult KernelOffload::prepareLoops() {
       return loop.emitOpError("runs over a field; expects a box, as "
                               "tai-lower-struct-for makes it");
     numberDraws(loop, loop);
-    if (isDeviceLoop(loop) && failed(prepareSums(loop, lowering)))
+    if (isDeviceLoop(loop) && failed(prepareSums(loop, frame, lowering)))
       return failure();
   }
   return success();

@@ -39,6 +39,10 @@ constexpr llvm::StringLiteral kAlignmentAttrName = "tai.alignment";
 /// What every device gives a tree, as much as its widest access needs.
 constexpr int64_t kTreeAlignment = 16;
 
+/// On that, in deterministic mode: each thread stores a sum of its own, from
+/// that address on.
+constexpr llvm::StringLiteral kPartialSumAttrName = "tai.partial_sum";
+
 /// On the gpu.module: how many bits an index needs.
 constexpr llvm::StringLiteral kIndexBitsAttrName = "tai.index_bits";
 
@@ -57,7 +61,8 @@ void fetchHostValues(LLVM::LLVMFuncOp host, Value frame,
 
 /// Finds the sums that the iterations of a loop keep in registers, and computes
 /// before the loop where they go.
-LogicalResult prepareSums(ParallelForOp loop, DeviceLowering &lowering);
+LogicalResult prepareSums(ParallelForOp loop, Value frame,
+                          DeviceLowering &lowering);
 
 /// Moves a loop to a function of its own and launches that in its place.
 LogicalResult outlineLoop(ParallelForOp loop, Value frame, StringRef name,

@@ -23,6 +23,13 @@
 using namespace mlir;
 using namespace mlir::tai;
 
+/// In deterministic mode a float sum is kept by so many threads at most,
+/// whatever the number of those that run: iteration i is of thread i modulo
+/// theirs. Their partial sums are added up in groups, and the groups one after
+/// another.
+constexpr int64_t kSumThreads = 8192;
+constexpr int64_t kSumGroups = 128;
+
 /// Threads of a block, for what is said of a launch in the IR; the runtime may
 /// take another number.
 constexpr int64_t kBlockDim = 256;
@@ -37,7 +44,9 @@ struct Sum {
   SmallVector<Operation *> updates;
   AtomicKind kind;
   Type type;
+  /// Where it goes, or the first of the partial sums.
   Value target;
+  bool isPartial = false;
   ArrayAttr scope;
   Value slot;
 };
@@ -48,7 +57,65 @@ static bool isKeptInRegister(Operation *update) {
   return strategy && strategy.getValue() == kRegister;
 }
 
-LogicalResult tai::prepareSums(ParallelForOp loop, DeviceLowering &lowering) {
+/// How many threads keep a float sum of this loop in deterministic mode.
+/// Depends on the loop alone.
+static int64_t getSumThreads(ParallelForOp loop) {
+  std::optional<int64_t> count = getNumIterations(loop);
+  return count ? std::clamp<int64_t>(llvm::alignTo(*count, kSumGroups),
+                                     kSumGroups, kSumThreads)
+               : kSumThreads;
+}
+
+/// Loops behind `loop` that add up the partial sums of its threads. Yields the
+/// address of the first.
+static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
+                             Type type, Value target, RuntimeCalls &runtime) {
+  OpBuilder builder(loop);
+  Location loc = loop.getLoc();
+  Type storage = getStorageType(type);
+  auto scratch = [&](int64_t count) {
+    return runtime.call(builder, loc, "tai_rt_device_scratch",
+                        runtime.getPointerType(),
+                        {frame, runtime.i64(builder, loc, 8 * count)});
+  };
+  int64_t threads = getSumThreads(loop);
+  Value partials = scratch(threads), groups = scratch(kSumGroups);
+  builder.setInsertionPointAfter(loop);
+  IndexMath outside(builder, loc);
+  Value zero = outside.constant(0), one = outside.constant(1);
+  /// The sum of `count` numbers from `first` on.
+  auto addUp = [&](OpBuilder &b, Value numbers, Value first, int64_t count) {
+    Value start = arith::ConstantOp::create(b, loc, getIdentity(kind, type));
+    IndexMath math(b, loc);
+    auto add = scf::ForOp::create(
+        b, loc, math.constant(0), math.constant(count), math.constant(1), start,
+        [&](OpBuilder &in, Location, Value i, ValueRange sums) {
+          Value number = emitLoad(in, loc, type,
+                                  emitPointer(in, loc, storage, numbers,
+                                              IndexMath(in, loc).add(first, i)),
+                                  AliasScopes());
+          scf::YieldOp::create(
+              in, loc, emitCombination(in, loc, kind, sums.front(), number));
+        });
+    return add.getResult(0);
+  };
+  auto perGroup =
+      ParallelForOp::create(builder, loc, zero, outside.constant(kSumGroups));
+  OpBuilder b = OpBuilder::atBlockBegin(&perGroup.getBody().front());
+  Value group = perGroup.getInductionVars().front();
+  int64_t size = threads / kSumGroups;
+  Value sum = addUp(b, partials, IndexMath(b, loc).mul(group, size), size);
+  emitStore(b, loc, sum, emitPointer(b, loc, storage, groups, group),
+            AliasScopes());
+  auto all = ParallelForOp::create(builder, loc, zero, one);
+  b.setInsertionPointToStart(&all.getBody().front());
+  sum = addUp(b, groups, IndexMath(b, loc).constant(0), kSumGroups);
+  emitPlainUpdate(b, loc, kind, sum, target, AliasScopes());
+  return partials;
+}
+
+LogicalResult tai::prepareSums(ParallelForOp loop, Value frame,
+                               DeviceLowering &lowering) {
   FieldTable &fields = lowering.device.fields;
   struct Found {
     AtomicOp first;
@@ -56,6 +123,7 @@ LogicalResult tai::prepareSums(ParallelForOp loop, DeviceLowering &lowering) {
   };
   SmallVector<Found> sums;
   SmallVector<Value> targets;
+  SmallVector<std::pair<AtomicKind, Type>> types;
   OpBuilder builder(loop);
   Location loc = loop.getLoc();
   auto outside = [&](ValueRange values) {
@@ -73,8 +141,10 @@ LogicalResult tai::prepareSums(ParallelForOp loop, DeviceLowering &lowering) {
         update && isKeptInRegister(op)) {
       auto *known = llvm::find(targets, update.getPtr());
       number(op, known - targets.begin());
-      if (known == targets.end())
+      if (known == targets.end()) {
         targets.push_back(update.getPtr());
+        types.push_back({AtomicKind::Add, update.getVal().getType()});
+      }
       return WalkResult::advance();
     }
     auto atomic = dyn_cast<AtomicOp>(op);
@@ -107,15 +177,26 @@ LogicalResult tai::prepareSums(ParallelForOp loop, DeviceLowering &lowering) {
                     emitFieldBase(builder, loc, **field), offset);
     number(op, targets.size());
     targets.push_back(target);
+    types.push_back(
+        {getCombiningKind(atomic.getKind()), atomic.getValue().getType()});
     sums.push_back({atomic, target});
     return WalkResult::advance();
   });
   if (result.wasInterrupted())
     return failure();
-  builder.setInsertionPointToStart(&loop.getBody().front());
   for (auto [i, target] : llvm::enumerate(targets)) {
-    auto marker = UnrealizedConversionCastOp::create(builder, loc,
-                                                     target.getType(), target);
+    auto [kind, type] = types[i];
+    // Integers, minima and maxima do not depend on the order.
+    bool isPartial = lowering.deterministic && isa<FloatType>(type) &&
+                     (kind == AtomicKind::Add || kind == AtomicKind::Mul);
+    Value address = isPartial ? emitPartialSums(loop, frame, kind, type, target,
+                                                lowering.host.runtime)
+                              : target;
+    builder.setInsertionPointToStart(&loop.getBody().front());
+    auto marker = UnrealizedConversionCastOp::create(
+        builder, loc, address.getType(), address);
+    if (isPartial)
+      marker->setAttr(kPartialSumAttrName, builder.getUnitAttr());
     marker->setAttr(kSumTargetAttrName, builder.getI64IntegerAttr(i));
   }
   return success();
@@ -142,6 +223,7 @@ static SmallVector<Sum> collectSums(ParallelForOp loop, FieldTable &fields) {
     Sum &sum = at(op);
     if (auto marker = dyn_cast<UnrealizedConversionCastOp>(op)) {
       sum.target = marker.getOperand(0);
+      sum.isPartial = marker->hasAttr(kPartialSumAttrName);
       markers.push_back(marker);
       return;
     }
@@ -246,7 +328,8 @@ static std::pair<Value, Value> emitThread(OpBuilder &builder, Location loc) {
 }
 
 /// Emits the loop over the iterations of this thread and moves the body in.
-static void emitIterations(OpBuilder &builder, ParallelForOp loop) {
+static void emitIterations(OpBuilder &builder, ParallelForOp loop,
+                           MutableArrayRef<Sum> sums) {
   Location loc = loop.getLoc();
   IndexMath math(builder, loc);
   SmallVector<Value> extents;
@@ -265,6 +348,30 @@ static void emitIterations(OpBuilder &builder, ParallelForOp loop) {
     count = math.mul(count, extents.back());
   }
   auto [thread, threads] = emitThread(builder, loc);
+  if (llvm::any_of(sums, [](const Sum &sum) { return sum.isPartial; })) {
+    // This thread stands in for some of a fixed number.
+    auto standIns = scf::ForOp::create(
+        builder, loc, thread, math.constant(getSumThreads(loop)), threads);
+    builder.setInsertionPointToStart(standIns.getBody());
+    for (Sum &sum : sums)
+      if (sum.isPartial)
+        emitSlotStore(builder, loc,
+                      arith::ConstantOp::create(
+                          builder, loc, getIdentity(sum.kind, sum.type)),
+                      sum.slot);
+    auto number =
+        arith::ConstantIndexOp::create(builder, loc, getSumThreads(loop));
+    builder.setInsertionPoint(standIns.getBody()->getTerminator());
+    for (Sum &sum : sums)
+      if (sum.isPartial)
+        emitStore(builder, loc, emitSlotLoad(builder, loc, sum.type, sum.slot),
+                  emitPointer(builder, loc, getStorageType(sum.type),
+                              sum.target, standIns.getInductionVar()),
+                  AliasScopes());
+    thread = standIns.getInductionVar();
+    threads = number;
+    builder.setInsertionPointAfter(number);
+  }
   auto iterations = scf::ForOp::create(builder, loc, thread, count, threads);
   Block *block = iterations.getBody();
   builder.setInsertionPointToStart(block);
@@ -511,12 +618,13 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   for (Sum &sum : sums)
     emitSumStart(builder, loc, sum);
   builder.setInsertionPoint(ret);
-  emitIterations(builder, loop);
+  emitIterations(builder, loop, sums);
   for (Sum &sum : sums)
     rewriteUpdates(sum);
   builder.setInsertionPoint(ret);
   for (Sum &sum : sums)
-    emitSumEnd(builder, loc, sum, runtime);
+    if (!sum.isPartial)
+      emitSumEnd(builder, loc, sum, runtime);
 
   Parameters parameters(function, loop);
   if (failed(parameters.capture()))
