@@ -15,7 +15,7 @@ using namespace mlir::tai;
 // levels, the image of the device (its kind and the number of its functions, or
 // nothing; its bytes and the functions' names), and the trees up to the end;
 // each string as its length in eight bytes and its bytes.
-static constexpr StringLiteral magic = "TAIOBJ4\n";
+static constexpr StringLiteral magic = "TAIOBJ5\n";
 
 static void append(std::string &bytes, StringRef string) {
   char length[8];
@@ -63,6 +63,7 @@ static void append(std::string &bytes,
                       static_cast<int64_t>(image->functions.size())};
   append(bytes, ArrayRef<int64_t>(header));
   append(bytes, StringRef(image->bytes));
+  append(bytes, image->bitcode ? StringRef(*image->bitcode) : StringRef());
   for (const std::string &function : image->functions)
     append(bytes, StringRef(function));
 }
@@ -84,6 +85,10 @@ static bool consumeImage(StringRef &bytes,
   if (!code)
     return false;
   image->bytes = code->str();
+  std::optional<StringRef> bitcode = consume(bytes);
+  if (!bitcode)
+    return false;
+  image->bitcode = std::make_shared<const std::string>(bitcode->str());
   for (int64_t left = (*header)[1]; left > 0; --left) {
     std::optional<StringRef> function = consume(bytes);
     if (!function)

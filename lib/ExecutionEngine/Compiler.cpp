@@ -440,6 +440,40 @@ static LogicalResult findDeviceCode(ModuleOp module, Operation *&found,
   return success();
 }
 
+/// The compiler of device code of a worker, made now if need be.
+static llvm::Expected<DeviceCompiler *>
+getDeviceCompiler(std::unique_ptr<DeviceCompiler> &compiler,
+                  const CompileOptions &options) {
+  if (!compiler) {
+    auto made = DeviceCompiler::create({*options.device, options.deviceTarget},
+                                       options.codegen);
+    if (!made)
+      return made.takeError();
+    compiler = std::move(*made);
+  }
+  return compiler.get();
+}
+
+std::optional<runtime::DeviceImage>
+Compiler::makeProgram(ArrayRef<runtime::ProgramPart> parts, int scope,
+                      unsigned threads, const CompileOptions &options,
+                      Failure &failure) {
+  WorkerLease lease(*this, options);
+  auto compiler = getDeviceCompiler((*lease).deviceCode, options);
+  if (!compiler) {
+    (void)failInLLVM(compiler.takeError(), failure);
+    return std::nullopt;
+  }
+  auto image = (*compiler)->makeProgram(parts, scope, threads);
+  if ((*compiler)->isBroken())
+    (*lease).deviceCode.reset();
+  if (!image) {
+    (void)failInLLVM(image.takeError(), failure);
+    return std::nullopt;
+  }
+  return std::move(*image);
+}
+
 LogicalResult Compiler::compileDeviceCode(
     Worker &worker, const CompileOptions &options, Prepared &prepared,
     std::optional<runtime::DeviceImage> &image, Failure &failure) {
@@ -455,16 +489,11 @@ LogicalResult Compiler::compileDeviceCode(
         Failure::get(FailureKind::Usage, llvm::toString(std::move(error)));
     return mlir::failure();
   };
-  if (!worker.deviceCode) {
-    PhaseTimer timer(times, Phase::Translate);
-    auto made = DeviceCompiler::create({*options.device, options.deviceTarget},
-                                       options.codegen);
-    if (!made)
-      return fail(made.takeError());
-    worker.deviceCode = std::move(*made);
-  }
-  DeviceCompiler &compiler = *worker.deviceCode;
-  auto leave = llvm::make_scope_exit([&] {
+  auto made = getDeviceCompiler(worker.deviceCode, options);
+  if (!made)
+    return fail(made.takeError());
+  DeviceCompiler &compiler = **made;
+  llvm::scope_exit leave([&] {
     if (compiler.isBroken())
       worker.deviceCode.reset();
   });

@@ -156,6 +156,11 @@ public:
                                  const CompileOptions &options,
                                  Failure &failure);
 
+  /// Makes one kernel of many; see runtime::ProgramMaker.
+  std::optional<runtime::DeviceImage>
+  makeProgram(ArrayRef<runtime::ProgramPart> parts, int scope, unsigned threads,
+              const CompileOptions &options, Failure &failure);
+
   /// Frees a function that is not running.
   void unload(const Function &function);
 
