@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/Session.h"
-#include "tai/Runtime/Device.h"
+#include "tai/Runtime/DeviceQueue.h"
 #include "llvm/Support/Process.h"
 
 using namespace mlir;
@@ -54,5 +54,19 @@ LogicalResult Session::setArch(StringRef name) {
     return fail(FailureKind::Usage,
                 "there is no arch '" + name + "'; there are cpu and cuda");
   }
-  return check(rt->useDevice(std::move(device), deviceMemoryLimit));
+  if (failed(check(rt->useDevice(std::move(device), deviceMemoryLimit))))
+    return failure();
+  if (runtime::DeviceQueue *queue = rt->getDeviceQueue())
+    queue->setProgramMaker(
+        [this](const std::vector<runtime::ProgramPart> &parts, int scope,
+               unsigned threads, runtime::DeviceImage &image) {
+          Failure problem;
+          auto made =
+              compiler->makeProgram(parts, scope, threads, options, problem);
+          if (!made)
+            return keepFailure(std::move(problem));
+          image = std::move(*made);
+          return runtime::Status::success();
+        });
+  return success();
 }

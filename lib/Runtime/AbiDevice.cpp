@@ -39,6 +39,10 @@ Status Runtime::useDevice(std::unique_ptr<Device> opened, int64_t memoryLimit) {
 
 Device *Runtime::getDevice() const { return device ? &device->get() : nullptr; }
 
+DeviceQueue *Runtime::getDeviceQueue() const {
+  return device ? &device->queue() : nullptr;
+}
+
 Status Runtime::synchronize() {
   if (!device)
     return Status::success();

@@ -19,7 +19,8 @@ static constexpr int64_t stackBytes = 256 << 20;
 
 DeviceContext::DeviceContext(Runtime &runtime, std::unique_ptr<Device> device,
                              int64_t limit)
-    : runtime(runtime), device(std::move(device)), limit(limit) {}
+    : runtime(runtime),
+      device(std::make_unique<DeviceQueue>(std::move(device))), limit(limit) {}
 
 DeviceContext::~DeviceContext() {
   if (stateMemory)

@@ -13,7 +13,7 @@
 #ifndef TAI_LIB_RUNTIME_DEVICECONTEXT_H
 #define TAI_LIB_RUNTIME_DEVICECONTEXT_H
 
-#include "tai/Runtime/Device.h"
+#include "tai/Runtime/DeviceQueue.h"
 #include <atomic>
 #include <map>
 #include <mutex>
@@ -33,6 +33,7 @@ public:
   DeviceContext &operator=(const DeviceContext &) = delete;
 
   Device &get() const { return *device; }
+  DeviceQueue &queue() const { return *device; }
 
   /// Memory for a tree, or for another purpose; where there is none, the
   /// failure says who has it. Any thread.
@@ -59,7 +60,7 @@ private:
   Status takeNoted();
 
   Runtime &runtime;
-  std::unique_ptr<Device> device;
+  std::unique_ptr<DeviceQueue> device;
   int64_t limit;
   std::mutex mutex;
   struct Holding {

@@ -19,6 +19,7 @@
 #include "TapeCheckpoint.h"
 #include "TapeMemory.h"
 #include "TapeTopology.h"
+#include "tai/Runtime/DeviceQueue.h"
 #include <algorithm>
 #include <cstring>
 
@@ -317,7 +318,38 @@ Status Tape::sweepAroundCallbacks() {
   return status;
 }
 
+namespace {
+/// While it lives, what is launched on a device becomes one piece of work.
+class CollectedWork {
+public:
+  explicit CollectedWork(Runtime &runtime) : queue(runtime.getDeviceQueue()) {
+    if (queue)
+      queue->beginCollecting();
+  }
+  ~CollectedWork() { (void)finish(Status::success()); }
+  CollectedWork(const CollectedWork &) = delete;
+  CollectedWork &operator=(const CollectedWork &) = delete;
+
+  /// Queues it. What has gone wrong before comes first.
+  Status finish(Status status) {
+    if (!queue)
+      return status;
+    Status ended = queue->endCollecting();
+    queue = nullptr;
+    return status ? std::move(ended) : std::move(status);
+  }
+
+private:
+  DeviceQueue *queue;
+};
+} // namespace
+
 Status Tape::backward() {
+  CollectedWork work(runtime);
+  return work.finish(sweep());
+}
+
+Status Tape::sweep() {
   end();
   examined.clear();
   notes.clear();
@@ -395,6 +427,11 @@ Status Tape::replay(bool forward, bool reverse) {
     return Status::failure(StatusCode::Usage,
                            "a tape cannot be replayed while one is being "
                            "recorded");
+  CollectedWork work(runtime);
+  return work.finish(runAgain(forward, reverse));
+}
+
+Status Tape::runAgain(bool forward, bool reverse) {
   if (reverse)
     runtime.clearGradients();
   if (forward) {
@@ -405,7 +442,7 @@ Status Tape::replay(bool forward, bool reverse) {
     if (!status)
       return status;
   }
-  return reverse ? backward() : Status::success();
+  return reverse ? sweep() : Status::success();
 }
 
 //===----------------------------------------------------------------------===//

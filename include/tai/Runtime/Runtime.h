@@ -30,6 +30,7 @@ namespace mlir::tai::runtime {
 
 class Device;
 class DeviceContext;
+class DeviceQueue;
 class ForkGuard;
 struct HostWrite;
 class GradientCheck;
@@ -117,6 +118,8 @@ public:
   Status useDevice(std::unique_ptr<Device> device, int64_t memoryLimit = 0);
   /// Null where kernels run on the CPU.
   Device *getDevice() const;
+  /// The queue in front of it, or null.
+  DeviceQueue *getDeviceQueue() const;
   /// Waits for what is queued; reports what failed, and prints what kernels
   /// have printed.
   Status synchronize();

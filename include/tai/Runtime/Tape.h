@@ -270,6 +270,8 @@ private:
   Status recompute(Launch &launch, size_t index, bool saving, size_t oldest);
   Status recomputeRange(Launch &launch, size_t from, size_t to);
   Status runAgain(Launch &launch, size_t index);
+  Status runAgain(bool forward, bool reverse);
+  Status sweep();
   template <typename Body> Status forEachChange(size_t index, const Body &body);
   bool mayNeed(size_t index) const;
   bool isShort(size_t from, size_t to) const;

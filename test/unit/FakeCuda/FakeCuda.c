@@ -264,9 +264,10 @@ Result cuModuleUnload(void *given) {
 }
 Result cuModuleGetFunction(void **result, void *given, const char *name) {
   (void)given;
-  *result = strcmp(name, "scale") == 0   ? "scale"
-            : strcmp(name, "where") == 0 ? "where"
-                                         : NULL;
+  static char scale[] = "scale", where[] = "where";
+  *result = strcmp(name, scale) == 0   ? scale
+            : strcmp(name, where) == 0 ? where
+                                       : NULL;
   return *result ? 0 : 500;
 }
 Result cuFuncGetAttribute(int *value, int attribute, void *function) {
