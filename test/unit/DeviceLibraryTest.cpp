@@ -35,6 +35,9 @@ int32_t getOne() { return 1; }
 int32_t getBlock() { return blockId; }
 int32_t getGrid() { return gridDim; }
 
+/// Programs bring their own.
+static void dispatch(uint64_t, const uint64_t *) {}
+
 class DeviceLibrary : public testing::Test {
 protected:
   static void SetUpTestSuite() {
@@ -52,7 +55,8 @@ protected:
         {"tai_emu_thread_id", reinterpret_cast<void *>(&getZero)},
         {"tai_emu_block_dim", reinterpret_cast<void *>(&getOne)},
         {"tai_emu_block_id", reinterpret_cast<void *>(&getBlock)},
-        {"tai_emu_grid_dim", reinterpret_cast<void *>(&getGrid)}};
+        {"tai_emu_grid_dim", reinterpret_cast<void *>(&getGrid)},
+        {"tai_program_dispatch", reinterpret_cast<void *>(&dispatch)}};
     auto made = Linker::create(symbols);
     ASSERT_TRUE(static_cast<bool>(made));
     linker = made->release();

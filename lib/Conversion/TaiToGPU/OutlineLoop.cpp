@@ -446,7 +446,7 @@ Value Parameters::addParameter(Value outer) {
 }
 
 /// What is known of the alignment of an address of the host's part.
-static int64_t getAlignment(Value address) {
+static int64_t getAddressAlignment(Value address) {
   uint64_t offsets = 0;
   while (auto element = address.getDefiningOp<LLVM::GEPOp>()) {
     auto indices = element.getIndices();
@@ -648,7 +648,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   // Neighbours in memory are then read and written at once.
   for (auto [i, operand] : llvm::enumerate(operands))
     if (isa<LLVM::LLVMPointerType>(operand.getType()))
-      if (int64_t alignment = getAlignment(operand); alignment > 1)
+      if (int64_t alignment = getAddressAlignment(operand); alignment > 1)
         function.setArgAttr(
             i, LLVM::LLVMDialect::getAlignAttrName(),
             IntegerAttr::get(IntegerType::get(context, 64), alignment));
