@@ -174,7 +174,10 @@ FIGURES: list[Figure] = [
         "diffmpm", "6.4 K particles, per step", ("graph", "graph-scalar"),
         ("fused-graph", "persistent"),
     ),
-    *_scene("diffmpm_large", "1 M particles, per step", ("graph-large",), ("fused-large",)),
+    *_scene(
+        "diffmpm_large", "1 M particles, per step", ("graph-large", "shared-large"),
+        ("fused-large",),
+    ),
     *_scene(
         "smoke", "110², 99 steps", ("graph",), ("persistent", "tiled-graph", "tiled-persistent")
     ),

@@ -40,7 +40,7 @@ GROUPS = [
 # The program of each floor, and its variants that belong to a group.
 FLOORS = {
     "diffmpm": ("mpm", ["graph", "graph-scalar", "fused-graph", "persistent"]),
-    "diffmpm_large": ("mpm", ["graph-large", "fused-large"]),
+    "diffmpm_large": ("mpm", ["graph-large", "shared-large", "fused-large"]),
     "smoke": ("smoke", []),
     "mass_spring": ("robot", []),
     "bandwidth": ("bandwidth", []),

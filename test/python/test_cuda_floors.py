@@ -24,6 +24,7 @@ from problems import PROBLEMS  # noqa: E402
 PROGRAMS = [
     ("mpm", "diffmpm", "graph", 1e-5),
     ("mpm", "diffmpm", "fused-graph", 1e-5),
+    ("mpm", "diffmpm", "shared", 1e-5),
     ("smoke", "smoke", "graph", 1e-3),
     ("smoke", "smoke", "tiled-graph", 1e-3),
     ("robot", "mass_spring", "persistent", 5e-2),

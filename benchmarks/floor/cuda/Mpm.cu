@@ -13,12 +13,16 @@
 //   persistent      that as one kernel with a barrier over the grid
 //   graph-large     `graph` for a million particles on 1024 x 1024 nodes
 //   fused-large     `fused-graph` for them
+//   shared-large    `graph-large`, the scatters of a block added up in shared
+//                   memory first
 //
 // Times are per step, forward and backward.
 //
 //===----------------------------------------------------------------------===//
 
 #include "Mpm.h"
+
+#include <algorithm>
 
 #ifndef HOST_CHECK
 #include "Device.h"
@@ -29,6 +33,8 @@ using namespace tai::floor;
 namespace {
 
 constexpr int smallSide = 80, smallNodes = 128, smallSlots = 51;
+/// Particles of a block that adds up in shared memory.
+constexpr int blockParticles = 256;
 constexpr int largeSide = 1000, largeNodes = 1024, largeSlots = 21;
 
 #ifdef HOST_CHECK
@@ -96,6 +102,33 @@ Outcome runStages(Scene &scene) {
   return scene.outcome(loss);
 }
 
+Outcome runBlocks(Scene &scene) {
+  const Mpm &s = scene.s;
+  // Some windows do not fit: blocks that go over a row's end.
+  Window<3> forward;
+  Window<2> backward;
+  for (int t = 0; t < s.slots - 1; ++t) {
+    for (int p = 0; p < s.count; p += blockParticles)
+      scatterBlock(s, t, p, std::min(blockParticles, s.count - p), forward);
+    for (int node = 0; node < s.nodes(); ++node)
+      gridBody(s, t, node);
+    for (int p = 0; p < s.count; ++p)
+      gatherBody(s, t, p);
+  }
+  double loss = 0;
+  for (int p = 0; p < s.count; ++p)
+    loss += lossBody(s, p);
+  for (int t = s.slots - 2; t >= 0; --t) {
+    for (int p = 0; p < s.count; p += blockParticles)
+      gatherBarBlock(s, t, p, std::min(blockParticles, s.count - p), backward);
+    for (int node = 0; node < s.nodes(); ++node)
+      gridBarBody(s, t, node);
+    for (int p = 0; p < s.count; ++p)
+      scatterBarBody(s, t, p);
+  }
+  return scene.outcome(loss);
+}
+
 Outcome runFused(Scene &scene) {
   const Mpm &s = scene.s;
   for (int t = 0; t < s.slots; ++t)
@@ -117,12 +150,13 @@ Outcome runFused(Scene &scene) {
 }
 
 int run(const Options &options) {
-  for (const char *variant : {"graph", "fused-graph"}) {
+  for (const char *variant : {"graph", "fused-graph", "shared"}) {
     if (!options.wants(variant))
       continue;
     Scene scene(smallNodes, smallSide, smallSlots);
-    const Outcome outcome =
-        variant[0] == 'g' ? runStages(scene) : runFused(scene);
+    const Outcome outcome = variant[0] == 'g'   ? runStages(scene)
+                            : variant[0] == 'f' ? runFused(scene)
+                                                : runBlocks(scene);
     print("diffmpm", variant, "check", {}, &outcome);
     outcome.dump(options.dump);
   }
@@ -178,6 +212,20 @@ __global__ void scatterBarKernel(Mpm s, int t) {
   const int p = int(blockIdx.x * blockDim.x + threadIdx.x);
   if (p < s.count)
     scatterBarBody(s, t, p);
+}
+
+__global__ void __launch_bounds__(blockParticles)
+    scatterBlockKernel(Mpm s, int t) {
+  __shared__ Window<3> window;
+  const int first = int(blockIdx.x) * blockParticles;
+  scatterBlock(s, t, first, min(blockParticles, s.count - first), window);
+}
+
+__global__ void __launch_bounds__(blockParticles)
+    gatherBarBlockKernel(Mpm s, int t) {
+  __shared__ Window<2> window;
+  const int first = int(blockIdx.x) * blockParticles;
+  gatherBarBlock(s, t, first, min(blockParticles, s.count - first), window);
 }
 
 __global__ void fusedForwardKernel(Mpm s, int t) {
@@ -282,20 +330,32 @@ int blocksFor(int count, int threads) {
   return (count + threads - 1) / threads;
 }
 
-template <bool Whole> void queueStages(Scene &scene, int threads) {
+/// Three kernels a step, and three for its adjoint. The scatters add to memory
+/// by whole nodes or by components, or in shared memory first.
+enum class Scatter { Whole, Components, Shared };
+
+template <Scatter kind> void queueStages(Scene &scene, int threads) {
   const Mpm &s = scene.s;
   cudaStream_t stream = scene.stream;
   const int blocks = blocksFor(s.count, threads);
+  [[maybe_unused]] const int shared = blocksFor(s.count, blockParticles);
   const int gridThreads = 128, gridBlocks = blocksFor(s.nodes(), gridThreads);
   scene.clear();
   for (int t = 0; t < s.slots - 1; ++t) {
-    scatterKernel<Whole><<<blocks, threads, 0, stream>>>(s, t);
+    if constexpr (kind == Scatter::Shared)
+      scatterBlockKernel<<<shared, blockParticles, 0, stream>>>(s, t);
+    else
+      scatterKernel<kind == Scatter::Whole>
+          <<<blocks, threads, 0, stream>>>(s, t);
     gridKernel<<<gridBlocks, gridThreads, 0, stream>>>(s, t);
     gatherKernel<<<blocks, threads, 0, stream>>>(s, t);
   }
   lossKernel<<<blocks, threads, 0, stream>>>(s);
   for (int t = s.slots - 2; t >= 0; --t) {
-    gatherBarKernel<<<blocks, threads, 0, stream>>>(s, t);
+    if constexpr (kind == Scatter::Shared)
+      gatherBarBlockKernel<<<shared, blockParticles, 0, stream>>>(s, t);
+    else
+      gatherBarKernel<<<blocks, threads, 0, stream>>>(s, t);
     gridBarKernel<<<gridBlocks, gridThreads, 0, stream>>>(s, t);
     scatterBarKernel<<<blocks, threads, 0, stream>>>(s, t);
   }
@@ -334,12 +394,12 @@ int run(const Options &options) {
   if (options.wants("graph")) {
     Scene scene(smallNodes, smallSide, smallSlots);
     timeGraph(options, scene, small, "graph",
-              [&] { queueStages<true>(scene, 64); });
+              [&] { queueStages<Scatter::Whole>(scene, 64); });
   }
   if (options.wants("graph-scalar")) {
     Scene scene(smallNodes, smallSide, smallSlots);
     timeGraph(options, scene, small, "graph-scalar",
-              [&] { queueStages<false>(scene, 64); });
+              [&] { queueStages<Scatter::Components>(scene, 64); });
   }
   if (options.wants("fused-graph")) {
     Scene scene(smallNodes, smallSide, smallSlots);
@@ -357,7 +417,12 @@ int run(const Options &options) {
   if (options.wants("graph-large")) {
     Scene scene(largeNodes, largeSide, largeSlots);
     timeGraph(options, scene, large, "graph-large",
-              [&] { queueStages<true>(scene, 128); });
+              [&] { queueStages<Scatter::Whole>(scene, 128); });
+  }
+  if (options.wants("shared-large")) {
+    Scene scene(largeNodes, largeSide, largeSlots);
+    timeGraph(options, scene, large, "shared-large",
+              [&] { queueStages<Scatter::Shared>(scene, 128); });
   }
   if (options.wants("fused-large")) {
     Scene scene(largeNodes, largeSide, largeSlots);

@@ -54,13 +54,12 @@ struct Particle {
 
 /// Base node and quadratic weights of a particle.
 struct Support {
-  int node;
+  int node, base[2];
   float fx[2], weight[2][3];
 
   TAI_BOTH Support(const Mpm &s, Pair position) {
     const float scaled[2] = {position.x * s.inverseDx,
                              position.y * s.inverseDx};
-    int base[2];
     for (int a = 0; a < 2; ++a) {
       base[a] = int(scaled[a] - 0.5f);
       fx[a] = scaled[a] - float(base[a]);
@@ -105,9 +104,10 @@ TAI_BOTH Quad affineOf(const Mpm &s, Quad c, Quad f) {
           stiff * (twice * (m.z * f.z + m.w * f.w) + pressure) + c.w};
 }
 
-/// Scatters a particle of slot t to `grid`; returns its new F.
-template <bool Whole>
-TAI_BOTH Quad scatter(const Mpm &s, const Particle &p, Quad *grid) {
+/// Scatters a particle of slot t by `add(support, i, j, value)`; returns its
+/// new F.
+template <typename Add>
+TAI_BOTH Quad scatter(const Mpm &s, const Particle &p, const Add &add) {
   const Quad f = deform(s, p.c, p.f);
   const Quad a = affineOf(s, p.c, f);
   const Support support(s, p.x);
@@ -118,8 +118,17 @@ TAI_BOTH Quad scatter(const Mpm &s, const Particle &p, Quad *grid) {
     const float dx = (float(i) - support.fx[0]) * s.dx,
                 dy = (float(j) - support.fx[1]) * s.dx;
     const float weight = support.weight[0][i] * support.weight[1][j];
-    const Quad value = {weight * (p.v.x + a.x * dx + a.y * dy),
-                        weight * (p.v.y + a.z * dx + a.w * dy), weight, 0.0f};
+    add(support, i, j,
+        Quad{weight * (p.v.x + a.x * dx + a.y * dy),
+             weight * (p.v.y + a.z * dx + a.w * dy), weight, 0.0f});
+  }
+  return f;
+}
+
+/// The same to a grid in memory, whole nodes at a time or by components.
+template <bool Whole>
+TAI_BOTH Quad scatterTo(const Mpm &s, const Particle &p, Quad *grid) {
+  return scatter(s, p, [&](const Support &support, int i, int j, Quad value) {
     Quad *node = grid + (support.node + i * s.n + j);
     if (Whole) {
       addTo(node, value);
@@ -128,8 +137,7 @@ TAI_BOTH Quad scatter(const Mpm &s, const Particle &p, Quad *grid) {
       addTo(&node->y, value.y);
       addTo(&node->z, value.z);
     }
-  }
-  return f;
+  });
 }
 
 /// Velocity of node (i, j); `open` tells which components are not held.
@@ -186,10 +194,11 @@ TAI_BOTH void gather(const Mpm &s, Particle &p, const At &at) {
 }
 
 /// Adjoint of `gather`: from the adjoint of slot t + 1 to the nodes' velocities
-/// and to what x of slot t gets from here. v and c of `bar` are used up.
-template <typename At>
+/// by `add(support, i, j, value)` and to what x of slot t gets from here. v and
+/// c of `bar` are used up.
+template <typename At, typename Add>
 TAI_BOTH void gatherBar(const Mpm &s, Pair x, Particle &bar, const At &at,
-                        Pair *velocityBar) {
+                        const Add &add) {
   const Support support(s, x);
   const Pair v = {bar.v.x + s.dt * bar.x.x, bar.v.y + s.dt * bar.x.y};
   const float factor = 4.0f * s.inverseDx;
@@ -206,7 +215,7 @@ TAI_BOTH void gatherBar(const Mpm &s, Pair x, Particle &bar, const At &at,
     const int index = support.node + i * s.n + j;
     const Pair node = at(index);
     const Pair part = {v.x + c.x * dx + c.y * dy, v.y + c.z * dx + c.w * dy};
-    addTo(velocityBar + index, Pair{weight * part.x, weight * part.y});
+    add(support, i, j, Pair{weight * part.x, weight * part.y});
     const float whole = part.x * node.x + part.y * node.y;
     weightBar[0][i] += whole * support.weight[1][j];
     weightBar[1][j] += whole * support.weight[0][i];
@@ -217,6 +226,16 @@ TAI_BOTH void gatherBar(const Mpm &s, Pair x, Particle &bar, const At &at,
   bar.x.x += (fx.x + more.x) * s.inverseDx;
   bar.x.y += (fx.y + more.y) * s.inverseDx;
 }
+
+/// Adds to a grid of pairs in memory.
+struct AddPair {
+  Pair *grid;
+  int n;
+  TAI_BOTH void operator()(const Support &support, int i, int j,
+                           Pair value) const {
+    addTo(grid + (support.node + i * n + j), value);
+  }
+};
 
 /// Adjoint of `affineOf`: adds to `fBar`, returns the adjoint of C.
 TAI_BOTH Quad affineBar(const Mpm &s, Quad f, Quad bar, Quad &fBar) {
@@ -316,7 +335,7 @@ TAI_BOTH Particle load(const Mpm &s, int t, int p) {
 template <bool Whole> TAI_BOTH void scatterBody(const Mpm &s, int t, int p) {
   const Particle particle = load(s, t, p);
   s.f[(t + 1) * s.count + p] =
-      scatter<Whole>(s, particle, s.grid + size_t(t) * size_t(s.nodes()));
+      scatterTo<Whole>(s, particle, s.grid + size_t(t) * size_t(s.nodes()));
 }
 
 TAI_BOTH void gridBody(const Mpm &s, int t, int node) {
@@ -355,7 +374,7 @@ TAI_BOTH void gatherBarBody(const Mpm &s, int t, int p) {
   const Pair *velocity = s.velocity + first;
   gatherBar(
       s, s.x[t * s.count + p], bar, [&](int node) { return velocity[node]; },
-      s.velocityBar + first);
+      AddPair{s.velocityBar + first, s.n});
   s.xBar[p] = bar.x;
 }
 
@@ -393,7 +412,7 @@ TAI_BOTH void fusedForward(const Mpm &s, int t, int p, Particle &own) {
     storeGathered(s, t, p, own);
   }
   if (t < s.slots - 1) {
-    own.f = scatter<true>(s, own, s.grid + size_t(t) * size_t(s.nodes()));
+    own.f = scatterTo<true>(s, own, s.grid + size_t(t) * size_t(s.nodes()));
     s.f[(t + 1) * s.count + p] = own.f;
   }
 }
@@ -417,8 +436,138 @@ TAI_BOTH void fusedBackward(const Mpm &s, int t, int p, Particle &bar) {
           return nodeVelocity(s, s.grid[first + size_t(node)], node / s.n,
                               node % s.n);
         },
-        s.velocityBar + first);
+        AddPair{s.velocityBar + first, s.n});
   }
+}
+
+//===----------------------------------------------------------------------===//
+// Scatters of a block of particles, added up in shared memory first: particles
+// that follow one another are near one another, and meet on the same nodes
+//===----------------------------------------------------------------------===//
+
+constexpr int windowNodes = 3072;
+
+/// Memory that the threads of a block share: the nodes around its particles,
+/// where they are few enough.
+template <int components> struct Window {
+  int low[2], high[2];
+  float values[components][windowNodes];
+
+  TAI_BOTH int columns() const { return high[1] - low[1] + 3; }
+  TAI_BOTH int count() const { return (high[0] - low[0] + 3) * columns(); }
+  TAI_BOTH bool fits() const { return count() <= windowNodes; }
+  TAI_BOTH int at(const Support &support, int i, int j) const {
+    return (support.base[0] - low[0] + i) * columns() + support.base[1] -
+           low[1] + j;
+  }
+  /// Number in the grid of a node of the window.
+  TAI_BOTH int node(int k, int n) const {
+    return (low[0] + k / columns()) * n + low[1] + k % columns();
+  }
+};
+
+/// The least of what the threads have; one of a warp's threads writes for all.
+TAI_BOTH void lower(int *p, int v) {
+#ifdef __CUDA_ARCH__
+  const unsigned active = __activemask();
+  const int least = __reduce_min_sync(active, v);
+  if (int(threadIdx.x % 32) == __ffs(int(active)) - 1)
+    atomicMin(p, least);
+#else
+  *p = v < *p ? v : *p;
+#endif
+}
+
+TAI_BOTH void raise(int *p, int v) {
+#ifdef __CUDA_ARCH__
+  const unsigned active = __activemask();
+  const int most = __reduce_max_sync(active, v);
+  if (int(threadIdx.x % 32) == __ffs(int(active)) - 1)
+    atomicMax(p, most);
+#else
+  *p = v > *p ? v : *p;
+#endif
+}
+
+/// Finds the window of particles `first` to `first + count` and clears it.
+template <int components>
+TAI_BOTH void openWindow(const Mpm &s, int t, int first, int count,
+                         Window<components> &window) {
+  forEach(2, [&](int axis) {
+    window.low[axis] = s.n;
+    window.high[axis] = 0;
+  });
+  blockSync();
+  forEach(count, [&](int k) {
+    const Support support(s, s.x[t * s.count + first + k]);
+    for (int axis = 0; axis < 2; ++axis) {
+      lower(&window.low[axis], support.base[axis]);
+      raise(&window.high[axis], support.base[axis]);
+    }
+  });
+  blockSync();
+  if (window.fits())
+    forEach(window.count(), [&](int k) {
+      for (int c = 0; c < components; ++c)
+        window.values[c][k] = 0.0f;
+    });
+  blockSync();
+}
+
+TAI_BOTH void scatterBlock(const Mpm &s, int t, int first, int count,
+                           Window<3> &window) {
+  openWindow(s, t, first, count, window);
+  Quad *grid = s.grid + size_t(t) * size_t(s.nodes());
+  if (!window.fits()) {
+    forEach(count, [&](int k) { scatterBody<true>(s, t, first + k); });
+    return;
+  }
+  forEach(count, [&](int k) {
+    s.f[(t + 1) * s.count + first + k] =
+        scatter(s, load(s, t, first + k),
+                [&](const Support &support, int i, int j, Quad value) {
+                  const int at = window.at(support, i, j);
+                  addTo(&window.values[0][at], value.x);
+                  addTo(&window.values[1][at], value.y);
+                  addTo(&window.values[2][at], value.z);
+                });
+  });
+  blockSync();
+  forEach(window.count(), [&](int k) {
+    if (window.values[2][k] != 0.0f)
+      addTo(grid + window.node(k, s.n),
+            Quad{window.values[0][k], window.values[1][k], window.values[2][k],
+                 0.0f});
+  });
+}
+
+TAI_BOTH void gatherBarBlock(const Mpm &s, int t, int first, int count,
+                             Window<2> &window) {
+  openWindow(s, t, first, count, window);
+  if (!window.fits()) {
+    forEach(count, [&](int k) { gatherBarBody(s, t, first + k); });
+    return;
+  }
+  const size_t nodes = size_t(t) * size_t(s.nodes());
+  const Pair *velocity = s.velocity + nodes;
+  forEach(count, [&](int k) {
+    const int p = first + k;
+    Particle bar = {s.xBar[p], s.vBar[p], s.cBar[p], {}};
+    gatherBar(
+        s, s.x[t * s.count + p], bar, [&](int node) { return velocity[node]; },
+        [&](const Support &support, int i, int j, Pair value) {
+          const int at = window.at(support, i, j);
+          addTo(&window.values[0][at], value.x);
+          addTo(&window.values[1][at], value.y);
+        });
+    s.xBar[p] = bar.x;
+  });
+  blockSync();
+  forEach(window.count(), [&](int k) {
+    const Pair value = {window.values[0][k], window.values[1][k]};
+    if (value.x != 0.0f || value.y != 0.0f)
+      addTo(s.velocityBar + nodes + window.node(k, s.n), value);
+  });
 }
 
 //===----------------------------------------------------------------------===//
