@@ -86,6 +86,7 @@ runtime::Status Session::compileChecked(KernelCode &code,
   info.summary =
       summarize(*code.module, code.module->lookupSymbol<KernelOp>(code.name));
   info.function = reinterpret_cast<TaiKernelFn>(compiled->address);
+  info.image = compiled->image;
   checked.kernel = rt->createKernel(std::move(info));
   return runtime::Status::success();
 }

@@ -56,6 +56,12 @@ LogicalResult Session::setArch(StringRef name) {
   }
   if (failed(check(rt->useDevice(std::move(device), deviceMemoryLimit))))
     return failure();
+  options.device = std::nullopt;
+  options.deviceTarget.clear();
+  if (const runtime::Device *used = rt->getDevice()) {
+    options.device = used->kind();
+    options.deviceTarget = used->target();
+  }
   if (runtime::DeviceQueue *queue = rt->getDeviceQueue())
     queue->setProgramMaker(
         [this](const std::vector<runtime::ProgramPart> &parts, int scope,

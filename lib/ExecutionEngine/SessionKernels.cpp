@@ -355,6 +355,7 @@ runtime::Status Session::compilePrimal(KernelCode &code,
     return keepFailure(std::move(failure));
   runtimeKernel.setTrees(findTrees(code, compiled->trees));
   runtimeKernel.setLoopLevels(getLoopLevels(*compiled));
+  runtimeKernel.setDeviceImage(compiled->image);
   function = reinterpret_cast<TaiKernelFn>(compiled->address);
   return runtime::Status::success();
 }
@@ -368,6 +369,7 @@ static runtime::KernelInfo getHelperInfo(const KernelCode &code,
   info.argSlots = code.argSlots;
   info.trees = findTrees(code, compiled.trees);
   info.loopLevels = getLoopLevels(compiled);
+  info.image = compiled.image;
   info.function = reinterpret_cast<TaiKernelFn>(compiled.address);
   return info;
 }
@@ -575,8 +577,12 @@ LogicalResult Session::runHost(ModuleOp module, StringRef name) {
   OwningOpRef<ModuleOp> host = module.clone();
   stubKernels(*host);
   Failure failure;
+  // The program itself runs on the CPU wherever its kernels do.
+  CompileOptions hostOptions = options;
+  hostOptions.device = std::nullopt;
+  hostOptions.deviceTarget.clear();
   auto compiled = compiler->compile({*host, name, CompileRequest::Goal::Primal},
-                                    options, failure);
+                                    hostOptions, failure);
   if (!compiled)
     return fail(std::move(failure));
   if (printsProfile)

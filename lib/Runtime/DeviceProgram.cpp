@@ -186,8 +186,11 @@ void DeviceQueue::Program::listWays(ProgramMode wanted,
 
 Status DeviceQueue::Program::prepare(Way &way, const ProgramMaker &maker) {
   way.isReady = true;
-  if (way.mode == ProgramMode::Graph)
-    return Status::success();
+  if (way.mode == ProgramMode::Graph) {
+    Status status = update(way);
+    way.isCurrent = bool(status);
+    return status;
+  }
   std::vector<ProgramPart> parts;
   std::unordered_map<const Function *, bool> seen;
   for (const Step &step : sequence.steps)

@@ -25,6 +25,7 @@ using namespace mlir::tai::runtime::cuda;
 
 namespace {
 struct CudaModule;
+struct CudaGraph;
 
 struct CudaFunction : DeviceFunction {
   Function handle = nullptr;
@@ -68,11 +69,17 @@ public:
                           unsigned threads) const override;
   Status launch(DeviceFunction &function, const LaunchShape &shape,
                 const uint64_t *slots, int count) override;
+  Status beginCapture() override;
+  Status endCapture(std::unique_ptr<DeviceGraph> &graph) override;
+  Status run(DeviceGraph &graph) override;
   Status synchronize() override;
 
 private:
   friend struct CudaModule;
+  friend struct CudaGraph;
 
+  Status launchCluster(Function handle, const LaunchShape &shape,
+                       void **parameters);
   Status check(Result result, const char *what) const {
     if (__builtin_expect(result == kSuccess, true))
       return Status::success();
@@ -107,6 +114,17 @@ private:
   std::mutex stagingMutex;
   char *staging = nullptr;
   int64_t staged = 0;
+};
+
+struct CudaGraph : DeviceGraph {
+  explicit CudaGraph(CudaDevice &device) : device(device) {}
+  ~CudaGraph() override {
+    if (handle && device.enter())
+      (void)device.cu.graphExecDestroy(handle);
+  }
+
+  CudaDevice &device;
+  ExecutableGraph handle = nullptr;
 };
 
 struct CudaModule : DeviceModule {
@@ -195,8 +213,16 @@ Status CudaDevice::open() {
   (void)cu.deviceGetAttribute(&pools, kMemoryPools, number);
   (void)cu.deviceTotalMem(&bytes, number);
   architecture = "sm_" + std::to_string(10 * major + minor);
-  most = {static_cast<unsigned>(multiprocessors),
-          static_cast<unsigned>(threads), static_cast<int64_t>(bytes)};
+  most.multiprocessors = static_cast<unsigned>(multiprocessors);
+  most.threadsPerBlock = static_cast<unsigned>(threads);
+  most.memoryBytes = static_cast<int64_t>(bytes);
+  int cooperative = 0, clusters = 0;
+  (void)cu.deviceGetAttribute(&cooperative, kCooperativeLaunch, number);
+  (void)cu.deviceGetAttribute(&clusters, kClusterLaunch, number);
+  most.hasGraphs = true;
+  most.hasGridBarriers = cooperative != 0;
+  // What Hopper has at most; a kernel must ask for more than 8.
+  most.mostClusterBlocks = clusters ? 16 : 1;
   if (major < 6)
     return Status::failure(
         StatusCode::Usage,
@@ -497,6 +523,8 @@ Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
   if (!status)
     return status;
   Function handle = static_cast<CudaFunction &>(function).handle;
+  if (__builtin_expect(shape.cluster > 1, false))
+    return launchCluster(handle, shape, parameters);
   Result result =
       shape.cooperative
           ? cu.launchCooperativeKernel(handle, shape.blocks, 1, 1,
@@ -505,6 +533,64 @@ Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
           : cu.launchKernel(handle, shape.blocks, 1, 1, shape.threads, 1, 1,
                             shape.sharedBytes, stream, parameters, nullptr);
   return check(result, "a kernel cannot be launched");
+}
+
+Status CudaDevice::launchCluster(Function handle, const LaunchShape &shape,
+                                 void **parameters) {
+  Status status = check(cu.funcSetAttribute(handle, kFunctionAnyCluster, 1),
+                        "a kernel cannot have a cluster of blocks");
+  if (!status)
+    return status;
+  LaunchAttribute cluster{kLaunchCluster};
+  cluster.values[0] = shape.cluster;
+  cluster.values[1] = cluster.values[2] = 1;
+  LaunchConfiguration configuration{{shape.blocks, 1, 1},
+                                    {shape.threads, 1, 1},
+                                    shape.sharedBytes,
+                                    stream,
+                                    &cluster,
+                                    1};
+  return check(cu.launchKernelEx(&configuration, handle, parameters, nullptr),
+               "a kernel with a cluster of blocks cannot be launched");
+}
+
+//===----------------------------------------------------------------------===//
+// Graphs
+//===----------------------------------------------------------------------===//
+
+Status CudaDevice::beginCapture() {
+  Status status = enter();
+  return status ? check(cu.streamBeginCapture(stream, kCaptureThreadLocal),
+                        "no graph can be recorded")
+                : std::move(status);
+}
+
+Status CudaDevice::endCapture(std::unique_ptr<DeviceGraph> &graph) {
+  Graph recorded = nullptr;
+  Status status = check(cu.streamEndCapture(stream, &recorded),
+                        "a graph cannot be recorded");
+  if (!status || !recorded)
+    return status;
+  GraphUpdate update;
+  auto *known = static_cast<CudaGraph *>(graph.get());
+  if (!known ||
+      cu.graphExecUpdate(known->handle, recorded, &update) != kSuccess) {
+    auto made = std::make_unique<CudaGraph>(*this);
+    status = check(cu.graphInstantiate(&made->handle, recorded, 0),
+                   "a graph cannot be made ready to run");
+    if (status)
+      graph = std::move(made);
+  }
+  (void)cu.graphDestroy(recorded);
+  return status;
+}
+
+Status CudaDevice::run(DeviceGraph &graph) {
+  Status status = enter();
+  return status ? check(cu.graphLaunch(static_cast<CudaGraph &>(graph).handle,
+                                       stream),
+                        "a graph cannot be launched")
+                : std::move(status);
 }
 
 Status CudaDevice::synchronize() {

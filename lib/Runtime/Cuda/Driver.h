@@ -28,6 +28,8 @@ using Stream = struct StreamStruct *;
 using Module = struct ModuleStruct *;
 using Function = struct FunctionStruct *;
 using Pool = struct PoolStruct *;
+using Graph = struct GraphStruct *;
+using ExecutableGraph = struct ExecutableGraphStruct *;
 
 // Results.
 constexpr Result kSuccess = 0;
@@ -41,11 +43,19 @@ constexpr Result kUnsupportedPtxVersion = 222;
 // Attributes of devices.
 constexpr int kMaxThreadsPerBlock = 1;
 constexpr int kMultiprocessorCount = 16;
+constexpr int kCooperativeLaunch = 95;
+constexpr int kClusterLaunch = 120;
 constexpr int kCapabilityMajor = 75;
 constexpr int kCapabilityMinor = 76;
 constexpr int kMemoryPools = 115;
 // Of functions.
 constexpr int kFunctionMaxThreads = 0;
+constexpr int kFunctionAnyCluster = 14;
+// Of launches.
+constexpr unsigned kLaunchCooperative = 2;
+constexpr unsigned kLaunchCluster = 4;
+// Of captures: other threads may do what they like.
+constexpr int kCaptureThreadLocal = 1;
 // Of pools.
 constexpr int kPoolReleaseThreshold = 4;
 // Of addresses.
@@ -68,6 +78,30 @@ struct PoolProperties {
   unsigned char reserved[56] = {};
 };
 static_assert(sizeof(PoolProperties) == 88, "the layout is the driver's");
+
+struct LaunchAttribute {
+  unsigned kind;
+  unsigned unused = 0;
+  unsigned values[16] = {};
+};
+static_assert(sizeof(LaunchAttribute) == 72, "the layout is the driver's");
+
+struct LaunchConfiguration {
+  unsigned grid[3];
+  unsigned block[3];
+  unsigned sharedBytes;
+  Stream stream;
+  LaunchAttribute *attributes;
+  unsigned numAttributes;
+};
+static_assert(sizeof(LaunchConfiguration) == 56, "the layout is the driver's");
+
+/// What stands in the way of changing an executable graph.
+struct GraphUpdate {
+  int result = 0;
+  void *node = nullptr;
+  void *from = nullptr;
+};
 
 /// Every function that the runtime calls: its name here, the symbol, and its
 /// parameters.
@@ -125,6 +159,18 @@ static_assert(sizeof(PoolProperties) == 88, "the layout is the driver's");
   DO(launchKernel, "cuLaunchKernel",                                           \
      (Function, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned,    \
       unsigned, Stream, void **, void **))                                     \
+  DO(funcSetAttribute, "cuFuncSetAttribute", (Function, int, int))             \
+  DO(launchKernelEx, "cuLaunchKernelEx",                                       \
+     (const LaunchConfiguration *, Function, void **, void **))                \
+  DO(streamBeginCapture, "cuStreamBeginCapture_v2", (Stream, int))             \
+  DO(streamEndCapture, "cuStreamEndCapture", (Stream, Graph *))                \
+  DO(graphInstantiate, "cuGraphInstantiateWithFlags",                          \
+     (ExecutableGraph *, Graph, unsigned long long))                           \
+  DO(graphExecUpdate, "cuGraphExecUpdate_v2",                                  \
+     (ExecutableGraph, Graph, GraphUpdate *))                                  \
+  DO(graphLaunch, "cuGraphLaunch", (ExecutableGraph, Stream))                  \
+  DO(graphDestroy, "cuGraphDestroy", (Graph))                                  \
+  DO(graphExecDestroy, "cuGraphExecDestroy", (ExecutableGraph))                \
   DO(launchCooperativeKernel, "cuLaunchCooperativeKernel",                     \
      (Function, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned,    \
       unsigned, Stream, void **))

@@ -312,3 +312,44 @@ Result cuLaunchCooperativeKernel(void *function, unsigned blocks, unsigned by,
   (void)by, (void)bz, (void)ty, (void)tz, (void)shared, (void)on;
   return launch(function, blocks, threads, parameters);
 }
+
+/* Graphs and clusters are more than this stands in for. */
+enum { NotSupported = 801 };
+Result cuFuncSetAttribute(void *function, int attribute, int value) {
+  (void)function, (void)attribute, (void)value;
+  return NotSupported;
+}
+Result cuLaunchKernelEx(const void *configuration, void *function,
+                        void **parameters, void **extra) {
+  (void)configuration, (void)function, (void)parameters, (void)extra;
+  return NotSupported;
+}
+Result cuStreamBeginCapture_v2(void *given, int mode) {
+  (void)given, (void)mode;
+  return NotSupported;
+}
+Result cuStreamEndCapture(void *given, void **graph) {
+  (void)given, (void)graph;
+  return NotSupported;
+}
+Result cuGraphInstantiateWithFlags(void **result, void *graph,
+                                   unsigned long long flags) {
+  (void)result, (void)graph, (void)flags;
+  return NotSupported;
+}
+Result cuGraphExecUpdate_v2(void *executable, void *graph, void *update) {
+  (void)executable, (void)graph, (void)update;
+  return NotSupported;
+}
+Result cuGraphLaunch(void *executable, void *on) {
+  (void)executable, (void)on;
+  return NotSupported;
+}
+Result cuGraphDestroy(void *graph) {
+  (void)graph;
+  return NotSupported;
+}
+Result cuGraphExecDestroy(void *executable) {
+  (void)executable;
+  return NotSupported;
+}
