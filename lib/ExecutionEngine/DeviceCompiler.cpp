@@ -7,7 +7,9 @@
 
 #include "tai/ExecutionEngine/DeviceCompiler.h"
 #include "CodegenErrors.h"
+#include "CodegenPasses.h"
 #include "Libdevice.h"
+#include "VectorizeAtomics.h"
 #include "mlir/Dialect/GPU/IR/GPUDialect.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/LLVMIR/NVVMDialect.h"
@@ -23,7 +25,6 @@
 #include "llvm/IR/Constants.h"
 #include "llvm/IR/IRBuilder.h"
 #include "llvm/IR/InstIterator.h"
-#include "llvm/IR/LegacyPassManager.h"
 #include "llvm/IR/Verifier.h"
 #include "llvm/Linker/Linker.h"
 #include "llvm/MC/TargetRegistry.h"
@@ -86,13 +87,12 @@ Expected<Operation *> mlir::tai::findDeviceModule(ModuleOp module) {
 static constexpr struct {
   unsigned architecture, ptxVersion;
 } architectures[] = {{70, 70},  {72, 70},  {75, 70}, {80, 70},
-                     {86, 71},  {87, 74},  {89, 78}, {90, 78},
+                     {86, 71},  {87, 74},  {89, 78}, {90, 81},
                      {100, 86}, {103, 88}, {120, 87}};
 
-/// Makes the name and the features of the newest processor whose code runs on
-/// the target.
-static Error choosePtxTarget(StringRef name, std::string &cpu,
-                             std::string &features) {
+/// Chooses the newest processor whose code runs on the target.
+static Error choosePtxTarget(StringRef name, unsigned &architecture,
+                             unsigned &ptxVersion) {
   StringRef digits = name;
   unsigned number = 0;
   if (!digits.consume_front("sm_") || digits.getAsInteger(10, number) ||
@@ -103,8 +103,8 @@ static Error choosePtxTarget(StringRef name, std::string &cpu,
   for (const auto &known : architectures) {
     if (known.architecture > number)
       break;
-    cpu = "sm_" + std::to_string(known.architecture);
-    features = "+ptx" + std::to_string(known.ptxVersion);
+    architecture = known.architecture;
+    ptxVersion = known.ptxVersion;
   }
   return Error::success();
 }
@@ -142,9 +142,13 @@ DeviceCompiler::create(const DeviceTarget &target,
     LLVMInitializeNVPTXTargetMC();
     LLVMInitializeNVPTXAsmPrinter();
   });
-  std::string cpu, features, message;
-  if (Error error = choosePtxTarget(target.name, cpu, features))
+  unsigned architecture = 0, ptxVersion = 0;
+  if (Error error = choosePtxTarget(target.name, architecture, ptxVersion))
     return error;
+  std::string cpu = "sm_" + std::to_string(architecture);
+  std::string features = "+ptx" + std::to_string(ptxVersion);
+  std::string message;
+  compiler->hasVectorAtomics = architecture >= 90;
   llvm::Triple triple("nvptx64-nvidia-cuda");
   const llvm::Target *nvptx =
       llvm::TargetRegistry::lookupTarget(triple, message);
@@ -515,7 +519,9 @@ Expected<runtime::DeviceImage> DeviceCompiler::emit(DeviceCode &code) {
   code.context->setDiagnosticHandler(std::make_unique<CodegenErrors>(message));
   bool supported = true;
   Error error = guard(code, [&] {
-    llvm::legacy::PassManager passes;
+    CodegenPasses passes;
+    if (hasVectorAtomics)
+      passes.beforeVectorizer = createVectorizeAtomicsPass;
     supported = !machine->addPassesToEmitFile(
         passes, stream, /*DwoOut=*/nullptr, llvm::CodeGenFileType::AssemblyFile,
         /*DisableVerify=*/true);

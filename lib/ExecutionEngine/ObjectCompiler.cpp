@@ -7,9 +7,9 @@
 
 #include "tai/ExecutionEngine/ObjectCompiler.h"
 #include "CodegenErrors.h"
+#include "CodegenPasses.h"
 #include "llvm/Analysis/TargetLibraryInfo.h"
 #include "llvm/IR/InstIterator.h"
-#include "llvm/IR/LegacyPassManager.h"
 #include "llvm/IR/Module.h"
 #include "llvm/IR/Operator.h"
 #include "llvm/MC/TargetRegistry.h"
@@ -190,23 +190,6 @@ void ObjectCompiler::runPasses(Module &module) {
 //===----------------------------------------------------------------------===//
 // Code generation
 //===----------------------------------------------------------------------===//
-
-namespace {
-/// The code generator's passes without strength reduction. That pass takes half
-/// of the time of code generation, because loops over many arrays give it many
-/// formulas to weigh, and what it gains the addressing modes of the machine
-/// give for nothing.
-class CodegenPasses : public legacy::PassManager {
-public:
-  void add(Pass *pass) override {
-    if (pass->getPassName() == "Loop Strength Reduction") {
-      delete pass;
-      return;
-    }
-    legacy::PassManager::add(pass);
-  }
-};
-} // namespace
 
 Error ObjectCompiler::emit(Module &module, raw_pwrite_stream &stream,
                            bool assembly) {

@@ -422,7 +422,8 @@ class Kernel(_core.Launcher):
 
         Args:
             args: arguments, to choose a specialisation; the last one used if left out.
-            stage: `tai`, `autodiff`, `scf`, `llvm`, `llvmir` or `asm`.
+            stage: `tai`, `autodiff`, `scf`, `llvm`, `llvmir` or `asm`; of kernels for a GPU also
+                their device code, `nvvm` or `ptx`.
         """
         return self._find(args).core.ir(stage)
 

@@ -10,7 +10,7 @@
 
 // SM75: .version 7.0
 // SM75: .target sm_75
-// SM90: .version 7.8
+// SM90: .version 8.1
 // SM90: .target sm_90
 // CHECK-DAG: .extern .func {{.*}}malloc
 // CHECK-DAG: .extern .func free

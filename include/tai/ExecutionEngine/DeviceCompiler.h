@@ -116,6 +116,7 @@ private:
   CodegenOptions options;
   /// For CUDA.
   std::unique_ptr<llvm::TargetMachine> machine;
+  bool hasVectorAtomics = false;
   /// For the emulated device.
   std::unique_ptr<ObjectCompiler> objects;
   bool broken = false;
