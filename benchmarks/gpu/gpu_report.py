@@ -206,6 +206,8 @@ FIGURES: list[Figure] = [
     Figure(
         "bandwidth", "adjoint of the stencil", _percent("tai", "adjoint"), "% of it", at_least=60
     ),
+    Figure("bandwidth", "stencil over inner ranges", _percent("tai", "stencil-ranges"), "% of it"),
+    Figure("bandwidth", "adjoint of that", _percent("tai", "adjoint-ranges"), "% of it"),
     Figure("bandwidth", "floor: map", _percent("floor", "map"), "% of it"),
     Figure("bandwidth", "floor: stencil", _percent("floor", "stencil"), "% of it"),
     Figure("bandwidth", "floor: adjoint of the stencil", _percent("floor", "adjoint"), "% of it"),

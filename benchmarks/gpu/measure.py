@@ -166,6 +166,13 @@ def bandwidth(options) -> None:
 
     @ti.kernel
     def stencil():
+        for i, j in x:
+            if 0 < i < n - 1 and 0 < j < n - 1:
+                near = x[i - 1, j] + x[i + 1, j] + x[i, j - 1] + x[i, j + 1]
+                y[i, j] = 0.5 * x[i, j] + 0.125 * near
+
+    @ti.kernel
+    def stencil_in_ranges():
         for i, j in ti.ndrange((1, n - 1), (1, n - 1)):
             near = x[i - 1, j] + x[i + 1, j] + x[i, j - 1] + x[i, j + 1]
             y[i, j] = 0.5 * x[i, j] + 0.125 * near
@@ -194,6 +201,11 @@ def bandwidth(options) -> None:
         ("map", 3, map_, fill, row_of_y, 2.0 * value_of_x(i, j) + value_of_y(i, j)),
         ("stencil", 2, stencil, fill, row_of_y, stencil_row),
         ("adjoint", 3, stencil.grad, fill_adjoints, row_of_adjoint, adjoint_row),
+        ("stencil-ranges", 2, stencil_in_ranges, fill, row_of_y, stencil_row),
+        (
+            *("adjoint-ranges", 3, stencil_in_ranges.grad),
+            *(fill_adjoints, row_of_adjoint, adjoint_row),
+        ),
     ]
     fill()
     for name, arrays, run, prepare, row_of, expected in variants:

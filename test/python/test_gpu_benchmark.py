@@ -34,7 +34,7 @@ def test_all_programs_run(tmp_path):
     assert {r["scene"] for r in records} == set(only)
     assert not [r for r in records if r["reason"]]
     exact = [r for r in records if r["scene"] in ("bandwidth", "sparse")]
-    assert len(exact) == 8 and all(float(r["grad_rel_err"]) == 0.0 for r in exact)
+    assert len(exact) == 10 and all(float(r["grad_rel_err"]) == 0.0 for r in exact)
     text = (tmp_path / "gpu-try.md").read_text()
     # A machine without a GPU meets no bar.
     assert "no measurement of a GPU" in text and "| met |" not in text
