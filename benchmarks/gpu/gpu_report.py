@@ -119,7 +119,7 @@ def _scene(scene: str, what: str, floor: tuple[str, ...], fused: tuple[str, ...]
             ),
         ]  # fmt: skip
     figures += [
-        Figure(scene, "floor, fused or persistent", lambda r: r.floor(scene, *fused), "ms"),
+        Figure(scene, "quickest floor (overlapped, fused or persistent)", lambda r: r.floor(scene, *fused), "ms"),
         Figure(
             scene, "ours / that floor", lambda r: ratio(r.ours(scene), r.floor(scene, *fused)),
             "times",
@@ -172,14 +172,18 @@ def _percent(peer: str, variant: str) -> Callable[[Records], float | None]:
 FIGURES: list[Figure] = [
     *_scene(
         "diffmpm", "6.4 K particles, per step", ("graph", "graph-scalar"),
-        ("fused-graph", "persistent"),
+        ("graph-overlapped", "fused-graph", "fused-overlapped", "persistent"),
     ),
     *_scene(
         "diffmpm_large", "1 M particles, per step", ("graph-large", "shared-large"),
         ("fused-large",),
     ),
     *_scene(
-        "smoke", "110², 99 steps", ("graph",), ("persistent", "tiled-graph", "tiled-persistent")
+        "smoke", "110², 99 steps", ("graph",),
+        (
+            *("graph-overlapped", "persistent"),
+            *("tiled-graph", "tiled-overlapped", "tiled-persistent"),
+        ),
     ),
     Figure("smoke", "the same", lambda r: r.ours("smoke"), "ms", at_most=1.6),
     Figure(

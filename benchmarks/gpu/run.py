@@ -39,7 +39,13 @@ GROUPS = [
 ]
 # The program of each floor, and its variants that belong to a group.
 FLOORS = {
-    "diffmpm": ("mpm", ["graph", "graph-scalar", "fused-graph", "persistent"]),
+    "diffmpm": (
+        "mpm",
+        [
+            *("graph", "graph-scalar", "graph-overlapped"),
+            *("fused-graph", "fused-overlapped", "persistent"),
+        ],
+    ),
     "diffmpm_large": ("mpm", ["graph-large", "shared-large", "fused-large"]),
     "smoke": ("smoke", []),
     "mass_spring": ("robot", []),

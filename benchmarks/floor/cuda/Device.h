@@ -119,6 +119,43 @@ Times measure(cudaStream_t stream, int runs, double units, const Queue &queue) {
   return {quantile(0.5), quantile(0.1), quantile(0.9), runs};
 }
 
+/// What kernels begin with that may be launched before the one before them has
+/// ended: lets the next be launched, and waits for the end of the one before.
+__device__ __forceinline__ void followPrevious() {
+  cudaTriggerProgrammaticLaunchCompletion();
+  cudaGridDependencySynchronize();
+}
+
+/// Launches a sequence of kernels that begin with `followPrevious`, either each
+/// after the end of the one before or, `overlapped`, so that a launch is under
+/// way while the kernel before it runs.
+class Launcher {
+public:
+  Launcher(cudaStream_t stream, bool overlapped)
+      : stream_(stream), overlapped_(overlapped) {}
+
+  template <typename... Parameters, typename... Arguments>
+  void operator()(void (*kernel)(Parameters...), int blocks, int threads,
+                  Arguments... arguments) {
+    cudaLaunchAttribute attribute;
+    attribute.id = cudaLaunchAttributeProgrammaticStreamSerialization;
+    attribute.val.programmaticStreamSerializationAllowed = 1;
+    cudaLaunchConfig_t config = {};
+    config.gridDim = dim3(unsigned(blocks));
+    config.blockDim = dim3(unsigned(threads));
+    config.stream = stream_;
+    config.attrs = &attribute;
+    // The first comes after something that is no kernel.
+    config.numAttrs = overlapped_ && !first_ ? 1 : 0;
+    first_ = false;
+    TAI_CHECK(cudaLaunchKernelEx(&config, kernel, Parameters(arguments)...));
+  }
+
+private:
+  cudaStream_t stream_;
+  bool overlapped_, first_ = true;
+};
+
 /// Launches a kernel all of whose blocks run at the same time.
 template <typename... Parameters, typename... Arguments>
 void launchTogether(cudaStream_t stream, void (*kernel)(Parameters...),

@@ -7,14 +7,16 @@
 //
 // mpm [--quick] [--runs=N] [--dump=FILE] [variant...]
 //
-//   graph           three kernels a step and three for its adjoint, in a graph
-//   graph-scalar    the same, scattering with an atomic per component
-//   fused-graph     one kernel a step and one for its adjoint, in a graph
-//   persistent      that as one kernel with a barrier over the grid
-//   graph-large     `graph` for a million particles on 1024 x 1024 nodes
-//   fused-large     `fused-graph` for them
-//   shared-large    `graph-large`, the scatters of a block added up in shared
-//                   memory first
+//   graph             three kernels a step and three for its adjoint, in a graph
+//   graph-scalar      the same, scattering with an atomic per component
+//   graph-overlapped  `graph`, each launched while the one before it runs
+//   fused-graph       one kernel a step and one for its adjoint, in a graph
+//   fused-overlapped  the same, each launched while the one before it runs
+//   persistent        that as one kernel with a barrier over the grid
+//   graph-large       `graph` for a million particles on 1024 x 1024 nodes
+//   fused-large       `fused-graph` for them
+//   shared-large      `graph-large`, the scatters of a block added up in shared
+//                     memory first
 //
 // Times are per step, forward and backward.
 //
@@ -166,18 +168,21 @@ int run(const Options &options) {
 #else // HOST_CHECK
 
 template <bool Whole> __global__ void scatterKernel(Mpm s, int t) {
+  followPrevious();
   const int p = int(blockIdx.x * blockDim.x + threadIdx.x);
   if (p < s.count)
     scatterBody<Whole>(s, t, p);
 }
 
 __global__ void gridKernel(Mpm s, int t) {
+  followPrevious();
   const int node = int(blockIdx.x * blockDim.x + threadIdx.x);
   if (node < s.nodes())
     gridBody(s, t, node);
 }
 
 __global__ void gatherKernel(Mpm s, int t) {
+  followPrevious();
   const int p = int(blockIdx.x * blockDim.x + threadIdx.x);
   if (p < s.count)
     gatherBody(s, t, p);
@@ -192,23 +197,27 @@ __device__ void addLoss(float *loss, float part) {
 }
 
 __global__ void lossKernel(Mpm s) {
+  followPrevious();
   const int p = int(blockIdx.x * blockDim.x + threadIdx.x);
   addLoss(s.loss, p < s.count ? lossBody(s, p) : 0.0f);
 }
 
 __global__ void gatherBarKernel(Mpm s, int t) {
+  followPrevious();
   const int p = int(blockIdx.x * blockDim.x + threadIdx.x);
   if (p < s.count)
     gatherBarBody(s, t, p);
 }
 
 __global__ void gridBarKernel(Mpm s, int t) {
+  followPrevious();
   const int node = int(blockIdx.x * blockDim.x + threadIdx.x);
   if (node < s.nodes())
     gridBarBody(s, t, node);
 }
 
 __global__ void scatterBarKernel(Mpm s, int t) {
+  followPrevious();
   const int p = int(blockIdx.x * blockDim.x + threadIdx.x);
   if (p < s.count)
     scatterBarBody(s, t, p);
@@ -216,6 +225,7 @@ __global__ void scatterBarKernel(Mpm s, int t) {
 
 __global__ void __launch_bounds__(blockParticles)
     scatterBlockKernel(Mpm s, int t) {
+  followPrevious();
   __shared__ Window<3> window;
   const int first = int(blockIdx.x) * blockParticles;
   scatterBlock(s, t, first, min(blockParticles, s.count - first), window);
@@ -223,12 +233,14 @@ __global__ void __launch_bounds__(blockParticles)
 
 __global__ void __launch_bounds__(blockParticles)
     gatherBarBlockKernel(Mpm s, int t) {
+  followPrevious();
   __shared__ Window<2> window;
   const int first = int(blockIdx.x) * blockParticles;
   gatherBarBlock(s, t, first, min(blockParticles, s.count - first), window);
 }
 
 __global__ void fusedForwardKernel(Mpm s, int t) {
+  followPrevious();
   const int p = int(blockIdx.x * blockDim.x + threadIdx.x);
   if (p >= s.count)
     return;
@@ -238,6 +250,7 @@ __global__ void fusedForwardKernel(Mpm s, int t) {
 }
 
 __global__ void fusedBackwardKernel(Mpm s, int t) {
+  followPrevious();
   const int p = int(blockIdx.x * blockDim.x + threadIdx.x);
   if (p >= s.count)
     return;
@@ -334,42 +347,43 @@ int blocksFor(int count, int threads) {
 /// by whole nodes or by components, or in shared memory first.
 enum class Scatter { Whole, Components, Shared };
 
-template <Scatter kind> void queueStages(Scene &scene, int threads) {
+template <Scatter kind>
+void queueStages(Scene &scene, int threads, bool overlapped = false) {
   const Mpm &s = scene.s;
-  cudaStream_t stream = scene.stream;
   const int blocks = blocksFor(s.count, threads);
   [[maybe_unused]] const int shared = blocksFor(s.count, blockParticles);
   const int gridThreads = 128, gridBlocks = blocksFor(s.nodes(), gridThreads);
   scene.clear();
+  Launcher launch(scene.stream, overlapped);
   for (int t = 0; t < s.slots - 1; ++t) {
     if constexpr (kind == Scatter::Shared)
-      scatterBlockKernel<<<shared, blockParticles, 0, stream>>>(s, t);
+      launch(scatterBlockKernel, shared, blockParticles, s, t);
     else
-      scatterKernel<kind == Scatter::Whole>
-          <<<blocks, threads, 0, stream>>>(s, t);
-    gridKernel<<<gridBlocks, gridThreads, 0, stream>>>(s, t);
-    gatherKernel<<<blocks, threads, 0, stream>>>(s, t);
+      launch(scatterKernel<kind == Scatter::Whole>, blocks, threads, s, t);
+    launch(gridKernel, gridBlocks, gridThreads, s, t);
+    launch(gatherKernel, blocks, threads, s, t);
   }
-  lossKernel<<<blocks, threads, 0, stream>>>(s);
+  launch(lossKernel, blocks, threads, s);
   for (int t = s.slots - 2; t >= 0; --t) {
     if constexpr (kind == Scatter::Shared)
-      gatherBarBlockKernel<<<shared, blockParticles, 0, stream>>>(s, t);
+      launch(gatherBarBlockKernel, shared, blockParticles, s, t);
     else
-      gatherBarKernel<<<blocks, threads, 0, stream>>>(s, t);
-    gridBarKernel<<<gridBlocks, gridThreads, 0, stream>>>(s, t);
-    scatterBarKernel<<<blocks, threads, 0, stream>>>(s, t);
+      launch(gatherBarKernel, blocks, threads, s, t);
+    launch(gridBarKernel, gridBlocks, gridThreads, s, t);
+    launch(scatterBarKernel, blocks, threads, s, t);
   }
 }
 
-void queueFused(Scene &scene, int threads) {
+void queueFused(Scene &scene, int threads, bool overlapped = false) {
   const Mpm &s = scene.s;
   const int blocks = blocksFor(s.count, threads);
   scene.clear();
+  Launcher launch(scene.stream, overlapped);
   for (int t = 0; t < s.slots; ++t)
-    fusedForwardKernel<<<blocks, threads, 0, scene.stream>>>(s, t);
-  lossKernel<<<blocks, threads, 0, scene.stream>>>(s);
+    launch(fusedForwardKernel, blocks, threads, s, t);
+  launch(lossKernel, blocks, threads, s);
   for (int t = s.slots - 1; t >= 0; --t)
-    fusedBackwardKernel<<<blocks, threads, 0, scene.stream>>>(s, t);
+    launch(fusedBackwardKernel, blocks, threads, s, t);
 }
 
 void queuePersistent(Scene &scene) {
@@ -400,6 +414,16 @@ int run(const Options &options) {
     Scene scene(smallNodes, smallSide, smallSlots);
     timeGraph(options, scene, small, "graph-scalar",
               [&] { queueStages<Scatter::Components>(scene, 64); });
+  }
+  if (options.wants("graph-overlapped")) {
+    Scene scene(smallNodes, smallSide, smallSlots);
+    timeGraph(options, scene, small, "graph-overlapped",
+              [&] { queueStages<Scatter::Whole>(scene, 64, true); });
+  }
+  if (options.wants("fused-overlapped")) {
+    Scene scene(smallNodes, smallSide, smallSlots);
+    timeGraph(options, scene, small, "fused-overlapped",
+              [&] { queueFused(scene, 64, true); });
   }
   if (options.wants("fused-graph")) {
     Scene scene(smallNodes, smallSide, smallSlots);

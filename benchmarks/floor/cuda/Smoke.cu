@@ -8,8 +8,10 @@
 // smoke [--quick] [--runs=N] [--dump=FILE] [variant...]
 //
 //   graph             one kernel per operation, in a graph
+//   graph-overlapped  the same, each launched while the one before it runs
 //   persistent        the operations with barriers over the grid, in one kernel
 //   tiled-graph       one kernel per step, of tiles that overlap, in a graph
+//   tiled-overlapped  the same, each launched while the one before it runs
 //   tiled-persistent  these tiles in one kernel, with a barrier per step
 //
 // Times are of all steps, forward and backward.
@@ -166,6 +168,7 @@ __device__ __forceinline__ void perform(const Smoke &s, int number, int cell) {
 
 template <Operation operation>
 __global__ void operationKernel(Smoke s, int number) {
+  followPrevious();
   const int cell = int(blockIdx.x * blockDim.x + threadIdx.x);
   if (cell < cells)
     perform<operation>(s, number, cell);
@@ -180,6 +183,7 @@ __device__ void addLoss(const Smoke &s, int cell) {
 }
 
 __global__ void lossKernel(Smoke s) {
+  followPrevious();
   addLoss(s, int(blockIdx.x * blockDim.x + threadIdx.x));
 }
 
@@ -221,12 +225,14 @@ __global__ void __launch_bounds__(threads)
 
 __global__ void __launch_bounds__(tileThreads)
     forwardTileKernel(Smoke s, int t) {
+  followPrevious();
   __shared__ TileMemory memory;
   forwardTile(s, t, int(blockIdx.x), memory);
 }
 
 __global__ void __launch_bounds__(tileThreads)
     backwardTileKernel(Smoke s, int t) {
+  followPrevious();
   __shared__ TileMemory memory;
   backwardTile(s, t, int(blockIdx.x), memory);
 }
@@ -281,10 +287,6 @@ struct Scene {
     counter.clear(stream);
   }
 
-  template <Operation operation> void queue(int number) {
-    operationKernel<operation><<<blocks, threads, 0, stream>>>(s, number);
-  }
-
   Outcome outcome() const {
     Outcome result;
     result.loss = loss.values(0, 1)[0];
@@ -296,34 +298,41 @@ struct Scene {
   }
 };
 
-void queueOperations(Scene &scene) {
+void queueOperations(Scene &scene, bool overlapped) {
   scene.clear();
+  const Smoke &s = scene.s;
+  Launcher launch(scene.stream, overlapped);
+  auto queue = [&](void (*kernel)(Smoke, int), int number) {
+    launch(kernel, blocks, threads, s, number);
+  };
   for (int t = 1; t < smokeSlots; ++t) {
-    scene.queue<Operation::AdvectVelocity>(t);
-    scene.queue<Operation::Diverge>(t);
+    queue(operationKernel<Operation::AdvectVelocity>, t);
+    queue(operationKernel<Operation::Diverge>, t);
     for (int k = t * sweeps; k < (t + 1) * sweeps; ++k)
-      scene.queue<Operation::Relax>(k);
-    scene.queue<Operation::Project>(t);
-    scene.queue<Operation::AdvectDensity>(t);
+      queue(operationKernel<Operation::Relax>, k);
+    queue(operationKernel<Operation::Project>, t);
+    queue(operationKernel<Operation::AdvectDensity>, t);
   }
-  lossKernel<<<blocks, threads, 0, scene.stream>>>(scene.s);
+  launch(lossKernel, blocks, threads, s);
   for (int t = smokeSlots - 1; t > 0; --t) {
-    scene.queue<Operation::DensityBar>(t);
-    scene.queue<Operation::ProjectBar>(t);
+    queue(operationKernel<Operation::DensityBar>, t);
+    queue(operationKernel<Operation::ProjectBar>, t);
     for (int k = (t + 1) * sweeps - 1; k >= t * sweeps; --k)
-      scene.queue<Operation::RelaxBar>(k);
-    scene.queue<Operation::DivergeBar>(t);
-    scene.queue<Operation::AdvectVelocityBar>(t);
+      queue(operationKernel<Operation::RelaxBar>, k);
+    queue(operationKernel<Operation::DivergeBar>, t);
+    queue(operationKernel<Operation::AdvectVelocityBar>, t);
   }
 }
 
-void queueTiles(Scene &scene) {
+void queueTiles(Scene &scene, bool overlapped) {
   scene.clear();
+  const Smoke &s = scene.s;
+  Launcher launch(scene.stream, overlapped);
   for (int t = 1; t < smokeSlots; ++t)
-    forwardTileKernel<<<tiles, tileThreads, 0, scene.stream>>>(scene.s, t);
-  lossKernel<<<blocks, threads, 0, scene.stream>>>(scene.s);
+    launch(forwardTileKernel, tiles, tileThreads, s, t);
+  launch(lossKernel, blocks, threads, s);
   for (int t = smokeSlots - 1; t > 0; --t)
-    backwardTileKernel<<<tiles, tileThreads, 0, scene.stream>>>(scene.s, t);
+    launch(backwardTileKernel, tiles, tileThreads, s, t);
 }
 
 template <typename Queue>
@@ -338,8 +347,13 @@ void report(const Options &options, Scene &scene, const char *variant,
 int run(const Options &options) {
   Scene scene;
   if (options.wants("graph")) {
-    Graph graph(scene.stream, [&] { queueOperations(scene); });
+    Graph graph(scene.stream, [&] { queueOperations(scene, false); });
     report(options, scene, "graph", [&] { graph.launch(scene.stream); });
+  }
+  if (options.wants("graph-overlapped")) {
+    Graph graph(scene.stream, [&] { queueOperations(scene, true); });
+    report(options, scene, "graph-overlapped",
+           [&] { graph.launch(scene.stream); });
   }
   if (options.wants("persistent"))
     report(options, scene, "persistent", [&] {
@@ -348,8 +362,13 @@ int run(const Options &options) {
                      scene.s, scene.counter.get());
     });
   if (options.wants("tiled-graph")) {
-    Graph graph(scene.stream, [&] { queueTiles(scene); });
+    Graph graph(scene.stream, [&] { queueTiles(scene, false); });
     report(options, scene, "tiled-graph", [&] { graph.launch(scene.stream); });
+  }
+  if (options.wants("tiled-overlapped")) {
+    Graph graph(scene.stream, [&] { queueTiles(scene, true); });
+    report(options, scene, "tiled-overlapped",
+           [&] { graph.launch(scene.stream); });
   }
   if (options.wants("tiled-persistent"))
     report(options, scene, "tiled-persistent", [&] {
