@@ -119,7 +119,10 @@ def _scene(scene: str, what: str, floor: tuple[str, ...], fused: tuple[str, ...]
             ),
         ]  # fmt: skip
     figures += [
-        Figure(scene, "quickest floor (overlapped, fused or persistent)", lambda r: r.floor(scene, *fused), "ms"),
+        Figure(
+            scene, "quickest floor (overlapped, fused or persistent)",
+            lambda r: r.floor(scene, *fused), "ms",
+        ),
         Figure(
             scene, "ours / that floor", lambda r: ratio(r.ours(scene), r.floor(scene, *fused)),
             "times",

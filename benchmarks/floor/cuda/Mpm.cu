@@ -7,7 +7,7 @@
 //
 // mpm [--quick] [--runs=N] [--dump=FILE] [variant...]
 //
-//   graph             three kernels a step and three for its adjoint, in a graph
+//   graph             three kernels a step, three for its adjoint, in a graph
 //   graph-scalar      the same, scattering with an atomic per component
 //   graph-overlapped  `graph`, each launched while the one before it runs
 //   fused-graph       one kernel a step and one for its adjoint, in a graph
