@@ -118,7 +118,9 @@ bool VectorizeAtomics::mayPass(Instruction &instruction) {
 
 void VectorizeAtomics::runOnBlock(BasicBlock &block) {
   for (Instruction &instruction : make_early_inc_range(block)) {
-    if (!waiting.empty() && !mayPass(instruction))
+    // Each that waits is compared with each access that comes.
+    constexpr size_t most = 64;
+    if (order.size() == most || (!order.empty() && !mayPass(instruction)))
       combine();
     auto *op = dyn_cast<AtomicRMWInst>(&instruction);
     if (!op || !isCandidate(*op))

@@ -1,0 +1,70 @@
+// RUN: tai-opt %s --tai-to-nvvm | tai-translate --tai-to-ptx | FileCheck %s
+
+// What is expected of the code of simple kernels: indices of 32 bits without
+// divisions by extents that are powers of two, loads past the cache of writes,
+// vectors as one access, sums and products in one operation, and one addition
+// to memory for a scatter of a vector.
+
+tai.tree @t : !tai.root<dense<[i: 4096, j: 4096], {x: vector<4xf32>}>, dense<[i: 4096, j: 4096], {p: f32}>, dense<[i: 4096, j: 4096], {q: f32}>, dense<[i: 4096], {sums: vector<2xf32>}>>
+tai.field @x = @t["x"] : vector<4xf32>, rank 2
+tai.field @p = @t["p"] : f32, rank 2
+tai.field @q = @t["q"] : f32, rank 2
+tai.field @sums = @t["sums"] : vector<2xf32>, rank 1
+
+// CHECK-LABEL: .entry scale_0(
+//   CHECK-NOT: {{(div|rem)[.]}}
+//       CHECK: mad.lo.s32
+//       CHECK: mul.wide.{{[us]}}32
+//       CHECK: ld.global.v4.b32
+//       CHECK: st.global.v4.b32
+//   CHECK-NOT: .local
+tai.kernel @scale(%a: f32) {
+  tai.parallel_for (%i, %j) in @x {
+    %0 = tai.load @x[%i, %j] : vector<4xf32>
+    %1 = vector.broadcast %a : f32 to vector<4xf32>
+    %2 = arith.mulf %0, %1 : vector<4xf32>
+    tai.store %2, @x[%i, %j] : vector<4xf32>
+  }
+  tai.return
+}
+
+// CHECK-LABEL: .entry average_0(
+//   CHECK-NOT: {{(div|rem)[.]}}
+//       CHECK: ld.global.nc.b32
+//   CHECK-NOT: {{(div|rem)[.]}}
+//       CHECK: ld.global.nc.b32
+//       CHECK: fma.rn.f32
+//       CHECK: st.global.b32
+//   The loop has one counter.
+//       CHECK: add.s32 [[I:%r[0-9]+]], [[I]], [[STRIDE:%r[0-9]+]];
+//   CHECK-NOT: , [[STRIDE]];
+//       CHECK: bra
+tai.kernel @average(%a: f32) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c4095 = arith.constant 4095 : index
+  tai.parallel_for (%i, %j) in @p {
+    %left = arith.subi %j, %c1 : index
+    %inside = arith.maxsi %left, %c0 : index
+    %0 = tai.load @p[%i, %inside] : f32
+    %1 = tai.load @p[%i, %j] : f32
+    %2 = arith.mulf %0, %a : f32
+    %3 = arith.addf %1, %2 : f32
+    tai.store %3, @q[%i, %j] : f32
+  }
+  tai.return
+}
+
+// CHECK-LABEL: .entry scatter_0(
+//       CHECK: red.relaxed.gpu.global.add.v2.f32
+//   CHECK-NOT: atom
+//       CHECK: ret;
+tai.kernel @scatter(%a: vector<2xf32>) {
+  tai.parallel_for (%i, %j) in @p {
+    %0 = tai.load @p[%i, %j] : f32
+    %1 = arith.fptosi %0 : f32 to i32
+    %2 = arith.index_cast %1 : i32 to index
+    %3 = tai.atomic add %a, @sums[%2] : vector<2xf32>
+  }
+  tai.return
+}
