@@ -167,10 +167,8 @@ def main() -> None:
     optimiser = torch.optim.Adam([controller], lr=args.rate)
     for iteration in range(args.iterations):
         cost = iterate(controller, optimiser, True)
-        if RANK == 0 and iteration % 10 == 0:
+        if RANK == 0 and (iteration % 10 == 0 or iteration == args.iterations - 1):
             print(f"iteration {iteration:3}  loss {cost:.6f}  |w| {controller.norm():.6f}")
-    if RANK == 0:
-        print(f"iteration {args.iterations:3}  loss {cost:.6f}  |w| {controller.norm():.6f}")
 
     # Alone: one process after another, so that none of them disturbs it.
     alone = torch.zeros(WORLD, device=device)

@@ -339,11 +339,11 @@ def run_ensemble(stage: Stage, seconds: float) -> Step:
     if not find_spec("torch"):
         step.summary = "this Python has no torch"
         return step
-    arch = "cpu" if options.arch == "cpu" else "cuda"
-    scenes = 262144 if options.arch == "cuda" else 256
+    arch, scenes = ("cuda", 262144) if options.arch == "cuda" else ("cpu", 256)
     environment = stage.environment | {"TI_ARCH": ""}
     if options.arch == "emulated":
-        environment["TAI_CUDA_EMULATION"] = "1"
+        # Only tai's: to torch there is no GPU.
+        environment |= {"TI_ARCH": "cuda", "TAI_CUDA_EMULATION": "1"}
     numbers = [n for n in (1, 2, 4, 8) if n <= devices(options)]
     for number in numbers:
         command = [sys.executable, "-m", "torch.distributed.run", "--standalone"]

@@ -43,7 +43,7 @@ def python():
 
 def train(python: str, processes: int, scenes: int) -> tuple[list[tuple[float, float]], str]:
     """(loss, norm of the weights) as they are printed, and the last line."""
-    options = [str(EXAMPLE), "--scenes", str(scenes), "--steps", "40", "--iterations", "21"]
+    options = [str(EXAMPLE), "--scenes", str(scenes), "--steps", "40", "--iterations", "25"]
     launcher = []
     if processes > 1:
         launcher = ["-m", "torch.distributed.run", "--standalone"]
