@@ -116,6 +116,28 @@ def run_pytest(jobs: int, out: Path, gpu: bool) -> Result:
     return result.close(status)
 
 
+# What the normal run repeats as on a GPU; `pytest --arch=emulated` takes all there is.
+EMULATED = """
+    ad_check ad_memory ad_seeds api argument_gradients arithmetic array_gradients control_flow
+    fields forward_mode gradients loop_gradients matrices overwrites_in_kernel
+    semantics_overwriting structs
+""".split()
+
+
+def run_emulated(jobs: int, out: Path) -> Result:
+    """Tests of kernels on the emulated device."""
+    result = Result("emulated GPU")
+    xml = out / "emulated.xml"
+    command = [sys.executable, "-m", "pytest", "-q", "--tb=short", f"--junitxml={xml}"]
+    command += ["-m", "not gpu", "--arch=emulated"]
+    if jobs > 1:
+        command += ["-n", str(jobs)]
+    status = call([*command, *(f"test/python/test_{name}.py" for name in EMULATED)])
+    if xml.exists():
+        result.add_junit(xml)
+    return result.close(status)
+
+
 def run_layouts(build: Path, jobs: int, out: Path) -> list[Result]:
     """The tests of kernels on every layout: those of pytest, and whole programs in MLIR."""
     result = Result("layouts")
@@ -161,10 +183,11 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--gpu", action="store_true", help="only the tests that need a GPU")
     parser.add_argument("--layouts", action="store_true", help="the tests on every layout")
-    parser.add_argument("--only", nargs="+", choices=["lit", "gtest", "pytest", "lint"])
+    parser.add_argument("--only", nargs="+", choices=["lit", "gtest", "pytest", "emulated", "lint"])
     args = parser.parse_args()
     build = (ROOT / args.build).resolve()
-    kinds = args.only or (["lit", "pytest"] if args.gpu else ["lit", "gtest", "pytest", "lint"])
+    everything = ["lit", "gtest", "pytest", "emulated", "lint"]
+    kinds = args.only or (["lit", "pytest"] if args.gpu else everything)
 
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
@@ -172,6 +195,7 @@ def main() -> int:
             "lit": lambda: run_lit(build, args.jobs, out, args.gpu),
             "gtest": lambda: run_gtest(build, out),
             "pytest": lambda: run_pytest(args.jobs, out, args.gpu),
+            "emulated": lambda: run_emulated(args.jobs, out),
             "lint": run_lint,
         }
         results = [runners[kind]() for kind in kinds if not args.layouts]

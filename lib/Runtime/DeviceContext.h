@@ -75,6 +75,30 @@ private:
   Status failure;
 };
 
+/// Device memory that goes with its owner.
+class DeviceBlock {
+public:
+  DeviceBlock(std::shared_ptr<DeviceContext> context, DevicePtr memory)
+      : context(std::move(context)), memory(memory) {}
+  ~DeviceBlock() { context->free(memory); }
+  DeviceBlock(const DeviceBlock &) = delete;
+  DeviceBlock &operator=(const DeviceBlock &) = delete;
+  static Status make(const std::shared_ptr<DeviceContext> &context,
+                     int64_t bytes, const std::string &owner,
+                     std::unique_ptr<DeviceBlock> &block) {
+    DevicePtr memory = 0;
+    Status status = context->allocate(bytes, owner, memory);
+    if (status)
+      block = std::make_unique<DeviceBlock>(context, memory);
+    return status;
+  }
+  DevicePtr get() const { return memory; }
+
+private:
+  std::shared_ptr<DeviceContext> context;
+  DevicePtr memory;
+};
+
 /// The device code of a kernel, once it has been loaded, and the trees that it
 /// uses.
 struct DeviceCode {

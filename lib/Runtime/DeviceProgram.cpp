@@ -34,6 +34,10 @@ bool DeviceQueue::Sequence::hasStructureOf(const Sequence &other) const {
 
 Status DeviceQueue::Sequence::run(Device &device, const Step &step) const {
   const uint64_t *values = slots.data() + step.firstSlot;
+  auto number = [&](int at) { return static_cast<int64_t>(values[at]); };
+  auto rows = [&] {
+    return DeviceRows{values[0], number(1), number(2), number(3)};
+  };
   switch (step.kind) {
   case Step::Kind::Launch:
     return device.launch(*step.function->function, step.shape, values,
@@ -43,6 +47,12 @@ Status DeviceQueue::Sequence::run(Device &device, const Step &step) const {
                        static_cast<int64_t>(values[3]));
   case Step::Kind::Copy:
     return device.copy(values[0], values[1], static_cast<int64_t>(values[2]));
+  case Step::Kind::FillRows:
+    return device.fillRows(rows(), values + 4, static_cast<int>(values[5]));
+  case Step::Kind::CopyRows:
+    return device.copyRows(rows(), values[4], number(5));
+  case Step::Kind::SwapRows:
+    return device.swapRows(rows(), values[4], number(5));
   }
   return Status::success();
 }
@@ -143,8 +153,10 @@ void DeviceQueue::Program::listWays(ProgramMode wanted,
   // Every part must be there to be put together again.
   bool whole = bool(maker);
   for (const Step &step : sequence.steps)
-    whole &= step.kind != Step::Kind::Launch ||
-             (step.function->bitcode && !step.function->bitcode->empty());
+    whole &=
+        step.kind == Step::Kind::Launch
+            ? step.function->bitcode && !step.function->bitcode->empty()
+            : step.kind == Step::Kind::Fill || step.kind == Step::Kind::Copy;
   if (whole) {
     unsigned most = limits.threadsPerBlock;
     add(ProgramMode::Block, 1, std::min(most, warps(width)));

@@ -27,14 +27,23 @@ struct DeviceQueue::Module : DeviceModule {
 };
 
 struct DeviceQueue::Step {
-  enum class Kind : uint32_t { Launch, Fill, Copy };
+  enum class Kind : uint32_t {
+    Launch,
+    Fill,
+    Copy,
+    FillRows,
+    CopyRows,
+    SwapRows
+  };
   Kind kind;
   /// Of launches.
   unsigned numSlots = 0;
   Function *function = nullptr;
   LaunchShape shape;
   /// In the slots of the sequence: the parameters; of a fill the address, the
-  /// pattern, its size and the count; of a copy both addresses and the size.
+  /// pattern, its size and the count; of a copy both addresses and the size. Of
+  /// rows these four numbers, and the other address and step, or the pattern
+  /// and its size.
   size_t firstSlot = 0;
 };
 
@@ -65,6 +74,14 @@ struct DeviceQueue::Sequence {
   }
   void addCopy(DevicePtr to, DevicePtr from, int64_t bytes) {
     addWork(Step::Kind::Copy, {to, from, static_cast<uint64_t>(bytes)});
+  }
+
+  void addRows(Step::Kind kind, const DeviceRows &rows, uint64_t other,
+               int64_t step) {
+    addWork(kind, {rows.address, static_cast<uint64_t>(rows.step),
+                   static_cast<uint64_t>(rows.rowBytes),
+                   static_cast<uint64_t>(rows.rows), other,
+                   static_cast<uint64_t>(step)});
   }
 
   bool hasStructureOf(const Sequence &other) const;

@@ -87,6 +87,32 @@ Status DeviceQueue::fill(DevicePtr to, const void *pattern, int patternBytes,
   return Status::success();
 }
 
+Status DeviceQueue::copyRows(const DeviceRows &to, DevicePtr from,
+                             int64_t fromStep) {
+  if (collecting == 0)
+    return device->copyRows(to, from, fromStep);
+  collected->addRows(Step::Kind::CopyRows, to, from, fromStep);
+  return Status::success();
+}
+
+Status DeviceQueue::swapRows(const DeviceRows &one, DevicePtr other,
+                             int64_t otherStep) {
+  if (collecting == 0)
+    return device->swapRows(one, other, otherStep);
+  collected->addRows(Step::Kind::SwapRows, one, other, otherStep);
+  return Status::success();
+}
+
+Status DeviceQueue::fillRows(const DeviceRows &to, const void *pattern,
+                             int patternBytes) {
+  if (collecting == 0)
+    return device->fillRows(to, pattern, patternBytes);
+  uint64_t bits = 0;
+  std::memcpy(&bits, pattern, static_cast<size_t>(patternBytes));
+  collected->addRows(Step::Kind::FillRows, to, bits, patternBytes);
+  return Status::success();
+}
+
 Status DeviceQueue::copyIn(DevicePtr to, const void *from, int64_t bytes) {
   Status status = flush();
   return status ? device->copyIn(to, from, bytes) : std::move(status);

@@ -139,6 +139,39 @@ public:
     return status;
   }
 
+  Status copyRows(const DeviceRows &to, DevicePtr from,
+                  int64_t fromStep) override {
+    Status status;
+    for (int64_t row = 0; row < to.rows && status; ++row)
+      status = copy(rowOf(to, row),
+                    from + static_cast<DevicePtr>(row * fromStep), to.rowBytes);
+    return status;
+  }
+  Status swapRows(const DeviceRows &one, DevicePtr other,
+                  int64_t otherStep) override {
+    Status status;
+    for (int64_t row = 0; row < one.rows && status; ++row) {
+      DevicePtr a = rowOf(one, row);
+      DevicePtr b = other + static_cast<DevicePtr>(row * otherStep);
+      status = check(a, one.rowBytes);
+      if (status)
+        status = check(b, one.rowBytes);
+      if (status)
+        std::swap_ranges(reinterpret_cast<char *>(a),
+                         reinterpret_cast<char *>(a) + one.rowBytes,
+                         reinterpret_cast<char *>(b));
+    }
+    return status;
+  }
+  Status fillRows(const DeviceRows &to, const void *pattern,
+                  int patternBytes) override {
+    Status status;
+    for (int64_t row = 0; row < to.rows && status; ++row)
+      status = fill(rowOf(to, row), pattern, patternBytes,
+                    to.rowBytes / patternBytes);
+    return status;
+  }
+
   bool isDeviceMemory(const void *address) const override {
     return check(reinterpret_cast<DevicePtr>(address), 1).ok();
   }
@@ -206,6 +239,10 @@ private:
   static size_t mappedBytes(int64_t bytes) {
     auto page = static_cast<int64_t>(sysconf(_SC_PAGESIZE));
     return static_cast<size_t>((bytes / page + 1) * page);
+  }
+
+  static DevicePtr rowOf(const DeviceRows &rows, int64_t row) {
+    return rows.address + static_cast<DevicePtr>(row * rows.step);
   }
 
   /// A GPU would fault on memory of the host; here it must be looked for.

@@ -61,19 +61,24 @@ bool mlir::tai::runtime::findConstantStep(
   return true;
 }
 
-bool mlir::tai::runtime::isRowMajor(const FieldLayout &layout,
-                                    const std::vector<int64_t> &shape,
-                                    int64_t elementBytes) {
-  int64_t expected = elementBytes;
+int64_t mlir::tai::runtime::findEvenStep(const FieldLayout &layout,
+                                         const std::vector<int64_t> &shape,
+                                         int64_t elementBytes) {
+  int64_t first = 0, expected = 0;
   for (size_t d = shape.size(); d-- > 0;) {
     int64_t step;
     if (!findConstantStep(layout.indices[d], step))
-      return false;
-    if (shape[d] > 1 && step != expected)
-      return false;
+      return 0;
+    if (shape[d] <= 1)
+      continue;
+    if (first == 0)
+      first = expected = step;
+    if (step != expected)
+      return 0;
     expected *= shape[d];
   }
-  return true;
+  // One element follows on itself.
+  return first == 0 ? elementBytes : first;
 }
 
 /// `data` is the address of the first element.

@@ -10,6 +10,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Mirror.h"
+#include "Slabs.h"
 #include "tai/Runtime/Runtime.h"
 #include <algorithm>
 #include <cstring>
@@ -118,12 +119,43 @@ Status Field::storeMirrored(int64_t offset, const void *from) const {
 // Whole fields
 //===----------------------------------------------------------------------===//
 
+/// Whether fields are copied and filled where the device has them.
+static bool liesThere(const Field &field) {
+  return field.evenStep() != 0 && field.tree().mirror()->onDevice();
+}
+
+/// Copies between an array of the host and elements that other fields lie
+/// between, by way of memory in which they are dense.
+static Status copyThrough(Mirror &mirror, const Field &field, void *to,
+                          const void *from) {
+  std::unique_ptr<DeviceBlock> dense;
+  Status status = DeviceBlock::make(mirror.sharedContext(), field.hostBytes(),
+                                    "copies of fields", dense);
+  if (!status)
+    return status;
+  Device &device = mirror.device();
+  DeviceRows rows = mirror.rows(field, 0, field.numElements());
+  if (from) {
+    status = device.copyIn(dense->get(), from, field.hostBytes());
+    return status ? device.copyRows(rows, dense->get(), rows.rowBytes)
+                  : std::move(status);
+  }
+  status =
+      device.copyRows({dense->get(), rows.rowBytes, rows.rowBytes, rows.rows},
+                      rows.address, rows.step);
+  return status ? device.copyOut(to, dense->get(), field.hostBytes())
+                : std::move(status);
+}
+
 bool Runtime::copyFromDevice(const Field &field, void *array) {
   Mirror &mirror = *field.tree().mirror();
-  if (mirror.onHost() || !field.contiguous())
+  if (mirror.onHost() || !liesThere(field))
     return false;
-  Status status = mirror.device().copyOut(
-      array, mirror.at(field.layout().placeOffset), field.hostBytes());
+  Status status =
+      field.contiguous()
+          ? mirror.device().copyOut(
+                array, mirror.at(field.layout().placeOffset), field.hostBytes())
+          : copyThrough(mirror, field, array, nullptr);
   if (status)
     status = mirror.context().report();
   mirror.context().note(std::move(status));
@@ -132,22 +164,75 @@ bool Runtime::copyFromDevice(const Field &field, void *array) {
 
 bool Runtime::copyToDevice(Field &field, const void *array) {
   Mirror &mirror = *field.tree().mirror();
-  if (!mirror.onDevice() || !field.contiguous())
+  if (!liesThere(field))
     return false;
   mirror.deviceWrites();
-  mirror.context().note(mirror.device().copyIn(
-      mirror.at(field.layout().placeOffset), array, field.hostBytes()));
+  mirror.context().note(
+      field.contiguous()
+          ? mirror.device().copyIn(mirror.at(field.layout().placeOffset), array,
+                                   field.hostBytes())
+          : copyThrough(mirror, field, nullptr, array));
   return true;
 }
 
 bool Runtime::fillOnDevice(Field &field, const void *scalarBytes) {
   Mirror &mirror = *field.tree().mirror();
-  if (!mirror.onDevice() || !field.contiguous())
+  if (!liesThere(field))
     return false;
   mirror.deviceWrites();
   auto size = static_cast<int>(byteSize(field.scalar()));
+  Device &device = mirror.device();
+  DeviceRows rows = mirror.rows(field, 0, field.numElements());
   mirror.context().note(
-      mirror.device().fill(mirror.at(field.layout().placeOffset), scalarBytes,
-                           size, field.numElements() * field.numComponents()));
+      rows.rows == 1
+          ? device.fill(rows.address, scalarBytes, size, rows.rowBytes / size)
+          : device.fillRows(rows, scalarBytes, size));
   return true;
+}
+
+//===----------------------------------------------------------------------===//
+// Parts of fields
+//===----------------------------------------------------------------------===//
+
+DeviceRows Slabs::prepareOnDevice(int64_t first, int64_t count) const {
+  Mirror &mirror = *field->tree().mirror();
+  mirror.context().note(mirror.toDevice());
+  return mirror.rows(*field, first, count);
+}
+
+Status Slabs::keepOnDevice(int64_t first, int64_t count,
+                           std::unique_ptr<DeviceBlock> &block) const {
+  Mirror &mirror = *field->tree().mirror();
+  Status status = mirror.toDevice();
+  if (status)
+    status = DeviceBlock::make(mirror.sharedContext(), count * bytes,
+                               "values that tapes keep", block);
+  if (!status)
+    return status;
+  DeviceRows rows = mirror.rows(*field, first, count);
+  if (rows.rows == 1)
+    return mirror.device().copy(block->get(), rows.address, rows.rowBytes);
+  return mirror.device().copyRows(
+      {block->get(), rows.rowBytes, rows.rowBytes, rows.rows}, rows.address,
+      rows.step);
+}
+
+void Slabs::storeOnDevice(int64_t first, int64_t count,
+                          const DeviceBlock &block) const {
+  DeviceRows rows = prepareOnDevice(first, count);
+  Mirror &mirror = *field->tree().mirror();
+  mirror.deviceWrites();
+  mirror.context().note(
+      rows.rows == 1
+          ? mirror.device().copy(rows.address, block.get(), rows.rowBytes)
+          : mirror.device().copyRows(rows, block.get(), rows.rowBytes));
+}
+
+void Slabs::exchangeOnDevice(int64_t first, int64_t count,
+                             const DeviceBlock &block) const {
+  DeviceRows rows = prepareOnDevice(first, count);
+  Mirror &mirror = *field->tree().mirror();
+  mirror.deviceWrites();
+  mirror.context().note(
+      mirror.device().swapRows(rows, block.get(), rows.rowBytes));
 }

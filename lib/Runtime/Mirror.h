@@ -27,6 +27,9 @@ public:
   ~Mirror();
 
   DeviceContext &context() const { return *deviceContext; }
+  const std::shared_ptr<DeviceContext> &sharedContext() const {
+    return deviceContext;
+  }
   Device &device() const { return deviceContext->get(); }
   bool onHost() const { return hostCurrent.load(std::memory_order_acquire); }
   bool onDevice() const {
@@ -55,6 +58,16 @@ public:
   Status read(int64_t offset, void *to, int64_t bytes);
   Status write(int64_t offset, const void *from, int64_t bytes);
 
+  /// Elements of a field that lie evenly in the tree, from number `first` on;
+  /// the memory of the device must be there.
+  DeviceRows rows(const Field &field, int64_t first, int64_t count) const {
+    int64_t bytes = field.numComponents() * byteSize(field.scalar());
+    int64_t step = field.evenStep();
+    DevicePtr address = at(field.layout().placeOffset + first * step);
+    if (step == bytes)
+      return {address, 0, count * bytes, 1};
+    return {address, step, bytes, count};
+  }
   /// A place in the memory of the device, which must be there.
   DevicePtr at(int64_t offset) const {
     return memory + static_cast<DevicePtr>(offset);

@@ -229,9 +229,10 @@ Status Runtime::addField(FieldInfo info, FieldPtr &result) {
     return badField(info.name,
                     "does not fit into tree '" + info.tree->name() + "' of " +
                         std::to_string(info.tree->bytes()) + " bytes");
-  field->isContiguous =
-      layout.componentStride == scalar &&
-      isRowMajor(layout, field->shapeOf, field->components * scalar);
+  if (layout.componentStride == scalar)
+    field->elementStep =
+        findEvenStep(layout, field->shapeOf, field->components * scalar);
+  field->isContiguous = field->elementStep == field->components * scalar;
   field->fieldName = info.name;
   field->owner = std::move(info.tree);
   field->adjointName = std::move(info.adjoint);

@@ -31,9 +31,10 @@ double doubleFromBfloat(uint16_t bits);
 /// varies.
 bool findConstantStep(const std::vector<LayoutLevel> &levels, int64_t &step);
 
-/// True where the elements lie one after another in row-major order.
-bool isRowMajor(const FieldLayout &layout, const std::vector<int64_t> &shape,
-                int64_t elementBytes);
+/// The distance from one element to the next in row-major order; 0 where it
+/// varies. That of a single element is its size.
+int64_t findEvenStep(const FieldLayout &layout,
+                     const std::vector<int64_t> &shape, int64_t elementBytes);
 
 } // namespace mlir::tai::runtime
 

@@ -16,6 +16,7 @@ using namespace mlir::tai::runtime;
 Slabs::Slabs(const Field &field, int dimension, bool byCell)
     : field(&field), slowDimension(dimension),
       bytes(field.numComponents() * byteSize(field.scalar())),
+      isEven(field.evenStep() != 0 && dimension <= 0 && !byCell),
       isContiguous(field.contiguous() && dimension <= 0) {
   if (byCell) {
     cells = std::make_shared<CellElements>(field);

@@ -22,6 +22,9 @@
 
 namespace mlir::tai::runtime {
 
+class DeviceBlock;
+struct DeviceRows;
+
 class Slabs {
 public:
   /// One slab for each position along the dimension; a single one for -1.
@@ -54,7 +57,18 @@ public:
   bool isZero(int64_t first, int64_t count) const;
   void clear(int64_t first, int64_t count) const;
 
+  /// Whether a device has the field and can keep ranges of it in its own
+  /// memory; how it does that, brings them back, or does both.
+  bool onDevice() const { return isEven && field->tree().mirror() != nullptr; }
+  Status keepOnDevice(int64_t first, int64_t count,
+                      std::unique_ptr<DeviceBlock> &block) const;
+  void storeOnDevice(int64_t first, int64_t count,
+                     const DeviceBlock &block) const;
+  void exchangeOnDevice(int64_t first, int64_t count,
+                        const DeviceBlock &block) const;
+
 private:
+  DeviceRows prepareOnDevice(int64_t first, int64_t count) const;
   template <typename Visit>
   bool forEachCell(int64_t first, int64_t count, const Visit &visit) const;
   template <typename Data, typename Run>
@@ -66,8 +80,9 @@ private:
   int64_t slabs = 1;
   int64_t slabElements = 1;
   int64_t bytes;
-  /// Numbers count up in row-major order.
-  bool isContiguous;
+  /// Numbers count up in row-major order, and elements lie evenly, or without
+  /// gaps.
+  bool isEven, isContiguous;
   /// For each dimension, the slow one first: its extent, and how an index moves
   /// the address: by a constant step, or by a table.
   struct Dimension {

@@ -29,6 +29,12 @@ Track::Track(FieldPtr fieldPtr, int dimension)
     cellsPerSlab = 0; // not known
     return;
   }
+  if (slabs.onDevice()) {
+    // Nothing is compared there, so a slab is kept in one piece.
+    cellElements = std::max<int64_t>(slabs.elements(), 1);
+    cellsPerSlab = 1;
+    return;
+  }
   cellElements = std::clamp<int64_t>(cellBytes / slabs.elementBytes(), 1,
                                      std::max<int64_t>(slabs.elements(), 1));
   cellsPerSlab = (slabs.elements() + cellElements - 1) / cellElements;
@@ -235,6 +241,8 @@ Status TapeMemory::save(const Candidate &candidate) {
 }
 
 Status Piece::allocate(Runtime &runtime, int64_t kept) {
+  if (track->slabs.onDevice())
+    return track->slabs.keepOnDevice(first(), count(), block);
   int64_t size = bytes();
   if (size <= runtime.memoryLimit() - runtime.reservedBytes() - kept)
     data.reset(new (std::nothrow) char[static_cast<size_t>(size)]);
@@ -386,6 +394,11 @@ int64_t TapeMemory::bytesAt(uint32_t record) const {
 
 void TapeMemory::swap(Piece &piece, std::vector<char> &spare) {
   auto bytes = static_cast<size_t>(piece.bytes());
+  if (piece.block) {
+    piece.track->slabs.exchangeOnDevice(piece.first(), piece.count(),
+                                        *piece.block);
+    return;
+  }
   if (piece.track->slabs.byCell()) {
     if (!piece.data)
       piece.data.reset(new char[bytes]());
@@ -413,7 +426,9 @@ void TapeMemory::swapAll(const std::vector<Piece *> &some) {
   } job{*this, some,
         std::clamp<int64_t>(bytes / bytesPerPart, 1,
                             2 * int64_t(runtime.threads()))};
-  if (job.parts == 1) {
+  if (job.parts == 1 ||
+      std::any_of(some.begin(), some.end(),
+                  [](const Piece *piece) { return piece->block != nullptr; })) {
     for (Piece *piece : some)
       swap(*piece, spare);
     return;
@@ -475,7 +490,15 @@ void TapeMemory::enter(uint32_t record, bool reruns) {
   if (!reruns)
     return;
   beforeCopy.clear();
+  beforeBlocks.clear();
   forEachEntered([&](Piece &piece) {
+    if (piece.block) {
+      std::unique_ptr<DeviceBlock> copy;
+      runtime.noteFailure(
+          piece.track->slabs.keepOnDevice(piece.first(), piece.count(), copy));
+      beforeBlocks.push_back(std::move(copy));
+      return;
+    }
     size_t at = beforeCopy.size();
     beforeCopy.resize(at + static_cast<size_t>(piece.bytes()));
     piece.track->slabs.load(piece.first(), piece.count(),
@@ -486,8 +509,13 @@ void TapeMemory::enter(uint32_t record, bool reruns) {
 void TapeMemory::leave(bool reruns) {
   if (!reruns)
     return;
-  size_t at = 0;
+  size_t at = 0, next = 0;
   forEachEntered([&](Piece &piece) {
+    if (piece.block) {
+      if (const std::unique_ptr<DeviceBlock> &copy = beforeBlocks[next++])
+        piece.track->slabs.storeOnDevice(piece.first(), piece.count(), *copy);
+      return;
+    }
     piece.track->slabs.store(piece.first(), piece.count(),
                              beforeCopy.data() + at);
     at += static_cast<size_t>(piece.bytes());

@@ -20,6 +20,7 @@
 #ifndef TAI_LIB_RUNTIME_TAPEMEMORY_H
 #define TAI_LIB_RUNTIME_TAPEMEMORY_H
 
+#include "DeviceContext.h"
 #include "Slabs.h"
 #include "tai/Runtime/Runtime.h"
 #include <map>
@@ -82,7 +83,8 @@ struct Track {
   }
 };
 
-/// Contents of consecutive elements of a field: zeros where there are no data.
+/// Contents of consecutive elements of a field: zeros where there are no data,
+/// here or on the device.
 struct Piece {
   Track *track;
   uint32_t record;
@@ -90,21 +92,26 @@ struct Piece {
   bool before;
   int64_t cell, endCell;
   std::unique_ptr<char[]> data;
+  std::unique_ptr<DeviceBlock> block = nullptr;
 
   int64_t first() const { return track->firstElement(cell); }
   int64_t count() const { return track->firstElement(endCell) - first(); }
   int64_t bytes() const { return count() * track->slabs.elementBytes(); }
-  int64_t keptBytes() const { return data ? bytes() : 0; }
+  int64_t keptBytes() const { return data || block ? bytes() : 0; }
   /// Copies what the field holds; fails where the tape would then keep more
   /// than there is, `kept` being what it keeps so far.
   Status allocate(Runtime &runtime, int64_t kept);
-  /// Whether the field still holds that.
+  /// Whether the field still holds that. On a device it is not worth the wait.
   bool holds() const {
+    if (block)
+      return false;
     return data ? track->slabs.equal(first(), count(), data.get())
                 : track->slabs.isZero(first(), count());
   }
   void putBack() const {
-    if (data)
+    if (block)
+      track->slabs.storeOnDevice(first(), count(), *block);
+    else if (data)
       track->slabs.store(first(), count(), data.get());
     else
       track->slabs.clear(first(), count());
@@ -307,6 +314,7 @@ private:
   std::vector<char> spare;
   std::vector<Piece *> some;
   std::vector<char> beforeCopy;
+  std::vector<std::unique_ptr<DeviceBlock>> beforeBlocks;
   int64_t saved = 0;
   int64_t peak = 0;
 };

@@ -282,7 +282,9 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
         if chosen.get(name, known[0]) not in known:
             words = " or ".join(repr(word) for word in known)
             raise TaiRuntimeError(f"{name} is {words}, but got {chosen[name]!r}")
-    chosen["arch"], may_fall_back = _choose_arch(os.environ.get("TI_ARCH") or arch)
+    chosen["arch"], may_fall_back = _choose_arch(arch)
+    if os.environ.get("TI_ARCH"):
+        chosen["arch"], may_fall_back = _choose_arch(os.environ["TI_ARCH"])
     _check_target(chosen["arch"], needs, unwanted)
     may_fall_back |= bool(chosen["accepted"].get("enable_fallback"))
     if chosen["arch"] == cuda and may_fall_back and (why := why_no_cuda()):
@@ -314,7 +316,8 @@ def _check_target(arch: Arch, needs: Any, unwanted: Any) -> None:
 
         for extension in each(needs):
             if not is_extension_supported(arch, extension):
-                raise TaiRuntimeError(f"arch=ti.{arch} has no {extension}")
+                yet = "; it is not there on the GPU yet" if arch == cuda else ""
+                raise TaiRuntimeError(f"arch=ti.{arch} has no {extension}{yet}")
     if arch in each(unwanted) or (arch == cpu and x64 in each(unwanted)):
         raise TaiRuntimeError(f"arch=ti.{arch} is excluded by this program")
 

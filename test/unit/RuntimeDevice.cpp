@@ -174,29 +174,42 @@ TEST_F(RuntimeDevice, CopiesSingleElementsOfLargeTrees) {
   EXPECT_EQ(get(*x, {n - 1}), 3.0 * n);
 }
 
-/// Fields that take turns in one tree have no row-major order in it.
-TEST_F(RuntimeDevice, HandlesFieldsThatShareTheirCells) {
+/// Fields that take turns in one tree: elements lie evenly, with others
+/// between.
+static void makeShared(Runtime &runtime, ScalarKind scalar, int64_t n,
+                       FieldPtr &a, FieldPtr &b) {
   TreePtr tree;
-  ASSERT_OK(runtime.addTree("t", 16 * 100, tree));
-  FieldPtr fields[2];
-  for (int f = 0; f < 2; ++f) {
+  int64_t bytes = byteSize(scalar);
+  ASSERT_OK(runtime.addTree("t", 2 * bytes * n, tree));
+  for (FieldPtr *field : {&a, &b}) {
     FieldInfo info;
-    info.name = f ? "b" : "a";
+    info.name = field == &a ? "a" : "b";
     info.tree = tree;
-    info.layout = rowMajor(ScalarKind::F64, {100});
-    info.layout.placeOffset = 8 * f;
-    info.layout.indices[0][0].stride = 16;
-    ASSERT_OK(runtime.addField(std::move(info), fields[f]));
+    info.layout = rowMajor(scalar, {n});
+    info.layout.placeOffset = field == &a ? 0 : bytes;
+    info.layout.indices[0][0].stride = 2 * bytes;
+    ASSERT_OK(runtime.addField(std::move(info), *field));
   }
-  KernelPtr kernel = addIndexKernel(fields[0]);
+}
+
+TEST_F(RuntimeDevice, HandlesFieldsThatShareTheirCells) {
+  FieldPtr a, b;
+  makeShared(runtime, ScalarKind::F64, 100, a, b);
+  KernelPtr kernel = addIndexKernel(a);
   EXPECT_OK(launch(*kernel, {200}));
-  EXPECT_OK(runtime.fillF64(*fields[1], 0.5));
-  EXPECT_EQ(get(*fields[0], {10}), 21.0);
-  EXPECT_EQ(get(*fields[1], {10}), 0.5);
-  EXPECT_OK(launch(*kernel, {200}));
+  EXPECT_OK(runtime.fillF64(*b, 0.5));
   std::vector<double> values(100);
-  EXPECT_OK(runtime.copyToHost(*fields[1], values.data()));
+  EXPECT_OK(runtime.copyToHost(*a, values.data()));
+  EXPECT_EQ(values[10], 21.0);
+  EXPECT_EQ(get(*b, {10}), 0.5);
+  EXPECT_OK(launch(*kernel, {200}));
+  EXPECT_OK(runtime.copyToHost(*b, values.data()));
   EXPECT_EQ(values[10], 22.5);
+  values[11] = 7;
+  EXPECT_OK(launch(*kernel, {10}));
+  EXPECT_OK(runtime.copyFromHost(*b, values.data()));
+  EXPECT_EQ(get(*b, {11}), 7.0);
+  EXPECT_EQ(get(*a, {11}), 46.0);
 }
 
 TEST_F(RuntimeDevice, RunsAGridOfSeveralBlocks) {
@@ -319,46 +332,81 @@ TEST_F(RuntimeDevice, KernelsWithoutDeviceCodeRunOnTheHost) {
   EXPECT_EQ(get(*x, {3}), 44.0);
 }
 
-TEST_F(RuntimeDevice, TapesKeepWhatKernelsOverwrite) {
-  FieldPtr x = makeDifferentiable(runtime, "x", ScalarKind::F64, {10});
+/// Sums a field of ten numbers into a loss, then changes it; the adjoint of the
+/// sum reads the field.
+static void checkTape(Runtime &runtime, const FieldPtr &x,
+                      const FieldPtr &beside, Kernel &changes) {
   FieldPtr loss = makeDifferentiable(runtime, "loss", ScalarKind::F64, {});
-  // The adjoint reads x, which the launch after it changes.
-  auto toLoss = [](TaiFrame *frame) -> int32_t {
-    uint64_t slots[] = {reinterpret_cast<uint64_t>(frame->trees[0]), 10,
+  auto toSecond = [](TaiFrame *frame) -> int32_t {
+    uint64_t slots[] = {reinterpret_cast<uint64_t>(frame->trees[0]),
+                        frame->args[0],
                         reinterpret_cast<uint64_t>(frame->trees[1])};
     tai_rt_device_launch(frame, 0, 1, slots, 3);
     return tai_rt_failed(frame);
   };
-  KernelPtr reads =
-      onDevice(runtime, "reads", toLoss, imageOf({"sum"}),
-               {{x, AccessKind::Read}, {loss, AccessKind::Accumulate}});
+  TreePtr tree = runtime.findTree(x->tree().name());
   KernelInfo adjoint;
   adjoint.name = "reads_grad";
-  adjoint.function = toLoss;
-  adjoint.trees = {runtime.findTree("x_tree"), runtime.findTree("x_grad_tree")};
+  adjoint.function = toSecond;
+  adjoint.argSlots = 1;
+  adjoint.trees = {tree, runtime.findTree("x_grad_tree")};
   adjoint.image = imageOf({"sum"});
   KernelInfo info;
   info.name = "reads";
-  info.function = toLoss;
-  info.trees = {runtime.findTree("x_tree"), runtime.findTree("loss_tree")};
-  info.summary = reads->summary();
+  info.function = toSecond;
+  info.argSlots = 1;
+  info.trees = {tree, runtime.findTree("loss_tree")};
+  info.summary = {{x, AccessKind::Read}, {loss, AccessKind::Accumulate}};
   info.image = imageOf({"sum"});
   info.adjoint = runtime.createKernel(std::move(adjoint));
+  uint64_t n = 10;
+  if (beside) {
+    n = 20;
+    info.summary.push_back({beside, AccessKind::Read});
+  }
   KernelPtr kernel = runtime.createKernel(std::move(info));
-  KernelPtr changes = addIndexKernel(x);
+  int64_t before = runtime.getDevice()->allocatedBytes();
+  {
+    std::unique_ptr<Tape> tape;
+    ASSERT_OK(runtime.beginTape(loss, true, tape));
+    EXPECT_OK(runtime.launch(*kernel, &n, 1, nullptr));
+    EXPECT_OK(runtime.launch(changes, &n, 1, nullptr));
+    double first = get(*x, {4});
+    EXPECT_OK(tape->backward());
+    // With the x of that time.
+    double sum = get(*loss);
+    EXPECT_EQ(get(*x->adjoint(), {0}), sum);
+    EXPECT_EQ(get(*x, {4}), first);
+    EXPECT_OK(tape->replay(true, true));
+    EXPECT_GT(get(*loss), sum);
+    EXPECT_EQ(get(*x->adjoint(), {0}), get(*loss));
+    EXPECT_OK(tape->replay(false, true));
+    EXPECT_EQ(get(*x->adjoint(), {0}), get(*loss));
+  }
+  // The loss, the adjoint of x, and nothing that the tape has kept.
+  EXPECT_EQ(runtime.getDevice()->allocatedBytes(),
+            before + int64_t(sizeof(double)) * (1 + 10));
+}
+
+TEST_F(RuntimeDevice, TapesKeepWhatKernelsOverwrite) {
+  FieldPtr x = makeDifferentiable(runtime, "x", ScalarKind::F64, {10});
   EXPECT_OK(runtime.fillF64(*x, 2.0));
-  std::unique_ptr<Tape> tape;
-  ASSERT_OK(runtime.beginTape(loss, true, tape));
-  EXPECT_OK(launch(*kernel, {}));
+  KernelPtr changes = addIndexKernel(x);
   EXPECT_OK(launch(*changes, {10}));
-  EXPECT_OK(tape->backward());
-  EXPECT_EQ(get(*loss), 20.0);
-  // With the x of that time.
-  EXPECT_EQ(get(*x->adjoint(), {0}), 20.0);
-  EXPECT_EQ(get(*x, {4}), 7.0);
-  EXPECT_OK(tape->replay(true, true));
-  EXPECT_EQ(get(*loss), 75.0);
-  EXPECT_EQ(get(*x->adjoint(), {0}), 75.0);
+  checkTape(runtime, x, nullptr, *changes);
+}
+
+TEST_F(RuntimeDevice, TapesKeepFieldsThatShareTheirCells) {
+  FieldPtr a, b;
+  makeShared(runtime, ScalarKind::F64, 10, a, b);
+  ASSERT_OK(runtime.setAdjoint(
+      *a, makeField(runtime, "x_grad", ScalarKind::F64, {10})));
+  KernelPtr changes = onDevice(
+      runtime, "add_index", addIndexHost, imageOf({"addIndex"}),
+      {{a, AccessKind::Read}, {a, AccessKind::Write}, {b, AccessKind::Write}},
+      1);
+  EXPECT_OK(launch(*changes, {20}));
+  checkTape(runtime, a, b, *changes);
 }
 
 TEST_F(RuntimeDevice, RefusesWhatIsNotThere) {
@@ -524,6 +572,40 @@ static void checkScaling() {
 }
 
 TEST_F(RuntimeCuda, RunsKernels) { checkScaling(); }
+
+// By units of one byte and of four.
+TEST_F(RuntimeCuda, MovesRows) {
+  for (ScalarKind scalar :
+       {ScalarKind::F16, ScalarKind::F32, ScalarKind::F64}) {
+    Runtime runtime;
+    std::unique_ptr<Device> device;
+    ASSERT_OK(openCudaDevice(0, device));
+    ASSERT_OK(runtime.useDevice(std::move(device)));
+    FieldPtr a, b;
+    makeShared(runtime, scalar, 50, a, b);
+    KernelPtr kernel = onDevice(runtime, "scale", scaleHost,
+                                imageOf({"scale"}, DeviceKind::Cuda, "// PTX"),
+                                {{a, AccessKind::Write}}, 2);
+    uint64_t args[] = {0, slotOf(2.0)};
+    // Nothing but a change on the device.
+    auto touch = [&] {
+      args[0] = 1;
+      args[1] = slotOf(1.0);
+      EXPECT_OK(runtime.launch(*kernel, args, 2, nullptr));
+    };
+    set(*a, {7}, 1.25);
+    touch();
+    EXPECT_OK(runtime.fillF64(*b, 0.125));
+    EXPECT_EQ(get(*a, {7}), 1.25);
+    EXPECT_EQ(get(*b, {49}), 0.125);
+    touch();
+    std::vector<char> values(size_t(b->hostBytes()));
+    EXPECT_OK(runtime.copyToHost(*a, values.data()));
+    EXPECT_OK(runtime.copyFromHost(*b, values.data()));
+    EXPECT_EQ(get(*b, {7}), 1.25);
+    EXPECT_EQ(get(*b, {8}), 0.0);
+  }
+}
 
 TEST_F(RuntimeCuda, RunsKernelsWithoutMemoryPools) {
   use(TAI_FAKE_CUDA_LIBRARY, "no-pools");

@@ -86,6 +86,15 @@ struct DeviceImage {
   std::shared_ptr<const std::string> bitcode;
 };
 
+/// `rows` pieces of `rowBytes` bytes, each starting `step` bytes after the one
+/// before.
+struct DeviceRows {
+  DevicePtr address;
+  int64_t step;
+  int64_t rowBytes;
+  int64_t rows;
+};
+
 class Device {
 public:
   virtual ~Device() = default;
@@ -116,6 +125,15 @@ public:
   /// multiple of its size.
   virtual Status fill(DevicePtr to, const void *pattern, int patternBytes,
                       int64_t count) = 0;
+  /// The same for memory that is not dense. Rows of both sides have the bytes
+  /// of `to`; they do not overlap.
+  virtual Status copyRows(const DeviceRows &to, DevicePtr from,
+                          int64_t fromStep) = 0;
+  virtual Status swapRows(const DeviceRows &one, DevicePtr other,
+                          int64_t otherStep) = 0;
+  /// Rows are whole numbers of patterns.
+  virtual Status fillRows(const DeviceRows &to, const void *pattern,
+                          int patternBytes) = 0;
   /// Whether device code can use this address of the caller as it is.
   virtual bool isDeviceMemory(const void *address) const = 0;
 

@@ -69,6 +69,12 @@ public:
   Status copy(DevicePtr to, DevicePtr from, int64_t bytes) override;
   Status fill(DevicePtr to, const void *pattern, int patternBytes,
               int64_t count) override;
+  Status copyRows(const DeviceRows &to, DevicePtr from,
+                  int64_t fromStep) override;
+  Status swapRows(const DeviceRows &one, DevicePtr other,
+                  int64_t otherStep) override;
+  Status fillRows(const DeviceRows &to, const void *pattern,
+                  int patternBytes) override;
   bool isDeviceMemory(const void *address) const override {
     return device->isDeviceMemory(address);
   }

@@ -165,6 +165,9 @@ public:
   bool valid() const { return owner->base() != nullptr; }
   /// True where the elements lie one after another in row-major order.
   bool contiguous() const { return isContiguous; }
+  /// Where elements, in row-major order, lie dense in themselves and evenly in
+  /// the tree: the bytes from one to the next, else 0.
+  int64_t evenStep() const { return elementStep; }
   /// Address of the place: of the first element. As Tree::base().
   char *data() const { return owner->base() + fieldLayout.placeOffset; }
   /// The same, to read and to change there; see Tree.
@@ -244,6 +247,7 @@ private:
   int64_t elements = 1;
   int64_t components = 1;
   bool isContiguous = false;
+  int64_t elementStep = 0;
   bool ofPrimal = false;
   std::string adjointName, dualName;
   std::shared_ptr<Field> adjointField, dualField;

@@ -246,6 +246,7 @@ private:
   friend class Tape;
   friend class GradientCheck;
   friend class AccessChecks;
+  friend class TapeMemory;
 
   void freeTree(Tree &tree);
   void addMemory(SkipAmounts &amounts) const;

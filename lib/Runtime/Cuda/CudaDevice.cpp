@@ -23,6 +23,14 @@
 using namespace mlir::tai::runtime;
 using namespace mlir::tai::runtime::cuda;
 
+namespace mlir::tai {
+// Made of Rows.cu when the project is built.
+extern const unsigned char cudaRowKernels[];
+extern const unsigned long cudaRowKernels_size;
+} // namespace mlir::tai
+using mlir::tai::cudaRowKernels;
+using mlir::tai::cudaRowKernels_size;
+
 namespace {
 struct CudaModule;
 struct CudaGraph;
@@ -56,6 +64,12 @@ public:
   Status copy(DevicePtr to, DevicePtr from, int64_t bytes) override;
   Status fill(DevicePtr to, const void *pattern, int patternBytes,
               int64_t count) override;
+  Status copyRows(const DeviceRows &to, DevicePtr from,
+                  int64_t fromStep) override;
+  Status swapRows(const DeviceRows &one, DevicePtr other,
+                  int64_t otherStep) override;
+  Status fillRows(const DeviceRows &to, const void *pattern,
+                  int patternBytes) override;
   bool isDeviceMemory(const void *address) const override;
 
   Status load(const DeviceImage &image,
@@ -95,6 +109,11 @@ private:
     return check(cu.ctxSetCurrent(context), "a thread cannot use the device");
   }
   Status allocateOnce(int64_t bytes, Address &address);
+  /// Kernels of our own; see Rows.cu.
+  Status loadRowKernels();
+  enum RowKernel { CopyRows, SwapRows, FillRows };
+  Status runRows(RowKernel kernel, bool words, int64_t units,
+                 std::initializer_list<uint64_t> parameters);
 
   /// Small copies go through memory that the device reads and writes itself.
   static constexpr int64_t stagingBytes = 256 << 10;
@@ -110,6 +129,9 @@ private:
   mutable std::mutex mutex;
   std::map<DevicePtr, int64_t> allocations;
   int64_t allocated = 0;
+
+  std::unique_ptr<DeviceModule> rowsModule;
+  DeviceFunction *rowFunctions[2][3] = {};
 
   std::mutex stagingMutex;
   char *staging = nullptr;
@@ -237,6 +259,8 @@ Status CudaDevice::open() {
     status = check(cu.memAllocHost(&memory, stagingBytes),
                    "no memory for copies can be had");
   staging = static_cast<char *>(memory);
+  if (status)
+    status = loadRowKernels();
   if (!status || !pools)
     return status;
   PoolProperties properties;
@@ -254,6 +278,7 @@ Status CudaDevice::open() {
 CudaDevice::~CudaDevice() {
   if (!context)
     return;
+  rowsModule.reset();
   // At the end of a process the driver may have gone first.
   if (enter()) {
     if (stream)
@@ -416,12 +441,83 @@ Status CudaDevice::fill(DevicePtr to, const void *pattern, int patternBytes,
                                    size * static_cast<size_t>(patternBytes / 4),
                                    stream),
                  what);
-  // The first words of all, one word in each row; then the second ones.
-  for (unsigned half = 0; half < 2 && status; ++half)
-    status = check(
-        cu.memsetD2D32Async(to + 4 * half, 8, words[half], 1, size, stream),
-        what);
+  return fillRows({to, 0, 8 * count, 1}, pattern, patternBytes);
+}
+
+//===----------------------------------------------------------------------===//
+// Rows
+//===----------------------------------------------------------------------===//
+
+/// Not when they are first used: that may be while a graph is recorded.
+Status CudaDevice::loadRowKernels() {
+  DeviceImage image;
+  image.bytes.assign(reinterpret_cast<const char *>(cudaRowKernels),
+                     cudaRowKernels_size);
+  Status status = load(image, rowsModule);
+  const char *names[2][3] = {
+      {"tai_copy_bytes", "tai_swap_bytes", "tai_fill_bytes"},
+      {"tai_copy_words", "tai_swap_words", "tai_fill_words"}};
+  for (int w = 0; w < 2; ++w)
+    for (int k = 0; k < 3 && status; ++k)
+      status = find(*rowsModule, names[w][k], rowFunctions[w][k]);
   return status;
+}
+
+Status CudaDevice::runRows(RowKernel kernel, bool words, int64_t units,
+                           std::initializer_list<uint64_t> parameters) {
+  if (units == 0)
+    return Status::success();
+  LaunchShape shape;
+  shape.threads = 256;
+  constexpr int64_t blocksEach = 8;
+  shape.blocks = static_cast<unsigned>(
+      std::clamp<int64_t>((units + shape.threads - 1) / shape.threads, 1,
+                          blocksEach * most.multiprocessors));
+  return launch(*rowFunctions[words][kernel], shape, parameters.begin(),
+                static_cast<int>(parameters.size()));
+}
+
+/// Whether all of these are multiples of a word.
+static bool areWords(std::initializer_list<uint64_t> numbers) {
+  return std::all_of(numbers.begin(), numbers.end(),
+                     [](uint64_t number) { return number % 4 == 0; });
+}
+
+Status CudaDevice::copyRows(const DeviceRows &to, DevicePtr from,
+                            int64_t fromStep) {
+  auto bytes = static_cast<uint64_t>(to.rowBytes);
+  auto step = static_cast<uint64_t>(to.step);
+  auto otherStep = static_cast<uint64_t>(fromStep);
+  bool words = areWords({to.address, step, from, otherStep, bytes});
+  uint64_t unit = words ? 4 : 1;
+  return runRows(CopyRows, words, static_cast<int64_t>(bytes / unit) * to.rows,
+                 {to.address, step / unit, from, otherStep / unit, bytes / unit,
+                  static_cast<uint64_t>(to.rows)});
+}
+
+Status CudaDevice::swapRows(const DeviceRows &one, DevicePtr other,
+                            int64_t otherStep) {
+  auto bytes = static_cast<uint64_t>(one.rowBytes);
+  auto step = static_cast<uint64_t>(one.step);
+  auto stepThere = static_cast<uint64_t>(otherStep);
+  bool words = areWords({one.address, step, other, stepThere, bytes});
+  uint64_t unit = words ? 4 : 1;
+  return runRows(SwapRows, words, static_cast<int64_t>(bytes / unit) * one.rows,
+                 {one.address, step / unit, other, stepThere / unit,
+                  bytes / unit, static_cast<uint64_t>(one.rows)});
+}
+
+Status CudaDevice::fillRows(const DeviceRows &to, const void *pattern,
+                            int patternBytes) {
+  auto bytes = static_cast<uint64_t>(to.rowBytes);
+  auto step = static_cast<uint64_t>(to.step);
+  auto size = static_cast<uint64_t>(patternBytes);
+  bool words = areWords({to.address, step, bytes, size});
+  uint64_t unit = words ? 4 : 1, bits = 0;
+  std::memcpy(&bits, pattern, size);
+  return runRows(FillRows, words, static_cast<int64_t>(bytes / unit) * to.rows,
+                 {to.address, step / unit, bytes / unit,
+                  static_cast<uint64_t>(to.rows), bits, size / unit});
 }
 
 bool CudaDevice::isDeviceMemory(const void *address) const {

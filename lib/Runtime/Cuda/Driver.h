@@ -145,8 +145,6 @@ struct GraphUpdate {
   DO(memsetD16Async, "cuMemsetD16Async",                                       \
      (Address, unsigned short, size_t, Stream))                                \
   DO(memsetD32Async, "cuMemsetD32Async", (Address, unsigned, size_t, Stream))  \
-  DO(memsetD2D32Async, "cuMemsetD2D32Async_v2",                                \
-     (Address, size_t, unsigned, size_t, size_t, Stream))                      \
   DO(pointerGetAttribute, "cuPointerGetAttribute", (void *, int, Address))     \
   DO(moduleLoadDataEx, "cuModuleLoadDataEx",                                   \
      (Module *, const void *, unsigned, int *, void **))                       \

@@ -234,14 +234,6 @@ Result cuMemsetD32Async(Address to, unsigned value, size_t count, void *on) {
     ((unsigned *)(uintptr_t)to)[i] = value;
   return 0;
 }
-Result cuMemsetD2D32Async_v2(Address to, size_t pitch, unsigned value,
-                             size_t width, size_t height, void *on) {
-  (void)on;
-  for (size_t row = 0; row < height; ++row)
-    for (size_t i = 0; i < width; ++i)
-      ((unsigned *)(uintptr_t)(to + row * pitch))[i] = value;
-  return 0;
-}
 Result cuPointerGetAttribute(void *value, int attribute, Address address) {
   (void)value, (void)attribute, (void)address;
   return 1; // no memory that the driver knows
@@ -255,7 +247,7 @@ Result cuModuleLoadDataEx(void **result, const void *image, unsigned count,
         strcpy(values[i], "ptxas fatal : line 3: unknown instruction\n");
     return 218;
   }
-  *result = strncmp(image, "// PTX", 6) == 0 ? &module : NULL;
+  *result = strncmp(image, "//", 2) == 0 ? &module : NULL;
   return *result ? 0 : 218;
 }
 Result cuModuleUnload(void *given) {
@@ -264,11 +256,15 @@ Result cuModuleUnload(void *given) {
 }
 Result cuModuleGetFunction(void **result, void *given, const char *name) {
   (void)given;
-  static char scale[] = "scale", where[] = "where";
-  *result = strcmp(name, scale) == 0   ? scale
-            : strcmp(name, where) == 0 ? where
-                                       : NULL;
-  return *result ? 0 : 500;
+  static const char *names[] = {
+      "scale",          "where",          "tai_copy_words", "tai_copy_bytes",
+      "tai_swap_words", "tai_swap_bytes", "tai_fill_words", "tai_fill_bytes"};
+  for (unsigned i = 0; i < sizeof(names) / sizeof(names[0]); ++i)
+    if (strcmp(name, names[i]) == 0) {
+      *result = (void *)names[i];
+      return 0;
+    }
+  return 500;
 }
 Result cuFuncGetAttribute(int *value, int attribute, void *function) {
   (void)attribute, (void)function;
@@ -282,6 +278,31 @@ Result cuOccupancyMaxActiveBlocksPerMultiprocessor(int *blocks, void *function,
   return 0;
 }
 
+/// As Rows.cu has them.
+static void rows(const char *function, void **parameters) {
+  uint64_t p[6];
+  for (int i = 0; i < 6; ++i)
+    p[i] = *(uint64_t *)parameters[i];
+  size_t unit = strstr(function, "words") ? 4 : 1;
+  if (strstr(function, "fill")) {
+    for (uint64_t row = 0; row < p[3]; ++row)
+      for (uint64_t at = 0; at < p[2]; ++at)
+        memcpy((char *)(uintptr_t)p[0] + (row * p[1] + at) * unit,
+               (char *)&p[4] + at % p[5] * unit, unit);
+    return;
+  }
+  for (uint64_t row = 0; row < p[5]; ++row) {
+    char *a = (char *)(uintptr_t)p[0] + row * p[1] * unit;
+    char *b = (char *)(uintptr_t)p[2] + row * p[3] * unit;
+    for (size_t byte = 0; byte < p[4] * unit; ++byte) {
+      char before = a[byte];
+      a[byte] = b[byte];
+      if (strstr(function, "swap"))
+        b[byte] = before;
+    }
+  }
+}
+
 static Result launch(const char *function, unsigned blocks, unsigned threads,
                      void **parameters) {
   if (has("fault"))
@@ -291,6 +312,8 @@ static Result launch(const char *function, unsigned blocks, unsigned threads,
     int64_t n = *(int64_t *)parameters[1];
     for (int64_t i = 0; i < n; ++i)
       x[i] *= *(double *)parameters[2];
+  } else if (strncmp(function, "tai_", 4) == 0) {
+    rows(function, parameters);
   } else {
     int32_t *result = *(int32_t **)parameters[0];
     result[0] = (int32_t)blocks;
