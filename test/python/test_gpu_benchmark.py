@@ -82,6 +82,9 @@ def test_a_floor_that_computes_something_else_is_named():
     assert not report.disagreements([ours, scene("floor", 1.0, variant="graph")])
     other = {**scene("floor", 1.0, variant="graph"), "loss": 0.4}
     assert len(report.disagreements([ours, other])) == 1
+    ours["gradient_norm"], other = 0.0132, scene("floor", 1.0, variant="graph")
+    assert not report.disagreements([ours, {**other, "gradient_norm": 0.0133}])
+    assert len(report.disagreements([ours, {**other, "gradient_norm": 0.0140}])) == 1
 
 
 XML = """<testsuites><testsuite><testcase classname="a" name="good"/>
