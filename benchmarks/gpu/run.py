@@ -325,6 +325,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--quick", action="store_true", help="fewer runs, smaller arrays")
     parser.add_argument("--small", action="store_true", help="tiny scenes, to try it out")
     parser.add_argument("--no-floors", action="store_true", help="do not run the floors")
+    parser.add_argument("--no-own", action="store_true", help="do not run tai")
     parser.add_argument("--minutes", type=float, default=6.0, help="for all of it")
     parser.add_argument("--name", default=None, help="of the machine, in the files' names")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "bench" / "gpu")
@@ -349,7 +350,8 @@ def main() -> int:
         folder = build_floors(run)
         if folder and run.on_gpu():
             jobs += floor_jobs(run, folder)
-    jobs += own_jobs(run)
+    if not options.no_own:
+        jobs += own_jobs(run)
     options.peers = present(options.peers_python, options.peers)
     jobs += peer_jobs(run)
     for job in jobs:
