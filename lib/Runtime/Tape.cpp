@@ -539,6 +539,9 @@ const std::string &Tape::explain() {
           "; recomputed " + std::to_string(recomputedAt[i]) + " times";
     explanation += '\n';
   }
+  // How a device runs sequences of launches.
+  if (const DeviceQueue *queue = runtime.getDeviceQueue())
+    explanation += queue->explain();
   return explanation;
 }
 
