@@ -112,8 +112,9 @@ static void addDispatch(llvm::Module &module, ArrayRef<llvm::Function *> bodies,
   llvm::IRBuilder<> builder(context);
   auto *type = llvm::FunctionType::get(
       builder.getVoidTy(), {builder.getInt64Ty(), builder.getPtrTy()}, false);
+  // The library calls it; afterwards it is hidden like the rest.
   auto *dispatch = llvm::Function::Create(
-      type, llvm::GlobalValue::InternalLinkage, "tai_program_dispatch", module);
+      type, llvm::GlobalValue::ExternalLinkage, "tai_program_dispatch", module);
   dispatch->addFnAttr(llvm::Attribute::AlwaysInline);
   auto *entry = llvm::BasicBlock::Create(context, "", dispatch);
   auto *exit = llvm::BasicBlock::Create(context, "", dispatch);

@@ -165,6 +165,15 @@ Status DeviceLaunch::scratch(int64_t bytes, DevicePtr &memory) {
   constexpr int64_t smallestBlock = 1 << 20;
   const char zero = 0;
   bytes = std::max<int64_t>((bytes + 255) / 256 * 256, 256);
+  if (collection != context->numCollections()) {
+    collection = context->numCollections();
+    if (used > 0) {
+      Status status = context->get().fill(block, &zero, 1, used);
+      if (!status)
+        return status;
+    }
+    start = used = 0;
+  }
   if (bytes > blockBytes - used) {
     bool fresh = bytes > blockBytes || start < used;
     if (fresh) {

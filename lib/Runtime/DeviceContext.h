@@ -48,6 +48,17 @@ public:
   /// has printed, and fails where it has failed.
   Status report();
 
+  /// Work that is collected from now on uses the same scratch memory as that
+  /// which was collected before, so that it can be the same work.
+  void beginCollecting() {
+    collections.fetch_add(1, std::memory_order_relaxed);
+    device->beginCollecting();
+  }
+  Status endCollecting() { return device->endCollecting(); }
+  uint64_t numCollections() const {
+    return collections.load(std::memory_order_relaxed);
+  }
+
   /// Keeps the first failure of a call that could not say so itself.
   void note(Status status);
   Status take() {
@@ -72,6 +83,7 @@ private:
   DevicePtr stateMemory = 0;
   std::atomic<bool> stateUsed{false};
   std::atomic<bool> noted{false};
+  std::atomic<uint64_t> collections{0};
   Status failure;
 };
 
@@ -158,6 +170,8 @@ private:
   /// Where this launch has begun in the block.
   int64_t start = 0;
   std::vector<DevicePtr> outgrown;
+  /// The collection of work for which memory was last handed out.
+  uint64_t collection = 0;
 };
 
 } // namespace mlir::tai::runtime

@@ -315,16 +315,19 @@ Status DeviceQueue::Program::runTimed(Way &way) {
 
 Status DeviceQueue::Program::run(bool same, ProgramMode mode,
                                  const ProgramMaker &maker) {
-  if (!same)
+  if (!same && runs > 0) {
+    ++changes;
     for (Way &way : ways)
       way.isCurrent = false;
+  }
   // What comes once need not be made ready for a second time.
   if (runs++ == 0)
     return sequence.run(device);
   if (runs == 2)
     listWays(mode, maker);
   if (chosen || ways.empty())
-    return ways.empty() ? sequence.run(device) : launch(ways[current]);
+    return current < ways.size() ? launch(ways[current])
+                                 : sequence.run(device);
 
   while (current < ways.size()) {
     Way &way = ways[current];
@@ -359,11 +362,9 @@ Status DeviceQueue::Program::run(bool same, ProgramMode mode,
         best = i;
     chosen = true;
     bool hasRun = bool(status);
-    if (best == ways.size()) {
-      ways.clear();
-      return hasRun ? std::move(status) : sequence.run(device);
-    }
     current = best;
+    if (best == ways.size())
+      return hasRun ? std::move(status) : sequence.run(device);
     return hasRun ? std::move(status) : launch(ways[best]);
   }
   return sequence.run(device);
@@ -371,7 +372,8 @@ Status DeviceQueue::Program::run(bool same, ProgramMode mode,
 
 std::string DeviceQueue::Program::explain() const {
   std::string text = std::to_string(sequence.steps.size()) + " steps, run " +
-                     std::to_string(runs) + " times";
+                     std::to_string(runs) + " times, " +
+                     std::to_string(changes) + " of them with new parameters";
   for (size_t i = 0; i < ways.size(); ++i) {
     const Way &way = ways[i];
     char line[256];

@@ -148,7 +148,7 @@ private:
   unsigned getWidth() const;
 
   Device &device;
-  int runs = 0;
+  int runs = 0, changes = 0;
   std::vector<Way> ways;
   /// The way that is being tried, or that has been chosen.
   size_t current = 0;

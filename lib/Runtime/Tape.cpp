@@ -13,13 +13,13 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Tape.h"
+#include "DeviceContext.h"
 #include "HostWrite.h"
 #include "Launch.h"
 #include "Scalars.h"
 #include "TapeCheckpoint.h"
 #include "TapeMemory.h"
 #include "TapeTopology.h"
-#include "tai/Runtime/DeviceQueue.h"
 #include <algorithm>
 #include <cstring>
 
@@ -322,9 +322,10 @@ namespace {
 /// While it lives, what is launched on a device becomes one piece of work.
 class CollectedWork {
 public:
-  explicit CollectedWork(Runtime &runtime) : queue(runtime.getDeviceQueue()) {
-    if (queue)
-      queue->beginCollecting();
+  explicit CollectedWork(Runtime &runtime)
+      : device(runtime.getDeviceContext()) {
+    if (device)
+      device->beginCollecting();
   }
   ~CollectedWork() { (void)finish(Status::success()); }
   CollectedWork(const CollectedWork &) = delete;
@@ -332,15 +333,15 @@ public:
 
   /// Queues it. What has gone wrong before comes first.
   Status finish(Status status) {
-    if (!queue)
+    if (!device)
       return status;
-    Status ended = queue->endCollecting();
-    queue = nullptr;
+    Status ended = device->endCollecting();
+    device = nullptr;
     return status ? std::move(ended) : std::move(status);
   }
 
 private:
-  DeviceQueue *queue;
+  DeviceContext *device;
 };
 } // namespace
 

@@ -120,6 +120,7 @@ public:
   Device *getDevice() const;
   /// The queue in front of it, or null.
   DeviceQueue *getDeviceQueue() const;
+  DeviceContext *getDeviceContext() const { return device.get(); }
   /// Waits for what is queued; reports what failed, and prints what kernels
   /// have printed.
   Status synchronize();

@@ -252,8 +252,19 @@ Status CudaDevice::open() {
             std::to_string(minor) + ", and 6.0 or newer is needed");
   status = enter();
   // In order with the default stream, on which others hand over their arrays.
+  Result made = status ? cu.streamCreate(&stream, 0) : kSuccess;
+  if (status && made != kSuccess && made != kOutOfMemory) {
+    // A kernel that failed earlier has taken the context with it: all of its
+    // memory is gone, and so is everything that stands on it.
+    (void)cu.primaryCtxReset(number);
+    made = cu.streamCreate(&stream, 0);
+  }
   if (status)
-    status = check(cu.streamCreate(&stream, 0), "no stream can be made");
+    status = check(made, "no stream can be made");
+  // Memory that kernels ask for while they run: what loops record.
+  if (status)
+    (void)cu.ctxSetLimit(kLimitHeapBytes,
+                         std::min<size_t>(bytes / 32, size_t(4) << 30));
   void *memory = nullptr;
   if (status)
     status = check(cu.memAllocHost(&memory, stagingBytes),

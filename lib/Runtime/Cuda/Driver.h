@@ -48,6 +48,8 @@ constexpr int kClusterLaunch = 120;
 constexpr int kCapabilityMajor = 75;
 constexpr int kCapabilityMinor = 76;
 constexpr int kMemoryPools = 115;
+// Limits.
+constexpr int kLimitHeapBytes = 2;
 // Of functions.
 constexpr int kFunctionMaxThreads = 0;
 constexpr int kFunctionAnyCluster = 14;
@@ -117,6 +119,8 @@ struct GraphUpdate {
   DO(deviceGetAttribute, "cuDeviceGetAttribute", (int *, int, DeviceNumber))   \
   DO(primaryCtxRetain, "cuDevicePrimaryCtxRetain", (Context *, DeviceNumber))  \
   DO(primaryCtxRelease, "cuDevicePrimaryCtxRelease_v2", (DeviceNumber))        \
+  DO(primaryCtxReset, "cuDevicePrimaryCtxReset_v2", (DeviceNumber))            \
+  DO(ctxSetLimit, "cuCtxSetLimit", (int, size_t))                              \
   DO(ctxGetCurrent, "cuCtxGetCurrent", (Context *))                            \
   DO(ctxSetCurrent, "cuCtxSetCurrent", (Context))                              \
   DO(streamCreate, "cuStreamCreate", (Stream *, unsigned))                     \

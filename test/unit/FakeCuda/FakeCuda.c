@@ -376,3 +376,11 @@ Result cuGraphExecDestroy(void *executable) {
   (void)executable;
   return NotSupported;
 }
+Result cuDevicePrimaryCtxReset_v2(int device) {
+  (void)device;
+  return 0;
+}
+Result cuCtxSetLimit(int limit, size_t value) {
+  (void)limit, (void)value;
+  return 0;
+}
