@@ -9,6 +9,7 @@
 #include "CodegenErrors.h"
 #include "CodegenPasses.h"
 #include "Libdevice.h"
+#include "UnrollGridLoops.h"
 #include "VectorizeAtomics.h"
 #include "mlir/Dialect/GPU/IR/GPUDialect.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
@@ -423,6 +424,11 @@ void DeviceCompiler::runPasses(llvm::Module &module) {
   // The target adds its own passes, the answers to libdevice's questions among
   // them.
   llvm::PassBuilder builder(machine.get());
+  if (options.optLevel > 1)
+    builder.registerVectorizerStartEPCallback(
+        [](llvm::FunctionPassManager &manager, llvm::OptimizationLevel) {
+          manager.addPass(UnrollGridLoops());
+        });
   builder.registerModuleAnalyses(modules);
   builder.registerCGSCCAnalyses(sccs);
   builder.registerFunctionAnalyses(functions);

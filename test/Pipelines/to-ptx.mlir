@@ -30,12 +30,16 @@ tai.kernel @scale(%a: f32) {
 
 // CHECK-LABEL: .entry average_0(
 //   CHECK-NOT: {{(div|rem)[.]}}
+//   Four iterations at a time: first all loads, then all stores.
+// CHECK-COUNT-8: ld.global.nc.b32
+// CHECK-COUNT-4: st.global.b32
+//       CHECK: bra
+//   What is left, with one counter for the loop.
 //       CHECK: ld.global.nc.b32
 //   CHECK-NOT: {{(div|rem)[.]}}
 //       CHECK: ld.global.nc.b32
 //       CHECK: fma.rn.f32
 //       CHECK: st.global.b32
-//   The loop has one counter.
 //       CHECK: add.s32 [[I:%r[0-9]+]], [[I]], [[STRIDE:%r[0-9]+]];
 //   CHECK-NOT: , [[STRIDE]];
 //       CHECK: bra
