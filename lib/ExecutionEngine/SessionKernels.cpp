@@ -11,6 +11,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Parser/Parser.h"
 #include "tai/AD/Signature.h"
 #include "tai/ExecutionEngine/AdjointNeeds.h"
@@ -573,6 +574,22 @@ static void stubKernels(ModuleOp module) {
   }
 }
 
+/// Whether a host function names a field other than for a launch or a tape.
+static bool usesFields(ModuleOp module) {
+  SymbolTable symbols(module);
+  bool found = false;
+  for (func::FuncOp function : module.getOps<func::FuncOp>())
+    function.walk([&](Operation *op) {
+      if (isa<LaunchOp, TapeOp, CheckGradientOp>(op))
+        return;
+      op->getAttrDictionary().walk([&](SymbolRefAttr name) {
+        found |= isa_and_nonnull<FieldOp, TreeOp>(
+            symbols.lookup(name.getRootReference()));
+      });
+    });
+  return found;
+}
+
 LogicalResult Session::runHost(ModuleOp module, StringRef name) {
   OwningOpRef<ModuleOp> host = module.clone();
   stubKernels(*host);
@@ -588,6 +605,7 @@ LogicalResult Session::runHost(ModuleOp module, StringRef name) {
   if (printsProfile)
     printProfile(name, CompileRequest::Goal::Primal, *compiled);
   runtime::HostModule hostModule;
+  hostModule.usesTrees = usesFields(module);
   hostModule.findKernel = [this](std::string_view kernelName) {
     SessionKernel *kernel = findKernel(kernelName);
     return kernel ? kernel->kernel.get() : nullptr;

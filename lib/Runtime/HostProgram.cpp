@@ -39,7 +39,7 @@ static int32_t reportUsage(Launch &launch, std::string message,
 /// What the program itself uses it finds on the host, whatever kernels have
 /// done since.
 static int32_t returnTo(Launch &launch, Status status) {
-  if (launch.owner().getDevice())
+  if (launch.owner().getDevice() && launch.host->module->usesTrees)
     for (const TreePtr &tree : *launch.host->trees)
       (void)tree->writable();
   return report(launch, std::move(status));

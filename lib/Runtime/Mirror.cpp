@@ -194,10 +194,17 @@ bool Runtime::fillOnDevice(Field &field, const void *scalarBytes) {
 // Parts of fields
 //===----------------------------------------------------------------------===//
 
-DeviceRows Slabs::prepareOnDevice(int64_t first, int64_t count) const {
-  Mirror &mirror = *field->tree().mirror();
-  mirror.context().note(mirror.toDevice());
-  return mirror.rows(*field, first, count);
+DeviceRows Slabs::rowsOf(int64_t first, int64_t count) const {
+  const Mirror &mirror = *field->tree().mirror();
+  if (slowDimension <= 0)
+    return mirror.rows(*field, first, count);
+  int64_t rowBytes = bytes;
+  for (int d = slowDimension + 1; d < field->rank(); ++d)
+    rowBytes *= field->shape()[d];
+  int64_t slab = first / slabElements;
+  return {mirror.at(field->layout().placeOffset + slab * rowBytes),
+          field->shape()[slowDimension] * rowBytes, rowBytes,
+          count * bytes / rowBytes};
 }
 
 Status Slabs::keepOnDevice(int64_t first, int64_t count,
@@ -209,7 +216,7 @@ Status Slabs::keepOnDevice(int64_t first, int64_t count,
                                "values that tapes keep", block);
   if (!status)
     return status;
-  DeviceRows rows = mirror.rows(*field, first, count);
+  DeviceRows rows = rowsOf(first, count);
   if (rows.rows == 1)
     return mirror.device().copy(block->get(), rows.address, rows.rowBytes);
   return mirror.device().copyRows(
@@ -219,9 +226,10 @@ Status Slabs::keepOnDevice(int64_t first, int64_t count,
 
 void Slabs::storeOnDevice(int64_t first, int64_t count,
                           const DeviceBlock &block) const {
-  DeviceRows rows = prepareOnDevice(first, count);
   Mirror &mirror = *field->tree().mirror();
+  mirror.context().note(mirror.toDevice());
   mirror.deviceWrites();
+  DeviceRows rows = rowsOf(first, count);
   mirror.context().note(
       rows.rows == 1
           ? mirror.device().copy(rows.address, block.get(), rows.rowBytes)
@@ -230,9 +238,10 @@ void Slabs::storeOnDevice(int64_t first, int64_t count,
 
 void Slabs::exchangeOnDevice(int64_t first, int64_t count,
                              const DeviceBlock &block) const {
-  DeviceRows rows = prepareOnDevice(first, count);
   Mirror &mirror = *field->tree().mirror();
+  mirror.context().note(mirror.toDevice());
   mirror.deviceWrites();
+  DeviceRows rows = rowsOf(first, count);
   mirror.context().note(
       mirror.device().swapRows(rows, block.get(), rows.rowBytes));
 }

@@ -593,7 +593,7 @@ Status Runtime::runHost(TaiKernelFn function, const std::vector<TreePtr> &trees,
                                                     tree->name() +
                                                     "', which has been "
                                                     "destroyed");
-    bases.push_back(tree->writable());
+    bases.push_back(module.usesTrees ? tree->writable() : tree->base());
   }
   HostState state;
   state.module = &module;

@@ -16,7 +16,8 @@ using namespace mlir::tai::runtime;
 Slabs::Slabs(const Field &field, int dimension, bool byCell)
     : field(&field), slowDimension(dimension),
       bytes(field.numComponents() * byteSize(field.scalar())),
-      isEven(field.evenStep() != 0 && dimension <= 0 && !byCell),
+      isEven(!byCell &&
+             (dimension <= 0 ? field.evenStep() != 0 : field.contiguous())),
       isContiguous(field.contiguous() && dimension <= 0) {
   if (byCell) {
     cells = std::make_shared<CellElements>(field);

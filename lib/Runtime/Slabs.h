@@ -58,7 +58,8 @@ public:
   void clear(int64_t first, int64_t count) const;
 
   /// Whether a device has the field and can keep ranges of it in its own
-  /// memory; how it does that, brings them back, or does both.
+  /// memory; how it does that, brings them back, or does both. Where the
+  /// dimension is not the first, a range is one slab.
   bool onDevice() const { return isEven && field->tree().mirror() != nullptr; }
   Status keepOnDevice(int64_t first, int64_t count,
                       std::unique_ptr<DeviceBlock> &block) const;
@@ -68,7 +69,7 @@ public:
                         const DeviceBlock &block) const;
 
 private:
-  DeviceRows prepareOnDevice(int64_t first, int64_t count) const;
+  DeviceRows rowsOf(int64_t first, int64_t count) const;
   template <typename Visit>
   bool forEachCell(int64_t first, int64_t count, const Visit &visit) const;
   template <typename Data, typename Run>
@@ -80,8 +81,8 @@ private:
   int64_t slabs = 1;
   int64_t slabElements = 1;
   int64_t bytes;
-  /// Numbers count up in row-major order, and elements lie evenly, or without
-  /// gaps.
+  /// What `onDevice` asks of the layout; and whether numbers count up in
+  /// row-major order, and elements lie without gaps.
   bool isEven, isContiguous;
   /// For each dimension, the slow one first: its extent, and how an index moves
   /// the address: by a constant step, or by a table.

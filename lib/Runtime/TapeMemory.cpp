@@ -41,6 +41,8 @@ Track::Track(FieldPtr fieldPtr, int dimension)
 }
 
 int64_t Track::longestRun() const {
+  if (slabs.onDevice())
+    return slabs.dimension() > 0 ? 1 : std::max<int64_t>(numCells(), 1);
   return std::max<int64_t>(cellBytes / (cellElements * slabs.elementBytes()),
                            1);
 }

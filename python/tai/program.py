@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import dataclasses
 import sys
 import weakref
@@ -10,7 +11,7 @@ from typing import Any
 
 from . import _state, dtypes
 from ._skips import option_text
-from .errors import TaiRuntimeError, TaiRuntimeTypeError, did_you_mean
+from .errors import TaiError, TaiRuntimeError, TaiRuntimeTypeError, did_you_mean
 
 
 class Arch(str):
@@ -344,9 +345,21 @@ def reset() -> None:
         return
     from . import _core
 
+    _wait()
     _core.next_generation()
     _state.program.close()
     _state.program = None
+
+
+@atexit.register
+def _wait() -> None:
+    """Before the program goes, what kernels on a GPU have printed appears, and why they failed."""
+    if _state.program is None or _state.program.options.arch == cpu:
+        return
+    try:
+        _state.program.context.synchronize()
+    except TaiError as error:
+        print(f"[tai] a kernel has failed: {error}", file=sys.stderr)
 
 
 def sync() -> None:

@@ -66,6 +66,9 @@ struct FieldInfo {
 /// What a host program (a `func.func` run on the host) may name.
 struct HostModule {
   std::function<Kernel *(std::string_view name)> findKernel;
+  /// Whether it loads or stores elements of fields itself, so that they must be
+  /// on the host whenever it runs.
+  bool usesTrees = true;
 };
 
 struct Counters {

@@ -1,0 +1,201 @@
+"""Programs on a GPU, as the emulated device runs them wherever the tests run."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import tai as ti
+
+
+@pytest.fixture(autouse=True)
+def emulated(monkeypatch):
+    monkeypatch.setenv("TI_ARCH", "cuda")
+    if not os.environ.get("TAI_CUDA_EMULATION"):
+        monkeypatch.setenv("TAI_CUDA_EMULATION", "1")
+    ti.init(offline_cache=False)
+
+
+def run(tmp_path, text):
+    """What a program writes to its output, and to its errors."""
+    program = tmp_path / "program.py"
+    program.write_text("import tai as ti\n" + text)
+    done = subprocess.run(
+        [sys.executable, str(program)], capture_output=True, text=True, check=True
+    )
+    return done.stdout.splitlines(), done.stderr.splitlines()
+
+
+def test_what_kernels_print_appears_when_someone_waits(tmp_path):
+    out, _ = run(
+        tmp_path,
+        "ti.init(offline_cache=False)\n"
+        "@ti.kernel\n"
+        "def say():\n"
+        "    for i in range(1):\n"
+        "        print('there', i)\n"
+        "say()\n"
+        "ti.sync()\n"
+        "print('here', flush=True)\n"
+        "say()\n",
+    )
+    assert out == ["there 0", "here", "there 0"]
+
+
+def test_failures_say_where():
+    ti.init(offline_cache=False, debug=True)
+    x = ti.field(ti.f32, shape=4)
+
+    @ti.kernel
+    def store(i: ti.i32):
+        for _ in range(1):
+            x[i] = 1
+
+    with pytest.raises(ti.TaiAssertionError, match=r"index \[7\] is out of range") as caught:
+        store(7)
+    assert "x[i] = 1" in str(caught.value)
+    store(3)
+    assert x[3] == 1
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_host_and_kernels_take_turns(shared):
+    n = 3000
+    x, y = ti.field(ti.f64), ti.Vector.field(2, ti.f32)
+    if shared:
+        ti.root.dense(ti.i, n).place(x, y)
+    else:
+        ti.root.dense(ti.i, n).place(x)
+        ti.root.dense(ti.i, n).place(y)
+
+    @ti.kernel
+    def step():
+        for i in x:
+            x[i] += i
+            y[i][1] += 1.0
+
+    step()
+    x[5] = 0.5
+    y.fill(2.0)
+    step()
+    assert x[5] == 5.5
+    assert x[6] == 12.0
+    np.testing.assert_array_equal(y.to_numpy(), np.tile([2.0, 3.0], (n, 1)))
+    values = np.linspace(0, 1, n)
+    x.from_numpy(values)
+    step()
+    np.testing.assert_array_equal(x.to_numpy(), values + np.arange(n))
+    assert y[n - 1][1] == 4.0
+
+
+def test_arrays_of_numpy():
+    @ti.kernel
+    def double(a: ti.types.ndarray(), b: ti.types.ndarray()):
+        for i in range(a.shape[0]):
+            b[i] = 2 * a[i]
+
+    a, b = np.arange(10.0), np.zeros(10)
+    double(a, b)
+    np.testing.assert_array_equal(b, 2 * a)
+
+
+def test_overwritten_values_come_back_for_the_gradient():
+    n, steps = 50, 6
+    x = ti.field(ti.f64, shape=n, needs_grad=True)
+    start = ti.field(ti.f64, shape=n, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def begin():
+        for i in x:
+            x[i] = start[i]
+
+    @ti.kernel
+    def step():
+        for i in x:
+            x[i] = x[i] * x[i]
+
+    @ti.kernel
+    def total():
+        for i in x:
+            loss[None] += x[i]
+
+    values = np.linspace(0.9, 1.02, n)
+    start.from_numpy(values)
+    for _ in range(4):
+        with ti.ad.Tape(loss):
+            begin()
+            for _ in range(steps):
+                step()
+            total()
+        np.testing.assert_allclose(loss[None], np.sum(values ** (2**steps)), rtol=1e-12)
+        expected = 2**steps * values ** (2**steps - 1)
+        np.testing.assert_allclose(start.grad.to_numpy(), expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize("shape", [(3, 40), (40, 3), (5, 3, 8)])
+def test_slabs_come_back_for_the_gradient(shape):
+    # A state that a launch overwrites at the position along one dimension that it is given.
+    axis = shape.index(3)
+    x = ti.field(ti.f64, shape=shape, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def square_2d_first(t: ti.i32):
+        for i in range(shape[1]):
+            x[t, i] = x[t, i] ** 2 + x[0, i]
+
+    @ti.kernel
+    def square_2d_last(t: ti.i32):
+        for i in range(shape[0]):
+            x[i, t] = x[i, t] ** 2 + x[i, 0]
+
+    @ti.kernel
+    def square_3d(t: ti.i32):
+        for i, j in ti.ndrange(shape[0], shape[-1]):
+            x[i, t, j] = x[i, t, j] ** 2 + x[i, 0, j]
+
+    @ti.kernel
+    def total():
+        for I in ti.grouped(x):
+            loss[None] += x[I]
+
+    square = square_3d if len(shape) == 3 else (square_2d_last if axis else square_2d_first)
+    values = np.random.default_rng(0).uniform(0.1, 0.7, shape)
+    x.from_numpy(values)
+    start = np.moveaxis(values, axis, 0)
+    with ti.ad.Tape(loss):
+        square(1)
+        square(2)
+        square(1)
+        total()
+    a, b, c = start
+    b1 = b**2 + a
+    np.testing.assert_allclose(loss[None], np.sum(a + (b1**2 + a) + (c**2 + a)), rtol=1e-12)
+    expected = np.moveaxis(np.stack([1 + (2 * b1 + 1) + 1, 2 * b1 * 2 * b, 2 * c]), 0, axis)
+    # The launches overwrite what they are the start of: their adjoints end there.
+    found = x.grad.to_numpy()
+    np.testing.assert_allclose(found, expected, rtol=1e-10)
+
+
+def test_out_of_memory_names_the_trees():
+    ti.init(offline_cache=False, device_memory_limit=100_000)
+    small = ti.field(ti.f64, shape=1000)
+
+    @ti.kernel
+    def first():
+        for i in small:
+            small[i] = i
+
+    first()
+    large = ti.field(ti.f64, shape=100_000)
+
+    @ti.kernel
+    def second():
+        for i in large:
+            large[i] = i
+
+    with pytest.raises(ti.TaiMemoryError, match=r"out of memory on the device .* needs 781\.2 KiB"):
+        second()
+    assert small[10] == 10
