@@ -326,8 +326,7 @@ Status DeviceQueue::Program::run(bool same, ProgramMode mode,
   if (runs == 2)
     listWays(mode, maker);
   if (chosen || ways.empty())
-    return current < ways.size() ? launch(ways[current])
-                                 : sequence.run(device);
+    return current < ways.size() ? launch(ways[current]) : sequence.run(device);
 
   while (current < ways.size()) {
     Way &way = ways[current];
