@@ -69,11 +69,60 @@ static void copy(const uint64_t *slots) {
     copyAs<uint64_t>(slots[0], slots[1], slots[2]);
 }
 
+/// Calls move(offset of a row on one side, on the other, byte in the row) for
+/// the units of this thread.
+template <typename T, typename Move>
+static void forEachUnit(const uint64_t *slots, uint64_t otherStep,
+                        const Move &move) {
+  uint64_t units = slots[2] / sizeof(T), rows = slots[3];
+  for (uint64_t i = globalThread(); i < units * rows; i += globalThreads()) {
+    // Divisions of 64 bits take as long as a read from memory.
+    uint64_t row = (i | units) >> 32 ? i / units
+                                     : static_cast<uint32_t>(i) /
+                                           static_cast<uint32_t>(units);
+    move(row * slots[1], row * otherStep, (i - row * units) * sizeof(T));
+  }
+}
+
+template <typename T>
+static void runRowsAs(uint64_t part, const uint64_t *slots) {
+  auto at = [](uint64_t address) { return reinterpret_cast<T *>(address); };
+  uint64_t here = slots[0], there = slots[4];
+  if (part == TAI_PART_FILL_ROWS)
+    forEachUnit<T>(slots, 0, [&](uint64_t row, uint64_t, uint64_t byte) {
+      // The pattern has a power of two of bytes.
+      *at(here + row + byte) =
+          static_cast<T>(there >> (byte & (slots[5] - 1)) * 8);
+    });
+  else if (part == TAI_PART_COPY_ROWS)
+    forEachUnit<T>(slots, slots[5],
+                   [&](uint64_t row, uint64_t other, uint64_t byte) {
+                     *at(here + row + byte) = *at(there + other + byte);
+                   });
+  else
+    forEachUnit<T>(slots, slots[5],
+                   [&](uint64_t row, uint64_t other, uint64_t byte) {
+                     T before = *at(here + row + byte);
+                     *at(here + row + byte) = *at(there + other + byte);
+                     *at(there + other + byte) = before;
+                   });
+}
+
+static void runRows(uint64_t part, const uint64_t *slots) {
+  uint64_t other = part == TAI_PART_FILL_ROWS ? 0 : slots[4];
+  if ((slots[0] | slots[1] | slots[2] | other | slots[5]) % 4)
+    runRowsAs<uint8_t>(part, slots);
+  else
+    runRowsAs<uint32_t>(part, slots);
+}
+
 static void runPart(uint64_t part, const uint64_t *slots) {
   if (part == TAI_PART_FILL)
     fill(slots);
   else if (part == TAI_PART_COPY)
     copy(slots);
+  else if (part < TAI_FIRST_PART)
+    runRows(part, slots);
   else
     tai_program_dispatch(part, slots);
 }
@@ -98,14 +147,18 @@ static inline void runProgram(const uint64_t *table, uint64_t steps,
     bool more = step + 1 < steps;
     // Asked for now, and put down when the step is done.
     uint64_t word = more && thread < stride ? next[thread] : 0;
-    runPart(row[0], row + 1);
+    uint64_t part = row[0];
+    runPart(part & (TAI_PART_APART - 1), row + 1);
     if (more) {
       if (thread < stride)
         rows[(step + 1) & 1][thread] = word;
       for (uint64_t i = thread + threads; i < stride; i += threads)
         rows[(step + 1) & 1][i] = next[i];
     }
-    barrier();
+    if (part & TAI_PART_APART)
+      __syncthreads();
+    else
+      barrier();
   }
 }
 
@@ -135,7 +188,8 @@ void tai_dev_program_grid(const uint64_t *table, uint64_t steps,
 void tai_dev_program_block(const uint64_t *table, uint64_t steps,
                            uint64_t stride, uint32_t *) {
   for (uint64_t step = 0; step < steps; ++step)
-    runPart(table[step * stride], table + step * stride + 1);
+    runPart(table[step * stride] & (TAI_PART_APART - 1),
+            table + step * stride + 1);
 }
 
 #endif

@@ -153,10 +153,8 @@ void DeviceQueue::Program::listWays(ProgramMode wanted,
   // Every part must be there to be put together again.
   bool whole = bool(maker);
   for (const Step &step : sequence.steps)
-    whole &=
-        step.kind == Step::Kind::Launch
-            ? step.function->bitcode && !step.function->bitcode->empty()
-            : step.kind == Step::Kind::Fill || step.kind == Step::Kind::Copy;
+    whole &= step.kind != Step::Kind::Launch ||
+             (step.function->bitcode && !step.function->bitcode->empty());
   if (whole) {
     unsigned most = limits.threadsPerBlock;
     add(ProgramMode::Block, 1, std::min(most, warps(width)));
@@ -228,6 +226,39 @@ Status DeviceQueue::Program::prepare(Way &way, const ProgramMaker &maker) {
   return status;
 }
 
+uint64_t DeviceQueue::Program::partOf(Step::Kind kind) {
+  switch (kind) {
+  case Step::Kind::Fill:
+    return TAI_PART_FILL;
+  case Step::Kind::Copy:
+    return TAI_PART_COPY;
+  case Step::Kind::FillRows:
+    return TAI_PART_FILL_ROWS;
+  case Step::Kind::CopyRows:
+    return TAI_PART_COPY_ROWS;
+  default:
+    return TAI_PART_SWAP_ROWS;
+  }
+}
+
+/// Fills of different memory, such as those that clear gradients, need not wait
+/// for each other.
+bool DeviceQueue::Program::areApart(const Sequence &sequence, const Step &a,
+                                    const Step &b) {
+  auto range = [&](const Step &step, uint64_t &begin, uint64_t &end) {
+    const uint64_t *values = sequence.slots.data() + step.firstSlot;
+    begin = values[0];
+    if (step.kind == Step::Kind::Fill)
+      end = begin + values[2] * values[3];
+    else
+      end = begin + values[1] * (values[3] - 1) + values[2];
+    return step.kind == Step::Kind::Fill || step.kind == Step::Kind::FillRows;
+  };
+  uint64_t beginA, endA, beginB, endB;
+  return range(a, beginA, endA) && range(b, beginB, endB) &&
+         (endA <= beginB || endB <= beginA);
+}
+
 /// Makes what stands for the sequence on the device hold its present slots.
 Status DeviceQueue::Program::update(Way &way) {
   if (way.mode == ProgramMode::Graph) {
@@ -240,7 +271,7 @@ Status DeviceQueue::Program::update(Way &way) {
   }
   // Numbers of the parts, in the order in which prepare found them.
   std::unordered_map<const Function *, uint64_t> numbers;
-  int stride = 4;
+  int stride = 6;
   for (const Step &step : sequence.steps) {
     stride = std::max(stride, static_cast<int>(step.numSlots));
     if (step.function)
@@ -253,9 +284,10 @@ Status DeviceQueue::Program::update(Way &way) {
   for (size_t i = 0; i < sequence.steps.size(); ++i) {
     const Step &step = sequence.steps[i];
     uint64_t *row = table.data() + i * static_cast<size_t>(stride);
-    row[0] = step.function                   ? numbers[step.function]
-             : step.kind == Step::Kind::Fill ? TAI_PART_FILL
-                                             : TAI_PART_COPY;
+    row[0] = step.function ? numbers[step.function] : partOf(step.kind);
+    if (i + 1 < sequence.steps.size() &&
+        areApart(sequence, step, sequence.steps[i + 1]))
+      row[0] |= TAI_PART_APART;
     std::copy_n(sequence.slots.begin() + static_cast<ptrdiff_t>(step.firstSlot),
                 step.numSlots, row + 1);
   }

@@ -146,6 +146,8 @@ private:
   Status runTimed(Way &way);
   double predict(ProgramMode mode, unsigned blocks, unsigned threads) const;
   unsigned getWidth() const;
+  static uint64_t partOf(Step::Kind kind);
+  static bool areApart(const Sequence &sequence, const Step &a, const Step &b);
 
   Device &device;
   int runs = 0, changes = 0;

@@ -10,6 +10,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Mirror.h"
+#include "Scalars.h"
 #include "Slabs.h"
 #include "tai/Runtime/Runtime.h"
 #include <algorithm>
@@ -175,10 +176,77 @@ bool Runtime::copyToDevice(Field &field, const void *array) {
   return true;
 }
 
+/// The pieces of a field that is not evenly spaced: those of its elements that
+/// differ in the indices with the largest steps alone are in other pieces.
+/// Empty where there are too many, or no pieces of even spacing.
+static std::vector<DeviceRows> findPieces(const Mirror &mirror,
+                                          const Field &field) {
+  struct Axis {
+    int64_t extent, step;
+  };
+  constexpr int64_t most = 4096;
+  const FieldLayout &layout = field.layout();
+  if (layout.componentStride != byteSize(field.scalar()))
+    return {};
+  std::vector<Axis> axes;
+  for (int d = 0; d < field.rank(); ++d) {
+    int64_t step;
+    if (!findConstantStep(layout.indices[d], step))
+      return {};
+    if (field.shape()[d] > 1)
+      axes.push_back({field.shape()[d], step});
+  }
+  std::sort(axes.begin(), axes.end(),
+            [](const Axis &a, const Axis &b) { return a.step < b.step; });
+  // One axis after the other goes on where those before have ended.
+  int64_t rows = 1, step = field.numComponents() * layout.componentStride;
+  size_t even = 0;
+  for (; even < axes.size(); ++even) {
+    if (even == 0)
+      step = axes[0].step;
+    else if (axes[even].step != step * rows)
+      break;
+    rows *= axes[even].extent;
+  }
+  std::vector<int64_t> offsets{layout.placeOffset};
+  for (; even < axes.size(); ++even) {
+    std::vector<int64_t> all;
+    for (int64_t i = 0; i < axes[even].extent; ++i)
+      for (int64_t offset : offsets) {
+        if (static_cast<int64_t>(all.size()) == most)
+          return {};
+        all.push_back(offset + i * axes[even].step);
+      }
+    offsets = std::move(all);
+  }
+  int64_t rowBytes = field.numComponents() * layout.componentStride;
+  if (rowBytes == step) {
+    rowBytes *= rows;
+    rows = 1;
+  }
+  std::vector<DeviceRows> pieces;
+  for (int64_t offset : offsets)
+    pieces.push_back({mirror.at(offset), step, rowBytes, rows});
+  return pieces;
+}
+
 bool Runtime::fillOnDevice(Field &field, const void *scalarBytes) {
   Mirror &mirror = *field.tree().mirror();
-  if (!liesThere(field))
+  if (!mirror.onDevice())
     return false;
+  if (!liesThere(field)) {
+    std::vector<DeviceRows> pieces = findPieces(mirror, field);
+    if (pieces.empty())
+      return false;
+    mirror.deviceWrites();
+    auto size = static_cast<int>(byteSize(field.scalar()));
+    for (const DeviceRows &piece : pieces)
+      mirror.context().note(
+          piece.rows == 1 ? mirror.device().fill(piece.address, scalarBytes,
+                                                 size, piece.rowBytes / size)
+                          : mirror.device().fillRows(piece, scalarBytes, size));
+    return true;
+  }
   mirror.deviceWrites();
   auto size = static_cast<int>(byteSize(field.scalar()));
   Device &device = mirror.device();

@@ -67,8 +67,17 @@ void tai_dev_grid_barrier(uint32_t *state, uint32_t blocks);
 /// pattern, its size and how often; two addresses, to and from, and a size.
 #define TAI_PART_FILL 0
 #define TAI_PART_COPY 1
+/// The same for rows: the address of the first, from one to the next, the bytes
+/// of a row and their number; then a pattern and its size, or the address of
+/// the first row of the other side and from one to the next there.
+#define TAI_PART_FILL_ROWS 2
+#define TAI_PART_COPY_ROWS 3
+#define TAI_PART_SWAP_ROWS 4
 /// The number of the first part that is the body of a kernel.
-#define TAI_FIRST_PART 2
+#define TAI_FIRST_PART 5
+/// Added to the number of a part whose step touches nothing that the next one
+/// touches: nobody waits between them.
+#define TAI_PART_APART ((uint64_t)1 << 32)
 
 /// The most words of a row.
 #define TAI_PROGRAM_STRIDE 128
