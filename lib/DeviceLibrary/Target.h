@@ -36,6 +36,21 @@ template <typename T> inline T atomicAdd(T *target, T value) {
                                    __MEMORY_SCOPE_DEVICE);
 }
 
+template <typename T> inline T atomicOr(T *target, T bits) {
+  return __scoped_atomic_fetch_or(target, bits, __ATOMIC_RELAXED,
+                                  __MEMORY_SCOPE_DEVICE);
+}
+
+template <typename T> inline T atomicAnd(T *target, T bits) {
+  return __scoped_atomic_fetch_and(target, bits, __ATOMIC_RELAXED,
+                                   __MEMORY_SCOPE_DEVICE);
+}
+
+template <typename T> inline T atomicExchange(T *target, T value) {
+  return __scoped_atomic_exchange_n(target, value, __ATOMIC_RELAXED,
+                                    __MEMORY_SCOPE_DEVICE);
+}
+
 template <typename T> inline T atomicRead(T *source) {
   return __scoped_atomic_load_n(source, __ATOMIC_RELAXED,
                                 __MEMORY_SCOPE_DEVICE);

@@ -399,6 +399,7 @@ std::vector<RuntimeSymbol> mlir::tai::runtime::runtimeSymbols() {
           TAI_SYMBOL(tai_rt_device_fetch),
           TAI_SYMBOL(tai_rt_device_array),
           TAI_SYMBOL(tai_rt_device_state),
+          TAI_SYMBOL(tai_rt_device_activates),
           TAI_SYMBOL(tai_emu_thread_id),
           TAI_SYMBOL(tai_emu_block_id),
           TAI_SYMBOL(tai_emu_block_dim),

@@ -308,3 +308,12 @@ extern "C" void *tai_rt_device_state(TaiFrame *frame) {
   }
   return reinterpret_cast<void *>(memory);
 }
+
+extern "C" void tai_rt_device_activates(TaiFrame *frame, void *tree) {
+  DeviceLaunch *onDevice = working(launchOf(frame));
+  Mirror *mirror = onDevice ? onDevice->mirrorOf(tree) : nullptr;
+  if (!mirror || !mirror->sparse())
+    return;
+  mirror->deviceWrites();
+  mirror->sparse()->deviceActivates();
+}

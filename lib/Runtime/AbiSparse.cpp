@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Launch.h"
+#include "Mirror.h"
 #include "tai/Runtime/Abi.h"
 
 using namespace mlir::tai;
@@ -13,6 +14,20 @@ using namespace mlir::tai::runtime;
 
 static SparseNode &nodeOf(void *tree, int32_t node) {
   return *Tree::of(tree).sparseNodes()[node];
+}
+
+/// Where the launch runs on a device, the tree that has this base there; null
+/// where it runs on the CPU.
+static Mirror *mirrorOf(const Launch &launch, const void *tree) {
+  return __builtin_expect(launch.onDevice != nullptr, false)
+             ? launch.onDevice->mirrorOf(tree)
+             : nullptr;
+}
+
+static SparseNode &nodeOf(const Launch &launch, void *tree, int32_t node) {
+  if (Mirror *mirror = mirrorOf(launch, tree))
+    return *mirror->getTree().sparseNodes()[node];
+  return nodeOf(tree, node);
 }
 
 Status Runtime::checkActiveBytes(const SparseNode &node, int64_t cells) const {
@@ -108,9 +123,32 @@ static int64_t give(Launch &launch, const std::vector<int64_t> &list,
   return static_cast<int64_t>(list.size());
 }
 
+/// The same for code on a device. No cells are left out there for what they
+/// hold: to look at that the host would have to wait for it.
+static int64_t giveOnDevice(Launch &launch, Mirror &mirror, int32_t node,
+                            const int64_t **cells) {
+  *cells = nullptr;
+  ActiveListPtr list =
+      launch.visitedList(*mirror.getTree().sparseNodes()[node]);
+  DevicePtr address = 0;
+  Status status =
+      list ? mirror.sparse()->find(list, address) : Status::success();
+  if (!list || !status) {
+    if (!status)
+      launch.fail(std::move(status));
+    return 0;
+  }
+  *cells = reinterpret_cast<const int64_t *>(address);
+  if (list->cells.empty())
+    launch.owner().skipCounters().add(SkipCount::EmptyLoops);
+  return static_cast<int64_t>(list->cells.size());
+}
+
 extern "C" int64_t tai_rt_active_cells(TaiFrame *frame, void *tree,
                                        int32_t node, const int64_t **cells) {
   Launch &launch = launchOf(frame);
+  if (Mirror *mirror = mirrorOf(launch, tree))
+    return giveOnDevice(launch, *mirror, node, cells);
   return give(launch, launch.cellsFor(nodeOf(tree, node)), cells);
 }
 
@@ -118,6 +156,8 @@ extern "C" int64_t tai_rt_gathered_cells(TaiFrame *frame, void *tree,
                                          int32_t node, int64_t reach,
                                          const int64_t **cells) {
   Launch &launch = launchOf(frame);
+  if (Mirror *mirror = mirrorOf(launch, tree))
+    return giveOnDevice(launch, *mirror, node, cells);
   return give(launch, launch.gatheredCellsFor(nodeOf(tree, node), reach),
               cells);
 }
@@ -125,7 +165,7 @@ extern "C" int64_t tai_rt_gathered_cells(TaiFrame *frame, void *tree,
 extern "C" int32_t tai_rt_list_is_current(TaiFrame *frame, void *tree,
                                           int32_t node) {
   Launch &launch = launchOf(frame);
-  SparseNode &sparse = nodeOf(tree, node);
+  SparseNode &sparse = nodeOf(launch, tree, node);
   return !launch.given ||
          launch.visitedCells(sparse) == sparse.list(launch.owner())->cells;
 }

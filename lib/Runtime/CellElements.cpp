@@ -107,6 +107,7 @@ void CellElements::load(int64_t cell, char *to) const {
 }
 
 void CellElements::store(int64_t cell, const char *from) const {
+  (void)field->writable();
   char *address = base(cell);
   forEachRun([&](int64_t offset, auto size, int64_t position) {
     std::memcpy(address + offset, from + position, size);
@@ -122,6 +123,7 @@ bool CellElements::equal(int64_t cell, const char *expected) const {
 }
 
 void CellElements::exchange(int64_t cell, char *contents) const {
+  (void)field->writable();
   char *address = base(cell);
   forEachRun([&](int64_t offset, auto size, int64_t position) {
     char *mine = address + offset, *other = contents + position;
@@ -131,6 +133,7 @@ void CellElements::exchange(int64_t cell, char *contents) const {
 }
 
 void CellElements::clear(int64_t cell) const {
+  (void)field->writable();
   char *address = base(cell);
   forEachRun([&](int64_t offset, auto size, int64_t) {
     std::memset(address + offset, 0, size);

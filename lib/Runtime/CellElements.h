@@ -31,9 +31,10 @@ public:
   const std::vector<Run> &runs() const { return pieces; }
   int64_t bytes() const { return total; }
 
-  /// The first component of the first element in the cell.
+  /// The first component of the first element in the cell. Who writes there
+  /// asks for Field::writable before.
   char *base(int64_t cell) const {
-    char *address = field->data();
+    char *address = const_cast<char *>(field->readable());
     if (uniform)
       return address + cell * cellStride;
     for (const LayoutLevel &level : outer)

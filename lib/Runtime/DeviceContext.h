@@ -147,6 +147,13 @@ struct DeviceLaunch {
   Status scratch(int64_t bytes, DevicePtr &memory);
   /// Device memory that holds what the caller's does.
   Status array(void *host, int64_t bytes, bool written, DevicePtr &memory);
+  /// The tree that has this base on the device, or null.
+  Mirror *mirrorOf(const void *base) const {
+    for (size_t i = 0; code && i < code->bases.size(); ++i)
+      if (code->bases[i] == base)
+        return code->mirrors[i];
+    return nullptr;
+  }
   /// Brings arrays back, and lets go of what the launch alone has used.
   Status finish();
 

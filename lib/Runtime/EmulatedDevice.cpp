@@ -132,10 +132,16 @@ public:
     if (status && to % static_cast<unsigned>(patternBytes) != 0)
       status = Status::failure(StatusCode::Internal,
                                "a fill of device memory is not aligned");
+    if (!status)
+      return status;
     auto *at = reinterpret_cast<char *>(to);
-    if (status)
-      for (int64_t i = 0; i < count; ++i, at += patternBytes)
-        std::memcpy(at, pattern, static_cast<size_t>(patternBytes));
+    const auto *bytes = static_cast<const char *>(pattern);
+    if (std::all_of(bytes, bytes + patternBytes, [](char b) { return !b; })) {
+      zero(at, patternBytes * count);
+      return status;
+    }
+    for (int64_t i = 0; i < count; ++i, at += patternBytes)
+      std::memcpy(at, pattern, static_cast<size_t>(patternBytes));
     return status;
   }
 
@@ -243,6 +249,25 @@ private:
 
   static DevicePtr rowOf(const DeviceRows &rows, int64_t row) {
     return rows.address + static_cast<DevicePtr>(row * rows.step);
+  }
+
+  /// Of much memory, such as that of a sparse tree, whole pages are taken away:
+  /// they come back as zeros when they are used.
+  static void zero(char *at, int64_t bytes) {
+    constexpr int64_t large = 1 << 20;
+    const int64_t page = sysconf(_SC_PAGESIZE);
+    auto address = reinterpret_cast<intptr_t>(at);
+    intptr_t first = (address + page - 1) / page * page;
+    intptr_t last = (address + bytes) / page * page;
+    if (bytes < large ||
+        madvise(reinterpret_cast<void *>(first),
+                static_cast<size_t>(last - first), MADV_DONTNEED) != 0) {
+      std::memset(at, 0, static_cast<size_t>(bytes));
+      return;
+    }
+    std::memset(at, 0, static_cast<size_t>(first - address));
+    std::memset(reinterpret_cast<void *>(last), 0,
+                static_cast<size_t>(address + bytes - last));
   }
 
   /// A GPU would fault on memory of the host; here it must be looked for.

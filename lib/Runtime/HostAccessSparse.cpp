@@ -61,6 +61,7 @@ void Runtime::fillActive(Field &field, const void *scalarBytes) {
 }
 
 void Runtime::copyInActive(Field &field, const void *array) {
+  (void)field.writable();
   CellElements elements(field);
   auto scalar = static_cast<size_t>(byteSize(field.scalar()));
   int64_t components = field.numComponents();

@@ -65,18 +65,23 @@ Status Kernel::checkActivity(LoopLists &loops, bool &wasLaunched) {
 
 const std::vector<int64_t> &Launch::visitedCells(SparseNode &node) {
   static const std::vector<int64_t> none;
+  // The list stays: `loops` or the record of the primal holds it.
+  ActiveListPtr list = visitedList(node);
+  return list ? list->cells : none;
+}
+
+ActiveListPtr Launch::visitedList(SparseNode &node) {
   if (!given) {
     ActiveListPtr list = node.list(owner());
     {
       std::lock_guard<std::mutex> lock(failureMutex);
       loops.add(node, list);
     }
-    // The list stays, which `loops` holds.
-    return list->cells;
+    return list;
   }
   const LoopLists::Entry *entry = given->find(node);
   if (entry && !entry->differs)
-    return entry->list->cells;
+    return entry->list;
   std::string what = "the gradient of kernel '" + *primalName + "' ";
   if (entry && owner().inReverseFunction())
     what += "loops over the active cells of " + node.info().label +
@@ -90,7 +95,7 @@ const std::vector<int64_t> &Launch::visitedCells(SparseNode &node) {
     what += "loops over the active cells of " + node.info().label +
             ", but there is no launch of the kernel that it could belong to";
   fail(Status::failure(StatusCode::Usage, std::move(what)));
-  return none;
+  return nullptr;
 }
 
 const std::vector<int64_t> &Launch::cellsFor(SparseNode &node) {

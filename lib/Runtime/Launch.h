@@ -87,6 +87,8 @@ struct Launch : TaiFrame {
   const std::vector<int64_t> &cellsFor(SparseNode &node);
   /// The same with those that zero adjoints make vain.
   const std::vector<int64_t> &visitedCells(SparseNode &node);
+  /// As a list; null after a failure.
+  ActiveListPtr visitedList(SparseNode &node);
   /// Of those: the ones with others around that are not vain.
   const std::vector<int64_t> &gatheredCellsFor(SparseNode &node, int64_t reach);
 

@@ -19,14 +19,16 @@
 using namespace mlir::tai::runtime;
 
 Mirror::~Mirror() {
-  if (memory)
+  if (memory && !sparseTree)
     deviceContext->free(memory);
 }
 
 Status Mirror::allocate(DevicePtr &address) {
   std::lock_guard<std::mutex> lock(mutex);
   Status status;
-  if (!memory)
+  if (!memory && sparseTree)
+    status = sparseTree->allocate(memory);
+  else if (!memory)
     status = deviceContext->allocate(std::max<int64_t>(tree.bytes(), 1),
                                      "tree '" + tree.name() + "'", memory);
   address = memory;
@@ -42,8 +44,11 @@ Status Mirror::upload() {
   if (onDevice())
     return status;
   const char zero = 0;
-  status = pristine ? device().fill(memory, &zero, 1, tree.bytes())
-                    : device().copyIn(memory, tree.base(), tree.bytes());
+  if (sparseTree)
+    status = pristine ? Status::success() : sparseTree->upload();
+  else
+    status = pristine ? device().fill(memory, &zero, 1, tree.bytes())
+                      : device().copyIn(memory, tree.base(), tree.bytes());
   if (status)
     deviceCurrent.store(true, std::memory_order_release);
   return status;
@@ -53,7 +58,9 @@ Status Mirror::download() {
   std::lock_guard<std::mutex> lock(mutex);
   if (onHost())
     return Status::success();
-  Status status = device().copyOut(tree.base(), memory, tree.bytes());
+  Status status = sparseTree
+                      ? sparseTree->download()
+                      : device().copyOut(tree.base(), memory, tree.bytes());
   if (!status)
     return status;
   hostCurrent.store(true, std::memory_order_release);

@@ -16,6 +16,7 @@
 #define TAI_LIB_RUNTIME_MIRROR_H
 
 #include "DeviceContext.h"
+#include "SparseMirror.h"
 #include "tai/Runtime/Field.h"
 
 namespace mlir::tai::runtime {
@@ -23,13 +24,20 @@ namespace mlir::tai::runtime {
 class Mirror {
 public:
   Mirror(std::shared_ptr<DeviceContext> context, Tree &tree)
-      : deviceContext(std::move(context)), tree(tree) {}
+      : deviceContext(std::move(context)), tree(tree),
+        sparseTree(tree.sparseNodes().empty()
+                       ? nullptr
+                       : std::make_unique<SparseMirror>(*deviceContext, tree)) {
+  }
   ~Mirror();
 
   DeviceContext &context() const { return *deviceContext; }
   const std::shared_ptr<DeviceContext> &sharedContext() const {
     return deviceContext;
   }
+  Tree &getTree() const { return tree; }
+  /// Null for a tree without sparse levels.
+  SparseMirror *sparse() const { return sparseTree.get(); }
   Device &device() const { return deviceContext->get(); }
   bool onHost() const { return hostCurrent.load(std::memory_order_acquire); }
   bool onDevice() const {
@@ -79,6 +87,7 @@ private:
 
   std::shared_ptr<DeviceContext> deviceContext;
   Tree &tree;
+  std::unique_ptr<SparseMirror> sparseTree;
   std::mutex mutex;
   std::atomic<bool> hostCurrent{true}, deviceCurrent{false};
   /// Nobody has written to it: it holds zeros.

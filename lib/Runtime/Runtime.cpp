@@ -73,12 +73,11 @@ Status Runtime::addTree(std::string name, int64_t bytes, TreePtr &tree,
   if (bytes < 0)
     return Status::failure(StatusCode::Usage,
                            "tree '" + name + "' has a negative size");
-  if (!sparse.empty() && device)
-    return Status::failure(StatusCode::Usage,
-                           "tree '" + name +
-                               "' has sparse levels, which do not run on the "
-                               "GPU yet; use dense levels, or the CPU for this "
-                               "program");
+  if (!sparse.empty() && device) {
+    Status status = SparseMirror::check(*device, name, bytes, sparse);
+    if (!status)
+      return status;
+  }
   if (!sparse.empty() && bytes > largestReservation)
     return Status::failure(StatusCode::Memory,
                            "tree '" + name + "' spans " + formatBytes(bytes) +
@@ -127,14 +126,19 @@ Status Runtime::addTree(std::string name, int64_t bytes, TreePtr &tree,
     tree->nodes.push_back(
         std::make_unique<SparseNode>(*tree, std::move(info), parent));
   }
-  if (device)
+  if (device) {
     tree->mirrored = std::make_shared<Mirror>(device, *tree);
+    for (const std::unique_ptr<SparseNode> &node : tree->nodes)
+      node->onDevice = tree->mirrored->sparse();
+  }
   reserved += needed;
   trees.emplace(std::move(name), tree);
   return Status::success();
 }
 
 void Runtime::freeTree(Tree &tree) {
+  for (const std::unique_ptr<SparseNode> &node : tree.nodes)
+    node->onDevice = nullptr;
   tree.mirrored.reset();
   munmap(tree.mapping, tree.mapped);
   reserved -= tree.charged;

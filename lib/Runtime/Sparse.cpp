@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Sparse.h"
+#include "SparseMirror.h"
 #include "tai/Runtime/Runtime.h"
 #include <algorithm>
 #include <cstdlib>
@@ -51,13 +52,17 @@ int32_t *SparseNode::lengths() const {
 }
 
 char *SparseNode::addressOf(int64_t cell) const {
+  return tree.base() + offsetOf(cell);
+}
+
+int64_t SparseNode::offsetOf(int64_t cell) const {
   int64_t offset = layout.offset;
   for (size_t i = layout.steps.size(); i-- > 0;) {
     const SparseInfo::Step &step = layout.steps[i];
     offset += cell % step.cells * step.stride;
     cell /= step.cells;
   }
-  return tree.base() + offset;
+  return offset;
 }
 
 void SparseNode::markWord(int64_t word) {
@@ -67,9 +72,9 @@ void SparseNode::markWord(int64_t word) {
     mark.fetch_or(bit, std::memory_order_relaxed);
 }
 
-void SparseNode::changed(int64_t by) {
+void SparseNode::changed(int64_t by, bool removes) {
   int64_t now = active.fetch_add(by, std::memory_order_relaxed) + by;
-  for (int64_t most = peakActive();
+  for (int64_t most = peak.load(std::memory_order_relaxed);
        now > most &&
        !peak.compare_exchange_weak(most, now, std::memory_order_relaxed);) {
   }
@@ -78,7 +83,7 @@ void SparseNode::changed(int64_t by) {
     tree.allActiveBytes->fetch_add(by * cellBytes(), std::memory_order_relaxed);
   }
   uint64_t began = changes.fetch_add(1, std::memory_order_release) + 1;
-  if (by >= 0)
+  if (!removes)
     return;
   uint64_t last = removed.load(std::memory_order_relaxed);
   while (last < began && !removed.compare_exchange_weak(
@@ -87,12 +92,14 @@ void SparseNode::changed(int64_t by) {
 }
 
 void SparseNode::noteRemovals(bool on) {
+  sync();
   std::lock_guard<std::mutex> lock(mutex);
   notesRemovals.store(on, std::memory_order_release);
   removals.clear();
 }
 
 std::vector<int64_t> SparseNode::takeRemovals() {
+  sync();
   std::lock_guard<std::mutex> lock(mutex);
   return std::exchange(removals, {});
 }
@@ -106,6 +113,12 @@ void SparseNode::noteRemoved(int64_t first, int64_t count) {
 }
 
 void SparseNode::setActivity(const std::vector<int64_t> &some, bool isActive) {
+  if (some.empty())
+    return;
+  sync();
+  bool onBoth = onDevice && onDevice->isCurrent();
+  if (!onBoth)
+    prepare();
   int64_t by = 0;
   for (int64_t cell : some) {
     if (layout.isList) {
@@ -128,8 +141,10 @@ void SparseNode::setActivity(const std::vector<int64_t> &some, bool isActive) {
   }
   if (by == 0)
     return;
+  if (onBoth)
+    onDevice->uploadActivity(*this);
   uint64_t before = lastRemoval();
-  changed(by);
+  changed(by, by < 0);
   removed.store(before, std::memory_order_release);
 }
 
@@ -138,12 +153,22 @@ void SparseNode::setActivity(const std::vector<int64_t> &some, bool isActive) {
 //===----------------------------------------------------------------------===//
 
 bool SparseNode::isActive(int64_t cell) const {
+  sync();
+  return holds(cell);
+}
+
+bool SparseNode::holds(int64_t cell) const {
   if (layout.isList)
     return cell % capacity() < loadLength(lengths() + cell / capacity());
   return loadWord(words() + cell / 64) >> (cell % 64) & 1;
 }
 
 bool SparseNode::activate(int64_t cell) {
+  if (__builtin_expect(onDevice != nullptr, false)) {
+    if (isActive(cell))
+      return false;
+    prepareChange();
+  }
   if (layout.isList) {
     int32_t *length = lengths() + cell / capacity();
     int32_t wanted = static_cast<int32_t>(cell % capacity()) + 1;
@@ -155,7 +180,7 @@ bool SparseNode::activate(int64_t cell) {
     if (known >= wanted)
       return false;
     markWord(cell / capacity());
-    changed(wanted - known);
+    changed(wanted - known, false);
   } else {
     uint64_t bit = uint64_t(1) << (cell % 64);
     uint64_t before =
@@ -163,7 +188,7 @@ bool SparseNode::activate(int64_t cell) {
     if (before & bit)
       return false;
     markWord(cell / 64);
-    changed(1);
+    changed(1, false);
   }
   if (parent)
     parent->activate(cell / cellsBelow);
@@ -171,10 +196,12 @@ bool SparseNode::activate(int64_t cell) {
 }
 
 int64_t SparseNode::length(int64_t list) const {
+  sync();
   return loadLength(lengths() + list);
 }
 
 int64_t SparseNode::append(int64_t list) {
+  prepare();
   int32_t *length = lengths() + list;
   int32_t known = loadLength(length);
   do {
@@ -183,7 +210,7 @@ int64_t SparseNode::append(int64_t list) {
   } while (!__atomic_compare_exchange_n(length, &known, known + 1, true,
                                         __ATOMIC_RELAXED, __ATOMIC_RELAXED));
   markWord(list);
-  changed(1);
+  changed(1, false);
   if (parent)
     parent->activate(list * capacity() / cellsBelow);
   return known;
@@ -235,12 +262,17 @@ void SparseNode::clearRange(int64_t first, int64_t count) {
   }
   if (cleared == 0)
     return;
-  changed(-cleared);
+  changed(-cleared, true);
   for (SparseNode *child : children)
     child->clearRange(first * child->cellsBelow, count * child->cellsBelow);
 }
 
 void SparseNode::deactivate(int64_t cell) {
+  if (__builtin_expect(onDevice != nullptr, false)) {
+    if (!isActive(layout.isList ? cell / capacity() * capacity() : cell))
+      return;
+    prepareChange();
+  }
   if (layout.isList) {
     int64_t list = cell / capacity();
     int32_t length = __atomic_exchange_n(lengths() + list, 0, __ATOMIC_RELAXED);
@@ -251,7 +283,7 @@ void SparseNode::deactivate(int64_t cell) {
                         capacity() * child->cellsBelow);
     release(addressOf(list * capacity()), length * cellBytes());
     noteRemoved(list * capacity(), length);
-    changed(-length);
+    changed(-length, true);
     return;
   }
   uint64_t bit = uint64_t(1) << (cell % 64);
@@ -263,10 +295,12 @@ void SparseNode::deactivate(int64_t cell) {
     child->clearRange(cell * child->cellsBelow, child->cellsBelow);
   release(addressOf(cell), cellBytes());
   noteRemoved(cell, 1);
-  changed(-1);
+  changed(-1, true);
 }
 
 void SparseNode::deactivateAll() {
+  if (!onDevice || !onDevice->deactivateAll(*this))
+    prepare();
   std::vector<int64_t> found;
   collectInto(found, 0, numMarks);
   // Neighbours are released together: pages are larger than most cells.
@@ -290,7 +324,7 @@ void SparseNode::deactivateAll() {
   }
   release(begin, end - begin);
   if (!found.empty())
-    changed(-static_cast<int64_t>(found.size()));
+    changed(-static_cast<int64_t>(found.size()), true);
 }
 
 //===----------------------------------------------------------------------===//
@@ -305,7 +339,7 @@ void SparseNode::collectInto(std::vector<int64_t> &found, int64_t begin,
       int64_t group = m * 64 + __builtin_ctzll(mark);
       if (layout.isList) {
         int64_t first = group * capacity();
-        for (int64_t i = 0, n = length(group); i < n; ++i)
+        for (int64_t i = 0, n = loadLength(lengths() + group); i < n; ++i)
           found.push_back(first + i);
         continue;
       }
@@ -351,8 +385,9 @@ void SparseNode::useLargePages(const ActiveList &list) {
 }
 
 ActiveListPtr SparseNode::list(Runtime &runtime) {
+  sync();
   std::lock_guard<std::mutex> lock(mutex);
-  uint64_t now = epoch();
+  uint64_t now = changes.load(std::memory_order_acquire);
   if (current && current->epoch == now && runtime.skips(Skip::ListReuse)) {
     ++reused;
     runtime.skipCounters().add(SkipCount::ListsReused);
@@ -362,11 +397,11 @@ ActiveListPtr SparseNode::list(Runtime &runtime) {
   list->epoch = now;
   // Enough cells to repay a fork.
   constexpr int64_t kManyCells = 1 << 15;
-  int64_t parts = numActive() < kManyCells
-                      ? 1
-                      : std::min<int64_t>(runtime.threads(), numMarks);
+  int64_t count = active.load(std::memory_order_relaxed);
+  int64_t parts =
+      count < kManyCells ? 1 : std::min<int64_t>(runtime.threads(), numMarks);
   if (parts <= 1) {
-    list->cells.reserve(static_cast<size_t>(std::max<int64_t>(numActive(), 0)));
+    list->cells.reserve(static_cast<size_t>(std::max<int64_t>(count, 0)));
     collectInto(list->cells, 0, numMarks);
   } else {
     struct Job {
@@ -386,7 +421,7 @@ ActiveListPtr SparseNode::list(Runtime &runtime) {
     for (const std::vector<int64_t> &found : job.found)
       list->cells.insert(list->cells.end(), found.begin(), found.end());
   }
-  if (children.empty())
+  if (children.empty() && !onDevice)
     useLargePages(*list);
   ++made;
   runtime.skipCounters().add(SkipCount::ListsMade);

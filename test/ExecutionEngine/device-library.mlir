@@ -64,6 +64,9 @@ module attributes {gpu.container_module} {
     llvm.func @tai_rt_failed(!llvm.ptr) -> i32
     llvm.func @tai_rt_stack_grow(!llvm.ptr, !llvm.ptr)
     llvm.func @tai_rt_stack_free(!llvm.ptr)
+    llvm.func @tai_rt_activate(!llvm.ptr, !llvm.ptr, i32, i64, !llvm.ptr) -> i32
+    llvm.func @tai_rt_deactivate(!llvm.ptr, !llvm.ptr, i32, i64, !llvm.ptr)
+    llvm.func @tai_rt_append(!llvm.ptr, !llvm.ptr, i32, i64, !llvm.ptr) -> i64
     llvm.func @tai_dev_thread_id() -> i32
     llvm.func @tai_dev_block_id() -> i32
     llvm.func @tai_dev_block_dim() -> i32
@@ -112,6 +115,9 @@ module attributes {gpu.container_module} {
       %bits = llvm.call @tai_rt_random_u32(%seed, %seed, %seed, %thread, %block) : (i64, i64, i64, i32, i32) -> i32
       llvm.call @tai_rt_stack_grow(%frame, %stack) : (!llvm.ptr, !llvm.ptr) -> ()
       llvm.call @tai_rt_stack_free(%stack) : (!llvm.ptr) -> ()
+      %active = llvm.call @tai_rt_activate(%frame, %target, %bits, %seed, %text) : (!llvm.ptr, !llvm.ptr, i32, i64, !llvm.ptr) -> i32
+      %place = llvm.call @tai_rt_append(%frame, %target, %active, %seed, %text) : (!llvm.ptr, !llvm.ptr, i32, i64, !llvm.ptr) -> i64
+      llvm.call @tai_rt_deactivate(%frame, %target, %bits, %place, %text) : (!llvm.ptr, !llvm.ptr, i32, i64, !llvm.ptr) -> ()
       llvm.call @tai_rt_print(%frame, %text, %bits, %ints, %ints, %ints) : (!llvm.ptr, !llvm.ptr, i32, !llvm.ptr, !llvm.ptr, !llvm.ptr) -> ()
       llvm.call @tai_rt_fail(%frame, %threads, %text, %text, %bits, %ints, %ints, %ints) : (!llvm.ptr, i32, !llvm.ptr, !llvm.ptr, i32, !llvm.ptr, !llvm.ptr, !llvm.ptr) -> ()
       llvm.call @tai_dev_block_barrier() : () -> ()

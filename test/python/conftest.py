@@ -61,6 +61,7 @@ CPU_ALONE = {
     "test_a_reduction_over_many_iterations": "looks for the loops of the CPU",
     "test_gpu_benchmark": "chooses the target itself",
     "test_current_configuration": "chooses the target itself",
+    "test_out_of_memory_in_a_kernel": "cells have their memory from the start on a device",
 }
 
 

@@ -88,6 +88,7 @@ def test_activity_out_of_range(kind, index):
     for kernel in (activate, deactivate):
         with pytest.raises(ti.TaiError, match="index out of range"):
             kernel(index)
+            ti.sync()
     assert level.num_active == active
     assert x[3] == 5
 
@@ -102,6 +103,7 @@ def test_append_to_a_list_out_of_range():
 
     with pytest.raises(ti.TaiError, match="there is no cell 12"):
         append(3)
+        ti.sync()
     append(2)
     assert x[2, 0] == 1
 

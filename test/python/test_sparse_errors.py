@@ -177,6 +177,7 @@ def test_outside_the_tree_without_checks():
 
     with raises(ti.TaiAssertionError, "index out of range: there is no cell 100", "which has 8"):
         activate(100)
+        ti.sync()
 
 
 @pytest.mark.parametrize("form", ["activate", "deactivate", "is_active"])
@@ -232,6 +233,7 @@ def test_append_past_the_capacity(debug):
     with raises(ti.TaiRuntimeError, "append to a full list", "above @x holds at most 4 cells",
                 "x[1].append(7)"):  # fmt: skip
         fill(1)
+        ti.sync()
     # The list is as it was, and can be emptied and used again.
     assert x.to_numpy().tolist() == [[0] * 4, [7] * 4]
     lists.deactivate_all()
@@ -553,3 +555,31 @@ def test_dense_memory_has_the_same_limit():
     assert y[1] == 2
     with raises(ti.TaiRuntimeError, "field 'x' is not there", "needs 4.0 MiB"):
         x[0]
+
+
+def test_a_tree_that_the_device_cannot_hold():
+    """A launch says what does not fit, and the program goes on with other trees."""
+    ti.init(arch=ti.cpu, device_memory_limit=2 << 20, offline_cache=False)
+    if ti.lang.impl.current_cfg().arch != ti.cuda:
+        pytest.skip("trees take memory cell by cell on the CPU")
+    x, y = ti.field(ti.f32, name="x"), ti.field(ti.f32)
+    level = ti.root.pointer(ti.i, 1024)
+    level.dense(ti.i, 1024).place(x)
+
+    @ti.kernel
+    def write():
+        x[5] = 1.0
+
+    with raises(ti.TaiMemoryError, "out of memory on the device", "all cells of",
+                "the 'pointer' level above @x) needs 4.0 MiB, a limit of 2.0 MiB"):  # fmt: skip
+        write()
+    small = ti.FieldsBuilder()
+    small.pointer(ti.i, 16).place(y)
+    small.finalize()
+
+    @ti.kernel
+    def other():
+        y[3] = 2.0
+
+    other()
+    assert y[3] == 2

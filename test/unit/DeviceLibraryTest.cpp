@@ -15,6 +15,7 @@
 #include "tai/Runtime/Abi.h"
 #include "tai/Runtime/DeviceAbi.h"
 #include "tai/Runtime/DeviceReport.h"
+#include "tai/Runtime/DeviceSparse.h"
 #include "llvm/Bitcode/BitcodeReader.h"
 #include "gtest/gtest.h"
 #include <atomic>
@@ -394,5 +395,115 @@ TEST_F(DeviceLibrary, GridBarrier) {
   word = 0;
   barrier(&word, 1);
   barrier(&word, 1);
+}
+
+/// A tree of 4 cells, each a list of up to 100 numbers; or, with bits in both
+/// levels, 4 cells of 100.
+struct SparseTree {
+  explicit SparseTree(bool isList) {
+    nodes[0] = {
+        0,        -1,           0,     1, 4, 4, 4, 800, 0, 3200, &changes[0],
+        &gone[0], "no cell {}", "full"};
+    nodes[1] = {isList, 0, 0,    2,           400,      100,          100,
+                8,      0, 3208, &changes[1], &gone[1], "no cell {}", "full"};
+    tree = {2, nodes, steps};
+    *reinterpret_cast<TaiDeviceTree **>(memory + 248) = &tree;
+  }
+  char *base() { return memory + 256; }
+  uint64_t *bits() { return reinterpret_cast<uint64_t *>(base() + 3200); }
+  int32_t *lengths() { return reinterpret_cast<int32_t *>(base() + 3208); }
+  int64_t *numbers() { return reinterpret_cast<int64_t *>(base()); }
+
+  alignas(256) char memory[256 + 3208 + 56] = {};
+  TaiDeviceStep steps[2] = {{4, 800}, {100, 8}};
+  TaiDeviceNode nodes[2];
+  TaiDeviceTree tree;
+  uint32_t changes[2] = {};
+  uint64_t gone[8] = {};
+};
+
+TEST_F(DeviceLibrary, ActivatesCells) {
+  auto *activate = TAI_FIND(tai_rt_activate);
+  auto *deactivate = TAI_FIND(tai_rt_deactivate);
+  TaiFrame *frame = makeState(0);
+  SparseTree tree(/*isList=*/false);
+  std::vector<std::thread> threads;
+  for (int thread = 0; thread < 4; ++thread)
+    threads.emplace_back([&] {
+      for (int64_t cell = 130; cell < 270; ++cell)
+        EXPECT_EQ(activate(frame, tree.base(), 1, cell, ""), 1);
+    });
+  for (std::thread &thread : threads)
+    thread.join();
+  EXPECT_EQ(tree.bits()[0], 6u);
+  for (int64_t cell = 0; cell < 400; ++cell)
+    EXPECT_EQ(tree.bits()[1 + cell / 64] >> (cell % 64) & 1,
+              uint64_t(cell >= 130 && cell < 270))
+        << cell;
+  EXPECT_EQ(tree.changes[0], TAI_DEVICE_ACTIVITY_CHANGED);
+  EXPECT_EQ(tree.changes[1], TAI_DEVICE_ACTIVITY_CHANGED);
+
+  // Cell 1 with all that is in it; its neighbour stays.
+  std::fill(tree.numbers() + 130, tree.numbers() + 270, 7);
+  deactivate(frame, tree.base(), 0, 1, "");
+  EXPECT_EQ(tree.bits()[0], 4u);
+  for (int64_t cell = 0; cell < 400; ++cell) {
+    bool stays = cell >= 200 && cell < 270;
+    EXPECT_EQ(tree.bits()[1 + cell / 64] >> (cell % 64) & 1, uint64_t(stays));
+    EXPECT_EQ(tree.numbers()[cell], stays ? 7 : 0) << cell;
+    bool removed = cell >= 130 && cell < 200;
+    EXPECT_EQ(tree.gone[1 + cell / 64] >> (cell % 64) & 1, uint64_t(removed));
+  }
+  EXPECT_EQ(tree.gone[0], 2u);
+  EXPECT_TRUE(tree.changes[1] & TAI_DEVICE_CELLS_REMOVED);
+
+  // What has not changed says nothing.
+  tree.changes[0] = tree.changes[1] = 0;
+  EXPECT_EQ(activate(frame, tree.base(), 1, 200, ""), 1);
+  deactivate(frame, tree.base(), 0, 1, "");
+  EXPECT_EQ(tree.changes[0] | tree.changes[1], 0u);
+  EXPECT_TRUE(read().failure.ok());
+
+  EXPECT_EQ(activate(frame, tree.base(), 0, 4, "a.py:3:1"), 0);
+  Status failure = read().failure;
+  EXPECT_EQ(failure.message(), "no cell 4");
+  EXPECT_EQ(failure.where(), "a.py:3:1");
+}
+
+TEST_F(DeviceLibrary, AppendsToLists) {
+  auto *append = TAI_FIND(tai_rt_append);
+  auto *deactivate = TAI_FIND(tai_rt_deactivate);
+  TaiFrame *frame = makeState(0);
+  SparseTree tree(/*isList=*/true);
+  std::vector<std::thread> threads;
+  std::atomic<int> refused{0};
+  for (int thread = 0; thread < 4; ++thread)
+    threads.emplace_back([&] {
+      for (int i = 0; i < 26; ++i) {
+        int64_t at = append(frame, tree.base(), 1, 2, "");
+        if (at < 0)
+          ++refused;
+        else
+          ++tree.numbers()[200 + at];
+      }
+    });
+  for (std::thread &thread : threads)
+    thread.join();
+  // Each place once, and no more than there are.
+  EXPECT_EQ(refused, 4);
+  EXPECT_EQ(std::vector<int64_t>(tree.numbers(), tree.numbers() + 400), [] {
+    std::vector<int64_t> expected(400);
+    std::fill(expected.begin() + 200, expected.begin() + 300, 1);
+    return expected;
+  }());
+  EXPECT_EQ(tree.lengths()[2], 100);
+  EXPECT_EQ(tree.bits()[0], 4u);
+  EXPECT_EQ(read().failure.message(), "full");
+
+  deactivate(frame, tree.base(), 1, 250, "");
+  EXPECT_EQ(tree.lengths()[2], 0);
+  EXPECT_EQ(tree.numbers()[200], 0);
+  EXPECT_EQ(tree.bits()[0], 4u);
+  EXPECT_EQ(reinterpret_cast<int32_t *>(&tree.gone[1])[2], 100);
 }
 } // namespace

@@ -413,12 +413,16 @@ TEST_F(RuntimeDevice, RefusesWhatIsNotThere) {
   TreePtr tree;
   SparseInfo level;
   level.label = "the 'bitmasked' level above @x";
-  level.steps.push_back({});
-  Status status = runtime.addTree("s", 4096, tree, {level});
-  EXPECT_EQ(status.code(), StatusCode::Usage);
+  level.steps.push_back({int64_t(1) << 40, 8});
+  level.activityOffset = int64_t(8) << 40;
+  Status status =
+      runtime.addTree("s", (int64_t(8) << 40) + (1 << 20), tree, {level});
+  EXPECT_EQ(status.code(), StatusCode::Memory);
   EXPECT_EQ(status.message(),
-            "tree 's' has sparse levels, which do not run on the GPU yet; use "
-            "dense levels, or the CPU for this program");
+            "tree 's' spans 8.0 TiB with all cells active (the 'bitmasked' "
+            "level above @x), and the device 'emulated' has 1.0 TiB; cells do "
+            "not get their memory one by one on the GPU yet: make the levels "
+            "smaller, or use the CPU for this program");
   FieldPtr x = makeField(runtime, "x", ScalarKind::F64, {10});
   EXPECT_EQ(runtime.useDevice(nullptr).message(),
             "the device must be chosen before the first field is made");

@@ -18,7 +18,7 @@
 
 #include <stdint.h>
 
-#define TAI_ABI_VERSION 3
+#define TAI_ABI_VERSION 4
 
 #ifdef __cplusplus
 extern "C" {
@@ -194,6 +194,11 @@ void *tai_rt_device_scratch(TaiFrame *frame, int64_t bytes);
 /// Waits, and copies `bytes` bytes from the device.
 void tai_rt_device_fetch(TaiFrame *frame, void *to, const void *from,
                          int64_t bytes);
+
+/// To be called after a launch of device code that makes cells of this tree
+/// active or inactive. For tai_rt_active_cells and the like, `tree` is the base
+/// in the memory of the device too, and so is the list that they yield.
+void tai_rt_device_activates(TaiFrame *frame, void *tree);
 
 /// The address by which the device can use an array of the caller: itself where
 /// it is device memory, else that of a copy. With `written`, the copy is

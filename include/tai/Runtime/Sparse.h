@@ -13,6 +13,9 @@
 // Activation may happen on many threads at once. Deactivation may too, but a
 // cell must not be activated and deactivated at the same time.
 //
+// Where the tree is on a device, code there changes activity too: whoever asks
+// here then waits for it.
+//
 //===----------------------------------------------------------------------===//
 
 #ifndef TAI_RUNTIME_SPARSE_H
@@ -20,6 +23,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -28,6 +32,7 @@
 namespace mlir::tai::runtime {
 
 class Runtime;
+class SparseMirror;
 class Tree;
 
 /// How a sparse level is laid out.
@@ -68,13 +73,30 @@ public:
   int64_t numCells() const { return cells; }
   /// Bytes of one cell.
   int64_t cellBytes() const { return layout.steps.back().stride; }
-  int64_t numActive() const { return active.load(std::memory_order_relaxed); }
-  /// The most cells that were active at any time.
-  int64_t peakActive() const { return peak.load(std::memory_order_relaxed); }
+  /// Cells of this level below one cell of `above`.
+  int64_t numCellsBelow() const { return cellsBelow; }
+  /// Where a cell is in the tree.
+  int64_t offsetOf(int64_t cell) const;
+  /// Bytes of the bits or lengths.
+  int64_t activityBytes() const;
+  int64_t numActive() const {
+    sync();
+    return active.load(std::memory_order_relaxed);
+  }
+  /// The most cells that were active at any time; on a device, at any time when
+  /// the host looked.
+  int64_t peakActive() const {
+    sync();
+    return peak.load(std::memory_order_relaxed);
+  }
   /// Changes with every change of activity.
-  uint64_t epoch() const { return changes.load(std::memory_order_acquire); }
+  uint64_t epoch() const {
+    sync();
+    return changes.load(std::memory_order_acquire);
+  }
   /// The epoch that began when a cell was last made inactive; 0 for never.
   uint64_t lastRemoval() const {
+    sync();
     return removed.load(std::memory_order_acquire);
   }
   SparseNode *above() const { return parent; }
@@ -108,7 +130,25 @@ public:
   int64_t listsReused() const { return reused; }
 
 private:
+  friend class Runtime;
+  friend class SparseMirror;
   friend class Tree;
+  /// Makes what is known here current.
+  void sync() const {
+    if (__builtin_expect(onDevice != nullptr, false))
+      bringActivity();
+  }
+  void bringActivity() const;
+  /// To be called before the host changes activity.
+  void prepare() {
+    if (__builtin_expect(onDevice != nullptr, false))
+      prepareChange();
+  }
+  void prepareChange();
+  void adopt(const void *activity, const void *gone,
+             const std::function<void(int64_t)> &added);
+  void forEachActive(const std::function<void(int64_t)> &body) const;
+  bool holds(int64_t cell) const;
   uint64_t *words() const;
   int32_t *lengths() const;
   char *addressOf(int64_t cell) const;
@@ -119,12 +159,13 @@ private:
   void noteRemoved(int64_t first, int64_t count);
   void useLargePages(const ActiveList &list);
   void markWord(int64_t word);
-  void changed(int64_t by);
+  void changed(int64_t by, bool removes);
   /// Appends the active cells of which the marks [begin, end) speak.
   void collectInto(std::vector<int64_t> &found, int64_t begin,
                    int64_t end) const;
 
   Tree &tree;
+  SparseMirror *onDevice = nullptr;
   SparseInfo layout;
   SparseNode *parent;
   std::vector<SparseNode *> children;

@@ -26,14 +26,49 @@ bool tai::isDeviceLoop(Operation *op) {
          !loop->getParentOfType<ParallelForOp>();
 }
 
-/// True if a loop of the device stands below `op`.
-static bool holdsDeviceLoop(Operation *op) {
+/// Lists of active cells are made by the host.
+static bool isHostOp(Operation *op) {
+  return isa<ActiveCellsOp, ListIsCurrentOp>(op);
+}
+
+/// True if a loop of the device or an op of the host stands below `op`.
+static bool staysOnHost(Operation *op) {
   return op
       ->walk<WalkOrder::PreOrder>([](Operation *inner) {
-        return isDeviceLoop(inner) ? WalkResult::interrupt()
-                                   : WalkResult::advance();
+        return isDeviceLoop(inner) || isHostOp(inner) ? WalkResult::interrupt()
+                                                      : WalkResult::advance();
       })
       .wasInterrupted();
+}
+
+/// Lists that are asked for inside of a loop are made before it, which is the
+/// same unless the loop changes them.
+static LogicalResult hoistLists(LLVM::LLVMFuncOp host) {
+  SmallVector<Operation *> inside;
+  host.walk([&](Operation *op) {
+    if (isHostOp(op) && op->getParentOfType<ParallelForOp>())
+      inside.push_back(op);
+  });
+  for (Operation *op : inside) {
+    auto outer = op->getParentOfType<ParallelForOp>();
+    while (auto next = outer->getParentOfType<ParallelForOp>())
+      outer = next;
+    bool changes =
+        outer
+            .walk([](Operation *inner) {
+              return isa<ActivateCellOp, DeactivateCellOp, AppendCellOp>(inner)
+                         ? WalkResult::interrupt()
+                         : WalkResult::advance();
+            })
+            .wasInterrupted();
+    if (changes && isa<ActiveCellsOp>(op))
+      return op->emitError(
+          "the list of active cells, inside of a parallel loop that changes "
+          "which are active, does not come to the GPU yet; make the loop over "
+          "them a kernel of its own");
+    op->moveBefore(outer);
+  }
+  return success();
 }
 
 /// Memory of the device for this launch.
@@ -82,7 +117,7 @@ static bool hasEffects(Operation *op) {
     if (call.getCallee() && call.getCallee()->starts_with("tai_rt_device_"))
       return false;
   return isa<StackCreateOp, AllocaOp>(op) ||
-         (!isa<TreeBaseOp>(op) && !isMemoryEffectFree(op));
+         (!isa<TreeBaseOp>(op) && !isHostOp(op) && !isMemoryEffectFree(op));
 }
 
 bool SerialOffload::runsOnDevice(Operation *op) {
@@ -141,7 +176,7 @@ void SerialOffload::assign(ArrayRef<Operation *> ops) {
   for (Operation *op : ops) {
     if (op->hasTrait<OpTrait::IsTerminator>())
       continue;
-    if (isDeviceLoop(op) || holdsDeviceLoop(op)) {
+    if (staysOnHost(op)) {
       open = nullptr;
       if (!isDeviceLoop(op))
         for (Region &region : op->getRegions())
@@ -244,7 +279,7 @@ static void shareLocals(LLVM::LLVMFuncOp host, Value frame,
   for (AllocaOp local : locals) {
     // Below serial code it is a variable of the thread that runs that.
     auto outer = local->getParentOp();
-    if (outer != host && !holdsDeviceLoop(outer))
+    if (outer != host && !staysOnHost(outer))
       continue;
     OpBuilder builder(local);
     Location loc = local.getLoc();
@@ -270,6 +305,8 @@ static void shareLocals(LLVM::LLVMFuncOp host, Value frame,
 
 LogicalResult tai::offloadSerialCode(LLVM::LLVMFuncOp host, Operation *start,
                                      Value frame, DeviceLowering &lowering) {
+  if (failed(hoistLists(host)))
+    return failure();
   shareLocals(host, frame, lowering);
   SmallVector<Operation *> ops;
   for (Operation *op = start->getNextNode(); op; op = op->getNextNode())

@@ -19,6 +19,7 @@
 #include "Offload.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "llvm/ADT/SetVector.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -589,12 +590,23 @@ static void emitLaunch(ParallelForOp loop, LLVM::LLVMFuncOp function,
                             /*dynamicSharedMemorySize=*/Value(), operands);
 }
 
+/// The trees in which code below `op` makes cells active or inactive.
+static llvm::SetVector<Value> findActivated(Operation *op) {
+  llvm::SetVector<Value> trees;
+  op->walk([&](Operation *inner) {
+    if (isa<ActivateCellOp, DeactivateCellOp, AppendCellOp>(inner))
+      trees.insert(inner->getOperand(0));
+  });
+  return trees;
+}
+
 LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
                                DeviceLowering &lowering) {
   Location loc = loop.getLoc();
   MLIRContext *context = loop.getContext();
   RuntimeCalls &runtime = lowering.device.runtime;
   SmallVector<Sum> sums = collectSums(loop, lowering.device.fields);
+  llvm::SetVector<Value> activated = findActivated(loop);
 
   // Loops inside are serial.
   SmallVector<ParallelForOp> inner;
@@ -655,6 +667,11 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   function->setAttr(gpu::GPUDialect::getKernelFuncAttrName(),
                     UnitAttr::get(context));
   emitLaunch(loop, function, operands, lowering);
+  // What the host knows of activity is then out of date.
+  OpBuilder after(loop);
+  for (Value tree : activated)
+    lowering.host.runtime.call(after, loc, "tai_rt_device_activates", Type(),
+                               {frame, tree});
   loop.erase();
   return success();
 }

@@ -45,9 +45,7 @@ def is_extension_supported(arch: Arch, ext: Extension) -> bool:
     Loops that carry values are differentiable without a limit, which is what `adstack`
     asks for.
     """
-    if arch == cuda:
-        return ext in _SUPPORTED - {Extension.sparse}
-    return arch in (cpu, x64, arm64) and ext in _SUPPORTED
+    return arch in (cpu, x64, arm64, cuda) and ext in _SUPPORTED
 
 
 def is_arch_supported(arch: Arch, use_gles: bool = False) -> bool:

@@ -1,0 +1,94 @@
+//===- SparseMirror.h - A sparse tree on a device ---------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A sparse tree has memory for all of its cells on the device, zero where
+// nothing is active. Device code changes activity there; the host gets to know
+// of it when it asks, and keeps lists of active cells for both sides. What
+// moves between them is what may hold something: pieces of the tree that have
+// ever been active.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_SPARSEMIRROR_H
+#define TAI_LIB_RUNTIME_SPARSEMIRROR_H
+
+#include "DeviceContext.h"
+#include "tai/Runtime/DeviceSparse.h"
+#include "tai/Runtime/Field.h"
+#include <functional>
+
+namespace mlir::tai::runtime {
+
+class SparseMirror {
+public:
+  SparseMirror(DeviceContext &context, Tree &tree);
+  ~SparseMirror();
+  SparseMirror(const SparseMirror &) = delete;
+  SparseMirror &operator=(const SparseMirror &) = delete;
+
+  /// Whether the tree can be on this device at all.
+  static Status check(const DeviceContext &context, const std::string &name,
+                      int64_t bytes, const std::vector<SparseInfo> &levels);
+
+  /// Zeroed memory for the tree, with what device code must know around it.
+  Status allocate(DevicePtr &base);
+  Status upload();
+  /// Activity is brought along.
+  Status download();
+
+  /// Work has been queued that may change activity.
+  void deviceActivates() { behind.store(true, std::memory_order_release); }
+  /// Makes what the host knows of activity current.
+  Status fetchActivity() {
+    return behind.load(std::memory_order_acquire) ? fetch() : Status::success();
+  }
+  void bringActivity() { context.note(fetchActivity()); }
+
+  /// Whether the memory of the device is current.
+  bool isCurrent() const;
+  /// Where it is, makes all cells of a level inactive there, as the host does
+  /// on its side. False where that is better done on the host alone.
+  bool deactivateAll(SparseNode &node);
+  /// Brings the activity of a level to the device, which is current but for it.
+  void uploadActivity(const SparseNode &node);
+
+  /// Where the device finds a list, which the caller keeps.
+  Status find(const ActiveListPtr &list, DevicePtr &address);
+
+  DeviceContext &getContext() const { return context; }
+
+private:
+  Status fetch();
+  Status writeDescriptor();
+  void touch(int64_t begin, int64_t end);
+  void touchOutside(int64_t begin, int64_t end, const SparseNode *above,
+                    int64_t cell);
+  void touchCell(const SparseNode &node, int64_t cell);
+  Status
+  forEachRun(const std::function<Status(int64_t offset, int64_t bytes)> &body);
+
+  DeviceContext &context;
+  Tree &tree;
+  std::recursive_mutex mutex;
+  std::atomic<bool> behind{false};
+  DevicePtr block = 0, base = 0;
+  /// Behind the tree: changes of each level, then what was removed from each.
+  DevicePtr changes = 0;
+  std::vector<DevicePtr> removed;
+  /// Pieces of the tree that may hold something else than zeros on either side.
+  int64_t pieceBytes;
+  std::vector<bool> touched;
+  struct Uploaded {
+    ActiveListPtr list;
+    DevicePtr memory;
+  };
+  std::vector<Uploaded> lists;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_SPARSEMIRROR_H
