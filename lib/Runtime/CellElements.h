@@ -29,6 +29,9 @@ public:
     int64_t bytes;
   };
   const std::vector<Run> &runs() const { return pieces; }
+  /// The distance between consecutive cells where it is always the same, else
+  /// 0.
+  int64_t evenCellStride() const { return uniform ? cellStride : 0; }
   int64_t bytes() const { return total; }
 
   /// The first component of the first element in the cell. Who writes there

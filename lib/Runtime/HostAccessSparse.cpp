@@ -12,6 +12,7 @@
 
 #include "CellElements.h"
 #include "Launch.h"
+#include "Mirror.h"
 #include <algorithm>
 #include <cstring>
 
@@ -45,6 +46,9 @@ static void forEachActiveCell(Runtime &runtime, const Field &field,
 
 void Runtime::fillActive(Field &field, const void *scalarBytes) {
   CellElements elements(field);
+  if (Mirror *mirror = field.tree().mirror())
+    if (mirror->sparse()->fillActive(field, elements, scalarBytes))
+      return;
   auto scalar = static_cast<size_t>(byteSize(field.scalar()));
   const auto *bytes = static_cast<const char *>(scalarBytes);
   bool zero = std::all_of(bytes, bytes + scalar, [](char b) { return !b; });

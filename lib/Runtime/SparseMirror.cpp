@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "SparseMirror.h"
+#include "CellElements.h"
 #include "Launch.h"
 #include "Mirror.h"
 #include <algorithm>
@@ -352,6 +353,71 @@ void SparseMirror::uploadActivity(const SparseNode &node) {
   context.note(context.get().copyIn(base + static_cast<DevicePtr>(offset),
                                     tree.base() + offset,
                                     node.activityBytes()));
+}
+
+bool SparseMirror::fillActive(const Field &field, const CellElements &elements,
+                              const void *scalarBytes) {
+  bringActivity();
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  int64_t stride = elements.evenCellStride();
+  if (!isCurrent() || stride == 0 || behind.load(std::memory_order_acquire))
+    return false;
+  // Runs of neighbours among the active cells; for zeros, all cells, where
+  // there are too many.
+  constexpr size_t mostFills = 256;
+  const SparseNode &node = *field.sparseNode();
+  const std::vector<CellElements::Run> &pieces = elements.runs();
+  struct Cells {
+    int64_t first, count;
+  };
+  std::vector<Cells> runs;
+  size_t mostRuns = std::max<size_t>(mostFills / pieces.size(), 1);
+  node.forEachActive([&](int64_t cell) {
+    if (!runs.empty() && runs.back().first + runs.back().count == cell)
+      ++runs.back().count;
+    else if (runs.size() <= mostRuns)
+      runs.push_back({cell, 1});
+  });
+  auto scalar = static_cast<int>(byteSize(field.scalar()));
+  const auto *bytes = static_cast<const char *>(scalarBytes);
+  if (runs.size() > mostRuns) {
+    if (std::any_of(bytes, bytes + scalar, [](char b) { return b != 0; }))
+      return false;
+    runs = {{0, node.numCells()}};
+  }
+  // Pieces that are as far from each other as those of neighbouring cells are
+  // rows of one block.
+  auto count = static_cast<int64_t>(pieces.size());
+  int64_t step = count > 1 ? pieces[1].offset - pieces[0].offset : stride;
+  bool even = step * count == stride;
+  for (int64_t i = 0; i < count; ++i)
+    even &= pieces[i].bytes == pieces[0].bytes &&
+            pieces[i].offset == pieces[0].offset + i * step;
+  if (!even && pieces.size() > mostFills)
+    return false;
+  DevicePtr first = base + static_cast<DevicePtr>(field.layout().placeOffset);
+  auto fill = [&](int64_t offset, int64_t rowStep, int64_t rowBytes,
+                  int64_t rows) {
+    DevicePtr address = first + static_cast<DevicePtr>(offset);
+    context.note(
+        rowStep == rowBytes
+            ? context.get().fill(address, scalarBytes, scalar,
+                                 rows * rowBytes / scalar)
+            : context.get().fillRows({address, rowStep, rowBytes, rows},
+                                     scalarBytes, scalar));
+  };
+  for (const Cells &run : runs) {
+    int64_t start = run.first * stride;
+    if (even) {
+      fill(start + pieces[0].offset, step, pieces[0].bytes, run.count * count);
+      continue;
+    }
+    for (const CellElements::Run &piece : pieces)
+      fill(start + piece.offset, stride, piece.bytes, run.count);
+  }
+  if (!runs.empty())
+    tree.mirror()->deviceWrites();
+  return true;
 }
 
 /// Goes to the activity that the device has: bits or lengths, and those of the

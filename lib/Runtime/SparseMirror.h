@@ -23,6 +23,8 @@
 
 namespace mlir::tai::runtime {
 
+class CellElements;
+
 class SparseMirror {
 public:
   SparseMirror(DeviceContext &context, Tree &tree);
@@ -55,6 +57,11 @@ public:
   bool deactivateAll(SparseNode &node);
   /// Brings the activity of a level to the device, which is current but for it.
   void uploadActivity(const SparseNode &node);
+
+  /// Where it is, sets the elements of all active cells of a field there. False
+  /// where that is better done on the host.
+  bool fillActive(const Field &field, const CellElements &elements,
+                  const void *scalarBytes);
 
   /// Where the device finds a list, which the caller keeps.
   Status find(const ActiveListPtr &list, DevicePtr &address);

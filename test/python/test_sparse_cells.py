@@ -22,6 +22,63 @@ def test_fill_sets_what_is_active(split, value):
     np.testing.assert_array_equal(x.to_numpy(), expected)
 
 
+@pytest.mark.parametrize("value", [0, 5])
+@pytest.mark.parametrize("step", [1, 3, 700])
+@pytest.mark.parametrize("inner", [1, 4])
+def test_fill_between_kernels(step, value, inner):
+    """Few or many cells, alone or side by side, of one of two fields that share them."""
+    x, y = ti.field(ti.i32), ti.field(ti.f64)
+    level = ti.root.pointer(ti.i, 2000)
+    (level.dense(ti.i, inner) if inner > 1 else level).place(x, y)
+
+    @ti.kernel
+    def write():
+        for b in range(2000):
+            if b % step == 0:
+                for k in range(inner):
+                    x[b * inner + k] = b + 1
+                    y[b * inner + k] = 2 * b
+
+    write()
+    x.fill(value)
+    cells = np.repeat(np.arange(2000), inner)
+    active = cells % step == 0
+    np.testing.assert_array_equal(x.to_numpy(), np.where(active, value, 0))
+    np.testing.assert_array_equal(y.to_numpy(), np.where(active, 2 * cells, 0))
+    assert level.num_active == -(-2000 // step)
+
+
+@pytest.mark.parametrize("step", [1, 3, 700])
+@pytest.mark.parametrize("nested", [False, True])
+def test_deactivate_all_between_kernels(step, nested):
+    x, y = ti.field(ti.i32), ti.field(ti.i32, shape=2000)
+    outer = ti.root.pointer(ti.i, 500)
+    level = outer.bitmasked(ti.i, 4) if nested else ti.root.bitmasked(ti.i, 2000)
+    level.place(x)
+
+    @ti.kernel
+    def write(first: ti.i32):
+        for i in range(2000):
+            if i % step == first % step:
+                x[i] = i + 1
+
+    @ti.kernel
+    def read():
+        for i in x:
+            y[i] += x[i]
+
+    expected = np.zeros(2000, np.int32)
+    where = np.arange(2000)
+    for first in range(3):
+        write(first)
+        read()
+        expected += np.where(where % step == first % step, where + 1, 0)
+        (outer if nested else level).deactivate_all()
+        assert level.num_active == 0
+    np.testing.assert_array_equal(y.to_numpy(), expected)
+    assert not x.to_numpy().any()
+
+
 def test_fill_of_a_component():
     x = ti.Vector.field(2, ti.f32, shape=3)
     x.fill(1)
