@@ -74,7 +74,7 @@ static void copy(const uint64_t *slots) {
 template <typename T, typename Move>
 static void forEachUnit(const uint64_t *slots, uint64_t otherStep,
                         const Move &move) {
-  uint64_t units = slots[2] / sizeof(T), rows = slots[3];
+  uint64_t units = slots[2] / sizeof(T), rows = slots[3] * slots[7];
   for (uint64_t i = globalThread(); i < units * rows; i += globalThreads()) {
     // Divisions of 64 bits take as long as a read from memory.
     uint64_t row = (i | units) >> 32 ? i / units
@@ -89,9 +89,11 @@ static void runRowsAs(uint64_t part, const uint64_t *slots) {
   auto at = [](uint64_t address) { return reinterpret_cast<T *>(address); };
   uint64_t here = slots[0], there = slots[4];
   if (part == TAI_PART_FILL_ROWS)
-    forEachUnit<T>(slots, 0, [&](uint64_t row, uint64_t, uint64_t byte) {
+    forEachUnit<T>(slots, 1, [&](uint64_t, uint64_t row, uint64_t byte) {
+      uint64_t group = slots[7] == 1 ? 0 : row / slots[3];
+      uint64_t offset = group * slots[6] + (row - group * slots[3]) * slots[1];
       // The pattern has a power of two of bytes.
-      *at(here + row + byte) =
+      *at(here + offset + byte) =
           static_cast<T>(there >> (byte & (slots[5] - 1)) * 8);
     });
   else if (part == TAI_PART_COPY_ROWS)
@@ -110,7 +112,7 @@ static void runRowsAs(uint64_t part, const uint64_t *slots) {
 
 static void runRows(uint64_t part, const uint64_t *slots) {
   uint64_t other = part == TAI_PART_FILL_ROWS ? 0 : slots[4];
-  if ((slots[0] | slots[1] | slots[2] | other | slots[5]) % 4)
+  if ((slots[0] | slots[1] | slots[2] | other | slots[5] | slots[6]) % 4)
     runRowsAs<uint8_t>(part, slots);
   else
     runRowsAs<uint32_t>(part, slots);

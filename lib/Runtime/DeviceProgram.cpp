@@ -36,7 +36,8 @@ Status DeviceQueue::Sequence::run(Device &device, const Step &step) const {
   const uint64_t *values = slots.data() + step.firstSlot;
   auto number = [&](int at) { return static_cast<int64_t>(values[at]); };
   auto rows = [&] {
-    return DeviceRows{values[0], number(1), number(2), number(3)};
+    return DeviceRows{values[0], number(1), number(2),
+                      number(3), number(6), number(7)};
   };
   switch (step.kind) {
   case Step::Kind::Launch:
@@ -251,7 +252,8 @@ bool DeviceQueue::Program::areApart(const Sequence &sequence, const Step &a,
     if (step.kind == Step::Kind::Fill)
       end = begin + values[2] * values[3];
     else
-      end = begin + values[1] * (values[3] - 1) + values[2];
+      end = begin + values[1] * (values[3] - 1) + values[2] +
+            values[6] * (values[7] - 1);
     return step.kind == Step::Kind::Fill || step.kind == Step::Kind::FillRows;
   };
   uint64_t beginA, endA, beginB, endB;
@@ -271,7 +273,7 @@ Status DeviceQueue::Program::update(Way &way) {
   }
   // Numbers of the parts, in the order in which prepare found them.
   std::unordered_map<const Function *, uint64_t> numbers;
-  int stride = 6;
+  int stride = 8;
   for (const Step &step : sequence.steps) {
     stride = std::max(stride, static_cast<int>(step.numSlots));
     if (step.function)

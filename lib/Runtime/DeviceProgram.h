@@ -78,10 +78,12 @@ struct DeviceQueue::Sequence {
 
   void addRows(Step::Kind kind, const DeviceRows &rows, uint64_t other,
                int64_t step) {
-    addWork(kind, {rows.address, static_cast<uint64_t>(rows.step),
-                   static_cast<uint64_t>(rows.rowBytes),
-                   static_cast<uint64_t>(rows.rows), other,
-                   static_cast<uint64_t>(step)});
+    addWork(kind,
+            {rows.address, static_cast<uint64_t>(rows.step),
+             static_cast<uint64_t>(rows.rowBytes),
+             static_cast<uint64_t>(rows.rows), other,
+             static_cast<uint64_t>(step), static_cast<uint64_t>(rows.outerStep),
+             static_cast<uint64_t>(rows.outer)});
   }
 
   bool hasStructureOf(const Sequence &other) const;

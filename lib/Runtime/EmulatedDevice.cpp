@@ -172,9 +172,11 @@ public:
   Status fillRows(const DeviceRows &to, const void *pattern,
                   int patternBytes) override {
     Status status;
-    for (int64_t row = 0; row < to.rows && status; ++row)
-      status = fill(rowOf(to, row), pattern, patternBytes,
-                    to.rowBytes / patternBytes);
+    for (int64_t group = 0; group < to.outer; ++group)
+      for (int64_t row = 0; row < to.rows && status; ++row)
+        status =
+            fill(rowOf(to, row) + static_cast<DevicePtr>(group * to.outerStep),
+                 pattern, patternBytes, to.rowBytes / patternBytes);
     return status;
   }
 

@@ -215,6 +215,10 @@ static std::vector<DeviceRows> findPieces(const Mirror &mirror,
       break;
     rows *= axes[even].extent;
   }
+  // The next axis is one of groups.
+  Axis group{1, 0};
+  if (even < axes.size())
+    group = axes[even++];
   std::vector<int64_t> offsets{layout.placeOffset};
   for (; even < axes.size(); ++even) {
     std::vector<int64_t> all;
@@ -233,7 +237,8 @@ static std::vector<DeviceRows> findPieces(const Mirror &mirror,
   }
   std::vector<DeviceRows> pieces;
   for (int64_t offset : offsets)
-    pieces.push_back({mirror.at(offset), step, rowBytes, rows});
+    pieces.push_back(
+        {mirror.at(offset), step, rowBytes, rows, group.step, group.extent});
   return pieces;
 }
 

@@ -93,6 +93,10 @@ struct DeviceRows {
   int64_t step;
   int64_t rowBytes;
   int64_t rows;
+  /// All of that so many times, one starting `outerStep` bytes after the one
+  /// before. Fills alone look at these.
+  int64_t outerStep = 0;
+  int64_t outer = 1;
 };
 
 class Device {

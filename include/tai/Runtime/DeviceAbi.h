@@ -69,7 +69,8 @@ void tai_dev_grid_barrier(uint32_t *state, uint32_t blocks);
 #define TAI_PART_COPY 1
 /// The same for rows: the address of the first, from one to the next, the bytes
 /// of a row and their number; then a pattern and its size, or the address of
-/// the first row of the other side and from one to the next there.
+/// the first row of the other side and from one to the next there; and from one
+/// group of such rows to the next and their number, which is 1 but for fills.
 #define TAI_PART_FILL_ROWS 2
 #define TAI_PART_COPY_ROWS 3
 #define TAI_PART_SWAP_ROWS 4

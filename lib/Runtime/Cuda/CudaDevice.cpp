@@ -523,12 +523,14 @@ Status CudaDevice::fillRows(const DeviceRows &to, const void *pattern,
   auto bytes = static_cast<uint64_t>(to.rowBytes);
   auto step = static_cast<uint64_t>(to.step);
   auto size = static_cast<uint64_t>(patternBytes);
-  bool words = areWords({to.address, step, bytes, size});
+  auto outerStep = static_cast<uint64_t>(to.outerStep);
+  bool words = areWords({to.address, step, bytes, size, outerStep});
   uint64_t unit = words ? 4 : 1, bits = 0;
   std::memcpy(&bits, pattern, size);
-  return runRows(FillRows, words, static_cast<int64_t>(bytes / unit) * to.rows,
-                 {to.address, step / unit, bytes / unit,
-                  static_cast<uint64_t>(to.rows), bits, size / unit});
+  return runRows(
+      FillRows, words, static_cast<int64_t>(bytes / unit) * to.rows * to.outer,
+      {to.address, step / unit, bytes / unit, static_cast<uint64_t>(to.rows),
+       bits, size / unit, outerStep / unit, static_cast<uint64_t>(to.outer)});
 }
 
 bool CudaDevice::isDeviceMemory(const void *address) const {

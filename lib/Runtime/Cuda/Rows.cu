@@ -60,10 +60,13 @@ static inline void forEachUnit(Size rowUnits, Size rows, const Move &move) {
   /* Each row starts with the lowest units of the pattern, of a power of two   \
      of them. */                                                               \
   KERNEL tai_fill_##suffix(Unit *to, Size step, Size rowUnits, Size rows,      \
-                           Size pattern, Size patternUnits) {                  \
-    forEachUnit(rowUnits, rows, [&](Size row, Size at) {                       \
+                           Size pattern, Size patternUnits, Size outerStep,    \
+                           Size outer) {                                       \
+    forEachUnit(rowUnits, rows * outer, [&](Size row, Size at) {               \
       Size shift = (at & (patternUnits - 1)) * sizeof(Unit) * 8;               \
-      to[row * step + at] = (Unit)(pattern >> shift);                          \
+      Size group = outer == 1 ? 0 : row / rows;                                \
+      to[group * outerStep + (row - group * rows) * step + at] =               \
+          (Unit)(pattern >> shift);                                            \
     });                                                                        \
   }
 
