@@ -18,11 +18,6 @@ static int64_t alignUp(int64_t bytes) { return (bytes + 255) / 256 * 256; }
 
 SparseMirror::SparseMirror(DeviceContext &context, Tree &tree)
     : context(context), tree(tree) {
-  constexpr int64_t smallestPiece = 64 << 10, mostPieces = 1 << 20;
-  pieceBytes = smallestPiece;
-  while (tree.bytes() / pieceBytes > mostPieces)
-    pieceBytes *= 2;
-  touched.resize(static_cast<size_t>(tree.bytes() / pieceBytes + 1));
   touchOutside(0, tree.bytes(), nullptr, 0);
 }
 
@@ -167,9 +162,28 @@ Status SparseMirror::writeDescriptor() {
 // What may hold something
 //===----------------------------------------------------------------------===//
 
+/// Whole pages, as the host has them.
+static constexpr int64_t pieceBytes = 4 << 10;
+
 void SparseMirror::touch(int64_t begin, int64_t end) {
-  for (int64_t i = begin / pieceBytes; i * pieceBytes < end; ++i)
-    touched[static_cast<size_t>(i)] = true;
+  begin = begin / pieceBytes * pieceBytes;
+  end =
+      std::min((end + pieceBytes - 1) / pieceBytes * pieceBytes, tree.bytes());
+  auto next = touched.upper_bound(begin);
+  if (next != touched.begin()) {
+    auto before = std::prev(next);
+    if (before->second >= end)
+      return;
+    if (before->second >= begin) {
+      begin = before->first;
+      touched.erase(before);
+    }
+  }
+  while (next != touched.end() && next->first <= end) {
+    end = std::max(end, next->second);
+    next = touched.erase(next);
+  }
+  touched[begin] = end;
 }
 
 /// What lies in [begin, end), which is cell `cell` of the level `above` or the
@@ -220,18 +234,14 @@ void SparseMirror::touchCell(const SparseNode &node, int64_t cell) {
 
 Status SparseMirror::forEachRun(
     const std::function<Status(int64_t offset, int64_t bytes)> &body) {
+  // So few bytes more are less than one more copy.
+  constexpr int64_t smallGap = 16 << 10;
   Status status;
-  for (size_t i = 0; i < touched.size() && status; ++i) {
-    if (!touched[i])
-      continue;
-    size_t first = i;
-    while (i + 1 < touched.size() && touched[i + 1])
-      ++i;
-    int64_t begin = static_cast<int64_t>(first) * pieceBytes;
-    int64_t end =
-        std::min(static_cast<int64_t>(i + 1) * pieceBytes, tree.bytes());
-    if (begin < end)
-      status = body(begin, end - begin);
+  for (auto part = touched.begin(); part != touched.end() && status;) {
+    auto [begin, end] = *part;
+    for (++part; part != touched.end() && part->first - end <= smallGap; ++part)
+      end = part->second;
+    status = body(begin, end - begin);
   }
   return status;
 }

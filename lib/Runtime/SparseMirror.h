@@ -20,6 +20,7 @@
 #include "tai/Runtime/DeviceSparse.h"
 #include "tai/Runtime/Field.h"
 #include <functional>
+#include <map>
 
 namespace mlir::tai::runtime {
 
@@ -86,9 +87,9 @@ private:
   /// Behind the tree: changes of each level, then what was removed from each.
   DevicePtr changes = 0;
   std::vector<DevicePtr> removed;
-  /// Pieces of the tree that may hold something else than zeros on either side.
-  int64_t pieceBytes;
-  std::vector<bool> touched;
+  /// Parts of the tree that may hold something else than zeros on either side:
+  /// where each begins, and where it ends.
+  std::map<int64_t, int64_t> touched;
   struct Uploaded {
     ActiveListPtr list;
     DevicePtr memory;
