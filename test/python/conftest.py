@@ -61,6 +61,9 @@ CPU_ALONE = {
     "test_a_reduction_over_many_iterations": "looks for the loops of the CPU",
     "test_gpu_benchmark": "chooses the target itself",
     "test_current_configuration": "chooses the target itself",
+    "test_one_body_of_ten": "a device visits cells whose adjoints are zero, too",
+    "test_what_visits_everything": "a device visits cells whose adjoints are zero, too",
+    "test_gathered_adjoints_visit_what_lies_around": "a device visits all active cells",
     "test_out_of_memory_in_a_kernel": "cells have their memory from the start on a device",
 }
 
