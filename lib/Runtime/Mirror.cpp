@@ -254,9 +254,10 @@ bool Runtime::fillOnDevice(Field &field, const void *scalarBytes) {
     auto size = static_cast<int>(byteSize(field.scalar()));
     for (const DeviceRows &piece : pieces)
       mirror.context().note(
-          piece.rows == 1 ? mirror.device().fill(piece.address, scalarBytes,
-                                                 size, piece.rowBytes / size)
-                          : mirror.device().fillRows(piece, scalarBytes, size));
+          piece.rows == 1 && piece.outer == 1
+              ? mirror.device().fill(piece.address, scalarBytes, size,
+                                     piece.rowBytes / size)
+              : mirror.device().fillRows(piece, scalarBytes, size));
     return true;
   }
   mirror.deviceWrites();

@@ -300,3 +300,26 @@ def test_no_memory_for_a_tree():
     huge = ti.field(ti.f64, shape=(1 << 30, 1 << 20))
     with pytest.raises(ti.TaiMemoryError):
         huge[0, 0] = 1
+
+
+def test_fill_between_fields_of_one_cell():
+    """Rows of a field that lie apart, each without gaps: those of other fields are between."""
+    x, y = ti.field(ti.f32), ti.field(ti.f32)
+    rows = ti.root.dense(ti.i, 5)
+    rows.dense(ti.j, 4).place(x)
+    rows.dense(ti.j, 3).place(y)
+
+    @ti.kernel
+    def write():
+        for i, j in x:
+            x[i, j] = 10.0 * i + j
+        for i, j in y:
+            y[i, j] = 100.0 + 10.0 * i + j
+
+    write()
+    expected = y.to_numpy()
+    write()
+    x.fill(7)
+    np.testing.assert_array_equal(x.to_numpy(), np.full((5, 4), 7, np.float32))
+    np.testing.assert_array_equal(y.to_numpy(), expected)
+    assert expected[4, 2] == 142
