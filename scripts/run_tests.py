@@ -118,9 +118,9 @@ def run_pytest(jobs: int, out: Path, gpu: bool) -> Result:
 
 # What the normal run repeats as on a GPU; `pytest --arch=emulated` takes all there is.
 EMULATED = """
-    ad_check ad_memory ad_seeds api argument_gradients arithmetic array_gradients control_flow
-    fields forward_mode gradients loop_gradients matrices overwrites_in_kernel
-    semantics_overwriting structs
+    access_rules ad_check ad_memory ad_seeds api argument_gradients arithmetic array_gradients
+    benchmark_scenes control_flow fields forward_mode gradients loop_gradients matrices
+    overwrites_in_kernel semantics_overwriting sparse_api structs
 """.split()
 
 

@@ -67,9 +67,13 @@ runtime::Status Session::compileChecked(KernelCode &code,
     checked.accesses.push_back(std::move(row));
   }
   Failure failure;
-  auto compiled =
-      compiler->compile({*module, code.name, CompileRequest::Goal::Primal},
-                        code.options, failure);
+  // Who touches what is written down in the order of the CPU, wherever the
+  // kernel itself runs.
+  CompileOptions options = code.options;
+  options.device = std::nullopt;
+  options.deviceTarget.clear();
+  auto compiled = compiler->compile(
+      {*module, code.name, CompileRequest::Goal::Primal}, options, failure);
   if (!compiled)
     return keepFailure(std::move(failure));
   {
@@ -86,7 +90,6 @@ runtime::Status Session::compileChecked(KernelCode &code,
   info.summary =
       summarize(*code.module, code.module->lookupSymbol<KernelOp>(code.name));
   info.function = reinterpret_cast<TaiKernelFn>(compiled->address);
-  info.image = compiled->image;
   checked.kernel = rt->createKernel(std::move(info));
   return runtime::Status::success();
 }

@@ -199,3 +199,27 @@ def test_out_of_memory_names_the_trees():
     with pytest.raises(ti.TaiMemoryError, match=r"out of memory on the device .* needs 781\.2 KiB"):
         second()
     assert small[10] == 10
+
+
+def test_a_fill_stays_in_its_field():
+    """Fields whose blocks alternate in memory: a fill reaches all blocks, and no other field."""
+    first, second = ti.field(ti.f32), ti.field(ti.f32)
+    blocks = ti.root.dense(ti.i, 3)
+    blocks.dense(ti.jk, (4, 5)).place(first)
+    blocks.dense(ti.jk, (4, 5)).place(second)
+
+    @ti.kernel
+    def count():
+        for i, j, k in first:
+            first[i, j, k] = 20 * i + 5 * j + k
+            second[i, j, k] = -1.0
+
+    numbers = np.arange(60, dtype=np.float32).reshape(3, 4, 5)
+    count()
+    second.fill(7.0)
+    assert (first.to_numpy() == numbers).all()
+    assert (second.to_numpy() == 7.0).all()
+    count()
+    first.fill(0.0)
+    assert (first.to_numpy() == 0.0).all()
+    assert (second.to_numpy() == -1.0).all()
