@@ -197,11 +197,8 @@ void DeviceQueue::Program::listWays(ProgramMode wanted,
 
 Status DeviceQueue::Program::prepare(Way &way, const ProgramMaker &maker) {
   way.isReady = true;
-  if (way.mode == ProgramMode::Graph) {
-    Status status = update(way);
-    way.isCurrent = bool(status);
-    return status;
-  }
+  if (way.mode == ProgramMode::Graph)
+    return makeCurrent(way);
   std::vector<ProgramPart> parts;
   std::unordered_map<const Function *, bool> seen;
   for (const Step &step : sequence.steps)
@@ -261,6 +258,9 @@ bool DeviceQueue::Program::areApart(const Sequence &sequence, const Step &a,
          (endA <= beginB || endB <= beginA);
 }
 
+/// The barrier of a program stands in front of its table.
+static constexpr int64_t barrierBytes = 256;
+
 /// Makes what stands for the sequence on the device hold its present slots.
 Status DeviceQueue::Program::update(Way &way) {
   if (way.mode == ProgramMode::Graph) {
@@ -294,7 +294,6 @@ Status DeviceQueue::Program::update(Way &way) {
                 step.numSlots, row + 1);
   }
   auto bytes = static_cast<int64_t>(table.size() * sizeof(uint64_t));
-  constexpr int64_t barrierBytes = 256;
   Status status;
   if (!way.table) {
     status = device.allocate(barrierBytes + bytes, way.table);
@@ -308,16 +307,21 @@ Status DeviceQueue::Program::update(Way &way) {
   return status;
 }
 
+Status DeviceQueue::Program::makeCurrent(Way &way) {
+  if (way.isCurrent)
+    return Status::success();
+  Status status = update(way);
+  way.isCurrent = bool(status);
+  return status;
+}
+
 Status DeviceQueue::Program::launch(Way &way) {
-  if (!way.isCurrent) {
-    Status status = update(way);
-    if (!status)
-      return status;
-    way.isCurrent = true;
-  }
+  Status status = makeCurrent(way);
+  if (!status)
+    return status;
   if (way.mode == ProgramMode::Graph)
     return device.run(*way.graph);
-  uint64_t slots[] = {way.table + 256, sequence.steps.size(),
+  uint64_t slots[] = {way.table + barrierBytes, sequence.steps.size(),
                       static_cast<uint64_t>(way.stride), way.table};
   return device.launch(*way.function, way.shape, slots, 4);
 }
@@ -328,11 +332,7 @@ Status DeviceQueue::Program::launch(Way &way) {
 
 Status DeviceQueue::Program::runTimed(Way &way) {
   using Clock = std::chrono::steady_clock;
-  Status status;
-  if (!way.isCurrent) {
-    status = update(way);
-    way.isCurrent = bool(status);
-  }
+  Status status = makeCurrent(way);
   if (status)
     status = device.synchronize();
   auto start = Clock::now();

@@ -144,6 +144,7 @@ private:
   void listWays(ProgramMode wanted, const ProgramMaker &maker);
   Status prepare(Way &way, const ProgramMaker &maker);
   Status update(Way &way);
+  Status makeCurrent(Way &way);
   Status launch(Way &way);
   Status runTimed(Way &way);
   double predict(ProgramMode mode, unsigned blocks, unsigned threads) const;

@@ -146,10 +146,6 @@ Status DeviceQueue::endCollecting() {
 // Sequences
 //===----------------------------------------------------------------------===//
 
-Status DeviceQueue::runSteps(const Sequence &sequence) {
-  return sequence.run(*device);
-}
-
 DeviceQueue::Program *DeviceQueue::findProgram(Sequence &&sequence,
                                                bool &same) {
   auto range = programs.equal_range(sequence.hash);
@@ -185,7 +181,7 @@ Status DeviceQueue::flush() {
   // Less than this is not worth a graph.
   constexpr size_t fewest = 4;
   if (sequence.steps.size() < fewest || mode == ProgramMode::Launches) {
-    status = runSteps(sequence);
+    status = sequence.run(*device);
   } else {
     bool same = false;
     Program *program = findProgram(std::move(sequence), same);

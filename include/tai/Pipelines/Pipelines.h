@@ -78,14 +78,10 @@ void buildForwardPipeline(OpPassManager &pm, bool arrayTangents);
 /// Makes `--tai-autodiff` known to pass pipelines given as text.
 void registerAutodiffPipeline();
 
-/// How kernels are lowered for the CPU.
-struct ToLLVMOptions : PassPipelineOptions<ToLLVMOptions> {
-  ToLLVMOptions() = default;
-  // Options are bound to their parser and cannot be moved: copy the values.
-  ToLLVMOptions(const ToLLVMOptions &other) : PassPipelineOptions() {
-    *this = other;
-  }
-  ToLLVMOptions &operator=(const ToLLVMOptions &other) {
+/// How kernels are lowered, wherever they run.
+struct LoweringOptions : virtual ::mlir::detail::PassOptions {
+  /// Options are bound to their parser and cannot be moved: copies the values.
+  void copyFrom(const LoweringOptions &other) {
     deterministic = other.deterministic.getValue();
     debug = other.debug.getValue();
     boundsCheck = other.boundsCheck.getValue();
@@ -93,13 +89,12 @@ struct ToLLVMOptions : PassPipelineOptions<ToLLVMOptions> {
     contract = other.contract.getValue();
     optLevel = other.optLevel.getValue();
     skip = other.skip.getValue();
-    return *this;
   }
 
   Option<bool> deterministic{
       *this, "deterministic",
       llvm::cl::desc("Make results bit-identical from run to run and over "
-                     "numbers of threads"),
+                     "numbers of threads, or sizes of blocks on a GPU"),
       llvm::cl::init(false)};
   Option<bool> debug{
       *this, "debug",
@@ -128,6 +123,16 @@ struct ToLLVMOptions : PassPipelineOptions<ToLLVMOptions> {
                        llvm::cl::init(SkipSet::all())};
 };
 
+/// How kernels are lowered for the CPU.
+struct ToLLVMOptions : PassPipelineOptions<ToLLVMOptions>, LoweringOptions {
+  ToLLVMOptions() = default;
+  ToLLVMOptions(const ToLLVMOptions &other) { copyFrom(other); }
+  ToLLVMOptions &operator=(const ToLLVMOptions &other) {
+    copyFrom(other);
+    return *this;
+  }
+};
+
 /// Lowers a module of trees, fields, kernels and host functions to the LLVM
 /// dialect. Each kernel and each host function becomes
 /// `i32 @name(TaiFrame *)`; see tai/Runtime/Abi.h. Anchored on the module.
@@ -137,50 +142,13 @@ void buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options);
 void registerToLLVMPipeline();
 
 /// How kernels are lowered for a GPU.
-struct ToNVVMOptions : PassPipelineOptions<ToNVVMOptions> {
+struct ToNVVMOptions : PassPipelineOptions<ToNVVMOptions>, LoweringOptions {
   ToNVVMOptions() = default;
-  // Options are bound to their parser and cannot be moved: copy the values.
-  ToNVVMOptions(const ToNVVMOptions &other) : PassPipelineOptions() {
-    deterministic = other.deterministic.getValue();
-    debug = other.debug.getValue();
-    boundsCheck = other.boundsCheck.getValue();
-    fastMath = other.fastMath.getValue();
-    contract = other.contract.getValue();
-    optLevel = other.optLevel.getValue();
-    skip = other.skip.getValue();
+  ToNVVMOptions(const ToNVVMOptions &other) {
+    copyFrom(other);
     emulated = other.emulated.getValue();
   }
 
-  Option<bool> deterministic{
-      *this, "deterministic",
-      llvm::cl::desc("Make results bit-identical from run to run and over "
-                     "sizes of blocks"),
-      llvm::cl::init(false)};
-  Option<bool> debug{
-      *this, "debug",
-      llvm::cl::desc("Check tai.assert, and every index (see bounds-check)"),
-      llvm::cl::init(false)};
-  Option<bool> boundsCheck{
-      *this, "bounds-check",
-      llvm::cl::desc("Report indices that lie outside their field or array"),
-      llvm::cl::init(false)};
-  Option<bool> fastMath{
-      *this, "fast-math",
-      llvm::cl::desc("Let float operations be reordered and approximated; "
-                     "infinities and NaN keep their meaning"),
-      llvm::cl::init(false)};
-  Option<bool> contract{
-      *this, "contract",
-      llvm::cl::desc("Let a product and a sum be rounded once"),
-      llvm::cl::init(true)};
-  Option<unsigned> optLevel{
-      *this, "opt-level",
-      llvm::cl::desc("Effort, 0 to 3; 0 leaves out what only makes code fast"),
-      llvm::cl::init(3)};
-  Option<SkipSet> skip{*this, "skip",
-                       llvm::cl::desc("What to leave out where it is not "
-                                      "needed: all, none, or names"),
-                       llvm::cl::init(SkipSet::all())};
   Option<bool> emulated{
       *this, "emulated",
       llvm::cl::desc("Make device functions that the CPU can run, for tests "

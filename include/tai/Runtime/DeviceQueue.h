@@ -97,7 +97,6 @@ private:
   class Program;
 
   Status flush();
-  Status runSteps(const Sequence &sequence);
   Program *findProgram(Sequence &&sequence, bool &same);
 
   std::unique_ptr<Device> device;

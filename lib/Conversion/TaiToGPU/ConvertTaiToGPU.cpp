@@ -296,14 +296,8 @@ struct ConvertTaiToGPU : tai::impl::ConvertTaiToGPUBase<ConvertTaiToGPU> {
       if (failed(KernelOffload(kernel, lowering).run()))
         return signalPassFailure();
     declareCallees(module, kernels);
-    for (auto function :
-         llvm::make_early_inc_range(module.getOps<func::FuncOp>()))
-      if (failed(lowerHostFunction(function, host)))
-        return signalPassFailure();
-    // Storage is the runtime's from here on.
-    for (Operation &op : llvm::make_early_inc_range(*module.getBody()))
-      if (isa<FieldOp, TreeOp>(op))
-        op.erase();
+    if (failed(finishModule(host)))
+      return signalPassFailure();
   }
 };
 } // namespace

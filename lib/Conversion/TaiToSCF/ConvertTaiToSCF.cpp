@@ -105,6 +105,19 @@ LogicalResult tai::lowerKernel(KernelOp kernel, ModuleLowering &lowering) {
   return success();
 }
 
+LogicalResult tai::finishModule(ModuleLowering &lowering) {
+  ModuleOp module = lowering.module;
+  for (auto function :
+       llvm::make_early_inc_range(module.getOps<func::FuncOp>()))
+    if (failed(lowerHostFunction(function, lowering)))
+      return failure();
+  // Storage is the runtime's from here on.
+  for (Operation &op : llvm::make_early_inc_range(*module.getBody()))
+    if (isa<FieldOp, TreeOp>(op))
+      op.erase();
+  return success();
+}
+
 std::string tai::getEntryPointName(StringRef name) {
   llvm::TargetLibraryInfoImpl library{llvm::Triple("x86_64-unknown-linux-gnu")};
   llvm::LibFunc known;
@@ -122,14 +135,8 @@ struct ConvertTaiToSCF : tai::impl::ConvertTaiToSCFBase<ConvertTaiToSCF> {
     for (auto kernel : llvm::make_early_inc_range(module.getOps<KernelOp>()))
       if (failed(lowerKernel(kernel, lowering)))
         return signalPassFailure();
-    for (auto function :
-         llvm::make_early_inc_range(module.getOps<func::FuncOp>()))
-      if (failed(lowerHostFunction(function, lowering)))
-        return signalPassFailure();
-    // Storage is the runtime's from here on.
-    for (Operation &op : llvm::make_early_inc_range(*module.getBody()))
-      if (isa<FieldOp, TreeOp>(op))
-        op.erase();
+    if (failed(finishModule(lowering)))
+      return signalPassFailure();
   }
 };
 } // namespace

@@ -84,6 +84,9 @@ void emitResults(ValueRange values, Location loc, Value frame,
 LogicalResult lowerKernel(KernelOp kernel, ModuleLowering &lowering);
 LogicalResult lowerHostFunction(func::FuncOp function,
                                 ModuleLowering &lowering);
+/// Lowers the host functions of a module whose kernels have been lowered, and
+/// removes its trees and fields.
+LogicalResult finishModule(ModuleLowering &lowering);
 LogicalResult lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
                                ModuleLowering &lowering,
                                SmallVectorImpl<LLVM::LLVMFuncOp> &functions);
