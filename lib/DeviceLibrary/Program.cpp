@@ -137,9 +137,16 @@ __attribute__((
 
 template <typename Barrier>
 static inline void runProgram(const uint64_t *table, uint64_t steps,
-                              uint64_t stride, Barrier barrier) {
+                              uint64_t stride, const uint32_t *header,
+                              Barrier barrier) {
   auto thread = static_cast<uint64_t>(tai_dev_thread_id());
   auto threads = static_cast<uint64_t>(tai_dev_block_dim());
+  // Where the clock after each step goes, if anybody wants to know.
+  auto *clocks = *reinterpret_cast<uint64_t *const *>(
+      reinterpret_cast<const char *>(header) + TAI_PROGRAM_CLOCKS);
+  bool isTimed = clocks && globalThread() == 0;
+  if (isTimed)
+    clocks[0] = __nvvm_read_ptx_sreg_clock64();
   for (uint64_t i = thread; i < stride; i += threads)
     rows[0][i] = table[i];
   __syncthreads();
@@ -161,17 +168,19 @@ static inline void runProgram(const uint64_t *table, uint64_t steps,
       __syncthreads();
     else
       barrier();
+    if (isTimed)
+      clocks[step + 1] = __nvvm_read_ptx_sreg_clock64();
   }
 }
 
 void tai_dev_program_block(const uint64_t *table, uint64_t steps,
-                           uint64_t stride, uint32_t *) {
-  runProgram(table, steps, stride, [] { __syncthreads(); });
+                           uint64_t stride, uint32_t *header) {
+  runProgram(table, steps, stride, header, [] { __syncthreads(); });
 }
 
 void tai_dev_program_cluster(const uint64_t *table, uint64_t steps,
-                             uint64_t stride, uint32_t *) {
-  runProgram(table, steps, stride, [] {
+                             uint64_t stride, uint32_t *header) {
+  runProgram(table, steps, stride, header, [] {
     asm volatile("barrier.cluster.arrive.release.aligned;\n\t"
                  "barrier.cluster.wait.acquire.aligned;" ::
                      : "memory");
@@ -179,10 +188,10 @@ void tai_dev_program_cluster(const uint64_t *table, uint64_t steps,
 }
 
 void tai_dev_program_grid(const uint64_t *table, uint64_t steps,
-                          uint64_t stride, uint32_t *barrier) {
+                          uint64_t stride, uint32_t *header) {
   auto blocks = static_cast<uint32_t>(tai_dev_grid_dim());
-  runProgram(table, steps, stride,
-             [=] { tai_dev_grid_barrier(barrier, blocks); });
+  runProgram(table, steps, stride, header,
+             [=] { tai_dev_grid_barrier(header, blocks); });
 }
 
 #else // the CPU, where a program is one thread

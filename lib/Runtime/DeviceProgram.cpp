@@ -17,6 +17,8 @@
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
+#include <cstdlib>
+#include <map>
 #include <unordered_map>
 
 using namespace mlir::tai::runtime;
@@ -71,9 +73,12 @@ Status DeviceQueue::Sequence::run(Device &device) const {
 //===----------------------------------------------------------------------===//
 
 DeviceQueue::Program::~Program() {
-  for (Way &way : ways)
+  for (Way &way : ways) {
     if (way.table)
       device.free(way.table);
+    if (way.clocks)
+      device.free(way.clocks);
+  }
 }
 
 static const char *nameOf(ProgramMode mode) {
@@ -258,8 +263,15 @@ bool DeviceQueue::Program::areApart(const Sequence &sequence, const Step &a,
          (endA <= beginB || endB <= beginA);
 }
 
-/// The barrier of a program stands in front of its table.
-static constexpr int64_t barrierBytes = 256;
+/// Its header stands in front of the table of a program.
+static constexpr int64_t headerBytes = TAI_PROGRAM_HEADER;
+
+/// Whether the steps of programs are timed, for tape.explain(). Reading the
+/// clock costs some nanoseconds a step, so it must be asked for.
+static bool areStepsTimed() {
+  const char *given = std::getenv("TAI_PROGRAM_CLOCKS");
+  return given && *given && *given != '0';
+}
 
 /// Makes what stands for the sequence on the device hold its present slots.
 Status DeviceQueue::Program::update(Way &way) {
@@ -296,14 +308,23 @@ Status DeviceQueue::Program::update(Way &way) {
   auto bytes = static_cast<int64_t>(table.size() * sizeof(uint64_t));
   Status status;
   if (!way.table) {
-    status = device.allocate(barrierBytes + bytes, way.table);
+    status = device.allocate(headerBytes + bytes, way.table);
     uint64_t zero = 0;
     if (status)
-      status = device.fill(way.table, &zero, 8, barrierBytes / 8);
+      status = device.fill(way.table, &zero, 8, headerBytes / 8);
+    if (status && areStepsTimed()) {
+      auto words = static_cast<int64_t>(sequence.steps.size() + 1);
+      status = device.allocate(words * 8, way.clocks);
+      if (status)
+        status = device.fill(way.clocks, &zero, 8, words);
+      if (status)
+        status =
+            device.copyIn(way.table + TAI_PROGRAM_CLOCKS, &way.clocks, 8);
+    }
   }
   way.stride = stride;
   if (status)
-    status = device.copyIn(way.table + barrierBytes, table.data(), bytes);
+    status = device.copyIn(way.table + headerBytes, table.data(), bytes);
   return status;
 }
 
@@ -321,7 +342,7 @@ Status DeviceQueue::Program::launch(Way &way) {
     return status;
   if (way.mode == ProgramMode::Graph)
     return device.run(*way.graph);
-  uint64_t slots[] = {way.table + barrierBytes, sequence.steps.size(),
+  uint64_t slots[] = {way.table + headerBytes, sequence.steps.size(),
                       static_cast<uint64_t>(way.stride), way.table};
   return device.launch(*way.function, way.shape, slots, 4);
 }
@@ -403,6 +424,41 @@ Status DeviceQueue::Program::run(bool same, ProgramMode mode,
   return sequence.run(device);
 }
 
+/// Where the time of the last run went: clocks of one multiprocessor by the
+/// function of a step.
+std::string DeviceQueue::Program::explainClocks(const Way &way) const {
+  std::vector<uint64_t> clocks(sequence.steps.size() + 1);
+  if (!device.copyOut(clocks.data(), way.clocks,
+                      static_cast<int64_t>(clocks.size() * 8)))
+    return "";
+  struct Total {
+    uint64_t clocks = 0, steps = 0;
+  };
+  std::map<std::string, Total> totals;
+  for (size_t i = 0; i < sequence.steps.size(); ++i) {
+    const Step &step = sequence.steps[i];
+    Total &total = totals[step.function ? step.function->name
+                          : step.kind == Step::Kind::Fill ||
+                                  step.kind == Step::Kind::FillRows
+                              ? "fill"
+                              : "copy"];
+    total.clocks += clocks[i + 1] - clocks[i];
+    ++total.steps;
+  }
+  uint64_t all = std::max<uint64_t>(clocks.back() - clocks.front(), 1);
+  std::string text;
+  for (const auto &[name, total] : totals) {
+    char line[256];
+    std::snprintf(line, sizeof(line),
+                  "\n  %5.1f %% %7llu steps %9.0f clocks each: %s",
+                  100.0 * double(total.clocks) / double(all),
+                  static_cast<unsigned long long>(total.steps),
+                  double(total.clocks) / double(total.steps), name.c_str());
+    text += line;
+  }
+  return text;
+}
+
 std::string DeviceQueue::Program::explain() const {
   std::string text = std::to_string(sequence.steps.size()) + " steps, run " +
                      std::to_string(runs) + " times, " +
@@ -429,6 +485,8 @@ std::string DeviceQueue::Program::explain() const {
     }
     if (chosen && i == current)
       text += " (chosen)";
+    if (way.clocks)
+      text += explainClocks(way);
   }
   return text;
 }

@@ -135,7 +135,8 @@ private:
     std::unique_ptr<DeviceModule> module;
     DeviceFunction *function = nullptr;
     DevicePtr table = 0;
-    int64_t tableBytes = 0;
+    /// One number for each step and one more, or none.
+    DevicePtr clocks = 0;
     int stride = 0;
     LaunchShape shape;
     bool isCurrent = false;
@@ -147,6 +148,7 @@ private:
   Status makeCurrent(Way &way);
   Status launch(Way &way);
   Status runTimed(Way &way);
+  std::string explainClocks(const Way &way) const;
   double predict(ProgramMode mode, unsigned blocks, unsigned threads) const;
   unsigned getWidth() const;
   static uint64_t partOf(Step::Kind kind);

@@ -83,13 +83,19 @@ void tai_dev_grid_barrier(uint32_t *state, uint32_t blocks);
 /// The most words of a row.
 #define TAI_PROGRAM_STRIDE 128
 
-/// `barrier` is a word as tai_dev_grid_barrier wants it.
+/// In the header of a program, at this byte: the address of one more number
+/// than there are steps, for the first thread's clock before the first step and
+/// after each; null for none.
+#define TAI_PROGRAM_CLOCKS 128
+#define TAI_PROGRAM_HEADER 256
+
+/// `header` starts with a word as tai_dev_grid_barrier wants it.
 void tai_dev_program_block(const uint64_t *table, uint64_t steps,
-                           uint64_t stride, uint32_t *barrier);
+                           uint64_t stride, uint32_t *header);
 void tai_dev_program_cluster(const uint64_t *table, uint64_t steps,
-                             uint64_t stride, uint32_t *barrier);
+                             uint64_t stride, uint32_t *header);
 void tai_dev_program_grid(const uint64_t *table, uint64_t steps,
-                          uint64_t stride, uint32_t *barrier);
+                          uint64_t stride, uint32_t *header);
 
 //===----------------------------------------------------------------------===//
 // What the host's build of the library asks of the emulated device
