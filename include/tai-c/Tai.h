@@ -408,15 +408,51 @@ TAI_EXPORT void taiTapeDestroy(TaiTape tape);
 // Profiler
 //===----------------------------------------------------------------------===//
 
+/// What a row counts: a kernel that ran on the CPU, a loop or another part of a
+/// kernel on a device, or what a device did with memory.
+typedef enum TaiProfileKind {
+  TAI_PROFILE_HOST = 0,
+  TAI_PROFILE_DEVICE = 1,
+  TAI_PROFILE_MEMORY = 2
+} TaiProfileKind;
+
 typedef struct TaiProfileRow {
   const char *kernel;
   int64_t launches;
   double total_ms, min_ms, max_ms;
+  const char *place; // "file:line:column", or ""
+  TaiProfileKind kind;
+  int64_t bytes; // that a launch touches, once each; -1 for not known
+  // Of device code; -1 for not known.
+  int32_t registers;        // of a thread
+  int32_t local_bytes;      // of a thread, for what found no room in registers
+  int32_t shared_bytes;     // of a block
+  double occupancy;         // 0 to 1
+  uint32_t blocks, threads; // of the last launch; threads of a block
 } TaiProfileRow;
-/// Rows of kernel time since the last clear; owned by the context.
+/// Rows of time since the last clear; owned by the context, valid until the
+/// next call. Waits for the device.
 TAI_EXPORT TaiStatus taiProfilerRows(TaiContext context,
                                      const TaiProfileRow **rows,
                                      int64_t *count);
+
+/// One launch or copy. On a device it has two: when the host queued it, and
+/// when the device did it.
+typedef struct TaiTraceEvent {
+  const char *name;
+  const char *place;
+  TaiProfileKind kind;
+  int32_t on_device;
+  int32_t thread;                          // of the host, numbered as they come
+  double start_us, duration_us, queued_us; // since the context was made
+  uint32_t blocks, threads;
+} TaiTraceEvent;
+/// Events since the last clear, in the order of their start; owned by the
+/// context, valid until the next call. `lost`: those for which there was no
+/// room. Waits for the device.
+TAI_EXPORT TaiStatus taiProfilerTrace(TaiContext context,
+                                      const TaiTraceEvent **events,
+                                      int64_t *count, int64_t *lost);
 TAI_EXPORT TaiStatus taiProfilerClear(TaiContext context);
 
 /// One counter of one skip: of what the system leaves out, or does, because the

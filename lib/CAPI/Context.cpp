@@ -250,25 +250,3 @@ TaiStatus taiContextClearGradients(TaiContext context) {
   context->session.getRuntime().clearGradients();
   return TAI_OK;
 }
-
-//===----------------------------------------------------------------------===//
-// Profiler
-//===----------------------------------------------------------------------===//
-
-TaiStatus taiProfilerRows(TaiContext context, const TaiProfileRow **rows,
-                          int64_t *count) {
-  context->profile = context->session.getRuntime().profile();
-  context->profileRows.clear();
-  for (const runtime::ProfileRow &row : context->profile)
-    context->profileRows.push_back(
-        {row.kernel.c_str(), row.times.launches, row.times.totalNs * 1e-6,
-         row.times.minNs * 1e-6, row.times.maxNs * 1e-6});
-  *rows = context->profileRows.data();
-  *count = context->profileRows.size();
-  return TAI_OK;
-}
-
-TaiStatus taiProfilerClear(TaiContext context) {
-  context->session.getRuntime().clearProfile();
-  return TAI_OK;
-}

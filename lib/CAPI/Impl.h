@@ -19,6 +19,7 @@ struct TaiContextImpl {
   std::vector<std::unique_ptr<TaiTapeImpl>> tapes;
   std::vector<mlir::tai::runtime::ProfileRow> profile;
   std::vector<TaiProfileRow> profileRows;
+  std::vector<TaiTraceEvent> traceEvents;
   std::vector<TaiSkipRow> skipRows;
 
   /// The status of a call of the session.

@@ -6,6 +6,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/CompiledObject.h"
+#include "llvm/ADT/SmallVector.h"
+#include "llvm/ADT/StringExtras.h"
 #include "llvm/Support/Endian.h"
 
 using namespace llvm;
@@ -13,9 +15,9 @@ using namespace mlir::tai;
 
 // The magic, the symbol, the code, what the adjoint needs, the counts, the loop
 // levels, the image of the device (its kind and the number of its functions, or
-// nothing; its bytes and the functions' names), and the trees up to the end;
-// each string as its length in eight bytes and its bytes.
-static constexpr StringLiteral magic = "TAIOBJ5\n";
+// nothing; its bytes and the functions' names and places), and the trees up to
+// the end; each string as its length in eight bytes and its bytes.
+static constexpr StringLiteral magic = "TAIOBJ6\n";
 
 static void append(std::string &bytes, StringRef string) {
   char length[8];
@@ -66,6 +68,7 @@ static void append(std::string &bytes,
   append(bytes, image->bitcode ? StringRef(*image->bitcode) : StringRef());
   for (const std::string &function : image->functions)
     append(bytes, StringRef(function));
+  append(bytes, StringRef(llvm::join(image->places, "\n")));
 }
 
 /// False where there is something else.
@@ -95,6 +98,14 @@ static bool consumeImage(StringRef &bytes,
       return false;
     image->functions.push_back(function->str());
   }
+  std::optional<StringRef> places = consume(bytes);
+  if (!places)
+    return false;
+  SmallVector<StringRef> lines;
+  places->split(lines, '\n', /*MaxSplit=*/-1, /*KeepEmpty=*/true);
+  if (lines.size() == image->functions.size())
+    for (StringRef line : lines)
+      image->places.push_back(line.str());
   return true;
 }
 

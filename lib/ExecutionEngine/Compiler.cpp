@@ -523,6 +523,9 @@ LogicalResult Compiler::compileDeviceCode(
     if (!made)
       return failInLLVM(made.takeError(), failure);
     image = std::move(*made);
+    // They are not part of the key then.
+    if (!options.places)
+      image->places.clear();
   }
   deviceModule->erase();
   return success();
@@ -578,7 +581,7 @@ Compiler::compileObject(CompileRequest request, const CompileOptions &options,
 
 std::string Compiler::getKey(CompileRequest request,
                              const CompileOptions &options) {
-  // Locations are in the code only where checks report them.
+  // Locations are in the code only where checks or a profiler report them.
   std::string text;
   llvm::raw_string_ostream stream(text);
   const HostCpu &host = HostCpu::get();
@@ -590,7 +593,7 @@ std::string Compiler::getKey(CompileRequest request,
   OpPrintingFlags flags;
   // Assertions and checks put the place they stand at into the code.
   bool hasPlaces =
-      options.debug ||
+      options.debug || (options.device && options.places) ||
       request.module.walk([](CheckCloseOp) { return WalkResult::interrupt(); })
           .wasInterrupted();
   flags.enableDebugInfo(hasPlaces);

@@ -20,6 +20,7 @@
 #include "mlir/Target/LLVMIR/Dialect/LLVMIR/LLVMToLLVMIRTranslation.h"
 #include "mlir/Target/LLVMIR/Dialect/NVVM/NVVMToLLVMIRTranslation.h"
 #include "mlir/Target/LLVMIR/Export.h"
+#include "tai/ExecutionEngine/Diagnostics.h"
 #include "llvm/ADT/StringSet.h"
 #include "llvm/Bitcode/BitcodeReader.h"
 #include "llvm/Bitcode/BitcodeWriter.h"
@@ -353,8 +354,10 @@ Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
   for (Operation &op : deviceModule->getRegion(0).front())
     if (auto function = dyn_cast<LLVM::LLVMFuncOp>(op))
       if (function->hasAttr(gpu::GPUDialect::getKernelFuncAttrName()) ||
-          function->hasAttr(NVVM::NVVMDialect::getKernelFuncAttrName()))
+          function->hasAttr(NVVM::NVVMDialect::getKernelFuncAttrName())) {
         code.functions.push_back(function.getName().str());
+        code.places.push_back(describePlace(function.getLoc()));
+      }
   code.context = std::make_unique<llvm::LLVMContext>();
   code.module = translateModuleToLLVMIR(deviceModule, *code.context, "kernels",
                                         /*disableVerification=*/true);
@@ -505,6 +508,7 @@ Expected<runtime::DeviceImage> DeviceCompiler::emit(DeviceCode &code) {
   runtime::DeviceImage image;
   image.kind = target.kind;
   image.functions = code.functions;
+  image.places = code.places;
   image.bitcode = getBitcode(*code.module);
   if (!isCuda()) {
     auto object = objects->emitObject(*code.module);

@@ -7,6 +7,7 @@
 
 #include "tai/ExecutionEngine/Diagnostics.h"
 #include "mlir/IR/BuiltinAttributes.h"
+#include "llvm/Support/FormatVariadic.h"
 #include "llvm/Support/LineIterator.h"
 #include "llvm/Support/MemoryBuffer.h"
 #include "llvm/Support/Threading.h"
@@ -41,6 +42,14 @@ FileLineColLoc mlir::tai::findFileLocation(Location location) {
     return found ? WalkResult::interrupt() : WalkResult::advance();
   });
   return found;
+}
+
+std::string mlir::tai::describePlace(Location location) {
+  FileLineColLoc place = findFileLocation(location);
+  return place ? llvm::formatv("{0}:{1}:{2}", place.getFilename().getValue(),
+                               place.getLine(), place.getColumn())
+                     .str()
+               : std::string();
 }
 
 /// Appends the line of the source and a caret below the column.

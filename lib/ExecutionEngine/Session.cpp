@@ -239,7 +239,10 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
   if (name == "fast_math")
     return setBool([&](bool on) { options.codegen.fastMath = on; });
   if (name == "profiler")
-    return setBool([&](bool on) { rt->setProfiler(on); });
+    return setBool([&](bool on) {
+      rt->setProfiler(on);
+      options.places = rt->wantsPlaces();
+    });
   if (name == "forward_mode")
     return setBool([&](bool on) { rt->setForward(on); });
   if (name == "compile_profile")

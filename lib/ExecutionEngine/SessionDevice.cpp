@@ -61,6 +61,7 @@ LogicalResult Session::setArch(StringRef name) {
   if (const runtime::Device *used = rt->getDevice()) {
     options.device = used->kind();
     options.deviceTarget = used->target();
+    options.places = rt->wantsPlaces();
   }
   if (runtime::DeviceQueue *queue = rt->getDeviceQueue())
     queue->setProgramMaker(

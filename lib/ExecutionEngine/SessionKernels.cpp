@@ -70,6 +70,7 @@ Session::makeKernel(OwningOpRef<ModuleOp> module, StringRef name) {
       std::make_shared<KernelCode>(*compiler, background, name, options);
   runtime::KernelInfo info;
   info.name = code->name;
+  info.place = code->place = describePlace(op.getLoc());
   info.argSlots = code->argSlots = countSlots(op.getArgumentTypes());
   info.resultSlots = countSlots(op.getResultTypes());
   info.callerAdjoints = std::move(*adjoints);
@@ -367,6 +368,7 @@ static runtime::KernelInfo getHelperInfo(const KernelCode &code,
                                          StringRef suffix) {
   runtime::KernelInfo info;
   info.name = code.name + suffix.str();
+  info.place = code.place;
   info.argSlots = code.argSlots;
   info.trees = findTrees(code, compiled.trees);
   info.loopLevels = getLoopLevels(compiled);

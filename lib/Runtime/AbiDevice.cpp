@@ -32,7 +32,7 @@ Status Runtime::useDevice(std::unique_ptr<Device> opened, int64_t memoryLimit) {
   freeLaunches.clear();
   spareLaunch.store(nullptr, std::memory_order_relaxed);
   device = opened ? std::make_shared<DeviceContext>(*this, std::move(opened),
-                                                    memoryLimit)
+                                                    memoryLimit, profiler)
                   : nullptr;
   return Status::success();
 }
@@ -116,6 +116,7 @@ Status Runtime::loadOnDevice(Kernel &kernel, uint64_t epoch) {
     }
     code = std::move(loaded);
   }
+  profiler->noteBytes(code->image->functions, kernel.touchedBytes());
   code->mirrors.clear();
   code->changed.clear();
   code->bases.clear();

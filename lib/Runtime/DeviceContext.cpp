@@ -18,9 +18,15 @@ static constexpr int64_t outputBytes = 1 << 20;
 static constexpr int64_t stackBytes = 256 << 20;
 
 DeviceContext::DeviceContext(Runtime &runtime, std::unique_ptr<Device> device,
-                             int64_t limit)
-    : runtime(runtime),
-      device(std::make_unique<DeviceQueue>(std::move(device))), limit(limit) {}
+                             int64_t limit, std::shared_ptr<Profiler> profiler)
+    : runtime(runtime), limit(limit) {
+  bool profiles = profiler->isOn();
+  auto made =
+      std::make_unique<WatchedDevice>(std::move(device), std::move(profiler));
+  watched = made.get();
+  this->device = std::make_unique<DeviceQueue>(std::move(made));
+  this->device->setOneByOne(profiles);
+}
 
 DeviceContext::~DeviceContext() {
   if (stateMemory)

@@ -13,6 +13,7 @@
 #ifndef TAI_LIB_RUNTIME_DEVICECONTEXT_H
 #define TAI_LIB_RUNTIME_DEVICECONTEXT_H
 
+#include "DeviceWatch.h"
 #include "tai/Runtime/DeviceQueue.h"
 #include <atomic>
 #include <map>
@@ -26,14 +27,16 @@ class Runtime;
 class DeviceContext {
 public:
   /// `limit` as Options::memoryLimit, for the memory of the device.
-  DeviceContext(Runtime &runtime, std::unique_ptr<Device> device,
-                int64_t limit);
+  DeviceContext(Runtime &runtime, std::unique_ptr<Device> device, int64_t limit,
+                std::shared_ptr<Profiler> profiler);
   ~DeviceContext();
   DeviceContext(const DeviceContext &) = delete;
   DeviceContext &operator=(const DeviceContext &) = delete;
 
   Device &get() const { return *device; }
   DeviceQueue &queue() const { return *device; }
+  /// What lies between the queue and the device.
+  WatchedDevice &watch() const { return *watched; }
 
   /// Memory for a tree, or for another purpose; where there is none, the
   /// failure says who has it. Any thread.
@@ -71,6 +74,7 @@ private:
   Status takeNoted();
 
   Runtime &runtime;
+  WatchedDevice *watched;
   std::unique_ptr<DeviceQueue> device;
   int64_t limit;
   std::mutex mutex;

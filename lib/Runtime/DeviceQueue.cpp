@@ -61,6 +61,10 @@ unsigned DeviceQueue::residentBlocks(const DeviceFunction &function,
 // Work
 //===----------------------------------------------------------------------===//
 
+DeviceFunctionFacts DeviceQueue::facts(const DeviceFunction &function) const {
+  return device->facts(*static_cast<const Function &>(function).function);
+}
+
 Status DeviceQueue::launch(DeviceFunction &function, const LaunchShape &shape,
                            const uint64_t *slots, int count) {
   auto &wrapped = static_cast<Function &>(function);
@@ -123,6 +127,11 @@ Status DeviceQueue::copyOut(void *to, DevicePtr from, int64_t bytes) {
   return status ? device->copyOut(to, from, bytes) : std::move(status);
 }
 
+Status DeviceQueue::record(std::unique_ptr<DeviceEvent> &event) {
+  Status status = flush();
+  return status ? device->record(event) : std::move(status);
+}
+
 Status DeviceQueue::synchronize() {
   Status status = flush();
   return status ? device->synchronize() : std::move(status);
@@ -180,7 +189,8 @@ Status DeviceQueue::flush() {
   Status status;
   // Less than this is not worth a graph.
   constexpr size_t fewest = 4;
-  if (sequence.steps.size() < fewest || mode == ProgramMode::Launches) {
+  if (sequence.steps.size() < fewest || mode == ProgramMode::Launches ||
+      oneByOne) {
     status = sequence.run(*device);
   } else {
     bool same = false;
@@ -200,7 +210,7 @@ std::string DeviceQueue::explain() const {
 }
 
 //===----------------------------------------------------------------------===//
-// Devices without graphs
+// Devices without graphs or events
 //===----------------------------------------------------------------------===//
 
 static Status hasNoGraphs() {
@@ -212,3 +222,13 @@ Status Device::endCapture(std::unique_ptr<DeviceGraph> &) {
   return hasNoGraphs();
 }
 Status Device::run(DeviceGraph &) { return hasNoGraphs(); }
+
+static Status hasNoEvents() {
+  return Status::failure(StatusCode::Internal, "this device has no events");
+}
+
+Status Device::record(std::unique_ptr<DeviceEvent> &) { return hasNoEvents(); }
+Status Device::wait(DeviceEvent &) { return hasNoEvents(); }
+Status Device::elapsed(const DeviceEvent &, const DeviceEvent &, int64_t &) {
+  return hasNoEvents();
+}

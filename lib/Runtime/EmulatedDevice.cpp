@@ -16,6 +16,7 @@
 #include "Launch.h"
 #include "tai/Runtime/Device.h"
 #include <algorithm>
+#include <chrono>
 #include <cstring>
 #include <map>
 #include <mutex>
@@ -44,6 +45,11 @@ using ThreadFunction = void (*)(const uint64_t *slots);
 
 struct EmulatedFunction : DeviceFunction {
   ThreadFunction run = nullptr;
+};
+
+/// Work is done when it has been queued.
+struct EmulatedEvent : DeviceEvent {
+  std::chrono::steady_clock::time_point time;
 };
 
 struct EmulatedModule : DeviceModule {
@@ -238,6 +244,23 @@ public:
       run(slots);
     }
     place = before;
+    return Status::success();
+  }
+
+  Status record(std::unique_ptr<DeviceEvent> &event) override {
+    if (!event)
+      event = std::make_unique<EmulatedEvent>();
+    static_cast<EmulatedEvent &>(*event).time =
+        std::chrono::steady_clock::now();
+    return Status::success();
+  }
+  Status wait(DeviceEvent &) override { return Status::success(); }
+  Status elapsed(const DeviceEvent &from, const DeviceEvent &to,
+                 int64_t &ns) override {
+    ns = std::chrono::duration_cast<std::chrono::nanoseconds>(
+             static_cast<const EmulatedEvent &>(to).time -
+             static_cast<const EmulatedEvent &>(from).time)
+             .count();
     return Status::success();
   }
 

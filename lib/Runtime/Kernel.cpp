@@ -131,6 +131,31 @@ void Kernel::setLoopLevels(std::vector<LoopLevel> levels) {
   boundEpoch.store(0, std::memory_order_release);
 }
 
+int64_t Kernel::touchedBytes() const {
+  struct Touched {
+    int64_t read = 0, written = 0;
+  };
+  std::unordered_map<const Field *, Touched> fields;
+  for (const Access &access : info.summary) {
+    const Field &field = *access.field;
+    if (field.sparseNode())
+      return -1;
+    int64_t bytes = field.hostBytes();
+    if (access.fixed)
+      bytes /= std::max<int64_t>(
+          field.shape()[static_cast<size_t>(access.fixed->dimension)], 1);
+    Touched &touched = fields[&field];
+    if (access.kind != AccessKind::Write)
+      touched.read = std::max(touched.read, bytes);
+    if (access.kind != AccessKind::Read)
+      touched.written = std::max(touched.written, bytes);
+  }
+  int64_t sum = 0;
+  for (const auto &[field, touched] : fields)
+    sum += touched.read + touched.written;
+  return fields.empty() ? -1 : sum;
+}
+
 void Kernel::setDeviceImage(std::shared_ptr<const DeviceImage> image) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
   info.image = std::move(image);

@@ -475,27 +475,6 @@ Status Runtime::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
   return Status::success();
 }
 
-int32_t Runtime::runTimed(Launch &launch, Kernel &kernel,
-                          TaiKernelFn function) {
-  // On a device, the times are those of a program that waits for each kernel.
-  if (device)
-    noteFailure(device->get().synchronize());
-  auto start = std::chrono::steady_clock::now();
-  int32_t code = function(&launch);
-  if (device)
-    noteFailure(device->get().synchronize());
-  int64_t ns = std::chrono::duration_cast<std::chrono::nanoseconds>(
-                   std::chrono::steady_clock::now() - start)
-                   .count();
-  std::lock_guard<std::mutex> lock(profileMutex);
-  KernelTimes &times = profiled[kernel.name()];
-  times.minNs = times.launches ? std::min(times.minNs, ns) : ns;
-  times.maxNs = std::max(times.maxNs, ns);
-  times.totalNs += ns;
-  ++times.launches;
-  return code;
-}
-
 static Status wrongSlots(const Kernel &kernel, int64_t wanted, int64_t slots) {
   std::string message = "kernel '" + kernel.name() + "' takes " +
                         std::to_string(wanted) + " argument slots, but got " +
@@ -717,7 +696,7 @@ int64_t Runtime::partition(int64_t n, int64_t cost, bool reduces) {
 }
 
 //===----------------------------------------------------------------------===//
-// Print, profile, counters
+// Print, counters
 //===----------------------------------------------------------------------===//
 
 void Runtime::setPrintSink(Sink newSink) {
@@ -733,27 +712,6 @@ void Runtime::print(std::string_view line) {
   }
   std::fwrite(line.data(), 1, line.size(), stdout);
   std::fflush(stdout);
-}
-
-std::vector<ProfileRow> Runtime::profile() const {
-  std::vector<ProfileRow> rows;
-  {
-    std::lock_guard<std::mutex> lock(profileMutex);
-    for (const auto &[name, times] : profiled)
-      rows.push_back({name, times});
-  }
-  std::sort(rows.begin(), rows.end(),
-            [](const ProfileRow &a, const ProfileRow &b) {
-              return a.times.totalNs != b.times.totalNs
-                         ? a.times.totalNs > b.times.totalNs
-                         : a.kernel < b.kernel;
-            });
-  return rows;
-}
-
-void Runtime::clearProfile() {
-  std::lock_guard<std::mutex> lock(profileMutex);
-  profiled.clear();
 }
 
 Counters Runtime::counters() const {

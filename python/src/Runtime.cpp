@@ -519,11 +519,26 @@ void taipy::bindRuntime(py::module_ &module) {
              int64_t count = 0;
              c.check(taiProfilerRows(c.handle, &rows, &count));
              py::list result;
-             for (int64_t i = 0; i < count; ++i)
-               result.append(py::make_tuple(rows[i].kernel, rows[i].launches,
-                                            rows[i].total_ms, rows[i].min_ms,
-                                            rows[i].max_ms));
+             for (const TaiProfileRow *row = rows; row != rows + count; ++row)
+               result.append(py::make_tuple(
+                   row->kernel, row->launches, row->total_ms, row->min_ms,
+                   row->max_ms, row->place, int(row->kind), row->bytes,
+                   row->registers, row->local_bytes, row->shared_bytes,
+                   row->occupancy, row->blocks, row->threads));
              return result;
+           })
+      .def("trace",
+           [](Context &c) {
+             const TaiTraceEvent *events = nullptr;
+             int64_t count = 0, lost = 0;
+             c.check(taiProfilerTrace(c.handle, &events, &count, &lost));
+             py::list result;
+             for (const TaiTraceEvent *e = events; e != events + count; ++e)
+               result.append(py::make_tuple(
+                   e->name, e->place, int(e->kind), bool(e->on_device),
+                   e->thread, e->start_us, e->duration_us, e->queued_us,
+                   e->blocks, e->threads));
+             return py::make_tuple(result, lost);
            })
       .def("clear_profile",
            [](Context &c) { c.check(taiProfilerClear(c.handle)); })

@@ -1,11 +1,15 @@
 """`ti.profiler`: how long kernels run, and what was left out.
 
-Times need `ti.init(kernel_profiler=True)`; `skips` and `print_skips` do not.
+Times need `ti.init(kernel_profiler=True)`; `skips` and `print_skips` do not. On a GPU they are
+those of the GPU: nothing waits for a kernel while it is timed. See docs/gpu.md.
 """
 
 from __future__ import annotations
 
+import json
+import os
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from . import _state
@@ -15,44 +19,189 @@ from ._skips import print_skips as print_skips
 from ._skips import skips as skips
 from .errors import TaiRuntimeError
 
+_KINDS = ("host", "device", "memory")
+
 
 @dataclass
 class KernelStats:
-    """The times of one kernel, in milliseconds."""
+    """The times of one kernel, or of one of its loops on a GPU, in milliseconds.
+
+    Attributes:
+        kind: "host", "device", or "memory" for copies and fills that a GPU does.
+        place: `file:line:column`, or empty.
+        bytes: what a launch reads and writes if it touches each element of its fields once, or
+            of the part of them that a constant index says; None where that is not known: for
+            gradients, sparse fields, and loops of a kernel that has several.
+        registers, local_bytes: of a thread; shared_bytes: of a block. None where not known.
+        occupancy: of the threads that a GPU can hold, how many of this can be there, 0 to 1.
+        blocks, threads: of the last launch; threads of one block.
+    """
 
     name: str
     counter: int
     total: float
     min: float
     max: float
+    kind: str = "host"
+    place: str = ""
+    bytes: int | None = None
+    registers: int | None = None
+    local_bytes: int | None = None
+    shared_bytes: int | None = None
+    occupancy: float | None = None
+    blocks: int = 0
+    threads: int = 0
 
     @property
     def avg(self) -> float:
         return self.total / self.counter if self.counter else 0.0
 
+    @property
+    def gigabytes_per_second(self) -> float | None:
+        """`bytes` by the mean time."""
+        if self.bytes is None or not self.total:
+            return None
+        return self.bytes * self.counter / self.total * 1e-6
 
-def get_stats() -> list[KernelStats]:
-    """The statistics of all kernels since the last clear, longest first."""
-    if _state.program is None:
-        return []
+
+def _known(number: Any) -> Any:
+    return None if number < 0 else number
+
+
+def _context() -> Any:
     if not _state.options.kernel_profiler:
         raise TaiRuntimeError("the profiler is off", "turn it on: ti.init(kernel_profiler=True)")
-    rows = [KernelStats(*row) for row in _state.program.context.profile()]
+    return _state.program.context
+
+
+def get_stats(memory: bool = False) -> list[KernelStats]:
+    """The statistics of all kernels since the last clear, longest first; waits for the GPU.
+
+    Args:
+        memory: what a GPU did with memory, too.
+    """
+    if _state.program is None:
+        return []
+    rows = []
+    for name, counter, total, least, most, place, kind, *rest in _context().profile():
+        if memory or _KINDS[kind] != "memory":
+            known = [_known(number) for number in rest[:5]]
+            rows.append(
+                KernelStats(
+                    name, counter, total, least, most, _KINDS[kind], place, *known, *rest[5:]
+                )
+            )
     return sorted(rows, key=lambda row: -row.total)
 
 
-def print_kernel_profiler_info(mode: str = "count") -> None:
-    """Prints a table of the kernels and their times."""
-    rows = get_stats()
+def _line(place: str) -> str:
+    """`file:line` without folders."""
+    return os.path.basename(place.rpartition(":")[0])
+
+
+def _print_counts() -> None:
+    rows = get_stats(memory=True)
     total = sum(row.total for row in rows) or 1.0
-    print(
-        f"{'%':>7} {'total ms':>11} {'calls':>9} {'min ms':>9} {'avg ms':>9} {'max ms':>9}  kernel"
-    )
+    device = any(row.kind != "host" for row in rows)
+    title = f"{'%':>7} {'total ms':>11} {'calls':>9} {'min ms':>9} {'avg ms':>9} {'max ms':>9}"
+    title += f" {'GB/s':>8}"
+    if device:
+        title += f" {'regs':>5} {'local':>6} {'shared':>7} {'occup.':>7} {'blocks x threads':>17}"
+    print(title + "  kernel")
+
+    def show(number: Any, width: int, digits: str = "") -> str:
+        return f" {'' if number is None else format(number, digits):>{width}}"
+
     for row in rows:
-        print(
-            f"{100 * row.total / total:6.2f}% {row.total:11.3f} {row.counter:9d} "
-            f"{row.min:9.4f} {row.avg:9.4f} {row.max:9.4f}  {row.name}"
+        line = f"{100 * row.total / total:6.2f}% {row.total:11.3f} {row.counter:9d} "
+        line += f"{row.min:9.4f} {row.avg:9.4f} {row.max:9.4f}"
+        line += show(row.gigabytes_per_second, 8, ".1f")
+        if device:
+            line += show(row.registers, 5) + show(row.local_bytes, 6) + show(row.shared_bytes, 7)
+            line += show(row.occupancy, 7, ".0%")
+            line += show(f"{row.blocks} x {row.threads}" if row.threads else None, 17)
+        print(f"{line}  {row.name}" + (f" ({_line(row.place)})" if row.place else ""))
+
+
+def _print_launches() -> None:
+    print(f"{'start ms':>12} {'ms':>9} {'blocks x threads':>17}  kernel")
+    on_device = any(event["device"] for event in _events())
+    for event in _events():
+        if event["device"] == on_device:
+            shape = f"{event['blocks']} x {event['threads']}" if event["threads"] else ""
+            print(
+                f"{event['start'] / 1000:12.4f} {event['duration'] / 1000:9.4f} "
+                f"{shape:>17}  {event['name']}"
+            )
+
+
+def print_kernel_profiler_info(mode: str = "count") -> None:
+    """Prints the times of kernels.
+
+    Args:
+        mode: `count`, a table of kernels; or `trace`, each launch in order.
+    """
+    if mode == "count":
+        _print_counts()
+    elif mode == "trace":
+        _print_launches()
+    else:
+        raise TaiRuntimeError(f"there is no mode {mode!r}", "the modes are 'count' and 'trace'")
+
+
+def _events() -> list[dict[str, Any]]:
+    if _state.program is None:
+        return []
+    names = (
+        "name", "place", "kind", "device", "thread", "start", "duration", "queued", "blocks",
+        "threads",
+    )  # fmt: skip
+    return [dict(zip(names, event, strict=True)) for event in _context().trace()[0]]
+
+
+def save_trace(path: Any) -> None:
+    """Writes what has run since the last clear, for Perfetto (ui.perfetto.dev) or Chrome.
+
+    Threads of the host and the GPU have a row each, by one clock; an arrow leads from where work
+    was queued to where it was done.
+
+    Args:
+        path: of the file, JSON.
+    """
+    host, gpu = 1, 2
+    events: list[dict[str, Any]] = []
+
+    def name(what: str, process: int, thread: int | None, text: str) -> None:
+        where = {"pid": process} if thread is None else {"pid": process, "tid": thread}
+        events.append({"ph": "M", "name": what, **where, "args": {"name": text}})
+
+    found = _events()
+    name("process_name", host, None, "host")
+    for thread in sorted({event["thread"] for event in found}):
+        name("thread_name", host, thread, f"thread {thread}")
+    if any(event["device"] for event in found):
+        name("process_name", gpu, None, "GPU")
+        name("thread_name", gpu, 0, "queue")
+    for number, event in enumerate(found):
+        where = {"pid": gpu, "tid": 0} if event["device"] else {"pid": host, "tid": event["thread"]}
+        details = {key: event[key] for key in ("place", "blocks", "threads") if event[key]}
+        events.append(
+            {
+                "ph": "X",
+                "name": event["name"],
+                "cat": _KINDS[event["kind"]],
+                **where,
+                "ts": event["start"],
+                "dur": event["duration"],
+                "args": details,
+            }  # fmt: skip
         )
+        if event["device"]:
+            arrow = {"name": "queued", "cat": "queued", "id": number}
+            begin = {"pid": host, "tid": event["thread"], "ts": event["queued"]}
+            events.append({"ph": "s", **arrow, **begin})
+            events.append({"ph": "f", "bp": "e", **arrow, **where, "ts": event["start"]})
+    Path(path).write_text(json.dumps({"traceEvents": events, "displayTimeUnit": "ms"}))
 
 
 def clear_kernel_profiler_info() -> None:

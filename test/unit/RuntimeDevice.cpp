@@ -87,7 +87,7 @@ static std::shared_ptr<const DeviceImage>
 imageOf(std::vector<std::string> functions,
         DeviceKind kind = DeviceKind::Emulated, std::string text = "") {
   return std::make_shared<const DeviceImage>(
-      DeviceImage{kind, std::move(text), std::move(functions), nullptr});
+      DeviceImage{kind, std::move(text), std::move(functions), {}, nullptr});
 }
 
 static KernelPtr onDevice(Runtime &runtime, std::string name,

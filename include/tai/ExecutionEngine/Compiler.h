@@ -46,12 +46,15 @@ struct CompileOptions {
   /// words of runtime::Device. None for the CPU alone.
   std::optional<runtime::DeviceKind> device;
   std::string deviceTarget;
+  /// Device code says where its functions stand in the source.
+  bool places = false;
 
   bool operator==(const CompileOptions &other) const {
     return codegen == other.codegen && debug == other.debug &&
            deterministic == other.deterministic &&
            historyBytes == other.historyBytes && skips == other.skips &&
-           device == other.device && deviceTarget == other.deviceTarget;
+           device == other.device && deviceTarget == other.deviceTarget &&
+           places == other.places;
   }
   /// The options as text, for the key of the cache.
   std::string str() const;

@@ -58,8 +58,9 @@ constexpr llvm::StringLiteral kSlotsSuffix = ".slots";
 struct DeviceCode {
   std::unique_ptr<llvm::LLVMContext> context;
   std::unique_ptr<llvm::Module> module;
-  /// Names of the kernels, in the order of their numbers.
-  std::vector<std::string> functions;
+  /// Names of the kernels, in the order of their numbers, and where they stand
+  /// in the source.
+  std::vector<std::string> functions, places;
 };
 
 /// The `gpu.module` of a lowered module. Null where there is none; an error

@@ -47,6 +47,8 @@ struct Failure {
 /// The place in a file that a location stands for, if it has one: the
 /// innermost, where functions were inlined.
 FileLineColLoc findFileLocation(Location location);
+/// The same as "file:line:column", or empty.
+std::string describePlace(Location location);
 
 /// "file:line:col: kind: message", and the line of the source with a caret
 /// where the file can be read.

@@ -38,6 +38,8 @@ struct KernelCode {
   Compiler &compiler;
   Background &background;
   std::string name;
+  /// Where it stands in the source, or empty.
+  std::string place;
   CompileOptions options;
   OwningOpRef<ModuleOp> module;
   int64_t argSlots = 0;

@@ -59,6 +59,8 @@ struct DeviceLimits {
   unsigned multiprocessors = 1;
   unsigned threadsPerBlock = 1;
   int64_t memoryBytes = 0;
+  /// How many threads a multiprocessor can hold; 0 for not known.
+  unsigned threadsPerMultiprocessor = 0;
   /// Sequences of work can be recorded and run again.
   bool hasGraphs = false;
   /// All blocks of a kernel can wait for each other.
@@ -73,6 +75,21 @@ public:
   virtual ~DeviceGraph() = default;
 };
 
+/// A place in the queue of a device. Made by a Device.
+class DeviceEvent {
+public:
+  virtual ~DeviceEvent() = default;
+};
+
+/// What a thread or a block of a function takes of the device. Negative where
+/// that is not known.
+struct DeviceFunctionFacts {
+  int registers = -1;
+  /// Of a block; of a thread, for what found no room in registers; of
+  /// constants.
+  int sharedBytes = -1, localBytes = -1, constantBytes = -1;
+};
+
 /// A compiled kernel's device code, as the compiler leaves it and the cache
 /// keeps it: PTX text for Cuda, an object file for the host for Emulated.
 struct DeviceImage {
@@ -81,6 +98,9 @@ struct DeviceImage {
   /// Names of the functions in the order in which the host's part numbers
   /// them.
   std::vector<std::string> functions;
+  /// Where each of them stands in the source, as "file:line:column"; empty
+  /// where nobody has asked for it.
+  std::vector<std::string> places;
   /// LLVM bitcode of the same, to be put together with that of other kernels.
   /// Null where that is not wanted.
   std::shared_ptr<const std::string> bitcode;
@@ -155,6 +175,7 @@ public:
   /// How many blocks of so many threads the device can run at a time.
   virtual unsigned residentBlocks(const DeviceFunction &function,
                                   unsigned threads) const = 0;
+  virtual DeviceFunctionFacts facts(const DeviceFunction &) const { return {}; }
   /// Queues a launch. `slots` holds the parameters, each in its own type at
   /// the start of eight bytes.
   virtual Status launch(DeviceFunction &function, const LaunchShape &shape,
@@ -171,6 +192,19 @@ public:
   virtual Status endCapture(std::unique_ptr<DeviceGraph> &graph);
   /// Queues what has been recorded.
   virtual Status run(DeviceGraph &graph);
+
+  //===--------------------------------------------------------------------===//
+  // Times
+  //===--------------------------------------------------------------------===//
+
+  /// Puts an event at the end of the queue: a new one, or one that is given and
+  /// no longer needed where it was.
+  virtual Status record(std::unique_ptr<DeviceEvent> &event);
+  /// Waits until the device has come there.
+  virtual Status wait(DeviceEvent &event);
+  /// Nanoseconds from one to the other, both of which the device has passed.
+  virtual Status elapsed(const DeviceEvent &from, const DeviceEvent &to,
+                         int64_t &ns);
 
   /// Waits for all that is queued; reports what failed.
   virtual Status synchronize() = 0;

@@ -45,6 +45,8 @@ public:
   /// Without one, sequences become graphs at best.
   void setProgramMaker(ProgramMaker maker) { makeProgram = std::move(maker); }
   void setMode(ProgramMode wanted) { mode = wanted; }
+  /// Whether all work is queued step by step, so that each can be timed.
+  void setOneByOne(bool on) { oneByOne = on; }
 
   /// Between the two, work is collected. Pairs nest; the end runs what has been
   /// collected.
@@ -85,8 +87,15 @@ public:
   unsigned mostThreads(const DeviceFunction &function) const override;
   unsigned residentBlocks(const DeviceFunction &function,
                           unsigned threads) const override;
+  DeviceFunctionFacts facts(const DeviceFunction &function) const override;
   Status launch(DeviceFunction &function, const LaunchShape &shape,
                 const uint64_t *slots, int count) override;
+  Status record(std::unique_ptr<DeviceEvent> &event) override;
+  Status wait(DeviceEvent &event) override { return device->wait(event); }
+  Status elapsed(const DeviceEvent &from, const DeviceEvent &to,
+                 int64_t &ns) override {
+    return device->elapsed(from, to, ns);
+  }
   Status synchronize() override;
 
 private:
@@ -102,6 +111,7 @@ private:
   std::unique_ptr<Device> device;
   ProgramMaker makeProgram;
   ProgramMode mode = ProgramMode::Automatic;
+  bool oneByOne = false;
   int collecting = 0;
   std::unique_ptr<Sequence> collected;
   std::vector<DevicePtr> released;

@@ -138,6 +138,8 @@ struct CallerAdjoints {
 
 struct KernelInfo {
   std::string name;
+  /// Where it stands in the source, as "file:line:column", or empty.
+  std::string place = {};
   /// Slots of arguments and results, as Abi.h counts them.
   int64_t argSlots = 0;
   int64_t resultSlots = 0;
@@ -181,19 +183,16 @@ struct KernelInfo {
   std::shared_ptr<const DeviceImage> image;
 };
 
-/// Times of one kernel while the profiler is on.
-struct KernelTimes {
-  int64_t launches = 0;
-  int64_t totalNs = 0;
-  int64_t minNs = 0;
-  int64_t maxNs = 0;
-};
-
 class Kernel : public std::enable_shared_from_this<Kernel> {
 public:
   explicit Kernel(KernelInfo info);
 
   const std::string &name() const { return info.name; }
+  const std::string &place() const { return info.place; }
+  /// Bytes that a launch reads and writes, if it touches each element of its
+  /// fields (or of the part of them that a fixed index says) once. Negative
+  /// where nothing says what it touches, or a field is sparse.
+  int64_t touchedBytes() const;
   int64_t argSlots() const { return info.argSlots; }
   /// Slots of a launch that may be differentiated.
   int64_t tapeSlots() const {

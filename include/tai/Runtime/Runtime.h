@@ -18,6 +18,7 @@
 #define TAI_RUNTIME_RUNTIME_H
 
 #include "tai/Runtime/Kernel.h"
+#include "tai/Runtime/Profiler.h"
 #include "tai/Runtime/Skips.h"
 #include "tai/Runtime/Tape.h"
 #include <string_view>
@@ -81,11 +82,6 @@ struct Counters {
   int64_t clearedFields = 0;
 };
 
-struct ProfileRow {
-  std::string kernel;
-  KernelTimes times;
-};
-
 class Runtime final : public ::TaiRuntime {
 public:
   explicit Runtime(Options options = {});
@@ -98,7 +94,9 @@ public:
   void setThreads(int threads);
   void setDeterministic(bool on) { opts.deterministic = on; }
   void setDebug(bool on) { opts.debug = on; }
-  void setProfiler(bool on) { opts.profiler = on; }
+  void setProfiler(bool on);
+  /// Whether device code should say where it stands in the source.
+  bool wantsPlaces() const;
   void setSkips(SkipSet skips);
   /// Kernels that are loaded from then on have blocks of so many threads.
   void setBlockThreads(int threads) { opts.blockThreads = threads; }
@@ -217,8 +215,12 @@ public:
   void setPrintSink(Sink sink);
   void print(std::string_view line);
 
-  /// Kernels that ran while the profiler was on, longest total first.
-  std::vector<ProfileRow> profile() const;
+  /// What ran while the profiler was on, longest total first. Waits for the
+  /// device.
+  std::vector<ProfileRow> profile();
+  /// When it did, in no order. Events refer to rows of the runtime. `lost`:
+  /// those for which there was no room.
+  std::vector<TraceEvent> trace(int64_t &lost);
   void clearProfile();
   Counters counters() const;
   /// What was left out, and what was not; see docs/decisions/0008-skips.md.
@@ -352,8 +354,9 @@ private:
   /// Stamps of tapes and of their plans.
   uint64_t stamps = 0;
 
-  mutable std::mutex profileMutex;
-  std::unordered_map<std::string, KernelTimes> profiled;
+  /// Shared with the device.
+  std::shared_ptr<Profiler> profiler = std::make_shared<Profiler>();
+  void collectTimes();
   struct AtomicCounters {
     std::atomic<int64_t> forks{0}, inlineLoops{0};
   } counts;

@@ -34,6 +34,7 @@ using mlir::tai::cudaRowKernels_size;
 namespace {
 struct CudaModule;
 struct CudaGraph;
+struct CudaEvent;
 
 struct CudaFunction : DeviceFunction {
   Function handle = nullptr;
@@ -86,11 +87,17 @@ public:
   Status beginCapture() override;
   Status endCapture(std::unique_ptr<DeviceGraph> &graph) override;
   Status run(DeviceGraph &graph) override;
+  DeviceFunctionFacts facts(const DeviceFunction &function) const override;
+  Status record(std::unique_ptr<DeviceEvent> &event) override;
+  Status wait(DeviceEvent &event) override;
+  Status elapsed(const DeviceEvent &from, const DeviceEvent &to,
+                 int64_t &ns) override;
   Status synchronize() override;
 
 private:
   friend struct CudaModule;
   friend struct CudaGraph;
+  friend struct CudaEvent;
 
   Status launchCluster(Function handle, const LaunchShape &shape,
                        void **parameters);
@@ -147,6 +154,17 @@ struct CudaGraph : DeviceGraph {
 
   CudaDevice &device;
   ExecutableGraph handle = nullptr;
+};
+
+struct CudaEvent : DeviceEvent {
+  explicit CudaEvent(CudaDevice &device) : device(device) {}
+  ~CudaEvent() override {
+    if (handle && device.enter())
+      (void)device.cu.eventDestroy(handle);
+  }
+
+  CudaDevice &device;
+  Event handle = nullptr;
 };
 
 struct CudaModule : DeviceModule {
@@ -233,11 +251,14 @@ Status CudaDevice::open() {
   (void)cu.deviceGetAttribute(&multiprocessors, kMultiprocessorCount, number);
   (void)cu.deviceGetAttribute(&threads, kMaxThreadsPerBlock, number);
   (void)cu.deviceGetAttribute(&pools, kMemoryPools, number);
+  int resident = 0;
+  (void)cu.deviceGetAttribute(&resident, kMaxThreadsPerMultiprocessor, number);
   (void)cu.deviceTotalMem(&bytes, number);
   architecture = "sm_" + std::to_string(10 * major + minor);
   most.multiprocessors = static_cast<unsigned>(multiprocessors);
   most.threadsPerBlock = static_cast<unsigned>(threads);
   most.memoryBytes = static_cast<int64_t>(bytes);
+  most.threadsPerMultiprocessor = static_cast<unsigned>(resident);
   int cooperative = 0, clusters = 0;
   (void)cu.deviceGetAttribute(&cooperative, kCooperativeLaunch, number);
   (void)cu.deviceGetAttribute(&clusters, kClusterLaunch, number);
@@ -700,6 +721,60 @@ Status CudaDevice::run(DeviceGraph &graph) {
                                        stream),
                         "a graph cannot be launched")
                 : std::move(status);
+}
+
+//===----------------------------------------------------------------------===//
+// Times
+//===----------------------------------------------------------------------===//
+
+DeviceFunctionFacts CudaDevice::facts(const DeviceFunction &function) const {
+  DeviceFunctionFacts found;
+  Function handle = static_cast<const CudaFunction &>(function).handle;
+  auto get = [&](int attribute, int &value) {
+    if (!enter() || cu.funcGetAttribute(&value, attribute, handle) != kSuccess)
+      value = -1;
+  };
+  get(kFunctionRegisters, found.registers);
+  get(kFunctionSharedBytes, found.sharedBytes);
+  get(kFunctionLocalBytes, found.localBytes);
+  get(kFunctionConstantBytes, found.constantBytes);
+  return found;
+}
+
+Status CudaDevice::record(std::unique_ptr<DeviceEvent> &event) {
+  Status status = enter();
+  if (status && !event) {
+    auto made = std::make_unique<CudaEvent>(*this);
+    status = check(cu.eventCreate(&made->handle, kEventDefault),
+                   "no event can be made");
+    if (status)
+      event = std::move(made);
+  }
+  return status ? check(cu.eventRecord(static_cast<CudaEvent &>(*event).handle,
+                                       stream),
+                        "an event cannot be queued")
+                : std::move(status);
+}
+
+Status CudaDevice::wait(DeviceEvent &event) {
+  Status status = enter();
+  return status ? check(cu.eventSynchronize(
+                            static_cast<CudaEvent &>(event).handle),
+                        "a kernel has failed on the device")
+                : std::move(status);
+}
+
+Status CudaDevice::elapsed(const DeviceEvent &from, const DeviceEvent &to,
+                           int64_t &ns) {
+  float ms = 0;
+  Status status = enter();
+  if (status)
+    status = check(
+        cu.eventElapsedTime(&ms, static_cast<const CudaEvent &>(from).handle,
+                            static_cast<const CudaEvent &>(to).handle),
+        "the time of a kernel cannot be read");
+  ns = static_cast<int64_t>(double(ms) * 1e6);
+  return status;
 }
 
 Status CudaDevice::synchronize() {

@@ -28,6 +28,7 @@ using Stream = struct StreamStruct *;
 using Module = struct ModuleStruct *;
 using Function = struct FunctionStruct *;
 using Pool = struct PoolStruct *;
+using Event = struct EventStruct *;
 using Graph = struct GraphStruct *;
 using ExecutableGraph = struct ExecutableGraphStruct *;
 
@@ -43,6 +44,7 @@ constexpr Result kUnsupportedPtxVersion = 222;
 // Attributes of devices.
 constexpr int kMaxThreadsPerBlock = 1;
 constexpr int kMultiprocessorCount = 16;
+constexpr int kMaxThreadsPerMultiprocessor = 39;
 constexpr int kCooperativeLaunch = 95;
 constexpr int kClusterLaunch = 120;
 constexpr int kCapabilityMajor = 75;
@@ -52,12 +54,18 @@ constexpr int kMemoryPools = 115;
 constexpr int kLimitHeapBytes = 2;
 // Of functions.
 constexpr int kFunctionMaxThreads = 0;
+constexpr int kFunctionSharedBytes = 1;
+constexpr int kFunctionConstantBytes = 2;
+constexpr int kFunctionLocalBytes = 3;
+constexpr int kFunctionRegisters = 4;
 constexpr int kFunctionAnyCluster = 14;
 // Of launches.
 constexpr unsigned kLaunchCooperative = 2;
 constexpr unsigned kLaunchCluster = 4;
 // Of captures: other threads may do what they like.
 constexpr int kCaptureThreadLocal = 1;
+// Of events: with times, which is what they are for.
+constexpr unsigned kEventDefault = 0;
 // Of pools.
 constexpr int kPoolReleaseThreshold = 4;
 // Of addresses.
@@ -126,6 +134,11 @@ struct GraphUpdate {
   DO(streamCreate, "cuStreamCreate", (Stream *, unsigned))                     \
   DO(streamDestroy, "cuStreamDestroy_v2", (Stream))                            \
   DO(streamSynchronize, "cuStreamSynchronize", (Stream))                       \
+  DO(eventCreate, "cuEventCreate", (Event *, unsigned))                        \
+  DO(eventDestroy, "cuEventDestroy_v2", (Event))                               \
+  DO(eventRecord, "cuEventRecord", (Event, Stream))                            \
+  DO(eventSynchronize, "cuEventSynchronize", (Event))                          \
+  DO(eventElapsedTime, "cuEventElapsedTime", (float *, Event, Event))          \
   DO(memAlloc, "cuMemAlloc_v2", (Address *, size_t))                           \
   DO(memFree, "cuMemFree_v2", (Address))                                       \
   DO(memPoolCreate, "cuMemPoolCreate", (Pool *, const PoolProperties *))       \

@@ -9,10 +9,11 @@
 // host. The environment variable TAI_FAKE_CUDA says what is wrong, as a list of
 // words: no-device, zero-devices, old, busy, small (a megabyte of memory),
 // no-pools, bad-ptx, fault (launches fail when they are waited for),
-// any-function (modules have functions of all names, which do nothing). A
-// module has the functions "scale" (double *x, int64_t n, double factor) and
-// "where" (int32_t *blocks_and_threads), whatever its text is, and those of
-// Rows.cu.
+// any-function (modules have functions of all names, which do nothing). The
+// clock of the device advances by a microsecond with each piece of work, and by
+// a launch of "scale" by one for each thousand numbers. A module has the
+// functions "scale" (double *x, int64_t n, double factor) and "where" (int32_t
+// *blocks_and_threads), whatever its text is, and those of Rows.cu.
 //
 //===----------------------------------------------------------------------===//
 
@@ -94,6 +95,9 @@ Result cuDeviceGetAttribute(int *value, int attribute, int device) {
   case 16: // multiprocessors
     *value = 10;
     return 0;
+  case 39: // threads of each
+    *value = 2048;
+    return 0;
   case 75:
     *value = has("ancient") ? 5 : 9;
     return 0;
@@ -138,6 +142,54 @@ Result cuStreamDestroy_v2(void *given) {
 Result cuStreamSynchronize(void *given) {
   (void)given;
   return faulted ? 700 : 0;
+}
+
+/// The clock, in microseconds.
+static long long now;
+
+/// Events that there are, so that tests can count them.
+typedef struct {
+  long long time;
+  int recorded;
+} FakeEvent;
+int tai_fake_cuda_events;
+Result cuEventCreate(void **event, unsigned flags) {
+  if (flags != 0)
+    return 1;
+  *event = calloc(1, sizeof(FakeEvent));
+  ++tai_fake_cuda_events;
+  return 0;
+}
+Result cuEventDestroy_v2(void *event) {
+  --tai_fake_cuda_events;
+  free(event);
+  return 0;
+}
+Result cuEventRecord(void *event, void *on) {
+  (void)on;
+  FakeEvent *fake = event;
+  fake->time = now;
+  fake->recorded = 1;
+  return 0;
+}
+/// Waiting for one is waiting for all before it.
+static long long reached;
+Result cuEventSynchronize(void *event) {
+  FakeEvent *fake = event;
+  if (!fake->recorded)
+    return 400;
+  if (fake->time > reached)
+    reached = fake->time;
+  return faulted ? 700 : 0;
+}
+Result cuEventElapsedTime(float *ms, void *from, void *to) {
+  FakeEvent *a = from, *b = to;
+  if (!a->recorded || !b->recorded)
+    return 400;
+  if (a->time > reached || b->time > reached)
+    return 600; // not ready
+  *ms = (float)(b->time - a->time) / 1000;
+  return 0;
 }
 
 /// The size stands in front of the memory.
@@ -271,8 +323,12 @@ Result cuModuleGetFunction(void **result, void *given, const char *name) {
   return has("any-function") ? 0 : 500;
 }
 Result cuFuncGetAttribute(int *value, int attribute, void *function) {
-  (void)attribute, (void)function;
-  *value = 512;
+  (void)function;
+  // Threads; bytes: shared, constant, local; registers.
+  static const int values[] = {512, 1024, 64, 16, 40};
+  if (attribute < 0 || attribute > 4)
+    return 1;
+  *value = values[attribute];
   return 0;
 }
 Result cuOccupancyMaxActiveBlocksPerMultiprocessor(int *blocks, void *function,
@@ -309,11 +365,13 @@ static void rows(const char *function, void **parameters) {
 
 static Result launch(const char *function, unsigned blocks, unsigned threads,
                      void **parameters) {
+  ++now;
   if (has("fault"))
     faulted = 1;
   else if (strcmp(function, "scale") == 0) {
     double *x = *(double **)parameters[0];
     int64_t n = *(int64_t *)parameters[1];
+    now += n / 1000;
     for (int64_t i = 0; i < n; ++i)
       x[i] *= *(double *)parameters[2];
   } else if (strncmp(function, "tai_", 4) == 0) {
