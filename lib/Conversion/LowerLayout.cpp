@@ -21,6 +21,7 @@
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/Analysis/Accesses.h"
 #include "tai/Conversion/Passes.h"
 
 namespace mlir::tai {
@@ -36,8 +37,9 @@ namespace {
 class AccessLowering {
 public:
   AccessLowering(FunctionOpInterface function, FieldTable &fields,
-                 bool boundsCheck)
-      : function(function), fields(fields), boundsCheck(boundsCheck) {}
+                 bool boundsCheck, bool onDevice)
+      : function(function), fields(fields), boundsCheck(boundsCheck),
+        onDevice(onDevice) {}
 
   LogicalResult run();
 
@@ -69,7 +71,7 @@ private:
 
   FunctionOpInterface function;
   FieldTable &fields;
-  bool boundsCheck;
+  bool boundsCheck, onDevice;
   llvm::DenseMap<const FieldInfo *, Value> bases;
   llvm::DenseMap<Operation *, Value> trees;
 };
@@ -199,6 +201,24 @@ static ArrayAttr getAccessGroup(Operation *op) {
   return ArrayAttr::get(context, {group});
 }
 
+/// How the address of an access is made up, for those who follow it; null if
+/// the program computes an index from digits of its own that could be taken for
+/// those of the field.
+static DenseI64ArrayAttr getDigits(MLIRContext *context, const FieldInfo &field,
+                                   ValueRange indices) {
+  for (auto [index, extent] : llvm::zip(indices, field.layout.shape))
+    for (auto [value, factor] : getLinearIndex(index).terms)
+      if (std::abs(factor) > 1 && std::abs(factor) >= extent)
+        return {};
+  SmallVector<int64_t> digits;
+  for (const IndexDigit &digit : field.storage.digits)
+    if (digit.extent != 1)
+      digits.append({int64_t(digit.stride), int64_t(digit.extent)});
+  if (field.numComponents != 1)
+    digits.append({int64_t(field.scalarSize), int64_t(field.numComponents)});
+  return DenseI64ArrayAttr::get(context, digits);
+}
+
 LogicalResult AccessLowering::lowerField(Operation *op) {
   OpBuilder builder(op);
   Location loc = op->getLoc();
@@ -257,6 +277,8 @@ LogicalResult AccessLowering::lowerField(Operation *op) {
   AliasScopes scopes = fields.getScopes(field);
   scopes.groups = getAccessGroup(op);
   scopes.alignment = getAlignment(field, components);
+  if (onDevice && isa<KernelOp>(function))
+    scopes.digits = getDigits(builder.getContext(), field, indices);
   Value base = getFieldBase(field);
   auto access = [&](OpBuilder &b) -> Value {
     Value offset = emitElementOffset(b, loc, field, zeroBased, components);
@@ -534,7 +556,7 @@ struct LowerLayout : tai::impl::LowerLayoutBase<LowerLayout> {
     WalkResult result = getOperation()->walk([&](FunctionOpInterface function) {
       if (function.isExternal() || !isa<KernelOp, func::FuncOp>(function))
         return WalkResult::skip();
-      AccessLowering lowering(function, fields, boundsCheck);
+      AccessLowering lowering(function, fields, boundsCheck, onDevice);
       return failed(lowering.run()) ? WalkResult::interrupt()
                                     : WalkResult::skip();
     });

@@ -194,13 +194,25 @@ void tai_dev_program_grid(const uint64_t *table, uint64_t steps,
              [=] { tai_dev_grid_barrier(header, blocks); });
 }
 
-#else // the CPU, where a program is one thread
+#else // the CPU, where threads run one after another
 
+/// Between barriers each thread runs as far as it can: steps that should have
+/// waited for each other show.
 void tai_dev_program_block(const uint64_t *table, uint64_t steps,
                            uint64_t stride, uint32_t *) {
-  for (uint64_t step = 0; step < steps; ++step)
-    runPart(table[step * stride] & (TAI_PART_APART - 1),
-            table + step * stride + 1);
+  for (uint64_t step = 0, end = 0; step < steps; step = end) {
+    do {
+      ++end;
+    } while (end < steps && (table[(end - 1) * stride] & TAI_PART_APART));
+    int32_t threads = tai_emu_begin_group();
+    for (int32_t thread = 0; thread < threads; ++thread) {
+      tai_emu_next_in_group();
+      for (uint64_t at = step; at < end; ++at)
+        runPart(table[at * stride] & (TAI_PART_APART - 1),
+                table + at * stride + 1);
+    }
+    tai_emu_end_group();
+  }
 }
 
 #endif

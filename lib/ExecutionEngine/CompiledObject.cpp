@@ -15,9 +15,10 @@ using namespace mlir::tai;
 
 // The magic, the symbol, the code, what the adjoint needs, the counts, the loop
 // levels, the image of the device (its kind and the number of its functions, or
-// nothing; its bytes and the functions' names and places), and the trees up to
-// the end; each string as its length in eight bytes and its bytes.
-static constexpr StringLiteral magic = "TAIOBJ6\n";
+// nothing; its bytes, the functions' names and accesses, and their places), and
+// the trees up to the end; each string as its length in eight bytes and its
+// bytes.
+static constexpr StringLiteral magic = "TAIOBJ7\n";
 
 static void append(std::string &bytes, StringRef string) {
   char length[8];
@@ -66,8 +67,12 @@ static void append(std::string &bytes,
   append(bytes, ArrayRef<int64_t>(header));
   append(bytes, StringRef(image->bytes));
   append(bytes, image->bitcode ? StringRef(*image->bitcode) : StringRef());
-  for (const std::string &function : image->functions)
+  for (auto [i, function] : enumerate(image->functions)) {
     append(bytes, StringRef(function));
+    append(bytes, i < image->accesses.size()
+                      ? ArrayRef<int64_t>(image->accesses[i])
+                      : ArrayRef<int64_t>());
+  }
   append(bytes, StringRef(llvm::join(image->places, "\n")));
 }
 
@@ -96,7 +101,11 @@ static bool consumeImage(StringRef &bytes,
     std::optional<StringRef> function = consume(bytes);
     if (!function)
       return false;
+    auto accesses = consumeNumbers(bytes);
+    if (!accesses)
+      return false;
     image->functions.push_back(function->str());
+    image->accesses.push_back(std::move(*accesses));
   }
   std::optional<StringRef> places = consume(bytes);
   if (!places)

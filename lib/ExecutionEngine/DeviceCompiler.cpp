@@ -357,6 +357,10 @@ Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
           function->hasAttr(NVVM::NVVMDialect::getKernelFuncAttrName())) {
         code.functions.push_back(function.getName().str());
         code.places.push_back(describePlace(function.getLoc()));
+        auto list = function->getAttrOfType<DenseI64ArrayAttr>("tai.accesses");
+        code.accesses.emplace_back();
+        if (list)
+          code.accesses.back() = list.asArrayRef().vec();
       }
   code.context = std::make_unique<llvm::LLVMContext>();
   code.module = translateModuleToLLVMIR(deviceModule, *code.context, "kernels",
@@ -509,6 +513,7 @@ Expected<runtime::DeviceImage> DeviceCompiler::emit(DeviceCode &code) {
   image.kind = target.kind;
   image.functions = code.functions;
   image.places = code.places;
+  image.accesses = code.accesses;
   image.bitcode = getBitcode(*code.module);
   if (!isCuda()) {
     auto object = objects->emitObject(*code.module);

@@ -298,6 +298,8 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
     rt->setBlockThreads(threads);
     return success();
   }
+  if (name == "fuse_launches")
+    return setBool([&](bool on) { setFuseLaunches(on); });
   if (name == "seed") {
     uint64_t seed;
     if (value.getAsInteger(0, seed))
@@ -333,5 +335,6 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
                   "'; the options are threads, deterministic, debug, "
                   "fast_math, opt_level, seed, cache_dir, print_ir, profiler, "
                   "compile_profile, forward_mode, history_bytes, skip, "
-                  "memory_limit, arch, device_memory_limit, block_dim");
+                  "memory_limit, arch, device_memory_limit, block_dim, "
+                  "fuse_launches");
 }

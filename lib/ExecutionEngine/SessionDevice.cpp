@@ -75,5 +75,13 @@ LogicalResult Session::setArch(StringRef name) {
           image = std::move(*made);
           return runtime::Status::success();
         });
+  setFuseLaunches(fuseLaunches);
   return success();
+}
+
+void Session::setFuseLaunches(bool on) {
+  fuseLaunches = on;
+  if (runtime::DeviceQueue *queue = rt->getDeviceQueue())
+    queue->setMode(on ? runtime::ProgramMode::Automatic
+                      : runtime::ProgramMode::Launches);
 }

@@ -39,6 +39,7 @@ void tai::buildToNVVMPipeline(OpPassManager &pm, const ToNVVMOptions &options) {
 
   LowerLayoutOptions layout;
   layout.boundsCheck = checked;
+  layout.onDevice = true;
   pm.addPass(createLowerLayout(layout));
 
   ConvertTaiToGPUOptions gpu;

@@ -19,6 +19,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <map>
+#include <numeric>
 #include <unordered_map>
 
 using namespace mlir::tai::runtime;
@@ -126,13 +127,16 @@ double DeviceQueue::Program::predict(ProgramMode mode, unsigned blocks,
                   : mode == ProgramMode::Block   ? blockUs
                   : mode == ProgramMode::Cluster ? clusterUs
                                                  : gridUs;
-  double us = 0;
+  // A graph has its own way to wait, after each node.
+  size_t waits = mode == ProgramMode::Graph ? sequence.steps.size()
+                                            : order.numBarriers + 1;
+  double us = stepUs * double(waits);
   for (const Step &step : sequence.steps) {
     double width = double(step.shape.blocks) * step.shape.threads;
     double rounds = 1;
     if (mode != ProgramMode::Graph)
       rounds = std::max(1.0, width / (double(blocks) * threads));
-    us += stepUs + roundUs * rounds;
+    us += roundUs * rounds;
   }
   return us * 1e-3;
 }
@@ -153,6 +157,7 @@ void DeviceQueue::Program::listWays(ProgramMode wanted,
     way.predicted = predict(mode, blocks, threads);
     ways.push_back(std::move(way));
   };
+  schedule();
   auto warps = [](unsigned threads) { return (threads + 31) / 32 * 32; };
   if (limits.hasGraphs)
     add(ProgramMode::Graph, 0, 0);
@@ -244,23 +249,81 @@ uint64_t DeviceQueue::Program::partOf(Step::Kind kind) {
   }
 }
 
-/// Fills of different memory, such as those that clear gradients, need not wait
-/// for each other.
-bool DeviceQueue::Program::areApart(const Sequence &sequence, const Step &a,
-                                    const Step &b) {
-  auto range = [&](const Step &step, uint64_t &begin, uint64_t &end) {
-    const uint64_t *values = sequence.slots.data() + step.firstSlot;
-    begin = values[0];
-    if (step.kind == Step::Kind::Fill)
-      end = begin + values[2] * values[3];
-    else
-      end = begin + values[1] * (values[3] - 1) + values[2] +
-            values[6] * (values[7] - 1);
-    return step.kind == Step::Kind::Fill || step.kind == Step::Kind::FillRows;
+StepMemory DeviceQueue::Program::memoryOf(const Step &step) const {
+  const uint64_t *values = sequence.slots.data() + step.firstSlot;
+  StepMemory memory;
+  auto addRows = [&](DeviceAccess::Kind kind, uint64_t address,
+                     uint64_t pitch) {
+    memory.addRows(kind, address, pitch, values[2], values[3]);
   };
-  uint64_t beginA, endA, beginB, endB;
-  return range(a, beginA, endA) && range(b, beginB, endB) &&
-         (endA <= beginB || endB <= beginA);
+  switch (step.kind) {
+  case Step::Kind::Launch:
+    return StepMemory::ofLaunch(step.function->footprint.get(), values,
+                                step.numSlots);
+  case Step::Kind::Fill:
+    // Single bytes are filled eight at a time.
+    if (values[2] > 1)
+      memory.addNumbers(DeviceAccess::Write, values[0],
+                        static_cast<int64_t>(values[2]),
+                        static_cast<int64_t>(values[3]));
+    else
+      memory.add(DeviceAccess::Write, values[0], values[3]);
+    break;
+  case Step::Kind::Copy:
+    memory.add(DeviceAccess::Write, values[0], values[2]);
+    memory.add(DeviceAccess::Read, values[1], values[2]);
+    break;
+  case Step::Kind::FillRows:
+    for (uint64_t group = 0; group < values[7]; ++group)
+      addRows(DeviceAccess::Write, values[0] + group * values[6], values[1]);
+    break;
+  case Step::Kind::CopyRows:
+    addRows(DeviceAccess::Write, values[0], values[1]);
+    addRows(DeviceAccess::Read, values[4], values[5]);
+    break;
+  case Step::Kind::SwapRows:
+    addRows(DeviceAccess::Write, values[0], values[1]);
+    addRows(DeviceAccess::Write, values[4], values[5]);
+    break;
+  }
+  return memory;
+}
+
+/// Makes the schedule again where parameters have changed that matter for it.
+void DeviceQueue::Program::schedule() {
+  const std::vector<uint64_t> &slots = sequence.slots;
+  bool isFirst = order.order.empty();
+  if (isFirst)
+    for (const Step &step : sequence.steps) {
+      std::vector<size_t> used;
+      if (!step.function) {
+        used.resize(step.numSlots);
+        std::iota(used.begin(), used.end(), size_t(0));
+      } else if (step.function->footprint) {
+        for (const Footprint::Line &line : step.function->footprint->lines) {
+          used.push_back(static_cast<size_t>(line.access.slot));
+          for (const DeviceAccess::Term &term : line.access.terms)
+            used.push_back(static_cast<size_t>(term.slot));
+        }
+        std::sort(used.begin(), used.end());
+        used.erase(std::unique(used.begin(), used.end()), used.end());
+      }
+      for (size_t slot : used)
+        if (slot < step.numSlots)
+          decisiveSlots.push_back(step.firstSlot + slot);
+    }
+  std::vector<uint64_t> values;
+  values.reserve(decisiveSlots.size());
+  for (size_t slot : decisiveSlots)
+    values.push_back(slots[slot]);
+  if (!isFirst && values == decisiveValues)
+    return;
+  decisiveValues = std::move(values);
+  std::vector<StepMemory> memory;
+  memory.reserve(sequence.steps.size());
+  for (const Step &step : sequence.steps)
+    memory.push_back(memoryOf(step));
+  order = ProgramSchedule(memory);
 }
 
 /// Its header stands in front of the table of a program.
@@ -291,16 +354,16 @@ Status DeviceQueue::Program::update(Way &way) {
     if (step.function)
       numbers.emplace(step.function, TAI_FIRST_PART + numbers.size());
   }
+  schedule();
   // The number of the part, and the parameters.
   ++stride;
   std::vector<uint64_t> table(sequence.steps.size() *
                               static_cast<size_t>(stride));
   for (size_t i = 0; i < sequence.steps.size(); ++i) {
-    const Step &step = sequence.steps[i];
+    const Step &step = sequence.steps[order.order[i]];
     uint64_t *row = table.data() + i * static_cast<size_t>(stride);
     row[0] = step.function ? numbers[step.function] : partOf(step.kind);
-    if (i + 1 < sequence.steps.size() &&
-        areApart(sequence, step, sequence.steps[i + 1]))
+    if (!order.waits[i])
       row[0] |= TAI_PART_APART;
     std::copy_n(sequence.slots.begin() + static_cast<ptrdiff_t>(step.firstSlot),
                 step.numSlots, row + 1);
@@ -318,8 +381,7 @@ Status DeviceQueue::Program::update(Way &way) {
       if (status)
         status = device.fill(way.clocks, &zero, 8, words);
       if (status)
-        status =
-            device.copyIn(way.table + TAI_PROGRAM_CLOCKS, &way.clocks, 8);
+        status = device.copyIn(way.table + TAI_PROGRAM_CLOCKS, &way.clocks, 8);
     }
   }
   way.stride = stride;
@@ -436,7 +498,7 @@ std::string DeviceQueue::Program::explainClocks(const Way &way) const {
   };
   std::map<std::string, Total> totals;
   for (size_t i = 0; i < sequence.steps.size(); ++i) {
-    const Step &step = sequence.steps[i];
+    const Step &step = sequence.steps[order.order[i]];
     Total &total = totals[step.function ? step.function->name
                           : step.kind == Step::Kind::Fill ||
                                   step.kind == Step::Kind::FillRows
@@ -469,8 +531,8 @@ std::string DeviceQueue::Program::explain() const {
     std::snprintf(line, sizeof(line), "; %s", nameOf(way.mode));
     text += line;
     if (way.mode != ProgramMode::Graph) {
-      std::snprintf(line, sizeof(line), " (%u x %u threads)", way.shape.blocks,
-                    way.shape.threads);
+      std::snprintf(line, sizeof(line), " (%u x %u threads, %zu barriers)",
+                    way.shape.blocks, way.shape.threads, order.numBarriers);
       text += line;
     }
     if (!way.refused.empty()) {

@@ -8,6 +8,7 @@
 #ifndef TAI_LIB_RUNTIME_DEVICEPROGRAM_H
 #define TAI_LIB_RUNTIME_DEVICEPROGRAM_H
 
+#include "ProgramSchedule.h"
 #include "tai/Runtime/DeviceQueue.h"
 #include <cstring>
 
@@ -18,12 +19,15 @@ struct DeviceQueue::Function : DeviceFunction {
   std::string name;
   /// Shared by all functions of a module, which may go before its programs.
   std::shared_ptr<const std::string> bitcode;
+  /// Null where it is not known what it touches.
+  std::shared_ptr<const Footprint> footprint;
 };
 
 struct DeviceQueue::Module : DeviceModule {
   std::unique_ptr<DeviceModule> module;
   std::shared_ptr<const std::string> bitcode;
   std::vector<std::unique_ptr<Function>> functions;
+  std::unordered_map<std::string, std::shared_ptr<const Footprint>> footprints;
 };
 
 struct DeviceQueue::Step {
@@ -152,9 +156,15 @@ private:
   double predict(ProgramMode mode, unsigned blocks, unsigned threads) const;
   unsigned getWidth() const;
   static uint64_t partOf(Step::Kind kind);
-  static bool areApart(const Sequence &sequence, const Step &a, const Step &b);
+  StepMemory memoryOf(const Step &step) const;
+  void schedule();
 
   Device &device;
+  /// The schedule of the program, and what it was made from: the slots that
+  /// say which memory the steps touch.
+  ProgramSchedule order;
+  std::vector<size_t> decisiveSlots;
+  std::vector<uint64_t> decisiveValues;
   int runs = 0, changes = 0;
   std::vector<Way> ways;
   /// The way that is being tried, or that has been chosen.

@@ -27,6 +27,10 @@ Status DeviceQueue::load(const DeviceImage &image,
                          std::unique_ptr<DeviceModule> &module) {
   auto made = std::make_unique<Module>();
   made->bitcode = image.bitcode;
+  for (size_t i = 0; i < image.accesses.size(); ++i)
+    if (auto accesses = FunctionAccesses::decode(image.accesses[i]))
+      made->footprints.emplace(image.functions[i],
+                               std::make_shared<Footprint>(*accesses));
   Status status = device->load(image, made->module);
   if (status)
     module = std::move(made);
@@ -39,6 +43,8 @@ Status DeviceQueue::find(DeviceModule &module, const std::string &name,
   auto made = std::make_unique<Function>();
   made->name = name;
   made->bitcode = owner.bitcode;
+  if (auto found = owner.footprints.find(name); found != owner.footprints.end())
+    made->footprint = found->second;
   Status status = device->find(*owner.module, name, made->function);
   if (!status)
     return status;

@@ -40,6 +40,26 @@ extern "C" int32_t tai_emu_block_id(void) { return place.block; }
 extern "C" int32_t tai_emu_block_dim(void) { return 1; }
 extern "C" int32_t tai_emu_grid_dim(void) { return place.blocks; }
 
+static thread_local struct {
+  Place before;
+  uint64_t number, next, step;
+} group = {};
+
+extern "C" int32_t tai_emu_begin_group(void) {
+  // Odd steps reach each of a power of two once.
+  constexpr int32_t threads = 4;
+  group.before = place;
+  group.next = group.number++;
+  group.step = 1 + group.number / threads % 2 * 2;
+  place.blocks = threads;
+  return threads;
+}
+extern "C" void tai_emu_next_in_group(void) {
+  place.block = static_cast<int32_t>(group.next % uint64_t(place.blocks));
+  group.next += group.step;
+}
+extern "C" void tai_emu_end_group(void) { place = group.before; }
+
 namespace {
 using ThreadFunction = void (*)(const uint64_t *slots);
 

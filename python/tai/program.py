@@ -54,6 +54,7 @@ class Options:
     memory_limit: int = 0
     device_memory_limit: int = 0
     default_gpu_block_dim: int = 0
+    fuse_launches: bool = True
     # What was given for options that are accepted and change nothing.
     accepted: dict[str, Any] = dataclasses.field(default_factory=dict)
 
@@ -154,6 +155,7 @@ class Program:
             "skip": option_text(o.skip),
             "memory_limit": str(o.memory_limit),
             "block_dim": str(o.default_gpu_block_dim),
+            "fuse_launches": flag(o.fuse_launches),
         }
         if not o.offline_cache:
             values["cache_dir"] = ""
@@ -248,6 +250,9 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
         device_memory_limit: the same for the memory of the GPU.
         default_gpu_block_dim: threads of a block on the GPU, a multiple of 32; 0 for what suits
             each kernel.
+        fuse_launches: make one piece of work of launches that come again and again in the same
+            sequence, such as those of a tape; see `Tape.explain`. Without it, each is queued
+            by itself.
         enable_fallback: take the CPU where `ti.cuda` is not there.
         require: extensions that the target must have (`ti.extension.data64`, …).
         exclude: targets that the program does not run on.

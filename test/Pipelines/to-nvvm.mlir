@@ -11,7 +11,11 @@ tai.field @loss = @flat["loss"] : f32, rank 0
 
 // CHECK-LABEL: gpu.module @kernels
 //   CHECK-NOT: {{ (arith|scf|cf|vector|math|tai|func)[.]}}
-//       CHECK: llvm.func @norms_0({{.+}}) attributes {gpu.kernel, no_unwind, nvvm.kernel}
+//   Of both components, of the norm, and of the sum: what they touch.
+//       CHECK: llvm.func @norms_0({{.+}}) attributes {gpu.kernel, no_unwind, nvvm.kernel,
+//  CHECK-SAME:   tai.accesses = array<i64: 1, 2, 128, 64,
+//  CHECK-SAME:   0, 0, 0, 4, 8, 4, 0, 512, 8, 0, 0, 0, 4, 4, 8, 4, 0, 512, 8, 0,
+//  CHECK-SAME:   1, 2, 0, 4, 4, 4, 0, 256, 4, 0, 2, 3, 0, 4, 0, 4, 0, 0, 0, 0>}
 //   Small trees have small indices.
 //       CHECK:   nvvm.read.ptx.sreg.tid.x : i32
 //       CHECK:   llvm.call @__nv_expf

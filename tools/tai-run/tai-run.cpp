@@ -55,6 +55,9 @@ struct Options {
       cl::desc("Print the IR of each kernel that is compiled: all, or "
                "some of tai,autodiff,scf,llvm,llvmir,asm"),
       cl::value_desc("stages")};
+  cl::opt<bool> noFuseLaunches{
+      "no-fuse-launches",
+      cl::desc("Queue each launch of a recurring sequence by itself")};
   cl::opt<bool> noCache{"no-cache",
                         cl::desc("Do not keep or use compiled code")};
   cl::opt<std::string> cacheDir{"cache-dir",
@@ -78,6 +81,7 @@ static LogicalResult setOptions(Session &session, const Options &given) {
   SmallVector<std::pair<StringRef, std::string>> options = {
       {"arch", given.arch},
       {"threads", std::to_string(given.threads)},
+      {"fuse_launches", text(!given.noFuseLaunches)},
       {"deterministic", text(given.deterministic)},
       {"debug", text(given.debug)},
       {"fast_math", text(given.fastMath)},

@@ -141,10 +141,16 @@ def LowerLayout : Pass<"tai-lower-layout"> {
 
     With `bounds-check`, an access outside its field or array is reported by
     `tai.assert` and skipped; a skipped load yields zero.
+
+    With `on-device`, accesses carry the strides and extents of their indices
+    (`tai.digits`), from which `convert-tai-to-gpu` tells what a device function
+    touches.
   }];
   let options = [
     Option<"boundsCheck", "bounds-check", "bool", /*default=*/"false",
            "Check indices, and report and skip what lies outside">,
+    Option<"onDevice", "on-device", "bool", /*default=*/"false",
+           "Note on each access how its address is made up">,
   ];
   let dependentDialects = ["::mlir::arith::ArithDialect",
                            "::mlir::scf::SCFDialect",

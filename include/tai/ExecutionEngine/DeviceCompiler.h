@@ -61,6 +61,8 @@ struct DeviceCode {
   /// Names of the kernels, in the order of their numbers, and where they stand
   /// in the source.
   std::vector<std::string> functions, places;
+  /// See DeviceImage.
+  std::vector<std::vector<int64_t>> accesses;
 };
 
 /// The `gpu.module` of a lowered module. Null where there is none; an error

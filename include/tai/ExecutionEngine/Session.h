@@ -196,6 +196,7 @@ private:
   void useCache(StringRef folder);
   /// Opens the device, or goes back to the CPU.
   LogicalResult setArch(StringRef name);
+  void setFuseLaunches(bool on);
 
   std::unique_ptr<llvm::ThreadPoolInterface> pool;
   std::unique_ptr<MLIRContext> context;
@@ -206,6 +207,7 @@ private:
   CompileOptions options;
   /// Of the device that is opened next.
   int64_t deviceMemoryLimit = 0;
+  bool fuseLaunches = true;
   SmallVector<std::string> printedStages;
   bool printsProfile = false;
 

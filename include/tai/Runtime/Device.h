@@ -104,6 +104,9 @@ struct DeviceImage {
   /// LLVM bitcode of the same, to be put together with that of other kernels.
   /// Null where that is not wanted.
   std::shared_ptr<const std::string> bitcode;
+  /// What each function touches, as FunctionAccesses encodes it. May have fewer
+  /// entries than there are functions.
+  std::vector<std::vector<int64_t>> accesses = {};
 };
 
 /// `rows` pieces of `rowBytes` bytes, each starting `step` bytes after the one
@@ -234,6 +237,10 @@ int32_t tai_emu_thread_id(void);
 int32_t tai_emu_block_id(void);
 int32_t tai_emu_block_dim(void);
 int32_t tai_emu_grid_dim(void);
+/// See DeviceAbi.h.
+int32_t tai_emu_begin_group(void);
+void tai_emu_next_in_group(void);
+void tai_emu_end_group(void);
 }
 
 #endif // TAI_RUNTIME_DEVICE_H

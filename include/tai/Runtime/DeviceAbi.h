@@ -76,8 +76,8 @@ void tai_dev_grid_barrier(uint32_t *state, uint32_t blocks);
 #define TAI_PART_SWAP_ROWS 4
 /// The number of the first part that is the body of a kernel.
 #define TAI_FIRST_PART 5
-/// Added to the number of a part whose step touches nothing that the next one
-/// touches: nobody waits between them.
+/// Added to the number of a part where nobody has to wait before the next step:
+/// no thread touches there what another one has written since they last met.
 #define TAI_PART_APART ((uint64_t)1 << 32)
 
 /// The most words of a row.
@@ -105,6 +105,13 @@ int32_t tai_emu_thread_id(void);
 int32_t tai_emu_block_id(void);
 int32_t tai_emu_block_dim(void);
 int32_t tai_emu_grid_dim(void);
+
+/// A program on the emulated device runs as several threads, in an order that
+/// is another one after each barrier. Yields how many.
+int32_t tai_emu_begin_group(void);
+/// Whoever runs from now on is the next of them.
+void tai_emu_next_in_group(void);
+void tai_emu_end_group(void);
 
 #ifdef __cplusplus
 } // extern "C"

@@ -101,13 +101,17 @@ static Value emitExchangeLoop(OpBuilder &builder, Location loc, AtomicKind kind,
   auto first = LLVM::LoadOp::create(builder, loc, bits, pointer);
   first.setAliasScopesAttr(scopes.own);
   first.setNoaliasScopesAttr(scopes.others);
+  if (scopes.digits)
+    first->setAttr(kDigitsAttrName, scopes.digits);
   auto loop = scf::WhileOp::create(
       builder, loc, TypeRange{bits}, ValueRange{first},
       [&](OpBuilder &b, Location, ValueRange args) {
         Value next = emitCombination(b, loc, kind, fromBits(b, args[0]), value);
-        Value exchanged = LLVM::AtomicCmpXchgOp::create(
+        auto exchanged = LLVM::AtomicCmpXchgOp::create(
             b, loc, pointer, args[0], toBits(b, next),
             LLVM::AtomicOrdering::monotonic, LLVM::AtomicOrdering::monotonic);
+        if (scopes.digits)
+          exchanged->setAttr(kDigitsAttrName, scopes.digits);
         Value seen = LLVM::ExtractValueOp::create(b, loc, exchanged, 0);
         Value done = LLVM::ExtractValueOp::create(b, loc, exchanged, 1);
         Value yes = arith::ConstantIntOp::create(b, loc, 1, 1);
@@ -133,5 +137,7 @@ Value tai::emitAtomicUpdate(OpBuilder &builder, Location loc, AtomicKind kind,
                                           LLVM::AtomicOrdering::monotonic);
   update.setAliasScopesAttr(scopes.own);
   update.setNoaliasScopesAttr(scopes.others);
+  if (scopes.digits)
+    update->setAttr(kDigitsAttrName, scopes.digits);
   return update;
 }

@@ -330,6 +330,8 @@ Value tai::emitLoad(OpBuilder &builder, Location loc, Type scalar,
   load.setAccessGroupsAttr(scopes.groups);
   if (scopes.alignment)
     load.setAlignment(scopes.alignment);
+  if (scopes.digits)
+    load->setAttr(kDigitsAttrName, scopes.digits);
   if (scalar.isInteger(1))
     return arith::TruncIOp::create(builder, loc, scalar, load);
   if (scalar.isIndex())
@@ -350,4 +352,6 @@ void tai::emitStore(OpBuilder &builder, Location loc, Value value,
   store.setAccessGroupsAttr(scopes.groups);
   if (scopes.alignment)
     store.setAlignment(scopes.alignment);
+  if (scopes.digits)
+    store->setAttr(kDigitsAttrName, scopes.digits);
 }

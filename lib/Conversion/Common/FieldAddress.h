@@ -27,7 +27,13 @@ struct AliasScopes {
   ArrayAttr own, others, groups;
   /// Of the address, in bytes; 0 for that of the type.
   unsigned alignment = 0;
+  /// What accesses carry as kDigitsAttrName, or null.
+  DenseI64ArrayAttr digits = nullptr;
 };
+
+/// On an access to memory that was one to a field: strides in bytes and extents
+/// of the digits of its indices and of its component, two numbers for each.
+constexpr llvm::StringLiteral kDigitsAttrName = "tai.digits";
 
 /// A sparse level on the path to a field.
 struct SparseInfo {

@@ -16,6 +16,7 @@
 #include "../Common/Accumulation.h"
 #include "../Common/IndexMath.h"
 #include "../TaiToSCF/Accumulators.h"
+#include "LoopAccesses.h"
 #include "Offload.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
@@ -405,6 +406,12 @@ public:
       : function(function), launch(launch), entry(function.getContext()) {}
 
   LogicalResult capture();
+  /// The number of the parameter that a value from outside has become.
+  std::optional<int64_t> find(Value outer) const {
+    auto found = numbers.find(outer);
+    return found == numbers.end() ? std::nullopt
+                                  : std::optional<int64_t>(found->second);
+  }
   /// What to pass, as values of the host's part.
   ArrayRef<Value> getOperands() const { return operands; }
 
@@ -417,6 +424,7 @@ private:
   OpBuilder entry;
   SmallVector<Value> operands;
   llvm::DenseMap<Value, Value> known;
+  llvm::DenseMap<Value, int64_t> numbers;
 };
 } // namespace
 
@@ -436,6 +444,7 @@ Value Parameters::addParameter(Value outer) {
     operand = arith::IndexCastOp::create(host, loc, passed, outer);
   else if (passed != type)
     operand = arith::ExtUIOp::create(host, loc, passed, outer);
+  numbers[outer] = operands.size();
   operands.push_back(operand);
   Value parameter = block->addArgument(passed, outer.getLoc());
   entry.setInsertionPointToStart(block);
@@ -607,6 +616,10 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   RuntimeCalls &runtime = lowering.device.runtime;
   SmallVector<Sum> sums = collectSums(loop, lowering.device.fields);
   llvm::SetVector<Value> activated = findActivated(loop);
+  LoopAccesses accesses(loop, lowering.deterministic);
+  for (const Sum &sum : sums)
+    accesses.addSum(sum.target, sum.type, sum.kind == AtomicKind::Add,
+                    sum.isPartial ? getSumThreads(loop) : 0);
 
   // Loops inside are serial.
   SmallVector<ParallelForOp> inner;
@@ -646,7 +659,15 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
     return failure();
 
   SmallVector<Value> operands(parameters.getOperands());
-  if (state.use_empty()) {
+  bool usesState = !state.use_empty();
+  // That they may change, and the memory behind it, is not in the list.
+  DenseI64ArrayAttr list = accesses.encode([&](Value outer) {
+    std::optional<int64_t> number = parameters.find(outer);
+    return number ? std::optional<int64_t>(*number + usesState) : std::nullopt;
+  });
+  if (list)
+    function->setAttr(kAccessesAttrName, list);
+  if (!usesState) {
     entry->eraseArgument(0);
   } else {
     RuntimeCalls &host = lowering.host.runtime;

@@ -1,0 +1,358 @@
+//===- LoopAccesses.cpp - What a parallel loop touches --------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Addresses are sums of values from outside, of the indices of the loop and of
+// loops inside it, times constants. An index that is anything else, such as one
+// that is wrapped around a border or was read from memory, lies in its range:
+// kernels do not leave their fields.
+//
+//===----------------------------------------------------------------------===//
+
+#include "LoopAccesses.h"
+#include "../Common/Accumulate.h"
+#include "../Common/FieldAddress.h"
+#include "Offload.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/IR/Matchers.h"
+#include "mlir/Interfaces/SideEffectInterfaces.h"
+#include <numeric>
+
+using namespace mlir;
+using namespace mlir::tai;
+using runtime::DeviceAccess;
+
+/// More than this is a list that nobody goes through in time.
+static constexpr size_t kMostAccesses = 96;
+
+static std::optional<int64_t> getConstant(Value value) {
+  APInt constant;
+  if (!matchPattern(value, m_ConstantInt(&constant)) ||
+      constant.getSignificantBits() > 64)
+    return std::nullopt;
+  return constant.getSExtValue();
+}
+
+static int64_t getSize(Type type) {
+  return isa<LLVM::LLVMPointerType>(type) || type.isIndex()
+             ? 8
+             : llvm::divideCeil(type.getIntOrFloatBitWidth(), 8);
+}
+
+LoopAccesses::LoopAccesses(ParallelForOp loop, bool deterministic)
+    : loop(loop), deterministic(deterministic), box(getConstantBox(loop)) {
+  // Numbers of iterations are counted from there on.
+  constexpr int64_t most = int64_t(1) << 31;
+  if (box)
+    for (auto [from, to] : llvm::zip(box->lower, box->upper))
+      if (from < -most || to > most) {
+        box.reset();
+        break;
+      }
+  for (Value bound : loop->getOperands())
+    addSlot(bound);
+  loop.getBody().walk([&](Operation *op) { visit(op); });
+}
+
+void LoopAccesses::addSlot(Value value) {
+  Operation *definition = value.getDefiningOp();
+  if (definition && definition->hasAttr(kDeviceSlotAttrName) &&
+      loop.isDefinedOutsideOfLoop(value))
+    add(definition->getOperand(0), value.getType(), DeviceAccess::Read, {});
+}
+
+void LoopAccesses::visit(Operation *op) {
+  for (Value operand : op->getOperands())
+    addSlot(operand);
+  // Sums are said by those who know where they go.
+  if (op->hasAttr(kAccumulateAttrName))
+    return;
+  auto digits = op->getAttrOfType<DenseI64ArrayAttr>(kDigitsAttrName);
+  op->removeAttr(kDigitsAttrName);
+  if (auto load = dyn_cast<LLVM::LoadOp>(op))
+    return add(load.getAddr(), load.getType(), DeviceAccess::Read, digits);
+  if (auto store = dyn_cast<LLVM::StoreOp>(op))
+    return add(store.getAddr(), store.getValue().getType(), DeviceAccess::Write,
+               digits);
+  if (auto exchange = dyn_cast<LLVM::AtomicCmpXchgOp>(op))
+    return add(exchange.getPtr(), exchange.getVal().getType(),
+               DeviceAccess::Write, digits);
+  if (auto update = dyn_cast<LLVM::AtomicRMWOp>(op)) {
+    using Kind = LLVM::AtomicBinOp;
+    Kind kind = update.getBinOp();
+    Type type = update.getVal().getType();
+    bool isFloat = kind == Kind::fadd || kind == Kind::fsub;
+    bool isSum =
+        update->use_empty() &&
+        (isFloat ? !deterministic : kind == Kind::add || kind == Kind::sub);
+    return add(update.getPtr(), type,
+               isSum ? DeviceAccess::Sum : DeviceAccess::Write, digits);
+  }
+  // What these keep belongs to one thread.
+  if (isa<LLVM::AllocaOp, AllocaOp, LocalLoadOp, LocalStoreOp, StackCreateOp,
+          StackPushOp, StackPopOp, StackDestroyOp>(op))
+    return;
+  if (op->getNumRegions() == 0 && !isMemoryEffectFree(op))
+    isKnown = false;
+  if (op->getNumRegions() != 0 &&
+      !isa<ParallelForOp, scf::ForOp, scf::IfOp, scf::WhileOp,
+           scf::IndexSwitchOp, scf::ExecuteRegionOp>(op))
+    isKnown = false;
+}
+
+/// Somewhere in `count` places, `step` bytes from one to the next.
+void LoopAccesses::widen(Address &address, int64_t count, int64_t step) {
+  if (count <= 1 || step == 0)
+    return;
+  DeviceAccess &access = address.access;
+  access.offset += std::min<int64_t>(step, 0) * (count - 1);
+  access.window += std::abs(step) * (count - 1);
+  access.step = std::gcd(access.step, std::abs(step));
+}
+
+/// The number of trips and the first index of a serial loop, by its index.
+static std::optional<std::pair<int64_t, int64_t>> getTrips(BlockArgument iv,
+                                                           int64_t &step) {
+  Operation *parent = iv.getOwner()->getParentOp();
+  std::optional<int64_t> lower, upper;
+  step = 1;
+  if (auto serial = dyn_cast<scf::ForOp>(parent)) {
+    if (iv != serial.getInductionVar())
+      return std::nullopt;
+    lower = getConstant(serial.getLowerBound());
+    upper = getConstant(serial.getUpperBound());
+    step = getConstant(serial.getStep()).value_or(0);
+  } else if (auto inner = dyn_cast<ParallelForOp>(parent)) {
+    if (std::optional<LoopBox> box = getConstantBox(inner)) {
+      lower = box->lower[iv.getArgNumber()];
+      upper = box->upper[iv.getArgNumber()];
+    }
+  }
+  constexpr int64_t most = int64_t(1) << 31;
+  if (!lower || !upper || step <= 0 || *lower < -most || *upper > most)
+    return std::nullopt;
+  return std::pair(llvm::divideCeilSigned(*upper - *lower, step), *lower);
+}
+
+bool LoopAccesses::addTerm(Address &address, Value value, int64_t scale,
+                           unsigned depth) {
+  DeviceAccess &access = address.access;
+  if (std::optional<int64_t> constant = getConstant(value)) {
+    access.offset += scale * *constant;
+    return true;
+  }
+  if (loop.isDefinedOutsideOfLoop(value)) {
+    Operation *definition = value.getDefiningOp();
+    if ((definition && definition->hasAttr(kDeviceSlotAttrName)) ||
+        !value.getType().isIntOrIndex())
+      return false;
+    address.terms.push_back({value, scale});
+    return true;
+  }
+  if (auto argument = dyn_cast<BlockArgument>(value)) {
+    if (argument.getOwner() == &loop.getBody().front()) {
+      if (!box)
+        return false;
+      unsigned d = argument.getArgNumber();
+      access.offset += scale * box->lower[d];
+      access.strides[d] += scale;
+      return true;
+    }
+    int64_t step = 0;
+    auto trips = getTrips(argument, step);
+    if (!trips)
+      return false;
+    access.offset += scale * trips->second;
+    widen(address, trips->first, scale * step);
+    return true;
+  }
+  Operation *op = value.getDefiningOp();
+  if (depth == 0)
+    return false;
+  auto addBoth = [&](int64_t sign) {
+    return addTerm(address, op->getOperand(0), scale, depth - 1) &&
+           addTerm(address, op->getOperand(1), sign * scale, depth - 1);
+  };
+  if (isa<arith::AddIOp>(op))
+    return addBoth(1);
+  if (isa<arith::SubIOp>(op))
+    return addBoth(-1);
+  if (isa<arith::IndexCastOp, arith::ExtSIOp>(op))
+    return addTerm(address, op->getOperand(0), scale, depth - 1);
+  if (isa<arith::MulIOp>(op))
+    for (unsigned i : {0, 1})
+      if (std::optional<int64_t> factor = getConstant(op->getOperand(1 - i))) {
+        if (std::abs(*factor) >= int64_t(1) << 31)
+          return false;
+        if (std::abs(*factor) > 1 && !value.getType().isIndex() &&
+            !value.getType().isInteger(64)) {
+          if (value.getType().getIntOrFloatBitWidth() < 32)
+            return false;
+          access.unit = access.unit == 0
+                            ? std::abs(scale)
+                            : std::min(access.unit, std::abs(scale));
+        }
+        return addTerm(address, op->getOperand(i), scale * *factor, depth - 1);
+      }
+  return false;
+}
+
+/// The parts of a sum.
+static void collectParts(Value sum, SmallVectorImpl<Value> &parts) {
+  if (auto cast = sum.getDefiningOp<arith::IndexCastOp>())
+    return collectParts(cast.getIn(), parts);
+  auto add = sum.getDefiningOp<arith::AddIOp>();
+  if (!add)
+    return parts.push_back(sum);
+  collectParts(add.getLhs(), parts);
+  collectParts(add.getRhs(), parts);
+}
+
+bool LoopAccesses::addIndex(Address &address, Value index, int64_t size,
+                            ArrayRef<int64_t> digits) {
+  constexpr unsigned depth = 24;
+  Address attempt = address;
+  if (addTerm(attempt, index, size, depth)) {
+    address = std::move(attempt);
+    return true;
+  }
+  // Of each digit that is no sum of the known, all that is known is its range.
+  // Those of larger strides are products; what is left is that of the smallest.
+  SmallVector<Value> parts;
+  collectParts(index, parts);
+  SmallVector<int64_t> strides, extents;
+  for (size_t i = 0; i + 1 < digits.size(); i += 2) {
+    strides.push_back(digits[i]);
+    extents.push_back(digits[i + 1]);
+  }
+  auto findDigit = [&](Value part) -> size_t {
+    auto product = part.getDefiningOp<arith::MulIOp>();
+    std::optional<int64_t> factor =
+        product ? getConstant(product.getRhs()) : std::nullopt;
+    return factor ? llvm::find(strides, *factor * size) - strides.begin()
+                  : strides.size();
+  };
+  attempt = address;
+  llvm::SmallDenseSet<size_t> seen;
+  SmallVector<Value> rest;
+  for (Value part : parts) {
+    size_t digit = findDigit(part);
+    if (digit == strides.size()) {
+      rest.push_back(part);
+      continue;
+    }
+    if (!seen.insert(digit).second)
+      return false;
+    Address with = attempt;
+    if (addTerm(with, part, size, depth))
+      attempt = std::move(with);
+    else
+      widen(attempt, extents[digit], strides[digit]);
+  }
+  Address with = attempt;
+  if (llvm::all_of(
+          rest, [&](Value part) { return addTerm(with, part, size, depth); })) {
+    address = std::move(with);
+    return true;
+  }
+  size_t smallest = llvm::find(strides, size) - strides.begin();
+  if (smallest == strides.size() || seen.contains(smallest))
+    return false;
+  widen(attempt, extents[smallest], strides[smallest]);
+  address = std::move(attempt);
+  return true;
+}
+
+void LoopAccesses::add(Value pointer, Type type, DeviceAccess::Kind kind,
+                       DenseI64ArrayAttr digits) {
+  if (!isKnown)
+    return;
+  Address address;
+  address.access.kind = kind;
+  address.access.size = address.access.window = getSize(type);
+  address.access.strides.assign(loop.getInductionVars().size(), 0);
+  while (!loop.isDefinedOutsideOfLoop(pointer)) {
+    if (pointer.getDefiningOp<LLVM::AllocaOp>())
+      return;
+    auto element = pointer.getDefiningOp<LLVM::GEPOp>();
+    isKnown = element && element.getIndices().size() == 1 &&
+              element.getElemType().isIntOrFloat();
+    if (!isKnown)
+      return;
+    int64_t size = getSize(element.getElemType());
+    auto index = element.getIndices()[0];
+    if (auto constant = dyn_cast<IntegerAttr>(index))
+      address.access.offset += constant.getInt() * size;
+    else
+      isKnown = addIndex(address, cast<Value>(index), size,
+                         digits ? digits.asArrayRef() : ArrayRef<int64_t>());
+    if (!isKnown)
+      return;
+    pointer = element.getBase();
+  }
+  address.base = pointer;
+  if (box)
+    for (auto [stride, lower, upper] :
+         llvm::zip(address.access.strides, box->lower, box->upper)) {
+      if (upper - lower <= 1)
+        stride = 0;
+      address.access.step = std::gcd(address.access.step, std::abs(stride));
+    }
+  bool isNew = llvm::none_of(addresses, [&](const Address &other) {
+    return other.access == address.access && other.base == address.base &&
+           other.terms == address.terms;
+  });
+  if (isNew)
+    addresses.push_back(std::move(address));
+  isKnown = addresses.size() <= kMostAccesses;
+}
+
+void LoopAccesses::addSum(Value target, Type type, bool isAddition,
+                          int64_t threads) {
+  Type storage = getStorageType(type);
+  if (threads == 0)
+    return add(target, storage,
+               isAddition && (!deterministic || !isa<FloatType>(type))
+                   ? DeviceAccess::Sum
+                   : DeviceAccess::Write,
+               {});
+  // The iterations of each number of a fixed one are then of one thread.
+  isPlain = false;
+  add(target, storage, DeviceAccess::Write, {});
+  if (isKnown)
+    widen(addresses.back(), threads, getSize(storage));
+}
+
+DenseI64ArrayAttr
+LoopAccesses::encode(function_ref<std::optional<int64_t>(Value)> getParameter) {
+  if (!isKnown)
+    return {};
+  runtime::FunctionAccesses result;
+  result.isPlain = isPlain;
+  for (size_t d = 0; d < loop.getInductionVars().size(); ++d)
+    result.extents.push_back(
+        box ? std::max<int64_t>(box->upper[d] - box->lower[d], 0) : -1);
+  for (Address &address : addresses) {
+    DeviceAccess access = std::move(address.access);
+    std::optional<int64_t> slot = getParameter(address.base);
+    if (!slot)
+      return {};
+    access.slot = *slot;
+    for (auto [value, factor] : address.terms) {
+      std::optional<int64_t> term = getParameter(value);
+      if (!term)
+        return {};
+      Type type = value.getType();
+      // A truth value is not extended by its sign.
+      int64_t bits = type.isIndex() ? 64 : type.getIntOrFloatBitWidth();
+      if (bits == 1 || bits > 64)
+        return {};
+      access.terms.push_back({*term, bits, factor});
+    }
+    result.accesses.push_back(std::move(access));
+  }
+  return DenseI64ArrayAttr::get(loop.getContext(), result.encode());
+}

@@ -1,0 +1,231 @@
+//===- ProgramSchedule.cpp - Where steps wait for each other --------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// In a program every thread goes through all steps, so that a step need not
+// wait where it touches other memory than the steps before it, or where each of
+// its threads touches nothing but what the same thread has touched before.
+// Steps come together in groups, with barriers between the groups. Each step
+// goes into the earliest group that it may, so that those of a later part of
+// the sequence that wait for nothing fill gaps of an earlier one.
+//
+//===----------------------------------------------------------------------===//
+
+#include "ProgramSchedule.h"
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+using namespace mlir::tai::runtime;
+
+//===----------------------------------------------------------------------===//
+// Memory of a step
+//===----------------------------------------------------------------------===//
+
+/// Neighbours in memory as one digit. Digits of one are left out.
+static Footprint::Map makeMap(const std::vector<int64_t> &extents,
+                              const std::vector<int64_t> &strides) {
+  Footprint::Map map;
+  for (size_t d = extents.size(); d-- > 0;) {
+    int64_t extent = extents[d], stride = strides[d];
+    if (extent == 1)
+      continue;
+    if (!map.empty() && map.back().first * map.back().second == stride)
+      map.back().first *= extent;
+    else
+      map.emplace_back(extent, stride);
+  }
+  return map;
+}
+
+Footprint::Footprint(const FunctionAccesses &accesses) {
+  const std::vector<int64_t> &extents = accesses.extents;
+  bool isKnown = std::all_of(extents.begin(), extents.end(),
+                             [](int64_t extent) { return extent >= 0; });
+  isSingle = isKnown && accesses.isPlain &&
+             std::all_of(extents.begin(), extents.end(),
+                         [](int64_t extent) { return extent <= 1; });
+  for (const DeviceAccess &access : accesses.accesses) {
+    Line line{access, 0, 0, {}};
+    for (size_t d = 0; isKnown && d < extents.size(); ++d) {
+      int64_t reach = access.strides[d] * std::max<int64_t>(extents[d] - 1, 0);
+      line.low += std::min<int64_t>(reach, 0);
+      line.high += std::max<int64_t>(reach, 0);
+    }
+    if (isKnown && accesses.isPlain)
+      line.map = makeMap(extents, access.strides);
+    lines.push_back(std::move(line));
+  }
+}
+
+StepMemory StepMemory::ofLaunch(const Footprint *footprint,
+                                const uint64_t *slots, size_t numSlots) {
+  StepMemory memory;
+  if (!footprint)
+    return memory;
+  memory.isSingle = footprint->isSingle;
+  memory.pieces.reserve(footprint->lines.size());
+  auto has = [&](int64_t slot) {
+    return slot >= 0 && static_cast<size_t>(slot) < numSlots;
+  };
+  for (const Footprint::Line &line : footprint->lines) {
+    const DeviceAccess &access = line.access;
+    if (!has(access.slot))
+      return StepMemory();
+    uint64_t first = slots[access.slot] + static_cast<uint64_t>(access.offset);
+    double sum = std::abs(double(access.offset)) + double(line.high) -
+                 double(line.low) + double(access.window);
+    for (const DeviceAccess::Term &term : access.terms) {
+      if (!has(term.slot) || term.bits < 1 || term.bits > 64)
+        return StepMemory();
+      auto unused = static_cast<unsigned>(64 - term.bits);
+      auto value = static_cast<int64_t>(slots[term.slot] << unused) >> unused;
+      first +=
+          static_cast<uint64_t>(value) * static_cast<uint64_t>(term.factor);
+      sum += std::abs(double(value) * double(term.factor));
+    }
+    if (access.unit != 0 && sum >= 0x1p30 * double(access.unit))
+      return StepMemory();
+    memory.pieces.push_back(
+        {static_cast<DeviceAccess::Kind>(access.kind), first,
+         first + static_cast<uint64_t>(line.low),
+         first + static_cast<uint64_t>(line.high + access.window),
+         access.window, access.step, access.size,
+         line.map.empty() ? nullptr : &line.map});
+  }
+  memory.isKnown = true;
+  return memory;
+}
+
+void StepMemory::add(DeviceAccess::Kind kind, uint64_t begin, uint64_t bytes) {
+  auto window = static_cast<int64_t>(bytes);
+  pieces.push_back({kind, begin, begin, begin + bytes, window, 1, 1, nullptr});
+  isKnown = true;
+}
+
+void StepMemory::addRows(DeviceAccess::Kind kind, uint64_t begin, uint64_t step,
+                         uint64_t rowBytes, uint64_t rows) {
+  uint64_t bytes = rows == 0 ? 0 : step * (rows - 1) + rowBytes;
+  pieces.push_back({kind, begin, begin, begin + bytes,
+                    static_cast<int64_t>(bytes), static_cast<int64_t>(step),
+                    static_cast<int64_t>(rowBytes), nullptr});
+  isKnown = true;
+}
+
+void StepMemory::addNumbers(DeviceAccess::Kind kind, uint64_t begin,
+                            int64_t bytes, int64_t count) {
+  ownMap =
+      std::make_shared<Footprint::Map>(Footprint::Map{std::pair(count, bytes)});
+  pieces.push_back({kind, begin, begin,
+                    begin + static_cast<uint64_t>(bytes * count), bytes, bytes,
+                    bytes, ownMap.get()});
+  isKnown = true;
+}
+
+//===----------------------------------------------------------------------===//
+// Two steps
+//===----------------------------------------------------------------------===//
+
+/// True if all elements of one piece lie between those of the other: fields
+/// that share cells do.
+static bool areInterleaved(const StepMemory::Piece &a,
+                           const StepMemory::Piece &b) {
+  int64_t step = std::gcd(a.step, b.step);
+  if (step == 0)
+    return false;
+  int64_t distance = static_cast<int64_t>(b.first - a.first) % step;
+  if (distance < 0)
+    distance += step;
+  return distance >= a.size && distance + b.size <= step;
+}
+
+/// True if in both the same iterations reach the same memory, and no others do.
+static bool haveSameThreads(const StepMemory::Piece &a,
+                            const StepMemory::Piece &b) {
+  if (!a.map || !b.map || a.map->size() != b.map->size())
+    return false;
+  // Of the outermost digit it does not matter how long it is.
+  for (size_t i = 0; i < a.map->size(); ++i)
+    if ((*a.map)[i].second != (*b.map)[i].second ||
+        (i + 1 < a.map->size() && (*a.map)[i].first != (*b.map)[i].first))
+      return false;
+  uint64_t first = std::min(a.first, b.first);
+  auto width =
+      static_cast<int64_t>(std::max(a.first + static_cast<uint64_t>(a.window),
+                                    b.first + static_cast<uint64_t>(b.window)) -
+                           first);
+  // The window of one iteration, of one row of them, ...
+  for (size_t i = 0; i < a.map->size(); ++i) {
+    auto [extent, stride] = (*a.map)[i];
+    if (stride < width)
+      return false;
+    width += stride * (extent - 1);
+  }
+  return true;
+}
+
+static StepRelation getRelation(const StepMemory::Piece &a,
+                                const StepMemory::Piece &b) {
+  if ((a.kind == b.kind && a.kind != DeviceAccess::Write) || a.end <= b.begin ||
+      b.end <= a.begin || areInterleaved(a, b))
+    return StepRelation::None;
+  return haveSameThreads(a, b) ? StepRelation::SameThread
+                               : StepRelation::Barrier;
+}
+
+StepRelation mlir::tai::runtime::getRelation(const StepMemory &a,
+                                             const StepMemory &b) {
+  if (!a.isKnown || !b.isKnown)
+    return StepRelation::Barrier;
+  StepRelation most = a.isSingle && b.isSingle ? StepRelation::SameThread
+                                               : StepRelation::Barrier;
+  StepRelation result = StepRelation::None;
+  for (const StepMemory::Piece &one : a.pieces)
+    for (const StepMemory::Piece &other : b.pieces) {
+      result = std::max(result, std::min(most, ::getRelation(one, other)));
+      if (result == most)
+        return result;
+    }
+  return result;
+}
+
+//===----------------------------------------------------------------------===//
+// All steps
+//===----------------------------------------------------------------------===//
+
+ProgramSchedule::ProgramSchedule(const std::vector<StepMemory> &steps) {
+  // A step is not moved past more than this.
+  constexpr size_t mostGroups = 12, mostSteps = 192;
+  std::vector<std::vector<uint32_t>> groups;
+  for (uint32_t i = 0; i < steps.size(); ++i) {
+    size_t place = groups.size(), seen = 0;
+    for (size_t g = groups.size();
+         g-- > 0 && groups.size() - g <= mostGroups && seen <= mostSteps;) {
+      StepRelation relation = StepRelation::None;
+      for (uint32_t other : groups[g]) {
+        relation = std::max(relation, getRelation(steps[other], steps[i]));
+        if (relation == StepRelation::Barrier)
+          break;
+      }
+      seen += groups[g].size();
+      if (relation == StepRelation::Barrier)
+        break;
+      place = g;
+      if (relation == StepRelation::SameThread)
+        break;
+    }
+    if (place == groups.size())
+      groups.emplace_back();
+    groups[place].push_back(i);
+  }
+  for (const std::vector<uint32_t> &group : groups)
+    for (uint32_t step : group) {
+      order.push_back(step);
+      waits.push_back(step == group.back());
+    }
+  // Nobody waits after the last.
+  numBarriers = groups.empty() ? 0 : groups.size() - 1;
+}
