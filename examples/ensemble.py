@@ -3,7 +3,8 @@
 An ensemble of carts with poles, each of another length, mass and start. A small network pushes
 the carts; all share it. Every process simulates its part of the ensemble and differentiates it
 with tai; to PyTorch the part is a `torch.autograd.Function`, and `torch.distributed` adds up the
-gradients, by NCCL between GPUs and by gloo on CPUs.
+gradients, by NCCL between GPUs and by gloo on CPUs. Between GPU and GPU, nothing goes through the
+host: weights, loss and gradients are handed over where they are.
 
     python examples/ensemble.py
     torchrun --standalone --nproc-per-node 4 examples/ensemble.py --arch cuda
@@ -122,14 +123,14 @@ class Ensemble(torch.autograd.Function):
             loss[None] = 0.0
             Ensemble.tape.replay()
         ctx.gradient = weights.grad.to_torch(device=given.device)
-        return torch.tensor(loss[None], device=given.device)
+        return loss.to_torch(device=given.device)
 
     @staticmethod
     def backward(ctx, bar):
         return bar * ctx.gradient
 
 
-def iterate(controller, optimiser, together: bool) -> float:
+def iterate(controller, optimiser, together: bool) -> torch.Tensor:
     """One step of descent on the mean over all processes, or on this one's own; the loss."""
     optimiser.zero_grad()
     cost = Ensemble.apply(controller)
@@ -140,7 +141,7 @@ def iterate(controller, optimiser, together: bool) -> float:
         both /= WORLD
         controller.grad.copy_(both[:-1])
     optimiser.step()
-    return float(both[-1])
+    return both[-1]
 
 
 def timed(controller, together: bool) -> float:
@@ -150,7 +151,8 @@ def timed(controller, together: bool) -> float:
     seconds = []
     for _ in range(12):
         begin = time.perf_counter()
-        iterate(trial, optimiser, together)
+        cost = iterate(trial, optimiser, together)
+        float(cost)  # waits
         seconds.append(time.perf_counter() - begin)
     return statistics.median(seconds[2:])
 
@@ -168,7 +170,7 @@ def main() -> None:
     for iteration in range(args.iterations):
         cost = iterate(controller, optimiser, True)
         if RANK == 0 and (iteration % 10 == 0 or iteration == args.iterations - 1):
-            print(f"iteration {iteration:3}  loss {cost:.6f}  |w| {controller.norm():.6f}")
+            print(f"iteration {iteration:3}  loss {cost.item():.6f}  |w| {controller.norm():.6f}")
 
     # Alone: one process after another, so that none of them disturbs it.
     alone = torch.zeros(WORLD, device=device)

@@ -223,6 +223,32 @@ TAI_EXPORT TaiStatus taiFieldWriteElements(TaiField field,
 TAI_EXPORT TaiStatus taiFieldGetAddress(TaiField field, const int64_t *indices,
                                         void **address);
 
+/// Memory of a field that another library uses, until it gives it back: it
+/// stays there as long, also when the field and the context are gone.
+typedef struct TaiLoanImpl *TaiLoan;
+typedef struct TaiFieldMemory {
+  void *address; // of the first element
+  int32_t on_device;
+  /// Bytes from one index to the next, along each dimension of the field and of
+  /// its element; owned by the loan.
+  const int64_t *strides;
+} TaiFieldMemory;
+/// Fails for fields whose elements do not lie evenly, and for sparse ones.
+TAI_EXPORT TaiStatus taiFieldLend(TaiField field, TaiFieldMemory *memory,
+                                  TaiLoan *loan);
+TAI_EXPORT void taiLoanEnd(TaiLoan loan);
+/// To be called where another library writes to a field that is lent. Fails
+/// while a tape records.
+TAI_EXPORT TaiStatus taiFieldNoteWrite(TaiField field);
+/// What is queued from now on waits for what a stream of CUDA holds now, and
+/// the other way round; 0 is the default stream. Does nothing without a GPU.
+TAI_EXPORT TaiStatus taiContextWaitForStream(TaiContext context,
+                                             uint64_t stream);
+TAI_EXPORT TaiStatus taiContextLetStreamWait(TaiContext context,
+                                             uint64_t stream);
+/// Whether kernels run on a GPU, and not on one that is emulated.
+TAI_EXPORT int taiContextIsOnGpu(TaiContext context);
+
 /// All elements from or to a row-major array of the field's own scalar type,
 /// of shape (shape..., element_shape...). Of a sparse field, cells become
 /// active that hold something else than zero.

@@ -138,6 +138,16 @@ Status DeviceQueue::record(std::unique_ptr<DeviceEvent> &event) {
   return status ? device->record(event) : std::move(status);
 }
 
+Status DeviceQueue::waitForStream(uint64_t stream) {
+  Status status = flush();
+  return status ? device->waitForStream(stream) : std::move(status);
+}
+
+Status DeviceQueue::letStreamWait(uint64_t stream) {
+  Status status = flush();
+  return status ? device->letStreamWait(stream) : std::move(status);
+}
+
 Status DeviceQueue::synchronize() {
   Status status = flush();
   return status ? device->synchronize() : std::move(status);
@@ -238,3 +248,7 @@ Status Device::wait(DeviceEvent &) { return hasNoEvents(); }
 Status Device::elapsed(const DeviceEvent &, const DeviceEvent &, int64_t &) {
   return hasNoEvents();
 }
+
+// Where there are no other queues, there is nothing to wait for.
+Status Device::waitForStream(uint64_t) { return Status::success(); }
+Status Device::letStreamWait(uint64_t) { return Status::success(); }

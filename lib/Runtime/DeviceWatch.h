@@ -62,6 +62,12 @@ public:
   Status record(std::unique_ptr<DeviceEvent> &event) override {
     return device->record(event);
   }
+  Status waitForStream(uint64_t stream) override {
+    return device->waitForStream(stream);
+  }
+  Status letStreamWait(uint64_t stream) override {
+    return device->letStreamWait(stream);
+  }
   Status synchronize() override { return device->synchronize(); }
 
   Status copyIn(DevicePtr to, const void *from, int64_t bytes) override;

@@ -49,6 +49,8 @@ Status Mirror::upload() {
   else
     status = pristine ? device().fill(memory, &zero, 1, tree.bytes())
                       : device().copyIn(memory, tree.base(), tree.bytes());
+  if (status && isLent())
+    hostCurrent.store(false, std::memory_order_relaxed);
   if (status)
     deviceCurrent.store(true, std::memory_order_release);
   return status;
@@ -63,7 +65,8 @@ Status Mirror::download() {
                       : device().copyOut(tree.base(), memory, tree.bytes());
   if (!status)
     return status;
-  hostCurrent.store(true, std::memory_order_release);
+  if (!isLent())
+    hostCurrent.store(true, std::memory_order_release);
   return context().report();
 }
 
@@ -73,7 +76,7 @@ static int64_t accessesWorth(int64_t bytes) { return bytes >> 17; }
 
 Status Mirror::read(int64_t offset, void *to, int64_t bytes) {
   Status status;
-  if (!onHost() && reads++ < accessesWorth(tree.bytes())) {
+  if (!onHost() && (isLent() || reads++ < accessesWorth(tree.bytes()))) {
     status = device().copyOut(to, at(offset), bytes);
     return status ? context().report() : std::move(status);
   }
@@ -86,7 +89,8 @@ Status Mirror::read(int64_t offset, void *to, int64_t bytes) {
 Status Mirror::write(int64_t offset, const void *from, int64_t bytes) {
   // A write on the device is not waited for.
   constexpr int64_t few = 8;
-  if (onDevice() && writes++ < few + accessesWorth(tree.bytes())) {
+  if (onDevice() &&
+      (isLent() || writes++ < few + accessesWorth(tree.bytes()))) {
     pristine = false;
     // Where both are current, both stay so.
     if (onHost())

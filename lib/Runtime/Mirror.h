@@ -48,6 +48,7 @@ public:
   Status toHost() { return onHost() ? Status::success() : download(); }
   /// The host is about to change it, all of it being current there.
   void hostWrites() {
+    hostCurrent.store(true, std::memory_order_relaxed);
     deviceCurrent.store(false, std::memory_order_relaxed);
     pristine = false;
   }
@@ -61,6 +62,16 @@ public:
     reads = writes = 0;
     pristine = false;
   }
+
+  /// Others have its address on the device, and may write there at any time:
+  /// what the host has read is not current any more then.
+  bool isLent() const { return loans.load(std::memory_order_relaxed) > 0; }
+  /// The memory of the device is current.
+  void lend() {
+    loans.fetch_add(1, std::memory_order_relaxed);
+    deviceWrites();
+  }
+  void takeBack() { loans.fetch_sub(1, std::memory_order_relaxed); }
 
   /// A few bytes, from or to wherever they can be had at the least cost.
   Status read(int64_t offset, void *to, int64_t bytes);
@@ -90,6 +101,7 @@ private:
   std::unique_ptr<SparseMirror> sparseTree;
   std::mutex mutex;
   std::atomic<bool> hostCurrent{true}, deviceCurrent{false};
+  std::atomic<int> loans{0};
   /// Nobody has written to it: it holds zeros.
   std::atomic<bool> pristine{true};
   DevicePtr memory = 0;

@@ -115,8 +115,8 @@ Status Runtime::addTree(std::string name, int64_t bytes, TreePtr &tree,
   tree->treeName = name;
   tree->address = static_cast<char *>(memory) + stagger;
   tree->size = bytes;
-  tree->mapping = memory;
-  tree->mapped = mapped;
+  tree->memory = std::shared_ptr<void>(
+      memory, [mapped](void *start) { munmap(start, mapped); });
   tree->charged = needed;
   tree->allActiveBytes = &sparseBytes;
   reinterpret_cast<Tree **>(tree->address)[-1] = tree.get();
@@ -140,11 +140,10 @@ void Runtime::freeTree(Tree &tree) {
   for (const std::unique_ptr<SparseNode> &node : tree.nodes)
     node->onDevice = nullptr;
   tree.mirrored.reset();
-  munmap(tree.mapping, tree.mapped);
+  tree.memory.reset();
   reserved -= tree.charged;
   sparseBytes -= tree.activeCellBytes();
   tree.address = nullptr;
-  tree.mapping = nullptr;
 }
 
 Status Runtime::destroyTree(const std::string &name) {

@@ -13,4 +13,5 @@ PYBIND11_MODULE(_core, module) {
   taipy::bindRuntime(module);
   taipy::bindBuilder(module);
   taipy::bindLauncher(module);
+  taipy::bindInterop(module);
 }

@@ -384,6 +384,24 @@ void bindField(py::module_ &module) {
                  f.handle, toIndices(f, indices).data(), &address));
              return reinterpret_cast<uintptr_t>(address);
            })
+      // Address, whether it is on a device, bytes from index to index, and what
+      // keeps the memory.
+      .def("lend",
+           [](Field &f) {
+             TaiFieldMemory memory;
+             TaiLoan loan = nullptr;
+             f.context->check(taiFieldLend(f.handle, &memory, &loan));
+             py::capsule owner(loan, [](void *pointer) {
+               taiLoanEnd(static_cast<TaiLoan>(pointer));
+             });
+             py::tuple strides(f.info.rank + f.info.element_rank);
+             for (size_t d = 0; d < strides.size(); ++d)
+               strides[d] = memory.strides[d];
+             return py::make_tuple(reinterpret_cast<uint64_t>(memory.address),
+                                   bool(memory.on_device), strides, owner);
+           })
+      .def("note_write",
+           [](Field &f) { f.context->check(taiFieldNoteWrite(f.handle)); })
       .def("read_elements",
            [](Field &f, const py::buffer &indices, const py::buffer &values) {
              // The caller sees to shapes and types.
@@ -513,6 +531,16 @@ void taipy::bindRuntime(py::module_ &module) {
             return tape;
           },
           py::arg("loss").none(true), py::arg("clear"))
+      .def("wait_for_stream",
+           [](Context &c, uint64_t stream) {
+             c.check(taiContextWaitForStream(c.handle, stream));
+           })
+      .def("let_stream_wait",
+           [](Context &c, uint64_t stream) {
+             c.check(taiContextLetStreamWait(c.handle, stream));
+           })
+      .def("is_on_gpu",
+           [](Context &c) { return bool(taiContextIsOnGpu(c.handle)); })
       .def("profile",
            [](Context &c) {
              const TaiProfileRow *rows = nullptr;

@@ -196,6 +196,7 @@ _LAZY = {
     "extension": "lang.misc", "is_extension_supported": "lang.misc",
     "Struct": "structs", "StructField": "structs", "dataclass": "structs",
     "BitpackedFields": "types", "loop_unique": "ops",
+    "from_dlpack": "_interop", "wait_for_stream": "_interop", "let_stream_wait": "_interop",
     "GUI": "gui", "rgb_to_hex": "gui", "hex_to_rgb": "gui",
 }  # fmt: skip
 # Names of Taichi that are known and missing: the answer should say so.

@@ -6,18 +6,23 @@ from typing import Any
 
 import numpy as np
 
-from . import _ad_values
+from . import _ad_values, _interop
 from .errors import TaiAutodiffError
 
 
-def as_array(value: Any) -> np.ndarray | None:
-    """The NumPy array that shares the memory of `value`, or None."""
+def as_array(value: Any) -> Any:
+    """The NumPy array that shares the memory of `value`, a `DeviceArray`, or None."""
     if isinstance(value, np.ndarray):
         return value
     if hasattr(value, "array") and isinstance(value.array, np.ndarray):
         return value.array
+    found = _interop.as_device_array(value)
+    if found is not None:
+        return found
     if hasattr(value, "detach") and hasattr(value, "numpy"):  # a torch tensor
         return value.detach().numpy()
+    if hasattr(value, "__dlpack__") and hasattr(value, "dtype") and hasattr(value, "ndim"):
+        return np.from_dlpack(value)  # of jax, on the CPU
     return None
 
 
@@ -79,6 +84,9 @@ def check_arrays(kernel: str, parameters: list, found: Any, values: list) -> Non
     for number, (name, spec, array) in enumerate(arrays):
         for other, other_spec, other_array in arrays[:number]:
             differentiated = spec.has_gradient or other_spec.has_gradient
+            on_device = isinstance(array, _interop.DeviceArray)
+            if on_device or isinstance(other_array, _interop.DeviceArray):
+                continue
             if differentiated and np.may_share_memory(array, other_array):
                 raise TaiAutodiffError(
                     f"arrays '{other}' and '{name}' of kernel '{kernel}' overlap, and "

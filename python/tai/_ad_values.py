@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _state
+from . import _interop, _state
 from .dtypes import DataType, to_dtype
 from .errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
 from .matrix import Matrix, Vector
@@ -374,7 +374,7 @@ def gradient_array(value: Any) -> np.ndarray | None:
             )
         if value.grad is None:
             value.grad = value.detach().new_zeros(value.shape)
-        return value.grad.detach().numpy()
+        return _interop.as_device_array(value.grad) or value.grad.detach().numpy()
     grad = getattr(value, "grad", None)
     array = getattr(grad, "array", None)
     return array if isinstance(array, np.ndarray) else None
@@ -420,6 +420,12 @@ class TapeValues:
 
         What an earlier launch has read there is kept and put back in the reverse sweep.
         """
+        if isinstance(array, _interop.DeviceArray):
+            raise TaiAutodiffError(
+                "a tape records a launch on an array of a GPU, which it cannot keep",
+                "copy it into a field before, as x.from_torch(t) does, or run the gradient by "
+                "hand: kernel.grad(t)",
+            )
         self.core.keep(array)
         where = array.ctypes.data
         if is_written and any(np.may_share_memory(array, a) for a in self._used.values()):

@@ -91,6 +91,13 @@ class Ndarray:
     def copy_from(self, other: Any) -> None:
         self.from_numpy(other.to_numpy())
 
+    def __dlpack__(self, **options: Any) -> Any:
+        """The memory for another library, by DLPack; it is on the host."""
+        return self.array.__dlpack__(**options)
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        return self.array.__dlpack_device__()
+
     def __str__(self) -> str:
         return str(self.array)
 

@@ -9,12 +9,13 @@ import numpy as np
 
 from . import _active, _state, dtypes
 from ._shapes import to_order, to_shape
+from ._shareable import Shareable
 from .errors import TaiAutodiffError, TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
 from .program import get_program, name_fields
 from .snode import Layout, Place, SNode
 
 
-class Field:
+class Field(Shareable):
     """What scalar, vector and matrix fields have in common.
 
     Attributes:
@@ -156,17 +157,6 @@ class Field:
         if not isinstance(other, Field):
             raise TaiRuntimeTypeError(f"copy_from expects a field, but got {other!r}")
         self.from_numpy(other.to_numpy())
-
-    def to_torch(self, device: Any = None) -> Any:
-        """A copy as a torch tensor."""
-        import torch
-
-        tensor = torch.from_numpy(self.to_numpy())
-        return tensor if device is None else tensor.to(device)
-
-    def from_torch(self, tensor: Any) -> None:
-        """Copies a torch tensor into the field."""
-        self.from_numpy(tensor.detach().cpu().numpy())
 
     def __str__(self) -> str:
         if self.level is None:

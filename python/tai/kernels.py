@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _ad_values, _core, _state, dtypes
+from . import _ad_values, _core, _interop, _state, dtypes
 from ._ad_arguments import adjoint_slots, as_array, check_arrays, find_alias
 from .arrays import Ndarray
 from .errors import (
@@ -216,7 +216,11 @@ class Kernel(_core.Launcher):
         if tracks:
             adjoints, gradient = adjoint_slots(found, values, tape)
             slots += adjoints
+        others = [array for _, array in kept if isinstance(array, _interop.DeviceArray)]
+        streams = _interop.order_before(others) if others else None
         answer = _core.launch_slots(found.core, grad, slots, found.result)
+        if streams:
+            _interop.order_after(streams)
         for target, copy in copies:
             target[...] = copy
         return answer if gradient is None else _ad_values.wrap_result(answer, gradient)
@@ -364,7 +368,9 @@ class Kernel(_core.Launcher):
                         "but the array is read-only",
                         "pass a copy: array.copy()",
                     )
-                if not array.flags.c_contiguous or not array.flags.writeable:
+                if isinstance(array, _interop.DeviceArray):
+                    array.check(f"argument '{parameter.name}' of kernel '{self.__name__}'")
+                elif not array.flags.c_contiguous or not array.flags.writeable:
                     copy = np.array(array, order="C")
                     if array.flags.writeable:
                         copies.append((array, copy))

@@ -209,6 +209,15 @@ public:
   virtual Status elapsed(const DeviceEvent &from, const DeviceEvent &to,
                          int64_t &ns);
 
+  //===--------------------------------------------------------------------===//
+  // Queues of other libraries
+  //===--------------------------------------------------------------------===//
+
+  /// What is queued from now on waits for what the other queue holds now, and
+  /// the other way round. Of CUDA, a stream, or 0 for the default one.
+  virtual Status waitForStream(uint64_t stream);
+  virtual Status letStreamWait(uint64_t stream);
+
   /// Waits for all that is queued; reports what failed.
   virtual Status synchronize() = 0;
 };

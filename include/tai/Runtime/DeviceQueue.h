@@ -96,6 +96,8 @@ public:
                  int64_t &ns) override {
     return device->elapsed(from, to, ns);
   }
+  Status waitForStream(uint64_t stream) override;
+  Status letStreamWait(uint64_t stream) override;
   Status synchronize() override;
 
 private:

@@ -77,6 +77,8 @@ public:
   const std::vector<std::unique_ptr<SparseNode>> &sparseNodes() const {
     return nodes;
   }
+  /// Whether others have its address, and may write to it at any time.
+  bool isLent() const { return loans.load(std::memory_order_relaxed) > 0; }
   /// Memory of the active cells of the innermost sparse levels.
   int64_t activeCellBytes() const {
     return activeBytes.load(std::memory_order_relaxed);
@@ -87,6 +89,7 @@ public:
 private:
   friend class Runtime;
   friend class SparseNode;
+  friend class Loan;
   void bringToHost() const;
   void bringToHostToChange() const;
 
@@ -95,8 +98,9 @@ private:
   char *address = nullptr;
   int64_t size = 0;
   int64_t charged = 0; // of the memory limit
-  void *mapping = nullptr;
-  size_t mapped = 0;
+  /// Where all of that lies. Loans keep it when the tree is gone.
+  std::shared_ptr<void> memory;
+  std::atomic<int> loans{0};
   std::vector<std::unique_ptr<SparseNode>> nodes;
   std::atomic<int64_t> activeBytes{0};
   /// Regions that have been asked to lie in large pages, by their number.
@@ -184,9 +188,11 @@ public:
   bool isAdjoint() const { return ofPrimal; }
 
   /// Of adjoint fields: may hold something else than zeros.
-  bool dirty() const { return dirtyFlag.load(std::memory_order_relaxed); }
+  bool dirty() const {
+    return dirtyFlag.load(std::memory_order_relaxed) || owner->isLent();
+  }
   void markDirty() {
-    if (!dirty())
+    if (!dirtyFlag.load(std::memory_order_relaxed))
       dirtyFlag.store(true, std::memory_order_relaxed);
   }
 

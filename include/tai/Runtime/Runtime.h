@@ -82,6 +82,30 @@ struct Counters {
   int64_t clearedFields = 0;
 };
 
+/// Memory of a field in the hands of others, which stays as long as this, also
+/// when the field is gone.
+class Loan {
+public:
+  explicit Loan(const TreePtr &tree);
+  ~Loan();
+  Loan(const Loan &) = delete;
+  Loan &operator=(const Loan &) = delete;
+
+private:
+  TreePtr tree;
+  std::shared_ptr<void> memory;
+  std::shared_ptr<Mirror> mirror;
+};
+
+struct LentField {
+  void *address = nullptr;
+  bool onDevice = false;
+  /// Bytes from one index to the next, along each dimension of the field and of
+  /// its element.
+  std::vector<int64_t> strides;
+  std::unique_ptr<Loan> loan;
+};
+
 class Runtime final : public ::TaiRuntime {
 public:
   explicit Runtime(Options options = {});
@@ -228,6 +252,24 @@ public:
   SkipAmounts skipAmounts() const;
   /// The same as a table to read, one line for each skip.
   std::string skipTable() const;
+
+  //===--------------------------------------------------------------------===//
+  // Other libraries
+  //===--------------------------------------------------------------------===//
+
+  /// Gives out the address of a field, on the device if there is one. Until the
+  /// loan is over, what is read on the host may have been changed by others.
+  /// Fails where an element has no even distance from the next along each
+  /// dimension, and for sparse fields.
+  Status lend(Field &field, LentField &lent);
+  /// Others have written, or are about to write, to a field that is lent.
+  /// Fails while a tape records, which would not know.
+  Status noteOutsideWrite(Field &field);
+  /// What is queued from now on waits for what another library has queued, and
+  /// the other way round. The stream is one of CUDA, 0 for the default one;
+  /// nothing happens without a device.
+  Status waitForStream(uint64_t stream);
+  Status letStreamWait(uint64_t stream);
 
   //===--------------------------------------------------------------------===//
   // For the ABI functions and for bulk work on the host

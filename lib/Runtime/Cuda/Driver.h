@@ -64,8 +64,11 @@ constexpr unsigned kLaunchCooperative = 2;
 constexpr unsigned kLaunchCluster = 4;
 // Of captures: other threads may do what they like.
 constexpr int kCaptureThreadLocal = 1;
-// Of events: with times, which is what they are for.
+// Of events.
 constexpr unsigned kEventDefault = 0;
+constexpr unsigned kEventNoTiming = 2;
+// The default stream, on which all others wait that are not made otherwise.
+constexpr uintptr_t kLegacyStream = 1;
 // Of pools.
 constexpr int kPoolReleaseThreshold = 4;
 // Of addresses.
@@ -137,6 +140,7 @@ struct GraphUpdate {
   DO(eventCreate, "cuEventCreate", (Event *, unsigned))                        \
   DO(eventDestroy, "cuEventDestroy_v2", (Event))                               \
   DO(eventRecord, "cuEventRecord", (Event, Stream))                            \
+  DO(streamWaitEvent, "cuStreamWaitEvent", (Stream, Event, unsigned))          \
   DO(eventSynchronize, "cuEventSynchronize", (Event))                          \
   DO(eventElapsedTime, "cuEventElapsedTime", (float *, Event, Event))          \
   DO(memAlloc, "cuMemAlloc_v2", (Address *, size_t))                           \

@@ -150,11 +150,12 @@ static long long now;
 /// Events that there are, so that tests can count them.
 typedef struct {
   long long time;
+  void *on;
   int recorded;
 } FakeEvent;
 int tai_fake_cuda_events;
 Result cuEventCreate(void **event, unsigned flags) {
-  if (flags != 0)
+  if (flags != 0 && flags != 2)
     return 1;
   *event = calloc(1, sizeof(FakeEvent));
   ++tai_fake_cuda_events;
@@ -165,9 +166,24 @@ Result cuEventDestroy_v2(void *event) {
   free(event);
   return 0;
 }
-Result cuEventRecord(void *event, void *on) {
-  (void)on;
+/// What streams have waited for others: "a>b " for b, which waits for a, ours
+/// being 's'.
+char tai_fake_cuda_waits[256];
+static char letter(void *given) {
+  return given == &stream ? 's' : (char)('0' + (char)(uintptr_t)given);
+}
+Result cuStreamWaitEvent(void *given, void *event, unsigned flags) {
   FakeEvent *fake = event;
+  if (flags || !fake->recorded)
+    return 1;
+  size_t used = strlen(tai_fake_cuda_waits);
+  snprintf(tai_fake_cuda_waits + used, sizeof(tai_fake_cuda_waits) - used,
+           "%c>%c ", letter(fake->on), letter(given));
+  return 0;
+}
+Result cuEventRecord(void *event, void *on) {
+  FakeEvent *fake = event;
+  fake->on = on;
   fake->time = now;
   fake->recorded = 1;
   return 0;

@@ -1,0 +1,184 @@
+//===- CudaDevice.h - A GPU behind the CUDA driver --------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// One stream carries everything: launches, copies, fills and the end of memory
+// are then in order without events. The context is the primary one of the
+// device, which other libraries of the process use too.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_CUDA_CUDADEVICE_H
+#define TAI_LIB_RUNTIME_CUDA_CUDADEVICE_H
+
+#include "Driver.h"
+#include "tai/Runtime/Device.h"
+#include <map>
+#include <mutex>
+
+namespace mlir::tai::runtime::cuda {
+
+struct CudaModule;
+struct CudaGraph;
+struct CudaEvent;
+
+struct CudaFunction : DeviceFunction {
+  Function handle = nullptr;
+  unsigned mostThreads = 0;
+};
+
+class CudaDevice final : public Device {
+public:
+  CudaDevice(const Driver &driver, int number) : cu(driver), number(number) {}
+  ~CudaDevice() override;
+  Status open();
+
+  DeviceKind kind() const override { return DeviceKind::Cuda; }
+  std::string name() const override { return label; }
+  DeviceLimits limits() const override { return most; }
+  std::string target() const override { return architecture; }
+
+  Status allocate(int64_t bytes, DevicePtr &memory) override;
+  void free(DevicePtr memory) override;
+  int64_t allocatedBytes() const override {
+    std::lock_guard<std::mutex> lock(mutex);
+    return allocated;
+  }
+  int64_t freeBytes() const override;
+
+  Status copyIn(DevicePtr to, const void *from, int64_t bytes) override;
+  Status copyOut(void *to, DevicePtr from, int64_t bytes) override;
+  Status copy(DevicePtr to, DevicePtr from, int64_t bytes) override;
+  Status fill(DevicePtr to, const void *pattern, int patternBytes,
+              int64_t count) override;
+  Status copyRows(const DeviceRows &to, DevicePtr from,
+                  int64_t fromStep) override;
+  Status swapRows(const DeviceRows &one, DevicePtr other,
+                  int64_t otherStep) override;
+  Status fillRows(const DeviceRows &to, const void *pattern,
+                  int patternBytes) override;
+  bool isDeviceMemory(const void *address) const override;
+
+  Status load(const DeviceImage &image,
+              std::unique_ptr<DeviceModule> &module) override;
+  Status find(DeviceModule &module, const std::string &name,
+              DeviceFunction *&function) override;
+  unsigned mostThreads(const DeviceFunction &function) const override {
+    return static_cast<const CudaFunction &>(function).mostThreads;
+  }
+  unsigned residentBlocks(const DeviceFunction &function,
+                          unsigned threads) const override;
+  Status launch(DeviceFunction &function, const LaunchShape &shape,
+                const uint64_t *slots, int count) override;
+  Status beginCapture() override;
+  Status endCapture(std::unique_ptr<DeviceGraph> &graph) override;
+  Status run(DeviceGraph &graph) override;
+  DeviceFunctionFacts facts(const DeviceFunction &function) const override;
+  Status record(std::unique_ptr<DeviceEvent> &event) override;
+  Status wait(DeviceEvent &event) override;
+  Status elapsed(const DeviceEvent &from, const DeviceEvent &to,
+                 int64_t &ns) override;
+  Status waitForStream(uint64_t other) override {
+    return order(toStream(other), stream);
+  }
+  Status letStreamWait(uint64_t other) override {
+    return order(stream, toStream(other));
+  }
+  Status synchronize() override;
+
+private:
+  friend struct CudaModule;
+  friend struct CudaGraph;
+  friend struct CudaEvent;
+
+  Status launchCluster(Function handle, const LaunchShape &shape,
+                       void **parameters);
+  Status check(Result result, const char *what) const {
+    if (__builtin_expect(result == kSuccess, true))
+      return Status::success();
+    return failure(result, what);
+  }
+  Status failure(Result result, const char *what) const;
+  /// Another library may have made another context that of this thread.
+  Status enter() const {
+    Context current = nullptr;
+    if (__builtin_expect(
+            cu.ctxGetCurrent(&current) == kSuccess && current == context, true))
+      return Status::success();
+    return check(cu.ctxSetCurrent(context), "a thread cannot use the device");
+  }
+  Status allocateOnce(int64_t bytes, Address &address);
+  static Stream toStream(uint64_t number) {
+    return reinterpret_cast<Stream>(number ? number : kLegacyStream);
+  }
+  /// What is queued in `second` from now on comes after what is in `first`.
+  Status order(Stream first, Stream second);
+  /// Kernels of our own; see Rows.cu.
+  Status loadRowKernels();
+  enum RowKernel { CopyRows, SwapRows, FillRows };
+  Status runRows(RowKernel kernel, bool words, int64_t units,
+                 std::initializer_list<uint64_t> parameters);
+
+  /// Small copies go through memory that the device reads and writes itself.
+  static constexpr int64_t stagingBytes = 256 << 10;
+  static constexpr int64_t largestStaged = 32 << 10;
+
+  const Driver &cu;
+  DeviceNumber number;
+  Context context = nullptr;
+  Stream stream = nullptr;
+  Pool pool = nullptr;
+  std::string label, architecture;
+  DeviceLimits most;
+  mutable std::mutex mutex;
+  std::map<DevicePtr, int64_t> allocations;
+  int64_t allocated = 0;
+
+  std::unique_ptr<DeviceModule> rowsModule;
+  DeviceFunction *rowFunctions[2][3] = {};
+
+  std::mutex stagingMutex;
+  char *staging = nullptr;
+  int64_t staged = 0;
+};
+
+struct CudaGraph : DeviceGraph {
+  explicit CudaGraph(CudaDevice &device) : device(device) {}
+  ~CudaGraph() override {
+    if (handle && device.enter())
+      (void)device.cu.graphExecDestroy(handle);
+  }
+
+  CudaDevice &device;
+  ExecutableGraph handle = nullptr;
+};
+
+struct CudaEvent : DeviceEvent {
+  explicit CudaEvent(CudaDevice &device) : device(device) {}
+  ~CudaEvent() override {
+    if (handle && device.enter())
+      (void)device.cu.eventDestroy(handle);
+  }
+
+  CudaDevice &device;
+  Event handle = nullptr;
+};
+
+struct CudaModule : DeviceModule {
+  explicit CudaModule(CudaDevice &device) : device(device) {}
+  ~CudaModule() override {
+    if (handle && device.enter())
+      (void)device.cu.moduleUnload(handle);
+  }
+
+  CudaDevice &device;
+  Module handle = nullptr;
+  std::map<std::string, CudaFunction> functions;
+};
+
+} // namespace mlir::tai::runtime::cuda
+
+#endif // TAI_LIB_RUNTIME_CUDA_CUDADEVICE_H

@@ -1,0 +1,252 @@
+//===- CudaWork.cpp - Code, launches, graphs and events of a GPU ----------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "CudaDevice.h"
+#include <algorithm>
+
+using namespace mlir::tai::runtime;
+using namespace mlir::tai::runtime::cuda;
+
+//===----------------------------------------------------------------------===//
+// Code
+//===----------------------------------------------------------------------===//
+
+Status CudaDevice::load(const DeviceImage &image,
+                        std::unique_ptr<DeviceModule> &module) {
+  if (image.kind != DeviceKind::Cuda)
+    return Status::failure(StatusCode::Internal,
+                           "a CUDA device cannot load this code");
+  Status status = enter();
+  if (!status)
+    return status;
+  constexpr unsigned logBytes = 16 << 10;
+  std::vector<char> info(logBytes), errors(logBytes);
+  int options[] = {kJitInfoBuffer, kJitInfoBytes, kJitErrorBuffer,
+                   kJitErrorBytes};
+  // Sizes are passed in the place of pointers.
+  auto size = reinterpret_cast<void *>(uintptr_t(logBytes));
+  void *values[] = {info.data(), size, errors.data(), size};
+  auto loaded = std::make_unique<CudaModule>(*this);
+  Result result = cu.moduleLoadDataEx(&loaded->handle, image.bytes.c_str(), 4,
+                                      options, values);
+  if (result != kSuccess) {
+    loaded->handle = nullptr;
+    errors.back() = 0;
+    std::string log = errors.data();
+    while (!log.empty() && (log.back() == '\n' || log.back() == ' '))
+      log.pop_back();
+    std::string message = "the CUDA driver does not take the code of a kernel "
+                          "for " +
+                          architecture + " (" + cu.describe(result) + ")";
+    if (result == kUnsupportedPtxVersion)
+      message += "; install a newer NVIDIA driver";
+    if (!log.empty())
+      message += ":\n" + log;
+    return Status::failure(StatusCode::Internal, std::move(message));
+  }
+  module = std::move(loaded);
+  return status;
+}
+
+Status CudaDevice::find(DeviceModule &module, const std::string &name,
+                        DeviceFunction *&function) {
+  auto &loaded = static_cast<CudaModule &>(module);
+  Status status = enter();
+  CudaFunction found;
+  int threads = 1;
+  if (status)
+    status =
+        check(cu.moduleGetFunction(&found.handle, loaded.handle, name.c_str()),
+              ("device code holds no function '" + name + "'").c_str());
+  if (status)
+    status =
+        check(cu.funcGetAttribute(&threads, kFunctionMaxThreads, found.handle),
+              "a device function cannot be examined");
+  if (!status)
+    return status;
+  found.mostThreads = static_cast<unsigned>(std::max(threads, 1));
+  CudaFunction &kept = loaded.functions[name];
+  kept = found;
+  function = &kept;
+  return status;
+}
+
+unsigned CudaDevice::residentBlocks(const DeviceFunction &function,
+                                    unsigned threads) const {
+  int blocks = 0;
+  if (!enter() ||
+      cu.maxActiveBlocks(&blocks,
+                         static_cast<const CudaFunction &>(function).handle,
+                         static_cast<int>(threads), 0) != kSuccess)
+    return 1;
+  return most.multiprocessors * static_cast<unsigned>(std::max(blocks, 1));
+}
+
+Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
+                          const uint64_t *slots, int count) {
+  // All that the driver takes: parameters fill 4096 bytes at most.
+  constexpr int mostParameters = 512;
+  void *parameters[mostParameters];
+  if (__builtin_expect(count > mostParameters, false))
+    return Status::failure(StatusCode::Usage,
+                           "a loop uses more values than a GPU takes as "
+                           "parameters; put some of them into a field");
+  for (int i = 0; i < count; ++i)
+    parameters[i] = const_cast<uint64_t *>(slots + i);
+  Status status = enter();
+  if (!status)
+    return status;
+  Function handle = static_cast<CudaFunction &>(function).handle;
+  if (__builtin_expect(shape.cluster > 1, false))
+    return launchCluster(handle, shape, parameters);
+  Result result =
+      shape.cooperative
+          ? cu.launchCooperativeKernel(handle, shape.blocks, 1, 1,
+                                       shape.threads, 1, 1, shape.sharedBytes,
+                                       stream, parameters)
+          : cu.launchKernel(handle, shape.blocks, 1, 1, shape.threads, 1, 1,
+                            shape.sharedBytes, stream, parameters, nullptr);
+  return check(result, "a kernel cannot be launched");
+}
+
+Status CudaDevice::launchCluster(Function handle, const LaunchShape &shape,
+                                 void **parameters) {
+  Status status = check(cu.funcSetAttribute(handle, kFunctionAnyCluster, 1),
+                        "a kernel cannot have a cluster of blocks");
+  if (!status)
+    return status;
+  LaunchAttribute cluster{kLaunchCluster};
+  cluster.values[0] = shape.cluster;
+  cluster.values[1] = cluster.values[2] = 1;
+  LaunchConfiguration configuration{{shape.blocks, 1, 1},
+                                    {shape.threads, 1, 1},
+                                    shape.sharedBytes,
+                                    stream,
+                                    &cluster,
+                                    1};
+  return check(cu.launchKernelEx(&configuration, handle, parameters, nullptr),
+               "a kernel with a cluster of blocks cannot be launched");
+}
+
+//===----------------------------------------------------------------------===//
+// Graphs
+//===----------------------------------------------------------------------===//
+
+Status CudaDevice::beginCapture() {
+  Status status = enter();
+  return status ? check(cu.streamBeginCapture(stream, kCaptureThreadLocal),
+                        "no graph can be recorded")
+                : std::move(status);
+}
+
+Status CudaDevice::endCapture(std::unique_ptr<DeviceGraph> &graph) {
+  Graph recorded = nullptr;
+  Status status = check(cu.streamEndCapture(stream, &recorded),
+                        "a graph cannot be recorded");
+  if (!status || !recorded)
+    return status;
+  GraphUpdate update;
+  auto *known = static_cast<CudaGraph *>(graph.get());
+  if (!known ||
+      cu.graphExecUpdate(known->handle, recorded, &update) != kSuccess) {
+    auto made = std::make_unique<CudaGraph>(*this);
+    status = check(cu.graphInstantiate(&made->handle, recorded, 0),
+                   "a graph cannot be made ready to run");
+    if (status)
+      graph = std::move(made);
+  }
+  (void)cu.graphDestroy(recorded);
+  return status;
+}
+
+Status CudaDevice::run(DeviceGraph &graph) {
+  Status status = enter();
+  return status ? check(cu.graphLaunch(static_cast<CudaGraph &>(graph).handle,
+                                       stream),
+                        "a graph cannot be launched")
+                : std::move(status);
+}
+
+//===----------------------------------------------------------------------===//
+// Times
+//===----------------------------------------------------------------------===//
+
+DeviceFunctionFacts CudaDevice::facts(const DeviceFunction &function) const {
+  DeviceFunctionFacts found;
+  Function handle = static_cast<const CudaFunction &>(function).handle;
+  auto get = [&](int attribute, int &value) {
+    if (!enter() || cu.funcGetAttribute(&value, attribute, handle) != kSuccess)
+      value = -1;
+  };
+  get(kFunctionRegisters, found.registers);
+  get(kFunctionSharedBytes, found.sharedBytes);
+  get(kFunctionLocalBytes, found.localBytes);
+  get(kFunctionConstantBytes, found.constantBytes);
+  return found;
+}
+
+Status CudaDevice::record(std::unique_ptr<DeviceEvent> &event) {
+  Status status = enter();
+  if (status && !event) {
+    auto made = std::make_unique<CudaEvent>(*this);
+    status = check(cu.eventCreate(&made->handle, kEventDefault),
+                   "no event can be made");
+    if (status)
+      event = std::move(made);
+  }
+  return status ? check(cu.eventRecord(static_cast<CudaEvent &>(*event).handle,
+                                       stream),
+                        "an event cannot be queued")
+                : std::move(status);
+}
+
+Status CudaDevice::wait(DeviceEvent &event) {
+  Status status = enter();
+  return status ? check(cu.eventSynchronize(
+                            static_cast<CudaEvent &>(event).handle),
+                        "a kernel has failed on the device")
+                : std::move(status);
+}
+
+Status CudaDevice::elapsed(const DeviceEvent &from, const DeviceEvent &to,
+                           int64_t &ns) {
+  float ms = 0;
+  Status status = enter();
+  if (status)
+    status = check(
+        cu.eventElapsedTime(&ms, static_cast<const CudaEvent &>(from).handle,
+                            static_cast<const CudaEvent &>(to).handle),
+        "the time of a kernel cannot be read");
+  ns = static_cast<int64_t>(double(ms) * 1e6);
+  return status;
+}
+
+Status CudaDevice::order(Stream first, Stream second) {
+  Status status = enter();
+  Event event = nullptr;
+  if (status)
+    status =
+        check(cu.eventCreate(&event, kEventNoTiming), "no event can be made");
+  if (!status)
+    return status;
+  status = check(cu.eventRecord(event, first),
+                 "the stream of another library cannot be used");
+  if (status)
+    status = check(cu.streamWaitEvent(second, event, 0),
+                   "the stream of another library cannot be used");
+  // It goes when it has been passed.
+  (void)cu.eventDestroy(event);
+  return status;
+}
+
+Status CudaDevice::synchronize() {
+  Status status = enter();
+  if (!status)
+    return status;
+  return check(cu.streamSynchronize(stream),
+               "a kernel has failed on the device");
+}

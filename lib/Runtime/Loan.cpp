@@ -1,0 +1,90 @@
+//===- Loan.cpp - Fields in the hands of other libraries ------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A library that has the address of a field writes to it without a word. On a
+// device, what the host holds of the tree is therefore never current while the
+// tree is lent, unless the host is the last that wrote.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Mirror.h"
+#include "Scalars.h"
+#include "tai/Runtime/Runtime.h"
+
+using namespace mlir::tai::runtime;
+
+Loan::Loan(const TreePtr &tree)
+    : tree(tree), memory(tree->memory), mirror(tree->mirrored) {
+  tree->loans.fetch_add(1, std::memory_order_relaxed);
+  if (mirror)
+    mirror->lend();
+}
+
+Loan::~Loan() {
+  if (mirror)
+    mirror->takeBack();
+  tree->loans.fetch_sub(1, std::memory_order_relaxed);
+}
+
+Status Runtime::lend(Field &field, LentField &lent) {
+  auto refuse = [&](const char *why) {
+    return Status::failure(StatusCode::Usage, "field '" + field.name() +
+                                                  "' cannot be shared: " + why);
+  };
+  if (!field.valid())
+    return refuse("its tree has been destroyed");
+  if (field.sparseNode())
+    return refuse("it is sparse; copy it, by to_numpy or to_torch");
+  const FieldLayout &layout = field.layout();
+  lent.strides.clear();
+  for (int d = 0; d < field.rank(); ++d) {
+    int64_t step = 0;
+    if (!findConstantStep(layout.indices[static_cast<size_t>(d)], step))
+      return refuse("its layout divides an index in blocks; copy it, by "
+                    "to_numpy or to_torch");
+    lent.strides.push_back(step);
+  }
+  size_t first = lent.strides.size();
+  int64_t step = field.numComponents() > 1 ? layout.componentStride
+                                           : byteSize(field.scalar());
+  for (size_t d = layout.elementShape.size(); d-- > 0;) {
+    lent.strides.insert(lent.strides.begin() + static_cast<ptrdiff_t>(first),
+                        step);
+    step *= layout.elementShape[d];
+  }
+  Mirror *mirror = field.tree().mirror();
+  lent.onDevice = mirror != nullptr;
+  if (mirror) {
+    Status status =
+        deviceAddress(field.tree(), layout.placeOffset, lent.address);
+    if (!status)
+      return status;
+  } else {
+    lent.address = field.writable();
+  }
+  lent.loan = std::make_unique<Loan>(field.owner);
+  return takeDeviceFailure();
+}
+
+Status Runtime::noteOutsideWrite(Field &field) {
+  if (activeTape && !field.isAdjoint())
+    return Status::failure(
+        StatusCode::Usage,
+        "field '" + field.name() +
+            "' is written from outside while a tape records");
+  ++field.hostVersion;
+  field.markDirty();
+  return Status::success();
+}
+
+Status Runtime::waitForStream(uint64_t stream) {
+  return device ? device->get().waitForStream(stream) : Status::success();
+}
+
+Status Runtime::letStreamWait(uint64_t stream) {
+  return device ? device->get().letStreamWait(stream) : Status::success();
+}

@@ -1,0 +1,180 @@
+//===- Interop.cpp - Arrays that go to other libraries and come from them -===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The binary interface of DLPack, in both forms: capsules "dltensor", and those
+// with a version and flags. What is in them is decided in tai/_interop.py.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Core.h"
+
+#include <cstring>
+#include <vector>
+
+using namespace taipy;
+
+namespace {
+
+struct DLTensor {
+  void *data;
+  int32_t deviceType, deviceNumber;
+  int32_t rank;
+  uint8_t code, bits;
+  uint16_t lanes;
+  int64_t *shape, *strides;
+  uint64_t byteOffset;
+};
+static_assert(sizeof(DLTensor) == 48, "the layout is that of DLPack");
+
+struct Managed {
+  DLTensor tensor;
+  void *owner;
+  void (*deleter)(Managed *);
+};
+
+struct ManagedVersioned {
+  uint32_t major, minor;
+  void *owner;
+  void (*deleter)(ManagedVersioned *);
+  uint64_t flags;
+  DLTensor tensor;
+};
+
+constexpr uint64_t readOnlyFlag = 1;
+
+template <typename M> constexpr const char *nameOf();
+template <> constexpr const char *nameOf<Managed>() { return "dltensor"; }
+template <> constexpr const char *nameOf<ManagedVersioned>() {
+  return "dltensor_versioned";
+}
+template <typename M> constexpr const char *usedNameOf();
+template <> constexpr const char *usedNameOf<Managed>() {
+  return "used_dltensor";
+}
+template <> constexpr const char *usedNameOf<ManagedVersioned>() {
+  return "used_dltensor_versioned";
+}
+
+/// What a capsule that we made stands on.
+template <typename M> struct Export {
+  M managed{};
+  std::vector<int64_t> shape, strides;
+  PyObject *owner = nullptr;
+};
+
+template <typename M> void deleteExport(M *managed) {
+  auto *made = static_cast<Export<M> *>(managed->owner);
+  // Consumers let go from any thread, and some when the interpreter has gone.
+  if (Py_IsInitialized()) {
+    PyGILState_STATE state = PyGILState_Ensure();
+    Py_XDECREF(made->owner);
+    PyGILState_Release(state);
+  }
+  delete made;
+}
+
+/// Of a capsule that nobody has taken.
+template <typename M> void destroyCapsule(PyObject *capsule) {
+  if (!PyCapsule_IsValid(capsule, nameOf<M>()))
+    return;
+  auto *managed = static_cast<M *>(PyCapsule_GetPointer(capsule, nameOf<M>()));
+  if (managed && managed->deleter)
+    managed->deleter(managed);
+}
+
+template <typename M>
+py::object makeCapsule(uint64_t address, std::vector<int64_t> shape,
+                       std::vector<int64_t> strides, int code, int bits,
+                       int deviceType, const py::object &owner) {
+  auto made = std::make_unique<Export<M>>();
+  made->shape = std::move(shape);
+  made->strides = std::move(strides);
+  DLTensor &tensor = made->managed.tensor;
+  tensor.data = reinterpret_cast<void *>(address);
+  tensor.deviceType = deviceType;
+  tensor.rank = static_cast<int32_t>(made->shape.size());
+  tensor.code = static_cast<uint8_t>(code);
+  tensor.bits = static_cast<uint8_t>(bits);
+  tensor.lanes = 1;
+  tensor.shape = made->shape.data();
+  tensor.strides = made->strides.data();
+  made->managed.owner = made.get();
+  made->managed.deleter = deleteExport<M>;
+  if constexpr (std::is_same_v<M, ManagedVersioned>)
+    made->managed.major = 1;
+  PyObject *capsule =
+      PyCapsule_New(&made->managed, nameOf<M>(), destroyCapsule<M>);
+  if (!capsule)
+    throw py::error_already_set();
+  made->owner = owner.inc_ref().ptr();
+  (void)made.release();
+  return py::reinterpret_steal<py::object>(capsule);
+}
+
+/// Lets go of what was taken out of a capsule.
+template <typename M> void destroyTaken(PyObject *capsule) {
+  auto *managed =
+      static_cast<M *>(PyCapsule_GetPointer(capsule, usedNameOf<M>()));
+  if (managed && managed->deleter)
+    managed->deleter(managed);
+}
+
+template <typename M> py::dict takeFrom(const py::object &capsule) {
+  auto *managed =
+      static_cast<M *>(PyCapsule_GetPointer(capsule.ptr(), nameOf<M>()));
+  if (!managed)
+    throw py::error_already_set();
+  const DLTensor &tensor = managed->tensor;
+  py::dict result;
+  result["address"] =
+      reinterpret_cast<uint64_t>(tensor.data) + tensor.byteOffset;
+  result["device"] = py::make_tuple(tensor.deviceType, tensor.deviceNumber);
+  result["type"] = py::make_tuple(tensor.code, tensor.bits, tensor.lanes);
+  py::tuple shape(tensor.rank), strides(tensor.rank);
+  int64_t step = 1;
+  for (int32_t d = tensor.rank; d-- > 0;) {
+    shape[d] = tensor.shape[d];
+    strides[d] = tensor.strides ? tensor.strides[d] : step;
+    step *= tensor.shape[d];
+  }
+  result["shape"] = shape;
+  result["strides"] = strides;
+  bool readOnly = false;
+  if constexpr (std::is_same_v<M, ManagedVersioned>)
+    readOnly = managed->flags & readOnlyFlag;
+  result["read_only"] = readOnly;
+  // Taken: by its new name, nobody else can take it, and its end is ours.
+  PyObject *owner = PyCapsule_New(managed, usedNameOf<M>(), destroyTaken<M>);
+  if (!owner)
+    throw py::error_already_set();
+  result["owner"] = py::reinterpret_steal<py::object>(owner);
+  PyCapsule_SetName(capsule.ptr(), usedNameOf<M>());
+  PyCapsule_SetDestructor(capsule.ptr(), nullptr);
+  return result;
+}
+
+} // namespace
+
+void taipy::bindInterop(py::module_ &module) {
+  // Strides count elements.
+  module.def("make_dlpack", [](uint64_t address, std::vector<int64_t> shape,
+                               std::vector<int64_t> strides, int code, int bits,
+                               int deviceType, const py::object &owner,
+                               bool versioned) {
+    return versioned ? makeCapsule<ManagedVersioned>(address, std::move(shape),
+                                                     std::move(strides), code,
+                                                     bits, deviceType, owner)
+                     : makeCapsule<Managed>(address, std::move(shape),
+                                            std::move(strides), code, bits,
+                                            deviceType, owner);
+  });
+  module.def("take_dlpack", [](const py::object &capsule) {
+    if (PyCapsule_IsValid(capsule.ptr(), nameOf<ManagedVersioned>()))
+      return takeFrom<ManagedVersioned>(capsule);
+    return takeFrom<Managed>(capsule);
+  });
+}
