@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _core, _state, dtypes
+from . import _state, dtypes
 from .errors import TaiError, TaiRuntimeError, TaiRuntimeTypeError
 from .program import get_program
 
@@ -109,6 +109,8 @@ def field_dlpack(
         # 1 is the default stream, 2 that of the thread; None means the former.
         context.let_stream_wait(1 if stream is None else int(stream))
     strides = [step // size for step in steps]
+    from . import _core
+
     return _core.make_dlpack(
         address, list(shape), strides, _CODES[field.dtype.kind], 8 * size, device[0], owner,
         max_version is not None and tuple(max_version) >= (1, 0),
@@ -265,6 +267,8 @@ def from_dlpack(value: Any) -> Any:
         return np.from_dlpack(value)
     if kind != CUDA:
         raise TaiRuntimeTypeError(f"the array is on a device of kind {kind}, not on an NVIDIA GPU")
+    from . import _core
+
     # Its stream waits; ours is told to wait for that.
     found = _core.take_dlpack(value.__dlpack__(stream=1))
     dt = _dtype_of(*found["type"])
