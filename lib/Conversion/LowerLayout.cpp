@@ -203,9 +203,10 @@ static ArrayAttr getAccessGroup(Operation *op) {
 
 /// How the address of an access is made up, for those who follow it; null if
 /// the program computes an index from digits of its own that could be taken for
-/// those of the field.
+/// those of the field. From each index `peeled` has been taken away.
 static DenseI64ArrayAttr getDigits(MLIRContext *context, const FieldInfo &field,
-                                   ValueRange indices) {
+                                   ValueRange indices,
+                                   ArrayRef<int64_t> peeled) {
   for (auto [index, extent] : llvm::zip(indices, field.layout.shape))
     for (auto [value, factor] : getLinearIndex(index).terms)
       if (std::abs(factor) > 1 && std::abs(factor) >= extent)
@@ -213,9 +214,10 @@ static DenseI64ArrayAttr getDigits(MLIRContext *context, const FieldInfo &field,
   SmallVector<int64_t> digits;
   for (const IndexDigit &digit : field.storage.digits)
     if (digit.extent != 1)
-      digits.append({int64_t(digit.stride), int64_t(digit.extent)});
+      digits.append({int64_t(digit.stride), int64_t(digit.extent),
+                     -peeled[digit.dimension]});
   if (field.numComponents != 1)
-    digits.append({int64_t(field.scalarSize), int64_t(field.numComponents)});
+    digits.append({int64_t(field.scalarSize), int64_t(field.numComponents), 0});
   return DenseI64ArrayAttr::get(context, digits);
 }
 
@@ -277,12 +279,20 @@ LogicalResult AccessLowering::lowerField(Operation *op) {
   AliasScopes scopes = fields.getScopes(field);
   scopes.groups = getAccessGroup(op);
   scopes.alignment = getAlignment(field, components);
-  if (onDevice && isa<KernelOp>(function))
-    scopes.digits = getDigits(builder.getContext(), field, indices);
+  bool isNear = onDevice && isa<KernelOp>(function);
+  SmallVector<Value> near(zeroBased);
+  SmallVector<int64_t> peeled;
+  if (isNear) {
+    peeled = peelConstants(builder, loc, field, near);
+    scopes.digits = getDigits(builder.getContext(), field, indices, peeled);
+  }
   Value base = getFieldBase(field);
   auto access = [&](OpBuilder &b) -> Value {
-    Value offset = emitElementOffset(b, loc, field, zeroBased, components);
-    Value pointer = emitPointer(b, loc, getStorageType(type), base, offset);
+    Value pointer =
+        isNear ? emitNearPointer(b, loc, field, base, near, peeled, components)
+               : emitPointer(
+                     b, loc, getStorageType(type), base,
+                     emitElementOffset(b, loc, field, zeroBased, components));
     if (isa<LoadOp>(op))
       return emitLoad(b, loc, type, pointer, scopes);
     if (isa<StoreOp>(op)) {

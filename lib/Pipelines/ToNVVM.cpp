@@ -36,6 +36,8 @@ void tai::buildToNVVMPipeline(OpPassManager &pm, const ToNVVMOptions &options) {
   relax.deterministic = options.deterministic;
   relax.onDevice = true;
   pm.addPass(createRelaxAtomics(relax));
+  if (fast && !checked)
+    pm.addPass(createStripLoops());
 
   LowerLayoutOptions layout;
   layout.boundsCheck = checked;

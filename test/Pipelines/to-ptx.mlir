@@ -5,10 +5,12 @@
 // vectors as one access, sums and products in one operation, and one addition
 // to memory for a scatter of a vector.
 
-tai.tree @t : !tai.root<dense<[i: 4096, j: 4096], {x: vector<4xf32>}>, dense<[i: 4096, j: 4096], {p: f32}>, dense<[i: 4096, j: 4096], {q: f32}>, dense<[i: 4096], {sums: vector<2xf32>}>>
+tai.tree @t : !tai.root<dense<[i: 4096, j: 4096], {x: vector<4xf32>}>, dense<[i: 1024, j: 1024], {p: f32}>, dense<[i: 1024, j: 1024], {q: f32}>, dense<[i: 2048, j: 2048], {large: f32}>, dense<[i: 2048, j: 2048], {result: f32}>, dense<[i: 4096], {sums: vector<2xf32>}>>
 tai.field @x = @t["x"] : vector<4xf32>, rank 2
 tai.field @p = @t["p"] : f32, rank 2
 tai.field @q = @t["q"] : f32, rank 2
+tai.field @large = @t["large"] : f32, rank 2
+tai.field @result = @t["result"] : f32, rank 2
 tai.field @sums = @t["sums"] : vector<2xf32>, rank 1
 
 // CHECK-LABEL: .entry scale_0(
@@ -46,7 +48,7 @@ tai.kernel @scale(%a: f32) {
 tai.kernel @average(%a: f32) {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
-  %c4095 = arith.constant 4095 : index
+  %c1023 = arith.constant 1023 : index
   tai.parallel_for (%i, %j) in @p {
     %left = arith.subi %j, %c1 : index
     %inside = arith.maxsi %left, %c0 : index
@@ -69,6 +71,45 @@ tai.kernel @scatter(%a: vector<2xf32>) {
     %1 = arith.fptosi %0 : f32 to i32
     %2 = arith.index_cast %1 : i32 to index
     %3 = tai.atomic add %a, @sums[%2] : vector<2xf32>
+  }
+  tai.return
+}
+
+// Of a large array four elements for each thread. Inside: three vectors, two
+// neighbours, one vector.
+// CHECK-LABEL: .entry stencil_0(
+//   CHECK-NOT: {{(div|rem)[.]}}
+//       CHECK: ld.global.nc.v4.b32
+//   CHECK-NOT: bra
+//       CHECK: ld.global.nc.v4.b32
+//   CHECK-NOT: bra
+//       CHECK: ld.global.nc.b32
+//   CHECK-NOT: {{bra|ld[.]}}
+//       CHECK: ld.global.nc.v4.b32
+//   CHECK-NOT: bra
+//       CHECK: ld.global.nc.b32
+//   CHECK-NOT: {{bra|ld[.]}}
+//       CHECK: st.global.v4.b32
+//   CHECK-NOT: .v4
+//       CHECK: ret;
+tai.kernel @stencil(%a: f32) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c2047 = arith.constant 2047 : index
+  tai.parallel_for (%i, %j) = (%c1, %c1) to (%c2047, %c2047) {
+    %up = arith.subi %i, %c1 : index
+    %0 = tai.load @large[%up, %j] : f32
+    %down = arith.addi %i, %c1 : index
+    %1 = tai.load @large[%down, %j] : f32
+    %left = arith.subi %j, %c1 : index
+    %2 = tai.load @large[%i, %left] : f32
+    %right = arith.addi %j, %c1 : index
+    %3 = tai.load @large[%i, %right] : f32
+    %4 = arith.addf %0, %1 : f32
+    %5 = arith.addf %4, %2 : f32
+    %6 = arith.addf %5, %3 : f32
+    %7 = arith.mulf %6, %a : f32
+    tai.store %7, @result[%i, %j] : f32
   }
   tai.return
 }

@@ -131,6 +131,44 @@ def RelaxAtomics : Pass<"tai-relax-atomics"> {
   let dependentDialects = ["::mlir::LLVM::LLVMDialect"];
 }
 
+def StripLoops : Pass<"tai-strip-loops"> {
+  let summary = "give each iteration of a large loop several neighbours, on a GPU";
+  let description = [{
+    Of a loop over a large box whose accesses lie side by side in memory along
+    the innermost index, each iteration gets a strip of as many elements as 16
+    bytes hold. Inside of the borders, where every question about a single index
+    has one answer, their operations are interleaved, so that what is next to
+    each other is read and written at once; at borders they follow one another.
+    Where rows read what lies in other rows, the iterations of a block are those
+    of a tile.
+
+    ```mlir
+    tai.parallel_for (%i, %j) = (0, 0) to (8192, 8192) { body }
+    // becomes
+    tai.parallel_for (%a, %b, %r, %s) = (0, 0, 0, 0) to (1024, 64, 8, 32) {
+      %i = 8 * %a + %r
+      %j = 4 * (32 * %b + %s)
+      scf.if %inside { four times body' } else { scf.for body }
+    }
+    ```
+
+    Expects loops over boxes whose accumulations are decided
+    (`tai-relax-atomics`). Loops with updates of shared elements, inner loops,
+    random numbers or failures stay as they are.
+  }];
+  let options = [
+    Option<"minIterations", "min-iterations", "int64_t",
+           /*default=*/"int64_t(1) << 21",
+           "Leave loops with fewer iterations as they are: all threads of a GPU "
+           "are needed first">,
+    Option<"maxOps", "max-ops", "int64_t", /*default=*/"160",
+           "Leave larger bodies as they are">,
+  ];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect",
+                           "::mlir::LLVM::LLVMDialect"];
+}
+
 def LowerLayout : Pass<"tai-lower-layout"> {
   let summary = "turn accesses to fields into loads and stores of memory";
   let description = [{
@@ -150,7 +188,8 @@ def LowerLayout : Pass<"tai-lower-layout"> {
     Option<"boundsCheck", "bounds-check", "bool", /*default=*/"false",
            "Check indices, and report and skip what lies outside">,
     Option<"onDevice", "on-device", "bool", /*default=*/"false",
-           "Note on each access how its address is made up">,
+           "Note on each access how its address is made up, and add small "
+           "constants of indices last: a GPU adds them for free">,
   ];
   let dependentDialects = ["::mlir::arith::ArithDialect",
                            "::mlir::scf::SCFDialect",

@@ -7,6 +7,7 @@
 
 #include "FieldAddress.h"
 #include "IndexMath.h"
+#include "mlir/IR/Matchers.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -319,6 +320,111 @@ Value tai::emitPointer(OpBuilder &builder, Location loc, Type storageType,
       builder, loc, LLVM::LLVMPointerType::get(builder.getContext()),
       storageType, base, ArrayRef<LLVM::GEPArg>{amount},
       LLVM::GEPNoWrapFlags::inbounds | LLVM::GEPNoWrapFlags::nuw);
+}
+
+/// Takes a small constant that is added to an index away from it.
+static int64_t peelConstant(OpBuilder &builder, Location loc, Value &index) {
+  // What an access reaches is in range, and so, nearly, is what is so close to
+  // it: no sum here overflows where it is used.
+  constexpr int64_t most = 64;
+  int64_t sum = 0;
+  Value value = index;
+  bool isCast = false;
+  for (;;) {
+    Operation *op = value.getDefiningOp();
+    // What is the same for all iterations is computed before.
+    if (op && !op->getParentOfType<ParallelForOp>())
+      break;
+    if (auto cast = dyn_cast_if_present<arith::IndexCastOp>(op);
+        cast && !isCast && cast.getType().isIndex() &&
+        cast.getIn().getType().isInteger(32)) {
+      isCast = true;
+      value = cast.getIn();
+      continue;
+    }
+    bool isSub = isa_and_present<arith::SubIOp>(op);
+    if (!isSub && !isa_and_present<arith::AddIOp>(op))
+      break;
+    APInt amount;
+    if (!matchPattern(op->getOperand(1), m_ConstantInt(&amount)))
+      break;
+    int64_t next = sum + (isSub ? -amount.getSExtValue() //
+                                : amount.getSExtValue());
+    if (std::abs(next) > most)
+      break;
+    sum = next;
+    value = op->getOperand(0);
+  }
+  if (sum != 0)
+    index = isCast ? arith::IndexCastOp::create(builder, loc,
+                                                builder.getIndexType(), value)
+                         .getResult()
+                   : value;
+  return sum;
+}
+
+/// The distance of neighbours along each dimension, in bytes; none where that
+/// is not the same everywhere, or far.
+static SmallVector<int64_t> getStrides(const FieldInfo &field) {
+  SmallVector<int64_t> strides(field.layout.shape.size(), 0);
+  llvm::SmallDenseSet<unsigned> several;
+  constexpr uint64_t tooFar = 1 << 22;
+  for (const IndexDigit &digit : field.storage.digits) {
+    if (digit.extent == 1)
+      continue;
+    int64_t &stride = strides[digit.dimension];
+    if (stride != 0 || !digit.isWhole || digit.stride >= tooFar)
+      several.insert(digit.dimension);
+    stride = int64_t(digit.stride);
+  }
+  for (unsigned dimension : several)
+    strides[dimension] = 0;
+  return strides;
+}
+
+SmallVector<int64_t> tai::peelConstants(OpBuilder &builder, Location loc,
+                                        const FieldInfo &field,
+                                        MutableArrayRef<Value> zeroBased) {
+  SmallVector<int64_t> peeled(zeroBased.size(), 0);
+  SmallVector<int64_t> strides = getStrides(field);
+  for (auto [dimension, stride] : llvm::enumerate(strides))
+    if (stride != 0)
+      peeled[dimension] = peelConstant(builder, loc, zeroBased[dimension]);
+  return peeled;
+}
+
+Value tai::emitNearPointer(OpBuilder &builder, Location loc,
+                           const FieldInfo &field, Value base,
+                           ValueRange indices, ArrayRef<int64_t> peeled,
+                           ValueRange components) {
+  int64_t distance = 0;
+  for (auto [stride, count] : llvm::zip_equal(getStrides(field), peeled))
+    distance += stride * count;
+  // The element in the middle need not be one.
+  bool isElement =
+      llvm::all_of(peeled, [](int64_t count) { return count == 0; });
+  if (!components.empty())
+    if (auto position = getConstantIntValue(
+            emitComponent(builder, loc, field.elementShape, components))) {
+      distance += *position * field.scalarSize;
+      components = {};
+    }
+  auto flags = isElement
+                   ? LLVM::GEPNoWrapFlags::inbounds | LLVM::GEPNoWrapFlags::nuw
+                   : LLVM::GEPNoWrapFlags::none;
+  Type pointer = LLVM::LLVMPointerType::get(builder.getContext());
+  IndexMath math(builder, loc);
+  Value offset = emitElementOffset(builder, loc, field, indices, components);
+  Value address = base;
+  if (getConstantIntValue(offset) != 0)
+    address = LLVM::GEPOp::create(
+        builder, loc, pointer, getStorageType(field.scalarType), address,
+        ArrayRef<LLVM::GEPArg>{math.toI64(offset)}, flags);
+  if (distance != 0)
+    address = LLVM::GEPOp::create(
+        builder, loc, pointer, builder.getI8Type(), address,
+        ArrayRef<LLVM::GEPArg>{static_cast<int32_t>(distance)}, flags);
+  return address;
 }
 
 Value tai::emitLoad(OpBuilder &builder, Location loc, Type scalar,

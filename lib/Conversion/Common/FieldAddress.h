@@ -32,7 +32,8 @@ struct AliasScopes {
 };
 
 /// On an access to memory that was one to a field: strides in bytes and extents
-/// of the digits of its indices and of its component, two numbers for each.
+/// of the digits of its indices and of its component, and where the part of the
+/// address that is not constant has them begin: three numbers for each.
 constexpr llvm::StringLiteral kDigitsAttrName = "tai.digits";
 
 /// A sparse level on the path to a field.
@@ -176,6 +177,19 @@ Type getStorageType(Type scalar);
 /// &base[offset] for elements of the given storage type.
 Value emitPointer(OpBuilder &builder, Location loc, Type storageType,
                   Value base, Value offset);
+
+/// Takes small constants that are added to indices away from those, where their
+/// dimension has one stride. Yields what has been taken, for each.
+SmallVector<int64_t> peelConstants(OpBuilder &builder, Location loc,
+                                   const FieldInfo &field,
+                                   MutableArrayRef<Value> zeroBased);
+
+/// The address of a component of an element, of whose indices `peeled` has been
+/// taken away. It is added last, as is a constant component, so that neighbours
+/// share all of their address but a constant.
+Value emitNearPointer(OpBuilder &builder, Location loc, const FieldInfo &field,
+                      Value base, ValueRange indices, ArrayRef<int64_t> peeled,
+                      ValueRange components);
 
 /// Loads or stores a scalar.
 Value emitLoad(OpBuilder &builder, Location loc, Type scalar, Value pointer,

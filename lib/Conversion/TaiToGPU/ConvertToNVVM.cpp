@@ -107,9 +107,14 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
     target.addLegalOp<gpu::GPUModuleOp>();
     if (failed(applyPartialConversion(kernels, target, std::move(patterns))))
       return failure();
-    // Annotations of loops are for the vectoriser, which a GPU has not.
+    // Annotations of loops are for the vectoriser, which a GPU has not, but for
+    // those that keep a loop as it is.
+    // It comes from scf.for as an attribute that is not the op's own.
     kernels.walk([](LLVM::BrOp branch) {
-      branch->removeDiscardableAttr("llvm.loop_annotation");
+      auto annotation = dyn_cast_if_present<LLVM::LoopAnnotationAttr>(
+          branch->removeDiscardableAttr("llvm.loop_annotation"));
+      if (annotation && annotation.getUnroll())
+        branch.setLoopAnnotationAttr(annotation);
     });
     if (emulated)
       return success();

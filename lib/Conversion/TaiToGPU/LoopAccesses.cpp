@@ -223,11 +223,16 @@ bool LoopAccesses::addIndex(Address &address, Value index, int64_t size,
   // Those of larger strides are products; what is left is that of the smallest.
   SmallVector<Value> parts;
   collectParts(index, parts);
-  SmallVector<int64_t> strides, extents;
-  for (size_t i = 0; i + 1 < digits.size(); i += 2) {
+  SmallVector<int64_t> strides, extents, begins;
+  for (size_t i = 0; i + 2 < digits.size(); i += 3) {
     strides.push_back(digits[i]);
     extents.push_back(digits[i + 1]);
+    begins.push_back(digits[i + 2]);
   }
+  auto widenBy = [&](Address &wide, size_t digit) {
+    wide.access.offset += begins[digit] * strides[digit];
+    widen(wide, extents[digit], strides[digit]);
+  };
   auto findDigit = [&](Value part) -> size_t {
     auto product = part.getDefiningOp<arith::MulIOp>();
     std::optional<int64_t> factor =
@@ -250,7 +255,7 @@ bool LoopAccesses::addIndex(Address &address, Value index, int64_t size,
     if (addTerm(with, part, size, depth))
       attempt = std::move(with);
     else
-      widen(attempt, extents[digit], strides[digit]);
+      widenBy(attempt, digit);
   }
   Address with = attempt;
   if (llvm::all_of(
@@ -261,7 +266,7 @@ bool LoopAccesses::addIndex(Address &address, Value index, int64_t size,
   size_t smallest = llvm::find(strides, size) - strides.begin();
   if (smallest == strides.size() || seen.contains(smallest))
     return false;
-  widen(attempt, extents[smallest], strides[smallest]);
+  widenBy(attempt, smallest);
   address = std::move(attempt);
   return true;
 }

@@ -119,11 +119,12 @@ tai.kernel @sink() {
 
 // -----
 
-tai.tree @t : !tai.root<dense<[i: 8], {g: f32, y: f32, p: i32, h: f32}>,
+tai.tree @t : !tai.root<dense<[i: 8], {g: f32, y: f32, p: i32, h: f32}>, dense<[i: 10], {longer: f32}>,
                         dense<[i: 4, j: 4], {m: f32}>, {s: f32}>
 tai.field @g = @t["g"] : f32, rank 1
 tai.field @y = @t["y"] : f32, rank 1
 tai.field @h = @t["h"] : f32, rank 1
+tai.field @longer = @t["longer"] : f32, rank 1
 tai.field @p = @t["p"] : i32, rank 1
 tai.field @m = @t["m"] : f32, rank 2
 
@@ -149,16 +150,99 @@ tai.kernel @reduction(%f: f32) {
   tai.return
 }
 
-// The loop covers a part of the field: nobody owns the rest.
+// The loop covers little of the field: all of it would be too much.
 // CHECK-LABEL: tai.kernel @partial(
+//       CHECK:   tai.parallel_for (%{{.+}}) = (%{{.+}}) to (%c3) {
 //       CHECK:   tai.atomic add %{{.+}}, @g[%{{.+}}] : f32
 tai.kernel @partial(%f: f32) {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
-  %c7 = arith.constant 7 : index
-  tai.parallel_for (%i) = (%c0) to (%c7) {
+  %c3 = arith.constant 3 : index
+  tai.parallel_for (%i) = (%c0) to (%c3) {
     %up = arith.addi %i, %c1 : index
     %0 = tai.atomic add %f, @g[%up] : f32
+  }
+  tai.return
+}
+
+// Nearly all of the field: the loop is over all of it, and its own iterations
+// store. Element i gets what iterations i - 1 and i + 1 would have added, where
+// they are in [1, 7).
+// CHECK-LABEL: tai.kernel @inner(
+//   CHECK-DAG:   %[[C0:.+]] = arith.constant 0 : index
+//   CHECK-DAG:   %[[C1:.+]] = arith.constant 1 : index
+//   CHECK-DAG:   %[[CM1:.+]] = arith.constant -1 : index
+//   CHECK-DAG:   %[[C7:.+]] = arith.constant 7 : index
+//   CHECK-DAG:   %[[C8:.+]] = arith.constant 8 : index
+//       CHECK:   tai.parallel_for (%[[I:.+]]) = (%[[C0]]) to (%[[C8]]) {
+//   CHECK-DAG:     %[[A:.+]] = arith.cmpi sge, %[[I]], %[[C1]]
+//   CHECK-DAG:     %[[B:.+]] = arith.cmpi slt, %[[I]], %[[C7]]
+//       CHECK:     %[[OWN:.+]] = arith.andi %[[A]], %[[B]]
+//       CHECK:     scf.if %[[OWN]] {
+//       CHECK:       tai.store %{{.+}}, @h[%[[I]]]
+//       CHECK:     }
+//       CHECK:     %[[D:.+]] = arith.addi %[[I]], %[[CM1]]
+//       CHECK:     %[[DL:.+]] = arith.cmpi sge, %[[D]], %[[C1]]
+//   CHECK-NOT:     arith.cmpi
+//       CHECK:     scf.if %[[DL]]
+//       CHECK:       tai.load @y[%[[D]]]
+//       CHECK:     %[[U:.+]] = arith.addi %[[I]], %[[C1]]
+//       CHECK:     %[[UL:.+]] = arith.cmpi slt, %[[U]], %[[C7]]
+//   CHECK-NOT:     arith.cmpi
+//       CHECK:     scf.if %[[UL]]
+//       CHECK:       tai.load @y[%[[U]]]
+//       CHECK:     tai.atomic add %{{.+}}, @g[%[[I]]] exclusive
+//   CHECK-NOT:     tai.atomic
+tai.kernel @inner(%f: f32) {
+  %c1 = arith.constant 1 : index
+  %c7 = arith.constant 7 : index
+  tai.parallel_for (%i) = (%c1) to (%c7) {
+    tai.store %f, @h[%i] : f32
+    %0 = tai.load @y[%i] : f32
+    %up = arith.addi %i, %c1 : index
+    %1 = tai.atomic add %0, @g[%up] : f32
+    %down = arith.subi %i, %c1 : index
+    %2 = tai.atomic add %0, @g[%down] : f32
+  }
+  tai.return
+}
+
+// What wraps around the range of the loop does not reach what is outside of it.
+// CHECK-LABEL: tai.kernel @inner_ring(
+//   CHECK-DAG:   %[[C1:.+]] = arith.constant 1 : index
+//   CHECK-DAG:   %[[C7:.+]] = arith.constant 7 : index
+//       CHECK:   tai.parallel_for (%[[I:.+]]) =
+//   CHECK-DAG:     %[[A:.+]] = arith.cmpi sge, %[[I]], %[[C1]]
+//   CHECK-DAG:     %[[B:.+]] = arith.cmpi slt, %[[I]], %[[C7]]
+//       CHECK:     %[[OWN:.+]] = arith.andi %[[A]], %[[B]]
+//       CHECK:     scf.if %[[OWN]]
+//       CHECK:     tai.atomic add %{{.+}}, @g[%[[I]]] exclusive
+tai.kernel @inner_ring() {
+  %c1 = arith.constant 1 : index
+  %c6 = arith.constant 6 : index
+  %c7 = arith.constant 7 : index
+  tai.parallel_for (%i) = (%c1) to (%c7) {
+    %0 = tai.load @y[%i] : f32
+    // i + 1, and 1 after 6.
+    %turned = arith.remui %i, %c6 : index
+    %next = arith.addi %turned, %c1 : index
+    %1 = tai.atomic add %0, @g[%next] : f32
+  }
+  tai.return
+}
+
+// Fields of two sizes: the loop cannot be over both.
+// CHECK-LABEL: tai.kernel @two_sizes(
+//       CHECK:   tai.atomic add %{{.+}}, @longer[%{{.+}}] : f32
+//       CHECK:   tai.atomic add %{{.+}}, @g[%{{.+}}] exclusive
+tai.kernel @two_sizes() {
+  %c1 = arith.constant 1 : index
+  %c7 = arith.constant 7 : index
+  tai.parallel_for (%i) = (%c1) to (%c7) {
+    %0 = tai.load @y[%i] : f32
+    %up = arith.addi %i, %c1 : index
+    %1 = tai.atomic add %0, @g[%up] : f32
+    %2 = tai.atomic add %0, @longer[%up] : f32
   }
   tai.return
 }

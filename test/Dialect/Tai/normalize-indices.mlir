@@ -11,9 +11,9 @@ tai.field @p = @t["p"] : i32, rank 1
 //   CHECK-DAG:   %[[CM1:.+]] = arith.constant -1 : index
 //   CHECK-DAG:   %[[C7:.+]] = arith.constant 7 : index
 //       CHECK:   tai.parallel_for (%[[I:.+]]) in @x {
-//  CHECK-NEXT:     %[[MOVED:.+]] = arith.addi %[[I]], %[[CM1]] : index
+//  CHECK-NEXT:     %[[MOVED:.+]] = arith.addi %[[I]], %[[CM1]] overflow<nsw> : index
 //  CHECK-NEXT:     %[[OUT:.+]] = arith.cmpi slt, %[[MOVED]], %[[C0]] : index
-//  CHECK-NEXT:     %[[WRAPPED:.+]] = arith.addi %[[I]], %[[C7]] : index
+//  CHECK-NEXT:     %[[WRAPPED:.+]] = arith.addi %[[I]], %[[C7]] overflow<nsw> : index
 //  CHECK-NEXT:     %[[INDEX:.+]] = arith.select %[[OUT]], %[[WRAPPED]], %[[MOVED]] : index
 //  CHECK-NEXT:     %[[X:.+]] = tai.load @x[%[[INDEX]]]
 //  CHECK-NEXT:     tai.store %[[X]], @y[%[[I]]]

@@ -11,7 +11,9 @@
 // of the field or wrapped around it), the iteration that owns an element can
 // make all additions to it: it recomputes what the shifted iterations would
 // have added. What is left is one plain addition for each element, in a fixed
-// order, which needs no atomics and vectorises.
+// order, which needs no atomics and vectorises. A loop over the inside of a
+// field becomes one over all of it for that, whose body asks whether it is
+// inside.
 //
 // Of a loop over the active cells of a sparse field, only those iterations
 // count that there are: those whose cell is active. That holds for adjoints,
@@ -41,6 +43,16 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
+/// The elements that the iterations of a loop own, along each of its indices:
+/// those of the loop itself, or more.
+struct Owned {
+  SmallVector<int64_t> lower, upper;
+
+  bool operator!=(const Owned &other) const {
+    return lower != other.lower || upper != other.upper;
+  }
+};
+
 /// One addition that can be gathered.
 struct Scatter {
   AtomicOp op;
@@ -50,10 +62,12 @@ struct Scatter {
   /// and how it does.
   SmallVector<unsigned> dimension;
   SmallVector<IndexShift> shift;
+  /// All elements that may be added to.
+  Owned owned;
 };
 
 /// Additions to one slice of a field.
-using Group = SmallVector<Scatter>;
+using Group = SmallVector<Scatter, 0>;
 } // namespace
 
 //===----------------------------------------------------------------------===//
@@ -82,7 +96,7 @@ static std::optional<Scatter> getScatter(AtomicOp op, LoopBox &box,
   if (op.getKind() != AtomicKind::Add || !op.getOld().use_empty() ||
       !isa<FloatType>(getElementTypeOrSelf(op.getValue().getType())))
     return std::nullopt;
-  Scatter scatter{op, {}, {}, {}};
+  Scatter scatter{op, {}, {}, {}, {}};
   for (Operation *parent = op->getParentOp(); parent != box.loop;
        parent = parent->getParentOp()) {
     auto condition = dyn_cast<scf::IfOp>(parent);
@@ -110,10 +124,9 @@ static std::optional<Scatter> getScatter(AtomicOp op, LoopBox &box,
     // Without a dimension the additions of all its values would meet.
     if (dimension < 0)
       return std::nullopt;
-    // The loop must own each element: its range is that of the dimension.
-    if (box.lower[k] != layout.offset[dimension] ||
-        box.upper[k] != layout.offset[dimension] + layout.shape[dimension])
-      return std::nullopt;
+    scatter.owned.lower.push_back(layout.offset[dimension]);
+    scatter.owned.upper.push_back(layout.offset[dimension] +
+                                  layout.shape[dimension]);
     std::optional<IndexShift> shift = getIndexShift(
         op.getIndices()[dimension], iv, box.lower[k], box.upper[k]);
     if (!shift)
@@ -204,10 +217,29 @@ static bool ownsAllActive(LoopBox &box, const FieldLayout &field) {
   return haveSameActivity(*visited, field);
 }
 
+/// True if the loop is over the elements that it has to own, or can be made so
+/// for little: nearly all of them are in it already.
+static bool canOwn(LoopBox &box, const Owned &wanted) {
+  if (box.lower == wanted.lower && box.upper == wanted.upper)
+    return true;
+  if (box.loop.isStructFor())
+    return false;
+  double inLoop = 1, inField = 1;
+  for (unsigned k = 0; k != box.lower.size(); ++k) {
+    if (box.lower[k] < wanted.lower[k] || box.upper[k] > wanted.upper[k])
+      return false;
+    inLoop *= static_cast<double>(box.upper[k] - box.lower[k]);
+    inField *= static_cast<double>(wanted.upper[k] - wanted.lower[k]);
+  }
+  return inField <= 2 * inLoop;
+}
+
 /// Groups the additions to one field by slice and component. Empty if one of
-/// them cannot be gathered, or another access might meet them.
+/// them cannot be gathered, or another access might meet them. If the loop has
+/// been made to own other elements than its own, those are `owned`.
 static SmallVector<Group> getGroups(FieldOp field, LoopBox &box,
                                     ArrayRef<AtomicOp> atomics,
+                                    const std::optional<Owned> &owned,
                                     unsigned maxOps) {
   FailureOr<FieldLayout> layout = getFieldLayout(field);
   if (failed(layout) || !ownsAllActive(box, *layout))
@@ -230,6 +262,10 @@ static SmallVector<Group> getGroups(FieldOp field, LoopBox &box,
     llvm::SmallDenseSet<Operation *> recomputed;
     if (!scatter || !component ||
         !canRecompute(op.getValue(), box, written, recomputed))
+      return {};
+    if (owned ? *owned != scatter->owned : !canOwn(box, scatter->owned))
+      return {};
+    if (!groups.empty() && groups.front().front().owned != scatter->owned)
       return {};
     for (scf::IfOp condition : scatter->conditions)
       if (!canRecompute(condition.getCondition(), box, written, recomputed))
@@ -354,32 +390,57 @@ static Value recomputeBelow(Recomputation &at, Scatter &scatter,
       .getResult(0);
 }
 
-/// The iteration whose addition lands where `iv` is: iv - offset, wrapped if
-/// the shift wraps. Else adds to `inside` the test that there is one.
-static Value invertShift(OpBuilder &builder, Location loc, Value iv,
-                         IndexShift shift, int64_t lower, int64_t upper,
-                         SmallVectorImpl<Value> &inside) {
-  if (shift.isIdentity())
-    return iv;
+/// Adds to `tests` whether `index` is in [lower, upper), where it may be in
+/// [least, end).
+static void addRangeTests(OpBuilder &builder, Location loc, Value index,
+                          std::pair<int64_t, int64_t> range, int64_t least,
+                          int64_t end, SmallVectorImpl<Value> &tests) {
+  auto [lower, upper] = range;
+  auto add = [&](arith::CmpIPredicate predicate, int64_t bound) {
+    Value constant = arith::ConstantIndexOp::create(builder, loc, bound);
+    tests.push_back(
+        arith::CmpIOp::create(builder, loc, predicate, index, constant));
+  };
+  if (least < lower)
+    add(arith::CmpIPredicate::sge, lower);
+  if (end > upper)
+    add(arith::CmpIPredicate::slt, upper);
+}
+
+/// The iteration whose addition lands where `iv` is, along index `k`: iv -
+/// offset, wrapped if the shift wraps. Adds to `inside` the tests that there is
+/// one.
+static Value invertShift(OpBuilder &builder, Scatter &scatter, LoopBox &box,
+                         unsigned k, SmallVectorImpl<Value> &inside) {
+  Location loc = scatter.op.getLoc();
+  Value iv = box.ivs()[k];
+  IndexShift shift = scatter.shift[k];
+  int64_t lower = box.lower[k], upper = box.upper[k];
+  int64_t least = scatter.owned.lower[k], end = scatter.owned.upper[k];
   auto constant = [&](int64_t value) -> Value {
     return arith::ConstantIndexOp::create(builder, loc, value);
   };
+  // What wraps stays in the range of the loop.
+  if (shift.wraps || shift.isIdentity())
+    addRangeTests(builder, loc, iv, {lower, upper}, least, end, inside);
+  if (shift.isIdentity())
+    return iv;
   Value source =
       arith::AddIOp::create(builder, loc, iv, constant(-shift.offset));
+  if (!shift.wraps) {
+    addRangeTests(builder, loc, source, {lower, upper}, least - shift.offset,
+                  end - shift.offset, inside);
+    return source;
+  }
   bool fallsBelow = shift.offset > 0;
   Value isOutside = arith::CmpIOp::create(
       builder, loc,
       fallsBelow ? arith::CmpIPredicate::slt : arith::CmpIPredicate::sge,
       source, constant(fallsBelow ? lower : upper));
-  if (shift.wraps) {
-    int64_t turn = fallsBelow ? upper - lower : lower - upper;
-    Value wrapped =
-        arith::AddIOp::create(builder, loc, iv, constant(turn - shift.offset));
-    return arith::SelectOp::create(builder, loc, isOutside, wrapped, source);
-  }
-  Value truth = arith::ConstantIntOp::create(builder, loc, 1, 1);
-  inside.push_back(arith::XOrIOp::create(builder, loc, isOutside, truth));
-  return source;
+  int64_t turn = fallsBelow ? upper - lower : lower - upper;
+  Value wrapped =
+      arith::AddIOp::create(builder, loc, iv, constant(turn - shift.offset));
+  return arith::SelectOp::create(builder, loc, isOutside, wrapped, source);
 }
 
 /// Whether a loop over active cells has the iteration with these indices; null
@@ -427,8 +488,7 @@ static Value recompute(OpBuilder &builder, LoopBox &box, Scatter &scatter) {
   IRMapping mapping;
   SmallVector<Value> inside;
   for (auto [k, iv] : llvm::enumerate(box.ivs()))
-    mapping.map(iv, invertShift(builder, loc, iv, scatter.shift[k],
-                                box.lower[k], box.upper[k], inside));
+    mapping.map(iv, invertShift(builder, scatter, box, k, inside));
   Type type = scatter.op.getValue().getType();
   auto value = [&](OpBuilder &nested) {
     auto below = [&](OpBuilder &nested) {
@@ -507,6 +567,34 @@ static void sinkAdditions(LoopBox &box) {
   }
 }
 
+/// Makes the loop one over all elements that it has to own; what its body does
+/// it does in the iterations that it had.
+static void widen(LoopBox &box, const Owned &owned) {
+  OpBuilder builder(box.loop);
+  Location loc = box.loop.getLoc();
+  auto constants = [&](ArrayRef<int64_t> values) {
+    return llvm::map_to_vector(values, [&](int64_t value) -> Value {
+      return arith::ConstantIndexOp::create(builder, loc, value);
+    });
+  };
+  box.loop.getLowerBoundsMutable().assign(constants(owned.lower));
+  box.loop.getUpperBoundsMutable().assign(constants(owned.upper));
+
+  builder.setInsertionPointToStart(&box.body());
+  SmallVector<Value> tests;
+  for (auto [k, iv] : llvm::enumerate(box.ivs()))
+    addRangeTests(builder, loc, iv, {box.lower[k], box.upper[k]},
+                  owned.lower[k], owned.upper[k], tests);
+  Value inside = tests.front();
+  for (Value test : llvm::drop_begin(tests))
+    inside = arith::AndIOp::create(builder, loc, inside, test);
+  auto branch = scf::IfOp::create(builder, loc, inside, /*withElse=*/false);
+  Block *block = branch.thenBlock();
+  block->getOperations().splice(block->begin(), box.body().getOperations(),
+                                std::next(branch->getIterator()),
+                                std::prev(box.body().end()));
+}
+
 /// Replaces the additions of each group by one at the end of the body.
 static void rewrite(LoopBox &box, MutableArrayRef<Group> groups) {
   SmallVector<Gathered> all;
@@ -558,6 +646,7 @@ static int64_t getReach(const FieldLayout &visited, ArrayRef<Group> groups) {
 static bool gatherLoop(LoopBox &box, unsigned maxOps) {
   FailureOr<FieldLayout> visited = getSparseLoopField(box.loop);
   int64_t reach = 0;
+  std::optional<Owned> owned;
   // Fields in the order of their first addition.
   llvm::MapVector<const void *, SmallVector<AtomicOp>> byStorage;
   box.loop.walk(
@@ -569,13 +658,17 @@ static bool gatherLoop(LoopBox &box, unsigned maxOps) {
       continue;
     FieldOp field =
         lookupField(atomics.front(), atomics.front().getFieldAttr());
-    SmallVector<Group> groups = getGroups(field, box, atomics, maxOps);
+    SmallVector<Group> groups = getGroups(field, box, atomics, owned, maxOps);
     if (groups.empty() || !isOnlyAccess(field, box, groups))
       continue;
     if (succeeded(visited) && reach >= 0) {
       int64_t here = getReach(*visited, groups);
       reach = here < 0 ? here : std::max(reach, here);
     }
+    const Owned &wanted = groups.front().front().owned;
+    if (!owned && (wanted.lower != box.lower || wanted.upper != box.upper))
+      widen(box, wanted);
+    owned = wanted;
     rewrite(box, groups);
     changed = true;
   }

@@ -35,7 +35,13 @@ static Value createShift(OpBuilder &builder, Location loc, Value iv,
   auto constant = [&](int64_t value) -> Value {
     return arith::ConstantIndexOp::create(builder, loc, value);
   };
-  Value moved = arith::AddIOp::create(builder, loc, iv, constant(shift.offset));
+  // Indices are far from where numbers overflow, which lets neighbours in
+  // memory be found.
+  auto add = [&](int64_t offset) -> Value {
+    return arith::AddIOp::create(builder, loc, iv, constant(offset),
+                                 arith::IntegerOverflowFlags::nsw);
+  };
+  Value moved = add(shift.offset);
   if (!shift.wraps)
     return moved;
   bool overEnd = shift.offset > 0;
@@ -44,8 +50,7 @@ static Value createShift(OpBuilder &builder, Location loc, Value iv,
       builder, loc,
       overEnd ? arith::CmpIPredicate::sge : arith::CmpIPredicate::slt, moved,
       constant(overEnd ? upper : lower));
-  Value wrapped =
-      arith::AddIOp::create(builder, loc, iv, constant(shift.offset + turn));
+  Value wrapped = add(shift.offset + turn);
   return arith::SelectOp::create(builder, loc, isOutside, wrapped, moved);
 }
 

@@ -270,9 +270,12 @@ def GatherAccumulations : Pass<"tai-gather-accumulations"> {
     its order is fixed, and the loop vectorises.
 
     Left alone: additions at an index that is no shift of a loop index, loops
-    that do not cover the field exactly, values that cannot be computed twice or
-    that read what the loop writes, and more than `max-ops` operations to
-    compute again.
+    A loop over the inside of a field, which is more than half of it, becomes a
+    loop over all of the field, whose body asks whether it is inside.
+
+    Left alone: additions at an index that is no shift of a loop index, loops
+    over less of the field, values that cannot be computed twice or that read
+    what the loop writes, and more than `max-ops` operations to compute again.
 
     ```mlir
     tai.parallel_for (%i) in @x {
