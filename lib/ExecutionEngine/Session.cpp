@@ -67,6 +67,8 @@ static Compiler::Pipelines getPipelines() {
     lowering.contract = options.codegen.contract;
     lowering.optLevel = options.codegen.optLevel;
     lowering.skip = options.skips;
+    // Kernels are known by their names already.
+    lowering.fuseLaunches = false;
     buildToLLVMPipeline(manager, lowering);
   };
   pipelines.toDevice = [](OpPassManager &manager,
@@ -79,6 +81,8 @@ static Compiler::Pipelines getPipelines() {
     lowering.contract = options.codegen.contract;
     lowering.optLevel = options.codegen.optLevel;
     lowering.skip = options.skips;
+    // Kernels are known by their names already.
+    lowering.fuseLaunches = false;
     lowering.emulated = options.device == runtime::DeviceKind::Emulated;
     buildToNVVMPipeline(manager, lowering);
   };

@@ -17,6 +17,13 @@ void tai::buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options) {
   bool checked = options.boundsCheck || options.debug;
   bool fast = options.optLevel > 0;
 
+  // While kernels are as they were written.
+  if (fast && !checked && options.fuseLaunches) {
+    FuseLaunchesOptions fuse;
+    fuse.deterministic = options.deterministic;
+    pm.addPass(createFuseLaunches(fuse));
+  }
+
   // Helpers go into the kernels that call them. The inliner's own cleaning of
   // every function costs more than all that follows, so it is left out.
   pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));

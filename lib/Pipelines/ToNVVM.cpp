@@ -17,6 +17,13 @@ void tai::buildToNVVMPipeline(OpPassManager &pm, const ToNVVMOptions &options) {
   bool checked = options.boundsCheck || options.debug;
   bool fast = options.optLevel > 0;
 
+  // While kernels are as they were written.
+  if (fast && !checked && options.fuseLaunches) {
+    FuseLaunchesOptions fuse;
+    fuse.deterministic = options.deterministic;
+    pm.addPass(createFuseLaunches(fuse));
+  }
+
   pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
   if (fast && !checked) {
     pm.addPass(createMarkExclusive());

@@ -14,7 +14,9 @@
 #include "PrintField.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Parser/Parser.h"
+#include "mlir/Pass/PassManager.h"
 #include "mlir/Tools/Plugins/DialectPlugin.h"
+#include "tai/Dialect/Tai/Transforms/Passes.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/Support/CommandLine.h"
@@ -57,7 +59,9 @@ struct Options {
       cl::value_desc("stages")};
   cl::opt<bool> noFuseLaunches{
       "no-fuse-launches",
-      cl::desc("Queue each launch of a recurring sequence by itself")};
+      cl::desc("Run each launch by itself: neither make one kernel of those "
+               "that @main launches in a row, nor one piece of work of "
+               "recurring sequences on a GPU")};
   cl::opt<bool> noCache{"no-cache",
                         cl::desc("Do not keep or use compiled code")};
   cl::opt<std::string> cacheDir{"cache-dir",
@@ -182,11 +186,28 @@ static LogicalResult loadPlugins(Session &session, const Options &given) {
   return success();
 }
 
+/// Makes one kernel of those that @main launches one after another.
+static LogicalResult fuseLaunches(Session &session, ModuleOp file,
+                                  const Options &given) {
+  if (given.noFuseLaunches || given.debug || given.optLevel == 0)
+    return success();
+  DiagnosticCollector collector(session.getContext());
+  FuseLaunchesOptions options;
+  options.deterministic = given.deterministic;
+  PassManager manager(session.getContext());
+  manager.addPass(createFuseLaunches(options));
+  if (succeeded(manager.run(file)))
+    return success();
+  return session.fail(
+      collector.take(FailureKind::Internal, "launches cannot be fused"));
+}
+
 static LogicalResult run(Session &session, const Options &given) {
   if (failed(setOptions(session, given)) || failed(loadPlugins(session, given)))
     return failure();
   OwningOpRef<ModuleOp> file = parse(session, given);
-  if (!file || failed(declare(session, *file)))
+  if (!file || failed(fuseLaunches(session, *file, given)) ||
+      failed(declare(session, *file)))
     return failure();
   if (given.kernelName.getNumOccurrences())
     return launchKernel(session, StringRef(given.kernelName).ltrim('@'));

@@ -88,6 +88,7 @@ struct LoweringOptions : virtual ::mlir::detail::PassOptions {
     fastMath = other.fastMath.getValue();
     contract = other.contract.getValue();
     optLevel = other.optLevel.getValue();
+    fuseLaunches = other.fuseLaunches.getValue();
     skip = other.skip.getValue();
   }
 
@@ -117,6 +118,11 @@ struct LoweringOptions : virtual ::mlir::detail::PassOptions {
       *this, "opt-level",
       llvm::cl::desc("Effort, 0 to 3; 0 leaves out what only makes code fast"),
       llvm::cl::init(3)};
+  Option<bool> fuseLaunches{
+      *this, "fuse-launches",
+      llvm::cl::desc("Make one kernel of those that a host function launches "
+                     "one after another, where iterations allow"),
+      llvm::cl::init(true)};
   Option<SkipSet> skip{*this, "skip",
                        llvm::cl::desc("What to leave out where it is not "
                                       "needed: all, none, or names"),

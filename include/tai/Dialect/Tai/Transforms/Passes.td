@@ -355,4 +355,44 @@ def SplitLoops : Pass<"tai-split-loops"> {
                            "::mlir::scf::SCFDialect"];
 }
 
+def FuseLaunches : Pass<"tai-fuse-launches", "::mlir::ModuleOp"> {
+  let summary = "make one kernel of those that are launched one after another";
+  let description = [{
+    Where a host function launches two kernels in a row (with nothing but
+    arithmetic between), each of one parallel loop over the same constant box,
+    and no iteration of the second meets what another iteration of the first
+    wrote, or overwrites what another one reads, launches one kernel with one
+    loop that runs both bodies. Loads of what the same iteration has just stored
+    become that value; the stores stay. Longer runs of launches become one
+    likewise. The kernels themselves stay for others that launch them.
+
+    Indices are compared as sums of induction variables and of what the host
+    passes. An argument that differs by a constant from one of the other launch
+    is computed from that.
+
+    ```mlir
+    tai.launch @f(%t) : (i32) -> ()   // y[t + 1, i] = f(x[t, i])
+    %t1 = arith.addi %t, %c1 : i32
+    tai.launch @g(%t1) : (i32) -> ()  // z[t, i] = g(y[t, i])
+    // becomes
+    tai.launch @f_g(%t) : (i32) -> ()
+    ```
+
+    Launches under a tape stay: they are differentiated one by one. So do
+    kernels that return values, take arrays, draw random numbers, print, assert,
+    or touch sparse fields.
+  }];
+  let options = [
+    Option<"deterministic", "deterministic", "bool", /*default=*/"false",
+           "Keep the order of float sums: those of two launches into the same "
+           "elements are not mixed">,
+    Option<"maxAccesses", "max-accesses", "int64_t", /*default=*/"128",
+           "Most accesses to fields in a kernel that is made">,
+  ];
+  let statistics = [
+    Statistic<"numFused", "num-fused", "Launches that became part of another">,
+  ];
+  let dependentDialects = ["::mlir::arith::ArithDialect"];
+}
+
 #endif // TAI_DIALECT_TAI_TRANSFORMS_PASSES_TD
