@@ -5,7 +5,8 @@ quadrants (see peers/), so that these three are compared on one program. Kernels
 written as the published differentiable simulators write them: every time slot stored,
 one launch per operation and step, `ti.ad.Tape` around the forward pass. Grids and
 particles keep every component in an array of its own, the layout of the published timing
-programs. The kernels' annotations must be objects, not strings, for taichi.
+programs; on a GPU tai places those of diffmpm whole, as the hand-written program does. The
+kernels' annotations must be objects, not strings, for taichi.
 """
 
 import numpy as np
@@ -13,11 +14,20 @@ import tai as ti
 
 from harness import Program, clock
 
+# Whether elements of diffmpm are stored whole. A GPU then reads them at once, and adds to a grid
+# node at once.
+elements_whole = False
 
-def place_components(node, *fields) -> None:
-    """Places every component of vector and matrix fields below a node of its own."""
+
+def place_components(node, *fields, whole=False) -> None:
+    """Places every component of vector and matrix fields below a node of its own.
+
+    With `whole`, every field.
+    """
     for field in fields:
-        if field.m > 1:
+        if whole:
+            node().place(field)
+        elif field.m > 1:
             for a in range(field.n):
                 for b in range(field.m):
                     node().place(field.get_scalar_field(a, b))
@@ -272,13 +282,24 @@ def make_mpm(problem) -> Program:
     grid_mass = ti.field(dtype=ti.f32)
     grid_v = ti.Vector.field(2, dtype=ti.f32)
     loss = ti.field(dtype=ti.f32)
-    place_components(lambda: ti.root.dense(ti.i, slots).dense(ti.j, count), x, v, C, F)
+    whole = elements_whole
+
+    def particles():
+        return ti.root.dense(ti.i, slots).dense(ti.j, count)
+
+    place_components(particles, x, v, C, F, whole=whole)
 
     def grids():
         return ti.root.dense(ti.i, slots).dense(ti.jk, (n, n))
 
-    place_components(grids, momentum, grid_v)
-    grids().place(grid_mass)
+    place_components(grids, grid_v, whole=whole)
+    if whole:
+        # Fills a node up to 16 bytes.
+        rest = ti.field(dtype=ti.f32)
+        grids().place(momentum, grid_mass, rest)
+    else:
+        place_components(grids, momentum)
+        grids().place(grid_mass)
     ti.root.place(loss)
     ti.root.lazy_grad()
 
@@ -303,6 +324,8 @@ def make_mpm(problem) -> Program:
                     weight = w[i][0] * w[j][1]
                     momentum[t, base + offset] += weight * (mass * v[t, p] + affine @ dpos)
                     grid_mass[t, base + offset] += weight * mass
+                    if ti.static(whole):
+                        rest[t, base + offset] += 0.0
 
     @ti.kernel
     def update_grid(t: ti.i32):

@@ -27,6 +27,8 @@ def load(cache: Path, arch: str, **options):
         raise RuntimeError(f"asked for arch={arch}, and got {used}")
     import tai_scenes
 
+    tai_scenes.elements_whole = used == "cuda"
+
     try:
         name = version("tai")
     except PackageNotFoundError:

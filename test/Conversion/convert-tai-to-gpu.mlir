@@ -9,9 +9,10 @@ tai.field @n = @t["n"] : i32, rank 0
 
 // A loop becomes a function of what it uses, and a launch.
 // CHECK-LABEL: gpu.module @kernels
-//   How a tree is aligned, and where in it the function begins, is known.
-//       CHECK:   llvm.func @scale_0(%[[TREE:[^:]+]]: !llvm.ptr {llvm.align = 16 : i64}, %[[S:.+]]: f32, %{{.+}}: !llvm.ptr {llvm.align = 4 : i64})
+//   How a tree is aligned is known, and that two fields are neighbours in it.
+//       CHECK:   llvm.func @scale_0(%[[TREE:[^:]+]]: !llvm.ptr {llvm.align = 16 : i64}, %[[S:[^:]+]]: f32)
 //  CHECK-SAME:       attributes {gpu.kernel
+//       CHECK:     llvm.getelementptr inbounds|nuw %[[TREE]][4]
 //       CHECK:     %[[COUNT:.+]] = arith.constant 8192 : index
 //       CHECK:     gpu.block_id
 //       CHECK:     gpu.thread_id

@@ -38,7 +38,7 @@ tai.kernel @rows(%t: i32) {
 //  CHECK-SAME:   tai.accesses = array<i64: 1, 2, 9, 8,
 //  CHECK-SAME:   0, 0, 128, 4, 16, 4, 0, 128, 16, 0,
 //  CHECK-SAME:   0, 0, 0, 1156, 16, 4, 0, 0, 16, 0,
-//  CHECK-SAME:   1, 1, 0, 8, 16, 8, 0, 128, 16, 0>
+//  CHECK-SAME:   1, 0, 8, 8, 16, 8, 0, 128, 16, 0>
 tai.kernel @stencil() {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index

@@ -5,13 +5,17 @@
 // vectors as one access, sums and products in one operation, and one addition
 // to memory for a scatter of a vector.
 
-tai.tree @t : !tai.root<dense<[i: 4096, j: 4096], {x: vector<4xf32>}>, dense<[i: 1024, j: 1024], {p: f32}>, dense<[i: 1024, j: 1024], {q: f32}>, dense<[i: 2048, j: 2048], {large: f32}>, dense<[i: 2048, j: 2048], {result: f32}>, dense<[i: 4096], {sums: vector<2xf32>}>>
+tai.tree @t : !tai.root<dense<[i: 4096, j: 4096], {x: vector<4xf32>}>, dense<[i: 1024, j: 1024], {p: f32}>, dense<[i: 1024, j: 1024], {q: f32}>, dense<[i: 2048, j: 2048], {large: f32}>, dense<[i: 2048, j: 2048], {result: f32}>, dense<[i: 4096], {sums: vector<2xf32>}>, dense<[i: 64, j: 64], {momentum: vector<2xf32>, mass: f32, rest: f32}>>
 tai.field @x = @t["x"] : vector<4xf32>, rank 2
 tai.field @p = @t["p"] : f32, rank 2
 tai.field @q = @t["q"] : f32, rank 2
 tai.field @large = @t["large"] : f32, rank 2
 tai.field @result = @t["result"] : f32, rank 2
 tai.field @sums = @t["sums"] : vector<2xf32>, rank 1
+
+tai.field @momentum = @t["momentum"] : vector<2xf32>, rank 2
+tai.field @mass = @t["mass"] : f32, rank 2
+tai.field @rest = @t["rest"] : f32, rank 2
 
 // CHECK-LABEL: .entry scale_0(
 //   CHECK-NOT: {{(div|rem)[.]}}
@@ -110,6 +114,35 @@ tai.kernel @stencil(%a: f32) {
     %6 = arith.addf %5, %3 : f32
     %7 = arith.mulf %6, %a : f32
     tai.store %7, @result[%i, %j] : f32
+  }
+  tai.return
+}
+
+// Fields of one cell are added to at once, and neighbours are told by constants.
+// CHECK-LABEL: .entry nodes_0(
+//       CHECK: red.relaxed.gpu.global.add.v4.f32 [[[NODE:%rd[0-9]+]]]
+//       CHECK: add.s64 [[NEXT:%rd[0-9]+]], {{.+}}, 1040;
+//       CHECK: red.relaxed.gpu.global.add.v4.f32 [[[NEXT]]]
+//   CHECK-NOT: {{atom|red}}
+//       CHECK: ret;
+tai.kernel @nodes(%a: f32) {
+  %c0 = arith.constant 0 : index
+  %c64 = arith.constant 64 : index
+  %c1 = arith.constant 1 : i32
+  %zero = arith.constant 0.0 : f32
+  %v = vector.broadcast %a : f32 to vector<2xf32>
+  tai.parallel_for (%p) = (%c0) to (%c64) {
+    %x = tai.load @p[%p, %p] : f32
+    %cell = arith.fptosi %x : f32 to i32
+    %0 = arith.index_cast %cell : i32 to index
+    %1 = tai.atomic add %v, @momentum[%0, %0] : vector<2xf32>
+    %2 = tai.atomic add %a, @mass[%0, %0] : f32
+    %3 = tai.atomic add %zero, @rest[%0, %0] : f32
+    %next = arith.addi %cell, %c1 : i32
+    %4 = arith.index_cast %next : i32 to index
+    %5 = tai.atomic add %v, @momentum[%4, %4] : vector<2xf32>
+    %6 = tai.atomic add %a, @mass[%4, %4] : f32
+    %7 = tai.atomic add %zero, @rest[%4, %4] : f32
   }
   tai.return
 }

@@ -47,3 +47,16 @@ def test_replay(scene: str):
         assert program.replay() is not None
         error = harness.relative_error(program.gradient().astype(float), gradient)
         assert error < TOLERANCE.get(scene, 1e-5)
+
+
+def test_whole_elements(monkeypatch):
+    """The layout of diffmpm on a GPU: nodes of 16 bytes, particles by element."""
+    monkeypatch.setattr(tai_scenes, "elements_whole", True)
+    ti.init(arch=ti.cpu, default_fp=ti.f32)
+    problem = problems.mpm_problem(True)
+    loss, gradient = problem.reference()
+    program = tai_scenes.SCENES["diffmpm"](problem)
+    program.run()
+    assert program.replay() is not None
+    assert program.loss() == pytest.approx(loss, rel=2e-5)
+    assert harness.relative_error(program.gradient().astype(float), gradient) < 1e-5

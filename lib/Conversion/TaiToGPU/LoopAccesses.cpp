@@ -331,8 +331,7 @@ void LoopAccesses::addSum(Value target, Type type, bool isAddition,
     widen(addresses.back(), threads, getSize(storage));
 }
 
-DenseI64ArrayAttr
-LoopAccesses::encode(function_ref<std::optional<int64_t>(Value)> getParameter) {
+DenseI64ArrayAttr LoopAccesses::encode(ParameterFinder getParameter) {
   if (!isKnown)
     return {};
   runtime::FunctionAccesses result;
@@ -342,12 +341,13 @@ LoopAccesses::encode(function_ref<std::optional<int64_t>(Value)> getParameter) {
         box ? std::max<int64_t>(box->upper[d] - box->lower[d], 0) : -1);
   for (Address &address : addresses) {
     DeviceAccess access = std::move(address.access);
-    std::optional<int64_t> slot = getParameter(address.base);
+    auto slot = getParameter(address.base);
     if (!slot)
       return {};
-    access.slot = *slot;
+    access.slot = slot->first;
+    access.offset += slot->second;
     for (auto [value, factor] : address.terms) {
-      std::optional<int64_t> term = getParameter(value);
+      auto term = getParameter(value);
       if (!term)
         return {};
       Type type = value.getType();
@@ -355,7 +355,7 @@ LoopAccesses::encode(function_ref<std::optional<int64_t>(Value)> getParameter) {
       int64_t bits = type.isIndex() ? 64 : type.getIntOrFloatBitWidth();
       if (bits == 1 || bits > 64)
         return {};
-      access.terms.push_back({*term, bits, factor});
+      access.terms.push_back({term->first, bits, factor});
     }
     result.accesses.push_back(std::move(access));
   }

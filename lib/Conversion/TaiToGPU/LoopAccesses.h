@@ -28,10 +28,14 @@ public:
   /// partial sums are stored from there on.
   void addSum(Value target, Type type, bool isAddition, int64_t threads);
 
+  /// Finds the number of the parameter that a value from outside has become,
+  /// and how far behind that an address is.
+  using ParameterFinder =
+      llvm::function_ref<std::optional<std::pair<int64_t, int64_t>>(Value)>;
+
   /// The list, with values from outside by the numbers of their parameters;
   /// null where it is not known what the loop touches.
-  DenseI64ArrayAttr
-  encode(llvm::function_ref<std::optional<int64_t>(Value)> getParameter);
+  DenseI64ArrayAttr encode(ParameterFinder getParameter);
 
 private:
   /// An address with values from outside, which have no numbers yet.

@@ -406,11 +406,19 @@ public:
       : function(function), launch(launch), entry(function.getContext()) {}
 
   LogicalResult capture();
-  /// The number of the parameter that a value from outside has become.
-  std::optional<int64_t> find(Value outer) const {
+  /// The number of the parameter that a value from outside has become, and for
+  /// an address how far behind that of the parameter it is.
+  std::optional<std::pair<int64_t, int64_t>> find(Value outer) const {
+    int64_t distance = 0;
+    for (auto next = near.find(outer); next != near.end();
+         next = near.find(outer)) {
+      distance += next->second.second;
+      outer = next->second.first;
+    }
     auto found = numbers.find(outer);
-    return found == numbers.end() ? std::nullopt
-                                  : std::optional<int64_t>(found->second);
+    if (found == numbers.end())
+      return std::nullopt;
+    return std::pair(found->second, distance);
   }
   /// What to pass, as values of the host's part.
   ArrayRef<Value> getOperands() const { return operands; }
@@ -418,6 +426,8 @@ public:
 private:
   FailureOr<Value> get(Value outer);
   Value addParameter(Value outer);
+  void collectAddress(Value outer);
+  Value findNeighbour(Value outer);
 
   LLVM::LLVMFuncOp function;
   Operation *launch;
@@ -425,6 +435,10 @@ private:
   SmallVector<Value> operands;
   llvm::DenseMap<Value, Value> known;
   llvm::DenseMap<Value, int64_t> numbers;
+  /// All addresses from outside, by where they come from and their distance
+  /// from there; and those that are a little behind another.
+  llvm::MapVector<Value, SmallVector<std::pair<int64_t, Value>>> addresses;
+  llvm::DenseMap<Value, std::pair<Value, int64_t>> near;
 };
 } // namespace
 
@@ -455,27 +469,57 @@ Value Parameters::addParameter(Value outer) {
   return parameter;
 }
 
-/// What is known of the alignment of an address of the host's part.
-static int64_t getAddressAlignment(Value address) {
-  uint64_t offsets = 0;
+/// What an address of the host's part is a constant behind, and that constant.
+static std::pair<Value, int64_t> getOrigin(Value address) {
+  int64_t distance = 0;
   while (auto element = address.getDefiningOp<LLVM::GEPOp>()) {
     auto indices = element.getIndices();
     if (indices.size() != 1 || !element.getElemType().isInteger(8))
-      return 1;
+      break;
     auto constant = dyn_cast<IntegerAttr>(indices[0]);
     APInt offset;
     if (constant)
       offset = constant.getValue();
     else if (!matchPattern(cast<Value>(indices[0]), m_ConstantInt(&offset)))
-      return 1;
-    offsets |= offset.getZExtValue();
+      break;
+    distance += offset.getSExtValue();
     address = element.getBase();
   }
-  Operation *definition = address.getDefiningOp();
+  return {address, distance};
+}
+
+/// What is known of the alignment of an address of the host's part.
+static int64_t getAddressAlignment(Value address) {
+  auto [origin, distance] = getOrigin(address);
+  Operation *definition = origin.getDefiningOp();
   auto known = definition
                    ? definition->getAttrOfType<IntegerAttr>(kAlignmentAttrName)
                    : nullptr;
-  return known ? llvm::MinAlign(known.getInt(), offsets) : 1;
+  return known ? llvm::MinAlign(known.getInt(), distance) : 1;
+}
+
+void Parameters::collectAddress(Value outer) {
+  if (!isa<LLVM::LLVMPointerType>(outer.getType()))
+    return;
+  auto [origin, distance] = getOrigin(outer);
+  addresses[origin].push_back({distance, outer});
+}
+
+/// The first address that is close before this one: fields of one cell share a
+/// parameter, so that it is known that they are neighbours.
+Value Parameters::findNeighbour(Value outer) {
+  constexpr int64_t close = 128;
+  auto [origin, distance] = getOrigin(outer);
+  int64_t first = distance;
+  Value neighbour;
+  for (auto [other, address] : addresses.lookup(origin))
+    if (other < first && distance - other < close) {
+      first = other;
+      neighbour = address;
+    }
+  if (neighbour)
+    near[outer] = {neighbour, distance - first};
+  return neighbour;
 }
 
 FailureOr<Value> Parameters::get(Value outer) {
@@ -492,6 +536,15 @@ FailureOr<Value> Parameters::get(Value outer) {
       return failure();
     entry.setInsertionPointAfterValue(*slot);
     value = emitSlotLoad(entry, launch->getLoc(), outer.getType(), *slot);
+  } else if (Value neighbour = findNeighbour(outer)) {
+    FailureOr<Value> base = get(neighbour);
+    if (failed(base))
+      return failure();
+    entry.setInsertionPointAfterValue(*base);
+    value = LLVM::GEPOp::create(
+        entry, launch->getLoc(), outer.getType(), entry.getI8Type(), *base,
+        ArrayRef<LLVM::GEPArg>{static_cast<int32_t>(near[outer].second)},
+        LLVM::GEPNoWrapFlags::inbounds | LLVM::GEPNoWrapFlags::nuw);
   } else if (outer.getType().isIntOrIndexOrFloat() ||
              isa<LLVM::LLVMPointerType>(outer.getType())) {
     value = addParameter(outer);
@@ -508,6 +561,11 @@ FailureOr<Value> Parameters::get(Value outer) {
 
 LogicalResult Parameters::capture() {
   Region &region = function.getBody();
+  region.walk([&](Operation *op) {
+    for (Value operand : op->getOperands())
+      if (!region.isAncestor(operand.getParentRegion()))
+        collectAddress(operand);
+  });
   WalkResult result = region.walk([&](Operation *op) {
     for (OpOperand &operand : op->getOpOperands()) {
       if (region.isAncestor(operand.get().getParentRegion()))
@@ -662,8 +720,10 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   bool usesState = !state.use_empty();
   // That they may change, and the memory behind it, is not in the list.
   DenseI64ArrayAttr list = accesses.encode([&](Value outer) {
-    std::optional<int64_t> number = parameters.find(outer);
-    return number ? std::optional<int64_t>(*number + usesState) : std::nullopt;
+    auto number = parameters.find(outer);
+    if (number)
+      number->first += usesState;
+    return number;
   });
   if (list)
     function->setAttr(kAccessesAttrName, list);
