@@ -157,9 +157,71 @@ static llvm::Function *addKernel(llvm::Module &module, int scope,
   return kernel;
 }
 
+/// Makes a kernel that does what a function of the device library does.
+static Expected<llvm::Function *> addLibraryKernel(llvm::Module &module,
+                                                   const llvm::Module &library,
+                                                   StringRef name,
+                                                   bool isCuda) {
+  const llvm::Function *function = library.getFunction(name);
+  if (!function)
+    return createStringError("the device library has no '%s'",
+                             name.str().c_str());
+  llvm::LLVMContext &context = module.getContext();
+  llvm::IRBuilder<> builder(context);
+  llvm::FunctionCallee callee =
+      module.getOrInsertFunction(name, function->getFunctionType());
+  auto *kernel = llvm::Function::Create(function->getFunctionType(),
+                                        llvm::GlobalValue::ExternalLinkage,
+                                        name + "_kernel", module);
+  builder.SetInsertPoint(llvm::BasicBlock::Create(context, "", kernel));
+  SmallVector<llvm::Value *> arguments;
+  for (llvm::Argument &argument : kernel->args())
+    arguments.push_back(&argument);
+  builder.CreateCall(callee, arguments);
+  builder.CreateRetVoid();
+  if (isCuda)
+    kernel->setCallingConv(llvm::CallingConv::PTX_Kernel);
+  return kernel;
+}
+
+Expected<runtime::DeviceImage>
+DeviceCompiler::makeLibrary(ArrayRef<runtime::ProgramPart> parts) {
+  DeviceCode code;
+  code.context = std::make_unique<llvm::LLVMContext>();
+  code.module = std::make_unique<llvm::Module>("library", *code.context);
+  llvm::Module &module = *code.module;
+  setTarget(module);
+  llvm::ArrayRef<char> bytes = getDeviceLibrary(target.kind);
+  auto library = llvm::getLazyBitcodeModule(
+      llvm::MemoryBufferRef(StringRef(bytes.data(), bytes.size()), "library"),
+      *code.context);
+  if (!library)
+    return library.takeError();
+  llvm::DenseSet<llvm::GlobalValue *> visible;
+  for (const runtime::ProgramPart &part : parts) {
+    auto kernel = addLibraryKernel(module, **library, part.function, isCuda());
+    if (!kernel)
+      return kernel.takeError();
+    code.functions.push_back((*kernel)->getName().str());
+    visible.insert(isCuda() ? *kernel : addSlotsFunction(**kernel));
+  }
+  if (Error error = link(module))
+    return error;
+  for (llvm::GlobalValue &value : module.global_values())
+    if (!value.isDeclaration() && !visible.contains(&value))
+      value.setLinkage(llvm::GlobalValue::InternalLinkage);
+  if (isCuda())
+    prepareForCuda(module);
+  if (Error error = optimize(code))
+    return error;
+  return emit(code);
+}
+
 Expected<runtime::DeviceImage>
 DeviceCompiler::makeProgram(ArrayRef<runtime::ProgramPart> parts, int scope,
                             unsigned threads) {
+  if (scope == TAI_SCOPE_NONE)
+    return makeLibrary(parts);
   DeviceCode code;
   code.context = std::make_unique<llvm::LLVMContext>();
   code.module = std::make_unique<llvm::Module>("program", *code.context);

@@ -310,11 +310,12 @@ extern "C" void *tai_rt_device_state(TaiFrame *frame) {
   return reinterpret_cast<void *>(memory);
 }
 
-extern "C" void tai_rt_device_activates(TaiFrame *frame, void *tree) {
+extern "C" void tai_rt_device_activates(TaiFrame *frame, void *tree,
+                                        int32_t removes) {
   DeviceLaunch *onDevice = working(launchOf(frame));
   Mirror *mirror = onDevice ? onDevice->mirrorOf(tree) : nullptr;
   if (!mirror || !mirror->sparse())
     return;
   mirror->deviceWrites();
-  mirror->sparse()->deviceActivates();
+  mirror->sparse()->deviceActivates(removes != 0);
 }

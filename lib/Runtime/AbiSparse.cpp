@@ -123,16 +123,37 @@ static int64_t give(Launch &launch, const std::vector<int64_t> &list,
   return static_cast<int64_t>(list.size());
 }
 
-/// The same for code on a device. No cells are left out there for what they
-/// hold: to look at that the host would have to wait for it.
+/// The same for code on a device, which makes the list and knows its length. No
+/// cells are left out there for what they hold: to look at that the host would
+/// have to wait for it.
 static int64_t giveOnDevice(Launch &launch, Mirror &mirror, int32_t node,
                             const int64_t **cells) {
+  SparseNode &sparse = *mirror.getTree().sparseNodes()[node];
   *cells = nullptr;
-  ActiveListPtr list =
-      launch.visitedList(*mirror.getTree().sparseNodes()[node]);
+  DeviceCellsPtr there;
+  Status status;
+  if (launch.given) {
+    const LoopLists::Entry *entry = launch.findGiven(sparse);
+    if (!entry)
+      return 0;
+    there = entry->onDevice;
+  } else {
+    status = mirror.sparse()->list(sparse, there);
+    if (status && there) {
+      std::lock_guard<std::mutex> lock(launch.failureMutex);
+      launch.loops.add(sparse, there);
+    }
+  }
+  if (status && there) {
+    *cells = reinterpret_cast<const int64_t *>(there->cells());
+    if (!launch.given && !sparse.mayBeActive())
+      launch.owner().skipCounters().add(SkipCount::EmptyLoops);
+    return mirror.sparse()->guessActive(sparse);
+  }
+  ActiveListPtr list = status ? launch.visitedList(sparse) : nullptr;
   DevicePtr address = 0;
-  Status status =
-      list ? mirror.sparse()->find(list, address) : Status::success();
+  if (list)
+    status = mirror.sparse()->find(list, address);
   if (!list || !status) {
     if (!status)
       launch.fail(std::move(status));
@@ -166,6 +187,14 @@ extern "C" int32_t tai_rt_list_is_current(TaiFrame *frame, void *tree,
                                           int32_t node) {
   Launch &launch = launchOf(frame);
   SparseNode &sparse = nodeOf(launch, tree, node);
+  if (Mirror *mirror = launch.given ? mirrorOf(launch, tree) : nullptr) {
+    const LoopLists::Entry *entry = launch.findGiven(sparse);
+    if (!entry)
+      return 0;
+    // Who is told no does what is right for any list.
+    if (entry->onDevice)
+      return mirror->sparse()->isCurrent(*entry->onDevice);
+  }
   return !launch.given ||
          launch.visitedCells(sparse) == sparse.list(launch.owner())->cells;
 }

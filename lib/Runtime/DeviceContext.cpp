@@ -25,6 +25,7 @@ DeviceContext::DeviceContext(Runtime &runtime, std::unique_ptr<Device> device,
       std::make_unique<WatchedDevice>(std::move(device), std::move(profiler));
   watched = made.get();
   this->device = std::make_unique<DeviceQueue>(std::move(made));
+  libraryKernels = std::make_unique<LibraryKernels>(*this->device);
   this->device->setOneByOne(profiles);
 }
 

@@ -14,6 +14,7 @@
 #define TAI_LIB_RUNTIME_DEVICECONTEXT_H
 
 #include "DeviceWatch.h"
+#include "LibraryKernels.h"
 #include "tai/Runtime/DeviceQueue.h"
 #include <atomic>
 #include <map>
@@ -33,10 +34,12 @@ public:
   DeviceContext(const DeviceContext &) = delete;
   DeviceContext &operator=(const DeviceContext &) = delete;
 
+  Runtime &getRuntime() const { return runtime; }
   Device &get() const { return *device; }
   DeviceQueue &queue() const { return *device; }
   /// What lies between the queue and the device.
   WatchedDevice &watch() const { return *watched; }
+  LibraryKernels &library() { return *libraryKernels; }
 
   /// Memory for a tree, or for another purpose; where there is none, the
   /// failure says who has it. Any thread.
@@ -76,6 +79,7 @@ private:
   Runtime &runtime;
   WatchedDevice *watched;
   std::unique_ptr<DeviceQueue> device;
+  std::unique_ptr<LibraryKernels> libraryKernels;
   int64_t limit;
   std::mutex mutex;
   struct Holding {

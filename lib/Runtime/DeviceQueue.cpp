@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "DeviceProgram.h"
+#include "tai/Runtime/DeviceAbi.h"
 #include <algorithm>
 #include <cstring>
 
@@ -35,6 +36,14 @@ Status DeviceQueue::load(const DeviceImage &image,
   if (status)
     module = std::move(made);
   return status;
+}
+
+Status DeviceQueue::makeLibrary(const std::vector<std::string> &names,
+                                DeviceImage &image) const {
+  std::vector<ProgramPart> parts;
+  for (const std::string &name : names)
+    parts.push_back({nullptr, name});
+  return makeProgram(parts, TAI_SCOPE_NONE, /*threads=*/0, image);
 }
 
 Status DeviceQueue::find(DeviceModule &module, const std::string &name,

@@ -11,16 +11,17 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "DeviceCells.h"
 #include "Launch.h"
 #include <algorithm>
 
 using namespace mlir::tai::runtime;
 
-void Kernel::noteEpochs() {
+void Kernel::noteBegin() {
   std::lock_guard<std::mutex> lock(activityMutex);
-  lastEpochs.clear();
+  lastBegins.clear();
   for (const SparseNode *node : sparseNodes)
-    lastEpochs.push_back(node->epoch());
+    lastBegins.push_back(node->now());
   lastLoops.clear();
 }
 
@@ -32,7 +33,7 @@ void Kernel::noteLoops(const LoopLists &loops) {
 Status Kernel::checkActivity(LoopLists &loops, bool &wasLaunched) {
   const AdjointPlan &wants = plan();
   std::lock_guard<std::mutex> lock(activityMutex);
-  if (sparseNodes.empty() || lastEpochs.size() != sparseNodes.size())
+  if (sparseNodes.empty() || lastBegins.size() != sparseNodes.size())
     return Status::success();
   wasLaunched = true;
   loops = lastLoops;
@@ -45,14 +46,14 @@ Status Kernel::checkActivity(LoopLists &loops, bool &wasLaunched) {
   };
   for (size_t i = 0; i < sparseNodes.size(); ++i) {
     const SparseNode *node = sparseNodes[i];
-    if (node->lastRemoval() > lastEpochs[i])
+    if (node->hasRemovedSince(lastBegins[i]))
       return Status::failure(
           StatusCode::Usage,
           "cells of " + node->info().label +
               " were deactivated since kernel '" + name() +
               "' was launched, and its gradient needs them; launch it under a "
               "tape, or deactivate after the gradient");
-    if (node->epoch() != lastEpochs[i] && asksFor(node))
+    if (asksFor(node) && node->hasChangedSince(lastBegins[i]))
       return Status::failure(
           StatusCode::Usage,
           "the gradient of kernel '" + name() + "' asks which cells of " +
@@ -70,18 +71,19 @@ const std::vector<int64_t> &Launch::visitedCells(SparseNode &node) {
   return list ? list->cells : none;
 }
 
-ActiveListPtr Launch::visitedList(SparseNode &node) {
-  if (!given) {
-    ActiveListPtr list = node.list(owner());
-    {
-      std::lock_guard<std::mutex> lock(failureMutex);
-      loops.add(node, list);
-    }
-    return list;
-  }
+/// The list of the primal's loops over the level; null after a failure.
+const LoopLists::Entry *Launch::findGiven(SparseNode &node) {
   const LoopLists::Entry *entry = given->find(node);
-  if (entry && !entry->differs)
-    return entry->list;
+  bool differs = entry && entry->differs;
+  if (entry && entry->mayDiffer) {
+    Status status = findDifference(*given, node, differs);
+    if (!status) {
+      fail(std::move(status));
+      return nullptr;
+    }
+  }
+  if (entry && !differs)
+    return entry;
   std::string what = "the gradient of kernel '" + *primalName + "' ";
   if (entry && owner().inReverseFunction())
     what += "loops over the active cells of " + node.info().label +
@@ -96,6 +98,28 @@ ActiveListPtr Launch::visitedList(SparseNode &node) {
             ", but there is no launch of the kernel that it could belong to";
   fail(Status::failure(StatusCode::Usage, std::move(what)));
   return nullptr;
+}
+
+ActiveListPtr Launch::visitedList(SparseNode &node) {
+  if (given) {
+    const LoopLists::Entry *entry = findGiven(node);
+    if (!entry || entry->list)
+      return entry ? entry->list : nullptr;
+    // What a device has made is wanted by the host, which is rare.
+    auto list = std::make_shared<ActiveList>();
+    Status status = fetchCells(*entry->onDevice, list->cells);
+    if (!status) {
+      fail(std::move(status));
+      return nullptr;
+    }
+    std::lock_guard<std::mutex> lock(failureMutex);
+    fetched.push_back(list);
+    return list;
+  }
+  ActiveListPtr list = node.list(owner());
+  std::lock_guard<std::mutex> lock(failureMutex);
+  loops.add(node, list);
+  return list;
 }
 
 const std::vector<int64_t> &Launch::cellsFor(SparseNode &node) {

@@ -89,6 +89,8 @@ struct Launch : TaiFrame {
   const std::vector<int64_t> &visitedCells(SparseNode &node);
   /// As a list; null after a failure.
   ActiveListPtr visitedList(SparseNode &node);
+  /// Of adjoints: what the loops of the primal over the level went over.
+  const LoopLists::Entry *findGiven(SparseNode &node);
   /// Of those: the ones with others around that are not vain.
   const std::vector<int64_t> &gatheredCellsFor(SparseNode &node, int64_t reach);
 
@@ -101,6 +103,8 @@ struct Launch : TaiFrame {
   /// Of adjoints: which cells their loops may leave out, and what is left.
   const std::vector<AdjointFlags> *flags = nullptr;
   std::vector<std::unique_ptr<std::vector<int64_t>>> filtered;
+  /// Lists that were brought from a device.
+  std::vector<ActiveListPtr> fetched;
   const std::vector<int64_t> &withoutVain(const SparseNode &node,
                                           const std::vector<int64_t> &cells);
   std::atomic<bool> failed{false};

@@ -406,7 +406,7 @@ Status Runtime::runTangent(Launch &launch, Kernel &kernel, const uint64_t *args,
   if (tangent == &kernel)
     return runCode(launch, kernel, args, results, number);
   if (!kernel.sparseNodes.empty() && !launch.given)
-    kernel.noteEpochs();
+    kernel.noteBegin();
   status = runCode(launch, *tangent, args, results, number);
   if (!launch.loops.empty())
     kernel.noteLoops(launch.loops);
@@ -442,7 +442,7 @@ Status Runtime::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
   if (__builtin_expect(!launch.loops.empty(), false))
     launch.loops.clear();
   if (__builtin_expect(!kernel.sparseNodes.empty() && !launch.given, false))
-    kernel.noteEpochs();
+    kernel.noteBegin();
   int32_t code;
   TaiKernelFn function = kernel.function.load(std::memory_order_relaxed);
   if (!kernel.loopLevels.empty() && skips(Skip::EmptyLists) &&
@@ -562,6 +562,7 @@ Status Runtime::runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
   launch.given = nullptr;
   launch.flags = nullptr;
   launch.filtered.clear();
+  launch.fetched.clear();
   return status;
 }
 

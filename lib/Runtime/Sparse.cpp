@@ -118,7 +118,7 @@ void SparseNode::setActivity(const std::vector<int64_t> &some, bool isActive) {
   sync();
   bool onBoth = onDevice && onDevice->isCurrent();
   if (!onBoth)
-    prepare();
+    prepare(/*removes=*/!isActive);
   int64_t by = 0;
   for (int64_t cell : some) {
     if (layout.isList) {
@@ -141,11 +141,11 @@ void SparseNode::setActivity(const std::vector<int64_t> &some, bool isActive) {
   }
   if (by == 0)
     return;
-  if (onBoth)
-    onDevice->uploadActivity(*this);
   uint64_t before = lastRemoval();
   changed(by, by < 0);
   removed.store(before, std::memory_order_release);
+  if (onBoth)
+    onDevice->uploadActivity(*this);
 }
 
 //===----------------------------------------------------------------------===//
@@ -167,7 +167,7 @@ bool SparseNode::activate(int64_t cell) {
   if (__builtin_expect(onDevice != nullptr, false)) {
     if (isActive(cell))
       return false;
-    prepareChange();
+    prepareChange(/*removes=*/false);
   }
   if (layout.isList) {
     int32_t *length = lengths() + cell / capacity();
@@ -201,7 +201,7 @@ int64_t SparseNode::length(int64_t list) const {
 }
 
 int64_t SparseNode::append(int64_t list) {
-  prepare();
+  prepare(/*removes=*/false);
   int32_t *length = lengths() + list;
   int32_t known = loadLength(length);
   do {
@@ -271,7 +271,7 @@ void SparseNode::deactivate(int64_t cell) {
   if (__builtin_expect(onDevice != nullptr, false)) {
     if (!isActive(layout.isList ? cell / capacity() * capacity() : cell))
       return;
-    prepareChange();
+    prepareChange(/*removes=*/true);
   }
   if (layout.isList) {
     int64_t list = cell / capacity();
@@ -299,8 +299,9 @@ void SparseNode::deactivate(int64_t cell) {
 }
 
 void SparseNode::deactivateAll() {
-  if (!onDevice || !onDevice->deactivateAll(*this))
-    prepare();
+  if (onDevice && onDevice->deactivateAll(*this))
+    return;
+  prepare(/*removes=*/true);
   std::vector<int64_t> found;
   collectInto(found, 0, numMarks);
   // Neighbours are released together: pages are larger than most cells.

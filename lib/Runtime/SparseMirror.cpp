@@ -9,15 +9,27 @@
 #include "CellElements.h"
 #include "Launch.h"
 #include "Mirror.h"
+#include "tai/Runtime/Runtime.h"
 #include <algorithm>
+#include <cstddef>
 #include <cstring>
 
 using namespace mlir::tai::runtime;
+
+/// How many tiles a list of the level is made of.
+static int64_t numTiles(const SparseNode &node) {
+  int64_t units = node.info().isList ? node.numCells() / node.capacity()
+                                     : (node.numCells() + 63) / 64;
+  return (units + TAI_DEVICE_LIST_TILE - 1) / TAI_DEVICE_LIST_TILE;
+}
 
 static int64_t alignUp(int64_t bytes) { return (bytes + 255) / 256 * 256; }
 
 SparseMirror::SparseMirror(DeviceContext &context, Tree &tree)
     : context(context), tree(tree) {
+  for (const std::unique_ptr<SparseNode> &node : tree.sparseNodes())
+    sharedEpochs.push_back(node->changes.load(std::memory_order_acquire));
+  pools.resize(sharedEpochs.size());
   touchOutside(0, tree.bytes(), nullptr, 0);
 }
 
@@ -55,13 +67,20 @@ Status SparseMirror::check(const DeviceContext &context,
 Status SparseMirror::allocate(DevicePtr &address) {
   const auto &nodes = tree.sparseNodes();
   int64_t bytes = TAI_DEVICE_TREE_HEADER + alignUp(tree.bytes());
-  int64_t changesAt = bytes;
-  bytes += alignUp(static_cast<int64_t>(nodes.size() * sizeof(uint32_t)));
-  std::vector<int64_t> removedAt;
+  int64_t activityAt = bytes;
+  bytes +=
+      alignUp(static_cast<int64_t>(nodes.size() * sizeof(TaiDeviceActivity)));
+  std::vector<int64_t> removedAt, marksAt;
+  int64_t mostTiles = 0;
   for (const std::unique_ptr<SparseNode> &node : nodes) {
     removedAt.push_back(bytes);
     bytes += alignUp(node->activityBytes());
+    marksAt.push_back(bytes);
+    bytes += alignUp(node->numMarks * int64_t(sizeof(uint64_t)));
+    mostTiles = std::max(mostTiles, numTiles(*node));
   }
+  int64_t sumsAt = bytes;
+  bytes += alignUp(mostTiles * int64_t(sizeof(int64_t)));
   Status status = context.allocate(bytes,
                                    "tree '" + tree.name() + "' (all cells of " +
                                        nodes.back()->info().label + ")",
@@ -69,16 +88,26 @@ Status SparseMirror::allocate(DevicePtr &address) {
   if (!status)
     return status;
   base = block + TAI_DEVICE_TREE_HEADER;
-  changes = block + static_cast<DevicePtr>(changesAt);
+  activity = block + static_cast<DevicePtr>(activityAt);
+  sums = block + static_cast<DevicePtr>(sumsAt);
   for (int64_t offset : removedAt)
     removed.push_back(block + static_cast<DevicePtr>(offset));
+  for (int64_t offset : marksAt)
+    marks.push_back(block + static_cast<DevicePtr>(offset));
   const char zero = 0;
   status = context.get().fill(block, &zero, 1, bytes);
+  uint64_t first = 1;
+  if (status)
+    status = context.get().fillRows(
+        {activity + offsetof(TaiDeviceActivity, version),
+         sizeof(TaiDeviceActivity), sizeof(first), int64_t(nodes.size())},
+        &first, sizeof(first));
   if (status)
     status = writeDescriptor();
   if (!status) {
     context.free(block);
     removed.clear();
+    marks.clear();
     block = base = 0;
   }
   address = base;
@@ -107,9 +136,10 @@ Status SparseMirror::writeDescriptor() {
     entry.cellBytes = node->cellBytes();
     entry.offset = info.offset;
     entry.activityOffset = info.activityOffset;
-    DevicePtr change = changes + entries.size() * sizeof(uint32_t);
-    entry.changes = reinterpret_cast<uint32_t *>(change);
+    DevicePtr own = activity + entries.size() * sizeof(TaiDeviceActivity);
+    entry.activity = reinterpret_cast<TaiDeviceActivity *>(own);
     entry.removed = reinterpret_cast<void *>(removed[entries.size()]);
+    entry.marks = reinterpret_cast<uint64_t *>(marks[entries.size()]);
     size_t range = texts.size();
     texts += "index out of range: there is no cell {} in " + info.label +
              ", which has " + std::to_string(node->numCells());
@@ -254,10 +284,11 @@ Status SparseMirror::upload() {
   std::lock_guard<std::recursive_mutex> lock(mutex);
   for (const std::unique_ptr<SparseNode> &node : tree.sparseNodes())
     node->forEachActive([&](int64_t cell) { touchCell(*node, cell); });
-  return forEachRun([&](int64_t offset, int64_t bytes) {
+  Status status = forEachRun([&](int64_t offset, int64_t bytes) {
     return context.get().copyIn(base + static_cast<DevicePtr>(offset),
                                 tree.base() + offset, bytes);
   });
+  return status ? sendActivity() : std::move(status);
 }
 
 Status SparseMirror::download() {
@@ -276,24 +307,27 @@ Status SparseMirror::fetch() {
   if (!behind.load(std::memory_order_acquire))
     return Status::success();
   Device &device = context.get();
+  context.getRuntime().skipCounters().add(SkipCount::ActivityFetched);
   const auto &nodes = tree.sparseNodes();
-  std::vector<uint32_t> happened(nodes.size());
-  auto flagBytes = static_cast<int64_t>(nodes.size() * sizeof(uint32_t));
-  Status status = device.copyOut(happened.data(), changes, flagBytes);
+  std::vector<TaiDeviceActivity> found(nodes.size());
+  Status status = device.copyOut(
+      found.data(), activity,
+      static_cast<int64_t>(nodes.size() * sizeof(TaiDeviceActivity)));
   bool any = false;
   for (size_t i = 0; i < nodes.size() && status; ++i) {
-    if (!happened[i])
+    uint32_t happened = found[i].changes;
+    if (!happened)
       continue;
     any = true;
     SparseNode &node = *nodes[i];
     int64_t bytes = node.activityBytes();
     // Whole words, of which the last of a row of lengths may be half.
     auto words = static_cast<size_t>((bytes + 7) / 8);
-    std::vector<uint64_t> activity(words), gone;
+    std::vector<uint64_t> now(words), gone;
     status = device.copyOut(
-        activity.data(),
-        base + static_cast<DevicePtr>(node.info().activityOffset), bytes);
-    if (status && (happened[i] & TAI_DEVICE_CELLS_REMOVED)) {
+        now.data(), base + static_cast<DevicePtr>(node.info().activityOffset),
+        bytes);
+    if (status && (happened & TAI_DEVICE_CELLS_REMOVED)) {
       gone.resize(words);
       status = device.copyOut(gone.data(), removed[i], bytes);
       const char zero = 0;
@@ -301,12 +335,17 @@ Status SparseMirror::fetch() {
         status = device.fill(removed[i], &zero, 1, bytes);
     }
     if (status)
-      node.adopt(activity.data(), gone.empty() ? nullptr : gone.data(),
+      node.adopt(now.data(), gone.empty() ? nullptr : gone.data(),
                  [&](int64_t cell) { touchCell(node, cell); });
+    sharedEpochs[i] = node.changes.load(std::memory_order_acquire);
   }
-  const char zero = 0;
-  if (status && any)
-    status = device.fill(changes, &zero, 1, flagBytes);
+  const uint32_t zero = 0;
+  if (status && any) {
+    unchangedFrom = generation;
+    status = device.fillRows({activity, sizeof(TaiDeviceActivity), sizeof(zero),
+                              int64_t(nodes.size())},
+                             &zero, sizeof(zero));
+  }
   if (status)
     behind.store(false, std::memory_order_release);
   return status;
@@ -318,51 +357,34 @@ Status SparseMirror::fetch() {
 
 bool SparseMirror::isCurrent() const { return tree.mirror()->onDevice(); }
 
-static bool isBelow(const SparseNode *node, const SparseNode &above) {
-  while (node && node != &above)
-    node = node->above();
-  return node;
-}
-
 bool SparseMirror::deactivateAll(SparseNode &node) {
-  bringActivity();
   std::lock_guard<std::recursive_mutex> lock(mutex);
-  if (!isCurrent() || behind.load(std::memory_order_acquire))
+  DeviceCellsPtr cells;
+  if (!isCurrent())
     return false;
-  // Of few runs of cells each is zeroed, of many all that lies between.
-  constexpr size_t mostRuns = 256;
-  std::vector<std::pair<int64_t, int64_t>> runs;
-  node.forEachActive([&](int64_t cell) {
-    int64_t offset = node.offsetOf(cell), end = offset + node.cellBytes();
-    if (!runs.empty() && runs.back().second == offset)
-      runs.back().second = end;
-    else if (runs.size() <= mostRuns)
-      runs.push_back({offset, end});
-  });
-  if (runs.size() > mostRuns) {
-    const std::vector<SparseInfo::Step> &steps = node.info().steps;
-    if (steps.size() != 1)
-      return false;
-    int64_t begin = node.info().offset;
-    runs = {{begin, begin + steps[0].cells * steps[0].stride}};
+  Status status = list(node, cells);
+  if (status && !cells)
+    return false;
+  if (status) {
+    constexpr unsigned threads = 128;
+    status = context.library().launch(LibraryKernel::DeactivateList,
+                                      /*blocks=*/0, threads,
+                                      {base, numberOf(node), cells->header()});
+    tree.mirror()->deviceWrites();
+    deviceActivates(/*removes=*/true);
   }
-  for (const std::unique_ptr<SparseNode> &other : tree.sparseNodes())
-    if (isBelow(other.get(), node)) {
-      int64_t begin = other->info().activityOffset;
-      runs.push_back({begin, begin + other->activityBytes()});
-    }
-  const char zero = 0;
-  for (auto [begin, end] : runs)
-    context.note(context.get().fill(base + static_cast<DevicePtr>(begin), &zero,
-                                    1, end - begin));
+  context.note(std::move(status));
   return true;
 }
 
 void SparseMirror::uploadActivity(const SparseNode &node) {
   int64_t offset = node.info().activityOffset;
-  context.note(context.get().copyIn(base + static_cast<DevicePtr>(offset),
-                                    tree.base() + offset,
-                                    node.activityBytes()));
+  Status status =
+      context.get().copyIn(base + static_cast<DevicePtr>(offset),
+                           tree.base() + offset, node.activityBytes());
+  if (status)
+    status = sendActivity();
+  context.note(std::move(status));
 }
 
 bool SparseMirror::fillActive(const Field &field, const CellElements &elements,
@@ -485,9 +507,10 @@ void SparseNode::adopt(const void *activity, const void *gone,
 
 void SparseNode::bringActivity() const { onDevice->bringActivity(); }
 
-void SparseNode::prepareChange() {
+void SparseNode::prepareChange(bool removes) {
   // Nobody changes it in two places.
   (void)tree.writable();
+  onDevice->hostChanges(removes);
 }
 
 int64_t SparseNode::activityBytes() const {
@@ -500,44 +523,4 @@ void SparseNode::forEachActive(const std::function<void(int64_t)> &body) const {
   collectInto(found, 0, numMarks);
   for (int64_t cell : found)
     body(cell);
-}
-
-//===----------------------------------------------------------------------===//
-// Lists
-//===----------------------------------------------------------------------===//
-
-Status SparseMirror::find(const ActiveListPtr &list, DevicePtr &address) {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
-  address = 0;
-  if (list->cells.empty())
-    return Status::success();
-  for (const Uploaded &known : lists)
-    if (known.list == list) {
-      address = known.memory;
-      return Status::success();
-    }
-  // Those that nobody else has any more are not asked for again; of others the
-  // oldest go.
-  constexpr size_t mostLists = 64;
-  auto isOld = [&](const Uploaded &known) {
-    bool old =
-        known.list && (known.list.use_count() == 1 ||
-                       (lists.size() > mostLists &&
-                        &known - lists.data() <
-                            ptrdiff_t(lists.size()) - ptrdiff_t(mostLists)));
-    if (old)
-      context.free(known.memory);
-    return old;
-  };
-  std::vector<Uploaded> kept;
-  for (const Uploaded &known : lists)
-    if (!isOld(known))
-      kept.push_back(known);
-  lists = std::move(kept);
-  auto bytes = static_cast<int64_t>(list->cells.size() * sizeof(int64_t));
-  Status status = context.allocate(bytes, "lists of active cells", address);
-  if (!status)
-    return status;
-  lists.push_back({list, address});
-  return context.get().copyIn(address, list->cells.data(), bytes);
 }

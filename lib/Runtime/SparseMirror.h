@@ -6,17 +6,17 @@
 //===----------------------------------------------------------------------===//
 //
 // A sparse tree has memory for all of its cells on the device, zero where
-// nothing is active. Device code changes activity there; the host gets to know
-// of it when it asks, and keeps lists of active cells for both sides. What
-// moves between them is what may hold something: pieces of the tree that have
-// ever been active.
+// nothing is active. Device code changes activity there and makes lists of
+// active cells; the host gets to know of it when it asks. What moves between
+// them is what may hold something: pieces of the tree that have ever been
+// active.
 //
 //===----------------------------------------------------------------------===//
 
 #ifndef TAI_LIB_RUNTIME_SPARSEMIRROR_H
 #define TAI_LIB_RUNTIME_SPARSEMIRROR_H
 
-#include "DeviceContext.h"
+#include "DeviceCells.h"
 #include "tai/Runtime/DeviceSparse.h"
 #include "tai/Runtime/Field.h"
 #include <functional>
@@ -43,8 +43,17 @@ public:
   /// Activity is brought along.
   Status download();
 
-  /// Work has been queued that may change activity.
-  void deviceActivates() { behind.store(true, std::memory_order_release); }
+  /// Work has been queued that may change activity, or `removes` cells.
+  void deviceActivates(bool removes) {
+    changesAgain(removes);
+    behind.store(true, std::memory_order_release);
+  }
+  /// The host is about to.
+  void hostChanges(bool removes) { changesAgain(removes); }
+  bool isBehind() const { return behind.load(std::memory_order_acquire); }
+  uint64_t getGeneration() const { return generation; }
+  /// When cells were last made inactive, as far as the host knows.
+  uint64_t getLastRemoval() const { return lastRemoval; }
   /// Makes what the host knows of activity current.
   Status fetchActivity() {
     return behind.load(std::memory_order_acquire) ? fetch() : Status::success();
@@ -64,14 +73,34 @@ public:
   bool fillActive(const Field &field, const CellElements &elements,
                   const void *scalarBytes);
 
-  /// Where the device finds a list, which the caller keeps.
+  /// Where the device finds a list, which the caller keeps, with its length in
+  /// front.
   Status find(const ActiveListPtr &list, DevicePtr &address);
+
+  /// The list of cells that are active when the work queued before is done,
+  /// made there: the host waits for nothing. Null where this device cannot.
+  Status list(SparseNode &node, DeviceCellsPtr &cells);
+  /// Whether a list is known to show what is active.
+  bool isCurrent(const DeviceCells &cells) const {
+    return isBehind() ? cells.generation == generation
+                      : cells.generation >= unchangedFrom;
+  }
+  /// How many cells may be active, for who decides how much should run.
+  int64_t guessActive(const SparseNode &node) const;
 
   DeviceContext &getContext() const { return context; }
 
 private:
   Status fetch();
   Status writeDescriptor();
+  Status sendActivity();
+  Status queueList(const SparseNode &node, DeviceCells &cells);
+  void changesAgain(bool removes) {
+    ++generation;
+    if (removes)
+      lastRemoval = generation;
+  }
+  size_t numberOf(const SparseNode &node) const;
   void touch(int64_t begin, int64_t end);
   void touchOutside(int64_t begin, int64_t end, const SparseNode *above,
                     int64_t cell);
@@ -84,9 +113,21 @@ private:
   std::recursive_mutex mutex;
   std::atomic<bool> behind{false};
   DevicePtr block = 0, base = 0;
-  /// Behind the tree: changes of each level, then what was removed from each.
-  DevicePtr changes = 0;
-  std::vector<DevicePtr> removed;
+  /// Behind the tree: a TaiDeviceActivity of each level, then what was removed
+  /// from each, its marks, and sums of tiles of the largest.
+  DevicePtr activity = 0, sums = 0;
+  std::vector<DevicePtr> removed, marks;
+  /// Epochs of the levels for which both sides have the same activity.
+  std::vector<uint64_t> sharedEpochs;
+  /// States of activity that may differ, by number: the last one, from which on
+  /// they are known to be the same, and the one at which cells were last made
+  /// inactive.
+  uint64_t generation = 1, unchangedFrom = 1, lastRemoval = 0;
+  struct Pool {
+    std::vector<std::shared_ptr<DeviceCells>> all;
+    std::shared_ptr<DeviceCells> current;
+  };
+  std::vector<Pool> pools;
   /// Parts of the tree that may hold something else than zeros on either side:
   /// where each begins, and where it ends.
   std::map<int64_t, int64_t> touched;

@@ -4,11 +4,16 @@ tai.tree @t : !tai.root<pointer<[i: 4], dense<[i: 8], {x: f32, y: f32}>>>
 tai.field @x = @t["x"] : f32, rank 1
 tai.field @y = @t["y"] : f32, rank 1
 
-// The list of active cells is made by the host; a loop captures its address and
-// its length. What is known to be active is not asked for.
+// The list of active cells is made on the device; a loop captures its address,
+// and that of its length, which the host does not know. What is known to be
+// active is not asked for.
 // CHECK-LABEL: llvm.func @visit_0(
-//  CHECK-SAME:     %{{.+}}: i64, %[[LIST:[^:]+]]: !llvm.ptr,
-//       CHECK:   scf.for
+//  CHECK-SAME:     %[[LENGTH:[^:]+]]: !llvm.ptr, %[[LIST:[^:]+]]: !llvm.ptr,
+//       CHECK:   %[[NUMBER:.+]] = llvm.load %[[LENGTH]] : !llvm.ptr -> i64
+//       CHECK:   %[[INDEX:.+]] = arith.index_cast %[[NUMBER]] : i64 to index
+//       CHECK:   %[[SAFE:.+]] = arith.maxsi %[[INDEX]],
+//       CHECK:   %[[TRIPS:.+]] = arith.muli %[[SAFE]],
+//       CHECK:   scf.for %{{.+}} = %{{.+}} to %[[TRIPS]] step
 //       CHECK:     %[[PLACE:.+]] = llvm.getelementptr {{.*}}%[[LIST]][
 //       CHECK:     llvm.load %[[PLACE]] invariant {{.*}} -> i64
 //   CHECK-NOT:   tai_rt_activate
@@ -29,7 +34,10 @@ tai.field @y = @t["y"] : f32, rank 1
 //  CHECK-SAME:     %[[FRAME:.+]]: !llvm.ptr) -> i32
 //       CHECK:   %[[COUNT:.+]] = llvm.call @tai_rt_active_cells(%[[FRAME]], %[[BASE:.+]], %{{.+}}, %[[SLOT:[0-9a-z_]+]])
 //       CHECK:   %[[CELLS:.+]] = llvm.load %[[SLOT]]
-//       CHECK:   gpu.launch_func @kernels::@visit_0
+//       CHECK:   %[[GUESS:.+]] = arith.index_cast %[[COUNT]]
+//       CHECK:   %[[AT:.+]] = llvm.getelementptr %[[CELLS]][-1]
+//   CHECK-NOT:   tai_rt_device_fetch
+//       CHECK:   gpu.launch_func @kernels::@visit_0 {{.*}} args(%[[AT]] : !llvm.ptr, %[[CELLS]] : !llvm.ptr,
 //   CHECK-NOT:   tai_rt_device_activates
 tai.kernel @visit() {
   tai.parallel_for (%i) in @x {
@@ -43,7 +51,8 @@ tai.kernel @visit() {
 // CHECK-LABEL: llvm.func @write.entry(
 //  CHECK-SAME:     %[[FRAME:.+]]: !llvm.ptr) -> i32
 //       CHECK:   gpu.launch_func @kernels::@write_0
-//       CHECK:   llvm.call @tai_rt_device_activates(%[[FRAME]], %{{.+}})
+//       CHECK:   %[[REMOVES:.+]] = arith.constant 0 : i32
+//       CHECK:   llvm.call @tai_rt_device_activates(%[[FRAME]], %{{.+}}, %[[REMOVES]])
 tai.kernel @write() {
   %zero = arith.constant 0 : index
   %n = arith.constant 32 : index
@@ -56,7 +65,8 @@ tai.kernel @write() {
 
 // CHECK-LABEL: llvm.func @before(
 //       CHECK:   gpu.launch_func @kernels::@before_0
-//       CHECK:   llvm.call @tai_rt_device_activates
+//       CHECK:   %[[REMOVES:.+]] = arith.constant 1 : i32
+//       CHECK:   llvm.call @tai_rt_device_activates(%{{.+}}, %{{.+}}, %[[REMOVES]])
 //       CHECK:   llvm.call @tai_rt_active_cells
 //       CHECK:   gpu.launch_func @kernels::@before_1
 tai.kernel @before() {

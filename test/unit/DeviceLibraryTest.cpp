@@ -401,11 +401,36 @@ TEST_F(DeviceLibrary, GridBarrier) {
 /// levels, 4 cells of 100.
 struct SparseTree {
   explicit SparseTree(bool isList) {
-    nodes[0] = {
-        0,        -1,           0,     1, 4, 4, 4, 800, 0, 3200, &changes[0],
-        &gone[0], "no cell {}", "full"};
-    nodes[1] = {isList, 0, 0,    2,           400,      100,          100,
-                8,      0, 3208, &changes[1], &gone[1], "no cell {}", "full"};
+    nodes[0] = {0,
+                -1,
+                0,
+                1,
+                4,
+                4,
+                4,
+                800,
+                0,
+                3200,
+                &activity[0],
+                &gone[0],
+                &marks[0],
+                "no cell {}",
+                "full"};
+    nodes[1] = {isList,
+                0,
+                0,
+                2,
+                400,
+                100,
+                100,
+                8,
+                0,
+                3208,
+                &activity[1],
+                &gone[1],
+                &marks[1],
+                "no cell {}",
+                "full"};
     tree = {2, nodes, steps};
     *reinterpret_cast<TaiDeviceTree **>(memory + 248) = &tree;
   }
@@ -418,8 +443,9 @@ struct SparseTree {
   TaiDeviceStep steps[2] = {{4, 800}, {100, 8}};
   TaiDeviceNode nodes[2];
   TaiDeviceTree tree;
-  uint32_t changes[2] = {};
+  TaiDeviceActivity activity[2] = {{0, 0, 1}, {0, 0, 1}};
   uint64_t gone[8] = {};
+  uint64_t marks[2] = {};
 };
 
 TEST_F(DeviceLibrary, ActivatesCells) {
@@ -440,8 +466,13 @@ TEST_F(DeviceLibrary, ActivatesCells) {
     EXPECT_EQ(tree.bits()[1 + cell / 64] >> (cell % 64) & 1,
               uint64_t(cell >= 130 && cell < 270))
         << cell;
-  EXPECT_EQ(tree.changes[0], TAI_DEVICE_ACTIVITY_CHANGED);
-  EXPECT_EQ(tree.changes[1], TAI_DEVICE_ACTIVITY_CHANGED);
+  for (const TaiDeviceActivity &activity : tree.activity) {
+    EXPECT_EQ(activity.changes, TAI_DEVICE_ACTIVITY_CHANGED);
+    EXPECT_EQ(activity.isNew, 1u);
+  }
+  // Words 2, 3 and 4 hold the cells from 130 on.
+  EXPECT_EQ(tree.marks[0], 1u);
+  EXPECT_EQ(tree.marks[1], 0x1cu);
 
   // Cell 1 with all that is in it; its neighbour stays.
   std::fill(tree.numbers() + 130, tree.numbers() + 270, 7);
@@ -455,13 +486,14 @@ TEST_F(DeviceLibrary, ActivatesCells) {
     EXPECT_EQ(tree.gone[1 + cell / 64] >> (cell % 64) & 1, uint64_t(removed));
   }
   EXPECT_EQ(tree.gone[0], 2u);
-  EXPECT_TRUE(tree.changes[1] & TAI_DEVICE_CELLS_REMOVED);
+  EXPECT_TRUE(tree.activity[1].changes & TAI_DEVICE_CELLS_REMOVED);
 
   // What has not changed says nothing.
-  tree.changes[0] = tree.changes[1] = 0;
+  tree.activity[0] = tree.activity[1] = {0, 0, 1};
   EXPECT_EQ(activate(frame, tree.base(), 1, 200, ""), 1);
   deactivate(frame, tree.base(), 0, 1, "");
-  EXPECT_EQ(tree.changes[0] | tree.changes[1], 0u);
+  for (const TaiDeviceActivity &activity : tree.activity)
+    EXPECT_EQ(activity.changes | activity.isNew, 0u);
   EXPECT_TRUE(read().failure.ok());
 
   EXPECT_EQ(activate(frame, tree.base(), 0, 4, "a.py:3:1"), 0);
@@ -498,6 +530,7 @@ TEST_F(DeviceLibrary, AppendsToLists) {
   }());
   EXPECT_EQ(tree.lengths()[2], 100);
   EXPECT_EQ(tree.bits()[0], 4u);
+  EXPECT_EQ(tree.marks[1], 4u);
   EXPECT_EQ(read().failure.message(), "full");
 
   deactivate(frame, tree.base(), 1, 250, "");
@@ -505,5 +538,157 @@ TEST_F(DeviceLibrary, AppendsToLists) {
   EXPECT_EQ(tree.numbers()[200], 0);
   EXPECT_EQ(tree.bits()[0], 4u);
   EXPECT_EQ(reinterpret_cast<int32_t *>(&tree.gone[1])[2], 100);
+}
+
+/// One level of many cells: bits, or lists of at most 50.
+struct ManyCells {
+  static constexpr int64_t listCapacity = 50;
+  ManyCells(bool isList, int64_t units)
+      : isList(isList), units(units), steps{{units * perUnit(), 4}},
+        memory(static_cast<size_t>(256 + 8 * units)),
+        values(static_cast<size_t>(units * perUnit())),
+        marks(static_cast<size_t>((units + 63) / 64)),
+        gone(static_cast<size_t>(units)),
+        list(static_cast<size_t>(4 + units * perUnit())),
+        sums(static_cast<size_t>(units / TAI_DEVICE_LIST_TILE + 1)) {
+    // The cells lie elsewhere, so that there is room for bits alone here.
+    node = {isList,
+            -1,
+            0,
+            1,
+            units * perUnit(),
+            units * perUnit(),
+            isList ? listCapacity : units * perUnit(),
+            4,
+            reinterpret_cast<char *>(values.data()) - base(),
+            0,
+            &activity,
+            gone.data(),
+            marks.data(),
+            "no cell {}",
+            "full"};
+    *reinterpret_cast<TaiDeviceTree **>(memory.data() + 248) = &tree;
+  }
+  int64_t perUnit() const { return isList ? listCapacity : 64; }
+  char *base() { return memory.data() + 256; }
+  uint64_t address() { return reinterpret_cast<uint64_t>(base()); }
+  uint64_t listAddress() { return reinterpret_cast<uint64_t>(list.data()); }
+  const TaiDeviceListHeader &header() const {
+    return *reinterpret_cast<const TaiDeviceListHeader *>(list.data());
+  }
+  std::vector<int64_t> found() const {
+    const int64_t *first = list.data() + 4;
+    return {first, first + header().count};
+  }
+
+  bool isList;
+  int64_t units;
+  TaiDeviceStep steps[1];
+  TaiDeviceNode node;
+  TaiDeviceTree tree{1, &node, steps};
+  TaiDeviceActivity activity{0, 0, 1};
+  std::vector<char> memory;
+  std::vector<int32_t> values;
+  std::vector<uint64_t> marks, gone;
+  std::vector<int64_t> list;
+  std::vector<int64_t> sums;
+};
+
+TEST_F(DeviceLibrary, ListsActiveCells) {
+  auto *activate = TAI_FIND(tai_rt_activate);
+  auto *deactivate = TAI_FIND(tai_rt_deactivate);
+  auto *make = TAI_FIND(tai_dev_list_cells);
+  auto *count = TAI_FIND(tai_dev_list_count);
+  auto *scan = TAI_FIND(tai_dev_list_scan);
+  auto *write = TAI_FIND(tai_dev_list_write);
+  auto *deactivateAll = TAI_FIND(tai_dev_deactivate_list);
+  TaiFrame *frame = makeState(0);
+  static_assert(sizeof(TaiDeviceListHeader) == 4 * sizeof(int64_t));
+  for (bool isList : {false, true})
+    for (bool inParts : {false, true}) {
+      // Not a whole number of tiles, with empty ones among them.
+      ManyCells cells(isList, 5 * TAI_DEVICE_LIST_TILE + 77);
+      auto inBlocks = [&](int32_t blocks, auto body) {
+        gridDim = blocks;
+        for (blockId = blocks; blockId-- > 0;)
+          body();
+        blockId = 0;
+        gridDim = 1;
+      };
+      auto update = [&] {
+        uint64_t tree = cells.address(), list = cells.listAddress();
+        auto sums = reinterpret_cast<uint64_t>(cells.sums.data());
+        if (!inParts) {
+          inBlocks(2, [&] { make(tree, 0, list); });
+          return;
+        }
+        inBlocks(4, [&] { count(tree, 0, list, sums); });
+        inBlocks(2, [&] { scan(tree, 0, list, sums); });
+        inBlocks(3, [&] { write(tree, 0, list, sums); });
+      };
+      std::vector<int64_t> expected;
+      auto expect = [&] {
+        update();
+        EXPECT_EQ(cells.found(), expected);
+        EXPECT_EQ(cells.header().version, cells.activity.version);
+        EXPECT_EQ(cells.activity.isNew, 0u);
+      };
+      expect();
+
+      uint64_t random = 1;
+      for (int64_t unit = 0; unit < cells.units; ++unit) {
+        random = random * 6364136223846793005u + 1442695040888963407u;
+        int64_t tile = unit / TAI_DEVICE_LIST_TILE;
+        if (random >> 62 == 0 || tile == 2)
+          continue;
+        int64_t most = random >> 40 & 63, first = unit * cells.perUnit();
+        for (int64_t i = 0; i <= most % cells.perUnit(); ++i)
+          if (isList || most == 63 || (random >> i & 1))
+            expected.push_back(first + i);
+      }
+      for (int64_t cell : expected)
+        EXPECT_EQ(activate(frame, cells.base(), 0, cell, ""), 1);
+      EXPECT_EQ(cells.activity.isNew, 1u);
+      expect();
+      ASSERT_GT(expected.size(), 10000u);
+
+      // A list that shows what is active is not made again.
+      uint64_t version = cells.activity.version;
+      cells.list[4] = -7;
+      update();
+      EXPECT_EQ(cells.found().front(), -7);
+      EXPECT_EQ(cells.activity.version, version);
+
+      int64_t gone = expected[expected.size() / 2] / cells.perUnit();
+      deactivate(frame, cells.base(), 0, gone * cells.perUnit(), "");
+      if (!isList)
+        activate(frame, cells.base(), 0, gone * 64, "");
+      else
+        expected.erase(
+            std::remove_if(expected.begin(), expected.end(),
+                           [&](int64_t c) { return c / 50 == gone; }),
+            expected.end());
+      if (!isList &&
+          !std::binary_search(expected.begin(), expected.end(), gone * 64))
+        expected.insert(
+            std::lower_bound(expected.begin(), expected.end(), gone * 64),
+            gone * 64);
+      expect();
+      EXPECT_EQ(cells.activity.version, version + 1);
+
+      std::fill(cells.values.begin(), cells.values.end(), 3);
+      cells.activity.changes = 0;
+      inBlocks(3,
+               [&] { deactivateAll(cells.address(), 0, cells.listAddress()); });
+      std::vector<int32_t> left(cells.values.size(), 3);
+      for (int64_t cell : expected)
+        left[cell] = 0;
+      EXPECT_EQ(cells.values, left);
+      EXPECT_EQ(cells.activity.changes,
+                TAI_DEVICE_ACTIVITY_CHANGED | TAI_DEVICE_CELLS_REMOVED);
+      expected.clear();
+      expect();
+    }
+  EXPECT_TRUE(read().failure.ok());
 }
 } // namespace

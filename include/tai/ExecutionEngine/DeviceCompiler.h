@@ -97,7 +97,9 @@ public:
 
   /// Makes one kernel, `tai_program`, of the bodies of kernels, given by the
   /// bitcode of their images and by their names. `scope` is one of TAI_SCOPE_*,
-  /// `threads` the most that a block has; see tai/Runtime/DeviceAbi.h.
+  /// `threads` the most that a block has; see tai/Runtime/DeviceAbi.h. For
+  /// TAI_SCOPE_NONE, makes a kernel of each of these functions of the device
+  /// library, with `_kernel` behind its name.
   llvm::Expected<runtime::DeviceImage>
   makeProgram(llvm::ArrayRef<runtime::ProgramPart> parts, int scope,
               unsigned threads);
@@ -106,6 +108,8 @@ public:
   bool isBroken() const;
 
 private:
+  llvm::Expected<runtime::DeviceImage>
+  makeLibrary(llvm::ArrayRef<runtime::ProgramPart> parts);
   DeviceCompiler(const DeviceTarget &target, const CodegenOptions &options);
   bool isCuda() const { return target.kind == runtime::DeviceKind::Cuda; }
   llvm::Error link(llvm::Module &module);

@@ -18,7 +18,7 @@
 
 #include <stdint.h>
 
-#define TAI_ABI_VERSION 4
+#define TAI_ABI_VERSION 5
 
 #ifdef __cplusplus
 extern "C" {
@@ -127,7 +127,9 @@ void tai_rt_deactivate(TaiFrame *frame, void *tree, int32_t node, int64_t cell,
 int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node, int64_t list,
                       const char *where);
 /// The active cells of a level, ascending. The array stays as it is until the
-/// kernel returns. Returns their number.
+/// kernel returns. Returns their number. For code on a device, the number is
+/// the word in front of the array, which the device may still have to count,
+/// and what comes back is a guess.
 int64_t tai_rt_active_cells(TaiFrame *frame, void *tree, int32_t node,
                             const int64_t **cells);
 /// Those of them that have, or have within `reach` cells in each direction, an
@@ -196,9 +198,10 @@ void tai_rt_device_fetch(TaiFrame *frame, void *to, const void *from,
                          int64_t bytes);
 
 /// To be called after a launch of device code that makes cells of this tree
-/// active or inactive. For tai_rt_active_cells and the like, `tree` is the base
-/// in the memory of the device too, and so is the list that they yield.
-void tai_rt_device_activates(TaiFrame *frame, void *tree);
+/// active, or (`removes`) inactive. For tai_rt_active_cells and the like,
+/// `tree` is the base in the memory of the device too, and so is the list that
+/// they yield.
+void tai_rt_device_activates(TaiFrame *frame, void *tree, int32_t removes);
 
 /// The address by which the device can use an array of the caller: itself where
 /// it is device memory, else that of a copy. With `written`, the copy is

@@ -62,6 +62,8 @@ void tai_dev_grid_barrier(uint32_t *state, uint32_t blocks);
 #define TAI_SCOPE_BLOCK 0
 #define TAI_SCOPE_CLUSTER 1
 #define TAI_SCOPE_GRID 2
+/// No program, but kernels of the library itself.
+#define TAI_SCOPE_NONE (-1)
 
 /// Parts that every program has. Their parameters: an address, eight bytes of a
 /// pattern, its size and how often; two addresses, to and from, and a size.

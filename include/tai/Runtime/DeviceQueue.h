@@ -29,7 +29,9 @@ struct ProgramPart {
 };
 
 /// Makes one kernel, `tai_program`, that runs steps of these parts; see
-/// tai/Runtime/DeviceAbi.h. `threads` is the most that a block of it has.
+/// tai/Runtime/DeviceAbi.h. `threads` is the most that a block of it has. For
+/// TAI_SCOPE_NONE, makes a kernel of each part, which has no bitcode: it is a
+/// function of the device library.
 using ProgramMaker =
     std::function<Status(const std::vector<ProgramPart> &parts, int scope,
                          unsigned threads, DeviceImage &image)>;
@@ -47,6 +49,11 @@ public:
   void setMode(ProgramMode wanted) { mode = wanted; }
   /// Whether all work is queued step by step, so that each can be timed.
   void setOneByOne(bool on) { oneByOne = on; }
+
+  /// Makes kernels of functions of the device library, which must be possible.
+  bool canMakePrograms() const { return bool(makeProgram); }
+  Status makeLibrary(const std::vector<std::string> &names,
+                     DeviceImage &image) const;
 
   /// Between the two, work is collected. Pairs nest; the end runs what has been
   /// collected.

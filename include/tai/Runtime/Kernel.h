@@ -236,7 +236,7 @@ private:
   friend class Runtime;
   friend class Tape;
 
-  void noteEpochs();
+  void noteBegin();
   void noteLoops(const LoopLists &loops);
   /// What the loops of the last launch went over. Fails if activity has changed
   /// since so that the adjoint cannot run.
@@ -267,7 +267,7 @@ private:
   /// True if none of the levels that the kernel loops over has active cells.
   bool hasNoActiveCells() const {
     for (const SparseNode *level : loopLevels)
-      if (level->numActive() != 0)
+      if (level->mayBeActive())
         return false;
     return true;
   }
@@ -293,12 +293,12 @@ private:
   /// Number of the last launch, so that an adjoint launched by hand sees the
   /// same random numbers.
   std::atomic<uint64_t> lastLaunch{0};
-  /// Sparse levels of its trees. Of the last launch: their epochs when it
-  /// began, and what its loops went over, so that an adjoint launched by hand
-  /// can tell.
+  /// Sparse levels of its trees. Of the last launch: when it began for them,
+  /// and what its loops went over, so that an adjoint launched by hand can
+  /// tell.
   std::vector<SparseNode *> sparseNodes;
   std::mutex activityMutex;
-  std::vector<uint64_t> lastEpochs;
+  std::vector<SparseNode::Moment> lastBegins;
   LoopLists lastLoops;
   /// Stamp of the last tape that holds this kernel.
   uint64_t tapeStamp = 0;

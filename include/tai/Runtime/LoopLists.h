@@ -18,13 +18,21 @@
 
 namespace mlir::tai::runtime {
 
+/// A list of active cells in the memory of a device, which may still be made.
+class DeviceCells;
+using DeviceCellsPtr = std::shared_ptr<const DeviceCells>;
+
 class LoopLists {
 public:
   struct Entry {
     const SparseNode *node;
+    /// One of them.
     ActiveListPtr list;
+    DeviceCellsPtr onDevice;
     /// Another loop of the launch over the same level went over other cells.
     bool differs = false;
+    /// That has to be found out: of lists on a device the host knows nothing.
+    bool mayDiffer = false;
   };
 
   void add(const SparseNode &node, ActiveListPtr list) {
@@ -32,11 +40,18 @@ public:
     for (Entry &entry : entries) {
       if (entry.node != &node || entry.list == list)
         continue;
-      bool isOther = entry.list->cells != list->cells;
+      bool isOther = !entry.list || entry.list->cells != list->cells;
       entry.differs |= isOther;
       differs |= isOther;
     }
-    entries.push_back({&node, std::move(list), differs});
+    entries.push_back({&node, std::move(list), nullptr, differs});
+  }
+  void add(const SparseNode &node, DeviceCellsPtr list) {
+    bool mayDiffer = false;
+    for (Entry &entry : entries)
+      if (entry.node == &node && entry.onDevice != list)
+        entry.mayDiffer = mayDiffer = true;
+    entries.push_back({&node, nullptr, std::move(list), false, mayDiffer});
   }
   const Entry *find(const SparseNode &node) const {
     for (const Entry &entry : entries)
@@ -44,14 +59,16 @@ public:
         return &entry;
     return nullptr;
   }
+  const std::vector<Entry> &all() const { return entries; }
   /// Adds what is active now, for a launch whose own lists nobody has kept.
   void addUnknown(const SparseNode &node, ActiveListPtr list, bool differs) {
-    entries.push_back({&node, std::move(list), differs});
+    entries.push_back({&node, std::move(list), nullptr, differs});
   }
   bool empty() const { return entries.empty(); }
+  /// True also where nobody knows.
   bool hasCells() const {
     for (const Entry &entry : entries)
-      if (!entry.list->cells.empty())
+      if (entry.onDevice || !entry.list->cells.empty())
         return true;
     return false;
   }

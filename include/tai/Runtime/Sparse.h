@@ -101,6 +101,23 @@ public:
   }
   SparseNode *above() const { return parent; }
 
+  /// A point in time, taken without waiting for a device.
+  struct Moment {
+    uint64_t epoch;
+    /// Of a device: how many launches there had been that may change activity,
+    /// and whether the host knew what they did.
+    uint64_t generation;
+    bool isKnown;
+  };
+  Moment now() const;
+  /// Whether activity has changed, or a cell has been made inactive, since. Of
+  /// what a device did around a moment that was not known, the answer may be
+  /// true where only a launch before it did so, and one after it might have.
+  bool hasChangedSince(const Moment &moment) const;
+  bool hasRemovedSince(const Moment &moment) const;
+  /// False if the host knows, without waiting, that nothing is active.
+  bool mayBeActive() const;
+
   /// Whether to note which cells are made inactive, for a tape.
   void noteRemovals(bool on);
   /// Those since the last call, in any order.
@@ -140,11 +157,11 @@ private:
   }
   void bringActivity() const;
   /// To be called before the host changes activity.
-  void prepare() {
+  void prepare(bool removes) {
     if (__builtin_expect(onDevice != nullptr, false))
-      prepareChange();
+      prepareChange(removes);
   }
-  void prepareChange();
+  void prepareChange(bool removes);
   void adopt(const void *activity, const void *gone,
              const std::function<void(int64_t)> &added);
   void forEachActive(const std::function<void(int64_t)> &body) const;

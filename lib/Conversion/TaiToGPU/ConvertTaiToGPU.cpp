@@ -196,8 +196,10 @@ LogicalResult KernelOffload::run() {
     return failure();
   replaceTreeBases();
   replaceDrawKeys();
-  if (failed(offloadSerialCode(host, start, frame, lowering)) ||
-      failed(outlineLoops()))
+  if (failed(offloadSerialCode(host, start, frame, lowering)))
+    return failure();
+  readLengthsOnDevice(host);
+  if (failed(outlineLoops()))
     return failure();
 
   auto ret = cast<ReturnOp>(entry->getTerminator());

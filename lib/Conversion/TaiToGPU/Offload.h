@@ -26,7 +26,7 @@ struct DeviceLowering {
 };
 
 /// On an unrealized_conversion_cast from an address to a value: the value is in
-/// device memory at that address.
+/// device memory at that address. A second operand is a guess of it.
 constexpr llvm::StringLiteral kDeviceSlotAttrName = "tai.device_slot";
 
 /// On an unrealized_conversion_cast in a loop: the address to which its sum of
@@ -54,6 +54,10 @@ bool isDeviceLoop(Operation *op);
 /// memory.
 LogicalResult offloadSerialCode(LLVM::LLVMFuncOp host, Operation *start,
                                 Value frame, DeviceLowering &lowering);
+
+/// The lengths of lists of active cells stand in device memory, in front of the
+/// lists.
+void readLengthsOnDevice(LLVM::LLVMFuncOp host);
 
 /// Fetches the values in device memory that the host's part still uses.
 void fetchHostValues(LLVM::LLVMFuncOp host, Value frame,

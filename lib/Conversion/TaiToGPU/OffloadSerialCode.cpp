@@ -26,7 +26,7 @@ bool tai::isDeviceLoop(Operation *op) {
          !loop->getParentOfType<ParallelForOp>();
 }
 
-/// Lists of active cells are made by the host.
+/// Lists of active cells are asked for by the host.
 static bool isHostOp(Operation *op) {
   return isa<ActiveCellsOp, ListIsCurrentOp>(op);
 }
@@ -314,6 +314,24 @@ LogicalResult tai::offloadSerialCode(LLVM::LLVMFuncOp host, Operation *start,
   SerialOffload offload(frame, lowering);
   offload.assign(ops);
   return offload.emit();
+}
+
+void tai::readLengthsOnDevice(LLVM::LLVMFuncOp host) {
+  SmallVector<ActiveCellsOp> lists;
+  host.walk([&](ActiveCellsOp list) { lists.push_back(list); });
+  for (ActiveCellsOp list : lists) {
+    OpBuilder builder(list->getContext());
+    builder.setInsertionPointAfter(list);
+    Location loc = list.getLoc();
+    Value slot = LLVM::GEPOp::create(builder, loc, list.getCells().getType(),
+                                     builder.getI64Type(), list.getCells(),
+                                     ArrayRef<LLVM::GEPArg>{-1});
+    auto length = UnrealizedConversionCastOp::create(
+        builder, loc, list.getCount().getType(),
+        ValueRange{slot, list.getCount()});
+    length->setAttr(kDeviceSlotAttrName, builder.getUnitAttr());
+    list.getCount().replaceAllUsesExcept(length.getResult(0), length);
+  }
 }
 
 void tai::fetchHostValues(LLVM::LLVMFuncOp host, Value frame,

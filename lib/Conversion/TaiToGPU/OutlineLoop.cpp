@@ -615,17 +615,21 @@ static void markInvariantLoads(LLVM::LLVMFuncOp function, ArrayRef<Sum> sums) {
 // Launches
 //===----------------------------------------------------------------------===//
 
-/// The number of iterations where the host knows it.
+/// The number of iterations where the host knows it, or may guess.
 static Value emitCount(OpBuilder &builder, ParallelForOp loop) {
   IndexMath math(builder, loop.getLoc());
   Value count = math.constant(1);
   for (auto [from, to] :
        llvm::zip(loop.getLowerBounds(), loop.getUpperBounds())) {
+    Value guessed = to;
     for (Value bound : {from, to})
       if (Operation *definition = bound.getDefiningOp())
-        if (definition->hasAttr(kDeviceSlotAttrName))
-          return Value();
-    count = math.mul(count, math.extent(from, to));
+        if (definition->hasAttr(kDeviceSlotAttrName)) {
+          if (bound != to || definition->getNumOperands() < 2)
+            return Value();
+          guessed = definition->getOperand(1);
+        }
+    count = math.mul(count, math.extent(from, guessed));
   }
   return count;
 }
@@ -657,12 +661,13 @@ static void emitLaunch(ParallelForOp loop, LLVM::LLVMFuncOp function,
                             /*dynamicSharedMemorySize=*/Value(), operands);
 }
 
-/// The trees in which code below `op` makes cells active or inactive.
-static llvm::SetVector<Value> findActivated(Operation *op) {
-  llvm::SetVector<Value> trees;
+/// The trees in which code below `op` makes cells active or inactive, and
+/// whether there is the latter.
+static llvm::MapVector<Value, bool> findActivated(Operation *op) {
+  llvm::MapVector<Value, bool> trees;
   op->walk([&](Operation *inner) {
     if (isa<ActivateCellOp, DeactivateCellOp, AppendCellOp>(inner))
-      trees.insert(inner->getOperand(0));
+      trees[inner->getOperand(0)] |= isa<DeactivateCellOp>(inner);
   });
   return trees;
 }
@@ -673,7 +678,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   MLIRContext *context = loop.getContext();
   RuntimeCalls &runtime = lowering.device.runtime;
   SmallVector<Sum> sums = collectSums(loop, lowering.device.fields);
-  llvm::SetVector<Value> activated = findActivated(loop);
+  llvm::MapVector<Value, bool> activated = findActivated(loop);
   LoopAccesses accesses(loop, lowering.deterministic);
   for (const Sum &sum : sums)
     accesses.addSum(sum.target, sum.type, sum.kind == AtomicKind::Add,
@@ -750,9 +755,10 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   emitLaunch(loop, function, operands, lowering);
   // What the host knows of activity is then out of date.
   OpBuilder after(loop);
-  for (Value tree : activated)
-    lowering.host.runtime.call(after, loc, "tai_rt_device_activates", Type(),
-                               {frame, tree});
+  RuntimeCalls &hostCalls = lowering.host.runtime;
+  for (auto [tree, removes] : activated)
+    hostCalls.call(after, loc, "tai_rt_device_activates", Type(),
+                   {frame, tree, hostCalls.i32(after, loc, removes)});
   loop.erase();
   return success();
 }

@@ -1,0 +1,155 @@
+//===- Level.h - A sparse level of a tree on the device ---------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// What the code for activity and for lists of active cells knows of a level.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_DEVICELIBRARY_LEVEL_H
+#define TAI_LIB_DEVICELIBRARY_LEVEL_H
+
+#include "Target.h"
+#include "tai/Runtime/DeviceSparse.h"
+
+namespace tai::device {
+
+/// A sparse level of the tree at `base`.
+struct Level {
+  char *base;
+  const TaiDeviceTree &tree;
+  const TaiDeviceNode &node;
+
+  Level(char *base, int32_t number)
+      : base(base),
+        tree(**(reinterpret_cast<const TaiDeviceTree *const *>(base) - 1)),
+        node(tree.nodes[number]) {}
+
+  uint64_t *words() const {
+    return reinterpret_cast<uint64_t *>(base + node.activityOffset);
+  }
+  int32_t *lengths() const {
+    return reinterpret_cast<int32_t *>(base + node.activityOffset);
+  }
+  char *addressOf(int64_t cell) const {
+    int64_t offset = node.offset;
+    for (int32_t i = node.steps; i-- > 0;) {
+      const TaiDeviceStep &step = tree.steps[node.firstStep + i];
+      offset += cell % step.cells * step.stride;
+      cell /= step.cells;
+    }
+    return base + offset;
+  }
+
+  void note(uint32_t what) const {
+    TaiDeviceActivity &activity = *node.activity;
+    if ((atomicRead(&activity.changes) & what) != what)
+      atomicOr(&activity.changes, what);
+    if (!atomicRead(&activity.isNew))
+      atomicExchange(&activity.isNew, 1u);
+  }
+  /// Says that a word of bits, or a length, is not zero.
+  void mark(int64_t word) const {
+    uint64_t bit = uint64_t(1) << (word % 64);
+    uint64_t *mark = node.marks + word / 64;
+    if (!(atomicRead(mark) & bit))
+      atomicOr(mark, bit);
+  }
+  void noteRemovedBits(int64_t word, uint64_t bits) const {
+    note(TAI_DEVICE_ACTIVITY_CHANGED | TAI_DEVICE_CELLS_REMOVED);
+    atomicOr(static_cast<uint64_t *>(node.removed) + word, bits);
+  }
+  void noteRemovedList(int64_t list, int32_t length) const {
+    note(TAI_DEVICE_ACTIVITY_CHANGED | TAI_DEVICE_CELLS_REMOVED);
+    raise(static_cast<int32_t *>(node.removed) + list, length);
+  }
+
+  /// Makes a number at least so large. Returns what it was.
+  static int32_t raise(int32_t *number, int32_t wanted) {
+    int32_t known = atomicRead(number);
+    while (known < wanted && !atomicReplace(number, known, wanted)) {
+    }
+    return known;
+  }
+
+  /// Makes one cell of this level active. Returns true if it was not.
+  bool activate(int64_t cell) const {
+    if (node.isList) {
+      auto wanted = static_cast<int32_t>(cell % node.capacity) + 1;
+      int64_t list = cell / node.capacity;
+      int32_t before = raise(lengths() + list, wanted);
+      if (before >= wanted)
+        return false;
+      if (before == 0)
+        mark(list);
+    } else {
+      uint64_t bit = uint64_t(1) << (cell % 64);
+      uint64_t before = atomicOr(words() + cell / 64, bit);
+      if (before & bit)
+        return false;
+      if (before == 0)
+        mark(cell / 64);
+    }
+    note(TAI_DEVICE_ACTIVITY_CHANGED);
+    return true;
+  }
+
+  /// Makes the cells [first, first + count) inactive, whole lists of them; this
+  /// thread does its share.
+  void clear(int64_t first, int64_t count, int64_t thread = 0,
+             int64_t threads = 1) const {
+    if (node.isList) {
+      int64_t end = (first + count) / node.capacity;
+      for (int64_t list = first / node.capacity + thread; list < end;
+           list += threads)
+        if (atomicRead(lengths() + list))
+          noteRemovedList(list, atomicExchange(lengths() + list, 0));
+      return;
+    }
+    int64_t end = first + count;
+    for (int64_t word = first / 64 + thread; word * 64 < end; word += threads) {
+      uint64_t mask = ~uint64_t(0);
+      if (word * 64 < first)
+        mask <<= first % 64;
+      if (end - word * 64 < 64)
+        mask &= (uint64_t(1) << (end % 64)) - 1;
+      if (atomicRead(words() + word) & mask)
+        noteRemovedBits(word, atomicAnd(words() + word, ~mask) & mask);
+    }
+  }
+};
+
+/// Makes the cells above a cell of `level` active.
+inline void activateAbove(const Level &level, int64_t cell) {
+  const TaiDeviceNode *node = &level.node;
+  while (node->parent >= 0) {
+    cell /= node->cellsBelow;
+    Level above(level.base, node->parent);
+    if (!above.activate(cell))
+      return;
+    node = &above.node;
+  }
+}
+
+/// Makes inactive what lies below the cells [first, first + count); this thread
+/// does its share.
+inline void clearBelow(const Level &level, int32_t number, int64_t first,
+                       int64_t count, int64_t thread = 0, int64_t threads = 1) {
+  const TaiDeviceNode *nodes = level.tree.nodes;
+  for (int32_t other = number + 1; other < level.tree.numNodes; ++other) {
+    int64_t span = 1;
+    int32_t at = other;
+    for (; at > number; at = nodes[at].parent)
+      span *= nodes[at].cellsBelow;
+    if (at == number)
+      Level(level.base, other)
+          .clear(first * span, count * span, thread, threads);
+  }
+}
+
+} // namespace tai::device
+
+#endif // TAI_LIB_DEVICELIBRARY_LEVEL_H

@@ -1,0 +1,219 @@
+"""Sparse levels on a GPU, as the emulated device runs them wherever the tests run."""
+
+import os
+
+import numpy as np
+import pytest
+import tai as ti
+
+CELLS, BLOCK = 96, 4
+
+
+@pytest.fixture(autouse=True)
+def emulated(monkeypatch):
+    monkeypatch.setenv("TI_ARCH", "cuda")
+    if not os.environ.get("TAI_CUDA_EMULATION"):
+        monkeypatch.setenv("TAI_CUDA_EMULATION", "1")
+    ti.init(offline_cache=False)
+
+
+def fetched():
+    """How often the host has waited to see what is active."""
+    return ti.profiler.skips()["list-reuse"]["fetched"]
+
+
+def make_scene(levels):
+    """Fields x and y of 384 numbers, below one or two sparse levels."""
+    x, y = ti.field(ti.i32), ti.field(ti.i32)
+    if levels == 1:
+        top = ti.root.pointer(ti.i, CELLS)
+        blocks = top
+    else:
+        top = ti.root.pointer(ti.i, 8)
+        blocks = top.bitmasked(ti.i, CELLS // 8)
+    blocks.dense(ti.i, BLOCK).place(x, y)
+    return x, y, top, blocks
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+def test_a_simulation_runs_without_the_host(levels):
+    x, y, top, blocks = make_scene(levels)
+    n = CELLS * BLOCK
+
+    @ti.kernel
+    def scatter(t: ti.i32):
+        for i in range(10):
+            x[(i * 29 + t * 13) % n] += i + 1
+
+    @ti.kernel
+    def visit():
+        for i in x:
+            y[i] += 2 * x[i] + 1
+
+    @ti.kernel
+    def drop(t: ti.i32):
+        for b in blocks:
+            if b % 5 == t % 5:
+                ti.deactivate(blocks, b)
+
+    expected = np.zeros((2, CELLS, BLOCK), np.int64)
+    active = np.zeros(CELLS, bool)
+    for t in range(12):
+        scatter(t)
+        for i in range(10):
+            at = (i * 29 + t * 13) % n
+            expected[0].reshape(-1)[at] += i + 1
+            active[at // BLOCK] = True
+        for _ in range(2):
+            visit()
+            expected[1][active] += 2 * expected[0][active] + 1
+        if t == 7:
+            top.deactivate_all()
+            gone = np.ones(CELLS, bool)
+        else:
+            drop(t)
+            gone = np.arange(CELLS) % 5 == t % 5
+        active &= ~gone
+        expected[:, gone] = 0
+    assert fetched() == 0
+    assert blocks.active_cells().ravel().tolist() == np.flatnonzero(active).tolist()
+    assert fetched() == 1
+    assert (x.to_numpy() == expected[0].ravel()).all()
+    assert (y.to_numpy() == expected[1].ravel()).all()
+    assert fetched() == 1
+
+
+def test_lists_grow_without_the_host():
+    n = 40
+    items, sums = ti.field(ti.i32), ti.field(ti.i32, shape=n)
+    lists = ti.root.dense(ti.i, n).dynamic(ti.j, 64)
+    lists.place(items)
+
+    @ti.kernel
+    def fill(t: ti.i32):
+        for i in range(n):
+            for k in range((i * 7 + t) % 12):
+                items[i].append(i * 100 + t + k)
+
+    @ti.kernel
+    def add():
+        for i, j in items:
+            sums[i] += items[i, j]
+
+    @ti.kernel
+    def empty():
+        for i in range(n):
+            if i % 2 == 0:
+                items[i].deactivate()
+
+    model = [[] for _ in range(n)]
+    expected = np.zeros(n, np.int64)
+    for t in range(5):
+        fill(t)
+        for i, one in enumerate(model):
+            one += [i * 100 + t + k for k in range((i * 7 + t) % 12)]
+        add()
+        expected += [sum(one) for one in model]
+        empty()
+        for one in model[::2]:
+            one.clear()
+    assert fetched() == 0
+    assert (sums.to_numpy() == expected).all()
+    assert lists.num_active == sum(map(len, model))
+
+
+def test_a_kernel_goes_over_what_it_has_made_active():
+    x, y, _, blocks = make_scene(1)
+
+    @ti.kernel
+    def both():
+        for i in range(3):
+            x[i * 50] = 1
+        for i in x:
+            y[i] = 1
+        for i in range(2):
+            ti.deactivate(blocks, i * 50 // BLOCK)
+        for i in x:
+            y[i] += 1
+
+    both()
+    assert fetched() == 0
+    where = np.flatnonzero(y.to_numpy())
+    assert where.tolist() == [100, 101, 102, 103]
+    assert (y.to_numpy()[where] == 2).all()
+
+
+def test_many_cells():
+    # More than one block makes a list of.
+    cells = 1 << 20
+    x = ti.field(ti.i32)
+    top = ti.root.pointer(ti.i, cells)
+    top.place(x)
+    total = ti.field(ti.i64, shape=())
+
+    @ti.kernel
+    def scatter(t: ti.i32):
+        for i in range(1000):
+            x[(i * i * 17 + t * 1237) % cells] = i + t
+
+    @ti.kernel
+    def add():
+        for i in x:
+            total[None] += i + ti.cast(x[i], ti.i64)
+
+    model = {}
+    expected = 0
+    for t in range(3):
+        scatter(t)
+        # Iterations that meet leave the value of one of them: they are no matter here.
+        for i in range(1000):
+            model.setdefault((i * i * 17 + t * 1237) % cells, set()).add(i + t)
+        add()
+    assert fetched() == 0
+    assert top.active_cells().ravel().tolist() == sorted(model)
+    found = x.to_numpy()
+    assert all(found[cell] in values for cell, values in model.items())
+    total[None] = 0
+    add()
+    expected = sum(cell + int(found[cell]) for cell in model)
+    assert total[None] == expected
+
+
+def test_gradients_by_hand_know_what_the_loops_went_over():
+    x, y = ti.field(ti.f32), ti.field(ti.f32)
+    blocks = ti.root.pointer(ti.i, CELLS)
+    blocks.dense(ti.i, BLOCK).place(x, y, x.grad, y.grad)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def activate(first: ti.i32):
+        for i in range(3):
+            x[first + i * 40] += 2.0
+
+    @ti.kernel
+    def square():
+        for i in x:
+            loss[None] += x[i] ** 2
+
+    activate(0)
+    square()
+    activate(8)
+    loss.grad[None] = 1.0
+    square.grad()
+    found = x.grad.to_numpy()
+    assert np.flatnonzero(found).tolist() == [0, 40, 80]
+    assert (found[[0, 40, 80]] == 4.0).all()
+
+    @ti.kernel
+    def drop():
+        for b in blocks:
+            ti.deactivate(blocks, b)
+
+    drop()
+    with pytest.raises(ti.TaiRuntimeError, match="were deactivated since kernel 'square'"):
+        square.grad()
+    # What was dropped before the launch is no matter.
+    activate(4)
+    square()
+    square.grad()
+    assert np.flatnonzero(x.grad.to_numpy()).tolist() == [4, 44, 84]
