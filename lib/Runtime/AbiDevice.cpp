@@ -11,6 +11,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "BlockTrial.h"
 #include "Launch.h"
 #include "Mirror.h"
 #include "tai/Runtime/Abi.h"
@@ -88,6 +89,20 @@ static bool mayChange(const Kernel &kernel, const Tree &tree) {
   });
 }
 
+/// Sizes of blocks that are worth a try besides the usual one; none where
+/// there is no other.
+static std::shared_ptr<BlockTrial>
+makeTrial(const Device &device, const DeviceCode::Function &function) {
+  std::vector<BlockTrial::Size> sizes{{function.threads, function.mostBlocks}};
+  for (unsigned threads : {128u, 512u})
+    if (threads != function.threads &&
+        threads <= device.mostThreads(*function.function))
+      if (unsigned blocks = device.residentBlocks(*function.function, threads))
+        sizes.push_back({threads, blocks});
+  return sizes.size() > 1 ? std::make_shared<BlockTrial>(std::move(sizes))
+                          : nullptr;
+}
+
 Status Runtime::loadOnDevice(Kernel &kernel, uint64_t epoch) {
   std::lock_guard<std::recursive_mutex> lock(kernel.mutex);
   std::shared_ptr<DeviceCode> &code = kernel.deviceCode;
@@ -112,6 +127,8 @@ Status Runtime::loadOnDevice(Kernel &kernel, uint64_t epoch) {
       entry.threads = std::min(wanted, target.mostThreads(*entry.function));
       entry.mostBlocks =
           std::max(target.residentBlocks(*entry.function, entry.threads), 1u);
+      if (opts.blockThreads <= 0 && !opts.deterministic)
+        entry.trial = makeTrial(target, entry);
       loaded->functions.push_back(entry);
     }
     code = std::move(loaded);
@@ -219,8 +236,8 @@ static bool failed(Launch &launch, Status status) {
   return true;
 }
 
-static LaunchShape shapeOf(const DeviceCode::Function &function,
-                           int64_t iterations, unsigned multiprocessors) {
+static LaunchShape shapeOf(BlockTrial::Size function, int64_t iterations,
+                           unsigned multiprocessors) {
   LaunchShape shape;
   shape.threads = function.threads;
   shape.blocks = function.mostBlocks;
@@ -263,10 +280,19 @@ extern "C" void tai_rt_device_launch(TaiFrame *frame, int32_t number,
       onDevice->code->functions[static_cast<size_t>(number)];
   Device &device = onDevice->context->get();
   onDevice->waited = false;
-  failed(launch,
-         device.launch(*function.function,
-                       shapeOf(function, iterations, onDevice->multiprocessors),
-                       slots, count));
+  auto launchWith = [&](BlockTrial::Size size) {
+    return device.launch(*function.function,
+                         shapeOf(size, iterations, onDevice->multiprocessors),
+                         slots, count);
+  };
+  bool isLarge = function.trial && iterations >= BlockTrial::kLeastIterations;
+  if (__builtin_expect(!isLarge, true))
+    failed(launch, launchWith({function.threads, function.mostBlocks}));
+  else if (onDevice->context->queue().isCollecting())
+    // A sequence is known by the shapes of its launches.
+    failed(launch, launchWith(function.trial->best()));
+  else
+    failed(launch, function.trial->run(device, iterations, launchWith));
 }
 
 extern "C" void *tai_rt_device_scratch(TaiFrame *frame, int64_t bytes) {

@@ -119,6 +119,8 @@ private:
   DevicePtr memory;
 };
 
+class BlockTrial;
+
 /// The device code of a kernel, once it has been loaded, and the trees that it
 /// uses.
 struct DeviceCode {
@@ -130,6 +132,8 @@ struct DeviceCode {
     unsigned threads;
     /// That many blocks of so many threads run at a time.
     unsigned mostBlocks;
+    /// Finds better numbers, where they may be looked for.
+    std::shared_ptr<BlockTrial> trial;
   };
 
   std::shared_ptr<DeviceContext> context;

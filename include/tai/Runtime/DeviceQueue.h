@@ -58,6 +58,7 @@ public:
   /// Between the two, work is collected. Pairs nest; the end runs what has been
   /// collected.
   void beginCollecting() { ++collecting; }
+  bool isCollecting() const { return collecting > 0; }
   Status endCollecting();
 
   /// What has become of the sequences so far, one line each.

@@ -1,0 +1,66 @@
+//===- BlockTrial.h - How large blocks should be ----------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// How many threads a block should have depends on registers, caches and the
+// order in which blocks reach memory: it is measured. Early launches of a
+// function over many iterations try several sizes in turn, with events around
+// them; some launches later, when the device has come there, the quickest
+// stays. Results do not depend on it but by the order of float additions, so
+// that there are no trials in deterministic mode.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_BLOCKTRIAL_H
+#define TAI_LIB_RUNTIME_BLOCKTRIAL_H
+
+#include "tai/Runtime/Device.h"
+#include <functional>
+#include <mutex>
+#include <vector>
+
+namespace mlir::tai::runtime {
+
+class BlockTrial {
+public:
+  struct Size {
+    unsigned threads;
+    /// That many blocks of so many threads run at a time.
+    unsigned mostBlocks;
+  };
+  /// Launches over fewer iterations say little.
+  static constexpr int64_t kLeastIterations = int64_t(1) << 20;
+
+  /// The first is the one to take unless another is quicker.
+  explicit BlockTrial(std::vector<Size> sizes) : sizes(std::move(sizes)) {}
+
+  /// The best that is known.
+  Size best();
+  /// Makes one launch, which `launch` queues with the size that it is given.
+  Status run(Device &device, int64_t iterations,
+             const std::function<Status(Size)> &launch);
+
+private:
+  struct Timed {
+    size_t size;
+    int64_t iterations;
+    std::unique_ptr<DeviceEvent> begin, end;
+  };
+
+  Status time(Device &device, int64_t iterations, size_t size,
+              const std::function<Status(Size)> &launch);
+  void decide(Device &device);
+
+  std::mutex mutex;
+  std::vector<Size> sizes;
+  std::vector<Timed> timed;
+  size_t launches = 0, chosen = 0;
+  bool isOver = false;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_BLOCKTRIAL_H
