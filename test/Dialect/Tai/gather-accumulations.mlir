@@ -231,6 +231,24 @@ tai.kernel @inner_ring() {
   tai.return
 }
 
+// Random numbers are those of positions in the box, which stays what it is.
+// CHECK-LABEL: tai.kernel @inner_random(
+//       CHECK:   tai.parallel_for (%{{.+}}) = (%c1) to (%c7) {
+//       CHECK:     tai.random
+//       CHECK:     tai.atomic add %{{.+}}, @g[%{{.+}}] : f32
+tai.kernel @inner_random() {
+  %c1 = arith.constant 1 : index
+  %c7 = arith.constant 7 : index
+  tai.parallel_for (%i) = (%c1) to (%c7) {
+    %0 = tai.random stream 0 : f32
+    tai.store %0, @h[%i] : f32
+    %1 = tai.load @y[%i] : f32
+    %up = arith.addi %i, %c1 : index
+    %2 = tai.atomic add %1, @g[%up] : f32
+  }
+  tai.return
+}
+
 // Fields of two sizes: the loop cannot be over both.
 // CHECK-LABEL: tai.kernel @two_sizes(
 //       CHECK:   tai.atomic add %{{.+}}, @longer[%{{.+}}] : f32

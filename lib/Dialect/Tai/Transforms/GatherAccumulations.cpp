@@ -224,6 +224,10 @@ static bool canOwn(LoopBox &box, const Owned &wanted) {
     return true;
   if (box.loop.isStructFor())
     return false;
+  // Random numbers belong to positions in the box.
+  if (box.loop.walk([](RandomOp) { return WalkResult::interrupt(); })
+          .wasInterrupted())
+    return false;
   double inLoop = 1, inField = 1;
   for (unsigned k = 0; k != box.lower.size(); ++k) {
     if (box.lower[k] < wanted.lower[k] || box.upper[k] > wanted.upper[k])
