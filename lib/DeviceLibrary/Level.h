@@ -58,11 +58,29 @@ struct Level {
     if (!(atomicRead(mark) & bit))
       atomicOr(mark, bit);
   }
+  /// Takes room for so many cells. False if there is none.
+  bool take(int64_t cells) const {
+    if (!node.memoryMessage)
+      return true;
+    TaiDeviceAccount &account = *tree.account;
+    int64_t bytes = cells * node.cellBytes;
+    if (atomicAdd(&account.used, bytes) + bytes <= account.limit)
+      return true;
+    giveBack(cells);
+    return false;
+  }
+  void giveBack(int64_t cells) const {
+    if (node.memoryMessage && cells)
+      atomicAdd(&tree.account->used, -cells * node.cellBytes);
+  }
+
   void noteRemovedBits(int64_t word, uint64_t bits) const {
+    giveBack(__builtin_popcountll(bits));
     note(TAI_DEVICE_ACTIVITY_CHANGED | TAI_DEVICE_CELLS_REMOVED);
     atomicOr(static_cast<uint64_t *>(node.removed) + word, bits);
   }
   void noteRemovedList(int64_t list, int32_t length) const {
+    giveBack(length);
     note(TAI_DEVICE_ACTIVITY_CHANGED | TAI_DEVICE_CELLS_REMOVED);
     raise(static_cast<int32_t *>(node.removed) + list, length);
   }
@@ -75,26 +93,38 @@ struct Level {
     return known;
   }
 
-  /// Makes one cell of this level active. Returns true if it was not.
-  bool activate(int64_t cell) const {
+  /// How many cells become active with this one.
+  int64_t countNew(int64_t cell) const {
+    if (!node.isList)
+      return !(atomicRead(words() + cell / 64) >> (cell % 64) & 1);
+    int64_t more =
+        cell % node.capacity + 1 - atomicRead(lengths() + cell / node.capacity);
+    return more < 0 ? 0 : more;
+  }
+
+  /// Makes one cell of this level active, of a list those before it too.
+  /// Returns how many were not.
+  int64_t activate(int64_t cell) const {
+    int64_t added = 1;
     if (node.isList) {
       auto wanted = static_cast<int32_t>(cell % node.capacity) + 1;
       int64_t list = cell / node.capacity;
       int32_t before = raise(lengths() + list, wanted);
       if (before >= wanted)
-        return false;
+        return 0;
       if (before == 0)
         mark(list);
+      added = wanted - before;
     } else {
       uint64_t bit = uint64_t(1) << (cell % 64);
       uint64_t before = atomicOr(words() + cell / 64, bit);
       if (before & bit)
-        return false;
+        return 0;
       if (before == 0)
         mark(cell / 64);
     }
     note(TAI_DEVICE_ACTIVITY_CHANGED);
-    return true;
+    return added;
   }
 
   /// Makes the cells [first, first + count) inactive, whole lists of them; this

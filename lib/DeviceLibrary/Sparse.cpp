@@ -14,6 +14,7 @@
 
 #include "Level.h"
 #include "tai/Runtime/Abi.h"
+#include "tai/Runtime/DeviceState.h"
 
 using namespace tai::device;
 
@@ -41,12 +42,32 @@ static bool check(TaiFrame *frame, const Level &level, int64_t cell,
   return false;
 }
 
+/// True if there is room for more cells; else the launch fails.
+static bool takeRoom(TaiFrame *frame, const Level &level, int64_t cells,
+                     const char *where) {
+  if (level.take(cells))
+    return true;
+  int32_t kind = TAI_DEVICE_VALUE_BYTES;
+  auto slot = static_cast<uint64_t>(level.tree.account->limit);
+  tai_rt_fail(frame, TAI_FAIL_MEMORY, level.node.memoryMessage, where, 1, &kind,
+              nullptr, &slot);
+  return false;
+}
+
 TAI_RARE int32_t tai_rt_activate(TaiFrame *frame, void *tree, int32_t node,
                                  int64_t cell, const char *where) {
   Level level(static_cast<char *>(tree), node);
   if (!check(frame, level, cell, where))
     return 0;
-  if (level.activate(cell))
+  int64_t wanted = level.countNew(cell);
+  if (wanted == 0)
+    return 1;
+  if (!takeRoom(frame, level, wanted, where))
+    return 0;
+  // Others may have been quicker.
+  int64_t added = level.activate(cell);
+  level.giveBack(wanted - added);
+  if (added)
     activateAbove(level, cell);
   return 1;
 }
@@ -83,10 +104,13 @@ TAI_RARE int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node,
     first = -1;
   if (!check(frame, level, first, where))
     return -1;
+  if (!takeRoom(frame, level, 1, where))
+    return -1;
   int32_t *length = level.lengths() + list;
   int32_t at = atomicAdd(length, int32_t(1));
   if (at >= capacity) {
     atomicAdd(length, int32_t(-1));
+    level.giveBack(1);
     tai_rt_fail(frame, TAI_FAIL_INDEX, level.node.fullMessage, where, 0,
                 nullptr, nullptr, nullptr);
     return -1;

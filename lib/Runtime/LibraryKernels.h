@@ -25,7 +25,8 @@ enum class LibraryKernel : unsigned {
   ListCount,
   ListScan,
   ListWrite,
-  DeactivateList
+  DeactivateList,
+  MoveCells
 };
 
 class LibraryKernels {

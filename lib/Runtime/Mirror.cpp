@@ -301,6 +301,11 @@ Status Slabs::keepOnDevice(int64_t first, int64_t count,
                                "values that tapes keep", block);
   if (!status)
     return status;
+  if (mover) {
+    CellMover::Cells cells{};
+    status = bringNumbers(first, count, cells);
+    return status ? mover->load(cells, block->get()) : std::move(status);
+  }
   DeviceRows rows = rowsOf(first, count);
   if (rows.rows == 1)
     return mirror.device().copy(block->get(), rows.address, rows.rowBytes);
@@ -309,10 +314,27 @@ Status Slabs::keepOnDevice(int64_t first, int64_t count,
       rows.step);
 }
 
+Status Slabs::zerosOnDevice(int64_t count,
+                            std::unique_ptr<DeviceBlock> &block) const {
+  Mirror &mirror = *field->tree().mirror();
+  Status status = DeviceBlock::make(mirror.sharedContext(), count * bytes,
+                                    "values that tapes keep", block);
+  const char zero = 0;
+  return status ? mirror.device().fill(block->get(), &zero, 1, count * bytes)
+                : std::move(status);
+}
+
 void Slabs::storeOnDevice(int64_t first, int64_t count,
                           const DeviceBlock &block) const {
   Mirror &mirror = *field->tree().mirror();
   mirror.context().note(mirror.toDevice());
+  if (mover) {
+    CellMover::Cells cells{};
+    Status status = bringNumbers(first, count, cells);
+    mirror.context().note(status ? mover->store(cells, block.get())
+                                 : std::move(status));
+    return;
+  }
   mirror.deviceWrites();
   DeviceRows rows = rowsOf(first, count);
   mirror.context().note(
@@ -325,6 +347,13 @@ void Slabs::exchangeOnDevice(int64_t first, int64_t count,
                              const DeviceBlock &block) const {
   Mirror &mirror = *field->tree().mirror();
   mirror.context().note(mirror.toDevice());
+  if (mover) {
+    CellMover::Cells cells{};
+    Status status = bringNumbers(first, count, cells);
+    mirror.context().note(status ? mover->exchange(cells, block.get())
+                                 : std::move(status));
+    return;
+  }
   mirror.deviceWrites();
   DeviceRows rows = rowsOf(first, count);
   mirror.context().note(

@@ -6,12 +6,18 @@
 //===----------------------------------------------------------------------===//
 
 #include "Slabs.h"
+#include "Mirror.h"
 #include "Scalars.h"
 #include <algorithm>
 #include <cstring>
 #include <iterator>
 
 using namespace mlir::tai::runtime;
+
+struct Slabs::Numbers {
+  std::unique_ptr<DeviceBlock> memory;
+  int64_t count = 0, capacity = 0;
+};
 
 Slabs::Slabs(const Field &field, int dimension, bool byCell)
     : field(&field), slowDimension(dimension),
@@ -22,6 +28,10 @@ Slabs::Slabs(const Field &field, int dimension, bool byCell)
   if (byCell) {
     cells = std::make_shared<CellElements>(field);
     bytes = cells->bytes();
+    Status status = CellMover::find(field, *cells, mover);
+    if (!status)
+      field.tree().mirror()->context().note(std::move(status));
+    numbersOnDevice = std::make_shared<Numbers>();
     // A slab must be made of whole cells.
     if (dimension >= 0 && !cells->separates(dimension))
       slowDimension = -1;
@@ -52,6 +62,33 @@ Slabs::Slabs(const Field &field, int dimension, bool byCell)
   for (int d = 0; d < field.rank(); ++d)
     if (d != dimension)
       add(d);
+}
+
+/// Numbers of cells in the memory of the device, where those that are new
+/// follow the others.
+Status Slabs::bringNumbers(int64_t first, int64_t count,
+                           CellMover::Cells &found) const {
+  Numbers &there = *numbersOnDevice;
+  Mirror &mirror = *field->tree().mirror();
+  constexpr int64_t each = sizeof(int64_t);
+  Status status;
+  if (numCells() > there.capacity) {
+    int64_t capacity = std::max<int64_t>(2 * there.capacity, numCells());
+    status = DeviceBlock::make(mirror.sharedContext(), capacity * each,
+                               "numbers of cells", there.memory);
+    there.capacity = status ? capacity : 0;
+    there.count = 0;
+  }
+  if (status && numCells() > there.count) {
+    status = mirror.device().copyIn(
+        there.memory->get() + static_cast<DevicePtr>(there.count * each),
+        numbered.data() + there.count, (numCells() - there.count) * each);
+    if (status)
+      there.count = numCells();
+  }
+  if (status)
+    found = {there.memory->get() + static_cast<DevicePtr>(first * each), count};
+  return status;
 }
 
 int64_t Slabs::addCells(const ActiveListPtr &list) {
@@ -208,6 +245,15 @@ bool Slabs::isZero(int64_t first, int64_t count) const {
 }
 
 void Slabs::clear(int64_t first, int64_t count) const {
+  if (mover) {
+    CellMover::Cells found{};
+    const uint64_t zero = 0;
+    Status status = bringNumbers(first, count, found);
+    if (status)
+      status = mover->fill(found, &zero);
+    field->tree().mirror()->context().note(std::move(status));
+    return;
+  }
   forEachCell(first, count, [&](int64_t cell, int64_t) {
     cells->clear(cell);
     return true;

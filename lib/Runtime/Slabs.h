@@ -18,11 +18,10 @@
 #ifndef TAI_LIB_RUNTIME_SLABS_H
 #define TAI_LIB_RUNTIME_SLABS_H
 
-#include "CellElements.h"
+#include "CellMover.h"
 
 namespace mlir::tai::runtime {
 
-class DeviceBlock;
 struct DeviceRows;
 
 class Slabs {
@@ -60,9 +59,14 @@ public:
   /// Whether a device has the field and can keep ranges of it in its own
   /// memory; how it does that, brings them back, or does both. Where the
   /// dimension is not the first, a range is one slab.
-  bool onDevice() const { return isEven && field->tree().mirror() != nullptr; }
+  bool onDevice() const {
+    return mover || (isEven && field->tree().mirror() != nullptr);
+  }
   Status keepOnDevice(int64_t first, int64_t count,
                       std::unique_ptr<DeviceBlock> &block) const;
+  /// Memory for as many elements, holding zeros.
+  Status zerosOnDevice(int64_t count,
+                       std::unique_ptr<DeviceBlock> &block) const;
   void storeOnDevice(int64_t first, int64_t count,
                      const DeviceBlock &block) const;
   void exchangeOnDevice(int64_t first, int64_t count,
@@ -98,6 +102,12 @@ private:
   std::vector<Dimension> dimensions;
 
   std::shared_ptr<CellElements> cells;
+  /// Where cells are numbered and a device has them; and `numbered` there.
+  std::shared_ptr<CellMover> mover;
+  struct Numbers;
+  std::shared_ptr<Numbers> numbersOnDevice;
+  Status bringNumbers(int64_t first, int64_t count,
+                      CellMover::Cells &found) const;
   /// By number, and ascending.
   std::vector<int64_t> numbered, known;
   ActiveListPtr lastAdded;

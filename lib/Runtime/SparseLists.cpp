@@ -209,15 +209,30 @@ Status SparseMirror::list(SparseNode &node, DeviceCellsPtr &cells) {
   return queueList(node, *chosen);
 }
 
+/// What active cells may take, where the host knows what they take.
+Status SparseMirror::sendAccount() {
+  Runtime &runtime = context.getRuntime();
+  int64_t used = 0;
+  for (const std::unique_ptr<SparseNode> &node : tree.sparseNodes())
+    if (node->isInnermost())
+      used += node->active.load(std::memory_order_relaxed) * node->cellBytes();
+  int64_t others = runtime.activeCellBytes() - used;
+  TaiDeviceAccount now = {used, runtime.memoryLimit() -
+                                    runtime.reservedBytes() - others};
+  return context.get().copyIn(account, &now, sizeof(now));
+}
+
 /// Makes the activity of the levels that the host has changed known to lists.
 Status SparseMirror::sendActivity() {
   const auto &nodes = tree.sparseNodes();
   Status status;
+  bool any = false;
   for (size_t i = 0; i < nodes.size() && status; ++i) {
     uint64_t epoch = nodes[i]->changes.load(std::memory_order_acquire);
     if (epoch == sharedEpochs[i])
       continue;
     sharedEpochs[i] = epoch;
+    any = true;
     unchangedFrom = ++generation;
     status = context.get().copyIn(marks[i], nodes[i]->marks,
                                   nodes[i]->numMarks *
@@ -228,7 +243,7 @@ Status SparseMirror::sendActivity() {
                                       offsetof(TaiDeviceActivity, isNew),
                                   &isNew, sizeof(isNew), 1);
   }
-  return status;
+  return status && any ? sendAccount() : std::move(status);
 }
 
 //===----------------------------------------------------------------------===//

@@ -7,6 +7,7 @@
 
 #include "SparseMirror.h"
 #include "CellElements.h"
+#include "CellMover.h"
 #include "Launch.h"
 #include "Mirror.h"
 #include "tai/Runtime/Runtime.h"
@@ -79,6 +80,8 @@ Status SparseMirror::allocate(DevicePtr &address) {
     bytes += alignUp(node->numMarks * int64_t(sizeof(uint64_t)));
     mostTiles = std::max(mostTiles, numTiles(*node));
   }
+  int64_t accountAt = bytes;
+  bytes += alignUp(sizeof(TaiDeviceAccount));
   int64_t sumsAt = bytes;
   bytes += alignUp(mostTiles * int64_t(sizeof(int64_t)));
   Status status = context.allocate(bytes,
@@ -90,6 +93,7 @@ Status SparseMirror::allocate(DevicePtr &address) {
   base = block + TAI_DEVICE_TREE_HEADER;
   activity = block + static_cast<DevicePtr>(activityAt);
   sums = block + static_cast<DevicePtr>(sumsAt);
+  account = block + static_cast<DevicePtr>(accountAt);
   for (int64_t offset : removedAt)
     removed.push_back(block + static_cast<DevicePtr>(offset));
   for (int64_t offset : marksAt)
@@ -104,6 +108,8 @@ Status SparseMirror::allocate(DevicePtr &address) {
         &first, sizeof(first));
   if (status)
     status = writeDescriptor();
+  if (status)
+    status = sendAccount();
   if (!status) {
     context.free(block);
     removed.clear();
@@ -120,7 +126,7 @@ Status SparseMirror::writeDescriptor() {
   std::vector<TaiDeviceNode> entries;
   std::vector<TaiDeviceStep> steps;
   std::string texts;
-  std::vector<std::pair<size_t, size_t>> textAt;
+  std::vector<std::array<size_t, 3>> textAt;
   for (const std::unique_ptr<SparseNode> &node : nodes) {
     const SparseInfo &info = node->info();
     TaiDeviceNode entry = {};
@@ -144,9 +150,18 @@ Status SparseMirror::writeDescriptor() {
     texts += "index out of range: there is no cell {} in " + info.label +
              ", which has " + std::to_string(node->numCells());
     texts += '\0';
-    textAt.push_back({range, texts.size()});
+    size_t full = texts.size();
     texts += "append to a full list: " + info.label + " holds at most " +
              std::to_string(node->capacity()) + " cells";
+    texts += '\0';
+    textAt.push_back({range, full, texts.size()});
+    texts += "out of memory: one more cell of " + info.label + " of " +
+             formatBytes(node->cellBytes()) +
+             " each; the active cells of "
+             "tree '" +
+             tree.name() +
+             "' take all of {} that the memory limit "
+             "leaves them";
     texts += '\0';
     entries.push_back(entry);
   }
@@ -163,13 +178,17 @@ Status SparseMirror::writeDescriptor() {
   DevicePtr stepsAt = nodesAt + entryBytes, textsAt = stepsAt + stepBytes;
   for (size_t i = 0; i < entries.size(); ++i) {
     entries[i].rangeMessage =
-        reinterpret_cast<const char *>(textsAt + textAt[i].first);
+        reinterpret_cast<const char *>(textsAt + textAt[i][0]);
     entries[i].fullMessage =
-        reinterpret_cast<const char *>(textsAt + textAt[i].second);
+        reinterpret_cast<const char *>(textsAt + textAt[i][1]);
+    if (nodes[i]->isInnermost())
+      entries[i].memoryMessage =
+          reinterpret_cast<const char *>(textsAt + textAt[i][2]);
   }
   TaiDeviceTree header = {static_cast<int64_t>(entries.size()),
                           reinterpret_cast<const TaiDeviceNode *>(nodesAt),
-                          reinterpret_cast<const TaiDeviceStep *>(stepsAt)};
+                          reinterpret_cast<const TaiDeviceStep *>(stepsAt),
+                          reinterpret_cast<TaiDeviceAccount *>(account)};
   std::vector<char> image(bytes);
   char *at = image.data();
   auto put = [&](const void *from, size_t size) {
@@ -342,6 +361,7 @@ Status SparseMirror::fetch() {
   const uint32_t zero = 0;
   if (status && any) {
     unchangedFrom = generation;
+    sentLimit = -1;
     status = device.fillRows({activity, sizeof(TaiDeviceActivity), sizeof(zero),
                               int64_t(nodes.size())},
                              &zero, sizeof(zero));
@@ -389,67 +409,26 @@ void SparseMirror::uploadActivity(const SparseNode &node) {
 
 bool SparseMirror::fillActive(const Field &field, const CellElements &elements,
                               const void *scalarBytes) {
-  bringActivity();
   std::lock_guard<std::recursive_mutex> lock(mutex);
-  int64_t stride = elements.evenCellStride();
-  if (!isCurrent() || stride == 0 || behind.load(std::memory_order_acquire))
+  std::shared_ptr<CellMover> mover;
+  DeviceCellsPtr cells;
+  if (!isCurrent())
     return false;
-  // Runs of neighbours among the active cells; for zeros, all cells, where
-  // there are too many.
-  constexpr size_t mostFills = 256;
-  const SparseNode &node = *field.sparseNode();
-  const std::vector<CellElements::Run> &pieces = elements.runs();
-  struct Cells {
-    int64_t first, count;
-  };
-  std::vector<Cells> runs;
-  size_t mostRuns = std::max<size_t>(mostFills / pieces.size(), 1);
-  node.forEachActive([&](int64_t cell) {
-    if (!runs.empty() && runs.back().first + runs.back().count == cell)
-      ++runs.back().count;
-    else if (runs.size() <= mostRuns)
-      runs.push_back({cell, 1});
-  });
-  auto scalar = static_cast<int>(byteSize(field.scalar()));
-  const auto *bytes = static_cast<const char *>(scalarBytes);
-  if (runs.size() > mostRuns) {
-    if (std::any_of(bytes, bytes + scalar, [](char b) { return b != 0; }))
-      return false;
-    runs = {{0, node.numCells()}};
-  }
-  // Pieces that are as far from each other as those of neighbouring cells are
-  // rows of one block.
-  auto count = static_cast<int64_t>(pieces.size());
-  int64_t step = count > 1 ? pieces[1].offset - pieces[0].offset : stride;
-  bool even = step * count == stride;
-  for (int64_t i = 0; i < count; ++i)
-    even &= pieces[i].bytes == pieces[0].bytes &&
-            pieces[i].offset == pieces[0].offset + i * step;
-  if (!even && pieces.size() > mostFills)
+  Status status = CellMover::find(field, elements, mover);
+  if (status && mover)
+    status = list(const_cast<SparseNode &>(*field.sparseNode()), cells);
+  if (status && !cells)
     return false;
-  DevicePtr first = base + static_cast<DevicePtr>(field.layout().placeOffset);
-  auto fill = [&](int64_t offset, int64_t rowStep, int64_t rowBytes,
-                  int64_t rows) {
-    DevicePtr address = first + static_cast<DevicePtr>(offset);
-    context.note(
-        rowStep == rowBytes
-            ? context.get().fill(address, scalarBytes, scalar,
-                                 rows * rowBytes / scalar)
-            : context.get().fillRows({address, rowStep, rowBytes, rows},
-                                     scalarBytes, scalar));
-  };
-  for (const Cells &run : runs) {
-    int64_t start = run.first * stride;
-    if (even) {
-      fill(start + pieces[0].offset, step, pieces[0].bytes, run.count * count);
-      continue;
-    }
-    for (const CellElements::Run &piece : pieces)
-      fill(start + piece.offset, stride, piece.bytes, run.count);
-  }
-  if (!runs.empty())
-    tree.mirror()->deviceWrites();
+  // How many there are is known there.
+  if (status)
+    status = mover->fill({cells->cells(), -1}, scalarBytes);
+  context.note(std::move(status));
   return true;
+}
+
+std::shared_ptr<CellMover> &SparseMirror::moverOf(const Field &field) {
+  return movers[{field.layout().placeOffset, int64_t(field.scalar()),
+                 field.numComponents()}];
 }
 
 /// Goes to the activity that the device has: bits or lengths, and those of the

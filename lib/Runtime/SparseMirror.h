@@ -19,12 +19,14 @@
 #include "DeviceCells.h"
 #include "tai/Runtime/DeviceSparse.h"
 #include "tai/Runtime/Field.h"
+#include <array>
 #include <functional>
 #include <map>
 
 namespace mlir::tai::runtime {
 
 class CellElements;
+class CellMover;
 
 class SparseMirror {
 public:
@@ -89,18 +91,22 @@ public:
   int64_t guessActive(const SparseNode &node) const;
 
   DeviceContext &getContext() const { return context; }
+  size_t numberOf(const SparseNode &node) const;
+  /// What moves the elements of a field and of those in the same place; see
+  /// CellMover.
+  std::shared_ptr<CellMover> &moverOf(const Field &field);
 
 private:
   Status fetch();
   Status writeDescriptor();
   Status sendActivity();
+  Status sendAccount();
   Status queueList(const SparseNode &node, DeviceCells &cells);
   void changesAgain(bool removes) {
     ++generation;
     if (removes)
       lastRemoval = generation;
   }
-  size_t numberOf(const SparseNode &node) const;
   void touch(int64_t begin, int64_t end);
   void touchOutside(int64_t begin, int64_t end, const SparseNode *above,
                     int64_t cell);
@@ -115,7 +121,8 @@ private:
   DevicePtr block = 0, base = 0;
   /// Behind the tree: a TaiDeviceActivity of each level, then what was removed
   /// from each, its marks, and sums of tiles of the largest.
-  DevicePtr activity = 0, sums = 0;
+  DevicePtr activity = 0, sums = 0, account = 0;
+  int64_t sentLimit = -1;
   std::vector<DevicePtr> removed, marks;
   /// Epochs of the levels for which both sides have the same activity.
   std::vector<uint64_t> sharedEpochs;
@@ -136,6 +143,7 @@ private:
     DevicePtr memory;
   };
   std::vector<Uploaded> lists;
+  std::map<std::array<int64_t, 3>, std::shared_ptr<CellMover>> movers;
 };
 
 } // namespace mlir::tai::runtime

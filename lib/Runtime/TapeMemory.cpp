@@ -7,6 +7,7 @@
 
 #include "TapeMemory.h"
 #include "Launch.h"
+#include "Mirror.h"
 #include "TapeCheckpoint.h"
 #include <algorithm>
 #include <cstring>
@@ -42,7 +43,9 @@ Track::Track(FieldPtr fieldPtr, int dimension)
 
 int64_t Track::longestRun() const {
   if (slabs.onDevice())
-    return slabs.dimension() > 0 ? 1 : std::max<int64_t>(numCells(), 1);
+    return slabs.dimension() > 0 && !slabs.byCell()
+               ? 1
+               : std::max<int64_t>(numCells(), 1);
   return std::max<int64_t>(cellBytes / (cellElements * slabs.elementBytes()),
                            1);
 }
@@ -396,6 +399,15 @@ int64_t TapeMemory::bytesAt(uint32_t record) const {
 
 void TapeMemory::swap(Piece &piece, std::vector<char> &spare) {
   auto bytes = static_cast<size_t>(piece.bytes());
+  // What has been zeros has no memory until it is put back.
+  if (!piece.block && piece.track->slabs.onDevice()) {
+    Status status =
+        piece.track->slabs.zerosOnDevice(piece.count(), piece.block);
+    if (!status) {
+      piece.track->field->tree().mirror()->context().note(std::move(status));
+      return;
+    }
+  }
   if (piece.block) {
     piece.track->slabs.exchangeOnDevice(piece.first(), piece.count(),
                                         *piece.block);
@@ -429,8 +441,9 @@ void TapeMemory::swapAll(const std::vector<Piece *> &some) {
         std::clamp<int64_t>(bytes / bytesPerPart, 1,
                             2 * int64_t(runtime.threads()))};
   if (job.parts == 1 ||
-      std::any_of(some.begin(), some.end(),
-                  [](const Piece *piece) { return piece->block != nullptr; })) {
+      std::any_of(some.begin(), some.end(), [](const Piece *piece) {
+        return piece->block || piece->track->slabs.onDevice();
+      })) {
     for (Piece *piece : some)
       swap(*piece, spare);
     return;

@@ -103,7 +103,7 @@ struct Piece {
   Status allocate(Runtime &runtime, int64_t kept);
   /// Whether the field still holds that. On a device it is not worth the wait.
   bool holds() const {
-    if (block)
+    if (block || track->slabs.onDevice())
       return false;
     return data ? track->slabs.equal(first(), count(), data.get())
                 : track->slabs.isZero(first(), count());

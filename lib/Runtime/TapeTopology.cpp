@@ -6,8 +6,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "TapeTopology.h"
-#include "CellElements.h"
+#include "CellMover.h"
 #include "Launch.h"
+#include "Mirror.h"
 #include <algorithm>
 #include <iterator>
 
@@ -168,6 +169,45 @@ static bool isBelow(const SparseNode *node, const SparseNode *above) {
   return node;
 }
 
+namespace {
+/// The elements of a field in some cells, wherever they are current.
+class CellValues {
+public:
+  explicit CellValues(Field &field) : field(field), elements(field) {
+    note(CellMover::find(field, elements, mover));
+  }
+  size_t bytes() const { return static_cast<size_t>(elements.bytes()); }
+  void load(const std::vector<int64_t> &cells, char *to) const {
+    if (mover)
+      return note(mover->load(cells, to));
+    for (size_t i = 0; i < cells.size(); ++i)
+      elements.load(cells[i], to + i * bytes());
+  }
+  void store(const std::vector<int64_t> &cells, const char *from) const {
+    if (mover)
+      return note(mover->store(cells, from));
+    for (size_t i = 0; i < cells.size(); ++i)
+      elements.store(cells[i], from + i * bytes());
+  }
+  void clear(const std::vector<int64_t> &cells) const {
+    if (mover)
+      return note(mover->clear(cells));
+    for (int64_t cell : cells)
+      elements.clear(cell);
+  }
+
+private:
+  void note(Status status) const {
+    if (!status)
+      field.tree().mirror()->context().note(std::move(status));
+  }
+
+  Field &field;
+  CellElements elements;
+  std::shared_ptr<CellMover> mover;
+};
+} // namespace
+
 template <typename Body>
 void TapeTopology::forEachCleared(uint32_t record, const Body &body) const {
   for (auto at = firstAt(record); at != changed.end() && at->record == record;
@@ -176,14 +216,14 @@ void TapeTopology::forEachCleared(uint32_t record, const Body &body) const {
       if (at->cleared.empty() || !isBelow(entry.node, at->node))
         continue;
       int64_t span = entry.node->numCells() / at->node->numCells();
-      forEachAdjoint(*entry.node, [&](Field &field) {
-        CellElements elements(field);
-        for (int64_t cell : at->cleared)
-          for (auto below = std::lower_bound(entry.ever.begin(),
-                                             entry.ever.end(), cell * span);
-               below != entry.ever.end() && *below < (cell + 1) * span; ++below)
-            body(elements, *below);
-      });
+      std::vector<int64_t> cells;
+      for (int64_t cell : at->cleared)
+        for (auto below = std::lower_bound(entry.ever.begin(), entry.ever.end(),
+                                           cell * span);
+             below != entry.ever.end() && *below < (cell + 1) * span; ++below)
+          cells.push_back(*below);
+      forEachAdjoint(*entry.node,
+                     [&](Field &field) { body(CellValues(field), cells); });
     }
 }
 
@@ -191,19 +231,21 @@ void TapeTopology::runsAgain(uint32_t record) {
   keptAdjoints.clear();
   if (!knowsEver)
     findEver();
-  forEachCleared(record, [&](const CellElements &elements, int64_t cell) {
-    size_t at = keptAdjoints.size();
-    keptAdjoints.resize(at + static_cast<size_t>(elements.bytes()));
-    elements.load(cell, keptAdjoints.data() + at);
-  });
+  forEachCleared(
+      record, [&](const CellValues &values, const std::vector<int64_t> &cells) {
+        size_t at = keptAdjoints.size();
+        keptAdjoints.resize(at + cells.size() * values.bytes());
+        values.load(cells, keptAdjoints.data() + at);
+      });
 }
 
 void TapeTopology::ranAgain(uint32_t record) {
   const char *kept = keptAdjoints.data();
-  forEachCleared(record, [&](const CellElements &elements, int64_t cell) {
-    elements.store(cell, kept);
-    kept += elements.bytes();
-  });
+  forEachCleared(
+      record, [&](const CellValues &values, const std::vector<int64_t> &cells) {
+        values.store(cells, kept);
+        kept += cells.size() * values.bytes();
+      });
   // The bits are there already, but for lists that other threads filled in
   // another order.
   seek(record + 1);
@@ -212,9 +254,7 @@ void TapeTopology::ranAgain(uint32_t record) {
 void TapeTopology::clearAdjoints(const Change &change) {
   if (!change.cleared.empty())
     forEachAdjoint(*change.node, [&](Field &field) {
-      CellElements elements(field);
-      for (int64_t cell : change.cleared)
-        elements.clear(cell);
+      CellValues(field).clear(change.cleared);
     });
 }
 
@@ -240,14 +280,24 @@ int64_t TapeTopology::dropAdjoints(const Change &change, Field &field,
         return true;
     return false;
   };
-  CellElements elements(field);
+  std::vector<int64_t> inactive;
+  for (int64_t cell : change.cleared)
+    if (!change.node->isActive(cell))
+      inactive.push_back(cell);
+  CellValues values(field);
+  std::vector<char> held(inactive.size() * values.bytes());
+  values.load(inactive, held.data());
+  std::vector<int64_t> stale;
   int64_t lost = 0;
-  for (int64_t cell : change.cleared) {
-    if (change.node->isActive(cell) || elements.isZero(cell))
+  for (size_t i = 0; i < inactive.size(); ++i) {
+    auto begin = held.begin() + static_cast<ptrdiff_t>(i * values.bytes());
+    if (std::all_of(begin, begin + static_cast<ptrdiff_t>(values.bytes()),
+                    [](char byte) { return byte == 0; }))
       continue;
-    elements.clear(cell);
-    lost += has(*first, cell) && !wasCleared(cell);
+    stale.push_back(inactive[i]);
+    lost += has(*first, inactive[i]) && !wasCleared(inactive[i]);
   }
+  values.clear(stale);
   return lost;
 }
 

@@ -106,7 +106,7 @@ private:
   /// Calls body(field) for the adjoints that lie in cells of the level.
   template <typename Body>
   void forEachAdjoint(const SparseNode &node, const Body &body) const;
-  /// The same as body(elements, cell) for those in the memory that a record
+  /// The same as body(values, cells) for those in the memory that a record
   /// clears; those of other times are there, too.
   template <typename Body>
   void forEachCleared(uint32_t record, const Body &body) const;

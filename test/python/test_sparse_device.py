@@ -217,3 +217,117 @@ def test_gradients_by_hand_know_what_the_loops_went_over():
     square()
     square.grad()
     assert np.flatnonzero(x.grad.to_numpy()).tolist() == [4, 44, 84]
+
+
+def test_out_of_memory_names_the_level_and_the_program_goes_on():
+    ti.init(memory_limit=1 << 20, offline_cache=False)
+    x = ti.field(ti.f32, name="x")
+    level = ti.root.pointer(ti.i, 1 << 12)
+    level.dense(ti.i, 1024).place(x)
+
+    @ti.kernel
+    def write(first: ti.i32, count: ti.i32):
+        for b in range(first, first + count):
+            x[1024 * b] = 1.0
+
+    @ti.kernel
+    def drop():
+        for b in level:
+            ti.deactivate(level, b)
+
+    write(0, 100)
+    ti.sync()
+    write(100, 1000)
+    with pytest.raises(ti.TaiMemoryError, match="one more cell of the 'pointer' level") as caught:
+        ti.sync()
+    assert "of 4.0 KiB each" in str(caught.value)
+    assert "all of 1.0 MiB" in str(caught.value)
+    assert "x[1024 * b] = 1.0" in str(caught.value)
+    # What was refused was not written either.
+    assert level.num_active == 256
+    assert np.count_nonzero(x.to_numpy()) == 256
+    drop()
+    write(300, 256)
+    ti.sync()
+    assert level.active_cells().ravel().tolist() == list(range(300, 556))
+    with pytest.raises(ti.TaiMemoryError):
+        x[0] = 1.0
+    level.deactivate_all()
+    write(0, 256)
+    ti.sync()
+    assert level.num_active == 256
+
+
+def test_lists_have_the_same_limit():
+    ti.init(memory_limit=1 << 12, offline_cache=False)
+    items = ti.field(ti.i32, name="items")
+    lists = ti.root.dense(ti.i, 64).dynamic(ti.j, 64)
+    lists.place(items)
+
+    @ti.kernel
+    def fill():
+        for i in range(64):
+            for _ in range(20):
+                items[i].append(i)
+
+    fill()
+    with pytest.raises(ti.TaiMemoryError, match="one more cell of the 'dynamic' level"):
+        ti.sync()
+    assert 0 < lists.num_active <= 1024
+
+
+def test_a_tape_keeps_cells_on_the_device():
+    n = CELLS * BLOCK
+    x, y = ti.field(ti.f64), ti.field(ti.f64)
+    blocks = ti.root.pointer(ti.i, CELLS)
+    blocks.dense(ti.i, BLOCK).place(x, y, x.grad, y.grad)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+    start = ti.field(ti.f64, shape=10, needs_grad=True)
+
+    @ti.kernel
+    def scatter(t: ti.i32):
+        for i in range(10):
+            x[(i * 29 + t * 13) % n] += start[i]
+
+    @ti.kernel
+    def square():
+        for i in x:
+            x[i] = x[i] ** 2
+
+    @ti.kernel
+    def drop(t: ti.i32):
+        for b in blocks:
+            if b % 5 == t % 5:
+                ti.deactivate(blocks, b)
+
+    @ti.kernel
+    def add():
+        for i in x:
+            loss[None] += x[i]
+
+    values = np.linspace(0.5, 1.1, 10)
+
+    def model(values):
+        cells = np.zeros(n)
+        for t in range(4):
+            for i in range(10):
+                cells[(i * 29 + t * 13) % n] += values[i]
+            cells = cells**2
+            cells.reshape(CELLS, BLOCK)[np.arange(CELLS) % 5 == t % 5] = 0
+        return cells.sum()
+
+    start.from_numpy(values)
+    tape = ti.ad.Tape(loss)
+    with tape:
+        for t in range(4):
+            scatter(t)
+            square()
+            drop(t)
+        add()
+    expected = []
+    for i in range(10):
+        step = np.zeros(10)
+        step[i] = 1e-6
+        expected.append((model(values + step) - model(values - step)) / 2e-6)
+    assert loss[None] == pytest.approx(model(values))
+    np.testing.assert_allclose(start.grad.to_numpy(), expected, rtol=1e-7, atol=1e-9)

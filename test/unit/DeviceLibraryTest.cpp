@@ -415,7 +415,8 @@ struct SparseTree {
                 &gone[0],
                 &marks[0],
                 "no cell {}",
-                "full"};
+                "full",
+                nullptr};
     nodes[1] = {isList,
                 0,
                 0,
@@ -430,8 +431,9 @@ struct SparseTree {
                 &gone[1],
                 &marks[1],
                 "no cell {}",
-                "full"};
-    tree = {2, nodes, steps};
+                "full",
+                nullptr};
+    tree = {2, nodes, steps, nullptr};
     *reinterpret_cast<TaiDeviceTree **>(memory + 248) = &tree;
   }
   char *base() { return memory + 256; }
@@ -566,7 +568,8 @@ struct ManyCells {
             gone.data(),
             marks.data(),
             "no cell {}",
-            "full"};
+            "full",
+            nullptr};
     *reinterpret_cast<TaiDeviceTree **>(memory.data() + 248) = &tree;
   }
   int64_t perUnit() const { return isList ? listCapacity : 64; }
@@ -585,7 +588,7 @@ struct ManyCells {
   int64_t units;
   TaiDeviceStep steps[1];
   TaiDeviceNode node;
-  TaiDeviceTree tree{1, &node, steps};
+  TaiDeviceTree tree{1, &node, steps, nullptr};
   TaiDeviceActivity activity{0, 0, 1};
   std::vector<char> memory;
   std::vector<int32_t> values;

@@ -57,9 +57,34 @@ typedef struct TaiDeviceListHeader {
   int64_t count;
 } TaiDeviceListHeader;
 
+/// Where a field has its elements in the cells of the innermost sparse level
+/// above it.
+typedef struct TaiDeviceCellMove {
+  int32_t node;
+  int32_t scalarBytes;
+  /// In one cell, and how far each is from the first component of the first
+  /// element, which is `place` bytes from the base of the tree in cell 0.
+  int64_t scalars;
+  int64_t place;
+  const int64_t *offsets;
+} TaiDeviceCellMove;
+
+/// What tai_dev_move_cells does to the elements: copies them to a dense array,
+/// from one, both, or makes each scalar the same.
+#define TAI_CELLS_LOAD 0
+#define TAI_CELLS_STORE 1
+#define TAI_CELLS_EXCHANGE 2
+#define TAI_CELLS_FILL 3
+
 /// Words of bits, or lengths of lists, that a block takes at a time when it
 /// makes a list.
 #define TAI_DEVICE_LIST_TILE 1024
+
+/// What active cells of a tree take, and may take, in bytes.
+typedef struct TaiDeviceAccount {
+  int64_t used;
+  int64_t limit;
+} TaiDeviceAccount;
 
 typedef struct TaiDeviceNode {
   /// Non-zero for a `dynamic` level: a length for each list; else a bit for
@@ -84,8 +109,10 @@ typedef struct TaiDeviceNode {
   /// A bit for each word of bits, or for each list, that is not zero; it may be
   /// zero again.
   uint64_t *marks;
-  /// For failures: a number that no cell has, and a list that is full.
-  const char *rangeMessage, *fullMessage;
+  /// For failures: a number that no cell has, a list that is full, and no room
+  /// for one more cell; the last is null where cells hold other cells and are
+  /// not counted.
+  const char *rangeMessage, *fullMessage, *memoryMessage;
 } TaiDeviceNode;
 
 typedef struct TaiDeviceTree {
@@ -93,6 +120,7 @@ typedef struct TaiDeviceTree {
   int64_t numNodes;
   const TaiDeviceNode *nodes;
   const TaiDeviceStep *steps;
+  TaiDeviceAccount *account;
 } TaiDeviceTree;
 
 //===----------------------------------------------------------------------===//
@@ -114,6 +142,12 @@ void tai_dev_list_scan(uint64_t tree, uint64_t node, uint64_t list,
 void tai_dev_list_write(uint64_t tree, uint64_t node, uint64_t list,
                         uint64_t sums);
 
+/// Copies or fills the elements of a field in `count` cells, of which `cells`
+/// is the address of the numbers; a negative count is the word in front of
+/// them. `move` is the address of a TaiDeviceCellMove, `other` that of a dense
+/// array, or a scalar.
+void tai_dev_move_cells(uint64_t tree, uint64_t move, uint64_t cells,
+                        uint64_t count, uint64_t other, uint64_t what);
 /// Makes the cells of a list inactive and zeroes them.
 void tai_dev_deactivate_list(uint64_t tree, uint64_t node, uint64_t list);
 
