@@ -118,13 +118,18 @@ static void runRows(uint64_t part, const uint64_t *slots) {
     runRowsAs<uint32_t>(part, slots);
 }
 
-static void runPart(uint64_t part, const uint64_t *slots) {
+void tai_dev_program_part(uint64_t part, const uint64_t *slots) {
   if (part == TAI_PART_FILL)
     fill(slots);
   else if (part == TAI_PART_COPY)
     copy(slots);
-  else if (part < TAI_FIRST_PART)
+  else
     runRows(part, slots);
+}
+
+static void runPart(uint64_t part, const uint64_t *slots) {
+  if (part < TAI_FIRST_PART)
+    tai_dev_program_part(part, slots);
   else
     tai_program_dispatch(part, slots);
 }
@@ -135,18 +140,25 @@ __attribute__((
     address_space(3),
     loader_uninitialized)) static uint64_t rows[2][TAI_PROGRAM_STRIDE];
 
+/// Where the clock after each step goes, if anybody wants to know.
+static uint64_t *getClocks(const uint32_t *header) {
+  return *reinterpret_cast<uint64_t *const *>(
+      reinterpret_cast<const char *>(header) + TAI_PROGRAM_CLOCKS);
+}
+
+void tai_dev_program_clock(const uint32_t *header, uint64_t steps) {
+  uint64_t *clocks = getClocks(header);
+  if (clocks && globalThread() == 0)
+    clocks[steps] = __nvvm_read_ptx_sreg_clock64();
+}
+
 template <typename Barrier>
 static inline void runProgram(const uint64_t *table, uint64_t steps,
-                              uint64_t stride, const uint32_t *header,
+                              uint64_t stride, uint32_t *header, uint64_t first,
                               Barrier barrier) {
   auto thread = static_cast<uint64_t>(tai_dev_thread_id());
   auto threads = static_cast<uint64_t>(tai_dev_block_dim());
-  // Where the clock after each step goes, if anybody wants to know.
-  auto *clocks = *reinterpret_cast<uint64_t *const *>(
-      reinterpret_cast<const char *>(header) + TAI_PROGRAM_CLOCKS);
-  bool isTimed = clocks && globalThread() == 0;
-  if (isTimed)
-    clocks[0] = __nvvm_read_ptx_sreg_clock64();
+  bool isTimed = getClocks(header) != nullptr;
   for (uint64_t i = thread; i < stride; i += threads)
     rows[0][i] = table[i];
   __syncthreads();
@@ -167,31 +179,38 @@ static inline void runProgram(const uint64_t *table, uint64_t steps,
     if (part & TAI_PART_APART)
       __syncthreads();
     else
-      barrier();
+      barrier(header);
     if (isTimed)
-      clocks[step + 1] = __nvvm_read_ptx_sreg_clock64();
+      tai_dev_program_clock(header, first + step + 1);
   }
 }
 
+void tai_dev_program_wait_block(uint32_t *) { __syncthreads(); }
+
+void tai_dev_program_wait_cluster(uint32_t *) {
+  asm volatile("barrier.cluster.arrive.release.aligned;\n\t"
+               "barrier.cluster.wait.acquire.aligned;" ::
+                   : "memory");
+}
+
+void tai_dev_program_wait_grid(uint32_t *header) {
+  tai_dev_grid_barrier(header, static_cast<uint32_t>(tai_dev_grid_dim()));
+}
+
 void tai_dev_program_block(const uint64_t *table, uint64_t steps,
-                           uint64_t stride, uint32_t *header) {
-  runProgram(table, steps, stride, header, [] { __syncthreads(); });
+                           uint64_t stride, uint32_t *header, uint64_t first) {
+  runProgram(table, steps, stride, header, first, tai_dev_program_wait_block);
 }
 
 void tai_dev_program_cluster(const uint64_t *table, uint64_t steps,
-                             uint64_t stride, uint32_t *header) {
-  runProgram(table, steps, stride, header, [] {
-    asm volatile("barrier.cluster.arrive.release.aligned;\n\t"
-                 "barrier.cluster.wait.acquire.aligned;" ::
-                     : "memory");
-  });
+                             uint64_t stride, uint32_t *header,
+                             uint64_t first) {
+  runProgram(table, steps, stride, header, first, tai_dev_program_wait_cluster);
 }
 
 void tai_dev_program_grid(const uint64_t *table, uint64_t steps,
-                          uint64_t stride, uint32_t *header) {
-  auto blocks = static_cast<uint32_t>(tai_dev_grid_dim());
-  runProgram(table, steps, stride, header,
-             [=] { tai_dev_grid_barrier(header, blocks); });
+                          uint64_t stride, uint32_t *header, uint64_t first) {
+  runProgram(table, steps, stride, header, first, tai_dev_program_wait_grid);
 }
 
 #else // the CPU, where threads run one after another
@@ -199,7 +218,7 @@ void tai_dev_program_grid(const uint64_t *table, uint64_t steps,
 /// Between barriers each thread runs as far as it can: steps that should have
 /// waited for each other show.
 void tai_dev_program_block(const uint64_t *table, uint64_t steps,
-                           uint64_t stride, uint32_t *) {
+                           uint64_t stride, uint32_t *, uint64_t) {
   for (uint64_t step = 0, end = 0; step < steps; step = end) {
     do {
       ++end;
@@ -214,5 +233,8 @@ void tai_dev_program_block(const uint64_t *table, uint64_t steps,
     tai_emu_end_group();
   }
 }
+
+void tai_dev_program_wait_block(uint32_t *) {}
+void tai_dev_program_clock(const uint32_t *, uint64_t) {}
 
 #endif

@@ -455,16 +455,15 @@ getDeviceCompiler(std::unique_ptr<DeviceCompiler> &compiler,
 }
 
 std::optional<runtime::DeviceImage>
-Compiler::makeProgram(ArrayRef<runtime::ProgramPart> parts, int scope,
-                      unsigned threads, const CompileOptions &options,
-                      Failure &failure) {
+Compiler::makeProgram(const runtime::ProgramPlan &plan,
+                      const CompileOptions &options, Failure &failure) {
   WorkerLease lease(*this, options);
   auto compiler = getDeviceCompiler((*lease).deviceCode, options);
   if (!compiler) {
     (void)failInLLVM(compiler.takeError(), failure);
     return std::nullopt;
   }
-  auto image = (*compiler)->makeProgram(parts, scope, threads);
+  auto image = (*compiler)->makeProgram(plan);
   if ((*compiler)->isBroken())
     (*lease).deviceCode.reset();
   if (!image) {

@@ -5,9 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Puts the bodies of kernels into one module, with the kernel of the device
-// library that goes through a table of steps, and a function that calls the
-// body of a step.
+// Puts the bodies of kernels into one module. What repeats in a program becomes
+// loops that call them; for the rest there is the device library's function
+// that goes through a table of steps, and a function that calls the body of a
+// step.
 //
 //===----------------------------------------------------------------------===//
 
@@ -15,6 +16,7 @@
 #include "tai/Runtime/DeviceAbi.h"
 #include "llvm/Bitcode/BitcodeReader.h"
 #include "llvm/IR/IRBuilder.h"
+#include "llvm/IR/InlineAsm.h"
 #include "llvm/IR/InstIterator.h"
 #include "llvm/Linker/Linker.h"
 #include "llvm/Target/TargetMachine.h"
@@ -68,10 +70,20 @@ static Expected<llvm::Function *> addPart(llvm::Module &module, StringRef bytes,
 
 /// What one step reads may have been written by another: no load goes past the
 /// caches of writes.
-static void forgetInvariance(llvm::Module &module) {
-  for (llvm::Function &function : module)
-    for (llvm::Instruction &instruction : llvm::instructions(function))
-      instruction.setMetadata(llvm::LLVMContext::MD_invariant_load, nullptr);
+static void forgetInvariance(llvm::Function &function) {
+  for (llvm::Instruction &instruction : llvm::instructions(function))
+    instruction.setMetadata(llvm::LLVMContext::MD_invariant_load, nullptr);
+}
+
+static StringRef getBarrierName(int scope) {
+  switch (scope) {
+  case TAI_SCOPE_BLOCK:
+    return "tai_dev_program_wait_block";
+  case TAI_SCOPE_CLUSTER:
+    return "tai_dev_program_wait_cluster";
+  default:
+    return "tai_dev_program_wait_grid";
+  }
 }
 
 /// Calls a part with the parameters in its slots.
@@ -106,8 +118,9 @@ static void callPart(llvm::IRBuilder<> &builder, llvm::Function *body,
 }
 
 /// Makes the function that calls the part with a number.
-static void addDispatch(llvm::Module &module, ArrayRef<llvm::Function *> bodies,
-                        bool isCuda) {
+static void addDispatch(llvm::Module &module,
+                        ArrayRef<runtime::ProgramPart> parts,
+                        ArrayRef<llvm::Function *> bodies, bool isCuda) {
   llvm::LLVMContext &context = module.getContext();
   llvm::IRBuilder<> builder(context);
   auto *type = llvm::FunctionType::get(
@@ -124,6 +137,8 @@ static void addDispatch(llvm::Module &module, ArrayRef<llvm::Function *> bodies,
   llvm::SwitchInst *choice =
       builder.CreateSwitch(dispatch->getArg(0), exit, bodies.size());
   for (auto [i, body] : llvm::enumerate(bodies)) {
+    if (!parts[i].isInTable)
+      continue;
     auto *block = llvm::BasicBlock::Create(context, "", dispatch);
     choice->addCase(builder.getInt64(TAI_FIRST_PART + i), block);
     builder.SetInsertPoint(block);
@@ -132,27 +147,73 @@ static void addDispatch(llvm::Module &module, ArrayRef<llvm::Function *> bodies,
   }
 }
 
+namespace {
 /// Makes the kernel itself.
-static llvm::Function *addKernel(llvm::Module &module, int scope,
-                                 unsigned threads, bool isCuda) {
+class ProgramBuilder {
+public:
+  ProgramBuilder(llvm::Module &module, const runtime::ProgramPlan &plan,
+                 ArrayRef<llvm::Function *> bodies, bool isCuda)
+      : module(module), plan(plan), bodies(bodies), isCuda(isCuda),
+        builder(module.getContext()) {}
+  llvm::Function *build();
+
+private:
+  void addRows(const runtime::ProgramSegment &segment, uint64_t row);
+  void addLoop(const runtime::ProgramSegment &segment);
+  void addStep(const runtime::ProgramLoopStep &step);
+  llvm::Value *getParameter(const runtime::ProgramSlot &slot);
+  void prefetch(llvm::Value *address);
+  void addGroups(const runtime::ProgramSegment &segment);
+  llvm::Value *convert(llvm::Value *word, llvm::Type *type);
+  void wait();
+  void noteClock(llvm::Value *steps);
+  llvm::FunctionCallee getLibrary(StringRef name,
+                                  ArrayRef<llvm::Type *> types) {
+    return module.getOrInsertFunction(
+        name, llvm::FunctionType::get(builder.getVoidTy(), types, false));
+  }
+
+  /// Those in front of the words of loops.
+  enum { Table, Stride, Header, FirstWord };
+
+  llvm::Module &module;
+  const runtime::ProgramPlan &plan;
+  ArrayRef<llvm::Function *> bodies;
+  bool isCuda;
+  llvm::IRBuilder<> builder;
+  llvm::Function *kernel = nullptr;
+  /// Room for the parameters of a part that takes them in memory.
+  llvm::AllocaInst *room = nullptr;
+  /// In a loop: how often it has gone around, and the row of its list.
+  llvm::PHINode *turn = nullptr;
+  llvm::Value *listRow = nullptr;
+};
+} // namespace
+
+llvm::Function *ProgramBuilder::build() {
   llvm::LLVMContext &context = module.getContext();
-  llvm::IRBuilder<> builder(context);
   llvm::Type *pointer = builder.getPtrTy(), *i64 = builder.getInt64Ty();
-  auto *type = llvm::FunctionType::get(builder.getVoidTy(),
-                                       {pointer, i64, i64, pointer}, false);
-  llvm::FunctionCallee runner =
-      module.getOrInsertFunction(getRunnerName(scope), type);
-  auto *kernel = llvm::Function::Create(
-      type, llvm::GlobalValue::ExternalLinkage, programName, module);
+  SmallVector<llvm::Type *> types{pointer, i64, pointer};
+  types.append(plan.words, i64);
+  auto *type = llvm::FunctionType::get(builder.getVoidTy(), types, false);
+  kernel = llvm::Function::Create(type, llvm::GlobalValue::ExternalLinkage,
+                                  programName, module);
   builder.SetInsertPoint(llvm::BasicBlock::Create(context, "", kernel));
-  SmallVector<llvm::Value *> arguments;
-  for (llvm::Argument &argument : kernel->args())
-    arguments.push_back(&argument);
-  builder.CreateCall(runner, arguments);
+  room = builder.CreateAlloca(llvm::ArrayType::get(i64, TAI_PROGRAM_STRIDE));
+  noteClock(builder.getInt64(0));
+  uint64_t row = 0;
+  for (const runtime::ProgramSegment &segment : plan.segments) {
+    if (segment.isLoop()) {
+      addLoop(segment);
+      continue;
+    }
+    addRows(segment, row);
+    row += segment.count;
+  }
   builder.CreateRetVoid();
   if (isCuda) {
     kernel->setCallingConv(llvm::CallingConv::PTX_Kernel);
-    kernel->addFnAttr("nvvm.maxntid", std::to_string(threads));
+    kernel->addFnAttr("nvvm.maxntid", std::to_string(plan.threads));
   }
   return kernel;
 }
@@ -217,11 +278,176 @@ DeviceCompiler::makeLibrary(ArrayRef<runtime::ProgramPart> parts) {
   return emit(code);
 }
 
+/// Rows of the table, by the device library.
+void ProgramBuilder::addRows(const runtime::ProgramSegment &segment,
+                             uint64_t row) {
+  llvm::Type *pointer = builder.getPtrTy(), *i64 = builder.getInt64Ty();
+  llvm::FunctionCallee runner =
+      getLibrary(getRunnerName(plan.scope), {pointer, i64, i64, pointer, i64});
+  llvm::Value *stride = kernel->getArg(Stride);
+  llvm::Value *from =
+      builder.CreateGEP(i64, kernel->getArg(Table),
+                        builder.CreateMul(stride, builder.getInt64(row)));
+  builder.CreateCall(runner,
+                     {from, builder.getInt64(segment.count), stride,
+                      kernel->getArg(Header), builder.getInt64(segment.first)});
+}
+
+void ProgramBuilder::addLoop(const runtime::ProgramSegment &segment) {
+  llvm::LLVMContext &context = module.getContext();
+  llvm::BasicBlock *before = builder.GetInsertBlock();
+  auto *body = llvm::BasicBlock::Create(context, "", kernel);
+  auto *after = llvm::BasicBlock::Create(context, "", kernel);
+  builder.CreateBr(body);
+  builder.SetInsertPoint(body);
+  llvm::Type *i64 = builder.getInt64Ty();
+  turn = builder.CreatePHI(i64, 2);
+  turn->addIncoming(builder.getInt64(0), before);
+  llvm::Value *first = nullptr;
+  if (plan.isTimed)
+    first = builder.CreateAdd(
+        builder.getInt64(segment.first),
+        builder.CreateMul(turn, builder.getInt64(segment.steps.size())));
+  if (segment.listWidth > 0) {
+    llvm::Value *words =
+        builder.CreateMul(turn, builder.getInt64(segment.listWidth));
+    listRow = builder.CreateGEP(
+        i64, kernel->getArg(Table),
+        builder.CreateAdd(words, builder.getInt64(segment.listStart)));
+    // The next one is asked for in good time.
+    constexpr size_t lineWords = 16;
+    for (size_t i = 0; isCuda && i < segment.listWidth; i += lineWords)
+      prefetch(builder.CreateConstGEP1_64(i64, listRow, segment.listWidth + i));
+  }
+  if (!isCuda)
+    addGroups(segment);
+  for (size_t i = 0; isCuda && i < segment.steps.size(); ++i) {
+    addStep(segment.steps[i]);
+    if (segment.steps[i].waits)
+      wait();
+    if (plan.isTimed)
+      noteClock(builder.CreateAdd(first, builder.getInt64(i + 1)));
+  }
+  llvm::Value *next = builder.CreateAdd(turn, builder.getInt64(1));
+  turn->addIncoming(next, builder.GetInsertBlock());
+  llvm::Instruction *back = builder.CreateCondBr(
+      builder.CreateICmpULT(next, builder.getInt64(segment.count)), body,
+      after);
+  // It is long already.
+  auto *off = llvm::MDNode::get(
+      context, llvm::MDString::get(context, "llvm.loop.unroll.disable"));
+  auto *loop = llvm::MDNode::getDistinct(context, {nullptr, off});
+  loop->replaceOperandWith(0, loop);
+  back->setMetadata(llvm::LLVMContext::MD_loop, loop);
+  builder.SetInsertPoint(after);
+}
+
+/// On the emulated device threads run one after another, each from one barrier
+/// to the next; see tai_emu_begin_group.
+void ProgramBuilder::addGroups(const runtime::ProgramSegment &segment) {
+  llvm::LLVMContext &context = module.getContext();
+  llvm::Type *i32 = builder.getInt32Ty();
+  for (size_t begin = 0, end = 0; begin < segment.steps.size(); begin = end) {
+    do {
+      ++end;
+    } while (end < segment.steps.size() && !segment.steps[end - 1].waits);
+    llvm::Value *threads = builder.CreateCall(
+        module.getOrInsertFunction("tai_emu_begin_group",
+                                   llvm::FunctionType::get(i32, false)),
+        {});
+    llvm::BasicBlock *before = builder.GetInsertBlock();
+    auto *body = llvm::BasicBlock::Create(context, "", kernel);
+    auto *after = llvm::BasicBlock::Create(context, "", kernel);
+    builder.CreateBr(body);
+    builder.SetInsertPoint(body);
+    llvm::PHINode *thread = builder.CreatePHI(i32, 2);
+    thread->addIncoming(builder.getInt32(0), before);
+    builder.CreateCall(getLibrary("tai_emu_next_in_group", {}), {});
+    for (size_t i = begin; i < end; ++i)
+      addStep(segment.steps[i]);
+    llvm::Value *next = builder.CreateAdd(thread, builder.getInt32(1));
+    thread->addIncoming(next, builder.GetInsertBlock());
+    builder.CreateCondBr(builder.CreateICmpSLT(next, threads), body, after);
+    builder.SetInsertPoint(after);
+    builder.CreateCall(getLibrary("tai_emu_end_group", {}), {});
+  }
+}
+
+void ProgramBuilder::prefetch(llvm::Value *address) {
+  auto *type =
+      llvm::FunctionType::get(builder.getVoidTy(), {builder.getPtrTy()}, false);
+  builder.CreateCall(llvm::InlineAsm::get(type, "prefetch.global.L1 [$0];", "l",
+                                          /*hasSideEffects=*/true),
+                     {address});
+}
+
+void ProgramBuilder::addStep(const runtime::ProgramLoopStep &step) {
+  llvm::Type *i64 = builder.getInt64Ty();
+  llvm::Function *body =
+      step.part < TAI_FIRST_PART ? nullptr : bodies[step.part - TAI_FIRST_PART];
+  if (body && isCuda) {
+    SmallVector<llvm::Value *> arguments;
+    for (auto [slot, parameter] : llvm::zip_first(step.slots, body->args()))
+      arguments.push_back(convert(getParameter(slot), parameter.getType()));
+    builder.CreateCall(body, arguments);
+    return;
+  }
+  for (auto [i, slot] : llvm::enumerate(step.slots))
+    builder.CreateStore(getParameter(slot),
+                        builder.CreateConstInBoundsGEP1_64(i64, room, i));
+  if (body)
+    builder.CreateCall(body, {room});
+  else
+    builder.CreateCall(
+        getLibrary("tai_dev_program_part", {i64, builder.getPtrTy()}),
+        {builder.getInt64(step.part), room});
+}
+
+llvm::Value *ProgramBuilder::getParameter(const runtime::ProgramSlot &slot) {
+  if (slot.kind == runtime::ProgramSlot::Listed) {
+    llvm::Type *i64 = builder.getInt64Ty();
+    llvm::LoadInst *load = builder.CreateLoad(
+        i64, builder.CreateConstInBoundsGEP1_64(i64, listRow, slot.word));
+    load->setMetadata(llvm::LLVMContext::MD_invariant_load,
+                      llvm::MDNode::get(module.getContext(), {}));
+    return load;
+  }
+  llvm::Value *value = kernel->getArg(FirstWord + slot.word);
+  if (slot.kind == runtime::ProgramSlot::Fixed)
+    return value;
+  return builder.CreateAdd(
+      value,
+      builder.CreateMul(turn, kernel->getArg(FirstWord + slot.word + 1)));
+}
+
+/// A parameter has its own type at the start of eight bytes.
+llvm::Value *ProgramBuilder::convert(llvm::Value *word, llvm::Type *type) {
+  // Parameters of kernels point to device memory; so do these.
+  if (type->isPointerTy())
+    return builder.CreateAddrSpaceCast(
+        builder.CreateIntToPtr(word, builder.getPtrTy(/*AddrSpace=*/1)), type);
+  unsigned bits = type->getPrimitiveSizeInBits().getFixedValue();
+  llvm::Value *value = builder.CreateTrunc(word, builder.getIntNTy(bits));
+  return builder.CreateBitCast(value, type);
+}
+
+void ProgramBuilder::wait() {
+  builder.CreateCall(
+      getLibrary(getBarrierName(plan.scope), {builder.getPtrTy()}),
+      {kernel->getArg(Header)});
+}
+
+void ProgramBuilder::noteClock(llvm::Value *steps) {
+  if (plan.isTimed)
+    builder.CreateCall(getLibrary("tai_dev_program_clock",
+                                  {builder.getPtrTy(), builder.getInt64Ty()}),
+                       {kernel->getArg(Header), steps});
+}
+
 Expected<runtime::DeviceImage>
-DeviceCompiler::makeProgram(ArrayRef<runtime::ProgramPart> parts, int scope,
-                            unsigned threads) {
-  if (scope == TAI_SCOPE_NONE)
-    return makeLibrary(parts);
+DeviceCompiler::makeProgram(const runtime::ProgramPlan &plan) {
+  if (plan.scope == TAI_SCOPE_NONE)
+    return makeLibrary(plan.parts);
   DeviceCode code;
   code.context = std::make_unique<llvm::LLVMContext>();
   code.module = std::make_unique<llvm::Module>("program", *code.context);
@@ -229,7 +455,7 @@ DeviceCompiler::makeProgram(ArrayRef<runtime::ProgramPart> parts, int scope,
   llvm::Module &module = *code.module;
   setTarget(module);
   SmallVector<llvm::Function *> bodies;
-  for (auto [i, part] : llvm::enumerate(parts)) {
+  for (auto [i, part] : llvm::enumerate(plan.parts)) {
     std::string name = part.function;
     if (!isCuda())
       name += kSlotsSuffix;
@@ -241,17 +467,27 @@ DeviceCompiler::makeProgram(ArrayRef<runtime::ProgramPart> parts, int scope,
                                part.function.c_str());
     bodies.push_back(*body);
   }
-  addDispatch(module, bodies, isCuda());
-  llvm::Function *kernel = addKernel(module, scope, threads, isCuda());
+  addDispatch(module, plan.parts, bodies, isCuda());
+  llvm::Function *kernel =
+      ProgramBuilder(module, plan, bodies, isCuda()).build();
   llvm::GlobalValue *visible = isCuda() ? kernel : addSlotsFunction(*kernel);
   if (Error error = link(module))
     return error;
-  forgetInvariance(module);
+  for (llvm::Function &function : module)
+    if (&function != kernel)
+      forgetInvariance(function);
   for (llvm::GlobalValue &value : module.global_values())
     if (!value.isDeclaration() && &value != visible)
       value.setLinkage(llvm::GlobalValue::InternalLinkage);
-  if (llvm::Function *runner = module.getFunction(getRunnerName(scope)))
-    runner->addFnAttr(llvm::Attribute::AlwaysInline);
+  // Called once, the runner of tables is best in place; so is what moves rows,
+  // which then knows its parameters.
+  if (llvm::Function *runner = module.getFunction(getRunnerName(plan.scope)))
+    if (runner->hasOneUse())
+      runner->addFnAttr(llvm::Attribute::AlwaysInline);
+  for (StringRef name :
+       {getBarrierName(plan.scope), StringRef("tai_dev_program_part")})
+    if (llvm::Function *function = module.getFunction(name))
+      function->addFnAttr(llvm::Attribute::AlwaysInline);
   if (isCuda())
     prepareForCuda(module);
   if (Error error = optimize(code))

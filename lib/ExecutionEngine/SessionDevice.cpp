@@ -65,11 +65,9 @@ LogicalResult Session::setArch(StringRef name) {
   }
   if (runtime::DeviceQueue *queue = rt->getDeviceQueue())
     queue->setProgramMaker(
-        [this](const std::vector<runtime::ProgramPart> &parts, int scope,
-               unsigned threads, runtime::DeviceImage &image) {
+        [this](const runtime::ProgramPlan &plan, runtime::DeviceImage &image) {
           Failure problem;
-          auto made =
-              compiler->makeProgram(parts, scope, threads, options, problem);
+          auto made = compiler->makeProgram(plan, options, problem);
           if (!made)
             return keepFailure(std::move(problem));
           image = std::move(*made);

@@ -141,8 +141,7 @@ double DeviceQueue::Program::predict(ProgramMode mode, unsigned blocks,
   return us * 1e-3;
 }
 
-void DeviceQueue::Program::listWays(ProgramMode wanted,
-                                    const ProgramMaker &maker) {
+void DeviceQueue::Program::listWays(ProgramMode wanted) {
   DeviceLimits limits = device.limits();
   unsigned width = getWidth();
   auto add = [&](ProgramMode mode, unsigned blocks, unsigned threads) {
@@ -205,25 +204,73 @@ void DeviceQueue::Program::listWays(ProgramMode wanted,
 // Getting ready
 //===----------------------------------------------------------------------===//
 
-Status DeviceQueue::Program::prepare(Way &way, const ProgramMaker &maker) {
+/// Whether the steps of programs are timed, for tape.explain(). Reading the
+/// clock costs some nanoseconds a step, so it must be asked for.
+static bool areStepsTimed() {
+  const char *given = std::getenv("TAI_PROGRAM_CLOCKS");
+  return given && *given && *given != '0';
+}
+
+/// The steps with the numbers of their parts, in the order of a program. Parts
+/// that are kernels are numbered in the order in which they come.
+std::vector<LoopStep> DeviceQueue::Program::listSteps() const {
+  std::unordered_map<const Function *, uint64_t> numbers;
+  std::vector<LoopStep> steps;
+  steps.reserve(sequence.steps.size());
+  for (size_t i = 0; i < sequence.steps.size(); ++i) {
+    const Step &step = sequence.steps[order.order[i]];
+    LoopStep listed;
+    listed.part =
+        step.function
+            ? numbers.emplace(step.function, TAI_FIRST_PART + numbers.size())
+                  .first->second
+            : partOf(step.kind);
+    listed.waits = order.waits[i];
+    listed.slots = sequence.slots.data() + step.firstSlot;
+    listed.numSlots = step.numSlots;
+    steps.push_back(listed);
+  }
+  return steps;
+}
+
+Status DeviceQueue::Program::prepare(Way &way) {
   way.isReady = true;
   if (way.mode == ProgramMode::Graph)
     return makeCurrent(way);
-  std::vector<ProgramPart> parts;
-  std::unordered_map<const Function *, bool> seen;
-  for (const Step &step : sequence.steps)
-    if (step.function && !seen[step.function]) {
-      seen[step.function] = true;
-      parts.push_back({step.function->bitcode.get(), step.function->name});
+  way.loops = ProgramLoops(listSteps(), /*useLoops=*/true);
+  return makeKernel(way);
+}
+
+Status DeviceQueue::Program::makeKernel(Way &way) {
+  ProgramPlan plan;
+  plan.segments = way.loops.getSegments();
+  plan.words = way.loops.numWords();
+  plan.scope = scopeOf(way.mode);
+  plan.threads = way.shape.threads;
+  plan.isTimed = areStepsTimed();
+  std::vector<LoopStep> steps = listSteps();
+  for (size_t i = 0; i < steps.size(); ++i) {
+    const Function *function = sequence.steps[order.order[i]].function;
+    if (function && steps[i].part == TAI_FIRST_PART + plan.parts.size())
+      plan.parts.push_back(
+          {function->bitcode.get(), function->name, /*isInTable=*/false});
+  }
+  for (const ProgramSegment &segment : plan.segments)
+    for (size_t i = 0; !segment.isLoop() && i < segment.count; ++i) {
+      uint64_t part = steps[segment.first + i].part;
+      if (part >= TAI_FIRST_PART)
+        plan.parts[part - TAI_FIRST_PART].isInTable = true;
     }
   DeviceImage image;
-  Status status = maker(parts, scopeOf(way.mode), way.shape.threads, image);
+  std::unique_ptr<DeviceModule> module;
+  Status status = maker(plan, image);
   if (status)
-    status = device.load(image, way.module);
+    status = device.load(image, module);
   if (status)
-    status = device.find(*way.module, image.functions.front(), way.function);
+    status = device.find(*module, image.functions.front(), way.function);
   if (!status)
     return status;
+  way.module = std::move(module);
   unsigned most = device.mostThreads(*way.function);
   if (way.shape.threads > most)
     way.shape.threads = std::max(most / 32 * 32, 1u);
@@ -329,13 +376,6 @@ void DeviceQueue::Program::schedule() {
 /// Its header stands in front of the table of a program.
 static constexpr int64_t headerBytes = TAI_PROGRAM_HEADER;
 
-/// Whether the steps of programs are timed, for tape.explain(). Reading the
-/// clock costs some nanoseconds a step, so it must be asked for.
-static bool areStepsTimed() {
-  const char *given = std::getenv("TAI_PROGRAM_CLOCKS");
-  return given && *given && *given != '0';
-}
-
 /// Makes what stands for the sequence on the device hold its present slots.
 Status DeviceQueue::Program::update(Way &way) {
   if (way.mode == ProgramMode::Graph) {
@@ -346,46 +386,47 @@ Status DeviceQueue::Program::update(Way &way) {
     Status ended = device.endCapture(way.graph);
     return status ? std::move(ended) : std::move(status);
   }
-  // Numbers of the parts, in the order in which prepare found them.
-  std::unordered_map<const Function *, uint64_t> numbers;
-  int stride = 8;
-  for (const Step &step : sequence.steps) {
-    stride = std::max(stride, static_cast<int>(step.numSlots));
-    if (step.function)
-      numbers.emplace(step.function, TAI_FIRST_PART + numbers.size());
-  }
   schedule();
-  // The number of the part, and the parameters.
-  ++stride;
-  std::vector<uint64_t> table(sequence.steps.size() *
-                              static_cast<size_t>(stride));
-  for (size_t i = 0; i < sequence.steps.size(); ++i) {
-    const Step &step = sequence.steps[order.order[i]];
-    uint64_t *row = table.data() + i * static_cast<size_t>(stride);
-    row[0] = step.function ? numbers[step.function] : partOf(step.kind);
-    if (!order.waits[i])
-      row[0] |= TAI_PART_APART;
-    std::copy_n(sequence.slots.begin() + static_cast<ptrdiff_t>(step.firstSlot),
-                step.numSlots, row + 1);
+  std::vector<LoopStep> steps = listSteps();
+  std::vector<uint64_t> table;
+  if (!way.loops.pack(steps, way.words, table)) {
+    // Parameters do not change as they did: without loops any will do.
+    way.loops = ProgramLoops(steps, /*useLoops=*/false);
+    if (Status made = makeKernel(way); !made)
+      return made;
+    way.loops.pack(steps, way.words, table);
   }
+  return updateTable(way, table);
+}
+
+Status DeviceQueue::Program::updateTable(Way &way,
+                                         const std::vector<uint64_t> &table) {
   auto bytes = static_cast<int64_t>(table.size() * sizeof(uint64_t));
   Status status;
+  // Without loops there are more rows than before.
+  if (way.table && bytes > way.tableBytes) {
+    device.free(way.table);
+    way.table = 0;
+  }
   if (!way.table) {
-    status = device.allocate(headerBytes + bytes, way.table);
+    // The loops ask for the row behind the last one of a list, too.
+    constexpr int64_t spareBytes = 1024;
+    status = device.allocate(headerBytes + bytes + spareBytes, way.table);
+    way.tableBytes = bytes;
     uint64_t zero = 0;
     if (status)
       status = device.fill(way.table, &zero, 8, headerBytes / 8);
     if (status && areStepsTimed()) {
       auto words = static_cast<int64_t>(sequence.steps.size() + 1);
-      status = device.allocate(words * 8, way.clocks);
+      if (!way.clocks)
+        status = device.allocate(words * 8, way.clocks);
       if (status)
         status = device.fill(way.clocks, &zero, 8, words);
       if (status)
         status = device.copyIn(way.table + TAI_PROGRAM_CLOCKS, &way.clocks, 8);
     }
   }
-  way.stride = stride;
-  if (status)
+  if (status && bytes > 0)
     status = device.copyIn(way.table + headerBytes, table.data(), bytes);
   return status;
 }
@@ -404,9 +445,11 @@ Status DeviceQueue::Program::launch(Way &way) {
     return status;
   if (way.mode == ProgramMode::Graph)
     return device.run(*way.graph);
-  uint64_t slots[] = {way.table + headerBytes, sequence.steps.size(),
-                      static_cast<uint64_t>(way.stride), way.table};
-  return device.launch(*way.function, way.shape, slots, 4);
+  std::vector<uint64_t> slots = {way.table + headerBytes, way.loops.getStride(),
+                                 way.table};
+  slots.insert(slots.end(), way.words.begin(), way.words.end());
+  return device.launch(*way.function, way.shape, slots.data(),
+                       static_cast<int>(slots.size()));
 }
 
 //===----------------------------------------------------------------------===//
@@ -431,7 +474,7 @@ Status DeviceQueue::Program::runTimed(Way &way) {
 }
 
 Status DeviceQueue::Program::run(bool same, ProgramMode mode,
-                                 const ProgramMaker &maker) {
+                                 const ProgramMaker &programMaker) {
   if (!same && runs > 0) {
     ++changes;
     for (Way &way : ways)
@@ -440,8 +483,10 @@ Status DeviceQueue::Program::run(bool same, ProgramMode mode,
   // What comes once need not be made ready for a second time.
   if (runs++ == 0)
     return sequence.run(device);
-  if (runs == 2)
-    listWays(mode, maker);
+  if (runs == 2) {
+    maker = programMaker;
+    listWays(mode);
+  }
   if (chosen || ways.empty())
     return current < ways.size() ? launch(ways[current]) : sequence.run(device);
 
@@ -449,7 +494,7 @@ Status DeviceQueue::Program::run(bool same, ProgramMode mode,
     Way &way = ways[current];
     Status status;
     if (!way.isReady)
-      status = prepare(way, maker);
+      status = prepare(way);
     // The first of three runs brings code and table to where they are used.
     constexpr int wanted = 3;
     if (status) {
@@ -531,8 +576,10 @@ std::string DeviceQueue::Program::explain() const {
     std::snprintf(line, sizeof(line), "; %s", nameOf(way.mode));
     text += line;
     if (way.mode != ProgramMode::Graph) {
-      std::snprintf(line, sizeof(line), " (%u x %u threads, %zu barriers)",
-                    way.shape.blocks, way.shape.threads, order.numBarriers);
+      std::snprintf(line, sizeof(line),
+                    " (%u x %u threads, %zu barriers, %zu steps in loops)",
+                    way.shape.blocks, way.shape.threads, order.numBarriers,
+                    way.loops.numLoopSteps());
       text += line;
     }
     if (!way.refused.empty()) {

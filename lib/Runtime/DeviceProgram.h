@@ -8,6 +8,7 @@
 #ifndef TAI_LIB_RUNTIME_DEVICEPROGRAM_H
 #define TAI_LIB_RUNTIME_DEVICEPROGRAM_H
 
+#include "ProgramLoops.h"
 #include "ProgramSchedule.h"
 #include "tai/Runtime/DeviceQueue.h"
 #include <cstring>
@@ -139,16 +140,22 @@ private:
     std::unique_ptr<DeviceModule> module;
     DeviceFunction *function = nullptr;
     DevicePtr table = 0;
+    int64_t tableBytes = 0;
     /// One number for each step and one more, or none.
     DevicePtr clocks = 0;
-    int stride = 0;
+    /// What repeats, and the parameters of that.
+    ProgramLoops loops;
+    std::vector<uint64_t> words;
     LaunchShape shape;
     bool isCurrent = false;
   };
 
-  void listWays(ProgramMode wanted, const ProgramMaker &maker);
-  Status prepare(Way &way, const ProgramMaker &maker);
+  void listWays(ProgramMode wanted);
+  Status prepare(Way &way);
+  Status makeKernel(Way &way);
+  std::vector<LoopStep> listSteps() const;
   Status update(Way &way);
+  Status updateTable(Way &way, const std::vector<uint64_t> &table);
   Status makeCurrent(Way &way);
   Status launch(Way &way);
   Status runTimed(Way &way);
@@ -165,6 +172,7 @@ private:
   ProgramSchedule order;
   std::vector<size_t> decisiveSlots;
   std::vector<uint64_t> decisiveValues;
+  ProgramMaker maker;
   int runs = 0, changes = 0;
   std::vector<Way> ways;
   /// The way that is being tried, or that has been chosen.

@@ -40,10 +40,11 @@ Status DeviceQueue::load(const DeviceImage &image,
 
 Status DeviceQueue::makeLibrary(const std::vector<std::string> &names,
                                 DeviceImage &image) const {
-  std::vector<ProgramPart> parts;
+  ProgramPlan plan;
   for (const std::string &name : names)
-    parts.push_back({nullptr, name});
-  return makeProgram(parts, TAI_SCOPE_NONE, /*threads=*/0, image);
+    plan.parts.push_back({nullptr, name});
+  plan.scope = TAI_SCOPE_NONE;
+  return makeProgram(plan, image);
 }
 
 Status DeviceQueue::find(DeviceModule &module, const std::string &name,

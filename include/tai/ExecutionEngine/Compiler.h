@@ -161,8 +161,8 @@ public:
 
   /// Makes one kernel of many; see runtime::ProgramMaker.
   std::optional<runtime::DeviceImage>
-  makeProgram(ArrayRef<runtime::ProgramPart> parts, int scope, unsigned threads,
-              const CompileOptions &options, Failure &failure);
+  makeProgram(const runtime::ProgramPlan &plan, const CompileOptions &options,
+              Failure &failure);
 
   /// Frees a function that is not running.
   void unload(const Function &function);

@@ -96,13 +96,11 @@ public:
   llvm::Expected<runtime::DeviceImage> emit(DeviceCode &code);
 
   /// Makes one kernel, `tai_program`, of the bodies of kernels, given by the
-  /// bitcode of their images and by their names. `scope` is one of TAI_SCOPE_*,
-  /// `threads` the most that a block has; see tai/Runtime/DeviceAbi.h. For
-  /// TAI_SCOPE_NONE, makes a kernel of each of these functions of the device
-  /// library, with `_kernel` behind its name.
+  /// bitcode of their images and by their names; see tai/Runtime/DeviceAbi.h.
+  /// For TAI_SCOPE_NONE, makes a kernel of each of these functions of the
+  /// device library, with `_kernel` behind its name.
   llvm::Expected<runtime::DeviceImage>
-  makeProgram(llvm::ArrayRef<runtime::ProgramPart> parts, int scope,
-              unsigned threads);
+  makeProgram(const runtime::ProgramPlan &plan);
 
   /// True once LLVM has met a fatal error: this is then no longer of use.
   bool isBroken() const;

@@ -53,9 +53,11 @@ void tai_dev_grid_barrier(uint32_t *state, uint32_t blocks);
 // Programs
 //===----------------------------------------------------------------------===//
 //
-// A program does the work of a sequence of launches in one kernel. Its table
-// has `steps` rows of `stride` words: the number of a part, and the parameters
-// of that. See docs/decisions/0011-device-programs.md.
+// A program does the work of a sequence of launches in one kernel. What repeats
+// in the sequence is a loop in its code. For the rest it has a table of rows of
+// `stride` words: the number of a part, and the parameters of that. The kernel
+// takes a table, the stride, a header, and the words of the parameters of its
+// loops. See docs/decisions/0011-device-programs.md.
 
 /// Who meets at the barrier after a step: the threads of one block, of a
 /// cluster of blocks, or of the grid.
@@ -84,6 +86,8 @@ void tai_dev_grid_barrier(uint32_t *state, uint32_t blocks);
 
 /// The most words of a row.
 #define TAI_PROGRAM_STRIDE 128
+/// The most words of parameters of loops: kernels take 4096 bytes.
+#define TAI_PROGRAM_WORDS 500
 
 /// In the header of a program, at this byte: the address of one more number
 /// than there are steps, for the first thread's clock before the first step and
@@ -91,13 +95,25 @@ void tai_dev_grid_barrier(uint32_t *state, uint32_t blocks);
 #define TAI_PROGRAM_CLOCKS 128
 #define TAI_PROGRAM_HEADER 256
 
-/// `header` starts with a word as tai_dev_grid_barrier wants it.
+/// `header` starts with a word as tai_dev_grid_barrier wants it. `first` is the
+/// number of the first of these steps in the program.
 void tai_dev_program_block(const uint64_t *table, uint64_t steps,
-                           uint64_t stride, uint32_t *header);
+                           uint64_t stride, uint32_t *header, uint64_t first);
 void tai_dev_program_cluster(const uint64_t *table, uint64_t steps,
-                             uint64_t stride, uint32_t *header);
+                             uint64_t stride, uint32_t *header, uint64_t first);
 void tai_dev_program_grid(const uint64_t *table, uint64_t steps,
-                          uint64_t stride, uint32_t *header);
+                          uint64_t stride, uint32_t *header, uint64_t first);
+
+/// All threads of the program meet.
+void tai_dev_program_wait_block(uint32_t *header);
+void tai_dev_program_wait_cluster(uint32_t *header);
+void tai_dev_program_wait_grid(uint32_t *header);
+
+/// Runs a part that every program has.
+void tai_dev_program_part(uint64_t part, const uint64_t *slots);
+
+/// Notes the clock after so many steps.
+void tai_dev_program_clock(const uint32_t *header, uint64_t steps);
 
 //===----------------------------------------------------------------------===//
 // What the host's build of the library asks of the emulated device

@@ -26,15 +26,64 @@ struct ProgramPart {
   /// What DeviceImage::bitcode holds.
   const std::string *bitcode;
   std::string function;
+  /// Whether rows of the table name it, or loops alone.
+  bool isInTable = true;
 };
 
-/// Makes one kernel, `tai_program`, that runs steps of these parts; see
-/// tai/Runtime/DeviceAbi.h. `threads` is the most that a block of it has. For
-/// TAI_SCOPE_NONE, makes a kernel of each part, which has no bitcode: it is a
-/// function of the device library.
+/// A parameter of a step in a loop.
+struct ProgramSlot {
+  enum Kind {
+    /// This word of the program's parameters.
+    Fixed,
+    /// The same, and the next word for each time that the loop has gone around.
+    Growing,
+    /// This word of the row that the loop's list has for each time around.
+    Listed
+  };
+  Kind kind = Fixed;
+  unsigned word = 0;
+};
+
+struct ProgramLoopStep {
+  uint64_t part = 0;
+  /// Whether all threads meet after it.
+  bool waits = true;
+  std::vector<ProgramSlot> slots;
+};
+
+/// Some steps of a program, one after another: a loop, or rows of the table.
+struct ProgramSegment {
+  /// Of a loop.
+  std::vector<ProgramLoopStep> steps;
+  /// How often, or how many rows.
+  size_t count = 0;
+  /// The number of the first step in the sequence.
+  size_t first = 0;
+  /// Of a loop: where its list starts in the table, and the words of a row.
+  size_t listStart = 0, listWidth = 0;
+
+  bool isLoop() const { return !steps.empty(); }
+};
+
+/// What a program consists of.
+struct ProgramPlan {
+  std::vector<ProgramPart> parts;
+  std::vector<ProgramSegment> segments;
+  /// The words of parameters of its loops.
+  size_t words = 0;
+  /// One of TAI_SCOPE_*.
+  int scope = 0;
+  /// The most that a block has.
+  unsigned threads = 1;
+  /// Whether the clock is read after each step.
+  bool isTimed = false;
+};
+
+/// Makes one kernel, `tai_program`, that runs the plan; see
+/// tai/Runtime/DeviceAbi.h. For TAI_SCOPE_NONE, makes a kernel of each part,
+/// which has no bitcode: it is a function of the device library.
 using ProgramMaker =
-    std::function<Status(const std::vector<ProgramPart> &parts, int scope,
-                         unsigned threads, DeviceImage &image)>;
+    std::function<Status(const ProgramPlan &plan, DeviceImage &image)>;
 
 /// How sequences are run; for tests and measurements.
 enum class ProgramMode { Automatic, Launches, Graph, Block, Cluster, Grid };
