@@ -8,6 +8,7 @@
 #include "tai/ExecutionEngine/DeviceCompiler.h"
 #include "CodegenErrors.h"
 #include "CodegenPasses.h"
+#include "GroupLoads.h"
 #include "Libdevice.h"
 #include "UnrollGridLoops.h"
 #include "VectorizeAtomics.h"
@@ -436,6 +437,12 @@ void DeviceCompiler::runPasses(llvm::Module &module) {
         [](llvm::FunctionPassManager &manager, llvm::OptimizationLevel) {
           manager.addPass(UnrollGridLoops());
         });
+  if (options.optLevel > 1)
+    builder.registerOptimizerLastEPCallback([](llvm::ModulePassManager &manager,
+                                               llvm::OptimizationLevel,
+                                               llvm::ThinOrFullLTOPhase) {
+      manager.addPass(llvm::createModuleToFunctionPassAdaptor(GroupLoads()));
+    });
   builder.registerModuleAnalyses(modules);
   builder.registerCGSCCAnalyses(sccs);
   builder.registerFunctionAnalyses(functions);

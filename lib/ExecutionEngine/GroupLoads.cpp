@@ -1,0 +1,164 @@
+//===- GroupLoads.cpp - Loads before the stores they can pass -------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Adjoints add to many elements one after another: load, add, store, and again.
+// As long as the next load stays behind the store, each waits for memory by
+// itself, some hundred clocks every time.
+//
+//===----------------------------------------------------------------------===//
+
+#include "GroupLoads.h"
+#include "llvm/ADT/SmallPtrSet.h"
+#include "llvm/Analysis/AliasAnalysis.h"
+#include "llvm/Analysis/MemoryLocation.h"
+#include "llvm/Analysis/ValueTracking.h"
+#include "llvm/IR/DataLayout.h"
+#include "llvm/IR/Instructions.h"
+
+using namespace llvm;
+
+/// What the loads of a group may take, all together, in words of four bytes:
+/// each is a register that is in use for longer.
+static constexpr unsigned mostWords = 32;
+
+/// How many writes a load is compared with.
+static constexpr size_t mostWrites = 128;
+
+namespace {
+class LoadGrouping {
+public:
+  LoadGrouping(BasicBlock &block, AAResults &aliases)
+      : block(block), aliases(aliases), layout(block.getDataLayout()) {}
+  bool run();
+
+private:
+  bool join(LoadInst &load);
+  bool collectAddress(Value *value, SmallVectorImpl<Instruction *> &chain);
+  void startGroup(LoadInst *load);
+
+  BasicBlock &block;
+  BatchAAResults aliases;
+  const DataLayout &layout;
+  /// The last load of the group; those to come are placed behind it.
+  Instruction *last = nullptr;
+  unsigned words = 0;
+  /// What comes after `last` and is not part of the group.
+  SmallVector<Instruction *> writes;
+  SmallPtrSet<Instruction *, 32> behind;
+  bool changed = false;
+};
+} // namespace
+
+/// Whether an instruction may run earlier than it does.
+static bool isSafeToMove(const Instruction &instruction) {
+  return isa<GetElementPtrInst, CastInst, BinaryOperator, SelectInst, ICmpInst>(
+             instruction) &&
+         !instruction.isIntDivRem();
+}
+
+static unsigned countWords(const LoadInst &load, const DataLayout &layout) {
+  return static_cast<unsigned>(
+      divideCeil(layout.getTypeStoreSize(load.getType()).getFixedValue(), 4));
+}
+
+void LoadGrouping::startGroup(LoadInst *load) {
+  last = load;
+  words = load ? countWords(*load, layout) : 0;
+  writes.clear();
+  behind.clear();
+}
+
+/// Lists what a value needs of the instructions behind the group, in their
+/// order; false if that cannot be moved.
+bool LoadGrouping::collectAddress(Value *value,
+                                  SmallVectorImpl<Instruction *> &chain) {
+  auto *instruction = dyn_cast<Instruction>(value);
+  if (!instruction || !behind.contains(instruction) ||
+      is_contained(chain, instruction))
+    return true;
+  constexpr size_t longest = 8;
+  if (chain.size() >= longest || instruction->mayReadOrWriteMemory() ||
+      !isSafeToMove(*instruction))
+    return false;
+  for (Value *operand : instruction->operands())
+    if (!collectAddress(operand, chain))
+      return false;
+  chain.push_back(instruction);
+  return true;
+}
+
+bool LoadGrouping::join(LoadInst &load) {
+  unsigned more = countWords(load, layout);
+  if (!last || words + more > mostWords)
+    return false;
+  // Between loads alone nothing stands in the way of ptxas.
+  MemoryLocation location = MemoryLocation::get(&load);
+  for (Instruction *write : writes)
+    if (isModSet(aliases.getModRefInfo(write, location)))
+      return false;
+  SmallVector<Instruction *> chain;
+  if (!collectAddress(load.getPointerOperand(), chain))
+    return false;
+  words += more;
+  if (writes.empty()) {
+    last = &load;
+    behind.clear();
+    return true;
+  }
+  for (Instruction *instruction : chain) {
+    instruction->moveAfter(last);
+    behind.erase(instruction);
+    last = instruction;
+  }
+  load.moveAfter(last);
+  last = &load;
+  changed = true;
+  return true;
+}
+
+bool LoadGrouping::run() {
+  for (Instruction &instruction : make_early_inc_range(block)) {
+    if (auto *load = dyn_cast<LoadInst>(&instruction);
+        load && load->isUnordered()) {
+      if (!join(*load))
+        startGroup(load);
+      continue;
+    }
+    // Nothing moves past a barrier, or past what is not known.
+    auto *call = dyn_cast<CallBase>(&instruction);
+    bool isOpaque = isa<FenceInst>(instruction) || instruction.mayThrow() ||
+                    (call && instruction.mayReadOrWriteMemory() &&
+                     (call->isConvergent() || call->isInlineAsm()));
+    if (isOpaque) {
+      startGroup(nullptr);
+      continue;
+    }
+    if (!last)
+      continue;
+    behind.insert(&instruction);
+    if (!instruction.mayWriteToMemory())
+      continue;
+    writes.push_back(&instruction);
+    if (writes.size() > mostWrites)
+      startGroup(nullptr);
+  }
+  return changed;
+}
+
+PreservedAnalyses
+mlir::tai::GroupLoads::run(Function &function,
+                           FunctionAnalysisManager &analyses) {
+  AAResults &aliases = analyses.getResult<AAManager>(function);
+  bool changed = false;
+  for (BasicBlock &block : function)
+    changed |= LoadGrouping(block, aliases).run();
+  if (!changed)
+    return PreservedAnalyses::all();
+  PreservedAnalyses preserved;
+  preserved.preserveSet<CFGAnalyses>();
+  return preserved;
+}

@@ -1,0 +1,115 @@
+//===- GroupLoadsTest.cpp - Which loads pass which stores -----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "../../lib/ExecutionEngine/GroupLoads.h"
+#include "llvm/AsmParser/Parser.h"
+#include "llvm/IR/LLVMContext.h"
+#include "llvm/IR/Module.h"
+#include "llvm/IR/Verifier.h"
+#include "llvm/Passes/PassBuilder.h"
+#include "llvm/Support/SourceMgr.h"
+#include "gtest/gtest.h"
+
+using namespace llvm;
+using namespace mlir::tai;
+
+namespace {
+/// The loads (L), stores (S), atomics (A) and calls (C) of a function after the
+/// pass, in order.
+std::string order(StringRef body, StringRef parameters = "") {
+  LLVMContext context;
+  SMDiagnostic error;
+  std::string text = ("declare void @barrier() convergent memory(readwrite)\n"
+                      "declare void @stop() memory(readwrite)\n"
+                      "define void @f(ptr noalias %x, ptr noalias %y, i64 %i" +
+                      parameters + ") {\n" + body + "  ret void\n}\n")
+                         .str();
+  std::unique_ptr<Module> module = parseAssemblyString(text, error, context);
+  if (!module)
+    return error.getMessage().str();
+  LoopAnalysisManager loops;
+  FunctionAnalysisManager functions;
+  CGSCCAnalysisManager sccs;
+  ModuleAnalysisManager modules;
+  PassBuilder builder;
+  builder.registerModuleAnalyses(modules);
+  builder.registerCGSCCAnalyses(sccs);
+  builder.registerFunctionAnalyses(functions);
+  builder.registerLoopAnalyses(loops);
+  builder.crossRegisterProxies(loops, functions, sccs, modules);
+  FunctionPassManager passes;
+  passes.addPass(GroupLoads());
+  Function &function = *module->getFunction("f");
+  passes.run(function, functions);
+  EXPECT_FALSE(verifyFunction(function, &errs()));
+  std::string result;
+  for (Instruction &instruction : function.getEntryBlock())
+    if (isa<LoadInst>(instruction))
+      result += 'L';
+    else if (isa<StoreInst>(instruction))
+      result += 'S';
+    else if (isa<AtomicRMWInst>(instruction))
+      result += 'A';
+    else if (isa<CallInst>(instruction))
+      result += 'C';
+  return result;
+}
+
+/// Adds one to an element of x.
+std::string increment(int at) {
+  std::string n = std::to_string(at);
+  return "  %p" + n + " = getelementptr float, ptr %x, i64 " + n + "\n  %v" +
+         n + " = load float, ptr %p" + n + "\n  %s" + n + " = fadd float %v" +
+         n + ", 1.0\n  store float %s" + n + ", ptr %p" + n + "\n";
+}
+} // namespace
+
+TEST(GroupLoads, OtherElementsPass) {
+  EXPECT_EQ(order(increment(0) + increment(1) + increment(2)), "LLLSSS");
+}
+
+TEST(GroupLoads, TheSameElementDoesNot) {
+  std::string again = "  %v = load float, ptr %x\n  store float %v, ptr %y\n";
+  EXPECT_EQ(order(increment(0) + again), "LSLS");
+}
+
+TEST(GroupLoads, UnknownElementsDoNot) {
+  std::string unknown = "  %p = getelementptr float, ptr %x, i64 %i\n"
+                        "  %v = load float, ptr %p\n"
+                        "  store float %v, ptr %y\n";
+  EXPECT_EQ(order(increment(0) + unknown), "LSLS");
+}
+
+TEST(GroupLoads, AtomicsOfOtherMemoryPass) {
+  std::string atomic =
+      "  %o = atomicrmw fadd ptr %y, float 1.0 monotonic\n" + increment(1);
+  EXPECT_EQ(order(increment(0) + atomic), "LLSAS");
+}
+
+TEST(GroupLoads, BarriersAndCallsThatMayNotReturnStay) {
+  EXPECT_EQ(order(increment(0) + "  call void @barrier()\n" + increment(1)),
+            "LSCLS");
+  EXPECT_EQ(order(increment(0) + "  call void @stop()\n" + increment(1)),
+            "LSCLS");
+}
+
+TEST(GroupLoads, AddressesThatAreLoadedStay) {
+  std::string loaded = "  %j = load i64, ptr %y\n"
+                       "  %p = getelementptr float, ptr %x, i64 %j\n"
+                       "  %v = load float, ptr %p\n"
+                       "  store float %v, ptr %y\n";
+  // The first of the two joins, the second needs it and meets the store.
+  EXPECT_EQ(order(increment(0) + loaded), "LLSLS");
+}
+
+TEST(GroupLoads, GroupsAreBounded) {
+  std::string body, expected;
+  for (int i = 0; i < 40; ++i)
+    body += increment(i);
+  EXPECT_EQ(order(body), std::string(32, 'L') + std::string(32, 'S') +
+                             std::string(8, 'L') + std::string(8, 'S'));
+}
