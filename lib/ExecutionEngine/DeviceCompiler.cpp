@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/DeviceCompiler.h"
+#include "AggregateAtomics.h"
 #include "CodegenErrors.h"
 #include "CodegenPasses.h"
 #include "GroupLoads.h"

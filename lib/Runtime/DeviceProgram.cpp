@@ -156,6 +156,7 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
     way.predicted = predict(mode, blocks, threads);
     ways.push_back(std::move(way));
   };
+  numBefore = countStepsBefore();
   schedule();
   auto warps = [](unsigned threads) { return (threads + 31) / 32 * 32; };
   if (limits.hasGraphs)
@@ -216,9 +217,9 @@ static bool areStepsTimed() {
 std::vector<LoopStep> DeviceQueue::Program::listSteps() const {
   std::unordered_map<const Function *, uint64_t> numbers;
   std::vector<LoopStep> steps;
-  steps.reserve(sequence.steps.size());
-  for (size_t i = 0; i < sequence.steps.size(); ++i) {
-    const Step &step = sequence.steps[order.order[i]];
+  steps.reserve(order.order.size());
+  for (size_t i = 0; i < order.order.size(); ++i) {
+    const Step &step = scheduledStep(i);
     LoopStep listed;
     listed.part =
         step.function
@@ -250,7 +251,7 @@ Status DeviceQueue::Program::makeKernel(Way &way) {
   plan.isTimed = areStepsTimed();
   std::vector<LoopStep> steps = listSteps();
   for (size_t i = 0; i < steps.size(); ++i) {
-    const Function *function = sequence.steps[order.order[i]].function;
+    const Function *function = scheduledStep(i).function;
     if (function && steps[i].part == TAI_FIRST_PART + plan.parts.size())
       plan.parts.push_back(
           {function->bitcode.get(), function->name, /*isInTable=*/false});
@@ -336,6 +337,25 @@ StepMemory DeviceQueue::Program::memoryOf(const Step &step) const {
   return memory;
 }
 
+/// A program has few threads, often. What moves much memory before it starts,
+/// such as clearing the gradients of all time steps, is left to the device.
+size_t DeviceQueue::Program::countStepsBefore() const {
+  constexpr uint64_t muchBytes = 1 << 20;
+  uint64_t bytes = 0;
+  size_t number = 0;
+  for (const Step &step : sequence.steps) {
+    if (step.function)
+      break;
+    const uint64_t *values = sequence.slots.data() + step.firstSlot;
+    bool isRows =
+        step.kind != Step::Kind::Fill && step.kind != Step::Kind::Copy;
+    bytes += values[2] * (step.kind == Step::Kind::Copy ? 1 : values[3]) *
+             (isRows ? std::max<uint64_t>(values[7], 1) : 1);
+    ++number;
+  }
+  return bytes >= muchBytes && number < sequence.steps.size() ? number : 0;
+}
+
 /// Makes the schedule again where parameters have changed that matter for it.
 void DeviceQueue::Program::schedule() {
   const std::vector<uint64_t> &slots = sequence.slots;
@@ -367,9 +387,9 @@ void DeviceQueue::Program::schedule() {
     return;
   decisiveValues = std::move(values);
   std::vector<StepMemory> memory;
-  memory.reserve(sequence.steps.size());
-  for (const Step &step : sequence.steps)
-    memory.push_back(memoryOf(step));
+  memory.reserve(sequence.steps.size() - numBefore);
+  for (size_t i = numBefore; i < sequence.steps.size(); ++i)
+    memory.push_back(memoryOf(sequence.steps[i]));
   order = ProgramSchedule(memory);
 }
 
@@ -417,7 +437,7 @@ Status DeviceQueue::Program::updateTable(Way &way,
     if (status)
       status = device.fill(way.table, &zero, 8, headerBytes / 8);
     if (status && areStepsTimed()) {
-      auto words = static_cast<int64_t>(sequence.steps.size() + 1);
+      auto words = static_cast<int64_t>(order.order.size() + 1);
       if (!way.clocks)
         status = device.allocate(words * 8, way.clocks);
       if (status)
@@ -445,6 +465,10 @@ Status DeviceQueue::Program::launch(Way &way) {
     return status;
   if (way.mode == ProgramMode::Graph)
     return device.run(*way.graph);
+  for (size_t i = 0; status && i < numBefore; ++i)
+    status = sequence.run(device, sequence.steps[i]);
+  if (!status)
+    return status;
   std::vector<uint64_t> slots = {way.table + headerBytes, way.loops.getStride(),
                                  way.table};
   slots.insert(slots.end(), way.words.begin(), way.words.end());
@@ -534,7 +558,7 @@ Status DeviceQueue::Program::run(bool same, ProgramMode mode,
 /// Where the time of the last run went: clocks of one multiprocessor by the
 /// function of a step.
 std::string DeviceQueue::Program::explainClocks(const Way &way) const {
-  std::vector<uint64_t> clocks(sequence.steps.size() + 1);
+  std::vector<uint64_t> clocks(order.order.size() + 1);
   if (!device.copyOut(clocks.data(), way.clocks,
                       static_cast<int64_t>(clocks.size() * 8)))
     return "";
@@ -542,8 +566,8 @@ std::string DeviceQueue::Program::explainClocks(const Way &way) const {
     uint64_t clocks = 0, steps = 0;
   };
   std::map<std::string, Total> totals;
-  for (size_t i = 0; i < sequence.steps.size(); ++i) {
-    const Step &step = sequence.steps[order.order[i]];
+  for (size_t i = 0; i < order.order.size(); ++i) {
+    const Step &step = scheduledStep(i);
     Total &total = totals[step.function ? step.function->name
                           : step.kind == Step::Kind::Fill ||
                                   step.kind == Step::Kind::FillRows
@@ -577,9 +601,10 @@ std::string DeviceQueue::Program::explain() const {
     text += line;
     if (way.mode != ProgramMode::Graph) {
       std::snprintf(line, sizeof(line),
-                    " (%u x %u threads, %zu barriers, %zu steps in loops)",
-                    way.shape.blocks, way.shape.threads, order.numBarriers,
-                    way.loops.numLoopSteps());
+                    " (%u x %u threads, %zu steps before it, %zu barriers, "
+                    "%zu steps in loops)",
+                    way.shape.blocks, way.shape.threads, numBefore,
+                    order.numBarriers, way.loops.numLoopSteps());
       text += line;
     }
     if (!way.refused.empty()) {

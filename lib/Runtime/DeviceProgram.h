@@ -165,11 +165,17 @@ private:
   static uint64_t partOf(Step::Kind kind);
   StepMemory memoryOf(const Step &step) const;
   void schedule();
+  size_t countStepsBefore() const;
+  const Step &scheduledStep(size_t at) const {
+    return sequence.steps[numBefore + order.order[at]];
+  }
 
   Device &device;
   /// The schedule of the program, and what it was made from: the slots that
   /// say which memory the steps touch.
   ProgramSchedule order;
+  /// So many steps come before the program, each by itself.
+  size_t numBefore = 0;
   std::vector<size_t> decisiveSlots;
   std::vector<uint64_t> decisiveValues;
   ProgramMaker maker;
