@@ -390,6 +390,9 @@ void DeviceQueue::Program::schedule() {
   memory.reserve(sequence.steps.size() - numBefore);
   for (size_t i = numBefore; i < sequence.steps.size(); ++i)
     memory.push_back(memoryOf(sequence.steps[i]));
+  numUnknown = static_cast<size_t>(
+      std::count_if(memory.begin(), memory.end(),
+                    [](const StepMemory &step) { return !step.isKnown; }));
   order = ProgramSchedule(memory);
 }
 
@@ -606,6 +609,8 @@ std::string DeviceQueue::Program::explain() const {
                     way.shape.blocks, way.shape.threads, numBefore,
                     order.numBarriers, way.loops.numLoopSteps());
       text += line;
+      if (numUnknown > 0)
+        text += ", " + std::to_string(numUnknown) + " steps of unknown memory";
     }
     if (!way.refused.empty()) {
       text += ": refused: " + way.refused;

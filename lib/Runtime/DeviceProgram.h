@@ -176,6 +176,8 @@ private:
   ProgramSchedule order;
   /// So many steps come before the program, each by itself.
   size_t numBefore = 0;
+  /// Steps of which it is not known what they touch.
+  size_t numUnknown = 0;
   std::vector<size_t> decisiveSlots;
   std::vector<uint64_t> decisiveValues;
   ProgramMaker maker;

@@ -67,7 +67,7 @@ StepMemory StepMemory::ofLaunch(const Footprint *footprint,
   if (!footprint)
     return memory;
   memory.isSingle = footprint->isSingle;
-  memory.pieces.reserve(footprint->lines.size());
+  memory.reads.reserve(footprint->lines.size());
   auto has = [&](int64_t slot) {
     return slot >= 0 && static_cast<size_t>(slot) < numSlots;
   };
@@ -89,12 +89,11 @@ StepMemory StepMemory::ofLaunch(const Footprint *footprint,
     }
     if (access.unit != 0 && sum >= 0x1p30 * double(access.unit))
       return StepMemory();
-    memory.pieces.push_back(
-        {static_cast<DeviceAccess::Kind>(access.kind), first,
-         first + static_cast<uint64_t>(line.low),
-         first + static_cast<uint64_t>(line.high + access.window),
-         access.window, access.step, access.size,
-         line.map.empty() ? nullptr : &line.map});
+    memory.add(Piece{static_cast<DeviceAccess::Kind>(access.kind), first,
+                     first + static_cast<uint64_t>(line.low),
+                     first + static_cast<uint64_t>(line.high + access.window),
+                     access.window, access.step, access.size,
+                     line.map.empty() ? nullptr : &line.map});
   }
   memory.isKnown = true;
   return memory;
@@ -102,16 +101,16 @@ StepMemory StepMemory::ofLaunch(const Footprint *footprint,
 
 void StepMemory::add(DeviceAccess::Kind kind, uint64_t begin, uint64_t bytes) {
   auto window = static_cast<int64_t>(bytes);
-  pieces.push_back({kind, begin, begin, begin + bytes, window, 1, 1, nullptr});
+  add(Piece{kind, begin, begin, begin + bytes, window, 1, 1, nullptr});
   isKnown = true;
 }
 
 void StepMemory::addRows(DeviceAccess::Kind kind, uint64_t begin, uint64_t step,
                          uint64_t rowBytes, uint64_t rows) {
   uint64_t bytes = rows == 0 ? 0 : step * (rows - 1) + rowBytes;
-  pieces.push_back({kind, begin, begin, begin + bytes,
-                    static_cast<int64_t>(bytes), static_cast<int64_t>(step),
-                    static_cast<int64_t>(rowBytes), nullptr});
+  add(Piece{kind, begin, begin, begin + bytes, static_cast<int64_t>(bytes),
+            static_cast<int64_t>(step), static_cast<int64_t>(rowBytes),
+            nullptr});
   isKnown = true;
 }
 
@@ -119,9 +118,8 @@ void StepMemory::addNumbers(DeviceAccess::Kind kind, uint64_t begin,
                             int64_t bytes, int64_t count) {
   ownMap =
       std::make_shared<Footprint::Map>(Footprint::Map{std::pair(count, bytes)});
-  pieces.push_back({kind, begin, begin,
-                    begin + static_cast<uint64_t>(bytes * count), bytes, bytes,
-                    bytes, ownMap.get()});
+  add(Piece{kind, begin, begin, begin + static_cast<uint64_t>(bytes * count),
+            bytes, bytes, bytes, ownMap.get()});
   isKnown = true;
 }
 
@@ -183,12 +181,22 @@ StepRelation mlir::tai::runtime::getRelation(const StepMemory &a,
   StepRelation most = a.isSingle && b.isSingle ? StepRelation::SameThread
                                                : StepRelation::Barrier;
   StepRelation result = StepRelation::None;
-  for (const StepMemory::Piece &one : a.pieces)
-    for (const StepMemory::Piece &other : b.pieces) {
-      result = std::max(result, std::min(most, ::getRelation(one, other)));
-      if (result == most)
-        return result;
-    }
+  // True if that is all that they can be to each other.
+  auto compare = [&](const std::vector<StepMemory::Piece> &ones,
+                     const std::vector<StepMemory::Piece> &others) {
+    for (const StepMemory::Piece &one : ones)
+      for (const StepMemory::Piece &other : others) {
+        // Most lie far apart.
+        if (one.end <= other.begin || other.end <= one.begin)
+          continue;
+        result = std::max(result, std::min(most, ::getRelation(one, other)));
+        if (result == most)
+          return true;
+      }
+    return false;
+  };
+  (void)(compare(a.changes, b.changes) || compare(a.changes, b.reads) ||
+         compare(a.reads, b.changes));
   return result;
 }
 

@@ -43,7 +43,8 @@ struct StepMemory {
     /// As in the footprint; null for none.
     const Footprint::Map *map;
   };
-  std::vector<Piece> pieces;
+  /// Those that are read and nothing else, and the others.
+  std::vector<Piece> reads, changes;
   /// Nothing else is touched.
   bool isKnown = false;
   /// The first thread does it all.
@@ -62,6 +63,10 @@ struct StepMemory {
                   int64_t count);
 
 private:
+  void add(const Piece &piece) {
+    (piece.kind == DeviceAccess::Read ? reads : changes).push_back(piece);
+  }
+
   /// Maps of pieces that no footprint has.
   std::shared_ptr<Footprint::Map> ownMap;
 };

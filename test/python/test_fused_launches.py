@@ -121,3 +121,39 @@ def test_threads_that_go_on_with_their_elements_do_not_wait():
 def test_the_option_has_one_name():
     with pytest.raises(ti.TaiRuntimeError, match="fuse_launch"):
         ti.init(fuse_launch=False)
+
+
+def test_rows_that_are_written_out_are_known():
+    # More accesses than a list keeps one by one: neighbours are counted as one.
+    init(True)
+    columns = 120
+    w = ti.field(ti.f32, shape=(3, columns), needs_grad=True)
+    y = ti.field(ti.f32, shape=(5, 3), needs_grad=True)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def product(t: ti.i32):
+        for i in range(3):
+            total = 0.0
+            for k in ti.static(range(columns)):
+                total += w[i, k] * y[t, k % 3]
+            y[t + 1, i] = total
+
+    @ti.kernel
+    def total():
+        for i in range(3):
+            loss[None] += y[4, i]
+
+    weights = np.random.default_rng(5).random((3, columns), np.float32) / 40
+    w.from_numpy(weights)
+    y.fill(1.0)
+    for _ in range(4):
+        with ti.ad.Tape(loss) as tape:
+            for t in range(4):
+                product(t)
+            total()
+    matrix = weights.astype(float).reshape(3, columns // 3, 3).sum(axis=1)
+    expected = np.ones(3) @ np.linalg.matrix_power(matrix, 4)
+    np.testing.assert_allclose(y.grad.to_numpy()[0], expected, 1e-5)
+    assert barriers_of(tape)
+    assert "unknown" not in tape.explain()

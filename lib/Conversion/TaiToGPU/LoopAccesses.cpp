@@ -312,7 +312,38 @@ void LoopAccesses::add(Value pointer, Type type, DeviceAccess::Kind kind,
   });
   if (isNew)
     addresses.push_back(std::move(address));
+  if (addresses.size() > kMostAccesses)
+    mergeNeighbours();
   isKnown = addresses.size() <= kMostAccesses;
+}
+
+/// Accesses that differ by a constant and leave nothing between them become one
+/// of a larger window: a row of weights that is written out, say.
+void LoopAccesses::mergeNeighbours() {
+  llvm::stable_sort(addresses, [](const Address &a, const Address &b) {
+    return a.access.offset < b.access.offset;
+  });
+  SmallVector<Address> merged;
+  for (Address &address : addresses) {
+    const DeviceAccess &access = address.access;
+    auto *found = llvm::find_if(merged, [&](const Address &other) {
+      const DeviceAccess &before = other.access;
+      return before.kind == access.kind && before.size == access.size &&
+             before.unit == access.unit && before.strides == access.strides &&
+             other.base == address.base && other.terms == address.terms &&
+             access.offset <= before.offset + before.window;
+    });
+    if (found == merged.end()) {
+      merged.push_back(std::move(address));
+      continue;
+    }
+    DeviceAccess &before = found->access;
+    int64_t distance = access.offset - before.offset;
+    before.step =
+        std::gcd(std::gcd(before.step, access.step), std::abs(distance));
+    before.window = std::max(before.window, distance + access.window);
+  }
+  addresses = std::move(merged);
 }
 
 void LoopAccesses::addSum(Value target, Type type, bool isAddition,

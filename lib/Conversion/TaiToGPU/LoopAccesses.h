@@ -49,6 +49,7 @@ private:
   void addSlot(Value value);
   void add(Value pointer, Type type, runtime::DeviceAccess::Kind kind,
            DenseI64ArrayAttr digits);
+  void mergeNeighbours();
   bool addIndex(Address &address, Value index, int64_t size,
                 ArrayRef<int64_t> digits);
   bool addTerm(Address &address, Value value, int64_t scale, unsigned depth);

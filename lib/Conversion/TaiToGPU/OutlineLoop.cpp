@@ -330,6 +330,7 @@ static std::pair<Value, Value> emitThread(OpBuilder &builder, Location loc) {
 }
 
 /// Emits the loop over the iterations of this thread and moves the body in.
+/// Programs count on which they are: see FunctionAccesses::isPlain.
 static void emitIterations(OpBuilder &builder, ParallelForOp loop,
                            MutableArrayRef<Sum> sums) {
   Location loc = loop.getLoc();
