@@ -83,6 +83,9 @@ TAI_EXPORT void taiContextDestroy(TaiContext context);
 ///                     machine has
 ///   device_memory_limit  the same for the memory of the GPU; to be set before
 ///                     arch
+///   device_heap       number of bytes that kernels on the GPU may allocate
+///                     while they run, 0 for what suits it; to be set before
+///                     arch
 ///   arch              cpu | cuda: where kernels run; to be set before the
 ///   first
 ///                     tree is added. The error says why there is no GPU

@@ -14,6 +14,7 @@
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Transforms/LoopInvariantCodeMotionUtils.h"
+#include "tai/Conversion/LocalMemory.h"
 #include "tai/Conversion/Passes.h"
 
 namespace mlir::tai {
@@ -24,9 +25,15 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-static bool isCallTo(Operation *op, StringRef name) {
+/// On the host, and on a device.
+static bool isAllocation(Operation *op) {
   auto call = dyn_cast<LLVM::CallOp>(op);
-  return call && call.getCallee() == name;
+  return call &&
+         (call.getCallee() == "malloc" || call.getCallee() == kLocalAllocate);
+}
+static bool isFree(Operation *op) {
+  auto call = dyn_cast<LLVM::CallOp>(op);
+  return call && (call.getCallee() == "free" || call.getCallee() == kLocalFree);
 }
 
 /// The op that frees the memory at the end of the iteration that allocates it,
@@ -34,7 +41,7 @@ static bool isCallTo(Operation *op, StringRef name) {
 static Operation *findFree(LLVM::CallOp allocation) {
   Operation *found = nullptr;
   for (Operation *user : allocation.getResult().getUsers()) {
-    if (!isCallTo(user, "free"))
+    if (!isFree(user))
       continue;
     if (found || user->getBlock() != allocation->getBlock())
       return nullptr;
@@ -56,7 +63,7 @@ struct HoistAllocations : tai::impl::HoistAllocationsBase<HoistAllocations> {
   static void hoistFrom(scf::ForOp loop) {
     SmallVector<std::pair<LLVM::CallOp, Operation *>> pairs;
     for (Operation &op : *loop.getBody()) {
-      if (!isCallTo(&op, "malloc"))
+      if (!isAllocation(&op))
         continue;
       auto allocation = cast<LLVM::CallOp>(op);
       if (Operation *release = findFree(allocation))
@@ -66,7 +73,9 @@ struct HoistAllocations : tai::impl::HoistAllocationsBase<HoistAllocations> {
       return;
     moveLoopInvariantCode(loop); // the sizes
     for (auto [allocation, release] : pairs)
-      if (loop.isDefinedOutsideOfLoop(allocation.getArgOperands().front())) {
+      if (llvm::all_of(allocation.getArgOperands(), [&](Value argument) {
+            return loop.isDefinedOutsideOfLoop(argument);
+          })) {
         allocation->moveBefore(loop);
         release->moveAfter(loop);
       }

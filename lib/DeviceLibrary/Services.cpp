@@ -13,6 +13,7 @@
 
 #include "Target.h"
 #include "tai/Runtime/Abi.h"
+#include "tai/Runtime/DeviceAbi.h"
 #include "tai/Runtime/DeviceState.h"
 #include "tai/Runtime/Philox.h"
 
@@ -158,17 +159,26 @@ static char *inlineSlots(TaiStack *stack) {
   return reinterpret_cast<char *>(stack + 1);
 }
 
-TAI_RARE void tai_rt_stack_grow(TaiFrame *frame, TaiStack *stack) {
+/// Says that there is no memory, in the words of the compiler.
+static TAI_RARE void failFor(TaiFrame *frame, uint64_t bytes, const char *text,
+                             const char *where) {
+  int32_t kind = TAI_DEVICE_VALUE_BYTES;
+  tai_rt_fail(frame, TAI_FAIL_MEMORY, text, where, 1, &kind, nullptr, &bytes);
+}
+
+static const char tooManyValues[] =
+    "out of memory: a gradient records more than {} of values in one iteration";
+
+TAI_RARE void tai_rt_stack_grow_at(TaiFrame *frame, TaiStack *stack,
+                                   const char *text, const char *where) {
   auto bytes = static_cast<uint64_t>(stack->capacity) * sizeof(uint64_t);
-  void *larger = nullptr;
-  if (bytes <= stateOf(frame).stackLimit / 2)
-    larger = malloc(2 * bytes);
+  bool isTooLarge = bytes > stateOf(frame).stackLimit / 2;
+  void *larger = isTooLarge ? nullptr : allocateBytes(2 * bytes);
   if (!larger) {
-    int32_t kind = TAI_DEVICE_VALUE_BYTES;
-    tai_rt_fail(frame, TAI_FAIL_MEMORY,
-                "out of memory: a gradient records more than {} of values in "
-                "one iteration",
-                "", 1, &kind, nullptr, &bytes);
+    if (isTooLarge)
+      failFor(frame, bytes, tooManyValues, where);
+    else
+      failFor(frame, 2 * bytes, text, where);
     stack->size = 0;
     return;
   }
@@ -181,7 +191,35 @@ TAI_RARE void tai_rt_stack_grow(TaiFrame *frame, TaiStack *stack) {
   stack->capacity *= 2;
 }
 
+TAI_RARE void tai_rt_stack_grow(TaiFrame *frame, TaiStack *stack) {
+  tai_rt_stack_grow_at(frame, stack, tooManyValues, "");
+}
+
 TAI_RARE void tai_rt_stack_free(TaiStack *stack) {
   if (stack->slots != inlineSlots(stack))
-    free(stack->slots);
+    freeBytes(stack->slots);
+}
+
+//===----------------------------------------------------------------------===//
+// Memory of a thread
+//===----------------------------------------------------------------------===//
+
+/// What nothing is read from or written to has an address, too.
+static void *const noBytes = reinterpret_cast<void *>(alignof(uint64_t));
+
+__attribute__((noinline)) void *tai_rt_local_alloc(TaiFrame *frame,
+                                                   uint64_t bytes,
+                                                   const char *text,
+                                                   const char *where) {
+  if (bytes == 0)
+    return noBytes;
+  void *memory = allocateBytes(bytes);
+  if (!memory)
+    failFor(frame, bytes, text, where);
+  return memory;
+}
+
+__attribute__((noinline)) void tai_rt_local_free(void *memory) {
+  if (memory && memory != noBytes)
+    freeBytes(memory);
 }

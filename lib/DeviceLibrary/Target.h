@@ -18,9 +18,13 @@
 #include <stdint.h>
 
 extern "C" {
+#ifdef __NVPTX__
 void *malloc(size_t bytes);
 void free(void *memory);
-#ifndef __NVPTX__
+#else
+// A heap with a limit, as that of a GPU has one.
+void *tai_emu_allocate(uint64_t bytes);
+void tai_emu_free(void *memory);
 int sched_yield(void);
 #endif
 }
@@ -28,6 +32,14 @@ int sched_yield(void);
 namespace tai::device {
 
 constexpr unsigned warpSize = 32;
+
+#ifdef __NVPTX__
+inline void *allocateBytes(uint64_t bytes) { return malloc(bytes); }
+inline void freeBytes(void *memory) { free(memory); }
+#else
+inline void *allocateBytes(uint64_t bytes) { return tai_emu_allocate(bytes); }
+inline void freeBytes(void *memory) { tai_emu_free(memory); }
+#endif
 
 /// What was there before. Other threads of the device see it happen at once,
 /// but it does not order other accesses.

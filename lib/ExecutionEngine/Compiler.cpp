@@ -590,9 +590,11 @@ std::string Compiler::getKey(CompileRequest request,
          << request.name << ' ' << static_cast<int>(request.goal)
          << (request.forward ? " forward" : "") << '\n';
   OpPrintingFlags flags;
-  // Assertions and checks put the place they stand at into the code.
+  // Assertions and checks put the place they stand at into the code; so do
+  // adjoints, where a device has no memory for what they record.
+  bool isAdjoint = request.goal != CompileRequest::Goal::Primal;
   bool hasPlaces =
-      options.debug || (options.device && options.places) ||
+      options.debug || (options.device && (options.places || isAdjoint)) ||
       request.module.walk([](CheckCloseOp) { return WalkResult::interrupt(); })
           .wasInterrupted();
   flags.enableDebugInfo(hasPlaces);

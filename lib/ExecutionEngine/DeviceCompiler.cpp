@@ -11,6 +11,7 @@
 #include "CodegenPasses.h"
 #include "GroupLoads.h"
 #include "Libdevice.h"
+#include "LocalMemory.h"
 #include "UnrollGridLoops.h"
 #include "VectorizeAtomics.h"
 #include "mlir/Dialect/GPU/IR/GPUDialect.h"
@@ -385,6 +386,7 @@ Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
     kernel->setLinkage(llvm::GlobalValue::ExternalLinkage);
     visible.push_back(isCuda() ? kernel : addSlotsFunction(*kernel));
   }
+  endWhereMemoryLacks(module);
   if (Error error = link(module))
     return error;
   for (llvm::GlobalValue &value : module.global_values())

@@ -14,6 +14,7 @@
 #include "tai/ExecutionEngine/Explain.h"
 #include "tai/InitAll.h"
 #include "tai/Pipelines/Pipelines.h"
+#include "tai/Runtime/DeviceHeap.h"
 #include "llvm/Support/FormatVariadic.h"
 #include "llvm/Support/Path.h"
 #include "llvm/Support/Process.h"
@@ -290,6 +291,13 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
   }
   if (name == "arch")
     return setArch(value);
+  if (name == "device_heap") {
+    int64_t bytes;
+    if (value.getAsInteger(10, bytes) || bytes < 0)
+      return badValue("a number of bytes, or 0 for what suits the device");
+    runtime::setDeviceHeapBytes(bytes);
+    return success();
+  }
   if (name == "device_memory_limit") {
     if (value.getAsInteger(10, deviceMemoryLimit) || deviceMemoryLimit < 0)
       return badValue("a number of bytes, or 0");

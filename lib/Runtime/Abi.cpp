@@ -13,6 +13,7 @@
 #include "tai/Runtime/Abi.h"
 #include "Launch.h"
 #include "tai/Runtime/Device.h"
+#include "tai/Runtime/DeviceHeap.h"
 #include "tai/Runtime/Philox.h"
 #include <algorithm>
 #include <cstdlib>
@@ -407,6 +408,8 @@ std::vector<RuntimeSymbol> mlir::tai::runtime::runtimeSymbols() {
           TAI_SYMBOL(tai_emu_next_in_group),
           TAI_SYMBOL(tai_emu_end_group),
           TAI_SYMBOL(tai_emu_grid_dim),
+          TAI_SYMBOL(tai_emu_allocate),
+          TAI_SYMBOL(tai_emu_free),
           TAI_SYMBOL(tai_rt_host_launch),
           TAI_SYMBOL(tai_rt_host_tape_begin),
           TAI_SYMBOL(tai_rt_host_tape_end),

@@ -53,6 +53,7 @@ class Options:
     skip: Any = "all"
     memory_limit: int = 0
     device_memory_limit: int = 0
+    device_heap_memory: int = 0
     default_gpu_block_dim: int = 0
     fuse_launches: bool = True
     # What was given for options that are accepted and change nothing.
@@ -142,6 +143,7 @@ class Program:
 
         values = {
             "device_memory_limit": str(o.device_memory_limit),
+            "device_heap": str(o.device_heap_memory),
             "arch": str(o.arch),
             "threads": str(o.cpu_max_num_threads),
             "deterministic": flag(o.deterministic),
@@ -248,6 +250,9 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
         memory_limit: bytes that fields may take, those of sparse levels by their active cells;
             0 for what the machine has. More is a `TaiMemoryError`, and the program can go on.
         device_memory_limit: the same for the memory of the GPU.
+        device_heap_memory: bytes that kernels may ask for while they run on the GPU, which
+            gradients of loops do; 0 for a 32nd of its memory, 4 GiB at most. It can be said
+            until the first kernel that asks.
         default_gpu_block_dim: threads of a block on the GPU, a multiple of 32; 0 for what suits
             each kernel.
         fuse_launches: make one piece of work of launches that come again and again in the same

@@ -223,3 +223,97 @@ def test_a_fill_stays_in_its_field():
     first.fill(0.0)
     assert (first.to_numpy() == 0.0).all()
     assert (second.to_numpy() == -1.0).all()
+
+
+def power_kernels():
+    """Kernels whose gradients record a number for each of `n` trips."""
+    c = ti.field(ti.f64, shape=(), needs_grad=True)
+    x = ti.field(ti.f64, shape=3, needs_grad=True)
+    y = ti.field(ti.f64, shape=3, needs_grad=True)
+
+    @ti.kernel
+    def counted(n: ti.i32):
+        for i in x:
+            value = x[i]
+            for _ in range(n):
+                value *= c[None]
+            y[i] = value
+
+    @ti.kernel
+    def leaving(n: ti.i32):
+        for i in x:
+            value = x[i]
+            j = 0
+            while True:
+                if j >= n:
+                    break
+                value *= c[None]
+                j += 1
+            y[i] = value
+
+    return c, x, y, {"counted": counted, "leaving": leaving}
+
+
+@pytest.mark.parametrize("name", ["counted", "leaving"])
+def test_a_gradient_that_finds_no_memory_on_the_device(name):
+    """The heap of the emulated device; that of a GPU can be set once for a process."""
+    if os.environ.get("TAI_CUDA_EMULATION") != "1":
+        pytest.skip("takes the heap of the emulated device")
+    ti.init(offline_cache=False, device_heap_memory=8192)
+    c, x, y, kernels = power_kernels()
+    kernel = kernels[name]
+    c[None] = 1.0
+    x.fill(2.0)
+
+    def gradient(trips):
+        for field in (c, x):
+            field.grad.fill(0.0)
+        y.grad.fill(1.0)
+        kernel.grad(trips)
+        ti.sync()
+        return c.grad[None], x.grad[0]
+
+    assert gradient(100) == (600.0, 1.0)
+    for _ in range(2):
+        with pytest.raises(ti.TaiMemoryError, match=f"kernel '{name}_grad' records") as caught:
+            gradient(5000)
+        message = str(caught.value)
+        assert "KiB of values" in message and "device_heap_memory" in message
+        assert "test_devices.py:" in message
+        # The program goes on, and what was taken has been given back.
+        assert gradient(200) == (1200.0, 1.0)
+    # Nothing is taken for nothing.
+    assert gradient(0) == (0.0, 1.0)
+
+
+def test_sums_of_a_gradient_that_finds_no_memory():
+    """A sum over a block comes behind the memory that one of its threads is not given."""
+    if os.environ.get("TAI_CUDA_EMULATION") != "1":
+        pytest.skip("takes the heap of the emulated device")
+    ti.init(offline_cache=False, device_heap_memory=4096)
+    a = ti.field(ti.f64, shape=(), needs_grad=True)
+    n = ti.field(ti.i32, shape=64)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def total():
+        for i in n:
+            value = 1.0
+            for _ in range(n[i]):
+                value = value * a[None] + 0.5 * value * value
+            loss[None] += value
+
+    a[None] = 0.25
+    n.fill(8)
+    loss.grad[None] = 1.0
+    total.grad()
+    first = a.grad[None]
+    assert first != 0
+    n[17] = 100_000
+    with pytest.raises(ti.TaiMemoryError, match="kernel 'total_grad'"):
+        total.grad()
+        ti.sync()
+    n[17] = 8
+    a.grad[None] = 0
+    total.grad()
+    assert a.grad[None] == pytest.approx(first, rel=1e-12)

@@ -14,6 +14,7 @@
 #include "tai/ExecutionEngine/Linker.h"
 #include "tai/Runtime/Abi.h"
 #include "tai/Runtime/DeviceAbi.h"
+#include "tai/Runtime/DeviceHeap.h"
 #include "tai/Runtime/DeviceReport.h"
 #include "tai/Runtime/DeviceSparse.h"
 #include "llvm/Bitcode/BitcodeReader.h"
@@ -57,6 +58,8 @@ protected:
         {"tai_emu_block_dim", reinterpret_cast<void *>(&getOne)},
         {"tai_emu_block_id", reinterpret_cast<void *>(&getBlock)},
         {"tai_emu_grid_dim", reinterpret_cast<void *>(&getGrid)},
+        {"tai_emu_allocate", reinterpret_cast<void *>(&tai_emu_allocate)},
+        {"tai_emu_free", reinterpret_cast<void *>(&tai_emu_free)},
         {"tai_program_dispatch", reinterpret_cast<void *>(&dispatch)}};
     auto made = Linker::create(symbols);
     ASSERT_TRUE(static_cast<bool>(made));
@@ -284,6 +287,44 @@ TEST_F(DeviceLibrary, StacksGrowUpToTheLimit) {
   EXPECT_EQ(failure.code(), StatusCode::Memory);
   EXPECT_EQ(failure.message(), "out of memory: a gradient records more than "
                                "832 B of values in one iteration");
+}
+
+TEST_F(DeviceLibrary, SaysWhereTheHeapIsUsedUp) {
+  auto *allocate = TAI_FIND(tai_rt_local_alloc);
+  auto *release = TAI_FIND(tai_rt_local_free);
+  TaiFrame *frame = makeState(0);
+  setDeviceHeapBytes(4096);
+  void *one = allocate(frame, 3000, "{} are too much", "a.py:3:4");
+  ASSERT_NE(one, nullptr);
+  // Nothing is taken for nothing.
+  void *none = allocate(frame, 0, "{} are too much", "");
+  EXPECT_NE(none, nullptr);
+  EXPECT_TRUE(read().failure.ok());
+  EXPECT_EQ(allocate(frame, 2048, "{} are too much", "a.py:3:4"), nullptr);
+  Status failure = read().failure;
+  EXPECT_EQ(failure.code(), StatusCode::Memory);
+  EXPECT_EQ(failure.message(), "2.0 KiB are too much");
+  EXPECT_EQ(failure.where(), "a.py:3:4");
+  release(none);
+  release(one);
+  one = allocate(frame, 4096, "", "");
+  EXPECT_NE(one, nullptr);
+  release(one);
+  // A stack that may be larger finds no room either.
+  auto *grow = TAI_FIND(tai_rt_stack_grow_at);
+  frame = makeState(0);
+  setDeviceHeapBytes(8);
+  struct {
+    TaiStack stack;
+    uint64_t slots[TAI_STACK_SLOTS];
+  } inlined;
+  inlined.stack = {reinterpret_cast<char *>(inlined.slots), TAI_STACK_SLOTS,
+                   TAI_STACK_SLOTS};
+  grow(frame, &inlined.stack, "no room for {}", "b.py:1:2");
+  setDeviceHeapBytes(0);
+  EXPECT_EQ(inlined.stack.size, 0);
+  EXPECT_EQ(read().failure.message(), "no room for 208 B");
+  EXPECT_EQ(read().failure.where(), "b.py:1:2");
 }
 
 //===----------------------------------------------------------------------===//

@@ -13,6 +13,7 @@
 
 #include "RuntimeTestUtils.h"
 #include "tai/Runtime/Device.h"
+#include "tai/Runtime/DeviceHeap.h"
 #include "tai/Runtime/DeviceReport.h"
 #include <cstdlib>
 #include <cstring>
@@ -573,6 +574,21 @@ static void checkScaling() {
   EXPECT_OK(runtime.launch(*kernel, args, 2, nullptr));
   EXPECT_EQ(get(*x, {19999}), 0.2);
   EXPECT_OK(runtime.synchronize());
+}
+
+TEST_F(RuntimeCuda, HasAHeapOfTheSizeThatIsWanted) {
+  use(TAI_FAKE_CUDA_LIBRARY, "heap-in-use");
+  std::unique_ptr<Device> device;
+  // What nobody has asked for is not missed.
+  EXPECT_OK(openCudaDevice(0, device));
+  setDeviceHeapBytes(1 << 20);
+  EXPECT_OK(openCudaDevice(0, device));
+  setDeviceHeapBytes(int64_t(1) << 40);
+  EXPECT_NE(whyNot().find("the heap of kernels cannot have 1.0 TiB"),
+            std::string::npos);
+  use(TAI_FAKE_CUDA_LIBRARY, "");
+  EXPECT_OK(openCudaDevice(0, device));
+  setDeviceHeapBytes(0);
 }
 
 TEST_F(RuntimeCuda, RunsKernels) { checkScaling(); }

@@ -17,6 +17,7 @@
 #ifndef TAI_RUNTIME_DEVICEABI_H
 #define TAI_RUNTIME_DEVICEABI_H
 
+#include "tai/Runtime/Abi.h"
 #include <stdint.h>
 
 #ifdef __cplusplus
@@ -48,6 +49,19 @@ void tai_dev_grid_barrier(uint32_t *state, uint32_t blocks);
 #define TAI_DEVICE_REDUCTION(op, suffix, type)                                 \
   void tai_dev_reduce_##op##_##suffix(type *target, type value);
 #include "tai/Runtime/DeviceReductions.def"
+
+//===----------------------------------------------------------------------===//
+// Memory of one thread, out of the heap of the device
+//===----------------------------------------------------------------------===//
+
+/// Null where there is none, which has then been said: in `text`, "{}" stands
+/// for the bytes. For no bytes there always is an address.
+void *tai_rt_local_alloc(TaiFrame *frame, uint64_t bytes, const char *text,
+                         const char *where);
+void tai_rt_local_free(void *memory);
+/// As tai_rt_stack_grow; what it says where there is no memory.
+void tai_rt_stack_grow_at(TaiFrame *frame, TaiStack *stack, const char *text,
+                          const char *where);
 
 //===----------------------------------------------------------------------===//
 // Programs
@@ -123,6 +137,8 @@ int32_t tai_emu_thread_id(void);
 int32_t tai_emu_block_id(void);
 int32_t tai_emu_block_dim(void);
 int32_t tai_emu_grid_dim(void);
+void *tai_emu_allocate(uint64_t bytes);
+void tai_emu_free(void *memory);
 
 /// A program on the emulated device runs as several threads, in an order that
 /// is another one after each barrier. Yields how many.

@@ -14,6 +14,7 @@
 
 #include "../TaiToSCF/Lowering.h"
 #include "mlir/Dialect/GPU/IR/GPUDialect.h"
+#include "tai/Conversion/LocalMemory.h"
 
 namespace mlir::tai {
 
@@ -71,6 +72,15 @@ LogicalResult prepareSums(ParallelForOp loop, Value frame,
 /// Moves a loop to a function of its own and launches that in its place.
 LogicalResult outlineLoop(ParallelForOp loop, Value frame, StringRef name,
                           DeviceLowering &lowering);
+
+/// Makes a device function, whose first argument is the state of the device,
+/// say where it finds no memory.
+void guardAllocations(LLVM::LLVMFuncOp function, RuntimeCalls &runtime);
+
+/// The address of memory that an earlier function of the kernel has allocated,
+/// for one that ends where there is none.
+Value markHandedOn(OpBuilder &builder, Location loc, Value address,
+                   RuntimeCalls &runtime);
 
 } // namespace mlir::tai
 

@@ -403,8 +403,10 @@ namespace {
 /// Makes parameters of what a function uses from the host's part.
 class Parameters {
 public:
-  Parameters(LLVM::LLVMFuncOp function, Operation *launch)
-      : function(function), launch(launch), entry(function.getContext()) {}
+  Parameters(LLVM::LLVMFuncOp function, Operation *launch,
+             RuntimeCalls &runtime)
+      : function(function), launch(launch), runtime(runtime),
+        entry(function.getContext()) {}
 
   LogicalResult capture();
   /// The number of the parameter that a value from outside has become, and for
@@ -432,6 +434,7 @@ private:
 
   LLVM::LLVMFuncOp function;
   Operation *launch;
+  RuntimeCalls &runtime;
   OpBuilder entry;
   SmallVector<Value> operands;
   llvm::DenseMap<Value, Value> known;
@@ -537,6 +540,8 @@ FailureOr<Value> Parameters::get(Value outer) {
       return failure();
     entry.setInsertionPointAfterValue(*slot);
     value = emitSlotLoad(entry, launch->getLoc(), outer.getType(), *slot);
+    if (isa<LLVM::LLVMPointerType>(outer.getType()))
+      value = markHandedOn(entry, launch->getLoc(), value, runtime);
   } else if (Value neighbour = findNeighbour(outer)) {
     FailureOr<Value> base = get(neighbour);
     if (failed(base))
@@ -715,12 +720,13 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
     if (!sum.isPartial)
       emitSumEnd(builder, loc, sum, runtime);
 
-  Parameters parameters(function, loop);
+  Parameters parameters(function, loop, runtime);
   if (failed(parameters.capture()))
     return failure();
   markInvariantLoads(function, sums);
   if (failed(lowerLeafOps(function, lowering.device)))
     return failure();
+  guardAllocations(function, runtime);
 
   SmallVector<Value> operands(parameters.getOperands());
   bool usesState = !state.use_empty();

@@ -7,6 +7,7 @@
 
 #include "CudaDevice.h"
 #include "../Launch.h"
+#include "tai/Runtime/DeviceHeap.h"
 #include <algorithm>
 #include <cstdlib>
 #include <cstring>
@@ -124,10 +125,8 @@ Status CudaDevice::open() {
   }
   if (status)
     status = check(made, "no stream can be made");
-  // Memory that kernels ask for while they run: what loops record.
   if (status)
-    (void)cu.ctxSetLimit(kLimitHeapBytes,
-                         std::min<size_t>(bytes / 32, size_t(4) << 30));
+    status = setHeap(bytes);
   void *memory = nullptr;
   if (status)
     status = check(cu.memAllocHost(&memory, stagingBytes),
@@ -147,6 +146,26 @@ Status CudaDevice::open() {
   uint64_t threshold = UINT64_MAX;
   (void)cu.memPoolSetAttribute(pool, kPoolReleaseThreshold, &threshold);
   return status;
+}
+
+/// Memory that kernels ask for while they run: what loops record.
+Status CudaDevice::setHeap(size_t memoryBytes) {
+  auto wanted = static_cast<size_t>(deviceHeapBytes());
+  size_t bytes =
+      wanted ? wanted : std::min<size_t>(memoryBytes / 32, size_t(4) << 30);
+  Result result = cu.ctxSetLimit(kLimitHeapBytes, bytes);
+  size_t known = 0;
+  // What has been used once stays as it is.
+  if (result == kSuccess || !wanted ||
+      (cu.ctxGetLimit(&known, kLimitHeapBytes) == kSuccess && known >= wanted))
+    return Status::success();
+  return Status::failure(
+      StatusCode::Usage,
+      "the heap of kernels cannot have " + formatBytes(deviceHeapBytes()) +
+          " (" + cu.describe(result) + "): it has " +
+          formatBytes(static_cast<int64_t>(known)) +
+          ", and can be changed until the first kernel that uses it is "
+          "launched");
 }
 
 CudaDevice::~CudaDevice() {

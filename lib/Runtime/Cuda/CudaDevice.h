@@ -111,6 +111,7 @@ private:
     return check(cu.ctxSetCurrent(context), "a thread cannot use the device");
   }
   Status allocateOnce(int64_t bytes, Address &address);
+  Status setHeap(size_t memoryBytes);
   static Stream toStream(uint64_t number) {
     return reinterpret_cast<Stream>(number ? number : kLegacyStream);
   }

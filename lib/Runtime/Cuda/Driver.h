@@ -131,6 +131,7 @@ struct GraphUpdate {
   DO(primaryCtxRetain, "cuDevicePrimaryCtxRetain", (Context *, DeviceNumber))  \
   DO(primaryCtxRelease, "cuDevicePrimaryCtxRelease_v2", (DeviceNumber))        \
   DO(primaryCtxReset, "cuDevicePrimaryCtxReset_v2", (DeviceNumber))            \
+  DO(ctxGetLimit, "cuCtxGetLimit", (size_t *, int))                            \
   DO(ctxSetLimit, "cuCtxSetLimit", (int, size_t))                              \
   DO(ctxGetCurrent, "cuCtxGetCurrent", (Context *))                            \
   DO(ctxSetCurrent, "cuCtxSetCurrent", (Context))                              \

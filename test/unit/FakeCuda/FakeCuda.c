@@ -9,6 +9,7 @@
 // host. The environment variable TAI_FAKE_CUDA says what is wrong, as a list of
 // words: no-device, zero-devices, old, busy, small (a megabyte of memory),
 // no-pools, bad-ptx, fault (launches fail when they are waited for),
+// heap-in-use (its size cannot be changed),
 // any-function (modules have functions of all names, which do nothing). The
 // clock of the device advances by a microsecond with each piece of work, and by
 // a launch of "scale" by one for each thousand numbers. A module has the
@@ -458,7 +459,14 @@ Result cuDevicePrimaryCtxReset_v2(int device) {
   (void)device;
   return 0;
 }
+static size_t heap = 8 << 20;
 Result cuCtxSetLimit(int limit, size_t value) {
-  (void)limit, (void)value;
+  if (limit != 2 || has("heap-in-use"))
+    return 1;
+  heap = value;
   return 0;
+}
+Result cuCtxGetLimit(size_t *value, int limit) {
+  *value = heap;
+  return limit == 2 ? 0 : 1;
 }

@@ -1,0 +1,27 @@
+//===- LocalMemory.h - Memory of threads of a device ------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Functions that device code calls in the place of malloc and free: the device
+// library has them, but for the last one, which stands for its argument. Where
+// the first or the last gives null, the calling function does nothing more.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_CONVERSION_LOCALMEMORY_H
+#define TAI_CONVERSION_LOCALMEMORY_H
+
+#include "llvm/ADT/StringRef.h"
+
+namespace mlir::tai {
+
+constexpr llvm::StringLiteral kLocalAllocate = "tai_rt_local_alloc";
+constexpr llvm::StringLiteral kLocalFree = "tai_rt_local_free";
+constexpr llvm::StringLiteral kLocalGiven = "tai_rt_local_given";
+
+} // namespace mlir::tai
+
+#endif // TAI_CONVERSION_LOCALMEMORY_H
