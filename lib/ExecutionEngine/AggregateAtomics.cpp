@@ -134,11 +134,23 @@ void GroupEmitter::emitAdditions(ArrayRef<Value *> values) {
 
 /// All threads of the warp are here.
 void GroupEmitter::emitFull(BasicBlock *tail) {
-  SmallVector<Value *> values, targets;
+  // Addresses are mostly constants behind few others: these need no registers.
+  SmallVector<Value *> values, bases, offsets;
+  const DataLayout &layout = group.back()->getDataLayout();
   for (AtomicRMWInst *op : group) {
+    Value *pointer = op->getPointerOperand();
+    APInt offset(layout.getIndexTypeSizeInBits(pointer->getType()), 0);
+    Value *base = pointer->stripAndAccumulateConstantOffsets(
+        layout, offset, /*AllowNonInbounds=*/true);
+    bool isAlike = base->getType() == pointer->getType();
+    bases.push_back(isAlike ? base : pointer);
+    offsets.push_back(
+        builder.getInt(isAlike ? offset.sextOrTrunc(64) : APInt(64, 0)));
     values.push_back(op->getValOperand());
-    targets.push_back(op->getPointerOperand());
   }
+  auto select = [&](Value *condition, Value *yes, Value *no) {
+    return yes == no ? yes : builder.CreateSelect(condition, yes, no);
+  };
   Value *number = builder.getInt32(0);
   for (unsigned distance = warpSize / 2, bit = 1; distance > 0;
        distance /= 2, bit *= 2) {
@@ -147,29 +159,33 @@ void GroupEmitter::emitFull(BasicBlock *tail) {
     number = builder.CreateOr(
         number, builder.CreateSelect(isUpper, builder.getInt32(bit),
                                      builder.getInt32(0)));
-    SmallVector<Value *> nextValues, nextTargets;
+    SmallVector<Value *> nextValues, nextBases, nextOffsets;
     for (size_t i = 0; i < values.size(); i += 2) {
       bool isPair = i + 1 < values.size();
-      Value *mine = values[i], *theirs = values[i], *target = targets[i];
+      Value *mine = values[i], *theirs = values[i];
       if (isPair) {
         mine = builder.CreateSelect(isUpper, values[i + 1], values[i]);
         theirs = builder.CreateSelect(isUpper, values[i], values[i + 1]);
-        target = builder.CreateSelect(isUpper, targets[i + 1], targets[i]);
       }
+      size_t other = isPair ? i + 1 : i;
+      nextBases.push_back(select(isUpper, bases[other], bases[i]));
+      nextOffsets.push_back(select(isUpper, offsets[other], offsets[i]));
       nextValues.push_back(
           builder.CreateFAdd(mine, exchange(Intrinsic::nvvm_shfl_sync_bfly_f32,
                                             theirs, distance)));
-      nextTargets.push_back(target);
     }
     values = std::move(nextValues);
-    targets = std::move(nextTargets);
+    bases = std::move(nextBases);
+    offsets = std::move(nextOffsets);
   }
   // Threads beyond the last sum hold one that another has.
   BasicBlock *add = addBlock();
   builder.CreateCondBr(
       builder.CreateICmpULT(number, builder.getInt32(group.size())), add, tail);
   builder.SetInsertPoint(add);
-  builder.CreateAtomicRMW(AtomicRMWInst::FAdd, targets.front(), values.front(),
+  Value *target =
+      builder.CreateGEP(builder.getInt8Ty(), bases.front(), offsets.front());
+  builder.CreateAtomicRMW(AtomicRMWInst::FAdd, target, values.front(),
                           group.back()->getAlign(), AtomicOrdering::Monotonic,
                           group.back()->getSyncScopeID());
   builder.CreateBr(tail);

@@ -444,7 +444,10 @@ void DeviceCompiler::runPasses(llvm::Module &module) {
     builder.registerOptimizerLastEPCallback([](llvm::ModulePassManager &manager,
                                                llvm::OptimizationLevel,
                                                llvm::ThinOrFullLTOPhase) {
-      manager.addPass(llvm::createModuleToFunctionPassAdaptor(GroupLoads()));
+      llvm::FunctionPassManager last;
+      last.addPass(AggregateAtomics());
+      last.addPass(GroupLoads());
+      manager.addPass(llvm::createModuleToFunctionPassAdaptor(std::move(last)));
     });
   builder.registerModuleAnalyses(modules);
   builder.registerCGSCCAnalyses(sccs);

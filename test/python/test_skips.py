@@ -1,5 +1,7 @@
 """What is left out because a scene does not need it: counters, and the same bits without."""
 
+import os
+
 import numpy as np
 import pytest
 import tai as ti
@@ -216,7 +218,9 @@ def test_a_launch_over_nothing_is_left_out(skip, skipped, empty):
     ti.profiler.clear_skips()
     x.parent().parent().deactivate_all()
     step()
-    assert counters("empty-lists")["launches_skipped"] == (1 if skipped else 0)
+    # On a GPU the cells are gone without the host's knowing.
+    on_device = os.environ.get("TI_ARCH") == "cuda"
+    assert counters("empty-lists")["launches_skipped"] == (1 if skipped and not on_device else 0)
 
 
 @pytest.mark.parametrize("skip, adjoints", [("all", 1), ("all,-lazy-compilation", 2)])
