@@ -1,0 +1,74 @@
+// What all threads of a warp add to the same elements is added up first; and
+// loads come before stores to other memory.
+//
+// RUN: tai-translate --tai-to-ptx %s | FileCheck %s
+// RUN: tai-translate --tai-to-ptx --device-target=sm_80 %s | FileCheck %s
+
+gpu.module @kernels {
+  // Two elements for all: five exchanges, and one addition by each of two
+  // threads. Some of the first threads alone, and any others, are ways of their
+  // own.
+  // CHECK-LABEL: .entry shared(
+  // CHECK: activemask.b32
+  // CHECK-COUNT-5: shfl.sync.bfly.b32
+  // CHECK-NOT: shfl.sync.bfly.b32
+  // CHECK-COUNT-10: shfl.sync.down.b32
+  // CHECK-NOT: shfl.
+  // CHECK: .entry
+  llvm.func @shared(%p: !llvm.ptr, %q: !llvm.ptr) attributes {gpu.kernel} {
+    %i = nvvm.read.ptx.sreg.tid.x : i32
+    %0 = llvm.getelementptr inbounds %q[%i] : (!llvm.ptr, i32) -> !llvm.ptr, f32
+    %a = llvm.load %0 : !llvm.ptr -> f32
+    %b = llvm.fmul %a, %a : f32
+    %1 = llvm.getelementptr inbounds %p[3] : (!llvm.ptr) -> !llvm.ptr, f32
+    %2 = llvm.atomicrmw fadd %p, %a monotonic : !llvm.ptr, f32
+    %3 = llvm.atomicrmw fadd %1, %b monotonic : !llvm.ptr, f32
+    llvm.return
+  }
+
+  // Each thread has elements of its own.
+  // CHECK-LABEL: own(
+  // CHECK-NOT: activemask
+  // CHECK: .entry
+  llvm.func @own(%p: !llvm.ptr, %a: f32) attributes {gpu.kernel} {
+    %i = nvvm.read.ptx.sreg.tid.x : i32
+    %0 = llvm.getelementptr inbounds %p[%i] : (!llvm.ptr, i32) -> !llvm.ptr, !llvm.array<2 x f32>
+    %1 = llvm.getelementptr inbounds %0[1] : (!llvm.ptr) -> !llvm.ptr, f32
+    %2 = llvm.atomicrmw fadd %0, %a monotonic : !llvm.ptr, f32
+    %3 = llvm.atomicrmw fadd %1, %a monotonic : !llvm.ptr, f32
+    llvm.return
+  }
+
+  // A load in between sees what was added before.
+  // CHECK-LABEL: between(
+  // CHECK-NOT: activemask
+  // CHECK: .entry
+  llvm.func @between(%p: !llvm.ptr, %q: !llvm.ptr, %a: f32) attributes {gpu.kernel} {
+    %1 = llvm.getelementptr inbounds %p[1] : (!llvm.ptr) -> !llvm.ptr, f32
+    %2 = llvm.atomicrmw fadd %p, %a monotonic : !llvm.ptr, f32
+    %3 = llvm.load %p : !llvm.ptr -> f32
+    llvm.store %3, %q : f32, !llvm.ptr
+    %4 = llvm.atomicrmw fadd %1, %a monotonic : !llvm.ptr, f32
+    llvm.return
+  }
+
+  // Two elements, added to one after the other: both are loaded first.
+  // CHECK-LABEL: elements(
+  // CHECK: ld.global
+  // CHECK-NEXT: ld.global
+  // CHECK-NOT: ld.global
+  // CHECK-COUNT-2: st.global
+  // CHECK: ret
+  llvm.func @elements(%p: !llvm.ptr, %a: f32) attributes {gpu.kernel} {
+    %i = nvvm.read.ptx.sreg.tid.x : i32
+    %0 = llvm.getelementptr inbounds %p[%i] : (!llvm.ptr, i32) -> !llvm.ptr, !llvm.array<9 x f32>
+    %1 = llvm.getelementptr inbounds %0[7] : (!llvm.ptr) -> !llvm.ptr, f32
+    %2 = llvm.load %0 : !llvm.ptr -> f32
+    %3 = llvm.fadd %2, %a : f32
+    llvm.store %3, %0 : f32, !llvm.ptr
+    %4 = llvm.load %1 : !llvm.ptr -> f32
+    %5 = llvm.fadd %4, %a : f32
+    llvm.store %5, %1 : f32, !llvm.ptr
+    llvm.return
+  }
+}
