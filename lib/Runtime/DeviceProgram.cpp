@@ -21,6 +21,7 @@
 #include <map>
 #include <numeric>
 #include <unordered_map>
+#include <unordered_set>
 
 using namespace mlir::tai::runtime;
 
@@ -212,20 +213,30 @@ static bool areStepsTimed() {
   return given && *given && *given != '0';
 }
 
-/// The steps with the numbers of their parts, in the order of a program. Parts
-/// that are kernels are numbered in the order in which they come.
+/// The functions of the parts, in the order of their numbers. That is the order
+/// of the sequence: the order of the schedule is another one with other
+/// parameters, for which the kernel is not made again.
+std::vector<const DeviceQueue::Function *>
+DeviceQueue::Program::listParts() const {
+  std::vector<const Function *> parts;
+  std::unordered_set<const Function *> seen;
+  for (const Step &step : sequence.steps)
+    if (step.function && seen.insert(step.function).second)
+      parts.push_back(step.function);
+  return parts;
+}
+
+/// The steps with the numbers of their parts, in the order of the schedule.
 std::vector<LoopStep> DeviceQueue::Program::listSteps() const {
   std::unordered_map<const Function *, uint64_t> numbers;
+  for (const Function *part : listParts())
+    numbers.emplace(part, TAI_FIRST_PART + numbers.size());
   std::vector<LoopStep> steps;
   steps.reserve(order.order.size());
   for (size_t i = 0; i < order.order.size(); ++i) {
     const Step &step = scheduledStep(i);
     LoopStep listed;
-    listed.part =
-        step.function
-            ? numbers.emplace(step.function, TAI_FIRST_PART + numbers.size())
-                  .first->second
-            : partOf(step.kind);
+    listed.part = step.function ? numbers.at(step.function) : partOf(step.kind);
     listed.waits = order.waits[i];
     listed.slots = sequence.slots.data() + step.firstSlot;
     listed.numSlots = step.numSlots;
@@ -238,24 +249,21 @@ Status DeviceQueue::Program::prepare(Way &way) {
   way.isReady = true;
   if (way.mode == ProgramMode::Graph)
     return makeCurrent(way);
-  way.loops = ProgramLoops(listSteps(), /*useLoops=*/true);
-  return makeKernel(way);
+  return makeKernel(way, ProgramLoops(listSteps(), /*useLoops=*/true));
 }
 
-Status DeviceQueue::Program::makeKernel(Way &way) {
+/// Makes the kernel for these loops. The way stays as it is where that fails.
+Status DeviceQueue::Program::makeKernel(Way &way, ProgramLoops loops) {
   ProgramPlan plan;
-  plan.segments = way.loops.getSegments();
-  plan.words = way.loops.numWords();
+  plan.segments = loops.getSegments();
+  plan.words = loops.numWords();
   plan.scope = scopeOf(way.mode);
   plan.threads = way.shape.threads;
   plan.isTimed = areStepsTimed();
   std::vector<LoopStep> steps = listSteps();
-  for (size_t i = 0; i < steps.size(); ++i) {
-    const Function *function = scheduledStep(i).function;
-    if (function && steps[i].part == TAI_FIRST_PART + plan.parts.size())
-      plan.parts.push_back(
-          {function->bitcode.get(), function->name, /*isInTable=*/false});
-  }
+  for (const Function *part : listParts())
+    plan.parts.push_back(
+        {part->bitcode.get(), part->name, /*isInTable=*/false});
   for (const ProgramSegment &segment : plan.segments)
     for (size_t i = 0; !segment.isLoop() && i < segment.count; ++i) {
       uint64_t part = steps[segment.first + i].part;
@@ -264,14 +272,20 @@ Status DeviceQueue::Program::makeKernel(Way &way) {
     }
   DeviceImage image;
   std::unique_ptr<DeviceModule> module;
+  DeviceFunction *function = nullptr;
   Status status = maker(plan, image);
   if (status)
     status = device.load(image, module);
   if (status)
-    status = device.find(*module, image.functions.front(), way.function);
+    status = device.find(*module, image.functions.front(), function);
+  // What has been queued may still run the one before.
+  if (status && way.module)
+    status = device.synchronize();
   if (!status)
     return status;
   way.module = std::move(module);
+  way.function = function;
+  way.loops = std::move(loops);
   unsigned most = device.mostThreads(*way.function);
   if (way.shape.threads > most)
     way.shape.threads = std::max(most / 32 * 32, 1u);
@@ -414,8 +428,8 @@ Status DeviceQueue::Program::update(Way &way) {
   std::vector<uint64_t> table;
   if (!way.loops.pack(steps, way.words, table)) {
     // Parameters do not change as they did: without loops any will do.
-    way.loops = ProgramLoops(steps, /*useLoops=*/false);
-    if (Status made = makeKernel(way); !made)
+    ProgramLoops rows(steps, /*useLoops=*/false);
+    if (Status made = makeKernel(way, std::move(rows)); !made)
       return made;
     way.loops.pack(steps, way.words, table);
   }

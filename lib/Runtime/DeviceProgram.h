@@ -152,7 +152,8 @@ private:
 
   void listWays(ProgramMode wanted);
   Status prepare(Way &way);
-  Status makeKernel(Way &way);
+  Status makeKernel(Way &way, ProgramLoops loops);
+  std::vector<const Function *> listParts() const;
   std::vector<LoopStep> listSteps() const;
   Status update(Way &way);
   Status updateTable(Way &way, const std::vector<uint64_t> &table);

@@ -157,3 +157,44 @@ def test_rows_that_are_written_out_are_known():
     np.testing.assert_allclose(y.grad.to_numpy()[0], expected, 1e-5)
     assert barriers_of(tape)
     assert "unknown" not in tape.explain()
+
+
+def test_another_order_runs_the_same_kernels():
+    """Which steps wait for which changes with the parameters, and their order with it."""
+    # Without deterministic, which runs scatters on one thread in their order.
+    ti.init(offline_cache=False, fuse_launches=True)
+    x = ti.field(ti.f64, shape=(6, N), needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def double(s: ti.i32, d: ti.i32):
+        for i in range(N):
+            x[d, i] = 2.0 * x[s, (i + 1) % N]
+
+    @ti.kernel
+    def triple(s: ti.i32, d: ti.i32):
+        for i in range(N):
+            x[d, i] = 3.0 * x[s, (i + 1) % N]
+
+    @ti.kernel
+    def quintuple(s: ti.i32, d: ti.i32):
+        for i in range(N):
+            x[d, i] = 5.0 * x[s, (i + 1) % N]
+
+    @ti.kernel
+    def total():
+        for r, i in ti.ndrange(6, N):
+            loss[None] += (r + 1) * (i + 1) * x[r, i]
+
+    weights = np.outer(np.arange(1.0, 7.0), np.arange(1.0, N + 1.0))
+    # The source of the last: first a row of the second kernel, then one of the first.
+    for source in [4, 4, 4, 4, 3, 3, 4]:
+        with ti.ad.Tape(loss):
+            double(0, 3)
+            triple(1, 4)
+            quintuple(source, 5)
+            total()
+        expected = weights.copy()
+        for factor, s, d in [(5.0, source, 5), (3.0, 1, 4), (2.0, 0, 3)]:
+            expected[s] += factor * np.roll(expected[d], 1)
+        np.testing.assert_allclose(x.grad.to_numpy()[:2], expected[:2], rtol=1e-12)
