@@ -159,14 +159,17 @@ def timed(controller, together: bool) -> float:
 
 def main() -> None:
     on_gpu = args.arch == "cuda"
-    if WORLD > 1:
-        dist.init_process_group("nccl" if on_gpu else "gloo")
     device = torch.device("cuda" if on_gpu else "cpu")
     fill_scenes()
     first = 0.3 * torch.randn(COUNT, generator=torch.Generator().manual_seed(0))
     first[5 * HIDDEN :] *= 0.1
     controller = first.to(device).requires_grad_()
     optimiser = torch.optim.Adam([controller], lr=args.rate)
+    # After the optimiser: with the first one, PyTorch loads modules that hold on to a process group
+    # which is there already. Its threads then outlive destroy_process_group(), and one of them may
+    # want the interpreter when that has gone, which ends the process.
+    if WORLD > 1:
+        dist.init_process_group("nccl" if on_gpu else "gloo")
     for iteration in range(args.iterations):
         cost = iterate(controller, optimiser, True)
         if RANK == 0 and (iteration % 10 == 0 or iteration == args.iterations - 1):

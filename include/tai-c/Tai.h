@@ -108,6 +108,11 @@ typedef struct TaiError {
 } TaiError;
 TAI_EXPORT TaiError taiContextLastError(TaiContext context);
 
+/// Waits for what is being compiled ahead of need, in all contexts; nothing is
+/// from then on. To be called before the end of a process in which contexts may
+/// be left: code that still runs would lose the data of its libraries.
+TAI_EXPORT void taiStopBackgroundWork(void);
+
 /// Waits for everything launched.
 TAI_EXPORT TaiStatus taiContextSynchronize(TaiContext context);
 

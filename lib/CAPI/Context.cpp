@@ -23,6 +23,8 @@ TaiContext taiContextCreate(void) { return new TaiContextImpl(); }
 
 void taiContextDestroy(TaiContext context) { delete context; }
 
+void taiStopBackgroundWork(void) { Background::stopAll(); }
+
 TaiStatus taiContextSetOption(TaiContext context, const char *name,
                               const char *value) {
   return context->status(context->session.setOption(toRef(name), toRef(value)));

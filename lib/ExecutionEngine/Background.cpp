@@ -7,16 +7,107 @@
 
 #include "tai/ExecutionEngine/Background.h"
 #include <algorithm>
+#include <cstdlib>
+#include <pthread.h>
 
 using namespace mlir::tai;
 
+//===----------------------------------------------------------------------===//
+// Forks, and the end of the process
+//===----------------------------------------------------------------------===//
+
+namespace mlir::tai {
+/// All that there are. Never destroyed: threads may end after everything else.
+struct BackgroundForks {
+  std::mutex mutex;
+  std::vector<Background *> all;
+
+  static BackgroundForks &get() {
+    static auto *forks = [] {
+      pthread_atfork(&prepare, &inParent, &inChild);
+      std::atexit(&Background::stopAll);
+      return new BackgroundForks;
+    }();
+    return *forks;
+  }
+
+private:
+  static void prepare() {
+    get().mutex.lock();
+    for (Background *background : get().all)
+      background->hold();
+  }
+  static void leave(bool inChild) {
+    for (Background *background : get().all)
+      background->release(inChild);
+    get().mutex.unlock();
+  }
+  static void inParent() { leave(/*inChild=*/false); }
+  static void inChild() { leave(/*inChild=*/true); }
+};
+} // namespace mlir::tai
+
+/// Returns with the lock held and no thread left.
+void Background::hold() {
+  std::unique_lock<std::mutex> lock(mutex);
+  isHeld = true;
+  changed.wait(lock, [&] { return running == 0; });
+  joinThreads();
+  lock.release();
+}
+
+void Background::release(bool inChild) {
+  isHeld = false;
+  // What the child wants of it is done when it asks.
+  if (!inChild && !queue.empty())
+    addThread();
+  mutex.unlock();
+}
+
+void Background::stopAll() {
+  BackgroundForks &forks = BackgroundForks::get();
+  std::lock_guard<std::mutex> lock(forks.mutex);
+  for (Background *background : forks.all)
+    background->stop();
+}
+
+//===----------------------------------------------------------------------===//
+// Background
+//===----------------------------------------------------------------------===//
+
+Background::Background(unsigned maxThreads) : maxThreads(maxThreads) {
+  BackgroundForks &forks = BackgroundForks::get();
+  std::lock_guard<std::mutex> lock(forks.mutex);
+  forks.all.push_back(this);
+}
+
 Background::~Background() {
   {
-    std::lock_guard<std::mutex> lock(mutex);
-    queue.clear();
+    BackgroundForks &forks = BackgroundForks::get();
+    std::lock_guard<std::mutex> lock(forks.mutex);
+    forks.all.erase(std::find(forks.all.begin(), forks.all.end(), this));
   }
-  for (std::thread &thread : threads)
-    thread.join();
+  stop();
+}
+
+void Background::stop() {
+  std::unique_lock<std::mutex> lock(mutex);
+  maxThreads = 0;
+  changed.wait(lock, [&] { return running == 0; });
+  joinThreads();
+}
+
+void Background::addThread() {
+  if (running == 0)
+    joinThreads();
+  if (running >= maxThreads || isHeld)
+    return;
+  runtime::Thread thread;
+  // Where there are no more, finish() does what is to be done.
+  if (!thread.start([this] { run(); }, "tai-compile"))
+    return;
+  ++running;
+  threads.push_back(std::move(thread));
 }
 
 Background::JobPtr Background::start(std::function<void()> task) {
@@ -24,22 +115,13 @@ Background::JobPtr Background::start(std::function<void()> task) {
   job->task = std::move(task);
   std::lock_guard<std::mutex> lock(mutex);
   queue.push_back(job);
-  if (running == 0) {
-    // They have ended, or are about to.
-    for (std::thread &thread : threads)
-      thread.join();
-    threads.clear();
-  }
-  if (running < maxThreads) {
-    ++running;
-    threads.emplace_back([this] { run(); });
-  }
+  addThread();
   return job;
 }
 
 void Background::run() {
   std::unique_lock<std::mutex> lock(mutex);
-  while (!queue.empty()) {
+  while (!queue.empty() && maxThreads > 0 && !isHeld) {
     JobPtr job = std::move(queue.front());
     queue.pop_front();
     job->state = Job::State::Running;
@@ -51,6 +133,7 @@ void Background::run() {
   }
   // Under the lock, so that a job which comes now starts another thread.
   --running;
+  changed.notify_all();
 }
 
 bool Background::take(Job &job) {

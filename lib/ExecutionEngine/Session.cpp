@@ -125,7 +125,8 @@ Session::Session()
   }
 }
 
-Session::~Session() = default;
+// A job may use any part of it.
+Session::~Session() { background.stop(); }
 
 //===----------------------------------------------------------------------===//
 // Failures

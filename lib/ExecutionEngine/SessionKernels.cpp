@@ -17,6 +17,7 @@
 #include "tai/ExecutionEngine/AdjointNeeds.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "llvm/Support/FormatVariadic.h"
+#include <atomic>
 #include <thread>
 
 using namespace mlir;
@@ -518,12 +519,12 @@ static void runInParallel(size_t count, function_ref<void(size_t)> task) {
   };
   size_t helpers = std::min<size_t>(
       count, std::max(1u, std::thread::hardware_concurrency()));
-  std::vector<std::thread> threads;
-  for (size_t i = 1; i < helpers; ++i)
-    threads.emplace_back(work);
+  // Fewer where the system gives no more; each is joined when it goes.
+  std::vector<runtime::Thread> threads(helpers ? helpers - 1 : 0);
+  for (runtime::Thread &thread : threads)
+    if (!thread.start(work, "tai-compile"))
+      break;
   work();
-  for (std::thread &thread : threads)
-    thread.join();
 }
 
 LogicalResult Session::compile(ArrayRef<SessionKernel *> kernels,

@@ -452,6 +452,7 @@ void bindKernel(py::module_ &module) {
 } // namespace
 
 void taipy::bindRuntime(py::module_ &module) {
+  module.def("stop_background_work", &taiStopBackgroundWork);
   py::class_<Context, ContextRef>(module, "Context")
       .def(py::init<>())
       .def("set_option",

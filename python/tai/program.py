@@ -372,6 +372,17 @@ def _wait() -> None:
         print(f"[tai] a kernel has failed: {error}", file=sys.stderr)
 
 
+@atexit.register
+def _stop_background_work() -> None:
+    """What is compiled ahead of need must not outlive the libraries that it uses.
+
+    Programs are not always freed at the end: one whose tape is open is not.
+    """
+    core = sys.modules.get(f"{__package__}._core")
+    if core is not None:
+        core.stop_background_work()
+
+
 def sync() -> None:
     """Waits until everything that was launched has run."""
     if _state.program is not None:

@@ -57,6 +57,31 @@ def train(python: str, processes: int, scenes: int) -> tuple[list[tuple[float, f
     return [(float(a), float(b)) for a, b in found], done.stdout.splitlines()[-1]
 
 
+RUN_AND_LIST_THREADS = """
+import os, runpy, sys
+
+del sys.argv[0]
+runpy.run_path(sys.argv[0], run_name="__main__")
+for thread in os.listdir("/proc/self/task"):
+    with open(f"/proc/self/task/{thread}/comm") as name:
+        print("thread", name.read())
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs the threads of a process")
+def test_threads_of_the_process_group_end_with_it(python, tmp_path):
+    """One that still lets go of a tensor at exit finds no interpreter, and the process aborts."""
+    script = tmp_path / "run.py"
+    script.write_text(RUN_AND_LIST_THREADS)
+    done = subprocess.run(
+        [python, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", script,
+         EXAMPLE, "--scenes", "8", "--steps", "4", "--iterations", "2"],
+        capture_output=True, text=True, env=environment(), timeout=240,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "thread" in done.stdout and "gloo" not in done.stdout
+
+
 def test_two_processes_do_what_one_does(python):
     one, last = train(python, 1, 96)
     two, last_of_two = train(python, 2, 48)

@@ -13,12 +13,12 @@
 #ifndef TAI_EXECUTIONENGINE_BACKGROUND_H
 #define TAI_EXECUTIONENGINE_BACKGROUND_H
 
+#include "tai/Runtime/Thread.h"
 #include <condition_variable>
 #include <deque>
 #include <functional>
 #include <memory>
 #include <mutex>
-#include <thread>
 #include <vector>
 
 namespace mlir::tai {
@@ -33,10 +33,19 @@ public:
   };
   using JobPtr = std::shared_ptr<Job>;
 
-  /// Threads live only while there are jobs: an idle process has none, which
-  /// is also what makes it safe to fork.
-  explicit Background(unsigned maxThreads) : maxThreads(maxThreads) {}
+  /// Threads live only while there are jobs. A fork waits for those that run,
+  /// so that no child inherits half a job; so does the end of the process, at
+  /// which code and data that they use go.
+  explicit Background(unsigned maxThreads);
   ~Background();
+  Background(const Background &) = delete;
+  Background &operator=(const Background &) = delete;
+
+  /// Waits for the jobs that run. Those that wait, and all later ones, are left
+  /// to finish().
+  void stop();
+  /// The same for all that there are.
+  static void stopAll();
 
   /// Without threads to run it on, the job waits for finish().
   JobPtr start(std::function<void()> task);
@@ -48,17 +57,27 @@ public:
   void cancel(Job &job);
 
 private:
+  friend struct BackgroundForks;
   void run();
+  /// Starts a thread if one more may run; the lock is held.
+  void addThread();
+  /// Lets go of the threads, which have ended or are about to; the lock is
+  /// held.
+  void joinThreads() { threads.clear(); }
+  void hold();
+  void release(bool inChild);
   void waitFor(Job &job, std::unique_lock<std::mutex> &lock);
   /// Takes the job from the queue; false if it has begun.
   bool take(Job &job);
 
-  const unsigned maxThreads;
+  unsigned maxThreads;
   std::mutex mutex;
   std::condition_variable changed;
   std::deque<JobPtr> queue;
-  std::vector<std::thread> threads;
+  std::vector<runtime::Thread> threads;
   unsigned running = 0;
+  /// Threads end after the job that they run.
+  bool isHeld = false;
 };
 
 } // namespace mlir::tai

@@ -1,0 +1,99 @@
+//===- BackgroundTest.cpp - Work ahead of need ----------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// What becomes of jobs when the process ends, forks, or has no more threads.
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/ExecutionEngine/Background.h"
+#include "gtest/gtest.h"
+#include <atomic>
+#include <pthread.h>
+#include <sys/wait.h>
+#include <thread>
+#include <unistd.h>
+
+using namespace mlir::tai;
+
+namespace {
+/// A job that has begun, and does the rest of its work once it is let.
+struct HalfDone {
+  explicit HalfDone(Background &background)
+      : job(background.start([this] {
+          begun = true;
+          while (!goesOn)
+            std::this_thread::yield();
+          for (int i = 0; i < 1 << 24; ++i)
+            steps.fetch_add(1, std::memory_order_relaxed);
+        })) {
+    while (!begun)
+      std::this_thread::yield();
+  }
+  bool isWhole() const { return steps == 1 << 24; }
+
+  std::atomic<bool> begun{false}, goesOn{false};
+  std::atomic<int> steps{0};
+  Background::JobPtr job;
+};
+} // namespace
+
+TEST(Background, StopsWhenItsJobIsDone) {
+  Background background(1);
+  HalfDone first(background);
+  std::atomic<int> ran{0};
+  Background::JobPtr second = background.start([&] { ++ran; });
+  first.goesOn = true;
+  Background::stopAll();
+  EXPECT_TRUE(first.isWhole());
+  Background::JobPtr third = background.start([&] { ++ran; });
+  EXPECT_EQ(ran, 0);
+  background.finish(*second);
+  background.finish(*third);
+  EXPECT_EQ(ran, 2);
+}
+
+TEST(Background, ChildrenInheritNoHalfJob) {
+  Background background(1);
+  HalfDone first(background);
+  std::atomic<int> ran{0};
+  Background::JobPtr second = background.start([&] { ++ran; });
+  first.goesOn = true;
+  pid_t child = fork();
+  if (child == 0) {
+    alarm(20);
+    bool good = first.isWhole() && ran == 0;
+    background.finish(*first.job);
+    background.finish(*second);
+    good &= ran == 1;
+    background.stop();
+    _exit(good ? 0 : 1);
+  }
+  int status = 0;
+  ASSERT_EQ(waitpid(child, &status, 0), child);
+  EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 0);
+  background.finish(*second);
+  EXPECT_EQ(ran, 1);
+}
+
+#if defined(__GLIBC__) && !defined(__SANITIZE_ADDRESS__)
+TEST(Background, NeedsNoThread) {
+  // Nobody has addresses for such a stack, so that no thread starts.
+  pthread_attr_t usual, impossible;
+  ASSERT_EQ(pthread_getattr_default_np(&usual), 0);
+  ASSERT_EQ(pthread_getattr_default_np(&impossible), 0);
+  ASSERT_EQ(pthread_attr_setstacksize(&impossible, size_t(1) << 50), 0);
+  ASSERT_EQ(pthread_setattr_default_np(&impossible), 0);
+  std::atomic<int> ran{0};
+  {
+    Background background(2);
+    Background::JobPtr job = background.start([&] { ++ran; });
+    background.finish(*job);
+  }
+  EXPECT_EQ(pthread_setattr_default_np(&usual), 0);
+  EXPECT_EQ(ran, 1);
+}
+#endif
