@@ -109,14 +109,15 @@ TaiStatus taiTapeEnd(TaiTape tape) {
 
 TaiStatus taiTapeBackward(TaiTape tape) {
   TaiContextImpl &context = tape->context;
-  if (failed(context.session.prepareReverse(*tape->tape)))
+  if (failed(context.session.prepareReverse(*tape->tape, /*cleared=*/false)))
     return context.status(failure());
   return context.status(tape->tape->backward());
 }
 
 TaiStatus taiTapeReplay(TaiTape tape, bool forward, bool backward) {
   TaiContextImpl &context = tape->context;
-  if (backward && failed(context.session.prepareReverse(*tape->tape)))
+  if (backward &&
+      failed(context.session.prepareReverse(*tape->tape, /*cleared=*/true)))
     return context.status(failure());
   return context.status(tape->tape->replay(forward, backward));
 }

@@ -110,6 +110,8 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
                                       name);
           },
           /*benefit=*/2);
+    else if (contract)
+      populateWideMath(patterns, /*benefit=*/2);
     // What LLVM has no intrinsic for is called in libm.
     populateMathToLibmConversionPatterns(patterns, /*benefit=*/0);
     populateFuncToLLVMConversionPatterns(converter, patterns);

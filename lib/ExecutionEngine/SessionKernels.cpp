@@ -544,8 +544,8 @@ LogicalResult Session::compile(ArrayRef<SessionKernel *> kernels,
   return success();
 }
 
-LogicalResult Session::prepareReverse(runtime::Tape &tape) {
-  std::vector<runtime::Tape::Pending> needed = tape.pendingAdjoints();
+LogicalResult Session::prepareReverse(runtime::Tape &tape, bool cleared) {
+  std::vector<runtime::Tape::Pending> needed = tape.pendingAdjoints(cleared);
   if (needed.size() < 2)
     return success();
   std::vector<runtime::Status> statuses(needed.size());

@@ -16,6 +16,7 @@
 
 #include "DeviceContext.h"
 #include "tai/Runtime/LoopLists.h"
+#include "tai/Runtime/LoopTimes.h"
 #include "tai/Runtime/Runtime.h"
 #include <unordered_map>
 
@@ -111,6 +112,10 @@ struct Launch : TaiFrame {
   std::mutex failureMutex;
   Status failure;
   HostState *host = nullptr;
+  /// Of the kernel that runs, or null; and the loop to be measured, once its
+  /// partition has been asked for.
+  LoopTimes *loopTimes = nullptr;
+  LoopTimes::Entry *measured = nullptr;
   /// What it has on the device; `DeviceLaunch::code` is null where it runs on
   /// the CPU.
   std::unique_ptr<DeviceLaunch> onDevice;

@@ -430,6 +430,7 @@ Status Runtime::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
     results = launch.unwanted.data();
   }
   launch.trees = kernel.bases.data();
+  launch.loopTimes = &kernel.loopTimes;
   if (__builtin_expect(device != nullptr, false)) {
     Status status = enterDevice(launch, kernel);
     if (!status)
@@ -583,6 +584,7 @@ Status Runtime::runHost(TaiKernelFn function, const std::vector<TreePtr> &trees,
   state.trees = &trees;
   Launch *launch = acquireLaunch();
   launch->host = &state;
+  launch->loopTimes = nullptr;
   launch->trees = bases.data();
   launch->args = args;
   launch->results = results;
@@ -653,13 +655,37 @@ void Runtime::parallel(int64_t parts, void (*task)(void *context, int64_t part),
     task(context, part);
 }
 
-int64_t Runtime::partition(int64_t n, int64_t cost, bool reduces) {
+/// Below this a fork does not pay even with workers that wait for it, and below
+/// `wakeNs` not if they must be woken first. Loops in between, if there are
+/// many, earn the waking.
+static constexpr int64_t spinNs = 4000, wakeNs = 50000, wakeCredit = 100000;
+
+int64_t Runtime::partition(Launch &launch, int64_t n, int64_t cost,
+                           bool reduces) {
+  launch.measured = nullptr;
+  // The estimate is wrong by less than this.
+  constexpr double factor = 16;
+  double total = static_cast<double>(n) * static_cast<double>(cost);
+  bool isFixed = reduces && opts.deterministic;
+  if (isFixed || numThreads == 1 || !launch.loopTimes ||
+      total * factor < spinNs || total > spinNs * factor * factor)
+    return partition(n, static_cast<double>(cost), reduces);
+  LoopTimes::Entry *entry = launch.loopTimes->find(cost);
+  if (!entry)
+    return partition(n, static_cast<double>(cost), reduces);
+  bool wantsRun = entry->wantsRun();
+  entry->noteRun();
+  if (!wantsRun)
+    return partition(n, entry->perIteration(), reduces);
+  launch.measured = entry;
+  return 1;
+}
+
+int64_t Runtime::partition(int64_t n, double cost, bool reduces) {
   if (n <= 1)
     return 1;
-  // Nanoseconds, by the estimate of the compiler.
-  int64_t total;
-  if (__builtin_mul_overflow(n, std::max<int64_t>(cost, 1), &total))
-    total = INT64_MAX;
+  double exact = static_cast<double>(n) * std::max(cost, 1e-3);
+  int64_t total = exact < 9e18 ? static_cast<int64_t>(exact) : INT64_MAX;
   if (reduces && opts.deterministic) {
     // Depends on the loop alone. Every part costs a private copy of what is
     // reduced, so there are few.
@@ -668,10 +694,6 @@ int64_t Runtime::partition(int64_t n, int64_t cost, bool reduces) {
   }
   if (numThreads == 1)
     return 1;
-  // Below `spinNs` a fork does not pay even with workers that wait for it, and
-  // below `wakeNs` not if they must be woken first. Loops in between, if there
-  // are many, earn the waking.
-  constexpr int64_t spinNs = 4000, wakeNs = 50000, wakeCredit = 100000;
   if (total < spinNs)
     return 1;
   if (total < wakeNs) {

@@ -91,93 +91,26 @@ Tape::Decision Tape::withoutPruning(size_t index, Decision decision) const {
              : decision;
 }
 
-std::vector<Field *> Tape::liveFields() const {
+std::vector<Field *> Tape::liveFields(bool cleared) const {
+  auto mayBeNonzero = [&](const Field &adjoint) {
+    return cleared ? adjoint.tree().isLent() : adjoint.dirty();
+  };
   std::vector<Field *> live;
   for (const FieldPtr &field : runtime.fieldList)
-    if (field->adjoint() && (isLoss(*field) || field->adjoint()->dirty()))
+    if (field->adjoint() && (isLoss(*field) || mayBeNonzero(*field->adjoint())))
       live.push_back(field.get());
   return live;
 }
 
-bool Tape::planHolds() const {
+bool Tape::planHolds(bool cleared) const {
   return decisions.size() == records.size() &&
          plannedEpoch == runtime.storageEpoch.load(std::memory_order_relaxed) &&
-         plannedLive == liveFields();
+         plannedLive == liveFields(cleared);
 }
 
-namespace {
-/// The elements of a field that the records so far have used: positions along
-/// the first dimension in which a launch fixes its index.
-struct Used {
-  int64_t dimension;
-  std::vector<bool> positions;
-  bool anywhere = false;
-  bool any = false;
-
-  /// The position of an access, or -1 if it is not known.
-  int64_t locate(const Access &access, const uint64_t *args) const {
-    if (!access.fixed || access.fixed->dimension != dimension)
-      return -1;
-    int64_t position =
-        access.fixed->evaluate(args) - access.field->firstIndex(dimension);
-    bool inRange = position >= 0 && position < int64_t(positions.size());
-    return inRange ? position : -1;
-  }
-  bool has(int64_t position) const {
-    return anywhere || (position < 0 ? any : positions[position]);
-  }
-  void add(int64_t position) {
-    any = true;
-    if (position < 0)
-      anywhere = true;
-    else
-      positions[position] = true;
-  }
-};
-} // namespace
-
-void Tape::findRepeatedStores() {
-  storesAgain.assign(records.size(), false);
-  uint64_t mark = ++runtime.stamps;
-  std::vector<Used> used;
-  auto lookup = [&](const Access &access) -> size_t {
-    Field &field = *access.field;
-    if (field.seenMark != mark) {
-      field.seenMark = mark;
-      field.seenIndex = used.size();
-      Used entry;
-      entry.dimension = access.fixed ? access.fixed->dimension : -1;
-      if (access.fixed)
-        entry.positions.resize(field.shape()[entry.dimension]);
-      used.push_back(std::move(entry));
-    }
-    return field.seenIndex;
-  };
-  std::vector<std::pair<size_t, int64_t>> uses;
-  for (size_t i = 0; i < records.size(); ++i) {
-    if (!records[i].kernel)
-      continue;
-    const uint64_t *args = slots.data() + records[i].payload;
-    uses.clear();
-    bool again = records[i].kernel->alwaysTakes;
-    for (const Access &access : records[i].kernel->summary()) {
-      if (!access.field->adjoint())
-        continue;
-      size_t index = lookup(access);
-      int64_t position = used[index].locate(access, args);
-      again |= access.kind == AccessKind::Write &&
-               (takesAll || used[index].has(position));
-      uses.emplace_back(index, position);
-    }
-    storesAgain[i] = again;
-    for (auto [index, position] : uses)
-      used[index].add(position);
-  }
-}
-
-void Tape::plan() {
+void Tape::plan(bool cleared) {
   plannedEpoch = runtime.storageEpoch.load(std::memory_order_relaxed);
-  plannedLive = liveFields();
+  plannedLive = liveFields(cleared);
   decisions.assign(records.size(), Decision::SkipUnreached);
   needed.clear();
   for (const KernelPtr &kernel : kernels)
@@ -459,9 +392,9 @@ int64_t Tape::numSkipped() {
       });
 }
 
-std::vector<Tape::Pending> Tape::pendingAdjoints() {
-  if (!planHolds())
-    plan();
+std::vector<Tape::Pending> Tape::pendingAdjoints(bool cleared) {
+  if (!planHolds(cleared))
+    plan(cleared);
   std::vector<Pending> pending;
   for (uint32_t index : needed) {
     // Those that are not pruned need not be differentiable.

@@ -12,6 +12,7 @@
 #include <algorithm>
 #include <cstring>
 #include <new>
+#include <set>
 
 using namespace mlir::tai::runtime;
 
@@ -100,6 +101,31 @@ TapeMemory::Use TapeMemory::makeUse(const Access &access) {
   return use;
 }
 
+/// A use of all slabs one by one, at constant indices, is one of the field: the
+/// columns of a matrix of weights can be hundreds, in each of many launches.
+static void mergeSlabs(std::vector<TapeMemory::Use> &uses) {
+  std::map<const Track *, std::set<int64_t>> slabs;
+  for (const TapeMemory::Use &use : uses)
+    if (use.isConstant() && use.locate(nullptr) >= 0)
+      slabs[use.track].insert(use.locate(nullptr));
+  for (const auto &[track, found] : slabs) {
+    if (static_cast<int64_t>(found.size()) != track->slabs.count())
+      continue;
+    TapeMemory::Use *whole = nullptr;
+    for (TapeMemory::Use &use : uses)
+      if (use.track == track && use.isConstant())
+        whole = &use;
+    TapeMemory::Use merged = *whole;
+    merged.fixed.reset();
+    uses.erase(std::remove_if(uses.begin(), uses.end(),
+                              [&, track = track](const TapeMemory::Use &use) {
+                                return use.track == track && use.isConstant();
+                              }),
+               uses.end());
+    uses.push_back(std::move(merged));
+  }
+}
+
 const TapeMemory::KernelUses &TapeMemory::usesOf(Kernel &kernel) {
   std::unique_ptr<KernelUses> &uses = kernelUses[&kernel];
   if (uses)
@@ -126,6 +152,8 @@ const TapeMemory::KernelUses &TapeMemory::usesOf(Kernel &kernel) {
   for (const Access &access : plan.reads)
     if (!access.field->isAdjoint() && access.field->valid())
       add(uses->reads, makeUse(access));
+  mergeSlabs(uses->reads);
+  mergeSlabs(uses->touches);
   uses->reruns = plan.reruns;
   return *uses;
 }

@@ -186,6 +186,8 @@ public:
 
     /// The slab, or -1 for any.
     int64_t locate(const uint64_t *args) const;
+    /// Whether it is at the same slab in all launches.
+    bool isConstant() const { return !fixed || fixed->terms.empty(); }
     bool operator==(const Use &other) const {
       return track == other.track && fixed == other.fixed;
     }

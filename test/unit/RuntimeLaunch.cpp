@@ -404,6 +404,32 @@ TEST(RuntimeLoop, CutsByCost) {
   EXPECT_EQ(runtime.partition(1000000, 1000, false), 1);
 }
 
+TEST(RuntimeLoop, MeasuresWhatEstimatesLeaveOpen) {
+  LoopTimes times;
+  LoopTimes::Entry *entry = times.find(375);
+  ASSERT_TRUE(entry);
+  EXPECT_EQ(times.find(375), entry);
+  EXPECT_NE(times.find(376), entry);
+  // The first runs are measured, the later ones now and then.
+  int measured = 0;
+  for (int i = 0; i < 1024; ++i) {
+    measured += entry->wantsRun();
+    entry->noteRun();
+  }
+  EXPECT_GE(measured, 4);
+  EXPECT_LE(measured, 10);
+  // What disturbs a run only makes it longer.
+  for (double nanoseconds : {500.0, 20.0, 30000.0, 21.0})
+    entry->add(nanoseconds);
+  EXPECT_GE(entry->perIteration(), 20);
+  EXPECT_LE(entry->perIteration(), 2000);
+  // A kernel with more loops goes by their estimates.
+  int known = 0;
+  for (int64_t cost = 1; cost <= 100; ++cost)
+    known += times.find(cost) != nullptr;
+  EXPECT_LT(known, 20);
+}
+
 TEST(RuntimeLoop, DeterministicPartsIgnoreTheThreads) {
   std::set<std::vector<int64_t>> answers;
   for (int threads : {1, 2, 5, 64}) {

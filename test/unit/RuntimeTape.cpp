@@ -177,6 +177,26 @@ TEST(RuntimeTape, RunsAdjointsInReverse) {
   EXPECT_EQ(tape->numSkipped(), 0);
 }
 
+// A replay clears the gradients first: those that the sweep before has left
+// reach nothing.
+TEST(RuntimeTape, PlansAReplayByClearedGradients) {
+  Scene scene;
+  auto step = scene.sineOf(scene.x, scene.y);
+  auto other = scene.sineOf(scene.z, scene.w);
+  auto sum = scene.squaresOf(scene.y);
+  scene.startAt(0.3);
+  auto tape = scene.begin();
+  scene.launch(step, 1.5);
+  scene.launch(other, 1.5);
+  scene.launch(sum);
+  tape->end();
+  ASSERT_OK(scene.runtime.fillF64(*scene.w->adjoint(), 1.0));
+  EXPECT_EQ(tape->pendingAdjoints(/*cleared=*/true).size(), 2u);
+  EXPECT_EQ(tape->pendingAdjoints(/*cleared=*/false).size(), 3u);
+  ASSERT_OK(tape->replay(true, true));
+  EXPECT_EQ(scene.adjointsMade, 2);
+}
+
 TEST(RuntimeTape, SkipsWhatCannotContribute) {
   Scene scene;
   auto used = scene.sineOf(scene.x, scene.y);

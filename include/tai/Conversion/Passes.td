@@ -318,9 +318,11 @@ def ConvertToLLVM : Pass<"tai-convert-to-llvm", "::mlir::ModuleOp"> {
     over a module costs compile time. Sets the float options on all arithmetic
     first.
 
-    With `fast-math`, the exponential, the logarithm and the hyperbolic tangent
-    of f32 become polynomials, which vectorise (largest error 1, 1 and 4 units
-    in the last place; those of libm 0.5, 1 and 2).
+    The exponential, the logarithm and the hyperbolic tangent of f32 become
+    arithmetic that vectorises: with `fast-math` polynomials in f32 (largest
+    error 1, 1 and 4 units in the last place), else, with `contract`, in f64
+    (0.501, where those of libm have 0.5, 1 and 2). Without both they are calls
+    of libm.
   }];
   let options = [
     Option<"fastMath", "fast-math", "bool", /*default=*/"false",

@@ -133,7 +133,8 @@ public:
   LogicalResult compile(ArrayRef<SessionKernel *> kernels, bool adjoints);
 
   /// Compiles the adjoints that the reverse sweep of the tape will launch.
-  LogicalResult prepareReverse(runtime::Tape &tape);
+  /// `cleared`: the gradients will be cleared before.
+  LogicalResult prepareReverse(runtime::Tape &tape, bool cleared);
 
   /// Compiles the host function of the given name in the module and runs it.
   /// The kernels that it launches are those of the session.

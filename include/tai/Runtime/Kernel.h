@@ -16,6 +16,7 @@
 #include "tai/Runtime/Abi.h"
 #include "tai/Runtime/Field.h"
 #include "tai/Runtime/LoopLists.h"
+#include "tai/Runtime/LoopTimes.h"
 #include <array>
 #include <functional>
 #include <mutex>
@@ -275,6 +276,7 @@ private:
   /// The code on the device, loaded when the kernel is first launched.
   std::shared_ptr<DeviceCode> deviceCode;
   std::vector<void *> bases;
+  LoopTimes loopTimes;
   /// The levels that it loops over and does nothing else, or none.
   std::vector<const SparseNode *> loopLevels;
   /// State of the storage for which the tables hold; 0 is never current.

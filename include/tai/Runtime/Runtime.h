@@ -275,7 +275,12 @@ public:
   // For the ABI functions and for bulk work on the host
   //===--------------------------------------------------------------------===//
 
-  int64_t partition(int64_t n, int64_t cost, bool reduces);
+  /// Into how many parts a loop is cut: of `n` iterations that take `cost`
+  /// nanoseconds each, by the estimate of the compiler or as measured.
+  int64_t partition(int64_t n, double cost, bool reduces);
+  /// The same for a loop of a launch. Loops about which the estimate does not
+  /// decide are measured.
+  int64_t partition(Launch &launch, int64_t n, int64_t cost, bool reduces);
   /// Calls task(context, p) for p in [0, parts), on the workers.
   void parallel(int64_t parts, void (*task)(void *context, int64_t part),
                 void *context);

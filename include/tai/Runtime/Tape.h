@@ -137,8 +137,9 @@ public:
     }
   };
   /// Adjoints that the reverse sweep would launch and that have not been made,
-  /// so that they can be compiled together ahead of it.
-  std::vector<Pending> pendingAdjoints();
+  /// so that they can be compiled together ahead of it. `cleared`: the
+  /// gradients will be cleared before, as a replay does.
+  std::vector<Pending> pendingAdjoints(bool cleared = false);
   /// One line for each record: replayed or skipped, and why.
   const std::string &explain();
   TapeStats stats() const;
@@ -255,8 +256,8 @@ private:
            decision == Decision::Unpruned;
   }
   /// Decides on all records, from the summaries alone.
-  void plan();
-  bool planHolds() const;
+  void plan(bool cleared = false);
+  bool planHolds(bool cleared = false) const;
   /// The reverse sweep by the plan, or, around callbacks, by what is dirty.
   Status sweepPlanned();
   Status sweepAroundCallbacks();
@@ -284,7 +285,7 @@ private:
   /// Finds the records that store elements which an earlier one has used.
   void findRepeatedStores();
   Status runForward();
-  std::vector<Field *> liveFields() const;
+  std::vector<Field *> liveFields(bool cleared = false) const;
   void examine(size_t index);
 
   Status seed();

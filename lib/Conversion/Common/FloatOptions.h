@@ -21,6 +21,10 @@ void setFloatOptions(Operation *root, bool fastMath, bool contract);
 /// one.
 void populateExpansionFixes(RewritePatternSet &patterns);
 
+/// Adds expansions of the exponential, the logarithm and the hyperbolic tangent
+/// of f32 to arithmetic in f64, which vectorises.
+void populateWideMath(RewritePatternSet &patterns, PatternBenefit benefit);
+
 } // namespace mlir::tai
 
 #endif // TAI_LIB_CONVERSION_COMMON_FLOATOPTIONS_H

@@ -1,0 +1,112 @@
+"""The exponential, the logarithm and the hyperbolic tangent of f32, in units in the last place."""
+
+import numpy as np
+import pytest
+import tai as ti
+
+# Every exponent, and mantissas in between; some of both signs about what is special.
+EXPONENTS = np.arange(-149, 128)
+SPECIAL = np.array(
+    [0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 9.0, 9.02, 20.0, 88.72283, 88.72284, 100.0,
+     -87.4, -103.97, -103.98, -104.0, -150.0, 3e38, -3e38, 1e-45, -1e-45, 1e-40,
+     1.1754944e-38, np.nextafter(np.float32(1), np.float32(2)),
+     np.nextafter(np.float32(1), np.float32(0))], dtype=np.float32)  # fmt: skip
+
+
+def make_arguments() -> np.ndarray:
+    """f32 numbers of all sizes, (count,)."""
+    random = np.random.default_rng(7)
+    mantissas = random.uniform(1.0, 2.0, (len(EXPONENTS), 60))
+    spread = np.ldexp(mantissas, EXPONENTS[:, None]).ravel()
+    near = random.uniform(-12.0, 12.0, 20000)
+    wide = random.uniform(-110.0, 90.0, 20000)
+    close = 1.0 + random.uniform(-0.4, 0.6, 10000)
+    return np.concatenate([spread, -spread, near, wide, close, SPECIAL]).astype(np.float32)
+
+
+def in_ulps(found: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    """Distance of f32 numbers from f64 ones, in units in the last place of f32 there."""
+    unit = np.spacing(np.abs(expected).astype(np.float32)).astype(np.float64)
+    return np.abs(found.astype(np.float64) - expected) / unit
+
+
+FUNCTIONS = {
+    "exp": (ti.exp, np.exp),
+    "log": (ti.log, np.log),
+    "tanh": (ti.tanh, np.tanh),
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_half_a_unit(name):
+    ti.init(arch=ti.cpu)
+    function, reference = FUNCTIONS[name]
+    arguments = make_arguments()
+    x = ti.field(ti.f32, shape=len(arguments))
+    y = ti.field(ti.f32, shape=len(arguments))
+    x.from_numpy(arguments)
+
+    @ti.kernel
+    def apply():
+        for i in x:
+            y[i] = function(x[i])
+
+    apply()
+    found = y.to_numpy()
+    with np.errstate(all="ignore"):
+        expected = reference(arguments.astype(np.float64))
+        rounded = expected.astype(np.float32)
+    # What has no neighbours: infinities, zeros with their signs, and what is not a number.
+    special = ~np.isfinite(rounded) | (rounded == 0)
+    np.testing.assert_array_equal(found[special], rounded[special])
+    signs = ~np.isnan(rounded)
+    np.testing.assert_array_equal(np.signbit(found[signs]), np.signbit(rounded[signs]))
+    assert in_ulps(found[~special], expected[~special]).max() < 0.501
+
+
+def test_one_as_many():
+    """A number alone gives the bits that it gives among others."""
+    ti.init(arch=ti.cpu)
+    arguments = np.random.default_rng(3).uniform(-4.0, 4.0, 64).astype(np.float32)
+    x = ti.field(ti.f32, shape=64)
+    y = ti.field(ti.f32, shape=64)
+    z = ti.field(ti.f32, shape=64)
+    x.from_numpy(arguments)
+
+    @ti.kernel
+    def together():
+        for i in x:
+            y[i] = ti.tanh(x[i]) + ti.exp(x[i])
+
+    @ti.kernel
+    def alone(i: ti.i32):
+        z[i] = ti.tanh(x[i]) + ti.exp(x[i])
+
+    together()
+    for i in range(64):
+        alone(i)
+    np.testing.assert_array_equal(y.to_numpy(), z.to_numpy())
+
+
+@pytest.mark.parametrize("options", [{"fast_math": True}, {"deterministic": True}])
+def test_other_modes(options):
+    """fast_math is within 4 units; without contraction they are those of libm."""
+    ti.init(arch=ti.cpu, **options)
+    arguments = np.random.default_rng(5).uniform(-5.0, 5.0, 5000).astype(np.float32)
+    x = ti.field(ti.f32, shape=5000)
+    y = ti.field(ti.f32, shape=(3, 5000))
+    x.from_numpy(arguments)
+
+    @ti.kernel
+    def apply():
+        for i in x:
+            y[0, i] = ti.exp(x[i])
+            y[1, i] = ti.log(ti.abs(x[i]))
+            y[2, i] = ti.tanh(x[i])
+
+    apply()
+    wide = arguments.astype(np.float64)
+    expected = np.stack([np.exp(wide), np.log(np.abs(wide)), np.tanh(wide)])
+    bounds = (4.0, 4.0, 5.0) if "fast_math" in options else (1.0, 1.0, 2.5)
+    for found, exact, bound in zip(y.to_numpy(), expected, bounds, strict=True):
+        assert in_ulps(found, exact).max() <= bound
