@@ -8,6 +8,7 @@
 #include "tai/ExecutionEngine/ObjectCompiler.h"
 #include "CodegenErrors.h"
 #include "CodegenPasses.h"
+#include "TransposeColumns.h"
 #include "llvm/Analysis/TargetLibraryInfo.h"
 #include "llvm/IR/InstIterator.h"
 #include "llvm/IR/Module.h"
@@ -173,6 +174,10 @@ void ObjectCompiler::runPasses(Module &module) {
   builder.registerScalarOptimizerLateEPCallback(
       [](FunctionPassManager &late, OptimizationLevel) {
         late.addPass(StencilGVN());
+      });
+  builder.registerVectorizerEndEPCallback(
+      [](FunctionPassManager &late, OptimizationLevel) {
+        late.addPass(TransposeColumns());
       });
   builder.registerModuleAnalyses(modules);
   builder.registerCGSCCAnalyses(sccs);

@@ -1,0 +1,488 @@
+//===- TransposeColumns.cpp - Rows in the place of columns ----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A layer of a small network multiplies a matrix by a vector in a loop over
+// rows, which is unrolled along each of them. Vectorised over rows, it gathers
+// every column, and its adjoint scatters to every column of the gradient: one
+// element at a time, of which a CPU loads two or three a clock, and stores one.
+// Pieces of rows that lie side by side are loaded or stored at once, and
+// transposed in registers, by half a shuffle for each element.
+//
+//===----------------------------------------------------------------------===//
+
+#include "TransposeColumns.h"
+#include "llvm/Analysis/AliasAnalysis.h"
+#include "llvm/Analysis/VectorUtils.h"
+#include "llvm/IR/IRBuilder.h"
+#include "llvm/IR/IntrinsicInst.h"
+#include "llvm/IR/PatternMatch.h"
+#include <map>
+
+using namespace llvm;
+using namespace mlir::tai;
+
+/// What every lane of a vector of integers or pointers adds to the one before,
+/// if that is the same for all.
+static std::optional<int64_t> findStep(Value *value, const DataLayout &layout,
+                                       unsigned depth = 0) {
+  using namespace PatternMatch;
+  if (!value->getType()->isVectorTy())
+    return 0;
+  if (getSplatValue(value))
+    return 0;
+  if (depth > 6)
+    return std::nullopt;
+  auto inner = [&](Value *operand) {
+    return findStep(operand, layout, depth + 1);
+  };
+  auto both = [&](Value *a, Value *b) -> std::optional<int64_t> {
+    std::optional<int64_t> first = inner(a), second = inner(b);
+    return first && second ? std::optional(*first + *second) : std::nullopt;
+  };
+  if (auto *constant = dyn_cast<ConstantDataVector>(value)) {
+    if (!constant->getElementType()->isIntegerTy(64))
+      return std::nullopt;
+    auto at = [&](unsigned i) {
+      return constant->getElementAsAPInt(i).getSExtValue();
+    };
+    int64_t step = at(1) - at(0);
+    for (unsigned i = 2; i < constant->getNumElements(); ++i)
+      if (at(i) - at(i - 1) != step)
+        return std::nullopt;
+    return step;
+  }
+  Value *a = nullptr, *b = nullptr;
+  const APInt *factor = nullptr;
+  if (auto *phi = dyn_cast<PHINode>(value)) {
+    // Where a loop starts, and what it adds to all lanes alike.
+    if (phi->getNumIncomingValues() != 2)
+      return std::nullopt;
+    for (unsigned i : {0u, 1u})
+      if (match(phi->getIncomingValue(i), m_c_Add(m_Specific(phi), m_Value(a))))
+        return inner(a) == 0 ? inner(phi->getIncomingValue(1 - i))
+                             : std::nullopt;
+    return std::nullopt;
+  }
+  if (!value->getType()->getScalarType()->isPointerTy() &&
+      !value->getType()->getScalarType()->isIntegerTy(64))
+    return std::nullopt;
+  if (match(value, m_Add(m_Value(a), m_Value(b))) ||
+      match(value, m_DisjointOr(m_Value(a), m_Value(b))))
+    return both(a, b);
+  std::optional<int64_t> step;
+  if (match(value, m_Mul(m_Value(a), m_APInt(factor))) && (step = inner(a)) &&
+      factor->isSignedIntN(31))
+    return *step * factor->getSExtValue();
+  if (match(value, m_Shl(m_Value(a), m_APInt(factor))) && (step = inner(a)) &&
+      factor->ult(31))
+    return *step * (int64_t(1) << factor->getZExtValue());
+  if (auto *address = dyn_cast<GetElementPtrInst>(value)) {
+    if (address->getNumIndices() != 1 ||
+        !address->getOperand(1)->getType()->getScalarType()->isIntegerTy(64))
+      return std::nullopt;
+    std::optional<int64_t> base = inner(address->getPointerOperand());
+    step = inner(address->getOperand(1));
+    if (!base || !step)
+      return std::nullopt;
+    auto size = static_cast<int64_t>(
+        layout.getTypeAllocSize(address->getSourceElementType()));
+    return *base + *step * size;
+  }
+  return std::nullopt;
+}
+
+namespace {
+/// Where rows start: at the lanes of a vector of pointers, or at one pointer
+/// plus the lanes of a vector of indices times a number of bytes.
+struct Rows {
+  Value *pointer = nullptr;
+  Value *index = nullptr;
+  int64_t scale = 0;
+
+  bool operator==(const Rows &other) const {
+    return pointer == other.pointer && index == other.index &&
+           scale == other.scale;
+  }
+  bool operator<(const Rows &other) const {
+    return std::tie(pointer, index, scale) <
+           std::tie(other.pointer, other.index, other.scale);
+  }
+};
+
+/// What is accessed in each row: so many bytes from an offset on.
+struct Columns {
+  Rows rows;
+  int64_t offset, bytes;
+};
+
+/// A gather from one column, or a scatter to one.
+struct Column {
+  CallBase *call;
+  int64_t offset;
+};
+
+class Transposer {
+public:
+  Transposer(BasicBlock &block, AAResults &aliases)
+      : block(block), aliases(aliases), layout(block.getDataLayout()) {}
+
+  bool run() {
+    bool changed = replaceAll(Intrinsic::masked_gather);
+    changed |= replaceAll(Intrinsic::masked_scatter);
+    return changed;
+  }
+
+private:
+  /// The columns of one matrix: its rows, and the type of a column.
+  using Matrix = std::pair<Rows, FixedVectorType *>;
+
+  bool replaceAll(Intrinsic::ID id);
+  std::optional<Matrix> findColumn(CallBase &call, Column &column) const;
+  void number();
+  bool replace(const Matrix &matrix, ArrayRef<Column> run, bool stores);
+  bool canMove(ArrayRef<Column> run, Instruction *to) const;
+  bool mayMeet(const Columns &a, Instruction *first, Instruction *second) const;
+  void emitLoads(const Matrix &matrix, ArrayRef<Column> run,
+                 IRBuilder<> &builder, const AAMDNodes &nodes);
+  void emitStores(const Matrix &matrix, ArrayRef<Column> run,
+                  IRBuilder<> &builder, const AAMDNodes &nodes);
+  Value *findRow(const Matrix &matrix, unsigned lane, int64_t offset,
+                 IRBuilder<> &builder);
+
+  BasicBlock &block;
+  AAResults &aliases;
+  const DataLayout &layout;
+  /// Instructions that access memory, and the place of each among them.
+  SmallVector<Instruction *> memory;
+  DenseMap<Instruction *, size_t> places;
+  /// What gathers, scatters, and rows in their place access.
+  DenseMap<Instruction *, Columns> known;
+  /// Bytes from a row to the next, where they are known.
+  std::map<Rows, std::optional<int64_t>> steps;
+  /// Where the first row starts.
+  std::map<Rows, Value *> firstRows;
+};
+} // namespace
+
+/// The elements of 16 bytes, within which a CPU shuffles fast.
+static unsigned getChunk(FixedVectorType *type) {
+  unsigned bits = type->getScalarSizeInBits();
+  unsigned chunk = bits == 32 || bits == 64 ? 128 / bits : 0;
+  unsigned lanes = type->getNumElements();
+  return chunk && lanes % chunk == 0 && lanes <= 4 * chunk ? chunk : 0;
+}
+
+static int64_t getElementBytes(FixedVectorType *type) {
+  return type->getScalarSizeInBits() / 8;
+}
+
+std::optional<Transposer::Matrix> Transposer::findColumn(CallBase &call,
+                                                         Column &column) const {
+  bool stores = call.getIntrinsicID() == Intrinsic::masked_scatter;
+  auto *type = dyn_cast<FixedVectorType>(
+      stores ? call.getArgOperand(0)->getType() : call.getType());
+  auto *mask = dyn_cast<Constant>(call.getArgOperand(stores ? 2 : 1));
+  if (!type || !mask || !mask->isAllOnesValue() || !getChunk(type))
+    return std::nullopt;
+  // What is added to all lanes alike is the offset.
+  auto sizeOf = [&](GetElementPtrInst *address) {
+    return static_cast<int64_t>(
+        layout.getTypeAllocSize(address->getSourceElementType()));
+  };
+  Rows rows{call.getArgOperand(stores ? 1 : 0)};
+  int64_t offset = 0;
+  while (auto *address = dyn_cast<GetElementPtrInst>(rows.pointer)) {
+    if (address->getNumIndices() != 1)
+      break;
+    Value *index = address->getOperand(1);
+    Value *splat =
+        index->getType()->isVectorTy() ? getSplatValue(index) : index;
+    if (auto *constant = dyn_cast_or_null<ConstantInt>(splat)) {
+      offset += constant->getSExtValue() * sizeOf(address);
+      rows.pointer = address->getPointerOperand();
+      continue;
+    }
+    if (address->getPointerOperand()->getType()->isVectorTy() ||
+        !index->getType()->getScalarType()->isIntegerTy(64))
+      break;
+    rows = {address->getPointerOperand(), index, sizeOf(address)};
+    Value *rest = nullptr;
+    const APInt *added = nullptr;
+    using namespace PatternMatch;
+    while (match(rows.index, m_Add(m_Value(rest), m_APInt(added))) ||
+           match(rows.index, m_DisjointOr(m_Value(rest), m_APInt(added)))) {
+      offset += added->getSExtValue() * rows.scale;
+      rows.index = rest;
+    }
+    break;
+  }
+  column = {&call, offset};
+  return Matrix{rows, type};
+}
+
+void Transposer::number() {
+  memory.clear();
+  places.clear();
+  for (Instruction &instruction : block)
+    if (instruction.mayReadOrWriteMemory()) {
+      places[&instruction] = memory.size();
+      memory.push_back(&instruction);
+    }
+}
+
+/// Whether two accesses, one of them of columns, may touch the same memory and
+/// one of them writes.
+bool Transposer::mayMeet(const Columns &columns, Instruction *first,
+                         Instruction *second) const {
+  if (!first->mayWriteToMemory() && !second->mayWriteToMemory())
+    return false;
+  auto other = known.find(second);
+  if (other != known.end() && other->second.rows == columns.rows) {
+    // Apart in every row, and no row reaches the next.
+    const Columns &there = other->second;
+    std::optional<int64_t> step = steps.find(columns.rows)->second;
+    int64_t begin = std::min(columns.offset, there.offset);
+    int64_t end =
+        std::max(columns.offset + columns.bytes, there.offset + there.bytes);
+    if (step && end - begin <= std::abs(*step) &&
+        (columns.offset + columns.bytes <= there.offset ||
+         there.offset + there.bytes <= columns.offset))
+      return false;
+  }
+  auto *call = dyn_cast<CallBase>(first);
+  return !call || isModOrRefSet(aliases.getModRefInfo(second, call));
+}
+
+/// Whether all accesses of a run can be at the place of one of them.
+bool Transposer::canMove(ArrayRef<Column> run, Instruction *to) const {
+  for (const Column &column : run) {
+    size_t from = places.lookup(column.call), end = places.lookup(to);
+    const Columns &columns = known.find(column.call)->second;
+    for (size_t i = std::min(from, end) + 1; i < std::max(from, end); ++i)
+      if (mayMeet(columns, column.call, memory[i]))
+        return false;
+  }
+  return true;
+}
+
+Value *Transposer::findRow(const Matrix &matrix, unsigned lane, int64_t offset,
+                           IRBuilder<> &builder) {
+  const Rows &rows = matrix.first;
+  auto emitStart = [&](unsigned lane) {
+    if (!rows.index)
+      return builder.CreateExtractElement(rows.pointer, uint64_t(lane));
+    Value *index = builder.CreateExtractElement(rows.index, uint64_t(lane));
+    return builder.CreatePtrAdd(
+        rows.pointer, builder.CreateMul(index, builder.getInt64(rows.scale)));
+  };
+  std::optional<int64_t> step = steps.find(rows)->second;
+  Value *row = nullptr;
+  if (step) {
+    offset += *step * lane;
+    Value *&first = firstRows[rows];
+    if (!first) {
+      IRBuilder<>::InsertPointGuard guard(builder);
+      auto *lanes =
+          dyn_cast<Instruction>(rows.index ? rows.index : rows.pointer);
+      auto *pointer = dyn_cast<Instruction>(rows.pointer);
+      // As early as it can be: other runs of the matrix use it too.
+      if (lanes && lanes->getParent() == &block &&
+          !(pointer && pointer != lanes && pointer->getParent() == &block))
+        builder.SetInsertPoint(*lanes->getInsertionPointAfterDef());
+      else if (!(pointer && pointer->getParent() == &block))
+        builder.SetInsertPoint(&block, block.getFirstInsertionPt());
+      else
+        return builder.CreatePtrAdd(emitStart(lane),
+                                    builder.getInt64(offset - *step * lane));
+      first = emitStart(0);
+    }
+    row = first;
+  } else {
+    row = emitStart(lane);
+  }
+  return builder.CreatePtrAdd(row, builder.getInt64(offset));
+}
+
+/// Transposes the squares of `chunk` by `chunk` elements that lie in each 16
+/// bytes of as many vectors.
+static SmallVector<Value *> transpose(IRBuilder<> &builder,
+                                      ArrayRef<Value *> vectors) {
+  auto *type = cast<FixedVectorType>(vectors.front()->getType());
+  unsigned chunk = getChunk(type), lanes = type->getNumElements();
+  auto shuffle = [&](Value *a, Value *b, ArrayRef<unsigned> pattern) {
+    SmallVector<int> mask;
+    for (unsigned from = 0; from < lanes; from += chunk)
+      for (unsigned at : pattern)
+        mask.push_back(static_cast<int>(
+            at < chunk ? from + at : lanes + from + at - chunk));
+    return builder.CreateShuffleVector(a, b, mask);
+  };
+  if (chunk == 2)
+    return {shuffle(vectors[0], vectors[1], {0, 2}),
+            shuffle(vectors[0], vectors[1], {1, 3})};
+  Value *low01 = shuffle(vectors[0], vectors[1], {0, 4, 1, 5});
+  Value *high01 = shuffle(vectors[0], vectors[1], {2, 6, 3, 7});
+  Value *low23 = shuffle(vectors[2], vectors[3], {0, 4, 1, 5});
+  Value *high23 = shuffle(vectors[2], vectors[3], {2, 6, 3, 7});
+  return {shuffle(low01, low23, {0, 1, 4, 5}),
+          shuffle(low01, low23, {2, 3, 6, 7}),
+          shuffle(high01, high23, {0, 1, 4, 5}),
+          shuffle(high01, high23, {2, 3, 6, 7})};
+}
+
+void Transposer::emitLoads(const Matrix &matrix, ArrayRef<Column> run,
+                           IRBuilder<> &builder, const AAMDNodes &nodes) {
+  FixedVectorType *type = matrix.second;
+  unsigned chunk = getChunk(type), lanes = type->getNumElements();
+  auto *rowType = FixedVectorType::get(type->getElementType(), chunk);
+  Align alignment = run.front().call->getParamAlign(0).valueOrOne();
+  // Vector k holds the rows k, k + chunk, and so on, one in each 16 bytes.
+  SmallVector<Value *> vectors;
+  for (unsigned k = 0; k < chunk; ++k) {
+    SmallVector<Value *> rows;
+    for (unsigned lane = k; lane < lanes; lane += chunk) {
+      LoadInst *row = builder.CreateAlignedLoad(
+          rowType, findRow(matrix, lane, run.front().offset, builder),
+          alignment);
+      row->setAAMetadata(nodes);
+      known[row] = {matrix.first, run.front().offset, 16};
+      rows.push_back(row);
+    }
+    vectors.push_back(rows.size() == 1 ? rows.front()
+                                       : concatenateVectors(builder, rows));
+  }
+  for (auto [column, result] : zip(run, transpose(builder, vectors)))
+    column.call->replaceAllUsesWith(result);
+}
+
+void Transposer::emitStores(const Matrix &matrix, ArrayRef<Column> run,
+                            IRBuilder<> &builder, const AAMDNodes &nodes) {
+  FixedVectorType *type = matrix.second;
+  unsigned chunk = getChunk(type), lanes = type->getNumElements();
+  Align alignment = run.front().call->getParamAlign(1).valueOrOne();
+  SmallVector<Value *> vectors;
+  for (const Column &column : run)
+    vectors.push_back(column.call->getArgOperand(0));
+  vectors = transpose(builder, vectors);
+  for (unsigned lane = 0; lane < lanes; ++lane) {
+    SmallVector<int> mask;
+    for (unsigned i = 0; i < chunk; ++i)
+      mask.push_back(static_cast<int>(lane / chunk * chunk + i));
+    Value *row = vectors[lane % chunk];
+    if (lanes > chunk)
+      row = builder.CreateShuffleVector(row, mask);
+    StoreInst *store = builder.CreateAlignedStore(
+        row, findRow(matrix, lane, run.front().offset, builder), alignment);
+    store->setAAMetadata(nodes);
+    known[store] = {matrix.first, run.front().offset, 16};
+  }
+}
+
+bool Transposer::replace(const Matrix &matrix, ArrayRef<Column> run,
+                         bool stores) {
+  // Loads where the first gather is, stores where the last scatter is: then
+  // everything that they need is there.
+  auto isBefore = [&](const Column &a, const Column &b) {
+    return places.lookup(a.call) < places.lookup(b.call);
+  };
+  CallBase *to = stores ? llvm::max_element(run, isBefore)->call
+                        : llvm::min_element(run, isBefore)->call;
+  if (!canMove(run, to))
+    return false;
+  // The rows are parts of what is accessed, and all of it.
+  AAMDNodes nodes = run.front().call->getAAMetadata();
+  for (const Column &column : run)
+    nodes = nodes.merge(column.call->getAAMetadata());
+  IRBuilder<> builder(to);
+  if (stores)
+    emitStores(matrix, run, builder, nodes);
+  else
+    emitLoads(matrix, run, builder, nodes);
+  for (const Column &column : run) {
+    known.erase(column.call);
+    column.call->eraseFromParent();
+  }
+  return true;
+}
+
+bool Transposer::replaceAll(Intrinsic::ID id) {
+  bool stores = id == Intrinsic::masked_scatter;
+  // In the order of the block, so that code does not depend on addresses.
+  SmallVector<std::pair<Matrix, SmallVector<Column>>> matrices;
+  auto find = [&](const Matrix &matrix) -> SmallVector<Column> & {
+    for (auto &[known, columns] : matrices)
+      if (known == matrix)
+        return columns;
+    matrices.push_back({matrix, {}});
+    return matrices.back().second;
+  };
+  for (Instruction &instruction : block) {
+    auto *call = dyn_cast<IntrinsicInst>(&instruction);
+    bool gathers = call && call->getIntrinsicID() == Intrinsic::masked_gather;
+    bool scatters = call && call->getIntrinsicID() == Intrinsic::masked_scatter;
+    Column column;
+    std::optional<Matrix> matrix;
+    if ((gathers || scatters) && (matrix = findColumn(*call, column))) {
+      known[call] = {matrix->first, column.offset,
+                     getElementBytes(matrix->second)};
+      const Rows &rows = matrix->first;
+      std::optional<int64_t> step =
+          findStep(rows.index ? rows.index : rows.pointer, layout);
+      if (step && rows.index)
+        *step *= rows.scale;
+      steps[rows] = step;
+      if (stores ? scatters : gathers)
+        find(*matrix).push_back(column);
+    }
+  }
+  if (matrices.empty())
+    return false;
+  number();
+  // The time of what follows grows with the square of that.
+  constexpr size_t most = 8000;
+  if (memory.size() > most)
+    return false;
+  bool changed = false;
+  for (auto &[matrix, columns] : matrices) {
+    unsigned chunk = getChunk(matrix.second);
+    int64_t bytes = getElementBytes(matrix.second);
+    // Lanes that share memory are stored in their order.
+    std::optional<int64_t> step = steps.find(matrix.first)->second;
+    if (stores && (!step || std::abs(*step) < 16))
+      continue;
+    llvm::sort(columns, [&](const Column &a, const Column &b) {
+      return std::pair(a.offset, places.lookup(a.call)) <
+             std::pair(b.offset, places.lookup(b.call));
+    });
+    for (size_t i = 0; i + chunk <= columns.size();) {
+      ArrayRef<Column> run = ArrayRef(columns).slice(i, chunk);
+      bool isRun = true;
+      for (unsigned k = 1; k < chunk; ++k)
+        isRun &= run[k].offset == run[k - 1].offset + bytes;
+      if (isRun && replace(matrix, run, stores)) {
+        changed = true;
+        i += chunk;
+        number();
+      } else {
+        ++i;
+      }
+    }
+  }
+  return changed;
+}
+
+PreservedAnalyses TransposeColumns::run(Function &function,
+                                        FunctionAnalysisManager &analyses) {
+  bool changed = false;
+  for (BasicBlock &block : function)
+    changed |= Transposer(block, analyses.getResult<AAManager>(function)).run();
+  if (!changed)
+    return PreservedAnalyses::all();
+  PreservedAnalyses preserved;
+  preserved.preserveSet<CFGAnalyses>();
+  return preserved;
+}
