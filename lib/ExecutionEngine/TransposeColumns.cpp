@@ -458,17 +458,29 @@ bool Transposer::replaceAll(Intrinsic::ID id) {
       return std::pair(a.offset, places.lookup(a.call)) <
              std::pair(b.offset, places.lookup(b.call));
     });
-    for (size_t i = 0; i + chunk <= columns.size();) {
-      ArrayRef<Column> run = ArrayRef(columns).slice(i, chunk);
-      bool isRun = true;
-      for (unsigned k = 1; k < chunk; ++k)
-        isRun &= run[k].offset == run[k - 1].offset + bytes;
-      if (isRun && replace(matrix, run, stores)) {
-        changed = true;
-        i += chunk;
-        number();
-      } else {
-        ++i;
+    // A column may come several times, with writes in between: the first times
+    // of neighbouring columns go together, and so on.
+    SmallVector<SmallVector<Column>> layers;
+    size_t times = 0;
+    for (size_t i = 0; i < columns.size(); ++i) {
+      times = i && columns[i].offset == columns[i - 1].offset ? times + 1 : 0;
+      if (times == layers.size())
+        layers.emplace_back();
+      layers[times].push_back(columns[i]);
+    }
+    for (ArrayRef<Column> layer : layers) {
+      for (size_t i = 0; i + chunk <= layer.size();) {
+        ArrayRef<Column> run = layer.slice(i, chunk);
+        bool isRun = true;
+        for (unsigned k = 1; k < chunk; ++k)
+          isRun &= run[k].offset == run[k - 1].offset + bytes;
+        if (isRun && replace(matrix, run, stores)) {
+          changed = true;
+          i += chunk;
+          number();
+        } else {
+          ++i;
+        }
       }
     }
   }

@@ -248,6 +248,41 @@ void Runtime::copyIn(Field &field, const void *array) {
   });
 }
 
+/// Elements among those of other fields, at one distance throughout: the rows
+/// of a small object are too short to be filled one by one. False where there
+/// are none such, or too many for one thread.
+static bool fillEvenly(const Field &field, char *data, const char *scalar) {
+  int64_t size = byteSize(field.scalar());
+  int64_t element = field.numComponents() * size, step = field.evenStep();
+  if (step == 0 || step == element || field.hostBytes() > 8 * bytesPerPart)
+    return false;
+  char pattern[16];
+  if (element > static_cast<int64_t>(sizeof(pattern)))
+    return false;
+  for (int64_t at = 0; at < element; at += size)
+    std::memcpy(pattern + at, scalar, static_cast<size_t>(size));
+  auto fill = [&](auto elementSize) {
+    char *end = data + field.numElements() * step;
+    for (char *at = data; at != end; at += step)
+      std::memcpy(at, pattern, elementSize);
+  };
+  switch (element) {
+  case 4:
+    fill(std::integral_constant<size_t, 4>());
+    return true;
+  case 8:
+    fill(std::integral_constant<size_t, 8>());
+    return true;
+  case 12:
+    fill(std::integral_constant<size_t, 12>());
+    return true;
+  case 16:
+    fill(std::integral_constant<size_t, 16>());
+    return true;
+  }
+  return false;
+}
+
 void Runtime::fillWith(Field &field, const void *scalarBytes) {
   if (field.sparseNode())
     return fillActive(field, scalarBytes);
@@ -259,6 +294,8 @@ void Runtime::fillWith(Field &field, const void *scalarBytes) {
   if (field.tree().mirror() && fillOnDevice(field, scalarBytes))
     return;
   char *data = field.writable();
+  if (fillEvenly(field, data, bytes))
+    return;
   withSize(scalar, [&](auto size) {
     forEachRow(field, data, [&](const RowPart<char> &row) {
       bool dense = stride == scalar && !row.offsets &&

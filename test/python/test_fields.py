@@ -323,3 +323,19 @@ def test_fill_between_fields_of_one_cell():
     np.testing.assert_array_equal(x.to_numpy(), np.full((5, 4), 7, np.float32))
     np.testing.assert_array_equal(y.to_numpy(), expected)
     assert expected[4, 2] == 142
+
+
+@pytest.mark.parametrize("components", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("rows", [1, 7, 20000])
+def test_fill_among_others(components, rows):
+    """A field that lies element by element among others is filled alone."""
+    a = ti.Vector.field(components, ti.f32)
+    b = ti.Vector.field(2, ti.f32)
+    ti.root.dense(ti.i, rows).dense(ti.j, 3).place(a, b)
+    b.fill(7.0)
+    a.fill(-2.5)
+    assert (a.to_numpy() == -2.5).all()
+    assert (b.to_numpy() == 7.0).all()
+    a.fill(0.0)
+    assert (a.to_numpy() == 0.0).all()
+    assert (b.to_numpy() == 7.0).all()
