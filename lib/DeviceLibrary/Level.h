@@ -74,6 +74,31 @@ struct Level {
       atomicAdd(&tree.account->used, -cells * node.cellBytes);
   }
 
+  /// Takes room for the pieces in which some cells lie that follow each other.
+  /// False if there is none.
+  bool takePieces(int64_t cell, int64_t count, bool isSure = false) const {
+    if (!node.memoryMessage || !tree.account->pieces)
+      return true;
+    TaiDeviceAccount &account = *tree.account;
+    uint64_t from =
+        reinterpret_cast<uint64_t>(addressOf(cell)) - account.origin;
+    uint64_t to = from + static_cast<uint64_t>(count * node.cellBytes) - 1;
+    auto bytes = static_cast<uint64_t>(account.pieceBytes);
+    for (uint64_t piece = from / bytes; piece <= to / bytes; ++piece) {
+      uint64_t *word = account.pieces + piece / 64;
+      uint64_t bit = uint64_t(1) << (piece % 64);
+      if ((atomicRead(word) & bit) || (atomicOr(word, bit) & bit))
+        continue;
+      int64_t before = atomicAdd(&account.inPieces, account.pieceBytes);
+      if (isSure || before + account.pieceBytes <= account.mostInPieces)
+        continue;
+      atomicAdd(&account.inPieces, -account.pieceBytes);
+      atomicAnd(word, ~bit);
+      return false;
+    }
+    return true;
+  }
+
   void noteRemovedBits(int64_t word, uint64_t bits) const {
     giveBack(__builtin_popcountll(bits));
     note(TAI_DEVICE_ACTIVITY_CHANGED | TAI_DEVICE_CELLS_REMOVED);
@@ -152,6 +177,74 @@ struct Level {
   }
 };
 
+/// Zeroes memory; this thread does its share.
+inline void zero(char *memory, int64_t bytes, int64_t thread, int64_t threads) {
+  bool isWhole =
+      (reinterpret_cast<uintptr_t>(memory) | uint64_t(bytes)) % 8 == 0;
+  if (isWhole) {
+    auto *words = reinterpret_cast<uint64_t *>(memory);
+    for (int64_t i = thread; i < bytes / 8; i += threads)
+      words[i] = 0;
+    return;
+  }
+  for (int64_t i = thread; i < bytes; i += threads)
+    memory[i] = 0;
+}
+
+/// Zeroes those of the cells [first, first + count) that are active, which stay
+/// so; whole lists of them. This thread does its share of each cell.
+inline void zeroActive(const Level &level, int64_t first, int64_t count,
+                       int64_t thread, int64_t threads) {
+  int64_t each = level.node.isList ? level.node.capacity : 64;
+  int64_t end = (first + count + each - 1) / each;
+  for (int64_t unit = first / each; unit < end; ++unit) {
+    uint64_t marks = level.node.marks[unit / 64] >> (unit % 64);
+    if (!marks) {
+      unit |= 63;
+      continue;
+    }
+    if (!(marks & 1))
+      continue;
+    if (level.node.isList) {
+      zero(level.addressOf(unit * each),
+           level.lengths()[unit] * level.node.cellBytes, thread, threads);
+      continue;
+    }
+    for (uint64_t word = level.words()[unit]; word; word &= word - 1) {
+      int64_t cell = unit * 64 + __builtin_ctzll(word);
+      if (cell >= first && cell < first + count)
+        zero(level.addressOf(cell), level.node.cellBytes, thread, threads);
+    }
+  }
+}
+
+/// How many cells of a level lie below one cell of a level above it; 0 if they
+/// do not.
+inline int64_t cellsWithin(const TaiDeviceNode *nodes, int32_t number,
+                           int32_t above) {
+  int64_t span = 1;
+  for (; number > above; number = nodes[number].parent)
+    span *= nodes[number].cellsBelow;
+  return number == above ? span : 0;
+}
+
+/// Zeroes what the cells [first, first + count) hold, by way of the active
+/// cells below where they hold nothing else; this thread does its share.
+inline void zeroContents(const Level &level, int32_t number, int64_t first,
+                         int64_t count, int64_t thread, int64_t threads) {
+  if (!level.node.holdsCellsAlone) {
+    zero(level.addressOf(first), count * level.node.cellBytes, thread, threads);
+    return;
+  }
+  const TaiDeviceNode *nodes = level.tree.nodes;
+  for (int32_t other = number + 1; other < level.tree.numNodes; ++other) {
+    int64_t span = cellsWithin(nodes, other, number);
+    if (span && !nodes[other].holdsCellsAlone)
+      zeroActive(Level(level.base, other), first * span, count * span, thread,
+                 threads);
+  }
+}
+
 /// Makes the cells above a cell of `level` active.
 inline void activateAbove(const Level &level, int64_t cell) {
   const TaiDeviceNode *node = &level.node;
@@ -170,11 +263,7 @@ inline void clearBelow(const Level &level, int32_t number, int64_t first,
                        int64_t count, int64_t thread = 0, int64_t threads = 1) {
   const TaiDeviceNode *nodes = level.tree.nodes;
   for (int32_t other = number + 1; other < level.tree.numNodes; ++other) {
-    int64_t span = 1;
-    int32_t at = other;
-    for (; at > number; at = nodes[at].parent)
-      span *= nodes[at].cellsBelow;
-    if (at == number)
+    if (int64_t span = cellsWithin(nodes, other, number))
       Level(level.base, other)
           .clear(first * span, count * span, thread, threads);
   }

@@ -267,21 +267,6 @@ void tai_dev_list_write(uint64_t tree, uint64_t node, uint64_t list,
 // Cells of a list
 //===----------------------------------------------------------------------===//
 
-/// By all threads of the block.
-static void zero(char *memory, int64_t bytes) {
-  int64_t thread = threadId(), threads = numThreads();
-  bool isWhole =
-      (reinterpret_cast<uintptr_t>(memory) | uint64_t(bytes)) % 8 == 0;
-  if (isWhole) {
-    auto *words = reinterpret_cast<uint64_t *>(memory);
-    for (int64_t i = thread; i < bytes / 8; i += threads)
-      words[i] = 0;
-    return;
-  }
-  for (int64_t i = thread; i < bytes; i += threads)
-    memory[i] = 0;
-}
-
 void tai_dev_deactivate_list(uint64_t tree, uint64_t node, uint64_t list) {
   ListMaker maker(tree, node, list);
   const Level &level = maker.level;
@@ -290,7 +275,9 @@ void tai_dev_deactivate_list(uint64_t tree, uint64_t node, uint64_t list) {
   for (int64_t i = tai_dev_block_id(); i < maker.header->count;
        i += tai_dev_grid_dim()) {
     int64_t cell = maker.cells()[i];
-    zero(level.addressOf(cell), level.node.cellBytes);
+    // Else what it holds is of cells below, which have had their turn.
+    if (!level.node.holdsCellsAlone)
+      zero(level.addressOf(cell), level.node.cellBytes, thread, threads);
     clearBelow(level, number, cell, 1, thread, threads);
     if (thread != 0)
       continue;
@@ -298,5 +285,55 @@ void tai_dev_deactivate_list(uint64_t tree, uint64_t node, uint64_t list) {
       level.clear(cell, 1);
     else if (cell % level.node.capacity == 0)
       level.clear(cell, level.node.capacity);
+  }
+}
+
+//===----------------------------------------------------------------------===//
+// What has happened
+//===----------------------------------------------------------------------===//
+
+/// Copies so many words of 32 bits and, if `forgets`, zeroes them; this thread
+/// does its share.
+static void copyWords(uint32_t *to, uint32_t *from, int64_t words,
+                      bool forgets) {
+  for (int64_t i = threadId(); i < words; i += numThreads()) {
+    to[i] = from[i];
+    if (forgets)
+      from[i] = 0;
+  }
+}
+
+void tai_dev_keep_activity(uint64_t tree, uint64_t to) {
+  if (tai_dev_block_id() != 0)
+    return;
+  auto *base = reinterpret_cast<char *>(tree);
+  auto *changes = reinterpret_cast<uint64_t *>(to);
+  auto levels = static_cast<int32_t>(Level(base, 0).tree.numNodes);
+  uint64_t *at = changes + levels;
+  for (int32_t i = 0; i < levels; ++i) {
+    Level level(base, i);
+    const TaiDeviceNode &node = level.node;
+    // In words of 32 bits: lengths, or halves of words of bits.
+    int64_t words =
+        node.isList ? node.cells / node.capacity : (node.cells + 63) / 64 * 2;
+    int64_t room = (words + 1) / 2;
+    uint32_t happened = node.activity->changes;
+    if (happened)
+      copyWords(reinterpret_cast<uint32_t *>(at),
+                reinterpret_cast<uint32_t *>(level.lengths()), words,
+                /*forgets=*/false);
+    at += room;
+    if (happened & TAI_DEVICE_CELLS_REMOVED)
+      copyWords(reinterpret_cast<uint32_t *>(at),
+                static_cast<uint32_t *>(node.removed), words, /*forgets=*/true);
+    at += room;
+  }
+  tai_dev_block_barrier();
+  if (threadId() != 0)
+    return;
+  for (int32_t i = 0; i < levels; ++i) {
+    TaiDeviceActivity &activity = *Level(base, i).node.activity;
+    changes[i] = activity.changes;
+    activity.changes = 0;
   }
 }

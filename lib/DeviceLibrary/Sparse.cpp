@@ -20,16 +20,6 @@ using namespace tai::device;
 
 #define TAI_RARE __attribute__((noinline))
 
-static void zero(char *memory, int64_t bytes) {
-  char *end = memory + bytes;
-  while (memory < end && reinterpret_cast<uintptr_t>(memory) % 8)
-    *memory++ = 0;
-  for (; end - memory >= 8; memory += 8)
-    *reinterpret_cast<uint64_t *>(memory) = 0;
-  while (memory < end)
-    *memory++ = 0;
-}
-
 /// True if there is such a cell; else the launch fails.
 static bool check(TaiFrame *frame, const Level &level, int64_t cell,
                   const char *where) {
@@ -42,15 +32,27 @@ static bool check(TaiFrame *frame, const Level &level, int64_t cell,
   return false;
 }
 
-/// True if there is room for more cells; else the launch fails.
-static bool takeRoom(TaiFrame *frame, const Level &level, int64_t cells,
-                     const char *where) {
-  if (level.take(cells))
-    return true;
+static void failForRoom(TaiFrame *frame, const char *message, int64_t most,
+                        const char *where) {
   int32_t kind = TAI_DEVICE_VALUE_BYTES;
-  auto slot = static_cast<uint64_t>(level.tree.account->limit);
-  tai_rt_fail(frame, TAI_FAIL_MEMORY, level.node.memoryMessage, where, 1, &kind,
-              nullptr, &slot);
+  auto slot = static_cast<uint64_t>(most);
+  tai_rt_fail(frame, TAI_FAIL_MEMORY, message, where, 1, &kind, nullptr, &slot);
+}
+
+/// True if there is room for `added` more cells among those from `first` on;
+/// else the launch fails.
+static bool takeRoom(TaiFrame *frame, const Level &level, int64_t first,
+                     int64_t count, int64_t added, const char *where) {
+  if (!level.take(added)) {
+    failForRoom(frame, level.node.memoryMessage, level.tree.account->limit,
+                where);
+    return false;
+  }
+  if (level.takePieces(first, count))
+    return true;
+  level.giveBack(added);
+  failForRoom(frame, level.node.pieceMessage, level.tree.account->mostInPieces,
+              where);
   return false;
 }
 
@@ -62,7 +64,8 @@ TAI_RARE int32_t tai_rt_activate(TaiFrame *frame, void *tree, int32_t node,
   int64_t wanted = level.countNew(cell);
   if (wanted == 0)
     return 1;
-  if (!takeRoom(frame, level, wanted, where))
+  // Of a list, those before it too.
+  if (!takeRoom(frame, level, cell - wanted + 1, wanted, wanted, where))
     return 0;
   // Others may have been quicker.
   int64_t added = level.activate(cell);
@@ -77,23 +80,38 @@ TAI_RARE void tai_rt_deactivate(TaiFrame *frame, void *tree, int32_t node,
   Level level(static_cast<char *>(tree), node);
   if (!check(frame, level, cell, where))
     return;
-  int64_t count = 1;
+  // Of a list, all cells go with one, and hold something as far as it is long.
+  int64_t count = 1, span = 1;
   if (level.node.isList) {
     int64_t list = cell / level.node.capacity;
     count = atomicExchange(level.lengths() + list, 0);
     if (count == 0)
       return;
     level.noteRemovedList(list, static_cast<int32_t>(count));
-    cell = list * level.node.capacity;
-    clearBelow(level, node, cell, level.node.capacity);
+    span = level.node.capacity;
+    cell = list * span;
   } else {
     uint64_t bit = uint64_t(1) << (cell % 64);
     if (!(atomicAnd(level.words() + cell / 64, ~bit) & bit))
       return;
     level.noteRemovedBits(cell / 64, bit);
-    clearBelow(level, node, cell, 1);
   }
-  zero(level.addressOf(cell), count * level.node.cellBytes);
+  // A cell may be large, and one thread slow: those that have come here with a
+  // cell each do one cell after another.
+  uint64_t own[] = {reinterpret_cast<uint64_t>(tree), uint64_t(node),
+                    uint64_t(cell), uint64_t(count), uint64_t(span)};
+  forEachTogether(own, [](const uint64_t *values, const Together &all,
+                          int64_t thread, int64_t threads) {
+    auto number = static_cast<int32_t>(values[1]);
+    Level level(reinterpret_cast<char *>(values[0]), number);
+    auto first = static_cast<int64_t>(values[2]);
+    zeroContents(level, number, first, static_cast<int64_t>(values[3]), thread,
+                 threads);
+    // Which cells below were active is known to all until then.
+    all.meet();
+    clearBelow(level, number, first, static_cast<int64_t>(values[4]), thread,
+               threads);
+  });
 }
 
 TAI_RARE int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node,
@@ -104,9 +122,12 @@ TAI_RARE int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node,
     first = -1;
   if (!check(frame, level, first, where))
     return -1;
-  if (!takeRoom(frame, level, 1, where))
-    return -1;
   int32_t *length = level.lengths() + list;
+  int64_t next = atomicRead(length);
+  if (next >= capacity)
+    next = capacity - 1;
+  if (!takeRoom(frame, level, first + next, 1, 1, where))
+    return -1;
   int32_t at = atomicAdd(length, int32_t(1));
   if (at >= capacity) {
     atomicAdd(length, int32_t(-1));
@@ -115,6 +136,9 @@ TAI_RARE int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node,
                 nullptr, nullptr, nullptr);
     return -1;
   }
+  // Others may have been quicker: what comes of that is one piece.
+  if (at != next)
+    level.takePieces(first + at, 1, /*isSure=*/true);
   if (at == 0)
     level.mark(list);
   level.note(TAI_DEVICE_ACTIVITY_CHANGED);

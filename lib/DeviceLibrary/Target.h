@@ -41,6 +41,44 @@ inline void *allocateBytes(uint64_t bytes) { return tai_emu_allocate(bytes); }
 inline void freeBytes(void *memory) { tai_emu_free(memory); }
 #endif
 
+/// Does body(values, thread, threads) for the values of each thread that comes
+/// here at the same time, of a warp on a GPU: together, as threads 0 to threads
+/// - 1. `meet`, in between, waits for all of them.
+#ifdef __NVPTX__
+struct Together {
+  uint32_t mask;
+  void meet() const { __nvvm_bar_warp_sync(mask); }
+};
+template <int count, typename Body>
+inline void forEachTogether(const uint64_t (&own)[count], const Body &body) {
+  Together all{__nvvm_activemask()};
+  auto lane = static_cast<uint32_t>(__nvvm_read_ptx_sreg_laneid());
+  int thread = __builtin_popcount(all.mask & ((uint32_t(1) << lane) - 1));
+  int threads = __builtin_popcount(all.mask);
+  for (uint32_t rest = all.mask; rest; rest &= rest - 1) {
+    int from = __builtin_ctz(rest);
+    uint64_t values[count];
+    for (int i = 0; i < count; ++i) {
+      auto low = static_cast<uint32_t>(__nvvm_shfl_sync_idx_i32(
+          all.mask, static_cast<int32_t>(own[i]), from, warpSize - 1));
+      auto high = static_cast<uint32_t>(__nvvm_shfl_sync_idx_i32(
+          all.mask, static_cast<int32_t>(own[i] >> 32), from, warpSize - 1));
+      values[i] = uint64_t(high) << 32 | low;
+    }
+    body(values, all, thread, threads);
+  }
+  all.meet();
+}
+#else
+struct Together {
+  void meet() const {}
+};
+template <int count, typename Body>
+inline void forEachTogether(const uint64_t (&own)[count], const Body &body) {
+  body(own, Together(), 0, 1);
+}
+#endif
+
 /// What was there before. Other threads of the device see it happen at once,
 /// but it does not order other accesses.
 template <typename T> inline T atomicAdd(T *target, T value) {

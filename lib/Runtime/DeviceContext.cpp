@@ -78,6 +78,31 @@ Status DeviceContext::allocate(int64_t bytes, const std::string &owner,
   return Status::failure(StatusCode::Memory, std::move(message));
 }
 
+Status DeviceContext::reserve(int64_t bytes, const std::string &owner,
+                              DevicePtr &memory) {
+  std::lock_guard<std::mutex> lock(mutex);
+  Status status = device->reserve(bytes, memory);
+  if (status)
+    holdings[memory] = {owner, 0};
+  return status;
+}
+
+int64_t DeviceContext::mostBytes() const {
+  int64_t all = device->limits().memoryBytes;
+  return limit > 0 ? std::min(limit, all) : all;
+}
+
+int64_t DeviceContext::leftToReserved(int64_t taken) {
+  std::lock_guard<std::mutex> lock(mutex);
+  // Where memory runs out, pages are moved to the host, which is worse than a
+  // failure: lists, copies and kernels need some, too.
+  int64_t kept = device->limits().memoryBytes / 32;
+  int64_t left = device->freeBytes() - kept;
+  if (limit > 0)
+    left = std::min(left, limit - held - taken);
+  return std::max<int64_t>(left, 0);
+}
+
 void DeviceContext::free(DevicePtr memory) {
   std::lock_guard<std::mutex> lock(mutex);
   auto found = holdings.find(memory);

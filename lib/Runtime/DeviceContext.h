@@ -44,7 +44,13 @@ public:
   /// Memory for a tree, or for another purpose; where there is none, the
   /// failure says who has it. Any thread.
   Status allocate(int64_t bytes, const std::string &owner, DevicePtr &memory);
+  /// Memory that takes room where it is touched; see Device::reserve.
+  Status reserve(int64_t bytes, const std::string &owner, DevicePtr &memory);
   void free(DevicePtr memory);
+  /// The most that the program can have, and what is left of it for memory that
+  /// is reserved, some of which has taken its room already.
+  int64_t mostBytes() const;
+  int64_t leftToReserved(int64_t taken);
 
   /// The state that device code uses, made at the first call.
   Status state(DevicePtr &memory);

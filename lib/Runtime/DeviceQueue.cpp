@@ -243,6 +243,11 @@ static Status hasNoGraphs() {
   return Status::failure(StatusCode::Internal, "this device has no graphs");
 }
 
+Status Device::reserve(int64_t, DevicePtr &) {
+  return Status::failure(StatusCode::Internal,
+                         "this device does not reserve memory");
+}
+
 Status Device::beginCapture() { return hasNoGraphs(); }
 Status Device::endCapture(std::unique_ptr<DeviceGraph> &) {
   return hasNoGraphs();

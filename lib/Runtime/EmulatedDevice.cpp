@@ -21,6 +21,7 @@
 #include <map>
 #include <mutex>
 #include <numeric>
+#include <set>
 #include <sys/mman.h>
 #include <unistd.h>
 
@@ -87,7 +88,14 @@ public:
 
   DeviceKind kind() const override { return DeviceKind::Emulated; }
   std::string name() const override { return "emulated"; }
-  DeviceLimits limits() const override { return {4, 1, memoryBytes}; }
+  DeviceLimits limits() const override {
+    DeviceLimits limits;
+    limits.multiprocessors = 4;
+    limits.memoryBytes = memoryBytes;
+    // Small, so that a test reaches the limit.
+    limits.reservedPieceBytes = 64 << 10;
+    return limits;
+  }
   std::string target() const override { return "cpu"; }
 
   Status allocate(int64_t bytes, DevicePtr &memory) override {
@@ -111,13 +119,29 @@ public:
     return Status::success();
   }
 
+  Status reserve(int64_t bytes, DevicePtr &memory) override {
+    std::lock_guard<std::mutex> lock(mutex);
+    memory = 0;
+    void *mapped = mmap(nullptr, mappedBytes(bytes), PROT_READ | PROT_WRITE,
+                        MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+    if (mapped == MAP_FAILED)
+      return Status::failure(StatusCode::Memory, "the device has no " +
+                                                     formatBytes(bytes) +
+                                                     " of addresses left");
+    memory = reinterpret_cast<DevicePtr>(mapped);
+    allocations.emplace(memory, bytes);
+    reserved.insert(memory);
+    return Status::success();
+  }
+
   void free(DevicePtr memory) override {
     std::lock_guard<std::mutex> lock(mutex);
     auto found = allocations.find(memory);
     if (found == allocations.end())
       return;
     munmap(reinterpret_cast<void *>(memory), mappedBytes(found->second));
-    allocated -= found->second;
+    if (reserved.erase(memory) == 0)
+      allocated -= found->second;
     allocations.erase(found);
   }
 
@@ -334,6 +358,7 @@ private:
   ObjectLinker linker;
   mutable std::mutex mutex;
   std::map<DevicePtr, int64_t> allocations;
+  std::set<DevicePtr> reserved;
   int64_t allocated = 0;
   std::atomic<uint64_t> launches{0};
 };

@@ -12,8 +12,9 @@ using namespace mlir::tai::runtime;
 
 /// In the order of LibraryKernel.
 static constexpr const char *names[] = {
-    "tai_dev_list_cells", "tai_dev_list_count",      "tai_dev_list_scan",
-    "tai_dev_list_write", "tai_dev_deactivate_list", "tai_dev_move_cells"};
+    "tai_dev_list_cells",   "tai_dev_list_count",      "tai_dev_list_scan",
+    "tai_dev_list_write",   "tai_dev_deactivate_list", "tai_dev_move_cells",
+    "tai_dev_keep_activity"};
 
 Status LibraryKernels::load(bool &isThere) {
   std::lock_guard<std::mutex> lock(mutex);

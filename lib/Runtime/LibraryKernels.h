@@ -26,7 +26,8 @@ enum class LibraryKernel : unsigned {
   ListScan,
   ListWrite,
   DeactivateList,
-  MoveCells
+  MoveCells,
+  KeepActivity
 };
 
 class LibraryKernels {

@@ -23,6 +23,9 @@ using namespace mlir::tai::runtime;
 // Memory for lists
 //===----------------------------------------------------------------------===//
 
+/// Longer ones take memory as far as they are used, where that can be.
+static constexpr int64_t mostBytes = int64_t(256) << 20;
+
 static int64_t bytesFor(int64_t cells) {
   return static_cast<int64_t>(DeviceCells::cellsOffset) +
          cells * static_cast<int64_t>(sizeof(int64_t));
@@ -31,8 +34,10 @@ static int64_t bytesFor(int64_t cells) {
 Status DeviceCells::make(std::shared_ptr<DeviceContext> context,
                          int64_t capacity, std::shared_ptr<DeviceCells> &list) {
   DevicePtr memory = 0;
-  Status status =
-      context->allocate(bytesFor(capacity), "lists of active cells", memory);
+  int64_t bytes = bytesFor(capacity);
+  const char *owner = "lists of active cells";
+  Status status = bytes > mostBytes ? context->reserve(bytes, owner, memory)
+                                    : context->allocate(bytes, owner, memory);
   if (!status)
     return status;
   list.reset(new DeviceCells(std::move(context), memory, capacity));
@@ -177,9 +182,9 @@ Status SparseMirror::list(SparseNode &node, DeviceCellsPtr &cells) {
     return Status::success();
   }
   // Where the host does not know how many there are, there is room for all.
-  constexpr int64_t mostBytes = int64_t(256) << 20;
   int64_t needed = isBehind() ? node.numCells() : guessActive(node);
-  if (bytesFor(needed) > mostBytes)
+  if (bytesFor(needed) > mostBytes &&
+      context.get().limits().reservedPieceBytes == 0)
     return Status::success();
   bool isThere = false;
   Status status = context.library().load(isThere);
@@ -217,9 +222,12 @@ Status SparseMirror::sendAccount() {
     if (node->isInnermost())
       used += node->active.load(std::memory_order_relaxed) * node->cellBytes();
   int64_t others = runtime.activeCellBytes() - used;
-  TaiDeviceAccount now = {used, runtime.memoryLimit() -
-                                    runtime.reservedBytes() - others};
-  return context.get().copyIn(account, &now, sizeof(now));
+  TaiDeviceAccount now = {};
+  now.used = used;
+  now.limit = runtime.memoryLimit() - runtime.reservedBytes() - others;
+  Status status =
+      context.get().copyIn(account, &now, offsetof(TaiDeviceAccount, pieces));
+  return status;
 }
 
 /// Makes the activity of the levels that the host has changed known to lists.

@@ -37,6 +37,8 @@ SparseMirror::SparseMirror(DeviceContext &context, Tree &tree)
 SparseMirror::~SparseMirror() {
   for (const Uploaded &list : lists)
     context.free(list.memory);
+  for (DevicePtr memory : keptMemory)
+    context.free(memory);
   if (block)
     context.free(block);
 }
@@ -44,26 +46,6 @@ SparseMirror::~SparseMirror() {
 //===----------------------------------------------------------------------===//
 // Memory
 //===----------------------------------------------------------------------===//
-
-static const std::string &innermost(const std::vector<SparseInfo> &levels) {
-  return levels.back().label;
-}
-
-Status SparseMirror::check(const DeviceContext &context,
-                           const std::string &name, int64_t bytes,
-                           const std::vector<SparseInfo> &levels) {
-  int64_t most = context.get().limits().memoryBytes;
-  if (bytes <= most)
-    return Status::success();
-  return Status::failure(
-      StatusCode::Memory,
-      "tree '" + name + "' spans " + formatBytes(bytes) +
-          " with all cells active (" + innermost(levels) +
-          "), and the device '" + context.get().name() + "' has " +
-          formatBytes(most) +
-          "; cells do not get their memory one by one on the GPU yet: make the "
-          "levels smaller, or use the CPU for this program");
-}
 
 Status SparseMirror::allocate(DevicePtr &address) {
   const auto &nodes = tree.sparseNodes();
@@ -84,12 +66,16 @@ Status SparseMirror::allocate(DevicePtr &address) {
   bytes += alignUp(sizeof(TaiDeviceAccount));
   int64_t sumsAt = bytes;
   bytes += alignUp(mostTiles * int64_t(sizeof(int64_t)));
-  Status status = context.allocate(bytes,
-                                   "tree '" + tree.name() + "' (all cells of " +
-                                       nodes.back()->info().label + ")",
-                                   block);
+  pieceBytes = context.get().limits().reservedPieceBytes;
+  int64_t piecesAt = bytes;
+  if (pieceBytes > 0) {
+    numPieces = bytes / pieceBytes + 2;
+    bytes += alignUp((numPieces + 63) / 64 * int64_t(sizeof(uint64_t)));
+  }
+  Status status = allocateBlock(bytes);
   if (!status)
     return status;
+  pieces = block + static_cast<DevicePtr>(piecesAt);
   base = block + TAI_DEVICE_TREE_HEADER;
   activity = block + static_cast<DevicePtr>(activityAt);
   sums = block + static_cast<DevicePtr>(sumsAt);
@@ -99,7 +85,8 @@ Status SparseMirror::allocate(DevicePtr &address) {
   for (int64_t offset : marksAt)
     marks.push_back(block + static_cast<DevicePtr>(offset));
   const char zero = 0;
-  status = context.get().fill(block, &zero, 1, bytes);
+  if (!isReserved)
+    status = context.get().fill(block, &zero, 1, bytes);
   uint64_t first = 1;
   if (status)
     status = context.get().fillRows(
@@ -110,6 +97,8 @@ Status SparseMirror::allocate(DevicePtr &address) {
     status = writeDescriptor();
   if (status)
     status = sendAccount();
+  if (status)
+    status = countPieces();
   if (!status) {
     context.free(block);
     removed.clear();
@@ -126,7 +115,7 @@ Status SparseMirror::writeDescriptor() {
   std::vector<TaiDeviceNode> entries;
   std::vector<TaiDeviceStep> steps;
   std::string texts;
-  std::vector<std::array<size_t, 3>> textAt;
+  std::vector<std::array<size_t, 4>> textAt;
   for (const std::unique_ptr<SparseNode> &node : nodes) {
     const SparseInfo &info = node->info();
     TaiDeviceNode entry = {};
@@ -154,7 +143,7 @@ Status SparseMirror::writeDescriptor() {
     texts += "append to a full list: " + info.label + " holds at most " +
              std::to_string(node->capacity()) + " cells";
     texts += '\0';
-    textAt.push_back({range, full, texts.size()});
+    size_t room = texts.size();
     texts += "out of memory: one more cell of " + info.label + " of " +
              formatBytes(node->cellBytes()) +
              " each; the active cells of "
@@ -163,6 +152,14 @@ Status SparseMirror::writeDescriptor() {
              "' take all of {} that the memory limit "
              "leaves them";
     texts += '\0';
+    textAt.push_back({range, full, room, texts.size()});
+    texts += "out of memory on the device: one more cell of " + info.label +
+             "; the active cells of tree '" + tree.name() +
+             "' lie in pieces of " +
+             formatBytes(std::max<int64_t>(pieceBytes, 1)) +
+             " that take all of {} which the device has for them";
+    texts += '\0';
+    entry.holdsCellsAlone = node->holdsCellsAlone();
     entries.push_back(entry);
   }
   size_t entryBytes = entries.size() * sizeof(TaiDeviceNode);
@@ -181,9 +178,12 @@ Status SparseMirror::writeDescriptor() {
         reinterpret_cast<const char *>(textsAt + textAt[i][0]);
     entries[i].fullMessage =
         reinterpret_cast<const char *>(textsAt + textAt[i][1]);
-    if (nodes[i]->isInnermost())
-      entries[i].memoryMessage =
-          reinterpret_cast<const char *>(textsAt + textAt[i][2]);
+    if (!nodes[i]->isInnermost())
+      continue;
+    entries[i].memoryMessage =
+        reinterpret_cast<const char *>(textsAt + textAt[i][2]);
+    entries[i].pieceMessage =
+        reinterpret_cast<const char *>(textsAt + textAt[i][3]);
   }
   TaiDeviceTree header = {static_cast<int64_t>(entries.size()),
                           reinterpret_cast<const TaiDeviceNode *>(nodesAt),
@@ -212,12 +212,11 @@ Status SparseMirror::writeDescriptor() {
 //===----------------------------------------------------------------------===//
 
 /// Whole pages, as the host has them.
-static constexpr int64_t pieceBytes = 4 << 10;
+static constexpr int64_t pageBytes = 4 << 10;
 
 void SparseMirror::touch(int64_t begin, int64_t end) {
-  begin = begin / pieceBytes * pieceBytes;
-  end =
-      std::min((end + pieceBytes - 1) / pieceBytes * pieceBytes, tree.bytes());
+  begin = begin / pageBytes * pageBytes;
+  end = std::min((end + pageBytes - 1) / pageBytes * pageBytes, tree.bytes());
   auto next = touched.upper_bound(begin);
   if (next != touched.begin()) {
     auto before = std::prev(next);
@@ -233,6 +232,11 @@ void SparseMirror::touch(int64_t begin, int64_t end) {
     next = touched.erase(next);
   }
   touched[begin] = end;
+}
+
+/// Where the bits or lengths of a level are worth a look at its marks.
+static bool hasLongRow(const SparseNode &node) {
+  return node.activityBytes() >= int64_t(1) << 20;
 }
 
 /// What lies in [begin, end), which is cell `cell` of the level `above` or the
@@ -254,7 +258,7 @@ void SparseMirror::touchOutside(int64_t begin, int64_t end,
       count = std::min(count, mostPools) * steps[i].cells;
     }
     // Small ones hold no piece as a whole.
-    if (!nested || count > mostPools || bytes < pieceBytes)
+    if (!nested || count > mostPools || bytes < pageBytes)
       continue;
     int64_t first = cell * node->numCellsBelow();
     for (int64_t i = 0; i < count; ++i) {
@@ -262,6 +266,11 @@ void SparseMirror::touchOutside(int64_t begin, int64_t end,
       pools.push_back({offset, offset + bytes});
     }
   }
+  // Long rows of bits and lengths go by what is known of them.
+  for (const std::unique_ptr<SparseNode> &node : tree.sparseNodes())
+    if (!above && hasLongRow(*node))
+      pools.push_back({node->info().activityOffset,
+                       node->info().activityOffset + node->activityBytes()});
   std::sort(pools.begin(), pools.end());
   for (auto [from, to] : pools) {
     if (begin < from)
@@ -275,7 +284,7 @@ void SparseMirror::touchOutside(int64_t begin, int64_t end,
 
 void SparseMirror::touchCell(const SparseNode &node, int64_t cell) {
   int64_t begin = node.offsetOf(cell), end = begin + node.cellBytes();
-  if (node.isInnermost() || end - begin < 2 * pieceBytes)
+  if (node.isInnermost() || end - begin < 2 * pageBytes)
     touch(begin, end);
   else
     touchOutside(begin, end, &node, cell);
@@ -303,10 +312,15 @@ Status SparseMirror::upload() {
   std::lock_guard<std::recursive_mutex> lock(mutex);
   for (const std::unique_ptr<SparseNode> &node : tree.sparseNodes())
     node->forEachActive([&](int64_t cell) { touchCell(*node, cell); });
-  Status status = forEachRun([&](int64_t offset, int64_t bytes) {
-    return context.get().copyIn(base + static_cast<DevicePtr>(offset),
-                                tree.base() + offset, bytes);
-  });
+  Status status = countPieces();
+  if (status)
+    status = forEachRun([&](int64_t offset, int64_t bytes) {
+      return context.get().copyIn(base + static_cast<DevicePtr>(offset),
+                                  tree.base() + offset, bytes);
+    });
+  for (const std::unique_ptr<SparseNode> &node : tree.sparseNodes())
+    if (status && hasLongRow(*node))
+      status = sendBits(*node);
   return status ? sendActivity() : std::move(status);
 }
 
@@ -323,45 +337,34 @@ Status SparseMirror::download() {
 
 Status SparseMirror::fetch() {
   std::lock_guard<std::recursive_mutex> lock(mutex);
-  if (!behind.load(std::memory_order_acquire))
+  // Whoever is told of a state that was kept asks for it.
+  if (!behind.load(std::memory_order_acquire) || isFetching)
     return Status::success();
   Device &device = context.get();
   context.getRuntime().skipCounters().add(SkipCount::ActivityFetched);
   const auto &nodes = tree.sparseNodes();
   std::vector<TaiDeviceActivity> found(nodes.size());
-  Status status = device.copyOut(
-      found.data(), activity,
-      static_cast<int64_t>(nodes.size() * sizeof(TaiDeviceActivity)));
-  bool any = false;
+  bool any = false, anyKept = false;
+  isFetching = true;
+  Status status = adoptKept(anyKept);
+  isFetching = false;
+  if (status)
+    status = device.copyOut(
+        found.data(), activity,
+        static_cast<int64_t>(nodes.size() * sizeof(TaiDeviceActivity)));
   for (size_t i = 0; i < nodes.size() && status; ++i) {
     uint32_t happened = found[i].changes;
     if (!happened)
       continue;
     any = true;
     SparseNode &node = *nodes[i];
-    int64_t bytes = node.activityBytes();
-    // Whole words, of which the last of a row of lengths may be half.
-    auto words = static_cast<size_t>((bytes + 7) / 8);
-    std::vector<uint64_t> now(words), gone;
-    status = device.copyOut(
-        now.data(), base + static_cast<DevicePtr>(node.info().activityOffset),
-        bytes);
-    if (status && (happened & TAI_DEVICE_CELLS_REMOVED)) {
-      gone.resize(words);
-      status = device.copyOut(gone.data(), removed[i], bytes);
-      const char zero = 0;
-      if (status)
-        status = device.fill(removed[i], &zero, 1, bytes);
-    }
-    if (status)
-      node.adopt(now.data(), gone.empty() ? nullptr : gone.data(),
-                 [&](int64_t cell) { touchCell(node, cell); });
+    status = fetchLevel(node, happened & TAI_DEVICE_CELLS_REMOVED);
     sharedEpochs[i] = node.changes.load(std::memory_order_acquire);
   }
   const uint32_t zero = 0;
-  if (status && any) {
+  if (status && (any || anyKept))
     unchangedFrom = generation;
-    sentLimit = -1;
+  if (status && any) {
     status = device.fillRows({activity, sizeof(TaiDeviceActivity), sizeof(zero),
                               int64_t(nodes.size())},
                              &zero, sizeof(zero));
@@ -377,31 +380,52 @@ Status SparseMirror::fetch() {
 
 bool SparseMirror::isCurrent() const { return tree.mirror()->onDevice(); }
 
+/// The level itself, behind those levels below by whose cells it is zeroed.
+static std::vector<SparseNode *> findHolders(SparseNode &node,
+                                             const Tree &tree) {
+  std::vector<SparseNode *> found;
+  if (node.holdsCellsAlone())
+    for (const std::unique_ptr<SparseNode> &below : tree.sparseNodes())
+      if (below->above() == &node)
+        for (SparseNode *holder : findHolders(*below, tree))
+          found.push_back(holder);
+  found.push_back(&node);
+  return found;
+}
+
 bool SparseMirror::deactivateAll(SparseNode &node) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
-  DeviceCellsPtr cells;
   if (!isCurrent())
     return false;
-  Status status = list(node, cells);
-  if (status && !cells)
-    return false;
-  if (status) {
-    constexpr unsigned threads = 128;
-    status = context.library().launch(LibraryKernel::DeactivateList,
-                                      /*blocks=*/0, threads,
-                                      {base, numberOf(node), cells->header()});
-    tree.mirror()->deviceWrites();
-    deviceActivates(/*removes=*/true);
+  // Where cells hold nothing else than cells below, those are zeroed, and by
+  // lists of their own: of a large box few may be active.
+  std::vector<std::pair<SparseNode *, DeviceCellsPtr>> all;
+  for (SparseNode *next : findHolders(node, tree)) {
+    DeviceCellsPtr cells;
+    Status status = list(*next, cells);
+    if (status && !cells)
+      return false;
+    if (!status) {
+      context.note(std::move(status));
+      return true;
+    }
+    all.push_back({next, std::move(cells)});
   }
+  Status status;
+  constexpr unsigned threads = 128;
+  for (const auto &[next, cells] : all)
+    if (status)
+      status = context.library().launch(
+          LibraryKernel::DeactivateList,
+          /*blocks=*/0, threads, {base, numberOf(*next), cells->header()});
+  tree.mirror()->deviceWrites();
+  deviceActivates(/*removes=*/true);
   context.note(std::move(status));
   return true;
 }
 
 void SparseMirror::uploadActivity(const SparseNode &node) {
-  int64_t offset = node.info().activityOffset;
-  Status status =
-      context.get().copyIn(base + static_cast<DevicePtr>(offset),
-                           tree.base() + offset, node.activityBytes());
+  Status status = sendBits(node);
   if (status)
     status = sendActivity();
   context.note(std::move(status));
@@ -429,59 +453,6 @@ bool SparseMirror::fillActive(const Field &field, const CellElements &elements,
 std::shared_ptr<CellMover> &SparseMirror::moverOf(const Field &field) {
   return movers[{field.layout().placeOffset, int64_t(field.scalar()),
                  field.numComponents()}];
-}
-
-/// Goes to the activity that the device has: bits or lengths, and those of the
-/// cells that were removed meanwhile, or null. Calls `added` for cells that may
-/// have become active.
-void SparseNode::adopt(const void *activity, const void *gone,
-                       const std::function<void(int64_t)> &added) {
-  int64_t by = 0;
-  bool differs = false, removes = false;
-  auto forEachBit = [](uint64_t word, const auto &body) {
-    for (; word; word &= word - 1)
-      body(__builtin_ctzll(word));
-  };
-  if (layout.isList) {
-    const auto *now = static_cast<const int32_t *>(activity);
-    const auto *was = static_cast<const int32_t *>(gone);
-    for (int64_t list = 0, n = cells / capacity(); list < n; ++list) {
-      int32_t before = lengths()[list], length = was ? was[list] : 0;
-      length = std::max(length, now[list] < before ? before : 0);
-      if (length) {
-        removes = true;
-        noteRemoved(list * capacity(), length);
-      }
-      if (now[list] == before && !length)
-        continue;
-      differs |= now[list] != before;
-      by += now[list] - before;
-      lengths()[list] = now[list];
-      markWord(list);
-      for (int32_t i = 0; i < now[list]; ++i)
-        added(list * capacity() + i);
-    }
-  } else {
-    const auto *now = static_cast<const uint64_t *>(activity);
-    const auto *was = static_cast<const uint64_t *>(gone);
-    for (int64_t i = 0, n = (cells + 63) / 64; i < n; ++i) {
-      uint64_t before = words()[i];
-      uint64_t left = (was ? was[i] : 0) | (before & ~now[i]);
-      if (left) {
-        removes = true;
-        forEachBit(left, [&](int bit) { noteRemoved(i * 64 + bit, 1); });
-      }
-      if (now[i] == before)
-        continue;
-      differs = true;
-      by += __builtin_popcountll(now[i]) - __builtin_popcountll(before);
-      words()[i] = now[i];
-      markWord(i);
-      forEachBit(now[i] & ~before, [&](int bit) { added(i * 64 + bit); });
-    }
-  }
-  if (differs || removes)
-    changed(by, removes);
 }
 
 void SparseNode::bringActivity() const { onDevice->bringActivity(); }

@@ -52,6 +52,10 @@ public:
   }
   /// The host is about to.
   void hostChanges(bool removes) { changesAgain(removes); }
+  /// Keeps what has happened to activity so far on the device, without waiting:
+  /// when somebody asks, the host goes to that state first, and `seen` is
+  /// called while it is there. False where the host has to look at once.
+  bool keepActivity(std::function<void()> seen);
   bool isBehind() const { return behind.load(std::memory_order_acquire); }
   uint64_t getGeneration() const { return generation; }
   /// When cells were last made inactive, as far as the host knows.
@@ -98,6 +102,11 @@ public:
 
 private:
   Status fetch();
+  Status fetchLevel(SparseNode &node, bool removes);
+  Status adoptKept(bool &any);
+  int64_t keptBytes() const;
+  Status allocateBlock(int64_t bytes);
+  Status countPieces();
   Status writeDescriptor();
   Status sendActivity();
   Status sendAccount();
@@ -107,6 +116,8 @@ private:
     if (removes)
       lastRemoval = generation;
   }
+  /// Copies the activity of a level, without parts that nobody has changed.
+  Status sendBits(const SparseNode &node);
   void touch(int64_t begin, int64_t end);
   void touchOutside(int64_t begin, int64_t end, const SparseNode *above,
                     int64_t cell);
@@ -119,10 +130,13 @@ private:
   std::recursive_mutex mutex;
   std::atomic<bool> behind{false};
   DevicePtr block = 0, base = 0;
+  /// The memory takes room where it is touched; then, which pieces are known to
+  /// have done so lies behind the account.
+  bool isReserved = false;
+  int64_t pieceBytes = 0, numPieces = 0;
   /// Behind the tree: a TaiDeviceActivity of each level, then what was removed
   /// from each, its marks, and sums of tiles of the largest.
-  DevicePtr activity = 0, sums = 0, account = 0;
-  int64_t sentLimit = -1;
+  DevicePtr activity = 0, sums = 0, account = 0, pieces = 0;
   std::vector<DevicePtr> removed, marks;
   /// Epochs of the levels for which both sides have the same activity.
   std::vector<uint64_t> sharedEpochs;
@@ -130,6 +144,12 @@ private:
   /// they are known to be the same, and the one at which cells were last made
   /// inactive.
   uint64_t generation = 1, unchangedFrom = 1, lastRemoval = 0;
+  /// States that are kept, in their order, and memory for them, which serves
+  /// the next ones again: the same work is then the same.
+  std::vector<std::function<void()>> kept;
+  std::vector<DevicePtr> keptMemory;
+  uint64_t keptGeneration = 0;
+  bool isFetching = false;
   struct Pool {
     std::vector<std::shared_ptr<DeviceCells>> all;
     std::shared_ptr<DeviceCells> current;

@@ -42,7 +42,11 @@ void TapeTopology::end() {
 }
 
 void TapeTopology::update(Watched &entry, uint32_t record) {
-  if (!entry.tree->base() || entry.known->epoch == entry.node->epoch())
+  if (!entry.tree->base())
+    return;
+  // States that were kept come first.
+  uint64_t epoch = entry.node->epoch();
+  if (entry.known->epoch == epoch)
     return;
   ActiveListPtr now = entry.node->list(runtime);
   Change change{record, entry.node, {}, {}, {}};
@@ -59,12 +63,42 @@ void TapeTopology::update(Watched &entry, uint32_t record) {
   entry.known = std::move(now);
   if (!change.cleared.empty() || !change.added.empty() ||
       !change.removed.empty())
-    changed.push_back(std::move(change));
+    add(std::move(change));
+}
+
+/// What was kept on a device comes later than what the host has seen.
+void TapeTopology::add(Change change) {
+  auto after = std::upper_bound(
+      changed.begin(), changed.end(), change.record,
+      [](uint32_t r, const Change &other) { return r < other.record; });
+  changed.insert(after, std::move(change));
+  cursor = passed = changed.size();
+  knowsEver = false;
+}
+
+bool TapeTopology::updateLater(const TreePtr &tree, uint32_t record) {
+  Mirror *mirror = tree->mirror();
+  if (record == kEnd || !tree->base() || !mirror ||
+      !mirror->sparse()->isBehind())
+    return false;
+  return mirror->sparse()->keepActivity([this, record, tree = tree.get()] {
+    for (Watched &entry : watched)
+      if (entry.tree.get() == tree)
+        update(entry, record);
+  });
 }
 
 void TapeTopology::settle(uint32_t record) {
-  for (Watched &entry : watched)
-    update(entry, record);
+  // The levels of a tree follow each other.
+  const Tree *later = nullptr;
+  for (Watched &entry : watched) {
+    if (entry.tree.get() == later)
+      continue;
+    if (updateLater(entry.tree, record))
+      later = entry.tree.get();
+    else
+      update(entry, record);
+  }
   cursor = passed = changed.size();
   knowsEver = false;
 }
@@ -75,6 +109,10 @@ void TapeTopology::noteLoops(uint32_t record, const LoopLists &lists) {
 }
 
 void TapeTopology::restart() {
+  // What was kept before belongs to what goes.
+  for (Watched &entry : watched)
+    if (entry.tree->base())
+      (void)entry.node->epoch();
   changed.clear();
   loops.clear();
   cursor = passed = 0;

@@ -95,6 +95,10 @@ private:
 
   std::vector<Change>::const_iterator firstAt(uint32_t record) const;
   void update(Watched &entry, uint32_t record);
+  /// Where the tree is on a device, leaves that until somebody asks. False
+  /// where it is better done at once.
+  bool updateLater(const TreePtr &tree, uint32_t record);
+  void add(Change change);
   /// Makes activity what it was after this many records.
   void seek(uint32_t position);
   void clearAdjoints(const Change &change);

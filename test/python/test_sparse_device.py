@@ -331,3 +331,75 @@ def test_a_tape_keeps_cells_on_the_device():
         expected.append((model(values + step) - model(values - step)) / 2e-6)
     assert loss[None] == pytest.approx(model(values))
     np.testing.assert_allclose(start.grad.to_numpy(), expected, rtol=1e-7, atol=1e-9)
+
+
+def test_a_tape_records_and_replays_without_the_host():
+    """Activity changes with each launch; the host looks at it when all have run."""
+    n, steps, sources = CELLS * BLOCK, 12, 10
+    x, w = ti.field(ti.f64), ti.field(ti.f64, shape=sources, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+    blocks = ti.root.pointer(ti.i, CELLS)
+    blocks.dense(ti.i, BLOCK).place(x)
+    ti.root.lazy_grad()
+
+    @ti.kernel
+    def scatter(t: ti.i32):
+        for i in range(sources):
+            x[(i * 29 + t * 13) % n] += w[i] * (t + 1)
+
+    @ti.kernel
+    def drop():
+        for b in blocks:
+            if b % 3 == 0:
+                ti.deactivate(blocks, b)
+
+    @ti.kernel
+    def judge():
+        for i in x:
+            loss[None] += x[i] ** 2
+
+    def run():
+        for t in range(steps):
+            scatter(t)
+            if t == 6:
+                drop()
+        judge()
+
+    def expected(weights):
+        """The loss, its gradient, and which blocks are active at the end."""
+        value, derivative = np.zeros(n), np.zeros((n, sources))
+        active = np.zeros(CELLS, bool)
+        for t in range(steps):
+            for i in range(sources):
+                at = (i * 29 + t * 13) % n
+                value[at] += weights[i] * (t + 1)
+                derivative[at, i] += t + 1
+                active[at // BLOCK] = True
+            if t == 6:
+                gone = np.arange(CELLS) % 3 == 0
+                value.reshape(CELLS, BLOCK)[gone] = 0
+                derivative.reshape(CELLS, BLOCK, sources)[gone] = 0
+                active[gone] = False
+        return (value**2).sum(), 2 * value @ derivative, active
+
+    def check(weights):
+        total, gradient, active = expected(weights)
+        assert loss[None] == pytest.approx(total, rel=1e-12)
+        assert w.grad.to_numpy() == pytest.approx(gradient, rel=1e-12)
+        assert blocks.active_cells().ravel().tolist() == np.flatnonzero(active).tolist()
+
+    weights = np.linspace(0.5, 1.5, sources)
+    w.from_numpy(weights)
+    before = fetched()
+    with ti.ad.Tape(loss) as tape:
+        run()
+    assert fetched() - before <= 4
+    check(weights)
+    for factor in (2.0, -1.0):
+        blocks.deactivate_all()
+        loss[None] = 0
+        w.from_numpy(factor * weights)
+        before = fetched()
+        tape.replay()
+        assert fetched() - before <= 4
+        check(factor * weights)

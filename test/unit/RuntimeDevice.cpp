@@ -411,19 +411,6 @@ TEST_F(RuntimeDevice, TapesKeepFieldsThatShareTheirCells) {
 }
 
 TEST_F(RuntimeDevice, RefusesWhatIsNotThere) {
-  TreePtr tree;
-  SparseInfo level;
-  level.label = "the 'bitmasked' level above @x";
-  level.steps.push_back({int64_t(1) << 40, 8});
-  level.activityOffset = int64_t(8) << 40;
-  Status status =
-      runtime.addTree("s", (int64_t(8) << 40) + (1 << 20), tree, {level});
-  EXPECT_EQ(status.code(), StatusCode::Memory);
-  EXPECT_EQ(status.message(),
-            "tree 's' spans 8.0 TiB with all cells active (the 'bitmasked' "
-            "level above @x), and the device 'emulated' has 1.0 TiB; cells do "
-            "not get their memory one by one on the GPU yet: make the levels "
-            "smaller, or use the CPU for this program");
   FieldPtr x = makeField(runtime, "x", ScalarKind::F64, {10});
   EXPECT_EQ(runtime.useDevice(nullptr).message(),
             "the device must be chosen before the first field is made");
@@ -630,6 +617,46 @@ TEST_F(RuntimeCuda, MovesRows) {
 TEST_F(RuntimeCuda, RunsKernelsWithoutMemoryPools) {
   use(TAI_FAKE_CUDA_LIBRARY, "no-pools");
   checkScaling();
+}
+
+TEST_F(RuntimeCuda, ReservesMemoryWhereThatCanBe) {
+  SparseInfo level;
+  level.label = "the 'bitmasked' level above @x";
+  level.steps.push_back({int64_t(1) << 40, 8});
+  level.activityOffset = int64_t(8) << 40;
+  Runtime runtime;
+  std::unique_ptr<Device> device;
+  ASSERT_OK(openCudaDevice(0, device));
+  EXPECT_EQ(device->limits().reservedPieceBytes, 0);
+  ASSERT_OK(runtime.useDevice(std::move(device)));
+  TreePtr tree;
+  Status status =
+      runtime.addTree("s", (int64_t(8) << 40) + (1 << 20), tree, {level});
+  EXPECT_EQ(status.code(), StatusCode::Memory);
+  EXPECT_EQ(status.message().rfind(
+                "tree 's' spans 8.0 TiB with all cells active (the 'bitmasked' "
+                "level above @x), and the device 'Fake GPU 0' has ",
+                0),
+            0u);
+  EXPECT_NE(status.message().find(
+                " and cannot give it to cells one by one: make the levels "
+                "smaller, or use the CPU for this program"),
+            std::string::npos);
+
+  use(TAI_FAKE_CUDA_LIBRARY, "managed");
+  ASSERT_OK(openCudaDevice(0, device));
+  EXPECT_EQ(device->limits().reservedPieceBytes, 2 << 20);
+  int64_t allocated = device->allocatedBytes();
+  DevicePtr memory = 0;
+  ASSERT_OK(device->reserve(1 << 22, memory));
+  EXPECT_EQ(device->allocatedBytes(), allocated);
+  int32_t one = 1, found[2] = {7, 7};
+  EXPECT_OK(device->copyIn(memory + 4, &one, sizeof(one)));
+  EXPECT_OK(device->copyOut(found, memory, sizeof(found)));
+  EXPECT_EQ(found[0], 0);
+  EXPECT_EQ(found[1], 1);
+  device->free(memory);
+  EXPECT_OK(device->reserve(1 << 20, memory));
 }
 
 TEST_F(RuntimeCuda, ChoosesBlocks) {

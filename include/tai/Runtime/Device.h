@@ -67,6 +67,9 @@ struct DeviceLimits {
   bool hasGridBarriers = false;
   /// The most blocks of a cluster; 1 for no clusters.
   unsigned mostClusterBlocks = 1;
+  /// Of memory that is reserved, so many bytes take room at a time; 0 where
+  /// none can be.
+  int64_t reservedPieceBytes = 0;
 };
 
 /// Work that has been recorded. Made by a Device.
@@ -139,6 +142,10 @@ public:
   //===--------------------------------------------------------------------===//
 
   virtual Status allocate(int64_t bytes, DevicePtr &memory) = 0;
+  /// Addresses of memory that holds zeros and may be larger than the device: it
+  /// takes room in pieces, where it is touched. It counts as nothing that is
+  /// allocated. See DeviceLimits::reservedPieceBytes.
+  virtual Status reserve(int64_t bytes, DevicePtr &memory);
   /// Waits, where it must, for what uses the memory.
   virtual void free(DevicePtr memory) = 0;
   /// What is allocated now, and what the device has left.

@@ -120,6 +120,9 @@ public:
   Status allocate(int64_t bytes, DevicePtr &memory) override {
     return device->allocate(bytes, memory);
   }
+  Status reserve(int64_t bytes, DevicePtr &memory) override {
+    return device->reserve(bytes, memory);
+  }
   void free(DevicePtr memory) override;
   int64_t allocatedBytes() const override { return device->allocatedBytes(); }
   int64_t freeBytes() const override { return device->freeBytes(); }

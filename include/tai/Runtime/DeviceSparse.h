@@ -84,6 +84,14 @@ typedef struct TaiDeviceCellMove {
 typedef struct TaiDeviceAccount {
   int64_t used;
   int64_t limit;
+  /// Of a tree whose memory takes room where it is touched, else null: a bit
+  /// for each piece of `pieceBytes` from `origin` on that has cells which have
+  /// been active, and the bytes that those take, and may take.
+  uint64_t *pieces;
+  uint64_t origin;
+  int64_t pieceBytes;
+  int64_t inPieces;
+  int64_t mostInPieces;
 } TaiDeviceAccount;
 
 typedef struct TaiDeviceNode {
@@ -113,6 +121,11 @@ typedef struct TaiDeviceNode {
   /// for one more cell; the last is null where cells hold other cells and are
   /// not counted.
   const char *rangeMessage, *fullMessage, *memoryMessage;
+  /// For no room for one more piece; null like the one before.
+  const char *pieceMessage;
+  /// Non-zero if a cell consists of cells of the levels next below: where those
+  /// that are active are zeroed, it is all zero.
+  int32_t holdsCellsAlone;
 } TaiDeviceNode;
 
 typedef struct TaiDeviceTree {
@@ -148,7 +161,13 @@ void tai_dev_list_write(uint64_t tree, uint64_t node, uint64_t list,
 /// array, or a scalar.
 void tai_dev_move_cells(uint64_t tree, uint64_t move, uint64_t cells,
                         uint64_t count, uint64_t other, uint64_t what);
-/// Makes the cells of a list inactive and zeroes them.
+/// Copies what has happened to activity since the host looked, and forgets that
+/// it has: at `to`, TaiDeviceActivity::changes of each level in a word, then
+/// for each level its bits or lengths, and what was removed, each in whole
+/// words; without those where nothing has happened. By one block.
+void tai_dev_keep_activity(uint64_t tree, uint64_t to);
+/// Makes the cells of a list inactive, and zeroes them unless they hold cells
+/// of other levels alone: those must be zero.
 void tai_dev_deactivate_list(uint64_t tree, uint64_t node, uint64_t list);
 
 #ifdef __cplusplus

@@ -75,6 +75,8 @@ public:
   int64_t cellBytes() const { return layout.steps.back().stride; }
   /// Cells of this level below one cell of `above`.
   int64_t numCellsBelow() const { return cellsBelow; }
+  /// Whether a cell consists of cells of the levels next below.
+  bool holdsCellsAlone() const;
   /// Where a cell is in the tree.
   int64_t offsetOf(int64_t cell) const;
   /// Bytes of the bits or lengths.
@@ -162,7 +164,19 @@ private:
       prepareChange(removes);
   }
   void prepareChange(bool removes);
-  void adopt(const void *activity, const void *gone,
+  /// Words of bits, or lengths, from a certain one on, as a device has them,
+  /// and what it has made inactive meanwhile, or null.
+  struct Part {
+    int64_t first, count;
+    const void *activity, *gone;
+  };
+  /// What the host learns from them.
+  struct Adopted {
+    int64_t by = 0;
+    bool differs = false, removes = false;
+  };
+  /// Goes there. Calls `added` for cells that may have become active.
+  void adopt(const Part &part, Adopted &adopted,
              const std::function<void(int64_t)> &added);
   void forEachActive(const std::function<void(int64_t)> &body) const;
   bool holds(int64_t cell) const;

@@ -18,6 +18,7 @@
 #include "tai/Runtime/Device.h"
 #include <map>
 #include <mutex>
+#include <set>
 
 namespace mlir::tai::runtime::cuda {
 
@@ -42,6 +43,7 @@ public:
   std::string target() const override { return architecture; }
 
   Status allocate(int64_t bytes, DevicePtr &memory) override;
+  Status reserve(int64_t bytes, DevicePtr &memory) override;
   void free(DevicePtr memory) override;
   int64_t allocatedBytes() const override {
     std::lock_guard<std::mutex> lock(mutex);
@@ -136,6 +138,7 @@ private:
   DeviceLimits most;
   mutable std::mutex mutex;
   std::map<DevicePtr, int64_t> allocations;
+  std::set<DevicePtr> reserved;
   int64_t allocated = 0;
 
   std::unique_ptr<DeviceModule> rowsModule;

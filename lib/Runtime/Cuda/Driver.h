@@ -50,6 +50,7 @@ constexpr int kClusterLaunch = 120;
 constexpr int kCapabilityMajor = 75;
 constexpr int kCapabilityMinor = 76;
 constexpr int kMemoryPools = 115;
+constexpr int kConcurrentManagedAccess = 89;
 // Limits.
 constexpr int kLimitHeapBytes = 2;
 // Of functions.
@@ -71,6 +72,8 @@ constexpr unsigned kEventNoTiming = 2;
 constexpr uintptr_t kLegacyStream = 1;
 // Of pools.
 constexpr int kPoolReleaseThreshold = 4;
+// Of managed memory: not for one stream alone.
+constexpr unsigned kAttachGlobal = 1;
 // Of addresses.
 constexpr int kAddressMemoryType = 2;
 constexpr unsigned kMemoryTypeDevice = 2;
@@ -145,6 +148,7 @@ struct GraphUpdate {
   DO(eventSynchronize, "cuEventSynchronize", (Event))                          \
   DO(eventElapsedTime, "cuEventElapsedTime", (float *, Event, Event))          \
   DO(memAlloc, "cuMemAlloc_v2", (Address *, size_t))                           \
+  DO(memAllocManaged, "cuMemAllocManaged", (Address *, size_t, unsigned))      \
   DO(memFree, "cuMemFree_v2", (Address))                                       \
   DO(memPoolCreate, "cuMemPoolCreate", (Pool *, const PoolProperties *))       \
   DO(memPoolDestroy, "cuMemPoolDestroy", (Pool))                               \

@@ -105,6 +105,9 @@ Result cuDeviceGetAttribute(int *value, int attribute, int device) {
   case 76:
     *value = 0;
     return 0;
+  case 89:
+    *value = has("managed");
+    return 0;
   case 115:
     *value = !has("no-pools");
     return 0;
@@ -229,6 +232,12 @@ static Result release(Address address) {
   taken -= bytes;
   free(memory);
   return 0;
+}
+Result cuMemAllocManaged(Address *result, size_t bytes, unsigned flags) {
+  Result failed = flags != 1 ? 1 : allocate(result, bytes);
+  if (!failed)
+    memset((void *)*result, 0, bytes);
+  return failed;
 }
 Result cuMemAlloc_v2(Address *result, size_t bytes) {
   return allocate(result, bytes);
