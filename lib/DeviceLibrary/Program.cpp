@@ -197,6 +197,19 @@ void tai_dev_program_wait_grid(uint32_t *header) {
   tai_dev_grid_barrier(header, static_cast<uint32_t>(tai_dev_grid_dim()));
 }
 
+static uint32_t *getArrivals(uint32_t *header) {
+  return header + TAI_PROGRAM_ARRIVALS / sizeof(uint32_t);
+}
+
+uint32_t tai_dev_program_arrive(uint32_t *header) {
+  return tai_dev_grid_arrive(getArrivals(header),
+                             static_cast<uint32_t>(tai_dev_grid_dim()));
+}
+
+void tai_dev_program_await(uint32_t *header, uint32_t before) {
+  tai_dev_grid_await(getArrivals(header), before);
+}
+
 void tai_dev_program_block(const uint64_t *table, uint64_t steps,
                            uint64_t stride, uint32_t *header, uint64_t first) {
   runProgram(table, steps, stride, header, first, tai_dev_program_wait_block);

@@ -64,14 +64,22 @@ static void relax() { sched_yield(); }
 // The highest bit of the word flips when all have arrived: the first block adds
 // what is missing after one for each of the others. Nothing is to be set back
 // for the next time.
-void tai_dev_grid_barrier(uint32_t *state, uint32_t blocks) {
-  constexpr uint32_t turn = uint32_t(1) << 31;
+static constexpr uint32_t turn = uint32_t(1) << 31;
+
+uint32_t tai_dev_grid_arrive(uint32_t *state, uint32_t blocks) {
   tai_dev_block_barrier();
-  if (tai_dev_thread_id() == 0) {
-    uint32_t amount = tai_dev_block_id() == 0 ? turn - (blocks - 1) : 1;
-    uint32_t before = arrive(state, amount);
+  if (tai_dev_thread_id() != 0)
+    return 0;
+  return arrive(state, tai_dev_block_id() == 0 ? turn - (blocks - 1) : 1);
+}
+
+void tai_dev_grid_await(uint32_t *state, uint32_t before) {
+  if (tai_dev_thread_id() == 0)
     while (((look(state) ^ before) & turn) == 0)
       relax();
-  }
   tai_dev_block_barrier();
+}
+
+void tai_dev_grid_barrier(uint32_t *state, uint32_t blocks) {
+  tai_dev_grid_await(state, tai_dev_grid_arrive(state, blocks));
 }

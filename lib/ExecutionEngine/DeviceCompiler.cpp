@@ -24,6 +24,8 @@
 #include "mlir/Target/LLVMIR/Dialect/NVVM/NVVMToLLVMIRTranslation.h"
 #include "mlir/Target/LLVMIR/Export.h"
 #include "tai/ExecutionEngine/Diagnostics.h"
+#include "tai/Runtime/DeviceAccesses.h"
+#include "llvm/ADT/SetVector.h"
 #include "llvm/ADT/StringSet.h"
 #include "llvm/Bitcode/BitcodeReader.h"
 #include "llvm/Bitcode/BitcodeWriter.h"
@@ -364,6 +366,12 @@ Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
         code.accesses.emplace_back();
         if (list)
           code.accesses.back() = list.asArrayRef().vec();
+        if (auto sites = function->getAttrOfType<DenseI64ArrayAttr>("tai.tiles");
+            list && sites) {
+          code.accesses.back().push_back(
+              runtime::FunctionAccesses::sitesFollow);
+          llvm::append_range(code.accesses.back(), sites.asArrayRef());
+        }
       }
   code.context = std::make_unique<llvm::LLVMContext>();
   code.module = translateModuleToLLVMIR(deviceModule, *code.context, "kernels",
@@ -385,6 +393,13 @@ Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
                                     : llvm::CallingConv::C);
     kernel->setLinkage(llvm::GlobalValue::ExternalLinkage);
     visible.push_back(isCuda() ? kernel : addSlotsFunction(*kernel));
+    // That of one iteration is made ready by the program that uses it.
+    if (llvm::Function *tile = module.getFunction(name + runtime::tileSuffix)) {
+      tile->setLinkage(llvm::GlobalValue::ExternalLinkage);
+      tile->addFnAttr(llvm::Attribute::OptimizeNone);
+      tile->addFnAttr(llvm::Attribute::NoInline);
+      visible.push_back(tile);
+    }
   }
   endWhereMemoryLacks(module);
   if (Error error = link(module))
@@ -521,6 +536,29 @@ getBitcode(const llvm::Module &module) {
   return bytes;
 }
 
+/// Takes away what programs alone use.
+static void removeTileFunctions(llvm::Module &module,
+                                ArrayRef<std::string> functions) {
+  SmallVector<llvm::Function *> unused;
+  for (const std::string &name : functions)
+    if (llvm::Function *tile = module.getFunction(name + runtime::tileSuffix))
+      unused.push_back(tile);
+  while (!unused.empty()) {
+    llvm::Function *function = unused.pop_back_val();
+    llvm::SmallSetVector<llvm::Function *, 4> callees;
+    for (llvm::Instruction &instruction : llvm::instructions(*function))
+      if (auto *call = dyn_cast<llvm::CallBase>(&instruction))
+        if (llvm::Function *callee = call->getCalledFunction())
+          callees.insert(callee);
+    callees.remove(function);
+    function->eraseFromParent();
+    for (llvm::Function *callee : callees)
+      if (callee->use_empty() && (callee->hasLocalLinkage() ||
+                                  callee->isDeclaration()))
+        unused.push_back(callee);
+  }
+}
+
 Expected<runtime::DeviceImage> DeviceCompiler::emit(DeviceCode &code) {
   runtime::DeviceImage image;
   image.kind = target.kind;
@@ -528,6 +566,7 @@ Expected<runtime::DeviceImage> DeviceCompiler::emit(DeviceCode &code) {
   image.places = code.places;
   image.accesses = code.accesses;
   image.bitcode = getBitcode(*code.module);
+  removeTileFunctions(*code.module, code.functions);
   if (!isCuda()) {
     auto object = objects->emitObject(*code.module);
     if (objects->isBroken()) {

@@ -13,6 +13,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/DeviceCompiler.h"
+#include "TileBuilder.h"
 #include "tai/Runtime/DeviceAbi.h"
 #include "llvm/Bitcode/BitcodeReader.h"
 #include "llvm/IR/IRBuilder.h"
@@ -55,13 +56,18 @@ static Expected<llvm::Function *> addPart(llvm::Module &module, StringRef bytes,
   std::string unique = ("part" + Twine(number) + "." + name).str();
   body->setName(unique);
   for (llvm::GlobalValue &value : (*part)->global_values())
-    if (!value.isDeclaration() && &value != body)
+    if (!value.isDeclaration() && &value != body) {
+      // What has been made of a function of the library is not that function.
+      if (value.hasName())
+        value.setName("part" + Twine(number) + "." + value.getName());
       value.setLinkage(llvm::GlobalValue::InternalLinkage);
+    }
   if (llvm::Linker::linkModules(module, std::move(*part)))
     return createStringError("the code of kernels does not link");
   body = module.getFunction(unique);
   body->setLinkage(llvm::GlobalValue::InternalLinkage);
   body->setCallingConv(llvm::CallingConv::C);
+  body->removeFnAttr(llvm::Attribute::OptimizeNone);
   body->removeFnAttr(llvm::Attribute::NoInline);
   body->removeFnAttr("nvvm.maxntid");
   body->addFnAttr(llvm::Attribute::AlwaysInline);
@@ -161,10 +167,18 @@ private:
   void addRows(const runtime::ProgramSegment &segment, uint64_t row);
   void addLoop(const runtime::ProgramSegment &segment);
   void addStep(const runtime::ProgramLoopStep &step);
+  void addChain(const runtime::ProgramLoopStep &step);
+  void addHalf(const runtime::ProgramLoopStep &step, bool isSecond);
+  const runtime::TileChain *getChain(const runtime::ProgramLoopStep &step) {
+    return step.part < runtime::firstChainPart
+               ? nullptr
+               : &plan.chains[step.part - runtime::firstChainPart];
+  }
+  void makeOverlays();
+  llvm::Value *getOverlay();
   llvm::Value *getParameter(const runtime::ProgramSlot &slot);
   void prefetch(llvm::Value *address);
   void addGroups(const runtime::ProgramSegment &segment);
-  llvm::Value *convert(llvm::Value *word, llvm::Type *type);
   void wait();
   void noteClock(llvm::Value *steps);
   llvm::FunctionCallee getLibrary(StringRef name,
@@ -184,6 +198,9 @@ private:
   llvm::Function *kernel = nullptr;
   /// Room for the parameters of a part that takes them in memory.
   llvm::AllocaInst *room = nullptr;
+  /// The overlays of chains: of a block, or of all emulated ones.
+  llvm::Value *overlays = nullptr;
+  int64_t overlayBytes = 0;
   /// In a loop: how often it has gone around, and the row of its list.
   llvm::PHINode *turn = nullptr;
   llvm::Value *listRow = nullptr;
@@ -200,6 +217,7 @@ llvm::Function *ProgramBuilder::build() {
                                   programName, module);
   builder.SetInsertPoint(llvm::BasicBlock::Create(context, "", kernel));
   room = builder.CreateAlloca(llvm::ArrayType::get(i64, TAI_PROGRAM_STRIDE));
+  makeOverlays();
   noteClock(builder.getInt64(0));
   uint64_t row = 0;
   for (const runtime::ProgramSegment &segment : plan.segments) {
@@ -347,10 +365,25 @@ void ProgramBuilder::addLoop(const runtime::ProgramSegment &segment) {
 void ProgramBuilder::addGroups(const runtime::ProgramSegment &segment) {
   llvm::LLVMContext &context = module.getContext();
   llvm::Type *i32 = builder.getInt32Ty();
-  for (size_t begin = 0, end = 0; begin < segment.steps.size(); begin = end) {
-    do {
-      ++end;
-    } while (end < segment.steps.size() && !segment.steps[end - 1].waits);
+  // Blocks of a chain may have to wait for each other half-way.
+  enum Half { First, Second, Both };
+  SmallVector<SmallVector<std::pair<const runtime::ProgramLoopStep *, Half>>>
+      groups(1);
+  for (const runtime::ProgramLoopStep &step : segment.steps) {
+    const runtime::TileChain *chain = getChain(step);
+    if (chain && chain->mustWait) {
+      groups.back().push_back({&step, First});
+      groups.emplace_back();
+      groups.back().push_back({&step, Second});
+    } else {
+      groups.back().push_back({&step, Both});
+    }
+    if (step.waits)
+      groups.emplace_back();
+  }
+  for (const auto &group : groups) {
+    if (group.empty())
+      continue;
     llvm::Value *threads = builder.CreateCall(
         module.getOrInsertFunction("tai_emu_begin_group",
                                    llvm::FunctionType::get(i32, false)),
@@ -363,8 +396,16 @@ void ProgramBuilder::addGroups(const runtime::ProgramSegment &segment) {
     llvm::PHINode *thread = builder.CreatePHI(i32, 2);
     thread->addIncoming(builder.getInt32(0), before);
     builder.CreateCall(getLibrary("tai_emu_next_in_group", {}), {});
-    for (size_t i = begin; i < end; ++i)
-      addStep(segment.steps[i]);
+    for (auto [step, half] : group) {
+      if (!getChain(*step)) {
+        addStep(*step);
+        continue;
+      }
+      if (half != Second)
+        addHalf(*step, /*isSecond=*/false);
+      if (half != First)
+        addHalf(*step, /*isSecond=*/true);
+    }
     llvm::Value *next = builder.CreateAdd(thread, builder.getInt32(1));
     thread->addIncoming(next, builder.GetInsertBlock());
     builder.CreateCondBr(builder.CreateICmpSLT(next, threads), body, after);
@@ -381,14 +422,99 @@ void ProgramBuilder::prefetch(llvm::Value *address) {
                      {address});
 }
 
+/// Makes room for the overlay of the largest chain.
+void ProgramBuilder::makeOverlays() {
+  for (const runtime::TileChain &chain : plan.chains)
+    overlayBytes = std::max(overlayBytes, chain.bytes);
+  if (overlayBytes == 0)
+    return;
+  llvm::Type *bytes = llvm::ArrayType::get(builder.getInt8Ty(), overlayBytes);
+  llvm::Align alignment(16);
+  if (!isCuda) {
+    int64_t most = 1;
+    for (const runtime::TileChain &chain : plan.chains)
+      most = std::max(most, chain.numTiles());
+    llvm::AllocaInst *all = builder.CreateAlloca(llvm::ArrayType::get(bytes, most));
+    all->setAlignment(alignment);
+    overlays = all;
+    return;
+  }
+  constexpr unsigned shared = 3;
+  auto *memory = new llvm::GlobalVariable(
+      module, bytes, /*isConstant=*/false, llvm::GlobalValue::InternalLinkage,
+      llvm::UndefValue::get(bytes), "tai_program_overlay", nullptr,
+      llvm::GlobalValue::NotThreadLocal, shared);
+  memory->setAlignment(alignment);
+  overlays = llvm::ConstantExpr::getAddrSpaceCast(memory, builder.getPtrTy());
+}
+
+/// The overlay of this block.
+llvm::Value *ProgramBuilder::getOverlay() {
+  if (isCuda)
+    return overlays;
+  llvm::Value *block = builder.CreateCall(
+      module.getOrInsertFunction(
+          "tai_dev_block_id",
+          llvm::FunctionType::get(builder.getInt32Ty(), false)),
+      {});
+  // More blocks than tiles may pass by.
+  return builder.CreateGEP(
+      builder.getInt8Ty(), overlays,
+      builder.CreateMul(builder.CreateZExt(block, builder.getInt64Ty()),
+                        builder.getInt64(overlayBytes)));
+}
+
+/// A half of a chain: what is done before, or after all blocks have come there.
+void ProgramBuilder::addHalf(const runtime::ProgramLoopStep &step,
+                             bool isSecond) {
+  SmallVector<llvm::Value *> slots;
+  for (const runtime::ProgramSlot &slot : step.slots)
+    slots.push_back(getParameter(slot));
+  TileBuilder tiles(builder, *getChain(step), bodies, getOverlay(), isCuda);
+  if (!isSecond)
+    return tiles.emitLoads(slots);
+  tiles.emitStages(slots);
+  tiles.emitStores(slots);
+}
+
+/// A block goes on with its tile when it has loaded, and writes when all have.
+void ProgramBuilder::addChain(const runtime::ProgramLoopStep &step) {
+  const runtime::TileChain &chain = *getChain(step);
+  SmallVector<llvm::Value *> slots;
+  for (const runtime::ProgramSlot &slot : step.slots)
+    slots.push_back(getParameter(slot));
+  TileBuilder tiles(builder, chain, bodies, overlays, isCuda);
+  // What was there before may still be used.
+  builder.CreateCall(getLibrary("tai_dev_block_barrier", {}), {});
+  tiles.emitLoads(slots);
+  llvm::Type *i32 = builder.getInt32Ty(), *pointer = builder.getPtrTy();
+  llvm::Value *header = kernel->getArg(Header), *before = nullptr;
+  if (chain.mustWait)
+    before = builder.CreateCall(
+        module.getOrInsertFunction(
+            "tai_dev_program_arrive",
+            llvm::FunctionType::get(i32, {pointer}, false)),
+        {header});
+  else
+    builder.CreateCall(getLibrary("tai_dev_block_barrier", {}), {});
+  tiles.emitStages(slots);
+  if (before)
+    builder.CreateCall(getLibrary("tai_dev_program_await", {pointer, i32}),
+                       {header, before});
+  tiles.emitStores(slots);
+}
+
 void ProgramBuilder::addStep(const runtime::ProgramLoopStep &step) {
+  if (getChain(step))
+    return addChain(step);
   llvm::Type *i64 = builder.getInt64Ty();
   llvm::Function *body =
       step.part < TAI_FIRST_PART ? nullptr : bodies[step.part - TAI_FIRST_PART];
   if (body && isCuda) {
     SmallVector<llvm::Value *> arguments;
     for (auto [slot, parameter] : llvm::zip_first(step.slots, body->args()))
-      arguments.push_back(convert(getParameter(slot), parameter.getType()));
+      arguments.push_back(convertSlot(builder, getParameter(slot),
+                                      parameter.getType(), isCuda));
     builder.CreateCall(body, arguments);
     return;
   }
@@ -420,17 +546,6 @@ llvm::Value *ProgramBuilder::getParameter(const runtime::ProgramSlot &slot) {
       builder.CreateMul(turn, kernel->getArg(FirstWord + slot.word + 1)));
 }
 
-/// A parameter has its own type at the start of eight bytes.
-llvm::Value *ProgramBuilder::convert(llvm::Value *word, llvm::Type *type) {
-  // Parameters of kernels point to device memory; so do these.
-  if (type->isPointerTy())
-    return builder.CreateAddrSpaceCast(
-        builder.CreateIntToPtr(word, builder.getPtrTy(/*AddrSpace=*/1)), type);
-  unsigned bits = type->getPrimitiveSizeInBits().getFixedValue();
-  llvm::Value *value = builder.CreateTrunc(word, builder.getIntNTy(bits));
-  return builder.CreateBitCast(value, type);
-}
-
 void ProgramBuilder::wait() {
   builder.CreateCall(
       getLibrary(getBarrierName(plan.scope), {builder.getPtrTy()}),
@@ -442,6 +557,19 @@ void ProgramBuilder::noteClock(llvm::Value *steps) {
     builder.CreateCall(getLibrary("tai_dev_program_clock",
                                   {builder.getPtrTy(), builder.getInt64Ty()}),
                        {kernel->getArg(Header), steps});
+}
+
+/// What does one iteration has been copied to where it is used.
+static void removeTileFunctions(llvm::Module &module) {
+  llvm::Function *site = module.getFunction(runtime::tileSiteFunction);
+  while (site && !site->use_empty()) {
+    llvm::Function *user =
+        cast<llvm::Instruction>(*site->user_begin())->getFunction();
+    user->replaceAllUsesWith(llvm::PoisonValue::get(user->getType()));
+    user->eraseFromParent();
+  }
+  if (site)
+    site->eraseFromParent();
 }
 
 Expected<runtime::DeviceImage>
@@ -456,8 +584,12 @@ DeviceCompiler::makeProgram(const runtime::ProgramPlan &plan) {
   setTarget(module);
   SmallVector<llvm::Function *> bodies;
   for (auto [i, part] : llvm::enumerate(plan.parts)) {
+    if (!part.bitcode) {
+      bodies.push_back(nullptr);
+      continue;
+    }
     std::string name = part.function;
-    if (!isCuda())
+    if (!isCuda() && !part.isTile)
       name += kSlotsSuffix;
     auto body = addPart(module, *part.bitcode, name, i);
     if (!body)
@@ -470,6 +602,8 @@ DeviceCompiler::makeProgram(const runtime::ProgramPlan &plan) {
   addDispatch(module, plan.parts, bodies, isCuda());
   llvm::Function *kernel =
       ProgramBuilder(module, plan, bodies, isCuda()).build();
+  removeTileFunctions(module);
+  if (getenv("TAI_DUMP_PROGRAM")) { module.print(llvm::errs(), nullptr); }
   llvm::GlobalValue *visible = isCuda() ? kernel : addSlotsFunction(*kernel);
   if (Error error = link(module))
     return error;

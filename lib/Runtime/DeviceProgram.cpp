@@ -93,20 +93,18 @@ static const char *nameOf(ProgramMode mode) {
     return "one kernel of a cluster of blocks";
   case ProgramMode::Grid:
     return "one kernel of the whole grid";
+  case ProgramMode::Tiles:
+    return "one kernel of the whole grid, with tiles";
   default:
     return "launches";
   }
 }
 
-static int scopeOf(ProgramMode mode) {
-  switch (mode) {
-  case ProgramMode::Block:
+static int scopeOf(ProgramMode mode, DeviceKind kind) {
+  // All blocks of the emulated device meet as threads of a block do.
+  if (mode == ProgramMode::Block || kind == DeviceKind::Emulated)
     return TAI_SCOPE_BLOCK;
-  case ProgramMode::Cluster:
-    return TAI_SCOPE_CLUSTER;
-  default:
-    return TAI_SCOPE_GRID;
-  }
+  return mode == ProgramMode::Cluster ? TAI_SCOPE_CLUSTER : TAI_SCOPE_GRID;
 }
 
 /// The most threads that a step has work for.
@@ -120,25 +118,30 @@ unsigned DeviceQueue::Program::getWidth() const {
 /// Milliseconds, by what one launch or barrier costs, and by how often the
 /// threads go around. Constants as measured on an H200; what they decide is
 /// only what is worth trying.
-double DeviceQueue::Program::predict(ProgramMode mode, unsigned blocks,
-                                     unsigned threads) const {
-  constexpr double roundUs = 0.6, graphUs = 1.3, blockUs = 0.15,
+double DeviceQueue::Program::predict(const Way &way) const {
+  constexpr double roundUs = 0.6, stageUs = 0.15, graphUs = 1.3, blockUs = 0.15,
                    clusterUs = 0.45, gridUs = 1.1;
-  double stepUs = mode == ProgramMode::Graph     ? graphUs
-                  : mode == ProgramMode::Block   ? blockUs
-                  : mode == ProgramMode::Cluster ? clusterUs
-                                                 : gridUs;
+  double stepUs = way.mode == ProgramMode::Graph     ? graphUs
+                  : way.mode == ProgramMode::Block   ? blockUs
+                  : way.mode == ProgramMode::Cluster ? clusterUs
+                                                     : gridUs;
   // A graph has its own way to wait, after each node.
-  size_t waits = mode == ProgramMode::Graph ? sequence.steps.size()
-                                            : order.numBarriers + 1;
+  const Schedule &schedule = scheduleOf(way);
+  size_t waits = way.mode == ProgramMode::Graph
+                     ? sequence.steps.size()
+                     : schedule.order.numBarriers + 1;
   double us = stepUs * double(waits);
   for (const Step &step : sequence.steps) {
     double width = double(step.shape.blocks) * step.shape.threads;
     double rounds = 1;
-    if (mode != ProgramMode::Graph)
-      rounds = std::max(1.0, width / (double(blocks) * threads));
+    if (way.mode != ProgramMode::Graph)
+      rounds = std::max(1.0, width / (double(way.shape.blocks) *
+                                      double(way.shape.threads)));
     us += roundUs * rounds;
   }
+  if (way.hasTiles)
+    for (const Unit &unit : schedule.units)
+      us -= (roundUs - stageUs) * double(unit.count - 1);
   return us * 1e-3;
 }
 
@@ -152,9 +155,10 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
     way.mode = mode;
     way.shape.blocks = blocks;
     way.shape.threads = threads;
-    way.shape.cooperative = mode == ProgramMode::Grid;
+    way.hasTiles = mode == ProgramMode::Tiles;
+    way.shape.cooperative = mode == ProgramMode::Grid || way.hasTiles;
     way.shape.cluster = mode == ProgramMode::Cluster ? blocks : 0;
-    way.predicted = predict(mode, blocks, threads);
+    way.predicted = predict(way);
     ways.push_back(std::move(way));
   };
   numBefore = countStepsBefore();
@@ -163,11 +167,7 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
   if (limits.hasGraphs)
     add(ProgramMode::Graph, 0, 0);
   // Every part must be there to be put together again.
-  bool whole = bool(maker);
-  for (const Step &step : sequence.steps)
-    whole &= step.kind != Step::Kind::Launch ||
-             (step.function->bitcode && !step.function->bitcode->empty());
-  if (whole) {
+  if (maker && areAllPartsKnown()) {
     unsigned most = limits.threadsPerBlock;
     add(ProgramMode::Block, 1, std::min(most, warps(width)));
     if (limits.mostClusterBlocks > 1 && width > most / 2) {
@@ -184,6 +184,19 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
       if (blocks == limits.multiprocessors)
         threads = std::min(512u, most);
       add(ProgramMode::Grid, blocks, threads);
+    }
+    if (!tiled.units.empty()) {
+      // A block for each tile, and a thread for each of its cells.
+      int64_t blocks = 1, cells = 1;
+      for (const Unit &unit : tiled.units)
+        if (unit.chain >= 0) {
+          const TileChain &chain = chains[static_cast<size_t>(unit.chain)];
+          blocks = std::max(blocks, chain.numTiles());
+          cells = std::max(cells, chain.mostCells());
+        }
+      add(ProgramMode::Tiles, static_cast<unsigned>(blocks),
+          std::min(most, std::clamp(warps(static_cast<unsigned>(cells)), 128u,
+                                    512u)));
     }
   }
   std::sort(ways.begin(), ways.end(), [](const Way &a, const Way &b) {
@@ -227,19 +240,28 @@ DeviceQueue::Program::listParts() const {
 }
 
 /// The steps with the numbers of their parts, in the order of the schedule.
-std::vector<LoopStep> DeviceQueue::Program::listSteps() const {
+std::vector<LoopStep>
+DeviceQueue::Program::listSteps(const Way &way) const {
+  const Schedule &schedule = scheduleOf(way);
   std::unordered_map<const Function *, uint64_t> numbers;
   for (const Function *part : listParts())
     numbers.emplace(part, TAI_FIRST_PART + numbers.size());
   std::vector<LoopStep> steps;
-  steps.reserve(order.order.size());
-  for (size_t i = 0; i < order.order.size(); ++i) {
-    const Step &step = scheduledStep(i);
+  steps.reserve(schedule.units.size());
+  for (size_t i = 0; i < schedule.units.size(); ++i) {
+    const Unit &unit = schedule.unit(i);
+    const Step &step = sequence.steps[unit.first];
     LoopStep listed;
     listed.part = step.function ? numbers.at(step.function) : partOf(step.kind);
-    listed.waits = order.waits[i];
+    listed.waits = schedule.order.waits[i];
     listed.slots = sequence.slots.data() + step.firstSlot;
     listed.numSlots = step.numSlots;
+    if (unit.chain >= 0) {
+      // The slots of its launches stand one behind the other.
+      const Step &last = sequence.steps[unit.first + unit.count - 1];
+      listed.part = firstChainPart + static_cast<uint64_t>(unit.chain);
+      listed.numSlots = last.firstSlot + last.numSlots - step.firstSlot;
+    }
     steps.push_back(listed);
   }
   return steps;
@@ -249,21 +271,25 @@ Status DeviceQueue::Program::prepare(Way &way) {
   way.isReady = true;
   if (way.mode == ProgramMode::Graph)
     return makeCurrent(way);
-  return makeKernel(way, ProgramLoops(listSteps(), /*useLoops=*/true));
+  return makeKernel(way, ProgramLoops(listSteps(way), /*useLoops=*/true));
 }
 
 /// Makes the kernel for these loops. The way stays as it is where that fails.
 Status DeviceQueue::Program::makeKernel(Way &way, ProgramLoops loops) {
   ProgramPlan plan;
+  if (!loops.isComplete())
+    return Status::failure(StatusCode::Internal, "there are too many chains");
   plan.segments = loops.getSegments();
   plan.words = loops.numWords();
-  plan.scope = scopeOf(way.mode);
+  plan.scope = scopeOf(way.mode, device.kind());
   plan.threads = way.shape.threads;
   plan.isTimed = areStepsTimed();
-  std::vector<LoopStep> steps = listSteps();
+  std::vector<LoopStep> steps = listSteps(way);
   for (const Function *part : listParts())
     plan.parts.push_back(
         {part->bitcode.get(), part->name, /*isInTable=*/false});
+  if (way.hasTiles)
+    addTiles(plan);
   for (const ProgramSegment &segment : plan.segments)
     for (size_t i = 0; !segment.isLoop() && i < segment.count; ++i) {
       uint64_t part = steps[segment.first + i].part;
@@ -289,10 +315,14 @@ Status DeviceQueue::Program::makeKernel(Way &way, ProgramLoops loops) {
   unsigned most = device.mostThreads(*way.function);
   if (way.shape.threads > most)
     way.shape.threads = std::max(most / 32 * 32, 1u);
-  if (way.mode == ProgramMode::Grid)
-    way.shape.blocks =
-        std::min(way.shape.blocks,
-                 device.residentBlocks(*way.function, way.shape.threads));
+  if (way.shape.cooperative) {
+    unsigned resident =
+        device.residentBlocks(*way.function, way.shape.threads);
+    if (way.hasTiles && resident < way.shape.blocks)
+      return Status::failure(StatusCode::Internal,
+                             "there is no room for all tiles at a time");
+    way.shape.blocks = std::min(way.shape.blocks, resident);
+  }
   return status;
 }
 
@@ -373,7 +403,7 @@ size_t DeviceQueue::Program::countStepsBefore() const {
 /// Makes the schedule again where parameters have changed that matter for it.
 void DeviceQueue::Program::schedule() {
   const std::vector<uint64_t> &slots = sequence.slots;
-  bool isFirst = order.order.empty();
+  bool isFirst = plain.units.empty();
   if (isFirst)
     for (const Step &step : sequence.steps) {
       std::vector<size_t> used;
@@ -407,7 +437,12 @@ void DeviceQueue::Program::schedule() {
   numUnknown = static_cast<size_t>(
       std::count_if(memory.begin(), memory.end(),
                     [](const StepMemory &step) { return !step.isKnown; }));
-  order = ProgramSchedule(memory);
+  if (isFirst)
+    for (size_t i = numBefore; i < sequence.steps.size(); ++i)
+      plain.units.push_back({i, 1, -1});
+  plain.order = ProgramSchedule(memory);
+  if (!chosen || ways[current].hasTiles)
+    scheduleTiles(memory);
 }
 
 /// Its header stands in front of the table of a program.
@@ -424,10 +459,14 @@ Status DeviceQueue::Program::update(Way &way) {
     return status ? std::move(ended) : std::move(status);
   }
   schedule();
-  std::vector<LoopStep> steps = listSteps();
+  std::vector<LoopStep> steps;
+  if (!way.hasTiles || !tiled.units.empty())
+    steps = listSteps(way);
   std::vector<uint64_t> table;
-  if (!way.loops.pack(steps, way.words, table)) {
+  if (steps.empty() || !way.loops.pack(steps, way.words, table)) {
     // Parameters do not change as they did: without loops any will do.
+    way.hasTiles = false;
+    steps = listSteps(way);
     ProgramLoops rows(steps, /*useLoops=*/false);
     if (Status made = makeKernel(way, std::move(rows)); !made)
       return made;
@@ -454,7 +493,7 @@ Status DeviceQueue::Program::updateTable(Way &way,
     if (status)
       status = device.fill(way.table, &zero, 8, headerBytes / 8);
     if (status && areStepsTimed()) {
-      auto words = static_cast<int64_t>(order.order.size() + 1);
+      auto words = static_cast<int64_t>(plain.units.size() + 1);
       if (!way.clocks)
         status = device.allocate(words * 8, way.clocks);
       if (status)
@@ -575,7 +614,8 @@ Status DeviceQueue::Program::run(bool same, ProgramMode mode,
 /// Where the time of the last run went: clocks of one multiprocessor by the
 /// function of a step.
 std::string DeviceQueue::Program::explainClocks(const Way &way) const {
-  std::vector<uint64_t> clocks(order.order.size() + 1);
+  const Schedule &schedule = scheduleOf(way);
+  std::vector<uint64_t> clocks(schedule.units.size() + 1);
   if (!device.copyOut(clocks.data(), way.clocks,
                       static_cast<int64_t>(clocks.size() * 8)))
     return "";
@@ -583,20 +623,15 @@ std::string DeviceQueue::Program::explainClocks(const Way &way) const {
     uint64_t clocks = 0, steps = 0;
   };
   std::map<std::string, Total> totals;
-  for (size_t i = 0; i < order.order.size(); ++i) {
-    const Step &step = scheduledStep(i);
-    Total &total = totals[step.function ? step.function->name
-                          : step.kind == Step::Kind::Fill ||
-                                  step.kind == Step::Kind::FillRows
-                              ? "fill"
-                              : "copy"];
+  for (size_t i = 0; i < schedule.units.size(); ++i) {
+    Total &total = totals[describe(schedule.unit(i))];
     total.clocks += clocks[i + 1] - clocks[i];
     ++total.steps;
   }
   uint64_t all = std::max<uint64_t>(clocks.back() - clocks.front(), 1);
   std::string text;
   for (const auto &[name, total] : totals) {
-    char line[256];
+    char line[512];
     std::snprintf(line, sizeof(line),
                   "\n  %5.1f %% %7llu steps %9.0f clocks each: %s",
                   100.0 * double(total.clocks) / double(all),
@@ -621,8 +656,11 @@ std::string DeviceQueue::Program::explain() const {
                     " (%u x %u threads, %zu steps before it, %zu barriers, "
                     "%zu steps in loops)",
                     way.shape.blocks, way.shape.threads, numBefore,
-                    order.numBarriers, way.loops.numLoopSteps());
+                    scheduleOf(way).order.numBarriers,
+                    way.loops.numLoopSteps());
       text += line;
+      if (way.hasTiles)
+        text += describeChains();
       if (numUnknown > 0)
         text += ", " + std::to_string(numUnknown) + " steps of unknown memory";
     }

@@ -10,6 +10,7 @@
 
 #include "ProgramLoops.h"
 #include "ProgramSchedule.h"
+#include "TileChains.h"
 #include "tai/Runtime/DeviceQueue.h"
 #include <cstring>
 
@@ -22,6 +23,8 @@ struct DeviceQueue::Function : DeviceFunction {
   std::shared_ptr<const std::string> bitcode;
   /// Null where it is not known what it touches.
   std::shared_ptr<const Footprint> footprint;
+  /// Null where it cannot run in tiles.
+  std::shared_ptr<const FunctionAccesses> accesses;
 };
 
 struct DeviceQueue::Module : DeviceModule {
@@ -29,6 +32,8 @@ struct DeviceQueue::Module : DeviceModule {
   std::shared_ptr<const std::string> bitcode;
   std::vector<std::unique_ptr<Function>> functions;
   std::unordered_map<std::string, std::shared_ptr<const Footprint>> footprints;
+  std::unordered_map<std::string, std::shared_ptr<const FunctionAccesses>>
+      tileable;
 };
 
 struct DeviceQueue::Step {
@@ -148,33 +153,57 @@ private:
     std::vector<uint64_t> words;
     LaunchShape shape;
     bool isCurrent = false;
+    /// Whether it runs chains in tiles.
+    bool hasTiles = false;
+  };
+
+  /// Steps of the sequence that stand together in a program: one, or a chain.
+  struct Unit {
+    size_t first, count;
+    /// The number of the chain; -1 for none.
+    int chain;
+  };
+  struct Schedule {
+    std::vector<Unit> units;
+    /// Of the units.
+    ProgramSchedule order;
+    const Unit &unit(size_t at) const { return units[order.order[at]]; }
   };
 
   void listWays(ProgramMode wanted);
   Status prepare(Way &way);
   Status makeKernel(Way &way, ProgramLoops loops);
   std::vector<const Function *> listParts() const;
-  std::vector<LoopStep> listSteps() const;
+  std::vector<LoopStep> listSteps(const Way &way) const;
   Status update(Way &way);
   Status updateTable(Way &way, const std::vector<uint64_t> &table);
   Status makeCurrent(Way &way);
   Status launch(Way &way);
   Status runTimed(Way &way);
   std::string explainClocks(const Way &way) const;
-  double predict(ProgramMode mode, unsigned blocks, unsigned threads) const;
+  double predict(const Way &way) const;
   unsigned getWidth() const;
   static uint64_t partOf(Step::Kind kind);
   StepMemory memoryOf(const Step &step) const;
   void schedule();
   size_t countStepsBefore() const;
-  const Step &scheduledStep(size_t at) const {
-    return sequence.steps[numBefore + order.order[at]];
+  bool canHaveTiles() const;
+  void scheduleTiles(const std::vector<StepMemory> &memory);
+  void addTiles(ProgramPlan &plan) const;
+  std::string describe(const Unit &unit) const;
+  std::string describeChains() const;
+  bool areAllPartsKnown() const;
+  const Schedule &scheduleOf(const Way &way) const {
+    return way.hasTiles ? tiled : plain;
   }
 
   Device &device;
-  /// The schedule of the program, and what it was made from: the slots that
-  /// say which memory the steps touch.
-  ProgramSchedule order;
+  /// The schedules of programs, and what they were made from: the slots that
+  /// say which memory the steps touch. That with tiles is empty where there are
+  /// no chains.
+  Schedule plain, tiled;
+  /// All that there have been so far, by their numbers.
+  std::vector<TileChain> chains;
   /// So many steps come before the program, each by itself.
   size_t numBefore = 0;
   /// Steps of which it is not known what they touch.

@@ -29,9 +29,14 @@ Status DeviceQueue::load(const DeviceImage &image,
   auto made = std::make_unique<Module>();
   made->bitcode = image.bitcode;
   for (size_t i = 0; i < image.accesses.size(); ++i)
-    if (auto accesses = FunctionAccesses::decode(image.accesses[i]))
+    if (auto accesses = FunctionAccesses::decode(image.accesses[i])) {
       made->footprints.emplace(image.functions[i],
                                std::make_shared<Footprint>(*accesses));
+      if (!accesses->sites.empty())
+        made->tileable.emplace(
+            image.functions[i],
+            std::make_shared<FunctionAccesses>(std::move(*accesses)));
+    }
   Status status = device->load(image, made->module);
   if (status)
     module = std::move(made);
@@ -55,6 +60,8 @@ Status DeviceQueue::find(DeviceModule &module, const std::string &name,
   made->bitcode = owner.bitcode;
   if (auto found = owner.footprints.find(name); found != owner.footprints.end())
     made->footprint = found->second;
+  if (auto found = owner.tileable.find(name); found != owner.tileable.end())
+    made->accesses = found->second;
   Status status = device->find(*owner.module, name, made->function);
   if (!status)
     return status;

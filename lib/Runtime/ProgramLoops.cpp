@@ -7,6 +7,7 @@
 
 #include "ProgramLoops.h"
 #include "tai/Runtime/DeviceAbi.h"
+#include "tai/Runtime/ProgramTiles.h"
 #include <algorithm>
 #include <unordered_map>
 
@@ -18,6 +19,11 @@ static constexpr size_t longestPeriod = 64;
 static constexpr size_t fewestRepetitions = 4;
 /// Each step of a loop is code of its own.
 static constexpr size_t mostLoopSteps = 128;
+
+/// Chains have no rows in the table.
+static bool isChain(const LoopStep &step) {
+  return step.part >= firstChainPart;
+}
 
 static bool areAlike(const LoopStep &a, const LoopStep &b) {
   return a.part == b.part && a.waits == b.waits && a.numSlots == b.numSlots;
@@ -37,6 +43,8 @@ static size_t countRepetitions(const std::vector<LoopStep> &steps, size_t first,
 static ProgramSlot::Kind classify(const std::vector<LoopStep> &steps,
                                   size_t first, size_t period, size_t count,
                                   size_t slot) {
+  if (count == 1)
+    return ProgramSlot::Fixed;
   uint64_t growth =
       steps[first + period].slots[slot] - steps[first].slots[slot];
   for (size_t k = 2; k < count; ++k)
@@ -59,9 +67,10 @@ ProgramLoops::ProgramLoops(const std::vector<LoopStep> &steps, bool useLoops) {
     segments.back().first = first;
     segments.back().count = count;
   };
+  numSteps = steps.size();
   stride = 8;
   for (const LoopStep &step : steps)
-    stride = std::max(stride, step.numSlots);
+    stride = std::max(stride, isChain(step) ? 0 : step.numSlots);
   // The number of the part, and the parameters.
   ++stride;
   size_t loopSteps = 0;
@@ -83,7 +92,10 @@ ProgramLoops::ProgramLoops(const std::vector<LoopStep> &steps, bool useLoops) {
       at += bestPeriod * bestCount;
       continue;
     }
-    addRows(at, 1);
+    if (!isChain(steps[at]))
+      addRows(at, 1);
+    else if (++loopSteps > mostLoopSteps || !addLoop(steps, at, 1, 1))
+      fits = false;
     ++at;
   }
   // Lists come after the rows.
@@ -146,7 +158,14 @@ bool ProgramLoops::pack(const std::vector<LoopStep> &steps,
                         std::vector<uint64_t> &words,
                         std::vector<uint64_t> &table) const {
   words.clear();
+  if (steps.size() != numSteps)
+    return false;
   for (const Origin &origin : origins) {
+    size_t last = origin.isGrowth ? std::max(origin.step, origin.next)
+                                  : origin.step;
+    if (origin.slot >= steps[origin.step].numSlots ||
+        origin.slot >= steps[last].numSlots)
+      return false;
     uint64_t value = steps[origin.step].slots[origin.slot];
     words.push_back(origin.isGrowth
                         ? steps[origin.next].slots[origin.slot] - value

@@ -37,6 +37,8 @@ public:
   /// `useLoops`: otherwise all is one table.
   ProgramLoops(const std::vector<LoopStep> &steps, bool useLoops);
 
+  /// False for more chains than there is room for: they cannot be rows.
+  bool isComplete() const { return fits; }
   const std::vector<ProgramSegment> &getSegments() const { return segments; }
   /// How many words of parameters the loops take.
   size_t numWords() const { return origins.size(); }
@@ -66,7 +68,8 @@ private:
   };
   std::vector<ProgramSegment> segments;
   std::vector<Origin> origins;
-  size_t stride = 0, tableWords = 0;
+  size_t stride = 0, tableWords = 0, numSteps = 0;
+  bool fits = true;
 };
 
 } // namespace mlir::tai::runtime

@@ -38,6 +38,10 @@ void tai_dev_block_barrier(void);
 /// time: see LaunchShape::cooperative. `state` is a word in device memory that
 /// was zero before its first use; `barrier` of TaiDeviceState is one.
 void tai_dev_grid_barrier(uint32_t *state, uint32_t blocks);
+/// The same in two halves: what a block does between them is not waited for.
+/// The second takes what the first has yielded.
+uint32_t tai_dev_grid_arrive(uint32_t *state, uint32_t blocks);
+void tai_dev_grid_await(uint32_t *state, uint32_t before);
 
 // Combine the values of all threads of a block, and update the target with the
 // result by one atomic operation. Every thread of the block calls them, at the
@@ -107,6 +111,8 @@ void tai_rt_stack_grow_at(TaiFrame *frame, TaiStack *stack, const char *text,
 /// than there are steps, for the first thread's clock before the first step and
 /// after each; null for none.
 #define TAI_PROGRAM_CLOCKS 128
+/// A word for the second barrier of a program, in two halves.
+#define TAI_PROGRAM_ARRIVALS 64
 #define TAI_PROGRAM_HEADER 256
 
 /// `header` starts with a word as tai_dev_grid_barrier wants it. `first` is the
@@ -122,6 +128,10 @@ void tai_dev_program_grid(const uint64_t *table, uint64_t steps,
 void tai_dev_program_wait_block(uint32_t *header);
 void tai_dev_program_wait_cluster(uint32_t *header);
 void tai_dev_program_wait_grid(uint32_t *header);
+
+/// Between the two, no block waits for another.
+uint32_t tai_dev_program_arrive(uint32_t *header);
+void tai_dev_program_await(uint32_t *header, uint32_t before);
 
 /// Runs a part that every program has.
 void tai_dev_program_part(uint64_t part, const uint64_t *slots);

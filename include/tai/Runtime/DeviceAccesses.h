@@ -70,6 +70,40 @@ struct DeviceAccess {
   }
 };
 
+/// Behind the name of a device function, that of the one that does an iteration
+/// of its loop, and what that calls with an address and the number of a site,
+/// for the address to take instead.
+constexpr char tileSuffix[] = "_tile";
+constexpr char tileSiteFunction[] = "tai_tile_site";
+
+/// One load or store in the body of a loop, by itself. Those of functions that
+/// can run in tiles are numbered; see ProgramTiles.h.
+struct TileSite {
+  /// Along one dimension of the loop: iteration i touches the cell of the
+  /// number i + shift, of `extent` cells that lie `stride` bytes apart; with
+  /// `wraps`, of that number modulo the extent. A stride of 0: all the same.
+  struct Digit {
+    int64_t stride = 0, extent = 0, shift = 0;
+    bool wraps = false;
+    bool operator==(const Digit &other) const {
+      return stride == other.stride && extent == other.extent &&
+             shift == other.shift && wraps == other.wraps;
+    }
+  };
+  /// Where `isRegular`, offset and terms lead to cell 0, and strides are zeros.
+  DeviceAccess access;
+  /// The digits say which cell it is; else the access says all that is known.
+  bool isRegular = false;
+  /// Every iteration does it, once.
+  bool isCertain = false;
+  std::vector<Digit> digits;
+
+  bool operator==(const TileSite &other) const {
+    return access == other.access && isRegular == other.isRegular &&
+           isCertain == other.isCertain && digits == other.digits;
+  }
+};
+
 /// All accesses of a device function: what is not listed it does not touch. A
 /// function of which this cannot be said has none of these.
 struct FunctionAccesses {
@@ -80,23 +114,41 @@ struct FunctionAccesses {
   std::vector<int64_t> extents;
   std::vector<DeviceAccess> accesses;
 
+  /// Where the loop begins, and its loads and stores; none if it cannot run in
+  /// tiles. In this case there is another function, with one more parameter for
+  /// each dimension, that does one iteration.
+  std::vector<int64_t> lower;
+  std::vector<TileSite> sites;
+
   /// As a list of numbers, to be kept with the code.
   std::vector<int64_t> encode() const {
     std::vector<int64_t> words{isPlain, static_cast<int64_t>(extents.size())};
     words.insert(words.end(), extents.begin(), extents.end());
-    for (const DeviceAccess &access : accesses) {
-      for (int64_t word :
-           {access.kind, access.slot, access.offset, access.window, access.step,
-            access.size, access.unit})
-        words.push_back(word);
-      words.insert(words.end(), access.strides.begin(), access.strides.end());
-      words.push_back(static_cast<int64_t>(access.terms.size()));
-      for (const DeviceAccess::Term &term : access.terms)
-        for (int64_t word : {term.slot, term.bits, term.factor})
+    for (const DeviceAccess &access : accesses)
+      encode(access, words);
+    if (!sites.empty()) {
+      words.push_back(sitesFollow);
+      std::vector<int64_t> rest = encodeSites();
+      words.insert(words.end(), rest.begin(), rest.end());
+    }
+    return words;
+  }
+
+  /// What follows the word `sitesFollow`.
+  std::vector<int64_t> encodeSites() const {
+    std::vector<int64_t> words = lower;
+    for (const TileSite &site : sites) {
+      encode(site.access, words);
+      words.push_back(site.isRegular);
+      words.push_back(site.isCertain);
+      for (const TileSite::Digit &digit : site.digits)
+        for (int64_t word :
+             {digit.stride, digit.extent, digit.shift, int64_t(digit.wraps)})
           words.push_back(word);
     }
     return words;
   }
+  static constexpr int64_t sitesFollow = -1;
 
   /// Nothing for an empty list, and for what no list of these is.
   static std::optional<FunctionAccesses>
@@ -114,24 +166,63 @@ struct FunctionAccesses {
       return std::nullopt;
     for (int64_t d = 0; d < rank; ++d)
       result.extents.push_back(words[at++]);
-    while (at < words.size()) {
-      if (!has(8 + rank))
-        return std::nullopt;
+    while (at < words.size() && words[at] != sitesFollow) {
       DeviceAccess access;
-      for (int64_t *word :
-           {&access.kind, &access.slot, &access.offset, &access.window,
-            &access.step, &access.size, &access.unit})
-        *word = words[at++];
-      for (int64_t d = 0; d < rank; ++d)
-        access.strides.push_back(words[at++]);
-      int64_t terms = words[at++];
-      if (terms > static_cast<int64_t>(words.size()) || !has(3 * terms))
+      if (!decode(words, at, rank, access))
         return std::nullopt;
-      for (; terms > 0; --terms, at += 3)
-        access.terms.push_back({words[at], words[at + 1], words[at + 2]});
       result.accesses.push_back(std::move(access));
     }
+    if (at == words.size())
+      return result;
+    ++at;
+    if (!has(rank))
+      return std::nullopt;
+    for (int64_t d = 0; d < rank; ++d)
+      result.lower.push_back(words[at++]);
+    while (at < words.size()) {
+      TileSite site;
+      if (!decode(words, at, rank, site.access) || !has(2 + 4 * rank))
+        return std::nullopt;
+      site.isRegular = words[at++] != 0;
+      site.isCertain = words[at++] != 0;
+      for (int64_t d = 0; d < rank; ++d, at += 4)
+        site.digits.push_back(
+            {words[at], words[at + 1], words[at + 2], words[at + 3] != 0});
+      result.sites.push_back(std::move(site));
+    }
     return result;
+  }
+
+private:
+  static void encode(const DeviceAccess &access, std::vector<int64_t> &words) {
+    for (int64_t word : {access.kind, access.slot, access.offset, access.window,
+                         access.step, access.size, access.unit})
+      words.push_back(word);
+    words.insert(words.end(), access.strides.begin(), access.strides.end());
+    words.push_back(static_cast<int64_t>(access.terms.size()));
+    for (const DeviceAccess::Term &term : access.terms)
+      for (int64_t word : {term.slot, term.bits, term.factor})
+        words.push_back(word);
+  }
+
+  static bool decode(const std::vector<int64_t> &words, size_t &at,
+                     int64_t rank, DeviceAccess &access) {
+    auto left = static_cast<int64_t>(words.size() - at);
+    if (left < 8 + rank)
+      return false;
+    for (int64_t *word :
+         {&access.kind, &access.slot, &access.offset, &access.window,
+          &access.step, &access.size, &access.unit})
+      *word = words[at++];
+    for (int64_t d = 0; d < rank; ++d)
+      access.strides.push_back(words[at++]);
+    int64_t terms = words[at++];
+    left -= 8 + rank;
+    if (terms < 0 || terms > left / 3)
+      return false;
+    for (; terms > 0; --terms, at += 3)
+      access.terms.push_back({words[at], words[at + 1], words[at + 2]});
+    return true;
   }
 };
 

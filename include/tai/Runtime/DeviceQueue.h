@@ -16,6 +16,7 @@
 #define TAI_RUNTIME_DEVICEQUEUE_H
 
 #include "tai/Runtime/Device.h"
+#include "tai/Runtime/ProgramTiles.h"
 #include <functional>
 #include <unordered_map>
 
@@ -23,11 +24,13 @@ namespace mlir::tai::runtime {
 
 /// A function of a kernel that goes into a program.
 struct ProgramPart {
-  /// What DeviceImage::bitcode holds.
+  /// What DeviceImage::bitcode holds; null for a part that is not there.
   const std::string *bitcode;
   std::string function;
   /// Whether rows of the table name it, or loops alone.
   bool isInTable = true;
+  /// Whether it does one iteration, for chains.
+  bool isTile = false;
 };
 
 /// A parameter of a step in a loop.
@@ -69,6 +72,8 @@ struct ProgramSegment {
 struct ProgramPlan {
   std::vector<ProgramPart> parts;
   std::vector<ProgramSegment> segments;
+  /// Of the steps of loops with part firstChainPart and on.
+  std::vector<TileChain> chains;
   /// The words of parameters of its loops.
   size_t words = 0;
   /// One of TAI_SCOPE_*.
@@ -86,7 +91,16 @@ using ProgramMaker =
     std::function<Status(const ProgramPlan &plan, DeviceImage &image)>;
 
 /// How sequences are run; for tests and measurements.
-enum class ProgramMode { Automatic, Launches, Graph, Block, Cluster, Grid };
+enum class ProgramMode {
+  Automatic,
+  Launches,
+  Graph,
+  Block,
+  Cluster,
+  Grid,
+  /// As Grid, with chains in tiles.
+  Tiles
+};
 
 class DeviceQueue final : public Device {
 public:

@@ -28,7 +28,7 @@ using runtime::DeviceAccess;
 /// More than this is a list that nobody goes through in time.
 static constexpr size_t kMostAccesses = 96;
 
-static std::optional<int64_t> getConstant(Value value) {
+std::optional<int64_t> tai::getWholeConstant(Value value) {
   APInt constant;
   if (!matchPattern(value, m_ConstantInt(&constant)) ||
       constant.getSignificantBits() > 64)
@@ -60,8 +60,10 @@ LoopAccesses::LoopAccesses(ParallelForOp loop, bool deterministic)
 void LoopAccesses::addSlot(Value value) {
   Operation *definition = value.getDefiningOp();
   if (definition && definition->hasAttr(kDeviceSlotAttrName) &&
-      loop.isDefinedOutsideOfLoop(value))
+      loop.isDefinedOutsideOfLoop(value)) {
+    isTileable = false;
     add(definition->getOperand(0), value.getType(), DeviceAccess::Read, {});
+  }
 }
 
 void LoopAccesses::visit(Operation *op) {
@@ -73,10 +75,12 @@ void LoopAccesses::visit(Operation *op) {
   auto digits = op->getAttrOfType<DenseI64ArrayAttr>(kDigitsAttrName);
   op->removeAttr(kDigitsAttrName);
   if (auto load = dyn_cast<LLVM::LoadOp>(op))
-    return add(load.getAddr(), load.getType(), DeviceAccess::Read, digits);
+    return add(load.getAddr(), load.getType(), DeviceAccess::Read, digits, op);
   if (auto store = dyn_cast<LLVM::StoreOp>(op))
     return add(store.getAddr(), store.getValue().getType(), DeviceAccess::Write,
-               digits);
+               digits, op);
+  if (isa<LLVM::AtomicCmpXchgOp, LLVM::AtomicRMWOp>(op))
+    isTileable = false;
   if (auto exchange = dyn_cast<LLVM::AtomicCmpXchgOp>(op))
     return add(exchange.getPtr(), exchange.getVal().getType(),
                DeviceAccess::Write, digits);
@@ -122,9 +126,9 @@ static std::optional<std::pair<int64_t, int64_t>> getTrips(BlockArgument iv,
   if (auto serial = dyn_cast<scf::ForOp>(parent)) {
     if (iv != serial.getInductionVar())
       return std::nullopt;
-    lower = getConstant(serial.getLowerBound());
-    upper = getConstant(serial.getUpperBound());
-    step = getConstant(serial.getStep()).value_or(0);
+    lower = getWholeConstant(serial.getLowerBound());
+    upper = getWholeConstant(serial.getUpperBound());
+    step = getWholeConstant(serial.getStep()).value_or(0);
   } else if (auto inner = dyn_cast<ParallelForOp>(parent)) {
     if (std::optional<LoopBox> box = getConstantBox(inner)) {
       lower = box->lower[iv.getArgNumber()];
@@ -140,7 +144,7 @@ static std::optional<std::pair<int64_t, int64_t>> getTrips(BlockArgument iv,
 bool LoopAccesses::addTerm(Address &address, Value value, int64_t scale,
                            unsigned depth) {
   DeviceAccess &access = address.access;
-  if (std::optional<int64_t> constant = getConstant(value)) {
+  if (std::optional<int64_t> constant = getWholeConstant(value)) {
     access.offset += scale * *constant;
     return true;
   }
@@ -184,7 +188,7 @@ bool LoopAccesses::addTerm(Address &address, Value value, int64_t scale,
     return addTerm(address, op->getOperand(0), scale, depth - 1);
   if (isa<arith::MulIOp>(op))
     for (unsigned i : {0, 1})
-      if (std::optional<int64_t> factor = getConstant(op->getOperand(1 - i))) {
+      if (std::optional<int64_t> factor = getWholeConstant(op->getOperand(1 - i))) {
         if (std::abs(*factor) >= int64_t(1) << 31)
           return false;
         if (std::abs(*factor) > 1 && !value.getType().isIndex() &&
@@ -201,7 +205,7 @@ bool LoopAccesses::addTerm(Address &address, Value value, int64_t scale,
 }
 
 /// The parts of a sum.
-static void collectParts(Value sum, SmallVectorImpl<Value> &parts) {
+void tai::collectParts(Value sum, SmallVectorImpl<Value> &parts) {
   if (auto cast = sum.getDefiningOp<arith::IndexCastOp>())
     return collectParts(cast.getIn(), parts);
   auto add = sum.getDefiningOp<arith::AddIOp>();
@@ -236,7 +240,7 @@ bool LoopAccesses::addIndex(Address &address, Value index, int64_t size,
   auto findDigit = [&](Value part) -> size_t {
     auto product = part.getDefiningOp<arith::MulIOp>();
     std::optional<int64_t> factor =
-        product ? getConstant(product.getRhs()) : std::nullopt;
+        product ? getWholeConstant(product.getRhs()) : std::nullopt;
     return factor ? llvm::find(strides, *factor * size) - strides.begin()
                   : strides.size();
   };
@@ -271,22 +275,17 @@ bool LoopAccesses::addIndex(Address &address, Value index, int64_t size,
   return true;
 }
 
-void LoopAccesses::add(Value pointer, Type type, DeviceAccess::Kind kind,
-                       DenseI64ArrayAttr digits) {
-  if (!isKnown)
-    return;
-  Address address;
-  address.access.kind = kind;
-  address.access.size = address.access.window = getSize(type);
-  address.access.strides.assign(loop.getInductionVars().size(), 0);
+/// False for what belongs to one thread, and where it is not known.
+bool LoopAccesses::follow(Address &address, Value pointer,
+                          DenseI64ArrayAttr digits) {
   while (!loop.isDefinedOutsideOfLoop(pointer)) {
     if (pointer.getDefiningOp<LLVM::AllocaOp>())
-      return;
+      return false;
     auto element = pointer.getDefiningOp<LLVM::GEPOp>();
     isKnown = element && element.getIndices().size() == 1 &&
               element.getElemType().isIntOrFloat();
     if (!isKnown)
-      return;
+      return false;
     int64_t size = getSize(element.getElemType());
     auto index = element.getIndices()[0];
     if (auto constant = dyn_cast<IntegerAttr>(index))
@@ -295,7 +294,7 @@ void LoopAccesses::add(Value pointer, Type type, DeviceAccess::Kind kind,
       isKnown = addIndex(address, cast<Value>(index), size,
                          digits ? digits.asArrayRef() : ArrayRef<int64_t>());
     if (!isKnown)
-      return;
+      return false;
     pointer = element.getBase();
   }
   address.base = pointer;
@@ -306,6 +305,21 @@ void LoopAccesses::add(Value pointer, Type type, DeviceAccess::Kind kind,
         stride = 0;
       address.access.step = std::gcd(address.access.step, std::abs(stride));
     }
+  return true;
+}
+
+void LoopAccesses::add(Value pointer, Type type, DeviceAccess::Kind kind,
+                       DenseI64ArrayAttr digits, Operation *op) {
+  if (!isKnown)
+    return;
+  Address address;
+  address.access.kind = kind;
+  address.access.size = address.access.window = getSize(type);
+  address.access.strides.assign(loop.getInductionVars().size(), 0);
+  if (!follow(address, pointer, digits))
+    return;
+  if (op)
+    addSite(op, address, pointer, digits);
   bool isNew = llvm::none_of(addresses, [&](const Address &other) {
     return other.access == address.access && other.base == address.base &&
            other.terms == address.terms;
@@ -348,6 +362,7 @@ void LoopAccesses::mergeNeighbours() {
 
 void LoopAccesses::addSum(Value target, Type type, bool isAddition,
                           int64_t threads) {
+  isTileable = false;
   Type storage = getStorageType(type);
   if (threads == 0)
     return add(target, storage,
@@ -362,6 +377,28 @@ void LoopAccesses::addSum(Value target, Type type, bool isAddition,
     widen(addresses.back(), threads, getSize(storage));
 }
 
+/// Names the parameters that the address comes from.
+bool LoopAccesses::complete(Address &address, ParameterFinder getParameter) {
+  DeviceAccess &access = address.access;
+  auto slot = getParameter(address.base);
+  if (!slot)
+    return false;
+  access.slot = slot->first;
+  access.offset += slot->second;
+  for (auto [value, factor] : address.terms) {
+    auto term = getParameter(value);
+    if (!term)
+      return false;
+    Type type = value.getType();
+    // A truth value is not extended by its sign.
+    int64_t bits = type.isIndex() ? 64 : type.getIntOrFloatBitWidth();
+    if (bits == 1 || bits > 64)
+      return false;
+    access.terms.push_back({term->first, bits, factor});
+  }
+  return true;
+}
+
 DenseI64ArrayAttr LoopAccesses::encode(ParameterFinder getParameter) {
   if (!isKnown)
     return {};
@@ -371,24 +408,9 @@ DenseI64ArrayAttr LoopAccesses::encode(ParameterFinder getParameter) {
     result.extents.push_back(
         box ? std::max<int64_t>(box->upper[d] - box->lower[d], 0) : -1);
   for (Address &address : addresses) {
-    DeviceAccess access = std::move(address.access);
-    auto slot = getParameter(address.base);
-    if (!slot)
+    if (!complete(address, getParameter))
       return {};
-    access.slot = slot->first;
-    access.offset += slot->second;
-    for (auto [value, factor] : address.terms) {
-      auto term = getParameter(value);
-      if (!term)
-        return {};
-      Type type = value.getType();
-      // A truth value is not extended by its sign.
-      int64_t bits = type.isIndex() ? 64 : type.getIntOrFloatBitWidth();
-      if (bits == 1 || bits > 64)
-        return {};
-      access.terms.push_back({term->first, bits, factor});
-    }
-    result.accesses.push_back(std::move(access));
+    result.accesses.push_back(std::move(address.access));
   }
   return DenseI64ArrayAttr::get(loop.getContext(), result.encode());
 }

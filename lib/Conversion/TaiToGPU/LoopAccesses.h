@@ -17,6 +17,13 @@ namespace mlir::tai {
 /// On a device function: what it touches, as FunctionAccesses encodes it.
 constexpr llvm::StringLiteral kAccessesAttrName = "tai.accesses";
 
+/// The same, of what can run in tiles: where the loop begins and its sites, as
+/// FunctionAccesses::encodeSites does.
+constexpr llvm::StringLiteral kTilesAttrName = "tai.tiles";
+
+/// On a load or store in the body of such a loop: its number.
+constexpr llvm::StringLiteral kSiteAttrName = "tai.site";
+
 /// Follows the addresses in a loop whose accesses have been lowered to those of
 /// memory, before it becomes a function. Made as long as the loop is whole;
 /// asked when the parameters of the function are known.
@@ -37,6 +44,11 @@ public:
   /// null where it is not known what the loop touches.
   DenseI64ArrayAttr encode(ParameterFinder getParameter);
 
+  /// Whether iterations touch memory by loads and stores alone, so that they
+  /// can be run again; these are then numbered.
+  bool canRunInTiles();
+  DenseI64ArrayAttr encodeSites(ParameterFinder getParameter);
+
 private:
   /// An address with values from outside, which have no numbers yet.
   struct Address {
@@ -45,10 +57,21 @@ private:
     SmallVector<std::pair<Value, int64_t>> terms;
   };
 
+  struct Site {
+    Address address;
+    runtime::TileSite site;
+  };
+
   void visit(Operation *op);
+  void addSite(Operation *op, const Address &address, Value pointer,
+               DenseI64ArrayAttr digits);
+  bool addRegularIndex(Site &site, Value index, int64_t size,
+                       ArrayRef<int64_t> digits);
+  bool complete(Address &address, ParameterFinder getParameter);
   void addSlot(Value value);
+  bool follow(Address &address, Value pointer, DenseI64ArrayAttr digits);
   void add(Value pointer, Type type, runtime::DeviceAccess::Kind kind,
-           DenseI64ArrayAttr digits);
+           DenseI64ArrayAttr digits, Operation *op = nullptr);
   void mergeNeighbours();
   bool addIndex(Address &address, Value index, int64_t size,
                 ArrayRef<int64_t> digits);
@@ -60,8 +83,16 @@ private:
   std::optional<LoopBox> box;
   bool isKnown = true;
   bool isPlain = true;
+  bool isTileable = true;
   SmallVector<Address> addresses;
+  std::vector<Site> sites;
 };
+
+/// An integer constant of at most 64 bits.
+std::optional<int64_t> getWholeConstant(Value value);
+
+/// The parts of a sum.
+void collectParts(Value sum, SmallVectorImpl<Value> &parts);
 
 } // namespace mlir::tai
 

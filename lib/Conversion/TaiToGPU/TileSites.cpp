@@ -1,0 +1,153 @@
+//===- TileSites.cpp - Which cell an access touches -----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Of loads and stores whose place is that of the iteration, shifted along each
+// dimension, programs can keep copies close to where they are used: see
+// docs/decisions/0012-fused-launches.md. Here it is found out of which this
+// holds. What does not fit is no error: it is found in memory.
+//
+//===----------------------------------------------------------------------===//
+
+#include "../Common/FieldAddress.h"
+#include "LoopAccesses.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "tai/Analysis/IndexShift.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+using runtime::DeviceAccess;
+using runtime::TileSite;
+
+/// More than this is no stencil.
+static constexpr size_t kMostSites = 64;
+/// Tiles have at most so many dimensions.
+static constexpr size_t kMostDimensions = 3;
+
+bool LoopAccesses::canRunInTiles() {
+  return isKnown && isTileable && isPlain && box &&
+         !loop.getInductionVars().empty() &&
+         loop.getInductionVars().size() <= kMostDimensions &&
+         llvm::any_of(sites, [](const Site &site) {
+           return site.address.access.kind == DeviceAccess::Write;
+         });
+}
+
+void LoopAccesses::addSite(Operation *op, const Address &address, Value pointer,
+                           DenseI64ArrayAttr digits) {
+  if (!isTileable || !box || sites.size() == kMostSites) {
+    isTileable = false;
+    return;
+  }
+  op->setAttr(kSiteAttrName,
+              IntegerAttr::get(IntegerType::get(op->getContext(), 32),
+                               static_cast<int64_t>(sites.size())));
+  Site site;
+  site.address = address;
+  site.site.isCertain = op->getParentRegion() == &loop.getBody();
+  site.site.digits.resize(loop.getInductionVars().size());
+  Site regular = site;
+  DeviceAccess &access = regular.address.access;
+  access.offset = 0;
+  access.window = access.size;
+  access.step = access.unit = 0;
+  access.strides.assign(access.strides.size(), 0);
+  regular.address.terms.clear();
+  bool isRegular = digits != nullptr, hasIndex = false;
+  while (isRegular && !loop.isDefinedOutsideOfLoop(pointer)) {
+    auto element = pointer.getDefiningOp<LLVM::GEPOp>();
+    int64_t size =
+        llvm::divideCeil(element.getElemType().getIntOrFloatBitWidth(), 8);
+    auto index = element.getIndices()[0];
+    if (auto constant = dyn_cast<IntegerAttr>(index)) {
+      access.offset += constant.getInt() * size;
+    } else {
+      isRegular = !hasIndex && addRegularIndex(regular, cast<Value>(index),
+                                               size, digits.asArrayRef());
+      hasIndex = true;
+    }
+    pointer = element.getBase();
+  }
+  if (isRegular) {
+    regular.site.isRegular = true;
+    site = std::move(regular);
+  }
+  sites.push_back(std::move(site));
+}
+
+/// Follows an index that is a sum of digits times their strides, of which at
+/// most one goes along with each index of the loop.
+bool LoopAccesses::addRegularIndex(Site &site, Value index, int64_t size,
+                                   ArrayRef<int64_t> digits) {
+  constexpr unsigned depth = 24;
+  SmallVector<Value> parts;
+  collectParts(index, parts);
+  // Digits that have been met; those that say more than that they are constant
+  // must come once.
+  llvm::SmallDenseSet<size_t> seen;
+  for (Value part : parts) {
+    if (loop.isDefinedOutsideOfLoop(part) || getWholeConstant(part)) {
+      if (!addTerm(site.address, part, size, depth))
+        return false;
+      continue;
+    }
+    Value digit = part;
+    int64_t stride = size;
+    if (auto product = part.getDefiningOp<arith::MulIOp>())
+      if (std::optional<int64_t> factor = getWholeConstant(product.getRhs())) {
+        digit = product.getLhs();
+        stride = *factor * size;
+      }
+    SmallVector<Value> variables;
+    if (!collectIndexVariables(digit, loop.getBody(), variables))
+      return false;
+    if (variables.empty()) {
+      if (!addTerm(site.address, part, size, depth))
+        return false;
+      continue;
+    }
+    size_t at = 0;
+    while (at + 2 < digits.size() && digits[at] != stride)
+      at += 3;
+    if (at + 2 >= digits.size() || !seen.insert(at).second ||
+        variables.size() != 1)
+      return false;
+    auto *variable = llvm::find(loop.getInductionVars(), variables.front());
+    if (variable == loop.getInductionVars().end())
+      return false;
+    size_t d = variable - loop.getInductionVars().begin();
+    TileSite::Digit &found = site.site.digits[d];
+    int64_t lower = box->lower[d], upper = box->upper[d];
+    std::optional<IndexShift> shift =
+        getIndexShift(digit, *variable, lower, upper);
+    if (!shift || found.stride != 0)
+      return false;
+    // What has been taken out of the index stands in the address.
+    int64_t extent = digits[at + 1], peeled = -digits[at + 2];
+    found = {stride, extent, shift->offset + peeled, shift->wraps};
+    site.address.access.offset -= peeled * stride;
+    if (shift->wraps) {
+      if (peeled != 0 || lower != 0 || upper != extent)
+        return false;
+    } else if (site.site.isCertain &&
+               (lower + found.shift < 0 || upper + found.shift > extent)) {
+      return false;
+    }
+  }
+  return true;
+}
+
+DenseI64ArrayAttr LoopAccesses::encodeSites(ParameterFinder getParameter) {
+  runtime::FunctionAccesses result;
+  result.lower.assign(box->lower.begin(), box->lower.end());
+  for (Site &site : sites) {
+    if (!complete(site.address, getParameter))
+      return {};
+    site.site.access = std::move(site.address.access);
+    result.sites.push_back(std::move(site.site));
+  }
+  return DenseI64ArrayAttr::get(loop.getContext(), result.encodeSites());
+}

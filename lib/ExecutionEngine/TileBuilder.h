@@ -1,0 +1,79 @@
+//===- TileBuilder.h - Launches that share tiles, as code -------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_EXECUTIONENGINE_TILEBUILDER_H
+#define TAI_LIB_EXECUTIONENGINE_TILEBUILDER_H
+
+#include "mlir/Support/LLVM.h"
+#include "tai/Runtime/ProgramTiles.h"
+#include "llvm/IR/IRBuilder.h"
+
+namespace mlir::tai {
+
+/// Emits what a block does for a chain of launches, which is one tile; nothing
+/// for a block that has none. Its threads go through the cells together.
+class TileBuilder {
+public:
+  /// `bodies` do one iteration each, by the numbers of their parts. `overlay`
+  /// is the memory of the block.
+  TileBuilder(llvm::IRBuilder<> &builder, const runtime::TileChain &chain,
+              ArrayRef<llvm::Function *> bodies, llvm::Value *overlay,
+              bool isCuda)
+      : builder(builder), chain(chain), bodies(bodies), overlay(overlay),
+        isCuda(isCuda), rank(chain.tile.size()) {}
+
+  /// Each of them takes the parameters of all launches.
+  /// Fills the overlay, as far as it starts with what is in memory.
+  void emitLoads(ArrayRef<llvm::Value *> slots);
+  /// Runs all launches in the overlay.
+  void emitStages(ArrayRef<llvm::Value *> slots);
+  /// Writes the tile's own part of the overlay.
+  void emitStores(ArrayRef<llvm::Value *> slots);
+
+private:
+  using Cell = SmallVector<llvm::Value *>;
+  using CellEmitter = llvm::function_ref<void(const Cell &cell)>;
+
+  void forBlocksWithTiles(llvm::function_ref<void()> emit);
+  void forEachCell(const runtime::TileHalo &halo, CellEmitter emit);
+  void emitIf(llvm::Value *condition, llvm::function_ref<void()> emit);
+  llvm::Value *getPlace(StringRef function);
+  llvm::Value *getIndex(const Cell &cell, unsigned d, int64_t halo);
+  llvm::Value *isInBox(const Cell &cell);
+  llvm::Value *getOverlay(llvm::IRBuilder<> &at, const runtime::TileRow &row,
+                          llvm::Value *base, ArrayRef<llvm::Value *> cell,
+                          const runtime::TileSite *site);
+  llvm::Value *getMemory(const runtime::TileRow &row, llvm::Value *origin,
+                         ArrayRef<llvm::Value *> indices);
+  llvm::Value *getOrigin(const runtime::TileRow &row,
+                         ArrayRef<llvm::Value *> slots);
+  llvm::Function *makeStage(const runtime::TileStage &stage);
+  llvm::Type *getType(const runtime::TileRow &row) {
+    return builder.getIntNTy(
+        static_cast<unsigned>(row.site.access.size * 8));
+  }
+  llvm::Value *number(int64_t value) {
+    return builder.getInt32(static_cast<uint32_t>(value));
+  }
+
+  llvm::IRBuilder<> &builder;
+  const runtime::TileChain &chain;
+  ArrayRef<llvm::Function *> bodies;
+  llvm::Value *overlay;
+  bool isCuda;
+  size_t rank;
+  /// The first index of the tile of the block along each dimension.
+  SmallVector<llvm::Value *> first;
+};
+
+/// Eight bytes as a parameter of this type, which is at the start of them.
+llvm::Value *convertSlot(llvm::IRBuilder<> &builder, llvm::Value *word,
+                         llvm::Type *type, bool isCuda);
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_EXECUTIONENGINE_TILEBUILDER_H
