@@ -366,7 +366,8 @@ Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
         code.accesses.emplace_back();
         if (list)
           code.accesses.back() = list.asArrayRef().vec();
-        if (auto sites = function->getAttrOfType<DenseI64ArrayAttr>("tai.tiles");
+        if (auto sites =
+                function->getAttrOfType<DenseI64ArrayAttr>("tai.tiles");
             list && sites) {
           code.accesses.back().push_back(
               runtime::FunctionAccesses::sitesFollow);
@@ -553,8 +554,8 @@ static void removeTileFunctions(llvm::Module &module,
     callees.remove(function);
     function->eraseFromParent();
     for (llvm::Function *callee : callees)
-      if (callee->use_empty() && (callee->hasLocalLinkage() ||
-                                  callee->isDeclaration()))
+      if (callee->use_empty() &&
+          (callee->hasLocalLinkage() || callee->isDeclaration()))
         unused.push_back(callee);
   }
 }

@@ -12,8 +12,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/ExecutionEngine/DeviceCompiler.h"
 #include "TileBuilder.h"
+#include "tai/ExecutionEngine/DeviceCompiler.h"
 #include "tai/Runtime/DeviceAbi.h"
 #include "llvm/Bitcode/BitcodeReader.h"
 #include "llvm/IR/IRBuilder.h"
@@ -434,7 +434,8 @@ void ProgramBuilder::makeOverlays() {
     int64_t most = 1;
     for (const runtime::TileChain &chain : plan.chains)
       most = std::max(most, chain.numTiles());
-    llvm::AllocaInst *all = builder.CreateAlloca(llvm::ArrayType::get(bytes, most));
+    llvm::AllocaInst *all =
+        builder.CreateAlloca(llvm::ArrayType::get(bytes, most));
     all->setAlignment(alignment);
     overlays = all;
     return;
@@ -490,11 +491,11 @@ void ProgramBuilder::addChain(const runtime::ProgramLoopStep &step) {
   llvm::Type *i32 = builder.getInt32Ty(), *pointer = builder.getPtrTy();
   llvm::Value *header = kernel->getArg(Header), *before = nullptr;
   if (chain.mustWait)
-    before = builder.CreateCall(
-        module.getOrInsertFunction(
-            "tai_dev_program_arrive",
-            llvm::FunctionType::get(i32, {pointer}, false)),
-        {header});
+    before =
+        builder.CreateCall(module.getOrInsertFunction(
+                               "tai_dev_program_arrive",
+                               llvm::FunctionType::get(i32, {pointer}, false)),
+                           {header});
   else
     builder.CreateCall(getLibrary("tai_dev_block_barrier", {}), {});
   tiles.emitStages(slots);
@@ -603,7 +604,7 @@ DeviceCompiler::makeProgram(const runtime::ProgramPlan &plan) {
   llvm::Function *kernel =
       ProgramBuilder(module, plan, bodies, isCuda()).build();
   removeTileFunctions(module);
-  if (getenv("TAI_DUMP_PROGRAM")) { module.print(llvm::errs(), nullptr); }
+
   llvm::GlobalValue *visible = isCuda() ? kernel : addSlotsFunction(*kernel);
   if (Error error = link(module))
     return error;

@@ -117,14 +117,13 @@ void TileBuilder::forEachCell(const TileHalo &halo, CellEmitter emit) {
 }
 
 /// The index of the loop for a cell at most `halo` before the box.
-llvm::Value *TileBuilder::getIndex(const Cell &cell, unsigned d,
-                                   int64_t halo) {
+llvm::Value *TileBuilder::getIndex(const Cell &cell, unsigned d, int64_t halo) {
   llvm::Value *index = builder.CreateNSWAdd(first[d], cell[d]);
   if (!chain.isCyclic[d])
     return index;
   int64_t extent = chain.upper[d];
-  index = builder.CreateNSWAdd(
-      index, number((halo + extent - 1) / extent * extent));
+  index = builder.CreateNSWAdd(index,
+                               number((halo + extent - 1) / extent * extent));
   return builder.CreateURem(index, number(extent));
 }
 
@@ -135,9 +134,9 @@ llvm::Value *TileBuilder::isInBox(const Cell &cell) {
     if (chain.isCyclic[d])
       continue;
     llvm::Value *index = getIndex(cell, d, 0);
-    llvm::Value *inside = builder.CreateAnd(
-        builder.CreateICmpSGE(index, number(chain.lower[d])),
-        builder.CreateICmpSLT(index, number(chain.upper[d])));
+    llvm::Value *inside =
+        builder.CreateAnd(builder.CreateICmpSGE(index, number(chain.lower[d])),
+                          builder.CreateICmpSLT(index, number(chain.upper[d])));
     all = all ? builder.CreateAnd(all, inside) : inside;
   }
   return all;
@@ -154,13 +153,14 @@ llvm::Value *TileBuilder::getOverlay(llvm::IRBuilder<> &at, const TileRow &row,
     int64_t distance = row.halo.low[d] + (site ? site->digits[d].shift : 0);
     llvm::Value *along = at.CreateNSWAdd(cell[d], number(distance));
     int64_t pitch = chain.tile[d] + row.halo.low[d] + row.halo.high[d];
-    position = position ? at.CreateNSWAdd(
-                              at.CreateNSWMul(position, number(pitch)), along)
-                        : along;
+    position =
+        position
+            ? at.CreateNSWAdd(at.CreateNSWMul(position, number(pitch)), along)
+            : along;
   }
-  llvm::Value *offset = at.CreateNSWAdd(
-      at.CreateNSWMul(position, number(row.site.access.size)),
-      number(row.offset));
+  llvm::Value *offset =
+      at.CreateNSWAdd(at.CreateNSWMul(position, number(row.site.access.size)),
+                      number(row.offset));
   return at.CreateInBoundsGEP(at.getInt8Ty(), base,
                               at.CreateSExt(offset, at.getInt64Ty()));
 }
@@ -178,13 +178,13 @@ llvm::Value *TileBuilder::getOrigin(const TileRow &row,
                         builder.getInt64(static_cast<uint64_t>(access.offset)));
   for (const DeviceAccess::Term &term : access.terms) {
     llvm::Value *value = builder.CreateSExt(
-        builder.CreateTrunc(slot(term.slot),
-                            builder.getIntNTy(static_cast<unsigned>(term.bits))),
+        builder.CreateTrunc(
+            slot(term.slot),
+            builder.getIntNTy(static_cast<unsigned>(term.bits))),
         builder.getInt64Ty());
     origin = builder.CreateAdd(
-        origin,
-        builder.CreateMul(
-            value, builder.getInt64(static_cast<uint64_t>(term.factor))));
+        origin, builder.CreateMul(value, builder.getInt64(static_cast<uint64_t>(
+                                             term.factor))));
   }
   return origin;
 }
@@ -340,13 +340,11 @@ void TileBuilder::emitStores(ArrayRef<llvm::Value *> slots) {
       for (unsigned d = 0; d < rank; ++d) {
         indices.push_back(builder.CreateNSWAdd(first[d], cell[d]));
         inside = builder.CreateAnd(
-            inside,
-            builder.CreateICmpSLT(indices[d], number(chain.upper[d])));
+            inside, builder.CreateICmpSLT(indices[d], number(chain.upper[d])));
       }
       emitIf(inside, [&] {
         for (auto [row, origin] : llvm::zip(chain.rows, origins)) {
-          llvm::Align alignment(
-              static_cast<uint64_t>(row.site.access.size));
+          llvm::Align alignment(static_cast<uint64_t>(row.site.access.size));
           llvm::Value *value = builder.CreateAlignedLoad(
               getType(row), getOverlay(builder, row, overlay, cell, nullptr),
               alignment);

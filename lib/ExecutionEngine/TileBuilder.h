@@ -53,8 +53,7 @@ private:
                          ArrayRef<llvm::Value *> slots);
   llvm::Function *makeStage(const runtime::TileStage &stage);
   llvm::Type *getType(const runtime::TileRow &row) {
-    return builder.getIntNTy(
-        static_cast<unsigned>(row.site.access.size * 8));
+    return builder.getIntNTy(static_cast<unsigned>(row.site.access.size * 8));
   }
   llvm::Value *number(int64_t value) {
     return builder.getInt32(static_cast<uint32_t>(value));

@@ -135,8 +135,8 @@ double DeviceQueue::Program::predict(const Way &way) const {
     double width = double(step.shape.blocks) * step.shape.threads;
     double rounds = 1;
     if (way.mode != ProgramMode::Graph)
-      rounds = std::max(1.0, width / (double(way.shape.blocks) *
-                                      double(way.shape.threads)));
+      rounds = std::max(
+          1.0, width / (double(way.shape.blocks) * double(way.shape.threads)));
     us += roundUs * rounds;
   }
   if (way.hasTiles)
@@ -240,8 +240,7 @@ DeviceQueue::Program::listParts() const {
 }
 
 /// The steps with the numbers of their parts, in the order of the schedule.
-std::vector<LoopStep>
-DeviceQueue::Program::listSteps(const Way &way) const {
+std::vector<LoopStep> DeviceQueue::Program::listSteps(const Way &way) const {
   const Schedule &schedule = scheduleOf(way);
   std::unordered_map<const Function *, uint64_t> numbers;
   for (const Function *part : listParts())
@@ -316,8 +315,7 @@ Status DeviceQueue::Program::makeKernel(Way &way, ProgramLoops loops) {
   if (way.shape.threads > most)
     way.shape.threads = std::max(most / 32 * 32, 1u);
   if (way.shape.cooperative) {
-    unsigned resident =
-        device.residentBlocks(*way.function, way.shape.threads);
+    unsigned resident = device.residentBlocks(*way.function, way.shape.threads);
     if (way.hasTiles && resident < way.shape.blocks)
       return Status::failure(StatusCode::Internal,
                              "there is no room for all tiles at a time");

@@ -25,12 +25,11 @@ bool DeviceQueue::Program::canHaveTiles() const {
 }
 
 bool DeviceQueue::Program::areAllPartsKnown() const {
-  return std::all_of(sequence.steps.begin(), sequence.steps.end(),
-                     [](const Step &step) {
-                       return step.kind != Step::Kind::Launch ||
-                              (step.function->bitcode &&
-                               !step.function->bitcode->empty());
-                     });
+  return std::all_of(
+      sequence.steps.begin(), sequence.steps.end(), [](const Step &step) {
+        return step.kind != Step::Kind::Launch ||
+               (step.function->bitcode && !step.function->bitcode->empty());
+      });
 }
 
 /// What the launches of a chain touch, whichever thread does.

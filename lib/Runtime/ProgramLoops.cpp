@@ -161,8 +161,8 @@ bool ProgramLoops::pack(const std::vector<LoopStep> &steps,
   if (steps.size() != numSteps)
     return false;
   for (const Origin &origin : origins) {
-    size_t last = origin.isGrowth ? std::max(origin.step, origin.next)
-                                  : origin.step;
+    size_t last =
+        origin.isGrowth ? std::max(origin.step, origin.next) : origin.step;
     if (origin.slot >= steps[origin.step].numSlots ||
         origin.slot >= steps[last].numSlots)
       return false;

@@ -110,13 +110,15 @@ bool ChainMaker::findPlace(const ChainStep &step, const TileSite &site,
   if (!has(access.slot))
     return false;
   place.site = &site;
-  place.address = step.slots[access.slot] + static_cast<uint64_t>(access.offset);
+  place.address =
+      step.slots[access.slot] + static_cast<uint64_t>(access.offset);
   double sum = std::abs(double(access.offset)) + double(access.window);
   for (const DeviceAccess::Term &term : access.terms) {
     if (!has(term.slot) || term.bits < 1 || term.bits > 64)
       return false;
     auto unused = static_cast<unsigned>(64 - term.bits);
-    auto value = static_cast<int64_t>(step.slots[term.slot] << unused) >> unused;
+    auto value =
+        static_cast<int64_t>(step.slots[term.slot] << unused) >> unused;
     place.address +=
         static_cast<uint64_t>(value) * static_cast<uint64_t>(term.factor);
     sum += std::abs(double(value) * double(term.factor));
@@ -202,11 +204,11 @@ bool ChainMaker::findRows() {
                 chain.lower[d] >= 0 && chain.upper[d] <= site.digits[d].extent;
       if (!isOwn)
         return false;
-      bool isKnown = std::any_of(
-          rowPlaces.begin(), rowPlaces.end(), [&](const Place &row) {
-            return row.address == place.address &&
-                   areSameCells(*row.site, site);
-          });
+      bool isKnown = std::any_of(rowPlaces.begin(), rowPlaces.end(),
+                                 [&](const Place &row) {
+                                   return row.address == place.address &&
+                                          areSameCells(*row.site, site);
+                                 });
       if (isKnown)
         continue;
       TileRow row;

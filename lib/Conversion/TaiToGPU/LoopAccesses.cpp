@@ -188,7 +188,8 @@ bool LoopAccesses::addTerm(Address &address, Value value, int64_t scale,
     return addTerm(address, op->getOperand(0), scale, depth - 1);
   if (isa<arith::MulIOp>(op))
     for (unsigned i : {0, 1})
-      if (std::optional<int64_t> factor = getWholeConstant(op->getOperand(1 - i))) {
+      if (std::optional<int64_t> factor =
+              getWholeConstant(op->getOperand(1 - i))) {
         if (std::abs(*factor) >= int64_t(1) << 31)
           return false;
         if (std::abs(*factor) > 1 && !value.getType().isIndex() &&

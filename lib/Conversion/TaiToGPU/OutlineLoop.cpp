@@ -340,7 +340,7 @@ struct Iterations {
 /// Emits the loop over the iterations of this thread and moves the body in.
 /// Programs count on which they are: see FunctionAccesses::isPlain.
 static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
-                           MutableArrayRef<Sum> sums) {
+                                 MutableArrayRef<Sum> sums) {
   Location loc = loop.getLoc();
   IndexMath math(builder, loc);
   SmallVector<Value> extents;
@@ -651,8 +651,8 @@ static LLVM::LLVMFuncOp makeTileFunction(LLVM::LLVMFuncOp function,
   Location loc = function.getLoc();
   builder.setInsertionPoint(loop);
   for (Value index : iterations.indices) {
-    Value argument = tile.getBody().front().addArgument(
-        builder.getI32Type(), loc);
+    Value argument =
+        tile.getBody().front().addArgument(builder.getI32Type(), loc);
     Value number = arith::IndexCastOp::create(builder, loc,
                                               builder.getIndexType(), argument);
     mapping.lookup(index).replaceAllUsesWith(number);
@@ -672,11 +672,11 @@ static LLVM::LLVMFuncOp makeTileFunction(LLVM::LLVMFuncOp function,
     unsigned operand = isa<LLVM::StoreOp>(op) ? 1 : 0;
     builder.setInsertionPoint(op);
     Value pointer = op->getOperand(operand);
-    op->setOperand(operand,
-                   calls.call(builder, op->getLoc(), runtime::tileSiteFunction,
-                              pointer.getType(),
-                              {pointer, calls.i32(builder, op->getLoc(),
-                                                  number.getInt())}));
+    op->setOperand(
+        operand,
+        calls.call(
+            builder, op->getLoc(), runtime::tileSiteFunction, pointer.getType(),
+            {pointer, calls.i32(builder, op->getLoc(), number.getInt())}));
   });
   return tile;
 }
