@@ -91,8 +91,9 @@ void DeviceQueue::Program::scheduleTiles(
   }
   if (hasChains)
     tiled.order = ProgramSchedule(united);
-  else
-    tiled.units.clear();
+  // Tiles take a grid of their size: they must save many barriers.
+  if (!hasChains || 4 * tiled.order.numBarriers > 3 * plain.order.numBarriers)
+    tiled = Schedule();
 }
 
 /// Adds the functions of iterations, whose numbers follow those of the others,

@@ -24,6 +24,8 @@ tai.field @n = @tree["n"] : i32, rank 0
 //   CHECK-DAG:   arith.index_cast %[[J]] : i32 to index
 //       CHECK:   %[[FIRST:.*]] = llvm.call @tai_tile_site(%{{.*}}, %{{.*}}) : (!llvm.ptr, i32) -> !llvm.ptr
 //       CHECK:   llvm.load %[[FIRST]]
+//       CHECK:   %[[SECOND:.*]] = llvm.call @tai_tile_site
+//       CHECK:   llvm.load %[[SECOND]]
 //       CHECK:   %[[LAST:.*]] = llvm.call @tai_tile_site
 //       CHECK:   llvm.store %{{.*}}, %[[LAST]]
 //   CHECK-NOT:   scf.for

@@ -8,11 +8,15 @@
 #ifndef TAI_LIB_CONVERSION_TAITOGPU_LOOPACCESSES_H
 #define TAI_LIB_CONVERSION_TAITOGPU_LOOPACCESSES_H
 
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/BuiltinAttributes.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Runtime/DeviceAccesses.h"
 
 namespace mlir::tai {
+
+class RuntimeCalls;
 
 /// On a device function: what it touches, as FunctionAccesses encodes it.
 constexpr llvm::StringLiteral kAccessesAttrName = "tai.accesses";
@@ -87,6 +91,19 @@ private:
   SmallVector<Address> addresses;
   std::vector<Site> sites;
 };
+
+/// Makes the function of one iteration, whose indices come behind the other
+/// parameters, from that of all, which has them in `iterations`. Each address
+/// that is a site goes through `tai_tile_site`, for programs that keep its cell
+/// somewhere else. Null where the indices cannot be told apart.
+LLVM::LLVMFuncOp makeTileFunction(LLVM::LLVMFuncOp function,
+                                  scf::ForOp iterations,
+                                  ArrayRef<Value> indices, RuntimeCalls &calls);
+
+/// Takes the state of the device, which it does not use, from the parameters of
+/// that, and notes its sites; without any, it goes.
+void finishTileFunction(LLVM::LLVMFuncOp tile, LLVM::LLVMFuncOp function,
+                        DenseI64ArrayAttr sites);
 
 /// An integer constant of at most 64 bits.
 std::optional<int64_t> getWholeConstant(Value value);

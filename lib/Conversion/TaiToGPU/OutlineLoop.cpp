@@ -627,61 +627,6 @@ static void markInvariantLoads(LLVM::LLVMFuncOp function, ArrayRef<Sum> sums) {
 }
 
 //===----------------------------------------------------------------------===//
-// Tiles
-//===----------------------------------------------------------------------===//
-
-/// Makes the function of one iteration, whose indices come behind the other
-/// parameters, from that of all. Each address that is a site goes through
-/// `tai_tile_site`, for programs that keep its cell somewhere else. Null where
-/// the indices cannot be told apart.
-static LLVM::LLVMFuncOp makeTileFunction(LLVM::LLVMFuncOp function,
-                                         const Iterations &iterations,
-                                         RuntimeCalls &calls) {
-  llvm::SmallDenseSet<Value> known;
-  for (Value index : iterations.indices)
-    if (getConstantIntValue(index) || !known.insert(index).second)
-      return nullptr;
-  OpBuilder builder(function);
-  builder.setInsertionPointAfter(function);
-  IRMapping mapping;
-  auto tile = cast<LLVM::LLVMFuncOp>(builder.clone(*function, mapping));
-  tile.setSymName((function.getSymName() + runtime::tileSuffix).str());
-  auto loop = cast<scf::ForOp>(
-      mapping.lookup(const_cast<scf::ForOp &>(iterations.loop).getOperation()));
-  Location loc = function.getLoc();
-  builder.setInsertionPoint(loop);
-  for (Value index : iterations.indices) {
-    Value argument =
-        tile.getBody().front().addArgument(builder.getI32Type(), loc);
-    Value number = arith::IndexCastOp::create(builder, loc,
-                                              builder.getIndexType(), argument);
-    mapping.lookup(index).replaceAllUsesWith(number);
-  }
-  // What else is made from the number of the iteration is no longer used.
-  loop.getInductionVar().replaceAllUsesWith(loop.getLowerBound());
-  Block *body = loop.getBody();
-  body->getTerminator()->erase();
-  loop->getBlock()->getOperations().splice(loop->getIterator(),
-                                           body->getOperations());
-  loop.erase();
-  tile.walk([&](Operation *op) {
-    auto number = op->getAttrOfType<IntegerAttr>(kSiteAttrName);
-    if (!number)
-      return;
-    op->removeAttr(kSiteAttrName);
-    unsigned operand = isa<LLVM::StoreOp>(op) ? 1 : 0;
-    builder.setInsertionPoint(op);
-    Value pointer = op->getOperand(operand);
-    op->setOperand(
-        operand,
-        calls.call(
-            builder, op->getLoc(), runtime::tileSiteFunction, pointer.getType(),
-            {pointer, calls.i32(builder, op->getLoc(), number.getInt())}));
-  });
-  return tile;
-}
-
-//===----------------------------------------------------------------------===//
 // Launches
 //===----------------------------------------------------------------------===//
 
@@ -789,7 +734,8 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
     return failure();
   LLVM::LLVMFuncOp tile;
   if (accesses.canRunInTiles())
-    tile = makeTileFunction(function, iterations, runtime);
+    tile = makeTileFunction(function, iterations.loop, iterations.indices,
+                            runtime);
   function.walk([](Operation *op) { op->removeAttr(kSiteAttrName); });
   markInvariantLoads(function, sums);
   if (failed(lowerLeafOps(function, lowering.device)) ||
@@ -809,20 +755,12 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   DenseI64ArrayAttr list = accesses.encode(getParameter);
   if (list)
     function->setAttr(kAccessesAttrName, list);
-  if (tile) {
-    // What may print or fail is not run again.
-    DenseI64ArrayAttr sites;
-    if (list && !usesState && tile.getArgument(0).use_empty())
-      sites = accesses.encodeSites(getParameter);
-    if (sites) {
-      function->setAttr(kTilesAttrName, sites);
-      tile.getBody().front().eraseArgument(0);
-      tile.setFunctionType(LLVM::LLVMFunctionType::get(
-          voidType, llvm::to_vector(tile.getBody().getArgumentTypes())));
-    } else {
-      tile.erase();
-    }
-  }
+  // What may print or fail is not run again.
+  if (tile)
+    finishTileFunction(tile, function,
+                       list && !usesState && tile.getArgument(0).use_empty()
+                           ? accesses.encodeSites(getParameter)
+                           : DenseI64ArrayAttr());
   if (!usesState) {
     entry->eraseArgument(0);
   } else {

@@ -13,8 +13,11 @@
 //===----------------------------------------------------------------------===//
 
 #include "../Common/FieldAddress.h"
+#include "../TaiToSCF/RuntimeCalls.h"
 #include "LoopAccesses.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/IR/IRMapping.h"
 #include "tai/Analysis/IndexShift.h"
 
 using namespace mlir;
@@ -150,4 +153,62 @@ DenseI64ArrayAttr LoopAccesses::encodeSites(ParameterFinder getParameter) {
     result.sites.push_back(std::move(site.site));
   }
   return DenseI64ArrayAttr::get(loop.getContext(), result.encodeSites());
+}
+
+LLVM::LLVMFuncOp tai::makeTileFunction(LLVM::LLVMFuncOp function,
+                                       scf::ForOp iterations,
+                                       ArrayRef<Value> indices,
+                                       RuntimeCalls &calls) {
+  llvm::SmallDenseSet<Value> known;
+  for (Value index : indices)
+    if (getConstantIntValue(index) || !known.insert(index).second)
+      return nullptr;
+  OpBuilder builder(function);
+  builder.setInsertionPointAfter(function);
+  IRMapping mapping;
+  auto tile = cast<LLVM::LLVMFuncOp>(builder.clone(*function, mapping));
+  tile.setSymName((function.getSymName() + runtime::tileSuffix).str());
+  auto loop = cast<scf::ForOp>(mapping.lookup(iterations.getOperation()));
+  Location loc = function.getLoc();
+  builder.setInsertionPoint(loop);
+  for (Value index : indices) {
+    Value argument =
+        tile.getBody().front().addArgument(builder.getI32Type(), loc);
+    Value number = arith::IndexCastOp::create(builder, loc,
+                                              builder.getIndexType(), argument);
+    mapping.lookup(index).replaceAllUsesWith(number);
+  }
+  // What else is made from the number of the iteration is no longer used.
+  loop.getInductionVar().replaceAllUsesWith(loop.getLowerBound());
+  Block *body = loop.getBody();
+  body->getTerminator()->erase();
+  loop->getBlock()->getOperations().splice(loop->getIterator(),
+                                           body->getOperations());
+  loop.erase();
+  tile.walk([&](Operation *op) {
+    auto number = op->getAttrOfType<IntegerAttr>(kSiteAttrName);
+    if (!number)
+      return;
+    op->removeAttr(kSiteAttrName);
+    unsigned operand = isa<LLVM::StoreOp>(op) ? 1 : 0;
+    builder.setInsertionPoint(op);
+    Value pointer = op->getOperand(operand);
+    op->setOperand(
+        operand,
+        calls.call(
+            builder, op->getLoc(), runtime::tileSiteFunction, pointer.getType(),
+            {pointer, calls.i32(builder, op->getLoc(), number.getInt())}));
+  });
+  return tile;
+}
+
+void tai::finishTileFunction(LLVM::LLVMFuncOp tile, LLVM::LLVMFuncOp function,
+                             DenseI64ArrayAttr sites) {
+  if (!sites)
+    return tile.erase();
+  function->setAttr(kTilesAttrName, sites);
+  tile.getBody().front().eraseArgument(0);
+  tile.setFunctionType(LLVM::LLVMFunctionType::get(
+      LLVM::LLVMVoidType::get(tile.getContext()),
+      llvm::to_vector(tile.getBody().getArgumentTypes())));
 }
