@@ -12,6 +12,7 @@
 
 #include "tai/AD/AdjointBuilder.h"
 #include "ContendedAtomics.h"
+#include "StoredOutputs.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
@@ -21,6 +22,7 @@
 #include "tai/AD/Rerun.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "llvm/Support/SaveAndRestore.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -212,8 +214,11 @@ LogicalResult AdjointBuilder::reverseOp(Operation *op) {
   }
   if (!matters)
     return success();
-  if (auto loop = dyn_cast<AdjointLoopInterface>(op))
+  if (auto loop = dyn_cast<AdjointLoopInterface>(op)) {
+    llvm::SaveAndRestore notInRule(inRule, false);
     return loop.buildReverse(*this);
+  }
+  llvm::SaveAndRestore nowInRule(inRule, true);
   if (auto rule = dyn_cast<DifferentiableOpInterface>(op)) {
     seedIsInfinite = createInfinityTest(op);
     LogicalResult result = rule.buildAdjoint(*this);

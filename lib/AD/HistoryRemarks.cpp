@@ -42,7 +42,8 @@ StringRef LoopHistory::classify(unsigned index) const {
 }
 
 void LoopHistory::report() {
-  if (!loop->getContext()->getRemarkEngine())
+  // Of a second form, all has been said of the first.
+  if (!loop->getContext()->getRemarkEngine() || b.stored)
     return;
   auto options = [&](StringRef name) {
     return remark::RemarkOpts::name(name)

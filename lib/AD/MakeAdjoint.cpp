@@ -10,6 +10,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "StoredOutputs.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Dialect/Math/IR/Math.h"
@@ -118,7 +119,7 @@ static LogicalResult fillWith(FunctionOpInterface function,
                               FunctionOpInterface shell,
                               const AdjointSignature &signature,
                               int64_t historyBytes, bool takes,
-                              bool *needsParts, SkipSet skips) {
+                              bool *needsParts, SkipSet skips, bool stored) {
   DenseMap<Value, Value> arrays;
   ValueShadows values;
   unsigned next = function.getNumArguments();
@@ -151,13 +152,16 @@ static LogicalResult fillWith(FunctionOpInterface function,
     AdjointBuilder builder(function, shell, adjointOf, takes, plan, values,
                            skips);
     builder.setHistoryLimit(historyBytes);
+    if (stored)
+      builder.readStored();
     LogicalResult built = builder.build();
     if (needsParts)
       *needsParts = builder.needsParts();
-    if (failed(built))
+    if (failed(built) || (stored && !builder.findsStored()))
       return failure();
     if (!builder.needsMore()) {
-      builder.countSkips();
+      if (!stored)
+        builder.countSkips();
       break;
     }
     plan = RerunPlan(builder.getLargerPlan());
@@ -181,19 +185,20 @@ LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
                                      FunctionOpInterface shell,
                                      const AdjointSignature &signature,
                                      int64_t historyBytes, bool takes,
-                                     bool *needsParts, SkipSet skips) {
+                                     bool *needsParts, SkipSet skips,
+                                     bool stored) {
   if (!skips.has(Skip::ActivityAnalysis)) {
     // Not all that is assumed to carry derivatives can be differentiated.
     ScopedDiagnosticHandler silence(function.getContext(),
                                     [](Diagnostic &) { return success(); });
     if (succeeded(fillWith(function, shell, signature, historyBytes, takes,
-                           needsParts, skips)))
+                           needsParts, skips, stored)))
       return success();
     clearBody(shell);
     skips.set(Skip::ActivityAnalysis, true);
   }
   return fillWith(function, shell, signature, historyBytes, takes, needsParts,
-                  skips);
+                  skips, stored);
 }
 
 /// Decides by the loops as they were written how those of the adjoint, which
@@ -229,6 +234,40 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
       failedAny |= failed(differentiate(function, symbols));
     if (failedAny)
       signalPassFailure();
+  }
+
+  /// The form of the adjoint that loads what the kernel has stored, where that
+  /// is worth having: beside the adjoint, which names it.
+  void makeStoredForm(FunctionOpInterface function, KernelOp adjoint,
+                      const AdjointSignature &signature, SymbolTable &symbols) {
+    // Nanoseconds of an iteration. Work may be left that others ask for.
+    constexpr double worthHaving = 4;
+    std::string name = (adjoint.getName() + "_stored").str();
+    if (symbols.lookup(name) || adjoint->hasAttr(kRerunsAttrName) ||
+        reachesSparse(function) ||
+        StoredOutputs(function, AccessTable(function)).empty())
+      return;
+    FunctionOpInterface shell = createShell(function, name, signature);
+    bool takes = adjoint->hasAttr(kTakesAttrName);
+    // All there is to say has been said of the adjoint.
+    ScopedDiagnosticHandler silence(&getContext(),
+                                    [](Diagnostic &) { return success(); });
+    if (failed(fillAdjoint(function, shell, signature, historyBytes, takes,
+                           /*needsParts=*/nullptr, skip.getValue(),
+                           /*stored=*/true)) ||
+        shell->getAttr(kBeforeAttrName) != adjoint->getAttr(kBeforeAttrName) ||
+        shell->hasAttr(kRerunsAttrName) ||
+        estimateNanoseconds(shell) + worthHaving >
+            estimateNanoseconds(adjoint)) {
+      shell.erase();
+      return;
+    }
+    if (takes)
+      shell->setAttr(kTakesAttrName, UnitAttr::get(&getContext()));
+    shell->moveAfter(adjoint);
+    symbols.insert(shell);
+    adjoint->setAttr(kStoredFormAttrName,
+                     FlatSymbolRefAttr::get(&getContext(), name));
   }
 
   LogicalResult differentiate(FunctionOpInterface function,
@@ -273,6 +312,9 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
       return failure();
     }
     symbols.insert(shell);
+    if (auto adjoint = dyn_cast<KernelOp>(shell.getOperation());
+        adjoint && storedOutputs)
+      makeStoredForm(function, adjoint, *signature, symbols);
     auto reference = FlatSymbolRefAttr::get(&getContext(), name);
     if (auto kernel = dyn_cast<KernelOp>(function.getOperation()))
       kernel.setAdjointAttr(reference);

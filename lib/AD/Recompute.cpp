@@ -49,6 +49,8 @@ bool AdjointBuilder::needsOperands(Frame &frame, Operation *op,
         !frame.values.contains(operand)) {
       if (isRecorded(operand))
         frame.values.map(operand, fetchRecorded(frame, operand));
+      else if (Value kept = fetchStored(frame, operand))
+        frame.values.map(operand, kept);
       else
         missing.push_back(operand.getDefiningOp());
     }
@@ -64,6 +66,8 @@ Value AdjointBuilder::materialize(Frame &frame, Value value) {
     materializeArgument(frame, argument);
   } else if (isRecorded(value)) {
     frame.values.map(value, fetchRecorded(frame, value));
+  } else if (Value kept = fetchStored(frame, value)) {
+    frame.values.map(value, kept);
   } else {
     // A list of pending ops and not recursion: chains can be long.
     SmallVector<Operation *> pending = {value.getDefiningOp()};

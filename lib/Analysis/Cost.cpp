@@ -60,23 +60,25 @@ static double estimateScalar(Operation *op) {
   return 0.25;
 }
 
+double tai::estimateNanoseconds(Operation *op) {
+  double components = 1;
+  for (Type type : op->getResultTypes())
+    if (auto vector = dyn_cast<VectorType>(type))
+      components = std::max<double>(components, vector.getNumElements());
+  // Branches: the dearest arm. Loops: all their regions, each trip.
+  double inside = 0;
+  bool isLoop = isa<LoopLikeOpInterface>(op);
+  for (Region &region : op->getRegions())
+    for (Block &inner : region) {
+      double cost = estimateNanoseconds(inner);
+      inside = isLoop ? inside + cost : std::max(inside, cost);
+    }
+  return components * estimateScalar(op) + inside * estimateTrips(op);
+}
+
 double tai::estimateNanoseconds(Block &block) {
   double sum = 0;
-  for (Operation &op : block) {
-    double components = 1;
-    for (Type type : op.getResultTypes())
-      if (auto vector = dyn_cast<VectorType>(type))
-        components = std::max<double>(components, vector.getNumElements());
-    sum += components * estimateScalar(&op);
-    // Branches: the dearest arm. Loops: all their regions, each trip.
-    double inside = 0;
-    bool isLoop = isa<LoopLikeOpInterface>(op);
-    for (Region &region : op.getRegions())
-      for (Block &inner : region) {
-        double cost = estimateNanoseconds(inner);
-        inside = isLoop ? inside + cost : std::max(inside, cost);
-      }
-    sum += inside * estimateTrips(&op);
-  }
+  for (Operation &op : block)
+    sum += estimateNanoseconds(&op);
   return sum;
 }

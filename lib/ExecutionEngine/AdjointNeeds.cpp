@@ -94,6 +94,15 @@ AdjointNeeds mlir::tai::getAdjointNeeds(ModuleOp module, StringRef name) {
   for (Operation &helper : *module.getBody())
     if (!isa<KernelOp>(helper))
       add(listAccesses(&helper));
+  if (auto name =
+          adjoint->getAttrOfType<FlatSymbolRefAttr>(kStoredFormAttrName)) {
+    needs.loadsStored = true;
+    for (NamedAccess &access :
+         listAccesses(module.lookupSymbol<KernelOp>(name)))
+      if (access.kind == runtime::AccessKind::Read &&
+          !llvm::is_contained(needs.reads, access))
+        needs.stored.push_back(std::move(access));
+  }
   auto addNames = [&](Attribute attribute) {
     if (auto names = dyn_cast_or_null<ArrayAttr>(attribute))
       for (auto field : names.getAsRange<FlatSymbolRefAttr>())
@@ -196,8 +205,7 @@ private:
 };
 } // namespace
 
-std::string AdjointNeeds::serialize() const {
-  Writer writer;
+static void addReads(Writer &writer, const std::vector<NamedAccess> &reads) {
   writer.add(static_cast<int64_t>(reads.size()));
   for (const NamedAccess &access : reads) {
     writer.add(access.field);
@@ -212,6 +220,13 @@ std::string AdjointNeeds::serialize() const {
       writer.add(term.factor);
     }
   }
+}
+
+std::string AdjointNeeds::serialize() const {
+  Writer writer;
+  addReads(writer, reads);
+  writer.add(static_cast<int64_t>(loadsStored));
+  addReads(writer, stored);
   writer.add(static_cast<int64_t>(before.size()));
   for (const std::string &field : before)
     writer.add(field);
@@ -231,9 +246,7 @@ std::string AdjointNeeds::serialize() const {
   return std::move(writer.bytes);
 }
 
-std::optional<AdjointNeeds> AdjointNeeds::deserialize(StringRef bytes) {
-  AdjointNeeds needs;
-  Reader reader(bytes);
+static void takeReads(Reader &reader, std::vector<NamedAccess> &reads) {
   for (int64_t i = reader.length(); i > 0; --i) {
     NamedAccess access{reader.text(), runtime::AccessKind::Read, {}};
     int64_t dimension = reader.number();
@@ -246,8 +259,16 @@ std::optional<AdjointNeeds> AdjointNeeds::deserialize(StringRef bytes) {
       }
       access.fixed = std::move(fixed);
     }
-    needs.reads.push_back(std::move(access));
+    reads.push_back(std::move(access));
   }
+}
+
+std::optional<AdjointNeeds> AdjointNeeds::deserialize(StringRef bytes) {
+  AdjointNeeds needs;
+  Reader reader(bytes);
+  takeReads(reader, needs.reads);
+  needs.loadsStored = reader.number() != 0;
+  takeReads(reader, needs.stored);
   for (int64_t i = reader.length(); i > 0; --i)
     needs.before.push_back(reader.text());
   for (int64_t i = reader.length(); i > 0; --i)

@@ -289,7 +289,7 @@ LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
   }
   if (request.goal != CompileRequest::Goal::Primal) {
     PhaseTimer timer(prepared.times, Phase::Autodiff);
-    bool takes = request.goal == CompileRequest::Goal::TakingAdjoint;
+    bool takes = CompileRequest::takes(request.goal);
     if (!pipelines.autodiff) {
       failure = Failure::get(FailureKind::Autodiff,
                              "this build cannot differentiate kernels");
@@ -315,6 +315,10 @@ LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
       prepared.symbol.clear();
       return success();
     }
+    auto form = module->lookupSymbol<KernelOp>(adjoint)
+                    ->getAttrOfType<FlatSymbolRefAttr>(kStoredFormAttrName);
+    if (form && CompileRequest::readsStored(request.goal))
+      adjoint = form;
     prepared.symbol = getEntryPointName(adjoint.getValue());
     // Parts of the kernel are kernels of their own.
     eraseOtherKernels(*module, adjoint.getValue());

@@ -48,6 +48,7 @@ static Compiler::Pipelines getPipelines() {
                           bool takes) {
     AutodiffOptions autodiff;
     autodiff.takes = takes;
+    autodiff.storedOutputs = true;
     // An adjoint is launched with the arguments of its primal and no others.
     autodiff.arrayAdjoints = false;
     autodiff.historyBytes = options.historyBytes;

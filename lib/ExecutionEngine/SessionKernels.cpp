@@ -85,11 +85,19 @@ Session::makeKernel(OwningOpRef<ModuleOp> module, StringRef name) {
   };
   info.makeAdjoint = [this, code](runtime::Kernel &runtimeKernel,
                                   runtime::KernelPtr &adjoint) {
-    return compileAdjoint(*code, runtimeKernel, /*takes=*/false, adjoint);
+    return compileAdjoint(*code, runtimeKernel, /*takes=*/false,
+                          /*stored=*/false, adjoint);
   };
   info.makeTakingAdjoint = [this, code](runtime::Kernel &runtimeKernel,
                                         runtime::KernelPtr &adjoint) {
-    return compileAdjoint(*code, runtimeKernel, /*takes=*/true, adjoint);
+    return compileAdjoint(*code, runtimeKernel, /*takes=*/true,
+                          /*stored=*/false, adjoint);
+  };
+  info.makeStoredAdjoint = [this, code](runtime::Kernel &runtimeKernel,
+                                        bool takes,
+                                        runtime::KernelPtr &adjoint) {
+    return compileAdjoint(*code, runtimeKernel, takes, /*stored=*/true,
+                          adjoint);
   };
   info.makeChecked = [this, code](runtime::CheckedKernel &checked) {
     return compileChecked(*code, checked);
@@ -224,8 +232,10 @@ static StringRef getGoalName(CompileRequest::Goal goal) {
   case CompileRequest::Goal::Primal:
     return "primal";
   case CompileRequest::Goal::Adjoint:
+  case CompileRequest::Goal::StoredAdjoint:
     return "adjoint";
   case CompileRequest::Goal::TakingAdjoint:
+  case CompileRequest::Goal::StoredTakingAdjoint:
     return "taking";
   }
   llvm_unreachable("unknown goal");
@@ -289,9 +299,9 @@ static bool storesWhatItReads(const std::vector<runtime::Access> &summary) {
   return false;
 }
 
+/// Most launches store what no other one stores.
 static CompileRequest::Goal getPlannedGoal(const KernelCode &code) {
-  return code.planTakes ? CompileRequest::Goal::TakingAdjoint
-                        : CompileRequest::Goal::Adjoint;
+  return CompileRequest::getAdjointGoal(code.planTakes, /*stored=*/true);
 }
 
 LogicalResult Session::prepareAdjoint(KernelCode &code, Failure &failure) {
@@ -378,20 +388,48 @@ static runtime::KernelInfo getHelperInfo(const KernelCode &code,
   return info;
 }
 
+/// Whether the form of the adjoint that loads what the kernel has stored reads
+/// no more than a tape was told, if it is there at all.
+bool Session::canReadStored(KernelCode &code, CompileRequest::Goal goal,
+                            const AdjointNeeds &told) {
+  Failure failure;
+  auto prepared =
+      compiler->prepare({*code.module, code.name, goal}, code.options, failure);
+  auto needs = prepared ? AdjointNeeds::deserialize(prepared->needs)
+                        : std::optional<AdjointNeeds>();
+  return told.loadsStored && needs && needs->loadsStored &&
+         llvm::all_of(needs->stored, [&](const NamedAccess &access) {
+           return llvm::is_contained(told.stored, access) ||
+                  llvm::is_contained(told.reads, access);
+         });
+}
+
 runtime::Status Session::compileAdjoint(KernelCode &code,
                                         runtime::Kernel &runtimeKernel,
-                                        bool takes,
+                                        bool takes, bool stored,
                                         runtime::KernelPtr &adjoint) {
   Failure failure;
   std::optional<Compiler::Function> compiled;
   choosePlannedForm(code, runtimeKernel);
-  if (takes != code.planTakes) {
-    compiled = compileAs(code,
-                         takes ? CompileRequest::Goal::TakingAdjoint
-                               : CompileRequest::Goal::Adjoint,
-                         failure);
-  } else if (code.ahead) {
+  if (code.ahead)
     background.finish(*code.ahead);
+  std::optional<AdjointNeeds> needs;
+  {
+    std::lock_guard<std::mutex> lock(code.prepareMutex);
+    if (code.needs)
+      needs = AdjointNeeds::deserialize(*code.needs);
+  }
+  // What was begun before anybody asked loads what is stored, if it can. That a
+  // gradient is launched by hand is seen too late for that.
+  bool isPlanned =
+      takes == code.planTakes &&
+      (needs ? stored == needs->loadsStored : code.ahead != nullptr);
+  auto goal = CompileRequest::getAdjointGoal(takes, stored);
+  if (!isPlanned) {
+    if (stored && !(needs && canReadStored(code, goal, *needs)))
+      return runtime::Status::success();
+    compiled = compileAs(code, goal, failure);
+  } else if (code.ahead) {
     compiled = std::move(code.aheadResult);
     failure = std::move(code.aheadFailure);
     code.ahead.reset();
@@ -403,10 +441,11 @@ runtime::Status Session::compileAdjoint(KernelCode &code,
   if (!compiled->address)
     return runtime::Status::success();
   runtime::KernelInfo info = getHelperInfo(code, *compiled, "_grad");
-  auto goal = takes ? CompileRequest::Goal::TakingAdjoint
-                    : CompileRequest::Goal::Adjoint;
-  info.makeTangent = [this, &code, goal](runtime::KernelPtr &tangent) {
-    return compileTangent(code, goal, tangent);
+  // What is stored need not have a dual: tangents come from what it was
+  // computed from.
+  auto plain = CompileRequest::getAdjointGoal(takes, /*stored=*/false);
+  info.makeTangent = [this, &code, plain](runtime::KernelPtr &tangent) {
+    return compileTangent(code, plain, tangent);
   };
   adjoint = rt->createKernel(std::move(info));
   return runtime::Status::success();
@@ -469,6 +508,15 @@ runtime::Status Session::planAdjoint(KernelCode &code,
   for (const NamedAccess &access : needs->reads)
     if (runtime::FieldPtr field = findField(access.field))
       plan.reads.push_back({field, access.kind, access.fixed});
+  plan.loadsStored = needs->loadsStored;
+  for (const NamedAccess &access : needs->stored) {
+    runtime::FieldPtr field = findField(access.field);
+    // No tape watches what is written to gradients.
+    if (field && !field->isAdjoint())
+      plan.stored.push_back({field, access.kind, access.fixed});
+    else
+      plan.loadsStored = false;
+  }
   for (const std::string &name : needs->before)
     if (runtime::FieldPtr field = findField(name))
       plan.before.push_back(field);
@@ -549,10 +597,8 @@ LogicalResult Session::prepareReverse(runtime::Tape &tape, bool cleared) {
   if (needed.size() < 2)
     return success();
   std::vector<runtime::Status> statuses(needed.size());
-  runInParallel(needed.size(), [&](size_t i) {
-    runtime::Kernel *adjoint = nullptr;
-    statuses[i] = needed[i].kernel->resolveAdjoint(adjoint, needed[i].takes);
-  });
+  runInParallel(needed.size(),
+                [&](size_t i) { statuses[i] = needed[i].resolve(); });
   for (const runtime::Status &status : statuses)
     if (!status.ok())
       return fail(status);

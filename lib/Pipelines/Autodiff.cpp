@@ -46,6 +46,7 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
   adjoint.arrayAdjoints = options.arrayAdjoints;
   adjoint.historyBytes = options.historyBytes;
   adjoint.takes = options.takes;
+  adjoint.storedOutputs = options.storedOutputs;
   adjoint.deterministic = options.deterministic;
   adjoint.skip = options.skip;
   pm.addPass(createMakeAdjoint(adjoint));

@@ -77,6 +77,20 @@ Status Kernel::resolveAdjoint(Kernel *&adjoint, bool takes) {
   return Status::success();
 }
 
+Status Kernel::resolveStoredAdjoint(Kernel *&adjoint, bool takes) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  AdjointForm &form = storedForms[takes];
+  if (!form.asked && info.makeStoredAdjoint) {
+    Status status = info.makeStoredAdjoint(*this, takes, form.kernel);
+    if (!status)
+      return status;
+    form.asked = true;
+  }
+  adjoint = form.kernel.get();
+  form.known.store(adjoint, std::memory_order_release);
+  return Status::success();
+}
+
 const AdjointPlan &Kernel::plan() {
   std::lock_guard<std::recursive_mutex> lock(mutex);
   if (adjointPlan && !adjointPlan->provisional)
@@ -93,6 +107,7 @@ const AdjointPlan &Kernel::plan() {
   if (!info.planAdjoint(*this, *adjointPlan))
     *adjointPlan = AdjointPlan();
   adjointReruns = adjointPlan->reruns;
+  loadsStored = adjointPlan->loadsStored;
   alwaysTakes = adjointPlan->takes;
   return *adjointPlan;
 }

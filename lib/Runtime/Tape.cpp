@@ -160,7 +160,6 @@ Status Tape::replayAdjoint(Launch &launch, size_t index) {
 Status Tape::runAdjoint(Launch &launch, size_t index) {
   const Record &record = records[index];
   Kernel &kernel = *record.kernel;
-  bool takes = storesAgain[index];
   // A value that was returned and not used any more costs nothing.
   const auto &sources = kernel.adjointSources;
   if (runtime.skips(Skip::TapePruning) &&
@@ -170,18 +169,14 @@ Status Tape::runAdjoint(Launch &launch, size_t index) {
       kernel.info.callerAdjoints.areZero(slots.data() + record.payload +
                                          kernel.argSlots()))
     return Status::success();
-  // Found once; the look-up below takes a lock.
-  Kernel *adjoint =
-      kernel.adjointForms[takes].known.load(std::memory_order_acquire);
-  if (!adjoint) {
-    Status status = kernel.resolveAdjoint(adjoint, takes);
-    // What the loss does not depend on need not be differentiable.
-    if (!status && decisions[index] == Decision::Unpruned)
-      return Status::success();
-    if (!status || !adjoint)
-      return status;
-  }
-  Status status = checkActivity(index);
+  Kernel *adjoint = nullptr;
+  Status status = findAdjoint(index, adjoint);
+  // What the loss does not depend on need not be differentiable.
+  if (!status && decisions[index] == Decision::Unpruned)
+    return Status::success();
+  if (!status || !adjoint)
+    return status;
+  status = checkActivity(index);
   if (!status)
     return status;
   runtime.skipCounts.bump(SkipCount::TapeReplayed);
@@ -400,8 +395,11 @@ std::vector<Tape::Pending> Tape::pendingAdjoints(bool cleared) {
     // Those that are not pruned need not be differentiable.
     if (!records[index].kernel || decisions[index] == Decision::Unpruned)
       continue;
-    Pending entry = {records[index].kernel, storesAgain[index]};
-    const Kernel::AdjointForm &form = entry.kernel->adjointForms[entry.takes];
+    Pending entry = {records[index].kernel, storesAgain[index],
+                     readsStoredAt(index)};
+    const Kernel::AdjointForm &form =
+        entry.stored ? entry.kernel->storedForms[entry.takes]
+                     : entry.kernel->adjointForms[entry.takes];
     if (!form.known.load(std::memory_order_relaxed) && !form.asked &&
         std::find(pending.begin(), pending.end(), entry) == pending.end())
       pending.push_back(entry);
@@ -436,6 +434,7 @@ const std::string &Tape::explain() {
         explanation += " to those of ";
         appendNames(explanation, record.kernel->adjointTargets);
       }
+      explainStored(i);
       break;
     case Decision::Unpruned:
       explanation += "replayed, without effect: 'tape-pruning' is off";

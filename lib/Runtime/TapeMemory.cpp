@@ -85,6 +85,7 @@ Track &TapeMemory::trackOf(const FieldPtr &field,
              !track->everSaved) {
     // So far it has only been used as a whole.
     uint32_t read = track->lastRead;
+    track->loseStored(-1, lostStored);
     *track = Track(track->field, dimension);
     track->readAnywhere = track->lastRead = read;
   }
@@ -152,7 +153,11 @@ const TapeMemory::KernelUses &TapeMemory::usesOf(Kernel &kernel) {
   for (const Access &access : plan.reads)
     if (!access.field->isAdjoint() && access.field->valid())
       add(uses->reads, makeUse(access));
+  for (const Access &access : plan.stored)
+    if (access.field->valid())
+      add(uses->stored, makeUse(access));
   mergeSlabs(uses->reads);
+  mergeSlabs(uses->stored);
   mergeSlabs(uses->touches);
   uses->reruns = plan.reruns;
   return *uses;
@@ -180,6 +185,8 @@ Status TapeMemory::beforeLaunch(const KernelUses &uses, const uint64_t *args,
   }
   for (const Use &use : uses.changes) {
     Track &track = *use.track;
+    if (__builtin_expect(track.anyStored, false))
+      track.loseStored(use.locate(args), lostStored);
     // The adjoint of a part is the business of the host function.
     bool before = use.before && !isPart;
     if (track.lastRead == 0 && !before && !checkpoints)
@@ -205,6 +212,8 @@ void TapeMemory::afterLaunch(const KernelUses &uses, const uint64_t *args,
   settle();
   for (const Use &use : uses.reads)
     use.track->markRead(use.locate(args), stampOf(record));
+  for (const Use &use : uses.stored)
+    use.track->markStored(use.locate(args), stampOf(record), lostStored);
 }
 
 void TapeMemory::afterPart(const KernelUses &uses, const uint64_t *args) {
@@ -221,6 +230,7 @@ Status TapeMemory::beforeWrite(const FieldPtr &field, const int64_t *index,
   if (index && dimension >= 0)
     slab = index[dimension] - field->firstIndex(dimension);
   parts.push_back({&track, slab});
+  track.loseStored(slab, lostStored);
   uint32_t stamp = track.readStamp(slab);
   if (checkpoints) {
     checkpoints->reach(record);

@@ -49,6 +49,17 @@ struct Track {
   std::vector<uint32_t> loggedBy, marks;
   bool everSaved = false;
 
+  /// Stamps of the record that has stored to each slab, and to one at an
+  /// unknown place, and whose adjoint may load that; 0 once it was changed.
+  std::vector<uint32_t> storedAt;
+  uint32_t storedAnywhere = 0;
+  bool anyStored = false;
+
+  /// `lost` is told which records, by their stamps, lose what they stored; that
+  /// of the stamp `keeps` does not.
+  void markStored(int64_t slab, uint32_t stamp, std::vector<bool> &lost);
+  void loseStored(int64_t slab, std::vector<bool> &lost, uint32_t keeps = 0);
+
   void markRead(int64_t slab, uint32_t stamp);
   uint32_t readStamp(int64_t slab) const {
     if (slab < 0)
@@ -196,6 +207,8 @@ public:
     std::vector<Use> changes;
     /// By the adjoint.
     std::vector<Use> reads;
+    /// By the form of it that loads what the kernel has stored.
+    std::vector<Use> stored;
     /// By the kernel, where it changes or reads them: what a host function of
     /// which it is a part may read in reverse.
     std::vector<Use> touches;
@@ -260,6 +273,13 @@ public:
   int64_t bytesAt(uint32_t record) const;
   /// Fields that some adjoint reads.
   bool isRead(const Field &field) const;
+  /// Fields that hold what some adjoint may load as stored.
+  bool isStored(const Field &field) const;
+  /// Whether what the record has stored was not changed by a later one.
+  bool holdsStored(uint32_t record) const {
+    uint32_t stamp = stampOf(record);
+    return stamp >= lostStored.size() || !lostStored[stamp];
+  }
   /// Fields that some record reads or changes.
   bool isTouched(const Field &field) const { return findTrack(field); }
   bool empty() const { return pieces.empty(); }
@@ -300,6 +320,8 @@ private:
   std::vector<Part> parts, changedParts;
   std::unordered_map<size_t, std::vector<Part>> partsByRecord;
   bool lost = false;
+  /// By stamp: records that have lost what they stored.
+  std::vector<bool> lostStored;
   Checkpoints *checkpoints = nullptr;
   /// In the order of their records.
   std::vector<Piece> pieces;

@@ -245,6 +245,7 @@ static void addChangedBy(const Kernel &kernel, std::vector<Field *> &changed) {
 }
 
 Status Tape::checkVersions() {
+  lostStored = false;
   std::vector<Field *> byHost, byKernels;
   for (const auto &[field, version] : versions)
     if (field->hostVersion != version)
@@ -263,6 +264,7 @@ Status Tape::checkVersions() {
             "field '" + field->name() + "' was changed " + how +
                 " after the tape had recorded, and the gradient needs what it "
                 "held; replay the tape forward and backward instead");
+      lostStored |= memory->isStored(*field);
       if (memory->isTouched(*field))
         notes.push_back("field '" + field->name() + "' was changed " + how +
                         " after the tape had recorded; the gradient is that "

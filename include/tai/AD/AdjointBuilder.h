@@ -35,6 +35,7 @@ class ContendedAtomics;
 class ParallelForOp;
 
 class LoopHistory;
+class StoredOutputs;
 
 /// The adjoint of one value while it is being summed: a part for the whole
 /// value and, for vectors, parts for single components (row-major; null is
@@ -111,6 +112,12 @@ public:
   /// Builds the whole adjoint; the terminator is left to the caller. Fails
   /// after an error at the op that cannot be differentiated.
   LogicalResult build();
+
+  /// To be called before `build`: rules load what the kernel has stored, where
+  /// that saves work. `findsStored` says afterwards whether any does, and finds
+  /// it.
+  void readStored();
+  bool findsStored() const;
 
   /// Counts what the analyses kept out of what was built.
   void countSkips();
@@ -230,6 +237,7 @@ private:
   bool isRecorded(Value value) const;
   bool needsOperands(Frame &frame, Operation *op,
                      SmallVectorImpl<Operation *> &missing);
+  Value fetchStored(Frame &frame, Value value);
   void beginRerun(Frame &frame);
   void endRerun(Frame &frame);
   void leaveMirror(Frame &frame);
@@ -282,17 +290,23 @@ private:
   /// Accesses whose fields the adjoint reads as they were before the launch.
   llvm::SetVector<Operation *> wantsBefore;
   std::unique_ptr<ContendedAtomics> contended;
+  /// What rules may load, if anything, and whether one of them asks.
+  std::unique_ptr<StoredOutputs> stored;
+  bool inRule = false;
 };
 
 /// Fills the empty adjoint `shell` of `function`, which has the arguments that
 /// `signature` asks for. `takes` is as the option of `tai-make-adjoint`;
 /// `needsParts` is told whether a failure can be helped by splitting the
 /// kernel. Values that only lack of `activity-analysis` among the skips gives
-/// an adjoint need not have one that can be made.
-LogicalResult
-fillAdjoint(FunctionOpInterface function, FunctionOpInterface shell,
-            const AdjointSignature &signature, int64_t historyBytes, bool takes,
-            bool *needsParts = nullptr, SkipSet skips = SkipSet::all());
+/// an adjoint need not have one that can be made. With `stored`, the adjoint
+/// loads what the kernel has stored; fails if there is nothing to gain.
+LogicalResult fillAdjoint(FunctionOpInterface function,
+                          FunctionOpInterface shell,
+                          const AdjointSignature &signature,
+                          int64_t historyBytes, bool takes,
+                          bool *needsParts = nullptr,
+                          SkipSet skips = SkipSet::all(), bool stored = false);
 
 /// Zeroes what parallel loops of an adjoint take in loops of their own, where
 /// that lets the additions of the others be gathered.

@@ -40,6 +40,12 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
     asks for this form, which has the attribute `tai.takes`, where an earlier
     launch has used the elements.
 
+    With `stored-outputs`, an adjoint that computes at length what its kernel
+    has stored, as the `tanh` of a layer, gets a second form, `@k_grad_stored`,
+    which loads that; the attribute `tai.stored_form` of `@k_grad` names it. It
+    is right only while the elements that the launch has stored hold what it
+    stored, as a tape can tell.
+
     Without the skip `activity-analysis`, values that do not depend on what is
     differentiated by get adjoints too, as far as that can be. Without
     `recording-analysis`, all values that loops carry are recorded.
@@ -122,6 +128,8 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
            "the loop are run once more">,
     Option<"takes", "takes", "bool", /*default=*/"false",
            "Leave zero in the adjoints of all that a kernel stores">,
+    Option<"storedOutputs", "stored-outputs", "bool", /*default=*/"false",
+           "Make the forms of adjoints that load what kernels have stored">,
     Option<"deterministic", "deterministic", "bool", /*default=*/"false",
            "Let how loops are cut not depend on what they record">,
     Option<"skip", "skip", "::mlir::tai::SkipSet",

@@ -32,7 +32,8 @@ constexpr int64_t kAssumedTrips = 8;
 /// The number of trips of a loop op, assumed where unknown.
 int64_t estimateTrips(Operation *loop);
 
-/// Nanoseconds that one run of the block takes on one core.
+/// Nanoseconds that one run of the op, or of the block, takes on one core.
+double estimateNanoseconds(Operation *op);
 double estimateNanoseconds(Block &block);
 
 } // namespace mlir::tai

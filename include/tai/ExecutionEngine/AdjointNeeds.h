@@ -46,6 +46,10 @@ std::vector<NamedAccess> listAccesses(Operation *root);
 struct AdjointNeeds {
   /// Fields that the adjoint reads, those of other adjoints among them.
   std::vector<NamedAccess> reads;
+  /// There is a form of it that loads what the kernel has stored; and what else
+  /// that one reads.
+  bool loadsStored = false;
+  std::vector<NamedAccess> stored;
   /// Those that it reads as they were before the launch.
   std::vector<std::string> before;
   /// Fields above which it asks for activity.

@@ -81,8 +81,26 @@ struct ObjectCache {
 /// What to compile.
 struct CompileRequest {
   /// TakingAdjoint: the adjoint that leaves zero in the adjoints of the
-  /// elements which the kernel stores.
-  enum class Goal { Primal, Adjoint, TakingAdjoint };
+  /// elements which the kernel stores. Stored: the adjoint that loads what the
+  /// kernel has stored, or the other where there is no such form.
+  enum class Goal {
+    Primal,
+    Adjoint,
+    TakingAdjoint,
+    StoredAdjoint,
+    StoredTakingAdjoint
+  };
+  static Goal getAdjointGoal(bool takes, bool stored) {
+    if (stored)
+      return takes ? Goal::StoredTakingAdjoint : Goal::StoredAdjoint;
+    return takes ? Goal::TakingAdjoint : Goal::Adjoint;
+  }
+  static bool takes(Goal goal) {
+    return goal == Goal::TakingAdjoint || goal == Goal::StoredTakingAdjoint;
+  }
+  static bool readsStored(Goal goal) {
+    return goal == Goal::StoredAdjoint || goal == Goal::StoredTakingAdjoint;
+  }
 
   /// Left as it is. Holds the function, what it calls, and the trees and
   /// fields that it uses.

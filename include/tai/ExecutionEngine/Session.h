@@ -25,6 +25,7 @@
 #include "llvm/Support/ThreadPool.h"
 
 namespace mlir::tai {
+struct AdjointNeeds;
 
 /// What a kernel is compiled from, and the code made so far. It lives as long
 /// as the runtime may launch it, which a tape can make longer than its handle.
@@ -167,7 +168,9 @@ private:
                                 TaiKernelFn &function);
   runtime::Status compileAdjoint(KernelCode &code,
                                  runtime::Kernel &runtimeKernel, bool takes,
-                                 runtime::KernelPtr &adjoint);
+                                 bool stored, runtime::KernelPtr &adjoint);
+  bool canReadStored(KernelCode &code, CompileRequest::Goal goal,
+                     const AdjointNeeds &told);
   runtime::Status compileChecked(KernelCode &code,
                                  runtime::CheckedKernel &checked);
   /// What carries tangents along with the kernel or a form of its adjoint.

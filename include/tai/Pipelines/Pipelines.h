@@ -30,6 +30,7 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
     arrayAdjoints = other.arrayAdjoints.getValue();
     historyBytes = other.historyBytes.getValue();
     takes = other.takes.getValue();
+    storedOutputs = other.storedOutputs.getValue();
     deterministic = other.deterministic.getValue();
     skip = other.skip.getValue();
   }
@@ -57,6 +58,11 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
       llvm::cl::desc(
           "Make the form of adjoints that leaves zero in the adjoints "
           "of all that kernels store"),
+      llvm::cl::init(false)};
+  Option<bool> storedOutputs{
+      *this, "stored-outputs",
+      llvm::cl::desc(
+          "Make the forms of adjoints that load what kernels have stored"),
       llvm::cl::init(false)};
   Option<bool> deterministic{
       *this, "deterministic",

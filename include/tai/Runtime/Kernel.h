@@ -113,6 +113,11 @@ struct AdjointPlan {
   std::vector<FieldPtr> activity = {};
   /// Its loops over sparse fields.
   std::vector<AdjointFlags> flags = {};
+  /// There is a form of it that loads what the kernel has stored. Besides what
+  /// all forms read it reads these: it is right where nothing has changed them
+  /// since the launch.
+  bool loadsStored = false;
+  std::vector<Access> stored = {};
 };
 
 /// The adjoints of arguments and results, which are in memory of the caller. A
@@ -170,6 +175,10 @@ struct KernelInfo {
   /// adjoints of the elements which the kernel stores. Called once, when
   /// elements turn out to be stored again.
   std::function<Status(Kernel &kernel, KernelPtr &adjoint)> makeTakingAdjoint;
+  /// The same for the form that loads what the kernel has stored, plain or
+  /// taking. Null with success where there is none after all.
+  std::function<Status(Kernel &kernel, bool takes, KernelPtr &adjoint)>
+      makeStoredAdjoint;
   /// How to get the form that checks the access rules as it runs; called once,
   /// when a tape that checks launches the kernel. None: nothing to check.
   std::function<Status(CheckedKernel &checked)> makeChecked;
@@ -212,6 +221,9 @@ public:
   /// The adjoint, or the form of it that takes, made now if need be; null if
   /// there is nothing to differentiate. Any thread.
   Status resolveAdjoint(Kernel *&adjoint, bool takes = false);
+  /// The same for the forms that load what the kernel has stored: null if there
+  /// is none. Ask only where `plan` names what they read.
+  Status resolveStoredAdjoint(Kernel *&adjoint, bool takes);
 
   /// What the adjoint asks of memory. Any thread.
   const AdjointPlan &plan();
@@ -250,17 +262,19 @@ private:
   std::atomic<TaiKernelFn> function{nullptr};
   /// Recursive: the resolver of an adjoint may resolve its primal.
   std::recursive_mutex mutex;
-  /// Of both forms of the adjoint: the plain one and the one that takes.
+  /// Of the forms of the adjoint: the plain one and the one that takes, and
+  /// these two where they load what the kernel has stored.
   struct AdjointForm {
     KernelPtr kernel;
     bool asked = false;
     /// Set once the adjoint has been found, so that a sweep takes no lock.
     std::atomic<Kernel *> known{nullptr};
   };
-  std::array<AdjointForm, 2> adjointForms;
+  std::array<AdjointForm, 2> adjointForms, storedForms;
   std::shared_ptr<CheckedKernel> checked;
   std::unique_ptr<AdjointPlan> adjointPlan;
   bool adjointReruns = false;
+  bool loadsStored = false;
   bool alwaysTakes = false;
   KernelPtr tangent;
   bool tangentAsked = false;

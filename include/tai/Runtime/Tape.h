@@ -132,9 +132,13 @@ public:
   struct Pending {
     Kernel *kernel;
     bool takes;
+    bool stored;
     bool operator==(const Pending &other) const {
-      return kernel == other.kernel && takes == other.takes;
+      return kernel == other.kernel && takes == other.takes &&
+             stored == other.stored;
     }
+    /// Makes the adjoint now.
+    Status resolve() const;
   };
   /// Adjoints that the reverse sweep would launch and that have not been made,
   /// so that they can be compiled together ahead of it. `cleared`: the
@@ -145,6 +149,9 @@ public:
   TapeStats stats() const;
   /// What a careful user should know about the last sweep, one line each.
   const std::vector<std::string> &warnings() const { return notes; }
+  /// Whether the sweep launches the adjoint of the record in the form that
+  /// loads what the launch has stored, if there is one.
+  bool readsStoredAt(size_t record) const;
   /// Whether the sweep launches the adjoint of the record in the form that
   /// takes.
   bool takesAt(int64_t record) const { return storesAgain[record]; }
@@ -282,11 +289,13 @@ private:
   /// the adjoints of those.
   Status replayAdjoint(Launch &launch, size_t index);
   Status runAdjoint(Launch &launch, size_t index);
+  Status findAdjoint(size_t index, Kernel *&adjoint);
   /// Finds the records that store elements which an earlier one has used.
   void findRepeatedStores();
   Status runForward();
   std::vector<Field *> liveFields(bool cleared = false) const;
   void examine(size_t index);
+  void explainStored(size_t index);
 
   Status seed();
   void clearSum(Field &loss);
@@ -324,6 +333,8 @@ private:
   /// launch then.
   std::vector<std::pair<FieldPtr, uint64_t>> versions;
   uint64_t endLaunch = 0;
+  /// Some field has changed since then that launches have stored to.
+  bool lostStored = false;
   std::vector<std::string> notes;
 
   /// For each record, whether it stores elements with an adjoint that an

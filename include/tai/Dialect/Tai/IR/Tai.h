@@ -101,6 +101,9 @@ constexpr llvm::StringLiteral kBeforeAttrName = "tai.before";
 /// The adjoint writes to fields while it runs: those of `tai.before` must be
 /// put back to what they were before the launch once more when it is done.
 constexpr llvm::StringLiteral kRerunsAttrName = "tai.reruns";
+/// On an adjoint: the form of it that loads values which the kernel has stored,
+/// for where nothing has overwritten them since.
+constexpr llvm::StringLiteral kStoredFormAttrName = "tai.stored_form";
 /// On a kernel: it is a part of the named kernel, launched in its place under a
 /// tape.
 constexpr llvm::StringLiteral kPartOfAttrName = "tai.part_of";

@@ -1,0 +1,209 @@
+//===- StoredOutputs.cpp - Values that a kernel leaves in fields ----------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "StoredOutputs.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "mlir/Interfaces/CallInterfaces.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/Cost.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Nanoseconds of work that a load must save: a function of the math library,
+/// or a sum of some length. Less is no matter on a CPU, and memory traffic on a
+/// GPU.
+constexpr double kWorthLoading = 8;
+
+//===----------------------------------------------------------------------===//
+// What stands in fields
+//===----------------------------------------------------------------------===//
+
+/// True for what the adjoint can compute at the start of any mirror of the
+/// block that it stands in: arguments of the function, induction variables, and
+/// arithmetic on these.
+static bool isPlainIndex(Value value, unsigned depth = 16) {
+  if (auto argument = dyn_cast<BlockArgument>(value)) {
+    Operation *parent = argument.getOwner()->getParentOp();
+    if (auto loop = dyn_cast<scf::ForOp>(parent))
+      return argument == loop.getInductionVar();
+    return isa<FunctionOpInterface, ParallelForOp>(parent);
+  }
+  Operation *op = value.getDefiningOp();
+  return depth != 0 && op->getNumRegions() == 0 && isMemoryEffectFree(op) &&
+         llvm::all_of(op->getOperands(), [&](Value operand) {
+           return isPlainIndex(operand, depth - 1);
+         });
+}
+
+/// True if what the op stores is what its element holds when the kernel is
+/// done, whatever other iterations do.
+static bool holdsAfterwards(StoreOp store, const AccessTable &accesses) {
+  FieldOp field = lookupField(store, store.getFieldAttr());
+  FailureOr<FieldLayout> layout =
+      field ? getFieldLayout(field) : FailureOr<FieldLayout>(failure());
+  // Where cells come and go, a store may find none.
+  if (failed(layout) || layout->path.getFirstSparse())
+    return false;
+  // No tape watches what is written to gradients.
+  for (FieldOp other : store->getParentOfType<ModuleOp>().getOps<FieldOp>())
+    if (other.getAdjointAttr() == store.getFieldAttr())
+      return false;
+  auto access = cast<DifferentiableAccessInterface>(store.getOperation());
+  if (accesses.findLaterWrite(access))
+    return false;
+  // Which of several iterations comes last is not known.
+  Operation *loop = getEnclosingParallelLoop(store);
+  if (!loop)
+    return true;
+  if (getEnclosingParallelLoop(loop))
+    return false;
+  SmallVector<SmallVector<LinearIndex>> writes;
+  for (DifferentiableAccessInterface other :
+       accesses.getStorages().find(getStorageKey(store))->second) {
+    if (other.getAccessKind() == AccessKind::Read ||
+        !loop->isProperAncestor(other))
+      continue;
+    if (other.getAccessIndices().size() != store.getIndices().size())
+      return false;
+    writes.push_back(getLinearIndices(other.getAccessIndices()));
+  }
+  return isExclusive(loop, writes);
+}
+
+StoredOutputs::StoredOutputs(FunctionOpInterface function,
+                             const AccessTable &accesses) {
+  // Nobody knows what a function does that was not inlined.
+  if (!isa<KernelOp>(function.getOperation()) ||
+      function->walk([](CallOpInterface) { return WalkResult::interrupt(); })
+          .wasInterrupted())
+    return;
+  function->walk([&](StoreOp store) {
+    auto isPlain = [](Value index) { return isPlainIndex(index); };
+    Value stored = store.getValue();
+    Operation *maker = stored.getDefiningOp();
+    if (!maker || !isFloatOrVector(stored.getType()) ||
+        !llvm::all_of(store.getIndices(), isPlain) ||
+        !llvm::all_of(store.getComponents(), isPlain) ||
+        !holdsAfterwards(store, accesses))
+      return;
+    // A value is stored for certain where its block stores it. A loop that is
+    // recomputed for one of its results is for all of them.
+    auto add = [&](Value value, int64_t component) {
+      Operation *op = value.getDefiningOp();
+      if (op && op->getBlock() == store->getBlock() && !isa<LoadOp>(op) &&
+          op->getNumRegions() == 0 && !op->hasTrait<OpTrait::ConstantLike>())
+        places.try_emplace(value, Place{store, component});
+    };
+    add(stored, -1);
+    if (auto elements = dyn_cast<vector::FromElementsOp>(maker))
+      for (auto [i, element] : llvm::enumerate(elements.getElements()))
+        add(element, static_cast<int64_t>(i));
+  });
+}
+
+//===----------------------------------------------------------------------===//
+// Loading it
+//===----------------------------------------------------------------------===//
+
+/// True if to compute the value in the frame takes longer than to load it.
+static bool isDear(Frame &frame, Value value) {
+  double cost = 0;
+  DenseSet<Operation *> seen;
+  SmallVector<Value> pending = {value};
+  while (!pending.empty()) {
+    Value next = pending.pop_back_val();
+    Operation *op = next.getDefiningOp();
+    if (!op || op->getBlock() != frame.primal || frame.values.contains(next) ||
+        !seen.insert(op).second)
+      continue;
+    if (!isa<LoadOp>(op))
+      cost += estimateNanoseconds(op);
+    if (cost >= kWorthLoading)
+      return true;
+    llvm::append_range(pending, op->getOperands());
+  }
+  return false;
+}
+
+/// The value as the kernel has left it in a field, or null. Only rules may ask
+/// for it: what decides where an adjoint goes must be the same in both of its
+/// forms, for one is asked what the other reads.
+Value AdjointBuilder::fetchStored(Frame &frame, Value value) {
+  if (!stored || !inRule || !frame.sweepBegin)
+    return {};
+  const StoredOutputs::Place *place = stored->find(value);
+  if (!place)
+    return {};
+  StoreOp store = place->store;
+  if (accumulated.contains(store.getFieldAttr().getAsOpaquePointer()) ||
+      !isDear(frame, value))
+    return {};
+  stored->used.insert(store);
+  OpBuilder::InsertionGuard guard(*this);
+  Location loc = getLoc();
+  Frame *saved = current;
+  current = &frame;
+  setInsertionPoint(frame.recomputeBegin);
+  setLoc(store.getLoc());
+  // A copy of its own: others may be computed too late.
+  DenseMap<Value, Value> copies;
+  std::function<Value(Value)> copy = [&](Value index) -> Value {
+    Operation *op = index.getDefiningOp();
+    if (!op)
+      return getPrimal(index);
+    if (Value known = copies.lookup(index))
+      return known;
+    IRMapping mapping;
+    for (Value operand : op->getOperands())
+      mapping.map(operand, copy(operand));
+    Operation *made = insert(op->clone(mapping));
+    for (auto [from, to] : llvm::zip(op->getResults(), made->getResults()))
+      copies[from] = to;
+    return copies[index];
+  };
+  SmallVector<Value> indices = llvm::map_to_vector(store.getIndices(), copy);
+  SmallVector<Value> components =
+      llvm::map_to_vector(store.getComponents(), copy);
+  if (place->component >= 0) {
+    int64_t rest = place->component;
+    auto type = cast<VectorType>(store.getValue().getType());
+    for (int64_t extent : llvm::reverse(type.getShape())) {
+      components.insert(components.begin(),
+                        arith::ConstantIndexOp::create(*this, rest % extent));
+      rest /= extent;
+    }
+  }
+  Value loaded = LoadOp::create(*this, value.getType(), store.getFieldAttr(),
+                                indices, components);
+  current = saved;
+  setLoc(loc);
+  return loaded;
+}
+
+/// True if the loads of what was stored find it: the adjoint runs on what the
+/// launch has left, and not on what was there before.
+bool AdjointBuilder::findsStored() const {
+  if (!stored || stored->used.empty() || wantsMore || !plan.recorded.empty() ||
+      !plan.storages.empty())
+    return false;
+  auto before = adjoint->getAttrOfType<ArrayAttr>(kBeforeAttrName);
+  if (!before)
+    return true;
+  return llvm::none_of(stored->used, [&](Operation *store) {
+    return llvm::any_of(
+        before.getAsRange<FlatSymbolRefAttr>(), [&](FlatSymbolRefAttr name) {
+          FieldOp field = lookupField(store, name);
+          return !field || getFieldStorageKey(field) == getStorageKey(store);
+        });
+  });
+}
+
+void AdjointBuilder::readStored() {
+  stored = std::make_unique<StoredOutputs>(primal, accesses);
+}
