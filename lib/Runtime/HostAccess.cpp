@@ -248,14 +248,19 @@ void Runtime::copyIn(Field &field, const void *array) {
   });
 }
 
-/// Elements among those of other fields, at one distance throughout: the rows
-/// of a small object are too short to be filled one by one. False where there
-/// are none such, or too many for one thread.
-static bool fillEvenly(const Field &field, char *data, const char *scalar) {
+/// Elements at one distance throughout: the rows of a small object are too
+/// short to be filled one by one. False where there are none such, or too many
+/// for one thread.
+static bool fillEvenly(const Field &field, char *data, const char *scalar,
+                       bool isZero) {
   int64_t size = byteSize(field.scalar());
   int64_t element = field.numComponents() * size, step = field.evenStep();
-  if (step == 0 || step == element || field.hostBytes() > 8 * bytesPerPart)
+  if (step == 0 || field.hostBytes() > 8 * bytesPerPart)
     return false;
+  if (step == element && isZero) {
+    std::memset(data, 0, static_cast<size_t>(field.hostBytes()));
+    return true;
+  }
   char pattern[16];
   if (element > static_cast<int64_t>(sizeof(pattern)))
     return false;
@@ -294,7 +299,7 @@ void Runtime::fillWith(Field &field, const void *scalarBytes) {
   if (field.tree().mirror() && fillOnDevice(field, scalarBytes))
     return;
   char *data = field.writable();
-  if (fillEvenly(field, data, bytes))
+  if (fillEvenly(field, data, bytes, zero))
     return;
   withSize(scalar, [&](auto size) {
     forEachRow(field, data, [&](const RowPart<char> &row) {
