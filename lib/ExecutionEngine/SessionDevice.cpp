@@ -79,6 +79,7 @@ LogicalResult Session::setArch(StringRef name) {
 
 void Session::setFuseLaunches(bool on) {
   fuseLaunches = on;
+  rt->setFuseLaunches(on);
   if (runtime::DeviceQueue *queue = rt->getDeviceQueue())
     queue->setMode(on ? runtime::ProgramMode::Automatic
                       : runtime::ProgramMode::Launches);

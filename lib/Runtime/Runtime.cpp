@@ -386,7 +386,7 @@ Status Runtime::ready(Kernel &kernel) {
   return status;
 }
 
-static Status failureOf(Launch &launch, const Kernel &kernel) {
+Status Runtime::failureOf(Launch &launch, const Kernel &kernel) {
   if (launch.hasFailed())
     return launch.takeFailure();
   return Status::failure(StatusCode::Internal,

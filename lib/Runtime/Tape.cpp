@@ -209,6 +209,8 @@ Status Tape::sweepPlanned() {
   runtime.skipCounts.bump(SkipCount::TapeSkipped,
                           numRecords() - static_cast<int64_t>(needed.size()));
   HeldLaunch held(runtime);
+  if (findPlainReverse())
+    return runPlainReverse(held.get());
   for (uint32_t index : needed) {
     Status status = replayAdjoint(held.get(), index);
     if (!status)
@@ -315,7 +317,12 @@ Status Tape::runForward() {
   topology->restart();
   sweptBefore = false;
   Status status;
-  for (size_t i = 0; i < records.size() && status; ++i) {
+  size_t first = 0;
+  if (findPlainForward()) {
+    status = runPlainForward(held.get());
+    first = records.size();
+  }
+  for (size_t i = first; i < records.size() && status; ++i) {
     const Record &record = records[i];
     if (checkpoints) {
       checkpoints->reach(static_cast<uint32_t>(i));
@@ -472,6 +479,7 @@ const std::string &Tape::explain() {
           "; recomputed " + std::to_string(recomputedAt[i]) + " times";
     explanation += '\n';
   }
+  explainPlain();
   // How a device runs sequences of launches.
   if (const DeviceQueue *queue = runtime.getDeviceQueue())
     explanation += queue->explain();

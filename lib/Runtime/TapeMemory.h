@@ -283,6 +283,8 @@ public:
   /// Fields that some record reads or changes.
   bool isTouched(const Field &field) const { return findTrack(field); }
   bool empty() const { return pieces.empty(); }
+  /// No launch of the sequence changes what an adjoint wants as it was.
+  bool savesNothing() const { return pieces.empty() && candidates.empty(); }
 
 private:
   /// A copy that may have to be made whenever the sequence runs.

@@ -73,6 +73,7 @@ public:
   /// Whether the record has changed the activity of the level.
   bool changes(uint32_t record, const SparseNode &node) const;
   bool empty() const { return changed.empty(); }
+  bool watchesNothing() const { return watched.empty(); }
 
 private:
   static constexpr uint32_t kEnd = UINT32_MAX - 1;

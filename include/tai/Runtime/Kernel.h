@@ -257,6 +257,7 @@ private:
 
   /// Fills the tables below; fails if a tree has been destroyed.
   Status bind(uint64_t epoch);
+  bool isPlain() const;
 
   KernelInfo info;
   std::atomic<TaiKernelFn> function{nullptr};

@@ -129,6 +129,8 @@ public:
   /// along: also those that a tape replays, and adjoints.
   void setForward(bool on) { forward = on; }
   bool isForward() const { return forward; }
+  /// Whether launches that come one after another may become one piece of work.
+  void setFuseLaunches(bool on) { fusesLaunches = on; }
   /// Also restarts the numbering of launches, so that what follows draws the
   /// same random numbers again.
   void setSeed(uint64_t seed);
@@ -309,6 +311,9 @@ private:
     storageEpoch.fetch_add(1, std::memory_order_relaxed);
   }
   Status ready(Kernel &kernel);
+  /// Whether there is nothing to do around the code of kernels.
+  bool runsPlainly() const;
+  static Status failureOf(Launch &launch, const Kernel &kernel);
   Status run(Launch &launch, Kernel &kernel, const uint64_t *args,
              uint64_t *results, uint64_t number) {
     if (__builtin_expect(forward, false))
@@ -398,6 +403,7 @@ private:
   /// The tape whose sweep has called a function of the host.
   Tape *sweeping = nullptr;
   bool forward = false;
+  bool fusesLaunches = true;
   /// Stamps of tapes and of their plans.
   uint64_t stamps = 0;
 

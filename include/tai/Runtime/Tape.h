@@ -297,6 +297,17 @@ private:
   void examine(size_t index);
   void explainStored(size_t index);
 
+  // TapePlain.cpp
+  bool isPlain() const;
+  /// Whether nothing but calls of kernels, or of adjoints by the plan, is to be
+  /// done; and that.
+  bool findPlainForward();
+  bool findPlainReverse();
+  Status runPlainForward(Launch &launch);
+  Status runPlainReverse(Launch &launch);
+  Status callPlainly(Launch &launch, Kernel &kernel, size_t index);
+  void explainPlain();
+
   Status seed();
   void clearSum(Field &loss);
   bool isLoss(const Field &field) const;
@@ -351,6 +362,9 @@ private:
   /// The plan of the reverse sweep, and what it holds for.
   std::vector<Decision> decisions;
   std::vector<uint32_t> needed;
+  /// Of each of them, where they are called one after another.
+  std::vector<Kernel *> plainAdjoints;
+  std::vector<Field *> plainTargets;
   std::vector<Field *> plannedLive;
   uint64_t plannedEpoch = 0;
   std::string explanation;
