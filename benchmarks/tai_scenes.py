@@ -380,6 +380,8 @@ def make_mpm(problem) -> Program:
     def prepare():
         momentum.fill(0.0)
         grid_mass.fill(0.0)
+        if whole:
+            rest.fill(0.0)
 
     def forward():
         for t in range(slots - 1):

@@ -36,13 +36,75 @@ bool DeviceQueue::Sequence::hasStructureOf(const Sequence &other) const {
                     });
 }
 
+DeviceRows DeviceQueue::Sequence::rowsOf(const Step &step) const {
+  const uint64_t *values = slots.data() + step.firstSlot;
+  auto number = [&](int at) { return static_cast<int64_t>(values[at]); };
+  if (step.kind == Step::Kind::Fill)
+    return {values[0], 0, number(2) * number(3), 1};
+  return {values[0], number(1), number(2), number(3), number(6), number(7)};
+}
+
+/// Whether `second` starts in every place where `first` ends.
+static bool isBeside(const DeviceRows &first, const DeviceRows &second) {
+  if (second.address != first.address + static_cast<uint64_t>(first.rowBytes) ||
+      first.rows != second.rows || first.outer != second.outer)
+    return false;
+  int64_t bytes = first.rowBytes + second.rowBytes;
+  return (first.rows == 1 ||
+          (first.step == second.step && bytes <= first.step)) &&
+         (first.outer == 1 || (first.outerStep == second.outerStep &&
+                               (first.rows > 1 || bytes <= first.outerStep)));
+}
+
+/// Rows without anything in between are one.
+static void closeUp(DeviceRows &rows) {
+  if (rows.rows > 1 && rows.rowBytes == rows.step) {
+    rows.rowBytes *= rows.rows;
+    rows.rows = 1;
+  }
+  if (rows.rows == 1 && rows.outer > 1 && rows.rowBytes == rows.outerStep) {
+    rows.rowBytes *= rows.outer;
+    rows.outer = 1;
+  }
+}
+
+void DeviceQueue::Sequence::addFill(const DeviceRows &rows, const void *pattern,
+                                    int patternBytes) {
+  DeviceRows all = rows;
+  if (!steps.empty()) {
+    const Step &last = steps.back();
+    bool isFill = last.kind == Step::Kind::Fill,
+         isRows = last.kind == Step::Kind::FillRows;
+    const uint64_t *values = slots.data() + last.firstSlot;
+    if ((isFill && values[2] == static_cast<uint64_t>(patternBytes) &&
+         std::memcmp(values + 1, pattern, static_cast<size_t>(patternBytes)) ==
+             0) ||
+        (isRows && values[5] == static_cast<uint64_t>(patternBytes) &&
+         std::memcmp(values + 4, pattern, static_cast<size_t>(patternBytes)) ==
+             0)) {
+      DeviceRows before = rowsOf(last);
+      bool follows = isBeside(before, rows);
+      if (follows || isBeside(rows, before)) {
+        all = follows ? before : rows;
+        all.rowBytes = before.rowBytes + rows.rowBytes;
+        slots.resize(last.firstSlot);
+        steps.pop_back();
+        hash = hashBefore;
+      }
+    }
+  }
+  closeUp(all);
+  if (all.rows == 1 && all.outer == 1)
+    return addFill(all.address, pattern, patternBytes,
+                   all.rowBytes / patternBytes);
+  uint64_t bits = 0;
+  std::memcpy(&bits, pattern, static_cast<size_t>(patternBytes));
+  addRows(Step::Kind::FillRows, all, bits, patternBytes);
+}
+
 Status DeviceQueue::Sequence::run(Device &device, const Step &step) const {
   const uint64_t *values = slots.data() + step.firstSlot;
   auto number = [&](int at) { return static_cast<int64_t>(values[at]); };
-  auto rows = [&] {
-    return DeviceRows{values[0], number(1), number(2),
-                      number(3), number(6), number(7)};
-  };
   switch (step.kind) {
   case Step::Kind::Launch:
     return device.launch(*step.function->function, step.shape, values,
@@ -53,11 +115,12 @@ Status DeviceQueue::Sequence::run(Device &device, const Step &step) const {
   case Step::Kind::Copy:
     return device.copy(values[0], values[1], static_cast<int64_t>(values[2]));
   case Step::Kind::FillRows:
-    return device.fillRows(rows(), values + 4, static_cast<int>(values[5]));
+    return device.fillRows(rowsOf(step), values + 4,
+                           static_cast<int>(values[5]));
   case Step::Kind::CopyRows:
-    return device.copyRows(rows(), values[4], number(5));
+    return device.copyRows(rowsOf(step), values[4], number(5));
   case Step::Kind::SwapRows:
-    return device.swapRows(rows(), values[4], number(5));
+    return device.swapRows(rowsOf(step), values[4], number(5));
   }
   return Status::success();
 }

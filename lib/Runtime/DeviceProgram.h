@@ -63,6 +63,8 @@ struct DeviceQueue::Sequence {
   std::vector<uint64_t> slots;
   /// Of what the steps are, without the slots.
   uint64_t hash = 14695981039346656037ull;
+  /// The same before the last step.
+  uint64_t hashBefore = 0;
 
   bool empty() const { return steps.empty(); }
   void addLaunch(Function &function, const LaunchShape &shape,
@@ -72,6 +74,9 @@ struct DeviceQueue::Sequence {
     slots.insert(slots.end(), values, values + count);
     add(step);
   }
+  /// Fills that follow one another and lie side by side are one step: those of
+  /// fields that share their cells, say.
+  void addFill(const DeviceRows &rows, const void *pattern, int patternBytes);
   void addFill(DevicePtr to, const void *pattern, int patternBytes,
                int64_t count) {
     // All sizes of patterns are filled as eight bytes again and again.
@@ -102,7 +107,9 @@ struct DeviceQueue::Sequence {
   Status run(Device &device, const Step &step) const;
 
 private:
+  DeviceRows rowsOf(const Step &step) const;
   void add(const Step &step) {
+    hashBefore = hash;
     auto mix = [&](uint64_t value) {
       hash = (hash ^ value) * 1099511628211ull;
     };

@@ -91,15 +91,20 @@ DeviceFunctionFacts DeviceQueue::facts(const DeviceFunction &function) const {
 Status DeviceQueue::launch(DeviceFunction &function, const LaunchShape &shape,
                            const uint64_t *slots, int count) {
   auto &wrapped = static_cast<Function &>(function);
-  if (__builtin_expect(collecting == 0, true))
-    return device->launch(*wrapped.function, shape, slots, count);
+  if (__builtin_expect(collecting == 0, true)) {
+    Status status = settle();
+    return status ? device->launch(*wrapped.function, shape, slots, count)
+                  : std::move(status);
+  }
   collected->addLaunch(wrapped, shape, slots, count);
   return Status::success();
 }
 
 Status DeviceQueue::copy(DevicePtr to, DevicePtr from, int64_t bytes) {
-  if (collecting == 0)
-    return device->copy(to, from, bytes);
+  if (collecting == 0) {
+    Status status = settle();
+    return status ? device->copy(to, from, bytes) : std::move(status);
+  }
   if (bytes > 0)
     collected->addCopy(to, from, bytes);
   return Status::success();
@@ -107,37 +112,38 @@ Status DeviceQueue::copy(DevicePtr to, DevicePtr from, int64_t bytes) {
 
 Status DeviceQueue::fill(DevicePtr to, const void *pattern, int patternBytes,
                          int64_t count) {
-  if (collecting == 0)
-    return device->fill(to, pattern, patternBytes, count);
-  if (count > 0)
-    collected->addFill(to, pattern, patternBytes, count);
-  return Status::success();
+  return fillRows({to, 0, patternBytes * count, 1}, pattern, patternBytes);
 }
 
 Status DeviceQueue::copyRows(const DeviceRows &to, DevicePtr from,
                              int64_t fromStep) {
-  if (collecting == 0)
-    return device->copyRows(to, from, fromStep);
+  if (collecting == 0) {
+    Status status = settle();
+    return status ? device->copyRows(to, from, fromStep) : std::move(status);
+  }
   collected->addRows(Step::Kind::CopyRows, to, from, fromStep);
   return Status::success();
 }
 
 Status DeviceQueue::swapRows(const DeviceRows &one, DevicePtr other,
                              int64_t otherStep) {
-  if (collecting == 0)
-    return device->swapRows(one, other, otherStep);
+  if (collecting == 0) {
+    Status status = settle();
+    return status ? device->swapRows(one, other, otherStep) : std::move(status);
+  }
   collected->addRows(Step::Kind::SwapRows, one, other, otherStep);
   return Status::success();
 }
 
 Status DeviceQueue::fillRows(const DeviceRows &to, const void *pattern,
                              int patternBytes) {
-  if (collecting == 0)
-    return device->fillRows(to, pattern, patternBytes);
-  uint64_t bits = 0;
-  std::memcpy(&bits, pattern, static_cast<size_t>(patternBytes));
-  collected->addRows(Step::Kind::FillRows, to, bits, patternBytes);
-  return Status::success();
+  if (to.rowBytes == 0 || to.rows == 0 || to.outer == 0)
+    return Status::success();
+  collected->addFill(to, pattern, patternBytes);
+  // Those that nobody has asked for yet wait for what comes beside them, or
+  // for the sequence that they belong to.
+  hasFills |= collecting == 0;
+  return oneByOne ? settle() : Status::success();
 }
 
 Status DeviceQueue::copyIn(DevicePtr to, const void *from, int64_t bytes) {
@@ -172,6 +178,7 @@ Status DeviceQueue::synchronize() {
 
 void DeviceQueue::free(DevicePtr memory) {
   // What has been collected may use it.
+  (void)settle();
   if (collected->empty())
     device->free(memory);
   else
@@ -181,7 +188,7 @@ void DeviceQueue::free(DevicePtr memory) {
 Status DeviceQueue::endCollecting() {
   if (--collecting > 0)
     return Status::success();
-  return flush();
+  return flush(/*isWhole=*/true);
 }
 
 //===----------------------------------------------------------------------===//
@@ -211,9 +218,10 @@ DeviceQueue::Program *DeviceQueue::findProgram(Sequence &&sequence,
   return program;
 }
 
-Status DeviceQueue::flush() {
+Status DeviceQueue::flush(bool isWhole) {
   if (collected->empty())
     return Status::success();
+  hasFills = false;
   // Nothing of this may be collected in its turn.
   Sequence sequence = std::move(*collected);
   *collected = Sequence();
@@ -222,8 +230,8 @@ Status DeviceQueue::flush() {
   Status status;
   // Less than this is not worth a graph.
   constexpr size_t fewest = 4;
-  if (sequence.steps.size() < fewest || mode == ProgramMode::Launches ||
-      oneByOne) {
+  if (!isWhole || sequence.steps.size() < fewest ||
+      mode == ProgramMode::Launches || oneByOne) {
     status = sequence.run(*device);
   } else {
     bool same = false;

@@ -9,6 +9,7 @@
 #include "Scalars.h"
 #include "Slabs.h"
 #include "tai/Runtime/Runtime.h"
+#include "tai/Runtime/Tape.h"
 #include <algorithm>
 #include <cstring>
 
@@ -101,8 +102,12 @@ Status Runtime::change(const HostWrite &write) {
   }
   if (activeTape)
     return activeTape->write(write);
-  // On a device it would take a copy to find out; only tapes want to know.
-  if ((tapes == 0 && device) || !isVain(write))
+  // On a device it would take a copy, and a wait, to find out; only tapes that
+  // need what the field held want to know.
+  if ((device &&
+       std::none_of(tapes.begin(), tapes.end(),
+                    [&](const Tape *tape) { return tape->minds(field); })) ||
+      !isVain(write))
     ++field.hostVersion;
   perform(write);
   return takeDeviceFailure();

@@ -95,7 +95,8 @@ Status Mirror::write(int64_t offset, const void *from, int64_t bytes) {
     // Where both are current, both stay so.
     if (onHost())
       std::memcpy(tree.base() + offset, from, static_cast<size_t>(bytes));
-    return device().fill(at(offset), from, static_cast<int>(bytes), 1);
+    Status status = device().fill(at(offset), from, static_cast<int>(bytes), 1);
+    return status && isLent() ? context().queue().settle() : std::move(status);
   }
   Status status = toHost();
   if (!status)
@@ -246,6 +247,13 @@ static std::vector<DeviceRows> findPieces(const Mirror &mirror,
   return pieces;
 }
 
+/// Who looks at the memory of a field by itself does not ask for what the
+/// queue keeps.
+static void settleLent(const Mirror &mirror) {
+  if (mirror.isLent())
+    mirror.context().note(mirror.context().queue().settle());
+}
+
 bool Runtime::fillOnDevice(Field &field, const void *scalarBytes) {
   Mirror &mirror = *field.tree().mirror();
   if (!mirror.onDevice())
@@ -262,6 +270,7 @@ bool Runtime::fillOnDevice(Field &field, const void *scalarBytes) {
               ? mirror.device().fill(piece.address, scalarBytes, size,
                                      piece.rowBytes / size)
               : mirror.device().fillRows(piece, scalarBytes, size));
+    settleLent(mirror);
     return true;
   }
   mirror.deviceWrites();
@@ -272,6 +281,7 @@ bool Runtime::fillOnDevice(Field &field, const void *scalarBytes) {
       rows.rows == 1
           ? device.fill(rows.address, scalarBytes, size, rows.rowBytes / size)
           : device.fillRows(rows, scalarBytes, size));
+  settleLent(mirror);
   return true;
 }
 

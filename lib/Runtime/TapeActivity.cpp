@@ -36,10 +36,10 @@ Status Runtime::setActive(const TreePtr &tree, int64_t level, int64_t cell,
     return activeTape->changeActivity(tree, change);
   // Without tapes nobody asks, and a device need not be waited for.
   SparseNode &node = *tree->sparseNodes()[level];
-  uint64_t before = tapes ? node.lastRemoval() : 0;
+  uint64_t before = !tapes.empty() ? node.lastRemoval() : 0;
   Status status = change();
   // What inactive cells hold has become zero.
-  if (tapes && node.lastRemoval() != before)
+  if (!tapes.empty() && node.lastRemoval() != before)
     for (const FieldPtr &field : fieldList)
       if (field->owner == tree && field->sparseNode())
         ++field->hostVersion;

@@ -28,12 +28,13 @@ Tape::Tape(Runtime &runtime, uint64_t stamp)
     : runtime(runtime), stamp(stamp),
       memory(std::make_unique<TapeMemory>(runtime)),
       topology(std::make_unique<TapeTopology>(runtime)) {
-  ++runtime.tapes;
+  runtime.tapes.push_back(this);
 }
 
 Tape::~Tape() {
   end();
-  --runtime.tapes;
+  runtime.tapes.erase(
+      std::find(runtime.tapes.begin(), runtime.tapes.end(), this));
 }
 
 void Tape::end() {
@@ -229,6 +230,10 @@ Status Tape::overwrite(const HostWrite &write) {
 // What has changed since
 //===----------------------------------------------------------------------===//
 
+bool Tape::minds(const Field &field) const {
+  return checkpoints ? memory->isTouched(field) : memory->isRead(field);
+}
+
 void Tape::markVersions() {
   versions.clear();
   for (const FieldPtr &field : runtime.fieldList)
@@ -257,8 +262,7 @@ Status Tape::checkVersions() {
         addChangedBy(*kernel, byKernels);
   auto check = [&](const std::vector<Field *> &changed, const char *how) {
     for (Field *field : changed) {
-      // What is recomputed reads whatever launches read.
-      if (checkpoints ? memory->isTouched(*field) : memory->isRead(*field))
+      if (minds(*field))
         return Status::failure(
             StatusCode::Usage,
             "field '" + field->name() + "' was changed " + how +

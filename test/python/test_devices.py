@@ -225,6 +225,88 @@ def test_a_fill_stays_in_its_field():
     assert (second.to_numpy() == -1.0).all()
 
 
+@pytest.mark.parametrize("order", ["up", "down", "apart"])
+@pytest.mark.parametrize("values", [(0.0, 0.0, 0.0), (3.0, 3.0, 3.0), (1.0, 2.0, 2.0)])
+def test_fills_side_by_side(order, values):
+    """Fills of fields that share cells may become one; each element has its own field's value."""
+    a, b, c = ti.Vector.field(2, ti.f32), ti.field(ti.f32), ti.field(ti.f32)
+    kept = ti.field(ti.f32)
+    ti.root.dense(ti.i, 6).place(a, b, c, kept)
+
+    @ti.kernel
+    def count():
+        for i in b:
+            a[i] = ti.Vector([i, -i])
+            b[i] = 10.0 * i
+            c[i] = 100.0 * i
+            kept[i] = 1000.0 * i
+
+    @ti.kernel
+    def total() -> ti.f32:
+        s = 0.0
+        for i in b:
+            s += a[i].sum() + b[i] + c[i] + kept[i]
+        return s
+
+    fields = {"up": "abc", "down": "cba", "apart": "acb"}[order]
+    held = dict(zip("abc", values))
+    for _ in range(2):
+        count()
+        for name in fields:
+            {"a": a, "b": b, "c": c}[name].fill(held[name])
+        c[2] = 5.0
+        kept[3] = 6.0
+        expected = 6 * (2 * held["a"] + held["b"] + held["c"]) - held["c"] + 5
+        assert total() == expected + 12000.0 + 6.0
+        assert (a.to_numpy() == held["a"]).all() and (b.to_numpy() == held["b"]).all()
+        c.fill(held["c"])
+        c.fill(-1.0)
+        assert (c.to_numpy() == -1.0).all()
+
+
+def test_clears_side_by_side_are_part_of_the_sequence():
+    """What is cleared before a replay, and its gradients, is one step where it lies together."""
+    x = ti.field(ti.f32, shape=8, needs_grad=True)
+    momentum, mass, rest = ti.Vector.field(2, ti.f32), ti.field(ti.f32), ti.field(ti.f32)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+    ti.root.dense(ti.i, 8).place(momentum, mass, rest)
+    ti.root.lazy_grad()
+
+    @ti.kernel
+    def scatter():
+        for i in x:
+            momentum[i // 2] += x[i] * ti.Vector([1.0, 2.0])
+            mass[i // 2] += 1.0
+
+    @ti.kernel
+    def collect():
+        for i in mass:
+            loss[None] += momentum[i][0] * momentum[i][1] + rest[i]
+
+    def clear():
+        momentum.fill(0.0)
+        mass.fill(0.0)
+        rest.fill(0.0)
+
+    clear()
+    x.from_numpy(np.arange(8, dtype=np.float32))
+    with ti.ad.Tape(loss) as tape:
+        scatter()
+        collect()
+    for round in range(5):
+        x[3] = round
+        clear()
+        loss[None] = 0.0
+        tape.replay()
+        pairs = x.to_numpy().reshape(4, 2).sum(axis=1)
+        assert loss[None] == 2 * (pairs**2).sum()
+        assert (x.grad.to_numpy() == np.repeat(4 * pairs, 2)).all()
+        assert (rest.grad.to_numpy() == [1.0] * 8).all()
+    # All of the cells at once, two losses (the tape clears its own), five gradients at most.
+    steps = [int(line.split()[0]) for line in tape.explain().splitlines() if " steps, run" in line]
+    assert steps and max(steps) <= 4 + 1 + 2 + 5
+
+
 def power_kernels():
     """Kernels whose gradients record a number for each of `n` trips."""
     c = ti.field(ti.f64, shape=(), needs_grad=True)

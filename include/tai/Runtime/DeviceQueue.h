@@ -123,6 +123,14 @@ public:
   void beginCollecting() { ++collecting; }
   bool isCollecting() const { return collecting > 0; }
   Status endCollecting();
+  /// Fills that come while nothing is collected are kept until something else
+  /// comes: those beside one another become one, and those before a sequence
+  /// become part of it. Queues them.
+  Status settle() {
+    if (__builtin_expect(!hasFills || collecting > 0, true))
+      return Status::success();
+    return flush(/*isWhole=*/false);
+  }
 
   /// What has become of the sequences so far, one line each.
   std::string explain() const;
@@ -181,13 +189,17 @@ private:
   struct Sequence;
   class Program;
 
-  Status flush();
+  /// Queues what has been collected; what is whole may become a program.
+  Status flush(bool isWhole);
+  Status flush() { return flush(collecting > 0); }
   Program *findProgram(Sequence &&sequence, bool &same);
 
   std::unique_ptr<Device> device;
   ProgramMaker makeProgram;
   ProgramMode mode = ProgramMode::Automatic;
   bool oneByOne = false;
+  /// Whether fills have been kept while nothing was collected.
+  bool hasFills = false;
   int collecting = 0;
   std::unique_ptr<Sequence> collected;
   std::vector<DevicePtr> released;

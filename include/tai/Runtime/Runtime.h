@@ -384,7 +384,7 @@ private:
   /// Shared with what lies on it.
   std::shared_ptr<DeviceContext> device;
   /// Tapes that there are.
-  int tapes = 0;
+  std::vector<Tape *> tapes;
 
   std::unique_ptr<ForkGuard> forkGuard;
   std::unique_ptr<WorkerPool> pool;

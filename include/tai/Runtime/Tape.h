@@ -81,6 +81,9 @@ public:
   Tape(const Tape &) = delete;
   Tape &operator=(const Tape &) = delete;
 
+  /// Whether the gradient needs what the field holds. What is recomputed reads
+  /// whatever launches read.
+  bool minds(const Field &field) const;
   /// Stops recording. Ending twice is harmless.
   void end();
   bool recording() const;

@@ -383,16 +383,27 @@ Status CudaDevice::loadRowKernels() {
   image.bytes.assign(reinterpret_cast<const char *>(cudaRowKernels),
                      cudaRowKernels_size);
   Status status = load(image, rowsModule);
-  const char *names[2][3] = {
-      {"tai_copy_bytes", "tai_swap_bytes", "tai_fill_bytes"},
-      {"tai_copy_words", "tai_swap_words", "tai_fill_words"}};
-  for (int w = 0; w < 2; ++w)
+  const char *kernels[] = {"tai_copy_", "tai_swap_", "tai_fill_"};
+  const char *units[] = {"bytes", "words", "pairs", "quads"};
+  for (int u = 0; u < kRowUnits; ++u)
     for (int k = 0; k < 3 && status; ++k)
-      status = find(*rowsModule, names[w][k], rowFunctions[w][k]);
+      status = find(*rowsModule, (std::string(kernels[k]) + units[u]).c_str(),
+                    rowFunctions[u][k]);
   return status;
 }
 
-Status CudaDevice::runRows(RowKernel kernel, bool words, int64_t units,
+static constexpr uint64_t rowUnitBytes[] = {1, 4, 8, 16};
+
+/// The largest unit of which all of these are multiples.
+static int findUnit(std::initializer_list<uint64_t> numbers) {
+  int unit = 3;
+  for (uint64_t number : numbers)
+    while (number % rowUnitBytes[unit])
+      --unit;
+  return unit;
+}
+
+Status CudaDevice::runRows(RowKernel kernel, int unit, int64_t units,
                            std::initializer_list<uint64_t> parameters) {
   if (units == 0)
     return Status::success();
@@ -402,53 +413,49 @@ Status CudaDevice::runRows(RowKernel kernel, bool words, int64_t units,
   shape.blocks = static_cast<unsigned>(
       std::clamp<int64_t>((units + shape.threads - 1) / shape.threads, 1,
                           blocksEach * most.multiprocessors));
-  return launch(*rowFunctions[words][kernel], shape, parameters.begin(),
+  return launch(*rowFunctions[unit][kernel], shape, parameters.begin(),
                 static_cast<int>(parameters.size()));
 }
 
-/// Whether all of these are multiples of a word.
-static bool areWords(std::initializer_list<uint64_t> numbers) {
-  return std::all_of(numbers.begin(), numbers.end(),
-                     [](uint64_t number) { return number % 4 == 0; });
+Status CudaDevice::runPairs(RowKernel kernel, const DeviceRows &one,
+                            DevicePtr other, int64_t otherStep) {
+  auto bytes = static_cast<uint64_t>(one.rowBytes);
+  auto step = static_cast<uint64_t>(one.step);
+  auto stepThere = static_cast<uint64_t>(otherStep);
+  int unit = findUnit({one.address, step, other, stepThere, bytes});
+  uint64_t size = rowUnitBytes[unit];
+  return runRows(kernel, unit, static_cast<int64_t>(bytes / size) * one.rows,
+                 {one.address, step / size, other, stepThere / size,
+                  bytes / size, static_cast<uint64_t>(one.rows)});
 }
 
 Status CudaDevice::copyRows(const DeviceRows &to, DevicePtr from,
                             int64_t fromStep) {
-  auto bytes = static_cast<uint64_t>(to.rowBytes);
-  auto step = static_cast<uint64_t>(to.step);
-  auto otherStep = static_cast<uint64_t>(fromStep);
-  bool words = areWords({to.address, step, from, otherStep, bytes});
-  uint64_t unit = words ? 4 : 1;
-  return runRows(CopyRows, words, static_cast<int64_t>(bytes / unit) * to.rows,
-                 {to.address, step / unit, from, otherStep / unit, bytes / unit,
-                  static_cast<uint64_t>(to.rows)});
+  return runPairs(CopyRows, to, from, fromStep);
 }
 
 Status CudaDevice::swapRows(const DeviceRows &one, DevicePtr other,
                             int64_t otherStep) {
-  auto bytes = static_cast<uint64_t>(one.rowBytes);
-  auto step = static_cast<uint64_t>(one.step);
-  auto stepThere = static_cast<uint64_t>(otherStep);
-  bool words = areWords({one.address, step, other, stepThere, bytes});
-  uint64_t unit = words ? 4 : 1;
-  return runRows(SwapRows, words, static_cast<int64_t>(bytes / unit) * one.rows,
-                 {one.address, step / unit, other, stepThere / unit,
-                  bytes / unit, static_cast<uint64_t>(one.rows)});
+  return runPairs(SwapRows, one, other, otherStep);
 }
 
 Status CudaDevice::fillRows(const DeviceRows &to, const void *pattern,
                             int patternBytes) {
   auto bytes = static_cast<uint64_t>(to.rowBytes);
   auto step = static_cast<uint64_t>(to.step);
-  auto size = static_cast<uint64_t>(patternBytes);
   auto outerStep = static_cast<uint64_t>(to.outerStep);
-  bool words = areWords({to.address, step, bytes, size, outerStep});
-  uint64_t unit = words ? 4 : 1, bits = 0;
-  std::memcpy(&bits, pattern, size);
+  int unit = findUnit({to.address, step, bytes, outerStep});
+  uint64_t size = rowUnitBytes[unit];
+  // The pattern again and again, to eight bytes.
+  char bits[8];
+  for (int at = 0; at < 8; ++at)
+    bits[at] = static_cast<const char *>(pattern)[at % patternBytes];
+  uint64_t whole;
+  std::memcpy(&whole, bits, sizeof(whole));
   return runRows(
-      FillRows, words, static_cast<int64_t>(bytes / unit) * to.rows * to.outer,
-      {to.address, step / unit, bytes / unit, static_cast<uint64_t>(to.rows),
-       bits, size / unit, outerStep / unit, static_cast<uint64_t>(to.outer)});
+      FillRows, unit, static_cast<int64_t>(bytes / size) * to.rows * to.outer,
+      {to.address, step / size, bytes / size, static_cast<uint64_t>(to.rows),
+       whole, outerStep / size, static_cast<uint64_t>(to.outer)});
 }
 
 bool CudaDevice::isDeviceMemory(const void *address) const {

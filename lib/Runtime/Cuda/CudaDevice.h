@@ -122,8 +122,11 @@ private:
   /// Kernels of our own; see Rows.cu.
   Status loadRowKernels();
   enum RowKernel { CopyRows, SwapRows, FillRows };
-  Status runRows(RowKernel kernel, bool words, int64_t units,
+  Status runRows(RowKernel kernel, int unit, int64_t units,
                  std::initializer_list<uint64_t> parameters);
+  /// One of those that take rows here and rows there.
+  Status runPairs(RowKernel kernel, const DeviceRows &one, DevicePtr other,
+                  int64_t otherStep);
 
   /// Small copies go through memory that the device reads and writes itself.
   static constexpr int64_t stagingBytes = 256 << 10;
@@ -142,7 +145,9 @@ private:
   int64_t allocated = 0;
 
   std::unique_ptr<DeviceModule> rowsModule;
-  DeviceFunction *rowFunctions[2][3] = {};
+  /// Bytes, words, pairs of them and quads.
+  static constexpr int kRowUnits = 4;
+  DeviceFunction *rowFunctions[kRowUnits][3] = {};
 
   std::mutex stagingMutex;
   char *staging = nullptr;

@@ -8,13 +8,24 @@
 // What the driver's own copies do not do, or do slowly: rows of a few bytes,
 // such as the elements of a field whose cells hold other fields too. Compiled
 // to PTX while the project is built. Rows and the distances between them are in
-// units: of four bytes, or of one where that does not fit.
+// units: of 16 bytes, or the largest of eight, four and one that fits.
 //
 //===----------------------------------------------------------------------===//
 
-using Word = unsigned;
 using Byte = unsigned char;
+using Word = unsigned;
+using Pair = unsigned long long;
+using Quad = unsigned long long __attribute__((ext_vector_type(2)));
 using Size = unsigned long long;
+
+/// What stands in a unit that starts `at` units after the begin of a row, which
+/// begins with the pattern of eight bytes.
+template <typename Unit> static inline Unit unitOf(Size pattern, Size at) {
+  return (Unit)(pattern >> (at * sizeof(Unit) % 8 * 8));
+}
+template <> inline Quad unitOf<Quad>(Size pattern, Size) {
+  return Quad{pattern, pattern};
+}
 
 /// Calls move(row, place in the row) for the units of this thread.
 template <typename Move>
@@ -57,18 +68,16 @@ static inline void forEachUnit(Size rowUnits, Size rows, const Move &move) {
       b[row * bStep + at] = before;                                            \
     });                                                                        \
   }                                                                            \
-  /* Each row starts with the lowest units of the pattern, of a power of two   \
-     of them. */                                                               \
   KERNEL tai_fill_##suffix(Unit *to, Size step, Size rowUnits, Size rows,      \
-                           Size pattern, Size patternUnits, Size outerStep,    \
-                           Size outer) {                                       \
+                           Size pattern, Size outerStep, Size outer) {         \
     forEachUnit(rowUnits, rows * outer, [&](Size row, Size at) {               \
-      Size shift = (at & (patternUnits - 1)) * sizeof(Unit) * 8;               \
       Size group = outer == 1 ? 0 : row / rows;                                \
       to[group * outerStep + (row - group * rows) * step + at] =               \
-          (Unit)(pattern >> shift);                                            \
+          unitOf<Unit>(pattern, at);                                           \
     });                                                                        \
   }
 
-ROW_KERNELS(Word, words)
 ROW_KERNELS(Byte, bytes)
+ROW_KERNELS(Word, words)
+ROW_KERNELS(Pair, pairs)
+ROW_KERNELS(Quad, quads)

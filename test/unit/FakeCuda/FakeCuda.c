@@ -337,8 +337,10 @@ Result cuModuleUnload(void *given) {
 Result cuModuleGetFunction(void **result, void *given, const char *name) {
   (void)given;
   static char names[][16] = {
-      "scale",          "where",          "tai_copy_words", "tai_copy_bytes",
-      "tai_swap_words", "tai_swap_bytes", "tai_fill_words", "tai_fill_bytes"};
+      "scale",          "where",          "tai_copy_quads", "tai_copy_pairs",
+      "tai_copy_words", "tai_copy_bytes", "tai_swap_quads", "tai_swap_pairs",
+      "tai_swap_words", "tai_swap_bytes", "tai_fill_quads", "tai_fill_pairs",
+      "tai_fill_words", "tai_fill_bytes"};
   for (unsigned i = 0; i < sizeof(names) / sizeof(names[0]); ++i)
     if (strcmp(name, names[i]) == 0) {
       *result = names[i];
@@ -366,15 +368,20 @@ Result cuOccupancyMaxActiveBlocksPerMultiprocessor(int *blocks, void *function,
 
 /// As Rows.cu has them.
 static void rows(const char *function, void **parameters) {
-  uint64_t p[6];
-  for (int i = 0; i < 6; ++i)
+  int fills = strstr(function, "fill") != NULL;
+  uint64_t p[7];
+  for (int i = 0; i < 6 + fills; ++i)
     p[i] = *(uint64_t *)parameters[i];
-  size_t unit = strstr(function, "words") ? 4 : 1;
-  if (strstr(function, "fill")) {
-    for (uint64_t row = 0; row < p[3]; ++row)
-      for (uint64_t at = 0; at < p[2]; ++at)
-        memcpy((char *)(uintptr_t)p[0] + (row * p[1] + at) * unit,
-               (char *)&p[4] + at % p[5] * unit, unit);
+  size_t unit = strstr(function, "quads")   ? 16
+                : strstr(function, "pairs") ? 8
+                : strstr(function, "words") ? 4
+                                            : 1;
+  if (fills) {
+    for (uint64_t row = 0; row < p[3] * p[6]; ++row)
+      for (uint64_t byte = 0; byte < p[2] * unit; ++byte)
+        ((char *)(uintptr_t)
+             p[0])[(row / p[3] * p[5] + row % p[3] * p[1]) * unit + byte] =
+            ((char *)&p[4])[byte % 8];
     return;
   }
   for (uint64_t row = 0; row < p[5]; ++row) {
