@@ -7,7 +7,9 @@
 //
 // Adjoints add to many elements one after another: load, add, store, and again.
 // As long as the next load stays behind the store, each waits for memory by
-// itself, some hundred clocks every time.
+// itself, some hundred clocks every time. The same holds behind a division or a
+// root that rounds as IEEE 754 says: ptxas makes branches of it, and moves
+// nothing over them.
 //
 //===----------------------------------------------------------------------===//
 
@@ -23,7 +25,7 @@ using namespace llvm;
 
 /// What the loads of a group may take, all together, in words of four bytes:
 /// each is a register that is in use for longer.
-static constexpr unsigned mostWords = 32;
+static constexpr unsigned mostWords = 48;
 
 /// How many writes a load is compared with.
 static constexpr size_t mostWrites = 128;
@@ -49,15 +51,37 @@ private:
   /// What comes after `last` and is not part of the group.
   SmallVector<Instruction *> writes;
   SmallPtrSet<Instruction *, 32> behind;
+  /// Whether ptxas makes branches of what comes after `last`.
+  bool branches = false;
   bool changed = false;
 };
 } // namespace
+
+/// Whether ptxas makes branches of it.
+static bool isSplitting(const Instruction &instruction) {
+  switch (instruction.getOpcode()) {
+  case Instruction::FDiv:
+    return !instruction.hasApproxFunc();
+  case Instruction::FRem:
+    return true;
+  case Instruction::Call: {
+    auto *callee = cast<CallBase>(instruction).getCalledFunction();
+    return callee && callee->isIntrinsic() &&
+           (callee->getIntrinsicID() == Intrinsic::sqrt ||
+            callee->getName().starts_with("llvm.nvvm.sqrt.r") ||
+            callee->getName().starts_with("llvm.nvvm.div.r"));
+  }
+  default:
+    return instruction.isIntDivRem() &&
+           instruction.getType()->getScalarSizeInBits() > 32;
+  }
+}
 
 /// Whether an instruction may run earlier than it does.
 static bool isSafeToMove(const Instruction &instruction) {
   return isa<GetElementPtrInst, CastInst, BinaryOperator, SelectInst, ICmpInst>(
              instruction) &&
-         !instruction.isIntDivRem();
+         !instruction.isIntDivRem() && !isSplitting(instruction);
 }
 
 static unsigned countWords(const LoadInst &load, const DataLayout &layout) {
@@ -70,6 +94,7 @@ void LoadGrouping::startGroup(LoadInst *load) {
   words = load ? countWords(*load, layout) : 0;
   writes.clear();
   behind.clear();
+  branches = false;
 }
 
 /// Lists what a value needs of the instructions behind the group, in their
@@ -80,7 +105,7 @@ bool LoadGrouping::collectAddress(Value *value,
   if (!instruction || !behind.contains(instruction) ||
       is_contained(chain, instruction))
     return true;
-  constexpr size_t longest = 8;
+  constexpr size_t longest = 24;
   if (chain.size() >= longest || instruction->mayReadOrWriteMemory() ||
       !isSafeToMove(*instruction))
     return false;
@@ -95,7 +120,6 @@ bool LoadGrouping::join(LoadInst &load) {
   unsigned more = countWords(load, layout);
   if (!last || words + more > mostWords)
     return false;
-  // Between loads alone nothing stands in the way of ptxas.
   MemoryLocation location = MemoryLocation::get(&load);
   for (Instruction *write : writes)
     if (isModSet(aliases.getModRefInfo(write, location)))
@@ -104,7 +128,8 @@ bool LoadGrouping::join(LoadInst &load) {
   if (!collectAddress(load.getPointerOperand(), chain))
     return false;
   words += more;
-  if (writes.empty()) {
+  // Between loads alone nothing stands in the way of ptxas.
+  if (writes.empty() && !branches) {
     last = &load;
     behind.clear();
     return true;
@@ -140,6 +165,7 @@ bool LoadGrouping::run() {
     if (!last)
       continue;
     behind.insert(&instruction);
+    branches |= isSplitting(instruction);
     if (!instruction.mayWriteToMemory())
       continue;
     writes.push_back(&instruction);

@@ -94,11 +94,15 @@ static bool mayChange(const Kernel &kernel, const Tree &tree) {
 static std::shared_ptr<BlockTrial>
 makeTrial(const Device &device, const DeviceCode::Function &function) {
   std::vector<BlockTrial::Size> sizes{{function.threads, function.mostBlocks}};
-  for (unsigned threads : {128u, 512u})
+  for (unsigned threads : {64u, 128u, 512u, 1024u})
     if (threads != function.threads &&
         threads <= device.mostThreads(*function.function))
       if (unsigned blocks = device.residentBlocks(*function.function, threads))
         sizes.push_back({threads, blocks});
+  // As many blocks as there is work for, which come in order of the memory.
+  for (unsigned threads : {128u, function.threads})
+    if (threads <= device.mostThreads(*function.function))
+      sizes.push_back({threads, BlockTrial::kAnyBlocks});
   return sizes.size() > 1 ? std::make_shared<BlockTrial>(std::move(sizes))
                           : nullptr;
 }
@@ -258,8 +262,10 @@ static LaunchShape shapeOf(BlockTrial::Size function, int64_t iterations,
   if (iterations == 1)
     shape.threads = 1;
   // Of smaller blocks as many threads run at a time.
-  int64_t most = int64_t(function.mostBlocks) * function.threads /
-                 std::max(shape.threads, 1u);
+  int64_t most = function.mostBlocks == BlockTrial::kAnyBlocks
+                     ? function.mostBlocks
+                     : int64_t(function.mostBlocks) * function.threads /
+                           std::max(shape.threads, 1u);
   shape.blocks = static_cast<unsigned>(
       std::clamp<int64_t>(blocksOf(shape.threads), 1, most));
   return shape;
@@ -280,19 +286,25 @@ extern "C" void tai_rt_device_launch(TaiFrame *frame, int32_t number,
       onDevice->code->functions[static_cast<size_t>(number)];
   Device &device = onDevice->context->get();
   onDevice->waited = false;
+  DeviceQueue &queue = onDevice->context->queue();
+  auto shapeWith = [&](BlockTrial::Size size) {
+    return shapeOf(size, iterations, onDevice->multiprocessors);
+  };
   auto launchWith = [&](BlockTrial::Size size) {
-    return device.launch(*function.function,
-                         shapeOf(size, iterations, onDevice->multiprocessors),
-                         slots, count);
+    return device.launch(*function.function, shapeWith(size), slots, count);
   };
   bool isLarge = function.trial && iterations >= BlockTrial::kLeastIterations;
   if (__builtin_expect(!isLarge, true))
     failed(launch, launchWith({function.threads, function.mostBlocks}));
-  else if (onDevice->context->queue().isCollecting())
+  else if (queue.isCollecting() && function.trial->hasEnded())
     // A sequence is known by the shapes of its launches.
     failed(launch, launchWith(function.trial->best()));
-  else
-    failed(launch, function.trial->run(device, iterations, launchWith));
+  else if (!failed(launch, queue.interrupt()))
+    failed(launch,
+           function.trial->run(device, iterations, [&](BlockTrial::Size size) {
+             return queue.launchNow(*function.function, shapeWith(size), slots,
+                                    count);
+           }));
 }
 
 extern "C" void *tai_rt_device_scratch(TaiFrame *frame, int64_t bytes) {

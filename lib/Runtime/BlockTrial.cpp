@@ -18,6 +18,11 @@ static constexpr size_t kLaunchesBetween = 8;
 /// What another size must be quicker by than the usual one.
 static constexpr double kGain = 0.97;
 
+bool BlockTrial::hasEnded() {
+  std::lock_guard<std::mutex> lock(mutex);
+  return isOver;
+}
+
 BlockTrial::Size BlockTrial::best() {
   std::lock_guard<std::mutex> lock(mutex);
   return sizes[chosen];

@@ -31,12 +31,14 @@ public:
     /// That many blocks of so many threads run at a time.
     unsigned mostBlocks;
   };
+  static constexpr unsigned kAnyBlocks = ~0u >> 1;
   /// Launches over fewer iterations say little.
   static constexpr int64_t kLeastIterations = int64_t(1) << 20;
 
   /// The first is the one to take unless another is quicker.
   explicit BlockTrial(std::vector<Size> sizes) : sizes(std::move(sizes)) {}
 
+  bool hasEnded();
   /// The best that is known.
   Size best();
   /// Makes one launch, which `launch` queues with the size that it is given.

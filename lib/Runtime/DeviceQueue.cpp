@@ -100,6 +100,13 @@ Status DeviceQueue::launch(DeviceFunction &function, const LaunchShape &shape,
   return Status::success();
 }
 
+Status DeviceQueue::launchNow(DeviceFunction &function,
+                              const LaunchShape &shape, const uint64_t *slots,
+                              int count) {
+  return device->launch(*static_cast<Function &>(function).function, shape,
+                        slots, count);
+}
+
 Status DeviceQueue::copy(DevicePtr to, DevicePtr from, int64_t bytes) {
   if (collecting == 0) {
     Status status = settle();

@@ -7,6 +7,7 @@
 
 #include "../../lib/ExecutionEngine/GroupLoads.h"
 #include "llvm/AsmParser/Parser.h"
+#include "llvm/IR/IntrinsicInst.h"
 #include "llvm/IR/LLVMContext.h"
 #include "llvm/IR/Module.h"
 #include "llvm/IR/Verifier.h"
@@ -25,6 +26,7 @@ std::string order(StringRef body, StringRef parameters = "") {
   SMDiagnostic error;
   std::string text = ("declare void @barrier() convergent memory(readwrite)\n"
                       "declare void @stop() memory(readwrite)\n"
+                      "declare float @llvm.sqrt.f32(float)\n"
                       "define void @f(ptr noalias %x, ptr noalias %y, i64 %i" +
                       parameters + ") {\n" + body + "  ret void\n}\n")
                          .str();
@@ -54,6 +56,9 @@ std::string order(StringRef body, StringRef parameters = "") {
       result += 'S';
     else if (isa<AtomicRMWInst>(instruction))
       result += 'A';
+    else if (instruction.getOpcode() == Instruction::FDiv ||
+             isa<IntrinsicInst>(instruction))
+      result += 'D';
     else if (isa<CallInst>(instruction))
       result += 'C';
   return result;
@@ -106,10 +111,31 @@ TEST(GroupLoads, AddressesThatAreLoadedStay) {
   EXPECT_EQ(order(increment(0) + loaded), "LLSLS");
 }
 
+TEST(GroupLoads, DivisionsAndRootsArePassed) {
+  // Letters as above, and D for what ptxas makes branches of.
+  auto divided = [](StringRef how) {
+    return order(("  %a = load float, ptr %x\n" + how +
+                  "  %p = getelementptr float, ptr %y, i64 %i\n"
+                  "  %b = load float, ptr %p\n"
+                  "  %s = fadd float %d, %b\n  store float %s, ptr %x\n")
+                     .str());
+  };
+  EXPECT_EQ(divided("  %d = fdiv float 1.0, %a\n"), "LLDS");
+  EXPECT_EQ(divided("  %d = call float @llvm.sqrt.f32(float %a)\n"), "LLDS");
+  // These are no branches: nothing needs to move.
+  EXPECT_EQ(divided("  %d = fdiv afn float 1.0, %a\n"), "LDLS");
+  // An address that depends on the quotient waits for it.
+  EXPECT_EQ(order("  %a = load float, ptr %x\n  %d = fdiv float 1.0, %a\n"
+                  "  %n = fptosi float %d to i64\n"
+                  "  %p = getelementptr float, ptr %y, i64 %n\n"
+                  "  %b = load float, ptr %p\n  store float %b, ptr %x\n"),
+            "LDLS");
+}
+
 TEST(GroupLoads, GroupsAreBounded) {
   std::string body, expected;
-  for (int i = 0; i < 40; ++i)
+  for (int i = 0; i < 56; ++i)
     body += increment(i);
-  EXPECT_EQ(order(body), std::string(32, 'L') + std::string(32, 'S') +
+  EXPECT_EQ(order(body), std::string(48, 'L') + std::string(48, 'S') +
                              std::string(8, 'L') + std::string(8, 'S'));
 }

@@ -132,6 +132,12 @@ public:
     return flush(/*isWhole=*/false);
   }
 
+  /// For what cannot wait until the sequence is whole, since it is timed:
+  /// queues what has been collected, and a launch besides.
+  Status interrupt() { return flush(/*isWhole=*/false); }
+  Status launchNow(DeviceFunction &function, const LaunchShape &shape,
+                   const uint64_t *slots, int count);
+
   /// What has become of the sequences so far, one line each.
   std::string explain() const;
 
