@@ -566,6 +566,9 @@ Expected<runtime::DeviceImage> DeviceCompiler::emit(DeviceCode &code) {
   image.functions = code.functions;
   image.places = code.places;
   image.accesses = code.accesses;
+  if (isCuda())
+    for (llvm::Function &function : *code.module)
+      noteAtomicAlignment(function);
   image.bitcode = getBitcode(*code.module);
   removeTileFunctions(*code.module, code.functions);
   if (!isCuda()) {

@@ -12,6 +12,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "ProgramParts.h"
 #include "TileBuilder.h"
 #include "tai/ExecutionEngine/DeviceCompiler.h"
 #include "tai/Runtime/DeviceAbi.h"
@@ -41,10 +42,8 @@ static StringRef getRunnerName(int scope) {
   }
 }
 
-/// Adds the bitcode of a part to a module, and yields its function there: one
-/// that is called and has a name of its own.
-static Expected<llvm::Function *> addPart(llvm::Module &module, StringRef bytes,
-                                          StringRef name, size_t number) {
+Expected<llvm::Function *> tai::addPart(llvm::Module &module, StringRef bytes,
+                                        StringRef name, size_t number) {
   auto part = llvm::parseBitcodeFile(llvm::MemoryBufferRef(bytes, "part"),
                                      module.getContext());
   if (!part)
@@ -74,9 +73,7 @@ static Expected<llvm::Function *> addPart(llvm::Module &module, StringRef bytes,
   return body;
 }
 
-/// What one step reads may have been written by another: no load goes past the
-/// caches of writes.
-static void forgetInvariance(llvm::Function &function) {
+void tai::forgetInvariance(llvm::Function &function) {
   for (llvm::Instruction &instruction : llvm::instructions(function))
     instruction.setMetadata(llvm::LLVMContext::MD_invariant_load, nullptr);
 }
@@ -577,6 +574,8 @@ Expected<runtime::DeviceImage>
 DeviceCompiler::makeProgram(const runtime::ProgramPlan &plan) {
   if (plan.scope == TAI_SCOPE_NONE)
     return makeLibrary(plan.parts);
+  if (plan.scope == TAI_SCOPE_LAUNCHES)
+    return makeOverlapped(plan.parts);
   DeviceCode code;
   code.context = std::make_unique<llvm::LLVMContext>();
   code.module = std::make_unique<llvm::Module>("program", *code.context);

@@ -21,6 +21,7 @@
 #include "llvm/IR/Dominators.h"
 #include "llvm/IR/IRBuilder.h"
 #include "llvm/IR/InlineAsm.h"
+#include "llvm/IR/InstIterator.h"
 #include "llvm/IR/Instructions.h"
 #include "llvm/IR/Operator.h"
 #include "llvm/Pass.h"
@@ -66,7 +67,6 @@ private:
   void combine();
   void combineAt(MutableArrayRef<Addition> additions);
   void emit(ArrayRef<Addition> additions);
-  Align getAlignment(Value *pointer, Instruction *at);
   /// Whether those that wait may come after this instruction instead.
   bool mayPass(Instruction &instruction);
 
@@ -84,6 +84,51 @@ private:
 char VectorizeAtomics::ID = 0;
 
 Pass *mlir::tai::createVectorizeAtomicsPass() { return new VectorizeAtomics(); }
+
+/// What is known of an address: like LLVM's own, which does not look through
+/// the cast from the generic to the global address space.
+static Align getAlignment(Value *pointer, Instruction *at,
+                          const DataLayout &layout,
+                          AssumptionCache *assumptions = nullptr,
+                          DominatorTree *dominators = nullptr) {
+  Align alignment = Align(Value::MaximumAlignment);
+  for (;;) {
+    if (auto *cast = dyn_cast<AddrSpaceCastInst>(pointer)) {
+      pointer = cast->getPointerOperand();
+      continue;
+    }
+    auto *element = dyn_cast<GEPOperator>(pointer);
+    if (!element)
+      break;
+    unsigned width = layout.getIndexTypeSizeInBits(pointer->getType());
+    SmallMapVector<Value *, APInt, 4> indices;
+    APInt offset(width, 0);
+    if (!element->collectOffset(layout, width, indices, offset))
+      return Align(1);
+    auto limit = [&](unsigned zeros) {
+      alignment =
+          std::min(alignment, Align(uint64_t(1) << std::min(zeros, 8u)));
+    };
+    if (!offset.isZero())
+      limit(offset.countTrailingZeros());
+    for (auto &[index, scale] : indices)
+      limit(scale.countTrailingZeros() +
+            computeKnownBits(index, layout, assumptions, at, dominators)
+                .countMinTrailingZeros());
+    pointer = element->getPointerOperand();
+  }
+  return std::min(alignment, pointer->getPointerAlignment(layout));
+}
+
+void mlir::tai::noteAtomicAlignment(Function &function) {
+  const llvm::DataLayout &layout = function.getDataLayout();
+  for (Instruction &instruction : instructions(function))
+    if (auto *op = dyn_cast<AtomicRMWInst>(&instruction))
+      op->setAlignment(
+          std::max(op->getAlign(),
+                   std::min(getAlignment(op->getPointerOperand(), op, layout),
+                            Align(16))));
+}
 
 static bool isCandidate(const AtomicRMWInst &op) {
   constexpr unsigned globalSpace = 1;
@@ -143,38 +188,6 @@ void VectorizeAtomics::combine() {
   order.clear();
 }
 
-/// What is known of an address: like LLVM's own, which does not look through
-/// the cast from the generic to the global address space.
-Align VectorizeAtomics::getAlignment(Value *pointer, Instruction *at) {
-  Align alignment = Align(Value::MaximumAlignment);
-  for (;;) {
-    if (auto *cast = dyn_cast<AddrSpaceCastInst>(pointer)) {
-      pointer = cast->getPointerOperand();
-      continue;
-    }
-    auto *element = dyn_cast<GEPOperator>(pointer);
-    if (!element)
-      break;
-    unsigned width = layout->getIndexTypeSizeInBits(pointer->getType());
-    SmallMapVector<Value *, APInt, 4> indices;
-    APInt offset(width, 0);
-    if (!element->collectOffset(*layout, width, indices, offset))
-      return Align(1);
-    auto limit = [&](unsigned zeros) {
-      alignment =
-          std::min(alignment, Align(uint64_t(1) << std::min(zeros, 8u)));
-    };
-    if (!offset.isZero())
-      limit(offset.countTrailingZeros());
-    for (auto &[index, scale] : indices)
-      limit(scale.countTrailingZeros() +
-            computeKnownBits(index, *layout, assumptions, at, dominators)
-                .countMinTrailingZeros());
-    pointer = element->getPointerOperand();
-  }
-  return std::min(alignment, pointer->getPointerAlignment(*layout));
-}
-
 /// Finds runs of neighbours, at places where a vector may lie.
 void VectorizeAtomics::combineAt(MutableArrayRef<Addition> additions) {
   constexpr int64_t size = sizeof(float);
@@ -189,7 +202,8 @@ void VectorizeAtomics::combineAt(MutableArrayRef<Addition> additions) {
                additions[begin].offset + static_cast<int64_t>(length) * size)
       ++length;
     AtomicRMWInst *first = additions[begin].op;
-    Align alignment = std::max(getAlignment(first->getPointerOperand(), first),
+    Align alignment = std::max(getAlignment(first->getPointerOperand(), first,
+                                            *layout, assumptions, dominators),
                                first->getAlign());
     if (length == 4 && alignment >= Align(16))
       emit(additions.slice(begin, 4));

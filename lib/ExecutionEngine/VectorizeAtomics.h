@@ -9,6 +9,7 @@
 #define TAI_LIB_EXECUTIONENGINE_VECTORIZEATOMICS_H
 
 namespace llvm {
+class Function;
 class Pass;
 } // namespace llvm
 
@@ -19,6 +20,10 @@ namespace mlir::tai {
 /// with PTX 8.1; after addresses of the kernel's parameters are known to be
 /// global.
 llvm::Pass *createVectorizeAtomicsPass();
+
+/// Writes what is known of the addresses of atomics down where they stand, so
+/// that it is still known in a copy whose parameters come from elsewhere.
+void noteAtomicAlignment(llvm::Function &function);
 
 } // namespace mlir::tai
 

@@ -156,6 +156,8 @@ static const char *nameOf(ProgramMode mode) {
     return "one kernel of a cluster of blocks";
   case ProgramMode::Grid:
     return "one kernel of the whole grid";
+  case ProgramMode::Overlapped:
+    return "a graph of launches that overlap";
   case ProgramMode::Tiles:
     return "one kernel of the whole grid, with tiles";
   default:
@@ -182,22 +184,23 @@ unsigned DeviceQueue::Program::getWidth() const {
 /// threads go around. Constants as measured on an H200; what they decide is
 /// only what is worth trying.
 double DeviceQueue::Program::predict(const Way &way) const {
-  constexpr double roundUs = 0.6, stageUs = 0.15, graphUs = 1.3, blockUs = 0.15,
-                   clusterUs = 0.45, gridUs = 1.1;
-  double stepUs = way.mode == ProgramMode::Graph     ? graphUs
-                  : way.mode == ProgramMode::Block   ? blockUs
-                  : way.mode == ProgramMode::Cluster ? clusterUs
-                                                     : gridUs;
+  constexpr double overlappedUs = 1.05, roundUs = 0.6, stageUs = 0.15,
+                   graphUs = 1.3, blockUs = 0.15, clusterUs = 0.45,
+                   gridUs = 1.1;
+  double stepUs = way.mode == ProgramMode::Graph        ? graphUs
+                  : way.mode == ProgramMode::Overlapped ? overlappedUs
+                  : way.mode == ProgramMode::Block      ? blockUs
+                  : way.mode == ProgramMode::Cluster    ? clusterUs
+                                                        : gridUs;
   // A graph has its own way to wait, after each node.
   const Schedule &schedule = scheduleOf(way);
-  size_t waits = way.mode == ProgramMode::Graph
-                     ? sequence.steps.size()
-                     : schedule.order.numBarriers + 1;
+  size_t waits =
+      way.isGraph() ? sequence.steps.size() : schedule.order.numBarriers + 1;
   double us = stepUs * double(waits);
   for (const Step &step : sequence.steps) {
     double width = double(step.shape.blocks) * step.shape.threads;
     double rounds = 1;
-    if (way.mode != ProgramMode::Graph)
+    if (!way.isGraph())
       rounds = std::max(
           1.0, width / (double(way.shape.blocks) * double(way.shape.threads)));
     us += roundUs * rounds;
@@ -231,6 +234,8 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
     add(ProgramMode::Graph, 0, 0);
   // Every part must be there to be put together again.
   if (maker && areAllPartsKnown()) {
+    if (limits.hasGraphs && limits.hasOverlaps)
+      add(ProgramMode::Overlapped, 0, 0);
     unsigned most = limits.threadsPerBlock;
     add(ProgramMode::Block, 1, std::min(most, warps(width)));
     if (limits.mostClusterBlocks > 1 && width > most / 2) {
@@ -271,11 +276,15 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
     double best = ways.front().predicted;
     ways.erase(std::remove_if(ways.begin(), ways.end(),
                               [&](const Way &way) {
-                                return way.mode != ProgramMode::Graph &&
+                                return !way.isGraph() &&
                                        way.predicted > 3 * best;
                               }),
                ways.end());
   }
+  // Worth its compilation only where a graph is among the best.
+  std::stable_partition(ways.begin(), ways.end(), [](const Way &way) {
+    return way.mode != ProgramMode::Overlapped;
+  });
 }
 
 //===----------------------------------------------------------------------===//
@@ -331,6 +340,8 @@ std::vector<LoopStep> DeviceQueue::Program::listSteps(const Way &way) const {
 
 Status DeviceQueue::Program::prepare(Way &way) {
   way.isReady = true;
+  if (way.mode == ProgramMode::Overlapped)
+    return prepareOverlapped(way);
   if (way.mode == ProgramMode::Graph)
     return makeCurrent(way);
   return makeKernel(way, ProgramLoops(listSteps(way), /*useLoops=*/true));
@@ -511,14 +522,8 @@ static constexpr int64_t headerBytes = TAI_PROGRAM_HEADER;
 
 /// Makes what stands for the sequence on the device hold its present slots.
 Status DeviceQueue::Program::update(Way &way) {
-  if (way.mode == ProgramMode::Graph) {
-    Status status = device.beginCapture();
-    if (!status)
-      return status;
-    status = sequence.run(device);
-    Status ended = device.endCapture(way.graph);
-    return status ? std::move(ended) : std::move(status);
-  }
+  if (way.isGraph())
+    return capture(way);
   schedule();
   std::vector<LoopStep> steps;
   if (!way.hasTiles || !tiled.units.empty())
@@ -580,7 +585,7 @@ Status DeviceQueue::Program::launch(Way &way) {
   Status status = makeCurrent(way);
   if (!status)
     return status;
-  if (way.mode == ProgramMode::Graph)
+  if (way.isGraph())
     return device.run(*way.graph);
   for (size_t i = 0; status && i < numBefore; ++i)
     status = sequence.run(device, sequence.steps[i]);
@@ -712,7 +717,7 @@ std::string DeviceQueue::Program::explain() const {
     char line[256];
     std::snprintf(line, sizeof(line), "; %s", nameOf(way.mode));
     text += line;
-    if (way.mode != ProgramMode::Graph) {
+    if (!way.isGraph()) {
       std::snprintf(line, sizeof(line),
                     " (%u x %u threads, %zu steps before it, %zu barriers, "
                     "%zu steps in loops)",

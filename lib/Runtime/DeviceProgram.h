@@ -162,6 +162,11 @@ private:
     bool isCurrent = false;
     /// Whether it runs chains in tiles.
     bool hasTiles = false;
+    /// Of a graph whose launches overlap: what stands for each function.
+    std::unordered_map<const Function *, DeviceFunction *> overlapping;
+    bool isGraph() const {
+      return mode == ProgramMode::Graph || mode == ProgramMode::Overlapped;
+    }
   };
 
   /// Steps of the sequence that stand together in a program: one, or a chain.
@@ -182,6 +187,9 @@ private:
   Status makeKernel(Way &way, ProgramLoops loops);
   std::vector<const Function *> listParts() const;
   std::vector<LoopStep> listSteps(const Way &way) const;
+  Status prepareOverlapped(Way &way);
+  bool mayOverlapPay() const;
+  Status capture(Way &way);
   Status update(Way &way);
   Status updateTable(Way &way, const std::vector<uint64_t> &table);
   Status makeCurrent(Way &way);

@@ -16,6 +16,7 @@
 #include "mlir/IR/BuiltinOps.h"
 #include "mlir/Tools/mlir-translate/Translation.h"
 #include "tai/ExecutionEngine/DeviceCompiler.h"
+#include "tai/Runtime/DeviceAbi.h"
 #include "tai/InitAll.h"
 #include "llvm/Support/CommandLine.h"
 #include "llvm/Support/raw_ostream.h"
@@ -48,6 +49,11 @@ static cl::opt<Floats> floats(
 static cl::opt<unsigned> deviceOptLevel("device-opt-level",
                                         cl::desc("Effort, 0 to 3"), cl::init(3),
                                         cl::cat(category));
+
+static cl::opt<bool> overlapped(
+    "device-overlapped",
+    cl::desc("Make kernels that may start while the one before still runs"),
+    cl::cat(category));
 
 static LogicalResult translate(Operation *op, raw_ostream &output,
                                bool wantsPtx) {
@@ -89,6 +95,16 @@ static LogicalResult translate(Operation *op, raw_ostream &output,
   auto image = (*compiler)->emit(*code);
   if (!image)
     return fail(image.takeError());
+  if (overlapped) {
+    runtime::ProgramPlan plan;
+    plan.scope = TAI_SCOPE_LAUNCHES;
+    std::shared_ptr<const std::string> bitcode = image->bitcode;
+    for (const std::string &function : image->functions)
+      plan.parts.push_back({bitcode.get(), function, /*isInTable=*/false});
+    image = (*compiler)->makeProgram(plan);
+    if (!image)
+      return fail(image.takeError());
+  }
   output << image->bytes;
   return success();
 }

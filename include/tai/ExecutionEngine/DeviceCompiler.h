@@ -108,6 +108,8 @@ public:
 private:
   llvm::Expected<runtime::DeviceImage>
   makeLibrary(llvm::ArrayRef<runtime::ProgramPart> parts);
+  llvm::Expected<runtime::DeviceImage>
+  makeOverlapped(llvm::ArrayRef<runtime::ProgramPart> parts);
   DeviceCompiler(const DeviceTarget &target, const CodegenOptions &options);
   bool isCuda() const { return target.kind == runtime::DeviceKind::Cuda; }
   llvm::Error link(llvm::Module &module);

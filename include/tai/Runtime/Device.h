@@ -53,6 +53,8 @@ struct LaunchShape {
   bool cooperative = false;
   /// Blocks of a cluster; 0 for no clusters.
   unsigned cluster = 0;
+  /// The function waits for the launch before it by itself.
+  bool overlaps = false;
 };
 
 struct DeviceLimits {
@@ -70,6 +72,8 @@ struct DeviceLimits {
   /// Of memory that is reserved, so many bytes take room at a time; 0 where
   /// none can be.
   int64_t reservedPieceBytes = 0;
+  /// A kernel can be made ready while the one before it runs.
+  bool hasOverlaps = false;
 };
 
 /// Work that has been recorded. Made by a Device.

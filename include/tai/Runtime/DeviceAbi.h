@@ -84,6 +84,9 @@ void tai_rt_stack_grow_at(TaiFrame *frame, TaiStack *stack, const char *text,
 #define TAI_SCOPE_GRID 2
 /// No program, but kernels of the library itself.
 #define TAI_SCOPE_NONE (-1)
+/// No program, but a kernel of each part, which may start while the one before
+/// still runs and waits for its end by itself.
+#define TAI_SCOPE_LAUNCHES (-2)
 
 /// Parts that every program has. Their parameters: an address, eight bytes of a
 /// pattern, its size and how often; two addresses, to and from, and a size.

@@ -85,8 +85,10 @@ struct ProgramPlan {
 };
 
 /// Makes one kernel, `tai_program`, that runs the plan; see
-/// tai/Runtime/DeviceAbi.h. For TAI_SCOPE_NONE, makes a kernel of each part,
-/// which has no bitcode: it is a function of the device library.
+/// tai/Runtime/DeviceAbi.h. For TAI_SCOPE_LAUNCHES, makes a kernel of each
+/// part, with the parameters of its function. For TAI_SCOPE_NONE, makes a
+/// kernel of each part, which has no bitcode: it is a function of the device
+/// library.
 using ProgramMaker =
     std::function<Status(const ProgramPlan &plan, DeviceImage &image)>;
 
@@ -99,7 +101,9 @@ enum class ProgramMode {
   Cluster,
   Grid,
   /// As Grid, with chains in tiles.
-  Tiles
+  Tiles,
+  /// As Graph, of kernels that wait by themselves.
+  Overlapped
 };
 
 class DeviceQueue final : public Device {

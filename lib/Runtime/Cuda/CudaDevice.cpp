@@ -113,6 +113,8 @@ Status CudaDevice::open() {
   most.hasGridBarriers = cooperative != 0;
   // What Hopper has at most; a kernel must ask for more than 8.
   most.mostClusterBlocks = clusters ? 16 : 1;
+  // What has the one has the other.
+  most.hasOverlaps = clusters != 0;
   if (major < 6)
     return Status::failure(
         StatusCode::Usage,
@@ -339,6 +341,7 @@ Status CudaDevice::copy(DevicePtr to, DevicePtr from, int64_t bytes) {
   Status status = enter();
   if (!status || bytes <= 0)
     return status;
+  isAfterKernel = false;
   return check(cu.memcpyDtoDAsync(to, from, static_cast<size_t>(bytes), stream),
                "a copy on the device fails");
 }
@@ -348,6 +351,7 @@ Status CudaDevice::fill(DevicePtr to, const void *pattern, int patternBytes,
   Status status = enter();
   if (!status || count <= 0)
     return status;
+  isAfterKernel = false;
   auto size = static_cast<size_t>(count);
   const char *what = "device memory cannot be filled";
   auto *bytes = static_cast<const char *>(pattern);

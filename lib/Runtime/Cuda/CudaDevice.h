@@ -122,6 +122,8 @@ private:
   /// Kernels of our own; see Rows.cu.
   Status loadRowKernels();
   enum RowKernel { CopyRows, SwapRows, FillRows };
+  Status launchOverlapped(Function handle, const LaunchShape &shape,
+                          void **parameters);
   Status runRows(RowKernel kernel, int unit, int64_t units,
                  std::initializer_list<uint64_t> parameters);
   /// One of those that take rows here and rows there.
@@ -148,6 +150,9 @@ private:
   /// Bytes, words, pairs of them and quads.
   static constexpr int kRowUnits = 4;
   DeviceFunction *rowFunctions[kRowUnits][3] = {};
+
+  /// Whether what a graph has recorded last is a kernel.
+  bool isAfterKernel = false;
 
   std::mutex stagingMutex;
   char *staging = nullptr;

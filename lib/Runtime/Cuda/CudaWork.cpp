@@ -103,6 +103,9 @@ Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
   Function handle = static_cast<CudaFunction &>(function).handle;
   if (__builtin_expect(shape.cluster > 1, false))
     return launchCluster(handle, shape, parameters);
+  if (__builtin_expect(shape.overlaps, false))
+    return launchOverlapped(handle, shape, parameters);
+  isAfterKernel = true;
   Result result =
       shape.cooperative
           ? cu.launchCooperativeKernel(handle, shape.blocks, 1, 1,
@@ -132,12 +135,29 @@ Status CudaDevice::launchCluster(Function handle, const LaunchShape &shape,
                "a kernel with a cluster of blocks cannot be launched");
 }
 
+/// After anything but a kernel it waits as all others do.
+Status CudaDevice::launchOverlapped(Function handle, const LaunchShape &shape,
+                                    void **parameters) {
+  LaunchAttribute early{kLaunchOverlapped};
+  early.values[0] = 1;
+  LaunchConfiguration configuration{{shape.blocks, 1, 1},
+                                    {shape.threads, 1, 1},
+                                    shape.sharedBytes,
+                                    stream,
+                                    &early,
+                                    isAfterKernel ? 1u : 0u};
+  isAfterKernel = true;
+  return check(cu.launchKernelEx(&configuration, handle, parameters, nullptr),
+               "a kernel cannot be launched while another one runs");
+}
+
 //===----------------------------------------------------------------------===//
 // Graphs
 //===----------------------------------------------------------------------===//
 
 Status CudaDevice::beginCapture() {
   Status status = enter();
+  isAfterKernel = false;
   return status ? check(cu.streamBeginCapture(stream, kCaptureThreadLocal),
                         "no graph can be recorded")
                 : std::move(status);

@@ -63,6 +63,7 @@ constexpr int kFunctionAnyCluster = 14;
 // Of launches.
 constexpr unsigned kLaunchCooperative = 2;
 constexpr unsigned kLaunchCluster = 4;
+constexpr unsigned kLaunchOverlapped = 6;
 // Of captures: other threads may do what they like.
 constexpr int kCaptureThreadLocal = 1;
 // Of events.

@@ -1,0 +1,70 @@
+//===- DeviceProgramGraph.cpp - Sequences of launches as graphs -----------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "DeviceProgram.h"
+#include "tai/Runtime/DeviceAbi.h"
+#include <algorithm>
+
+using namespace mlir::tai::runtime;
+
+/// Whether a graph is among the best of what has been tried: else its launches
+/// need not be made to overlap.
+bool DeviceQueue::Program::mayOverlapPay() const {
+  constexpr double gain = 0.75;
+  double graph = 0, best = 0;
+  for (const Way &way : ways) {
+    if (way.measured < 0)
+      continue;
+    if (way.mode == ProgramMode::Graph)
+      graph = way.measured;
+    best = best > 0 ? std::min(best, way.measured) : way.measured;
+  }
+  return graph * gain <= best;
+}
+
+/// Makes kernels that wait by themselves for what comes before them.
+Status DeviceQueue::Program::prepareOverlapped(Way &way) {
+  if (!mayOverlapPay())
+    return Status::failure(StatusCode::Internal,
+                           "launches by themselves take too long");
+  std::vector<const Function *> parts = listParts();
+  ProgramPlan plan;
+  plan.scope = TAI_SCOPE_LAUNCHES;
+  for (const Function *part : parts)
+    plan.parts.push_back(
+        {part->bitcode.get(), part->name, /*isInTable=*/false});
+  DeviceImage image;
+  Status status = maker(plan, image);
+  if (status)
+    status = device.load(image, way.module);
+  for (size_t i = 0; status && i < parts.size(); ++i)
+    status =
+        device.find(*way.module, image.functions[i], way.overlapping[parts[i]]);
+  return status ? makeCurrent(way) : std::move(status);
+}
+
+/// Makes or changes the graph.
+Status DeviceQueue::Program::capture(Way &way) {
+  Status status = device.beginCapture();
+  if (!status)
+    return status;
+  for (const Step &step : sequence.steps) {
+    if (step.kind != Step::Kind::Launch || way.overlapping.empty()) {
+      status = sequence.run(device, step);
+    } else {
+      LaunchShape shape = step.shape;
+      shape.overlaps = true;
+      status = device.launch(*way.overlapping.at(step.function), shape,
+                             sequence.slots.data() + step.firstSlot,
+                             static_cast<int>(step.numSlots));
+    }
+    if (!status)
+      break;
+  }
+  Status ended = device.endCapture(way.graph);
+  return status ? std::move(ended) : std::move(status);
+}
