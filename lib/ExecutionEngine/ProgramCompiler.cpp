@@ -468,7 +468,8 @@ void ProgramBuilder::addHalf(const runtime::ProgramLoopStep &step,
   SmallVector<llvm::Value *> slots;
   for (const runtime::ProgramSlot &slot : step.slots)
     slots.push_back(getParameter(slot));
-  TileBuilder tiles(builder, *getChain(step), bodies, getOverlay(), isCuda);
+  TileBuilder tiles(builder, *getChain(step), bodies, getOverlay(),
+                    plan.threads, isCuda);
   if (!isSecond)
     return tiles.emitLoads(slots);
   tiles.emitStages(slots);
@@ -481,7 +482,7 @@ void ProgramBuilder::addChain(const runtime::ProgramLoopStep &step) {
   SmallVector<llvm::Value *> slots;
   for (const runtime::ProgramSlot &slot : step.slots)
     slots.push_back(getParameter(slot));
-  TileBuilder tiles(builder, chain, bodies, overlays, isCuda);
+  TileBuilder tiles(builder, chain, bodies, overlays, plan.threads, isCuda);
   // What was there before may still be used.
   builder.CreateCall(getLibrary("tai_dev_block_barrier", {}), {});
   tiles.emitLoads(slots);
@@ -493,7 +494,9 @@ void ProgramBuilder::addChain(const runtime::ProgramLoopStep &step) {
                                "tai_dev_program_arrive",
                                llvm::FunctionType::get(i32, {pointer}, false)),
                            {header});
-  else
+  else if (llvm::any_of(chain.rows, [](const runtime::TileRow &row) {
+             return row.isLoaded;
+           }))
     builder.CreateCall(getLibrary("tai_dev_block_barrier", {}), {});
   tiles.emitStages(slots);
   if (before)

@@ -19,33 +19,38 @@ namespace mlir::tai {
 class TileBuilder {
 public:
   /// `bodies` do one iteration each, by the numbers of their parts. `overlay`
-  /// is the memory of the block.
+  /// is the memory of the block, which has so many threads.
   TileBuilder(llvm::IRBuilder<> &builder, const runtime::TileChain &chain,
               ArrayRef<llvm::Function *> bodies, llvm::Value *overlay,
-              bool isCuda)
-      : builder(builder), chain(chain), bodies(bodies), overlay(overlay),
-        isCuda(isCuda), rank(chain.tile.size()) {}
+              unsigned threads, bool isCuda);
 
   /// Each of them takes the parameters of all launches.
-  /// Fills the overlay, as far as it starts with what is in memory.
+  /// Fills the overlay, as far as it starts with what is in memory. All threads
+  /// must meet afterwards.
   void emitLoads(ArrayRef<llvm::Value *> slots);
-  /// Runs all launches in the overlay.
+  /// Runs all launches in the overlay. No other thread has written what one of
+  /// them then stores.
   void emitStages(ArrayRef<llvm::Value *> slots);
   /// Writes the tile's own part of the overlay.
   void emitStores(ArrayRef<llvm::Value *> slots);
 
 private:
-  using Cell = SmallVector<llvm::Value *>;
+  /// A cell of the window that overlays have: how far it is from the first cell
+  /// of the tile, the indices of its iteration, and its place in the window.
+  struct Cell {
+    SmallVector<llvm::Value *> distance, index;
+    llvm::Value *place = nullptr;
+  };
   using CellEmitter = llvm::function_ref<void(const Cell &cell)>;
 
-  void forBlocksWithTiles(llvm::function_ref<void()> emit);
+  Cell getCell(llvm::Value *number);
   void forEachCell(const runtime::TileHalo &halo, CellEmitter emit);
+  llvm::Value *isWithin(const Cell &cell, const runtime::TileHalo &halo);
+  llvm::Value *isInBox(const Cell &cell);
   void emitIf(llvm::Value *condition, llvm::function_ref<void()> emit);
   llvm::Value *getPlace(StringRef function);
-  llvm::Value *getIndex(const Cell &cell, unsigned d, int64_t halo);
-  llvm::Value *isInBox(const Cell &cell);
   llvm::Value *getOverlay(llvm::IRBuilder<> &at, const runtime::TileRow &row,
-                          llvm::Value *base, ArrayRef<llvm::Value *> cell,
+                          llvm::Value *base, llvm::Value *place,
                           const runtime::TileSite *site);
   llvm::Value *getMemory(const runtime::TileRow &row, llvm::Value *origin,
                          ArrayRef<llvm::Value *> indices);
@@ -65,8 +70,17 @@ private:
   llvm::Value *overlay;
   bool isCuda;
   size_t rank;
-  /// The first index of the tile of the block along each dimension.
+  /// That of all overlays, and its cells.
+  const runtime::TileHalo &window;
+  int64_t numCells = 1;
+  SmallVector<int64_t> extents;
+  /// Whether the block has a tile; the first index of that along each
+  /// dimension.
+  llvm::Value *hasTile;
   SmallVector<llvm::Value *> first;
+  /// Of the thread, where there is a thread for each.
+  std::optional<Cell> own;
+  llvm::Value *hasOwn = nullptr;
 };
 
 /// Eight bytes as a parameter of this type, which is at the start of them.

@@ -386,6 +386,9 @@ Status DeviceQueue::Program::makeKernel(Way &way, ProgramLoops loops) {
   way.function = function;
   way.loops = std::move(loops);
   unsigned most = device.mostThreads(*way.function);
+  if (way.hasTiles && way.shape.threads > most)
+    return Status::failure(StatusCode::Internal,
+                           "there is no room for a thread for each cell");
   if (way.shape.threads > most)
     way.shape.threads = std::max(most / 32 * 32, 1u);
   if (way.shape.cooperative) {

@@ -43,6 +43,7 @@ private:
   bool findRaces() const;
   void findHalos();
   void findLoads();
+  void alignHalos();
   bool chooseTile();
   /// Calls f(stage, site, row) for all sites of rows.
   template <typename F> void forEachSite(const F &f) {
@@ -322,22 +323,24 @@ void ChainMaker::findLoads() {
           stage.sites[k].isCertain)
         isWritten[static_cast<size_t>(stage.rows[k])] = true;
   }
-  // They are loaded together, cell by cell.
-  TileHalo all;
-  all.low.assign(rank, 0);
-  all.high.assign(rank, 0);
-  auto extend = [&](TileHalo &halo, const TileHalo &other) {
+}
+
+/// All overlays have the same cells, so that each belongs to one thread and is
+/// in the same place in all of them.
+void ChainMaker::alignHalos() {
+  TileHalo all = chain.stages.front().halo;
+  auto extend = [&](const TileHalo &other) {
     for (size_t d = 0; d < rank; ++d) {
-      halo.low[d] = std::max(halo.low[d], other.low[d]);
-      halo.high[d] = std::max(halo.high[d], other.high[d]);
+      all.low[d] = std::max(all.low[d], other.low[d]);
+      all.high[d] = std::max(all.high[d], other.high[d]);
     }
   };
+  for (const TileStage &stage : chain.stages)
+    extend(stage.halo);
   for (const TileRow &row : chain.rows)
-    if (row.isLoaded)
-      extend(all, row.halo);
+    extend(row.halo);
   for (TileRow &row : chain.rows)
-    if (row.isLoaded)
-      row.halo = all;
+    row.halo = all;
 }
 
 static int64_t ceilOf(int64_t a, int64_t b) { return (a + b - 1) / b; }
@@ -345,14 +348,9 @@ static int64_t ceilOf(int64_t a, int64_t b) { return (a + b - 1) / b; }
 /// As few cells as there can be in the largest halo, with a block for each
 /// tile.
 bool ChainMaker::chooseTile() {
-  TileHalo most;
-  most.low.assign(rank, 0);
-  most.high.assign(rank, 0);
-  for (const TileStage &stage : chain.stages)
-    for (size_t d = 0; d < rank; ++d) {
-      most.low[d] = std::max(most.low[d], stage.halo.low[d]);
-      most.high[d] = std::max(most.high[d], stage.halo.high[d]);
-    }
+  if (chain.rows.empty())
+    return false;
+  const TileHalo &most = chain.rows.front().halo;
   double best = 0;
   auto consider = [&](const std::vector<int64_t> &tile) {
     double cells = 1, tiles = 1;
@@ -402,6 +400,7 @@ std::optional<TileChain> ChainMaker::make() {
     return std::nullopt;
   findHalos();
   findLoads();
+  alignHalos();
   if (!chooseTile())
     return std::nullopt;
   return std::move(chain);
