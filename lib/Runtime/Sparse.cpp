@@ -120,6 +120,12 @@ void SparseNode::setActivity(const std::vector<int64_t> &some, bool isActive) {
   if (!onBoth)
     prepare(/*removes=*/!isActive);
   int64_t by = 0;
+  std::vector<int64_t> units;
+  auto touches = [&](int64_t unit) {
+    markWord(unit);
+    if (onBoth && (units.empty() || units.back() != unit))
+      units.push_back(unit);
+  };
   for (int64_t cell : some) {
     if (layout.isList) {
       int32_t *length = lengths() + cell / capacity();
@@ -128,7 +134,7 @@ void SparseNode::setActivity(const std::vector<int64_t> &some, bool isActive) {
                                 : std::min(*length, position);
       by += wanted - *length;
       *length = wanted;
-      markWord(cell / capacity());
+      touches(cell / capacity());
       continue;
     }
     uint64_t &word = words()[cell / 64];
@@ -137,7 +143,7 @@ void SparseNode::setActivity(const std::vector<int64_t> &some, bool isActive) {
       continue;
     word ^= bit;
     by += isActive ? 1 : -1;
-    markWord(cell / 64);
+    touches(cell / 64);
   }
   if (by == 0)
     return;
@@ -145,7 +151,7 @@ void SparseNode::setActivity(const std::vector<int64_t> &some, bool isActive) {
   changed(by, by < 0);
   removed.store(before, std::memory_order_release);
   if (onBoth)
-    onDevice->uploadActivity(*this);
+    onDevice->uploadActivity(*this, units);
 }
 
 //===----------------------------------------------------------------------===//

@@ -195,7 +195,9 @@ Status SparseMirror::list(SparseNode &node, DeviceCellsPtr &cells) {
     return list.use_count() == holders && list->capacity() >= needed;
   };
   std::shared_ptr<DeviceCells> chosen;
-  if (pool.current && isFree(pool.current))
+  // The last one may show what is active. What is collected is the same work
+  // again where each of its loops has the list that it had before.
+  if (pool.current && isFree(pool.current) && !context.queue().isCollecting())
     chosen = pool.current;
   for (const std::shared_ptr<DeviceCells> &list : pool.all)
     if (!chosen && isFree(list))
@@ -222,12 +224,15 @@ Status SparseMirror::sendAccount() {
     if (node->isInnermost())
       used += node->active.load(std::memory_order_relaxed) * node->cellBytes();
   int64_t others = runtime.activeCellBytes() - used;
-  TaiDeviceAccount now = {};
-  now.used = used;
-  now.limit = runtime.memoryLimit() - runtime.reservedBytes() - others;
-  Status status =
-      context.get().copyIn(account, &now, offsetof(TaiDeviceAccount, pieces));
-  return status;
+  const int64_t now[] = {used, runtime.memoryLimit() - runtime.reservedBytes() -
+                                   others};
+  static_assert(offsetof(TaiDeviceAccount, limit) == sizeof(int64_t), "");
+  if (!context.queue().isCollecting())
+    return context.get().copyIn(account, now, sizeof(now));
+  Status status = context.get().fill(account, &now[0], sizeof(int64_t), 1);
+  return status ? context.get().fill(account + sizeof(int64_t), &now[1],
+                                     sizeof(int64_t), 1)
+                : std::move(status);
 }
 
 /// Makes the activity of the levels that the host has changed known to lists.

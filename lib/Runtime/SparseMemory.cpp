@@ -167,6 +167,43 @@ Status SparseMirror::sendBits(const SparseNode &node) {
   });
 }
 
+void SparseMirror::uploadActivity(const SparseNode &node,
+                                  const std::vector<int64_t> &changed) {
+  constexpr size_t few = 64;
+  // A copy from the host would end what is being collected.
+  if (context.queue().isCollecting() && changed.size() <= few) {
+    context.note(sendWords(node, changed));
+    return;
+  }
+  Status status = sendBits(node);
+  if (status)
+    status = sendActivity();
+  context.note(std::move(status));
+}
+
+/// As values that are filled in.
+Status SparseMirror::sendWords(const SparseNode &node,
+                               const std::vector<int64_t> &changed) {
+  int64_t unit = node.info().isList ? int64_t(sizeof(int32_t)) : wordBytes;
+  Status status;
+  for (int64_t i : changed) {
+    int64_t offset = node.info().activityOffset + i * unit;
+    if (status)
+      status =
+          context.get().fill(base + static_cast<DevicePtr>(offset),
+                             tree.base() + offset, static_cast<int>(unit), 1);
+  }
+  size_t number = numberOf(node);
+  sharedEpochs[number] = node.changes.load(std::memory_order_acquire);
+  unchangedFrom = ++generation;
+  const uint32_t isNew = 1;
+  if (status)
+    status = context.get().fill(activity + number * sizeof(TaiDeviceActivity) +
+                                    offsetof(TaiDeviceActivity, isNew),
+                                &isNew, sizeof(isNew), 1);
+  return status ? sendAccount() : std::move(status);
+}
+
 /// Makes what the host knows of one level current, and forgets what was made
 /// inactive there.
 Status SparseMirror::fetchLevel(SparseNode &node, bool removes) {
@@ -223,16 +260,20 @@ int64_t SparseMirror::keptBytes() const {
   return bytes;
 }
 
-bool SparseMirror::keepActivity(std::function<void()> seen) {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
+bool SparseMirror::canKeepActivity() const {
   // Lists of loops have room for all cells while the host does not know how
   // many are active, and a tape keeps one for each launch.
-  constexpr int64_t mostCells = 1 << 15;
-  constexpr size_t mostStates = 1 << 10;
+  constexpr int64_t mostCells = 1 << 13;
   for (const std::unique_ptr<SparseNode> &node : tree.sparseNodes())
     if (node->numCells() > mostCells)
       return false;
-  if (!base || isFetching || kept.size() == mostStates)
+  return true;
+}
+
+bool SparseMirror::keepActivity(std::function<void()> seen) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  constexpr size_t mostStates = 1 << 10;
+  if (!base || isFetching || kept.size() == mostStates || !canKeepActivity())
     return false;
   // Nothing was launched that could have done anything.
   if (!kept.empty() && keptGeneration == generation)

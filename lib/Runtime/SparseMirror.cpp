@@ -424,13 +424,6 @@ bool SparseMirror::deactivateAll(SparseNode &node) {
   return true;
 }
 
-void SparseMirror::uploadActivity(const SparseNode &node) {
-  Status status = sendBits(node);
-  if (status)
-    status = sendActivity();
-  context.note(std::move(status));
-}
-
 bool SparseMirror::fillActive(const Field &field, const CellElements &elements,
                               const void *scalarBytes) {
   std::lock_guard<std::recursive_mutex> lock(mutex);

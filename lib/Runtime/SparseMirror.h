@@ -56,6 +56,7 @@ public:
   /// when somebody asks, the host goes to that state first, and `seen` is
   /// called while it is there. False where the host has to look at once.
   bool keepActivity(std::function<void()> seen);
+  bool canKeepActivity() const;
   bool isBehind() const { return behind.load(std::memory_order_acquire); }
   uint64_t getGeneration() const { return generation; }
   /// When cells were last made inactive, as far as the host knows.
@@ -71,8 +72,10 @@ public:
   /// Where it is, makes all cells of a level inactive there, as the host does
   /// on its side. False where that is better done on the host alone.
   bool deactivateAll(SparseNode &node);
-  /// Brings the activity of a level to the device, which is current but for it.
-  void uploadActivity(const SparseNode &node);
+  /// Brings the activity of a level to the device, which is current but for
+  /// these words of bits, or lengths, which both sides have known as others.
+  void uploadActivity(const SparseNode &node,
+                      const std::vector<int64_t> &changed);
 
   /// Where it is, sets the elements of all active cells of a field there. False
   /// where that is better done on the host.
@@ -110,6 +113,7 @@ private:
   Status writeDescriptor();
   Status sendActivity();
   Status sendAccount();
+  Status sendWords(const SparseNode &node, const std::vector<int64_t> &changed);
   Status queueList(const SparseNode &node, DeviceCells &cells);
   void changesAgain(bool removes) {
     ++generation;

@@ -12,6 +12,7 @@
 #include <algorithm>
 #include <cstring>
 #include <new>
+#include <numeric>
 #include <set>
 
 using namespace mlir::tai::runtime;
@@ -52,8 +53,24 @@ int64_t Track::longestRun() const {
 }
 
 int64_t Track::refresh(Runtime &runtime) {
-  return slabs.byCell() ? slabs.addCells(field->sparseNode()->list(runtime))
-                        : numCells();
+  if (!slabs.byCell())
+    return numCells();
+  SparseNode &node = *field->sparseNode();
+  // To know which cells have been active, the host would wait for the device.
+  // Of those that have not, zeros are kept.
+  constexpr int64_t fewBytes = 256 << 10;
+  if (slabs.onDevice() && slabs.dimension() < 0 &&
+      node.numCells() * slabs.elementBytes() <= fewBytes &&
+      field->tree().mirror()->sparse()->canKeepActivity()) {
+    if (!everyCell) {
+      auto every = std::make_shared<ActiveList>();
+      every->cells.resize(static_cast<size_t>(node.numCells()));
+      std::iota(every->cells.begin(), every->cells.end(), int64_t(0));
+      everyCell = std::move(every);
+    }
+    return slabs.addCells(everyCell);
+  }
+  return slabs.addCells(node.list(runtime));
 }
 
 void Track::markRead(int64_t slab, uint32_t stamp) {

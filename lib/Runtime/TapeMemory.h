@@ -48,6 +48,8 @@ struct Track {
   /// The snapshot that last took each cell, and marks for counting cells.
   std::vector<uint32_t> loggedBy, marks;
   bool everSaved = false;
+  /// All that there are, where all are kept.
+  ActiveListPtr everyCell;
 
   /// Stamps of the record that has stored to each slab, and to one at an
   /// unknown place, and whose adjoint may load that; 0 once it was changed.

@@ -1,6 +1,7 @@
 """Sparse levels on a GPU, as the emulated device runs them wherever the tests run."""
 
 import os
+import re
 
 import numpy as np
 import pytest
@@ -393,7 +394,7 @@ def test_a_tape_records_and_replays_without_the_host():
     before = fetched()
     with ti.ad.Tape(loss) as tape:
         run()
-    assert fetched() - before <= 4
+    assert fetched() - before <= 1
     check(weights)
     for factor in (2.0, -1.0):
         blocks.deactivate_all()
@@ -401,5 +402,68 @@ def test_a_tape_records_and_replays_without_the_host():
         w.from_numpy(factor * weights)
         before = fetched()
         tape.replay()
-        assert fetched() - before <= 4
+        assert fetched() - before <= 1
         check(factor * weights)
+
+
+def test_a_tape_keeps_values_without_the_host():
+    """What is overwritten in few cells is kept whether they are active or not."""
+    n, steps = CELLS * BLOCK, 9
+    x, w = ti.field(ti.f64), ti.field(ti.f64, shape=(), needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+    blocks = ti.root.pointer(ti.i, CELLS)
+    blocks.dense(ti.i, BLOCK).place(x)
+    ti.root.lazy_grad()
+
+    @ti.kernel
+    def scatter(t: ti.i32):
+        for i in range(8):
+            x[(i * 31 + t * 17) % n] += w[None] * (i + 1)
+
+    @ti.kernel
+    def fold():
+        for i in x:
+            x[i] = ti.sin(x[i]) + w[None]
+
+    @ti.kernel
+    def judge():
+        for i in x:
+            loss[None] += x[i] ** 2
+
+    def run(weight):
+        """The loss and its derivative."""
+        value, derivative = np.zeros((2, CELLS, BLOCK))
+        active = np.zeros(CELLS, bool)
+        for t in range(steps):
+            for i in range(8):
+                at = (i * 31 + t * 17) % n
+                value.reshape(-1)[at] += weight * (i + 1)
+                derivative.reshape(-1)[at] += i + 1
+                active[at // BLOCK] = True
+            derivative[active] = np.cos(value[active]) * derivative[active] + 1
+            value[active] = np.sin(value[active]) + weight
+            if t == 4:
+                value[:], derivative[:], active[:] = 0, 0, False
+        return (value**2).sum(), 2 * (value * derivative).sum()
+
+    w[None] = 0.3
+    before = fetched()
+    with ti.ad.Tape(loss) as tape:
+        for t in range(steps):
+            scatter(t)
+            fold()
+            if t == 4:
+                blocks.deactivate_all()
+        judge()
+    waits = fetched() - before
+    assert (loss[None], w.grad[None]) == pytest.approx(run(0.3), rel=1e-11)
+    assert waits <= 2
+    for weight in (0.7, -0.2, 0.4):
+        blocks.deactivate_all()
+        loss[None], w[None] = 0, weight
+        before = fetched()
+        tape.replay()
+        assert fetched() - before <= 2
+        assert (loss[None], w.grad[None]) == pytest.approx(run(weight), rel=1e-11)
+    # The work of a replay is the same again, bits that go back included.
+    assert re.search(r"run [34] times, [23] of them with new parameters", tape.explain())
