@@ -419,9 +419,14 @@ def make_mass_spring(problem) -> Program:
     loss = ti.field(dtype=ti.f32)
     ti.root.dense(ti.i, slots).dense(ti.j, points).place(x, v, increment)
     ti.root.dense(ti.i, springs).place(first, second, rest, stiffness, amount)
-    ti.root.dense(ti.ij, (hidden_count, inputs)).place(w1)
+    if elements_whole:
+        # Neighbours in a warp have neighbours in memory.
+        ti.root.dense(ti.j, inputs).dense(ti.i, hidden_count).place(w1)
+        ti.root.dense(ti.j, hidden_count).dense(ti.i, springs).place(w2)
+    else:
+        ti.root.dense(ti.ij, (hidden_count, inputs)).place(w1)
+        ti.root.dense(ti.ij, (springs, hidden_count)).place(w2)
     ti.root.dense(ti.i, hidden_count).place(b1)
-    ti.root.dense(ti.ij, (springs, hidden_count)).place(w2)
     ti.root.dense(ti.i, springs).place(b2)
     ti.root.dense(ti.ij, (slots, hidden_count)).place(hidden)
     ti.root.dense(ti.ij, (slots, springs)).place(output)

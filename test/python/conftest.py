@@ -64,6 +64,7 @@ CPU_ALONE = {
     "test_one_body_of_ten": "a device visits cells whose adjoints are zero, too",
     "test_what_visits_everything": "a device visits cells whose adjoints are zero, too",
     "test_gathered_adjoints_visit_what_lies_around": "a device visits all active cells",
+    "test_plain_replays": "looks at replays on the CPU",
     "test_out_of_memory_in_a_kernel": "cells have their memory from the start on a device",
 }
 # What a GPU alone cannot do.
