@@ -16,8 +16,8 @@
 #include "mlir/IR/BuiltinOps.h"
 #include "mlir/Tools/mlir-translate/Translation.h"
 #include "tai/ExecutionEngine/DeviceCompiler.h"
-#include "tai/Runtime/DeviceAbi.h"
 #include "tai/InitAll.h"
+#include "tai/Runtime/DeviceAbi.h"
 #include "llvm/Support/CommandLine.h"
 #include "llvm/Support/raw_ostream.h"
 
