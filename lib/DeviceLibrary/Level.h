@@ -84,19 +84,35 @@ struct Level {
         reinterpret_cast<uint64_t>(addressOf(cell)) - account.origin;
     uint64_t to = from + static_cast<uint64_t>(count * node.cellBytes) - 1;
     auto bytes = static_cast<uint64_t>(account.pieceBytes);
-    for (uint64_t piece = from / bytes; piece <= to / bytes; ++piece) {
-      uint64_t *word = account.pieces + piece / 64;
-      uint64_t bit = uint64_t(1) << (piece % 64);
-      if ((atomicRead(word) & bit) || (atomicOr(word, bit) & bit))
-        continue;
-      int64_t before = atomicAdd(&account.inPieces, account.pieceBytes);
-      if (isSure || before + account.pieceBytes <= account.mostInPieces)
-        continue;
-      atomicAdd(&account.inPieces, -account.pieceBytes);
-      atomicAnd(word, ~bit);
-      return false;
-    }
+    for (uint64_t piece = from / bytes; piece <= to / bytes; ++piece)
+      if (!takePiece(account, piece, isSure))
+        return false;
     return true;
+  }
+  /// The bit of a piece is set when there is room for it, not before: threads
+  /// that find it go on. Several may take room for the same piece, of which one
+  /// keeps it: where there seems to be none, it is looked for again.
+  static bool takePiece(TaiDeviceAccount &account, uint64_t piece,
+                        bool isSure) {
+    uint64_t *word = account.pieces + piece / 64;
+    uint64_t bit = uint64_t(1) << (piece % 64);
+    constexpr int mostTries = 256;
+    for (int tries = 0; tries < mostTries;) {
+      if (atomicRead(word) & bit)
+        return true;
+      int64_t known = atomicRead(&account.inPieces);
+      int64_t wanted = known + account.pieceBytes;
+      if (wanted > account.mostInPieces && !isSure) {
+        ++tries;
+        continue;
+      }
+      if (!atomicReplace(&account.inPieces, known, wanted))
+        continue;
+      if (atomicOr(word, bit) & bit)
+        atomicAdd(&account.inPieces, -account.pieceBytes);
+      return true;
+    }
+    return false;
   }
 
   void noteRemovedBits(int64_t word, uint64_t bits) const {

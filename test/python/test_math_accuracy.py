@@ -30,6 +30,10 @@ def in_ulps(found: np.ndarray, expected: np.ndarray) -> np.ndarray:
     return np.abs(found.astype(np.float64) - expected) / unit
 
 
+def on_a_gpu() -> bool:
+    return ti.lang.impl.current_cfg().arch == ti.cuda
+
+
 FUNCTIONS = {
     "exp": (ti.exp, np.exp),
     "log": (ti.log, np.log),
@@ -61,7 +65,9 @@ def test_half_a_unit(name):
     np.testing.assert_array_equal(found[special], rounded[special])
     signs = ~np.isnan(rounded)
     np.testing.assert_array_equal(np.signbit(found[signs]), np.signbit(rounded[signs]))
-    assert in_ulps(found[~special], expected[~special]).max() < 0.501
+    # On a GPU they are those of its library.
+    bound = {"exp": 2.0, "log": 1.0, "tanh": 2.0}[name] if on_a_gpu() else 0.501
+    assert in_ulps(found[~special], expected[~special]).max() < bound
 
 
 def test_one_as_many():
@@ -92,6 +98,8 @@ def test_one_as_many():
 def test_other_modes(options):
     """fast_math is within 4 units; without contraction they are those of libm."""
     ti.init(arch=ti.cpu, **options)
+    if on_a_gpu() and "fast_math" in options:
+        pytest.skip("a GPU's fast logarithm near one, and tanh, have absolute errors")
     arguments = np.random.default_rng(5).uniform(-5.0, 5.0, 5000).astype(np.float32)
     x = ti.field(ti.f32, shape=5000)
     y = ti.field(ti.f32, shape=(3, 5000))
@@ -108,5 +116,7 @@ def test_other_modes(options):
     wide = arguments.astype(np.float64)
     expected = np.stack([np.exp(wide), np.log(np.abs(wide)), np.tanh(wide)])
     bounds = (4.0, 4.0, 5.0) if "fast_math" in options else (1.0, 1.0, 2.5)
+    if on_a_gpu():
+        bounds = (2.0, 1.0, 2.5)
     for found, exact, bound in zip(y.to_numpy(), expected, bounds, strict=True):
         assert in_ulps(found, exact).max() <= bound
