@@ -36,9 +36,12 @@ Linker::create(ArrayRef<runtime::RuntimeSymbol> runtime) {
   if (!control)
     return control.takeError();
   linker->session = std::make_unique<ExecutionSession>(std::move(*control));
-  // Errors come back through the calls; nothing is printed.
-  linker->session->setErrorReporter(
-      [](Error error) { consumeError(std::move(error)); });
+  // Nothing is printed. What comes back through the calls does not say why.
+  linker->session->setErrorReporter([linker = linker.get()](Error error) {
+    std::lock_guard<std::mutex> lock(linker->mutex);
+    linker->reasons +=
+        (linker->reasons.empty() ? "" : "; ") + toString(std::move(error));
+  });
   linker->layer = std::make_unique<ObjectLinkingLayer>(*linker->session);
 
   JITDylib &library = linker->session->createBareJITDylib("runtime");
@@ -79,7 +82,11 @@ Expected<Linker::Linked> Linker::link(ArrayRef<char> object,
   linked.library = &library;
   auto fail = [&](Error error) -> Error {
     unload(&library);
-    return error;
+    std::lock_guard<std::mutex> lock(mutex);
+    if (reasons.empty())
+      return error;
+    return createStringError(toString(std::move(error)) + ": " +
+                             std::exchange(reasons, std::string()));
   };
   auto buffer = MemoryBuffer::getMemBufferCopy(
       StringRef(object.data(), object.size()), name);

@@ -20,6 +20,7 @@
 #include "llvm/Support/Error.h"
 #include <memory>
 #include <mutex>
+#include <string>
 #include <vector>
 
 namespace llvm::orc {
@@ -60,6 +61,8 @@ private:
   std::unique_ptr<llvm::orc::ObjectLinkingLayer> layer;
   Library *runtimeLibrary = nullptr;
   std::mutex mutex;
+  /// What the session has said since the last failure.
+  std::string reasons;
   uint64_t counter = 0;
 };
 
