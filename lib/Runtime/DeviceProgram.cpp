@@ -73,15 +73,12 @@ void DeviceQueue::Sequence::addFill(const DeviceRows &rows, const void *pattern,
   DeviceRows all = rows;
   if (!steps.empty()) {
     const Step &last = steps.back();
-    bool isFill = last.kind == Step::Kind::Fill,
-         isRows = last.kind == Step::Kind::FillRows;
-    const uint64_t *values = slots.data() + last.firstSlot;
-    if ((isFill && values[2] == static_cast<uint64_t>(patternBytes) &&
-         std::memcmp(values + 1, pattern, static_cast<size_t>(patternBytes)) ==
-             0) ||
-        (isRows && values[5] == static_cast<uint64_t>(patternBytes) &&
-         std::memcmp(values + 4, pattern, static_cast<size_t>(patternBytes)) ==
-             0)) {
+    bool isFill = last.kind == Step::Kind::Fill;
+    // The pattern, and its size behind it.
+    const uint64_t *held = slots.data() + last.firstSlot + (isFill ? 1 : 4);
+    if ((isFill || last.kind == Step::Kind::FillRows) &&
+        held[1] == static_cast<uint64_t>(patternBytes) &&
+        std::memcmp(held, pattern, static_cast<size_t>(patternBytes)) == 0) {
       DeviceRows before = rowsOf(last);
       bool follows = isBeside(before, rows);
       if (follows || isBeside(rows, before)) {
@@ -282,9 +279,11 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
                ways.end());
   }
   // Worth its compilation only where a graph is among the best.
-  std::stable_partition(ways.begin(), ways.end(), [](const Way &way) {
-    return way.mode != ProgramMode::Overlapped;
+  auto overlapped = std::find_if(ways.begin(), ways.end(), [](const Way &way) {
+    return way.mode == ProgramMode::Overlapped;
   });
+  if (overlapped != ways.end())
+    std::rotate(overlapped, overlapped + 1, ways.end());
 }
 
 //===----------------------------------------------------------------------===//

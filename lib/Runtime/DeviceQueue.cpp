@@ -93,7 +93,7 @@ Status DeviceQueue::launch(DeviceFunction &function, const LaunchShape &shape,
   auto &wrapped = static_cast<Function &>(function);
   if (__builtin_expect(collecting == 0, true)) {
     Status status = settle();
-    return status ? device->launch(*wrapped.function, shape, slots, count)
+    return status ? launchNow(function, shape, slots, count)
                   : std::move(status);
   }
   collected->addLaunch(wrapped, shape, slots, count);

@@ -11,6 +11,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "../../lib/ExecutionEngine/AggregateAtomics.h"
+#include "LLVMPassUtils.h"
 #include "llvm/AsmParser/Parser.h"
 #include "llvm/IR/Instructions.h"
 #include "llvm/IR/IntrinsicInst.h"
@@ -19,7 +20,6 @@
 #include "llvm/IR/Module.h"
 #include "llvm/IR/Verifier.h"
 #include "llvm/MC/TargetRegistry.h"
-#include "llvm/Passes/PassBuilder.h"
 #include "llvm/Support/SourceMgr.h"
 #include "llvm/Support/TargetSelect.h"
 #include "llvm/Target/TargetMachine.h"
@@ -81,7 +81,7 @@ struct Warp {
         return 0;
       }
     }
-    if (auto *select = dyn_cast<SelectInst>(&at))
+    if (isa<SelectInst>(&at))
       return operand(0) != 0 ? operand(1) : operand(2);
     if (auto *compare = dyn_cast<ICmpInst>(&at)) {
       switch (compare->getPredicate()) {
@@ -185,19 +185,7 @@ Warp add(unsigned elements, uint32_t active, bool isUniform = true) {
   EXPECT_TRUE(target) << message;
   std::unique_ptr<TargetMachine> machine(target->createTargetMachine(
       triple, "sm_90", "+ptx80", TargetOptions(), std::nullopt));
-  LoopAnalysisManager loops;
-  FunctionAnalysisManager functions;
-  CGSCCAnalysisManager sccs;
-  ModuleAnalysisManager modules;
-  PassBuilder builder(machine.get());
-  builder.registerModuleAnalyses(modules);
-  builder.registerCGSCCAnalyses(sccs);
-  builder.registerFunctionAnalyses(functions);
-  builder.registerLoopAnalyses(loops);
-  builder.crossRegisterProxies(loops, functions, sccs, modules);
-  FunctionPassManager passes;
-  passes.addPass(AggregateAtomics());
-  passes.run(function, functions);
+  runPass(function, AggregateAtomics(), machine.get());
   EXPECT_FALSE(verifyFunction(function, &errs()));
 
   std::vector<std::string> names;

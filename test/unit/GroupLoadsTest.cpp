@@ -6,12 +6,12 @@
 //===----------------------------------------------------------------------===//
 
 #include "../../lib/ExecutionEngine/GroupLoads.h"
+#include "LLVMPassUtils.h"
 #include "llvm/AsmParser/Parser.h"
 #include "llvm/IR/IntrinsicInst.h"
 #include "llvm/IR/LLVMContext.h"
 #include "llvm/IR/Module.h"
 #include "llvm/IR/Verifier.h"
-#include "llvm/Passes/PassBuilder.h"
 #include "llvm/Support/SourceMgr.h"
 #include "gtest/gtest.h"
 
@@ -33,20 +33,8 @@ std::string order(StringRef body, StringRef parameters = "") {
   std::unique_ptr<Module> module = parseAssemblyString(text, error, context);
   if (!module)
     return error.getMessage().str();
-  LoopAnalysisManager loops;
-  FunctionAnalysisManager functions;
-  CGSCCAnalysisManager sccs;
-  ModuleAnalysisManager modules;
-  PassBuilder builder;
-  builder.registerModuleAnalyses(modules);
-  builder.registerCGSCCAnalyses(sccs);
-  builder.registerFunctionAnalyses(functions);
-  builder.registerLoopAnalyses(loops);
-  builder.crossRegisterProxies(loops, functions, sccs, modules);
-  FunctionPassManager passes;
-  passes.addPass(GroupLoads());
   Function &function = *module->getFunction("f");
-  passes.run(function, functions);
+  runPass(function, GroupLoads());
   EXPECT_FALSE(verifyFunction(function, &errs()));
   std::string result;
   for (Instruction &instruction : function.getEntryBlock())

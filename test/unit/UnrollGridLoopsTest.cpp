@@ -11,6 +11,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "../../lib/ExecutionEngine/UnrollGridLoops.h"
+#include "LLVMPassUtils.h"
 #include "tai/ExecutionEngine/Linker.h"
 #include "tai/ExecutionEngine/ObjectCompiler.h"
 #include "llvm/AsmParser/Parser.h"
@@ -18,7 +19,6 @@
 #include "llvm/IR/LLVMContext.h"
 #include "llvm/IR/Module.h"
 #include "llvm/IR/Verifier.h"
-#include "llvm/Passes/PassBuilder.h"
 #include "llvm/Support/SourceMgr.h"
 #include "gtest/gtest.h"
 
@@ -101,19 +101,7 @@ protected:
     EXPECT_TRUE(module) << diagnostic.getMessage().str();
     Function *kernel = module->getFunction("kernel");
     if (unrolls) {
-      LoopAnalysisManager loops;
-      FunctionAnalysisManager functions;
-      CGSCCAnalysisManager sccs;
-      ModuleAnalysisManager modules;
-      PassBuilder builder;
-      builder.registerModuleAnalyses(modules);
-      builder.registerCGSCCAnalyses(sccs);
-      builder.registerFunctionAnalyses(functions);
-      builder.registerLoopAnalyses(loops);
-      builder.crossRegisterProxies(loops, functions, sccs, modules);
-      FunctionPassManager passes;
-      passes.addPass(mlir::tai::UnrollGridLoops());
-      passes.run(*kernel, functions);
+      mlir::tai::runPass(*kernel, mlir::tai::UnrollGridLoops());
     }
     blockCount = kernel->size();
     EXPECT_FALSE(verifyFunction(*kernel, &errs()));
