@@ -254,6 +254,17 @@ TAI_EXPORT TaiStatus taiContextWaitForStream(TaiContext context,
                                              uint64_t stream);
 TAI_EXPORT TaiStatus taiContextLetStreamWait(TaiContext context,
                                              uint64_t stream);
+/// Memory of the GPU for what is kept of arrays there. It must not outlive the
+/// context.
+TAI_EXPORT TaiStatus taiContextAllocateOnDevice(TaiContext context,
+                                                int64_t bytes, void **address);
+TAI_EXPORT void taiContextFreeOnDevice(TaiContext context, void *address);
+/// Copies there, in the order of the launches: in a sweep or replay of a tape,
+/// as a part of it.
+TAI_EXPORT TaiStatus taiContextCopyOnDevice(TaiContext context, void *to,
+                                            const void *from, int64_t bytes);
+/// Whether kernels can use the address on the GPU, or the emulated one.
+TAI_EXPORT int taiContextIsOnDevice(TaiContext context, const void *address);
 /// Whether kernels run on a GPU, and not on one that is emulated.
 TAI_EXPORT int taiContextIsOnGpu(TaiContext context);
 

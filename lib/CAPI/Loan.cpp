@@ -42,6 +42,26 @@ TaiStatus taiContextLetStreamWait(TaiContext context, uint64_t stream) {
   return context->status(context->session.getRuntime().letStreamWait(stream));
 }
 
+TaiStatus taiContextAllocateOnDevice(TaiContext context, int64_t bytes,
+                                     void **address) {
+  return context->status(
+      context->session.getRuntime().allocateOnDevice(bytes, *address));
+}
+
+void taiContextFreeOnDevice(TaiContext context, void *address) {
+  context->session.getRuntime().freeOnDevice(address);
+}
+
+TaiStatus taiContextCopyOnDevice(TaiContext context, void *to, const void *from,
+                                 int64_t bytes) {
+  return context->status(
+      context->session.getRuntime().copyOnDevice(to, from, bytes));
+}
+
+int taiContextIsOnDevice(TaiContext context, const void *address) {
+  return context->session.getRuntime().isOnDevice(address);
+}
+
 int taiContextIsOnGpu(TaiContext context) {
   const runtime::Device *device = context->session.getRuntime().getDevice();
   return device && device->kind() == runtime::DeviceKind::Cuda;

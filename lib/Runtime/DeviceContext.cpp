@@ -237,7 +237,8 @@ Status DeviceLaunch::scratch(int64_t bytes, DevicePtr &memory) {
 Status DeviceLaunch::array(void *host, int64_t bytes, bool written,
                            DevicePtr &memory) {
   Device &device = context->get();
-  if (device.isDeviceMemory(host)) {
+  // Nothing is nowhere; that of other libraries has no address.
+  if (bytes == 0 || device.isDeviceMemory(host)) {
     memory = reinterpret_cast<DevicePtr>(host);
     return Status::success();
   }

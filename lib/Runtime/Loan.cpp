@@ -11,9 +11,11 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "DeviceContext.h"
 #include "Mirror.h"
 #include "Scalars.h"
 #include "tai/Runtime/Runtime.h"
+#include <algorithm>
 
 using namespace mlir::tai::runtime;
 
@@ -87,4 +89,38 @@ Status Runtime::waitForStream(uint64_t stream) {
 
 Status Runtime::letStreamWait(uint64_t stream) {
   return device ? device->get().letStreamWait(stream) : Status::success();
+}
+
+static Status hasNoDevice() {
+  return Status::failure(StatusCode::Usage,
+                         "there is no device that arrays could be kept on");
+}
+
+Status Runtime::allocateOnDevice(int64_t bytes, void *&address) {
+  address = nullptr;
+  if (!device)
+    return hasNoDevice();
+  DevicePtr memory = 0;
+  Status status =
+      device->allocate(std::max<int64_t>(bytes, 1), "copies of arrays", memory);
+  address = reinterpret_cast<void *>(memory);
+  return status;
+}
+
+void Runtime::freeOnDevice(void *address) {
+  if (device && address)
+    device->free(reinterpret_cast<DevicePtr>(address));
+}
+
+Status Runtime::copyOnDevice(void *to, const void *from, int64_t bytes) {
+  if (!device)
+    return hasNoDevice();
+  return bytes == 0
+             ? Status::success()
+             : device->get().copy(reinterpret_cast<DevicePtr>(to),
+                                  reinterpret_cast<DevicePtr>(from), bytes);
+}
+
+bool Runtime::isOnDevice(const void *address) const {
+  return device && device->get().isDeviceMemory(address);
 }

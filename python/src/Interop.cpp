@@ -157,9 +157,41 @@ template <typename M> py::dict takeFrom(const py::object &capsule) {
   return result;
 }
 
+/// Memory of the device that Python keeps copies of arrays in.
+struct DeviceMemory {
+  DeviceMemory(ContextRef from, int64_t bytes)
+      : context(std::move(from)), bytes(bytes) {
+    context->check(
+        taiContextAllocateOnDevice(context->handle, bytes, &address));
+  }
+  ~DeviceMemory() { taiContextFreeOnDevice(context->handle, address); }
+  DeviceMemory(const DeviceMemory &) = delete;
+  DeviceMemory &operator=(const DeviceMemory &) = delete;
+
+  void save(uint64_t from) {
+    context->check(taiContextCopyOnDevice(
+        context->handle, address, reinterpret_cast<const void *>(from), bytes));
+  }
+  void restore(uint64_t to) {
+    context->check(taiContextCopyOnDevice(
+        context->handle, reinterpret_cast<void *>(to), address, bytes));
+  }
+
+  ContextRef context;
+  int64_t bytes;
+  void *address = nullptr;
+};
+
 } // namespace
 
 void taipy::bindInterop(py::module_ &module) {
+  py::class_<DeviceMemory>(module, "DeviceMemory")
+      .def(py::init<ContextRef, int64_t>())
+      .def("save", &DeviceMemory::save)
+      .def("restore", &DeviceMemory::restore)
+      .def_property_readonly("address", [](const DeviceMemory &m) {
+        return reinterpret_cast<uint64_t>(m.address);
+      });
   // Strides count elements.
   module.def("make_dlpack", [](uint64_t address, std::vector<int64_t> shape,
                                std::vector<int64_t> strides, int code, int bits,

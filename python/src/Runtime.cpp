@@ -540,6 +540,11 @@ void taipy::bindRuntime(py::module_ &module) {
            [](Context &c, uint64_t stream) {
              c.check(taiContextLetStreamWait(c.handle, stream));
            })
+      .def("is_on_device",
+           [](Context &c, uint64_t address) {
+             return bool(taiContextIsOnDevice(
+                 c.handle, reinterpret_cast<const void *>(address)));
+           })
       .def("is_on_gpu",
            [](Context &c) { return bool(taiContextIsOnGpu(c.handle)); })
       .def("profile",

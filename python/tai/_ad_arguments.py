@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from . import _ad_values, _interop
+from ._ad_arrays import overlap
 from .errors import TaiAutodiffError
 
 
@@ -20,6 +21,7 @@ def as_array(value: Any) -> Any:
     if found is not None:
         return found
     if hasattr(value, "detach") and hasattr(value, "numpy"):  # a torch tensor
+        _interop.numpy_type(value.dtype)
         return value.detach().numpy()
     if hasattr(value, "__dlpack__") and hasattr(value, "dtype") and hasattr(value, "ndim"):
         return np.from_dlpack(value)  # of jax, on the CPU
@@ -50,7 +52,7 @@ def adjoint_slots(found: Any, values: list, tape: Any) -> tuple[list, Any]:
         if spec.kind == "array":
             buffer = _ad_values.gradient_array(value)
             if tape is not None:
-                tape.core.keep(buffer)
+                tape.arrays.use_gradient(value, buffer)
             add(buffer)
             continue
         gradient = _ad_values.gradient_of(value)
@@ -84,12 +86,9 @@ def check_arrays(kernel: str, parameters: list, found: Any, values: list) -> Non
     for number, (name, spec, array) in enumerate(arrays):
         for other, other_spec, other_array in arrays[:number]:
             differentiated = spec.has_gradient or other_spec.has_gradient
-            on_device = isinstance(array, _interop.DeviceArray)
-            if on_device or isinstance(other_array, _interop.DeviceArray):
-                continue
-            if differentiated and np.may_share_memory(array, other_array):
+            if differentiated and overlap(array, other_array):
                 raise TaiAutodiffError(
                     f"arrays '{other}' and '{name}' of kernel '{kernel}' overlap, and "
                     "one has a gradient",
-                    "pass the same ti.ndarray for both, or a copy",
+                    "pass the same array for both, or a copy",
                 )

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from . import _interop, _state
+from ._ad_arrays import TapeArrays
 from .dtypes import DataType, to_dtype
 from .errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
 from .matrix import Matrix, Vector
@@ -359,21 +360,38 @@ def wrap_result(answer: Any, gradient: Gradient) -> Any:
 # Arrays
 
 
-def gradient_array(value: Any) -> np.ndarray | None:
-    """The memory of the gradient of an array that has one.
+def _is_tensor_with_gradient(value: Any) -> bool:
+    if getattr(value, "requires_grad", False) is not True or not hasattr(value, "detach"):
+        return False
+    if not value.is_contiguous():
+        raise TaiRuntimeTypeError(
+            "a tensor with a gradient must be contiguous", "pass tensor.contiguous()"
+        )
+    return True
 
-    A `ti.ndarray` made with `needs_grad=True`, or a torch tensor with `requires_grad`, whose
-    `grad` is made if it is missing.
+
+def has_gradient_array(value: Any) -> bool:
+    """Whether the array is one that kernels are differentiated by.
+
+    A `ti.ndarray` made with `needs_grad=True`, or a torch tensor with `requires_grad`.
     """
     if isinstance(value, np.ndarray):
+        return False
+    return _is_tensor_with_gradient(value) or gradient_array(value) is not None
+
+
+def gradient_array(value: Any) -> Any:
+    """The memory of the gradient of an array that has one; that of a tensor is made if it is
+    missing."""
+    if isinstance(value, np.ndarray):
         return None
-    if getattr(value, "requires_grad", False) is True and hasattr(value, "detach"):
-        if not value.is_contiguous():
-            raise TaiRuntimeTypeError(
-                "a tensor with a gradient must be contiguous", "pass tensor.contiguous()"
-            )
+    if _is_tensor_with_gradient(value):
         if value.grad is None:
             value.grad = value.detach().new_zeros(value.shape)
+        elif not value.grad.is_contiguous():
+            raise TaiRuntimeTypeError(
+                "the gradient of a tensor must be contiguous", "t.grad = t.grad.contiguous()"
+            )
         return _interop.as_device_array(value.grad) or value.grad.detach().numpy()
     grad = getattr(value, "grad", None)
     array = getattr(grad, "array", None)
@@ -386,12 +404,11 @@ def gradient_array(value: Any) -> np.ndarray | None:
 class TapeValues:
     """What a tape knows of the values and arrays of its launches."""
 
-    def __init__(self, core: Any):
+    def __init__(self, core: Any, runs_again: bool = False):
         self.core = core
         self._gradients: list[Gradient] = []  # of results and of what Python computed
         self._passed: set[tuple[int, Any]] = set()
-        self._used: dict[int, np.ndarray] = {}
-        self._restored: dict[int, np.ndarray] = {}
+        self.arrays = TapeArrays(core, runs_again)
         self._fed_back = False
 
     def argument(self, gradient: Gradient, dt: DataType) -> np.ndarray:
@@ -415,46 +432,24 @@ class TapeValues:
         self.core.keep(buffer)
         return gradient, buffer
 
-    def use(self, array: np.ndarray, is_written: bool) -> None:
-        """An array that the launch that comes next reads, or also writes.
-
-        What an earlier launch has read there is kept and put back in the reverse sweep.
-        """
-        if isinstance(array, _interop.DeviceArray):
-            raise TaiAutodiffError(
-                "a tape records a launch on an array of a GPU, which it cannot keep",
-                "copy it into a field before, as x.from_torch(t) does, or run the gradient by "
-                "hand: kernel.grad(t)",
-            )
-        self.core.keep(array)
-        where = array.ctypes.data
-        if is_written and any(np.may_share_memory(array, a) for a in self._used.values()):
-            saved = array.copy()
-            self._restored[where] = array
-            self.core.record(lambda: np.copyto(saved, array), lambda: np.copyto(array, saved))
-        self._used[where] = array
-
-    def uses(self, array: np.ndarray) -> bool:
-        return array.ctypes.data in self._used
-
     @contextlib.contextmanager
-    def sweep(self, losses: tuple = ()) -> Iterator[None]:
-        """Around a reverse sweep: sets its seeds, and puts arrays back afterwards."""
+    def sweep(self, losses: tuple = (), forward: bool = False) -> Iterator[None]:
+        """Around a reverse sweep: sets its seeds, and puts arrays back afterwards.
+
+        Args:
+            losses: pairs of values and seeds.
+            forward: whether the launches run forward again before.
+        """
+        if forward:
+            self.arrays.take_versions()
+        else:
+            self.arrays.check_versions()
         for gradient in self._gradients:
             gradient.clear()
         for value, amount in losses:
             _seed(value, amount)
-        final = [(array, array.copy()) for array in self._restored.values()]
-        try:
+        with self.arrays.sweep():
             yield
-        finally:
-            for array, contents in final:
-                np.copyto(array, contents)
-
-    @property
-    def restores(self) -> bool:
-        """Whether a sweep puts back contents of arrays."""
-        return bool(self._restored)
 
     def check_replay(self) -> None:
         """A forward replay calls kernels with the arguments that were recorded."""
@@ -534,10 +529,10 @@ def parse_losses(losses: tuple) -> tuple:
 active: TapeValues | None = None
 
 
-def begin(core: Any) -> TapeValues:
-    """Begins to follow the values of a tape."""
+def begin(core: Any, runs_again: bool = False) -> TapeValues:
+    """Begins to follow the values of a tape, which may run kernels again in its sweep."""
     global active
-    active = TapeValues(core)
+    active = TapeValues(core, runs_again)
     return active
 
 

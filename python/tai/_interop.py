@@ -6,7 +6,9 @@ order by events on the GPU, and the host waits for nothing.
 
 from __future__ import annotations
 
+import functools
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -38,10 +40,34 @@ def _torch() -> Any:
     return torch if torch is not None and torch.cuda.is_available() else None
 
 
+def _torch_stream(device: int) -> int:
+    """The address of torch's current stream."""
+    torch = _torch()
+    if torch is None:
+        return 0
+    # Without an object for the stream, if this torch has such a function.
+    raw = getattr(torch._C, "_cuda_getCurrentRawStream", None)
+    return torch.cuda.current_stream(device).cuda_stream if raw is None else raw(device)
+
+
+# What says on which stream torch works.
+_current_stream: Callable[[int], int] = _torch_stream
+
+
+def set_current_stream(function: Callable[[int], int]) -> Callable[[int], int]:
+    """Lets another function say on which stream tensors are worked on; returns the one before.
+
+    Args:
+        function: from the number of a GPU to the address of a stream.
+    """
+    global _current_stream
+    before, _current_stream = _current_stream, function
+    return before
+
+
 def _stream_number(stream: Any) -> int:
     if stream is None:
-        torch = _torch()
-        return 0 if torch is None else torch.cuda.current_stream().cuda_stream
+        return _current_stream(0)
     for name in ("cuda_stream", "ptr", "handle"):
         if hasattr(stream, name):
             return int(getattr(stream, name))
@@ -193,15 +219,24 @@ class DeviceArray:
         self.ndim = len(self.shape)
         self.ctypes = DeviceArray._Address(address)
         dense, step = True, 1
-        for extent, stride in zip(self.shape[::-1], (strides or ())[::-1], strict=False):
-            dense &= extent <= 1 or stride == step
+        steps = None if strides is None else strides[::-1]
+        for place, extent in enumerate(self.shape[::-1]):
+            dense &= steps is None or extent <= 1 or steps[place] == step
             step *= extent
+        dense |= step == 0
         self.flags = DeviceArray._Flags(dense, is_writeable)
-        self._owner, self._number, self._stream = owner, number, stream
+        self.nbytes = step * self.dtype.itemsize
+        # Of the library that it comes from: a stream, or None for torch's current one.
+        self.library = stream
+        self._owner, self._number = owner, number
 
     def check(self, what: str) -> None:
         """Raises where kernels cannot use it."""
-        if not get_program().context.is_on_gpu():
+        context = get_program().context
+        # An emulated GPU knows its own memory.
+        if not context.is_on_gpu() and not (
+            self.nbytes == 0 or context.is_on_device(self.ctypes.data)
+        ):
             raise TaiRuntimeTypeError(
                 f"{what} is on a GPU, and kernels run on the CPU",
                 "copy it to the CPU, or use ti.init(arch=ti.cuda)",
@@ -212,17 +247,36 @@ class DeviceArray:
                 "choose one for all by the environment variable CUDA_VISIBLE_DEVICES",
             )
         if not self.flags.c_contiguous:
-            raise TaiRuntimeTypeError(f"{what} is not contiguous", "pass a contiguous copy of it")
+            raise TaiRuntimeTypeError(
+                f"{what} is not contiguous", "pass a contiguous copy of it: t.contiguous()"
+            )
 
     def stream(self) -> int:
         """The stream on which its library works now."""
-        return _stream_number(self._stream)
+        return _stream_number(self.library)
 
     def to_numpy(self) -> np.ndarray:
         raise TaiRuntimeError("an array on a GPU has no copy here", "ask its library for one")
 
     def __repr__(self) -> str:
         return f"<array of {self.dtype} on a GPU, shape {self.shape}>"
+
+
+@functools.cache
+def numpy_type(dtype: Any) -> np.dtype:
+    """NumPy's name for a type of torch.
+
+    Raises:
+        TaiRuntimeTypeError: it has none, as bfloat16.
+    """
+    name = str(dtype).removeprefix("torch.")
+    try:
+        return np.dtype(name)
+    except TypeError:
+        raise TaiRuntimeTypeError(
+            f"kernels have no numbers of type {name}, which the tensor holds",
+            "convert it: t.float()",
+        ) from None
 
 
 def as_device_array(value: Any) -> DeviceArray | None:
@@ -232,7 +286,7 @@ def as_device_array(value: Any) -> DeviceArray | None:
     if getattr(value, "is_cuda", None) is True:  # torch
         value = value.detach()
         return DeviceArray(
-            value.data_ptr(), value.shape, str(value.dtype).removeprefix("torch."), value,
+            value.data_ptr(), value.shape, numpy_type(value.dtype), value,
             value.stride(), number=value.device.index or 0,
         )  # fmt: skip
     interface = getattr(value, "__cuda_array_interface__", None)

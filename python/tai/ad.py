@@ -126,7 +126,7 @@ class Tape:
         if self.clear_gradients:
             _ad_values.clear_gradients()
         self._core = program.context.tape(None, self.clear_gradients)
-        self._values = _ad_values.begin(self._core)
+        self._values = _ad_values.begin(self._core, self._checkpoint[0] != 0)
         try:
             for field in self._losses:
                 for part, _ in parts_of(field):
@@ -298,14 +298,16 @@ class Tape:
             losses: tuple = ((self._outer_loss, 1.0),)
         else:
             losses = ()
-        if not backward:
-            self._core.replay(forward, False)
-            return
-        if forward and self._values.restores:
+        arrays = self._values.arrays
+        if forward and (not backward or arrays.restores):
             # The sweep leaves the arrays as the kernels leave them now.
-            self._core.replay(True, False)
+            arrays.take_versions()
+            with arrays.ordered():
+                self._core.replay(True, False)
             forward = False
-        with self._values.sweep(losses):
+        if not backward:
+            return
+        with self._values.sweep(losses, forward):
             self._core.replay(forward, True)
 
     def explain(self) -> str:
@@ -320,7 +322,8 @@ class Tape:
         once more, and the gradients are put back.
         """
         self._need_record()
-        return take_health(self._core, self.loss, self._watches)
+        with self._values.arrays.ordered():
+            return take_health(self._core, self.loss, self._watches)
 
     def _need_record(self) -> None:
         if self._core is None or self._is_recording:

@@ -56,7 +56,7 @@ class Ndarray:
     def _refuse_in_tape(self) -> None:
         """A change by Python that a tape does not see, of what its launches have used."""
         values = _ad_values.recording()
-        if values is not None and values.uses(self.array):
+        if values is not None and values.arrays.uses(self.array):
             raise TaiRuntimeError(
                 "an array that the tape has recorded launches on is changed from Python",
                 "change it in a kernel, or before the tape begins",

@@ -39,7 +39,8 @@ class ArgumentSpec:
         has_gradient: whether the kernel is differentiated by it. An array then comes with
             the array of its gradient.
         alias: the number of the parameter that is the same array, or None.
-        is_written: whether the kernel writes the array; known once it is compiled.
+        is_read, is_written: whether the kernel reads and writes the array; known once it is
+            compiled.
         uses_gradient: whether it names the gradient of the array; known then, too.
     """
 
@@ -51,7 +52,7 @@ class ArgumentSpec:
         self.ndim, self.element_shape, self.constant = ndim, element_shape, constant
         self.has_gradient = has_gradient
         self.alias: int | None = None
-        self.is_written = self.uses_gradient = False
+        self.is_read = self.is_written = self.uses_gradient = False
 
     @property
     def has_slot(self) -> bool:
@@ -131,6 +132,12 @@ class Specialization:
         # Under a tape, Python must look at the arrays, and say where adjoints are.
         self.is_tracked = arrays or (result is not None and result.has_gradient)
 
+    def uses_of(self, spec: ArgumentSpec) -> tuple[bool, bool]:
+        """Whether the array is read and written, by any of the parameters that it is given for."""
+        number = self.specs.index(spec)
+        same = [other for other in self.specs if other is spec or other.alias == number]
+        return any(s.is_read for s in same), any(s.is_written for s in same)
+
 
 class Parameter:
     """A parameter of a kernel, as it is annotated."""
@@ -193,7 +200,7 @@ class Kernel(_core.Launcher):
         values = self._bind(args, kwargs)
         tracks = grad or _state.tape is not None
         found = self._specialize(values, tracks)
-        slots, copies, kept = self._pack(found, values)
+        slots, copies, kept = self._pack(found, values, tracks)
         if tracks:
             check_arrays(self.__name__, self._get_parameters(), found, values)
         descriptions = [spec.description() for spec in found.specs]
@@ -208,16 +215,16 @@ class Kernel(_core.Launcher):
             _core.add_specialization(
                 launcher, found.core, grad, descriptions, found.result, found.is_tracked
             )
+        others = [array for _, array, _ in kept if isinstance(array, _interop.DeviceArray)]
+        streams = _interop.order_before(others) if others else None
         tape = _ad_values.recording()
         if tape is not None:
-            for spec, array in kept:
-                tape.use(array, spec.is_written)
+            for spec, array, value in kept:
+                tape.arrays.use(value, array, *found.uses_of(spec))
         gradient = None
         if tracks:
             adjoints, gradient = adjoint_slots(found, values, tape)
             slots += adjoints
-        others = [array for _, array in kept if isinstance(array, _interop.DeviceArray)]
-        streams = _interop.order_before(others) if others else None
         answer = _core.launch_slots(found.core, grad, slots, found.result)
         if streams:
             _interop.order_after(streams)
@@ -333,7 +340,7 @@ class Kernel(_core.Launcher):
                 f"{what} expects elements of shape {tuple(type_.element_shape)}, "
                 f"but got {element_shape}"
             )
-        has_gradient = dt.is_float and _ad_values.gradient_array(value) is not None
+        has_gradient = dt.is_float and _ad_values.has_gradient_array(value)
         if type_.needs_grad and isinstance(value, Ndarray) and not has_gradient:
             raise TaiRuntimeTypeError(
                 f"{what} expects an array with a gradient",
@@ -343,11 +350,14 @@ class Kernel(_core.Launcher):
             "array", dt, ndim=ndim, element_shape=element_shape, has_gradient=has_gradient
         )
 
-    def _pack(self, found: Specialization, values: list[Any]) -> tuple[list, list, list]:
-        """Slots of the arguments, arrays to copy back, and all arrays with their specs."""
+    def _pack(
+        self, found: Specialization, values: list[Any], tracks: bool
+    ) -> tuple[list, list, list]:
+        """Slots of the arguments, arrays to copy back, and all arrays with their specs and what
+        they were given as."""
         slots: list[int] = []
         copies: list[tuple[np.ndarray, np.ndarray]] = []
-        kept: list[tuple[ArgumentSpec, np.ndarray]] = []
+        kept: list[tuple[ArgumentSpec, Any, Any]] = []
         pairs = zip(self._get_parameters(), found.specs, values, strict=True)
         for parameter, spec, value in pairs:
             if spec.kind == "scalar":
@@ -375,10 +385,13 @@ class Kernel(_core.Launcher):
                     if array.flags.writeable:
                         copies.append((array, copy))
                     array = copy
-                kept.append((spec, array))
+                kept.append((spec, array, value))
                 slots += [array.ctypes.data, *array.shape]
                 if spec.has_gradient:
-                    grad = _ad_values.gradient_array(value)
+                    # Torch makes gradients where they are wanted: a kernel that does not look at
+                    # this one gets the array again.
+                    looks = tracks or spec.uses_gradient
+                    grad = _ad_values.gradient_array(value) if looks else array
                     slots += [grad.ctypes.data, *grad.shape]
         return slots, copies, kept
 

@@ -413,3 +413,57 @@ def test_a_change_from_python_that_the_tape_does_not_see():
 def test_a_loss_of_several_numbers():
     with pytest.raises(ti.TaiRuntimeTypeError, match="must be one number"):
         ti.ad.Tape(array([1, 2]))
+
+
+def test_arrays_that_change_under_checkpoints():
+    """Kernels that run again would find what later ones have left."""
+    x, loss = array([1, 2]), scalar_loss()
+    b = ti.field(float, shape=2, needs_grad=True)
+
+    @ti.kernel
+    def step(x: ti.types.ndarray()):
+        for i in b:
+            b[i] = ti.sin(b[i]) * x[i]
+
+    @ti.kernel
+    def feed(x: ti.types.ndarray()):
+        for i in b:
+            x[i] = b[i]
+
+    @ti.kernel
+    def fill(x: ti.types.ndarray()):
+        for i in b:
+            x[i] = 2.0
+
+    for change in (feed, lambda x: square(x, x)):
+        with (
+            pytest.raises(ti.TaiAutodiffError, match="runs kernels again") as caught,
+            ti.ad.Tape(loss, checkpoint="periodic"),
+        ):
+            step(x)
+            change(x)
+        assert "in a field" in caught.value.hint
+    b.fill(1)
+    with ti.ad.Tape(loss, checkpoint="periodic"):
+        fill(x)
+        for _ in range(9):
+            step(x)
+        ti.ad.no_grad(feed)(array([0, 0]))
+
+
+def test_an_array_written_as_the_second_of_two_parameters(precision):
+    """What it held before is kept, too."""
+    x, loss = array([1, 2]), scalar_loss()
+
+    @ti.kernel
+    def shift(x: ti.types.ndarray(), y: ti.types.ndarray()):
+        for i in range(2):
+            y[i] = 3 * x[i]
+
+    y = array([0, 0])
+    with ti.ad.Tape(loss):
+        square(x, y)  # reads what x holds
+        shift(x, x)
+        total(x, loss)
+        total(y, loss)
+    np.testing.assert_allclose(x.grad.to_numpy(), [3 + 2, 3 + 4], rtol=precision)

@@ -225,7 +225,10 @@ public:
   //===--------------------------------------------------------------------===//
 
   /// What is queued from now on waits for what the other queue holds now, and
-  /// the other way round. Of CUDA, a stream, or 0 for the default one.
+  /// the other way round. Of CUDA, a stream, or 0 for the default one. Of an
+  /// emulated device, the address of a C function `void (int32_t)` that stands
+  /// for a stream: called with 0, it does what it holds; with 1, it hears that
+  /// all that was queued here has been done. Default streams hold nothing.
   virtual Status waitForStream(uint64_t stream);
   virtual Status letStreamWait(uint64_t stream);
 

@@ -272,6 +272,13 @@ public:
   /// nothing happens without a device.
   Status waitForStream(uint64_t stream);
   Status letStreamWait(uint64_t stream);
+  /// Memory of the device for what a caller keeps of arrays there.
+  Status allocateOnDevice(int64_t bytes, void *&address);
+  void freeOnDevice(void *address);
+  /// Copies there, in the order of the launches; part of what is collected.
+  Status copyOnDevice(void *to, const void *from, int64_t bytes);
+  /// Whether kernels can use the address where they run on a device.
+  bool isOnDevice(const void *address) const;
 
   //===--------------------------------------------------------------------===//
   // For the ABI functions and for bulk work on the host

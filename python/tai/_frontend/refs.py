@@ -277,6 +277,7 @@ class ArrayElement(Place):
         self.shape = array.element_shape[len(indices) - array.ndim :]
 
     def load(self) -> Value:
+        self.array.spec.is_read = True
         if self.shape:
             parts = [self.component(c).load() for c in range(_count(self.shape))]
             return self.emitter.matrix(parts, self.dt, self.shape)
@@ -295,7 +296,7 @@ class ArrayElement(Place):
         )
 
     def atomic(self, op: str, value: Any) -> Value:
-        self.array.spec.is_written = True
+        self.array.spec.is_written = self.array.spec.is_read = True
         if self.shape:
             old = [self.component(c).atomic(op, v) for c, v in enumerate(value.scalars())]
             return self.emitter.matrix(old, self.dt, self.shape)
