@@ -11,40 +11,15 @@
 //===----------------------------------------------------------------------===//
 
 #include "Core.h"
+#include "DLPack.h"
 
 #include <cstring>
 #include <vector>
 
 using namespace taipy;
+using namespace taipy::dlpack;
 
 namespace {
-
-struct DLTensor {
-  void *data;
-  int32_t deviceType, deviceNumber;
-  int32_t rank;
-  uint8_t code, bits;
-  uint16_t lanes;
-  int64_t *shape, *strides;
-  uint64_t byteOffset;
-};
-static_assert(sizeof(DLTensor) == 48, "the layout is that of DLPack");
-
-struct Managed {
-  DLTensor tensor;
-  void *owner;
-  void (*deleter)(Managed *);
-};
-
-struct ManagedVersioned {
-  uint32_t major, minor;
-  void *owner;
-  void (*deleter)(ManagedVersioned *);
-  uint64_t flags;
-  DLTensor tensor;
-};
-
-constexpr uint64_t readOnlyFlag = 1;
 
 template <typename M> constexpr const char *nameOf();
 template <> constexpr const char *nameOf<Managed>() { return "dltensor"; }
@@ -93,7 +68,7 @@ py::object makeCapsule(uint64_t address, std::vector<int64_t> shape,
   auto made = std::make_unique<Export<M>>();
   made->shape = std::move(shape);
   made->strides = std::move(strides);
-  DLTensor &tensor = made->managed.tensor;
+  dlpack::Tensor &tensor = made->managed.tensor;
   tensor.data = reinterpret_cast<void *>(address);
   tensor.deviceType = deviceType;
   tensor.rank = static_cast<int32_t>(made->shape.size());
@@ -128,7 +103,7 @@ template <typename M> py::dict takeFrom(const py::object &capsule) {
       static_cast<M *>(PyCapsule_GetPointer(capsule.ptr(), nameOf<M>()));
   if (!managed)
     throw py::error_already_set();
-  const DLTensor &tensor = managed->tensor;
+  const dlpack::Tensor &tensor = managed->tensor;
   py::dict result;
   result["address"] =
       reinterpret_cast<uint64_t>(tensor.data) + tensor.byteOffset;
@@ -145,7 +120,7 @@ template <typename M> py::dict takeFrom(const py::object &capsule) {
   result["strides"] = strides;
   bool readOnly = false;
   if constexpr (std::is_same_v<M, ManagedVersioned>)
-    readOnly = managed->flags & readOnlyFlag;
+    readOnly = managed->flags & kReadOnly;
   result["read_only"] = readOnly;
   // Taken: by its new name, nobody else can take it, and its end is ours.
   PyObject *owner = PyCapsule_New(managed, usedNameOf<M>(), destroyTaken<M>);

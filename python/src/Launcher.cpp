@@ -13,10 +13,11 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Core.h"
+#include "ArrayArguments.h"
 
 #include <algorithm>
 #include <cstring>
+#include <optional>
 #include <structmember.h>
 #include <vector>
 
@@ -47,10 +48,8 @@ struct Arg {
   ArgKind kind;
   int bits = 0; // Integer: width
   bool isUnsigned = false;
-  py::object constant;          // Constant: the object
-  std::string format;           // Array: struct format of an element
-  int rank = 0;                 // Array: dimensions, the element's included
-  std::vector<int64_t> element; // Array: extents of the element
+  py::object constant; // Constant: the object
+  ArrayArg array;      // Array: which
 };
 
 struct Result {
@@ -77,17 +76,6 @@ struct Launcher {
   std::vector<std::unique_ptr<Specialization>> *specializations;
 };
 
-enum class Match { Yes, No, Error };
-
-/// Buffers held during a launch.
-struct HeldBuffers {
-  std::vector<Py_buffer> buffers;
-  ~HeldBuffers() {
-    for (Py_buffer &buffer : buffers)
-      PyBuffer_Release(&buffer);
-  }
-};
-
 bool isSameConstant(PyObject *wanted, PyObject *given) {
   if (wanted == given)
     return true;
@@ -100,50 +88,6 @@ bool isSameConstant(PyObject *wanted, PyObject *given) {
   if (same < 0)
     PyErr_Clear();
   return same == 1;
-}
-
-/// The format of a buffer without a byte-order mark.
-const char *formatOf(const Py_buffer &view) {
-  const char *format = view.format ? view.format : "B";
-  if (*format == '@' || *format == '=' || *format == '<')
-    ++format;
-  return format;
-}
-
-/// numpy calls int64 'l' and int64 may also be 'q'.
-bool isSameFormat(const std::string &wanted, const char *given) {
-  auto normal = [](const char *f) -> std::string {
-    if (!std::strcmp(f, "l"))
-      return "q";
-    if (!std::strcmp(f, "L"))
-      return "Q";
-    return f;
-  };
-  return normal(wanted.c_str()) == normal(given);
-}
-
-Match packArray(const Arg &arg, PyObject *object, std::vector<uint64_t> &slots,
-                HeldBuffers &held) {
-  if (!PyObject_CheckBuffer(object))
-    return Match::No;
-  Py_buffer view;
-  if (PyObject_GetBuffer(object, &view,
-                         PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | PyBUF_WRITABLE) !=
-      0) {
-    PyErr_Clear();
-    return Match::No;
-  }
-  held.buffers.push_back(view);
-  if (view.ndim != arg.rank || !isSameFormat(arg.format, formatOf(view)))
-    return Match::No;
-  size_t outer = arg.rank - arg.element.size();
-  for (size_t d = 0; d < arg.element.size(); ++d)
-    if (view.shape[outer + d] != arg.element[d])
-      return Match::No;
-  slots.push_back(reinterpret_cast<uint64_t>(view.buf));
-  for (int d = 0; d < view.ndim; ++d)
-    slots.push_back(static_cast<uint64_t>(view.shape[d]));
-  return Match::Yes;
 }
 
 Match packInteger(const Arg &arg, PyObject *object, uint64_t &slot) {
@@ -169,14 +113,16 @@ Match packInteger(const Arg &arg, PyObject *object, uint64_t &slot) {
   return Match::Yes;
 }
 
-Match packArg(const Arg &arg, PyObject *object, std::vector<uint64_t> &slots,
-              HeldBuffers &held) {
+Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
+              std::vector<uint64_t> &slots, std::optional<HeldArrays> &held) {
   uint64_t slot = 0;
   switch (arg.kind) {
   case ArgKind::Constant:
     return isSameConstant(arg.constant.ptr(), object) ? Match::Yes : Match::No;
   case ArgKind::Array:
-    return packArray(arg, object, slots, held);
+    if (!held)
+      held.emplace(*spec.kernel->context, spec.grad);
+    return held->pack(arg.array, object, slots);
   case ArgKind::F32:
   case ArgKind::F64: {
     double number;
@@ -278,16 +224,23 @@ Match tryLaunch(Specialization &spec, PyObject *const *args, size_t count,
     return Match::No;
   static thread_local std::vector<uint64_t> slots;
   slots.clear();
-  HeldBuffers held;
+  std::optional<HeldArrays> held;
   for (size_t i = 0; i < count; ++i) {
-    Match match = packArg(spec.args[i], args[i], slots, held);
+    Match match = packArg(spec, spec.args[i], args[i], slots, held);
     if (match != Match::Yes)
       return match;
   }
+  if (held)
+    if (Match match = held->finish(slots); match != Match::Yes)
+      return match;
   // The launch may call Python back, which may launch: take the slots along.
   std::vector<uint64_t> mine;
   mine.swap(slots);
+  if (held && !held->orderBefore())
+    return Match::Error;
   answer = launch(spec, mine);
+  if (held && !held->orderAfter())
+    Py_CLEAR(answer);
   slots.swap(mine);
   return Match::Yes;
 }
@@ -382,10 +335,13 @@ Arg parseArg(const py::tuple &description) {
   } else if (arg.kind == ArgKind::Constant) {
     arg.constant = description[1];
   } else if (arg.kind == ArgKind::Array) {
-    arg.format = description[1].cast<std::string>();
-    arg.element = description[3].cast<std::vector<int64_t>>();
-    arg.rank =
-        description[2].cast<int>() + static_cast<int>(arg.element.size());
+    ArrayArg &array = arg.array;
+    array.format = description[1].cast<std::string>();
+    array.element = description[3].cast<std::vector<int64_t>>();
+    array.rank =
+        description[2].cast<int>() + static_cast<int>(array.element.size());
+    array.hasGradient = description[4].cast<bool>();
+    array.isElementFixed = description[5].cast<bool>();
   }
   return arg;
 }
@@ -423,6 +379,7 @@ void taipy::bindLauncher(py::module_ &module) {
   if (!type)
     throw py::error_already_set();
   module.attr("Launcher") = type;
+  bindArrayArguments(module);
 
   module.def("set_tape", [](const py::object &tape) {
     Py_XDECREF(activeTape);

@@ -24,6 +24,7 @@ from .program import get_program, name_fields
 from .types import MatrixType, NdarrayType, ScalarType, template
 
 _core.set_tracked_type(_ad_values.Number)
+_core.set_ndarray_type(Ndarray)
 
 _SLOT_KINDS = {"f32": ("f",), "f64": ("d",), "u1": ("b",)}
 
@@ -39,6 +40,8 @@ class ArgumentSpec:
         has_gradient: whether the kernel is differentiated by it. An array then comes with
             the array of its gradient.
         alias: the number of the parameter that is the same array, or None.
+        is_element_fixed: whether the annotation says how many dimensions an element has.
+        is_checked: whether Python must look at each array that is given.
         is_read, is_written: whether the kernel reads and writes the array; known once it is
             compiled.
         uses_gradient: whether it names the gradient of the array; known then, too.
@@ -52,6 +55,7 @@ class ArgumentSpec:
         self.ndim, self.element_shape, self.constant = ndim, element_shape, constant
         self.has_gradient = has_gradient
         self.alias: int | None = None
+        self.is_element_fixed = self.is_checked = False
         self.is_read = self.is_written = self.uses_gradient = False
 
     @property
@@ -79,9 +83,11 @@ class ArgumentSpec:
         if self.kind == "template":
             return ("c", self.constant)
         if self.kind == "array":
-            if self.has_gradient or self.alias is not None:
+            if self.uses_gradient or self.alias is not None or self.is_checked:
                 return None
-            return ("a", self.dt.numpy.char, self.ndim, list(self.element_shape))
+            shape = list(self.element_shape)
+            return ("a", self.dt.numpy.char, self.ndim, shape, self.has_gradient,
+                    self.is_element_fixed)  # fmt: skip
         if self.kind == "matrix":
             return None
         if self.dt.is_int:
@@ -204,12 +210,13 @@ class Kernel(_core.Launcher):
         if tracks:
             check_arrays(self.__name__, self._get_parameters(), found, values)
         descriptions = [spec.description() for spec in found.specs]
-        wants_gradients = any(spec.has_gradient for spec in found.specs)
+        wants_gradients = any(s.has_gradient and s.kind != "array" for s in found.specs)
+        result = found.result_spec
         if (
             grad not in found.registered
             and None not in descriptions
             and not wants_gradients
-            and not (grad and found.is_tracked)
+            and not (grad and result is not None and result.has_gradient)
         ):
             found.registered.add(grad)
             _core.add_specialization(
@@ -346,9 +353,13 @@ class Kernel(_core.Launcher):
                 f"{what} expects an array with a gradient",
                 "make it with needs_grad=True",
             )
-        return ArgumentSpec(
+        spec = ArgumentSpec(
             "array", dt, ndim=ndim, element_shape=element_shape, has_gradient=has_gradient
         )
+        spec.is_element_fixed = bool(type_.element_dim)
+        # Where the annotation wants a gradient, some arrays may still come without one.
+        spec.is_checked = type_.needs_grad and not has_gradient
+        return spec
 
     def _pack(
         self, found: Specialization, values: list[Any], tracks: bool

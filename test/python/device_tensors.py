@@ -82,9 +82,11 @@ class Tensor:
         return self._host.flags.c_contiguous
 
     def detach(self):
-        return Tensor(
+        made = Tensor(
             self._library, self._host, self._memory, version=self._counter, index=self.device.index
         )
+        made.dtype = self.dtype
+        return made
 
     def new_zeros(self, shape):
         return self._library.tensor(np.zeros(shape, self._host.dtype))

@@ -188,6 +188,8 @@ CudaDevice::~CudaDevice() {
       (void)cu.memFree(address);
     if (staging)
       (void)cu.memFreeHost(staging);
+    if (orderEvent)
+      (void)cu.eventDestroy(orderEvent);
     if (stream) {
       (void)cu.streamSynchronize(stream);
       (void)cu.streamDestroy(stream);

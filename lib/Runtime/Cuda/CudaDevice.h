@@ -83,12 +83,8 @@ public:
   Status wait(DeviceEvent &event) override;
   Status elapsed(const DeviceEvent &from, const DeviceEvent &to,
                  int64_t &ns) override;
-  Status waitForStream(uint64_t other) override {
-    return order(toStream(other), stream);
-  }
-  Status letStreamWait(uint64_t other) override {
-    return order(stream, toStream(other));
-  }
+  Status waitForStream(uint64_t other) override;
+  Status letStreamWait(uint64_t other) override;
   Status synchronize() override;
 
 private:
@@ -114,9 +110,6 @@ private:
   }
   Status allocateOnce(int64_t bytes, Address &address);
   Status setHeap(size_t memoryBytes);
-  static Stream toStream(uint64_t number) {
-    return reinterpret_cast<Stream>(number ? number : kLegacyStream);
-  }
   /// What is queued in `second` from now on comes after what is in `first`.
   Status order(Stream first, Stream second);
   /// Kernels of our own; see Rows.cu.
@@ -153,6 +146,10 @@ private:
 
   /// Whether what a graph has recorded last is a kernel.
   bool isAfterKernel = false;
+
+  /// Puts streams in order; made when it is needed.
+  std::mutex orderMutex;
+  Event orderEvent = nullptr;
 
   std::mutex stagingMutex;
   char *staging = nullptr;

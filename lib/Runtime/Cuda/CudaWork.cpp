@@ -245,24 +245,6 @@ Status CudaDevice::elapsed(const DeviceEvent &from, const DeviceEvent &to,
   return status;
 }
 
-Status CudaDevice::order(Stream first, Stream second) {
-  Status status = enter();
-  Event event = nullptr;
-  if (status)
-    status =
-        check(cu.eventCreate(&event, kEventNoTiming), "no event can be made");
-  if (!status)
-    return status;
-  status = check(cu.eventRecord(event, first),
-                 "the stream of another library cannot be used");
-  if (status)
-    status = check(cu.streamWaitEvent(second, event, 0),
-                   "the stream of another library cannot be used");
-  // It goes when it has been passed.
-  (void)cu.eventDestroy(event);
-  return status;
-}
-
 Status CudaDevice::synchronize() {
   Status status = enter();
   if (!status)

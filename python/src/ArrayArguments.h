@@ -1,0 +1,90 @@
+//===- ArrayArguments.h - Arrays that kernels are called with ---*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// What a call does with arrays, without running Python code: those of NumPy,
+// `ti.ndarray`, and tensors of the CPU and of a GPU.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_PYTHON_ARRAYARGUMENTS_H
+#define TAI_PYTHON_ARRAYARGUMENTS_H
+
+#include "Core.h"
+
+#include <vector>
+
+namespace taipy {
+
+enum class Match { Yes, No, Error };
+
+/// An array that a specialisation takes.
+struct ArrayArg {
+  std::string format;           // struct format of a number
+  int rank = 0;                 // dimensions, the element's included
+  std::vector<int64_t> element; // extents of the element
+  /// The kernel is differentiated by it: its gradient comes behind it.
+  bool hasGradient = false;
+  /// The annotation says how many dimensions belong to the element. Otherwise a
+  /// `ti.ndarray` does, and of other arrays none.
+  bool isElementFixed = false;
+};
+
+/// What must not go while a launch is made, and what that has to know.
+class HeldArrays {
+public:
+  /// With `grad`, the gradients of the arrays are looked for, which the kernel
+  /// adds to.
+  HeldArrays(Context &context, bool grad) : context(context), grad(grad) {}
+  ~HeldArrays();
+  HeldArrays(const HeldArrays &) = delete;
+  HeldArrays &operator=(const HeldArrays &) = delete;
+
+  /// Adds the slots of an array. No: Python must look at it.
+  Match pack(const ArrayArg &arg, PyObject *object,
+             std::vector<uint64_t> &slots);
+  /// To be called when all arguments have been packed: adds the gradients
+  /// again, as adjoints. No where arrays overlap that must not.
+  Match finish(std::vector<uint64_t> &slots);
+
+  /// The launch comes after what the libraries of the arrays have queued, and
+  /// what they queue then after the launch. Null and a Python error if not.
+  bool orderBefore();
+  bool orderAfter();
+
+private:
+  struct Range {
+    uint64_t begin, end;
+    bool hasGradient;
+  };
+
+  Match packBuffer(const ArrayArg &arg, PyObject *object,
+                   std::vector<uint64_t> &slots);
+  Match packNdarray(const ArrayArg &arg, PyObject *object,
+                    std::vector<uint64_t> &slots);
+  Match packTensor(const ArrayArg &arg, PyObject *object,
+                   std::vector<uint64_t> &slots);
+  template <typename Packer>
+  Match packGradient(PyObject *owner, PyObject *name,
+                     std::vector<uint64_t> &slots, size_t first, Packer pack);
+  void addRange(const ArrayArg &arg, const std::vector<uint64_t> &slots,
+                size_t first);
+  bool isUsable(uint64_t address) const;
+
+  Context &context;
+  bool grad;
+  std::vector<Py_buffer> buffers;
+  std::vector<PyObject *> objects;
+  std::vector<Range> ranges;
+  std::vector<uint64_t> adjoints;
+  std::vector<uint64_t> streams;
+};
+
+void bindArrayArguments(py::module_ &module);
+
+} // namespace taipy
+
+#endif // TAI_PYTHON_ARRAYARGUMENTS_H

@@ -1,0 +1,68 @@
+//===- DLPack.h - The binary interface of DLPack ----------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Tensors in capsules "dltensor" and "dltensor_versioned", and the table of C
+// functions by which a type of tensors gives them out without capsules.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_PYTHON_DLPACK_H
+#define TAI_PYTHON_DLPACK_H
+
+#include <cstdint>
+
+namespace taipy::dlpack {
+
+struct Tensor {
+  void *data;
+  int32_t deviceType, deviceNumber;
+  int32_t rank;
+  uint8_t code, bits;
+  uint16_t lanes;
+  int64_t *shape, *strides;
+  uint64_t byteOffset;
+};
+static_assert(sizeof(Tensor) == 48, "the layout is that of DLPack");
+
+enum DeviceType : int32_t { kCpu = 1, kCuda = 2 };
+
+struct Managed {
+  Tensor tensor;
+  void *owner;
+  void (*deleter)(Managed *);
+};
+
+struct ManagedVersioned {
+  uint32_t major, minor;
+  void *owner;
+  void (*deleter)(ManagedVersioned *);
+  uint64_t flags;
+  Tensor tensor;
+};
+
+constexpr uint64_t kReadOnly = 1;
+
+/// The attribute `__dlpack_c_exchange_api__` of a type is a capsule of this
+/// name that holds the table.
+constexpr const char *kTableName = "dlpack_exchange_api";
+
+struct ExchangeTable {
+  uint32_t major, minor;
+  void *older;
+  void *allocate;
+  void *exportManaged;
+  void *importManaged;
+  /// What the tensor holds, for as long as nobody changes it; -1 and a Python
+  /// error where there is none. May be null.
+  int (*view)(void *object, Tensor *tensor);
+  /// The stream on which its library works now.
+  int (*currentStream)(int32_t deviceType, int32_t deviceNumber, void **stream);
+};
+
+} // namespace taipy::dlpack
+
+#endif // TAI_PYTHON_DLPACK_H
