@@ -90,7 +90,10 @@ TAI_EXPORT void taiContextDestroy(TaiContext context);
 ///   first
 ///                     tree is added. The error says why there is no GPU
 ///   block_dim         number, a multiple of 32: threads of a block on a GPU;
-///                     0 = what suits the kernel
+///                     0 = what suits the kernel. Loops that name theirs
+///                     have that
+///   max_block_dim     number, a multiple of 32: the most threads of a block,
+///                     0 = what the GPU has room for
 TAI_EXPORT TaiStatus taiContextSetOption(TaiContext context, const char *name,
                                          const char *value);
 

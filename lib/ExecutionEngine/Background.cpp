@@ -95,6 +95,10 @@ void Background::stop() {
   maxThreads = 0;
   changed.wait(lock, [&] { return running == 0; });
   joinThreads();
+  std::deque<JobPtr> waiting = queue;
+  for (const JobPtr &job : waiting)
+    if (job->isNeeded && take(*job))
+      runHere(*job, lock);
 }
 
 void Background::addThread() {
@@ -111,8 +115,17 @@ void Background::addThread() {
 }
 
 Background::JobPtr Background::start(std::function<void()> task) {
+  return add(std::move(task), /*isNeeded=*/false);
+}
+
+void Background::doLater(std::function<void()> task) {
+  add(std::move(task), /*isNeeded=*/true);
+}
+
+Background::JobPtr Background::add(std::function<void()> task, bool isNeeded) {
   auto job = std::make_shared<Job>();
   job->task = std::move(task);
+  job->isNeeded = isNeeded;
   std::lock_guard<std::mutex> lock(mutex);
   queue.push_back(job);
   addThread();
@@ -154,6 +167,10 @@ void Background::finish(Job &job) {
   std::unique_lock<std::mutex> lock(mutex);
   if (!take(job))
     return waitFor(job, lock);
+  runHere(job, lock);
+}
+
+void Background::runHere(Job &job, std::unique_lock<std::mutex> &lock) {
   job.state = Job::State::Running;
   lock.unlock();
   job.task();

@@ -15,10 +15,10 @@ using namespace mlir::tai;
 
 // The magic, the symbol, the code, what the adjoint needs, the counts, the loop
 // levels, the image of the device (its kind and the number of its functions, or
-// nothing; its bytes, the functions' names and accesses, and their places), and
-// the trees up to the end; each string as its length in eight bytes and its
-// bytes.
-static constexpr StringLiteral magic = "TAIOBJ7\n";
+// nothing; its bytes, the functions' names and accesses, their block sizes and
+// their places), and the trees up to the end; each string as its length in
+// eight bytes and its bytes.
+static constexpr StringLiteral magic = "TAIOBJ8\n";
 
 static void append(std::string &bytes, StringRef string) {
   char length[8];
@@ -73,6 +73,7 @@ static void append(std::string &bytes,
                       ? ArrayRef<int64_t>(image->accesses[i])
                       : ArrayRef<int64_t>());
   }
+  append(bytes, ArrayRef<int64_t>(image->blockSizes));
   append(bytes, StringRef(llvm::join(image->places, "\n")));
 }
 
@@ -107,6 +108,13 @@ static bool consumeImage(StringRef &bytes,
     image->functions.push_back(function->str());
     image->accesses.push_back(std::move(*accesses));
   }
+  auto sizes = consumeNumbers(bytes);
+  if (!sizes || sizes->size() > image->functions.size() ||
+      any_of(*sizes, [](int64_t size) {
+        return size < 0 || size > runtime::kMostBlockThreads;
+      }))
+    return false;
+  image->blockSizes = std::move(*sizes);
   std::optional<StringRef> places = consume(bytes);
   if (!places)
     return false;

@@ -674,9 +674,11 @@ Compiler::finish(Prepared prepared, CompileRequest request,
   function.trees = std::move(object->trees);
   function.skipped = object->skipped;
   function.loopLevels = std::move(object->loopLevels);
-  if (object->image)
+  if (object->image) {
+    object->image->key = prepared.key;
     function.image =
         std::make_shared<const runtime::DeviceImage>(std::move(*object->image));
+  }
   std::lock_guard<std::mutex> lock(mutex);
   for (unsigned i = 0; i < kNumPhases; ++i)
     totals[i] += function.times[i];

@@ -354,6 +354,24 @@ void DeviceCompiler::setTarget(llvm::Module &module) {
   module.setDataLayout(machine->createDataLayout());
 }
 
+/// Passes would count on the most threads that a kernel names; but programs
+/// take the bitcode, and run it in blocks of other sizes. The driver alone is
+/// told.
+constexpr StringLiteral kMostThreadsAttrName = "nvvm.maxntid";
+
+static std::string takeMostThreads(llvm::Function &kernel) {
+  std::string most =
+      kernel.getFnAttribute(kMostThreadsAttrName).getValueAsString().str();
+  kernel.removeFnAttr(kMostThreadsAttrName);
+  return most;
+}
+
+static void putBackMostThreads(DeviceCode &code) {
+  for (auto [name, most] : llvm::zip(code.functions, code.mostThreads))
+    if (!most.empty())
+      code.module->getFunction(name)->addFnAttr(kMostThreadsAttrName, most);
+}
+
 Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
   DeviceCode code;
   for (Operation &op : deviceModule->getRegion(0).front())
@@ -362,6 +380,8 @@ Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
           function->hasAttr(NVVM::NVVMDialect::getKernelFuncAttrName())) {
         code.functions.push_back(function.getName().str());
         code.places.push_back(describePlace(function.getLoc()));
+        auto size = function->getAttrOfType<IntegerAttr>("tai.block_size");
+        code.blockSizes.push_back(size ? size.getInt() : 0);
         auto list = function->getAttrOfType<DenseI64ArrayAttr>("tai.accesses");
         code.accesses.emplace_back();
         if (list)
@@ -393,6 +413,7 @@ Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
     kernel->setCallingConv(isCuda() ? llvm::CallingConv::PTX_Kernel
                                     : llvm::CallingConv::C);
     kernel->setLinkage(llvm::GlobalValue::ExternalLinkage);
+    code.mostThreads.push_back(takeMostThreads(*kernel));
     visible.push_back(isCuda() ? kernel : addSlotsFunction(*kernel));
     // That of one iteration is made ready by the program that uses it.
     if (llvm::Function *tile = module.getFunction(name + runtime::tileSuffix)) {
@@ -566,6 +587,7 @@ Expected<runtime::DeviceImage> DeviceCompiler::emit(DeviceCode &code) {
   image.functions = code.functions;
   image.places = code.places;
   image.accesses = code.accesses;
+  image.blockSizes = code.blockSizes;
   if (isCuda())
     for (llvm::Function &function : *code.module)
       noteAtomicAlignment(function);
@@ -584,6 +606,7 @@ Expected<runtime::DeviceImage> DeviceCompiler::emit(DeviceCode &code) {
   }
   if (Error error = checkExternals(*code.module))
     return error;
+  putBackMostThreads(code);
   SmallVector<char, 0> text;
   llvm::raw_svector_ostream stream(text);
   std::string message;

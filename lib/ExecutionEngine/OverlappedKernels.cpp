@@ -67,6 +67,8 @@ DeviceCompiler::makeOverlapped(ArrayRef<runtime::ProgramPart> parts) {
       return body.takeError();
     llvm::Function *kernel = addKernel(**body, i);
     code.functions.push_back(kernel->getName().str());
+    code.mostThreads.push_back(part.threads ? std::to_string(part.threads)
+                                            : std::string());
     visible.insert(kernel);
   }
   if (Error error = link(module))

@@ -195,6 +195,7 @@ LogicalResult Session::fail(const runtime::Status &status) {
 //===----------------------------------------------------------------------===//
 
 void Session::useCache(StringRef folder) {
+  rt->keepBlockSizes({});
   if (folder.empty()) {
     cache.reset();
     compiler->setCache({});
@@ -208,6 +209,14 @@ void Session::useCache(StringRef folder) {
       {[store](StringRef key) { return store->get(std::string_view(key)); },
        [store](StringRef key, StringRef bytes) {
          store->put(std::string_view(key), std::string_view(bytes));
+       }});
+  rt->keepBlockSizes(
+      {[store](const std::string &key) { return store->get(key); },
+       [this, store](std::string key, std::string bytes) {
+         background.doLater(
+             [store, key = std::move(key), bytes = std::move(bytes)] {
+               store->put(key, bytes);
+             });
        }});
 }
 
@@ -305,11 +314,14 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
       return badValue("a number of bytes, or 0");
     return success();
   }
-  if (name == "block_dim") {
+  if (name == "block_dim" || name == "max_block_dim") {
     int threads;
     if (value.getAsInteger(10, threads) || threads < 0 || threads % 32 != 0)
       return badValue("a multiple of 32, or 0");
-    rt->setBlockThreads(threads);
+    if (name == "block_dim")
+      rt->setBlockThreads(threads);
+    else
+      rt->setMostBlockThreads(threads);
     return success();
   }
   if (name == "fuse_launches")
@@ -350,5 +362,5 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
                   "fast_math, opt_level, seed, cache_dir, print_ir, profiler, "
                   "compile_profile, forward_mode, history_bytes, skip, "
                   "memory_limit, arch, device_memory_limit, block_dim, "
-                  "fuse_launches");
+                  "max_block_dim, fuse_launches");
 }

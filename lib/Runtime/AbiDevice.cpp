@@ -89,22 +89,43 @@ static bool mayChange(const Kernel &kernel, const Tree &tree) {
   });
 }
 
+/// What the registers of a function and the user leave room for.
+static unsigned mostBlockThreads(const Device &device,
+                                 const DeviceFunction &function,
+                                 const Options &options) {
+  unsigned most = device.mostThreads(function);
+  return options.mostBlockThreads > 0
+             ? std::min(most, static_cast<unsigned>(options.mostBlockThreads))
+             : most;
+}
+
 /// Sizes of blocks that are worth a try besides the usual one; none where
 /// there is no other.
-static std::shared_ptr<BlockTrial>
-makeTrial(const Device &device, const DeviceCode::Function &function) {
+static std::shared_ptr<BlockTrials>
+makeTrials(const Device &device, const DeviceCode::Function &function,
+           unsigned mostThreads, const KeptBlockSizes &kept, std::string key) {
   std::vector<BlockTrial::Size> sizes{{function.threads, function.mostBlocks}};
   for (unsigned threads : {64u, 128u, 512u, 1024u})
-    if (threads != function.threads &&
-        threads <= device.mostThreads(*function.function))
+    if (threads != function.threads && threads <= mostThreads)
       if (unsigned blocks = device.residentBlocks(*function.function, threads))
         sizes.push_back({threads, blocks});
   // As many blocks as there is work for, which come in order of the memory.
   for (unsigned threads : {128u, function.threads})
-    if (threads <= device.mostThreads(*function.function))
+    if (threads <= mostThreads)
       sizes.push_back({threads, BlockTrial::kAnyBlocks});
-  return sizes.size() > 1 ? std::make_shared<BlockTrial>(std::move(sizes))
-                          : nullptr;
+  if (sizes.size() == 1)
+    return nullptr;
+  return std::make_shared<BlockTrials>(std::move(sizes), kept, std::move(key));
+}
+
+/// What another process knows a function by that runs on such a device.
+static std::string keyOf(const DeviceImage &image, const std::string &function,
+                         const Device &device) {
+  if (image.key.empty())
+    return "";
+  return image.key + "\n" + function + "\n" + device.name() + "\n" +
+         device.target() + "\n" +
+         std::to_string(device.limits().multiprocessors);
 }
 
 Status Runtime::loadOnDevice(Kernel &kernel, uint64_t epoch) {
@@ -128,11 +149,15 @@ Status Runtime::loadOnDevice(Kernel &kernel, uint64_t epoch) {
       unsigned wanted = opts.blockThreads > 0
                             ? static_cast<unsigned>(opts.blockThreads)
                             : usualThreads;
-      entry.threads = std::min(wanted, target.mostThreads(*entry.function));
+      unsigned said = loaded->image->blockSize(loaded->functions.size());
+      entry.hasSize = said > 0;
+      unsigned most = mostBlockThreads(target, *entry.function, opts);
+      entry.threads = std::min(entry.hasSize ? said : wanted, most);
       entry.mostBlocks =
           std::max(target.residentBlocks(*entry.function, entry.threads), 1u);
-      if (opts.blockThreads <= 0 && !opts.deterministic)
-        entry.trial = makeTrial(target, entry);
+      if (!entry.hasSize && opts.blockThreads <= 0 && !opts.deterministic)
+        entry.trials = makeTrials(target, entry, most, blockSizes,
+                                  keyOf(*loaded->image, name, target));
       loaded->functions.push_back(entry);
     }
     code = std::move(loaded);
@@ -240,8 +265,8 @@ static bool failed(Launch &launch, Status status) {
   return true;
 }
 
-static LaunchShape shapeOf(BlockTrial::Size function, int64_t iterations,
-                           unsigned multiprocessors) {
+static LaunchShape shapeOf(BlockTrial::Size function, bool hasSize,
+                           int64_t iterations, unsigned multiprocessors) {
   LaunchShape shape;
   shape.threads = function.threads;
   shape.blocks = function.mostBlocks;
@@ -252,14 +277,14 @@ static LaunchShape shapeOf(BlockTrial::Size function, int64_t iterations,
   };
   // Few iterations are spread over all of the device, by whole warps.
   constexpr unsigned warp = 32, leastThreads = 64;
-  while (shape.threads >= 2 * leastThreads &&
+  while (!hasSize && shape.threads >= 2 * leastThreads &&
          blocksOf(shape.threads) < int64_t(multiprocessors))
     shape.threads = (shape.threads / 2 + warp - 1) / warp * warp;
-  if (iterations < int64_t(shape.threads))
+  if (!hasSize && iterations < int64_t(shape.threads))
     shape.threads =
         std::min(shape.threads,
                  static_cast<unsigned>((iterations + warp - 1) / warp * warp));
-  if (iterations == 1)
+  if (!hasSize && iterations == 1)
     shape.threads = 1;
   // Of smaller blocks as many threads run at a time.
   int64_t most = function.mostBlocks == BlockTrial::kAnyBlocks
@@ -288,23 +313,25 @@ extern "C" void tai_rt_device_launch(TaiFrame *frame, int32_t number,
   onDevice->waited = false;
   DeviceQueue &queue = onDevice->context->queue();
   auto shapeWith = [&](BlockTrial::Size size) {
-    return shapeOf(size, iterations, onDevice->multiprocessors);
+    return shapeOf(size, function.hasSize, iterations,
+                   onDevice->multiprocessors);
   };
   auto launchWith = [&](BlockTrial::Size size) {
     return device.launch(*function.function, shapeWith(size), slots, count);
   };
-  bool isLarge = function.trial && iterations >= BlockTrial::kLeastIterations;
-  if (__builtin_expect(!isLarge, true))
+  bool isLarge = function.trials && iterations >= BlockTrial::kLeastIterations;
+  if (__builtin_expect(!isLarge, true)) {
     failed(launch, launchWith({function.threads, function.mostBlocks}));
-  else if (queue.isCollecting() && function.trial->hasEnded())
+    return;
+  }
+  BlockTrial &trial = function.trials->of(iterations);
+  if (trial.hasEnded())
     // A sequence is known by the shapes of its launches.
-    failed(launch, launchWith(function.trial->best()));
+    failed(launch, launchWith(trial.best()));
   else if (!failed(launch, queue.interrupt()))
-    failed(launch,
-           function.trial->run(device, iterations, [&](BlockTrial::Size size) {
-             return queue.launchNow(*function.function, shapeWith(size), slots,
-                                    count);
-           }));
+    failed(launch, trial.run(device, iterations, [&](BlockTrial::Size size) {
+      return queue.launchNow(*function.function, shapeWith(size), slots, count);
+    }));
 }
 
 extern "C" void *tai_rt_device_scratch(TaiFrame *frame, int64_t bytes) {

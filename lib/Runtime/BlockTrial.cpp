@@ -28,6 +28,12 @@ BlockTrial::Size BlockTrial::best() {
   return sizes[chosen];
 }
 
+void BlockTrial::choose(size_t size) {
+  std::lock_guard<std::mutex> lock(mutex);
+  chosen = size;
+  isOver = true;
+}
+
 Status BlockTrial::time(Device &device, int64_t iterations, size_t size,
                         const std::function<Status(Size)> &launch) {
   Timed now{size, iterations, nullptr, nullptr};
@@ -64,6 +70,8 @@ void BlockTrial::decide(Device &device) {
       chosen = i;
       bar = quickest[i];
     }
+  if (found)
+    found(sizes[chosen]);
 }
 
 Status BlockTrial::run(Device &device, int64_t iterations,
@@ -79,4 +87,50 @@ Status BlockTrial::run(Device &device, int64_t iterations,
   Size size = sizes[chosen];
   lock.unlock();
   return launch(size);
+}
+
+//===----------------------------------------------------------------------===//
+// From one process to the next
+//===----------------------------------------------------------------------===//
+
+/// Independent of how many blocks of a size run at a time, which is the
+/// device's to say.
+static std::string describe(BlockTrial::Size size) {
+  return std::to_string(size.threads) +
+         (size.mostBlocks == BlockTrial::kAnyBlocks ? " any" : "");
+}
+
+std::optional<size_t> BlockTrials::parse(const std::string &bytes) const {
+  for (size_t i = 0; i < sizes.size(); ++i)
+    if (bytes == describe(sizes[i]))
+      return i;
+  return std::nullopt;
+}
+
+std::unique_ptr<BlockTrial> BlockTrials::make(unsigned sizeClass) const {
+  if (key.empty() || !kept.load || !kept.store)
+    return std::make_unique<BlockTrial>(sizes);
+  // Other candidates may have another winner.
+  std::string full = "block size\n" + key + "\n" + std::to_string(sizeClass);
+  for (BlockTrial::Size size : sizes)
+    full += "\n" + describe(size);
+  auto trial = std::make_unique<BlockTrial>(
+      sizes, [store = kept.store, full](BlockTrial::Size size) {
+        store(full, describe(size));
+      });
+  if (std::optional<std::string> bytes = kept.load(full))
+    if (std::optional<size_t> size = parse(*bytes))
+      trial->choose(*size);
+  return trial;
+}
+
+BlockTrial &BlockTrials::of(int64_t iterations) {
+  unsigned sizeClass = 0;
+  while (sizeClass < 62 && (int64_t(1) << sizeClass) < iterations)
+    ++sizeClass;
+  std::lock_guard<std::mutex> lock(mutex);
+  std::unique_ptr<BlockTrial> &trial = trials[sizeClass];
+  if (!trial)
+    trial = make(sizeClass);
+  return *trial;
 }

@@ -12,13 +12,19 @@
 // stays. Results do not depend on it but by the order of float additions, so
 // that there are no trials in deterministic mode.
 //
+// What is best for a million iterations need not be for a hundred: launches of
+// similar numbers of iterations have trials of their own. What they have found
+// is kept for the next process, which then makes none.
+//
 //===----------------------------------------------------------------------===//
 
 #ifndef TAI_LIB_RUNTIME_BLOCKTRIAL_H
 #define TAI_LIB_RUNTIME_BLOCKTRIAL_H
 
 #include "tai/Runtime/Device.h"
+#include "tai/Runtime/KeptBlockSizes.h"
 #include <functional>
+#include <map>
 #include <mutex>
 #include <vector>
 
@@ -35,8 +41,14 @@ public:
   /// Launches over fewer iterations say little.
   static constexpr int64_t kLeastIterations = int64_t(1) << 20;
 
-  /// The first is the one to take unless another is quicker.
-  explicit BlockTrial(std::vector<Size> sizes) : sizes(std::move(sizes)) {}
+  /// The first is the one to take unless another is quicker. `found` is told
+  /// what the trials have shown.
+  explicit BlockTrial(std::vector<Size> sizes,
+                      std::function<void(Size)> found = nullptr)
+      : sizes(std::move(sizes)), found(std::move(found)) {}
+
+  /// Takes this one of the sizes, without trials.
+  void choose(size_t size);
 
   bool hasEnded();
   /// The best that is known.
@@ -58,9 +70,33 @@ private:
 
   std::mutex mutex;
   std::vector<Size> sizes;
+  std::function<void(Size)> found;
   std::vector<Timed> timed;
   size_t launches = 0, chosen = 0;
   bool isOver = false;
+};
+
+/// The trials of a function.
+class BlockTrials {
+public:
+  /// `key` says which function on which device this is; empty where nobody else
+  /// knows.
+  BlockTrials(std::vector<BlockTrial::Size> sizes, KeptBlockSizes kept = {},
+              std::string key = "")
+      : sizes(std::move(sizes)), kept(std::move(kept)), key(std::move(key)) {}
+
+  /// Those of launches with as many iterations up to the next power of two.
+  BlockTrial &of(int64_t iterations);
+
+private:
+  std::unique_ptr<BlockTrial> make(unsigned sizeClass) const;
+  std::optional<size_t> parse(const std::string &bytes) const;
+
+  std::vector<BlockTrial::Size> sizes;
+  KeptBlockSizes kept;
+  std::string key;
+  std::mutex mutex;
+  std::map<unsigned, std::unique_ptr<BlockTrial>> trials;
 };
 
 } // namespace mlir::tai::runtime

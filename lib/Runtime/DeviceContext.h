@@ -125,7 +125,7 @@ private:
   DevicePtr memory;
 };
 
-class BlockTrial;
+class BlockTrials;
 
 /// The device code of a kernel, once it has been loaded, and the trees that it
 /// uses.
@@ -138,8 +138,10 @@ struct DeviceCode {
     unsigned threads;
     /// That many blocks of so many threads run at a time.
     unsigned mostBlocks;
+    /// Whether all launches have blocks of that size: the loop says so.
+    bool hasSize;
     /// Finds better numbers, where they may be looked for.
-    std::shared_ptr<BlockTrial> trial;
+    std::shared_ptr<BlockTrials> trials;
   };
 
   std::shared_ptr<DeviceContext> context;

@@ -37,6 +37,13 @@ Status DeviceQueue::Program::prepareOverlapped(Way &way) {
   for (const Function *part : parts)
     plan.parts.push_back(
         {part->bitcode.get(), part->name, /*isInTable=*/false});
+  // Each thread of so many has as many registers as it likes.
+  constexpr unsigned unlimited = 256;
+  for (const Step &step : sequence.steps)
+    for (size_t i = 0; i < parts.size(); ++i)
+      if (step.function == parts[i] && step.shape.threads > unlimited)
+        plan.parts[i].threads =
+            std::max(plan.parts[i].threads, step.shape.threads);
   DeviceImage image;
   Status status = maker(plan, image);
   if (status)

@@ -361,7 +361,16 @@ def static_assert(condition: Any, message: str = "") -> None:
 
 
 def loop_config(**options: Any) -> None:
-    """Sets options of the loop that follows: `serialize=True`, `block_dim=128`."""
+    """Sets options of the loop that follows, by names.
+
+    Args:
+        serialize: run it on one thread, in order.
+        parallelize: 1 for the same.
+        block_dim: threads of a block on a GPU, a multiple of 32 or a power of two, 1024 at most;
+            0 for what suits the kernel. Without effect on the CPU.
+        block_dim_adaptive: False for blocks of the usual size on a GPU where `block_dim` names
+            none, whatever suits the kernel.
+    """
     raise TaiSyntaxError("ti.loop_config stands in kernels, before a loop")
 
 

@@ -55,6 +55,7 @@ class Options:
     device_memory_limit: int = 0
     device_heap_memory: int = 0
     default_gpu_block_dim: int = 0
+    max_block_dim: int = 0
     fuse_launches: bool = True
     # What was given for options that are accepted and change nothing.
     accepted: dict[str, Any] = dataclasses.field(default_factory=dict)
@@ -77,7 +78,7 @@ _ACCEPTED = {
     "kernel_profile", "print_preprocessed_ir", "print_kernel_llvm_ir", "print_struct_llvm_ir",
     "print_kernel_llvm_ir_optimized", "print_accessor_ir", "print_evaluator_ir", "gdb_trigger",
     "excepthook", "simplify_before_lower_access", "lower_access", "simplify_after_lower_access",
-    "saturating_grid_dim", "max_block_dim", "default_cpu_block_dim",
+    "saturating_grid_dim", "default_cpu_block_dim",
     "cpu_block_dim_adaptive", "move_loop_invariant_outside_if", "cache_loop_invariant_global_vars",
     "make_thread_local", "make_block_local", "make_mesh_block_local", "detect_read_only",
     "real_matrix_scalarize", "force_scalarize_matrix", "half2_vectorization",
@@ -157,6 +158,7 @@ class Program:
             "skip": option_text(o.skip),
             "memory_limit": str(o.memory_limit),
             "block_dim": str(o.default_gpu_block_dim),
+            "max_block_dim": str(o.max_block_dim if o.arch == cuda else 0),
             "fuse_launches": flag(o.fuse_launches),
         }
         if not o.offline_cache:
@@ -254,7 +256,9 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
             gradients of loops do; 0 for a 32nd of its memory, 4 GiB at most. It can be said
             until the first kernel that asks.
         default_gpu_block_dim: threads of a block on the GPU, a multiple of 32; 0 for what suits
-            each kernel.
+            each kernel. A loop after `ti.loop_config(block_dim=…)` has what that says.
+        max_block_dim: the most of them, a multiple of 32, whatever a loop says; 0 for what the
+            GPU has room for.
         fuse_launches: make one piece of work of launches that come again and again in the same
             sequence, such as those of a tape; see `Tape.explain`. Without it, each is queued
             by itself.

@@ -56,6 +56,23 @@ TEST(Background, StopsWhenItsJobIsDone) {
   EXPECT_EQ(ran, 2);
 }
 
+TEST(Background, LeavesNothingUndoneThatIsNeeded) {
+  std::atomic<int> ran{0};
+  {
+    Background background(1);
+    HalfDone first(background);
+    background.doLater([&] { ++ran; });
+    background.doLater([&] { ++ran; });
+    first.goesOn = true;
+    background.stop();
+    EXPECT_EQ(ran, 2);
+    // From the end on, there is nobody but the last.
+    background.doLater([&] { ++ran; });
+    EXPECT_EQ(ran, 2);
+  }
+  EXPECT_EQ(ran, 3);
+}
+
 TEST(Background, ChildrenInheritNoHalfJob) {
   Background background(1);
   HalfDone first(background);

@@ -30,6 +30,7 @@ public:
     enum class State { Queued, Running, Done };
     std::function<void()> task;
     State state = State::Queued;
+    bool isNeeded = false;
   };
   using JobPtr = std::shared_ptr<Job>;
 
@@ -42,13 +43,16 @@ public:
   Background &operator=(const Background &) = delete;
 
   /// Waits for the jobs that run. Those that wait, and all later ones, are left
-  /// to finish().
+  /// to finish(), but for what nobody else would do.
   void stop();
   /// The same for all that there are.
   static void stopAll();
 
   /// Without threads to run it on, the job waits for finish().
   JobPtr start(std::function<void()> task);
+  /// The same for what nobody will finish(): at the latest, it is done when the
+  /// threads are stopped.
+  void doLater(std::function<void()> task);
 
   /// Returns once the job is done; runs it here if it has not begun.
   void finish(Job &job);
@@ -61,6 +65,9 @@ private:
   void run();
   /// Starts a thread if one more may run; the lock is held.
   void addThread();
+  JobPtr add(std::function<void()> task, bool isNeeded);
+  /// Runs a job that nobody else runs; the lock is held, but while it runs.
+  void runHere(Job &job, std::unique_lock<std::mutex> &lock);
   /// Lets go of the threads, which have ended or are about to; the lock is
   /// held.
   void joinThreads() { threads.clear(); }

@@ -63,6 +63,10 @@ struct DeviceCode {
   std::vector<std::string> functions, places;
   /// See DeviceImage.
   std::vector<std::vector<int64_t>> accesses;
+  /// As in the image.
+  std::vector<int64_t> blockSizes;
+  /// What each function says of the most threads of a block.
+  std::vector<std::string> mostThreads;
 };
 
 /// The `gpu.module` of a lowered module. Null where there is none; an error

@@ -43,6 +43,9 @@ public:
   virtual ~DeviceFunction() = default;
 };
 
+/// The most threads that a block of any GPU has.
+constexpr unsigned kMostBlockThreads = 1024;
+
 /// How many blocks of how many threads run a function.
 struct LaunchShape {
   unsigned blocks = 1;
@@ -114,6 +117,17 @@ struct DeviceImage {
   /// What each function touches, as FunctionAccesses encodes it. May have fewer
   /// entries than there are functions.
   std::vector<std::vector<int64_t>> accesses = {};
+  /// How many threads the blocks of each function have, where its loop says so;
+  /// 0 for any number. May have fewer entries than there are functions.
+  std::vector<int64_t> blockSizes = {};
+  /// What the cache knows the code by; empty without one.
+  std::string key = {};
+
+  unsigned blockSize(size_t function) const {
+    return function < blockSizes.size()
+               ? static_cast<unsigned>(blockSizes[function])
+               : 0;
+  }
 };
 
 /// `rows` pieces of `rowBytes` bytes, each starting `step` bytes after the one

@@ -31,6 +31,8 @@ struct ProgramPart {
   bool isInTable = true;
   /// Whether it does one iteration, for chains.
   bool isTile = false;
+  /// The most that a block of its launches has, where that says something.
+  unsigned threads = 0;
 };
 
 /// A parameter of a step in a loop.

@@ -17,6 +17,7 @@
 #ifndef TAI_RUNTIME_RUNTIME_H
 #define TAI_RUNTIME_RUNTIME_H
 
+#include "tai/Runtime/KeptBlockSizes.h"
 #include "tai/Runtime/Kernel.h"
 #include "tai/Runtime/Profiler.h"
 #include "tai/Runtime/Skips.h"
@@ -54,6 +55,8 @@ struct Options {
   SkipSet skips;
   /// Threads of a block on a device; 0 = what suits the kernel.
   int blockThreads = 0;
+  /// The most of them, whatever is asked for; 0 for no limit but the device's.
+  int mostBlockThreads = 0;
 };
 
 struct FieldInfo {
@@ -124,6 +127,9 @@ public:
   void setSkips(SkipSet skips);
   /// Kernels that are loaded from then on have blocks of so many threads.
   void setBlockThreads(int threads) { opts.blockThreads = threads; }
+  void setMostBlockThreads(int threads) { opts.mostBlockThreads = threads; }
+  /// Holds for kernels that are loaded afterwards.
+  void keepBlockSizes(KeptBlockSizes kept) { blockSizes = std::move(kept); }
   bool skips(Skip skip) const { return opts.skips.has(skip); }
   /// In forward mode every kernel is launched with the tangents that it carries
   /// along: also those that a tape replays, and adjoints.
@@ -374,6 +380,7 @@ private:
   Status takeNoted();
 
   Options opts;
+  KeptBlockSizes blockSizes;
   int numThreads;
   int64_t limit;
   int64_t reserved = 0;

@@ -85,6 +85,8 @@ LogicalResult KernelOffload::prepareLoops() {
     if (loop.isStructFor())
       return loop.emitOpError("runs over a field; expects a box, as "
                               "tai-lower-struct-for makes it");
+    if (failed(checkBlockSize(loop)))
+      return failure();
     numberDraws(loop, loop);
     if (isDeviceLoop(loop) && failed(prepareSums(loop, frame, lowering)))
       return failure();

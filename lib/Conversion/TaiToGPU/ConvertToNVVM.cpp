@@ -119,9 +119,11 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
     if (emulated)
       return success();
     for (auto function : kernels.getOps<LLVM::LLVMFuncOp>())
-      if (function->hasAttr(gpu::GPUDialect::getKernelFuncAttrName()))
+      if (function->hasAttr(gpu::GPUDialect::getKernelFuncAttrName())) {
         function->setAttr(NVVM::NVVMDialect::getKernelFuncAttrName(),
                           UnitAttr::get(context));
+        limitRegisters(function);
+      }
     return success();
   }
 };

@@ -73,6 +73,19 @@ LogicalResult prepareSums(ParallelForOp loop, Value frame,
 LogicalResult outlineLoop(ParallelForOp loop, Value frame, StringRef name,
                           DeviceLowering &lowering);
 
+/// Fails where a GPU has no blocks of the size that the loop asks for.
+LogicalResult checkBlockSize(ParallelForOp loop);
+
+/// Says on the function of a loop how many threads its blocks have, if the loop
+/// does.
+void noteBlockSize(ParallelForOp loop, LLVM::LLVMFuncOp function);
+
+/// Leaves so many threads room, if the function says how many there are.
+void limitRegisters(LLVM::LLVMFuncOp function);
+
+/// On a device function: the threads of its blocks, from 1 to 1024.
+constexpr llvm::StringLiteral kBlockSizeAttrName = "tai.block_size";
+
 /// Makes a device function, whose first argument is the state of the device,
 /// say where it finds no memory.
 void guardAllocations(LLVM::LLVMFuncOp function, RuntimeCalls &runtime);

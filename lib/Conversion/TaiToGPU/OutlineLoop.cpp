@@ -654,12 +654,13 @@ static void emitLaunch(ParallelForOp loop, LLVM::LLVMFuncOp function,
   OpBuilder builder(loop);
   Location loc = loop.getLoc();
   IndexMath math(builder, loc);
-  Value one = math.constant(1), threads = math.constant(kBlockDim);
+  Value one = math.constant(1);
+  Value threads = math.constant(loop.getBlockDim().value_or(kBlockDim));
   // No blocks stand for a number that the device alone knows.
   Value blocks = math.constant(0);
   if (Value count = emitCount(builder, loop)) {
     std::optional<int64_t> constant = getConstantIntValue(count);
-    if (constant && *constant <= 1)
+    if (constant && *constant <= 1 && !loop.getBlockDim())
       threads = one;
     int64_t size = *getConstantIntValue(threads);
     blocks = math.div(math.add(count, math.constant(size - 1)), size);
@@ -781,6 +782,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
             IntegerAttr::get(IntegerType::get(context, 64), alignment));
   function->setAttr(gpu::GPUDialect::getKernelFuncAttrName(),
                     UnitAttr::get(context));
+  noteBlockSize(loop, function);
   emitLaunch(loop, function, operands, lowering);
   // What the host knows of activity is then out of date.
   OpBuilder after(loop);

@@ -15,6 +15,7 @@ from .. import ops
 from ..errors import TaiSyntaxError, TaiTypeError
 from ..fields import Field
 from ..matrix import Matrix
+from .block_sizes import check_block_dim
 from .expressions import FormattedText
 from .refs import Place, Variable
 from .scope import Bound, Frame
@@ -236,6 +237,8 @@ class Calls:
             value = self.visit(keyword.value)
             if isinstance(value, Value):
                 raise TaiTypeError("the options of a loop are known at compile time")
+            if keyword.arg == "block_dim":
+                value = check_block_dim(value, self.program.options)
             self.loop_options[keyword.arg] = value
 
     def print(self, node: ast.Call) -> None:

@@ -11,6 +11,7 @@ from ..errors import TaiSyntaxError, TaiTypeError
 from ..fields import ComponentField, Field, MatrixField, ScalarField
 from ..snode import Place, SNode
 from ..structs import StructField
+from .block_sizes import block_dim_of
 from .refs import ArrayArgument, FieldElement, Variable, use_field
 from .scope import Bound, Loop
 from .source import own_exits
@@ -428,8 +429,8 @@ class Loops:
                 attrs["level"] = builder.attribute(f"{level.up} : i64")
         if options.get("serialize"):
             attrs["serialize"] = builder.attribute("unit")
-        if options.get("block_dim"):
-            attrs["block_dim"] = builder.attribute(f"{int(options['block_dim'])} : i64")
+        if threads := block_dim_of(options, self.program.options):
+            attrs["block_dim"] = builder.attribute(f"{threads} : i64")
 
         loop = Loop("parallel", self.depth + 1)
         shared = self.share(self.changed_by(node.body), node)

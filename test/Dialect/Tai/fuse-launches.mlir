@@ -279,3 +279,59 @@ func.func @main() {
   tai.launch @says() : () -> ()
   return
 }
+
+// -----
+
+// Loops whose blocks differ in size, or of which one alone says its size, stay
+// apart; of the same size they become one loop of that size.
+
+tai.tree @tree : !tai.root<dense<[i: 16], {x: f32, y: f32, z: f32}>>
+tai.field @x = @tree["x"] : f32, rank 1
+tai.field @y = @tree["y"] : f32, rank 1
+tai.field @z = @tree["z"] : f32, rank 1
+
+tai.kernel @narrow(%a: f32) {
+  tai.parallel_for (%i) in @x block_dim 64 {
+    tai.store %a, @x[%i] : f32
+  }
+  tai.return
+}
+tai.kernel @narrow2(%a: f32) {
+  tai.parallel_for (%i) in @x block_dim 64 {
+    tai.store %a, @y[%i] : f32
+  }
+  tai.return
+}
+tai.kernel @wide(%a: f32) {
+  tai.parallel_for (%i) in @x block_dim 128 {
+    tai.store %a, @z[%i] : f32
+  }
+  tai.return
+}
+tai.kernel @any(%a: f32) {
+  tai.parallel_for (%i) in @x {
+    tai.store %a, @x[%i] : f32
+  }
+  tai.return
+}
+// CHECK-LABEL: tai.kernel @narrow_narrow2(
+//       CHECK:   tai.parallel_for {{.*}} block_dim 64 {
+//       CHECK:     tai.store %{{.+}}, @x
+//       CHECK:     tai.store %{{.+}}, @y
+// CHECK-LABEL: func.func @main
+//       CHECK:   tai.launch @narrow_narrow2(
+//       CHECK:   tai.launch @wide(
+//       CHECK:   tai.launch @any(
+//   CHECK-NOT:   tai.launch
+//   DET-LABEL: func.func @main
+//         DET:   tai.launch @narrow_narrow2(
+// SMALL-LABEL: func.func @main
+// PIPELINE-LABEL: llvm.func @main
+// OFF-LABEL: llvm.func @main
+func.func @main(%a: f32) {
+  tai.launch @narrow(%a) : (f32) -> ()
+  tai.launch @narrow2(%a) : (f32) -> ()
+  tai.launch @wide(%a) : (f32) -> ()
+  tai.launch @any(%a) : (f32) -> ()
+  return
+}

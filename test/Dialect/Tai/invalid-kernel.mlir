@@ -184,3 +184,14 @@ func.func @main() {
   }
   return
 }
+
+// -----
+
+tai.tree @t : !tai.root<dense<[i: 8], {x: f32}>>
+tai.field @x = @t["x"] : f32, rank 1
+tai.kernel @k() {
+  // expected-error @+1 {{'tai.parallel_for' op expects a positive block_dim, but got 0}}
+  tai.parallel_for (%i) in @x block_dim 0 {
+  }
+  tai.return
+}

@@ -211,6 +211,9 @@ LogicalResult ParallelForOp::verify() {
       return emitOpError(
                  "expects induction variables of type 'index', but got ")
              << iv.getType();
+  if (getBlockDim().value_or(1) < 1)
+    return emitOpError("expects a positive block_dim, but got ")
+           << *getBlockDim();
   if ((*this)->getParentOfType<ParallelForOp>())
     return emitOpError("cannot stand in another parallel loop; use 'scf.for'");
   if (isStructFor()) {

@@ -116,7 +116,8 @@ def Tai_ParallelForOp : Tai_Op<"parallel_for", [
     each.
 
     `serialize` runs the iterations in ascending order on one thread.
-    `block_dim` is the number of GPU threads in a block.
+    `block_dim` is the number of threads in a block on a GPU: a multiple of 32
+    or a power of two, 1024 at most. It says nothing on the CPU.
 
     Example:
 

@@ -1,0 +1,47 @@
+//===- BlockSizes.cpp - Loops that say how large their blocks are ---------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A loop may say how many threads its blocks have on a GPU. The function of the
+// loop carries the number to whoever launches it, and as a limit to the
+// assembler of the driver: a thread then has no more registers than leave room
+// for a whole block.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Offload.h"
+#include "mlir/Dialect/LLVMIR/NVVMDialect.h"
+#include "tai/Runtime/Device.h"
+#include "llvm/Support/MathExtras.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+LogicalResult tai::checkBlockSize(ParallelForOp loop) {
+  std::optional<int64_t> size = loop.getBlockDim();
+  constexpr int64_t most = runtime::kMostBlockThreads, warp = 32;
+  if (!size || loop.getSerialize() ||
+      (*size > 0 && *size <= most &&
+       (*size % warp == 0 || llvm::isPowerOf2_64(*size))))
+    return success();
+  return loop.emitOpError("has block_dim ")
+         << *size << "; on a GPU it is a multiple of " << warp
+         << " or a power of two, and " << most << " at most";
+}
+
+void tai::noteBlockSize(ParallelForOp loop, LLVM::LLVMFuncOp function) {
+  if (IntegerAttr size = loop.getBlockDimAttr())
+    function->setAttr(kBlockSizeAttrName, size);
+}
+
+void tai::limitRegisters(LLVM::LLVMFuncOp function) {
+  auto size = function->getAttrOfType<IntegerAttr>(kBlockSizeAttrName);
+  if (!size)
+    return;
+  auto threads = static_cast<int32_t>(size.getInt());
+  function->setAttr(NVVM::NVVMDialect::getMaxntidAttrName(),
+                    DenseI32ArrayAttr::get(function.getContext(), threads));
+}
