@@ -128,6 +128,7 @@ x, y = ti.field(ti.f32, n, needs_grad=True), ti.field(ti.f32, n, needs_grad=True
 z = ti.field(ti.f32)
 ti.root.pointer(ti.i, 64).dense(ti.i, 64).place(z)
 loss = ti.field(ti.f32, (), needs_grad=True)
+z[100] = 1
 @ti.kernel
 def several():
     ti.loop_config(block_dim=64)
@@ -165,7 +166,7 @@ def test_each_loop_is_launched_with_its_own(tmp_path):
     assert said["several_0"] == 64
     assert said["several_1"] == 256
     assert said["several_2"] == 512
-    assert said["cells_0"] == 96
+    assert said["cells_0"] == 96, said
     assert said["steady_0"] == 256
     # The loops of the gradient, from the last to the first.
     sizes = [alone[name] for name in sorted(alone) if name.startswith("several")]

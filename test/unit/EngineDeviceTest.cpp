@@ -54,7 +54,8 @@ protected:
         llvm.func @helper(%x: f64) -> f64 {
           llvm.return %x : f64
         }
-        llvm.func @early(%p: !llvm.ptr, %on: i1, %k: i32, %x: f64) attributes {gpu.kernel} {
+        llvm.func @early(%p: !llvm.ptr, %on: i1, %k: i32, %x: f64)
+            attributes {gpu.kernel, tai.block_size = 96 : i64} {
           llvm.cond_br %on, ^add, ^done
         ^add:
           %thread = llvm.call @tai_dev_thread_id() : () -> i32
@@ -163,6 +164,10 @@ TEST_F(EngineDevice, ImagesAreCached) {
   EXPECT_EQ(kept.image->kind, DeviceKind::Cuda);
   EXPECT_EQ(made.image->bytes, kept.image->bytes);
   EXPECT_EQ(made.image->functions, kept.image->functions);
+  EXPECT_EQ(made.image->blockSizes, std::vector<int64_t>({0, 96}));
+  EXPECT_EQ(kept.image->blockSizes, made.image->blockSizes);
+  EXPECT_FALSE(made.image->key.empty());
+  EXPECT_EQ(made.image->key, kept.image->key);
   EXPECT_NE(made.image->bytes.find(".target sm_80"), std::string::npos);
   // Another device is another entry.
   EXPECT_FALSE(compileOnce(emulated).fromCache);
