@@ -16,6 +16,7 @@ gpu.module @kernels {
   // PLAIN: red.relaxed.gpu.global.add.v4.f32
 
   // CHECK-LABEL: .entry tai_overlapped0(
+  // CHECK-NOT: .maxntid
   // CHECK-NOT: ld.global
   // CHECK: griddepcontrol.launch_dependents;
   // CHECK-NOT: ld.global
@@ -39,10 +40,12 @@ gpu.module @kernels {
     llvm.return
   }
 
+  // Large blocks leave each thread few registers: the assembler is told.
   // CHECK-LABEL: .entry tai_overlapped1(
+  // CHECK: .maxntid 512
   // CHECK: griddepcontrol.wait;
   // CHECK: st.global
-  llvm.func @store(%p: !llvm.ptr) attributes {gpu.kernel} {
+  llvm.func @store(%p: !llvm.ptr) attributes {gpu.kernel, tai.block_size = 512 : i64} {
     %zero = llvm.mlir.constant(0.0 : f32) : f32
     llvm.store %zero, %p : f32, !llvm.ptr
     llvm.return

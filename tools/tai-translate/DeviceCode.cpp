@@ -99,8 +99,9 @@ static LogicalResult translate(Operation *op, raw_ostream &output,
     runtime::ProgramPlan plan;
     plan.scope = TAI_SCOPE_LAUNCHES;
     std::shared_ptr<const std::string> bitcode = image->bitcode;
-    for (const std::string &function : image->functions)
-      plan.parts.push_back({bitcode.get(), function, /*isInTable=*/false});
+    for (auto [i, function] : llvm::enumerate(image->functions))
+      plan.parts.push_back({bitcode.get(), function, /*isInTable=*/false,
+                            /*isTile=*/false, image->blockSize(i)});
     image = (*compiler)->makeProgram(plan);
     if (!image)
       return fail(image.takeError());
