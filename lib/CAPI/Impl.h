@@ -48,6 +48,9 @@ struct TaiKernelImpl {
   TaiContextImpl &context;
   mlir::tai::SessionKernel *kernel;
   std::string text;
+  /// What launches need of the two.
+  mlir::tai::runtime::Runtime &runtime = context.session.getRuntime();
+  mlir::tai::runtime::Kernel &launched = *kernel->kernel;
 };
 
 struct TaiTapeImpl {

@@ -53,16 +53,14 @@ void taiKernelDestroy(TaiKernel kernel) {
 
 TaiStatus taiKernelLaunch(TaiKernel kernel, const uint64_t *args, int64_t slots,
                           uint64_t *results) {
-  TaiContextImpl &context = kernel->context;
-  return context.status(context.session.getRuntime().launch(
-      *kernel->kernel->kernel, args, slots, results));
+  return kernel->context.status(
+      kernel->runtime.launch(kernel->launched, args, slots, results));
 }
 
 TaiStatus taiKernelLaunchGrad(TaiKernel kernel, const uint64_t *args,
                               int64_t slots) {
-  TaiContextImpl &context = kernel->context;
-  return context.status(context.session.getRuntime().launchAdjoint(
-      *kernel->kernel->kernel, args, slots));
+  return kernel->context.status(
+      kernel->runtime.launchAdjoint(kernel->launched, args, slots));
 }
 
 TaiStatus taiKernelsCompile(TaiContext context, TaiKernel *kernels,

@@ -29,9 +29,12 @@ Status Runtime::useDevice(std::unique_ptr<Device> opened, int64_t memoryLimit) {
     return Status::failure(StatusCode::Usage,
                            "the device must be chosen before the first field "
                            "is made");
+  hot.launch = nullptr;
+  hot.thread.store(nullptr, std::memory_order_relaxed);
   launches.clear();
   freeLaunches.clear();
   spareLaunch.store(nullptr, std::memory_order_relaxed);
+  storageChanged();
   device = opened ? std::make_shared<DeviceContext>(*this, std::move(opened),
                                                     memoryLimit, profiler)
                   : nullptr;
@@ -131,6 +134,10 @@ static std::string keyOf(const DeviceImage &image, const std::string &function,
 Status Runtime::loadOnDevice(Kernel &kernel, uint64_t epoch) {
   std::lock_guard<std::recursive_mutex> lock(kernel.mutex);
   std::shared_ptr<DeviceCode> &code = kernel.deviceCode;
+  // Another thread may have come first.
+  if (code && code->epoch == epoch && code->image == kernel.info.image)
+    return Status::success();
+  kernel.prepared.state.store(0, std::memory_order_release);
   if (!code || code->image != kernel.info.image) {
     auto loaded = std::make_shared<DeviceCode>(device);
     loaded->image = kernel.info.image;
@@ -272,6 +279,10 @@ static LaunchShape shapeOf(BlockTrial::Size function, bool hasSize,
   shape.blocks = function.mostBlocks;
   if (iterations < 0)
     return shape;
+  if (!hasSize && iterations == 1) {
+    shape.threads = shape.blocks = 1;
+    return shape;
+  }
   auto blocksOf = [&](unsigned threads) {
     return (iterations + threads - 1) / threads;
   };
@@ -284,8 +295,6 @@ static LaunchShape shapeOf(BlockTrial::Size function, bool hasSize,
     shape.threads =
         std::min(shape.threads,
                  static_cast<unsigned>((iterations + warp - 1) / warp * warp));
-  if (!hasSize && iterations == 1)
-    shape.threads = 1;
   // Of smaller blocks as many threads run at a time.
   int64_t most = function.mostBlocks == BlockTrial::kAnyBlocks
                      ? function.mostBlocks
@@ -309,7 +318,6 @@ extern "C" void tai_rt_device_launch(TaiFrame *frame, int32_t number,
   }
   const DeviceCode::Function &function =
       onDevice->code->functions[static_cast<size_t>(number)];
-  Device &device = onDevice->context->get();
   onDevice->waited = false;
   DeviceQueue &queue = onDevice->context->queue();
   auto shapeWith = [&](BlockTrial::Size size) {
@@ -317,7 +325,7 @@ extern "C" void tai_rt_device_launch(TaiFrame *frame, int32_t number,
                    onDevice->multiprocessors);
   };
   auto launchWith = [&](BlockTrial::Size size) {
-    return device.launch(*function.function, shapeWith(size), slots, count);
+    return queue.launch(*function.function, shapeWith(size), slots, count);
   };
   bool isLarge = function.trials && iterations >= BlockTrial::kLeastIterations;
   if (__builtin_expect(!isLarge, true)) {
@@ -329,7 +337,7 @@ extern "C" void tai_rt_device_launch(TaiFrame *frame, int32_t number,
     // A sequence is known by the shapes of its launches.
     failed(launch, launchWith(trial.best()));
   else if (!failed(launch, queue.interrupt()))
-    failed(launch, trial.run(device, iterations, [&](BlockTrial::Size size) {
+    failed(launch, trial.run(queue, iterations, [&](BlockTrial::Size size) {
       return queue.launchNow(*function.function, shapeWith(size), slots, count);
     }));
 }

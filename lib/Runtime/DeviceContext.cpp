@@ -24,7 +24,8 @@ DeviceContext::DeviceContext(Runtime &runtime, std::unique_ptr<Device> device,
   auto made =
       std::make_unique<WatchedDevice>(std::move(device), std::move(profiler));
   watched = made.get();
-  this->device = std::make_unique<DeviceQueue>(std::move(made));
+  this->device =
+      std::make_unique<DeviceQueue>(std::move(made), watched->unwatched());
   libraryKernels = std::make_unique<LibraryKernels>(*this->device);
   this->device->setOneByOne(profiles);
 }
@@ -196,6 +197,7 @@ DeviceLaunch::~DeviceLaunch() {
 Status DeviceLaunch::scratch(int64_t bytes, DevicePtr &memory) {
   constexpr int64_t smallestBlock = 1 << 20;
   const char zero = 0;
+  usesMemory = true;
   bytes = std::max<int64_t>((bytes + 255) / 256 * 256, 256);
   if (collection != context->numCollections()) {
     collection = context->numCollections();
@@ -242,6 +244,7 @@ Status DeviceLaunch::array(void *host, int64_t bytes, bool written,
     memory = reinterpret_cast<DevicePtr>(host);
     return Status::success();
   }
+  usesMemory = true;
   // One that is given twice is one.
   for (Array &known : arrays)
     if (known.host == host && known.bytes >= bytes) {
@@ -271,5 +274,6 @@ Status DeviceLaunch::finish() {
     context->free(memory);
   outgrown.clear();
   start = used;
+  usesMemory = false;
   return status;
 }

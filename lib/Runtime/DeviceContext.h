@@ -73,6 +73,7 @@ public:
 
   /// Keeps the first failure of a call that could not say so itself.
   void note(Status status);
+  bool hasNoted() const { return noted.load(std::memory_order_relaxed); }
   Status take() {
     return __builtin_expect(noted.load(std::memory_order_relaxed), false)
                ? takeNoted()
@@ -82,9 +83,14 @@ public:
 private:
   Status takeNoted();
 
+  // What each launch looks at.
+  std::unique_ptr<DeviceQueue> device;
+  std::atomic<bool> noted{false};
+  std::atomic<bool> stateUsed{false};
+  std::atomic<uint64_t> collections{0};
+
   Runtime &runtime;
   WatchedDevice *watched;
-  std::unique_ptr<DeviceQueue> device;
   std::unique_ptr<LibraryKernels> libraryKernels;
   int64_t limit;
   std::mutex mutex;
@@ -95,9 +101,6 @@ private:
   std::map<DevicePtr, Holding> holdings;
   int64_t held = 0;
   DevicePtr stateMemory = 0;
-  std::atomic<bool> stateUsed{false};
-  std::atomic<bool> noted{false};
-  std::atomic<uint64_t> collections{0};
   Status failure;
 };
 
@@ -152,7 +155,7 @@ struct DeviceCode {
   std::vector<Mirror *> mirrors, changed;
   std::vector<void *> bases;
   /// State of the storage for which these hold.
-  uint64_t epoch = 0;
+  std::atomic<uint64_t> epoch{0};
 };
 
 /// What a launch has on the device, kept for the launches after it.
@@ -176,13 +179,17 @@ struct DeviceLaunch {
   }
   /// Brings arrays back, and lets go of what the launch alone has used.
   Status finish();
+  /// Whether there is nothing to do for a launch that has been queued.
+  bool isFinished() const { return !usesState && !usesMemory; }
 
   std::shared_ptr<DeviceContext> context;
-  unsigned multiprocessors;
   const DeviceCode *code = nullptr;
+  unsigned multiprocessors;
   bool usesState = false;
   /// The device was waited for after the last work was queued.
   bool waited = false;
+  /// It has scratch memory or arrays.
+  bool usesMemory = false;
 
 private:
   struct Array {

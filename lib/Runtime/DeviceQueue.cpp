@@ -12,8 +12,11 @@
 
 using namespace mlir::tai::runtime;
 
-DeviceQueue::DeviceQueue(std::unique_ptr<Device> device)
-    : device(std::move(device)), collected(std::make_unique<Sequence>()) {}
+DeviceQueue::DeviceQueue(std::unique_ptr<Device> device, Device *unwatched)
+    : device(std::move(device)), unwatched(unwatched),
+      collected(std::make_unique<Sequence>()) {
+  setOneByOne(false);
+}
 
 DeviceQueue::~DeviceQueue() {
   (void)flush();
@@ -92,9 +95,10 @@ Status DeviceQueue::launch(DeviceFunction &function, const LaunchShape &shape,
                            const uint64_t *slots, int count) {
   auto &wrapped = static_cast<Function &>(function);
   if (__builtin_expect(collecting == 0, true)) {
-    Status status = settle();
-    return status ? launchNow(function, shape, slots, count)
-                  : std::move(status);
+    if (__builtin_expect(hasFills, false))
+      if (Status status = settle(); !status)
+        return status;
+    return launchNow(function, shape, slots, count);
   }
   collected->addLaunch(wrapped, shape, slots, count);
   return Status::success();
@@ -103,8 +107,8 @@ Status DeviceQueue::launch(DeviceFunction &function, const LaunchShape &shape,
 Status DeviceQueue::launchNow(DeviceFunction &function,
                               const LaunchShape &shape, const uint64_t *slots,
                               int count) {
-  return device->launch(*static_cast<Function &>(function).function, shape,
-                        slots, count);
+  return launcher->launch(*static_cast<Function &>(function).function, shape,
+                          slots, count);
 }
 
 Status DeviceQueue::copy(DevicePtr to, DevicePtr from, int64_t bytes) {

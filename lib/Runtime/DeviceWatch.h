@@ -30,6 +30,9 @@ public:
   Status collect();
   /// Whether somebody wants to know where functions stand in the source.
   bool wantsPlaces() const { return nvtx || profiler->isOn(); }
+  /// What launches go to while the profiler is off; null where they have ranges
+  /// all the same.
+  Device *unwatched() const { return nvtx ? nullptr : device.get(); }
 
   DeviceKind kind() const override { return device->kind(); }
   std::string name() const override { return device->name(); }

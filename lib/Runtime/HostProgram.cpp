@@ -215,13 +215,13 @@ private:
           entry.second.get(),
           std::string(entry.second->readable(),
                       static_cast<size_t>(entry.second->bytes())));
-    snapshot.launches = runtime.launchCounter.load();
+    snapshot.launches = runtime.hot.launches.load();
     return snapshot;
   }
 
   void restoreAfter() {
     after.restore();
-    runtime.launchCounter.store(after.launches);
+    runtime.hot.launches.store(after.launches);
   }
 
   /// Components of both signs, none close to zero.
@@ -241,7 +241,7 @@ private:
                 const std::vector<double> &direction, double step,
                 double &result) {
     before.restore();
-    runtime.launchCounter.store(before.launches);
+    runtime.hot.launches.store(before.launches);
     for (size_t i = 0; i < values.size(); ++i)
       storeF64(field.scalar(), values[i],
                loadF64(field.scalar(), values[i]) + step * direction[i]);

@@ -131,19 +131,19 @@ void Kernel::setTrees(std::vector<TreePtr> trees) {
       if (tree && known && tree->name() == known->name())
         tree = known;
   info.trees = std::move(trees);
-  boundEpoch.store(0, std::memory_order_release);
+  forget();
 }
 
 void Kernel::setSummary(std::vector<Access> summary) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
   info.summary = std::move(summary);
-  boundEpoch.store(0, std::memory_order_release);
+  forget();
 }
 
 void Kernel::setLoopLevels(std::vector<LoopLevel> levels) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
   info.loopLevels = std::move(levels);
-  boundEpoch.store(0, std::memory_order_release);
+  forget();
 }
 
 int64_t Kernel::touchedBytes() const {
@@ -174,7 +174,7 @@ int64_t Kernel::touchedBytes() const {
 void Kernel::setDeviceImage(std::shared_ptr<const DeviceImage> image) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
   info.image = std::move(image);
-  boundEpoch.store(0, std::memory_order_release);
+  forget();
 }
 
 static void addOnce(std::vector<Field *> &fields, Field *field) {

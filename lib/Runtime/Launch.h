@@ -48,9 +48,9 @@ private:
   static bool map(int64_t bytes, Block &block);
   static void unmap(const Block &block);
 
+  bool anyUsed = false;
   std::mutex mutex;
   std::vector<Block> blocks;
-  bool anyUsed = false;
   int64_t wanted = 0;
 };
 
@@ -95,9 +95,18 @@ struct Launch : TaiFrame {
   /// Of those: the ones with others around that are not vain.
   const std::vector<int64_t> &gatheredCellsFor(SparseNode &node, int64_t reach);
 
-  Arena arena;
+  // What each launch looks at.
+  std::atomic<bool> failed{false};
+  /// Of the kernel that runs, or null; and the loop to be measured, once its
+  /// partition has been asked for.
+  LoopTimes *loopTimes = nullptr;
+  LoopTimes::Entry *measured = nullptr;
+  /// What it has on the device; `DeviceLaunch::code` is null where it runs on
+  /// the CPU.
+  std::unique_ptr<DeviceLaunch> onDevice;
   /// What the loops of this launch went over.
   LoopLists loops;
+  Arena arena;
   /// Of adjoints: what those of the primal did, and its name.
   const LoopLists *given = nullptr;
   const std::string *primalName = nullptr;
@@ -108,17 +117,9 @@ struct Launch : TaiFrame {
   std::vector<ActiveListPtr> fetched;
   const std::vector<int64_t> &withoutVain(const SparseNode &node,
                                           const std::vector<int64_t> &cells);
-  std::atomic<bool> failed{false};
   std::mutex failureMutex;
   Status failure;
   HostState *host = nullptr;
-  /// Of the kernel that runs, or null; and the loop to be measured, once its
-  /// partition has been asked for.
-  LoopTimes *loopTimes = nullptr;
-  LoopTimes::Entry *measured = nullptr;
-  /// What it has on the device; `DeviceLaunch::code` is null where it runs on
-  /// the CPU.
-  std::unique_ptr<DeviceLaunch> onDevice;
   /// For kernels with results when the caller wants none.
   std::vector<uint64_t> unwanted;
   std::vector<std::pair<void *, size_t>> sinks;

@@ -60,7 +60,7 @@ public:
   void deviceWrites() {
     hostCurrent.store(false, std::memory_order_relaxed);
     reads = writes = 0;
-    pristine = false;
+    pristine.store(false, std::memory_order_relaxed);
   }
 
   /// Others have its address on the device, and may write there at any time:
@@ -104,9 +104,9 @@ private:
   std::atomic<int> loans{0};
   /// Nobody has written to it: it holds zeros.
   std::atomic<bool> pristine{true};
-  DevicePtr memory = 0;
   /// Elements read and written one by one since the last launch.
   int64_t reads = 0, writes = 0;
+  DevicePtr memory = 0;
 };
 
 } // namespace mlir::tai::runtime

@@ -43,7 +43,10 @@ static int threadsFor(int wanted) {
 Runtime::Runtime(Options options)
     : opts(options), numThreads(threadsFor(options.threads)),
       limit(options.memoryLimit > 0 ? options.memoryLimit : availableMemory()),
-      forkGuard(new ForkGuard) {}
+      forkGuard(new ForkGuard) {
+  hot.seed = opts.seed;
+  updateLaunchState();
+}
 
 Runtime::~Runtime() {
   if (!forkGuard->sameProcess())
@@ -348,35 +351,11 @@ KernelPtr Runtime::createKernel(KernelInfo info) {
 }
 
 void Runtime::setSeed(uint64_t seed) {
-  opts.seed = seed;
-  launchCounter.store(0, std::memory_order_relaxed);
+  opts.seed = hot.seed = seed;
+  hot.launches.store(0, std::memory_order_relaxed);
   for (const std::weak_ptr<Kernel> &entry : kernelList)
     if (KernelPtr kernel = entry.lock())
-      kernel->lastLaunch.store(0, std::memory_order_relaxed);
-}
-
-Launch *Runtime::acquireLaunch() {
-  if (Launch *launch = spareLaunch.exchange(nullptr, std::memory_order_acquire))
-    return launch;
-  std::lock_guard<std::mutex> lock(launchMutex);
-  if (!freeLaunches.empty()) {
-    Launch *launch = freeLaunches.back();
-    freeLaunches.pop_back();
-    return launch;
-  }
-  launches.push_back(std::make_unique<Launch>(*this));
-  return launches.back().get();
-}
-
-void Runtime::releaseLaunch(Launch *launch) {
-  if (__builtin_expect(!launch->loops.empty(), false))
-    launch->loops.clear();
-  Launch *none = nullptr;
-  if (spareLaunch.compare_exchange_strong(
-          none, launch, std::memory_order_release, std::memory_order_relaxed))
-    return;
-  std::lock_guard<std::mutex> lock(launchMutex);
-  freeLaunches.push_back(launch);
+      kernel->prepared.lastLaunch.store(0, std::memory_order_relaxed);
 }
 
 Status Runtime::ready(Kernel &kernel) {
@@ -487,6 +466,14 @@ static Status wrongSlots(const Kernel &kernel, int64_t wanted, int64_t slots) {
 
 Status Runtime::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
                        uint64_t *results) {
+  const PreparedLaunch &prepared = kernel.prepared;
+  if (__builtin_expect(prepared.state.load(std::memory_order_acquire) ==
+                               hot.state.load(std::memory_order_relaxed) &&
+                           slots == prepared.slots &&
+                           (results || !prepared.hasResults) &&
+                           !interruptRequested(),
+                       true))
+    return launchPrepared(kernel, args, results);
   // Only what is recorded needs to say where adjoints are.
   if (__builtin_expect(slots != kernel.tapeSlots(), false)) {
     bool recorded = activeTape && !activeTape->suspended;
@@ -495,13 +482,15 @@ Status Runtime::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
           kernel, recorded ? kernel.tapeSlots() : kernel.argSlots(), slots);
   }
   Launch *launch = acquireLaunch();
-  uint64_t number = launchCounter.fetch_add(1, std::memory_order_relaxed);
-  kernel.lastLaunch.store(number, std::memory_order_relaxed);
+  uint64_t number = hot.launches.fetch_add(1, std::memory_order_relaxed);
+  kernel.prepared.lastLaunch.store(number, std::memory_order_relaxed);
   Status status =
       __builtin_expect(activeTape != nullptr, false)
           ? activeTape->launch(*launch, kernel, args, results, number)
           : run(*launch, kernel, args, results, number);
   releaseLaunch(launch);
+  if (status)
+    prepare(kernel);
   return status;
 }
 
@@ -534,7 +523,7 @@ Status Runtime::launchAdjoint(Kernel &kernel, const uint64_t *args,
   if (!status)
     return status;
   Launch *launch = acquireLaunch();
-  uint64_t number = kernel.lastLaunch.load(std::memory_order_relaxed);
+  uint64_t number = kernel.prepared.lastLaunch.load(std::memory_order_relaxed);
   if (adjoint)
     status = runAdjoint(*launch, kernel, *adjoint, args, number,
                         wasLaunched ? &loops : nullptr);
@@ -589,7 +578,7 @@ Status Runtime::runHost(TaiKernelFn function, const std::vector<TreePtr> &trees,
   launch->args = args;
   launch->results = results;
   launch->seed = opts.seed;
-  launch->launch = launchCounter.fetch_add(1, std::memory_order_relaxed);
+  launch->launch = hot.launches.fetch_add(1, std::memory_order_relaxed);
   int32_t code = function(launch);
   state.tape.reset();
   launch->host = nullptr;
@@ -739,7 +728,7 @@ void Runtime::print(std::string_view line) {
 Counters Runtime::counters() const {
   Counters result;
   result.launches =
-      static_cast<int64_t>(launchCounter.load(std::memory_order_relaxed));
+      static_cast<int64_t>(hot.launches.load(std::memory_order_relaxed));
   result.forks = counts.forks.load(std::memory_order_relaxed);
   result.inlineLoops = counts.inlineLoops.load(std::memory_order_relaxed);
   result.recorded = skipCounts.get(SkipCount::TapeRecorded);

@@ -18,6 +18,7 @@ using namespace mlir::tai::runtime;
 void Runtime::setProfiler(bool on) {
   opts.profiler = on;
   profiler->setOn(on);
+  updateLaunchState();
   if (device)
     device->queue().setOneByOne(on);
 }

@@ -46,7 +46,7 @@ Status Runtime::beginTape(FieldPtr loss, bool clear,
   if (clear)
     clearGradients();
   tape = std::move(made);
-  activeTape = tape.get();
+  setActiveTape(tape.get());
   return Status::success();
 }
 
@@ -310,8 +310,8 @@ Status Tape::sweep() {
 
 Status Tape::runForward() {
   // New numbers for all launches, at the same distances.
-  firstLaunch = runtime.launchCounter.fetch_add(anyLaunch ? lastLaunch + 1 : 0,
-                                                std::memory_order_relaxed);
+  firstLaunch = runtime.hot.launches.fetch_add(anyLaunch ? lastLaunch + 1 : 0,
+                                               std::memory_order_relaxed);
   HeldLaunch held(runtime);
   memory->restart();
   topology->restart();
@@ -337,7 +337,8 @@ Status Tape::runForward() {
       break;
     if (record.kernel) {
       uint64_t number = firstLaunch + record.launch;
-      record.kernel->lastLaunch.store(number, std::memory_order_relaxed);
+      record.kernel->prepared.lastLaunch.store(number,
+                                               std::memory_order_relaxed);
       status = runtime.run(held.get(), *record.kernel,
                            slots.data() + record.payload, nullptr, number);
     } else if (record.kind == Kind::Write) {

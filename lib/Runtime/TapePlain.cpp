@@ -105,8 +105,8 @@ Status Tape::runPlainForward(Launch &launch) {
   launch.seed = runtime.opts.seed;
   for (size_t i = 0; i < records.size(); ++i) {
     Kernel &kernel = *records[i].kernel;
-    kernel.lastLaunch.store(firstLaunch + records[i].launch,
-                            std::memory_order_relaxed);
+    kernel.prepared.lastLaunch.store(firstLaunch + records[i].launch,
+                                     std::memory_order_relaxed);
     Status status = callPlainly(launch, kernel, i);
     if (!status)
       return status;

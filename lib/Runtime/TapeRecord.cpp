@@ -40,7 +40,7 @@ Tape::~Tape() {
 void Tape::end() {
   if (!recording())
     return;
-  runtime.activeTape = nullptr;
+  runtime.setActiveTape(nullptr);
   topology->end();
   markVersions();
 }
@@ -49,7 +49,7 @@ bool Tape::recording() const { return runtime.activeTape == this; }
 
 void Tape::suspend() {
   if (suspended++ == 0)
-    suspendedAt = runtime.launchCounter.load(std::memory_order_relaxed);
+    suspendedAt = runtime.hot.launches.load(std::memory_order_relaxed);
 }
 
 Status Tape::resume() {
@@ -107,7 +107,7 @@ Status Tape::launch(Launch &launch, Kernel &kernel, const uint64_t *args,
     Status status;
     if (part->tapeStamp != stamp)
       status = adopt(*part);
-    part->lastLaunch.store(number, std::memory_order_relaxed);
+    part->prepared.lastLaunch.store(number, std::memory_order_relaxed);
     if (status)
       status = launchOne(launch, *part, args,
                          part->resultSlots() > 0 ? results : nullptr, number);
@@ -167,7 +167,7 @@ void Tape::recordCallback(TapeCallback callback) {
   memory->endParts(static_cast<uint32_t>(records.size()),
                    static_cast<bool>(callback.backward));
   // The launches of the function draw the same random numbers again.
-  uint64_t next = runtime.launchCounter.load(std::memory_order_relaxed);
+  uint64_t next = runtime.hot.launches.load(std::memory_order_relaxed);
   uint64_t start = std::min(suspendedAt, next);
   suspendedAt = UINT64_MAX;
   if (!anyLaunch) {
@@ -239,7 +239,7 @@ void Tape::markVersions() {
   for (const FieldPtr &field : runtime.fieldList)
     if (memory->isTouched(*field))
       versions.emplace_back(field, field->hostVersion);
-  endLaunch = runtime.launchCounter.load(std::memory_order_relaxed);
+  endLaunch = runtime.hot.launches.load(std::memory_order_relaxed);
 }
 
 /// The fields that launches since then have changed.
@@ -257,7 +257,8 @@ Status Tape::checkVersions() {
       byHost.push_back(field.get());
   for (const std::weak_ptr<Kernel> &entry : runtime.kernelList)
     if (KernelPtr kernel = entry.lock())
-      if (kernel->lastLaunch.load(std::memory_order_relaxed) >= endLaunch &&
+      if (kernel->prepared.lastLaunch.load(std::memory_order_relaxed) >=
+              endLaunch &&
           endLaunch > 0)
         addChangedBy(*kernel, byKernels);
   auto check = [&](const std::vector<Field *> &changed, const char *how) {

@@ -50,7 +50,7 @@ Status Tape::runRecord(int64_t index) {
   uint64_t number = firstLaunch + record.launch;
   Launch *launch = runtime.acquireLaunch();
   std::vector<uint64_t> results(kernel.resultSlots());
-  kernel.lastLaunch.store(number, std::memory_order_relaxed);
+  kernel.prepared.lastLaunch.store(number, std::memory_order_relaxed);
   uint64_t *wanted = results.empty() ? nullptr : results.data();
   Status status = other ? other->launch(*launch, kernel, args, wanted, number)
                         : runtime.run(*launch, kernel, args, wanted, number);

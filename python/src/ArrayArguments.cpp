@@ -291,8 +291,7 @@ HeldArrays::~HeldArrays() {
     Py_DECREF(object);
 }
 
-Match HeldArrays::pack(const ArrayArg &arg, PyObject *object,
-                       std::vector<uint64_t> &slots) {
+Match HeldArrays::pack(const ArrayArg &arg, PyObject *object, Slots &slots) {
   size_t first = slots.size();
   Match match;
   if (ndarrayType && PyObject_TypeCheck(object, ndarrayType))
@@ -309,7 +308,7 @@ Match HeldArrays::pack(const ArrayArg &arg, PyObject *object,
 }
 
 Match HeldArrays::packBuffer(const ArrayArg &arg, PyObject *object,
-                             std::vector<uint64_t> &slots) {
+                             Slots &slots) {
   Py_buffer view;
   if (PyObject_GetBuffer(object, &view,
                          PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | PyBUF_WRITABLE) !=
@@ -344,9 +343,8 @@ static PyObject *makeGradient(PyObject *tensor, PyObject *name) {
 /// The gradient behind an array: where the kernel only runs forward it does not
 /// look at it, and the array stands for it.
 template <typename Packer>
-Match HeldArrays::packGradient(PyObject *owner, PyObject *name,
-                               std::vector<uint64_t> &slots, size_t first,
-                               Packer pack) {
+Match HeldArrays::packGradient(PyObject *owner, PyObject *name, Slots &slots,
+                               size_t first, Packer pack) {
   size_t count = slots.size() - first;
   if (!grad) {
     for (size_t i = 0; i < count; ++i)
@@ -379,7 +377,7 @@ Match HeldArrays::packGradient(PyObject *owner, PyObject *name,
 }
 
 Match HeldArrays::packNdarray(const ArrayArg &arg, PyObject *object,
-                              std::vector<uint64_t> &slots) {
+                              Slots &slots) {
   static const Name array("array"), gradient("_grad"), element("element_shape");
   PyObject *memory = get(object, array);
   if (!memory)
@@ -408,7 +406,7 @@ bool HeldArrays::isUsable(uint64_t address) const {
 }
 
 Match HeldArrays::packTensor(const ArrayArg &arg, PyObject *object,
-                             std::vector<uint64_t> &slots) {
+                             Slots &slots) {
   auto packOne = [&](const KnownType &type, PyObject *tensor) {
     View view;
     if (!read(type, tensor, view) || arg.format.size() != 1 ||
@@ -453,8 +451,8 @@ Match HeldArrays::packTensor(const ArrayArg &arg, PyObject *object,
   });
 }
 
-void HeldArrays::addRange(const ArrayArg &arg,
-                          const std::vector<uint64_t> &slots, size_t first) {
+void HeldArrays::addRange(const ArrayArg &arg, const Slots &slots,
+                          size_t first) {
   uint64_t bytes = arg.format.empty()                             ? 1
                    : std::strchr("bB?", arg.format[0]) != nullptr ? 1
                    : std::strchr("hHe", arg.format[0]) != nullptr ? 2
@@ -465,13 +463,13 @@ void HeldArrays::addRange(const ArrayArg &arg,
   ranges.push_back({slots[first], slots[first] + bytes, arg.hasGradient});
 }
 
-Match HeldArrays::finish(std::vector<uint64_t> &slots) {
+Match HeldArrays::finish(Slots &slots) {
   for (size_t i = 0; i < ranges.size(); ++i)
     for (size_t j = 0; j < i; ++j)
       if ((ranges[i].hasGradient || ranges[j].hasGradient) &&
           ranges[i].begin < ranges[j].end && ranges[j].begin < ranges[i].end)
         return Match::No;
-  slots.insert(slots.end(), adjoints.begin(), adjoints.end());
+  slots.append(adjoints);
   return Match::Yes;
 }
 

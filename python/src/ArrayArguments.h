@@ -14,6 +14,7 @@
 #define TAI_PYTHON_ARRAYARGUMENTS_H
 
 #include "Core.h"
+#include "Slots.h"
 
 #include <vector>
 
@@ -44,11 +45,10 @@ public:
   HeldArrays &operator=(const HeldArrays &) = delete;
 
   /// Adds the slots of an array. No: Python must look at it.
-  Match pack(const ArrayArg &arg, PyObject *object,
-             std::vector<uint64_t> &slots);
+  Match pack(const ArrayArg &arg, PyObject *object, Slots &slots);
   /// To be called when all arguments have been packed: adds the gradients
   /// again, as adjoints. No where arrays overlap that must not.
-  Match finish(std::vector<uint64_t> &slots);
+  Match finish(Slots &slots);
 
   /// The launch comes after what the libraries of the arrays have queued, and
   /// what they queue then after the launch. Null and a Python error if not.
@@ -61,17 +61,13 @@ private:
     bool hasGradient;
   };
 
-  Match packBuffer(const ArrayArg &arg, PyObject *object,
-                   std::vector<uint64_t> &slots);
-  Match packNdarray(const ArrayArg &arg, PyObject *object,
-                    std::vector<uint64_t> &slots);
-  Match packTensor(const ArrayArg &arg, PyObject *object,
-                   std::vector<uint64_t> &slots);
+  Match packBuffer(const ArrayArg &arg, PyObject *object, Slots &slots);
+  Match packNdarray(const ArrayArg &arg, PyObject *object, Slots &slots);
+  Match packTensor(const ArrayArg &arg, PyObject *object, Slots &slots);
   template <typename Packer>
-  Match packGradient(PyObject *owner, PyObject *name,
-                     std::vector<uint64_t> &slots, size_t first, Packer pack);
-  void addRange(const ArrayArg &arg, const std::vector<uint64_t> &slots,
-                size_t first);
+  Match packGradient(PyObject *owner, PyObject *name, Slots &slots,
+                     size_t first, Packer pack);
+  void addRange(const ArrayArg &arg, const Slots &slots, size_t first);
   bool isUsable(uint64_t address) const;
 
   Context &context;

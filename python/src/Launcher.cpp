@@ -60,13 +60,20 @@ struct Result {
 };
 
 struct Specialization {
-  std::shared_ptr<Kernel> kernel;
-  uint64_t generation;
-  bool grad;
+  // What each launch looks at.
+  uint64_t generation = 0;
+  TaiKernel handle = nullptr;
   std::vector<Arg> args;
-  Result result;
+  bool grad = false;
   /// Under a tape, Python says where adjoints are.
   bool isTracked = false;
+  Result result;
+  std::shared_ptr<Kernel> kernel;
+
+  void setKernel(std::shared_ptr<Kernel> given) {
+    kernel = std::move(given);
+    handle = kernel->handle;
+  }
 };
 
 struct Launcher {
@@ -114,7 +121,7 @@ Match packInteger(const Arg &arg, PyObject *object, uint64_t &slot) {
 }
 
 Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
-              std::vector<uint64_t> &slots, std::optional<HeldArrays> &held) {
+              Slots &slots, std::optional<HeldArrays> &held) {
   uint64_t slot = 0;
   switch (arg.kind) {
   case ArgKind::Constant:
@@ -190,19 +197,21 @@ PyObject *toPython(const Result &result, uint64_t slot) {
   }
 }
 
-PyObject *launch(Specialization &spec, const std::vector<uint64_t> &slots) {
-  TaiKernel kernel = spec.kernel->handle;
-  int64_t count = static_cast<int64_t>(slots.size());
-  uint64_t results[16] = {};
-  TaiStatus status =
-      spec.grad ? taiKernelLaunchGrad(kernel, slots.data(), count)
-                : taiKernelLaunch(kernel, slots.data(), count,
-                                  spec.result.count ? results : nullptr);
+PyObject *launch(Specialization &spec, const uint64_t *slots, size_t numSlots) {
+  int64_t count = static_cast<int64_t>(numSlots);
+  bool hasResults = !spec.grad && spec.result.count;
+  uint64_t results[16];
+  if (hasResults)
+    std::memset(results, 0, sizeof results);
+  TaiStatus status = spec.grad
+                         ? taiKernelLaunchGrad(spec.handle, slots, count)
+                         : taiKernelLaunch(spec.handle, slots, count,
+                                           hasResults ? results : nullptr);
   if (status != TAI_OK) {
     setError(spec.kernel->context->handle, status);
     return nullptr;
   }
-  if (spec.grad || !spec.result.count)
+  if (!hasResults)
     Py_RETURN_NONE;
   if (spec.result.wrap.is_none())
     return toPython(spec.result, results[0]);
@@ -222,8 +231,7 @@ Match tryLaunch(Specialization &spec, PyObject *const *args, size_t count,
   if (spec.generation != generation || spec.args.size() != count ||
       (activeTape && spec.isTracked))
     return Match::No;
-  static thread_local std::vector<uint64_t> slots;
-  slots.clear();
+  Slots slots;
   std::optional<HeldArrays> held;
   for (size_t i = 0; i < count; ++i) {
     Match match = packArg(spec, spec.args[i], args[i], slots, held);
@@ -233,15 +241,11 @@ Match tryLaunch(Specialization &spec, PyObject *const *args, size_t count,
   if (held)
     if (Match match = held->finish(slots); match != Match::Yes)
       return match;
-  // The launch may call Python back, which may launch: take the slots along.
-  std::vector<uint64_t> mine;
-  mine.swap(slots);
   if (held && !held->orderBefore())
     return Match::Error;
-  answer = launch(spec, mine);
+  answer = launch(spec, slots.data(), slots.size());
   if (held && !held->orderAfter())
     Py_CLEAR(answer);
-  slots.swap(mine);
   return Match::Yes;
 }
 
@@ -290,6 +294,13 @@ PyObject *launcherNew(PyTypeObject *type, PyObject *, PyObject *) {
   auto *self = reinterpret_cast<Launcher *>(type->tp_alloc(type, 0));
   if (!self)
     return nullptr;
+  // Before 3.12, classes made in Python do not inherit that they can be called
+  // without making tuples.
+  if (type->tp_call == PyVectorcall_Call &&
+      !(type->tp_flags & Py_TPFLAGS_HAVE_VECTORCALL)) {
+    type->tp_flags |= Py_TPFLAGS_HAVE_VECTORCALL;
+    PyType_Modified(type);
+  }
   self->vectorcall = call;
   self->specializations = new std::vector<std::unique_ptr<Specialization>>;
   return reinterpret_cast<PyObject *>(self);
@@ -394,7 +405,7 @@ void taipy::bindLauncher(py::module_ &module) {
                 bool grad, const std::vector<py::tuple> &args,
                 const py::tuple &result, bool isTracked) {
                auto made = std::make_unique<Specialization>();
-               made->kernel = std::move(kernel);
+               made->setKernel(std::move(kernel));
                made->generation = generation;
                made->grad = grad;
                made->isTracked = isTracked;
@@ -420,7 +431,7 @@ void taipy::bindLauncher(py::module_ &module) {
              [](const std::shared_ptr<Kernel> &kernel, bool grad,
                 const std::vector<uint64_t> &slots, const py::tuple &result) {
                Specialization one;
-               one.kernel = kernel;
+               one.setKernel(kernel);
                one.grad = grad;
                one.result.wrap = py::none();
                if (!result.empty()) {
@@ -429,7 +440,7 @@ void taipy::bindLauncher(py::module_ &module) {
                  one.result.count = result[2].cast<int>();
                  one.result.wrap = result[3];
                }
-               PyObject *answer = launch(one, slots);
+               PyObject *answer = launch(one, slots.data(), slots.size());
                if (!answer)
                  throw py::error_already_set();
                return py::reinterpret_steal<py::object>(answer);

@@ -110,14 +110,20 @@ enum class ProgramMode {
 
 class DeviceQueue final : public Device {
 public:
-  explicit DeviceQueue(std::unique_ptr<Device> device);
+  /// `unwatched`: what the device hands launches on to, where they may be given
+  /// to it at once unless they come one by one; null for nothing.
+  explicit DeviceQueue(std::unique_ptr<Device> device,
+                       Device *unwatched = nullptr);
   ~DeviceQueue() override;
 
   /// Without one, sequences become graphs at best.
   void setProgramMaker(ProgramMaker maker) { makeProgram = std::move(maker); }
   void setMode(ProgramMode wanted) { mode = wanted; }
   /// Whether all work is queued step by step, so that each can be timed.
-  void setOneByOne(bool on) { oneByOne = on; }
+  void setOneByOne(bool on) {
+    oneByOne = on;
+    launcher = on || !unwatched ? device.get() : unwatched;
+  }
 
   /// Makes kernels of functions of the device library, which must be possible.
   bool canMakePrograms() const { return bool(makeProgram); }
@@ -207,12 +213,16 @@ private:
   Program *findProgram(Sequence &&sequence, bool &same);
 
   std::unique_ptr<Device> device;
-  ProgramMaker makeProgram;
-  ProgramMode mode = ProgramMode::Automatic;
-  bool oneByOne = false;
+  Device *unwatched;
+  // What each launch looks at.
+  /// What takes launches that are not collected.
+  Device *launcher = nullptr;
+  int collecting = 0;
   /// Whether fills have been kept while nothing was collected.
   bool hasFills = false;
-  int collecting = 0;
+  bool oneByOne = false;
+  ProgramMode mode = ProgramMode::Automatic;
+  ProgramMaker makeProgram;
   std::unique_ptr<Sequence> collected;
   std::vector<DevicePtr> released;
   std::unordered_multimap<uint64_t, std::unique_ptr<Program>> programs;

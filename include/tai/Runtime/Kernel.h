@@ -25,6 +25,7 @@
 namespace mlir::tai::runtime {
 
 class Kernel;
+class Mirror;
 struct CheckedKernel;
 struct DeviceCode;
 struct DeviceImage;
@@ -193,6 +194,27 @@ struct KernelInfo {
   std::shared_ptr<const DeviceImage> image;
 };
 
+/// What one launch of a kernel has in common with the next, found out once, so
+/// that a launch does not go through the tables of the kernel. There is none
+/// for kernels that need more than that their function is called.
+struct alignas(64) PreparedLaunch {
+  /// The state of the runtime for which it holds; see Runtime::launchState.
+  std::atomic<uint64_t> state{0};
+  TaiKernelFn function = nullptr;
+  void **trees = nullptr;
+  int64_t slots = 0;
+  bool hasResults = false;
+  /// Null for a launch on the CPU.
+  const DeviceCode *code = nullptr;
+  Mirror *const *mirrors = nullptr, *const *mirrorsEnd = nullptr;
+  Mirror *const *changed = nullptr, *const *changedEnd = nullptr;
+  /// Adjoint fields that it changes.
+  Field *const *adjoints = nullptr, *const *adjointsEnd = nullptr;
+  /// Number of the last launch, so that an adjoint launched by hand sees the
+  /// same random numbers.
+  std::atomic<uint64_t> lastLaunch{0};
+};
+
 class Kernel : public std::enable_shared_from_this<Kernel> {
 public:
   explicit Kernel(KernelInfo info);
@@ -258,7 +280,13 @@ private:
   /// Fills the tables below; fails if a tree has been destroyed.
   Status bind(uint64_t epoch);
   bool isPlain() const;
+  /// What `bind` and launches have found out does not hold any more.
+  void forget() {
+    boundEpoch.store(0, std::memory_order_release);
+    prepared.state.store(0, std::memory_order_release);
+  }
 
+  PreparedLaunch prepared;
   KernelInfo info;
   std::atomic<TaiKernelFn> function{nullptr};
   /// Recursive: the resolver of an adjoint may resolve its primal.
@@ -307,9 +335,6 @@ private:
   /// Every launch stores the same elements of one of them, whatever the
   /// arguments are.
   bool repeatsStores = false;
-  /// Number of the last launch, so that an adjoint launched by hand sees the
-  /// same random numbers.
-  std::atomic<uint64_t> lastLaunch{0};
   /// Sparse levels of its trees. Of the last launch: when it began for them,
   /// and what its loops went over, so that an adjoint launched by hand can
   /// tell.

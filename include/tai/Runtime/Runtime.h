@@ -133,7 +133,10 @@ public:
   bool skips(Skip skip) const { return opts.skips.has(skip); }
   /// In forward mode every kernel is launched with the tangents that it carries
   /// along: also those that a tape replays, and adjoints.
-  void setForward(bool on) { forward = on; }
+  void setForward(bool on) {
+    forward = on;
+    updateLaunchState();
+  }
   bool isForward() const { return forward; }
   /// Whether launches that come one after another may become one piece of work.
   void setFuseLaunches(bool on) { fusesLaunches = on; }
@@ -225,8 +228,10 @@ public:
   /// Asks running launches to stop at the next partition of a parallel loop;
   /// they fail with Interrupted. Safe in a signal handler. The request stands
   /// until clearInterrupt().
-  void interrupt() { interrupted.store(true, std::memory_order_relaxed); }
-  void clearInterrupt() { interrupted.store(false, std::memory_order_relaxed); }
+  void interrupt() { hot.interrupted.store(true, std::memory_order_relaxed); }
+  void clearInterrupt() {
+    hot.interrupted.store(false, std::memory_order_relaxed);
+  }
 
   //===--------------------------------------------------------------------===//
   // Tape
@@ -302,7 +307,7 @@ public:
   /// Fails if there is no memory for that many cells more.
   Status checkActiveBytes(const SparseNode &node, int64_t cells) const;
   bool interruptRequested() const {
-    return interrupted.load(std::memory_order_relaxed);
+    return hot.interrupted.load(std::memory_order_relaxed);
   }
   int64_t memoryLimit() const { return limit; }
   /// True while a reverse sweep has called a function of the host.
@@ -322,7 +327,24 @@ private:
   void linkPartners(const FieldPtr &added);
   void storageChanged() {
     storageEpoch.fetch_add(1, std::memory_order_relaxed);
+    updateLaunchState();
   }
+  void setActiveTape(Tape *tape) {
+    activeTape = tape;
+    updateLaunchState();
+  }
+  /// To be called whenever the state changes.
+  void updateLaunchState() {
+    bool isPlain = !activeTape && !forward && !opts.profiler;
+    hot.state.store(isPlain ? storageEpoch.load(std::memory_order_relaxed)
+                            : neverPrepared,
+                    std::memory_order_relaxed);
+  }
+  /// Finds out what the launches of a kernel that has been launched have in
+  /// common.
+  void prepare(Kernel &kernel);
+  Status launchPrepared(Kernel &kernel, const uint64_t *args,
+                        uint64_t *results);
   Status ready(Kernel &kernel);
   /// Whether there is nothing to do around the code of kernels.
   bool runsPlainly() const;
@@ -379,6 +401,24 @@ private:
   }
   Status takeNoted();
 
+  /// What each launch looks at, side by side: after a call of a driver little
+  /// else is in the caches.
+  static constexpr uint64_t neverPrepared = UINT64_MAX;
+  struct alignas(64) Hot {
+    /// The epoch of the storage where launches that have been prepared go their
+    /// short way, and never while a tape records, for example.
+    std::atomic<uint64_t> state{1};
+    std::atomic<uint64_t> launches{0};
+    /// As in the options.
+    uint64_t seed = 0;
+    /// The thread that has launched first has a launch of its own, for which it
+    /// needs no atomic operation.
+    std::atomic<const void *> thread{nullptr};
+    std::atomic<Launch *> launch{nullptr};
+    bool isTaken = false;
+    std::atomic<bool> interrupted{false};
+  } hot;
+
   Options opts;
   KeptBlockSizes blockSizes;
   int numThreads;
@@ -409,8 +449,6 @@ private:
   std::vector<std::unique_ptr<Launch>> launches;
   std::vector<Launch *> freeLaunches;
   std::mutex launchMutex;
-  std::atomic<uint64_t> launchCounter{0};
-  std::atomic<bool> interrupted{false};
   std::atomic<int64_t> inlineCredit{0};
 
   Tape *activeTape = nullptr;

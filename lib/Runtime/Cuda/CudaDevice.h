@@ -101,10 +101,12 @@ private:
   }
   Status failure(Result result, const char *what) const;
   /// Another library may have made another context that of this thread.
-  Status enter() const {
+  bool isCurrent() const {
     Context current = nullptr;
-    if (__builtin_expect(
-            cu.ctxGetCurrent(&current) == kSuccess && current == context, true))
+    return cu.ctxGetCurrent(&current) == kSuccess && current == context;
+  }
+  Status enter() const {
+    if (__builtin_expect(isCurrent(), true))
       return Status::success();
     return check(cu.ctxSetCurrent(context), "a thread cannot use the device");
   }
@@ -131,6 +133,8 @@ private:
   DeviceNumber number;
   Context context = nullptr;
   Stream stream = nullptr;
+  /// Whether what a graph has recorded last is a kernel.
+  bool isAfterKernel = false;
   Pool pool = nullptr;
   std::string label, architecture;
   DeviceLimits most;
@@ -143,9 +147,6 @@ private:
   /// Bytes, words, pairs of them and quads.
   static constexpr int kRowUnits = 4;
   DeviceFunction *rowFunctions[kRowUnits][3] = {};
-
-  /// Whether what a graph has recorded last is a kernel.
-  bool isAfterKernel = false;
 
   /// Puts streams in order; made when it is needed.
   std::mutex orderMutex;

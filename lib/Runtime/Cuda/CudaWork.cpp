@@ -97,22 +97,33 @@ Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
                            "parameters; put some of them into a field");
   for (int i = 0; i < count; ++i)
     parameters[i] = const_cast<uint64_t *>(slots + i);
-  Status status = enter();
-  if (!status)
-    return status;
   Function handle = static_cast<CudaFunction &>(function).handle;
-  if (__builtin_expect(shape.cluster > 1, false))
-    return launchCluster(handle, shape, parameters);
-  if (__builtin_expect(shape.overlaps, false))
-    return launchOverlapped(handle, shape, parameters);
+  if (__builtin_expect(shape.cluster > 1 || shape.overlaps, false)) {
+    Status status = enter();
+    if (!status)
+      return status;
+    return shape.cluster > 1 ? launchCluster(handle, shape, parameters)
+                             : launchOverlapped(handle, shape, parameters);
+  }
   isAfterKernel = true;
-  Result result =
-      shape.cooperative
-          ? cu.launchCooperativeKernel(handle, shape.blocks, 1, 1,
-                                       shape.threads, 1, 1, shape.sharedBytes,
-                                       stream, parameters)
-          : cu.launchKernel(handle, shape.blocks, 1, 1, shape.threads, 1, 1,
-                            shape.sharedBytes, stream, parameters, nullptr);
+  auto launchOnce = [&] {
+    return shape.cooperative
+               ? cu.launchCooperativeKernel(
+                     handle, shape.blocks, 1, 1, shape.threads, 1, 1,
+                     shape.sharedBytes, stream, parameters)
+               : cu.launchKernel(handle, shape.blocks, 1, 1, shape.threads, 1,
+                                 1, shape.sharedBytes, stream, parameters,
+                                 nullptr);
+  };
+  // The stream says which context is meant. The driver refuses a launch from a
+  // thread with another one or none, so that no launch has to ask.
+  Result result = launchOnce();
+  if (__builtin_expect(result != kSuccess, false) && !isCurrent()) {
+    Status status = enter();
+    if (!status)
+      return status;
+    result = launchOnce();
+  }
   return check(result, "a kernel cannot be launched");
 }
 
