@@ -294,11 +294,15 @@ PyObject *launcherNew(PyTypeObject *type, PyObject *, PyObject *) {
   auto *self = reinterpret_cast<Launcher *>(type->tp_alloc(type, 0));
   if (!self)
     return nullptr;
-  // Before 3.12, classes made in Python do not inherit that they can be called
-  // without making tuples.
-  if (type->tp_call == PyVectorcall_Call &&
-      !(type->tp_flags & Py_TPFLAGS_HAVE_VECTORCALL)) {
-    type->tp_flags |= Py_TPFLAGS_HAVE_VECTORCALL;
+  // Classes made in Python do not inherit that they can be called without
+  // making tuples (before 3.12) and, as methods, without being bound.
+  unsigned long flags = type->tp_flags;
+  if (type->tp_call == PyVectorcall_Call)
+    flags |= Py_TPFLAGS_HAVE_VECTORCALL;
+  if (type->tp_call == PyVectorcall_Call && type->tp_descr_get)
+    flags |= Py_TPFLAGS_METHOD_DESCRIPTOR;
+  if (flags != type->tp_flags) {
+    type->tp_flags = flags;
     PyType_Modified(type);
   }
   self->vectorcall = call;

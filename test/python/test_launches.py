@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import tai as ti
 
-# Py_TPFLAGS_HAVE_VECTORCALL of the C API.
+# Py_TPFLAGS_HAVE_VECTORCALL and Py_TPFLAGS_METHOD_DESCRIPTOR of the C API.
 VECTORCALL = 1 << 11
+METHOD = 1 << 17
 
 
 @ti.kernel
@@ -37,6 +38,7 @@ def test_many_arguments():
 def test_calls_make_no_tuples():
     assert type(sum_of_forty).__flags__ & VECTORCALL
     assert type(sum_of_forty.grad).__flags__ & VECTORCALL
+    assert type(sum_of_forty).__flags__ & METHOD
 
 
 def test_arguments_of_all_kinds_again_and_again():
@@ -138,3 +140,31 @@ def test_methods(grad):
     for scene in scenes:
         found = scene.x.grad[None] if grad else scene.y[None]
         assert found == 3 * 2.0 * scene.factor
+
+
+def test_methods_by_other_names():
+    ti.init()
+    y = ti.field(ti.i32, shape=())
+
+    @ti.data_oriented
+    class Scene:
+        @ti.kernel
+        def add(self, t: ti.i32):
+            y[None] += t
+
+    class Other(Scene):
+        pass
+
+    scene, other = Scene(), Other()
+    for _ in range(3):
+        scene.add(1)
+        bound = scene.add
+        bound(10)
+        bound(t=100)
+        Scene.add(scene, 1000)
+        other.add(10000)
+    assert y[None] == 3 * 11111
+    scene.add = lambda t: 7
+    assert scene.add(1) == 7
+    with pytest.raises(ti.TaiRuntimeTypeError, match="needs an argument 't'"):
+        other.add()
