@@ -5,19 +5,17 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Tensors say what they hold by a C function of their type, where it has the
-// table of DLPack, else by their attributes, each of which costs as much as a
-// launch. Whatever is out of the ordinary is left to Python, which says what is
-// wrong with it.
+// Whatever is out of the ordinary is left to Python, which says what is wrong
+// with it.
 //
 //===----------------------------------------------------------------------===//
 
 #include "ArrayArguments.h"
-#include "DLPack.h"
+#include "TensorView.h"
 
 #include <algorithm>
-#include <array>
 #include <cstring>
+#include <unordered_map>
 
 using namespace taipy;
 
@@ -26,27 +24,22 @@ namespace {
 /// The class `ti.ndarray` makes.
 PyTypeObject *ndarrayType = nullptr;
 
-/// A name that is made once.
-struct Name {
-  explicit Name(const char *text) : text(PyUnicode_InternFromString(text)) {}
-  operator PyObject *() const { return text; }
-  PyObject *text;
+/// An array that launches of the tape have used, by the object that was given.
+struct TapedArray {
+  py::object owner;
+  uint64_t begin, end;
+  int64_t version;       // of a tensor, or -1
+  uint64_t gradient = 0; // the address
 };
+/// Which tape that is. It is held: another one could come to lie there.
+PyObject *arrayTape = nullptr;
+std::unordered_map<PyObject *, TapedArray> taped;
 
-PyObject *get(PyObject *object, const Name &name) {
-  PyObject *found = PyObject_GetAttr(object, name);
-  if (!found)
-    PyErr_Clear();
-  return found;
-}
-
-py::object take(PyObject *object) {
-  return py::reinterpret_steal<py::object>(object);
-}
-
-/// NumPy calls int64 'l' and it may also be 'q'.
-char normal(char format) {
-  return format == 'l' ? 'q' : format == 'L' ? 'Q' : format;
+void forgetArrays() {
+  // What goes with them may come back here.
+  std::unordered_map<PyObject *, TapedArray> old;
+  old.swap(taped);
+  Py_CLEAR(arrayTape);
 }
 
 /// Of a buffer, without a byte-order mark.
@@ -68,210 +61,6 @@ bool hasElement(const ArrayArg &arg, int rank, const int64_t *shape) {
     return false;
   size_t outer = arg.rank - arg.element.size();
   return std::equal(arg.element.begin(), arg.element.end(), shape + outer);
-}
-
-//===----------------------------------------------------------------------===//
-// Tensors
-//===----------------------------------------------------------------------===//
-
-struct KnownType {
-  PyTypeObject *type;
-  bool isTensor;
-  const dlpack::ExchangeTable *table; // or null
-};
-
-constexpr int kMostDimensions = 8;
-
-struct View {
-  uint64_t address = 0;
-  int32_t deviceType = 0, deviceNumber = 0;
-  int rank = 0;
-  std::array<int64_t, kMostDimensions> shape{};
-  char format = 0;
-  int itemBytes = 0;
-
-  int64_t bytes() const {
-    int64_t all = itemBytes;
-    for (int d = 0; d < rank; ++d)
-      all *= shape[d];
-    return all;
-  }
-};
-
-const dlpack::ExchangeTable *findTable(PyTypeObject *type) {
-  static const Name name("__dlpack_c_exchange_api__");
-  PyObject *capsule = get(reinterpret_cast<PyObject *>(type), name);
-  if (!capsule)
-    return nullptr;
-  const dlpack::ExchangeTable *table = nullptr;
-  if (PyCapsule_IsValid(capsule, dlpack::kTableName)) {
-    // It stays for as long as the process.
-    table = static_cast<const dlpack::ExchangeTable *>(
-        PyCapsule_GetPointer(capsule, dlpack::kTableName));
-    if (table->major != 1 || !table->view || !table->currentStream)
-      table = nullptr;
-  }
-  Py_DECREF(capsule);
-  return table;
-}
-
-/// What is known of the type of an object, found out once.
-KnownType typeOf(PyObject *object) {
-  static std::vector<KnownType> known;
-  PyTypeObject *type = Py_TYPE(object);
-  for (const KnownType &entry : known)
-    if (entry.type == type)
-      return entry;
-  auto *owner = reinterpret_cast<PyObject *>(type);
-  KnownType entry{type, false, nullptr};
-  constexpr size_t most = 32;
-  if (known.size() >= most)
-    return entry;
-  entry.isTensor = PyObject_HasAttrString(owner, "data_ptr") &&
-                   PyObject_HasAttrString(owner, "is_contiguous");
-  if (entry.isTensor)
-    entry.table = findTable(type);
-  Py_INCREF(type);
-  known.push_back(entry);
-  return entry;
-}
-
-/// As NumPy has it; 0 for what kernels do not know.
-char formatOf(const dlpack::Tensor &tensor) {
-  if (tensor.lanes != 1)
-    return 0;
-  auto choose = [&](const char *formats) -> char {
-    switch (tensor.bits) {
-    case 8:
-      return formats[0];
-    case 16:
-      return formats[1];
-    case 32:
-      return formats[2];
-    case 64:
-      return formats[3];
-    }
-    return 0;
-  };
-  switch (tensor.code) {
-  case 0:
-    return choose("bhiq");
-  case 1:
-    return choose("BHIQ");
-  case 2:
-    return choose("\0efd");
-  case 6:
-    return tensor.bits == 8 ? '?' : 0;
-  }
-  return 0;
-}
-
-/// False for what is not contiguous, too.
-bool readByTable(const dlpack::ExchangeTable &table, PyObject *object,
-                 View &view) {
-  dlpack::Tensor tensor;
-  if (table.view(object, &tensor) != 0) {
-    PyErr_Clear();
-    return false;
-  }
-  if (tensor.rank > kMostDimensions)
-    return false;
-  view.address = reinterpret_cast<uint64_t>(tensor.data) + tensor.byteOffset;
-  view.deviceType = tensor.deviceType;
-  view.deviceNumber = tensor.deviceNumber;
-  view.rank = tensor.rank;
-  view.format = formatOf(tensor);
-  view.itemBytes = tensor.bits / 8;
-  int64_t step = 1;
-  bool isDense = true;
-  for (int d = tensor.rank; d-- > 0;) {
-    view.shape[d] = tensor.shape[d];
-    isDense &=
-        !tensor.strides || tensor.shape[d] <= 1 || tensor.strides[d] == step;
-    step *= tensor.shape[d];
-  }
-  return isDense || step == 0;
-}
-
-/// NumPy's name of a type of numbers; kept by the type. Null where it has none.
-const char *readFormat(PyObject *dtype, int &itemBytes) {
-  static PyObject *formats = PyDict_New();
-  PyObject *found = PyDict_GetItemWithError(formats, dtype);
-  if (!found) {
-    PyErr_Clear();
-    try {
-      py::object type = py::module_::import("tai._interop")
-                            .attr("numpy_type")(py::handle(dtype));
-      py::tuple made = py::make_tuple(type.attr("char"), type.attr("itemsize"));
-      PyDict_SetItem(formats, dtype, made.ptr());
-      found = made.ptr(); // which the dictionary keeps
-    } catch (py::error_already_set &) {
-      return nullptr;
-    }
-  }
-  itemBytes = static_cast<int>(PyLong_AsLong(PyTuple_GET_ITEM(found, 1)));
-  return PyUnicode_AsUTF8(PyTuple_GET_ITEM(found, 0));
-}
-
-bool readByAttributes(PyObject *object, View &view) {
-  static const Name isCuda("is_cuda"), device("device"), index("index"),
-      dtype("dtype"), shape("shape"), dataPtr("data_ptr"),
-      isContiguous("is_contiguous");
-  py::object onGpu = take(get(object, isCuda));
-  if (!onGpu)
-    return false;
-  view.deviceType = onGpu.is(py::bool_(true)) ? dlpack::kCuda : dlpack::kCpu;
-  if (view.deviceType == dlpack::kCuda) {
-    py::object place = take(get(object, device));
-    py::object number = place ? take(get(place.ptr(), index)) : place;
-    if (!number)
-      return false;
-    view.deviceNumber = number.is_none() ? 0 : number.cast<int>();
-  }
-  py::object type = take(get(object, dtype));
-  const char *format = type ? readFormat(type.ptr(), view.itemBytes) : nullptr;
-  py::object extents = take(get(object, shape));
-  if (!format || !extents || !PyTuple_Check(extents.ptr()) ||
-      PyTuple_GET_SIZE(extents.ptr()) > kMostDimensions)
-    return false;
-  view.format = *format;
-  view.rank = static_cast<int>(PyTuple_GET_SIZE(extents.ptr()));
-  for (int d = 0; d < view.rank; ++d)
-    view.shape[d] = PyLong_AsLongLong(PyTuple_GET_ITEM(extents.ptr(), d));
-  py::object dense = take(PyObject_CallMethodNoArgs(object, isContiguous));
-  py::object address = take(PyObject_CallMethodNoArgs(object, dataPtr));
-  if (!dense || !address || PyErr_Occurred()) {
-    PyErr_Clear();
-    return false;
-  }
-  view.address = PyLong_AsUnsignedLongLong(address.ptr());
-  return dense.is(py::bool_(true));
-}
-
-bool read(const KnownType &type, PyObject *object, View &view) {
-  return type.table ? readByTable(*type.table, object, view)
-                    : readByAttributes(object, view);
-}
-
-/// Where the library of a tensor works now. False and a Python error if it does
-/// not say.
-bool findStream(const KnownType &type, uint64_t &stream) {
-  if (type.table) {
-    void *found = nullptr;
-    if (type.table->currentStream(dlpack::kCuda, 0, &found) != 0)
-      return false;
-    stream = reinterpret_cast<uint64_t>(found);
-    return true;
-  }
-  try {
-    stream = py::module_::import("tai._interop")
-                 .attr("_stream_number")(py::none())
-                 .cast<uint64_t>();
-    return true;
-  } catch (py::error_already_set &error) {
-    error.restore();
-    return false;
-  }
 }
 
 bool isFloat(char format) {
@@ -302,9 +91,33 @@ Match HeldArrays::pack(const ArrayArg &arg, PyObject *object, Slots &slots) {
     match = packTensor(arg, object, slots);
   else
     match = arg.hasGradient ? Match::No : packBuffer(arg, object, slots);
-  if (match == Match::Yes && grad)
-    addRange(arg, slots, first);
-  return match;
+  if (match != Match::Yes || use == ArrayUse::Forward)
+    return match;
+  addRange(arg, slots, first);
+  return use == ArrayUse::Recorded && !isKnownToTape(arg, object, slots, first)
+             ? Match::No
+             : Match::Yes;
+}
+
+/// A launch that only reads what earlier ones of the tape have used needs
+/// nothing to be kept.
+bool HeldArrays::isKnownToTape(const ArrayArg &arg, PyObject *object,
+                               const Slots &slots, size_t first) const {
+  auto found = taped.find(object);
+  if (arg.isWritten || found == taped.end())
+    return false;
+  const TapedArray &known = found->second;
+  if (known.begin != ranges.back().begin || known.end != ranges.back().end)
+    return false;
+  if (arg.hasGradient &&
+      known.gradient != slots[first + 1 + static_cast<size_t>(arg.rank)])
+    return false;
+  if (known.version < 0)
+    return true;
+  static const Name version("_version");
+  py::object now = take(get(object, version));
+  return now && PyLong_Check(now.ptr()) &&
+         PyLong_AsLongLong(now.ptr()) == known.version;
 }
 
 Match HeldArrays::packBuffer(const ArrayArg &arg, PyObject *object,
@@ -346,13 +159,13 @@ template <typename Packer>
 Match HeldArrays::packGradient(PyObject *owner, PyObject *name, Slots &slots,
                                size_t first, Packer pack) {
   size_t count = slots.size() - first;
-  if (!grad) {
+  if (use == ArrayUse::Forward) {
     for (size_t i = 0; i < count; ++i)
       slots.push_back(slots[first + i]);
     return Match::Yes;
   }
   PyObject *gradient = PyObject_GetAttr(owner, name);
-  if (gradient == Py_None) {
+  if (gradient == Py_None && use == ArrayUse::Gradient) {
     Py_DECREF(gradient);
     gradient = makeGradient(owner, name);
   }
@@ -407,9 +220,9 @@ bool HeldArrays::isUsable(uint64_t address) const {
 
 Match HeldArrays::packTensor(const ArrayArg &arg, PyObject *object,
                              Slots &slots) {
-  auto packOne = [&](const KnownType &type, PyObject *tensor) {
-    View view;
-    if (!read(type, tensor, view) || arg.format.size() != 1 ||
+  auto packOne = [&](const TensorType &type, PyObject *tensor) {
+    TensorView view;
+    if (!readTensor(type, tensor, view) || arg.format.size() != 1 ||
         normal(arg.format[0]) != normal(view.format) ||
         !hasElement(arg, view.rank, view.shape.data()))
       return Match::No;
@@ -430,7 +243,7 @@ Match HeldArrays::packTensor(const ArrayArg &arg, PyObject *object,
       slots.push_back(static_cast<uint64_t>(view.shape[d]));
     return Match::Yes;
   };
-  KnownType type = typeOf(object);
+  TensorType type = findTensorType(object);
   if (!type.isTensor)
     return Match::No;
   if (isFloat(arg.format[0])) {
@@ -446,7 +259,7 @@ Match HeldArrays::packTensor(const ArrayArg &arg, PyObject *object,
   static const Name gradient("grad");
   return packGradient(object, gradient, slots, first, [&](PyObject *tensor) {
     // That of a parameter of a network is a plain tensor.
-    KnownType type = typeOf(tensor);
+    TensorType type = findTensorType(tensor);
     return type.isTensor ? packOne(type, tensor) : Match::No;
   });
 }
@@ -492,7 +305,30 @@ bool HeldArrays::orderAfter() {
   return true;
 }
 
+void taipy::setArrayTape(PyObject *tape) {
+  // While a function runs that is not recorded there is none.
+  if (!tape || tape == arrayTape)
+    return;
+  forgetArrays();
+  arrayTape = Py_NewRef(tape);
+}
+
 void taipy::bindArrayArguments(py::module_ &module) {
+  module.def("note_taped_array", [](const py::object &array, uint64_t address,
+                                    uint64_t bytes, int64_t version) {
+    auto [entry, isNew] = taped.try_emplace(
+        array.ptr(), TapedArray{array, address, address + bytes, version});
+    entry->second.begin = address;
+    entry->second.end = address + bytes;
+    entry->second.version = version;
+  });
+  module.def("note_taped_gradient",
+             [](const py::object &array, uint64_t address) {
+               auto found = taped.find(array.ptr());
+               if (found != taped.end())
+                 found->second.gradient = address;
+             });
+  module.def("forget_taped_arrays", &forgetArrays);
   module.def("set_ndarray_type", [](const py::object &type) {
     ndarrayType = reinterpret_cast<PyTypeObject *>(type.inc_ref().ptr());
   });

@@ -32,14 +32,20 @@ struct ArrayArg {
   /// The annotation says how many dimensions belong to the element. Otherwise a
   /// `ti.ndarray` does, and of other arrays none.
   bool isElementFixed = false;
+  bool isWritten = false;
+};
+
+/// What a launch does with the gradients of its arrays.
+enum class ArrayUse {
+  Forward,  // nothing
+  Gradient, // adds to them
+  Recorded  // a tape adds to them later
 };
 
 /// What must not go while a launch is made, and what that has to know.
 class HeldArrays {
 public:
-  /// With `grad`, the gradients of the arrays are looked for, which the kernel
-  /// adds to.
-  HeldArrays(Context &context, bool grad) : context(context), grad(grad) {}
+  HeldArrays(Context &context, ArrayUse use) : context(context), use(use) {}
   ~HeldArrays();
   HeldArrays(const HeldArrays &) = delete;
   HeldArrays &operator=(const HeldArrays &) = delete;
@@ -69,15 +75,20 @@ private:
                      size_t first, Packer pack);
   void addRange(const ArrayArg &arg, const Slots &slots, size_t first);
   bool isUsable(uint64_t address) const;
+  bool isKnownToTape(const ArrayArg &arg, PyObject *object, const Slots &slots,
+                     size_t first) const;
 
   Context &context;
-  bool grad;
+  ArrayUse use;
   std::vector<Py_buffer> buffers;
   std::vector<PyObject *> objects;
   std::vector<Range> ranges;
   std::vector<uint64_t> adjoints;
   std::vector<uint64_t> streams;
 };
+
+/// A tape begins or goes on to record, or none does.
+void setArrayTape(PyObject *tape);
 
 void bindArrayArguments(py::module_ &module);
 

@@ -65,8 +65,12 @@ struct Specialization {
   TaiKernel handle = nullptr;
   std::vector<Arg> args;
   bool grad = false;
-  /// Under a tape, Python says where adjoints are.
-  bool isTracked = false;
+  /// What a tape that records must know of a launch.
+  enum class Tracking {
+    None,   // no more than its slots
+    Arrays, // its arrays
+    Python  // Python says where adjoints are
+  } tracking = Tracking::None;
   Result result;
   std::shared_ptr<Kernel> kernel;
 
@@ -128,7 +132,9 @@ Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
     return isSameConstant(arg.constant.ptr(), object) ? Match::Yes : Match::No;
   case ArgKind::Array:
     if (!held)
-      held.emplace(*spec.kernel->context, spec.grad);
+      held.emplace(*spec.kernel->context, activeTape  ? ArrayUse::Recorded
+                                          : spec.grad ? ArrayUse::Gradient
+                                                      : ArrayUse::Forward);
     return held->pack(arg.array, object, slots);
   case ArgKind::F32:
   case ArgKind::F64: {
@@ -229,7 +235,9 @@ PyObject *launch(Specialization &spec, const uint64_t *slots, size_t numSlots) {
 Match tryLaunch(Specialization &spec, PyObject *const *args, size_t count,
                 PyObject *&answer) {
   if (spec.generation != generation || spec.args.size() != count ||
-      (activeTape && spec.isTracked))
+      (activeTape &&
+       (spec.tracking == Specialization::Tracking::Python ||
+        (spec.tracking == Specialization::Tracking::Arrays && spec.grad))))
     return Match::No;
   Slots slots;
   std::optional<HeldArrays> held;
@@ -357,6 +365,7 @@ Arg parseArg(const py::tuple &description) {
         description[2].cast<int>() + static_cast<int>(array.element.size());
     array.hasGradient = description[4].cast<bool>();
     array.isElementFixed = description[5].cast<bool>();
+    array.isWritten = description[6].cast<bool>();
   }
   return arg;
 }
@@ -399,6 +408,7 @@ void taipy::bindLauncher(py::module_ &module) {
   module.def("set_tape", [](const py::object &tape) {
     Py_XDECREF(activeTape);
     activeTape = tape.is_none() ? nullptr : tape.inc_ref().ptr();
+    setArrayTape(activeTape);
   });
   module.def("set_tracked_type", [](const py::object &type) {
     trackedType = type.inc_ref().ptr();
@@ -407,12 +417,12 @@ void taipy::bindLauncher(py::module_ &module) {
   module.def("add_specialization",
              [](const py::object &launcher, std::shared_ptr<Kernel> kernel,
                 bool grad, const std::vector<py::tuple> &args,
-                const py::tuple &result, bool isTracked) {
+                const py::tuple &result, int tracking) {
                auto made = std::make_unique<Specialization>();
                made->setKernel(std::move(kernel));
                made->generation = generation;
                made->grad = grad;
-               made->isTracked = isTracked;
+               made->tracking = static_cast<Specialization::Tracking>(tracking);
                for (const py::tuple &arg : args)
                  made->args.push_back(parseArg(arg));
                if (!result.empty()) {

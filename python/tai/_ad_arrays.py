@@ -73,7 +73,9 @@ class TapeArrays:
     """What a tape knows of the arrays of its launches."""
 
     def __init__(self, core: Any, runs_again: bool):
-        self._core, self._runs_again = core, runs_again
+        from . import _core
+
+        self._core, self._runs_again, self._launcher = core, runs_again, _core
         # By address and size: a part of an array may start where the array does.
         self._used: dict[tuple[int, int], Any] = {}
         self._restored: dict[tuple[int, int], Any] = {}
@@ -119,12 +121,19 @@ class TapeArrays:
             self._restored[key] = array
             self._core.record(saved.save, saved.restore)
         self._used[key] = array
+        # The next launch that reads it need not come here.
+        self._launcher.note_taped_array(value, *key, -1 if version is None else version)
 
     def use_gradient(self, value: Any, buffer: Any) -> None:
         """The memory to which the gradient of an argument is added."""
         self._core.keep(buffer)
+        self._launcher.note_taped_gradient(value, buffer.ctypes.data)
         if hasattr(value, "requires_grad"):
             self._gradients.setdefault(id(value), (value, value.grad))
+
+    def end(self) -> None:
+        """The tape records no more."""
+        self._launcher.forget_taped_arrays()
 
     def uses(self, array: np.ndarray) -> bool:
         return any(address == array.ctypes.data for address, _ in self._used)

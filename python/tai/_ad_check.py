@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _state
+from . import _ad_values, _state
 from ._ad_probe import FORWARD_TOLERANCE, Probe, climb, direction, relative_error
 from ._ad_source import Place
 from ._ad_sparse import Activity, active_elements, require_small, sparse_level
@@ -240,6 +240,7 @@ def recording(loss: Any = None) -> Iterator[Any]:
     finally:
         _state.tape = None
         _core.set_tape(None)
+        _ad_values.end()
         core.end()
 
 

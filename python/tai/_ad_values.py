@@ -547,4 +547,6 @@ def recording() -> TapeValues | None:
 def end() -> None:
     """The tape records no more."""
     global active
+    if active is not None:
+        active.arrays.end()
     active = None

@@ -87,7 +87,7 @@ class ArgumentSpec:
                 return None
             shape = list(self.element_shape)
             return ("a", self.dt.numpy.char, self.ndim, shape, self.has_gradient,
-                    self.is_element_fixed)  # fmt: skip
+                    self.is_element_fixed, self.is_written)  # fmt: skip
         if self.kind == "matrix":
             return None
         if self.dt.is_int:
@@ -135,8 +135,9 @@ class Specialization:
         self.result = () if result is None else result.description()
         self.result_spec = result
         arrays = any(spec.kind == "array" for spec in specs)
-        # Under a tape, Python must look at the arrays, and say where adjoints are.
-        self.is_tracked = arrays or (result is not None and result.has_gradient)
+        # Under a tape, someone must look at the arrays, and Python say where adjoints of results
+        # are: numbers as in the launcher.
+        self.tracking = 2 if result is not None and result.has_gradient else int(arrays)
 
     def uses_of(self, spec: ArgumentSpec) -> tuple[bool, bool]:
         """Whether the array is read and written, by any of the parameters that it is given for."""
@@ -220,7 +221,7 @@ class Kernel(_core.Launcher):
         ):
             found.registered.add(grad)
             _core.add_specialization(
-                launcher, found.core, grad, descriptions, found.result, found.is_tracked
+                launcher, found.core, grad, descriptions, found.result, found.tracking
             )
         others = [array for _, array, _ in kept if isinstance(array, _interop.DeviceArray)]
         streams = _interop.order_before(others) if others else None

@@ -10,7 +10,7 @@ import os
 
 import numpy as np
 import tai as ti
-from tai import _core, _interop
+from tai import _core, _interop, kernels
 from tai.program import get_program
 
 ON_GPU = os.environ.get("TI_ARCH") == "cuda" and os.environ.get("TAI_CUDA_EMULATION") != "1"
@@ -185,3 +185,17 @@ def open_library(monkeypatch):
     monkeypatch.setenv("TAI_CUDA_EMULATION", "1")
     ti.init(offline_cache=False)
     return StandIns()
+
+
+def count_slow_calls(monkeypatch):
+    """A list that gets the names of kernels whose calls run Python code of tai."""
+    names = []
+    for cls in (kernels.Kernel, kernels.GradientKernel):
+        slow = cls._launch_slow
+
+        def counted(self, args, kwargs, slow=slow):
+            names.append(self.__name__)
+            return slow(self, args, kwargs)
+
+        monkeypatch.setattr(cls, "_launch_slow", counted)
+    return names

@@ -7,7 +7,6 @@ tensors of torch on the CPU where it is there.
 import numpy as np
 import pytest
 import tai as ti
-from tai import kernels
 
 import device_tensors
 
@@ -23,17 +22,7 @@ def library(monkeypatch):
 
 @pytest.fixture
 def slow_calls(monkeypatch):
-    """The names of kernels that calls have taken the slow path to."""
-    names = []
-    for cls in (kernels.Kernel, kernels.GradientKernel):
-        slow = cls._launch_slow
-
-        def counted(self, args, kwargs, slow=slow):
-            names.append(self.__name__)
-            return slow(self, args, kwargs)
-
-        monkeypatch.setattr(cls, "_launch_slow", counted)
-    return names
+    return device_tensors.count_slow_calls(monkeypatch)
 
 
 @ti.kernel

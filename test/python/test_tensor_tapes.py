@@ -4,6 +4,7 @@ On a GPU with torch these are its tensors; elsewhere stand-ins on the emulated d
 """
 
 import gc
+import weakref
 
 import numpy as np
 import pytest
@@ -19,6 +20,11 @@ def library(monkeypatch):
         pytest.skip("needs torch")
     yield made
     made.close()
+
+
+@pytest.fixture
+def slow_calls(monkeypatch):
+    return device_tensors.count_slow_calls(monkeypatch)
 
 
 @ti.kernel
@@ -359,3 +365,145 @@ def test_less_memory(library):
     np.testing.assert_allclose(expected, tangents, rtol=1e-12)
     for checkpoint in ("periodic", 3):
         np.testing.assert_allclose(run(checkpoint=checkpoint), expected, rtol=1e-12)
+
+
+# Launches that only read what the tape knows
+
+
+STEPS, N = 6, 5
+
+
+class Scene:
+    """x[t + 1] = x[t] * a + b, where a has a gradient."""
+
+    def __init__(self, a, b):
+        self.x = ti.field(ti.f64, shape=(STEPS + 1, N), needs_grad=True)
+        self.a, self.b, self.loss = a, b, scalar_loss()
+        x, loss = self.x, self.loss
+
+        @ti.kernel
+        def step(t: ti.i32, a: ti.types.ndarray(), b: ti.types.ndarray()):
+            for i in range(N):
+                x[t + 1, i] = x[t, i] * a[i] + b[i]
+
+        @ti.kernel
+        def last():
+            for i in range(N):
+                loss[None] += x[STEPS, i]
+
+        self.step, self.last = step, last
+        x.fill(1.0)
+
+    def run(self):
+        for t in range(STEPS):
+            self.step(t, self.a, self.b)
+        self.last()
+
+
+def expected(a, b):
+    """The loss and its gradient by a."""
+    x, dx = np.ones(N), np.zeros(N)
+    for _ in range(STEPS):
+        x, dx = x * a + b, dx * a + x
+    return x.sum(), dx
+
+
+def test_later_launches_are_recorded_without_python(library, slow_calls):
+    a, b = np.linspace(0.5, 1.5, N), np.linspace(0, 1, N)
+    scene = Scene(array(library, a), array(library, b, False))
+    for n in range(1, 4):
+        with ti.ad.Tape(scene.loss) as tape:
+            scene.run()
+        loss, gradient = expected(a, b)
+        assert scene.loss[None] == pytest.approx(loss)
+        np.testing.assert_allclose(library.numpy(scene.a.grad), gradient)
+        # The first launch of each tape, and those of a new kernel.
+        assert slow_calls == ["step", "last"] + ["step"] * (n - 1)
+        scene.a.grad = None
+    a += 0.25
+    scene.a.detach().add_(0.25)
+    tape.replay()
+    np.testing.assert_allclose(library.numpy(scene.a.grad), expected(a, b)[1])
+    assert tape.num_records == STEPS + 1
+
+
+def test_arrays_of_the_host_are_recorded_without_python(slow_calls):
+    a, b = np.linspace(0.5, 1.5, N), np.linspace(0, 1, N)
+    given = ti.ndarray(ti.f64, N, needs_grad=True)
+    given.from_numpy(a)
+    scene = Scene(given, b)
+    for n in range(1, 3):
+        with ti.ad.Tape(scene.loss):
+            scene.run()
+        np.testing.assert_allclose(given.grad.to_numpy(), expected(a, b)[1])
+        assert slow_calls == ["step", "last"] + ["step"] * (n - 1)
+
+
+def test_what_changes_between_is_seen(library, slow_calls):
+    a, b = np.linspace(0.5, 1.5, N), np.linspace(0, 1, N)
+    scene = Scene(array(library, a), array(library, b, False))
+
+    @ti.kernel
+    def change(b: ti.types.ndarray()):
+        for i in range(N):
+            b[i] = 0.5
+
+    # By a kernel: what was there is put back for those before.
+    with ti.ad.Tape(scene.loss):
+        for t in range(STEPS):
+            if t == 3:
+                change(scene.b)
+            scene.step(t, scene.a, scene.b)
+        scene.last()
+    assert slow_calls == ["step", "change", "last"]
+    x, dx = np.ones(N), np.zeros(N)
+    for t in range(STEPS):
+        x, dx = x * a + (b if t < 3 else 0.5), dx * a + x
+    np.testing.assert_allclose(library.numpy(scene.a.grad), dx)
+    # By torch.
+    with (
+        pytest.raises(ti.TaiRuntimeError, match="has recorded launches on was changed"),
+        ti.ad.Tape(scene.loss),
+    ):
+        scene.step(0, scene.a, scene.b)
+        scene.step(1, scene.a, scene.b)
+        scene.b.detach().add_(1)
+        scene.step(2, scene.a, scene.b)
+    # Another gradient.
+    with (
+        pytest.raises(ti.TaiRuntimeError, match="has another gradient now"),
+        ti.ad.Tape(scene.loss),
+    ):
+        scene.step(0, scene.a, scene.b)
+        scene.a.grad = None
+        scene.step(1, scene.a, scene.b)
+        scene.last()
+    # Where nothing is recorded, nothing is known.
+    scene.a.grad = None
+    with ti.ad.Tape(scene.loss) as tape:
+        scene.step(0, scene.a, scene.b)
+        ti.ad.no_grad(scene.step)(5, scene.a, scene.b)
+        for t in range(1, STEPS):
+            scene.step(t, scene.a, scene.b)
+        scene.last()
+    b = library.numpy(scene.b)
+    np.testing.assert_allclose(library.numpy(scene.a.grad), expected(a, b)[1])
+    assert tape.num_records == STEPS + 2
+
+
+def test_a_tape_lets_go_of_arrays_that_it_knew():
+    class Array(np.ndarray):
+        pass
+
+    loss = scalar_loss()
+    given = np.ones(3).view(Array)
+    gone = weakref.ref(given)
+    with ti.ad.Tape(loss) as tape:
+        total(given, loss)
+        total(given, loss)
+    del given
+    gc.collect()
+    assert gone() is not None
+    del tape
+    gc.collect()
+    assert gone() is None
