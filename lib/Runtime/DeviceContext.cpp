@@ -242,6 +242,8 @@ Status DeviceLaunch::array(void *host, int64_t bytes, bool written,
   // Nothing is nowhere; that of other libraries has no address.
   if (bytes == 0 || device.isDeviceMemory(host)) {
     memory = reinterpret_cast<DevicePtr>(host);
+    if (bytes > 0 && context->queue().mayKeep())
+      usesMemory = usesOthers = true;
     return Status::success();
   }
   usesMemory = true;
@@ -274,6 +276,9 @@ Status DeviceLaunch::finish() {
     context->free(memory);
   outgrown.clear();
   start = used;
-  usesMemory = false;
+  // Who has the memory does not ask for launches that are kept.
+  if (usesOthers && status)
+    status = context->queue().settle();
+  usesMemory = usesOthers = false;
   return status;
 }

@@ -62,11 +62,18 @@ public:
 
   /// Work that is collected from now on uses the same scratch memory as that
   /// which was collected before, so that it can be the same work.
-  void beginCollecting() {
-    collections.fetch_add(1, std::memory_order_relaxed);
-    device->beginCollecting();
+  void beginCollecting(bool isReplay) {
+    // Launches that have been kept have begun with it.
+    if (!device->keepsLaunches())
+      collections.fetch_add(1, std::memory_order_relaxed);
+    device->beginCollecting(isReplay);
   }
-  Status endCollecting() { return device->endCollecting(); }
+  Status endCollecting() {
+    Status status = device->endCollecting();
+    if (device->expectsLaunches())
+      collections.fetch_add(1, std::memory_order_relaxed);
+    return status;
+  }
   uint64_t numCollections() const {
     return collections.load(std::memory_order_relaxed);
   }
@@ -190,6 +197,8 @@ struct DeviceLaunch {
   bool waited = false;
   /// It has scratch memory or arrays.
   bool usesMemory = false;
+  /// It has memory of another library, and may be kept.
+  bool usesOthers = false;
 
 private:
   struct Array {

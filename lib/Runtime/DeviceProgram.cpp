@@ -587,8 +587,12 @@ Status DeviceQueue::Program::launch(Way &way) {
   Status status = makeCurrent(way);
   if (!status)
     return status;
-  if (way.isGraph())
-    return device.run(*way.graph);
+  return way.isGraph() ? device.run(*way.graph) : runKernel(way);
+}
+
+/// What is too large for its few threads comes first.
+Status DeviceQueue::Program::runKernel(Way &way) {
+  Status status;
   for (size_t i = 0; status && i < numBefore; ++i)
     status = sequence.run(device, sequence.steps[i]);
   if (!status)
@@ -621,15 +625,21 @@ Status DeviceQueue::Program::runTimed(Way &way) {
   return status;
 }
 
+void DeviceQueue::Program::noteRun(bool same) {
+  if (runs++ == 0 || same)
+    return;
+  ++changes;
+  for (Way &way : ways)
+    way.isCurrent = false;
+  for (const std::unique_ptr<Led> &led : leds)
+    led->isCurrent = false;
+}
+
 Status DeviceQueue::Program::run(bool same, ProgramMode mode,
                                  const ProgramMaker &programMaker) {
-  if (!same && runs > 0) {
-    ++changes;
-    for (Way &way : ways)
-      way.isCurrent = false;
-  }
+  noteRun(same);
   // What comes once need not be made ready for a second time.
-  if (runs++ == 0)
+  if (runs == 1)
     return sequence.run(device);
   if (runs == 2) {
     maker = programMaker;
@@ -747,5 +757,5 @@ std::string DeviceQueue::Program::explain() const {
     if (way.clocks)
       text += explainClocks(way);
   }
-  return text;
+  return text + explainLeads();
 }

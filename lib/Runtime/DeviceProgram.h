@@ -28,6 +28,12 @@ struct DeviceQueue::Function : DeviceFunction {
 };
 
 struct DeviceQueue::Module : DeviceModule {
+  /// What has been kept may launch its functions.
+  ~Module() override {
+    if (queue)
+      (void)queue->settle();
+  }
+  DeviceQueue *queue = nullptr;
   std::unique_ptr<DeviceModule> module;
   std::shared_ptr<const std::string> bitcode;
   std::vector<std::unique_ptr<Function>> functions;
@@ -101,6 +107,8 @@ struct DeviceQueue::Sequence {
              static_cast<uint64_t>(rows.outer)});
   }
 
+  /// Adds all of the other one.
+  void append(const Sequence &other);
   bool hasStructureOf(const Sequence &other) const;
   /// Queues it step by step.
   Status run(Device &device) const;
@@ -135,6 +143,13 @@ public:
 
   /// `same`: with the slots of the last time.
   Status run(bool same, ProgramMode mode, const ProgramMaker &maker);
+  /// The same behind a sequence that comes before it.
+  Status run(const Sequence &lead, bool same, ProgramMode mode,
+             const ProgramMaker &maker);
+  /// Whether there are ways to run it.
+  bool isPrepared() const {
+    return !ways.empty() && !(chosen && current == ways.size());
+  }
   std::string explain() const;
 
   Sequence sequence;
@@ -169,6 +184,16 @@ private:
     }
   };
 
+  /// The sequence behind another one.
+  struct Led {
+    Sequence lead;
+    std::unique_ptr<DeviceGraph> graph;
+    /// Whether the graph has what the ways have now.
+    bool isCurrent = false;
+    std::string refused;
+    int runs = 0, changes = 0;
+  };
+
   /// Steps of the sequence that stand together in a program: one, or a chain.
   struct Unit {
     size_t first, count;
@@ -190,6 +215,14 @@ private:
   Status prepareOverlapped(Way &way);
   bool mayOverlapPay() const;
   Status capture(Way &way);
+  Status runGraphSteps(Way &way);
+  Status runKernel(Way &way);
+  void noteRun(bool same);
+  Led &findLed(const Sequence &lead);
+  Status runLed(Led &led, const Sequence &lead, Way &way);
+  Status captureLed(Led &led, Way &way);
+  bool changeLed(Led &led, const Sequence &lead);
+  std::string explainLeads() const;
   Status update(Way &way);
   Status updateTable(Way &way, const std::vector<uint64_t> &table);
   Status makeCurrent(Way &way);
@@ -233,6 +266,8 @@ private:
   bool chosen = false;
   /// Times that the current way has been run while it is tried.
   int tries = 0;
+  /// The latest last.
+  std::vector<std::unique_ptr<Led>> leds;
 };
 
 } // namespace mlir::tai::runtime

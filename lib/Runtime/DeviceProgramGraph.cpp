@@ -59,6 +59,13 @@ Status DeviceQueue::Program::capture(Way &way) {
   Status status = device.beginCapture();
   if (!status)
     return status;
+  status = runGraphSteps(way);
+  Status ended = device.endCapture(way.graph);
+  return status ? std::move(ended) : std::move(status);
+}
+
+Status DeviceQueue::Program::runGraphSteps(Way &way) {
+  Status status;
   for (const Step &step : sequence.steps) {
     if (step.kind != Step::Kind::Launch || way.overlapping.empty()) {
       status = sequence.run(device, step);
@@ -72,6 +79,5 @@ Status DeviceQueue::Program::capture(Way &way) {
     if (!status)
       break;
   }
-  Status ended = device.endCapture(way.graph);
-  return status ? std::move(ended) : std::move(status);
+  return status;
 }

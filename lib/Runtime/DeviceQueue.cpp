@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "DeviceProgram.h"
+#include "LaunchLeads.h"
 #include "tai/Runtime/DeviceAbi.h"
 #include <algorithm>
 #include <cstring>
@@ -14,7 +15,9 @@ using namespace mlir::tai::runtime;
 
 DeviceQueue::DeviceQueue(std::unique_ptr<Device> device, Device *unwatched)
     : device(std::move(device)), unwatched(unwatched),
-      collected(std::make_unique<Sequence>()) {
+      collected(std::make_unique<Sequence>()),
+      lead(std::make_unique<Sequence>()),
+      leads(std::make_unique<LaunchLeads>()) {
   setOneByOne(false);
 }
 
@@ -30,6 +33,7 @@ DeviceQueue::~DeviceQueue() {
 Status DeviceQueue::load(const DeviceImage &image,
                          std::unique_ptr<DeviceModule> &module) {
   auto made = std::make_unique<Module>();
+  made->queue = this;
   made->bitcode = image.bitcode;
   for (size_t i = 0; i < image.accesses.size(); ++i)
     if (auto accesses = FunctionAccesses::decode(image.accesses[i])) {
@@ -95,8 +99,10 @@ Status DeviceQueue::launch(DeviceFunction &function, const LaunchShape &shape,
                            const uint64_t *slots, int count) {
   auto &wrapped = static_cast<Function &>(function);
   if (__builtin_expect(collecting == 0, true)) {
-    if (__builtin_expect(hasFills, false))
-      if (Status status = settle(); !status)
+    if (__builtin_expect(watches, false) && keep(wrapped, shape, slots, count))
+      return Status::success();
+    if (__builtin_expect(isKeeping, false))
+      if (Status status = flush(/*isWhole=*/false); !status)
         return status;
     return launchNow(function, shape, slots, count);
   }
@@ -153,7 +159,7 @@ Status DeviceQueue::fillRows(const DeviceRows &to, const void *pattern,
   collected->addFill(to, pattern, patternBytes);
   // Those that nobody has asked for yet wait for what comes beside them, or
   // for the sequence that they belong to.
-  hasFills |= collecting == 0;
+  isKeeping |= collecting == 0;
   return oneByOne ? settle() : Status::success();
 }
 
@@ -190,16 +196,10 @@ Status DeviceQueue::synchronize() {
 void DeviceQueue::free(DevicePtr memory) {
   // What has been collected may use it.
   (void)settle();
-  if (collected->empty())
+  if (collected->empty() && lead->empty())
     device->free(memory);
   else
     released.push_back(memory);
-}
-
-Status DeviceQueue::endCollecting() {
-  if (--collecting > 0)
-    return Status::success();
-  return flush(/*isWhole=*/true);
 }
 
 //===----------------------------------------------------------------------===//
@@ -230,12 +230,13 @@ DeviceQueue::Program *DeviceQueue::findProgram(Sequence &&sequence,
 }
 
 Status DeviceQueue::flush(bool isWhole) {
-  if (collected->empty())
+  if (collected->empty() && lead->empty())
     return Status::success();
-  hasFills = false;
+  isKeeping = false;
   // Nothing of this may be collected in its turn.
-  Sequence sequence = std::move(*collected);
+  Sequence sequence = std::move(*collected), before = std::move(*lead);
   *collected = Sequence();
+  *lead = Sequence();
   std::vector<DevicePtr> unused;
   unused.swap(released);
   Status status;
@@ -243,11 +244,14 @@ Status DeviceQueue::flush(bool isWhole) {
   constexpr size_t fewest = 4;
   if (!isWhole || sequence.steps.size() < fewest ||
       mode == ProgramMode::Launches || oneByOne) {
-    status = sequence.run(*device);
+    status = before.run(*device);
+    if (status)
+      status = sequence.run(*device);
   } else {
     bool same = false;
     Program *program = findProgram(std::move(sequence), same);
-    status = program->run(same, mode, makeProgram);
+    status = program->run(before, same, mode, makeProgram);
+    hasProgram = program->isPrepared();
   }
   for (DevicePtr memory : unused)
     device->free(memory);
@@ -258,7 +262,7 @@ std::string DeviceQueue::explain() const {
   std::string text;
   for (const auto &[hash, program] : programs)
     text += program->explain() + "\n";
-  return text;
+  return text + leads->explain();
 }
 
 //===----------------------------------------------------------------------===//
@@ -274,11 +278,15 @@ Status Device::reserve(int64_t, DevicePtr &) {
                          "this device does not reserve memory");
 }
 
-Status Device::beginCapture() { return hasNoGraphs(); }
+Status Device::beginCapture(size_t) { return hasNoGraphs(); }
 Status Device::endCapture(std::unique_ptr<DeviceGraph> &) {
   return hasNoGraphs();
 }
 Status Device::run(DeviceGraph &) { return hasNoGraphs(); }
+Status Device::change(DeviceGraph &, size_t, DeviceFunction &,
+                      const LaunchShape &, const uint64_t *, int) {
+  return hasNoGraphs();
+}
 
 static Status hasNoEvents() {
   return Status::failure(StatusCode::Internal, "this device has no events");

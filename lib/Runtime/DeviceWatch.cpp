@@ -273,8 +273,8 @@ Status WatchedDevice::fillRows(const DeviceRows &to, const void *pattern,
                 [&] { return device->fillRows(to, pattern, patternBytes); });
 }
 
-Status WatchedDevice::beginCapture() {
-  Status status = device->beginCapture();
+Status WatchedDevice::beginCapture(size_t numChangeable) {
+  Status status = device->beginCapture(numChangeable);
   capturing = bool(status);
   return status;
 }

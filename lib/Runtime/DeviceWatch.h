@@ -93,9 +93,14 @@ public:
               DeviceFunction *&function) override;
   Status launch(DeviceFunction &function, const LaunchShape &shape,
                 const uint64_t *slots, int count) override;
-  Status beginCapture() override;
+  Status beginCapture(size_t numChangeable) override;
   Status endCapture(std::unique_ptr<DeviceGraph> &graph) override;
   Status run(DeviceGraph &graph) override;
+  Status change(DeviceGraph &graph, size_t number, DeviceFunction &function,
+                const LaunchShape &shape, const uint64_t *slots,
+                int count) override {
+    return device->change(graph, number, function, shape, slots, count);
+  }
 
 private:
   struct Module;

@@ -70,8 +70,12 @@ public:
   void lend() {
     loans.fetch_add(1, std::memory_order_relaxed);
     deviceWrites();
+    context().note(context().queue().share());
   }
-  void takeBack() { loans.fetch_sub(1, std::memory_order_relaxed); }
+  void takeBack() {
+    loans.fetch_sub(1, std::memory_order_relaxed);
+    context().queue().unshare();
+  }
 
   /// A few bytes, from or to wherever they can be had at the least cost.
   Status read(int64_t offset, void *to, int64_t bytes);

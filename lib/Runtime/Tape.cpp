@@ -252,10 +252,10 @@ namespace {
 /// While it lives, what is launched on a device becomes one piece of work.
 class CollectedWork {
 public:
-  explicit CollectedWork(Runtime &runtime)
+  explicit CollectedWork(Runtime &runtime, bool isReplay = false)
       : device(runtime.getDeviceContext()) {
     if (device)
-      device->beginCollecting();
+      device->beginCollecting(isReplay);
   }
   ~CollectedWork() { (void)finish(Status::success()); }
   CollectedWork(const CollectedWork &) = delete;
@@ -364,7 +364,7 @@ Status Tape::replay(bool forward, bool reverse) {
     return Status::failure(StatusCode::Usage,
                            "a tape cannot be replayed while one is being "
                            "recorded");
-  CollectedWork work(runtime);
+  CollectedWork work(runtime, /*isReplay=*/true);
   return work.finish(runAgain(forward, reverse));
 }
 

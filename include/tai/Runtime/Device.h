@@ -213,13 +213,19 @@ public:
   // Graphs
   //===--------------------------------------------------------------------===//
 
-  /// What is queued from now on is recorded instead.
-  virtual Status beginCapture();
+  /// What is queued from now on is recorded instead. If it starts with
+  /// launches, the first `numChangeable` of these can be changed.
+  virtual Status beginCapture(size_t numChangeable = 0);
   /// Ends that. A graph that is given is changed into the new one where they
   /// differ in parameters alone, else replaced.
   virtual Status endCapture(std::unique_ptr<DeviceGraph> &graph);
   /// Queues what has been recorded.
   virtual Status run(DeviceGraph &graph);
+  /// Gives a launch of the graph other parameters, from the next run on. The
+  /// function is that which was recorded.
+  virtual Status change(DeviceGraph &graph, size_t number,
+                        DeviceFunction &function, const LaunchShape &shape,
+                        const uint64_t *slots, int count);
 
   //===--------------------------------------------------------------------===//
   // Times

@@ -17,10 +17,13 @@
 
 #include "tai/Runtime/Device.h"
 #include "tai/Runtime/ProgramTiles.h"
+#include <atomic>
 #include <functional>
 #include <unordered_map>
 
 namespace mlir::tai::runtime {
+
+class LaunchLeads;
 
 /// A function of a kernel that goes into a program.
 struct ProgramPart {
@@ -118,12 +121,23 @@ public:
 
   /// Without one, sequences become graphs at best.
   void setProgramMaker(ProgramMaker maker) { makeProgram = std::move(maker); }
-  void setMode(ProgramMode wanted) { mode = wanted; }
+  void setMode(ProgramMode wanted) {
+    (void)settle();
+    mode = wanted;
+  }
   /// Whether all work is queued step by step, so that each can be timed.
   void setOneByOne(bool on) {
+    (void)settle();
     oneByOne = on;
     launcher = on || !unwatched ? device.get() : unwatched;
   }
+  /// As often as others have been given memory, and have given it back: they
+  /// do not ask for what is kept.
+  Status share() {
+    ++numShared;
+    return settle();
+  }
+  void unshare() { --numShared; }
 
   /// Makes kernels of functions of the device library, which must be possible.
   bool canMakePrograms() const { return bool(makeProgram); }
@@ -131,22 +145,30 @@ public:
                      DeviceImage &image) const;
 
   /// Between the two, work is collected. Pairs nest; the end runs what has been
-  /// collected.
-  void beginCollecting() { ++collecting; }
+  /// collected. Launches between two replays that come each time become part of
+  /// the second one (docs/decisions/0014-launches-between-replays.md).
+  void beginCollecting(bool isReplay = false);
   bool isCollecting() const { return collecting > 0; }
   Status endCollecting();
   /// Fills that come while nothing is collected are kept until something else
   /// comes: those beside one another become one, and those before a sequence
-  /// become part of it. Queues them.
+  /// become part of it. Queues them, and launches that were kept.
   Status settle() {
-    if (__builtin_expect(!hasFills || collecting > 0, true))
+    if (__builtin_expect((!isKeeping && !watches) || collecting > 0, true))
       return Status::success();
-    return flush(/*isWhole=*/false);
+    return flush();
   }
+  /// Whether launches are kept, or are likely to be.
+  bool keepsLaunches() const;
+  bool mayKeep() const { return watches; }
+  bool expectsLaunches() const;
 
   /// For what cannot wait until the sequence is whole, since it is timed:
   /// queues what has been collected, and a launch besides.
-  Status interrupt() { return flush(/*isWhole=*/false); }
+  Status interrupt() {
+    noteOther();
+    return flush(/*isWhole=*/false);
+  }
   Status launchNow(DeviceFunction &function, const LaunchShape &shape,
                    const uint64_t *slots, int count);
 
@@ -209,7 +231,15 @@ private:
 
   /// Queues what has been collected; what is whole may become a program.
   Status flush(bool isWhole);
-  Status flush() { return flush(collecting > 0); }
+  Status flush() {
+    noteOther();
+    return flush(collecting > 0);
+  }
+  /// Something has come that is neither a launch nor a fill.
+  void noteOther();
+  bool keep(Function &function, const LaunchShape &shape, const uint64_t *slots,
+            int count);
+  Status runLead();
   Program *findProgram(Sequence &&sequence, bool &same);
 
   std::unique_ptr<Device> device;
@@ -218,12 +248,23 @@ private:
   /// What takes launches that are not collected.
   Device *launcher = nullptr;
   int collecting = 0;
-  /// Whether fills have been kept while nothing was collected.
-  bool hasFills = false;
+  /// Whether work has been kept while nothing was collected.
+  bool isKeeping = false;
+  /// Whether launches may be kept.
+  bool watches = false;
   bool oneByOne = false;
   ProgramMode mode = ProgramMode::Automatic;
   ProgramMaker makeProgram;
+  std::atomic<int> numShared{0};
   std::unique_ptr<Sequence> collected;
+  /// What comes before it: launches that were kept, and fills among them.
+  std::unique_ptr<Sequence> lead;
+  std::unique_ptr<LaunchLeads> leads;
+  /// Whether what is collected is a replay, and whether the last of it has come
+  /// before.
+  bool isReplay = false, hasProgram = false;
+  /// What has gone wrong where nobody could be told.
+  Status failure;
   std::vector<DevicePtr> released;
   std::unordered_multimap<uint64_t, std::unique_ptr<Program>> programs;
 };

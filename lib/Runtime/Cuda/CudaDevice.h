@@ -75,9 +75,12 @@ public:
                           unsigned threads) const override;
   Status launch(DeviceFunction &function, const LaunchShape &shape,
                 const uint64_t *slots, int count) override;
-  Status beginCapture() override;
+  Status beginCapture(size_t numChangeable) override;
   Status endCapture(std::unique_ptr<DeviceGraph> &graph) override;
   Status run(DeviceGraph &graph) override;
+  Status change(DeviceGraph &graph, size_t number, DeviceFunction &function,
+                const LaunchShape &shape, const uint64_t *slots,
+                int count) override;
   DeviceFunctionFacts facts(const DeviceFunction &function) const override;
   Status record(std::unique_ptr<DeviceEvent> &event) override;
   Status wait(DeviceEvent &event) override;
@@ -148,6 +151,9 @@ private:
   static constexpr int kRowUnits = 4;
   DeviceFunction *rowFunctions[kRowUnits][3] = {};
 
+  /// The first launches that a graph that is recorded shall let change.
+  size_t numChangeable = 0;
+
   /// Puts streams in order; made when it is needed.
   std::mutex orderMutex;
   Event orderEvent = nullptr;
@@ -160,12 +166,22 @@ private:
 struct CudaGraph : DeviceGraph {
   explicit CudaGraph(CudaDevice &device) : device(device) {}
   ~CudaGraph() override {
-    if (handle && device.enter())
+    if (!device.enter())
+      return;
+    if (handle)
       (void)device.cu.graphExecDestroy(handle);
+    if (recorded)
+      (void)device.cu.graphDestroy(recorded);
   }
+  /// Finds the nodes of the first launches, which come one after another.
+  void findNodes(size_t count);
 
   CudaDevice &device;
   ExecutableGraph handle = nullptr;
+  /// What it was made from, which its nodes are named by; null where none of
+  /// them change.
+  Graph recorded = nullptr;
+  std::vector<Node> nodes;
 };
 
 struct CudaEvent : DeviceEvent {

@@ -166,9 +166,10 @@ Status CudaDevice::launchOverlapped(Function handle, const LaunchShape &shape,
 // Graphs
 //===----------------------------------------------------------------------===//
 
-Status CudaDevice::beginCapture() {
+Status CudaDevice::beginCapture(size_t changeable) {
   Status status = enter();
   isAfterKernel = false;
+  numChangeable = changeable;
   return status ? check(cu.streamBeginCapture(stream, kCaptureThreadLocal),
                         "no graph can be recorded")
                 : std::move(status);
@@ -187,11 +188,59 @@ Status CudaDevice::endCapture(std::unique_ptr<DeviceGraph> &graph) {
     auto made = std::make_unique<CudaGraph>(*this);
     status = check(cu.graphInstantiate(&made->handle, recorded, 0),
                    "a graph cannot be made ready to run");
+    if (status && numChangeable > 0) {
+      made->recorded = recorded;
+      made->findNodes(numChangeable);
+      recorded = nullptr;
+    }
     if (status)
       graph = std::move(made);
   }
-  (void)cu.graphDestroy(recorded);
+  if (recorded)
+    (void)cu.graphDestroy(recorded);
   return status;
+}
+
+void CudaGraph::findNodes(size_t count) {
+  const Driver &cu = device.cu;
+  Node node = nullptr;
+  size_t found = 1;
+  int kind = 0;
+  // One root, and one after each: that is what a stream records.
+  if (cu.graphGetRootNodes(recorded, nullptr, &found) != kSuccess ||
+      found != 1 || cu.graphGetRootNodes(recorded, &node, &found) != kSuccess)
+    return;
+  while (cu.graphNodeGetType(node, &kind) == kSuccess && kind == kNodeKernel) {
+    nodes.push_back(node);
+    if (nodes.size() == count ||
+        cu.graphNodeGetDependentNodes(node, nullptr, &found) != kSuccess ||
+        found != 1 ||
+        cu.graphNodeGetDependentNodes(node, &node, &found) != kSuccess)
+      return;
+  }
+}
+
+Status CudaDevice::change(DeviceGraph &graph, size_t number,
+                          DeviceFunction &function, const LaunchShape &shape,
+                          const uint64_t *slots, int count) {
+  auto &made = static_cast<CudaGraph &>(graph);
+  if (number >= made.nodes.size())
+    return Status::failure(StatusCode::Internal,
+                           "this launch of a graph cannot be changed");
+  std::vector<void *> parameters(static_cast<size_t>(count));
+  for (size_t i = 0; i < parameters.size(); ++i)
+    parameters[i] = const_cast<uint64_t *>(slots + i);
+  KernelNodeParameters node{static_cast<CudaFunction &>(function).handle,
+                            {shape.blocks, 1, 1},
+                            {shape.threads, 1, 1},
+                            shape.sharedBytes,
+                            parameters.data(),
+                            nullptr};
+  Status status = enter();
+  return status ? check(cu.graphExecKernelNodeSetParams(
+                            made.handle, made.nodes[number], &node),
+                        "a launch of a graph cannot be changed")
+                : std::move(status);
 }
 
 Status CudaDevice::run(DeviceGraph &graph) {

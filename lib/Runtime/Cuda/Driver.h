@@ -31,6 +31,7 @@ using Pool = struct PoolStruct *;
 using Event = struct EventStruct *;
 using Graph = struct GraphStruct *;
 using ExecutableGraph = struct ExecutableGraphStruct *;
+using Node = struct NodeStruct *;
 
 // Results.
 constexpr Result kSuccess = 0;
@@ -66,6 +67,8 @@ constexpr unsigned kLaunchCluster = 4;
 constexpr unsigned kLaunchOverlapped = 6;
 // Of captures: other threads may do what they like.
 constexpr int kCaptureThreadLocal = 1;
+// Of nodes of graphs.
+constexpr int kNodeKernel = 0;
 // Of events.
 constexpr unsigned kEventDefault = 0;
 constexpr unsigned kEventNoTiming = 2;
@@ -119,6 +122,17 @@ struct GraphUpdate {
   void *node = nullptr;
   void *from = nullptr;
 };
+
+/// A launch in a graph.
+struct KernelNodeParameters {
+  Function function;
+  unsigned grid[3];
+  unsigned block[3];
+  unsigned sharedBytes;
+  void **parameters;
+  void **extra;
+};
+static_assert(sizeof(KernelNodeParameters) == 56, "the layout is the driver's");
 
 /// Every function that the runtime calls: its name here, the symbol, and its
 /// parameters.
@@ -194,6 +208,12 @@ struct GraphUpdate {
   DO(graphExecUpdate, "cuGraphExecUpdate_v2",                                  \
      (ExecutableGraph, Graph, GraphUpdate *))                                  \
   DO(graphLaunch, "cuGraphLaunch", (ExecutableGraph, Stream))                  \
+  DO(graphGetRootNodes, "cuGraphGetRootNodes", (Graph, Node *, size_t *))      \
+  DO(graphNodeGetDependentNodes, "cuGraphNodeGetDependentNodes",               \
+     (Node, Node *, size_t *))                                                 \
+  DO(graphNodeGetType, "cuGraphNodeGetType", (Node, int *))                    \
+  DO(graphExecKernelNodeSetParams, "cuGraphExecKernelNodeSetParams",           \
+     (ExecutableGraph, Node, const KernelNodeParameters *))                    \
   DO(graphDestroy, "cuGraphDestroy", (Graph))                                  \
   DO(graphExecDestroy, "cuGraphExecDestroy", (ExecutableGraph))                \
   DO(launchCooperativeKernel, "cuLaunchCooperativeKernel",                     \

@@ -10,13 +10,15 @@
 // words: no-device, zero-devices, old, busy, small (a megabyte of memory),
 // no-pools, bad-ptx, fault (launches fail when they are waited for),
 // heap-in-use (its size cannot be changed),
-// any-function (modules have functions of all names, which do nothing),
-// likes-512 (a launch takes 400 microseconds in blocks of 512 threads, and 900
-// else). The clock of the device advances by a microsecond with each piece of
-// work, and by a launch of "scale" by one for each thousand numbers. A module
-// has the functions "scale" (double *x, int64_t n, double factor) and "where"
-// (int32_t *blocks_and_threads), whatever its text is, and those of Rows.cu.
-// Compiled with -finstrument-functions, it counts how often it is called.
+// no-graphs, any-function (modules have functions of all names, which do
+// nothing), likes-512 (a launch takes 400 microseconds in blocks of 512
+// threads, and 900 else). The clock of the device advances by a microsecond
+// with each piece of work, and by a launch of "scale" by one for each thousand
+// numbers. A module has the functions "scale" (double *x, int64_t n, double
+// factor), "add" (the same) and "where" (int32_t *blocks_and_threads), whatever
+// its text is, and those of Rows.cu. Compiled with -finstrument-functions, it
+// counts how often it is called. Graphs are lists of launches, fills and
+// copies.
 //
 //===----------------------------------------------------------------------===//
 
@@ -45,6 +47,23 @@ NOT_COUNTED static int has(const char *word) {
   const char *given = getenv("TAI_FAKE_CUDA");
   return given && strstr(given, word) != NULL;
 }
+
+enum { mostValues = 8, mostNodes = 64 };
+
+/// A piece of work: a launch (0), a copy (1) or a fill (2).
+typedef struct {
+  int kind;
+  const char *function;
+  unsigned blocks, threads;
+  uint64_t values[mostValues];
+} FakeNode;
+
+/// With an empty node at its end.
+typedef struct FakeGraph {
+  FakeNode nodes[mostNodes + 1];
+  int count;
+  struct FakeGraph *origin;
+} FakeGraph;
 
 /// Each thread has a context of its own, or none.
 static __thread void *current;
@@ -305,29 +324,30 @@ Result cuMemcpyDtoHAsync_v2(void *to, Address from, size_t bytes, void *on) {
   memcpy(to, (const void *)(uintptr_t)from, bytes);
   return 0;
 }
+NOT_COUNTED static Result submit(const FakeNode *node);
 Result cuMemcpyDtoDAsync_v2(Address to, Address from, size_t bytes, void *on) {
   (void)on;
-  memmove((void *)(uintptr_t)to, (const void *)(uintptr_t)from, bytes);
-  return 0;
+  FakeNode node = {.kind = 1, .values = {to, from, bytes}};
+  return submit(&node);
+}
+NOT_COUNTED static Result fill(Address to, unsigned value, size_t count,
+                               unsigned bytes) {
+  FakeNode node = {.kind = 2, .values = {to, value, count, bytes}};
+  return submit(&node);
 }
 Result cuMemsetD8Async(Address to, unsigned char value, size_t count,
                        void *on) {
   (void)on;
-  memset((void *)(uintptr_t)to, value, count);
-  return 0;
+  return fill(to, value, count, 1);
 }
 Result cuMemsetD16Async(Address to, unsigned short value, size_t count,
                         void *on) {
   (void)on;
-  for (size_t i = 0; i < count; ++i)
-    ((unsigned short *)(uintptr_t)to)[i] = value;
-  return 0;
+  return fill(to, value, count, 2);
 }
 Result cuMemsetD32Async(Address to, unsigned value, size_t count, void *on) {
   (void)on;
-  for (size_t i = 0; i < count; ++i)
-    ((unsigned *)(uintptr_t)to)[i] = value;
-  return 0;
+  return fill(to, value, count, 4);
 }
 Result cuPointerGetAttribute(void *value, int attribute, Address address) {
   (void)value, (void)attribute, (void)address;
@@ -351,11 +371,14 @@ Result cuModuleUnload(void *given) {
 }
 Result cuModuleGetFunction(void **result, void *given, const char *name) {
   (void)given;
-  static char names[][16] = {
-      "scale",          "where",          "tai_copy_quads", "tai_copy_pairs",
-      "tai_copy_words", "tai_copy_bytes", "tai_swap_quads", "tai_swap_pairs",
-      "tai_swap_words", "tai_swap_bytes", "tai_fill_quads", "tai_fill_pairs",
-      "tai_fill_words", "tai_fill_bytes"};
+  static char names[][16] = {"scale",          "add",
+                             "where",          "tai_copy_quads",
+                             "tai_copy_pairs", "tai_copy_words",
+                             "tai_copy_bytes", "tai_swap_quads",
+                             "tai_swap_pairs", "tai_swap_words",
+                             "tai_swap_bytes", "tai_fill_quads",
+                             "tai_fill_pairs", "tai_fill_words",
+                             "tai_fill_bytes"};
   for (unsigned i = 0; i < sizeof(names) / sizeof(names[0]); ++i)
     if (strcmp(name, names[i]) == 0) {
       *result = names[i];
@@ -411,27 +434,81 @@ NOT_COUNTED static void rows(const char *function, void **parameters) {
   }
 }
 
+NOT_COUNTED static Result perform(const FakeNode *node) {
+  const uint64_t *v = node->values;
+  if (node->kind == 1) {
+    memmove((void *)v[0], (const void *)v[1], v[2]);
+    return 0;
+  }
+  if (node->kind == 2) {
+    for (size_t i = 0; i < v[2]; ++i)
+      memcpy((char *)v[0] + i * v[3], &v[1], v[3]);
+    return 0;
+  }
+  const char *function = node->function;
+  uint64_t values[mostValues];
+  void *parameters[mostValues];
+  memcpy(values, v, sizeof(values));
+  for (int i = 0; i < mostValues; ++i)
+    parameters[i] = &values[i];
+  now += !has("likes-512") ? 1 : node->threads == 512 ? 400 : 900;
+  if (has("fault"))
+    faulted = 1;
+  else if (strcmp(function, "scale") == 0 || strcmp(function, "add") == 0) {
+    double *x = (double *)v[0], by;
+    int64_t n = (int64_t)v[1];
+    memcpy(&by, &v[2], sizeof(by));
+    now += n / 1000;
+    for (int64_t i = 0; i < n; ++i)
+      x[i] = *function == 's' ? x[i] * by : x[i] + by;
+  } else if (strncmp(function, "tai_", 4) == 0) {
+    rows(function, parameters);
+  } else if (strcmp(function, "where") == 0) {
+    int32_t *result = (int32_t *)v[0];
+    result[0] = (int32_t)node->blocks;
+    result[1] = (int32_t)node->threads;
+  }
+  return 0;
+}
+
+/// What is being recorded; null for nothing.
+static FakeGraph *recording;
+/// How often the driver was asked for work on the device, and to record or
+/// change some.
+int tai_fake_cuda_submissions, tai_fake_cuda_records, tai_fake_cuda_changes;
+
+NOT_COUNTED static Result submit(const FakeNode *node) {
+  if (!recording) {
+    ++tai_fake_cuda_submissions;
+    return perform(node);
+  }
+  if (recording->count == mostNodes)
+    return 2;
+  recording->nodes[recording->count++] = *node;
+  return 0;
+}
+NOT_COUNTED static void setLaunch(FakeNode *node, const char *function,
+                                  unsigned blocks, unsigned threads,
+                                  void **parameters) {
+  int count = strcmp(function, "scale") == 0 || strcmp(function, "add") == 0 ? 3
+              : strcmp(function, "where") == 0                               ? 1
+              : strncmp(function, "tai_fill", 8) == 0                        ? 7
+              : strncmp(function, "tai_", 4) == 0 ? 6
+                                                  : 0;
+  node->kind = 0;
+  node->function = function;
+  node->blocks = blocks;
+  node->threads = threads;
+  for (int i = 0; i < count; ++i)
+    node->values[i] = *(uint64_t *)parameters[i];
+}
 NOT_COUNTED static Result launch(const char *function, unsigned blocks,
                                  unsigned threads, void **parameters) {
   if (current != &context)
     return 201;
-  now += !has("likes-512") ? 1 : threads == 512 ? 400 : 900;
-  if (has("fault"))
-    faulted = 1;
-  else if (strcmp(function, "scale") == 0) {
-    double *x = *(double **)parameters[0];
-    int64_t n = *(int64_t *)parameters[1];
-    now += n / 1000;
-    for (int64_t i = 0; i < n; ++i)
-      x[i] *= *(double *)parameters[2];
-  } else if (strncmp(function, "tai_", 4) == 0) {
-    rows(function, parameters);
-  } else if (strcmp(function, "where") == 0) {
-    int32_t *result = *(int32_t **)parameters[0];
-    result[0] = (int32_t)blocks;
-    result[1] = (int32_t)threads;
-  }
-  return 0;
+  FakeNode node = {0};
+  setLaunch(&node, function, blocks, threads, parameters);
+  return submit(&node);
 }
 Result cuLaunchKernel(void *function, unsigned blocks, unsigned by, unsigned bz,
                       unsigned threads, unsigned ty, unsigned tz,
@@ -448,7 +525,7 @@ Result cuLaunchCooperativeKernel(void *function, unsigned blocks, unsigned by,
   return launch(function, blocks, threads, parameters);
 }
 
-/* Graphs and clusters are more than this stands in for. */
+/* Clusters are more than this stands in for. */
 enum { NotSupported = 801 };
 Result cuFuncSetAttribute(void *function, int attribute, int value) {
   (void)function, (void)attribute, (void)value;
@@ -461,32 +538,97 @@ Result cuLaunchKernelEx(const void *configuration, void *function,
 }
 Result cuStreamBeginCapture_v2(void *given, int mode) {
   (void)given, (void)mode;
-  return NotSupported;
+  if (has("no-graphs"))
+    return NotSupported;
+  ++tai_fake_cuda_records;
+  recording = calloc(1, sizeof(FakeGraph));
+  return recording ? 0 : 2;
 }
 Result cuStreamEndCapture(void *given, void **graph) {
-  (void)given, (void)graph;
-  return NotSupported;
+  (void)given;
+  *graph = recording;
+  recording = NULL;
+  return *graph ? 0 : 401;
 }
-Result cuGraphInstantiateWithFlags(void **result, void *graph,
+Result cuGraphInstantiateWithFlags(void **result, void *given,
                                    unsigned long long flags) {
-  (void)result, (void)graph, (void)flags;
-  return NotSupported;
+  (void)flags;
+  FakeGraph *graph = given, *made = malloc(sizeof(FakeGraph));
+  if (!made)
+    return 2;
+  *made = *graph;
+  made->origin = graph;
+  *result = made;
+  return 0;
 }
-Result cuGraphExecUpdate_v2(void *executable, void *graph, void *update) {
-  (void)executable, (void)graph, (void)update;
-  return NotSupported;
+/// The same pieces of work with other parameters.
+Result cuGraphExecUpdate_v2(void *given, void *other, void *update) {
+  (void)update;
+  FakeGraph *executable = given, *graph = other;
+  int isSame = executable->count == graph->count;
+  for (int i = 0; isSame && i < graph->count; ++i)
+    isSame = executable->nodes[i].kind == graph->nodes[i].kind &&
+             executable->nodes[i].function == graph->nodes[i].function;
+  if (!isSame)
+    return 910;
+  memcpy(executable->nodes, graph->nodes, sizeof(graph->nodes));
+  return 0;
 }
-Result cuGraphLaunch(void *executable, void *on) {
-  (void)executable, (void)on;
-  return NotSupported;
+Result cuGraphLaunch(void *given, void *on) {
+  (void)on;
+  FakeGraph *executable = given;
+  ++tai_fake_cuda_submissions;
+  for (int i = 0; i < executable->count; ++i)
+    perform(&executable->nodes[i]);
+  return 0;
 }
 Result cuGraphDestroy(void *graph) {
-  (void)graph;
-  return NotSupported;
+  memset(graph, 0, sizeof(FakeGraph));
+  free(graph);
+  return 0;
 }
 Result cuGraphExecDestroy(void *executable) {
-  (void)executable;
-  return NotSupported;
+  memset(executable, 0, sizeof(FakeGraph));
+  free(executable);
+  return 0;
+}
+Result cuGraphGetRootNodes(void *given, void **nodes, size_t *count) {
+  FakeGraph *graph = given;
+  *count = graph->count > 0;
+  if (nodes && *count)
+    nodes[0] = &graph->nodes[0];
+  return 0;
+}
+/// The next one, if there is one.
+Result cuGraphNodeGetDependentNodes(void *given, void **nodes, size_t *count) {
+  FakeNode *next = (FakeNode *)given + 1;
+  *count = next->function || next->kind;
+  if (nodes && *count)
+    nodes[0] = next;
+  return 0;
+}
+Result cuGraphNodeGetType(void *node, int *type) {
+  *type = ((FakeNode *)node)->kind;
+  return 0;
+}
+Result cuGraphExecKernelNodeSetParams(void *given, void *node,
+                                      const void *parameters) {
+  typedef struct {
+    const char *function;
+    unsigned grid[3], block[3], shared;
+    void **values, **extra;
+  } Parameters;
+  FakeGraph *executable = given;
+  const Parameters *p = parameters;
+  // Nodes are those of the graph that it was made from.
+  ptrdiff_t number = (FakeNode *)node - executable->origin->nodes;
+  if (number < 0 || number >= executable->count ||
+      executable->nodes[number].function != p->function)
+    return 1;
+  ++tai_fake_cuda_changes;
+  setLaunch(&executable->nodes[number], p->function, p->grid[0], p->block[0],
+            p->values);
+  return 0;
 }
 Result cuDevicePrimaryCtxReset_v2(int device) {
   (void)device;

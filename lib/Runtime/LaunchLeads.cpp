@@ -1,0 +1,109 @@
+//===- LaunchLeads.cpp - Launches that come before sequences --------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "LaunchLeads.h"
+#include <algorithm>
+#include <chrono>
+#include <cstdlib>
+
+using namespace mlir::tai::runtime;
+
+static int64_t now() {
+  return std::chrono::duration_cast<std::chrono::nanoseconds>(
+             std::chrono::steady_clock::now().time_since_epoch())
+      .count();
+}
+
+LaunchLeads::LaunchLeads() {
+  // A device that has nothing else to do loses so much at most.
+  constexpr int64_t usualUs = 100;
+  const char *given = std::getenv("TAI_KEEP_LAUNCHES_US");
+  longestNs = 1000 * (given && *given ? std::atoll(given) : usualUs);
+}
+
+bool LaunchLeads::expects(const DeviceFunction *function,
+                          const LaunchShape &shape, int count) {
+  if (!open)
+    return false;
+  if (run.size() == kMostLaunches || ++between > kMostBetween) {
+    interrupt();
+    open = false;
+    return false;
+  }
+  if (run.empty()) {
+    start = now();
+    auto found = leads.find(function);
+    expected = found != leads.end() && found->second.isKnown() ? &found->second
+                                                               : nullptr;
+  }
+  Item item{function, shape.blocks, shape.threads, count};
+  if (expected && (run.size() == expected->items.size() ||
+                   !(expected->items[run.size()] == item)))
+    lose();
+  run.push_back(item);
+  return expected != nullptr;
+}
+
+/// What has been kept is queued without its sequence.
+void LaunchLeads::lose() {
+  constexpr int mostLost = 2, mostWanted = 64;
+  if (expected && !run.empty()) {
+    ++numLost;
+    if (++expected->lost == mostLost) {
+      expected->seen = expected->lost = 0;
+      expected->wanted = std::min(2 * expected->wanted, mostWanted);
+      count();
+    }
+  }
+  expected = nullptr;
+}
+
+void LaunchLeads::count() {
+  numKnown = static_cast<size_t>(
+      std::count_if(leads.begin(), leads.end(),
+                    [](const auto &entry) { return entry.second.isKnown(); }));
+}
+
+void LaunchLeads::interrupt() {
+  lose();
+  run.clear();
+}
+
+void LaunchLeads::begin() {
+  constexpr size_t mostLeads = 64;
+  open = false;
+  if (run.empty())
+    return;
+  bool isQuick = now() - start <= longestNs;
+  numTaken += expected != nullptr;
+  expected = nullptr;
+  if (leads.size() >= mostLeads)
+    leads.clear();
+  Lead &lead = leads[run.front().function];
+  if (lead.items != run) {
+    lead.items = run;
+    lead.seen = 0;
+  }
+  lead.seen = isQuick ? std::min(lead.seen + 1, lead.wanted) : 0;
+  lead.lost = 0;
+  count();
+  run.clear();
+}
+
+void LaunchLeads::end(bool isWorthIt) {
+  interrupt();
+  open = isWorthIt;
+  between = 0;
+}
+
+std::string LaunchLeads::explain() const {
+  if (numTaken + numLost == 0)
+    return "";
+  return "launches between replays: " + std::to_string(numTaken) +
+         " times part of the replay that followed, " + std::to_string(numLost) +
+         " times kept for nothing\n";
+}

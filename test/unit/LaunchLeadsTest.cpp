@@ -1,0 +1,402 @@
+//===- LaunchLeadsTest.cpp - Launches between replays ---------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The queue above a CUDA driver that needs no GPU and counts what it is asked
+// for. Whatever is kept, memory must hold what the same work leaves there one
+// by one.
+//
+//===----------------------------------------------------------------------===//
+
+#include "RuntimeTestUtils.h"
+#include "tai/Runtime/DeviceQueue.h"
+#include <cstdlib>
+#include <cstring>
+#include <dlfcn.h>
+
+using namespace mlir::tai::runtime;
+using namespace mlir::tai::runtime::test;
+
+#ifdef TAI_FAKE_CUDA_LIBRARY
+namespace {
+class KeptLaunches : public ::testing::Test {
+protected:
+  static constexpr int64_t n = 8;
+
+  void SetUp() override { open(""); }
+  void TearDown() override {
+    close();
+    for (const char *name :
+         {"TAI_CUDA_DRIVER", "TAI_FAKE_CUDA", "TAI_KEEP_LAUNCHES_US"})
+      unsetenv(name);
+  }
+
+  /// Launches are kept as long as it takes.
+  void open(const char *trouble, const char *longestUs = "1000000000") {
+    close();
+    setenv("TAI_CUDA_DRIVER", TAI_FAKE_CUDA_LIBRARY, 1);
+    setenv("TAI_FAKE_CUDA", trouble, 1);
+    setenv("TAI_KEEP_LAUNCHES_US", longestUs, 1);
+    std::unique_ptr<Device> device;
+    ASSERT_OK(openCudaDevice(0, device));
+    queue = std::make_unique<DeviceQueue>(std::move(device));
+    ASSERT_OK(queue->load(image(), module));
+    ASSERT_OK(queue->find(*module, "scale", scale));
+    ASSERT_OK(queue->find(*module, "add", add));
+    for (DevicePtr *memory : {&x, &y}) {
+      ASSERT_OK(queue->allocate(n * 8, *memory));
+      double zero = 0;
+      ASSERT_OK(queue->fill(*memory, &zero, 8, n));
+    }
+    ASSERT_OK(queue->synchronize());
+    expected = 0;
+    library = dlopen(TAI_FAKE_CUDA_LIBRARY, RTLD_NOW | RTLD_NOLOAD);
+    ASSERT_NE(library, nullptr);
+  }
+  void close() {
+    module.reset();
+    queue.reset();
+    if (library)
+      dlclose(library);
+    library = nullptr;
+  }
+  static DeviceImage image() {
+    return DeviceImage{DeviceKind::Cuda, "//", {"scale", "add"}, {}, nullptr};
+  }
+
+  int counter(const char *name) {
+    std::string symbol = std::string("tai_fake_cuda_") + name;
+    return *static_cast<int *>(dlsym(library, symbol.c_str()));
+  }
+  int submissions() { return counter("submissions"); }
+
+  void apply(DeviceFunction *function, double value) {
+    uint64_t slots[] = {x, n, 0};
+    std::memcpy(&slots[2], &value, 8);
+    LaunchShape shape;
+    shape.threads = 32;
+    EXPECT_OK(queue->launch(*function, shape, slots, 3));
+    expected = function == scale ? expected * value : expected + value;
+  }
+  /// Work that does not commute with the steps behind it.
+  void replay(double value = 0.25, int extra = 0, bool isReplay = true) {
+    queue->beginCollecting(isReplay);
+    apply(scale, 0.5);
+    apply(add, value);
+    apply(scale, 1.5);
+    apply(add, -0.125);
+    for (int i = 0; i < extra; ++i)
+      apply(scale, 0.75);
+    EXPECT_OK(queue->endCollecting());
+  }
+  /// Until nothing is tried any more, and the step is known.
+  template <typename Step> void learn(const Step &step) {
+    for (int i = 0; i < 12; ++i) {
+      replay();
+      step();
+    }
+  }
+  void learn() {
+    learn([&] { apply(scale, 0.875); });
+  }
+  double read() {
+    double value = 0;
+    EXPECT_OK(queue->copyOut(&value, x, 8));
+    return value;
+  }
+  void expectAsOneByOne() { EXPECT_EQ(read(), expected); }
+
+  std::unique_ptr<DeviceQueue> queue;
+  std::unique_ptr<DeviceModule> module;
+  DeviceFunction *scale = nullptr, *add = nullptr;
+  DevicePtr x = 0, y = 0;
+  double expected = 0;
+  void *library = nullptr;
+};
+} // namespace
+
+TEST_F(KeptLaunches, OneSubmissionForReplayAndStep) {
+  learn();
+  int before = submissions(), records = counter("records"),
+      changes = counter("changes");
+  for (int i = 0; i < 10; ++i) {
+    replay();
+    apply(scale, 0.875 - i / 64.0);
+  }
+  EXPECT_EQ(submissions() - before, 10);
+  EXPECT_EQ(counter("records"), records);
+  // The first has the factor that it had before.
+  EXPECT_EQ(counter("changes") - changes, 8);
+  expectAsOneByOne();
+  EXPECT_EQ(submissions() - before, 11);
+  std::string text = queue->explain();
+  EXPECT_NE(text.find("with scale before it"), std::string::npos) << text;
+  EXPECT_NE(text.find("as one graph"), std::string::npos) << text;
+}
+
+TEST_F(KeptLaunches, SeveralLaunchesAndFillsAmongThem) {
+  auto step = [&](double rate) {
+    apply(scale, rate);
+    double zero = 0;
+    EXPECT_OK(queue->fill(y, &zero, 8, n));
+    apply(add, 1 - rate);
+    apply(scale, 2 - rate);
+  };
+  learn([&] { step(0.5); });
+  int before = submissions();
+  for (int i = 0; i < 10; ++i) {
+    replay();
+    step(0.5 + i / 32.0);
+  }
+  EXPECT_EQ(submissions() - before, 10);
+  expectAsOneByOne();
+}
+
+TEST_F(KeptLaunches, ParametersOfTheSequenceChangeToo) {
+  learn();
+  int before = submissions();
+  for (int i = 0; i < 10; ++i) {
+    replay(i / 8.0);
+    apply(scale, 0.875 - i / 64.0);
+  }
+  EXPECT_EQ(submissions() - before, 10);
+  expectAsOneByOne();
+}
+
+TEST_F(KeptLaunches, WhateverElseComesQueuesThemFirst) {
+  std::unique_ptr<DeviceEvent> event;
+  std::unique_ptr<DeviceModule> other;
+  DevicePtr spare = 0;
+  double value = 1;
+  DeviceRows rows{y, 8, 8, 2};
+  const std::pair<const char *, std::function<Status()>> others[] = {
+      {"synchronize", [&] { return queue->synchronize(); }},
+      {"copy out", [&] { return queue->copyOut(&value, y, 8); }},
+      {"copy in", [&] { return queue->copyIn(y, &value, 8); }},
+      {"copy", [&] { return queue->copy(y, x, 8); }},
+      {"copy of rows", [&] { return queue->copyRows(rows, x, 8); }},
+      {"exchange of rows", [&] { return queue->swapRows(rows, y + 16, 8); }},
+      {"event", [&] { return queue->record(event); }},
+      {"a stream waits", [&] { return queue->letStreamWait(4); }},
+      {"waits for a stream", [&] { return queue->waitForStream(4); }},
+      {"a timed launch", [&] { return queue->interrupt(); }},
+      {"free",
+       [&] {
+         queue->free(spare);
+         return Status::success();
+       }},
+      {"the end of code",
+       [&] {
+         other.reset();
+         return Status::success();
+       }},
+      {"profiler",
+       [&] {
+         queue->setOneByOne(true);
+         queue->setOneByOne(false);
+         return Status::success();
+       }},
+      {"mode",
+       [&] {
+         queue->setMode(ProgramMode::Automatic);
+         return Status::success();
+       }},
+      {"loan", [&] { return queue->share(); }},
+  };
+  for (const auto &[name, something] : others) {
+    SCOPED_TRACE(name);
+    open("");
+    ASSERT_OK(queue->allocate(64, spare));
+    ASSERT_OK(queue->load(image(), other));
+    learn();
+    replay();
+    int before = submissions();
+    apply(scale, 0.75);
+    EXPECT_EQ(submissions(), before);
+    EXPECT_OK(something());
+    EXPECT_GE(submissions(), before + 1);
+    int after = submissions();
+    EXPECT_OK(queue->synchronize());
+    EXPECT_EQ(submissions(), after);
+    expectAsOneByOne();
+    // And goes on as before.
+    for (int i = 0; i < 4; ++i) {
+      replay();
+      apply(scale, 0.75 + i / 32.0);
+    }
+    expectAsOneByOne();
+    if (std::string(name) == "loan")
+      queue->unshare();
+    event.reset();
+    other.reset();
+  }
+}
+
+TEST_F(KeptLaunches, NothingIsKeptWhileMemoryIsShared) {
+  learn();
+  EXPECT_OK(queue->share());
+  replay();
+  int before = submissions();
+  apply(scale, 0.75);
+  EXPECT_EQ(submissions(), before + 1);
+  expectAsOneByOne();
+}
+
+TEST_F(KeptLaunches, AnUnexpectedLaunchComesInItsPlace) {
+  learn();
+  int before = submissions();
+  replay();
+  apply(scale, 0.75);
+  EXPECT_EQ(submissions(), before + 1);
+  apply(add, 3);
+  // Both of them.
+  EXPECT_EQ(submissions(), before + 3);
+  replay();
+  apply(add, 5);
+  EXPECT_EQ(submissions(), before + 5);
+  expectAsOneByOne();
+  // The longer step is learnt in the place of the other one.
+  auto longer = [&] {
+    apply(scale, 0.75);
+    apply(add, 3);
+  };
+  learn(longer);
+  before = submissions();
+  for (int i = 0; i < 5; ++i) {
+    replay();
+    longer();
+  }
+  EXPECT_EQ(submissions() - before, 5);
+  // And fewer than are expected.
+  for (int i = 0; i < 5; ++i) {
+    replay();
+    apply(scale, 0.75);
+  }
+  replay();
+  expectAsOneByOne();
+}
+
+TEST_F(KeptLaunches, TwoSequencesInTurns) {
+  auto both = [&](double rate) {
+    replay();
+    apply(scale, rate);
+    replay(0.5, /*extra=*/2);
+    apply(add, rate);
+  };
+  for (int i = 0; i < 12; ++i)
+    both(0.5);
+  int before = submissions();
+  for (int i = 0; i < 6; ++i)
+    both(0.5 + i / 64.0);
+  EXPECT_EQ(submissions() - before, 12);
+  expectAsOneByOne();
+}
+
+TEST_F(KeptLaunches, ValuesThatAreReadAfterEachStep) {
+  for (int i = 0; i < 14; ++i) {
+    replay();
+    int before = submissions();
+    apply(scale, 0.75);
+    EXPECT_EQ(submissions(), before + 1);
+    expectAsOneByOne();
+  }
+}
+
+TEST_F(KeptLaunches, ValuesThatAreReadBeforeEachStep) {
+  auto iterate = [&] {
+    replay();
+    expectAsOneByOne();
+    apply(scale, 0.75);
+  };
+  for (int i = 0; i < 12; ++i)
+    iterate();
+  int before = submissions();
+  for (int i = 0; i < 6; ++i)
+    iterate();
+  EXPECT_EQ(submissions() - before, 6);
+  expectAsOneByOne();
+}
+
+TEST_F(KeptLaunches, ValuesThatAreReadNowAndThen) {
+  learn();
+  int before = submissions();
+  for (int i = 0; i < 20; ++i) {
+    replay();
+    apply(scale, 0.75);
+    if (i % 5 == 4)
+      expectAsOneByOne();
+  }
+  // The steps that values were read after are launches by themselves.
+  EXPECT_EQ(submissions() - before, 24);
+}
+
+TEST_F(KeptLaunches, WhatIsKeptForNothingTwiceIsNotKept) {
+  learn();
+  for (int i = 0; i < 2; ++i) {
+    replay();
+    int before = submissions();
+    apply(scale, 0.75);
+    EXPECT_EQ(submissions(), before);
+    expectAsOneByOne();
+  }
+  // It must come four times to be known again.
+  for (int i = 0; i < 6; ++i) {
+    replay();
+    int before = submissions();
+    apply(scale, 0.75);
+    EXPECT_EQ(submissions() - before, i < 4 ? 1 : 0) << i;
+  }
+  expectAsOneByOne();
+}
+
+TEST_F(KeptLaunches, WhatTakesLongIsNotKept) {
+  open("", "-1");
+  learn();
+  replay();
+  int before = submissions();
+  apply(scale, 0.75);
+  EXPECT_EQ(submissions(), before + 1);
+  expectAsOneByOne();
+}
+
+TEST_F(KeptLaunches, ManyLaunchesAreNotKept) {
+  auto step = [&] {
+    for (int i = 0; i < 20; ++i)
+      apply(i % 2 ? scale : add, 0.5);
+  };
+  learn(step);
+  replay();
+  int before = submissions();
+  step();
+  EXPECT_EQ(submissions(), before + 20);
+  expectAsOneByOne();
+}
+
+TEST_F(KeptLaunches, SweepsThatAreNoReplaysTakeNone) {
+  learn();
+  replay();
+  apply(scale, 0.75);
+  replay(0.5, 1, /*isReplay=*/false);
+  expectAsOneByOne();
+}
+
+TEST_F(KeptLaunches, NothingIsKeptWithoutSequences) {
+  queue->setMode(ProgramMode::Launches);
+  learn();
+  replay();
+  int before = submissions();
+  apply(scale, 0.75);
+  EXPECT_EQ(submissions(), before + 1);
+  expectAsOneByOne();
+}
+
+TEST_F(KeptLaunches, DevicesWithoutGraphs) {
+  open("no-graphs");
+  learn();
+  learn();
+  expectAsOneByOne();
+}
+#endif // TAI_FAKE_CUDA_LIBRARY
