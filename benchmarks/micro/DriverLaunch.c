@@ -9,7 +9,7 @@
 // prints nanoseconds for each: the least of many batches, and their median. It
 // is what is left of a launch from Python when nothing is left to do for us.
 //
-//   cc -O2 -pthread DriverLaunch.c -ldl && ./a.out
+//   cc -std=gnu17 -O2 -pthread DriverLaunch.c -ldl && ./a.out
 //
 // TAI_CUDA_DRIVER names another library than libcuda.so.1.
 //
