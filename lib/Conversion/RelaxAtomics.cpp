@@ -14,6 +14,7 @@
 
 #include "Common/Accumulation.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/Transforms/LoopInvariantCodeMotionUtils.h"
 #include "tai/Analysis/Accesses.h"
@@ -33,6 +34,10 @@ using namespace mlir::tai;
 /// registers: they are neighbours as a rule (the weights of a sum written out),
 /// which LLVM updates as vectors, while it would spill so many registers.
 constexpr size_t kMaxRegisters = 8;
+
+/// Iterations of a loop on a GPU whose sums do not meet in a block: its
+/// threads.
+constexpr int64_t kMaxWarpSums = 1024;
 
 /// Private buffers larger than this are left alone: they would fill the memory
 /// of a machine with many cores.
@@ -63,6 +68,7 @@ private:
   bool mayReach(ValueRange a, ValueRange b);
   void relaxField(FieldAccesses &accesses);
   bool isWorthPrivate(const AccumulationGroup &group);
+  bool isWarpSum(AtomicOp atomic);
 
   ParallelForOp loop;
   FieldTable &fields;
@@ -175,6 +181,21 @@ bool LoopRelaxation::mayReach(ValueRange a, ValueRange b) {
   return true;
 }
 
+/// True for sums that a GPU takes with one atomic addition of each warp: of so
+/// few warps, that is quicker than to bring them together in their block.
+bool LoopRelaxation::isWarpSum(AtomicOp atomic) {
+  std::optional<int64_t> iterations = getNumIterations(loop);
+  if (deterministic || !iterations || *iterations > kMaxWarpSums ||
+      atomic.getKind() != AtomicKind::Add ||
+      !atomic.getValue().getType().isF32())
+    return false;
+  // In an inner loop there would be one for each of its iterations.
+  Operation *around = atomic->getParentOp();
+  while (isa<scf::IfOp>(around))
+    around = around->getParentOp();
+  return around == loop;
+}
+
 /// Chooses for the updates of one field.
 void LoopRelaxation::relaxField(FieldAccesses &accesses) {
   SmallVector<AtomicOp> &atomics = accesses.atomics;
@@ -230,6 +251,9 @@ void LoopRelaxation::relaxField(FieldAccesses &accesses) {
       return;
   }
   if (onDevice && sums.size() > kMaxRegisters)
+    return;
+  if (onDevice &&
+      llvm::all_of(atomics, [&](AtomicOp atomic) { return isWarpSum(atomic); }))
     return;
   if (sums.size() > kMaxRegisters) {
     AccumulationGroup merged = sums.front();

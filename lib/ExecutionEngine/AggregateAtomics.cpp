@@ -11,7 +11,9 @@
 //
 // A full warp adds up several sums at once: of each pair, half of the threads
 // go on with one and half with the other, so that 32 sums take 31 exchanges
-// rather than 160, and end in a thread each.
+// rather than 160, and end in a thread each. Where the threads of a warp have
+// iterations side by side, what depends on their number without its last digits
+// is the same for all of them.
 //
 //===----------------------------------------------------------------------===//
 
@@ -30,6 +32,8 @@
 using namespace llvm;
 
 static constexpr unsigned warpSize = 32;
+/// Addresses are sums of few parts.
+static constexpr unsigned maxDepth = 12;
 
 namespace {
 /// Additions that move to the last of them.
@@ -43,6 +47,7 @@ public:
 
 private:
   bool mayPass(Instruction &instruction);
+  bool isSameInWarp(const Value *value, unsigned depth);
   void close();
 
   const UniformityInfo &uniformity;
@@ -86,6 +91,108 @@ static bool isAddition(const Instruction &instruction) {
          op->getOrdering() == AtomicOrdering::Monotonic;
 }
 
+/// True for multiples of the size of a warp, for all that is known: blocks are
+/// whole warps.
+static bool isWholeWarps(const Value *value, unsigned depth) {
+  if (auto *constant = dyn_cast<ConstantInt>(value))
+    return constant->getValue().countr_zero() >= Log2_32(warpSize);
+  if (depth == 0)
+    return false;
+  auto *op = dyn_cast<Instruction>(value);
+  if (!op)
+    return false;
+  auto isWhole = [&](unsigned operand) {
+    return isWholeWarps(op->getOperand(operand), depth - 1);
+  };
+  switch (op->getOpcode()) {
+  case Instruction::Add:
+  case Instruction::Sub:
+    return isWhole(0) && isWhole(1);
+  case Instruction::Mul:
+    return isWhole(0) || isWhole(1);
+  case Instruction::Shl:
+    if (auto *by = dyn_cast<ConstantInt>(op->getOperand(1)))
+      return by->getValue().uge(Log2_32(warpSize)) || isWhole(0);
+    return isWhole(0);
+  case Instruction::ZExt:
+  case Instruction::SExt:
+  case Instruction::Trunc:
+    return isWhole(0);
+  case Instruction::Call:
+    return cast<CallInst>(op)->getIntrinsicID() ==
+           Intrinsic::nvvm_read_ptx_sreg_ntid_x;
+  default:
+    return false;
+  }
+}
+
+/// True for the number of a thread, or of an iteration that a thread does: the
+/// threads of a warp have neighbours, from a multiple of its size on.
+static bool isThreadNumber(const Value *value, unsigned depth) {
+  auto *op = dyn_cast<Instruction>(value);
+  if (!op || depth == 0)
+    return false;
+  if (auto *phi = dyn_cast<PHINode>(op))
+    // A loop over iterations takes steps of all threads.
+    return all_of(phi->incoming_values(), [&](const Value *from) {
+      auto *step = dyn_cast<BinaryOperator>(from);
+      if (step && step->getOpcode() == Instruction::Add)
+        for (unsigned k : {0, 1})
+          if (step->getOperand(k) == phi)
+            return isWholeWarps(step->getOperand(1 - k), depth - 1);
+      return isThreadNumber(from, depth - 1);
+    });
+  switch (op->getOpcode()) {
+  case Instruction::Add:
+    for (unsigned k : {0, 1})
+      if (isThreadNumber(op->getOperand(k), depth - 1) &&
+          isWholeWarps(op->getOperand(1 - k), depth - 1))
+        return true;
+    return false;
+  case Instruction::Or:
+    return cast<PossiblyDisjointInst>(op)->isDisjoint() &&
+           ((isThreadNumber(op->getOperand(0), depth - 1) &&
+             isWholeWarps(op->getOperand(1), depth - 1)) ||
+            (isThreadNumber(op->getOperand(1), depth - 1) &&
+             isWholeWarps(op->getOperand(0), depth - 1)));
+  case Instruction::ZExt:
+  case Instruction::SExt:
+  case Instruction::Trunc:
+    return isThreadNumber(op->getOperand(0), depth - 1);
+  case Instruction::Call:
+    return cast<CallInst>(op)->getIntrinsicID() ==
+           Intrinsic::nvvm_read_ptx_sreg_tid_x;
+  default:
+    return false;
+  }
+}
+
+/// True if the threads of a warp have the same value.
+bool GroupFinder::isSameInWarp(const Value *value, unsigned depth) {
+  if (uniformity.isUniform(value))
+    return true;
+  auto *op = dyn_cast<Instruction>(value);
+  if (!op || depth == 0 || op->mayReadOrWriteMemory() || isa<PHINode>(op))
+    return false;
+  // Iterations that fill warps: their number without what counts threads.
+  bool isDivision = op->getOpcode() == Instruction::UDiv ||
+                    op->getOpcode() == Instruction::SDiv;
+  bool isShift = op->getOpcode() == Instruction::LShr ||
+                 op->getOpcode() == Instruction::AShr;
+  if (isDivision || isShift) {
+    auto *by = dyn_cast<ConstantInt>(op->getOperand(1));
+    bool isWhole = by && (isShift ? by->getValue().uge(Log2_32(warpSize))
+                                  : !by->isZero() && isWholeWarps(by, 0));
+    if (isWhole && isThreadNumber(op->getOperand(0), maxDepth))
+      return true;
+  }
+  if (!isa<BinaryOperator, CastInst, GetElementPtrInst>(op))
+    return false;
+  return all_of(op->operands(), [&](const Use &operand) {
+    return isSameInWarp(operand, depth - 1);
+  });
+}
+
 bool GroupFinder::mayPass(Instruction &instruction) {
   // Additions to the same place come in any order.
   if (isAddition(instruction))
@@ -106,7 +213,9 @@ bool GroupFinder::mayPass(Instruction &instruction) {
 }
 
 void GroupFinder::close() {
-  if (open.size() > 1)
+  // The device library adds by one thread; it does not know of fields.
+  if (open.size() > 1 ||
+      (open.size() == 1 && open.front()->hasMetadata(LLVMContext::MD_noalias)))
     groups.push_back(open);
   open.clear();
 }
@@ -116,8 +225,8 @@ std::vector<Group> GroupFinder::find(BasicBlock &block) {
     if (open.size() == warpSize || (!open.empty() && !mayPass(instruction)))
       close();
     if (isAddition(instruction) &&
-        uniformity.isUniform(
-            cast<AtomicRMWInst>(instruction).getPointerOperand()))
+        isSameInWarp(cast<AtomicRMWInst>(instruction).getPointerOperand(),
+                     maxDepth))
       open.push_back(cast<AtomicRMWInst>(&instruction));
   }
   close();

@@ -36,6 +36,8 @@ void tai::buildToNVVMPipeline(OpPassManager &pm, const ToNVVMOptions &options) {
   loops.deterministic = options.deterministic;
   loops.skip = options.skip;
   pm.addPass(createLowerStructFor(loops));
+  if (fast && !checked && !options.deterministic)
+    pm.addPass(createSpreadAccumulations());
   if (fast)
     pm.addPass(createCSEPass());
 

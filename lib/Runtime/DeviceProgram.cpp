@@ -234,7 +234,12 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
     if (limits.hasGraphs && limits.hasOverlaps)
       add(ProgramMode::Overlapped, 0, 0);
     unsigned most = limits.threadsPerBlock;
-    add(ProgramMode::Block, 1, std::min(most, warps(width)));
+    unsigned wide = std::min(most, warps(width));
+    add(ProgramMode::Block, 1, wide);
+    // Fewer threads have more registers each.
+    for (unsigned threads : {wide / 2, wide / 4})
+      if (threads >= 128)
+        add(ProgramMode::Block, 1, warps(threads));
     if (limits.mostClusterBlocks > 1 && width > most / 2) {
       unsigned blocks = limits.mostClusterBlocks;
       unsigned threads =

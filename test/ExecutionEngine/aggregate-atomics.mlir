@@ -26,6 +26,92 @@ gpu.module @kernels {
     llvm.return
   }
 
+  // Iterations that fill warps: each warp has one row, whose number is that of
+  // the iteration without its last digits.
+  // CHECK-LABEL: .entry rows(
+  // CHECK: activemask.b32
+  // CHECK-COUNT-5: shfl.sync.bfly.b32
+  // CHECK: .entry
+  llvm.func @rows(%p: !llvm.ptr, %a: f32) attributes {gpu.kernel} {
+    %c6 = llvm.mlir.constant(6 : i32) : i32
+    %count = llvm.mlir.constant(4096 : i32) : i32
+    %thread = nvvm.read.ptx.sreg.tid.x : i32
+    %threads = nvvm.read.ptx.sreg.ntid.x : i32
+    %block = nvvm.read.ptx.sreg.ctaid.x : i32
+    %blocks = nvvm.read.ptx.sreg.nctaid.x : i32
+    %before = llvm.mul %block, %threads : i32
+    %first = llvm.add %before, %thread : i32
+    %all = llvm.mul %blocks, %threads : i32
+    llvm.br ^loop(%first : i32)
+  ^loop(%at: i32):
+    %row = llvm.lshr %at, %c6 : i32
+    %0 = llvm.getelementptr inbounds %p[%row] : (!llvm.ptr, i32) -> !llvm.ptr, !llvm.array<2 x f32>
+    %1 = llvm.getelementptr inbounds %0[1] : (!llvm.ptr) -> !llvm.ptr, f32
+    %2 = llvm.atomicrmw fadd %0, %a monotonic : !llvm.ptr, f32
+    %3 = llvm.atomicrmw fadd %1, %a monotonic : !llvm.ptr, f32
+    %next = llvm.add %at, %all : i32
+    %more = llvm.icmp "ult" %next, %count : i32
+    llvm.cond_br %more, ^loop(%next : i32), ^end
+  ^end:
+    llvm.return
+  }
+
+  // Two rows in each warp.
+  // CHECK-LABEL: .entry half_warps(
+  // CHECK-NOT: activemask
+  // CHECK: .entry
+  llvm.func @half_warps(%p: !llvm.ptr, %a: f32) attributes {gpu.kernel} {
+    %c6 = llvm.mlir.constant(4 : i32) : i32
+    %count = llvm.mlir.constant(4096 : i32) : i32
+    %thread = nvvm.read.ptx.sreg.tid.x : i32
+    %threads = nvvm.read.ptx.sreg.ntid.x : i32
+    %block = nvvm.read.ptx.sreg.ctaid.x : i32
+    %blocks = nvvm.read.ptx.sreg.nctaid.x : i32
+    %before = llvm.mul %block, %threads : i32
+    %first = llvm.add %before, %thread : i32
+    %all = llvm.mul %blocks, %threads : i32
+    llvm.br ^loop(%first : i32)
+  ^loop(%at: i32):
+    %row = llvm.lshr %at, %c6 : i32
+    %0 = llvm.getelementptr inbounds %p[%row] : (!llvm.ptr, i32) -> !llvm.ptr, !llvm.array<2 x f32>
+    %1 = llvm.getelementptr inbounds %0[1] : (!llvm.ptr) -> !llvm.ptr, f32
+    %2 = llvm.atomicrmw fadd %0, %a monotonic : !llvm.ptr, f32
+    %3 = llvm.atomicrmw fadd %1, %a monotonic : !llvm.ptr, f32
+    %next = llvm.add %at, %all : i32
+    %more = llvm.icmp "ult" %next, %count : i32
+    llvm.cond_br %more, ^loop(%next : i32), ^end
+  ^end:
+    llvm.return
+  }
+
+  // Iterations of a warp start anywhere after a step.
+  // CHECK-LABEL: .entry odd_steps(
+  // CHECK-NOT: activemask
+  // CHECK: .entry
+  llvm.func @odd_steps(%p: !llvm.ptr, %a: f32) attributes {gpu.kernel} {
+    %c6 = llvm.mlir.constant(6 : i32) : i32
+    %count = llvm.mlir.constant(4096 : i32) : i32
+    %thread = nvvm.read.ptx.sreg.tid.x : i32
+    %threads = nvvm.read.ptx.sreg.ntid.x : i32
+    %block = nvvm.read.ptx.sreg.ctaid.x : i32
+    %blocks = nvvm.read.ptx.sreg.nctaid.x : i32
+    %before = llvm.mul %block, %threads : i32
+    %first = llvm.add %before, %thread : i32
+    %all = llvm.add %blocks, %threads : i32
+    llvm.br ^loop(%first : i32)
+  ^loop(%at: i32):
+    %row = llvm.lshr %at, %c6 : i32
+    %0 = llvm.getelementptr inbounds %p[%row] : (!llvm.ptr, i32) -> !llvm.ptr, !llvm.array<2 x f32>
+    %1 = llvm.getelementptr inbounds %0[1] : (!llvm.ptr) -> !llvm.ptr, f32
+    %2 = llvm.atomicrmw fadd %0, %a monotonic : !llvm.ptr, f32
+    %3 = llvm.atomicrmw fadd %1, %a monotonic : !llvm.ptr, f32
+    %next = llvm.add %at, %all : i32
+    %more = llvm.icmp "ult" %next, %count : i32
+    llvm.cond_br %more, ^loop(%next : i32), ^end
+  ^end:
+    llvm.return
+  }
+
   // Each thread has elements of its own.
   // CHECK-LABEL: own(
   // CHECK-NOT: activemask

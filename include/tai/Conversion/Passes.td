@@ -131,6 +131,45 @@ def RelaxAtomics : Pass<"tai-relax-atomics"> {
   let dependentDialects = ["::mlir::LLVM::LLVMDialect"];
 }
 
+def SpreadAccumulations : Pass<"tai-spread-accumulations"> {
+  let summary = "make iterations of additions that are written out, on a GPU";
+  let description = [{
+    Of a loop with few iterations and a long body that only adds to fields, such
+    as the adjoint of a dense layer whose sum is written out, additions that
+    differ in constant indices alone become iterations, where these indices take
+    even steps. What is left is done by one iteration more.
+
+    ```mlir
+    tai.parallel_for (%i) = (0) to (32) {
+      %g = …
+      tai.atomic add … @w[%i, 0] exclusive
+      …
+      tai.atomic add … @w[%i, 99] exclusive
+    }
+    // becomes
+    tai.parallel_for (%m, %i) = (0, 0) to (100, 32) {
+      %g = …
+      tai.atomic add … @w[%i, %m] exclusive
+    }
+    ```
+
+    Additions to one element that are not atomic stay in one iteration. Terms of
+    a long sum that is added atomically are added one by one, so in another
+    order. Bodies that read what they add to, store, or use what was there
+    before stay as they are.
+  }];
+  let options = [
+    Option<"maxIterations", "max-iterations", "int64_t", /*default=*/"512",
+           "Leave loops with more iterations as they are: they have work for "
+           "enough threads">,
+    Option<"minAdditions", "min-additions", "int64_t", /*default=*/"16",
+           "Leave bodies with fewer additions as they are">,
+  ];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect",
+                           "::mlir::LLVM::LLVMDialect"];
+}
+
 def StripLoops : Pass<"tai-strip-loops"> {
   let summary = "give each iteration of a large loop several neighbours, on a GPU";
   let description = [{

@@ -329,6 +329,10 @@ void LoopAccesses::add(Value pointer, Type type, DeviceAccess::Kind kind,
     addresses.push_back(std::move(address));
   if (addresses.size() > kMostAccesses)
     mergeNeighbours();
+  if (addresses.size() > kMostAccesses && box) {
+    foldIterations();
+    mergeNeighbours();
+  }
   isKnown = addresses.size() <= kMostAccesses;
 }
 
@@ -359,6 +363,17 @@ void LoopAccesses::mergeNeighbours() {
     before.window = std::max(before.window, distance + access.window);
   }
   addresses = std::move(merged);
+}
+
+/// Says of each access what all iterations touch, and no longer which of them
+/// touches what: columns of weights that are written out lie side by side then.
+void LoopAccesses::foldIterations() {
+  for (Address &address : addresses)
+    for (auto [stride, lower, upper] :
+         llvm::zip(address.access.strides, box->lower, box->upper)) {
+      widen(address, upper - lower, stride);
+      stride = 0;
+    }
 }
 
 void LoopAccesses::addSum(Value target, Type type, bool isAddition,

@@ -77,6 +77,7 @@ private:
   void add(Value pointer, Type type, runtime::DeviceAccess::Kind kind,
            DenseI64ArrayAttr digits, Operation *op = nullptr);
   void mergeNeighbours();
+  void foldIterations();
   bool addIndex(Address &address, Value index, int64_t size,
                 ArrayRef<int64_t> digits);
   bool addTerm(Address &address, Value value, int64_t scale, unsigned depth);
