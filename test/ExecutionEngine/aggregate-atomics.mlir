@@ -28,7 +28,7 @@ gpu.module @kernels {
 
   // Iterations that fill warps: each warp has one row, whose number is that of
   // the iteration without its last digits.
-  // CHECK-LABEL: .entry rows(
+  // CHECK-LABEL: rows(
   // CHECK: activemask.b32
   // CHECK-COUNT-5: shfl.sync.bfly.b32
   // CHECK: .entry
@@ -57,7 +57,7 @@ gpu.module @kernels {
   }
 
   // Two rows in each warp.
-  // CHECK-LABEL: .entry half_warps(
+  // CHECK-LABEL: half_warps(
   // CHECK-NOT: activemask
   // CHECK: .entry
   llvm.func @half_warps(%p: !llvm.ptr, %a: f32) attributes {gpu.kernel} {
@@ -85,7 +85,7 @@ gpu.module @kernels {
   }
 
   // Iterations of a warp start anywhere after a step.
-  // CHECK-LABEL: .entry odd_steps(
+  // CHECK-LABEL: odd_steps(
   // CHECK-NOT: activemask
   // CHECK: .entry
   llvm.func @odd_steps(%p: !llvm.ptr, %a: f32) attributes {gpu.kernel} {
