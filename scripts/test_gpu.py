@@ -368,42 +368,73 @@ def run_sanitizers(stage: Stage, seconds: float) -> Step:
     if options.arch != "cuda" or not Path(program).exists():
         step.summary, step.failed = "there is no compute-sanitizer here, or no GPU", False
         return step
-    # They spend their time in one thread each, so they run side by side.
-    with ThreadPoolExecutor(len(TOOLS)) as pool:
-        found = list(pool.map(lambda tool: sanitize(stage, program, tool, seconds), TOOLS))
-    clean = all(ok for ok, _ in found)
-    step.details = [line for _, lines in found for line in lines]
-    step.summary, step.failed = ("clean" if clean else "not clean"), not clean
+    # Each spends its time in one thread, so they run side by side, with parts of the tests.
+    parts = max(options.jobs // len(TOOLS), 1)
+    work = [(tool, part) for tool in TOOLS for part in range(parts)]
+    with ThreadPoolExecutor(len(work)) as pool:
+        found = list(
+            pool.map(
+                lambda one: sanitize(stage, program, one[0], f"{one[1]}/{parts}", seconds), work
+            )
+        )
+    for tool in TOOLS:
+        ours = [part for (name, _), part in zip(work, found, strict=True) if name == tool]
+        step.details += report_tool(options, tool, ours)
+        step.failed = step.failed or not all(part.is_clean for part in ours)
+    step.summary = "not clean" if step.failed else "clean"
     return step
 
 
-def sanitize(stage: Stage, program: str, tool: str, seconds: float) -> tuple[bool, list[str]]:
-    """Whether a tool found nothing in tests that passed, and what there is to report."""
+@dataclass
+class Sanitized:
+    """What a tool found in a part of the tests."""
+
+    text: str
+    summaries: list[int]
+    counts: Counter
+    failures: list[str]
+    is_late: bool
+
+    @property
+    def is_clean(self) -> bool:
+        return bool(self.summaries) and not sum(self.summaries) and not self.failures
+
+
+def sanitize(stage: Stage, program: str, tool: str, part: str, seconds: float) -> Sanitized:
     options = stage.options
     # A log for each process: a test may start others.
-    logs = options.work / "sanitizer" / tool
+    name = f"{tool}-{part.replace('/', '-of-')}"
+    logs = options.work / "sanitizer" / name
     shutil.rmtree(logs, ignore_errors=True)
     logs.mkdir(parents=True)
-    junit = options.work / f"{tool}.xml"
+    junit = options.work / f"{name}.xml"
     junit.unlink(missing_ok=True)
     command = [program, "--tool", tool, "--target-processes", "all", "--log-file", logs / "%p.log"]
     if tool == "memcheck":
         # The runtime asks whether an address is the device's: "no" comes as an error.
         command += ["--report-api-errors", "no"]
     command += pytest_command(options, options.k or SANITIZED, 600)
-    command.append(f"--junitxml={junit}")
+    # The summary comes from processes that end by themselves.
+    command += [f"--junitxml={junit}", f"--part={part}", f"--stop-after={0.8 * seconds - 10:.0f}"]
     status, output = stage.machine.run(command, seconds, stage.root, stage.environment)
     counts, failures, _ = cases(junit, output)
     text = "".join(log.read_text(errors="replace") for log in sorted(logs.iterdir()))
-    (options.out / f"sanitizer-{tool}.log").write_text(text)
     summaries = re.findall(r"(?:ERROR|RACECHECK) SUMMARY: (\d+)", text)
-    hazards = sum(map(int, summaries))
-    words = f"{hazards} errors" if summaries else "no summary"
-    late = f", stopped after {seconds:.0f} s" if status is None else ""
-    lines = [f"- {tool}: {words}; {counts['passed']} tests passed, {counts['failed']} failed{late}"]
-    lines += [f"  - {failure}" for failure in failures[:10]]
-    clean = bool(summaries) and hazards == 0 and not failures and counts["passed"] > 0
-    return clean, lines
+    return Sanitized(text, [int(n) for n in summaries], counts, failures, status is None)
+
+
+def report_tool(options: argparse.Namespace, tool: str, parts: list[Sanitized]) -> list[str]:
+    (options.out / f"sanitizer-{tool}.log").write_text("".join(part.text for part in parts))
+    ended = [part for part in parts if part.summaries]
+    errors = sum(sum(part.summaries) for part in ended)
+    passed = sum(part.counts["passed"] for part in parts)
+    failures = [failure for part in parts for failure in part.failures]
+    line = (
+        f"- {tool}: {errors} errors in {len(ended)} of {len(parts)} processes that have a summary"
+    )
+    line += f"; {passed} tests passed, {len(failures)} failed"
+    late = sum(part.is_late for part in parts)
+    return [line + (f"; {late} stopped" if late else ""), *(f"  - {f}" for f in failures[:10])]
 
 
 STEPS = {

@@ -1,6 +1,7 @@
 """What the tests share."""
 
 import os
+import time
 
 import pytest
 import tai as ti
@@ -44,6 +45,24 @@ def pytest_addoption(parser):
         help="run each test there, programs that it starts included; emulated: as on a GPU, "
         "without one",
     )  # fmt: skip
+    parser.addoption(
+        "--stop-after", type=float, metavar="SECONDS",
+        help="start no test after that long; the process ends as it always does",
+    )  # fmt: skip
+    parser.addoption(
+        "--part", metavar="K/N",
+        help="run each Nth of the chosen tests, from the Kth on (of 0 to N - 1)",
+    )  # fmt: skip
+
+
+START = time.monotonic()
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item, nextitem):
+    seconds = item.config.getoption("--stop-after")
+    if seconds and time.monotonic() - START > seconds:
+        item.session.shouldstop = f"{seconds:.0f} seconds are over"
 
 
 def pytest_configure(config):
@@ -121,6 +140,9 @@ def pytest_generate_tests(metafunc):
 def pytest_collection_modifyitems(config, items):
     if config.getoption("--layout"):
         items[:] = [item for item in items if "layout" in getattr(item, "callspec", _NONE).params]
+    if part := config.getoption("--part"):
+        first, count = map(int, part.split("/"))
+        items[:] = items[first::count]
 
 
 class _NONE:

@@ -308,6 +308,9 @@ protected:
     work();
     return *calls - before;
   }
+  int countGraphs() {
+    return *static_cast<int *>(dlsym(library, "tai_fake_cuda_graphs"));
+  }
   void useContext(void *context) {
     using Set = int (*)(void *);
     reinterpret_cast<Set>(dlsym(library, "cuCtxSetCurrent"))(context);
@@ -321,12 +324,48 @@ protected:
 } // namespace
 
 TEST_F(RuntimePreparedCuda, CallsTheDriverOnceForEachLaunch) {
-  EXPECT_EQ(countCalls([&] {
-              for (int i = 0; i < 100; ++i)
-                EXPECT_OK(scale(1.0));
-            }),
-            100);
+  auto launchOften = [&] {
+    for (int i = 0; i < 100; ++i)
+      EXPECT_OK(scale(1.0));
+  };
+  // Once more each to make a graph, to put the kernel in and to make it ready.
+  EXPECT_EQ(countCalls(launchOften), 100 + 3);
+  EXPECT_EQ(countCalls(launchOften), 100);
+  EXPECT_EQ(countGraphs(), 1);
   EXPECT_EQ(get(*x, {0}), 8.0);
+}
+
+// One call more for what has changed.
+TEST_F(RuntimePreparedCuda, ChangesParametersOfARepeatedLaunch) {
+  for (int i = 0; i < 60; ++i)
+    EXPECT_OK(scale(i % 2 ? 4.0 : 0.25));
+  EXPECT_EQ(get(*x, {0}), 8.0);
+  EXPECT_EQ(countGraphs(), 1);
+  EXPECT_EQ(countCalls([&] { EXPECT_OK(scale(3.0)); }), 2);
+  EXPECT_EQ(countCalls([&] { EXPECT_OK(scale(3.0)); }), 1);
+  EXPECT_EQ(get(*x, {0}), 72.0);
+  // What is timed stands between events, in the same way.
+  runtime->setProfiler(true);
+  EXPECT_OK(scale(0.5));
+  EXPECT_EQ(get(*x, {0}), 36.0);
+  x.reset();
+  kernel.reset();
+  runtime.reset();
+  EXPECT_EQ(countGraphs(), 0);
+}
+
+TEST_F(RuntimePreparedCuda, LaunchesByItselfWhereThereAreNoGraphs) {
+  for (const char *missing : {"no-graphs", "fixed-graphs"}) {
+    TearDown();
+    SetUp();
+    setenv("TAI_FAKE_CUDA", missing, 1);
+    for (int i = 0; i < 60; ++i)
+      EXPECT_OK(scale(i % 2 ? 4.0 : 0.25));
+    EXPECT_EQ(get(*x, {0}), 8.0);
+    EXPECT_EQ(countGraphs(), 0);
+    EXPECT_EQ(countCalls([&] { EXPECT_OK(scale(3.0)); }), 1);
+    EXPECT_EQ(get(*x, {0}), 24.0);
+  }
 }
 
 // Events stand around what is profiled.

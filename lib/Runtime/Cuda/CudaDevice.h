@@ -15,6 +15,7 @@
 #define TAI_LIB_RUNTIME_CUDA_CUDADEVICE_H
 
 #include "Driver.h"
+#include "RepeatedLaunch.h"
 #include "tai/Runtime/Device.h"
 #include <map>
 #include <mutex>
@@ -29,6 +30,7 @@ struct CudaEvent;
 struct CudaFunction : DeviceFunction {
   Function handle = nullptr;
   unsigned mostThreads = 0;
+  std::unique_ptr<RepeatedLaunch> repeated;
 };
 
 class CudaDevice final : public Device {
@@ -136,8 +138,9 @@ private:
   DeviceNumber number;
   Context context = nullptr;
   Stream stream = nullptr;
-  /// Whether what a graph has recorded last is a kernel.
-  bool isAfterKernel = false;
+  /// Whether a graph is being recorded, and whether what it has recorded last
+  /// is a kernel.
+  bool isCapturing = false, isAfterKernel = false;
   Pool pool = nullptr;
   std::string label, architecture;
   DeviceLimits most;
@@ -198,8 +201,10 @@ struct CudaEvent : DeviceEvent {
 struct CudaModule : DeviceModule {
   explicit CudaModule(CudaDevice &device) : device(device) {}
   ~CudaModule() override {
-    if (handle && device.enter())
-      (void)device.cu.moduleUnload(handle);
+    if (!handle || !device.enter())
+      return;
+    functions.clear();
+    (void)device.cu.moduleUnload(handle);
   }
 
   CudaDevice &device;

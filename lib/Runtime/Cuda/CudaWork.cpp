@@ -69,8 +69,9 @@ Status CudaDevice::find(DeviceModule &module, const std::string &name,
   if (!status)
     return status;
   found.mostThreads = static_cast<unsigned>(std::max(threads, 1));
+  found.repeated = std::make_unique<RepeatedLaunch>(cu);
   CudaFunction &kept = loaded.functions[name];
-  kept = found;
+  kept = std::move(found);
   function = &kept;
   return status;
 }
@@ -97,7 +98,8 @@ Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
                            "parameters; put some of them into a field");
   for (int i = 0; i < count; ++i)
     parameters[i] = const_cast<uint64_t *>(slots + i);
-  Function handle = static_cast<CudaFunction &>(function).handle;
+  auto &called = static_cast<CudaFunction &>(function);
+  Function handle = called.handle;
   if (__builtin_expect(shape.cluster > 1 || shape.overlaps, false)) {
     Status status = enter();
     if (!status)
@@ -106,6 +108,9 @@ Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
                              : launchOverlapped(handle, shape, parameters);
   }
   isAfterKernel = true;
+  if (!isCapturing && !shape.cooperative &&
+      called.repeated->queue(handle, stream, shape, slots, count, parameters))
+    return Status::success();
   auto launchOnce = [&] {
     return shape.cooperative
                ? cu.launchCooperativeKernel(
@@ -170,13 +175,16 @@ Status CudaDevice::beginCapture(size_t changeable) {
   Status status = enter();
   isAfterKernel = false;
   numChangeable = changeable;
-  return status ? check(cu.streamBeginCapture(stream, kCaptureThreadLocal),
-                        "no graph can be recorded")
-                : std::move(status);
+  if (status)
+    status = check(cu.streamBeginCapture(stream, kCaptureThreadLocal),
+                   "no graph can be recorded");
+  isCapturing = bool(status);
+  return status;
 }
 
 Status CudaDevice::endCapture(std::unique_ptr<DeviceGraph> &graph) {
   Graph recorded = nullptr;
+  isCapturing = false;
   Status status = check(cu.streamEndCapture(stream, &recorded),
                         "a graph cannot be recorded");
   if (!status || !recorded)

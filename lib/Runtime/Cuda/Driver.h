@@ -208,6 +208,9 @@ static_assert(sizeof(KernelNodeParameters) == 56, "the layout is the driver's");
   DO(graphExecUpdate, "cuGraphExecUpdate_v2",                                  \
      (ExecutableGraph, Graph, GraphUpdate *))                                  \
   DO(graphLaunch, "cuGraphLaunch", (ExecutableGraph, Stream))                  \
+  DO(graphCreate, "cuGraphCreate", (Graph *, unsigned))                        \
+  DO(graphAddKernelNode, "cuGraphAddKernelNode",                               \
+     (Node *, Graph, const Node *, size_t, const KernelNodeParameters *))      \
   DO(graphGetRootNodes, "cuGraphGetRootNodes", (Graph, Node *, size_t *))      \
   DO(graphNodeGetDependentNodes, "cuGraphNodeGetDependentNodes",               \
      (Node, Node *, size_t *))                                                 \

@@ -10,15 +10,15 @@
 // words: no-device, zero-devices, old, busy, small (a megabyte of memory),
 // no-pools, bad-ptx, fault (launches fail when they are waited for),
 // heap-in-use (its size cannot be changed),
-// no-graphs, any-function (modules have functions of all names, which do
-// nothing), likes-512 (a launch takes 400 microseconds in blocks of 512
-// threads, and 900 else). The clock of the device advances by a microsecond
-// with each piece of work, and by a launch of "scale" by one for each thousand
-// numbers. A module has the functions "scale" (double *x, int64_t n, double
-// factor), "add" (the same) and "where" (int32_t *blocks_and_threads), whatever
-// its text is, and those of Rows.cu. Compiled with -finstrument-functions, it
-// counts how often it is called. Graphs are lists of launches, fills and
-// copies.
+// no-graphs, fixed-graphs (their parameters stay), any-function (modules have
+// functions of all names, which do nothing), likes-512 (a launch takes 400
+// microseconds in blocks of 512 threads, and 900 else). The clock of the device
+// advances by a microsecond with each piece of work, and by a launch of "scale"
+// by one for each thousand numbers. A module has the functions "scale" (double
+// *x, int64_t n, double factor), "add" (the same) and "where" (int32_t
+// *blocks_and_threads), whatever its text is, and those of Rows.cu. Compiled
+// with -finstrument-functions, it counts how often it is called. Graphs are
+// lists of launches, fills and copies.
 //
 //===----------------------------------------------------------------------===//
 
@@ -550,6 +550,32 @@ Result cuStreamEndCapture(void *given, void **graph) {
   recording = NULL;
   return *graph ? 0 : 401;
 }
+/// Graphs that are ready to run.
+int tai_fake_cuda_graphs;
+
+Result cuGraphCreate(void **result, unsigned flags) {
+  (void)flags;
+  if (has("no-graphs"))
+    return NotSupported;
+  *result = calloc(1, sizeof(FakeGraph));
+  return *result ? 0 : 2;
+}
+typedef struct {
+  const char *function;
+  unsigned grid[3], block[3], shared;
+  void **values, **extra;
+} KernelParameters;
+Result cuGraphAddKernelNode(void **result, void *given, void *const *before,
+                            size_t count, const KernelParameters *p) {
+  (void)before, (void)count;
+  FakeGraph *graph = given;
+  if (graph->count == mostNodes)
+    return 1;
+  FakeNode *node = &graph->nodes[graph->count++];
+  setLaunch(node, p->function, p->grid[0], p->block[0], p->values);
+  *result = node;
+  return 0;
+}
 Result cuGraphInstantiateWithFlags(void **result, void *given,
                                    unsigned long long flags) {
   (void)flags;
@@ -559,6 +585,7 @@ Result cuGraphInstantiateWithFlags(void **result, void *given,
   *made = *graph;
   made->origin = graph;
   *result = made;
+  ++tai_fake_cuda_graphs;
   return 0;
 }
 /// The same pieces of work with other parameters.
@@ -590,6 +617,7 @@ Result cuGraphDestroy(void *graph) {
 Result cuGraphExecDestroy(void *executable) {
   memset(executable, 0, sizeof(FakeGraph));
   free(executable);
+  --tai_fake_cuda_graphs;
   return 0;
 }
 Result cuGraphGetRootNodes(void *given, void **nodes, size_t *count) {
@@ -613,14 +641,11 @@ Result cuGraphNodeGetType(void *node, int *type) {
 }
 Result cuGraphExecKernelNodeSetParams(void *given, void *node,
                                       const void *parameters) {
-  typedef struct {
-    const char *function;
-    unsigned grid[3], block[3], shared;
-    void **values, **extra;
-  } Parameters;
   FakeGraph *executable = given;
-  const Parameters *p = parameters;
+  const KernelParameters *p = parameters;
   // Nodes are those of the graph that it was made from.
+  if (has("fixed-graphs"))
+    return NotSupported;
   ptrdiff_t number = (FakeNode *)node - executable->origin->nodes;
   if (number < 0 || number >= executable->count ||
       executable->nodes[number].function != p->function)

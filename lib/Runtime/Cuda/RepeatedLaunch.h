@@ -1,0 +1,61 @@
+//===- RepeatedLaunch.h - A launch that comes again and again ---*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The driver takes less time to queue a graph of one kernel, whose parameters
+// are changed before, than to queue the kernel: 1.2 to 1.5 microseconds rather
+// than 3.2 to 3.5, on the host of an H200 with driver 580, from C++ alone.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_CUDA_REPEATEDLAUNCH_H
+#define TAI_LIB_RUNTIME_CUDA_REPEATEDLAUNCH_H
+
+#include "Driver.h"
+#include "tai/Runtime/Device.h"
+#include <atomic>
+#include <vector>
+
+namespace mlir::tai::runtime::cuda {
+
+/// Launches of one function of a module.
+class RepeatedLaunch {
+public:
+  explicit RepeatedLaunch(const Driver &driver) : cu(driver) {}
+  /// In the context of the device.
+  ~RepeatedLaunch() { release(); }
+  RepeatedLaunch(const RepeatedLaunch &) = delete;
+  RepeatedLaunch &operator=(const RepeatedLaunch &) = delete;
+
+  /// False where the launch has to be queued by itself: it has not come often
+  /// enough, another thread is at it, or the driver refuses.
+  bool queue(Function function, Stream stream, const LaunchShape &shape,
+             const uint64_t *slots, int count, void **parameters);
+
+private:
+  bool update(const KernelNodeParameters &kernel, const LaunchShape &shape,
+              const uint64_t *slots, int count);
+  void release();
+
+  /// A graph takes memory of the device.
+  static constexpr unsigned launchesBefore = 32;
+  static constexpr int mostGraphs = 256;
+
+  const Driver &cu;
+  std::atomic_flag busy = ATOMIC_FLAG_INIT;
+  unsigned seen = 0;
+  bool isRefused = false;
+  Graph graph = nullptr;
+  Node node = nullptr;
+  ExecutableGraph executable = nullptr;
+  /// What the graph holds.
+  unsigned blocks = 0, threads = 0, sharedBytes = 0;
+  std::vector<uint64_t> values;
+};
+
+} // namespace mlir::tai::runtime::cuda
+
+#endif // TAI_LIB_RUNTIME_CUDA_REPEATEDLAUNCH_H
