@@ -287,6 +287,9 @@ bool SparseMirror::keepActivity(std::function<void()> seen) {
     if (!context.allocate(keptBytes(), "activity that tapes keep", memory))
       return false;
     keptMemory.push_back(memory);
+    // What was removed is written only where something was, and fetched always.
+    char zero = 0;
+    context.note(context.get().fill(memory, &zero, 1, keptBytes()));
   }
   constexpr unsigned threads = 1024;
   context.note(context.library().launch(LibraryKernel::KeepActivity,
