@@ -13,7 +13,8 @@
 // go on with one and half with the other, so that 32 sums take 31 exchanges
 // rather than 160, and end in a thread each. Where the threads of a warp have
 // iterations side by side, what depends on their number without its last digits
-// is the same for all of them.
+// is the same for all of them. Threads compare addresses that change in loops,
+// since they need not be in the same round of a loop.
 //
 //===----------------------------------------------------------------------===//
 
@@ -67,6 +68,7 @@ private:
   void emitFull(BasicBlock *tail);
   void emitFirstThreads(BasicBlock *tail);
   void emitAdditions(ArrayRef<Value *> values);
+  Value *emitComparison();
   BasicBlock *addBlock() {
     return BasicBlock::Create(builder.getContext(), "",
                               group.back()->getFunction(), tailBlock);
@@ -241,6 +243,43 @@ void GroupEmitter::emitAdditions(ArrayRef<Value *> values) {
   }
 }
 
+/// True for what does not change while the function runs.
+static bool isInvariant(const Value *value, unsigned depth) {
+  if (isa<Argument, Constant>(value))
+    return true;
+  auto *op = dyn_cast<Instruction>(value);
+  if (!op || depth == 0)
+    return false;
+  if (!isa<BinaryOperator, CastInst, GetElementPtrInst>(op))
+    return false;
+  return all_of(op->operands(), [&](const Use &operand) {
+    return isInvariant(operand, depth - 1);
+  });
+}
+
+/// Whether the threads that are here mean the same elements; null where they
+/// always do. An address may be the same for all threads in each round of a
+/// loop: but those that are here together need not be in the same round.
+Value *GroupEmitter::emitComparison() {
+  SmallPtrSet<Value *, 8> bases;
+  Value *isSame = nullptr;
+  const DataLayout &layout = group.back()->getDataLayout();
+  for (AtomicRMWInst *op : group) {
+    Value *pointer = op->getPointerOperand();
+    APInt offset(layout.getIndexTypeSizeInBits(pointer->getType()), 0);
+    Value *base = pointer->stripAndAccumulateConstantOffsets(
+        layout, offset, /*AllowNonInbounds=*/true);
+    if (isInvariant(base, maxDepth) || !bases.insert(base).second)
+      continue;
+    Value *match = builder.CreateIntrinsic(
+        Intrinsic::nvvm_match_all_sync_i64p, {},
+        {mask, builder.CreatePtrToInt(base, builder.getInt64Ty())});
+    Value *matches = builder.CreateExtractValue(match, 1);
+    isSame = isSame ? builder.CreateAnd(isSame, matches) : matches;
+  }
+  return isSame;
+}
+
 /// All threads of the warp are here.
 void GroupEmitter::emitFull(BasicBlock *tail) {
   // Addresses are mostly constants behind few others: these need no registers.
@@ -343,6 +382,11 @@ void GroupEmitter::emit() {
                                  ArrayRef<Type *>(), ArrayRef<Value *>());
   BasicBlock *full = addBlock(), *partial = addBlock(), *first = addBlock(),
              *single = addBlock();
+  if (Value *isSame = emitComparison()) {
+    BasicBlock *same = addBlock();
+    builder.CreateCondBr(isSame, same, single);
+    builder.SetInsertPoint(same);
+  }
   builder.CreateCondBr(builder.CreateICmpEQ(mask, builder.getInt32(~0u)), full,
                        partial);
   builder.SetInsertPoint(full);

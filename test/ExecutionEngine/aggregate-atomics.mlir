@@ -9,7 +9,9 @@ gpu.module @kernels {
   // threads. Some of the first threads alone, and any others, are ways of their
   // own.
   // CHECK-LABEL: .entry shared(
+  // CHECK-NOT: match
   // CHECK: activemask.b32
+  // CHECK-NOT: match
   // CHECK-COUNT-5: shfl.sync.bfly.b32
   // CHECK-NOT: shfl.sync.bfly.b32
   // CHECK-COUNT-10: shfl.sync.down.b32
@@ -30,6 +32,7 @@ gpu.module @kernels {
   // the iteration without its last digits.
   // CHECK-LABEL: rows(
   // CHECK: activemask.b32
+  // CHECK: match.all.sync.b64
   // CHECK-COUNT-5: shfl.sync.bfly.b32
   // CHECK: .entry
   llvm.func @rows(%p: !llvm.ptr, %a: f32) attributes {gpu.kernel} {
@@ -51,6 +54,32 @@ gpu.module @kernels {
     %3 = llvm.atomicrmw fadd %1, %a monotonic : !llvm.ptr, f32
     %next = llvm.add %at, %all : i32
     %more = llvm.icmp "ult" %next, %count : i32
+    llvm.cond_br %more, ^loop(%next : i32), ^end
+  ^end:
+    llvm.return
+  }
+
+  // In each round all threads add to one element, but those that are here
+  // together need not be in the same round: they compare.
+  // CHECK-LABEL: rounds(
+  // CHECK: activemask.b32
+  // CHECK: match.all.sync.b64
+  // CHECK-COUNT-5: shfl.sync.bfly.b32
+  // CHECK: .entry
+  llvm.func @rounds(%p: !llvm.ptr, %q: !llvm.ptr, %n: i32) attributes {gpu.kernel} {
+    %zero = llvm.mlir.constant(0 : i32) : i32
+    %one = llvm.mlir.constant(1 : i32) : i32
+    %thread = nvvm.read.ptx.sreg.tid.x : i32
+    %0 = llvm.getelementptr inbounds %q[%thread] : (!llvm.ptr, i32) -> !llvm.ptr, f32
+    llvm.br ^loop(%zero : i32)
+  ^loop(%j: i32):
+    %a = llvm.load volatile %0 : !llvm.ptr -> f32
+    %to = llvm.getelementptr inbounds %p[%j] : (!llvm.ptr, i32) -> !llvm.ptr, !llvm.array<2 x f32>
+    %1 = llvm.getelementptr inbounds %to[1] : (!llvm.ptr) -> !llvm.ptr, f32
+    %2 = llvm.atomicrmw fadd %to, %a monotonic : !llvm.ptr, f32
+    %3 = llvm.atomicrmw fadd %1, %a monotonic : !llvm.ptr, f32
+    %next = llvm.add %j, %one : i32
+    %more = llvm.icmp "slt" %next, %n : i32
     llvm.cond_br %more, ^loop(%next : i32), ^end
   ^end:
     llvm.return
