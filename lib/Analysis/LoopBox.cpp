@@ -29,6 +29,19 @@ std::optional<LoopBox> tai::getConstantBox(ParallelForOp loop) {
   return getIndexBox(loop);
 }
 
+SmallVector<LoopBox> tai::findConstantBoxes(Operation *root) {
+  SmallVector<LoopBox> boxes;
+  root->walk([&](ParallelForOp loop) {
+    if (loop.getSerialize() || loop.isStructFor() ||
+        loop->getParentOfType<ParallelForOp>() ||
+        loop.getInductionVars().empty())
+      return;
+    if (std::optional<LoopBox> box = getConstantBox(loop))
+      boxes.push_back(std::move(*box));
+  });
+  return boxes;
+}
+
 std::optional<LoopBox> tai::getIndexBox(ParallelForOp loop) {
   LoopBox box{loop, {}, {}};
   if (loop.getLevel())

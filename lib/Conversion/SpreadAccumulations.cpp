@@ -30,6 +30,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "Common/Accumulation.h"
 #include "Common/FieldAddress.h"
 #include "Common/IndexMath.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
@@ -668,28 +669,17 @@ struct SpreadAccumulations
     if (!table)
       return;
     std::optional<FieldTable> fields;
-    SmallVector<ParallelForOp> loops;
-    getOperation()->walk([&](ParallelForOp loop) {
-      if (!loop.getSerialize() && !loop.isStructFor() &&
-          !loop->getParentOfType<ParallelForOp>() &&
-          !loop.getInductionVars().empty())
-        loops.push_back(loop);
-    });
-    for (ParallelForOp loop : loops) {
-      std::optional<LoopBox> box = getConstantBox(loop);
-      if (!box)
+    for (LoopBox &box : findConstantBoxes(getOperation())) {
+      std::optional<int64_t> count = getNumIterations(box.loop);
+      if (!count || *count == 0 || *count > maxIterations)
         continue;
-      int64_t count = 1;
-      for (auto [lower, upper] : llvm::zip(box->lower, box->upper))
-        count *= std::max<int64_t>(upper - lower, 0);
       // Whole warps: one row that is made longer, or a box that fills them.
-      bool fillsWarps = box->lower.size() == 1 || count % kWarpSize == 0;
-      if (count == 0 || count > maxIterations || !fillsWarps)
+      if (box.lower.size() > 1 && *count % kWarpSize != 0)
         continue;
-      moveLoopInvariantCode(cast<LoopLikeOpInterface>(loop.getOperation()));
+      moveLoopInvariantCode(cast<LoopLikeOpInterface>(box.loop.getOperation()));
       if (!fields)
         fields.emplace(table);
-      Spreading spreading(*box, count);
+      Spreading spreading(std::move(box), *count);
       FailureOr<bool> pays =
           spreading.plan(*fields, static_cast<size_t>(minAdditions));
       if (failed(pays))

@@ -503,26 +503,14 @@ struct StripLoops : tai::impl::StripLoopsBase<StripLoops> {
     if (!table)
       return;
     std::optional<FieldTable> fields;
-    SmallVector<ParallelForOp> loops;
-    getOperation()->walk([&](ParallelForOp loop) {
-      if (!loop.getSerialize() && !loop.isStructFor() &&
-          !loop->getParentOfType<ParallelForOp>() &&
-          !loop.getInductionVars().empty())
-        loops.push_back(loop);
-    });
-    for (ParallelForOp loop : loops) {
-      std::optional<LoopBox> box = getConstantBox(loop);
-      if (!box)
-        continue;
-      int64_t count = 1;
-      for (auto [lower, upper] : llvm::zip(box->lower, box->upper))
-        count *= std::max<int64_t>(upper - lower, 0);
-      if (count < minIterations || !isSimple(loop, maxOps))
+    for (LoopBox &box : findConstantBoxes(getOperation())) {
+      std::optional<int64_t> count = getNumIterations(box.loop);
+      if (!count || *count < minIterations || !isSimple(box.loop, maxOps))
         continue;
       if (!fields)
         fields.emplace(table);
       Strips strips;
-      strips.box = *box;
+      strips.box = std::move(box);
       findInterior(strips);
       if (!chooseWidth(strips, *fields))
         continue;

@@ -19,6 +19,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "AggregateAtomics.h"
+#include "Addresses.h"
 #include "llvm/Analysis/AliasAnalysis.h"
 #include "llvm/Analysis/MemoryLocation.h"
 #include "llvm/Analysis/UniformityAnalysis.h"
@@ -265,10 +266,8 @@ Value *GroupEmitter::emitComparison() {
   Value *isSame = nullptr;
   const DataLayout &layout = group.back()->getDataLayout();
   for (AtomicRMWInst *op : group) {
-    Value *pointer = op->getPointerOperand();
-    APInt offset(layout.getIndexTypeSizeInBits(pointer->getType()), 0);
-    Value *base = pointer->stripAndAccumulateConstantOffsets(
-        layout, offset, /*AllowNonInbounds=*/true);
+    Value *base =
+        mlir::tai::splitAddress(op->getPointerOperand(), layout).first;
     if (isInvariant(base, maxDepth) || !bases.insert(base).second)
       continue;
     Value *match = builder.CreateIntrinsic(
@@ -287,13 +286,10 @@ void GroupEmitter::emitFull(BasicBlock *tail) {
   const DataLayout &layout = group.back()->getDataLayout();
   for (AtomicRMWInst *op : group) {
     Value *pointer = op->getPointerOperand();
-    APInt offset(layout.getIndexTypeSizeInBits(pointer->getType()), 0);
-    Value *base = pointer->stripAndAccumulateConstantOffsets(
-        layout, offset, /*AllowNonInbounds=*/true);
+    auto [base, offset] = mlir::tai::splitAddress(pointer, layout);
     bool isAlike = base->getType() == pointer->getType();
     bases.push_back(isAlike ? base : pointer);
-    offsets.push_back(
-        builder.getInt(isAlike ? offset.sextOrTrunc(64) : APInt(64, 0)));
+    offsets.push_back(builder.getInt64(isAlike ? offset : 0));
     values.push_back(op->getValOperand());
   }
   auto select = [&](Value *condition, Value *yes, Value *no) {

@@ -12,6 +12,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "VectorizeAtomics.h"
+#include "Addresses.h"
 #include "llvm/ADT/MapVector.h"
 #include "llvm/Analysis/AliasAnalysis.h"
 #include "llvm/Analysis/AssumptionCache.h"
@@ -170,11 +171,9 @@ void VectorizeAtomics::runOnBlock(BasicBlock &block) {
     auto *op = dyn_cast<AtomicRMWInst>(&instruction);
     if (!op || !isCandidate(*op))
       continue;
-    Value *pointer = op->getPointerOperand();
-    APInt offset(layout->getIndexTypeSizeInBits(pointer->getType()), 0);
-    Value *base = pointer->stripAndAccumulateConstantOffsets(
-        *layout, offset, /*AllowNonInbounds=*/true);
-    waiting[base].push_back({op, offset.getSExtValue()});
+    auto [base, offset] =
+        mlir::tai::splitAddress(op->getPointerOperand(), *layout);
+    waiting[base].push_back({op, offset});
     order.push_back(op);
   }
   combine();

@@ -6,6 +6,7 @@ import time
 import pytest
 import tai as ti
 
+import device_tensors
 import layouts
 
 # Tests of kernels that run on every layout in the normal run, too.
@@ -163,3 +164,19 @@ def fresh_program(layout):
     ti.init(arch=ti.cpu, offline_cache=False)
     yield
     ti.reset()
+
+
+@pytest.fixture
+def library(monkeypatch):
+    """Who has tensors of the GPU: torch, or what stands in for it."""
+    made = device_tensors.open_library(monkeypatch)
+    if made is None:
+        pytest.skip("needs torch")
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def slow_calls(monkeypatch):
+    """How often launches went through Python."""
+    return device_tensors.count_slow_calls(monkeypatch)

@@ -11,20 +11,6 @@ import tai as ti
 import device_tensors
 
 
-@pytest.fixture
-def library(monkeypatch):
-    made = device_tensors.open_library(monkeypatch)
-    if made is None:
-        pytest.skip("needs torch")
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def slow_calls(monkeypatch):
-    return device_tensors.count_slow_calls(monkeypatch)
-
-
 @ti.kernel
 def axpy(a: ti.f64, x: ti.types.ndarray(), y: ti.types.ndarray()):
     for i in range(x.shape[0]):

@@ -10,22 +10,6 @@ import numpy as np
 import pytest
 import tai as ti
 
-import device_tensors
-
-
-@pytest.fixture
-def library(monkeypatch):
-    made = device_tensors.open_library(monkeypatch)
-    if made is None:
-        pytest.skip("needs torch")
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def slow_calls(monkeypatch):
-    return device_tensors.count_slow_calls(monkeypatch)
-
 
 @ti.kernel
 def square(x: ti.types.ndarray(), y: ti.types.ndarray()):

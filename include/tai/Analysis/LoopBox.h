@@ -28,6 +28,10 @@ struct LoopBox {
 /// where they are not constants, or the field has a sparse level.
 std::optional<LoopBox> getConstantBox(ParallelForOp loop);
 
+/// The boxes of the loops below `root` that run their iterations in parallel
+/// over bounds that are written out, and stand in no other such loop.
+SmallVector<LoopBox> findConstantBoxes(Operation *root);
+
 /// The same for any field: indices that a loop over active cells may have.
 std::optional<LoopBox> getIndexBox(ParallelForOp loop);
 

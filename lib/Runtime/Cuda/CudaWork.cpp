@@ -238,12 +238,8 @@ Status CudaDevice::change(DeviceGraph &graph, size_t number,
   std::vector<void *> parameters(static_cast<size_t>(count));
   for (size_t i = 0; i < parameters.size(); ++i)
     parameters[i] = const_cast<uint64_t *>(slots + i);
-  KernelNodeParameters node{static_cast<CudaFunction &>(function).handle,
-                            {shape.blocks, 1, 1},
-                            {shape.threads, 1, 1},
-                            shape.sharedBytes,
-                            parameters.data(),
-                            nullptr};
+  KernelNodeParameters node = nodeOf(
+      static_cast<CudaFunction &>(function).handle, shape, parameters.data());
   Status status = enter();
   return status ? check(cu.graphExecKernelNodeSetParams(
                             made.handle, made.nodes[number], &node),

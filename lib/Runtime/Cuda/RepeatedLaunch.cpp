@@ -61,9 +61,7 @@ bool RepeatedLaunch::queue(Function function, Stream stream,
     return false;
   bool isQueued = false;
   if (!isRefused && (executable || ++seen > launchesBefore)) {
-    KernelNodeParameters kernel{
-        function,          {shape.blocks, 1, 1}, {shape.threads, 1, 1},
-        shape.sharedBytes, parameters,           nullptr};
+    KernelNodeParameters kernel = nodeOf(function, shape, parameters);
     if (update(kernel, shape, slots, count)) {
       isQueued = cu.graphLaunch(executable, stream) == kSuccess;
     } else {

@@ -21,6 +21,13 @@
 
 namespace mlir::tai::runtime::cuda {
 
+/// A launch as a graph holds it.
+inline KernelNodeParameters nodeOf(Function function, const LaunchShape &shape,
+                                   void **parameters) {
+  return {function,          {shape.blocks, 1, 1}, {shape.threads, 1, 1},
+          shape.sharedBytes, parameters,           nullptr};
+}
+
 /// Launches of one function of a module.
 class RepeatedLaunch {
 public:
