@@ -8,7 +8,8 @@ the interpreter that runs this script, copies the tests beside it, and runs the 
     tests     the Python tests with --arch=cuda, in parallel
     bench     benchmarks/gpu/run.py: tai, hand-written CUDA, and other systems
     ensemble  examples/ensemble.py on 1, 2 and 4 GPUs, as many as there are
-    sanitize  some of the tests under compute-sanitizer, where there is one
+    sanitize  some of the tests under compute-sanitizer, where there is one, on all GPUs;
+              -k test_ takes all of them
 
 Without a choice, tests and bench. Needs Python 3.11 or newer with NumPy, pytest and pybind11,
 and a C++ compiler; no LLVM. What each step found goes into one report and one log in --out,
@@ -371,12 +372,13 @@ def run_sanitizers(stage: Stage, seconds: float) -> Step:
     # Each spends its time in one thread, so they run side by side, with parts of the tests.
     parts = max(options.jobs // len(TOOLS), 1)
     work = [(tool, part) for tool in TOOLS for part in range(parts)]
+    gpus = devices(options)
     with ThreadPoolExecutor(len(work)) as pool:
-        found = list(
-            pool.map(
-                lambda one: sanitize(stage, program, one[0], f"{one[1]}/{parts}", seconds), work
-            )
-        )
+        running = [
+            pool.submit(sanitize, stage, program, tool, f"{part}/{parts}", part % gpus, seconds)
+            for tool, part in work
+        ]
+        found = [one.result() for one in running]
     for tool in TOOLS:
         ours = [part for (name, _), part in zip(work, found, strict=True) if name == tool]
         step.details += report_tool(options, tool, ours)
@@ -391,6 +393,7 @@ class Sanitized:
 
     text: str
     summaries: list[int]
+    tests: int
     counts: Counter
     failures: list[str]
     is_late: bool
@@ -400,7 +403,9 @@ class Sanitized:
         return bool(self.summaries) and not sum(self.summaries) and not self.failures
 
 
-def sanitize(stage: Stage, program: str, tool: str, part: str, seconds: float) -> Sanitized:
+def sanitize(
+    stage: Stage, program: str, tool: str, part: str, gpu: int, seconds: float
+) -> Sanitized:
     options = stage.options
     # A log for each process: a test may start others.
     name = f"{tool}-{part.replace('/', '-of-')}"
@@ -416,11 +421,14 @@ def sanitize(stage: Stage, program: str, tool: str, part: str, seconds: float) -
     command += pytest_command(options, options.k or SANITIZED, 600)
     # The summary comes from processes that end by themselves.
     command += [f"--junitxml={junit}", f"--part={part}", f"--stop-after={0.8 * seconds - 10:.0f}"]
-    status, output = stage.machine.run(command, seconds, stage.root, stage.environment)
+    environment = stage.environment | {"CUDA_VISIBLE_DEVICES": str(gpu)}
+    status, output = stage.machine.run(command, seconds, stage.root, environment)
     counts, failures, _ = cases(junit, output)
     text = "".join(log.read_text(errors="replace") for log in sorted(logs.iterdir()))
     summaries = re.findall(r"(?:ERROR|RACECHECK) SUMMARY: (\d+)", text)
-    return Sanitized(text, [int(n) for n in summaries], counts, failures, status is None)
+    chosen = re.search(r"^(\d+) tests chosen$", output, re.MULTILINE)
+    tests = int(chosen[1]) if chosen else 0
+    return Sanitized(text, [int(n) for n in summaries], tests, counts, failures, status is None)
 
 
 def report_tool(options: argparse.Namespace, tool: str, parts: list[Sanitized]) -> list[str]:
@@ -432,9 +440,10 @@ def report_tool(options: argparse.Namespace, tool: str, parts: list[Sanitized]) 
     line = (
         f"- {tool}: {errors} errors in {len(ended)} of {len(parts)} processes that have a summary"
     )
-    line += f"; {passed} tests passed, {len(failures)} failed"
+    line += f"; of {sum(part.tests for part in parts)} tests {passed} passed, "
+    line += f"{len(failures)} failed, {sum(part.counts['skipped'] for part in parts)} skipped"
     late = sum(part.is_late for part in parts)
-    return [line + (f"; {late} stopped" if late else ""), *(f"  - {f}" for f in failures[:10])]
+    return [line + (f"; {late} stopped" if late else ""), *(f"  - {f}" for f in failures[:20])]
 
 
 STEPS = {

@@ -146,6 +146,10 @@ def pytest_collection_modifyitems(config, items):
         items[:] = items[first::count]
 
 
+def pytest_report_collectionfinish(config, items):
+    return f"{len(items)} tests chosen" if config.getoption("--part") else None
+
+
 class _NONE:
     params: tuple = ()
 
