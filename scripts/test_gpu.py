@@ -393,6 +393,7 @@ class Sanitized:
 
     text: str
     summaries: list[int]
+    found_before: list[str]
     tests: int
     counts: Counter
     failures: list[str]
@@ -400,7 +401,8 @@ class Sanitized:
 
     @property
     def is_clean(self) -> bool:
-        return bool(self.summaries) and not sum(self.summaries) and not self.failures
+        found = sum(self.summaries) + len(self.found_before) + len(self.failures)
+        return bool(self.summaries) and not found
 
 
 def sanitize(
@@ -424,11 +426,16 @@ def sanitize(
     environment = stage.environment | {"CUDA_VISIBLE_DEVICES": str(gpu)}
     status, output = stage.machine.run(command, seconds, stage.root, environment)
     counts, failures, _ = cases(junit, output)
-    text = "".join(log.read_text(errors="replace") for log in sorted(logs.iterdir()))
+    texts = [log.read_text(errors="replace") for log in sorted(logs.iterdir())]
+    text = "".join(texts)
     summaries = re.findall(r"(?:ERROR|RACECHECK) SUMMARY: (\d+)", text)
+    # Processes that were stopped have said what they have found until then.
+    stopped = "".join(text for text in texts if " SUMMARY: " not in text)
+    found = re.findall(r"^========= (?!COMPUTE-SANITIZER|Target application)(\S.*)", stopped, re.M)
     chosen = re.search(r"^(\d+) tests chosen$", output, re.MULTILINE)
     tests = int(chosen[1]) if chosen else 0
-    return Sanitized(text, [int(n) for n in summaries], tests, counts, failures, status is None)
+    numbers = [int(n) for n in summaries]
+    return Sanitized(text, numbers, found, tests, counts, failures, status is None)
 
 
 def report_tool(options: argparse.Namespace, tool: str, parts: list[Sanitized]) -> list[str]:
@@ -443,7 +450,9 @@ def report_tool(options: argparse.Namespace, tool: str, parts: list[Sanitized]) 
     line += f"; of {sum(part.tests for part in parts)} tests {passed} passed, "
     line += f"{len(failures)} failed, {sum(part.counts['skipped'] for part in parts)} skipped"
     late = sum(part.is_late for part in parts)
-    return [line + (f"; {late} stopped" if late else ""), *(f"  - {f}" for f in failures[:20])]
+    before = [text for part in parts for text in part.found_before]
+    line += f"; {late} stopped, {len(before)} errors before that" if late else ""
+    return [line, *(f"  - {text}" for text in [*failures[:20], *before[:20]])]
 
 
 STEPS = {

@@ -102,6 +102,8 @@ TaiDeviceRecord Content::measure() const {
 void Content::write(const TaiDeviceRecord &header, void *to) const {
   auto *record = static_cast<TaiDeviceRecord *>(to);
   *record = header;
+  // What fills up the last word is fetched with it.
+  reinterpret_cast<uint64_t *>(to)[header.bytes / 8 - 1] = 0;
   auto *slot = reinterpret_cast<uint64_t *>(record + 1);
   for (int32_t i = 0; i < header.slots; ++i)
     *slot++ = slots[i];

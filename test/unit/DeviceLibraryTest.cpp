@@ -178,6 +178,22 @@ TEST_F(DeviceLibrary, LinesComeInOrderUntilThereIsNoRoom) {
   EXPECT_TRUE(report.failure.ok());
 }
 
+TEST_F(DeviceLibrary, RecordsAreWrittenToTheirEnds) {
+  auto *print = TAI_FIND(tai_rt_print);
+  for (size_t length = 0; length < 9; ++length) {
+    TaiFrame *frame = makeState(128);
+    auto *bytes = reinterpret_cast<unsigned char *>(state + 1);
+    std::memset(bytes, 0xff, 128);
+    print(frame, std::string(length, 'x').c_str(), 0, nullptr, nullptr,
+          nullptr);
+    uint32_t end = reinterpret_cast<TaiDeviceRecord *>(bytes)->bytes;
+    ASSERT_EQ(end, (sizeof(TaiDeviceRecord) + length + 2 + 7) / 8 * 8);
+    for (size_t i = sizeof(TaiDeviceRecord) + length; i < end; ++i)
+      EXPECT_EQ(bytes[i], 0) << "byte " << i << " of " << end;
+    EXPECT_EQ(bytes[end], 0xff);
+  }
+}
+
 TEST_F(DeviceLibrary, LinesOfManyThreadsAreWhole) {
   auto *print = TAI_FIND(tai_rt_print);
   TaiFrame *frame = makeState(4000);
