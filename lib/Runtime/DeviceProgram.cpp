@@ -12,7 +12,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "DeviceProgram.h"
+#include "FillRun.h"
 #include "tai/Runtime/DeviceAbi.h"
 #include <algorithm>
 #include <chrono>
@@ -44,61 +44,6 @@ DeviceRows DeviceQueue::Sequence::rowsOf(const Step &step) const {
   return {values[0], number(1), number(2), number(3), number(6), number(7)};
 }
 
-/// Whether `second` starts in every place where `first` ends.
-static bool isBeside(const DeviceRows &first, const DeviceRows &second) {
-  if (second.address != first.address + static_cast<uint64_t>(first.rowBytes) ||
-      first.rows != second.rows || first.outer != second.outer)
-    return false;
-  int64_t bytes = first.rowBytes + second.rowBytes;
-  return (first.rows == 1 ||
-          (first.step == second.step && bytes <= first.step)) &&
-         (first.outer == 1 || (first.outerStep == second.outerStep &&
-                               (first.rows > 1 || bytes <= first.outerStep)));
-}
-
-/// Rows without anything in between are one.
-static void closeUp(DeviceRows &rows) {
-  if (rows.rows > 1 && rows.rowBytes == rows.step) {
-    rows.rowBytes *= rows.rows;
-    rows.rows = 1;
-  }
-  if (rows.rows == 1 && rows.outer > 1 && rows.rowBytes == rows.outerStep) {
-    rows.rowBytes *= rows.outer;
-    rows.outer = 1;
-  }
-}
-
-void DeviceQueue::Sequence::addFill(const DeviceRows &rows, const void *pattern,
-                                    int patternBytes) {
-  DeviceRows all = rows;
-  if (!steps.empty()) {
-    const Step &last = steps.back();
-    bool isFill = last.kind == Step::Kind::Fill;
-    // The pattern, and its size behind it.
-    const uint64_t *held = slots.data() + last.firstSlot + (isFill ? 1 : 4);
-    if ((isFill || last.kind == Step::Kind::FillRows) &&
-        held[1] == static_cast<uint64_t>(patternBytes) &&
-        std::memcmp(held, pattern, static_cast<size_t>(patternBytes)) == 0) {
-      DeviceRows before = rowsOf(last);
-      bool follows = isBeside(before, rows);
-      if (follows || isBeside(rows, before)) {
-        all = follows ? before : rows;
-        all.rowBytes = before.rowBytes + rows.rowBytes;
-        slots.resize(last.firstSlot);
-        steps.pop_back();
-        hash = hashBefore;
-      }
-    }
-  }
-  closeUp(all);
-  if (all.rows == 1 && all.outer == 1)
-    return addFill(all.address, pattern, patternBytes,
-                   all.rowBytes / patternBytes);
-  uint64_t bits = 0;
-  std::memcpy(&bits, pattern, static_cast<size_t>(patternBytes));
-  addRows(Step::Kind::FillRows, all, bits, patternBytes);
-}
-
 Status DeviceQueue::Sequence::run(Device &device, const Step &step) const {
   const uint64_t *values = slots.data() + step.firstSlot;
   auto number = [&](int at) { return static_cast<int64_t>(values[at]); };
@@ -123,11 +68,9 @@ Status DeviceQueue::Sequence::run(Device &device, const Step &step) const {
 }
 
 Status DeviceQueue::Sequence::run(Device &device) const {
-  Status status;
-  for (const Step &step : steps)
-    if (status)
-      status = run(device, step);
-  return status;
+  StepRunner runner(device);
+  Status status = runner.runAll(*this);
+  return status ? runner.finish() : std::move(status);
 }
 
 //===----------------------------------------------------------------------===//
@@ -592,14 +535,19 @@ Status DeviceQueue::Program::launch(Way &way) {
   Status status = makeCurrent(way);
   if (!status)
     return status;
-  return way.isGraph() ? device.run(*way.graph) : runKernel(way);
+  if (way.isGraph())
+    return device.run(*way.graph);
+  StepRunner runner(device);
+  return runKernel(way, runner);
 }
 
 /// What is too large for its few threads comes first.
-Status DeviceQueue::Program::runKernel(Way &way) {
+Status DeviceQueue::Program::runKernel(Way &way, StepRunner &runner) {
   Status status;
   for (size_t i = 0; status && i < numBefore; ++i)
-    status = sequence.run(device, sequence.steps[i]);
+    status = runner.run(sequence, sequence.steps[i]);
+  if (status)
+    status = runner.finish();
   if (!status)
     return status;
   std::vector<uint64_t> slots = {way.table + headerBytes, way.loops.getStride(),
@@ -734,6 +682,10 @@ std::string DeviceQueue::Program::explain() const {
     char line[256];
     std::snprintf(line, sizeof(line), "; %s", nameOf(way.mode));
     text += line;
+    if (way.numNodes > 0) {
+      std::snprintf(line, sizeof(line), " (%zu nodes)", way.numNodes);
+      text += line;
+    }
     if (!way.isGraph()) {
       std::snprintf(line, sizeof(line),
                     " (%u x %u threads, %zu steps before it, %zu barriers, "

@@ -61,6 +61,10 @@ struct DeviceQueue::Step {
   /// rows these four numbers, and the other address and step, or the pattern
   /// and its size.
   size_t firstSlot = 0;
+  /// Of the sequence in front of it.
+  uint64_t hashBefore = 0;
+
+  bool isFill() const { return kind == Kind::Fill || kind == Kind::FillRows; }
 };
 
 /// Work, in order.
@@ -69,8 +73,6 @@ struct DeviceQueue::Sequence {
   std::vector<uint64_t> slots;
   /// Of what the steps are, without the slots.
   uint64_t hash = 14695981039346656037ull;
-  /// The same before the last step.
-  uint64_t hashBefore = 0;
 
   bool empty() const { return steps.empty(); }
   void addLaunch(Function &function, const LaunchShape &shape,
@@ -80,19 +82,11 @@ struct DeviceQueue::Sequence {
     slots.insert(slots.end(), values, values + count);
     add(step);
   }
-  /// Fills that follow one another and lie side by side are one step: those of
-  /// fields that share their cells, say.
+  /// Fills with nothing but fills between them that lie side by side are one
+  /// step: those of fields that share their cells, say. What is filled again
+  /// before anything else happens is left out.
   void addFill(const DeviceRows &rows, const void *pattern, int patternBytes);
-  void addFill(DevicePtr to, const void *pattern, int patternBytes,
-               int64_t count) {
-    // All sizes of patterns are filled as eight bytes again and again.
-    uint64_t word = 0;
-    for (int at = 0; at < 8; at += patternBytes)
-      std::memcpy(reinterpret_cast<char *>(&word) + at, pattern,
-                  static_cast<size_t>(patternBytes));
-    addWork(Step::Kind::Fill,
-            {to, word, uint64_t(patternBytes), static_cast<uint64_t>(count)});
-  }
+  DeviceFill fillOf(const Step &step) const;
   void addCopy(DevicePtr to, DevicePtr from, int64_t bytes) {
     addWork(Step::Kind::Copy, {to, from, static_cast<uint64_t>(bytes)});
   }
@@ -116,15 +110,16 @@ struct DeviceQueue::Sequence {
 
 private:
   DeviceRows rowsOf(const Step &step) const;
+  void append(const DeviceFill &fill);
   void add(const Step &step) {
-    hashBefore = hash;
+    steps.push_back(step);
+    steps.back().hashBefore = hash;
     auto mix = [&](uint64_t value) {
       hash = (hash ^ value) * 1099511628211ull;
     };
     mix(static_cast<uint64_t>(step.kind));
     mix(reinterpret_cast<uintptr_t>(step.function));
     mix(uint64_t(step.shape.blocks) << 32 | step.shape.threads);
-    steps.push_back(step);
   }
   void addWork(Step::Kind kind, std::initializer_list<uint64_t> values) {
     Step step{kind, static_cast<unsigned>(values.size()), nullptr,
@@ -179,6 +174,8 @@ private:
     bool hasTiles = false;
     /// Of a graph whose launches overlap: what stands for each function.
     std::unordered_map<const Function *, DeviceFunction *> overlapping;
+    /// Of a graph: the pieces of work that come one after another.
+    size_t numNodes = 0;
     bool isGraph() const {
       return mode == ProgramMode::Graph || mode == ProgramMode::Overlapped;
     }
@@ -215,8 +212,9 @@ private:
   Status prepareOverlapped(Way &way);
   bool mayOverlapPay() const;
   Status capture(Way &way);
-  Status runGraphSteps(Way &way);
-  Status runKernel(Way &way);
+  Status runGraphSteps(Way &way, StepRunner &runner);
+  std::vector<uint32_t> orderForGraph() const;
+  Status runKernel(Way &way, StepRunner &runner);
   void noteRun(bool same);
   Led &findLed(const Sequence &lead);
   Status runLed(Led &led, const Sequence &lead, Way &way);

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "DeviceProgram.h"
+#include "FillRun.h"
 #include "tai/Runtime/DeviceAbi.h"
 #include <algorithm>
 
@@ -56,28 +56,65 @@ Status DeviceQueue::Program::prepareOverlapped(Way &way) {
 
 /// Makes or changes the graph.
 Status DeviceQueue::Program::capture(Way &way) {
-  Status status = device.beginCapture();
+  Status status = device.beginCapture(0, way.mode == ProgramMode::Overlapped);
   if (!status)
     return status;
-  status = runGraphSteps(way);
+  StepRunner runner(device);
+  status = runGraphSteps(way, runner);
   Status ended = device.endCapture(way.graph);
   return status ? std::move(ended) : std::move(status);
 }
 
-Status DeviceQueue::Program::runGraphSteps(Way &way) {
+Status DeviceQueue::Program::runGraphSteps(Way &way, StepRunner &runner) {
   Status status;
-  for (const Step &step : sequence.steps) {
+  size_t overlapping = 0, before = runner.numPieces();
+  for (uint32_t number : orderForGraph()) {
+    const Step &step = sequence.steps[number];
     if (step.kind != Step::Kind::Launch || way.overlapping.empty()) {
-      status = sequence.run(device, step);
+      status = runner.run(sequence, step);
     } else {
+      status = runner.finish();
       LaunchShape shape = step.shape;
       shape.overlaps = true;
-      status = device.launch(*way.overlapping.at(step.function), shape,
-                             sequence.slots.data() + step.firstSlot,
-                             static_cast<int>(step.numSlots));
+      ++overlapping;
+      if (status)
+        status = device.launch(*way.overlapping.at(step.function), shape,
+                               sequence.slots.data() + step.firstSlot,
+                               static_cast<int>(step.numSlots));
     }
     if (!status)
-      break;
+      return status;
   }
+  status = runner.finish();
+  way.numNodes = runner.numPieces() - before + overlapping;
   return status;
+}
+
+/// The steps in their order, but fills as early as they can join others, or
+/// stand in front of all: between launches each would be waited for by itself.
+std::vector<uint32_t> DeviceQueue::Program::orderForGraph() const {
+  // So many steps are looked at.
+  size_t left = 4096;
+  std::vector<uint32_t> order;
+  order.reserve(sequence.steps.size());
+  for (uint32_t i = 0; i < sequence.steps.size(); ++i) {
+    const Step &step = sequence.steps[i];
+    size_t place = order.size();
+    if (step.isFill() && place > 0 && left > 0) {
+      StepMemory memory = memoryOf(step);
+      for (; place > 0 && left > 0; --place, --left) {
+        const Step &before = sequence.steps[order[place - 1]];
+        if (before.isFill())
+          break;
+        if (getRelation(memoryOf(before), memory) != StepRelation::None) {
+          place = order.size();
+          break;
+        }
+      }
+      if (left == 0)
+        place = order.size();
+    }
+    order.insert(order.begin() + static_cast<ptrdiff_t>(place), i);
+  }
+  return order;
 }

@@ -12,7 +12,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "DeviceProgram.h"
+#include "FillRun.h"
 #include "LaunchLeads.h"
 #include <algorithm>
 
@@ -157,12 +157,15 @@ Status DeviceQueue::Program::captureLed(Led &led, Way &way) {
   if (!way.isGraph())
     status = makeCurrent(way);
   if (status)
-    status = device.beginCapture(numFirstLaunches(led.lead));
+    status = device.beginCapture(numFirstLaunches(led.lead),
+                                 way.mode == ProgramMode::Overlapped);
   if (!status)
     return status;
-  status = led.lead.run(device);
+  StepRunner runner(device);
+  status = runner.runAll(led.lead);
   if (status)
-    status = way.isGraph() ? runGraphSteps(way) : runKernel(way);
+    status =
+        way.isGraph() ? runGraphSteps(way, runner) : runKernel(way, runner);
   Status ended = device.endCapture(led.graph);
   if (status && ended && !led.graph)
     return Status::failure(StatusCode::Internal, "nothing was recorded");

@@ -278,7 +278,7 @@ Status Device::reserve(int64_t, DevicePtr &) {
                          "this device does not reserve memory");
 }
 
-Status Device::beginCapture(size_t) { return hasNoGraphs(); }
+Status Device::beginCapture(size_t, bool) { return hasNoGraphs(); }
 Status Device::endCapture(std::unique_ptr<DeviceGraph> &) {
   return hasNoGraphs();
 }

@@ -273,8 +273,15 @@ Status WatchedDevice::fillRows(const DeviceRows &to, const void *pattern,
                 [&] { return device->fillRows(to, pattern, patternBytes); });
 }
 
-Status WatchedDevice::beginCapture(size_t numChangeable) {
-  Status status = device->beginCapture(numChangeable);
+Status WatchedDevice::fillAll(const std::vector<DeviceFill> &fills) {
+  const DeviceRows &first = fills.front().rows;
+  bool areRows = fills.size() == 1 && (first.rows > 1 || first.outer > 1);
+  return memory(areRows ? "fill of rows" : "fill",
+                [&] { return device->fillAll(fills); });
+}
+
+Status WatchedDevice::beginCapture(size_t numChangeable, bool overlaps) {
+  Status status = device->beginCapture(numChangeable, overlaps);
   capturing = bool(status);
   return status;
 }

@@ -87,13 +87,14 @@ public:
                   int64_t otherStep) override;
   Status fillRows(const DeviceRows &to, const void *pattern,
                   int patternBytes) override;
+  Status fillAll(const std::vector<DeviceFill> &fills) override;
   Status load(const DeviceImage &image,
               std::unique_ptr<DeviceModule> &module) override;
   Status find(DeviceModule &module, const std::string &name,
               DeviceFunction *&function) override;
   Status launch(DeviceFunction &function, const LaunchShape &shape,
                 const uint64_t *slots, int count) override;
-  Status beginCapture(size_t numChangeable) override;
+  Status beginCapture(size_t numChangeable, bool overlaps) override;
   Status endCapture(std::unique_ptr<DeviceGraph> &graph) override;
   Status run(DeviceGraph &graph) override;
   Status change(DeviceGraph &graph, size_t number, DeviceFunction &function,

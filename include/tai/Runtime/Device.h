@@ -143,6 +143,13 @@ struct DeviceRows {
   int64_t outer = 1;
 };
 
+/// Rows of a pattern, which stands here again and again, to eight bytes.
+struct DeviceFill {
+  DeviceRows rows;
+  uint64_t pattern;
+  int patternBytes;
+};
+
 class Device {
 public:
   virtual ~Device() = default;
@@ -186,6 +193,9 @@ public:
   /// Rows are whole numbers of patterns.
   virtual Status fillRows(const DeviceRows &to, const void *pattern,
                           int patternBytes) = 0;
+  /// All of these, in any order: they have no memory in common, or fill it with
+  /// the same bytes.
+  virtual Status fillAll(const std::vector<DeviceFill> &fills);
   /// Whether device code can use this address of the caller as it is.
   virtual bool isDeviceMemory(const void *address) const = 0;
 
@@ -214,8 +224,10 @@ public:
   //===--------------------------------------------------------------------===//
 
   /// What is queued from now on is recorded instead. If it starts with
-  /// launches, the first `numChangeable` of these can be changed.
-  virtual Status beginCapture(size_t numChangeable = 0);
+  /// launches, the first `numChangeable` of these can be changed. With
+  /// `overlaps`, what the device does by kernels of its own is made ready early
+  /// where it can be, as are launches whose shape says so.
+  virtual Status beginCapture(size_t numChangeable = 0, bool overlaps = false);
   /// Ends that. A graph that is given is changed into the new one where they
   /// differ in parameters alone, else replaced.
   virtual Status endCapture(std::unique_ptr<DeviceGraph> &graph);

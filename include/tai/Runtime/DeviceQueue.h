@@ -227,6 +227,7 @@ private:
   struct Module;
   struct Step;
   struct Sequence;
+  class StepRunner;
   class Program;
 
   /// Queues what has been collected; what is whole may become a program.

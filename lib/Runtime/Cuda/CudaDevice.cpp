@@ -7,6 +7,7 @@
 
 #include "CudaDevice.h"
 #include "../Launch.h"
+#include "FillTable.h"
 #include "tai/Runtime/DeviceHeap.h"
 #include <algorithm>
 #include <cstdlib>
@@ -19,9 +20,9 @@ namespace mlir::tai {
 // Made of Rows.cu when the project is built.
 extern const unsigned char cudaRowKernels[];
 extern const unsigned long cudaRowKernels_size;
+extern const unsigned char cudaOverlappedRowKernels[];
+extern const unsigned long cudaOverlappedRowKernels_size;
 } // namespace mlir::tai
-using mlir::tai::cudaRowKernels;
-using mlir::tai::cudaRowKernels_size;
 
 Status CudaDevice::failure(Result result, const char *what) const {
   return Status::failure(result == kOutOfMemory ? StatusCode::Memory
@@ -343,40 +344,13 @@ Status CudaDevice::copy(DevicePtr to, DevicePtr from, int64_t bytes) {
   Status status = enter();
   if (!status || bytes <= 0)
     return status;
+  // A kernel of our own can be made ready early.
+  constexpr int64_t fewBytes = 1 << 20;
+  if (doesOverlap() && bytes <= fewBytes)
+    return copyRows({to, 0, bytes, 1}, from, 0);
   isAfterKernel = false;
   return check(cu.memcpyDtoDAsync(to, from, static_cast<size_t>(bytes), stream),
                "a copy on the device fails");
-}
-
-Status CudaDevice::fill(DevicePtr to, const void *pattern, int patternBytes,
-                        int64_t count) {
-  Status status = enter();
-  if (!status || count <= 0)
-    return status;
-  isAfterKernel = false;
-  auto size = static_cast<size_t>(count);
-  const char *what = "device memory cannot be filled";
-  auto *bytes = static_cast<const char *>(pattern);
-  bool zero =
-      std::all_of(bytes, bytes + patternBytes, [](char b) { return !b; });
-  if (zero || patternBytes == 1)
-    return check(cu.memsetD8Async(to, static_cast<unsigned char>(bytes[0]),
-                                  size * static_cast<size_t>(patternBytes),
-                                  stream),
-                 what);
-  if (patternBytes == 2) {
-    unsigned short value;
-    std::memcpy(&value, pattern, sizeof(value));
-    return check(cu.memsetD16Async(to, value, size, stream), what);
-  }
-  unsigned words[2] = {};
-  std::memcpy(words, pattern, static_cast<size_t>(patternBytes));
-  if (patternBytes == 4 || words[0] == words[1])
-    return check(cu.memsetD32Async(to, words[0],
-                                   size * static_cast<size_t>(patternBytes / 4),
-                                   stream),
-                 what);
-  return fillRows({to, 0, 8 * count, 1}, pattern, patternBytes);
 }
 
 //===----------------------------------------------------------------------===//
@@ -386,15 +360,25 @@ Status CudaDevice::fill(DevicePtr to, const void *pattern, int patternBytes,
 /// Not when they are first used: that may be while a graph is recorded.
 Status CudaDevice::loadRowKernels() {
   DeviceImage image;
-  image.bytes.assign(reinterpret_cast<const char *>(cudaRowKernels),
-                     cudaRowKernels_size);
+  if (most.hasOverlaps)
+    image.bytes.assign(
+        reinterpret_cast<const char *>(mlir::tai::cudaOverlappedRowKernels),
+        mlir::tai::cudaOverlappedRowKernels_size);
+  else
+    image.bytes.assign(
+        reinterpret_cast<const char *>(mlir::tai::cudaRowKernels),
+        mlir::tai::cudaRowKernels_size);
   Status status = load(image, rowsModule);
-  const char *kernels[] = {"tai_copy_", "tai_swap_", "tai_fill_"};
+  const char *kernels[] = {"tai_copy_", "tai_swap_"};
   const char *units[] = {"bytes", "words", "pairs", "quads"};
   for (int u = 0; u < kRowUnits; ++u)
-    for (int k = 0; k < 3 && status; ++k)
+    for (int k = 0; k < 2 && status; ++k)
       status = find(*rowsModule, (std::string(kernels[k]) + units[u]).c_str(),
                     rowFunctions[u][k]);
+  if (status)
+    status = find(*rowsModule, "tai_fill_pieces", fillFunction);
+  if (status)
+    fillBlocks = residentBlocks(*fillFunction, taiFillThreads);
   return status;
 }
 
@@ -415,6 +399,7 @@ Status CudaDevice::runRows(RowKernel kernel, int unit, int64_t units,
     return Status::success();
   LaunchShape shape;
   shape.threads = 256;
+  shape.overlaps = doesOverlap();
   constexpr int64_t blocksEach = 8;
   shape.blocks = static_cast<unsigned>(
       std::clamp<int64_t>((units + shape.threads - 1) / shape.threads, 1,
@@ -443,25 +428,6 @@ Status CudaDevice::copyRows(const DeviceRows &to, DevicePtr from,
 Status CudaDevice::swapRows(const DeviceRows &one, DevicePtr other,
                             int64_t otherStep) {
   return runPairs(SwapRows, one, other, otherStep);
-}
-
-Status CudaDevice::fillRows(const DeviceRows &to, const void *pattern,
-                            int patternBytes) {
-  auto bytes = static_cast<uint64_t>(to.rowBytes);
-  auto step = static_cast<uint64_t>(to.step);
-  auto outerStep = static_cast<uint64_t>(to.outerStep);
-  int unit = findUnit({to.address, step, bytes, outerStep});
-  uint64_t size = rowUnitBytes[unit];
-  // The pattern again and again, to eight bytes.
-  char bits[8];
-  for (int at = 0; at < 8; ++at)
-    bits[at] = static_cast<const char *>(pattern)[at % patternBytes];
-  uint64_t whole;
-  std::memcpy(&whole, bits, sizeof(whole));
-  return runRows(
-      FillRows, unit, static_cast<int64_t>(bytes / size) * to.rows * to.outer,
-      {to.address, step / size, bytes / size, static_cast<uint64_t>(to.rows),
-       whole, outerStep / size, static_cast<uint64_t>(to.outer)});
 }
 
 bool CudaDevice::isDeviceMemory(const void *address) const {

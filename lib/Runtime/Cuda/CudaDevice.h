@@ -15,6 +15,7 @@
 #define TAI_LIB_RUNTIME_CUDA_CUDADEVICE_H
 
 #include "Driver.h"
+#include "FillTable.h"
 #include "RepeatedLaunch.h"
 #include "tai/Runtime/Device.h"
 #include <map>
@@ -64,6 +65,7 @@ public:
                   int64_t otherStep) override;
   Status fillRows(const DeviceRows &to, const void *pattern,
                   int patternBytes) override;
+  Status fillAll(const std::vector<DeviceFill> &fills) override;
   bool isDeviceMemory(const void *address) const override;
 
   Status load(const DeviceImage &image,
@@ -77,7 +79,7 @@ public:
                           unsigned threads) const override;
   Status launch(DeviceFunction &function, const LaunchShape &shape,
                 const uint64_t *slots, int count) override;
-  Status beginCapture(size_t numChangeable) override;
+  Status beginCapture(size_t numChangeable, bool overlaps) override;
   Status endCapture(std::unique_ptr<DeviceGraph> &graph) override;
   Status run(DeviceGraph &graph) override;
   Status change(DeviceGraph &graph, size_t number, DeviceFunction &function,
@@ -121,7 +123,7 @@ private:
   Status order(Stream first, Stream second);
   /// Kernels of our own; see Rows.cu.
   Status loadRowKernels();
-  enum RowKernel { CopyRows, SwapRows, FillRows };
+  enum RowKernel { CopyRows, SwapRows };
   Status launchOverlapped(Function handle, const LaunchShape &shape,
                           void **parameters);
   Status runRows(RowKernel kernel, int unit, int64_t units,
@@ -129,6 +131,12 @@ private:
   /// One of those that take rows here and rows there.
   Status runPairs(RowKernel kernel, const DeviceRows &one, DevicePtr other,
                   int64_t otherStep);
+  Status addFill(TaiFillTable &table, const DeviceFill &fill);
+  Status runFills(TaiFillTable &table);
+  Status fillByKernel(const DeviceFill &fill);
+  Status fillAlone(const DeviceFill &fill);
+  /// Whether kernels of our own are made ready early now.
+  bool doesOverlap() const { return isCapturing && capturesOverlaps; }
 
   /// Small copies go through memory that the device reads and writes itself.
   static constexpr int64_t stagingBytes = 256 << 10;
@@ -141,6 +149,8 @@ private:
   /// Whether a graph is being recorded, and whether what it has recorded last
   /// is a kernel.
   bool isCapturing = false, isAfterKernel = false;
+  /// Whether our own kernels overlap in the graph that is being recorded.
+  bool capturesOverlaps = false;
   Pool pool = nullptr;
   std::string label, architecture;
   DeviceLimits most;
@@ -152,7 +162,10 @@ private:
   std::unique_ptr<DeviceModule> rowsModule;
   /// Bytes, words, pairs of them and quads.
   static constexpr int kRowUnits = 4;
-  DeviceFunction *rowFunctions[kRowUnits][3] = {};
+  DeviceFunction *rowFunctions[kRowUnits][2] = {};
+  DeviceFunction *fillFunction = nullptr;
+  /// So many of its blocks run at a time.
+  unsigned fillBlocks = 1;
 
   /// The first launches that a graph that is recorded shall let change.
   size_t numChangeable = 0;

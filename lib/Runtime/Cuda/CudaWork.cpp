@@ -171,8 +171,9 @@ Status CudaDevice::launchOverlapped(Function handle, const LaunchShape &shape,
 // Graphs
 //===----------------------------------------------------------------------===//
 
-Status CudaDevice::beginCapture(size_t changeable) {
+Status CudaDevice::beginCapture(size_t changeable, bool overlaps) {
   Status status = enter();
+  capturesOverlaps = overlaps && most.hasOverlaps;
   isAfterKernel = false;
   numChangeable = changeable;
   if (status)

@@ -1,4 +1,4 @@
-//===- Rows.cu - Copies of evenly spaced rows, on the GPU -----------------===//
+//===- Rows.cu - Copies of evenly spaced rows, and fills, on the GPU ------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -8,9 +8,12 @@
 // What the driver's own copies do not do, or do slowly: rows of a few bytes,
 // such as the elements of a field whose cells hold other fields too. Compiled
 // to PTX while the project is built. Rows and the distances between them are in
-// units: of 16 bytes, or the largest of eight, four and one that fits.
+// units: of 16 bytes, or the largest of eight, four and one that fits. Compiled
+// a second time for devices whose launches overlap, with TAI_OVERLAPS.
 //
 //===----------------------------------------------------------------------===//
+
+#include "FillTable.h"
 
 using Byte = unsigned char;
 using Word = unsigned;
@@ -18,18 +21,19 @@ using Pair = unsigned long long;
 using Quad = unsigned long long __attribute__((ext_vector_type(2)));
 using Size = unsigned long long;
 
-/// What stands in a unit that starts `at` units after the begin of a row, which
-/// begins with the pattern of eight bytes.
-template <typename Unit> static inline Unit unitOf(Size pattern, Size at) {
-  return (Unit)(pattern >> (at * sizeof(Unit) % 8 * 8));
-}
-template <> inline Quad unitOf<Quad>(Size pattern, Size) {
-  return Quad{pattern, pattern};
+/// A kernel that may be made ready while the one before it runs waits by
+/// itself, and lets the next one be made ready.
+static inline void begin() {
+#ifdef TAI_OVERLAPS
+  asm volatile("griddepcontrol.launch_dependents;" ::: "memory");
+  asm volatile("griddepcontrol.wait;" ::: "memory");
+#endif
 }
 
 /// Calls move(row, place in the row) for the units of this thread.
 template <typename Move>
 static inline void forEachUnit(Size rowUnits, Size rows, const Move &move) {
+  begin();
   Size all = rowUnits * rows;
   Size threads = (Size)__nvvm_read_ptx_sreg_nctaid_x() *
                  (Size)__nvvm_read_ptx_sreg_ntid_x();
@@ -67,17 +71,16 @@ static inline void forEachUnit(Size rowUnits, Size rows, const Move &move) {
       a[row * aStep + at] = b[row * bStep + at];                               \
       b[row * bStep + at] = before;                                            \
     });                                                                        \
-  }                                                                            \
-  KERNEL tai_fill_##suffix(Unit *to, Size step, Size rowUnits, Size rows,      \
-                           Size pattern, Size outerStep, Size outer) {         \
-    forEachUnit(rowUnits, rows * outer, [&](Size row, Size at) {               \
-      Size group = outer == 1 ? 0 : row / rows;                                \
-      to[group * outerStep + (row - group * rows) * step + at] =               \
-          unitOf<Unit>(pattern, at);                                           \
-    });                                                                        \
   }
 
 ROW_KERNELS(Byte, bytes)
 ROW_KERNELS(Word, words)
 ROW_KERNELS(Pair, pairs)
 ROW_KERNELS(Quad, quads)
+
+KERNEL tai_fill_pieces(const TaiFillTable table) {
+  begin();
+  taiFillAll(&table, (Size)__nvvm_read_ptx_sreg_ctaid_x(),
+             (Size)__nvvm_read_ptx_sreg_nctaid_x(),
+             (unsigned)__nvvm_read_ptx_sreg_tid_x());
+}

@@ -11,16 +11,21 @@
 // no-pools, bad-ptx, fault (launches fail when they are waited for),
 // heap-in-use (its size cannot be changed),
 // no-graphs, fixed-graphs (their parameters stay), any-function (modules have
-// functions of all names, which do nothing), likes-512 (a launch takes 400
-// microseconds in blocks of 512 threads, and 900 else). The clock of the device
-// advances by a microsecond with each piece of work, and by a launch of "scale"
-// by one for each thousand numbers. A module has the functions "scale" (double
-// *x, int64_t n, double factor), "add" (the same) and "where" (int32_t
-// *blocks_and_threads), whatever its text is, and those of Rows.cu. Compiled
-// with -finstrument-functions, it counts how often it is called. Graphs are
-// lists of launches, fills and copies.
+// functions of all names, which do nothing), overlaps (launches can), likes-512
+// (a launch takes 400 microseconds in blocks of 512 threads, and 900 else),
+// list-graphs (what they consist of is written to standard error). The clock of
+// the device advances by a microsecond with each piece of work, and by a launch
+// of "scale" by one for each thousand numbers. A module has the functions
+// "scale" (double *x, int64_t n, double factor), "add" (the same) and "where"
+// (int32_t *blocks_and_threads), whatever its text is, and those of Rows.cu.
+// Compiled with -finstrument-functions, it counts how often it is called.
+// Graphs are lists of launches, fills and copies.
 //
 //===----------------------------------------------------------------------===//
+
+#define NOT_COUNTED __attribute__((no_instrument_function))
+#define TAI_FILL_FUNCTION NOT_COUNTED static inline
+#include "../../../lib/Runtime/Cuda/FillTable.h"
 
 #include <stddef.h>
 #include <stdint.h>
@@ -30,8 +35,6 @@
 
 typedef int Result;
 typedef unsigned long long Address;
-
-#define NOT_COUNTED __attribute__((no_instrument_function))
 
 /// Calls of functions of the driver, so that tests can count them.
 long long tai_fake_cuda_calls;
@@ -48,13 +51,15 @@ NOT_COUNTED static int has(const char *word) {
   return given && strstr(given, word) != NULL;
 }
 
-enum { mostValues = 8, mostNodes = 64 };
+enum { mostValues = sizeof(TaiFillTable) / 8, mostNodes = 1024 };
 
 /// A piece of work: a launch (0), a copy (1) or a fill (2).
 typedef struct {
   int kind;
   const char *function;
   unsigned blocks, threads;
+  /// Whether it may start while the one before it runs.
+  int overlaps;
   uint64_t values[mostValues];
 } FakeNode;
 
@@ -144,6 +149,9 @@ Result cuDeviceGetAttribute(int *value, int attribute, int device) {
     return 0;
   case 115:
     *value = !has("no-pools");
+    return 0;
+  case 120: // clusters, and launches that overlap
+    *value = has("overlaps");
     return 0;
   }
   return 1;
@@ -376,9 +384,7 @@ Result cuModuleGetFunction(void **result, void *given, const char *name) {
                              "tai_copy_pairs", "tai_copy_words",
                              "tai_copy_bytes", "tai_swap_quads",
                              "tai_swap_pairs", "tai_swap_words",
-                             "tai_swap_bytes", "tai_fill_quads",
-                             "tai_fill_pairs", "tai_fill_words",
-                             "tai_fill_bytes"};
+                             "tai_swap_bytes", "tai_fill_pieces"};
   for (unsigned i = 0; i < sizeof(names) / sizeof(names[0]); ++i)
     if (strcmp(name, names[i]) == 0) {
       *result = names[i];
@@ -406,22 +412,13 @@ Result cuOccupancyMaxActiveBlocksPerMultiprocessor(int *blocks, void *function,
 
 /// As Rows.cu has them.
 NOT_COUNTED static void rows(const char *function, void **parameters) {
-  int fills = strstr(function, "fill") != NULL;
-  uint64_t p[7];
-  for (int i = 0; i < 6 + fills; ++i)
+  uint64_t p[6];
+  for (int i = 0; i < 6; ++i)
     p[i] = *(uint64_t *)parameters[i];
   size_t unit = strstr(function, "quads")   ? 16
                 : strstr(function, "pairs") ? 8
                 : strstr(function, "words") ? 4
                                             : 1;
-  if (fills) {
-    for (uint64_t row = 0; row < p[3] * p[6]; ++row)
-      for (uint64_t byte = 0; byte < p[2] * unit; ++byte)
-        ((char *)(uintptr_t)
-             p[0])[(row / p[3] * p[5] + row % p[3] * p[1]) * unit + byte] =
-            ((char *)&p[4])[byte % 8];
-    return;
-  }
   for (uint64_t row = 0; row < p[5]; ++row) {
     char *a = (char *)(uintptr_t)p[0] + row * p[1] * unit;
     char *b = (char *)(uintptr_t)p[2] + row * p[3] * unit;
@@ -461,6 +458,11 @@ NOT_COUNTED static Result perform(const FakeNode *node) {
     now += n / 1000;
     for (int64_t i = 0; i < n; ++i)
       x[i] = *function == 's' ? x[i] * by : x[i] + by;
+  } else if (strcmp(function, "tai_fill_pieces") == 0) {
+    // The last block first, to find out who counts on an order.
+    for (unsigned block = node->blocks; block-- > 0;)
+      for (unsigned thread = 0; thread < node->threads; ++thread)
+        taiFillAll((const TaiFillTable *)v, block, node->blocks, thread);
   } else if (strncmp(function, "tai_", 4) == 0) {
     rows(function, parameters);
   } else if (strcmp(function, "where") == 0) {
@@ -487,26 +489,33 @@ NOT_COUNTED static Result submit(const FakeNode *node) {
   recording->nodes[recording->count++] = *node;
   return 0;
 }
+/// What was filled by a kernel last.
+TaiFillTable tai_fake_cuda_fills;
+
 NOT_COUNTED static void setLaunch(FakeNode *node, const char *function,
                                   unsigned blocks, unsigned threads,
                                   void **parameters) {
   int count = strcmp(function, "scale") == 0 || strcmp(function, "add") == 0 ? 3
               : strcmp(function, "where") == 0                               ? 1
-              : strncmp(function, "tai_fill", 8) == 0                        ? 7
               : strncmp(function, "tai_", 4) == 0 ? 6
                                                   : 0;
   node->kind = 0;
   node->function = function;
   node->blocks = blocks;
   node->threads = threads;
+  if (strcmp(function, "tai_fill_pieces") == 0) {
+    memcpy(node->values, parameters[0], sizeof(TaiFillTable));
+    memcpy(&tai_fake_cuda_fills, parameters[0], sizeof(TaiFillTable));
+  }
   for (int i = 0; i < count; ++i)
     node->values[i] = *(uint64_t *)parameters[i];
 }
 NOT_COUNTED static Result launch(const char *function, unsigned blocks,
-                                 unsigned threads, void **parameters) {
+                                 unsigned threads, int overlaps,
+                                 void **parameters) {
   if (current != &context)
     return 201;
-  FakeNode node = {0};
+  FakeNode node = {.overlaps = overlaps};
   setLaunch(&node, function, blocks, threads, parameters);
   return submit(&node);
 }
@@ -515,26 +524,39 @@ Result cuLaunchKernel(void *function, unsigned blocks, unsigned by, unsigned bz,
                       unsigned shared, void *on, void **parameters,
                       void **extra) {
   (void)by, (void)bz, (void)ty, (void)tz, (void)shared, (void)on, (void)extra;
-  return launch(function, blocks, threads, parameters);
+  return launch(function, blocks, threads, 0, parameters);
 }
 Result cuLaunchCooperativeKernel(void *function, unsigned blocks, unsigned by,
                                  unsigned bz, unsigned threads, unsigned ty,
                                  unsigned tz, unsigned shared, void *on,
                                  void **parameters) {
   (void)by, (void)bz, (void)ty, (void)tz, (void)shared, (void)on;
-  return launch(function, blocks, threads, parameters);
+  return launch(function, blocks, threads, 0, parameters);
 }
 
-/* Clusters are more than this stands in for. */
-enum { NotSupported = 801 };
+/* Clusters of kernels that do nothing. */
+enum { NotSupported = 801, OverlapAttribute = 6 };
 Result cuFuncSetAttribute(void *function, int attribute, int value) {
   (void)function, (void)attribute, (void)value;
-  return NotSupported;
+  return has("overlaps") ? 0 : NotSupported;
 }
-Result cuLaunchKernelEx(const void *configuration, void *function,
+typedef struct {
+  unsigned kind, unused, values[16];
+} LaunchAttribute;
+typedef struct {
+  unsigned grid[3], block[3], shared;
+  void *on;
+  LaunchAttribute *attributes;
+  unsigned count;
+} LaunchConfiguration;
+Result cuLaunchKernelEx(const LaunchConfiguration *how, void *function,
                         void **parameters, void **extra) {
-  (void)configuration, (void)function, (void)parameters, (void)extra;
-  return NotSupported;
+  (void)extra;
+  if (!has("overlaps"))
+    return NotSupported;
+  return launch(function, how->grid[0], how->block[0],
+                how->count > 0 && how->attributes[0].kind == OverlapAttribute,
+                parameters);
 }
 Result cuStreamBeginCapture_v2(void *given, int mode) {
   (void)given, (void)mode;
@@ -544,14 +566,51 @@ Result cuStreamBeginCapture_v2(void *given, int mode) {
   recording = calloc(1, sizeof(FakeGraph));
   return recording ? 0 : 2;
 }
+/// Of what was recorded last: all pieces of work, and those that may start
+/// while the one before them runs.
+int tai_fake_cuda_nodes, tai_fake_cuda_overlapping;
 Result cuStreamEndCapture(void *given, void **graph) {
   (void)given;
+  tai_fake_cuda_nodes = recording ? recording->count : 0;
+  tai_fake_cuda_overlapping = 0;
+  for (int i = 0; i < tai_fake_cuda_nodes; ++i)
+    tai_fake_cuda_overlapping += recording->nodes[i].overlaps;
   *graph = recording;
   recording = NULL;
   return *graph ? 0 : 401;
 }
 /// Graphs that are ready to run.
 int tai_fake_cuda_graphs;
+
+/// What is used after that is found to be empty.
+NOT_COUNTED static void forget(FakeGraph *graph) {
+  memset(graph->nodes, 0, (size_t)graph->count * sizeof(FakeNode));
+  graph->count = 0;
+  free(graph);
+}
+/// A line for each piece of work, on standard error.
+NOT_COUNTED static void list(const FakeGraph *graph) {
+  fprintf(stderr, "graph of %d:\n", graph->count);
+  for (int i = 0; i < graph->count; ++i) {
+    const FakeNode *node = &graph->nodes[i];
+    const uint64_t *v = node->values;
+    if (node->kind == 0)
+      fprintf(stderr, "  %s %u x %u%s\n", node->function, node->blocks,
+              node->threads, node->overlaps ? ", overlaps" : "");
+    const TaiFillTable *table = (const TaiFillTable *)v;
+    if (node->kind == 0 && strcmp(node->function, "tai_fill_pieces") == 0)
+      for (uint64_t e = 0; e < table->count; ++e)
+        fprintf(stderr,
+                "    %llx: %llu units of %d, rows of %llu, %llu tiles\n",
+                table->entries[e].address, table->entries[e].units,
+                table->entries[e].unitBytes, table->entries[e].rowUnits,
+                table->entries[e].end);
+    if (node->kind != 0)
+      fprintf(stderr, "  %s %llx, %llu bytes\n",
+              node->kind == 1 ? "copy" : "fill", (unsigned long long)v[0],
+              (unsigned long long)(node->kind == 1 ? v[2] : v[2] * v[3]));
+  }
+}
 
 Result cuGraphCreate(void **result, unsigned flags) {
   (void)flags;
@@ -579,11 +638,14 @@ Result cuGraphAddKernelNode(void **result, void *given, void *const *before,
 Result cuGraphInstantiateWithFlags(void **result, void *given,
                                    unsigned long long flags) {
   (void)flags;
-  FakeGraph *graph = given, *made = malloc(sizeof(FakeGraph));
+  FakeGraph *graph = given, *made = calloc(1, sizeof(FakeGraph));
   if (!made)
     return 2;
-  *made = *graph;
+  made->count = graph->count;
+  memcpy(made->nodes, graph->nodes, (size_t)graph->count * sizeof(FakeNode));
   made->origin = graph;
+  if (has("list-graphs"))
+    list(graph);
   *result = made;
   ++tai_fake_cuda_graphs;
   return 0;
@@ -598,7 +660,8 @@ Result cuGraphExecUpdate_v2(void *given, void *other, void *update) {
              executable->nodes[i].function == graph->nodes[i].function;
   if (!isSame)
     return 910;
-  memcpy(executable->nodes, graph->nodes, sizeof(graph->nodes));
+  memcpy(executable->nodes, graph->nodes,
+         (size_t)graph->count * sizeof(FakeNode));
   return 0;
 }
 Result cuGraphLaunch(void *given, void *on) {
@@ -610,13 +673,11 @@ Result cuGraphLaunch(void *given, void *on) {
   return 0;
 }
 Result cuGraphDestroy(void *graph) {
-  memset(graph, 0, sizeof(FakeGraph));
-  free(graph);
+  forget(graph);
   return 0;
 }
 Result cuGraphExecDestroy(void *executable) {
-  memset(executable, 0, sizeof(FakeGraph));
-  free(executable);
+  forget(executable);
   --tai_fake_cuda_graphs;
   return 0;
 }
