@@ -68,12 +68,11 @@ def call(command: list[object]) -> int:
     return subprocess.run([str(word) for word in command], cwd=ROOT).returncode
 
 
-def run_lit(build: Path, jobs: int, out: Path, gpu: bool) -> Result:
+def run_lit(build: Path, jobs: int, out: Path) -> Result:
     result = Result("lit")
     xml = out / "lit.xml"
-    suite = build / "test" / ("Integration/CUDA" if gpu else "")
     lit = [sys.executable, LLVM_BIN / "lit", "-s", "-v"]
-    status = call([*lit, f"-j{jobs}", f"--xunit-xml-output={xml}", suite])
+    status = call([*lit, f"-j{jobs}", f"--xunit-xml-output={xml}", build / "test"])
     if xml.exists():
         result.add_junit(xml)
     return result.close(status)
@@ -103,11 +102,10 @@ def run_gtest(build: Path, out: Path) -> Result:
     return result.close(status)
 
 
-def run_pytest(jobs: int, out: Path, gpu: bool) -> Result:
+def run_pytest(jobs: int, out: Path) -> Result:
     result = Result("pytest")
     xml = out / "pytest.xml"
     command = [sys.executable, "-m", "pytest", "-q", "--tb=short", f"--junitxml={xml}"]
-    command += ["-m", "gpu" if gpu else "not gpu"]
     if jobs > 1:
         command += ["-n", str(jobs)]
     status = call([*command, "test/python"])
@@ -129,7 +127,7 @@ def run_emulated(jobs: int, out: Path) -> Result:
     result = Result("emulated GPU")
     xml = out / "emulated.xml"
     command = [sys.executable, "-m", "pytest", "-q", "--tb=short", f"--junitxml={xml}"]
-    command += ["-m", "not gpu", "--arch=emulated"]
+    command += ["--arch=emulated"]
     if jobs > 1:
         command += ["-n", str(jobs)]
     status = call([*command, *(f"test/python/test_{name}.py" for name in EMULATED)])
@@ -144,7 +142,7 @@ def run_layouts(build: Path, jobs: int, out: Path) -> list[Result]:
     xml = out / "layouts.xml"
     layouts = ["pointer", "bitmasked", "hash"]
     command = [sys.executable, "-m", "pytest", "-q", "--tb=short", f"--junitxml={xml}"]
-    command += ["-m", "not gpu", *(f"--layout={name}" for name in layouts)]
+    command += [f"--layout={name}" for name in layouts]
     if jobs > 1:
         command += ["-n", str(jobs)]
     status = call([*command, "test/python"])
@@ -181,20 +179,19 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--build", type=Path, default=Path("build"), help="build folder")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--gpu", action="store_true", help="only the tests that need a GPU")
     parser.add_argument("--layouts", action="store_true", help="the tests on every layout")
     parser.add_argument("--only", nargs="+", choices=["lit", "gtest", "pytest", "emulated", "lint"])
     args = parser.parse_args()
     build = (ROOT / args.build).resolve()
     everything = ["lit", "gtest", "pytest", "emulated", "lint"]
-    kinds = args.only or (["lit", "pytest"] if args.gpu else everything)
+    kinds = args.only or everything
 
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
         runners = {
-            "lit": lambda: run_lit(build, args.jobs, out, args.gpu),
+            "lit": lambda: run_lit(build, args.jobs, out),
             "gtest": lambda: run_gtest(build, out),
-            "pytest": lambda: run_pytest(args.jobs, out, args.gpu),
+            "pytest": lambda: run_pytest(args.jobs, out),
             "emulated": lambda: run_emulated(args.jobs, out),
             "lint": run_lint,
         }

@@ -5,7 +5,7 @@
 Unpacks the bundle (dist/tai-portable-*.tar.xz, or --bundle), compiles the Python module for
 the interpreter that runs this script, copies the tests beside it, and runs the chosen steps:
 
-    tests     the Python tests with --arch=cuda, in parallel
+    tests     the Python tests with --arch=cuda, whole programs in IR among them, in parallel
     bench     benchmarks/gpu/run.py: tai, hand-written CUDA, and other systems
     ensemble  examples/ensemble.py on 1, 2 and 4 GPUs, as many as there are
     sanitize  some of the tests under compute-sanitizer, where there is one, on all GPUs;
