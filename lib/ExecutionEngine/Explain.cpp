@@ -166,8 +166,10 @@ std::string mlir::tai::explainAdjoint(ModuleOp module, StringRef name,
       ++end;
     entries.push_back({&remarks[i], remarks.slice(i + 1, end - i - 1)});
   }
-  llvm::stable_sort(entries, [](const Entry &lhs, const Entry &rhs) {
-    return getLine(*lhs.remark) < getLine(*rhs.remark);
+  // Those of a line in their order.
+  llvm::sort(entries, [](const Entry &lhs, const Entry &rhs) {
+    return std::pair(getLine(*lhs.remark), lhs.remark) <
+           std::pair(getLine(*rhs.remark), rhs.remark);
   });
   for (const Entry &entry : entries) {
     const KeptRemark &remark = *entry.remark;

@@ -190,8 +190,9 @@ void VectorizeAtomics::combine() {
 /// Finds runs of neighbours, at places where a vector may lie.
 void VectorizeAtomics::combineAt(MutableArrayRef<Addition> additions) {
   constexpr int64_t size = sizeof(float);
-  stable_sort(additions, [](const Addition &a, const Addition &b) {
-    return a.offset < b.offset;
+  llvm::sort(additions, [](const Addition &a, const Addition &b) {
+    return a.offset != b.offset ? a.offset < b.offset
+                                : a.op != b.op && a.op->comesBefore(b.op);
   });
   size_t begin = 0;
   while (begin < additions.size()) {

@@ -339,11 +339,13 @@ void LoopAccesses::add(Value pointer, Type type, DeviceAccess::Kind kind,
 /// Accesses that differ by a constant and leave nothing between them become one
 /// of a larger window: a row of weights that is written out, say.
 void LoopAccesses::mergeNeighbours() {
-  llvm::stable_sort(addresses, [](const Address &a, const Address &b) {
-    return a.access.offset < b.access.offset;
-  });
+  SmallVector<std::pair<int64_t, size_t>> order;
+  for (auto [i, address] : llvm::enumerate(addresses))
+    order.emplace_back(address.access.offset, i);
+  llvm::sort(order);
   SmallVector<Address> merged;
-  for (Address &address : addresses) {
+  for (auto [offset, i] : order) {
+    Address &address = addresses[i];
     const DeviceAccess &access = address.access;
     auto *found = llvm::find_if(merged, [&](const Address &other) {
       const DeviceAccess &before = other.access;
