@@ -7,21 +7,16 @@
 
 #include "tai/ExecutionEngine/Compiler.h"
 #include "BuildId.h"
+#include "CompilerWorker.h"
 #include "mlir/Pass/Pass.h"
 #include "mlir/Pass/PassInstrumentation.h"
-#include "mlir/Target/LLVMIR/Export.h"
 #include "tai/Analysis/SkipScope.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/ExecutionEngine/AdjointNeeds.h"
-#include "tai/ExecutionEngine/LoopLevels.h"
-#include "llvm/ADT/ScopeExit.h"
 #include "llvm/ADT/StringExtras.h"
-#include "llvm/IR/LLVMContext.h"
-#include "llvm/IR/Module.h"
 #include "llvm/Support/BLAKE3.h"
 #include "llvm/Support/FileSystem.h"
-#include <chrono>
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -45,23 +40,6 @@ StringRef mlir::tai::stringifyPhase(Phase phase) {
 }
 
 namespace {
-/// Adds the time until its end to a phase.
-class PhaseTimer {
-public:
-  PhaseTimer(PhaseTimes &times, Phase phase)
-      : slot(times[static_cast<unsigned>(phase)]),
-        start(std::chrono::steady_clock::now()) {}
-  ~PhaseTimer() {
-    slot +=
-        std::chrono::duration<double>(std::chrono::steady_clock::now() - start)
-            .count();
-  }
-
-private:
-  double &slot;
-  std::chrono::steady_clock::time_point start;
-};
-
 /// Keeps the IR as it is after the last run of one pass.
 class CaptureAfterPass : public PassInstrumentation {
 public:
@@ -87,70 +65,24 @@ private:
 // Workers
 //===----------------------------------------------------------------------===//
 
-/// What one thread needs to compile. Pass managers are kept, because a pass
-/// collects its patterns when it first runs, and target machines are costly.
-struct Compiler::Worker {
-  Worker(MLIRContext *context, const Pipelines &pipelines,
-         const CompileOptions &options)
-      : options(options), autodiff(context), takingAutodiff(context),
-        forward(context), lowering(context) {
-    for (PassManager *manager :
-         {&autodiff, &takingAutodiff, &forward, &lowering})
-      manager->enableVerifier(options.debug);
-    if (pipelines.autodiff) {
-      pipelines.autodiff(autodiff, options, /*takes=*/false);
-      pipelines.autodiff(takingAutodiff, options, /*takes=*/true);
-    }
-    if (pipelines.forward)
-      pipelines.forward(forward, options);
-    const auto &lower = options.device ? pipelines.toDevice : pipelines.toLLVM;
-    if (lower)
-      lower(lowering, options);
-    lowering.addInstrumentation(std::make_unique<CaptureAfterPass>(
-        options.device ? pipelines.deviceScfPass : pipelines.scfPass, &scf));
+Compiler::Worker::Worker(MLIRContext *context, const Pipelines &pipelines,
+                         const CompileOptions &options)
+    : options(options), autodiff(context), takingAutodiff(context),
+      forward(context), lowering(context) {
+  for (PassManager *manager : {&autodiff, &takingAutodiff, &forward, &lowering})
+    manager->enableVerifier(options.debug);
+  if (pipelines.autodiff) {
+    pipelines.autodiff(autodiff, options, /*takes=*/false);
+    pipelines.autodiff(takingAutodiff, options, /*takes=*/true);
   }
-
-  CompileOptions options;
-  PassManager autodiff;
-  PassManager takingAutodiff;
-  PassManager forward;
-  /// To the LLVM dialect, for a device or without one.
-  PassManager lowering;
-  std::unique_ptr<ObjectCompiler> objects;
-  std::unique_ptr<DeviceCompiler> deviceCode;
-  std::string *scf = nullptr;
-};
-
-/// Takes a worker for these options from the idle ones, and puts it back.
-class Compiler::WorkerLease {
-public:
-  WorkerLease(Compiler &compiler, const CompileOptions &options)
-      : compiler(compiler) {
-    {
-      std::lock_guard<std::mutex> lock(compiler.mutex);
-      auto found = llvm::find_if(compiler.idle, [&](const auto &candidate) {
-        return candidate->options == options;
-      });
-      if (found != compiler.idle.end()) {
-        worker = std::move(*found);
-        compiler.idle.erase(found);
-      }
-    }
-    if (!worker)
-      worker = std::make_unique<Worker>(compiler.context, compiler.pipelines,
-                                        options);
-  }
-  ~WorkerLease() {
-    std::lock_guard<std::mutex> lock(compiler.mutex);
-    compiler.idle.push_back(std::move(worker));
-  }
-
-  Worker &operator*() { return *worker; }
-
-private:
-  Compiler &compiler;
-  std::unique_ptr<Worker> worker;
-};
+  if (pipelines.forward)
+    pipelines.forward(forward, options);
+  const auto &lower = options.device ? pipelines.toDevice : pipelines.toLLVM;
+  if (lower)
+    lower(lowering, options);
+  lowering.addInstrumentation(std::make_unique<CaptureAfterPass>(
+      options.device ? pipelines.deviceScfPass : pipelines.scfPass, &scf));
+}
 
 Compiler::Compiler(MLIRContext *context, Pipelines pipelines,
                    ArrayRef<runtime::RuntimeSymbol> runtime)
@@ -349,236 +281,6 @@ LogicalResult Compiler::lower(Worker &worker, CompileRequest request,
 }
 
 //===----------------------------------------------------------------------===//
-// LLVM
-//===----------------------------------------------------------------------===//
-
-namespace {
-/// A module of LLVM IR with its context, and the tools of a worker to work on
-/// it. After a fatal error inside LLVM nothing of it may be touched again.
-class LLVMJob {
-public:
-  explicit LLVMJob(std::unique_ptr<ObjectCompiler> &objects)
-      : objects(objects), context(std::make_unique<llvm::LLVMContext>()) {}
-  ~LLVMJob() {
-    if (!objects || !objects->isBroken())
-      return;
-    (void)module.release();
-    (void)context.release();
-    (void)objects.release();
-  }
-
-  /// Translates to LLVM IR with nothing visible but the function to call, so
-  /// that LLVM may inline and drop the rest.
-  LogicalResult translate(ModuleOp source, StringRef symbol, PhaseTimes &times,
-                          Failure &failure);
-  LogicalResult optimize(const CodegenOptions &options, PhaseTimes &times,
-                         Failure &failure);
-
-  llvm::Module &getModule() { return *module; }
-  ObjectCompiler &getObjectCompiler() { return *objects; }
-
-private:
-  std::unique_ptr<ObjectCompiler> &objects;
-  std::unique_ptr<llvm::LLVMContext> context;
-  std::unique_ptr<llvm::Module> module;
-};
-} // namespace
-
-LogicalResult LLVMJob::translate(ModuleOp source, StringRef symbol,
-                                 PhaseTimes &times, Failure &failure) {
-  PhaseTimer timer(times, Phase::Translate);
-  DiagnosticCollector collector(source.getContext());
-  module = translateModuleToLLVMIR(source, *context, symbol,
-                                   /*disableVerification=*/true);
-  if (!module) {
-    failure =
-        collector.take(FailureKind::Internal, "translation to LLVM IR failed");
-    return mlir::failure();
-  }
-  llvm::Function *entry = module->getFunction(symbol);
-  if (!entry || entry->isDeclaration()) {
-    failure = Failure::get(FailureKind::Internal,
-                           "no function '" + symbol + "' after lowering");
-    return mlir::failure();
-  }
-  for (llvm::GlobalValue &value : module->global_values())
-    if (!value.isDeclaration() && &value != entry)
-      value.setLinkage(llvm::GlobalValue::InternalLinkage);
-  return success();
-}
-
-/// A failure of LLVM, which is a bug of ours: we gave it what it cannot
-/// compile.
-static LogicalResult failInLLVM(llvm::Error error, Failure &failure) {
-  failure =
-      Failure::get(FailureKind::Internal, "code generation failed: " +
-                                              llvm::toString(std::move(error)));
-  return mlir::failure();
-}
-
-LogicalResult LLVMJob::optimize(const CodegenOptions &options,
-                                PhaseTimes &times, Failure &failure) {
-  PhaseTimer timer(times, Phase::Optimize);
-  if (!objects) {
-    auto made = ObjectCompiler::create(options);
-    if (!made)
-      return failInLLVM(made.takeError(), failure);
-    objects = std::move(*made);
-  }
-  if (llvm::Error error = objects->optimize(*module))
-    return failInLLVM(std::move(error), failure);
-  return success();
-}
-
-//===----------------------------------------------------------------------===//
-// Devices
-//===----------------------------------------------------------------------===//
-
-/// The device code of a lowered module, or null, which is a success.
-static LogicalResult findDeviceCode(ModuleOp module, Operation *&found,
-                                    Failure &failure) {
-  auto deviceModule = findDeviceModule(module);
-  if (!deviceModule)
-    return failInLLVM(deviceModule.takeError(), failure);
-  found = *deviceModule;
-  return success();
-}
-
-/// The compiler of device code of a worker, made now if need be.
-static llvm::Expected<DeviceCompiler *>
-getDeviceCompiler(std::unique_ptr<DeviceCompiler> &compiler,
-                  const CompileOptions &options) {
-  if (!compiler) {
-    auto made = DeviceCompiler::create({*options.device, options.deviceTarget},
-                                       options.codegen);
-    if (!made)
-      return made.takeError();
-    compiler = std::move(*made);
-  }
-  return compiler.get();
-}
-
-std::optional<runtime::DeviceImage>
-Compiler::makeProgram(const runtime::ProgramPlan &plan,
-                      const CompileOptions &options, Failure &failure) {
-  WorkerLease lease(*this, options);
-  auto compiler = getDeviceCompiler((*lease).deviceCode, options);
-  if (!compiler) {
-    (void)failInLLVM(compiler.takeError(), failure);
-    return std::nullopt;
-  }
-  auto image = (*compiler)->makeProgram(plan);
-  if ((*compiler)->isBroken())
-    (*lease).deviceCode.reset();
-  if (!image) {
-    (void)failInLLVM(image.takeError(), failure);
-    return std::nullopt;
-  }
-  return std::move(*image);
-}
-
-LogicalResult Compiler::compileDeviceCode(
-    Worker &worker, const CompileOptions &options, Prepared &prepared,
-    std::optional<runtime::DeviceImage> &image, Failure &failure) {
-  Operation *deviceModule = nullptr;
-  if (failed(findDeviceCode(*prepared.module, deviceModule, failure)))
-    return mlir::failure();
-  if (!deviceModule)
-    return success();
-  PhaseTimes &times = prepared.times;
-  // What is wrong with the target or lacks on this machine is not our bug.
-  auto fail = [&](llvm::Error error) {
-    failure =
-        Failure::get(FailureKind::Usage, llvm::toString(std::move(error)));
-    return mlir::failure();
-  };
-  auto made = getDeviceCompiler(worker.deviceCode, options);
-  if (!made)
-    return fail(made.takeError());
-  DeviceCompiler &compiler = **made;
-  llvm::scope_exit leave([&] {
-    if (compiler.isBroken())
-      worker.deviceCode.reset();
-  });
-  auto code = [&] {
-    PhaseTimer timer(times, Phase::Translate);
-    DiagnosticCollector collector(context);
-    auto code = compiler.translate(deviceModule);
-    if (!code && collector.hasErrors())
-      failure = collector.take(FailureKind::Internal);
-    return code;
-  }();
-  if (!code) {
-    if (failure.kind == FailureKind::None)
-      return fail(code.takeError());
-    llvm::consumeError(code.takeError());
-    return mlir::failure();
-  }
-  // A kernel without device functions has nothing to load.
-  if (!code->functions.empty()) {
-    {
-      PhaseTimer timer(times, Phase::Optimize);
-      if (llvm::Error error = compiler.optimize(*code))
-        return failInLLVM(std::move(error), failure);
-    }
-    PhaseTimer timer(times, Phase::Emit);
-    auto made = compiler.emit(*code);
-    if (!made)
-      return failInLLVM(made.takeError(), failure);
-    image = std::move(*made);
-    // They are not part of the key then.
-    if (!options.places)
-      image->places.clear();
-  }
-  deviceModule->erase();
-  return success();
-}
-
-/// The host's part of a kernel that runs on a device is cold.
-static CodegenOptions getHostCodegen(const CompileOptions &options) {
-  CodegenOptions codegen = options.codegen;
-  if (options.device)
-    codegen.optLevel = std::min(codegen.optLevel, 1u);
-  return codegen;
-}
-
-std::optional<CompiledObject>
-Compiler::compileObject(CompileRequest request, const CompileOptions &options,
-                        Prepared &prepared, Failure &failure) {
-  CompiledObject object;
-  object.symbol = prepared.symbol;
-  object.needs = prepared.needs;
-  // Parts of a kernel count for themselves.
-  if (object.symbol.empty())
-    return object;
-  object.skipped = prepared.skipped;
-  SkipScope scope;
-  object.loopLevels = findLoopLevels(*prepared.module, object.symbol);
-  WorkerLease lease(*this, options);
-  Worker &worker = *lease;
-  PhaseTimes &times = prepared.times;
-  if (failed(lower(worker, request, prepared, object.trees, failure, nullptr)))
-    return std::nullopt;
-  for (auto [sum, amount] : llvm::zip(object.skipped, scope.getAmounts()))
-    sum += amount;
-  if (options.device && failed(compileDeviceCode(worker, options, prepared,
-                                                 object.image, failure)))
-    return std::nullopt;
-  LLVMJob job(worker.objects);
-  if (failed(job.translate(*prepared.module, object.symbol, times, failure)) ||
-      failed(job.optimize(getHostCodegen(options), times, failure)))
-    return std::nullopt;
-  PhaseTimer timer(times, Phase::Emit);
-  auto code = job.getObjectCompiler().emitObject(job.getModule());
-  if (!code) {
-    (void)failInLLVM(code.takeError(), failure);
-    return std::nullopt;
-  }
-  object.code = std::move(*code);
-  return object;
-}
-
-//===----------------------------------------------------------------------===//
 // Compilation
 //===----------------------------------------------------------------------===//
 
@@ -724,7 +426,6 @@ std::optional<std::string> Compiler::print(CompileRequest request,
   }
   WorkerLease lease(*this, options);
   Worker &worker = *lease;
-  PhaseTimes times = {};
   if (stage == "autodiff" && request.forward) {
     Prepared prepared;
     if (failed(differentiate(worker, request, prepared, failure)))
@@ -761,39 +462,5 @@ std::optional<std::string> Compiler::print(CompileRequest request,
     module->print(stream);
     return text;
   }
-  if (stage == "nvvm") {
-    Operation *deviceModule = nullptr;
-    if (failed(findDeviceCode(module, deviceModule, failure)))
-      return std::nullopt;
-    if (deviceModule)
-      deviceModule->print(stream);
-    return text;
-  }
-  std::optional<runtime::DeviceImage> image;
-  if (options.device &&
-      failed(compileDeviceCode(worker, options, prepared, image, failure)))
-    return std::nullopt;
-  if (stage == "ptx") {
-    if (!image)
-      return text;
-    if (image->kind == runtime::DeviceKind::Cuda)
-      return std::move(image->bytes);
-    failure =
-        Failure::get(FailureKind::Usage, "the emulated device has no PTX");
-    return std::nullopt;
-  }
-  LLVMJob job(worker.objects);
-  if (failed(job.translate(module, prepared.symbol, times, failure)) ||
-      failed(job.optimize(getHostCodegen(options), times, failure)))
-    return std::nullopt;
-  if (stage == "llvmir") {
-    job.getModule().print(stream, nullptr);
-    return text;
-  }
-  auto assembly = job.getObjectCompiler().emitAssembly(job.getModule());
-  if (!assembly) {
-    (void)failInLLVM(assembly.takeError(), failure);
-    return std::nullopt;
-  }
-  return *assembly;
+  return printCode(worker, prepared, stage, options, failure);
 }

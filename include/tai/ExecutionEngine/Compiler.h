@@ -218,6 +218,11 @@ private:
                                   Prepared &prepared,
                                   std::optional<runtime::DeviceImage> &image,
                                   Failure &failure);
+  /// Prints what comes after the LLVM dialect.
+  std::optional<std::string> printCode(Worker &worker, Prepared &prepared,
+                                       StringRef stage,
+                                       const CompileOptions &options,
+                                       Failure &failure);
   /// Replaces the kernels of a module by those that carry tangents.
   LogicalResult extendByTangents(Worker &worker, CompileRequest request,
                                  Prepared &prepared, Failure &failure);

@@ -1,0 +1,88 @@
+//===- CompilerWorker.h - What one thread compiles with ---------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Compiler.cpp runs passes with it, CompilerCode.cpp makes code from what they
+// leave.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_EXECUTIONENGINE_COMPILERWORKER_H
+#define TAI_EXECUTIONENGINE_COMPILERWORKER_H
+
+#include "tai/ExecutionEngine/Compiler.h"
+#include <chrono>
+
+namespace mlir::tai {
+
+/// Adds the time until its end to a phase.
+class PhaseTimer {
+public:
+  PhaseTimer(PhaseTimes &times, Phase phase)
+      : slot(times[static_cast<unsigned>(phase)]),
+        start(std::chrono::steady_clock::now()) {}
+  ~PhaseTimer() {
+    slot +=
+        std::chrono::duration<double>(std::chrono::steady_clock::now() - start)
+            .count();
+  }
+
+private:
+  double &slot;
+  std::chrono::steady_clock::time_point start;
+};
+
+/// What one thread needs to compile. Pass managers are kept, because a pass
+/// collects its patterns when it first runs, and target machines are costly.
+struct Compiler::Worker {
+  Worker(MLIRContext *context, const Pipelines &pipelines,
+         const CompileOptions &options);
+
+  CompileOptions options;
+  PassManager autodiff;
+  PassManager takingAutodiff;
+  PassManager forward;
+  /// To the LLVM dialect, for a device or without one.
+  PassManager lowering;
+  std::unique_ptr<ObjectCompiler> objects;
+  std::unique_ptr<DeviceCompiler> deviceCode;
+  std::string *scf = nullptr;
+};
+
+/// Takes a worker for these options from the idle ones, and puts it back.
+class Compiler::WorkerLease {
+public:
+  WorkerLease(Compiler &compiler, const CompileOptions &options)
+      : compiler(compiler) {
+    {
+      std::lock_guard<std::mutex> lock(compiler.mutex);
+      auto found = llvm::find_if(compiler.idle, [&](const auto &candidate) {
+        return candidate->options == options;
+      });
+      if (found != compiler.idle.end()) {
+        worker = std::move(*found);
+        compiler.idle.erase(found);
+      }
+    }
+    if (!worker)
+      worker = std::make_unique<Worker>(compiler.context, compiler.pipelines,
+                                        options);
+  }
+  ~WorkerLease() {
+    std::lock_guard<std::mutex> lock(compiler.mutex);
+    compiler.idle.push_back(std::move(worker));
+  }
+
+  Worker &operator*() { return *worker; }
+
+private:
+  Compiler &compiler;
+  std::unique_ptr<Worker> worker;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_EXECUTIONENGINE_COMPILERWORKER_H
