@@ -354,6 +354,9 @@ TAI_EXPORT TaiStatus taiTapeSetCheckpoint(TaiTape tape, TaiCheckpoint kind,
                                           int64_t snapshots, int64_t budget);
 /// Stops recording (the tape can still be run backward and replayed).
 TAI_EXPORT TaiStatus taiTapeEnd(TaiTape tape);
+/// The same where taiTapeBackward comes next: a device may then run what was
+/// recorded together with its reverse sweep.
+TAI_EXPORT TaiStatus taiTapeEndToSweep(TaiTape tape);
 /// Seeds the adjoint of the loss with 1 and replays the adjoints in reverse.
 TAI_EXPORT TaiStatus taiTapeBackward(TaiTape tape);
 /// Runs the recorded launches again on the present contents of the fields.

@@ -105,6 +105,11 @@ TaiStatus taiTapeEnd(TaiTape tape) {
   return TAI_OK;
 }
 
+TaiStatus taiTapeEndToSweep(TaiTape tape) {
+  tape->tape->end(/*isSwept=*/true);
+  return TAI_OK;
+}
+
 TaiStatus taiTapeBackward(TaiTape tape) {
   TaiContextImpl &context = tape->context;
   if (failed(context.session.prepareReverse(*tape->tape, /*cleared=*/false)))

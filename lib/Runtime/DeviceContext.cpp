@@ -31,6 +31,7 @@ DeviceContext::DeviceContext(Runtime &runtime, std::unique_ptr<Device> device,
 }
 
 DeviceContext::~DeviceContext() {
+  dropSpare();
   if (stateMemory)
     free(stateMemory);
 }
@@ -42,11 +43,14 @@ DeviceContext::~DeviceContext() {
 Status DeviceContext::allocate(int64_t bytes, const std::string &owner,
                                DevicePtr &memory) {
   std::lock_guard<std::mutex> lock(mutex);
+  // Others need the memory more than a recording that may not come.
+  if (limit > 0 && bytes > limit - held)
+    dropSpare();
   Status status;
   std::string why;
   if (limit > 0 && bytes > limit - held)
     why = "a limit of " + formatBytes(limit) + " is set";
-  else if (status = device->allocate(bytes, memory); status) {
+  else if (status = allocateNow(bytes, memory); status) {
     holdings[memory] = {owner, bytes};
     held += bytes;
     return status;
@@ -104,6 +108,48 @@ int64_t DeviceContext::leftToReserved(int64_t taken) {
   return std::max<int64_t>(left, 0);
 }
 
+Status DeviceContext::allocateNow(int64_t bytes, DevicePtr &memory) {
+  Status status = device->allocate(bytes, memory);
+  if (status || spare.empty() || status.code() != StatusCode::Memory)
+    return status;
+  dropSpare();
+  return device->allocate(bytes, memory);
+}
+
+void DeviceContext::dropSpare() {
+  for (auto [bytes, memory] : spare) {
+    held -= bytes;
+    holdings.erase(memory);
+    device->free(memory);
+  }
+  spare.clear();
+}
+
+Status DeviceContext::take(int64_t bytes, const std::string &owner,
+                           DevicePtr &memory) {
+  {
+    std::lock_guard<std::mutex> lock(mutex);
+    // The first of so many bytes, so that each has what it had before.
+    if (auto found = spare.lower_bound(bytes);
+        found != spare.end() && found->first == bytes) {
+      memory = found->second;
+      spare.erase(found);
+      return Status::success();
+    }
+  }
+  return allocate(bytes, owner, memory);
+}
+
+void DeviceContext::giveBack(int64_t bytes, DevicePtr memory) {
+  // Work is in the order in which it was asked for, so whoever has the memory
+  // next comes after those that use it now.
+  constexpr int often = 2;
+  std::lock_guard<std::mutex> lock(mutex);
+  spare.emplace(bytes, memory);
+  if (numRecordings < often)
+    dropSpare();
+}
+
 void DeviceContext::free(DevicePtr memory) {
   std::lock_guard<std::mutex> lock(mutex);
   auto found = holdings.find(memory);
@@ -112,6 +158,22 @@ void DeviceContext::free(DevicePtr memory) {
   held -= found->second.bytes;
   holdings.erase(found);
   device->free(memory);
+}
+
+void DeviceContext::beginRecording() {
+  ++numRecordings;
+  if (!device->keepsLaunches())
+    collections.fetch_add(1, std::memory_order_relaxed);
+  note(device->beginRecording());
+}
+
+void DeviceContext::endRecording(bool isSwept) {
+  note(device->endRecording(isSwept));
+  if (device->expectsLaunches())
+    collections.fetch_add(1, std::memory_order_relaxed);
+  // What this recording did not want.
+  std::lock_guard<std::mutex> lock(mutex);
+  dropSpare();
 }
 
 //===----------------------------------------------------------------------===//

@@ -47,6 +47,11 @@ public:
   /// Memory that takes room where it is touched; see Device::reserve.
   Status reserve(int64_t bytes, const std::string &owner, DevicePtr &memory);
   void free(DevicePtr memory);
+  /// The same for what work in order alone uses, such as values that tapes
+  /// keep: the memory of one recording is that of the next one, at the same
+  /// addresses.
+  Status take(int64_t bytes, const std::string &owner, DevicePtr &memory);
+  void giveBack(int64_t bytes, DevicePtr memory);
   /// The most that the program can have, and what is left of it for memory that
   /// is reserved, some of which has taken its room already.
   int64_t mostBytes() const;
@@ -64,7 +69,7 @@ public:
   /// which was collected before, so that it can be the same work.
   void beginCollecting(bool isReplay) {
     // Launches that have been kept have begun with it.
-    if (!device->keepsLaunches())
+    if (!device->keepsLaunches() && !device->isGathering())
       collections.fetch_add(1, std::memory_order_relaxed);
     device->beginCollecting(isReplay);
   }
@@ -74,6 +79,9 @@ public:
       collections.fetch_add(1, std::memory_order_relaxed);
     return status;
   }
+  /// The same around what a tape records; see DeviceQueue.
+  void beginRecording();
+  void endRecording(bool isSwept);
   uint64_t numCollections() const {
     return collections.load(std::memory_order_relaxed);
   }
@@ -89,6 +97,8 @@ public:
 
 private:
   Status takeNoted();
+  Status allocateNow(int64_t bytes, DevicePtr &memory);
+  void dropSpare();
 
   // What each launch looks at.
   std::unique_ptr<DeviceQueue> device;
@@ -106,6 +116,9 @@ private:
     int64_t bytes;
   };
   std::map<DevicePtr, Holding> holdings;
+  /// By their bytes, in the order in which they were given back.
+  std::multimap<int64_t, DevicePtr> spare;
+  int numRecordings = 0;
   int64_t held = 0;
   DevicePtr stateMemory = 0;
   Status failure;
@@ -114,9 +127,12 @@ private:
 /// Device memory that goes with its owner.
 class DeviceBlock {
 public:
-  DeviceBlock(std::shared_ptr<DeviceContext> context, DevicePtr memory)
-      : context(std::move(context)), memory(memory) {}
-  ~DeviceBlock() { context->free(memory); }
+  ~DeviceBlock() {
+    if (keptBytes > 0)
+      context->giveBack(keptBytes, memory);
+    else
+      context->free(memory);
+  }
   DeviceBlock(const DeviceBlock &) = delete;
   DeviceBlock &operator=(const DeviceBlock &) = delete;
   static Status make(const std::shared_ptr<DeviceContext> &context,
@@ -125,14 +141,28 @@ public:
     DevicePtr memory = 0;
     Status status = context->allocate(bytes, owner, memory);
     if (status)
-      block = std::make_unique<DeviceBlock>(context, memory);
+      block.reset(new DeviceBlock(context, memory, 0));
+    return status;
+  }
+  /// For values that a tape keeps.
+  static Status makeKept(const std::shared_ptr<DeviceContext> &context,
+                         int64_t bytes, std::unique_ptr<DeviceBlock> &block) {
+    DevicePtr memory = 0;
+    Status status = context->take(bytes, "values that tapes keep", memory);
+    if (status)
+      block.reset(new DeviceBlock(context, memory, bytes));
     return status;
   }
   DevicePtr get() const { return memory; }
 
 private:
+  DeviceBlock(std::shared_ptr<DeviceContext> context, DevicePtr memory,
+              int64_t keptBytes)
+      : context(std::move(context)), memory(memory), keptBytes(keptBytes) {}
+
   std::shared_ptr<DeviceContext> context;
   DevicePtr memory;
+  int64_t keptBytes;
 };
 
 class BlockTrials;

@@ -12,6 +12,7 @@
 #include "ProgramSchedule.h"
 #include "TileChains.h"
 #include "tai/Runtime/DeviceQueue.h"
+#include <algorithm>
 #include <cstring>
 
 namespace mlir::tai::runtime {
@@ -31,7 +32,12 @@ struct DeviceQueue::Module : DeviceModule {
   /// What has been kept may launch its functions.
   ~Module() override {
     if (queue)
-      (void)queue->settle();
+      queue->forget(*this);
+  }
+  bool has(const DeviceFunction *function) const {
+    return std::any_of(
+        functions.begin(), functions.end(),
+        [&](const auto &known) { return known.get() == function; });
   }
   DeviceQueue *queue = nullptr;
   std::unique_ptr<DeviceModule> module;
@@ -146,6 +152,9 @@ public:
     return !ways.empty() && !(chosen && current == ways.size());
   }
   std::string explain() const;
+  bool uses(const Module &module) const;
+  /// What it takes, for those who collect recordings.
+  void tellTimes(double &chosenMs, double &graphMs) const;
 
   Sequence sequence;
 

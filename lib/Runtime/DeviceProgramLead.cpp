@@ -27,11 +27,6 @@ bool DeviceQueue::expectsLaunches() const {
   return watches && leads->areAnyKnown();
 }
 
-void DeviceQueue::noteOther() {
-  if (watches)
-    leads->interrupt();
-}
-
 bool DeviceQueue::keep(Function &function, const LaunchShape &shape,
                        const uint64_t *slots, int count) {
   // Those who use memory by themselves do not ask for what is kept.
@@ -52,31 +47,6 @@ Status DeviceQueue::runLead() {
   Sequence before = std::move(*lead);
   *lead = Sequence();
   return before.run(*device);
-}
-
-void DeviceQueue::beginCollecting(bool replay) {
-  if (collecting++ > 0)
-    return;
-  isReplay = replay;
-  hasProgram = false;
-  if (isReplay && watches) {
-    leads->begin();
-  } else {
-    noteOther();
-    failure = runLead();
-  }
-  watches = false;
-}
-
-Status DeviceQueue::endCollecting() {
-  if (--collecting > 0)
-    return Status::success();
-  Status status = flush(/*isWhole=*/true);
-  watches = isReplay && hasProgram;
-  leads->end(watches);
-  Status before = std::move(failure);
-  failure = Status::success();
-  return before ? std::move(status) : std::move(before);
 }
 
 //===----------------------------------------------------------------------===//

@@ -7,6 +7,7 @@
 
 #include "DeviceProgram.h"
 #include "LaunchLeads.h"
+#include "RecordedLaunches.h"
 #include "tai/Runtime/DeviceAbi.h"
 #include <algorithm>
 #include <cstring>
@@ -17,7 +18,8 @@ DeviceQueue::DeviceQueue(std::unique_ptr<Device> device, Device *unwatched)
     : device(std::move(device)), unwatched(unwatched),
       collected(std::make_unique<Sequence>()),
       lead(std::make_unique<Sequence>()),
-      leads(std::make_unique<LaunchLeads>()) {
+      leads(std::make_unique<LaunchLeads>()),
+      recorded(std::make_unique<RecordedLaunches>()) {
   setOneByOne(false);
 }
 
@@ -99,6 +101,8 @@ Status DeviceQueue::launch(DeviceFunction &function, const LaunchShape &shape,
                            const uint64_t *slots, int count) {
   auto &wrapped = static_cast<Function &>(function);
   if (__builtin_expect(collecting == 0, true)) {
+    if (__builtin_expect(records, false))
+      return launchRecorded(wrapped, shape, slots, count);
     if (__builtin_expect(watches, false) && keep(wrapped, shape, slots, count))
       return Status::success();
     if (__builtin_expect(isKeeping, false))
@@ -194,8 +198,10 @@ Status DeviceQueue::synchronize() {
 }
 
 void DeviceQueue::free(DevicePtr memory) {
-  // What has been collected may use it.
-  (void)settle();
+  // What has been collected may use it. A recording goes on: who frees what a
+  // tape has kept need not wait.
+  if (!records)
+    (void)settle();
   if (collected->empty() && lead->empty())
     device->free(memory);
   else
@@ -242,6 +248,7 @@ Status DeviceQueue::flush(bool isWhole) {
   Status status;
   // Less than this is not worth a graph.
   constexpr size_t fewest = 4;
+  RecordedLaunches::Outcome outcome;
   if (!isWhole || sequence.steps.size() < fewest ||
       mode == ProgramMode::Launches || oneByOne) {
     status = before.run(*device);
@@ -250,9 +257,18 @@ Status DeviceQueue::flush(bool isWhole) {
   } else {
     bool same = false;
     Program *program = findProgram(std::move(sequence), same);
+    int64_t start = recorded->hasRun() ? RecordedLaunches::now() : 0;
     status = program->run(before, same, mode, makeProgram);
     hasProgram = program->isPrepared();
+    if (recorded->hasRun()) {
+      outcome.isPrepared = hasProgram;
+      outcome.steps = program->sequence.steps.size();
+      outcome.hostNs = RecordedLaunches::now() - start;
+      program->tellTimes(outcome.chosenMs, outcome.graphMs);
+    }
   }
+  if (recorded->hasRun())
+    recorded->judge(outcome);
   for (DevicePtr memory : unused)
     device->free(memory);
   return status;
@@ -262,7 +278,7 @@ std::string DeviceQueue::explain() const {
   std::string text;
   for (const auto &[hash, program] : programs)
     text += program->explain() + "\n";
-  return text + leads->explain();
+  return text + leads->explain() + recorded->explain();
 }
 
 //===----------------------------------------------------------------------===//

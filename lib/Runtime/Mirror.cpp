@@ -307,8 +307,8 @@ Status Slabs::keepOnDevice(int64_t first, int64_t count,
   Mirror &mirror = *field->tree().mirror();
   Status status = mirror.toDevice();
   if (status)
-    status = DeviceBlock::make(mirror.sharedContext(), count * bytes,
-                               "values that tapes keep", block);
+    status =
+        DeviceBlock::makeKept(mirror.sharedContext(), count * bytes, block);
   if (!status)
     return status;
   if (mover) {
@@ -317,9 +317,7 @@ Status Slabs::keepOnDevice(int64_t first, int64_t count,
     return status ? mover->load(cells, block->get()) : std::move(status);
   }
   DeviceRows rows = rowsOf(first, count);
-  if (rows.rows == 1)
-    return mirror.device().copy(block->get(), rows.address, rows.rowBytes);
-  return mirror.device().copyRows(
+  return mirror.context().queue().copyKept(
       {block->get(), rows.rowBytes, rows.rowBytes, rows.rows}, rows.address,
       rows.step);
 }
@@ -327,8 +325,8 @@ Status Slabs::keepOnDevice(int64_t first, int64_t count,
 Status Slabs::zerosOnDevice(int64_t count,
                             std::unique_ptr<DeviceBlock> &block) const {
   Mirror &mirror = *field->tree().mirror();
-  Status status = DeviceBlock::make(mirror.sharedContext(), count * bytes,
-                                    "values that tapes keep", block);
+  Status status =
+      DeviceBlock::makeKept(mirror.sharedContext(), count * bytes, block);
   const char zero = 0;
   return status ? mirror.device().fill(block->get(), &zero, 1, count * bytes)
                 : std::move(status);

@@ -43,6 +43,9 @@ Status Runtime::beginTape(FieldPtr loss, bool clear,
     if (!status)
       return status;
   }
+  // Clearing belongs to it.
+  if (device)
+    device->beginRecording();
   if (clear)
     clearGradients();
   tape = std::move(made);

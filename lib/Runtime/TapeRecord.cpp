@@ -37,12 +37,14 @@ Tape::~Tape() {
       std::find(runtime.tapes.begin(), runtime.tapes.end(), this));
 }
 
-void Tape::end() {
+void Tape::end(bool isSwept) {
   if (!recording())
     return;
   runtime.setActiveTape(nullptr);
   topology->end();
   markVersions();
+  if (DeviceContext *device = runtime.getDeviceContext())
+    device->endRecording(isSwept);
 }
 
 bool Tape::recording() const { return runtime.activeTape == this; }

@@ -243,7 +243,13 @@ py::tuple getViolations(Tape &tape) {
 
 void bindTape(py::module_ &module) {
   py::class_<Tape>(module, "Tape")
-      .def("end", [](Tape &t) { t.context->check(taiTapeEnd(t.handle)); })
+      .def(
+          "end",
+          [](Tape &t, bool isSwept) {
+            t.context->check(isSwept ? taiTapeEndToSweep(t.handle)
+                                     : taiTapeEnd(t.handle));
+          },
+          py::arg("is_swept") = false)
       .def("backward",
            [](Tape &t) { checkSweep(t, taiTapeBackward(t.handle)); })
       .def("replay",

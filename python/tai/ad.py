@@ -150,17 +150,17 @@ class Tape:
         self._is_recording = True
         return self
 
-    def _stop(self) -> None:
+    def _stop(self, is_swept: bool = False) -> None:
         from . import _core
 
         _state.tape = None
         _core.set_tape(None)
         _ad_values.end()
         self._is_recording = False
-        self._core.end()
+        self._core.end(is_swept)
 
     def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
-        self._stop()
+        self._stop(is_swept=kind is None and self._was_seeded and not self._checks)
         if kind is None and self._checks:
             raise_violations(self._core)
         if kind is None and self._was_seeded:

@@ -24,6 +24,7 @@
 namespace mlir::tai::runtime {
 
 class LaunchLeads;
+class RecordedLaunches;
 
 /// A function of a kernel that goes into a program.
 struct ProgramPart {
@@ -123,11 +124,13 @@ public:
   void setProgramMaker(ProgramMaker maker) { makeProgram = std::move(maker); }
   void setMode(ProgramMode wanted) {
     (void)settle();
+    records = false;
     mode = wanted;
   }
   /// Whether all work is queued step by step, so that each can be timed.
   void setOneByOne(bool on) {
     (void)settle();
+    records &= !on;
     oneByOne = on;
     launcher = on || !unwatched ? device.get() : unwatched;
   }
@@ -148,25 +151,37 @@ public:
   /// collected. Launches between two replays that come each time become part of
   /// the second one (docs/decisions/0014-launches-between-replays.md).
   void beginCollecting(bool isReplay = false);
-  bool isCollecting() const { return collecting > 0; }
+  /// What is recorded may be collected, and is the same whether it is or not.
+  bool isCollecting() const { return collecting > 0 || records; }
   Status endCollecting();
+  /// Between the two, a tape records. Launches that are likely to be those of a
+  /// recording before are collected until it ends or something else comes
+  /// (docs/decisions/0015-recordings-that-come-again.md). `isSwept`: its
+  /// reverse sweep comes next, and becomes part of the sequence.
+  Status beginRecording();
+  Status endRecording(bool isSwept);
+  /// Whether launches of a recording are being collected.
+  bool isGathering() const;
+  /// A copy of what a tape keeps: nobody looks at it but work in order.
+  Status copyKept(const DeviceRows &to, DevicePtr from, int64_t fromStep);
   /// Fills that come while nothing is collected are kept until something else
   /// comes: those beside one another become one, and those before a sequence
   /// become part of it. Queues them, and launches that were kept.
   Status settle() {
-    if (__builtin_expect((!isKeeping && !watches) || collecting > 0, true))
+    if (__builtin_expect((!isKeeping && !watches && !records) || collecting > 0,
+                         true))
       return Status::success();
     return flush();
   }
   /// Whether launches are kept, or are likely to be.
   bool keepsLaunches() const;
-  bool mayKeep() const { return watches; }
+  bool mayKeep() const { return watches || records; }
   bool expectsLaunches() const;
 
   /// For what cannot wait until the sequence is whole, since it is timed:
   /// queues what has been collected, and a launch besides.
   Status interrupt() {
-    noteOther();
+    (void)noteOther();
     return flush(/*isWhole=*/false);
   }
   Status launchNow(DeviceFunction &function, const LaunchShape &shape,
@@ -179,9 +194,7 @@ public:
   std::string name() const override { return device->name(); }
   DeviceLimits limits() const override { return device->limits(); }
   std::string target() const override { return device->target(); }
-  Status allocate(int64_t bytes, DevicePtr &memory) override {
-    return device->allocate(bytes, memory);
-  }
+  Status allocate(int64_t bytes, DevicePtr &memory) override;
   Status reserve(int64_t bytes, DevicePtr &memory) override {
     return device->reserve(bytes, memory);
   }
@@ -233,11 +246,15 @@ private:
   /// Queues what has been collected; what is whole may become a program.
   Status flush(bool isWhole);
   Status flush() {
-    noteOther();
-    return flush(collecting > 0);
+    bool isWhole = noteOther();
+    return flush(isWhole || collecting > 0);
   }
-  /// Something has come that is neither a launch nor a fill.
-  void noteOther();
+  /// Something has come that is neither a launch nor a fill. Whether what a
+  /// tape has recorded is as whole as it was before.
+  bool noteOther();
+  Status launchRecorded(Function &function, const LaunchShape &shape,
+                        const uint64_t *slots, int count);
+  void forget(const Module &module);
   bool keep(Function &function, const LaunchShape &shape, const uint64_t *slots,
             int count);
   Status runLead();
@@ -253,6 +270,9 @@ private:
   bool isKeeping = false;
   /// Whether launches may be kept.
   bool watches = false;
+  /// Whether a tape records, and whether what it has recorded waits for its
+  /// sweep.
+  bool records = false, hasRecorded = false;
   bool oneByOne = false;
   ProgramMode mode = ProgramMode::Automatic;
   ProgramMaker makeProgram;
@@ -261,6 +281,7 @@ private:
   /// What comes before it: launches that were kept, and fills among them.
   std::unique_ptr<Sequence> lead;
   std::unique_ptr<LaunchLeads> leads;
+  std::unique_ptr<RecordedLaunches> recorded;
   /// Whether what is collected is a replay, and whether the last of it has come
   /// before.
   bool isReplay = false, hasProgram = false;

@@ -84,8 +84,9 @@ public:
   /// Whether the gradient needs what the field holds. What is recomputed reads
   /// whatever launches read.
   bool minds(const Field &field) const;
-  /// Stops recording. Ending twice is harmless.
-  void end();
+  /// Stops recording. Ending twice is harmless. `isSwept`: backward() comes
+  /// next, so that a device may run both as one.
+  void end(bool isSwept = false);
   bool recording() const;
 
   /// Launches between the two are not recorded. Pairs nest.

@@ -1,0 +1,211 @@
+//===- DeviceQueueRecord.cpp - When work is collected ---------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Replays and sweeps are collected as a whole. What a tape records is collected
+// where the same was recorded before, and with it the sweep that follows at
+// once: the program is then that of a replay. Whatever cannot wait until the
+// recording ends has what was collected queued first, in the same order.
+//
+//===----------------------------------------------------------------------===//
+
+#include "DeviceProgram.h"
+#include "LaunchLeads.h"
+#include "RecordedLaunches.h"
+#include <algorithm>
+
+using namespace mlir::tai::runtime;
+
+//===----------------------------------------------------------------------===//
+// Replays and sweeps
+//===----------------------------------------------------------------------===//
+
+void DeviceQueue::beginCollecting(bool replay) {
+  if (collecting++ > 0)
+    return;
+  hasProgram = false;
+  failure = Status::success();
+  isReplay = replay;
+  // A recording that goes on behind the sweep of another tape begins anew.
+  if (records && !isGathering())
+    (void)recorded->interrupt(/*isEnd=*/true);
+  if (isGathering()) {
+    bool isWhole = recorded->interrupt(/*isEnd=*/true);
+    if (hasRecorded)
+      records = hasRecorded = false;
+    // What was recorded goes on with its sweep.
+    if (isWhole) {
+      isReplay = true;
+      return;
+    }
+    failure = flush(/*isWhole=*/false);
+  }
+  if (isReplay && watches) {
+    leads->begin();
+  } else {
+    (void)noteOther();
+    // Fills go on.
+    if (Status status = runLead(); !status)
+      failure = std::move(status);
+  }
+  watches = false;
+}
+
+Status DeviceQueue::endCollecting() {
+  if (--collecting > 0)
+    return Status::success();
+  Status status = flush(/*isWhole=*/true);
+  watches = isReplay && hasProgram && !records;
+  leads->end(watches);
+  Status before = std::move(failure);
+  failure = Status::success();
+  return before ? std::move(status) : std::move(before);
+}
+
+bool DeviceQueue::noteOther() {
+  if (watches)
+    leads->interrupt();
+  if (!records || collecting > 0)
+    return false;
+  if (hasRecorded)
+    records = hasRecorded = false;
+  return recorded->interrupt();
+}
+
+//===----------------------------------------------------------------------===//
+// Recordings
+//===----------------------------------------------------------------------===//
+
+bool DeviceQueue::isGathering() const {
+  return records && recorded->isCollecting();
+}
+
+Status DeviceQueue::beginRecording() {
+  if (collecting > 0 || oneByOne || mode == ProgramMode::Launches)
+    return Status::success();
+  Status status;
+  if (hasRecorded)
+    status = flush();
+  recorded->begin();
+  // What is launched between recordings becomes part of the second one.
+  if (watches && recorded->areAnyKnown())
+    leads->begin();
+  else if (watches)
+    leads->interrupt();
+  watches = false;
+  records = true;
+  return status;
+}
+
+Status DeviceQueue::endRecording(bool isSwept) {
+  if (!records)
+    return Status::success();
+  Status status;
+  if (collecting > 0) {
+    recorded->end();
+  } else if (isSwept && recorded->isWhole()) {
+    hasRecorded = true;
+    return status;
+  } else if (isGathering()) {
+    status = flush();
+    watches = hasProgram;
+    leads->end(watches);
+  } else {
+    recorded->end();
+  }
+  records = false;
+  return status;
+}
+
+Status DeviceQueue::launchRecorded(Function &function, const LaunchShape &shape,
+                                   const uint64_t *slots, int count) {
+  Status status;
+  // Its sweep does not come, or somebody uses memory without asking.
+  if (hasRecorded || numShared.load(std::memory_order_relaxed) > 0) {
+    status = flush();
+    if (status)
+      status = launchNow(function, shape, slots, count);
+    return status;
+  }
+  if (recorded->expects({&function, shape.blocks, shape.threads, count})) {
+    collected->addLaunch(function, shape, slots, count);
+    isKeeping = true;
+    return status;
+  }
+  if (isKeeping)
+    status = flush(/*isWhole=*/false);
+  if (!status)
+    return status;
+  return recorded->timed(
+      [&] { return launchNow(function, shape, slots, count); });
+}
+
+Status DeviceQueue::copyKept(const DeviceRows &to, DevicePtr from,
+                             int64_t fromStep) {
+  bool isDense = to.rows == 1 && to.outer == 1;
+  if (collecting > 0 || isGathering()) {
+    if (!isDense)
+      collected->addRows(Step::Kind::CopyRows, to, from, fromStep);
+    else if (to.rowBytes > 0)
+      collected->addCopy(to.address, from, to.rowBytes);
+    isKeeping |= collecting == 0;
+    return Status::success();
+  }
+  Status status;
+  if (!records)
+    status = settle();
+  else if (isKeeping)
+    status = flush(/*isWhole=*/false);
+  if (!status)
+    return status;
+  return isDense ? device->copy(to.address, from, to.rowBytes)
+                 : device->copyRows(to, from, fromStep);
+}
+
+//===----------------------------------------------------------------------===//
+// Memory and code
+//===----------------------------------------------------------------------===//
+
+Status DeviceQueue::allocate(int64_t bytes, DevicePtr &memory) {
+  Status status = device->allocate(bytes, memory);
+  if (status || released.empty() || collecting > 0 ||
+      status.code() != StatusCode::Memory)
+    return status;
+  // What has been given back since is still to be used.
+  status = flush();
+  return status ? device->allocate(bytes, memory) : std::move(status);
+}
+
+void DeviceQueue::forget(const Module &module) {
+  (void)settle();
+  // Another function may have its address later on.
+  for (auto program = programs.begin(); program != programs.end();)
+    program = program->second->uses(module) ? programs.erase(program)
+                                            : std::next(program);
+  recorded->forget(
+      [&](const DeviceFunction *function) { return module.has(function); });
+}
+
+bool DeviceQueue::Program::uses(const Module &module) const {
+  auto isFrom = [&](const Sequence &some) {
+    return std::any_of(some.steps.begin(), some.steps.end(),
+                       [&](const Step &step) {
+                         return step.function && module.has(step.function);
+                       });
+  };
+  return isFrom(sequence) ||
+         std::any_of(leds.begin(), leds.end(),
+                     [&](const auto &led) { return isFrom(led->lead); });
+}
+
+void DeviceQueue::Program::tellTimes(double &chosenMs, double &graphMs) const {
+  if (!chosen || current >= ways.size())
+    return;
+  chosenMs = ways[current].measured;
+  for (const Way &way : ways)
+    if (way.mode == ProgramMode::Graph)
+      graphMs = way.measured;
+}
