@@ -98,6 +98,8 @@ static const char *nameOf(ProgramMode mode) {
     return "one kernel of the whole grid";
   case ProgramMode::Overlapped:
     return "a graph of launches that overlap";
+  case ProgramMode::Aside:
+    return "a graph of launches that overlap, with fills beside them";
   case ProgramMode::Tiles:
     return "one kernel of the whole grid, with tiles";
   default:
@@ -127,11 +129,11 @@ double DeviceQueue::Program::predict(const Way &way) const {
   constexpr double overlappedUs = 1.05, roundUs = 0.6, stageUs = 0.15,
                    graphUs = 1.3, blockUs = 0.15, clusterUs = 0.45,
                    gridUs = 1.1;
-  double stepUs = way.mode == ProgramMode::Graph        ? graphUs
-                  : way.mode == ProgramMode::Overlapped ? overlappedUs
-                  : way.mode == ProgramMode::Block      ? blockUs
-                  : way.mode == ProgramMode::Cluster    ? clusterUs
-                                                        : gridUs;
+  double stepUs = way.mode == ProgramMode::Graph     ? graphUs
+                  : way.overlaps()                   ? overlappedUs
+                  : way.mode == ProgramMode::Block   ? blockUs
+                  : way.mode == ProgramMode::Cluster ? clusterUs
+                                                     : gridUs;
   // A graph has its own way to wait, after each node.
   const Schedule &schedule = scheduleOf(way);
   size_t waits =
@@ -176,6 +178,10 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
   if (maker && areAllPartsKnown()) {
     if (limits.hasGraphs && limits.hasOverlaps)
       add(ProgramMode::Overlapped, 0, 0);
+    FrontFills front;
+    if (limits.hasGraphs && limits.hasOverlaps &&
+        splitFront(orderForGraph(), front))
+      add(ProgramMode::Aside, 0, 0);
     unsigned most = limits.threadsPerBlock;
     unsigned wide = std::min(most, warps(width));
     add(ProgramMode::Block, 1, wide);
@@ -227,11 +233,12 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
                ways.end());
   }
   // Worth its compilation only where a graph is among the best.
-  auto overlapped = std::find_if(ways.begin(), ways.end(), [](const Way &way) {
-    return way.mode == ProgramMode::Overlapped;
-  });
-  if (overlapped != ways.end())
-    std::rotate(overlapped, overlapped + 1, ways.end());
+  for (ProgramMode last : {ProgramMode::Overlapped, ProgramMode::Aside}) {
+    auto found = std::find_if(ways.begin(), ways.end(),
+                              [&](const Way &way) { return way.mode == last; });
+    if (found != ways.end())
+      std::rotate(found, found + 1, ways.end());
+  }
 }
 
 //===----------------------------------------------------------------------===//
@@ -287,7 +294,7 @@ std::vector<LoopStep> DeviceQueue::Program::listSteps(const Way &way) const {
 
 Status DeviceQueue::Program::prepare(Way &way) {
   way.isReady = true;
-  if (way.mode == ProgramMode::Overlapped)
+  if (way.overlaps())
     return prepareOverlapped(way);
   if (way.mode == ProgramMode::Graph)
     return makeCurrent(way);

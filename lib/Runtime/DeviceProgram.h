@@ -185,9 +185,18 @@ private:
     std::unordered_map<const Function *, DeviceFunction *> overlapping;
     /// Of a graph: the pieces of work that come one after another.
     size_t numNodes = 0;
-    bool isGraph() const {
-      return mode == ProgramMode::Graph || mode == ProgramMode::Overlapped;
+    bool isGraph() const { return mode == ProgramMode::Graph || overlaps(); }
+    bool overlaps() const {
+      return mode == ProgramMode::Overlapped || mode == ProgramMode::Aside;
     }
+  };
+
+  /// The fills in front of a sequence: those that come first, and those beside
+  /// what follows, up to a place in the order.
+  struct FrontFills {
+    std::vector<DeviceFill> first, aside;
+    /// How many steps they were, and the place of the first that waits for all.
+    size_t count = 0, join = 0;
   };
 
   /// The sequence behind another one.
@@ -223,6 +232,7 @@ private:
   Status capture(Way &way);
   Status runGraphSteps(Way &way, StepRunner &runner);
   std::vector<uint32_t> orderForGraph() const;
+  bool splitFront(const std::vector<uint32_t> &order, FrontFills &front) const;
   Status runKernel(Way &way, StepRunner &runner);
   void noteRun(bool same);
   Led &findLed(const Sequence &lead);

@@ -31,6 +31,12 @@ Status DeviceQueue::Program::prepareOverlapped(Way &way) {
   if (!mayOverlapPay())
     return Status::failure(StatusCode::Internal,
                            "launches by themselves take too long");
+  // With fills beside launches, the kernels are the same.
+  for (const Way &other : ways)
+    if (&other != &way && !other.overlapping.empty()) {
+      way.overlapping = other.overlapping;
+      return makeCurrent(way);
+    }
   std::vector<const Function *> parts = listParts();
   ProgramPlan plan;
   plan.scope = TAI_SCOPE_LAUNCHES;
@@ -56,7 +62,7 @@ Status DeviceQueue::Program::prepareOverlapped(Way &way) {
 
 /// Makes or changes the graph.
 Status DeviceQueue::Program::capture(Way &way) {
-  Status status = device.beginCapture(0, way.mode == ProgramMode::Overlapped);
+  Status status = device.beginCapture(0, way.overlaps());
   if (!status)
     return status;
   StepRunner runner(device);
@@ -67,54 +73,46 @@ Status DeviceQueue::Program::capture(Way &way) {
 
 Status DeviceQueue::Program::runGraphSteps(Way &way, StepRunner &runner) {
   Status status;
-  size_t overlapping = 0, before = runner.numPieces();
-  for (uint32_t number : orderForGraph()) {
-    const Step &step = sequence.steps[number];
+  size_t direct = 0, before = runner.numPieces(), at = 0;
+  std::vector<uint32_t> order = orderForGraph();
+  FrontFills front;
+  bool isAside = way.mode == ProgramMode::Aside && splitFront(order, front);
+  if (isAside) {
+    at = front.count;
+    status = runner.finish();
+    if (status)
+      status = device.fillAside(front.aside);
+    if (status && !front.first.empty()) {
+      status = device.fillAll(front.first);
+      ++direct;
+    }
+  }
+  for (; status && at < order.size(); ++at) {
+    const Step &step = sequence.steps[order[at]];
+    if (isAside && at == front.join) {
+      status = runner.finish();
+      if (status)
+        status = device.joinAside();
+      if (!status)
+        break;
+    }
     if (step.kind != Step::Kind::Launch || way.overlapping.empty()) {
       status = runner.run(sequence, step);
     } else {
       status = runner.finish();
       LaunchShape shape = step.shape;
       shape.overlaps = true;
-      ++overlapping;
+      ++direct;
       if (status)
         status = device.launch(*way.overlapping.at(step.function), shape,
                                sequence.slots.data() + step.firstSlot,
                                static_cast<int>(step.numSlots));
     }
-    if (!status)
-      return status;
   }
-  status = runner.finish();
-  way.numNodes = runner.numPieces() - before + overlapping;
+  if (status)
+    status = runner.finish();
+  if (status && isAside && front.join == order.size())
+    status = device.joinAside();
+  way.numNodes = runner.numPieces() - before + direct;
   return status;
-}
-
-/// The steps in their order, but fills as early as they can join others, or
-/// stand in front of all: between launches each would be waited for by itself.
-std::vector<uint32_t> DeviceQueue::Program::orderForGraph() const {
-  // So many steps are looked at.
-  size_t left = 4096;
-  std::vector<uint32_t> order;
-  order.reserve(sequence.steps.size());
-  for (uint32_t i = 0; i < sequence.steps.size(); ++i) {
-    const Step &step = sequence.steps[i];
-    size_t place = order.size();
-    if (step.isFill() && place > 0 && left > 0) {
-      StepMemory memory = memoryOf(step);
-      for (; place > 0 && left > 0; --place, --left) {
-        const Step &before = sequence.steps[order[place - 1]];
-        if (before.isFill())
-          break;
-        if (getRelation(memoryOf(before), memory) != StepRelation::None) {
-          place = order.size();
-          break;
-        }
-      }
-      if (left == 0)
-        place = order.size();
-    }
-    order.insert(order.begin() + static_cast<ptrdiff_t>(place), i);
-  }
-  return order;
 }

@@ -127,8 +127,7 @@ Status DeviceQueue::Program::captureLed(Led &led, Way &way) {
   if (!way.isGraph())
     status = makeCurrent(way);
   if (status)
-    status = device.beginCapture(numFirstLaunches(led.lead),
-                                 way.mode == ProgramMode::Overlapped);
+    status = device.beginCapture(numFirstLaunches(led.lead), way.overlaps());
   if (!status)
     return status;
   StepRunner runner(device);

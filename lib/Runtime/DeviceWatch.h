@@ -96,6 +96,10 @@ public:
                 const uint64_t *slots, int count) override;
   Status beginCapture(size_t numChangeable, bool overlaps) override;
   Status endCapture(std::unique_ptr<DeviceGraph> &graph) override;
+  Status fillAside(const std::vector<DeviceFill> &fills) override {
+    return device->fillAside(fills);
+  }
+  Status joinAside() override { return device->joinAside(); }
   Status run(DeviceGraph &graph) override;
   Status change(DeviceGraph &graph, size_t number, DeviceFunction &function,
                 const LaunchShape &shape, const uint64_t *slots,

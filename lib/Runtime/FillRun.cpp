@@ -7,6 +7,7 @@
 
 #include "FillRun.h"
 #include <algorithm>
+#include <cstdlib>
 #include <numeric>
 
 using namespace mlir::tai::runtime;
@@ -18,6 +19,11 @@ uint64_t mlir::tai::runtime::repeatPattern(const void *pattern,
     std::memcpy(reinterpret_cast<char *>(&word) + at, pattern,
                 static_cast<size_t>(patternBytes));
   return word;
+}
+
+int64_t mlir::tai::runtime::largeFillBytes() {
+  const char *given = std::getenv("TAI_FILLS_TOGETHER_BYTES");
+  return given && *given ? std::strtoll(given, nullptr, 10) : int64_t(64) << 20;
 }
 
 //===----------------------------------------------------------------------===//
@@ -265,3 +271,8 @@ Status Device::fillAll(const std::vector<DeviceFill> &fills) {
     status = fillRows(fill->rows, &fill->pattern, fill->patternBytes);
   return status;
 }
+
+Status Device::fillAside(const std::vector<DeviceFill> &fills) {
+  return fillAll(fills);
+}
+Status Device::joinAside() { return Status::success(); }

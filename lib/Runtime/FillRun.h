@@ -21,6 +21,10 @@ namespace mlir::tai::runtime {
 /// The pattern of a fill again and again, to eight bytes.
 uint64_t repeatPattern(const void *pattern, int patternBytes);
 
+/// A fill of so many bytes or more is by itself: the driver and a kernel write
+/// them as fast as memory takes them, in more than ten microseconds on an H200.
+int64_t largeFillBytes();
+
 /// Whether the two may change places.
 bool canChangePlaces(const DeviceFill &a, const DeviceFill &b);
 

@@ -140,6 +140,19 @@ static bool areInterleaved(const StepMemory::Piece &a,
   return distance >= a.size && distance + b.size <= step;
 }
 
+/// True if all of one piece lies between two elements of the other: a row of
+/// numbers where the rows of their gradients are cleared.
+static bool liesBetween(const StepMemory::Piece &a,
+                        const StepMemory::Piece &b) {
+  auto bytes = static_cast<int64_t>(a.end - a.begin);
+  if (b.step <= 0 || bytes > b.step - b.size)
+    return false;
+  int64_t distance = static_cast<int64_t>(a.begin - b.first) % b.step;
+  if (distance < 0)
+    distance += b.step;
+  return distance >= b.size && distance + bytes <= b.step;
+}
+
 /// True if in both the same iterations reach the same memory, and no others do.
 static bool haveSameThreads(const StepMemory::Piece &a,
                             const StepMemory::Piece &b) {
@@ -168,7 +181,8 @@ static bool haveSameThreads(const StepMemory::Piece &a,
 static StepRelation getRelation(const StepMemory::Piece &a,
                                 const StepMemory::Piece &b) {
   if ((a.kind == b.kind && a.kind != DeviceAccess::Write) || a.end <= b.begin ||
-      b.end <= a.begin || areInterleaved(a, b))
+      b.end <= a.begin || areInterleaved(a, b) || liesBetween(a, b) ||
+      liesBetween(b, a))
     return StepRelation::None;
   return haveSameThreads(a, b) ? StepRelation::SameThread
                                : StepRelation::Barrier;

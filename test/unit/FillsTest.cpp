@@ -223,10 +223,10 @@ protected:
          {"TAI_CUDA_DRIVER", "TAI_FAKE_CUDA", "TAI_FILLS_TOGETHER_BYTES"})
       unsetenv(name);
   }
-  void open(ProgramMode mode) {
+  void open(ProgramMode mode, const char *words = "overlaps") {
     close();
     setenv("TAI_CUDA_DRIVER", TAI_FAKE_CUDA_LIBRARY, 1);
-    setenv("TAI_FAKE_CUDA", "overlaps", 1);
+    setenv("TAI_FAKE_CUDA", words, 1);
     std::unique_ptr<Device> device;
     ASSERT_OK(openCudaDevice(0, device));
     queue = std::make_unique<DeviceQueue>(std::move(device));
@@ -316,7 +316,7 @@ protected:
     EXPECT_EQ(std::memcmp(found.data(), expected.data(), bytes), 0);
   }
 
-  static constexpr int64_t bytes = 4096;
+  static constexpr int64_t bytes = 6 << 20;
   std::unique_ptr<DeviceQueue> queue;
   std::unique_ptr<DeviceModule> module;
   DeviceFunction *function = nullptr;
@@ -481,6 +481,62 @@ TEST_F(QueuedFills, WithoutASequenceAreOneSubmission) {
   EXPECT_OK(queue->synchronize());
   EXPECT_EQ(counter("submissions") - before, 1);
   check();
+}
+
+TEST_F(QueuedFills, RunBesideLaunchesThatDoNotTouchTheirMemory) {
+  constexpr int64_t large = 5 << 17;
+  for (const char *words : {"overlaps", "overlaps side-first"}) {
+    open(ProgramMode::Aside, words);
+    int64_t touched = 1000;
+    auto work = [&] {
+      fill(0, 100, 1);
+      fill(1000, large, 2.5);
+      // Another value at an end of the same memory.
+      fill(1004, 2, 3);
+      for (int64_t i = 0; i < 40; ++i)
+        launch(i == 30 ? touched : i % 10 * 8);
+      fill(1000 + large - 1, 1, 7);
+      launch(1000 + large - 8);
+    };
+    replay(work);
+    // The fill in front, those beside, and the launches: but for the first, and
+    // the one that waits for both, all of these overlap.
+    EXPECT_EQ(counter("nodes"), 43);
+    EXPECT_EQ(counter("overlapping"), 40);
+    std::string text = queue->explain();
+    EXPECT_NE(text.find("fills beside them (42 nodes)"), std::string::npos)
+        << text;
+    check();
+    // With 8, nothing but the last launch touches what is filled beside.
+    for (int64_t next : {int64_t(1001), int64_t(8)}) {
+      touched = next;
+      replay(work, 3);
+      check();
+    }
+  }
+}
+
+TEST_F(QueuedFills, RunBesideWhatComesBehindAHead) {
+  constexpr int64_t large = 5 << 17;
+  setenv("TAI_KEEP_LAUNCHES_US", "1000000000", 1);
+  for (const char *words : {"overlaps", "overlaps side-first"}) {
+    open(ProgramMode::Aside, words);
+    for (int i = 0; i < 12; ++i) {
+      queue->beginCollecting(/*isReplay=*/true);
+      fill(0, 100, i);
+      fill(1000, large, 2.5);
+      for (int64_t at = 0; at < 40; ++at)
+        launch(at < 30 ? at % 10 * 8 : 1000 + at);
+      EXPECT_OK(queue->endCollecting());
+      // It reads what is filled then.
+      launch(1000);
+      launch(2000);
+    }
+    EXPECT_NE(queue->explain().find("as one graph"), std::string::npos)
+        << queue->explain();
+    check();
+  }
+  unsetenv("TAI_KEEP_LAUNCHES_US");
 }
 
 TEST_F(QueuedFills, MoreThanATableHolds) {

@@ -118,6 +118,23 @@ TEST_F(ProgramSchedules, DenseMemoryIsOneDimension) {
             StepRelation::Barrier);
 }
 
+TEST_F(ProgramSchedules, RowsLieBetweenThoseThatAreFilled) {
+  // Every other row, the second one first.
+  StepMemory fill;
+  fill.addRows(Write, 4096 + 320, 640, 320, 5);
+  for (uint64_t row = 0; row < 10; ++row) {
+    auto expected = row % 2 == 0 ? StepRelation::None : StepRelation::Barrier;
+    StepMemory touched = step(function({anyOf(Read)}), 4096, row);
+    EXPECT_EQ(getRelation(fill, touched), expected) << row;
+    EXPECT_EQ(getRelation(touched, fill), expected) << row;
+  }
+  // Not all of it lies between two.
+  EXPECT_EQ(getRelation(fill, step(function({anyOf(Read)}), 4096 + 4, 2)),
+            StepRelation::Barrier);
+  EXPECT_EQ(getRelation(fill, step(function({anyOf(Read)}), 4096 - 4, 2)),
+            StepRelation::Barrier);
+}
+
 TEST_F(ProgramSchedules, FieldsThatShareCellsAreApart) {
   // Cells of 8 bytes with a float of either field.
   DeviceAccess first = at(Write), second = at(Read, 0, 4);

@@ -233,6 +233,10 @@ public:
   virtual Status endCapture(std::unique_ptr<DeviceGraph> &graph);
   /// Queues what has been recorded.
   virtual Status run(DeviceGraph &graph);
+  /// The same as fillAll for a graph that is recorded, once in each: beside
+  /// what is queued from now on, until that is to wait for it.
+  virtual Status fillAside(const std::vector<DeviceFill> &fills);
+  virtual Status joinAside();
   /// Gives a launch of the graph other parameters, from the next run on. The
   /// function is that which was recorded.
   virtual Status change(DeviceGraph &graph, size_t number,

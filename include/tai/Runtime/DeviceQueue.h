@@ -109,7 +109,9 @@ enum class ProgramMode {
   /// As Grid, with chains in tiles.
   Tiles,
   /// As Graph, of kernels that wait by themselves.
-  Overlapped
+  Overlapped,
+  /// As Overlapped, with fills that are not needed at first beside them.
+  Aside
 };
 
 class DeviceQueue final : public Device {

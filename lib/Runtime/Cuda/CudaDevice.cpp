@@ -132,6 +132,9 @@ Status CudaDevice::open() {
   }
   if (status)
     status = check(made, "no stream can be made");
+  if (status && most.hasOverlaps &&
+      cu.streamCreate(&side, kStreamNonBlocking) != kSuccess)
+    side = nullptr;
   if (status)
     status = setHeap(bytes);
   void *memory = nullptr;
@@ -195,6 +198,8 @@ CudaDevice::~CudaDevice() {
       (void)cu.streamSynchronize(stream);
       (void)cu.streamDestroy(stream);
     }
+    if (side)
+      (void)cu.streamDestroy(side);
     if (pool)
       (void)cu.memPoolDestroy(pool);
   }

@@ -81,6 +81,8 @@ public:
                 const uint64_t *slots, int count) override;
   Status beginCapture(size_t numChangeable, bool overlaps) override;
   Status endCapture(std::unique_ptr<DeviceGraph> &graph) override;
+  Status fillAside(const std::vector<DeviceFill> &fills) override;
+  Status joinAside() override;
   Status run(DeviceGraph &graph) override;
   Status change(DeviceGraph &graph, size_t number, DeviceFunction &function,
                 const LaunchShape &shape, const uint64_t *slots,
@@ -151,6 +153,10 @@ private:
   bool isCapturing = false, isAfterKernel = false;
   /// Whether our own kernels overlap in the graph that is being recorded.
   bool capturesOverlaps = false;
+  /// Another stream, for a branch of a graph; null for none. Whether there is
+  /// one that nothing has waited for yet, and whether it is being recorded.
+  Stream side = nullptr;
+  bool isAside = false, isFillingAside = false;
   Pool pool = nullptr;
   std::string label, architecture;
   DeviceLimits most;

@@ -16,7 +16,6 @@
 #include "CudaDevice.h"
 #include "FillTable.h"
 #include <algorithm>
-#include <cstdlib>
 #include <cstring>
 
 using namespace mlir::tai::runtime;
@@ -28,13 +27,6 @@ static int64_t bytesOf(const DeviceRows &rows) {
 
 static bool isDense(const DeviceRows &rows) {
   return rows.rows == 1 && rows.outer == 1;
-}
-
-/// A fill of so many bytes or more is by itself. The driver and a kernel write
-/// them as fast as memory takes them, in more than ten microseconds on an H200.
-static int64_t largeBytes() {
-  const char *given = std::getenv("TAI_FILLS_TOGETHER_BYTES");
-  return given && *given ? std::strtoll(given, nullptr, 10) : int64_t(64) << 20;
 }
 
 //===----------------------------------------------------------------------===//
@@ -87,7 +79,8 @@ Status CudaDevice::runFills(TaiFillTable &table) {
   LaunchShape shape;
   shape.threads = taiFillThreads;
   shape.blocks = static_cast<unsigned>(
-      std::min<uint64_t>(table.entries[table.count - 1].end, fillBlocks));
+      std::min<uint64_t>(table.entries[table.count - 1].end,
+                         isFillingAside ? most.multiprocessors : fillBlocks));
   shape.overlaps = doesOverlap();
   // One parameter, of all these words.
   constexpr size_t words = sizeof(table) / sizeof(uint64_t);
@@ -133,8 +126,9 @@ Status CudaDevice::fillByKernel(const DeviceFill &fill) {
 
 Status CudaDevice::fillAlone(const DeviceFill &fill) {
   const DeviceRows &rows = fill.rows;
-  bool isSmall = bytesOf(rows) < largeBytes();
-  return isDense(rows) && !(doesOverlap() && isSmall)
+  bool byKernel =
+      (doesOverlap() || isFillingAside) && bytesOf(rows) < largeFillBytes();
+  return isDense(rows) && !byKernel
              ? this->fill(rows.address, &fill.pattern, fill.patternBytes,
                           rows.rowBytes / fill.patternBytes)
              : fillByKernel(fill);
@@ -145,7 +139,7 @@ Status CudaDevice::fillAll(const std::vector<DeviceFill> &fills) {
     return fillAlone(fills.front());
   // The others come last: what follows is made ready while they run.
   Status status;
-  int64_t large = largeBytes();
+  int64_t large = largeFillBytes();
   std::vector<const DeviceFill *> together;
   for (const DeviceFill &fill : fills)
     if (bytesOf(fill.rows) < large)
@@ -159,4 +153,37 @@ Status CudaDevice::fillAll(const std::vector<DeviceFill> &fills) {
     if (status)
       status = addFill(table, *fill);
   return status ? runFills(table) : std::move(status);
+}
+
+//===----------------------------------------------------------------------===//
+// Beside other work
+//===----------------------------------------------------------------------===//
+
+/// In a branch of the graph: what another stream is given while this one is
+/// recorded. A block on each multiprocessor leaves room for the launches.
+Status CudaDevice::fillAside(const std::vector<DeviceFill> &fills) {
+  if (!side || !isCapturing || isAside)
+    return fillAll(fills);
+  Status status = order(stream, side);
+  if (!status)
+    return status;
+  bool wasAfterKernel = isAfterKernel, overlapped = capturesOverlaps;
+  isAside = isFillingAside = true;
+  capturesOverlaps = false;
+  std::swap(stream, side);
+  status = fillAll(fills);
+  std::swap(stream, side);
+  capturesOverlaps = overlapped;
+  isAfterKernel = wasAfterKernel;
+  isFillingAside = false;
+  return status;
+}
+
+/// What comes next does not wait for one kernel alone, so it waits for the end
+/// of both.
+Status CudaDevice::joinAside() {
+  if (!isAside)
+    return Status::success();
+  isAside = isAfterKernel = false;
+  return order(side, stream);
 }

@@ -185,6 +185,8 @@ Status CudaDevice::beginCapture(size_t changeable, bool overlaps) {
 
 Status CudaDevice::endCapture(std::unique_ptr<DeviceGraph> &graph) {
   Graph recorded = nullptr;
+  // The driver takes no graph of which a branch stays open.
+  (void)joinAside();
   isCapturing = false;
   Status status = check(cu.streamEndCapture(stream, &recorded),
                         "a graph cannot be recorded");

@@ -69,6 +69,8 @@ constexpr unsigned kLaunchOverlapped = 6;
 constexpr int kCaptureThreadLocal = 1;
 // Of nodes of graphs.
 constexpr int kNodeKernel = 0;
+// Of streams: not in order with the default one.
+constexpr unsigned kStreamNonBlocking = 1;
 // Of events.
 constexpr unsigned kEventDefault = 0;
 constexpr unsigned kEventNoTiming = 2;

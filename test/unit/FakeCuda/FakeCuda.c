@@ -13,7 +13,8 @@
 // no-graphs, fixed-graphs (their parameters stay), any-function (modules have
 // functions of all names, which do nothing), overlaps (launches can), likes-512
 // (a launch takes 400 microseconds in blocks of 512 threads, and 900 else),
-// list-graphs (what they consist of is written to standard error). The clock of
+// list-graphs (what they consist of is written to standard error), side-first
+// (branches of graphs come as early as they may, else as late). The clock of
 // the device advances by a microsecond with each piece of work, and by a launch
 // of "scale" by one for each thousand numbers. A module has the functions
 // "scale" (double *x, int64_t n, double factor), "add" (the same) and "where"
@@ -72,7 +73,7 @@ typedef struct FakeGraph {
 
 /// Each thread has a context of its own, or none.
 static __thread void *current;
-static int context, stream, module, faulted;
+static int context, stream, side, module, faulted;
 
 Result cuInit(unsigned flags) {
   (void)flags;
@@ -177,8 +178,7 @@ Result cuCtxSetCurrent(void *given) {
   return 0;
 }
 Result cuStreamCreate(void **result, unsigned flags) {
-  (void)flags;
-  *result = &stream;
+  *result = flags ? &side : &stream;
   return 0;
 }
 Result cuStreamDestroy_v2(void *given) {
@@ -212,6 +212,9 @@ Result cuEventDestroy_v2(void *event) {
   free(event);
   return 0;
 }
+/// While a graph is recorded.
+NOT_COUNTED static int isRecording(void);
+NOT_COUNTED static Result branch(void *given, void *on);
 /// What streams have waited for others: "a>b " for b, which waits for a, ours
 /// being 's'.
 char tai_fake_cuda_waits[256];
@@ -222,6 +225,8 @@ Result cuStreamWaitEvent(void *given, void *event, unsigned flags) {
   FakeEvent *fake = event;
   if (flags || !fake->recorded)
     return 1;
+  if (isRecording())
+    return branch(given, fake->on);
   size_t used = strlen(tai_fake_cuda_waits);
   snprintf(tai_fake_cuda_waits + used, sizeof(tai_fake_cuda_waits) - used,
            "%c>%c ", letter(fake->on), letter(given));
@@ -333,8 +338,10 @@ Result cuMemcpyDtoHAsync_v2(void *to, Address from, size_t bytes, void *on) {
   return 0;
 }
 NOT_COUNTED static Result submit(const FakeNode *node);
+/// Where work is queued.
+static void *target;
 Result cuMemcpyDtoDAsync_v2(Address to, Address from, size_t bytes, void *on) {
-  (void)on;
+  target = on;
   FakeNode node = {.kind = 1, .values = {to, from, bytes}};
   return submit(&node);
 }
@@ -345,16 +352,16 @@ NOT_COUNTED static Result fill(Address to, unsigned value, size_t count,
 }
 Result cuMemsetD8Async(Address to, unsigned char value, size_t count,
                        void *on) {
-  (void)on;
+  target = on;
   return fill(to, value, count, 1);
 }
 Result cuMemsetD16Async(Address to, unsigned short value, size_t count,
                         void *on) {
-  (void)on;
+  target = on;
   return fill(to, value, count, 2);
 }
 Result cuMemsetD32Async(Address to, unsigned value, size_t count, void *on) {
-  (void)on;
+  target = on;
   return fill(to, value, count, 4);
 }
 Result cuPointerGetAttribute(void *value, int attribute, Address address) {
@@ -479,14 +486,37 @@ static FakeGraph *recording;
 /// change some.
 int tai_fake_cuda_submissions, tai_fake_cuda_records, tai_fake_cuda_changes;
 
+/// What the other stream is given while one is recorded: it comes as late as it
+/// may, or with the word "side-first" as early. `branches` is 1 where nothing
+/// waits for it yet.
+static FakeGraph *beside;
+static int branches;
+
+NOT_COUNTED static int isRecording(void) { return recording != NULL; }
+NOT_COUNTED static Result branch(void *given, void *on) {
+  if (given == &side && on == &stream && !branches) {
+    branches = 1;
+    beside->count = 0;
+    return 0;
+  }
+  if (given != &stream || on != &side || !branches)
+    return 900;
+  branches = 0;
+  for (int i = 0; i < beside->count; ++i)
+    recording->nodes[recording->count++] = beside->nodes[i];
+  return 0;
+}
 NOT_COUNTED static Result submit(const FakeNode *node) {
   if (!recording) {
     ++tai_fake_cuda_submissions;
     return perform(node);
   }
-  if (recording->count == mostNodes)
+  FakeGraph *graph = target == &side && !has("side-first") ? beside : recording;
+  if (target == &side && !branches)
+    return 900;
+  if (graph->count == mostNodes)
     return 2;
-  recording->nodes[recording->count++] = *node;
+  graph->nodes[graph->count++] = *node;
   return 0;
 }
 /// What was filled by a kernel last.
@@ -523,14 +553,16 @@ Result cuLaunchKernel(void *function, unsigned blocks, unsigned by, unsigned bz,
                       unsigned threads, unsigned ty, unsigned tz,
                       unsigned shared, void *on, void **parameters,
                       void **extra) {
-  (void)by, (void)bz, (void)ty, (void)tz, (void)shared, (void)on, (void)extra;
+  (void)by, (void)bz, (void)ty, (void)tz, (void)shared, (void)extra;
+  target = on;
   return launch(function, blocks, threads, 0, parameters);
 }
 Result cuLaunchCooperativeKernel(void *function, unsigned blocks, unsigned by,
                                  unsigned bz, unsigned threads, unsigned ty,
                                  unsigned tz, unsigned shared, void *on,
                                  void **parameters) {
-  (void)by, (void)bz, (void)ty, (void)tz, (void)shared, (void)on;
+  (void)by, (void)bz, (void)ty, (void)tz, (void)shared;
+  target = on;
   return launch(function, blocks, threads, 0, parameters);
 }
 
@@ -554,6 +586,7 @@ Result cuLaunchKernelEx(const LaunchConfiguration *how, void *function,
   (void)extra;
   if (!has("overlaps"))
     return NotSupported;
+  target = how->on;
   return launch(function, how->grid[0], how->block[0],
                 how->count > 0 && how->attributes[0].kind == OverlapAttribute,
                 parameters);
@@ -564,7 +597,10 @@ Result cuStreamBeginCapture_v2(void *given, int mode) {
     return NotSupported;
   ++tai_fake_cuda_records;
   recording = calloc(1, sizeof(FakeGraph));
-  return recording ? 0 : 2;
+  if (!beside)
+    beside = calloc(1, sizeof(FakeGraph));
+  branches = 0;
+  return recording && beside ? 0 : 2;
 }
 /// Of what was recorded last: all pieces of work, and those that may start
 /// while the one before them runs.
@@ -577,6 +613,8 @@ Result cuStreamEndCapture(void *given, void **graph) {
     tai_fake_cuda_overlapping += recording->nodes[i].overlaps;
   *graph = recording;
   recording = NULL;
+  if (branches)
+    return 904; // a branch is open
   return *graph ? 0 : 401;
 }
 /// Graphs that are ready to run.

@@ -1,0 +1,111 @@
+//===- DeviceProgramFills.cpp - Fills in graphs of launches ---------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Which fills of a sequence a graph does before all launches, and which beside
+// the first of them: clears of gradients, say, beside all of the forward pass.
+//
+//===----------------------------------------------------------------------===//
+
+#include "FillRun.h"
+#include <algorithm>
+
+using namespace mlir::tai::runtime;
+
+/// The steps in their order, but fills as early as they can join others, or
+/// stand in front of all: between launches each would be waited for by itself.
+std::vector<uint32_t> DeviceQueue::Program::orderForGraph() const {
+  // So many steps are looked at.
+  size_t left = 4096;
+  std::vector<uint32_t> order;
+  order.reserve(sequence.steps.size());
+  for (uint32_t i = 0; i < sequence.steps.size(); ++i) {
+    const Step &step = sequence.steps[i];
+    size_t place = order.size();
+    if (step.isFill() && place > 0 && left > 0) {
+      StepMemory memory = memoryOf(step);
+      for (; place > 0 && left > 0; --place, --left) {
+        const Step &before = sequence.steps[order[place - 1]];
+        if (before.isFill())
+          break;
+        if (getRelation(memoryOf(before), memory) != StepRelation::None) {
+          place = order.size();
+          break;
+        }
+      }
+      if (left == 0)
+        place = order.size();
+    }
+    order.insert(order.begin() + static_cast<ptrdiff_t>(place), i);
+  }
+  return order;
+}
+
+static int64_t bytesOf(const DeviceRows &rows) {
+  return rows.rowBytes * rows.rows * rows.outer;
+}
+
+static StepMemory memoryOf(const DeviceRows &rows) {
+  StepMemory memory;
+  auto number = [](int64_t value) { return static_cast<uint64_t>(value); };
+  for (int64_t group = 0; group < rows.outer; ++group)
+    memory.addRows(DeviceAccess::Write,
+                   rows.address + number(group * rows.outerStep),
+                   number(rows.step), number(rows.rowBytes), number(rows.rows));
+  return memory;
+}
+
+/// Nothing where there is little to gain.
+bool DeviceQueue::Program::splitFront(const std::vector<uint32_t> &order,
+                                      FrontFills &front) const {
+  // What waits for both breaks the chain of launches that overlap: as much as
+  // some microseconds of filling. Large fills take all of the memory's time
+  // wherever they are.
+  constexpr int64_t fewestBytes = 4 << 20;
+  constexpr size_t fewestLaunches = 16, mostSteps = 4096, mostGroups = 64;
+  FillRun run;
+  size_t count = 0;
+  for (; count < order.size() && sequence.steps[order[count]].isFill(); ++count)
+    if (!run.add(sequence.fillOf(sequence.steps[order[count]])))
+      return false;
+  // Of the fills: what they touch, and which step does first.
+  struct Fill {
+    const DeviceFill *fill;
+    StepMemory memory;
+    size_t touched;
+  };
+  std::vector<Fill> fills;
+  front = FrontFills();
+  for (const DeviceFill &fill : run.get())
+    if (bytesOf(fill.rows) < largeFillBytes() && fill.rows.outer <= mostGroups)
+      fills.push_back({&fill, ::memoryOf(fill.rows), order.size()});
+    else
+      front.first.push_back(fill);
+  size_t left = fills.size();
+  for (size_t at = count; at < order.size() && left > 0; ++at) {
+    bool isFar = at - count >= mostSteps;
+    StepMemory memory =
+        isFar ? StepMemory() : memoryOf(sequence.steps[order[at]]);
+    for (Fill &fill : fills)
+      if (fill.touched == order.size() &&
+          getRelation(memory, fill.memory) != StepRelation::None) {
+        fill.touched = at;
+        --left;
+      }
+  }
+  int64_t bytes = 0;
+  front.count = count;
+  front.join = order.size();
+  for (const Fill &fill : fills)
+    if (fill.touched - count < fewestLaunches) {
+      front.first.push_back(*fill.fill);
+    } else {
+      front.aside.push_back(*fill.fill);
+      front.join = std::min(front.join, fill.touched);
+      bytes += bytesOf(fill.fill->rows);
+    }
+  return bytes >= fewestBytes;
+}
