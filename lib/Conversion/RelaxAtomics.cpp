@@ -13,6 +13,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Common/Accumulation.h"
+#include "Common/OrderedAdditions.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
@@ -338,7 +339,10 @@ LogicalResult LoopRelaxation::run() {
   bool isSmall =
       !onDevice && iterations &&
       *iterations * estimateIteration(loop, !inMemory) < kForkNanoseconds;
-  if (isSmall || (deterministic && dependsOnTiming)) {
+  if (deterministic && dependsOnTiming && onDevice &&
+      canOrderAdditions(loop, fields)) {
+    loop->setAttr(kInWarpAttrName, UnitAttr::get(loop.getContext()));
+  } else if (isSmall || (deterministic && dependsOnTiming)) {
     loop.walk([&](AtomicOp atomic) { inMemory |= !atomic.getExclusive(); });
     serialize();
   }

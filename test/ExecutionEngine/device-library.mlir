@@ -50,6 +50,16 @@
 // CHECK: atom.global.xor.b32
 // CHECK: atom.global.xor.b64
 
+// Additions in order: no atomic operation, and a whole warp.
+// CHECK-NOT: atom
+// CHECK: bar.warp.sync -1;
+// CHECK: match.any.sync.b64
+// CHECK: vote.sync.any.pred
+// CHECK: shfl.sync.idx.b32
+// CHECK: add.{{(rn[.])?}}f32
+// CHECK: add.{{(rn[.])?}}f64
+// CHECK: bar.warp.sync -1;
+
 // The host's build asks the emulated device for the place of a thread, and
 // nothing but the function with slots is visible.
 // EMULATED-NOT: define i{{.*}}
@@ -100,6 +110,12 @@ module attributes {gpu.container_module} {
     llvm.func @tai_dev_reduce_xor_i32(!llvm.ptr, i32)
     llvm.func @tai_dev_reduce_xor_i64(!llvm.ptr, i64)
 
+    llvm.func @tai_dev_ordered_lanes() -> i32
+    llvm.func @tai_dev_ordered_meet()
+    llvm.func @tai_dev_ordered_plan(!llvm.ptr) -> i64
+    llvm.func @tai_dev_ordered_add_f32(i64, !llvm.ptr, f32)
+    llvm.func @tai_dev_ordered_add_f64(i64, !llvm.ptr, f64)
+
     llvm.func @everything(%frame: !llvm.ptr, %stack: !llvm.ptr, %text: !llvm.ptr,
                           %ints: !llvm.ptr, %target: !llvm.ptr, %seed: i64,
                           %x: f32, %y: f64) attributes {gpu.kernel} {
@@ -148,6 +164,11 @@ module attributes {gpu.container_module} {
       llvm.call @tai_dev_reduce_or_i64(%target, %seed) : (!llvm.ptr, i64) -> ()
       llvm.call @tai_dev_reduce_xor_i32(%target, %bits) : (!llvm.ptr, i32) -> ()
       llvm.call @tai_dev_reduce_xor_i64(%target, %seed) : (!llvm.ptr, i64) -> ()
+      %lanes = llvm.call @tai_dev_ordered_lanes() : () -> i32
+      llvm.call @tai_dev_ordered_meet() : () -> ()
+      %plan = llvm.call @tai_dev_ordered_plan(%target) : (!llvm.ptr) -> i64
+      llvm.call @tai_dev_ordered_add_f32(%plan, %target, %x) : (i64, !llvm.ptr, f32) -> ()
+      llvm.call @tai_dev_ordered_add_f64(%plan, %target, %y) : (i64, !llvm.ptr, f64) -> ()
       llvm.br ^done
     ^done:
       llvm.return

@@ -55,6 +55,30 @@ void tai_dev_grid_await(uint32_t *state, uint32_t before);
 #include "tai/Runtime/DeviceReductions.def"
 
 //===----------------------------------------------------------------------===//
+// Additions of one warp in a fixed order
+//===----------------------------------------------------------------------===//
+//
+// The first so many threads of the grid call these, all of them at the same
+// place, and no others: a warp, or one thread on the emulated device. Each
+// comes with an address, or null where it adds nothing. Values for one element
+// are added up by lanes, in pairs, and their sum is added to what is there: a
+// function of the addresses and values alone.
+
+/// How many threads; ends the kernel where blocks have fewer.
+uint32_t tai_dev_ordered_lanes(void);
+
+/// They wait for each other, and see what all of them wrote.
+void tai_dev_ordered_meet(void);
+
+/// How sums are taken of lanes that have the same address.
+uint64_t tai_dev_ordered_plan(const void *address);
+
+/// Does it: `target` is a certain distance from the address in all lanes that
+/// had one, and is not looked at in others.
+void tai_dev_ordered_add_f32(uint64_t plan, float *target, float value);
+void tai_dev_ordered_add_f64(uint64_t plan, double *target, double value);
+
+//===----------------------------------------------------------------------===//
 // Memory of one thread, out of the heap of the device
 //===----------------------------------------------------------------------===//
 

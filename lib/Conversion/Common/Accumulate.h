@@ -20,6 +20,10 @@ constexpr llvm::StringLiteral kAccumulateAttrName = "tai.accumulate";
 /// that LLVM may vectorise over them whatever the addresses.
 constexpr llvm::StringLiteral kIndependentAttrName = "tai.independent";
 
+/// On tai.parallel_for, for a GPU: one warp runs it, whose threads do their
+/// additions together and in a fixed order.
+constexpr llvm::StringLiteral kInWarpAttrName = "tai.in_warp";
+
 /// On tai.parallel_for: the group that its accesses were put into.
 constexpr llvm::StringLiteral kAccessGroupAttrName = "tai.access_group";
 

@@ -12,7 +12,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Offload.h"
+#include "../Common/Accumulate.h"
+#include "WarpLoop.h"
 #include "mlir/Dialect/LLVMIR/NVVMDialect.h"
 #include "tai/Runtime/Device.h"
 #include "llvm/Support/MathExtras.h"
@@ -33,7 +34,10 @@ LogicalResult tai::checkBlockSize(ParallelForOp loop) {
 }
 
 void tai::noteBlockSize(ParallelForOp loop, LLVM::LLVMFuncOp function) {
-  if (IntegerAttr size = loop.getBlockDimAttr())
+  IntegerAttr size = loop.getBlockDimAttr();
+  if (loop->hasAttr(kInWarpAttrName))
+    size = Builder(loop.getContext()).getI64IntegerAttr(kWarpSize);
+  if (size)
     function->setAttr(kBlockSizeAttrName, size);
 }
 

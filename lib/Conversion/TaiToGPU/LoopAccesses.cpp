@@ -381,6 +381,7 @@ void LoopAccesses::foldIterations() {
 void LoopAccesses::addSum(Value target, Type type, bool isAddition,
                           int64_t threads) {
   isTileable = false;
+  hasSums = true;
   Type storage = getStorageType(type);
   if (threads == 0)
     return add(target, storage,
@@ -422,9 +423,18 @@ DenseI64ArrayAttr LoopAccesses::encode(ParameterFinder getParameter) {
     return {};
   runtime::FunctionAccesses result;
   result.isPlain = isPlain;
+  // A warp that meets in front of the loop and behind it is like one thread.
+  bool inWarp = loop->hasAttr(kInWarpAttrName);
+  bool isSingle = inWarp && box && !hasSums;
+  if (isSingle)
+    foldIterations();
+  else if (inWarp)
+    result.isPlain = false;
   for (size_t d = 0; d < loop.getInductionVars().size(); ++d)
     result.extents.push_back(
-        box ? std::max<int64_t>(box->upper[d] - box->lower[d], 0) : -1);
+        isSingle ? 1
+        : box    ? std::max<int64_t>(box->upper[d] - box->lower[d], 0)
+                 : -1);
   for (Address &address : addresses) {
     if (!complete(address, getParameter))
       return {};

@@ -88,6 +88,7 @@ private:
   std::optional<LoopBox> box;
   bool isKnown = true;
   bool isPlain = true;
+  bool hasSums = false;
   bool isTileable = true;
   SmallVector<Address> addresses;
   std::vector<Site> sites;

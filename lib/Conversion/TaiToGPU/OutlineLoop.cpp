@@ -7,17 +7,16 @@
 //
 // The function of a loop runs over all iterations with the stride of the grid,
 // so that it is right for any number of blocks and threads. Its parameters are
-// the values that the loop uses from outside, each one of its own. Sums of all
-// iterations are kept in a register of each thread, and added up over a block
-// before they go to memory.
+// the values that the loop uses from outside, each one of its own.
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Common/Accumulation.h"
 #include "../Common/IndexMath.h"
 #include "../TaiToSCF/Accumulators.h"
 #include "LoopAccesses.h"
 #include "Offload.h"
+#include "Sums.h"
+#include "WarpLoop.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "llvm/ADT/SetVector.h"
@@ -25,294 +24,9 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// In deterministic mode a float sum is kept by so many threads at most,
-/// whatever the number of those that run: iteration i is of thread i modulo
-/// theirs. Their partial sums are added up in groups, and the groups one after
-/// another.
-constexpr int64_t kSumThreads = 8192;
-constexpr int64_t kSumGroups = 128;
-
 /// Threads of a block, for what is said of a launch in the IR; the runtime may
 /// take another number.
 constexpr int64_t kBlockDim = 256;
-
-//===----------------------------------------------------------------------===//
-// Sums
-//===----------------------------------------------------------------------===//
-
-namespace {
-/// A sum over the iterations of a loop.
-struct Sum {
-  SmallVector<Operation *> updates;
-  AtomicKind kind;
-  Type type;
-  /// Where it goes, or the first of the partial sums.
-  Value target;
-  bool isPartial = false;
-  ArrayAttr scope;
-  Value slot;
-};
-} // namespace
-
-static bool isKeptInRegister(Operation *update) {
-  auto strategy = update->getAttrOfType<StringAttr>(kAccumulateAttrName);
-  return strategy && strategy.getValue() == kRegister;
-}
-
-/// How many threads keep a float sum of this loop in deterministic mode.
-/// Depends on the loop alone.
-static int64_t getSumThreads(ParallelForOp loop) {
-  std::optional<int64_t> count = getNumIterations(loop);
-  return count ? std::clamp<int64_t>(llvm::alignTo(*count, kSumGroups),
-                                     kSumGroups, kSumThreads)
-               : kSumThreads;
-}
-
-/// Loops behind `loop` that add up the partial sums of its threads. Yields the
-/// address of the first.
-static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
-                             Type type, Value target, RuntimeCalls &runtime) {
-  OpBuilder builder(loop);
-  Location loc = loop.getLoc();
-  Type storage = getStorageType(type);
-  auto scratch = [&](int64_t count) {
-    return runtime.call(builder, loc, "tai_rt_device_scratch",
-                        runtime.getPointerType(),
-                        {frame, runtime.i64(builder, loc, 8 * count)});
-  };
-  int64_t threads = getSumThreads(loop);
-  Value partials = scratch(threads), groups = scratch(kSumGroups);
-  builder.setInsertionPointAfter(loop);
-  IndexMath outside(builder, loc);
-  Value zero = outside.constant(0), one = outside.constant(1);
-  /// The sum of `count` numbers from `first` on.
-  auto addUp = [&](OpBuilder &b, Value numbers, Value first, int64_t count) {
-    Value start = arith::ConstantOp::create(b, loc, getIdentity(kind, type));
-    IndexMath math(b, loc);
-    auto add = scf::ForOp::create(
-        b, loc, math.constant(0), math.constant(count), math.constant(1), start,
-        [&](OpBuilder &in, Location, Value i, ValueRange sums) {
-          Value number = emitLoad(in, loc, type,
-                                  emitPointer(in, loc, storage, numbers,
-                                              IndexMath(in, loc).add(first, i)),
-                                  AliasScopes());
-          scf::YieldOp::create(
-              in, loc, emitCombination(in, loc, kind, sums.front(), number));
-        });
-    return add.getResult(0);
-  };
-  auto perGroup =
-      ParallelForOp::create(builder, loc, zero, outside.constant(kSumGroups));
-  OpBuilder b = OpBuilder::atBlockBegin(&perGroup.getBody().front());
-  Value group = perGroup.getInductionVars().front();
-  int64_t size = threads / kSumGroups;
-  Value sum = addUp(b, partials, IndexMath(b, loc).mul(group, size), size);
-  emitStore(b, loc, sum, emitPointer(b, loc, storage, groups, group),
-            AliasScopes());
-  auto all = ParallelForOp::create(builder, loc, zero, one);
-  b.setInsertionPointToStart(&all.getBody().front());
-  sum = addUp(b, groups, IndexMath(b, loc).constant(0), kSumGroups);
-  emitPlainUpdate(b, loc, kind, sum, target, AliasScopes());
-  return partials;
-}
-
-LogicalResult tai::prepareSums(ParallelForOp loop, Value frame,
-                               DeviceLowering &lowering) {
-  FieldTable &fields = lowering.device.fields;
-  struct Found {
-    AtomicOp first;
-    Value target;
-  };
-  SmallVector<Found> sums;
-  SmallVector<Value> targets;
-  SmallVector<std::pair<AtomicKind, Type>> types;
-  OpBuilder builder(loop);
-  Location loc = loop.getLoc();
-  auto outside = [&](ValueRange values) {
-    return llvm::map_to_vector(values, [&](Value value) -> Value {
-      if (loop.isDefinedOutsideOfLoop(value))
-        return value;
-      return IndexMath(builder, loc).constant(*getConstantIntValue(value));
-    });
-  };
-  auto number = [&](Operation *op, size_t i) {
-    op->setAttr(kSumTargetAttrName, builder.getI64IntegerAttr(i));
-  };
-  WalkResult result = loop.walk([&](Operation *op) {
-    if (auto update = dyn_cast<LLVM::AtomicRMWOp>(op);
-        update && isKeptInRegister(op)) {
-      auto *known = llvm::find(targets, update.getPtr());
-      number(op, known - targets.begin());
-      if (known == targets.end()) {
-        targets.push_back(update.getPtr());
-        types.push_back({AtomicKind::Add, update.getVal().getType()});
-      }
-      return WalkResult::advance();
-    }
-    auto atomic = dyn_cast<AtomicOp>(op);
-    if (!atomic || atomic->getParentOfType<ParallelForOp>() != loop)
-      return WalkResult::advance();
-    if (!isKeptInRegister(op)) {
-      atomic.emitOpError("cannot be lowered for a GPU; expects "
-                         "tai-lower-layout to run before");
-      return WalkResult::interrupt();
-    }
-    auto *known = llvm::find_if(sums, [&](Found &other) {
-      return getCombiningKind(other.first.getKind()) ==
-                 getCombiningKind(atomic.getKind()) &&
-             updatesSameComponent(other.first, atomic);
-    });
-    if (known != sums.end()) {
-      number(op, llvm::find(targets, known->target) - targets.begin());
-      return WalkResult::advance();
-    }
-    FailureOr<const FieldInfo *> field =
-        fields.lookup(atomic, atomic.getFieldAttr());
-    if (failed(field))
-      return WalkResult::interrupt();
-    SmallVector<Value> zeroBased =
-        emitZeroBased(builder, loc, **field, outside(atomic.getIndices()));
-    Value offset = emitElementOffset(builder, loc, **field, zeroBased,
-                                     outside(atomic.getComponents()));
-    Value target =
-        emitPointer(builder, loc, getStorageType((*field)->scalarType),
-                    emitFieldBase(builder, loc, **field), offset);
-    number(op, targets.size());
-    targets.push_back(target);
-    types.push_back(
-        {getCombiningKind(atomic.getKind()), atomic.getValue().getType()});
-    sums.push_back({atomic, target});
-    return WalkResult::advance();
-  });
-  if (result.wasInterrupted())
-    return failure();
-  for (auto [i, target] : llvm::enumerate(targets)) {
-    auto [kind, type] = types[i];
-    // Integers, minima and maxima do not depend on the order.
-    bool isPartial = lowering.deterministic && isa<FloatType>(type) &&
-                     (kind == AtomicKind::Add || kind == AtomicKind::Mul);
-    Value address = isPartial ? emitPartialSums(loop, frame, kind, type, target,
-                                                lowering.host.runtime)
-                              : target;
-    builder.setInsertionPointToStart(&loop.getBody().front());
-    auto marker = UnrealizedConversionCastOp::create(
-        builder, loc, address.getType(), address);
-    if (isPartial)
-      marker->setAttr(kPartialSumAttrName, builder.getUnitAttr());
-    marker->setAttr(kSumTargetAttrName, builder.getI64IntegerAttr(i));
-  }
-  return success();
-}
-
-static int64_t getSumNumber(Operation *op) {
-  return op->getAttrOfType<IntegerAttr>(kSumTargetAttrName).getInt();
-}
-
-/// Finds the sums again that prepareSums has numbered, and takes the marks
-/// away.
-static SmallVector<Sum> collectSums(ParallelForOp loop, FieldTable &fields) {
-  SmallVector<Sum> sums;
-  auto at = [&](Operation *op) -> Sum & {
-    size_t number = getSumNumber(op);
-    if (sums.size() <= number)
-      sums.resize(number + 1);
-    return sums[number];
-  };
-  SmallVector<Operation *> markers;
-  loop.walk([&](Operation *op) {
-    if (!op->hasAttr(kSumTargetAttrName))
-      return;
-    Sum &sum = at(op);
-    if (auto marker = dyn_cast<UnrealizedConversionCastOp>(op)) {
-      sum.target = marker.getOperand(0);
-      sum.isPartial = marker->hasAttr(kPartialSumAttrName);
-      markers.push_back(marker);
-      return;
-    }
-    sum.updates.push_back(op);
-    if (auto atomic = dyn_cast<AtomicOp>(op)) {
-      sum.kind = getCombiningKind(atomic.getKind());
-      sum.type = atomic.getValue().getType();
-      auto field = fields.lookup(atomic, atomic.getFieldAttr());
-      if (succeeded(field))
-        sum.scope = fields.getScopes(**field).own;
-    } else {
-      sum.kind = AtomicKind::Add;
-      sum.type = cast<LLVM::AtomicRMWOp>(op).getVal().getType();
-    }
-  });
-  for (Operation *marker : markers)
-    marker->erase();
-  return sums;
-}
-
-/// The function of the device library that adds up over a block, or none.
-static std::string getReduction(AtomicKind kind, Type type) {
-  bool isFloat = type.isF32() || type.isF64();
-  if (!isFloat && !type.isInteger(32) && !type.isInteger(64))
-    return "";
-  StringRef name;
-  switch (kind) {
-  case AtomicKind::Add:
-    name = "add";
-    break;
-  case AtomicKind::Mul:
-    name = "mul";
-    break;
-  case AtomicKind::Min:
-    name = "min";
-    break;
-  case AtomicKind::Max:
-    name = "max";
-    break;
-  case AtomicKind::And:
-    name = "and";
-    break;
-  case AtomicKind::Or:
-    name = "or";
-    break;
-  case AtomicKind::Xor:
-    name = "xor";
-    break;
-  default:
-    return "";
-  }
-  return ("tai_dev_reduce_" + name + (isFloat ? "_f" : "_i") +
-          Twine(type.getIntOrFloatBitWidth()))
-      .str();
-}
-
-static void emitSumStart(OpBuilder &builder, Location loc, Sum &sum) {
-  sum.slot = emitStackSlots(builder, loc, 1);
-  Value identity =
-      arith::ConstantOp::create(builder, loc, getIdentity(sum.kind, sum.type));
-  emitSlotStore(builder, loc, identity, sum.slot);
-}
-
-static void rewriteUpdates(Sum &sum) {
-  for (Operation *update : sum.updates) {
-    OpBuilder builder(update);
-    Location loc = update->getLoc();
-    auto atomic = dyn_cast<AtomicOp>(update);
-    AtomicKind kind = atomic ? atomic.getKind() : AtomicKind::Add;
-    Value value =
-        atomic ? atomic.getValue() : cast<LLVM::AtomicRMWOp>(update).getVal();
-    Value old = emitSlotLoad(builder, loc, sum.type, sum.slot);
-    emitSlotStore(builder, loc, emitCombination(builder, loc, kind, old, value),
-                  sum.slot);
-    update->erase();
-  }
-}
-
-static void emitSumEnd(OpBuilder &builder, Location loc, Sum &sum,
-                       RuntimeCalls &runtime) {
-  Value value = emitSlotLoad(builder, loc, sum.type, sum.slot);
-  std::string name = getReduction(sum.kind, sum.type);
-  if (name.empty())
-    emitAtomicUpdate(builder, loc, sum.kind, value, sum.target, AliasScopes());
-  else
-    runtime.call(builder, loc, name, Type(), {sum.target, value});
-}
 
 //===----------------------------------------------------------------------===//
 // Iterations
@@ -340,7 +54,8 @@ struct Iterations {
 /// Emits the loop over the iterations of this thread and moves the body in.
 /// Programs count on which they are: see FunctionAccesses::isPlain.
 static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
-                                 MutableArrayRef<Sum> sums) {
+                                 MutableArrayRef<Sum> sums,
+                                 RuntimeCalls &runtime) {
   Location loc = loop.getLoc();
   IndexMath math(builder, loc);
   SmallVector<Value> extents;
@@ -359,7 +74,12 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
     count = math.mul(count, extents.back());
   }
   auto [thread, threads] = emitThread(builder, loc);
-  if (llvm::any_of(sums, [](const Sum &sum) { return sum.isPartial; })) {
+  WarpPart warp;
+  if (loop->hasAttr(kInWarpAttrName)) {
+    warp = emitWarpPart(builder, loop, thread, count, runtime);
+    thread = warp.first;
+    threads = warp.step;
+  } else if (llvm::any_of(sums, [](const Sum &sum) { return sum.isPartial; })) {
     // This thread stands in for some of a fixed number.
     auto standIns = scf::ForOp::create(
         builder, loc, thread, math.constant(getSumThreads(loop)), threads);
@@ -383,11 +103,21 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
     threads = number;
     builder.setInsertionPointAfter(number);
   }
+  if (warp.lane)
+    emitMeeting(builder, loc, warp, runtime);
   auto iterations = scf::ForOp::create(builder, loc, thread, count, threads);
+  if (warp.lane)
+    emitMeeting(builder, loc, warp, runtime);
   Block *block = iterations.getBody();
   builder.setInsertionPointToStart(block);
   IndexMath in(builder, loc);
-  Value rest = iterations.getInductionVar();
+  Value rest = iterations.getInductionVar(), isActive;
+  if (warp.lane) {
+    Value mine = in.add(rest, warp.lane);
+    isActive = arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::slt,
+                                     mine, count);
+    rest = in.min(mine, in.sub(count, 1));
+  }
   SmallVector<Value> indices(extents.size());
   for (size_t d = extents.size(); d-- > 0;) {
     Value digit = d == 0 ? rest : in.rem(rest, extents[d]);
@@ -401,6 +131,8 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
   body.getTerminator()->erase();
   block->getOperations().splice(block->getTerminator()->getIterator(),
                                 body.getOperations());
+  if (isActive)
+    orderAdditions(block, isActive, runtime);
   return {iterations, std::move(indices)};
 }
 
@@ -611,7 +343,11 @@ static void markInvariantLoads(LLVM::LLVMFuncOp function, ArrayRef<Sum> sums) {
       addWrite(store.getAliasScopesAttr());
     else if (auto update = dyn_cast<LLVM::AtomicRMWOp>(op))
       addWrite(update.getAliasScopesAttr());
-    else if (isa<LLVM::AtomicCmpXchgOp>(op))
+    else if (auto scope = op->getAttr(kOrderedScopeAttrName)) {
+      addWrite(dyn_cast<ArrayAttr>(scope));
+      writesUnknown |= !isa<ArrayAttr>(scope);
+      op->removeAttr(kOrderedScopeAttrName);
+    } else if (isa<LLVM::AtomicCmpXchgOp>(op))
       writesUnknown = true;
     else if (isa<ActivateCellOp, DeactivateCellOp, AppendCellOp>(op))
       writesUnknown = true;
@@ -655,10 +391,15 @@ static void emitLaunch(ParallelForOp loop, LLVM::LLVMFuncOp function,
   Location loc = loop.getLoc();
   IndexMath math(builder, loc);
   Value one = math.constant(1);
-  Value threads = math.constant(loop.getBlockDim().value_or(kBlockDim));
+  // How large a block is for one warp, its function says.
+  bool inWarp = loop->hasAttr(kInWarpAttrName);
+  Value threads =
+      inWarp ? one : math.constant(loop.getBlockDim().value_or(kBlockDim));
   // No blocks stand for a number that the device alone knows.
   Value blocks = math.constant(0);
-  if (Value count = emitCount(builder, loop)) {
+  if (inWarp) {
+    blocks = one;
+  } else if (Value count = emitCount(builder, loop)) {
     std::optional<int64_t> constant = getConstantIntValue(count);
     if (constant && *constant <= 1 && !loop.getBlockDim())
       threads = one;
@@ -694,6 +435,8 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   MLIRContext *context = loop.getContext();
   RuntimeCalls &runtime = lowering.device.runtime;
   SmallVector<Sum> sums = collectSums(loop, lowering.device.fields);
+  if (loop->hasAttr(kInWarpAttrName))
+    prepareWarpLoop(loop);
   llvm::MapVector<Value, bool> activated = findActivated(loop);
   LoopAccesses accesses(loop, lowering.deterministic);
   for (const Sum &sum : sums)
@@ -722,13 +465,18 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   for (Sum &sum : sums)
     emitSumStart(builder, loc, sum);
   builder.setInsertionPoint(ret);
-  Iterations iterations = emitIterations(builder, loop, sums);
+  Iterations iterations = emitIterations(builder, loop, sums, runtime);
   for (Sum &sum : sums)
     rewriteUpdates(sum);
   builder.setInsertionPoint(ret);
-  for (Sum &sum : sums)
-    if (!sum.isPartial)
+  for (Sum &sum : sums) {
+    if (!sum.isPartial) {
       emitSumEnd(builder, loc, sum, runtime);
+    } else if (loop->hasAttr(kInWarpAttrName)) {
+      auto [thread, threads] = emitThread(builder, loc);
+      storeParts(builder, loc, sum, thread, threads, getSumThreads(loop));
+    }
+  }
 
   Parameters parameters(function, loop, runtime);
   if (failed(parameters.capture()))

@@ -1,0 +1,252 @@
+//===- OrderedAdditions.cpp - Additions that a warp does together ---------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "OrderedAdditions.h"
+#include "Accumulation.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Analysis/Accesses.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+//===----------------------------------------------------------------------===//
+// Control flow
+//===----------------------------------------------------------------------===//
+
+/// True if the value is the same in all iterations that are at the same place.
+static bool isUniform(ParallelForOp loop, Value value, unsigned depth = 16) {
+  if (loop.isDefinedOutsideOfLoop(value))
+    return true;
+  if (depth == 0)
+    return false;
+  auto isSame = [&](Value operand) {
+    return isUniform(loop, operand, depth - 1);
+  };
+  if (auto argument = dyn_cast<BlockArgument>(value)) {
+    auto serial = dyn_cast<scf::ForOp>(argument.getOwner()->getParentOp());
+    return serial && argument == serial.getInductionVar() &&
+           isSame(serial.getLowerBound()) && isSame(serial.getUpperBound()) &&
+           isSame(serial.getStep());
+  }
+  Operation *op = value.getDefiningOp();
+  return op->getNumRegions() == 0 && isMemoryEffectFree(op) &&
+         llvm::all_of(op->getOperands(), isSame);
+}
+
+Operation *tai::findDivergence(ParallelForOp loop, OpPredicate isAddition) {
+  Operation *found = nullptr;
+  loop.getBody().walk([&](Operation *op) {
+    if (!isAddition(op))
+      return WalkResult::advance();
+    bool isRepeated = false;
+    for (Operation *at = op->getParentOp(); at != loop;
+         at = at->getParentOp()) {
+      bool isTogether = false;
+      if (auto branch = dyn_cast<scf::IfOp>(at)) {
+        // The addition can come out of it, but not out of a loop in it.
+        isTogether = !isRepeated || isUniform(loop, branch.getCondition());
+      } else if (auto serial = dyn_cast<scf::ForOp>(at)) {
+        isTogether = isUniform(loop, serial.getLowerBound()) &&
+                     isUniform(loop, serial.getUpperBound()) &&
+                     isUniform(loop, serial.getStep());
+        isRepeated = true;
+      }
+      if (!isTogether) {
+        found = at;
+        return WalkResult::interrupt();
+      }
+    }
+    return WalkResult::advance();
+  });
+  return found;
+}
+
+//===----------------------------------------------------------------------===//
+// Memory
+//===----------------------------------------------------------------------===//
+
+namespace {
+/// The accesses of a loop to one field or array.
+struct PlaceAccesses {
+  struct Access {
+    Operation *op;
+    SmallVector<Value> indices;
+    bool isSparse;
+  };
+  /// Atomic updates whose result nobody uses, plain writes, and reads.
+  SmallVector<Access> updates, writes, reads;
+};
+
+class Checker {
+public:
+  Checker(ParallelForOp loop, FieldTable &fields)
+      : loop(loop), fields(fields) {}
+  bool run();
+
+private:
+  bool visit(Operation *op);
+  bool visitField(Operation *op);
+  bool visitArray(Operation *op);
+  bool mayReach(ValueRange a, ValueRange b);
+  bool isFree(const PlaceAccesses &place);
+
+  ParallelForOp loop;
+  FieldTable &fields;
+  llvm::MapVector<const void *, PlaceAccesses> places;
+  llvm::DenseSet<Operation *> additions;
+};
+} // namespace
+
+static bool isOrderable(Type type) { return type.isF32() || type.isF64(); }
+
+bool Checker::visitField(Operation *op) {
+  FailureOr<const FieldInfo *> field =
+      fields.lookup(op, op->getAttrOfType<FlatSymbolRefAttr>("field"));
+  if (failed(field))
+    return false;
+  PlaceAccesses &place = places[(*field)->scope.getAsOpaquePointer()];
+  bool isSparse = !(*field)->sparse.empty() && !op->hasAttr(kActiveAttrName);
+  auto add = [&](SmallVector<PlaceAccesses::Access> &list, ValueRange indices) {
+    list.push_back({op, llvm::to_vector(indices), isSparse});
+    return true;
+  };
+  if (auto load = dyn_cast<LoadOp>(op))
+    return add(place.reads, load.getIndices());
+  if (auto store = dyn_cast<StoreOp>(op))
+    return add(place.writes, store.getIndices());
+  auto atomic = cast<AtomicOp>(op);
+  if (atomic.getExclusive())
+    return add(place.writes, atomic.getIndices());
+  if (!atomic.getOld().use_empty())
+    return false;
+  // Sums of all iterations leave memory alone until the end.
+  if (op->hasAttr(kAccumulateAttrName))
+    return true;
+  Type type = atomic.getValue().getType();
+  AtomicKind kind = atomic.getKind();
+  if (isa<FloatType>(getElementTypeOrSelf(type)) && kind != AtomicKind::Min &&
+      kind != AtomicKind::Max) {
+    if (!isOrderable(type) ||
+        (kind != AtomicKind::Add && kind != AtomicKind::Sub))
+      return false;
+    additions.insert(op);
+  }
+  return add(place.updates, atomic.getIndices());
+}
+
+bool Checker::visitArray(Operation *op) {
+  auto load = dyn_cast<memref::LoadOp>(op);
+  auto store = dyn_cast<memref::StoreOp>(op);
+  auto atomic = dyn_cast<memref::AtomicRMWOp>(op);
+  Value array = load    ? load.getMemRef()
+                : store ? store.getMemRef()
+                        : atomic.getMemref();
+  // An iteration's own.
+  if (!loop.isDefinedOutsideOfLoop(array))
+    return true;
+  PlaceAccesses &place = places[array.getAsOpaquePointer()];
+  auto add = [&](SmallVector<PlaceAccesses::Access> &list, ValueRange indices) {
+    list.push_back({op, llvm::to_vector(indices), false});
+    return true;
+  };
+  if (load)
+    return add(place.reads, load.getIndices());
+  if (store)
+    return add(place.writes, store.getIndices());
+  if (!atomic.getResult().use_empty())
+    return false;
+  if (op->hasAttr(kAccumulateAttrName))
+    return true;
+  Type type = atomic.getValue().getType();
+  bool isExtreme = atomic.getKind() == arith::AtomicRMWKind::minimumf ||
+                   atomic.getKind() == arith::AtomicRMWKind::maximumf;
+  if (isa<FloatType>(type) && !isExtreme) {
+    if (!isOrderable(type) || atomic.getKind() != arith::AtomicRMWKind::addf)
+      return false;
+    additions.insert(op);
+  }
+  return add(place.updates, atomic.getIndices());
+}
+
+/// False for what is not known to leave other iterations alone.
+bool Checker::visit(Operation *op) {
+  if (isa<LoadOp, StoreOp, AtomicOp>(op))
+    return visitField(op);
+  if (isa<memref::LoadOp, memref::StoreOp, memref::AtomicRMWOp>(op))
+    return visitArray(op);
+  // Memory of the iteration, and lists of active cells, which nothing here
+  // changes.
+  if (isa<memref::AllocaOp, AllocaOp, LocalLoadOp, LocalStoreOp, LLVM::LoadOp>(
+          op))
+    return true;
+  if (isa<scf::IfOp, scf::ForOp, scf::WhileOp, scf::IndexSwitchOp>(op))
+    return true;
+  if (isa<scf::YieldOp, scf::ConditionOp, YieldOp>(op))
+    return true;
+  return op->getNumRegions() == 0 && isMemoryEffectFree(op);
+}
+
+/// False if an index that is the same in all iterations tells them apart.
+bool Checker::mayReach(ValueRange a, ValueRange b) {
+  for (auto [x, y] : llvm::zip_equal(a, b))
+    if (loop.isDefinedOutsideOfLoop(x) && loop.isDefinedOutsideOfLoop(y) &&
+        areProvablyDistinct(x, y))
+      return false;
+  return true;
+}
+
+/// True if no iteration sees or overwrites what another writes.
+bool Checker::isFree(const PlaceAccesses &place) {
+  using Access = PlaceAccesses::Access;
+  auto meets = [&](const Access &a, const Access &b) {
+    return mayReach(a.indices, b.indices);
+  };
+  // Each has elements of its own, where both are.
+  auto isOwn = [&](const Access &write, const Access &other) {
+    return !meets(write, other) ||
+           (areProvablyEqual(write.indices, other.indices) &&
+            isInjective(loop, write.indices));
+  };
+  for (const Access &update : place.updates) {
+    // It may have to make its cell active first.
+    if (update.isSparse)
+      return false;
+    for (const auto *others : {&place.reads, &place.writes})
+      if (llvm::any_of(*others, [&](const Access &other) {
+            return meets(update, other);
+          }))
+        return false;
+  }
+  return llvm::all_of(place.writes, [&](const Access &write) {
+    if (write.isSparse || !isInjective(loop, write.indices))
+      return false;
+    auto isOwnWith = [&](const Access &other) { return isOwn(write, other); };
+    return llvm::all_of(place.writes, isOwnWith) &&
+           llvm::all_of(place.reads, isOwnWith);
+  });
+}
+
+bool Checker::run() {
+  if (loop->getParentOfType<ParallelForOp>() || loop.isStructFor())
+    return false;
+  WalkResult result = loop.getBody().walk([&](Operation *op) {
+    return visit(op) ? WalkResult::advance() : WalkResult::interrupt();
+  });
+  if (result.wasInterrupted())
+    return false;
+  for (const auto &[key, place] : places)
+    if (!isFree(place))
+      return false;
+  return !findDivergence(loop,
+                         [&](Operation *op) { return additions.contains(op); });
+}
+
+bool tai::canOrderAdditions(ParallelForOp loop, FieldTable &fields) {
+  return Checker(loop, fields).run();
+}

@@ -1,0 +1,114 @@
+//===- Ordered.cpp - Additions of a warp in a fixed order -----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// All threads of one warp come here together. Those with the same address add
+// up their values in pairs, pairs of pairs and so on, by their lanes; the
+// lowest of them adds the sum to what is in memory. Which lanes have which
+// address is all that the order depends on.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Target.h"
+#include "tai/Runtime/DeviceAbi.h"
+
+using namespace tai::device;
+
+#ifdef __NVPTX__
+
+static constexpr uint32_t everyone = ~uint32_t(0);
+
+// The plan of a lane: for each round, in a byte, the lane whose sum it takes,
+// and whether there is one; then the number of rounds of the warp, and whether
+// this lane writes.
+static constexpr unsigned roundBits = 8, countShift = 48;
+static constexpr uint64_t takes = 32, writes = uint64_t(1) << 63;
+
+static uint32_t exchange(uint32_t value, unsigned from) {
+  return static_cast<uint32_t>(
+      __nvvm_shfl_sync_idx_i32(everyone, static_cast<int32_t>(value),
+                               static_cast<int32_t>(from), warpSize - 1));
+}
+
+static float exchange(float value, unsigned from) {
+  return __builtin_bit_cast(
+      float, exchange(__builtin_bit_cast(uint32_t, value), from));
+}
+
+static double exchange(double value, unsigned from) {
+  auto bits = __builtin_bit_cast(uint64_t, value);
+  uint64_t low = exchange(static_cast<uint32_t>(bits), from);
+  uint64_t high = exchange(static_cast<uint32_t>(bits >> 32), from);
+  return __builtin_bit_cast(double, high << 32 | low);
+}
+
+uint32_t tai_dev_ordered_lanes() {
+  // What follows waits for a whole warp.
+  if (static_cast<unsigned>(tai_dev_block_dim()) < warpSize)
+    __builtin_trap();
+  return warpSize;
+}
+
+void tai_dev_ordered_meet() { __nvvm_bar_warp_sync(everyone); }
+
+uint64_t tai_dev_ordered_plan(const void *address) {
+  // What the others have read is read before it is written.
+  __nvvm_bar_warp_sync(everyone);
+  auto bits = reinterpret_cast<uint64_t>(address);
+  uint32_t same = __nvvm_match_any_sync_i64(everyone, bits);
+  auto lane = static_cast<uint32_t>(__nvvm_read_ptx_sreg_laneid());
+  // Nobody is next of those that add nothing.
+  uint32_t above = address ? same & ~((uint32_t(2) << lane) - 1) : 0;
+  uint32_t next = above ? takes | __builtin_ctz(above) : lane;
+  bool isLowest = address && !(same & ((uint32_t(1) << lane) - 1));
+  uint64_t plan = isLowest ? writes : 0, rounds = 0;
+  while (__nvvm_vote_any_sync(everyone, (next & takes) != 0)) {
+    plan |= uint64_t(next) << rounds * roundBits;
+    ++rounds;
+    uint32_t after = exchange(next, next & (warpSize - 1));
+    next = next & takes ? after : next;
+  }
+  return plan | rounds << countShift;
+}
+
+template <typename T> static void add(uint64_t plan, T *target, T value) {
+  uint32_t rounds = static_cast<uint32_t>(plan >> countShift) & 7;
+  for (uint32_t round = 0; round < rounds; ++round) {
+    auto next = static_cast<uint32_t>(plan >> round * roundBits);
+    T other = exchange(value, next & (warpSize - 1));
+    if (next & takes)
+      value += other;
+  }
+  if (plan & writes)
+    *target += value;
+  // The next addition may be one to the same element, by another lane.
+  __nvvm_bar_warp_sync(everyone);
+}
+
+#else // the CPU, where one thread does one iteration after another
+
+uint32_t tai_dev_ordered_lanes() { return 1; }
+
+void tai_dev_ordered_meet() {}
+
+uint64_t tai_dev_ordered_plan(const void *address) {
+  return address != nullptr;
+}
+
+template <typename T> static void add(uint64_t plan, T *target, T value) {
+  if (plan)
+    *target += value;
+}
+
+#endif
+
+void tai_dev_ordered_add_f32(uint64_t plan, float *target, float value) {
+  add(plan, target, value);
+}
+
+void tai_dev_ordered_add_f64(uint64_t plan, double *target, double value) {
+  add(plan, target, value);
+}
