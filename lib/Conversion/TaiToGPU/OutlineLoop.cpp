@@ -456,6 +456,9 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   auto function = LLVM::LLVMFuncOp::create(
       builder, loc, name, LLVM::LLVMFunctionType::get(voidType, {}));
   function.setNoUnwind(true);
+  // Threads meet in it, so that a call must not become several.
+  if (loop->hasAttr(kInWarpAttrName))
+    function.setConvergent(true);
   Block *entry = function.addEntryBlock(builder);
   // Stands for the state of the device until it is known whether it is used.
   Value state = entry->addArgument(runtime.getPointerType(), loc);
