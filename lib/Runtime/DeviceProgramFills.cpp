@@ -65,7 +65,8 @@ bool DeviceQueue::Program::splitFront(const std::vector<uint32_t> &order,
   // some microseconds of filling. Large fills take all of the memory's time
   // wherever they are.
   constexpr int64_t fewestBytes = 4 << 20;
-  constexpr size_t fewestLaunches = 16, mostSteps = 4096, mostGroups = 64;
+  constexpr size_t fewestLaunches = 16, mostSteps = 4096;
+  constexpr int64_t mostGroups = 64;
   FillRun run;
   size_t count = 0;
   for (; count < order.size() && sequence.steps[order[count]].isFill(); ++count)

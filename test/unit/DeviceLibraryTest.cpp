@@ -473,7 +473,9 @@ struct SparseTree {
                 &marks[0],
                 "no cell {}",
                 "full",
-                nullptr};
+                nullptr,
+                nullptr,
+                0};
     nodes[1] = {isList,
                 0,
                 0,
@@ -489,7 +491,9 @@ struct SparseTree {
                 &marks[1],
                 "no cell {}",
                 "full",
-                nullptr};
+                nullptr,
+                nullptr,
+                0};
     tree = {2, nodes, steps, nullptr};
     *reinterpret_cast<TaiDeviceTree **>(memory + 248) = &tree;
   }
@@ -626,7 +630,9 @@ struct ManyCells {
             marks.data(),
             "no cell {}",
             "full",
-            nullptr};
+            nullptr,
+            nullptr,
+            0};
     *reinterpret_cast<TaiDeviceTree **>(memory.data() + 248) = &tree;
   }
   int64_t perUnit() const { return isList ? listCapacity : 64; }

@@ -41,7 +41,7 @@ DeviceAccess anyOf(DeviceAccess::Kind kind, int64_t row = 0) {
 
 FunctionAccesses function(std::vector<DeviceAccess> accesses,
                           std::vector<int64_t> extents = {10, 8}) {
-  return {true, std::move(extents), std::move(accesses)};
+  return {true, std::move(extents), std::move(accesses), {}, {}};
 }
 
 class ProgramSchedules : public ::testing::Test {

@@ -399,7 +399,7 @@ TEST(RuntimeLoop, CutsByCost) {
   EXPECT_GE(runtime.partition(1000000, 1, false), 4);
   EXPECT_EQ(runtime.partition(3, 1000000, true), 3);
   // No overflow.
-  EXPECT_EQ(runtime.partition(INT64_MAX / 2, INT64_MAX / 2, true), 4);
+  EXPECT_EQ(runtime.partition(INT64_MAX / 2, 0x1p62, true), 4);
   runtime.setThreads(1);
   EXPECT_EQ(runtime.partition(1000000, 1000, false), 1);
 }
