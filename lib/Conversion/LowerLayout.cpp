@@ -502,9 +502,12 @@ void AccessLowering::lowerArray(Operation *op) {
       emitStore(b, loc, store.getValueToStore(), pointer, scopes);
       return {};
     }
-    return LLVM::AtomicRMWOp::create(b, loc, *toAtomicBinOp(atomic.getKind()),
-                                     pointer, atomic.getValue(),
-                                     LLVM::AtomicOrdering::monotonic);
+    auto update = LLVM::AtomicRMWOp::create(
+        b, loc, *toAtomicBinOp(atomic.getKind()), pointer, atomic.getValue(),
+        LLVM::AtomicOrdering::monotonic);
+    update.setAliasScopesAttr(scopes.own);
+    update.setNoaliasScopesAttr(scopes.others);
+    return update;
   });
   op->erase();
 }
