@@ -7,8 +7,8 @@ tai.field @x = @t["x"] : f32, rank 1
 // caches of writes where the loop adds to an array. Fields are no arrays.
 // CHECK-LABEL: llvm.func @update_0(
 //       CHECK:   llvm.load %{{.+}} invariant {alias_scopes = [#[[X:.+]]]} : !llvm.ptr -> f32
-//       CHECK:   llvm.load %{{[0-9]+}} {alias_scopes = [#[[ARRAYS:.+]]], noalias_scopes = [#[[X]]]} : !llvm.ptr -> f32
-//       CHECK:   llvm.atomicrmw fadd %{{.+}} monotonic {alias_scopes = [#[[ARRAYS]]], noalias_scopes = [#[[X]]]}
+//       CHECK:   llvm.load %{{[0-9]+}} {alias_scopes = [#[[$ARRAYS:.+]]], noalias_scopes = [#[[X]]]} : !llvm.ptr -> f32
+//       CHECK:   llvm.atomicrmw fadd %{{.+}} monotonic {alias_scopes = [#[[$ARRAYS]]], noalias_scopes = [#[[X]]]}
 tai.kernel @update(%a: memref<?xf32>, %b: memref<?xf32>) {
   %c7 = arith.constant 7 : index
   tai.parallel_for (%i) in @x {
@@ -23,7 +23,7 @@ tai.kernel @update(%a: memref<?xf32>, %b: memref<?xf32>) {
 
 // Where nothing is written to arrays, it does.
 // CHECK-LABEL: llvm.func @read_0(
-//       CHECK:   llvm.load %{{.+}} invariant {{.*}}alias_scopes = [#[[ARRAYS]]]
+//       CHECK:   llvm.load %{{.+}} invariant {{.*}}alias_scopes = [#[[$ARRAYS]]]
 tai.kernel @read(%a: memref<?xf32>) {
   tai.parallel_for (%i) in @x {
     %0 = memref.load %a[%i] : memref<?xf32>
