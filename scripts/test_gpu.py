@@ -211,6 +211,9 @@ class Stage:
             [*link, "-Wl,-rpath,$ORIGIN/../../lib", "-o", module],
             "the Python module cannot be linked",
         )
+        # As what installs packages does.
+        code = [sys.executable, "-m", "compileall", "-q", self.root / "python" / "tai"]
+        self._must(code, "the package cannot be compiled")
         self._must([sys.executable, "-c", "import tai"], "the package cannot be imported")
 
     def _upstream(self) -> list[object]:
@@ -372,7 +375,7 @@ def run_sanitizers(stage: Stage, seconds: float) -> Step:
     # Each spends its time in one thread, so they run side by side, with parts of the tests.
     parts = max(options.jobs // len(TOOLS), 1)
     work = [(tool, part) for tool in TOOLS for part in range(parts)]
-    gpus = devices(options)
+    gpus = max(devices(options), 1)
     with ThreadPoolExecutor(len(work)) as pool:
         running = [
             pool.submit(sanitize, stage, program, tool, f"{part}/{parts}", part % gpus, seconds)
@@ -382,8 +385,12 @@ def run_sanitizers(stage: Stage, seconds: float) -> Step:
     for tool in TOOLS:
         ours = [part for (name, _), part in zip(work, found, strict=True) if name == tool]
         step.details += report_tool(options, tool, ours)
-        step.failed = step.failed or not all(part.is_clean for part in ours)
+        step.failed = step.failed or any(part.found for part in ours)
+    unfinished = sum(not part.summaries for part in found)
     step.summary = "not clean" if step.failed else "clean"
+    if unfinished:
+        step.summary += f", as far as it went: {unfinished} processes were stopped"
+        step.failed = True
     return step
 
 
@@ -400,9 +407,8 @@ class Sanitized:
     is_late: bool
 
     @property
-    def is_clean(self) -> bool:
-        found = sum(self.summaries) + len(self.found_before) + len(self.failures)
-        return bool(self.summaries) and not found
+    def found(self) -> int:
+        return sum(self.summaries) + len(self.found_before) + len(self.failures)
 
 
 def sanitize(
