@@ -53,6 +53,21 @@ static FailureOr<runtime::CallerAdjoints> getCallerAdjoints(KernelOp kernel,
   return adjoints;
 }
 
+static std::vector<runtime::ArrayArgument> findArrays(KernelOp kernel) {
+  std::vector<runtime::ArrayArgument> arrays;
+  int64_t slot = 0;
+  for (Type type : kernel.getArgumentTypes()) {
+    if (auto array = dyn_cast<MemRefType>(type)) {
+      Type element = array.getElementType();
+      unsigned bits =
+          element.isIntOrFloat() ? element.getIntOrFloatBitWidth() : 64;
+      arrays.push_back({slot, array.getRank(), (bits + 7) / 8});
+    }
+    slot += countSlots(type);
+  }
+  return arrays;
+}
+
 FailureOr<std::pair<std::shared_ptr<KernelCode>, runtime::KernelPtr>>
 Session::makeKernel(OwningOpRef<ModuleOp> module, StringRef name) {
   auto op = module->lookupSymbol<KernelOp>(name);
@@ -74,6 +89,7 @@ Session::makeKernel(OwningOpRef<ModuleOp> module, StringRef name) {
   info.place = code->place = describePlace(op.getLoc());
   info.argSlots = code->argSlots = countSlots(op.getArgumentTypes());
   info.resultSlots = countSlots(op.getResultTypes());
+  info.arrays = findArrays(op);
   info.callerAdjoints = std::move(*adjoints);
   info.summary = summarize(*module, op);
   for (TreeOp tree : module->getOps<TreeOp>())

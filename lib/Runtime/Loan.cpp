@@ -19,8 +19,11 @@
 
 using namespace mlir::tai::runtime;
 
+std::atomic<int> Loan::count{0};
+
 Loan::Loan(const TreePtr &tree)
     : tree(tree), memory(tree->memory), mirror(tree->mirrored) {
+  count.fetch_add(1, std::memory_order_relaxed);
   tree->loans.fetch_add(1, std::memory_order_relaxed);
   if (mirror)
     mirror->lend();
@@ -30,6 +33,53 @@ Loan::~Loan() {
   if (mirror)
     mirror->takeBack();
   tree->loans.fetch_sub(1, std::memory_order_relaxed);
+  count.fetch_sub(1, std::memory_order_relaxed);
+}
+
+/// The bytes of the tree that the field lies in, where it can be lent.
+static bool findExtent(const Field &field, uint64_t &begin, uint64_t &end) {
+  const FieldLayout &layout = field.layout();
+  int64_t last = byteSize(field.scalar());
+  if (field.numComponents() > 1)
+    last += (field.numComponents() - 1) * layout.componentStride;
+  for (int d = 0; d < field.rank(); ++d) {
+    auto at = static_cast<size_t>(d);
+    int64_t step = 0;
+    if (!findConstantStep(layout.indices[at], step))
+      return false;
+    last += (field.shape()[at] - 1) * step;
+  }
+  begin = static_cast<uint64_t>(layout.placeOffset);
+  end = begin + static_cast<uint64_t>(last);
+  return true;
+}
+
+Status Runtime::checkLentFields(const Kernel &kernel,
+                                const uint64_t *args) const {
+  for (const Access &access : kernel.summary()) {
+    const Field &field = *access.field;
+    uint64_t begin = 0, end = 0;
+    if (!field.valid() || !field.tree().isLent() ||
+        !findExtent(field, begin, end))
+      continue;
+    const Mirror *mirror = field.tree().mirror();
+    uint64_t base = mirror ? mirror->at(0)
+                           : reinterpret_cast<uint64_t>(field.tree().base());
+    for (const ArrayArgument &array : kernel.arrays()) {
+      uint64_t from = args[array.slot];
+      uint64_t bytes = static_cast<uint64_t>(array.elementBytes);
+      for (int64_t d = 1; d <= array.rank; ++d)
+        bytes *= args[array.slot + d];
+      if (bytes > 0 && from < base + end && base + begin < from + bytes)
+        return Status::failure(
+            StatusCode::Usage,
+            "kernel '" + kernel.name() + "' uses field '" + field.name() +
+                "' and is given an array that shares its memory; give it a "
+                "copy, or let it use one of them alone",
+            kernel.place());
+    }
+  }
+  return Status::success();
 }
 
 Status Runtime::lend(Field &field, LentField &lent) {

@@ -466,6 +466,9 @@ static Status wrongSlots(const Kernel &kernel, int64_t wanted, int64_t slots) {
 
 Status Runtime::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
                        uint64_t *results) {
+  if (__builtin_expect(Loan::areAny(), false) && !kernel.arrays().empty())
+    if (Status status = checkLentFields(kernel, args); !status)
+      return status;
   const PreparedLaunch &prepared = kernel.prepared;
   if (__builtin_expect(prepared.state.load(std::memory_order_acquire) ==
                                hot.state.load(std::memory_order_relaxed) &&

@@ -74,6 +74,44 @@ def test_the_host_reads_often_what_others_change(arch):
         assert x[n % 5] == 2 * n
 
 
+def test_no_kernel_uses_a_field_and_an_array_of_its_memory(arch):
+    """Code takes fields and arrays for apart, and keeps what it has read."""
+    x, y = ti.field(ti.f32, shape=8), ti.field(ti.f32, shape=8)
+
+    @ti.kernel
+    def shift(a: ti.types.ndarray(ti.f32, 1)):
+        for i in x:
+            x[i] = a[i] + 1.0
+
+    @ti.kernel
+    def other(a: ti.types.ndarray(ti.f32, 1)):
+        for i in y:
+            y[i] = a[i] + 1.0
+
+    data = np.ones(8, np.float32)
+    shift(data)
+    view = np.from_dlpack(x)
+    for _ in range(2):
+        with pytest.raises(ti.TaiError, match="'shift' uses field 'x' and is given an array that"):
+            shift(view)
+        other(view)
+        shift(data)
+    assert x.to_numpy().tolist() == [2.0] * 8
+    assert y.to_numpy().tolist() == [3.0] * 8
+    # A part of it, and what lies beside it.
+    z = ti.field(ti.f32, shape=(4, 8))
+
+    @ti.kernel
+    def first(a: ti.types.ndarray(ti.f32, 1)):
+        for i in range(8):
+            z[0, i] = a[i]
+
+    with pytest.raises(ti.TaiError, match="'first' uses field"):
+        first(np.from_dlpack(z)[3])
+    first(view)
+    assert z.to_numpy()[0].tolist() == [2.0] * 8
+
+
 @pytest.mark.parametrize(
     "dt", [ti.i8, ti.u8, ti.i16, ti.i32, ti.i64, ti.f16, ti.f32, ti.f64, ti.u1]
 )

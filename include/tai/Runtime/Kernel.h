@@ -143,6 +143,12 @@ struct CallerAdjoints {
   bool areZero(const uint64_t *callerSlots) const;
 };
 
+/// An array among the arguments: its pointer's slot, which those of its extents
+/// follow, and the bytes of an element.
+struct ArrayArgument {
+  int64_t slot, rank, elementBytes;
+};
+
 struct KernelInfo {
   std::string name;
   /// Where it stands in the source, as "file:line:column", or empty.
@@ -150,6 +156,7 @@ struct KernelInfo {
   /// Slots of arguments and results, as Abi.h counts them.
   int64_t argSlots = 0;
   int64_t resultSlots = 0;
+  std::vector<ArrayArgument> arrays = {};
   CallerAdjoints callerAdjoints;
   /// The trees of the module, in the order of its `tai.tree` ops.
   std::vector<TreePtr> trees;
@@ -231,6 +238,7 @@ public:
     return info.argSlots + info.callerAdjoints.slots;
   }
   int64_t resultSlots() const { return info.resultSlots; }
+  const std::vector<ArrayArgument> &arrays() const { return info.arrays; }
   const CallerAdjoints &callerAdjoints() const { return info.callerAdjoints; }
   const std::vector<Access> &summary() const { return info.summary; }
   bool differentiable() const { return info.differentiable; }

@@ -93,8 +93,11 @@ public:
   ~Loan();
   Loan(const Loan &) = delete;
   Loan &operator=(const Loan &) = delete;
+  /// Whether there are any, of whatever runtime.
+  static bool areAny() { return count.load(std::memory_order_relaxed) > 0; }
 
 private:
+  static std::atomic<int> count;
   TreePtr tree;
   std::shared_ptr<void> memory;
   std::shared_ptr<Mirror> mirror;
@@ -322,6 +325,9 @@ private:
   friend class TapeMemory;
 
   void freeTree(Tree &tree);
+  /// Fails where an array shares memory with a field that the kernel uses:
+  /// its code takes them for apart.
+  Status checkLentFields(const Kernel &kernel, const uint64_t *args) const;
   void addMemory(SkipAmounts &amounts) const;
   Status checkPartners(const Field &added) const;
   void linkPartners(const FieldPtr &added);
