@@ -14,7 +14,7 @@
 #ifndef TAI_LIB_RUNTIME_LAUNCHLEADS_H
 #define TAI_LIB_RUNTIME_LAUNCHLEADS_H
 
-#include "tai/Runtime/Device.h"
+#include "SentLaunch.h"
 #include <unordered_map>
 
 namespace mlir::tai::runtime {
@@ -48,15 +48,7 @@ public:
   std::string explain() const;
 
 private:
-  struct Item {
-    const DeviceFunction *function;
-    unsigned blocks, threads;
-    int count;
-    bool operator==(const Item &other) const {
-      return function == other.function && blocks == other.blocks &&
-             threads == other.threads && count == other.count;
-    }
-  };
+  using Item = SentLaunch;
   /// Launches by the first of them.
   struct Lead {
     std::vector<Item> items;

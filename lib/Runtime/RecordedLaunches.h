@@ -15,7 +15,7 @@
 #ifndef TAI_LIB_RUNTIME_RECORDEDLAUNCHES_H
 #define TAI_LIB_RUNTIME_RECORDEDLAUNCHES_H
 
-#include "tai/Runtime/Device.h"
+#include "SentLaunch.h"
 #include <algorithm>
 #include <memory>
 #include <string>
@@ -25,15 +25,7 @@ namespace mlir::tai::runtime {
 
 class RecordedLaunches {
 public:
-  struct Item {
-    const DeviceFunction *function;
-    unsigned blocks, threads;
-    int count;
-    bool operator==(const Item &other) const {
-      return function == other.function && blocks == other.blocks &&
-             threads == other.threads && count == other.count;
-    }
-  };
+  using Item = SentLaunch;
 
   /// What became of a sequence that had been collected.
   struct Outcome {

@@ -13,11 +13,10 @@
 
 #include "../../lib/Runtime/Cuda/FillTable.h"
 #include "../../lib/Runtime/FillRun.h"
+#include "FakeCudaTest.h"
 #include "RuntimeTestUtils.h"
 #include "tai/Runtime/DeviceAccesses.h"
-#include <cstdlib>
 #include <cstring>
-#include <dlfcn.h>
 #include <random>
 
 using namespace mlir::tai::runtime;
@@ -213,23 +212,10 @@ TEST(FillRun, LaterOnesCount) {
 
 #ifdef TAI_FAKE_CUDA_LIBRARY
 namespace {
-class QueuedFills : public ::testing::Test {
+class QueuedFills : public FakeCudaTest {
 protected:
-  static constexpr int64_t n = 8;
-
-  void TearDown() override {
-    close();
-    for (const char *name :
-         {"TAI_CUDA_DRIVER", "TAI_FAKE_CUDA", "TAI_FILLS_TOGETHER_BYTES"})
-      unsetenv(name);
-  }
   void open(ProgramMode mode, const char *words = "overlaps") {
-    close();
-    setenv("TAI_CUDA_DRIVER", TAI_FAKE_CUDA_LIBRARY, 1);
-    setenv("TAI_FAKE_CUDA", words, 1);
-    std::unique_ptr<Device> device;
-    ASSERT_OK(openCudaDevice(0, device));
-    queue = std::make_unique<DeviceQueue>(std::move(device));
+    ASSERT_NO_FATAL_FAILURE(openQueue(words));
     queue->setMode(mode);
     queue->setProgramMaker([](const ProgramPlan &plan, DeviceImage &image) {
       image = DeviceImage{DeviceKind::Cuda, "//", {}, {}, nullptr};
@@ -254,21 +240,8 @@ protected:
     ASSERT_OK(queue->load(image, module));
     ASSERT_OK(queue->find(*module, "add", function));
     ASSERT_OK(queue->allocate(bytes, memory));
-    library = dlopen(TAI_FAKE_CUDA_LIBRARY, RTLD_NOW | RTLD_NOLOAD);
-    ASSERT_NE(library, nullptr);
     expected.assign(bytes, '\x11');
     ASSERT_OK(queue->copyIn(memory, expected.data(), bytes));
-  }
-  void close() {
-    module.reset();
-    queue.reset();
-    if (library)
-      dlclose(library);
-    library = nullptr;
-  }
-  int counter(const char *name) {
-    std::string symbol = std::string("tai_fake_cuda_") + name;
-    return *static_cast<int *>(dlsym(library, symbol.c_str()));
   }
 
   void fill(const DeviceRows &rows, double value) {
@@ -317,12 +290,9 @@ protected:
   }
 
   static constexpr int64_t bytes = 6 << 20;
-  std::unique_ptr<DeviceQueue> queue;
-  std::unique_ptr<DeviceModule> module;
   DeviceFunction *function = nullptr;
   DevicePtr memory = 0;
   std::vector<char> expected;
-  void *library = nullptr;
 };
 } // namespace
 

@@ -11,76 +11,24 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "RuntimeTestUtils.h"
-#include "tai/Runtime/DeviceQueue.h"
-#include <cstdlib>
+#include "FakeCudaTest.h"
 #include <cstring>
-#include <dlfcn.h>
 
 using namespace mlir::tai::runtime;
 using namespace mlir::tai::runtime::test;
 
 #ifdef TAI_FAKE_CUDA_LIBRARY
 namespace {
-class KeptLaunches : public ::testing::Test {
+class KeptLaunches : public FakeCudaSteps {
 protected:
-  static constexpr int64_t n = 8;
-
   void SetUp() override { open(""); }
-  void TearDown() override {
-    close();
-    for (const char *name :
-         {"TAI_CUDA_DRIVER", "TAI_FAKE_CUDA", "TAI_KEEP_LAUNCHES_US"})
-      unsetenv(name);
-  }
 
   /// Launches are kept as long as it takes.
   void open(const char *trouble, const char *longestUs = "1000000000") {
-    close();
-    setenv("TAI_CUDA_DRIVER", TAI_FAKE_CUDA_LIBRARY, 1);
-    setenv("TAI_FAKE_CUDA", trouble, 1);
     setenv("TAI_KEEP_LAUNCHES_US", longestUs, 1);
-    std::unique_ptr<Device> device;
-    ASSERT_OK(openCudaDevice(0, device));
-    queue = std::make_unique<DeviceQueue>(std::move(device));
-    ASSERT_OK(queue->load(image(), module));
-    ASSERT_OK(queue->find(*module, "scale", scale));
-    ASSERT_OK(queue->find(*module, "add", add));
-    for (DevicePtr *memory : {&x, &y}) {
-      ASSERT_OK(queue->allocate(n * 8, *memory));
-      double zero = 0;
-      ASSERT_OK(queue->fill(*memory, &zero, 8, n));
-    }
-    ASSERT_OK(queue->synchronize());
-    expected = 0;
-    library = dlopen(TAI_FAKE_CUDA_LIBRARY, RTLD_NOW | RTLD_NOLOAD);
-    ASSERT_NE(library, nullptr);
-  }
-  void close() {
-    module.reset();
-    queue.reset();
-    if (library)
-      dlclose(library);
-    library = nullptr;
-  }
-  static DeviceImage image() {
-    return DeviceImage{DeviceKind::Cuda, "//", {"scale", "add"}, {}, nullptr};
+    openSteps(trouble);
   }
 
-  int counter(const char *name) {
-    std::string symbol = std::string("tai_fake_cuda_") + name;
-    return *static_cast<int *>(dlsym(library, symbol.c_str()));
-  }
-  int submissions() { return counter("submissions"); }
-
-  void apply(DeviceFunction *function, double value) {
-    uint64_t slots[] = {x, n, 0};
-    std::memcpy(&slots[2], &value, 8);
-    LaunchShape shape;
-    shape.threads = 32;
-    EXPECT_OK(queue->launch(*function, shape, slots, 3));
-    expected = function == scale ? expected * value : expected + value;
-  }
   /// Work that does not commute with the steps behind it.
   void replay(double value = 0.25, int extra = 0, bool isReplay = true) {
     queue->beginCollecting(isReplay);
@@ -102,19 +50,6 @@ protected:
   void learn() {
     learn([&] { apply(scale, 0.875); });
   }
-  double read() {
-    double value = 0;
-    EXPECT_OK(queue->copyOut(&value, x, 8));
-    return value;
-  }
-  void expectAsOneByOne() { EXPECT_EQ(read(), expected); }
-
-  std::unique_ptr<DeviceQueue> queue;
-  std::unique_ptr<DeviceModule> module;
-  DeviceFunction *scale = nullptr, *add = nullptr;
-  DevicePtr x = 0, y = 0;
-  double expected = 0;
-  void *library = nullptr;
 };
 } // namespace
 

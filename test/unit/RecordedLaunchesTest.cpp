@@ -12,73 +12,26 @@
 //===----------------------------------------------------------------------===//
 
 #include "../../lib/Runtime/RecordedLaunches.h"
-#include "RuntimeTestUtils.h"
-#include "tai/Runtime/DeviceQueue.h"
-#include <cstdlib>
+#include "FakeCudaTest.h"
 #include <cstring>
-#include <dlfcn.h>
 
 using namespace mlir::tai::runtime;
 using namespace mlir::tai::runtime::test;
 
 #ifdef TAI_FAKE_CUDA_LIBRARY
 namespace {
-class RecordedAgain : public ::testing::Test {
+class RecordedAgain : public FakeCudaSteps {
 protected:
-  static constexpr int64_t n = 8;
-
   void SetUp() override { open(""); }
-  void TearDown() override {
-    close();
-    for (const char *name : {"TAI_CUDA_DRIVER", "TAI_FAKE_CUDA",
-                             "TAI_KEEP_LAUNCHES_US", "TAI_COLLECT_RECORDINGS"})
-      unsetenv(name);
-  }
 
   /// Whatever comes again is collected, and launches are kept as long as it
   /// takes.
   void open(const char *trouble, const char *collect = "1") {
-    close();
-    setenv("TAI_CUDA_DRIVER", TAI_FAKE_CUDA_LIBRARY, 1);
-    setenv("TAI_FAKE_CUDA", trouble, 1);
     setenv("TAI_KEEP_LAUNCHES_US", "1000000000", 1);
     setenv("TAI_COLLECT_RECORDINGS", collect, 1);
-    std::unique_ptr<Device> device;
-    ASSERT_OK(openCudaDevice(0, device));
-    queue = std::make_unique<DeviceQueue>(std::move(device));
-    DeviceImage image{DeviceKind::Cuda, "//", {"scale", "add"}, {}, nullptr};
-    ASSERT_OK(queue->load(image, module));
-    ASSERT_OK(queue->find(*module, "scale", scale));
-    ASSERT_OK(queue->find(*module, "add", add));
-    for (DevicePtr *memory : {&x, &y}) {
-      ASSERT_OK(queue->allocate(n * 8, *memory));
-      double zero = 0;
-      ASSERT_OK(queue->fill(*memory, &zero, 8, n));
-    }
-    ASSERT_OK(queue->synchronize());
-    expected = 0;
-    library = dlopen(TAI_FAKE_CUDA_LIBRARY, RTLD_NOW | RTLD_NOLOAD);
-    ASSERT_NE(library, nullptr);
-  }
-  void close() {
-    module.reset();
-    queue.reset();
-    if (library)
-      dlclose(library);
-    library = nullptr;
-  }
-  int submissions() {
-    return *static_cast<int *>(dlsym(library, "tai_fake_cuda_submissions"));
+    openSteps(trouble);
   }
 
-  void apply(DeviceFunction *function, double value) {
-    uint64_t slots[] = {x, n, 0};
-    std::memcpy(&slots[2], &value, 8);
-    LaunchShape shape;
-    shape.threads = 32;
-    EXPECT_OK(queue->launch(*function, shape, slots, 3));
-    expected = function == scale ? expected * value : expected + value;
-  }
   /// Launches that do not commute.
   void forward(double value = 0.25, int count = 6) {
     for (int i = 0; i < count; ++i)
@@ -106,19 +59,6 @@ protected:
   void learn() {
     learn([&] { iterate(); });
   }
-  double read() {
-    double value = 0;
-    EXPECT_OK(queue->copyOut(&value, x, 8));
-    return value;
-  }
-  void expectAsOneByOne() { EXPECT_EQ(read(), expected); }
-
-  std::unique_ptr<DeviceQueue> queue;
-  std::unique_ptr<DeviceModule> module;
-  DeviceFunction *scale = nullptr, *add = nullptr;
-  DevicePtr x = 0, y = 0;
-  double expected = 0;
-  void *library = nullptr;
 };
 } // namespace
 
