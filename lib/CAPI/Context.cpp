@@ -27,6 +27,7 @@ void taiStopBackgroundWork(void) { Background::stopAll(); }
 
 TaiStatus taiContextSetOption(TaiContext context, const char *name,
                               const char *value) {
+  ContextLock lock(*context);
   return context->status(context->session.setOption(toRef(name), toRef(value)));
 }
 
@@ -45,8 +46,13 @@ TaiError taiContextLastError(TaiContext context) {
 }
 
 TaiStatus taiContextSynchronize(TaiContext context) {
+  ContextLock lock(*context);
   // Launches on the CPU have ended when they return.
   return context->status(context->session.getRuntime().synchronize());
+}
+
+void taiSetSafepointHandler(TaiSafepointHandler handler) {
+  runtime::safepoint::setHandler(handler);
 }
 
 void taiContextInterrupt(TaiContext context) {
@@ -59,6 +65,7 @@ void taiContextClearInterrupt(TaiContext context) {
 
 void taiContextSetPrintHandler(TaiContext context, TaiPrintHandler handler,
                                void *user) {
+  ContextLock lock(*context);
   runtime::Runtime::Sink sink;
   if (handler)
     sink = [handler, user](std::string_view line) {
@@ -73,10 +80,12 @@ void taiContextSetPrintHandler(TaiContext context, TaiPrintHandler handler,
 
 TaiStatus taiContextAddTree(TaiContext context, const char *name,
                             const char *layout) {
+  ContextLock lock(*context);
   return context->status(context->session.addTree(toRef(name), toRef(layout)));
 }
 
 TaiStatus taiContextDestroyTree(TaiContext context, const char *name) {
+  ContextLock lock(*context);
   return context->status(context->session.destroyTree(toRef(name)));
 }
 
@@ -99,6 +108,7 @@ static runtime::SparseNode *findLevel(TaiContext context, const char *name,
 
 TaiStatus taiContextGetSparseLevel(TaiContext context, const char *tree,
                                    int64_t level, TaiSparseLevel *result) {
+  ContextLock lock(*context);
   TaiStatus status;
   if (const runtime::SparseNode *node = findLevel(context, tree, level, status))
     *result = {node->numCells(),  node->cellBytes(),   node->numActive(),
@@ -109,6 +119,7 @@ TaiStatus taiContextGetSparseLevel(TaiContext context, const char *tree,
 TaiStatus taiContextGetActiveCells(TaiContext context, const char *tree,
                                    int64_t level, int64_t *cells,
                                    int64_t count) {
+  ContextLock lock(*context);
   TaiStatus status;
   if (runtime::SparseNode *node = findLevel(context, tree, level, status)) {
     runtime::ActiveListPtr list = node->list(context->session.getRuntime());
@@ -124,6 +135,7 @@ TaiStatus taiContextGetActiveCells(TaiContext context, const char *tree,
 
 TaiStatus taiContextSetActive(TaiContext context, const char *tree,
                               int64_t level, int64_t cell, int active) {
+  ContextLock lock(*context);
   TaiStatus status;
   runtime::TreePtr found;
   runtime::SparseNode *node = findLevel(context, tree, level, status, &found);
@@ -140,6 +152,7 @@ TaiStatus taiContextSetActive(TaiContext context, const char *tree,
 
 TaiStatus taiContextDeactivateAll(TaiContext context, const char *tree,
                                   int64_t level) {
+  ContextLock lock(*context);
   TaiStatus status;
   runtime::TreePtr found;
   if (!findLevel(context, tree, level, status, &found))
@@ -149,6 +162,7 @@ TaiStatus taiContextDeactivateAll(TaiContext context, const char *tree,
 
 TaiStatus taiContextAddField(TaiContext context, const char *declaration,
                              TaiField *field) {
+  ContextLock lock(*context);
   FailureOr<runtime::FieldPtr> made =
       context->session.addField(toRef(declaration));
   if (failed(made))
@@ -179,6 +193,7 @@ TaiStatus taiFieldReadF64(TaiField handle, const int64_t *indices,
 
 TaiStatus taiFieldWriteF64(TaiField handle, const int64_t *indices,
                            int64_t component, double value) {
+  ContextLock lock(handle->context);
   TaiContextImpl &context = handle->context;
   return context.status(context.session.getRuntime().writeF64(
       *handle->field, indices, component, value));
@@ -192,6 +207,7 @@ TaiStatus taiFieldReadI64(TaiField handle, const int64_t *indices,
 
 TaiStatus taiFieldWriteI64(TaiField handle, const int64_t *indices,
                            int64_t component, int64_t value) {
+  ContextLock lock(handle->context);
   TaiContextImpl &context = handle->context;
   return context.status(context.session.getRuntime().writeI64(
       *handle->field, indices, component, value));
@@ -199,12 +215,14 @@ TaiStatus taiFieldWriteI64(TaiField handle, const int64_t *indices,
 
 TaiStatus taiFieldReadElements(TaiField handle, const int64_t *indices,
                                int64_t count, void *values) {
+  ContextLock lock(handle->context);
   return handle->context.status(
       handle->field->readElements(indices, count, values));
 }
 
 TaiStatus taiFieldWriteElements(TaiField handle, const int64_t *indices,
                                 int64_t count, const void *values) {
+  ContextLock lock(handle->context);
   TaiContextImpl &context = handle->context;
   return context.status(context.session.getRuntime().writeElements(
       *handle->field, indices, count, values));
@@ -212,6 +230,7 @@ TaiStatus taiFieldWriteElements(TaiField handle, const int64_t *indices,
 
 TaiStatus taiFieldGetAddress(TaiField handle, const int64_t *indices,
                              void **address) {
+  ContextLock lock(handle->context);
   TaiContextImpl &context = handle->context;
   const runtime::Tree &tree = handle->field->tree();
   int64_t offset = 0;
@@ -225,30 +244,35 @@ TaiStatus taiFieldGetAddress(TaiField handle, const int64_t *indices,
 }
 
 TaiStatus taiFieldCopyToHost(TaiField handle, void *array) {
+  ContextLock lock(handle->context);
   TaiContextImpl &context = handle->context;
   return context.status(
       context.session.getRuntime().copyToHost(*handle->field, array));
 }
 
 TaiStatus taiFieldCopyFromHost(TaiField handle, const void *array) {
+  ContextLock lock(handle->context);
   TaiContextImpl &context = handle->context;
   return context.status(
       context.session.getRuntime().copyFromHost(*handle->field, array));
 }
 
 TaiStatus taiFieldFillF64(TaiField handle, double value) {
+  ContextLock lock(handle->context);
   TaiContextImpl &context = handle->context;
   return context.status(
       context.session.getRuntime().fillF64(*handle->field, value));
 }
 
 TaiStatus taiFieldFillI64(TaiField handle, int64_t value) {
+  ContextLock lock(handle->context);
   TaiContextImpl &context = handle->context;
   return context.status(
       context.session.getRuntime().fillI64(*handle->field, value));
 }
 
 TaiStatus taiContextClearGradients(TaiContext context) {
+  ContextLock lock(*context);
   context->session.getRuntime().clearGradients();
   return TAI_OK;
 }

@@ -10,9 +10,13 @@
 
 #include "tai-c/Tai.h"
 #include "tai/ExecutionEngine/Session.h"
+#include "tai/Runtime/Safepoint.h"
+#include <mutex>
 
 /// Owns every handle made in it: only kernels and tapes are destroyed earlier.
 struct TaiContextImpl {
+  /// Held by every call but launches: a context has one user at a time.
+  std::recursive_timed_mutex mutex;
   mlir::tai::Session session;
   std::vector<std::unique_ptr<TaiFieldImpl>> fields;
   std::vector<std::unique_ptr<TaiKernelImpl>> kernels;
@@ -37,6 +41,19 @@ struct TaiContextImpl {
   TaiStatus usage(const llvm::Twine &message) {
     return status(session.fail(mlir::tai::FailureKind::Usage, message));
   }
+};
+
+/// Waits for the calls of other threads. What waits passes safepoints, so that
+/// the host lets those threads run.
+class ContextLock {
+public:
+  explicit ContextLock(TaiContextImpl &context)
+      : lock(context.mutex, std::defer_lock) {
+    mlir::tai::runtime::safepoint::lock(lock);
+  }
+
+private:
+  std::unique_lock<std::recursive_timed_mutex> lock;
 };
 
 struct TaiFieldImpl {

@@ -23,6 +23,7 @@ static TaiKernel keep(TaiContextImpl &context, SessionKernel *kernel) {
 
 TaiStatus taiKernelCreate(TaiContext context, MlirModule module,
                           const char *name, TaiKernel *kernel) {
+  ContextLock lock(*context);
   OwningOpRef<ModuleOp> owned(unwrap(module));
   if (!name)
     return context->usage("a kernel needs a name");
@@ -36,6 +37,7 @@ TaiStatus taiKernelCreate(TaiContext context, MlirModule module,
 
 TaiStatus taiKernelParse(TaiContext context, const char *text, const char *file,
                          const char *name, TaiKernel *kernel) {
+  ContextLock lock(*context);
   FailureOr<SessionKernel *> made = context->session.parseKernel(
       text ? text : "", file ? file : "", name ? name : "");
   if (failed(made))
@@ -45,6 +47,7 @@ TaiStatus taiKernelParse(TaiContext context, const char *text, const char *file,
 }
 
 void taiKernelDestroy(TaiKernel kernel) {
+  ContextLock lock(kernel->context);
   TaiContextImpl &context = kernel->context;
   context.session.destroyKernel(kernel->kernel);
   llvm::erase_if(context.kernels,
@@ -59,12 +62,14 @@ TaiStatus taiKernelLaunch(TaiKernel kernel, const uint64_t *args, int64_t slots,
 
 TaiStatus taiKernelLaunchGrad(TaiKernel kernel, const uint64_t *args,
                               int64_t slots) {
+  ContextLock lock(kernel->context);
   return kernel->context.status(
       kernel->runtime.launchAdjoint(kernel->launched, args, slots));
 }
 
 TaiStatus taiKernelsCompile(TaiContext context, TaiKernel *kernels,
                             int64_t count, bool adjoints) {
+  ContextLock lock(*context);
   SmallVector<SessionKernel *> list;
   for (int64_t i = 0; i < count; ++i)
     list.push_back(kernels[i]->kernel);
@@ -73,6 +78,7 @@ TaiStatus taiKernelsCompile(TaiContext context, TaiKernel *kernels,
 
 TaiStatus taiKernelGetIR(TaiKernel kernel, const char *stage,
                          const char **text) {
+  ContextLock lock(kernel->context);
   TaiContextImpl &context = kernel->context;
   FailureOr<std::string> printed =
       context.session.getIR(*kernel->kernel, stage ? stage : "");
@@ -89,6 +95,7 @@ TaiStatus taiKernelGetIR(TaiKernel kernel, const char *stage,
 
 TaiStatus taiTapeBegin(TaiContext context, TaiField loss, bool clearGradients,
                        TaiTape *tape) {
+  ContextLock lock(*context);
   std::unique_ptr<runtime::Tape> made;
   TaiStatus status = context->status(context->session.getRuntime().beginTape(
       loss ? loss->field : nullptr, clearGradients, made));
@@ -101,16 +108,19 @@ TaiStatus taiTapeBegin(TaiContext context, TaiField loss, bool clearGradients,
 }
 
 TaiStatus taiTapeEnd(TaiTape tape) {
+  ContextLock lock(tape->context);
   tape->tape->end();
   return TAI_OK;
 }
 
 TaiStatus taiTapeEndToSweep(TaiTape tape) {
+  ContextLock lock(tape->context);
   tape->tape->end(/*isSwept=*/true);
   return TAI_OK;
 }
 
 TaiStatus taiTapeBackward(TaiTape tape) {
+  ContextLock lock(tape->context);
   TaiContextImpl &context = tape->context;
   if (failed(context.session.prepareReverse(*tape->tape, /*cleared=*/false)))
     return context.status(failure());
@@ -118,6 +128,7 @@ TaiStatus taiTapeBackward(TaiTape tape) {
 }
 
 TaiStatus taiTapeReplay(TaiTape tape, bool forward, bool backward) {
+  ContextLock lock(tape->context);
   TaiContextImpl &context = tape->context;
   if (backward &&
       failed(context.session.prepareReverse(*tape->tape, /*cleared=*/true)))
@@ -145,6 +156,7 @@ wrapCallback(TaiContextImpl &context, TaiTapeCallback callback, void *user) {
 
 TaiStatus taiTapeRecordCallback(TaiTape tape, TaiTapeCallback forward,
                                 TaiTapeCallback backward, void *user) {
+  ContextLock lock(tape->context);
   TaiContextImpl &context = tape->context;
   if (!tape->tape->recording())
     return context.usage("the tape does not record");
@@ -154,23 +166,33 @@ TaiStatus taiTapeRecordCallback(TaiTape tape, TaiTapeCallback forward,
 }
 
 TaiStatus taiTapeSuspend(TaiTape tape) {
+  ContextLock lock(tape->context);
   tape->tape->suspend();
   return TAI_OK;
 }
 
 TaiStatus taiTapeResume(TaiTape tape) {
+  ContextLock lock(tape->context);
   return tape->context.status(tape->tape->resume());
 }
 
 const char *taiTapeExplain(TaiTape tape) {
+  ContextLock lock(tape->context);
   return tape->tape->explain().c_str();
 }
 
-int64_t taiTapeNumRecords(TaiTape tape) { return tape->tape->numRecords(); }
+int64_t taiTapeNumRecords(TaiTape tape) {
+  ContextLock lock(tape->context);
+  return tape->tape->numRecords();
+}
 
-int64_t taiTapeNumSkipped(TaiTape tape) { return tape->tape->numSkipped(); }
+int64_t taiTapeNumSkipped(TaiTape tape) {
+  ContextLock lock(tape->context);
+  return tape->tape->numSkipped();
+}
 
 void taiTapeDestroy(TaiTape tape) {
+  ContextLock lock(tape->context);
   TaiContextImpl &context = tape->context;
   llvm::erase_if(context.tapes,
                  [&](const auto &owned) { return owned.get() == tape; });

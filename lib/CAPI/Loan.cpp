@@ -14,6 +14,7 @@ struct TaiLoanImpl {
 };
 
 TaiStatus taiFieldLend(TaiField field, TaiFieldMemory *memory, TaiLoan *loan) {
+  ContextLock lock(field->context);
   TaiContextImpl &context = field->context;
   auto made = std::make_unique<TaiLoanImpl>();
   TaiStatus status = context.status(
@@ -29,31 +30,37 @@ TaiStatus taiFieldLend(TaiField field, TaiFieldMemory *memory, TaiLoan *loan) {
 void taiLoanEnd(TaiLoan loan) { delete loan; }
 
 TaiStatus taiFieldNoteWrite(TaiField field) {
+  ContextLock lock(field->context);
   TaiContextImpl &context = field->context;
   return context.status(
       context.session.getRuntime().noteOutsideWrite(*field->field));
 }
 
 TaiStatus taiContextWaitForStream(TaiContext context, uint64_t stream) {
+  ContextLock lock(*context);
   return context->status(context->session.getRuntime().waitForStream(stream));
 }
 
 TaiStatus taiContextLetStreamWait(TaiContext context, uint64_t stream) {
+  ContextLock lock(*context);
   return context->status(context->session.getRuntime().letStreamWait(stream));
 }
 
 TaiStatus taiContextAllocateOnDevice(TaiContext context, int64_t bytes,
                                      void **address) {
+  ContextLock lock(*context);
   return context->status(
       context->session.getRuntime().allocateOnDevice(bytes, *address));
 }
 
 void taiContextFreeOnDevice(TaiContext context, void *address) {
+  ContextLock lock(*context);
   context->session.getRuntime().freeOnDevice(address);
 }
 
 TaiStatus taiContextCopyOnDevice(TaiContext context, void *to, const void *from,
                                  int64_t bytes) {
+  ContextLock lock(*context);
   return context->status(
       context->session.getRuntime().copyOnDevice(to, from, bytes));
 }

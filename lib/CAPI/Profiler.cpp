@@ -12,6 +12,7 @@ using namespace mlir::tai;
 
 TaiStatus taiProfilerRows(TaiContext context, const TaiProfileRow **rows,
                           int64_t *count) {
+  ContextLock lock(*context);
   context->profile = context->session.getRuntime().profile();
   context->profileRows.clear();
   for (const runtime::ProfileRow &row : context->profile)
@@ -28,6 +29,7 @@ TaiStatus taiProfilerRows(TaiContext context, const TaiProfileRow **rows,
 
 TaiStatus taiProfilerTrace(TaiContext context, const TaiTraceEvent **events,
                            int64_t *count, int64_t *lost) {
+  ContextLock lock(*context);
   std::vector<runtime::TraceEvent> found =
       context->session.getRuntime().trace(*lost);
   // What holds others comes before them.
@@ -49,6 +51,7 @@ TaiStatus taiProfilerTrace(TaiContext context, const TaiTraceEvent **events,
 }
 
 TaiStatus taiProfilerClear(TaiContext context) {
+  ContextLock lock(*context);
   context->session.getRuntime().clearProfile();
   return TAI_OK;
 }

@@ -11,6 +11,7 @@ using namespace mlir::tai;
 
 TaiStatus taiProfilerSkips(TaiContext context, const TaiSkipRow **rows,
                            int64_t *count) {
+  ContextLock lock(*context);
   const runtime::Runtime &runtime = context->session.getRuntime();
   SkipAmounts amounts = runtime.skipAmounts();
   context->skipRows.clear();
@@ -25,6 +26,7 @@ TaiStatus taiProfilerSkips(TaiContext context, const TaiSkipRow **rows,
 }
 
 TaiStatus taiProfilerClearSkips(TaiContext context) {
+  ContextLock lock(*context);
   context->session.getRuntime().skipCounters().clear();
   return TAI_OK;
 }

@@ -10,6 +10,7 @@
 using namespace mlir::tai;
 
 TaiStatus taiTapeCheckAccesses(TaiTape tape, int64_t limit, bool racesOnly) {
+  ContextLock lock(tape->context);
   if (limit < 1)
     return tape->context.usage("at least one violation must be kept");
   tape->tape->checkAccesses(limit, racesOnly);
@@ -23,6 +24,7 @@ static TaiAccessPlace getPlace(const runtime::AccessPlace &place) {
 
 TaiStatus taiTapeViolations(TaiTape tape, const TaiViolation **rows,
                             int64_t *count, int64_t *total) {
+  ContextLock lock(tape->context);
   tape->violations.clear();
   *total = 0;
   if (const runtime::AccessChecks *checks = tape->tape->accessChecks()) {

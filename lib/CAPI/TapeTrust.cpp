@@ -15,10 +15,12 @@ static bool hasRecord(TaiTape tape, int64_t record) {
 }
 
 TaiStatus taiTapeRunRecord(TaiTape tape, int64_t record) {
+  ContextLock lock(tape->context);
   return tape->context.status(tape->tape->runRecord(record));
 }
 
 const char *taiTapeRecordKernel(TaiTape tape, int64_t record) {
+  ContextLock lock(tape->context);
   if (!hasRecord(tape, record))
     return nullptr;
   const runtime::Kernel *kernel = tape->tape->kernelOf(record);
@@ -27,6 +29,7 @@ const char *taiTapeRecordKernel(TaiTape tape, int64_t record) {
 
 TaiStatus taiTapeRecordAccesses(TaiTape tape, int64_t record,
                                 const TaiTapeAccess **rows, int64_t *count) {
+  ContextLock lock(tape->context);
   if (!hasRecord(tape, record))
     return tape->context.usage("the tape has no record " + llvm::Twine(record));
   tape->accesses.clear();
@@ -49,17 +52,20 @@ TaiStatus taiTapeRecordAccesses(TaiTape tape, int64_t record,
 }
 
 TaiStatus taiTapeTakeAll(TaiTape tape, bool on) {
+  ContextLock lock(tape->context);
   tape->tape->takeAll(on);
   return TAI_OK;
 }
 
 TaiStatus taiTapeWatchHealth(TaiTape tape, bool on) {
+  ContextLock lock(tape->context);
   tape->tape->watchHealth(on);
   return TAI_OK;
 }
 
 TaiStatus taiTapeHealth(TaiTape tape, const TaiTapeHealthRow **rows,
                         int64_t *count) {
+  ContextLock lock(tape->context);
   tape->health.clear();
   for (const runtime::Tape::Health &row : tape->tape->health())
     tape->health.push_back({row.record, row.field->name().c_str(), row.nans,

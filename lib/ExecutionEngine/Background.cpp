@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/Background.h"
+#include "tai/Runtime/Safepoint.h"
 #include <algorithm>
 #include <cstdlib>
 #include <pthread.h>
@@ -133,6 +134,7 @@ Background::JobPtr Background::add(std::function<void()> task, bool isNeeded) {
 }
 
 void Background::run() {
+  runtime::safepoint::enterWorker();
   std::unique_lock<std::mutex> lock(mutex);
   while (!queue.empty() && maxThreads > 0 && !isHeld) {
     JobPtr job = std::move(queue.front());
@@ -159,15 +161,42 @@ bool Background::take(Job &job) {
   return true;
 }
 
-void Background::waitFor(Job &job, std::unique_lock<std::mutex> &lock) {
-  changed.wait(lock, [&] { return job.state == Job::State::Done; });
+bool Background::waitFor(Job &job, std::unique_lock<std::mutex> &lock) {
+  return runtime::safepoint::wait(
+      changed, lock, [&] { return job.state == Job::State::Done; });
 }
 
-void Background::finish(Job &job) {
+bool Background::finish(Job &job) {
   std::unique_lock<std::mutex> lock(mutex);
   if (!take(job))
     return waitFor(job, lock);
   runHere(job, lock);
+  return true;
+}
+
+bool Background::runAside(std::function<void()> task) {
+  auto job = std::make_shared<Job>();
+  job->task = std::move(task);
+  std::unique_lock<std::mutex> lock(mutex);
+  if (running == 0)
+    joinThreads();
+  runtime::Thread thread;
+  if (maxThreads == 0 || isHeld ||
+      !thread.start(
+          [this, job] {
+            runtime::safepoint::enterWorker();
+            std::unique_lock<std::mutex> lock(mutex);
+            runHere(*job, lock);
+            --running;
+            changed.notify_all();
+          },
+          "tai-compile")) {
+    runHere(*job, lock);
+    return true;
+  }
+  ++running;
+  threads.push_back(std::move(thread));
+  return waitFor(*job, lock);
 }
 
 void Background::runHere(Job &job, std::unique_lock<std::mutex> &lock) {
@@ -184,5 +213,5 @@ void Background::cancel(Job &job) {
   if (take(job))
     job.state = Job::State::Done;
   else
-    waitFor(job, lock);
+    changed.wait(lock, [&] { return job.state == Job::State::Done; });
 }

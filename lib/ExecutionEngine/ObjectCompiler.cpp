@@ -8,6 +8,7 @@
 #include "tai/ExecutionEngine/ObjectCompiler.h"
 #include "CodegenErrors.h"
 #include "CodegenPasses.h"
+#include "InsertSafepoints.h"
 #include "TransposeColumns.h"
 #include "llvm/Analysis/TargetLibraryInfo.h"
 #include "llvm/IR/InstIterator.h"
@@ -144,8 +145,6 @@ void ObjectCompiler::runPasses(Module &module) {
     function.setDoesNotThrow();
     function.addFnAttr("no-trapping-math", "true");
   }
-  if (options.optLevel == 0)
-    return;
 
   PipelineTuningOptions tuning;
   tuning.LoopVectorization = options.optLevel > 1;
@@ -178,6 +177,10 @@ void ObjectCompiler::runPasses(Module &module) {
   builder.registerVectorizerEndEPCallback(
       [](FunctionPassManager &late, OptimizationLevel) {
         late.addPass(TransposeColumns());
+      });
+  builder.registerOptimizerLastEPCallback(
+      [](ModulePassManager &last, OptimizationLevel, ThinOrFullLTOPhase) {
+        last.addPass(createModuleToFunctionPassAdaptor(InsertSafepoints()));
       });
   builder.registerModuleAnalyses(modules);
   builder.registerCGSCCAnalyses(sccs);

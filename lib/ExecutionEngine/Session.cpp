@@ -133,9 +133,19 @@ Session::~Session() { background.stop(); }
 // Failures
 //===----------------------------------------------------------------------===//
 
+/// What each thread failed at last. Of another session, it is of no use.
+static thread_local Failure lastFailure;
+static thread_local const Session *lastFailed = nullptr;
+
 LogicalResult Session::fail(Failure failure) {
   lastFailure = std::move(failure);
+  lastFailed = this;
   return mlir::failure();
+}
+
+const Failure &Session::getFailure() const {
+  static const Failure none;
+  return lastFailed == this ? lastFailure : none;
 }
 
 LogicalResult Session::fail(FailureKind kind, const Twine &message) {

@@ -270,14 +270,46 @@ void Session::printProfile(StringRef name, CompileRequest::Goal goal,
   llvm::errs() << "\n";
 }
 
+template <typename Result>
+std::optional<Result>
+Session::runAside(KernelCode &code,
+                  std::function<std::optional<Result>(Failure &)> step,
+                  Failure &failure) {
+  if (runtime::safepoint::isWorker())
+    return step(failure);
+  struct State {
+    std::optional<Result> result;
+    Failure failure;
+  };
+  auto state = std::make_shared<State>();
+  bool ended = background.runAside(
+      [state, step = std::move(step), kept = code.shared_from_this()] {
+        state->result = step(state->failure);
+      });
+  if (!ended) {
+    failure =
+        Failure::get(FailureKind::Runtime, "interrupted while '" + code.name +
+                                               "' was being compiled");
+    return std::nullopt;
+  }
+  if (!state->result)
+    failure = std::move(state->failure);
+  return std::move(state->result);
+}
+
 std::optional<Compiler::Function> Session::compileAs(KernelCode &code,
                                                      CompileRequest::Goal goal,
                                                      Failure &failure,
                                                      bool forward) {
   if (!printedStages.empty())
     printStages(code, goal, forward);
-  auto function = compiler->compile({*code.module, code.name, goal, forward},
-                                    code.options, failure);
+  auto function = runAside<Compiler::Function>(
+      code,
+      [this, &code, goal, forward](Failure &failure) {
+        return compiler->compile({*code.module, code.name, goal, forward},
+                                 code.options, failure);
+      },
+      failure);
   if (!function)
     return std::nullopt;
   if (printsProfile)
@@ -323,8 +355,14 @@ static CompileRequest::Goal getPlannedGoal(const KernelCode &code) {
 LogicalResult Session::prepareAdjoint(KernelCode &code, Failure &failure) {
   if (code.prepared)
     return success();
-  code.prepared = compiler->prepare(
-      {*code.module, code.name, getPlannedGoal(code)}, code.options, failure);
+  CompileRequest::Goal goal = getPlannedGoal(code);
+  code.prepared = runAside<Compiler::Prepared>(
+      code,
+      [this, &code, goal](Failure &failure) {
+        return compiler->prepare({*code.module, code.name, goal}, code.options,
+                                 failure);
+      },
+      failure);
   if (!code.prepared)
     return mlir::failure();
   code.needs = code.prepared->needs;
@@ -334,20 +372,26 @@ LogicalResult Session::prepareAdjoint(KernelCode &code, Failure &failure) {
 std::optional<Compiler::Function> Session::compileAdjoint(KernelCode &code,
                                                           Failure &failure) {
   CompileRequest::Goal goal = getPlannedGoal(code);
-  std::optional<Compiler::Prepared> prepared;
+  // Shared, since the next step may outlive this function.
+  auto prepared = std::make_shared<std::optional<Compiler::Prepared>>();
   {
     // Who plans the tape waits for this step, but not for the next.
     std::lock_guard<std::mutex> lock(code.prepareMutex);
     if (failed(prepareAdjoint(code, failure)))
       return std::nullopt;
-    prepared = std::move(code.prepared);
+    *prepared = std::move(code.prepared);
     code.prepared.reset();
   }
   if (!printedStages.empty())
     printStages(code, goal);
-  auto function =
-      compiler->finish(std::move(*prepared), {*code.module, code.name, goal},
-                       code.options, failure);
+  auto function = runAside<Compiler::Function>(
+      code,
+      [this, &code, goal, prepared](Failure &failure) {
+        return compiler->finish(std::move(**prepared),
+                                {*code.module, code.name, goal}, code.options,
+                                failure);
+      },
+      failure);
   if (!function)
     return std::nullopt;
   if (printsProfile)
@@ -427,8 +471,10 @@ runtime::Status Session::compileAdjoint(KernelCode &code,
   Failure failure;
   std::optional<Compiler::Function> compiled;
   choosePlannedForm(code, runtimeKernel);
-  if (code.ahead)
-    background.finish(*code.ahead);
+  if (code.ahead && !background.finish(*code.ahead))
+    return keepFailure(Failure::get(FailureKind::Runtime,
+                                    "interrupted while the gradient of '" +
+                                        code.name + "' was being compiled"));
   std::optional<AdjointNeeds> needs;
   {
     std::lock_guard<std::mutex> lock(code.prepareMutex);
@@ -559,7 +605,7 @@ runtime::Status Session::planAdjoint(KernelCode &code,
   for (auto &[name, module] : splitParts(*parts)) {
     auto made = makeKernel(std::move(module), name);
     if (failed(made))
-      return keepFailure(lastFailure);
+      return keepFailure(getFailure());
     plan.parts.push_back(std::move(made->second));
   }
   return runtime::Status::success();
@@ -574,19 +620,26 @@ LogicalResult Session::launchAdjoint(SessionKernel &kernel,
   return check(rt->launchAdjoint(*kernel.kernel, args, slots));
 }
 
-/// Runs task(0) to task(count - 1) on as many threads as help.
-static void runInParallel(size_t count, function_ref<void(size_t)> task) {
+/// Runs task(0) to task(count - 1) on as many threads as help, until one fails.
+static void runInParallel(size_t count,
+                          function_ref<const runtime::Status &(size_t)> task) {
   std::atomic<size_t> next{0};
+  std::atomic<bool> hasFailed{false};
   auto work = [&] {
-    for (size_t i = next++; i < count; i = next++)
-      task(i);
+    for (size_t i = next++; i < count && !hasFailed; i = next++)
+      if (!task(i).ok())
+        hasFailed = true;
+  };
+  auto help = [&] {
+    runtime::safepoint::follow(&hasFailed);
+    work();
   };
   size_t helpers = std::min<size_t>(
       count, std::max(1u, std::thread::hardware_concurrency()));
   // Fewer where the system gives no more; each is joined when it goes.
   std::vector<runtime::Thread> threads(helpers ? helpers - 1 : 0);
   for (runtime::Thread &thread : threads)
-    if (!thread.start(work, "tai-compile"))
+    if (!thread.start(help, "tai-compile"))
       break;
   work();
 }
@@ -596,11 +649,11 @@ LogicalResult Session::compile(ArrayRef<SessionKernel *> kernels,
   // All primals first: the adjoint of a kernel waits for its primal.
   size_t count = kernels.size() * (adjoints ? 2 : 1);
   std::vector<runtime::Status> statuses(count);
-  runInParallel(count, [&](size_t i) {
+  runInParallel(count, [&](size_t i) -> const runtime::Status & {
     runtime::Kernel &kernel = *kernels[i % kernels.size()]->kernel;
     runtime::Kernel *adjoint = nullptr;
-    statuses[i] =
-        i < kernels.size() ? kernel.resolve() : kernel.resolveAdjoint(adjoint);
+    return statuses[i] = i < kernels.size() ? kernel.resolve()
+                                            : kernel.resolveAdjoint(adjoint);
   });
   for (const runtime::Status &status : statuses)
     if (!status.ok())
@@ -613,8 +666,9 @@ LogicalResult Session::prepareReverse(runtime::Tape &tape, bool cleared) {
   if (needed.size() < 2)
     return success();
   std::vector<runtime::Status> statuses(needed.size());
-  runInParallel(needed.size(),
-                [&](size_t i) { statuses[i] = needed[i].resolve(); });
+  runInParallel(needed.size(), [&](size_t i) -> const runtime::Status & {
+    return statuses[i] = needed[i].resolve();
+  });
   for (const runtime::Status &status : statuses)
     if (!status.ok())
       return fail(status);

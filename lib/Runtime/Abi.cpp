@@ -15,6 +15,7 @@
 #include "tai/Runtime/Device.h"
 #include "tai/Runtime/DeviceHeap.h"
 #include "tai/Runtime/Philox.h"
+#include "tai/Runtime/Safepoint.h"
 #include <algorithm>
 #include <chrono>
 #include <cstdlib>
@@ -22,7 +23,7 @@
 
 using namespace mlir::tai::runtime;
 
-static_assert(sizeof(TaiFrame) == 48, "compiled code reads frames by position");
+static_assert(sizeof(TaiFrame) == 56, "compiled code reads frames by position");
 
 //===----------------------------------------------------------------------===//
 // Parallel loops
@@ -53,10 +54,10 @@ static void runPart(void *context, int64_t part) {
   // What is left of a launch that has failed would be thrown away.
   if (loop.launch->hasFailed())
     return;
-  if (loop.launch->owner().interruptRequested()) {
-    loop.launch->fail(Status::failure(StatusCode::Interrupted, "interrupted"));
+  if (__atomic_load_n(&loop.launch->tick, __ATOMIC_RELAXED) !=
+          safepoint::now() &&
+      !loop.launch->look())
     return;
-  }
   loop.body(loop.launch, loop.closure, boundOf(loop.n, part, loop.parts),
             boundOf(loop.n, part + 1, loop.parts), part);
 }
@@ -85,7 +86,13 @@ extern "C" void tai_rt_parallel_for(TaiFrame *frame, TaiLoopBody body,
     return;
   }
   Loop loop{&launch, body, closure, n, std::min<int64_t>(parts, INT32_MAX)};
-  launch.owner().parallel(loop.parts, runPart, &loop);
+  launch.owner().parallel(loop.parts, runPart, &loop, [](void *context) {
+    (void)static_cast<Loop *>(context)->launch->look();
+  });
+}
+
+extern "C" int32_t tai_rt_safepoint(TaiFrame *frame) {
+  return !launchOf(frame).look();
 }
 
 //===----------------------------------------------------------------------===//
@@ -395,6 +402,8 @@ std::vector<RuntimeSymbol> mlir::tai::runtime::runtimeSymbols() {
   }
   return {TAI_SYMBOL(tai_rt_parts),
           TAI_SYMBOL(tai_rt_parallel_for),
+          TAI_SYMBOL(tai_rt_safepoint),
+          {"tai_rt_tick", &tai_rt_tick},
           TAI_SYMBOL(tai_rt_scratch),
           TAI_SYMBOL(tai_rt_private),
           TAI_SYMBOL(tai_rt_combine),

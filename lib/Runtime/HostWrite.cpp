@@ -90,8 +90,9 @@ Status Runtime::change(const HostWrite &write) {
     if (!status)
       return status;
   }
-  if (activeTape && field.sparseNode())
-    activeTape->watch(field.owner);
+  Tape *tape = recordingTape();
+  if (tape && field.sparseNode())
+    tape->watch(field.owner);
   Status active = activateFor(write);
   if (!active)
     return active;
@@ -100,8 +101,8 @@ Status Runtime::change(const HostWrite &write) {
     perform(write);
     return takeDeviceFailure();
   }
-  if (activeTape)
-    return activeTape->write(write);
+  if (tape)
+    return tape->write(write);
   // On a device it would take a copy, and a wait, to find out; only tapes that
   // need what the field held want to know.
   if ((device &&

@@ -10,6 +10,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Launch.h"
+#include "tai/Runtime/Safepoint.h"
 #include <algorithm>
 #include <charconv>
 #include <cmath>
@@ -85,6 +86,19 @@ void Arena::reset() {
 //===----------------------------------------------------------------------===//
 
 Launch::~Launch() { freeSinks(); }
+
+bool Launch::look() {
+  // What there is to ask, the thread that launched asks.
+  if (safepoint::isWorker())
+    return !hasFailed();
+  __atomic_store_n(&tick, safepoint::now(), __ATOMIC_RELAXED);
+  if (!hasFailed() && !owner().interruptRequested() && safepoint::look())
+    return true;
+  fail(Status::failure(StatusCode::Interrupted, "interrupted"));
+  // Workers look at their next safepoint, not at the next tick.
+  __atomic_store_n(&tick, 0, __ATOMIC_RELAXED);
+  return false;
+}
 
 void Launch::fail(Status status) {
   std::lock_guard<std::mutex> lock(failureMutex);

@@ -72,12 +72,16 @@ struct Launch : TaiFrame {
     this->runtime = &runtime;
     seed = 0;
     launch = 0;
+    tick = 0;
   }
 
   Runtime &owner() const { return *static_cast<Runtime *>(runtime); }
   /// Keeps the first failure.
   void fail(Status status);
   bool hasFailed() const { return failed.load(std::memory_order_relaxed); }
+  /// A safepoint of the thread that launched, or of one that helps it. False
+  /// where the launch is to end.
+  bool look();
   Status takeFailure();
   /// Scratch memory that a launch which has failed may write to.
   void *sink(int64_t bytes);

@@ -123,7 +123,7 @@ Status Runtime::lend(Field &field, LentField &lent) {
 }
 
 Status Runtime::noteOutsideWrite(Field &field) {
-  if (activeTape && !field.isAdjoint())
+  if (recordingTape() && !field.isAdjoint())
     return Status::failure(
         StatusCode::Usage,
         "field '" + field.name() +

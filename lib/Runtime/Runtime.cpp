@@ -402,8 +402,9 @@ Status Runtime::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
     if (!status)
       return status;
   }
-  if (__builtin_expect(interruptRequested(), false))
-    return Status::failure(StatusCode::Interrupted, "interrupted");
+  if (__builtin_expect(launch.tick != safepoint::now(), false) &&
+      !launch.look())
+    return launch.takeFailure();
   if (__builtin_expect(!results && kernel.resultSlots() > 0, false)) {
     launch.unwanted.resize(static_cast<size_t>(kernel.resultSlots()));
     results = launch.unwanted.data();
@@ -479,7 +480,8 @@ Status Runtime::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
     return launchPrepared(kernel, args, results);
   // Only what is recorded needs to say where adjoints are.
   if (__builtin_expect(slots != kernel.tapeSlots(), false)) {
-    bool recorded = activeTape && !activeTape->suspended;
+    Tape *tape = recordingTape();
+    bool recorded = tape && !tape->suspended;
     if (recorded || slots != kernel.argSlots())
       return wrongSlots(
           kernel, recorded ? kernel.tapeSlots() : kernel.argSlots(), slots);
@@ -487,10 +489,10 @@ Status Runtime::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
   Launch *launch = acquireLaunch();
   uint64_t number = hot.launches.fetch_add(1, std::memory_order_relaxed);
   kernel.prepared.lastLaunch.store(number, std::memory_order_relaxed);
-  Status status =
-      __builtin_expect(activeTape != nullptr, false)
-          ? activeTape->launch(*launch, kernel, args, results, number)
-          : run(*launch, kernel, args, results, number);
+  Tape *tape = recordingTape();
+  Status status = __builtin_expect(tape != nullptr, false)
+                      ? tape->launch(*launch, kernel, args, results, number)
+                      : run(*launch, kernel, args, results, number);
   releaseLaunch(launch);
   if (status)
     prepare(kernel);
@@ -519,8 +521,8 @@ Status Runtime::launchAdjoint(Kernel &kernel, const uint64_t *args,
     return status;
   LoopLists loops;
   bool wasLaunched = false;
-  if (sweeping)
-    status = sweeping->findLoops(kernel, loops, wasLaunched);
+  if (Tape *sweep = getSweeping())
+    status = sweep->findLoops(kernel, loops, wasLaunched);
   else
     status = kernel.checkActivity(loops, wasLaunched);
   if (!status)
@@ -635,9 +637,9 @@ WorkerPool &Runtime::workers() {
 }
 
 void Runtime::parallel(int64_t parts, void (*task)(void *context, int64_t part),
-                       void *context) {
+                       void *context, void (*look)(void *context)) {
   if (parts > 1 && numThreads > 1) {
-    if (workers().tryRun(task, context, parts)) {
+    if (workers().tryRun(task, context, parts, look)) {
       counts.forks.fetch_add(1, std::memory_order_relaxed);
       return;
     }

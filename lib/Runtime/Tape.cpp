@@ -28,9 +28,12 @@ using namespace mlir::tai::runtime;
 Status Runtime::beginTape(FieldPtr loss, bool clear,
                           std::unique_ptr<Tape> &tape) {
   if (activeTape)
-    return Status::failure(StatusCode::Usage,
-                           "a tape is being recorded already, and tapes do not "
-                           "nest");
+    return Status::failure(
+        StatusCode::Usage,
+        recordingTape() ? "a tape is being recorded already, and tapes do not "
+                          "nest"
+                        : "another thread records a tape, and gradients have "
+                          "room for one at a time: let it finish first");
   std::unique_ptr<Tape> made(new Tape(*this, ++stamps));
   if (loss) {
     if (loss->rank() != 0 || loss->numComponents() != 1 ||
@@ -363,7 +366,7 @@ Status Tape::runForward() {
 }
 
 Status Tape::replay(bool forward, bool reverse) {
-  if (runtime.activeTape)
+  if (runtime.recordingTape())
     return Status::failure(StatusCode::Usage,
                            "a tape cannot be replayed while one is being "
                            "recorded");

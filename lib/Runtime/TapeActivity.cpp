@@ -32,8 +32,8 @@ Status Runtime::setActive(const TreePtr &tree, int64_t level, int64_t cell,
       node.deactivate(cell);
     return Status::success();
   };
-  if (activeTape)
-    return activeTape->changeActivity(tree, change);
+  if (Tape *tape = recordingTape())
+    return tape->changeActivity(tree, change);
   // Without tapes nobody asks, and a device need not be waited for.
   SparseNode &node = *tree->sparseNodes()[level];
   uint64_t before = !tapes.empty() ? node.lastRemoval() : 0;
@@ -67,9 +67,12 @@ Status Tape::changeActivity(const TreePtr &tree,
 
 Status Tape::callReverse(size_t index) {
   Tape *outer = std::exchange(runtime.sweeping, this);
+  const void *thread =
+      std::exchange(runtime.sweepThread, __builtin_thread_pointer());
   reverseFunction = index;
   Status status = callbacks[records[index].payload].backward();
   runtime.sweeping = outer;
+  runtime.sweepThread = thread;
   return status;
 }
 

@@ -81,8 +81,9 @@ bool Tape::findPlainReverse() {
 }
 
 Status Tape::callPlainly(Launch &launch, Kernel &kernel, size_t index) {
-  if (__builtin_expect(runtime.interruptRequested(), false))
-    return Status::failure(StatusCode::Interrupted, "interrupted");
+  if (__builtin_expect(launch.tick != safepoint::now(), false) &&
+      !launch.look())
+    return launch.takeFailure();
   const Record &record = records[index];
   launch.trees = kernel.bases.data();
   launch.loopTimes = &kernel.loopTimes;

@@ -47,7 +47,7 @@ void Tape::end(bool isSwept) {
     device->endRecording(isSwept);
 }
 
-bool Tape::recording() const { return runtime.activeTape == this; }
+bool Tape::recording() const { return runtime.recordingTape() == this; }
 
 void Tape::suspend() {
   if (suspended++ == 0)

@@ -30,7 +30,7 @@ Status Tape::runRecord(int64_t index) {
                            "a record cannot be launched again while its tape "
                            "records");
   const Record &record = records[index];
-  Tape *other = runtime.activeTape;
+  Tape *other = runtime.recordingTape();
   if (record.kind == Kind::Write)
     return runtime.change(getWrite(record));
   if (!record.kernel) {

@@ -10,6 +10,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "WorkerPool.h"
+#include "tai/Runtime/Safepoint.h"
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
@@ -45,7 +46,7 @@ inline bool isEmpty(uint64_t range) {
 }
 
 /// Spins until `done()`; false if the time is over first.
-template <typename Done> bool spinUntil(const Done &done, bool forever) {
+template <typename Done> bool spinUntil(const Done &done) {
   Clock::time_point start;
   for (unsigned round = 0;; ++round) {
     // Reading the clock costs as much as a pause: look now and then.
@@ -60,7 +61,7 @@ template <typename Done> bool spinUntil(const Done &done, bool forever) {
     auto waited = now - start;
     if (waited > pauseFor)
       sched_yield();
-    if (!forever && waited > yieldUntil)
+    if (waited > yieldUntil)
       return false;
   }
 }
@@ -147,6 +148,7 @@ void *WorkerPool::workerMain(void *argument) {
   WorkerStart start = *static_cast<WorkerStart *>(argument);
   delete static_cast<WorkerStart *>(argument);
   pthread_setname_np(pthread_self(), "tai-worker");
+  safepoint::enterWorker();
   start.pool->workerLoop(start.self);
   return nullptr;
 }
@@ -159,7 +161,7 @@ void WorkerPool::workerLoop(int self) {
 
 bool WorkerPool::awaitJob(uint32_t &seen) {
   auto arrived = [&] { return epoch.load(std::memory_order_acquire) != seen; };
-  if (!spinUntil(arrived, /*forever=*/false)) {
+  if (!spinUntil(arrived)) {
     std::unique_lock<std::mutex> lock(sleepMutex);
     // Ordered against the caller, which raises the epoch and then looks for
     // sleepers: one of the two sees the other.
@@ -197,7 +199,8 @@ void WorkerPool::work(int self) {
   }
 }
 
-bool WorkerPool::tryRun(Task task, void *context, int64_t parts) {
+bool WorkerPool::tryRun(Task task, void *context, int64_t parts,
+                        void (*look)(void *context)) {
   bool free = false;
   if (!taken.compare_exchange_strong(free, true, std::memory_order_acquire))
     return false;
@@ -215,8 +218,15 @@ bool WorkerPool::tryRun(Task task, void *context, int64_t parts) {
     sleepCondition.notify_one();
   }
   work(0);
-  spinUntil([&] { return finished.load(std::memory_order_acquire) == parts; },
-            /*forever=*/true);
+  auto isDone = [&] {
+    return finished.load(std::memory_order_acquire) == parts;
+  };
+  uint64_t seen = safepoint::now();
+  while (!spinUntil(isDone))
+    if (look && safepoint::now() != seen) {
+      seen = safepoint::now();
+      look(context);
+    }
   taken.store(false, std::memory_order_release);
   return true;
 }

@@ -54,8 +54,10 @@ public:
 
   /// Calls task(context, p) once for each p in [0, parts) and returns when all
   /// have returned. Returns false, with nothing done, where the workers are
-  /// taken by another call (a nested loop, or another thread).
-  bool tryRun(Task task, void *context, int64_t parts);
+  /// taken by another call (a nested loop, or another thread). While the caller
+  /// waits for workers, it calls `look`, unless that is null, at each tick.
+  bool tryRun(Task task, void *context, int64_t parts,
+              void (*look)(void *context) = nullptr);
 
   int threads() const { return numThreads; }
   /// True while some worker spins, so that a fork costs no wake-up.

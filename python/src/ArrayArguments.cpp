@@ -287,21 +287,29 @@ Match HeldArrays::finish(Slots &slots) {
 }
 
 bool HeldArrays::orderBefore() {
-  for (uint64_t stream : streams)
-    if (TaiStatus status = taiContextWaitForStream(context.handle, stream)) {
+  for (uint64_t stream : streams) {
+    TaiStatus status = taiContextWaitForStream(context.handle, stream);
+    if (!afterCall())
+      return false;
+    if (status) {
       setError(context.handle, status);
       return false;
     }
+  }
   return true;
 }
 
 bool HeldArrays::orderAfter() {
-  for (uint64_t stream : streams)
-    if (TaiStatus status = taiContextLetStreamWait(context.handle, stream)) {
+  for (uint64_t stream : streams) {
+    TaiStatus status = taiContextLetStreamWait(context.handle, stream);
+    if (!afterCall())
+      return false;
+    if (status) {
       if (!PyErr_Occurred())
         setError(context.handle, status);
       return false;
     }
+  }
   return true;
 }
 

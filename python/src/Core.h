@@ -14,6 +14,7 @@
 #ifndef TAI_PYTHON_CORE_H
 #define TAI_PYTHON_CORE_H
 
+#include "Safepoint.h"
 #include "tai-c/Tai.h"
 
 #include <pybind11/pybind11.h>
@@ -29,12 +30,18 @@ namespace py = pybind11;
 /// A TaiContext with shared ownership: fields, kernels and tapes keep it alive.
 struct Context {
   Context() : handle(taiContextCreate()) {}
-  ~Context() { taiContextDestroy(handle); }
+  ~Context() {
+    taiContextDestroy(handle);
+    retakeLock();
+  }
   Context(const Context &) = delete;
   Context &operator=(const Context &) = delete;
 
-  /// Raises the Python exception for the last failure if `status` is one.
+  /// To be given the status of each call as it returns. Raises the Python
+  /// exception for the last failure if it is one.
   void check(TaiStatus status) const {
+    if (!afterCall())
+      throw py::error_already_set();
     if (status != TAI_OK)
       raise(status);
   }
@@ -52,7 +59,10 @@ void setError(TaiContext context, TaiStatus status);
 struct Kernel {
   Kernel(ContextRef context, TaiKernel handle)
       : context(std::move(context)), handle(handle) {}
-  ~Kernel() { taiKernelDestroy(handle); }
+  ~Kernel() {
+    taiKernelDestroy(handle);
+    retakeLock();
+  }
   Kernel(const Kernel &) = delete;
   Kernel &operator=(const Kernel &) = delete;
 

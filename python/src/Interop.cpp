@@ -139,7 +139,10 @@ struct DeviceMemory {
     context->check(
         taiContextAllocateOnDevice(context->handle, bytes, &address));
   }
-  ~DeviceMemory() { taiContextFreeOnDevice(context->handle, address); }
+  ~DeviceMemory() {
+    taiContextFreeOnDevice(context->handle, address);
+    retakeLock();
+  }
   DeviceMemory(const DeviceMemory &) = delete;
   DeviceMemory &operator=(const DeviceMemory &) = delete;
 

@@ -29,8 +29,15 @@ namespace {
 /// or `ti.reset` has replaced.
 uint64_t generation = 1;
 
-/// The tape that records, or null.
-PyObject *activeTape = nullptr;
+/// The tape that records, or null, and the thread whose launches it records.
+PyObject *recordingTape = nullptr;
+unsigned long recordingThread = 0;
+
+/// Whether this thread records.
+inline bool isRecording() {
+  return __builtin_expect(recordingTape != nullptr, false) &&
+         recordingThread == PyThread_get_thread_ident();
+}
 
 /// The class of numbers that have a gradient.
 PyObject *trackedType = nullptr;
@@ -62,6 +69,9 @@ struct Result {
 struct Specialization {
   // What each launch looks at.
   uint64_t generation = 0;
+  /// Launches that run: other threads may go on meanwhile, and must not drop
+  /// it.
+  int running = 0;
   TaiKernel handle = nullptr;
   std::vector<Arg> args;
   bool grad = false;
@@ -132,9 +142,9 @@ Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
     return isSameConstant(arg.constant.ptr(), object) ? Match::Yes : Match::No;
   case ArgKind::Array:
     if (!held)
-      held.emplace(*spec.kernel->context, activeTape  ? ArrayUse::Recorded
-                                          : spec.grad ? ArrayUse::Gradient
-                                                      : ArrayUse::Forward);
+      held.emplace(*spec.kernel->context, isRecording() ? ArrayUse::Recorded
+                                          : spec.grad   ? ArrayUse::Gradient
+                                                        : ArrayUse::Forward);
     return held->pack(arg.array, object, slots);
   case ArgKind::F32:
   case ArgKind::F64: {
@@ -143,7 +153,7 @@ Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
       number = PyFloat_AS_DOUBLE(object);
     } else {
       if (PyUnicode_Check(object) || PyBytes_Check(object) ||
-          (activeTape && trackedType &&
+          (isRecording() && trackedType &&
            PyObject_TypeCheck(object,
                               reinterpret_cast<PyTypeObject *>(trackedType))))
         return Match::No;
@@ -213,6 +223,8 @@ PyObject *launch(Specialization &spec, const uint64_t *slots, size_t numSlots) {
                          ? taiKernelLaunchGrad(spec.handle, slots, count)
                          : taiKernelLaunch(spec.handle, slots, count,
                                            hasResults ? results : nullptr);
+  if (!afterCall())
+    return nullptr;
   if (status != TAI_OK) {
     setError(spec.kernel->context->handle, status);
     return nullptr;
@@ -235,7 +247,7 @@ PyObject *launch(Specialization &spec, const uint64_t *slots, size_t numSlots) {
 Match tryLaunch(Specialization &spec, PyObject *const *args, size_t count,
                 PyObject *&answer) {
   if (spec.generation != generation || spec.args.size() != count ||
-      (activeTape &&
+      (isRecording() &&
        (spec.tracking == Specialization::Tracking::Python ||
         (spec.tracking == Specialization::Tracking::Arrays && spec.grad))))
     return Match::No;
@@ -251,7 +263,9 @@ Match tryLaunch(Specialization &spec, PyObject *const *args, size_t count,
       return match;
   if (held && !held->orderBefore())
     return Match::Error;
+  ++spec.running;
   answer = launch(spec, slots.data(), slots.size());
+  --spec.running;
   if (held && !held->orderAfter())
     Py_CLEAR(answer);
   return Match::Yes;
@@ -285,12 +299,14 @@ PyObject *call(PyObject *object, PyObject *const *args, size_t flags,
     auto &all = *self->specializations;
     for (size_t i = all.size(); i-- > 0;) {
       PyObject *answer = nullptr;
-      Match match = tryLaunch(*all[i], args, count, answer);
+      Specialization *spec = all[i].get();
+      Match match = tryLaunch(*spec, args, count, answer);
       if (match == Match::Error)
         return nullptr;
       if (match == Match::No)
         continue;
-      if (i + 1 != all.size()) // most recently used last
+      // Most recently used last, if other threads have left it where it was.
+      if (i + 1 < all.size() && all[i].get() == spec)
         std::swap(all[i], all.back());
       return answer;
     }
@@ -406,40 +422,42 @@ void taipy::bindLauncher(py::module_ &module) {
   bindArrayArguments(module);
 
   module.def("set_tape", [](const py::object &tape) {
-    Py_XDECREF(activeTape);
-    activeTape = tape.is_none() ? nullptr : tape.inc_ref().ptr();
-    setArrayTape(activeTape);
+    Py_XDECREF(recordingTape);
+    recordingTape = tape.is_none() ? nullptr : tape.inc_ref().ptr();
+    recordingThread = PyThread_get_thread_ident();
+    setArrayTape(recordingTape);
   });
   module.def("set_tracked_type", [](const py::object &type) {
     trackedType = type.inc_ref().ptr();
   });
   module.def("next_generation", [] { return ++generation; });
-  module.def("add_specialization",
-             [](const py::object &launcher, std::shared_ptr<Kernel> kernel,
-                bool grad, const std::vector<py::tuple> &args,
-                const py::tuple &result, int tracking) {
-               auto made = std::make_unique<Specialization>();
-               made->setKernel(std::move(kernel));
-               made->generation = generation;
-               made->grad = grad;
-               made->tracking = static_cast<Specialization::Tracking>(tracking);
-               for (const py::tuple &arg : args)
-                 made->args.push_back(parseArg(arg));
-               if (!result.empty()) {
-                 made->result.kind = result[0].cast<std::string>().at(0);
-                 made->result.bits = result[1].cast<int>();
-                 made->result.count = result[2].cast<int>();
-                 made->result.wrap = result[3];
-               }
-               auto &all = *toLauncher(launcher)->specializations;
-               // Those of a replaced context never match again.
-               all.erase(std::remove_if(all.begin(), all.end(),
-                                        [](const auto &one) {
-                                          return one->generation != generation;
-                                        }),
-                         all.end());
-               all.push_back(std::move(made));
-             });
+  module.def("add_specialization", [](const py::object &launcher,
+                                      std::shared_ptr<Kernel> kernel, bool grad,
+                                      const std::vector<py::tuple> &args,
+                                      const py::tuple &result, int tracking) {
+    auto made = std::make_unique<Specialization>();
+    made->setKernel(std::move(kernel));
+    made->generation = generation;
+    made->grad = grad;
+    made->tracking = static_cast<Specialization::Tracking>(tracking);
+    for (const py::tuple &arg : args)
+      made->args.push_back(parseArg(arg));
+    if (!result.empty()) {
+      made->result.kind = result[0].cast<std::string>().at(0);
+      made->result.bits = result[1].cast<int>();
+      made->result.count = result[2].cast<int>();
+      made->result.wrap = result[3];
+    }
+    auto &all = *toLauncher(launcher)->specializations;
+    // Those of a replaced context never match again.
+    all.erase(std::remove_if(all.begin(), all.end(),
+                             [](const auto &one) {
+                               return one->generation != generation &&
+                                      !one->running;
+                             }),
+              all.end());
+    all.push_back(std::move(made));
+  });
   // Launches with slots that the caller packed: vectors, matrices, copies.
   module.def("launch_slots",
              [](const std::shared_ptr<Kernel> &kernel, bool grad,
@@ -461,6 +479,11 @@ void taipy::bindLauncher(py::module_ &module) {
              });
   // Drops the specialisations of a launcher.
   module.def("clear_specializations", [](const py::object &launcher) {
-    toLauncher(launcher)->specializations->clear();
+    auto &all = *toLauncher(launcher)->specializations;
+    for (auto &one : all)
+      one->generation = 0; // matches never again
+    all.erase(std::remove_if(all.begin(), all.end(),
+                             [](const auto &one) { return !one->running; }),
+              all.end());
   });
 }

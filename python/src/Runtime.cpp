@@ -198,12 +198,14 @@ struct Tape {
   ~Tape() {
     if (handle)
       taiTapeDestroy(handle);
+    retakeLock();
   }
 };
 
 /// Runs one of a pair of Python callables without arguments for the tape. An
 /// exception stays set and becomes a failure of the sweep.
 TaiStatus callBack(void *pair, int which) {
+  retakeLock();
   PyObject *callable =
       PyTuple_GET_ITEM(static_cast<py::object *>(pair)->ptr(), which);
   PyObject *result = PyObject_CallNoArgs(callable);
@@ -215,6 +217,7 @@ TaiStatus callBack(void *pair, int which) {
 
 /// A failed sweep is the exception of a callback, if one is set.
 void checkSweep(Tape &tape, TaiStatus status) {
+  (void)afterCall();
   if (PyErr_Occurred())
     throw py::error_already_set();
   tape.context->check(status);
@@ -458,7 +461,10 @@ void bindKernel(py::module_ &module) {
 } // namespace
 
 void taipy::bindRuntime(py::module_ &module) {
-  module.def("stop_background_work", &taiStopBackgroundWork);
+  module.def("stop_background_work", [] {
+    taiStopBackgroundWork();
+    (void)afterCall();
+  });
   py::class_<Context, ContextRef>(module, "Context")
       .def(py::init<>())
       .def("set_option",

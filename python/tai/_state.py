@@ -1,11 +1,15 @@
 """The program that `ti.init` made, and what the front end is compiling now.
 
 Kept in a module of its own, so that every other module can read it without an
-import cycle. The C++ side has no global state: this is the package's one.
+import cycle. The C++ side has no global state: this is the package's one. What
+records, or is being compiled, is that of the calling thread.
 """
 
 from __future__ import annotations
 
+import sys
+import threading
+import types
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -16,11 +20,40 @@ if TYPE_CHECKING:
 options: Options = None  # type: ignore[assignment]
 # The program, made at the first use.
 program: Program | None = None
-# The emitter of the kernel that is being compiled, or None in Python scope.
-emitter: Emitter | None = None
-# The tape that is recording, or None.
-tape: Any = None
 # How many kernels have been defined.
 kernels_made: int = 0
 # Whether kernels are launched with their tangents.
 forward: bool = False
+
+
+class _OfThread(threading.local):
+    emitter: Emitter | None = None
+    tape: Any = None
+
+
+_of_thread = _OfThread()
+
+
+class _State(types.ModuleType):
+    """The module itself: some of its variables are another one in each thread."""
+
+    @property
+    def emitter(self) -> Emitter | None:
+        """The emitter of the kernel that is being compiled, or None in Python scope."""
+        return _of_thread.emitter
+
+    @emitter.setter
+    def emitter(self, value: Emitter | None) -> None:
+        _of_thread.emitter = value
+
+    @property
+    def tape(self) -> Any:
+        """The tape that is recording, or None."""
+        return _of_thread.tape
+
+    @tape.setter
+    def tape(self, value: Any) -> None:
+        _of_thread.tape = value
+
+
+sys.modules[__name__].__class__ = _State

@@ -54,8 +54,14 @@ public:
   /// threads are stopped.
   void doLater(std::function<void()> task);
 
-  /// Returns once the job is done; runs it here if it has not begun.
-  void finish(Job &job);
+  /// Returns once the job is done; runs it here if it has not begun. False if
+  /// it runs elsewhere and the wait for it was interrupted at a safepoint.
+  bool finish(Job &job);
+
+  /// Runs a job at once, on a thread of its own if there is one to be had, and
+  /// waits for it. False, with the job still running, if that was interrupted
+  /// at a safepoint.
+  bool runAside(std::function<void()> task);
 
   /// Drops the job if it has not begun, else waits for it.
   void cancel(Job &job);
@@ -73,7 +79,7 @@ private:
   void joinThreads() { threads.clear(); }
   void hold();
   void release(bool inChild);
-  void waitFor(Job &job, std::unique_lock<std::mutex> &lock);
+  bool waitFor(Job &job, std::unique_lock<std::mutex> &lock);
   /// Takes the job from the queue; false if it has begun.
   bool take(Job &job);
 

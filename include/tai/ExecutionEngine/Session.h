@@ -29,7 +29,7 @@ struct AdjointNeeds;
 
 /// What a kernel is compiled from, and the code made so far. It lives as long
 /// as the runtime may launch it, which a tape can make longer than its handle.
-struct KernelCode {
+struct KernelCode : std::enable_shared_from_this<KernelCode> {
   KernelCode(Compiler &compiler, Background &background, StringRef name,
              const CompileOptions &options)
       : compiler(compiler), background(background), name(name.str()),
@@ -79,8 +79,9 @@ public:
   runtime::Runtime &getRuntime() { return *rt; }
   Compiler &getCompiler() { return *compiler; }
 
-  /// The last failure; every call below that returns failure sets it.
-  const Failure &getFailure() const { return lastFailure; }
+  /// The last failure of the calling thread; every call below that returns
+  /// failure sets it.
+  const Failure &getFailure() const;
   LogicalResult fail(Failure failure);
   LogicalResult fail(FailureKind kind, const Twine &message);
 
@@ -176,6 +177,14 @@ private:
   /// What carries tangents along with the kernel or a form of its adjoint.
   runtime::Status compileTangent(KernelCode &code, CompileRequest::Goal goal,
                                  runtime::KernelPtr &tangent);
+  /// Runs a step of the compilation of a kernel on a thread of its own, so that
+  /// this one passes safepoints. Where it is interrupted there, the step goes
+  /// on to its end, for the cache, and the answer is a failure.
+  template <typename Result>
+  std::optional<Result>
+  runAside(KernelCode &code,
+           std::function<std::optional<Result>(Failure &)> step,
+           Failure &failure);
   std::optional<Compiler::Function> compileAs(KernelCode &code,
                                               CompileRequest::Goal goal,
                                               Failure &failure,
@@ -222,7 +231,6 @@ private:
   /// Failures of compilations, which the runtime passes on by number.
   std::vector<Failure> compileFailures;
   std::mutex mutex;
-  Failure lastFailure;
 };
 
 } // namespace mlir::tai

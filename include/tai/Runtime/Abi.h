@@ -18,7 +18,7 @@
 
 #include <stdint.h>
 
-#define TAI_ABI_VERSION 5
+#define TAI_ABI_VERSION 6
 
 #ifdef __cplusplus
 extern "C" {
@@ -44,6 +44,8 @@ typedef struct TaiFrame {
   /// Seed of the context and number of this launch, for `tai.random`.
   uint64_t seed;
   uint64_t launch;
+  /// The last tick that this launch has seen; see tai_rt_safepoint.
+  uint64_t tick;
 } TaiFrame;
 
 /// A compiled kernel. Returns 0, or non-zero if the launch failed (the runtime
@@ -68,6 +70,11 @@ int64_t tai_rt_parts(TaiFrame *frame, int64_t n, int64_t cost, int32_t reduces);
 /// parts is 1.
 void tai_rt_parallel_for(TaiFrame *frame, TaiLoopBody body, void *closure,
                          int64_t n, int64_t parts);
+
+/// Called by loops that may run long once `tai_rt_tick` (a symbol that holds 64
+/// bits) is not what the frame has seen. Non-zero if the launch is to end: the
+/// function that called then returns at once, with 1 if it is a kernel.
+int32_t tai_rt_safepoint(TaiFrame *frame);
 
 /// A stack of scalars in slots of eight bytes. The first TAI_STACK_SLOTS have
 /// their place behind the structure.

@@ -20,6 +20,7 @@
 #include "tai/Runtime/KeptBlockSizes.h"
 #include "tai/Runtime/Kernel.h"
 #include "tai/Runtime/Profiler.h"
+#include "tai/Runtime/Safepoint.h"
 #include "tai/Runtime/Skips.h"
 #include "tai/Runtime/Tape.h"
 #include <string_view>
@@ -228,10 +229,13 @@ public:
   /// Runs a host program, which may launch kernels and open tapes.
   Status runHost(TaiKernelFn function, const std::vector<TreePtr> &trees,
                  HostModule &module, const uint64_t *args, uint64_t *results);
-  /// Asks running launches to stop at the next partition of a parallel loop;
-  /// they fail with Interrupted. Safe in a signal handler. The request stands
+  /// Asks running launches to stop at their next safepoint; they fail with
+  /// Interrupted. Safe in a signal handler. The request stands
   /// until clearInterrupt().
-  void interrupt() { hot.interrupted.store(true, std::memory_order_relaxed); }
+  void interrupt() {
+    hot.interrupted.store(true, std::memory_order_relaxed);
+    safepoint::request();
+  }
   void clearInterrupt() {
     hot.interrupted.store(false, std::memory_order_relaxed);
   }
@@ -243,7 +247,15 @@ public:
   /// Starts recording. `loss` may be null; losses can also be added later.
   Status beginTape(FieldPtr loss, bool clearGradients,
                    std::unique_ptr<Tape> &tape);
-  Tape *recordingTape() const { return activeTape; }
+  /// The tape that records what the calling thread does, or null. Another
+  /// thread may launch meanwhile, and is not recorded.
+  Tape *recordingTape() const {
+    Tape *tape = activeTape.load(std::memory_order_relaxed);
+    return __builtin_expect(tape != nullptr, false) &&
+                   tapeThread == __builtin_thread_pointer()
+               ? tape
+               : nullptr;
+  }
 
   //===--------------------------------------------------------------------===//
   // What one sees
@@ -304,9 +316,10 @@ public:
   /// The same for a loop of a launch. Loops about which the estimate does not
   /// decide are measured.
   int64_t partition(Launch &launch, int64_t n, int64_t cost, bool reduces);
-  /// Calls task(context, p) for p in [0, parts), on the workers.
+  /// Calls task(context, p) for p in [0, parts), on the workers; and `look`,
+  /// unless that is null, now and then while it waits for them.
   void parallel(int64_t parts, void (*task)(void *context, int64_t part),
-                void *context);
+                void *context, void (*look)(void *context) = nullptr);
   /// Fails if there is no memory for that many cells more.
   Status checkActiveBytes(const SparseNode &node, int64_t cells) const;
   bool interruptRequested() const {
@@ -314,7 +327,7 @@ public:
   }
   int64_t memoryLimit() const { return limit; }
   /// True while a reverse sweep has called a function of the host.
-  bool inReverseFunction() const { return sweeping; }
+  bool inReverseFunction() const { return getSweeping() != nullptr; }
   /// 0 for what the machine has. Trees that take more already stay.
   void setMemoryLimit(int64_t bytes);
 
@@ -336,6 +349,7 @@ private:
     updateLaunchState();
   }
   void setActiveTape(Tape *tape) {
+    tapeThread = __builtin_thread_pointer();
     activeTape = tape;
     updateLaunchState();
   }
@@ -457,9 +471,14 @@ private:
   std::mutex launchMutex;
   std::atomic<int64_t> inlineCredit{0};
 
-  Tape *activeTape = nullptr;
-  /// The tape whose sweep has called a function of the host.
+  std::atomic<Tape *> activeTape{nullptr};
+  const void *tapeThread = nullptr;
+  /// The tape whose sweep has called a function of the host, and the thread.
   Tape *sweeping = nullptr;
+  const void *sweepThread = nullptr;
+  Tape *getSweeping() const {
+    return sweepThread == __builtin_thread_pointer() ? sweeping : nullptr;
+  }
   bool forward = false;
   bool fusesLaunches = true;
   /// Stamps of tapes and of their plans.

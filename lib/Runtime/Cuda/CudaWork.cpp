@@ -6,7 +6,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "CudaDevice.h"
+#include "tai/Runtime/Safepoint.h"
 #include <algorithm>
+#include <sched.h>
 
 using namespace mlir::tai::runtime;
 using namespace mlir::tai::runtime::cuda;
@@ -291,11 +293,27 @@ Status CudaDevice::record(std::unique_ptr<DeviceEvent> &event) {
                 : std::move(status);
 }
 
+/// Waits in safepoints until the driver no longer says that it is not ready. An
+/// interrupted wait leaves what is queued as it is: the next one goes on.
+template <typename Query>
+static Status waitUntilReady(const Query &query, Result &result) {
+  safepoint::Watch watch;
+  while ((result = query()) == kNotReady) {
+    if (!watch.look())
+      return Status::failure(StatusCode::Interrupted, "interrupted");
+    sched_yield();
+  }
+  return Status::success();
+}
+
 Status CudaDevice::wait(DeviceEvent &event) {
   Status status = enter();
-  return status ? check(cu.eventSynchronize(
-                            static_cast<CudaEvent &>(event).handle),
-                        "a kernel has failed on the device")
+  Result result = kSuccess;
+  if (status)
+    status = waitUntilReady(
+        [&] { return cu.eventQuery(static_cast<CudaEvent &>(event).handle); },
+        result);
+  return status ? check(result, "a kernel has failed on the device")
                 : std::move(status);
 }
 
@@ -316,6 +334,8 @@ Status CudaDevice::synchronize() {
   Status status = enter();
   if (!status)
     return status;
-  return check(cu.streamSynchronize(stream),
-               "a kernel has failed on the device");
+  Result result = kSuccess;
+  status = waitUntilReady([&] { return cu.streamQuery(stream); }, result);
+  return status ? check(result, "a kernel has failed on the device")
+                : std::move(status);
 }

@@ -35,6 +35,7 @@ using Node = struct NodeStruct *;
 
 // Results.
 constexpr Result kSuccess = 0;
+constexpr Result kNotReady = 600;
 constexpr Result kInvalidValue = 1;
 constexpr Result kOutOfMemory = 2;
 constexpr Result kDeinitialized = 4;
@@ -158,11 +159,13 @@ static_assert(sizeof(KernelNodeParameters) == 56, "the layout is the driver's");
   DO(streamCreate, "cuStreamCreate", (Stream *, unsigned))                     \
   DO(streamDestroy, "cuStreamDestroy_v2", (Stream))                            \
   DO(streamSynchronize, "cuStreamSynchronize", (Stream))                       \
+  DO(streamQuery, "cuStreamQuery", (Stream))                                   \
   DO(eventCreate, "cuEventCreate", (Event *, unsigned))                        \
   DO(eventDestroy, "cuEventDestroy_v2", (Event))                               \
   DO(eventRecord, "cuEventRecord", (Event, Stream))                            \
   DO(streamWaitEvent, "cuStreamWaitEvent", (Stream, Event, unsigned))          \
   DO(eventSynchronize, "cuEventSynchronize", (Event))                          \
+  DO(eventQuery, "cuEventQuery", (Event))                                      \
   DO(eventElapsedTime, "cuEventElapsedTime", (float *, Event, Event))          \
   DO(memAlloc, "cuMemAlloc_v2", (Address *, size_t))                           \
   DO(memAllocManaged, "cuMemAllocManaged", (Address *, size_t, unsigned))      \

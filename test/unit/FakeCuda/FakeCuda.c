@@ -190,6 +190,8 @@ Result cuStreamSynchronize(void *given) {
   return faulted ? 700 : 0;
 }
 
+Result cuStreamQuery(void *given) { return cuStreamSynchronize(given); }
+
 /// The clock, in microseconds.
 static long long now;
 
@@ -249,6 +251,8 @@ Result cuEventSynchronize(void *event) {
     reached = fake->time;
   return faulted ? 700 : 0;
 }
+
+Result cuEventQuery(void *event) { return cuEventSynchronize(event); }
 Result cuEventElapsedTime(float *ms, void *from, void *to) {
   FakeEvent *a = from, *b = to;
   if (!a->recorded || !b->recorded)

@@ -1,0 +1,78 @@
+//===- Safepoint.cpp - Python's lock and signals in long calls ------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "Safepoint.h"
+#include "tai-c/Tai.h"
+
+using namespace taipy;
+
+thread_local CallState taipy::callState;
+
+namespace {
+/// The only one that handles signals.
+unsigned long mainThread = 0;
+
+/// Without the lock, the main thread takes it for its signals once in so many
+/// safepoints: while others run, it may have to wait for it.
+constexpr unsigned kSafepointsBetweenSignals = 4;
+
+/// Runs the handlers of signals that have come; false if one has raised.
+bool handleSignals() {
+  if (PyErr_CheckSignals() == 0)
+    return true;
+  callState.isInterrupted = callState.isChanged = true;
+  return false;
+}
+
+int atSafepoint() {
+  CallState &state = callState;
+  // What was interrupted does not go on.
+  if (state.isInterrupted)
+    return 0;
+  if (!state.released) {
+    // Threads that are not Python's, and callbacks that have failed.
+    if (!PyGILState_Check() || PyErr_Occurred())
+      return 1;
+    if (!handleSignals())
+      return 0;
+  } else {
+    static thread_local unsigned passed = 0;
+    if (PyThread_get_thread_ident() != mainThread ||
+        ++passed % kSafepointsBetweenSignals)
+      return 1;
+    retakeLock();
+    if (!handleSignals())
+      return 0;
+  }
+  state.isChanged = true;
+  state.released = PyEval_SaveThread();
+  return 1;
+}
+} // namespace
+
+void taipy::retakeLock() {
+  if (PyThreadState *released = callState.released) {
+    callState.released = nullptr;
+    PyEval_RestoreThread(released);
+  }
+}
+
+void taipy::bindSafepoints() {
+  // Modules may be imported by any thread, but this one is Python's own.
+  PyObject *threading = PyImport_ImportModule("threading");
+  PyObject *main = threading
+                       ? PyObject_CallMethod(threading, "main_thread", nullptr)
+                       : nullptr;
+  PyObject *ident = main ? PyObject_GetAttrString(main, "ident") : nullptr;
+  if (ident)
+    mainThread = PyLong_AsUnsignedLong(ident);
+  Py_XDECREF(ident);
+  Py_XDECREF(main);
+  Py_XDECREF(threading);
+  PyErr_Clear();
+  taiSetSafepointHandler(&atSafepoint);
+}

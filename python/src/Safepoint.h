@@ -1,0 +1,55 @@
+//===- Safepoint.h - Python's lock and signals in long calls ----*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A call of libtai begins with Python's lock (GIL) held, and most end within
+// microseconds. One that lasts reaches safepoints (tai/Runtime/Safepoint.h);
+// at the first of them signals are handled and the lock is given up, so that
+// other threads run, and `afterCall` takes it back. Short calls pay for
+// neither.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_PYTHON_SAFEPOINT_H
+#define TAI_PYTHON_SAFEPOINT_H
+
+#include <Python.h>
+
+namespace taipy {
+
+/// What a safepoint has left to do for the call that passed it.
+struct CallState {
+  /// Set where the lock has been given up.
+  PyThreadState *released = nullptr;
+  /// A signal handler has raised: the exception is set.
+  bool isInterrupted = false;
+  /// Either of them.
+  bool isChanged = false;
+};
+
+extern thread_local CallState callState
+    __attribute__((tls_model("initial-exec")));
+
+/// Takes the lock back where a safepoint has given it up.
+void retakeLock();
+
+/// To be called after each call of libtai, before anything of Python is used.
+/// False where a Python exception has come in the meantime: the call failed, or
+/// what it did is kept, and the exception is to be passed on.
+inline bool afterCall() {
+  if (__builtin_expect(!callState.isChanged, true))
+    return true;
+  retakeLock();
+  bool isInterrupted = callState.isInterrupted;
+  callState.isInterrupted = callState.isChanged = false;
+  return !isInterrupted;
+}
+
+void bindSafepoints();
+
+} // namespace taipy
+
+#endif // TAI_PYTHON_SAFEPOINT_H

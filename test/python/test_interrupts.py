@@ -1,0 +1,305 @@
+"""Ctrl-C, and other threads, while kernels run, sweep or are compiled.
+
+All programs here would go on for hours: that they end is what is tested.
+"""
+
+import os
+import signal
+import threading
+
+import pytest
+import tai as ti
+
+
+@pytest.fixture(autouse=True)
+def start():
+    ti.init(arch=ti.cpu, default_fp=ti.f64)
+
+
+@pytest.fixture
+def ctrl_c():
+    """Sends what Ctrl-C sends, a moment after work has begun."""
+    threads = []
+
+    def send():
+        thread = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
+        thread.start()
+        threads.append(thread)
+
+    yield send
+    for thread in threads:
+        thread.join()
+
+
+def check_usable():
+    """The context goes on: kernels, tapes, new fields."""
+    x = ti.field(ti.f64, shape=3, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def total():
+        for i in x:
+            loss[None] += x[i] ** 2
+
+    x.fill(2.0)
+    with ti.ad.Tape(loss):
+        total()
+    assert loss[None] == 12.0
+    assert x.grad.to_numpy().tolist() == [4.0, 4.0, 4.0]
+
+
+def endless_while(s):
+    @ti.kernel
+    def run():
+        while s[None] < 1.0:
+            s[None] += 0.0
+
+    return run
+
+
+def endless_for(s):
+    @ti.kernel
+    def run():
+        for _ in range(1):
+            for i in range(ti.i64(1) << 60):
+                s[None] += ti.sin(ti.cast(i, ti.f64))
+
+    return run
+
+
+def endless_sum(s):
+    @ti.kernel
+    def run():
+        for i in range(ti.i64(1) << 60):
+            s[None] += ti.cast(i, ti.f64) * 1e-30
+
+    return run
+
+
+def endless_iterations(s):
+    """Many iterations, each of them long."""
+
+    @ti.kernel
+    def run():
+        for i in range(1 << 30):
+            for j in range(1 << 30):
+                if i + j < 0:
+                    s[None] += 1.0
+
+    return run
+
+
+def endless_in_one_iteration(s):
+    @ti.kernel
+    def run():
+        for i in range(64):
+            x = 0.5
+            while x > -1.0:
+                x = 0.5 * x + 0.1
+            s[None] += x * i
+
+    return run
+
+
+ENDLESS = [
+    endless_while, endless_for, endless_sum, endless_iterations, endless_in_one_iteration,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("opt_level", [0, 1, 3])
+@pytest.mark.parametrize("make", ENDLESS)
+def test_a_kernel_is_interrupted(make, opt_level, threads, ctrl_c):
+    ti.init(arch=ti.cpu, default_fp=ti.f64, opt_level=opt_level, cpu_max_num_threads=threads)
+    run = make(ti.field(ti.f64, shape=()))
+    ctrl_c()
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    check_usable()
+    # Once more, when nothing is to be compiled.
+    ctrl_c()
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    check_usable()
+
+
+def make_scale():
+    x = ti.field(ti.f64, shape=8, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def scale():
+        for i in x:
+            loss[None] += 0.5 * x[i]
+
+    return scale, loss
+
+
+def test_replays_are_interrupted(ctrl_c):
+    scale, loss = make_scale()
+    with ti.ad.Tape(loss) as tape:
+        for _ in range(10):
+            scale()
+    ctrl_c()
+    with pytest.raises(KeyboardInterrupt):
+        while True:
+            tape.replay()
+    check_usable()
+
+
+def test_a_host_function_of_a_sweep_is_interrupted(ctrl_c):
+    scale, loss = make_scale()
+    endless = endless_while(ti.field(ti.f64, shape=()))
+
+    @ti.ad.grad_replaced
+    def outer():
+        scale()
+
+    @ti.ad.grad_for(outer)
+    def outer_gradient():
+        ctrl_c()
+        endless()
+
+    with pytest.raises(KeyboardInterrupt), ti.ad.Tape(loss):
+        outer()
+    check_usable()
+
+
+def test_an_adjoint_is_interrupted(ctrl_c):
+    x = ti.field(ti.f64, shape=(), needs_grad=True)
+    y = ti.field(ti.f64, shape=(), needs_grad=True)
+    n = ti.field(ti.i64, shape=())
+
+    @ti.kernel
+    def power():
+        for _ in range(1):
+            v = x[None]
+            for _ in range(n[None]):
+                v = ti.sin(v)
+            y[None] = v
+
+    power()
+    y.grad[None] = 1.0
+    n[None] = 1 << 60
+    ctrl_c()
+    with pytest.raises(KeyboardInterrupt):
+        power.grad()
+    n[None] = 1
+    power.grad()
+    check_usable()
+
+
+def test_a_compilation_is_interrupted():
+    ti.init(arch=ti.cpu, default_fp=ti.f64, offline_cache=False)
+    x = ti.field(ti.f64, shape=())
+    ended = []
+
+    @ti.kernel
+    def large(a: ti.f64):
+        s = 0.0
+        for i in ti.static(range(96)):
+            s += ti.sin(a * i) * ti.exp(a - i) + ti.sqrt(a + i)
+        x[None] = s
+
+    class Stop(Exception):
+        """Not Ctrl-C: the handler of any signal may raise."""
+
+    def stop(*_):
+        raise Stop
+
+    before = signal.signal(signal.SIGALRM, stop)
+    try:
+        with pytest.raises(Stop):
+            signal.setitimer(signal.ITIMER_REAL, 0.2)
+            large(1.0)
+            ended.append(True)
+            threading.Event().wait()
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    # It takes seconds, so it was still being compiled.
+    assert not ended
+    check_usable()
+
+
+def test_other_threads_run_while_a_kernel_does():
+    run = endless_while(ti.field(ti.f64, shape=()))
+    ticks = []
+
+    def work():
+        # Only if the kernel lets this thread run is it ever ended.
+        for i in range(100_000):
+            ticks.append(i)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=work)
+    with pytest.raises(KeyboardInterrupt):
+        thread.start()
+        run()
+    thread.join()
+    assert len(ticks) == 100_000
+
+
+def test_launches_of_another_thread_are_not_recorded():
+    x = ti.field(ti.f64, shape=(), needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+    y = ti.field(ti.f64, shape=())
+
+    @ti.kernel
+    def use():
+        loss[None] += 3.0 * x[None]
+
+    @ti.kernel
+    def other():
+        y[None] += 1.0
+        loss[None] += 0.0 * x[None]
+
+    failures = []
+
+    def work():
+        try:
+            for _ in range(10):
+                other()
+            with pytest.raises(ti.TaiRuntimeError, match="another thread records a tape"):
+                ti.ad.Tape(loss).__enter__()
+        except BaseException as error:  # noqa: BLE001
+            failures.append(error)
+
+    with ti.ad.Tape(loss):
+        use()
+        thread = threading.Thread(target=work)
+        thread.start()
+        thread.join()
+    assert not failures
+    assert y[None] == 10.0
+    assert x.grad[None] == 3.0
+
+
+def test_threads_compile_and_launch_their_own_programs():
+    count = 8
+    results = [None] * count
+    failures = []
+
+    def work(number):
+        try:
+            x = ti.field(ti.f64, shape=1000 + number)
+
+            @ti.kernel
+            def fill(a: ti.f64):
+                for i in x:
+                    x[i] = a * i + number
+
+            for _ in range(20):
+                fill(2.0)
+            results[number] = x.to_numpy().sum()
+        except BaseException as error:  # noqa: BLE001
+            failures.append(error)
+
+    threads = [threading.Thread(target=work, args=(number,)) for number in range(count)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not failures
+    for number in range(count):
+        n = 1000 + number
+        assert results[number] == n * (n - 1) + number * n
