@@ -9,6 +9,7 @@
 #include "CodegenErrors.h"
 #include "CodegenPasses.h"
 #include "TransposeColumns.h"
+#include "VerifyEach.h"
 #include "llvm/Analysis/TargetLibraryInfo.h"
 #include "llvm/IR/InstIterator.h"
 #include "llvm/IR/Module.h"
@@ -170,6 +171,7 @@ void ObjectCompiler::runPasses(Module &module) {
   PassInstrumentationCallbacks callbacks;
   callbacks.registerShouldRunOptionalPassCallback(
       [](StringRef name, Any) { return name != "GVNPass"; });
+  verifyOwnPasses(callbacks);
   PassBuilder builder(machine.get(), tuning, std::nullopt, &callbacks);
   builder.registerScalarOptimizerLateEPCallback(
       [](FunctionPassManager &late, OptimizationLevel) {
@@ -207,7 +209,7 @@ Error ObjectCompiler::emit(Module &module, raw_pwrite_stream &stream,
     supported = !machine->addPassesToEmitFile(
         passes, stream, /*DwoOut=*/nullptr,
         assembly ? CodeGenFileType::AssemblyFile : CodeGenFileType::ObjectFile,
-        /*DisableVerify=*/true);
+        /*DisableVerify=*/!verifiesEach());
     if (supported)
       passes.run(module);
   });
