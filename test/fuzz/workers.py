@@ -6,6 +6,7 @@ import json
 import multiprocessing
 import os
 import signal
+import sys
 import tempfile
 import time
 from collections import Counter
@@ -90,8 +91,14 @@ class Worker:
         return self.over and not self.seeds
 
 
-def judge_all(judge: Judge, seeds: list[int], jobs: int, log: Path | None) -> list[dict]:
-    """The rows of the seeds; those that stand in the log are not judged again."""
+def judge_all(
+    judge: Judge, seeds: list[int], jobs: int, log: Path | None,
+    configure: Callable[[int], str] | None = None,
+) -> list[dict]:  # fmt: skip
+    """The rows of the seeds; those that stand in the log are not judged again.
+
+    `configure` says in which configuration a seed runs.
+    """
     rows: list[dict] = []
     if log and log.exists():
         rows = [json.loads(line) for line in log.read_text().splitlines()]
@@ -104,14 +111,24 @@ def judge_all(judge: Judge, seeds: list[int], jobs: int, log: Path | None) -> li
     while not all(worker.finished for worker in workers):
         for worker in workers:
             for row in worker.poll():
+                if configure:
+                    row["configuration"] = configure(row["seed"])
                 rows.append(row)
                 if file:
                     file.write(json.dumps(row) + "\n")
                     file.flush()
                 if row["kind"] == "FAIL":
-                    print(f"seed {row['seed']}: {row['reason']}", flush=True)
+                    print(f"seed {row['seed']}: {row['reason']}{_command(row)}", flush=True)
         time.sleep(0.02)
     return rows
+
+
+def _command(row: dict) -> str:
+    """What runs this seed again."""
+    if "configuration" not in row:
+        return ""
+    script = Path(sys.argv[0]).name
+    return f"\n  {script} --seed {row['seed']} --configuration {row['configuration']}"
 
 
 def summary(rows: list[dict]) -> str:
