@@ -9,6 +9,8 @@ ALL = "*"  # of a module
 # Nothing in them depends on the target, or they choose it themselves: one run does.
 ONE_RUN_DOES = {
     "test_cuda_floors": {ALL: "programs in CUDA C++"},
+    "test_device_lists": {ALL: "chooses the target itself"},
+    "test_emulated_blocks": {ALL: "chooses the target itself"},
     "test_gpu_benchmark": {ALL: "chooses the target itself"},
     "test_taichi_names": {
         "test_names_are_there": "looks at names alone",
