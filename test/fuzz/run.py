@@ -55,6 +55,7 @@ def main() -> int:
         default=configurations.default_targets(), help="where seeds run",
     )  # fmt: skip
     parser.add_argument("--configuration", help="the one for all seeds, as failures report it")
+    parser.add_argument("--minutes", type=float, default=1e9, help="stop after that long")
     parser.add_argument("--brief", action="store_true", help="with --seed: not the program")
     args = parser.parse_args()
     where = functools.partial(configure, targets=tuple(args.targets), fixed=args.configuration)
@@ -74,7 +75,7 @@ def main() -> int:
         import random_kernels as programs
 
         seeds = [s for s in seeds if programs.is_kinked(s)]
-    rows = workers.judge_all(judge, seeds, args.jobs, args.log, where)
+    rows = workers.judge_all(judge, seeds, args.jobs, args.log, where, 60 * args.minutes)
     print(workers.summary(rows))
     return 1 if any(row["kind"] == "FAIL" for row in rows) else 0
 

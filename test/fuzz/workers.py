@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import multiprocessing
 import os
 import signal
@@ -93,12 +94,13 @@ class Worker:
 
 def judge_all(
     judge: Judge, seeds: list[int], jobs: int, log: Path | None,
-    configure: Callable[[int], str] | None = None,
+    configure: Callable[[int], str] | None = None, seconds: float = math.inf,
 ) -> list[dict]:  # fmt: skip
     """The rows of the seeds; those that stand in the log are not judged again.
 
-    `configure` says in which configuration a seed runs.
+    `configure` says in which configuration a seed runs. After so many seconds it stops.
     """
+    deadline = time.monotonic() + seconds
     rows: list[dict] = []
     if log and log.exists():
         rows = [json.loads(line) for line in log.read_text().splitlines()]
@@ -119,6 +121,10 @@ def judge_all(
                     file.flush()
                 if row["kind"] == "FAIL":
                     print(f"seed {row['seed']}: {row['reason']}{_command(row)}", flush=True)
+        if time.monotonic() > deadline:
+            for worker in workers:
+                worker.process.kill()
+            break
         time.sleep(0.02)
     return rows
 
