@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
-SECONDS = 60  # for one seed
+SECONDS = 60  # of computing, for one seed
 
 # Takes a seed and a folder to write to; returns a row of the log: seed, kind, reason, detail.
 Judge = Callable[[int, Path], dict]
@@ -27,8 +27,11 @@ def work(judge: Judge, seeds: list[int], answers) -> None:
     with tempfile.TemporaryDirectory() as folder:
         for seed in seeds:
             answers.send(("begin", seed))
-            signal.alarm(SECONDS)  # the default action ends the process
+            # The default actions end the process; the second is for one that waits.
+            signal.setitimer(signal.ITIMER_PROF, SECONDS)
+            signal.alarm(10 * SECONDS)
             found = judge(seed, Path(folder))
+            signal.setitimer(signal.ITIMER_PROF, 0)
             signal.alarm(0)
             answers.send(("end", found))
     # So that only the death of a process ends the pipe early.
@@ -78,7 +81,8 @@ class Worker:
             self.process.join()
             code = self.process.exitcode
             if self.current is not None:
-                what = "timeout" if code == -signal.SIGALRM else f"the process died ({code})"
+                late = code in (-signal.SIGALRM, -signal.SIGPROF)
+                what = "timeout" if late else f"the process died ({code})"
                 found.append({"seed": self.current, "kind": "FAIL", "reason": what, "detail": ""})
                 self.seeds.remove(self.current)
                 self.current = None
