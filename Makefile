@@ -10,11 +10,11 @@ PYTHON := .venv/bin/python
 KINDS := $(if $(filter asan,$(PRESET)),--only lit gtest)
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test test-gpu test-layouts fuzz fuzz-sparse bench fmt lint portable docs clean setup
+.PHONY: help build demo test test-gpu test-layouts test-differential fuzz fuzz-sparse bench fmt lint portable docs clean setup
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /\1\t/' | \
-	  while IFS="$$(printf '\t')" read -r name text; do printf '  make %-12s %s\n' "$$name" "$$text"; done
+	  while IFS="$$(printf '\t')" read -r name text; do printf '  make %-17s %s\n' "$$name" "$$text"; done
 
 setup: ## install system packages and make .venv (the others call it)
 	@scripts/setup.sh
@@ -35,6 +35,9 @@ test-gpu: ## test and time the portable bundle on a GPU (ARGS="--tests -k smoke"
 
 test-layouts: build ## run the tests of kernels on every layout, and compare
 	@$(PYTHON) scripts/run_tests.py --build $(BUILD) --jobs $(JOBS) --layouts
+
+test-differential: build ## run examples and scenes in all ways, at larger sizes, and compare
+	@$(PYTHON) -m pytest -q --tb=short -n $(JOBS) --long test/python/test_differential.py $(ARGS)
 
 fuzz: build ## differentiate 5000 random kernels (ARGS="--count 500 --first 9000")
 	@$(PYTHON) test/fuzz/run.py --jobs $(JOBS) --log $(BUILD)/fuzz.jsonl $(ARGS)

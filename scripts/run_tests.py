@@ -183,6 +183,8 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", choices=["lit", "gtest", "pytest", "emulated", "lint"])
     args = parser.parse_args()
     build = (ROOT / args.build).resolve()
+    # Verifiers after each pass; pytest and lit ask for them, too, when they run by themselves.
+    os.environ.setdefault("TAI_VERIFY_EACH", "1")
     everything = ["lit", "gtest", "pytest", "emulated", "lint"]
     kinds = args.only or everything
 

@@ -7,11 +7,12 @@ the interpreter that runs this script, copies the tests beside it, and runs the 
 
     tests     the Python tests with --arch=cuda, whole programs in IR among them, in parallel
     bench     benchmarks/gpu/run.py: tai, hand-written CUDA, and other systems
+    fuzz      random kernels on the GPU, of up to two million elements; see test/fuzz/run.py
     ensemble  examples/ensemble.py on 1, 2 and 4 GPUs, as many as there are
     sanitize  some of the tests under compute-sanitizer, where there is one, on all GPUs;
               -k test_ takes all of them
 
-Without a choice, tests and bench. Needs Python 3.11 or newer with NumPy, pytest and pybind11,
+Without a choice, tests, bench and fuzz. Needs Python 3.11 or newer with NumPy, pytest and pybind11,
 and a C++ compiler; no LLVM. What each step found goes into one report and one log in --out,
 also when the time is up or a step dies. `--arch emulated` and `--arch cpu` do the same without
 a GPU; `--build build` takes a build of this checkout instead of the bundle.
@@ -43,7 +44,7 @@ sys.path.insert(0, str(ROOT / "benchmarks" / "gpu"))
 # What tests read besides the package.
 TREE = ["test", "benchmarks", "examples", "docs", "scripts", "README.md", "pyproject.toml"]
 # How the time is shared among the steps.
-SHARES = {"tests": 4, "bench": 5, "ensemble": 2, "sanitize": 4}
+SHARES = {"tests": 4, "bench": 5, "fuzz": 1, "ensemble": 2, "sanitize": 4}
 # What runs under compute-sanitizer: each kind of access once, it is slow.
 SANITIZED = (
     "test_fields or test_gradients or test_atomic_gradients or test_loop_gradients or "
@@ -329,6 +330,23 @@ def run_bench(stage: Stage, seconds: float) -> Step:
     return step
 
 
+def run_fuzz(stage: Stage, seconds: float) -> Step:
+    step, options = Step("fuzz"), stage.options
+    log = options.out / "fuzz.jsonl"
+    log.unlink(missing_ok=True)
+    # Other seeds each day: what fails is run again by the command that it prints.
+    first = 1000 * (int(time.time()) // 86400)
+    command = [sys.executable, "test/fuzz/run.py", "--targets", options.arch, "--first", first]
+    command += ["--jobs", options.jobs, "--log", log, "--minutes", f"{(seconds - 15) / 60:.2f}"]
+    environment = stage.environment | {"TAI_VERIFY_EACH": "1"}
+    status, output = stage.machine.run(command, seconds, stage.root, environment)
+    counted = [line for line in output.splitlines() if " programs: " in line]
+    step.summary = counted[-1] if counted else f"ended with status {status}"
+    step.details = [line for line in output.splitlines() if line.startswith(("seed", "  run.py"))]
+    step.failed = status != 0 or not counted or counted[-1].startswith("0 ")
+    return step
+
+
 def devices(options: argparse.Namespace) -> int:
     """How many processes of an ensemble have a processor of their own."""
     if options.arch != "cuda":
@@ -464,6 +482,7 @@ def report_tool(options: argparse.Namespace, tool: str, parts: list[Sanitized]) 
 STEPS = {
     "tests": run_tests,
     "bench": run_bench,
+    "fuzz": run_fuzz,
     "ensemble": run_ensemble,
     "sanitize": run_sanitizers,
 }
@@ -482,7 +501,7 @@ def write_report(options: argparse.Namespace, origin: str, steps: list[Step]) ->
     lines += [f"| {s.name} | {s.summary} | {s.seconds:.0f} |" for s in steps]
     for step in steps:
         if step.details:
-            bullets = step.name == "tests"
+            bullets = step.name in ("tests", "fuzz")
             lines += ["", f"## {step.name}", ""]
             lines += [f"- {line}" if bullets else line for line in step.details]
     path.write_text("\n".join(lines) + "\n")
@@ -510,7 +529,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, help="folder of report and logs")
     parser.add_argument("--work", type=Path, default=ROOT / "build" / "test-gpu" / "work")
     options = parser.parse_args()
-    options.steps = [name for name in STEPS if getattr(options, name)] or ["tests", "bench"]
+    options.steps = [name for name in STEPS if getattr(options, name)] or ["tests", "bench", "fuzz"]
     options.out = (options.out or ROOT / "build" / "test-gpu").resolve()
     options.work = options.work.resolve()
     if options.bundle:

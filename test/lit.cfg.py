@@ -28,6 +28,9 @@ llvm_config.use_default_substitutions()
 # capture cannot satisfy another's check.
 config.environment["FILECHECK_OPTS"] = "-enable-var-scope --allow-unused-prefixes=false"
 
+# The verifiers of MLIR and LLVM look at what each pass of the JIT has made.
+config.environment["TAI_VERIFY_EACH"] = "1"
+
 # LLVM's allocators poison memory that the package's own, not instrumented, code
 # then uses.
 if config.tai_sanitize:

@@ -95,10 +95,7 @@ struct ListMaker {
 // Sums over a tile
 //===----------------------------------------------------------------------===//
 
-#ifdef __NVPTX__
-
-__attribute__((address_space(3),
-               loader_uninitialized)) static int64_t rows[2][tileUnits];
+TAI_SHARED_VARIABLE static int64_t rows[2][tileUnits];
 
 namespace {
 class Sums {
@@ -107,6 +104,14 @@ public:
   /// place, for all threads of the block, until they call `release`.
   template <typename Of> const int64_t *make(const Of &of) {
     int64_t thread = threadId(), threads = numThreads();
+#ifndef __NVPTX__
+    if (threads == 1) {
+      int64_t sum = 0;
+      for (int64_t i = 0; i < tileUnits; ++i)
+        rows[0][i] = sum += of(i);
+      return rows[0];
+    }
+#endif
     for (int64_t i = thread; i < tileUnits; i += threads)
       rows[0][i] = of(i);
     tai_dev_block_barrier();
@@ -123,26 +128,6 @@ public:
   void release() { tai_dev_block_barrier(); }
 };
 } // namespace
-
-#else // the CPU, where a block is one thread
-
-namespace {
-class Sums {
-public:
-  template <typename Of> const int64_t *make(const Of &of) {
-    int64_t sum = 0;
-    for (int64_t i = 0; i < tileUnits; ++i)
-      row[i] = sum += of(i);
-    return row;
-  }
-  void release() {}
-
-private:
-  int64_t row[tileUnits];
-};
-} // namespace
-
-#endif
 
 static const int64_t *countTile(Sums &sums, const ListMaker &maker,
                                 int64_t tile) {

@@ -17,10 +17,6 @@
 
 using namespace tai::device;
 
-#ifdef __NVPTX__
-
-static constexpr uint32_t everyone = ~uint32_t(0);
-
 // The plan of a lane: for each round, in a byte, the lane whose sum it takes,
 // and whether there is one; then the number of rounds of the warp, and whether
 // this lane writes.
@@ -28,9 +24,7 @@ static constexpr unsigned roundBits = 8, countShift = 48;
 static constexpr uint64_t takes = 32, writes = uint64_t(1) << 63;
 
 static uint32_t exchange(uint32_t value, unsigned from) {
-  return static_cast<uint32_t>(
-      __nvvm_shfl_sync_idx_i32(everyone, static_cast<int32_t>(value),
-                               static_cast<int32_t>(from), warpSize - 1));
+  return shuffle(wholeWarp, value, from);
 }
 
 static float exchange(float value, unsigned from) {
@@ -46,26 +40,35 @@ static double exchange(double value, unsigned from) {
 }
 
 uint32_t tai_dev_ordered_lanes() {
+#ifndef __NVPTX__
+  // One thread does one iteration after another.
+  if (tai_dev_block_dim() == 1)
+    return 1;
+#endif
   // What follows waits for a whole warp.
   if (static_cast<unsigned>(tai_dev_block_dim()) < warpSize)
     __builtin_trap();
   return warpSize;
 }
 
-void tai_dev_ordered_meet() { __nvvm_bar_warp_sync(everyone); }
+void tai_dev_ordered_meet() { meetWarp(); }
 
 uint64_t tai_dev_ordered_plan(const void *address) {
+#ifndef __NVPTX__
+  if (tai_dev_block_dim() == 1)
+    return address ? writes : 0;
+#endif
   // What the others have read is read before it is written.
-  __nvvm_bar_warp_sync(everyone);
+  meetWarp();
   auto bits = reinterpret_cast<uint64_t>(address);
-  uint32_t same = __nvvm_match_any_sync_i64(everyone, bits);
-  auto lane = static_cast<uint32_t>(__nvvm_read_ptx_sreg_laneid());
+  uint32_t same = matchAny(bits);
+  auto lane = getLane();
   // Nobody is next of those that add nothing.
   uint32_t above = address ? same & ~((uint32_t(2) << lane) - 1) : 0;
   uint32_t next = above ? takes | __builtin_ctz(above) : lane;
   bool isLowest = address && !(same & ((uint32_t(1) << lane) - 1));
   uint64_t plan = isLowest ? writes : 0, rounds = 0;
-  while (__nvvm_vote_any_sync(everyone, (next & takes) != 0)) {
+  while (voteAny((next & takes) != 0)) {
     plan |= uint64_t(next) << rounds * roundBits;
     ++rounds;
     uint32_t after = exchange(next, next & (warpSize - 1));
@@ -85,25 +88,8 @@ template <typename T> static void add(uint64_t plan, T *target, T value) {
   if (plan & writes)
     *target += value;
   // The next addition may be one to the same element, by another lane.
-  __nvvm_bar_warp_sync(everyone);
+  meetWarp();
 }
-
-#else // the CPU, where one thread does one iteration after another
-
-uint32_t tai_dev_ordered_lanes() { return 1; }
-
-void tai_dev_ordered_meet() {}
-
-uint64_t tai_dev_ordered_plan(const void *address) {
-  return address != nullptr;
-}
-
-template <typename T> static void add(uint64_t plan, T *target, T value) {
-  if (plan)
-    *target += value;
-}
-
-#endif
 
 void tai_dev_ordered_add_f32(uint64_t plan, float *target, float value) {
   add(plan, target, value);

@@ -125,18 +125,8 @@ template <typename T> static void update(Xor, T *target, T value) {
 // Blocks
 //===----------------------------------------------------------------------===//
 
-#ifdef __NVPTX__
-
-#define TAI_SHARED __attribute__((address_space(3)))
-
 /// One slot for each warp.
-TAI_SHARED
-__attribute__((loader_uninitialized)) static uint64_t warpValues[warpSize];
-
-static uint32_t shuffleDown(uint32_t mask, uint32_t value, unsigned offset) {
-  return static_cast<uint32_t>(__nvvm_shfl_sync_down_i32(
-      mask, static_cast<int>(value), static_cast<int>(offset), warpSize - 1));
-}
+TAI_SHARED_VARIABLE static uint64_t warpValues[warpSize];
 
 static uint64_t shuffleDown(uint32_t mask, uint64_t value, unsigned offset) {
   uint64_t low = shuffleDown(mask, static_cast<uint32_t>(value), offset);
@@ -160,6 +150,10 @@ static T reduceWarp(uint32_t mask, unsigned lane, unsigned count, T value) {
 template <typename Op, typename T> static void reduce(T *target, T value) {
   auto thread = static_cast<unsigned>(tai_dev_thread_id());
   auto threads = static_cast<unsigned>(tai_dev_block_dim());
+#ifndef __NVPTX__
+  if (threads == 1)
+    return update(Op(), target, value);
+#endif
   unsigned lane = thread % warpSize, warp = thread / warpSize;
   unsigned warps = (threads + warpSize - 1) / warpSize;
   unsigned left = threads - warp * warpSize;
@@ -171,26 +165,17 @@ template <typename Op, typename T> static void reduce(T *target, T value) {
     constexpr unsigned stride = sizeof(uint64_t) / sizeof(T);
     if (lane == 0)
       slots[warp * stride] = value;
-    __syncthreads();
+    meetBlock();
     if (warp == 0) {
       value = slots[(lane < warps ? lane : 0) * stride];
-      value = reduceWarp<Op>(~uint32_t(0), lane, warps, value);
+      value = reduceWarp<Op>(wholeWarp, lane, warps, value);
     }
     // The slots are free for the next one.
-    __syncthreads();
+    meetBlock();
   }
   if (thread == 0)
     update(Op(), target, value);
 }
-
-#else // the CPU
-
-// A block is one thread.
-template <typename Op, typename T> static void reduce(T *target, T value) {
-  update(Op(), target, value);
-}
-
-#endif
 
 #define TAI_OP_add Add
 #define TAI_OP_mul Mul

@@ -22,6 +22,11 @@ extern "C" {
 void *malloc(size_t bytes);
 void free(void *memory);
 #else
+int32_t tai_emu_thread_id(void);
+void tai_emu_block_barrier(void);
+void tai_emu_warp_barrier(void);
+uint64_t tai_emu_exchange(uint64_t value, uint32_t from);
+uint32_t tai_emu_match(uint64_t value);
 // A heap with a limit, as that of a GPU has one.
 void *tai_emu_allocate(uint64_t bytes);
 void tai_emu_free(void *memory);
@@ -32,6 +37,52 @@ int sched_yield(void);
 namespace tai::device {
 
 constexpr unsigned warpSize = 32;
+constexpr uint32_t wholeWarp = ~uint32_t(0);
+
+// Memory of a block, and how its threads and those of a warp meet. Blocks of
+// the emulated device run one after another, so that one piece does for all.
+#ifdef __NVPTX__
+#define TAI_SHARED __attribute__((address_space(3)))
+#define TAI_SHARED_VARIABLE TAI_SHARED __attribute__((loader_uninitialized))
+inline void meetBlock() { __syncthreads(); }
+inline void meetWarp() { __nvvm_bar_warp_sync(wholeWarp); }
+inline uint32_t getLane() {
+  return static_cast<uint32_t>(__nvvm_read_ptx_sreg_laneid());
+}
+/// The value of another lane; one's own where there is none.
+inline uint32_t shuffle(uint32_t mask, uint32_t value, unsigned from) {
+  return static_cast<uint32_t>(
+      __nvvm_shfl_sync_idx_i32(mask, static_cast<int32_t>(value),
+                               static_cast<int32_t>(from), warpSize - 1));
+}
+inline uint32_t shuffleDown(uint32_t mask, uint32_t value, unsigned offset) {
+  return static_cast<uint32_t>(__nvvm_shfl_sync_down_i32(
+      mask, static_cast<int>(value), static_cast<int>(offset), warpSize - 1));
+}
+/// The lanes with the same value, and whether one has something.
+inline uint32_t matchAny(uint64_t value) {
+  return __nvvm_match_any_sync_i64(wholeWarp, value);
+}
+inline bool voteAny(bool mine) { return __nvvm_vote_any_sync(wholeWarp, mine); }
+#else
+#define TAI_SHARED
+#define TAI_SHARED_VARIABLE
+inline void meetBlock() { tai_emu_block_barrier(); }
+inline void meetWarp() { tai_emu_warp_barrier(); }
+inline uint32_t getLane() {
+  return static_cast<uint32_t>(tai_emu_thread_id()) % warpSize;
+}
+inline uint32_t shuffle(uint32_t, uint32_t value, unsigned from) {
+  return static_cast<uint32_t>(tai_emu_exchange(value, from));
+}
+inline uint32_t shuffleDown(uint32_t, uint32_t value, unsigned offset) {
+  return static_cast<uint32_t>(tai_emu_exchange(value, getLane() + offset));
+}
+inline uint32_t matchAny(uint64_t value) { return tai_emu_match(value); }
+inline bool voteAny(bool mine) {
+  return tai_emu_match(mine) != wholeWarp || mine;
+}
+#endif
 
 #ifdef __NVPTX__
 inline void *allocateBytes(uint64_t bytes) { return malloc(bytes); }

@@ -46,8 +46,7 @@ int32_t tai_dev_block_id() { return tai_emu_block_id(); }
 int32_t tai_dev_block_dim() { return tai_emu_block_dim(); }
 int32_t tai_dev_grid_dim() { return tai_emu_grid_dim(); }
 
-// A block is one thread.
-void tai_dev_block_barrier() {}
+void tai_dev_block_barrier() { tai_emu_block_barrier(); }
 
 static uint32_t arrive(uint32_t *state, uint32_t amount) {
   return __atomic_fetch_add(state, amount, __ATOMIC_ACQ_REL);

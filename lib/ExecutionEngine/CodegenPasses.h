@@ -8,8 +8,10 @@
 #ifndef TAI_LIB_EXECUTIONENGINE_CODEGENPASSES_H
 #define TAI_LIB_EXECUTIONENGINE_CODEGENPASSES_H
 
+#include "VerifyEach.h"
 #include "llvm/ADT/StringRef.h"
 #include "llvm/IR/LegacyPassManager.h"
+#include "llvm/IR/Verifier.h"
 #include "llvm/Pass.h"
 #include <functional>
 
@@ -28,8 +30,11 @@ public:
       return;
     }
     if (beforeVectorizer &&
-        pass->getPassName() == "GPU Load and Store Vectorizer")
+        pass->getPassName() == "GPU Load and Store Vectorizer") {
       llvm::legacy::PassManager::add(beforeVectorizer());
+      if (verifiesEach())
+        llvm::legacy::PassManager::add(llvm::createVerifierPass());
+    }
     llvm::legacy::PassManager::add(pass);
   }
 

@@ -8,6 +8,7 @@
 #include "tai/ExecutionEngine/Compiler.h"
 #include "BuildId.h"
 #include "CompilerWorker.h"
+#include "VerifyEach.h"
 #include "mlir/Pass/Pass.h"
 #include "mlir/Pass/PassInstrumentation.h"
 #include "tai/Analysis/SkipScope.h"
@@ -70,7 +71,7 @@ Compiler::Worker::Worker(MLIRContext *context, const Pipelines &pipelines,
     : options(options), autodiff(context), takingAutodiff(context),
       forward(context), lowering(context) {
   for (PassManager *manager : {&autodiff, &takingAutodiff, &forward, &lowering})
-    manager->enableVerifier(options.debug);
+    manager->enableVerifier(options.debug || verifiesEach());
   if (pipelines.autodiff) {
     pipelines.autodiff(autodiff, options, /*takes=*/false);
     pipelines.autodiff(takingAutodiff, options, /*takes=*/true);

@@ -11,6 +11,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "CompilerWorker.h"
+#include "VerifyEach.h"
 #include "mlir/Target/LLVMIR/Export.h"
 #include "tai/Analysis/SkipScope.h"
 #include "tai/Conversion/Passes.h"
@@ -63,7 +64,7 @@ LogicalResult LLVMJob::translate(ModuleOp source, StringRef symbol,
   PhaseTimer timer(times, Phase::Translate);
   DiagnosticCollector collector(source.getContext());
   module = translateModuleToLLVMIR(source, *context, symbol,
-                                   /*disableVerification=*/true);
+                                   /*disableVerification=*/!verifiesEach());
   if (!module) {
     failure =
         collector.take(FailureKind::Internal, "translation to LLVM IR failed");

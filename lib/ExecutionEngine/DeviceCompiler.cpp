@@ -14,6 +14,7 @@
 #include "LocalMemory.h"
 #include "UnrollGridLoops.h"
 #include "VectorizeAtomics.h"
+#include "VerifyEach.h"
 #include "mlir/Dialect/GPU/IR/GPUDialect.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/LLVMIR/NVVMDialect.h"
@@ -471,7 +472,10 @@ void DeviceCompiler::runPasses(llvm::Module &module) {
   llvm::ModuleAnalysisManager modules;
   // The target adds its own passes, the answers to libdevice's questions among
   // them.
-  llvm::PassBuilder builder(machine.get());
+  llvm::PassInstrumentationCallbacks callbacks;
+  verifyOwnPasses(callbacks);
+  llvm::PassBuilder builder(machine.get(), llvm::PipelineTuningOptions(),
+                            std::nullopt, &callbacks);
   if (options.optLevel > 1)
     builder.registerVectorizerStartEPCallback(
         [](llvm::FunctionPassManager &manager, llvm::OptimizationLevel) {
@@ -618,7 +622,7 @@ Expected<runtime::DeviceImage> DeviceCompiler::emit(DeviceCode &code) {
       passes.beforeVectorizer = createVectorizeAtomicsPass;
     supported = !machine->addPassesToEmitFile(
         passes, stream, /*DwoOut=*/nullptr, llvm::CodeGenFileType::AssemblyFile,
-        /*DisableVerify=*/true);
+        /*DisableVerify=*/!verifiesEach());
     if (supported)
       passes.run(*code.module);
   });

@@ -10,6 +10,7 @@
 #include "CodegenPasses.h"
 #include "InsertSafepoints.h"
 #include "TransposeColumns.h"
+#include "VerifyEach.h"
 #include "llvm/Analysis/TargetLibraryInfo.h"
 #include "llvm/IR/InstIterator.h"
 #include "llvm/IR/Module.h"
@@ -169,6 +170,7 @@ void ObjectCompiler::runPasses(Module &module) {
   PassInstrumentationCallbacks callbacks;
   callbacks.registerShouldRunOptionalPassCallback(
       [](StringRef name, Any) { return name != "GVNPass"; });
+  verifyOwnPasses(callbacks);
   PassBuilder builder(machine.get(), tuning, std::nullopt, &callbacks);
   builder.registerScalarOptimizerLateEPCallback(
       [](FunctionPassManager &late, OptimizationLevel) {
@@ -210,7 +212,7 @@ Error ObjectCompiler::emit(Module &module, raw_pwrite_stream &stream,
     supported = !machine->addPassesToEmitFile(
         passes, stream, /*DwoOut=*/nullptr,
         assembly ? CodeGenFileType::AssemblyFile : CodeGenFileType::ObjectFile,
-        /*DisableVerify=*/true);
+        /*DisableVerify=*/!verifiesEach());
     if (supported)
       passes.run(module);
   });

@@ -29,7 +29,7 @@ using llvm::createStringError;
 using llvm::Error;
 using llvm::Expected;
 
-static constexpr llvm::StringLiteral programName = "tai_program";
+static constexpr llvm::StringLiteral programName = TAI_PROGRAM_FUNCTION;
 
 static StringRef getRunnerName(int scope) {
   switch (scope) {

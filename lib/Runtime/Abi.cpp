@@ -13,6 +13,7 @@
 #include "tai/Runtime/Abi.h"
 #include "Launch.h"
 #include "tai/Runtime/Device.h"
+#include "tai/Runtime/DeviceAbi.h"
 #include "tai/Runtime/DeviceHeap.h"
 #include "tai/Runtime/Philox.h"
 #include "tai/Runtime/Safepoint.h"
@@ -429,6 +430,10 @@ std::vector<RuntimeSymbol> mlir::tai::runtime::runtimeSymbols() {
           TAI_SYMBOL(tai_emu_thread_id),
           TAI_SYMBOL(tai_emu_block_id),
           TAI_SYMBOL(tai_emu_block_dim),
+          TAI_SYMBOL(tai_emu_block_barrier),
+          TAI_SYMBOL(tai_emu_warp_barrier),
+          TAI_SYMBOL(tai_emu_exchange),
+          TAI_SYMBOL(tai_emu_match),
           TAI_SYMBOL(tai_emu_begin_group),
           TAI_SYMBOL(tai_emu_next_in_group),
           TAI_SYMBOL(tai_emu_end_group),

@@ -7,14 +7,17 @@
 //
 // Runs the device functions of kernels where there is no GPU, for tests. Its
 // memory is not that of the host's side, so that what was not copied is not
-// there, and holds garbage until it is written. Blocks have one thread, which
-// makes barriers and shuffles right by themselves, and run one after another in
-// an order that changes from launch to launch.
+// there, and holds garbage until it is written. Blocks run one after another in
+// an order that changes from launch to launch. They have one thread, which
+// makes barriers and shuffles right by themselves, unless TAI_EMULATED_THREADS
+// asks for more; see EmulatedThreads.h. Programs always have one.
 //
 //===----------------------------------------------------------------------===//
 
+#include "EmulatedThreads.h"
 #include "Launch.h"
 #include "tai/Runtime/Device.h"
+#include "tai/Runtime/DeviceAbi.h"
 #include <algorithm>
 #include <chrono>
 #include <cstring>
@@ -36,9 +39,7 @@ struct Place {
 
 static thread_local Place place;
 
-extern "C" int32_t tai_emu_thread_id(void) { return 0; }
 extern "C" int32_t tai_emu_block_id(void) { return place.block; }
-extern "C" int32_t tai_emu_block_dim(void) { return 1; }
 extern "C" int32_t tai_emu_grid_dim(void) { return place.blocks; }
 
 static thread_local struct {
@@ -66,6 +67,8 @@ using ThreadFunction = void (*)(const uint64_t *slots);
 
 struct EmulatedFunction : DeviceFunction {
   ThreadFunction run = nullptr;
+  /// What stands for several blocks runs as one thread.
+  unsigned mostThreads = 1;
 };
 
 /// Work is done when it has been queued.
@@ -248,9 +251,12 @@ public:
     if (!status)
       return status;
     for (size_t i = 0; i < names.size(); ++i)
-      if (addresses[i])
-        loaded->functions[image.functions[i]].run =
-            reinterpret_cast<ThreadFunction>(addresses[i]);
+      if (addresses[i]) {
+        EmulatedFunction &function = loaded->functions[image.functions[i]];
+        function.run = reinterpret_cast<ThreadFunction>(addresses[i]);
+        if (image.functions[i] != TAI_PROGRAM_FUNCTION)
+          function.mostThreads = emulatedThreads();
+      }
     module = std::move(loaded);
     return status;
   }
@@ -266,7 +272,9 @@ public:
     return Status::success();
   }
 
-  unsigned mostThreads(const DeviceFunction &) const override { return 1; }
+  unsigned mostThreads(const DeviceFunction &function) const override {
+    return static_cast<const EmulatedFunction &>(function).mostThreads;
+  }
   unsigned residentBlocks(const DeviceFunction &, unsigned) const override {
     return limits().multiprocessors;
   }
@@ -285,7 +293,12 @@ public:
     place.blocks = static_cast<int32_t>(blocks);
     for (unsigned i = 0; i < blocks; ++i) {
       place.block = static_cast<int32_t>((order + i * step) % blocks);
-      run(slots);
+      if (!runEmulatedBlock(shape.threads, order + i, [&] { run(slots); })) {
+        place = before;
+        return Status::failure(StatusCode::Internal,
+                               "threads of a block wait for others that do not "
+                               "come to the same barrier");
+      }
     }
     place = before;
     return Status::success();

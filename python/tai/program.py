@@ -331,8 +331,7 @@ def _check_target(arch: Arch, needs: Any, unwanted: Any) -> None:
 
         for extension in each(needs):
             if not is_extension_supported(arch, extension):
-                yet = "; it is not there on the GPU yet" if arch == cuda else ""
-                raise TaiRuntimeError(f"arch=ti.{arch} has no {extension}{yet}")
+                raise TaiRuntimeError(f"arch=ti.{arch} has no {extension}")
     if arch in each(unwanted) or (arch == cpu and x64 in each(unwanted)):
         raise TaiRuntimeError(f"arch=ti.{arch} is excluded by this program")
 

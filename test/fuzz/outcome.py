@@ -11,8 +11,21 @@ from pathlib import Path
 import numpy as np
 import random_kernels as programs
 import tai as ti
+from configurations import Configuration
 from tai import _ad_check, _ad_probe
 from tai.errors import TaiCompilationError, TaiError
+
+# Elements of which sums are right to the last digits.
+FEW = 67
+
+# Sums of more elements grow until functions of them turn faster than any step resolves. Above, the
+# gradient must be that of forward mode and of the plain configuration.
+MOST_FOR_DIFFERENCES = 300
+
+
+# To see at a point beside how a program amplifies rounding: what the sum of all elements, which a
+# program may read, is off by, for each of them.
+JITTER = 1e-15
 
 
 @dataclass
@@ -33,24 +46,20 @@ class Outcome:
     detail: str = ""
 
 
-def load(text: str, folder: Path, name: str):
+def load(text: str, folder: Path, name: str, configuration: Configuration):
     """The program as a module, with its own fields."""
-    ti.init(default_fp=ti.f64, cpu_max_num_threads=1, opt_level=OPT_LEVEL, **CACHE)
+    configuration.init(default_fp=ti.f64, offline_cache=False)
     file = folder / f"{name}.py"
-    file.write_text(text)
+    file.write_text(programs.resize(text, configuration.elements))
     spec = importlib.util.spec_from_file_location(name, file)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
 
 
-OPT_LEVEL = 1
-CACHE: dict = {"offline_cache": False}
-
-
-def fill(module, seed: int, kinked: bool) -> None:
-    """The point at which the program is differentiated."""
-    generator = np.random.default_rng(seed)
+def fill(module, seed: int, kinked: bool, jitter: float = 0.0) -> None:
+    """The point at which the program is differentiated, up to `jitter` in each number."""
+    generator, noise = np.random.default_rng(seed), np.random.default_rng(seed + 1)
     for name in programs.FLOAT_FIELDS:
         f = getattr(module, name)
         f.suggest_name(name)
@@ -61,19 +70,33 @@ def fill(module, seed: int, kinked: bool) -> None:
             values = np.where(generator.random(shape) < 0.7, special, values)
             huge = generator.choice(np.array(programs.HUGE), shape)
             values = np.where(generator.random(shape) < 0.01, huge, values)
-        f.from_numpy(values)
-    n = programs.N
+        f.from_numpy(values + jitter * noise.uniform(-1.0, 1.0, shape))
+    n = module.N
     module.p.from_numpy(generator.permutation(n).astype(np.int32))
     module.q.from_numpy(generator.integers(0, n, n).astype(np.int32))
     module.k.from_numpy(generator.integers(0, 4, n).astype(np.int32))
 
 
-def judge(text: str, seed: int, kinked: bool, folder: Path) -> Outcome:
+def judge(
+    text: str, seed: int, kinked: bool, folder: Path, configuration: Configuration | None = None
+) -> Outcome:
     """Runs and differentiates a program; never raises."""
+    configuration = configuration or Configuration()
+    name = f"seed_{seed}".replace("-", "m")
     try:
-        module = load(text, folder, f"seed_{seed}".replace("-", "m"))
-        fill(module, seed, kinked)
-        return _judge(module, seed, kinked)
+        with configuration.chosen():
+            module = load(text, folder, name, configuration)
+            fill(module, seed, kinked)
+            found, values = _judge(module, seed, kinked)
+        reference = configuration.plain()
+        if found.kind not in ("agree", "kink") or kinked or reference == configuration:
+            return found
+        with reference.chosen():
+            module = load(text, folder, name, reference)
+            fill(module, seed, kinked)
+            expected = _run(module)[1]
+            fill(module, seed, kinked, JITTER * module.N)
+            return _compare(values, expected, _run(module)[1]) or found
     except TaiError as error:
         located = error.lineno is not None
         if isinstance(error, TaiCompilationError) and located and not _is_bug(error):
@@ -95,32 +118,63 @@ def plain(message: str) -> str:
     return re.sub(r"-?\d+(\.\d+)?(e[-+]?\d+)?", "#", line)[:150]
 
 
-def _judge(module, seed: int, kinked: bool) -> Outcome:
-    generator = np.random.default_rng(seed)
+def _run(module):
+    """The program, and its loss and gradients by the names of the fields."""
     program = _ad_check.Program(module.run, module.loss)
     program.record()
     program.start.restore(only_primal=True)
     base = program.values()[0]
-    if not np.isfinite(base).all():
-        # Still differentiated: that must not crash.
-        program.sweep([np.ones(())])
-        return Outcome("undefined", "the loss is not finite")
-    wanted = [
-        (f, mask) for f, mask in program.inputs if program.is_input(f, mask)
-    ]  # intermediate fields have no derivative of their own
-    program.inputs = wanted
+    # Intermediate fields have no derivative of their own. Where the loss is not finite, there is
+    # none at all; still nothing may crash.
+    if np.isfinite(base).all():
+        program.inputs = [(f, mask) for f, mask in program.inputs if program.is_input(f, mask)]
     gradients = program.sweep([np.ones(())])
+    values = {f.name: np.array(gradients[f.symbol]) for f, _ in program.inputs}
+    return program, {"loss": np.array(base)} | values
+
+
+def _compare(found: dict, reference: dict, beside: dict) -> Outcome | None:
+    """The same program has the same values in each configuration.
+
+    `beside` are those at a point beside, which show how much of rounding must be let pass.
+    """
+    for name, expected in reference.items():
+        value = found.get(name)
+        if value is None or not np.isfinite(expected).all() or not np.isfinite(value).all():
+            continue
+        # Sums of many parts cancel, in another order each time.
+        scale = max(float(np.max(np.abs(expected))), 1e-6)
+        noise = float(np.max(np.abs(beside.get(name, expected) - expected))) / scale
+        error = float(np.max(np.abs(value - expected))) / scale
+        if noise < 1e-4 and not error <= 1e-9 + 30 * noise:
+            what = "loss" if name == "loss" else "gradient"
+            return Outcome(
+                "FAIL",
+                f"the {what} is not that of the plain configuration",
+                f"{name}: differs by {error:.2g} of {scale:.6g}, rounding by {noise:.2g}",
+            )
+    return None
+
+
+def _judge(module, seed: int, kinked: bool) -> tuple[Outcome, dict]:
+    generator = np.random.default_rng(seed)
+    program, values = _run(module)
+    if not np.isfinite(values["loss"]).all():
+        return Outcome("undefined", "the loss is not finite"), values
+    gradients = {f.symbol: values[f.name] for f, _ in program.inputs}
     worst = Outcome("agree")
-    for f, mask in wanted:
+    for f, mask in program.inputs:
         gradient = gradients[f.symbol]
         outcome = _check_finite(program, f, mask, gradient)
         if outcome.kind == "agree":
-            outcome = _check_forward(program, f, mask, gradient, generator, kinked)
-        if outcome.kind == "agree" and not kinked:
+            # Where threads sum in another order each time, as much is rounding.
+            bound = 1e-9 if kinked or module.N > FEW else 1e-12
+            outcome = _check_forward(program, f, mask, gradient, generator, kinked, bound)
+        if outcome.kind == "agree" and not kinked and module.N <= MOST_FOR_DIFFERENCES:
             outcome = _check_differences(program, f, mask, gradient, generator)
         if _RANK[outcome.kind] > _RANK[worst.kind]:
             worst = outcome
-    return worst
+    return worst, values
 
 
 _RANK = {"agree": 0, "kink": 1, "undecided": 2, "undefined": 3, "refused": 4, "FAIL": 5}
@@ -170,7 +224,7 @@ def _one_sided_limit(program, f, at, sign: float) -> float | None:
     return float(last[-1]) if settles else None
 
 
-def _check_forward(program, f, mask, gradient, generator, kinked: bool) -> Outcome:
+def _check_forward(program, f, mask, gradient, generator, kinked, bound) -> Outcome:
     finite = np.isfinite(gradient) & mask
     if not finite.any():
         return Outcome("agree")
@@ -183,7 +237,6 @@ def _check_forward(program, f, mask, gradient, generator, kinked: bool) -> Outco
     scale = float(np.sum(np.abs(parts)))
     error = _ad_probe.relative_error(reverse, expected, scale)
     # Products of huge and tiny numbers may cancel in one order and not in the other.
-    bound = 1e-9 if kinked else 1e-12
     if error <= bound or (kinked and not scale < 1e250):
         return Outcome("agree")
     return Outcome(

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import random
 
-N = 5  # elements of the fields
+N = 5  # elements of the fields, unless a configuration has more; constant indices are below
 
 HEADER = """\
 import tai as ti
@@ -466,6 +466,11 @@ class Generator:
                 self.emit(1, call.format(a=self.constant(), t=number))
         self.emit(1, "total()")
         return HEADER + "\n".join(self.lines) + "\n"
+
+
+def resize(text: str, elements: int) -> str:
+    """The program with fields of so many elements."""
+    return text.replace(f"\nN = {N}\n", f"\nN = {elements}\n", 1)
 
 
 def is_kinked(seed: int) -> bool:

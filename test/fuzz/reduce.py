@@ -1,6 +1,6 @@
 """Shrinks a failing random program: drops statements, blocks and calls while it still fails.
 
-python test/fuzz/reduce.py SEED
+python test/fuzz/reduce.py SEED [CONFIGURATION]
 """
 
 from __future__ import annotations
@@ -13,14 +13,18 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+import configurations
 import random_kernels as programs
+
+CONFIGURATION = configurations.Configuration()
 
 
 def _judge(text: str, seed: int, answers) -> None:
     import outcome
 
+    kinked = programs.is_kinked(seed)
     with tempfile.TemporaryDirectory() as folder:
-        found = outcome.judge(text, seed, programs.is_kinked(seed), Path(folder))
+        found = outcome.judge(text, seed, kinked, Path(folder), CONFIGURATION)
     answers.put((found.kind, found.reason, found.detail))
 
 
@@ -139,6 +143,8 @@ def reduce(text: str, seed: int) -> str:
 
 if __name__ == "__main__":
     number = int(sys.argv[1])
+    if len(sys.argv) > 2:
+        CONFIGURATION = configurations.parse(sys.argv[2])
     small = reduce(programs.program(number), number)
     print(small[len(programs.HEADER) :])
     print("\n".join(judge(small, number)))

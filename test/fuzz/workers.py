@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+import math
 import multiprocessing
 import os
 import signal
+import sys
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
-SECONDS = 60  # for one seed
+SECONDS = 60  # of computing, for one seed
 
 # Takes a seed and a folder to write to; returns a row of the log: seed, kind, reason, detail.
 Judge = Callable[[int, Path], dict]
@@ -25,8 +27,11 @@ def work(judge: Judge, seeds: list[int], answers) -> None:
     with tempfile.TemporaryDirectory() as folder:
         for seed in seeds:
             answers.send(("begin", seed))
-            signal.alarm(SECONDS)  # the default action ends the process
+            # The default actions end the process; the second is for one that waits.
+            signal.setitimer(signal.ITIMER_PROF, SECONDS)
+            signal.alarm(10 * SECONDS)
             found = judge(seed, Path(folder))
+            signal.setitimer(signal.ITIMER_PROF, 0)
             signal.alarm(0)
             answers.send(("end", found))
     # So that only the death of a process ends the pipe early.
@@ -76,7 +81,8 @@ class Worker:
             self.process.join()
             code = self.process.exitcode
             if self.current is not None:
-                what = "timeout" if code == -signal.SIGALRM else f"the process died ({code})"
+                late = code in (-signal.SIGALRM, -signal.SIGPROF)
+                what = "timeout" if late else f"the process died ({code})"
                 found.append({"seed": self.current, "kind": "FAIL", "reason": what, "detail": ""})
                 self.seeds.remove(self.current)
                 self.current = None
@@ -90,8 +96,15 @@ class Worker:
         return self.over and not self.seeds
 
 
-def judge_all(judge: Judge, seeds: list[int], jobs: int, log: Path | None) -> list[dict]:
-    """The rows of the seeds; those that stand in the log are not judged again."""
+def judge_all(
+    judge: Judge, seeds: list[int], jobs: int, log: Path | None,
+    configure: Callable[[int], str] | None = None, seconds: float = math.inf,
+) -> list[dict]:  # fmt: skip
+    """The rows of the seeds; those that stand in the log are not judged again.
+
+    `configure` says in which configuration a seed runs. After so many seconds it stops.
+    """
+    deadline = time.monotonic() + seconds
     rows: list[dict] = []
     if log and log.exists():
         rows = [json.loads(line) for line in log.read_text().splitlines()]
@@ -104,14 +117,28 @@ def judge_all(judge: Judge, seeds: list[int], jobs: int, log: Path | None) -> li
     while not all(worker.finished for worker in workers):
         for worker in workers:
             for row in worker.poll():
+                if configure:
+                    row["configuration"] = configure(row["seed"])
                 rows.append(row)
                 if file:
                     file.write(json.dumps(row) + "\n")
                     file.flush()
                 if row["kind"] == "FAIL":
-                    print(f"seed {row['seed']}: {row['reason']}", flush=True)
+                    print(f"seed {row['seed']}: {row['reason']}{_command(row)}", flush=True)
+        if time.monotonic() > deadline:
+            for worker in workers:
+                worker.process.kill()
+            break
         time.sleep(0.02)
     return rows
+
+
+def _command(row: dict) -> str:
+    """What runs this seed again."""
+    if "configuration" not in row:
+        return ""
+    script = Path(sys.argv[0]).name
+    return f"\n  {script} --seed {row['seed']} --configuration {row['configuration']}"
 
 
 def summary(rows: list[dict]) -> str:

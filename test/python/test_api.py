@@ -1,5 +1,6 @@
 """The names, methods and keyword arguments that differentiable simulators use exist."""
 
+import operator
 import subprocess
 import sys
 
@@ -36,12 +37,15 @@ DEBUG INFO WARN ERROR
 """.split()
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_name(name):
-    thing = ti
-    for part in name.split("."):
-        thing = getattr(thing, part)
-    assert thing is not None
+def test_names_are_there():
+    """One test for all: it only sees that they exist."""
+    missing = []
+    for name in NAMES:
+        try:
+            assert operator.attrgetter(name)(ti) is not None
+        except (AttributeError, AssertionError):
+            missing.append(name)
+    assert not missing
 
 
 def test_docstrings():

@@ -1,15 +1,22 @@
 """Random programs give in a kernel what they give in Python.
 
 Kernels are Python syntax, so each program is one text, run once by Python and once compiled.
-Integers stay small enough not to wrap; floats are f64 on both sides.
+Integers stay small enough not to wrap; floats are f64 on both sides. Each seed draws where it runs
+and with how many elements, as random kernels do; `pytest -k "gradient and 1007"` runs one again.
 """
 
 import importlib.util
 import random
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 import tai as ti
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "fuzz"))
+
+import configurations  # noqa: E402
 
 PROGRAMS = 40
 POINTS = [(0, 0.5), (3, -1.25), (7, 2.0), (-4, 0.1)]
@@ -159,8 +166,8 @@ def plain(n, x):
 
 
 inlined = ti.func(plain)
-x = ti.field(ti.f64, shape=8, needs_grad=True)
-y = ti.field(ti.f64, shape=8)
+x = ti.field(ti.f64, shape={elements}, needs_grad=True)
+y = ti.field(ti.f64, shape={elements})
 loss = ti.field(ti.f64, shape=(), needs_grad=True)
 
 
@@ -175,22 +182,32 @@ def serial(n: ti.i32, x: ti.f64) -> ti.f64:
 @ti.kernel
 def parallel(x: ti.f64):
     for k in y:
-        y[k] = inlined(k - 4, x)
+        y[k] = inlined(k % 8 - 4, x)
 
 
 @ti.kernel
 def total():
     for k in x:
-        loss[None] += inlined(k - 4, x[k])
+        loss[None] += inlined(k % 8 - 4, x[k])
 """
 
 
-def load(seed, folder):
+@pytest.fixture
+def where(seed):
+    """The configuration of a seed; the tests run in it."""
+    found = configurations.draw(seed, configurations.default_targets())
+    with found.chosen():
+        yield found
+        ti.reset()
+
+
+def load(seed, folder, where):
     """A random program as a module."""
-    ti.init(default_fp=ti.f64, offline_cache=False)
+    where.init(default_fp=ti.f64, offline_cache=False)
+    print(where)
     body, result = Writer(seed).program()
     file = folder / f"random_program_{seed}.py"
-    file.write_text(TEMPLATE.format(body=body, result=result))
+    file.write_text(TEMPLATE.format(body=body, result=result, elements=where.elements))
     spec = importlib.util.spec_from_file_location(file.stem, file)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -198,27 +215,31 @@ def load(seed, folder):
 
 
 @pytest.mark.parametrize("seed", range(PROGRAMS))
-def test_values(seed, tmp_path):
-    module = load(seed, tmp_path)
+def test_values(seed, tmp_path, where):
+    module = load(seed, tmp_path, where)
     for n, x in POINTS:
         assert module.serial(n, x) == pytest.approx(module.plain(n, x), rel=1e-12, abs=1e-12)
     module.parallel(0.3)
-    expected = [module.plain(k - 4, 0.3) for k in range(8)]
-    assert module.y.to_numpy().tolist() == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    expected = np.resize([module.plain(k - 4, 0.3) for k in range(8)], where.elements)
+    assert np.allclose(module.y.to_numpy(), expected, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(1000, 1000 + PROGRAMS))
-def test_gradient(seed, tmp_path):
+def test_gradient(seed, tmp_path, where):
     """Against central differences of the Python function; the best of some steps."""
-    module = load(seed, tmp_path)
-    points = np.random.default_rng(seed).uniform(-2, 2, 8)
+    module = load(seed, tmp_path, where)
+    points = np.random.default_rng(seed).uniform(-2, 2, where.elements)
     module.x.from_numpy(points)
     with ti.ad.Tape(module.loss):
         module.total()
     gradient = module.x.grad.to_numpy()
-    for k, x in enumerate(points):
+    # Of many, those at both ends, and some between.
+    for k in {*range(8), *range(13, len(points), 97), len(points) - 2, len(points) - 1}:
+        if k >= len(points):
+            continue
+        n, x = k % 8 - 4, points[k]
         differences = [
-            (module.plain(k - 4, x + h) - module.plain(k - 4, x - h)) / (2 * h)
+            (module.plain(n, x + h) - module.plain(n, x - h)) / (2 * h)
             for h in (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
         ]
         error = min(abs(d - gradient[k]) / max(1, abs(d)) for d in differences)

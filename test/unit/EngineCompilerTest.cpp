@@ -30,7 +30,16 @@ struct SilentFailure : PassWrapper<SilentFailure, OperationPass<ModuleOp>> {
   void runOnOperation() override { signalPassFailure(); }
 };
 
+/// Succeeds, and leaves functions behind that return less than they say.
+struct BrokenReturns : PassWrapper<BrokenReturns, OperationPass<ModuleOp>> {
+  MLIR_DEFINE_EXPLICIT_INTERNAL_INLINE_TYPE_ID(BrokenReturns)
+  void runOnOperation() override {
+    getOperation().walk([](LLVM::ReturnOp op) { op->eraseOperand(0); });
+  }
+};
+
 /// Fails with two errors and a note.
+
 struct LoudFailure : PassWrapper<LoudFailure, OperationPass<ModuleOp>> {
   MLIR_DEFINE_EXPLICIT_INTERNAL_INLINE_TYPE_ID(LoudFailure)
   void runOnOperation() override {
@@ -111,6 +120,16 @@ TEST_F(EngineCompiler, SilentFailuresLeaveAReproducer) {
   // What --run-reproducer reads.
   EXPECT_TRUE(parseSourceString<ModuleOp>((*file)->getBuffer(), &context));
   llvm::sys::fs::remove(path);
+}
+
+TEST_F(EngineCompiler, TestsVerifyAfterEachPass) {
+  const char *given = std::getenv("TAI_VERIFY_EACH");
+  std::string before = given ? given : "";
+  ::setenv("TAI_VERIFY_EACH", "1", /*overwrite=*/1);
+  Failure failure = compileWith<BrokenReturns>();
+  ::setenv("TAI_VERIFY_EACH", before.c_str(), /*overwrite=*/1);
+  EXPECT_TRUE(StringRef(failure.message).contains("expected 1 operand"))
+      << failure.message;
 }
 
 TEST_F(EngineCompiler, KeepsAllDiagnostics) {

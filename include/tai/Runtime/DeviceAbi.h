@@ -101,6 +101,9 @@ void tai_rt_stack_grow_at(TaiFrame *frame, TaiStack *stack, const char *text,
 // takes a table, the stride, a header, and the words of the parameters of its
 // loops. See docs/decisions/0011-device-programs.md.
 
+/// Its name.
+#define TAI_PROGRAM_FUNCTION "tai_program"
+
 /// Who meets at the barrier after a step: the threads of one block, of a
 /// cluster of blocks, or of the grid.
 #define TAI_SCOPE_BLOCK 0
@@ -174,6 +177,14 @@ int32_t tai_emu_thread_id(void);
 int32_t tai_emu_block_id(void);
 int32_t tai_emu_block_dim(void);
 int32_t tai_emu_grid_dim(void);
+/// All threads of the block or the warp meet.
+void tai_emu_block_barrier(void);
+void tai_emu_warp_barrier(void);
+/// The value of another lane of the warp, all of which call; one's own where
+/// there is no such lane.
+uint64_t tai_emu_exchange(uint64_t value, uint32_t from);
+/// The lanes of the warp that have the same value; all of it call.
+uint32_t tai_emu_match(uint64_t value);
 void *tai_emu_allocate(uint64_t bytes);
 void tai_emu_free(void *memory);
 
