@@ -71,7 +71,7 @@ static Compiler::Pipelines getPipelines() {
     lowering.skip = options.skips;
     // Kernels are known by their names already.
     lowering.fuseLaunches = false;
-    buildToLLVMPipeline(manager, lowering);
+    buildToLLVMPasses(manager, lowering);
   };
   pipelines.toDevice = [](OpPassManager &manager,
                           const CompileOptions &options) {
@@ -86,7 +86,7 @@ static Compiler::Pipelines getPipelines() {
     // Kernels are known by their names already.
     lowering.fuseLaunches = false;
     lowering.emulated = options.device == runtime::DeviceKind::Emulated;
-    buildToNVVMPipeline(manager, lowering);
+    buildToNVVMPasses(manager, lowering);
   };
   pipelines.scfPass = "convert-tai-to-scf";
   pipelines.deviceScfPass = "convert-tai-to-gpu";

@@ -16,6 +16,7 @@
 #include "tai/AD/Signature.h"
 #include "tai/ExecutionEngine/AdjointNeeds.h"
 #include "tai/ExecutionEngine/Session.h"
+#include "tai/Pipelines/Pipelines.h"
 #include "llvm/Support/FormatVariadic.h"
 #include <atomic>
 #include <thread>
@@ -693,6 +694,21 @@ static void stubKernels(ModuleOp module) {
   }
 }
 
+/// Drops what has nothing to do with tai or with the program `entry`.
+static void keepReachable(ModuleOp module, StringRef entry) {
+  llvm::SetVector<Operation *> needed = collectOwn(module, entry);
+  for (size_t i = 0; i < needed.size(); ++i)
+    needed[i]->walk([&](Operation *op) {
+      op->getAttrDictionary().walk([&](SymbolRefAttr symbol) {
+        if (Operation *named = module.lookupSymbol(symbol.getRootReference()))
+          needed.insert(named);
+      });
+    });
+  for (Operation &op : llvm::make_early_inc_range(*module.getBody()))
+    if (!needed.contains(&op))
+      op.erase();
+}
+
 /// Whether a host function names a field other than for a launch or a tape.
 static bool usesFields(ModuleOp module) {
   SymbolTable symbols(module);
@@ -711,6 +727,7 @@ static bool usesFields(ModuleOp module) {
 
 LogicalResult Session::runHost(ModuleOp module, StringRef name) {
   OwningOpRef<ModuleOp> host = module.clone();
+  keepReachable(*host, name);
   stubKernels(*host);
   Failure failure;
   // The program itself runs on the CPU wherever its kernels do.

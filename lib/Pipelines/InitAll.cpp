@@ -39,6 +39,7 @@ void tai::registerAllPasses() {
   registerTaiADPasses();
   registerTaiTransformsPasses();
   registerTaiConversionPasses();
+  registerIsolate();
   registerAutodiffPipeline();
   registerToLLVMPipeline();
   registerToNVVMPipeline();

@@ -13,7 +13,7 @@
 
 using namespace mlir;
 
-void tai::buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options) {
+void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   bool checked = options.boundsCheck || options.debug;
   bool fast = options.optLevel > 0;
 
@@ -76,6 +76,10 @@ void tai::buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options) {
   llvm.contract = options.contract;
   pm.addPass(createConvertToLLVM(llvm));
   pm.addPass(createVerifyLLVM());
+}
+
+void tai::buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options) {
+  addIsolated(pm, [&](OpPassManager &own) { buildToLLVMPasses(own, options); });
 }
 
 void tai::registerToLLVMPipeline() {

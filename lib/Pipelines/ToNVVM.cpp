@@ -13,7 +13,7 @@
 
 using namespace mlir;
 
-void tai::buildToNVVMPipeline(OpPassManager &pm, const ToNVVMOptions &options) {
+void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
   bool checked = options.boundsCheck || options.debug;
   bool fast = options.optLevel > 0;
 
@@ -72,6 +72,10 @@ void tai::buildToNVVMPipeline(OpPassManager &pm, const ToNVVMOptions &options) {
   host.contract = options.contract;
   pm.addPass(createConvertToLLVM(host));
   pm.addPass(createVerifyLLVM());
+}
+
+void tai::buildToNVVMPipeline(OpPassManager &pm, const ToNVVMOptions &options) {
+  addIsolated(pm, [&](OpPassManager &own) { buildToNVVMPasses(own, options); });
 }
 
 void tai::registerToNVVMPipeline() {

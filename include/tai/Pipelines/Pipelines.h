@@ -13,10 +13,12 @@
 #ifndef TAI_PIPELINES_PIPELINES_H
 #define TAI_PIPELINES_PIPELINES_H
 
+#include "mlir/IR/BuiltinOps.h"
 #include "mlir/Pass/PassManager.h"
 #include "mlir/Pass/PassOptions.h"
 #include "tai/AD/Differentiable.h"
 #include "tai/Analysis/SkipOption.h"
+#include "llvm/ADT/SetVector.h"
 
 namespace mlir::tai {
 
@@ -73,6 +75,19 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
                                       "needed: all, none, or names"),
                        llvm::cl::init(SkipSet::all())};
 };
+
+/// What of a module is lowered: kernels, trees and fields, and the functions
+/// that hold ops of tai or call, at some depth, a function that does. `entry`,
+/// if not empty, is one of them whatever it holds.
+llvm::SetVector<Operation *> collectOwn(ModuleOp module, StringRef entry);
+
+/// Adds the passes of `populate` so that they see what `collectOwn` yields and
+/// the functions that this calls. All else stays as it is.
+void addIsolated(OpPassManager &pm,
+                 llvm::function_ref<void(OpPassManager &)> populate);
+
+/// Makes `tai-isolate` known to pass pipelines given as text.
+void registerIsolate();
 
 /// Makes the adjoints of kernels and the summaries of all kernels. Anchored on
 /// the module.
@@ -148,7 +163,10 @@ struct ToLLVMOptions : PassPipelineOptions<ToLLVMOptions>, LoweringOptions {
 /// Lowers a module of trees, fields, kernels and host functions to the LLVM
 /// dialect. Each kernel and each host function becomes
 /// `i32 @name(TaiFrame *)`; see tai/Runtime/Abi.h. Anchored on the module.
+/// Functions that have nothing to do with tai stay as they are.
 void buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options);
+/// The same for a module that holds nothing else.
+void buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options);
 
 /// Makes `--tai-to-llvm` known to pass pipelines given as text.
 void registerToLLVMPipeline();
@@ -171,8 +189,11 @@ struct ToNVVMOptions : PassPipelineOptions<ToNVVMOptions>, LoweringOptions {
 /// Lowers a module of trees, fields, kernels and host functions for a GPU: to
 /// device functions in the `gpu.module @kernels`, in the NVVM dialect, and to
 /// `i32 @name(TaiFrame *)` in the LLVM dialect, which launch them through the
-/// runtime. Anchored on the module.
+/// runtime. Anchored on the module. Functions that have nothing to do with tai
+/// stay as they are.
 void buildToNVVMPipeline(OpPassManager &pm, const ToNVVMOptions &options);
+/// The same for a module that holds nothing else.
+void buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options);
 
 /// Makes `--tai-to-nvvm` known to pass pipelines given as text.
 void registerToNVVMPipeline();

@@ -193,9 +193,15 @@ LogicalResult tai::lowerHostFunction(func::FuncOp function,
       for (SymbolTable::SymbolUse use : *uses)
         if (function->isProperAncestor(use.getUser()))
           user = use.getUser();
-      return user->emitOpError("calls '")
-             << function.getSymName()
-             << "', which cannot be inlined; helpers cannot call themselves";
+      InFlightDiagnostic diag = user->emitOpError("calls '")
+                                << function.getSymName()
+                                << "', which cannot be inlined; ";
+      if (!function.isExternal())
+        return diag << "helpers cannot call themselves";
+      diag << "it has no body here";
+      diag.attachNote(function.getLoc())
+          << "declared here; give it a body, or call it by 'llvm.call'";
+      return diag;
     }
   }
 
