@@ -48,6 +48,8 @@ void tai::buildToNVVMPipeline(OpPassManager &pm, const ToNVVMOptions &options) {
   if (fast && !checked)
     pm.addPass(createStripLoops());
 
+  // While accesses name fields: what addresses are made of is in range.
+  pm.addPass(createNarrowIndices());
   LowerLayoutOptions layout;
   layout.boundsCheck = checked;
   layout.onDevice = true;
