@@ -32,6 +32,10 @@ void tai::buildToNVVMPipeline(OpPassManager &pm, const ToNVVMOptions &options) {
     pm.addPass(createCanonicalizerPass());
   }
   pm.addPass(createScalarize());
+  // Of scalars, while loops over fields still say what their indices are.
+  GuardDivisionsOptions divisions;
+  divisions.debug = options.debug;
+  pm.addPass(createGuardDivisions(divisions));
   LowerStructForOptions loops;
   loops.deterministic = options.deterministic;
   loops.skip = options.skip;

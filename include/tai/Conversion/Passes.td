@@ -208,6 +208,36 @@ def StripLoops : Pass<"tai-strip-loops"> {
                            "::mlir::LLVM::LLVMDialect"];
 }
 
+def GuardDivisions : Pass<"tai-guard-divisions", "::mlir::ModuleOp"> {
+  let summary = "define integer division by zero";
+  let description = [{
+    The `arith` dialect leaves undefined what a division of integers by zero
+    yields, and the smallest integer divided by -1. In kernels, and in host
+    functions that hold ops of this dialect, both get a result: the quotient and
+    the remainder by zero are 0, the smallest integer divided by -1 is itself,
+    and leaves 0.
+
+    ```mlir
+    %q = arith.divsi %a, %n : i32
+    // becomes, for %a that is not negative
+    %zero = arith.cmpi eq, %n, %c0 : i32
+    %d = arith.select %zero, %c1, %n : i32
+    %d_q = arith.divsi %a, %d : i32
+    %q = arith.select %zero, %c0, %d_q : i32
+    ```
+
+    A division that cannot do either, by the ranges of its operands, stays as it
+    is; one that always does is an error. With `debug`, a `tai.assert` reports
+    it too.
+  }];
+  let options = [
+    Option<"debug", "debug", "bool", /*default=*/"false",
+           "Report divisions by zero and those that overflow">,
+  ];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::vector::VectorDialect"];
+}
+
 def NarrowIndices : Pass<"tai-narrow-indices", "::mlir::ModuleOp"> {
   let summary = "find modules whose indices fit 32 bits";
   let description = [{
