@@ -41,6 +41,10 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
 
   // From here on values are scalars, and loops run over boxes.
   pm.addPass(createScalarize());
+  // Of scalars, while loops over fields still say what their indices are.
+  GuardDivisionsOptions divisions;
+  divisions.debug = options.debug;
+  pm.addPass(createGuardDivisions(divisions));
   // Both are the business of the loop over blocks too.
   if (fast && !checked && options.skip.has(Skip::ActivationDemotion) &&
       options.skip.has(Skip::AccessorHoisting))

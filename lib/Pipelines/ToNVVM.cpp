@@ -32,6 +32,10 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
     pm.addPass(createCanonicalizerPass());
   }
   pm.addPass(createScalarize());
+  // Of scalars, while loops over fields still say what their indices are.
+  GuardDivisionsOptions divisions;
+  divisions.debug = options.debug;
+  pm.addPass(createGuardDivisions(divisions));
   LowerStructForOptions loops;
   loops.deterministic = options.deterministic;
   loops.skip = options.skip;
@@ -48,6 +52,8 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
   if (fast && !checked)
     pm.addPass(createStripLoops());
 
+  // While accesses name fields: what addresses are made of is in range.
+  pm.addPass(createNarrowIndices());
   LowerLayoutOptions layout;
   layout.boundsCheck = checked;
   layout.onDevice = true;

@@ -214,17 +214,23 @@ def logical_or(a: Any, b: Any) -> Any:
 
 
 def raw_mod(a: Any, b: Any) -> Any:
-    """The remainder with the sign of a, as in C."""
+    """The remainder with the sign of a, as in C; 0 where a whole b is 0."""
+    from ._frontend.division import check_division
+
     emitter = _in_kernel("raw_mod")
     a, b = emitter.unify(a, b)
+    check_division(a, b, a.dt)
     forms = {"f": "arith.remf", "i": "arith.remsi", "u": "arith.remui"}
     return emitter._elementwise(forms[a.dt.kind], [a, b], a.dt)
 
 
 def raw_div(a: Any, b: Any) -> Any:
-    """Division that rounds whole numbers toward zero, as in C."""
+    """Division that rounds whole numbers toward zero, as in C; 0 where a whole b is 0."""
+    from ._frontend.division import check_division
+
     emitter = _in_kernel("raw_div")
     a, b = emitter.unify(a, b)
+    check_division(a, b, a.dt)
     forms = {"f": "arith.divf", "i": "arith.divsi", "u": "arith.divui"}
     return emitter._elementwise(forms[a.dt.kind], [a, b], a.dt)
 

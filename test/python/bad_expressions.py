@@ -464,13 +464,33 @@ def negative_power_of_a_whole_number():
     kernel(3)
 
 
-@bad(ti.TaiTypeError, "division of whole numbers by zero")
+@bad(ti.TaiTypeError, "a whole number is divided by zero")
 def division_by_zero():
     @ti.kernel
     def kernel(n: ti.i32) -> ti.i32:
         return n // 0  # BAD
 
     kernel(3)
+
+
+@bad(ti.TaiTypeError, "a whole number is divided by zero", "static")
+def remainder_by_zero():
+    zero = 0
+
+    @ti.kernel
+    def kernel(n: ti.i64) -> ti.i64:
+        return ti.raw_mod(n, zero)  # BAD
+
+    kernel(3)
+
+
+@bad(ti.TaiTypeError, "the smallest i32 is divided by -1", "wider")
+def quotient_that_does_not_fit():
+    @ti.kernel
+    def kernel() -> ti.i32:
+        return ti.i32(-(2**31)) // -1  # BAD
+
+    kernel()
 
 
 @bad(ti.TaiTypeError, "no complex numbers")

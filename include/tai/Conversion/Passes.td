@@ -208,6 +208,61 @@ def StripLoops : Pass<"tai-strip-loops"> {
                            "::mlir::LLVM::LLVMDialect"];
 }
 
+def GuardDivisions : Pass<"tai-guard-divisions", "::mlir::ModuleOp"> {
+  let summary = "define integer division by zero";
+  let description = [{
+    The `arith` dialect leaves undefined what a division of integers by zero
+    yields, and the smallest integer divided by -1. In kernels, and in host
+    functions that hold ops of this dialect, both get a result: the quotient and
+    the remainder by zero are 0, the smallest integer divided by -1 is itself,
+    and leaves 0.
+
+    ```mlir
+    %q = arith.divsi %a, %n : i32
+    // becomes, for %a that is not negative
+    %zero = arith.cmpi eq, %n, %c0 : i32
+    %d = arith.select %zero, %c1, %n : i32
+    %d_q = arith.divsi %a, %d : i32
+    %q = arith.select %zero, %c0, %d_q : i32
+    ```
+
+    A division that cannot do either, by the ranges of its operands, stays as it
+    is; one that always does is an error. With `debug`, a `tai.assert` reports
+    it too.
+  }];
+  let options = [
+    Option<"debug", "debug", "bool", /*default=*/"false",
+           "Report divisions by zero and those that overflow">,
+  ];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::vector::VectorDialect"];
+}
+
+def NarrowIndices : Pass<"tai-narrow-indices", "::mlir::ModuleOp"> {
+  let summary = "find modules whose indices fit 32 bits";
+  let description = [{
+    Device code computes addresses in 32 bits where nothing can get lost. This
+    pass puts `tai.index_bits = 32` on a module where that is proven: every
+    value of type `index` in its kernels, computed in 64 bits, lies in the range
+    of i32; so do the counters of loops, the numbers of iterations of parallel
+    loops and all that an address in one of its trees is made of. Ranges follow
+    from types, constants, extents of fields and the arithmetic between them.
+
+    Where that is not proven, indices have 64 bits: a kernel takes an array,
+    whose extents are known at its launch, a bound is an i64, or a product of
+    bounds may be large.
+
+    ```mlir
+    tai.parallel_for (%i) = (%c0) to (%n) {      // %n from an i32: 32 bits
+    tai.parallel_for (%i) = (%c0) to (%m) {      // %m from an i64: 64 bits
+    tai.parallel_for (%i, %j) = (%c0, %c0) to (%n, %n) {      // 64 bits
+    ```
+
+    Expects loops over boxes and field accesses, as they are before
+    `tai-lower-layout`; indices of accesses are taken to be in range after it.
+  }];
+}
+
 def LowerLayout : Pass<"tai-lower-layout"> {
   let summary = "turn accesses to fields into loads and stores of memory";
   let description = [{
@@ -289,7 +344,8 @@ def ConvertTaiToGPU : Pass<"convert-tai-to-gpu", "::mlir::ModuleOp"> {
 
     The number of blocks follows from the number of iterations; 0 stands for one
     that only the device knows. Functions are right for any number of threads:
-    the runtime may take others.
+    the runtime may take others. `tai.index_bits`, by `tai-narrow-indices`, moves
+    from the module to the `gpu.module`.
   }];
   let options = [
     Option<"deterministic", "deterministic", "bool", /*default=*/"false",
@@ -320,8 +376,8 @@ def ConvertToNVVM : Pass<"tai-convert-to-nvvm", "::mlir::ModuleOp"> {
   let description = [{
     Functions of `gpu.module`s become what the NVPTX backend takes, with one
     conversion over upstream's patterns: mathematical functions become calls of
-    libdevice, numbers of threads reads of special registers. Indices have 32
-    bits where all trees of the module are so small that no address needs more.
+    libdevice, numbers of threads reads of special registers. Indices have 64
+    bits, or as many as `tai.index_bits` of the `gpu.module` says.
 
     With `emulated`, they become what the CPU can run: numbers of threads are
     asked for by calls (`tai_dev_thread_id`, …), mathematical functions those of

@@ -225,47 +225,6 @@ LogicalResult KernelOffload::run() {
   return success();
 }
 
-/// True if 32 bits are enough for every index: no tree is so large, no array
-/// may be, and no number of iterations can be.
-static bool hasSmallIndices(ModuleOp module) {
-  constexpr int64_t most = int64_t(1) << 30;
-  DataLayout layout(module);
-  for (TreeOp tree : module.getOps<TreeOp>())
-    if (getTreeSize(tree.getLayout(), layout).total > uint64_t(most))
-      return false;
-  return !module
-              .walk([&](Operation *op) {
-                if (auto kernel = dyn_cast<KernelOp>(op))
-                  for (Type type : kernel.getArgumentTypes())
-                    if (isa<MemRefType>(type))
-                      return WalkResult::interrupt();
-                if (auto constant = dyn_cast<arith::ConstantOp>(op))
-                  if (constant.getType().isIndex()) {
-                    int64_t value =
-                        cast<IntegerAttr>(constant.getValue()).getInt();
-                    if (value > most || value < -most)
-                      return WalkResult::interrupt();
-                  }
-                if (auto loop = dyn_cast<ParallelForOp>(op)) {
-                  int64_t count = 1;
-                  for (auto [from, to] : llvm::zip(loop.getLowerBounds(),
-                                                   loop.getUpperBounds())) {
-                    std::optional<int64_t> lower = getConstantIntValue(from);
-                    std::optional<int64_t> upper = getConstantIntValue(to);
-                    bool isKnown = lower && upper;
-                    if (!isKnown && loop.getLowerBounds().size() > 1)
-                      return WalkResult::interrupt();
-                    if (isKnown)
-                      count *= std::max<int64_t>(*upper - *lower, 0);
-                    if (count > most)
-                      return WalkResult::interrupt();
-                  }
-                }
-                return WalkResult::advance();
-              })
-              .wasInterrupted();
-}
-
 /// Functions that device code calls and the module declares for the host.
 static void declareCallees(ModuleOp module, gpu::GPUModuleOp kernels) {
   SymbolTable known(kernels), outer(module);
@@ -291,8 +250,8 @@ struct ConvertTaiToGPU : tai::impl::ConvertTaiToGPUBase<ConvertTaiToGPU> {
     SymbolTable(module).insert(kernels);
     module->setAttr(gpu::GPUDialect::getContainerModuleAttrName(),
                     builder.getUnitAttr());
-    if (hasSmallIndices(module))
-      kernels->setAttr(kIndexBitsAttrName, builder.getI64IntegerAttr(32));
+    if (Attribute bits = module->removeAttr(kIndexBitsAttrName))
+      kernels->setAttr(kIndexBitsAttrName, bits);
     ModuleLowering host(module, deterministic, debug);
     ModuleLowering device(module, deterministic, debug, kernels);
     DeviceLowering lowering{host, device, kernels, deterministic};

@@ -44,7 +44,8 @@ constexpr int64_t kTreeAlignment = 16;
 /// that address on.
 constexpr llvm::StringLiteral kPartialSumAttrName = "tai.partial_sum";
 
-/// On the gpu.module: how many bits an index needs.
+/// On a module, by `tai-narrow-indices`, and then on its gpu.module: how many
+/// bits an index needs; 64 where it is not there.
 constexpr llvm::StringLiteral kIndexBitsAttrName = "tai.index_bits";
 
 /// True for a loop that becomes a device function.

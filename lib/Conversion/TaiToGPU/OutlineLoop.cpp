@@ -106,6 +106,10 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
   if (warp.lane)
     emitMeeting(builder, loc, warp, runtime);
   auto iterations = scf::ForOp::create(builder, loc, thread, count, threads);
+  // The number of iterations may be close to the largest index: behind it there
+  // is room for the stride of the grid if the comparison has no sign.
+  if (extents.size() == 1 && !getConstantIntValue(count) && !warp.lane)
+    iterations.setUnsignedCmp(true);
   if (warp.lane)
     emitMeeting(builder, loc, warp, runtime);
   Block *block = iterations.getBody();

@@ -11,6 +11,7 @@ import numpy as np
 from .. import _state, dtypes
 from ..dtypes import DataType, dtype_of, i32, promote, u1
 from ..errors import TaiCompilationError, TaiIndexError, TaiTypeError
+from .division import check_division
 from .value import MatrixValue, Value
 
 # float operation, signed integer operation, unsigned integer operation
@@ -568,8 +569,7 @@ class Emitter:
         if a.shape and not dt.is_float and (a.elements or b.elements):
             pairs = zip(a.scalars(), b.scalars(), strict=True)
             return self.matrix([self._divide_whole(op, p, q) for p, q in pairs], dt, a.shape)
-        if b.const == 0 and not dt.is_float:
-            raise TaiTypeError("division of whole numbers by zero")
+        check_division(a, b, dt)
         if dt.is_float:
             whole = self.unary("floor", self.binary("/", a, b))
             return whole if op == "//" else self.binary("-", a, self.binary("*", whole, b))

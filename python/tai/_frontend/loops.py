@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import ast
+from functools import reduce
 from typing import Any
 
 from .. import ops
-from ..dtypes import DataType, i32, promote, u1
+from ..dtypes import DataType, i32, i64, promote, u1
 from ..errors import TaiSyntaxError, TaiTypeError
 from ..fields import ComponentField, Field, MatrixField, ScalarField
 from ..snode import Place, SNode
@@ -209,7 +210,9 @@ class Loops:
 
     def define_indices(self, names: list[str], indices: list[Value], grouped: bool) -> None:
         if grouped:
-            vector = MatrixValue(self.emitter, None, i32, (len(indices),), list(indices))
+            dt = reduce(promote, (index.dt for index in indices), i32)
+            parts = [self.emitter.cast(index, dt) for index in indices]
+            vector = MatrixValue(self.emitter, None, dt, (len(indices),), parts)
             self.frame.define(names[0], Variable(names[0], vector, "loop variable"))
             return
         for name, index in zip(names, indices, strict=True):
@@ -217,10 +220,13 @@ class Loops:
                 self.frame.define(name, Variable(name, index, "loop variable"))
 
     def index_type_of(self, parts: list[Any]) -> DataType:
-        """The type of a loop variable: that of its bounds, at least default_ip."""
+        """The type of a loop variable: that of its bounds, and of numbers that they are."""
         dt = i32
         for part in parts:
-            if isinstance(part, Value) and part.dt.is_int:
+            if not isinstance(part, Value):
+                # The upper bound itself is none of the indices.
+                dt = dt if i32.min <= part <= i32.max + 1 else promote(dt, i64)
+            elif part.dt.is_int:
                 dt = promote(dt, part.dt)
         return dt
 
@@ -330,8 +336,17 @@ class Loops:
     def trip_count(self, low: Any, high: Any, step: int) -> Any:
         """The number of iterations of a range with a step, as an index handle."""
         emitter = self.emitter
-        span = emitter.binary("-", high, low) if step > 0 else emitter.binary("-", low, high)
         size = abs(step)
+        if not isinstance(low, Value) and not isinstance(high, Value):
+            first, last = (low, high) if step > 0 else (high, low)
+            return emitter.index(max(-((first - last) // size), 0))
+        # From one end of a type to the other there is more than it can count.
+        low, high = (
+            emitter.cast(part if isinstance(part, Value) else emitter.constant(part, i64), dt)
+            for dt in [promote(self.index_type_of([low, high]), i64)]
+            for part in (low, high)
+        )
+        span = emitter.binary("-", high, low) if step > 0 else emitter.binary("-", low, high)
         count = emitter.binary("//", emitter.binary("+", span, size - 1), size)
         return emitter.to_index(count)
 
@@ -442,7 +457,11 @@ class Loops:
         self.frame.push()
         indices = []
         for dimension in range(rank):
-            parts = [] if bounds is None else [bounds.lower[dimension], bounds.upper[dimension]]
+            if bounds is not None:
+                parts = [bounds.lower[dimension], bounds.upper[dimension]]
+            else:
+                first = (field.offset or (0,) * rank)[dimension]
+                parts = [first, first + field.shape[dimension]]
             index = emitter.from_index(block.argument(dimension), self.index_type_of(parts))
             if bounds is not None and bounds.step != 1:
                 scaled = emitter.binary("*", index, bounds.step)

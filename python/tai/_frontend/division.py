@@ -1,0 +1,22 @@
+"""Divisions of whole numbers that are known to have no result."""
+
+from __future__ import annotations
+
+from ..dtypes import DataType
+from ..errors import TaiTypeError
+from .value import Value
+
+
+def check_division(a: Value, b: Value, dt: DataType) -> None:
+    """Raises for whole numbers of type `dt` of which `a` cannot be divided by `b`."""
+    if dt.is_float:
+        return
+    if b.const == 0:
+        raise TaiTypeError(
+            "a whole number is divided by zero",
+            "make the divisor a float, or leave the division out: if ti.static(n != 0)",
+        )
+    if b.const == -1 and dt.kind == "i" and a.const == dt.min:
+        raise TaiTypeError(
+            f"the smallest {dt} is divided by -1, and has no negative", "use a wider type"
+        )
