@@ -12,6 +12,7 @@
 
 #include "tai/Runtime/Abi.h"
 #include "Launch.h"
+#include "Scalars.h"
 #include "tai/Runtime/Device.h"
 #include "tai/Runtime/DeviceAbi.h"
 #include "tai/Runtime/DeviceHeap.h"
@@ -396,7 +397,7 @@ extern "C" int32_t tai_rt_failed(TaiFrame *frame) {
 // Symbols
 //===----------------------------------------------------------------------===//
 
-std::vector<RuntimeSymbol> mlir::tai::runtime::runtimeSymbols() {
+static std::vector<RuntimeSymbol> getAbiSymbols() {
 #define TAI_SYMBOL(name)                                                       \
   {                                                                            \
     #name, reinterpret_cast<void *>(&name)                                     \
@@ -445,4 +446,10 @@ std::vector<RuntimeSymbol> mlir::tai::runtime::runtimeSymbols() {
           TAI_SYMBOL(tai_rt_host_tape_end),
           TAI_SYMBOL(tai_rt_host_check_gradient)};
 #undef TAI_SYMBOL
+}
+
+std::vector<RuntimeSymbol> mlir::tai::runtime::runtimeSymbols() {
+  std::vector<RuntimeSymbol> symbols = getAbiSymbols();
+  appendHalfCalls(symbols);
+  return symbols;
 }

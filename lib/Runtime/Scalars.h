@@ -16,6 +16,8 @@
 
 namespace mlir::tai::runtime {
 
+struct RuntimeSymbol;
+
 double loadF64(ScalarKind kind, const char *address);
 int64_t loadI64(ScalarKind kind, const char *address);
 void storeF64(ScalarKind kind, char *address, double value);
@@ -26,6 +28,9 @@ uint16_t halfFromDouble(double value);
 uint16_t bfloatFromDouble(double value);
 double doubleFromHalf(uint16_t bits);
 double doubleFromBfloat(uint16_t bits);
+
+/// The conversions of these types that compiled code calls.
+void appendHalfCalls(std::vector<RuntimeSymbol> &symbols);
 
 /// The distance from one element to the next along an index; false where it
 /// varies.

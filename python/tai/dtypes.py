@@ -121,6 +121,11 @@ def promote(a: DataType, b: DataType) -> DataType:
     return a if a.kind == "u" else b
 
 
+def computed_in(dt: DataType) -> DataType:
+    """The type that arithmetic on `dt` takes place in: f16 is for storage, and computed in f32."""
+    return f32 if dt is f16 else dt
+
+
 def dtype_of(value: Any) -> DataType:
     """The type that a Python or NumPy number takes in a kernel."""
     if isinstance(value, (bool, np.bool_)):

@@ -417,3 +417,42 @@ def test_gradient_of_or_belongs_to_the_operand_that_decides():
         with ti.ad.Tape(loss):
             kernel()
         assert x.grad.to_numpy().tolist() == expected
+
+
+def test_constants_out_of_range_are_as_at_run_time():
+    ti.init(arch=ti.cpu, default_fp=ti.f64)
+    out = ti.field(ti.f64, shape=9)
+
+    @ti.kernel
+    def run():
+        out[0] = 1.0 / 0.0
+        out[1] = -1 / 0
+        out[2] = 0.0 / 0.0
+        out[3] = 2.0**5000
+        out[4] = (-8.0) ** 0.5
+        out[5] = 5.0 % 0.0
+        out[6] = 0.0**-1.0
+        out[7] = 1e308 * 10
+        out[8] = 7.0 // 0.0
+
+    run()
+    expected = [np.inf, -np.inf, np.nan, np.inf, np.nan, np.nan, np.inf, np.inf, np.inf]
+    np.testing.assert_array_equal(out.to_numpy(), expected)
+
+
+@pytest.mark.parametrize("op", ["//", "%"])
+def test_whole_constants_by_zero(op):
+    ti.init(arch=ti.cpu)
+    out = ti.field(ti.i32, shape=())
+
+    @ti.kernel
+    def divide():
+        out[None] = 5 // 0
+
+    @ti.kernel
+    def remainder():
+        out[None] = 5 % 0
+
+    with pytest.raises(ti.TaiTypeError, match="by zero") as caught:
+        (divide if op == "//" else remainder)()
+    assert caught.value.lineno is not None

@@ -9,72 +9,19 @@
 // coincide, the factors turn freely and have no derivative; a loss that does
 // not depend on that freedom has one, and gets it: the terms are arranged so
 // that what must cancel is divided alone, and the quotient is zero where the
-// divisor is.
+// divisor is. Where singular values cancel, the rotation jumps, and its
+// derivative does not exist: the turn that jumps gets zero.
 //
 //===----------------------------------------------------------------------===//
 
-#include "MatrixHelpers.h"
+#include "Decompositions.h"
 #include "Models.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
 
 using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-
-/// A number in a formula.
-struct S {
-  DerivativeBuilder *b;
-  Value v;
-};
-S operator+(S a, S c) { return {a.b, arith::AddFOp::create(*a.b, a.v, c.v)}; }
-S operator-(S a, S c) { return {a.b, arith::SubFOp::create(*a.b, a.v, c.v)}; }
-S operator*(S a, S c) { return {a.b, arith::MulFOp::create(*a.b, a.v, c.v)}; }
-S operator-(S a) { return {a.b, arith::NegFOp::create(*a.b, a.v)}; }
-S operator*(double a, S c) {
-  return S{c.b, c.b->createConstant(c.v.getType(), a)} * c;
-}
-S abs(S a) { return {a.b, math::AbsFOp::create(*a.b, a.v)}; }
-
-/// a / c, and 0 where |c| is not above `floor`.
-S divideAbove(S a, S c, S floor) {
-  DerivativeBuilder &b = *a.b;
-  Value isLarge =
-      arith::CmpFOp::create(b, arith::CmpFPredicate::OGT, abs(c).v, floor.v);
-  return {&b, b.createMask(isLarge, arith::DivFOp::create(b, a.v, c.v))};
-}
-
-/// a, and 0 where |a| is not above `floor`. NaN stays.
-S dropBelow(S a, S floor) {
-  DerivativeBuilder &b = *a.b;
-  Value isSmall =
-      arith::CmpFOp::create(b, arith::CmpFPredicate::OLE, abs(a).v, floor.v);
-  return {&b, arith::SelectOp::create(b, isSmall, b.createZero(a.v.getType()),
-                                      a.v)};
-}
-
-/// A small matrix taken apart.
-struct M {
-  DerivativeBuilder *b;
-  Value v;
-  S operator()(int64_t i, int64_t j) const {
-    return {b, b->createExtract(v, i * getRows(v) + j)};
-  }
-};
-
-/// The greatest magnitude of an entry.
-S getGreatest(M m, int64_t n) {
-  S greatest = abs(m(0, 0));
-  for (int64_t k = 1; k != n * n; ++k)
-    greatest = {m.b, arith::MaximumFOp::create(*m.b, greatest.v,
-                                               abs(m(k / n, k % n)).v)};
-  return greatest;
-}
-
-/// What the relative distance of two values must exceed to be told apart.
-double getTolerance(Type type) {
-  return getElementTypeOrSelf(type).isF64() ? 8 * 2.220446e-16
-                                            : 8 * 1.192093e-7;
-}
 
 /// The vector w with [w]ₓ = P - Pᵀ.
 SmallVector<S> getAxial(M p) {
@@ -117,13 +64,28 @@ struct PolarModel
     return success();
   }
 
+  /// R turns by the angle of (x, y) = (a₀₀ + a₁₁, a₁₀ - a₀₁), whose length is
+  /// the sum of the singular values. Here is (x, y) divided by the square of
+  /// that length, or zero where R jumps.
+  static std::pair<S, S> getPlanarSlopes(DerivativeBuilder &b, Value matrix) {
+    M a{&b, matrix};
+    Type type = matrix.getType();
+    S x = a(0, 0) + a(1, 1), y = a(1, 0) - a(0, 1);
+    S size = max(abs(x), abs(y));
+    S least{&b, b.createConstant(x.v.getType(), getLeast(type))};
+    S floor = getJumpTolerance(type) * getGreatest(a) + least;
+    S cosine = x / size, sine = y / size;
+    S square = cosine * cosine + sine * sine;
+    return {divideAbove(cosine / square, size, floor),
+            divideAbove(sine / square, size, floor)};
+  }
+
   static Value extendPlanar(TangentBuilder &b, Value matrix, Value r,
                             Value tangent) {
-    M a{&b, matrix}, d{&b, tangent}, rotation{&b, r};
-    S x = a(0, 0) + a(1, 1), y = a(1, 0) - a(0, 1);
+    M d{&b, tangent}, rotation{&b, r};
+    auto [x, y] = getPlanarSlopes(b, matrix);
     S dx = d(0, 0) + d(1, 1), dy = d(1, 0) - d(0, 1);
-    S zero{&b, b.createZero(x.v.getType())};
-    S angle = divideAbove(x * dy - y * dx, x * x + y * y, zero);
+    S angle = x * dy - y * dx;
     S dc = -(rotation(1, 0) * angle), ds = rotation(0, 0) * angle;
     return b.createVector(cast<VectorType>(r.getType()),
                           {dc.v, (-ds).v, ds.v, dc.v});
@@ -135,15 +97,12 @@ struct PolarModel
     return createMatmul(b, r, createSkew(b, axial));
   }
 
-  /// R turns by the angle of (a₀₀ + a₁₁, a₁₀ - a₀₁).
   static void buildPlanar(AdjointBuilder &b, Value matrix, Value r, Value gr) {
-    M a{&b, b.getPrimal(matrix)}, rotation{&b, r}, g{&b, gr};
+    M rotation{&b, r}, g{&b, gr};
     S c = rotation(0, 0), s = rotation(1, 0);
     S angle = c * (g(1, 0) - g(0, 1)) - s * (g(0, 0) + g(1, 1));
-    S x = a(0, 0) + a(1, 1), y = a(1, 0) - a(0, 1);
-    S zero{&b, b.createZero(x.v.getType())};
-    S scale = divideAbove(angle, x * x + y * y, zero);
-    S gx = -(y * scale), gy = x * scale;
+    auto [x, y] = getPlanarSlopes(b, b.getPrimal(matrix));
+    S gx = -(y * angle), gy = x * angle;
     b.addAdjointComponent(matrix, 0, gx.v);
     b.addAdjointComponent(matrix, 3, gx.v);
     b.addAdjointComponent(matrix, 1, (-gy).v);
@@ -156,13 +115,14 @@ struct PolarModel
     b.addAdjoint(op.getMatrix(), createMatmul(b, r, createSkew(b, w)));
   }
 
-  /// The solution w of (tr(S) I - S) w = axial(P - Pᵀ).
+  /// The solution w of (tr(S) I - S) w = axial(P - Pᵀ). The system is singular
+  /// where two singular values cancel.
   static Value createAxis(DerivativeBuilder &b, Value stretchMatrix, M p) {
     auto type = cast<VectorType>(stretchMatrix.getType());
     Type element = type.getElementType();
     auto vectorType = VectorType::get({3}, element);
-    SmallVector<Value> axial =
-        llvm::map_to_vector(getAxial(p), [](S s) { return s.v; });
+    Value axial = b.createVector(
+        vectorType, llvm::map_to_vector(getAxial(p), [](S s) { return s.v; }));
     M stretch{&b, stretchMatrix};
     S trace = stretch(0, 0) + stretch(1, 1) + stretch(2, 2);
     SmallVector<Value> k;
@@ -170,13 +130,46 @@ struct PolarModel
       for (int64_t j = 0; j != 3; ++j)
         k.push_back((i == j ? trace - stretch(i, j) : -stretch(i, j)).v);
     Value system = b.createVector(type, k);
-    // Singular where two singular values cancel: R jumps there.
-    Value determinant = DeterminantOp::create(b, element, system);
-    Value isRegular = arith::CmpFOp::create(b, arith::CmpFPredicate::ONE,
-                                            determinant, b.createZero(element));
-    Value w = SolveOp::create(b, vectorType, system,
-                              b.createVector(vectorType, axial));
-    return b.createMask(isRegular, w);
+    // Far from singular, elimination will do: its eigenvalues are the sums of
+    // two singular values.
+    S determinant{&b, DeterminantOp::create(b, element, system)};
+    S size = 2 * abs(trace);
+    Value isRegular =
+        arith::CmpFOp::create(b, arith::CmpFPredicate::OGT, determinant.v,
+                              (1e-3 * (size * size * size)).v);
+    auto branch = scf::IfOp::create(b, vectorType, isRegular,
+                                    /*withElseRegion=*/true);
+    OpBuilder::InsertionGuard guard(b);
+    b.setInsertionPointToStart(branch.thenBlock());
+    Value solved = SolveOp::create(b, vectorType, system, axial);
+    scf::YieldOp::create(b, solved);
+    b.setInsertionPointToStart(branch.elseBlock());
+    S noise = 2 * getTolerance(type) * getGreatest(p);
+    scf::YieldOp::create(b, createNearAxis(b, stretchMatrix, axial, noise));
+    return branch.getResult(0);
+  }
+
+  /// The same by the eigenvectors of S, with zero for the turns that jump.
+  static Value createNearAxis(DerivativeBuilder &b, Value stretch, Value axial,
+                              S noise) {
+    auto type = cast<VectorType>(stretch.getType());
+    auto vectorType = cast<VectorType>(axial.getType());
+    auto eig = SymEigOp::create(b, vectorType, type, stretch);
+    Value turned = createMatmul(b, createTranspose(b, eig.getVectors()), axial);
+    auto lambda = [&](int64_t i) {
+      return S{&b, b.createExtract(eig.getValues(), i)};
+    };
+    S least{&b, b.createConstant(type.getElementType(), getLeast(type))};
+    S floor =
+        getJumpTolerance(type) * max(abs(lambda(0)), abs(lambda(2))) + least;
+    SmallVector<Value> components;
+    for (int64_t i = 0; i != 3; ++i) {
+      S known = dropBelow(S{&b, b.createExtract(turned, i)}, noise);
+      S sum = lambda((i + 1) % 3) + lambda((i + 2) % 3);
+      components.push_back(divideAbove(known, sum, floor).v);
+    }
+    return createMatmul(b, eig.getVectors(),
+                        b.createVector(vectorType, components));
   }
 
   /// [w]ₓ
@@ -200,12 +193,13 @@ M getTurned(DerivativeBuilder &b, Value u, Value g) {
 /// Ψ; for i < j the sum and difference of their entries are
 ///   Ωᵢⱼ + Ψᵢⱼ = (Pᵢⱼ + Pⱼᵢ) / (σⱼ - σᵢ),  Ωᵢⱼ - Ψᵢⱼ = (Pᵢⱼ - Pⱼᵢ) / (σⱼ + σᵢ),
 /// where P = Uᵀ dA V. Where σᵢ = σⱼ, the first quotient is 0 / 0 for a loss
-/// that does not depend on how U and V turn together. What such a loss makes of
-/// U Σ Vᵀ then stands in the adjoint of Σ off the diagonal, where Σ is zero: dΣ
-/// gets the symmetric part of P there. Away from σᵢ = σⱼ this is taken out of
-/// the quotient, which is the same but for rounding: of a difference that
-/// cancels, nothing is left but noise, which is dropped before it is divided by
-/// little.
+/// that does not depend on how U and V turn together, and where σᵢ = -σⱼ the
+/// second one is for a loss that does not depend on how they turn against each
+/// other. What such a loss makes of U Σ Vᵀ then stands in the adjoint of Σ off
+/// the diagonal, where Σ is zero: dΣ gets the symmetric and the skew part of P
+/// there. Elsewhere these are taken out of the quotients, which is the same but
+/// for rounding: of a difference that cancels, nothing is left but noise, which
+/// is dropped before it is divided by little.
 struct SvdModel : DifferentiableOpInterface::ExternalModel<SvdModel, SvdOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     auto svd = cast<SvdOp>(op);
@@ -216,22 +210,22 @@ struct SvdModel : DifferentiableOpInterface::ExternalModel<SvdModel, SvdOp> {
     M gu = getTurned(b, u, b.getAdjoint(svd.getU()));
     M gv = getTurned(b, v, b.getAdjoint(svd.getV()));
     M gs{&b, b.getAdjointOrZero(svd.getSigma())};
-    S least{&b,
-            b.createConstant(type.getElementType(),
-                             type.getElementType().isF64() ? 1e-300 : 1e-37)};
-    S floor = getTolerance(type) * abs(sigma(0, 0)) + least;
-    S noise =
-        2 * getTolerance(type) * (getGreatest(gu, n) + getGreatest(gv, n));
+    Floors floors = getFloors(sigma);
+    S noise = 2 * getTolerance(type) * (getGreatest(gu) + getGreatest(gv));
     SmallVector<Value> p(n * n);
     for (int64_t i = 0; i != n; ++i) {
       p[i * n + i] = gs(i, i).v;
       for (int64_t j = i + 1; j != n; ++j) {
         S omega = gu(i, j) - gu(j, i), psi = gv(i, j) - gv(j, i);
-        S si = sigma(i, i), sj = sigma(j, j);
-        S off = 0.5 * (gs(i, j) + gs(j, i));
-        S rest = dropBelow(0.5 * (omega + psi) - off * (sj - si), noise);
-        S even = off + divideAbove(rest, sj - si, floor);
-        S odd = divideAbove(0.5 * (omega - psi), sj + si, floor);
+        S difference = sigma(j, j) - sigma(i, i);
+        S sum = sigma(j, j) + sigma(i, i);
+        auto pass = [&](S turn, S off, S divisor, S floor) {
+          S rest = dropBelow(0.5 * turn - off * divisor, noise);
+          return off + divideAbove(rest, divisor, floor);
+        };
+        S even = pass(omega + psi, 0.5 * (gs(i, j) + gs(j, i)), difference,
+                      floors.difference);
+        S odd = pass(omega - psi, 0.5 * (gs(i, j) - gs(j, i)), sum, floors.sum);
         p[i * n + j] = (even + odd).v;
         p[j * n + i] = (even - odd).v;
       }
@@ -244,38 +238,13 @@ struct SvdModel : DifferentiableOpInterface::ExternalModel<SvdModel, SvdOp> {
 
   LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
     auto svd = cast<SvdOp>(op);
-    int64_t n = getRows(svd.getMatrix());
-    auto type = cast<VectorType>(svd.getMatrix().getType());
+    Turns turns = createTurns(b, svd);
     Value u = svd.getU(), v = svd.getV();
-    M sigma{&b, svd.getSigma()};
-    M p{&b, createMatmul(b,
-                         createMatmul(b, createTranspose(b, u),
-                                      b.getTangent(svd.getMatrix())),
-                         v)};
-    S least{&b,
-            b.createConstant(type.getElementType(),
-                             type.getElementType().isF64() ? 1e-300 : 1e-37)};
-    S floor = getTolerance(type) * abs(sigma(0, 0)) + least;
-    SmallVector<Value> omega(n * n), psi(n * n), values(n * n);
-    for (int64_t i = 0; i != n; ++i) {
-      values[i * n + i] = p(i, i).v;
-      for (int64_t j = i + 1; j != n; ++j) {
-        S si = sigma(i, i), sj = sigma(j, j);
-        S symmetric = 0.5 * (p(i, j) + p(j, i));
-        S even = divideAbove(symmetric, sj - si, floor);
-        S odd = divideAbove(0.5 * (p(i, j) - p(j, i)), sj + si, floor);
-        omega[i * n + j] = (even + odd).v;
-        omega[j * n + i] = (-(even + odd)).v;
-        psi[i * n + j] = (even - odd).v;
-        psi[j * n + i] = (odd - even).v;
-        // Where σᵢ = σⱼ, U and V are not told to turn, and Σ takes the rest.
-        values[i * n + j] = values[j * n + i] =
-            (symmetric - even * (sj - si)).v;
-      }
-    }
-    b.setTangent(svd.getSigma(), b.createVector(type, values));
-    b.setTangent(u, createMatmul(b, u, b.createVector(type, omega)));
-    b.setTangent(v, createMatmul(b, v, b.createVector(type, psi)));
+    b.setTangent(svd.getSigma(), turns.rest);
+    b.setTangent(
+        u, createMatmul(b, u, arith::AddFOp::create(b, turns.even, turns.odd)));
+    b.setTangent(
+        v, createMatmul(b, v, arith::SubFOp::create(b, turns.even, turns.odd)));
     return success();
   }
 };
@@ -345,6 +314,39 @@ struct SymEigModel
   }
 };
 } // namespace
+
+Turns mlir::tai::createTurns(TangentBuilder &b, SvdOp svd) {
+  int64_t n = getRows(svd.getMatrix());
+  auto type = cast<VectorType>(svd.getMatrix().getType());
+  M sigma{&b, svd.getSigma()};
+  M p{&b, createMatmul(b,
+                       createMatmul(b, createTranspose(b, svd.getU()),
+                                    b.getTangent(svd.getMatrix())),
+                       svd.getV())};
+  Floors floors = getFloors(sigma);
+  SmallVector<Value> evens(n * n), odds(n * n), rests(n * n);
+  for (int64_t i = 0; i != n; ++i) {
+    rests[i * n + i] = p(i, i).v;
+    for (int64_t j = i + 1; j != n; ++j) {
+      S difference = sigma(j, j) - sigma(i, i);
+      S sum = sigma(j, j) + sigma(i, i);
+      S symmetric = 0.5 * (p(i, j) + p(j, i));
+      S skew = 0.5 * (p(i, j) - p(j, i));
+      S even = divideAbove(symmetric, difference, floors.difference);
+      S odd = divideAbove(skew, sum, floors.sum);
+      evens[i * n + j] = even.v;
+      evens[j * n + i] = (-even).v;
+      odds[i * n + j] = odd.v;
+      odds[j * n + i] = (-odd).v;
+      // Where U and V are not told to turn, Σ takes the rest.
+      S first = symmetric - even * difference, second = skew - odd * sum;
+      rests[i * n + j] = (first + second).v;
+      rests[j * n + i] = (first - second).v;
+    }
+  }
+  return {b.createVector(type, evens), b.createVector(type, odds),
+          b.createVector(type, rests)};
+}
 
 void mlir::tai::registerDecompositionModels(DialectRegistry &registry) {
   registry.addExtension(+[](MLIRContext *context, TaiDialect *) {

@@ -11,7 +11,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "MatrixHelpers.h"
+#include "Decompositions.h"
 #include "Models.h"
 
 using namespace mlir;
@@ -82,6 +82,8 @@ struct MatmulModel : MatrixModel<MatmulModel, MatmulOp> {
   }
   /// Ṙ = Ȧ B + A Ḃ
   Value extend(MatmulOp op, TangentBuilder &b) const {
+    if (Value tangent = createFactorProductTangent(b, op))
+      return tangent;
     Value lhs = op.getLhs(), rhs = op.getRhs();
     auto left = cast<VectorType>(lhs.getType());
     auto type = cast<VectorType>(op.getType());

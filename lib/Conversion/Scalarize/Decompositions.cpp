@@ -14,6 +14,7 @@
 
 #include "Scalarizer.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include <cmath>
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -202,10 +203,30 @@ SymEig tai::emitSymEig(ScalarMath &math, ArrayRef<Value> matrix, unsigned n) {
 // Polar decomposition and SVD
 //===----------------------------------------------------------------------===//
 
+/// Multiplies a point by a power of two where its squares would over- or
+/// underflow.
+static void emitScalePoint(ScalarMath &math, Value &x, Value &y) {
+  Type type = x.getType();
+  if (!type.isF32() && !type.isF64())
+    return;
+  bool isDouble = type.isF64();
+  auto power = [&](int exponent) {
+    return math.constant(type, std::ldexp(1.0, exponent));
+  };
+  int limit = isDouble ? 480 : 50, factor = isDouble ? 600 : 100;
+  Value size = math.max(math.abs(x), math.abs(y));
+  Value by = math.select(
+      math.less(size, power(-limit)), power(factor),
+      math.select(math.less(power(limit), size), power(-factor), power(0)));
+  x = math.mul(x, by);
+  y = math.mul(y, by);
+}
+
 /// The rotation nearest to a 2×2 matrix, in closed form.
 static Components emitRotation2(ScalarMath &math, ArrayRef<Value> a) {
   Type type = a[0].getType();
   Value x = math.add(a[0], a[3]), y = math.sub(a[2], a[1]);
+  emitScalePoint(math, x, y);
   Value length = math.sqrt(math.add(math.mul(x, x), math.mul(y, y)));
   Value zero = math.constant(type, 0), one = math.constant(type, 1);
   // A reflection has no nearest rotation; the identity is as near as any.

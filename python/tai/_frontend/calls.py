@@ -128,9 +128,23 @@ class Calls:
             return self.print(node)
         if function in _ATOMICS if _is_hashable(function) else False:
             return self.atomic(node, _ATOMICS[function])
-        args, kwargs = self.arguments(node)
+        if function is ops.select and len(node.args) == 3 and not node.keywords:
+            args, kwargs = self.arms_of_select(node.args), {}
+        else:
+            args, kwargs = self.arguments(node)
         self.at(node)
         return self.call(function, args, kwargs, node)
+
+    def arms_of_select(self, nodes: list[ast.expr]) -> list:
+        """The arguments of a select. What an arm checks counts only where it is taken."""
+        if any(isinstance(n, ast.Starred) for n in nodes):
+            return self.items(nodes)
+        found = [self.visit(nodes[0])]
+        for number, arm in enumerate(nodes[1:]):
+            self.emitter.arms.append((found[0], number == 0))
+            found.append(self.visit(arm))
+            self.emitter.arms.pop()
+        return found
 
     def callee(self, node: ast.expr) -> Any:
         if isinstance(node, (ast.Name, ast.Attribute, ast.Subscript)):
@@ -194,7 +208,7 @@ class Calls:
             )
         for argument in args:
             if isinstance(argument, Field) and function in _MATH_FUNCTIONS:
-                from .emitter import describe_misuse, misuse_hint
+                from .misuse import describe_misuse, misuse_hint
 
                 raise TaiTypeError(describe_misuse(argument), misuse_hint(argument))
         return function(*args, **kwargs)

@@ -9,9 +9,12 @@ from typing import Any
 import numpy as np
 
 from .. import _state, dtypes
-from ..dtypes import DataType, dtype_of, i32, promote, u1
+from ..dtypes import DataType, computed_in, dtype_of, i32, promote, u1
 from ..errors import TaiCompilationError, TaiIndexError, TaiTypeError
+from .compile_time import PYTHON, compute
 from .division import check_division
+from .domains import check_domain, check_power
+from .misuse import describe_misuse, misuse_hint, name_of
 from .value import MatrixValue, Value
 
 # float operation, signed integer operation, unsigned integer operation
@@ -39,8 +42,9 @@ _PREDICATES = {
     ">=": (3, 5, 9),
 }
 
-# Float predicates for a constant as the second operand and as the first: ordered, unordered.
+# Float predicates: ordered, and, for a constant as the first operand, unordered.
 _TIES = {"max": (2, 9), "min": (4, 11)}
+_UNORDERED = 14
 
 _MATH = {
     name: f"math.{name}"
@@ -49,13 +53,6 @@ _MATH = {
         "log", "log2", "sqrt", "rsqrt", "floor", "ceil", "round", "trunc", "erf",
         "log1p", "expm1",
     )
-}  # fmt: skip
-
-_PYTHON = {
-    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv,
-    "//": operator.floordiv, "%": operator.mod, "**": operator.pow, "&": operator.and_,
-    "|": operator.or_, "^": operator.xor, "<<": operator.lshift, ">>": operator.rshift,
-    "@": operator.matmul,
 }  # fmt: skip
 
 # Components of a matrix up to which a dynamic index is a chain of selects.
@@ -80,6 +77,8 @@ class Emitter:
         self.num_random = 0
         # The places whose loads are constants to gradients, by identity.
         self.stopped: set[int] = set()
+        # The arms of selects that are being emitted: conditions, and which way they must go.
+        self.arms: list[tuple[Any, bool]] = []
         # Operands and results of one op are all of one kind most of the time.
         self._op = builder.op
         self._attribute = builder.attribute
@@ -169,7 +168,7 @@ class Emitter:
         if isinstance(rows, np.ndarray):
             rows = rows.tolist()
         if not isinstance(rows, (list, tuple)) or not rows:
-            raise TaiTypeError(f"a matrix is made of a list of numbers, but got {_name(rows)}")
+            raise TaiTypeError(f"a matrix is made of a list of numbers, but got {name_of(rows)}")
         parts: list[Any] = []
         widths = set()
         for row in rows:
@@ -333,7 +332,7 @@ class Emitter:
                         "convert it: int(…)",
                     )
             elif not isinstance(k, (int, np.integer)) or isinstance(k, bool):
-                raise TaiTypeError(f"an index must be a whole number, but got {_name(k)}")
+                raise TaiTypeError(f"an index must be a whole number, but got {name_of(k)}")
             if not isinstance(k, Value) and not 0 <= k < extent:
                 raise TaiIndexError(
                     f"index {k} is out of range: a {matrix.kind_name} has {extent} "
@@ -378,17 +377,17 @@ class Emitter:
         return MatrixValue(self, handle, value.dt, shape)
 
     def operands(self, a: Any, b: Any) -> tuple[Value, Value, DataType]:
-        """Both as values, plain numbers in the type that the two make together."""
+        """Both as values, plain numbers in the type that the two are computed in."""
         weak_a, weak_b = not isinstance(a, Value), not isinstance(b, Value)
         number = (bool, int, float, np.generic)
         if weak_a and isinstance(a, number) and not weak_b:
-            dt = promote(dtype_of(a), b.dt)
+            dt = computed_in(promote(dtype_of(a), b.dt))
             return self.constant(a, dt), b, dt
         if weak_b and isinstance(b, number) and not weak_a:
-            dt = promote(a.dt, dtype_of(b))
+            dt = computed_in(promote(a.dt, dtype_of(b)))
             return a, self.constant(b, dt), dt
         a, b = self.as_value(a), self.as_value(b)
-        return a, b, promote(a.dt, b.dt)
+        return a, b, computed_in(promote(a.dt, b.dt))
 
     def same_type(self, a: Any, b: Any) -> tuple[Any, Any]:
         a, b, dt = self.operands(a, b)
@@ -435,7 +434,12 @@ class Emitter:
 
     def to_float(self, value: Any) -> Any:
         value = self.as_value(value)
-        return value if value.dt.is_float else self.cast(value, _state.options.default_fp)
+        dt = value.dt if value.dt.is_float else _state.options.default_fp
+        return self.cast(value, computed_in(dt))
+
+    def to_computed(self, value: Any) -> Any:
+        """The value in the type that arithmetic on it takes place in."""
+        return self.cast(value, computed_in(value.dt))
 
     def to_bool(self, value: Any) -> Value:
         """The truth of a number."""
@@ -480,9 +484,10 @@ class Emitter:
         x = self.as_value(x)
         if name in _MATH:
             x = self.to_float(x)
+            check_domain(self, name, x)
             return self._elementwise(_MATH[name], [x], x.dt)
-        if name in ("neg", "abs") and x.dt.is_bool:
-            x = self.cast(x, _state.options.default_ip)
+        if name in ("neg", "abs"):
+            x = self.cast(x, _state.options.default_ip if x.dt.is_bool else computed_in(x.dt))
         if x.shape and x.elements is not None and not x.dt.is_float:
             return self.matrix([self.unary(name, v) for v in x.elements], x.dt, x.shape)
         if name == "neg":
@@ -512,7 +517,7 @@ class Emitter:
     def binary(self, op: str, a: Any, b: Any) -> Any:
         """`a op b` in the type that Taichi gives it."""
         if not isinstance(a, Value) and not isinstance(b, Value):
-            return _PYTHON[op](a, b)
+            return compute(op, a, b)
         if op == "@":
             return self.matmul(a, b)
         if op == "**":
@@ -521,14 +526,14 @@ class Emitter:
             return self._divide_whole(op, a, b)
         a, b, dt = self.operands(a, b)
         if op == "/" and not dt.is_float:
-            dt = _state.options.default_fp
+            dt = computed_in(_state.options.default_fp)
         if dt.is_bool and op not in "&|^" and op not in ("max", "min"):
             dt = _state.options.default_ip
         is_constant = a.const is not None, b.const is not None
         a, b = self.unify(a, b, dt)
-        mixed = any(is_constant) and not all(is_constant)
-        if op in _TIES and dt.is_float and mixed and _state.options.ad_ties == "second":
-            return self._pick(op, a, b, is_constant[0])
+        ordered = _state.options.ad_ties == "second" and not all(is_constant)
+        if op in _TIES and dt.is_float and ordered:
+            return self._pick(op, a, b, *is_constant)
         forms = _ARITHMETIC[op]
         name = forms[0] if dt.is_float else forms[1] if dt.kind == "i" else forms[2]
         if name is None:
@@ -539,7 +544,7 @@ class Emitter:
             pairs = zip(a.scalars(), b.scalars(), strict=True)
             return self.matrix([self.binary(op, p, q) for p, q in pairs], dt, a.shape)
         if a.const is not None and b.const is not None and dt.is_int and op in "+-*":
-            number = _PYTHON[op](a.const, b.const)
+            number = PYTHON[op](a.const, b.const)
             if dt.min <= number <= dt.max:
                 return self.constant(number, dt)
         made = self._elementwise(name, [a, b], dt)
@@ -549,16 +554,25 @@ class Emitter:
                 made.index = (op, a, b)
         return made
 
-    def _pick(self, op: str, a: Value, b: Value, first_is_constant: bool) -> Value:
-        """Maximum or minimum with a constant, which says which side wins a tie.
+    def _pick(
+        self, op: str, a: Value, b: Value, first_is_constant: bool, second_is_constant: bool
+    ) -> Value:
+        """Maximum or minimum as a choice, which says which side wins a tie.
 
         The second operand wins, and gets the gradient. The maximum's own op would not do:
-        it commutes, and a constant would be moved to its second place. Where the other
-        operand is NaN the constant is taken, as that op does.
+        it commutes, so that an operand that turns out to be constant is moved to its second
+        place, and max(y, x) is taken for the same as max(x, y). Of a number and NaN the number
+        is taken, as that op does.
         """
-        predicate = _TIES[op][first_is_constant]
-        attrs = {"predicate": self._attribute(f"{predicate} : i64")}
-        return self.select(self._elementwise("arith.cmpf", [a, b], u1, attrs), a, b)
+
+        def compare(predicate: int, x: Value, y: Value) -> Value:
+            attrs = {"predicate": self._attribute(f"{predicate} : i64")}
+            return self._elementwise("arith.cmpf", [x, y], u1, attrs)
+
+        first = compare(_TIES[op][first_is_constant], a, b)
+        if not first_is_constant and not second_is_constant:
+            first = self._elementwise("arith.ori", [first, compare(_UNORDERED, b, b)], u1)
+        return self.select(first, a, b)
 
     def _divide_whole(self, op: str, a: Any, b: Any) -> Any:
         """Division that rounds down, and its remainder, which has the sign of the divisor."""
@@ -595,7 +609,7 @@ class Emitter:
         """`a ** b`: whole powers by multiplication."""
         exponent = b.const if isinstance(b, Value) else b
         if isinstance(exponent, (int, np.integer)) and not isinstance(exponent, bool):
-            return self._whole_power(self.as_value(a), int(exponent))
+            return self._whole_power(self.to_computed(self.as_value(a)), int(exponent))
         if isinstance(exponent, float):
             if exponent.is_integer() and abs(exponent) <= 64:
                 return self._whole_power(self.to_float(a), int(exponent))
@@ -605,6 +619,7 @@ class Emitter:
         if not dt.is_float:
             return self._integer_power(*self.unify(a, b, dt))
         a, b = self.unify(a, b)
+        check_power(self, a, b)
         return self._elementwise("math.powf", [a, b], a.dt)
 
     def _whole_power(self, base: Any, exponent: int) -> Any:
@@ -716,7 +731,7 @@ class Emitter:
 
     def atan2(self, a: Any, b: Any) -> Any:
         a, b, dt = self.operands(a, b)
-        a, b = self.unify(a, b, dt if dt.is_float else _state.options.default_fp)
+        a, b = self.unify(a, b, dt if dt.is_float else computed_in(_state.options.default_fp))
         return self._elementwise("math.atan2", [a, b], a.dt)
 
     def decompose(self, name: str, matrix: Any, results: list[tuple[int, ...]]) -> tuple:
@@ -759,38 +774,3 @@ def _cast_op(source: DataType, dt: DataType) -> str | None:
     if dt.bits < source.bits:
         return "arith.trunci"
     return "arith.extsi" if source.kind == "i" else "arith.extui"
-
-
-def _name(thing: Any) -> str:
-    if isinstance(thing, Value):
-        return f"a {thing.kind_name}"
-    return f"'{thing}'" if isinstance(thing, str) else type(thing).__name__
-
-
-def describe_misuse(thing: Any) -> str:
-    """Why `thing` is no number."""
-    from ..fields import Field
-
-    if isinstance(thing, Field):
-        return f"field '{thing.name}' stands where a number is needed"
-    if thing is None:
-        return "None stands where a number is needed"
-    if callable(thing):
-        name = getattr(thing, "__name__", type(thing).__name__)
-        return f"function '{name}' stands where a number is needed"
-    return f"{_name(thing)} stands where a number is needed"
-
-
-def misuse_hint(thing: Any) -> str | None:
-    from ..fields import Field
-
-    if isinstance(thing, Field):
-        indices = (
-            "None"
-            if thing.snode is None or not thing.shape
-            else ", ".join("ijklmnop"[: len(thing.shape)])
-        )
-        return f"read an element: {thing.name}[{indices}]"
-    if callable(thing):
-        return "call it: add parentheses"
-    return None

@@ -12,7 +12,7 @@ from ..errors import TaiAutodiffError, TaiNameError, TaiSyntaxError, TaiTypeErro
 from ..fields import Field
 from ..matrix import swizzle
 from ..structs import StructField
-from .emitter import describe_misuse, misuse_hint
+from .misuse import describe_misuse, misuse_hint
 from .refs import ArrayArgument, Part, Place, Variable, VariablePlace, field_element
 from .sparse import list_element, list_method
 from .structs import StructPlace, struct_element

@@ -486,7 +486,7 @@ class Loops:
         builder.set_block(outer)
         builder.op("tai.parallel_for", operands, [], attrs, [region])
         for variable in shared:
-            variable.value = variable.hidden.load()
+            variable.value = variable.hidden.convert(variable.hidden.load())
             variable.hidden = None
 
     def share(self, variables: list[Variable], node: ast.For) -> list[Variable]:

@@ -33,7 +33,8 @@ class Place:
     """Something that can be loaded and stored.
 
     Attributes:
-        dt, shape: the type of what it holds.
+        dt, shape: the type of what it holds. What is loaded of memory is in the type that it is
+            computed in (f32 for f16); `convert` gives what can be stored.
     """
 
     emitter: Emitter
@@ -49,7 +50,7 @@ class Place:
     def atomic(self, op: str, value: Value) -> Value:
         """Combines `value` into the place and returns what it held before."""
         old = self.load()
-        self.store(self.emitter.binary(op, old, value))
+        self.store(self.convert(self.emitter.binary(op, old, value)))
         return old
 
     def at(self, key: Any) -> Place:
@@ -144,7 +145,10 @@ class Component(Place):
         return self.emitter.subscript_matrix(flat, self.number)
 
     def store(self, value: Value) -> None:
-        self.base.store(self.emitter.with_component(self.base.load(), self.number, value))
+        whole = self.base.load()
+        value = self.emitter.cast(value, whole.dt)
+        changed = self.emitter.with_component(whole, self.number, value)
+        self.base.store(self.base.convert(changed))
 
 
 class Part(Place):
@@ -156,7 +160,7 @@ class Part(Place):
 
     def load(self) -> Value:
         parts = [self.base.component(c).load() for c in self.numbers]
-        return self.emitter.matrix(parts, self.dt, self.shape)
+        return self.emitter.matrix(parts, parts[0].dt, self.shape)
 
     def store(self, value: MatrixValue) -> None:
         for number, scalar in zip(self.numbers, value.scalars(), strict=True):
@@ -197,7 +201,7 @@ class FieldElement(Place):
             [self.emitter.type_of(self.dt, self.shape)],
             {"field": self._symbol, "operandSegmentSizes": self._segments()},
         )
-        value = self.emitter.value(handle, self.dt, self.shape)
+        value = self.emitter.to_computed(self.emitter.value(handle, self.dt, self.shape))
         stopped = id(self.field) in self.emitter.stopped
         return stop_gradient(value) if stopped else value
 
@@ -223,7 +227,7 @@ class FieldElement(Place):
                 "operandSegmentSizes": self._segments(1),
             },
         )
-        return self.emitter.value(handle, self.dt, self.shape)
+        return self.emitter.to_computed(self.emitter.value(handle, self.dt, self.shape))
 
     def component(self, component: Any) -> Place:
         shape = self.field.element_shape
@@ -252,7 +256,7 @@ class SplitElement(Place):
     def load(self) -> Value:
         count = len(self.field.components)
         parts = [self._part(c).load() for c in range(count)]
-        return self.emitter.matrix(parts, self.dt, self.shape)
+        return self.emitter.matrix(parts, parts[0].dt, self.shape)
 
     def store(self, value: MatrixValue) -> None:
         for number, scalar in enumerate(value.scalars()):
@@ -260,7 +264,7 @@ class SplitElement(Place):
 
     def atomic(self, op: str, value: MatrixValue) -> Value:
         old = [self._part(c).atomic(op, v) for c, v in enumerate(value.scalars())]
-        return self.emitter.matrix(old, self.dt, self.shape)
+        return self.emitter.matrix(old, old[0].dt, self.shape)
 
     def component(self, component: Any) -> Place:
         if isinstance(component, int):
@@ -280,10 +284,11 @@ class ArrayElement(Place):
         self.array.spec.is_read = True
         if self.shape:
             parts = [self.component(c).load() for c in range(_count(self.shape))]
-            return self.emitter.matrix(parts, self.dt, self.shape)
-        return self.emitter.scalar_op(
+            return self.emitter.matrix(parts, parts[0].dt, self.shape)
+        value = self.emitter.scalar_op(
             "memref.load", [self.array, *map(_Handle, self.indices)], self.dt
         )
+        return self.emitter.to_computed(value)
 
     def store(self, value: Any) -> None:
         self.array.spec.is_written = True
@@ -299,9 +304,9 @@ class ArrayElement(Place):
         self.array.spec.is_written = self.array.spec.is_read = True
         if self.shape:
             old = [self.component(c).atomic(op, v) for c, v in enumerate(value.scalars())]
-            return self.emitter.matrix(old, self.dt, self.shape)
+            return self.emitter.matrix(old, old[0].dt, self.shape)
         if op == "-":
-            return self.atomic("+", self.emitter.unary("neg", value))
+            return self.atomic("+", self.convert(self.emitter.unary("neg", value)))
         names = {"+": ("addf", "addi"), "max": ("maxnumf", "maxs"), "min": ("minnumf", "mins"),
                  "&": ("", "andi"), "|": ("", "ori"), "^": ("", "xori")}  # fmt: skip
         if op not in names:
@@ -316,7 +321,7 @@ class ArrayElement(Place):
             [self.emitter.type_of(self.dt)],
             {"kind": self.emitter.builder.attribute(f"{kind} : i64")},
         )
-        return self.emitter.value(handle, self.dt)
+        return self.emitter.to_computed(self.emitter.value(handle, self.dt))
 
     def component(self, component: Any) -> Place:
         emitter, shape = self.emitter, self.array.element_shape

@@ -231,7 +231,7 @@ class Statements:
                 "drop ti.static",
             )
         if isinstance(condition, (Field, ArrayArgument)) or callable(condition):
-            from .emitter import describe_misuse, misuse_hint
+            from .misuse import describe_misuse, misuse_hint
 
             raise TaiTypeError(describe_misuse(condition), misuse_hint(condition))
         orelse = [*node.orelse, *(rest or [])]
@@ -510,7 +510,7 @@ class Statements:
             self.frame.define(node.target.id, Bound(self.emitter.binary(op, old, value)))
             return
         if isinstance(old, Field):
-            from .emitter import describe_misuse, misuse_hint
+            from .misuse import describe_misuse, misuse_hint
 
             raise TaiTypeError(describe_misuse(old), misuse_hint(old))
         raise TaiTypeError(

@@ -310,7 +310,7 @@ class MatrixValue(Value):
         return self.emitter.matrix_op("tai.inverse", [a], a.dt, a.shape)
 
     def trace(self) -> Value:
-        a = self._square("the trace")
+        a = self.emitter.to_computed(self._square("the trace"))
         if a.elements is not None:
             return self.emitter.reduce("+", [a.elements[r * (a.n + 1)] for r in range(a.n)])
         return self.emitter.scalar_op("tai.trace", [a], a.dt)
@@ -322,7 +322,8 @@ class MatrixValue(Value):
             return self.emitter.reduce("+", self.elements)
         if self.dt.is_bool:
             return self.emitter.reduce("+", self.scalars())
-        return self.emitter.scalar_op("tai.sum", [self], self.dt)
+        a = self.emitter.to_computed(self)
+        return self.emitter.scalar_op("tai.sum", [a], a.dt)
 
     def max(self) -> Value:
         return self.emitter.reduce("max", self.scalars())

@@ -11,11 +11,14 @@ tai.field @s = @t["s"] : f32, rank 0, adjoint @s_grad
 tai.field @n = @t["n"] : i32, rank 1
 tai.field @plain = @t["plain"] : f32, rank 1
 
-// Each iteration has its own element. The old value comes first, so that the new
-// one wins a tie.
+// Each iteration has its own element. The new value wins a tie, by a choice whose
+// sides cannot be exchanged.
 // CHECK-LABEL: tai.kernel @exclusive(
 //       CHECK:   %[[OLD:.+]] = tai.load @x[%[[I:.+]]] : f32
-//       CHECK:   %[[NEW:.+]] = arith.maximumf %[[OLD]], %[[A:.+]] : f32
+//       CHECK:   %[[GREATER:.+]] = arith.cmpf ogt, %[[OLD]], %[[A:.+]] : f32
+//       CHECK:   %[[NAN:.+]] = arith.cmpf uno, %[[OLD]], %[[OLD]] : f32
+//       CHECK:   %[[STAYS:.+]] = arith.ori %[[GREATER]], %[[NAN]] : i1
+//       CHECK:   %[[NEW:.+]] = arith.select %[[STAYS]], %[[OLD]], %[[A]] : f32
 //       CHECK:   tai.store %[[NEW]], @x[%[[I]]] : f32
 //       CHECK:   %[[W:.+]] = tai.load @v[%[[I]]] : vector<2x2xf32>
 //       CHECK:   %[[P:.+]] = arith.mulf %[[W]], %{{.+}} : vector<2x2xf32>
@@ -52,7 +55,8 @@ tai.kernel @old(%a: f32, %b: i32) {
 // Serial code and loops on one thread have every element to themselves.
 // CHECK-LABEL: tai.kernel @serial(
 //   CHECK-NOT:   tai.atomic
-//       CHECK:   arith.minimumf
+//       CHECK:   arith.cmpf olt
+//       CHECK:   arith.select
 //   CHECK-NOT:   tai.atomic
 //       CHECK:   arith.mulf
 //   CHECK-NOT:   tai.atomic

@@ -14,6 +14,7 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/Transforms/LoopInvariantCodeMotionUtils.h"
+#include "tai/AD/Conventions.h"
 #include "tai/AD/Selection.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
@@ -28,10 +29,25 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
+/// The minimum or maximum as a choice, in which the value wins a tie: the ops
+/// of that name commute, and an old value that turns out to be constant would
+/// become their second operand. NaN stays.
+static Value choose(OpBuilder &b, Location loc, arith::CmpFPredicate wins,
+                    Value old, Value value) {
+  Value stays = arith::CmpFOp::create(b, loc, wins, old, value);
+  Value isNaN =
+      arith::CmpFOp::create(b, loc, arith::CmpFPredicate::UNO, old, old);
+  stays = arith::OrIOp::create(b, loc, stays, isNaN);
+  return arith::SelectOp::create(b, loc, stays, old, value);
+}
+
 /// old (kind) value. In a tie of minimum and maximum, the value wins.
-static Value combine(OpBuilder &b, Location loc, AtomicKind kind, Value old,
-                     Value value) {
+static Value combine(OpBuilder &b, AtomicOp atomic, Value old, Value value) {
+  Location loc = atomic.getLoc();
+  AtomicKind kind = atomic.getKind();
   bool isFloat = isFloatOrVector(value.getType());
+  // Halves of a tie are the same in any order.
+  bool isOrdered = isFloat && !Conventions::of(atomic).splitTies;
   switch (kind) {
   case AtomicKind::Add:
     return isFloat ? arith::AddFOp::create(b, loc, old, value).getResult()
@@ -43,9 +59,13 @@ static Value combine(OpBuilder &b, Location loc, AtomicKind kind, Value old,
     return isFloat ? arith::MulFOp::create(b, loc, old, value).getResult()
                    : arith::MulIOp::create(b, loc, old, value).getResult();
   case AtomicKind::Min:
+    if (isOrdered)
+      return choose(b, loc, arith::CmpFPredicate::OLT, old, value);
     return isFloat ? arith::MinimumFOp::create(b, loc, old, value).getResult()
                    : arith::MinSIOp::create(b, loc, old, value).getResult();
   case AtomicKind::Max:
+    if (isOrdered)
+      return choose(b, loc, arith::CmpFPredicate::OGT, old, value);
     return isFloat ? arith::MaximumFOp::create(b, loc, old, value).getResult()
                    : arith::MaxSIOp::create(b, loc, old, value).getResult();
   case AtomicKind::And:
@@ -75,7 +95,7 @@ static void expand(AtomicOp atomic) {
   Value old =
       LoadOp::create(builder, loc, value.getType(), atomic.getFieldAttr(),
                      atomic.getIndices(), atomic.getComponents());
-  Value combined = combine(builder, loc, atomic.getKind(), old, value);
+  Value combined = combine(builder, atomic, old, value);
   StoreOp::create(builder, loc, combined, atomic.getFieldAttr(),
                   atomic.getIndices(), atomic.getComponents());
   atomic.getOld().replaceAllUsesWith(old);

@@ -1,0 +1,124 @@
+//===- Decompositions.h - Formulas of matrix decompositions -----*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A notation for formulas on the entries of small matrices, and what two files
+// need of the derivative of a singular value decomposition.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_AD_RULES_DECOMPOSITIONS_H
+#define TAI_LIB_AD_RULES_DECOMPOSITIONS_H
+
+#include "MatrixHelpers.h"
+
+namespace mlir::tai {
+
+/// A number in a formula.
+struct S {
+  DerivativeBuilder *b;
+  Value v;
+};
+inline S operator+(S a, S c) {
+  return {a.b, arith::AddFOp::create(*a.b, a.v, c.v)};
+}
+inline S operator-(S a, S c) {
+  return {a.b, arith::SubFOp::create(*a.b, a.v, c.v)};
+}
+inline S operator*(S a, S c) {
+  return {a.b, arith::MulFOp::create(*a.b, a.v, c.v)};
+}
+inline S operator/(S a, S c) {
+  return {a.b, arith::DivFOp::create(*a.b, a.v, c.v)};
+}
+inline S operator-(S a) { return {a.b, arith::NegFOp::create(*a.b, a.v)}; }
+inline S operator*(double a, S c) {
+  return S{c.b, c.b->createConstant(c.v.getType(), a)} * c;
+}
+inline S abs(S a) { return {a.b, math::AbsFOp::create(*a.b, a.v)}; }
+inline S max(S a, S c) {
+  return {a.b, arith::MaximumFOp::create(*a.b, a.v, c.v)};
+}
+
+/// `value`, and 0 where |a| is not above `floor`. NaN stays.
+inline S keepAbove(S a, S floor, S value) {
+  DerivativeBuilder &b = *a.b;
+  Value isSmall =
+      arith::CmpFOp::create(b, arith::CmpFPredicate::OLE, abs(a).v, floor.v);
+  return {&b, arith::SelectOp::create(
+                  b, isSmall, b.createZero(value.v.getType()), value.v)};
+}
+
+/// a / c, and 0 where |c| is not above `floor`.
+inline S divideAbove(S a, S c, S floor) { return keepAbove(c, floor, a / c); }
+
+/// a, and 0 where |a| is not above `floor`.
+inline S dropBelow(S a, S floor) { return keepAbove(a, floor, a); }
+
+/// A small matrix taken apart.
+struct M {
+  DerivativeBuilder *b;
+  Value v;
+  S operator()(int64_t i, int64_t j) const {
+    return {b, b->createExtract(v, i * getRows(v) + j)};
+  }
+};
+
+/// The greatest magnitude of an entry.
+inline S getGreatest(M m) {
+  int64_t n = getRows(m.v);
+  S greatest = abs(m(0, 0));
+  for (int64_t k = 1; k != n * n; ++k)
+    greatest = max(greatest, abs(m(k / n, k % n)));
+  return greatest;
+}
+
+inline double getEpsilon(Type type) {
+  return getElementTypeOrSelf(type).isF64() ? 2.220446e-16 : 1.192093e-7;
+}
+
+/// What the relative distance of two values must exceed to be told apart.
+inline double getTolerance(Type type) { return 8 * getEpsilon(type); }
+
+/// What the sum of two singular values must exceed, relative to the greatest,
+/// for the rotation of a matrix to have a derivative: where it is zero, the
+/// rotation jumps, and what rounding leaves of zero must not be divided by.
+inline double getJumpTolerance(Type type) { return 1024 * getEpsilon(type); }
+
+/// Below this, nothing is divided by.
+inline double getLeast(Type type) {
+  return getElementTypeOrSelf(type).isF64() ? 1e-300 : 1e-37;
+}
+
+/// The floors of the two divisors in the derivative of a decomposition with
+/// these singular values.
+struct Floors {
+  S difference, sum;
+};
+inline Floors getFloors(M sigma) {
+  Type type = sigma.v.getType();
+  S greatest = abs(sigma(0, 0));
+  S least{sigma.b,
+          sigma.b->createConstant(greatest.v.getType(), getLeast(type))};
+  return {getTolerance(type) * greatest + least,
+          getJumpTolerance(type) * greatest + least};
+}
+
+/// How the factors of A = U Σ Vᵀ turn: dU = U (E + O), dV = V (E - O), with
+/// skew E and O. What is left of Uᵀ dA V is dΣ.
+struct Turns {
+  Value even, odd, rest;
+};
+Turns createTurns(TangentBuilder &b, SvdOp svd);
+
+/// The tangent of a product of matrices in which the two factors of one
+/// decomposition stand as U M Uᵀ, U M Vᵀ and the like, null if it is none: how
+/// U and V turn together cancels there before it is multiplied, and not after.
+Value createFactorProductTangent(TangentBuilder &b, MatmulOp product);
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_AD_RULES_DECOMPOSITIONS_H

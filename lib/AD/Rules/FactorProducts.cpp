@@ -1,0 +1,161 @@
+//===- FactorProducts.cpp - Tangents of products of U and V ---------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Near equal singular values, U and V turn together at a rate of 1 / gap, and
+// products such as U Vᵀ and U Σ Vᵀ do not depend on it. By the product rule the
+// two large tangents cancel after they were rounded. Here products of both
+// factors are recognized, and their tangent is computed in the frame of the
+// factors:
+//   d(U M Vᵀ) = U ((E + O) M - M (E - O) + dM) Vᵀ,
+// where E M - M E has the entries Eᵢⱼ (Mⱼⱼ - Mᵢᵢ) for a diagonal M, which are
+// as accurate as the difference is.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Decompositions.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// The factors of a chain of matrix products, from left to right.
+static void flatten(Value value, SmallVectorImpl<Value> &factors) {
+  auto product = value.getDefiningOp<MatmulOp>();
+  if (!product)
+    return factors.push_back(value);
+  flatten(product.getLhs(), factors);
+  flatten(product.getRhs(), factors);
+}
+
+/// The decomposition that `value` is U or V of.
+static SvdOp getDecomposition(Value value) {
+  auto svd = value.getDefiningOp<SvdOp>();
+  return svd && value != svd.getSigma() ? svd : SvdOp();
+}
+
+namespace {
+/// Where the two factors stand in a chain.
+struct FactorFrame {
+  SvdOp svd;
+  size_t first, last;
+};
+
+/// A matrix and its tangent, null for zero.
+struct Pair {
+  Value value, tangent;
+};
+} // namespace
+
+static std::optional<FactorFrame> findFrame(ArrayRef<Value> factors) {
+  for (size_t first = 0; first != factors.size(); ++first) {
+    SvdOp svd = getDecomposition(factors[first]);
+    if (!svd)
+      continue;
+    for (size_t last = factors.size() - 1; last != first; --last) {
+      auto transpose = factors[last].getDefiningOp<TransposeOp>();
+      if (transpose && getDecomposition(transpose.getMatrix()) == svd)
+        return FactorFrame{svd, first, last};
+    }
+  }
+  return std::nullopt;
+}
+
+static Pair multiply(TangentBuilder &b, const Pair &lhs, const Pair &rhs) {
+  if (!lhs.value)
+    return rhs;
+  Value left, right;
+  if (lhs.tangent)
+    left = createMatmul(b, lhs.tangent, rhs.value);
+  if (rhs.tangent)
+    right = createMatmul(b, lhs.value, rhs.tangent);
+  return {createMatmul(b, lhs.value, rhs.value), addTerms(b, left, right)};
+}
+
+static Pair multiply(TangentBuilder &b, ArrayRef<Value> factors) {
+  Pair product;
+  for (Value factor : factors)
+    product = multiply(b, product, {factor, b.getTangent(factor)});
+  return product;
+}
+
+/// E M - M E. What cancels where M is diagonal is subtracted first.
+static Value createCommutator(TangentBuilder &b, Value turn, Value matrix) {
+  M e{&b, turn}, m{&b, matrix};
+  int64_t n = getRows(turn);
+  SmallVector<Value> entries;
+  for (int64_t i = 0; i != n; ++i)
+    for (int64_t j = 0; j != n; ++j) {
+      Value sum;
+      auto add = [&](S term) { sum = addTerms(b, sum, term.v); };
+      if (i != j)
+        add(e(i, j) * (m(j, j) - m(i, i)));
+      for (int64_t k = 0; k != n; ++k) {
+        if (k != i && k != j)
+          add(e(i, k) * m(k, j) - m(i, k) * e(k, j));
+        else if (i == j && k != i)
+          add(e(i, k) * (m(k, i) + m(i, k)));
+      }
+      entries.push_back(sum);
+    }
+  return b.createVector(cast<VectorType>(turn.getType()), entries);
+}
+
+/// F M Hᵀ and its tangent, where F and H are factors of one decomposition.
+static Pair createCore(TangentBuilder &b, FactorFrame frame,
+                       ArrayRef<Value> factors) {
+  Value left = factors.front(), right = factors.back();
+  bool leftIsU = left == frame.svd.getU();
+  bool rightIsU =
+      right.getDefiningOp<TransposeOp>().getMatrix() == frame.svd.getU();
+  Turns turns = createTurns(b, frame.svd);
+  auto turnOf = [&](bool isU) -> Value {
+    return isU ? turns.odd : Value(arith::NegFOp::create(b, turns.odd));
+  };
+  Pair middle = multiply(b, factors.drop_front().drop_back());
+  Value inner;
+  if (!middle.value) {
+    // Uᵀ U and Vᵀ V are constant.
+    if (leftIsU != rightIsU)
+      inner = arith::SubFOp::create(b, turnOf(leftIsU), turnOf(rightIsU));
+  } else {
+    Value even = createCommutator(b, turns.even, middle.value);
+    Value odd =
+        arith::SubFOp::create(b, createMatmul(b, turnOf(leftIsU), middle.value),
+                              createMatmul(b, middle.value, turnOf(rightIsU)));
+    inner = addTerms(b, addTerms(b, even, odd), middle.tangent);
+  }
+  Value start = middle.value ? createMatmul(b, left, middle.value) : left;
+  Pair core = {createMatmul(b, start, right), Value()};
+  if (inner)
+    core.tangent = createMatmul(b, createMatmul(b, left, inner), right);
+  return core;
+}
+
+Value mlir::tai::createFactorProductTangent(TangentBuilder &b,
+                                            MatmulOp product) {
+  SmallVector<Value> factors;
+  flatten(product.getResult(), factors);
+  std::optional<FactorFrame> frame = findFrame(factors);
+  if (!frame || !b.getTangent(frame->svd.getMatrix()))
+    return {};
+  // The guards of infinite tangents are in the product rule.
+  for (Value factor : factors) {
+    auto svd = factor.getDefiningOp<SvdOp>();
+    if (auto transpose = factor.getDefiningOp<TransposeOp>())
+      svd = transpose.getMatrix().getDefiningOp<SvdOp>();
+    if (svd != frame->svd && b.isWild(factor))
+      return {};
+  }
+  ArrayRef<Value> all = factors;
+  Pair result = multiply(b, all.take_front(frame->first));
+  result = multiply(
+      b, result,
+      createCore(b, *frame,
+                 all.slice(frame->first, frame->last - frame->first + 1)));
+  for (Value factor : all.drop_front(frame->last + 1))
+    result = multiply(b, result, {factor, b.getTangent(factor)});
+  return result.tangent ? result.tangent : b.createZero(product.getType());
+}
