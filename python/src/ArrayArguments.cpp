@@ -98,22 +98,23 @@ Match HeldArrays::pack(const ArrayArg &arg, PyObject *object, Slots &slots) {
     match = arg.hasGradient ? Match::No : packBuffer(arg, object, slots);
   if (match != Match::Yes || (use == ArrayUse::Forward && !mayMeet))
     return match;
-  addRange(arg, slots, first);
-  return use == ArrayUse::Recorded && !isKnownToTape(arg, object, slots, first)
-             ? Match::No
-             : Match::Yes;
+  const Range &range = addRange(arg, slots, first);
+  bool isKnown = use != ArrayUse::Recorded ||
+                 isKnownToTape(range, object, slots, first);
+  return isKnown ? Match::Yes : Match::No;
 }
 
 /// A launch that only reads what earlier ones of the tape have used needs
 /// nothing to be kept. Where its adjoint reads the array, that must hold what
 /// it held then; the launch reads the copy of it, if there is one.
-bool HeldArrays::isKnownToTape(const ArrayArg &arg, PyObject *object,
+bool HeldArrays::isKnownToTape(const Range &range, PyObject *object,
                                Slots &slots, size_t first) const {
+  const ArrayArg &arg = *range.arg;
   auto found = taped.find(object);
   if (arg.isWritten || found == taped.end())
     return false;
   const TapedArray &known = found->second;
-  if (known.begin != ranges.back().begin || known.end != ranges.back().end)
+  if (known.begin != range.begin || known.end != range.end)
     return false;
   if (arg.hasGradient &&
       known.gradient != slots[first + 1 + static_cast<size_t>(arg.rank)])
@@ -281,8 +282,8 @@ Match HeldArrays::packTensor(const ArrayArg &arg, PyObject *object,
   });
 }
 
-void HeldArrays::addRange(const ArrayArg &arg, const Slots &slots,
-                          size_t first) {
+const HeldArrays::Range &
+HeldArrays::addRange(const ArrayArg &arg, const Slots &slots, size_t first) {
   uint64_t bytes = arg.format.empty()                             ? 1
                    : std::strchr("bB?", arg.format[0]) != nullptr ? 1
                    : std::strchr("hHe", arg.format[0]) != nullptr ? 2
@@ -290,7 +291,16 @@ void HeldArrays::addRange(const ArrayArg &arg, const Slots &slots,
                                                                   : 8;
   for (int d = 0; d < arg.rank; ++d)
     bytes *= slots[first + 1 + static_cast<size_t>(d)];
-  ranges.push_back({slots[first], slots[first] + bytes, &arg});
+  constexpr size_t inPlace = sizeof few / sizeof *few;
+  if (numRanges >= inPlace) {
+    if (many.empty())
+      many.assign(few, few + inPlace);
+    many.push_back({});
+    ranges = many.data();
+  }
+  Range &added = ranges[numRanges++];
+  added = {slots[first], slots[first] + bytes, &arg};
+  return added;
 }
 
 bool HeldArrays::mustNotMeet(const Range &one, const Range &other) const {
@@ -303,7 +313,7 @@ bool HeldArrays::mustNotMeet(const Range &one, const Range &other) const {
 }
 
 Match HeldArrays::finish(Slots &slots) {
-  for (size_t i = 0; i < ranges.size(); ++i)
+  for (size_t i = 0; i < numRanges; ++i)
     for (size_t j = 0; j < i; ++j)
       if (ranges[i].overlaps(ranges[j]) && mustNotMeet(ranges[i], ranges[j]))
         return Match::No;

@@ -87,9 +87,9 @@ private:
   template <typename Packer>
   Match packGradient(PyObject *owner, PyObject *name, Slots &slots,
                      size_t first, Packer pack);
-  void addRange(const ArrayArg &arg, const Slots &slots, size_t first);
+  const Range &addRange(const ArrayArg &arg, const Slots &slots, size_t first);
   bool isUsable(uint64_t address) const;
-  bool isKnownToTape(const ArrayArg &arg, PyObject *object, Slots &slots,
+  bool isKnownToTape(const Range &range, PyObject *object, Slots &slots,
                      size_t first) const;
   bool mustNotMeet(const Range &one, const Range &other) const;
 
@@ -99,7 +99,11 @@ private:
   bool mayMeet;
   std::vector<Py_buffer> buffers;
   std::vector<PyObject *> objects;
-  std::vector<Range> ranges;
+  /// The arrays so far; those of most kernels lie in place.
+  Range few[4];
+  std::vector<Range> many;
+  size_t numRanges = 0;
+  Range *ranges = few;
   std::vector<uint64_t> adjoints;
   std::vector<uint64_t> streams;
 };
