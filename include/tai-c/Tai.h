@@ -320,6 +320,10 @@ TAI_EXPORT TaiStatus taiKernelLaunch(TaiKernel kernel, const uint64_t *args,
 TAI_EXPORT TaiStatus taiKernelLaunchGrad(TaiKernel kernel, const uint64_t *args,
                                          int64_t slots);
 
+/// True if the adjoint of the kernel reads elements of the array argument whose
+/// pointer is in this slot: then they must be what they were at the launch.
+TAI_EXPORT bool taiKernelReadsInReverse(TaiKernel kernel, int64_t slot);
+
 /// Compiles the kernel (and its adjoint) now. Several in parallel.
 TAI_EXPORT TaiStatus taiKernelsCompile(TaiContext context, TaiKernel *kernels,
                                        int64_t count, bool adjoints);

@@ -67,6 +67,10 @@ TaiStatus taiKernelLaunchGrad(TaiKernel kernel, const uint64_t *args,
       kernel->runtime.launchAdjoint(kernel->launched, args, slots));
 }
 
+bool taiKernelReadsInReverse(TaiKernel kernel, int64_t slot) {
+  return llvm::is_contained(kernel->launched.plan().arrays, slot);
+}
+
 TaiStatus taiKernelsCompile(TaiContext context, TaiKernel *kernels,
                             int64_t count, bool adjoints) {
   ContextLock lock(*context);

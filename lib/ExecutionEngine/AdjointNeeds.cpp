@@ -7,7 +7,9 @@
 
 #include "tai/ExecutionEngine/AdjointNeeds.h"
 #include "AdjointFlags.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/IR/SymbolTable.h"
+#include "tai/ExecutionEngine/Session.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/Support/Endian.h"
@@ -43,9 +45,13 @@ static SetVector<Operation *> findLoadsBehindStores(KernelOp kernel) {
     addValues(store.getComponents());
     addParents(store);
   });
+  kernel.walk([&](memref::StoreOp store) {
+    addValues(store.getIndices());
+    addParents(store);
+  });
   for (size_t i = 0; i < slice.size(); ++i) {
     Operation *op = slice[i];
-    if (isa<LoadOp>(op))
+    if (isa<LoadOp, memref::LoadOp>(op))
       loads.insert(op);
     addValues(op->getOperands());
     addParents(op);
@@ -54,6 +60,37 @@ static SetVector<Operation *> findLoadsBehindStores(KernelOp kernel) {
       region.walk([&](Operation *inner) { slice.insert(inner); });
   }
   return loads;
+}
+
+/// True if the elements of an array argument may be read: any use but asking
+/// for its extents and storing to it.
+static bool mayBeRead(Value array) {
+  return llvm::any_of(array.getUses(), [&](OpOperand &use) {
+    if (auto store = dyn_cast<memref::StoreOp>(use.getOwner()))
+      return store.getValueToStore() == array;
+    return !isa<memref::DimOp>(use.getOwner());
+  });
+}
+
+/// The slots of the arrays of `kernel` that its adjoint reads, or that `loads`
+/// of the kernel do. Null for the adjoint: all that the kernel reads.
+static std::vector<int64_t> findArraysRead(KernelOp kernel, KernelOp adjoint,
+                                           ArrayRef<Operation *> loads) {
+  std::vector<int64_t> arrays;
+  int64_t slot = 0;
+  KernelOp reader = adjoint ? adjoint : kernel;
+  for (auto [i, argument] : llvm::enumerate(kernel.getBody().getArguments())) {
+    Value array = argument;
+    bool isLoaded = llvm::any_of(loads, [&](Operation *op) {
+      auto load = dyn_cast<memref::LoadOp>(op);
+      return load && load.getMemRef() == array;
+    });
+    if (isa<MemRefType>(argument.getType()) &&
+        (isLoaded || mayBeRead(reader.getBody().getArgument(i))))
+      arrays.push_back(slot);
+    slot += countSlots(argument.getType());
+  }
+  return arrays;
 }
 
 AdjointNeeds mlir::tai::getAdjointNeeds(ModuleOp module, StringRef name) {
@@ -73,16 +110,20 @@ AdjointNeeds mlir::tai::getAdjointNeeds(ModuleOp module, StringRef name) {
       continue;
     llvm::raw_string_ostream stream(needs.parts);
     module->print(stream, OpPrintingFlags().enableDebugInfo().assumeVerified());
+    needs.arrays = findArraysRead(kernel, nullptr, {});
     return needs;
   }
-  for (Operation *load : findLoadsBehindStores(kernel))
-    add(listAccesses(load));
+  SetVector<Operation *> loads = findLoadsBehindStores(kernel);
+  for (Operation *load : loads)
+    if (isa<LoadOp>(load))
+      add(listAccesses(load));
   auto adjoint = kernel.getAdjoint()
                      ? module.lookupSymbol<KernelOp>(*kernel.getAdjoint())
                      : KernelOp();
   if (!adjoint)
     return needs;
   add(listAccesses(adjoint));
+  needs.arrays = findArraysRead(kernel, adjoint, loads.getArrayRef());
   adjoint.walk([&](Operation *op) {
     if (!isa<IsActiveOp, LengthOp>(op))
       return;
@@ -241,6 +282,9 @@ std::string AdjointNeeds::serialize() const {
     for (const std::string &source : loop.sources)
       writer.add(source);
   }
+  writer.add(static_cast<int64_t>(arrays.size()));
+  for (int64_t slot : arrays)
+    writer.add(slot);
   writer.add(static_cast<int64_t>(reruns));
   writer.add(parts);
   return std::move(writer.bytes);
@@ -279,6 +323,8 @@ std::optional<AdjointNeeds> AdjointNeeds::deserialize(StringRef bytes) {
       loop.sources.push_back(reader.text());
     needs.flags.push_back(std::move(loop));
   }
+  for (int64_t i = reader.length(); i > 0; --i)
+    needs.arrays.push_back(reader.number());
   needs.reruns = reader.number() != 0;
   needs.parts = reader.text();
   if (!reader.ok || !reader.atEnd())

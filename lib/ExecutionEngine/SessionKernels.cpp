@@ -538,8 +538,10 @@ runtime::Status Session::compileTangent(KernelCode &code,
 runtime::Status Session::planAdjoint(KernelCode &code,
                                      runtime::Kernel &runtimeKernel,
                                      runtime::AdjointPlan &plan) {
-  // Most kernels need no look at their adjoints.
-  bool reads = false, changes = false;
+  // Most kernels need no look at their adjoints. Arrays and results are among
+  // what a gradient may come from.
+  bool reads = !runtimeKernel.arrays().empty();
+  bool changes = runtimeKernel.callerAdjoints().hasSources();
   for (const runtime::Access &access : runtimeKernel.summary()) {
     if (access.kind == runtime::AccessKind::Read)
       reads = true;
@@ -593,6 +595,7 @@ runtime::Status Session::planAdjoint(KernelCode &code,
     if (flags.loop)
       plan.flags.push_back(std::move(flags));
   }
+  plan.arrays = needs->arrays;
   plan.reruns = needs->reruns;
   if (needs->parts.empty())
     return runtime::Status::success();

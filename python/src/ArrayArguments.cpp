@@ -30,6 +30,11 @@ struct TapedArray {
   uint64_t begin, end;
   int64_t version;       // of a tensor, or -1
   uint64_t gradient = 0; // the address
+  /// What the adjoints read: a copy of what it held, by its address, or if
+  /// kernels change it, the digest of what they have left.
+  uint64_t frozen = 0;
+  bool hasDigest = false;
+  uint64_t digest = 0;
 };
 /// Which tape that is. It is held: another one could come to lie there.
 PyObject *arrayTape = nullptr;
@@ -91,29 +96,42 @@ Match HeldArrays::pack(const ArrayArg &arg, PyObject *object, Slots &slots) {
     match = packTensor(arg, object, slots);
   else
     match = arg.hasGradient ? Match::No : packBuffer(arg, object, slots);
-  if (match != Match::Yes || use == ArrayUse::Forward)
+  if (match != Match::Yes || (use == ArrayUse::Forward && !mayMeet))
     return match;
-  addRange(arg, slots, first);
-  return use == ArrayUse::Recorded && !isKnownToTape(arg, object, slots, first)
-             ? Match::No
-             : Match::Yes;
+  const Range &range = addRange(arg, slots, first);
+  bool isKnown = use != ArrayUse::Recorded ||
+                 isKnownToTape(range, object, slots, first);
+  return isKnown ? Match::Yes : Match::No;
 }
 
 /// A launch that only reads what earlier ones of the tape have used needs
-/// nothing to be kept.
-bool HeldArrays::isKnownToTape(const ArrayArg &arg, PyObject *object,
-                               const Slots &slots, size_t first) const {
+/// nothing to be kept. Where its adjoint reads the array, that must hold what
+/// it held then; the launch reads the copy of it, if there is one.
+bool HeldArrays::isKnownToTape(const Range &range, PyObject *object,
+                               Slots &slots, size_t first) const {
+  const ArrayArg &arg = *range.arg;
   auto found = taped.find(object);
   if (arg.isWritten || found == taped.end())
     return false;
   const TapedArray &known = found->second;
-  if (known.begin != ranges.back().begin || known.end != ranges.back().end)
+  if (known.begin != range.begin || known.end != range.end)
     return false;
   if (arg.hasGradient &&
       known.gradient != slots[first + 1 + static_cast<size_t>(arg.rank)])
     return false;
-  if (known.version < 0)
+  if (known.version < 0) {
+    uint64_t begin = known.begin, bytes = known.end - known.begin;
+    if (!taiKernelReadsInReverse(kernel.handle, static_cast<int64_t>(first)))
+      return true;
+    if (known.hasDigest)
+      return digest(begin, bytes) == known.digest;
+    if (!known.frozen ||
+        std::memcmp(reinterpret_cast<const void *>(begin),
+                    reinterpret_cast<const void *>(known.frozen), bytes) != 0)
+      return false;
+    slots[first] = known.frozen;
     return true;
+  }
   static const Name version("_version");
   py::object now = take(get(object, version));
   return now && PyLong_Check(now.ptr()) &&
@@ -264,8 +282,8 @@ Match HeldArrays::packTensor(const ArrayArg &arg, PyObject *object,
   });
 }
 
-void HeldArrays::addRange(const ArrayArg &arg, const Slots &slots,
-                          size_t first) {
+const HeldArrays::Range &
+HeldArrays::addRange(const ArrayArg &arg, const Slots &slots, size_t first) {
   uint64_t bytes = arg.format.empty()                             ? 1
                    : std::strchr("bB?", arg.format[0]) != nullptr ? 1
                    : std::strchr("hHe", arg.format[0]) != nullptr ? 2
@@ -273,14 +291,31 @@ void HeldArrays::addRange(const ArrayArg &arg, const Slots &slots,
                                                                   : 8;
   for (int d = 0; d < arg.rank; ++d)
     bytes *= slots[first + 1 + static_cast<size_t>(d)];
-  ranges.push_back({slots[first], slots[first] + bytes, arg.hasGradient});
+  constexpr size_t inPlace = sizeof few / sizeof *few;
+  if (numRanges >= inPlace) {
+    if (many.empty())
+      many.assign(few, few + inPlace);
+    many.push_back({});
+    ranges = many.data();
+  }
+  Range &added = ranges[numRanges++];
+  added = {slots[first], slots[first] + bytes, &arg};
+  return added;
+}
+
+bool HeldArrays::mustNotMeet(const Range &one, const Range &other) const {
+  bool isRecorded = use != ArrayUse::Forward;
+  if (isRecorded && (one.arg->hasGradient || other.arg->hasGradient))
+    return true;
+  // What is the same array is changed in place.
+  return (one.arg->isWritten || other.arg->isWritten) &&
+         (isRecorded || !one.isSame(other));
 }
 
 Match HeldArrays::finish(Slots &slots) {
-  for (size_t i = 0; i < ranges.size(); ++i)
+  for (size_t i = 0; i < numRanges; ++i)
     for (size_t j = 0; j < i; ++j)
-      if ((ranges[i].hasGradient || ranges[j].hasGradient) &&
-          ranges[i].begin < ranges[j].end && ranges[j].begin < ranges[i].end)
+      if (ranges[i].overlaps(ranges[j]) && mustNotMeet(ranges[i], ranges[j]))
         return Match::No;
   slots.append(adjoints);
   return Match::Yes;
@@ -313,6 +348,32 @@ bool HeldArrays::orderAfter() {
   return true;
 }
 
+uint64_t taipy::digest(uint64_t address, uint64_t bytes) {
+  // Four lanes, so that a word does not wait for the one before.
+  const auto *from = reinterpret_cast<const unsigned char *>(address);
+  constexpr uint64_t odd = 0x9e3779b97f4a7c15, even = 0xc2b2ae3d27d4eb4f;
+  uint64_t lanes[4] = {bytes, odd, even, bytes ^ odd};
+  auto mix = [&](uint64_t &lane, uint64_t word) {
+    lane = (lane ^ word) * odd;
+    lane ^= lane >> 29;
+  };
+  uint64_t words[4], at = 0;
+  for (; at + sizeof words <= bytes; at += sizeof words) {
+    std::memcpy(words, from + at, sizeof words);
+    for (int i = 0; i < 4; ++i)
+      mix(lanes[i], words[i]);
+  }
+  std::memset(words, 0, sizeof words);
+  std::memcpy(words, from + at, bytes - at);
+  uint64_t result = 0;
+  for (int i = 0; i < 4; ++i) {
+    mix(lanes[i], words[i]);
+    result = (result ^ lanes[i]) * even;
+    result ^= result >> 32;
+  }
+  return result;
+}
+
 void taipy::setArrayTape(PyObject *tape) {
   // While a function runs that is not recorded there is none.
   if (!tape || tape == arrayTape)
@@ -329,7 +390,24 @@ void taipy::bindArrayArguments(py::module_ &module) {
     entry->second.begin = address;
     entry->second.end = address + bytes;
     entry->second.version = version;
+    entry->second.frozen = 0;
+    entry->second.hasDigest = false;
   });
+  // Its adjoints read a copy, by its address.
+  module.def("note_frozen_array", [](const py::object &array, uint64_t frozen) {
+    auto found = taped.find(array.ptr());
+    if (found != taped.end())
+      found->second.frozen = frozen;
+  });
+  // They read the array itself, which must go on to have this digest.
+  module.def("note_array_digest", [](const py::object &array, uint64_t value) {
+    auto found = taped.find(array.ptr());
+    if (found != taped.end()) {
+      found->second.hasDigest = true;
+      found->second.digest = value;
+    }
+  });
+  module.def("digest", &digest);
   module.def("note_taped_gradient",
              [](const py::object &array, uint64_t address) {
                auto found = taped.find(array.ptr());

@@ -35,6 +35,9 @@ struct ArrayArg {
   bool isWritten = false;
 };
 
+/// A number that other bytes have not, but for one case in 2⁶⁴.
+uint64_t digest(uint64_t address, uint64_t bytes);
+
 /// What a launch does with the gradients of its arrays.
 enum class ArrayUse {
   Forward,  // nothing
@@ -45,7 +48,9 @@ enum class ArrayUse {
 /// What must not go while a launch is made, and what that has to know.
 class HeldArrays {
 public:
-  HeldArrays(Context &context, ArrayUse use) : context(context), use(use) {}
+  /// `mayMeet`: the kernel takes several arrays and writes to one.
+  HeldArrays(const Kernel &kernel, ArrayUse use, bool mayMeet)
+      : kernel(kernel), context(*kernel.context), use(use), mayMeet(mayMeet) {}
   ~HeldArrays();
   HeldArrays(const HeldArrays &) = delete;
   HeldArrays &operator=(const HeldArrays &) = delete;
@@ -53,7 +58,8 @@ public:
   /// Adds the slots of an array. No: Python must look at it.
   Match pack(const ArrayArg &arg, PyObject *object, Slots &slots);
   /// To be called when all arguments have been packed: adds the gradients
-  /// again, as adjoints. No where arrays overlap that must not.
+  /// again, as adjoints. No where arrays overlap that must not: one of them is
+  /// written, and it is not the same memory, or one has a gradient.
   Match finish(Slots &slots);
 
   /// The launch comes after what the libraries of the arrays have queued, and
@@ -64,7 +70,15 @@ public:
 private:
   struct Range {
     uint64_t begin, end;
-    bool hasGradient;
+    const ArrayArg *arg;
+    bool overlaps(const Range &other) const {
+      return begin < other.end && other.begin < end && begin != end &&
+             other.begin != other.end;
+    }
+    bool isSame(const Range &other) const {
+      return begin == other.begin && end == other.end &&
+             arg->format == other.arg->format;
+    }
   };
 
   Match packBuffer(const ArrayArg &arg, PyObject *object, Slots &slots);
@@ -73,16 +87,23 @@ private:
   template <typename Packer>
   Match packGradient(PyObject *owner, PyObject *name, Slots &slots,
                      size_t first, Packer pack);
-  void addRange(const ArrayArg &arg, const Slots &slots, size_t first);
+  const Range &addRange(const ArrayArg &arg, const Slots &slots, size_t first);
   bool isUsable(uint64_t address) const;
-  bool isKnownToTape(const ArrayArg &arg, PyObject *object, const Slots &slots,
+  bool isKnownToTape(const Range &range, PyObject *object, Slots &slots,
                      size_t first) const;
+  bool mustNotMeet(const Range &one, const Range &other) const;
 
+  const Kernel &kernel;
   Context &context;
   ArrayUse use;
+  bool mayMeet;
   std::vector<Py_buffer> buffers;
   std::vector<PyObject *> objects;
-  std::vector<Range> ranges;
+  /// The arrays so far; those of most kernels lie in place.
+  Range few[4];
+  std::vector<Range> many;
+  size_t numRanges = 0;
+  Range *ranges = few;
   std::vector<uint64_t> adjoints;
   std::vector<uint64_t> streams;
 };

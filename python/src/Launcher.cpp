@@ -39,8 +39,11 @@ inline bool isRecording() {
          recordingThread == PyThread_get_thread_ident();
 }
 
-/// The class of numbers that have a gradient.
+/// The class of numbers that have a gradient or a tangent.
 PyObject *trackedType = nullptr;
+
+/// Whether kernels are launched with their tangents.
+bool forwardMode = false;
 
 enum class ArgKind : char {
   F32 = 'f',
@@ -82,6 +85,8 @@ struct Specialization {
     Python  // Python says where adjoints are
   } tracking = Tracking::None;
   Result result;
+  /// It takes several arrays and writes to one.
+  bool arraysMayMeet = false;
   std::shared_ptr<Kernel> kernel;
 
   void setKernel(std::shared_ptr<Kernel> given) {
@@ -142,9 +147,11 @@ Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
     return isSameConstant(arg.constant.ptr(), object) ? Match::Yes : Match::No;
   case ArgKind::Array:
     if (!held)
-      held.emplace(*spec.kernel->context, isRecording() ? ArrayUse::Recorded
-                                          : spec.grad   ? ArrayUse::Gradient
-                                                        : ArrayUse::Forward);
+      held.emplace(*spec.kernel,
+                   isRecording() ? ArrayUse::Recorded
+                   : spec.grad   ? ArrayUse::Gradient
+                                 : ArrayUse::Forward,
+                   spec.arraysMayMeet);
     return held->pack(arg.array, object, slots);
   case ArgKind::F32:
   case ArgKind::F64: {
@@ -153,7 +160,7 @@ Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
       number = PyFloat_AS_DOUBLE(object);
     } else {
       if (PyUnicode_Check(object) || PyBytes_Check(object) ||
-          (isRecording() && trackedType &&
+          ((isRecording() || forwardMode) && trackedType &&
            PyObject_TypeCheck(object,
                               reinterpret_cast<PyTypeObject *>(trackedType))))
         return Match::No;
@@ -249,7 +256,8 @@ Match tryLaunch(Specialization &spec, PyObject *const *args, size_t count,
   if (spec.generation != generation || spec.args.size() != count ||
       (isRecording() &&
        (spec.tracking == Specialization::Tracking::Python ||
-        (spec.tracking == Specialization::Tracking::Arrays && spec.grad))))
+        (spec.tracking == Specialization::Tracking::Arrays && spec.grad))) ||
+      (forwardMode && spec.tracking == Specialization::Tracking::Python))
     return Match::No;
   Slots slots;
   std::optional<HeldArrays> held;
@@ -430,6 +438,7 @@ void taipy::bindLauncher(py::module_ &module) {
   module.def("set_tracked_type", [](const py::object &type) {
     trackedType = type.inc_ref().ptr();
   });
+  module.def("set_forward_mode", [](bool on) { forwardMode = on; });
   module.def("next_generation", [] { return ++generation; });
   module.def("add_specialization", [](const py::object &launcher,
                                       std::shared_ptr<Kernel> kernel, bool grad,
@@ -440,8 +449,14 @@ void taipy::bindLauncher(py::module_ &module) {
     made->generation = generation;
     made->grad = grad;
     made->tracking = static_cast<Specialization::Tracking>(tracking);
-    for (const py::tuple &arg : args)
+    int arrays = 0, written = 0;
+    for (const py::tuple &arg : args) {
       made->args.push_back(parseArg(arg));
+      const Arg &last = made->args.back();
+      arrays += last.kind == ArgKind::Array;
+      written += last.kind == ArgKind::Array && last.array.isWritten;
+    }
+    made->arraysMayMeet = arrays > 1 && written > 0;
     if (!result.empty()) {
       made->result.kind = result[0].cast<std::string>().at(0);
       made->result.bits = result[1].cast<int>();

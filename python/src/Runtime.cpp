@@ -452,6 +452,10 @@ void bindKernel(py::module_ &module) {
              k.context->check(taiKernelGetIR(k.handle, stage.c_str(), &text));
              return std::string(text);
            })
+      .def("reads_in_reverse",
+           [](Kernel &k, int64_t slot) {
+             return taiKernelReadsInReverse(k.handle, slot);
+           })
       .def("compile", [](Kernel &k, bool adjoint) {
         k.context->check(
             taiKernelsCompile(k.context->handle, &k.handle, 1, adjoint));

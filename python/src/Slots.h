@@ -35,6 +35,7 @@ public:
   size_t size() const { return count; }
   const uint64_t *data() const { return memory; }
   uint64_t operator[](size_t i) const { return memory[i]; }
+  uint64_t &operator[](size_t i) { return memory[i]; }
   const uint64_t *begin() const { return memory; }
   const uint64_t *end() const { return memory + count; }
 

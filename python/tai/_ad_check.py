@@ -202,7 +202,11 @@ class Snapshot:
 def differentiable_fields() -> dict[str, Any]:
     """The placed fields of the program that have a gradient, by symbol."""
     found = {}
-    for symbol, f in get_program().fields.items():
+    program = get_program()
+    internal = {pool.field.symbol for pool in program.pools}
+    for symbol, f in program.fields.items():
+        if symbol in internal:
+            continue
         if f.role == "primal" and f.dtype.is_float and f._core is not None:
             grad = f._companions.get("grad")
             if grad is not None and grad._core is not None:

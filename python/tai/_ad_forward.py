@@ -84,12 +84,16 @@ def forward_mode() -> Iterator[None]:
     if _state.forward:
         raise TaiRuntimeError("forward mode is on already", "leave its `with` block first")
     program = get_program()
+    from . import _core
+
     program.context.set_option("forward_mode", "true")
     _state.forward = True
+    _core.set_forward_mode(True)
     try:
         yield
     finally:
         _state.forward = False
+        _core.set_forward_mode(False)
         program.context.set_option("forward_mode", "false")
 
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _interop, _state
+from . import _ad_cells, _interop, _state
 from ._ad_arrays import TapeArrays
 from .dtypes import DataType, to_dtype
 from .errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
@@ -153,11 +153,13 @@ def gradient_of(value: Any) -> Gradient | None:
 
 
 def _is_tracked(value: Any) -> bool:
-    """Whether what Python computes from the value has a gradient, too.
+    """Whether what Python computes from the value has a gradient or a tangent, too.
 
-    That of a variable matters while a tape records; what a kernel returned under a tape may
-    become part of a loss afterwards.
+    The gradient of a variable matters while a tape records; what a kernel returned under a tape
+    may become part of a loss afterwards.
     """
+    if _ad_cells.cell_of(value) is not None:
+        return True
     gradient = gradient_of(value)
     return gradient is not None and (_state.tape is not None or not gradient.is_variable)
 
@@ -175,10 +177,15 @@ class Number(float):
     # NumPy's numbers leave arithmetic to this class, and its functions refuse it.
     __array_ufunc__ = None
 
+    # Where its tangent is, in forward mode.
+    _cell: Any = None
+
     @classmethod
-    def _make(cls, value: float, gradient: Gradient) -> Number:
+    def _make(cls, value: float, gradient: Gradient | None, cell: Any = None) -> Number:
         made = cls(value)
         made._gradient = gradient
+        if cell is not None:
+            made._cell = cell
         return made
 
     @property
@@ -189,7 +196,11 @@ class Number(float):
         return float, (float(self),)
 
 
-def _readable(gradient: Gradient) -> Gradient:
+def _readable(gradient: Gradient | None) -> Gradient:
+    if gradient is None:
+        raise TaiAutodiffError(
+            "a number of forward mode has no gradient", "run the kernels in a tape"
+        )
     if gradient.parts is not None:
         raise TaiAutodiffError(
             "a number that Python computed keeps no gradient",
@@ -198,8 +209,8 @@ def _readable(gradient: Gradient) -> Gradient:
     return gradient
 
 
-def _combine(value: float, *terms: tuple[Any, float]) -> Any:
-    """A number computed from others, given the partial derivatives."""
+def _combine(value: float, cell: Any, *terms: tuple[Any, float]) -> Any:
+    """A number computed from others, given the partial derivatives, and where its tangent is."""
     parts = []
     for operand, partial in terms:
         gradient = gradient_of(operand) if isinstance(operand, Number) else None
@@ -209,7 +220,7 @@ def _combine(value: float, *terms: tuple[Any, float]) -> Any:
             parts.append((gradient, None, partial))
         else:
             parts += [(g, c, p * partial) for g, c, p in gradient.parts]
-    return Number._make(value, Gradient((), None, parts))
+    return Number._make(value, Gradient((), None, parts) if parts else None, cell)
 
 
 def _power_partials(a: float, b: float) -> tuple[float, float]:
@@ -239,7 +250,8 @@ def _define(name: str, function: Any, partials: Any) -> None:
         if not _is_tracked(a) and not _is_tracked(b):
             return value
         dx, dy = partials(x, y)
-        return _combine(value, (a, dx), (b, dy))
+        cell = _ad_cells.combine(name, a, b)
+        return _combine(value, cell, (a, dx), (b, dy))
 
     setattr(Number, f"__{name}__", lambda self, other: compute(self, other))
     setattr(Number, f"__r{name}__", lambda self, other: compute(other, self))
@@ -249,17 +261,20 @@ for _name, (_function, _partials) in _OPERATIONS.items():
     _define(_name, _function, _partials)
 
 
-def _unary(function: Any, partial: Any) -> Any:
+def _unary(function: Any, partial: Any, name: str, second: float) -> Any:
     def compute(self: Number) -> Any:
         value = function(float(self))
-        return _combine(value, (self, partial(float(self)))) if _is_tracked(self) else value
+        if not _is_tracked(self):
+            return value
+        cell = _ad_cells.combine(name, self, second)
+        return _combine(value, cell, (self, partial(float(self))))
 
     return compute
 
 
-Number.__neg__ = _unary(operator.neg, lambda a: -1.0)  # type: ignore[method-assign]
-Number.__pos__ = _unary(operator.pos, lambda a: 1.0)  # type: ignore[method-assign]
-Number.__abs__ = _unary(abs, lambda a: float(np.sign(a)))  # type: ignore[method-assign]
+Number.__neg__ = _unary(operator.neg, lambda a: -1.0, "mul", -1.0)  # type: ignore[method-assign]
+Number.__pos__ = _unary(operator.pos, lambda a: 1.0, "mul", 1.0)  # type: ignore[method-assign]
+Number.__abs__ = _unary(abs, lambda a: float(np.sign(a)), "abs", 0.0)  # type: ignore[method-assign]
 
 
 class _Tracked:
@@ -278,7 +293,11 @@ class _Tracked:
             self._refuse_in_tape()
             return Matrix._wrap(item)
         component = int(np.arange(self._array.size).reshape(self._array.shape)[key])
-        return Number._make(float(item), Gradient((), None, [(self._gradient, component, 1.0)]))
+        gradient = self._gradient
+        parts = None if gradient is None else Gradient((), None, [(gradient, component, 1.0)])
+        whole = _ad_cells.cell_of(self)
+        cell = None if whole is None else _ad_cells.Component(whole, component)
+        return Number._make(float(item), parts, cell)
 
     def __setitem__(self, key: Any, value: Any) -> None:
         raise TaiAutodiffError(
@@ -299,11 +318,11 @@ class _Tracked:
         return (self[i] for i in range(len(self._array)))
 
     def _refuse_in_tape(self) -> None:
-        """What Python would compute from it under a tape has no gradient."""
-        if _state.tape is not None:
+        """What Python would compute from it under a tape has no gradient, or no tangent."""
+        if _state.tape is not None or _ad_cells.cell_of(self) is not None:
             raise TaiAutodiffError(
                 "matrices that have a gradient are not computed with in Python while a tape "
-                "records",
+                "records or in forward mode",
                 "do it in a kernel, or take the plain numbers by .to_numpy()",
             )
 
@@ -334,27 +353,27 @@ for _name, _method in vars(Matrix).items():
 class TrackedVector(_Tracked, Vector):
     """A vector with a gradient: a variable, or what a kernel returned under a tape."""
 
-    __slots__ = ("_gradient",)
+    __slots__ = ("_cell", "_gradient")
 
 
 class TrackedMatrix(_Tracked, Matrix):
     """A matrix with a gradient: a variable, or what a kernel returned under a tape."""
 
-    __slots__ = ("_gradient",)
+    __slots__ = ("_cell", "_gradient")
 
 
-def _wrap(array: np.ndarray, gradient: Gradient) -> Any:
+def _wrap(array: np.ndarray, gradient: Gradient | None, cell: Any = None) -> Any:
     cls = TrackedVector if array.ndim == 1 else TrackedMatrix
     made = object.__new__(cls)
-    made._array, made._gradient = array, gradient
+    made._array, made._gradient, made._cell = array, gradient, cell
     return made
 
 
-def wrap_result(answer: Any, gradient: Gradient) -> Any:
-    """What a kernel returned under a tape, with its gradient."""
-    if gradient.shape == ():
-        return Number._make(answer, gradient)
-    return _wrap(answer._array, gradient)
+def wrap_result(answer: Any, gradient: Gradient | None, cell: Any = None) -> Any:
+    """What a kernel returned under a tape or in forward mode, with its gradient and tangent."""
+    if isinstance(answer, float):
+        return Number._make(answer, gradient, cell)
+    return _wrap(answer._array, gradient, cell)
 
 
 # Arrays

@@ -304,11 +304,14 @@ class Tape:
             arrays.take_versions()
             with arrays.ordered():
                 self._core.replay(True, False)
+            arrays.renew_digests()
             forward = False
         if not backward:
             return
         with self._values.sweep(losses, forward):
             self._core.replay(forward, True)
+        if forward:
+            arrays.renew_digests()
 
     def explain(self) -> str:
         """One line for each record: replayed or skipped, and why."""

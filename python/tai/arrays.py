@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _ad_values, dtypes
+from . import _ad_values, _copies, dtypes
 from .errors import TaiRuntimeError, TaiRuntimeTypeError
 
 
@@ -56,9 +56,12 @@ class Ndarray:
     def _refuse_in_tape(self) -> None:
         """A change by Python that a tape does not see, of what its launches have used."""
         values = _ad_values.recording()
-        if values is not None and values.arrays.uses(self.array):
+        if values is None:
+            return
+        what = values.arrays.find(self.array, self._grad is not None)
+        if what is not None:
             raise TaiRuntimeError(
-                "an array that the tape has recorded launches on is changed from Python",
+                f"{what} is changed from Python while the tape that has recorded it is open",
                 "change it in a kernel, or before the tape begins",
             )
 
@@ -89,7 +92,25 @@ class Ndarray:
         self.array[...] = value
 
     def copy_from(self, other: Any) -> None:
-        self.from_numpy(other.to_numpy())
+        """Copies an array or a field of the same shape; tapes and forward mode follow it."""
+        from .fields import Field
+
+        if other is self:
+            return
+        if not isinstance(other, (Ndarray, Field)) or hasattr(other, "members"):
+            raise TaiRuntimeTypeError(
+                f"copy_from expects a ti.ndarray or a field, but got {type(other).__name__}",
+                "copy a NumPy array by from_numpy(array)",
+            )
+        if tuple(other.shape) + tuple(other.element_shape) != self.array.shape:
+            raise TaiRuntimeTypeError(
+                f"expects an array of shape {self.array.shape}, but got "
+                f"{tuple(other.shape) + tuple(other.element_shape)}"
+            )
+        if _copies.is_followed(self, other):
+            _copies.copy_array(self, other)
+        else:
+            self.from_numpy(other.to_numpy())
 
     def __dlpack__(self, **options: Any) -> Any:
         """The memory for another library, by DLPack; it is on the host."""

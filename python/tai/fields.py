@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _active, _state, dtypes
+from . import _active, _copies, _state, dtypes
 from ._shapes import to_order, to_shape
 from ._shareable import Shareable
 from .errors import TaiAutodiffError, TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
@@ -153,10 +153,16 @@ class Field(Shareable):
         return np.ascontiguousarray(array, dtype=self.dtype.numpy)
 
     def copy_from(self, other: Field) -> None:
-        """Copies all elements of a field of the same shape."""
-        if not isinstance(other, Field):
+        """Copies all elements of a field of the same shape; tapes and forward mode follow it."""
+        if not isinstance(other, Field) or hasattr(other, "members"):
             raise TaiRuntimeTypeError(f"copy_from expects a field, but got {other!r}")
-        self.from_numpy(other.to_numpy())
+        if other is self:
+            return
+        if _copies.is_followed(self, other):
+            _copies.copy_field(self, other)
+        else:
+            _copies.check_shapes(self, other)
+            self.from_numpy(other.to_numpy())
 
     def __str__(self) -> str:
         if self.level is None:
@@ -463,7 +469,7 @@ class ComponentField(ScalarField):
         if not self.is_window:
             return super().to_numpy(dtype)
         array = self._whole.to_numpy(dtype)[(..., *self._indices)]
-        return np.ascontiguousarray(array)
+        return np.array(array, order="C")
 
     def from_numpy(self, array: Any) -> None:
         if not self.is_window:
@@ -658,7 +664,7 @@ class MatrixField(Field):
             self._single.from_numpy(array)
             return
         for component in self.components:
-            component.from_numpy(np.ascontiguousarray(array[(..., *component._indices)]))
+            component.from_numpy(np.array(array[(..., *component._indices)]))
 
     def fill(self, value: Any) -> None:
         _active.fill_matrices(self, value)

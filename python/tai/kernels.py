@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from . import _ad_values, _core, _interop, _state, dtypes
+from . import _ad_cells, _ad_values, _core, _interop, _state, dtypes
 from ._ad_arguments import adjoint_slots, as_array, check_arrays, find_alias
+from ._ad_arrays import HeldArray, check_overlaps, is_same_array
+from ._bound_kernel import BoundKernel
 from .arrays import Ndarray
 from .errors import (
     SHOW_TRACEBACK,
@@ -134,6 +136,10 @@ class Specialization:
         self.registered: set[bool] = set()
         self.result = () if result is None else result.description()
         self.result_spec = result
+        # In forward mode: the numbers of the parameters that it follows, and the pool in which
+        # it keeps the result, or None.
+        self.followed: list[int] = []
+        self.result_pool: Any = None
         arrays = any(spec.kind == "array" for spec in specs)
         # Under a tape, someone must look at the arrays, and Python say where adjoints of results
         # are: numbers as in the launcher.
@@ -207,15 +213,18 @@ class Kernel(_core.Launcher):
         values = self._bind(args, kwargs)
         tracks = grad or _state.tape is not None
         found = self._specialize(values, tracks)
-        slots, copies, kept = self._pack(found, values, tracks)
+        slots, kept = self._pack(found, values, tracks)
         if tracks:
             check_arrays(self.__name__, self._get_parameters(), found, values)
+        if len(kept) > 1:
+            check_overlaps(kept, tracks)
         descriptions = [spec.description() for spec in found.specs]
         wants_gradients = any(s.has_gradient and s.kind != "array" for s in found.specs)
         result = found.result_spec
         if (
             grad not in found.registered
             and None not in descriptions
+            and not (found.followed or found.result_pool)
             and not wants_gradients
             and not (grad and result is not None and result.has_gradient)
         ):
@@ -223,22 +232,39 @@ class Kernel(_core.Launcher):
             _core.add_specialization(
                 launcher, found.core, grad, descriptions, found.result, found.tracking
             )
-        others = [array for _, array, _ in kept if isinstance(array, _interop.DeviceArray)]
+        others = [held.array for held in kept if isinstance(held.array, _interop.DeviceArray)]
         streams = _interop.order_before(others) if others else None
         tape = _ad_values.recording()
         if tape is not None:
-            for spec, array, value in kept:
-                tape.arrays.use(value, array, *found.uses_of(spec))
+            for held in kept:
+                is_read = found.core.reads_in_reverse(held.slot)
+                launched = tape.arrays.use(held._replace(is_read_in_reverse=is_read))
+                slots[held.slot] = launched.ctypes.data
+        slots += [_ad_cells.cell_of(values[number]).first for number in found.followed]
+        cell = None
+        if found.result_pool is not None:
+            count = int(np.prod(found.result_spec.shape, dtype=int))
+            cell = _ad_cells.Cell(found.result_pool, count)
+            slots.append(cell.first)
         gradient = None
-        if tracks:
-            adjoints, gradient = adjoint_slots(found, values, tape)
-            slots += adjoints
-        answer = _core.launch_slots(found.core, grad, slots, found.result)
-        if streams:
-            _interop.order_after(streams)
-        for target, copy in copies:
-            target[...] = copy
-        return answer if gradient is None else _ad_values.wrap_result(answer, gradient)
+        try:
+            if tracks:
+                adjoints, gradient = adjoint_slots(found, values, tape)
+                slots += adjoints
+            answer = _core.launch_slots(found.core, grad, slots, found.result)
+            if streams:
+                _interop.order_after(streams)
+            for held in kept:
+                if held.launched is not held.array and held.is_written and not grad:
+                    held.array[...] = held.launched
+            if tape is not None and kept:
+                tape.arrays.after_launch()
+        finally:
+            if tape is not None and kept:
+                tape.arrays.forget_launch()
+        if grad or (gradient is None and cell is None):
+            return answer
+        return _ad_values.wrap_result(answer, gradient, cell)
 
     def _bind(self, args: tuple, kwargs: dict) -> list[Any]:
         """The value of each parameter."""
@@ -281,7 +307,9 @@ class Kernel(_core.Launcher):
             self._program = program
             program.kernels.add(self)
             self._parameters = None  # default types may be others now
-        specs, key = [], []
+        specs: list[ArgumentSpec] = []
+        key: list[Any] = []
+        followed: list[int] = []
         for parameter, value in zip(self._get_parameters(), values, strict=True):
             spec = self._spec(parameter, value)
             specs.append(spec)
@@ -291,12 +319,21 @@ class Kernel(_core.Launcher):
                 spec.alias = find_alias(spec, value, values, specs)
                 key.append((spec.dt.name, spec.ndim, spec.element_shape, spec.has_gradient,
                             spec.alias))  # fmt: skip
+            elif spec.dt.is_float and _ad_cells.cell_of(value) is not None:
+                followed.append(len(specs) - 1)
+                key.append(("followed", len(specs), _ad_cells.cell_of(value).pool.number))
             elif tracks and spec.dt.is_float and _ad_values.gradient_of(value) is not None:
                 spec.has_gradient = True
                 key.append(len(specs))
+        pool = None
+        if _state.forward and self._result is not None and self._result.dt.is_float:
+            pool = _ad_cells.pool_besides([_ad_cells.cell_of(values[n]) for n in followed])
+            key.append(("result", pool.number))
         found = self._specializations.get(tuple(key))
         if found is None:
-            found = self._specializations[tuple(key)] = self._compile(program, specs)
+            inputs = [_ad_cells.cell_of(values[n]).pool for n in followed]
+            found = self._compile(program, specs, list(zip(followed, inputs, strict=True)), pool)
+            self._specializations[tuple(key)] = found
         self._last = found
         return found
 
@@ -315,7 +352,8 @@ class Kernel(_core.Launcher):
             return ArgumentSpec("matrix", type_.dtype, type_.shape)
         if isinstance(type_, NdarrayType):
             return self._array_spec(parameter, value)
-        if _ad_values.gradient_of(value) is not None and _state.tape is not None:
+        has_gradient = _ad_values.gradient_of(value) is not None and _state.tape is not None
+        if has_gradient or _ad_cells.cell_of(value) is not None:
             raise TaiAutodiffError(
                 f"template argument '{parameter.name}' of kernel '{self.__name__}' is a constant, "
                 "but got a value with a gradient",
@@ -364,12 +402,10 @@ class Kernel(_core.Launcher):
 
     def _pack(
         self, found: Specialization, values: list[Any], tracks: bool
-    ) -> tuple[list, list, list]:
-        """Slots of the arguments, arrays to copy back, and all arrays with their specs and what
-        they were given as."""
+    ) -> tuple[list[int], list[HeldArray]]:
+        """Slots of the arguments, and all arrays."""
         slots: list[int] = []
-        copies: list[tuple[np.ndarray, np.ndarray]] = []
-        kept: list[tuple[ArgumentSpec, Any, Any]] = []
+        kept: list[HeldArray] = []
         pairs = zip(self._get_parameters(), found.specs, values, strict=True)
         for parameter, spec, value in pairs:
             if spec.kind == "scalar":
@@ -384,7 +420,8 @@ class Kernel(_core.Launcher):
                 slots += [self._slot(parameter, spec.dt, x.item()) for x in array.ravel()]
             elif spec.kind == "array" and spec.alias is None:
                 array = as_array(value)
-                if spec.is_written and not array.flags.writeable:
+                is_read, is_written = found.uses_of(spec)
+                if is_written and not array.flags.writeable:
                     raise TaiRuntimeTypeError(
                         f"argument '{parameter.name}' of kernel '{self.__name__}' is written, "
                         "but the array is read-only",
@@ -392,20 +429,24 @@ class Kernel(_core.Launcher):
                     )
                 if isinstance(array, _interop.DeviceArray):
                     array.check(f"argument '{parameter.name}' of kernel '{self.__name__}'")
-                elif not array.flags.c_contiguous or not array.flags.writeable:
-                    copy = np.array(array, order="C")
-                    if array.flags.writeable:
-                        copies.append((array, copy))
-                    array = copy
-                kept.append((spec, array, value))
-                slots += [array.ctypes.data, *array.shape]
+                launched = array
+                if not array.flags.c_contiguous:
+                    same = (h.launched for h in kept if is_same_array(h.array, array))
+                    launched = next(same, None)
+                    if launched is None:
+                        launched = np.array(array, order="C")
+                kept.append(
+                    HeldArray(parameter.name, self.__name__, value, array, launched, len(slots),
+                              is_read, is_written, spec.has_gradient)
+                )  # fmt: skip
+                slots += [launched.ctypes.data, *array.shape]
                 if spec.has_gradient:
                     # Torch makes gradients where they are wanted: a kernel that does not look at
                     # this one gets the array again.
                     looks = tracks or spec.uses_gradient
-                    grad = _ad_values.gradient_array(value) if looks else array
+                    grad = _ad_values.gradient_array(value) if looks else launched
                     slots += [grad.ctypes.data, *grad.shape]
-        return slots, copies, kept
+        return slots, kept
 
     def _slot(self, parameter: Parameter, dt: Any, value: Any) -> int:
         """A number in the bits of its slot."""
@@ -429,7 +470,9 @@ class Kernel(_core.Launcher):
 
     # Compiling
 
-    def _compile(self, program: Any, specs: list[ArgumentSpec]) -> Specialization:
+    def _compile(
+        self, program: Any, specs: list[ArgumentSpec], followed: list[tuple[int, Any]], pool: Any
+    ) -> Specialization:
         from ._frontend.compiler import Compiler
         from ._frontend.source import closure_of
 
@@ -445,8 +488,12 @@ class Kernel(_core.Launcher):
         program.kernel_functions[symbol] = self._function
         names = [parameter.name for parameter in self._get_parameters()]
         parameters = list(zip(names, specs, strict=True))
-        compiler = Compiler(program, self._function, symbol, parameters, self._result)
-        return Specialization(compiler.compile(), specs, self._result)
+        cells = ([(names[number], inputs.field) for number, inputs in followed],
+                 None if pool is None else pool.field)  # fmt: skip
+        compiler = Compiler(program, self._function, symbol, parameters, self._result, cells)
+        found = Specialization(compiler.compile(), specs, self._result)
+        found.followed, found.result_pool = [number for number, _ in followed], pool
+        return found
 
     def mlir(self, *args: Any, stage: str = "tai") -> str:
         """The IR of the kernel.
@@ -501,42 +548,6 @@ class GradientKernel(_core.Launcher):
             return self._kernel._launch(self, args, kwargs, True)
         except TaiError as error:
             raise error if SHOW_TRACEBACK else error.with_traceback(None)  # noqa: B904
-
-
-class BoundKernel:
-    """A kernel of a class, bound to an instance."""
-
-    __slots__ = ("_instance", "_kernel")
-    _tai_kernel = True
-
-    def __init__(self, kernel: Any, instance: Any):
-        self._kernel, self._instance = kernel, instance
-
-    def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        return self._kernel(self._instance, *args, **kwargs)
-
-    @property
-    def grad(self) -> BoundKernel:
-        return BoundKernel(self._kernel.grad, self._instance)
-
-    @property
-    def __self__(self) -> Any:
-        return self._instance
-
-    def mlir(self, *args: Any, stage: str = "tai") -> str:
-        """The IR; see `Kernel.mlir`."""
-        return self._kernel.mlir(self._instance, *args, stage=stage)
-
-    def explain(self, *args: Any) -> str:
-        """What the gradient does, in words; see `Kernel.explain`."""
-        return self._kernel.explain(self._instance, *args)
-
-    def compile(self, *args: Any, grad: bool = False) -> None:
-        """Compiles the kernel; see `Kernel.compile`."""
-        self._kernel.compile(self._instance, *args, grad=grad)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._kernel, name)
 
 
 def _template_key(value: Any) -> Any:

@@ -113,6 +113,8 @@ class Program:
         # Functions of kernels by symbol, for reports that name a line.
         self.kernel_functions: dict[str, Any] = {}
         self.kernels: weakref.WeakSet = weakref.WeakSet()
+        # Where forward mode keeps what kernels return; see `_ad_cells`.
+        self.pools: list[Any] = []
         self.count_kernels_from_here()
         # Lists that sparse levels had made and reused at the last `clear_skips`.
         self.lists_before: dict[Any, tuple[int, int]] = {}
@@ -126,6 +128,7 @@ class Program:
             kernel.release()
         self.fields.clear()
         self.trees.clear()
+        self.pools.clear()
 
     def count_kernels_from_here(self) -> None:
         """Forgets the kernels that were defined so far."""

@@ -55,6 +55,8 @@ struct AdjointNeeds {
   /// Fields above which it asks for activity.
   std::vector<std::string> activity;
   std::vector<LoopFlags> flags;
+  /// Array arguments whose elements it reads, by the slots of their pointers.
+  std::vector<int64_t> arrays;
   /// It changes these while it runs.
   bool reruns = false;
   /// If not empty, the module with the parts of the kernel, as text.

@@ -119,6 +119,8 @@ struct AdjointPlan {
   /// since the launch.
   bool loadsStored = false;
   std::vector<Access> stored = {};
+  /// Array arguments whose elements it reads, by the slots of their pointers.
+  std::vector<int64_t> arrays = {};
 };
 
 /// The adjoints of arguments and results, which are in memory of the caller. A

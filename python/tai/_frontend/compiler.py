@@ -6,7 +6,7 @@ import ast
 from collections.abc import Callable
 from typing import Any
 
-from .. import _state
+from .. import _state, dtypes
 from ..errors import (
     SHOW_TRACEBACK,
     TaiCompilationError,
@@ -19,7 +19,7 @@ from .calls import Calls
 from .emitter import Emitter
 from .expressions import Expressions
 from .loops import Loops
-from .refs import ArrayArgument, Variable
+from .refs import ArrayArgument, FieldElement, Variable
 from .returns import Returns
 from .scope import Bound, Frame
 from .source import function_ast
@@ -36,6 +36,9 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse):
         symbol: the name of the kernel in IR.
         parameters: for each parameter, its name and `ArgumentSpec`.
         result: the `ResultSpec`, or None.
+        cells: where forward mode keeps numbers that kernels return and take: the names of
+            the parameters that are there with their fields, and the field for the result, or
+            None. There is a parameter more for each, the number of its first element.
     """
 
     def __init__(
@@ -45,7 +48,9 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse):
         symbol: str,
         parameters: list[tuple[str, Any]],
         result: Any,
+        cells: tuple[list[tuple[str, Any]], Any] = ([], None),
     ):
+        self.cells = cells
         self.program, self.kernel_name = program, symbol
         self.parameters, self.result = parameters, result
         from .. import _core
@@ -89,7 +94,9 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse):
         builder, frame = self.builder, self.frame
         node = frame.node
         self.at(node)
+        followed, result_field = self.cells
         types = [t for _, spec in self.parameters for t in spec.mlir_types]
+        types += ["i32"] * (len(followed) + (result_field is not None))
         region = builder.region()
         block = builder.block(region, [builder.type(t) for t in types])
         self.emitter.entry = block
@@ -102,12 +109,20 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse):
             position += len(spec.mlir_types)
             given = handles[-1] if spec.alias is None else handles[spec.alias]
             frame.define(name, self.argument(name, spec, given))
+        for number, (name, field) in enumerate(followed):
+            first = block.argument(position + number)
+            self.load_cells(frame.scopes[-1][name], field, first)
+        self.result_cell = None
+        if result_field is not None:
+            self.result_cell = block.argument(position + len(followed))
         self.prepare_returns()
         self.body(node.body)
         results = frame.results
         if not frame.has_returned and results is not None and results.may_have_run:
             self.refuse_open_end()
             self.at(node)
+            for variable in results.parts:
+                self.store_cells(variable.value)
             builder.op("tai.return", [variable.value.handle for variable in results.parts])
         elif not frame.has_returned:
             if self.result is not None:
@@ -117,7 +132,7 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse):
             builder.op("tai.return", [])
         types_out = "()" if self.result is None else self.result.mlir_type
         if self.result is not None and self.result.has_gradient:
-            gradients.append(position)
+            gradients.append(len(types))
         builder.enter_module()
         self.at(node)
         builder.op(
@@ -164,6 +179,29 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse):
             value.index = "cast"
         return Variable(name, value, "kernel argument")
 
+    def cell(self, field: Any, first: Any, number: int) -> FieldElement:
+        """An element of the field that forward mode keeps numbers in."""
+        emitter = self.emitter
+        at = emitter.binary("+", emitter.value(first, dtypes.i32), number)
+        return FieldElement(emitter, field, [emitter.to_index(at)])
+
+    def load_cells(self, variable: Variable, field: Any, first: Any) -> None:
+        """A parameter whose value forward mode follows is what it has kept."""
+        emitter, given = self.emitter, variable.value
+        count = 1
+        for extent in given.shape:
+            count *= extent
+        parts = [emitter.cast(self.cell(field, first, i).load(), given.dt) for i in range(count)]
+        variable.value = emitter.matrix(parts, given.dt, given.shape) if given.shape else parts[0]
+
+    def store_cells(self, value: Any) -> None:
+        """Keeps the result for forward mode, if that follows it."""
+        if self.result_cell is None:
+            return
+        for number, part in enumerate(value.scalars() if value.shape else [value]):
+            place = self.cell(self.cells[1], self.result_cell, number)
+            place.store(self.emitter.cast(part, dtypes.f64))
+
     def check_kernel_result(self, value: Any) -> None:
         if value is None and self.result is not None:
             raise TaiSyntaxError("the kernel has a return type: return a value")
@@ -180,6 +218,7 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse):
             return
         value = self.result.convert(self.emitter, value)
         self.at(node)
+        self.store_cells(value)
         self.builder.op("tai.return", [value.handle])
 
     def call_from_python(self, function: Any, args: tuple, kwargs: dict) -> Any:

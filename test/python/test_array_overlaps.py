@@ -1,0 +1,231 @@
+"""Arrays that are not contiguous, and arrays of one launch that share memory."""
+
+import numpy as np
+import pytest
+import tai as ti
+
+
+@pytest.fixture(autouse=True)
+def start():
+    ti.init(default_fp=ti.f64, offline_cache=False)
+
+
+@ti.kernel
+def add_transposed(a: ti.types.ndarray(), b: ti.types.ndarray()):
+    for i, j in ti.ndrange(a.shape[0], a.shape[1]):
+        a[i, j] += 10 * b[i, j]
+
+
+@ti.kernel
+def double(source: ti.types.ndarray(), target: ti.types.ndarray()):
+    for i in range(source.shape[0]):
+        target[i] = 2 * source[i]
+
+
+@ti.kernel
+def total(a: ti.types.ndarray(), b: ti.types.ndarray()) -> ti.f64:
+    s = 0.0
+    for i in range(a.shape[0]):
+        s += a[i] * b[i]
+    return s
+
+
+def test_an_array_that_is_only_read_is_not_written_back():
+    """Whatever the kernel calls does to it."""
+    writes = []
+
+    class Spy(np.ndarray):
+        def __setitem__(self, key, value):
+            writes.append(key)
+            super().__setitem__(key, value)
+
+    @ti.func
+    def third(a, i):
+        return a[i] / 3
+
+    @ti.kernel
+    def nested(a: ti.types.ndarray(), b: ti.types.ndarray()):
+        for i in range(a.shape[0]):
+            b[i] = third(a, i)
+
+    source, target = np.arange(10.0)[::2].view(Spy), np.zeros(10)[::2].view(Spy)
+    nested(source, target)
+    assert target.tolist() == [0, 2 / 3, 4 / 3, 2, 8 / 3]
+    assert len(writes) == 1
+    assert total(source, source) == 120
+    assert len(writes) == 1
+
+
+@pytest.mark.parametrize("n", [1, 5, 65_537])
+def test_interleaved_arrays_do_not_overlap(n):
+    z = np.arange(2.0 * n)
+    for _ in range(2):
+        double(z[::2], z[1::2])
+    assert (z[1::2] == 4 * np.arange(n)).all() and (z[::2] == 2 * np.arange(n)).all()
+    # Columns of one matrix, and halves of one array.
+    m = np.arange(3.0 * n).reshape(n, 3)
+    double(m[:, 0], m[:, 2])
+    assert (m[:, 2] == 2 * m[:, 0]).all() and (m[:, 1] == 3 * np.arange(n) + 1).all()
+    double(z[:n], z[n:])
+    assert (z[n:] == 2 * z[:n]).all()
+
+
+@pytest.mark.parametrize("n", [2, 300])
+def test_a_matrix_and_its_transpose(n):
+    a = np.arange(1.0 * n * n).reshape(n, n)
+    before = a.copy()
+    with pytest.raises(ti.TaiRuntimeTypeError, match="arrays 'a' and 'b' .* overlap") as caught:
+        add_transposed(a, a.T)
+    assert "writes to 'a'" in str(caught.value) and "a.copy()" in caught.value.hint
+    assert (a == before).all()
+    add_transposed(a, before.T)
+    assert (a == before + 10 * before.T).all()
+    add_transposed(a.T, np.zeros((n, n)).T)
+
+
+def test_parts_that_overlap():
+    z = np.arange(8.0)
+    for one, other in ((z[:-1], z[1:]), (z[1:], z[:-1]), (z, z[:4]), (z[::2], z[:4])):
+        with pytest.raises(ti.TaiRuntimeTypeError, match="'source' and 'target' .* overlap"):
+            double(one, other)
+    assert z.tolist() == list(range(8))
+    double(z[:0], z[2:2])
+    # What is only read may overlap.
+    assert total(z[:-1], z[1:]) == sum(i * (i + 1) for i in range(7))
+    assert total(z[::2], z[:4]) == 0 * 0 + 2 * 1 + 4 * 2 + 6 * 3
+    a = ti.ndarray(ti.f64, shape=8)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="overlap"):
+        double(a, a.array[:4])
+
+
+def test_memory_of_another_type():
+    @ti.kernel
+    def bits(a: ti.types.ndarray(dtype=ti.f64), b: ti.types.ndarray(dtype=ti.i64)):
+        for i in range(a.shape[0]):
+            b[i] = i
+            a[i] = 1.0
+
+    z = np.zeros(4)
+    for _ in range(2):
+        with pytest.raises(ti.TaiRuntimeTypeError, match="overlap"):
+            bits(z, z.view(np.int64))
+        bits(z, np.zeros(4, np.int64))
+
+
+@pytest.mark.parametrize("step", [1, 2, -1])
+def test_the_same_array_for_two_parameters_changes_in_place(step):
+    @ti.kernel
+    def both(a: ti.types.ndarray(), b: ti.types.ndarray()):
+        ti.loop_config(serialize=True)
+        for i in range(1, a.shape[0]):
+            b[i] = a[i] + 1
+            b[i] = a[i] + b[i - 1]
+
+    n = 1000
+    z = np.zeros(abs(step) * n)[::step]
+    for _ in range(2):
+        z[:] = np.arange(n)
+        both(z, z)
+        assert z.tolist() == np.cumsum([0, *range(2, n + 1)]).tolist()
+
+
+def test_more_than_two_arrays():
+    @ti.kernel
+    def add(a: ti.types.ndarray(), b: ti.types.ndarray(), c: ti.types.ndarray()):
+        for i in range(a.shape[0]):
+            c[i] = a[i] + b[i]
+
+    z = np.arange(12.0)
+    add(z[:4], z[:4], z[4:8])
+    add(z[:4], z[1:5], z[8:])
+    assert z.tolist() == [*range(4), 0, 2, 4, 6, 1, 3, 5, 3]
+    for arrays in ((z[:4], z[4:8], z[7:11]), (z[4:8], z[:4], z[7:11])):
+        with pytest.raises(ti.TaiRuntimeTypeError, match="and 'c' of kernel 'add' overlap"):
+            add(*arrays)
+
+
+# Tapes
+
+
+@ti.kernel
+def weigh(x: ti.template(), w: ti.types.ndarray(), loss: ti.template()):
+    for i in x:
+        loss[None] += x[i] ** 2 * w[i]
+
+
+def make_fields(n):
+    x = ti.field(ti.f64, shape=n, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+    x.from_numpy(np.arange(n) + 1.0)
+    return x, loss
+
+
+def test_a_replay_reads_what_a_strided_array_holds_now():
+    x, loss = make_fields(4)
+    w = np.ones(8)
+    with ti.ad.Tape(loss) as tape:
+        weigh(x, w[::2], loss)
+        weigh(x, w[::-2], loss)
+    assert loss[None] == 60
+    w[:] = np.arange(8)
+    tape.replay()
+    weights = w[::2] + w[::-2]
+    squares = (np.arange(4) + 1.0) ** 2
+    assert loss[None] == (squares * weights).sum()
+    assert (x.grad.to_numpy() == 2 * (np.arange(4) + 1.0) * weights).all()
+    w[:] = 2
+    tape.replay(backward=False)
+    assert loss[None] == 120
+
+
+def test_a_strided_array_that_kernels_write_under_a_tape():
+    x, loss = make_fields(4)
+    w = np.ones((4, 2))
+
+    @ti.kernel
+    def scale(w: ti.types.ndarray()):
+        for i in range(w.shape[0]):
+            w[i] *= 3
+
+    with ti.ad.Tape(loss) as tape:
+        scale(w[:, 1])
+        weigh(x, w[:, 1], loss)
+        scale(w[:, 1])
+        weigh(x, w[:, 1], loss)
+    numbers = np.arange(4) + 1.0
+    assert w.tolist() == [[1, 9]] * 4
+    assert (x.grad.to_numpy() == 2 * numbers * 12).all()
+    w[:] = 2
+    tape.replay()
+    assert w.tolist() == [[2, 18]] * 4
+    assert (x.grad.to_numpy() == 2 * numbers * 24).all()
+
+
+def test_the_gradient_of_a_kernel_by_hand():
+    x, loss = make_fields(4)
+    w = np.arange(8.0)
+    loss.grad[None] = 1
+    weigh.grad(x, w[::2], loss)
+    assert (x.grad.to_numpy() == 2 * (np.arange(4) + 1.0) * w[::2]).all()
+    assert w.tolist() == list(range(8))
+    weigh(x, w[:4], loss)
+
+
+def test_one_array_twice_under_a_tape():
+    """Which value the gradient is to read, it cannot tell."""
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+    p = ti.field(ti.f64, shape=(), needs_grad=True)
+    p[None] = 3
+
+    @ti.kernel
+    def step(a: ti.types.ndarray(), b: ti.types.ndarray()):
+        for i in range(a.shape[0]):
+            factor = b[i]
+            a[i] = 0
+            loss[None] += p[None] * factor
+
+    a = np.ones(3)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="overlap"), ti.ad.Tape(loss):
+        step(a, a)
+    step(a, a)
+    assert a.tolist() == [0, 0, 0]
