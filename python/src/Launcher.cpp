@@ -14,6 +14,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "ArrayArguments.h"
+#include "Constants.h"
 
 #include <algorithm>
 #include <cstring>
@@ -58,8 +59,9 @@ struct Arg {
   ArgKind kind;
   int bits = 0; // Integer: width
   bool isUnsigned = false;
-  py::object constant; // Constant: the object
-  ArrayArg array;      // Array: which
+  py::object constant; // Constant: the `Constant`, as the Python object
+  const taipy::Constant *value = nullptr; // the same
+  ArrayArg array;                         // Array: which
 };
 
 struct Result {
@@ -77,6 +79,8 @@ struct Specialization {
   int running = 0;
   TaiKernel handle = nullptr;
   std::vector<Arg> args;
+  /// What the code depends on besides the arguments.
+  Reads reads;
   bool grad = false;
   /// What a tape that records must know of a launch.
   enum class Tracking {
@@ -102,20 +106,6 @@ struct Launcher {
   std::vector<std::unique_ptr<Specialization>> *specializations;
 };
 
-bool isSameConstant(PyObject *wanted, PyObject *given) {
-  if (wanted == given)
-    return true;
-  if (Py_TYPE(wanted) != Py_TYPE(given))
-    return false;
-  if (!PyLong_Check(wanted) && !PyFloat_Check(wanted) &&
-      !PyUnicode_Check(wanted) && !PyTuple_Check(wanted))
-    return false;
-  int same = PyObject_RichCompareBool(wanted, given, Py_EQ);
-  if (same < 0)
-    PyErr_Clear();
-  return same == 1;
-}
-
 Match packInteger(const Arg &arg, PyObject *object, uint64_t &slot) {
   if (!PyLong_Check(object) && !PyIndex_Check(object))
     return Match::No;
@@ -130,8 +120,8 @@ Match packInteger(const Arg &arg, PyObject *object, uint64_t &slot) {
     number = PyLong_AsLongLongAndOverflow(whole, &overflow);
     Py_DECREF(whole);
   }
-  if (overflow ||
-      (arg.bits < 64 && arg.isUnsigned && (number < 0 || number >> arg.bits)) ||
+  if (overflow || (arg.isUnsigned && number < 0) ||
+      (arg.bits < 64 && arg.isUnsigned && number >> arg.bits) ||
       (arg.bits < 64 && !arg.isUnsigned &&
        (number >> (arg.bits - 1)) != (number < 0 ? -1 : 0)))
     return Match::No; // the slow path says what is wrong
@@ -144,7 +134,7 @@ Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
   uint64_t slot = 0;
   switch (arg.kind) {
   case ArgKind::Constant:
-    return isSameConstant(arg.constant.ptr(), object) ? Match::Yes : Match::No;
+    return arg.value->matches(object) ? Match::Yes : Match::No;
   case ArgKind::Array:
     if (!held)
       held.emplace(*spec.kernel,
@@ -266,6 +256,8 @@ Match tryLaunch(Specialization &spec, PyObject *const *args, size_t count,
     if (match != Match::Yes)
       return match;
   }
+  if (!spec.reads.hold())
+    return Match::No;
   if (held)
     if (Match match = held->finish(slots); match != Match::Yes)
       return match;
@@ -346,9 +338,12 @@ int launcherTraverse(PyObject *object, visitproc visit, void *arg) {
   auto *self = reinterpret_cast<Launcher *>(object);
   Py_VISIT(Py_TYPE(object));
   Py_VISIT(self->dict);
-  for (auto &spec : *self->specializations)
+  for (auto &spec : *self->specializations) {
     for (Arg &constant : spec->args)
       Py_VISIT(constant.constant.ptr());
+    if (int stop = spec->reads.traverse(visit, arg))
+      return stop;
+  }
   return 0;
 }
 
@@ -381,6 +376,7 @@ Arg parseArg(const py::tuple &description) {
     arg.isUnsigned = description[2].cast<bool>();
   } else if (arg.kind == ArgKind::Constant) {
     arg.constant = description[1];
+    arg.value = &description[1].cast<const Constant &>();
   } else if (arg.kind == ArgKind::Array) {
     ArrayArg &array = arg.array;
     array.format = description[1].cast<std::string>();
@@ -428,6 +424,7 @@ void taipy::bindLauncher(py::module_ &module) {
     throw py::error_already_set();
   module.attr("Launcher") = type;
   bindArrayArguments(module);
+  bindConstants(module);
 
   module.def("set_tape", [](const py::object &tape) {
     Py_XDECREF(recordingTape);
@@ -443,7 +440,8 @@ void taipy::bindLauncher(py::module_ &module) {
   module.def("add_specialization", [](const py::object &launcher,
                                       std::shared_ptr<Kernel> kernel, bool grad,
                                       const std::vector<py::tuple> &args,
-                                      const py::tuple &result, int tracking) {
+                                      const py::tuple &result, int tracking,
+                                      const std::vector<py::tuple> &reads) {
     auto made = std::make_unique<Specialization>();
     made->setKernel(std::move(kernel));
     made->generation = generation;
@@ -456,6 +454,8 @@ void taipy::bindLauncher(py::module_ &module) {
       arrays += last.kind == ArgKind::Array;
       written += last.kind == ArgKind::Array && last.array.isWritten;
     }
+    for (const py::tuple &read : reads)
+      made->reads.add(read);
     made->arraysMayMeet = arrays > 1 && written > 0;
     if (!result.empty()) {
       made->result.kind = result[0].cast<std::string>().at(0);

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _ad_cells, _ad_values, _core, _interop, _state, dtypes
+from . import _ad_cells, _ad_values, _core, _interop, _state, _templates, dtypes
 from ._ad_arguments import adjoint_slots, as_array, check_arrays, find_alias
 from ._ad_arrays import HeldArray, check_overlaps, is_same_array
 from ._bound_kernel import BoundKernel
@@ -39,6 +39,7 @@ class ArgumentSpec:
         dt, shape: type of a number or matrix.
         ndim, element_shape: of an array.
         constant: what a template parameter stands for.
+        taken: the same as it was when the kernel was compiled, as a `_core.Constant`.
         has_gradient: whether the kernel is differentiated by it. An array then comes with
             the array of its gradient.
         alias: the number of the parameter that is the same array, or None.
@@ -56,6 +57,7 @@ class ArgumentSpec:
         self.kind, self.dt, self.shape = kind, dt, shape
         self.ndim, self.element_shape, self.constant = ndim, element_shape, constant
         self.has_gradient = has_gradient
+        self.taken: Any = None
         self.alias: int | None = None
         self.is_element_fixed = self.is_checked = False
         self.is_read = self.is_written = self.uses_gradient = False
@@ -83,7 +85,7 @@ class ArgumentSpec:
     def description(self) -> tuple | None:
         """The argument for the launcher in C++, or None where Python must pack it."""
         if self.kind == "template":
-            return ("c", self.constant)
+            return ("c", self.taken)
         if self.kind == "array":
             if self.uses_gradient or self.alias is not None or self.is_checked:
                 return None
@@ -128,10 +130,16 @@ class ResultSpec:
 
 
 class Specialization:
-    """A kernel compiled for some kinds of arguments."""
+    """A kernel compiled for some kinds of arguments.
 
-    def __init__(self, core: Any, specs: list[ArgumentSpec], result: ResultSpec | None):
-        self.core, self.specs = core, specs
+    Attributes:
+        reads: what the code depends on besides the arguments; see `_templates.Reads`.
+    """
+
+    def __init__(
+        self, core: Any, specs: list[ArgumentSpec], result: ResultSpec | None, reads: list[tuple]
+    ):
+        self.core, self.specs, self.reads = core, specs, reads
         # Whether the launcher in C++ knows it, for `grad` false and true.
         self.registered: set[bool] = set()
         self.result = () if result is None else result.description()
@@ -144,6 +152,17 @@ class Specialization:
         # Under a tape, someone must look at the arrays, and Python say where adjoints of results
         # are: numbers as in the launcher.
         self.tracking = 2 if result is not None and result.has_gradient else int(arrays)
+
+    def fits(self, specs: list[ArgumentSpec]) -> bool:
+        """Whether its code is that of these template arguments, as they are now."""
+        return self.is_for(specs) and _templates.still_hold(self.reads)
+
+    def is_for(self, specs: list[ArgumentSpec]) -> bool:
+        """Whether it was compiled for these template arguments, whatever it read of them."""
+        pairs = zip(self.specs, specs, strict=True)
+        return all(
+            own.taken.matches(given.constant) for own, given in pairs if own.taken is not None
+        )
 
     def uses_of(self, spec: ArgumentSpec) -> tuple[bool, bool]:
         """Whether the array is read and written, by any of the parameters that it is given for."""
@@ -181,7 +200,7 @@ class Kernel(_core.Launcher):
         self._parameters: list[Parameter] | None = None
         self._result: ResultSpec | None = None
         self._program: Any = None
-        self._specializations: dict[tuple, Specialization] = {}
+        self._specializations: dict[tuple, list[Specialization]] = {}
         self._last: Specialization | None = None
         # Of the kernels of this process, the how manieth.
         self.number = _state.kernels_made
@@ -230,7 +249,7 @@ class Kernel(_core.Launcher):
         ):
             found.registered.add(grad)
             _core.add_specialization(
-                launcher, found.core, grad, descriptions, found.result, found.tracking
+                launcher, found.core, grad, descriptions, found.result, found.tracking, found.reads
             )
         others = [held.array for held in kept if isinstance(held.array, _interop.DeviceArray)]
         streams = _interop.order_before(others) if others else None
@@ -314,7 +333,7 @@ class Kernel(_core.Launcher):
             spec = self._spec(parameter, value)
             specs.append(spec)
             if spec.kind == "template":
-                key.append(_template_key(spec.constant))
+                key.append(_templates.hint(spec.constant))
             elif spec.kind == "array":
                 spec.alias = find_alias(spec, value, values, specs)
                 key.append((spec.dt.name, spec.ndim, spec.element_shape, spec.has_gradient,
@@ -329,11 +348,15 @@ class Kernel(_core.Launcher):
         if _state.forward and self._result is not None and self._result.dt.is_float:
             pool = _ad_cells.pool_besides([_ad_cells.cell_of(values[n]) for n in followed])
             key.append(("result", pool.number))
-        found = self._specializations.get(tuple(key))
+        variants = self._specializations.setdefault(tuple(key), [])
+        found = next((one for one in reversed(variants) if one.fits(specs)), None)
         if found is None:
             inputs = [_ad_cells.cell_of(values[n]).pool for n in followed]
             found = self._compile(program, specs, list(zip(followed, inputs, strict=True)), pool)
-            self._specializations[tuple(key)] = found
+            variants.append(found)
+            if found.reads:
+                same = [one for one in variants if one.is_for(specs)]
+                _templates.warn_of_many(self.__name__, same)
         self._last = found
         return found
 
@@ -479,10 +502,11 @@ class Kernel(_core.Launcher):
         for parameter, spec in zip(self._get_parameters(), specs, strict=True):
             if spec.dt is not None and spec.dt.name == "f16" and spec.kind != "array":
                 raise TaiTypeError(f"argument '{parameter.name}' cannot be f16", "use ti.f32")
+            if spec.kind == "template":
+                spec.taken = _templates.take(spec.constant, parameter.name, self.__name__)
+                if hasattr(spec.constant, "__dict__"):
+                    name_fields(vars(spec.constant))
         name_fields(closure_of(self._function))
-        for spec in specs:
-            if spec.kind == "template" and hasattr(spec.constant, "__dict__"):
-                name_fields(vars(spec.constant))
         program.materialize(self._function.__globals__)
         symbol = program.unique_symbol(self.__name__)
         program.kernel_functions[symbol] = self._function
@@ -491,7 +515,8 @@ class Kernel(_core.Launcher):
         cells = ([(names[number], inputs.field) for number, inputs in followed],
                  None if pool is None else pool.field)  # fmt: skip
         compiler = Compiler(program, self._function, symbol, parameters, self._result, cells)
-        found = Specialization(compiler.compile(), specs, self._result)
+        core = compiler.compile()
+        found = Specialization(core, specs, self._result, compiler.reads.all())
         found.followed, found.result_pool = [number for number, _ in followed], pool
         return found
 
@@ -548,18 +573,6 @@ class GradientKernel(_core.Launcher):
             return self._kernel._launch(self, args, kwargs, True)
         except TaiError as error:
             raise error if SHOW_TRACEBACK else error.with_traceback(None)  # noqa: B904
-
-
-def _template_key(value: Any) -> Any:
-    """Equal keys for template arguments that may share compiled code."""
-    if isinstance(value, (bool, int, float, str, type(None))):
-        return (type(value), value)
-    if isinstance(value, (tuple, list)):
-        return (type(value), *(_template_key(v) for v in value))
-    if getattr(value, "is_matrix", False):
-        array = value.to_numpy()
-        return ("matrix", array.dtype.char, array.shape, array.tobytes())
-    return ("object", id(value))
 
 
 # Signatures

@@ -35,6 +35,8 @@ class Matrix:
     __slots__ = ("_array",)
     __array_priority__ = 1000.0
     is_matrix = True
+    # What matters of a template argument.
+    _tai_content = "_array"
 
     def __new__(cls, arr: Any = None, dt: Any = None, *args: Any, **kwargs: Any) -> Any:
         if _state.emitter is not None and cls in (Matrix, Vector):
@@ -133,7 +135,9 @@ class Matrix:
         self._array[key] = _plain(value)
 
     def __getattr__(self, name: str) -> Any:
-        found = swizzle(name, len(self._array)) if not name.startswith("_") else None
+        if name.startswith("_"):  # also of one that is being copied, which has no array yet
+            raise AttributeError(name)
+        found = swizzle(name, len(self._array))
         if found is None:
             raise AttributeError(f"a matrix of {self.n}×{self.m} has no attribute '{name}'")
         return self[found[0]] if len(found) == 1 else Matrix._wrap(self._array[found])

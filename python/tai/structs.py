@@ -85,11 +85,16 @@ class StructType:
 class Struct:
     """A struct in Python: `ti.Struct(a=1, b=ti.Vector([1.0, 2.0]))`, with members as attributes."""
 
+    # What matters of a template argument.
+    _tai_content = "_content"
+
     def __init__(self, entries: dict[str, Any] | None = None, methods: Any = None, **more: Any):
         object.__setattr__(self, "entries", {**(entries or {}), **more})
         object.__setattr__(self, "methods", dict(methods or {}))
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "entries":  # of one that is being copied
+            raise AttributeError(name)
         try:
             return self.entries[name]
         except KeyError:
@@ -105,6 +110,10 @@ class Struct:
 
     def __setitem__(self, name: str, value: Any) -> None:
         self.entries[name] = value
+
+    @property
+    def _content(self) -> tuple[dict, dict]:
+        return self.entries, self.methods
 
     @property
     def keys(self) -> list[str]:

@@ -211,6 +211,7 @@ class Calls:
                 from .misuse import describe_misuse, misuse_hint
 
                 raise TaiTypeError(describe_misuse(argument), misuse_hint(argument))
+        self.reads.note_all(getattr(function, "__self__", None), *args, *kwargs.values())
         return function(*args, **kwargs)
 
     def convert(self, function: Any, args: list) -> Any:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from .. import _state, dtypes
+from .._templates import Reads
 from ..errors import (
     SHOW_TRACEBACK,
     TaiCompilationError,
@@ -67,6 +68,9 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse):
         self.top_depth = 0
         self.return_forms: dict[tuple, Any] = {}
         self.loop_options: dict[str, Any] = {}
+        self.reads = Reads([s.constant for _, s in parameters if s.kind == "template"])
+        # Whether of the attribute that is evaluated next no more than its form is wanted.
+        self.form_only = False
         self._methods: dict[type, Callable[[Any], Any]] = {}
         self._lines: dict[tuple[str, int], str] = {}
         self.last_node: Any = node

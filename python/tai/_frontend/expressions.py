@@ -7,6 +7,7 @@ import operator
 from typing import Any
 
 from .._ad_values import Number, TrackedMatrix, TrackedVector
+from .._templates import ARRAY_FORM
 from ..dtypes import DataType, promote, u1
 from ..errors import TaiAutodiffError, TaiNameError, TaiSyntaxError, TaiTypeError, did_you_mean
 from ..fields import Field
@@ -46,6 +47,8 @@ class Expressions:
     builder: Any
     frame: Any
     depth: int
+    reads: Any
+    form_only: bool
 
     # Names, attributes, subscripts
 
@@ -57,7 +60,11 @@ class Expressions:
                 return VariablePlace(self.emitter, meaning)
             return meaning.thing
         if isinstance(node, ast.Attribute):
-            return self.attribute(self.sublocate(node.value), node.attr)
+            form_only = self.form_only
+            self.form_only = isinstance(node.value, ast.Attribute) and node.attr in ARRAY_FORM
+            base = self.sublocate(node.value)
+            self.form_only = False
+            return self.attribute(base, node.attr, form_only)
         if isinstance(node, ast.Subscript):
             base = self.sublocate(node.value)
             key = self.visit(node.slice)
@@ -82,7 +89,7 @@ class Expressions:
 
     visit_Attribute = visit_Subscript = visit_Name
 
-    def attribute(self, base: Any, name: str) -> Any:
+    def attribute(self, base: Any, name: str, form_only: bool = False) -> Any:
         if isinstance(base, StructPlace):
             return base.member(name)
         if isinstance(base, Place):
@@ -104,7 +111,9 @@ class Expressions:
                 did_you_mean(name, [m for m in dir(base) if not m.startswith("_")]),
             )
         try:
-            return getattr(base, name)
+            found = getattr(base, name)
+            self.reads.note(base, name, found, form_only)
+            return found
         except NoAttribute:
             raise
         except AttributeError:

@@ -268,4 +268,19 @@ def _kind(meaning: Any) -> Any:
     value = meaning.value if isinstance(meaning, Variable) else getattr(meaning, "thing", meaning)
     if isinstance(value, (Value, MatrixValue)):
         return (value.dt.name, value.shape, value.const)
-    return ("object", id(value))
+    return _Same(value)
+
+
+class _Same:
+    """Equal for the same object, which it keeps: the identity of one that is gone may recur."""
+
+    __slots__ = ("_thing",)
+
+    def __init__(self, thing: Any):
+        self._thing = thing
+
+    def __eq__(self, other: Any) -> bool:
+        return isinstance(other, _Same) and self._thing is other._thing
+
+    def __hash__(self) -> int:
+        return id(self._thing)

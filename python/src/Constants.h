@@ -1,0 +1,140 @@
+//===- Constants.h - Python values that are compiled in ---------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A template argument is part of the code of a kernel. `Constant` keeps it as
+// it was when the kernel was compiled, and tells whether another value, or the
+// same object later, stands for the same code. Python's `==` would not do: to
+// it `1`, `1.0` and `True` are one number, and so are `0.0` and `-0.0`.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_PYTHON_CONSTANTS_H
+#define TAI_PYTHON_CONSTANTS_H
+
+#include "Core.h"
+
+#include <string>
+#include <vector>
+
+namespace taipy {
+
+/// A Python value as it was at some time.
+///
+/// Numbers, texts, containers, arrays, matrices and structs are the same if
+/// their types and contents are, bit by bit and in order; anything else if it
+/// is the same object, which a constant keeps alive.
+class Constant {
+public:
+  /// Takes a value with its contents.
+  ///
+  /// \throws py::error_already_set where it is nested too deeply.
+  explicit Constant(py::handle value);
+
+  /// Takes the object itself, whatever it contains.
+  static Constant identity(py::handle value);
+
+  bool matches(PyObject *given) const {
+    return kind == Kind::Identity ? given == object.ptr()
+                                  : matchesContents(given);
+  }
+
+  /// Whether the object that it was made of may change and remain the same
+  /// object.
+  bool canChange() const;
+
+  int traverse(visitproc visit, void *arg) const;
+  void clear();
+
+private:
+  enum class Kind {
+    Identity,
+    Integer,
+    Float,
+    Plain,    // a complex number, text or bytes: equal and of one type
+    Sequence, // a list or tuple
+    Iterated, // another container: the items that iterating yields
+    Mapping,  // a dict: keys and values in turn
+    Buffer,   // a NumPy array or number
+    Wrapped,  // an object whose contents are an attribute: `_tai_content`
+    Range
+  };
+
+  Constant() = default;
+  bool matchesContents(PyObject *given) const;
+  bool matchesItems(PyObject *const *given, Py_ssize_t count) const;
+  void takeItems(PyObject *sequence);
+  bool takeBuffer(PyObject *value);
+  bool matchesBuffer(PyObject *given) const;
+
+  Kind kind = Kind::Identity;
+  /// The type of the value; unused for identities.
+  py::object type;
+  /// The object, number or text; the name of the attribute of `Wrapped`.
+  py::object object;
+  std::vector<Constant> items;
+  /// Of a buffer: its elements, its format and its extents.
+  std::string bytes, format;
+  std::vector<Py_ssize_t> shape;
+};
+
+/// An attribute of an object that a kernel read while it was compiled.
+struct Read {
+  /// Takes the owner, the name, and the `Constant` that the attribute was.
+  explicit Read(const py::tuple &described)
+      : owner(described[0]), name(described[1]), constant(described[2]),
+        value(&constant.cast<const Constant &>()) {}
+
+  /// Whether the attribute is still what it was.
+  bool holds() const;
+
+  int traverse(visitproc visit, void *arg) const;
+
+  py::object owner, name;
+  py::object constant;
+  const Constant *value;
+};
+
+/// All that a kernel read of template arguments while it was compiled.
+///
+/// A launch asks for it each time. Python numbers the states of dictionaries:
+/// while that of an object is in the state that was seen, so are the attributes
+/// in it, unless their values can change in place.
+class Reads {
+public:
+  void add(const py::tuple &described);
+  bool hold() {
+    for (Stored &one : stored)
+      if (!one.isAsSeen() && !one.look())
+        return false;
+    for (const Read &read : others)
+      if (!read.holds())
+        return false;
+    return true;
+  }
+
+  int traverse(visitproc visit, void *arg) const;
+
+private:
+  /// What the dictionary of one object holds.
+  struct Stored {
+    bool isAsSeen() const;
+    bool look();
+
+    PyObject *owner;
+    std::vector<Read> reads;
+    uint64_t state = 0;
+  };
+
+  std::vector<Stored> stored;
+  std::vector<Read> others;
+};
+
+void bindConstants(py::module_ &module);
+
+} // namespace taipy
+
+#endif // TAI_PYTHON_CONSTANTS_H
