@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from .. import _state, dtypes
+from .. import _numbers, _state, dtypes
 from ..dtypes import DataType, dtype_of, i32, promote, u1
 from ..errors import TaiCompilationError, TaiIndexError, TaiTypeError
+from .integers import Integers
+from .misuse import describe_misuse, misuse_hint, name_of
 from .value import MatrixValue, Value
 
 # float operation, signed integer operation, unsigned integer operation
@@ -61,7 +63,7 @@ _PYTHON = {
 _MAX_SELECTS = 16
 
 
-class Emitter:
+class Emitter(Integers):
     """Emits operations at the insertion point of a builder.
 
     Args:
@@ -72,11 +74,15 @@ class Emitter:
         self.builder = builder
         # The compiler's way to call a function that Python code calls while it compiles.
         self.call: Any = None
+        # Says that a float is stored in a whole number.
+        self.warn_of_fraction: Any = None
         self.entry: Any = None
         self._types: dict[tuple, Any] = {}
         self._constants: dict[tuple, Any] = {}
         self.index_type = builder.type("index")
         self.num_random = 0
+        # The fields that the kernel reads or writes.
+        self.fields: set[Any] = set()
         # The places whose loads are constants to gradients, by identity.
         self.stopped: set[int] = set()
         # Operands and results of one op are all of one kind most of the time.
@@ -107,13 +113,17 @@ class Emitter:
         return Value(self, handle, dt)
 
     def constant(self, number: Any, dt: DataType) -> Value:
-        """A scalar constant; they stand at the start of the kernel, one for each number."""
+        """A scalar constant; they stand at the start of the kernel, one for each number.
+
+        Raises:
+            TaiTypeError: a whole number that does not fit the type.
+        """
         if dt.is_float:
             number = float(number) if dt.bits == 64 else float(dt.numpy.type(number))
         elif dt.is_bool:
             number = bool(number)
         else:
-            number = int(number)
+            number = _numbers.fit(number, dt)
         handle = self._constant(self.type_of(dt), (dt.mlir, ()), number)
         return Value(self, handle, dt, const=number)
 
@@ -143,14 +153,7 @@ class Emitter:
         if isinstance(thing, Value):
             return thing
         if isinstance(thing, (bool, int, float, np.generic)):
-            if dt is None:
-                dt = dtype_of(thing)
-                if dt.is_int and not dt.min <= thing <= dt.max:
-                    raise TaiTypeError(
-                        f"the whole number {thing} does not fit {dt}",
-                        f"name a wider type: ti.i64({thing}), or ti.init(default_ip=ti.i64)",
-                    )
-            return self.constant(thing, dt)
+            return self.constant(thing, dtype_of(thing) if dt is None else dt)
         if getattr(thing, "is_matrix", False):
             array = thing.to_numpy()
             found = dtypes.to_dtype(array.dtype)
@@ -168,7 +171,7 @@ class Emitter:
         if isinstance(rows, np.ndarray):
             rows = rows.tolist()
         if not isinstance(rows, (list, tuple)) or not rows:
-            raise TaiTypeError(f"a matrix is made of a list of numbers, but got {_name(rows)}")
+            raise TaiTypeError(f"a matrix is made of a list of numbers, but got {name_of(rows)}")
         parts: list[Any] = []
         widths = set()
         for row in rows:
@@ -196,7 +199,16 @@ class Emitter:
                 raise TaiTypeError("a vector is made of numbers, but got rows", "use ti.Matrix")
             width = None
         shape = (len(rows),) if width is None else (len(rows), width)
-        values = [self.as_value(part) for part in parts]
+        if dt is not None:
+            named = self.to_dtype(dt)
+            parts = [_numbers.convert(p, named) if isinstance(p, (bool, int, float)) else p
+                     for p in parts]  # fmt: skip
+        values = [
+            self.constant(part, named)
+            if dt is not None and isinstance(part, (bool, int, float))
+            else self.as_value(part)
+            for part in parts
+        ]
         for value in values:
             if value.shape:
                 raise TaiTypeError(f"a component must be a number, but got a {value.kind_name}")
@@ -332,7 +344,7 @@ class Emitter:
                         "convert it: int(…)",
                     )
             elif not isinstance(k, (int, np.integer)) or isinstance(k, bool):
-                raise TaiTypeError(f"an index must be a whole number, but got {_name(k)}")
+                raise TaiTypeError(f"an index must be a whole number, but got {name_of(k)}")
             if not isinstance(k, Value) and not 0 <= k < extent:
                 raise TaiIndexError(
                     f"index {k} is out of range: a {matrix.kind_name} has {extent} "
@@ -382,10 +394,10 @@ class Emitter:
         number = (bool, int, float, np.generic)
         if weak_a and isinstance(a, number) and not weak_b:
             dt = promote(dtype_of(a), b.dt)
-            return self.constant(a, dt), b, dt
+            return self._operand(a, dt), b, dt
         if weak_b and isinstance(b, number) and not weak_a:
             dt = promote(a.dt, dtype_of(b))
-            return a, self.constant(b, dt), dt
+            return a, self._operand(b, dt), dt
         a, b = self.as_value(a), self.as_value(b)
         return a, b, promote(a.dt, b.dt)
 
@@ -413,8 +425,8 @@ class Emitter:
                 return self.constant(number != 0, dt)
             if dt.is_float:
                 return self.constant(number, dt)
-            if math.isfinite(number) and dt.min <= int(number) <= dt.max:
-                return self.constant(int(number), dt)
+            if source.is_float or dt.min <= number <= dt.max:
+                return self.constant(_numbers.fit(number, dt), dt)
         if value.shape and not value.dt.is_float and value.elements is not None:
             cast = [self.cast(v, dt) for v in value.elements]
             return self.matrix(cast, dt, value.shape)
@@ -497,7 +509,7 @@ class Emitter:
         if name == "invert":
             if x.dt.is_float:
                 raise TaiTypeError(f"'~' takes whole numbers, but got {x.kind_name}")
-            ones = self.constant(True if x.dt.is_bool else -1, x.dt)
+            ones = self.constant(x.dt.max if x.dt.kind == "u" else -1, x.dt)
             return self.binary("^", x, Value(self, ones.handle, x.dt))
         if name == "not":
             if x.dt.is_float:
@@ -524,6 +536,8 @@ class Emitter:
         if dt.is_bool and op not in "&|^" and op not in ("max", "min"):
             dt = _state.options.default_ip
         is_constant = a.const is not None, b.const is not None
+        if op in ("<<", ">>") and not dt.is_float:
+            self.check_shift(op, a, b, dt)
         a, b = self.unify(a, b, dt)
         mixed = any(is_constant) and not all(is_constant)
         if op in _TIES and dt.is_float and mixed and _state.options.ad_ties == "second":
@@ -541,6 +555,8 @@ class Emitter:
             number = _PYTHON[op](a.const, b.const)
             if dt.min <= number <= dt.max:
                 return self.constant(number, dt)
+        if op in ("<<", ">>"):
+            return self.shift(op, name, a, b)
         made = self._elementwise(name, [a, b], dt)
         if dt.kind == "i" and not a.shape and op in ("+", "-", "*"):
             known = a.index is not None or b.index is not None
@@ -603,7 +619,7 @@ class Emitter:
                 return self.unary("sqrt", a)
         a, b, dt = self.operands(a, b)
         if not dt.is_float:
-            return self._integer_power(*self.unify(a, b, dt))
+            return self.integer_power(a, b, dt)
         a, b = self.unify(a, b)
         return self._elementwise("math.powf", [a, b], a.dt)
 
@@ -628,43 +644,11 @@ class Emitter:
             return self.broadcast(self.constant(1, base.dt), base.shape)
         return result
 
-    def _integer_power(self, a: Value, b: Value) -> Any:
-        """Square and multiply over the bits of an exponent known only at run time."""
-        if a.shape:
-            pairs = zip(a.scalars(), b.scalars(), strict=True)
-            return self.matrix([self._integer_power(p, q) for p, q in pairs], a.dt, a.shape)
-        builder, type_ = self.builder, self.type_of(a.dt)
-        one = self.constant(1, a.dt)
-        if a.dt.kind == "i":
-            message = builder.string("a whole number is raised to the negative power {}")
-            builder.op(
-                "tai.assert", [self.compare(">=", b, 0).handle, b.handle], [], {"message": message}
-            )
-        before, after = builder.region(), builder.region()
-        outer = builder.get_block()
-        head = builder.block(before, [type_] * 3)
-        builder.set_block(head)
-        carried = [head.argument(i) for i in range(3)]
-        more = self.compare(">", Value(self, carried[2], a.dt), 0)
-        self._op("scf.condition", [more.handle, *carried])
-        body = builder.block(after, [type_] * 3)
-        builder.set_block(body)
-        result, base, left = (Value(self, body.argument(i), a.dt) for i in range(3))
-        odd = self.compare("!=", self.binary("&", left, 1), 0)
-        result = self.select(odd, self.binary("*", result, base), result)
-        base = self.binary("*", base, base)
-        left = self._elementwise("arith.shrsi", [left, one], a.dt)
-        self._op("scf.yield", [result.handle, base.handle, left.handle])
-        builder.set_block(outer)
-        made = self._op(
-            "scf.while", [one.handle, a.handle, b.handle], [type_] * 3, None, [before, after]
-        )
-        return Value(self, made[0], a.dt)
-
     def compare(self, op: str, a: Any, b: Any) -> Any:
         if not isinstance(a, Value) and not isinstance(b, Value):
             return {"==": operator.eq, "!=": operator.ne, "<": operator.lt, "<=": operator.le,
                     ">": operator.gt, ">=": operator.ge}[op](a, b)  # fmt: skip
+        self.check_signs(op, a, b)
         a, b = self.unify(a, b)
         dt = a.dt
         if a.shape and not dt.is_float and (a.elements or b.elements):
@@ -759,38 +743,3 @@ def _cast_op(source: DataType, dt: DataType) -> str | None:
     if dt.bits < source.bits:
         return "arith.trunci"
     return "arith.extsi" if source.kind == "i" else "arith.extui"
-
-
-def _name(thing: Any) -> str:
-    if isinstance(thing, Value):
-        return f"a {thing.kind_name}"
-    return f"'{thing}'" if isinstance(thing, str) else type(thing).__name__
-
-
-def describe_misuse(thing: Any) -> str:
-    """Why `thing` is no number."""
-    from ..fields import Field
-
-    if isinstance(thing, Field):
-        return f"field '{thing.name}' stands where a number is needed"
-    if thing is None:
-        return "None stands where a number is needed"
-    if callable(thing):
-        name = getattr(thing, "__name__", type(thing).__name__)
-        return f"function '{name}' stands where a number is needed"
-    return f"{_name(thing)} stands where a number is needed"
-
-
-def misuse_hint(thing: Any) -> str | None:
-    from ..fields import Field
-
-    if isinstance(thing, Field):
-        indices = (
-            "None"
-            if thing.snode is None or not thing.shape
-            else ", ".join("ijklmnop"[: len(thing.shape)])
-        )
-        return f"read an element: {thing.name}[{indices}]"
-    if callable(thing):
-        return "call it: add parentheses"
-    return None
