@@ -185,7 +185,7 @@ def test_values_are_no_text_of_python():
 
     @ti.kernel
     def percent(n: ti.i32):
-        print("%d" % n)
+        print("%d" % n)  # noqa: UP031
 
     @ti.kernel
     def joined(n: ti.i32):
