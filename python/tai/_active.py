@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from . import _numbers
+
 
 def active_elements(field: Any) -> np.ndarray | None:
     """The indices of the elements in active cells, one row for each; None if all are."""
@@ -32,7 +34,9 @@ def fill_component(field: Any, component: int, value: Any) -> bool:
         return False
     values = np.empty((len(at), *field.element_shape), field.dtype.numpy)
     field.core.read_elements(at, values)
-    values.reshape(len(at), -1)[:, component] = value
+    values.reshape(len(at), -1)[:, component] = _numbers.stored(
+        value, field.dtype, f"field '{field.name}'"
+    )
     field.core.write_elements(at, values)
     return True
 
@@ -44,7 +48,8 @@ def fill_matrices(field: Any, value: Any) -> None:
     if values.ndim == 0 and single is not None:
         single.fill(values.item())
         return
-    whole = np.broadcast_to(values, field.element_shape).astype(field.dtype.numpy)
+    values = _numbers.stored_array(values, field.dtype, f"field '{field.name}'")
+    whole = np.broadcast_to(values, field.element_shape)
     if single is None:
         for component, number in zip(field.components, whole.ravel().tolist(), strict=True):
             component.fill(number)

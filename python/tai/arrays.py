@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _ad_values, _copies, dtypes
+from . import _ad_values, _copies, _numbers, dtypes
 from .errors import TaiRuntimeError, TaiRuntimeTypeError
 
 
@@ -73,7 +73,7 @@ class Ndarray:
 
     def __setitem__(self, key: Any, value: Any) -> None:
         self._refuse_in_tape()
-        self.array[() if key is None else key] = np.asarray(value)
+        self.array[() if key is None else key] = self._stored(value)
 
     def to_numpy(self) -> np.ndarray:
         return self.array.copy()
@@ -85,11 +85,18 @@ class Ndarray:
                 f"expects an array of shape {self.array.shape}, but got {array.shape}"
             )
         self._refuse_in_tape()
-        self.array[...] = array
+        self.array[...] = self._stored(array)
 
     def fill(self, value: Any) -> None:
         self._refuse_in_tape()
-        self.array[...] = value
+        self.array[...] = self._stored(value)
+
+    def _stored(self, value: Any) -> Any:
+        """Numbers from Python in the type of the array."""
+        if np.ndim(value) == 0 and hasattr(value, "__float__"):
+            value = value.item() if hasattr(value, "item") else value
+            return _numbers.stored(value, self.dtype, "the array")
+        return _numbers.stored_array(np.asarray(value), self.dtype, "the array")
 
     def copy_from(self, other: Any) -> None:
         """Copies an array or a field of the same shape; tapes and forward mode follow it."""

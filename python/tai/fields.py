@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _active, _copies, _state, dtypes
+from . import _active, _copies, _numbers, _state, dtypes
 from ._shapes import to_order, to_shape
 from ._shareable import Shareable
 from .errors import TaiAutodiffError, TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
@@ -150,7 +150,8 @@ class Field(Shareable):
             raise TaiRuntimeTypeError(
                 f"field '{self.name}' expects an array of shape {wanted}, but got {array.shape}"
             )
-        return np.ascontiguousarray(array, dtype=self.dtype.numpy)
+        array = _numbers.stored_array(array, self.dtype, f"field '{self.name}'")
+        return np.ascontiguousarray(array)
 
     def copy_from(self, other: Field) -> None:
         """Copies all elements of a field of the same shape; tapes and forward mode follow it."""
@@ -368,6 +369,8 @@ class ScalarField(Field):
                     f"field '{self.name}' holds numbers of type {self.dtype}, not {value!r}"
                 )
             value = value.item() if hasattr(value, "item") else float(value)
+        if not self.dtype.is_float:
+            value = _numbers.stored(value, self.dtype, f"field '{self.name}'")
         try:
             self.core.set(_index_tuple(key), component, value)
         except IndexError as error:
@@ -393,7 +396,9 @@ class ScalarField(Field):
         self.core.copy_from(self._check_array(array))
 
     def fill(self, value: Any) -> None:
-        self.core.fill(float(value) if self.dtype.is_float else int(value))
+        what = f"field '{self.name}'"
+        stored = float(value) if self.dtype.is_float else value
+        self.core.fill(_numbers.stored(stored, self.dtype, what))
 
 
 class ComponentField(ScalarField):
@@ -634,6 +639,9 @@ class MatrixField(Field):
             )
         at = _index_tuple(key)
         numbers = values.ravel().tolist()
+        if not self.dtype.is_float:
+            what = f"field '{self.name}'"
+            numbers = [_numbers.stored(number, self.dtype, what) for number in numbers]
         if self._single is None:
             for component, number in zip(self.components, numbers, strict=True):
                 component[at] = number

@@ -12,18 +12,18 @@ from . import _ad_cells, _ad_values, _core, _interop, _state, _templates, dtypes
 from ._ad_arguments import adjoint_slots, as_array, check_arrays, find_alias
 from ._ad_arrays import HeldArray, check_overlaps, is_same_array
 from ._bound_kernel import BoundKernel
+from ._signatures import FunctionInfo, Parameter, check_annotations, names_of, parse_signature
 from .arrays import Ndarray
 from .errors import (
     SHOW_TRACEBACK,
     TaiAutodiffError,
-    TaiCompilationError,
     TaiError,
     TaiRuntimeTypeError,
     TaiSyntaxError,
     TaiTypeError,
 )
 from .program import get_program, name_fields
-from .types import MatrixType, NdarrayType, ScalarType, template
+from .types import MatrixType, NdarrayType, ScalarType
 
 _core.set_tracked_type(_ad_values.Number)
 _core.set_ndarray_type(Ndarray)
@@ -133,6 +133,7 @@ class Specialization:
     """A kernel compiled for some kinds of arguments.
 
     Attributes:
+        has_gradients: whether something that it uses has a gradient.
         reads: what the code depends on besides the arguments; see `_templates.Reads`.
     """
 
@@ -140,6 +141,7 @@ class Specialization:
         self, core: Any, specs: list[ArgumentSpec], result: ResultSpec | None, reads: list[tuple]
     ):
         self.core, self.specs, self.reads = core, specs, reads
+        self.has_gradients = True
         # Whether the launcher in C++ knows it, for `grad` false and true.
         self.registered: set[bool] = set()
         self.result = () if result is None else result.description()
@@ -169,16 +171,6 @@ class Specialization:
         number = self.specs.index(spec)
         same = [other for other in self.specs if other is spec or other.alias == number]
         return any(s.is_read for s in same), any(s.is_written for s in same)
-
-
-class Parameter:
-    """A parameter of a kernel, as it is annotated."""
-
-    __slots__ = ("default", "has_default", "name", "type")
-
-    def __init__(self, name: str, type_: Any, has_default: bool, default: Any):
-        self.name, self.type = name, type_
-        self.has_default, self.default = has_default, default
 
 
 class Kernel(_core.Launcher):
@@ -232,6 +224,12 @@ class Kernel(_core.Launcher):
         values = self._bind(args, kwargs)
         tracks = grad or _state.tape is not None
         found = self._specialize(values, tracks)
+        if grad and not found.has_gradients:
+            raise TaiAutodiffError(
+                f"kernel '{self.__name__}' has no gradient: nothing that it uses has one",
+                "make the fields with needs_grad=True, or call ti.root.lazy_grad() after placing "
+                "them",
+            )
         slots, kept = self._pack(found, values, tracks)
         if tracks:
             check_arrays(self.__name__, self._get_parameters(), found, values)
@@ -518,6 +516,7 @@ class Kernel(_core.Launcher):
         core = compiler.compile()
         found = Specialization(core, specs, self._result, compiler.reads.all())
         found.followed, found.result_pool = [number for number, _ in followed], pool
+        found.has_gradients = compiler.has_gradients
         return found
 
     def mlir(self, *args: Any, stage: str = "tai") -> str:
@@ -575,174 +574,6 @@ class GradientKernel(_core.Launcher):
             raise error if SHOW_TRACEBACK else error.with_traceback(None)  # noqa: B904
 
 
-# Signatures
-
-
-def _names(function: Callable[..., Any]) -> list[str]:
-    code = function.__code__
-    return list(code.co_varnames[: code.co_argcount + code.co_kwonlyargcount])
-
-
-def _located(error: TaiCompilationError, function: Callable[..., Any]) -> TaiCompilationError:
-    """Places an error at the `def` line of a function."""
-    code = function.__code__
-    line = code.co_firstlineno
-    try:
-        from ._frontend.source import function_ast
-
-        node = function_ast(function)
-        error.locate(code.co_filename, node.lineno, node.col_offset + 1)
-    except TaiSyntaxError:
-        error.locate(code.co_filename, line, 1)
-    return error
-
-
-def check_annotations(function: Callable[..., Any], is_method: bool) -> None:
-    """Refuses parameters of a kernel without a type."""
-    code = function.__code__
-    if code.co_flags & 0x0C:
-        raise _located(
-            TaiSyntaxError(f"kernel '{function.__name__}' cannot have *args or **kwargs"), function
-        )
-    for name in _names(function)[1 if is_method else 0 :]:
-        if name not in function.__annotations__:
-            raise _located(
-                TaiSyntaxError(
-                    f"parameter '{name}' of kernel '{function.__name__}' has no type",
-                    f"annotate it: {name}: ti.f32, {name}: ti.template(), …",
-                ),
-                function,
-            )
-
-
-def _resolve(annotation: Any, function: Callable[..., Any]) -> Any:
-    """An annotation as an object; `from __future__ import annotations` leaves text."""
-    if not isinstance(annotation, str):
-        return annotation
-    from ._frontend.source import closure_of
-
-    try:
-        return eval(annotation, function.__globals__, closure_of(function))
-    except Exception as error:
-        raise _located(
-            TaiSyntaxError(f"the annotation '{annotation}' has no meaning: {error}"), function
-        ) from error
-
-
-def _is_template(annotation: Any) -> bool:
-    return annotation is template or isinstance(annotation, template)
-
-
-def parse_type(annotation: Any, function: Callable[..., Any], what: str) -> Any:
-    """The type that an annotation of a parameter or result names."""
-    annotation = _resolve(annotation, function)
-    if _is_template(annotation):
-        return template()
-    if annotation is NdarrayType:
-        return NdarrayType()
-    if isinstance(annotation, (NdarrayType, MatrixType)):
-        return annotation
-    if dtypes.to_dtype(annotation) is not None:
-        return ScalarType(annotation)
-    raise _located(
-        TaiSyntaxError(
-            f"{what} of '{function.__name__}' has a type that kernels do not know: {annotation!r}",
-            "use a number type, ti.template(), ti.types.ndarray() or ti.types.vector(…)",
-        ),
-        function,
-    )
-
-
-def parse_signature(
-    function: Callable[..., Any], is_method: bool
-) -> tuple[list[Parameter], ScalarType | MatrixType | None]:
-    """The parameters of a kernel and the type of its result."""
-    defaults = dict(zip(reversed(_names(function)), reversed(function.__defaults__ or ()),
-                        strict=False))  # fmt: skip
-    parameters = []
-    for number, name in enumerate(_names(function)):
-        if number == 0 and is_method and name not in function.__annotations__:
-            type_: Any = template()
-        else:
-            type_ = parse_type(function.__annotations__[name], function, f"parameter '{name}'")
-        parameters.append(Parameter(name, type_, name in defaults, defaults.get(name)))
-    annotation = function.__annotations__.get("return")
-    if annotation is None or _resolve(annotation, function) is None:
-        return parameters, None
-    result = parse_type(annotation, function, "the result")
-    if not isinstance(result, (ScalarType, MatrixType)) or result.dtype.name == "f16":
-        raise _located(
-            TaiSyntaxError(
-                f"kernel '{function.__name__}' cannot return {annotation!r}",
-                "return a number, a vector or a matrix",
-            ),
-            function,
-        )
-    if int(np.prod(result.shape, dtype=int)) > 16:
-        raise _located(TaiSyntaxError("a kernel returns at most 16 numbers"), function)
-    return parameters, result
-
-
-class FunctionInfo:
-    """What the compiler needs of a `ti.func`."""
-
-    def __init__(self, function: Callable[..., Any]):
-        self.function, self.name = function, function.__name__
-        self.names = _names(function)
-        self._kinds: dict[str, Any] | None = None
-        self._defaults = dict(
-            zip(reversed(self.names), reversed(function.__defaults__ or ()), strict=False)
-        )
-
-    @property
-    def kinds(self) -> dict[str, Any]:
-        """For each parameter `"template"`, a type with `convert`, or None."""
-        if self._kinds is None:
-            self._kinds = {}
-            for name in self.names:
-                annotation = self.function.__annotations__.get(name)
-                if annotation is None:
-                    self._kinds[name] = None
-                    continue
-                type_ = parse_type(annotation, self.function, f"parameter '{name}'")
-                if isinstance(type_, template):
-                    self._kinds[name] = "template"
-                else:
-                    self._kinds[name] = None if isinstance(type_, NdarrayType) else type_
-        return self._kinds
-
-    @property
-    def has_templates(self) -> bool:
-        return "template" in self.kinds.values()
-
-    @property
-    def result_type(self) -> Any:
-        annotation = self.function.__annotations__.get("return")
-        if annotation is None or _resolve(annotation, self.function) is None:
-            return None
-        type_ = parse_type(annotation, self.function, "the result")
-        return type_ if isinstance(type_, (ScalarType, MatrixType)) else None
-
-    def bind(self, args: list, kwargs: dict) -> dict[str, Any]:
-        """The value of each parameter."""
-        if len(args) > len(self.names):
-            raise TaiTypeError(
-                f"function '{self.name}' takes {len(self.names)} arguments, but got {len(args)}"
-            )
-        bound = dict(zip(self.names, args, strict=False))
-        for name, value in kwargs.items():
-            if name not in self.names or name in bound:
-                problem = "gets two values for" if name in bound else "has no"
-                raise TaiTypeError(f"function '{self.name}' {problem} parameter '{name}'")
-            bound[name] = value
-        for name in self.names:
-            if name not in bound:
-                if name not in self._defaults:
-                    raise TaiTypeError(f"function '{self.name}' needs an argument '{name}'")
-                bound[name] = self._defaults[name]
-        return bound
-
-
 def _is_in_class(function: Callable[..., Any]) -> bool:
     parts = function.__qualname__.split(".")
     return len(parts) > 1 and parts[-2] != "<locals>"
@@ -754,7 +585,7 @@ def kernel(function: Callable[..., Any]) -> Kernel:
         raise TaiSyntaxError("put @staticmethod above @ti.kernel")
     if not hasattr(function, "__code__"):
         raise TaiTypeError(f"@ti.kernel takes a function, but got {function!r}")
-    return Kernel(function, _is_in_class(function) and "self" in _names(function)[:1])
+    return Kernel(function, _is_in_class(function) and "self" in names_of(function)[:1])
 
 
 def func(function: Callable[..., Any], is_real_function: bool = False) -> Callable[..., Any]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _state, dtypes
+from . import _numbers, _state, dtypes
 from .errors import TaiRuntimeTypeError, TaiTypeError
 
 SWIZZLE_SETS = ("xyzw", "rgba", "stpq")
@@ -50,10 +50,10 @@ class Matrix:
             resolved = dtypes.to_dtype(wanted)
             if resolved is None:
                 raise TaiRuntimeTypeError(f"{wanted!r} is not a type of numbers")
-            array = array.astype(resolved.numpy)
+            array = _converted(array, resolved)
         elif array.dtype == np.float64 or array.dtype == np.int64:
             kind = "default_fp" if array.dtype.kind == "f" else "default_ip"
-            array = array.astype(getattr(_state.options, kind).numpy)
+            array = _converted(array, getattr(_state.options, kind))
         if array.ndim not in (1, 2):
             raise TaiRuntimeTypeError(
                 f"a matrix has one or two dimensions, but got {array.ndim}: {arr!r}"
@@ -270,7 +270,7 @@ class Matrix:
 
     def cast(self, dtype: Any) -> Any:
         """The matrix in another type."""
-        return Matrix._wrap(self._array.astype(dtypes.to_dtype(dtype).numpy))
+        return Matrix._wrap(_converted(self._array, dtypes.to_dtype(dtype)))
 
     def fill(self, value: Any) -> None:
         self._array[...] = value
@@ -446,6 +446,14 @@ def _to_array(arr: Any) -> np.ndarray:
     if array.dtype == object or array.dtype.kind not in "biuf":
         raise TaiRuntimeTypeError(f"a matrix is made of numbers, but got {arr!r}")
     return array
+
+
+def _converted(array: np.ndarray, dt: Any) -> np.ndarray:
+    """The numbers in a type that was named, as `ti.cast` has them."""
+    if array.dtype.kind in "iuf" and dt.is_int and not np.can_cast(array.dtype, dt.numpy):
+        numbers = [_numbers.convert(x, dt) for x in array.ravel().tolist()]
+        return np.array(numbers, dt.numpy).reshape(array.shape)
+    return array.astype(dt.numpy)
 
 
 def _plain(value: Any) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _state, dtypes
+from . import _numbers, _state, dtypes
 from .errors import TaiSyntaxError, TaiTypeError
 from .matrix import Matrix
 
@@ -165,16 +165,14 @@ def cast(x: Any, dtype: Any) -> Any:
             return emitter.cast(emitter.as_value(x), target)
         if isinstance(x, (bool, int, float, np.generic)):
             number = x.item() if isinstance(x, np.generic) else x
-            if target.is_int and isinstance(number, float):
-                number = int(number)
-            return emitter.constant(number, target)
+            return emitter.constant(_numbers.convert(number, target), target)
         return emitter.cast(emitter.as_value(x), target)
     resolved = dtypes.to_dtype(dtype)
     if resolved is None:
         raise TaiTypeError(f"{dtype!r} is not a type of numbers")
     if isinstance(x, Matrix):
         return x.cast(resolved)
-    return np.asarray(x).astype(resolved.numpy).item()
+    return _numbers.convert(x.item() if hasattr(x, "item") else x, resolved)
 
 
 def bit_cast(x: Any, dtype: Any) -> Any:

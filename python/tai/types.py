@@ -110,10 +110,10 @@ class ScalarType:
 
     def convert(self, emitter: Any, value: Any) -> Any:
         """A value of a kernel in this type."""
+        emitter.check_fraction(value, self.dtype, f"a result or parameter of type {self.dtype}")
         if not hasattr(value, "emit_operand"):
             if isinstance(value, (bool, int, float)):
-                dt = self.dtype
-                return emitter.constant(value if not dt.is_int else int(value), dt)
+                return emitter.constant(value, self.dtype)
             value = emitter.as_value(value)
         if value.shape:
             raise TaiTypeError(

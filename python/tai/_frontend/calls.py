@@ -16,10 +16,12 @@ from ..errors import TaiSyntaxError, TaiTypeError
 from ..fields import Field
 from ..matrix import Matrix
 from .block_sizes import check_block_dim
-from .expressions import FormattedText
+from .checks import holds_value
+from .printing import formatted, formatted_by
 from .refs import Place, Variable
 from .scope import Bound, Frame
 from .source import function_ast
+from .statements import refuse_truth_arithmetic
 from .structs import StructValue, StructVariable
 from .value import Value
 
@@ -114,7 +116,7 @@ class Calls:
         function = self.callee(node.func)
         if function is ops.static:
             argument = self.static_argument(node)
-            value = self.visit(argument)
+            value = self.visit_static(argument)
             if isinstance(value, Value):
                 raise TaiTypeError(
                     "ti.static needs what is known at compile time, but "
@@ -145,6 +147,14 @@ class Calls:
             found.append(self.visit(arm))
             self.emitter.arms.pop()
         return found
+
+    def visit_static(self, node: ast.expr) -> Any:
+        """The argument of `ti.static(…)`: what is evaluated once, and meant to be."""
+        self.in_static += 1
+        try:
+            return self.visit(node)
+        finally:
+            self.in_static -= 1
 
     def callee(self, node: ast.expr) -> Any:
         if isinstance(node, (ast.Name, ast.Attribute, ast.Subscript)):
@@ -177,7 +187,9 @@ class Calls:
             )
         if isinstance(function, Value) or not callable(function):
             raise TaiTypeError(f"'{ast.unparse(node.func)}' is not a function")
-        dynamic = any(_contains_value(a) for a in (*args, *kwargs.values()))
+        dynamic = any(holds_value(a) for a in (*args, *kwargs.values()))
+        if dynamic and isinstance(getattr(function, "__self__", None), str):
+            return self.text_method(function, args, kwargs)
         if _is_hashable(function):
             if function in _LEVEL_CALLS or function is ops.get_addr:
                 if kwargs:
@@ -191,6 +203,8 @@ class Calls:
                     )
                 if function in (int, float, bool):
                     return self.convert(function, args)
+                if function is str:
+                    return formatted(args[0])
                 if function is builtins.sum:
                     return self.fold("+", args)
                 if function in (builtins.any, builtins.all):
@@ -211,8 +225,20 @@ class Calls:
                 from .misuse import describe_misuse, misuse_hint
 
                 raise TaiTypeError(describe_misuse(argument), misuse_hint(argument))
+        self.check_python_call(function)
         self.reads.note_all(getattr(function, "__self__", None), *args, *kwargs.values())
-        return function(*args, **kwargs)
+        made = function(*args, **kwargs)
+        return self.remember(made) if isinstance(function, type) else made
+
+    def text_method(self, function: Any, args: list, kwargs: dict) -> Any:
+        """A method of a string that is given values of the kernel."""
+        if function.__name__ != "format":
+            raise TaiTypeError(
+                f"'{function.__name__}' cannot make text of what is known only when the kernel "
+                "runs",
+                'print it: print(f"… {x}")',
+            )
+        return formatted_by(function.__self__, args, kwargs)
 
     def convert(self, function: Any, args: list) -> Any:
         """`int(x)`, `float(x)`, `bool(x)`."""
@@ -256,46 +282,6 @@ class Calls:
                 value = check_block_dim(value, self.program.options)
             self.loop_options[keyword.arg] = value
 
-    def print(self, node: ast.Call) -> None:
-        separator, text, values = " ", "", []
-        for keyword in node.keywords:
-            value = self.visit(keyword.value)
-            if keyword.arg == "sep" and isinstance(value, str):
-                separator = value
-            elif keyword.arg == "end" and isinstance(value, str):
-                if not value.endswith("\n"):
-                    raise TaiSyntaxError(
-                        "print in a kernel ends the line", "drop end=, or print once"
-                    )
-                text = value[:-1]
-            elif keyword.arg not in ("flush",):
-                raise TaiTypeError(f"print in a kernel has no option '{keyword.arg}'")
-        end, pieces = text, []
-        for item in self.items(node.args):
-            if isinstance(item, FormattedText):
-                pieces.append(item.text)
-                values += item.values
-            elif isinstance(item, Value) and len(item.shape) == 2:
-                row = "[" + ", ".join(["{}"] * item.shape[1]) + "]"
-                pieces.append("[" + ", ".join([row] * item.shape[0]) + "]")
-                values += item.scalars()
-            elif isinstance(item, Value):
-                pieces.append("{}")
-                values.append(item)
-            elif isinstance(item, (tuple, list)) and _contains_value(item):
-                parts = [self.emitter.as_value(i) for i in item]
-                pieces.append("(" + ", ".join("{}" for _ in parts) + ")")
-                values += parts
-            else:
-                pieces.append(str(item))
-        self.at(node)
-        self.builder.op(
-            "tai.print",
-            [self.printable(v).handle for v in values],
-            [],
-            {"format": self.builder.string(separator.join(pieces) + end)},
-        )
-
     def atomic(self, node: ast.Call, op: str) -> Any:
         if len(node.args) != 2 or node.keywords:
             raise TaiTypeError("an atomic operation takes a place and a value")
@@ -309,6 +295,9 @@ class Calls:
             )
         if place.dt.is_float and op in "&|^":
             raise TaiTypeError(f"the target holds {place.dt}, and this takes whole numbers")
+        refuse_truth_arithmetic(op, place.dt)
+        if place.dt.is_bool:
+            op = {"min": "&", "max": "|"}.get(op, op)
         return place.atomic(op, place.convert(value))
 
     # Inlining
@@ -359,12 +348,6 @@ class Calls:
         ):
             return Variable(name, self.emitter.as_value(value))
         return Bound(value)
-
-
-def _contains_value(thing: Any) -> bool:
-    if isinstance(thing, (tuple, list)):
-        return any(_contains_value(t) for t in thing)
-    return isinstance(thing, Value)
 
 
 def _is_hashable(thing: Any) -> bool:

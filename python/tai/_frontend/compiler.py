@@ -17,9 +17,11 @@ from ..errors import (
     TaiTypeError,
 )
 from .calls import Calls
+from .checks import Checks
 from .emitter import Emitter
 from .expressions import Expressions
 from .loops import Loops
+from .printing import Printing
 from .refs import ArrayArgument, FieldElement, Variable
 from .returns import Returns
 from .scope import Bound, Frame
@@ -28,7 +30,7 @@ from .sparse import Sparse
 from .statements import Statements, StaticBreak, StaticContinue
 
 
-class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse):
+class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse, Checks, Printing):
     """Compiles one specialisation of one kernel.
 
     Args:
@@ -62,6 +64,7 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse):
         self.builder = _core.Builder(program.context, self.frame.filename)
         self.emitter = Emitter(self.builder)
         self.emitter.call = self.call_from_python
+        self.emitter.warn_of_fraction = self.warn_of_fraction
         self.depth = 0
         self.is_dead = False
         # The depth at which loops run in parallel, and what is known of inlined functions.
@@ -69,6 +72,7 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse):
         self.return_forms: dict[tuple, Any] = {}
         self.loop_options: dict[str, Any] = {}
         self.reads = Reads([s.constant for _, s in parameters if s.kind == "template"])
+        self.prepare_checks()
         # Whether of the attribute that is evaluated next no more than its form is wanted.
         self.form_only = False
         self._methods: dict[type, Callable[[Any], Any]] = {}
@@ -150,6 +154,15 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse):
                 **self.conventions(),
             },
             [region],
+        )
+
+    @property
+    def has_gradients(self) -> bool:
+        """Whether something that the kernel uses has a gradient."""
+        fields = (f for f in self.emitter.fields if f.dtype.is_float)
+        placed = (f._companions.get("grad") for f in fields)
+        return any(spec.has_gradient for _, spec in self.parameters) or any(
+            grad is not None and grad.level is not None for grad in placed
         )
 
     def differentiated(self, positions: list[int]) -> dict[str, Any]:

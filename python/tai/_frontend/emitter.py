@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from .. import _state, dtypes
+from .. import _numbers, _state, dtypes
 from ..dtypes import DataType, computed_in, dtype_of, i32, promote, u1
 from ..errors import TaiCompilationError, TaiIndexError, TaiTypeError
 from .compile_time import PYTHON, compute
 from .division import check_division
 from .domains import check_domain, check_power
+from .integers import Integers
 from .misuse import describe_misuse, misuse_hint, name_of
 from .value import MatrixValue, Value
 
@@ -59,7 +60,7 @@ _MATH = {
 _MAX_SELECTS = 16
 
 
-class Emitter:
+class Emitter(Integers):
     """Emits operations at the insertion point of a builder.
 
     Args:
@@ -70,11 +71,15 @@ class Emitter:
         self.builder = builder
         # The compiler's way to call a function that Python code calls while it compiles.
         self.call: Any = None
+        # Says that a float is stored in a whole number.
+        self.warn_of_fraction: Any = None
         self.entry: Any = None
         self._types: dict[tuple, Any] = {}
         self._constants: dict[tuple, Any] = {}
         self.index_type = builder.type("index")
         self.num_random = 0
+        # The fields that the kernel reads or writes.
+        self.fields: set[Any] = set()
         # The places whose loads are constants to gradients, by identity.
         self.stopped: set[int] = set()
         # The arms of selects that are being emitted: conditions, and which way they must go.
@@ -107,13 +112,17 @@ class Emitter:
         return Value(self, handle, dt)
 
     def constant(self, number: Any, dt: DataType) -> Value:
-        """A scalar constant; they stand at the start of the kernel, one for each number."""
+        """A scalar constant; they stand at the start of the kernel, one for each number.
+
+        Raises:
+            TaiTypeError: a whole number that does not fit the type.
+        """
         if dt.is_float:
             number = float(number) if dt.bits == 64 else float(dt.numpy.type(number))
         elif dt.is_bool:
             number = bool(number)
         else:
-            number = int(number)
+            number = _numbers.fit(number, dt)
         handle = self._constant(self.type_of(dt), (dt.mlir, ()), number)
         return Value(self, handle, dt, const=number)
 
@@ -143,14 +152,7 @@ class Emitter:
         if isinstance(thing, Value):
             return thing
         if isinstance(thing, (bool, int, float, np.generic)):
-            if dt is None:
-                dt = dtype_of(thing)
-                if dt.is_int and not dt.min <= thing <= dt.max:
-                    raise TaiTypeError(
-                        f"the whole number {thing} does not fit {dt}",
-                        f"name a wider type: ti.i64({thing}), or ti.init(default_ip=ti.i64)",
-                    )
-            return self.constant(thing, dt)
+            return self.constant(thing, dtype_of(thing) if dt is None else dt)
         if getattr(thing, "is_matrix", False):
             array = thing.to_numpy()
             found = dtypes.to_dtype(array.dtype)
@@ -196,7 +198,16 @@ class Emitter:
                 raise TaiTypeError("a vector is made of numbers, but got rows", "use ti.Matrix")
             width = None
         shape = (len(rows),) if width is None else (len(rows), width)
-        values = [self.as_value(part) for part in parts]
+        if dt is not None:
+            named = self.to_dtype(dt)
+            parts = [_numbers.convert(p, named) if isinstance(p, (bool, int, float)) else p
+                     for p in parts]  # fmt: skip
+        values = [
+            self.constant(part, named)
+            if dt is not None and isinstance(part, (bool, int, float))
+            else self.as_value(part)
+            for part in parts
+        ]
         for value in values:
             if value.shape:
                 raise TaiTypeError(f"a component must be a number, but got a {value.kind_name}")
@@ -382,10 +393,10 @@ class Emitter:
         number = (bool, int, float, np.generic)
         if weak_a and isinstance(a, number) and not weak_b:
             dt = computed_in(promote(dtype_of(a), b.dt))
-            return self.constant(a, dt), b, dt
+            return self._operand(a, dt), b, dt
         if weak_b and isinstance(b, number) and not weak_a:
             dt = computed_in(promote(a.dt, dtype_of(b)))
-            return a, self.constant(b, dt), dt
+            return a, self._operand(b, dt), dt
         a, b = self.as_value(a), self.as_value(b)
         return a, b, computed_in(promote(a.dt, b.dt))
 
@@ -413,8 +424,8 @@ class Emitter:
                 return self.constant(number != 0, dt)
             if dt.is_float:
                 return self.constant(number, dt)
-            if math.isfinite(number) and dt.min <= int(number) <= dt.max:
-                return self.constant(int(number), dt)
+            if source.is_float or dt.min <= number <= dt.max:
+                return self.constant(_numbers.fit(number, dt), dt)
         if value.shape and not value.dt.is_float and value.elements is not None:
             cast = [self.cast(v, dt) for v in value.elements]
             return self.matrix(cast, dt, value.shape)
@@ -503,7 +514,7 @@ class Emitter:
         if name == "invert":
             if x.dt.is_float:
                 raise TaiTypeError(f"'~' takes whole numbers, but got {x.kind_name}")
-            ones = self.constant(True if x.dt.is_bool else -1, x.dt)
+            ones = self.constant(x.dt.max if x.dt.kind == "u" else -1, x.dt)
             return self.binary("^", x, Value(self, ones.handle, x.dt))
         if name == "not":
             if x.dt.is_float:
@@ -530,6 +541,8 @@ class Emitter:
         if dt.is_bool and op not in "&|^" and op not in ("max", "min"):
             dt = _state.options.default_ip
         is_constant = a.const is not None, b.const is not None
+        if op in ("<<", ">>") and not dt.is_float:
+            self.check_shift(op, a, b, dt)
         a, b = self.unify(a, b, dt)
         ordered = _state.options.ad_ties == "second" and not all(is_constant)
         if op in _TIES and dt.is_float and ordered:
@@ -547,6 +560,8 @@ class Emitter:
             number = PYTHON[op](a.const, b.const)
             if dt.min <= number <= dt.max:
                 return self.constant(number, dt)
+        if op in ("<<", ">>"):
+            return self.shift(op, name, a, b)
         made = self._elementwise(name, [a, b], dt)
         if dt.kind == "i" and not a.shape and op in ("+", "-", "*"):
             known = a.index is not None or b.index is not None
@@ -617,7 +632,7 @@ class Emitter:
                 return self.unary("sqrt", a)
         a, b, dt = self.operands(a, b)
         if not dt.is_float:
-            return self._integer_power(*self.unify(a, b, dt))
+            return self.integer_power(a, b, dt)
         a, b = self.unify(a, b)
         check_power(self, a, b)
         return self._elementwise("math.powf", [a, b], a.dt)
@@ -643,43 +658,11 @@ class Emitter:
             return self.broadcast(self.constant(1, base.dt), base.shape)
         return result
 
-    def _integer_power(self, a: Value, b: Value) -> Any:
-        """Square and multiply over the bits of an exponent known only at run time."""
-        if a.shape:
-            pairs = zip(a.scalars(), b.scalars(), strict=True)
-            return self.matrix([self._integer_power(p, q) for p, q in pairs], a.dt, a.shape)
-        builder, type_ = self.builder, self.type_of(a.dt)
-        one = self.constant(1, a.dt)
-        if a.dt.kind == "i":
-            message = builder.string("a whole number is raised to the negative power {}")
-            builder.op(
-                "tai.assert", [self.compare(">=", b, 0).handle, b.handle], [], {"message": message}
-            )
-        before, after = builder.region(), builder.region()
-        outer = builder.get_block()
-        head = builder.block(before, [type_] * 3)
-        builder.set_block(head)
-        carried = [head.argument(i) for i in range(3)]
-        more = self.compare(">", Value(self, carried[2], a.dt), 0)
-        self._op("scf.condition", [more.handle, *carried])
-        body = builder.block(after, [type_] * 3)
-        builder.set_block(body)
-        result, base, left = (Value(self, body.argument(i), a.dt) for i in range(3))
-        odd = self.compare("!=", self.binary("&", left, 1), 0)
-        result = self.select(odd, self.binary("*", result, base), result)
-        base = self.binary("*", base, base)
-        left = self._elementwise("arith.shrsi", [left, one], a.dt)
-        self._op("scf.yield", [result.handle, base.handle, left.handle])
-        builder.set_block(outer)
-        made = self._op(
-            "scf.while", [one.handle, a.handle, b.handle], [type_] * 3, None, [before, after]
-        )
-        return Value(self, made[0], a.dt)
-
     def compare(self, op: str, a: Any, b: Any) -> Any:
         if not isinstance(a, Value) and not isinstance(b, Value):
             return {"==": operator.eq, "!=": operator.ne, "<": operator.lt, "<=": operator.le,
                     ">": operator.gt, ">=": operator.ge}[op](a, b)  # fmt: skip
+        self.check_signs(op, a, b)
         a, b = self.unify(a, b)
         dt = a.dt
         if a.shape and not dt.is_float and (a.elements or b.elements):

@@ -13,6 +13,7 @@ from ..errors import TaiAutodiffError, TaiNameError, TaiSyntaxError, TaiTypeErro
 from ..fields import Field
 from ..matrix import swizzle
 from ..structs import StructField
+from .checks import is_struct, refuse_condition
 from .misuse import describe_misuse, misuse_hint
 from .refs import ArrayArgument, Part, Place, Variable, VariablePlace, field_element
 from .sparse import list_element, list_method
@@ -159,7 +160,7 @@ class Expressions:
         return tuple(self.items(node.elts))
 
     def visit_List(self, node: ast.List) -> list:
-        return self.items(node.elts)
+        return self.remember(self.items(node.elts))
 
     def visit_Set(self, node: ast.Set) -> Any:
         raise TaiSyntaxError("kernels have no sets", "use a list")
@@ -171,7 +172,7 @@ class Expressions:
                 result.update(self.visit(value))
             else:
                 result[self.visit(key)] = self.visit(value)
-        return result
+        return self.remember(result)
 
     def items(self, nodes: list[ast.expr]) -> list:
         result: list[Any] = []
@@ -197,27 +198,6 @@ class Expressions:
         parts = (node.lower, node.upper, node.step)
         return slice(*(None if p is None else self.visit(p) for p in parts))
 
-    def visit_JoinedStr(self, node: ast.JoinedStr) -> Any:
-        """A string with values in it: a pair of format and values, or a plain string."""
-        text, values = "", []
-        for part in node.values:
-            if isinstance(part, ast.Constant):
-                text += part.value
-                continue
-            value = self.visit(part.value)
-            if isinstance(value, Value):
-                if part.format_spec is not None:
-                    raise TaiSyntaxError(
-                        "format specifications are not supported in kernels yet",
-                        "print the value without one",
-                    )
-                text += "{}"
-                values.append(value)
-            else:
-                spec = "" if part.format_spec is None else part.format_spec.values[0].value
-                text += format(value, spec)
-        return FormattedText(text, values) if values else text
-
     def comprehension(self, node: Any, make: Any) -> list:
         result: list[Any] = []
 
@@ -240,7 +220,7 @@ class Expressions:
         return result
 
     def visit_ListComp(self, node: ast.ListComp) -> list:
-        return self.comprehension(node, lambda: self.visit(node.elt))
+        return self.remember(self.comprehension(node, lambda: self.visit(node.elt)))
 
     visit_GeneratorExp = visit_ListComp
 
@@ -284,11 +264,13 @@ class Expressions:
         ):  # fmt: skip
             raise TaiTypeError(describe_misuse(thing), misuse_hint(thing))
         if isinstance(thing, str) and any(isinstance(o, Value) for o in operands):
-            raise TaiTypeError(describe_misuse(thing))
+            raise TaiTypeError(describe_misuse(thing), 'to print it: print(f"… {x}")')
 
     def visit_UnaryOp(self, node: ast.UnaryOp) -> Any:
         x = self.visit(node.operand)
         self.at(node)
+        if isinstance(node.op, ast.Not):
+            refuse_condition(x)
         self.refuse_non_number(x, (x,))
         if not isinstance(x, Value):
             functions = {ast.USub: operator.neg, ast.UAdd: operator.pos,
@@ -328,6 +310,8 @@ class Expressions:
             for item in items:
                 found = self.emitter.binary("|", found, self.emitter.compare("==", a, item))
             return found if isinstance(op, ast.In) else self.emitter.unary("not", found)
+        if is_struct(a) or is_struct(b):
+            raise TaiTypeError("structs are not compared as a whole", "compare their members")
         if isinstance(a, Value) or isinstance(b, Value):
             for side in (a, b):
                 self.refuse_non_number(side, (a, b))
@@ -341,6 +325,7 @@ class Expressions:
         result = self.visit(node.values[0])
         for right in node.values[1:]:
             if not isinstance(result, Value):
+                refuse_condition(result)
                 if bool(result) != is_and:
                     return result
                 result = self.visit(right)
@@ -383,7 +368,8 @@ class Expressions:
 
     def visit_IfExp(self, node: ast.IfExp) -> Any:
         static = self.static_argument(node.test)
-        condition = self.visit(static if static is not None else node.test)
+        condition = self.visit(node.test) if static is None else self.visit_static(static)
+        self.guarded(lambda _: refuse_condition(condition), node.test)
         if not isinstance(condition, Value):
             return self.visit(node.body if condition else node.orelse)
         if condition.shape:
@@ -447,13 +433,6 @@ class Expressions:
 
     def visit_SetComp(self, node: ast.SetComp) -> Any:
         raise TaiSyntaxError("kernels have no sets", "use a list comprehension")
-
-
-class FormattedText:
-    """An f-string with values of the kernel: `{}` stands for each."""
-
-    def __init__(self, text: str, values: list[Value]):
-        self.text, self.values = text, values
 
 
 def _has_value(thing: Any) -> bool:

@@ -44,7 +44,7 @@ class Loops:
             raise TaiSyntaxError("'else' of a for is not supported in kernels")
         static = self.static_argument(node.iter)
         if static is not None:
-            self.static_for(node, self.visit(static))
+            self.static_for(node, self.visit_static(static))
             return
         domain, grouped = self.domain(node.iter)
         self.at(node)

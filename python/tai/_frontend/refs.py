@@ -66,6 +66,7 @@ class Place:
     def convert(self, value: Any) -> Value:
         """`value` in the type of this place."""
         emitter = self.emitter
+        emitter.check_fraction(value, self.dt, self._what())
         if isinstance(value, (bool, int, float)) and not self.shape:
             return emitter.constant(value, self.dt)
         value = emitter.as_value(value)
@@ -76,6 +77,10 @@ class Place:
         if value.shape and value.shape != self.shape:
             raise TaiTypeError(f"a {value.kind_name} cannot be stored in {self._kind()}")
         return emitter.broadcast(emitter.cast(value, self.dt), self.shape)
+
+    def _what(self) -> str:
+        """What to call the place in a message."""
+        return f"a place of type {self.dt}"
 
     def _kind(self) -> str:
         size = "×".join(map(str, self.shape))
@@ -96,6 +101,9 @@ class VariablePlace(Place):
     def __init__(self, emitter: Emitter, variable: Variable):
         self.emitter, self.variable = emitter, variable
         self.dt, self.shape = variable.value.dt, variable.value.shape
+
+    def _what(self) -> str:
+        return f"variable '{self.variable.name}' of type {self.dt}"
 
     def load(self) -> Value:
         hidden = self.variable.hidden
@@ -189,6 +197,10 @@ class FieldElement(Place):
         self.dt = field.dtype
         self.shape = () if self.components else field.element_shape
         self._symbol = emitter.builder.attribute(f"@{field.symbol}")
+        emitter.fields.add(field)
+
+    def _what(self) -> str:
+        return f"field '{self.field.name}' of type {self.dt}"
 
     def _segments(self, *leading: int) -> Any:
         sizes = [*leading, len(self.indices), len(self.components)]

@@ -10,7 +10,8 @@ from __future__ import annotations
 import ast
 from typing import Any
 
-from ..dtypes import DataType, promote, u1
+from .. import _state
+from ..dtypes import DataType, i64, promote, u1, u64
 from ..errors import TaiSyntaxError, TaiTypeError
 from .refs import Variable, VariablePlace
 from .scope import Frame
@@ -192,6 +193,9 @@ class Returns:
         return [self._computed(value)], False
 
     def _computed(self, value: Any) -> Value:
+        default = _state.options.default_ip
+        if isinstance(value, int) and not default.min <= value <= default.max:
+            return self.emitter.constant(value, i64 if value <= i64.max else u64)
         try:
             return self.emitter.as_value(value)
         except TaiTypeError as error:

@@ -108,6 +108,11 @@ class Sparse:
             raise TaiIndexError(
                 f"{_describe(level.node)} has {level.rank} indices, but got {len(indices)}"
             )
+        if level.node.kind == "dense" and function is ops.deactivate:
+            raise TaiTypeError(
+                f"cells of {_describe(level.node)} are always active",
+                "deactivate a pointer, bitmasked or dynamic level above it, or store zeros",
+            )
         op = {ops.activate: "activate", ops.deactivate: "deactivate", ops.is_active: "is_active"}
         results = [self.builder.type("i1")] if function is ops.is_active else []
         handle = self.builder.op(

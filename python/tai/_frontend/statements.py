@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from ..dtypes import u1
+from ..dtypes import DataType, u1
 from ..errors import TaiSyntaxError, TaiTypeError
 from ..fields import Field
 from ..ops import stop_grad
-from .expressions import BINARY, FormattedText
-from .refs import ArrayArgument, Place, Variable, VariablePlace
+from .checks import refuse_condition
+from .expressions import BINARY
+from .printing import FormattedText
+from .refs import Place, Variable, VariablePlace
 from .returns import always_returns, find_return
 from .scope import Bound, Loop
 from .source import AssignedNames, own_exits
@@ -38,6 +40,15 @@ _REFUSED = {
     ast.AsyncFunctionDef: ("coroutines", None),
     ast.Match: ("'match'", "use if and elif"),
 }
+
+
+def refuse_truth_arithmetic(op: str, dt: DataType) -> None:
+    """Refuses to count in a place that holds true or false."""
+    if dt.is_bool and op not in ("&", "|", "^", "min", "max"):
+        raise TaiTypeError(
+            f"'{op}' counts, but the target holds {dt}: true or false",
+            "use |= or &=, or a ti.i32 to count in",
+        )
 
 
 class StaticBreak(Exception):
@@ -224,16 +235,13 @@ class Statements:
     def visit_If(self, node: ast.If, rest: list[ast.stmt] | None = None) -> None:
         """A branch; `rest` is what follows where its first part returns."""
         static = self.static_argument(node.test)
-        condition = self.visit(static if static is not None else node.test)
+        condition = self.visit(node.test) if static is None else self.visit_static(static)
         if isinstance(condition, Value) and static is not None:
             raise TaiTypeError(
                 "the condition of 'if ti.static(…)' is known only when the kernel runs",
                 "drop ti.static",
             )
-        if isinstance(condition, (Field, ArrayArgument)) or callable(condition):
-            from .misuse import describe_misuse, misuse_hint
-
-            raise TaiTypeError(describe_misuse(condition), misuse_hint(condition))
+        refuse_condition(condition)
         orelse = [*node.orelse, *(rest or [])]
         compile_else: Callable[[], None] | None = None
         if rest:
@@ -265,6 +273,7 @@ class Statements:
 
         def condition() -> Value | None:
             value = self.visit(node.test)
+            self.guarded(lambda _: refuse_condition(value), node.test)
             if isinstance(value, Value):
                 return emitter.to_bool(value)
             return None if value else emitter.constant(False, u1)
@@ -394,7 +403,7 @@ class Statements:
 
     def visit_Assign(self, node: ast.Assign) -> None:
         static = self.static_argument(node.value)
-        value = self.visit(node.value if static is None else static)
+        value = self.visit(node.value) if static is None else self.visit_static(static)
         for target in node.targets:
             self.at(node)
             self.guarded(lambda t: self.assign(t, value, node, static is not None), target)
@@ -471,7 +480,11 @@ class Statements:
             raise TaiSyntaxError(f"variable '{node.target.id}' has its type already")
         value = self.visit(node.value)
         self.at(node)
-        value = self.emitter.recast(self.emitter.as_value(value), value, dtype)
+        self.emitter.check_fraction(value, dtype, f"variable '{node.target.id}' of type {dtype}")
+        if isinstance(value, (bool, int, float)):
+            value = self.emitter.constant(value, dtype)
+        else:
+            value = self.emitter.cast(self.emitter.as_value(value), dtype)
         self.frame.define(node.target.id, Variable(node.target.id, value))
 
     def visit_AugAssign(self, node: ast.AugAssign) -> None:
@@ -486,6 +499,7 @@ class Statements:
         if isinstance(place, StructPlace):
             raise TaiTypeError("structs have no arithmetic", "compute with their members")
         value = self.number(value)
+        refuse_truth_arithmetic(op, place.dt)
         if op in _ATOMIC_ASSIGN and place.dt.is_float and op in "&|^":
             raise TaiTypeError(f"'{op}=' takes whole numbers, but the target holds {place.dt}")
         if op not in _ATOMIC_ASSIGN or isinstance(place, VariablePlace):
@@ -529,6 +543,7 @@ class Statements:
 
     def visit_Assert(self, node: ast.Assert) -> None:
         condition = self.visit(node.test)
+        refuse_condition(condition)
         text: Any = None if node.msg is None else self.visit(node.msg)
         if not isinstance(condition, Value):
             if not condition:
@@ -552,14 +567,6 @@ class Statements:
             [],
             {"message": self.builder.string(text)},
         )
-
-    def printable(self, value: Value) -> Value:
-        """A value whose printed digits are right although IR does not know its sign."""
-        from ..dtypes import i64
-
-        if value.dt.kind == "u" and value.dt.bits < 64:
-            return self.emitter.cast(value, i64)
-        return value
 
     def convert_result(self, value: Any) -> Any:
         """The result of a `ti.func` in the type of its annotation, if it has one."""

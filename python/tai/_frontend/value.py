@@ -89,6 +89,18 @@ class Value:
     def cast(self, dtype: Any) -> Value:
         return self.emitter.cast(self, self.emitter.to_dtype(dtype))
 
+    def __str__(self) -> str:
+        raise TaiTypeError(
+            "a value that is known only when the kernel runs has no text yet",
+            'print it: print(x), print(f"… {x}")',
+        )
+
+    def __format__(self, spec: str) -> str:
+        return str(self)
+
+    def __repr__(self) -> str:
+        return f"<{self.kind_name} of a kernel>"
+
     __hash__ = object.__hash__
 
     def __abs__(self) -> Value:
