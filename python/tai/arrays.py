@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _ad_values, _copies, dtypes
+from . import _ad_origins, _ad_values, _copies, _state, dtypes
 from .errors import TaiRuntimeError, TaiRuntimeTypeError
 
 
@@ -53,29 +53,38 @@ class Ndarray:
             "the gradient of an array cannot be replaced", "fill it: a.grad.from_numpy(array)"
         )
 
-    def _refuse_in_tape(self) -> None:
-        """A change by Python that a tape does not see, of what its launches have used."""
-        values = _ad_values.recording()
-        if values is None:
+    def _check_write(self, value: Any) -> None:
+        """What Python is to write to it.
+
+        Raises:
+            TaiRuntimeError: a tape that records minds.
+        """
+        if _state.tape is None:
             return
-        what = values.arrays.find(self.array, self._grad is not None)
+        values = _ad_values.recording()
+        what = values and values.arrays.find(self.array, self._grad is not None)
         if what is not None:
             raise TaiRuntimeError(
                 f"{what} is changed from Python while the tape that has recorded it is open",
                 "change it in a kernel, or before the tape begins",
             )
+        _ad_origins.check_write(self, value)
 
     def __getitem__(self, key: Any) -> Any:
         from .matrix import Matrix
 
+        if _state.tape is not None:
+            _ad_origins.note_read(self)
         item = self.array[() if key is None else key]
         return Matrix._wrap(item) if np.ndim(item) else item.item()
 
     def __setitem__(self, key: Any, value: Any) -> None:
-        self._refuse_in_tape()
+        self._check_write(value)
         self.array[() if key is None else key] = np.asarray(value)
 
     def to_numpy(self) -> np.ndarray:
+        if _state.tape is not None:
+            _ad_origins.note_read(self)
         return self.array.copy()
 
     def from_numpy(self, array: Any) -> None:
@@ -84,11 +93,11 @@ class Ndarray:
             raise TaiRuntimeTypeError(
                 f"expects an array of shape {self.array.shape}, but got {array.shape}"
             )
-        self._refuse_in_tape()
+        self._check_write(array)
         self.array[...] = array
 
     def fill(self, value: Any) -> None:
-        self._refuse_in_tape()
+        self._check_write(value)
         self.array[...] = value
 
     def copy_from(self, other: Any) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _active, _copies, _state, dtypes
+from . import _active, _ad_origins, _copies, _state, dtypes
 from ._shapes import to_order, to_shape
 from ._shareable import Shareable
 from .errors import TaiAutodiffError, TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
@@ -345,6 +345,8 @@ class ScalarField(Field):
     # Elements
 
     def __getitem__(self, key: Any) -> Any:
+        if _state.tape is not None or _state.forward:
+            _ad_origins.note_read(self)
         try:
             value = self.core.get(_index_tuple(key), 0)
         except IndexError as error:
@@ -362,6 +364,8 @@ class ScalarField(Field):
         return value if self.dtype.is_float else self._to_python(value)
 
     def set_component(self, key: Any, component: int, value: Any) -> None:
+        if _state.tape is not None or _state.forward:
+            _ad_origins.check_write(self, value)
         if not isinstance(value, (int, float)):
             if isinstance(value, str) or not hasattr(value, "__float__"):
                 raise TaiRuntimeTypeError(
@@ -384,15 +388,21 @@ class ScalarField(Field):
     # Whole field
 
     def to_numpy(self, dtype: Any = None) -> np.ndarray:
+        if _state.tape is not None or _state.forward:
+            _ad_origins.note_read(self)
         array = np.empty(self.shape + self.element_shape, self.dtype.numpy)
         self.core.copy_to(array)
         wanted = None if dtype is None else dtypes.to_dtype(dtype)
         return array if wanted is None else array.astype(wanted.numpy)
 
     def from_numpy(self, array: Any) -> None:
+        if _state.tape is not None or _state.forward:
+            _ad_origins.check_write(self, array)
         self.core.copy_from(self._check_array(array))
 
     def fill(self, value: Any) -> None:
+        if _state.tape is not None or _state.forward:
+            _ad_origins.check_write(self, value)
         self.core.fill(float(value) if self.dtype.is_float else int(value))
 
 
@@ -573,7 +583,9 @@ class MatrixField(Field):
             for component in self.components:
                 component.put_into(node, offset)
             return
-        self._single = _Whole(self)
+        from ._whole import WholeElements
+
+        self._single = WholeElements(self)
         self._single.put_into(node, offset)
 
     def materialize(self, frame: Any = None) -> None:
@@ -599,6 +611,8 @@ class MatrixField(Field):
     def __getitem__(self, key: Any) -> Any:
         from .matrix import ElementOfField
 
+        if _state.tape is not None or _state.forward:
+            _ad_origins.note_read(self)
         self._placed_node()
         return ElementOfField(self, _index_tuple(key))
 
@@ -623,6 +637,8 @@ class MatrixField(Field):
             self.components[component][key] = value
 
     def __setitem__(self, key: Any, value: Any) -> None:
+        if _state.tape is not None or _state.forward:
+            _ad_origins.check_write(self, value)
         self._placed_node()
         values = np.asarray(value.to_numpy() if hasattr(value, "to_numpy") else value)
         if values.ndim == 0:
@@ -668,54 +684,6 @@ class MatrixField(Field):
 
     def fill(self, value: Any) -> None:
         _active.fill_matrices(self, value)
-
-
-class _Whole(ScalarField):
-    """The place of a matrix field that is stored element by element."""
-
-    def __init__(self, field: MatrixField):
-        super().__init__(field.dtype, field._name, field.role, field.element_shape)
-        self.field = field
-
-    @property
-    def name(self) -> str:
-        return self.field.name
-
-    @property
-    def needs_grad(self) -> bool:
-        return self.field.needs_grad
-
-    @needs_grad.setter
-    def needs_grad(self, value: bool) -> None:
-        pass
-
-    @property
-    def needs_dual(self) -> bool:
-        return self.field.needs_dual
-
-    @needs_dual.setter
-    def needs_dual(self, value: bool) -> None:
-        pass
-
-    def _companion(self, which: str) -> Any:
-        return self.field._companion(which)
-
-    @property
-    def _companions(self) -> dict[str, Any]:
-        found = {}
-        for which, companion in self.field._companions.items():
-            if companion._single is not None:
-                found[which] = companion._single
-        return found
-
-    @_companions.setter
-    def _companions(self, value: Any) -> None:
-        pass
-
-    def choose_symbol(self, program: Any) -> None:
-        if self.symbol is None:
-            self._name = self.field._name
-            self.symbol = program.unique_symbol(self.field._base_symbol(program))
 
 
 def make_field(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _ad_cells, _ad_values, _core, _interop, _state, dtypes
+from . import _ad_cells, _ad_origins, _ad_values, _core, _interop, _state, dtypes
 from ._ad_arguments import adjoint_slots, as_array, check_arrays, find_alias
 from ._ad_arrays import HeldArray, check_overlaps, is_same_array
 from ._bound_kernel import BoundKernel
@@ -211,6 +211,8 @@ class Kernel(_core.Launcher):
                 "make it a @ti.func",
             )
         values = self._bind(args, kwargs)
+        if _state.tape is not None or _state.forward:
+            _ad_origins.check_call(self, self._get_parameters(), values)
         tracks = grad or _state.tape is not None
         found = self._specialize(values, tracks)
         slots, kept = self._pack(found, values, tracks)
@@ -264,6 +266,7 @@ class Kernel(_core.Launcher):
                 tape.arrays.forget_launch()
         if grad or (gradient is None and cell is None):
             return answer
+        _ad_origins.begin()
         return _ad_values.wrap_result(answer, gradient, cell)
 
     def _bind(self, args: tuple, kwargs: dict) -> list[Any]:
