@@ -13,6 +13,7 @@ import ast
 import builtins
 import functools
 import linecache
+import math
 import sys
 import warnings
 from types import FunctionType
@@ -21,6 +22,11 @@ from typing import Any
 import numpy as np
 
 from . import _state
+
+# What gives no number, or one that does not change a little when its argument does.
+_DISCRETE = (
+    len, range, isinstance, type, print, str, bool, int, round, math.floor, math.ceil, math.trunc,
+)  # fmt: skip
 
 # Calls of functions that are followed into their text.
 _DEPTH = 3
@@ -292,6 +298,8 @@ class _Scope:
         from .arrays import Ndarray
         from .fields import Field
 
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.FloorDiv):
+            return False
         if isinstance(node, ast.Subscript):
             field = self.resolve(node.value)
             if isinstance(field, (Field, Ndarray)):
@@ -319,7 +327,7 @@ class _Scope:
                 return reads and any(map(has_history, getattr(base, "leaves", [base])))
             if self.has_history(node.func.value):
                 return True
-        if called in (len, range, isinstance, type, print):
+        if called in _DISCRETE:
             return False
         if isinstance(called, FunctionType) and self._returns_history(called, node):
             return True

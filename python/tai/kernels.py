@@ -237,11 +237,6 @@ class Kernel(_core.Launcher):
         others = [held.array for held in kept if isinstance(held.array, _interop.DeviceArray)]
         streams = _interop.order_before(others) if others else None
         tape = _ad_values.recording()
-        if tape is not None:
-            for held in kept:
-                is_read = found.core.reads_in_reverse(held.slot)
-                launched = tape.arrays.use(held._replace(is_read_in_reverse=is_read))
-                slots[held.slot] = launched.ctypes.data
         slots += [_ad_cells.cell_of(values[number]).first for number in found.followed]
         cell = None
         if found.result_pool is not None:
@@ -250,6 +245,10 @@ class Kernel(_core.Launcher):
             slots.append(cell.first)
         gradient = None
         try:
+            for held in kept if tape is not None else ():
+                is_read = found.core.reads_in_reverse(held.slot)
+                launched = tape.arrays.use(held._replace(is_read_in_reverse=is_read))
+                slots[held.slot] = launched.ctypes.data
             if tracks:
                 adjoints, gradient = adjoint_slots(found, values, tape)
                 slots += adjoints
