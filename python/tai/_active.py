@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from .errors import TaiRuntimeTypeError
+
 
 def active_elements(field: Any) -> np.ndarray | None:
     """The indices of the elements in active cells, one row for each; None if all are."""
@@ -44,7 +46,13 @@ def fill_matrices(field: Any, value: Any) -> None:
     if values.ndim == 0 and single is not None:
         single.fill(values.item())
         return
-    whole = np.broadcast_to(values, field.element_shape).astype(field.dtype.numpy)
+    try:
+        whole = np.broadcast_to(values, field.element_shape).astype(field.dtype.numpy)
+    except ValueError:
+        raise TaiRuntimeTypeError(
+            f"field '{field.name}' is filled by a number or by an element of shape "
+            f"{field.element_shape}, not by {value!r}"
+        ) from None
     if single is None:
         for component, number in zip(field.components, whole.ravel().tolist(), strict=True):
             component.fill(number)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from . import _ad_origins, _ad_values, _copies, _state, dtypes
-from .errors import TaiRuntimeError, TaiRuntimeTypeError
+from ._shapes import to_shape
+from .errors import TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
 
 
 class Ndarray:
@@ -31,7 +34,9 @@ class Ndarray:
         if resolved is None:
             raise TaiRuntimeTypeError(f"{dtype!r} is not a type of numbers")
         self.dtype, self.element_shape = resolved, tuple(element_shape)
-        self.shape = tuple(shape) if isinstance(shape, (tuple, list)) else (int(shape),)
+        self.shape = to_shape(shape)
+        if any(extent < 0 for extent in self.shape):
+            raise TaiRuntimeTypeError(f"an array of shape {self.shape} does not exist")
         self.array = np.zeros(self.shape + self.element_shape, resolved.numpy)
         self._grad: Ndarray | None = None
         if needs_grad:
@@ -70,17 +75,30 @@ class Ndarray:
             )
         _ad_origins.check_write(self, value)
 
+    @contextlib.contextmanager
+    def _refusing(self, key: Any, value: Any) -> Iterator[None]:
+        """What NumPy says of an index or of a value, as an error of the package."""
+        what = f"an array of {self.dtype} and shape {self.array.shape}"
+        try:
+            yield
+        except IndexError as error:
+            raise TaiIndexError(f"{what} has no element {key!r}: {error}") from None
+        except (TypeError, ValueError) as error:
+            raise TaiRuntimeTypeError(f"{what} cannot take {value!r}: {error}") from None
+
     def __getitem__(self, key: Any) -> Any:
         from .matrix import Matrix
 
         if _state.tape is not None:
             _ad_origins.note_read(self)
-        item = self.array[() if key is None else key]
+        with self._refusing(key, None):
+            item = self.array[() if key is None else key]
         return Matrix._wrap(item) if np.ndim(item) else item.item()
 
     def __setitem__(self, key: Any, value: Any) -> None:
         self._check_write(value)
-        self.array[() if key is None else key] = np.asarray(value)
+        with self._refusing(key, value):
+            self.array[() if key is None else key] = np.asarray(value)
 
     def to_numpy(self) -> np.ndarray:
         if _state.tape is not None:
@@ -88,17 +106,20 @@ class Ndarray:
         return self.array.copy()
 
     def from_numpy(self, array: Any) -> None:
-        array = np.asarray(array)
+        with self._refusing(..., array):
+            array = np.asarray(array)
         if array.shape != self.array.shape:
             raise TaiRuntimeTypeError(
                 f"expects an array of shape {self.array.shape}, but got {array.shape}"
             )
         self._check_write(array)
-        self.array[...] = array
+        with self._refusing(..., array):
+            self.array[...] = array
 
     def fill(self, value: Any) -> None:
         self._check_write(value)
-        self.array[...] = value
+        with self._refusing(..., value):
+            self.array[...] = value
 
     def copy_from(self, other: Any) -> None:
         """Copies an array or a field of the same shape; tapes and forward mode follow it."""

@@ -189,7 +189,7 @@ def _index_tuple(key: Any) -> tuple:
     if isinstance(key, tuple):
         return key
     if isinstance(key, (list, np.ndarray)) or hasattr(key, "to_numpy"):
-        return tuple(int(k) for k in key)
+        return tuple(key)
     return (key,)
 
 
@@ -349,8 +349,8 @@ class ScalarField(Field):
             _ad_origins.note_read(self)
         try:
             value = self.core.get(_index_tuple(key), 0)
-        except IndexError as error:
-            raise self._index_error(error) from None
+        except (IndexError, TypeError) as error:
+            raise self._index_error(error, key) from None
         return value if self.dtype.is_float else self._to_python(value)
 
     def __setitem__(self, key: Any, value: Any) -> None:
@@ -359,8 +359,8 @@ class ScalarField(Field):
     def get_component(self, key: Any, component: int) -> Any:
         try:
             value = self.core.get(_index_tuple(key), component)
-        except IndexError as error:
-            raise self._index_error(error) from None
+        except (IndexError, TypeError) as error:
+            raise self._index_error(error, key) from None
         return value if self.dtype.is_float else self._to_python(value)
 
     def set_component(self, key: Any, component: int, value: Any) -> None:
@@ -374,16 +374,25 @@ class ScalarField(Field):
             value = value.item() if hasattr(value, "item") else float(value)
         try:
             self.core.set(_index_tuple(key), component, value)
-        except IndexError as error:
-            raise self._index_error(error) from None
+        except (IndexError, TypeError) as error:
+            raise self._index_error(error, key) from None
 
     def _to_python(self, value: int) -> int | bool:
         if self.dtype.kind == "u":
             return value & ((1 << self.dtype.bits) - 1)
         return bool(value) if self.dtype.is_bool else value
 
-    def _index_error(self, error: Exception) -> TaiIndexError:
-        return TaiIndexError(f"field '{self.name}': {error}")
+    def _index_error(self, error: Exception, key: Any) -> Exception:
+        """What is wrong with an index, if that is what the error is about."""
+        if isinstance(error, IndexError):
+            return TaiIndexError(f"field '{self.name}': {error}")
+        for part in key if isinstance(key, tuple) else (key,):
+            if isinstance(part, slice) or part is Ellipsis:
+                return TaiRuntimeTypeError(
+                    f"field '{self.name}' has no slices in Python",
+                    "take them of a copy, x.to_numpy()[1:3], or loop over elements in a kernel",
+                )
+        return TaiRuntimeTypeError(f"field '{self.name}' takes whole numbers as indices: {error}")
 
     # Whole field
 
@@ -401,6 +410,10 @@ class ScalarField(Field):
         self.core.copy_from(self._check_array(array))
 
     def fill(self, value: Any) -> None:
+        if not isinstance(value, (int, float)) and not hasattr(value, "__float__"):
+            raise TaiRuntimeTypeError(
+                f"field '{self.name}' is filled by a number of type {self.dtype}, not {value!r}"
+            )
         if _state.tape is not None or _state.forward:
             _ad_origins.check_write(self, value)
         self.core.fill(float(value) if self.dtype.is_float else int(value))
@@ -621,8 +634,8 @@ class MatrixField(Field):
         if self._single is not None:
             try:
                 values = self._single.core.get_all(key)
-            except IndexError as error:
-                raise self._single._index_error(error) from None
+            except (IndexError, TypeError) as error:
+                raise self._single._index_error(error, key) from None
             if not self.dtype.is_float:
                 values = [self._single._to_python(v) for v in values]
         else:
@@ -643,6 +656,10 @@ class MatrixField(Field):
         values = np.asarray(value.to_numpy() if hasattr(value, "to_numpy") else value)
         if values.ndim == 0:
             values = np.full(self.element_shape, values)
+        if values.dtype.kind not in "biuf":
+            raise TaiRuntimeTypeError(
+                f"field '{self.name}' holds numbers of type {self.dtype}, not {value!r}"
+            )
         if values.shape != self.element_shape:
             raise TaiRuntimeTypeError(
                 f"an element of field '{self.name}' has shape {self.element_shape}, "
@@ -656,8 +673,8 @@ class MatrixField(Field):
             return
         try:
             self._single.core.set_all(at, numbers)
-        except IndexError as error:
-            raise self._single._index_error(error) from None
+        except (IndexError, TypeError) as error:
+            raise self._single._index_error(error, key) from None
 
     # Whole field
 

@@ -453,7 +453,9 @@ class Kernel(_core.Launcher):
     def _slot(self, parameter: Parameter, dt: Any, value: Any) -> int:
         """A number in the bits of its slot."""
         good = isinstance(value, (bool, int, float, np.generic)) or (
-            not isinstance(value, (str, bytes)) and hasattr(value, "__float__")
+            not isinstance(value, (str, bytes))
+            and hasattr(value, "__float__")
+            and getattr(value, "ndim", 0) == 0
         )
         whole = isinstance(value, (bool, int, np.integer, np.bool_))
         if not good or (not dt.is_float and not whole):
