@@ -99,8 +99,8 @@ Match HeldArrays::pack(const ArrayArg &arg, PyObject *object, Slots &slots) {
   if (match != Match::Yes || (use == ArrayUse::Forward && !mayMeet))
     return match;
   const Range &range = addRange(arg, slots, first);
-  bool isKnown = use != ArrayUse::Recorded ||
-                 isKnownToTape(range, object, slots, first);
+  bool isKnown =
+      use != ArrayUse::Recorded || isKnownToTape(range, object, slots, first);
   return isKnown ? Match::Yes : Match::No;
 }
 

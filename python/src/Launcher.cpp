@@ -20,6 +20,7 @@
 #include <cstring>
 #include <optional>
 #include <structmember.h>
+#include <unordered_set>
 #include <vector>
 
 using namespace taipy;
@@ -45,6 +46,32 @@ PyObject *trackedType = nullptr;
 
 /// Whether kernels are launched with their tangents.
 bool forwardMode = false;
+
+/// Whether values with a history are about, so that Python looks once at each
+/// place that calls with plain numbers; and the places that it has looked at.
+bool watchesNumbers = false;
+std::unordered_set<uint64_t> knownSites;
+
+/// Of the call that is being made.
+const PyObject *calledLauncher = nullptr;
+
+uint64_t siteOf(PyCodeObject *code, int line, const PyObject *launcher) {
+  constexpr uint64_t odd = 0x9e3779b97f4a7c15;
+  uint64_t site = reinterpret_cast<uint64_t>(code) * odd;
+  site = (site ^ reinterpret_cast<uint64_t>(launcher)) * odd;
+  return site + static_cast<uint64_t>(line);
+}
+
+bool isKnownSite() {
+  PyFrameObject *frame = PyEval_GetFrame(); // borrowed
+  if (!frame)
+    return true;
+  PyCodeObject *code = PyFrame_GetCode(frame);
+  uint64_t site = siteOf(code, PyFrame_GetLineNumber(frame), calledLauncher);
+  bool isKnown = knownSites.count(site) != 0;
+  Py_DECREF(code);
+  return isKnown;
+}
 
 enum class ArgKind : char {
   F32 = 'f',
@@ -146,6 +173,9 @@ Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
   case ArgKind::F32:
   case ArgKind::F64: {
     double number;
+    if (__builtin_expect(watchesNumbers, false) && !PyLong_Check(object) &&
+        !isKnownSite())
+      return Match::No;
     if (PyFloat_CheckExact(object)) {
       number = PyFloat_AS_DOUBLE(object);
     } else {
@@ -295,6 +325,7 @@ PyObject *call(PyObject *object, PyObject *const *args, size_t flags,
                PyObject *names) {
   auto *self = reinterpret_cast<Launcher *>(object);
   size_t count = static_cast<size_t>(PyVectorcall_NARGS(flags));
+  calledLauncher = object;
   if (!names) {
     auto &all = *self->specializations;
     for (size_t i = all.size(); i-- > 0;) {
@@ -434,6 +465,14 @@ void taipy::bindLauncher(py::module_ &module) {
   });
   module.def("set_tracked_type", [](const py::object &type) {
     trackedType = type.inc_ref().ptr();
+  });
+  module.def("watch_numbers", [](bool on) { watchesNumbers = on; });
+  module.def("forget_sites", [] { knownSites.clear(); });
+  // Whoever calls this keeps the code object.
+  module.def("note_site", [](const py::object &code, int line,
+                             const py::object &launcher) {
+    knownSites.insert(siteOf(reinterpret_cast<PyCodeObject *>(code.ptr()), line,
+                             launcher.ptr()));
   });
   module.def("set_forward_mode", [](bool on) { forwardMode = on; });
   module.def("next_generation", [] { return ++generation; });

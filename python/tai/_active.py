@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from . import _numbers
+from .errors import TaiRuntimeTypeError
 
 
 def active_elements(field: Any) -> np.ndarray | None:
@@ -49,7 +50,13 @@ def fill_matrices(field: Any, value: Any) -> None:
         single.fill(values.item())
         return
     values = _numbers.stored_array(values, field.dtype, f"field '{field.name}'")
-    whole = np.broadcast_to(values, field.element_shape)
+    try:
+        whole = np.broadcast_to(values, field.element_shape)
+    except ValueError:
+        raise TaiRuntimeTypeError(
+            f"field '{field.name}' is filled by a number or by an element of shape "
+            f"{field.element_shape}, not by {value!r}"
+        ) from None
     if single is None:
         for component, number in zip(field.components, whole.ravel().tolist(), strict=True):
             component.fill(number)

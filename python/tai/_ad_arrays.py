@@ -189,9 +189,9 @@ class _Watched:
     def check(self) -> None:
         if _digest_of(self.held.array) != self.digest:
             raise TaiRuntimeError(
-                f"{self.held.what} was changed by Python after the tape had recorded the launch, "
-                "and the gradient needs what it held",
-                "change it in a kernel, or before the tape begins and after its gradient has run",
+                f"{self.held.what} was changed after the tape had recorded the launch, by Python "
+                "or by a kernel that was not recorded, and the gradient needs what it held",
+                "change it in a recorded kernel, or before the tape begins",
             )
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _state
+from . import _ad_origins, _state
 from .errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
 from .program import get_program
 
@@ -94,6 +94,8 @@ def forward_mode() -> Iterator[None]:
     finally:
         _state.forward = False
         _core.set_forward_mode(False)
+        if _state.tape is None:
+            _ad_origins.end()
         program.context.set_option("forward_mode", "false")
 
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _ad_cells, _interop, _state
+from . import _ad_cells, _ad_origins, _interop, _state
 from ._ad_arrays import TapeArrays
 from .dtypes import DataType, to_dtype
 from .errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
@@ -566,6 +566,8 @@ def recording() -> TapeValues | None:
 def end() -> None:
     """The tape records no more."""
     global active
+    if not _state.forward:
+        _ad_origins.end()
     if active is not None:
         active.arrays.end()
     active = None

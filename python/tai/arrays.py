@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from . import _ad_values, _copies, _numbers, dtypes
-from .errors import TaiRuntimeError, TaiRuntimeTypeError
+from . import _ad_origins, _ad_values, _copies, _numbers, _state, dtypes
+from ._shapes import to_shape
+from .errors import TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
 
 
 class Ndarray:
@@ -31,7 +34,9 @@ class Ndarray:
         if resolved is None:
             raise TaiRuntimeTypeError(f"{dtype!r} is not a type of numbers")
         self.dtype, self.element_shape = resolved, tuple(element_shape)
-        self.shape = tuple(shape) if isinstance(shape, (tuple, list)) else (int(shape),)
+        self.shape = to_shape(shape)
+        if any(extent < 0 for extent in self.shape):
+            raise TaiRuntimeTypeError(f"an array of shape {self.shape} does not exist")
         self.array = np.zeros(self.shape + self.element_shape, resolved.numpy)
         self._grad: Ndarray | None = None
         if needs_grad:
@@ -53,43 +58,68 @@ class Ndarray:
             "the gradient of an array cannot be replaced", "fill it: a.grad.from_numpy(array)"
         )
 
-    def _refuse_in_tape(self) -> None:
-        """A change by Python that a tape does not see, of what its launches have used."""
-        values = _ad_values.recording()
-        if values is None:
+    def _check_write(self, value: Any) -> None:
+        """What Python is to write to it.
+
+        Raises:
+            TaiRuntimeError: a tape that records minds.
+        """
+        if _state.tape is None:
             return
-        what = values.arrays.find(self.array, self._grad is not None)
+        values = _ad_values.recording()
+        what = values and values.arrays.find(self.array, self._grad is not None)
         if what is not None:
             raise TaiRuntimeError(
                 f"{what} is changed from Python while the tape that has recorded it is open",
                 "change it in a kernel, or before the tape begins",
             )
+        _ad_origins.check_write(self, value)
+
+    @contextlib.contextmanager
+    def _refusing(self, key: Any, value: Any) -> Iterator[None]:
+        """What NumPy says of an index or of a value, as an error of the package."""
+        what = f"an array of {self.dtype} and shape {self.array.shape}"
+        try:
+            yield
+        except IndexError as error:
+            raise TaiIndexError(f"{what} has no element {key!r}: {error}") from None
+        except (TypeError, ValueError) as error:
+            raise TaiRuntimeTypeError(f"{what} cannot take {value!r}: {error}") from None
 
     def __getitem__(self, key: Any) -> Any:
         from .matrix import Matrix
 
-        item = self.array[() if key is None else key]
+        if _state.tape is not None:
+            _ad_origins.note_read(self)
+        with self._refusing(key, None):
+            item = self.array[() if key is None else key]
         return Matrix._wrap(item) if np.ndim(item) else item.item()
 
     def __setitem__(self, key: Any, value: Any) -> None:
-        self._refuse_in_tape()
-        self.array[() if key is None else key] = self._stored(value)
+        self._check_write(value)
+        with self._refusing(key, value):
+            self.array[() if key is None else key] = self._stored(value)
 
     def to_numpy(self) -> np.ndarray:
+        if _state.tape is not None:
+            _ad_origins.note_read(self)
         return self.array.copy()
 
     def from_numpy(self, array: Any) -> None:
-        array = np.asarray(array)
+        with self._refusing(..., array):
+            array = np.asarray(array)
         if array.shape != self.array.shape:
             raise TaiRuntimeTypeError(
                 f"expects an array of shape {self.array.shape}, but got {array.shape}"
             )
-        self._refuse_in_tape()
-        self.array[...] = self._stored(array)
+        self._check_write(array)
+        with self._refusing(..., array):
+            self.array[...] = self._stored(array)
 
     def fill(self, value: Any) -> None:
-        self._refuse_in_tape()
-        self.array[...] = self._stored(value)
+        self._check_write(value)
+        with self._refusing(..., value):
+            self.array[...] = self._stored(value)
 
     def _stored(self, value: Any) -> Any:
         """Numbers from Python in the type of the array."""

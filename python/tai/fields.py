@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _active, _copies, _numbers, _state, dtypes
+from . import _active, _ad_origins, _copies, _numbers, _state, dtypes
 from ._shapes import to_order, to_shape
 from ._shareable import Shareable
 from .errors import TaiAutodiffError, TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
@@ -190,7 +190,7 @@ def _index_tuple(key: Any) -> tuple:
     if isinstance(key, tuple):
         return key
     if isinstance(key, (list, np.ndarray)) or hasattr(key, "to_numpy"):
-        return tuple(int(k) for k in key)
+        return tuple(key)
     return (key,)
 
 
@@ -346,10 +346,12 @@ class ScalarField(Field):
     # Elements
 
     def __getitem__(self, key: Any) -> Any:
+        if _state.tape is not None or _state.forward:
+            _ad_origins.note_read(self)
         try:
             value = self.core.get(_index_tuple(key), 0)
-        except IndexError as error:
-            raise self._index_error(error) from None
+        except (IndexError, TypeError) as error:
+            raise self._index_error(error, key) from None
         return value if self.dtype.is_float else self._to_python(value)
 
     def __setitem__(self, key: Any, value: Any) -> None:
@@ -358,11 +360,13 @@ class ScalarField(Field):
     def get_component(self, key: Any, component: int) -> Any:
         try:
             value = self.core.get(_index_tuple(key), component)
-        except IndexError as error:
-            raise self._index_error(error) from None
+        except (IndexError, TypeError) as error:
+            raise self._index_error(error, key) from None
         return value if self.dtype.is_float else self._to_python(value)
 
     def set_component(self, key: Any, component: int, value: Any) -> None:
+        if _state.tape is not None or _state.forward:
+            _ad_origins.check_write(self, value)
         if not isinstance(value, (int, float)):
             if isinstance(value, str) or not hasattr(value, "__float__"):
                 raise TaiRuntimeTypeError(
@@ -373,30 +377,49 @@ class ScalarField(Field):
             value = _numbers.stored(value, self.dtype, f"field '{self.name}'")
         try:
             self.core.set(_index_tuple(key), component, value)
-        except IndexError as error:
-            raise self._index_error(error) from None
+        except (IndexError, TypeError) as error:
+            raise self._index_error(error, key) from None
 
     def _to_python(self, value: int) -> int | bool:
         if self.dtype.kind == "u":
             return value & ((1 << self.dtype.bits) - 1)
         return bool(value) if self.dtype.is_bool else value
 
-    def _index_error(self, error: Exception) -> TaiIndexError:
-        return TaiIndexError(f"field '{self.name}': {error}")
+    def _index_error(self, error: Exception, key: Any) -> Exception:
+        """What is wrong with an index, if that is what the error is about."""
+        if isinstance(error, IndexError):
+            return TaiIndexError(f"field '{self.name}': {error}")
+        for part in key if isinstance(key, tuple) else (key,):
+            if isinstance(part, slice) or part is Ellipsis:
+                return TaiRuntimeTypeError(
+                    f"field '{self.name}' has no slices in Python",
+                    "take them of a copy, x.to_numpy()[1:3], or loop over elements in a kernel",
+                )
+        return TaiRuntimeTypeError(f"field '{self.name}' takes whole numbers as indices: {error}")
 
     # Whole field
 
     def to_numpy(self, dtype: Any = None) -> np.ndarray:
+        if _state.tape is not None or _state.forward:
+            _ad_origins.note_read(self)
         array = np.empty(self.shape + self.element_shape, self.dtype.numpy)
         self.core.copy_to(array)
         wanted = None if dtype is None else dtypes.to_dtype(dtype)
         return array if wanted is None else array.astype(wanted.numpy)
 
     def from_numpy(self, array: Any) -> None:
+        if _state.tape is not None or _state.forward:
+            _ad_origins.check_write(self, array)
         self.core.copy_from(self._check_array(array))
 
     def fill(self, value: Any) -> None:
         what = f"field '{self.name}'"
+        if not isinstance(value, (int, float)) and not hasattr(value, "__float__"):
+            raise TaiRuntimeTypeError(
+                f"{what} is filled by a number of type {self.dtype}, not {value!r}"
+            )
+        if _state.tape is not None or _state.forward:
+            _ad_origins.check_write(self, value)
         stored = float(value) if self.dtype.is_float else value
         self.core.fill(_numbers.stored(stored, self.dtype, what))
 
@@ -578,7 +601,9 @@ class MatrixField(Field):
             for component in self.components:
                 component.put_into(node, offset)
             return
-        self._single = _Whole(self)
+        from ._whole import WholeElements
+
+        self._single = WholeElements(self)
         self._single.put_into(node, offset)
 
     def materialize(self, frame: Any = None) -> None:
@@ -604,6 +629,8 @@ class MatrixField(Field):
     def __getitem__(self, key: Any) -> Any:
         from .matrix import ElementOfField
 
+        if _state.tape is not None or _state.forward:
+            _ad_origins.note_read(self)
         self._placed_node()
         return ElementOfField(self, _index_tuple(key))
 
@@ -612,8 +639,8 @@ class MatrixField(Field):
         if self._single is not None:
             try:
                 values = self._single.core.get_all(key)
-            except IndexError as error:
-                raise self._single._index_error(error) from None
+            except (IndexError, TypeError) as error:
+                raise self._single._index_error(error, key) from None
             if not self.dtype.is_float:
                 values = [self._single._to_python(v) for v in values]
         else:
@@ -628,10 +655,16 @@ class MatrixField(Field):
             self.components[component][key] = value
 
     def __setitem__(self, key: Any, value: Any) -> None:
+        if _state.tape is not None or _state.forward:
+            _ad_origins.check_write(self, value)
         self._placed_node()
         values = np.asarray(value.to_numpy() if hasattr(value, "to_numpy") else value)
         if values.ndim == 0:
             values = np.full(self.element_shape, values)
+        if values.dtype.kind not in "biuf":
+            raise TaiRuntimeTypeError(
+                f"field '{self.name}' holds numbers of type {self.dtype}, not {value!r}"
+            )
         if values.shape != self.element_shape:
             raise TaiRuntimeTypeError(
                 f"an element of field '{self.name}' has shape {self.element_shape}, "
@@ -648,8 +681,8 @@ class MatrixField(Field):
             return
         try:
             self._single.core.set_all(at, numbers)
-        except IndexError as error:
-            raise self._single._index_error(error) from None
+        except (IndexError, TypeError) as error:
+            raise self._single._index_error(error, key) from None
 
     # Whole field
 
@@ -676,54 +709,6 @@ class MatrixField(Field):
 
     def fill(self, value: Any) -> None:
         _active.fill_matrices(self, value)
-
-
-class _Whole(ScalarField):
-    """The place of a matrix field that is stored element by element."""
-
-    def __init__(self, field: MatrixField):
-        super().__init__(field.dtype, field._name, field.role, field.element_shape)
-        self.field = field
-
-    @property
-    def name(self) -> str:
-        return self.field.name
-
-    @property
-    def needs_grad(self) -> bool:
-        return self.field.needs_grad
-
-    @needs_grad.setter
-    def needs_grad(self, value: bool) -> None:
-        pass
-
-    @property
-    def needs_dual(self) -> bool:
-        return self.field.needs_dual
-
-    @needs_dual.setter
-    def needs_dual(self, value: bool) -> None:
-        pass
-
-    def _companion(self, which: str) -> Any:
-        return self.field._companion(which)
-
-    @property
-    def _companions(self) -> dict[str, Any]:
-        found = {}
-        for which, companion in self.field._companions.items():
-            if companion._single is not None:
-                found[which] = companion._single
-        return found
-
-    @_companions.setter
-    def _companions(self, value: Any) -> None:
-        pass
-
-    def choose_symbol(self, program: Any) -> None:
-        if self.symbol is None:
-            self._name = self.field._name
-            self.symbol = program.unique_symbol(self.field._base_symbol(program))
 
 
 def make_field(

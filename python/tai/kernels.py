@@ -8,7 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from . import _ad_cells, _ad_values, _core, _interop, _state, _templates, dtypes
+from . import (
+    _ad_cells,
+    _ad_origins,
+    _ad_values,
+    _core,
+    _interop,
+    _state,
+    _templates,
+    dtypes,
+)
 from ._ad_arguments import adjoint_slots, as_array, check_arrays, find_alias
 from ._ad_arrays import HeldArray, check_overlaps, is_same_array
 from ._bound_kernel import BoundKernel
@@ -222,6 +231,8 @@ class Kernel(_core.Launcher):
                 "make it a @ti.func",
             )
         values = self._bind(args, kwargs)
+        if _state.tape is not None or _state.forward:
+            _ad_origins.check_call(self, self._get_parameters(), values)
         tracks = grad or _state.tape is not None
         found = self._specialize(values, tracks)
         if grad and not found.has_gradients:
@@ -252,11 +263,6 @@ class Kernel(_core.Launcher):
         others = [held.array for held in kept if isinstance(held.array, _interop.DeviceArray)]
         streams = _interop.order_before(others) if others else None
         tape = _ad_values.recording()
-        if tape is not None:
-            for held in kept:
-                is_read = found.core.reads_in_reverse(held.slot)
-                launched = tape.arrays.use(held._replace(is_read_in_reverse=is_read))
-                slots[held.slot] = launched.ctypes.data
         slots += [_ad_cells.cell_of(values[number]).first for number in found.followed]
         cell = None
         if found.result_pool is not None:
@@ -265,6 +271,10 @@ class Kernel(_core.Launcher):
             slots.append(cell.first)
         gradient = None
         try:
+            for held in kept if tape is not None else ():
+                is_read = found.core.reads_in_reverse(held.slot)
+                launched = tape.arrays.use(held._replace(is_read_in_reverse=is_read))
+                slots[held.slot] = launched.ctypes.data
             if tracks:
                 adjoints, gradient = adjoint_slots(found, values, tape)
                 slots += adjoints
@@ -281,6 +291,7 @@ class Kernel(_core.Launcher):
                 tape.arrays.forget_launch()
         if grad or (gradient is None and cell is None):
             return answer
+        _ad_origins.begin()
         return _ad_values.wrap_result(answer, gradient, cell)
 
     def _bind(self, args: tuple, kwargs: dict) -> list[Any]:
@@ -472,7 +483,9 @@ class Kernel(_core.Launcher):
     def _slot(self, parameter: Parameter, dt: Any, value: Any) -> int:
         """A number in the bits of its slot."""
         good = isinstance(value, (bool, int, float, np.generic)) or (
-            not isinstance(value, (str, bytes)) and hasattr(value, "__float__")
+            not isinstance(value, (str, bytes))
+            and hasattr(value, "__float__")
+            and getattr(value, "ndim", 0) == 0
         )
         whole = isinstance(value, (bool, int, np.integer, np.bool_))
         if not good or (not dt.is_float and not whole):

@@ -9,7 +9,7 @@ import weakref
 from dataclasses import dataclass, fields
 from typing import Any
 
-from . import _state, dtypes
+from . import _ad_origins, _state, dtypes
 from ._skips import option_text
 from .errors import TaiError, TaiRuntimeError, TaiRuntimeTypeError, did_you_mean
 
@@ -129,6 +129,7 @@ class Program:
         self.fields.clear()
         self.trees.clear()
         self.pools.clear()
+        _ad_origins.forget()
 
     def count_kernels_from_here(self) -> None:
         """Forgets the kernels that were defined so far."""

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from .dtypes import f16, f32
-from .errors import TaiRuntimeError, TaiRuntimeTypeError
+from .errors import TaiError, TaiRuntimeError, TaiRuntimeTypeError
 from .fields import Field, MatrixField, ScalarField
 from .snode import SNode
 
@@ -157,13 +157,41 @@ def load(path: str | os.PathLike, **fields: Field) -> None:
     Fields that share cells are best named together: loading one empties the cells of all.
 
     Raises:
-        TaiRuntimeError: the file is of another kind, or has no such name.
+        TaiRuntimeError: the file is of another kind or damaged, has no such name, or does not
+            fit a field. No field has changed then.
     """
     found = _format_of(path)[1](path, fields)
+    found = {name: _check_loaded(path, name, fields[name], *found[name]) for name in found}
     for field in fields.values():
         innermost(field).deactivate_all()
     for name, (where, values) in found.items():
         write(fields[name], where, values)
+
+
+def _check_loaded(path: Any, name: str, field: Field, where: Any, values: Any) -> tuple:
+    """Coordinates and values of a file as arrays that fit the field."""
+
+    def refuse(what: str) -> TaiRuntimeError:
+        return TaiRuntimeError(
+            f"{path} does not fit field '{name}': {what}", "load the field that it was saved from"
+        )
+
+    dimensions, elements = len(field.shape), tuple(field.element_shape)
+    if where.dtype.kind not in "iu" or where.ndim != 2 or where.shape[1] != dimensions:
+        raise refuse(
+            f"its coordinates are of {where.dtype} and shape {where.shape}, but must be whole "
+            f"numbers of shape (n, {dimensions})"
+        )
+    if values.dtype.kind not in "biuf" or values.shape != (len(where), *elements):
+        raise refuse(
+            f"its values are of {values.dtype} and shape {values.shape}, but must be numbers of "
+            f"shape {(len(where), *elements)}"
+        )
+    first = np.array(field.offset or (0,) * dimensions, np.int64)
+    last = first + np.array(field.shape, np.int64) - 1
+    if ((where < first) | (where > last)).any():
+        raise refuse(f"it has elements outside of {first.tolist()} to {last.tolist()}")
+    return where, values
 
 
 def _format_of(path: str | os.PathLike) -> tuple[Any, Any]:
@@ -190,6 +218,18 @@ def _save_npz(path: Any, fields: dict[str, Field]) -> None:
 
 
 def _load_npz(path: Any, fields: dict[str, Field]) -> dict[str, tuple]:
+    try:
+        return _read_npz(path, fields)
+    except (TaiError, FileNotFoundError, IsADirectoryError, PermissionError):
+        raise
+    except Exception as error:  # whatever zlib, zipfile and NumPy say of damaged files
+        raise TaiRuntimeError(
+            f"{path} is damaged, or no file of ti.volumes.save: {error or type(error).__name__}",
+            "save it again",
+        ) from error
+
+
+def _read_npz(path: Any, fields: dict[str, Field]) -> dict[str, tuple]:
     with np.load(path) as archive:
         if "tai.volumes" not in archive or int(archive["tai.volumes"]) != _FORMAT:
             raise TaiRuntimeError(f"{path} is not a file of ti.volumes.save")

@@ -167,3 +167,63 @@ def test_refusals(tmp_path):
     ti.root.pointer(ti.i, 4).place(pair)
     with pytest.raises(ti.TaiRuntimeTypeError, match="the members of a struct field"):
         ti.volumes.to_numpy(pair)
+
+
+def test_damaged_files(tmp_path):
+    """Each is an error of the package, and leaves the field as it was; or it loads."""
+    x, _ = make(n=2)
+    expected = fill(x)
+    path = tmp_path / "x.npz"
+    ti.volumes.save(path, x=x)
+    data, choice = path.read_bytes(), np.random.default_rng(0)
+    refused = 0
+    for number in range(400):
+        damaged = bytearray(data)
+        for _ in range(choice.integers(1, 4)):
+            damaged[choice.integers(len(damaged))] = choice.integers(256)
+        if number % 4 == 0:
+            del damaged[choice.integers(len(damaged)) :]
+        path.write_bytes(damaged)
+        try:
+            ti.volumes.load(path, x=x)
+        except ti.TaiRuntimeError as error:
+            refused += 1
+            assert str(path) in str(error)
+            np.testing.assert_array_equal(x.to_numpy(), expected)
+        else:
+            x.level.nearest_sparse().deactivate_all()
+            assert (fill(x) == expected).all()
+    assert refused > 200
+    with pytest.raises(FileNotFoundError):
+        ti.volumes.load(tmp_path / "none.npz", x=x)
+    path.write_bytes(b"no archive at all")
+    with pytest.raises(ti.TaiRuntimeError, match="damaged, or no file of ti.volumes.save") as info:
+        ti.volumes.load(path, x=x)
+    assert info.value.hint == "save it again"
+
+
+def test_files_that_do_not_fit(tmp_path):
+    x, _ = make()
+    expected = fill(x)
+    path = tmp_path / "x.npz"
+    where, values = np.zeros((3, 3), np.int64), np.ones(3)
+    for coordinates, numbers, message in (
+        (where[:, :2], values, r"coordinates are of int64 and shape \(3, 2\)"),
+        (where + 0.5, values, "coordinates are of float64"),
+        (where, values[:2], r"values are of float64 and shape \(2,\)"),
+        (where, np.ones((3, 2)), r"numbers of shape \(3,\)"),
+        (where, np.array(["a", "b", "c"]), "must be numbers"),
+        (where + [0, 0, 10], values, r"elements outside of \[0, 0, 0\] to \[7, 5, 9\]"),
+        (where - 1, values, "elements outside"),
+    ):
+        parts = {"x.coordinates": coordinates, "x.values": numbers, "tai.volumes": np.array(1)}
+        np.savez(path, **parts)
+        with pytest.raises(ti.TaiRuntimeError, match=message):
+            ti.volumes.load(path, x=x)
+    np.testing.assert_array_equal(x.to_numpy(), expected)
+    np.savez(path, **{"x.values": values, "tai.volumes": np.array(1)})
+    with pytest.raises(ti.TaiRuntimeError, match="damaged"):
+        ti.volumes.load(path, x=x)
+    np.savez(path, **{"x.coordinates": where, "x.values": values, "tai.volumes": np.array(1)})
+    ti.volumes.load(path, x=x)
+    assert x[0, 0, 0] == 1

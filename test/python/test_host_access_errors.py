@@ -1,0 +1,69 @@
+"""What Python may not do to fields and arrays: errors of the package, which name them."""
+
+import numpy as np
+import pytest
+import tai as ti
+
+
+@pytest.fixture(autouse=True)
+def scene():
+    ti.init(offline_cache=False)
+    x = ti.field(ti.f32, shape=4, name="x")
+    v = ti.Vector.field(2, ti.f32, shape=3, name="v")
+    return x, v, ti.ndarray(ti.f32, shape=3)
+
+
+def put(target, key, value):
+    target[key] = value
+
+
+@ti.kernel
+def take(a: ti.types.ndarray(), b: ti.f32):
+    for i in range(3):
+        a[i] = b
+
+
+CASES = {
+    "slice": (lambda x, v, a: x[0:2], "field 'x' has no slices in Python"),
+    "ellipsis": (lambda x, v, a: x[...], "field 'x' has no slices in Python"),
+    "store to a slice": (lambda x, v, a: put(x, slice(2), 1.0), "field 'x' has no slices"),
+    "slice of vectors": (lambda x, v, a: v[1:], "field 'v' has no slices"),
+    "store to a slice of vectors": (lambda x, v, a: put(v, slice(2), [1, 2]), "'v' has no slices"),
+    "text": (lambda x, v, a: x["a"], "field 'x' takes whole numbers as indices"),
+    "fraction": (lambda x, v, a: x[0.5], "field 'x' takes whole numbers as indices"),
+    "fraction in a list": (lambda x, v, a: x[[1.7]], "field 'x' takes whole numbers"),
+    "fraction in an array": (lambda x, v, a: x[np.array([1.7])], "'x' takes whole numbers"),
+    "element": (lambda x, v, a: put(v, 0, "a"), "field 'v' holds numbers of type f32, not 'a'"),
+    "fill": (lambda x, v, a: x.fill(None), "field 'x' is filled by a number of type f32, not None"),
+    "fill by text": (lambda x, v, a: v.fill("a"), "field 'v' is filled by a number"),
+    "fill of vectors": (lambda x, v, a: v.fill([1, 2, 3]), r"element of shape \(2,\), not by"),
+    "array index": (lambda x, v, a: a[5], r"array of f32 and shape \(3,\) has no element 5"),
+    "array key": (lambda x, v, a: a["a"], "has no element 'a'"),
+    "two for one": (lambda x, v, a: a[0, 0], r"has no element \(0, 0\)"),
+    "store far": (lambda x, v, a: put(a, 9, 1.0), "has no element 9"),
+    "array value": (lambda x, v, a: put(a, 0, "abc"), "cannot take 'abc'"),
+    "array fill": (lambda x, v, a: a.fill("abc"), "cannot take 'abc'"),
+    "ragged": (lambda x, v, a: a.from_numpy([[1], [1, 2]]), "cannot take"),
+    "negative shape": (lambda x, v, a: ti.ndarray(ti.f32, -1), r"shape \(-1,\) does not exist"),
+    "text for a shape": (lambda x, v, a: ti.ndarray(ti.f32, "a"), "made of whole numbers"),
+    "array for a number": (lambda x, v, a: take(a, np.ones(3)), "'b' of kernel 'take' expects a"),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_misuse(scene, name):
+    action, message = CASES[name]
+    for _ in range(2):
+        with pytest.raises(ti.TaiError, match=message):
+            action(*scene)
+    x, v, a = scene
+    assert not x.to_numpy().any() and not v.to_numpy().any() and not a.to_numpy().any()
+
+
+def test_numbers_of_numpy_are_numbers(scene):
+    x, v, a = scene
+    x[np.int64(1)] = np.float32(2)
+    x[[2]] = np.array(3.0)
+    v[np.array([1])] = np.array([1, 2])
+    take(a, np.array(4.0))
+    assert x.to_numpy().tolist() == [0, 2, 3, 0] and v[1][1] == 2 and a[-1] == 4
