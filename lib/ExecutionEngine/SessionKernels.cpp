@@ -320,11 +320,13 @@ static CompileRequest::Goal getPlannedGoal(const KernelCode &code) {
   return CompileRequest::getAdjointGoal(code.planTakes, /*stored=*/true);
 }
 
-LogicalResult Session::prepareAdjoint(KernelCode &code, Failure &failure) {
+LogicalResult Session::prepareAdjoint(KernelCode &code, Failure &failure,
+                                      bool claims) {
   if (code.prepared)
     return success();
-  code.prepared = compiler->prepare(
-      {*code.module, code.name, getPlannedGoal(code)}, code.options, failure);
+  code.prepared =
+      compiler->prepare({*code.module, code.name, getPlannedGoal(code)},
+                        code.options, failure, claims);
   if (!code.prepared)
     return mlir::failure();
   code.needs = code.prepared->needs;
@@ -338,7 +340,7 @@ std::optional<Compiler::Function> Session::compileAdjoint(KernelCode &code,
   {
     // Who plans the tape waits for this step, but not for the next.
     std::lock_guard<std::mutex> lock(code.prepareMutex);
-    if (failed(prepareAdjoint(code, failure)))
+    if (failed(prepareAdjoint(code, failure, /*claims=*/true)))
       return std::nullopt;
     prepared = std::move(code.prepared);
     code.prepared.reset();
@@ -509,7 +511,8 @@ runtime::Status Session::planAdjoint(KernelCode &code,
   {
     std::lock_guard<std::mutex> lock(code.prepareMutex);
     Failure failure;
-    if (!code.needs && failed(prepareAdjoint(code, failure)))
+    // It may take long until the code itself is asked for.
+    if (!code.needs && failed(prepareAdjoint(code, failure, /*claims=*/false)))
       return keepFailure(std::move(failure));
     needs = AdjointNeeds::deserialize(*code.needs);
   }
