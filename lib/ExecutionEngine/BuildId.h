@@ -8,13 +8,16 @@
 #ifndef TAI_LIB_EXECUTIONENGINE_BUILDID_H
 #define TAI_LIB_EXECUTIONENGINE_BUILDID_H
 
-#include "llvm/ADT/StringRef.h"
+#include "mlir/IR/MLIRContext.h"
+#include <string>
 
 namespace mlir::tai {
 
-/// Names the version of tai, of LLVM and of the kernel ABI, and the library
-/// file that holds this code: object code made by another build is not used.
-llvm::StringRef getBuildId();
+/// Names all code that can take part in a compilation: the kernel ABI, the
+/// libraries that hold tai, MLIR and LLVM, and what is loaded besides them and
+/// uses them or holds a dialect of the context, such as plugins. Object code
+/// made by other code is not used.
+std::string getBuildId(MLIRContext *context);
 
 } // namespace mlir::tai
 

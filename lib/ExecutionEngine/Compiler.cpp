@@ -8,6 +8,7 @@
 #include "tai/ExecutionEngine/Compiler.h"
 #include "BuildId.h"
 #include "CompilerWorker.h"
+#include "Libdevice.h"
 #include "VerifyEach.h"
 #include "mlir/Pass/Pass.h"
 #include "mlir/Pass/PassInstrumentation.h"
@@ -15,6 +16,7 @@
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/ExecutionEngine/AdjointNeeds.h"
+#include "tai/Runtime/CacheStore.h"
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/Support/BLAKE3.h"
 #include "llvm/Support/FileSystem.h"
@@ -285,16 +287,30 @@ LogicalResult Compiler::lower(Worker &worker, CompileRequest request,
 // Compilation
 //===----------------------------------------------------------------------===//
 
+/// CUDA's math library becomes part of device code, and comes from elsewhere.
+static std::string getLibdeviceKey(const CompileOptions &options) {
+  if (options.device != runtime::DeviceKind::Cuda)
+    return {};
+  std::string searched;
+  auto library = getLibdevice(searched);
+  if (!library)
+    return "no libdevice\n";
+  static const uint64_t sum =
+      runtime::xxh64(library->getBufferStart(), library->getBufferSize());
+  return "libdevice " + llvm::utohexstr(sum) + "\n";
+}
+
 std::string Compiler::getKey(CompileRequest request,
                              const CompileOptions &options) {
   // Locations are in the code only where checks or a profiler report them.
   std::string text;
   llvm::raw_string_ostream stream(text);
   const HostCpu &host = HostCpu::get();
-  stream << getBuildId() << '\n'
+  stream << getBuildId(context) << '\n'
          << host.triple << ' ' << host.name << ' ' << host.features << '\n'
          << options.str() << '\n'
-         << request.name << ' ' << static_cast<int>(request.goal)
+         << getLibdeviceKey(options) << request.name << ' '
+         << static_cast<int>(request.goal)
          << (request.forward ? " forward" : "") << '\n';
   OpPrintingFlags flags;
   // Assertions and checks put the place they stand at into the code; so do
@@ -315,65 +331,111 @@ std::string Compiler::getKey(CompileRequest request,
 std::optional<Compiler::Function>
 Compiler::compile(CompileRequest request, const CompileOptions &options,
                   Failure &failure) {
-  std::optional<Prepared> prepared = prepare(request, options, failure);
+  std::optional<Prepared> prepared =
+      prepare(request, options, failure, /*claims=*/true);
   if (!prepared)
     return std::nullopt;
   return finish(std::move(*prepared), request, options, failure);
 }
 
+void Compiler::load(Prepared &prepared) {
+  if (std::optional<std::string> bytes = cache.load(prepared.key))
+    prepared.object = CompiledObject::deserialize(*bytes);
+  if (prepared.object)
+    prepared.needs = prepared.object->needs;
+}
+
+void Compiler::claimOrLoad(Prepared &prepared) {
+  if (!cache || !cache.claim || prepared.claim)
+    return;
+  PhaseTimer timer(prepared.times, Phase::Cache);
+  prepared.claim = cache.claim(prepared.key);
+  load(prepared);
+  if (prepared.object)
+    prepared.claim.reset();
+}
+
+LogicalResult Compiler::start(CompileRequest request,
+                              const CompileOptions &options, Prepared &prepared,
+                              Failure &failure) {
+  WorkerLease lease(*this, options);
+  SkipScope scope;
+  if (failed(differentiate(*lease, request, prepared, failure)))
+    return mlir::failure();
+  prepared.skipped = scope.getAmounts();
+  return success();
+}
+
 std::optional<Compiler::Prepared>
 Compiler::prepare(CompileRequest request, const CompileOptions &options,
-                  Failure &failure) {
+                  Failure &failure, bool claims) {
   Prepared prepared;
   if (cache) {
     PhaseTimer timer(prepared.times, Phase::Cache);
     prepared.key = getKey(request, options);
-    if (std::optional<std::string> bytes = cache.load(prepared.key))
-      prepared.object = CompiledObject::deserialize(*bytes);
+    load(prepared);
   }
-  if (prepared.object) {
-    prepared.needs = prepared.object->needs;
-    return prepared;
-  }
-  WorkerLease lease(*this, options);
-  SkipScope scope;
-  if (failed(differentiate(*lease, request, prepared, failure)))
+  if (!prepared.object && claims)
+    claimOrLoad(prepared);
+  if (!prepared.object && failed(start(request, options, prepared, failure)))
     return std::nullopt;
-  prepared.skipped = scope.getAmounts();
   return prepared;
+}
+
+LogicalResult Compiler::link(const CompiledObject &object, StringRef name,
+                             Function &function, Failure &failure) {
+  if (object.symbol.empty())
+    return success();
+  PhaseTimer timer(function.times, Phase::Link);
+  Linker *linker = getLinker(failure);
+  if (!linker)
+    return mlir::failure();
+  auto linked = linker->link(object.code, object.symbol);
+  if (!linked) {
+    failure = Failure::get(
+        FailureKind::Internal,
+        "linking '" + name + "' failed: " + llvm::toString(linked.takeError()));
+    return mlir::failure();
+  }
+  function.address = linked->addresses.front();
+  function.library = linked->library;
+  return success();
 }
 
 std::optional<Compiler::Function>
 Compiler::finish(Prepared prepared, CompileRequest request,
                  const CompileOptions &options, Failure &failure) {
   Function function;
+  if (!prepared.object)
+    claimOrLoad(prepared);
   std::optional<CompiledObject> object = std::move(prepared.object);
+  prepared.object.reset();
   function.fromCache = object.has_value();
+  if (object && failed(link(*object, request.name, function, failure))) {
+    // What another process has made may ask for what this one has not. The
+    // program is there to be compiled.
+    failure = Failure();
+    object.reset();
+    function.fromCache = false;
+  }
   if (!object) {
+    if (!prepared.module && failed(start(request, options, prepared, failure)))
+      return std::nullopt;
     object = compileObject(request, options, prepared, failure);
     if (!object)
       return std::nullopt;
+  }
+  for (unsigned i = 0; i < kNumPhases; ++i)
+    function.times[i] += prepared.times[i];
+  if (!function.fromCache) {
+    if (failed(link(*object, request.name, function, failure)))
+      return std::nullopt;
     if (cache) {
-      PhaseTimer timer(prepared.times, Phase::Cache);
+      PhaseTimer timer(function.times, Phase::Cache);
       cache.store(prepared.key, object->serialize());
     }
   }
-  function.times = prepared.times;
-  if (!object->symbol.empty()) {
-    PhaseTimer timer(function.times, Phase::Link);
-    Linker *linker = getLinker(failure);
-    if (!linker)
-      return std::nullopt;
-    auto linked = linker->link(object->code, object->symbol);
-    if (!linked) {
-      failure = Failure::get(FailureKind::Internal,
-                             "linking '" + request.name + "' failed: " +
-                                 llvm::toString(linked.takeError()));
-      return std::nullopt;
-    }
-    function.address = linked->addresses.front();
-    function.library = linked->library;
-  }
+  prepared.claim.reset();
   function.trees = std::move(object->trees);
   function.skipped = object->skipped;
   function.loopLevels = std::move(object->loopLevels);

@@ -219,7 +219,8 @@ void Session::useCache(StringRef folder) {
       {[store](StringRef key) { return store->get(std::string_view(key)); },
        [store](StringRef key, StringRef bytes) {
          store->put(std::string_view(key), std::string_view(bytes));
-       }});
+       },
+       [store](StringRef key) { return store->claim(std::string_view(key)); }});
   rt->keepBlockSizes(
       {[store](const std::string &key) { return store->get(key); },
        [this, store](std::string key, std::string bytes) {

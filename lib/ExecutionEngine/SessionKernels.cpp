@@ -353,15 +353,16 @@ static CompileRequest::Goal getPlannedGoal(const KernelCode &code) {
   return CompileRequest::getAdjointGoal(code.planTakes, /*stored=*/true);
 }
 
-LogicalResult Session::prepareAdjoint(KernelCode &code, Failure &failure) {
+LogicalResult Session::prepareAdjoint(KernelCode &code, Failure &failure,
+                                      bool claims) {
   if (code.prepared)
     return success();
   CompileRequest::Goal goal = getPlannedGoal(code);
   code.prepared = runAside<Compiler::Prepared>(
       code,
-      [this, &code, goal](Failure &failure) {
+      [this, &code, goal, claims](Failure &failure) {
         return compiler->prepare({*code.module, code.name, goal}, code.options,
-                                 failure);
+                                 failure, claims);
       },
       failure);
   if (!code.prepared)
@@ -378,7 +379,7 @@ std::optional<Compiler::Function> Session::compileAdjoint(KernelCode &code,
   {
     // Who plans the tape waits for this step, but not for the next.
     std::lock_guard<std::mutex> lock(code.prepareMutex);
-    if (failed(prepareAdjoint(code, failure)))
+    if (failed(prepareAdjoint(code, failure, /*claims=*/true)))
       return std::nullopt;
     *prepared = std::move(code.prepared);
     code.prepared.reset();
@@ -558,7 +559,8 @@ runtime::Status Session::planAdjoint(KernelCode &code,
   {
     std::lock_guard<std::mutex> lock(code.prepareMutex);
     Failure failure;
-    if (!code.needs && failed(prepareAdjoint(code, failure)))
+    // It may take long until the code itself is asked for.
+    if (!code.needs && failed(prepareAdjoint(code, failure, /*claims=*/false)))
       return keepFailure(std::move(failure));
     needs = AdjointNeeds::deserialize(*code.needs);
   }

@@ -15,7 +15,9 @@
 #include "tai/Runtime/CacheStore.h"
 #include <algorithm>
 #include <cerrno>
+#include <chrono>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <ctime>
 #include <deque>
@@ -24,8 +26,11 @@
 #include <mutex>
 #include <pthread.h>
 #include <signal.h>
+#include <sys/file.h>
 #include <sys/stat.h>
+#include <thread>
 #include <unistd.h>
+#include <utility>
 
 using namespace mlir::tai::runtime;
 
@@ -42,6 +47,9 @@ constexpr char magicText[8] = {'T', 'A', 'I', 'C', 'A', 'C', 'H', 'E'};
 constexpr uint32_t formatVersion = 1;
 constexpr char suffix[] = ".tai";
 constexpr char temporaryPrefix[] = ".tmp-";
+constexpr char lockPrefix[] = ".lock-";
+/// More than any code; a file that says so is not one of ours.
+constexpr uint64_t mostEntryBytes = uint64_t(1) << 31;
 /// What a process that was killed left behind is older than this (seconds).
 constexpr time_t temporaryLife = 3600;
 
@@ -117,6 +125,31 @@ bool makeFolders(const std::string &path) {
       ++at;
   }
   return true;
+}
+
+/// The first folder on the way to this one in which anybody may rename what is
+/// not theirs, if there is one. In a sticky folder, as /tmp is, nobody can.
+std::string findOpenFolder(const std::string &path) {
+  char *real = realpath(path.c_str(), nullptr);
+  if (!real)
+    return {};
+  std::string way = real;
+  std::free(real);
+  for (size_t at = way.find('/', 1);; at = way.find('/', at + 1)) {
+    std::string part = at == std::string::npos ? way : way.substr(0, at);
+    struct stat info;
+    if (stat(part.c_str(), &info) == 0 && (info.st_mode & S_IWOTH) &&
+        !(info.st_mode & S_ISVTX))
+      return part;
+    if (at == std::string::npos)
+      return {};
+  }
+}
+
+/// Removes a file, or a folder that holds nothing.
+bool removeFrom(int folder, const std::string &name) {
+  return unlinkat(folder, name.c_str(), 0) == 0 ||
+         unlinkat(folder, name.c_str(), AT_REMOVEDIR) == 0;
 }
 
 /// Calls body(name) for each file of the folder.
@@ -240,6 +273,9 @@ int CacheStore::openFolder(std::string &reason) const {
     reason = "others may write to it, and compiled code is run (chmod 700)";
   else if (faccessat(folder, ".", W_OK | X_OK, AT_EACCESS) != 0)
     reason = std::strerror(errno);
+  else if (std::string open = findOpenFolder(path); !open.empty())
+    reason = "others may write to '" + open +
+             "' above it, and put another folder in its place (chmod o-w)";
   else
     return folder;
   close(folder);
@@ -270,10 +306,13 @@ std::optional<std::string> CacheStore::readEntry(const std::string &name,
                                                  const std::string_view *key,
                                                  bool &broken) const {
   broken = false;
-  Descriptor file(openat(folderDescriptor, name.c_str(),
-                         O_RDONLY | O_CLOEXEC | O_NOFOLLOW));
+  // A pipe in place of the file would wait for somebody to write.
+  Descriptor file(
+      openat(folderDescriptor, name.c_str(),
+             O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK | O_NOCTTY));
   if (!file) {
-    broken = errno == ELOOP;
+    // A link, or a socket.
+    broken = errno == ELOOP || errno == ENXIO;
     return std::nullopt;
   }
   broken = true;
@@ -286,7 +325,8 @@ std::optional<std::string> CacheStore::readEntry(const std::string &name,
   if (!readAll(file.number, reinterpret_cast<char *>(&header), sizeof(header)))
     return std::nullopt;
   uint64_t rest = static_cast<uint64_t>(info.st_size) - sizeof(header);
-  if (std::memcmp(header.magic, magicText, sizeof(magicText)) != 0 ||
+  if (rest > mostEntryBytes ||
+      std::memcmp(header.magic, magicText, sizeof(magicText)) != 0 ||
       header.version != formatVersion || header.headerBytes != sizeof(header) ||
       header.keyBytes > rest || header.payloadBytes != rest - header.keyBytes)
     return std::nullopt;
@@ -360,8 +400,14 @@ bool CacheStore::put(std::string_view key, std::string_view bytes) {
       good = false;
       error = errno;
     }
-    if (good && renameat(folderDescriptor, temporary.c_str(), folderDescriptor,
-                         fileName(key).c_str()) != 0) {
+    auto rename = [&] {
+      return renameat(folderDescriptor, temporary.c_str(), folderDescriptor,
+                      fileName(key).c_str()) == 0;
+    };
+    // A folder of that name is none of ours; only an empty one makes way.
+    if (good && !rename() &&
+        (errno != EISDIR || !removeFrom(folderDescriptor, fileName(key)) ||
+         !rename())) {
       good = false;
       error = errno;
     }
@@ -380,6 +426,80 @@ bool CacheStore::put(std::string_view key, std::string_view bytes) {
   if (!prunedOnce || bytesSincePrune > maxBytes / 16)
     prune();
   return true;
+}
+
+//===----------------------------------------------------------------------===//
+// Claims
+//===----------------------------------------------------------------------===//
+
+namespace {
+/// A locked file, which goes before the lock does. The lock is that of an open
+/// file: it ends with the process.
+class LockedFile {
+public:
+  LockedFile(int folder, std::string name, int file)
+      : folder(folder), name(std::move(name)), file(file) {}
+  ~LockedFile() {
+    unlinkat(folder, name.c_str(), 0);
+    // A child that was forked meanwhile has the file open, too.
+    flock(file, LOCK_UN);
+    close(file);
+    close(folder);
+  }
+  LockedFile(const LockedFile &) = delete;
+  LockedFile &operator=(const LockedFile &) = delete;
+
+private:
+  int folder;
+  std::string name;
+  int file;
+};
+} // namespace
+
+CacheStore::Claim CacheStore::claim(std::string_view key, double mostSeconds) {
+  if (!usable())
+    return nullptr;
+  using Clock = std::chrono::steady_clock;
+  auto end = Clock::now() + std::chrono::duration<double>(mostSeconds);
+  std::string name = lockPrefix + fileName(key);
+  // Short at first: most code is there in a few milliseconds.
+  auto pause = std::chrono::microseconds(500);
+  while (true) {
+    Descriptor file(openat(folderDescriptor, name.c_str(),
+                           O_RDWR | O_CREAT | O_NOFOLLOW | O_CLOEXEC |
+                               O_NONBLOCK | O_NOCTTY,
+                           0600));
+    struct stat info;
+    if (!file || fstat(file.number, &info) != 0)
+      return nullptr;
+    if (!S_ISREG(info.st_mode)) {
+      removeFrom(folderDescriptor, name);
+      return nullptr;
+    }
+    bool isLocked = false;
+    while (true) {
+      isLocked = flock(file.number, LOCK_EX | LOCK_NB) == 0;
+      if (isLocked || (errno != EWOULDBLOCK && errno != EINTR))
+        break;
+      if (Clock::now() >= end)
+        return nullptr;
+      std::this_thread::sleep_for(pause);
+      pause = std::min(pause * 2, std::chrono::microseconds(20000));
+    }
+    if (!isLocked || fstat(file.number, &info) != 0)
+      return nullptr;
+    // Who had it has removed it: the next one is another file.
+    if (info.st_nlink == 0) {
+      if (Clock::now() >= end)
+        return nullptr;
+      continue;
+    }
+    int folder = fcntl(folderDescriptor, F_DUPFD_CLOEXEC, 0);
+    if (folder < 0)
+      return nullptr;
+    return std::make_shared<LockedFile>(folder, std::move(name),
+                                        std::exchange(file.number, -1));
+  }
 }
 
 /// What is to be written, and the thread that writes it, if one runs.
@@ -470,7 +590,8 @@ void CacheStore::prune() {
   int64_t total = 0;
   time_t now = time(nullptr);
   forEachFile(folderDescriptor, [&](const std::string &name) {
-    bool temporary = startsWith(name, temporaryPrefix);
+    bool temporary =
+        startsWith(name, temporaryPrefix) || startsWith(name, lockPrefix);
     if (!temporary && !endsWith(name, suffix))
       return;
     struct stat info;
@@ -496,7 +617,7 @@ void CacheStore::prune() {
   for (const Entry &entry : entries) {
     if (total <= maxBytes - maxBytes / 8)
       break;
-    if (unlinkat(folderDescriptor, entry.name.c_str(), 0) == 0)
+    if (removeFrom(folderDescriptor, entry.name))
       ++removed;
     total -= entry.bytes;
   }
@@ -507,8 +628,9 @@ void CacheStore::clean() {
   if (!usable())
     return;
   forEachFile(folderDescriptor, [&](const std::string &name) {
-    if (startsWith(name, temporaryPrefix) || endsWith(name, suffix))
-      unlinkat(folderDescriptor, name.c_str(), 0);
+    if (startsWith(name, temporaryPrefix) || startsWith(name, lockPrefix) ||
+        endsWith(name, suffix))
+      removeFrom(folderDescriptor, name);
   });
 }
 
@@ -517,13 +639,14 @@ int64_t CacheStore::verify() {
   if (!usable())
     return good;
   forEachFile(folderDescriptor, [&](const std::string &name) {
-    if (!endsWith(name, suffix) || startsWith(name, temporaryPrefix))
+    if (!endsWith(name, suffix) || startsWith(name, temporaryPrefix) ||
+        startsWith(name, lockPrefix))
       return;
     bool broken;
     if (readEntry(name, nullptr, broken))
       ++good;
     else if (broken)
-      unlinkat(folderDescriptor, name.c_str(), 0);
+      removeFrom(folderDescriptor, name);
   });
   return good;
 }
@@ -538,8 +661,9 @@ CacheStore::Size CacheStore::size() const {
     return result;
   forEachFile(folderDescriptor, [&](const std::string &name) {
     struct stat info;
-    if (endsWith(name, suffix) && fstatat(folderDescriptor, name.c_str(), &info,
-                                          AT_SYMLINK_NOFOLLOW) == 0) {
+    if (endsWith(name, suffix) && !startsWith(name, lockPrefix) &&
+        fstatat(folderDescriptor, name.c_str(), &info, AT_SYMLINK_NOFOLLOW) ==
+            0) {
       ++result.entries;
       result.bytes += info.st_size;
     }

@@ -5,12 +5,22 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "../../lib/ExecutionEngine/BuildId.h"
 #include "EngineTestUtil.h"
+#include "mlir/IR/Verifier.h"
 #include "mlir/Parser/Parser.h"
 #include "tai/ExecutionEngine/CompiledObject.h"
 #include "tai/ExecutionEngine/Session.h"
+#include "tai/Runtime/CacheStore.h"
+#include "llvm/Object/BuildID.h"
+#include "llvm/Object/ObjectFile.h"
+#include "llvm/Support/Endian.h"
 #include "llvm/Support/MemoryBuffer.h"
 #include "llvm/Support/raw_ostream.h"
+#include "llvm/TargetParser/Host.h"
+#include <dlfcn.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 using namespace tai_test;
 using namespace mlir;
@@ -136,6 +146,116 @@ TEST(EngineCache, DamagedEntriesAreCompiledAnew) {
   Program third(folder.path);
   EXPECT_EQ(third.run(), std::make_pair(36.0, 6.0));
   EXPECT_EQ(third.hits(), 2u);
+}
+
+/// Puts another object in place of each entry of a folder.
+void replaceObjects(llvm::StringRef folder,
+                    llvm::function_ref<void(CompiledObject &)> change) {
+  runtime::CacheStore store(folder.str());
+  for (const std::string &file : filesIn(folder)) {
+    auto buffer = llvm::MemoryBuffer::getFile(file);
+    ASSERT_TRUE(static_cast<bool>(buffer));
+    // A header of 40 bytes with the size of the key at 16, and the key.
+    llvm::StringRef bytes = (*buffer)->getBuffer();
+    uint64_t size = llvm::support::endian::read64le(bytes.data() + 16);
+    std::string key = bytes.substr(40, size).str();
+    auto object = CompiledObject::deserialize(bytes.drop_front(40 + size));
+    ASSERT_TRUE(object);
+    change(*object);
+    ASSERT_TRUE(store.put(key, object->serialize()));
+  }
+}
+
+// Whole entries that this process cannot link.
+TEST(EngineCache, ObjectsThatDoNotLinkAreCompiledAnew) {
+  TemporaryFolder folder;
+  Program(folder.path).run();
+  auto expectAnew = [&](llvm::function_ref<void(CompiledObject &)> change) {
+    replaceObjects(folder.path, change);
+    Program second(folder.path);
+    EXPECT_EQ(second.run(), std::make_pair(36.0, 6.0));
+    EXPECT_EQ(second.hits(), 0u);
+    // What stands there now does link.
+    Program third(folder.path);
+    EXPECT_EQ(third.run(), std::make_pair(36.0, 6.0));
+    EXPECT_EQ(third.hits(), 2u);
+  };
+  expectAnew([](CompiledObject &object) { object.symbol += "_of_another"; });
+  expectAnew([](CompiledObject &object) { object.code.assign(100, 'x'); });
+  expectAnew([](CompiledObject &object) {
+    object.code.truncate(object.code.size() / 2);
+  });
+}
+
+/// Run by the next test, in processes of their own.
+TEST(EngineCache, DISABLED_Child) {
+  const char *folder = std::getenv("TAI_TEST_CACHE");
+  ASSERT_TRUE(folder);
+  Program program(folder);
+  bool good = program.run() == std::make_pair(36.0, 6.0);
+  _exit(good ? 10 + static_cast<int>(program.hits()) : 1);
+}
+
+// Processes that start together with an empty cache: every object is compiled
+// once, and the others load it.
+TEST(EngineCache, ProcessesShareTheWork) {
+  TemporaryFolder folder;
+  setenv("TAI_TEST_CACHE", folder.path.c_str(), 1);
+  std::vector<pid_t> children;
+  for (int i = 0; i < 4; ++i) {
+    pid_t child = fork();
+    ASSERT_GE(child, 0);
+    if (child == 0) {
+      execl("/proc/self/exe", "tai-unit-tests",
+            "--gtest_filter=EngineCache.DISABLED_Child",
+            "--gtest_also_run_disabled_tests", nullptr);
+      _exit(2);
+    }
+    children.push_back(child);
+  }
+  unsetenv("TAI_TEST_CACHE");
+  int hits = 0;
+  for (pid_t child : children) {
+    int status = 0;
+    waitpid(child, &status, 0);
+    ASSERT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) >= 10);
+    hits += WEXITSTATUS(status) - 10;
+  }
+  // A kernel and its adjoint: four times, less once.
+  EXPECT_EQ(hits, 6);
+}
+
+/// The id in the file of the library that holds an address.
+std::string readBuildId(const void *address) {
+  Dl_info info;
+  if (!dladdr(address, &info))
+    return "nowhere";
+  auto file = llvm::object::ObjectFile::createObjectFile(info.dli_fname);
+  if (!file) {
+    llvm::consumeError(file.takeError());
+    return "no file";
+  }
+  return llvm::toHex(llvm::object::getBuildID(file->getBinary()),
+                     /*LowerCase=*/true);
+}
+
+// The key changes with each library that takes part, whatever its file is
+// called and when it was written.
+TEST(EngineCache, KeysNameTheLibraries) {
+  MLIRContext context;
+  std::string id = getBuildId(&context);
+  for (const void *address :
+       {reinterpret_cast<const void *>(&getBuildId),
+        reinterpret_cast<const void *>(&mlir::verify),
+        reinterpret_cast<const void *>(&llvm::sys::getProcessTriple)}) {
+    std::string expected = readBuildId(address);
+    EXPECT_GE(expected.size(), 16u) << expected;
+    EXPECT_NE(id.find(expected), std::string::npos) << id;
+  }
+  EXPECT_EQ(id, getBuildId(&context));
+  // The C library changes no code.
+  EXPECT_EQ(id.find(readBuildId(reinterpret_cast<const void *>(&getenv))),
+            std::string::npos);
 }
 
 TEST(EngineCache, FailuresAreNotKept) {

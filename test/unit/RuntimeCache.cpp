@@ -15,7 +15,9 @@
 #include <signal.h>
 #include <sstream>
 #include <sys/resource.h>
+#include <sys/socket.h>
 #include <sys/stat.h>
+#include <sys/un.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -204,6 +206,87 @@ TEST_F(RuntimeCache, FollowsNoLinkInTheFolder) {
   EXPECT_EQ(store.get("k"), "w");
 }
 
+// Whatever has the name of an entry, nobody waits for it, and a new entry takes
+// its place.
+TEST_F(RuntimeCache, WaitsForNothingInTheFolder) {
+  CacheStore store(folder, 1 << 30, collect());
+  auto expectReplaced = [&](const char *what) {
+    ASSERT_FALSE(store.get("k")) << what;
+    EXPECT_EQ(store.verify(), 0) << what;
+    ASSERT_TRUE(store.put("k", what));
+    EXPECT_EQ(store.get("k"), what);
+    unlink(fileOf("k").c_str());
+  };
+  // Instead of waiting for ever.
+  alarm(100);
+  ASSERT_EQ(mkfifo(fileOf("k").c_str(), 0600), 0);
+  ASSERT_FALSE(store.get("k"));
+  ASSERT_TRUE(store.put("k", "over a pipe"));
+  EXPECT_EQ(store.get("k"), "over a pipe");
+  unlink(fileOf("k").c_str());
+  ASSERT_EQ(mkfifo(fileOf("k").c_str(), 0600), 0);
+  expectReplaced("pipe");
+  ASSERT_EQ(mkdir(fileOf("k").c_str(), 0700), 0);
+  ASSERT_FALSE(store.get("k"));
+  ASSERT_TRUE(store.put("k", "over a folder"));
+  EXPECT_EQ(store.get("k"), "over a folder");
+  unlink(fileOf("k").c_str());
+  ASSERT_EQ(mkdir(fileOf("k").c_str(), 0700), 0);
+  expectReplaced("folder");
+  int server = socket(AF_UNIX, SOCK_STREAM, 0);
+  sockaddr_un address = {};
+  address.sun_family = AF_UNIX;
+  ASSERT_LT(fileOf("k").size(), sizeof(address.sun_path));
+  std::strcpy(address.sun_path, fileOf("k").c_str());
+  ASSERT_EQ(
+      bind(server, reinterpret_cast<sockaddr *>(&address), sizeof(address)), 0);
+  expectReplaced("socket");
+  close(server);
+  // So where the lock should be.
+  std::string lock = folder + "/.lock-" + CacheStore::fileName("k");
+  ASSERT_EQ(mkfifo(lock.c_str(), 0600), 0);
+  (void)store.claim("k");
+  EXPECT_TRUE(store.claim("k"));
+  alarm(0);
+  EXPECT_EQ(warnings.size(), 1u);
+  EXPECT_TRUE(files(folder).empty());
+}
+
+// A file that says it holds more than memory does.
+TEST_F(RuntimeCache, BelievesNoSize) {
+  CacheStore store(folder, 1 << 30, collect());
+  ASSERT_TRUE(store.put("k", "v"));
+  std::string entry = slurp(fileOf("k"));
+  uint64_t keyBytes = 1, size = uint64_t(1) << 40;
+  uint64_t payload = size - 40 - keyBytes;
+  entry.replace(24, sizeof(payload), reinterpret_cast<char *>(&payload),
+                sizeof(payload));
+  spill(fileOf("k"), entry);
+  if (truncate(fileOf("k").c_str(), static_cast<off_t>(size)) != 0)
+    GTEST_SKIP() << "the file system has no files with holes of this size";
+  EXPECT_FALSE(store.get("k"));
+  EXPECT_EQ(warnings.size(), 1u);
+}
+
+// Whoever may rename a folder above puts another one in its place.
+TEST_F(RuntimeCache, RefusesFoldersBelowOpenOnes) {
+  mkdir((root + "/a").c_str(), 0700);
+  chmod((root + "/a").c_str(), 0777);
+  {
+    CacheStore store(root + "/a/b", 1 << 30, collect());
+    EXPECT_FALSE(store.usable());
+    ASSERT_EQ(warnings.size(), 1u);
+    EXPECT_NE(warnings[0].find("others may write to '"), std::string::npos);
+    EXPECT_NE(warnings[0].find("/a' above it"), std::string::npos)
+        << warnings[0];
+  }
+  // In a sticky one, each has what is theirs.
+  chmod((root + "/a").c_str(), 01777);
+  CacheStore store(root + "/a/b", 1 << 30, collect());
+  EXPECT_TRUE(store.usable());
+  EXPECT_EQ(warnings.size(), 1u);
+}
+
 TEST_F(RuntimeCache, RefusesFoldersThatOthersMayWrite) {
   for (mode_t mode : {0777, 0770, 0702}) {
     mkdir(folder.c_str(), 0700);
@@ -306,6 +389,97 @@ TEST_F(RuntimeCache, PrunesWhatWasUsedLongAgo) {
   utimensat(AT_FDCWD, (folder + "/.tmp-1-2-3").c_str(), old, 0);
   store.prune();
   EXPECT_NE(access((folder + "/.tmp-1-2-3").c_str(), F_OK), 0);
+}
+
+// Processes that want the same entries at once: each entry is made by one.
+TEST_F(RuntimeCache, OneProcessMakesAnEntry) {
+  constexpr int keys = 6;
+  std::string log = root + "/log";
+  spill(log, "");
+  auto work = [&] {
+    CacheStore store(folder, 1 << 30, [](const std::string &) {});
+    for (int k = 0; k < keys; ++k) {
+      std::string key = "key" + std::to_string(k);
+      if (store.get(key))
+        continue;
+      CacheStore::Claim claim = store.claim(key, /*mostSeconds=*/1e6);
+      if (!claim)
+        return 1;
+      if (store.get(key))
+        continue;
+      int file = open(log.c_str(), O_WRONLY | O_APPEND);
+      if (write(file, "made\n", 5) != 5 || !store.put(key, "code"))
+        return 2;
+      close(file);
+    }
+    return 0;
+  };
+  std::vector<pid_t> children;
+  for (int i = 0; i < 8; ++i) {
+    pid_t child = fork();
+    ASSERT_GE(child, 0);
+    if (child == 0)
+      _exit(work());
+    children.push_back(child);
+  }
+  for (pid_t child : children) {
+    int status = 0;
+    waitpid(child, &status, 0);
+    EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 0);
+  }
+  EXPECT_EQ(slurp(log).size(), 5u * keys);
+  unlink(log.c_str());
+  // No locks are left behind.
+  EXPECT_EQ(files(folder).size(), size_t(keys));
+}
+
+// The owner of a claim is killed: the next one has it at once, and whoever
+// waits does not wait for ever.
+TEST_F(RuntimeCache, ClaimsEndWithTheirOwners) {
+  CacheStore store(folder, 1 << 30, collect());
+  int ready[2];
+  ASSERT_EQ(pipe(ready), 0);
+  pid_t child = fork();
+  ASSERT_GE(child, 0);
+  if (child == 0) {
+    CacheStore mine(folder);
+    CacheStore::Claim claim = mine.claim("k");
+    char byte = claim ? 'y' : 'n';
+    (void)!write(ready[1], &byte, 1);
+    for (;;)
+      pause();
+  }
+  char byte = 0;
+  ASSERT_EQ(read(ready[0], &byte, 1), 1);
+  ASSERT_EQ(byte, 'y');
+  // Somebody has it, and keeps it: others go on without.
+  EXPECT_FALSE(store.claim("k", /*mostSeconds=*/0.01));
+  EXPECT_TRUE(store.claim("another", /*mostSeconds=*/0));
+  kill(child, SIGKILL);
+  int status = 0;
+  waitpid(child, &status, 0);
+  EXPECT_TRUE(store.claim("k", /*mostSeconds=*/0));
+  close(ready[0]);
+  close(ready[1]);
+  EXPECT_TRUE(files(folder).empty());
+  EXPECT_TRUE(warnings.empty());
+}
+
+// A child that is forked meanwhile does not keep what its parent gives back.
+TEST_F(RuntimeCache, ClaimsAreNotInherited) {
+  CacheStore store(folder, 1 << 30, collect());
+  CacheStore::Claim claim = store.claim("k");
+  ASSERT_TRUE(claim);
+  EXPECT_FALSE(store.claim("k", /*mostSeconds=*/0));
+  pid_t child = fork();
+  ASSERT_GE(child, 0);
+  if (child == 0)
+    for (;;)
+      pause();
+  claim.reset();
+  EXPECT_TRUE(store.claim("k", /*mostSeconds=*/0));
+  kill(child, SIGKILL);
+  waitpid(child, nullptr, 0);
 }
 
 // Processes that write and read the same keys, some of them killed on the way:

@@ -68,13 +68,16 @@ StringRef stringifyPhase(Phase phase);
 /// Seconds spent in each phase.
 using PhaseTimes = std::array<double, kNumPhases>;
 
-/// Where compiled objects are kept from run to run. Both calls come from any
+/// Where compiled objects are kept from run to run. All calls come from any
 /// thread.
 struct ObjectCache {
   /// The bytes stored under the key, or nothing. Bytes that were damaged are
   /// never returned.
   std::function<std::optional<std::string>(StringRef key)> load;
   std::function<void(StringRef key, StringRef bytes)> store;
+  /// The right to make the object of the key, which others wait for; see
+  /// runtime::CacheStore::claim. May be left out.
+  std::function<std::shared_ptr<void>(StringRef key)> claim = nullptr;
   explicit operator bool() const { return static_cast<bool>(load); }
 };
 
@@ -169,10 +172,13 @@ public:
     std::string needs;
     SkipAmounts skipped{};
     PhaseTimes times = {};
+    /// Makes other processes wait for the object.
+    std::shared_ptr<void> claim;
   };
+  /// `claims`: the second step follows at once, and other processes may wait.
   std::optional<Prepared> prepare(CompileRequest request,
                                   const CompileOptions &options,
-                                  Failure &failure);
+                                  Failure &failure, bool claims = false);
   std::optional<Function> finish(Prepared prepared, CompileRequest request,
                                  const CompileOptions &options,
                                  Failure &failure);
@@ -203,6 +209,17 @@ private:
   struct Worker;
   class WorkerLease;
 
+  /// Takes the object from the cache, if it is there.
+  void load(Prepared &prepared);
+  /// The same after whoever makes the object now is done; where nobody has, the
+  /// right to make it.
+  void claimOrLoad(Prepared &prepared);
+  /// Differentiates what is to be compiled.
+  LogicalResult start(CompileRequest request, const CompileOptions &options,
+                      Prepared &prepared, Failure &failure);
+  /// Links an object. False, with the reason, if that cannot be.
+  LogicalResult link(const CompiledObject &object, StringRef name,
+                     Function &function, Failure &failure);
   /// Makes the module to be lowered: for an adjoint, by differentiation.
   LogicalResult differentiate(Worker &worker, CompileRequest request,
                               Prepared &prepared, Failure &failure);

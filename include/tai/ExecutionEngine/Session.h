@@ -191,7 +191,7 @@ private:
                                               bool forward = false);
   /// Differentiates the kernel unless that has been done. The caller holds
   /// `prepareMutex`.
-  LogicalResult prepareAdjoint(KernelCode &code, Failure &failure);
+  LogicalResult prepareAdjoint(KernelCode &code, Failure &failure, bool claims);
   std::optional<Compiler::Function> compileAdjoint(KernelCode &code,
                                                    Failure &failure);
   runtime::Status planAdjoint(KernelCode &code, runtime::Kernel &runtimeKernel,

@@ -59,6 +59,14 @@ public:
   /// The same on a thread of its own, since waiting for the disk takes
   /// milliseconds. Until it is done, get() may not find the entry.
   void putLater(std::string key, std::string bytes);
+  /// The right to make the entry of a key. Processes that want it meanwhile
+  /// wait, and then find it. Given back when the last copy goes, or when the
+  /// process ends, however it does.
+  using Claim = std::shared_ptr<void>;
+  /// Waits for whoever has the right now, but no longer than so many seconds:
+  /// then, or where no file can be locked, the claim is null, and two may make
+  /// the entry. Any thread.
+  Claim claim(std::string_view key, double mostSeconds = 60);
   /// Waits for what putLater has begun; so does the destructor.
   void flush();
   /// Removes least recently used entries beyond the limit, and what killed
