@@ -221,8 +221,12 @@ LogicalResult AdjointBuilder::reverseOp(Operation *op) {
   llvm::SaveAndRestore nowInRule(inRule, true);
   if (auto rule = dyn_cast<DifferentiableOpInterface>(op)) {
     seedIsInfinite = createInfinityTest(op);
+    seedIsUndefined = llvm::any_of(op->getResults(), [&](Value result) {
+      return mayBeUndefined.contains(result);
+    });
     LogicalResult result = rule.buildAdjoint(*this);
     seedIsInfinite = {};
+    seedIsUndefined = false;
     return result;
   }
   emitError(op, "'" + op->getName().getStringRef() +
@@ -369,6 +373,8 @@ Value AdjointBuilder::createInfinityTest(Operation *op) {
 /// What an infinite adjoint contributes: nothing where the partial derivative
 /// is zero, and not the NaN that the product of both is.
 Value AdjointBuilder::createFinite(Value value, Value contribution) {
+  if (seedIsUndefined)
+    mayBeUndefined.insert(value);
   if (!seedIsInfinite)
     return contribution;
   mayBeInfinite.insert(value);

@@ -223,13 +223,12 @@ KeptValues Contention::createKept(ArrayRef<CountedLoop> loops) {
 // Values
 //===----------------------------------------------------------------------===//
 
-/// What stood there before is the first factor.
+/// What stood there before is left out: it may be so small that its product
+/// with the factors has no digits.
 void Contention::startProduct() {
   createElementLoop([&](const Element &element) {
-    Value before = loadElement(getStorage(), element);
-    Value none = isZero(before);
-    store(select(none, constant(1), before), total, element.number);
-    store(select(none, integer(1), integer(0)), count, element.number);
+    store(constant(1), total, element.number);
+    store(integer(0), count, element.number);
   });
 }
 
@@ -276,7 +275,7 @@ void Contention::countDeciding(const KeptValues &kept) {
 //===----------------------------------------------------------------------===//
 
 /// The adjoint of one factor of an element, given the weight of the element:
-/// its adjoint times its product without zeros.
+/// its adjoint times what stood there before and the factors but for zeros.
 Value Contention::createFactorAdjoint(Value factor, Value element) {
   Value all = load(weight, element), zeros = load(count, element);
   Value zero = constant(0);
@@ -291,14 +290,18 @@ Value Contention::createFactorAdjoint(Value factor, Value element) {
 void Contention::createProductWeights() {
   Storage adjoint = b.getAdjointStorage(getStorage());
   createElementLoop([&](const Element &element) {
-    Value g = loadElement(adjoint, element);
-    Value product = load(total, element.number);
     // A zero adjoint contributes zero, whatever the product.
-    Value all =
-        select(isZero(g), constant(0), arith::MulFOp::create(b, g, product));
-    store(all, weight, element.number);
+    auto times = [&](Value g, Value factor) {
+      return select(isZero(g), constant(0),
+                    arith::MulFOp::create(b, g, factor));
+    };
+    Value g = loadElement(adjoint, element);
+    Value all = times(g, load(total, element.number));
     Value before = loadElement(getStorage(), element);
-    storeElement(createFactorAdjoint(before, element.number), adjoint, element);
+    store(times(all, before), weight, element.number);
+    Value zeros = load(count, element.number);
+    storeElement(select(isInteger(zeros, 0), all, constant(0)), adjoint,
+                 element);
   });
 }
 

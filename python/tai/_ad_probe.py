@@ -112,8 +112,9 @@ def relative_error(a: float, b: float, scale: float) -> float:
     """The distance of two derivatives; 0 if they are the same, nan if one is no number."""
     if a == b:
         return 0.0
-    scale = max(abs(a), abs(b), scale)
-    return abs(a - b) / scale if np.isfinite(scale) else np.nan
+    if not (np.isfinite(a) and np.isfinite(b) and np.isfinite(scale)):
+        return np.nan
+    return abs(a - b) / max(abs(a), abs(b), scale)
 
 
 def climb(

@@ -45,12 +45,13 @@ tai.kernel @extreme() {
   tai.return
 }
 
-// One element for all needs one number; what stood there is a factor.
+// One element for all needs one number; what stood there is a factor, apart from
+// the product of the others.
 // CHECK-LABEL: tai.kernel @product_grad(
 //  CHECK-SAME:   tai.before = [@y]
 //       CHECK:   %[[PRODUCT:.+]] = memref.alloc() : memref<1xf32>
-//       CHECK:   tai.load @y[%[[T:.+]]] : f32
 //       CHECK:   memref.atomic_rmw mulf
+//       CHECK:   tai.load @y[%[[T:.+]]] : f32
 //       CHECK:   tai.store %{{.+}}, @y_grad[%[[T]]] : f32
 tai.kernel @product(%t: index) {
   tai.parallel_for (%i) in @x {

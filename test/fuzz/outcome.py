@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import random_kernels as programs
+import singular
 import tai as ti
 from configurations import Configuration
 from tai import _ad_check, _ad_probe
@@ -186,6 +187,10 @@ def _check_finite(program, f, mask, gradient) -> Outcome:
         at = tuple(position)
         limits = [_one_sided_limit(program, f, at, sign) for sign in (1.0, -1.0)]
         if all(limit is not None for limit in limits):
+            if singular.is_right_when_scaled(program, f, at, limits):
+                continue
+            if singular.may_be_a_steep_tie(program, gradient[at]):
+                return Outcome("kink", "infinite at a tie")
             return Outcome(
                 "FAIL",
                 "the gradient is not finite, but the slopes are",
@@ -234,11 +239,15 @@ def _check_forward(program, f, mask, gradient, generator, kinked, bound) -> Outc
         return Outcome("agree")
     parts = (gradient * along)[finite]
     reverse = float(np.sum(parts))
+    if not np.isfinite(expected) and singular.stores_infinite_tangents(program, f, along):
+        return Outcome("undefined", "a kernel stores an infinite derivative")
     scale = float(np.sum(np.abs(parts)))
     error = _ad_probe.relative_error(reverse, expected, scale)
     # Products of huge and tiny numbers may cancel in one order and not in the other.
     if error <= bound or (kinked and not scale < 1e250):
         return Outcome("agree")
+    if kinked and singular.is_lost_in_rounding(program, f, along, abs(reverse - expected)):
+        return Outcome("undecided", "rounding decides")
     return Outcome(
         "FAIL",
         "reverse and forward mode differ",

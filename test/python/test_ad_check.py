@@ -6,6 +6,7 @@ import inspect
 import numpy as np
 import pytest
 import tai as ti
+from tai._ad_probe import relative_error
 
 
 class Chain:
@@ -308,3 +309,10 @@ class TestGradCheck:
         chain = Chain(ti.f32)
         with pytest.raises(ti.TaiAutodiffError, match="needs f64"):
             ti.ad.Tape(chain.loss, grad_check=[chain.x])
+
+
+@pytest.mark.parametrize("derivatives", [(0.0, np.nan), (np.nan, 0.0), (np.inf, 0.0)])
+def test_a_derivative_that_is_no_number_is_an_error(derivatives):
+    """Beside a zero, whose scale is zero."""
+    assert np.isnan(relative_error(*derivatives, 0.0))
+    assert relative_error(0.0, 0.0, 0.0) == 0.0

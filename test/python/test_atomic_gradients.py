@@ -153,6 +153,30 @@ def test_a_zero_adjoint_of_an_infinite_product():
     assert x.grad.to_numpy().tolist() == [0] * 4
 
 
+def test_factors_of_a_denormal_number():
+    """The derivative by what stood there before is the product of all factors, to the last bit."""
+    x, y, loss = real("f64", 3), real("f64"), real("f64")
+
+    @ti.kernel
+    def run():
+        for i in x:
+            ti.atomic_mul(y[None], x[i])
+
+    @ti.kernel
+    def total():
+        loss[None] += y[None]
+
+    for before in (5e-324, 1e-310, 0.0, 1.0):
+        x.from_numpy(np.array([1.8, 1.7, 1.6]))
+        y[None] = before
+        with ti.ad.Tape(loss):
+            run()
+            total()
+        assert y.grad[None] == pytest.approx(1.8 * 1.7 * 1.6, rel=1e-15)
+        expected = before * np.array([1.7 * 1.6, 1.8 * 1.6, 1.8 * 1.7])
+        np.testing.assert_allclose(x.grad.to_numpy(), expected, rtol=1e-14, atol=1e-323)
+
+
 def test_one_element_for_all(mode, dtype):
     x, y, loss = real(dtype, N), real(dtype), real(dtype)
 

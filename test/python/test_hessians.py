@@ -301,3 +301,36 @@ def test_a_field_between_needs_both():
 
     with pytest.raises(TaiAutodiffError, match="'middle' has a gradient but no dual"):
         ti.ad.hvp(kernel, loss, x, 1.0)
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_rotation_of_a_matrix(n):
+    """Polar decomposition, also at equal singular values, where every material starts."""
+    generator = np.random.default_rng(n)
+    points = [np.eye(n), generator.standard_normal((n, n)) + 2 * np.eye(n),
+              np.diag([1.0, 0.02, 0.01][:n])]  # fmt: skip
+    weights = generator.standard_normal((n, n)).tolist()
+    for point in points:
+        x, loss = both((n, n)), both()
+
+        @ti.kernel
+        def kernel(x: ti.template(), loss: ti.template()):
+            for _ in range(1):
+                a = ti.Matrix([[x[i, j] for j in range(n)] for i in range(n)])
+                r, _ = ti.polar_decompose(a)
+                loss[None] += (r * ti.Matrix(weights)).sum() ** 2
+
+        x.from_numpy(point)
+        direction = generator.standard_normal((n, n))
+        product = ti.ad.hvp(lambda x=x, loss=loss: kernel(x, loss), loss, x, direction)
+
+        def gradient(step, x=x, loss=loss, point=point, direction=direction):
+            x.from_numpy(point + step * direction)
+            with ti.ad.Tape(loss):
+                kernel(x, loss)
+            return x.grad.to_numpy()
+
+        h = 1e-4 * np.abs(np.linalg.svd(point, compute_uv=False)).min()
+        slopes = [(gradient(h / k) - gradient(-h / k)) / (2 * h / k) for k in (1, 2)]
+        expected = (4 * slopes[1] - slopes[0]) / 3
+        np.testing.assert_allclose(product, expected, atol=1e-6 * np.abs(expected).max())

@@ -19,6 +19,22 @@ def root_of_positive(x):
     return y
 
 
+@ti.func
+def max_with_branch(x):
+    zero = 0.0
+    if x > 5:
+        zero = 0.0
+    return ti.max(zero, x)
+
+
+@ti.func
+def max_with_loop(x):
+    zero = 1.0
+    for _ in range(3):
+        zero = 0.0
+    return ti.max(zero, x)
+
+
 # What it is, the function of a vector, the point, its value, its gradient: exact.
 EXACT = [
     ("sqrt(0)", lambda x: ti.sqrt(x[0]), [0], 0, [INF]),
@@ -37,6 +53,50 @@ EXACT = [
     ("min(0, x)", lambda x: ti.min(0.0, x[0]), [0], 0, [1]),
     ("max, tie", lambda x: ti.max(x[0], x[1]), [1, 1], 1, [0, 1]),
     ("min, tie", lambda x: ti.min(x[0], x[1]), [1, 1], 1, [0, 1]),
+    ("max(x, 0), whole", lambda x: ti.max(x[0], 0), [0], 0, [0]),
+    ("max(0, x), whole", lambda x: ti.max(0, x[0]), [0], 0, [1]),
+    ("max(-0., x)", lambda x: ti.max(-0.0, x[0]), [0], 0, [1]),
+    ("max(cast, x)", lambda x: ti.max(ti.cast(0, ti.f32), x[0]), [0], 0, [1]),
+    ("max of three, x first", lambda x: ti.max(x[0], 0.0, -1.0), [0], 0, [0]),
+    ("max of three, x second", lambda x: ti.max(0.0, x[0], -1.0), [0], 0, [1]),
+    ("max of three, x last", lambda x: ti.max(-1.0, 0.0, x[0]), [0], 0, [1]),
+    ("max(vector, 0)", lambda x: ti.max(x, 0.0).sum(), [0, 0], 0, [0, 0]),
+    ("max(0, vector)", lambda x: ti.max(0.0, x).sum(), [0, 0], 0, [1, 1]),
+    ("max(zeros, vector)", lambda x: ti.max(ti.Vector([0.0, 0.0]), x).sum(), [0, 0], 0, [1, 1]),
+    ("max(vector, zeros)", lambda x: ti.max(x, ti.Vector([0.0, 0.0])).sum(), [0, 0], 0, [0, 0]),
+    ("min(numbers, vector)", lambda x: ti.min(ti.Vector([0.0, 1.0]), x).sum(), [0, 1], 1, [1, 1]),
+    (
+        "max(matrix, matrix)",
+        lambda x: ti.max(ti.Matrix([[0.0, 1.0]]), ti.Matrix([[x[0], x[1]]])).sum(),
+        [0, 1],
+        1,
+        [1, 1],
+    ),
+    ("max(zero in a branch, x)", lambda x: max_with_branch(x[0]), [0], 0, [1]),
+    ("max(zero in a loop, x)", lambda x: max_with_loop(x[0]), [0], 0, [1]),
+    (
+        "max(x, y) and max(y, x)",
+        lambda x: ti.max(x[0], x[1]) + 10 * ti.max(x[1], x[0]),
+        [1, 1],
+        11,
+        [10, 1],
+    ),
+    (
+        "min(x, y) and min(y, x)",
+        lambda x: ti.min(x[0], x[1]) + 10 * ti.min(x[1], x[0]),
+        [1, 1],
+        11,
+        [10, 1],
+    ),
+    ("components, 0 last", lambda x: ti.Vector([x[0], 0.0]).max(), [0], 0, [0]),
+    ("components, 0 first", lambda x: ti.Vector([0.0, x[0]]).max(), [0], 0, [1]),
+    ("-min(-x, 0)", lambda x: -ti.min(-x[0], 0.0), [0], 0, [0]),
+    ("select, x > 0", lambda x: ti.select(x[0] > 0, x[0], 0.0), [0], 0, [0]),
+    ("select, x >= 0", lambda x: ti.select(x[0] >= 0, x[0], 0.0), [0], 0, [1]),
+    ("x (x > 0)", lambda x: x[0] * (x[0] > 0), [0], 0, [0]),
+    ("(x + abs x) / 2", lambda x: 0.5 * (x[0] + abs(x[0])), [0], 0, [0.5]),
+    ("max(NaN, x)", lambda x: ti.max(x[1] * NAN, x[0]), [2, 1], 2, [1, 0]),
+    ("max(x, NaN)", lambda x: ti.max(x[0], x[1] * NAN), [2, 1], 2, [1, 0]),
     ("max of components, tie", lambda x: x.max(), [1, 1, 1], 1, [0, 0, 1]),
     ("clamp, low", lambda x: ti.math.clamp(x[0], 0.0, 1.0), [0], 0, [1]),
     ("clamp, high", lambda x: ti.math.clamp(x[0], 0.0, 1.0), [1], 1, [1]),
@@ -44,6 +104,9 @@ EXACT = [
     ("atan2(0, 0)", lambda x: ti.atan2(x[0], x[1]), [0, 0], 0, [0, 0]),
     ("pow(0, 0)", lambda x: x[0] ** x[1], [0, 0], 1, [0, 0]),
     ("pow(0, 2)", lambda x: x[0] ** x[1], [0, 2], 0, [0, 0]),
+    # An exponent of a negative base has no derivative; what it does not depend on has zero.
+    ("pow(-2, 0 y)", lambda x: x[0] ** (x[1] * x[2]), [-2, 0, 1], 1, [0, NAN, 0]),
+    ("pow(-2, y 0)", lambda x: x[0] ** (x[1] * x[2]), [-2, 1, 0], 1, [0, 0, NAN]),
     ("pow(-2, 2)", lambda x: x[0] ** x[1], [-2, 2], 4, [-4, NAN]),
     ("x ** 0", lambda x: x[0] ** 0, [0], 1, [0]),
     ("x ** 1", lambda x: x[0] ** 1, [0], 0, [1]),
@@ -116,6 +179,28 @@ def test_norm_of_an_axis(scale, dtype, mode):
     value, gradient = derive(lambda x: x.norm(), [length, 0, 0], dtype, mode)
     assert value == length
     np.testing.assert_array_equal(gradient, [1, 0, 0])
+
+
+FLAT = {
+    "tanh": (lambda p: ti.tanh(p), 1),
+    "exp": (lambda p: ti.exp(-p), 0),
+    "quotient": (lambda p: 1 / p, 0),
+    "atan2": (lambda p: ti.atan2(1.0, p), 0),
+    "rsqrt": (lambda p: ti.rsqrt(p), 0),
+    "sigmoid": (lambda p: 1 / (1 + ti.exp(-p)), 1),
+}
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("dtype", ["f64", "f32"])
+@pytest.mark.parametrize("name", FLAT)
+def test_flat_functions_of_an_overflow(name, dtype, mode):
+    """The product is infinite, and so is its tangent; the function has the slope zero there."""
+    function, limit = FLAT[name]
+    s = HUGE[dtype]
+    value, gradient = derive(lambda x: function(s * x[0] * x[1]), [1.0, s], dtype, mode)
+    assert value == limit
+    np.testing.assert_array_equal(gradient, [0, 0])
 
 
 NORMS = {

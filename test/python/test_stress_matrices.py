@@ -160,7 +160,8 @@ def test_products_of_factors_in_any_order(n, mode):
 def jumping(n):
     """Matrices whose rotation jumps: two singular values cancel but for rounding."""
     generator = np.random.default_rng(5)
-    points = {}
+    points = {"axes": np.diag([1.0] * (n - 1) + [-1.0])}
+    points["all"] = -np.eye(3) if n == 3 else np.array([[0.0, 2.0], [2.0, 0.0]])
     for k in range(6):
         left, right = rotation(10 + k, n), rotation(30 + k, n)
         values = {2: [[1, -1]], 3: [[1, 0, 0], [1, 1, -1], [2, 1, -1], [1, 1e-15, 1e-15]]}[n]

@@ -214,6 +214,11 @@ public:
 
   /// Says that what was added to the adjoint of `value` may be infinite.
   void markInfinite(Value value) { mayBeInfinite.insert(value); }
+  /// Says that what was added to the adjoint of `value` may be NaN though all
+  /// values are finite: a derivative that does not exist.
+  void markUndefined(Value value) { mayBeUndefined.insert(value); }
+  /// True if an adjoint that the rule at hand starts from may be so.
+  bool isSeedUndefined() const { return seedIsUndefined; }
 
   /// Reports that `op` cannot be differentiated; building then fails.
   InFlightDiagnostic emitError(Operation *op, const Twine &message);
@@ -284,6 +289,9 @@ private:
   /// rule at hand starts from (null: no).
   DenseSet<Value> mayBeInfinite;
   Value seedIsInfinite;
+  /// The same for adjoints that may be NaN.
+  DenseSet<Value> mayBeUndefined;
+  bool seedIsUndefined = false;
   DenseSet<Operation *> recomputedDraws, refused;
   /// The storages that the adjoint accumulates into.
   DenseSet<const void *> accumulated;

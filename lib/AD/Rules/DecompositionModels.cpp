@@ -74,10 +74,12 @@ struct PolarModel
     S size = max(abs(x), abs(y));
     S least{&b, b.createConstant(x.v.getType(), getLeast(type))};
     S floor = getJumpTolerance(type) * getGreatest(a) + least;
-    S cosine = x / size, sine = y / size;
+    S one{&b, b.createConstant(x.v.getType(), 1)};
+    S inverse = divideAbove(one, size, floor);
+    S cosine = x * inverse, sine = y * inverse;
     S square = cosine * cosine + sine * sine;
-    return {divideAbove(cosine / square, size, floor),
-            divideAbove(sine / square, size, floor)};
+    S slope = keepAbove(size, floor, one / (size * square));
+    return {cosine * slope, sine * slope};
   }
 
   static Value extendPlanar(TangentBuilder &b, Value matrix, Value r,

@@ -13,6 +13,7 @@
 #include "Models.h"
 #include "ScalarRules.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "mlir/IR/Matchers.h"
 #include "tai/AD/AdjointBuilder.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "llvm/ADT/StringMap.h"
@@ -38,13 +39,34 @@ static void applyRule(Operation *op, AdjointBuilder &adjoint) {
       continue;
     RuleArgs args(adjoint, op, seed);
     Value contribution = partial.build(args).value;
+    // A partial that is zero takes nothing of an adjoint that does not exist.
+    if (adjoint.isSeedUndefined()) {
+      RuleArgs unit(adjoint, op, adjoint.createConstant(seed.getType(), 1));
+      Value slope = partial.build(unit).value;
+      if (!matchPattern(slope, m_Constant()))
+        contribution = adjoint.createGuard(slope, contribution);
+    }
     if (args.usesNonFinite() || partial.mayBeNonFinite(args)) {
       contribution = adjoint.createGuard(seed, contribution);
       if (adjoint.wantsGuards())
         adjoint.markInfinite(operand);
     }
+    // The only derivative that can be missing where the value is finite.
+    if (isa<math::PowFOp>(op) && partial.operand == 1 &&
+        adjoint.wantsGuards() &&
+        !adjoint.getFacts().isNonNegative(op->getOperand(0), op))
+      adjoint.markUndefined(operand);
     adjoint.addAdjoint(operand, contribution);
   }
+}
+
+/// Functions that stay finite where their operand does not. A tangent may
+/// overflow together with such an operand though all that is read is finite,
+/// and then meets a partial that is zero.
+static bool saturates(Operation *op, unsigned operand) {
+  return isa<math::ExpOp, math::Exp2Op, math::TanhOp, math::AtanOp,
+             math::Atan2Op, math::ErfOp, math::ErfcOp, math::RsqrtOp>(op) ||
+         (isa<arith::DivFOp>(op) && operand == 1);
 }
 
 static void applyTangentRule(Operation *op, TangentBuilder &b) {
@@ -56,13 +78,16 @@ static void applyTangentRule(Operation *op, TangentBuilder &b) {
       continue;
     RuleArgs args(b, op, tangent, RuleArgs::Mode::Forward);
     Value product = partial.build(args).value;
+    auto createSlope = [&] {
+      Value one = b.createConstant(tangent.getType(), 1);
+      RuleArgs unit(b, op, one, RuleArgs::Mode::Forward);
+      return partial.build(unit).value;
+    };
     Value term = b.createProduct(
         operand, product, args.usesNonFinite() || partial.mayBeNonFinite(args),
-        [&] {
-          Value one = b.createConstant(tangent.getType(), 1);
-          RuleArgs unit(b, op, one, RuleArgs::Mode::Forward);
-          return partial.build(unit).value;
-        });
+        createSlope);
+    if (!b.isWild(operand) && saturates(op, partial.operand))
+      term = b.createGuard(createSlope(), term);
     sum = sum ? Value(arith::AddFOp::create(b, sum, term)) : term;
   }
   b.setTangent(op->getResult(0), sum);
