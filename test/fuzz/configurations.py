@@ -67,13 +67,18 @@ class Configuration:
                 if value is not None:
                     os.environ[name] = value
 
+    @property
+    def options(self) -> dict:
+        """What `ti.init` is given."""
+        return {
+            "cpu_max_num_threads": self.threads if self.arch == "cpu" else 1,
+            "opt_level": self.level, "deterministic": self.deterministic,
+        }  # fmt: skip
+
     def init(self, **options) -> None:
         import tai as ti
 
-        ti.init(
-            cpu_max_num_threads=self.threads if self.arch == "cpu" else 1,
-            opt_level=self.level, deterministic=self.deterministic, **options,
-        )  # fmt: skip
+        ti.init(**self.options, **options)
 
     def plain(self) -> Configuration:
         """The one whose values all others must have."""

@@ -6,19 +6,50 @@ and that is a failure. Tests that need something of the machine say so themselve
 
 ALL = "*"  # of a module
 
+NO_KERNEL = "no kernel runs in it, and no field is read or written"
+NAMES = "looks at names alone"
+CHOOSES = "chooses the target itself"
+
 # Nothing in them depends on the target, or they choose it themselves: one run does.
 ONE_RUN_DOES = {
-    "test_cuda_floors": {ALL: "programs in CUDA C++"},
-    "test_device_lists": {ALL: "chooses the target itself"},
-    "test_emulated_blocks": {ALL: "chooses the target itself"},
-    "test_gpu_benchmark": {ALL: "chooses the target itself"},
-    "test_taichi_names": {
-        "test_names_are_there": "looks at names alone",
-        "test_field_attributes": "looks at names alone",
-        "test_inner_modules_are_the_same_under_the_other_name": "looks at names alone",
-        "test_no_alias_without_being_asked": "looks at names alone",
+    "test_ad_memory": {"test_options_that_make_no_sense": NO_KERNEL},
+    "test_api": {
+        "test_names_are_there": NAMES,
+        "test_docstrings": NAMES,
+        "test_every_method_of_the_api_surface": NAMES,
+        "test_missing_names_say_so": NAMES,
+        "test_import_loads_neither_the_compiler_nor_plotting": NAMES,
+        "test_runtime_shim": NO_KERNEL,
     },
-}  # fmt: skip
+    "test_argument_gradients": {
+        "test_what_cannot_be_a_variable": NO_KERNEL,
+        "test_values_with_a_gradient_are_no_constants": NO_KERNEL,
+        "test_matrices_are_not_computed_with_in_python": NO_KERNEL,
+        "test_functions_of_numpy_are_refused": NO_KERNEL,
+    },
+    "test_array_gradients": {
+        "test_the_gradient_cannot_be_replaced": NO_KERNEL,
+        "test_needs_grad_of_whole_numbers": NO_KERNEL,
+        "test_an_array_has_a_gradient_of_its_kind": NO_KERNEL,
+        "test_a_loss_of_several_numbers": NO_KERNEL,
+    },
+    "test_cuda_floors": {ALL: "programs in CUDA C++"},
+    "test_device_lists": {ALL: CHOOSES},
+    "test_emulated_blocks": {ALL: CHOOSES},
+    "test_forward_mode": {"test_every_scalar_rule_is_tested": NAMES},
+    "test_gpu_benchmark": {ALL: CHOOSES},
+    "test_lazy_names": {ALL: NAMES},
+    "test_matrices": {
+        "test_in_python": "matrices of Python, which no kernel computes",
+        "test_python_matrices": "matrices of Python, which no kernel computes",
+    },
+    "test_taichi_names": {
+        "test_names_are_there": NAMES,
+        "test_field_attributes": NAMES,
+        "test_inner_modules_are_the_same_under_the_other_name": NAMES,
+        "test_no_alias_without_being_asked": NAMES,
+    },
+}
 
 # On the emulated device and on GPUs.
 FAILS_ON_A_DEVICE = {

@@ -13,6 +13,7 @@ import pytest
 FUZZ = Path(__file__).parents[1] / "fuzz"
 sys.path.insert(0, str(FUZZ))
 
+import configurations  # noqa: E402
 import sparse_sequences as sequences  # noqa: E402
 from sparse_trees import random_forest  # noqa: E402
 
@@ -20,9 +21,17 @@ from sparse_trees import random_forest  # noqa: E402
 FAILED_ONCE = [107, 155, 162, 166]
 
 
-@pytest.mark.parametrize("seed", [*range(10000, 10030), *FAILED_ONCE])
-def test_trees_behave_as_the_model(seed, tmp_path):
+@pytest.mark.parametrize("seed", FAILED_ONCE)
+def test_trees_that_failed_once(seed, tmp_path):
     sequences.run_seed(seed, 10, tmp_path, offline_cache=False)
+
+
+@pytest.mark.parametrize("seed", range(10000, 10030))
+def test_trees_behave_as_the_model(seed, tmp_path):
+    where = configurations.draw(seed, configurations.default_targets())
+    print(where)
+    with where.chosen():
+        sequences.run_seed(seed, 10, tmp_path, offline_cache=False, **where.options)
 
 
 def test_trees_are_of_all_kinds():
