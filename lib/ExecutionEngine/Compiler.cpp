@@ -26,6 +26,7 @@ std::string CompileOptions::str() const {
   llvm::raw_string_ostream(text)
       << "opt=" << codegen.optLevel << " fast=" << codegen.fastMath
       << " contract=" << codegen.contract << " debug=" << debug
+      << " bounds=" << stringifyBoundsMode(bounds)
       << " deterministic=" << deterministic << " history=" << historyBytes
       << " skip=" << skips.str();
   if (device)
@@ -284,6 +285,22 @@ LogicalResult Compiler::lower(Worker &worker, CompileRequest request,
 // Compilation
 //===----------------------------------------------------------------------===//
 
+static std::string digest(StringRef text) {
+  llvm::BLAKE3 hasher;
+  hasher.update(text);
+  return llvm::toHex(hasher.final(), /*LowerCase=*/true);
+}
+
+std::string Compiler::getPlaces(CompileRequest request) {
+  std::string text;
+  llvm::raw_string_ostream stream(text);
+  OpPrintingFlags flags;
+  flags.enableDebugInfo();
+  flags.assumeVerified();
+  request.module->print(stream, flags);
+  return digest(text);
+}
+
 std::string Compiler::getKey(CompileRequest request,
                              const CompileOptions &options) {
   // Locations are in the code only where checks or a profiler report them.
@@ -300,15 +317,14 @@ std::string Compiler::getKey(CompileRequest request,
   // adjoints, where a device has no memory for what they record.
   bool isAdjoint = request.goal != CompileRequest::Goal::Primal;
   bool hasPlaces =
-      options.debug || (options.device && (options.places || isAdjoint)) ||
+      options.debug || options.bounds == BoundsMode::Check ||
+      (options.device && (options.places || isAdjoint)) ||
       request.module.walk([](CheckCloseOp) { return WalkResult::interrupt(); })
           .wasInterrupted();
   flags.enableDebugInfo(hasPlaces);
   flags.assumeVerified();
   request.module->print(stream, flags);
-  llvm::BLAKE3 hasher;
-  hasher.update(text);
-  return llvm::toHex(hasher.final(), /*LowerCase=*/true);
+  return digest(text);
 }
 
 std::optional<Compiler::Function>
@@ -329,6 +345,10 @@ Compiler::prepare(CompileRequest request, const CompileOptions &options,
     prepared.key = getKey(request, options);
     if (std::optional<std::string> bytes = cache.load(prepared.key))
       prepared.object = CompiledObject::deserialize(*bytes);
+    // The same kernel, at another line of its file.
+    if (prepared.object && !prepared.object->places.empty() &&
+        prepared.object->places != getPlaces(request))
+      prepared.object.reset();
   }
   if (prepared.object) {
     prepared.needs = prepared.object->needs;
