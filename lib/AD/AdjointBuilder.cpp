@@ -135,7 +135,7 @@ LogicalResult AdjointBuilder::checkAccesses() {
     }
     // Output and checks take what they like; regions are looked into.
     if (op->getNumRegions() != 0 || isMemoryEffectFree(op) ||
-        isa<PrintOp, AssertOp>(op))
+        isa<PrintOp, AssertOp, PreconditionOp>(op))
       return;
     if (llvm::none_of(op->getOperands(),
                       [&](Value v) { return activity.isVaried(v); }))

@@ -158,7 +158,7 @@ LogicalResult TangentBuilder::extendOp(Operation *op) {
   if (llvm::any_of(op->getResultTypes(), isFloatOrVector))
     return refuseTangent(op, *this);
   // Output and checks take what they like, and what is discrete is constant.
-  if (isMemoryEffectFree(op) || isa<PrintOp, AssertOp>(op))
+  if (isMemoryEffectFree(op) || isa<PrintOp, AssertOp, PreconditionOp>(op))
     return success();
   emitError(op, "a derivative is lost in '" + op->getName().getStringRef() +
                     "', which cannot be differentiated");

@@ -7,6 +7,7 @@
 
 #include "tai/Analysis/LoopBox.h"
 #include "mlir/IR/Matchers.h"
+#include "tai/Analysis/IndexBounds.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 
 using namespace mlir;
@@ -32,7 +33,7 @@ std::optional<LoopBox> tai::getConstantBox(ParallelForOp loop) {
 SmallVector<LoopBox> tai::findConstantBoxes(Operation *root) {
   SmallVector<LoopBox> boxes;
   root->walk([&](ParallelForOp loop) {
-    if (loop.getSerialize() || loop.isStructFor() ||
+    if (loop.getSerialize() || loop.isStructFor() || checksIndices(loop) ||
         loop->getParentOfType<ParallelForOp>() ||
         loop.getInductionVars().empty())
       return;

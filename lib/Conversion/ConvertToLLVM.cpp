@@ -72,7 +72,33 @@ struct ExpandClamp : OpRewritePattern<math::ClampFOp> {
     return success();
   }
 };
+
+/// Casts a float to an integer as the hardware does, also where none stands for
+/// it: LLVM takes the result to be whatever suits it then, a different number
+/// each time it is used.
+template <typename FromT, typename ToT>
+struct CastFloat : OpConversionPattern<FromT> {
+  using OpConversionPattern<FromT>::OpConversionPattern;
+  LogicalResult
+  matchAndRewrite(FromT op, typename FromT::Adaptor adaptor,
+                  ConversionPatternRewriter &rewriter) const override {
+    Type type = this->getTypeConverter()->convertType(op.getType());
+    if (!isa_and_present<IntegerType>(type))
+      return failure();
+    Value cast = ToT::create(rewriter, op.getLoc(), type, adaptor.getIn());
+    rewriter.replaceOpWithNewOp<LLVM::FreezeOp>(op, cast);
+    return success();
+  }
+};
 } // namespace
+
+void tai::populateFloatCasts(const LLVMTypeConverter &converter,
+                             RewritePatternSet &patterns) {
+  // Before those of upstream.
+  patterns.add<CastFloat<arith::FPToSIOp, LLVM::FPToSIOp>,
+               CastFloat<arith::FPToUIOp, LLVM::FPToUIOp>>(
+      converter, patterns.getContext(), /*benefit=*/2);
+}
 
 void tai::populateExpansionFixes(RewritePatternSet &patterns) {
   // LLVM 22 crashes when it vectorises a loop with the intrinsic for sine and
@@ -100,6 +126,7 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
     populateMathToLLVMConversionPatterns(converter, patterns,
                                          /*approximateLog1p=*/false);
     populateExpansionFixes(patterns);
+    populateFloatCasts(converter, patterns);
     // In f32, polynomials that are right to some units in the last place: they
     // vectorise, which calls of libm do not.
     if (fastMath)

@@ -22,6 +22,8 @@
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/BoundsMode.h"
+#include "tai/Analysis/IndexBounds.h"
 #include "tai/Conversion/Passes.h"
 
 namespace mlir::tai {
@@ -64,10 +66,13 @@ private:
   void guard(OpBuilder &builder, Operation *op, Value inRange,
              function_ref<Value(OpBuilder &)> access);
 
-  /// Emits an assertion that each index is in its range; null if unchecked.
-  Value checkRange(OpBuilder &builder, Location loc, ValueRange zeroBased,
+  /// Emits an assertion before `op` that each index is in its range; null if
+  /// unchecked.
+  Value checkRange(Operation *op, ValueRange zeroBased,
                    ArrayRef<OpFoldResult> extents, const Twine &what,
                    ValueRange shown);
+  Value checkCasts(OpBuilder &builder, Location loc, ValueRange indices,
+                   const Twine &what);
 
   FunctionOpInterface function;
   FieldTable &fields;
@@ -115,13 +120,70 @@ Value AccessLowering::emitActivation(OpBuilder &builder, Location loc,
   return branch.getResult(0);
 }
 
-Value AccessLowering::checkRange(OpBuilder &builder, Location loc,
-                                 ValueRange zeroBased,
+/// The casts of floats that an index is made of.
+static SmallVector<Operation *> findCasts(ValueRange indices) {
+  llvm::SetVector<Value> pending(indices.begin(), indices.end());
+  SmallVector<Operation *> casts;
+  for (size_t i = 0; i != pending.size(); ++i) {
+    Operation *op = pending[i].getDefiningOp();
+    if (isa_and_present<arith::FPToSIOp, arith::FPToUIOp>(op))
+      casts.push_back(op);
+    else if (op && op->getNumRegions() == 0 && isPure(op))
+      for (Value operand : op->getOperands())
+        if (operand.getType().isIntOrIndex())
+          pending.insert(operand);
+  }
+  return casts;
+}
+
+/// An assertion that the floats in the indices stand for integers: of others
+/// casts make some number, which may lie in range. Null where there are none.
+Value AccessLowering::checkCasts(OpBuilder &builder, Location loc,
+                                 ValueRange indices, const Twine &what) {
+  Value all;
+  for (Operation *op : findCasts(indices)) {
+    Value value = op->getOperand(0);
+    auto type = cast<FloatType>(value.getType());
+    unsigned width = op->getResult(0).getType().getIntOrFloatBitWidth();
+    bool isSigned = isa<arith::FPToSIOp>(op);
+    // Powers of two, which floats have: one too many on both sides, and what
+    // lies between rounds towards zero.
+    auto limit = [&](double number) -> Value {
+      APFloat bound(number);
+      bool ignored;
+      bound.convert(type.getFloatSemantics(), APFloat::rmTowardZero, &ignored);
+      return arith::ConstantOp::create(builder, loc,
+                                       builder.getFloatAttr(type, bound));
+    };
+    double high = std::ldexp(1.0, int(width - isSigned));
+    double low = isSigned ? -high : 0;
+    using Predicate = arith::CmpFPredicate;
+    Value above = arith::CmpFOp::create(builder, loc, Predicate::OGE, value,
+                                        limit(low));
+    Value below = arith::CmpFOp::create(builder, loc, Predicate::OLT, value,
+                                        limit(high));
+    Value holds = arith::AndIOp::create(builder, loc, above, below);
+    auto assertion = AssertOp::create(
+        builder, loc, holds,
+        builder.getStringAttr("{} is no index: as an integer it is out of "
+                              "range for " +
+                              what),
+        value);
+    assertion->setAttr(kFailureAttrName, builder.getI32IntegerAttr(2));
+    all = all ? arith::AndIOp::create(builder, loc, all, holds).getResult()
+              : holds;
+  }
+  return all;
+}
+
+Value AccessLowering::checkRange(Operation *op, ValueRange zeroBased,
                                  ArrayRef<OpFoldResult> extents,
                                  const Twine &what, ValueRange shown) {
-  if (!boundsCheck)
+  if (!boundsCheck || op->hasAttr(kInRangeAttrName))
     return {};
-  Value inRange;
+  OpBuilder builder(op);
+  Location loc = op->getLoc();
+  Value inRange = checkCasts(builder, loc, shown, what);
   for (auto [index, extent] : llvm::zip(zeroBased, extents)) {
     Value bound = getValueOrCreateConstantIndexOp(builder, loc, extent);
     Value holds = arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::ult,
@@ -168,22 +230,6 @@ void AccessLowering::guard(OpBuilder &builder, Operation *op, Value inRange,
       outside, loc, outside.getZeroAttr(op->getResult(0).getType()));
   scf::YieldOp::create(outside, loc, zero);
   op->replaceAllUsesWith(branch.getResults());
-}
-
-/// "field '@x' of shape [4, 8]", with the first index where it is not zero.
-static std::string describe(const FieldInfo &field) {
-  std::string text;
-  llvm::raw_string_ostream os(text);
-  os << "field '@" << FieldOp(field.layout.field).getSymName()
-     << "' of shape [";
-  llvm::interleaveComma(field.layout.shape, os);
-  os << "]";
-  if (llvm::any_of(field.layout.offset, [](int64_t o) { return o != 0; })) {
-    os << " from [";
-    llvm::interleaveComma(field.layout.offset, os);
-    os << "]";
-  }
-  return text;
 }
 
 /// The group of the independent loop around an access, if there is one. Arrays
@@ -254,13 +300,14 @@ LogicalResult AccessLowering::lowerField(Operation *op) {
   SmallVector<OpFoldResult> extents =
       getAsIndexOpFoldResult(builder.getContext(), field.layout.shape);
   Value inRange =
-      checkRange(builder, loc, zeroBased, extents, describe(field), indices);
-  if (boundsCheck && llvm::any_of(components, [](Value component) {
+      checkRange(op, zeroBased, extents, describeField(field.layout), indices);
+  if (boundsCheck && !op->hasAttr(kInRangeAttrName) &&
+      llvm::any_of(components, [](Value component) {
         return !getConstantIntValue(component);
       })) {
     extents = getAsIndexOpFoldResult(builder.getContext(), field.elementShape);
     Value inElement = checkRange(
-        builder, loc, components, extents,
+        op, components, extents,
         "an element of field '@" + name.getValue() + "'", components);
     inRange = inRange ? arith::AndIOp::create(builder, loc, inRange, inElement)
                             .getResult()
@@ -366,7 +413,7 @@ LogicalResult AccessLowering::lowerTopology(Operation *op) {
     SmallVector<OpFoldResult> extents =
         getAsIndexOpFoldResult(builder.getContext(), field.layout.shape);
     Value inRange =
-        checkRange(builder, loc, zeroBased, extents, describe(field), indices);
+        checkRange(op, zeroBased, extents, describeField(field.layout), indices);
     guard(builder, op, inRange, [&](OpBuilder &b) -> Value {
       Value list = emitListNumber(b, loc, field, indices);
       return emitLength(b, loc, getInnermostList(field), getTreeBase(field),
@@ -393,7 +440,7 @@ LogicalResult AccessLowering::lowerTopology(Operation *op) {
       emitZeroBased(builder, loc, field, op->getOperands());
   SmallVector<OpFoldResult> extents =
       getAsIndexOpFoldResult(builder.getContext(), field.layout.shape);
-  Value inRange = checkRange(builder, loc, zeroBased, extents, describe(field),
+  Value inRange = checkRange(op, zeroBased, extents, describeField(field.layout),
                              op->getOperands());
   guard(builder, op, inRange, [&](OpBuilder &b) -> Value {
     if (!sparse)
@@ -488,9 +535,8 @@ void AccessLowering::lowerArray(Operation *op) {
             ? OpFoldResult(
                   memref::DimOp::create(builder, loc, array, i).getResult())
             : OpFoldResult(builder.getIndexAttr(type.getDimSize(i))));
-  std::string what = "an array of type ";
-  llvm::raw_string_ostream(what) << type;
-  Value inRange = checkRange(builder, loc, indices, extents, what, indices);
+  Value inRange =
+      checkRange(op, indices, extents, describeArray(type), indices);
   guard(builder, op, inRange, [&](OpBuilder &b) -> Value {
     Type scalar = type.getElementType();
     AliasScopes scopes = fields.getArrayScopes();

@@ -18,7 +18,7 @@ using namespace mlir::tai;
 // nothing; its bytes, the functions' names and accesses, their block sizes and
 // their places), and the trees up to the end; each string as its length in
 // eight bytes and its bytes.
-static constexpr StringLiteral magic = "TAIOBJ8\n";
+static constexpr StringLiteral magic = "TAIOBJ9\n";
 
 static void append(std::string &bytes, StringRef string) {
   char length[8];
@@ -131,6 +131,7 @@ std::string CompiledObject::serialize() const {
   append(bytes, symbol);
   append(bytes, StringRef(code.data(), code.size()));
   append(bytes, needs);
+  append(bytes, places);
   append(bytes, ArrayRef<int64_t>(skipped.data(), skipped.size()));
   append(bytes, ArrayRef<int64_t>(loopLevels));
   append(bytes, image);
@@ -145,7 +146,8 @@ std::optional<CompiledObject> CompiledObject::deserialize(StringRef bytes) {
   std::optional<StringRef> symbol = consume(bytes);
   std::optional<StringRef> code = symbol ? consume(bytes) : std::nullopt;
   std::optional<StringRef> needs = code ? consume(bytes) : std::nullopt;
-  if (!needs)
+  std::optional<StringRef> places = needs ? consume(bytes) : std::nullopt;
+  if (!places)
     return std::nullopt;
   auto counts = consumeNumbers(bytes);
   auto levels = counts ? consumeNumbers(bytes) : std::nullopt;
@@ -164,6 +166,7 @@ std::optional<CompiledObject> CompiledObject::deserialize(StringRef bytes) {
   }
   object.symbol = symbol->str();
   object.needs = needs->str();
+  object.places = places->str();
   object.code.assign(code->begin(), code->end());
   return object;
 }

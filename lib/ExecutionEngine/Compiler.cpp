@@ -29,6 +29,7 @@ std::string CompileOptions::str() const {
   llvm::raw_string_ostream(text)
       << "opt=" << codegen.optLevel << " fast=" << codegen.fastMath
       << " contract=" << codegen.contract << " debug=" << debug
+      << " bounds=" << stringifyBoundsMode(bounds)
       << " deterministic=" << deterministic << " history=" << historyBytes
       << " skip=" << skips.str();
   if (device)
@@ -300,6 +301,22 @@ static std::string getLibdeviceKey(const CompileOptions &options) {
   return "libdevice " + llvm::utohexstr(sum) + "\n";
 }
 
+static std::string digest(StringRef text) {
+  llvm::BLAKE3 hasher;
+  hasher.update(text);
+  return llvm::toHex(hasher.final(), /*LowerCase=*/true);
+}
+
+std::string Compiler::getPlaces(CompileRequest request) {
+  std::string text;
+  llvm::raw_string_ostream stream(text);
+  OpPrintingFlags flags;
+  flags.enableDebugInfo();
+  flags.assumeVerified();
+  request.module->print(stream, flags);
+  return digest(text);
+}
+
 std::string Compiler::getKey(CompileRequest request,
                              const CompileOptions &options) {
   // Locations are in the code only where checks or a profiler report them.
@@ -317,15 +334,14 @@ std::string Compiler::getKey(CompileRequest request,
   // adjoints, where a device has no memory for what they record.
   bool isAdjoint = request.goal != CompileRequest::Goal::Primal;
   bool hasPlaces =
-      options.debug || (options.device && (options.places || isAdjoint)) ||
+      options.debug || options.bounds == BoundsMode::Check ||
+      (options.device && (options.places || isAdjoint)) ||
       request.module.walk([](CheckCloseOp) { return WalkResult::interrupt(); })
           .wasInterrupted();
   flags.enableDebugInfo(hasPlaces);
   flags.assumeVerified();
   request.module->print(stream, flags);
-  llvm::BLAKE3 hasher;
-  hasher.update(text);
-  return llvm::toHex(hasher.final(), /*LowerCase=*/true);
+  return digest(text);
 }
 
 std::optional<Compiler::Function>
@@ -338,19 +354,23 @@ Compiler::compile(CompileRequest request, const CompileOptions &options,
   return finish(std::move(*prepared), request, options, failure);
 }
 
-void Compiler::load(Prepared &prepared) {
+void Compiler::load(Prepared &prepared, CompileRequest request) {
   if (std::optional<std::string> bytes = cache.load(prepared.key))
     prepared.object = CompiledObject::deserialize(*bytes);
+  // The same kernel, at another line of its file.
+  if (prepared.object && !prepared.object->places.empty() &&
+      prepared.object->places != getPlaces(request))
+    prepared.object.reset();
   if (prepared.object)
     prepared.needs = prepared.object->needs;
 }
 
-void Compiler::claimOrLoad(Prepared &prepared) {
+void Compiler::claimOrLoad(Prepared &prepared, CompileRequest request) {
   if (!cache || !cache.claim || prepared.claim)
     return;
   PhaseTimer timer(prepared.times, Phase::Cache);
   prepared.claim = cache.claim(prepared.key);
-  load(prepared);
+  load(prepared, request);
   if (prepared.object)
     prepared.claim.reset();
 }
@@ -373,10 +393,10 @@ Compiler::prepare(CompileRequest request, const CompileOptions &options,
   if (cache) {
     PhaseTimer timer(prepared.times, Phase::Cache);
     prepared.key = getKey(request, options);
-    load(prepared);
+    load(prepared, request);
   }
   if (!prepared.object && claims)
-    claimOrLoad(prepared);
+    claimOrLoad(prepared, request);
   if (!prepared.object && failed(start(request, options, prepared, failure)))
     return std::nullopt;
   return prepared;
@@ -407,7 +427,7 @@ Compiler::finish(Prepared prepared, CompileRequest request,
                  const CompileOptions &options, Failure &failure) {
   Function function;
   if (!prepared.object)
-    claimOrLoad(prepared);
+    claimOrLoad(prepared, request);
   std::optional<CompiledObject> object = std::move(prepared.object);
   prepared.object.reset();
   function.fromCache = object.has_value();

@@ -234,6 +234,8 @@ Compiler::compileObject(CompileRequest request, const CompileOptions &options,
   PhaseTimes &times = prepared.times;
   if (failed(lower(worker, request, prepared, object.trees, failure, nullptr)))
     return std::nullopt;
+  if (prepared.module.get()->hasAttr(kReportsPlacesAttrName))
+    object.places = getPlaces(request);
   for (auto [sum, amount] : llvm::zip(object.skipped, scope.getAmounts()))
     sum += amount;
   if (options.device && failed(compileDeviceCode(worker, options, prepared,

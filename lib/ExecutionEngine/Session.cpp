@@ -64,7 +64,7 @@ static Compiler::Pipelines getPipelines() {
     ToLLVMOptions lowering;
     lowering.deterministic = options.deterministic;
     lowering.debug = options.debug;
-    lowering.boundsCheck = options.debug;
+    lowering.bounds = options.bounds;
     lowering.fastMath = options.codegen.fastMath;
     lowering.contract = options.codegen.contract;
     lowering.optLevel = options.codegen.optLevel;
@@ -78,7 +78,7 @@ static Compiler::Pipelines getPipelines() {
     ToNVVMOptions lowering;
     lowering.deterministic = options.deterministic;
     lowering.debug = options.debug;
-    lowering.boundsCheck = options.debug;
+    lowering.bounds = options.bounds;
     lowering.fastMath = options.codegen.fastMath;
     lowering.contract = options.codegen.contract;
     lowering.optLevel = options.codegen.optLevel;
@@ -263,6 +263,17 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
       options.debug = on;
       rt->setDebug(on);
     });
+  if (name == "bounds") {
+    auto mode = llvm::StringSwitch<std::optional<BoundsMode>>(value)
+                    .Case("off", BoundsMode::Off)
+                    .Case("clamp", BoundsMode::Clamp)
+                    .Case("check", BoundsMode::Check)
+                    .Default(std::nullopt);
+    if (!mode)
+      return badValue("off, clamp or check");
+    options.bounds = *mode;
+    return success();
+  }
   if (name == "fast_math")
     return setBool([&](bool on) { options.codegen.fastMath = on; });
   if (name == "profiler")
@@ -367,11 +378,12 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
     printedStages = std::move(stages);
     return success();
   }
-  return fail(FailureKind::Usage,
-              "unknown option '" + name +
-                  "'; the options are threads, deterministic, debug, "
-                  "fast_math, opt_level, seed, cache_dir, print_ir, profiler, "
-                  "compile_profile, forward_mode, history_bytes, skip, "
-                  "memory_limit, arch, device_memory_limit, block_dim, "
-                  "max_block_dim, fuse_launches");
+  return fail(
+      FailureKind::Usage,
+      "unknown option '" + name +
+          "'; the options are threads, deterministic, debug, "
+          "bounds, fast_math, opt_level, seed, cache_dir, print_ir, profiler, "
+          "compile_profile, forward_mode, history_bytes, skip, "
+          "memory_limit, arch, device_memory_limit, block_dim, "
+          "max_block_dim, fuse_launches");
 }

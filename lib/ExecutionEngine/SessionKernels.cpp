@@ -13,7 +13,9 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Parser/Parser.h"
+#include "mlir/Transforms/Passes.h"
 #include "tai/AD/Signature.h"
+#include "tai/Dialect/Tai/Transforms/Passes.h"
 #include "tai/ExecutionEngine/AdjointNeeds.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "tai/Pipelines/Pipelines.h"
@@ -69,13 +71,28 @@ static std::vector<runtime::ArrayArgument> findArrays(KernelOp kernel) {
   return arrays;
 }
 
+/// With bounds="clamp" a kernel is another program, of which all is made that
+/// is made of kernels: adjoints, summaries, keys.
+LogicalResult Session::clampIndices(ModuleOp module) {
+  if (options.bounds != BoundsMode::Clamp || options.debug)
+    return success();
+  DiagnosticCollector collector(module.getContext());
+  PassManager manager(module.getContext());
+  manager.addPass(createInlinerPass({}, [](OpPassManager &) {}));
+  manager.addPass(createCheckBounds({BoundsMode::Clamp}));
+  if (succeeded(manager.run(module)))
+    return success();
+  return fail(collector.take(FailureKind::Internal, "indices are not clamped"));
+}
+
 FailureOr<std::pair<std::shared_ptr<KernelCode>, runtime::KernelPtr>>
 Session::makeKernel(OwningOpRef<ModuleOp> module, StringRef name) {
   auto op = module->lookupSymbol<KernelOp>(name);
   if (!op)
     return fail(FailureKind::Usage,
                 "the module holds no kernel of the name '" + name + "'");
-  if (failed(declareUsed(*module)) || failed(verifyModule(*module)))
+  if (failed(declareUsed(*module)) || failed(verifyModule(*module)) ||
+      failed(clampIndices(*module)))
     return failure();
 
   Failure problem;

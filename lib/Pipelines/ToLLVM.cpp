@@ -14,11 +14,12 @@
 using namespace mlir;
 
 void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
-  bool checked = options.boundsCheck || options.debug;
+  bool checked = options.checksIndices();
   bool fast = options.optLevel > 0;
 
   // While kernels are as they were written.
-  if (fast && !checked && options.fuseLaunches) {
+  if (fast && !checked && options.bounds != BoundsMode::Clamp &&
+      options.fuseLaunches) {
     FuseLaunchesOptions fuse;
     fuse.deterministic = options.deterministic;
     pm.addPass(createFuseLaunches(fuse));
@@ -28,9 +29,17 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   // every function costs more than all that follows, so it is left out.
   pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
 
-  // On the program as it was written when indices are checked: a report names
-  // the index that the program computed.
-  if (fast && !checked) {
+  // On the program as it was written: a report names the index that the program
+  // computed. From here on, kernels that check as they run are left alone.
+  CheckBoundsOptions bounds;
+  if (!checked && options.bounds == BoundsMode::Clamp) {
+    bounds.bounds = BoundsMode::Clamp;
+    pm.addPass(createCheckBounds(bounds));
+  }
+  bounds.bounds = checked ? BoundsMode::Check : BoundsMode::Off;
+  pm.addPass(createCheckBounds(bounds));
+
+  if (fast) {
     pm.addPass(createMarkExclusive());
     pm.addPass(createGatherAccumulations());
     pm.addPass(createNormalizeIndices());
@@ -46,7 +55,7 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   divisions.debug = options.debug;
   pm.addPass(createGuardDivisions(divisions));
   // Both are the business of the loop over blocks too.
-  if (fast && !checked && options.skip.has(Skip::ActivationDemotion) &&
+  if (fast && options.skip.has(Skip::ActivationDemotion) &&
       options.skip.has(Skip::AccessorHoisting))
     pm.addPass(createVectorizeBlocks());
   LowerStructForOptions loops;
@@ -72,7 +81,7 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   pm.addPass(createConvertTaiToSCF(scf));
   if (fast)
     pm.addPass(createHoistAllocations());
-  if (fast && !checked)
+  if (fast)
     pm.addPass(createSplitLoops());
 
   ConvertToLLVMOptions llvm;

@@ -14,18 +14,29 @@
 using namespace mlir;
 
 void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
-  bool checked = options.boundsCheck || options.debug;
+  bool checked = options.checksIndices();
   bool fast = options.optLevel > 0;
 
   // While kernels are as they were written.
-  if (fast && !checked && options.fuseLaunches) {
+  if (fast && !checked && options.bounds != BoundsMode::Clamp &&
+      options.fuseLaunches) {
     FuseLaunchesOptions fuse;
     fuse.deterministic = options.deterministic;
     pm.addPass(createFuseLaunches(fuse));
   }
 
   pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
-  if (fast && !checked) {
+
+  // On the program as it was written: a report names the index that the program
+  // computed. From here on, kernels that check as they run are left alone.
+  CheckBoundsOptions bounds;
+  if (!checked && options.bounds == BoundsMode::Clamp) {
+    bounds.bounds = BoundsMode::Clamp;
+    pm.addPass(createCheckBounds(bounds));
+  }
+  bounds.bounds = checked ? BoundsMode::Check : BoundsMode::Off;
+  pm.addPass(createCheckBounds(bounds));
+  if (fast) {
     pm.addPass(createMarkExclusive());
     pm.addPass(createGatherAccumulations());
     pm.addPass(createNormalizeIndices());
@@ -40,7 +51,7 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
   loops.deterministic = options.deterministic;
   loops.skip = options.skip;
   pm.addPass(createLowerStructFor(loops));
-  if (fast && !checked && !options.deterministic)
+  if (fast && !options.deterministic)
     pm.addPass(createSpreadAccumulations());
   if (fast)
     pm.addPass(createCSEPass());
@@ -49,7 +60,7 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
   relax.deterministic = options.deterministic;
   relax.onDevice = true;
   pm.addPass(createRelaxAtomics(relax));
-  if (fast && !checked)
+  if (fast)
     pm.addPass(createStripLoops());
 
   // While accesses name fields: what addresses are made of is in range.

@@ -113,10 +113,18 @@ std::string Record::format() {
   return line;
 }
 
+Status
+mlir::tai::runtime::deviceWentOutOfRange(const std::string &evidence) {
+  return Status::failure(
+      StatusCode::Index,
+      "a kernel used memory outside of its fields and arrays: an index that "
+      "depends on data was out of range; ti.init(bounds=\"check\") names the "
+      "line, the field and the index (" +
+          evidence + ")");
+}
+
 static Status damaged() {
-  return Status::failure(StatusCode::Internal,
-                         "the state of the device is damaged: a kernel wrote "
-                         "outside of the memory of its fields");
+  return deviceWentOutOfRange("the state of the device is damaged");
 }
 
 Status mlir::tai::runtime::readDeviceReport(const TaiDeviceState &state,

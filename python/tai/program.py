@@ -36,6 +36,7 @@ class Options:
     default_ip: dtypes.DataType = dtypes.i32
     debug: bool = False
     check_out_of_bound: bool = False
+    bounds: str = "off"
     fast_math: bool = False
     ad_ties: str = "second"
     ad_arcs: str = "exact"
@@ -69,7 +70,11 @@ class Options:
 _KNOWN = {f.name for f in fields(Options)} - {"accepted"}
 
 # Options that take one of a few words.
-_CHOICES = {"ad_ties": ("second", "split"), "ad_arcs": ("exact", "clamp")}
+_CHOICES = {
+    "ad_ties": ("second", "split"),
+    "ad_arcs": ("exact", "clamp"),
+    "bounds": ("off", "clamp", "check"),
+}
 
 # Options of Taichi that ask for what is always so here, or tune its own passes.
 _ACCEPTED = {
@@ -152,7 +157,8 @@ class Program:
             "arch": str(o.arch),
             "threads": str(o.cpu_max_num_threads),
             "deterministic": flag(o.deterministic),
-            "debug": flag(o.debug or o.check_out_of_bound),
+            "debug": flag(o.debug),
+            "bounds": "check" if o.debug or o.check_out_of_bound else o.bounds,
             "fast_math": flag(o.fast_math),
             "opt_level": str(o.opt_level),
             "seed": str(o.random_seed),
@@ -233,6 +239,12 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
             GPU. The environment variable TI_ARCH takes precedence.
         default_fp, default_ip: the types of `float` and `int` in kernels.
         debug: check assertions and indices.
+        bounds: what happens where an index that depends on data is out of range: `off`:
+            anything (the default); `clamp`: the nearest element is taken, in gradients too;
+            `check`: an error that names the line, the field and the index, and nothing is
+            stored there. Indices that follow from arguments, constants and the bounds of loops
+            are checked always, before the kernel runs. `debug` and `check_out_of_bound` imply
+            `check`.
         fast_math: let the compiler reorder floating-point arithmetic, and take norms without
             care for squares that over- or underflow.
         ad_ties: what `max` and `min` of equal numbers do in gradients: `second`: the second

@@ -45,3 +45,31 @@ tai.kernel @array(%m: memref<?xf32>, %i: index, %x: f32) {
   memref.store %x, %m[%i] : memref<?xf32>
   tai.return
 }
+
+// What is known to lie in range is not checked again.
+// CHECK-LABEL: tai.kernel @known(
+//   CHECK-NOT:   tai.assert
+//       CHECK:   tai.return
+tai.kernel @known(%m: memref<?xf32>, %i: index, %c: index, %x: f32) {
+  tai.store %x, @v[%i, %i] component [%c] {tai.in_range} : f32
+  memref.store %x, %m[%i] {tai.in_range} : memref<?xf32>
+  tai.return
+}
+
+// Of a float that no integer stands for, the cast may make anything.
+// CHECK-LABEL: tai.kernel @float(
+//  CHECK-SAME:     %{{[^:]+}}: memref<?xf32>, %[[F:[^:]+]]: f32
+//       CHECK:   %[[LOW:.+]] = arith.constant -2.14748365E+9 : f32
+//       CHECK:   %[[A:.+]] = arith.cmpf oge, %[[F]], %[[LOW]]
+//       CHECK:   %[[HIGH:.+]] = arith.constant 2.14748365E+9 : f32
+//       CHECK:   %[[B:.+]] = arith.cmpf olt, %[[F]], %[[HIGH]]
+//       CHECK:   %[[OK:.+]] = arith.andi %[[A]], %[[B]]
+//       CHECK:   tai.assert %[[OK]], "{} is no index: as an integer it is out of range for an array of type memref<?xf32>"(%[[F]])
+tai.kernel @float(%m: memref<?xf32>, %f: f32, %x: f32) {
+  %one = arith.constant 1 : i32
+  %w = arith.fptosi %f : f32 to i32
+  %n = arith.addi %w, %one : i32
+  %i = arith.index_cast %n : i32 to index
+  memref.store %x, %m[%i] : memref<?xf32>
+  tai.return
+}

@@ -8,7 +8,8 @@
 
 // HELP-DAG: --tai-autodiff
 // HELP-DAG: --tai-to-llvm
-// HELP: --bounds-check {{.+}} Report indices that lie outside their field or array
+// HELP: --bounds={{.+}} What happens to indices that depend on data
+// HELP: --bounds-check {{.+}} The same as bounds=check
 // HELP: --deterministic {{.+}} Make results bit-identical
 
 // Two layouts, one program.

@@ -723,8 +723,13 @@ TEST_F(RuntimeCuda, ReportsWhatGoesWrong) {
                                 "ptxas fatal : line 3: unknown instruction");
   use(TAI_FAKE_CUDA_LIBRARY, "fault");
   EXPECT_OK(scale(x));
-  EXPECT_EQ(runtime.synchronize().message(),
-            "a kernel has failed on the device (CUDA_ERROR_ILLEGAL_ADDRESS: an "
-            "illegal memory access was encountered)");
+  status = runtime.synchronize();
+  EXPECT_EQ(status.code(), StatusCode::Index);
+  EXPECT_EQ(status.message(),
+            "a kernel used memory outside of its fields and arrays: an index "
+            "that depends on data was out of range; ti.init(bounds=\"check\") "
+            "names the line, the field and the index (a kernel has failed on "
+            "the device: CUDA_ERROR_ILLEGAL_ADDRESS: an illegal memory access "
+            "was encountered)");
 }
 #endif // TAI_FAKE_CUDA_LIBRARY

@@ -46,6 +46,11 @@ struct Options {
   cl::opt<bool> deterministic{
       "deterministic", cl::desc("Bit-identical results from run to run")};
   cl::opt<bool> debug{"debug", cl::desc("Check assertions and indices")};
+  cl::opt<std::string> bounds{
+      "bounds", cl::init("off"),
+      cl::desc("What happens to indices out of range that depend on data: off "
+               "(undefined), clamp (the nearest element) or check (an error)"),
+      cl::value_desc("mode")};
   cl::opt<bool> fastMath{"fast-math",
                          cl::desc("Reorder and approximate float math")};
   cl::opt<unsigned> optLevel{"opt-level", cl::init(3),
@@ -88,6 +93,7 @@ static LogicalResult setOptions(Session &session, const Options &given) {
       {"fuse_launches", text(!given.noFuseLaunches)},
       {"deterministic", text(given.deterministic)},
       {"debug", text(given.debug)},
+      {"bounds", given.bounds},
       {"fast_math", text(given.fastMath)},
       {"opt_level", std::to_string(given.optLevel)},
       {"seed", given.seed},
@@ -189,7 +195,8 @@ static LogicalResult loadPlugins(Session &session, const Options &given) {
 /// Makes one kernel of those that @main launches one after another.
 static LogicalResult fuseLaunches(Session &session, ModuleOp file,
                                   const Options &given) {
-  if (given.noFuseLaunches || given.debug || given.optLevel == 0)
+  if (given.noFuseLaunches || given.debug || given.optLevel == 0 ||
+      given.bounds != "off")
     return success();
   DiagnosticCollector collector(session.getContext());
   FuseLaunchesOptions options;

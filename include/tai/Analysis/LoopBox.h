@@ -29,7 +29,8 @@ struct LoopBox {
 std::optional<LoopBox> getConstantBox(ParallelForOp loop);
 
 /// The boxes of the loops below `root` that run their iterations in parallel
-/// over bounds that are written out, and stand in no other such loop.
+/// over bounds that are written out, and stand in no other such loop. None in a
+/// kernel that checks its indices: what asks makes other loops of them.
 SmallVector<LoopBox> findConstantBoxes(Operation *root);
 
 /// The same for any field: indices that a loop over active cells may have.

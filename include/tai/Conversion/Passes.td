@@ -272,7 +272,10 @@ def LowerLayout : Pass<"tai-lower-layout"> {
     scopes, one for each place of a tree.
 
     With `bounds-check`, an access outside its field or array is reported by
-    `tai.assert` and skipped; a skipped load yields zero.
+    `tai.assert` and skipped; a skipped load yields zero. Accesses with the
+    attribute `tai.in_range` need no check (see `tai-check-bounds`). A float that
+    no integer stands for, such as NaN, is no index either: it is reported where
+    it is used as one.
 
     With `on-device`, accesses carry the strides and extents of their indices
     (`tai.digits`), from which `convert-tai-to-gpu` tells what a device function

@@ -30,6 +30,8 @@ struct CompiledObject {
   std::vector<std::string> trees;
   /// Of adjoints, what they ask of memory: a serialized AdjointNeeds.
   std::string needs;
+  /// A digest of where the kernel stands in the source, if that is in the code.
+  std::string places;
   /// What the passes have left out, and what they have not.
   SkipAmounts skipped{};
   /// Of a kernel that does nothing but loop over active cells: pairs of a tree,

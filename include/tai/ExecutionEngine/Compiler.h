@@ -20,6 +20,7 @@
 #include "mlir/IR/OwningOpRef.h"
 #include "mlir/Pass/PassManager.h"
 #include "tai/AD/Differentiable.h"
+#include "tai/Analysis/BoundsMode.h"
 #include "tai/ExecutionEngine/CompiledObject.h"
 #include "tai/ExecutionEngine/DeviceCompiler.h"
 #include "tai/ExecutionEngine/Diagnostics.h"
@@ -34,8 +35,10 @@ namespace mlir::tai {
 /// What decides the code made from a kernel.
 struct CompileOptions {
   CodegenOptions codegen;
-  /// Assertions and bounds checks.
+  /// Assertions, and `bounds` is taken to be "check".
   bool debug = false;
+  /// What happens to indices that depend on data.
+  BoundsMode bounds = BoundsMode::Off;
   /// Results do not depend on threads.
   bool deterministic = false;
   /// What a loop of an adjoint may record at once.
@@ -51,6 +54,7 @@ struct CompileOptions {
 
   bool operator==(const CompileOptions &other) const {
     return codegen == other.codegen && debug == other.debug &&
+           bounds == other.bounds &&
            deterministic == other.deterministic &&
            historyBytes == other.historyBytes && skips == other.skips &&
            device == other.device && deviceTarget == other.deviceTarget &&
@@ -210,10 +214,10 @@ private:
   class WorkerLease;
 
   /// Takes the object from the cache, if it is there.
-  void load(Prepared &prepared);
+  void load(Prepared &prepared, CompileRequest request);
   /// The same after whoever makes the object now is done; where nobody has, the
   /// right to make it.
-  void claimOrLoad(Prepared &prepared);
+  void claimOrLoad(Prepared &prepared, CompileRequest request);
   /// Differentiates what is to be compiled.
   LogicalResult start(CompileRequest request, const CompileOptions &options,
                       Prepared &prepared, Failure &failure);
@@ -243,6 +247,8 @@ private:
   /// Replaces the kernels of a module by those that carry tangents.
   LogicalResult extendByTangents(Worker &worker, CompileRequest request,
                                  Prepared &prepared, Failure &failure);
+  /// A digest of the module with all that it says of places in the source.
+  static std::string getPlaces(CompileRequest request);
   std::string getKey(CompileRequest request, const CompileOptions &options);
   Linker *getLinker(Failure &failure);
 

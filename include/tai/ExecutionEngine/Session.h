@@ -163,6 +163,7 @@ private:
   /// Adds the declarations that `module` refers to and does not hold.
   LogicalResult declareUsed(ModuleOp module);
   LogicalResult verifyModule(ModuleOp module);
+  LogicalResult clampIndices(ModuleOp module);
   std::vector<runtime::Access> summarize(ModuleOp module, KernelOp kernel);
   runtime::Status compilePrimal(KernelCode &code,
                                 runtime::Kernel &runtimeKernel,

@@ -17,6 +17,7 @@
 #include "mlir/Pass/PassManager.h"
 #include "mlir/Pass/PassOptions.h"
 #include "tai/AD/Differentiable.h"
+#include "tai/Analysis/BoundsMode.h"
 #include "tai/Analysis/SkipOption.h"
 #include "llvm/ADT/SetVector.h"
 
@@ -106,6 +107,7 @@ struct LoweringOptions : virtual ::mlir::detail::PassOptions {
     deterministic = other.deterministic.getValue();
     debug = other.debug.getValue();
     boundsCheck = other.boundsCheck.getValue();
+    bounds = other.bounds.getValue();
     fastMath = other.fastMath.getValue();
     contract = other.contract.getValue();
     optLevel = other.optLevel.getValue();
@@ -122,10 +124,24 @@ struct LoweringOptions : virtual ::mlir::detail::PassOptions {
       *this, "debug",
       llvm::cl::desc("Check tai.assert, and every index (see bounds-check)"),
       llvm::cl::init(false)};
-  Option<bool> boundsCheck{
-      *this, "bounds-check",
-      llvm::cl::desc("Report indices that lie outside their field or array"),
-      llvm::cl::init(false)};
+  Option<bool> boundsCheck{*this, "bounds-check",
+                           llvm::cl::desc("The same as bounds=check"),
+                           llvm::cl::init(false)};
+  Option<BoundsMode> bounds{
+      *this, "bounds",
+      llvm::cl::desc("What happens to indices that depend on data and lie "
+                     "outside their field or array; all others are checked "
+                     "always. Clamping comes first of all, before "
+                     "differentiation: see tai-check-bounds"),
+      llvm::cl::init(BoundsMode::Off),
+      llvm::cl::values(
+          clEnumValN(BoundsMode::Off, "off", "Nothing is defined"),
+          clEnumValN(BoundsMode::Clamp, "clamp", "The nearest element is taken"),
+          clEnumValN(BoundsMode::Check, "check", "The launch fails"))};
+  /// Whether indices are checked as kernels run.
+  bool checksIndices() const {
+    return boundsCheck || debug || bounds == BoundsMode::Check;
+  }
   Option<bool> fastMath{
       *this, "fast-math",
       llvm::cl::desc("Let float operations be reordered and approximated; "

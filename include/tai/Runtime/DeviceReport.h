@@ -48,6 +48,10 @@ struct DeviceReport {
 Status readDeviceReport(const TaiDeviceState &state, const void *output,
                         uint64_t bytes, DeviceReport &report);
 
+/// What to say where device code has used memory that is none of its own, and
+/// how to find it. `evidence` is what was seen.
+Status deviceWentOutOfRange(const std::string &evidence);
+
 } // namespace mlir::tai::runtime
 
 #endif // TAI_RUNTIME_DEVICEREPORT_H

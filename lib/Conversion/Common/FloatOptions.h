@@ -11,6 +11,10 @@
 #include "mlir/IR/Operation.h"
 #include "mlir/IR/PatternMatch.h"
 
+namespace mlir {
+class LLVMTypeConverter;
+} // namespace mlir
+
 namespace mlir::tai {
 
 /// Adds float options to all arithmetic below `root` that does not carry them
@@ -20,6 +24,10 @@ void setFloatOptions(Operation *root, bool fastMath, bool contract);
 /// Adds the expansions of operations for which upstream has none, or a wrong
 /// one.
 void populateExpansionFixes(RewritePatternSet &patterns);
+
+/// Adds casts of floats to integers that yield one number, whatever the float.
+void populateFloatCasts(const LLVMTypeConverter &converter,
+                        RewritePatternSet &patterns);
 
 /// Adds expansions of the exponential, the logarithm and the hyperbolic tangent
 /// of f32 to arithmetic in f64, which vectorises.

@@ -255,11 +255,15 @@ LogicalResult Scalarizer::processArrayAccess(Operation *op) {
   for (int64_t i = 0, e = type.getNumElements(); i != e; ++i) {
     SmallVector<Value> at(indices);
     llvm::append_range(at, indicesOf(type, i));
+    Operation *part;
     if (load)
-      results.push_back(
-          memref::LoadOp::create(builder, op->getLoc(), array, at));
+      part = memref::LoadOp::create(builder, op->getLoc(), array, at);
     else
-      memref::StoreOp::create(builder, op->getLoc(), values[i], array, at);
+      part = memref::StoreOp::create(builder, op->getLoc(), values[i], array,
+                                     at);
+    part->setDiscardableAttrs(op->getDiscardableAttrDictionary());
+    if (load)
+      results.push_back(part->getResult(0));
   }
   if (load)
     set(load.getResult(), std::move(results));

@@ -221,6 +221,7 @@ LogicalResult KernelOffload::run() {
   Value status = runtime.call(builder, loc, "tai_rt_failed",
                               builder.getI32Type(), {frame});
   LLVM::ReturnOp::create(builder, loc, status);
+  lowerPreconditions(host, lowering.host);
   kernel.erase();
   return success();
 }

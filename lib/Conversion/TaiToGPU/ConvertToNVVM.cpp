@@ -88,6 +88,7 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
     populateMathToLLVMConversionPatterns(converter, patterns,
                                          /*approximateLog1p=*/false);
     populateExpansionFixes(patterns);
+    populateFloatCasts(converter, patterns);
     if (emulated) {
       patterns.add<AskForNumber<gpu::ThreadIdOp>>(context, "tai_dev_thread_id");
       patterns.add<AskForNumber<gpu::BlockIdOp>>(context, "tai_dev_block_id");

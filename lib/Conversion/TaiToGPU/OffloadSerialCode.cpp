@@ -26,9 +26,9 @@ bool tai::isDeviceLoop(Operation *op) {
          !loop->getParentOfType<ParallelForOp>();
 }
 
-/// Lists of active cells are asked for by the host.
+/// Lists of active cells are asked for by the host, and it refuses launches.
 static bool isHostOp(Operation *op) {
-  return isa<ActiveCellsOp, ListIsCurrentOp>(op);
+  return isa<ActiveCellsOp, ListIsCurrentOp, PreconditionOp>(op);
 }
 
 /// True if a loop of the device or an op of the host stands below `op`.

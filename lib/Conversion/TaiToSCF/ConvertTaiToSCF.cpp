@@ -101,6 +101,7 @@ LogicalResult tai::lowerKernel(KernelOp kernel, ModuleLowering &lowering) {
                                     builder.getI32Type(), {frame})
                      : runtime.i32(builder, loc, 0);
   LLVM::ReturnOp::create(builder, loc, status);
+  lowerPreconditions(function, lowering);
   kernel.erase();
   return success();
 }

@@ -94,6 +94,9 @@ LogicalResult lowerLeafOps(LLVM::LLVMFuncOp function, ModuleLowering &lowering);
 /// Replaces a parallel loop by serial ones where it stands; its updates become
 /// plain.
 LogicalResult lowerSerially(ParallelForOp loop, FieldTable &fields);
+/// Lowers the preconditions of a kernel that is done otherwise: it returns
+/// before anything runs where one does not hold.
+void lowerPreconditions(LLVM::LLVMFuncOp function, ModuleLowering &lowering);
 LogicalResult lowerStack(StackCreateOp op, Value frame, RuntimeCalls &runtime);
 
 /// Gives each tai.random below `loop` its iteration number, and a count to

@@ -18,6 +18,7 @@
 #include "RowBuilder.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
+#include "tai/Analysis/IndexBounds.h"
 #include "tai/Analysis/SkipScope.h"
 #include "tai/Conversion/Passes.h"
 
@@ -241,7 +242,7 @@ struct VectorizeBlocks : tai::impl::VectorizeBlocksBase<VectorizeBlocks> {
       return;
     SmallVector<ParallelForOp> loops;
     getOperation()->walk([&](ParallelForOp loop) {
-      if (loop.isStructFor())
+      if (loop.isStructFor() && !checksIndices(loop))
         loops.push_back(loop);
     });
     if (loops.empty())

@@ -8,6 +8,7 @@
 #include "CudaDevice.h"
 #include "../Launch.h"
 #include "FillTable.h"
+#include "tai/Runtime/DeviceReport.h"
 #include "tai/Runtime/DeviceHeap.h"
 #include <algorithm>
 #include <cstdlib>
@@ -24,7 +25,17 @@ extern const unsigned char cudaOverlappedRowKernels[];
 extern const unsigned long cudaOverlappedRowKernels_size;
 } // namespace mlir::tai
 
+/// With code that was made by a compiler this is memory that a kernel used and
+/// should not have.
+static bool isFault(Result result) {
+  return result == kIllegalAddress ||
+         (result >= kHardwareStackError && result <= kLaunchFailed);
+}
+
 Status CudaDevice::failure(Result result, const char *what) const {
+  if (isFault(result))
+    return deviceWentOutOfRange(std::string(what) + ": " +
+                                cu.describe(result));
   return Status::failure(result == kOutOfMemory ? StatusCode::Memory
                                                 : StatusCode::Internal,
                          std::string(what) + " (" + cu.describe(result) + ")");

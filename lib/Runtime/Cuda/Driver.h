@@ -42,6 +42,14 @@ constexpr Result kDeinitialized = 4;
 constexpr Result kNoDevice = 100;
 constexpr Result kInvalidPtx = 218;
 constexpr Result kUnsupportedPtxVersion = 222;
+// What a kernel has done that used memory which is none of its own.
+constexpr Result kIllegalAddress = 700;
+constexpr Result kHardwareStackError = 714;
+constexpr Result kIllegalInstruction = 715;
+constexpr Result kMisalignedAddress = 716;
+constexpr Result kInvalidAddressSpace = 717;
+constexpr Result kInvalidPc = 718;
+constexpr Result kLaunchFailed = 719;
 
 // Attributes of devices.
 constexpr int kMaxThreadsPerBlock = 1;

@@ -22,15 +22,20 @@ tai.kernel @transpose_once(%a: vector<2x3xf32>) -> vector<3x2xf32> {
 
 // -----
 
-// An assertion that holds is removed, one that does not stays.
+// An assertion that holds is removed, one that does not stays. So is a
+// precondition.
 // CHECK-LABEL: tai.kernel @asserts()
 //   CHECK-NOT:   "holds"
 //       CHECK:   tai.assert %{{.+}}, "fails"
+//   CHECK-NOT:   "kept"
+//       CHECK:   tai.precondition %{{.+}}, "broken"
 tai.kernel @asserts() {
   %true = arith.constant true
   %false = arith.constant false
   tai.assert %true, "holds"
   tai.assert %false, "fails"
+  tai.precondition %true, "kept"
+  tai.precondition %false, "broken"
   tai.return
 }
 

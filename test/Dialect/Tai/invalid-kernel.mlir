@@ -195,3 +195,15 @@ tai.kernel @k() {
   }
   tai.return
 }
+
+// -----
+
+// Not in a loop: nothing of the kernel has run when a launch is refused.
+tai.kernel @k(%ok: i1) {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) = (%c0) to (%c0) {
+    // expected-error @+1 {{'tai.precondition' op expects parent op 'tai.kernel'}}
+    tai.precondition %ok, "in a loop"
+  }
+  tai.return
+}

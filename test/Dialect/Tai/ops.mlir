@@ -112,6 +112,8 @@ tai.kernel @locals(%x: f32, %i: index, %ok: i1) -> f32 {
   %u = tai.random stream 0 : f32
   // CHECK: tai.assert %{{.+}}, "mass {} of particle {}"(%{{.+}}, %{{.+}}) : f32, index
   tai.assert %ok, "mass {} of particle {}"(%x, %i) : f32, index
+  // CHECK: tai.precondition %{{.+}}, "step {}"(%{{.+}}) : index
+  tai.precondition %ok, "step {}"(%i) : index
   // CHECK: tai.print "x = {}"(%{{.+}}) : f32
   tai.print "x = {}"(%x) : f32
   tai.return %y : f32

@@ -28,6 +28,8 @@
 #include "mlir/IR/Matchers.h"
 #include "mlir/Transforms/RegionUtils.h"
 #include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/BoundsMode.h"
+#include "tai/Analysis/IndexBounds.h"
 #include "tai/Analysis/IndexShift.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
@@ -606,11 +608,15 @@ static void rewrite(LoopBox &box, MutableArrayRef<Group> groups) {
     all.push_back(gather(box, group));
   sinkAdditions(box);
   OpBuilder builder(box.body().getTerminator());
-  for (Gathered &gathered : all)
-    AtomicOp::create(builder, gathered.pattern.getLoc(), AtomicKind::Add,
-                     gathered.sum, gathered.pattern.getFieldAttr(),
-                     gathered.indices, gathered.components,
-                     /*exclusive=*/true);
+  for (Gathered &gathered : all) {
+    auto sum = AtomicOp::create(
+        builder, gathered.pattern.getLoc(), AtomicKind::Add, gathered.sum,
+        gathered.pattern.getFieldAttr(), gathered.indices, gathered.components,
+        /*exclusive=*/true);
+    // At the element of the iteration itself.
+    if (gathered.pattern->hasAttr(kInRangeAttrName))
+      sum->setAttr(kInRangeAttrName, builder.getUnitAttr());
+  }
   for (Group &group : groups)
     for (Scatter &scatter : group)
       scatter.op.erase();
@@ -709,7 +715,7 @@ struct GatherAccumulations
     getOperation()->walk([&](ParallelForOp loop) { loops.push_back(loop); });
     for (ParallelForOp loop : loops) {
       std::optional<LoopBox> box = getIndexBox(loop);
-      if (!box || loop.getInductionVars().empty())
+      if (!box || loop.getInductionVars().empty() || checksIndices(loop))
         continue;
       if (failed(getSparseLoopField(loop)))
         gatherLoop(*box, maxOps);

@@ -13,6 +13,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "mlir/Dialect/Arith/IR/Arith.h"
+#include "tai/Analysis/IndexBounds.h"
 #include "tai/Analysis/IndexShift.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
@@ -60,6 +61,8 @@ struct NormalizeIndices : tai::impl::NormalizeIndicesBase<NormalizeIndices> {
 
   void runOnOperation() override {
     getOperation()->walk([&](ParallelForOp loop) {
+      if (checksIndices(loop))
+        return;
       if (std::optional<LoopBox> box = getConstantBox(loop))
         normalize(*box);
     });

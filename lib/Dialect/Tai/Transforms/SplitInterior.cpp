@@ -17,6 +17,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/IRMapping.h"
 #include "mlir/IR/Matchers.h"
+#include "tai/Analysis/IndexBounds.h"
 #include "tai/Analysis/IndexShift.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
@@ -135,7 +136,8 @@ struct SplitInterior : tai::impl::SplitInteriorBase<SplitInterior> {
 
   void runOnOperation() override {
     getOperation()->walk([&](ParallelForOp loop) {
-      if (loop.getSerialize() || loop.getInductionVars().empty())
+      if (loop.getSerialize() || loop.getInductionVars().empty() ||
+          checksIndices(loop))
         return;
       int64_t ops = 0;
       loop.getBody().walk([&](Operation *) { ++ops; });

@@ -250,6 +250,36 @@ def Tai_AssertOp : Tai_Op<"assert", [MemoryEffects<[MemWrite]>]> {
   let hasCanonicalizeMethod = 1;
 }
 
+def Tai_PreconditionOp : Tai_Op<"precondition", [
+    MemoryEffects<[MemWrite]>, HasParent<"KernelOp">]> {
+  let summary = "refuse a launch if a condition is false";
+  let description = [{
+    If the condition is false the launch fails with the message, in which `{}`
+    stands for the arguments in turn, and nothing of the kernel runs, wherever
+    in it this stands. The condition and the arguments follow from the arguments
+    of the kernel and the extents of its arrays alone: on a GPU, the host
+    computes them. Never removed: release mode checks too. Made by
+    `tai-check-bounds`.
+
+    Example:
+
+    ```mlir
+    tai.kernel @step(%t: index) {
+      %c8 = arith.constant 8 : index
+      %ok = arith.cmpi ult, %t, %c8 : index
+      tai.precondition %ok, "step {} of {}"(%t, %c8) : index, index
+      tai.return
+    }
+    ```
+  }];
+  let arguments = (ins I1:$condition, StrAttr:$message,
+                       Variadic<AnyType>:$args);
+  let assemblyFormat = [{
+    $condition `,` $message (`(` $args^ `)` `:` type($args))? attr-dict
+  }];
+  let hasCanonicalizeMethod = 1;
+}
+
 def Tai_PrintOp : Tai_Op<"print", [MemoryEffects<[MemWrite]>]> {
   let summary = "print values from a kernel";
   let description = [{

@@ -9,6 +9,7 @@
 #define TAI_DIALECT_TAI_TRANSFORMS_PASSES_H
 
 #include "mlir/Pass/Pass.h"
+#include "tai/Analysis/BoundsMode.h"
 #include <memory>
 
 namespace mlir::tai {

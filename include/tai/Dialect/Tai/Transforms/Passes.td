@@ -231,6 +231,69 @@ def MarkExclusive : Pass<"tai-mark-exclusive"> {
 // Loops
 //===----------------------------------------------------------------------===//
 
+def CheckBounds : Pass<"tai-check-bounds"> {
+  let summary = "check indices before kernels run, and note which need no check";
+  let description = [{
+    Looks at the indices of all accesses of a kernel. What follows from the
+    arguments of the kernel, from constants and from the bounds of loops alone is
+    decided before the kernel runs: if the affine indices of an access leave the
+    field (or array) in an iteration that is certain to run, `tai.precondition`
+    refuses the launch and names the first such element. Where all these numbers
+    are constants, nothing or a condition that never holds is left of that.
+
+    An access is certain to run if all conditions around it are affine in the
+    indices of loops and in what the launch is given, as in `if i > 0`: they are
+    part of what is decided. Below any other condition, and in the body of
+    `scf.while`, nothing is certain, and no launch is refused for the access.
+
+    `bounds` says what happens to all other indices, which depend on data:
+
+    - `off`: nothing. The behaviour of an index that is out of range is
+      undefined.
+    - `check`: accesses that are known to lie in range get the attribute
+      `tai.in_range`, by which `tai-lower-layout` leaves out their check. A
+      kernel that needs checks gets `tai.checks_indices`, and no pass changes its
+      indices.
+    - `clamp`: an index that is not known to lie in range becomes the nearest
+      one that does. That is another program, so it is done first of all, before
+      differentiation, and by itself: no preconditions are made.
+
+    ```mlir
+    tai.kernel @next(%n: index) {
+      %c0 = arith.constant 0 : index
+      %c1 = arith.constant 1 : index
+      tai.parallel_for (%i) = (%c0) to (%n) {
+        %0 = arith.addi %i, %c1 : index
+        %1 = tai.load @x[%0] : f32   // of shape [8]
+        tai.store %1, @y[%i] : f32   // of shape [8]
+      }
+      tai.return
+    }
+    ```
+
+    begins, in effect, with
+
+    ```mlir
+    %0 = arith.cmpi slt, %n, %c8 : index
+    tai.precondition %0, "index {} is out of range ..."(%c8) : index
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::memref::MemRefDialect",
+                           "::mlir::tai::TaiDialect"];
+  let options = [
+    Option<"bounds", "bounds", "::mlir::tai::BoundsMode",
+           /*default=*/"::mlir::tai::BoundsMode::Off",
+           "What happens to indices that depend on data",
+           [{::llvm::cl::values(
+             clEnumValN(::mlir::tai::BoundsMode::Off, "off", "Nothing"),
+             clEnumValN(::mlir::tai::BoundsMode::Clamp, "clamp",
+                        "They become the nearest ones in range"),
+             clEnumValN(::mlir::tai::BoundsMode::Check, "check",
+                        "They are checked"))}]>,
+  ];
+}
+
 def NormalizeIndices : Pass<"tai-normalize-indices"> {
   let summary = "write shifted and wrapped indices in one form";
   let description = [{

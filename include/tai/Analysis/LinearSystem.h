@@ -1,0 +1,79 @@
+//===- LinearSystem.h - Systems of linear inequalities ----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Conjunctions of linear inequalities over integers, and Fourier-Motzkin
+// elimination. Its real shadow holds all solutions, its dark shadow (Pugh, The
+// Omega Test, 1991) solutions only; where all coefficients of a variable on one
+// side are one, both are the same set. Nothing is allocated that a library
+// would, since most systems of a kernel have two variables.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_ANALYSIS_LINEARSYSTEM_H
+#define TAI_ANALYSIS_LINEARSYSTEM_H
+
+#include "mlir/Support/LLVM.h"
+#include "llvm/ADT/SmallVector.h"
+#include <cstdint>
+#include <utility>
+
+namespace mlir::tai {
+
+/// A sum of variables times factors, and a constant. Terms are sorted by
+/// variable, and no factor is zero.
+struct LinearSum {
+  SmallVector<std::pair<unsigned, int64_t>, 4> terms;
+  int64_t constant = 0;
+  /// A number did not fit: the sum means nothing.
+  bool hasOverflow = false;
+
+  static LinearSum of(int64_t constant) { return {{}, constant}; }
+  static LinearSum variable(unsigned number) { return {{{number, 1}}, 0}; }
+
+  int64_t getFactor(unsigned variable) const;
+  /// Adds `scale` times `other`.
+  void add(const LinearSum &other, int64_t scale = 1);
+  LinearSum plus(const LinearSum &other, int64_t scale = 1) const;
+  LinearSum plus(int64_t number) const { return plus(of(number)); }
+
+  bool operator==(const LinearSum &other) const {
+    return constant == other.constant && terms == other.terms;
+  }
+};
+
+/// A conjunction of `sum >= 0`.
+class LinearSystem {
+public:
+  ArrayRef<LinearSum> getRows() const { return rows; }
+  /// Some row can never hold. The converse does not follow.
+  bool isContradictory() const { return contradictory; }
+  /// The system has become too large, or its numbers have: it means nothing.
+  bool isUnknown() const { return unknown; }
+
+  /// Adds `sum >= 0`, divided by what its factors have in common.
+  void require(LinearSum sum);
+  void require(ArrayRef<LinearSum> sums) {
+    for (const LinearSum &sum : sums)
+      require(sum);
+  }
+
+  /// The variables in it, ascending.
+  SmallVector<unsigned> getVariables() const;
+
+  enum class Shadow { Real, Dark };
+  /// The system without `variable`. Clears `isExact` unless the shadows are the
+  /// same.
+  LinearSystem eliminate(unsigned variable, Shadow shadow, bool &isExact) const;
+
+private:
+  SmallVector<LinearSum> rows;
+  bool contradictory = false, unknown = false;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_ANALYSIS_LINEARSYSTEM_H
