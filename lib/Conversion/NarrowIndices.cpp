@@ -16,6 +16,7 @@
 
 #include "Common/Accumulate.h"
 #include "TaiToGPU/Offload.h"
+#include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Interfaces/DataLayoutInterfaces.h"
 #include "tai/Analysis/IntegerRanges.h"
@@ -60,8 +61,8 @@ namespace {
 /// Looks at the kernels and trees of one module.
 class Proof {
 public:
-  explicit Proof(ModuleOp module)
-      : module(module),
+  Proof(ModuleOp module, bool remarks)
+      : module(module), remarks(remarks),
         ranges([this](Value value) { return getInductiveRange(value); }) {}
   bool run();
 
@@ -74,7 +75,15 @@ private:
   bool fits(scf::ForOp loop);
   bool fits(ParallelForOp loop);
 
+  /// False, and says so where remarks are wanted.
+  bool fail(Operation *op, StringRef reason) {
+    if (remarks)
+      op->emitRemark("indices have 64 bits: ") << reason;
+    return false;
+  }
+
   ModuleOp module;
+  bool remarks;
   IntegerRanges ranges;
 };
 } // namespace
@@ -229,27 +238,32 @@ bool Proof::run() {
   DataLayout layout(module);
   for (TreeOp tree : module.getOps<TreeOp>())
     if (getTreeSize(tree.getLayout(), layout).total > uint64_t(kMostBytes))
-      return false;
+      return fail(tree, "the tree is larger than 1 GiB");
   for (FieldOp field : module.getOps<FieldOp>())
     if (!fits(field))
-      return false;
+      return fail(field, "the field has too many cells, or begins far away");
   auto fitsAll = [&](auto values) {
     return llvm::all_of(values, [&](Value value) { return fits(value); });
   };
   for (auto kernel : module.getOps<KernelOp>()) {
     // How large arrays are is known when they come.
     if (llvm::any_of(kernel.getArgumentTypes(), llvm::IsaPred<MemRefType>))
-      return false;
+      return fail(kernel, "how large an array is, its launch says");
     WalkResult result = kernel->walk([&](Operation *op) {
       bool good = fitsAll(op->getResults());
       for (Region &region : op->getRegions())
         for (Block &block : region)
           good = good && fitsAll(block.getArguments());
+      if (!good || isa<func::CallOp>(op))
+        return fail(op, "a value may not fit 32"), WalkResult::interrupt();
       if (auto loop = dyn_cast<scf::ForOp>(op))
-        good = good && fits(loop);
+        good = fits(loop);
       if (auto loop = dyn_cast<ParallelForOp>(op))
-        good = good && fits(loop);
-      return good ? WalkResult::advance() : WalkResult::interrupt();
+        good = fits(loop);
+      if (!good)
+        return fail(op, "the loop may count beyond 32"),
+               WalkResult::interrupt();
+      return WalkResult::advance();
     });
     if (result.wasInterrupted())
       return false;
@@ -263,7 +277,7 @@ struct NarrowIndices : tai::impl::NarrowIndicesBase<NarrowIndices> {
 
   void runOnOperation() override {
     ModuleOp module = getOperation();
-    if (Proof(module).run())
+    if (Proof(module, remarks).run())
       module->setAttr(kIndexBitsAttrName,
                       OpBuilder(module).getI64IntegerAttr(32));
     else

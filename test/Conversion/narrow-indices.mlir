@@ -1,4 +1,6 @@
 // RUN: tai-opt %s --split-input-file --tai-narrow-indices | FileCheck %s
+// RUN: tai-opt %s --split-input-file --tai-narrow-indices=remarks 2>&1 \
+// RUN:   | FileCheck %s --check-prefix=REMARK
 
 // What comes from i32 fits, and so does what is added to it to say where an
 // access goes.
@@ -28,6 +30,8 @@ module {
 // -----
 
 // A bound of 64 bits.
+// REMARK:      remark: indices have 64 bits: a value may not fit 32
+// REMARK-NEXT: %end = arith.index_cast %n : i64 to index
 // CHECK:     module {
 module {
   tai.tree @t : !tai.root<dense<[i: 64], {x: f32}>>
@@ -124,6 +128,8 @@ module {
 // -----
 
 // Two bounds of 32 bits: the number of iterations may be large.
+// REMARK:      remark: indices have 64 bits: the loop may count beyond 32
+// REMARK-NEXT: tai.parallel_for (%i, %j)
 // CHECK:     module {
 module {
   tai.tree @t : !tai.root<dense<[i: 64], {x: f32}>>
@@ -229,6 +235,7 @@ module {
 // -----
 
 // A tree beyond 1 GiB.
+// REMARK: remark: indices have 64 bits: the tree is larger than 1 GiB
 // CHECK:     module {
 module {
   tai.tree @t : !tai.root<dense<[i: 300000000], {x: f32}>>

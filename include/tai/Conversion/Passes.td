@@ -261,6 +261,10 @@ def NarrowIndices : Pass<"tai-narrow-indices", "::mlir::ModuleOp"> {
     Expects loops over boxes and field accesses, as they are before
     `tai-lower-layout`; indices of accesses are taken to be in range after it.
   }];
+  let options = [
+    Option<"remarks", "remarks", "bool", /*default=*/"false",
+           "Say at the first thing that may not fit why indices have 64 bits">,
+  ];
 }
 
 def LowerLayout : Pass<"tai-lower-layout"> {
