@@ -19,6 +19,7 @@
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/CallInterfaces.h"
+#include "tai/AD/DerivativePaths.h"
 #include "tai/AD/Rerun.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
@@ -117,6 +118,14 @@ LogicalResult AdjointBuilder::checkAccesses() {
              "'memref.atomic_rmw addf'";
     }
   }
+  auto hasAdjoint = [&](Storage storage) {
+    return static_cast<bool>(adjointOf(storage));
+  };
+  DerivativeEnds ends{hasAdjoint, shadows.inputs, shadows.outputs};
+  (void)verifyDerivativePaths(primal, ends,
+                              [&](Operation *op, const Twine &message) {
+                                return emitError(op, message);
+                              });
   checkActivityChanges();
   primal.walk([&](Operation *op) {
     if (auto access = dyn_cast<DifferentiableAccessInterface>(op)) {

@@ -11,12 +11,15 @@
 //===----------------------------------------------------------------------===//
 
 #include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/AD/Conventions.h"
 #include "tai/AD/Passes.h"
+#include "tai/AD/Selection.h"
+#include "tai/AD/Signature.h"
 #include "tai/AD/TangentBuilder.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
@@ -61,7 +64,8 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
   void runOnOperation() override {
     SymbolTable symbols(getOperation());
     SmallVector<FunctionOpInterface> functions;
-    if (failed(select(symbols, functions)))
+    if (failed(select(symbols, functions)) ||
+        failed(checkNested(getOperation())))
       return signalPassFailure();
     bool failedAny = false;
     // One error does not hide the next: every kernel is tried.
@@ -96,6 +100,13 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
                               SymbolTable &symbols) {
     if (function->hasAttr(kTangent))
       return success();
+    if (failed(checkIsFunction(function)))
+      return failure();
+    bool isPlain = isa<func::FuncOp>(function.getOperation());
+    if (isPlain && function->hasAttr(kGradients))
+      return function.emitError("forward mode has no tangents of arguments and "
+                                "results by position, as '")
+             << kGradients << "' asks for";
     if (!function.getFunctionBody().hasOneBlock())
       return function.emitError(
           "cannot differentiate a function of several blocks; structured "
@@ -117,6 +128,10 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
       made->removeAttr(attribute);
     symbols.insert(made, std::next(function->getIterator()));
     if (failed(extend(made))) {
+      symbols.erase(made);
+      return failure();
+    }
+    if (isPlain && failed(checkHasDerivative(function, {}))) {
       symbols.erase(made);
       return failure();
     }

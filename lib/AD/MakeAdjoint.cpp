@@ -225,7 +225,7 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
   void runOnOperation() override {
     FailureOr<SmallVector<FunctionOpInterface>> functions =
         selectFunctions(getOperation(), kernels);
-    if (failed(functions))
+    if (failed(functions) || failed(checkNested(getOperation())))
       return signalPassFailure();
     SymbolTable symbols(getOperation());
     bool failedAny = false;
@@ -272,7 +272,8 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
 
   LogicalResult differentiate(FunctionOpInterface function,
                               SymbolTable &symbols) {
-    if (failed(Conventions::verify(function)))
+    if (failed(Conventions::verify(function)) ||
+        failed(checkIsFunction(function)))
       return failure();
     if (!function.getFunctionBody().hasOneBlock())
       return function.emitError(
@@ -308,6 +309,13 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
       fixCosts(function);
     if (failed(fillAdjoint(function, shell, *signature, historyBytes, takesAll,
                            /*needsParts=*/nullptr, skip.getValue()))) {
+      shell.erase();
+      return failure();
+    }
+    auto positions = function->getAttrOfType<DenseI64ArrayAttr>(kGradients);
+    if (isa<func::FuncOp>(function.getOperation()) &&
+        failed(checkHasDerivative(function, positions ? positions.asArrayRef()
+                                                      : ArrayRef<int64_t>()))) {
       shell.erase();
       return failure();
     }

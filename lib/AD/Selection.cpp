@@ -64,6 +64,33 @@ collectTaped(ModuleOp module) {
   return std::optional(kernels);
 }
 
+LogicalResult mlir::tai::checkNested(ModuleOp module) {
+  WalkResult result = module.walk([&](FunctionOpInterface function) {
+    if (!function->hasAttr(kDifferentiate) || hasAdjointAlready(function) ||
+        function->hasAttr("tai.tangent") ||
+        SymbolTable::getNearestSymbolTable(function->getParentOp()) == module)
+      return WalkResult::advance();
+    InFlightDiagnostic diag = function.emitError("cannot differentiate '@")
+                              << function.getName()
+                              << "': it stands in a nested module";
+    diag.attachNote(function->getParentOp()->getLoc())
+        << "run the pass on this module: builtin.module(builtin.module(...))";
+    return WalkResult::interrupt();
+  });
+  return failure(result.wasInterrupted());
+}
+
+LogicalResult mlir::tai::checkIsFunction(FunctionOpInterface function) {
+  if (isa<func::FuncOp, KernelOp>(function.getOperation())) {
+    if (!function.isExternal())
+      return success();
+    return function.emitError("cannot differentiate '@")
+           << function.getName() << "', which has no body here";
+  }
+  return function.emitError("cannot differentiate a '")
+         << function->getName() << "'; expects a 'func.func' or a 'tai.kernel'";
+}
+
 static FailureOr<SmallVector<FunctionOpInterface>>
 selectWhole(ModuleOp module, ArrayRef<std::string> names) {
   SmallVector<FunctionOpInterface> functions;

@@ -29,6 +29,42 @@ MemRefType mlir::tai::getShadowType(Type type) {
   return MemRefType::get(shape, getElementTypeOrSelf(type));
 }
 
+LogicalResult mlir::tai::checkHasDerivative(FunctionOpInterface function,
+                                            ArrayRef<int64_t> positions) {
+  int64_t numInputs = function.getNumArguments();
+  bool takes = false, gives = false;
+  for (int64_t i : positions) {
+    takes |= i < numInputs;
+    gives |= i >= numInputs;
+  }
+  function->walk([&](DifferentiableAccessInterface access) {
+    if (!isFloatOrVector(access.getAccessedValue().getType()))
+      return;
+    Storage storage = access.getAccessedStorage();
+    bool counts = static_cast<bool>(storage.field);
+    if (auto argument = dyn_cast_if_present<BlockArgument>(storage.memref);
+        argument && argument.getOwner()->getParentOp() == function)
+      counts = positions.empty() ||
+               llvm::is_contained(positions, argument.getArgNumber());
+    bool isRead = access.getAccessKind() == AccessKind::Read;
+    takes |= counts && isRead;
+    gives |= counts && !isRead;
+  });
+  // What is only written is taken out of the gradient, which is a use too.
+  if (gives && (takes || positions.empty()))
+    return success();
+  InFlightDiagnostic diag = function.emitError()
+                            << "there is nothing to differentiate: '@"
+                            << function.getName() << "' "
+                            << (gives ? "reads" : "writes")
+                            << " no array of floats that a derivative is "
+                               "wanted of";
+  diag.attachNote() << "pass arrays, or name arguments and results by their "
+                       "positions, as in 'tai.gradients = array<i64: 0, "
+                    << numInputs << ">'";
+  return diag;
+}
+
 FailureOr<AdjointSignature> AdjointSignature::get(FunctionOpInterface function,
                                                   bool arrays) {
   AdjointSignature signature;

@@ -12,6 +12,7 @@
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/CallInterfaces.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/AD/DerivativePaths.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
@@ -52,6 +53,16 @@ TangentBuilder::TangentBuilder(FunctionOpInterface function,
       }) {}
 
 LogicalResult TangentBuilder::build() {
+  auto hasTangent = [&](Storage storage) {
+    return static_cast<bool>(tangentOf(storage));
+  };
+  DerivativeEnds ends{hasTangent};
+  ends.isForward = true;
+  if (failed(verifyDerivativePaths(function, ends,
+                                   [&](Operation *op, const Twine &message) {
+                                     return emitError(op, message);
+                                   })))
+    return failure();
   for (BlockArgument argument : function.getArguments())
     if (isa<MemRefType>(argument.getType()) && isVaried(argument) &&
         failed(checkUsers(argument)))
@@ -148,8 +159,7 @@ LogicalResult TangentBuilder::extendOp(Operation *op) {
   }
   auto rule = dyn_cast<DifferentiableOpInterface>(op);
   bool hasTangents = llvm::any_of(op->getOpOperands(), [&](OpOperand &operand) {
-    return getTangent(operand.get()) &&
-           (!rule || rule.carriesDerivative(operand));
+    return getTangent(operand.get()) && carriesDerivative(operand);
   });
   if (!hasTangents)
     return success();

@@ -13,6 +13,7 @@
 
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Interfaces/ControlFlowInterfaces.h"
+#include "tai/AD/DerivativePaths.h"
 #include "tai/AD/TangentBuilder.h"
 #include "tai/Analysis/Activity.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
@@ -103,15 +104,12 @@ void FlowWalk::visit(Operation *op) {
     return visitBranch(branch);
   if (op->hasTrait<OpTrait::IsTerminator>())
     return;
-  auto rule = dyn_cast<DifferentiableOpInterface>(op);
   bool isVaried = false, isWild = false, usesNonFinite = false;
   for (OpOperand &operand : op->getOpOperands()) {
     Value value = operand.get();
     usesNonFinite |= facts.mayBeNonFinite(value);
-    // An op without a rule is taken to pass tangents on, so that it is found
-    // and refused; so is a view of an array.
-    if (!flow.varied.contains(value) ||
-        (rule && !rule.carriesDerivative(operand)))
+    // A view of an array passes its tangents on, too.
+    if (!flow.varied.contains(value) || !carriesDerivative(operand))
       continue;
     isVaried = true;
     isWild |= flow.wild.contains(value);

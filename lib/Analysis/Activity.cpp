@@ -14,6 +14,7 @@
 
 #include "tai/Analysis/Activity.h"
 #include "mlir/Interfaces/ControlFlowInterfaces.h"
+#include "tai/AD/DerivativePaths.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -59,14 +60,6 @@ void mlir::tai::forEachHandover(
         pass(terminator.getSuccessorOperands(successor),
              successor.getSuccessorInputs());
     }
-}
-
-/// True if derivatives may pass from the operand to the results of its op. An
-/// op without a rule is taken to carry them, so that it is found and refused.
-static bool carriesDerivative(OpOperand &operand) {
-  if (auto op = dyn_cast<DifferentiableOpInterface>(operand.getOwner()))
-    return op.carriesDerivative(operand);
-  return true;
 }
 
 /// True if what the op does with an operand is said by its regions or by those

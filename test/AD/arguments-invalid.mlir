@@ -44,9 +44,9 @@ tai.kernel @no_array(%a: f32) attributes {tai.gradients = 0 : i64} {
 
 // The result has no rule, and its adjoint is wanted.
 tai.kernel @no_rule(%a: f32) -> f32 attributes {tai.gradients = array<i64: 0, 1>} {
-  %0 = arith.bitcast %a : f32 to i32
   // expected-error @+2 {{'arith.bitcast' has no derivative rule, but a gradient passes through it}}
   // expected-note @+1 {{compute the value from differentiable ops}}
+  %0 = arith.bitcast %a : f32 to i32
   %1 = arith.bitcast %0 : i32 to f32
   tai.return %1 : f32
 }

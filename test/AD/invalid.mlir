@@ -145,9 +145,9 @@ tai.kernel @reads_adjoint() {
 tai.kernel @bits() {
   tai.parallel_for (%i) in @x {
     %0 = tai.load @x[%i] : f32
-    %1 = arith.bitcast %0 : f32 to i32
     // expected-error @+2 {{'arith.bitcast' has no derivative rule, but a gradient passes through it}}
     // expected-note @+1 {{compute the value from differentiable ops, or keep it out of what the gradient is taken of}}
+    %1 = arith.bitcast %0 : f32 to i32
     %2 = arith.bitcast %1 : i32 to f32
     tai.store %2, @y[%i] : f32
   }

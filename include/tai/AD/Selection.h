@@ -21,6 +21,14 @@ namespace mlir::tai {
 FailureOr<SmallVector<FunctionOpInterface>>
 selectFunctions(ModuleOp module, ArrayRef<std::string> names);
 
+/// Reports an error at a function in a nested module that asks for a gradient
+/// which nothing makes.
+LogicalResult checkNested(ModuleOp module);
+
+/// Reports an error if `function` is of a kind that is not differentiated, or
+/// has no body.
+LogicalResult checkIsFunction(FunctionOpInterface function);
+
 } // namespace mlir::tai
 
 #endif // TAI_AD_SELECTION_H

@@ -36,6 +36,12 @@ struct AdjointSignature {
   SmallVector<MemRefType> getShadowTypes(FunctionOpInterface function) const;
 };
 
+/// Reports an error if `function` has no derivative by anything: what it takes
+/// or what it gives is neither an array of floats that it accesses nor at one
+/// of the positions that are differentiated by, if some are given.
+LogicalResult checkHasDerivative(FunctionOpInterface function,
+                                 ArrayRef<int64_t> positions);
+
 /// The memref that holds the adjoint of a value of this type: of a number no
 /// dimension, of a vector those of the vector, of an array its own and after
 /// them those of its elements. Null for what has no adjoint.

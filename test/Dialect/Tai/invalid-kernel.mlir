@@ -207,3 +207,11 @@ tai.kernel @k(%ok: i1) {
   }
   tai.return
 }
+
+// -----
+
+// In the generic form a body may hold nothing.
+// expected-error @+1 {{expects a body that ends with 'tai.return'}}
+"tai.kernel"() <{function_type = () -> (), sym_name = "empty"}> ({
+^bb0:
+}) : () -> ()

@@ -75,7 +75,9 @@ LogicalResult KernelOp::verify() {
     if (isa<MemRefType>(result) || !isKernelArgumentType(result))
       return emitOpError("returns ")
              << result << "; expects a scalar or a vector";
-  if (!isa<ReturnOp>(getBody().front().getTerminator()))
+  // What is parsed in the generic form may end in anything, or hold nothing.
+  Block &block = getBody().front();
+  if (block.empty() || !isa<ReturnOp>(block.back()))
     return emitOpError("expects a body that ends with 'tai.return'");
   return success();
 }

@@ -5,6 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "TapeValues.h"
 #include "mlir/Dialect/LLVMIR/LLVMTypes.h"
 #include "mlir/IR/Builders.h"
 #include "mlir/IR/Matchers.h"
@@ -509,7 +510,9 @@ static LogicalResult verifyLoss(Operation *op, FlatSymbolRefAttr name,
 }
 
 LogicalResult TapeOp::verifySymbolUses(SymbolTableCollection &symbols) {
-  return verifyLoss(*this, getLossAttr(), symbols);
+  if (failed(verifyLoss(*this, getLossAttr(), symbols)))
+    return failure();
+  return verifyTapeValues(*this, symbols);
 }
 
 LogicalResult
@@ -524,5 +527,5 @@ CheckGradientOp::verifySymbolUses(SymbolTableCollection &symbols) {
       return emitOpError() << "expects field '" << name
                            << "' to have an adjoint";
   }
-  return success();
+  return verifyTapeValues(*this, symbols);
 }

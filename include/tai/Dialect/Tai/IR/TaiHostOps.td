@@ -44,6 +44,12 @@ def Tai_TapeOp : Tai_Op<"tape", [
     arguments (paper, section 3.2). Launches that cannot reach the loss are
     skipped.
 
+    Only launches are recorded. A number that a launch returns or the host reads
+    from a field with an adjoint must not reach another launch or a field but
+    through `tai.stop_gradient`, and the host must not store to a field that a
+    launch before has accessed. Arithmetic on numbers from before the tape is
+    free.
+
     Example:
 
     ```mlir
@@ -69,6 +75,10 @@ def Tai_CheckGradientOp : Tai_Op<"check_gradient", [
     extrapolation. The program fails if the best relative error exceeds
     `tolerance` for some direction. Fields should be f64. The fields of `wrt`
     and the loss are left as the tape left them.
+
+    Elements that the region overwrites before it reads them, such as all steps
+    but the first of a field with a time axis, are left out: what they held does
+    not matter. The program fails if nothing is left to be checked.
 
     Example:
 

@@ -1,0 +1,192 @@
+//===- DiscardableAttrs.cpp - Attributes that other ops carry for tai -----===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Every attribute `tai.*` that may stand on an op of any dialect. A name that
+// is not in the table would be ignored, so it is refused: a misspelt
+// `tai.differentiate` must not be a gradient that is never made.
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Interfaces/FunctionInterfaces.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+enum class Kind { Unit, Integer, Float, String, Symbol, List, Numbers, Any };
+
+/// What people write, and what passes tell one another.
+struct KnownAttr {
+  StringLiteral name;
+  Kind kind;
+  /// Whether it stands on functions and kernels only.
+  bool ofFunctions = false;
+};
+} // namespace
+
+static constexpr KnownAttr kKnown[] = {
+    {"tai.access_group", Kind::Any},
+    {"tai.accesses", Kind::Numbers},
+    {"tai.accumulate", Kind::String},
+    {"tai.active", Kind::Unit},
+    {"tai.adjoint", Kind::Symbol, true},
+    {"tai.alignment", Kind::Integer},
+    {"tai.before", Kind::List, true},
+    {"tai.block_size", Kind::Integer},
+    {"tai.buffer", Kind::Integer},
+    {"tai.checked_accesses", Kind::List, true},
+    {"tai.conventions", Kind::Any, true},
+    {"tai.device_slot", Kind::Unit},
+    {"tai.differentiate", Kind::Unit, true},
+    {"tai.digits", Kind::Numbers},
+    {"tai.failure", Kind::Integer},
+    {"tai.fixed_cost", Kind::Float},
+    {"tai.gradients", Kind::Any, true},
+    {"tai.guard", Kind::Unit},
+    {"tai.in_warp", Kind::Unit},
+    {"tai.independent", Kind::Unit},
+    {"tai.index_bits", Kind::Integer},
+    {"tai.interior", Kind::Numbers},
+    {"tai.keeps_activity", Kind::Unit, true},
+    {"tai.ordered", Kind::Unit},
+    {"tai.ordered_scope", Kind::Any},
+    {"tai.outer_dims", Kind::Integer},
+    {"tai.part_of", Kind::Symbol, true},
+    {"tai.partial_sum", Kind::Unit},
+    {"tai.reach", Kind::Integer},
+    {"tai.rerun_read", Kind::Integer},
+    {"tai.reruns", Kind::Unit, true},
+    {"tai.shapes", Kind::Any},
+    {"tai.site", Kind::Integer},
+    {"tai.stored_form", Kind::Symbol, true},
+    {"tai.sum_target", Kind::Integer},
+    {"tai.takes", Kind::Unit, true},
+    {"tai.tangent", Kind::Symbol, true},
+    {"tai.tiles", Kind::Any},
+};
+
+/// The only attribute of arguments.
+static constexpr StringLiteral kElementRank = "tai.element_rank";
+
+static bool isOfKind(Attribute attr, Kind kind) {
+  switch (kind) {
+  case Kind::Unit:
+    return isa<UnitAttr>(attr);
+  case Kind::Integer:
+    return isa<IntegerAttr>(attr);
+  case Kind::Float:
+    return isa<FloatAttr>(attr);
+  case Kind::String:
+    return isa<StringAttr>(attr);
+  case Kind::Symbol:
+    return isa<FlatSymbolRefAttr>(attr);
+  case Kind::List:
+    return isa<ArrayAttr>(attr);
+  case Kind::Numbers:
+    return isa<DenseI64ArrayAttr>(attr);
+  case Kind::Any:
+    return true;
+  }
+  llvm_unreachable("unknown kind of attribute");
+}
+
+static StringRef describe(Kind kind) {
+  switch (kind) {
+  case Kind::Unit:
+    return "to stand alone, without a value";
+  case Kind::Integer:
+    return "an integer";
+  case Kind::Float:
+    return "a float";
+  case Kind::String:
+    return "a string";
+  case Kind::Symbol:
+    return "the name of a function, such as @f";
+  case Kind::List:
+    return "a list";
+  case Kind::Numbers:
+    return "numbers, such as array<i64: 0, 2>";
+  case Kind::Any:
+    break;
+  }
+  return "a value";
+}
+
+/// Refuses a name that tai does not know, and says which it may be.
+static LogicalResult refuseUnknown(Operation *op, StringRef name) {
+  constexpr unsigned farthest = 4;
+  InFlightDiagnostic diag = op->emitError()
+                            << "there is no attribute '" << name << "'";
+  StringRef closest;
+  unsigned least = farthest;
+  for (const KnownAttr &known : kKnown) {
+    unsigned distance = name.edit_distance(known.name, true, least);
+    if (distance < least) {
+      least = distance;
+      closest = known.name;
+    }
+  }
+  if (!closest.empty())
+    diag << "; did you mean '" << closest << "'?";
+  return diag;
+}
+
+/// Asks for a gradient: of a function that has one.
+static LogicalResult verifyDifferentiate(Operation *op) {
+  StringRef name = op->getName().getStringRef();
+  auto function = cast<FunctionOpInterface>(op);
+  if (function.isExternal())
+    return op->emitError("cannot differentiate '@")
+           << function.getName() << "', which has no body here";
+  // What was differentiated may have been converted since.
+  bool isDone = op->hasAttr("tai.adjoint") || op->hasAttr("tai.tangent");
+  if (!isDone && name != "func.func" && !isa<KernelOp>(op))
+    return op->emitError("cannot differentiate a '")
+           << name << "'; expects a 'func.func' or a 'tai.kernel'";
+  return success();
+}
+
+LogicalResult TaiDialect::verifyOperationAttribute(Operation *op,
+                                                   NamedAttribute attribute) {
+  StringRef name = attribute.getName();
+  const KnownAttr *known = llvm::find_if(
+      kKnown, [&](const KnownAttr &entry) { return entry.name == name; });
+  if (known == std::end(kKnown))
+    return refuseUnknown(op, name);
+  if (!isOfKind(attribute.getValue(), known->kind))
+    return op->emitError("expects '")
+           << name << "' " << (known->kind == Kind::Unit ? "" : "to be ")
+           << describe(known->kind) << ", but got " << attribute.getValue();
+  if (known->ofFunctions && !isa<FunctionOpInterface>(op))
+    return op->emitError("'")
+           << name << "' stands on functions and kernels, not on '"
+           << op->getName() << "'";
+  if (name == "tai.differentiate")
+    return verifyDifferentiate(op);
+  return success();
+}
+
+LogicalResult TaiDialect::verifyRegionArgAttribute(Operation *op, unsigned,
+                                                   unsigned index,
+                                                   NamedAttribute attribute) {
+  if (attribute.getName() != kElementRank)
+    return op->emitError("argument ")
+           << index << " has an attribute '" << attribute.getName().strref()
+           << "', which there is not";
+  if (!isa<IntegerAttr>(attribute.getValue()))
+    return op->emitError("expects '") << kElementRank << "' to be an integer";
+  return success();
+}
+
+LogicalResult
+TaiDialect::verifyRegionResultAttribute(Operation *op, unsigned, unsigned index,
+                                        NamedAttribute attribute) {
+  return op->emitError("result ")
+         << index << " has an attribute '" << attribute.getName().strref()
+         << "', which there is not";
+}

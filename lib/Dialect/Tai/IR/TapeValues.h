@@ -1,0 +1,24 @@
+//===- TapeValues.h - What a tape would lose ---------------------*- C++
+//-*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef LIB_DIALECT_TAI_IR_TAPEVALUES_H
+#define LIB_DIALECT_TAI_IR_TAPEVALUES_H
+
+#include "mlir/IR/SymbolTable.h"
+
+namespace mlir::tai {
+
+/// A tape records launches and nothing else. Refuses, in the region of `tape`
+/// and in the host functions that it calls, values that carry a derivative and
+/// go from one launch to the next through the host, and what the host stores
+/// between launches.
+LogicalResult verifyTapeValues(Operation *tape, SymbolTableCollection &symbols);
+
+} // namespace mlir::tai
+
+#endif // LIB_DIALECT_TAI_IR_TAPEVALUES_H
