@@ -248,6 +248,7 @@ private:
   Value sumUp(Value value, PartialAdjoint &entry);
   Value createInfinityTest(Operation *op);
   Value createFinite(Value value, Value contribution);
+  Value createUnitContribution(Value contribution);
   void seedOutputs();
   void accumulateInputs();
 
@@ -284,6 +285,8 @@ private:
   /// rule at hand starts from (null: no).
   DenseSet<Value> mayBeInfinite;
   Value seedIsInfinite;
+  /// The adjoints that it starts from.
+  llvm::SmallSetVector<Value, 2> ruleSeeds;
   DenseSet<Operation *> recomputedDraws, refused;
   /// The storages that the adjoint accumulates into.
   DenseSet<const void *> accumulated;
