@@ -336,6 +336,8 @@ private:
   std::vector<Field *> changedAdjoints;
   /// Fields whose adjoints its adjoint adds to (fields that it reads).
   std::vector<Field *> adjointTargets;
+  /// Why there is no plan: an adjoint that nobody planned for is not launched.
+  Status planFailure;
   /// Fields whose adjoints its adjoint reads (fields that it changes).
   std::vector<Field *> adjointSources;
   /// Those of them that are overwritten, not accumulated.
