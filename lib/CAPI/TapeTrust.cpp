@@ -48,11 +48,6 @@ TaiStatus taiTapeRecordAccesses(TaiTape tape, int64_t record,
   return TAI_OK;
 }
 
-TaiStatus taiTapeTakeAll(TaiTape tape, bool on) {
-  tape->tape->takeAll(on);
-  return TAI_OK;
-}
-
 TaiStatus taiTapeWatchHealth(TaiTape tape, bool on) {
   tape->tape->watchHealth(on);
   return TAI_OK;

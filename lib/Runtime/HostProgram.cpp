@@ -39,6 +39,7 @@ static int32_t reportUsage(Launch &launch, std::string message,
 /// What the program itself uses it finds on the host, whatever kernels have
 /// done since.
 static int32_t returnTo(Launch &launch, Status status) {
+  launch.owner().settleZeros();
   if (launch.owner().getDevice() && launch.host->module->usesTrees)
     for (const TreePtr &tree : *launch.host->trees)
       (void)tree->writable();
@@ -162,6 +163,7 @@ public:
     launch.host->tape.reset();
     if (!status)
       return report(launch, std::move(status));
+    runtime.settleZeros();
     after = save();
     return 0;
   }

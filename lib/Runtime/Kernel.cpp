@@ -218,7 +218,6 @@ Status Kernel::bind(uint64_t epoch) {
   adjointTargets.clear();
   adjointSources.clear();
   overwritten.clear();
-  repeatsStores = false;
   for (const Access &access : info.summary) {
     Field *field = access.field.get();
     bool changes = access.kind != AccessKind::Read;
@@ -226,10 +225,8 @@ Status Kernel::bind(uint64_t epoch) {
       addOnce(changedAdjoints, field);
     if (field->adjoint())
       addOnce(changes ? adjointSources : adjointTargets, field);
-    if (field->adjoint() && access.kind == AccessKind::Write) {
+    if (field->adjoint() && access.kind == AccessKind::Write)
       addOnce(overwritten, field);
-      repeatsStores |= !access.fixed;
-    }
   }
   boundEpoch.store(epoch, std::memory_order_release);
   return Status::success();

@@ -349,7 +349,7 @@ class Program:
 
     def _find_accesses(self) -> tuple[list[tuple[Any, Any]], list[Any]]:
         found = Accesses(self.core, self.loss, run_host_functions=True)
-        self.written, self.sure = set(found.changed), found.sure
+        self.written = set(found.changed)
         inputs = [(found.known[s], mask) for s, mask in found.masks.items() if mask.any()]
         return inputs, list(found.changed.values())
 
@@ -374,26 +374,13 @@ class Program:
         return value
 
     def sweep(self, seeds: list[np.ndarray]) -> dict[str, np.ndarray]:
-        """The gradient of the weighted outputs by what each input holds at the start.
-
-        As a user's sweep gives it, but for elements that may be stored before they are read:
-        those keep the adjoint of what was stored, and so come from a sweep that forgets it.
-        """
-        found = self._sweep(seeds, False)
-        sure = {f.symbol: self.sure.get(f.symbol, False) for f, _ in self.inputs}
-        if not all(np.all(sure[f.symbol] | ~mask) for f, mask in self.inputs):
-            taken = self._sweep(seeds, True)
-            found = {s: np.where(sure[s], gradient, taken[s]) for s, gradient in found.items()}
-        return found
-
-    def _sweep(self, seeds: list[np.ndarray], take_all: bool) -> dict[str, np.ndarray]:
+        """The gradient of the weighted outputs by what each input holds at the start."""
         self.start.restore(only_primal=True)
         with recording(self.loss) as core:
             self.run()
         if self.loss is None:
             for f, seed in zip(self.outputs, seeds, strict=True):
                 _seed(f, seed)
-        core.take_all(take_all)
         core.backward()
         return {f.symbol: _gradient(f) for f, _ in self.inputs}
 

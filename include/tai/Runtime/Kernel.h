@@ -65,6 +65,15 @@ struct FixedIndex {
   }
 };
 
+/// Elements that a launch stores, every one of them: those from one index up to
+/// another along each dimension, if none of `loops` is empty.
+struct StoredBox {
+  struct Range {
+    FixedIndex lower, upper;
+  };
+  std::vector<Range> ranges, loops;
+};
+
 /// One line of a summary.
 struct Access {
   FieldPtr field;
@@ -72,6 +81,9 @@ struct Access {
   /// The first index that is fixed, if any: launches that differ in it touch
   /// different elements.
   std::optional<FixedIndex> fixed = std::nullopt;
+  /// Of a write: the elements that are stored, whatever the fields hold. Null
+  /// where that depends on them, or is no box.
+  std::shared_ptr<const std::vector<StoredBox>> boxes = nullptr;
 
   bool operator==(const Access &other) const {
     return field == other.field && kind == other.kind && fixed == other.fixed;
@@ -310,6 +322,8 @@ private:
   std::array<AdjointForm, 2> adjointForms, storedForms;
   std::shared_ptr<CheckedKernel> checked;
   std::unique_ptr<AdjointPlan> adjointPlan;
+  /// Why there is no plan: an adjoint that nobody planned for is not launched.
+  Status planFailure;
   bool adjointReruns = false;
   bool loadsStored = false;
   bool alwaysTakes = false;
@@ -336,15 +350,10 @@ private:
   std::vector<Field *> changedAdjoints;
   /// Fields whose adjoints its adjoint adds to (fields that it reads).
   std::vector<Field *> adjointTargets;
-  /// Why there is no plan: an adjoint that nobody planned for is not launched.
-  Status planFailure;
   /// Fields whose adjoints its adjoint reads (fields that it changes).
   std::vector<Field *> adjointSources;
   /// Those of them that are overwritten, not accumulated.
   std::vector<Field *> overwritten;
-  /// Every launch stores the same elements of one of them, whatever the
-  /// arguments are.
-  bool repeatsStores = false;
   /// Sparse levels of its trees. Of the last launch: when it began for them,
   /// and what its loops went over, so that an adjoint launched by hand can
   /// tell.
