@@ -358,6 +358,8 @@ void Runtime::clearGradients() {
     skipCounts.bump(SkipCount::FieldsCleared);
     skipCounts.bump(SkipCount::BytesCleared, bytes);
   }
-  if (!owing.empty())
+  if (!owing.empty()) {
+    std::lock_guard<std::mutex> lock(launchMutex);
     forgetSettled();
+  }
 }

@@ -107,10 +107,12 @@ void OwedZeros::store(const Field &field) const {
 }
 
 void Field::storeZeros() const {
-  std::shared_ptr<const OwedZeros> zeros = std::move(owed);
+  // Of two threads that look, the second one waits until they are there.
+  static std::mutex storing;
+  std::lock_guard<std::mutex> lock(storing);
+  if (owed && valid())
+    owed->store(*this);
   owed = nullptr;
-  if (valid())
-    zeros->store(*this);
 }
 
 //===----------------------------------------------------------------------===//
@@ -145,6 +147,7 @@ void Runtime::forgetSettled() {
 }
 
 void Runtime::settleZeros(const Kernel &kernel, const uint64_t *args) {
+  std::lock_guard<std::mutex> lock(launchMutex);
   for (const Access &access : kernel.summary())
     if (const OwedZeros *zeros = access.field->owesZeros())
       if (zeros->meets(access, args))
@@ -155,6 +158,7 @@ void Runtime::settleZeros(const Kernel &kernel, const uint64_t *args) {
 void Runtime::settleZeros() {
   if (owing.empty())
     return;
+  std::lock_guard<std::mutex> lock(launchMutex);
   for (const FieldPtr &field : owing)
     field->settleZeros();
   forgetSettled();

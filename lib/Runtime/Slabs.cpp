@@ -270,9 +270,10 @@ void Slabs::zero(int64_t first, int64_t count) const {
                                   static_cast<int>(byteSize(field->scalar()))));
     return;
   }
-  forEachRun(field->writable(), first, count,
-             [](char *address, auto size, int64_t) {
-               std::memset(address, 0, static_cast<size_t>(size));
-               return true;
-             });
+  // Not through the field, which may be about to store what it owes.
+  char *data = field->tree().writable() + field->layout().placeOffset;
+  forEachRun(data, first, count, [](char *address, auto size, int64_t) {
+    std::memset(address, 0, static_cast<size_t>(size));
+    return true;
+  });
 }
