@@ -115,6 +115,9 @@ Session::makeKernel(OwningOpRef<ModuleOp> module, StringRef name) {
     return compileAdjoint(*code, runtimeKernel, takes, /*stored=*/true,
                           adjoint);
   };
+  info.findFlows = [code, summary = info.summary] {
+    return findFlows(code->module->lookupSymbol<KernelOp>(code->name), summary);
+  };
   info.makeChecked = [this, code](runtime::CheckedKernel &checked) {
     return compileChecked(*code, checked);
   };

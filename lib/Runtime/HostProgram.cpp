@@ -87,6 +87,8 @@ extern "C" int32_t tai_rt_host_tape_end(TaiFrame *frame) {
   if (!launch.host || !launch.host->tape)
     return reportUsage(launch, "no tape is open");
   Status status = launch.host->tape->backward();
+  for (const std::string &line : launch.host->tape->warnings())
+    std::fprintf(stderr, "warning: %s\n", line.c_str());
   launch.host->tape.reset();
   return returnTo(launch, std::move(status));
 }

@@ -120,6 +120,13 @@ const AdjointPlan &Kernel::plan() {
   return *adjointPlan;
 }
 
+const std::vector<ValueFlow> &Kernel::flows() {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  if (!flowList)
+    flowList = info.findFlows ? info.findFlows() : std::vector<ValueFlow>();
+  return *flowList;
+}
+
 Status Kernel::resolveTangent(Kernel *&result) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
   if (!tangentAsked && info.makeTangent) {

@@ -300,6 +300,7 @@ Status Tape::sweep() {
   if (!status)
     return status;
   topology->beginReverse();
+  noteCuts();
   if (checkpoints)
     status = sweepRecomputing();
   else

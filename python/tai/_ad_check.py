@@ -351,6 +351,7 @@ class Program:
         self.outputs: list[Any] = [] if loss is None else storage(loss)
         self.inputs: list[tuple[Any, np.ndarray]] = []
         self.overwritten = 0
+        self.lost: list[str] = []
 
     def record(self) -> None:
         """Runs it once on a tape, and finds out what it reads and changes."""
@@ -400,6 +401,8 @@ class Program:
             for f, seed in zip(self.outputs, seeds, strict=True):
                 _seed(f, seed)
         core.backward()
+        # Said once, and so here: they are why a gradient disagrees.
+        self.lost += [line for line in core.warnings() if "the derivative ends there" in line]
         return {f.symbol: _gradient(f) for f, _ in self.inputs}
 
     def is_input(self, f: Any, mask: Any) -> bool:
@@ -628,6 +631,8 @@ def _check_program(
                 "each record is right by itself: look for values that are overwritten, or "
                 "changed from Python, between records"
             )
+    if program.lost:
+        result.note = "; ".join([*program.lost, *([result.note] if result.note else [])])
     return result
 
 

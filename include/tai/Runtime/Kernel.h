@@ -106,6 +106,16 @@ struct AdjointFlags {
   bool sumsUp = false;
 };
 
+/// Floats of one field on which floats depend that the kernel stores to
+/// another.
+struct ValueFlow {
+  FieldPtr from, to;
+  /// Of the store, as "file:line:column".
+  std::string place;
+  /// The kernel may itself read what it has stored there.
+  bool isReadAgain = false;
+};
+
 /// What the adjoint of a kernel asks of memory, known before its code is.
 struct AdjointPlan {
   /// The fields of the primal that it reads.
@@ -191,6 +201,8 @@ struct KernelInfo {
   std::function<Status(Kernel &kernel, AdjointPlan &plan)> planAdjoint;
   /// False if an adjoint of the kernel would do nothing; the tape skips it.
   bool differentiable = true;
+  /// Which values depend on which: called once, when a tape wants to know.
+  std::function<std::vector<ValueFlow>()> findFlows;
   /// The same for the form of the adjoint that takes: it leaves zero in the
   /// adjoints of the elements which the kernel stores. Called once, when
   /// elements turn out to be stored again.
@@ -269,6 +281,8 @@ public:
 
   /// What the adjoint asks of memory. Any thread.
   const AdjointPlan &plan();
+  /// Which values that it stores depend on which that it reads. Any thread.
+  const std::vector<ValueFlow> &flows();
   /// Whether the plan, if there is one, has parts.
   bool hasParts() const { return adjointPlan && !adjointPlan->parts.empty(); }
 
@@ -324,6 +338,7 @@ private:
   std::unique_ptr<AdjointPlan> adjointPlan;
   /// Why there is no plan: an adjoint that nobody planned for is not launched.
   Status planFailure;
+  std::optional<std::vector<ValueFlow>> flowList;
   bool adjointReruns = false;
   bool loadsStored = false;
   bool alwaysTakes = false;

@@ -456,6 +456,10 @@ private:
   std::shared_ptr<DeviceContext> device;
   /// Tapes that there are.
   std::vector<Tape *> tapes;
+  /// Sets of kernels, hashed, in which tapes have looked for gradients that get
+  /// lost, and what they have said.
+  std::unordered_set<size_t> sequencesSeen;
+  std::unordered_set<std::string> cutsSaid;
 
   std::unique_ptr<ForkGuard> forkGuard;
   std::unique_ptr<WorkerPool> pool;

@@ -317,6 +317,17 @@ private:
   void markVersions();
   Status checkVersions();
   void checkEffect();
+  // TapeFlows.cpp
+  /// Notes derivatives that end in fields without gradients, where a record
+  /// stores to one.
+  struct Cut {
+    size_t record;
+    const ValueFlow *flow;
+  };
+  void noteCuts();
+  std::vector<Cut> findCuts();
+  std::vector<Cut> keepWanted(std::vector<Cut> cuts,
+                              const std::vector<Field *> &live);
 
   Runtime &runtime;
   std::vector<Loss> losses;
