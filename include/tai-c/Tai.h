@@ -416,10 +416,6 @@ typedef struct TaiTapeAccess {
 TAI_EXPORT TaiStatus taiTapeRecordAccesses(TaiTape tape, int64_t record,
                                            const TaiTapeAccess **rows,
                                            int64_t *count);
-/// Whether reverse sweeps from now on give the gradient by what all fields held
-/// at the start, also of elements that are stored before they are used; those
-/// otherwise keep the adjoint of what was stored.
-TAI_EXPORT TaiStatus taiTapeTakeAll(TaiTape tape, bool on);
 /// What the adjoint of a record left in the adjoint of a field: of the finite
 /// numbers the greatest magnitude and the norm.
 typedef struct TaiTapeHealthRow {

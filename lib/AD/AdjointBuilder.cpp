@@ -361,11 +361,13 @@ static Value addUp(ImplicitLocOpBuilder &builder, Value sum, Value term) {
 /// be.
 Value AdjointBuilder::createInfinityTest(Operation *op) {
   Value any;
+  ruleSeeds.clear();
   for (Value result : op->getResults()) {
-    if (!mayBeInfinite.contains(result))
-      continue;
     Value size = getAdjoint(result);
     if (!size)
+      continue;
+    ruleSeeds.insert(size);
+    if (!mayBeInfinite.contains(result))
       continue;
     size = math::AbsFOp::create(*this, size);
     if (isa<VectorType>(size.getType()))
@@ -379,16 +381,58 @@ Value AdjointBuilder::createInfinityTest(Operation *op) {
   return any;
 }
 
+/// What a rule has made of the adjoints that it starts from, with 1 in their
+/// place: the partial derivative. Null where it is not made by a few plain ops.
+Value AdjointBuilder::createUnitContribution(Value contribution) {
+  SmallVector<Operation *> slice;
+  DenseMap<Value, bool> known;
+  auto depends = [&](auto &self, Value value) -> bool {
+    if (ruleSeeds.contains(value))
+      return true;
+    Operation *op = value.getDefiningOp();
+    if (!op || op->getBlock() != getInsertionBlock())
+      return false;
+    if (auto it = known.find(value); it != known.end())
+      return it->second;
+    bool any = false;
+    for (Value operand : op->getOperands())
+      any |= self(self, operand);
+    known[value] = any;
+    if (any && !llvm::is_contained(slice, op))
+      slice.push_back(op);
+    return any;
+  };
+  constexpr size_t most = 64;
+  if (!depends(depends, contribution) || slice.size() > most ||
+      llvm::any_of(slice, [](Operation *op) {
+        return op->getNumRegions() != 0 || !isMemoryEffectFree(op);
+      }))
+    return {};
+  IRMapping mapping;
+  for (Value seed : ruleSeeds)
+    mapping.map(seed, createConstant(seed.getType(), 1));
+  for (Operation *op : slice)
+    clone(*op, mapping);
+  return mapping.lookup(contribution);
+}
+
 /// What an infinite adjoint contributes: nothing where the partial derivative
-/// is zero, and not the NaN that the product of both is.
+/// is zero, and not the NaN that the product of both is. A partial that is
+/// itself no number stays one.
 Value AdjointBuilder::createFinite(Value value, Value contribution) {
   if (seedIsUndefined)
     mayBeUndefined.insert(value);
   if (!seedIsInfinite)
     return contribution;
   mayBeInfinite.insert(value);
-  Value isNaN = arith::CmpFOp::create(*this, arith::CmpFPredicate::UNO,
-                                      contribution, contribution);
+  auto isOrdered = [&](arith::CmpFPredicate predicate, Value number) {
+    return arith::CmpFOp::create(*this, predicate, number, number);
+  };
+  Value isNaN = isOrdered(arith::CmpFPredicate::UNO, contribution);
+  if (Value partial = createUnitContribution(contribution);
+      partial && !matchPattern(partial, m_Constant()))
+    isNaN = arith::AndIOp::create(
+        *this, isNaN, isOrdered(arith::CmpFPredicate::ORD, partial));
   Value infinite = seedIsInfinite;
   if (isa<VectorType>(isNaN.getType()))
     infinite = vector::BroadcastOp::create(*this, isNaN.getType(), infinite);

@@ -43,6 +43,13 @@ static void addScaled(LinearIndex &sum, const LinearIndex &other,
   }
 }
 
+/// True for integers of 8 or 16 bits: what is computed in them is likely to
+/// wrap around, unlike in 32, and then is no sum of what it was computed from.
+static bool isNarrow(Value value) {
+  auto type = dyn_cast<IntegerType>(value.getType());
+  return type && type.getWidth() < 32;
+}
+
 static LinearIndex getSum(Value value, unsigned depth) {
   LinearIndex sum;
   auto addTerm = [&](Value term) { sum.terms.emplace_back(term, 1); };
@@ -55,7 +62,7 @@ static LinearIndex getSum(Value value, unsigned depth) {
     return sum;
   }
   Operation *op = value.getDefiningOp();
-  if (!op || depth == 0) {
+  if (!op || depth == 0 || (isNarrow(value) && !isa<arith::ExtSIOp>(op))) {
     addTerm(value);
     return sum;
   }

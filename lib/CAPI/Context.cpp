@@ -240,6 +240,7 @@ TaiStatus taiFieldGetAddress(TaiField handle, const int64_t *indices,
     status = context.session.getRuntime().deviceAddress(tree, offset, *address);
   else if (status)
     *address = tree.base() + offset;
+  handle->field->settleZeros();
   return context.status(status);
 }
 

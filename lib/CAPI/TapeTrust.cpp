@@ -51,12 +51,6 @@ TaiStatus taiTapeRecordAccesses(TaiTape tape, int64_t record,
   return TAI_OK;
 }
 
-TaiStatus taiTapeTakeAll(TaiTape tape, bool on) {
-  ContextLock lock(tape->context);
-  tape->tape->takeAll(on);
-  return TAI_OK;
-}
-
 TaiStatus taiTapeWatchHealth(TaiTape tape, bool on) {
   ContextLock lock(tape->context);
   tape->tape->watchHealth(on);

@@ -133,6 +133,9 @@ Session::makeKernel(OwningOpRef<ModuleOp> module, StringRef name) {
     return compileAdjoint(*code, runtimeKernel, takes, /*stored=*/true,
                           adjoint);
   };
+  info.findFlows = [code, summary = info.summary] {
+    return findFlows(code->module->lookupSymbol<KernelOp>(code->name), summary);
+  };
   info.makeChecked = [this, code](runtime::CheckedKernel &checked) {
     return compileChecked(*code, checked);
   };
@@ -347,21 +350,26 @@ void Session::count(const Compiler::Function &function, bool isAdjoint) {
                            : SkipCount::KernelsCompiled);
 }
 
-/// True if the kernel may store elements that it reads: then the adjoint must
-/// always take, whatever the launches before it have done.
-static bool storesWhatItReads(const std::vector<runtime::Access> &summary) {
+/// True if the kernel may store elements that it reads, or elements of which
+/// only its code knows which they are: then the adjoint must always take,
+/// whatever the launches before it have done.
+static bool alwaysTakes(const std::vector<runtime::Access> &summary) {
   using Kind = runtime::AccessKind;
   auto areApart = [](const runtime::Access &a, const runtime::Access &b) {
     return a.fixed && b.fixed && a.fixed->dimension == b.fixed->dimension &&
            a.fixed->terms == b.fixed->terms &&
            a.fixed->constant != b.fixed->constant;
   };
-  for (const runtime::Access &store : summary)
+  for (const runtime::Access &store : summary) {
+    if (store.kind != Kind::Write || !store.field->adjoint())
+      continue;
+    if (!store.boxes)
+      return true;
     for (const runtime::Access &read : summary)
-      if (store.kind == Kind::Write && read.kind == Kind::Read &&
-          store.field == read.field && store.field->adjoint() &&
+      if (read.kind == Kind::Read && store.field == read.field &&
           !areApart(store, read))
         return true;
+  }
   return false;
 }
 
@@ -428,7 +436,7 @@ static void choosePlannedForm(KernelCode &code, runtime::Kernel &kernel) {
     return;
   // One that came with the kernel is what it is.
   auto op = code.module->lookupSymbol<KernelOp>(code.name);
-  code.planTakes = !op.getAdjoint() && storesWhatItReads(kernel.summary());
+  code.planTakes = !op.getAdjoint() && alwaysTakes(kernel.summary());
 }
 
 runtime::Status Session::compilePrimal(KernelCode &code,

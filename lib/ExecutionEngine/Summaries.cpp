@@ -9,7 +9,10 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/IR/Matchers.h"
 #include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/LoopBox.h"
 #include "tai/ExecutionEngine/AdjointNeeds.h"
 #include "tai/ExecutionEngine/Session.h"
 
@@ -47,25 +50,181 @@ static DenseMap<Value, int64_t> findIntegerArguments(ModuleOp module) {
   return slots;
 }
 
+using ArgumentSlots = DenseMap<Value, int64_t>;
+
+/// A sum of constants and integer arguments, as an index along a dimension.
+static std::optional<runtime::FixedIndex>
+evaluateOnLaunch(const LinearIndex &form, size_t dimension,
+                 const ArgumentSlots &slots) {
+  runtime::FixedIndex fixed{static_cast<int64_t>(dimension), form.constant, {}};
+  if (form.mayWrap)
+    return std::nullopt;
+  for (auto [term, factor] : form.terms) {
+    auto slot = slots.find(term);
+    if (slot == slots.end())
+      return std::nullopt;
+    fixed.terms.push_back(
+        {slot->second, term.getType().getIntOrFloatBitWidth(), factor});
+  }
+  return fixed;
+}
+
 /// The first index that is a sum of constants and integer arguments.
 static std::optional<runtime::FixedIndex>
-getFixedIndex(ValueRange indices, const DenseMap<Value, int64_t> &slots) {
-  for (auto [dimension, index] : llvm::enumerate(indices)) {
-    LinearIndex form = getLinearIndex(index);
-    runtime::FixedIndex fixed{
-        static_cast<int64_t>(dimension), form.constant, {}};
-    for (auto [term, factor] : form.terms) {
-      auto slot = slots.find(term);
-      if (slot == slots.end())
-        break;
-      fixed.terms.push_back(
-          {slot->second, term.getType().getIntOrFloatBitWidth(), factor});
-    }
-    if (fixed.terms.size() == form.terms.size() && !form.mayWrap)
+getFixedIndex(ValueRange indices, const ArgumentSlots &slots) {
+  for (auto [dimension, index] : llvm::enumerate(indices))
+    if (auto fixed = evaluateOnLaunch(getLinearIndex(index), dimension, slots))
       return fixed;
-  }
   return std::nullopt;
 }
+
+//===----------------------------------------------------------------------===//
+// Elements that are stored in any case
+//===----------------------------------------------------------------------===//
+
+namespace {
+/// An induction variable and its bounds in a launch.
+struct LoopRange {
+  Value iv;
+  runtime::StoredBox::Range range;
+  bool isUsed = false;
+};
+} // namespace
+
+/// The loops around a store, if there is nothing else between it and its kernel
+/// and all of them run from bound to bound; nothing otherwise.
+static std::optional<SmallVector<LoopRange>>
+findLoopRanges(Operation *store, const ArgumentSlots &slots) {
+  SmallVector<LoopRange> ranges;
+  auto add = [&](Value iv, Value lower, Value upper) {
+    auto from = evaluateOnLaunch(getLinearIndex(lower), 0, slots);
+    auto to = evaluateOnLaunch(getLinearIndex(upper), 0, slots);
+    if (from && to)
+      ranges.push_back({iv, {*from, *to}});
+    return from && to;
+  };
+  Operation *parent = store->getParentOp();
+  for (; !isa<KernelOp>(parent); parent = parent->getParentOp()) {
+    if (auto loop = dyn_cast<scf::ForOp>(parent)) {
+      if (!matchPattern(loop.getStep(), m_One()) ||
+          !add(loop.getInductionVar(), loop.getLowerBound(),
+               loop.getUpperBound()))
+        return std::nullopt;
+      continue;
+    }
+    auto loop = dyn_cast<ParallelForOp>(parent);
+    if (!loop)
+      return std::nullopt;
+    if (std::optional<LoopBox> box = getConstantBox(loop)) {
+      for (auto [iv, lower, upper] :
+           llvm::zip(box->ivs(), box->lower, box->upper))
+        ranges.push_back({iv, {{0, lower, {}}, {0, upper, {}}}});
+      continue;
+    }
+    if (loop.isStructFor() || loop.getLevel())
+      return std::nullopt;
+    for (auto [iv, lower, upper] :
+         llvm::zip(loop.getInductionVars(), loop.getLowerBounds(),
+                   loop.getUpperBounds()))
+      if (!add(iv, lower, upper))
+        return std::nullopt;
+  }
+  return ranges;
+}
+
+static runtime::FixedIndex addTo(runtime::FixedIndex bound,
+                                 const runtime::FixedIndex &offset) {
+  bound.dimension = offset.dimension;
+  bound.constant += offset.constant;
+  bound.terms.insert(bound.terms.end(), offset.terms.begin(),
+                     offset.terms.end());
+  return bound;
+}
+
+/// The elements that a store reaches, if it does so whatever fields hold: each
+/// index is that of a loop of its own, moved by sums of arguments, or such a
+/// sum alone.
+static std::optional<runtime::StoredBox>
+findStoredBox(StoreOp store, const ArgumentSlots &slots) {
+  if (!store.getComponents().empty())
+    return std::nullopt;
+  auto loops = findLoopRanges(store, slots);
+  if (!loops)
+    return std::nullopt;
+  runtime::StoredBox box;
+  for (auto [dimension, index] : llvm::enumerate(store.getIndices())) {
+    LinearIndex form = getLinearIndex(index);
+    LoopRange *loop = nullptr;
+    for (LoopRange &candidate : *loops) {
+      int64_t factor = form.getCoefficient(candidate.iv);
+      if (factor == 0)
+        continue;
+      if (loop || factor != 1 || candidate.isUsed)
+        return std::nullopt;
+      loop = &candidate;
+      llvm::erase_if(form.terms,
+                     [&](auto &term) { return term.first == candidate.iv; });
+    }
+    auto offset = evaluateOnLaunch(form, dimension, slots);
+    if (!offset)
+      return std::nullopt;
+    if (!loop) {
+      runtime::FixedIndex behind = *offset;
+      ++behind.constant;
+      box.ranges.push_back({*offset, behind});
+      continue;
+    }
+    loop->isUsed = true;
+    box.ranges.push_back(
+        {addTo(loop->range.lower, *offset), addTo(loop->range.upper, *offset)});
+  }
+  for (const LoopRange &loop : *loops)
+    if (!loop.isUsed)
+      box.loops.push_back(loop.range);
+  // Loops that run anyway need no look.
+  llvm::erase_if(box.loops, [](const runtime::StoredBox::Range &loop) {
+    return loop.lower.terms.empty() && loop.upper.terms.empty() &&
+           loop.lower.constant < loop.upper.constant;
+  });
+  return box;
+}
+
+/// Says of the writes in the summary which elements they store.
+static void addStoredBoxes(ModuleOp module, KernelOp kernel,
+                           std::vector<runtime::Access> &summary) {
+  ArgumentSlots slots = findIntegerArguments(module);
+  using Boxes = std::vector<runtime::StoredBox>;
+  // Of each line, unless something else stores there too.
+  std::vector<std::optional<Boxes>> found(summary.size(), Boxes());
+  auto add = [&](StringRef field, std::optional<runtime::FixedIndex> fixed,
+                 std::optional<runtime::StoredBox> box) {
+    for (auto [line, boxes] : llvm::zip(summary, found)) {
+      if (line.kind != runtime::AccessKind::Write ||
+          field != line.field->name() || !(line.fixed == fixed) || !boxes)
+        continue;
+      if (box)
+        boxes->push_back(*box);
+      else
+        boxes.reset();
+    }
+  };
+  for (Operation &root : *module.getBody()) {
+    if (isa<KernelOp>(root) && &root != kernel)
+      continue;
+    root.walk([&](StoreOp store) {
+      add(store.getField(), getFixedIndex(store.getIndices(), slots),
+          isa<KernelOp>(root) ? findStoredBox(store, slots) : std::nullopt);
+    });
+  }
+  for (auto [line, boxes] : llvm::zip(summary, found))
+    if (boxes && !boxes->empty() && !line.field->sparseNode() &&
+        line.kind == runtime::AccessKind::Write)
+      line.boxes = std::make_shared<const Boxes>(std::move(*boxes));
+}
+
+//===----------------------------------------------------------------------===//
+// Summaries
+//===----------------------------------------------------------------------===//
 
 std::vector<NamedAccess> mlir::tai::listAccesses(Operation *root) {
   using Kind = runtime::AccessKind;
@@ -134,5 +293,6 @@ std::vector<runtime::Access> Session::summarize(ModuleOp module,
       }
     });
   }
+  addStoredBoxes(module, kernel, summary);
   return summary;
 }

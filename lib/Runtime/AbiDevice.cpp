@@ -65,6 +65,7 @@ Status Runtime::takeNoted() { return device->take(); }
 
 Status Runtime::deviceAddress(const Tree &tree, int64_t offset,
                               void *&address) {
+  settleZeros();
   Mirror *mirror = tree.mirror();
   if (!mirror)
     return Status::failure(StatusCode::Usage,

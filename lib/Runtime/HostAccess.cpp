@@ -195,6 +195,7 @@ Status Runtime::copyToHost(const Field &field, void *array) {
   int64_t element = scalar * components;
   int64_t stride = field.layout().componentStride;
   char *host = static_cast<char *>(array);
+  field.settleZeros();
   if (field.tree().mirror() && copyFromDevice(field, array))
     return takeDeviceFailure();
   forEachRow(field, field.readable(), [&](const RowPart<const char> &row) {
@@ -219,6 +220,7 @@ Status Runtime::copyToHost(const Field &field, void *array) {
 }
 
 void Runtime::copyIn(Field &field, const void *array) {
+  field.oweZeros(nullptr);
   if (field.sparseNode())
     return copyInActive(field, array);
   int64_t scalar = byteSize(field.scalar());
@@ -289,6 +291,7 @@ static bool fillEvenly(const Field &field, char *data, const char *scalar,
 }
 
 void Runtime::fillWith(Field &field, const void *scalarBytes) {
+  field.oweZeros(nullptr);
   if (field.sparseNode())
     return fillActive(field, scalarBytes);
   int64_t scalar = byteSize(field.scalar());
@@ -354,5 +357,9 @@ void Runtime::clearGradients() {
     field->dirtyFlag.store(false, std::memory_order_relaxed);
     skipCounts.bump(SkipCount::FieldsCleared);
     skipCounts.bump(SkipCount::BytesCleared, bytes);
+  }
+  if (!owing.empty()) {
+    std::lock_guard<std::mutex> lock(launchMutex);
+    forgetSettled();
   }
 }

@@ -39,6 +39,7 @@ static int32_t reportUsage(Launch &launch, std::string message,
 /// What the program itself uses it finds on the host, whatever kernels have
 /// done since.
 static int32_t returnTo(Launch &launch, Status status) {
+  launch.owner().settleZeros();
   if (launch.owner().getDevice() && launch.host->module->usesTrees)
     for (const TreePtr &tree : *launch.host->trees)
       (void)tree->writable();
@@ -86,6 +87,8 @@ extern "C" int32_t tai_rt_host_tape_end(TaiFrame *frame) {
   if (!launch.host || !launch.host->tape)
     return reportUsage(launch, "no tape is open");
   Status status = launch.host->tape->backward();
+  for (const std::string &line : launch.host->tape->warnings())
+    std::fprintf(stderr, "warning: %s\n", line.c_str());
   launch.host->tape.reset();
   return returnTo(launch, std::move(status));
 }
@@ -162,6 +165,7 @@ public:
     launch.host->tape.reset();
     if (!status)
       return report(launch, std::move(status));
+    runtime.settleZeros();
     after = save();
     return 0;
   }

@@ -54,6 +54,11 @@ Status Kernel::resolve() {
   return status;
 }
 
+/// What a tape has kept for an adjoint without a plan is not what it reads.
+static Status planFailed(const Status &why) {
+  return Status::failure(why.code(), why.message(), why.where(), why.detail());
+}
+
 Status Kernel::resolveAdjoint(Kernel *&adjoint, bool takes) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
   adjoint = nullptr;
@@ -72,6 +77,8 @@ Status Kernel::resolveAdjoint(Kernel *&adjoint, bool takes) {
       return status;
     form.asked = true;
   }
+  if (form.kernel && !planFailure)
+    return planFailed(planFailure);
   adjoint = form.kernel.get();
   form.known.store(adjoint, std::memory_order_release);
   return Status::success();
@@ -104,12 +111,20 @@ const AdjointPlan &Kernel::plan() {
   }
   // Without an adjoint nothing is read. What is wrong is said when a reverse
   // sweep needs it.
-  if (!info.planAdjoint(*this, *adjointPlan))
+  planFailure = info.planAdjoint(*this, *adjointPlan);
+  if (!planFailure)
     *adjointPlan = AdjointPlan();
   adjointReruns = adjointPlan->reruns;
   loadsStored = adjointPlan->loadsStored;
   alwaysTakes = adjointPlan->takes;
   return *adjointPlan;
+}
+
+const std::vector<ValueFlow> &Kernel::flows() {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  if (!flowList)
+    flowList = info.findFlows ? info.findFlows() : std::vector<ValueFlow>();
+  return *flowList;
 }
 
 Status Kernel::resolveTangent(Kernel *&result) {
@@ -210,7 +225,6 @@ Status Kernel::bind(uint64_t epoch) {
   adjointTargets.clear();
   adjointSources.clear();
   overwritten.clear();
-  repeatsStores = false;
   for (const Access &access : info.summary) {
     Field *field = access.field.get();
     bool changes = access.kind != AccessKind::Read;
@@ -218,10 +232,8 @@ Status Kernel::bind(uint64_t epoch) {
       addOnce(changedAdjoints, field);
     if (field->adjoint())
       addOnce(changes ? adjointSources : adjointTargets, field);
-    if (field->adjoint() && access.kind == AccessKind::Write) {
+    if (field->adjoint() && access.kind == AccessKind::Write)
       addOnce(overwritten, field);
-      repeatsStores |= !access.fixed;
-    }
   }
   boundEpoch.store(epoch, std::memory_order_release);
   return Status::success();

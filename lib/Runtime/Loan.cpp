@@ -108,6 +108,8 @@ Status Runtime::lend(Field &field, LentField &lent) {
                         step);
     step *= layout.elementShape[d];
   }
+  // Others look at the memory of the whole tree from now on.
+  settleZeros();
   Mirror *mirror = field.tree().mirror();
   lent.onDevice = mirror != nullptr;
   if (mirror) {

@@ -374,6 +374,7 @@ Status Runtime::failureOf(Launch &launch, const Kernel &kernel) {
 
 Status Runtime::runTangent(Launch &launch, Kernel &kernel, const uint64_t *args,
                            uint64_t *results, uint64_t number) {
+  settleZeros();
   Kernel *tangent = nullptr;
   Status status = kernel.resolveTangent(tangent);
   if (status)
@@ -409,6 +410,8 @@ Status Runtime::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
     launch.unwanted.resize(static_cast<size_t>(kernel.resultSlots()));
     results = launch.unwanted.data();
   }
+  if (__builtin_expect(!owing.empty(), false))
+    settleZeros(kernel, args);
   launch.trees = kernel.bases.data();
   launch.loopTimes = &kernel.loopTimes;
   if (__builtin_expect(device != nullptr, false)) {
@@ -506,6 +509,7 @@ Status Runtime::launchAdjoint(Kernel &kernel, const uint64_t *args,
   Status status = kernel.bind(storageEpoch.load(std::memory_order_relaxed));
   if (!status)
     return status;
+  settleZeros();
   const AdjointPlan &plan = kernel.plan();
   if (!plan.before.empty() || !plan.parts.empty())
     return Status::failure(
@@ -515,8 +519,9 @@ Status Runtime::launchAdjoint(Kernel &kernel, const uint64_t *args,
             "tape keeps: launch it under a tape, or store the new values to "
             "other elements");
   Kernel *adjoint = nullptr;
-  status = kernel.resolveAdjoint(adjoint,
-                                 kernel.repeatsStores || kernel.alwaysTakes);
+  bool canTake = kernel.info.makeTakingAdjoint || kernel.info.adjointTakes;
+  status = kernel.resolveAdjoint(
+      adjoint, kernel.alwaysTakes || (canTake && !kernel.overwritten.empty()));
   if (!status)
     return status;
   LoopLists loops;
@@ -564,6 +569,7 @@ Status Runtime::runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
 Status Runtime::runHost(TaiKernelFn function, const std::vector<TreePtr> &trees,
                         HostModule &module, const uint64_t *args,
                         uint64_t *results) {
+  settleZeros();
   std::vector<void *> bases;
   for (const TreePtr &tree : trees) {
     if (!tree->base())

@@ -259,3 +259,21 @@ void Slabs::clear(int64_t first, int64_t count) const {
     return true;
   });
 }
+
+void Slabs::zero(int64_t first, int64_t count) const {
+  Mirror *mirror = field->tree().mirror();
+  if (mirror && isEven && mirror->onDevice()) {
+    mirror->deviceWrites();
+    const char zeros[8] = {};
+    mirror->context().note(
+        mirror->device().fillRows(rowsOf(first, count), zeros,
+                                  static_cast<int>(byteSize(field->scalar()))));
+    return;
+  }
+  // Not through the field, which may be about to store what it owes.
+  char *data = field->tree().writable() + field->layout().placeOffset;
+  forEachRun(data, first, count, [](char *address, auto size, int64_t) {
+    std::memset(address, 0, static_cast<size_t>(size));
+    return true;
+  });
+}

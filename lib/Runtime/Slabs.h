@@ -55,6 +55,8 @@ public:
   void exchange(int64_t first, int64_t count, char *contents) const;
   bool isZero(int64_t first, int64_t count) const;
   void clear(int64_t first, int64_t count) const;
+  /// Stores zeros, where cells are not numbered.
+  void zero(int64_t first, int64_t count) const;
 
   /// Whether a device has the field and can keep ranges of it in its own
   /// memory; how it does that, brings them back, or does both. Where the

@@ -51,6 +51,8 @@ Status Runtime::beginTape(FieldPtr loss, bool clear,
     device->beginRecording();
   if (clear)
     clearGradients();
+  else
+    settleZeros();
   tape = std::move(made);
   setActiveTape(tape.get());
   return Status::success();
@@ -290,6 +292,7 @@ Status Tape::sweep() {
   end();
   examined.clear();
   notes.clear();
+  runtime.settleZeros();
   Status status = topology->check();
   if (status)
     status = checkVersions();
@@ -300,6 +303,7 @@ Status Tape::sweep() {
   if (!status)
     return status;
   topology->beginReverse();
+  noteCuts();
   if (checkpoints)
     status = sweepRecomputing();
   else
@@ -307,6 +311,7 @@ Status Tape::sweep() {
   if (!checkpoints)
     memory->endReverse();
   topology->endReverse(notes);
+  oweZeros();
   // Host functions may have changed what they like.
   markVersions();
   if (status)
@@ -377,6 +382,8 @@ Status Tape::replay(bool forward, bool reverse) {
 Status Tape::runAgain(bool forward, bool reverse) {
   if (reverse)
     runtime.clearGradients();
+  else
+    runtime.settleZeros();
   if (forward) {
     for (const Loss &loss : losses)
       if (loss.field->valid())

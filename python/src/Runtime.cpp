@@ -345,10 +345,6 @@ void bindTape(py::module_ &module) {
                                             row->dimension, row->index));
              return result;
            })
-      .def("take_all",
-           [](Tape &t, bool on) {
-             t.context->check(taiTapeTakeAll(t.handle, on));
-           })
       .def("watch_health",
            [](Tape &t, bool on) {
              t.context->check(taiTapeWatchHealth(t.handle, on));

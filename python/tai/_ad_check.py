@@ -48,7 +48,13 @@ class FieldCheck:
 
     @property
     def passed(self) -> bool:
-        return all(probe.passed for probe in self.probes)
+        """Whether it was checked, and agrees."""
+        return bool(self.probes) and all(probe.passed for probe in self.probes)
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether nothing that was seen depends on it, so that 0 was compared with 0."""
+        return all(probe.is_flat for probe in self.probes)
 
     @property
     def worst(self) -> Probe:
@@ -99,28 +105,34 @@ class Culprit:
     place: str
 
     def __str__(self) -> str:
-        names = ", ".join(f"'{f.name}'" for f in self.fields if not f.passed)
+        names = ", ".join(f"'{f.name}'" for f in self.fields)
         return f"record {self.record}, {self.place}: its gradient by {names} is wrong"
 
 
 @dataclass
 class CheckResult:
-    """What `ti.ad.check` found; true if every gradient agrees.
+    """What `ti.ad.check` found; true if something was checked, and all of it agrees.
 
     Attributes:
         what: the program that was checked.
         fields: one entry for each field.
         culprit: the first record that is wrong by itself, where one was found.
         note: what else there is to know.
+        unchecked: why nothing was checked, which is a failure; or None.
     """
 
     what: str
     fields: list[FieldCheck]
     culprit: Culprit | None = None
     note: str | None = None
+    unchecked: str | None = None
 
     def __bool__(self) -> bool:
-        return all(f.passed for f in self.fields) and self.culprit is None
+        return self.unchecked is None and self.culprit is None and not self._wrong
+
+    @property
+    def _wrong(self) -> list[FieldCheck]:
+        return [f for f in self.fields if f.probes and not f.passed]
 
     @property
     def error(self) -> float:
@@ -129,7 +141,12 @@ class CheckResult:
         return float("nan") if any(np.isnan(errors)) else max(errors, default=0.0)
 
     def __str__(self) -> str:
-        lines = [f"gradient of {self.what}: {'agrees' if self else 'DISAGREES'}"]
+        verdict = "agrees" if self else "NOT CHECKED" if self.unchecked else "DISAGREES"
+        lines = [f"gradient of {self.what}: {verdict}"]
+        if self.unchecked:
+            lines.append(f"  nothing was checked: {self.unchecked}")
+        if not self.fields:
+            return "\n".join(lines)
         width = max([len(f.name) for f in self.fields] + [5])
         lines.append(f"  {'field':{width}} type method        error   bound  step  verdict")
         for f in self.fields:
@@ -143,14 +160,13 @@ class CheckResult:
                     f"  {f.name:{width}} {f.dtype:4} {method:11} {part.error:7.1e} "
                     f"{p.tolerance:7.0e} {step:>5}  {part.verdict}"
                 )
-        for f in self.fields:
-            if not f.passed:
-                p = f.worst
-                lines.append(
-                    f"  '{f.name}' along one direction: {p.reverse:.15g} by the reverse sweep, "
-                    f"{p.expected:.15g} by {p.method}"
-                )
-                lines += [f"  {line}" for line in p.show()] if p.ladder else []
+        for f in self._wrong:
+            p = f.worst
+            lines.append(
+                f"  '{f.name}' along one direction: {p.reverse:.15g} by the reverse sweep, "
+                f"{p.expected:.15g} by {p.method}"
+            )
+            lines += [f"  {line}" for line in p.show()] if p.ladder else []
         if self.culprit:
             lines.append(f"  first wrong: {self.culprit}")
         if self.note:
@@ -160,7 +176,7 @@ class CheckResult:
     __repr__ = __str__
 
     def raise_if_wrong(self) -> CheckResult:
-        """Raises GradientCheckError if a gradient does not agree."""
+        """Raises GradientCheckError if a gradient does not agree, or none was checked."""
         if not self:
             error = GradientCheckError(str(self))
             error.result = self
@@ -284,7 +300,8 @@ class Accesses:
             where[elements(f, dimension, index)] = True
         for symbol, read in here[READ].items():
             # Stored by the same kernel: before or after, who knows.
-            fresh = read & ~here[WRITE].get(symbol, False) & ~self._written.get(symbol, False)
+            none = np.zeros_like(read)
+            fresh = read & ~here[WRITE].get(symbol, none) & ~self._written.get(symbol, none)
             _join(self.masks, symbol, read)
             _join(self.sure, symbol, fresh)
         for symbol, write in here[WRITE].items():
@@ -337,6 +354,8 @@ class Program:
         self.core: Any = None
         self.outputs: list[Any] = [] if loss is None else storage(loss)
         self.inputs: list[tuple[Any, np.ndarray]] = []
+        self.overwritten = 0
+        self.lost: list[str] = []
 
     def record(self) -> None:
         """Runs it once on a tape, and finds out what it reads and changes."""
@@ -353,7 +372,7 @@ class Program:
 
     def _find_accesses(self) -> tuple[list[tuple[Any, Any]], list[Any]]:
         found = Accesses(self.core, self.loss, run_host_functions=True)
-        self.written, self.sure = set(found.changed), found.sure
+        self.written = set(found.changed)
         inputs = [(found.known[s], mask) for s, mask in found.masks.items() if mask.any()]
         return inputs, list(found.changed.values())
 
@@ -378,27 +397,16 @@ class Program:
         return value
 
     def sweep(self, seeds: list[np.ndarray]) -> dict[str, np.ndarray]:
-        """The gradient of the weighted outputs by what each input holds at the start.
-
-        As a user's sweep gives it, but for elements that may be stored before they are read:
-        those keep the adjoint of what was stored, and so come from a sweep that forgets it.
-        """
-        found = self._sweep(seeds, False)
-        sure = {f.symbol: self.sure.get(f.symbol, False) for f, _ in self.inputs}
-        if not all(np.all(sure[f.symbol] | ~mask) for f, mask in self.inputs):
-            taken = self._sweep(seeds, True)
-            found = {s: np.where(sure[s], gradient, taken[s]) for s, gradient in found.items()}
-        return found
-
-    def _sweep(self, seeds: list[np.ndarray], take_all: bool) -> dict[str, np.ndarray]:
+        """The gradient of the weighted outputs by what each input holds at the start."""
         self.start.restore(only_primal=True)
         with recording(self.loss) as core:
             self.run()
         if self.loss is None:
             for f, seed in zip(self.outputs, seeds, strict=True):
                 _seed(f, seed)
-        core.take_all(take_all)
         core.backward()
+        # Said once, and so here: they are why a gradient disagrees.
+        self.lost += [line for line in core.warnings() if "the derivative ends there" in line]
         return {f.symbol: _gradient(f) for f, _ in self.inputs}
 
     def is_input(self, f: Any, mask: Any) -> bool:
@@ -443,6 +451,7 @@ def probe_program(
     else:
         inputs = [(f, mask & active_elements(f)) for f, mask in program.inputs]
         program.inputs = [(f, mask) for f, mask in inputs if program.is_input(f, mask)]
+        program.overwritten = len(inputs) - len(program.inputs)
     wanted = program.inputs
     checks = []
     rounds = [None] if program.loss is not None else range(directions)
@@ -457,6 +466,11 @@ def probe_program(
                 checks.append(FieldCheck(f.name, f.dtype.name))
                 if f.dtype.name not in ("f64", "f32"):
                     checks[-1].skipped = "differences need f64 or f32"
+                elif not np.any(mask):
+                    sparse = sparse_level(f) is not None
+                    checks[-1].skipped = (
+                        "none of its cells is active" if sparse else "it has no elements"
+                    )
                 elif wrt is not None and not program.is_input(f, mask):
                     checks[-1].skipped = "it is overwritten before it is read"
             check = checks[place]
@@ -559,7 +573,9 @@ def check(
         bisect: if a gradient is wrong, look for the first kernel to blame.
 
     Returns:
-        A result that is true if everything agrees, and prints as a report.
+        A result that is true if everything agrees, and prints as a report. Where nothing was
+        checked it is false, and says why: no field with a gradient is read, all are of types
+        that differences are too coarse for, or nothing depends on them.
 
     Raises:
         TaiAutodiffError: nothing was launched, or a field has no gradient.
@@ -609,9 +625,8 @@ def _check_program(
     generator = np.random.default_rng(seed)
     checks = probe_program(program, wrt, directions, generator, tolerance, forward_tolerance)
     result = CheckResult(what, checks)
-    if not checks:
-        result.note = "it reads no field that has a gradient"
-    if not result and bisect:
+    result.unchecked = _why_unchecked(program, checks)
+    if result._wrong and bisect:
         result.culprit = find_culprit(
             core, program.start, program.loss, generator, tolerance, forward_tolerance
         )
@@ -620,7 +635,24 @@ def _check_program(
                 "each record is right by itself: look for values that are overwritten, or "
                 "changed from Python, between records"
             )
+    if program.lost:
+        result.note = "; ".join([*program.lost, *([result.note] if result.note else [])])
     return result
+
+
+def _why_unchecked(program: Program, checks: list[FieldCheck]) -> str | None:
+    """Why a check has compared nothing, or None if it has."""
+    if not checks:
+        if program.overwritten:
+            return "each field with a gradient that it reads is overwritten before it is read"
+        return "it reads no field that has a gradient"
+    if not any(f.probes for f in checks):
+        return "; ".join(f"'{f.name}': {f.skipped}" for f in checks)
+    if all(f.is_flat for f in checks):
+        names = ", ".join(f"'{f.name}'" for f in checks if f.probes)
+        what = "the loss does" if program.loss is not None else "what it changes does"
+        return f"{what} not depend on {names} here: both gradients are exactly 0"
+    return None
 
 
 def _as_fields(wanted: Any, what: str) -> list[Any] | None:
@@ -706,7 +738,7 @@ def find_culprit(
                 checks = probe_program(
                     program, None, 2, generator, tolerance, forward_tolerance, quick=True
                 )
-                wrong = [c for c in checks if not c.passed]
+                wrong = [c for c in checks if c.probes and not c.passed]
         finally:
             here.restore()
         if wrong:

@@ -76,6 +76,13 @@ class Probe:
         return self.kink and not self.jump and self.between
 
     @property
+    def is_flat(self) -> bool:
+        """Whether all derivatives are exactly 0, by every step."""
+        return self.reverse == 0 == self.expected and all(
+            rung.left == 0 == rung.right for rung in self.ladder
+        )
+
+    @property
     def between(self) -> bool:
         """Whether the gradient lies between the slopes of the two sides."""
         if not self.ladder:

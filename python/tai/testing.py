@@ -35,7 +35,8 @@ def check_gradient(
         The greatest relative error.
 
     Raises:
-        AssertionError: the error exceeds the tolerance; says for which field.
+        AssertionError: the error exceeds the tolerance; says for which field. Or nothing was
+            compared: there is no field or no element, or the loss depends on none of them.
         TaiAutodiffError: a field is not f64: differences would be too coarse.
     """
     for field in (loss, *wrt):
@@ -47,7 +48,7 @@ def check_gradient(
         run()
     gradients = [field.grad.to_numpy() for field in wrt]
     generator = np.random.default_rng(seed)
-    worst = 0.0
+    worst, is_flat = 0.0, True
     for field, gradient in zip(wrt, gradients, strict=True):
         start = field.to_numpy()
 
@@ -56,10 +57,12 @@ def check_gradient(
             run()
             return loss[None]
 
-        for _ in range(directions):
+        for _ in range(directions if start.size else 0):
             direction = generator.standard_normal(start.shape)
             direction /= np.linalg.norm(direction)
             expected = float(np.sum(gradient * direction))
+            moved = [value(start + step * direction) for step in (0.0, 0.1, -0.1)]
+            is_flat &= expected == 0 and moved[0] == moved[1] == moved[2]
             error = _best_error(lambda h, d=direction, s=start: value(s + h * d), expected)
             if not error <= tolerance:
                 field.from_numpy(start)
@@ -71,6 +74,13 @@ def check_gradient(
             worst = max(worst, error)
         field.from_numpy(start)
     run()
+    if is_flat:
+        names = ", ".join(f"'{field.name}'" for field in wrt)
+        raise AssertionError(
+            f"nothing was checked: the loss '{loss.name}' depends on no element of {names}"
+            if wrt
+            else "nothing was checked: wrt names no field"
+        )
     return worst
 
 

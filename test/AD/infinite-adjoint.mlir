@@ -7,13 +7,15 @@ tai.field @y = @t["y"] : f64, rank 1, adjoint @gy
 tai.field @gy = @t["gy"] : f64, rank 1
 
 // At zero the adjoint of the square is infinite and its derivative zero: the
-// product is dropped, and not NaN.
+// product is dropped, and not NaN. A derivative that is NaN itself is not.
 // CHECK-LABEL: tai.kernel @root_of_square_grad
 //       CHECK:   %[[SIZE:.+]] = math.absf
 //       CHECK:   %[[INFINITE:.+]] = arith.cmpf oeq, %[[SIZE]]
-//       CHECK:   %[[C:.+]] = arith.mulf
+//       CHECK:   %[[C:.+]] = arith.mulf %{{.+}}, %[[X:.+]] : f64
 //       CHECK:   %[[NAN:.+]] = arith.cmpf uno, %[[C]], %[[C]]
-//       CHECK:   %[[DROPS:.+]] = arith.andi %[[INFINITE]], %[[NAN]]
+//       CHECK:   %[[NUMBER:.+]] = arith.cmpf ord, %[[X]], %[[X]]
+//       CHECK:   %[[PRODUCT:.+]] = arith.andi %[[NAN]], %[[NUMBER]]
+//       CHECK:   %[[DROPS:.+]] = arith.andi %[[INFINITE]], %[[PRODUCT]]
 //       CHECK:   arith.select %[[DROPS]]
 tai.kernel @root_of_square() {
   tai.parallel_for (%i) in @x {

@@ -316,3 +316,165 @@ def test_a_derivative_that_is_no_number_is_an_error(derivatives):
     """Beside a zero, whose scale is zero."""
     assert np.isnan(relative_error(*derivatives, 0.0))
     assert relative_error(0.0, 0.0, 0.0) == 0.0
+
+
+# Nothing checked is a failure of the check
+
+
+def unchecked(result, why):
+    assert not result
+    assert result.unchecked is not None and why in result.unchecked
+    assert "NOT CHECKED" in str(result) and why in str(result)
+    assert "agrees" not in str(result).splitlines()[0]
+    with pytest.raises(ti.ad.GradientCheckError, match="NOT CHECKED"):
+        result.raise_if_wrong()
+
+
+def square_of(x, loss):
+    @ti.kernel
+    def square():
+        for i in x:
+            loss[None] += x[i] ** 2
+
+    return square
+
+
+def total_field(dtype=ti.f64, **options):
+    return ti.field(dtype, shape=(), needs_grad=True, name="loss", **options)
+
+
+@pytest.mark.parametrize("dual", [False, True])
+def test_no_field_with_a_gradient_is_read(dual):
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    x = ti.field(ti.f64, shape=3)
+    loss = total_field(needs_dual=dual)
+    unchecked(ti.ad.check(square_of(x, loss), loss=loss), "reads no field that has a gradient")
+
+
+def test_only_half_precision_is_read():
+    ti.init(default_fp=ti.f32, offline_cache=False)
+    x = ti.field(ti.f16, shape=3, needs_grad=True, name="x")
+    loss = total_field(ti.f32)
+    for wrt in (None, [x]):
+        result = ti.ad.check(square_of(x, loss), loss=loss, wrt=wrt)
+        unchecked(result, "'x': differences need f64 or f32")
+        assert not result.fields[0].passed
+
+
+def test_all_that_is_read_was_overwritten():
+    chain = Chain()
+
+    @ti.kernel
+    def overwrite():
+        for i in chain.x:
+            chain.x[i] = 2.0
+        for i in chain.v:
+            chain.v[i] = 3.0
+
+    def run():
+        overwrite()
+        chain.run()
+
+    unchecked(ti.ad.check(run, loss=chain.loss), "overwritten before it is read")
+    unchecked(
+        ti.ad.check(run, loss=chain.loss, wrt=[chain.x]), "it is overwritten before it is read"
+    )
+
+
+@pytest.mark.parametrize("dual", [False, True])
+def test_the_loss_depends_on_nothing_that_is_checked(dual):
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    x = ti.field(ti.f64, shape=3, needs_grad=True, needs_dual=dual, name="x")
+    y = ti.field(ti.f64, shape=3, needs_grad=True, needs_dual=dual, name="y")
+    loss = total_field(needs_dual=dual)
+
+    @ti.kernel
+    def constant():
+        for i in x:
+            loss[None] += ti.floor(x[i] + 0.25)
+
+    @ti.kernel
+    def round_all():
+        for i in x:
+            y[i] = ti.floor(x[i] + 0.25)
+
+    unchecked(ti.ad.check(constant, loss=loss, wrt=[x]), "the loss does not depend on 'x' here")
+    unchecked(ti.ad.check(round_all), "what it changes does not depend on 'x' here")
+
+
+def test_no_element_is_there():
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    x = ti.field(ti.f64, name="x")
+    ti.root.pointer(ti.i, 4).place(x, x.grad)
+    loss = total_field()
+    unchecked(ti.ad.check(square_of(x, loss), loss=loss, wrt=[x]), "none of its cells is active")
+
+
+def test_a_minimum_is_checked():
+    """The gradient is zero there, but the loss depends on what is checked."""
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    x = ti.field(ti.f64, shape=3, needs_grad=True)
+    loss = total_field()
+    assert ti.ad.check(square_of(x, loss), loss=loss)
+
+
+def test_a_tape_that_checks_nothing_raises():
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    x = ti.field(ti.f64, shape=3, needs_grad=True, name="x")
+    y = ti.field(ti.f64, shape=3, needs_grad=True, name="y")
+    y.fill(1.0)
+    loss = total_field()
+    square = square_of(y, loss)
+    with (
+        pytest.raises(ti.ad.GradientCheckError, match="not depend on 'x'"),
+        ti.ad.Tape(loss, grad_check=[x]),
+    ):
+        square()
+    with ti.ad.Tape(loss, grad_check=[x, y]):
+        square()
+
+
+def test_check_gradient_that_compares_nothing():
+    from tai.testing import check_gradient
+
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    x = ti.field(ti.f64, shape=3, needs_grad=True, name="x")
+    y = ti.field(ti.f64, shape=3, needs_grad=True, name="y")
+    loss = total_field()
+    square = square_of(y, loss)
+
+    def run():
+        loss[None] = 0
+        square()
+
+    with pytest.raises(AssertionError, match="nothing was checked.*'x'"):
+        check_gradient(loss, [x], run)
+    with pytest.raises(AssertionError, match="wrt names no field"):
+        check_gradient(loss, [], run)
+    assert check_gradient(loss, [y], run) < 1e-7
+
+
+def test_elements_that_are_stored_by_one_launch_and_read_by_another():
+    """Some of a field are inputs, and some are stored by the program before it reads them."""
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    x = ti.field(ti.f64, shape=(4, 3), needs_grad=True)
+    x.fill(0.5)
+    loss = total_field()
+
+    @ti.kernel
+    def step(t: ti.i32):
+        for i in range(3):
+            x[t + 1, i] = ti.sin(x[t, i])
+
+    @ti.kernel
+    def total():
+        for i in range(3):
+            loss[None] += x[3, i] * x[0, i]
+
+    def run():
+        for t in range(3):
+            step(t)
+        total()
+
+    assert ti.ad.check(run, loss=loss, wrt=[x])
+    assert ti.ad.check(run, loss=loss)

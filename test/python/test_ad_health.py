@@ -210,3 +210,44 @@ def test_host_functions_are_examined():
     report = tape.health()
     assert report.first_nan.kernel == "custom"
     assert y.grad[0] == 0.0
+
+
+@pytest.mark.parametrize("shape", [(), 1, 3, (2, 1)])
+@pytest.mark.parametrize("watched", [False, True])
+def test_parameters_of_any_shape(shape, watched):
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    x = ti.field(ti.f64, shape=shape, needs_grad=True, name="x")
+    y = ti.field(ti.f64, shape=shape, needs_grad=True, name="y")
+    unused = ti.field(ti.f64, shape=shape, needs_grad=True, name="unused")
+    loss = ti.field(ti.f64, shape=(), needs_grad=True, name="loss")
+
+    @ti.kernel
+    def square():
+        for index in ti.grouped(y):
+            y[index] = x[index] * x[index] + 0 * ti.floor(unused[index])
+
+    @ti.kernel
+    def square_of_one():
+        y[None] = x[None] * x[None] + 0 * ti.floor(unused[None])
+
+    @ti.kernel
+    def total():
+        for index in ti.grouped(y):
+            loss[None] += y[index]
+
+    @ti.kernel
+    def total_of_one():
+        loss[None] += y[None]
+
+    x.fill(2.0)
+    with ti.ad.Tape(loss, health=watched) as tape:
+        square_of_one() if shape == () else square()
+        total_of_one() if shape == () else total()
+    report = tape.health()
+    assert report.flat == ["unused"]
+    assert {row.field for row in report.rows} >= {"x", "y"}
+    x.fill(0.0)
+    with ti.ad.Tape(loss, health=watched) as tape:
+        square_of_one() if shape == () else square()
+        total_of_one() if shape == () else total()
+    assert sorted(tape.health().flat) == ["unused", "x"]

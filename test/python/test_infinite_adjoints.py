@@ -68,3 +68,25 @@ def test_what_is_infinite_or_undefined_stays_so():
         kernel()
     assert x.grad[0] == np.inf
     assert np.isnan(x.grad[1])
+
+
+@pytest.mark.parametrize("dtype", ["f32", "f64"])
+def test_a_partial_that_is_no_number_is_not_hidden(dtype):
+    """The derivative of x ** y by y is undefined for negative x, whatever comes behind it."""
+    dtype = getattr(ti, dtype)
+    ti.init(default_fp=dtype)
+    x = ti.field(dtype, shape=2, needs_grad=True)
+    y = ti.field(dtype, shape=2, needs_grad=True)
+    loss = ti.field(dtype, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def kernel():
+        for i in x:
+            loss[None] += ti.sqrt(x[i] ** y[i] - 4)
+
+    x.from_numpy(np.array([-2.0, 3.0]).astype(dtype.numpy))
+    y.fill(2.0)
+    with ti.ad.Tape(loss):
+        kernel()
+    assert np.isnan(y.grad[0]) and x.grad[0] == -np.inf
+    assert np.isfinite(y.grad[1]) and np.isfinite(x.grad[1])

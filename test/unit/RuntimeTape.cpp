@@ -81,6 +81,11 @@ struct Scene {
     return runtime.findTree(field.tree().name());
   }
 
+  /// All elements, as what a launch stores whatever fields hold.
+  static std::shared_ptr<const std::vector<StoredBox>> everything() {
+    return std::make_shared<const std::vector<StoredBox>>(
+        std::vector<StoredBox>{{{{{0, 0, {}}, {0, n, {}}}}, {}}});
+  }
   KernelPtr pair(std::string name, FieldPtr from, FieldPtr to, AccessKind kind,
                  TaiKernelFn function, TaiKernelFn reverse, int64_t slots,
                  TaiKernelFn taking = nullptr) {
@@ -89,6 +94,8 @@ struct Scene {
     info.argSlots = slots;
     info.trees = {tree(*from), tree(*to)};
     info.summary = {{from, AccessKind::Read}, {to, kind}};
+    if (kind == AccessKind::Write)
+      info.summary.back().boxes = everything();
     info.function = function;
     auto make = [=](Kernel &primal, TaiKernelFn reverse, KernelPtr &adjoint) {
       ++adjointsMade;
@@ -124,6 +131,7 @@ struct Scene {
     info.name = to->name() + "=1";
     info.trees = {tree(*to)};
     info.summary = {{to, AccessKind::Write}};
+    info.summary.back().boxes = everything();
     info.function = ones;
     KernelInfo reverse;
     reverse.name = info.name + "_grad";
@@ -338,11 +346,16 @@ TEST(RuntimeTape, AccumulatesOverTapesUnlessCleared) {
     ASSERT_OK(tape->backward());
   }
   EXPECT_NEAR(get(*scene.x->adjoint(), {0}), scene.expected(0.3, 0), 1e-15);
+  // Nothing is left of what was overwritten.
+  for (int64_t i = 0; i < n; ++i)
+    EXPECT_EQ(get(*scene.y->adjoint(), {i}), 0);
   // As in the paper's system: what the adjoints held before is propagated too.
+  set(*scene.y->adjoint(), {0}, 2 * std::sin(0.3));
   auto tape = scene.begin(/*clear=*/false);
   scene.launch(step);
   ASSERT_OK(tape->backward());
   EXPECT_NEAR(get(*scene.x->adjoint(), {0}), 2 * scene.expected(0.3, 0), 1e-14);
+  EXPECT_EQ(get(*scene.y->adjoint(), {0}), 0);
 }
 
 TEST(RuntimeTape, CallsHostFunctionsInPlace) {

@@ -715,3 +715,35 @@ TEST(RuntimeTapeSave, RefusesBadPolicies) {
   scene.launch(drift);
   EXPECT_FALSE(tape->backward().ok());
 }
+
+TEST(RuntimeTapeSave, WhatWasNotPlannedIsNotLaunched) {
+  // There is an adjoint, but nobody knows what the tape should keep for it.
+  Scene scene;
+  KernelInfo info;
+  info.name = "square";
+  info.trees = {scene.tree(*scene.x), scene.tree(*scene.loss)};
+  info.summary = {{scene.x, AccessKind::Read},
+                  {scene.loss, AccessKind::Accumulate}};
+  info.function = [](TaiFrame *) { return 0; };
+  int adjointsMade = 0;
+  info.makeAdjoint = [&](Kernel &, KernelPtr &adjoint) {
+    ++adjointsMade;
+    KernelInfo info;
+    info.name = "square_grad";
+    info.function = [](TaiFrame *) { return 0; };
+    adjoint = scene.runtime.createKernel(info);
+    return Status::success();
+  };
+  info.planAdjoint = [](Kernel &, AdjointPlan &) {
+    return Status::failure(StatusCode::Compile, "no parts", "a.py:1:2");
+  };
+  auto kernel = scene.runtime.createKernel(info);
+  auto tape = scene.begin();
+  ASSERT_OK(scene.runtime.launch(*kernel, nullptr, 0, nullptr));
+  for (int repeat = 0; repeat < 2; ++repeat) {
+    Status status = tape->backward();
+    EXPECT_EQ(status.code(), StatusCode::Compile);
+    EXPECT_EQ(status.message(), "no parts");
+    EXPECT_EQ(status.where(), "a.py:1:2");
+  }
+}

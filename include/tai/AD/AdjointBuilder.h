@@ -253,6 +253,7 @@ private:
   Value sumUp(Value value, PartialAdjoint &entry);
   Value createInfinityTest(Operation *op);
   Value createFinite(Value value, Value contribution);
+  Value createUnitContribution(Value contribution);
   void seedOutputs();
   void accumulateInputs();
 
@@ -292,6 +293,8 @@ private:
   /// The same for adjoints that may be NaN.
   DenseSet<Value> mayBeUndefined;
   bool seedIsUndefined = false;
+  /// The adjoints that it starts from.
+  llvm::SmallSetVector<Value, 2> ruleSeeds;
   DenseSet<Operation *> recomputedDraws, refused;
   /// The storages that the adjoint accumulates into.
   DenseSet<const void *> accumulated;

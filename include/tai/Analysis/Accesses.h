@@ -23,7 +23,8 @@ namespace mlir::tai {
 class FieldOp;
 
 /// A sum of values times constants, plus a constant. Terms are sorted by value
-/// and have non-zero coefficients. A value that is not itself a sum is a term.
+/// and have non-zero coefficients. A value that is not itself a sum is a term,
+/// as is what was computed in 8 or 16 bits, where sums wrap around.
 struct LinearIndex {
   SmallVector<std::pair<Value, int64_t>, 2> terms;
   int64_t constant = 0;

@@ -64,6 +64,11 @@ struct KernelCode : std::enable_shared_from_this<KernelCode> {
 /// Slots of values of these types; see Abi.h.
 int64_t countSlots(TypeRange types);
 
+/// Which floats that the kernel stores depend on which that it reads, with or
+/// without gradients; of the fields of its summary.
+std::vector<runtime::ValueFlow> findFlows(KernelOp kernel,
+                                          ArrayRef<runtime::Access> summary);
+
 /// A kernel of a session. It is compiled when it is first launched.
 struct SessionKernel {
   std::shared_ptr<KernelCode> code;

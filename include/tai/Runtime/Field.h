@@ -28,8 +28,10 @@
 
 namespace mlir::tai::runtime {
 
+class Field;
 class Mirror;
 class Runtime;
+struct OwedZeros;
 
 /// Scalar types, with the numbers of TaiScalarType. i1 is stored as one byte.
 enum class ScalarKind : uint8_t {
@@ -176,9 +178,25 @@ public:
   char *data() const { return owner->base() + fieldLayout.placeOffset; }
   /// The same, to read and to change there; see Tree.
   const char *readable() const {
+    settleZeros();
     return owner->readable() + fieldLayout.placeOffset;
   }
-  char *writable() const { return owner->writable() + fieldLayout.placeOffset; }
+  char *writable() const {
+    settleZeros();
+    return owner->writable() + fieldLayout.placeOffset;
+  }
+
+  /// Of adjoint fields: elements that are zero and not stored yet, because a
+  /// sweep has left them to whoever looks first. Null where there are none.
+  const OwedZeros *owesZeros() const { return owed.get(); }
+  void oweZeros(std::shared_ptr<const OwedZeros> zeros) const {
+    owed = std::move(zeros);
+  }
+  /// Stores them now. Everything that looks at the elements does so first.
+  void settleZeros() const {
+    if (__builtin_expect(owed != nullptr, false))
+      storeZeros();
+  }
 
   /// The field that accumulates the derivative of the loss by this one; null
   /// where there is none (yet).
@@ -225,6 +243,7 @@ public:
   Status locate(const int64_t *index, int64_t component, int64_t &offset) const;
   /// The bytes of one component, which `locate` has found.
   Status loadBytes(int64_t offset, void *to) const {
+    settleZeros();
     if (__builtin_expect(owner->mirror() != nullptr, false))
       return loadMirrored(offset, to);
     std::memcpy(to, owner->base() + offset,
@@ -232,6 +251,7 @@ public:
     return Status::success();
   }
   Status storeBytes(int64_t offset, const void *from) const {
+    settleZeros();
     if (__builtin_expect(owner->mirror() != nullptr, false))
       return storeMirrored(offset, from);
     std::memcpy(owner->base() + offset, from,
@@ -245,6 +265,7 @@ private:
 
   Status loadMirrored(int64_t offset, void *to) const;
   Status storeMirrored(int64_t offset, const void *from) const;
+  void storeZeros() const;
 
   std::string fieldName;
   TreePtr owner;
@@ -258,6 +279,7 @@ private:
   std::string adjointName, dualName;
   std::shared_ptr<Field> adjointField, dualField;
   std::atomic<bool> dirtyFlag{false};
+  mutable std::shared_ptr<const OwedZeros> owed;
   /// Number of times that the host has changed it.
   uint64_t hostVersion = 0;
   /// Stamp of the plan in which the field is live.

@@ -65,6 +65,15 @@ struct FixedIndex {
   }
 };
 
+/// Elements that a launch stores, every one of them: those from one index up to
+/// another along each dimension, if none of `loops` is empty.
+struct StoredBox {
+  struct Range {
+    FixedIndex lower, upper;
+  };
+  std::vector<Range> ranges, loops;
+};
+
 /// One line of a summary.
 struct Access {
   FieldPtr field;
@@ -72,6 +81,9 @@ struct Access {
   /// The first index that is fixed, if any: launches that differ in it touch
   /// different elements.
   std::optional<FixedIndex> fixed = std::nullopt;
+  /// Of a write: the elements that are stored, whatever the fields hold. Null
+  /// where that depends on them, or is no box.
+  std::shared_ptr<const std::vector<StoredBox>> boxes = nullptr;
 
   bool operator==(const Access &other) const {
     return field == other.field && kind == other.kind && fixed == other.fixed;
@@ -92,6 +104,16 @@ struct AdjointFlags {
   std::vector<FieldPtr> sources;
   /// It adds to elements that lie below no sparse level.
   bool sumsUp = false;
+};
+
+/// Floats of one field on which floats depend that the kernel stores to
+/// another.
+struct ValueFlow {
+  FieldPtr from, to;
+  /// Of the store, as "file:line:column".
+  std::string place;
+  /// The kernel may itself read what it has stored there.
+  bool isReadAgain = false;
 };
 
 /// What the adjoint of a kernel asks of memory, known before its code is.
@@ -181,6 +203,8 @@ struct KernelInfo {
   std::function<Status(Kernel &kernel, AdjointPlan &plan)> planAdjoint;
   /// False if an adjoint of the kernel would do nothing; the tape skips it.
   bool differentiable = true;
+  /// Which values depend on which: called once, when a tape wants to know.
+  std::function<std::vector<ValueFlow>()> findFlows;
   /// The same for the form of the adjoint that takes: it leaves zero in the
   /// adjoints of the elements which the kernel stores. Called once, when
   /// elements turn out to be stored again.
@@ -259,6 +283,8 @@ public:
 
   /// What the adjoint asks of memory. Any thread.
   const AdjointPlan &plan();
+  /// Which values that it stores depend on which that it reads. Any thread.
+  const std::vector<ValueFlow> &flows();
   /// Whether the plan, if there is one, has parts.
   bool hasParts() const { return adjointPlan && !adjointPlan->parts.empty(); }
 
@@ -312,6 +338,9 @@ private:
   std::array<AdjointForm, 2> adjointForms, storedForms;
   std::shared_ptr<CheckedKernel> checked;
   std::unique_ptr<AdjointPlan> adjointPlan;
+  /// Why there is no plan: an adjoint that nobody planned for is not launched.
+  Status planFailure;
+  std::optional<std::vector<ValueFlow>> flowList;
   bool adjointReruns = false;
   bool loadsStored = false;
   bool alwaysTakes = false;
@@ -342,9 +371,6 @@ private:
   std::vector<Field *> adjointSources;
   /// Those of them that are overwritten, not accumulated.
   std::vector<Field *> overwritten;
-  /// Every launch stores the same elements of one of them, whatever the
-  /// arguments are.
-  bool repeatsStores = false;
   /// Sparse levels of its trees. Of the last launch: when it began for them,
   /// and what its loops went over, so that an adjoint launched by hand can
   /// tell.

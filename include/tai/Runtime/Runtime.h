@@ -213,6 +213,9 @@ public:
   /// Sets the adjoint fields that are dirty to zero; in forward mode the
   /// tangents of adjoints too.
   void clearGradients();
+  /// Stores the zeros that sweeps have left to whoever looks at gradients. To
+  /// be called before that is done past the fields.
+  void settleZeros();
 
   //===--------------------------------------------------------------------===//
   // Launches
@@ -223,8 +226,8 @@ public:
   /// kernel without results.
   Status launch(Kernel &kernel, const uint64_t *args, int64_t slots,
                 uint64_t *results);
-  /// Launches the adjoint with the arguments of the primal; never recorded. If
-  /// every launch stores the same elements, their adjoints are zero afterwards.
+  /// Launches the adjoint with the arguments of the primal; never recorded. The
+  /// adjoints of the elements that the primal stores are zero afterwards.
   Status launchAdjoint(Kernel &kernel, const uint64_t *args, int64_t slots);
   /// Runs a host program, which may launch kernels and open tapes.
   Status runHost(TaiKernelFn function, const std::vector<TreePtr> &trees,
@@ -355,11 +358,17 @@ private:
   }
   /// To be called whenever the state changes.
   void updateLaunchState() {
-    bool isPlain = !activeTape && !forward && !opts.profiler;
+    bool isPlain = !activeTape && !forward && !opts.profiler && owing.empty();
     hot.state.store(isPlain ? storageEpoch.load(std::memory_order_relaxed)
                             : neverPrepared,
                     std::memory_order_relaxed);
   }
+  /// Adjoint fields that owe zeros: leaves them to who looks, or stores those
+  /// that a launch may look at.
+  void oweZeros(const FieldPtr &adjoint,
+                std::shared_ptr<const OwedZeros> zeros);
+  void settleZeros(const Kernel &kernel, const uint64_t *args);
+  void forgetSettled();
   /// Finds out what the launches of a kernel that has been launched have in
   /// common.
   void prepare(Kernel &kernel);
@@ -449,6 +458,8 @@ private:
   std::unordered_map<std::string, TreePtr> trees;
   std::unordered_map<std::string, FieldPtr> fieldsByName;
   std::vector<FieldPtr> fieldList;
+  /// Adjoint fields that may owe zeros.
+  std::vector<FieldPtr> owing;
   /// Kernels that may be launched, to find those that were.
   std::vector<std::weak_ptr<Kernel>> kernelList;
   size_t kernelsToKeep = 64;
@@ -459,6 +470,10 @@ private:
   std::shared_ptr<DeviceContext> device;
   /// Tapes that there are.
   std::vector<Tape *> tapes;
+  /// Sets of kernels, hashed, in which tapes have looked for gradients that get
+  /// lost, and what they have said.
+  std::unordered_set<size_t> sequencesSeen;
+  std::unordered_set<std::string> cutsSaid;
 
   std::unique_ptr<ForkGuard> forkGuard;
   std::unique_ptr<WorkerPool> pool;

@@ -194,13 +194,6 @@ public:
     double maxAbs;     // of the finite numbers
     double sumSquares; // of the finite numbers
   };
-  /// Whether reverse sweeps from now on treat every element that is stored as
-  /// one that was used before, so that all gradients are by what the fields
-  /// held at the start.
-  void takeAll(bool on) {
-    takesAll = on;
-    decisions.clear();
-  }
   /// Whether reverse sweeps from now on examine each adjoint they replay.
   void watchHealth(bool on);
   /// Of the last sweep, in the order of the sweep.
@@ -294,8 +287,11 @@ private:
   Status replayAdjoint(Launch &launch, size_t index);
   Status runAdjoint(Launch &launch, size_t index);
   Status findAdjoint(size_t index, Kernel *&adjoint);
-  /// Finds the records that store elements which an earlier one has used.
+  /// Finds the records that store elements which an earlier one has used, and
+  /// the elements that others store.
   void findRepeatedStores();
+  /// Zeroes the adjoints of the latter, or leaves that to who looks at them.
+  void oweZeros();
   Status runForward();
   std::vector<Field *> liveFields(bool cleared = false) const;
   void examine(size_t index);
@@ -321,6 +317,17 @@ private:
   void markVersions();
   Status checkVersions();
   void checkEffect();
+  // TapeFlows.cpp
+  /// Notes derivatives that end in fields without gradients, where a record
+  /// stores to one.
+  struct Cut {
+    size_t record;
+    const ValueFlow *flow;
+  };
+  void noteCuts();
+  std::vector<Cut> findCuts();
+  std::vector<Cut> keepWanted(std::vector<Cut> cuts,
+                              const std::vector<Field *> &live);
 
   Runtime &runtime;
   std::vector<Loss> losses;
@@ -355,11 +362,13 @@ private:
   /// For each record, whether it stores elements with an adjoint that an
   /// earlier one has used, as far as summaries tell.
   std::vector<bool> storesAgain;
+  /// What the others store, which no record has used before: after a sweep the
+  /// adjoints of these elements are zero.
+  std::vector<std::pair<FieldPtr, std::shared_ptr<const OwedZeros>>> storedOnce;
   bool reverseCallbacks = false;
   /// The host function whose reverse is running.
   size_t reverseFunction = 0;
 
-  bool takesAll = false;
   bool watching = false;
   std::vector<Health> examined;
 

@@ -176,6 +176,10 @@ bool LoopAccesses::addTerm(Address &address, Value value, int64_t scale,
   Operation *op = value.getDefiningOp();
   if (depth == 0)
     return false;
+  // Sums in 8 or 16 bits wrap around.
+  if (!isa<arith::ExtSIOp>(op) && !value.getType().isIndex() &&
+      value.getType().getIntOrFloatBitWidth() < 32)
+    return false;
   auto addBoth = [&](int64_t sign) {
     return addTerm(address, op->getOperand(0), scale, depth - 1) &&
            addTerm(address, op->getOperand(1), sign * scale, depth - 1);

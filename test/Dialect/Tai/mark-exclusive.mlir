@@ -98,3 +98,40 @@ tai.kernel @serial(%a: f32, %n: index) {
   }
   tai.return
 }
+
+// What is computed in 8 or 16 bits comes around: iterations 0 and 256 meet. In
+// 32 bits, as indices usually are, it does not.
+// CHECK-LABEL: tai.kernel @narrow(
+//   CHECK-NOT:   exclusive
+//       CHECK:   tai.return
+tai.kernel @narrow(%a: f32, %n: index) {
+  %c0 = arith.constant 0 : index
+  %one = arith.constant 1 : i8
+  %one16 = arith.constant 1 : i16
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = arith.index_cast %i : index to i8
+    %1 = arith.addi %0, %one : i8
+    %2 = arith.index_cast %1 : i8 to index
+    tai.atomic add %a, @x[%c0, %2] : f32
+    %3 = arith.index_cast %i : index to i16
+    %4 = arith.subi %3, %one16 : i16
+    %5 = arith.extsi %4 : i16 to i32
+    %6 = arith.index_cast %5 : i32 to index
+    tai.atomic add %a, @y[%c0, %6] : f32
+  }
+  tai.return
+}
+
+// CHECK-LABEL: tai.kernel @wide(
+//       CHECK:   @x[%{{.+}}, %{{.+}}] exclusive
+tai.kernel @wide(%a: f32, %n: index) {
+  %c0 = arith.constant 0 : index
+  %one = arith.constant 1 : i32
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = arith.index_cast %i : index to i32
+    %1 = arith.addi %0, %one : i32
+    %2 = arith.index_cast %1 : i32 to index
+    tai.atomic add %a, @x[%c0, %2] : f32
+  }
+  tai.return
+}
