@@ -9,7 +9,7 @@ import numpy as np
 
 from . import _state
 from .dtypes import DataType
-from .errors import TaiError, TaiRuntimeTypeError, TaiTypeError
+from .errors import TaiError, TaiIndexError, TaiRuntimeTypeError, TaiTypeError
 
 
 def misfit(number: Any, dt: DataType) -> TaiTypeError:
@@ -108,3 +108,19 @@ def stored_array(array: np.ndarray, dt: DataType, what: str) -> np.ndarray:
         for extreme in (array.min(), array.max()):
             _checked(extreme.item(), dt, what)
     return array.astype(dt.numpy, copy=False)
+
+
+def index_error(name: str, key: Any, error: Exception) -> TaiError:
+    """What is wrong with an index that Python gave to a field."""
+    for part in key if isinstance(key, tuple) else (key,):
+        if isinstance(part, slice):
+            return TaiRuntimeTypeError(
+                f"field '{name}' has no slices",
+                f"copy it: {name}.to_numpy()[…], or loop over it in a kernel",
+            )
+        if part is not None and not hasattr(part, "__index__"):
+            return TaiRuntimeTypeError(
+                f"field '{name}': an index is a whole number, not {part!r}",
+                "convert it: int(…)" if hasattr(part, "__float__") else None,
+            )
+    return TaiIndexError(f"field '{name}': {error}")

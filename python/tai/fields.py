@@ -10,7 +10,7 @@ import numpy as np
 from . import _active, _numbers, _state, dtypes
 from ._shapes import to_order, to_shape
 from ._shareable import Shareable
-from .errors import TaiAutodiffError, TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
+from .errors import TaiAutodiffError, TaiError, TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
 from .program import get_program, name_fields
 from .snode import Layout, Place, SNode
 
@@ -342,8 +342,8 @@ class ScalarField(Field):
     def __getitem__(self, key: Any) -> Any:
         try:
             value = self.core.get(_index_tuple(key), 0)
-        except IndexError as error:
-            raise self._index_error(error) from None
+        except (IndexError, TypeError) as error:
+            raise self._index_error(error, key) from None
         return value if self.dtype.is_float else self._to_python(value)
 
     def __setitem__(self, key: Any, value: Any) -> None:
@@ -352,8 +352,8 @@ class ScalarField(Field):
     def get_component(self, key: Any, component: int) -> Any:
         try:
             value = self.core.get(_index_tuple(key), component)
-        except IndexError as error:
-            raise self._index_error(error) from None
+        except (IndexError, TypeError) as error:
+            raise self._index_error(error, key) from None
         return value if self.dtype.is_float else self._to_python(value)
 
     def set_component(self, key: Any, component: int, value: Any) -> None:
@@ -367,22 +367,23 @@ class ScalarField(Field):
             value = _numbers.stored(value, self.dtype, f"field '{self.name}'")
         try:
             self.core.set(_index_tuple(key), component, value)
-        except IndexError as error:
-            raise self._index_error(error) from None
+        except (IndexError, TypeError) as error:
+            raise self._index_error(error, key) from None
 
     def _to_python(self, value: int) -> int | bool:
         if self.dtype.kind == "u":
             return value & ((1 << self.dtype.bits) - 1)
         return bool(value) if self.dtype.is_bool else value
 
-    def _index_error(self, error: Exception) -> TaiIndexError:
-        return TaiIndexError(f"field '{self.name}': {error}")
+    def _index_error(self, error: Exception, key: Any = None) -> TaiError:
+        return _numbers.index_error(self.name, key, error)
 
     # Whole field
 
     def to_numpy(self, dtype: Any = None) -> np.ndarray:
+        core = self.core
         array = np.empty(self.shape + self.element_shape, self.dtype.numpy)
-        self.core.copy_to(array)
+        core.copy_to(array)
         wanted = None if dtype is None else dtypes.to_dtype(dtype)
         return array if wanted is None else array.astype(wanted.numpy)
 
@@ -606,8 +607,8 @@ class MatrixField(Field):
         if self._single is not None:
             try:
                 values = self._single.core.get_all(key)
-            except IndexError as error:
-                raise self._single._index_error(error) from None
+            except (IndexError, TypeError) as error:
+                raise self._single._index_error(error, key) from None
             if not self.dtype.is_float:
                 values = [self._single._to_python(v) for v in values]
         else:
@@ -642,8 +643,8 @@ class MatrixField(Field):
             return
         try:
             self._single.core.set_all(at, numbers)
-        except IndexError as error:
-            raise self._single._index_error(error) from None
+        except (IndexError, TypeError) as error:
+            raise self._single._index_error(error, at) from None
 
     # Whole field
 

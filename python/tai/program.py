@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import dataclasses
 import sys
+import unicodedata
 import weakref
 from dataclasses import dataclass, fields
 from typing import Any
@@ -57,6 +58,7 @@ class Options:
     default_gpu_block_dim: int = 0
     max_block_dim: int = 0
     fuse_launches: bool = True
+    unrolling_limit: int = 65536
     # What was given for options that are accepted and change nothing.
     accepted: dict[str, Any] = dataclasses.field(default_factory=dict)
 
@@ -89,7 +91,7 @@ _ACCEPTED = {
     "block_dim_adaptive",
     "offline_cache_cleaning_policy", "offline_cache_max_size_of_files",
     "offline_cache_cleaning_factor", "enable_fallback", "require_version", "vk_api_version",
-    "num_compile_threads", "packed", "lazy_compilation", "use_unified_memory", "unrolling_limit",
+    "num_compile_threads", "packed", "lazy_compilation", "use_unified_memory",
     "ndrange_order", "random_seed_is_time",
 }  # fmt: skip
 
@@ -170,7 +172,10 @@ class Program:
 
     def unique_symbol(self, wanted: str) -> str:
         """A symbol that no tree, place or field of this program has."""
-        base = "".join(c if c.isalnum() or c == "_" else "_" for c in wanted) or "field"
+        # IR has letters of English only; `größe` is called `grosse` there.
+        plain = unicodedata.normalize("NFKD", wanted.replace("ß", "ss"))
+        plain = "".join(c for c in plain if not unicodedata.combining(c))
+        base = "".join(c if c.isascii() and c.isalnum() else "_" for c in plain) or "field"
         if base[0].isdigit():
             base = "_" + base
         symbol, count = base, 0
@@ -262,6 +267,8 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
         fuse_launches: make one piece of work of launches that come again and again in the same
             sequence, such as those of a tape; see `Tape.explain`. Without it, each is queued
             by itself.
+        unrolling_limit: the most iterations that a `ti.static` loop may have; 0 for no limit. Less
+            than the default, 65,536, is taken as that.
         enable_fallback: take the CPU where `ti.cuda` is not there.
         require: extensions that the target must have (`ti.extension.data64`, …).
         exclude: targets that the program does not run on.

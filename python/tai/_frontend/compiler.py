@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -28,6 +29,9 @@ from .scope import Bound, Frame
 from .source import function_ast
 from .sparse import Sparse
 from .statements import Statements, StaticBreak, StaticContinue
+
+# Calls of Python that the compiler may need: some thirty for each statement inside of another.
+_RECURSION = 20000
 
 
 class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse, Checks, Printing):
@@ -84,13 +88,16 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse, Checks, P
             TaiError: with the place in the program.
         """
         outer, _state.emitter = _state.emitter, self.emitter
+        limit = sys.getrecursionlimit()
         try:
+            sys.setrecursionlimit(max(limit, _RECURSION))
             self.build()
         except TaiError as error:
             error.trail = error.trail or self.trail()
             raise
         finally:
             _state.emitter = outer
+            sys.setrecursionlimit(limit)
         return self.builder.finish(self.kernel_name)
 
     def build(self) -> None:
@@ -241,6 +248,8 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse, Checks, P
         elif isinstance(error, RecursionError):
             text = "the program nests too deeply"
         made = kind(text)
+        if isinstance(error, RecursionError):
+            made.hint = "divide it into functions, or long sums into several statements"
         if isinstance(error, (AssertionError, AttributeError, RuntimeError)):
             made.hint = "TAI_TRACEBACK=1 in the environment shows where in Python this arose"
         self.place(made, node)

@@ -152,7 +152,8 @@ class Statements:
 
     def changed_by(self, *lists: list[ast.stmt]) -> list[Variable]:
         """The variables of this function that the statements may change."""
-        collector = AssignedNames(self.takes_reference)
+        known = self.frame.assigned
+        collector = AssignedNames(self.takes_reference, self.is_settled, known)
         found: list[Variable] = []
         for statements in lists:
             for name in collector.collect(statements):
