@@ -21,6 +21,7 @@ from .calls import Calls
 from .checks import Checks
 from .emitter import Emitter
 from .expressions import Expressions
+from .hints import hint_for
 from .loops import Loops
 from .printing import Printing
 from .refs import ArrayArgument, Variable
@@ -77,6 +78,8 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse, Checks, P
         self._methods: dict[type, Callable[[Any], Any]] = {}
         self._lines: dict[tuple[str, int], str] = {}
         self.last_node: Any = node
+        # The exception of Python code that ended the compilation, as an error of ours.
+        self.from_python: TaiError | None = None
 
     def compile(self) -> Any:
         """Builds and verifies the module.
@@ -94,6 +97,7 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse, Checks, P
             self.build()
         except TaiError as error:
             error.trail = error.trail or self.trail()
+            error.hint = error.hint or hint_for(error, error is self.from_python)
             raise
         finally:
             _state.emitter = outer
@@ -253,6 +257,7 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse, Checks, P
         if isinstance(error, (AssertionError, AttributeError, RuntimeError)):
             made.hint = "TAI_TRACEBACK=1 in the environment shows where in Python this arose"
         self.place(made, node)
+        self.from_python = made
         return made
 
     def place(self, error: TaiError, node: Any) -> None:

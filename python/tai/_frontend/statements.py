@@ -458,6 +458,8 @@ class Statements:
         if isinstance(value, StructValue) and meaning is None and not is_static:
             self.frame.define(name, StructVariable(self.emitter, name, value))
             return
+        if meaning is None and not is_static:
+            self.warn_of_hidden_field(name)
         is_number = isinstance(value, (Value, bool, int, float, np.generic)) or getattr(
             value, "is_matrix", False
         )
