@@ -22,7 +22,7 @@ WRONG = [
     "x.fill(0)", "a = x.to_numpy()", "x[0] = x.shape", "ti.sync()", "ti.init()",
     "x[0] = math.gamma(x[1])", "raise ValueError", "import math", "a = {1, 2}", "a: int",
     "x[0] = 1j", "a = (b := 1)", "global x", "x[0] = x", "x[0] = math.sin", "for i in 5: pass",
-    "for i, j in x: pass", "for i in range(1.5): pass", "break", "return 1",
+    "for i, j in x: pass", "for i in range(1.5): pass", "return 1",
     "x[0] = 1 if x else 2", "print(f'{x[0]:.2f}')", "print(x[0], file=3)",
 ]  # fmt: skip
 

@@ -161,7 +161,7 @@ class Checks:
             )
 
     def warn_of_hidden_field(self, name: str) -> None:
-        """Says that a new variable has the name of a field, which an index may have been meant for."""
+        """Says that a new variable has the name of a field, of which an element may be meant."""
         frame = self.frame
         found = frame.closure.get(name, frame.globals.get(name))
         if not isinstance(found, Field) or found.level is None:
@@ -169,7 +169,7 @@ class Checks:
         index = ", ".join("ijklmnop"[: len(found.shape)]) or "None"
         text = (
             f"kernel '{self.frames[0].name}': variable '{name}' hides the field of that name, "
-            f"which stays as it is\n  hint: write {name}[{index}] = …, or name the variable otherwise"
+            f"which stays as it is\n  hint: write {name}[{index}] = …, or take another name"
         )
         warnings.warn_explicit(
             text, TaiCompilationWarning, frame.filename, self.last_node.lineno, registry=_shown
