@@ -6,6 +6,7 @@ import atexit
 import dataclasses
 import sys
 import unicodedata
+import warnings
 import weakref
 from dataclasses import dataclass, fields
 from typing import Any
@@ -94,6 +95,37 @@ _ACCEPTED = {
     "num_compile_threads", "packed", "lazy_compilation", "use_unified_memory",
     "ndrange_order", "random_seed_is_time",
 }  # fmt: skip
+
+
+_PRINT = "print_ir=True, or the names of stages, prints the IR of kernels"
+# Those of them that ask for something which does not happen: the value that asks for nothing, and
+# what to do instead.
+_WITHOUT_EFFECT = {
+    **dict.fromkeys(
+        ("print_preprocessed_ir", "print_kernel_llvm_ir", "print_struct_llvm_ir",
+         "print_kernel_llvm_ir_optimized", "print_accessor_ir", "print_evaluator_ir"),
+        (False, _PRINT),
+    ),
+    "check_autodiff_valid": (False, "ti.ad.Tape(loss, validation=True) checks a tape"),
+    "validate_autodiff": (False, "ti.ad.Tape(loss, validation=True) checks a tape"),
+    "kernel_profile": (False, "the option is called kernel_profiler"),
+    "print_benchmark_stat": (False, "kernel_profiler=True times kernels"),
+    "timeline": (False, "kernel_profiler=True times kernels"),
+    "gdb_trigger": (False, "start the program in the debugger"),
+    "short_circuit_operators": (True, "'and' and 'or' never evaluate what does not matter; use "
+                                "ti.logical_and, ti.logical_or where both must be"),
+    "random_seed_is_time": (False, "random_seed=time.time_ns() % 2**31"),
+    "require_version": (None, "compare ti.__version__ in the program"),
+    "use_unified_memory": (False, "fields on the GPU are in its memory"),
+}  # fmt: skip
+
+
+def _warn_of_options(accepted: dict[str, Any]) -> None:
+    """Says which options ask for what does not happen."""
+    for name, value in accepted.items():
+        nothing, hint = _WITHOUT_EFFECT.get(name, (value, ""))
+        if value != nothing:
+            warnings.warn(f"ti.init({name}={value!r}) has no effect\n  hint: {hint}", stacklevel=3)
 
 
 class Program:
@@ -292,6 +324,7 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
                 f"ti.init has no option '{name}'",
                 did_you_mean(name, [*_KNOWN, *_ACCEPTED]) or "see help(ti.init)",
             )
+    _warn_of_options(chosen["accepted"])
     for name, given, kind in (("default_fp", default_fp, "f"), ("default_ip", default_ip, "iu")):
         if given is None:
             continue

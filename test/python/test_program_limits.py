@@ -1,6 +1,7 @@
 """Large and odd programs: long chains, deep calls, names that are not English, huge shapes."""
 
 import importlib.util
+import warnings
 
 import numpy as np
 import pytest
@@ -170,3 +171,27 @@ def test_gradients_of_whole_numbers():
     with pytest.raises(ti.TaiAutodiffError, match="'n' holds whole numbers") as caught:
         f()
     assert caught.value.lineno and "needs_grad" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("option", "hint"),
+    [
+        ({"print_kernel_llvm_ir": True}, "print_ir"),
+        ({"validate_autodiff": True}, "validation=True"),
+        ({"short_circuit_operators": False}, "logical_and"),
+        ({"kernel_profile": True}, "kernel_profiler"),
+    ],
+    ids=str,
+)
+def test_options_without_effect_say_so(option, hint):
+    with pytest.warns(UserWarning, match=rf"has no effect[\s\S]*{hint}"):
+        ti.init(**option)
+
+
+def test_options_that_ask_for_what_is_always_so_do_not():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ti.init(
+            flatten_if=True, advanced_optimization=False, device_memory_GB=1.0, ad_stack_size=32,
+            print_kernel_llvm_ir=False, short_circuit_operators=True, packed=True,
+        )  # fmt: skip
