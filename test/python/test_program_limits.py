@@ -195,3 +195,23 @@ def test_options_that_ask_for_what_is_always_so_do_not():
             flatten_if=True, advanced_optimization=False, device_memory_GB=1.0, ad_stack_size=32,
             print_kernel_llvm_ir=False, short_circuit_operators=True, packed=True,
         )  # fmt: skip
+
+
+def test_memory_of_fields_is_printed(capsys):
+    x = ti.field(ti.f64, (100, 10), name="big")
+    v = ti.Vector.field(3, ti.f32, 5, name="small")
+    cells = ti.field(ti.i32, name="cells")
+    ti.root.pointer(ti.i, 4).dense(ti.i, 8).place(cells)
+    x[0, 0], v[0], cells[0] = 1, [1, 2, 3], 1
+    ti.profiler.print_memory_profiler_info()
+    lines = capsys.readouterr().out.splitlines()
+    assert "8,000" in lines[1] and "big: f64, shape (100, 10)" in lines[1]
+    assert "128" in lines[2] and "if all active" in lines[2]
+    assert "60" in lines[3] and "small: f32×3" in lines[3]
+    assert "8,188" in lines[4]
+
+
+def test_pictures_without_a_window_say_so(monkeypatch):
+    monkeypatch.delenv("TAI_GUI_DIR", raising=False)
+    with pytest.warns(UserWarning, match="no folder"):
+        ti.tools.imshow(np.zeros((4, 4)))
