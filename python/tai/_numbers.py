@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from . import _state
-from .dtypes import DataType
+from .dtypes import DataType, all_types
 from .errors import TaiError, TaiIndexError, TaiRuntimeTypeError, TaiTypeError
 
 
@@ -69,33 +69,45 @@ def convert(number: Any, dt: DataType) -> Any:
 # What Python stores in fields and arrays
 
 
-def stored(value: Any, dt: DataType, what: str) -> Any:
+_RANGES = {dt: (dt.min, dt.max) for dt in all_types if dt.is_int}
+
+
+def _say(what: Any) -> str:
+    return what if isinstance(what, str) else f"field '{what.name}'"
+
+
+def stored(value: Any, dt: DataType, what: Any) -> Any:
     """A number that Python stores in a place of type `dt`.
+
+    Args:
+        value, dt: the number and the type.
+        what: the field, or what to call the place.
 
     Raises:
         TaiRuntimeTypeError: the place holds whole numbers, and this is none that fits.
     """
-    if dt.is_bool:
-        return bool(value)
-    if dt.is_float:
+    limits = _RANGES.get(dt)
+    if limits is None:
+        return bool(value) if dt.is_bool else value
+    if type(value) is int and limits[0] <= value <= limits[1]:
         return value
     if isinstance(value, float) and not value.is_integer():
         raise TaiRuntimeTypeError(
-            f"{what} holds whole numbers ({dt}), not {value}", "drop the fraction: int(…)"
+            f"{_say(what)} holds whole numbers ({dt}), not {value}", "drop the fraction: int(…)"
         )
     return _checked(value, dt, what)
 
 
-def _checked(value: Any, dt: DataType, what: str) -> int:
+def _checked(value: Any, dt: DataType, what: Any) -> int:
     try:
         return fit(value, dt)
     except TaiError as error:
         hint = f"ti.cast({value}, ti.{dt}) keeps its low bits" if "low bits" in (
             error.hint or "") else "take a field of a wider type"  # fmt: skip
-        raise TaiRuntimeTypeError(f"{what}: {error.message}", hint) from None
+        raise TaiRuntimeTypeError(f"{_say(what)}: {error.message}", hint) from None
 
 
-def stored_array(array: np.ndarray, dt: DataType, what: str) -> np.ndarray:
+def stored_array(array: np.ndarray, dt: DataType, what: Any) -> np.ndarray:
     """An array that Python stores in places of type `dt`; floats lose their fraction.
 
     Raises:

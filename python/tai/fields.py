@@ -150,7 +150,7 @@ class Field(Shareable):
             raise TaiRuntimeTypeError(
                 f"field '{self.name}' expects an array of shape {wanted}, but got {array.shape}"
             )
-        array = _numbers.stored_array(array, self.dtype, f"field '{self.name}'")
+        array = _numbers.stored_array(array, self.dtype, self)
         return np.ascontiguousarray(array)
 
     def copy_from(self, other: Field) -> None:
@@ -364,7 +364,7 @@ class ScalarField(Field):
                 )
             value = value.item() if hasattr(value, "item") else float(value)
         if not self.dtype.is_float:
-            value = _numbers.stored(value, self.dtype, f"field '{self.name}'")
+            value = _numbers.stored(value, self.dtype, self)
         try:
             self.core.set(_index_tuple(key), component, value)
         except (IndexError, TypeError) as error:
@@ -391,9 +391,8 @@ class ScalarField(Field):
         self.core.copy_from(self._check_array(array))
 
     def fill(self, value: Any) -> None:
-        what = f"field '{self.name}'"
         stored = float(value) if self.dtype.is_float else value
-        self.core.fill(_numbers.stored(stored, self.dtype, what))
+        self.core.fill(_numbers.stored(stored, self.dtype, self))
 
 
 class ComponentField(ScalarField):
@@ -635,8 +634,7 @@ class MatrixField(Field):
         at = _index_tuple(key)
         numbers = values.ravel().tolist()
         if not self.dtype.is_float:
-            what = f"field '{self.name}'"
-            numbers = [_numbers.stored(number, self.dtype, what) for number in numbers]
+            numbers = [_numbers.stored(number, self.dtype, self) for number in numbers]
         if self._single is None:
             for component, number in zip(self.components, numbers, strict=True):
                 component[at] = number
