@@ -35,9 +35,7 @@ def fill_component(field: Any, component: int, value: Any) -> bool:
         return False
     values = np.empty((len(at), *field.element_shape), field.dtype.numpy)
     field.core.read_elements(at, values)
-    values.reshape(len(at), -1)[:, component] = _numbers.stored(
-        value, field.dtype, f"field '{field.name}'"
-    )
+    values.reshape(len(at), -1)[:, component] = _numbers.stored(value, field.dtype, field)
     field.core.write_elements(at, values)
     return True
 
@@ -49,7 +47,7 @@ def fill_matrices(field: Any, value: Any) -> None:
     if values.ndim == 0 and single is not None:
         single.fill(values.item())
         return
-    values = _numbers.stored_array(values, field.dtype, f"field '{field.name}'")
+    values = _numbers.stored_array(values, field.dtype, field)
     try:
         whole = np.broadcast_to(values, field.element_shape)
     except ValueError:

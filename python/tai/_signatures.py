@@ -46,7 +46,11 @@ def check_annotations(function: Callable[..., Any], is_method: bool) -> None:
     code = function.__code__
     if code.co_flags & 0x0C:
         raise _located(
-            TaiSyntaxError(f"kernel '{function.__name__}' cannot have *args or **kwargs"), function
+            TaiSyntaxError(
+                f"kernel '{function.__name__}' cannot have *args or **kwargs",
+                "name each parameter, or pass a tuple as a ti.template()",
+            ),
+            function,
         )
     for name in names_of(function)[1 if is_method else 0 :]:
         if name not in function.__annotations__:

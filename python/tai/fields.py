@@ -10,7 +10,7 @@ import numpy as np
 from . import _active, _ad_origins, _copies, _numbers, _state, dtypes
 from ._shapes import to_order, to_shape
 from ._shareable import Shareable
-from .errors import TaiAutodiffError, TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
+from .errors import TaiAutodiffError, TaiError, TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
 from .program import get_program, name_fields
 from .snode import Layout, Place, SNode
 
@@ -150,7 +150,7 @@ class Field(Shareable):
             raise TaiRuntimeTypeError(
                 f"field '{self.name}' expects an array of shape {wanted}, but got {array.shape}"
             )
-        array = _numbers.stored_array(array, self.dtype, f"field '{self.name}'")
+        array = _numbers.stored_array(array, self.dtype, self)
         return np.ascontiguousarray(array)
 
     def copy_from(self, other: Field) -> None:
@@ -374,7 +374,7 @@ class ScalarField(Field):
                 )
             value = value.item() if hasattr(value, "item") else float(value)
         if not self.dtype.is_float:
-            value = _numbers.stored(value, self.dtype, f"field '{self.name}'")
+            value = _numbers.stored(value, self.dtype, self)
         try:
             self.core.set(_index_tuple(key), component, value)
         except (IndexError, TypeError) as error:
@@ -385,25 +385,17 @@ class ScalarField(Field):
             return value & ((1 << self.dtype.bits) - 1)
         return bool(value) if self.dtype.is_bool else value
 
-    def _index_error(self, error: Exception, key: Any) -> Exception:
-        """What is wrong with an index, if that is what the error is about."""
-        if isinstance(error, IndexError):
-            return TaiIndexError(f"field '{self.name}': {error}")
-        for part in key if isinstance(key, tuple) else (key,):
-            if isinstance(part, slice) or part is Ellipsis:
-                return TaiRuntimeTypeError(
-                    f"field '{self.name}' has no slices in Python",
-                    "take them of a copy, x.to_numpy()[1:3], or loop over elements in a kernel",
-                )
-        return TaiRuntimeTypeError(f"field '{self.name}' takes whole numbers as indices: {error}")
+    def _index_error(self, error: Exception, key: Any = None) -> TaiError:
+        return _numbers.index_error(self.name, key, error)
 
     # Whole field
 
     def to_numpy(self, dtype: Any = None) -> np.ndarray:
         if _state.tape is not None or _state.forward:
             _ad_origins.note_read(self)
+        core = self.core
         array = np.empty(self.shape + self.element_shape, self.dtype.numpy)
-        self.core.copy_to(array)
+        core.copy_to(array)
         wanted = None if dtype is None else dtypes.to_dtype(dtype)
         return array if wanted is None else array.astype(wanted.numpy)
 
@@ -413,15 +405,14 @@ class ScalarField(Field):
         self.core.copy_from(self._check_array(array))
 
     def fill(self, value: Any) -> None:
-        what = f"field '{self.name}'"
         if not isinstance(value, (int, float)) and not hasattr(value, "__float__"):
             raise TaiRuntimeTypeError(
-                f"{what} is filled by a number of type {self.dtype}, not {value!r}"
+                f"field '{self.name}' is filled by a number of type {self.dtype}, not {value!r}"
             )
         if _state.tape is not None or _state.forward:
             _ad_origins.check_write(self, value)
         stored = float(value) if self.dtype.is_float else value
-        self.core.fill(_numbers.stored(stored, self.dtype, what))
+        self.core.fill(_numbers.stored(stored, self.dtype, self))
 
 
 class ComponentField(ScalarField):
@@ -673,8 +664,7 @@ class MatrixField(Field):
         at = _index_tuple(key)
         numbers = values.ravel().tolist()
         if not self.dtype.is_float:
-            what = f"field '{self.name}'"
-            numbers = [_numbers.stored(number, self.dtype, what) for number in numbers]
+            numbers = [_numbers.stored(number, self.dtype, self) for number in numbers]
         if self._single is None:
             for component, number in zip(self.components, numbers, strict=True):
                 component[at] = number

@@ -299,7 +299,8 @@ class Kernel(_core.Launcher):
         parameters = self._get_parameters()
         if len(args) > len(parameters):
             raise TaiRuntimeTypeError(
-                f"kernel '{self.__name__}' takes {len(parameters)} arguments, but got {len(args)}"
+                f"kernel '{self.__name__}' takes {len(parameters)} arguments, but got {len(args)}",
+                f"its parameters: {', '.join(p.name for p in parameters) or 'none'}",
             )
         values = list(args)
         for parameter in parameters[len(args) :]:
@@ -309,11 +310,13 @@ class Kernel(_core.Launcher):
                 values.append(parameter.default)
             else:
                 raise TaiRuntimeTypeError(
-                    f"kernel '{self.__name__}' needs an argument '{parameter.name}'"
+                    f"kernel '{self.__name__}' needs an argument '{parameter.name}'",
+                    f"its parameters: {', '.join(p.name for p in parameters)}",
                 )
         if kwargs:
             raise TaiRuntimeTypeError(
-                f"kernel '{self.__name__}' has no parameter '{next(iter(kwargs))}'"
+                f"kernel '{self.__name__}' has no parameter '{next(iter(kwargs))}'",
+                f"its parameters: {', '.join(p.name for p in parameters) or 'none'}",
             )
         return values
 

@@ -7,6 +7,7 @@ those of the GPU: nothing waits for a kernel while it is timed. See docs/gpu.md.
 from __future__ import annotations
 
 import json
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -249,4 +250,19 @@ def clear_scoped_profiler_info() -> None:
     """Scopes are not timed."""
 
 
-print_memory_profiler_info = print_scoped_profiler_info
+def print_memory_profiler_info() -> None:
+    """Prints how much memory the elements of each field take, the greatest first.
+
+    Of a field below sparse levels, it is what all cells would take together.
+    """
+    rows = []
+    for field in _state.program.fields.values() if _state.program is not None else ():
+        count = math.prod(field.shape) * math.prod(field.element_shape)
+        dt = field.dtype
+        kind = f"{dt}" + "".join(f"×{n}" for n in field.element_shape)
+        is_sparse = field.level.nearest_sparse() is not None
+        rows.append((count * dt.numpy.itemsize, field.name, kind, field.shape, is_sparse))
+    print(f"{'bytes':>16}  field")
+    for size, name, kind, shape, is_sparse in sorted(rows, key=lambda row: -row[0]):
+        print(f"{size:>16,}  {name}: {kind}, shape {shape}{', if all active' * is_sparse}")
+    print(f"{sum(row[0] for row in rows):>16,}  together")

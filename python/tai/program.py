@@ -5,6 +5,8 @@ from __future__ import annotations
 import atexit
 import dataclasses
 import sys
+import unicodedata
+import warnings
 import weakref
 from dataclasses import dataclass, fields
 from typing import Any
@@ -58,6 +60,7 @@ class Options:
     default_gpu_block_dim: int = 0
     max_block_dim: int = 0
     fuse_launches: bool = True
+    unrolling_limit: int = 65536
     # What was given for options that are accepted and change nothing.
     accepted: dict[str, Any] = dataclasses.field(default_factory=dict)
 
@@ -94,9 +97,40 @@ _ACCEPTED = {
     "block_dim_adaptive",
     "offline_cache_cleaning_policy", "offline_cache_max_size_of_files",
     "offline_cache_cleaning_factor", "enable_fallback", "require_version", "vk_api_version",
-    "num_compile_threads", "packed", "lazy_compilation", "use_unified_memory", "unrolling_limit",
+    "num_compile_threads", "packed", "lazy_compilation", "use_unified_memory",
     "ndrange_order", "random_seed_is_time",
 }  # fmt: skip
+
+
+_PRINT = "print_ir=True, or the names of stages, prints the IR of kernels"
+# Those of them that ask for something which does not happen: the value that asks for nothing, and
+# what to do instead.
+_WITHOUT_EFFECT = {
+    **dict.fromkeys(
+        ("print_preprocessed_ir", "print_kernel_llvm_ir", "print_struct_llvm_ir",
+         "print_kernel_llvm_ir_optimized", "print_accessor_ir", "print_evaluator_ir"),
+        (False, _PRINT),
+    ),
+    "check_autodiff_valid": (False, "ti.ad.Tape(loss, validation=True) checks a tape"),
+    "validate_autodiff": (False, "ti.ad.Tape(loss, validation=True) checks a tape"),
+    "kernel_profile": (False, "the option is called kernel_profiler"),
+    "print_benchmark_stat": (False, "kernel_profiler=True times kernels"),
+    "timeline": (False, "kernel_profiler=True times kernels"),
+    "gdb_trigger": (False, "start the program in the debugger"),
+    "short_circuit_operators": (True, "'and' and 'or' never evaluate what does not matter; use "
+                                "ti.logical_and, ti.logical_or where both must be"),
+    "random_seed_is_time": (False, "random_seed=time.time_ns() % 2**31"),
+    "require_version": (None, "compare ti.__version__ in the program"),
+    "use_unified_memory": (False, "fields on the GPU are in its memory"),
+}  # fmt: skip
+
+
+def _warn_of_options(accepted: dict[str, Any]) -> None:
+    """Says which options ask for what does not happen."""
+    for name, value in accepted.items():
+        nothing, hint = _WITHOUT_EFFECT.get(name, (value, ""))
+        if value != nothing:
+            warnings.warn(f"ti.init({name}={value!r}) has no effect\n  hint: {hint}", stacklevel=3)
 
 
 class Program:
@@ -180,7 +214,10 @@ class Program:
 
     def unique_symbol(self, wanted: str) -> str:
         """A symbol that no tree, place or field of this program has."""
-        base = "".join(c if c.isalnum() or c == "_" else "_" for c in wanted) or "field"
+        # IR has letters of English only; `größe` is called `grosse` there.
+        plain = unicodedata.normalize("NFKD", wanted.replace("ß", "ss"))
+        plain = "".join(c for c in plain if not unicodedata.combining(c))
+        base = "".join(c if c.isascii() and c.isalnum() else "_" for c in plain) or "field"
         if base[0].isdigit():
             base = "_" + base
         symbol, count = base, 0
@@ -278,6 +315,8 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
         fuse_launches: make one piece of work of launches that come again and again in the same
             sequence, such as those of a tape; see `Tape.explain`. Without it, each is queued
             by itself.
+        unrolling_limit: the most iterations that a `ti.static` loop may have; 0 for no limit. Less
+            than the default, 65,536, is taken as that.
         enable_fallback: take the CPU where `ti.cuda` is not there.
         require: extensions that the target must have (`ti.extension.data64`, …).
         exclude: targets that the program does not run on.
@@ -301,6 +340,7 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
                 f"ti.init has no option '{name}'",
                 did_you_mean(name, [*_KNOWN, *_ACCEPTED]) or "see help(ti.init)",
             )
+    _warn_of_options(chosen["accepted"])
     for name, given, kind in (("default_fp", default_fp, "f"), ("default_ip", default_ip, "iu")):
         if given is None:
             continue

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from . import _state, _storage
-from .errors import TaiError, TaiRuntimeError, TaiRuntimeTypeError
+from .errors import TaiError, TaiMemoryError, TaiRuntimeError, TaiRuntimeTypeError
 
 if TYPE_CHECKING:
     from .fields import Field, ScalarField
@@ -117,6 +118,12 @@ class SNode:
             if value <= 0:
                 raise TaiRuntimeTypeError(f"an extent must be positive, but got {value}")
             extents.append(value)
+        cells = math.prod(extents) * math.prod(n for level in self.path() for n in level.extents)
+        if cells >= 2**63:
+            raise TaiRuntimeTypeError(
+                f"the level has more cells than a 64-bit number can count: {cells:,}",
+                "make the extents smaller",
+            )
         self._check_list_axes(kind, axes)
         if kind == "dynamic":
             chunk = min(max(1, int(chunk) or extents[0] // 32), extents[0])
@@ -472,6 +479,20 @@ class Place(SNode):
         return f"<place of field '{self.field.name}'>"
 
 
+def _check_size(fields: list[Any]) -> None:
+    """Refuses dense fields whose size in bytes is no 64-bit number."""
+    for field in fields:
+        path = field.level.path()
+        if any(level.kind not in ("dense", "root") for level in path):
+            continue
+        size = math.prod(n for level in path for n in level.extents)
+        size *= math.prod(field.element_shape) * max(1, field.dtype.bits // 8)
+        if size >= 2**62:
+            raise TaiMemoryError(
+                f"field '{field.name}' would take {size:,} bytes", "make its shape smaller"
+            )
+
+
 class Root(SNode):
     """The root of one tree."""
 
@@ -495,9 +516,11 @@ class Root(SNode):
             field.choose_symbol(program)
         tree = program.unique_symbol(f"tree{program.num_trees}")
         try:
+            _check_size(fields)
             program.context.add_tree(tree, self.layout())
         except TaiError as error:
             self.refused = error.message
+            error.filename = error.lineno = None  # a place in the text of the layout
             raise
         self.tree, self.number = tree, program.num_trees
         program.num_trees += 1

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _state, dtypes
+from . import _numbers, _state, dtypes
 from ._shapes import to_order, to_shape
 from .errors import TaiRuntimeTypeError, TaiTypeError
 from .fields import Field, _index_tuple, make_field
@@ -66,6 +66,7 @@ class StructType:
             elif isinstance(kind, MatrixType):
                 value = kind(value)
             else:
+                value = _numbers.stored(value, kind.dtype, f"member '{name}'")
                 value = kind.dtype.numpy.type(value).item()
             entries[name] = value
         return Struct(entries, self.methods)

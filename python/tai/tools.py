@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from typing import Any
 
 import numpy as np
@@ -56,6 +57,12 @@ def imshow(image: Any, title: str = "imshow") -> None:
     pixels = image.to_numpy() if hasattr(image, "to_numpy") else np.asarray(image)
     gui = GUI(title, res=pixels.shape[:2])
     gui.set_image(pixels)
+    if not gui.frames_dir:
+        warnings.warn(
+            "ti.tools.imshow has no window and no folder to write to\n  hint: set the folder in "
+            "the environment, TAI_GUI_DIR=frames, or call ti.tools.imwrite(image, file)",
+            stacklevel=2,
+        )
     gui.show()
 
 

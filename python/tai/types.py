@@ -110,7 +110,9 @@ class ScalarType:
 
     def convert(self, emitter: Any, value: Any) -> Any:
         """A value of a kernel in this type."""
-        emitter.check_fraction(value, self.dtype, f"a result or parameter of type {self.dtype}")
+        emitter.check_fraction(
+            value, self.dtype, f"a result, parameter or member of type {self.dtype}"
+        )
         if not hasattr(value, "emit_operand"):
             if isinstance(value, (bool, int, float)):
                 return emitter.constant(value, self.dtype)

@@ -40,7 +40,7 @@ def missing_argument_of_a_function():
     kernel()
 
 
-@bad(ti.TaiSyntaxError, "calls itself without end", "loop")
+@bad(ti.TaiSyntaxError, "calls itself more than 50 times", "loop")
 def recursion():
     @ti.kernel
     def kernel(n: ti.i32) -> ti.i32:

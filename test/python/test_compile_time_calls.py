@@ -65,7 +65,7 @@ def test_lists_of_the_kernel_are_made_where_it_is_compiled():
     @ti.kernel
     def in_a_loop() -> ti.i32:
         found = []
-        for i in range(10):
+        for _ in range(10):
             found.append(1)
         return len(found)
 

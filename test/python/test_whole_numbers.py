@@ -200,6 +200,7 @@ def test_what_python_stores_fits(targets):
         (lambda: wide.from_numpy(np.full(4, 2**31)), "does not fit i32"),
         (lambda: wide.from_numpy(np.full(4, np.nan)), "nan"),
         (lambda: narrow.from_numpy(np.full(4, -1)), "-1 does not fit u8"),
+        (lambda: ti.types.struct(a=ti.u8)(a=300), "member 'a': .* 300 does not fit u8"),
         (lambda: array.__setitem__(0, 2**31), "does not fit i32"),
         (lambda: array.__setitem__(0, 0.5), "not 0.5"),
         (lambda: array.fill(-(2**31) - 1), "does not fit i32"),

@@ -25,7 +25,9 @@ from .statements import refuse_truth_arithmetic
 from .structs import StructValue, StructVariable
 from .value import Value
 
-_MAX_INLINE_DEPTH = 50
+# How deep functions may call one another, and one of them itself.
+_MAX_INLINE_DEPTH = 400
+_MAX_RECURSION = 50
 
 # Python's own functions, by what they do to values of a kernel.
 _TRANSLATED: dict[Any, Callable[..., Any]] = {
@@ -111,6 +113,13 @@ class Calls:
             return True
         info = getattr(callee, "_tai_func", None)
         return info is not None and info.has_templates
+
+    def is_settled(self, node: ast.Call) -> bool:
+        """Whether the callee is found by a name that this function does not give a meaning."""
+        callee = node.func
+        while isinstance(callee, ast.Attribute):
+            callee = callee.value
+        return isinstance(callee, ast.Name) and self.frame.find(callee.id) is None
 
     def visit_Call(self, node: ast.Call) -> Any:
         function = self.callee(node.func)
@@ -304,10 +313,17 @@ class Calls:
 
     def inline(self, info: Any, args: list, kwargs: dict, node: ast.Call, is_method: bool) -> Any:
         """Compiles the body of a `ti.func` in place of its call."""
+        same = sum(frame.function is info.function for frame in self.frames)
+        if same > _MAX_RECURSION:
+            raise TaiSyntaxError(
+                f"function '{info.name}' calls itself more than {_MAX_RECURSION} times: functions "
+                "are compiled in place of each call, whatever ends the recursion when they run",
+                "write a loop, or end the recursion by if ti.static(…) on a ti.template()",
+            )
         if len(self.frames) > _MAX_INLINE_DEPTH:
             raise TaiSyntaxError(
-                f"function '{info.name}' calls itself without end",
-                "functions are inlined: write a loop instead of recursion",
+                f"more than {_MAX_INLINE_DEPTH} functions call one another",
+                "functions are compiled in place of each call: call fewer of them in each other",
             )
         bound = info.bind(args, kwargs)
         frame = Frame(info.function, function_ast(info.function), "func")

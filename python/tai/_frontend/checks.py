@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 
 from .._templates import TaiCompilationWarning
+from ..arrays import Ndarray
 from ..errors import TaiSyntaxError, TaiTypeError
 from ..fields import Field
+from ..snode import SNode
 from .misuse import describe_misuse, misuse_hint
 from .refs import ArrayArgument, Place
 from .sparse import ListElement
@@ -55,6 +57,13 @@ _MODULES = {
     "io": None,
     "posix": None,
 }
+# Methods of fields, arrays and levels that move data, and functions of this package that act.
+_MOVES = {
+    "fill", "to_numpy", "from_numpy", "copy_from", "to_torch", "from_torch", "to_paddle",
+    "from_paddle", "to_dlpack", "__dlpack__", "deactivate_all", "destroy", "active_cells",
+    "place", "lazy_grad", "lazy_dual", "dense", "pointer", "bitmasked", "hash", "dynamic",
+}  # fmt: skip
+_ACTS = {"init", "reset", "sync", "field", "ndarray", "Tape", "clear_all_gradients"}
 _NOW = {"now", "utcnow", "today"}
 # Of the operating system: what only reads or computes.
 _QUIET = {"getcwd", "getenv", "cpu_count", "getpid", "fspath", "sched_getaffinity", "get_environ"}
@@ -128,6 +137,7 @@ class Checks:
                 if isinstance(receiver, kind) and name in names:
                     self._check_change(receiver, kind, name)
                     return
+        self._check_own(function, receiver, name)
         try:
             outside = function in _OUTSIDE
         except TypeError:  # not hashable
@@ -138,6 +148,32 @@ class Checks:
                 "call it in Python, and pass what the kernel needs as an argument",
             )
         self._check_answer(function, receiver, name)
+
+    def _check_own(self, function: Any, receiver: Any, name: str) -> None:
+        """Refuses functions of this package that make or move data."""
+        is_data = isinstance(receiver, (Field, Ndarray, SNode)) and name in _MOVES
+        module = getattr(function, "__module__", None) or ""
+        if is_data or (module.startswith("tai.") and name in _ACTS):
+            hints = {"fill": "assign to the elements in a loop", "field": "make fields outside"}
+            raise TaiSyntaxError(
+                f"{name}(…) would run once, while the kernel is compiled, and not when it runs",
+                hints.get(name, "call it in Python, before or after the launch"),
+            )
+
+    def warn_of_hidden_field(self, name: str) -> None:
+        """Says that a new variable has the name of a field, of which an element may be meant."""
+        frame = self.frame
+        found = frame.closure.get(name, frame.globals.get(name))
+        if not isinstance(found, Field) or found.level is None:
+            return
+        index = ", ".join("ijklmnop"[: len(found.shape)]) or "None"
+        text = (
+            f"kernel '{self.frames[0].name}': variable '{name}' hides the field of that name, "
+            f"which stays as it is\n  hint: write {name}[{index}] = …, or take another name"
+        )
+        warnings.warn_explicit(
+            text, TaiCompilationWarning, frame.filename, self.last_node.lineno, registry=_shown
+        )
 
     def _check_change(self, receiver: Any, kind: type, name: str) -> None:
         made = self.made.get(id(receiver))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -20,6 +21,7 @@ from .calls import Calls
 from .checks import Checks
 from .emitter import Emitter
 from .expressions import Expressions
+from .hints import hint_for
 from .loops import Loops
 from .printing import Printing
 from .refs import ArrayArgument, FieldElement, Variable
@@ -28,6 +30,9 @@ from .scope import Bound, Frame
 from .source import function_ast
 from .sparse import Sparse
 from .statements import Statements, StaticBreak, StaticContinue
+
+# Calls of Python that the compiler may need: some thirty for each statement inside of another.
+_RECURSION = 20000
 
 
 class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse, Checks, Printing):
@@ -78,6 +83,8 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse, Checks, P
         self._methods: dict[type, Callable[[Any], Any]] = {}
         self._lines: dict[tuple[str, int], str] = {}
         self.last_node: Any = node
+        # The exception of Python code that ended the compilation, as an error of ours.
+        self.from_python: TaiError | None = None
 
     def compile(self) -> Any:
         """Builds and verifies the module.
@@ -89,13 +96,17 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse, Checks, P
             TaiError: with the place in the program.
         """
         outer, _state.emitter = _state.emitter, self.emitter
+        limit = sys.getrecursionlimit()
         try:
+            sys.setrecursionlimit(max(limit, _RECURSION))
             self.build()
         except TaiError as error:
             error.trail = error.trail or self.trail()
+            error.hint = error.hint or hint_for(error, error is self.from_python)
             raise
         finally:
             _state.emitter = outer
+            sys.setrecursionlimit(limit)
         return self.builder.finish(self.kernel_name)
 
     def build(self) -> None:
@@ -280,9 +291,12 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse, Checks, P
         elif isinstance(error, RecursionError):
             text = "the program nests too deeply"
         made = kind(text)
+        if isinstance(error, RecursionError):
+            made.hint = "divide it into functions, or long sums into several statements"
         if isinstance(error, (AssertionError, AttributeError, RuntimeError)):
             made.hint = "TAI_TRACEBACK=1 in the environment shows where in Python this arose"
         self.place(made, node)
+        self.from_python = made
         return made
 
     def place(self, error: TaiError, node: Any) -> None:

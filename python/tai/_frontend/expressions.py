@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+import itertools
 import operator
 from typing import Any
 
+from .. import _state
 from .._ad_values import Number, TrackedMatrix, TrackedVector
 from .._templates import ARRAY_FORM
 from ..dtypes import DataType, promote, u1
@@ -39,6 +41,10 @@ _SPECULATABLE = {
     "arith.trunci", "arith.sitofp", "arith.extf", "vector.extract", "vector.from_elements",
     "vector.broadcast",
 }  # fmt: skip
+
+
+# The least that `ti.init(unrolling_limit=…)` can mean: Taichi's only warns, from 32 on.
+_UNROLLING_LIMIT = 65536
 
 
 class Expressions:
@@ -138,6 +144,14 @@ class Expressions:
             return base.element(key)
         if isinstance(base, Value):
             return base[key]
+        if base is None and isinstance(node.value, ast.Attribute) and node.value.attr in (
+            "grad", "dual"
+        ):  # fmt: skip
+            name = ast.unparse(node.value.value)
+            raise TaiAutodiffError(
+                f"'{name}' holds whole numbers, which have no gradient",
+                "a field of floats, such as ti.f32, has one with needs_grad=True",
+            )
         if _has_value(key):
             if getattr(base, "is_matrix", False):
                 return self.emitter.as_value(base)[key]
@@ -238,10 +252,18 @@ class Expressions:
                 f"field '{thing.name}' cannot be iterated at compile time",
                 "loop over it at the top of a kernel: for i in x",
             )
+        limit = _state.options.unrolling_limit
+        limit = max(limit, _UNROLLING_LIMIT) if limit > 0 else 0
         try:
-            return list(thing)
+            items = list(thing if limit <= 0 else itertools.islice(thing, limit + 1))
         except TypeError as error:
             raise TaiTypeError(f"{_what(thing)} cannot be iterated at compile time") from error
+        if 0 < limit < len(items):
+            raise TaiSyntaxError(
+                f"more than {limit:,} iterations would be unrolled",
+                "loop with range(…) instead, or raise the limit: ti.init(unrolling_limit=…)",
+            )
+        return items
 
     def visit_NamedExpr(self, node: ast.NamedExpr) -> Any:
         raise TaiSyntaxError("kernels have no ':='", "assign in a statement of its own")

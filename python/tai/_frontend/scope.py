@@ -49,6 +49,8 @@ class Frame:
         # Names of inner blocks that ended, with the line of their first assignment.
         self.gone: dict[str, int] = {}
         self.loops: list[Loop] = []
+        # The names that branches and loops assign, once found.
+        self.assigned: dict[ast.stmt, list[str]] = {}
         self.result: Any = None
         self.result_type: Any = None
         self.has_returned = False

@@ -75,11 +75,20 @@ class AssignedNames(ast.NodeVisitor):
 
     Args:
         takes_reference: tells whether a call may change the variables given to it.
+        is_settled: tells whether it will always say the same of a call.
+        known: what was found for branches and loops before. Without it, a chain of branches would
+            be walked again for each of them.
     """
 
-    def __init__(self, takes_reference: Callable[[ast.Call], bool]):
+    def __init__(
+        self,
+        takes_reference: Callable[[ast.Call], bool],
+        is_settled: Callable[[ast.Call], bool],
+        known: dict[ast.stmt, list[str]],
+    ):
         self.names: dict[str, None] = {}  # in order of appearance
-        self._takes_reference = takes_reference
+        self._takes_reference, self._is_settled, self._known = takes_reference, is_settled, known
+        self._settled = True
 
     def collect(self, statements: list[ast.stmt]) -> list[str]:
         for statement in statements:
@@ -108,7 +117,22 @@ class AssignedNames(ast.NodeVisitor):
         self._target(node.target)
         self.generic_visit(node)
 
+    def visit_If(self, node: ast.stmt) -> None:
+        names = self._known.get(node)
+        if names is None:
+            inside = AssignedNames(self._takes_reference, self._is_settled, self._known)
+            inside.generic_visit(node)
+            names = list(inside.names)
+            if inside._settled:
+                self._known[node] = names
+            else:
+                self._settled = False
+        self.names.update(dict.fromkeys(names))
+
+    visit_While = visit_If
+
     def visit_Call(self, node: ast.Call) -> None:
+        self._settled = self._settled and self._is_settled(node)
         if self._takes_reference(node):
             for argument in [*node.args, *(k.value for k in node.keywords)]:
                 self._target(argument)

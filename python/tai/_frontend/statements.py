@@ -152,7 +152,8 @@ class Statements:
 
     def changed_by(self, *lists: list[ast.stmt]) -> list[Variable]:
         """The variables of this function that the statements may change."""
-        collector = AssignedNames(self.takes_reference)
+        known = self.frame.assigned
+        collector = AssignedNames(self.takes_reference, self.is_settled, known)
         found: list[Variable] = []
         for statements in lists:
             for name in collector.collect(statements):
@@ -457,6 +458,8 @@ class Statements:
         if isinstance(value, StructValue) and meaning is None and not is_static:
             self.frame.define(name, StructVariable(self.emitter, name, value))
             return
+        if meaning is None and not is_static:
+            self.warn_of_hidden_field(name)
         is_number = isinstance(value, (Value, bool, int, float, np.generic)) or getattr(
             value, "is_matrix", False
         )
