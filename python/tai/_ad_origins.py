@@ -98,6 +98,13 @@ def dual_of_written(field: Any) -> Any:
     return dual.core if ends else None
 
 
+def end_tangent(field: Any) -> None:
+    """Python has written all of a place."""
+    dual = dual_of_written(field) if _state.forward else None
+    if dual is not None:
+        dual.fill(0.0)
+
+
 def note_read(field: Any) -> None:
     """Python reads a field; to be called under a tape or in forward mode."""
     if not _watches and has_history(field):

@@ -411,9 +411,7 @@ class ScalarField(Field):
         if _state.tape is not None or _state.forward:
             _ad_origins.check_write(self, array)
         self.core.copy_from(self._check_array(array))
-        dual = _ad_origins.dual_of_written(self) if _state.forward else None
-        if dual is not None:
-            dual.fill(0.0)
+        _ad_origins.end_tangent(self)
 
     def fill(self, value: Any) -> None:
         if not isinstance(value, (int, float)) and not hasattr(value, "__float__"):
@@ -423,9 +421,7 @@ class ScalarField(Field):
         if _state.tape is not None or _state.forward:
             _ad_origins.check_write(self, value)
         self.core.fill(float(value) if self.dtype.is_float else int(value))
-        dual = _ad_origins.dual_of_written(self) if _state.forward else None
-        if dual is not None:
-            dual.fill(0.0)
+        _ad_origins.end_tangent(self)
 
 
 class ComponentField(ScalarField):
