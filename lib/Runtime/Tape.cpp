@@ -329,6 +329,7 @@ Status Tape::runForward() {
   sweptBefore = false;
   Status status;
   size_t first = 0;
+  bool launched = false;
   if (findPlainForward()) {
     status = runPlainForward(held.get());
     first = records.size();
@@ -346,6 +347,7 @@ Status Tape::runForward() {
     status = memory->beforeReplay(static_cast<uint32_t>(i));
     if (!status)
       break;
+    launched |= record.kernel != nullptr;
     if (record.kernel) {
       uint64_t number = firstLaunch + record.launch;
       record.kernel->prepared.lastLaunch.store(number,
@@ -353,8 +355,19 @@ Status Tape::runForward() {
       status = runtime.run(held.get(), *record.kernel,
                            slots.data() + record.payload, nullptr, number);
     } else if (record.kind == Kind::Write) {
-      status = runtime.activateFor(getWrite(record));
-      runtime.perform(getWrite(record));
+      HostWrite write = getWrite(record);
+      status = runtime.activateFor(write);
+      runtime.perform(write);
+      // What the host writes is a constant; before the first launch, it is the
+      // point at which one differentiates.
+      const char zeros[8] = {};
+      write.field =
+          runtime.isForward() && launched ? write.field->dual() : nullptr;
+      write.bytes = zeros;
+      if (write.what == HostWrite::What::Array)
+        write.what = HostWrite::What::Fill;
+      if (write.field)
+        runtime.perform(write);
     } else if (callbacks[record.payload].forward) {
       status = callbacks[record.payload].forward();
     }

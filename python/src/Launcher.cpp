@@ -44,8 +44,10 @@ inline bool isRecording() {
 /// The class of numbers that have a gradient or a tangent.
 PyObject *trackedType = nullptr;
 
-/// Whether kernels are launched with their tangents.
+/// Whether kernels are launched with their tangents, and how many have been
+/// launched since then.
 bool forwardMode = false;
+uint64_t forwardLaunches = 0;
 
 /// Whether values with a history are about, so that Python looks once at each
 /// place that calls with plain numbers; and the places that it has looked at.
@@ -241,6 +243,7 @@ PyObject *toPython(const Result &result, uint64_t slot) {
 }
 
 PyObject *launch(Specialization &spec, const uint64_t *slots, size_t numSlots) {
+  forwardLaunches += forwardMode;
   int64_t count = static_cast<int64_t>(numSlots);
   bool hasResults = !spec.grad && spec.result.count;
   uint64_t results[16];
@@ -474,7 +477,11 @@ void taipy::bindLauncher(py::module_ &module) {
     knownSites.insert(siteOf(reinterpret_cast<PyCodeObject *>(code.ptr()), line,
                              launcher.ptr()));
   });
-  module.def("set_forward_mode", [](bool on) { forwardMode = on; });
+  module.def("set_forward_mode", [](bool on) {
+    forwardMode = on;
+    forwardLaunches = 0;
+  });
+  module.def("forward_launches", [] { return forwardLaunches; });
   module.def("next_generation", [] { return ++generation; });
   module.def("add_specialization", [](const py::object &launcher,
                                       std::shared_ptr<Kernel> kernel, bool grad,

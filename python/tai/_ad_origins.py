@@ -85,6 +85,26 @@ def _is_internal(field: Any) -> bool:
     return program is not None and any(pool.field is field for pool in program.pools)
 
 
+def dual_of_written(field: Any) -> Any:
+    """The dual of a place that Python writes to in forward mode, if its tangent ends there.
+
+    What Python writes is a constant, but before the first launch it is the point at which one
+    differentiates.
+    """
+    from . import _core
+
+    dual = field._companions.get("dual")
+    ends = _core.forward_launches() > 0 and getattr(dual, "_core", None) is not None
+    return dual.core if ends else None
+
+
+def end_tangent(field: Any) -> None:
+    """Python has written all of a place."""
+    dual = dual_of_written(field) if _state.forward else None
+    if dual is not None:
+        dual.fill(0.0)
+
+
 def note_read(field: Any) -> None:
     """Python reads a field; to be called under a tape or in forward mode."""
     if not _watches and has_history(field):

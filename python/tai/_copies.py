@@ -8,6 +8,8 @@ from __future__ import annotations
 import functools
 from typing import Any
 
+import numpy as np
+
 from . import _state
 from .errors import TaiRuntimeTypeError
 
@@ -65,6 +67,27 @@ def copy_array(target: Any, source: Any) -> None:
         kernels.array_elements(target, source)
 
 
+def store_component(target: Any, value: Any) -> bool:
+    """Stores numbers of Python to a component of a vector field, and only there.
+
+    Returns:
+        False where nobody follows: the whole field may be written.
+    """
+    if not is_followed(target) or not target.dtype.is_float:
+        return False
+    from ._ad_origins import check_write
+
+    check_write(target, value)
+    _materialize(target)
+    if np.ndim(value) == 0 or not target.shape:
+        kernels = _kernels()
+        number = float(np.asarray(value).item())
+        (kernels.fill_elements if target.shape else kernels.fill_number)(target, number)
+    else:
+        _kernels().array_to_field(target, np.array(value), _offset(target))
+    return True
+
+
 def _materialize(field: Any) -> None:
     (field._whole if getattr(field, "is_window", False) else field).materialize()
 
@@ -117,6 +140,25 @@ def _kernels() -> Any:
                         target[at + ti.Vector(shift)] = value
                     else:
                         target[at] = value
+
+        @staticmethod
+        @ti.kernel
+        def fill_number(target: ti.template(), value: ti.f64):
+            target[None] = ti.cast(value, ti.f64)
+
+        @staticmethod
+        @ti.kernel
+        def fill_elements(target: ti.template(), value: ti.f64):
+            for at in ti.grouped(target):
+                target[at] = value
+
+        @staticmethod
+        @ti.kernel
+        def array_to_field(
+            target: ti.template(), source: ti.types.ndarray(), offset: ti.template()
+        ):
+            for at in ti.grouped(target):
+                target[at] = source[at - ti.Vector(offset)]
 
         @staticmethod
         @ti.kernel

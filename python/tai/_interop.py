@@ -180,7 +180,7 @@ def from_torch(field: Any, tensor: Any) -> None:
     tensor = tensor.detach()
     wanted = (*field.shape, *field.element_shape)
     shared = None
-    if tuple(tensor.shape) == wanted and _state.tape is None:
+    if tuple(tensor.shape) == wanted and _state.tape is None and not _state.forward:
         shared = _shares_with(field, tensor.device)
     if shared is None:
         return field.from_numpy(tensor.cpu().numpy())

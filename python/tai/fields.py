@@ -379,6 +379,9 @@ class ScalarField(Field):
             self.core.set(_index_tuple(key), component, value)
         except (IndexError, TypeError) as error:
             raise self._index_error(error, key) from None
+        dual = _ad_origins.dual_of_written(self) if _state.forward else None
+        if dual is not None:
+            dual.set(_index_tuple(key), component, 0.0)
 
     def _to_python(self, value: int) -> int | bool:
         if self.dtype.kind == "u":
@@ -403,6 +406,7 @@ class ScalarField(Field):
         if _state.tape is not None or _state.forward:
             _ad_origins.check_write(self, array)
         self.core.copy_from(self._check_array(array))
+        _ad_origins.end_tangent(self)
 
     def fill(self, value: Any) -> None:
         if not isinstance(value, (int, float)) and not hasattr(value, "__float__"):
@@ -413,6 +417,7 @@ class ScalarField(Field):
             _ad_origins.check_write(self, value)
         stored = float(value) if self.dtype.is_float else value
         self.core.fill(_numbers.stored(stored, self.dtype, self))
+        _ad_origins.end_tangent(self)
 
 
 class ComponentField(ScalarField):
@@ -493,6 +498,8 @@ class ComponentField(ScalarField):
     def from_numpy(self, array: Any) -> None:
         if not self.is_window:
             return super().from_numpy(array)
+        if _copies.store_component(self, self._check_array(array)):
+            return None
         whole = self._whole.to_numpy()
         whole[(..., *self._indices)] = self._check_array(array)
         self._whole.from_numpy(whole)
@@ -500,6 +507,8 @@ class ComponentField(ScalarField):
     def fill(self, value: Any) -> None:
         if not self.is_window:
             return super().fill(value)
+        if _copies.store_component(self, value):
+            return None
         if not _active.fill_component(self._whole._single, self._index, value):
             self.from_numpy(np.full(self.shape, value, self.dtype.numpy))
 
@@ -673,6 +682,9 @@ class MatrixField(Field):
             self._single.core.set_all(at, numbers)
         except (IndexError, TypeError) as error:
             raise self._single._index_error(error, key) from None
+        dual = _ad_origins.dual_of_written(self._single) if _state.forward else None
+        if dual is not None:
+            dual.set_all(at, [0.0] * len(numbers))
 
     # Whole field
 

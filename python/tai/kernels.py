@@ -22,6 +22,7 @@ from ._ad_arguments import adjoint_slots, as_array, check_arrays, find_alias
 from ._ad_arrays import HeldArray, check_overlaps, is_same_array
 from ._bound_kernel import BoundKernel
 from ._signatures import FunctionInfo, Parameter, check_annotations, names_of, parse_signature
+from ._slots import number_slot
 from .arrays import Ndarray
 from .errors import (
     SHOW_TRACEBACK,
@@ -444,7 +445,7 @@ class Kernel(_core.Launcher):
         pairs = zip(self._get_parameters(), found.specs, values, strict=True)
         for parameter, spec, value in pairs:
             if spec.kind == "scalar":
-                slots.append(self._slot(parameter, spec.dt, value))
+                slots.append(number_slot(self.__name__, parameter.name, spec.dt, value))
             elif spec.kind == "matrix":
                 array = np.asarray(value)
                 if array.shape != spec.shape:
@@ -452,7 +453,10 @@ class Kernel(_core.Launcher):
                         f"argument '{parameter.name}' of kernel '{self.__name__}' expects "
                         f"{parameter.type!r}, but got shape {array.shape}"
                     )
-                slots += [self._slot(parameter, spec.dt, x.item()) for x in array.ravel()]
+                slots += [
+                    number_slot(self.__name__, parameter.name, spec.dt, x.item())
+                    for x in array.ravel()
+                ]
             elif spec.kind == "array" and spec.alias is None:
                 array = as_array(value)
                 is_read, is_written = found.uses_of(spec)
@@ -482,28 +486,6 @@ class Kernel(_core.Launcher):
                     grad = _ad_values.gradient_array(value) if looks else launched
                     slots += [grad.ctypes.data, *grad.shape]
         return slots, kept
-
-    def _slot(self, parameter: Parameter, dt: Any, value: Any) -> int:
-        """A number in the bits of its slot."""
-        good = isinstance(value, (bool, int, float, np.generic)) or (
-            not isinstance(value, (str, bytes))
-            and hasattr(value, "__float__")
-            and getattr(value, "ndim", 0) == 0
-        )
-        whole = isinstance(value, (bool, int, np.integer, np.bool_))
-        if not good or (not dt.is_float and not whole):
-            kind = "a number" if dt.is_float else "a whole number"
-            raise TaiRuntimeTypeError(
-                f"argument '{parameter.name}' of kernel '{self.__name__}' expects {kind} "
-                f"({dt}), but got {value!r}"
-            )
-        if dt.is_int and not dt.min <= int(value) <= dt.max:
-            raise TaiRuntimeTypeError(
-                f"argument '{parameter.name}' of kernel '{self.__name__}': {value} does not "
-                f"fit {dt}"
-            )
-        data = np.asarray(value).astype(dt.numpy).tobytes()
-        return int.from_bytes(data, "little")
 
     # Compiling
 

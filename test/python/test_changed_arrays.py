@@ -123,6 +123,112 @@ def test_a_control_that_changes_in_each_step(checkpoint):
     np.testing.assert_allclose([loss[None], x.grad[None]], [value, slope], rtol=1e-13)
 
 
+N = 6
+ARRAY = ti.types.ndarray()
+
+
+@ti.func
+def neighbours(w: ti.template(), i):
+    return w[i] * w[(i + 1) % N]
+
+
+@ti.kernel
+def in_a_branch(x: ti.template(), y: ti.template(), w: ARRAY):
+    for i in x:
+        if w[i] > 2:
+            y[i] = x[i] * x[i]
+
+
+@ti.kernel
+def as_a_bound(x: ti.template(), y: ti.template(), w: ARRAY):
+    for i in x:
+        for j in range(w[i]):
+            y[i] += x[i] * j
+
+
+@ti.kernel
+def as_an_index_of_stores(x: ti.template(), y: ti.template(), w: ARRAY):
+    for i in x:
+        y[w[i]] = 2 * x[i]
+
+
+@ti.kernel
+def as_an_index_of_constants(x: ti.template(), y: ti.template(), w: ARRAY):
+    for i in x:
+        if i < 2:
+            y[w[i]] = 1.0
+
+
+@ti.kernel
+def as_an_index_of_sums(x: ti.template(), y: ti.template(), w: ARRAY):
+    for i in x:
+        y[w[i]] += 3 * x[i]
+
+
+@ti.kernel
+def as_a_power(x: ti.template(), y: ti.template(), w: ARRAY):
+    for i in x:
+        y[i] = x[i] ** w[i]
+
+
+@ti.kernel
+def in_a_recurrence(x: ti.template(), y: ti.template(), w: ARRAY):
+    ti.loop_config(serialize=True)
+    for i in range(1, N):
+        y[i] = y[i - 1] * w[i] + x[i]
+
+
+@ti.kernel
+def in_a_while_loop(x: ti.template(), y: ti.template(), w: ARRAY):
+    for i in x:
+        s, k = x[i], w[i]
+        while k > 0:
+            s *= 1.5
+            k -= 1
+        y[i] = s
+
+
+@ti.kernel
+def in_a_function(x: ti.template(), y: ti.template(), w: ARRAY):
+    for i in x:
+        y[i] += x[i] * neighbours(w, i)
+
+
+@pytest.mark.parametrize("checkpoint", [None, "periodic"])
+@pytest.mark.parametrize(
+    "kernel",
+    [in_a_branch, as_a_bound, as_an_index_of_stores, as_an_index_of_constants, as_an_index_of_sums,
+     as_a_power, in_a_recurrence, in_a_while_loop, in_a_function],
+    ids=lambda kernel: getattr(kernel, "__name__", None),
+)  # fmt: skip
+def test_all_that_an_array_may_decide(kernel, checkpoint):
+    """One array that changes gives what arrays of their own give."""
+    rng = np.random.default_rng(0)
+    x, y = (ti.field(ti.f64, shape=N, needs_grad=True) for _ in range(2))
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+    start = rng.uniform(0.5, 1.5, (2, N))
+    contents = [rng.permutation(N).astype(np.int32) for _ in range(4)]
+
+    @ti.kernel
+    def measure():
+        for i in y:
+            loss[None] += (i + 1) * y[i] * y[i]
+
+    def run(is_shared):
+        x.from_numpy(start[0])
+        y.from_numpy(start[1])
+        shared = np.zeros(N, np.int32)
+        with ti.ad.Tape(loss, checkpoint=checkpoint):
+            for content in contents:
+                shared[:] = content
+                kernel(x, y, shared if is_shared else content)
+            shared[:] = 0
+            measure()
+        return np.concatenate([x.grad.to_numpy(), y.grad.to_numpy(), [loss[None]]])
+
+    np.testing.assert_allclose(run(True), run(False), rtol=1e-13)
+
+
 def test_an_array_whose_values_no_gradient_reads_is_not_copied():
     x, loss = make_fields(3)
     w = np.ones(3)

@@ -263,3 +263,89 @@ def test_what_is_refused():
     with ti.ad.FwdMode(loss, x):
         add(loss, x, r)  # of a program that is gone: a constant
     assert loss.dual[None] == 2 * 4
+
+
+def test_what_the_host_writes_has_no_tangent():
+    """In forward mode as on a tape."""
+    x, y = (ti.field(ti.f64, shape=2, **FLAGS) for _ in range(2))
+    v, loss = ti.Vector.field(2, ti.f64, shape=2, **FLAGS), number()
+    x.fill(1)
+
+    @ti.kernel
+    def spread():
+        for i in x:
+            y[i] = 2 * x[i]
+            v[i] = ti.Vector([x[i], 3 * x[i]])
+
+    @ti.kernel
+    def measure():
+        for i in y:
+            loss[None] += y[i] + v[i].sum()
+
+    component = v.get_scalar_field(1)
+    for write in (
+        lambda: y.fill(0), lambda: y.from_numpy(np.ones(2)), lambda: y.__setitem__(1, 3.0),
+        lambda: v.fill(0), lambda: v.from_numpy(np.ones((2, 2))), lambda: v.fill([1.0, 2.0]),
+        lambda: v.__setitem__(0, [1, 2]), lambda: v[1].__setitem__(0, 1.0),
+        lambda: component.fill(0), lambda: component.from_numpy(np.ones(2)),
+        lambda: component.__setitem__(1, 1.0), lambda: loss.fill(1),
+    ):  # fmt: skip
+        for before, after in ((write, lambda: None), (lambda: None, write)):
+
+            def run(before=before, after=after):
+                before()
+                spread()
+                after()
+                measure()
+
+            with ti.ad.Tape(loss) as tape:
+                run()
+            expected = x.grad.to_numpy().sum()
+            assert ti.ad.jvp(run, x, np.ones(2), loss) == expected
+            assert ti.ad.jvp(tape, x, np.ones(2), loss) == expected
+            loss[None] = 0
+
+    # Before the first launch it is the point at which one differentiates.
+    def start():
+        x.fill(2)
+        v.fill(0)
+        spread()
+        measure()
+
+    loss[None] = 0
+    assert ti.ad.jvp(start, x, np.ones(2), loss) == 12
+    assert loss[None] == 2 * (4 + 2 + 6)
+
+
+def test_a_component_written_on_a_tape_leaves_the_others():
+    x, v = ti.field(ti.f64, shape=3, **FLAGS), ti.Vector.field(2, ti.f64, shape=3, **FLAGS)
+    one, loss = ti.Vector.field(2, ti.f64, shape=(), **FLAGS), number()
+
+    @ti.kernel
+    def spread():
+        for i in x:
+            v[i] = ti.Vector([x[i], 10 * x[i]])
+            one[None] += ti.Vector([x[i], 10 * x[i]])
+
+    @ti.kernel
+    def measure():
+        for i in v:
+            loss[None] += v[i].sum() ** 2
+        loss[None] += one[None].sum()
+
+    x.fill(1)
+    array = np.array([5.0, 6.0, 7.0])
+    component = v.get_scalar_field(1)
+    for write in (lambda: component.from_numpy(array), lambda: component.fill(2.5)):
+        one.fill(0)
+        with ti.ad.Tape(loss) as tape:
+            spread()
+            write()
+            one.get_scalar_field(1).fill(2.5)
+            measure()
+        values = v.to_numpy()
+        assert (values[:, 0] == 1).all() and one[None].to_list() == [3, 2.5]
+        assert (x.grad.to_numpy() == 2 * values.sum(1) + 1).all()
+        one.fill(0)
+        tape.replay()
+        assert (v.to_numpy() == values).all()
