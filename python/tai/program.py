@@ -228,7 +228,7 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
         arch: `ti.cpu` (or `ti.x64`), `ti.cuda`, or `ti.gpu`: CUDA, or the CPU where there is no
             GPU. The environment variable TI_ARCH takes precedence.
         default_fp, default_ip: the types of `float` and `int` in kernels.
-        debug: check assertions and indices.
+        debug: check assertions, indices and the domains of functions such as log and sqrt.
         fast_math: let the compiler reorder floating-point arithmetic, and take norms without
             care for squares that over- or underflow.
         ad_ties: what `max` and `min` of equal numbers do in gradients: `second`: the second
