@@ -275,7 +275,7 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
         arch: `ti.cpu` (or `ti.x64`), `ti.cuda`, or `ti.gpu`: CUDA, or the CPU where there is no
             GPU. The environment variable TI_ARCH takes precedence.
         default_fp, default_ip: the types of `float` and `int` in kernels.
-        debug: check assertions and indices.
+        debug: check assertions, indices and the domains of functions such as log and sqrt.
         bounds: what happens where an index that depends on data is out of range: `off`:
             anything (the default); `clamp`: the nearest element is taken, in gradients too;
             `check`: an error that names the line, the field and the index, and nothing is

@@ -90,6 +90,16 @@ def is_lost_in_rounding(program, f, along: np.ndarray, error: float) -> bool:
     return abs(found[0] - found[1]) > 0.1 * error
 
 
+def is_below_rounding(program, error: float) -> bool:
+    """Whether the error is nothing beside the greatest derivative of the program.
+
+    What is left of parts that cancel inside of a program has the rounding of these.
+    """
+    gradients = program.sweep([np.ones(())]).values()
+    greatest = max(float(np.max(np.abs(g[np.isfinite(g)]), initial=0.0)) for g in gradients)
+    return error <= 8 * np.finfo(float).eps * greatest
+
+
 def source(program) -> str:
     """The text of the module that the program is in."""
     return Path(program.run.__code__.co_filename).read_text()

@@ -1,5 +1,7 @@
 """f16 is for storage: what is loaded is computed with in f32, and stores round."""
 
+import os
+
 import numpy as np
 import pytest
 import tai as ti
@@ -127,6 +129,24 @@ def test_tangents_of_f16_fields():
     with ti.ad.FwdMode(loss=y, param=x, seed=[1.0, 2.0, 3.0]):
         run()
     assert y.dual[None] == pytest.approx(1 + 2 * np.e + 3 / np.e, rel=1e-6)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_sums_of_a_loop_are_f32(threads):
+    """10,000 ones, whose sum in f16 would stop at 2048, or where as many parts of it do."""
+    start(cpu_max_num_threads=threads)
+    if os.environ.get("TI_ARCH") == "cuda":
+        pytest.skip("each thread of a GPU adds to the element, which rounds")
+    x, total = ti.field(ti.f16, shape=10_000), ti.field(ti.f16, shape=())
+
+    @ti.kernel
+    def run():
+        for i in x:
+            total[None] += x[i]
+
+    x.fill(1.0)
+    run()
+    assert total[None] == 10_000
 
 
 class Smoke:

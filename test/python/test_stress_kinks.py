@@ -20,6 +20,11 @@ def root_of_positive(x):
 
 
 @ti.func
+def python_max(x):
+    return max(0.0, x)
+
+
+@ti.func
 def max_with_branch(x):
     zero = 0.0
     if x > 5:
@@ -72,6 +77,8 @@ EXACT = [
         1,
         [1, 1],
     ),
+    ("Python's max(0, x)", lambda x: python_max(x[0]), [0], 0, [1]),
+    ("ti.math.max(0, x)", lambda x: ti.math.max(0.0, x[0]), [0], 0, [1]),
     ("max(zero in a branch, x)", lambda x: max_with_branch(x[0]), [0], 0, [1]),
     ("max(zero in a loop, x)", lambda x: max_with_loop(x[0]), [0], 0, [1]),
     (

@@ -27,6 +27,23 @@ static SmallVector<Value> getOutside(ValueRange values, ParallelForOp loop) {
   });
 }
 
+/// What partial sums of this type are kept in: of 16-bit floats in f32, which
+/// does not stop growing at 2048 of its terms.
+static Type getSumType(Type type, AtomicKind kind) {
+  bool isNarrow = isa<Float16Type, BFloat16Type>(type);
+  return isNarrow && kind == AtomicKind::Add
+             ? Float32Type::get(type.getContext())
+             : type;
+}
+
+/// A sum of such partial sums, as what it is of.
+static Value emitNarrowed(OpBuilder &builder, Location loc, Value sum,
+                          Type type) {
+  if (sum.getType() == type)
+    return sum;
+  return arith::TruncFOp::create(builder, loc, type, sum);
+}
+
 FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
                                               ModuleLowering &lowering) {
   Accumulators result(lowering);
@@ -65,7 +82,8 @@ FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
     result.registers.push_back({*field,
                                 {atomic},
                                 getCombiningKind(atomic.getKind()),
-                                atomic.getValue().getType(),
+                                getSumType(atomic.getValue().getType(),
+                                           getCombiningKind(atomic.getKind())),
                                 getOutside(atomic.getIndices(), loop),
                                 getOutside(atomic.getComponents(), loop),
                                 Value(),
@@ -266,7 +284,9 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
       Value address =
           emitPointer(builder, loc, getStorageType(field.scalarType),
                       emitFieldBase(builder, loc, field), offset);
-      emitPlainUpdate(builder, loc, sum.kind, total.getResult(i), address,
+      Value narrowed =
+          emitNarrowed(builder, loc, total.getResult(i), field.scalarType);
+      emitPlainUpdate(builder, loc, sum.kind, narrowed, address,
                       lowering->fields.getScopes(field));
     }
   }
@@ -377,7 +397,10 @@ void Accumulators::rewriteUpdates() {
     OpBuilder builder(update);
     Location loc = update->getLoc();
     Value old = emitSlotLoad(builder, loc, sum.type, sum.slot);
-    Value next = emitCombination(builder, loc, kind, old, value.get());
+    Value term = value.get();
+    if (term.getType() != sum.type)
+      term = arith::ExtFOp::create(builder, loc, sum.type, term);
+    Value next = emitCombination(builder, loc, kind, old, term);
     // The order of a sum over iterations is ours to choose; LLVM needs to
     // know to vectorise it.
     if (!keepsOrder && isa<arith::AddFOp, arith::SubFOp>(next.getDefiningOp()))
