@@ -42,9 +42,7 @@ def child(options: dict) -> None:
     import numpy as np
     import tai as ti
 
-    ti.init(
-        arch=ti.cpu, default_fp=ti.f32, cpu_max_num_threads=1, offline_cache=False, **options
-    )
+    ti.init(arch=ti.cpu, default_fp=ti.f32, cpu_max_num_threads=1, offline_cache=False, **options)
     import harness
     import tai_scenes
 

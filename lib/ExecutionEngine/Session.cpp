@@ -367,11 +367,12 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
     printedStages = std::move(stages);
     return success();
   }
-  return fail(FailureKind::Usage,
-              "unknown option '" + name +
-                  "'; the options are threads, deterministic, debug, "
-                  "bounds, fast_math, opt_level, seed, cache_dir, print_ir, profiler, "
-                  "compile_profile, forward_mode, history_bytes, skip, "
-                  "memory_limit, arch, device_memory_limit, block_dim, "
-                  "max_block_dim, fuse_launches");
+  return fail(
+      FailureKind::Usage,
+      "unknown option '" + name +
+          "'; the options are threads, deterministic, debug, "
+          "bounds, fast_math, opt_level, seed, cache_dir, print_ir, profiler, "
+          "compile_profile, forward_mode, history_bytes, skip, "
+          "memory_limit, arch, device_memory_limit, block_dim, "
+          "max_block_dim, fuse_launches");
 }

@@ -70,8 +70,8 @@ static std::vector<runtime::ArrayArgument> findArrays(KernelOp kernel) {
   return arrays;
 }
 
-/// With bounds="clamp" a kernel is another program, of which all is made that is
-/// made of kernels: adjoints, summaries, keys.
+/// With bounds="clamp" a kernel is another program, of which all is made that
+/// is made of kernels: adjoints, summaries, keys.
 LogicalResult Session::clampIndices(ModuleOp module) {
   if (options.bounds != BoundsMode::Clamp || options.debug)
     return success();
