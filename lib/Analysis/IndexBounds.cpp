@@ -105,19 +105,19 @@ void IndexBounds::addCondition(Domain &domain, Value condition, bool holds) {
     if (matchPattern(select.getFalseValue(), m_Zero()))
       return holds ? both(select.getCondition(), true, select.getTrueValue(),
                           true)
-                   : either(select.getCondition(), false,
-                            select.getTrueValue(), false);
+                   : either(select.getCondition(), false, select.getTrueValue(),
+                            false);
     if (matchPattern(select.getTrueValue(), m_One()))
-      return holds ? either(select.getCondition(), true,
-                            select.getFalseValue(), true)
+      return holds ? either(select.getCondition(), true, select.getFalseValue(),
+                            true)
                    : both(select.getCondition(), false, select.getFalseValue(),
                           false);
   }
   if (isLaunchValue(condition)) {
     Form form = formOf(condition);
     addFacts(domain, form);
-    return addRow(domain, holds ? form.sum.plus(-1)
-                                : LinearSum().plus(form.sum, -1));
+    return addRow(domain,
+                  holds ? form.sum.plus(-1) : LinearSum().plus(form.sum, -1));
   }
   auto compare = dyn_cast_if_present<arith::CmpIOp>(op);
   if (!compare || compare.getLhs().getType().isInteger(1))
@@ -336,8 +336,8 @@ BoundsAnswer IndexBounds::check(const IndexedAccess &access, size_t number,
             isExact);
   checkSide(domain, form.sum.plus(size.sum, -1).plus(-first), answer, isExact);
   answer.isInRange &= domain.isComplete;
-  answer.isDecided = answer.isInRange ||
-                     (domain.isComplete && domain.isCertain && isExact);
+  answer.isDecided =
+      answer.isInRange || (domain.isComplete && domain.isCertain && isExact);
   return answer;
 }
 
@@ -376,9 +376,10 @@ static std::optional<unsigned> findListDimension(const FieldLayout &layout) {
   return std::nullopt;
 }
 
-static std::optional<IndexedAccess>
-getFieldAccess(Operation *op, FlatSymbolRefAttr name,
-               MutableOperandRange indices, bool isOfList = false) {
+static std::optional<IndexedAccess> getFieldAccess(Operation *op,
+                                                   FlatSymbolRefAttr name,
+                                                   MutableOperandRange indices,
+                                                   bool isOfList = false) {
   FieldOp field = lookupField(op, name);
   FailureOr<FieldLayout> layout =
       field ? getFieldLayout(field) : FailureOr<FieldLayout>();
@@ -415,8 +416,8 @@ static void addComponents(IndexedAccess &access, FieldOp field,
   }
 }
 
-static std::optional<IndexedAccess> getArrayAccess(Operation *op, Value array,
-                                                   MutableOperandRange indices) {
+static std::optional<IndexedAccess>
+getArrayAccess(Operation *op, Value array, MutableOperandRange indices) {
   auto type = cast<MemRefType>(array.getType());
   // Others are memory of the kernel itself.
   if (!isa<BlockArgument>(array))

@@ -107,8 +107,7 @@ NumberRange IndexBounds::computeRange(Value value) {
     auto argument = cast<BlockArgument>(value);
     Operation *parent = argument.getOwner()->getParentOp();
     if (auto loop = dyn_cast<scf::ForOp>(parent);
-        loop && argument == loop.getInductionVar() &&
-        !loop.getUnsignedCmp())
+        loop && argument == loop.getInductionVar() && !loop.getUnsignedCmp())
       return {rangeOf(loop.getLowerBound()).low,
               addRanges(rangeOf(loop.getUpperBound()), {-1, -1}).high};
     auto loop = dyn_cast<ParallelForOp>(parent);
@@ -129,16 +128,16 @@ NumberRange IndexBounds::computeRange(Value value) {
     return getConstantIntValue(op->getOperand(1)).value_or(0);
   };
   return llvm::TypeSwitch<Operation *, NumberRange>(op)
-      .Case<arith::IndexCastOp, arith::ExtSIOp, arith::TruncIOp>(
-          [&](auto) {
-            // Truth values are -1 where the sign is taken along.
-            return op->getOperand(0).getType().isInteger(1) ? all
-                                                            : fit(of(0), type);
-          })
+      .Case<arith::IndexCastOp, arith::ExtSIOp, arith::TruncIOp>([&](auto) {
+        // Truth values are -1 where the sign is taken along.
+        return op->getOperand(0).getType().isInteger(1) ? all
+                                                        : fit(of(0), type);
+      })
       .Case<arith::ExtUIOp, arith::IndexCastUIOp>([&](auto) -> NumberRange {
-        unsigned width = op->getOperand(0).getType().isIndex()
-                             ? 64
-                             : op->getOperand(0).getType().getIntOrFloatBitWidth();
+        unsigned width =
+            op->getOperand(0).getType().isIndex()
+                ? 64
+                : op->getOperand(0).getType().getIntOrFloatBitWidth();
         if (of(0).low >= 0)
           return of(0);
         return width < 63 ? NumberRange{0, int64_t(llvm::maxUIntN(width))}
@@ -356,7 +355,8 @@ std::optional<IndexBounds::Form> IndexBounds::makeExtreme(Operation *op) {
   Form form = makeVariable(Variable::Kind::Data, rangeOf(op->getResult(0)));
   for (const Form &other : {a, b}) {
     form.facts.append(other.facts.begin(), other.facts.end());
-    form.facts.push_back(LinearSum().plus(other.sum, sign).plus(form.sum, -sign));
+    form.facts.push_back(
+        LinearSum().plus(other.sum, sign).plus(form.sum, -sign));
     form.isComplete &= other.isComplete;
   }
   return form;

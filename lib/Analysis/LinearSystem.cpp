@@ -43,10 +43,10 @@ LinearSum LinearSum::plus(const LinearSum &other, int64_t scale) const {
   const auto *a = terms.begin();
   const auto *b = other.terms.begin();
   while (a != terms.end() || b != other.terms.end()) {
-    bool takesA = b == other.terms.end() ||
-                  (a != terms.end() && a->first <= b->first);
-    bool takesB = a == terms.end() ||
-                  (b != other.terms.end() && b->first <= a->first);
+    bool takesA =
+        b == other.terms.end() || (a != terms.end() && a->first <= b->first);
+    bool takesB =
+        a == terms.end() || (b != other.terms.end() && b->first <= a->first);
     unsigned number = takesA ? a->first : b->first;
     int64_t factor =
         combine(takesA ? (a++)->second : 0, takesB ? (b++)->second : 0);

@@ -158,10 +158,10 @@ Value AccessLowering::checkCasts(OpBuilder &builder, Location loc,
     double high = std::ldexp(1.0, int(width - isSigned));
     double low = isSigned ? -high : 0;
     using Predicate = arith::CmpFPredicate;
-    Value above = arith::CmpFOp::create(builder, loc, Predicate::OGE, value,
-                                        limit(low));
-    Value below = arith::CmpFOp::create(builder, loc, Predicate::OLT, value,
-                                        limit(high));
+    Value above =
+        arith::CmpFOp::create(builder, loc, Predicate::OGE, value, limit(low));
+    Value below =
+        arith::CmpFOp::create(builder, loc, Predicate::OLT, value, limit(high));
     Value holds = arith::AndIOp::create(builder, loc, above, below);
     auto assertion = AssertOp::create(
         builder, loc, holds,
@@ -412,8 +412,8 @@ LogicalResult AccessLowering::lowerTopology(Operation *op) {
     zeroBased = emitZeroBased(builder, loc, field, zeroBased);
     SmallVector<OpFoldResult> extents =
         getAsIndexOpFoldResult(builder.getContext(), field.layout.shape);
-    Value inRange =
-        checkRange(op, zeroBased, extents, describeField(field.layout), indices);
+    Value inRange = checkRange(op, zeroBased, extents,
+                               describeField(field.layout), indices);
     guard(builder, op, inRange, [&](OpBuilder &b) -> Value {
       Value list = emitListNumber(b, loc, field, indices);
       return emitLength(b, loc, getInnermostList(field), getTreeBase(field),
@@ -440,8 +440,8 @@ LogicalResult AccessLowering::lowerTopology(Operation *op) {
       emitZeroBased(builder, loc, field, op->getOperands());
   SmallVector<OpFoldResult> extents =
       getAsIndexOpFoldResult(builder.getContext(), field.layout.shape);
-  Value inRange = checkRange(op, zeroBased, extents, describeField(field.layout),
-                             op->getOperands());
+  Value inRange = checkRange(op, zeroBased, extents,
+                             describeField(field.layout), op->getOperands());
   guard(builder, op, inRange, [&](OpBuilder &b) -> Value {
     if (!sparse)
       return isa<IsActiveOp>(op)

@@ -113,8 +113,7 @@ std::string Record::format() {
   return line;
 }
 
-Status
-mlir::tai::runtime::deviceWentOutOfRange(const std::string &evidence) {
+Status mlir::tai::runtime::deviceWentOutOfRange(const std::string &evidence) {
   return Status::failure(
       StatusCode::Index,
       "a kernel used memory outside of its fields and arrays: an index that "

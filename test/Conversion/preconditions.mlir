@@ -6,8 +6,8 @@
 // comes after it. A kernel that cannot fail otherwise returns a constant.
 // CHECK-LABEL: llvm.func @step(
 //       CHECK:   %[[OK:.+]] = arith.andi
-//       CHECK:   llvm.cond_br %[[OK]] weights([1048576, 1]), ^bb[[RUN:.]], ^bb[[REFUSE:.]]
-//       CHECK: ^bb[[RUN]]:
+//       CHECK:   llvm.cond_br %[[OK]] weights([1048576, 1]), ^bb[[BODY:.]], ^bb[[REFUSE:.]]
+//       CHECK: ^bb[[BODY]]:
 //   CHECK-NOT:   tai_rt_failed
 //       CHECK:   llvm.return
 //       CHECK: ^bb[[REFUSE]]:

@@ -26,6 +26,10 @@ tai.field @loss = @flat["loss"] : f32, rank 0
 // EMULATED-NOT: nvvm
 //     EMULATED: llvm.call @tai_dev_thread_id
 //     EMULATED: llvm.intr.exp
+//  What is known to lie in range is not checked, but what depends on data is.
+//  DEBUG-LABEL: llvm.func @norms_0(
+//    DEBUG-NOT: tai_rt_fail
+//  DEBUG-LABEL: llvm.func @pick_0(
 //        DEBUG: llvm.call @tai_rt_fail(%{{.+}}
 //        DEBUG: llvm.call @tai_rt_device_state
 tai.kernel @norms(%scale: f32) {
@@ -36,6 +40,19 @@ tai.kernel @norms(%scale: f32) {
     %3 = arith.mulf %2, %scale : f32
     tai.store %3, @y[%i, %j] : f32
     %4 = tai.atomic add %3, @loss[] : f32
+  }
+  tai.return
+}
+
+tai.tree @ints : !tai.root<dense<[i: 128], {k: i32}>>
+tai.field @k = @ints["k"] : i32, rank 1
+tai.kernel @pick() {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) in @k {
+    %0 = tai.load @k[%i] : i32
+    %at = arith.index_cast %0 : i32 to index
+    %1 = tai.load @y[%at, %c0] : f32
+    tai.store %1, @y[%i, %c0] : f32
   }
   tai.return
 }

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 import tai as ti
 
 AXES = (ti.i, ti.ij, ti.ijk)
@@ -369,6 +368,25 @@ def with_bounds(mode):
         ti.init = init
 
 
+def test_what_is_known_costs_nothing():
+    """The code of a kernel that needs no check is that of one without checks."""
+    codes = []
+    for options in ({}, {"bounds": "check"}, {"bounds": "clamp"}, {"debug": True}):
+        x, y = fields((64, 64), (64, 64), **options)
+
+        @ti.kernel
+        def lap(n: ti.i32):
+            for i, j in x:
+                if i > 0 and j < 63:
+                    y[i, j] = x[i - 1, j] + x[i, j + 1]
+            for i in range(n):
+                y[i, 0] = 2 * x[i, 0]
+
+        lap(64)
+        codes.append(lap.mlir(64, stage="asm"))
+    assert codes[1:] == codes[:1] * 3
+
+
 # Data
 
 
@@ -455,6 +473,7 @@ def test_floats_that_are_no_index(bounds, number):
     if bounds == "check":
         with pytest.raises(ti.TaiAssertionError, match="is no index") as caught:
             gather()
+            ti.sync()
         assert "x[int(p[i])]" in str(caught.value)
     else:
         gather()
@@ -677,7 +696,37 @@ def test_random_programs_agree_with_numpy(seed):
     if wrong:
         with pytest.raises(ti.TaiAssertionError, match="out of range"):
             run()
+            ti.sync()
     else:
         run()
     # What is in range is stored all the same.
     assert np.allclose(m.to_numpy(), expected)
+
+
+# Caches
+
+
+def test_cached_code_reports_the_line_of_this_program(tmp_path):
+    """Code of a kernel is found again at another line, and says that line."""
+    text = """
+import tai as ti
+
+@ti.kernel
+def store(x: ti.template(), i: ti.i32):
+    x[i] = 1.0
+"""
+    lines = []
+    for number, blanks in enumerate((0, 5, 0)):
+        file = tmp_path / f"program{number % 2}.py"
+        file.write_text("\n" * blanks + text)
+        ti.init(arch=ti.cpu, offline_cache=True, offline_cache_file_path=str(tmp_path / "cache"))
+        x = ti.field(ti.f64, 8)
+        scope = {"__name__": "program"}
+        exec(compile(file.read_text(), str(file), "exec"), scope)  # noqa: S102
+        with pytest.raises(ti.TaiAssertionError, match=r"index \[9\]") as caught:
+            scope["store"](x, 9)
+            ti.sync()
+        lines.append(str(caught.value))
+    assert "program0.py:6:" in lines[0]
+    assert "program1.py:11:" in lines[1]
+    assert lines[2] == lines[0]

@@ -54,8 +54,7 @@ struct CompileOptions {
 
   bool operator==(const CompileOptions &other) const {
     return codegen == other.codegen && debug == other.debug &&
-           bounds == other.bounds &&
-           deterministic == other.deterministic &&
+           bounds == other.bounds && deterministic == other.deterministic &&
            historyBytes == other.historyBytes && skips == other.skips &&
            device == other.device && deviceTarget == other.deviceTarget &&
            places == other.places;

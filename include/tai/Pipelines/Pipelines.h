@@ -136,7 +136,8 @@ struct LoweringOptions : virtual ::mlir::detail::PassOptions {
       llvm::cl::init(BoundsMode::Off),
       llvm::cl::values(
           clEnumValN(BoundsMode::Off, "off", "Nothing is defined"),
-          clEnumValN(BoundsMode::Clamp, "clamp", "The nearest element is taken"),
+          clEnumValN(BoundsMode::Clamp, "clamp",
+                     "The nearest element is taken"),
           clEnumValN(BoundsMode::Check, "check", "The launch fails"))};
   /// Whether indices are checked as kernels run.
   bool checksIndices() const {

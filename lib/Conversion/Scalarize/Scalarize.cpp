@@ -259,8 +259,8 @@ LogicalResult Scalarizer::processArrayAccess(Operation *op) {
     if (load)
       part = memref::LoadOp::create(builder, op->getLoc(), array, at);
     else
-      part = memref::StoreOp::create(builder, op->getLoc(), values[i], array,
-                                     at);
+      part =
+          memref::StoreOp::create(builder, op->getLoc(), values[i], array, at);
     part->setDiscardableAttrs(op->getDiscardableAttrDictionary());
     if (load)
       results.push_back(part->getResult(0));

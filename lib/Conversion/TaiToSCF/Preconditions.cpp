@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // A launch tests once whether all preconditions hold. Which does not, and what
-// is to be said about it, is found out in a block of its own, away from the code
-// that runs.
+// is to be said about it, is found out in a block of its own, away from the
+// code that runs.
 //
 //===----------------------------------------------------------------------===//
 
@@ -38,9 +38,8 @@ void tai::lowerPreconditions(LLVM::LLVMFuncOp function,
   Block *body = entry->splitBlock(builder.getInsertionPoint());
   Block *refused = builder.createBlock(&function.getBody());
   builder.setInsertionPointToEnd(entry);
-  auto branch =
-      LLVM::CondBrOp::create(builder, loc, all, body, ValueRange(), refused,
-                             ValueRange());
+  auto branch = LLVM::CondBrOp::create(builder, loc, all, body, ValueRange(),
+                                       refused, ValueRange());
   branch.setBranchWeights(ArrayRef<int32_t>{1 << 20, 1});
 
   builder.setInsertionPointToEnd(refused);

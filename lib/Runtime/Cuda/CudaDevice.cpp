@@ -8,8 +8,8 @@
 #include "CudaDevice.h"
 #include "../Launch.h"
 #include "FillTable.h"
-#include "tai/Runtime/DeviceReport.h"
 #include "tai/Runtime/DeviceHeap.h"
+#include "tai/Runtime/DeviceReport.h"
 #include <algorithm>
 #include <cstdlib>
 #include <cstring>
@@ -34,8 +34,7 @@ static bool isFault(Result result) {
 
 Status CudaDevice::failure(Result result, const char *what) const {
   if (isFault(result))
-    return deviceWentOutOfRange(std::string(what) + ": " +
-                                cu.describe(result));
+    return deviceWentOutOfRange(std::string(what) + ": " + cu.describe(result));
   return Status::failure(result == kOutOfMemory ? StatusCode::Memory
                                                 : StatusCode::Internal,
                          std::string(what) + " (" + cu.describe(result) + ")");

@@ -97,9 +97,9 @@ Value PreconditionWriter::emit(unsigned variable) {
 Value PreconditionWriter::emit(const LinearSum &sum) {
   Value result;
   auto add = [&](Value value) {
-    result = result ? arith::AddIOp::create(builder, loc, result, value)
-                          .getResult()
-                    : value;
+    result =
+        result ? arith::AddIOp::create(builder, loc, result, value).getResult()
+               : value;
   };
   for (auto [variable, factor] : sum.terms) {
     Value value = emit(variable);
@@ -130,9 +130,9 @@ Value PreconditionWriter::emitLeast(const Violation::Step &step) {
                                                    constant(factor));
       bound = arith::SubIOp::create(builder, loc, constant(0), quotient);
     }
-    least = least ? arith::MaxSIOp::create(builder, loc, least, bound)
-                        .getResult()
-                  : bound;
+    least = least
+                ? arith::MaxSIOp::create(builder, loc, least, bound).getResult()
+                : bound;
   }
   return least ? least : constant(0);
 }
@@ -151,16 +151,15 @@ void PreconditionWriter::refuse(const IndexedAccess &access,
   for (const LinearSum &row : violation.launch.getRows()) {
     Value holds = arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::sge,
                                         emit(row), constant(0));
-    happens = happens
-                  ? arith::AndIOp::create(builder, loc, happens, holds)
-                        .getResult()
-                  : holds;
+    happens =
+        happens
+            ? arith::AndIOp::create(builder, loc, happens, holds).getResult()
+            : holds;
   }
   Value yes = arith::ConstantIntOp::create(builder, loc, 1, 1);
-  Value isFine = happens
-                     ? arith::XOrIOp::create(builder, loc, happens, yes)
-                           .getResult()
-                     : arith::ConstantIntOp::create(builder, loc, 0, 1);
+  Value isFine =
+      happens ? arith::XOrIOp::create(builder, loc, happens, yes).getResult()
+              : arith::ConstantIntOp::create(builder, loc, 0, 1);
 
   iteration.clear();
   for (const Violation::Step &step : violation.iteration) {
@@ -198,14 +197,14 @@ static void clamp(const IndexedAccess &access, size_t number) {
   auto constant = [&](int64_t value) -> Value {
     return arith::ConstantIndexOp::create(builder, loc, value);
   };
-  Value last =
-      extent.array
-          ? arith::SubIOp::create(builder, loc,
-                                  memref::DimOp::create(
-                                      builder, loc, extent.array, extent.number),
-                                  constant(1))
-                .getResult()
-          : constant(first + extent.number - 1);
+  Value last = extent.array
+                   ? arith::SubIOp::create(builder, loc,
+                                           memref::DimOp::create(builder, loc,
+                                                                 extent.array,
+                                                                 extent.number),
+                                           constant(1))
+                         .getResult()
+                   : constant(first + extent.number - 1);
   OpOperand &operand = *access.indices[number];
   Value below = arith::MinSIOp::create(builder, loc, operand.get(), last);
   operand.set(arith::MaxSIOp::create(builder, loc, below, constant(first)));

@@ -26,8 +26,10 @@ def Tai_LoadOp : Tai_AccessOp<"load", [AttrSizedOperandSegments,
     With `component`, reads one component of a vector or matrix element: one
     index for each dimension of the element type.
 
-    An index outside the field is an error that debug mode reports; otherwise
-    the behaviour is undefined.
+    An index outside the field is an error. Where what the launch is given
+    decides, the launch is refused; else it is reported with `bounds=check`,
+    replaced with `bounds=clamp`, and without either the behaviour is undefined
+    (see `tai-check-bounds`).
 
     Example:
 
