@@ -37,7 +37,7 @@ test-layouts: build ## run the tests of kernels on every layout, and compare
 	@$(PYTHON) scripts/run_tests.py --build $(BUILD) --jobs $(JOBS) --layouts
 
 test-differential: build ## run examples and scenes in all ways, at larger sizes, and compare
-	@$(PYTHON) -m pytest -q --tb=short -n $(JOBS) --long test/python/test_differential.py $(ARGS)
+	@$(PYTHON) -m pytest -q --tb=short -n $(JOBS) --long --timeout 0 test/python/test_differential.py $(ARGS)
 
 fuzz: build ## differentiate 5000 random kernels (ARGS="--count 500 --first 9000")
 	@$(PYTHON) test/fuzz/run.py --jobs $(JOBS) --log $(BUILD)/fuzz.jsonl $(ARGS)
