@@ -122,8 +122,8 @@ TAI_EXPORT TaiStatus taiContextSynchronize(TaiContext context);
 /// What the host wants to do now and then while work goes on: handle signals,
 /// let its other threads run. Called every 20 ms or so on the thread whose call
 /// takes that long (a launch, a sweep, a compilation, a wait); returns 0 to
-/// interrupt it: the call then fails with TAI_ERROR_RUNTIME. One handler for the
-/// process; null for none.
+/// interrupt it: the call then fails with TAI_ERROR_RUNTIME. One handler for
+/// the process; null for none.
 typedef int (*TaiSafepointHandler)(void);
 TAI_EXPORT void taiSetSafepointHandler(TaiSafepointHandler handler);
 

@@ -10,6 +10,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "RunInParallel.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Parser/Parser.h"
@@ -20,8 +21,6 @@
 #include "tai/ExecutionEngine/Session.h"
 #include "tai/Pipelines/Pipelines.h"
 #include "llvm/Support/FormatVariadic.h"
-#include <atomic>
-#include <thread>
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -649,30 +648,6 @@ runtime::Status Session::planAdjoint(KernelCode &code,
 LogicalResult Session::launchAdjoint(SessionKernel &kernel,
                                      const uint64_t *args, int64_t slots) {
   return check(rt->launchAdjoint(*kernel.kernel, args, slots));
-}
-
-/// Runs task(0) to task(count - 1) on as many threads as help, until one fails.
-static void runInParallel(size_t count,
-                          function_ref<const runtime::Status &(size_t)> task) {
-  std::atomic<size_t> next{0};
-  std::atomic<bool> hasFailed{false};
-  auto work = [&] {
-    for (size_t i = next++; i < count && !hasFailed; i = next++)
-      if (!task(i).ok())
-        hasFailed = true;
-  };
-  auto help = [&] {
-    runtime::safepoint::follow(&hasFailed);
-    work();
-  };
-  size_t helpers = std::min<size_t>(
-      count, std::max(1u, std::thread::hardware_concurrency()));
-  // Fewer where the system gives no more; each is joined when it goes.
-  std::vector<runtime::Thread> threads(helpers ? helpers - 1 : 0);
-  for (runtime::Thread &thread : threads)
-    if (!thread.start(help, "tai-compile"))
-      break;
-  work();
 }
 
 LogicalResult Session::compile(ArrayRef<SessionKernel *> kernels,

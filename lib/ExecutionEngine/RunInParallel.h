@@ -1,0 +1,50 @@
+//===- RunInParallel.h - Compilations side by side ---------------*- C++
+//-*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_EXECUTIONENGINE_RUNINPARALLEL_H
+#define TAI_LIB_EXECUTIONENGINE_RUNINPARALLEL_H
+
+#include "tai/Runtime/Safepoint.h"
+#include "tai/Runtime/Status.h"
+#include "tai/Runtime/Thread.h"
+#include "llvm/ADT/STLFunctionalExtras.h"
+#include <algorithm>
+#include <atomic>
+#include <thread>
+#include <vector>
+
+namespace mlir::tai {
+
+/// Runs task(0) to task(count - 1) on as many threads as help, until one fails.
+inline void
+runInParallel(size_t count,
+              llvm::function_ref<const runtime::Status &(size_t)> task) {
+  std::atomic<size_t> next{0};
+  std::atomic<bool> hasFailed{false};
+  auto work = [&] {
+    for (size_t i = next++; i < count && !hasFailed; i = next++)
+      if (!task(i).ok())
+        hasFailed = true;
+  };
+  auto help = [&] {
+    runtime::safepoint::follow(&hasFailed);
+    work();
+  };
+  size_t helpers = std::min<size_t>(
+      count, std::max(1u, std::thread::hardware_concurrency()));
+  // Fewer where the system gives no more; each is joined when it goes.
+  std::vector<runtime::Thread> threads(helpers ? helpers - 1 : 0);
+  for (runtime::Thread &thread : threads)
+    if (!thread.start(help, "tai-compile"))
+      break;
+  work();
+}
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_EXECUTIONENGINE_RUNINPARALLEL_H
