@@ -147,7 +147,8 @@ def _compare(found: dict, reference: dict, beside: dict) -> Outcome | None:
         scale = max(float(np.max(np.abs(expected))), 1e-6)
         noise = float(np.max(np.abs(beside.get(name, expected) - expected))) / scale
         error = float(np.max(np.abs(value - expected))) / scale
-        if noise < 1e-4 and not error <= 1e-9 + 30 * noise:
+        # Where a program amplifies it this much, no digits are left to compare.
+        if noise < 1e-8 and not error <= 1e-9 + 100 * noise:
             what = "loss" if name == "loss" else "gradient"
             return Outcome(
                 "FAIL",
