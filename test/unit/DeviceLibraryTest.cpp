@@ -248,7 +248,7 @@ TEST_F(DeviceLibrary, DamageIsReported) {
     DeviceReport report;
     Status status =
         readDeviceReport(*state, state + 1, deviceOutputBytes(*state), report);
-    EXPECT_EQ(status.code(), StatusCode::Internal);
+    EXPECT_EQ(status.code(), StatusCode::Index);
   };
   print(frame, "line", 0, nullptr, nullptr, nullptr);
   auto *record = reinterpret_cast<TaiDeviceRecord *>(state + 1);
