@@ -23,7 +23,10 @@ TaiContext taiContextCreate(void) { return new TaiContextImpl(); }
 
 void taiContextDestroy(TaiContext context) { delete context; }
 
-void taiStopBackgroundWork(void) { Background::stopAll(); }
+void taiStopBackgroundWork(void) {
+  Background::stopAll();
+  runtime::safepoint::stopClock();
+}
 
 TaiStatus taiContextSetOption(TaiContext context, const char *name,
                               const char *value) {

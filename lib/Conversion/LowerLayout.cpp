@@ -17,6 +17,7 @@
 #include "Common/FieldAddress.h"
 #include "Common/IndexMath.h"
 #include "Common/LocalArrays.h"
+#include "Common/StridedOrder.h"
 #include "mlir/Dialect/Arith/Utils/Utils.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
@@ -236,7 +237,8 @@ void AccessLowering::guard(OpBuilder &builder, Operation *op, Value inRange,
 /// may be one another, but iterations do not communicate through them either.
 static ArrayAttr getAccessGroup(Operation *op) {
   auto loop = op->getParentOfType<ParallelForOp>();
-  if (!loop || !loop->hasAttr(kIndependentAttrName))
+  if (!loop || !loop->hasAttr(kIndependentAttrName) ||
+      loop->hasAttr(kKeepsOrderAttrName))
     return {};
   MLIRContext *context = op->getContext();
   auto group = loop->getAttrOfType<LLVM::AccessGroupAttr>(kAccessGroupAttrName);
@@ -592,6 +594,10 @@ LogicalResult AccessLowering::run() {
   });
   if (result.wasInterrupted())
     return failure();
+  function->walk([&](ParallelForOp loop) {
+    if (loop->hasAttr(kIndependentAttrName) && needsOrderWithin(loop, fields))
+      loop->setAttr(kKeepsOrderAttrName, UnitAttr::get(loop.getContext()));
+  });
   for (Operation *op : accesses)
     if (failed(lowerField(op)))
       return failure();

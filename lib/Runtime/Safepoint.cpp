@@ -7,7 +7,7 @@
 
 #include "tai/Runtime/Safepoint.h"
 #include "tai/Runtime/Thread.h"
-#include <chrono>
+#include <ctime>
 #include <pthread.h>
 
 using namespace mlir::tai::runtime;
@@ -15,8 +15,9 @@ using namespace mlir::tai::runtime;
 std::atomic<uint64_t> tai_rt_tick{1};
 
 namespace {
-/// Counts while somebody looks. Never destroyed, since threads may look until
-/// the very end of the process, and its thread is never waited for.
+/// Counts while somebody looks: its thread ends when nobody does, and whoever
+/// sees the tick that it leaves behind starts another one. Never destroyed,
+/// since threads may look until the very end of the process.
 class Clock {
 public:
   static Clock &get() {
@@ -26,77 +27,61 @@ public:
 
   /// Called by all who have seen a new tick.
   void noteLook() {
-    if (__builtin_expect(isLooked.exchange(true, std::memory_order_relaxed),
-                         true) &&
-        state.load(std::memory_order_acquire) == State::Counts)
+    if (isLooked.exchange(true, std::memory_order_relaxed) &&
+        isCounting.load(std::memory_order_acquire))
       return;
     std::lock_guard<std::mutex> lock(mutex);
-    if (state.load(std::memory_order_relaxed) == State::None)
-      start();
-    else
-      wanted.notify_one();
+    if (isCounting.load(std::memory_order_relaxed) || isStopped)
+      return;
+    isCounting.store(true, std::memory_order_release);
+    if (!thread.start([this] { count(); }, "tai-clock"))
+      isCounting.store(false, std::memory_order_relaxed);
+  }
+
+  /// Returns when there is no thread any more; there will be no other one.
+  void stop() {
+    {
+      std::lock_guard<std::mutex> lock(mutex);
+      isStopped = true;
+    }
+    thread.join();
   }
 
   std::atomic<safepoint::Handler> handler{nullptr};
 
 private:
-  enum class State { None, Counts, Stands };
-
   Clock() {
-    // A child has no clock, and starts its own.
+    // A child has no thread, and starts its own.
     pthread_atfork([] { get().mutex.lock(); }, [] { get().mutex.unlock(); },
                    [] {
-                     get().state.store(State::None);
-                     get().mutex.unlock();
+                     Clock &clock = get();
+                     clock.thread.forget();
+                     clock.isCounting = false;
+                     clock.mutex.unlock();
                      safepoint::request();
                    });
   }
 
-  /// The lock is held.
-  void start() {
-    state.store(State::Counts, std::memory_order_release);
-    sigset_t all, old;
-    sigfillset(&all);
-    pthread_sigmask(SIG_SETMASK, &all, &old);
-    pthread_t thread;
-    if (pthread_create(&thread, nullptr, &run, this) == 0)
-      pthread_detach(thread);
-    else
-      state.store(State::None, std::memory_order_relaxed);
-    pthread_sigmask(SIG_SETMASK, &old, nullptr);
-  }
-
-  static void *run(void *self) {
-    pthread_setname_np(pthread_self(), "tai-clock");
-    static_cast<Clock *>(self)->count();
-    return nullptr;
-  }
-
   void count() {
-    constexpr auto interval = std::chrono::milliseconds(20);
-    std::unique_lock<std::mutex> lock(mutex);
+    constexpr long interval = 20 * 1000 * 1000;
     while (true) {
-      lock.unlock();
-      timespec pause = {0, std::chrono::nanoseconds(interval).count()};
+      timespec pause = {0, interval};
       nanosleep(&pause, nullptr);
-      lock.lock();
-      bool looked = isLooked.exchange(false, std::memory_order_relaxed);
-      if (!looked)
-        state.store(State::Stands, std::memory_order_release);
-      // Also before it stands still: the next one who comes by sees a new tick,
-      // and sets the clock going.
+      std::lock_guard<std::mutex> lock(mutex);
+      bool goesOn =
+          isLooked.exchange(false, std::memory_order_relaxed) && !isStopped;
+      if (!goesOn)
+        isCounting.store(false, std::memory_order_release);
       safepoint::request();
-      if (looked)
-        continue;
-      wanted.wait(lock, [&] { return isLooked.load(); });
-      state.store(State::Counts, std::memory_order_release);
+      if (!goesOn)
+        return;
     }
   }
 
-  std::atomic<bool> isLooked{false};
-  std::atomic<State> state{State::None};
+  std::atomic<bool> isLooked{false}, isCounting{false};
+  bool isStopped = false;
   std::mutex mutex;
-  std::condition_variable wanted;
+  Thread thread;
 };
 
 thread_local bool runsPartsOfOthers = false;
@@ -115,6 +100,8 @@ bool safepoint::look() {
   Handler handler = clock.handler.load(std::memory_order_relaxed);
   return !handler || runsPartsOfOthers || handler();
 }
+
+void safepoint::stopClock() { Clock::get().stop(); }
 
 void safepoint::enterWorker() { runsPartsOfOthers = true; }
 

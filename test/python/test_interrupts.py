@@ -191,15 +191,16 @@ def test_an_adjoint_is_interrupted(ctrl_c):
 
 def test_a_compilation_is_interrupted():
     ti.init(arch=ti.cpu, default_fp=ti.f64, offline_cache=False)
-    x = ti.field(ti.f64, shape=())
+    x = ti.field(ti.f64, shape=1000)
     ended = []
 
     @ti.kernel
-    def large(a: ti.f64):
-        s = 0.0
-        for i in ti.static(range(96)):
-            s += ti.sin(a * i) * ti.exp(a - i) + ti.sqrt(a + i)
-        x[None] = s
+    def large():
+        for k in x:
+            s = 0.0
+            for i in ti.static(range(64)):
+                s += ti.sin(x[k] * i) * ti.exp(x[k] - i) + ti.sqrt(x[k] + i)
+            x[k] = s
 
     class Stop(Exception):
         """Not Ctrl-C: the handler of any signal may raise."""
@@ -211,7 +212,7 @@ def test_a_compilation_is_interrupted():
     try:
         with pytest.raises(Stop):
             signal.setitimer(signal.ITIMER_REAL, 0.2)
-            large(1.0)
+            large()
             ended.append(True)
             threading.Event().wait()
     finally:

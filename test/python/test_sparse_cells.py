@@ -143,7 +143,7 @@ def test_activity_out_of_range(kind, index):
     x[3] = 5
     active = level.num_active
     for kernel in (activate, deactivate):
-        with pytest.raises(ti.TaiError, match="index out of range"):
+        with pytest.raises(ti.TaiError, match="out of range"):
             kernel(index)
             ti.sync()
     assert level.num_active == active
@@ -158,7 +158,7 @@ def test_append_to_a_list_out_of_range():
     def append(i: ti.i32):
         x[i].append(1)
 
-    with pytest.raises(ti.TaiError, match="there is no cell 12"):
+    with pytest.raises(ti.TaiError, match=r"index \[3\] is out of range"):
         append(3)
         ti.sync()
     append(2)

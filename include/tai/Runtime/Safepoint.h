@@ -86,6 +86,9 @@ template <typename Mutex> void lock(Mutex &mutex) {
     (void)look();
 }
 
+/// Ends the clock for good, before the end of the process.
+void stopClock();
+
 /// Says that the calling thread runs parts of others' work, and never asks.
 void enterWorker();
 /// Says that the calling thread, instead of asking, ends its work once the flag

@@ -58,6 +58,9 @@ public:
       pthread_join(handle, nullptr);
   }
 
+  /// Of a forked child, which has no other threads: there is nothing to join.
+  void forget() { isJoinable = false; }
+
 private:
   struct Task {
     std::function<void()> run;

@@ -55,6 +55,7 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.index_bits", Kind::Integer},
     {"tai.interior", Kind::Numbers},
     {"tai.keeps_activity", Kind::Unit, true},
+    {"tai.keeps_order", Kind::Unit},
     {"tai.ordered", Kind::Unit},
     {"tai.ordered_scope", Kind::Any},
     {"tai.outer_dims", Kind::Integer},

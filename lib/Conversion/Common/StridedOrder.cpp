@@ -1,0 +1,139 @@
+//===- StridedOrder.cpp - Iterations whose accesses keep their order ------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "StridedOrder.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/Utils/StaticValueUtils.h"
+#include "mlir/Interfaces/LoopLikeInterface.h"
+#include "tai/Analysis/Accesses.h"
+#include <cstdlib>
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+struct ElementAccess {
+  Operation *op;
+  /// Of a field; null for arrays, of which any two may be one.
+  const FieldInfo *field;
+  ValueRange indices, components;
+  bool stores;
+  /// The innermost serial loop around it, within the parallel one.
+  Operation *loop = nullptr;
+  bool isStrided = true;
+};
+
+/// Whether elements with neighbouring last indices lie side by side.
+bool isPacked(const FieldInfo &field) {
+  if (field.numComponents != 1)
+    return false;
+  unsigned last = field.layout.shape.size() - 1;
+  return field.layout.shape.empty() ||
+         llvm::any_of(field.storage.digits, [&](const IndexDigit &digit) {
+           return digit.dimension == last && digit.divisor == 1 &&
+                  digit.stride == static_cast<uint64_t>(field.scalarSize);
+         });
+}
+
+/// Whether the address may go up by more than one element, or down, from one
+/// iteration to the next.
+bool isStrided(const ElementAccess &access, Value iv) {
+  if (!access.components.empty())
+    return true;
+  for (auto [number, index] : llvm::enumerate(access.indices)) {
+    bool isLast = number + 1 == access.indices.size();
+    for (auto [value, factor] : getLinearIndex(index).terms) {
+      // Another value may be made of the index in its own way.
+      bool isOther =
+          value != iv && value.getParentRegion() == iv.getParentRegion();
+      if (isOther || (value == iv && (!isLast || factor != 1)))
+        return true;
+    }
+  }
+  return false;
+}
+
+/// Whether two accesses of one storage may be of the same element.
+bool mayMeet(const ElementAccess &a, const ElementAccess &b) {
+  if ((a.field ? a.field->scope : nullptr) !=
+      (b.field ? b.field->scope : nullptr))
+    return false;
+  if (a.field && areProvablyDistinct(a.indices, b.indices))
+    return false;
+  if (a.components.size() != b.components.size())
+    return true;
+  for (auto [x, y] : llvm::zip(a.components, b.components)) {
+    std::optional<int64_t> first = getConstantIntValue(x);
+    std::optional<int64_t> second = getConstantIntValue(y);
+    if (first && second && *first != *second)
+      return false;
+  }
+  return true;
+}
+
+SmallVector<ElementAccess> collectAccesses(ParallelForOp loop,
+                                           FieldTable &fields) {
+  SmallVector<ElementAccess> accesses;
+  auto add = [&](Operation *op, FlatSymbolRefAttr name, ValueRange indices,
+                 ValueRange components, bool stores) {
+    const FieldInfo *field = nullptr;
+    if (name)
+      if (auto found = fields.lookup(op, name); succeeded(found))
+        field = *found;
+    accesses.push_back({op, field, indices, components, stores});
+  };
+  loop.getBody().walk<WalkOrder::PreOrder>([&](Operation *op) {
+    if (auto load = dyn_cast<LoadOp>(op))
+      add(op, load.getFieldAttr(), load.getIndices(), load.getComponents(),
+          false);
+    else if (auto store = dyn_cast<StoreOp>(op))
+      add(op, store.getFieldAttr(), store.getIndices(), store.getComponents(),
+          true);
+    else if (auto atomic = dyn_cast<AtomicOp>(op))
+      add(op, atomic.getFieldAttr(), atomic.getIndices(),
+          atomic.getComponents(), true);
+    else if (auto load = dyn_cast<memref::LoadOp>(op))
+      add(op, {}, load.getIndices(), {}, false);
+    else if (auto store = dyn_cast<memref::StoreOp>(op))
+      add(op, {}, store.getIndices(), {}, true);
+    else if (auto atomic = dyn_cast<memref::AtomicRMWOp>(op))
+      add(op, {}, atomic.getIndices(), {}, true);
+  });
+  Value iv = loop.getBody().front().getArguments().back();
+  for (ElementAccess &access : accesses) {
+    auto inner = access.op->getParentOfType<LoopLikeOpInterface>();
+    if (inner && inner != loop.getOperation() && loop->isAncestor(inner))
+      access.loop = inner;
+    access.isStrided =
+        (access.field && !isPacked(*access.field)) || isStrided(access, iv);
+  }
+  return accesses;
+}
+} // namespace
+
+bool tai::needsOrderWithin(ParallelForOp loop, FieldTable &fields) {
+  if (loop.getBody().front().getNumArguments() == 0)
+    return false;
+  SmallVector<ElementAccess> accesses = collectAccesses(loop, fields);
+  for (size_t i = 0; i < accesses.size(); ++i) {
+    const ElementAccess &store = accesses[i];
+    if (!store.stores)
+      continue;
+    for (size_t j = 0; j < accesses.size(); ++j) {
+      const ElementAccess &other = accesses[j];
+      // Of a loop inside, which may be unrolled, the next round comes after.
+      bool isAfter = j > i || (store.loop && other.loop);
+      if (j != i && isAfter && (store.isStrided || other.isStrided) &&
+          mayMeet(store, other))
+        return true;
+    }
+    // Its own next round.
+    if (store.loop && store.isStrided)
+      return true;
+  }
+  return false;
+}
