@@ -190,13 +190,15 @@ DeviceFill DeviceQueue::Sequence::fillOf(const Step &step) const {
   // The pattern, and its size behind it.
   const uint64_t *held = values + (step.kind == Step::Kind::Fill ? 1 : 4);
   auto size = static_cast<int>(held[1]);
-  return {rowsOf(step), repeatPattern(held, size), size};
+  DeviceRows rows = rowsOf(step);
+  bool isJoined = step.kind == Step::Kind::FillRows && isDense(rows);
+  return {rows, repeatPattern(held, size), size, isJoined};
 }
 
 void DeviceQueue::Sequence::append(const DeviceFill &fill) {
   const DeviceRows &rows = fill.rows;
   auto size = static_cast<uint64_t>(fill.patternBytes);
-  if (isDense(rows))
+  if (isDense(rows) && !fill.isJoined)
     return addWork(Step::Kind::Fill,
                    {rows.address, fill.pattern, size,
                     static_cast<uint64_t>(rows.rowBytes) / size});
@@ -232,6 +234,7 @@ void DeviceQueue::Sequence::addFill(const DeviceRows &rows, const void *pattern,
       if (isBefore)
         fill.rows = before.rows;
       fill.rows.rowBytes = bytes;
+      fill.isJoined = true;
       closeUp(fill.rows);
       place = at - 1;
     }

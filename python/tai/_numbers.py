@@ -125,7 +125,7 @@ def stored_array(array: np.ndarray, dt: DataType, what: Any) -> np.ndarray:
 def index_error(name: str, key: Any, error: Exception) -> TaiError:
     """What is wrong with an index that Python gave to a field."""
     for part in key if isinstance(key, tuple) else (key,):
-        if isinstance(part, slice):
+        if isinstance(part, slice) or part is Ellipsis:
             return TaiRuntimeTypeError(
                 f"field '{name}' has no slices",
                 f"copy it: {name}.to_numpy()[…], or loop over it in a kernel",
@@ -135,4 +135,6 @@ def index_error(name: str, key: Any, error: Exception) -> TaiError:
                 f"field '{name}': an index is a whole number, not {part!r}",
                 "convert it: int(…)" if hasattr(part, "__float__") else None,
             )
+    if isinstance(error, TypeError):
+        return TaiRuntimeTypeError(f"field '{name}': an index is a whole number: {error}")
     return TaiIndexError(f"field '{name}': {error}")

@@ -24,15 +24,15 @@ def take(a: ti.types.ndarray(), b: ti.f32):
 
 
 CASES = {
-    "slice": (lambda x, v, a: x[0:2], "field 'x' has no slices in Python"),
-    "ellipsis": (lambda x, v, a: x[...], "field 'x' has no slices in Python"),
+    "slice": (lambda x, v, a: x[0:2], "field 'x' has no slices"),
+    "ellipsis": (lambda x, v, a: x[...], "field 'x' has no slices"),
     "store to a slice": (lambda x, v, a: put(x, slice(2), 1.0), "field 'x' has no slices"),
     "slice of vectors": (lambda x, v, a: v[1:], "field 'v' has no slices"),
     "store to a slice of vectors": (lambda x, v, a: put(v, slice(2), [1, 2]), "'v' has no slices"),
-    "text": (lambda x, v, a: x["a"], "field 'x' takes whole numbers as indices"),
-    "fraction": (lambda x, v, a: x[0.5], "field 'x' takes whole numbers as indices"),
-    "fraction in a list": (lambda x, v, a: x[[1.7]], "field 'x' takes whole numbers"),
-    "fraction in an array": (lambda x, v, a: x[np.array([1.7])], "'x' takes whole numbers"),
+    "text": (lambda x, v, a: x["a"], "field 'x': an index is a whole number"),
+    "fraction": (lambda x, v, a: x[0.5], "field 'x': an index is a whole number"),
+    "fraction in a list": (lambda x, v, a: x[[1.7]], "field 'x': an index is a whole number"),
+    "fraction in an array": (lambda x, v, a: x[np.array([1.7])], "'x': an index is a whole number"),
     "element": (lambda x, v, a: put(v, 0, "a"), "field 'v' holds numbers of type f32, not 'a'"),
     "fill": (lambda x, v, a: x.fill(None), "field 'x' is filled by a number of type f32, not None"),
     "fill by text": (lambda x, v, a: v.fill("a"), "field 'v' is filled by a number"),

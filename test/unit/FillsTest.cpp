@@ -424,6 +424,21 @@ TEST_F(QueuedFills, ThatLieSideBySideAreOneWhateverComesBetween) {
   check();
 }
 
+/// They may be pieces of memory that lie side by side by chance, which the
+/// driver does not fill in one go.
+TEST_F(QueuedFills, ThatWereJoinedAreNotLeftToTheDriver) {
+  open(ProgramMode::Automatic);
+  fill(0, 4, 0);
+  EXPECT_OK(queue->synchronize());
+  int alone = counter("memsets");
+  EXPECT_GT(alone, 0);
+  for (int64_t first : {20, 24})
+    fill(first, 4, 0);
+  EXPECT_OK(queue->synchronize());
+  EXPECT_EQ(counter("memsets"), alone);
+  check();
+}
+
 TEST_F(QueuedFills, OfMuchMemoryAreByThemselves) {
   setenv("TAI_FILLS_TOGETHER_BYTES", "128", 1);
   open(ProgramMode::Graph);

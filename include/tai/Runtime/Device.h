@@ -148,6 +148,9 @@ struct DeviceFill {
   DeviceRows rows;
   uint64_t pattern;
   int patternBytes;
+  /// Made of several that lay side by side, perhaps in pieces of memory that
+  /// were allocated apart: a kernel may write them in one go, the driver not.
+  bool isJoined = false;
 };
 
 class Device {

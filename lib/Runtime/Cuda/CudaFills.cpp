@@ -16,6 +16,7 @@
 #include "CudaDevice.h"
 #include "FillTable.h"
 #include <algorithm>
+#include <cstdio>
 #include <cstring>
 
 using namespace mlir::tai::runtime;
@@ -40,7 +41,11 @@ Status CudaDevice::fill(DevicePtr to, const void *pattern, int patternBytes,
     return status;
   isAfterKernel = false;
   auto size = static_cast<size_t>(count);
-  const char *what = "device memory cannot be filled";
+  char what[96];
+  std::snprintf(what, sizeof what,
+                "%lld elements of %d bytes at %#llx cannot be filled",
+                static_cast<long long>(count), patternBytes,
+                static_cast<unsigned long long>(to));
   auto *bytes = static_cast<const char *>(pattern);
   bool zero =
       std::all_of(bytes, bytes + patternBytes, [](char b) { return !b; });
@@ -128,7 +133,7 @@ Status CudaDevice::fillAlone(const DeviceFill &fill) {
   const DeviceRows &rows = fill.rows;
   bool byKernel =
       (doesOverlap() || isFillingAside) && bytesOf(rows) < largeFillBytes();
-  return isDense(rows) && !byKernel
+  return isDense(rows) && !byKernel && !fill.isJoined
              ? this->fill(rows.address, &fill.pattern, fill.patternBytes,
                           rows.rowBytes / fill.patternBytes)
              : fillByKernel(fill);

@@ -25,7 +25,10 @@ def compute(op: str, a: Any, b: Any) -> Any:
     except (ZeroDivisionError, OverflowError):
         whole = not isinstance(a, (float, np.floating)) and not isinstance(b, (float, np.floating))
         if whole and op in ("//", "%"):
-            raise TaiTypeError("division of whole numbers by zero") from None
+            raise TaiTypeError(
+                "a whole number is divided by zero",
+                "make the divisor a float, or leave the division out: if ti.static(n != 0)",
+            ) from None
         function = {"/": np.true_divide, "//": np.floor_divide, "%": np.mod, "**": np.power}[op]
         with np.errstate(all="ignore"):
             result = float(function(float(a), float(b)))

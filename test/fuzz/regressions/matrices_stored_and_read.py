@@ -8,7 +8,7 @@ def kernel0():
         m[i1] = ti.tanh(m[i1])
         if y[i1] > x[i1] and x[i1] < 0.4:
             f2 = ti.cos(u[p[i1], 0])
-            for j3 in range(2):
+            for _ in range(2):
                 loss[None] += ti.tanh(ti.exp(ti.tanh(f2)))
                 f2 -= u[i1, 0] + v[q[i1]][1] + pick(y[i1], u[i1, 2])
             y[i1] = ti.sin(x[p[i1]])

@@ -354,9 +354,12 @@ NOT_COUNTED static Result fill(Address to, unsigned value, size_t count,
   FakeNode node = {.kind = 2, .values = {to, value, count, bytes}};
   return submit(&node);
 }
+/// Of bytes, by the driver: those refuse memory of two allocations.
+int tai_fake_cuda_memsets;
 Result cuMemsetD8Async(Address to, unsigned char value, size_t count,
                        void *on) {
   target = on;
+  ++tai_fake_cuda_memsets;
   return fill(to, value, count, 1);
 }
 Result cuMemsetD16Async(Address to, unsigned short value, size_t count,
