@@ -198,7 +198,7 @@ def test_a_compilation_is_interrupted():
     def large():
         for k in x:
             s = 0.0
-            for i in ti.static(range(64)):
+            for i in ti.static(range(600)):
                 s += ti.sin(x[k] * i) * ti.exp(x[k] - i) + ti.sqrt(x[k] + i)
             x[k] = s
 
@@ -211,7 +211,7 @@ def test_a_compilation_is_interrupted():
     before = signal.signal(signal.SIGALRM, stop)
     try:
         with pytest.raises(Stop):
-            signal.setitimer(signal.ITIMER_REAL, 0.2)
+            signal.setitimer(signal.ITIMER_REAL, 0.6)
             large()
             ended.append(True)
             threading.Event().wait()
