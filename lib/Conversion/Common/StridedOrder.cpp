@@ -6,7 +6,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "StridedOrder.h"
+#include "Accumulate.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/Interfaces/LoopLikeInterface.h"
 #include "tai/Analysis/Accesses.h"
@@ -75,6 +77,27 @@ bool mayMeet(const ElementAccess &a, const ElementAccess &b) {
   return true;
 }
 
+/// Whether each round of the serial loop around it is of another element: its
+/// index is part of a sum.
+bool variesWithRounds(const ElementAccess &access) {
+  return llvm::any_of(access.indices, [&](Value index) {
+    return llvm::any_of(getLinearIndex(index).terms, [&](const auto &term) {
+      auto argument = dyn_cast<BlockArgument>(term.first);
+      return argument && argument.getArgNumber() == 0 &&
+             isa<scf::ForOp>(access.loop) &&
+             argument.getOwner()->getParentOp() == access.loop;
+    });
+  });
+}
+
+/// Whether a later round of `other` may be of the element of `store`.
+bool mayMeetInRounds(const ElementAccess &store, const ElementAccess &other) {
+  if (!store.loop || !other.loop)
+    return false;
+  return store.loop != other.loop || !variesWithRounds(store) ||
+         !areProvablyEqual(store.indices, other.indices);
+}
+
 SmallVector<ElementAccess> collectAccesses(ParallelForOp loop,
                                            FieldTable &fields) {
   SmallVector<ElementAccess> accesses;
@@ -93,7 +116,9 @@ SmallVector<ElementAccess> collectAccesses(ParallelForOp loop,
     else if (auto store = dyn_cast<StoreOp>(op))
       add(op, store.getFieldAttr(), store.getIndices(), store.getComponents(),
           true);
-    else if (auto atomic = dyn_cast<AtomicOp>(op))
+    else if (auto atomic = dyn_cast<AtomicOp>(op);
+             atomic && !op->hasAttr(kAccumulateAttrName))
+      // The others add to partial sums of their own.
       add(op, atomic.getFieldAttr(), atomic.getIndices(),
           atomic.getComponents(), true);
     else if (auto load = dyn_cast<memref::LoadOp>(op))
@@ -125,14 +150,13 @@ bool tai::needsOrderWithin(ParallelForOp loop, FieldTable &fields) {
       continue;
     for (size_t j = 0; j < accesses.size(); ++j) {
       const ElementAccess &other = accesses[j];
-      // Of a loop inside, which may be unrolled, the next round comes after.
-      bool isAfter = j > i || (store.loop && other.loop);
-      if (j != i && isAfter && (store.isStrided || other.isStrided) &&
+      // Loops inside may be unrolled: their next round comes after.
+      bool isAfter = j > i || mayMeetInRounds(store, other);
+      if (isAfter && j != i && (store.isStrided || other.isStrided) &&
           mayMeet(store, other))
         return true;
     }
-    // Its own next round.
-    if (store.loop && store.isStrided)
+    if (store.isStrided && mayMeetInRounds(store, store))
       return true;
   }
   return false;
