@@ -5,6 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "LoweringPasses.h"
 #include "mlir/Pass/PassRegistry.h"
 #include "mlir/Transforms/Passes.h"
 #include "tai/Conversion/Passes.h"
@@ -17,27 +18,7 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   bool checked = options.checksIndices();
   bool fast = options.optLevel > 0;
 
-  // While kernels are as they were written.
-  if (fast && !checked && options.bounds != BoundsMode::Clamp &&
-      options.fuseLaunches) {
-    FuseLaunchesOptions fuse;
-    fuse.deterministic = options.deterministic;
-    pm.addPass(createFuseLaunches(fuse));
-  }
-
-  // Helpers go into the kernels that call them. The inliner's own cleaning of
-  // every function costs more than all that follows, so it is left out.
-  pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
-
-  // On the program as it was written: a report names the index that the program
-  // computed. From here on, kernels that check as they run are left alone.
-  CheckBoundsOptions bounds;
-  if (!checked && options.bounds == BoundsMode::Clamp) {
-    bounds.bounds = BoundsMode::Clamp;
-    pm.addPass(createCheckBounds(bounds));
-  }
-  bounds.bounds = checked ? BoundsMode::Check : BoundsMode::Off;
-  pm.addPass(createCheckBounds(bounds));
+  addSourcePasses(pm, options);
 
   if (fast) {
     pm.addPass(createMarkExclusive());

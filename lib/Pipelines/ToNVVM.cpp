@@ -5,6 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "LoweringPasses.h"
 #include "mlir/Pass/PassRegistry.h"
 #include "mlir/Transforms/Passes.h"
 #include "tai/Conversion/Passes.h"
@@ -17,25 +18,8 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
   bool checked = options.checksIndices();
   bool fast = options.optLevel > 0;
 
-  // While kernels are as they were written.
-  if (fast && !checked && options.bounds != BoundsMode::Clamp &&
-      options.fuseLaunches) {
-    FuseLaunchesOptions fuse;
-    fuse.deterministic = options.deterministic;
-    pm.addPass(createFuseLaunches(fuse));
-  }
+  addSourcePasses(pm, options);
 
-  pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
-
-  // On the program as it was written: a report names the index that the program
-  // computed. From here on, kernels that check as they run are left alone.
-  CheckBoundsOptions bounds;
-  if (!checked && options.bounds == BoundsMode::Clamp) {
-    bounds.bounds = BoundsMode::Clamp;
-    pm.addPass(createCheckBounds(bounds));
-  }
-  bounds.bounds = checked ? BoundsMode::Check : BoundsMode::Off;
-  pm.addPass(createCheckBounds(bounds));
   if (fast) {
     pm.addPass(createMarkExclusive());
     pm.addPass(createGatherAccumulations());

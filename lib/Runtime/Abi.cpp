@@ -56,9 +56,7 @@ static void runPart(void *context, int64_t part) {
   // What is left of a launch that has failed would be thrown away.
   if (loop.launch->hasFailed())
     return;
-  if (__atomic_load_n(&loop.launch->tick, __ATOMIC_RELAXED) !=
-          safepoint::now() &&
-      !loop.launch->look())
+  if (!loop.launch->passSafepoint())
     return;
   loop.body(loop.launch, loop.closure, boundOf(loop.n, part, loop.parts),
             boundOf(loop.n, part + 1, loop.parts), part);

@@ -81,6 +81,13 @@ struct Launch : TaiFrame {
   bool hasFailed() const { return failed.load(std::memory_order_relaxed); }
   /// A safepoint of the thread that launched, or of one that helps it. False
   /// where the launch is to end.
+  bool passSafepoint() {
+    return __builtin_expect(__atomic_load_n(&tick, __ATOMIC_RELAXED) ==
+                                safepoint::now(),
+                            true) ||
+           look();
+  }
+  /// The same once there has been a tick.
   bool look();
   Status takeFailure();
   /// Scratch memory that a launch which has failed may write to.

@@ -403,8 +403,7 @@ Status Runtime::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
     if (!status)
       return status;
   }
-  if (__builtin_expect(launch.tick != safepoint::now(), false) &&
-      !launch.look())
+  if (!launch.passSafepoint())
     return launch.takeFailure();
   if (__builtin_expect(!results && kernel.resultSlots() > 0, false)) {
     launch.unwanted.resize(static_cast<size_t>(kernel.resultSlots()));

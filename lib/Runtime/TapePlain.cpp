@@ -81,8 +81,7 @@ bool Tape::findPlainReverse() {
 }
 
 Status Tape::callPlainly(Launch &launch, Kernel &kernel, size_t index) {
-  if (__builtin_expect(launch.tick != safepoint::now(), false) &&
-      !launch.look())
+  if (!launch.passSafepoint())
     return launch.takeFailure();
   const Record &record = records[index];
   launch.trees = kernel.bases.data();

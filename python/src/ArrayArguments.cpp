@@ -321,22 +321,9 @@ Match HeldArrays::finish(Slots &slots) {
   return Match::Yes;
 }
 
-bool HeldArrays::orderBefore() {
+bool HeldArrays::orderStreams(TaiStatus (*order)(TaiContext, uint64_t)) {
   for (uint64_t stream : streams) {
-    TaiStatus status = taiContextWaitForStream(context.handle, stream);
-    if (!afterCall())
-      return false;
-    if (status) {
-      setError(context.handle, status);
-      return false;
-    }
-  }
-  return true;
-}
-
-bool HeldArrays::orderAfter() {
-  for (uint64_t stream : streams) {
-    TaiStatus status = taiContextLetStreamWait(context.handle, stream);
+    TaiStatus status = order(context.handle, stream);
     if (!afterCall())
       return false;
     if (status) {
@@ -347,6 +334,12 @@ bool HeldArrays::orderAfter() {
   }
   return true;
 }
+
+bool HeldArrays::orderBefore() {
+  return orderStreams(&taiContextWaitForStream);
+}
+
+bool HeldArrays::orderAfter() { return orderStreams(&taiContextLetStreamWait); }
 
 uint64_t taipy::digest(uint64_t address, uint64_t bytes) {
   // Four lanes, so that a word does not wait for the one before.

@@ -81,6 +81,7 @@ private:
     }
   };
 
+  bool orderStreams(TaiStatus (*order)(TaiContext, uint64_t));
   Match packBuffer(const ArrayArg &arg, PyObject *object, Slots &slots);
   Match packNdarray(const ArrayArg &arg, PyObject *object, Slots &slots);
   Match packTensor(const ArrayArg &arg, PyObject *object, Slots &slots);

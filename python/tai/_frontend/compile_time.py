@@ -18,6 +18,14 @@ PYTHON = {
 }  # fmt: skip
 
 
+def divided_by_zero() -> TaiTypeError:
+    """The error of a division of whole numbers by a constant zero."""
+    return TaiTypeError(
+        "a whole number is divided by zero",
+        "make the divisor a float, or leave the division out: if ti.static(n != 0)",
+    )
+
+
 def compute(op: str, a: Any, b: Any) -> Any:
     """`a op b` of what is known at compile time: numbers out of range as when the kernel runs."""
     try:
@@ -25,10 +33,7 @@ def compute(op: str, a: Any, b: Any) -> Any:
     except (ZeroDivisionError, OverflowError):
         whole = not isinstance(a, (float, np.floating)) and not isinstance(b, (float, np.floating))
         if whole and op in ("//", "%"):
-            raise TaiTypeError(
-                "a whole number is divided by zero",
-                "make the divisor a float, or leave the division out: if ti.static(n != 0)",
-            ) from None
+            raise divided_by_zero() from None
         function = {"/": np.true_divide, "//": np.floor_divide, "%": np.mod, "**": np.power}[op]
         with np.errstate(all="ignore"):
             result = float(function(float(a), float(b)))

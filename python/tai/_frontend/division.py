@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ..dtypes import DataType
 from ..errors import TaiTypeError
+from .compile_time import divided_by_zero
 from .value import Value
 
 
@@ -12,10 +13,7 @@ def check_division(a: Value, b: Value, dt: DataType) -> None:
     if dt.is_float:
         return
     if b.const == 0:
-        raise TaiTypeError(
-            "a whole number is divided by zero",
-            "make the divisor a float, or leave the division out: if ti.static(n != 0)",
-        )
+        raise divided_by_zero()
     if b.const == -1 and dt.kind == "i" and a.const == dt.min:
         raise TaiTypeError(
             f"the smallest {dt} is divided by -1, and has no negative", "use a wider type"

@@ -1,0 +1,37 @@
+//===- LoweringPasses.cpp - What both targets begin with ------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "LoweringPasses.h"
+#include "mlir/Transforms/Passes.h"
+#include "tai/Dialect/Tai/Transforms/Passes.h"
+
+using namespace mlir;
+
+void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options) {
+  bool checked = options.checksIndices();
+  // While kernels are as they were written.
+  if (options.optLevel > 0 && !checked && options.bounds != BoundsMode::Clamp &&
+      options.fuseLaunches) {
+    FuseLaunchesOptions fuse;
+    fuse.deterministic = options.deterministic;
+    pm.addPass(createFuseLaunches(fuse));
+  }
+
+  // Helpers go into the kernels that call them. The inliner's own cleaning of
+  // every function costs more than all that follows, so it is left out.
+  pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
+
+  // On the program as it was written: a report names the index that the program
+  // computed. From here on, kernels that check as they run are left alone.
+  CheckBoundsOptions bounds;
+  if (!checked && options.bounds == BoundsMode::Clamp) {
+    bounds.bounds = BoundsMode::Clamp;
+    pm.addPass(createCheckBounds(bounds));
+  }
+  bounds.bounds = checked ? BoundsMode::Check : BoundsMode::Off;
+  pm.addPass(createCheckBounds(bounds));
+}

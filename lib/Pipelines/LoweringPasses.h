@@ -1,0 +1,21 @@
+//===- LoweringPasses.h - What both targets begin with ----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_PIPELINES_LOWERINGPASSES_H
+#define TAI_LIB_PIPELINES_LOWERINGPASSES_H
+
+#include "tai/Pipelines/Pipelines.h"
+
+namespace mlir::tai {
+
+/// The passes that see kernels as they were written: launches are fused,
+/// helpers inlined, indices checked or clamped.
+void addSourcePasses(OpPassManager &pm, const LoweringOptions &options);
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_PIPELINES_LOWERINGPASSES_H
