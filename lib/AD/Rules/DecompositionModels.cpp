@@ -64,31 +64,30 @@ struct PolarModel
     return success();
   }
 
-  /// R turns by the angle of (x, y) = (a₀₀ + a₁₁, a₁₀ - a₀₁), whose length is
-  /// the sum of the singular values. Here is (x, y) divided by the square of
-  /// that length, or zero where R jumps.
-  static std::pair<S, S> getPlanarSlopes(DerivativeBuilder &b, Value matrix) {
+  /// R, the rotation by an angle with cosine c and sine s, turns by the angle
+  /// of (x, y) = (a₀₀ + a₁₁, a₁₀ - a₀₁), whose length c x + s y is the sum of
+  /// the singular values. Here is (x, y) divided by the square of that length,
+  /// or zero where R jumps.
+  static std::pair<S, S> getPlanarSlopes(DerivativeBuilder &b, Value matrix,
+                                         S c, S s) {
     M a{&b, matrix};
     Type type = matrix.getType();
-    S x = a(0, 0) + a(1, 1), y = a(1, 0) - a(0, 1);
-    S size = max(abs(x), abs(y));
-    S least{&b, b.createConstant(x.v.getType(), getLeast(type))};
+    S length = c * (a(0, 0) + a(1, 1)) + s * (a(1, 0) - a(0, 1));
+    S least{&b, b.createConstant(c.v.getType(), getLeast(type))};
     S floor = getJumpTolerance(type) * getGreatest(a) + least;
-    S one{&b, b.createConstant(x.v.getType(), 1)};
-    S inverse = divideAbove(one, size, floor);
-    S cosine = x * inverse, sine = y * inverse;
-    S square = cosine * cosine + sine * sine;
-    S slope = keepAbove(size, floor, one / (size * square));
-    return {cosine * slope, sine * slope};
+    S one{&b, b.createConstant(c.v.getType(), 1)};
+    S inverse = divideAbove(one, length, floor);
+    return {c * inverse, s * inverse};
   }
 
   static Value extendPlanar(TangentBuilder &b, Value matrix, Value r,
                             Value tangent) {
     M d{&b, tangent}, rotation{&b, r};
-    auto [x, y] = getPlanarSlopes(b, matrix);
+    S c = rotation(0, 0), s = rotation(1, 0);
+    auto [x, y] = getPlanarSlopes(b, matrix, c, s);
     S dx = d(0, 0) + d(1, 1), dy = d(1, 0) - d(0, 1);
     S angle = x * dy - y * dx;
-    S dc = -(rotation(1, 0) * angle), ds = rotation(0, 0) * angle;
+    S dc = -(s * angle), ds = c * angle;
     return b.createVector(cast<VectorType>(r.getType()),
                           {dc.v, (-ds).v, ds.v, dc.v});
   }
@@ -103,7 +102,7 @@ struct PolarModel
     M rotation{&b, r}, g{&b, gr};
     S c = rotation(0, 0), s = rotation(1, 0);
     S angle = c * (g(1, 0) - g(0, 1)) - s * (g(0, 0) + g(1, 1));
-    auto [x, y] = getPlanarSlopes(b, b.getPrimal(matrix));
+    auto [x, y] = getPlanarSlopes(b, b.getPrimal(matrix), c, s);
     S gx = -(y * angle), gy = x * angle;
     b.addAdjointComponent(matrix, 0, gx.v);
     b.addAdjointComponent(matrix, 3, gx.v);

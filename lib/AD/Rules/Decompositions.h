@@ -39,8 +39,11 @@ inline S operator*(double a, S c) {
   return S{c.b, c.b->createConstant(c.v.getType(), a)} * c;
 }
 inline S abs(S a) { return {a.b, math::AbsFOp::create(*a.b, a.v)}; }
+/// The larger one, and `c` where one is NaN: one instruction.
 inline S max(S a, S c) {
-  return {a.b, arith::MaximumFOp::create(*a.b, a.v, c.v)};
+  Value isLarger =
+      arith::CmpFOp::create(*a.b, arith::CmpFPredicate::OGT, a.v, c.v);
+  return {a.b, arith::SelectOp::create(*a.b, isLarger, a.v, c.v)};
 }
 
 /// `value`, and 0 where |a| is not above `floor`. NaN stays.
