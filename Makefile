@@ -10,7 +10,7 @@ PYTHON := .venv/bin/python
 KINDS := $(if $(filter asan,$(PRESET)),--only lit gtest)
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test test-gpu test-layouts test-differential fuzz fuzz-sparse bench fmt lint portable docs clean setup
+.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse bench fmt lint portable docs clean setup
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /\1\t/' | \
@@ -35,6 +35,9 @@ test-gpu: ## test and time the portable bundle on a GPU (ARGS="--tests -k smoke"
 
 test-layouts: build ## run the tests of kernels on every layout, and compare
 	@$(PYTHON) scripts/run_tests.py --build $(BUILD) --jobs $(JOBS) --layouts
+
+test-bounds: build ## run the Python tests with bounds="check": the same results
+	@TI_BOUNDS=check $(PYTHON) -m pytest -q --tb=short -n $(JOBS) test/python $(ARGS)
 
 test-differential: build ## run examples and scenes in all ways, at larger sizes, and compare
 	@$(PYTHON) -m pytest -q --tb=short -n $(JOBS) --long --timeout 0 test/python/test_differential.py $(ARGS)

@@ -260,9 +260,18 @@ void IndexBounds::checkPiece(const Domain &domain, LinearSystem system,
   if (!domain.isCertain)
     return;
 
+  eliminateLoops(domain, std::move(system), {}, answer, isExact);
+}
+
+/// Adds the violation of launches in which the system holds in an iteration,
+/// of which `violation` tells some loop indices.
+void IndexBounds::eliminateLoops(const Domain &domain, LinearSystem system,
+                                 Violation violation, BoundsAnswer &answer,
+                                 bool &isExact) {
   // Innermost first. Loops are kept for the report.
-  Violation violation;
-  SmallVector<unsigned> order;
+  SmallVector<Violation::Step> known = std::move(violation.iteration);
+  violation.iteration.clear();
+  SmallVector<unsigned> used = system.getVariables(), order;
   for (unsigned number : used)
     if (variables[number].kind == Variable::Kind::Quotient)
       order.push_back(number);
@@ -276,6 +285,8 @@ void IndexBounds::checkPiece(const Domain &domain, LinearSystem system,
       break;
   }
   std::reverse(violation.iteration.begin(), violation.iteration.end());
+  violation.iteration.insert(violation.iteration.begin(), known.begin(),
+                             known.end());
   if (system.isUnknown()) {
     isExact = false;
     return;
@@ -304,7 +315,10 @@ void IndexBounds::checkSide(const Domain &domain, const LinearSum &beyond,
     LinearSystem system;
     system.require(piece);
     system.require(beyond);
-    checkPiece(domain, std::move(system), answer, isExact);
+    if (hasProduct(beyond))
+      checkCorners(domain, piece, beyond, answer, isExact);
+    else
+      checkPiece(domain, std::move(system), answer, isExact);
   }
 }
 

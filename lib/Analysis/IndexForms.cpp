@@ -273,6 +273,12 @@ IndexBounds::Form IndexBounds::combine(const Form &a, const Form &b,
 
 void IndexBounds::assumeFits(Form &form, Type type) const {
   NumberRange most = rangeOfType(type);
+  // A product is looked at where it is largest: what wraps there is no index,
+  // either.
+  if (hasProduct(form.sum)) {
+    form.isComplete = false;
+    return;
+  }
   if (!most.isBounded() || rangeOfSum(form.sum).isWithin(most))
     return;
   form.facts.push_back(form.sum.plus(LinearSum::of(most.low), -1));
@@ -302,7 +308,7 @@ std::optional<IndexBounds::Form> IndexBounds::makeLinear(Operation *op) {
     std::optional<int64_t> left = getConstantIntValue(mul.getLhs());
     std::optional<int64_t> right = getConstantIntValue(mul.getRhs());
     if (!left && !right)
-      return std::nullopt;
+      return makeProduct(op);
     form = combine({}, formOf(left ? mul.getRhs() : mul.getLhs()),
                    left ? *left : *right);
   } else if (isa<arith::IndexCastOp, arith::ExtSIOp, arith::TruncIOp>(op) &&
@@ -332,6 +338,9 @@ std::optional<IndexBounds::Form> IndexBounds::makeQuotient(Operation *op) {
   if (d <= 0 || (!isFloor && rangeOf(op->getOperand(0)).low < 0))
     return std::nullopt;
   Form dividend = formOf(op->getOperand(0));
+  // A hash, say, that is to wrap.
+  if (hasProduct(dividend.sum))
+    return std::nullopt;
   Form quotient = makeVariable(Variable::Kind::Quotient,
                                divideRange(rangeOf(op->getOperand(0)), d));
   Form rest = combine(dividend, quotient, -d);

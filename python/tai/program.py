@@ -281,7 +281,7 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
             `check`: an error that names the line, the field and the index, and nothing is
             stored there. Indices that follow from arguments, constants and the bounds of loops
             are checked always, before the kernel runs. `debug` and `check_out_of_bound` imply
-            `check`.
+            `check`. The environment variable TI_BOUNDS says it where the program does not.
         fast_math: let the compiler reorder floating-point arithmetic, and take norms without
             care for squares that over- or underflow.
         ad_ties: what `max` and `min` of equal numbers do in gradients: `second`: the second
@@ -349,6 +349,8 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
             what = "a float type" if kind == "f" else "an integer type"
             raise TaiRuntimeTypeError(f"{name} must be {what}, but got {given!r}")
         chosen[name] = dtype
+    if os.environ.get("TI_BOUNDS"):
+        chosen.setdefault("bounds", os.environ["TI_BOUNDS"])
     for name, known in _CHOICES.items():
         if chosen.get(name, known[0]) not in known:
             words = " or ".join(repr(word) for word in known)

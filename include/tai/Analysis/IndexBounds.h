@@ -12,7 +12,8 @@
 // from the arguments of the kernel and the extents of its arrays alone. Loops
 // and conditions around an access bound them. All of that and "the index is
 // beyond the end" is a linear system; without the loop indices, it says when a
-// launch goes out of range.
+// launch goes out of range. Products of loop indices and launch values are
+// looked at in the first and the last iterations of their loops.
 //
 //===----------------------------------------------------------------------===//
 
@@ -68,10 +69,12 @@ std::string describeField(const FieldLayout &layout);
 std::string describeArray(MemRefType type);
 
 /// A number of which the host knows the value before the kernel runs: a value
-/// that can be computed then, or the extent of an array.
+/// that can be computed then, the extent of an array, or the product of two
+/// sums of launch values.
 struct LaunchValue {
   Value value, array;
   int64_t dimension = 0;
+  SmallVector<LinearSum, 0> factors = {};
 };
 
 /// A way in which an access leaves its field.
@@ -106,14 +109,19 @@ public:
 
   /// What a variable of a system stands for, if the launch knows it.
   const LaunchValue *getLaunchValue(unsigned variable) const;
+  /// The two factors, where a variable stands for a product that changes in a
+  /// loop; the first is of launch values. Empty for others.
+  ArrayRef<LinearSum> getFactors(unsigned variable) const;
   /// The index as a sum, if it is one of loop indices and launch values.
   std::optional<LinearSum> getSum(Value index);
 
 private:
   struct Variable {
-    enum class Kind { Launch, Loop, Quotient, Data } kind;
+    enum class Kind { Launch, Loop, Quotient, Product, Data } kind;
     NumberRange range;
     LaunchValue launch = {};
+    /// Of a product.
+    SmallVector<LinearSum, 0> factors = {};
   };
   /// A value as a sum, and what holds for the variables in it.
   struct Form {
@@ -141,6 +149,7 @@ private:
   std::optional<Form> makeLinear(Operation *op);
   std::optional<Form> makeQuotient(Operation *op);
   std::optional<Form> makeExtreme(Operation *op);
+  std::optional<Form> makeProduct(Operation *op);
   Form makeLaunchForm(LaunchValue launch, NumberRange range);
   Form makeVariable(Variable::Kind kind, NumberRange range);
   Form combine(const Form &a, const Form &b, int64_t scale) const;
@@ -166,6 +175,22 @@ private:
                  BoundsAnswer &answer, bool &isExact);
   void checkPiece(const Domain &domain, LinearSystem system,
                   BoundsAnswer &answer, bool &isExact);
+  void eliminateLoops(const Domain &domain, LinearSystem system,
+                      Violation violation, BoundsAnswer &answer, bool &isExact);
+
+  /// Sums by which loop indices are replaced: an iteration.
+  using Corner = llvm::SmallDenseMap<unsigned, LinearSum, 4>;
+  bool isOfLaunch(const LinearSum &sum) const;
+  bool hasProduct(const LinearSum &sum) const;
+  void collectLoopsOfProducts(const LinearSum &sum, bool isInProduct,
+                              SmallVectorImpl<unsigned> &loops) const;
+  LinearSum multiply(const LinearSum &a, const LinearSum &b,
+                     SmallVectorImpl<LinearSum> &facts);
+  LinearSum substitute(const LinearSum &sum, const Corner &corner,
+                       SmallVectorImpl<LinearSum> &facts);
+  void checkCorners(const Domain &domain, ArrayRef<LinearSum> piece,
+                    const LinearSum &beyond, BoundsAnswer &answer,
+                    bool &isExact);
 
   KernelOp kernel;
   std::vector<Variable> variables;

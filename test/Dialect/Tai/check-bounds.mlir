@@ -318,3 +318,41 @@ tai.kernel @array(%a: memref<?xf32>, %b: memref<?xf32>) {
   }
   tai.return
 }
+
+// The product is largest where i is m - 1: one of two iterations that are
+// looked at, and the other one where n is negative.
+// CHECK-LABEL: tai.kernel @product(
+//  CHECK-SAME:     %[[M:.+]]: i32, %[[N:.+]]: i32)
+//   CHECK-DAG:   %[[M64:.+]] = arith.extsi %[[M]] : i32 to i64
+//   CHECK-DAG:   %[[N64:.+]] = arith.extsi %[[N]] : i32 to i64
+//       CHECK:   %[[P:.+]] = arith.muli
+//       CHECK:   tai.precondition %{{.+}}, "index [{}] is out of range for field '@x' of shape [8]"
+//       CHECK:   tai.precondition %{{.+}}, "index [{}] is out of range for field '@x' of shape [8]"
+//   CHECK-NOT:   tai.precondition
+//       CHECK:   tai.parallel_for
+tai.kernel @product(%m: i32, %n: i32) {
+  %c0 = arith.constant 0 : index
+  %zero = arith.constant 0.0 : f32
+  %to = arith.index_cast %m : i32 to index
+  tai.parallel_for (%i) = (%c0) to (%to) {
+    %narrow = arith.index_cast %i : index to i32
+    %p = arith.muli %narrow, %n : i32
+    %at = arith.index_cast %p : i32 to index
+    tai.store %zero, @x[%at] : f32
+  }
+  tai.return
+}
+
+// A square is no corner's.
+// CHECK-LABEL: tai.kernel @square(
+//   CHECK-NOT:   tai.precondition
+//       CHECK:   tai.return
+tai.kernel @square(%m: index) {
+  %c0 = arith.constant 0 : index
+  %zero = arith.constant 0.0 : f32
+  tai.parallel_for (%i) = (%c0) to (%m) {
+    %p = arith.muli %i, %i : index
+    tai.store %zero, @x[%p] : f32
+  }
+  tai.return
+}

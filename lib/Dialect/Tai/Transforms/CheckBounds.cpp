@@ -72,6 +72,10 @@ Value PreconditionWriter::clone(Value value) {
 }
 
 Value PreconditionWriter::emitLaunchValue(const LaunchValue &launch) {
+  if (!launch.factors.empty()) {
+    Value first = emit(launch.factors[0]);
+    return arith::MulIOp::create(builder, loc, first, emit(launch.factors[1]));
+  }
   Value value = launch.array ? memref::DimOp::create(builder, loc, launch.array,
                                                      launch.dimension)
                                    .getResult()
@@ -88,10 +92,16 @@ Value PreconditionWriter::emitLaunchValue(const LaunchValue &launch) {
 
 Value PreconditionWriter::emit(unsigned variable) {
   const LaunchValue *launch = bounds.getLaunchValue(variable);
-  Value &value = (launch ? launchValues : iteration)[variable];
-  if (!value && launch)
-    value = emitLaunchValue(*launch);
-  return value;
+  auto &values = launch ? launchValues : iteration;
+  if (Value known = values.lookup(variable))
+    return known;
+  if (ArrayRef<LinearSum> factors = bounds.getFactors(variable);
+      !factors.empty()) {
+    Value first = emit(factors[0]);
+    return values[variable] =
+               arith::MulIOp::create(builder, loc, first, emit(factors[1]));
+  }
+  return values[variable] = emitLaunchValue(*launch);
 }
 
 Value PreconditionWriter::emit(const LinearSum &sum) {
@@ -166,10 +176,12 @@ void PreconditionWriter::refuse(const IndexedAccess &access,
     Value least = emitLeast(step);
     iteration[step.variable] = least;
   }
-  auto isKnown = [&](const LinearSum &sum) {
+  auto isKnown = [&](auto &&self, const LinearSum &sum) -> bool {
     return llvm::all_of(sum.terms, [&](auto term) {
+      ArrayRef<LinearSum> factors = bounds.getFactors(term.first);
       return bounds.getLaunchValue(term.first) ||
-             iteration.contains(term.first);
+             iteration.contains(term.first) ||
+             (!factors.empty() && self(self, factors[1]));
     });
   };
   // What depends on data is not known before.
@@ -177,7 +189,7 @@ void PreconditionWriter::refuse(const IndexedAccess &access,
   SmallVector<Value> shown;
   for (size_t i = 0; i != access.rank; ++i) {
     std::optional<LinearSum> sum = bounds.getSum(access.indices[i]->get());
-    bool known = sum && isKnown(*sum);
+    bool known = sum && isKnown(isKnown, *sum);
     message += i ? ", " : "";
     message += known ? "{}" : "?";
     if (known)
