@@ -374,8 +374,16 @@ std::string tai::describeField(const FieldLayout &layout) {
 }
 
 std::string tai::describeArray(MemRefType type) {
-  std::string text = "an array of type ";
-  llvm::raw_string_ostream(text) << type;
+  std::string text;
+  llvm::raw_string_ostream os(text);
+  os << "an array of " << type.getElementType() << " of shape [";
+  llvm::interleaveComma(type.getShape(), os, [&](int64_t extent) {
+    if (ShapedType::isDynamic(extent))
+      os << '?';
+    else
+      os << extent;
+  });
+  os << "]";
   return text;
 }
 

@@ -40,7 +40,7 @@ tai.kernel @write(%i: index, %c: index, %x: f32) {
 }
 
 // CHECK-LABEL: tai.kernel @array(
-//       CHECK:   tai.assert {{.+}} for an array of type memref<?xf32>"
+//       CHECK:   tai.assert {{.+}} for an array of f32 of shape [?]"
 tai.kernel @array(%m: memref<?xf32>, %i: index, %x: f32) {
   memref.store %x, %m[%i] : memref<?xf32>
   tai.return
@@ -64,7 +64,7 @@ tai.kernel @known(%m: memref<?xf32>, %i: index, %c: index, %x: f32) {
 //       CHECK:   %[[HIGH:.+]] = arith.constant 2.14748365E+9 : f32
 //       CHECK:   %[[B:.+]] = arith.cmpf olt, %[[F]], %[[HIGH]]
 //       CHECK:   %[[OK:.+]] = arith.andi %[[A]], %[[B]]
-//       CHECK:   tai.assert %[[OK]], "{} is no index: as an integer it is out of range for an array of type memref<?xf32>"(%[[F]])
+//       CHECK:   tai.assert %[[OK]], "{} is no index: as an integer it is out of range for an array of f32 of shape [?]"(%[[F]])
 tai.kernel @float(%m: memref<?xf32>, %f: f32, %x: f32) {
   %one = arith.constant 1 : i32
   %w = arith.fptosi %f : f32 to i32

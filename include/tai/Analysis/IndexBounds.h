@@ -65,7 +65,7 @@ struct IndexedAccess {
 
 /// "field '@x' of shape [4, 8]", with the first index where it is not zero.
 std::string describeField(const FieldLayout &layout);
-/// "array of type memref<?xf32>".
+/// "an array of f32 of shape [?, 3]".
 std::string describeArray(MemRefType type);
 
 /// A number of which the host knows the value before the kernel runs: a value

@@ -306,7 +306,7 @@ tai.kernel @switch(%on: i1) {
 //  CHECK-SAME:     %[[A:.+]]: memref<?xf32>, %[[B:.+]]: memref<?xf32>)
 //   CHECK-DAG:   memref.dim %[[A]]
 //   CHECK-DAG:   memref.dim %[[B]]
-//       CHECK:   tai.precondition %{{.+}}, "index [{}] is out of range for an array of type memref<?xf32>"
+//       CHECK:   tai.precondition %{{.+}}, "index [{}] is out of range for an array of f32 of shape [?]"
 //   CHECK-NOT:   tai.precondition
 //       CHECK:   tai.return
 tai.kernel @array(%a: memref<?xf32>, %b: memref<?xf32>) {
