@@ -34,7 +34,7 @@ def barriers_of(tape):
 
 
 def init(fuse, **options):
-    ti.init(offline_cache=False, deterministic=True, fuse_launches=fuse, **options)
+    ti.init(offline_cache=False, deterministic=True, fuse_launches=fuse, bounds="off", **options)
 
 
 def diffuse(fuse, runs=5):

@@ -166,6 +166,7 @@ def test_list_outside_the_tree(what):
 
 
 def test_outside_the_tree_without_checks():
+    ti.init(bounds="off")
     x = ti.field(ti.i32)
     level = ti.root.pointer(ti.i, 8)
     level.place(x)
