@@ -11,8 +11,9 @@
 // factors are recognized, and their tangent is computed in the frame of the
 // factors:
 //   d(U M Vᵀ) = U ((E + O) M - M (E - O) + dM) Vᵀ,
-// where E M - M E has the entries Eᵢⱼ (Mⱼⱼ - Mᵢᵢ) for a diagonal M, which are
-// as accurate as the difference is.
+// where [E, M] = E M - M E has the entries Eᵢⱼ (Mⱼⱼ - Mᵢᵢ) for a diagonal M,
+// which are as accurate as the difference is. Of squares that were rounded it
+// is not, so that [E, A B] = [E, A] B + A [E, B] for products.
 //
 //===----------------------------------------------------------------------===//
 
@@ -103,6 +104,22 @@ static Value createCommutator(TangentBuilder &b, Value turn, Value matrix) {
   return b.createVector(cast<VectorType>(turn.getType()), entries);
 }
 
+/// [E, M] for a product M of matrices, null for none.
+static Value createCommutator(TangentBuilder &b, Value turn,
+                              ArrayRef<Value> factors) {
+  Value sum, before;
+  for (auto [number, factor] : llvm::enumerate(factors)) {
+    Value term = createCommutator(b, turn, factor);
+    if (before)
+      term = createMatmul(b, before, term);
+    for (Value after : factors.drop_front(number + 1))
+      term = createMatmul(b, term, after);
+    sum = addTerms(b, sum, term);
+    before = before ? createMatmul(b, before, factor) : factor;
+  }
+  return sum;
+}
+
 /// F M Hᵀ and its tangent, where F and H are factors of one decomposition.
 static Pair createCore(TangentBuilder &b, FactorFrame frame,
                        ArrayRef<Value> factors) {
@@ -114,14 +131,15 @@ static Pair createCore(TangentBuilder &b, FactorFrame frame,
   auto turnOf = [&](bool isU) -> Value {
     return isU ? turns.odd : Value(arith::NegFOp::create(b, turns.odd));
   };
-  Pair middle = multiply(b, factors.drop_front().drop_back());
+  ArrayRef<Value> between = factors.drop_front().drop_back();
+  Pair middle = multiply(b, between);
   Value inner;
   if (!middle.value) {
     // Uᵀ U and Vᵀ V are constant.
     if (leftIsU != rightIsU)
       inner = arith::SubFOp::create(b, turnOf(leftIsU), turnOf(rightIsU));
   } else {
-    Value even = createCommutator(b, turns.even, middle.value);
+    Value even = createCommutator(b, turns.even, between);
     Value odd =
         arith::SubFOp::create(b, createMatmul(b, turnOf(leftIsU), middle.value),
                               createMatmul(b, middle.value, turnOf(rightIsU)));
