@@ -91,8 +91,10 @@ static Value createCommutator(TangentBuilder &b, Value turn, Value matrix) {
     for (int64_t j = 0; j != n; ++j) {
       Value sum;
       auto add = [&](S term) { sum = addTerms(b, sum, term.v); };
-      if (i != j)
-        add(e(i, j) * (m(j, j) - m(i, i)));
+      // The same difference for both, and as in E: a target may compute two
+      // of them from products that it rounds in one and not in the other.
+      if (int64_t low = std::min(i, j), high = std::max(i, j); low != high)
+        add(e(low, high) * (m(high, high) - m(low, low)));
       for (int64_t k = 0; k != n; ++k) {
         if (k != i && k != j)
           add(e(i, k) * m(k, j) - m(i, k) * e(k, j));
