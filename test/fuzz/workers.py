@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
-SECONDS = 60  # of computing, for one seed
+SECONDS = 180  # of computing, for one seed: two million elements on a GPU take 70
 
 # Takes a seed and a folder to write to; returns a row of the log: seed, kind, reason, detail.
 Judge = Callable[[int, Path], dict]
