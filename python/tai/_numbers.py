@@ -119,7 +119,15 @@ def stored_array(array: np.ndarray, dt: DataType, what: Any) -> np.ndarray:
     ):  # fmt: skip
         for extreme in (array.min(), array.max()):
             _checked(extreme.item(), dt, what)
-    return array.astype(dt.numpy, copy=False)
+    try:
+        return array.astype(dt.numpy, copy=False)
+    except (TypeError, ValueError):
+        raise TaiRuntimeTypeError(
+            f"field '{what.name}' holds numbers of type {dt.name}, but the array {array.dtype}"
+            if hasattr(what, "name")
+            else f"numbers of type {dt.name} cannot be made of an array of {array.dtype}",
+            "pass an array of numbers",
+        ) from None
 
 
 def index_error(name: str, key: Any, error: Exception) -> TaiError:

@@ -560,3 +560,32 @@ def assignment_to_a_python_object():
         data[0] = 1.0  # BAD
 
     kernel()
+
+
+@bad(ti.TaiTypeError, "array 'a' stands where a number is needed", "read an element: a[i]")
+def array_as_a_number():
+    @ti.kernel
+    def kernel(a: ti.types.ndarray(ti.f32, ndim=1)) -> ti.f32:
+        return a[0] + a  # BAD
+
+    kernel(np.zeros(3, np.float32))
+
+
+@bad(ti.TaiTypeError, "array 'a' stands where a number is needed", "read an element: a[i, j]")
+def array_that_is_printed():
+    @ti.kernel
+    def kernel(a: ti.types.ndarray(ti.f32, ndim=2)):
+        print("all of it:", a)  # BAD
+
+    kernel(np.zeros((3, 2), np.float32))
+
+
+@bad(ti.TaiTypeError, "the type f32 stands where a number is needed", "ti.cast(x, f32)")
+def type_as_a_number():
+    x, _, _, _ = fields()
+
+    @ti.kernel
+    def kernel() -> ti.f32:
+        return x.dtype  # BAD
+
+    kernel()

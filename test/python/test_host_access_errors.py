@@ -67,3 +67,12 @@ def test_numbers_of_numpy_are_numbers(scene):
     v[np.array([1])] = np.array([1, 2])
     take(a, np.array(4.0))
     assert x.to_numpy().tolist() == [0, 2, 3, 0] and v[1][1] == 2 and a[-1] == 4
+
+
+@pytest.mark.parametrize("words", [["a", "b"], [{}, {}], ["2020-01-01"] * 2])
+def test_arrays_that_hold_no_numbers(words):
+    ti.init(arch=ti.cpu)
+    x = ti.field(ti.f32, 2)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="holds numbers of type f32, but"):
+        x.from_numpy(np.array(words))
+    assert not x.to_numpy().any()

@@ -107,7 +107,7 @@ class Expressions:
                         return base.component(found[0])
                     return Part(base, found, (len(found),))
             base = base.load()
-        if isinstance(base, Field) and not hasattr(type(base), name):
+        if isinstance(base, Field) and name != "dtype" and not hasattr(type(base), name):
             found = list_method(self, base, name)
             if found is not None:
                 return found
@@ -280,7 +280,7 @@ class Expressions:
 
     def refuse_non_number(self, thing: Any, operands: tuple) -> None:
         """Fields and functions are no operands; say so in the user's words."""
-        if isinstance(thing, Field) or thing is None or (
+        if isinstance(thing, (Field, ArrayArgument)) or thing is None or (
             callable(thing) and not isinstance(thing, (Value, DataType)) and not hasattr(
                 thing, "is_matrix")
         ):  # fmt: skip
@@ -468,6 +468,6 @@ def _has_value(thing: Any) -> bool:
 def _what(thing: Any) -> str:
     if isinstance(thing, Value):
         return f"a {thing.kind_name}"
-    if isinstance(thing, Field):
-        return f"field '{thing.name}'"
+    if isinstance(thing, (Field, ArrayArgument)):
+        return f"{'field' if isinstance(thing, Field) else 'array'} '{thing.name}'"
     return f"'{thing}'" if isinstance(thing, str) else f"a {type(thing).__name__}"

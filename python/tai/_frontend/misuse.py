@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..dtypes import DataType
 from .value import Value
 
 
@@ -16,9 +17,14 @@ def name_of(thing: Any) -> str:
 def describe_misuse(thing: Any) -> str:
     """Why `thing` is no number."""
     from ..fields import Field
+    from .refs import ArrayArgument
 
     if isinstance(thing, Field):
         return f"field '{thing.name}' stands where a number is needed"
+    if isinstance(thing, ArrayArgument):
+        return f"array '{thing.name}' stands where a number is needed"
+    if isinstance(thing, DataType):
+        return f"the type {thing.name} stands where a number is needed"
     if thing is None:
         return "None stands where a number is needed"
     if callable(thing):
@@ -29,7 +35,10 @@ def describe_misuse(thing: Any) -> str:
 
 def misuse_hint(thing: Any) -> str | None:
     from ..fields import Field
+    from .refs import ArrayArgument
 
+    if isinstance(thing, ArrayArgument):
+        return f"read an element: {thing.name}[{', '.join('ijklmnop'[: thing.ndim])}]"
     if isinstance(thing, Field):
         indices = (
             "None"
@@ -37,6 +46,8 @@ def misuse_hint(thing: Any) -> str | None:
             else ", ".join("ijklmnop"[: len(thing.shape)])
         )
         return f"read an element: {thing.name}[{indices}]"
+    if isinstance(thing, DataType):
+        return f"convert a number to it: ti.cast(x, {thing.name})"
     if callable(thing):
         return "call it: add parentheses"
     return None

@@ -10,7 +10,7 @@ from ..errors import TaiSyntaxError, TaiTypeError
 from ..fields import Field
 from .checks import holds_value
 from .misuse import describe_misuse, misuse_hint
-from .refs import Place
+from .refs import ArrayArgument, Place
 from .structs import StructValue
 from .value import Value
 
@@ -42,7 +42,7 @@ def formatted(thing: Any) -> FormattedText:
         return FormattedText("[" + ", ".join([row] * thing.shape[0]) + "]", thing.scalars())
     if isinstance(thing, StructValue):
         return _listed("{", [(f"{k}: ", v) for k, v in thing.members.items()], "}")
-    if isinstance(thing, Field):
+    if isinstance(thing, (Field, ArrayArgument)):
         raise TaiTypeError(describe_misuse(thing), misuse_hint(thing))
     if isinstance(thing, dict) and holds_value(thing):
         return _listed("{", [(f"{k!r}: ", v) for k, v in thing.items()], "}")
