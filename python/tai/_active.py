@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _numbers
+from . import _ad_origins, _numbers, _state
 from .errors import TaiRuntimeTypeError
 
 
@@ -28,6 +28,14 @@ def active_elements(field: Any) -> np.ndarray | None:
     return np.ascontiguousarray(found + np.array(field.offset or (0,) * len(spans)))
 
 
+def write_elements(place: Any, where: np.ndarray, values: np.ndarray) -> None:
+    """What Python writes to some elements, which in forward mode have no tangent then."""
+    place.core.write_elements(where, values)
+    dual = _ad_origins.dual_of_written(place) if _state.forward else None
+    if dual is not None:
+        dual.write_elements(where, np.zeros_like(values))
+
+
 def fill_component(field: Any, component: int, value: Any) -> bool:
     """Fills a component of a vector field where it is active; False if it is not sparse."""
     at = active_elements(field)
@@ -37,6 +45,11 @@ def fill_component(field: Any, component: int, value: Any) -> bool:
     field.core.read_elements(at, values)
     values.reshape(len(at), -1)[:, component] = _numbers.stored(value, field.dtype, field)
     field.core.write_elements(at, values)
+    dual = _ad_origins.dual_of_written(field) if _state.forward else None
+    if dual is not None:
+        dual.read_elements(at, values)
+        values.reshape(len(at), -1)[:, component] = 0
+        dual.write_elements(at, values)
     return True
 
 
@@ -63,4 +76,7 @@ def fill_matrices(field: Any, value: Any) -> None:
     if at is None:
         field.from_numpy(np.broadcast_to(whole, field.shape + field.element_shape))
     else:
+        if _state.tape is not None or _state.forward:
+            _ad_origins.check_write(single, value)
         single.core.write_elements(at, np.tile(whole.ravel(), (len(at), 1)))
+        _ad_origins.end_tangent(single)

@@ -520,6 +520,8 @@ class Root(SNode):
             program.context.add_tree(tree, self.layout())
         except TaiError as error:
             self.refused = error.message
+            if isinstance(error, TaiMemoryError) and not error.hint:
+                error.hint = "make the extents smaller"
             error.filename = error.lineno = None  # a place in the text of the layout
             raise
         self.tree, self.number = tree, program.num_trees

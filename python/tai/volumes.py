@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ._active import write_elements
 from .dtypes import f16, f32
 from .errors import TaiError, TaiRuntimeError, TaiRuntimeTypeError
 from .fields import Field, MatrixField, ScalarField
@@ -113,7 +114,7 @@ def write(field: Field, where: Any, values: Any) -> None:
             f"values of field '{field.name}' have shape {wanted}, but got {array.shape}"
         ) from None
     for place, components in parts:
-        place.core.write_elements(indices, np.ascontiguousarray(array[components]))
+        write_elements(place, indices, np.ascontiguousarray(array[components]))
 
 
 def to_numpy(field: Field) -> tuple[np.ndarray, np.ndarray]:

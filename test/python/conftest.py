@@ -8,6 +8,7 @@ import tai as ti
 
 import device_lists
 import device_tensors
+import layout_lists
 import layouts
 
 # Tests of kernels that run on every layout in the normal run, too.
@@ -20,20 +21,6 @@ ON_EVERY_LAYOUT = {
     "test_semantics_overwriting",
     "test_stress_loops",
     "test_ties",
-}
-
-# Tests that are about layouts, memory or other processes themselves, and say which.
-ABOUT_LAYOUTS = {
-    "test_api", "test_benchmark_scenes", "test_block_rows", "test_errors", "test_examples",
-    "test_explain", "test_gui", "test_kernel_names", "test_lazy_names", "test_random_kernels",
-    "test_readme", "test_skips", "test_sparse_api", "test_sparse_cells", "test_sparse_errors",
-    "test_sparse_model", "test_taichi_names", "test_trust", "test_tutorial", "test_volumes",
-}  # fmt: skip
-# Refused on every layout, but for another reason: no tape keeps what is overwritten. And refused
-# on sparse ones: the gradient within a host function would need lists that it has changed.
-DENSE_ALONE = {
-    "test_a_product_that_is_no_atomic_is_refused",
-    "test_the_gradient_of_a_kernel_inside_of_the_gradient",
 }
 
 
@@ -106,15 +93,18 @@ def pytest_generate_tests(metafunc):
     if not chosen and metafunc.module.__name__ in ON_EVERY_LAYOUT:
         chosen = layouts.LAYOUTS
     name = metafunc.module.__name__
-    if name in ABOUT_LAYOUTS or name.startswith("test_sparse"):
+    if name in layout_lists.ABOUT_LAYOUTS or name.startswith("test_sparse"):
         chosen = None
-    if metafunc.function.__name__ in DENSE_ALONE:
+    if metafunc.function.__name__ in layout_lists.DENSE_ALONE.get(name, ()):
         chosen = None
     if chosen:
         metafunc.parametrize("layout", chosen, indirect=True)
 
 
 def pytest_collection_modifyitems(config, items):
+    wrong = layout_lists.missing({item.module.__name__: item.module for item in items})
+    if wrong:
+        raise pytest.UsageError(f"layout_lists.py lists what is not there: {', '.join(wrong)}")
     if os.environ.get("TI_ARCH") == "cuda":
         _choose_for_device(config, items)
     if config.getoption("--layout"):

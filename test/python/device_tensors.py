@@ -131,7 +131,8 @@ class StandIns:
         host = np.frombuffer(raw, values.dtype, values.size).reshape(values.shape)
         made = Tensor(self, host, memory, requires_grad, index=index)
         kept = values.copy()
-        self.stream.do(lambda: np.copyto(host, kept))
+        # The stream keeps the memory, whoever drops the tensor before it is done.
+        self.stream.do(lambda memory=memory: np.copyto(host, kept))
         return made
 
     def numpy(self, tensor):

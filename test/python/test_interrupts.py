@@ -222,6 +222,35 @@ def test_a_compilation_is_interrupted():
     check_usable()
 
 
+def test_a_handler_that_raises_in_the_front_end():
+    """What it raises is no error of the kernel, whatever statement is being compiled."""
+    ti.init(arch=ti.cpu, offline_cache=False)
+    x = ti.field(ti.f64, shape=3)
+
+    class Stop(Exception):
+        """Such as that of a time limit."""
+
+    def stop(*_):
+        raise Stop
+
+    def interrupted():
+        signal.raise_signal(signal.SIGALRM)
+        return 1.0
+
+    @ti.kernel
+    def fill():
+        for i in x:
+            x[i] = ti.static(interrupted())
+
+    before = signal.signal(signal.SIGALRM, stop)
+    try:
+        with pytest.raises(Stop):
+            fill()
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    check_usable()
+
+
 def test_other_threads_run_while_a_kernel_does():
     run = endless_while(ti.field(ti.f64, shape=()))
     ticks = []

@@ -411,3 +411,46 @@ def test_gradient_below_another_level():
     ti.root.pointer(ti.i, 8).place(x.grad)
     with pytest.raises(ti.TaiError, match="must lie below the same sparse level"):
         x[0] = 1.0
+
+
+WRITES = {
+    "fill with a number": lambda v: v.fill(1.0),
+    "fill with a vector": lambda v: v.fill([1.0, 2.0]),
+    "fill of a component": lambda v: v.get_scalar_field(0).fill(1.0),
+    "element": lambda v: v.__setitem__(1, [1.0, 2.0]),
+    "array": lambda v: v.from_numpy(np.ones((4, 2))),
+    "active elements": lambda v: ti.volumes.write(v, [[1], [3]], [1.0, 2.0]),
+}
+
+
+@pytest.mark.parametrize("write", WRITES.values(), ids=WRITES)
+def test_what_the_host_writes_has_no_tangent(write):
+    """In forward mode as on a tape, whatever way it is written."""
+    ti.init(arch=ti.cpu, default_fp=ti.f64, offline_cache=False)
+    x = ti.field(ti.f64, 4, needs_grad=True, needs_dual=True)
+    v = ti.Vector.field(2, ti.f64, needs_grad=True, needs_dual=True)
+    loss = ti.field(ti.f64, (), needs_grad=True, needs_dual=True)
+    ti.root.pointer(ti.i, 2).dense(ti.i, 2).place(v, v.grad, v.dual)
+    x.from_numpy(np.arange(1.0, 5.0))
+
+    @ti.kernel
+    def spread():
+        for i in x:
+            v[i] = ti.Vector([x[i], 3 * x[i] ** 2])
+
+    @ti.kernel
+    def measure():
+        for i in v:
+            loss[None] += v[i].dot(v[i])
+
+    def run():
+        spread()
+        write(v)
+        measure()
+
+    with ti.ad.Tape(loss):
+        run()
+    gradient = x.grad.to_numpy()
+    loss[None] = 0
+    for k in range(4):
+        assert ti.ad.jvp(run, x, np.eye(4)[k], loss) == gradient[k]

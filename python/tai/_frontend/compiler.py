@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import signal
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -279,6 +280,8 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse, Checks, P
         except (StaticBreak, StaticContinue):
             raise
         except Exception as error:
+            if _is_of_a_handler(error):
+                raise
             raise self.translated(error, node) from (error if SHOW_TRACEBACK else None)
 
     def translated(self, error: Exception, node: ast.AST) -> TaiError:
@@ -350,3 +353,18 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse, Checks, P
         self.frames.pop()
         self.frame = self.frames[-1]
         self.builder.set_file(self.frame.filename)
+
+
+def _is_of_a_handler(error: BaseException) -> bool:
+    """Whether the handler of a signal has raised the error: it may come at any statement."""
+    handlers = {
+        handler.__code__
+        for handler in map(signal.getsignal, signal.valid_signals())
+        if hasattr(handler, "__code__")
+    }
+    trace = error.__traceback__
+    while trace is not None:
+        if trace.tb_frame.f_code in handlers:
+            return True
+        trace = trace.tb_next
+    return False
