@@ -1,6 +1,7 @@
 """What the tests share."""
 
 import os
+import random
 import time
 
 import pytest
@@ -41,6 +42,10 @@ def pytest_addoption(parser):
     parser.addoption(
         "--long", action="store_true", help="larger sizes and all ways in test_differential.py"
     )
+    parser.addoption(
+        "--shuffle", type=int, metavar="SEED",
+        help="run the tests in another order: none may depend on what ran before",
+    )  # fmt: skip
     parser.addoption(
         "--part", metavar="K/N",
         help="run each Nth of the chosen tests, from the Kth on (of 0 to N - 1)",
@@ -109,6 +114,8 @@ def pytest_collection_modifyitems(config, items):
         _choose_for_device(config, items)
     if config.getoption("--layout"):
         items[:] = [item for item in items if "layout" in getattr(item, "callspec", _NONE).params]
+    if (seed := config.getoption("--shuffle")) is not None:
+        random.Random(seed).shuffle(items)
     if part := config.getoption("--part"):
         first, count = map(int, part.split("/"))
         items[:] = items[first::count]
