@@ -10,6 +10,8 @@ packages=(
   zlib1g-dev libzstd-dev libcurl4-openssl-dev libedit-dev libxml2-dev
   # the build, the tests; oneTBB for the benchmarks' hand-written programs
   libtbb-dev ninja-build cmake ccache libgtest-dev clang-format-22
+  # the run time of sanitizers, for PRESET=asan and ti.init(sanitize="address")
+  libclang-rt-22-dev
   python3 python3-venv python3-dev xz-utils ca-certificates
 )
 

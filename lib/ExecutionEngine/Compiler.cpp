@@ -28,7 +28,8 @@ std::string CompileOptions::str() const {
   std::string text;
   llvm::raw_string_ostream(text)
       << "opt=" << codegen.optLevel << " fast=" << codegen.fastMath
-      << " contract=" << codegen.contract << " debug=" << debug
+      << " contract=" << codegen.contract
+      << " sanitize=" << codegen.sanitizeAddress << " debug=" << debug
       << " bounds=" << stringifyBoundsMode(bounds)
       << " deterministic=" << deterministic << " history=" << historyBytes
       << " skip=" << skips.str();

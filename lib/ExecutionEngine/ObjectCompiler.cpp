@@ -23,6 +23,7 @@
 #include "llvm/TargetParser/Host.h"
 #include "llvm/TargetParser/SubtargetFeature.h"
 #include "llvm/TargetParser/Triple.h"
+#include "llvm/Transforms/Instrumentation/AddressSanitizer.h"
 #include "llvm/Transforms/Scalar/GVN.h"
 
 using namespace llvm;
@@ -145,6 +146,8 @@ void ObjectCompiler::runPasses(Module &module) {
       continue;
     function.setDoesNotThrow();
     function.addFnAttr("no-trapping-math", "true");
+    if (options.sanitizeAddress)
+      function.addFnAttr(llvm::Attribute::SanitizeAddress);
   }
 
   PipelineTuningOptions tuning;
@@ -184,6 +187,15 @@ void ObjectCompiler::runPasses(Module &module) {
       [](ModulePassManager &last, OptimizationLevel, ThinOrFullLTOPhase) {
         last.addPass(createModuleToFunctionPassAdaptor(InsertSafepoints()));
       });
+  if (options.sanitizeAddress)
+    builder.registerOptimizerLastEPCallback(
+        [](ModulePassManager &last, OptimizationLevel, ThinOrFullLTOPhase) {
+          // Code comes and goes without constructors and destructors.
+          last.addPass(AddressSanitizerPass(
+              AddressSanitizerOptions(), /*UseGlobalGC=*/false,
+              /*UseOdrIndicator=*/false, AsanDtorKind::None,
+              AsanCtorKind::None));
+        });
   builder.registerModuleAnalyses(modules);
   builder.registerCGSCCAnalyses(sccs);
   builder.registerFunctionAnalyses(functions);

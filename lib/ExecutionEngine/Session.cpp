@@ -19,6 +19,7 @@
 #include "llvm/Support/Path.h"
 #include "llvm/Support/Process.h"
 #include "llvm/Support/ThreadPool.h"
+#include <dlfcn.h>
 #include <thread>
 
 using namespace mlir;
@@ -276,6 +277,18 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
   }
   if (name == "fast_math")
     return setBool([&](bool on) { options.codegen.fastMath = on; });
+  if (name == "sanitize") {
+    if (!value.empty() && value != "address")
+      return badValue("\"address\" or nothing");
+    if (!value.empty() && !dlsym(RTLD_DEFAULT, "__asan_init"))
+      return fail(FailureKind::Usage,
+                  "option 'sanitize': the process has no run time of "
+                  "AddressSanitizer; start it with LD_PRELOAD=$(clang-22 "
+                  "-print-file-name=libclang_rt.asan-x86_64.so) "
+                  "ASAN_OPTIONS=detect_leaks=0");
+    options.codegen.sanitizeAddress = !value.empty();
+    return success();
+  }
   if (name == "profiler")
     return setBool([&](bool on) {
       rt->setProfiler(on);
@@ -378,12 +391,12 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
     printedStages = std::move(stages);
     return success();
   }
-  return fail(
-      FailureKind::Usage,
-      "unknown option '" + name +
-          "'; the options are threads, deterministic, debug, "
-          "bounds, fast_math, opt_level, seed, cache_dir, print_ir, profiler, "
-          "compile_profile, forward_mode, history_bytes, skip, "
-          "memory_limit, arch, device_memory_limit, block_dim, "
-          "max_block_dim, fuse_launches");
+  return fail(FailureKind::Usage,
+              "unknown option '" + name +
+                  "'; the options are threads, deterministic, debug, "
+                  "bounds, fast_math, sanitize, opt_level, seed, cache_dir, "
+                  "print_ir, profiler, "
+                  "compile_profile, forward_mode, history_bytes, skip, "
+                  "memory_limit, arch, device_memory_limit, block_dim, "
+                  "max_block_dim, fuse_launches");
 }

@@ -40,6 +40,7 @@ class Options:
     check_out_of_bound: bool = False
     bounds: str = "off"
     fast_math: bool = False
+    sanitize: str = ""
     ad_ties: str = "second"
     ad_arcs: str = "exact"
     ad_guards: bool = True
@@ -77,6 +78,7 @@ _CHOICES = {
     "ad_ties": ("second", "split"),
     "ad_arcs": ("exact", "clamp"),
     "bounds": ("off", "clamp", "check"),
+    "sanitize": ("", "address"),
 }
 
 # Options of Taichi that ask for what is always so here, or tune its own passes.
@@ -194,6 +196,7 @@ class Program:
             "debug": flag(o.debug),
             "bounds": "check" if o.debug or o.check_out_of_bound else o.bounds,
             "fast_math": flag(o.fast_math),
+            "sanitize": o.sanitize,
             "opt_level": str(o.opt_level),
             "seed": str(o.random_seed),
             "print_ir": "all" if o.print_ir is True else str(o.print_ir or ""),
@@ -284,6 +287,10 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
             `check`. The environment variable TI_BOUNDS says it where the program does not.
         fast_math: let the compiler reorder floating-point arithmetic, and take norms without
             care for squares that over- or underflow.
+        sanitize: `address`: kernels on the CPU are compiled with AddressSanitizer, which ends the
+            process where they leave an array of the caller, or memory that is no field. The
+            process needs its run time: docs/bounds.md. Elements of other fields are no such
+            memory; `bounds` finds these.
         ad_ties: what `max` and `min` of equal numbers do in gradients: `second`: the second
             one gets all; `split`: half each.
         ad_arcs: the derivatives of asin and acos at ±1: `exact`: infinite; `clamp`: as at the
@@ -359,6 +366,11 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
     if os.environ.get("TI_ARCH"):
         chosen["arch"], may_fall_back = _choose_arch(os.environ["TI_ARCH"])
     _check_target(chosen["arch"], needs, unwanted)
+    if chosen.get("sanitize") and chosen["arch"] != cpu:
+        raise TaiRuntimeError(
+            "sanitize='address' is for kernels on the CPU",
+            "choose arch=ti.cpu, or run the program under compute-sanitizer",
+        )
     may_fall_back |= bool(chosen["accepted"].get("enable_fallback"))
     if chosen["arch"] == cuda and may_fall_back and (why := why_no_cuda()):
         print(f"[tai] falling back to arch=cpu: {why}", file=sys.stderr)

@@ -36,10 +36,14 @@ struct CodegenOptions {
   bool fastMath = false;
   /// Whether a product and a sum may become one fused operation.
   bool contract = true;
+  /// Whether each access asks AddressSanitizer, whose run time the process must
+  /// have.
+  bool sanitizeAddress = false;
 
   bool operator==(const CodegenOptions &other) const {
     return optLevel == other.optLevel && fastMath == other.fastMath &&
-           contract == other.contract;
+           contract == other.contract &&
+           sanitizeAddress == other.sanitizeAddress;
   }
 };
 
