@@ -360,7 +360,7 @@ class TapeArrays:
         if known is not None and known.is_changed(held.launched):
             self._core.note_array_write(*_range_of(held.array))
             del self._sampled[key]
-        elif known is not None:
+        elif known is not None and not held.is_written:
             known.renew(held.launched)
         if held.ends_gradients:
             self._sampled[key] = _Sampled(held)
@@ -384,7 +384,9 @@ class TapeArrays:
                 if overlap(held.array, watched.held.array):
                     watched.renew()
             for sampled in self._sampled.values():
-                if overlap(held.array, sampled.held.array):
+                if sampled.held.array is held.array:
+                    sampled.renew(held.launched)
+                elif overlap(held.array, sampled.held.array):
                     sampled.renew(np.ascontiguousarray(sampled.held.array))
         self.forget_launch()
 
