@@ -97,6 +97,17 @@ TAI_EXPORT void taiContextDestroy(TaiContext context);
 TAI_EXPORT TaiStatus taiContextSetOption(TaiContext context, const char *name,
                                          const char *value);
 
+/// Follows the tangents of these fields until the option `forward_mode` is set
+/// again.
+TAI_EXPORT void taiContextFollowTangents(TaiContext context,
+                                         const TaiField *inputs, int64_t count);
+/// The stores that have ended tangents on the way to these fields, one line
+/// each, with a newline between two; what has been said is not said again. As
+/// long as the context is not asked again.
+TAI_EXPORT const char *taiContextLostTangents(TaiContext context,
+                                              const TaiField *outputs,
+                                              int64_t count);
+
 /// The MLIR context in which IR for this context is built.
 TAI_EXPORT MlirContext taiContextGetMlirContext(TaiContext context);
 
@@ -324,6 +335,11 @@ TAI_EXPORT TaiStatus taiKernelLaunchGrad(TaiKernel kernel, const uint64_t *args,
 /// pointer is in this slot: then they must be what they were at the launch.
 TAI_EXPORT bool taiKernelReadsInReverse(TaiKernel kernel, int64_t slot);
 
+/// True if the kernel stores, to the array argument whose pointer is in this
+/// slot and which has no gradient, values that may depend on differentiable
+/// ones.
+TAI_EXPORT bool taiKernelEndsGradients(TaiKernel kernel, int64_t slot);
+
 /// Compiles the kernel (and its adjoint) now. Several in parallel.
 TAI_EXPORT TaiStatus taiKernelsCompile(TaiContext context, TaiKernel *kernels,
                                        int64_t count, bool adjoints);
@@ -382,6 +398,17 @@ TAI_EXPORT TaiStatus taiTapeRecordCallback(TaiTape tape,
                                            TaiTapeCallback forward,
                                            TaiTapeCallback backward,
                                            void *user);
+/// The memory of an array of the caller: its first byte, the byte behind its
+/// last, a divisor of the distances between elements, and their size.
+typedef struct TaiArrayRange {
+  uint64_t begin, end, step, element_bytes;
+} TaiArrayRange;
+/// For warnings of gradients that get lost. The launch to come gets, at this
+/// address, a copy of an array, which is copied back; and: the caller has
+/// changed an array since the last launch.
+TAI_EXPORT void taiTapeNoteArrayCopy(TaiTape tape, const void *address,
+                                     TaiArrayRange array);
+TAI_EXPORT void taiTapeNoteArrayWrite(TaiTape tape, TaiArrayRange array);
 TAI_EXPORT TaiStatus taiTapeSuspend(TaiTape tape);
 TAI_EXPORT TaiStatus taiTapeResume(TaiTape tape);
 /// One line for each record: replayed or skipped, and why. Owned by the tape.

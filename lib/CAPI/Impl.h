@@ -25,6 +25,7 @@ struct TaiContextImpl {
   std::vector<TaiProfileRow> profileRows;
   std::vector<TaiTraceEvent> traceEvents;
   std::vector<TaiSkipRow> skipRows;
+  std::string lostTangents;
 
   /// The status of a call of the session.
   TaiStatus status(llvm::LogicalResult result) {

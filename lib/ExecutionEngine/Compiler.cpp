@@ -462,6 +462,13 @@ Compiler::finish(Prepared prepared, CompileRequest request,
   function.loopLevels = std::move(object->loopLevels);
   if (object->image) {
     object->image->key = prepared.key;
+    if (function.fromCache)
+      object->image->makeAgain =
+          [this, request, name = request.name.str(),
+           options](runtime::DeviceImage &fresh) mutable {
+            request.name = name;
+            return makeImageAgain(request, options, fresh);
+          };
     function.image =
         std::make_shared<const runtime::DeviceImage>(std::move(*object->image));
   }
@@ -469,6 +476,26 @@ Compiler::finish(Prepared prepared, CompileRequest request,
   for (unsigned i = 0; i < kNumPhases; ++i)
     totals[i] += function.times[i];
   return function;
+}
+
+runtime::Status Compiler::makeImageAgain(CompileRequest request,
+                                         const CompileOptions &options,
+                                         runtime::DeviceImage &image) {
+  Prepared prepared;
+  prepared.key = getKey(request, options);
+  Failure failure;
+  std::optional<CompiledObject> object;
+  if (succeeded(start(request, options, prepared, failure)))
+    object = compileObject(request, options, prepared, failure);
+  if (!object)
+    return runtime::Status::failure(runtime::StatusCode::Internal,
+                                    failure.message);
+  if (cache)
+    cache.store(prepared.key, object->serialize());
+  if (object->image)
+    image = std::move(*object->image);
+  image.key = prepared.key;
+  return runtime::Status::success();
 }
 
 void Compiler::unload(const Function &function) {

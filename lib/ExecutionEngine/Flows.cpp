@@ -6,12 +6,13 @@
 //===----------------------------------------------------------------------===//
 //
 // A tape wants to know whether a value that it differentiates by gets lost in a
-// field without gradient. So values are followed from each read of floats to
-// each store of floats, through ops that carry derivatives, whether the fields
-// have gradients or not.
+// field or an array without gradient; forward mode, in a field without dual. So
+// values are followed from each read of floats to each store of floats, through
+// ops that carry derivatives, whether the fields have gradients or not.
 //
 //===----------------------------------------------------------------------===//
 
+#include "tai/AD/Signature.h"
 #include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Activity.h"
 #include "tai/ExecutionEngine/Diagnostics.h"
@@ -25,7 +26,8 @@ namespace {
 /// For each value, the storages that it depends on.
 class FlowFinder {
 public:
-  explicit FlowFinder(KernelOp kernel) {
+  /// `arguments`: numbers that the kernel is differentiated by.
+  FlowFinder(KernelOp kernel, ArrayRef<Value> arguments) {
     kernel.walk([&](Operation *op) {
       auto access = dyn_cast<DifferentiableAccessInterface>(op);
       if (access && isFloatOrVector(access.getAccessedValue().getType()))
@@ -37,6 +39,10 @@ public:
     for (DifferentiableAccessInterface write : writes)
       if (!write->getResults().empty())
         (void)number(write.getAccessedStorage());
+    for (Value argument : arguments)
+      (void)number(argument);
+    for (Value argument : arguments)
+      addOwn(argument, argument);
     do {
       grown = false;
       kernel.walk([&](Operation *op) { visit(op); });
@@ -61,6 +67,11 @@ private:
     grown |= more.test(known);
     known |= more;
   }
+  void addOwn(Value to, Storage storage) {
+    llvm::SmallBitVector own(storages.size());
+    own.set(number(storage));
+    add(to, own);
+  }
   void pass(Value from, Value to) {
     auto it = sources.find(from);
     if (it == sources.end() || it->second.none())
@@ -76,13 +87,9 @@ private:
 
 void FlowFinder::visit(Operation *op) {
   if (auto access = dyn_cast<DifferentiableAccessInterface>(op)) {
-    for (Value result : op->getResults()) {
-      if (!isFloatOrVector(result.getType()))
-        continue;
-      llvm::SmallBitVector own(storages.size());
-      own.set(number(access.getAccessedStorage()));
-      add(result, own);
-    }
+    for (Value result : op->getResults())
+      if (isFloatOrVector(result.getType()))
+        addOwn(result, access.getAccessedStorage());
     return;
   }
   if (auto load = dyn_cast<LocalLoadOp>(op))
@@ -105,32 +112,133 @@ void FlowFinder::visit(Operation *op) {
           pass(operand.get(), result);
 }
 
-std::vector<runtime::ValueFlow>
-mlir::tai::findFlows(KernelOp kernel, ArrayRef<runtime::Access> summary) {
-  FlowFinder finder(kernel);
-  auto findField = [&](Storage storage) {
-    if (storage.field)
+/// What the program calls an argument.
+static std::string getName(BlockArgument argument) {
+  if (auto name = argument.getLoc()->findInstanceOf<NameLoc>())
+    return name.getName().str();
+  return std::to_string(argument.getArgNumber());
+}
+
+namespace {
+/// The places of a kernel, numbered.
+class PlaceList {
+public:
+  PlaceList(KernelOp kernel, ArrayRef<runtime::Access> summary,
+            const AdjointSignature &signature)
+      : kernel(kernel), summary(summary), signature(signature) {}
+
+  /// Nothing for fields that are no part of the summary, for buffers of the
+  /// kernel, and for the gradients of arrays.
+  std::optional<size_t> find(Storage storage) {
+    auto [entry, isNew] = numbers.try_emplace(storage.getOpaque());
+    if (isNew)
+      if (std::optional<runtime::FlowPlace> place = make(storage)) {
+        entry->second = places.size();
+        places.push_back(std::move(*place));
+      }
+    return entry->second;
+  }
+  size_t addResult() {
+    runtime::FlowPlace place;
+    place.isResult = true;
+    places.push_back(std::move(place));
+    return places.size() - 1;
+  }
+
+  std::vector<runtime::FlowPlace> places;
+
+private:
+  std::optional<runtime::FlowPlace> make(Storage storage) {
+    runtime::FlowPlace place;
+    if (storage.field) {
       for (const runtime::Access &access : summary)
         if (access.field->name() == storage.field.getValue())
-          return access.field;
-    return runtime::FieldPtr();
+          place.field = access.field;
+      if (!place.field)
+        return std::nullopt;
+      place.name = place.field->name();
+      return place;
+    }
+    auto argument = dyn_cast<BlockArgument>(storage.memref);
+    if (!argument || argument.getOwner() != &kernel.getBody().front())
+      return std::nullopt;
+    place.name = getName(argument);
+    // An array with a gradient is followed by that.
+    if (StringRef(place.name).ends_with(".grad"))
+      return std::nullopt;
+    unsigned number = argument.getArgNumber();
+    const auto *wanted = llvm::find(signature.arguments, number);
+    place.hasGradient = wanted != signature.arguments.end();
+    auto array = dyn_cast<MemRefType>(argument.getType());
+    if (!array)
+      return place;
+    place.slot = countSlots(kernel.getArgumentTypes().take_front(number));
+    place.rank = array.getRank();
+    place.elementBytes = array.getElementTypeBitWidth() / 8;
+    place.boxes = findStoredBoxes(kernel, argument);
+    if (place.hasGradient) {
+      auto shadows = signature.getShadowTypes(kernel);
+      auto before = ArrayRef(shadows).take_front(
+          std::distance(signature.arguments.begin(), wanted));
+      place.adjointSlot = countSlots(kernel.getArgumentTypes()) +
+                          countSlots(SmallVector<Type>(before));
+    }
+    return place;
+  }
+
+  KernelOp kernel;
+  ArrayRef<runtime::Access> summary;
+  const AdjointSignature &signature;
+  DenseMap<const void *, std::optional<size_t>> numbers;
+};
+} // namespace
+
+runtime::KernelFlows mlir::tai::findFlows(KernelOp kernel,
+                                          ArrayRef<runtime::Access> summary) {
+  FailureOr<AdjointSignature> signature =
+      AdjointSignature::get(kernel, /*arrays=*/false);
+  if (failed(signature))
+    return {};
+  SmallVector<Value> numbers;
+  for (unsigned position : signature->arguments)
+    if (Value argument = kernel.getArgument(position);
+        !isa<MemRefType>(argument.getType()))
+      numbers.push_back(argument);
+  FlowFinder finder(kernel, numbers);
+  PlaceList list(kernel, summary, *signature);
+  runtime::KernelFlows found;
+  auto add = [&](Value value, std::optional<size_t> to, Location loc,
+                 bool isReadAgain) {
+    const llvm::SmallBitVector sources = finder.sourcesOf(value);
+    for (unsigned source : sources.set_bits()) {
+      std::optional<size_t> from = list.find(finder.storages[source]);
+      if (from && to)
+        found.flows.push_back({*from, *to, describePlace(loc), isReadAgain});
+    }
   };
-  std::vector<runtime::ValueFlow> flows;
   for (DifferentiableAccessInterface write : finder.writes) {
     bool isReadAgain =
         llvm::any_of(finder.reads, [&](DifferentiableAccessInterface read) {
           return read.getAccessedStorage() == write.getAccessedStorage() &&
                  mayReachLater(write, read);
         });
-    const llvm::SmallBitVector &sources =
-        finder.sourcesOf(write.getAccessedValue());
-    for (unsigned source : sources.set_bits()) {
-      runtime::ValueFlow flow{findField(finder.storages[source]),
-                              findField(write.getAccessedStorage()),
-                              describePlace(write->getLoc()), isReadAgain};
-      if (flow.from && flow.to)
-        flows.push_back(std::move(flow));
-    }
+    add(write.getAccessedValue(), list.find(write.getAccessedStorage()),
+        write->getLoc(), isReadAgain);
   }
-  return flows;
+  kernel.walk([&](ReturnOp end) {
+    std::optional<size_t> result;
+    for (Value value : end->getOperands())
+      if (isFloatOrVector(value.getType())) {
+        if (!result)
+          result = list.addResult();
+        add(value, result, end.getLoc(), false);
+      }
+  });
+  // What is only replaced matters too.
+  for (BlockArgument argument : kernel.getArguments())
+    if (auto array = dyn_cast<MemRefType>(argument.getType()))
+      if (isFloatOrVector(array.getElementType()))
+        (void)list.find(Storage(argument));
+  found.places = std::move(list.places);
+  return found;
 }

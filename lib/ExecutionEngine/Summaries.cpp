@@ -9,6 +9,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Matchers.h"
 #include "tai/Analysis/Accesses.h"
@@ -63,8 +64,9 @@ evaluateOnLaunch(const LinearIndex &form, size_t dimension,
     auto slot = slots.find(term);
     if (slot == slots.end())
       return std::nullopt;
-    fixed.terms.push_back(
-        {slot->second, term.getType().getIntOrFloatBitWidth(), factor});
+    unsigned bits =
+        term.getType().isIndex() ? 64 : term.getType().getIntOrFloatBitWidth();
+    fixed.terms.push_back({slot->second, bits, factor});
   }
   return fixed;
 }
@@ -145,14 +147,13 @@ static runtime::FixedIndex addTo(runtime::FixedIndex bound,
 /// index is that of a loop of its own, moved by sums of arguments, or such a
 /// sum alone.
 static std::optional<runtime::StoredBox>
-findStoredBox(StoreOp store, const ArgumentSlots &slots) {
-  if (!store.getComponents().empty())
-    return std::nullopt;
+findStoredBox(Operation *store, ValueRange indices,
+              const ArgumentSlots &slots) {
   auto loops = findLoopRanges(store, slots);
   if (!loops)
     return std::nullopt;
   runtime::StoredBox box;
-  for (auto [dimension, index] : llvm::enumerate(store.getIndices())) {
+  for (auto [dimension, index] : llvm::enumerate(indices)) {
     LinearIndex form = getLinearIndex(index);
     LoopRange *loop = nullptr;
     for (LoopRange &candidate : *loops) {
@@ -212,14 +213,39 @@ static void addStoredBoxes(ModuleOp module, KernelOp kernel,
     if (isa<KernelOp>(root) && &root != kernel)
       continue;
     root.walk([&](StoreOp store) {
+      bool mayBeBox = isa<KernelOp>(root) && store.getComponents().empty();
       add(store.getField(), getFixedIndex(store.getIndices(), slots),
-          isa<KernelOp>(root) ? findStoredBox(store, slots) : std::nullopt);
+          mayBeBox ? findStoredBox(store, store.getIndices(), slots)
+                   : std::nullopt);
     });
   }
   for (auto [line, boxes] : llvm::zip(summary, found))
     if (boxes && !boxes->empty() && !line.field->sparseNode() &&
         line.kind == runtime::AccessKind::Write)
       line.boxes = std::make_shared<const Boxes>(std::move(*boxes));
+}
+
+std::vector<runtime::StoredBox>
+mlir::tai::findStoredBoxes(KernelOp kernel, BlockArgument array) {
+  ArgumentSlots slots;
+  int64_t next = 0;
+  for (BlockArgument argument : kernel.getArguments()) {
+    if (argument.getType().isSignlessInteger() &&
+        argument.getType().getIntOrFloatBitWidth() <= 64)
+      slots[argument] = next;
+    // Extents follow the pointer of an array.
+    for (Operation *user : argument.getUsers())
+      if (auto dim = dyn_cast<memref::DimOp>(user))
+        if (std::optional<int64_t> index = dim.getConstantIndex())
+          slots[dim.getResult()] = next + 1 + *index;
+    next += ::countSlots(argument.getType());
+  }
+  std::vector<runtime::StoredBox> boxes;
+  for (Operation *user : array.getUsers())
+    if (auto store = dyn_cast<memref::StoreOp>(user))
+      if (auto box = findStoredBox(store, store.getIndices(), slots))
+        boxes.push_back(std::move(*box));
+  return boxes;
 }
 
 //===----------------------------------------------------------------------===//

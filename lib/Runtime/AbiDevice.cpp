@@ -132,6 +132,40 @@ static std::string keyOf(const DeviceImage &image, const std::string &function,
          std::to_string(device.limits().multiprocessors);
 }
 
+/// Loads code and finds its functions.
+static Status loadCode(Device &device, const DeviceImage &image,
+                       std::unique_ptr<DeviceModule> &module,
+                       std::vector<DeviceFunction *> &functions) {
+  functions.clear();
+  Status status = device.load(image, module);
+  for (const std::string &name : image.functions) {
+    DeviceFunction *function = nullptr;
+    if (status)
+      status = device.find(*module, name, function);
+    functions.push_back(function);
+  }
+  return status;
+}
+
+/// The same; what came from the cache and is not taken is compiled anew, once.
+static Status loadOrMakeAgain(Device &device,
+                              std::shared_ptr<const DeviceImage> &image,
+                              std::unique_ptr<DeviceModule> &module,
+                              std::vector<DeviceFunction *> &functions) {
+  Status status = loadCode(device, *image, module, functions);
+  if (status || !image->makeAgain || status.code() != StatusCode::Internal)
+    return status;
+  auto fresh = std::make_shared<DeviceImage>();
+  Status made = image->makeAgain(*fresh);
+  if (!made)
+    return made;
+  // The host's part, which goes by numbers, stays.
+  if (fresh->functions != image->functions)
+    return status;
+  image = std::move(fresh);
+  return loadCode(device, *image, module, functions);
+}
+
 Status Runtime::loadOnDevice(Kernel &kernel, uint64_t epoch) {
   std::lock_guard<std::recursive_mutex> lock(kernel.mutex);
   std::shared_ptr<DeviceCode> &code = kernel.deviceCode;
@@ -141,23 +175,25 @@ Status Runtime::loadOnDevice(Kernel &kernel, uint64_t epoch) {
   kernel.prepared.state.store(0, std::memory_order_release);
   if (!code || code->image != kernel.info.image) {
     auto loaded = std::make_shared<DeviceCode>(device);
-    loaded->image = kernel.info.image;
     Device &target = device->get();
-    Status status = target.load(*loaded->image, loaded->module);
-    for (const std::string &name : loaded->image->functions) {
+    std::vector<DeviceFunction *> functions;
+    Status status =
+        loadOrMakeAgain(target, kernel.info.image, loaded->module, functions);
+    if (!status)
+      return Status::failure(status.code(), "kernel '" + kernel.name() +
+                                                "': " + status.message());
+    loaded->image = kernel.info.image;
+    for (size_t i = 0; i < functions.size(); ++i) {
+      const std::string &name = loaded->image->functions[i];
       DeviceCode::Function entry{};
-      if (status)
-        status = target.find(*loaded->module, name, entry.function);
-      if (!status)
-        return Status::failure(status.code(), "kernel '" + kernel.name() +
-                                                  "': " + status.message());
+      entry.function = functions[i];
       // Enough to hide the time of memory, and few enough that registers do
       // not limit how many blocks there are.
       constexpr unsigned usualThreads = 256;
       unsigned wanted = opts.blockThreads > 0
                             ? static_cast<unsigned>(opts.blockThreads)
                             : usualThreads;
-      unsigned said = loaded->image->blockSize(loaded->functions.size());
+      unsigned said = loaded->image->blockSize(i);
       entry.hasSize = said > 0;
       unsigned most = mostBlockThreads(target, *entry.function, opts);
       entry.threads = std::min(entry.hasSize ? said : wanted, most);

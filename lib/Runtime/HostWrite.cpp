@@ -8,6 +8,7 @@
 #include "HostWrite.h"
 #include "Scalars.h"
 #include "Slabs.h"
+#include "TangentFlows.h"
 #include "tai/Runtime/Runtime.h"
 #include "tai/Runtime/Tape.h"
 #include <algorithm>
@@ -101,6 +102,8 @@ Status Runtime::change(const HostWrite &write) {
     perform(write);
     return takeDeviceFailure();
   }
+  if (tangentFlows && write.replacesAll())
+    tangentFlows->overwrite(field);
   if (tape)
     return tape->write(write);
   // On a device it would take a copy, and a wait, to find out; only tapes that

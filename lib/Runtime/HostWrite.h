@@ -28,6 +28,11 @@ struct HostWrite {
   const int64_t *index = nullptr;
   int64_t component = 0;
 
+  /// Whether nothing stays of what the field held.
+  bool replacesAll() const {
+    return what != What::Element ||
+           field->numElements() * field->numComponents() == 1;
+  }
   int64_t numBytes() const {
     return what == What::Array ? field->hostBytes() : byteSize(field->scalar());
   }

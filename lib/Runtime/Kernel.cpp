@@ -120,11 +120,11 @@ const AdjointPlan &Kernel::plan() {
   return *adjointPlan;
 }
 
-const std::vector<ValueFlow> &Kernel::flows() {
+const KernelFlows &Kernel::flows() {
   std::lock_guard<std::recursive_mutex> lock(mutex);
-  if (!flowList)
-    flowList = info.findFlows ? info.findFlows() : std::vector<ValueFlow>();
-  return *flowList;
+  if (!valueFlows)
+    valueFlows = info.findFlows ? info.findFlows() : KernelFlows();
+  return *valueFlows;
 }
 
 Status Kernel::resolveTangent(Kernel *&result) {

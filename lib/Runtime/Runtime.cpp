@@ -14,6 +14,7 @@
 #include "Launch.h"
 #include "Mirror.h"
 #include "Scalars.h"
+#include "TangentFlows.h"
 #include "WorkerPool.h"
 #include <algorithm>
 #include <chrono>
@@ -383,6 +384,8 @@ Status Runtime::runTangent(Launch &launch, Kernel &kernel, const uint64_t *args,
     return status;
   for (Field *field : kernel.changedAdjoints)
     field->markDirty();
+  if (tangentFlows)
+    tangentFlows->launch(kernel, args);
   if (tangent == &kernel)
     return runCode(launch, kernel, args, results, number);
   if (!kernel.sparseNodes.empty() && !launch.given)

@@ -14,6 +14,7 @@
 #include "HostWrite.h"
 #include "Launch.h"
 #include "Scalars.h"
+#include "TapeArrays.h"
 #include "TapeCheckpoint.h"
 #include "TapeMemory.h"
 #include "TapeTopology.h"
@@ -27,7 +28,8 @@ using namespace mlir::tai::runtime;
 Tape::Tape(Runtime &runtime, uint64_t stamp)
     : runtime(runtime), stamp(stamp),
       memory(std::make_unique<TapeMemory>(runtime)),
-      topology(std::make_unique<TapeTopology>(runtime)) {
+      topology(std::make_unique<TapeTopology>(runtime)),
+      arrays(std::make_unique<TapeArrays>()) {
   runtime.tapes.push_back(this);
 }
 

@@ -35,6 +35,9 @@ struct TapedArray {
   uint64_t frozen = 0;
   bool hasDigest = false;
   uint64_t digest = 0;
+  /// What kernels have left in some of its elements.
+  bool hasSample = false;
+  uint64_t sample = 0;
 };
 /// Which tape that is. It is held: another one could come to lie there.
 PyObject *arrayTape = nullptr;
@@ -45,6 +48,17 @@ void forgetArrays() {
   std::unordered_map<PyObject *, TapedArray> old;
   old.swap(taped);
   Py_CLEAR(arrayTape);
+}
+
+/// A digest of some of the bytes.
+uint64_t sample(uint64_t address, uint64_t bytes) {
+  constexpr uint64_t pieces = 32, size = 64;
+  if (bytes <= pieces * size)
+    return digest(address, bytes);
+  uint64_t result = 0, step = (bytes - size) / (pieces - 1);
+  for (uint64_t i = 0; i < pieces; ++i)
+    result = result * 31 + digest(address + i * step, size);
+  return result;
 }
 
 /// Of a buffer, without a byte-order mark.
@@ -121,6 +135,8 @@ bool HeldArrays::isKnownToTape(const Range &range, PyObject *object,
     return false;
   if (known.version < 0) {
     uint64_t begin = known.begin, bytes = known.end - known.begin;
+    if (known.hasSample && sample(begin, bytes) != known.sample)
+      return false;
     if (!taiKernelReadsInReverse(kernel.handle, static_cast<int64_t>(first)))
       return true;
     if (known.hasDigest)
@@ -385,6 +401,7 @@ void taipy::bindArrayArguments(py::module_ &module) {
     entry->second.version = version;
     entry->second.frozen = 0;
     entry->second.hasDigest = false;
+    entry->second.hasSample = false;
   });
   // Its adjoints read a copy, by its address.
   module.def("note_frozen_array", [](const py::object &array, uint64_t frozen) {
@@ -400,7 +417,17 @@ void taipy::bindArrayArguments(py::module_ &module) {
       found->second.digest = value;
     }
   });
+  // They read the array, which kernels write: whether Python has, too, is seen
+  // by some of its elements.
+  module.def("note_array_sample", [](const py::object &array, uint64_t value) {
+    auto found = taped.find(array.ptr());
+    if (found != taped.end()) {
+      found->second.hasSample = true;
+      found->second.sample = value;
+    }
+  });
   module.def("digest", &digest);
+  module.def("sample", &sample);
   module.def("note_taped_gradient",
              [](const py::object &array, uint64_t address) {
                auto found = taped.find(array.ptr());

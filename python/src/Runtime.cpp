@@ -137,6 +137,13 @@ py::list readAll(const Field &field, const py::tuple &indices) {
   return values;
 }
 
+std::vector<TaiField> handlesOf(const std::vector<Field *> &fields) {
+  std::vector<TaiField> handles;
+  for (const Field *field : fields)
+    handles.push_back(field->handle);
+  return handles;
+}
+
 void writeAt(const Field &field, const std::vector<int64_t> &at,
              int64_t component, const py::object &value) {
   if (field.isFloat()) {
@@ -280,6 +287,18 @@ void bindTape(py::module_ &module) {
                  reverses ? +[](void *user) { return callBack(user, 1); }
                           : nullptr,
                  user));
+           })
+      .def("note_array_copy",
+           [](Tape &t, uint64_t address, uint64_t begin, uint64_t end,
+              uint64_t step, uint64_t elementBytes) {
+             taiTapeNoteArrayCopy(t.handle,
+                                  reinterpret_cast<const void *>(address),
+                                  {begin, end, step, elementBytes});
+           })
+      .def("note_array_write",
+           [](Tape &t, uint64_t begin, uint64_t end, uint64_t step,
+              uint64_t elementBytes) {
+             taiTapeNoteArrayWrite(t.handle, {begin, end, step, elementBytes});
            })
       .def("add_loss",
            [](Tape &t, const Field &loss) {
@@ -452,6 +471,10 @@ void bindKernel(py::module_ &module) {
            [](Kernel &k, int64_t slot) {
              return taiKernelReadsInReverse(k.handle, slot);
            })
+      .def("ends_gradients",
+           [](Kernel &k, int64_t slot) {
+             return taiKernelEndsGradients(k.handle, slot);
+           })
       .def("compile", [](Kernel &k, bool adjoint) {
         k.context->check(
             taiKernelsCompile(k.context->handle, &k.handle, 1, adjoint));
@@ -556,6 +579,19 @@ void taipy::bindRuntime(py::module_ &module) {
            [](Context &c, uint64_t address) {
              return bool(taiContextIsOnDevice(
                  c.handle, reinterpret_cast<const void *>(address)));
+           })
+      .def("follow_tangents",
+           [](Context &c, const std::vector<Field *> &inputs) {
+             std::vector<TaiField> handles = handlesOf(inputs);
+             taiContextFollowTangents(c.handle, handles.data(),
+                                      static_cast<int64_t>(handles.size()));
+           })
+      .def("lost_tangents",
+           [](Context &c, const std::vector<Field *> &outputs) {
+             std::vector<TaiField> handles = handlesOf(outputs);
+             return std::string(
+                 taiContextLostTangents(c.handle, handles.data(),
+                                        static_cast<int64_t>(handles.size())));
            })
       .def("is_on_gpu",
            [](Context &c) { return bool(taiContextIsOnGpu(c.handle)); })

@@ -13,6 +13,7 @@ array itself: its digest tells whether somebody else has changed it.
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -110,6 +111,8 @@ class HeldArray(NamedTuple):
         is_read, is_written: what the kernel does with it.
         has_gradient: whether the kernel is differentiated by it.
         is_read_in_reverse: whether the gradient reads its elements.
+        ends_gradients: whether the kernel stores differentiable values there, and it has no
+            gradient.
     """
 
     name: str
@@ -122,6 +125,7 @@ class HeldArray(NamedTuple):
     is_written: bool
     has_gradient: bool = False
     is_read_in_reverse: bool = False
+    ends_gradients: bool = False
 
     @property
     def what(self) -> str:
@@ -173,6 +177,47 @@ class _Frozen:
             )
 
 
+def _range_of(array: Any) -> tuple[int, int, int, int]:
+    """The first byte, the byte behind the last, a divisor of the distances between elements, and
+    the bytes of an element."""
+    address, size = array.ctypes.data, array.dtype.itemsize
+    if not isinstance(array, np.ndarray):
+        return address, address + array.nbytes, size, size
+    steps = [
+        (n - 1, step) for n, step in zip(array.shape, array.strides, strict=True) if n > 1 and step
+    ]
+    begin = address + sum(n * step for n, step in steps if step < 0)
+    end = address + size + sum(n * step for n, step in steps if step > 0)
+    divisor = math.gcd(*(step for _, step in steps)) if steps else size
+    return begin, end, divisor, size
+
+
+class _Sampled:
+    """An array without a gradient that recorded kernels write differentiable values to.
+
+    Whether Python has written to it since is seen by a few of its elements.
+    """
+
+    def __init__(self, held: HeldArray):
+        self.held = held
+        self._sample: int | None = None
+
+    def renew(self, contents: Any) -> None:
+        from . import _core
+
+        self._sample = _sample_of(contents)
+        _core.note_array_sample(self.held.value, self._sample)
+
+    def is_changed(self, contents: Any) -> bool:
+        return self._sample is not None and _sample_of(contents) != self._sample
+
+
+def _sample_of(array: Any) -> int:
+    from . import _core
+
+    return _core.sample(array.ctypes.data, array.nbytes)
+
+
 class _Watched:
     """An array that recorded kernels write and gradients read."""
 
@@ -218,6 +263,7 @@ class TapeArrays:
         self._written: dict[tuple, Any] = {}
         self._frozen: dict[tuple, _Frozen] = {}
         self._watched: dict[tuple, _Watched] = {}
+        self._sampled: dict[tuple, _Sampled] = {}
         # Of the launch that comes next: copies to write back, and what it changes.
         self._staged: list[HeldArray] = []
         self._changing: list[HeldArray] = []
@@ -265,6 +311,8 @@ class TapeArrays:
         is_copied = held.launched is not held.array
         on_host = isinstance(array, np.ndarray) and version is None
         self._launcher.note_taped_array(value, key[0], key[1], -1 if version is None else version)
+        if on_host:
+            self._look_at_sample(key, held)
         if held.is_written:
             self._written[key] = array
             self._changing.append(held)
@@ -306,10 +354,22 @@ class TapeArrays:
         self._launcher.note_frozen_array(held.value, copy.ctypes.data)
         return copy
 
+    def _look_at_sample(self, key: tuple, held: HeldArray) -> None:
+        """Notes that Python has written to the array since a launch has, if so."""
+        known = self._sampled.get(key)
+        if known is not None and known.is_changed(held.launched):
+            self._core.note_array_write(*_range_of(held.array))
+            del self._sampled[key]
+        elif known is not None and not held.is_written:
+            known.renew(held.launched)
+        if held.ends_gradients:
+            self._sampled[key] = _Sampled(held)
+
     def _stage(self, held: HeldArray) -> None:
         """The kernel gets a contiguous copy of what others change: a replay copies again."""
         copy, array = held.launched, held.array
         self._core.keep(copy)
+        self._core.note_array_copy(copy.ctypes.data, *_range_of(array))
         self._core.record(lambda: np.copyto(copy, array), None)
         if held.is_written:
             self._staged.append(held)
@@ -323,6 +383,11 @@ class TapeArrays:
             for watched in self._watched.values():
                 if overlap(held.array, watched.held.array):
                     watched.renew()
+            for sampled in self._sampled.values():
+                if sampled.held.array is held.array:
+                    sampled.renew(held.launched)
+                elif overlap(held.array, sampled.held.array):
+                    sampled.renew(np.ascontiguousarray(sampled.held.array))
         self.forget_launch()
 
     def forget_launch(self) -> None:

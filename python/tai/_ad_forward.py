@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from . import _ad_origins, _state
+from ._ad_seeds import TaiGradientWarning, parts_of
 from .errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
 from .program import get_program
 
@@ -72,6 +74,30 @@ def clear_duals() -> None:
     for field in list(get_program().fields.values()):
         if field.role == "dual":
             field.fill(0.0)
+
+
+def _cores_of(fields: Sequence[Any]) -> list[Any]:
+    """The places of fields, in C++."""
+    return [part.core for field in fields for part, _ in parts_of(field)]
+
+
+def _follow(inputs: Sequence[Any], all_others: bool) -> None:
+    """Follows the tangents of fields, to say where they get lost."""
+    program = get_program()
+    if all_others:
+        duals = (f for f in program.fields.values() if f.role == "dual")
+        inputs = [*inputs, *(d.primal for d in duals if d.snode is not None)]
+    program.context.follow_tangents(_cores_of(inputs))
+
+
+def _find_lost(outputs: Sequence[Any]) -> list[str]:
+    """Where tangents got lost on the way to the outputs; to be called in forward mode."""
+    return get_program().context.lost_tangents(_cores_of(outputs)).splitlines()
+
+
+def _warn_of_lost(lines: list[str], stacklevel: int) -> None:
+    for line in lines:
+        warnings.warn(line, TaiGradientWarning, stacklevel=stacklevel + 1)
 
 
 @contextlib.contextmanager
@@ -147,10 +173,13 @@ def run_forward(
     for field, tangent in pairs:
         field.dual.from_numpy(tangent)
     with forward_mode():
+        _follow([field for field, _ in pairs], not clear)
         if isinstance(function, Tape):
             function.replay(forward=True, backward=False)
         else:
             function()
+        lost = _find_lost(outputs)
+    _warn_of_lost(lost, 3)
     return [field.dual.to_numpy() for field in outputs]
 
 
@@ -305,9 +334,12 @@ class FwdMode:
         if self.clear_gradients:
             clear_duals()
         self.param.dual.from_numpy(self.seed)
+        _follow([self.param], not self.clear_gradients)
         return self
 
     def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
         mode, self._mode = self._mode, None
+        lost = [] if kind is not None else _find_lost(self.loss)
         mode.__exit__(None, None, None)
         self.param.dual.fill(0.0)
+        _warn_of_lost(lost, 2)

@@ -83,6 +83,10 @@ class ArgumentSpec:
             return []
         return [self.mlir_type] * (2 if self.kind == "array" and self.has_gradient else 1)
 
+    def names(self, name: str) -> list[str]:
+        """What these are called: the argument, and the gradient of an array."""
+        return [name, f"{name}.grad"][: len(self.mlir_types)]
+
     @property
     def mlir_type(self) -> str:
         if self.kind == "array":
@@ -274,7 +278,9 @@ class Kernel(_core.Launcher):
         try:
             for held in kept if tape is not None else ():
                 is_read = found.core.reads_in_reverse(held.slot)
-                launched = tape.arrays.use(held._replace(is_read_in_reverse=is_read))
+                ends = held.is_written and found.core.ends_gradients(held.slot)
+                held = held._replace(is_read_in_reverse=is_read, ends_gradients=ends)
+                launched = tape.arrays.use(held)
                 slots[held.slot] = launched.ctypes.data
             if tracks:
                 adjoints, gradient = adjoint_slots(found, values, tape)

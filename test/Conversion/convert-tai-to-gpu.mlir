@@ -115,6 +115,15 @@ tai.kernel @result() -> f32 {
   tai.return %0 : f32
 }
 
+// An array that nobody looks at is not brought to the device: there may be no
+// device code.
+// CHECK-LABEL: llvm.func @unused(
+//   CHECK-NOT:   tai_rt_device_array
+//       CHECK:   llvm.return
+tai.kernel @unused(%a: memref<?xf32>) {
+  tai.return
+}
+
 // An array of the caller is brought to the device, and back if it is written.
 // CHECK-LABEL: llvm.func @arrays(
 //       CHECK:   %[[NO:.+]] = arith.constant 0 : i32

@@ -399,3 +399,26 @@ def test_sums_of_a_gradient_that_finds_no_memory():
     a.grad[None] = 0
     total.grad()
     assert a.grad[None] == pytest.approx(first, rel=1e-12)
+
+
+def test_the_gradient_of_a_kernel_may_have_nothing_to_do():
+    given = ti.ndarray(ti.f32, 4, needs_grad=True)
+    tmp = ti.field(ti.f32, shape=4)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+    given.fill(3)
+
+    @ti.kernel
+    def keep(a: ti.types.ndarray()):
+        for i in tmp:
+            tmp[i] = ti.stop_grad(a[i])
+
+    @ti.kernel
+    def total(a: ti.types.ndarray()):
+        for i in tmp:
+            loss[None] += tmp[i] * a[i]
+
+    with ti.ad.Tape(loss):
+        keep(given)
+        total(given)
+    assert loss[None] == 36
+    assert list(given.grad.to_numpy()) == [3] * 4

@@ -16,6 +16,7 @@
 #include "llvm/Object/ObjectFile.h"
 #include "llvm/Support/Endian.h"
 #include "llvm/Support/MemoryBuffer.h"
+#include "llvm/Support/Process.h"
 #include "llvm/Support/raw_ostream.h"
 #include "llvm/TargetParser/Host.h"
 #include <dlfcn.h>
@@ -38,8 +39,10 @@ const char *sumText = R"(
 
 /// A context that keeps its code in a folder, and the sum of squares in it.
 struct Program {
-  explicit Program(llvm::StringRef folder, const std::string &factor = "1.0") {
+  explicit Program(llvm::StringRef folder, const std::string &factor = "1.0",
+                   const char *arch = "cpu") {
     EXPECT_TRUE(succeeded(session.setOption("cache_dir", folder)));
+    EXPECT_TRUE(succeeded(session.setOption("arch", arch)));
     ParserConfig config(session.getContext());
     module = parseSourceString<ModuleOp>(sumText + squares(factor), config);
     for (TreeOp tree : module->getOps<TreeOp>())
@@ -185,6 +188,48 @@ TEST(EngineCache, ObjectsThatDoNotLinkAreCompiledAnew) {
   expectAnew([](CompiledObject &object) {
     object.code.truncate(object.code.size() / 2);
   });
+}
+
+// Whole entries whose code the device does not take.
+TEST(EngineCache, ImagesThatAreRefusedAreCompiledAnew) {
+  std::optional<std::string> before =
+      llvm::sys::Process::GetEnv("TAI_CUDA_EMULATION");
+  setenv("TAI_CUDA_EMULATION", "1", 1);
+  TemporaryFolder folder;
+  Program(folder.path, "1.0", "cuda").run();
+  auto expectAnew = [&](llvm::function_ref<void(std::string &)> change) {
+    std::vector<std::string> good;
+    replaceObjects(folder.path, [&](CompiledObject &object) {
+      ASSERT_TRUE(object.image);
+      good.push_back(object.image->bytes);
+      change(object.image->bytes);
+    });
+    for (int round = 0; round < 2; ++round) {
+      Program next(folder.path, "1.0", "cuda");
+      EXPECT_EQ(next.run(), std::make_pair(36.0, 6.0));
+      EXPECT_EQ(next.hits(), 2u);
+    }
+    // What stands there now is what was there before.
+    replaceObjects(folder.path, [&](CompiledObject &object) {
+      EXPECT_TRUE(llvm::is_contained(good, object.image->bytes));
+    });
+  };
+  expectAnew([](std::string &image) { image.assign(100, 'x'); });
+  expectAnew([](std::string &image) { image.resize(image.size() / 2); });
+  // What is taken, and holds other functions.
+  std::string other;
+  replaceObjects(folder.path, [&](CompiledObject &object) {
+    std::swap(object.image->bytes, other);
+  });
+  replaceObjects(folder.path, [&](CompiledObject &object) {
+    if (object.image->bytes.empty())
+      object.image->bytes = other;
+  });
+  expectAnew([](std::string &) {});
+  if (before)
+    setenv("TAI_CUDA_EMULATION", before->c_str(), 1);
+  else
+    unsetenv("TAI_CUDA_EMULATION");
 }
 
 /// Run by the next test, in processes of their own.

@@ -693,6 +693,51 @@ TEST_F(RuntimeCuda, ChoosesBlocks) {
   }
 }
 
+TEST_F(RuntimeCuda, MakesCodeOfTheCacheAgainThatTheDriverRefuses) {
+  Runtime runtime;
+  std::unique_ptr<Device> device;
+  ASSERT_OK(openCudaDevice(0, device));
+  ASSERT_OK(runtime.useDevice(std::move(device)));
+  FieldPtr x = makeField(runtime, "x", ScalarKind::F64, {100});
+  int made = 0;
+  auto launch = [&](Kernel &kernel) {
+    uint64_t args[] = {100, slotOf(2.0)};
+    return runtime.launch(kernel, args, 2, nullptr);
+  };
+  auto makeScale = [&](const char *fresh, const char *function) {
+    DeviceImage image = *imageOf({"scale"}, DeviceKind::Cuda, "refused");
+    image.makeAgain = [&made, fresh, function](DeviceImage &again) {
+      ++made;
+      again = *imageOf({function}, DeviceKind::Cuda, fresh);
+      return Status::success();
+    };
+    return onDevice(runtime, "scale", scaleHost,
+                    std::make_shared<const DeviceImage>(std::move(image)),
+                    {{x, AccessKind::Read}, {x, AccessKind::Write}}, 2);
+  };
+  KernelPtr good = makeScale("// PTX", "scale");
+  ASSERT_OK(runtime.fillF64(*x, 3));
+  EXPECT_OK(launch(*good));
+  EXPECT_OK(launch(*good));
+  double value = 0;
+  int64_t index = 99;
+  EXPECT_OK(x->readF64(&index, 0, value));
+  EXPECT_EQ(value, 12);
+  EXPECT_EQ(made, 1);
+  // Once: a driver that takes neither says so.
+  KernelPtr bad = makeScale("refused too", "scale");
+  for (int round = 0; round < 2; ++round) {
+    Status status = launch(*bad);
+    EXPECT_FALSE(status.ok());
+    EXPECT_NE(status.message().find("does not take the code"),
+              std::string::npos);
+  }
+  EXPECT_EQ(made, 2);
+  // Code of another shape does not go with the host's part.
+  KernelPtr other = makeScale("// PTX", "add");
+  EXPECT_FALSE(launch(*other).ok());
+}
+
 TEST_F(RuntimeCuda, ReportsWhatGoesWrong) {
   use(TAI_FAKE_CUDA_LIBRARY, "small");
   Runtime runtime;

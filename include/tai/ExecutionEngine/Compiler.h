@@ -233,6 +233,10 @@ private:
                                               const CompileOptions &options,
                                               Prepared &prepared,
                                               Failure &failure);
+  /// Compiles what the cache holds anew, for its device code.
+  runtime::Status makeImageAgain(CompileRequest request,
+                                 const CompileOptions &options,
+                                 runtime::DeviceImage &image);
   /// Takes the device code out of a lowered module and compiles it.
   LogicalResult compileDeviceCode(Worker &worker, const CompileOptions &options,
                                   Prepared &prepared,

@@ -65,9 +65,13 @@ struct KernelCode : std::enable_shared_from_this<KernelCode> {
 int64_t countSlots(TypeRange types);
 
 /// Which floats that the kernel stores depend on which that it reads, with or
-/// without gradients; of the fields of its summary.
-std::vector<runtime::ValueFlow> findFlows(KernelOp kernel,
-                                          ArrayRef<runtime::Access> summary);
+/// without gradients; of the fields of its summary, and of its arguments.
+runtime::KernelFlows findFlows(KernelOp kernel,
+                               ArrayRef<runtime::Access> summary);
+/// The elements of an array that the kernel stores in each launch, as those of
+/// fields in its summary.
+std::vector<runtime::StoredBox> findStoredBoxes(KernelOp kernel,
+                                                BlockArgument array);
 
 /// A kernel of a session. It is compiled when it is first launched.
 struct SessionKernel {

@@ -122,6 +122,9 @@ struct DeviceImage {
   std::vector<int64_t> blockSizes = {};
   /// What the cache knows the code by; empty without one.
   std::string key = {};
+  /// Of code from the cache: compiles it anew, and puts it there in the place
+  /// of this, which the device does not take.
+  std::function<Status(DeviceImage &fresh)> makeAgain = nullptr;
 
   unsigned blockSize(size_t function) const {
     return function < blockSizes.size()

@@ -106,14 +106,51 @@ struct AdjointFlags {
   bool sumsUp = false;
 };
 
-/// Floats of one field on which floats depend that the kernel stores to
-/// another.
+/// Where a kernel reads or stores floats: in a field, in an array among its
+/// arguments, or, with neither, in a number that it takes or in what it
+/// returns.
+struct FlowPlace {
+  FieldPtr field = nullptr;
+  /// The slot of an array's pointer, its rank and the bytes of an element.
+  int64_t slot = -1, rank = 0, elementBytes = 0;
+  /// Of the field or of the argument.
+  std::string name = {};
+  /// The kernel is differentiated by the argument; and the slot of the pointer
+  /// to the adjoint of an array.
+  bool hasGradient = false;
+  int64_t adjointSlot = -1;
+  bool isResult = false;
+  /// Of an array: elements that each launch stores, as of fields.
+  std::vector<StoredBox> boxes = {};
+
+  bool isArray() const { return slot >= 0; }
+};
+
+/// Floats of one place on which floats depend that the kernel stores to
+/// another; places by their numbers.
 struct ValueFlow {
-  FieldPtr from, to;
+  size_t from, to;
   /// Of the store, as "file:line:column".
   std::string place;
   /// The kernel may itself read what it has stored there.
   bool isReadAgain = false;
+};
+
+struct KernelFlows {
+  std::vector<FlowPlace> places;
+  std::vector<ValueFlow> flows;
+};
+
+/// The elements of an array in memory: `step` divides the distance between any
+/// two.
+struct ArrayRange {
+  uint64_t begin, end;
+  uint64_t step, elementBytes;
+
+  bool overlaps(const ArrayRange &other) const;
+  bool holds(const ArrayRange &other) const {
+    return begin <= other.begin && other.end <= end && step == elementBytes;
+  }
 };
 
 /// What the adjoint of a kernel asks of memory, known before its code is.
@@ -204,7 +241,7 @@ struct KernelInfo {
   /// False if an adjoint of the kernel would do nothing; the tape skips it.
   bool differentiable = true;
   /// Which values depend on which: called once, when a tape wants to know.
-  std::function<std::vector<ValueFlow>()> findFlows;
+  std::function<KernelFlows()> findFlows;
   /// The same for the form of the adjoint that takes: it leaves zero in the
   /// adjoints of the elements which the kernel stores. Called once, when
   /// elements turn out to be stored again.
@@ -284,7 +321,7 @@ public:
   /// What the adjoint asks of memory. Any thread.
   const AdjointPlan &plan();
   /// Which values that it stores depend on which that it reads. Any thread.
-  const std::vector<ValueFlow> &flows();
+  const KernelFlows &flows();
   /// Whether the plan, if there is one, has parts.
   bool hasParts() const { return adjointPlan && !adjointPlan->parts.empty(); }
 
@@ -340,7 +377,7 @@ private:
   std::unique_ptr<AdjointPlan> adjointPlan;
   /// Why there is no plan: an adjoint that nobody planned for is not launched.
   Status planFailure;
-  std::optional<std::vector<ValueFlow>> flowList;
+  std::optional<KernelFlows> valueFlows;
   bool adjointReruns = false;
   bool loadsStored = false;
   bool alwaysTakes = false;

@@ -37,6 +37,7 @@ class DeviceQueue;
 class ForkGuard;
 struct HostWrite;
 class GradientCheck;
+class TangentFlows;
 class WorkerPool;
 struct Launch;
 
@@ -137,11 +138,12 @@ public:
   bool skips(Skip skip) const { return opts.skips.has(skip); }
   /// In forward mode every kernel is launched with the tangents that it carries
   /// along: also those that a tape replays, and adjoints.
-  void setForward(bool on) {
-    forward = on;
-    updateLaunchState();
-  }
+  void setForward(bool on);
   bool isForward() const { return forward; }
+  /// Follows the tangents of these fields until forward mode is switched; and:
+  /// what has ended them on the way to the others, one line each, said once.
+  void followTangents(const std::vector<FieldPtr> &inputs);
+  std::vector<std::string> lostTangents(const std::vector<FieldPtr> &outputs);
   /// Whether launches that come one after another may become one piece of work.
   void setFuseLaunches(bool on) { fusesLaunches = on; }
   /// Also restarts the numbering of launches, so that what follows draws the
@@ -474,6 +476,8 @@ private:
   /// lost, and what they have said.
   std::unordered_set<size_t> sequencesSeen;
   std::unordered_set<std::string> cutsSaid;
+  /// Of forward mode, if somebody wants to know.
+  std::unique_ptr<TangentFlows> tangentFlows;
 
   std::unique_ptr<ForkGuard> forkGuard;
   std::unique_ptr<WorkerPool> pool;

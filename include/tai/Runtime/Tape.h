@@ -41,6 +41,7 @@ struct TapeCallback {
 
 struct HostWrite;
 struct Launch;
+struct TapeArrays;
 class Checkpoints;
 class TapeMemory;
 class TapeTopology;
@@ -94,6 +95,11 @@ public:
   Status resume();
 
   void recordCallback(TapeCallback callback);
+
+  /// The launch to come gets a copy of an array, and copies it back; and: the
+  /// host has changed an array since the last record.
+  void noteArrayCopy(uint64_t address, const ArrayRange &array);
+  void noteArrayWrite(const ArrayRange &array);
 
   /// Adds a field that the sweep starts from. A field of one number is a sum:
   /// it is set to zero, and its seed is 1.
@@ -318,16 +324,10 @@ private:
   Status checkVersions();
   void checkEffect();
   // TapeFlows.cpp
-  /// Notes derivatives that end in fields without gradients, where a record
-  /// stores to one.
-  struct Cut {
-    size_t record;
-    const ValueFlow *flow;
-  };
+  /// Notes derivatives that end in fields or arrays without gradients, where a
+  /// record stores to one.
   void noteCuts();
-  std::vector<Cut> findCuts();
-  std::vector<Cut> keepWanted(std::vector<Cut> cuts,
-                              const std::vector<Field *> &live);
+  size_t hashSequence(bool hasArrays) const;
 
   Runtime &runtime;
   std::vector<Loss> losses;
@@ -336,6 +336,7 @@ private:
   std::unique_ptr<AccessChecks> checks;
   std::unique_ptr<TapeMemory> memory;
   std::unique_ptr<TapeTopology> topology;
+  std::unique_ptr<TapeArrays> arrays;
   std::unique_ptr<Checkpoints> checkpoints;
   /// How often records were run again, and each of them.
   int64_t recomputed = 0;

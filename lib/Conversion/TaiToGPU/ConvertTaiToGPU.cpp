@@ -188,11 +188,16 @@ LogicalResult KernelOffload::run() {
   // The ops of the kernel stand after this one.
   auto start = LLVM::ZeroOp::create(builder, loc, runtime.getPointerType());
   entry->getOperations().splice(entry->end(), body.getOperations());
-  for (LLVM::CallOp array : arrays)
-    if (!isWritten(array.getResult())) {
+  for (LLVM::CallOp array : arrays) {
+    // Nothing is copied that nobody looks at: a kernel that does nothing has no
+    // device code either.
+    if (array.use_empty()) {
+      array.erase();
+    } else if (!isWritten(array.getResult())) {
       OpBuilder before(array);
       array.setOperand(3, runtime.i32(before, loc, 0));
     }
+  }
 
   if (failed(prepareLoops()))
     return failure();

@@ -118,7 +118,9 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse, Checks, P
         types = [t for _, spec in self.parameters for t in spec.mlir_types]
         types += ["i32"] * (len(followed) + (result_field is not None))
         region = builder.region()
-        block = builder.block(region, [builder.type(t) for t in types])
+        names = [n for name, spec in self.parameters for n in spec.names(name)]
+        names += ["cell"] * (len(types) - len(names))
+        block = builder.block(region, [builder.type(t) for t in types], names)
         self.emitter.entry = block
         builder.set_block(block)
         position, gradients, handles = 0, [], []
