@@ -152,6 +152,12 @@ void tai::populateExpansionFixes(RewritePatternSet &patterns) {
   // LLVM 22 crashes when it vectorises a loop with the intrinsic for sine and
   // cosine together; it finds the pair by itself.
   math::populateExpansionPatterns(patterns, {"sincos"});
+  // Upstream makes e^x - 1 of it, of which nothing is left for small x.
+  llvm::erase_if(patterns.getNativePatterns(), [](const auto &pattern) {
+    std::optional<OperationName> root = pattern->getRootKind();
+    return root && root->getStringRef() == math::ExpM1Op::getOperationName() &&
+           pattern->getBenefit() == 1;
+  });
   patterns.add<ExpandClamp, ExpandIsInf, ExpandIsNormal>(patterns.getContext());
 }
 
