@@ -86,9 +86,11 @@ TAI_EXPORT void taiContextDestroy(TaiContext context);
 ///   device_heap       number of bytes that kernels on the GPU may allocate
 ///                     while they run, 0 for what suits it; to be set before
 ///                     arch
-///   arch              cpu | cuda: where kernels run; to be set before the
-///   first
-///                     tree is added. The error says why there is no GPU
+///   arch              cpu | cuda | interpreter: where kernels run; to be set
+///                     before the first tree is added. The error says why there
+///                     is no GPU. With the interpreter no code is made
+///   order_seed        number: with the interpreter, the iterations of parallel
+///                     loops run in an order drawn from it; 0 = ascending
 ///   block_dim         number, a multiple of 32: threads of a block on a GPU;
 ///                     0 = what suits the kernel. Loops that name theirs
 ///                     have that

@@ -73,6 +73,54 @@ struct ExpandClamp : OpRewritePattern<math::ClampFOp> {
   }
 };
 
+/// isinf %x  ->  |x| == infinity. Upstream lowers it as a class of floats
+/// nowhere but in a pass of its own.
+struct ExpandIsInf : OpRewritePattern<math::IsInfOp> {
+  using OpRewritePattern::OpRewritePattern;
+  LogicalResult matchAndRewrite(math::IsInfOp op,
+                                PatternRewriter &rewriter) const override {
+    Value operand = op.getOperand();
+    Type type = operand.getType();
+    auto element = cast<FloatType>(getElementTypeOrSelf(type));
+    TypedAttr infinity = rewriter.getFloatAttr(
+        element, APFloat::getInf(element.getFloatSemantics()));
+    if (auto shaped = dyn_cast<ShapedType>(type))
+      infinity = DenseElementsAttr::get(shaped, Attribute(infinity));
+    Value size = math::AbsFOp::create(rewriter, op.getLoc(), operand);
+    rewriter.replaceOpWithNewOp<arith::CmpFOp>(
+        op, arith::CmpFPredicate::OEQ, size,
+        arith::ConstantOp::create(rewriter, op.getLoc(), infinity));
+    return success();
+  }
+};
+
+/// isnormal %x  ->  the smallest normal <= |x| < infinity
+struct ExpandIsNormal : OpRewritePattern<math::IsNormalOp> {
+  using OpRewritePattern::OpRewritePattern;
+  LogicalResult matchAndRewrite(math::IsNormalOp op,
+                                PatternRewriter &rewriter) const override {
+    Location loc = op.getLoc();
+    Type type = op.getOperand().getType();
+    auto element = cast<FloatType>(getElementTypeOrSelf(type));
+    auto constant = [&](const APFloat &value) -> Value {
+      TypedAttr attr = rewriter.getFloatAttr(element, value);
+      if (auto shaped = dyn_cast<ShapedType>(type))
+        attr = DenseElementsAttr::get(shaped, Attribute(attr));
+      return arith::ConstantOp::create(rewriter, loc, attr);
+    };
+    const llvm::fltSemantics &semantics = element.getFloatSemantics();
+    Value size = math::AbsFOp::create(rewriter, loc, op.getOperand());
+    Value isLarge = arith::CmpFOp::create(
+        rewriter, loc, arith::CmpFPredicate::OGE, size,
+        constant(APFloat::getSmallestNormalized(semantics)));
+    Value isFinite =
+        arith::CmpFOp::create(rewriter, loc, arith::CmpFPredicate::OLT, size,
+                              constant(APFloat::getInf(semantics)));
+    rewriter.replaceOpWithNewOp<arith::AndIOp>(op, isLarge, isFinite);
+    return success();
+  }
+};
+
 /// Casts a float to an integer as the hardware does, also where none stands for
 /// it: LLVM takes the result to be whatever suits it then, a different number
 /// each time it is used.
@@ -104,7 +152,13 @@ void tai::populateExpansionFixes(RewritePatternSet &patterns) {
   // LLVM 22 crashes when it vectorises a loop with the intrinsic for sine and
   // cosine together; it finds the pair by itself.
   math::populateExpansionPatterns(patterns, {"sincos"});
-  patterns.add<ExpandClamp>(patterns.getContext());
+  // Upstream makes e^x - 1 of it, of which nothing is left for small x.
+  llvm::erase_if(patterns.getNativePatterns(), [](const auto &pattern) {
+    std::optional<OperationName> root = pattern->getRootKind();
+    return root && root->getStringRef() == math::ExpM1Op::getOperationName() &&
+           pattern->getBenefit() == 1;
+  });
+  patterns.add<ExpandClamp, ExpandIsInf, ExpandIsNormal>(patterns.getContext());
 }
 
 namespace {

@@ -17,6 +17,7 @@
 #include "Common/Accumulate.h"
 #include "TaiToGPU/Offload.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
+#include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Interfaces/DataLayoutInterfaces.h"
 #include "tai/Analysis/IntegerRanges.h"
@@ -72,6 +73,7 @@ private:
   bool fits(FieldOp field);
   bool fits(Value index);
   bool isSubscript(Value index);
+  bool readsAllBits(Operation *op);
   bool fits(scf::ForOp loop);
   bool fits(ParallelForOp loop);
 
@@ -203,6 +205,25 @@ bool Proof::isSubscript(Value index) {
   });
 }
 
+/// True if the operation may look at bits of an index that 32 have not: the
+/// high ones of a negative number that is taken as one without sign.
+bool Proof::readsAllBits(Operation *op) {
+  auto isNegative = [&](Value value) {
+    return getElementTypeOrSelf(value).isIndex() &&
+           ranges.get(value).smin().isNegative();
+  };
+  if (isa<math::CountLeadingZerosOp, math::CountTrailingZerosOp, math::CtPopOp>(
+          op))
+    return getElementTypeOrSelf(op->getResult(0)).isIndex();
+  if (isa<arith::ShLIOp, arith::ShRSIOp, arith::ShRUIOp>(op) &&
+      getElementTypeOrSelf(op->getResult(0)).isIndex() &&
+      ranges.get(op->getOperand(1)).umax().uge(32))
+    return true;
+  return isa<arith::DivUIOp, arith::RemUIOp, arith::CeilDivUIOp, arith::ShRUIOp,
+             arith::IndexCastUIOp>(op) &&
+         llvm::any_of(op->getOperands(), isNegative);
+}
+
 bool Proof::fits(scf::ForOp loop) {
   if (!loop.getUpperBound().getType().isIndex())
     return true;
@@ -254,7 +275,7 @@ bool Proof::run() {
       for (Region &region : op->getRegions())
         for (Block &block : region)
           good = good && fitsAll(block.getArguments());
-      if (!good || isa<func::CallOp>(op))
+      if (!good || readsAllBits(op) || isa<func::CallOp>(op))
         return fail(op, "a value may not fit 32"), WalkResult::interrupt();
       if (auto loop = dyn_cast<scf::ForOp>(op))
         good = fits(loop);

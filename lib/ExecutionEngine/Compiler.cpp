@@ -391,13 +391,13 @@ std::optional<Compiler::Prepared>
 Compiler::prepare(CompileRequest request, const CompileOptions &options,
                   Failure &failure, bool claims) {
   Prepared prepared;
-  if (cache) {
+  if (cache && !options.interpret) {
     PhaseTimer timer(prepared.times, Phase::Cache);
     prepared.key = getKey(request, options);
     load(prepared, request);
+    if (!prepared.object && claims)
+      claimOrLoad(prepared, request);
   }
-  if (!prepared.object && claims)
-    claimOrLoad(prepared, request);
   if (!prepared.object && failed(start(request, options, prepared, failure)))
     return std::nullopt;
   return prepared;
@@ -426,6 +426,8 @@ LogicalResult Compiler::link(const CompiledObject &object, StringRef name,
 std::optional<Compiler::Function>
 Compiler::finish(Prepared prepared, CompileRequest request,
                  const CompileOptions &options, Failure &failure) {
+  if (options.interpret)
+    return interpret(std::move(prepared), request, options, failure);
   Function function;
   if (!prepared.object)
     claimOrLoad(prepared, request);

@@ -8,6 +8,7 @@
 #include "tai/ExecutionEngine/ObjectCompiler.h"
 #include "CodegenErrors.h"
 #include "CodegenPasses.h"
+#include "HalfAtomics.h"
 #include "InsertSafepoints.h"
 #include "TransposeColumns.h"
 #include "VerifyEach.h"
@@ -207,6 +208,7 @@ void ObjectCompiler::runPasses(Module &module) {
   ModulePassManager passes = builder.buildPerModuleDefaultPipeline(
       levels[std::min(options.optLevel, 3u)]);
   passes.run(module, modules);
+  expandHalfAtomics(module);
 }
 
 //===----------------------------------------------------------------------===//

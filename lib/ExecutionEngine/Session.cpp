@@ -361,6 +361,11 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
   }
   if (name == "fuse_launches")
     return setBool([&](bool on) { setFuseLaunches(on); });
+  if (name == "order_seed") {
+    if (value.getAsInteger(0, options.orderSeed))
+      return badValue("a number from 0 to 2^64 - 1");
+    return success();
+  }
   if (name == "seed") {
     uint64_t seed;
     if (value.getAsInteger(0, seed))
@@ -398,5 +403,5 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
                   "print_ir, profiler, "
                   "compile_profile, forward_mode, history_bytes, skip, "
                   "memory_limit, arch, device_memory_limit, block_dim, "
-                  "max_block_dim, fuse_launches");
+                  "max_block_dim, fuse_launches, order_seed");
 }

@@ -72,6 +72,7 @@ runtime::Status Session::compileChecked(KernelCode &code,
   CompileOptions options = code.options;
   options.device = std::nullopt;
   options.deviceTarget.clear();
+  options.interpret = false;
   auto compiled = compiler->compile(
       {*module, code.name, CompileRequest::Goal::Primal}, options, failure);
   if (!compiled)

@@ -50,12 +50,14 @@ LogicalResult Session::setArch(StringRef name) {
       device = runtime::openEmulatedDevice(makeObjectLinker());
     else if (failed(check(runtime::openCudaDevice(0, device))))
       return failure();
-  } else if (name != "cpu") {
-    return fail(FailureKind::Usage,
-                "there is no arch '" + name + "'; there are cpu and cuda");
+  } else if (name != "cpu" && name != "interpreter") {
+    return fail(FailureKind::Usage, "there is no arch '" + name +
+                                        "'; there are cpu, cuda and "
+                                        "interpreter");
   }
   if (failed(check(rt->useDevice(std::move(device), deviceMemoryLimit))))
     return failure();
+  options.interpret = name == "interpreter";
   options.device = std::nullopt;
   options.deviceTarget.clear();
   if (const runtime::Device *used = rt->getDevice()) {

@@ -153,6 +153,7 @@ from .program import (
     init,
     metal,
     opengl,
+    python,
     reset,
     root,
     sync,

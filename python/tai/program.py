@@ -23,6 +23,7 @@ class Arch(str):
 
 
 cpu, x64, arm64 = Arch("cpu"), Arch("x64"), Arch("arm64")
+python = Arch("python")
 cuda, gpu, vulkan, metal = Arch("cuda"), Arch("gpu"), Arch("vulkan"), Arch("metal")
 opengl, gles, dx11, amdgpu = Arch("opengl"), Arch("gles"), Arch("dx11"), Arch("amdgpu")
 
@@ -190,7 +191,7 @@ class Program:
         values = {
             "device_memory_limit": str(o.device_memory_limit),
             "device_heap": str(o.device_heap_memory),
-            "arch": str(o.arch),
+            "arch": "interpreter" if o.arch == python else str(o.arch),
             "threads": str(o.cpu_max_num_threads),
             "deterministic": flag(o.deterministic),
             "debug": flag(o.debug),
@@ -276,7 +277,10 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
 
     Args:
         arch: `ti.cpu` (or `ti.x64`), `ti.cuda`, or `ti.gpu`: CUDA, or the CPU where there is no
-            GPU. The environment variable TI_ARCH takes precedence.
+            GPU; or `ti.python`: no code is made, kernels and their gradients run operation by
+            operation, slowly, and every index is checked, so that what a compiled kernel does
+            can be compared with what it says. The environment variable TI_ARCH takes
+            precedence.
         default_fp, default_ip: the types of `float` and `int` in kernels.
         debug: check assertions, indices and the domains of functions such as log and sqrt.
         bounds: what happens where an index that depends on data is out of range: `off`:
@@ -414,7 +418,9 @@ def _choose_arch(arch: Any) -> tuple[Arch, bool]:
         return cpu, False
     if arch in (gpu, cuda):
         return cuda, arch == gpu
-    known = ["cpu", "x64", "cuda", "gpu"]
+    if arch == python:
+        return python, False
+    known = ["cpu", "x64", "cuda", "gpu", "python"]
     raise TaiRuntimeError(f"there is no target '{arch}'", did_you_mean(str(arch), known))
 
 

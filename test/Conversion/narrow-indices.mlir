@@ -284,3 +284,79 @@ module {
     tai.return
   }
 }
+
+// -----
+
+// What 64 bits make of a negative index without its sign, 32 do not: -2 is 14
+// modulo 18 in 64 bits, and 2 in 32.
+// REMARK:    %rest = arith.remui
+// CHECK:     module {
+module {
+  tai.tree @t : !tai.root<dense<[i: 18], {x: f32}>>
+  tai.field @x = @t["x"] : f32, rank 1
+  tai.kernel @without_sign() {
+    %c18 = arith.constant 18 : index
+    %c2 = arith.constant 2 : index
+    tai.parallel_for (%i) in @x {
+      %back = arith.subi %i, %c2 : index
+      %rest = arith.remui %back, %c18 : index
+      %0 = tai.load @x[%rest] : f32
+    }
+    tai.return
+  }
+}
+
+// -----
+
+// The same for shifts, and for casts to more than 32 bits.
+// REMARK:    %half = arith.shrui
+// REMARK:    %0 = arith.index_castui
+// CHECK:     module {
+module {
+  tai.tree @t : !tai.root<dense<[i: 18], {x: f32}>>
+  tai.field @x = @t["x"] : f32, rank 1
+  tai.kernel @shift() {
+    %c60 = arith.constant 60 : index
+    %c2 = arith.constant 2 : index
+    tai.parallel_for (%i) in @x {
+      %back = arith.subi %i, %c2 : index
+      %half = arith.shrui %back, %c60 : index
+      %0 = tai.load @x[%half] : f32
+    }
+    tai.return
+  }
+}
+
+// -----
+
+// CHECK:     module {
+module {
+  tai.tree @t : !tai.root<dense<[i: 18], {x: i64}>>
+  tai.field @x = @t["x"] : i64, rank 1
+  tai.kernel @cast() {
+    %c2 = arith.constant 2 : index
+    tai.parallel_for (%i) in @x {
+      %back = arith.subi %i, %c2 : index
+      %0 = arith.index_castui %back : index to i64
+      tai.store %0, @x[%i] : i64
+    }
+    tai.return
+  }
+}
+
+// -----
+
+// An index that is not negative is the same with and without a sign.
+// CHECK: module attributes {tai.index_bits = 32 : i64}
+module {
+  tai.tree @t : !tai.root<dense<[i: 18], {x: f32}>>
+  tai.field @x = @t["x"] : f32, rank 1
+  tai.kernel @positive() {
+    %c5 = arith.constant 5 : index
+    tai.parallel_for (%i) in @x {
+      %rest = arith.remui %i, %c5 : index
+      %0 = tai.load @x[%rest] : f32
+    }
+    tai.return
+  }
+}

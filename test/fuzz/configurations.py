@@ -32,7 +32,7 @@ class Configuration:
     """Where and how programs are compiled and run.
 
     Attributes:
-        arch: `cpu`, `emulated` or `cuda`.
+        arch: `cpu`, `emulated`, `cuda`, or `python`, which is the interpreter.
         threads: of the CPU, or of a block of the emulated device.
         level: of optimisation.
         elements: of the fields.
@@ -53,7 +53,7 @@ class Configuration:
     def chosen(self) -> Iterator[None]:
         """Within, `init` is `ti.init` for it."""
         wanted = {
-            "TI_ARCH": "cpu" if self.arch == "cpu" else "cuda",
+            "TI_ARCH": "cuda" if self.arch == "emulated" else self.arch,
             "TAI_CUDA_EMULATION": "1" if self.arch == "emulated" else "",
             "TAI_EMULATED_THREADS": str(self.threads),
         }
@@ -86,7 +86,7 @@ class Configuration:
 
 
 def parse(word: str) -> Configuration:
-    found = re.fullmatch(r"(cpu|emulated|cuda)-(\d+)t-O(\d)-(\d+)n(-deterministic)?", word)
+    found = re.fullmatch(r"(cpu|emulated|cuda|python)-(\d+)t-O(\d)-(\d+)n(-deterministic)?", word)
     if not found:
         raise ValueError(f"no configuration: {word!r}; one is {Configuration()}")
     arch, threads, level, elements, deterministic = found.groups()
@@ -104,9 +104,11 @@ def draw(seed: int, targets: tuple[str, ...]) -> Configuration:
     """The configuration of a seed."""
     rng = random.Random(f"configuration {seed}")
     arch = rng.choice(targets)
-    threads = rng.choice({"cpu": THREADS, "emulated": BLOCKS, "cuda": (1,)}[arch])
+    threads = rng.choice({"cpu": THREADS, "emulated": BLOCKS}.get(arch, (1,)))
     level = rng.choice((0, 1, 2, 3, 3))
     # One thread after another takes its time.
     sizes = SIZES[:-1] if arch == "emulated" and threads > 1 else SIZES
+    if arch == "python":
+        sizes = SIZES[:5]
     elements = rng.choice(GPU_SIZES if arch == "cuda" else sizes)
     return Configuration(arch, threads, level, elements, rng.random() < 0.2)

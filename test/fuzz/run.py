@@ -51,7 +51,7 @@ def main() -> int:
     parser.add_argument("--kinked", action="store_true", help="only programs at kinks")
     parser.add_argument("--seed", type=int, help="run one seed and print its program")
     parser.add_argument(
-        "--targets", nargs="+", choices=["cpu", "emulated", "cuda"],
+        "--targets", nargs="+", choices=["cpu", "emulated", "cuda", "python"],
         default=configurations.default_targets(), help="where seeds run",
     )  # fmt: skip
     parser.add_argument("--configuration", help="the one for all seeds, as failures report it")

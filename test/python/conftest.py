@@ -31,9 +31,10 @@ def pytest_addoption(parser):
         help="run each test with its fields on this layout; may be given many times",
     )  # fmt: skip
     parser.addoption(
-        "--arch", choices=["cpu", "cuda", "emulated"], default=os.environ.get("TAI_TEST_ARCH"),
+        "--arch", choices=["cpu", "cuda", "emulated", "python"],
+        default=os.environ.get("TAI_TEST_ARCH"),
         help="run each test there, programs that it starts included; emulated: as on a GPU, "
-        "without one",
+        "without one; python: by the interpreter",
     )  # fmt: skip
     parser.addoption(
         "--stop-after", type=float, metavar="SECONDS",
@@ -68,7 +69,7 @@ def pytest_configure(config):
     arch = config.getoption("--arch")
     if arch:
         # `ti.init` looks here first.
-        os.environ["TI_ARCH"] = "cpu" if arch == "cpu" else "cuda"
+        os.environ["TI_ARCH"] = "cuda" if arch == "emulated" else arch
         os.environ["TAI_CUDA_EMULATION"] = "1" if arch == "emulated" else ""
 
 

@@ -457,3 +457,18 @@ def test_whole_constants_by_zero(op):
     with pytest.raises(ti.TaiTypeError, match="by zero") as caught:
         (divide if op == "//" else remainder)()
     assert caught.value.lineno is not None
+
+
+def test_the_angle_of_the_origin_is_zero_for_numbers_known_at_compile_time():
+    angles = ti.field(ti.f32, 3)
+
+    @ti.kernel
+    def fill():
+        a = 0.0
+        b = 0.0
+        angles[0] = ti.atan2(a, b)
+        angles[1] = ti.atan2(0.0, 0.0)
+        angles[2] = ti.atan2(a, -1.0)
+
+    fill()
+    assert angles.to_numpy().tolist() == [0.0, 0.0, np.float32(np.pi)]

@@ -41,6 +41,15 @@ struct Options {
       cl::value_desc("@x"), cl::CommaSeparated};
   cl::opt<std::string> arch{"arch", cl::init("cpu"),
                             cl::desc("Where kernels run: cpu or cuda")};
+  cl::opt<bool> interpret{
+      "interpret",
+      cl::desc("Run the program as it stands, operation by operation, instead "
+               "of compiling it: slow, and no pass has a say in the results")};
+  cl::opt<std::string> interpretOrder{
+      "interpret-order", cl::init("0"),
+      cl::desc("With --interpret: run the iterations of parallel loops in an "
+               "order drawn from this number; 0 for ascending"),
+      cl::value_desc("seed")};
   cl::opt<unsigned> threads{"threads", cl::init(0),
                             cl::desc("Number of threads, 0 = all cores")};
   cl::opt<bool> deterministic{
@@ -88,7 +97,8 @@ struct Options {
 static LogicalResult setOptions(Session &session, const Options &given) {
   auto text = [](bool on) { return on ? "true" : "false"; };
   SmallVector<std::pair<StringRef, std::string>> options = {
-      {"arch", given.arch},
+      {"arch", given.interpret ? "interpreter" : given.arch.getValue()},
+      {"order_seed", given.interpretOrder},
       {"threads", std::to_string(given.threads)},
       {"fuse_launches", text(!given.noFuseLaunches)},
       {"deterministic", text(given.deterministic)},
@@ -195,8 +205,8 @@ static LogicalResult loadPlugins(Session &session, const Options &given) {
 /// Makes one kernel of those that @main launches one after another.
 static LogicalResult fuseLaunches(Session &session, ModuleOp file,
                                   const Options &given) {
-  if (given.noFuseLaunches || given.debug || given.optLevel == 0 ||
-      given.bounds != "off")
+  if (given.noFuseLaunches || given.interpret || given.debug ||
+      given.optLevel == 0 || given.bounds != "off")
     return success();
   DiagnosticCollector collector(session.getContext());
   FuseLaunchesOptions options;

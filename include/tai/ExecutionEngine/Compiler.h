@@ -31,6 +31,7 @@
 #include <functional>
 
 namespace mlir::tai {
+class Interpreter;
 
 /// What decides the code made from a kernel.
 struct CompileOptions {
@@ -51,13 +52,18 @@ struct CompileOptions {
   std::string deviceTarget;
   /// Device code says where its functions stand in the source.
   bool places = false;
+  /// Make no code: functions run by the interpreter, the iterations of their
+  /// parallel loops in the order of the seed, or ascending where it is 0.
+  bool interpret = false;
+  uint64_t orderSeed = 0;
 
   bool operator==(const CompileOptions &other) const {
     return codegen == other.codegen && debug == other.debug &&
            bounds == other.bounds && deterministic == other.deterministic &&
            historyBytes == other.historyBytes && skips == other.skips &&
            device == other.device && deviceTarget == other.deviceTarget &&
-           places == other.places;
+           places == other.places && interpret == other.interpret &&
+           orderSeed == other.orderSeed;
   }
   /// The options as text, for the key of the cache.
   std::string str() const;
@@ -156,6 +162,8 @@ public:
     std::shared_ptr<const runtime::DeviceImage> image;
     bool fromCache = false;
     PhaseTimes times = {};
+    /// What the code at the address calls, if that is not code.
+    std::shared_ptr<const Interpreter> interpreter;
   };
 
   /// Compiles, or takes from the cache, and links. Called by several threads.
@@ -237,6 +245,10 @@ private:
   runtime::Status makeImageAgain(CompileRequest request,
                                  const CompileOptions &options,
                                  runtime::DeviceImage &image);
+  /// Makes a function of the interpreter, and a few instructions that call it.
+  std::optional<Function> interpret(Prepared prepared, CompileRequest request,
+                                    const CompileOptions &options,
+                                    Failure &failure);
   /// Takes the device code out of a lowered module and compiles it.
   LogicalResult compileDeviceCode(Worker &worker, const CompileOptions &options,
                                   Prepared &prepared,

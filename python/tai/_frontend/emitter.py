@@ -715,6 +715,8 @@ class Emitter(Integers):
     def atan2(self, a: Any, b: Any) -> Any:
         a, b, dt = self.operands(a, b)
         a, b = self.unify(a, b, dt if dt.is_float else computed_in(_state.options.default_fp))
+        if a.const == 0 and b.const == 0:  # MLIR's folder makes NaN of it
+            return self.splat(math.atan2(a.const, b.const), a.dt, a.shape)
         return self._elementwise("math.atan2", [a, b], a.dt)
 
     def decompose(self, name: str, matrix: Any, results: list[tuple[int, ...]]) -> tuple:

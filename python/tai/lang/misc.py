@@ -10,7 +10,7 @@ from ..ops import (
     ndrange,
     no_activate,
 )
-from ..program import Arch, arm64, cpu, cuda, gpu, init, reset, why_no_cuda, x64
+from ..program import Arch, arm64, cpu, cuda, gpu, init, python, reset, why_no_cuda, x64
 
 
 class Extension(Enum):
@@ -45,12 +45,12 @@ def is_extension_supported(arch: Arch, ext: Extension) -> bool:
     Loops that carry values are differentiable without a limit, which is what `adstack`
     asks for.
     """
-    return arch in (cpu, x64, arm64, cuda) and ext in _SUPPORTED
+    return arch in (cpu, x64, arm64, cuda, python) and ext in _SUPPORTED
 
 
 def is_arch_supported(arch: Arch, use_gles: bool = False) -> bool:
     """Whether kernels can run on a target, on this machine."""
-    return arch in (cpu, x64) or (arch in (cuda, gpu) and not why_no_cuda())
+    return arch in (cpu, x64, python) or (arch in (cuda, gpu) and not why_no_cuda())
 
 
 def get_host_arch_list() -> list[Arch]:
@@ -61,5 +61,5 @@ def get_host_arch_list() -> list[Arch]:
 __all__ = [
     "block_local", "cache_read_only", "cpu", "cuda", "extension", "get_host_arch_list", "gpu",
     "init", "is_arch_supported", "is_extension_supported", "loop_config", "loop_unique", "ndrange",
-    "no_activate", "reset", "x64",
+    "no_activate", "python", "reset", "x64",
 ]  # fmt: skip

@@ -13,7 +13,7 @@
 // OPTION: error: the file holds no kernel 'nothing'
 // FIELD: error: there is no field 'q'
 // VALUE: @x : f32 = 0.1
-// ARCH: error: there is no arch 'tpu'; there are cpu and cuda
+// ARCH: error: there is no arch 'tpu'; there are cpu, cuda and interpreter
 // MISSING: error: cannot read '{{.*}}missing.mlir'
 
 //--- kernel.mlir

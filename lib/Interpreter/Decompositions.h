@@ -1,0 +1,39 @@
+//===- Decompositions.h - Determinants, eigenvalues -------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Linear algebra of small matrices, row-major, by the methods of textbooks.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_INTERPRETER_DECOMPOSITIONS_H
+#define TAI_LIB_INTERPRETER_DECOMPOSITIONS_H
+
+#include "mlir/Support/LLVM.h"
+
+namespace mlir::tai::interpreter {
+
+long double determinant(ArrayRef<long double> matrix, int64_t n);
+long double cofactor(ArrayRef<long double> matrix, int64_t n, int64_t row,
+                     int64_t column);
+
+/// Values in descending order; the columns of `left` and `right` belong to
+/// them. The signs of columns are as they come.
+struct Decomposition {
+  SmallVector<long double> left, values, right;
+};
+
+/// Eigenvalues and eigenvectors (`right`) of a symmetric matrix, by Jacobi's
+/// rotations.
+Decomposition decomposeSymmetric(ArrayRef<long double> matrix, int64_t n);
+
+/// Singular values, the last one negative where the determinant is; `left` and
+/// `right` are rotations.
+Decomposition decomposeSingular(ArrayRef<long double> matrix, int64_t n);
+
+} // namespace mlir::tai::interpreter
+
+#endif // TAI_LIB_INTERPRETER_DECOMPOSITIONS_H

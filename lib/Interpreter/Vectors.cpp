@@ -1,0 +1,473 @@
+//===- Vectors.cpp - Numbers, vectors and small matrices ------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Components lie row-major. Sums run over them in that order.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Decompositions.h"
+#include "Program.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+using namespace mlir::tai::interpreter;
+using llvm::APFloat;
+using llvm::APInt;
+
+static int64_t getRows(Value matrix) {
+  return cast<VectorType>(matrix.getType()).getDimSize(0);
+}
+static int64_t getColumns(Value matrix) {
+  auto type = cast<VectorType>(matrix.getType());
+  return type.getRank() == 2 ? type.getDimSize(1) : 1;
+}
+static int64_t getCount(Type type) {
+  auto vector = dyn_cast<VectorType>(type);
+  return vector ? vector.getNumElements() : 1;
+}
+
+//===----------------------------------------------------------------------===//
+// Components
+//===----------------------------------------------------------------------===//
+
+LogicalResult Run::runConstant(Operation *op) {
+  Attribute value = cast<arith::ConstantOp>(op).getValue();
+  Datum datum;
+  if (auto elements = dyn_cast<DenseElementsAttr>(value)) {
+    for (Attribute element : elements.getValues<Attribute>())
+      datum.numbers.push_back(interpreter::getNumber(element));
+  } else {
+    datum.numbers.push_back(interpreter::getNumber(value));
+  }
+  set(op->getResult(0), std::move(datum));
+  return success();
+}
+
+LogicalResult Run::runScalars(Operation *op) {
+  ScalarFunction function = program.getScalarFunction(op);
+  Type type = op->getResult(0).getType();
+  Datum result;
+  for (int64_t i = 0; i != getCount(type); ++i) {
+    SmallVector<Number, 3> operands;
+    for (Value operand : op->getOperands())
+      operands.push_back(get(operand).numbers[i]);
+    Outcome outcome = function(op, operands, getElementTypeOrSelf(type));
+    if (!outcome.number)
+      return fail(op, outcome.problem);
+    if (outcome.isTolerated && program.getOptions().debug)
+      report(op, outcome.problem, {}, TAI_FAIL_ASSERT);
+    result.numbers.push_back(std::move(*outcome.number));
+  }
+  set(op->getResult(0), std::move(result));
+  return success();
+}
+
+LogicalResult Run::runSinCos(Operation *op) {
+  Datum sine, cosine;
+  Type type = getElementTypeOrSelf(op->getOperand(0).getType());
+  for (const Number &number : get(op->getOperand(0)).numbers) {
+    long double x = toDouble(number);
+    sine.numbers.push_back(fromDouble(std::sin(x), type));
+    cosine.numbers.push_back(fromDouble(std::cos(x), type));
+  }
+  set(op->getResult(0), std::move(sine));
+  set(op->getResult(1), std::move(cosine));
+  return success();
+}
+
+LogicalResult Run::runSelect(Operation *op) {
+  auto select = cast<arith::SelectOp>(op);
+  const Numbers &condition = get(select.getCondition()).numbers;
+  Datum result = get(select.getFalseValue());
+  if (condition.size() == 1) {
+    // A scalar decides for all, and for arrays and the like.
+    if (isTrue(condition.front()))
+      result = get(select.getTrueValue());
+  } else {
+    for (auto [i, holds] : llvm::enumerate(condition))
+      if (isTrue(holds))
+        result.numbers[i] = get(select.getTrueValue()).numbers[i];
+  }
+  set(select, std::move(result));
+  return success();
+}
+
+LogicalResult Run::runForward(Operation *op) {
+  set(op->getResult(0), get(op->getOperand(0)));
+  return success();
+}
+
+LogicalResult Run::runBroadcast(Operation *op) {
+  auto broadcast = cast<vector::BroadcastOp>(op);
+  const Numbers &source = get(broadcast.getSource()).numbers;
+  VectorType type = broadcast.getResultVectorType();
+  auto from = dyn_cast<VectorType>(broadcast.getSourceType());
+  ArrayRef<int64_t> shape = from ? from.getShape() : ArrayRef<int64_t>();
+  Datum result;
+  for (int64_t i = 0; i != type.getNumElements(); ++i) {
+    // Trailing dimensions correspond; those of extent 1 are repeated.
+    int64_t rest = i, at = 0, weight = 1;
+    for (size_t d = 0; d != shape.size(); ++d) {
+      int64_t extent = type.getShape()[type.getRank() - 1 - d];
+      int64_t own = shape[shape.size() - 1 - d];
+      at += (own == 1 ? 0 : rest % extent) * weight;
+      rest /= extent;
+      weight *= own;
+    }
+    result.numbers.push_back(source[at]);
+  }
+  set(broadcast, std::move(result));
+  return success();
+}
+
+/// Where the part of a vector at a position begins, or -1 if there is none.
+static int64_t getOffset(VectorType type, ArrayRef<int64_t> position) {
+  int64_t offset = 0;
+  for (auto [i, extent] : llvm::enumerate(type.getShape())) {
+    int64_t at = i < position.size() ? position[i] : 0;
+    if (at < 0 || at >= extent)
+      return -1;
+    offset = offset * extent + at;
+  }
+  return offset;
+}
+
+/// The position of an extract or insert, with its numbers known now.
+template <typename Op>
+static SmallVector<int64_t> getPosition(Op op,
+                                        function_ref<int64_t(Value)> evaluate) {
+  SmallVector<int64_t> position;
+  for (OpFoldResult at : op.getMixedPosition())
+    position.push_back(isa<Attribute>(at)
+                           ? cast<IntegerAttr>(cast<Attribute>(at)).getInt()
+                           : evaluate(cast<Value>(at)));
+  return position;
+}
+
+LogicalResult Run::runExtract(Operation *op) {
+  auto extract = cast<vector::ExtractOp>(op);
+  SmallVector<int64_t> position =
+      getPosition(extract, [&](Value at) { return toIndex(getNumber(at)); });
+  int64_t offset = getOffset(extract.getSourceVectorType(), position);
+  if (offset < 0)
+    return fail(op, "the vector has no such component", TAI_FAIL_INDEX);
+  const Numbers &source = get(extract.getSource()).numbers;
+  Datum result;
+  for (int64_t i = 0; i != getCount(extract.getType()); ++i)
+    result.numbers.push_back(source[offset + i]);
+  set(extract, std::move(result));
+  return success();
+}
+
+LogicalResult Run::runInsert(Operation *op) {
+  auto insert = cast<vector::InsertOp>(op);
+  SmallVector<int64_t> position =
+      getPosition(insert, [&](Value at) { return toIndex(getNumber(at)); });
+  int64_t offset = getOffset(insert.getDestVectorType(), position);
+  if (offset < 0)
+    return fail(op, "the vector has no such component", TAI_FAIL_INDEX);
+  Datum result = get(insert.getDest());
+  for (auto [i, number] :
+       llvm::enumerate(get(insert.getValueToStore()).numbers))
+    result.numbers[offset + i] = number;
+  set(insert, std::move(result));
+  return success();
+}
+
+LogicalResult Run::runFromElements(Operation *op) {
+  Datum result;
+  for (Value element : op->getOperands())
+    result.numbers.push_back(getNumber(element));
+  set(op->getResult(0), std::move(result));
+  return success();
+}
+
+LogicalResult Run::runToElements(Operation *op) {
+  Numbers source = get(op->getOperand(0)).numbers;
+  for (auto [result, number] : llvm::zip_equal(op->getResults(), source))
+    set(result, Datum(number));
+  return success();
+}
+
+/// Rows of two vectors, by their numbers in the one behind the other.
+LogicalResult Run::runShuffle(Operation *op) {
+  auto shuffle = cast<vector::ShuffleOp>(op);
+  Numbers both = get(shuffle.getV1()).numbers;
+  llvm::append_range(both, Numbers(get(shuffle.getV2()).numbers));
+  VectorType type = shuffle.getResultVectorType();
+  int64_t size =
+      type.getRank() == 0 ? 1 : type.getNumElements() / type.getDimSize(0);
+  Datum result;
+  for (int64_t row : shuffle.getMask())
+    for (int64_t i = 0; i != size; ++i) {
+      // -1 says that any number will do.
+      if (row < 0)
+        return fail(op, "the mask leaves a component undefined");
+      result.numbers.push_back(both[row * size + i]);
+    }
+  set(shuffle, std::move(result));
+  return success();
+}
+
+LogicalResult Run::runReduction(Operation *op) {
+  auto reduction = cast<vector::ReductionOp>(op);
+  using Kind = vector::CombiningKind;
+  auto combineTwo = [&](const Number &a, const Number &b) -> Number {
+    auto real = [](const Number &n) { return std::get<APFloat>(n); };
+    auto whole = [](const Number &n) { return std::get<APInt>(n); };
+    switch (reduction.getKind()) {
+    case Kind::ADD:
+      return add(a, b);
+    case Kind::MUL:
+      return multiply(a, b);
+    case Kind::AND:
+      return whole(a) & whole(b);
+    case Kind::OR:
+      return whole(a) | whole(b);
+    case Kind::XOR:
+      return whole(a) ^ whole(b);
+    case Kind::MINSI:
+      return llvm::APIntOps::smin(whole(a), whole(b));
+    case Kind::MAXSI:
+      return llvm::APIntOps::smax(whole(a), whole(b));
+    case Kind::MINUI:
+      return llvm::APIntOps::umin(whole(a), whole(b));
+    case Kind::MAXUI:
+      return llvm::APIntOps::umax(whole(a), whole(b));
+    case Kind::MINIMUMF:
+      return llvm::minimum(real(a), real(b));
+    case Kind::MAXIMUMF:
+      return llvm::maximum(real(a), real(b));
+    case Kind::MINNUMF:
+      return llvm::minnum(real(a), real(b));
+    case Kind::MAXNUMF:
+      return llvm::maxnum(real(a), real(b));
+    }
+    llvm_unreachable("unknown kind");
+  };
+  std::optional<Number> total;
+  if (reduction.getAcc())
+    total = getNumber(reduction.getAcc());
+  for (const Number &number : get(reduction.getVector()).numbers)
+    total = total ? combineTwo(*total, number) : number;
+  set(reduction, Datum(*total));
+  return success();
+}
+
+//===----------------------------------------------------------------------===//
+// Matrices
+//===----------------------------------------------------------------------===//
+
+/// The sum of n products, from the first on.
+static Number
+sumProducts(int64_t n, function_ref<std::pair<Number, Number>(int64_t)> get) {
+  std::optional<Number> sum;
+  for (int64_t i = 0; i != n; ++i) {
+    auto [a, b] = get(i);
+    Number product = multiply(a, b);
+    sum = sum ? add(*sum, product) : product;
+  }
+  return *sum;
+}
+
+LogicalResult Run::runMatmul(Operation *op) {
+  auto matmul = cast<MatmulOp>(op);
+  const Numbers &a = get(matmul.getLhs()).numbers;
+  const Numbers &b = get(matmul.getRhs()).numbers;
+  int64_t rows = getRows(matmul.getLhs()), inner = getColumns(matmul.getLhs());
+  int64_t columns = getColumns(matmul.getRhs());
+  Datum result;
+  for (int64_t i = 0; i != rows; ++i)
+    for (int64_t j = 0; j != columns; ++j)
+      result.numbers.push_back(sumProducts(inner, [&](int64_t l) {
+        return std::pair(a[i * inner + l], b[l * columns + j]);
+      }));
+  set(matmul.getResult(), std::move(result));
+  return success();
+}
+
+LogicalResult Run::runTranspose(Operation *op) {
+  auto transpose = cast<TransposeOp>(op);
+  const Numbers &from = get(transpose.getMatrix()).numbers;
+  int64_t rows = getRows(transpose.getMatrix());
+  int64_t columns = getColumns(transpose.getMatrix());
+  Datum result;
+  for (int64_t j = 0; j != columns; ++j)
+    for (int64_t i = 0; i != rows; ++i)
+      result.numbers.push_back(from[i * columns + j]);
+  set(transpose.getResult(), std::move(result));
+  return success();
+}
+
+LogicalResult Run::runDot(Operation *op) {
+  const Numbers &a = get(op->getOperand(0)).numbers;
+  const Numbers &b = get(op->getOperand(1)).numbers;
+  set(op->getResult(0), Datum(sumProducts(a.size(), [&](int64_t i) {
+        return std::pair(a[i], b[i]);
+      })));
+  return success();
+}
+
+LogicalResult Run::runSum(Operation *op) {
+  const Numbers &a = get(op->getOperand(0)).numbers;
+  Number sum = a.front();
+  for (const Number &number : llvm::drop_begin(a))
+    sum = add(sum, number);
+  set(op->getResult(0), Datum(sum));
+  return success();
+}
+
+LogicalResult Run::runCross(Operation *op) {
+  const Numbers &a = get(op->getOperand(0)).numbers;
+  const Numbers &b = get(op->getOperand(1)).numbers;
+  Datum result;
+  for (int i = 0; i != 3; ++i) {
+    int j = (i + 1) % 3, k = (i + 2) % 3;
+    result.numbers.push_back(
+        subtract(multiply(a[j], b[k]), multiply(a[k], b[j])));
+  }
+  set(op->getResult(0), std::move(result));
+  return success();
+}
+
+LogicalResult Run::runOuter(Operation *op) {
+  Datum result;
+  for (const Number &a : get(op->getOperand(0)).numbers)
+    for (const Number &b : get(op->getOperand(1)).numbers)
+      result.numbers.push_back(multiply(a, b));
+  set(op->getResult(0), std::move(result));
+  return success();
+}
+
+LogicalResult Run::runTrace(Operation *op) {
+  const Numbers &a = get(op->getOperand(0)).numbers;
+  int64_t n = getRows(op->getOperand(0));
+  Number sum = a.front();
+  for (int64_t i = 1; i != n; ++i)
+    sum = add(sum, a[i * n + i]);
+  set(op->getResult(0), Datum(sum));
+  return success();
+}
+
+// What follows is worked out in as many digits as the host has, and rounded
+// once: the result is the nearest number but for the last place of f64.
+
+static SmallVector<long double> widen(const Numbers &numbers) {
+  SmallVector<long double> result;
+  for (const Number &number : numbers)
+    result.push_back(toDouble(number));
+  return result;
+}
+
+static Datum narrow(ArrayRef<long double> numbers, Type type) {
+  Datum result;
+  for (long double number : numbers)
+    result.numbers.push_back(fromDouble(number, getElementTypeOrSelf(type)));
+  return result;
+}
+
+LogicalResult Run::runNorm(Operation *op) {
+  auto norm = cast<NormOp>(op);
+  // Its squares are in the range of long double for f64 too; with `fast`, those
+  // of the type itself count.
+  long double sum = 0;
+  for (long double a : widen(get(norm.getVector()).numbers))
+    sum += a * a;
+  if (norm.getFast()) {
+    const Numbers &a = get(norm.getVector()).numbers;
+    sum = toDouble(sumProducts(
+        a.size(), [&](int64_t i) { return std::pair(a[i], a[i]); }));
+  }
+  set(norm.getResult(), narrow({std::sqrt(sum)}, norm.getResult().getType()));
+  return success();
+}
+
+LogicalResult Run::runDeterminant(Operation *op) {
+  Value matrix = op->getOperand(0);
+  set(op->getResult(0),
+      narrow({determinant(widen(get(matrix).numbers), getRows(matrix))},
+             op->getResult(0).getType()));
+  return success();
+}
+
+LogicalResult Run::runInverse(Operation *op) {
+  Value matrix = op->getOperand(0);
+  int64_t n = getRows(matrix);
+  SmallVector<long double> a = widen(get(matrix).numbers), result;
+  for (int64_t i = 0; i != n; ++i)
+    for (int64_t j = 0; j != n; ++j)
+      result.push_back(cofactor(a, n, j, i) / determinant(a, n));
+  set(op->getResult(0), narrow(result, op->getResult(0).getType()));
+  return success();
+}
+
+LogicalResult Run::runSolve(Operation *op) {
+  auto solve = cast<SolveOp>(op);
+  int64_t n = getRows(solve.getMatrix());
+  SmallVector<long double> a = widen(get(solve.getMatrix()).numbers);
+  SmallVector<long double> b = widen(get(solve.getRhs()).numbers), result;
+  // Cramer's rule.
+  for (int64_t k = 0; k != n; ++k) {
+    SmallVector<long double> replaced = a;
+    for (int64_t i = 0; i != n; ++i)
+      replaced[i * n + k] = b[i];
+    result.push_back(determinant(replaced, n) / determinant(a, n));
+  }
+  set(solve.getResult(), narrow(result, solve.getResult().getType()));
+  return success();
+}
+
+LogicalResult Run::runPolar(Operation *op) {
+  auto polar = cast<PolarOp>(op);
+  int64_t n = getRows(polar.getMatrix());
+  // A = U Σ Vᵀ = (U Vᵀ) (V Σ Vᵀ).
+  Decomposition parts =
+      decomposeSingular(widen(get(polar.getMatrix()).numbers), n);
+  SmallVector<long double> rotation(n * n), stretch(n * n);
+  for (int64_t i = 0; i != n; ++i)
+    for (int64_t j = 0; j != n; ++j)
+      for (int64_t k = 0; k != n; ++k) {
+        rotation[i * n + j] += parts.left[i * n + k] * parts.right[j * n + k];
+        stretch[i * n + j] +=
+            parts.right[i * n + k] * parts.values[k] * parts.right[j * n + k];
+      }
+  Type type = polar.getRotation().getType();
+  set(polar.getRotation(), narrow(rotation, type));
+  set(polar.getStretch(), narrow(stretch, type));
+  return success();
+}
+
+LogicalResult Run::runSvd(Operation *op) {
+  auto svd = cast<SvdOp>(op);
+  int64_t n = getRows(svd.getMatrix());
+  Decomposition parts =
+      decomposeSingular(widen(get(svd.getMatrix()).numbers), n);
+  SmallVector<long double> sigma(n * n);
+  for (int64_t i = 0; i != n; ++i)
+    sigma[i * n + i] = parts.values[i];
+  Type type = svd.getU().getType();
+  set(svd.getU(), narrow(parts.left, type));
+  set(svd.getSigma(), narrow(sigma, type));
+  set(svd.getV(), narrow(parts.right, type));
+  return success();
+}
+
+LogicalResult Run::runSymEig(Operation *op) {
+  auto eig = cast<SymEigOp>(op);
+  int64_t n = getRows(eig.getMatrix());
+  SmallVector<long double> a = widen(get(eig.getMatrix()).numbers);
+  // The lower triangle is what counts.
+  for (int64_t i = 0; i != n; ++i)
+    for (int64_t j = i + 1; j != n; ++j)
+      a[i * n + j] = a[j * n + i];
+  Decomposition parts = decomposeSymmetric(a, n);
+  set(eig.getValues(), narrow(parts.values, eig.getValues().getType()));
+  set(eig.getVectors(), narrow(parts.right, eig.getVectors().getType()));
+  return success();
+}
