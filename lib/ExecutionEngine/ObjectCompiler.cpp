@@ -8,6 +8,7 @@
 #include "tai/ExecutionEngine/ObjectCompiler.h"
 #include "CodegenErrors.h"
 #include "CodegenPasses.h"
+#include "HugeBodies.h"
 #include "InsertSafepoints.h"
 #include "TransposeColumns.h"
 #include "VerifyEach.h"
@@ -179,6 +180,10 @@ void ObjectCompiler::runPasses(Module &module) {
       [](FunctionPassManager &late, OptimizationLevel) {
         late.addPass(StencilGVN());
       });
+  builder.registerVectorizerStartEPCallback(
+      [](FunctionPassManager &early, OptimizationLevel) {
+        early.addPass(KeepHugeLoopsScalar());
+      });
   builder.registerVectorizerEndEPCallback(
       [](FunctionPassManager &late, OptimizationLevel) {
         late.addPass(TransposeColumns());
@@ -220,6 +225,7 @@ Error ObjectCompiler::emit(Module &module, raw_pwrite_stream &stream,
       std::make_unique<CodegenErrors>(message));
   bool supported = true;
   Error error = guardFatalErrors(broken, [&] {
+    divideHugeBlocks(module, machine.get());
     CodegenPasses passes;
     supported = !machine->addPassesToEmitFile(
         passes, stream, /*DwoOut=*/nullptr,
