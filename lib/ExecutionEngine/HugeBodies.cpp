@@ -33,6 +33,9 @@ using namespace mlir::tai;
 namespace {
 /// The elements of a vector, as far as an estimate wants to know them.
 constexpr unsigned kLanes = 8;
+
+/// Of functions with a loop that has too many pairs of accesses.
+constexpr StringLiteral kManyPairs = "tai-many-pairs";
 } // namespace
 
 /// The instructions that are made of a call once its loop is vectorised.
@@ -62,24 +65,39 @@ static uint64_t getVectorizedSize(const CallBase &call,
 
 PreservedAnalyses KeepHugeLoopsScalar::run(Function &function,
                                            FunctionAnalysisManager &analyses) {
-  if (function.getInstructionCount() * kLanes * 4 < limits.vectorized)
+  uint64_t count = function.getInstructionCount();
+  if (count * kLanes * 4 < limits.vectorized && count * count < limits.loopPairs)
     return PreservedAnalyses::all();
   auto &loops = analyses.getResult<LoopAnalysis>(function);
   auto &target = analyses.getResult<TargetIRAnalysis>(function);
   auto &library = analyses.getResult<TargetLibraryAnalysis>(function);
-  for (Loop *loop : loops.getLoopsInPreorder()) {
+  SmallVector<Loop *, 4> all = loops.getLoopsInPreorder();
+  for (Loop *loop : all) {
+    if (all.size() > limits.loops)
+      addStringMetadataToLoop(loop, "llvm.loop.unroll.disable");
     if (!loop->isInnermost())
       continue;
-    uint64_t size = 0;
+    uint64_t size = 0, accesses = 0, writes = 0;
     for (const BasicBlock *block : loop->blocks())
       for (const Instruction &instruction : *block) {
         const auto *call = dyn_cast<CallBase>(&instruction);
         size += call ? getVectorizedSize(*call, target, library) : 1;
+        accesses += instruction.mayReadOrWriteMemory();
+        writes += instruction.mayWriteToMemory();
       }
-    if (size > limits.vectorized)
+    bool hasManyPairs = writes * accesses > limits.loopPairs;
+    if (size > limits.vectorized || hasManyPairs)
       addStringMetadataToLoop(loop, "llvm.loop.vectorize.enable", 0);
+    if (hasManyPairs)
+      function.addFnAttr(kManyPairs);
   }
   return PreservedAnalyses::all();
+}
+
+bool KeepHugeLoopsScalar::canRun(StringRef pass, const Any &ir) {
+  const auto *function = any_cast<const Function *>(&ir);
+  return pass != "LoopLoadEliminationPass" || !function ||
+         !(*function)->hasFnAttribute(kManyPairs);
 }
 
 //===----------------------------------------------------------------------===//

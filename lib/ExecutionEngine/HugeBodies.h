@@ -8,6 +8,8 @@
 #ifndef TAI_LIB_EXECUTIONENGINE_HUGEBODIES_H
 #define TAI_LIB_EXECUTIONENGINE_HUGEBODIES_H
 
+#include "llvm/ADT/Any.h"
+#include "llvm/ADT/StringRef.h"
 #include "llvm/IR/PassManager.h"
 #include <cstdint>
 
@@ -22,9 +24,13 @@ namespace mlir::tai {
 struct HugeBodyLimits {
   /// Instructions of a loop, once it is vectorised: such a loop stays as it is.
   unsigned vectorized = 5000;
+  /// A loop's writes times its reads and writes: the vectoriser compares pairs.
+  uint64_t loopPairs = 200000;
+  /// Loops of a function: those of one with more are not unrolled.
+  unsigned loops = 200;
   /// Instructions of a basic block that becomes machine code: a longer one is
   /// divided.
-  unsigned block = 12000;
+  unsigned block = 8000;
   /// The same of a block's writes times its reads and writes: which of them may
   /// change places is asked of pairs.
   uint64_t pairs = 1500000;
@@ -32,12 +38,16 @@ struct HugeBodyLimits {
   unsigned part = 1000;
 };
 
-/// Marks loops whose bodies would be huge as not to be vectorised. To run
-/// in front of the vectoriser.
+/// Marks loops whose bodies would be huge as not to be vectorised, and those of
+/// a function that has hundreds as not to be unrolled. To run in front of the
+/// vectoriser. What compares accesses besides it has `canRun` to ask.
 struct KeepHugeLoopsScalar : llvm::PassInfoMixin<KeepHugeLoopsScalar> {
   explicit KeepHugeLoopsScalar(HugeBodyLimits limits = {}) : limits(limits) {}
   llvm::PreservedAnalyses run(llvm::Function &function,
                               llvm::FunctionAnalysisManager &analyses);
+
+  /// Whether a pass of LLVM takes acceptable time for what it is to work on.
+  static bool canRun(llvm::StringRef pass, const llvm::Any &ir);
 
 private:
   HugeBodyLimits limits;

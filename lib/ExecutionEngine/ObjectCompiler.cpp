@@ -173,7 +173,9 @@ void ObjectCompiler::runPasses(Module &module) {
   // option of the pipeline could do, if it had one.
   PassInstrumentationCallbacks callbacks;
   callbacks.registerShouldRunOptionalPassCallback(
-      [](StringRef name, Any) { return name != "GVNPass"; });
+      [](StringRef name, Any ir) {
+        return name != "GVNPass" && KeepHugeLoopsScalar::canRun(name, ir);
+      });
   verifyOwnPasses(callbacks);
   PassBuilder builder(machine.get(), tuning, std::nullopt, &callbacks);
   builder.registerScalarOptimizerLateEPCallback(
