@@ -18,6 +18,7 @@
 #include "llvm/Analysis/TargetTransformInfo.h"
 #include "llvm/Analysis/VectorUtils.h"
 #include "llvm/IR/IRBuilder.h"
+#include "llvm/IR/InstIterator.h"
 #include "llvm/IR/IntrinsicInst.h"
 #include "llvm/IR/Module.h"
 #include "llvm/Target/TargetMachine.h"
@@ -66,7 +67,8 @@ static uint64_t getVectorizedSize(const CallBase &call,
 PreservedAnalyses KeepHugeLoopsScalar::run(Function &function,
                                            FunctionAnalysisManager &analyses) {
   uint64_t count = function.getInstructionCount();
-  if (count * kLanes * 4 < limits.vectorized && count * count < limits.loopPairs)
+  if (count * kLanes * 4 < limits.vectorized &&
+      count * count < limits.loopPairs)
     return PreservedAnalyses::all();
   auto &loops = analyses.getResult<LoopAnalysis>(function);
   auto &target = analyses.getResult<TargetIRAnalysis>(function);
@@ -405,5 +407,35 @@ void mlir::tai::divideHugeBlocks(Module &module, const TargetMachine *machine,
         Sizes(*block->getParent(), machine).getParts(*block, limits.part);
     if (!parts.empty())
       BlockDivider(*block, parts).divide();
+  }
+}
+
+//===----------------------------------------------------------------------===//
+// Calls
+//===----------------------------------------------------------------------===//
+
+void mlir::tai::keepCallsInHugeFunctions(Module &module, StringRef prefix,
+                                         HugeBodyLimits limits) {
+  // What is as short as this is no longer than its call.
+  constexpr unsigned shortest = 10;
+  for (Function &function : module) {
+    if (function.getName().starts_with(prefix))
+      continue;
+    SmallVector<CallInst *> calls;
+    uint64_t size = 0;
+    for (Instruction &instruction : instructions(function)) {
+      auto *call = dyn_cast<CallInst>(&instruction);
+      Function *callee = call ? call->getCalledFunction() : nullptr;
+      if (!callee || callee->isDeclaration() ||
+          !callee->getName().starts_with(prefix))
+        continue;
+      unsigned inside = callee->getInstructionCount();
+      size += inside;
+      if (inside > shortest)
+        calls.push_back(call);
+    }
+    if (size > limits.inlined)
+      for (CallInst *call : calls)
+        call->setIsNoInline();
   }
 }

@@ -34,6 +34,9 @@ struct HugeBodyLimits {
   /// The same of a block's writes times its reads and writes: which of them may
   /// change places is asked of pairs.
   uint64_t pairs = 1500000;
+  /// Instructions that a function takes over from a library: one that would
+  /// have more calls it instead.
+  uint64_t inlined = 30000;
   /// Instructions of a part of such a block.
   unsigned part = 1000;
 };
@@ -59,6 +62,11 @@ private:
 void divideHugeBlocks(llvm::Module &module,
                       const llvm::TargetMachine *machine = nullptr,
                       HugeBodyLimits limits = {});
+
+/// Keeps the calls of functions whose name begins like this, in functions that
+/// would be huge with what they call. To run in front of the inliner.
+void keepCallsInHugeFunctions(llvm::Module &module, llvm::StringRef prefix,
+                              HugeBodyLimits limits = {});
 
 } // namespace mlir::tai
 

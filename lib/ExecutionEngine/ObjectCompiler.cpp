@@ -172,10 +172,9 @@ void ObjectCompiler::runPasses(Module &module) {
   // The pipeline's own value numbering makes way for ours, which is all that an
   // option of the pipeline could do, if it had one.
   PassInstrumentationCallbacks callbacks;
-  callbacks.registerShouldRunOptionalPassCallback(
-      [](StringRef name, Any ir) {
-        return name != "GVNPass" && KeepHugeLoopsScalar::canRun(name, ir);
-      });
+  callbacks.registerShouldRunOptionalPassCallback([](StringRef name, Any ir) {
+    return name != "GVNPass" && KeepHugeLoopsScalar::canRun(name, ir);
+  });
   verifyOwnPasses(callbacks);
   PassBuilder builder(machine.get(), tuning, std::nullopt, &callbacks);
   builder.registerScalarOptimizerLateEPCallback(

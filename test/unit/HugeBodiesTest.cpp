@@ -231,3 +231,47 @@ TEST(HugeBodies, LoopsThatWouldBeHugeStayScalar) {
   EXPECT_TRUE(staysVectorizable("llvm.fabs.f32", 100, 1000));
   EXPECT_FALSE(staysVectorizable("llvm.fabs.f32", 1000, 1000));
 }
+
+TEST(HugeBodies, LoopsOfManyPairsAreLeftAloneByWhatComparesThem) {
+  LLVMContext context;
+  std::unique_ptr<Module> module = parse(getLoopText(100), context);
+  Function &function = *module->getFunction("f");
+  HugeBodyLimits limits;
+  const auto *ir = static_cast<const Function *>(&function);
+  runPass(function, KeepHugeLoopsScalar(limits));
+  EXPECT_TRUE(KeepHugeLoopsScalar::canRun("LoopLoadEliminationPass", Any(ir)));
+  limits.loopPairs = 10000;
+  runPass(function, KeepHugeLoopsScalar(limits));
+  EXPECT_FALSE(KeepHugeLoopsScalar::canRun("LoopLoadEliminationPass", Any(ir)));
+  EXPECT_TRUE(KeepHugeLoopsScalar::canRun("GVNPass", Any(ir)));
+}
+
+namespace {
+/// The calls that stay of so many of a library function of 20 instructions.
+int countKept(int calls, const std::string &name, uint64_t inlined) {
+  std::string text = "define i32 @" + name + "(i32 %v0) alwaysinline {\n";
+  for (int k = 1; k < 20; ++k)
+    text += "  %v" + number(k) + " = mul i32 %v" + number(k - 1) + ", 3\n";
+  text += "  ret i32 %v19\n}\ndefine i32 @f(i32 %v0) {\n";
+  for (int k = 1; k <= calls; ++k)
+    text += "  %v" + number(k) + " = call i32 @" + name + "(i32 %v" +
+            number(k - 1) + ")\n";
+  text += "  ret i32 %v" + number(calls) + "\n}\n";
+  LLVMContext context;
+  std::unique_ptr<Module> module = parse(text, context);
+  HugeBodyLimits limits;
+  limits.inlined = inlined;
+  keepCallsInHugeFunctions(*module, "__nv_", limits);
+  int kept = 0;
+  for (Instruction &instruction : module->getFunction("f")->getEntryBlock())
+    if (auto *call = dyn_cast<CallInst>(&instruction))
+      kept += call->isNoInline();
+  return kept;
+}
+} // namespace
+
+TEST(HugeBodies, FunctionsThatWouldBeHugeCallTheLibrary) {
+  EXPECT_EQ(countKept(50, "__nv_sinf", 1000), 0);
+  EXPECT_EQ(countKept(51, "__nv_sinf", 1000), 51);
+  EXPECT_EQ(countKept(51, "own", 1000), 0);
+}
