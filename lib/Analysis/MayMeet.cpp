@@ -176,13 +176,17 @@ static bool areApart(const LinearIndex &first, const LinearIndex &second,
   };
   Difference difference;
   difference.addConstant(first.constant - second.constant);
+  // What cancels is not looked at: ranges come from the layout.
+  auto addUnknown = [&](int64_t factor, Value value) {
+    if (factor != 0)
+      difference.addUnknown(factor, getInterval(value));
+  };
   // What moves lies a positive number of steps ahead.
   int64_t perStep = 0;
   for (auto [value, step] : later.moving) {
     perStep -= second.getCoefficient(value) * step;
-    difference.addUnknown(first.getCoefficient(value) -
-                              second.getCoefficient(value),
-                          getInterval(value));
+    addUnknown(first.getCoefficient(value) - second.getCoefficient(value),
+               value);
   }
   difference.addUnknown(perStep, {1, later.most});
   auto addTerms = [&](const LinearIndex &form, int64_t sign) {
@@ -198,7 +202,7 @@ static bool areApart(const LinearIndex &first, const LinearIndex &second,
           continue;
         rest -= sign * otherFactor;
       }
-      difference.addUnknown(rest, getInterval(value));
+      addUnknown(rest, value);
     }
   };
   addTerms(first, 1);

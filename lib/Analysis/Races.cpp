@@ -117,20 +117,26 @@ Operation *mlir::tai::findRace(DifferentiableAccessInterface lhs,
   auto loop = dyn_cast_if_present<ParallelForOp>(lhs->getParentOp());
   if (!loop || loop.getSerialize() || rhs->getParentOp() != loop)
     return nullptr;
-  std::optional<LoopBox> box = getConstantBox(loop);
   ValueRange lhsParts = lhs.getAccessComponents();
   ValueRange rhsParts = rhs.getAccessComponents();
-  if (!box || lhs.getAccessIndices().size() != rhs.getAccessIndices().size())
+  if (lhs.getAccessIndices().size() != rhs.getAccessIndices().size())
     return nullptr;
-  SmallVector<Unknown> unknowns(box->lower.size());
+  // Of most pairs the equations alone say that they do not meet: the bounds
+  // are looked up for the rest.
+  LoopBox unbounded{loop, {}, {}};
+  SmallVector<Unknown> unknowns(loop.getInductionVars().size());
   auto add = [&](ValueRange a, ValueRange b) {
     return llvm::all_of(llvm::zip_equal(a, b), [&](auto pair) {
       auto [x, y] = pair;
-      return addEquation(*box, getLinearIndex(x), getLinearIndex(y), unknowns);
+      return addEquation(unbounded, getLinearIndex(x), getLinearIndex(y),
+                         unknowns);
     });
   };
   if (!add(lhs.getAccessIndices(), rhs.getAccessIndices()) ||
       (lhsParts.size() == rhsParts.size() && !add(lhsParts, rhsParts)))
+    return nullptr;
+  std::optional<LoopBox> box = getConstantBox(loop);
+  if (!box || box->lower.size() != unknowns.size())
     return nullptr;
   bool differ = false;
   for (auto [unknown, lower, upper] :

@@ -10,6 +10,7 @@
 #include "CodegenErrors.h"
 #include "CodegenPasses.h"
 #include "GroupLoads.h"
+#include "HugeBodies.h"
 #include "Libdevice.h"
 #include "LocalMemory.h"
 #include "UnrollGridLoops.h"
@@ -466,6 +467,7 @@ Error DeviceCompiler::optimize(DeviceCode &code) {
 }
 
 void DeviceCompiler::runPasses(llvm::Module &module) {
+  keepCallsInHugeFunctions(module, "__nv_");
   llvm::LoopAnalysisManager loops;
   llvm::FunctionAnalysisManager functions;
   llvm::CGSCCAnalysisManager sccs;

@@ -9,6 +9,7 @@
 #include "CodegenErrors.h"
 #include "CodegenPasses.h"
 #include "HalfAtomics.h"
+#include "HugeBodies.h"
 #include "InsertSafepoints.h"
 #include "TransposeColumns.h"
 #include "VerifyEach.h"
@@ -172,13 +173,18 @@ void ObjectCompiler::runPasses(Module &module) {
   // The pipeline's own value numbering makes way for ours, which is all that an
   // option of the pipeline could do, if it had one.
   PassInstrumentationCallbacks callbacks;
-  callbacks.registerShouldRunOptionalPassCallback(
-      [](StringRef name, Any) { return name != "GVNPass"; });
+  callbacks.registerShouldRunOptionalPassCallback([](StringRef name, Any ir) {
+    return name != "GVNPass" && KeepHugeLoopsScalar::canRun(name, ir);
+  });
   verifyOwnPasses(callbacks);
   PassBuilder builder(machine.get(), tuning, std::nullopt, &callbacks);
   builder.registerScalarOptimizerLateEPCallback(
       [](FunctionPassManager &late, OptimizationLevel) {
         late.addPass(StencilGVN());
+      });
+  builder.registerVectorizerStartEPCallback(
+      [](FunctionPassManager &early, OptimizationLevel) {
+        early.addPass(KeepHugeLoopsScalar());
       });
   builder.registerVectorizerEndEPCallback(
       [](FunctionPassManager &late, OptimizationLevel) {
@@ -222,6 +228,7 @@ Error ObjectCompiler::emit(Module &module, raw_pwrite_stream &stream,
       std::make_unique<CodegenErrors>(message));
   bool supported = true;
   Error error = guardFatalErrors(broken, [&] {
+    divideHugeBlocks(module, machine.get());
     CodegenPasses passes;
     supported = !machine->addPassesToEmitFile(
         passes, stream, /*DwoOut=*/nullptr,

@@ -5,6 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "LoweringPasses.h"
 #include "mlir/Pass/PassRegistry.h"
 #include "mlir/Transforms/Passes.h"
 #include "tai/AD/Passes.h"
@@ -20,7 +21,7 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
   pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
   // Values instead of variables, so that the rest sees what depends on what.
   pm.addPass(createEliminateLocals());
-  pm.addPass(createCanonicalizerPass());
+  addCanonicalization(pm);
   // One value for each index, so that equal elements are seen to be equal.
   pm.addPass(createCSEPass());
   ExpandAtomicsOptions expand;
@@ -52,7 +53,7 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
   pm.addPass(createMakeAdjoint(adjoint));
 
   // Rules write the formula, not its simplest form.
-  pm.addPass(createCanonicalizerPass());
+  addCanonicalization(pm);
   pm.addPass(createCSEPass());
   // What a backward loop recomputes need not be recomputed in each iteration.
   pm.addPass(createLoopInvariantCodeMotionPass());
@@ -63,13 +64,13 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
 void tai::buildForwardPipeline(OpPassManager &pm, bool arrayTangents) {
   pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
   pm.addPass(createEliminateLocals());
-  pm.addPass(createCanonicalizerPass());
+  addCanonicalization(pm);
   pm.addPass(createCSEPass());
   ForwardDiffOptions forward;
   forward.arrayTangents = arrayTangents;
   pm.addPass(createForwardDiff(forward));
   // Rules write the formula, not its simplest form.
-  pm.addPass(createCanonicalizerPass());
+  addCanonicalization(pm);
   pm.addPass(createCSEPass());
   pm.addPass(createMarkExclusive());
 }

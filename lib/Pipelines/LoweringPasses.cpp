@@ -35,3 +35,10 @@ void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options) {
   bounds.bounds = checked ? BoundsMode::Check : BoundsMode::Off;
   pm.addPass(createCheckBounds(bounds));
 }
+
+void tai::addCanonicalization(OpPassManager &pm) {
+  // Large bodies by themselves: the rest would look at all of one again after
+  // each rewrite in it.
+  pm.addPass(createSimplifyHugeBodies());
+  pm.addPass(createCanonicalizerPass());
+}

@@ -16,6 +16,9 @@ namespace mlir::tai {
 /// helpers inlined, indices checked or clamped.
 void addSourcePasses(OpPassManager &pm, const LoweringOptions &options);
 
+/// Canonicalises, in time that grows with the program and no faster.
+void addCanonicalization(OpPassManager &pm);
+
 } // namespace mlir::tai
 
 #endif // TAI_LIB_PIPELINES_LOWERINGPASSES_H

@@ -26,7 +26,7 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
     pm.addPass(createNormalizeIndices());
     pm.addPass(createSplitInterior());
     // The interior's answers are constants now, and dead questions go.
-    pm.addPass(createCanonicalizerPass());
+    addCanonicalization(pm);
   }
 
   // From here on values are scalars, and loops run over boxes.

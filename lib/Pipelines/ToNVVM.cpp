@@ -24,7 +24,7 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
     pm.addPass(createMarkExclusive());
     pm.addPass(createGatherAccumulations());
     pm.addPass(createNormalizeIndices());
-    pm.addPass(createCanonicalizerPass());
+    addCanonicalization(pm);
   }
   pm.addPass(createScalarize());
   // Of scalars, while loops over fields still say what their indices are.

@@ -28,6 +28,7 @@ from .printing import Printing
 from .refs import ArrayArgument, FieldElement, Variable
 from .returns import Returns
 from .scope import Bound, Frame
+from .serial_work import SerialWork
 from .source import function_ast
 from .sparse import Sparse
 from .statements import Statements, StaticBreak, StaticContinue
@@ -36,7 +37,9 @@ from .statements import Statements, StaticBreak, StaticContinue
 _RECURSION = 20000
 
 
-class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse, Checks, Printing):
+class Compiler(
+    Expressions, Statements, Returns, Loops, Calls, Sparse, Checks, Printing, SerialWork
+):
     """Compiles one specialisation of one kernel.
 
     Args:
@@ -79,6 +82,7 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse, Checks, P
         self.loop_options: dict[str, Any] = {}
         self.reads = Reads([s.constant for _, s in parameters if s.kind == "template"])
         self.prepare_checks()
+        self.prepare_work()
         # Whether of the attribute that is evaluated next no more than its form is wanted.
         self.form_only = False
         self._methods: dict[type, Callable[[Any], Any]] = {}
@@ -262,6 +266,7 @@ class Compiler(Expressions, Statements, Returns, Loops, Calls, Sparse, Checks, P
 
     def visit(self, node: ast.AST) -> Any:
         """Compiles a node; an error that has no place yet gets that of the node."""
+        self.work += 1
         method = self._methods.get(type(node))
         if method is None:
             name = "visit_" + type(node).__name__

@@ -314,6 +314,7 @@ class Loops:
         variables = self.changed_by(node.body)
         self.frame.loops.pop()
         begin, end = emitter.to_index(low), emitter.to_index(high)
+        work = self.work
         if bounds.step != 1:
             begin, end = emitter.index(0), self.trip_count(low, high, bounds.step)
 
@@ -332,6 +333,7 @@ class Loops:
             self.counted_while(loop, variables, begin, end, inside, node)
         else:
             self.carried_for(variables, begin, end, inside, node)
+        self.end_serial(work, low, high, bounds.step, node)
 
     def trip_count(self, low: Any, high: Any, step: int) -> Any:
         """The number of iterations of a range with a step, as an index handle."""
@@ -475,7 +477,10 @@ class Loops:
             ]
         self.define_indices(names, indices, grouped)
         self.appends = False
+        shape, is_serial = None if bounds is not None else field.shape, "serialize" in attrs
+        work = self.begin_parallel(bounds, shape, is_serial)
         self.loop_body(loop, node)
+        self.end_parallel(work, bounds, shape, is_serial, node)
         if self.appends and self.program.options.deterministic:
             # On many threads, the order of a list would be that in which they come.
             attrs["serialize"] = builder.attribute("unit")

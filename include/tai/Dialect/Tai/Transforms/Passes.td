@@ -46,6 +46,36 @@ def EliminateLocals : Pass<"tai-eliminate-locals"> {
                            "::mlir::tai::TaiDialect"];
 }
 
+def SimplifyHugeBodies : Pass<"tai-simplify-huge-bodies"> {
+  let summary = "canonicalise the bodies of huge loops by themselves";
+  let description = [{
+    Runs the canonicalisation of all ops in each body that has at least
+    `min-ops` operations, and of what is nested in it, and makes one of equal
+    operations of the body, reads with no write between them too. To run in
+    front of `canonicalize` and `cse`, which then find little to do: the one
+    looks at all of a body again after each rewrite in it, to see whether the
+    loop around it is dead, the other at all between two equal reads, so that
+    their time grows with the square of the body.
+
+    Example: with `min-ops=3`,
+
+    ```mlir
+    tai.parallel_for (%i) = (%c0) to (%n) {
+      %s = arith.addf %a, %zero : f32
+      %t = arith.select %true, %s, %b : f32
+      tai.store %t, @x[%i] : f32
+    }
+    ```
+
+    becomes what `canonicalize` and `cse` make of it. A smaller body stays as it
+    is.
+  }];
+  let options = [
+    Option<"minOps", "min-ops", "unsigned", /*default=*/"2000",
+           "Least number of operations of a body that is huge">,
+  ];
+}
+
 def FlattenBranches : Pass<"tai-flatten-branches"> {
   let summary = "turn cheap and safe branches into selects";
   let description = [{
