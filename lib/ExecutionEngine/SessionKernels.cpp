@@ -13,11 +13,11 @@
 #include "RunInParallel.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
-#include "mlir/Parser/Parser.h"
 #include "mlir/Transforms/Passes.h"
 #include "tai/AD/Signature.h"
 #include "tai/Dialect/Tai/Transforms/Passes.h"
 #include "tai/ExecutionEngine/AdjointNeeds.h"
+#include "tai/ExecutionEngine/ModuleFile.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "tai/Pipelines/Pipelines.h"
 #include "llvm/Support/FormatVariadic.h"
@@ -187,14 +187,14 @@ FailureOr<SessionKernel *> Session::createKernel(OwningOpRef<ModuleOp> module,
   return kernels.back().get();
 }
 
-FailureOr<SessionKernel *> Session::parseKernel(StringRef text, StringRef file,
+FailureOr<SessionKernel *> Session::parseKernel(StringRef bytes, StringRef file,
                                                 StringRef name) {
   OwningOpRef<ModuleOp> module;
   {
     DiagnosticCollector collector(context.get());
     // Verified once it has the declarations that it refers to.
     ParserConfig config(context.get(), /*verifyAfterParse=*/false);
-    module = parseSourceString<ModuleOp>(text, config, file);
+    module = readModule(bytes, config, file);
     if (!module)
       return fail(
           collector.take(FailureKind::Syntax, "the kernel does not parse"));
@@ -627,7 +627,7 @@ runtime::Status Session::planAdjoint(KernelCode &code,
     return runtime::Status::success();
   ParserConfig config(context.get());
   OwningOpRef<ModuleOp> parts =
-      parseSourceString<ModuleOp>(needs->parts, config, code.name);
+      readModule(needs->parts, config, code.name);
   if (!parts)
     return runtime::Status::failure(runtime::StatusCode::Internal,
                                     "the parts of '" + code.name +
