@@ -148,9 +148,13 @@ Status Runtime::loadOnDevice(Kernel &kernel, uint64_t epoch) {
       DeviceCode::Function entry{};
       if (status)
         status = target.find(*loaded->module, name, entry.function);
-      if (!status)
-        return Status::failure(status.code(), "kernel '" + kernel.name() +
-                                                  "': " + status.message());
+      if (!status) {
+        std::string message =
+            "kernel '" + kernel.name() + "': " + status.message();
+        if (status.code() == StatusCode::Internal && kernel.info.explainRefusal)
+          message = kernel.info.explainRefusal(message);
+        return Status::failure(status.code(), std::move(message));
+      }
       // Enough to hide the time of memory, and few enough that registers do
       // not limit how many blocks there are.
       constexpr unsigned usualThreads = 256;
