@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 SPLIT = re.compile(r"^// -----.*$", re.MULTILINE)
-RUN = re.compile(r"//\s*RUN:.*?tai-opt\s+(?P<options>[^|]*)")
+RUN = re.compile(r"//\s*RUN:.*?tai-opt\s+(?P<options>[^|;&>]*)")
 TOKEN = re.compile(r'"[^"\n]*"|[%@#!^]?[\w.$]+|->|::|\S')
 NUMBER = re.compile(r"(?<![\w%@#!^.])-?\d+(?![\w.])")
 TYPE = re.compile(
@@ -18,7 +18,7 @@ TYPE = re.compile(
 VALUE = re.compile(r"%[\w.$#]+")
 SYMBOL = re.compile(r"@[\w.$]+")
 OPERATION = re.compile(r"\b[a-z_]+\.[a-z_.]+\b")
-TERMINATOR = re.compile(r"^\s*(?:\w+\.)?(?:return|yield|condition|br|cond_br|stop)\b.*$")
+TERMINATOR = re.compile(r"^\s*\"?(?:\w+\.)?(?:return|yield|condition|br|cond_br|stop)\b.*$")
 
 NUMBERS = [
     *("0", "1", "-1", "2", "3", "7", "31", "32", "33", "64", "127", "128", "255", "256", "1024"),
@@ -104,6 +104,7 @@ class Mutator:
             (6, self.change_lines),
             (4, self.delete_terminator),
             (4, self.change_region),
+            (6, self.empty_block),
             (6, self.splice),
             (4, self.swap_tokens),
             (2, self.delete_tokens),
@@ -199,6 +200,21 @@ class Mutator:
         body = text[start:end]
         new = self.random.choice(("{}", "{\n}", "", body + body, "{\n^bb0:\n}", body[1:-1]))
         return text[:start] + new + text[end:]
+
+    def empty_block(self, text: str) -> str:
+        """In the generic form: takes the operations of a region away, all or from some line on."""
+        starts = [match.start() + 1 for match in re.finditer(r"\(\{", text)]
+        if not starts:
+            return self.change_region(text)
+        start = self.random.choice(starts)
+        end = matching_brace(text, start)
+        lines = text[start:end].splitlines()
+        if end < 0 or len(lines) < 3:
+            return text
+        kept = 2 if lines[1].lstrip().startswith("^") else 1
+        if self.random.random() < 0.5:
+            kept = self.random.randrange(kept, len(lines))
+        return text[:start] + "\n".join([*lines[:kept], lines[-1]]) + text[end:]
 
     def splice(self, text: str) -> str:
         """Puts lines of another file in."""
