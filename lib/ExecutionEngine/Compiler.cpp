@@ -512,6 +512,19 @@ std::optional<std::string> Compiler::print(CompileRequest request,
                                            StringRef stage,
                                            const CompileOptions &options,
                                            Failure &failure) {
+  Prepared prepared;
+  std::optional<std::string> text =
+      printStage(request, stage, options, prepared, failure);
+  if (!text)
+    addReproducer(request, options, prepared.step, failure);
+  return text;
+}
+
+std::optional<std::string> Compiler::printStage(CompileRequest request,
+                                                StringRef stage,
+                                                const CompileOptions &options,
+                                                Prepared &prepared,
+                                                Failure &failure) {
   if (!llvm::is_contained(getStages(), stage)) {
     failure = Failure::get(FailureKind::Usage,
                            "unknown stage '" + stage + "'; the stages are " +
@@ -533,7 +546,6 @@ std::optional<std::string> Compiler::print(CompileRequest request,
   WorkerLease lease(*this, options);
   Worker &worker = *lease;
   if (stage == "autodiff" && request.forward) {
-    Prepared prepared;
     if (failed(differentiate(worker, request, prepared, failure)))
       return std::nullopt;
     prepared.module->print(stream);
@@ -553,7 +565,6 @@ std::optional<std::string> Compiler::print(CompileRequest request,
     module->print(stream);
     return text;
   }
-  Prepared prepared;
   std::vector<std::string> trees;
   std::string scf;
   if (failed(differentiate(worker, request, prepared, failure)))

@@ -37,7 +37,7 @@ PIPELINES = [
 KNOWN_UPSTREAM = {
     r"Parser::parseDenseArrayAttr": "array<index: ...>: an index type is asked for its bits",
     r"LLVM::AtomicRMWOp::parse": "llvm.atomicrmw of a tensor",
-    r"LLVM ERROR: out of memory(.|\n)*custom op parser": "%r#2147483647: room for as many results",
+    r"LLVM ERROR: out of memory(.|\n)*parseAsmSourceFile": "%r#2147483647: room for as many",
 }
 FRAME = re.compile(
     r"^\d+\s+(?P<library>\S+)\s+0x[0-9a-f]+(?: (?P<name>.*?)(?: \+ \d+)?)?$", re.MULTILINE

@@ -213,6 +213,20 @@ TEST_F(EngineCompiler, FailuresOfLLVMLeaveAReproducer) {
   }
 }
 
+// Who looks at the stages of a kernel that fails.
+TEST_F(EngineCompiler, PrintingLeavesAReproducer) {
+  Compiler::Pipelines pipelines;
+  pipelines.toLLVM = [](OpPassManager &manager, const CompileOptions &) {
+    manager.addPass(std::make_unique<SilentFailure>());
+  };
+  Compiler compiler(&context, pipelines, {});
+  Failure failure;
+  EXPECT_FALSE(compiler.print({*module, "k", CompileRequest::Goal::Primal},
+                              "llvm", CompileOptions(), failure));
+  EXPECT_TRUE(
+      StringRef(takeReproducer(failure)).contains("test-silent-failure"));
+}
+
 // A launch that is tried again.
 TEST_F(EngineCompiler, AFailureLeavesOneFile) {
   Failure first = compileWith<SilentFailure>();

@@ -247,6 +247,9 @@ private:
                                               const CompileOptions &options,
                                               Prepared &prepared,
                                               Failure &failure);
+  std::optional<std::string> printStage(CompileRequest request, StringRef stage,
+                                        const CompileOptions &options,
+                                        Prepared &prepared, Failure &failure);
   /// Takes the device code out of a lowered module and compiles it.
   LogicalResult compileDeviceCode(Worker &worker, const CompileOptions &options,
                                   Prepared &prepared,
