@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 SPLIT = re.compile(r"^// -----.*$", re.MULTILINE)
-RUN = re.compile(r"//\s*RUN:.*?tai-opt\s+(?P<options>[^|;&>]*)")
+RUN = re.compile(r"//\s*RUN:.*?tai-opt\s+(?P<options>[^|;&>\n]*)")
 TOKEN = re.compile(r'"[^"\n]*"|[%@#!^]?[\w.$]+|->|::|\S')
 NUMBER = re.compile(r"(?<![\w%@#!^.])-?\d+(?![\w.])")
 TYPE = re.compile(

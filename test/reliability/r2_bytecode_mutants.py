@@ -93,11 +93,11 @@ def make_files(build: Path, count: int) -> list[bytes]:
 def damage(choose: random.Random, files: list[bytes], start: int) -> bytes:
     """A file with one to three kinds of damage from byte `start` on.
 
-    Never as it was, and never empty: that is the text of an empty module.
+    Never a file as it was, and never blank: that is the text of an empty module.
     """
     original = choose.choice(files)
     data = bytearray()
-    while not data or bytes(data) == original:
+    while not data.strip() or bytes(data) in files:
         data = bytearray(original)
         for _ in range(choose.choice((1, 1, 2, 3))):
             at = choose.randrange(start, max(len(data), start + 1))
