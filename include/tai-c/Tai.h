@@ -318,6 +318,17 @@ TAI_EXPORT TaiStatus taiKernelCreate(TaiContext context, MlirModule module,
 TAI_EXPORT TaiStatus taiKernelParse(TaiContext context, const char *text,
                                     const char *file, const char *name,
                                     TaiKernel *kernel);
+/// The same for IR that a file or a connection has brought: text, or what
+/// taiModuleWrite has written. Bytecode that is damaged, or that has no
+/// checksum as MLIR's own writer leaves it, is a syntax error here, while
+/// mlirModuleCreateParse may end the process on it.
+TAI_EXPORT TaiStatus taiKernelLoad(TaiContext context, const char *bytes,
+                                   size_t size, const char *file,
+                                   const char *name, TaiKernel *kernel);
+/// Gives the module as bytecode with its checksum to `callback`, in pieces.
+TAI_EXPORT TaiStatus taiModuleWrite(TaiContext context, MlirModule module,
+                                    MlirStringCallback callback,
+                                    void *userData);
 TAI_EXPORT void taiKernelDestroy(TaiKernel kernel);
 
 /// Launches with arguments in slots (see tai/Runtime/Abi.h). `results` may be

@@ -191,7 +191,9 @@ void IndexBounds::addLoop(Domain &domain, ParallelForOp loop) {
   for (auto [iv, first, extent] :
        llvm::zip(loop.getInductionVars(), layout->offset, layout->shape)) {
     Form index = formOf(iv);
-    domain.loops.push_back(index.sum.terms.front().first);
+    // An axis of one element has no variable.
+    for (auto [variable, factor] : index.sum.terms)
+      domain.loops.push_back(variable);
     addRow(domain, index.sum.plus(-first));
     addRow(domain, LinearSum::of(first + extent - 1).plus(index.sum, -1));
   }
@@ -214,14 +216,15 @@ IndexBounds::Domain IndexBounds::domainOf(Block *block) {
   } else if (auto serial = dyn_cast<scf::ForOp>(parent)) {
     std::optional<int64_t> step = getConstantIntValue(serial.getStep());
     auto iv = cast<BlockArgument>(serial.getInductionVar());
+    size_t outer = domain.loops.size();
     if (serial.getUnsignedCmp()) {
       domain.isCertain = false;
     } else {
       addLoop(domain, iv, serial.getLowerBound(), serial.getUpperBound());
       domain.isCertain &= step && *step > 0;
     }
-    // Counted from zero.
-    if (step && *step > 1)
+    // Counted from zero, unless there is one iteration and nothing to count.
+    if (step && *step > 1 && domain.loops.size() > outer)
       addRow(domain, LinearSum::variable(domain.loops.back()));
   } else if (auto branch = dyn_cast<scf::IfOp>(parent)) {
     addCondition(domain, branch.getCondition(), block == branch.thenBlock());

@@ -7,6 +7,8 @@
 
 #include "Impl.h"
 #include "mlir/CAPI/IR.h"
+#include "mlir/CAPI/Utils.h"
+#include "tai/ExecutionEngine/ModuleFile.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -35,14 +37,29 @@ TaiStatus taiKernelCreate(TaiContext context, MlirModule module,
   return TAI_OK;
 }
 
-TaiStatus taiKernelParse(TaiContext context, const char *text, const char *file,
-                         const char *name, TaiKernel *kernel) {
+TaiStatus taiKernelLoad(TaiContext context, const char *bytes, size_t size,
+                        const char *file, const char *name, TaiKernel *kernel) {
   ContextLock lock(*context);
   FailureOr<SessionKernel *> made = context->session.parseKernel(
-      text ? text : "", file ? file : "", name ? name : "");
+      StringRef(bytes, size), file ? file : "", name ? name : "");
   if (failed(made))
     return context->status(failure());
   *kernel = keep(*context, *made);
+  return TAI_OK;
+}
+
+TaiStatus taiKernelParse(TaiContext context, const char *text, const char *file,
+                         const char *name, TaiKernel *kernel) {
+  StringRef given = text ? text : "";
+  return taiKernelLoad(context, given.data(), given.size(), file, name, kernel);
+}
+
+TaiStatus taiModuleWrite(TaiContext context, MlirModule module,
+                         MlirStringCallback callback, void *userData) {
+  ContextLock lock(*context);
+  mlir::detail::CallbackOstream stream(callback, userData);
+  if (failed(writeModule(unwrap(module), stream)))
+    return context->usage("the module cannot be written as bytecode");
   return TAI_OK;
 }
 

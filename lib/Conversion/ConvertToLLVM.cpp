@@ -28,6 +28,7 @@
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_CONVERTTOLLVM
+#define GEN_PASS_DEF_CHECKLOWERABLE
 #define GEN_PASS_DEF_VERIFYLLVM
 #include "tai/Conversion/Passes.h.inc"
 } // namespace mlir::tai
@@ -206,6 +207,34 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
               branch->removeDiscardableAttr("llvm.loop_annotation")))
         branch.setLoopAnnotationAttr(annotation);
     });
+  }
+};
+
+/// True for the dialects that the passes before and in this file lower, with
+/// what those of a device leave.
+bool isLowered(StringRef dialect) {
+  return llvm::is_contained({"arith", "builtin", "cf", "func", "gpu", "llvm",
+                             "math", "memref", "nvvm", "scf", "tai", "ub",
+                             "vector"},
+                            dialect);
+}
+
+struct CheckLowerable : tai::impl::CheckLowerableBase<CheckLowerable> {
+  using Base::Base;
+
+  void runOnOperation() override {
+    WalkResult result = getOperation().walk([](Operation *op) {
+      StringRef dialect = op->getName().getDialectNamespace();
+      if (isLowered(dialect))
+        return WalkResult::advance();
+      op->emitOpError("is not lowered by this pipeline").attachNote()
+          << "run the passes that turn the dialect '" << dialect
+          << "' into those of arith, math, scf, memref, vector and func before";
+      return WalkResult::interrupt();
+    });
+    if (result.wasInterrupted())
+      return signalPassFailure();
+    markAllAnalysesPreserved();
   }
 };
 

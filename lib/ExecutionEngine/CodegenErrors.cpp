@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "CodegenErrors.h"
+#include "InjectedFailures.h"
 #include "llvm/IR/DiagnosticInfo.h"
 #include "llvm/IR/DiagnosticPrinter.h"
 #include "llvm/Support/ErrorHandling.h"
@@ -37,7 +38,8 @@ static void onFatalError(void *, const char *message, bool) {
 
 /// Leaves by a long jump, as LLVM's own crash recovery does, but without taking
 /// over the process's signals.
-Error mlir::tai::guardFatalErrors(bool &broken, function_ref<void()> task) {
+Error mlir::tai::guardFatalErrors(bool &broken, StringRef place,
+                                  function_ref<void()> task) {
   static std::mutex mutex;
   static unsigned users = 0;
   auto count = [](int change) {
@@ -52,6 +54,8 @@ Error mlir::tai::guardFatalErrors(bool &broken, function_ref<void()> task) {
   count(1);
   if (setjmp(target.place) == 0) {
     fatalTarget = &target;
+    if (injectsFailure(place))
+      report_fatal_error("a failure was asked for", /*gen_crash_diag=*/false);
     task();
   } else {
     broken = true;

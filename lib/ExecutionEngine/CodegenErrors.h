@@ -22,8 +22,10 @@
 namespace mlir::tai {
 
 /// Runs a task. After a fatal error in it, `broken` is true, and what the task
-/// worked on is in no state to be used or even destroyed.
-llvm::Error guardFatalErrors(bool &broken, llvm::function_ref<void()> task);
+/// worked on is in no state to be used or even destroyed. Tests inject an error
+/// at `place`.
+llvm::Error guardFatalErrors(bool &broken, llvm::StringRef place,
+                             llvm::function_ref<void()> task);
 
 /// Keeps the first error that code generation reports.
 struct CodegenErrors : llvm::DiagnosticHandler {

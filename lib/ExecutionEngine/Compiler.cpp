@@ -8,6 +8,7 @@
 #include "tai/ExecutionEngine/Compiler.h"
 #include "BuildId.h"
 #include "CompilerWorker.h"
+#include "InjectedFailures.h"
 #include "Libdevice.h"
 #include "VerifyEach.h"
 #include "mlir/Pass/Pass.h"
@@ -19,7 +20,6 @@
 #include "tai/Runtime/CacheStore.h"
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/Support/BLAKE3.h"
-#include "llvm/Support/FileSystem.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -74,14 +74,21 @@ Compiler::Worker::Worker(MLIRContext *context, const Pipelines &pipelines,
                          const CompileOptions &options)
     : options(options), autodiff(context), takingAutodiff(context),
       forward(context), lowering(context) {
-  for (PassManager *manager : {&autodiff, &takingAutodiff, &forward, &lowering})
+  for (PassManager *manager :
+       {&autodiff, &takingAutodiff, &forward, &lowering}) {
     manager->enableVerifier(options.debug || verifiesEach());
+    manager->addInstrumentation(std::make_unique<InvalidAfterPass>(finding));
+  }
   if (pipelines.autodiff) {
     pipelines.autodiff(autodiff, options, /*takes=*/false);
     pipelines.autodiff(takingAutodiff, options, /*takes=*/true);
+    injectFailingPass(autodiff, "autodiff");
+    injectFailingPass(takingAutodiff, "autodiff");
   }
   if (pipelines.forward)
     pipelines.forward(forward, options);
+  injectFailingPass(forward, "forward");
+  injectFailingPass(lowering, "lower");
   const auto &lower = options.device ? pipelines.toDevice : pipelines.toLLVM;
   if (lower)
     lower(lowering, options);
@@ -134,46 +141,6 @@ PhaseTimes Compiler::getTotals() {
 // Passes
 //===----------------------------------------------------------------------===//
 
-/// Writes the module, with the pipeline that failed on it, to a file that
-/// `tai-opt --run-reproducer` takes, and returns its path.
-static std::string writeReproducer(ModuleOp module, PassManager &manager) {
-  SmallString<128> path;
-  int descriptor;
-  if (llvm::sys::fs::createTemporaryFile("tai-reproducer", "mlir", descriptor,
-                                         path))
-    return "(no reproducer could be written)";
-  llvm::raw_fd_ostream stream(descriptor, /*shouldClose=*/true);
-  module.print(stream, OpPrintingFlags().enableDebugInfo());
-  std::string pipeline;
-  llvm::raw_string_ostream pipelineStream(pipeline);
-  manager.printAsTextualPipeline(pipelineStream);
-  stream << "\n{-#\n  external_resources: {\n    mlir_reproducer: {\n"
-         << "      pipeline: \"";
-  stream.write_escaped(pipeline);
-  stream << "\",\n      disable_threading: true,\n"
-         << "      verify_each: true\n    }\n  }\n#-}\n";
-  return path.str().str();
-}
-
-/// Runs a pipeline. A pass that fails without saying why is a bug of ours.
-static LogicalResult runPipeline(PassManager &manager, ModuleOp module,
-                                 ModuleOp input, StringRef name,
-                                 FailureKind kind, StringRef title,
-                                 Failure &failure) {
-  DiagnosticCollector collector(module.getContext());
-  if (succeeded(manager.run(module)))
-    return success();
-  if (collector.hasErrors()) {
-    failure = collector.take(kind);
-    return mlir::failure();
-  }
-  failure = Failure::get(FailureKind::Internal,
-                         Twine(title) + " of '" + name +
-                             "' failed inside the compiler; reproducer: " +
-                             writeReproducer(input, manager));
-  return mlir::failure();
-}
-
 /// An adjoint that came with its kernel must say that it takes.
 static LogicalResult checkTakes(ModuleOp module, KernelOp kernel,
                                 Failure &failure) {
@@ -202,8 +169,10 @@ LogicalResult Compiler::extendByTangents(Worker &worker, CompileRequest request,
   PhaseTimer timer(prepared.times, Phase::Autodiff);
   ModuleOp module = *prepared.module;
   auto kernels = llvm::to_vector(module.getOps<KernelOp>());
-  if (failed(runPipeline(worker.forward, module, request.module, request.name,
-                         FailureKind::Autodiff, "forward mode", failure)))
+  prepared.step = Prepared::Step::Forward;
+  if (failed(runPipeline(worker.forward, worker.finding, module,
+                         "forward mode of '" + request.name + "'",
+                         FailureKind::Autodiff, failure)))
     return mlir::failure();
   for (KernelOp kernel : kernels) {
     auto tangent = kernel->getAttrOfType<FlatSymbolRefAttr>("tai.tangent");
@@ -236,10 +205,11 @@ LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
     if (given && given.getAdjoint()) {
       if (takes && failed(checkTakes(*module, given, failure)))
         return mlir::failure();
-    } else if (failed(runPipeline(
-                   takes ? worker.takingAutodiff : worker.autodiff, *module,
-                   request.module, request.name, FailureKind::Autodiff,
-                   "differentiation", failure))) {
+    } else if (failed(
+                   runPipeline(takes ? worker.takingAutodiff : worker.autodiff,
+                               worker.finding, *module,
+                               "differentiation of '" + request.name + "'",
+                               FailureKind::Autodiff, failure))) {
       return mlir::failure();
     }
     prepared.needs = getAdjointNeeds(*module, request.name).serialize();
@@ -272,17 +242,60 @@ LogicalResult Compiler::lower(Worker &worker, CompileRequest request,
   for (TreeOp tree : prepared.module->getOps<TreeOp>())
     trees.push_back(tree.getSymName().str());
   PhaseTimer timer(prepared.times, Phase::Lower);
+  prepared.step = Prepared::Step::Lower;
   if (worker.options.device && !pipelines.toDevice) {
     failure = Failure::get(FailureKind::Usage,
                            "this build cannot compile kernels for a GPU");
     return mlir::failure();
   }
   worker.scf = scf;
-  LogicalResult lowered =
-      runPipeline(worker.lowering, *prepared.module, request.module,
-                  request.name, FailureKind::Type, "lowering", failure);
+  LogicalResult lowered = runPipeline(
+      worker.lowering, worker.finding, *prepared.module,
+      "lowering of '" + request.name + "'", FailureKind::Type, failure);
   worker.scf = nullptr;
+  prepared.step = succeeded(lowered) ? Prepared::Step::Code : prepared.step;
   return lowered;
+}
+
+//===----------------------------------------------------------------------===//
+// Reproducers
+//===----------------------------------------------------------------------===//
+
+/// What makes code of what the lowering leaves, as a command.
+static std::string getCodeCommand(const CompileOptions &options) {
+  if (!options.device)
+    return "tai-translate --mlir-to-llvmir | llc -O" +
+           std::to_string(std::min(options.codegen.optLevel, 3u));
+  bool isCuda = *options.device == runtime::DeviceKind::Cuda;
+  return (isCuda ? "tai-translate --tai-to-ptx --device-target=" +
+                       options.deviceTarget
+                 : std::string("tai-translate --tai-to-device-llvmir "
+                               "--device-target=emulated"));
+}
+
+void Compiler::addReproducer(CompileRequest request,
+                             const CompileOptions &options, Prepared::Step step,
+                             Failure &failure) {
+  using Step = Prepared::Step;
+  if (failure.kind != FailureKind::Internal)
+    return;
+  WorkerLease lease(*this, options);
+  Worker &worker = *lease;
+  if (step == Step::Autodiff)
+    return tai::addReproducer(failure, request.module,
+                              CompileRequest::takes(request.goal)
+                                  ? worker.takingAutodiff
+                                  : worker.autodiff);
+  // What was given to the step is made again.
+  CompileRequest before = request;
+  before.forward = request.forward && step != Step::Forward;
+  Prepared prepared;
+  Failure ignored;
+  if (failed(differentiate(worker, before, prepared, ignored)))
+    prepared.module = request.module.clone();
+  tai::addReproducer(failure, *prepared.module,
+                     step == Step::Forward ? worker.forward : worker.lowering,
+                     step == Step::Code ? getCodeCommand(options) : "");
 }
 
 //===----------------------------------------------------------------------===//
@@ -381,8 +394,10 @@ LogicalResult Compiler::start(CompileRequest request,
                               Failure &failure) {
   WorkerLease lease(*this, options);
   SkipScope scope;
-  if (failed(differentiate(*lease, request, prepared, failure)))
+  if (failed(differentiate(*lease, request, prepared, failure))) {
+    addReproducer(request, options, prepared.step, failure);
     return mlir::failure();
+  }
   prepared.skipped = scope.getAmounts();
   return success();
 }
@@ -411,6 +426,11 @@ LogicalResult Compiler::link(const CompiledObject &object, StringRef name,
   Linker *linker = getLinker(failure);
   if (!linker)
     return mlir::failure();
+  if (injectsFailure("link")) {
+    failure = Failure::get(FailureKind::Internal,
+                           "linking '" + name + "': a failure was asked for");
+    return mlir::failure();
+  }
   auto linked = linker->link(object.code, object.symbol);
   if (!linked) {
     failure = Failure::get(
@@ -451,8 +471,10 @@ Compiler::finish(Prepared prepared, CompileRequest request,
   for (unsigned i = 0; i < kNumPhases; ++i)
     function.times[i] += prepared.times[i];
   if (!function.fromCache) {
-    if (failed(link(*object, request.name, function, failure)))
+    if (failed(link(*object, request.name, function, failure))) {
+      addReproducer(request, options, Prepared::Step::Code, failure);
       return std::nullopt;
+    }
     if (cache) {
       PhaseTimer timer(function.times, Phase::Cache);
       cache.store(prepared.key, object->serialize());
@@ -519,6 +541,19 @@ std::optional<std::string> Compiler::print(CompileRequest request,
                                            StringRef stage,
                                            const CompileOptions &options,
                                            Failure &failure) {
+  Prepared prepared;
+  std::optional<std::string> text =
+      printStage(request, stage, options, prepared, failure);
+  if (!text)
+    addReproducer(request, options, prepared.step, failure);
+  return text;
+}
+
+std::optional<std::string> Compiler::printStage(CompileRequest request,
+                                                StringRef stage,
+                                                const CompileOptions &options,
+                                                Prepared &prepared,
+                                                Failure &failure) {
   if (!llvm::is_contained(getStages(), stage)) {
     failure = Failure::get(FailureKind::Usage,
                            "unknown stage '" + stage + "'; the stages are " +
@@ -540,7 +575,6 @@ std::optional<std::string> Compiler::print(CompileRequest request,
   WorkerLease lease(*this, options);
   Worker &worker = *lease;
   if (stage == "autodiff" && request.forward) {
-    Prepared prepared;
     if (failed(differentiate(worker, request, prepared, failure)))
       return std::nullopt;
     prepared.module->print(stream);
@@ -553,14 +587,13 @@ std::optional<std::string> Compiler::print(CompileRequest request,
       return std::nullopt;
     }
     OwningOpRef<ModuleOp> module = request.module.clone();
-    if (failed(runPipeline(worker.autodiff, *module, request.module,
-                           request.name, FailureKind::Autodiff,
-                           "differentiation", failure)))
+    if (failed(runPipeline(worker.autodiff, worker.finding, *module,
+                           "differentiation of '" + request.name + "'",
+                           FailureKind::Autodiff, failure)))
       return std::nullopt;
     module->print(stream);
     return text;
   }
-  Prepared prepared;
   std::vector<std::string> trees;
   std::string scf;
   if (failed(differentiate(worker, request, prepared, failure)))

@@ -11,6 +11,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "CompilerWorker.h"
+#include "InjectedFailures.h"
 #include "VerifyEach.h"
 #include "mlir/Target/LLVMIR/Export.h"
 #include "tai/Analysis/SkipScope.h"
@@ -62,6 +63,10 @@ private:
 LogicalResult LLVMJob::translate(ModuleOp source, StringRef symbol,
                                  PhaseTimes &times, Failure &failure) {
   PhaseTimer timer(times, Phase::Translate);
+  if (injectsFailure("translate")) {
+    failure = Failure::get(FailureKind::Internal, "a failure was asked for");
+    return mlir::failure();
+  }
   DiagnosticCollector collector(source.getContext());
   module = translateModuleToLLVMIR(source, *context, symbol,
                                    /*disableVerification=*/!verifiesEach());
@@ -220,6 +225,16 @@ static CodegenOptions getHostCodegen(const CompileOptions &options) {
 std::optional<CompiledObject>
 Compiler::compileObject(CompileRequest request, const CompileOptions &options,
                         Prepared &prepared, Failure &failure) {
+  std::optional<CompiledObject> object =
+      makeObject(request, options, prepared, failure);
+  if (!object)
+    addReproducer(request, options, prepared.step, failure);
+  return object;
+}
+
+std::optional<CompiledObject>
+Compiler::makeObject(CompileRequest request, const CompileOptions &options,
+                     Prepared &prepared, Failure &failure) {
   CompiledObject object;
   object.symbol = prepared.symbol;
   object.needs = prepared.needs;

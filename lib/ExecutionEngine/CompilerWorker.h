@@ -13,6 +13,7 @@
 #ifndef TAI_EXECUTIONENGINE_COMPILERWORKER_H
 #define TAI_EXECUTIONENGINE_COMPILERWORKER_H
 
+#include "Reproducer.h"
 #include "tai/ExecutionEngine/Compiler.h"
 #include <chrono>
 
@@ -42,6 +43,8 @@ struct Compiler::Worker {
          const CompileOptions &options);
 
   CompileOptions options;
+  /// Of the pipeline that has failed last.
+  InvalidAfterPass::Finding finding;
   PassManager autodiff;
   PassManager takingAutodiff;
   PassManager forward;

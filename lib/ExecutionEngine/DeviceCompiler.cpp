@@ -446,8 +446,9 @@ Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
 
 /// Runs a task of LLVM's on the code. After a fatal error the code is left
 /// alone for good.
-Error DeviceCompiler::guard(DeviceCode &code, llvm::function_ref<void()> task) {
-  Error error = guardFatalErrors(broken, task);
+Error DeviceCompiler::guard(DeviceCode &code, StringRef place,
+                            llvm::function_ref<void()> task) {
+  Error error = guardFatalErrors(broken, place, task);
   if (broken) {
     (void)code.module.release();
     (void)code.context.release();
@@ -457,7 +458,7 @@ Error DeviceCompiler::guard(DeviceCode &code, llvm::function_ref<void()> task) {
 
 Error DeviceCompiler::optimize(DeviceCode &code) {
   if (isCuda())
-    return guard(code, [&] { runPasses(*code.module); });
+    return guard(code, "optimize", [&] { runPasses(*code.module); });
   Error error = objects->optimize(*code.module);
   if (objects->isBroken()) {
     (void)code.module.release();
@@ -618,7 +619,7 @@ Expected<runtime::DeviceImage> DeviceCompiler::emit(DeviceCode &code) {
   std::string message;
   code.context->setDiagnosticHandler(std::make_unique<CodegenErrors>(message));
   bool supported = true;
-  Error error = guard(code, [&] {
+  Error error = guard(code, "emit", [&] {
     CodegenPasses passes;
     if (hasVectorAtomics)
       passes.beforeVectorizer = createVectorizeAtomicsPass;

@@ -11,9 +11,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/Explain.h"
-#include "mlir/Parser/Parser.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/ExecutionEngine/Diagnostics.h"
+#include "tai/ExecutionEngine/ModuleFile.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/Support/Path.h"
@@ -201,7 +201,7 @@ FailureOr<std::string> Session::explain(SessionKernel &kernel) {
   if (failed(text))
     return failure();
   OwningOpRef<ModuleOp> module =
-      parseSourceString<ModuleOp>(*text, ParserConfig(context.get()));
+      readModule(*text, ParserConfig(context.get()), "gradient");
   if (!module)
     return fail(FailureKind::Internal, "the gradient cannot be read back");
   return explainAdjoint(*module, kernel.code->name, scope.getRemarks());

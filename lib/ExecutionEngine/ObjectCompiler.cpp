@@ -110,7 +110,7 @@ static bool hasVectorMathLibrary() {
 //===----------------------------------------------------------------------===//
 
 Error ObjectCompiler::optimize(Module &module) {
-  return guardFatalErrors(broken, [&] { runPasses(module); });
+  return guardFatalErrors(broken, "optimize", [&] { runPasses(module); });
 }
 
 /// The number of instructions in the largest basic block.
@@ -227,7 +227,7 @@ Error ObjectCompiler::emit(Module &module, raw_pwrite_stream &stream,
   module.getContext().setDiagnosticHandler(
       std::make_unique<CodegenErrors>(message));
   bool supported = true;
-  Error error = guardFatalErrors(broken, [&] {
+  Error error = guardFatalErrors(broken, "emit", [&] {
     divideHugeBlocks(module, machine.get());
     CodegenPasses passes;
     supported = !machine->addPassesToEmitFile(

@@ -5,10 +5,13 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Makes the form of a kernel that a checking tape launches in its place.
+// Makes the form of a kernel that a checking tape launches in its place, and
+// that whose indices are clamped.
 //
 //===----------------------------------------------------------------------===//
 
+#include "InjectedFailures.h"
+#include "Reproducer.h"
 #include "mlir/Pass/PassManager.h"
 #include "mlir/Transforms/Passes.h"
 #include "tai/Dialect/Tai/Transforms/AccessShadow.h"
@@ -32,6 +35,23 @@ static runtime::AccessKind getRuntimeKind(FieldUse use) {
   llvm_unreachable("unknown use");
 }
 
+/// With bounds="clamp" a kernel is another program, of which all is made that
+/// is made of kernels: adjoints, summaries, keys.
+LogicalResult Session::clampIndices(ModuleOp module) {
+  if (options.bounds != BoundsMode::Clamp || options.debug)
+    return success();
+  auto populate = [](OpPassManager &manager) {
+    manager.addPass(createInlinerPass({}, [](OpPassManager &) {}));
+    manager.addPass(createCheckBounds({BoundsMode::Clamp}));
+    injectFailingPass(manager, "clamp");
+  };
+  Failure failure;
+  if (succeeded(runPasses(module, populate, "clamping indices",
+                          FailureKind::Type, failure)))
+    return success();
+  return fail(std::move(failure));
+}
+
 runtime::Status Session::compileChecked(KernelCode &code,
                                         runtime::CheckedKernel &checked) {
   OwningOpRef<ModuleOp> module = code.module->clone();
@@ -40,14 +60,17 @@ runtime::Status Session::compileChecked(KernelCode &code,
       checked.fields.push_back(known);
   if (checked.fields.empty())
     return runtime::Status::success();
-  PassManager manager(context.get());
-  manager.addPass(createInlinerPass({}, [](OpPassManager &) {}));
-  manager.addPass(createCanonicalizerPass());
-  manager.addPass(createInstrumentAccesses());
-  DiagnosticCollector collector(context.get());
-  if (mlir::failed(manager.run(*module)))
-    return keepFailure(collector.take(
-        FailureKind::Internal, "cannot check the accesses of the kernel"));
+  Failure failure;
+  auto populate = [](OpPassManager &manager) {
+    manager.addPass(createInlinerPass({}, [](OpPassManager &) {}));
+    manager.addPass(createCanonicalizerPass());
+    manager.addPass(createInstrumentAccesses());
+    injectFailingPass(manager, "checks");
+  };
+  if (mlir::failed(runPasses(*module, populate,
+                             "checking the accesses of '" + code.name + "'",
+                             FailureKind::Type, failure)))
+    return keepFailure(std::move(failure));
   auto kernel = module->lookupSymbol<KernelOp>(code.name);
   auto described =
       cast<ArrayAttr>(kernel->removeAttr(kCheckedAccessesAttrName));
@@ -66,7 +89,6 @@ runtime::Status Session::compileChecked(KernelCode &code,
     }
     checked.accesses.push_back(std::move(row));
   }
-  Failure failure;
   // Who touches what is written down in the order of the CPU, wherever the
   // kernel itself runs.
   CompileOptions options = code.options;

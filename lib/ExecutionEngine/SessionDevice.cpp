@@ -5,6 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "InjectedFailures.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "tai/Runtime/DeviceQueue.h"
 #include "llvm/Support/Process.h"
@@ -24,6 +25,8 @@ static runtime::ObjectLinker makeObjectLinker() {
                                           "device code cannot be linked: " +
                                               llvm::toString(std::move(error)));
         };
+        if (injectsFailure("load"))
+          return fail(llvm::createStringError("a failure was asked for"));
         if (!*shared) {
           auto made = Linker::create(runtime::runtimeSymbols());
           if (!made)

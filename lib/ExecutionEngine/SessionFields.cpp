@@ -12,8 +12,8 @@
 
 #include "mlir/AsmParser/AsmParser.h"
 #include "mlir/IR/Verifier.h"
-#include "mlir/Parser/Parser.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/ExecutionEngine/ModuleFile.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "llvm/ADT/SetVector.h"
 
@@ -128,8 +128,7 @@ FailureOr<runtime::FieldPtr> Session::addField(StringRef declaration) {
   DiagnosticCollector collector(context.get());
   // Not verified yet: the adjoint and the tree are not in the text.
   ParserConfig config(context.get(), /*verifyAfterParse=*/false);
-  OwningOpRef<ModuleOp> module =
-      parseSourceString<ModuleOp>(declaration, config, "declaration");
+  OwningOpRef<ModuleOp> module = readModule(declaration, config, "declaration");
   if (!module)
     return fail(
         collector.take(FailureKind::Syntax, "the declaration does not parse"));

@@ -13,11 +13,11 @@
 #include "RunInParallel.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
-#include "mlir/Parser/Parser.h"
 #include "mlir/Transforms/Passes.h"
 #include "tai/AD/Signature.h"
 #include "tai/Dialect/Tai/Transforms/Passes.h"
 #include "tai/ExecutionEngine/AdjointNeeds.h"
+#include "tai/ExecutionEngine/ModuleFile.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "tai/Pipelines/Pipelines.h"
 #include "llvm/Support/FormatVariadic.h"
@@ -70,18 +70,17 @@ static std::vector<runtime::ArrayArgument> findArrays(KernelOp kernel) {
   return arrays;
 }
 
-/// With bounds="clamp" a kernel is another program, of which all is made that
-/// is made of kernels: adjoints, summaries, keys.
-LogicalResult Session::clampIndices(ModuleOp module) {
-  if (options.bounds != BoundsMode::Clamp || options.debug)
-    return success();
-  DiagnosticCollector collector(module.getContext());
-  PassManager manager(module.getContext());
-  manager.addPass(createInlinerPass({}, [](OpPassManager &) {}));
-  manager.addPass(createCheckBounds({BoundsMode::Clamp}));
-  if (succeeded(manager.run(module)))
-    return success();
-  return fail(collector.take(FailureKind::Internal, "indices are not clamped"));
+/// That a device does not take our code is a bug of ours.
+static std::function<std::string(const std::string &)>
+explainRefusal(KernelCode &code, CompileRequest::Goal goal, bool forward) {
+  return [weak = code.weak_from_this(), goal,
+          forward](const std::string &reason) {
+    Failure failure = Failure::get(FailureKind::Internal, reason);
+    if (std::shared_ptr<KernelCode> code = weak.lock())
+      code->compiler.addReproducer({*code->module, code->name, goal, forward},
+                                   code->options, failure);
+    return failure.message;
+  };
 }
 
 FailureOr<std::pair<std::shared_ptr<KernelCode>, runtime::KernelPtr>>
@@ -112,6 +111,8 @@ Session::makeKernel(OwningOpRef<ModuleOp> module, StringRef name) {
   for (TreeOp tree : module->getOps<TreeOp>())
     code->trees.push_back(rt->findTree(tree.getSymName().str()));
   info.trees = code->trees;
+  info.explainRefusal =
+      explainRefusal(*code, CompileRequest::Goal::Primal, /*forward=*/false);
   info.resolve = [this, code](runtime::Kernel &runtimeKernel,
                               TaiKernelFn &function) {
     return compilePrimal(*code, runtimeKernel, function);
@@ -187,14 +188,14 @@ FailureOr<SessionKernel *> Session::createKernel(OwningOpRef<ModuleOp> module,
   return kernels.back().get();
 }
 
-FailureOr<SessionKernel *> Session::parseKernel(StringRef text, StringRef file,
+FailureOr<SessionKernel *> Session::parseKernel(StringRef bytes, StringRef file,
                                                 StringRef name) {
   OwningOpRef<ModuleOp> module;
   {
     DiagnosticCollector collector(context.get());
     // Verified once it has the declarations that it refers to.
     ParserConfig config(context.get(), /*verifyAfterParse=*/false);
-    module = parseSourceString<ModuleOp>(text, config, file);
+    module = readModule(bytes, config, file);
     if (!module)
       return fail(
           collector.take(FailureKind::Syntax, "the kernel does not parse"));
@@ -460,9 +461,10 @@ runtime::Status Session::compilePrimal(KernelCode &code,
 }
 
 /// A kernel that is launched with the arguments of the one it was made from.
-static runtime::KernelInfo getHelperInfo(const KernelCode &code,
+static runtime::KernelInfo getHelperInfo(KernelCode &code,
                                          const Compiler::Function &compiled,
-                                         StringRef suffix) {
+                                         CompileRequest::Goal goal,
+                                         bool forward, StringRef suffix) {
   runtime::KernelInfo info;
   info.name = code.name + suffix.str();
   info.place = code.place;
@@ -470,6 +472,7 @@ static runtime::KernelInfo getHelperInfo(const KernelCode &code,
   info.trees = findTrees(code, compiled.trees);
   info.loopLevels = getLoopLevels(compiled);
   info.image = compiled.image;
+  info.explainRefusal = explainRefusal(code, goal, forward);
   info.function = reinterpret_cast<TaiKernelFn>(compiled.address);
   return info;
 }
@@ -528,7 +531,8 @@ runtime::Status Session::compileAdjoint(KernelCode &code,
     return keepFailure(std::move(failure));
   if (!compiled->address)
     return runtime::Status::success();
-  runtime::KernelInfo info = getHelperInfo(code, *compiled, "_grad");
+  runtime::KernelInfo info = getHelperInfo(code, *compiled, goal,
+                                           /*forward=*/false, "_grad");
   // What is stored need not have a dual: tangents come from what it was
   // computed from.
   auto plain = CompileRequest::getAdjointGoal(takes, /*stored=*/false);
@@ -552,7 +556,7 @@ runtime::Status Session::compileTangent(KernelCode &code,
   if (!compiled->address)
     return runtime::Status::success();
   runtime::KernelInfo info = getHelperInfo(
-      code, *compiled,
+      code, *compiled, goal, /*forward=*/true,
       goal == CompileRequest::Goal::Primal ? "_fwd" : "_grad_fwd");
   if (goal == CompileRequest::Goal::Primal)
     info.resultSlots = code.resultSlots;
@@ -626,8 +630,7 @@ runtime::Status Session::planAdjoint(KernelCode &code,
   if (needs->parts.empty())
     return runtime::Status::success();
   ParserConfig config(context.get());
-  OwningOpRef<ModuleOp> parts =
-      parseSourceString<ModuleOp>(needs->parts, config, code.name);
+  OwningOpRef<ModuleOp> parts = readModule(needs->parts, config, code.name);
   if (!parts)
     return runtime::Status::failure(runtime::StatusCode::Internal,
                                     "the parts of '" + code.name +

@@ -7,12 +7,14 @@
 
 #include "LoweringPasses.h"
 #include "mlir/Transforms/Passes.h"
+#include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/Transforms/Passes.h"
 
 using namespace mlir;
 
 void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options) {
   bool checked = options.checksIndices();
+  pm.addPass(createCheckLowerable());
   // While kernels are as they were written.
   if (options.optLevel > 0 && !checked && options.bounds != BoundsMode::Clamp &&
       options.fuseLaunches) {

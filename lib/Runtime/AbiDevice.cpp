@@ -179,9 +179,13 @@ Status Runtime::loadOnDevice(Kernel &kernel, uint64_t epoch) {
     std::vector<DeviceFunction *> functions;
     Status status =
         loadOrMakeAgain(target, kernel.info.image, loaded->module, functions);
-    if (!status)
-      return Status::failure(status.code(), "kernel '" + kernel.name() +
-                                                "': " + status.message());
+    if (!status) {
+      std::string message =
+          "kernel '" + kernel.name() + "': " + status.message();
+      if (status.code() == StatusCode::Internal && kernel.info.explainRefusal)
+        message = kernel.info.explainRefusal(message);
+      return Status::failure(status.code(), std::move(message));
+    }
     loaded->image = kernel.info.image;
     for (size_t i = 0; i < functions.size(); ++i) {
       const std::string &name = loaded->image->functions[i];

@@ -57,6 +57,17 @@ static void onPrint(const char *line, size_t length, void *user) {
   printf("printed: %.*s", (int)length, line);
 }
 
+struct Bytes {
+  size_t size;
+  char data[1 << 16];
+};
+
+static void append(MlirStringRef piece, void *user) {
+  struct Bytes *bytes = user;
+  memcpy(bytes->data + bytes->size, piece.data, piece.length);
+  bytes->size += piece.length;
+}
+
 static int backwardCalls = 0;
 static TaiStatus onBackward(void *user) {
   (void)user;
@@ -136,6 +147,29 @@ int main(void) {
     }
   }
   printf("stages present\n");
+
+  /* The kernel, by way of a file. */
+  const char *text;
+  check(taiKernelGetIR(sum, "tai", &text));
+  MlirModule module = mlirModuleCreateParse(taiContextGetMlirContext(context),
+                                            mlirStringRefCreateFromCString(text));
+  struct Bytes file = {0, {0}};
+  check(taiModuleWrite(context, module, append, &file));
+  mlirModuleDestroy(module);
+  TaiKernel loaded;
+  check(taiKernelLoad(context, file.data, file.size, "file", "sum", &loaded));
+  check(taiFieldFillF64(y, 0));
+  check(taiKernelLaunch(loaded, NULL, 0, NULL));
+  check(taiFieldReadF64(y, NULL, 0, &loss));
+  printf("loaded: y = %g\n", loss);
+  size_t header = 24;
+  if (taiKernelLoad(context, file.data + header, file.size - header, "raw",
+                    "sum", &loaded) == TAI_ERROR_SYNTAX)
+    printf("raw: %s\n", taiContextLastError(context).diagnostics);
+  file.data[file.size / 2] ^= 1;
+  if (taiKernelLoad(context, file.data, file.size, "damaged", "sum", &loaded) ==
+      TAI_ERROR_SYNTAX)
+    printf("damaged: %s\n", taiContextLastError(context).diagnostics);
 
   if (taiContextSetOption(context, "colour", "red") == TAI_ERROR_USAGE &&
       strstr(taiContextLastError(context).message, "threads"))

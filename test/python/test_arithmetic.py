@@ -472,3 +472,24 @@ def test_the_angle_of_the_origin_is_zero_for_numbers_known_at_compile_time():
 
     fill()
     assert angles.to_numpy().tolist() == [0.0, 0.0, np.float32(np.pi)]
+
+
+def test_powers_of_truth_values():
+    ti.init(arch=ti.cpu)
+    base, exponent, out = (ti.field(ti.u1, shape=4) for _ in range(3))
+
+    @ti.kernel
+    def raise_all():
+        for i in base:
+            out[i] = base[i] ** exponent[i]
+
+    @ti.kernel
+    def raise_one(a: ti.u1, b: ti.u1) -> ti.u1:
+        return a**b
+
+    for i in range(4):
+        base[i], exponent[i] = i & 1, i >> 1
+    raise_all()
+    # As in Python: only false to the power of true is false.
+    assert out.to_numpy().tolist() == [True, True, False, True]
+    assert [raise_one(a, b) for b in (False, True) for a in (False, True)] == [1, 1, 0, 1]

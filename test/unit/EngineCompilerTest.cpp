@@ -10,6 +10,7 @@
 #include "mlir/Pass/Pass.h"
 #include "mlir/Target/LLVMIR/Dialect/Builtin/BuiltinToLLVMIRTranslation.h"
 #include "mlir/Target/LLVMIR/Dialect/LLVMIR/LLVMToLLVMIRTranslation.h"
+#include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/ExecutionEngine/Background.h"
 #include "tai/ExecutionEngine/Compiler.h"
@@ -38,8 +39,20 @@ struct BrokenReturns : PassWrapper<BrokenReturns, OperationPass<ModuleOp>> {
   }
 };
 
-/// Fails with two errors and a note.
+/// Leaves a cast behind, as conversions do that are not complete.
+struct LeftCast : PassWrapper<LeftCast, OperationPass<ModuleOp>> {
+  MLIR_DEFINE_EXPLICIT_INTERNAL_INLINE_TYPE_ID(LeftCast)
+  StringRef getArgument() const override { return "test-left-cast"; }
+  void runOnOperation() override {
+    auto function = *getOperation().getOps<LLVM::LLVMFuncOp>().begin();
+    OpBuilder builder(&function.getBody().front().front());
+    UnrealizedConversionCastOp::create(builder, function.getLoc(),
+                                       builder.getIndexType(),
+                                       ValueRange(function.getArgument(0)));
+  }
+};
 
+/// Fails with two errors and a note.
 struct LoudFailure : PassWrapper<LoudFailure, OperationPass<ModuleOp>> {
   MLIR_DEFINE_EXPLICIT_INTERNAL_INLINE_TYPE_ID(LoudFailure)
   void runOnOperation() override {
@@ -120,6 +133,106 @@ TEST_F(EngineCompiler, SilentFailuresLeaveAReproducer) {
   // What --run-reproducer reads.
   EXPECT_TRUE(parseSourceString<ModuleOp>((*file)->getBuffer(), &context));
   llvm::sys::fs::remove(path);
+}
+
+/// Sets an environment variable for a while.
+struct Environment {
+  Environment(const char *name, const char *value) : name(name) {
+    if (const char *given = std::getenv(name))
+      before = given;
+    ::setenv(name, value, /*overwrite=*/1);
+  }
+  ~Environment() {
+    if (before)
+      ::setenv(name, before->c_str(), /*overwrite=*/1);
+    else
+      ::unsetenv(name);
+  }
+  const char *name;
+  std::optional<std::string> before;
+};
+
+/// The file that a failure names, or nothing. The file is removed.
+std::string takeReproducer(const Failure &failure) {
+  StringRef path = StringRef(failure.message).split("; reproducer: ").second;
+  auto file = llvm::MemoryBuffer::getFile(path);
+  if (!file)
+    return "";
+  llvm::sys::fs::remove(path);
+  return (*file)->getBuffer().str();
+}
+
+// The verifier says something, but not about the program.
+TEST_F(EngineCompiler, ModulesThatAreNotValidLeaveAReproducer) {
+  Environment verify("TAI_VERIFY_EACH", "1");
+  Failure failure = compileWith<BrokenReturns>();
+  EXPECT_EQ(failure.kind, FailureKind::Internal);
+  EXPECT_TRUE(StringRef(failure.message)
+                  .starts_with("lowering of 'k' failed inside the compiler: "
+                               "in or after '"))
+      << failure.message;
+  EXPECT_TRUE(StringRef(failure.text).contains("; reproducer: "));
+  EXPECT_TRUE(StringRef(takeReproducer(failure)).contains("llvm.func @helper"));
+}
+
+// What no pass has lowered is no error of the program's.
+TEST_F(EngineCompiler, OperationsThatAreLeftLeaveAReproducer) {
+  Compiler::Pipelines pipelines;
+  pipelines.toLLVM = [](OpPassManager &manager, const CompileOptions &) {
+    manager.addPass(std::make_unique<LeftCast>());
+    manager.addPass(createVerifyLLVM());
+  };
+  Compiler compiler(&context, pipelines, {});
+  Failure failure;
+  EXPECT_FALSE(compiler.compile({*module, "k", CompileRequest::Goal::Primal},
+                                CompileOptions(), failure));
+  EXPECT_EQ(failure.kind, FailureKind::Internal);
+  EXPECT_EQ(failure.line, 2);
+  EXPECT_TRUE(StringRef(failure.message).contains("was not lowered"));
+  EXPECT_TRUE(StringRef(takeReproducer(failure)).contains("tai-verify-llvm"));
+}
+
+TEST_F(EngineCompiler, ErrorsOfProgramsLeaveNoReproducer) {
+  Failure failure = compileWith<LoudFailure>();
+  EXPECT_FALSE(StringRef(failure.text).contains("reproducer"));
+}
+
+TEST_F(EngineCompiler, FailuresOfLLVMLeaveAReproducer) {
+  for (const char *place : {"translate", "optimize", "emit", "link"}) {
+    Environment inject("TAI_INJECT_FAILURE", place);
+    Compiler compiler(&context, {}, {});
+    Failure failure;
+    EXPECT_FALSE(compiler.compile({*module, "k", CompileRequest::Goal::Primal},
+                                  CompileOptions(), failure));
+    EXPECT_EQ(failure.kind, FailureKind::Internal) << place;
+    std::string file = takeReproducer(failure);
+    EXPECT_TRUE(StringRef(file).contains("a failure was asked for")) << place;
+    EXPECT_TRUE(StringRef(file).contains("| tai-translate --mlir-to-llvmir"))
+        << place;
+    EXPECT_TRUE(parseSourceString<ModuleOp>(file, &context)) << place;
+  }
+}
+
+// Who looks at the stages of a kernel that fails.
+TEST_F(EngineCompiler, PrintingLeavesAReproducer) {
+  Compiler::Pipelines pipelines;
+  pipelines.toLLVM = [](OpPassManager &manager, const CompileOptions &) {
+    manager.addPass(std::make_unique<SilentFailure>());
+  };
+  Compiler compiler(&context, pipelines, {});
+  Failure failure;
+  EXPECT_FALSE(compiler.print({*module, "k", CompileRequest::Goal::Primal},
+                              "llvm", CompileOptions(), failure));
+  EXPECT_TRUE(
+      StringRef(takeReproducer(failure)).contains("test-silent-failure"));
+}
+
+// A launch that is tried again.
+TEST_F(EngineCompiler, AFailureLeavesOneFile) {
+  Failure first = compileWith<SilentFailure>();
+  Failure second = compileWith<SilentFailure>();
+  EXPECT_EQ(first.message, second.message);
+  EXPECT_NE(takeReproducer(first), "");
 }
 
 TEST_F(EngineCompiler, TestsVerifyAfterEachPass) {

@@ -12,16 +12,18 @@
 //===----------------------------------------------------------------------===//
 
 #include "PrintField.h"
+#include "mlir/Bytecode/BytecodeReader.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Parser/Parser.h"
 #include "mlir/Pass/PassManager.h"
 #include "mlir/Tools/Plugins/DialectPlugin.h"
 #include "tai/Dialect/Tai/Transforms/Passes.h"
+#include "tai/ExecutionEngine/ModuleFile.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/Support/CommandLine.h"
 #include "llvm/Support/InitLLVM.h"
-#include "llvm/Support/SourceMgr.h"
+#include "llvm/Support/MemoryBuffer.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -130,10 +132,13 @@ static OwningOpRef<ModuleOp> parse(Session &session, const Options &given) {
                            "': " + file.getError().message());
     return {};
   }
-  llvm::SourceMgr sources;
-  sources.AddNewSourceBuffer(std::move(*file), llvm::SMLoc());
+  // Bytecode without a checksum is read as by all tools, at one's own risk.
+  StringRef bytes = (*file)->getBuffer();
+  ParserConfig config(session.getContext());
   OwningOpRef<ModuleOp> module =
-      parseSourceFile<ModuleOp>(sources, session.getContext());
+      isBytecode(**file)
+          ? parseSourceString<ModuleOp>(bytes, config, given.inputFile)
+          : readModule(bytes, config, (*file)->getBufferIdentifier());
   if (!module)
     (void)session.fail(
         collector.take(FailureKind::Syntax, "the file does not parse"));

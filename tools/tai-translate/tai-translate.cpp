@@ -6,17 +6,20 @@
 //===----------------------------------------------------------------------===//
 //
 // `--mlir-to-llvmir` prints the LLVM IR of what `tai-opt --tai-to-llvm` made,
-// `--tai-to-ptx` (in DeviceCode.cpp) that of its device code.
+// `--tai-to-ptx` (in DeviceCode.cpp) that of its device code,
+// `--tai-to-bytecode` (in ModuleFiles.cpp) the file that programs load.
 //
 //===----------------------------------------------------------------------===//
 
 #include "DeviceCode.h"
+#include "ModuleFiles.h"
 #include "common/Upstream.h"
 #include "mlir/Tools/mlir-translate/MlirTranslateMain.h"
 
 int main(int argc, char **argv) {
   mlir::tai::registerUpstreamTranslations();
   mlir::tai::registerDeviceCodeTranslations();
+  mlir::tai::registerModuleFileTranslations();
   return mlir::failed(
       mlir::mlirTranslateMain(argc, argv, "tai translation driver"));
 }

@@ -437,6 +437,15 @@ def ConvertToLLVM : Pass<"tai-convert-to-llvm", "::mlir::ModuleOp"> {
                            "::mlir::func::FuncDialect"];
 }
 
+def CheckLowerable : Pass<"tai-check-lowerable", "::mlir::ModuleOp"> {
+  let summary = "check that a program holds only what the lowering knows";
+  let description = [{
+    Fails at each operation of a dialect that no pass behind it lowers, such as
+    one of a plugin: there and with its name, while the program is as it was
+    written, and not where the last pass finds what is left of it.
+  }];
+}
+
 def VerifyLLVM : Pass<"tai-verify-llvm", "::mlir::ModuleOp"> {
   let summary = "check that only the LLVM dialect is left";
   let description = [{

@@ -174,6 +174,9 @@ public:
   /// The same in two steps. After the first, what the adjoint asks of memory is
   /// known; with code in the cache, it is all there is to do.
   struct Prepared {
+    /// The step that is being done, or that has failed.
+    enum class Step { Autodiff, Forward, Lower, Code };
+    Step step = Step::Autodiff;
     std::string key;
     /// From the cache.
     std::optional<CompiledObject> object;
@@ -198,6 +201,13 @@ public:
   std::optional<runtime::DeviceImage>
   makeProgram(const runtime::ProgramPlan &plan, const CompileOptions &options,
               Failure &failure);
+
+  /// Where code is refused that was made without an error: writes the module
+  /// and the passes that lead there. The failure names the file afterwards.
+  void addReproducer(CompileRequest request, const CompileOptions &options,
+                     Failure &failure) {
+    addReproducer(request, options, Prepared::Step::Code, failure);
+  }
 
   /// Frees a function that is not running.
   void unload(const Function &function);
@@ -231,6 +241,10 @@ private:
   /// Links an object. False, with the reason, if that cannot be.
   LogicalResult link(const CompiledObject &object, StringRef name,
                      Function &function, Failure &failure);
+  std::optional<CompiledObject> makeObject(CompileRequest request,
+                                           const CompileOptions &options,
+                                           Prepared &prepared,
+                                           Failure &failure);
   /// Makes the module to be lowered: for an adjoint, by differentiation.
   LogicalResult differentiate(Worker &worker, CompileRequest request,
                               Prepared &prepared, Failure &failure);
@@ -249,6 +263,9 @@ private:
   std::optional<Function> interpret(Prepared prepared, CompileRequest request,
                                     const CompileOptions &options,
                                     Failure &failure);
+  std::optional<std::string> printStage(CompileRequest request, StringRef stage,
+                                        const CompileOptions &options,
+                                        Prepared &prepared, Failure &failure);
   /// Takes the device code out of a lowered module and compiles it.
   LogicalResult compileDeviceCode(Worker &worker, const CompileOptions &options,
                                   Prepared &prepared,
@@ -266,6 +283,9 @@ private:
   static std::string getPlaces(CompileRequest request);
   std::string getKey(CompileRequest request, const CompileOptions &options);
   Linker *getLinker(Failure &failure);
+  /// Adds what shows the failure of a step, if it is a bug of ours.
+  void addReproducer(CompileRequest request, const CompileOptions &options,
+                     Prepared::Step step, Failure &failure);
 
   MLIRContext *context;
   Pipelines pipelines;

@@ -121,7 +121,8 @@ private:
   void setTarget(llvm::Module &module);
   void prepareForCuda(llvm::Module &module);
   void runPasses(llvm::Module &module);
-  llvm::Error guard(DeviceCode &code, llvm::function_ref<void()> task);
+  llvm::Error guard(DeviceCode &code, StringRef place,
+                    llvm::function_ref<void()> task);
 
   DeviceTarget target;
   CodegenOptions options;

@@ -121,8 +121,9 @@ public:
   /// that it uses, and verifies it.
   FailureOr<SessionKernel *> createKernel(OwningOpRef<ModuleOp> module,
                                           StringRef name);
-  /// The same for a module given as text; `file` names it in diagnostics.
-  FailureOr<SessionKernel *> parseKernel(StringRef text, StringRef file,
+  /// The same for a module given as text, or as bytecode with its checksum (see
+  /// ModuleFile.h); `file` names it in diagnostics.
+  FailureOr<SessionKernel *> parseKernel(StringRef bytes, StringRef file,
                                          StringRef name);
   void destroyKernel(SessionKernel *kernel);
 

@@ -262,6 +262,9 @@ struct KernelInfo {
   /// Its code for the device that the runtime uses; null where the function
   /// does everything on the CPU.
   std::shared_ptr<const DeviceImage> image;
+  /// What to add to the reason where a device does not take that code: a file
+  /// that shows it.
+  std::function<std::string(const std::string &reason)> explainRefusal;
 };
 
 /// What one launch of a kernel has in common with the next, found out once, so

@@ -1,8 +1,9 @@
 // RUN: tai-opt %s --tai-check-bounds --canonicalize --cse | FileCheck %s
 
-tai.tree @t : !tai.root<dense<[i: 8], {x: f32, k: i32}>, dense<[i: 4, j: 8], {m: f32}>, dense<[i: 16], {o: f32}>>
+tai.tree @t : !tai.root<dense<[i: 8], {x: f32, k: i32}>, dense<[i: 4, j: 8], {m: f32}>, dense<[i: 16], {o: f32}>, dense<[i: 1], {one: f32}>>
 tai.field @x = @t["x"] : f32, rank 1
 tai.field @k = @t["k"] : i32, rank 1
+tai.field @one = @t["one"] : f32, rank 1
 tai.field @m = @t["m"] : f32, rank 2
 // From 10 to 25.
 tai.field @o = @t["o"] : f32, rank 1, offset [10]
@@ -240,6 +241,58 @@ tai.kernel @steps() {
   scf.for %j = %c0 to %c9 step %c3 {
     %at = arith.addi %j, %c1 : index
     tai.store %zero, @x[%at] : f32
+  }
+  tai.return
+}
+
+// One iteration, whose index is no variable.
+// CHECK-LABEL: tai.kernel @one_step(
+//       CHECK:   %[[NO:.+]] = arith.constant false
+//       CHECK:   tai.precondition %[[NO]], "index [{}] is out of range for field '@x' of shape [8]"
+//       CHECK:   tai.store
+tai.kernel @one_step() {
+  %c7 = arith.constant 7 : index
+  %c3 = arith.constant 3 : index
+  %c1 = arith.constant 1 : index
+  %c9 = arith.constant 9 : index
+  %zero = arith.constant 0.0 : f32
+  scf.for %j = %c7 to %c9 step %c3 {
+    %at = arith.addi %j, %c1 : index
+    tai.store %zero, @x[%at] : f32
+  }
+  tai.return
+}
+
+// The same in another loop, whose variable is not to be taken for it.
+// CHECK-LABEL: tai.kernel @one_step_inside(
+//   CHECK-NOT:   tai.precondition
+//       CHECK:   tai.return
+tai.kernel @one_step_inside() {
+  %c6 = arith.constant 6 : index
+  %c3 = arith.constant 3 : index
+  %c1 = arith.constant 1 : index
+  %c8 = arith.constant 8 : index
+  %zero = arith.constant 0.0 : f32
+  tai.parallel_for (%i) in @x {
+    scf.for %j = %c6 to %c8 step %c3 {
+      %at = arith.addi %j, %c1 : index
+      tai.store %zero, @x[%at] : f32
+      tai.store %zero, @x[%i] : f32
+    }
+  }
+  tai.return
+}
+
+// An axis of one element.
+// CHECK-LABEL: tai.kernel @one_element(
+//       CHECK:   tai.precondition {{.+}} "index [{}] is out of range for field '@one' of shape [1]"
+tai.kernel @one_element() {
+  %c1 = arith.constant 1 : index
+  %zero = arith.constant 0.0 : f32
+  tai.parallel_for (%i) in @one {
+    %at = arith.addi %i, %c1 : index
+    tai.store %zero, @one[%at] : f32
+    tai.store %zero, @one[%i] : f32
   }
   tai.return
 }

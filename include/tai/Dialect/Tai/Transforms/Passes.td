@@ -488,4 +488,16 @@ def FuseLaunches : Pass<"tai-fuse-launches", "::mlir::ModuleOp"> {
   let dependentDialects = ["::mlir::arith::ArithDialect"];
 }
 
+def TestFailure : Pass<"tai-test-failure", "::mlir::ModuleOp"> {
+  let summary = "fail, in tests of what is done about it";
+  let description = [{
+    Fails without saying why, or leaves a module behind that is not valid. No
+    pipeline has it but those that a test asks for.
+  }];
+  let options = [
+    Option<"invalid", "invalid", "bool", /*default=*/"false",
+           "Succeed, and leave an op that is not valid">,
+  ];
+}
+
 #endif // TAI_DIALECT_TAI_TRANSFORMS_PASSES_TD

@@ -1,0 +1,147 @@
+//===- Reproducer.cpp - What shows a failure of the compiler --------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "Reproducer.h"
+#include "mlir/IR/Verifier.h"
+#include "mlir/Pass/Pass.h"
+#include "llvm/ADT/StringMap.h"
+#include "llvm/Support/FileSystem.h"
+#include "llvm/Support/xxhash.h"
+#include <mutex>
+
+using namespace mlir;
+using namespace mlir::tai;
+
+//===----------------------------------------------------------------------===//
+// Passes
+//===----------------------------------------------------------------------===//
+
+void InvalidAfterPass::runAfterPassFailed(Pass *pass, Operation *op) {
+  // The passes that this one is part of fail after it.
+  if (!finding.pass.empty())
+    return;
+  finding.pass =
+      (pass->getArgument().empty() ? pass->getName() : pass->getArgument())
+          .str();
+  DiagnosticCollector collector(op->getContext());
+  if (failed(verify(op)))
+    finding.error = collector.take(FailureKind::Internal).message;
+}
+
+/// True for an error that says nothing about the program: of the verifier after
+/// a pass, or of a conversion that has left something behind.
+static bool isOurs(const InvalidAfterPass::Finding &finding,
+                   StringRef message) {
+  // A pass may leave a module that is not valid where it has found an error.
+  return (!finding.error.empty() && finding.error == message) ||
+         finding.pass == "tai-verify-llvm" ||
+         message.starts_with("failed to legalize");
+}
+
+LogicalResult mlir::tai::runPipeline(PassManager &manager,
+                                     InvalidAfterPass::Finding &finding,
+                                     ModuleOp module, const Twine &title,
+                                     FailureKind kind, Failure &failure) {
+  finding = {};
+  DiagnosticCollector collector(module.getContext());
+  if (succeeded(manager.run(module)))
+    return success();
+  if (!collector.hasErrors()) {
+    failure = Failure::get(FailureKind::Internal,
+                           title + " failed inside the compiler, in '" +
+                               finding.pass + "'");
+    return mlir::failure();
+  }
+  failure = collector.take(kind);
+  if (!isOurs(finding, failure.message))
+    return mlir::failure();
+  failure.kind = FailureKind::Internal;
+  failure.message = (title + " failed inside the compiler: in or after '" +
+                     finding.pass + "': " + failure.message)
+                        .str();
+  return mlir::failure();
+}
+
+//===----------------------------------------------------------------------===//
+// Files
+//===----------------------------------------------------------------------===//
+
+static std::string getText(const Failure &failure, ModuleOp module,
+                           PassManager &manager, StringRef next) {
+  std::string text, pipeline;
+  llvm::raw_string_ostream stream(text), pipelineStream(pipeline);
+  SmallVector<StringRef> lines;
+  StringRef(failure.message).split(lines, '\n');
+  for (StringRef line : lines)
+    stream << "// " << line << '\n';
+  stream << "// tai-opt --run-reproducer <this file>";
+  if (!next.empty())
+    stream << " | " << next;
+  stream << '\n';
+  module.print(stream, OpPrintingFlags().enableDebugInfo());
+  manager.printAsTextualPipeline(pipelineStream);
+  stream << "\n{-#\n  external_resources: {\n    mlir_reproducer: {\n"
+         << "      pipeline: \"";
+  stream.write_escaped(pipeline);
+  stream << "\",\n      disable_threading: true,\n"
+         << "      verify_each: true\n    }\n  }\n#-}\n";
+  return text;
+}
+
+/// Returns the path of a file with the text, which is written once by a
+/// process: a launch that fails is often tried again.
+static std::string writeOnce(StringRef text) {
+  static std::mutex mutex;
+  static llvm::StringMap<std::string> written;
+  std::lock_guard<std::mutex> lock(mutex);
+  std::string &path = written[std::to_string(llvm::xxh3_64bits(text))];
+  if (!path.empty() && llvm::sys::fs::exists(path))
+    return path;
+  SmallString<128> made;
+  int descriptor;
+  path.clear();
+  if (llvm::sys::fs::createTemporaryFile("tai-reproducer", "mlir", descriptor,
+                                         made))
+    return path;
+  llvm::raw_fd_ostream stream(descriptor, /*shouldClose=*/true);
+  stream << text;
+  stream.close();
+  if (stream.has_error()) {
+    stream.clear_error();
+    llvm::sys::fs::remove(made);
+    return path;
+  }
+  return path = made.str().str();
+}
+
+void mlir::tai::addReproducer(Failure &failure, ModuleOp module,
+                              PassManager &manager, StringRef next) {
+  constexpr StringLiteral mark("; reproducer: ");
+  if (StringRef(failure.message).contains(mark))
+    return;
+  std::string path = writeOnce(getText(failure, module, manager, next));
+  if (path.empty())
+    path = "none, for the folder of temporary files cannot be written";
+  failure.message += (mark + path).str();
+  failure.text += "error: " + failure.message + "\n";
+}
+
+LogicalResult
+mlir::tai::runPasses(ModuleOp module,
+                     llvm::function_ref<void(OpPassManager &)> populate,
+                     const Twine &title, FailureKind kind, Failure &failure) {
+  PassManager manager(module.getContext());
+  InvalidAfterPass::Finding finding;
+  manager.addInstrumentation(std::make_unique<InvalidAfterPass>(finding));
+  populate(manager);
+  OwningOpRef<ModuleOp> given = module.clone();
+  if (succeeded(runPipeline(manager, finding, module, title, kind, failure)))
+    return success();
+  if (failure.kind == FailureKind::Internal)
+    addReproducer(failure, *given, manager);
+  return mlir::failure();
+}

@@ -1,0 +1,41 @@
+"""What r18_reproducers.py runs: one kernel, launched in the way that the argument names."""
+
+import sys
+
+import tai as ti
+
+WHAT = sys.argv[1]
+
+ti.init(**({"bounds": "clamp"} if WHAT == "clamp" else {}))
+x = ti.field(ti.f32, shape=8, needs_grad=True, needs_dual=True)
+y = ti.field(ti.f32, shape=(), needs_grad=True, needs_dual=True)
+
+
+@ti.kernel
+def accumulate():
+    for i in x:
+        y[None] += ti.sin(x[i]) * x[i]
+
+
+def run() -> None:
+    if WHAT == "gradient":
+        with ti.ad.Tape(y):
+            accumulate()
+    elif WHAT == "checks":
+        with ti.ad.Tape(y, validation=True):
+            accumulate()
+    elif WHAT == "tangent":
+        with ti.ad.FwdMode(loss=y, param=x, seed=[1.0] * 8):
+            accumulate()
+    else:
+        accumulate()
+    ti.sync()
+
+
+# Twice: what is tried again leaves no second file. Indices are clamped where a kernel is made,
+# and the next try makes another one.
+for _ in range(1 if WHAT == "clamp" else 2):
+    try:
+        run()
+    except ti.TaiError as error:
+        print(error)
