@@ -215,6 +215,29 @@ typedef struct TaiFieldInfo {
   int64_t element_shape[2];
 } TaiFieldInfo;
 TAI_EXPORT TaiStatus taiFieldGetInfo(TaiField field, TaiFieldInfo *info);
+/// Ends the handle, and not the field. Without it, handles end with the
+/// context.
+TAI_EXPORT void taiFieldRelease(TaiField field);
+
+/// Whether there is a kernel of that name, or one that is destroyed and that a
+/// tape may launch still. From any thread, and without waiting.
+TAI_EXPORT bool taiContextHasKernel(TaiContext context, const char *name);
+
+/// How many things a context holds: to see that nothing is left behind.
+typedef struct {
+  int64_t trees;
+  int64_t fields;
+  int64_t declarations; // trees and fields as IR
+  int64_t field_handles;
+  int64_t kernel_handles;
+  int64_t tape_handles;
+  int64_t kernels;      // those that may be launched, with their adjoints
+  int64_t kernel_codes; // modules that kernels are compiled from
+  int64_t linked;       // pieces of compiled code
+  int64_t failures;     // of compilations, kept for those who ask
+} TaiContextObjects;
+TAI_EXPORT TaiStatus taiContextCountObjects(TaiContext context,
+                                            TaiContextObjects *objects);
 
 /// One element or one component, as double or int64 whatever the type.
 /// `indices` has rank numbers; `component` is row-major in the element.
@@ -306,6 +329,10 @@ TAI_EXPORT TaiStatus taiKernelParse(TaiContext context, const char *text,
                                     const char *file, const char *name,
                                     TaiKernel *kernel);
 TAI_EXPORT void taiKernelDestroy(TaiKernel kernel);
+
+/// The trees that the kernel may use, gradients' among them, by number; null
+/// where there are no more.
+TAI_EXPORT const char *taiKernelGetTree(TaiKernel kernel, int64_t number);
 
 /// Launches with arguments in slots (see tai/Runtime/Abi.h). `results` may be
 /// null for a kernel without result. Recorded by the active tape.

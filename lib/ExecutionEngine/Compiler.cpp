@@ -16,6 +16,7 @@
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/ExecutionEngine/AdjointNeeds.h"
+#include "tai/ExecutionEngine/Background.h"
 #include "tai/Runtime/CacheStore.h"
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/Support/BLAKE3.h"
@@ -366,14 +367,26 @@ void Compiler::load(Prepared &prepared, CompileRequest request) {
     prepared.needs = prepared.object->needs;
 }
 
-void Compiler::claimOrLoad(Prepared &prepared, CompileRequest request) {
+LogicalResult Compiler::claimOrLoad(Prepared &prepared, CompileRequest request,
+                                    Failure &failure) {
   if (!cache || !cache.claim || prepared.claim)
-    return;
+    return success();
   PhaseTimer timer(prepared.times, Phase::Cache);
-  prepared.claim = cache.claim(prepared.key);
+  auto wish = Background::Wish::Wait;
+  prepared.claim = cache.claim(prepared.key, [&wish] {
+    wish = Background::getWish();
+    return wish == Background::Wish::Wait;
+  });
+  if (wish == Background::Wish::Abandon) {
+    failure = Failure::get(FailureKind::Runtime,
+                           "interrupted while another process compiled '" +
+                               request.name + "'");
+    return mlir::failure();
+  }
   load(prepared, request);
   if (prepared.object)
     prepared.claim.reset();
+  return success();
 }
 
 LogicalResult Compiler::start(CompileRequest request,
@@ -396,8 +409,9 @@ Compiler::prepare(CompileRequest request, const CompileOptions &options,
     prepared.key = getKey(request, options);
     load(prepared, request);
   }
-  if (!prepared.object && claims)
-    claimOrLoad(prepared, request);
+  if (!prepared.object && claims &&
+      failed(claimOrLoad(prepared, request, failure)))
+    return std::nullopt;
   if (!prepared.object && failed(start(request, options, prepared, failure)))
     return std::nullopt;
   return prepared;
@@ -427,8 +441,8 @@ std::optional<Compiler::Function>
 Compiler::finish(Prepared prepared, CompileRequest request,
                  const CompileOptions &options, Failure &failure) {
   Function function;
-  if (!prepared.object)
-    claimOrLoad(prepared, request);
+  if (!prepared.object && failed(claimOrLoad(prepared, request, failure)))
+    return std::nullopt;
   std::optional<CompiledObject> object = std::move(prepared.object);
   prepared.object.reset();
   function.fromCache = object.has_value();

@@ -167,11 +167,21 @@ Status Runtime::destroyTree(const std::string &name) {
     }
   }
   for (const FieldPtr &field : fieldList) {
-    if (field->adjointField && &field->adjointField->tree() == tree)
+    // What takes their names is another field.
+    if (field->adjointField && &field->adjointField->tree() == tree) {
       field->adjointField.reset();
-    if (field->dualField && &field->dualField->tree() == tree)
+      field->adjointName.clear();
+    }
+    if (field->dualField && &field->dualField->tree() == tree) {
       field->dualField.reset();
+      field->dualName.clear();
+    }
   }
+  owing.erase(std::remove_if(owing.begin(), owing.end(),
+                             [tree](const FieldPtr &field) {
+                               return &field->tree() == tree;
+                             }),
+              owing.end());
   freeTree(*tree);
   trees.erase(found);
   storageChanged();
@@ -348,6 +358,12 @@ KernelPtr Runtime::createKernel(KernelInfo info) {
   }
   kernelList.push_back(kernel);
   return kernel;
+}
+
+int64_t Runtime::numKernels() {
+  std::lock_guard<std::mutex> lock(launchMutex);
+  return std::count_if(kernelList.begin(), kernelList.end(),
+                       [](const auto &entry) { return !entry.expired(); });
 }
 
 void Runtime::setSeed(uint64_t seed) {

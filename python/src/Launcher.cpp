@@ -538,6 +538,20 @@ void taipy::bindLauncher(py::module_ &module) {
                  throw py::error_already_set();
                return py::reinterpret_steal<py::object>(answer);
              });
+  // Drops those of one compiled kernel.
+  module.def("drop_specialization", [](const py::object &launcher,
+                                       const std::shared_ptr<Kernel> &kernel) {
+    auto &all = *toLauncher(launcher)->specializations;
+    std::vector<std::unique_ptr<Specialization>> gone;
+    for (auto &one : all)
+      if (one->kernel == kernel)
+        one->generation = 0; // matches never again
+    for (auto &one : all)
+      if (one->kernel == kernel && !one->running)
+        gone.push_back(std::move(one));
+    all.erase(std::remove(all.begin(), all.end(), nullptr), all.end());
+    // What goes with them may call Python: `all` is whole by now.
+  });
   // Drops the specialisations of a launcher.
   module.def("clear_specializations", [](const py::object &launcher) {
     auto &all = *toLauncher(launcher)->specializations;

@@ -35,6 +35,8 @@ _DEPTH = 3
 # these, so that no others come to lie there.
 _sites: set[tuple[int, int, int]] = set()
 _kept: dict[int, Any] = {}
+# As many as a program has places. What makes code all day meets more.
+_MOST_SITES = 4096
 _watches = False
 
 
@@ -60,9 +62,13 @@ def end() -> None:
 
 def forget() -> None:
     """The program is over: its places are looked at again."""
+    end()
+    _forget_sites()
+
+
+def _forget_sites() -> None:
     from . import _core
 
-    end()
     _sites.clear()
     _kept.clear()
     _core.forget_sites()
@@ -124,6 +130,8 @@ def _is_new(frame: Any, what: Any) -> bool:
     site = (id(code), frame.f_lineno, id(what))
     if site in _sites:
         return False
+    if len(_sites) >= _MOST_SITES:
+        _forget_sites()
     _sites.add(site)
     _kept[id(code)], _kept[id(what)] = code, what
     return True

@@ -314,7 +314,7 @@ class ScalarField(Field):
         program = get_program()
         root = node.root_node
         if self._tree_freed:
-            raise TaiRuntimeError(f"the tree of field '{self.name}' was freed")
+            raise TaiRuntimeError(f"the tree of field '{self.name}' has been destroyed and freed")
         if root.refused is not None:
             raise TaiRuntimeError(
                 f"field '{self.name}' is not there, as its tree was refused: {root.refused}"

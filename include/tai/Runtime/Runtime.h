@@ -178,6 +178,9 @@ public:
   /// report that the tree is gone.
   Status destroyTree(const std::string &name);
   TreePtr findTree(const std::string &name) const;
+  int64_t numTrees() const { return static_cast<int64_t>(trees.size()); }
+  /// Kernels that may be launched.
+  int64_t numKernels();
   int64_t reservedBytes() const { return reserved; }
   /// Memory of the active cells of all sparse trees.
   int64_t activeCellBytes() const {
