@@ -236,6 +236,8 @@ typedef struct {
   int64_t linked;       // pieces of compiled code
   int64_t failures;     // of compilations, kept for those who ask
 } TaiContextObjects;
+/// Sets the tangents to zero that the calling thread has left in fields.
+TAI_EXPORT TaiStatus taiContextClearTangents(TaiContext context);
 TAI_EXPORT TaiStatus taiContextCountObjects(TaiContext context,
                                             TaiContextObjects *objects);
 
@@ -396,6 +398,9 @@ TAI_EXPORT TaiStatus taiTapeEnd(TaiTape tape);
 /// The same where taiTapeBackward comes next: a device may then run what was
 /// recorded together with its reverse sweep.
 TAI_EXPORT TaiStatus taiTapeEndToSweep(TaiTape tape);
+/// Sets the gradients to zero that its sweep adds to, and all others that the
+/// calling thread has left.
+TAI_EXPORT TaiStatus taiTapeClearGradients(TaiTape tape);
 /// Seeds the adjoint of the loss with 1 and replays the adjoints in reverse.
 TAI_EXPORT TaiStatus taiTapeBackward(TaiTape tape);
 /// Runs the recorded launches again on the present contents of the fields.

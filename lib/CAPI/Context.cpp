@@ -300,6 +300,12 @@ TaiStatus taiFieldFillI64(TaiField handle, int64_t value) {
       context.session.getRuntime().fillI64(*handle->field, value));
 }
 
+TaiStatus taiContextClearTangents(TaiContext context) {
+  ContextLock lock(*context);
+  context->session.getRuntime().clearTangents();
+  return TAI_OK;
+}
+
 TaiStatus taiContextClearGradients(TaiContext context) {
   ContextLock lock(*context);
   context->session.getRuntime().clearGradients();

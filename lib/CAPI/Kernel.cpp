@@ -118,6 +118,7 @@ TaiStatus taiTapeBegin(TaiContext context, TaiField loss, bool clearGradients,
 TaiStatus taiTapeEnd(TaiTape tape) {
   ContextLock lock(tape->context);
   tape->tape->end();
+  tape->tape->releaseFields();
   return TAI_OK;
 }
 
@@ -125,6 +126,11 @@ TaiStatus taiTapeEndToSweep(TaiTape tape) {
   ContextLock lock(tape->context);
   tape->tape->end(/*isSwept=*/true);
   return TAI_OK;
+}
+
+TaiStatus taiTapeClearGradients(TaiTape tape) {
+  ContextLock lock(tape->context);
+  return tape->context.status(tape->tape->clearGradients());
 }
 
 TaiStatus taiTapeBackward(TaiTape tape) {

@@ -130,6 +130,20 @@ Session::Session()
 // A job may use any part of it.
 Session::~Session() { background.stop(); }
 
+SessionObjects Session::countObjects() {
+  SessionObjects held;
+  held.trees = rt->numTrees();
+  held.fields = static_cast<int64_t>(rt->fields().size());
+  held.declarations =
+      llvm::range_size(declarations->getBody()->getOperations());
+  held.kernels = rt->numKernels();
+  held.codes = codeNames.size();
+  held.linked = compiler->numLinked();
+  std::lock_guard<std::mutex> lock(mutex);
+  held.failures = static_cast<int64_t>(compileFailures.size());
+  return held;
+}
+
 //===----------------------------------------------------------------------===//
 // Failures
 //===----------------------------------------------------------------------===//

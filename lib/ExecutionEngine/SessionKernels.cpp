@@ -225,20 +225,6 @@ SessionKernel *Session::findKernel(StringRef name) {
   return nullptr;
 }
 
-SessionObjects Session::countObjects() {
-  SessionObjects held;
-  held.trees = rt->numTrees();
-  held.fields = static_cast<int64_t>(rt->fields().size());
-  held.declarations =
-      llvm::range_size(declarations->getBody()->getOperations());
-  held.kernels = rt->numKernels();
-  held.codes = codeNames.size();
-  held.linked = compiler->numLinked();
-  std::lock_guard<std::mutex> lock(mutex);
-  held.failures = static_cast<int64_t>(compileFailures.size());
-  return held;
-}
-
 /// The trees that compiled code wants, in its order. They are those that the
 /// kernel was made for, even if others have taken their names since.
 static std::vector<runtime::TreePtr> findTrees(const KernelCode &code,

@@ -90,6 +90,11 @@ Status Runtime::change(const HostWrite &write) {
     if (!status)
       return status;
   }
+  Status free = checkHold(field, HoldKind::Write);
+  if (free && field.sparseNode())
+    free = checkHold(*firstOf(field.tree()), HoldKind::Write);
+  if (!free)
+    return free;
   Tape *tape = recordingTape();
   if (tape && field.sparseNode())
     tape->watch(field.owner);

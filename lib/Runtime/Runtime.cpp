@@ -388,6 +388,20 @@ Status Runtime::failureOf(Launch &launch, const Kernel &kernel) {
                          "kernel '" + kernel.name() + "' failed");
 }
 
+/// The tangents of what a kernel uses are of the thread that launches it, from
+/// its first launch on: those that another one has left are zero to it.
+void Runtime::takeOverTangents(const Kernel &kernel) {
+  const char zeros[8] = {};
+  for (const Access &access : kernel.summary()) {
+    Field *tangent = access.field->dual();
+    if (!tangent)
+      continue;
+    if (isOfAnotherThread(*tangent))
+      fillWith(*tangent, zeros);
+    tangent->markDirty();
+  }
+}
+
 Status Runtime::runTangent(Launch &launch, Kernel &kernel, const uint64_t *args,
                            uint64_t *results, uint64_t number) {
   settleZeros();
@@ -399,6 +413,7 @@ Status Runtime::runTangent(Launch &launch, Kernel &kernel, const uint64_t *args,
     return status;
   for (Field *field : kernel.changedAdjoints)
     field->markDirty();
+  takeOverTangents(kernel);
   if (tangent == &kernel)
     return runCode(launch, kernel, args, results, number);
   if (!kernel.sparseNodes.empty() && !launch.given)
@@ -504,10 +519,14 @@ Status Runtime::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
       return wrongSlots(
           kernel, recorded ? kernel.tapeSlots() : kernel.argSlots(), slots);
   }
+  Tape *tape = recordingTape();
+  if (__builtin_expect(!tape && numHolding.load(std::memory_order_relaxed) != 0,
+                       false))
+    if (Status status = checkHolds(kernel); !status)
+      return status;
   Launch *launch = acquireLaunch();
   uint64_t number = hot.launches.fetch_add(1, std::memory_order_relaxed);
   kernel.prepared.lastLaunch.store(number, std::memory_order_relaxed);
-  Tape *tape = recordingTape();
   Status status = __builtin_expect(tape != nullptr, false)
                       ? tape->launch(*launch, kernel, args, results, number)
                       : run(*launch, kernel, args, results, number);
@@ -522,6 +541,10 @@ Status Runtime::launchAdjoint(Kernel &kernel, const uint64_t *args,
   if (slots != kernel.tapeSlots())
     return wrongSlots(kernel, kernel.tapeSlots(), slots);
   Status status = kernel.bind(storageEpoch.load(std::memory_order_relaxed));
+  if (!status)
+    return status;
+  if (__builtin_expect(numHolding.load(std::memory_order_relaxed) != 0, false))
+    status = checkAdjointHolds(kernel);
   if (!status)
     return status;
   settleZeros();
@@ -571,7 +594,7 @@ Status Runtime::runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
     field->adjoint()->markDirty();
   launch.given = given;
   launch.primalName = &kernel.name();
-  if (!kernel.sparseNodes.empty() && skips(Skip::AdjointFlags) && !forward)
+  if (!kernel.sparseNodes.empty() && skips(Skip::AdjointFlags) && !isForward())
     launch.flags = &kernel.plan().flags;
   Status status = run(launch, adjoint, args, nullptr, number);
   launch.given = nullptr;

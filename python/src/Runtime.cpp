@@ -262,6 +262,8 @@ void bindTape(py::module_ &module) {
                                      : taiTapeEnd(t.handle));
           },
           py::arg("is_swept") = false)
+      .def("clear_gradients",
+           [](Tape &t) { t.context->check(taiTapeClearGradients(t.handle)); })
       .def("backward",
            [](Tape &t) { checkSweep(t, taiTapeBackward(t.handle)); })
       .def("replay",
@@ -560,6 +562,8 @@ void taipy::bindRuntime(py::module_ &module) {
              result["failures"] = held.failures;
              return result;
            })
+      .def("clear_tangents",
+           [](Context &c) { c.check(taiContextClearTangents(c.handle)); })
       .def("clear_gradients",
            [](Context &c) { c.check(taiContextClearGradients(c.handle)); })
       .def("compile",

@@ -15,6 +15,7 @@ import functools
 import linecache
 import math
 import sys
+import threading
 import warnings
 from types import FunctionType
 from typing import Any
@@ -37,26 +38,30 @@ _sites: set[tuple[int, int, int]] = set()
 _kept: dict[int, Any] = {}
 # As many as a program has places. What makes code all day meets more.
 _MOST_SITES = 4096
-_watches = False
+
+
+class _OfThread(threading.local):
+    watches = False
+
+
+_of_thread = _OfThread()
 
 
 def begin() -> None:
     """A value with a history has come to Python."""
-    global _watches
-    if not _watches and (_state.tape is not None or _state.forward):
+    if not _of_thread.watches and (_state.tape is not None or _state.forward):
         from . import _core
 
-        _watches = True
+        _of_thread.watches = True
         _core.watch_numbers(True)
 
 
 def end() -> None:
     """Nothing is recorded or followed any more."""
-    global _watches
-    if _watches:
+    if _of_thread.watches:
         from . import _core
 
-        _watches = False
+        _of_thread.watches = False
         _core.watch_numbers(False)
 
 
@@ -113,7 +118,7 @@ def end_tangent(field: Any) -> None:
 
 def note_read(field: Any) -> None:
     """Python reads a field; to be called under a tape or in forward mode."""
-    if not _watches and has_history(field):
+    if not _of_thread.watches and has_history(field):
         begin()
 
 
@@ -145,7 +150,7 @@ def _as_kernel(called: Any) -> Any:
 
 def check_call(kernel: Any, parameters: list, values: list) -> None:
     """Looks at the plain numbers that a kernel is called with."""
-    if not _watches:
+    if not _of_thread.watches:
         return
     frame = _caller()
     if frame is None:
@@ -178,7 +183,7 @@ def check_write(field: Any, value: Any) -> None:
     is_field = hasattr(field, "_companions")
     what = f"what Python writes to field '{field.name}'" if is_field else "what an array is given"
     tracked = _is_followed(value)
-    if not tracked and (not _watches or isinstance(value, int)):
+    if not tracked and (not _of_thread.watches or isinstance(value, int)):
         return
     frame = _caller()
     if frame is None or not _is_new(frame, check_write):

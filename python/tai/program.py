@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import dataclasses
 import sys
+import threading
 import warnings
 import weakref
 from dataclasses import dataclass, fields
@@ -145,6 +146,9 @@ class Program:
         self.options = options
         self.context = _core.Context()
         self.root = Root()
+        # Held while fields are placed under `ti.root`, so that no other thread allocates half of
+        # them.
+        self.layout = threading.RLock()
         # Functions of kernels by symbol, for reports that name a line.
         functions: dict[str, Any] = {}
         self.kernel_functions = functions
@@ -227,15 +231,19 @@ class Program:
             namespace: variables of the caller, to name fields after, so that the IR and
                 diagnostics say `@x` for the field that the program calls `x`.
         """
-        root = self.root
-        if not root.children:
-            return
         from .snode import Root
 
-        if namespace is not None:
-            name_fields(namespace)
-        self.root = Root()
-        root.allocate(self)
+        with self.layout:
+            root = self.root
+            if not root.children:
+                return
+            if namespace is not None:
+                name_fields(namespace)
+            self.root, root.allocator = Root(), _state.thread
+        try:
+            root.allocate(self)
+        finally:
+            root.ready.set()
 
 
 def name_fields(namespace: dict[str, Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import weakref
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -504,6 +505,9 @@ class Root(SNode):
         self.number: int | None = None
         # Why there is no such tree.
         self.refused: str | None = None
+        # The thread that allocates it, and whether that is done.
+        self.allocator: object = None
+        self.ready = threading.Event()
         # What kernels were compiled to that use it; they go when it goes.
         self.users: weakref.WeakSet[Any] = weakref.WeakSet()
 
