@@ -228,6 +228,31 @@ typedef struct TaiFieldInfo {
   int64_t element_shape[2];
 } TaiFieldInfo;
 TAI_EXPORT TaiStatus taiFieldGetInfo(TaiField field, TaiFieldInfo *info);
+/// Ends the handle, and not the field. Without it, handles end with the
+/// context.
+TAI_EXPORT void taiFieldRelease(TaiField field);
+
+/// Whether there is a kernel of that name, or one that is destroyed and that a
+/// tape may launch still. From any thread, and without waiting.
+TAI_EXPORT bool taiContextHasKernel(TaiContext context, const char *name);
+
+/// How many things a context holds: to see that nothing is left behind.
+typedef struct {
+  int64_t trees;
+  int64_t fields;
+  int64_t declarations; // trees and fields as IR
+  int64_t field_handles;
+  int64_t kernel_handles;
+  int64_t tape_handles;
+  int64_t kernels;      // those that may be launched, with their adjoints
+  int64_t kernel_codes; // modules that kernels are compiled from
+  int64_t linked;       // pieces of compiled code
+  int64_t failures;     // of compilations, kept for those who ask
+} TaiContextObjects;
+/// Sets the tangents to zero that the calling thread has left in fields.
+TAI_EXPORT TaiStatus taiContextClearTangents(TaiContext context);
+TAI_EXPORT TaiStatus taiContextCountObjects(TaiContext context,
+                                            TaiContextObjects *objects);
 
 /// One element or one component, as double or int64 whatever the type.
 /// `indices` has rank numbers; `component` is row-major in the element.
@@ -331,6 +356,10 @@ TAI_EXPORT TaiStatus taiModuleWrite(TaiContext context, MlirModule module,
                                     void *userData);
 TAI_EXPORT void taiKernelDestroy(TaiKernel kernel);
 
+/// The trees that the kernel may use, gradients' among them, by number; null
+/// where there are no more.
+TAI_EXPORT const char *taiKernelGetTree(TaiKernel kernel, int64_t number);
+
 /// Launches with arguments in slots (see tai/Runtime/Abi.h). `results` may be
 /// null for a kernel without result. Recorded by the active tape.
 ///
@@ -398,6 +427,9 @@ TAI_EXPORT TaiStatus taiTapeEnd(TaiTape tape);
 /// The same where taiTapeBackward comes next: a device may then run what was
 /// recorded together with its reverse sweep.
 TAI_EXPORT TaiStatus taiTapeEndToSweep(TaiTape tape);
+/// Sets the gradients to zero that its sweep adds to, and all others that the
+/// calling thread has left.
+TAI_EXPORT TaiStatus taiTapeClearGradients(TaiTape tape);
 /// Seeds the adjoint of the loss with 1 and replays the adjoints in reverse.
 TAI_EXPORT TaiStatus taiTapeBackward(TaiTape tape);
 /// Runs the recorded launches again on the present contents of the fields.

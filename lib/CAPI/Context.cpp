@@ -170,9 +170,34 @@ TaiStatus taiContextAddField(TaiContext context, const char *declaration,
       context->session.addField(toRef(declaration));
   if (failed(made))
     return context->status(failure());
-  context->fields.push_back(std::unique_ptr<TaiFieldImpl>(
+  *field = context->fields.add(std::unique_ptr<TaiFieldImpl>(
       new TaiFieldImpl{*context, std::move(*made)}));
-  *field = context->fields.back().get();
+  return TAI_OK;
+}
+
+void taiFieldRelease(TaiField field) {
+  ContextLock lock(field->context);
+  field->context.fields.drop(field);
+}
+
+bool taiContextHasKernel(TaiContext context, const char *name) {
+  return context->session.hasCode(toRef(name));
+}
+
+TaiStatus taiContextCountObjects(TaiContext context,
+                                 TaiContextObjects *objects) {
+  ContextLock lock(*context);
+  const SessionObjects held = context->session.countObjects();
+  objects->trees = held.trees;
+  objects->fields = held.fields;
+  objects->declarations = held.declarations;
+  objects->field_handles = context->fields.size();
+  objects->kernel_handles = context->kernels.size();
+  objects->tape_handles = context->tapes.size();
+  objects->kernels = held.kernels;
+  objects->kernel_codes = held.codes;
+  objects->linked = held.linked;
+  objects->failures = held.failures;
   return TAI_OK;
 }
 
@@ -273,6 +298,12 @@ TaiStatus taiFieldFillI64(TaiField handle, int64_t value) {
   TaiContextImpl &context = handle->context;
   return context.status(
       context.session.getRuntime().fillI64(*handle->field, value));
+}
+
+TaiStatus taiContextClearTangents(TaiContext context) {
+  ContextLock lock(*context);
+  context->session.getRuntime().clearTangents();
+  return TAI_OK;
 }
 
 TaiStatus taiContextClearGradients(TaiContext context) {

@@ -11,16 +11,36 @@
 #include "tai-c/Tai.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "tai/Runtime/Safepoint.h"
+#include "llvm/ADT/DenseMap.h"
 #include <mutex>
 
-/// Owns every handle made in it: only kernels and tapes are destroyed earlier.
+/// Handles by their addresses: each goes without a look at the others.
+template <typename Impl> class Handles {
+public:
+  Impl *add(std::unique_ptr<Impl> handle) {
+    Impl *address = handle.get();
+    owned.try_emplace(address, std::move(handle));
+    return address;
+  }
+  void drop(Impl *handle) {
+    // Out of the map first: what goes with it may drop others.
+    std::unique_ptr<Impl> gone = std::move(owned[handle]);
+    owned.erase(handle);
+  }
+  size_t size() const { return owned.size(); }
+
+private:
+  llvm::DenseMap<Impl *, std::unique_ptr<Impl>> owned;
+};
+
+/// Owns every handle made in it that is not given back earlier.
 struct TaiContextImpl {
   /// Held by every call but launches: a context has one user at a time.
   std::recursive_timed_mutex mutex;
   mlir::tai::Session session;
-  std::vector<std::unique_ptr<TaiFieldImpl>> fields;
-  std::vector<std::unique_ptr<TaiKernelImpl>> kernels;
-  std::vector<std::unique_ptr<TaiTapeImpl>> tapes;
+  Handles<TaiFieldImpl> fields;
+  Handles<TaiKernelImpl> kernels;
+  Handles<TaiTapeImpl> tapes;
   std::vector<mlir::tai::runtime::ProfileRow> profile;
   std::vector<TaiProfileRow> profileRows;
   std::vector<TaiTraceEvent> traceEvents;

@@ -18,9 +18,8 @@ using namespace mlir::tai;
 //===----------------------------------------------------------------------===//
 
 static TaiKernel keep(TaiContextImpl &context, SessionKernel *kernel) {
-  context.kernels.push_back(
+  return context.kernels.add(
       std::unique_ptr<TaiKernelImpl>(new TaiKernelImpl{context, kernel, ""}));
-  return context.kernels.back().get();
 }
 
 TaiStatus taiKernelCreate(TaiContext context, MlirModule module,
@@ -67,8 +66,14 @@ void taiKernelDestroy(TaiKernel kernel) {
   ContextLock lock(kernel->context);
   TaiContextImpl &context = kernel->context;
   context.session.destroyKernel(kernel->kernel);
-  llvm::erase_if(context.kernels,
-                 [&](const auto &owned) { return owned.get() == kernel; });
+  context.kernels.drop(kernel);
+}
+
+const char *taiKernelGetTree(TaiKernel kernel, int64_t number) {
+  const std::vector<runtime::TreePtr> &trees = kernel->kernel->code->trees;
+  if (number < 0 || number >= static_cast<int64_t>(trees.size()))
+    return nullptr;
+  return trees[number]->name().c_str();
 }
 
 TaiStatus taiKernelLaunch(TaiKernel kernel, const uint64_t *args, int64_t slots,
@@ -122,15 +127,15 @@ TaiStatus taiTapeBegin(TaiContext context, TaiField loss, bool clearGradients,
       loss ? loss->field : nullptr, clearGradients, made));
   if (status != TAI_OK)
     return status;
-  context->tapes.push_back(std::unique_ptr<TaiTapeImpl>(
+  *tape = context->tapes.add(std::unique_ptr<TaiTapeImpl>(
       new TaiTapeImpl{*context, std::move(made), {}, {}, {}}));
-  *tape = context->tapes.back().get();
   return TAI_OK;
 }
 
 TaiStatus taiTapeEnd(TaiTape tape) {
   ContextLock lock(tape->context);
   tape->tape->end();
+  tape->tape->releaseFields();
   return TAI_OK;
 }
 
@@ -138,6 +143,11 @@ TaiStatus taiTapeEndToSweep(TaiTape tape) {
   ContextLock lock(tape->context);
   tape->tape->end(/*isSwept=*/true);
   return TAI_OK;
+}
+
+TaiStatus taiTapeClearGradients(TaiTape tape) {
+  ContextLock lock(tape->context);
+  return tape->context.status(tape->tape->clearGradients());
 }
 
 TaiStatus taiTapeBackward(TaiTape tape) {
@@ -214,7 +224,5 @@ int64_t taiTapeNumSkipped(TaiTape tape) {
 
 void taiTapeDestroy(TaiTape tape) {
   ContextLock lock(tape->context);
-  TaiContextImpl &context = tape->context;
-  llvm::erase_if(context.tapes,
-                 [&](const auto &owned) { return owned.get() == tape; });
+  tape->context.tapes.drop(tape);
 }

@@ -141,7 +141,7 @@ void Background::run() {
     queue.pop_front();
     job->state = Job::State::Running;
     lock.unlock();
-    job->task();
+    perform(*job);
     lock.lock();
     job->state = Job::State::Done;
     changed.notify_all();
@@ -186,7 +186,11 @@ bool Background::runAside(std::function<void()> task) {
           [this, job] {
             runtime::safepoint::enterWorker();
             std::unique_lock<std::mutex> lock(mutex);
-            runHere(*job, lock);
+            job->state = Job::State::Running;
+            lock.unlock();
+            perform(*job);
+            lock.lock();
+            job->state = Job::State::Done;
             --running;
             changed.notify_all();
           },
@@ -196,7 +200,30 @@ bool Background::runAside(std::function<void()> task) {
   }
   ++running;
   threads.push_back(std::move(thread));
-  return waitFor(*job, lock);
+  if (waitFor(*job, lock))
+    return true;
+  job->isAbandoned = true;
+  return false;
+}
+
+/// The job of the calling thread, and to whom it belongs.
+static thread_local const Background::Job *currentJob = nullptr;
+static thread_local const Background *currentOwner = nullptr;
+
+void Background::perform(Job &job) {
+  currentJob = &job;
+  currentOwner = this;
+  job.task();
+  currentJob = nullptr;
+}
+
+Background::Wish Background::getWish() {
+  if (!currentJob)
+    return runtime::safepoint::look() ? Wish::Wait : Wish::Abandon;
+  if (currentJob->isAbandoned)
+    return Wish::Abandon;
+  return currentOwner->isHeld || currentOwner->maxThreads == 0 ? Wish::Hurry
+                                                               : Wish::Wait;
 }
 
 void Background::runHere(Job &job, std::unique_lock<std::mutex> &lock) {
@@ -210,6 +237,7 @@ void Background::runHere(Job &job, std::unique_lock<std::mutex> &lock) {
 
 void Background::cancel(Job &job) {
   std::unique_lock<std::mutex> lock(mutex);
+  job.isAbandoned = true;
   if (take(job))
     job.state = Job::State::Done;
   else

@@ -17,6 +17,7 @@
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/ExecutionEngine/AdjointNeeds.h"
+#include "tai/ExecutionEngine/Background.h"
 #include "tai/Runtime/CacheStore.h"
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/Support/BLAKE3.h"
@@ -379,14 +380,26 @@ void Compiler::load(Prepared &prepared, CompileRequest request) {
     prepared.needs = prepared.object->needs;
 }
 
-void Compiler::claimOrLoad(Prepared &prepared, CompileRequest request) {
+LogicalResult Compiler::claimOrLoad(Prepared &prepared, CompileRequest request,
+                                    Failure &failure) {
   if (!cache || !cache.claim || prepared.claim)
-    return;
+    return success();
   PhaseTimer timer(prepared.times, Phase::Cache);
-  prepared.claim = cache.claim(prepared.key);
+  auto wish = Background::Wish::Wait;
+  prepared.claim = cache.claim(prepared.key, [&wish] {
+    wish = Background::getWish();
+    return wish == Background::Wish::Wait;
+  });
+  if (wish == Background::Wish::Abandon) {
+    failure = Failure::get(FailureKind::Runtime,
+                           "interrupted while another process compiled '" +
+                               request.name + "'");
+    return mlir::failure();
+  }
   load(prepared, request);
   if (prepared.object)
     prepared.claim.reset();
+  return success();
 }
 
 LogicalResult Compiler::start(CompileRequest request,
@@ -410,8 +423,9 @@ Compiler::prepare(CompileRequest request, const CompileOptions &options,
     PhaseTimer timer(prepared.times, Phase::Cache);
     prepared.key = getKey(request, options);
     load(prepared, request);
-    if (!prepared.object && claims)
-      claimOrLoad(prepared, request);
+    if (!prepared.object && claims &&
+        failed(claimOrLoad(prepared, request, failure)))
+      return std::nullopt;
   }
   if (!prepared.object && failed(start(request, options, prepared, failure)))
     return std::nullopt;
@@ -449,8 +463,8 @@ Compiler::finish(Prepared prepared, CompileRequest request,
   if (options.interpret)
     return interpret(std::move(prepared), request, options, failure);
   Function function;
-  if (!prepared.object)
-    claimOrLoad(prepared, request);
+  if (!prepared.object && failed(claimOrLoad(prepared, request, failure)))
+    return std::nullopt;
   std::optional<CompiledObject> object = std::move(prepared.object);
   prepared.object.reset();
   function.fromCache = object.has_value();

@@ -77,9 +77,10 @@ Expected<Linker::Linked> Linker::link(ArrayRef<char> object,
     name = "kernel" + std::to_string(counter++);
   }
   JITDylib &library = session->createBareJITDylib(name);
+  linked.fetch_add(1, std::memory_order_relaxed);
   library.addToLinkOrder(*runtimeLibrary);
-  Linked linked;
-  linked.library = &library;
+  Linked result;
+  result.library = &library;
   auto fail = [&](Error error) -> Error {
     unload(&library);
     std::lock_guard<std::mutex> lock(mutex);
@@ -96,11 +97,16 @@ Expected<Linker::Linked> Linker::link(ArrayRef<char> object,
     auto address = session->lookup({&library}, session->intern(symbol));
     if (!address)
       return fail(address.takeError());
-    linked.addresses.push_back(address->getAddress().toPtr<void *>());
+    result.addresses.push_back(address->getAddress().toPtr<void *>());
   }
-  return linked;
+  return result;
 }
 
 void Linker::unload(Library *library) {
   consumeError(session->removeJITDylib(*library));
+  linked.fetch_sub(1, std::memory_order_relaxed);
+  // Names are kept until somebody looks for those that nobody uses.
+  constexpr uint64_t often = 256;
+  if (unloaded.fetch_add(1, std::memory_order_relaxed) % often == often - 1)
+    session->getSymbolStringPool()->clearDeadEntries();
 }

@@ -130,6 +130,20 @@ Session::Session()
 // A job may use any part of it.
 Session::~Session() { background.stop(); }
 
+SessionObjects Session::countObjects() {
+  SessionObjects held;
+  held.trees = rt->numTrees();
+  held.fields = static_cast<int64_t>(rt->fields().size());
+  held.declarations =
+      llvm::range_size(declarations->getBody()->getOperations());
+  held.kernels = rt->numKernels();
+  held.codes = codeNames.size();
+  held.linked = compiler->numLinked();
+  std::lock_guard<std::mutex> lock(mutex);
+  held.failures = static_cast<int64_t>(compileFailures.size());
+  return held;
+}
+
 //===----------------------------------------------------------------------===//
 // Failures
 //===----------------------------------------------------------------------===//
@@ -161,8 +175,14 @@ runtime::Status Session::keepFailure(Failure failure) {
                           failure.column);
   auto status = runtime::Status::failure(
       runtime::StatusCode::Compile, failure.message, where,
-      static_cast<int>(compileFailures.size()) + 1);
+      static_cast<int>(failuresBefore + compileFailures.size()) + 1);
   compileFailures.push_back(std::move(failure));
+  // Those of old are told by their status alone.
+  constexpr size_t mostFailures = 1024;
+  if (compileFailures.size() > mostFailures) {
+    compileFailures.pop_front();
+    ++failuresBefore;
+  }
   return status;
 }
 
@@ -184,8 +204,9 @@ LogicalResult Session::fail(const runtime::Status &status) {
   size_t number = status.detail();
   if (status.code() == runtime::StatusCode::Compile && number > 0) {
     std::lock_guard<std::mutex> lock(mutex);
-    if (number <= compileFailures.size())
-      return fail(compileFailures[number - 1]);
+    if (number > failuresBefore &&
+        number - failuresBefore <= compileFailures.size())
+      return fail(compileFailures[number - failuresBefore - 1]);
   }
   Failure failure = Failure::get(getKind(status.code()), status.message());
   // "file:line:col", where the file may hold colons of its own.
@@ -221,7 +242,10 @@ void Session::useCache(StringRef folder) {
        [store](StringRef key, StringRef bytes) {
          store->put(std::string_view(key), std::string_view(bytes));
        },
-       [store](StringRef key) { return store->claim(std::string_view(key)); }});
+       [store](StringRef key, const std::function<bool()> &goesOn) {
+         constexpr double mostSeconds = 60;
+         return store->claim(std::string_view(key), mostSeconds, goesOn);
+       }});
   rt->keepBlockSizes(
       {[store](const std::string &key) { return store->get(key); },
        [this, store](std::string key, std::string bytes) {

@@ -56,7 +56,7 @@ runtime::Status Session::compileChecked(KernelCode &code,
                                         runtime::CheckedKernel &checked) {
   OwningOpRef<ModuleOp> module = code.module->clone();
   for (FieldOp field : getShadowedFields(*module))
-    if (runtime::FieldPtr known = rt->findField(field.getName().str()))
+    if (runtime::FieldPtr known = code.fields.lookup(field.getName()))
       checked.fields.push_back(known);
   if (checked.fields.empty())
     return runtime::Status::success();
@@ -77,8 +77,7 @@ runtime::Status Session::compileChecked(KernelCode &code,
   for (auto access : described.getAsRange<ArrayAttr>()) {
     runtime::CheckedAccess row;
     row.field =
-        rt->findField(cast<FlatSymbolRefAttr>(access[0]).getValue().str())
-            .get();
+        code.fields.lookup(cast<FlatSymbolRefAttr>(access[0]).getValue()).get();
     row.kind = getRuntimeKind(
         static_cast<FieldUse>(cast<IntegerAttr>(access[1]).getInt()));
     if (FileLineColLoc place =

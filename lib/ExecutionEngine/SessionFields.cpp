@@ -16,6 +16,7 @@
 #include "tai/ExecutionEngine/ModuleFile.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "llvm/ADT/SetVector.h"
+#include "llvm/ADT/StringSet.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -111,10 +112,20 @@ LogicalResult Session::addTree(TreeOp tree) {
 LogicalResult Session::destroyTree(StringRef name) {
   if (failed(check(rt->destroyTree(name.str()))))
     return failure();
+  llvm::StringSet<> gone;
   for (FieldOp field :
        llvm::make_early_inc_range(declarations->getOps<FieldOp>()))
-    if (field.getTree() == name)
+    if (field.getTree() == name) {
+      gone.insert(field.getSymName());
       symbols->erase(field);
+    }
+  // What takes the name of an adjoint that is gone is another field.
+  for (FieldOp field : declarations->getOps<FieldOp>()) {
+    if (field.getAdjoint() && gone.contains(*field.getAdjoint()))
+      field.removeAdjointAttr();
+    if (field.getDual() && gone.contains(*field.getDual()))
+      field.removeDualAttr();
+  }
   if (Operation *tree = symbols->lookup(name))
     symbols->erase(tree);
   return success();

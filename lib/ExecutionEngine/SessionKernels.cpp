@@ -98,8 +98,8 @@ Session::makeKernel(OwningOpRef<ModuleOp> module, StringRef name) {
   if (failed(adjoints))
     return fail(std::move(problem));
 
-  auto code =
-      std::make_shared<KernelCode>(*compiler, background, name, options);
+  auto code = std::make_shared<KernelCode>(*compiler, background, codeNames,
+                                           name, options);
   runtime::KernelInfo info;
   info.name = code->name;
   info.place = code->place = describePlace(op.getLoc());
@@ -110,6 +110,9 @@ Session::makeKernel(OwningOpRef<ModuleOp> module, StringRef name) {
   info.summary = summarize(*module, op);
   for (TreeOp tree : module->getOps<TreeOp>())
     code->trees.push_back(rt->findTree(tree.getSymName().str()));
+  for (FieldOp field : module->getOps<FieldOp>())
+    if (runtime::FieldPtr known = rt->findField(field.getSymName().str()))
+      code->fields[field.getSymName()] = known;
   info.trees = code->trees;
   info.explainRefusal =
       explainRefusal(*code, CompileRequest::Goal::Primal, /*forward=*/false);
@@ -179,13 +182,14 @@ FailureOr<SessionKernel *> Session::createKernel(OwningOpRef<ModuleOp> module,
   auto made = makeKernel(std::move(module), name);
   if (failed(made))
     return failure();
-  kernels.push_back(std::make_unique<SessionKernel>(
-      SessionKernel{std::move(made->first), std::move(made->second)}));
+  kernels.push_back({std::move(made->first), std::move(made->second)});
+  SessionKernel &kernel = kernels.back();
+  kernel.place = std::prev(kernels.end());
   rt->skipCounters().bump(SkipCount::KernelsDefined);
   if (!rt->skips(Skip::LazyCompilation) &&
-      failed(compileEagerly(*kernels.back()->kernel)))
+      failed(compileEagerly(*kernel.kernel)))
     return failure();
-  return kernels.back().get();
+  return &kernel;
 }
 
 FailureOr<SessionKernel *> Session::parseKernel(StringRef bytes, StringRef file,
@@ -208,17 +212,17 @@ KernelCode::~KernelCode() {
     background.cancel(*ahead);
   for (const Compiler::Function &function : functions)
     compiler.unload(function);
+  names.drop(name);
 }
 
 void Session::destroyKernel(SessionKernel *kernel) {
-  llvm::erase_if(kernels,
-                 [&](const auto &owned) { return owned.get() == kernel; });
+  kernels.erase(kernel->place);
 }
 
-SessionKernel *Session::findKernel(StringRef name) const {
-  for (const auto &kernel : kernels)
-    if (kernel->code->name == name)
-      return kernel.get();
+SessionKernel *Session::findKernel(StringRef name) {
+  for (SessionKernel &kernel : kernels)
+    if (kernel.code->name == name)
+      return &kernel;
   return nullptr;
 }
 
@@ -318,6 +322,16 @@ Session::runAside(KernelCode &code,
   return std::move(state->result);
 }
 
+/// Where the caller was interrupted, nobody else hears of the function.
+std::optional<Compiler::Function>
+Session::keepFunction(KernelCode &code,
+                      std::optional<Compiler::Function> function) {
+  std::lock_guard<std::mutex> lock(mutex);
+  if (function)
+    code.functions.push_back(*function);
+  return function;
+}
+
 std::optional<Compiler::Function> Session::compileAs(KernelCode &code,
                                                      CompileRequest::Goal goal,
                                                      Failure &failure,
@@ -327,8 +341,9 @@ std::optional<Compiler::Function> Session::compileAs(KernelCode &code,
   auto function = runAside<Compiler::Function>(
       code,
       [this, &code, goal, forward](Failure &failure) {
-        return compiler->compile({*code.module, code.name, goal, forward},
-                                 code.options, failure);
+        return keepFunction(
+            code, compiler->compile({*code.module, code.name, goal, forward},
+                                    code.options, failure));
       },
       failure);
   if (!function)
@@ -337,8 +352,6 @@ std::optional<Compiler::Function> Session::compileAs(KernelCode &code,
     printProfile(code.name, goal, *function);
   if (!forward)
     count(*function, goal != CompileRequest::Goal::Primal);
-  std::lock_guard<std::mutex> lock(mutex);
-  code.functions.push_back(*function);
   return function;
 }
 
@@ -414,9 +427,10 @@ std::optional<Compiler::Function> Session::compileAdjoint(KernelCode &code,
   auto function = runAside<Compiler::Function>(
       code,
       [this, &code, goal, prepared](Failure &failure) {
-        return compiler->finish(std::move(**prepared),
-                                {*code.module, code.name, goal}, code.options,
-                                failure);
+        return keepFunction(code,
+                            compiler->finish(std::move(**prepared),
+                                             {*code.module, code.name, goal},
+                                             code.options, failure));
       },
       failure);
   if (!function)
@@ -424,8 +438,6 @@ std::optional<Compiler::Function> Session::compileAdjoint(KernelCode &code,
   if (printsProfile)
     printProfile(code.name, goal, *function);
   count(*function, /*isAdjoint=*/true);
-  std::lock_guard<std::mutex> lock(mutex);
-  code.functions.push_back(*function);
   return function;
 }
 
@@ -592,13 +604,13 @@ runtime::Status Session::planAdjoint(KernelCode &code,
       return keepFailure(std::move(failure));
     needs = AdjointNeeds::deserialize(*code.needs);
   }
+  // The fields that the kernel was made for, even if others have their names
+  // by now.
   auto findField = [&](const std::string &name) {
-    // The fields that the kernel was made for, even if others have their names
-    // by now.
     for (const runtime::Access &access : runtimeKernel.summary())
       if (access.field->name() == name)
         return access.field;
-    return rt->findField(name);
+    return code.fields.lookup(name);
   };
   for (const NamedAccess &access : needs->reads)
     if (runtime::FieldPtr field = findField(access.field))
@@ -621,7 +633,7 @@ runtime::Status Session::planAdjoint(KernelCode &code,
   for (const LoopFlags &loop : needs->flags) {
     runtime::AdjointFlags flags{findField(loop.field), {}, loop.sumsUp};
     for (const std::string &name : loop.sources)
-      flags.sources.push_back(rt->findField(name));
+      flags.sources.push_back(findField(name));
     if (flags.loop)
       plan.flags.push_back(std::move(flags));
   }

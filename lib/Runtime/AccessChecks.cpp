@@ -60,7 +60,7 @@ Status AccessChecks::findShadow(Field &field, const Shadow *&result) {
 
 Status AccessChecks::run(Launch &launch, Kernel &kernel, const uint64_t *args,
                          uint64_t *results, uint64_t number) {
-  if (runtime.forward)
+  if (runtime.isForward())
     return Status::failure(StatusCode::Usage,
                            "a tape cannot check the access rules in forward "
                            "mode; check them in a run of its own");

@@ -456,7 +456,8 @@ private:
 };
 } // namespace
 
-CacheStore::Claim CacheStore::claim(std::string_view key, double mostSeconds) {
+CacheStore::Claim CacheStore::claim(std::string_view key, double mostSeconds,
+                                    const std::function<bool()> &goesOn) {
   if (!usable())
     return nullptr;
   using Clock = std::chrono::steady_clock;
@@ -481,7 +482,7 @@ CacheStore::Claim CacheStore::claim(std::string_view key, double mostSeconds) {
       isLocked = flock(file.number, LOCK_EX | LOCK_NB) == 0;
       if (isLocked || (errno != EWOULDBLOCK && errno != EINTR))
         break;
-      if (Clock::now() >= end)
+      if (Clock::now() >= end || (goesOn && !goesOn()))
         return nullptr;
       std::this_thread::sleep_for(pause);
       pause = std::min(pause * 2, std::chrono::microseconds(20000));

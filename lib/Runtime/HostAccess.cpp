@@ -334,10 +334,25 @@ static bool endsBeside(const Field &first, const Field &second) {
          first.shape() == second.shape();
 }
 
-void Runtime::clearGradients() {
+void Runtime::clearTangents() {
+  const char zeros[8] = {};
+  for (const FieldPtr &field : fieldList) {
+    Field *tangent = field->dual();
+    if (!tangent || !tangent->valid() || isOfAnotherThread(*tangent))
+      continue;
+    fillWith(*tangent, zeros);
+    tangent->lastWriter.store(0, std::memory_order_relaxed);
+  }
+}
+
+void Runtime::clearGradients(const Tape *tape) {
+  bool forward = isForward();
   const char zeros[8] = {};
   const Field *cleared = nullptr;
   for (const FieldPtr &field : fieldList) {
+    if (tape && field->isAdjoint() && isOfAnotherThread(*field) &&
+        !tape->touched.count(field))
+      continue;
     if (forward && field->isAdjoint() && field->dual())
       fillWith(*field->dual(), zeros);
     if (!field->isAdjoint())
@@ -354,7 +369,7 @@ void Runtime::clearGradients() {
     }
     fillWith(*field, zeros);
     cleared = field.get();
-    field->dirtyFlag.store(false, std::memory_order_relaxed);
+    field->lastWriter.store(0, std::memory_order_relaxed);
     skipCounts.bump(SkipCount::FieldsCleared);
     skipCounts.bump(SkipCount::BytesCleared, bytes);
   }

@@ -91,6 +91,11 @@ Status Runtime::change(const HostWrite &write) {
     if (!status)
       return status;
   }
+  Status free = checkHold(field, HoldKind::Write);
+  if (free && field.sparseNode())
+    free = checkHold(*firstOf(field.tree()), HoldKind::Write);
+  if (!free)
+    return free;
   Tape *tape = recordingTape();
   if (tape && field.sparseNode())
     tape->watch(field.owner);
@@ -102,7 +107,7 @@ Status Runtime::change(const HostWrite &write) {
     perform(write);
     return takeDeviceFailure();
   }
-  if (tangentFlows && write.replacesAll())
+  if (tangentFlows && isForward() && write.replacesAll())
     tangentFlows->overwrite(field);
   if (tape)
     return tape->write(write);

@@ -126,6 +126,7 @@ void Runtime::oweZeros(const FieldPtr &adjoint,
   adjoint->settleZeros();
   // Tangents go along. Others look at the memory of a field that is lent as
   // they like.
+  bool forward = isForward();
   Field *dual = forward ? adjoint->dual() : nullptr;
   if (dual && dual->valid())
     zeros->store(*dual);
@@ -133,6 +134,7 @@ void Runtime::oweZeros(const FieldPtr &adjoint,
     zeros->store(*adjoint);
     return;
   }
+  std::lock_guard<std::mutex> lock(launchMutex);
   adjoint->oweZeros(std::move(zeros));
   owing.push_back(adjoint);
   updateLaunchState();

@@ -168,11 +168,21 @@ Status Runtime::destroyTree(const std::string &name) {
     }
   }
   for (const FieldPtr &field : fieldList) {
-    if (field->adjointField && &field->adjointField->tree() == tree)
+    // What takes their names is another field.
+    if (field->adjointField && &field->adjointField->tree() == tree) {
       field->adjointField.reset();
-    if (field->dualField && &field->dualField->tree() == tree)
+      field->adjointName.clear();
+    }
+    if (field->dualField && &field->dualField->tree() == tree) {
       field->dualField.reset();
+      field->dualName.clear();
+    }
   }
+  owing.erase(std::remove_if(owing.begin(), owing.end(),
+                             [tree](const FieldPtr &field) {
+                               return &field->tree() == tree;
+                             }),
+              owing.end());
   freeTree(*tree);
   trees.erase(found);
   storageChanged();
@@ -351,6 +361,12 @@ KernelPtr Runtime::createKernel(KernelInfo info) {
   return kernel;
 }
 
+int64_t Runtime::numKernels() {
+  std::lock_guard<std::mutex> lock(launchMutex);
+  return std::count_if(kernelList.begin(), kernelList.end(),
+                       [](const auto &entry) { return !entry.expired(); });
+}
+
 void Runtime::setSeed(uint64_t seed) {
   opts.seed = hot.seed = seed;
   hot.launches.store(0, std::memory_order_relaxed);
@@ -373,6 +389,20 @@ Status Runtime::failureOf(Launch &launch, const Kernel &kernel) {
                          "kernel '" + kernel.name() + "' failed");
 }
 
+/// The tangents of what a kernel uses are of the thread that launches it, from
+/// its first launch on: those that another one has left are zero to it.
+void Runtime::takeOverTangents(const Kernel &kernel) {
+  const char zeros[8] = {};
+  for (const Access &access : kernel.summary()) {
+    Field *tangent = access.field->dual();
+    if (!tangent)
+      continue;
+    if (isOfAnotherThread(*tangent))
+      fillWith(*tangent, zeros);
+    tangent->markDirty();
+  }
+}
+
 Status Runtime::runTangent(Launch &launch, Kernel &kernel, const uint64_t *args,
                            uint64_t *results, uint64_t number) {
   settleZeros();
@@ -386,6 +416,7 @@ Status Runtime::runTangent(Launch &launch, Kernel &kernel, const uint64_t *args,
     field->markDirty();
   if (tangentFlows)
     tangentFlows->launch(kernel, args);
+  takeOverTangents(kernel);
   if (tangent == &kernel)
     return runCode(launch, kernel, args, results, number);
   if (!kernel.sparseNodes.empty() && !launch.given)
@@ -491,10 +522,14 @@ Status Runtime::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
       return wrongSlots(
           kernel, recorded ? kernel.tapeSlots() : kernel.argSlots(), slots);
   }
+  Tape *tape = recordingTape();
+  if (__builtin_expect(!tape && numHolding.load(std::memory_order_relaxed) != 0,
+                       false))
+    if (Status status = checkHolds(kernel); !status)
+      return status;
   Launch *launch = acquireLaunch();
   uint64_t number = hot.launches.fetch_add(1, std::memory_order_relaxed);
   kernel.prepared.lastLaunch.store(number, std::memory_order_relaxed);
-  Tape *tape = recordingTape();
   Status status = __builtin_expect(tape != nullptr, false)
                       ? tape->launch(*launch, kernel, args, results, number)
                       : run(*launch, kernel, args, results, number);
@@ -509,6 +544,10 @@ Status Runtime::launchAdjoint(Kernel &kernel, const uint64_t *args,
   if (slots != kernel.tapeSlots())
     return wrongSlots(kernel, kernel.tapeSlots(), slots);
   Status status = kernel.bind(storageEpoch.load(std::memory_order_relaxed));
+  if (!status)
+    return status;
+  if (__builtin_expect(numHolding.load(std::memory_order_relaxed) != 0, false))
+    status = checkAdjointHolds(kernel);
   if (!status)
     return status;
   settleZeros();
@@ -558,7 +597,7 @@ Status Runtime::runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
     field->adjoint()->markDirty();
   launch.given = given;
   launch.primalName = &kernel.name();
-  if (!kernel.sparseNodes.empty() && skips(Skip::AdjointFlags) && !forward)
+  if (!kernel.sparseNodes.empty() && skips(Skip::AdjointFlags) && !isForward())
     launch.flags = &kernel.plan().flags;
   Status status = run(launch, adjoint, args, nullptr, number);
   launch.given = nullptr;

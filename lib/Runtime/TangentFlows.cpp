@@ -50,12 +50,6 @@ TangentFlows::describe(const std::vector<FieldPtr> &outputs,
   return lines;
 }
 
-void Runtime::setForward(bool on) {
-  forward = on;
-  tangentFlows.reset();
-  updateLaunchState();
-}
-
 void Runtime::followTangents(const std::vector<FieldPtr> &inputs) {
   tangentFlows = std::make_unique<TangentFlows>(fieldList, inputs);
 }

@@ -27,14 +27,20 @@ using namespace mlir::tai::runtime;
 
 Status Runtime::beginTape(FieldPtr loss, bool clear,
                           std::unique_ptr<Tape> &tape) {
-  if (activeTape)
-    return Status::failure(
-        StatusCode::Usage,
-        recordingTape() ? "a tape is being recorded already, and tapes do not "
-                          "nest"
-                        : "another thread records a tape, and gradients have "
-                          "room for one at a time: let it finish first");
-  std::unique_ptr<Tape> made(new Tape(*this, ++stamps));
+  if (recordingTape())
+    return Status::failure(StatusCode::Usage,
+                           "a tape is being recorded already, and tapes do not "
+                           "nest");
+  // A device recognises recordings that come again by what is queued.
+  if (device && numRecording > 0)
+    return Status::failure(StatusCode::Usage,
+                           "another thread records a tape, and a GPU has room "
+                           "for one at a time: let it finish first");
+  std::unique_ptr<Tape> made(new Tape(*this, ++stamps, clear));
+  // From here on it holds what it uses.
+  Status held = made->holdFields();
+  if (!held)
+    return held;
   if (loss) {
     if (loss->rank() != 0 || loss->numComponents() != 1 ||
         !isFloat(loss->scalar()))
@@ -50,11 +56,12 @@ Status Runtime::beginTape(FieldPtr loss, bool clear,
   if (device)
     device->beginRecording();
   if (clear)
-    clearGradients();
+    clearGradients(made.get());
   else
     settleZeros();
   tape = std::move(made);
-  setActiveTape(tape.get());
+  tape->isOpen = true;
+  beginRecording(*tape);
   return Status::success();
 }
 
@@ -100,12 +107,16 @@ Tape::Decision Tape::withoutPruning(size_t index, Decision decision) const {
 }
 
 std::vector<Field *> Tape::liveFields(bool cleared) const {
-  auto mayBeNonzero = [&](const Field &adjoint) {
-    return cleared ? adjoint.tree().isLent() : adjoint.dirty();
+  // What another thread has left is no concern of this tape.
+  auto mayBeNonzero = [&](const FieldPtr &adjoint) {
+    if (Runtime::isOfAnotherThread(*adjoint) && !touched.count(adjoint))
+      return false;
+    return cleared ? adjoint->tree().isLent() : adjoint->dirty();
   };
   std::vector<Field *> live;
   for (const FieldPtr &field : runtime.fieldList)
-    if (field->adjoint() && (isLoss(*field) || mayBeNonzero(*field->adjoint())))
+    if (field->adjoint() &&
+        (isLoss(*field) || mayBeNonzero(field->adjointField)))
       live.push_back(field.get());
   return live;
 }
@@ -284,8 +295,14 @@ private:
 } // namespace
 
 Status Tape::backward() {
-  CollectedWork work(runtime);
-  return work.finish(sweep());
+  end(/*isSwept=*/true);
+  Status status = holdFields();
+  if (status) {
+    CollectedWork work(runtime);
+    status = work.finish(sweep());
+  }
+  releaseFields();
+  return status;
 }
 
 Status Tape::sweep() {
@@ -388,13 +405,18 @@ Status Tape::replay(bool forward, bool reverse) {
     return Status::failure(StatusCode::Usage,
                            "a tape cannot be replayed while one is being "
                            "recorded");
-  CollectedWork work(runtime, /*isReplay=*/true);
-  return work.finish(runAgain(forward, reverse));
+  Status status = holdFields();
+  if (status) {
+    CollectedWork work(runtime, /*isReplay=*/true);
+    status = work.finish(runAgain(forward, reverse));
+  }
+  releaseFields();
+  return status;
 }
 
 Status Tape::runAgain(bool forward, bool reverse) {
   if (reverse)
-    runtime.clearGradients();
+    runtime.clearGradients(this);
   else
     runtime.settleZeros();
   if (forward) {

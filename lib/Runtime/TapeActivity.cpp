@@ -13,6 +13,7 @@
 #include "TapeMemory.h"
 #include "TapeTopology.h"
 #include "tai/Runtime/Tape.h"
+#include <algorithm>
 #include <utility>
 
 using namespace mlir::tai::runtime;
@@ -32,6 +33,12 @@ Status Runtime::setActive(const TreePtr &tree, int64_t level, int64_t cell,
       node.deactivate(cell);
     return Status::success();
   };
+  auto held =
+      std::find_if(fieldList.begin(), fieldList.end(),
+                   [&](const FieldPtr &field) { return field->owner == tree; });
+  if (held != fieldList.end())
+    if (Status free = checkHold(**held, HoldKind::Write); !free)
+      return free;
   if (Tape *tape = recordingTape())
     return tape->changeActivity(tree, change);
   // Without tapes nobody asks, and a device need not be waited for.
@@ -55,7 +62,9 @@ Status Tape::changeActivity(const TreePtr &tree,
   for (const FieldPtr &field : runtime.fields()) {
     if (field->owner != tree || field->isAdjoint() || !field->sparseNode())
       continue;
-    Status status = memory->beforeWrite(field, nullptr, index);
+    Status status = touch(field, HoldKind::Write);
+    if (status)
+      status = memory->beforeWrite(field, nullptr, index);
     if (!status)
       return status;
   }

@@ -40,6 +40,15 @@ Status Tape::addLoss(FieldPtr loss) {
   if (isLoss(*loss))
     return Status::failure(StatusCode::Usage,
                            "the loss '" + loss->name() + "' is given twice");
+  // It is set to zero, and then added to.
+  FieldPtr adjoint = loss->adjointField;
+  Status status = runtime.checkHold(*loss, HoldKind::Write);
+  if (status)
+    status = touch(loss, HoldKind::Add);
+  if (status)
+    status = touch(adjoint, clears ? HoldKind::Write : HoldKind::Add);
+  if (!status)
+    return status;
   clearSum(*loss);
   losses.push_back({std::move(loss), {}});
   return Status::success();

@@ -218,6 +218,11 @@ public:
   };
   /// Plans the adjoint of the kernel if need be.
   const KernelUses &usesOf(Kernel &kernel);
+  /// The same, or null where nobody has asked yet.
+  const KernelUses *findUses(const Kernel &kernel) const {
+    auto found = kernelUses.find(&kernel);
+    return found == kernelUses.end() ? nullptr : found->second.get();
+  }
 
   //===--------------------------------------------------------------------===//
   // Forward

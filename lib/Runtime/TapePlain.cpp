@@ -23,7 +23,7 @@
 using namespace mlir::tai::runtime;
 
 bool Runtime::runsPlainly() const {
-  return fusesLaunches && !device && !forward && !opts.profiler;
+  return fusesLaunches && !device && !isForward() && !opts.profiler;
 }
 
 /// Whether calling the function, with its trees and arguments, is all that a

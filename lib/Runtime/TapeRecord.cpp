@@ -25,28 +25,32 @@
 
 using namespace mlir::tai::runtime;
 
-Tape::Tape(Runtime &runtime, uint64_t stamp)
+Tape::Tape(Runtime &runtime, uint64_t stamp, bool clears)
     : runtime(runtime), stamp(stamp),
       memory(std::make_unique<TapeMemory>(runtime)),
       topology(std::make_unique<TapeTopology>(runtime)),
-      arrays(std::make_unique<TapeArrays>()) {
+      arrays(std::make_unique<TapeArrays>()), clears(clears) {
   runtime.tapes.push_back(this);
 }
 
 Tape::~Tape() {
   end();
+  releaseFields();
   runtime.tapes.erase(
       std::find(runtime.tapes.begin(), runtime.tapes.end(), this));
 }
 
 void Tape::end(bool isSwept) {
-  if (!recording())
+  // Of whichever thread: a tape may be dropped by another one.
+  if (!std::exchange(isOpen, false))
     return;
-  runtime.setActiveTape(nullptr);
+  runtime.endRecording(*this);
   topology->end();
   markVersions();
   if (DeviceContext *device = runtime.getDeviceContext())
     device->endRecording(isSwept);
+  if (!isSwept)
+    releaseFields();
 }
 
 bool Tape::recording() const { return runtime.recordingTape() == this; }
@@ -86,11 +90,18 @@ Status Tape::adopt(Kernel &kernel) {
     if (!status)
       return status;
   }
+  Status status = touch(kernel);
+  if (!status)
+    return status;
   for (const TreePtr &tree : kernel.info.trees)
     if (tree)
       topology->watch(tree);
-  kernel.tapeUses = &memory->usesOf(kernel);
-  kernel.tapeStamp = stamp;
+  const void *uses = &memory->usesOf(kernel);
+  // Where several tapes record, each looks for itself.
+  if (!runtime.recordsTogether) {
+    kernel.tapeUses = uses;
+    kernel.tapeStamp = stamp;
+  }
   if (std::find_if(kernels.begin(), kernels.end(), [&](const KernelPtr &known) {
         return known.get() == &kernel;
       }) == kernels.end())
@@ -98,22 +109,35 @@ Status Tape::adopt(Kernel &kernel) {
   return Status::success();
 }
 
+Status Tape::findUses(Kernel &kernel, const void *&uses) {
+  bool isAlone = !runtime.recordsTogether.load(std::memory_order_relaxed);
+  Status status;
+  if (__builtin_expect(isAlone && kernel.tapeStamp == stamp, true)) {
+    uses = kernel.tapeUses;
+    return status;
+  }
+  uses = memory->findUses(kernel);
+  if (uses && !isAlone)
+    return status;
+  // It may take long: another thread may have begun to record by its end.
+  status = adopt(kernel);
+  uses = memory->findUses(kernel);
+  return status;
+}
+
 Status Tape::launch(Launch &launch, Kernel &kernel, const uint64_t *args,
                     uint64_t *results, uint64_t number) {
-  if (__builtin_expect(kernel.tapeStamp != stamp, false)) {
-    Status status = adopt(kernel);
-    if (!status)
-      return status;
-  }
+  const void *uses = nullptr;
+  Status status = findUses(kernel, uses);
+  if (!status)
+    return status;
   if (__builtin_expect(!kernel.hasParts() || suspended, true))
-    return launchOne(launch, kernel, args, results, number);
+    return launchOne(launch, kernel, uses, args, results, number);
   for (const KernelPtr &part : kernel.plan().parts) {
-    Status status;
-    if (part->tapeStamp != stamp)
-      status = adopt(*part);
+    status = findUses(*part, uses);
     part->prepared.lastLaunch.store(number, std::memory_order_relaxed);
     if (status)
-      status = launchOne(launch, *part, args,
+      status = launchOne(launch, *part, uses, args,
                          part->resultSlots() > 0 ? results : nullptr, number);
     if (!status)
       return status;
@@ -121,10 +145,10 @@ Status Tape::launch(Launch &launch, Kernel &kernel, const uint64_t *args,
   return Status::success();
 }
 
-Status Tape::launchOne(Launch &launch, Kernel &kernel, const uint64_t *args,
-                       uint64_t *results, uint64_t number) {
-  const auto &uses =
-      *static_cast<const TapeMemory::KernelUses *>(kernel.tapeUses);
+Status Tape::launchOne(Launch &launch, Kernel &kernel, const void *known,
+                       const uint64_t *args, uint64_t *results,
+                       uint64_t number) {
+  const auto &uses = *static_cast<const TapeMemory::KernelUses *>(known);
   auto index = static_cast<uint32_t>(records.size());
   Status status = memory->beforeLaunch(uses, args, index, suspended > 0);
   if (status) {
@@ -192,8 +216,10 @@ Status Tape::write(const HostWrite &write) {
     return Status::failure(StatusCode::Internal,
                            "field '" + write.field->name() +
                                "' is not known to its runtime");
-  Status status = memory->beforeWrite(field, write.index,
-                                      static_cast<uint32_t>(records.size()));
+  Status status = touch(field, HoldKind::Write);
+  if (status)
+    status = memory->beforeWrite(field, write.index,
+                                 static_cast<uint32_t>(records.size()));
   if (!status)
     return status;
   runtime.perform(write);
@@ -259,12 +285,16 @@ Status Tape::checkVersions() {
   for (const auto &[field, version] : versions)
     if (field->hostVersion != version)
       byHost.push_back(field.get());
-  for (const std::weak_ptr<Kernel> &entry : runtime.kernelList)
-    if (KernelPtr kernel = entry.lock())
-      if (kernel->prepared.lastLaunch.load(std::memory_order_relaxed) >=
-              endLaunch &&
-          endLaunch > 0)
-        addChangedBy(*kernel, byKernels);
+  {
+    // Other threads may define kernels meanwhile.
+    std::lock_guard<std::mutex> lock(runtime.launchMutex);
+    for (const std::weak_ptr<Kernel> &entry : runtime.kernelList)
+      if (KernelPtr kernel = entry.lock())
+        if (kernel->prepared.lastLaunch.load(std::memory_order_relaxed) >=
+                endLaunch &&
+            endLaunch > 0)
+          addChangedBy(*kernel, byKernels);
+  }
   auto check = [&](const std::vector<Field *> &changed, const char *how) {
     for (Field *field : changed) {
       if (minds(*field))

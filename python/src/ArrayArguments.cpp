@@ -16,6 +16,7 @@
 #include <algorithm>
 #include <cstring>
 #include <unordered_map>
+#include <utility>
 
 using namespace taipy;
 
@@ -39,15 +40,25 @@ struct TapedArray {
   bool hasSample = false;
   uint64_t sample = 0;
 };
-/// Which tape that is. It is held: another one could come to lie there.
-PyObject *arrayTape = nullptr;
-std::unordered_map<PyObject *, TapedArray> taped;
+/// Those of the tape that a thread records.
+struct TapedArrays {
+  /// Held: another one could come to lie there.
+  py::object tape;
+  std::unordered_map<PyObject *, TapedArray> arrays;
+};
+/// Not an object itself: a thread ends without Python's lock.
+thread_local TapedArrays *taped = nullptr;
+
+TapedArray *findTaped(PyObject *object) {
+  if (!taped)
+    return nullptr;
+  auto found = taped->arrays.find(object);
+  return found == taped->arrays.end() ? nullptr : &found->second;
+}
 
 void forgetArrays() {
   // What goes with them may come back here.
-  std::unordered_map<PyObject *, TapedArray> old;
-  old.swap(taped);
-  Py_CLEAR(arrayTape);
+  delete std::exchange(taped, nullptr);
 }
 
 /// A digest of some of the bytes.
@@ -124,10 +135,10 @@ Match HeldArrays::pack(const ArrayArg &arg, PyObject *object, Slots &slots) {
 bool HeldArrays::isKnownToTape(const Range &range, PyObject *object,
                                Slots &slots, size_t first) const {
   const ArrayArg &arg = *range.arg;
-  auto found = taped.find(object);
-  if (arg.isWritten || found == taped.end())
+  const TapedArray *found = findTaped(object);
+  if (arg.isWritten || !found)
     return false;
-  const TapedArray &known = found->second;
+  const TapedArray &known = *found;
   if (known.begin != range.begin || known.end != range.end)
     return false;
   if (arg.hasGradient &&
@@ -385,16 +396,18 @@ uint64_t taipy::digest(uint64_t address, uint64_t bytes) {
 
 void taipy::setArrayTape(PyObject *tape) {
   // While a function runs that is not recorded there is none.
-  if (!tape || tape == arrayTape)
+  if (!tape || (taped && taped->tape.ptr() == tape))
     return;
   forgetArrays();
-  arrayTape = Py_NewRef(tape);
+  taped = new TapedArrays{py::reinterpret_borrow<py::object>(tape), {}};
 }
 
 void taipy::bindArrayArguments(py::module_ &module) {
   module.def("note_taped_array", [](const py::object &array, uint64_t address,
                                     uint64_t bytes, int64_t version) {
-    auto [entry, isNew] = taped.try_emplace(
+    if (!taped)
+      return;
+    auto [entry, isNew] = taped->arrays.try_emplace(
         array.ptr(), TapedArray{array, address, address + bytes, version});
     entry->second.begin = address;
     entry->second.end = address + bytes;
@@ -405,34 +418,30 @@ void taipy::bindArrayArguments(py::module_ &module) {
   });
   // Its adjoints read a copy, by its address.
   module.def("note_frozen_array", [](const py::object &array, uint64_t frozen) {
-    auto found = taped.find(array.ptr());
-    if (found != taped.end())
-      found->second.frozen = frozen;
+    if (TapedArray *found = findTaped(array.ptr()))
+      found->frozen = frozen;
   });
   // They read the array itself, which must go on to have this digest.
   module.def("note_array_digest", [](const py::object &array, uint64_t value) {
-    auto found = taped.find(array.ptr());
-    if (found != taped.end()) {
-      found->second.hasDigest = true;
-      found->second.digest = value;
+    if (TapedArray *found = findTaped(array.ptr())) {
+      found->hasDigest = true;
+      found->digest = value;
     }
   });
   // They read the array, which kernels write: whether Python has, too, is seen
   // by some of its elements.
   module.def("note_array_sample", [](const py::object &array, uint64_t value) {
-    auto found = taped.find(array.ptr());
-    if (found != taped.end()) {
-      found->second.hasSample = true;
-      found->second.sample = value;
+    if (TapedArray *found = findTaped(array.ptr())) {
+      found->hasSample = true;
+      found->sample = value;
     }
   });
   module.def("digest", &digest);
   module.def("sample", &sample);
   module.def("note_taped_gradient",
              [](const py::object &array, uint64_t address) {
-               auto found = taped.find(array.ptr());
-               if (found != taped.end())
-                 found->second.gradient = address;
+               if (TapedArray *found = findTaped(array.ptr()))
+                 found->gradient = address;
              });
   module.def("forget_taped_arrays", &forgetArrays);
   module.def("set_ndarray_type", [](const py::object &type) {

@@ -31,31 +31,43 @@ namespace {
 /// or `ti.reset` has replaced.
 uint64_t generation = 1;
 
-/// The tape that records, or null, and the thread whose launches it records.
-PyObject *recordingTape = nullptr;
-unsigned long recordingThread = 0;
-
-/// Whether this thread records.
+/// How many threads record, and whether this one does.
+int recordingThreads = 0;
+thread_local bool isRecordingHere = false;
 inline bool isRecording() {
-  return __builtin_expect(recordingTape != nullptr, false) &&
-         recordingThread == PyThread_get_thread_ident();
+  return __builtin_expect(recordingThreads != 0, false) && isRecordingHere;
 }
 
 /// The class of numbers that have a gradient or a tangent.
 PyObject *trackedType = nullptr;
 
-/// Whether kernels are launched with their tangents, and how many have been
-/// launched since then.
-bool forwardMode = false;
-uint64_t forwardLaunches = 0;
+/// Whether a thread launches kernels with their tangents, whether this one
+/// does, and how many it has launched since then.
+int forwardThreads = 0;
+thread_local bool isForwardHere = false;
+thread_local uint64_t forwardLaunches = 0;
+inline bool isForward() {
+  return __builtin_expect(forwardThreads != 0, false) && isForwardHere;
+}
 
 /// Whether values with a history are about, so that Python looks once at each
-/// place that calls with plain numbers; and the places that it has looked at.
-bool watchesNumbers = false;
+/// place that calls with plain numbers, on threads and on this one; and the
+/// places that it has looked at.
+int watchingThreads = 0;
+thread_local bool watchesNumbersHere = false;
+inline bool watchesNumbers() {
+  return __builtin_expect(watchingThreads != 0, false) && watchesNumbersHere;
+}
 std::unordered_set<uint64_t> knownSites;
 
 /// Of the call that is being made.
 const PyObject *calledLauncher = nullptr;
+
+/// Sets the flag of a thread, and counts those that have it.
+void setFlag(bool &flag, int &threads, bool on) {
+  threads += on - flag;
+  flag = on;
+}
 
 uint64_t siteOf(PyCodeObject *code, int line, const PyObject *launcher) {
   constexpr uint64_t odd = 0x9e3779b97f4a7c15;
@@ -175,14 +187,13 @@ Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
   case ArgKind::F32:
   case ArgKind::F64: {
     double number;
-    if (__builtin_expect(watchesNumbers, false) && !PyLong_Check(object) &&
-        !isKnownSite())
+    if (watchesNumbers() && !PyLong_Check(object) && !isKnownSite())
       return Match::No;
     if (PyFloat_CheckExact(object)) {
       number = PyFloat_AS_DOUBLE(object);
     } else {
       if (PyUnicode_Check(object) || PyBytes_Check(object) ||
-          ((isRecording() || forwardMode) && trackedType &&
+          ((isRecording() || isForward()) && trackedType &&
            PyObject_TypeCheck(object,
                               reinterpret_cast<PyTypeObject *>(trackedType))))
         return Match::No;
@@ -243,7 +254,8 @@ PyObject *toPython(const Result &result, uint64_t slot) {
 }
 
 PyObject *launch(Specialization &spec, const uint64_t *slots, size_t numSlots) {
-  forwardLaunches += forwardMode;
+  if (isForward())
+    ++forwardLaunches;
   int64_t count = static_cast<int64_t>(numSlots);
   bool hasResults = !spec.grad && spec.result.count;
   uint64_t results[16];
@@ -280,7 +292,7 @@ Match tryLaunch(Specialization &spec, PyObject *const *args, size_t count,
       (isRecording() &&
        (spec.tracking == Specialization::Tracking::Python ||
         (spec.tracking == Specialization::Tracking::Arrays && spec.grad))) ||
-      (forwardMode && spec.tracking == Specialization::Tracking::Python))
+      (isForward() && spec.tracking == Specialization::Tracking::Python))
     return Match::No;
   Slots slots;
   std::optional<HeldArrays> held;
@@ -461,15 +473,14 @@ void taipy::bindLauncher(py::module_ &module) {
   bindConstants(module);
 
   module.def("set_tape", [](const py::object &tape) {
-    Py_XDECREF(recordingTape);
-    recordingTape = tape.is_none() ? nullptr : tape.inc_ref().ptr();
-    recordingThread = PyThread_get_thread_ident();
-    setArrayTape(recordingTape);
+    setFlag(isRecordingHere, recordingThreads, !tape.is_none());
+    setArrayTape(tape.is_none() ? nullptr : tape.ptr());
   });
   module.def("set_tracked_type", [](const py::object &type) {
     trackedType = type.inc_ref().ptr();
   });
-  module.def("watch_numbers", [](bool on) { watchesNumbers = on; });
+  module.def("watch_numbers",
+             [](bool on) { setFlag(watchesNumbersHere, watchingThreads, on); });
   module.def("forget_sites", [] { knownSites.clear(); });
   // Whoever calls this keeps the code object.
   module.def("note_site", [](const py::object &code, int line,
@@ -478,7 +489,7 @@ void taipy::bindLauncher(py::module_ &module) {
                              launcher.ptr()));
   });
   module.def("set_forward_mode", [](bool on) {
-    forwardMode = on;
+    setFlag(isForwardHere, forwardThreads, on);
     forwardLaunches = 0;
   });
   module.def("forward_launches", [] { return forwardLaunches; });
@@ -538,6 +549,20 @@ void taipy::bindLauncher(py::module_ &module) {
                  throw py::error_already_set();
                return py::reinterpret_steal<py::object>(answer);
              });
+  // Drops those of one compiled kernel.
+  module.def("drop_specialization", [](const py::object &launcher,
+                                       const std::shared_ptr<Kernel> &kernel) {
+    auto &all = *toLauncher(launcher)->specializations;
+    std::vector<std::unique_ptr<Specialization>> gone;
+    for (auto &one : all)
+      if (one->kernel == kernel)
+        one->generation = 0; // matches never again
+    for (auto &one : all)
+      if (one->kernel == kernel && !one->running)
+        gone.push_back(std::move(one));
+    all.erase(std::remove(all.begin(), all.end(), nullptr), all.end());
+    // What goes with them may call Python: `all` is whole by now.
+  });
   // Drops the specialisations of a launcher.
   module.def("clear_specializations", [](const py::object &launcher) {
     auto &all = *toLauncher(launcher)->specializations;

@@ -42,8 +42,17 @@ namespace {
 
 struct Field {
   ContextRef context;
-  TaiField handle;
+  TaiField handle = nullptr;
   TaiFieldInfo info;
+
+  Field() = default;
+  Field(const Field &) = delete;
+  Field &operator=(const Field &) = delete;
+  ~Field() {
+    if (handle)
+      taiFieldRelease(handle);
+    retakeLock();
+  }
 
   bool isFloat() const {
     return info.type == TAI_F16 || info.type == TAI_BF16 ||
@@ -260,6 +269,8 @@ void bindTape(py::module_ &module) {
                                      : taiTapeEnd(t.handle));
           },
           py::arg("is_swept") = false)
+      .def("clear_gradients",
+           [](Tape &t) { t.context->check(taiTapeClearGradients(t.handle)); })
       .def("backward",
            [](Tape &t) { checkSweep(t, taiTapeBackward(t.handle)); })
       .def("replay",
@@ -475,6 +486,15 @@ void bindKernel(py::module_ &module) {
            [](Kernel &k, int64_t slot) {
              return taiKernelEndsGradients(k.handle, slot);
            })
+      .def_property_readonly(
+          "trees",
+          [](Kernel &k) {
+            std::vector<std::string> trees;
+            while (const char *name = taiKernelGetTree(
+                       k.handle, static_cast<int64_t>(trees.size())))
+              trees.push_back(name);
+            return trees;
+          })
       .def("compile", [](Kernel &k, bool adjoint) {
         k.context->check(
             taiKernelsCompile(k.context->handle, &k.handle, 1, adjoint));
@@ -544,6 +564,29 @@ void taipy::bindRuntime(py::module_ &module) {
              c->check(taiFieldGetInfo(field->handle, &field->info));
              return field;
            })
+      .def("has_kernel",
+           [](Context &c, const std::string &name) {
+             return taiContextHasKernel(c.handle, name.c_str());
+           })
+      .def("count_objects",
+           [](Context &c) {
+             TaiContextObjects held = {};
+             c.check(taiContextCountObjects(c.handle, &held));
+             py::dict result;
+             result["trees"] = held.trees;
+             result["fields"] = held.fields;
+             result["declarations"] = held.declarations;
+             result["field_handles"] = held.field_handles;
+             result["kernel_handles"] = held.kernel_handles;
+             result["tape_handles"] = held.tape_handles;
+             result["kernels"] = held.kernels;
+             result["kernel_codes"] = held.kernel_codes;
+             result["linked"] = held.linked;
+             result["failures"] = held.failures;
+             return result;
+           })
+      .def("clear_tangents",
+           [](Context &c) { c.check(taiContextClearTangents(c.handle)); })
       .def("clear_gradients",
            [](Context &c) { c.check(taiContextClearGradients(c.handle)); })
       .def("compile",

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import weakref
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -251,10 +252,12 @@ def _version(tensor: Any) -> int | None:
 class TapeArrays:
     """What a tape knows of the arrays of its launches."""
 
-    def __init__(self, core: Any, runs_again: bool):
+    def __init__(self, core: Any, runs_again: bool, take: weakref.WeakMethod):
         from . import _core
 
         self._core, self._runs_again, self._launcher = core, runs_again, _core
+        # What to do with the gradient of an array that a launch uses. Weak: it is the tape's.
+        self._take = take
         # By address and size: a part of an array may start where the array does.
         self._used: dict[tuple, Any] = {}
         self._names: dict[tuple, HeldArray] = {}
@@ -397,6 +400,9 @@ class TapeArrays:
 
     def use_gradient(self, value: Any, buffer: Any) -> None:
         """The memory to which the gradient of an argument is added."""
+        taken = getattr(getattr(value, "grad", None), "taken", None)
+        if taken is not None:
+            self._take()(taken)  # type: ignore[misc]
         self._core.keep(buffer)
         self._launcher.note_taped_gradient(value, buffer.ctypes.data)
         if hasattr(value, "requires_grad"):

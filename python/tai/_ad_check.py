@@ -17,8 +17,9 @@ import numpy as np
 
 from . import _ad_values, _state
 from ._ad_probe import FORWARD_TOLERANCE, Probe, climb, direction, relative_error
+from ._ad_snapshot import Snapshot, storage
 from ._ad_source import Place
-from ._ad_sparse import Activity, active_elements, require_small, sparse_level
+from ._ad_sparse import active_elements, sparse_level
 from .errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
 from .program import get_program
 
@@ -187,34 +188,6 @@ class CheckResult:
 # State
 
 
-class Snapshot:
-    """The contents of all fields of the program, to put back bit for bit."""
-
-    def __init__(self, arrays: Sequence[np.ndarray] = ()):
-        self._fields = [f for f in get_program().fields.values() if f._core is not None]
-        for f in self._fields:
-            if sparse_level(f) is not None:
-                require_small(f)
-        self._activity = Activity()
-        self._kept = [self._take(f) for f in self._fields]
-        self._arrays = [(a, a.copy()) for a in arrays]
-
-    @staticmethod
-    def _take(f: Any) -> np.ndarray:
-        array = np.empty(f.shape + f.element_shape, f.dtype.numpy)
-        f.core.copy_to(array)
-        return array
-
-    def restore(self, only_primal: bool = False) -> None:
-        self._activity.restore()
-        for f, kept in zip(self._fields, self._kept, strict=True):
-            if only_primal and f.role != "primal":
-                continue
-            f.core.copy_from(kept)
-        for array, kept in self._arrays:
-            array[...] = kept
-
-
 def differentiable_fields() -> dict[str, Any]:
     """The placed fields of the program that have a gradient, by symbol."""
     found = {}
@@ -228,13 +201,6 @@ def differentiable_fields() -> dict[str, Any]:
             if grad is not None and grad._core is not None:
                 found[symbol] = f
     return found
-
-
-def storage(f: Any) -> list[Any]:
-    """The places that hold a field, which a symbol names."""
-    if getattr(f, "is_window", False):
-        f = f._whole
-    return list(f.parts) if hasattr(f, "parts") else [f]
 
 
 def _seed(f: Any, array: np.ndarray) -> None:
@@ -359,10 +325,13 @@ class Program:
 
     def record(self) -> None:
         """Runs it once on a tape, and finds out what it reads and changes."""
-        self.start.restore(only_primal=True)
+        # Before it is limited, it has only just been taken.
+        if self.start.is_limited:
+            self.start.restore(only_primal=True)
         with recording(self.loss) as core:
             self.run()
         self.core = core
+        self.start.limit(core)
         if core.records == 0:
             raise TaiAutodiffError("nothing was launched, so there is no gradient to check")
         reads, changes = self._find_accesses()
@@ -524,14 +493,14 @@ def forward_derivative(
     if any(not _has_dual(known) for known in differentiable_fields().values()):
         return None
     program.start.restore(only_primal=True)
-    clear_duals()
-    f._companions["dual"].core.copy_from(np.ascontiguousarray(along, f.dtype.numpy))
     with forward_mode():
+        clear_duals()
+        f._companions["dual"].core.copy_from(np.ascontiguousarray(along, f.dtype.numpy))
         program.values()
-    total = 0.0
-    for output, seed in zip(program.outputs, seeds, strict=True):
-        tangent = Snapshot._take(output._companions["dual"]).astype(np.float64)
-        total += float(np.sum(tangent[seed != 0] * seed[seed != 0]))
+        total = 0.0
+        for output, seed in zip(program.outputs, seeds, strict=True):
+            tangent = Snapshot._take(output._companions["dual"]).astype(np.float64)
+            total += float(np.sum(tangent[seed != 0] * seed[seed != 0]))
     return total
 
 
@@ -777,6 +746,8 @@ class GradCheck:
     def end(self, core: Any, loss: Any) -> CheckResult:
         """The tape has swept: compares, prints a line for each field, raises if one is wrong."""
         after = Snapshot()
+        after.limit(core)
+        self._start.limit(core)
         try:
             program = Program(functools.partial(run_records, core), loss, self._start)
             program.record()

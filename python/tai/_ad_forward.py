@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -70,10 +71,13 @@ def check_tangent(field: Any, tangent: Any) -> np.ndarray:
 
 
 def clear_duals() -> None:
-    """Sets the duals of all fields to zero."""
-    for field in list(get_program().fields.values()):
-        if field.role == "dual":
-            field.fill(0.0)
+    """Sets the duals of all fields to zero, but those that another thread has computed."""
+    get_program().context.clear_tangents()
+
+
+# Threads are in forward mode one after the other: the duals of a field that two of them use are
+# those of one run.
+_one_thread = threading.RLock()
 
 
 def _cores_of(fields: Sequence[Any]) -> list[Any]:
@@ -104,11 +108,18 @@ def _warn_of_lost(lines: list[str], stacklevel: int) -> None:
 def forward_mode() -> Iterator[None]:
     """Launches kernels with their tangents while its block runs.
 
+    Another thread that wants that waits for the end of the block.
+
     Raises:
         TaiRuntimeError: forward mode is on already.
     """
     if _state.forward:
         raise TaiRuntimeError("forward mode is on already", "leave its `with` block first")
+    with _one_thread:
+        yield from _forward_mode()
+
+
+def _forward_mode() -> Iterator[None]:
     program = get_program()
     from . import _core
 
@@ -168,19 +179,21 @@ def run_forward(
     pairs = _prepare(tangents, "the field of a tangent")
     for field in outputs:
         check_dual(field, "output")
-    if clear:
-        clear_duals()
-    for field, tangent in pairs:
-        field.dual.from_numpy(tangent)
-    with forward_mode():
-        _follow([field for field, _ in pairs], not clear)
-        if isinstance(function, Tape):
-            function.replay(forward=True, backward=False)
-        else:
-            function()
-        lost = _find_lost(outputs)
+    with _one_thread:
+        if clear:
+            clear_duals()
+        for field, tangent in pairs:
+            field.dual.from_numpy(tangent)
+        with forward_mode():
+            _follow([field for field, _ in pairs], not clear)
+            if isinstance(function, Tape):
+                function.replay(forward=True, backward=False)
+            else:
+                function()
+            lost = _find_lost(outputs)
+        found = [field.dual.to_numpy() for field in outputs]
     _warn_of_lost(lost, 3)
-    return [field.dual.to_numpy() for field in outputs]
+    return found
 
 
 def hessian_product(
@@ -199,18 +212,19 @@ def hessian_product(
                 "a gradient passes through both",
                 "make it with needs_dual=True too, or call ti.root.lazy_dual()",
             )
-    clear_duals()
-    for field, tangent in checked:
-        if field.grad is None or field.grad.snode is None:
-            field.grad._placed_node()  # raises
-        field.dual.from_numpy(tangent)
-    with forward_mode():
-        if isinstance(function, Tape):
-            function.replay(forward=True, backward=True)
-        else:
-            with Tape(loss):
-                function()
-    return [field.grad.dual.to_numpy() for field, _ in checked]
+    with _one_thread:
+        clear_duals()
+        for field, tangent in checked:
+            if field.grad is None or field.grad.snode is None:
+                field.grad._placed_node()  # raises
+            field.dual.from_numpy(tangent)
+        with forward_mode():
+            if isinstance(function, Tape):
+                function.replay(forward=True, backward=True)
+            else:
+                with Tape(loss):
+                    function()
+        return [field.grad.dual.to_numpy() for field, _ in checked]
 
 
 def _as_list(value: Any) -> list[Any]:

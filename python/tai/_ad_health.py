@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ._ad_check import READ, Accesses, Snapshot, differentiable_fields, elements
+from ._ad_check import READ, Accesses, differentiable_fields, elements
+from ._ad_snapshot import Snapshot
 from ._ad_source import Place
 from .errors import shorten
 
@@ -135,9 +136,7 @@ def take_health(core: Any, loss: Any, watched: bool) -> HealthReport:
         return _report(core, loss)
     snapshot = Snapshot()
     try:
-        from .program import get_program
-
-        get_program().context.clear_gradients()
+        core.clear_gradients()
         core.watch_health(True)
         core.backward()
         return _report(core, loss)

@@ -15,6 +15,7 @@ import functools
 import linecache
 import math
 import sys
+import threading
 import warnings
 from types import FunctionType
 from typing import Any
@@ -35,34 +36,44 @@ _DEPTH = 3
 # these, so that no others come to lie there.
 _sites: set[tuple[int, int, int]] = set()
 _kept: dict[int, Any] = {}
-_watches = False
+# As many as a program has places. What makes code all day meets more.
+_MOST_SITES = 4096
+
+
+class _OfThread(threading.local):
+    watches = False
+
+
+_of_thread = _OfThread()
 
 
 def begin() -> None:
     """A value with a history has come to Python."""
-    global _watches
-    if not _watches and (_state.tape is not None or _state.forward):
+    if not _of_thread.watches and (_state.tape is not None or _state.forward):
         from . import _core
 
-        _watches = True
+        _of_thread.watches = True
         _core.watch_numbers(True)
 
 
 def end() -> None:
     """Nothing is recorded or followed any more."""
-    global _watches
-    if _watches:
+    if _of_thread.watches:
         from . import _core
 
-        _watches = False
+        _of_thread.watches = False
         _core.watch_numbers(False)
 
 
 def forget() -> None:
     """The program is over: its places are looked at again."""
+    end()
+    _forget_sites()
+
+
+def _forget_sites() -> None:
     from . import _core
 
-    end()
     _sites.clear()
     _kept.clear()
     _core.forget_sites()
@@ -107,7 +118,7 @@ def end_tangent(field: Any) -> None:
 
 def note_read(field: Any) -> None:
     """Python reads a field; to be called under a tape or in forward mode."""
-    if not _watches and has_history(field):
+    if not _of_thread.watches and has_history(field):
         begin()
 
 
@@ -124,6 +135,8 @@ def _is_new(frame: Any, what: Any) -> bool:
     site = (id(code), frame.f_lineno, id(what))
     if site in _sites:
         return False
+    if len(_sites) >= _MOST_SITES:
+        _forget_sites()
     _sites.add(site)
     _kept[id(code)], _kept[id(what)] = code, what
     return True
@@ -137,7 +150,7 @@ def _as_kernel(called: Any) -> Any:
 
 def check_call(kernel: Any, parameters: list, values: list) -> None:
     """Looks at the plain numbers that a kernel is called with."""
-    if not _watches:
+    if not _of_thread.watches:
         return
     frame = _caller()
     if frame is None:
@@ -170,7 +183,7 @@ def check_write(field: Any, value: Any) -> None:
     is_field = hasattr(field, "_companions")
     what = f"what Python writes to field '{field.name}'" if is_field else "what an array is given"
     tracked = _is_followed(value)
-    if not tracked and (not _watches or isinstance(value, int)):
+    if not tracked and (not _of_thread.watches or isinstance(value, int)):
         return
     frame = _caller()
     if frame is None or not _is_new(frame, check_write):

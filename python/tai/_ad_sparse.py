@@ -61,6 +61,10 @@ class Activity:
     def _cells(self, tree: str, number: int) -> np.ndarray:
         return np.frombuffer(self._context.active_cells(tree, number), dtype=np.int64)
 
+    def limit(self, trees: set[str]) -> None:
+        """Restores these trees only."""
+        self._kept = [entry for entry in self._kept if entry[0] in trees]
+
     def restore(self) -> None:
         for tree, number, dynamic, kept in self._kept:
             now = self._cells(tree, number)

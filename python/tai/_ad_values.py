@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import operator
+import threading
 import weakref
 from collections.abc import Iterator
 from types import FunctionType
@@ -36,10 +37,12 @@ class Gradient:
             gradients, a component or None, and the partial derivative.
     """
 
-    __slots__ = ("__weakref__", "buffers", "dt", "parts", "shape")
+    __slots__ = ("__weakref__", "buffers", "dt", "owner", "parts", "shape", "user")
 
     def __init__(self, shape: tuple[int, ...], dt: DataType | None = None, parts: Any = None):
         self.shape, self.dt, self.parts = shape, dt, parts
+        # The thread whose it is, and the tape that has used it last; see `TapeValues.take`.
+        self.owner, self.user = _state.thread, None
         self.buffers: dict[DataType, np.ndarray] = {}
 
     @property
@@ -89,19 +92,45 @@ class Gradient:
 # All variables, and all arrays with a gradient: what clearing gradients clears.
 _variables: weakref.WeakSet = weakref.WeakSet()
 _arrays: weakref.WeakSet = weakref.WeakSet()
+# Sets do not like to grow while somebody goes through them.
+_lock = threading.Lock()
 
 
-def clear_gradients() -> None:
-    """Sets the gradients of variables and arrays to zero."""
-    for gradient in _variables:
-        gradient.clear()
-    for array in _arrays:
-        array.array[...] = 0
+class ArrayGradient:
+    """The gradient of a `ti.ndarray`, as what a tape takes."""
+
+    def __init__(self, array: np.ndarray):
+        self.array = array
+        self.owner, self.user = _state.thread, None
+
+    def clear(self) -> None:
+        self.array[...] = 0
 
 
-def note_gradient_array(array: Any) -> None:
-    """Remembers the gradient of an array."""
-    _arrays.add(array)
+def clear_gradients(all_threads: bool = True) -> None:
+    """Sets the gradients of variables and arrays to zero.
+
+    Args:
+        all_threads: or only of those that no other thread has computed.
+    """
+    with _lock:
+        things = [*_variables, *_arrays]
+    for thing in things:
+        if all_threads or thing.owner is _state.thread:
+            thing.clear()
+
+
+def _note_variable(gradient: Gradient) -> None:
+    with _lock:
+        _variables.add(gradient)
+
+
+def note_gradient_array(array: Any) -> ArrayGradient:
+    """Remembers the gradient of an array, for as long as what this returns is kept."""
+    gradient = ArrayGradient(array.array)
+    with _lock:
+        _arrays.add(gradient)
+    return gradient
 
 
 # Values
@@ -131,7 +160,7 @@ def variable(value: Any) -> Any:
         raise TaiRuntimeTypeError(f"a variable is a float, a vector or a matrix, not {value!r}")
     if isinstance(value, (int, float, np.integer, np.floating)):
         gradient = Gradient(())
-        _variables.add(gradient)
+        _note_variable(gradient)
         return Number._make(float(value), gradient)
     try:
         array = np.array(value, np.float64)
@@ -143,7 +172,7 @@ def variable(value: Any) -> Any:
             "keep larger arrays in a field or a ti.ndarray with needs_grad=True",
         )
     gradient = Gradient(array.shape)
-    _variables.add(gradient)
+    _note_variable(gradient)
     return _wrap(array, gradient)
 
 
@@ -423,18 +452,55 @@ def gradient_array(value: Any) -> Any:
 class TapeValues:
     """What a tape knows of the values and arrays of its launches."""
 
-    def __init__(self, core: Any, runs_again: bool = False):
+    def __init__(self, core: Any, runs_again: bool = False, clears: bool = True):
         self.core = core
         self._gradients: list[Gradient] = []  # of results and of what Python computed
         self._passed: set[tuple[int, Any]] = set()
-        self.arrays = TapeArrays(core, runs_again)
+        self.arrays = TapeArrays(core, runs_again, weakref.WeakMethod(self.take))
         self._fed_back = False
+        self._clears = clears
+        # Of the thread that records or sweeps, until it is done.
+        self.worker: object = _state.thread
+        self._taken: list[Any] = []
+
+    def take(self, thing: Any) -> None:
+        """A launch uses the gradient of a variable or an array.
+
+        What another thread has left there counts as zero.
+
+        Raises:
+            TaiRuntimeError: a tape of another thread uses it now.
+        """
+        other = None if thing.user is None else thing.user()
+        if other is self:
+            return
+        me = _state.thread
+        if other is not None and other.worker not in (None, me) and (
+            self._clears or other._clears
+        ):  # fmt: skip
+            raise TaiRuntimeError(
+                "another thread records a tape that uses the gradient of the same "
+                + ("array" if isinstance(thing, ArrayGradient) else "variable"),
+                "give each thread its own, or begin with the one when the gradient of the other "
+                "is there",
+            )
+        if thing.owner is not me:
+            if self._clears:
+                thing.clear()
+            thing.owner = me
+        thing.user = weakref.ref(self)
+        self._taken.append(thing)
+
+    def end_work(self) -> None:
+        """The sweep is over, or will not come."""
+        self.worker = None
 
     def argument(self, gradient: Gradient, dt: DataType) -> np.ndarray:
         """The memory for the adjoint of an argument of the launch that comes next."""
         buffer = gradient.buffer(dt)
         self.core.keep(buffer)
         if gradient.is_variable:
+            self.take(gradient)
             return buffer
         self._fed_back = True
         if gradient.dt is not dt and (id(gradient), dt) not in self._passed:
@@ -459,16 +525,25 @@ class TapeValues:
             losses: pairs of values and seeds.
             forward: whether the launches run forward again before.
         """
-        if forward:
-            self.arrays.take_versions()
-        else:
-            self.arrays.check_versions()
-        for gradient in self._gradients:
-            gradient.clear()
-        for value, amount in losses:
-            _seed(value, amount)
-        with self.arrays.sweep():
-            yield
+        if self.worker is not _state.thread:
+            taken, self._taken = self._taken, []
+            self.worker = _state.thread
+            for thing in taken:
+                thing.user = None if thing.user is None or thing.user() is self else thing.user
+                self.take(thing)
+        try:
+            if forward:
+                self.arrays.take_versions()
+            else:
+                self.arrays.check_versions()
+            for gradient in self._gradients:
+                gradient.clear()
+            for value, amount in losses:
+                _seed(value, amount)
+            with self.arrays.sweep():
+                yield
+        finally:
+            self.end_work()
 
     def check_replay(self) -> None:
         """A forward replay calls kernels with the arguments that were recorded."""
@@ -544,20 +619,23 @@ def parse_losses(losses: tuple) -> tuple:
     return tuple(pairs)
 
 
-# The values of the tape that records, or None.
-active: TapeValues | None = None
+class _OfThread(threading.local):
+    # The values of the tape that records, or None.
+    active: TapeValues | None = None
 
 
-def begin(core: Any, runs_again: bool = False) -> TapeValues:
+_of_thread = _OfThread()
+
+
+def begin(core: Any, runs_again: bool = False, clears: bool = True) -> TapeValues:
     """Begins to follow the values of a tape, which may run kernels again in its sweep."""
-    global active
-    active = TapeValues(core, runs_again)
-    return active
+    _of_thread.active = TapeValues(core, runs_again, clears)
+    return _of_thread.active
 
 
 def recording() -> TapeValues | None:
     """The values of the tape that records, whoever began it."""
-    core = _state.tape
+    core, active = _state.tape, _of_thread.active
     if core is None:
         return None
     return active if active is not None and active.core is core else begin(core)
@@ -565,9 +643,8 @@ def recording() -> TapeValues | None:
 
 def end() -> None:
     """The tape records no more."""
-    global active
     if not _state.forward:
         _ad_origins.end()
-    if active is not None:
-        active.arrays.end()
-    active = None
+    if _of_thread.active is not None:
+        _of_thread.active.arrays.end()
+    _of_thread.active = None

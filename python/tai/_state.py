@@ -22,13 +22,16 @@ options: Options = None  # type: ignore[assignment]
 program: Program | None = None
 # How many kernels have been defined.
 kernels_made: int = 0
-# Whether kernels are launched with their tangents.
-forward: bool = False
 
 
 class _OfThread(threading.local):
     emitter: Emitter | None = None
     tape: Any = None
+    forward: bool = False
+
+    def __init__(self) -> None:
+        # What no other thread has, now or later.
+        self.token = object()
 
 
 _of_thread = _OfThread()
@@ -45,6 +48,20 @@ class _State(types.ModuleType):
     @emitter.setter
     def emitter(self, value: Emitter | None) -> None:
         _of_thread.emitter = value
+
+    @property
+    def forward(self) -> bool:
+        """Whether kernels are launched with their tangents."""
+        return _of_thread.forward
+
+    @forward.setter
+    def forward(self, value: bool) -> None:
+        _of_thread.forward = value
+
+    @property
+    def thread(self) -> object:
+        """Stands for the calling thread."""
+        return _of_thread.token
 
     @property
     def tape(self) -> Any:

@@ -58,7 +58,8 @@ class Tape:
             fields: those of more than one number need a seed, here or in `grad`. Or None:
             then nothing runs in reverse before `backward(…)`, or `grad()` after gradients were
             set by hand. Or a `ti.ndarray` of one number that has a gradient.
-        clear_gradients: set all gradients to zero first.
+        clear_gradients: set all gradients to zero first, but for those that another thread has
+            computed and this tape does not use.
         validation: check the global data access rules at run time, element by element: no
             element is written again but by accumulation, and none once it was read. What
             breaks them raises `TaiAssertionError` when the block is left, also where the tape
@@ -124,9 +125,9 @@ class Tape:
         if self._outer_loss is not None:
             self._outer_loss.fill(0)
         if self.clear_gradients:
-            _ad_values.clear_gradients()
+            _ad_values.clear_gradients(all_threads=False)
         self._core = program.context.tape(None, self.clear_gradients)
-        self._values = _ad_values.begin(self._core, self._checkpoint[0] != 0)
+        self._values = _ad_values.begin(self._core, self._checkpoint[0] != 0, self.clear_gradients)
         try:
             for field in self._losses:
                 for part, _ in parts_of(field):
@@ -137,6 +138,7 @@ class Tape:
         except BaseException:
             self._core.end()
             _ad_values.end()
+            self._values.end_work()
             raise
         self._was_seeded = (seeds is not None or self._outer_loss is not None) or (
             bool(self._losses) and all(map(is_number, self._losses))
@@ -161,11 +163,17 @@ class Tape:
 
     def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
         self._stop(is_swept=kind is None and self._was_seeded and not self._checks)
-        if kind is None and self._checks:
-            raise_violations(self._core)
+        try:
+            if kind is None and self._checks:
+                raise_violations(self._core)
+            if kind is None and self._was_seeded:
+                with self._values.sweep(self._outer_seeds()):
+                    self._core.backward()
+        finally:
+            # Where there was no sweep, other threads may go on as after one.
+            self._core.end()
+            self._values.end_work()
         if kind is None and self._was_seeded:
-            with self._values.sweep(self._outer_seeds()):
-                self._core.backward()
             warn(self._core, 2)
             if self._check:
                 self._check.end(self._core, self.loss)
@@ -260,8 +268,8 @@ class Tape:
         return () if self._outer_loss is None else ((self._outer_loss, 1.0),)
 
     def _clear(self) -> None:
-        get_program().context.clear_gradients()
-        _ad_values.clear_gradients()
+        self._core.clear_gradients()
+        _ad_values.clear_gradients(all_threads=False)
 
     def _sweep(self, clear: bool, losses: tuple | None = None) -> None:
         if clear:
@@ -291,7 +299,7 @@ class Tape:
         if forward:
             self._values.check_replay()
         if backward:
-            _ad_values.clear_gradients()
+            _ad_values.clear_gradients(all_threads=False)
         if self._outer_loss is not None:
             if forward:
                 self._outer_loss.fill(0)

@@ -39,6 +39,8 @@ class Ndarray:
             raise TaiRuntimeTypeError(f"an array of shape {self.shape} does not exist")
         self.array = np.zeros(self.shape + self.element_shape, resolved.numpy)
         self._grad: Ndarray | None = None
+        # Of what is a gradient itself.
+        self.taken: Any = None
         if needs_grad:
             if not resolved.is_float:
                 raise TaiRuntimeTypeError(
@@ -46,7 +48,7 @@ class Ndarray:
                     "needs_grad=True goes with a float type such as ti.f32",
                 )
             self._grad = Ndarray(resolved, self.shape, self.element_shape)
-            _ad_values.note_gradient_array(self._grad)
+            self._grad.taken = _ad_values.note_gradient_array(self._grad)
 
     @property
     def grad(self) -> Ndarray | None:

@@ -314,11 +314,13 @@ class ScalarField(Field):
         program = get_program()
         root = node.root_node
         if self._tree_freed:
-            raise TaiRuntimeError(f"the tree of field '{self.name}' was freed")
+            raise TaiRuntimeError(f"the tree of field '{self.name}' has been destroyed and freed")
         if root.refused is not None:
             raise TaiRuntimeError(
                 f"field '{self.name}' is not there, as its tree was refused: {root.refused}"
             )
+        if root.allocator is not None and root.allocator is not _state.thread:
+            root.ready.wait()
         if root is program.root:
             program.materialize()
         elif not root.allocated:
@@ -746,8 +748,10 @@ def make_field(
     axes = to_order(order, len(shape))
     extents = tuple(shape[a] for a in axes)
 
+    program = get_program()
+
     def put(field: Any) -> None:
-        root = get_program().root
+        root = program.root
         if layout == Layout.SOA and element_shape:
             for component in field.components:
                 node = root.dense(axes, extents) if shape else root
@@ -756,11 +760,12 @@ def make_field(
             node = root.dense(axes, extents) if shape else root
             node.place(field, offset=offset)
 
-    put(made)
-    if needs_grad:
-        put(made.grad)
-    if needs_dual:
-        put(made.dual)
+    with program.layout:
+        put(made)
+        if needs_grad:
+            put(made.grad)
+        if needs_dual:
+            put(made.dual)
     return made
 
 

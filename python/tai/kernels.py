@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -155,6 +156,8 @@ class Specialization:
         self, core: Any, specs: list[ArgumentSpec], result: ResultSpec | None, reads: list[tuple]
     ):
         self.core, self.specs, self.reads = core, specs, reads
+        # Takes it away from its kernel; set once the kernel has it.
+        self.drop: Callable[[], None] = lambda: None
         self.has_gradients = True
         # Whether the launcher in C++ knows it, for `grad` false and true.
         self.registered: set[bool] = set()
@@ -373,11 +376,37 @@ class Kernel(_core.Launcher):
             inputs = [_ad_cells.cell_of(values[n]).pool for n in followed]
             found = self._compile(program, specs, list(zip(followed, inputs, strict=True)), pool)
             variants.append(found)
+            self._note_users(program, found, tuple(key))
             if found.reads:
                 same = [one for one in variants if one.is_for(specs)]
                 _templates.warn_of_many(self.__name__, same)
         self._last = found
         return found
+
+    def _note_users(self, program: Any, found: Specialization, key: tuple) -> None:
+        """Lets the trees that it uses drop a specialization when they are freed."""
+        kernel, one = weakref.ref(self), weakref.ref(found)
+
+        def drop() -> None:
+            owner, gone = kernel(), one()
+            if owner is not None and gone is not None:
+                owner._drop(gone, key)
+
+        found.drop = drop
+        for tree in found.core.trees:
+            program.trees[tree].users.add(found)
+
+    def _drop(self, gone: Specialization, key: tuple) -> None:
+        variants = self._specializations.get(key, [])
+        if gone not in variants:
+            return
+        variants.remove(gone)
+        if not variants:
+            del self._specializations[key]
+        if self._last is gone:
+            self._last = None
+        _core.drop_specialization(self, gone.core)
+        _core.drop_specialization(self.grad, gone.core)
 
     def release(self) -> None:
         """The program is over: forgets what was compiled for it."""
@@ -517,8 +546,13 @@ class Kernel(_core.Launcher):
         cells = ([(names[number], inputs.field) for number, inputs in followed],
                  None if pool is None else pool.field)  # fmt: skip
         compiler = Compiler(program, self._function, symbol, parameters, self._result, cells)
-        core = compiler.compile()
+        try:
+            core = compiler.compile()
+        except BaseException:
+            program.symbols.give_back(symbol)
+            raise
         found = Specialization(core, specs, self._result, compiler.reads.all())
+        weakref.finalize(found, program.symbols.give_back, symbol).atexit = False
         found.followed, found.result_pool = [number for number, _ in followed], pool
         found.has_gradients = compiler.has_gradients
         return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import atexit
 import dataclasses
 import sys
-import unicodedata
+import threading
 import warnings
 import weakref
 from dataclasses import dataclass, fields
@@ -13,6 +13,7 @@ from typing import Any
 
 from . import _ad_origins, _state, dtypes
 from ._skips import option_text
+from ._symbols import Symbols
 from .errors import TaiError, TaiRuntimeError, TaiRuntimeTypeError, did_you_mean
 
 
@@ -146,14 +147,18 @@ class Program:
         self.options = options
         self.context = _core.Context()
         self.root = Root()
-        self.symbols: set[str] = set()
+        # Held while fields are placed under `ti.root`, so that no other thread allocates half of
+        # them.
+        self.layout = threading.RLock()
+        # Functions of kernels by symbol, for reports that name a line.
+        functions: dict[str, Any] = {}
+        self.kernel_functions = functions
+        self.symbols = Symbols(self.context.has_kernel, lambda name: functions.pop(name, None))
         self.num_trees = 0
-        # The roots of the trees that are allocated.
-        self.trees: list[Any] = []
+        # The roots of the trees that are allocated, by symbol.
+        self.trees: dict[str, Any] = {}
         # Fields by symbol, for diagnostics and for clearing gradients.
         self.fields: dict[str, Any] = {}
-        # Functions of kernels by symbol, for reports that name a line.
-        self.kernel_functions: dict[str, Any] = {}
         self.kernels: weakref.WeakSet = weakref.WeakSet()
         # Where forward mode keeps what kernels return; see `_ad_cells`.
         self.pools: list[Any] = []
@@ -218,18 +223,7 @@ class Program:
 
     def unique_symbol(self, wanted: str) -> str:
         """A symbol that no tree, place or field of this program has."""
-        # IR has letters of English only; `größe` is called `grosse` there.
-        plain = unicodedata.normalize("NFKD", wanted.replace("ß", "ss"))
-        plain = "".join(c for c in plain if not unicodedata.combining(c))
-        base = "".join(c if c.isascii() and c.isalnum() else "_" for c in plain) or "field"
-        if base[0].isdigit():
-            base = "_" + base
-        symbol, count = base, 0
-        while symbol in self.symbols:
-            count += 1
-            symbol = f"{base}_{count}"
-        self.symbols.add(symbol)
-        return symbol
+        return self.symbols.take(wanted)
 
     def materialize(self, namespace: dict[str, Any] | None = None) -> None:
         """Allocates the tree of what was placed under `ti.root` since the last time.
@@ -238,15 +232,19 @@ class Program:
             namespace: variables of the caller, to name fields after, so that the IR and
                 diagnostics say `@x` for the field that the program calls `x`.
         """
-        root = self.root
-        if not root.children:
-            return
         from .snode import Root
 
-        if namespace is not None:
-            name_fields(namespace)
-        self.root = Root()
-        root.allocate(self)
+        with self.layout:
+            root = self.root
+            if not root.children:
+                return
+            if namespace is not None:
+                name_fields(namespace)
+            self.root, root.allocator = Root(), _state.thread
+        try:
+            root.allocate(self)
+        finally:
+            root.ready.set()
 
 
 def name_fields(namespace: dict[str, Any]) -> None:
@@ -480,7 +478,7 @@ class _Root:
         """Makes all cells of all sparse levels inactive, in all trees."""
         program = get_program()
         program.materialize(sys._getframe(1).f_globals)
-        for tree in program.trees:
+        for tree in list(program.trees.values()):
             tree.deactivate_all()
 
     def __eq__(self, other: Any) -> bool:

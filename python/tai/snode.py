@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import threading
+import weakref
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -346,7 +348,7 @@ class SNode:
             self._allocate()
         if root.tree is None or _state.program is None:
             raise TaiRuntimeError("the tree of this level has been destroyed")
-        if not any(tree is root for tree in _state.program.trees):
+        if _state.program.trees.get(root.tree) is not root:
             raise TaiRuntimeError(
                 "this level was made before the last ti.init and is gone",
                 "make levels after ti.init",
@@ -503,6 +505,11 @@ class Root(SNode):
         self.number: int | None = None
         # Why there is no such tree.
         self.refused: str | None = None
+        # The thread that allocates it, and whether that is done.
+        self.allocator: object = None
+        self.ready = threading.Event()
+        # What kernels were compiled to that use it; they go when it goes.
+        self.users: weakref.WeakSet[Any] = weakref.WeakSet()
 
     def allocate(self, program: Program) -> None:
         """Makes the tree in the program's context and declares its fields."""
@@ -514,7 +521,7 @@ class Root(SNode):
         self.allocated = True
         for field in fields:
             field.choose_symbol(program)
-        tree = program.unique_symbol(f"tree{program.num_trees}")
+        tree = program.unique_symbol("tree")
         try:
             _check_size(fields)
             program.context.add_tree(tree, self.layout())
@@ -522,11 +529,14 @@ class Root(SNode):
             self.refused = error.message
             if isinstance(error, TaiMemoryError) and not error.hint:
                 error.hint = "make the extents smaller"
+            for field in fields:
+                program.symbols.give_back(field.symbol)
+            program.symbols.give_back(tree)
             error.filename = error.lineno = None  # a place in the text of the layout
             raise
         self.tree, self.number = tree, program.num_trees
         program.num_trees += 1
-        program.trees.append(self)
+        program.trees[tree] = self
         # Adjoints first, so that they exist when a primal names them.
         for field in sorted(fields, key=lambda f: f.role == "primal"):
             field.declare(program, self.tree)
@@ -576,7 +586,7 @@ class FieldsBuilder:
     @classmethod
     def _finalized_roots(cls) -> list[Root]:
         """The roots of all trees in use."""
-        return [] if _state.program is None else list(_state.program.trees)
+        return [] if _state.program is None else list(_state.program.trees.values())
 
     def finalize(self, raise_warning: bool = True) -> SNodeTree:
         """Allocates the fields.
@@ -612,11 +622,17 @@ class SNodeTree:
         """Frees the fields of the tree; using one afterwards is an error."""
         if self._root.tree is None or _state.program is None:
             raise TaiRuntimeError("the tree is freed already")
-        _state.program.context.destroy_tree(self._root.tree)
+        program, symbol = _state.program, self._root.tree
+        program.context.destroy_tree(symbol)
         for field in self._root.places():
             field.forget()
-        _state.program.trees = [t for t in _state.program.trees if t is not self._root]
+            program.fields.pop(field.symbol, None)
+            program.symbols.give_back(field.symbol)
+        del program.trees[symbol]
+        program.symbols.give_back(symbol)
         self._root.tree, self._root.is_destroyed = None, True
+        for user in list(self._root.users):
+            user.drop()
 
 
 class Layout:

@@ -324,17 +324,19 @@ def make_struct_field(
         return made
     from .program import get_program
 
-    root, extents = get_program().root, to_shape(shape)
-    axes = to_order(order, len(extents))
-    sizes = tuple(extents[a] for a in axes)
-    node = root.dense(axes, sizes) if extents else root
-    for leaf in made.leaves:
-        if layout == Layout.SOA and extents:
-            node = root.dense(axes, sizes)
-        node.place(leaf, offset=offset)
-        for which, wanted in (("grad", leaf.needs_grad), ("dual", leaf.needs_dual)):
-            if wanted:
-                node.place(getattr(leaf, which), offset=offset)
+    program, extents = get_program(), to_shape(shape)
+    with program.layout:
+        root = program.root
+        axes = to_order(order, len(extents))
+        sizes = tuple(extents[a] for a in axes)
+        node = root.dense(axes, sizes) if extents else root
+        for leaf in made.leaves:
+            if layout == Layout.SOA and extents:
+                node = root.dense(axes, sizes)
+            node.place(leaf, offset=offset)
+            for which, wanted in (("grad", leaf.needs_grad), ("dual", leaf.needs_dual)):
+                if wanted:
+                    node.place(getattr(leaf, which), offset=offset)
     return made
 
 

@@ -56,6 +56,47 @@ TEST(Background, StopsWhenItsJobIsDone) {
   EXPECT_EQ(ran, 2);
 }
 
+namespace {
+/// A job that waits for something that never comes, as long as it is to.
+struct Waiting {
+  explicit Waiting(Background &background)
+      : job(background.start([this] {
+          while ((wish = Background::getWish()) == Background::Wish::Wait)
+            begun = true;
+        })) {
+    while (!begun)
+      std::this_thread::yield();
+  }
+
+  std::atomic<Background::Wish> wish{Background::Wish::Wait};
+  std::atomic<bool> begun{false};
+  Background::JobPtr job;
+};
+} // namespace
+
+TEST(Background, JobsThatNobodyWantsDoNotWait) {
+  Background background(1);
+  Waiting dropped(background);
+  background.cancel(*dropped.job);
+  EXPECT_EQ(dropped.wish, Background::Wish::Abandon);
+  // At the end of the process, another one need not have ended.
+  Waiting last(background);
+  background.stop();
+  EXPECT_EQ(last.wish, Background::Wish::Hurry);
+}
+
+TEST(Background, ForksDoNotWaitForOthers) {
+  Background background(1);
+  Waiting waiting(background);
+  pid_t child = fork();
+  ASSERT_GE(child, 0);
+  if (child == 0)
+    _exit(0);
+  waitpid(child, nullptr, 0);
+  background.finish(*waiting.job);
+  EXPECT_EQ(waiting.wish, Background::Wish::Hurry);
+}
+
 TEST(Background, LeavesNothingUndoneThatIsNeeded) {
   std::atomic<int> ran{0};
   {

@@ -465,6 +465,17 @@ TEST_F(RuntimeCache, ClaimsEndWithTheirOwners) {
   EXPECT_TRUE(warnings.empty());
 }
 
+// Whoever is asked to end waits no longer, and wait it would for days.
+TEST_F(RuntimeCache, ClaimsAreWaitedForAsLongAsIsWanted) {
+  CacheStore store(folder, 1 << 30, collect());
+  CacheStore::Claim claim = store.claim("k");
+  ASSERT_TRUE(claim);
+  int asked = 0;
+  EXPECT_FALSE(
+      store.claim("k", /*mostSeconds=*/1e6, [&] { return ++asked < 3; }));
+  EXPECT_EQ(asked, 3);
+}
+
 // A child that is forked meanwhile does not keep what its parent gives back.
 TEST_F(RuntimeCache, ClaimsAreNotInherited) {
   CacheStore store(folder, 1 << 30, collect());

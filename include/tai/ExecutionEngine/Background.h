@@ -14,6 +14,7 @@
 #define TAI_EXECUTIONENGINE_BACKGROUND_H
 
 #include "tai/Runtime/Thread.h"
+#include <atomic>
 #include <condition_variable>
 #include <deque>
 #include <functional>
@@ -31,6 +32,8 @@ public:
     std::function<void()> task;
     State state = State::Queued;
     bool isNeeded = false;
+    /// Nobody will look at what becomes of it.
+    std::atomic<bool> isAbandoned{false};
   };
   using JobPtr = std::shared_ptr<Job>;
 
@@ -63,6 +66,12 @@ public:
   /// at a safepoint.
   bool runAside(std::function<void()> task);
 
+  /// What is wanted of a job that waits for something outside of the process:
+  /// to wait on, to do without, or to end at once. Asked on the thread that
+  /// runs the job, or on one that has no job and passes safepoints.
+  enum class Wish { Wait, Hurry, Abandon };
+  static Wish getWish();
+
   /// Drops the job if it has not begun, else waits for it.
   void cancel(Job &job);
 
@@ -72,6 +81,8 @@ private:
   /// Starts a thread if one more may run; the lock is held.
   void addThread();
   JobPtr add(std::function<void()> task, bool isNeeded);
+  /// Runs the task of a job, which says meanwhile what is wanted of it.
+  void perform(Job &job);
   /// Runs a job that nobody else runs; the lock is held, but while it runs.
   void runHere(Job &job, std::unique_lock<std::mutex> &lock);
   /// Lets go of the threads, which have ended or are about to; the lock is
@@ -83,14 +94,14 @@ private:
   /// Takes the job from the queue; false if it has begun.
   bool take(Job &job);
 
-  unsigned maxThreads;
+  std::atomic<unsigned> maxThreads;
   std::mutex mutex;
   std::condition_variable changed;
   std::deque<JobPtr> queue;
   std::vector<runtime::Thread> threads;
   unsigned running = 0;
   /// Threads end after the job that they run.
-  bool isHeld = false;
+  std::atomic<bool> isHeld{false};
 };
 
 } // namespace mlir::tai

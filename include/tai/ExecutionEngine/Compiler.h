@@ -85,8 +85,11 @@ struct ObjectCache {
   std::function<std::optional<std::string>(StringRef key)> load;
   std::function<void(StringRef key, StringRef bytes)> store;
   /// The right to make the object of the key, which others wait for; see
-  /// runtime::CacheStore::claim. May be left out.
-  std::function<std::shared_ptr<void>(StringRef key)> claim = nullptr;
+  /// runtime::CacheStore::claim. `goesOn` says whether to wait on for it. May
+  /// be left out.
+  std::function<std::shared_ptr<void>(StringRef key,
+                                      const std::function<bool()> &goesOn)>
+      claim = nullptr;
   explicit operator bool() const { return static_cast<bool>(load); }
 };
 
@@ -211,6 +214,8 @@ public:
 
   /// Frees a function that is not running.
   void unload(const Function &function);
+  /// Pieces of code that are linked and not freed.
+  int64_t numLinked() const { return linker ? linker->numLinked() : 0; }
 
   /// The IR at a stage: "tai", "autodiff", "scf", "llvm", "llvmir", "asm"; with
   /// a device also its code, "nvvm" and "ptx".
@@ -234,7 +239,9 @@ private:
   void load(Prepared &prepared, CompileRequest request);
   /// The same after whoever makes the object now is done; where nobody has, the
   /// right to make it.
-  void claimOrLoad(Prepared &prepared, CompileRequest request);
+  /// Fails where the wait for another process was interrupted.
+  LogicalResult claimOrLoad(Prepared &prepared, CompileRequest request,
+                            Failure &failure);
   /// Differentiates what is to be compiled.
   LogicalResult start(CompileRequest request, const CompileOptions &options,
                       Prepared &prepared, Failure &failure);

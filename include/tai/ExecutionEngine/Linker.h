@@ -18,6 +18,7 @@
 #include "llvm/ADT/ArrayRef.h"
 #include "llvm/ADT/StringRef.h"
 #include "llvm/Support/Error.h"
+#include <atomic>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -53,6 +54,7 @@ public:
   /// Frees what one call of link() placed in memory. Its functions must not be
   /// running.
   void unload(Library *library);
+  int64_t numLinked() const { return linked.load(std::memory_order_relaxed); }
 
 private:
   Linker();
@@ -64,6 +66,8 @@ private:
   /// What the session has said since the last failure.
   std::string reasons;
   uint64_t counter = 0;
+  std::atomic<int64_t> linked{0};
+  std::atomic<uint64_t> unloaded{0};
 };
 
 } // namespace mlir::tai

@@ -22,22 +22,62 @@
 #include "tai/ExecutionEngine/Compiler.h"
 #include "tai/Runtime/CacheStore.h"
 #include "tai/Runtime/Runtime.h"
+#include "llvm/ADT/StringMap.h"
 #include "llvm/Support/ThreadPool.h"
+#include <deque>
+#include <list>
 
 namespace mlir::tai {
 struct AdjointNeeds;
 
+/// The names of the kernels that may be launched. Tapes keep some of them
+/// longer than their handles do. Any thread.
+class CodeNames {
+public:
+  void add(StringRef name) {
+    std::lock_guard<std::mutex> lock(mutex);
+    ++counts[name];
+    ++total;
+  }
+  void drop(StringRef name) {
+    std::lock_guard<std::mutex> lock(mutex);
+    auto found = counts.find(name);
+    if (--found->second == 0)
+      counts.erase(found);
+    --total;
+  }
+  bool has(StringRef name) const {
+    std::lock_guard<std::mutex> lock(mutex);
+    return counts.contains(name);
+  }
+  int64_t size() const { return total.load(std::memory_order_relaxed); }
+
+private:
+  mutable std::mutex mutex;
+  llvm::StringMap<unsigned> counts;
+  std::atomic<int64_t> total{0};
+};
+
+/// How many things a session holds.
+struct SessionObjects {
+  int64_t trees = 0, fields = 0, declarations = 0, kernels = 0, codes = 0,
+          linked = 0, failures = 0;
+};
+
 /// What a kernel is compiled from, and the code made so far. It lives as long
 /// as the runtime may launch it, which a tape can make longer than its handle.
 struct KernelCode : std::enable_shared_from_this<KernelCode> {
-  KernelCode(Compiler &compiler, Background &background, StringRef name,
-             const CompileOptions &options)
-      : compiler(compiler), background(background), name(name.str()),
-        options(options) {}
+  KernelCode(Compiler &compiler, Background &background, CodeNames &names,
+             StringRef name, const CompileOptions &options)
+      : compiler(compiler), background(background), names(names),
+        name(name.str()), options(options) {
+    names.add(name);
+  }
   ~KernelCode();
 
   Compiler &compiler;
   Background &background;
+  CodeNames &names;
   std::string name;
   /// Where it stands in the source, or empty.
   std::string place;
@@ -47,6 +87,9 @@ struct KernelCode : std::enable_shared_from_this<KernelCode> {
   int64_t resultSlots = 0;
   /// The trees that the module declares.
   std::vector<runtime::TreePtr> trees;
+  /// The fields that it declares, by name. Others may take their names once
+  /// they are gone.
+  llvm::StringMap<runtime::FieldPtr> fields;
   std::vector<Compiler::Function> functions;
   /// The adjoint, in the form that a tape launches for all we know, between the
   /// two steps of its compilation, taken by whoever makes the second; and what
@@ -77,6 +120,8 @@ std::vector<runtime::StoredBox> findStoredBoxes(KernelOp kernel,
 struct SessionKernel {
   std::shared_ptr<KernelCode> code;
   runtime::KernelPtr kernel;
+  /// Where the session keeps it.
+  std::list<SessionKernel>::iterator place = {};
 };
 
 class Session {
@@ -158,7 +203,12 @@ public:
   FailureOr<std::string> explain(SessionKernel &kernel);
 
   /// The session's kernel behind a kernel of the runtime, or null.
-  SessionKernel *findKernel(StringRef name) const;
+  SessionKernel *findKernel(StringRef name);
+
+  /// Whether a kernel of the name may be launched, by a tape for example. Any
+  /// thread.
+  bool hasCode(StringRef name) const { return codeNames.has(name); }
+  SessionObjects countObjects();
 
   /// Keeps a failure and makes a status that stands for it, to pass it through
   /// the runtime. Any thread.
@@ -196,6 +246,9 @@ private:
   runAside(KernelCode &code,
            std::function<std::optional<Result>(Failure &)> step,
            Failure &failure);
+  /// Notes a function that was compiled, to be freed with its kernel.
+  std::optional<Compiler::Function>
+  keepFunction(KernelCode &code, std::optional<Compiler::Function> function);
   std::optional<Compiler::Function> compileAs(KernelCode &code,
                                               CompileRequest::Goal goal,
                                               Failure &failure,
@@ -224,6 +277,8 @@ private:
 
   std::unique_ptr<llvm::ThreadPoolInterface> pool;
   std::unique_ptr<MLIRContext> context;
+  /// Outlives the runtime, whose kernels hold code.
+  CodeNames codeNames;
   std::unique_ptr<runtime::Runtime> rt;
   std::unique_ptr<Compiler> compiler;
   Background background;
@@ -238,9 +293,11 @@ private:
   /// Holds the trees and fields that were added.
   OwningOpRef<ModuleOp> declarations;
   std::optional<SymbolTable> symbols;
-  std::vector<std::unique_ptr<SessionKernel>> kernels;
-  /// Failures of compilations, which the runtime passes on by number.
-  std::vector<Failure> compileFailures;
+  std::list<SessionKernel> kernels;
+  /// Failures of compilations, which the runtime passes on by number: the last
+  /// ones, and how many there were before them.
+  std::deque<Failure> compileFailures;
+  size_t failuresBefore = 0;
   std::mutex mutex;
 };
 

@@ -65,8 +65,10 @@ public:
   using Claim = std::shared_ptr<void>;
   /// Waits for whoever has the right now, but no longer than so many seconds:
   /// then, or where no file can be locked, the claim is null, and two may make
-  /// the entry. Any thread.
-  Claim claim(std::string_view key, double mostSeconds = 60);
+  /// the entry. `goesOn`, if there is one, is asked at least every 20 ms
+  /// whether to wait on. Any thread.
+  Claim claim(std::string_view key, double mostSeconds = 60,
+              const std::function<bool()> &goesOn = nullptr);
   /// Waits for what putLater has begun; so does the destructor.
   void flush();
   /// Removes least recently used entries beyond the limit, and what killed

@@ -145,6 +145,26 @@ struct FieldLayout {
   int sparseNode = -1;
 };
 
+class Tape;
+
+/// 0 for a thread that has none yet.
+extern __thread uint64_t ownThreadNumber;
+uint64_t numberThread();
+/// The number of the calling thread, which no other one of the process has had.
+inline uint64_t threadNumber() {
+  return __builtin_expect(ownThreadNumber != 0, true) ? ownThreadNumber
+                                                      : numberThread();
+}
+
+/// How a tape uses a field, from its first launch with it to the end of the
+/// sweep. Tapes of several threads may read the same field, or add to it.
+enum class HoldKind : uint8_t { Read, Add, Write };
+struct Hold {
+  const Tape *tape;
+  uint64_t thread;
+  HoldKind kind;
+};
+
 class Field {
 public:
   const std::string &name() const { return fieldName; }
@@ -206,13 +226,19 @@ public:
   bool isAdjoint() const { return ofPrimal; }
 
   /// Of adjoint fields: may hold something else than zeros.
-  bool dirty() const {
-    return dirtyFlag.load(std::memory_order_relaxed) || owner->isLent();
-  }
+  bool dirty() const { return dirtiedBy() != 0 || owner->isLent(); }
   void markDirty() {
-    if (!dirtyFlag.load(std::memory_order_relaxed))
-      dirtyFlag.store(true, std::memory_order_relaxed);
+    uint64_t self = threadNumber();
+    if (dirtiedBy() != self)
+      lastWriter.store(self, std::memory_order_relaxed);
   }
+  /// The thread that has written to it last, or 0 since it was cleared.
+  uint64_t dirtiedBy() const {
+    return lastWriter.load(std::memory_order_relaxed);
+  }
+  /// The thread whose tapes use it now, or 0; kManyThreads for several.
+  uint64_t heldBy() const { return holder.load(std::memory_order_acquire); }
+  static constexpr uint64_t kManyThreads = UINT64_MAX;
 
   /// The innermost sparse level above the field, or null.
   SparseNode *sparseNode() const {
@@ -278,7 +304,10 @@ private:
   bool ofPrimal = false;
   std::string adjointName, dualName;
   std::shared_ptr<Field> adjointField, dualField;
-  std::atomic<bool> dirtyFlag{false};
+  std::atomic<uint64_t> lastWriter{0};
+  /// Tapes that use it now; see FieldHolds.cpp.
+  std::atomic<uint64_t> holder{0};
+  std::vector<Hold> holds;
   mutable std::shared_ptr<const OwedZeros> owed;
   /// Number of times that the host has changed it.
   uint64_t hostVersion = 0;

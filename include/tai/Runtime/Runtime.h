@@ -138,10 +138,16 @@ public:
   bool skips(Skip skip) const { return opts.skips.has(skip); }
   /// In forward mode every kernel is launched with the tangents that it carries
   /// along: also those that a tape replays, and adjoints.
+  /// Of the calling thread.
   void setForward(bool on);
-  bool isForward() const { return forward; }
+  bool isForward() const {
+    return __builtin_expect(numForward.load(std::memory_order_relaxed) != 0,
+                            false) &&
+           isForwardHere();
+  }
   /// Follows the tangents of these fields until forward mode is switched; and:
-  /// what has ended them on the way to the others, one line each, said once.
+  /// what has ended them on the way to the others, one line each, said once. Of
+  /// the thread in forward mode.
   void followTangents(const std::vector<FieldPtr> &inputs);
   std::vector<std::string> lostTangents(const std::vector<FieldPtr> &outputs);
   /// Whether launches that come one after another may become one piece of work.
@@ -180,6 +186,9 @@ public:
   /// report that the tree is gone.
   Status destroyTree(const std::string &name);
   TreePtr findTree(const std::string &name) const;
+  int64_t numTrees() const { return static_cast<int64_t>(trees.size()); }
+  /// Kernels that may be launched.
+  int64_t numKernels();
   int64_t reservedBytes() const { return reserved; }
   /// Memory of the active cells of all sparse trees.
   int64_t activeCellBytes() const {
@@ -213,8 +222,11 @@ public:
   Status writeElements(Field &field, const int64_t *indices, int64_t count,
                        const void *values);
   /// Sets the adjoint fields that are dirty to zero; in forward mode the
-  /// tangents of adjoints too.
-  void clearGradients();
+  /// tangents of adjoints too. On behalf of a tape, all but those to which
+  /// another thread has written and which the tape does not use.
+  void clearGradients(const Tape *tape = nullptr);
+  /// The same for the tangents that the calling thread has left.
+  void clearTangents();
   /// Stores the zeros that sweeps have left to whoever looks at gradients. To
   /// be called before that is done past the fields.
   void settleZeros();
@@ -252,13 +264,12 @@ public:
   /// Starts recording. `loss` may be null; losses can also be added later.
   Status beginTape(FieldPtr loss, bool clearGradients,
                    std::unique_ptr<Tape> &tape);
-  /// The tape that records what the calling thread does, or null. Another
-  /// thread may launch meanwhile, and is not recorded.
+  /// The tape that records what the calling thread does, or null. Each thread
+  /// may have one.
   Tape *recordingTape() const {
-    Tape *tape = activeTape.load(std::memory_order_relaxed);
-    return __builtin_expect(tape != nullptr, false) &&
-                   tapeThread == __builtin_thread_pointer()
-               ? tape
+    return __builtin_expect(numRecording.load(std::memory_order_relaxed) != 0,
+                            false)
+               ? findRecording()
                : nullptr;
   }
 
@@ -353,18 +364,30 @@ private:
     storageEpoch.fetch_add(1, std::memory_order_relaxed);
     updateLaunchState();
   }
-  void setActiveTape(Tape *tape) {
-    tapeThread = __builtin_thread_pointer();
-    activeTape = tape;
-    updateLaunchState();
-  }
   /// To be called whenever the state changes.
-  void updateLaunchState() {
-    bool isPlain = !activeTape && !forward && !opts.profiler && owing.empty();
-    hot.state.store(isPlain ? storageEpoch.load(std::memory_order_relaxed)
-                            : neverPrepared,
-                    std::memory_order_relaxed);
-  }
+  void updateLaunchState();
+
+  // FieldHolds.cpp
+  Tape *findRecording() const;
+  bool isForwardHere() const;
+  void beginRecording(Tape &tape);
+  void endRecording(Tape &tape);
+  /// Notes that the tape uses a field. Fails where tapes of other threads use
+  /// it so that one of the two would go wrong.
+  Status hold(const Tape &tape, Field &field, HoldKind kind);
+  void release(const Tape &tape, Field &field);
+  /// Fails where the calling thread changes what a tape of another thread uses.
+  Status checkHolds(const Kernel &kernel);
+  Status checkAdjointHolds(const Kernel &kernel);
+  Status checkHold(const Field &field, HoldKind kind) const;
+  Status describeHold(const Field &field, HoldKind kind,
+                      const Hold &other) const;
+  /// The adjoint is what another thread has left, and no concern of a tape that
+  /// does not use it.
+  static bool isOfAnotherThread(const Field &adjoint);
+  void takeOverTangents(const Kernel &kernel);
+  /// Stands for the whole tree, where the activity of cells matters.
+  const FieldPtr &firstOf(const Tree &tree) const;
   /// Adjoint fields that owe zeros: leaves them to who looks, or stores those
   /// that a launch may look at.
   void oweZeros(const FieldPtr &adjoint,
@@ -382,7 +405,7 @@ private:
   static Status failureOf(Launch &launch, const Kernel &kernel);
   Status run(Launch &launch, Kernel &kernel, const uint64_t *args,
              uint64_t *results, uint64_t number) {
-    if (__builtin_expect(forward, false))
+    if (isForward())
       return runTangent(launch, kernel, args, results, number);
     return runCode(launch, kernel, args, results, number);
   }
@@ -490,15 +513,29 @@ private:
   std::mutex launchMutex;
   std::atomic<int64_t> inlineCredit{0};
 
-  std::atomic<Tape *> activeTape{nullptr};
-  const void *tapeThread = nullptr;
+  struct Recording {
+    uint64_t thread;
+    Tape *tape;
+  };
+  std::vector<Recording> recordings;
+  /// Of them, and of the holds of all fields.
+  mutable std::mutex recordingMutex;
+  std::atomic<int> numRecording{0};
+  /// Changes whenever recordings do; no two runtimes have the same.
+  std::atomic<uint64_t> recordingVersion{0};
+  /// Since no tape recorded last, several have at a time.
+  std::atomic<bool> recordsTogether{false};
+  /// Tapes that hold fields.
+  std::atomic<int> numHolding{0};
+  /// Threads in forward mode.
+  std::atomic<int> numForward{0};
+  std::mutex stateMutex;
   /// The tape whose sweep has called a function of the host, and the thread.
   Tape *sweeping = nullptr;
   const void *sweepThread = nullptr;
   Tape *getSweeping() const {
     return sweepThread == __builtin_thread_pointer() ? sweeping : nullptr;
   }
-  bool forward = false;
   bool fusesLaunches = true;
   /// Stamps of tapes and of their plans.
   uint64_t stamps = 0;

@@ -89,6 +89,12 @@ public:
   /// next, so that a device may run both as one.
   void end(bool isSwept = false);
   bool recording() const;
+  /// Lets other threads change what the tape has used. Sweeps do so at their
+  /// end.
+  void releaseFields();
+  /// Sets the gradients to zero that its sweep adds to, and all others that
+  /// the calling thread has left.
+  Status clearGradients();
 
   /// Launches between the two are not recorded. Pairs nest.
   void suspend();
@@ -208,7 +214,7 @@ public:
 private:
   friend class Runtime;
   class HeldLaunch;
-  Tape(Runtime &runtime, uint64_t stamp);
+  Tape(Runtime &runtime, uint64_t stamp, bool clears);
 
   enum class Kind : uint8_t { Launch, Callback, Write };
   struct Record {
@@ -237,9 +243,17 @@ private:
   /// Launches and records, with its parts where it is made of such.
   Status launch(Launch &launch, Kernel &kernel, const uint64_t *args,
                 uint64_t *results, uint64_t number);
-  Status launchOne(Launch &launch, Kernel &kernel, const uint64_t *args,
-                   uint64_t *results, uint64_t number);
+  Status launchOne(Launch &launch, Kernel &kernel, const void *known,
+                   const uint64_t *args, uint64_t *results, uint64_t number);
   Status adopt(Kernel &kernel);
+  /// What it knows of a kernel, which it adopts if it has not yet.
+  Status findUses(Kernel &kernel, const void *&uses);
+  /// Notes what a launch uses, until releaseFields(), and takes over gradients
+  /// that other threads have left.
+  Status touch(const Kernel &kernel);
+  Status touch(const FieldPtr &field, HoldKind kind);
+  /// Holds all of that for the calling thread, again.
+  Status holdFields();
   void record(Kernel &kernel, const uint64_t *args, uint64_t launch);
   /// Changes a field and records that.
   Status write(const HostWrite &write);
@@ -349,6 +363,11 @@ private:
   std::vector<uint64_t> slots;
   std::vector<TapeCallback> callbacks;
   std::vector<KernelPtr> kernels; // keeps the recorded kernels alive
+  /// The fields that it uses, and whether it holds them now.
+  std::unordered_map<FieldPtr, HoldKind> touched;
+  bool holding = false;
+  bool isOpen = false;
+  bool clears;
   uint64_t firstLaunch = 0;
   uint64_t lastLaunch = 0;
   bool anyLaunch = false;

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import signal
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from .. import _state, dtypes
@@ -35,6 +37,27 @@ from .statements import Statements, StaticBreak, StaticContinue
 
 # Calls of Python that the compiler may need: some thirty for each statement inside of another.
 _RECURSION = 20000
+# The limit is one for all threads: how many of them need it, and what it was before.
+_deep_lock = threading.Lock()
+_deep_threads = 0
+_limit_before = 0
+
+
+@contextlib.contextmanager
+def _deep_recursion() -> Iterator[None]:
+    global _deep_threads, _limit_before
+    with _deep_lock:
+        if _deep_threads == 0:
+            _limit_before = sys.getrecursionlimit()
+            sys.setrecursionlimit(max(_limit_before, _RECURSION))
+        _deep_threads += 1
+    try:
+        yield
+    finally:
+        with _deep_lock:
+            _deep_threads -= 1
+            if _deep_threads == 0:
+                sys.setrecursionlimit(_limit_before)
 
 
 class Compiler(
@@ -101,17 +124,15 @@ class Compiler(
             TaiError: with the place in the program.
         """
         outer, _state.emitter = _state.emitter, self.emitter
-        limit = sys.getrecursionlimit()
         try:
-            sys.setrecursionlimit(max(limit, _RECURSION))
-            self.build()
+            with _deep_recursion():
+                self.build()
         except TaiError as error:
             error.trail = error.trail or self.trail()
             error.hint = error.hint or hint_for(error, error is self.from_python)
             raise
         finally:
             _state.emitter = outer
-            sys.setrecursionlimit(limit)
         return self.builder.finish(self.kernel_name)
 
     def build(self) -> None:

@@ -1,0 +1,89 @@
+"""Names in the IR: of trees, fields and kernels.
+
+IR keeps each name that it has ever seen. So those of what is gone are given out again: a program
+that makes and frees trees all day has as many names as it had things at one time.
+"""
+
+from __future__ import annotations
+
+import threading
+import unicodedata
+from collections import deque
+from collections.abc import Callable
+
+# How many names that were given back are looked at for each one that is taken: more than one, so
+# that none are left behind.
+_LOOKS = 4
+
+
+class Symbols:
+    """The names of one program.
+
+    Args:
+        is_used: whether a kernel of that name is still to be launched; a tape may hold one.
+        forget: called with each name that is free again.
+    """
+
+    def __init__(self, is_used: Callable[[str], bool], forget: Callable[[str], None]):
+        self._is_used, self._forget = is_used, forget
+        self._lock = threading.Lock()
+        self._taken: dict[str, str] = {}  # with what was wanted
+        self._next: dict[str, int] = {}
+        self._free: dict[str, list[str]] = {}
+        # Given back, by whichever thread, and not looked at yet.
+        self._returned: deque[str] = deque()
+
+    def __len__(self) -> int:
+        return len(self._taken)
+
+    def take(self, wanted: str) -> str:
+        """A name like `wanted` that nothing else has."""
+        base = _plain(wanted)
+        with self._lock:
+            self._settle(_LOOKS)
+            symbol = self._reuse(base)
+            if symbol is None:
+                count = self._next.get(base, 0)
+                symbol = f"{base}_{count}" if count else base
+                while symbol in self._taken:
+                    count += 1
+                    symbol = f"{base}_{count}"
+                self._next[base] = count + 1
+            self._taken[symbol] = base
+            return symbol
+
+    def _reuse(self, base: str) -> str | None:
+        free = self._free.get(base, [])
+        # Another base may have come to the same name meanwhile.
+        symbol = next((s for s in iter(lambda: free.pop() if free else None, None)
+                       if s not in self._taken), None)  # fmt: skip
+        if not free:
+            self._free.pop(base, None)
+        return symbol
+
+    def give_back(self, symbol: str) -> None:
+        """Says that what had the name is gone. May be called at any time, by any thread."""
+        self._returned.append(symbol)
+
+    def settle(self) -> None:
+        """Looks at all names that were given back."""
+        with self._lock:
+            self._settle(len(self._returned))
+
+    def _settle(self, most: int) -> None:
+        for _ in range(min(most, len(self._returned))):
+            symbol = self._returned.popleft()
+            if self._is_used(symbol):
+                self._returned.append(symbol)
+                continue
+            self._forget(symbol)
+            base = self._taken.pop(symbol)
+            self._free.setdefault(base, []).append(symbol)
+
+
+def _plain(wanted: str) -> str:
+    """IR has letters of English only; `größe` is called `grosse` there."""
+    plain = unicodedata.normalize("NFKD", wanted.replace("ß", "ss"))
+    plain = "".join(c for c in plain if not unicodedata.combining(c))
+    base = "".join(c if c.isascii() and c.isalnum() else "_" for c in plain) or "field"
+    return "_" + base if base[0].isdigit() else base
