@@ -214,6 +214,9 @@ void Background::perform(Job &job) {
   currentJob = &job;
   currentOwner = this;
   job.task();
+  // What goes with it may cancel other jobs, and so take the lock, which
+  // whoever joins this thread holds.
+  job.task = nullptr;
   currentJob = nullptr;
 }
 
@@ -230,6 +233,7 @@ void Background::runHere(Job &job, std::unique_lock<std::mutex> &lock) {
   job.state = Job::State::Running;
   lock.unlock();
   job.task();
+  job.task = nullptr;
   lock.lock();
   job.state = Job::State::Done;
   changed.notify_all();
