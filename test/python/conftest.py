@@ -87,7 +87,7 @@ def _choose_for_device(config, items):
         reason = device_lists.reason(device_lists.FAILS_ON_A_DEVICE, item)
         if reason:
             item.add_marker(pytest.mark.xfail(reason=reason, strict=True))
-        reason = device_lists.reason(device_lists.ENDS_THE_PROCESS_ON_A_GPU, item)
+        reason = device_lists.reason(device_lists.NOT_RUN_ON_A_GPU, item)
         if reason and on_gpu:
             item.add_marker(pytest.mark.xfail(reason=reason, run=False))
 

@@ -35,6 +35,8 @@ ONE_RUN_DOES = {
     },
     "test_cuda_floors": {ALL: "programs in CUDA C++"},
     "test_device_lists": {ALL: CHOOSES},
+    "test_sanitizer": {ALL: CHOOSES},
+    "test_serial_work": {"test_a_cpu_has_no_such_threads": CHOOSES},
     "test_emulated_blocks": {ALL: CHOOSES},
     "test_forward_mode": {"test_every_scalar_rule_is_tested": NAMES},
     "test_gpu_benchmark": {ALL: CHOOSES},
@@ -73,11 +75,25 @@ FAILS_ON_A_DEVICE = {
 }
 
 # On GPUs alone. These would end the process and are not run there.
-ENDS_THE_PROCESS_ON_A_GPU = {
+# They would end the process, wait for threads that were refused, or for ptxas.
+NOT_RUN_ON_A_GPU = {
+    "test_huge_bodies": {
+        "test_a_chain_of_thousands": "ptxas takes minutes for thousands of statements",
+    },
     "test_sparse_api": {
         "test_addresses_hold_the_elements": "the host cannot follow addresses of a GPU",
     },
-}
+    "test_thread_tapes": dict.fromkeys(
+        [
+            "test_a_thread_that_ends_with_its_tape_open", "test_check_in_threads",
+            "test_gradients_of_many_threads", "test_one_loss_for_two_tapes",
+            "test_one_variable_for_two_tapes", "test_tapes_that_add_to_one_gradient",
+            "test_tapes_that_read_one_field", "test_tapes_that_want_one_gradient",
+            "test_variables_and_arrays_of_threads",
+        ],
+        "a GPU records one tape at a time",
+    ),
+}  # fmt: skip
 
 
 def reason(table, item):
@@ -90,7 +106,7 @@ def missing(modules):
     """What the tables list and these modules do not have."""
     return [
         f"{module}.{test}"
-        for table in (ONE_RUN_DOES, FAILS_ON_A_DEVICE, ENDS_THE_PROCESS_ON_A_GPU)
+        for table in (ONE_RUN_DOES, FAILS_ON_A_DEVICE, NOT_RUN_ON_A_GPU)
         for module, tests in table.items()
         for test in tests
         if module in modules and test != ALL and not hasattr(modules[module], test)

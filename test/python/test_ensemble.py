@@ -58,12 +58,13 @@ def train(python: str, processes: int, scenes: int) -> tuple[list[tuple[float, f
 
 
 RUN_AND_LIST_THREADS = """
-import os, runpy, sys
+import contextlib, os, runpy, sys
 
 del sys.argv[0]
 runpy.run_path(sys.argv[0], run_name="__main__")
 for thread in os.listdir("/proc/self/task"):
-    with open(f"/proc/self/task/{thread}/comm") as name:
+    # It may end meanwhile.
+    with contextlib.suppress(FileNotFoundError), open(f"/proc/self/task/{thread}/comm") as name:
         print("thread", name.read())
 """
 
