@@ -10,7 +10,7 @@ PYTHON := .venv/bin/python
 KINDS := $(if $(filter asan,$(PRESET)),--only lit gtest)
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse bench fmt lint portable docs clean setup
+.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse bench bench-pairs fmt lint portable docs clean setup
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /\1\t/' | \
@@ -51,6 +51,9 @@ fuzz-sparse: build ## play 10000 random sequences on random sparse trees (ARGS="
 bench: build ## time the scenes against other systems: CSV and plot
 	@$(PYTHON) benchmarks/run.py $(ARGS)
 	@$(PYTHON) benchmarks/sparse/run.py
+
+bench-pairs: build ## time this build and another one in turns (ARGS="/path/to/base")
+	@$(PYTHON) benchmarks/pairs.py $(ARGS)
 
 bench-sparse: build ## time sparse layouts against dense ones (ARGS="--rounds 3")
 	@$(PYTHON) benchmarks/sparse/run.py $(ARGS)

@@ -9,6 +9,7 @@ import tai as ti
 @pytest.fixture
 def gpu(monkeypatch):
     monkeypatch.setenv("TAI_CUDA_EMULATION", "1")
+    monkeypatch.setenv("TI_ARCH", "cuda")
     ti.init(arch=ti.cuda, default_fp=ti.f32)
 
 
