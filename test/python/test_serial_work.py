@@ -63,11 +63,11 @@ def make(steps, bodies):
 
 
 def test_long_serial_loops_are_named(gpu):
-    said = make(30000, 5)
+    said = make(1000000, 5)
     for name in ("serial", "nested", "over_field"):
         (text,) = said[name]
         assert text.startswith(f"kernel '{name}': this loop runs on one thread of the GPU, some ")
-        assert " million operations one after another\n  hint: a CPU is faster" in text
+        assert " million operations one after another\n  hint: a CPU is usually faster" in text
     # What many threads do at once is what a GPU is for.
     assert said["many"] == said["unknown"] == []
 
@@ -78,7 +78,7 @@ def test_short_ones_are_not(gpu):
 
 def test_a_cpu_has_no_such_threads():
     ti.init(arch=ti.cpu, default_fp=ti.f32)
-    assert not any(make(30000, 5).values())
+    assert not any(make(1000000, 5).values())
 
 
 def test_the_line_is_that_of_the_loop(gpu):
@@ -87,7 +87,7 @@ def test_the_line_is_that_of_the_loop(gpu):
     @ti.kernel
     def run():
         ti.loop_config(serialize=True)
-        for _ in range(200000):
+        for _ in range(2000000):
             for i in range(9):
                 x[i + 1] = ti.sin(x[i])
 
@@ -95,4 +95,4 @@ def test_the_line_is_that_of_the_loop(gpu):
         run.compile()
     assert len(caught) == 1
     assert caught[0].filename == __file__
-    assert "range(200000)" in open(__file__).read().splitlines()[caught[0].lineno - 1]
+    assert "range(2000000)" in open(__file__).read().splitlines()[caught[0].lineno - 1]
