@@ -16,6 +16,7 @@
 #include "tai/Runtime/Abi.h"
 #include "llvm/Analysis/LoopInfo.h"
 #include "llvm/Analysis/ScalarEvolution.h"
+#include "llvm/Analysis/ScalarEvolutionExpressions.h"
 #include "llvm/IR/Dominators.h"
 #include "llvm/IR/IRBuilder.h"
 #include "llvm/IR/MDBuilder.h"
@@ -49,9 +50,43 @@ bool mayReturnEarly(const Function &function) {
          isPointer(0) && isPointer(1) && isLong(2) && isLong(3) && isLong(4);
 }
 
+/// An upper bound of the iterations of the parallel loop that the function is
+/// the body of, or 0.
+uint64_t getIterations(const Function &function) {
+  uint64_t most = 0;
+  for (const Use &use : function.uses()) {
+    const auto *call = dyn_cast<CallBase>(use.getUser());
+    const Function *callee = call ? call->getCalledFunction() : nullptr;
+    if (!callee || callee->getName() != "tai_rt_parallel_for" ||
+        call->arg_size() < 4)
+      return 0;
+    const auto *count = dyn_cast<ConstantInt>(call->getArgOperand(3));
+    if (!count || count->isNegative())
+      return 0;
+    most = std::max(most, count->getZExtValue());
+  }
+  return most;
+}
+
+/// Whether the loop goes to the end of the part of the parallel loop that the
+/// body is called for. Others, such as a loop of the program behind which an
+/// iteration was peeled off, know nothing of that end.
+bool goesOverPart(const Loop &loop, ScalarEvolution &evolution) {
+  const Function &function = *loop.getHeader()->getParent();
+  if (function.arg_size() != 5)
+    return false;
+  const SCEV *rounds = evolution.getBackedgeTakenCount(&loop);
+  return !isa<SCEVCouldNotCompute>(rounds) &&
+         SCEVExprContains(rounds, [&](const SCEV *part) {
+           auto *unknown = dyn_cast<SCEVUnknown>(part);
+           return unknown && unknown->getValue() == function.getArg(3);
+         });
+}
+
 /// An upper bound of the instructions that all rounds of a loop take, or
-/// UINT64_MAX.
-uint64_t countInstructions(const Loop &loop, ScalarEvolution &evolution) {
+/// UINT64_MAX. `iterations` are those of the parallel loop, 0 if unknown.
+uint64_t countInstructions(const Loop &loop, ScalarEvolution &evolution,
+                           uint64_t iterations) {
   uint64_t perRound = 0;
   for (const BasicBlock *block : loop.blocks()) {
     for (const Instruction &instruction : *block)
@@ -62,13 +97,15 @@ uint64_t countInstructions(const Loop &loop, ScalarEvolution &evolution) {
   }
   uint64_t total = perRound;
   for (const Loop *inner : loop.getSubLoops()) {
-    uint64_t rounds = countInstructions(*inner, evolution);
+    uint64_t rounds = countInstructions(*inner, evolution, 0);
     if (rounds == UINT64_MAX)
       return UINT64_MAX;
     total += rounds;
   }
-  unsigned rounds = evolution.getSmallConstantMaxTripCount(&loop);
-  if (rounds == 0 || total > kShortLoop)
+  uint64_t rounds = evolution.getSmallConstantMaxTripCount(&loop);
+  if (rounds == 0 && iterations != 0 && goesOverPart(loop, evolution))
+    rounds = iterations;
+  if (rounds == 0 || total > kShortLoop || rounds > kShortLoop)
     return UINT64_MAX;
   return total * rounds;
 }
@@ -127,9 +164,10 @@ PreservedAnalyses InsertSafepoints::run(Function &function,
     return PreservedAnalyses::all();
   auto &loops = analyses.getResult<LoopAnalysis>(function);
   auto &evolution = analyses.getResult<ScalarEvolutionAnalysis>(function);
+  uint64_t iterations = getIterations(function);
   SmallVector<Instruction *> backEdges;
   for (Loop *loop : loops.getLoopsInPreorder()) {
-    if (countInstructions(*loop, evolution) <= kShortLoop)
+    if (countInstructions(*loop, evolution, iterations) <= kShortLoop)
       continue;
     SmallVector<BasicBlock *> latches;
     loop->getLoopLatches(latches);

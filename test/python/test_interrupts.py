@@ -198,7 +198,7 @@ def test_a_compilation_is_interrupted():
     def large():
         for k in x:
             s = 0.0
-            for i in ti.static(range(600)):
+            for i in ti.static(range(3000)):
                 s += ti.sin(x[k] * i) * ti.exp(x[k] - i) + ti.sqrt(x[k] + i)
             x[k] = s
 

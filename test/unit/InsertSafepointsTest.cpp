@@ -74,6 +74,37 @@ TEST(InsertSafepoints, PollsWhereTheEndIsNotKnown) {
   EXPECT_EQ(countPolls(body, loop("%last") + "  ret void\n"), 1);
 }
 
+/// A kernel that calls the body for so many iterations.
+std::string caller(StringRef count) {
+  return "}\n"
+         "declare void @tai_rt_parallel_for(ptr, ptr, ptr, i64, i64)\n"
+         "define void @kernel(ptr %frame, i64 %n) {\n"
+         "  call void @tai_rt_parallel_for(ptr %frame, ptr @f, ptr %frame, "
+         "i64 " +
+         count.str() +
+         ", i64 4)\n"
+         "  ret void\n";
+}
+
+TEST(InsertSafepoints, KnowsTheIterationsOfParallelLoops) {
+  std::string text = loop("%last") + "  ret void\n";
+  EXPECT_EQ(countPolls(body, text + caller("61")), 0);
+  EXPECT_EQ(countPolls(body, text + caller("1000000")), 1);
+  EXPECT_EQ(countPolls(body, text + caller("%n")), 1);
+}
+
+TEST(InsertSafepoints, TakesNoOtherLoopForTheParallelOne) {
+  // The outer loop is gone, as where all of its iterations were peeled off.
+  std::string text = "entry:\n"
+                     "  %n = load i64, ptr %closure\n"
+                     "  br label %loop\n" +
+                     loop("%n").substr(strlen("entry:\n  br label %loop\n")) +
+                     "  ret void\n";
+  EXPECT_EQ(countPolls(body, text + caller("1")), 1);
+  std::string first = loop("%first") + "  ret void\n";
+  EXPECT_EQ(countPolls(body, first + caller("1")), 1);
+}
+
 TEST(InsertSafepoints, LeavesShortLoopsAlone) {
   EXPECT_EQ(countPolls(body, loop("1000") + "  ret void\n"), 0);
   EXPECT_EQ(countPolls(kernel, loop("1000") + "  ret i32 0\n"), 0);
