@@ -21,6 +21,7 @@ import os
 import re
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -288,7 +289,7 @@ class Worker:
 
     def __init__(self, args: argparse.Namespace):
         command = [sys.executable, __file__, "--worker", "--configurations", *args.configurations]
-        self.errors = open(f"/tmp/r3-{os.getpid()}-{id(self)}.txt", "w+")  # noqa: SIM115
+        self.errors = tempfile.TemporaryFile("w+")  # noqa: SIM115, it lives as long as the process
         environment = {**os.environ, "TAI_VERIFY_EACH": "1", "TAI_CACHE_DIR": ""}
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.errors,
@@ -325,7 +326,7 @@ class Worker:
         if self.process.poll() is None:
             self.process.stdin.close()
             self.process.wait(30)
-        Path(self.errors.name).unlink(missing_ok=True)
+        self.errors.close()
 
 
 def run(args: argparse.Namespace) -> list[dict]:
