@@ -6,11 +6,11 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/Compiler.h"
+#include "../CodeGen/Device/Libdevice.h"
+#include "../CodeGen/InjectedFailures.h"
+#include "../CodeGen/VerifyEach.h"
 #include "BuildId.h"
 #include "CompilerWorker.h"
-#include "InjectedFailures.h"
-#include "Libdevice.h"
-#include "VerifyEach.h"
 #include "mlir/Pass/Pass.h"
 #include "mlir/Pass/PassInstrumentation.h"
 #include "tai/Analysis/SkipScope.h"
@@ -18,7 +18,7 @@
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/ExecutionEngine/AdjointNeeds.h"
 #include "tai/ExecutionEngine/Background.h"
-#include "tai/Runtime/CacheStore.h"
+#include "tai/Runtime/Cache/CacheStore.h"
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/Support/BLAKE3.h"
 

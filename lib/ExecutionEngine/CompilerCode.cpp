@@ -10,9 +10,9 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "../CodeGen/InjectedFailures.h"
+#include "../CodeGen/VerifyEach.h"
 #include "CompilerWorker.h"
-#include "InjectedFailures.h"
-#include "VerifyEach.h"
 #include "mlir/Target/LLVMIR/Export.h"
 #include "tai/Analysis/SkipScope.h"
 #include "tai/Conversion/Passes.h"

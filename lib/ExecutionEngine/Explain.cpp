@@ -11,8 +11,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/Explain.h"
+#include "tai/CodeGen/Diagnostics.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
-#include "tai/ExecutionEngine/Diagnostics.h"
 #include "tai/ExecutionEngine/ModuleFile.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "llvm/ADT/SetVector.h"

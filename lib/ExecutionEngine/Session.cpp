@@ -14,7 +14,7 @@
 #include "tai/ExecutionEngine/Explain.h"
 #include "tai/InitAll.h"
 #include "tai/Pipelines/Pipelines.h"
-#include "tai/Runtime/DeviceHeap.h"
+#include "tai/Runtime/Device/DeviceHeap.h"
 #include "llvm/Support/FormatVariadic.h"
 #include "llvm/Support/Path.h"
 #include "llvm/Support/Process.h"

@@ -10,15 +10,15 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "InjectedFailures.h"
+#include "../CodeGen/InjectedFailures.h"
 #include "Reproducer.h"
 #include "mlir/Pass/PassManager.h"
 #include "mlir/Transforms/Passes.h"
-#include "tai/Dialect/Tai/Transforms/AccessShadow.h"
-#include "tai/Dialect/Tai/Transforms/Passes.h"
-#include "tai/ExecutionEngine/Diagnostics.h"
+#include "tai/CodeGen/Diagnostics.h"
 #include "tai/ExecutionEngine/Session.h"
-#include "tai/Runtime/AccessChecks.h"
+#include "tai/Runtime/Launch/AccessChecks.h"
+#include "tai/Transforms/AccessShadow.h"
+#include "tai/Transforms/Passes.h"
 
 using namespace mlir;
 using namespace mlir::tai;

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "InjectedFailures.h"
+#include "../CodeGen/InjectedFailures.h"
 #include "tai/ExecutionEngine/Session.h"
-#include "tai/Runtime/DeviceQueue.h"
+#include "tai/Runtime/Queue/DeviceQueue.h"
 #include "llvm/Support/Process.h"
 
 using namespace mlir;

@@ -19,14 +19,14 @@
 #include "mlir/IR/BuiltinOps.h"
 #include "mlir/IR/OwningOpRef.h"
 #include "mlir/Pass/PassManager.h"
-#include "tai/AD/Differentiable.h"
-#include "tai/Analysis/BoundsMode.h"
-#include "tai/ExecutionEngine/CompiledObject.h"
-#include "tai/ExecutionEngine/DeviceCompiler.h"
-#include "tai/ExecutionEngine/Diagnostics.h"
-#include "tai/ExecutionEngine/Linker.h"
-#include "tai/ExecutionEngine/ObjectCompiler.h"
-#include "tai/Runtime/Skips.h"
+#include "tai/CodeGen/CompiledObject.h"
+#include "tai/CodeGen/DeviceCompiler.h"
+#include "tai/CodeGen/Diagnostics.h"
+#include "tai/CodeGen/Linker.h"
+#include "tai/CodeGen/ObjectCompiler.h"
+#include "tai/Interfaces/Differentiable.h"
+#include "tai/Support/BoundsMode.h"
+#include "tai/Support/Skips.h"
 #include <array>
 #include <functional>
 

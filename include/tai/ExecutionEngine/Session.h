@@ -20,8 +20,8 @@
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/ExecutionEngine/Background.h"
 #include "tai/ExecutionEngine/Compiler.h"
-#include "tai/Runtime/CacheStore.h"
-#include "tai/Runtime/Runtime.h"
+#include "tai/Runtime/Cache/CacheStore.h"
+#include "tai/Runtime/Launch/Runtime.h"
 #include "llvm/ADT/StringMap.h"
 #include "llvm/Support/ThreadPool.h"
 #include <deque>

@@ -1,0 +1,100 @@
+//===- ObjectCompiler.h - LLVM IR to object code for this CPU ---*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The LLVM half of the compiler: optimises a module for the CPU that it runs on
+// and emits object code or assembly into memory. Target machines are costly to
+// make, so an ObjectCompiler is kept and used again, by one thread at a time.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_CODEGEN_OBJECTCOMPILER_H
+#define TAI_CODEGEN_OBJECTCOMPILER_H
+
+#include "llvm/ADT/SmallVector.h"
+#include "llvm/Support/Error.h"
+#include <memory>
+#include <string>
+
+namespace llvm {
+class Module;
+class TargetMachine;
+class raw_pwrite_stream;
+} // namespace llvm
+
+namespace mlir::tai {
+
+/// What decides the machine code made from a module.
+struct CodegenOptions {
+  /// 0 to 3, as of the usual compiler drivers.
+  unsigned optLevel = 3;
+  /// Reassociation, reciprocals, approximate functions and vector math
+  /// functions. Infinities and NaN keep their meaning: gradients rely on it.
+  bool fastMath = false;
+  /// Whether a product and a sum may become one fused operation.
+  bool contract = true;
+  /// Whether each access asks AddressSanitizer, whose run time the process must
+  /// have.
+  bool sanitizeAddress = false;
+
+  bool operator==(const CodegenOptions &other) const {
+    return optLevel == other.optLevel && fastMath == other.fastMath &&
+           contract == other.contract &&
+           sanitizeAddress == other.sanitizeAddress;
+  }
+};
+
+/// Allows, for all operations of the module, what fastMath allows.
+void allowFastMath(llvm::Module &module);
+
+/// The CPU that this process runs on.
+struct HostCpu {
+  std::string triple;
+  std::string name;
+  std::string features;
+
+  static const HostCpu &get();
+};
+
+class ObjectCompiler {
+public:
+  static llvm::Expected<std::unique_ptr<ObjectCompiler>>
+  create(const CodegenOptions &options);
+  ~ObjectCompiler();
+
+  const CodegenOptions &getOptions() const { return options; }
+
+  /// Sets the target of the module, for what is done before optimize().
+  void setTarget(llvm::Module &module);
+
+  /// Sets the target of the module and runs the optimisation pipeline on it.
+  llvm::Error optimize(llvm::Module &module);
+
+  /// The object code of an optimised module.
+  llvm::Expected<llvm::SmallVector<char, 0>> emitObject(llvm::Module &module);
+
+  /// The assembly text of an optimised module.
+  llvm::Expected<std::string> emitAssembly(llvm::Module &module);
+
+  /// True once LLVM has met a fatal error in here. The module that it was
+  /// given, and this, are then in no state to be used or even destroyed: leak
+  /// them.
+  bool isBroken() const { return broken; }
+
+private:
+  explicit ObjectCompiler(const CodegenOptions &options);
+  void runPasses(llvm::Module &module);
+  llvm::Error emit(llvm::Module &module, llvm::raw_pwrite_stream &stream,
+                   bool assembly);
+
+  CodegenOptions options;
+  std::unique_ptr<llvm::TargetMachine> machine;
+  bool broken = false;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_CODEGEN_OBJECTCOMPILER_H
