@@ -53,7 +53,3 @@ def test_a_room_without_an_entry_is_named():
 def test_a_circle_in_the_table_has_no_order():
     assert rooms.order(TABLE) == ["Low", "Middle", "High"]
     assert rooms.order({"A": "B", "B": "A"}) is None
-
-
-def test_this_checkout_keeps_the_rules():
-    assert rooms.check() == []
