@@ -266,6 +266,48 @@ std::optional<SmallVector<Value>> ParallelForOp::getLoopInductionVars() {
   return SmallVector<Value>(getInductionVars());
 }
 
+/// The indices of the elements that a loop over a field may visit: from the
+/// first number, included, to the second. Passes that ask for induction
+/// variables expect bounds for each of them.
+static std::pair<int64_t, int64_t> getVisitedRange(ParallelForOp loop,
+                                                   unsigned dimension) {
+  if (auto field = SymbolTable::lookupNearestSymbolFrom<FieldOp>(
+          loop, loop.getFieldAttr()))
+    if (FailureOr<FieldLayout> layout = getFieldLayout(field);
+        succeeded(layout) && dimension < layout->shape.size()) {
+      int64_t first = layout->offset.empty() ? 0 : layout->offset[dimension];
+      return {first, first + layout->shape[dimension]};
+    }
+  return {std::numeric_limits<int64_t>::min(),
+          std::numeric_limits<int64_t>::max()};
+}
+
+static SmallVector<OpFoldResult> getBounds(ParallelForOp loop, bool upper) {
+  if (!loop.isStructFor())
+    return getAsOpFoldResult(upper ? loop.getUpperBounds()
+                                   : loop.getLowerBounds());
+  Builder builder(loop.getContext());
+  SmallVector<OpFoldResult> bounds;
+  for (unsigned i = 0, e = loop.getInductionVars().size(); i < e; ++i) {
+    auto [first, end] = getVisitedRange(loop, i);
+    bounds.push_back(builder.getIndexAttr(upper ? end : first));
+  }
+  return bounds;
+}
+
+std::optional<SmallVector<OpFoldResult>> ParallelForOp::getLoopLowerBounds() {
+  return getBounds(*this, /*upper=*/false);
+}
+
+std::optional<SmallVector<OpFoldResult>> ParallelForOp::getLoopUpperBounds() {
+  return getBounds(*this, /*upper=*/true);
+}
+
+std::optional<SmallVector<OpFoldResult>> ParallelForOp::getLoopSteps() {
+  return SmallVector<OpFoldResult>(getInductionVars().size(),
+                                   Builder(getContext()).getIndexAttr(1));
+}
+
 //===----------------------------------------------------------------------===//
 // Locals, asserts
 //===----------------------------------------------------------------------===//
