@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from ._impl.fields.fields import Field
+from ._impl.fields.snode import Axes
+from ._impl.fields.structs import Struct, StructField
 from .errors import TaiRuntimeTypeError
-from .fields import Field
-from .snode import Axes
-from .structs import Struct, StructField
 
 
 def grid(members: dict[str, Any], shape: Any) -> StructField:
@@ -17,7 +17,7 @@ def grid(members: dict[str, Any], shape: Any) -> StructField:
         members: the type of each member.
         shape: the extents.
     """
-    from .program import root
+    from ._impl.base.program import root
 
     extents = tuple(shape) if isinstance(shape, (tuple, list)) else (shape,)
     if len(extents) not in (2, 3):

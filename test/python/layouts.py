@@ -52,7 +52,7 @@ def below(layout: str) -> Iterator[None]:
     if layout == "dense":
         yield
         return
-    from tai import fields, snode
+    from tai._impl.fields import fields, snode
 
     kind, _, lazy = layout.partition("-")
     dense, put_into = snode.SNode.dense, fields.ScalarField.put_into

@@ -1,5 +1,5 @@
 """`ti.lang.field`: fields of numbers and matrices."""
 
-from ..fields import Field, MatrixField, ScalarField
+from .._impl.fields.fields import Field, MatrixField, ScalarField
 
 __all__ = ["Field", "MatrixField", "ScalarField"]

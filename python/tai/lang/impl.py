@@ -5,11 +5,11 @@ from __future__ import annotations
 import sys
 from typing import Any
 
-from .. import _state, program
-from ..arrays import ndarray
-from ..fields import field
-from ..ops import grouped, ndrange, static
-from ..program import root
+from .._impl.base import program, state
+from .._impl.base.program import root
+from .._impl.fields.arrays import ndarray
+from .._impl.fields.fields import field
+from .._impl.values.ops import grouped, ndrange, static
 
 
 class Runtime:
@@ -32,11 +32,11 @@ class Runtime:
 
     @property
     def default_fp(self) -> Any:
-        return _state.options.default_fp
+        return state.options.default_fp
 
     @property
     def default_ip(self) -> Any:
-        return _state.options.default_ip
+        return state.options.default_ip
 
 
 _runtime = Runtime()
@@ -48,7 +48,7 @@ def get_runtime() -> Runtime:
 
 def current_cfg() -> program.Options:
     """The options of `ti.init`."""
-    return _state.options
+    return state.options
 
 
 __all__ = [

@@ -2,7 +2,8 @@
 
 from enum import Enum
 
-from ..ops import (
+from .._impl.base.program import Arch, arm64, cpu, cuda, gpu, init, python, reset, why_no_cuda, x64
+from .._impl.values.ops import (
     block_local,
     cache_read_only,
     loop_config,
@@ -10,7 +11,6 @@ from ..ops import (
     ndrange,
     no_activate,
 )
-from ..program import Arch, arm64, cpu, cuda, gpu, init, python, reset, why_no_cuda, x64
 
 
 class Extension(Enum):

@@ -1,0 +1,191 @@
+"""Signatures of kernels and functions: the types that parameters and results are annotated by."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiCompilationError, TaiSyntaxError, TaiTypeError
+from ..base import dtypes
+from ..values.types import MatrixType, NdarrayType, ScalarType, template
+
+
+class Parameter:
+    """A parameter of a kernel, as it is annotated."""
+
+    __slots__ = ("default", "has_default", "name", "type")
+
+    def __init__(self, name: str, type_: Any, has_default: bool, default: Any):
+        self.name, self.type = name, type_
+        self.has_default, self.default = has_default, default
+
+
+def names_of(function: Callable[..., Any]) -> list[str]:
+    code = function.__code__
+    return list(code.co_varnames[: code.co_argcount + code.co_kwonlyargcount])
+
+
+def _located(error: TaiCompilationError, function: Callable[..., Any]) -> TaiCompilationError:
+    """Places an error at the `def` line of a function."""
+    code = function.__code__
+    line = code.co_firstlineno
+    try:
+        from ..frontend.source import function_ast
+
+        node = function_ast(function)
+        error.locate(code.co_filename, node.lineno, node.col_offset + 1)
+    except TaiSyntaxError:
+        error.locate(code.co_filename, line, 1)
+    return error
+
+
+def check_annotations(function: Callable[..., Any], is_method: bool) -> None:
+    """Refuses parameters of a kernel without a type."""
+    code = function.__code__
+    if code.co_flags & 0x0C:
+        raise _located(
+            TaiSyntaxError(
+                f"kernel '{function.__name__}' cannot have *args or **kwargs",
+                "name each parameter, or pass a tuple as a ti.template()",
+            ),
+            function,
+        )
+    for name in names_of(function)[1 if is_method else 0 :]:
+        if name not in function.__annotations__:
+            raise _located(
+                TaiSyntaxError(
+                    f"parameter '{name}' of kernel '{function.__name__}' has no type",
+                    f"annotate it: {name}: ti.f32, {name}: ti.template(), …",
+                ),
+                function,
+            )
+
+
+def _resolve(annotation: Any, function: Callable[..., Any]) -> Any:
+    """An annotation as an object; `from __future__ import annotations` leaves text."""
+    if not isinstance(annotation, str):
+        return annotation
+    from ..frontend.source import closure_of
+
+    try:
+        return eval(annotation, function.__globals__, closure_of(function))
+    except Exception as error:
+        raise _located(
+            TaiSyntaxError(f"the annotation '{annotation}' has no meaning: {error}"), function
+        ) from error
+
+
+def _is_template(annotation: Any) -> bool:
+    return annotation is template or isinstance(annotation, template)
+
+
+def parse_type(annotation: Any, function: Callable[..., Any], what: str) -> Any:
+    """The type that an annotation of a parameter or result names."""
+    annotation = _resolve(annotation, function)
+    if _is_template(annotation):
+        return template()
+    if annotation is NdarrayType:
+        return NdarrayType()
+    if isinstance(annotation, (NdarrayType, MatrixType)):
+        return annotation
+    if dtypes.to_dtype(annotation) is not None:
+        return ScalarType(annotation)
+    raise _located(
+        TaiSyntaxError(
+            f"{what} of '{function.__name__}' has a type that kernels do not know: {annotation!r}",
+            "use a number type, ti.template(), ti.types.ndarray() or ti.types.vector(…)",
+        ),
+        function,
+    )
+
+
+def parse_signature(
+    function: Callable[..., Any], is_method: bool
+) -> tuple[list[Parameter], ScalarType | MatrixType | None]:
+    """The parameters of a kernel and the type of its result."""
+    defaults = dict(zip(reversed(names_of(function)), reversed(function.__defaults__ or ()),
+                        strict=False))  # fmt: skip
+    parameters = []
+    for number, name in enumerate(names_of(function)):
+        if number == 0 and is_method and name not in function.__annotations__:
+            type_: Any = template()
+        else:
+            type_ = parse_type(function.__annotations__[name], function, f"parameter '{name}'")
+        parameters.append(Parameter(name, type_, name in defaults, defaults.get(name)))
+    annotation = function.__annotations__.get("return")
+    if annotation is None or _resolve(annotation, function) is None:
+        return parameters, None
+    result = parse_type(annotation, function, "the result")
+    if not isinstance(result, (ScalarType, MatrixType)) or result.dtype.name == "f16":
+        raise _located(
+            TaiSyntaxError(
+                f"kernel '{function.__name__}' cannot return {annotation!r}",
+                "return a number, a vector or a matrix",
+            ),
+            function,
+        )
+    if int(np.prod(result.shape, dtype=int)) > 16:
+        raise _located(TaiSyntaxError("a kernel returns at most 16 numbers"), function)
+    return parameters, result
+
+
+class FunctionInfo:
+    """What the compiler needs of a `ti.func`."""
+
+    def __init__(self, function: Callable[..., Any]):
+        self.function, self.name = function, function.__name__
+        self.names = names_of(function)
+        self._kinds: dict[str, Any] | None = None
+        self._defaults = dict(
+            zip(reversed(self.names), reversed(function.__defaults__ or ()), strict=False)
+        )
+
+    @property
+    def kinds(self) -> dict[str, Any]:
+        """For each parameter `"template"`, a type with `convert`, or None."""
+        if self._kinds is None:
+            self._kinds = {}
+            for name in self.names:
+                annotation = self.function.__annotations__.get(name)
+                if annotation is None:
+                    self._kinds[name] = None
+                    continue
+                type_ = parse_type(annotation, self.function, f"parameter '{name}'")
+                if isinstance(type_, template):
+                    self._kinds[name] = "template"
+                else:
+                    self._kinds[name] = None if isinstance(type_, NdarrayType) else type_
+        return self._kinds
+
+    @property
+    def has_templates(self) -> bool:
+        return "template" in self.kinds.values()
+
+    @property
+    def result_type(self) -> Any:
+        annotation = self.function.__annotations__.get("return")
+        if annotation is None or _resolve(annotation, self.function) is None:
+            return None
+        type_ = parse_type(annotation, self.function, "the result")
+        return type_ if isinstance(type_, (ScalarType, MatrixType)) else None
+
+    def bind(self, args: list, kwargs: dict) -> dict[str, Any]:
+        """The value of each parameter."""
+        if len(args) > len(self.names):
+            raise TaiTypeError(
+                f"function '{self.name}' takes {len(self.names)} arguments, but got {len(args)}"
+            )
+        bound = dict(zip(self.names, args, strict=False))
+        for name, value in kwargs.items():
+            if name not in self.names or name in bound:
+                problem = "gets two values for" if name in bound else "has no"
+                raise TaiTypeError(f"function '{self.name}' {problem} parameter '{name}'")
+            bound[name] = value
+        for name in self.names:
+            if name not in bound:
+                if name not in self._defaults:
+                    raise TaiTypeError(f"function '{self.name}' needs an argument '{name}'")
+                bound[name] = self._defaults[name]
+        return bound
