@@ -12,6 +12,8 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import rooms_python
+
 ROOT = Path(__file__).resolve().parent.parent
 LICENSE_TAG = "SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception"
 MAX_LINES = 800
@@ -78,6 +80,11 @@ def lit_run_lines(_fix: bool) -> str:
     return "\n".join(bad)
 
 
+def python_rooms(_fix: bool) -> str:
+    """Packages of `python/tai` import from those below them, at the top of a module."""
+    return "\n".join(rooms_python.problems(ROOT / "python" / "tai"))
+
+
 CHECKS: dict[str, Callable[[bool], str]] = {
     "clang-format": clang_format,
     "ruff format": ruff_format,
@@ -85,6 +92,7 @@ CHECKS: dict[str, Callable[[bool], str]] = {
     "licence headers": license_headers,
     "file sizes": file_sizes,
     "RUN lines": lit_run_lines,
+    "Python rooms": python_rooms,
 }
 
 

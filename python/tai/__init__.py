@@ -21,6 +21,7 @@ print(x.grad)
 
 from __future__ import annotations
 
+import importlib as _importlib
 from typing import Any
 
 from . import types
@@ -51,13 +52,10 @@ from ._impl.base.dtypes import (
     uint32,
     uint64,
 )
-from ._impl.base.program import (
-    CRITICAL,
-    DEBUG,
-    ERROR,
-    INFO,
-    TRACE,
-    WARN,
+from ._impl.base.options import CRITICAL, DEBUG, ERROR, INFO, TRACE, WARN
+from ._impl.base.program import reset, sync
+from ._impl.base.start import init
+from ._impl.base.targets import (
     amdgpu,
     arm64,
     cpu,
@@ -65,18 +63,18 @@ from ._impl.base.program import (
     dx11,
     gles,
     gpu,
-    init,
     metal,
     opengl,
     python,
-    reset,
-    root,
-    sync,
     vulkan,
     x64,
 )
 from ._impl.fields.arrays import Ndarray, ndarray
-from ._impl.fields.fields import Field, MatrixField, ScalarField, field
+from ._impl.fields.field import Field
+from ._impl.fields.make import field
+from ._impl.fields.matrix_field import MatrixField
+from ._impl.fields.root import root
+from ._impl.fields.scalar import ScalarField
 from ._impl.fields.snode import (
     FieldsBuilder,
     Layout,
@@ -184,6 +182,7 @@ from .errors import (
     TaiSyntaxError,
     TaiTypeError,
 )
+from .errors import did_you_mean as _did_you_mean
 
 __version__ = "0.1.0"
 
@@ -216,19 +215,15 @@ _MODULES = {"ad", "errors", "gui", "lang", "math", "profiler", "sparse", "testin
 
 
 def __getattr__(name: str) -> Any:
-    import importlib
-
     if name in _LAZY:
-        value = getattr(importlib.import_module(f".{_LAZY[name]}", __name__), name)
+        value = getattr(_importlib.import_module(f".{_LAZY[name]}", __name__), name)
     elif name in _MODULES:
-        value = importlib.import_module(f".{name}", __name__)
+        value = _importlib.import_module(f".{name}", __name__)
     else:
-        from .errors import did_you_mean
-
         if name in _NOT_YET:
             raise AttributeError(f"ti.{name} is not built in yet")
         error = AttributeError(f"module 'tai' has no attribute '{name}'")
-        hint = did_you_mean(name, __dir__())
+        hint = _did_you_mean(name, __dir__())
         if hint:
             error.add_note(hint)
         raise error

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from ._impl.ad.check import CheckResult, GradientCheckError, check
+from ._impl.ad.check import check
+from ._impl.ad.compare import CheckResult, GradientCheckError
 from ._impl.ad.forward import FwdMode, hvp, jvp
 from ._impl.ad.health import HealthReport
 from ._impl.ad.memory import TapeStats
-from ._impl.ad.seeds import TaiGradientWarning
 from ._impl.ad.tape import (
     Tape,
     clear_all_gradients,
@@ -18,6 +18,7 @@ from ._impl.ad.tape import (
 )
 from ._impl.ad.validation import Violation
 from ._impl.tracking.tracked import variable
+from .errors import TaiGradientWarning
 
 __all__ = [
     "CheckResult", "FwdMode", "GradientCheckError", "HealthReport", "TaiGradientWarning", "Tape",

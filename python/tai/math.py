@@ -7,6 +7,7 @@ from typing import Any
 
 from ._impl.base import dtypes
 from ._impl.values import ops
+from ._impl.values.matrix import Matrix
 from ._impl.values.ops import (
     acos,
     asin,
@@ -144,15 +145,11 @@ def determinant(m: Any) -> Any:
 
 def eye(n: int) -> Any:
     """The identity of size n."""
-    from ._impl.values.matrix import Matrix
-
     return Matrix.identity(float, n)
 
 
 def rotation2d(angle: Any) -> Any:
     """The matrix that turns by an angle, counter-clockwise."""
-    from ._impl.values.matrix import Matrix
-
     c, s = cos(angle), sin(angle)
     return Matrix([[c, -s], [s, c]])
 

@@ -16,7 +16,9 @@ import numpy as np
 
 from ._impl.base.dtypes import f16, f32
 from ._impl.fields.active import write_elements
-from ._impl.fields.fields import Field, MatrixField, ScalarField
+from ._impl.fields.field import Field
+from ._impl.fields.matrix_field import MatrixField
+from ._impl.fields.scalar import ScalarField
 from ._impl.fields.snode import SNode
 from .errors import TaiError, TaiRuntimeError, TaiRuntimeTypeError
 

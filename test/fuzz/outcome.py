@@ -14,7 +14,7 @@ import random_kernels as programs
 import singular
 import tai as ti
 from configurations import Configuration
-from tai._impl.ad import check, probe
+from tai._impl.ad import compare, probe
 from tai.errors import TaiCompilationError, TaiError
 
 # Elements of which sums are right to the last digits.
@@ -122,7 +122,7 @@ def plain(message: str) -> str:
 
 def _run(module):
     """The program, and its loss and gradients by the names of the fields."""
-    program = check.Program(module.run, module.loss)
+    program = compare.Program(module.run, module.loss)
     program.record()
     program.start.restore(only_primal=True)
     base = program.values()[0]
@@ -148,7 +148,7 @@ def _compare(found: dict, reference: dict, beside: dict) -> Outcome | None:
         scale = max(float(np.max(np.abs(expected))), 1e-6)
         noise = float(np.max(np.abs(beside.get(name, expected) - expected))) / scale
         error = float(np.max(np.abs(value - expected))) / scale
-        # Where a program amplifies it this much, no digits are left to compare.
+        # Where a program amplifies it this much, no digits are left to check.
         if noise < 1e-8 and not error <= 1e-9 + 100 * noise:
             what = "loss" if name == "loss" else "gradient"
             return Outcome(
@@ -207,7 +207,7 @@ def _check_finite(program, f, mask, gradient) -> Outcome:
 
 def _value(program, f, at):
     program.start.restore(only_primal=True)
-    return check.Snapshot._take(f)[at]
+    return compare.Snapshot._take(f)[at]
 
 
 def _one_sided_limit(program, f, at, sign: float) -> float | None:
@@ -247,7 +247,7 @@ def _check_forward(program, f, mask, gradient, generator, kinked, bound, beside=
     if not finite.any():
         return Outcome("agree")
     along = probe.direction(generator, gradient, finite)
-    expected = check.forward_derivative(program, f, along, [np.ones(())])
+    expected = compare.forward_derivative(program, f, along, [np.ones(())])
     if expected is None:
         return Outcome("agree")
     parts = (gradient * along)[finite]

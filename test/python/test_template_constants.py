@@ -12,7 +12,7 @@ from collections import namedtuple
 import numpy as np
 import pytest
 import tai as ti
-from tai._impl.frontend.templates import TaiCompilationWarning
+from tai.errors import TaiCompilationWarning
 
 # Python takes neighbours for equal, or finds some unequal to itself.
 LIKE_NUMBERS = [

@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 import pytest
 import tai as ti
-from tai._impl.frontend.templates import TaiCompilationWarning
+from tai.errors import TaiCompilationWarning
 
 SIGNED = [ti.i8, ti.i16, ti.i32, ti.i64]
 UNSIGNED = [ti.u8, ti.u16, ti.u32, ti.u64]

@@ -6,9 +6,10 @@ import sys
 from typing import Any
 
 from .._impl.base import program, state
-from .._impl.base.program import root
+from .._impl.base.options import Options
 from .._impl.fields.arrays import ndarray
-from .._impl.fields.fields import field
+from .._impl.fields.make import field
+from .._impl.fields.root import materialize, open_root, root
 from .._impl.values.ops import grouped, ndrange, static
 
 
@@ -21,11 +22,11 @@ class Runtime:
 
     @property
     def materialized(self) -> bool:
-        return not self.prog.root.children
+        return not open_root(self.prog).children
 
     def materialize(self) -> None:
         """Allocates the fields that were placed."""
-        self.prog.materialize(sys._getframe(1).f_globals)
+        materialize(self.prog, sys._getframe(1).f_globals)
 
     def sync(self) -> None:
         program.sync()
@@ -46,7 +47,7 @@ def get_runtime() -> Runtime:
     return _runtime
 
 
-def current_cfg() -> program.Options:
+def current_cfg() -> Options:
     """The options of `ti.init`."""
     return state.options
 

@@ -4,150 +4,31 @@ The tangent of a field is its dual, `x.dual`. In forward mode every launch, also
 tape replays and the gradient of a kernel, reads and writes duals beside the fields. A field
 without a dual is constant.
 
-Stable for other modules of the package: `forward_mode`, `clear_duals`, `run_forward` and
-`hessian_product`.
 """
 
 from __future__ import annotations
 
-import contextlib
-import sys
-import threading
-import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
-from ..base import native, state
 from ..base.program import get_program
-from ..history import origins
-from .seeds import TaiGradientWarning, parts_of
-
-
-def check_dual(field: Any, what: str) -> Any:
-    """The field, if it has a dual in memory.
-
-    Raises:
-        TaiRuntimeTypeError: it is not a field.
-        TaiAutodiffError: it is not of a float type, or has no dual.
-    """
-    from ..fields.fields import Field
-
-    if not isinstance(field, Field):
-        raise TaiRuntimeTypeError(
-            f"{what} must be a field, but got {'nothing' if field is None else repr(field)}"
-        )
-    if not field.dtype.is_float:
-        raise TaiAutodiffError(f"{what} '{field.name}' is of type {field.dtype}, not a float")
-    dual = field.dual
-    if dual is None or dual.snode is None:
-        raise TaiAutodiffError(
-            f"{what} '{field.name}' has no dual",
-            "make it with needs_dual=True, or call ti.root.lazy_dual() after placing it",
-        )
-    return field
-
-
-def check_tangent(field: Any, tangent: Any) -> np.ndarray:
-    """A tangent as an array of shape `field.shape + field.element_shape`.
-
-    Raises:
-        TaiRuntimeTypeError: it is not made of numbers, or has another shape.
-    """
-    wanted = field.shape + field.element_shape
-    try:
-        array = np.asarray(tangent, field.dtype.numpy)
-    except (TypeError, ValueError):
-        raise TaiRuntimeTypeError(
-            f"the tangent of field '{field.name}' must be made of numbers, but got {tangent!r}"
-        ) from None
-    # A list of all components in order is what Taichi takes.
-    if array.shape != wanted and array.shape != (int(np.prod(wanted, dtype=int)),):
-        raise TaiRuntimeTypeError(
-            f"the tangent of field '{field.name}' must have shape {wanted}, but got {array.shape}"
-        )
-    return array.reshape(wanted)
-
-
-def clear_duals() -> None:
-    """Sets the duals of all fields to zero, but those that another thread has computed."""
-    get_program().context.clear_tangents()
-
-
-# Threads are in forward mode one after the other: the duals of a field that two of them use are
-# those of one run.
-_one_thread = threading.RLock()
-
-
-def _cores_of(fields: Sequence[Any]) -> list[Any]:
-    """The places of fields, in C++."""
-    return [part.core for field in fields for part, _ in parts_of(field)]
-
-
-def _follow(inputs: Sequence[Any], all_others: bool) -> None:
-    """Follows the tangents of fields, to say where they get lost."""
-    program = get_program()
-    if all_others:
-        duals = (f for f in program.fields.values() if f.role == "dual")
-        inputs = [*inputs, *(d.primal for d in duals if d.snode is not None)]
-    program.context.follow_tangents(_cores_of(inputs))
-
-
-def _find_lost(outputs: Sequence[Any]) -> list[str]:
-    """Where tangents got lost on the way to the outputs; to be called in forward mode."""
-    return get_program().context.lost_tangents(_cores_of(outputs)).splitlines()
-
-
-def _warn_of_lost(lines: list[str], stacklevel: int) -> None:
-    for line in lines:
-        warnings.warn(line, TaiGradientWarning, stacklevel=stacklevel + 1)
-
-
-@contextlib.contextmanager
-def forward_mode() -> Iterator[None]:
-    """Launches kernels with their tangents while its block runs.
-
-    Another thread that wants that waits for the end of the block.
-
-    Raises:
-        TaiRuntimeError: forward mode is on already.
-    """
-    if state.forward:
-        raise TaiRuntimeError("forward mode is on already", "leave its `with` block first")
-    with _one_thread:
-        yield from _forward_mode()
-
-
-def _forward_mode() -> Iterator[None]:
-    program = get_program()
-    program.context.set_option("forward_mode", "true")
-    state.forward = True
-    native.set_forward_mode(True)
-    try:
-        yield
-    finally:
-        state.forward = False
-        native.set_forward_mode(False)
-        if state.tape is None:
-            origins.end()
-        program.context.set_option("forward_mode", "false")
-
-
-def _prepare(pairs: Sequence[tuple[Any, Any]], what: str) -> list[tuple[Any, np.ndarray]]:
-    """The fields of the pairs, in memory, with their tangents as arrays."""
-    checked = [(check_dual(field, what), tangent) for field, tangent in pairs]
-    get_program().materialize(_caller_names())
-    return [(field, check_tangent(field, tangent)) for field, tangent in checked]
-
-
-def _caller_names() -> dict[str, Any]:
-    """The variables of the program that called into the package."""
-    frame = sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("tai."):
-        frame = frame.f_back
-    return frame.f_globals
+from ..fields.root import materialize
+from .mode import (
+    caller_names,
+    check_dual,
+    check_tangent,
+    clear_duals,
+    find_lost,
+    follow,
+    forward_mode,
+    one_thread,
+    prepare,
+    warn_of_lost,
+)
+from .tape import Tape
 
 
 def run_forward(
@@ -173,25 +54,23 @@ def run_forward(
         TaiAutodiffError: a field has no dual, or something has no tangent rule.
         TaiRuntimeTypeError: a tangent has the wrong shape.
     """
-    from .tape import Tape
-
-    pairs = _prepare(tangents, "the field of a tangent")
+    pairs = prepare(tangents, "the field of a tangent")
     for field in outputs:
         check_dual(field, "output")
-    with _one_thread:
+    with one_thread:
         if clear:
             clear_duals()
         for field, tangent in pairs:
             field.dual.from_numpy(tangent)
         with forward_mode():
-            _follow([field for field, _ in pairs], not clear)
+            follow([field for field, _ in pairs], not clear)
             if isinstance(function, Tape):
                 function.replay(forward=True, backward=False)
             else:
                 function()
-            lost = _find_lost(outputs)
+            lost = find_lost(outputs)
         found = [field.dual.to_numpy() for field in outputs]
-    _warn_of_lost(lost, 3)
+    warn_of_lost(lost, 3)
     return found
 
 
@@ -199,9 +78,7 @@ def hessian_product(
     function: Callable[[], Any] | Any, loss: Any, pairs: Sequence[tuple[Any, Any]]
 ) -> list[np.ndarray]:
     """The gradient's derivative along the tangents of `pairs`: see `hvp`."""
-    from .tape import Tape
-
-    checked = _prepare(pairs, "the input")
+    checked = prepare(pairs, "the input")
     check_dual(loss, "the loss")
     # What has a gradient takes part in it; its dual would be missed without a word.
     for field in get_program().fields.values():
@@ -211,7 +88,7 @@ def hessian_product(
                 "a gradient passes through both",
                 "make it with needs_dual=True too, or call ti.root.lazy_dual()",
             )
-    with _one_thread:
+    with one_thread:
         clear_duals()
         for field, tangent in checked:
             if field.grad is None or field.grad.snode is None:
@@ -340,19 +217,19 @@ class FwdMode:
         self._mode: Any = None
 
     def __enter__(self) -> FwdMode:
-        get_program().materialize(_caller_names())
+        materialize(get_program(), caller_names())
         mode = forward_mode()
         mode.__enter__()
         self._mode = mode
         if self.clear_gradients:
             clear_duals()
         self.param.dual.from_numpy(self.seed)
-        _follow([self.param], not self.clear_gradients)
+        follow([self.param], not self.clear_gradients)
         return self
 
     def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
         mode, self._mode = self._mode, None
-        lost = [] if kind is not None else _find_lost(self.loss)
+        lost = [] if kind is not None else find_lost(self.loss)
         mode.__exit__(None, None, None)
         self.param.dual.fill(0.0)
-        _warn_of_lost(lost, 2)
+        warn_of_lost(lost, 2)

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from ...errors import shorten
-from .check import READ, Accesses, differentiable_fields, elements
+from ..base.program import get_program
+from .compare import READ, Accesses, differentiable_fields, elements
 from .snapshot import Snapshot
 from .source import Place
 
@@ -168,8 +169,6 @@ def _report(core: Any, loss: Any) -> HealthReport:
 
 
 def _names() -> dict[str, str]:
-    from ..base.program import get_program
-
     return {symbol: f.name for symbol, f in get_program().fields.items()}
 
 

@@ -7,12 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import TaiAutodiffError, TaiRuntimeTypeError
-
-
-class TaiGradientWarning(UserWarning):
-    """A gradient that is right, but perhaps not what was wanted."""
-
+from ...errors import TaiAutodiffError, TaiGradientWarning, TaiRuntimeTypeError
+from ..fields.field import Field
 
 _DECLARE = "loss = ti.field(ti.f32, shape=(), needs_grad=True)"
 
@@ -24,8 +20,6 @@ def as_losses(loss: Any) -> list[Any]:
         TaiRuntimeTypeError: something that is no field.
         TaiAutodiffError: a field of integers.
     """
-    from ..fields.fields import Field
-
     if loss is None:
         return []
     losses = list(loss) if isinstance(loss, (list, tuple)) else [loss]

@@ -10,24 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
+from ...errors import TaiAutodiffError, TaiGradientWarning, TaiRuntimeError, TaiRuntimeTypeError
 from ..base import native, state
 from ..base.program import get_program
+from ..fields.arrays import Ndarray
+from ..fields.root import materialize
+from ..history import gradients
 from ..tracking import tracked
-from ..tracking.tracked import variable as variable
-from .check import CheckResult as CheckResult
-from .check import GradCheck
-from .check import GradientCheckError as GradientCheckError
-from .check import check as check
-from .forward import FwdMode as FwdMode
-from .forward import hvp as hvp
-from .forward import jvp as jvp
+from . import library as library
+from .compare import GradCheck
 from .health import HealthReport, take_health
 from .memory import TapeStats, parse_checkpoint
-from .seeds import TaiGradientWarning as TaiGradientWarning
 from .seeds import as_losses, as_seed, as_seeds, is_number, parts_of, require_grad, set_seeds, warn
 from .validation import LIMIT, raise_violations
-from .validation import Violation as Violation
 
 
 class Tape:
@@ -76,8 +71,6 @@ class Tape:
         grad_check: Any = None, health: bool = False, *, validate: bool = False,
         seed: Any = None, memory_budget: Any = None, checkpoint: Any = None,
     ):  # fmt: skip
-        from ..fields.arrays import Ndarray
-
         # What the sweep starts from, besides fields.
         self._outer_loss = loss if isinstance(loss, Ndarray) else None
         if self._outer_loss is not None:
@@ -115,7 +108,7 @@ class Tape:
         if self._outer_loss is not None:
             self._outer_loss.fill(0)
         if self.clear_gradients:
-            tracked.clear_gradients(all_threads=False)
+            gradients.clear_gradients(all_threads=False)
         self._core = program.context.tape(None, self.clear_gradients)
         self._values = tracked.begin(self._core, self._checkpoint[0] != 0, self.clear_gradients)
         try:
@@ -257,7 +250,7 @@ class Tape:
 
     def _clear(self) -> None:
         self._core.clear_gradients()
-        tracked.clear_gradients(all_threads=False)
+        gradients.clear_gradients(all_threads=False)
 
     def _sweep(self, clear: bool, losses: tuple | None = None) -> None:
         if clear:
@@ -287,7 +280,7 @@ class Tape:
         if forward:
             self._values.check_replay()
         if backward:
-            tracked.clear_gradients(all_threads=False)
+            gradients.clear_gradients(all_threads=False)
         if self._outer_loss is not None:
             if forward:
                 self._outer_loss.fill(0)
@@ -339,9 +332,9 @@ class Tape:
 
 def clear_all_gradients() -> None:
     """Sets the gradients of all fields, arrays and variables to zero."""
-    get_program().materialize(sys._getframe(1).f_globals)
+    materialize(get_program(), sys._getframe(1).f_globals)
     get_program().context.clear_gradients()
-    tracked.clear_gradients()
+    gradients.clear_gradients()
 
 
 def no_grad(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -1,11 +1,13 @@
-"""Scalar types: `ti.f32`, `ti.i32`, … and how two of them combine."""
+"""Scalar types: `ti.f32`, `ti.i32`, …: how two of them combine, and how numbers become theirs."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
+from ...errors import TaiTypeError
 from . import state
 
 
@@ -37,9 +39,7 @@ class DataType:
 
     def __call__(self, value: Any) -> Any:
         """Converts a number: `ti.i64(x)`."""
-        from ..values import ops
-
-        return ops.cast(value, self)
+        return cast(value, self)
 
     def __reduce__(self):
         return (_by_name.__getitem__, (self.name,))
@@ -135,3 +135,79 @@ def dtype_of(value: Any) -> DataType:
         if found is not None:
             return found
     return state.options.default_ip if isinstance(value, int) else state.options.default_fp
+
+
+# Numbers in a type
+
+
+def misfit(number: Any, dt: DataType) -> TaiTypeError:
+    """The error for a whole number that a type cannot hold."""
+    if isinstance(number, float):
+        return TaiTypeError(f"{number} is no whole number of type {dt}")
+    default = state.options.default_ip
+    if dt is default or not default.min <= number <= default.max:
+        wide = "u64" if number > 2**63 - 1 else "i64"
+        hint = f"name a wider type: ti.{wide}({number})"
+        if dt is default and wide == "i64":
+            hint += ", or ti.init(default_ip=ti.i64)"
+    else:
+        hint = f"ti.cast({number}, ti.{dt}) keeps its low bits: {wrapped(number, dt)}"
+    return TaiTypeError(f"the whole number {number} does not fit {dt}", hint)
+
+
+def wrapped(number: int, dt: DataType) -> int:
+    """The number of type `dt` with the same low bits."""
+    number &= (1 << dt.bits) - 1
+    return number - (1 << dt.bits) if number > dt.max else number
+
+
+def fit(number: Any, dt: DataType) -> int:
+    """The whole number, if the type can hold it; a float loses its fraction.
+
+    Raises:
+        TaiTypeError: it cannot.
+    """
+    if isinstance(number, float) and not math.isfinite(number):
+        raise misfit(number, dt)
+    whole = int(number)
+    if not dt.min <= whole <= dt.max:
+        raise misfit(whole, dt)
+    return whole
+
+
+def convert(number: Any, dt: DataType) -> Any:
+    """A number in a type that the program named: `ti.cast(300, ti.u8)` keeps the low bits.
+
+    Raises:
+        TaiTypeError: a whole number that neither this type nor the default one can hold.
+    """
+    if dt.is_bool:
+        return bool(number)
+    if dt.is_float:
+        return float(dt.numpy.type(number)) if dt.bits < 64 else float(number)
+    default = state.options.default_ip
+    if isinstance(number, float) and not math.isfinite(number):
+        raise misfit(number, dt)
+    whole = int(number)
+    if not (dt.min <= whole <= dt.max or default.min <= whole <= default.max):
+        raise misfit(whole, dt)
+    return wrapped(whole, dt)
+
+
+def cast(x: Any, dtype: Any) -> Any:
+    """x in another type; floats become whole numbers by dropping the fraction."""
+    emitter = state.emitter
+    if emitter is not None:
+        target = emitter.to_dtype(dtype)
+        if hasattr(x, "emit_operand") or getattr(x, "is_matrix", False):
+            return emitter.cast(emitter.as_value(x), target)
+        if isinstance(x, (bool, int, float, np.generic)):
+            number = x.item() if isinstance(x, np.generic) else x
+            return emitter.constant(convert(number, target), target)
+        return emitter.cast(emitter.as_value(x), target)
+    resolved = to_dtype(dtype)
+    if resolved is None:
+        raise TaiTypeError(f"{dtype!r} is not a type of numbers")
+    if getattr(x, "is_matrix", False):
+        return x.cast(resolved)
+    return convert(x.item() if hasattr(x, "item") else x, resolved)

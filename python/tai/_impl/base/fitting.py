@@ -1,73 +1,13 @@
-"""Python numbers in types of a few bits: which fit, and what becomes of those that do not."""
+"""What Python stores in fields and arrays: which numbers fit, and what to say of others."""
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 
-from ...errors import TaiError, TaiIndexError, TaiRuntimeTypeError, TaiTypeError
-from . import state
-from .dtypes import DataType, all_types
-
-
-def misfit(number: Any, dt: DataType) -> TaiTypeError:
-    """The error for a whole number that a type cannot hold."""
-    if isinstance(number, float):
-        return TaiTypeError(f"{number} is no whole number of type {dt}")
-    default = state.options.default_ip
-    if dt is default or not default.min <= number <= default.max:
-        wide = "u64" if number > 2**63 - 1 else "i64"
-        hint = f"name a wider type: ti.{wide}({number})"
-        if dt is default and wide == "i64":
-            hint += ", or ti.init(default_ip=ti.i64)"
-    else:
-        hint = f"ti.cast({number}, ti.{dt}) keeps its low bits: {wrapped(number, dt)}"
-    return TaiTypeError(f"the whole number {number} does not fit {dt}", hint)
-
-
-def wrapped(number: int, dt: DataType) -> int:
-    """The number of type `dt` with the same low bits."""
-    number &= (1 << dt.bits) - 1
-    return number - (1 << dt.bits) if number > dt.max else number
-
-
-def fit(number: Any, dt: DataType) -> int:
-    """The whole number, if the type can hold it; a float loses its fraction.
-
-    Raises:
-        TaiTypeError: it cannot.
-    """
-    if isinstance(number, float) and not math.isfinite(number):
-        raise misfit(number, dt)
-    whole = int(number)
-    if not dt.min <= whole <= dt.max:
-        raise misfit(whole, dt)
-    return whole
-
-
-def convert(number: Any, dt: DataType) -> Any:
-    """A number in a type that the program named: `ti.cast(300, ti.u8)` keeps the low bits.
-
-    Raises:
-        TaiTypeError: a whole number that neither this type nor the default one can hold.
-    """
-    if dt.is_bool:
-        return bool(number)
-    if dt.is_float:
-        return float(dt.numpy.type(number)) if dt.bits < 64 else float(number)
-    default = state.options.default_ip
-    if isinstance(number, float) and not math.isfinite(number):
-        raise misfit(number, dt)
-    whole = int(number)
-    if not (dt.min <= whole <= dt.max or default.min <= whole <= default.max):
-        raise misfit(whole, dt)
-    return wrapped(whole, dt)
-
-
-# What Python stores in fields and arrays
-
+from ...errors import TaiError, TaiIndexError, TaiRuntimeTypeError
+from .dtypes import DataType, all_types, fit
 
 _RANGES = {dt: (dt.min, dt.max) for dt in all_types if dt.is_int}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from . import state
+from .program import get_program
 
 
 def format_bytes(count: int) -> str:
@@ -59,8 +60,6 @@ def skips() -> Skips:
         A dictionary of dictionaries, by the names that `ti.init(skip=…)` takes; see
         docs/decisions/0008-skips.md for what each number counts.
     """
-    from .program import get_program
-
     found = Skips(get_program().context.skips())
     program = state.program
     found["lazy-compilation"]["kernels_defined"] = program.kernels_defined()
@@ -96,14 +95,3 @@ def clear_skips() -> None:
         state.program.context.clear_skips()
         state.program.count_kernels_from_here()
         state.program.lists_before = _lists(state.program)
-
-
-def option_text(value: Any) -> str:
-    """The option `skip` of `ti.init` as text: a string, or a list or tuple of names."""
-    if value is True or value is None:
-        return "all"
-    if value is False:
-        return "none"
-    if isinstance(value, str):
-        return value
-    return ",".join(str(name) for name in value) or "none"

@@ -10,22 +10,18 @@ from __future__ import annotations
 import sys
 import threading
 import types
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from ..values.emitter import Emitter
-    from .program import Options, Program
+from typing import Any
 
 # The options of the last `ti.init`, or the defaults before.
-options: Options = None  # type: ignore[assignment]
+options: Any = None
 # The program, made at the first use.
-program: Program | None = None
+program: Any = None
 # How many kernels have been defined.
 kernels_made: int = 0
 
 
 class _OfThread(threading.local):
-    emitter: Emitter | None = None
+    emitter: Any = None
     tape: Any = None
     forward: bool = False
 
@@ -41,12 +37,12 @@ class _State(types.ModuleType):
     """The module itself: some of its variables are another one in each thread."""
 
     @property
-    def emitter(self) -> Emitter | None:
+    def emitter(self) -> Any:
         """The emitter of the kernel that is being compiled, or None in Python scope."""
         return _of_thread.emitter
 
     @emitter.setter
-    def emitter(self, value: Emitter | None) -> None:
+    def emitter(self, value: Any) -> None:
         _of_thread.emitter = value
 
     @property

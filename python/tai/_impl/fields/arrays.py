@@ -10,13 +10,16 @@ import numpy as np
 
 from ...errors import TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
 from ..base import dtypes, fitting, state
-from ..history import origins
-from ..tracking import tracked
+from ..base.elements import Elements
+from ..history import gradients, origins
+from ..values.matrix import Matrix, Vector
+from ..values.types import MatrixType
 from . import copies
+from .field import Field
 from .shapes import to_shape
 
 
-class Ndarray:
+class Ndarray(Elements):
     """An array around NumPy memory, indexed as a field is.
 
     Attributes:
@@ -29,8 +32,6 @@ class Ndarray:
     def __init__(
         self, dtype: Any, shape: Any, element_shape: tuple[int, ...] = (), needs_grad: bool = False
     ):
-        from ..values.types import MatrixType
-
         if isinstance(dtype, MatrixType):
             element_shape, dtype = dtype.shape, dtype.dtype
         resolved = dtypes.to_dtype(dtype)
@@ -51,7 +52,10 @@ class Ndarray:
                     "needs_grad=True goes with a float type such as ti.f32",
                 )
             self._grad = Ndarray(resolved, self.shape, self.element_shape)
-            self._grad.taken = tracked.note_gradient_array(self._grad)
+            self._grad.taken = gradients.note_gradient_array(self._grad)
+
+    def _described(self) -> str:
+        return "a ti.ndarray"
 
     @property
     def grad(self) -> Ndarray | None:
@@ -71,8 +75,7 @@ class Ndarray:
         """
         if state.tape is None:
             return
-        values = tracked.recording()
-        what = values and values.arrays.find(self.array, self._grad is not None)
+        what = gradients.recorded_as(self.array, self._grad is not None)
         if what is not None:
             raise TaiRuntimeError(
                 f"{what} is changed from Python while the tape that has recorded it is open",
@@ -92,8 +95,6 @@ class Ndarray:
             raise TaiRuntimeTypeError(f"{what} cannot take {value!r}: {error}") from None
 
     def __getitem__(self, key: Any) -> Any:
-        from ..values.matrix import Matrix
-
         if state.tape is not None:
             origins.note_read(self)
         with self._refusing(key, None):
@@ -135,8 +136,6 @@ class Ndarray:
 
     def copy_from(self, other: Any) -> None:
         """Copies an array or a field of the same shape; tapes and forward mode follow it."""
-        from .fields import Field
-
         if other is self:
             return
         if not isinstance(other, (Ndarray, Field)) or hasattr(other, "members"):
@@ -180,3 +179,20 @@ def ndarray(dtype: Any, shape: Any, needs_grad: bool = False) -> Ndarray:
         TaiRuntimeTypeError: a type that is none of these, or a gradient of whole numbers.
     """
     return Ndarray(dtype, shape, needs_grad=needs_grad)
+
+
+def _matrix_array(n: int, m: int, dtype: Any, shape: Any, needs_grad: bool = False) -> Any:
+    """An array of n×m matrices; see `ti.ndarray`."""
+    return Ndarray(dtype, shape, (n, m), needs_grad)
+
+
+def _vector_array(n: int, dtype: Any, shape: Any, needs_grad: bool = False) -> Any:
+    """An array of vectors of n components; see `ti.ndarray`."""
+    return Ndarray(dtype, shape, (n,), needs_grad)
+
+
+# Matrices know nothing of arrays; `ti.Matrix.ndarray` and `ti.Vector.ndarray` are these.
+for _function, _class in ((_matrix_array, Matrix), (_vector_array, Vector)):
+    _function.__name__ = "ndarray"
+    _function.__qualname__ = f"{_class.__name__}.ndarray"
+    _class.ndarray = staticmethod(_function)

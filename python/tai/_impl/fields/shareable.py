@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..interop import sharing
+
 
 class Shareable:
     """The methods of fields for torch and DLPack."""
 
     def to_torch(self, device: Any = None) -> Any:
         """A copy as a torch tensor: on the GPU that kernels run on, without the host."""
-        from ..interop import sharing
-
         return sharing.to_torch(self, device)
 
     def from_torch(self, tensor: Any) -> None:
         """Copies a torch tensor into the field: from that GPU, without the host."""
-        from ..interop import sharing
-
         sharing.from_torch(self, tensor)
 
     def __dlpack__(
@@ -34,12 +32,8 @@ class Shareable:
         Raises:
             BufferError: a sparse field, or elements that do not lie evenly.
         """
-        from ..interop import sharing
-
         return sharing.field_dlpack(self, stream, max_version, dl_device, copy)
 
     def __dlpack_device__(self) -> tuple[int, int]:
         """Where the field is: `(1, 0)` for the host, `(2, 0)` for the GPU."""
-        from ..interop import sharing
-
         return sharing.field_device(self)

@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from ...errors import TaiError, TaiMemoryError, TaiRuntimeError, TaiRuntimeTypeError
 from ..base import state
+from ..base.program import Program, get_program
+from ..values.types import refuse_quant
 from . import offsets
 
 if TYPE_CHECKING:
-    from ..base.program import Program
-    from .fields import Field, ScalarField
+    from .field import Field
+    from .scalar import ScalarField
 
 AXIS_NAMES = "ijklmnopqrst"
 
@@ -92,8 +94,6 @@ class SNode:
 
     def quant_array(self, axes: Axes, dimensions: Any, max_num_bits: int) -> SNode:
         """Numbers of a few bits side by side: not built in."""
-        from ..values.types import refuse_quant
-
         refuse_quant("quant_array")
 
     def _add(self, kind: str, axes: Any, dimensions: Any, chunk: int = 0) -> SNode:
@@ -561,8 +561,6 @@ class FieldsBuilder:
     """A tree of its own, which can be freed: `dense`, `place`, …, then `finalize`."""
 
     def __init__(self) -> None:
-        from ..base.program import get_program
-
         get_program()
         self._root = Root()
 
@@ -595,8 +593,6 @@ class FieldsBuilder:
         Raises:
             TaiRuntimeError: the tree holds no field, or is finalized already.
         """
-        from ..base.program import get_program
-
         program = get_program()
         if self._root.allocated:
             raise TaiRuntimeError("the tree is finalized already", "make a new ti.FieldsBuilder()")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterator
 from typing import Any
 
@@ -9,9 +10,12 @@ import numpy as np
 
 from ...errors import TaiRuntimeTypeError, TaiTypeError
 from ..base import dtypes, fitting, state
+from ..base.program import get_program
 from ..values.matrix import Matrix
 from ..values.types import MatrixType, ScalarType
-from .fields import Field, _index_tuple, make_field
+from .field import Field, index_tuple
+from .make import make_field
+from .root import open_root
 from .shapes import to_order, to_shape
 from .snode import Layout, SNode
 
@@ -55,9 +59,7 @@ class StructType:
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         given = self.bind(args, kwargs)
         if state.emitter is not None:
-            from ..frontend.structs import make_value
-
-            return make_value(state.emitter, self, given)
+            return state.emitter.make_struct(self, given)
         entries = {}
         for name, kind in self.members.items():
             value = given[name]
@@ -224,7 +226,7 @@ class StructField(Field):
 
     def __getitem__(self, key: Any) -> ElementOfStruct:
         self._placed_node()
-        return ElementOfStruct(self, _index_tuple(key))
+        return ElementOfStruct(self, index_tuple(key))
 
     def __setitem__(self, key: Any, value: Any) -> None:
         if not isinstance(value, (dict, Struct)):
@@ -322,11 +324,9 @@ def make_struct_field(
         if offset is not None or order is not None:
             raise TaiRuntimeTypeError("offset and order need a shape")
         return made
-    from ..base.program import get_program
-
     program, extents = get_program(), to_shape(shape)
     with program.layout:
-        root = program.root
+        root = open_root(program)
         axes = to_order(order, len(extents))
         sizes = tuple(extents[a] for a in axes)
         node = root.dense(axes, sizes) if extents else root
@@ -345,8 +345,6 @@ def dataclass(cls: type) -> StructType:
     methods = {name: f for name, f in vars(cls).items() if hasattr(f, "_tai_func")}
     members = dict(getattr(cls, "__annotations__", {}))
     if any(isinstance(kind, str) for kind in members.values()):
-        import inspect
-
         members = inspect.get_annotations(cls, eval_str=True)
     made = StructType(members, methods)
     made.__name__ = cls.__name__

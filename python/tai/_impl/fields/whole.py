@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .fields import ScalarField
+from .scalar import ScalarField
 
 
 class WholeElements(ScalarField):

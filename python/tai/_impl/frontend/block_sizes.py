@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import operator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...errors import TaiTypeError
-
-if TYPE_CHECKING:
-    from ..base.program import Options
+from ..base.options import Options
 
 # Of all GPUs, and what blocks have that need not suit their kernel.
 _MOST, _WARP, _USUAL = 1024, 32, 256

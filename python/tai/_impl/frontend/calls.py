@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import TaiSyntaxError, TaiTypeError
-from ..fields.fields import Field
+from ...errors import TaiSyntaxError, TaiTypeError, did_you_mean
+from ..fields.field import Field
 from ..values import ops
 from ..values.matrix import Matrix
+from ..values.misuse import describe_misuse, misuse_hint
 from ..values.value import Value
 from .block_sizes import check_block_dim
 from .checks import holds_value
@@ -231,8 +232,6 @@ class Calls:
             )
         for argument in args:
             if isinstance(argument, Field) and function in _MATH_FUNCTIONS:
-                from ..values.misuse import describe_misuse, misuse_hint
-
                 raise TaiTypeError(describe_misuse(argument), misuse_hint(argument))
         self.check_python_call(function)
         self.reads.note_all(getattr(function, "__self__", None), *args, *kwargs.values())
@@ -278,8 +277,6 @@ class Calls:
                  "bit_vectorize"}  # fmt: skip
         for keyword in node.keywords:
             if keyword.arg not in known:
-                from ...errors import did_you_mean
-
                 raise TaiTypeError(
                     f"ti.loop_config has no option '{keyword.arg}'",
                     did_you_mean(str(keyword.arg), known),

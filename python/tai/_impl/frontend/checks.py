@@ -11,16 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import TaiSyntaxError, TaiTypeError
+from ...errors import TaiCompilationWarning, TaiSyntaxError, TaiTypeError
 from ..fields.arrays import Ndarray
-from ..fields.fields import Field
+from ..fields.field import Field
 from ..fields.snode import SNode
 from ..values.misuse import describe_misuse, misuse_hint
 from ..values.value import Value
 from .refs import ArrayArgument, Place
 from .sparse import ListElement
 from .structs import StructPlace, StructValue
-from .templates import TaiCompilationWarning
 
 # Methods that change what they belong to.
 _CHANGES = {

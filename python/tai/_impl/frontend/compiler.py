@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import functools
 import signal
 import sys
 import threading
@@ -17,6 +18,7 @@ from ...errors import (
     TaiIndexError,
     TaiSyntaxError,
     TaiTypeError,
+    shorten,
 )
 from ..base import dtypes, native, state
 from ..values.emitter import Emitter
@@ -33,6 +35,7 @@ from .serial_work import SerialWork
 from .source import function_ast
 from .sparse import Sparse
 from .statements import Statements, StaticBreak, StaticContinue
+from .structs import make_value
 from .templates import Reads
 
 # Calls of Python that the compiler may need: some thirty for each statement inside of another.
@@ -94,6 +97,7 @@ class Compiler(
         self.builder = native.Builder(program.context, self.frame.filename)
         self.emitter = Emitter(self.builder)
         self.emitter.call = self.call_from_python
+        self.emitter.make_struct = functools.partial(make_value, self.emitter)
         self.emitter.warn_of_fraction = self.warn_of_fraction
         self.depth = 0
         self.is_dead = False
@@ -352,8 +356,6 @@ class Compiler(
 
     def trail(self) -> list[str]:
         """Where the code being compiled stands: functions, innermost first."""
-        from ...errors import shorten
-
         lines = []
         for frame in reversed(self.frames):
             if frame.kind == "kernel":

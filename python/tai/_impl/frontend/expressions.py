@@ -10,7 +10,7 @@ from typing import Any
 from ...errors import TaiAutodiffError, TaiNameError, TaiSyntaxError, TaiTypeError, did_you_mean
 from ..base import state
 from ..base.dtypes import DataType, promote, u1
-from ..fields.fields import Field
+from ..fields.field import Field
 from ..fields.structs import StructField
 from ..tracking.tracked import Number, TrackedMatrix, TrackedVector
 from ..values.matrix import swizzle

@@ -8,8 +8,10 @@ from typing import Any
 
 from ...errors import TaiSyntaxError, TaiTypeError
 from ..base.dtypes import DataType, i32, i64, promote, u1
-from ..fields.fields import ComponentField, Field, MatrixField, ScalarField
-from ..fields.snode import Place, SNode
+from ..fields.field import Field
+from ..fields.matrix_field import MatrixField
+from ..fields.scalar import ComponentField, ScalarField
+from ..fields.snode import Place, Root, SNode
 from ..fields.structs import StructField
 from ..values import ops
 from ..values.value import MatrixValue, Value
@@ -506,8 +508,6 @@ class Loops:
 
     def shared_memory(self, name: str, dt: DataType, shape: tuple[int, ...]) -> ScalarField:
         """A field of one element, with a gradient and a dual, that belongs to this kernel."""
-        from ..fields.snode import Root
-
         field = ScalarField(dt, f"{self.kernel_name}_{name}", "primal", shape)
         field.needs_grad = field.needs_dual = dt.is_float
         root = Root()

@@ -7,7 +7,8 @@ import string
 from typing import Any
 
 from ...errors import TaiSyntaxError, TaiTypeError
-from ..fields.fields import Field
+from ..base.dtypes import i64
+from ..fields.field import Field
 from ..values.misuse import describe_misuse, misuse_hint
 from ..values.value import Value
 from .checks import holds_value
@@ -159,8 +160,6 @@ class Printing:
 
     def printable(self, value: Value) -> Value:
         """A value whose printed digits are right although IR does not know its sign."""
-        from ..base.dtypes import i64
-
         if value.dt.kind == "u" and value.dt.bits < 64:
             return self.emitter.cast(value, i64)
         return value

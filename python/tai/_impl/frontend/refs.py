@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from ...errors import TaiAutodiffError, TaiIndexError, TaiRuntimeError, TaiTypeError
+from ...errors import TaiAutodiffError, TaiIndexError, TaiRuntimeError, TaiSyntaxError, TaiTypeError
 from ..base.dtypes import DataType
-from ..fields.fields import ComponentField, Field, MatrixField, ScalarField
+from ..base.elements import Elements
+from ..fields.field import Field
+from ..fields.matrix_field import MatrixField
+from ..fields.scalar import ComponentField, ScalarField
 from ..values.emitter import Emitter
 from ..values.value import MatrixValue, Value, stop_gradient
 
@@ -130,8 +133,6 @@ class VariablePlace(Place):
 
 
 def _immutable(variable: Variable) -> TaiTypeError:
-    from ...errors import TaiSyntaxError
-
     return TaiSyntaxError(
         f"{variable.fixed} '{variable.name}' cannot be changed",
         f"copy it first: {variable.name}_ = {variable.name}",
@@ -363,7 +364,7 @@ class _Handle:
         self.handle = handle
 
 
-class ArrayArgument:
+class ArrayArgument(Elements):
     """An array that was given to the kernel: `ti.types.ndarray`."""
 
     def __init__(self, emitter: Emitter, name: str, handles: list, spec: Any):
@@ -371,6 +372,12 @@ class ArrayArgument:
         # The array, and its gradient if it has one.
         self.handle, self._gradient = handles[0], handles[1:]
         self.dt, self.ndim, self.element_shape = spec.dt, spec.ndim, spec.element_shape
+
+    def _described(self) -> str:
+        return f"array '{self.name}'"
+
+    def _example(self) -> str:
+        return f"{self.name}[{', '.join('ijklmnop'[: self.ndim])}]"
 
     @property
     def dtype(self) -> DataType:

@@ -7,8 +7,8 @@ import math
 import warnings
 from typing import Any
 
+from ...errors import TaiCompilationWarning
 from ..values.value import Value
-from .templates import TaiCompilationWarning
 
 # From as many operations on, one after another, somebody may wonder whether a GPU's thread ends.
 # Three million with their gradient took less than half a second on an H100.

@@ -5,10 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from ...errors import TaiIndexError, TaiTypeError
-from ..fields.fields import Field, ScalarField
+from ..base.dtypes import i32, i64, u1, u64
+from ..fields.field import Field
+from ..fields.scalar import ScalarField
 from ..fields.snode import AXIS_NAMES, Place, SNode
 from ..values import ops
 from ..values.emitter import Emitter
+from ..values.matrix import Vector
 from ..values.value import Value
 from .refs import FieldElement, flatten_indices, use_field
 from .structs import StructValue
@@ -126,14 +129,10 @@ class Sparse:
         )
         if function is not ops.is_active:
             return None
-        from ..base.dtypes import u1
-
         return self.emitter.value(handle, u1)
 
     def list_call(self, level: Level, indices: list, value: Any, name: str) -> Any:
         """`ti.append` (with a value) or `ti.length` of a list."""
-        from ..base.dtypes import i32
-
         node, emitter = level.node, self.emitter
         if node.kind != "dynamic":
             raise TaiTypeError(
@@ -190,8 +189,6 @@ class Sparse:
 
     def _address(self, args: list) -> Any:
         """`ti.get_addr(field, indices)`: where an element lies, as a u64."""
-        from ..base.dtypes import i64, u64
-
         if len(args) != 2 or not isinstance(args[0], Field):
             raise TaiTypeError("ti.get_addr takes (field, indices)")
         field, indices = args[0], flatten_indices(args[1])
@@ -249,8 +246,6 @@ class Sparse:
                 result.append(self.emitter.binary("*", index, want[axis] // have[axis]))
             else:
                 result.append(self.emitter.binary("//", index, have[axis] // want[axis]))
-        from ..values.matrix import Vector
-
         return Vector(result)
 
 

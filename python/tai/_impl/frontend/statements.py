@@ -10,7 +10,8 @@ import numpy as np
 
 from ...errors import TaiSyntaxError, TaiTypeError
 from ..base.dtypes import DataType, u1
-from ..fields.fields import Field
+from ..fields.field import Field
+from ..values.misuse import describe_misuse, misuse_hint
 from ..values.ops import stop_grad
 from ..values.value import Value
 from .checks import refuse_condition
@@ -527,8 +528,6 @@ class Statements:
             self.frame.define(node.target.id, Bound(self.emitter.binary(op, old, value)))
             return
         if isinstance(old, Field):
-            from ..values.misuse import describe_misuse, misuse_hint
-
             raise TaiTypeError(describe_misuse(old), misuse_hint(old))
         raise TaiTypeError(
             f"a kernel cannot change the Python object '{ast.unparse(node.target)}'",

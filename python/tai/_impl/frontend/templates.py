@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import TaiRuntimeTypeError
+from ...errors import TaiCompilationWarning, TaiRuntimeTypeError
 from ..base import native
 
 _CONTAINERS = (tuple, list, set, frozenset, deque)
@@ -37,10 +37,6 @@ ARRAY_FORM = ("shape", "ndim", "size", "dtype")
 
 # How often a kernel is compiled for attributes that change until it says so.
 _MANY = 16
-
-
-class TaiCompilationWarning(UserWarning):
-    """Something that compiles, and is hardly meant."""
 
 
 def hint(value: Any) -> Any:

@@ -22,7 +22,10 @@ from typing import Any
 
 import numpy as np
 
+from ...errors import TaiGradientWarning
 from ..base import native, state
+from ..base.elements import Elements
+from ..base.program import at_close
 
 # What gives no number, or one that does not change a little when its argument does.
 _DISCRETE = (
@@ -65,6 +68,9 @@ def forget() -> None:
     """The program is over: its places are looked at again."""
     end()
     _forget_sites()
+
+
+at_close.append(forget)
 
 
 def _forget_sites() -> None:
@@ -200,8 +206,6 @@ def _is_followed(value: Any) -> bool:
 
 
 def _warn(frame: Any, what: str) -> None:
-    from ..ad.seeds import TaiGradientWarning
-
     mode = "the tape" if state.tape is not None else "forward mode"
     warnings.warn_explicit(
         f"{what} was computed by Python from a value that has a gradient: to {mode} it is a "
@@ -318,14 +322,11 @@ class _Scope:
             return False
         if isinstance(node, ast.Attribute) and _is_followed(self.resolve(node)):
             return True
-        from ..fields.arrays import Ndarray
-        from ..fields.fields import Field
-
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.FloorDiv):
             return False
         if isinstance(node, ast.Subscript):
             field = self.resolve(node.value)
-            if isinstance(field, (Field, Ndarray)):
+            if isinstance(field, Elements):
                 return any(map(has_history, getattr(field, "leaves", [field])))
             return self.has_history(node.value)
         if isinstance(node, ast.IfExp):
@@ -335,9 +336,6 @@ class _Scope:
         return any(self.has_history(child) for child in ast.iter_child_nodes(node))
 
     def _call_has_history(self, node: ast.Call) -> bool:
-        from ..fields.arrays import Ndarray
-        from ..fields.fields import Field
-
         called = self.resolve(node.func)
         kernel = _as_kernel(called)
         if getattr(kernel, "_tai_kernel", False):
@@ -345,7 +343,7 @@ class _Scope:
             return result is not None and result.dt.is_float
         if isinstance(node.func, ast.Attribute):
             base = self.resolve(node.func.value)
-            if isinstance(base, (Field, Ndarray)):
+            if isinstance(base, Elements):
                 reads = node.func.attr in ("to_numpy", "to_torch")
                 return reads and any(map(has_history, getattr(base, "leaves", [base])))
             if self.has_history(node.func.value):

@@ -18,14 +18,18 @@ from ...errors import (
     TaiTypeError,
 )
 from ..base import dtypes, native, state
-from ..base.program import get_program, name_fields
+from ..base.program import get_program
 from ..fields.arrays import Ndarray
+from ..fields.root import materialize, name_fields
 from ..frontend import templates
+from ..frontend.compiler import Compiler
+from ..frontend.source import closure_of
 from ..history import origins
 from ..interop import device_arrays
 from ..tracking import tangents, tracked
 from ..tracking.arguments import adjoint_slots, as_array, check_arrays, find_alias
 from ..tracking.tape_arrays import HeldArray, check_overlaps, is_same_array
+from ..values.matrix import Matrix
 from ..values.types import MatrixType, NdarrayType, ScalarType
 from .bound_kernel import BoundKernel
 from .signature import FunctionInfo, Parameter, check_annotations, names_of, parse_signature
@@ -134,8 +138,6 @@ class ResultSpec:
         return self.dt.is_float
 
     def _wrap(self, numbers: tuple) -> Any:
-        from ..values.matrix import Matrix
-
         return Matrix._wrap(np.array(numbers, self.dt.numpy).reshape(self.shape))
 
 
@@ -522,9 +524,6 @@ class Kernel(native.Launcher):
     def _compile(
         self, program: Any, specs: list[ArgumentSpec], followed: list[tuple[int, Any]], pool: Any
     ) -> Specialization:
-        from ..frontend.compiler import Compiler
-        from ..frontend.source import closure_of
-
         for parameter, spec in zip(self._get_parameters(), specs, strict=True):
             if spec.dt is not None and spec.dt.name == "f16" and spec.kind != "array":
                 raise TaiTypeError(f"argument '{parameter.name}' cannot be f16", "use ti.f32")
@@ -533,7 +532,7 @@ class Kernel(native.Launcher):
                 if hasattr(spec.constant, "__dict__"):
                     name_fields(vars(spec.constant))
         name_fields(closure_of(self._function))
-        program.materialize(self._function.__globals__)
+        materialize(program, self._function.__globals__)
         symbol = program.unique_symbol(self.__name__)
         program.kernel_functions[symbol] = self._function
         names = [parameter.name for parameter in self._get_parameters()]

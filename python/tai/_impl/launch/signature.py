@@ -9,6 +9,7 @@ import numpy as np
 
 from ...errors import TaiCompilationError, TaiSyntaxError, TaiTypeError
 from ..base import dtypes
+from ..frontend.source import closure_of, function_ast
 from ..values.types import MatrixType, NdarrayType, ScalarType, template
 
 
@@ -32,8 +33,6 @@ def _located(error: TaiCompilationError, function: Callable[..., Any]) -> TaiCom
     code = function.__code__
     line = code.co_firstlineno
     try:
-        from ..frontend.source import function_ast
-
         node = function_ast(function)
         error.locate(code.co_filename, node.lineno, node.col_offset + 1)
     except TaiSyntaxError:
@@ -67,8 +66,6 @@ def _resolve(annotation: Any, function: Callable[..., Any]) -> Any:
     """An annotation as an object; `from __future__ import annotations` leaves text."""
     if not isinstance(annotation, str):
         return annotation
-    from ..frontend.source import closure_of
-
     try:
         return eval(annotation, function.__globals__, closure_of(function))
     except Exception as error:

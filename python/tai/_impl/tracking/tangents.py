@@ -8,11 +8,16 @@ gradient passes through them as it does through fields.
 
 from __future__ import annotations
 
-import functools
 from typing import Any
 
 from ...errors import TaiRuntimeError
 from ..base import dtypes, state
+from ..base.program import get_program
+from ..fields.scalar import ScalarField
+from ..fields.snode import FieldsBuilder, axes
+
+# Gives the kernel that computes with them; module `ad.library`, which forward mode loads, sets it.
+get_kernel: Any = None
 
 # Numbers that forward mode can follow at a time.
 SIZE = 4096
@@ -27,9 +32,6 @@ class Pool:
     """
 
     def __init__(self, number: int) -> None:
-        from ..fields.fields import ScalarField
-        from ..fields.snode import FieldsBuilder, axes
-
         self.number = number
         self.field = ScalarField(dtypes.f64, "returned")
         self.field.needs_grad = self.field.needs_dual = True
@@ -63,8 +65,6 @@ def pool_besides(inputs: list[Any]) -> Pool:
     A kernel that reads and writes one field may overwrite what it has read, for all that a tape
     knows.
     """
-    from ..base.program import get_program
-
     pools, taken = get_program().pools, {place.pool for place in inputs}
     for pool in pools:
         if pool not in taken:
@@ -121,42 +121,10 @@ def combine(name: str, a: Any, b: Any) -> Cell | None:
     if first is None and second is None:
         return None
     out = Cell(pool_besides([cell for cell in (first, second) if cell is not None]), 1)
-    _combine_kernel()(
+    get_kernel()(
         name, out.pool.field, None if first is None else first.pool.field,
         None if second is None else second.pool.field, out.first,
         -1 if first is None else first.first, -1 if second is None else second.first,
         float(a), float(b),
     )  # fmt: skip
     return out
-
-
-@functools.cache
-def _combine_kernel() -> Any:
-    import tai as ti
-
-    @ti.kernel
-    def compute_in_python(
-        name: ti.template(), cells: ti.template(), first: ti.template(), second: ti.template(),
-        out: ti.i32, at: ti.i32, bt: ti.i32, x: ti.f64, y: ti.f64,
-    ):  # fmt: skip
-        a, b = x, y
-        if ti.static(first is not None):
-            a = first[at]
-        if ti.static(second is not None):
-            b = second[bt]
-        if ti.static(name == "add"):
-            cells[out] = a + b
-        elif ti.static(name == "sub"):
-            cells[out] = a - b
-        elif ti.static(name == "mul"):
-            cells[out] = a * b
-        elif ti.static(name == "truediv"):
-            cells[out] = a / b
-        elif ti.static(name == "pow"):
-            cells[out] = a**b
-        elif ti.static(name == "mod"):
-            cells[out] = a - b * ti.floor(a / b)
-        elif ti.static(name == "abs"):
-            cells[out] = ti.abs(a) + 0 * b
-
-    return compute_in_python

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import math
 import operator
-import threading
 import weakref
 from collections.abc import Iterator
 from types import FunctionType
@@ -21,120 +21,14 @@ import numpy as np
 
 from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
 from ..base import state
-from ..base.dtypes import DataType, to_dtype
-from ..history import origins
+from ..base.dtypes import DataType
+from ..fields.arrays import Ndarray
+from ..history import gradients, origins
+from ..history.gradients import ArrayGradient, Gradient, note_variable
 from ..interop import device_arrays
-from ..values.matrix import Matrix, Vector
+from ..values.matrix import Matrix, Vector, swizzle
 from . import tangents
 from .tape_arrays import TapeArrays
-
-
-class Gradient:
-    """Where the gradient of one value adds up.
-
-    Attributes:
-        shape: that of the value.
-        dt: the type in which a kernel returned the value; None for variables and for what
-            Python computed.
-        parts: for a value that Python computed, the values it was computed from: their
-            gradients, a component or None, and the partial derivative.
-    """
-
-    __slots__ = ("__weakref__", "buffers", "dt", "owner", "parts", "shape", "user")
-
-    def __init__(self, shape: tuple[int, ...], dt: DataType | None = None, parts: Any = None):
-        self.shape, self.dt, self.parts = shape, dt, parts
-        # The thread whose it is, and the tape that has used it last; see `TapeValues.take`.
-        self.owner, self.user = state.thread, None
-        self.buffers: dict[DataType, np.ndarray] = {}
-
-    @property
-    def is_variable(self) -> bool:
-        return self.dt is None and self.parts is None
-
-    def buffer(self, dt: DataType) -> np.ndarray:
-        """The memory that kernels with values of type `dt` use."""
-        found = self.buffers.get(dt)
-        if found is None:
-            found = self.buffers[dt] = np.zeros(self.shape, dt.numpy)
-        return found
-
-    def total(self) -> np.ndarray:
-        """The gradient, in f64."""
-        total = np.zeros(self.shape)
-        for buffer in self.buffers.values():
-            total += buffer
-        return total
-
-    def clear(self) -> None:
-        for buffer in self.buffers.values():
-            buffer[...] = 0
-
-    def add(self, amount: Any, component: int | None = None) -> None:
-        """Adds to the gradient of the value, or of those that it was computed from."""
-        if self.parts is not None:
-            for gradient, part, partial in self.parts:
-                gradient.add(partial * amount, part)
-            return
-        buffer = self.buffer(self.dt or to_dtype(float))
-        if component is None:
-            buffer += amount
-        else:
-            buffer.reshape(-1)[component] += amount
-
-    def pass_on(self) -> None:
-        """In a sweep: gives what has been added up to where the value comes from."""
-        kept = self.buffers.get(self.dt) if self.dt is not None else None
-        for buffer in self.buffers.values():
-            if buffer is not kept and buffer.any():
-                amount = buffer.astype(np.float64)
-                buffer[...] = 0
-                self.add(amount)
-
-
-# All variables, and all arrays with a gradient: what clearing gradients clears.
-_variables: weakref.WeakSet = weakref.WeakSet()
-_arrays: weakref.WeakSet = weakref.WeakSet()
-# Sets do not like to grow while somebody goes through them.
-_lock = threading.Lock()
-
-
-class ArrayGradient:
-    """The gradient of a `ti.ndarray`, as what a tape takes."""
-
-    def __init__(self, array: np.ndarray):
-        self.array = array
-        self.owner, self.user = state.thread, None
-
-    def clear(self) -> None:
-        self.array[...] = 0
-
-
-def clear_gradients(all_threads: bool = True) -> None:
-    """Sets the gradients of variables and arrays to zero.
-
-    Args:
-        all_threads: or only of those that no other thread has computed.
-    """
-    with _lock:
-        things = [*_variables, *_arrays]
-    for thing in things:
-        if all_threads or thing.owner is state.thread:
-            thing.clear()
-
-
-def _note_variable(gradient: Gradient) -> None:
-    with _lock:
-        _variables.add(gradient)
-
-
-def note_gradient_array(array: Any) -> ArrayGradient:
-    """Remembers the gradient of an array, for as long as what this returns is kept."""
-    gradient = ArrayGradient(array.array)
-    with _lock:
-        _arrays.add(gradient)
-    return gradient
-
 
 # Values
 
@@ -163,7 +57,7 @@ def variable(value: Any) -> Any:
         raise TaiRuntimeTypeError(f"a variable is a float, a vector or a matrix, not {value!r}")
     if isinstance(value, (int, float, np.integer, np.floating)):
         gradient = Gradient(())
-        _note_variable(gradient)
+        note_variable(gradient)
         return Number._make(float(value), gradient)
     try:
         array = np.array(value, np.float64)
@@ -175,7 +69,7 @@ def variable(value: Any) -> Any:
             "keep larger arrays in a field or a ti.ndarray with needs_grad=True",
         )
     gradient = Gradient(array.shape)
-    _note_variable(gradient)
+    note_variable(gradient)
     return _wrap(array, gradient)
 
 
@@ -256,8 +150,6 @@ def _combine(value: float, cell: Any, *terms: tuple[Any, float]) -> Any:
 
 
 def _power_partials(a: float, b: float) -> tuple[float, float]:
-    import math
-
     first = 0.0 if b == 0 else b * a ** (b - 1)
     return first, a**b * math.log(a) if a > 0 else 0.0
 
@@ -337,8 +229,6 @@ class _Tracked:
         )
 
     def __getattr__(self, name: str) -> Any:
-        from ..values.matrix import swizzle
-
         found = swizzle(name, len(self._array)) if not name.startswith("_") else None
         if found is not None and len(found) == 1 and self._array.ndim == 1:
             return self[found[0]]
@@ -562,8 +452,6 @@ def _nothing() -> None:
 
 
 def _seed(value: Any, amount: Any) -> None:
-    from ..fields.arrays import Ndarray
-
     if isinstance(value, Ndarray):
         value.grad.array[...] += amount
     else:
@@ -587,8 +475,6 @@ def parse_losses(losses: tuple) -> tuple:
     Raises:
         TaiRuntimeTypeError: one is not what a tape can begin with, or its seed does not fit.
     """
-    from ..fields.arrays import Ndarray
-
     pairs = []
     for loss in losses:
         value, seed = loss if isinstance(loss, tuple) and len(loss) == 2 else (loss, None)
@@ -622,23 +508,15 @@ def parse_losses(losses: tuple) -> tuple:
     return tuple(pairs)
 
 
-class _OfThread(threading.local):
-    # The values of the tape that records, or None.
-    active: TapeValues | None = None
-
-
-_of_thread = _OfThread()
-
-
 def begin(core: Any, runs_again: bool = False, clears: bool = True) -> TapeValues:
     """Begins to follow the values of a tape, which may run kernels again in its sweep."""
-    _of_thread.active = TapeValues(core, runs_again, clears)
-    return _of_thread.active
+    values = gradients.of_thread.active = TapeValues(core, runs_again, clears)
+    return values
 
 
 def recording() -> TapeValues | None:
     """The values of the tape that records, whoever began it."""
-    core, active = state.tape, _of_thread.active
+    core, active = state.tape, gradients.of_thread.active
     if core is None:
         return None
     return active if active is not None and active.core is core else begin(core)
@@ -648,6 +526,6 @@ def end() -> None:
     """The tape records no more."""
     if not state.forward:
         origins.end()
-    if _of_thread.active is not None:
-        _of_thread.active.arrays.end()
-    _of_thread.active = None
+    if gradients.of_thread.active is not None:
+        gradients.of_thread.active.arrays.end()
+    gradients.of_thread.active = None

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiCompilationError, TaiIndexError, TaiTypeError
-from ..base import dtypes, fitting, state
+from ..base import dtypes, state
 from ..base.dtypes import DataType, computed_in, dtype_of, i32, promote, u1
 from .compile_time import PYTHON, compute
 from .division import check_division
@@ -71,6 +71,8 @@ class Emitter(Integers):
         self.builder = builder
         # The compiler's way to call a function that Python code calls while it compiles.
         self.call: Any = None
+        # Its way to make a value of a struct type from members.
+        self.make_struct: Any = None
         # Says that a float is stored in a whole number.
         self.warn_of_fraction: Any = None
         self.entry: Any = None
@@ -122,7 +124,7 @@ class Emitter(Integers):
         elif dt.is_bool:
             number = bool(number)
         else:
-            number = fitting.fit(number, dt)
+            number = dtypes.fit(number, dt)
         handle = self._constant(self.type_of(dt), (dt.mlir, ()), number)
         return Value(self, handle, dt, const=number)
 
@@ -200,7 +202,7 @@ class Emitter(Integers):
         shape = (len(rows),) if width is None else (len(rows), width)
         if dt is not None:
             named = self.to_dtype(dt)
-            parts = [fitting.convert(p, named) if isinstance(p, (bool, int, float)) else p
+            parts = [dtypes.convert(p, named) if isinstance(p, (bool, int, float)) else p
                      for p in parts]  # fmt: skip
         values = [
             self.constant(part, named)
@@ -425,7 +427,7 @@ class Emitter(Integers):
             if dt.is_float:
                 return self.constant(number, dt)
             if source.is_float or dt.min <= number <= dt.max:
-                return self.constant(fitting.fit(number, dt), dt)
+                return self.constant(dtypes.fit(number, dt), dt)
         if value.shape and not value.dt.is_float and value.elements is not None:
             cast = [self.cast(v, dt) for v in value.elements]
             return self.matrix(cast, dt, value.shape)

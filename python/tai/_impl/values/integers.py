@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiTypeError
-from ..base import fitting, state
-from ..base.dtypes import DataType, u1
+from ..base import state
+from ..base.dtypes import DataType, u1, wrapped
 from .value import Value
 
 
@@ -140,7 +140,7 @@ class Integers:
     def _operand(self, number: Any, dt: DataType) -> Value:
         """A plain number beside a value. Unsigned numbers count modulo a power of two."""
         if dt.kind == "u" and isinstance(number, (int, np.integer)) and -dt.max // 2 <= number < 0:
-            number = fitting.wrapped(int(number), dt)
+            number = wrapped(int(number), dt)
         return self.constant(number, dt)
 
     def check_fraction(self, value: Any, dt: DataType, what: str) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ...errors import TaiRuntimeTypeError, TaiTypeError
-from ..base import dtypes, fitting, state
+from ..base import dtypes, state
 
 SWIZZLE_SETS = ("xyzw", "rgba", "stpq")
 
@@ -315,53 +316,15 @@ class Matrix:
         cols = list(cols)
         return Matrix([[col[r] for col in cols] for r in range(_length(cols[0]))])
 
-    @staticmethod
-    def field(
-        n: int, m: int, dtype: Any, shape: Any = None, order: str | None = None, name: str = "",
-        offset: Any = None, needs_grad: bool = False, needs_dual: bool = False,
-        layout: str = "aos", ndim: int | None = None,
-    ) -> Any:  # fmt: skip
-        """A field of n×m matrices; for the other arguments see `ti.field`."""
-        from ..fields.fields import make_field
-
-        return make_field(
-            (_extent(n), _extent(m)), dtype, shape, order, name or None, offset, needs_grad,
-            needs_dual, layout,
-        )  # fmt: skip
-
-    @staticmethod
-    def ndarray(n: int, m: int, dtype: Any, shape: Any, needs_grad: bool = False) -> Any:
-        """An array of n×m matrices; see `ti.ndarray`."""
-        from ..fields.arrays import Ndarray
-
-        return Ndarray(dtype, shape, (n, m), needs_grad)
+    # Fields and arrays of such elements; `fields.make` and `fields.arrays` make them.
+    field: ClassVar[Callable[..., Any]]
+    ndarray: ClassVar[Callable[..., Any]]
 
 
 class Vector(Matrix):
     """A matrix of one column; see `Matrix`."""
 
     __slots__ = ()
-
-    @staticmethod
-    def field(
-        n: int, dtype: Any, shape: Any = None, order: str | None = None, name: str = "",
-        offset: Any = None, needs_grad: bool = False, needs_dual: bool = False,
-        layout: str = "aos",
-    ) -> Any:  # fmt: skip
-        """A field of vectors of n components; for the other arguments see `ti.field`."""
-        from ..fields.fields import make_field
-
-        return make_field(
-            (_extent(n),), dtype, shape, order, name or None, offset, needs_grad, needs_dual,
-            layout,
-        )  # fmt: skip
-
-    @staticmethod
-    def ndarray(n: int, dtype: Any, shape: Any, needs_grad: bool = False) -> Any:
-        """An array of vectors of n components; see `ti.ndarray`."""
-        from ..fields.arrays import Ndarray
-
-        return Ndarray(dtype, shape, (n,), needs_grad)
 
 
 class ElementOfField(Vector):
@@ -451,7 +414,7 @@ def _to_array(arr: Any) -> np.ndarray:
 def _converted(array: np.ndarray, dt: Any) -> np.ndarray:
     """The numbers in a type that was named, as `ti.cast` has them."""
     if array.dtype.kind in "iuf" and dt.is_int and not np.can_cast(array.dtype, dt.numpy):
-        numbers = [fitting.convert(x, dt) for x in array.ravel().tolist()]
+        numbers = [dtypes.convert(x, dt) for x in array.ravel().tolist()]
         return np.array(numbers, dt.numpy).reshape(array.shape)
     return array.astype(dt.numpy)
 
@@ -475,7 +438,7 @@ def _length(row: Any) -> int:
     return len(row)
 
 
-def _extent(n: Any) -> int:
+def to_extent(n: Any) -> int:
     if not hasattr(n, "__index__") or n.__index__() < 1:
         raise TaiRuntimeTypeError(f"a matrix has at least one row and column, but got {n!r}")
     return n.__index__()

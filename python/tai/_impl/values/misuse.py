@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ..base.dtypes import DataType
+from ..base.elements import Elements
 from .value import Value
 
 
@@ -16,13 +17,8 @@ def name_of(thing: Any) -> str:
 
 def describe_misuse(thing: Any) -> str:
     """Why `thing` is no number."""
-    from ..fields.fields import Field
-    from ..frontend.refs import ArrayArgument
-
-    if isinstance(thing, Field):
-        return f"field '{thing.name}' stands where a number is needed"
-    if isinstance(thing, ArrayArgument):
-        return f"array '{thing.name}' stands where a number is needed"
+    if isinstance(thing, Elements):
+        return f"{thing._described()} stands where a number is needed"
     if isinstance(thing, DataType):
         return f"the type {thing.name} stands where a number is needed"
     if thing is None:
@@ -34,18 +30,9 @@ def describe_misuse(thing: Any) -> str:
 
 
 def misuse_hint(thing: Any) -> str | None:
-    from ..fields.fields import Field
-    from ..frontend.refs import ArrayArgument
-
-    if isinstance(thing, ArrayArgument):
-        return f"read an element: {thing.name}[{', '.join('ijklmnop'[: thing.ndim])}]"
-    if isinstance(thing, Field):
-        indices = (
-            "None"
-            if thing.snode is None or not thing.shape
-            else ", ".join("ijklmnop"[: len(thing.shape)])
-        )
-        return f"read an element: {thing.name}[{indices}]"
+    if isinstance(thing, Elements):
+        example = thing._example()
+        return None if example is None else f"read an element: {example}"
     if isinstance(thing, DataType):
         return f"convert a number to it: ti.cast(x, {thing.name})"
     if callable(thing):

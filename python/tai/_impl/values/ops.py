@@ -10,8 +10,11 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiSyntaxError, TaiTypeError
-from ..base import dtypes, fitting, state
+from ..base import dtypes, state
+from ..base.dtypes import cast as cast
+from .division import check_division
 from .matrix import Matrix
+from .value import stop_gradient
 
 
 def _needs_emitter(*things: Any) -> bool:
@@ -156,25 +159,6 @@ def select(condition: Any, x: Any, y: Any) -> Any:
     return x if condition else y
 
 
-def cast(x: Any, dtype: Any) -> Any:
-    """x in another type; floats become whole numbers by dropping the fraction."""
-    emitter = state.emitter
-    if emitter is not None:
-        target = emitter.to_dtype(dtype)
-        if hasattr(x, "emit_operand") or getattr(x, "is_matrix", False):
-            return emitter.cast(emitter.as_value(x), target)
-        if isinstance(x, (bool, int, float, np.generic)):
-            number = x.item() if isinstance(x, np.generic) else x
-            return emitter.constant(fitting.convert(number, target), target)
-        return emitter.cast(emitter.as_value(x), target)
-    resolved = dtypes.to_dtype(dtype)
-    if resolved is None:
-        raise TaiTypeError(f"{dtype!r} is not a type of numbers")
-    if isinstance(x, Matrix):
-        return x.cast(resolved)
-    return fitting.convert(x.item() if hasattr(x, "item") else x, resolved)
-
-
 def bit_cast(x: Any, dtype: Any) -> Any:
     """The same bits in another type of the same width."""
     return _in_kernel("bit_cast").bit_cast(x, dtypes.to_dtype(dtype))
@@ -213,8 +197,6 @@ def logical_or(a: Any, b: Any) -> Any:
 
 def raw_mod(a: Any, b: Any) -> Any:
     """The remainder with the sign of a, as in C; 0 where a whole b is 0."""
-    from .division import check_division
-
     emitter = _in_kernel("raw_mod")
     a, b = emitter.unify(a, b)
     check_division(a, b, a.dt)
@@ -224,8 +206,6 @@ def raw_mod(a: Any, b: Any) -> Any:
 
 def raw_div(a: Any, b: Any) -> Any:
     """Division that rounds whole numbers toward zero, as in C; 0 where a whole b is 0."""
-    from .division import check_division
-
     emitter = _in_kernel("raw_div")
     a, b = emitter.unify(a, b)
     check_division(a, b, a.dt)
@@ -259,8 +239,6 @@ def stop_grad(x: Any) -> Any:
     Of a field, as a statement: what its block reads of the field is a constant.
     """
     if hasattr(x, "emit_operand") or (state.emitter is not None and isinstance(x, Matrix)):
-        from .value import stop_gradient
-
         return stop_gradient(state.emitter.as_value(x))
     return x
 

@@ -77,9 +77,9 @@ class MatrixType:
 
     def ndarray(self, shape: Any, needs_grad: bool = False) -> Any:
         """An array of such elements; see `ti.ndarray`."""
-        from ..fields.arrays import Ndarray
-
-        return Ndarray(self.dtype, shape, self.shape, needs_grad)
+        if self.columns is None:
+            return Vector.ndarray(self.n, self.dtype, shape, needs_grad)
+        return Matrix.ndarray(self.n, self.columns, self.dtype, shape, needs_grad)
 
     def convert(self, emitter: Any, value: Any) -> Any:
         """A value of a kernel in this type."""
