@@ -20,7 +20,8 @@ from ...errors import (
     TaiTypeError,
     shorten,
 )
-from ..base import dtypes, native, state
+from ..base import dtypes, state
+from ..values.builder import Builder
 from ..values.emitter import Emitter
 from .calls import Calls
 from .checks import Checks
@@ -94,7 +95,7 @@ class Compiler(
         node = function_ast(function)
         self.frame = Frame(function, node, "kernel")
         self.frames = [self.frame]
-        self.builder = native.Builder(program.context, self.frame.filename)
+        self.builder = Builder(program.context, self.frame.filename)
         self.emitter = Emitter(self.builder)
         self.emitter.call = self.call_from_python
         self.emitter.make_struct = functools.partial(make_value, self.emitter)
@@ -172,30 +173,19 @@ class Compiler(
             self.at(node)
             for variable in results.parts:
                 self.store_cells(variable.value)
-            builder.op("tai.return", [variable.value.handle for variable in results.parts])
+            builder.return_([variable.value.handle for variable in results.parts])
         elif not frame.has_returned:
             if self.result is not None:
                 raise TaiSyntaxError(
                     f"kernel '{frame.name}' has a return type, but no return"
                 ).locate(frame.filename, node.lineno, node.col_offset + 1)
-            builder.op("tai.return", [])
-        types_out = "()" if self.result is None else self.result.mlir_type
+            builder.return_()
+        result = None if self.result is None else self.result.mlir_type
         if self.result is not None and self.result.has_gradient:
             gradients.append(len(types))
         builder.enter_module()
         self.at(node)
-        builder.op(
-            "tai.kernel",
-            [],
-            [],
-            {
-                "sym_name": builder.string(self.kernel_name),
-                "function_type": builder.attribute(f"({', '.join(types)}) -> {types_out}"),
-                **self.differentiated(gradients),
-                **self.conventions(),
-            },
-            [region],
-        )
+        builder.kernel(self.kernel_name, types, result, region, gradients, conventions())
 
     @property
     def has_gradients(self) -> bool:
@@ -205,26 +195,6 @@ class Compiler(
         return any(spec.has_gradient for _, spec in self.parameters) or any(
             grad is not None and grad.level is not None for grad in placed
         )
-
-    def differentiated(self, positions: list[int]) -> dict[str, Any]:
-        """By what the kernel is differentiated besides fields, as an attribute of it."""
-        if not positions:
-            return {}
-        listed = ", ".join(map(str, positions))
-        return {"tai.gradients": self.builder.attribute(f"array<i64: {listed}>")}
-
-    def conventions(self) -> dict[str, Any]:
-        """What `ti.init` chose for gradients at kinks, as an attribute of the kernel."""
-        options, chosen = state.options, []
-        if options.ad_ties == "split":
-            chosen.append('ties = "split"')
-        if options.ad_arcs == "clamp":
-            chosen.append('arcs = "clamp"')
-        if not options.ad_guards:
-            chosen.append("guards = false")
-        if not chosen:
-            return {}
-        return {"tai.conventions": self.builder.attribute("{" + ", ".join(chosen) + "}")}
 
     def argument(self, name: str, spec: Any, handles: list) -> Variable | Bound:
         """What a parameter of the kernel stands for in its body."""
@@ -272,12 +242,12 @@ class Compiler(
     def return_from_kernel(self, value: Any, node: ast.Return) -> None:
         self.check_kernel_result(value)
         if value is None:
-            self.builder.op("tai.return", [])
+            self.builder.return_()
             return
         value = self.result.convert(self.emitter, value)
         self.at(node)
         self.store_cells(value)
-        self.builder.op("tai.return", [value.handle])
+        self.builder.return_([value.handle])
 
     def call_from_python(self, function: Any, args: tuple, kwargs: dict) -> Any:
         """Inlines a `ti.func` that a plain Python function calls while it is traced."""
@@ -381,6 +351,18 @@ class Compiler(
         self.frames.pop()
         self.frame = self.frames[-1]
         self.builder.set_file(self.frame.filename)
+
+
+def conventions() -> dict[str, str]:
+    """What `ti.init` chose for gradients at kinks, where that is not the usual."""
+    options, chosen = state.options, {}
+    if options.ad_ties == "split":
+        chosen["ties"] = '"split"'
+    if options.ad_arcs == "clamp":
+        chosen["arcs"] = '"clamp"'
+    if not options.ad_guards:
+        chosen["guards"] = "false"
+    return chosen
 
 
 def _is_of_a_handler(error: BaseException) -> bool:

@@ -378,14 +378,14 @@ class Expressions:
                 return emitter.binary("&" if is_and else "|", truth, right)
             left = emitter.cast(left, dt)
             return emitter.select(truth, *((right, left) if is_and else (left, right)))
-        builder.op("scf.yield", [right.handle])
+        builder.yield_([right.handle])
         other = builder.region()
         builder.set_block(builder.block(other, []))
         kept = emitter.constant(not is_and, u1) if dt is u1 else emitter.cast(left, dt)
-        builder.op("scf.yield", [kept.handle])
+        builder.yield_([kept.handle])
         builder.set_block(outer)
         regions = [region, other] if is_and else [other, region]
-        handle = builder.op("scf.if", [truth.handle], [emitter.type_of(dt)], None, regions)
+        handle = builder.if_(truth.handle, [emitter.type_of(dt)], *regions)
         return Value(emitter, handle, dt)
 
     def visit_IfExp(self, node: ast.IfExp) -> Any:
@@ -435,11 +435,9 @@ class Expressions:
             return emitter.select(condition, *values)
         for block, handle in zip(blocks, handles, strict=True):
             builder.set_block(block)
-            builder.op("scf.yield", [handle])
+            builder.yield_([handle])
         builder.set_block(outer)
-        handle = builder.op(
-            "scf.if", [condition.handle], [emitter.type_of(dt, shape)], None, regions
-        )
+        handle = builder.if_(condition.handle, [emitter.type_of(dt, shape)], *regions)
         return emitter.value(handle, dt, shape)
 
     def visit_Lambda(self, node: ast.Lambda) -> Any:

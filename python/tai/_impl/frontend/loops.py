@@ -14,6 +14,7 @@ from ..fields.scalar import ComponentField, ScalarField
 from ..fields.snode import Place, Root, SNode
 from ..fields.structs import StructField
 from ..values import ops
+from ..values.builder import SIGNED
 from ..values.value import MatrixValue, Value
 from .block_sizes import block_dim_of
 from .refs import ArrayArgument, FieldElement, Variable, use_field
@@ -371,10 +372,9 @@ class Loops:
         inside(block.argument(0))
         self.depth -= 1
         self.at(node)
-        builder.op("scf.yield", [v.value.handle for v in variables])
+        builder.yield_([v.value.handle for v in variables])
         builder.set_block(outer)
-        operands = [begin, end, emitter.index(1), *initial]
-        results = builder.op("scf.for", operands, types, None, [region])
+        results = builder.for_(begin, end, emitter.index(1), initial, types, region)
         self.take_results(results, variables)
 
     def counted_while(
@@ -395,11 +395,10 @@ class Loops:
         builder.set_block(head)
         self.take_arguments(head, variables, 1)
         index = head.argument(0)
-        attrs = {"predicate": builder.attribute("2 : i64")}
-        more = builder.op("arith.cmpi", [index, end], [emitter.type_of(u1)], attrs)
+        more = builder.compare_integers(SIGNED["<"], index, end, emitter.type_of(u1))
         go_on = emitter.binary("&", Value(emitter, more, u1), self.running(flags))
         carried = [v.value.handle for v in variables]
-        builder.op("scf.condition", [go_on.handle, index, *carried])
+        builder.condition_of_while(go_on.handle, [index, *carried])
         block = builder.block(after, all_types, names)
         builder.set_block(block)
         self.take_arguments(block, variables, 1)
@@ -407,12 +406,12 @@ class Loops:
         inside(block.argument(0))
         self.depth -= 1
         self.at(node)
-        following = builder.op(
-            "arith.addi", [block.argument(0), emitter.index(1)], [emitter.index_type]
+        following = builder.apply(
+            "arith.addi", [block.argument(0), emitter.index(1)], emitter.index_type
         )
-        builder.op("scf.yield", [following, *(v.value.handle for v in variables)])
+        builder.yield_([following, *(v.value.handle for v in variables)])
         builder.set_block(outer)
-        results = builder.op("scf.while", initial, all_types, None, [before, after])
+        results = builder.while_(initial, all_types, before, after)
         self.take_results(results[1:] if len(variables) > 1 else results[1], variables)
 
     # Parallel loops
@@ -431,25 +430,17 @@ class Loops:
             storage = field._whole.single
         rank = len(field.shape) if bounds is None else len(bounds.lower)
         names = self.targets(node, rank if level is None else level.rank, grouped)
-        operands: list[Any] = []
-        attrs: dict[str, Any] = {}
+        lower: list[Any] = []
+        upper: list[Any] = []
         if bounds is not None:
             for low, high in zip(bounds.lower, bounds.upper, strict=True):
                 if bounds.step != 1:
-                    operands.append((emitter.index(0), self.trip_count(low, high, bounds.step)))
+                    lower.append(emitter.index(0))
+                    upper.append(self.trip_count(low, high, bounds.step))
                 else:
-                    operands.append((emitter.to_index(low), emitter.to_index(high)))
-            operands = [low for low, _ in operands] + [high for _, high in operands]
-            attrs["operandSegmentSizes"] = builder.attribute(f"array<i32: {rank}, {rank}>")
-        else:
-            attrs["field"] = builder.attribute(f"@{storage.symbol}")
-            attrs["operandSegmentSizes"] = builder.attribute("array<i32: 0, 0>")
-            if level is not None:
-                attrs["level"] = builder.attribute(f"{level.up} : i64")
-        if options.get("serialize"):
-            attrs["serialize"] = builder.attribute("unit")
-        if threads := block_dim_of(options, self.program.options):
-            attrs["block_dim"] = builder.attribute(f"{threads} : i64")
+                    lower.append(emitter.to_index(low))
+                    upper.append(emitter.to_index(high))
+        is_serial = bool(options.get("serialize"))
 
         loop = Loop("parallel", self.depth + 1)
         shared = self.share(self.changed_by(node.body), node)
@@ -479,19 +470,23 @@ class Loops:
             ]
         self.define_indices(names, indices, grouped)
         self.appends = False
-        shape, is_serial = None if bounds is not None else field.shape, "serialize" in attrs
+        shape = None if bounds is not None else field.shape
         work = self.begin_parallel(bounds, shape, is_serial)
         self.loop_body(loop, node)
         self.end_parallel(work, bounds, shape, is_serial, node)
         if self.appends and self.program.options.deterministic:
             # On many threads, the order of a list would be that in which they come.
-            attrs["serialize"] = builder.attribute("unit")
+            is_serial = True
         self.frame.pop(node.lineno)
         self.depth -= 1
         self.at(node)
-        builder.op("tai.yield", [])
+        builder.end_of_parallel_for()
         builder.set_block(outer)
-        builder.op("tai.parallel_for", operands, [], attrs, [region])
+        builder.parallel_for(
+            region, lower, upper, None if bounds is not None else storage.symbol,
+            None if level is None else level.up, is_serial,
+            block_dim_of(options, self.program.options),
+        )  # fmt: skip
         for variable in shared:
             variable.value = variable.hidden.convert(variable.hidden.load())
             variable.hidden = None

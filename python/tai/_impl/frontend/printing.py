@@ -151,12 +151,8 @@ class Printing:
                 'write an f-string, or "…".format(…)',
             )
         self.at(node)
-        self.builder.op(
-            "tai.print",
-            [self.printable(v).handle for v in values],
-            [],
-            {"format": self.builder.string(separator.join(part.text for part in parts) + end)},
-        )
+        text = separator.join(part.text for part in parts) + end
+        self.builder.print(text, [self.printable(v).handle for v in values])
 
     def printable(self, value: Value) -> Value:
         """A value whose printed digits are right although IR does not know its sign."""

@@ -197,49 +197,29 @@ class FieldElement(Place):
         self.indices, self.components = indices, list(components)
         self.dt = field.dtype
         self.shape = () if self.components else field.element_shape
-        self._symbol = emitter.builder.attribute(f"@{field.symbol}")
         emitter.fields.add(field)
 
     def _what(self) -> str:
         return f"field '{self.field.name}' of type {self.dt}"
 
-    def _segments(self, *leading: int) -> Any:
-        sizes = [*leading, len(self.indices), len(self.components)]
-        return self.emitter.builder.attribute(f"array<i32: {', '.join(map(str, sizes))}>")
-
     def load(self) -> Value:
-        handle = self.emitter.builder.op(
-            "tai.load",
-            [*self.indices, *self.components],
-            [self.emitter.type_of(self.dt, self.shape)],
-            {"field": self._symbol, "operandSegmentSizes": self._segments()},
-        )
+        type_ = self.emitter.type_of(self.dt, self.shape)
+        handle = self.emitter.builder.load(self.field.symbol, self.indices, self.components, type_)
         value = self.emitter.to_computed(self.emitter.value(handle, self.dt, self.shape))
         stopped = id(self.field) in self.emitter.stopped
         return stop_gradient(value) if stopped else value
 
     def store(self, value: Value) -> None:
-        self.emitter.builder.op(
-            "tai.store",
-            [value.handle, *self.indices, *self.components],
-            [],
-            {"field": self._symbol, "operandSegmentSizes": self._segments(1)},
-        )
+        self.emitter.builder.store(self.field.symbol, value.handle, self.indices, self.components)
 
     def atomic(self, op: str, value: Value) -> Value:
         kind = ATOMIC_KINDS[op]
         if self.dt.kind == "u" and op in ("min", "max"):
             return super().atomic(op, value)
-        handle = self.emitter.builder.op(
-            "tai.atomic",
-            [value.handle, *self.indices, *self.components],
-            [self.emitter.type_of(self.dt, self.shape)],
-            {
-                "kind": self.emitter.builder.attribute(f"#tai<atomic_kind {kind}>"),
-                "field": self._symbol,
-                "operandSegmentSizes": self._segments(1),
-            },
-        )
+        handle = self.emitter.builder.atomic(
+            kind, self.field.symbol, value.handle, self.indices, self.components,
+            self.emitter.type_of(self.dt, self.shape),
+        )  # fmt: skip
         return self.emitter.to_computed(self.emitter.value(handle, self.dt, self.shape))
 
     def component(self, component: Any) -> Place:
@@ -298,9 +278,10 @@ class ArrayElement(Place):
         if self.shape:
             parts = [self.component(c).load() for c in range(_count(self.shape))]
             return self.emitter.matrix(parts, parts[0].dt, self.shape)
-        value = self.emitter.scalar_op(
-            "memref.load", [self.array, *map(_Handle, self.indices)], self.dt
+        handle = self.emitter.builder.load_from_array(
+            self.array.handle, self.indices, self.emitter.type_of(self.dt)
         )
+        value = Value(self.emitter, handle, self.dt)
         return self.emitter.to_computed(value)
 
     def store(self, value: Any) -> None:
@@ -309,9 +290,7 @@ class ArrayElement(Place):
             for number, scalar in enumerate(value.scalars()):
                 self.component(number).store(scalar)
             return
-        self.emitter.builder.op(
-            "memref.store", [value.handle, self.array.handle, *self.indices], []
-        )
+        self.emitter.builder.store_to_array(value.handle, self.array.handle, self.indices)
 
     def atomic(self, op: str, value: Any) -> Value:
         self.array.spec.is_written = self.array.spec.is_read = True
@@ -327,12 +306,8 @@ class ArrayElement(Place):
         name = names[op][0 if self.dt.is_float else 1]
         if self.dt.kind == "u" and op in ("min", "max"):
             name = name[:-1] + "u"
-        kind = _RMW_KINDS[name]
-        handle = self.emitter.builder.op(
-            "memref.atomic_rmw",
-            [value.handle, self.array.handle, *self.indices],
-            [self.emitter.type_of(self.dt)],
-            {"kind": self.emitter.builder.attribute(f"{kind} : i64")},
+        handle = self.emitter.builder.atomic_in_array(
+            name, value.handle, self.array.handle, self.indices, self.emitter.type_of(self.dt)
         )
         return self.emitter.to_computed(self.emitter.value(handle, self.dt))
 
@@ -350,20 +325,6 @@ class ArrayElement(Place):
 
 
 # arith::AtomicRMWKind
-_RMW_KINDS = {"addf": 0, "addi": 1, "andi": 2, "assign": 3, "maximumf": 4, "maxnumf": 5,
-              "maxs": 6, "maxu": 7, "minimumf": 8, "minnumf": 9, "mins": 10, "minu": 11,
-              "mulf": 12, "muli": 13, "ori": 14, "xori": 15}  # fmt: skip
-
-
-class _Handle:
-    """An index handle where an operand with a `handle` is expected."""
-
-    __slots__ = ("handle",)
-
-    def __init__(self, handle: Any):
-        self.handle = handle
-
-
 class ArrayArgument(Elements):
     """An array that was given to the kernel: `ti.types.ndarray`."""
 
@@ -397,7 +358,7 @@ class ArrayArgument(Elements):
         emitter, extents = self.emitter, []
         for dimension in range(self.ndim):
             at = emitter.index(dimension)
-            handle = emitter.builder.op("memref.dim", [self.handle, at], [emitter.index_type])
+            handle = emitter.builder.extent(self.handle, at)
             extents.append(emitter.from_index(handle))
         return tuple(extents)
 

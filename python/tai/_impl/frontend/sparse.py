@@ -116,20 +116,14 @@ class Sparse:
                 f"cells of {_describe(level.node)} are always active",
                 "deactivate a pointer, bitmasked or dynamic level above it, or store zeros",
             )
-        op = {ops.activate: "activate", ops.deactivate: "deactivate", ops.is_active: "is_active"}
-        results = [self.builder.type("i1")] if function is ops.is_active else []
-        handle = self.builder.op(
-            f"tai.{op[function]}",
-            level.element(self.emitter, indices),
-            results,
-            {
-                "field": self.builder.attribute(f"@{level.field.symbol}"),
-                "level": self.builder.attribute(f"{level.up} : i64"),
-            },
-        )
-        if function is not ops.is_active:
-            return None
-        return self.emitter.value(handle, u1)
+        cell = level.field.symbol, level.up, level.element(self.emitter, indices)
+        if function is ops.is_active:
+            return self.emitter.value(self.builder.is_active(*cell), u1)
+        if function is ops.activate:
+            self.builder.activate(*cell)
+        else:
+            self.builder.deactivate(*cell)
+        return None
 
     def list_call(self, level: Level, indices: list, value: Any, name: str) -> Any:
         """`ti.append` (with a value) or `ti.length` of a list."""
@@ -151,10 +145,8 @@ class Sparse:
             )
         handles = level.element(emitter, self._with_list_index(level, indices, 0))
         del handles[self.list_dimension(level)]
-        attrs = {"field": self.builder.attribute(f"@{level.field.symbol}")}
-        index = self.builder.type("index")
         if value is None:
-            count = self.builder.op("tai.length", handles, [index], attrs)
+            count = self.builder.length(level.field.symbol, handles)
             return emitter.from_index(count, i32)
         if any(isinstance(child, SNode) for child in node.children):
             raise TaiTypeError(
@@ -177,7 +169,7 @@ class Sparse:
             converted = FieldElement(emitter, place, []).convert(one)
             elements.append(converted)
         self.appends = True
-        at = self.builder.op("tai.append", [elements[0].handle, *handles], [index], attrs)
+        at = self.builder.append(level.field.symbol, elements[0].handle, handles)
         dimension, offset = self.list_dimension(level), level.field.offset
         first = offset[dimension] if offset else 0
         number = emitter.from_index(at, i32)

@@ -217,10 +217,10 @@ class Statements:
         self.at(node)
         for block, values in zip(blocks, after, strict=True):
             builder.set_block(block)
-            builder.op("scf.yield", [values[number].handle for number in merged])
+            builder.yield_([values[number].handle for number in merged])
         builder.set_block(outer)
         types = [emitter.type_of(before[n].dt, before[n].shape) for n in merged]
-        results = builder.op("scf.if", [condition.handle], types, None, regions)
+        results = builder.if_(condition.handle, types, *regions)
         self.take_results(results, [variables[n] for n in merged])
         self.is_dead = len(ends) == 2 and all(ends)
         return ends or [False]
@@ -317,7 +317,7 @@ class Statements:
         else:
             go_on = self.both(self.running(flags), condition)
         self.at(node)
-        builder.op("scf.condition", [go_on.handle, *carried])
+        builder.condition_of_while(go_on.handle, carried)
         block = builder.block(after, types, names)
         builder.set_block(block)
         self.take_arguments(block, variables)
@@ -326,9 +326,9 @@ class Statements:
             step()
         self.depth -= 1
         self.at(node)
-        builder.op("scf.yield", [v.value.handle for v in variables])
+        builder.yield_([v.value.handle for v in variables])
         builder.set_block(outer)
-        results = builder.op("scf.while", initial, types, None, [before, after])
+        results = builder.while_(initial, types, before, after)
         self.take_results(results, variables)
 
     def both(self, running: Value, condition: Callable[[], Value | None]) -> Value:
@@ -339,19 +339,17 @@ class Statements:
         builder.set_block(builder.block(region, []))
         value = condition()
         if value is None:
-            builder.op("scf.yield", [running.handle])
+            builder.yield_([running.handle])
             value = running
         else:
-            builder.op("scf.yield", [value.handle])
+            builder.yield_([value.handle])
         other = builder.region()
         builder.set_block(builder.block(other, []))
-        builder.op("scf.yield", [emitter.constant(False, u1).handle])
+        builder.yield_([emitter.constant(False, u1).handle])
         builder.set_block(outer)
         if value is running:
             return running
-        handle = builder.op(
-            "scf.if", [running.handle], [emitter.type_of(u1)], None, [region, other]
-        )
+        handle = builder.if_(running.handle, [emitter.type_of(u1)], region, other)
         return Value(emitter, handle, u1)
 
     def take_arguments(self, block: Any, variables: list[Variable], first: int = 0) -> None:
@@ -563,12 +561,8 @@ class Statements:
             raise TaiTypeError("the message of an assertion must be a string")
         self.at(node)
         condition = self.emitter.to_bool(condition)
-        self.builder.op(
-            "tai.assert",
-            [condition.handle, *(self.printable(v).handle for v in values)],
-            [],
-            {"message": self.builder.string(text)},
-        )
+        shown = [self.printable(v).handle for v in values]
+        self.builder.assert_(condition.handle, text, shown)
 
     def convert_result(self, value: Any) -> Any:
         """The result of a `ti.func` in the type of its annotation, if it has one."""

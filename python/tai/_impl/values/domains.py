@@ -6,18 +6,18 @@ zero, which is where a volume has vanished.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..base import state
-from ..base.dtypes import u1
+from .builder import UNORDERED
 from .value import Value
 
 if TYPE_CHECKING:
     from .emitter import Emitter
 
-# The predicate of arith.cmpf that holds where there is a value, the bound, whether of the absolute
+# The predicate that holds where there is a value, the bound, whether of the absolute
 # value, and what to say. NaN passes: it was made elsewhere.
-_ABOVE, _FROM, _UP_TO = 9, 10, 12
+_ABOVE, _FROM, _UP_TO = (UNORDERED[op] for op in (">", ">=", "<="))
 _DOMAINS = {
     "log": (_ABOVE, 0.0, False, "the logarithm of {}"),
     "log2": (_ABOVE, 0.0, False, "the logarithm of {}"),
@@ -53,9 +53,7 @@ def check_power(emitter: Emitter, base: Value, exponent: Value) -> None:
 
 
 def _compare(emitter: Emitter, predicate: int, value: Value, bound: float) -> Value:
-    attrs = {"predicate": emitter._attribute(f"{predicate} : i64")}
-    operands = [value, emitter.constant(bound, value.dt)]
-    return emitter._elementwise("arith.cmpf", operands, u1, attrs)
+    return emitter.compare_by(predicate, value, emitter.constant(bound, value.dt))
 
 
 def _require(emitter: Emitter, holds: Value, value: Value, what: str) -> None:
@@ -67,5 +65,4 @@ def _require(emitter: Emitter, holds: Value, value: Value, what: str) -> None:
             return
         taken = emitter.to_bool(condition)
         holds = emitter.binary("|", holds, emitter.unary("not", taken) if wanted else taken)
-    message: Any = emitter.builder.string(f"{what} does not exist")
-    emitter.builder.op("tai.assert", [holds.handle, value.handle], [], {"message": message})
+    emitter.builder.assert_(holds.handle, f"{what} does not exist", [value.handle])

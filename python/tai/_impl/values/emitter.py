@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from ...errors import TaiCompilationError, TaiIndexError, TaiTypeError
 from ..base import dtypes, state
 from ..base.dtypes import DataType, computed_in, dtype_of, i32, promote, u1
+from .builder import IS_NAN, ORDERED, SIGNED, UNORDERED, UNSIGNED, Builder
 from .compile_time import PYTHON, compute
 from .division import check_division
 from .domains import check_domain, check_power
@@ -33,19 +35,8 @@ _ARITHMETIC = {
     ">>": (None, "arith.shrsi", "arith.shrui"),
 }
 
-# float predicate (ordered, but for !=), signed, unsigned
-_PREDICATES = {
-    "==": (1, 0, 0),
-    "!=": (13, 1, 1),
-    "<": (4, 2, 6),
-    "<=": (5, 3, 7),
-    ">": (2, 4, 8),
-    ">=": (3, 5, 9),
-}
-
-# Float predicates: ordered, and, for a constant as the first operand, unordered.
-_TIES = {"max": (2, 9), "min": (4, 11)}
-_UNORDERED = 14
+# Float predicates of maximum and minimum, for a constant as the first operand the second one.
+_TIES = {"max": (ORDERED[">"], UNORDERED[">"]), "min": (ORDERED["<"], UNORDERED["<"])}
 
 _MATH = {
     name: f"math.{name}"
@@ -64,10 +55,10 @@ class Emitter(Integers):
     """Emits operations at the insertion point of a builder.
 
     Args:
-        builder: a `_core.Builder`.
+        builder: what appends the operations.
     """
 
-    def __init__(self, builder: Any):
+    def __init__(self, builder: Builder):
         self.builder = builder
         # The compiler's way to call a function that Python code calls while it compiles.
         self.call: Any = None
@@ -86,9 +77,6 @@ class Emitter(Integers):
         self.stopped: set[int] = set()
         # The arms of selects that are being emitted: conditions, and which way they must go.
         self.arms: list[tuple[Any, bool]] = []
-        # Operands and results of one op are all of one kind most of the time.
-        self._op = builder.op
-        self._attribute = builder.attribute
 
     # Types
 
@@ -242,39 +230,38 @@ class Emitter(Integers):
         return self.matrix(scalars, dt, (len(scalars),))
 
     def pack(self, scalars: list[Value], dt: DataType, shape: tuple[int, ...]) -> Any:
-        return self._op(
-            "vector.from_elements", [s.handle for s in scalars], [self.type_of(dt, shape)]
-        )
+        return self.builder.from_elements([s.handle for s in scalars], self.type_of(dt, shape))
 
     # Operations
 
-    def scalar_op(self, name: str, operands: list[Value], dt: DataType, attrs: Any = None) -> Value:
-        handle = self._op(name, [v.handle for v in operands], [self.type_of(dt)], attrs)
-        return Value(self, handle, dt)
+    def scalar_op(self, op: Callable[..., Any], operands: list[Value], dt: DataType) -> Value:
+        """A number that an operation of the builder makes, such as `builder.dot`."""
+        return Value(self, op(*(v.handle for v in operands), self.type_of(dt)), dt)
 
     def matrix_op(
-        self, name: str, operands: list[Value], dt: DataType, shape: tuple[int, ...]
+        self, op: Callable[..., Any], operands: list[Value], dt: DataType, shape: tuple[int, ...]
     ) -> MatrixValue:
-        handle = self._op(name, [v.handle for v in operands], [self.type_of(dt, shape)])
+        """The same for a vector or matrix."""
+        handle = op(*(v.handle for v in operands), self.type_of(dt, shape))
         return MatrixValue(self, handle, dt, shape)
 
-    def _elementwise(self, name: str, operands: list[Value], dt: DataType, attrs: Any = None):
+    def _elementwise(self, name: str, operands: list[Value], dt: DataType) -> Any:
         shape = operands[0].shape
-        handle = self._op(name, [v.handle for v in operands], [self.type_of(dt, shape)], attrs)
+        handle = self.builder.apply(name, [v.handle for v in operands], self.type_of(dt, shape))
         return self.value(handle, dt, shape)
+
+    def compare_by(self, predicate: int, a: Value, b: Value) -> Any:
+        """Whether a predicate of the builder holds between values of one type."""
+        compare = self.builder.compare_floats if a.dt.is_float else self.builder.compare_integers
+        handle = compare(predicate, a.handle, b.handle, self.type_of(u1, a.shape))
+        return self.value(handle, u1, a.shape)
 
     def extract(self, matrix: MatrixValue, component: int) -> Value:
         """One component, counted row by row."""
         if matrix.elements is not None:
             return matrix.elements[component]
-        position = component if len(matrix.shape) == 1 else divmod(component, matrix.shape[1])
-        text = f"array<i64: {position}>" if isinstance(position, int) else (
-            f"array<i64: {position[0]}, {position[1]}>"
-        )  # fmt: skip
-        handle = self._op(
-            "vector.extract", [matrix.handle], [self.type_of(matrix.dt)],
-            {"static_position": self._attribute(text)},
-        )  # fmt: skip
+        position = (component,) if len(matrix.shape) == 1 else divmod(component, matrix.shape[1])
+        handle = self.builder.extract(matrix.handle, position, self.type_of(matrix.dt))
         return Value(self, handle, matrix.dt)
 
     def with_component(self, matrix: MatrixValue, component: Any, value: Value) -> MatrixValue:
@@ -284,11 +271,9 @@ class Emitter(Integers):
             if matrix.elements is None and matrix.dt.is_float:
                 shape = matrix.shape
                 position = (component,) if len(shape) == 1 else divmod(component, shape[1])
-                text = f"array<i64: {', '.join(map(str, position))}>"
-                handle = self._op(
-                    "vector.insert", [value.handle, matrix.handle],
-                    [self.type_of(matrix.dt, shape)], {"static_position": self._attribute(text)},
-                )  # fmt: skip
+                handle = self.builder.insert(
+                    value.handle, matrix.handle, position, self.type_of(matrix.dt, shape)
+                )
                 return MatrixValue(self, handle, matrix.dt, shape)
             scalars[component] = value
         else:
@@ -386,7 +371,7 @@ class Emitter(Integers):
             return MatrixValue(self, None, value.dt, shape, [value] * count)
         if value.const is not None:
             return self.splat(value.const, value.dt, shape)
-        handle = self._op("vector.broadcast", [value.handle], [self.type_of(value.dt, shape)])
+        handle = self.builder.broadcast(value.handle, self.type_of(value.dt, shape))
         return MatrixValue(self, handle, value.dt, shape)
 
     def operands(self, a: Any, b: Any) -> tuple[Value, Value, DataType]:
@@ -482,13 +467,13 @@ class Emitter(Integers):
         if isinstance(how, tuple):
             name = {"+": "arith.addi", "-": "arith.subi", "*": "arith.muli"}[how[0]]
             operands = [self.to_index(how[1]), self.to_index(how[2])]
-            return self._op(name, operands, [self.index_type])
+            return self.builder.apply(name, operands, self.index_type)
         name = "arith.index_cast" if value.dt.kind == "i" else "arith.index_castui"
-        return self._op(name, [value.handle], [self.index_type])
+        return self.builder.apply(name, [value.handle], self.index_type)
 
     def from_index(self, handle: Any, dt: DataType = i32) -> Value:
         """A loop variable as an integer, which remembers the index it came from."""
-        made = self._op("arith.index_cast", [handle], [self.type_of(dt)])
+        made = self.builder.apply("arith.index_cast", [handle], self.type_of(dt))
         return Value(self, made, dt, index=handle)
 
     # Arithmetic
@@ -582,13 +567,9 @@ class Emitter(Integers):
         is taken, as that op does.
         """
 
-        def compare(predicate: int, x: Value, y: Value) -> Value:
-            attrs = {"predicate": self._attribute(f"{predicate} : i64")}
-            return self._elementwise("arith.cmpf", [x, y], u1, attrs)
-
-        first = compare(_TIES[op][first_is_constant], a, b)
+        first = self.compare_by(_TIES[op][first_is_constant], a, b)
         if not first_is_constant and not second_is_constant:
-            first = self._elementwise("arith.ori", [first, compare(_UNORDERED, b, b)], u1)
+            first = self._elementwise("arith.ori", [first, self.compare_by(IS_NAN, b, b)], u1)
         return self.select(first, a, b)
 
     def _divide_whole(self, op: str, a: Any, b: Any) -> Any:
@@ -670,11 +651,11 @@ class Emitter(Integers):
         if a.shape and not dt.is_float and (a.elements or b.elements):
             pairs = zip(a.scalars(), b.scalars(), strict=True)
             return self.matrix([self.compare(op, p, q) for p, q in pairs], u1, a.shape)
-        forms = _PREDICATES[op]
-        predicate = forms[0] if dt.is_float else forms[1] if dt.kind == "i" else forms[2]
-        name = "arith.cmpf" if dt.is_float else "arith.cmpi"
-        attrs = {"predicate": self._attribute(f"{predicate} : i64")}
-        return self._elementwise(name, [a, b], u1, attrs)
+        if dt.is_float:  # NaN is different from all
+            predicates = UNORDERED if op == "!=" else ORDERED
+        else:
+            predicates = SIGNED if dt.kind == "i" else UNSIGNED
+        return self.compare_by(predicates[op], a, b)
 
     def select(self, condition: Any, a: Any, b: Any) -> Any:
         condition = self.as_value(condition)
@@ -688,9 +669,8 @@ class Emitter(Integers):
             conditions = condition.scalars() if condition.shape else [condition] * len(a.scalars())
             triples = zip(conditions, a.scalars(), b.scalars(), strict=True)
             return self.matrix([self.select(*t) for t in triples], a.dt, a.shape)
-        handle = self._op(
-            "arith.select", [condition.handle, a.handle, b.handle], [self.type_of(a.dt, a.shape)]
-        )
+        type_ = self.type_of(a.dt, a.shape)
+        handle = self.builder.select(condition.handle, a.handle, b.handle, type_)
         return self.value(handle, a.dt, a.shape)
 
     def reduce(self, op: str, values: list[Value]) -> Value:
@@ -708,7 +688,7 @@ class Emitter(Integers):
                 f"a {a.kind_name} and a {b.kind_name} cannot be multiplied by '@'",
                 "the columns of the left one must be as many as the rows of the right one",
             )
-        return self.matrix_op("tai.matmul", [a, b], a.dt, (a.shape[0], *b.shape[1:]))
+        return self.matrix_op(self.builder.matmul, [a, b], a.dt, (a.shape[0], *b.shape[1:]))
 
     def check_small(self, matrix: MatrixValue, what: str) -> None:
         if matrix.shape[0] > 4:
@@ -722,23 +702,23 @@ class Emitter(Integers):
         return self._elementwise("math.atan2", [a, b], a.dt)
 
     def decompose(self, name: str, matrix: Any, results: list[tuple[int, ...]]) -> tuple:
-        """A matrix op with several results, of the given shapes."""
+        """The factors of a matrix, of the given shapes; for `name` see the builder."""
         matrix = self.to_float(matrix)
         types = [self.type_of(matrix.dt, shape) for shape in results]
-        made = self._op(name, [matrix.handle], types)
+        made = self.builder.decompose(name, matrix.handle, types)
         pairs = zip(made, results, strict=True)
         return tuple(self.value(handle, matrix.dt, shape) for handle, shape in pairs)
 
     def solve(self, matrix: Any, rhs: Any) -> MatrixValue:
         a, b = self.same_type(self.to_float(matrix), self.to_float(rhs))
-        return self.matrix_op("tai.solve", [a, b], a.dt, b.shape)
+        return self.matrix_op(self.builder.solve, [a, b], a.dt, b.shape)
 
     def random(self, dt: DataType) -> Value:
         if dt.is_bool:
             raise TaiTypeError("ti.random makes floats and whole numbers")
-        stream = self._attribute(f"{self.num_random} : i64")
+        handle = self.builder.random(self.num_random, self.type_of(dt))
         self.num_random += 1
-        return self.scalar_op("tai.random", [], dt, {"stream": stream})
+        return Value(self, handle, dt)
 
     def bit_cast(self, value: Any, dt: DataType) -> Any:
         value = self.as_value(value)

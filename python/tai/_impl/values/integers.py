@@ -9,7 +9,8 @@ import numpy as np
 
 from ...errors import TaiTypeError
 from ..base import state
-from ..base.dtypes import DataType, u1, wrapped
+from ..base.dtypes import DataType, wrapped
+from .builder import UNSIGNED
 from .value import Value
 
 
@@ -62,18 +63,12 @@ class Integers:
         if name == "arith.shrsi":
             most = self.constant(dt.bits - 1, dt)
             return self._elementwise(name, [a, self._elementwise("arith.minui", [b, most], dt)], dt)
-        attrs = {"predicate": self._attribute("6 : i64")}  # unsigned <
-        fits = self._elementwise("arith.cmpi", [b, self.constant(dt.bits, dt)], u1, attrs)
+        fits = self.compare_by(UNSIGNED["<"], b, self.constant(dt.bits, dt))
         return self.select(fits, self._elementwise(name, [a, b], dt), self.constant(0, dt))
 
     def assert_not_negative(self, value: Value, message: str) -> None:
         """In debug mode, ends the program where a number is negative."""
-        self.builder.op(
-            "tai.assert",
-            [self.compare(">=", value, 0).handle, value.handle],
-            [],
-            {"message": self.builder.string(message)},
-        )
+        self.builder.assert_(self.compare(">=", value, 0).handle, message, [value.handle])
 
     def _integer_power(self, a: Value, b: Value) -> Any:
         """Square and multiply over the bits of an exponent known only at run time."""
@@ -91,7 +86,7 @@ class Integers:
         builder.set_block(head)
         carried = [head.argument(i) for i in range(3)]
         more = self.compare(">", Value(self, carried[2], b.dt), 0)
-        self._op("scf.condition", [more.handle, *carried])
+        builder.condition_of_while(more.handle, carried)
         body = builder.block(after, types)
         builder.set_block(body)
         result, base = (Value(self, body.argument(i), a.dt) for i in range(2))
@@ -101,9 +96,9 @@ class Integers:
         base = self.binary("*", base, base)
         # The count is positive, also with its highest bit set where it has no sign.
         left = self._elementwise("arith.shrui", [left, self.constant(1, b.dt)], b.dt)
-        self._op("scf.yield", [result.handle, base.handle, left.handle])
+        builder.yield_([result.handle, base.handle, left.handle])
         builder.set_block(outer)
-        made = self._op("scf.while", [one.handle, a.handle, b.handle], types, None, [before, after])
+        made = builder.while_([one.handle, a.handle, b.handle], types, before, after)
         made = Value(self, made[0], a.dt)
         if b.dt.kind != "i":
             return made

@@ -249,13 +249,13 @@ def stop_grad(x: Any) -> Any:
 def polar_decompose(a: Any, dt: Any = None) -> Any:
     """A = R S with a rotation R and a symmetric S, of a 2×2 or 3×3 matrix."""
     matrix = _square("polar_decompose", a)
-    return state.emitter.decompose("tai.polar", matrix, [matrix.shape] * 2)
+    return state.emitter.decompose("polar", matrix, [matrix.shape] * 2)
 
 
 def svd(a: Any, dt: Any = None) -> Any:
     """A = U Σ Vᵀ of a 2×2 or 3×3 matrix: `U, sigma, V`."""
     matrix = _square("svd", a)
-    u, sigma, v = state.emitter.decompose("tai.svd", matrix, [matrix.shape] * 3)
+    u, sigma, v = state.emitter.decompose("svd", matrix, [matrix.shape] * 3)
     sigma.is_diagonal = True
     return u, sigma, v
 
@@ -263,7 +263,7 @@ def svd(a: Any, dt: Any = None) -> Any:
 def sym_eig(a: Any, dt: Any = None) -> Any:
     """Eigenvalues, greatest first, and eigenvectors (columns) of a symmetric matrix."""
     matrix = _square("sym_eig", a)
-    return state.emitter.decompose("tai.sym_eig", matrix, [matrix.shape[:1], matrix.shape])
+    return state.emitter.decompose("sym_eig", matrix, [matrix.shape[:1], matrix.shape])
 
 
 def solve(a: Any, b: Any, dt: Any = None) -> Any:

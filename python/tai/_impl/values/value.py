@@ -252,7 +252,7 @@ class MatrixValue(Value):
         a, b = self.emitter.unify(self, other)
         if a.elements is not None or b.elements is not None:
             return (a * b).sum()
-        return self.emitter.scalar_op("tai.dot", [a, b], a.dt)
+        return self.emitter.scalar_op(self.emitter.builder.dot, [a, b], a.dt)
 
     def norm_sqr(self) -> Value:
         """Σ aᵢ²."""
@@ -264,8 +264,9 @@ class MatrixValue(Value):
         if not _is_zero(eps):
             return self.emitter.unary("sqrt", a.dot(a) + eps)
         # Without `fast`, it is right where the squares over- or underflow.
-        fast = {"fast": self.emitter.builder.attribute("unit")} if state.options.fast_math else None
-        return self.emitter.scalar_op("tai.norm", [a], a.dt, fast)
+        emitter = self.emitter
+        handle = emitter.builder.norm(a.handle, emitter.type_of(a.dt), state.options.fast_math)
+        return Value(emitter, handle, a.dt)
 
     def norm_inv(self, eps: Any = 0) -> Value:
         return 1.0 / self.norm(eps)
@@ -289,7 +290,7 @@ class MatrixValue(Value):
             return a[0] * b[1] - a[1] * b[0]
         if a.shape != (3,):
             raise TaiTypeError(f"cross product of a {self.kind_name}: it takes 2 or 3 components")
-        return self.emitter.matrix_op("tai.cross", [a, b], a.dt, (3,))
+        return self.emitter.matrix_op(self.emitter.builder.cross, [a, b], a.dt, (3,))
 
     def outer_product(self, other: Any) -> MatrixValue:
         """The matrix aᵢ bⱼ."""
@@ -297,7 +298,7 @@ class MatrixValue(Value):
         if len(self.shape) != 1 or len(other.shape) != 1:
             raise TaiTypeError("the outer product takes two vectors")
         a, b = self.emitter.same_type(self, other)
-        return self.emitter.matrix_op("tai.outer", [a, b], a.dt, (a.n, b.n))
+        return self.emitter.matrix_op(self.emitter.builder.outer, [a, b], a.dt, (a.n, b.n))
 
     def transpose(self) -> MatrixValue:
         emitter = self.emitter
@@ -307,23 +308,23 @@ class MatrixValue(Value):
             rows, cols = self.shape
             flipped = [self.elements[r * cols + c] for c in range(cols) for r in range(rows)]
             return emitter.matrix(flipped, self.dt, (cols, rows))
-        return emitter.matrix_op("tai.transpose", [self], self.dt, self.shape[::-1])
+        return emitter.matrix_op(emitter.builder.transpose, [self], self.dt, self.shape[::-1])
 
     def determinant(self) -> Value:
         a = self.emitter.to_float(self._square("the determinant"))
         self.emitter.check_small(a, "the determinant")
-        return self.emitter.scalar_op("tai.determinant", [a], a.dt)
+        return self.emitter.scalar_op(self.emitter.builder.determinant, [a], a.dt)
 
     def inverse(self) -> MatrixValue:
         a = self.emitter.to_float(self._square("the inverse"))
         self.emitter.check_small(a, "the inverse")
-        return self.emitter.matrix_op("tai.inverse", [a], a.dt, a.shape)
+        return self.emitter.matrix_op(self.emitter.builder.inverse, [a], a.dt, a.shape)
 
     def trace(self) -> Value:
         a = self.emitter.to_computed(self._square("the trace"))
         if a.elements is not None:
             return self.emitter.reduce("+", [a.elements[r * (a.n + 1)] for r in range(a.n)])
-        return self.emitter.scalar_op("tai.trace", [a], a.dt)
+        return self.emitter.scalar_op(self.emitter.builder.trace, [a], a.dt)
 
     def sum(self) -> Value:
         if self.is_diagonal:  # its zeros are no variables, also to the gradient
@@ -333,7 +334,7 @@ class MatrixValue(Value):
         if self.dt.is_bool:
             return self.emitter.reduce("+", self.scalars())
         a = self.emitter.to_computed(self)
-        return self.emitter.scalar_op("tai.sum", [a], a.dt)
+        return self.emitter.scalar_op(self.emitter.builder.sum, [a], a.dt)
 
     def max(self) -> Value:
         return self.emitter.reduce("max", self.scalars())
@@ -354,7 +355,9 @@ def stop_gradient(value: Value) -> Value:
     """The value, which gradients take for a constant."""
     if not value.dt.is_float:
         return value
-    return value.emitter._elementwise("tai.stop_gradient", [value], value.dt)
+    emitter = value.emitter
+    handle = emitter.builder.stop_gradient(value.handle, emitter.type_of(value.dt, value.shape))
+    return emitter.value(handle, value.dt, value.shape)
 
 
 def _is_zero(eps: Any) -> bool:
