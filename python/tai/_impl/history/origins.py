@@ -340,7 +340,7 @@ class _Scope:
         kernel = _as_kernel(called)
         if getattr(kernel, "_tai_kernel", False):
             result = kernel._result
-            return result is not None and result.dt.is_float
+            return result is not None and result.dtype.is_float
         if isinstance(node.func, ast.Attribute):
             base = self.resolve(node.func.value)
             if isinstance(base, Elements):

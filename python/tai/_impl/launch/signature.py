@@ -1,4 +1,4 @@
-"""Signatures of kernels and functions: the types that parameters and results are annotated by."""
+"""Signatures of kernels: the types that parameters and results are annotated by."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import TaiCompilationError, TaiSyntaxError, TaiTypeError
+from ...errors import TaiCompilationError, TaiRuntimeTypeError, TaiSyntaxError
 from ..base import dtypes
 from ..frontend.source import closure_of, function_ast
 from ..values.types import MatrixType, NdarrayType, ScalarType, template
@@ -24,6 +24,7 @@ class Parameter:
 
 
 def names_of(function: Callable[..., Any]) -> list[str]:
+    """The names of the parameters."""
     code = function.__code__
     return list(code.co_varnames[: code.co_argcount + code.co_kwonlyargcount])
 
@@ -62,7 +63,7 @@ def check_annotations(function: Callable[..., Any], is_method: bool) -> None:
             )
 
 
-def _resolve(annotation: Any, function: Callable[..., Any]) -> Any:
+def resolve(annotation: Any, function: Callable[..., Any]) -> Any:
     """An annotation as an object; `from __future__ import annotations` leaves text."""
     if not isinstance(annotation, str):
         return annotation
@@ -80,7 +81,7 @@ def _is_template(annotation: Any) -> bool:
 
 def parse_type(annotation: Any, function: Callable[..., Any], what: str) -> Any:
     """The type that an annotation of a parameter or result names."""
-    annotation = _resolve(annotation, function)
+    annotation = resolve(annotation, function)
     if _is_template(annotation):
         return template()
     if annotation is NdarrayType:
@@ -98,7 +99,7 @@ def parse_type(annotation: Any, function: Callable[..., Any], what: str) -> Any:
     )
 
 
-def parse_signature(
+def _parse(
     function: Callable[..., Any], is_method: bool
 ) -> tuple[list[Parameter], ScalarType | MatrixType | None]:
     """The parameters of a kernel and the type of its result."""
@@ -112,7 +113,7 @@ def parse_signature(
             type_ = parse_type(function.__annotations__[name], function, f"parameter '{name}'")
         parameters.append(Parameter(name, type_, name in defaults, defaults.get(name)))
     annotation = function.__annotations__.get("return")
-    if annotation is None or _resolve(annotation, function) is None:
+    if annotation is None or resolve(annotation, function) is None:
         return parameters, None
     result = parse_type(annotation, function, "the result")
     if not isinstance(result, (ScalarType, MatrixType)) or result.dtype.name == "f16":
@@ -128,61 +129,50 @@ def parse_signature(
     return parameters, result
 
 
-class FunctionInfo:
-    """What the compiler needs of a `ti.func`."""
+class Signature:
+    """The parameters of a kernel and the type of its result.
 
-    def __init__(self, function: Callable[..., Any]):
-        self.function, self.name = function, function.__name__
-        self.names = names_of(function)
-        self._kinds: dict[str, Any] | None = None
-        self._defaults = dict(
-            zip(reversed(self.names), reversed(function.__defaults__ or ()), strict=False)
-        )
+    Attributes:
+        kernel: the name of the kernel.
+        parameters: in order.
+        result: a number or matrix type, or None.
+    """
 
-    @property
-    def kinds(self) -> dict[str, Any]:
-        """For each parameter `"template"`, a type with `convert`, or None."""
-        if self._kinds is None:
-            self._kinds = {}
-            for name in self.names:
-                annotation = self.function.__annotations__.get(name)
-                if annotation is None:
-                    self._kinds[name] = None
-                    continue
-                type_ = parse_type(annotation, self.function, f"parameter '{name}'")
-                if isinstance(type_, template):
-                    self._kinds[name] = "template"
-                else:
-                    self._kinds[name] = None if isinstance(type_, NdarrayType) else type_
-        return self._kinds
+    def __init__(self, function: Callable[..., Any], is_method: bool):
+        self.kernel = function.__name__
+        self.parameters, self.result = _parse(function, is_method)
 
     @property
-    def has_templates(self) -> bool:
-        return "template" in self.kinds.values()
+    def names(self) -> list[str]:
+        return [parameter.name for parameter in self.parameters]
 
     @property
-    def result_type(self) -> Any:
-        annotation = self.function.__annotations__.get("return")
-        if annotation is None or _resolve(annotation, self.function) is None:
-            return None
-        type_ = parse_type(annotation, self.function, "the result")
-        return type_ if isinstance(type_, (ScalarType, MatrixType)) else None
+    def is_known(self) -> bool:
+        """Whether no argument can change what is compiled."""
+        return all(isinstance(p.type, (ScalarType, MatrixType)) for p in self.parameters)
 
-    def bind(self, args: list, kwargs: dict) -> dict[str, Any]:
+    def bind(self, args: tuple, kwargs: dict) -> list[Any]:
         """The value of each parameter."""
-        if len(args) > len(self.names):
-            raise TaiTypeError(
-                f"function '{self.name}' takes {len(self.names)} arguments, but got {len(args)}"
+        parameters = self.parameters
+        if len(args) > len(parameters):
+            raise TaiRuntimeTypeError(
+                f"kernel '{self.kernel}' takes {len(parameters)} arguments, but got {len(args)}",
+                f"its parameters: {', '.join(p.name for p in parameters) or 'none'}",
             )
-        bound = dict(zip(self.names, args, strict=False))
-        for name, value in kwargs.items():
-            if name not in self.names or name in bound:
-                problem = "gets two values for" if name in bound else "has no"
-                raise TaiTypeError(f"function '{self.name}' {problem} parameter '{name}'")
-            bound[name] = value
-        for name in self.names:
-            if name not in bound:
-                if name not in self._defaults:
-                    raise TaiTypeError(f"function '{self.name}' needs an argument '{name}'")
-                bound[name] = self._defaults[name]
-        return bound
+        values = list(args)
+        for parameter in parameters[len(args) :]:
+            if parameter.name in kwargs:
+                values.append(kwargs.pop(parameter.name))
+            elif parameter.has_default:
+                values.append(parameter.default)
+            else:
+                raise TaiRuntimeTypeError(
+                    f"kernel '{self.kernel}' needs an argument '{parameter.name}'",
+                    f"its parameters: {', '.join(p.name for p in parameters)}",
+                )
+        if kwargs:
+            raise TaiRuntimeTypeError(
+                f"kernel '{self.kernel}' has no parameter '{next(iter(kwargs))}'",
+                f"its parameters: {', '.join(p.name for p in parameters) or 'none'}",
+            )
+        return values
