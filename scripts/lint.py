@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import rooms
 import rooms_python
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -85,6 +86,11 @@ def python_rooms(_fix: bool) -> str:
     return "\n".join(rooms_python.problems(ROOT / "python" / "tai"))
 
 
+def rooms_of_sources(_fix: bool) -> str:
+    """Includes go one way, classes are not cut into slices, folders are not crowded."""
+    return "\n".join(rooms.check())
+
+
 CHECKS: dict[str, Callable[[bool], str]] = {
     "clang-format": clang_format,
     "ruff format": ruff_format,
@@ -93,6 +99,7 @@ CHECKS: dict[str, Callable[[bool], str]] = {
     "file sizes": file_sizes,
     "RUN lines": lit_run_lines,
     "Python rooms": python_rooms,
+    "rooms": rooms_of_sources,
 }
 
 
