@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import rooms
+import rooms_python
 
 ROOT = Path(__file__).resolve().parent.parent
 LICENSE_TAG = "SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception"
@@ -80,6 +81,11 @@ def lit_run_lines(_fix: bool) -> str:
     return "\n".join(bad)
 
 
+def python_rooms(_fix: bool) -> str:
+    """Packages of `python/tai` import from those below them, at the top of a module."""
+    return "\n".join(rooms_python.problems(ROOT / "python" / "tai"))
+
+
 def rooms_of_sources(_fix: bool) -> str:
     """Includes go one way, classes are not cut into slices, folders are not crowded."""
     return "\n".join(rooms.check())
@@ -92,6 +98,7 @@ CHECKS: dict[str, Callable[[bool], str]] = {
     "licence headers": license_headers,
     "file sizes": file_sizes,
     "RUN lines": lit_run_lines,
+    "Python rooms": python_rooms,
     "rooms": rooms_of_sources,
 }
 

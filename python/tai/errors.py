@@ -104,6 +104,14 @@ class TaiMemoryError(TaiRuntimeError, MemoryError):
     """Not enough memory for a tree of fields."""
 
 
+class TaiGradientWarning(UserWarning):
+    """A gradient that is right, but perhaps not what was wanted."""
+
+
+class TaiCompilationWarning(UserWarning):
+    """Something that compiles, and is hardly meant."""
+
+
 def shorten(filename: str | None) -> str:
     """The path relative to the working directory where that is shorter."""
     if not filename:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .ad import Tape
+from ._impl.ad.tape import Tape
 from .errors import TaiAutodiffError
 
 

@@ -14,11 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from ._active import write_elements
-from .dtypes import f16, f32
+from ._impl.base.dtypes import f16, f32
+from ._impl.fields.active import write_elements
+from ._impl.fields.field import Field
+from ._impl.fields.matrix_field import MatrixField
+from ._impl.fields.scalar import ScalarField
+from ._impl.fields.snode import SNode
 from .errors import TaiError, TaiRuntimeError, TaiRuntimeTypeError
-from .fields import Field, MatrixField, ScalarField
-from .snode import SNode
 
 _FORMAT = 1
 
