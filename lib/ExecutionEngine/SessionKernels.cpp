@@ -19,6 +19,8 @@
 #include "tai/ExecutionEngine/ModuleFile.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "tai/Pipelines/Pipelines.h"
+#include "tai/Runtime/Launch/AccessChecks.h"
+#include "tai/Runtime/Tape/Tape.h"
 #include "tai/Transforms/Passes.h"
 #include "llvm/Support/FormatVariadic.h"
 
@@ -683,7 +685,7 @@ LogicalResult Session::compile(ArrayRef<SessionKernel *> kernels,
 }
 
 LogicalResult Session::prepareReverse(runtime::Tape &tape, bool cleared) {
-  std::vector<runtime::Tape::Pending> needed = tape.pendingAdjoints(cleared);
+  std::vector<runtime::PendingAdjoint> needed = tape.pendingAdjoints(cleared);
   if (needed.size() < 2)
     return success();
   std::vector<runtime::Status> statuses(needed.size());
