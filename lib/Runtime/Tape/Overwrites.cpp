@@ -150,7 +150,7 @@ Overwrites mlir::tai::runtime::findOverwrites(const TapeRecording &recording,
     positions.clear();
     bool again = TapedKernel::alwaysZeroes(*kernel);
     // An adjoint that somebody wrote may come in one form.
-    bool canZero = TapedKernel::canZero(*kernel);
+    bool canZero = kernel->hasZeroingAdjoint();
     auto look = [&](const Repeated::Use &use) {
       Used &entry = used[use.used];
       int64_t position = entry.locate(*use.access, args);

@@ -228,12 +228,8 @@ struct TapedKernel {
     return kernel.adjointReruns;
   }
   static bool loadsStored(const Kernel &kernel) { return kernel.loadsStored; }
-  /// The adjoint always zeroes the adjoints of what the kernel overwrites; and:
-  /// it can.
+  /// The adjoint always zeroes the adjoints of what the kernel overwrites.
   static bool alwaysZeroes(const Kernel &kernel) { return kernel.alwaysTakes; }
-  static bool canZero(const Kernel &kernel) {
-    return kernel.info.makeTakingAdjoint || kernel.info.adjointTakes;
-  }
 
   /// A form of the adjoint if it has been found, and whether it was asked for.
   static Kernel *known(const Kernel &kernel, bool zeroes, bool stored) {

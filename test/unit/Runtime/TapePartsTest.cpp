@@ -49,6 +49,19 @@ int32_t doubles(TaiFrame *frame) {
   return 0;
 }
 
+/// One float goes from the first field of a summary to the second.
+class OneFlow final : public KernelProvider {
+public:
+  KernelFlows findFlows(const Kernel &kernel) override {
+    KernelFlows flows;
+    flows.places.resize(2);
+    flows.places[0].field = kernel.summary()[0].field;
+    flows.places[1].field = kernel.summary()[1].field;
+    flows.flows.push_back({0, 1, "here.py:3:5"});
+    return flows;
+  }
+};
+
 struct Scene {
   Runtime runtime;
   TapeServices services{runtime};
@@ -222,14 +235,7 @@ TEST(LostGradients, SaysOnceWhereTheyEnd) {
     info.name = name;
     info.function = note<'t'>;
     info.summary = {{from, AccessKind::Read}, {to, AccessKind::Write}};
-    info.findFlows = [=] {
-      KernelFlows flows;
-      flows.places.resize(2);
-      flows.places[0].field = from;
-      flows.places[1].field = to;
-      flows.flows.push_back({0, 1, "here.py:3:5"});
-      return flows;
-    };
+    info.provider = std::make_shared<OneFlow>();
     return scene.runtime.createKernel(info);
   };
   KernelPtr in = through("in", scene.x, plain);
