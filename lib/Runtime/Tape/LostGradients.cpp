@@ -1,23 +1,11 @@
-//===- TapeFlows.cpp - Gradients that end where there is none ------------===//
+//===- LostGradients.cpp - Gradients that end where there is none ---------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
-//
-// A value that is computed from a field with a gradient, kept in a float field
-// or an array without one, and read from there on the way to the loss, passes
-// no derivative on. That may be meant, and is said once. The look at the
-// records is the second step: most sequences have no kernel that could do so,
-// or are made of kernels that have been looked at together.
-//
-//===----------------------------------------------------------------------===//
 
-#include "../Host/HostWrite.h"
-#include "../Launch/FlowTracker.h"
-#include "TapeArrays.h"
-#include "tai/Runtime/Launch/Runtime.h"
-#include "tai/Runtime/Tape/Tape.h"
+#include "LostGradients.h"
 #include <algorithm>
 
 using namespace mlir::tai::runtime;
@@ -68,10 +56,11 @@ static bool haveSuspectArrays(const std::vector<KernelPtr> &kernels) {
   return isStored && isRead;
 }
 
-size_t Tape::hashSequence(bool hasArrays) const {
+size_t LostGradients::hash(const TapeRecording &recording,
+                           bool hasArrays) const {
   size_t hash = 0;
   auto mix = [&](size_t value) { hash = hash * 31 + value; };
-  for (const KernelPtr &kernel : kernels)
+  for (const KernelPtr &kernel : recording.kernels())
     mix(std::hash<const void *>()(kernel.get()));
   if (!hasArrays)
     return hash;
@@ -90,53 +79,58 @@ size_t Tape::hashSequence(bool hasArrays) const {
     return seen.try_emplace(array.begin, Seen{array.end, seen.size()})
         .first->second.number;
   };
-  for (const auto &[record, array] : arrays->written) {
+  for (const auto &[record, array] : written) {
     mix(record);
     mix(number(array));
   }
-  for (const Record &record : records)
+  for (const TapeRecording::Record &record : recording)
     if (record.kernel && !record.kernel->arrays().empty())
       for (const FlowPlace &place : record.kernel->flows().places)
         if (place.isArray()) {
-          const uint64_t *args = slots.data() + record.payload;
-          auto copy = arrays->copies.find(args[place.slot]);
+          const uint64_t *args = recording.args(record);
+          auto copy = copies.find(args[place.slot]);
           mix(std::hash<const void *>()(record.kernel));
-          mix(number(copy == arrays->copies.end() ? rangeOf(place, args)
-                                                  : copy->second));
+          mix(number(copy == copies.end() ? rangeOf(place, args)
+                                          : copy->second));
         }
   return hash;
 }
 
-void Tape::noteCuts() {
-  bool hasArrays = haveSuspectArrays(kernels);
-  if (!hasArrays && !haveSuspectFields(kernels))
-    return;
+bool LostGradients::mayHave(const TapeRecording &recording) {
+  return haveSuspectArrays(recording.kernels()) ||
+         haveSuspectFields(recording.kernels());
+}
+
+void LostGradients::find(const TapeServices &services,
+                         const TapeRecording &recording,
+                         const std::vector<Field *> &live,
+                         std::vector<std::string> &notes) const {
   // The same kernels have been looked at: another iteration.
-  std::vector<Field *> live = liveFields();
-  size_t known = hashSequence(hasArrays);
+  size_t known = hash(recording, haveSuspectArrays(recording.kernels()));
   for (const Field *field : live)
     known = known * 31 + std::hash<const void *>()(field);
-  if (!runtime.sequencesSeen.insert(known).second)
+  if (!services.isNewSequence(known))
     return;
 
-  FlowTracker tracker(FlowTracker::Mode::Reverse, runtime.fieldList);
-  for (const auto &[address, array] : arrays->copies)
+  FlowTracker tracker(FlowTracker::Mode::Reverse, services.fields());
+  for (const auto &[address, array] : copies)
     tracker.addCopy(address, array);
-  auto written = arrays->written.begin();
-  for (size_t i = 0; i < records.size(); ++i) {
-    for (; written != arrays->written.end() && written->first <= i; ++written)
-      tracker.overwrite(written->second);
-    const Record &record = records[i];
+  auto change = written.begin();
+  for (size_t i = 0; i < recording.size(); ++i) {
+    for (; change != written.end() && change->first <= i; ++change)
+      tracker.overwrite(change->second);
+    const TapeRecording::Record &record = recording[i];
     if (record.kernel)
-      tracker.launch(*record.kernel, slots.data() + record.payload);
-    else if (record.kind == Kind::Write && getWrite(record).replacesAll())
-      tracker.overwrite(*getWrite(record).field);
+      tracker.launch(*record.kernel, recording.args(record));
+    else if (record.kind == TapeRecording::Kind::Write &&
+             recording.write(record).replacesAll())
+      tracker.overwrite(*recording.write(record).field);
   }
   // What a device holds is not looked at.
   FlowTracker::CutSet cuts =
       tracker.cutsOfArrays([&](uint64_t address, uint64_t bytes) {
         const auto *adjoint = reinterpret_cast<const char *>(address);
-        return runtime.isOnDevice(adjoint) ||
+        return services.owner().isOnDevice(adjoint) ||
                std::any_of(adjoint, adjoint + bytes, [](char c) { return c; });
       });
   auto want = [&](const FlowTracker::CutSet &more) {
@@ -149,14 +143,6 @@ void Tape::noteCuts() {
   std::sort(cuts.begin(), cuts.end());
   cuts.erase(std::unique(cuts.begin(), cuts.end()), cuts.end());
   for (unsigned cut : cuts)
-    if (runtime.cutsSaid.insert(tracker.nameOf(cut)).second)
+    if (services.isNewCut(tracker.nameOf(cut)))
       notes.push_back(tracker.describe(cut));
-}
-
-void Tape::noteArrayCopy(uint64_t address, const ArrayRange &array) {
-  arrays->copies[address] = array;
-}
-
-void Tape::noteArrayWrite(const ArrayRange &array) {
-  arrays->written.emplace_back(records.size(), array);
 }

@@ -6,83 +6,17 @@
 //===----------------------------------------------------------------------===//
 
 #include "TapeMemory.h"
-#include "../Launch/Launch.h"
-#include "../Mirror/Mirror.h"
-#include "TapeCheckpoint.h"
+#include "../../Mirror/Mirror.h"
+#include "../TapeServices.h"
 #include <algorithm>
 #include <cstring>
-#include <new>
-#include <numeric>
 #include <set>
 
 using namespace mlir::tai::runtime;
 
-/// Bytes of a cell, and of a piece, where fields are larger.
-static constexpr int64_t cellBytes = 8 << 10;
-
 //===----------------------------------------------------------------------===//
 // What launches do to memory
 //===----------------------------------------------------------------------===//
-
-Track::Track(FieldPtr fieldPtr, int dimension)
-    : field(std::move(fieldPtr)),
-      slabs(*field, dimension, field->sparseNode() != nullptr) {
-  if (slabs.byCell()) {
-    cellElements = 1;
-    cellsPerSlab = 0; // not known
-    return;
-  }
-  if (slabs.onDevice()) {
-    // Nothing is compared there, so a slab is kept in one piece.
-    cellElements = std::max<int64_t>(slabs.elements(), 1);
-    cellsPerSlab = 1;
-    return;
-  }
-  cellElements = std::clamp<int64_t>(cellBytes / slabs.elementBytes(), 1,
-                                     std::max<int64_t>(slabs.elements(), 1));
-  cellsPerSlab = (slabs.elements() + cellElements - 1) / cellElements;
-}
-
-int64_t Track::longestRun() const {
-  if (slabs.onDevice())
-    return slabs.dimension() > 0 && !slabs.byCell()
-               ? 1
-               : std::max<int64_t>(numCells(), 1);
-  return std::max<int64_t>(cellBytes / (cellElements * slabs.elementBytes()),
-                           1);
-}
-
-int64_t Track::refresh(Runtime &runtime) {
-  if (!slabs.byCell())
-    return numCells();
-  SparseNode &node = *field->sparseNode();
-  // To know which cells have been active, the host would wait for the device.
-  // Of those that have not, zeros are kept.
-  constexpr int64_t fewBytes = 256 << 10;
-  if (slabs.onDevice() && slabs.dimension() < 0 &&
-      node.numCells() * slabs.elementBytes() <= fewBytes &&
-      field->tree().mirror()->sparse()->canKeepActivity()) {
-    if (!everyCell) {
-      auto every = std::make_shared<ActiveList>();
-      every->cells.resize(static_cast<size_t>(node.numCells()));
-      std::iota(every->cells.begin(), every->cells.end(), int64_t(0));
-      everyCell = std::move(every);
-    }
-    return slabs.addCells(everyCell);
-  }
-  return slabs.addCells(node.list(runtime));
-}
-
-void Track::markRead(int64_t slab, uint32_t stamp) {
-  lastRead = stamp;
-  if (slab < 0) {
-    readAnywhere = stamp;
-    return;
-  }
-  if (readAt.empty())
-    readAt.resize(static_cast<size_t>(slabs.count()));
-  readAt[slab] = stamp;
-}
 
 int64_t TapeMemory::Use::locate(const uint64_t *args) const {
   if (!fixed)
@@ -102,7 +36,7 @@ Track &TapeMemory::trackOf(const FieldPtr &field,
              !track->everSaved) {
     // So far it has only been used as a whole.
     uint32_t read = track->lastRead;
-    track->loseStored(-1, lostStored);
+    track->stored.lose(-1, lostStored);
     *track = Track(track->field, dimension);
     track->readAnywhere = track->lastRead = read;
   }
@@ -202,8 +136,8 @@ Status TapeMemory::beforeLaunch(const KernelUses &uses, const uint64_t *args,
   }
   for (const Use &use : uses.changes) {
     Track &track = *use.track;
-    if (__builtin_expect(track.anyStored, false))
-      track.loseStored(use.locate(args), lostStored);
+    if (__builtin_expect(track.stored.any(), false))
+      track.stored.lose(use.locate(args), lostStored);
     // The adjoint of a part is the business of the host function.
     bool before = use.before && !isPart;
     if (track.lastRead == 0 && !before && !checkpoints)
@@ -230,7 +164,8 @@ void TapeMemory::afterLaunch(const KernelUses &uses, const uint64_t *args,
   for (const Use &use : uses.reads)
     use.track->markRead(use.locate(args), stampOf(record));
   for (const Use &use : uses.stored)
-    use.track->markStored(use.locate(args), stampOf(record), lostStored);
+    use.track->stored.mark(use.locate(args), use.track->slabs.count(),
+                           stampOf(record), lostStored);
 }
 
 void TapeMemory::afterPart(const KernelUses &uses, const uint64_t *args) {
@@ -247,7 +182,7 @@ Status TapeMemory::beforeWrite(const FieldPtr &field, const int64_t *index,
   if (index && dimension >= 0)
     slab = index[dimension] - field->firstIndex(dimension);
   parts.push_back({&track, slab});
-  track.loseStored(slab, lostStored);
+  track.stored.lose(slab, lostStored);
   uint32_t stamp = track.readStamp(slab);
   if (checkpoints) {
     checkpoints->reach(record);
@@ -298,23 +233,6 @@ Status TapeMemory::save(const Candidate &candidate) {
       [&](int64_t cell, int64_t endCell) {
         return addPiece(candidate, cell, endCell);
       });
-}
-
-Status Piece::allocate(Runtime &runtime, int64_t kept) {
-  if (track->slabs.onDevice())
-    return track->slabs.keepOnDevice(first(), count(), block);
-  int64_t size = bytes();
-  if (size <= runtime.memoryLimit() - runtime.reservedBytes() - kept)
-    data.reset(new (std::nothrow) char[static_cast<size_t>(size)]);
-  if (!data)
-    return Status::failure(
-        StatusCode::Memory,
-        "out of memory: the tape keeps " + formatBytes(kept) +
-            " of values that were overwritten, and needs " + formatBytes(size) +
-            " more for field '" + track->field->name() +
-            "'; with a memory budget it recomputes values instead");
-  track->slabs.load(first(), count(), data.get());
-  return Status::success();
 }
 
 Status TapeMemory::addPiece(const Candidate &candidate, int64_t cell,
@@ -564,7 +482,7 @@ void TapeMemory::enter(uint32_t record, bool reruns) {
   forEachEntered([&](Piece &piece) {
     if (piece.block) {
       std::unique_ptr<DeviceBlock> copy;
-      runtime.noteFailure(
+      TapeServices(runtime).noteFailure(
           piece.track->slabs.keepOnDevice(piece.first(), piece.count(), copy));
       beforeBlocks.push_back(std::move(copy));
       return;

@@ -1,25 +1,14 @@
-//===- TapeStores.cpp - Elements that are stored again --------------------===//
+//===- Overwrites.cpp - Elements that are stored again --------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
-//
-// Which launches store elements that an earlier one has used, as far as
-// summaries tell: their adjoints leave zero there while the sweep runs. The
-// elements that others store, which are the first to touch them, no adjoint
-// reaches after their own, so that they may be zeroed as late as one likes,
-// where it is known which they are. A kernel may have hundreds of accesses at
-// constant indices (the columns of a matrix of weights), which are the same in
-// all its launches: they are looked at once.
-//
-//===----------------------------------------------------------------------===//
 
-#include "../Host/HostWrite.h"
-#include "../Host/OwedZeros.h"
-#include "tai/Runtime/Launch/Runtime.h"
-#include "tai/Runtime/Tape/Tape.h"
+#include "Overwrites.h"
+#include "TapeServices.h"
 #include <algorithm>
+#include <unordered_map>
 
 using namespace mlir::tai::runtime;
 
@@ -126,15 +115,16 @@ struct Repeated {
 };
 } // namespace
 
-void Tape::findRepeatedStores() {
-  storesAgain.assign(records.size(), false);
-  uint64_t mark = ++runtime.stamps;
+Overwrites mlir::tai::runtime::findOverwrites(const TapeRecording &recording,
+                                              uint64_t mark) {
+  Overwrites result;
+  result.isRepeated.assign(recording.size(), false);
   std::vector<Used> used;
   auto lookup = [&](const Access &access) -> size_t {
     Field &field = *access.field;
-    if (field.seenMark != mark) {
-      field.seenMark = mark;
-      field.seenIndex = used.size();
+    bool isNew = false;
+    size_t number = TapedField::number(field, mark, used.size(), isNew);
+    if (isNew) {
       Used entry;
       entry.field = &field;
       entry.dimension = access.fixed ? access.fixed->dimension : -1;
@@ -142,29 +132,30 @@ void Tape::findRepeatedStores() {
         entry.positions.resize(field.shape()[entry.dimension]);
       used.push_back(std::move(entry));
     }
-    return field.seenIndex;
+    return number;
   };
   std::unordered_map<const Kernel *, Repeated> known;
   std::vector<int64_t> positions;
   // A gradient of the program's own may add to whatever it likes.
   bool isUnknown = false;
-  for (size_t i = 0; i < records.size(); ++i) {
-    const Kernel *kernel = records[i].kernel;
+  for (size_t i = 0; i < recording.size(); ++i) {
+    const TapeRecording::Record &record = recording[i];
+    const Kernel *kernel = record.kernel;
     if (!kernel) {
-      isUnknown |= records[i].kind == Kind::Callback &&
-                   static_cast<bool>(callbacks[records[i].payload].backward);
+      isUnknown |= record.kind == TapeRecording::Kind::Callback &&
+                   static_cast<bool>(recording.callback(record).backward);
       continue;
     }
-    const uint64_t *args = slots.data() + records[i].payload;
+    const uint64_t *args = recording.args(record);
     positions.clear();
-    bool again = kernel->alwaysTakes;
+    bool again = TapedKernel::alwaysZeroes(*kernel);
     // An adjoint that somebody wrote may come in one form.
-    bool canTake = kernel->hasZeroingAdjoint();
+    bool canZero = kernel->hasZeroingAdjoint();
     auto look = [&](const Repeated::Use &use) {
       Used &entry = used[use.used];
       int64_t position = entry.locate(*use.access, args);
       bool isOwed = use.access->boxes && !isUnknown;
-      again |= use.stores && ((canTake && !isOwed) || entry.has(position));
+      again |= use.stores && ((canZero && !isOwed) || entry.has(position));
       positions.push_back(position);
     };
     auto [entry, isFirst] = known.try_emplace(kernel);
@@ -184,7 +175,7 @@ void Tape::findRepeatedStores() {
     again |= repeated.storesAgain;
     for (const Repeated::Use &use : repeated.uses)
       look(use);
-    storesAgain[i] = again;
+    result.isRepeated[i] = again;
     for (size_t k = 0; k < positions.size(); ++k) {
       const Repeated::Use &use = repeated.uses[k];
       Used &entry = used[use.used];
@@ -202,13 +193,9 @@ void Tape::findRepeatedStores() {
           repeated.uses.end());
     }
   }
-  storedOnce.clear();
   for (Used &entry : used)
     if (std::shared_ptr<const OwedZeros> zeros = entry.take(*entry.field))
-      storedOnce.emplace_back(entry.field->adjointField, std::move(zeros));
-}
-
-void Tape::oweZeros() {
-  for (const auto &[adjoint, zeros] : storedOnce)
-    runtime.oweZeros(adjoint, zeros);
+      result.storedOnce.emplace_back(TapedField::adjoint(*entry.field),
+                                     std::move(zeros));
+  return result;
 }

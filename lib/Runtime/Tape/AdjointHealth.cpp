@@ -1,70 +1,20 @@
-//===- TapeTrust.cpp - What lets a user trust a gradient ------------------===//
+//===- AdjointHealth.cpp - What adjoints leave in a sweep -----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
-//
-// Single records of a tape can be launched again, so that the gradient of one
-// can be checked apart from the others, and the reverse sweep can look at the
-// adjoints that each record leaves. Neither costs anything while it is not
-// asked for.
-//
-//===----------------------------------------------------------------------===//
 
-#include "../Host/HostWrite.h"
-#include "../Launch/Launch.h"
+#include "AdjointHealth.h"
 #include "../Mirror/CellElements.h"
 #include "../Storage/Scalars.h"
-#include "tai/Runtime/Tape/Tape.h"
+#include "TapeServices.h"
 #include <cmath>
 
 using namespace mlir::tai::runtime;
 
-Status Tape::runRecord(int64_t index) {
-  if (index < 0 || index >= numRecords())
-    return Status::failure(StatusCode::Usage,
-                           "the tape has no record " + std::to_string(index));
-  if (recording())
-    return Status::failure(StatusCode::Usage,
-                           "a record cannot be launched again while its tape "
-                           "records");
-  const Record &record = records[index];
-  Tape *other = runtime.recordingTape();
-  if (record.kind == Kind::Write)
-    return runtime.change(getWrite(record));
-  if (!record.kernel) {
-    const TapeCallback &callback = callbacks[record.payload];
-    if (other)
-      other->suspend();
-    Status status = callback.forward ? callback.forward() : Status::success();
-    if (other) {
-      (void)other->resume();
-      if (status)
-        other->recordCallback(callback);
-    }
-    return status;
-  }
-  Kernel &kernel = *record.kernel;
-  const uint64_t *args = argsOf(index);
-  uint64_t number = firstLaunch + record.launch;
-  Launch *launch = runtime.acquireLaunch();
-  std::vector<uint64_t> results(kernel.resultSlots());
-  kernel.prepared.lastLaunch.store(number, std::memory_order_relaxed);
-  uint64_t *wanted = results.empty() ? nullptr : results.data();
-  Status status = other ? other->launch(*launch, kernel, args, wanted, number)
-                        : runtime.run(*launch, kernel, args, wanted, number);
-  runtime.releaseLaunch(launch);
-  return status;
-}
-
-void Tape::watchHealth(bool on) {
-  watching = on;
-  examined.clear();
-}
-
 static void examineElement(const Field &adjoint, const char *address,
-                           Tape::Health &found) {
+                           RecordHealth &found) {
   for (int64_t c = 0; c < adjoint.numComponents(); ++c) {
     double value = loadF64(adjoint.scalar(),
                            address + c * adjoint.layout().componentStride);
@@ -82,7 +32,7 @@ static void examineElement(const Field &adjoint, const char *address,
 /// The same as below where only active cells hold anything.
 static void examineCells(Runtime &runtime, const Field &adjoint,
                          int64_t dimension, int64_t position,
-                         Tape::Health &found) {
+                         RecordHealth &found) {
   CellElements elements(adjoint);
   if (dimension >= 0 && !elements.separates(static_cast<int>(dimension)))
     dimension = -1;
@@ -97,7 +47,7 @@ static void examineCells(Runtime &runtime, const Field &adjoint,
 /// Examines the elements of an adjoint; those at one position of a dimension,
 /// unless that is -1.
 static void examineElements(const Field &adjoint, int64_t dimension,
-                            int64_t position, Tape::Health &found) {
+                            int64_t position, RecordHealth &found) {
   int rank = adjoint.rank();
   std::vector<int64_t> index(rank), first(rank), last(rank);
   for (int d = 0; d < rank; ++d) {
@@ -122,26 +72,28 @@ static void examineElements(const Field &adjoint, int64_t dimension,
   }
 }
 
-void Tape::examine(size_t index) {
-  const Record &record = records[index];
-  auto look = [&](const Field &field, int64_t dimension, int64_t position) {
-    const Field *adjoint = field.adjoint();
-    if (!adjoint || !adjoint->valid())
-      return;
-    Health found{static_cast<int64_t>(index), &field, 0, 0, 0.0, 0.0};
-    if (adjoint->sparseNode())
-      examineCells(runtime, *adjoint, dimension, position, found);
-    else
-      examineElements(*adjoint, dimension, position, found);
-    examined.push_back(found);
-  };
-  if (!record.kernel) {
-    for (Field *field : liveFields())
-      look(*field, -1, -1);
+void AdjointHealth::look(size_t index, const Field &field, int64_t dimension,
+                         int64_t position) {
+  const Field *adjoint = field.adjoint();
+  if (!adjoint || !adjoint->valid())
     return;
-  }
-  const uint64_t *args = argsOf(index);
-  for (Field *field : record.kernel->adjointTargets) {
+  RecordHealth found{static_cast<int64_t>(index), &field, 0, 0, 0.0, 0.0};
+  if (adjoint->sparseNode())
+    examineCells(runtime, *adjoint, dimension, position, found);
+  else
+    examineElements(*adjoint, dimension, position, found);
+  examined.push_back(found);
+}
+
+void AdjointHealth::examine(size_t index, const std::vector<Field *> &live) {
+  for (const Field *field : live)
+    look(index, *field, -1, -1);
+}
+
+void AdjointHealth::examine(const TapeRecording &recording, size_t index) {
+  const TapeRecording::Record &record = recording[index];
+  const uint64_t *args = recording.args(record);
+  for (const Field *field : TapedKernel::targets(*record.kernel)) {
     // One place of the field, or all of it where the reads are at several.
     int64_t dimension = -1, position = -1;
     bool any = false, whole = false;
@@ -162,6 +114,6 @@ void Tape::examine(size_t index) {
     }
     if (whole || !any || position < 0 || position >= field->shape()[dimension])
       dimension = position = -1;
-    look(*field, dimension, position);
+    look(index, *field, dimension, position);
   }
 }

@@ -1,12 +1,12 @@
-//===- TapeCheckpoint.cpp - Recomputing instead of saving -----------------===//
+//===- Checkpoints.cpp - Snapshots in place of saved values ---------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 
-#include "TapeCheckpoint.h"
-#include "../Launch/Launch.h"
+#include "Checkpoints.h"
+#include "../../Launch/Launch.h"
 #include <algorithm>
 #include <limits>
 #include <new>

@@ -18,8 +18,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_RUNTIME_TAPE_TAPETOPOLOGY_H
-#define TAI_LIB_RUNTIME_TAPE_TAPETOPOLOGY_H
+#ifndef TAI_LIB_RUNTIME_TAPE_MEMORY_TAPETOPOLOGY_H
+#define TAI_LIB_RUNTIME_TAPE_MEMORY_TAPETOPOLOGY_H
 
 #include "tai/Runtime/Launch/Runtime.h"
 #include "tai/Runtime/Sparse/LoopLists.h"
@@ -131,4 +131,4 @@ private:
 
 } // namespace mlir::tai::runtime
 
-#endif // TAI_LIB_RUNTIME_TAPE_TAPETOPOLOGY_H
+#endif // TAI_LIB_RUNTIME_TAPE_MEMORY_TAPETOPOLOGY_H

@@ -1,18 +1,12 @@
-//===- TapeLoss.cpp - Where reverse sweeps start --------------------------===//
+//===- SweepSeeds.cpp - Where reverse sweeps start ------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
-//
-// Losses and their seeds, and what is worth a warning about their gradients.
-//
-//===----------------------------------------------------------------------===//
 
-#include "../Host/HostWrite.h"
+#include "SweepSeeds.h"
 #include "../Storage/Scalars.h"
-#include "TapeMemory.h"
-#include "tai/Runtime/Tape/Tape.h"
 #include <algorithm>
 
 using namespace mlir::tai::runtime;
@@ -27,7 +21,20 @@ static bool isSum(const Field &field) {
   return field.rank() == 0 && field.numComponents() == 1;
 }
 
-Status Tape::addLoss(FieldPtr loss) {
+bool SweepSeeds::has(const Field &field) const {
+  return std::any_of(losses.begin(), losses.end(), [&](const Loss &loss) {
+    return loss.field.get() == &field;
+  });
+}
+
+std::string SweepSeeds::names() const {
+  std::string names;
+  for (const Loss &loss : losses)
+    names += (names.empty() ? "'" : ", '") + loss.field->name() + "'";
+  return names;
+}
+
+Status SweepSeeds::add(FieldPtr loss, TapeHolds &holds) {
   if (!isFloat(loss->scalar()))
     return Status::failure(StatusCode::Usage,
                            "the loss '" + loss->name() +
@@ -37,16 +44,16 @@ Status Tape::addLoss(FieldPtr loss) {
                                                   "' has no adjoint field");
   if (!loss->valid() || !loss->adjoint()->valid())
     return goneLoss(*loss);
-  if (isLoss(*loss))
+  if (has(*loss))
     return Status::failure(StatusCode::Usage,
                            "the loss '" + loss->name() + "' is given twice");
   // It is set to zero, and then added to.
-  FieldPtr adjoint = loss->adjointField;
-  Status status = runtime.checkHold(*loss, HoldKind::Write);
+  FieldPtr adjoint = TapedField::adjoint(*loss);
+  Status status = services.checkHold(*loss, HoldKind::Write);
   if (status)
-    status = touch(loss, HoldKind::Add);
+    status = holds.add(loss, HoldKind::Add);
   if (status)
-    status = touch(adjoint, clears ? HoldKind::Write : HoldKind::Add);
+    status = holds.add(adjoint, holds.gradientKind());
   if (!status)
     return status;
   clearSum(*loss);
@@ -54,14 +61,20 @@ Status Tape::addLoss(FieldPtr loss) {
   return Status::success();
 }
 
-void Tape::clearSum(Field &loss) {
+void SweepSeeds::clearSum(Field &loss) const {
   // Losses are summed up, so a tape starts from an empty one.
   const char zeros[8] = {};
   if (isSum(loss))
-    runtime.perform({HostWrite::What::Fill, &loss, zeros});
+    services.perform({HostWrite::What::Fill, &loss, zeros});
 }
 
-Status Tape::setSeed(const Field &field, const void *array) {
+void SweepSeeds::clearSums() const {
+  for (const Loss &loss : losses)
+    if (loss.field->valid())
+      clearSum(*loss.field);
+}
+
+Status SweepSeeds::set(const Field &field, const void *array) {
   for (Loss &loss : losses) {
     if (loss.field.get() != &field)
       continue;
@@ -76,19 +89,13 @@ Status Tape::setSeed(const Field &field, const void *array) {
                                                 "tape");
 }
 
-bool Tape::isLoss(const Field &field) const {
-  return std::any_of(losses.begin(), losses.end(), [&](const Loss &loss) {
-    return loss.field.get() == &field;
-  });
-}
-
-Status Tape::seed() {
+Status SweepSeeds::store() const {
   for (const Loss &loss : losses) {
     Field *adjoint = loss.field->adjoint();
     if (!adjoint || !adjoint->valid() || !loss.field->valid())
       return goneLoss(*loss.field);
     if (!loss.seed.empty()) {
-      runtime.perform({HostWrite::What::Array, adjoint, loss.seed.data()});
+      services.perform({HostWrite::What::Array, adjoint, loss.seed.data()});
       continue;
     }
     if (!isSum(*loss.field))
@@ -98,28 +105,22 @@ Status Tape::seed() {
                                  "a seed for it");
     char one[8];
     storeF64(adjoint->scalar(), one, 1.0);
-    runtime.perform({HostWrite::What::Fill, adjoint, one});
+    services.perform({HostWrite::What::Fill, adjoint, one});
   }
   return Status::success();
 }
 
-void Tape::checkEffect() {
-  if (records.empty()) {
-    notes.push_back("the tape has recorded no launch: there is nothing to "
-                    "differentiate");
-    return;
-  }
-  if (losses.empty() || reverseCallbacks)
-    return;
-  bool any =
-      std::any_of(decisions.begin(), decisions.end(), [](Decision decision) {
-        return decision == Decision::Replay;
-      });
-  if (any)
-    return;
-  std::string names;
-  for (const Loss &loss : losses)
-    names += (names.empty() ? "'" : ", '") + loss.field->name() + "'";
-  notes.push_back("the loss " + names +
-                  " does not depend on any field that has a gradient");
+std::vector<Field *> SweepSeeds::liveFields(bool cleared,
+                                            const TapeHolds &holds) const {
+  auto mayBeNonzero = [&](const FieldPtr &adjoint) {
+    if (TapeServices::isOfAnotherThread(*adjoint) && !holds.has(adjoint))
+      return false;
+    return cleared ? adjoint->tree().isLent() : adjoint->dirty();
+  };
+  std::vector<Field *> live;
+  for (const FieldPtr &field : services.fields())
+    if (field->adjoint() &&
+        (has(*field) || mayBeNonzero(TapedField::adjoint(*field))))
+      live.push_back(field.get());
+  return live;
 }

@@ -1,4 +1,4 @@
-//===- TapeCheckpoint.h - Recomputing instead of saving ---------*- C++ -*-===//
+//===- Checkpoints.h - Snapshots in place of saved values -------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -16,10 +16,11 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_RUNTIME_TAPE_TAPECHECKPOINT_H
-#define TAI_LIB_RUNTIME_TAPE_TAPECHECKPOINT_H
+#ifndef TAI_LIB_RUNTIME_TAPE_MEMORY_CHECKPOINTS_H
+#define TAI_LIB_RUNTIME_TAPE_MEMORY_CHECKPOINTS_H
 
-#include "TapeMemory.h"
+#include "Track.h"
+#include "tai/Runtime/Tape/TapeTypes.h"
 
 namespace mlir::tai::runtime {
 
@@ -98,4 +99,4 @@ private:
 
 } // namespace mlir::tai::runtime
 
-#endif // TAI_LIB_RUNTIME_TAPE_TAPECHECKPOINT_H
+#endif // TAI_LIB_RUNTIME_TAPE_MEMORY_CHECKPOINTS_H

@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "TapeTopology.h"
-#include "../Launch/Launch.h"
-#include "../Mirror/CellMover.h"
-#include "../Mirror/Mirror.h"
+#include "../../Launch/Launch.h"
+#include "../../Mirror/CellMover.h"
+#include "../../Mirror/Mirror.h"
 #include <algorithm>
 #include <iterator>
 

@@ -12,165 +12,15 @@
 // copied first; afterwards, only copies of cells that really changed are kept.
 // The reverse sweep swaps them back in, and forward again when it is done.
 //
-// Stamps order what happens to a cell. A cell is saved where the last read is
-// not older than the last save: a save at a record serves all reads before it.
-//
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_RUNTIME_TAPE_TAPEMEMORY_H
-#define TAI_LIB_RUNTIME_TAPE_TAPEMEMORY_H
+#ifndef TAI_LIB_RUNTIME_TAPE_MEMORY_TAPEMEMORY_H
+#define TAI_LIB_RUNTIME_TAPE_MEMORY_TAPEMEMORY_H
 
-#include "../Mirror/DeviceContext.h"
-#include "../Mirror/Slabs.h"
-#include "tai/Runtime/Launch/Runtime.h"
+#include "Checkpoints.h"
 #include <map>
 
 namespace mlir::tai::runtime {
-
-/// What is known of the memory of one field, under whatever name.
-struct Track {
-  Track(FieldPtr field, int dimension);
-
-  FieldPtr field;
-  Slabs slabs;
-  /// A cell is the unit in which changes are noticed: a slab or a part of one,
-  /// or what the field has in a cell of the sparse level above it.
-  int64_t cellElements;
-  int64_t cellsPerSlab;
-
-  /// Stamps of the last record that reads each slab, any slab at an unknown
-  /// place, and anything at all.
-  std::vector<uint32_t> readAt;
-  uint32_t readAnywhere = 0;
-  uint32_t lastRead = 0;
-  /// Stamp of the last save of each cell.
-  std::vector<uint32_t> savedAt;
-  /// The snapshot that last took each cell, and marks for counting cells.
-  std::vector<uint32_t> loggedBy, marks;
-  bool everSaved = false;
-  /// All that there are, where all are kept.
-  ActiveListPtr everyCell;
-
-  /// Stamps of the record that has stored to each slab, and to one at an
-  /// unknown place, and whose adjoint may load that; 0 once it was changed.
-  std::vector<uint32_t> storedAt;
-  uint32_t storedAnywhere = 0;
-  bool anyStored = false;
-
-  /// `lost` is told which records, by their stamps, lose what they stored; that
-  /// of the stamp `keeps` does not.
-  void markStored(int64_t slab, uint32_t stamp, std::vector<bool> &lost);
-  void loseStored(int64_t slab, std::vector<bool> &lost, uint32_t keeps = 0);
-
-  void markRead(int64_t slab, uint32_t stamp);
-  uint32_t readStamp(int64_t slab) const {
-    if (slab < 0)
-      return lastRead;
-    uint32_t here = readAt.empty() ? 0 : readAt[slab];
-    return here > readAnywhere ? here : readAnywhere;
-  }
-  int64_t numCells() const {
-    return slabs.byCell() ? slabs.numCells() : slabs.count() * cellsPerSlab;
-  }
-  /// Counts the cells that are active now among those of a sparse field.
-  /// Returns how many it had before.
-  int64_t refresh(Runtime &runtime);
-  /// Cells of a slab (or of all, for -1): calls body(begin, end) for runs of
-  /// those that are wanted, none longer than a piece should be.
-  template <typename Wanted, typename Body>
-  Status forEachRun(int64_t slab, const Wanted &wanted, const Body &body) const;
-  int64_t longestRun() const;
-  int64_t slabBytes(int64_t slab) const {
-    if (slabs.byCell())
-      return (slab < 0 ? slabs.numCells()
-                       : static_cast<int64_t>(slabs.cellsOf(slab).size())) *
-             slabs.elementBytes();
-    return (slab < 0 ? slabs.count() : 1) * slabs.elements() *
-           slabs.elementBytes();
-  }
-  int64_t firstElement(int64_t cell) const {
-    if (slabs.byCell())
-      return cell;
-    return cell / cellsPerSlab * slabs.elements() +
-           cell % cellsPerSlab * cellElements;
-  }
-};
-
-/// Contents of consecutive elements of a field: zeros where there are no data,
-/// here or on the device.
-struct Piece {
-  Track *track;
-  uint32_t record;
-  /// Put back before the adjoint of the record instead of after it.
-  bool before;
-  int64_t cell, endCell;
-  std::unique_ptr<char[]> data;
-  std::unique_ptr<DeviceBlock> block = nullptr;
-
-  int64_t first() const { return track->firstElement(cell); }
-  int64_t count() const { return track->firstElement(endCell) - first(); }
-  int64_t bytes() const { return count() * track->slabs.elementBytes(); }
-  int64_t keptBytes() const { return data || block ? bytes() : 0; }
-  /// Copies what the field holds; fails where the tape would then keep more
-  /// than there is, `kept` being what it keeps so far.
-  Status allocate(Runtime &runtime, int64_t kept);
-  /// Whether the field still holds that. On a device it is not worth the wait.
-  bool holds() const {
-    if (block || track->slabs.onDevice())
-      return false;
-    return data ? track->slabs.equal(first(), count(), data.get())
-                : track->slabs.isZero(first(), count());
-  }
-  void putBack() const {
-    if (block)
-      track->slabs.storeOnDevice(first(), count(), *block);
-    else if (data)
-      track->slabs.store(first(), count(), data.get());
-    else
-      track->slabs.clear(first(), count());
-  }
-};
-
-template <typename Wanted, typename Body>
-Status Track::forEachRun(int64_t slab, const Wanted &wanted,
-                         const Body &body) const {
-  int64_t longest = longestRun();
-  if (slab >= 0 && slabs.byCell()) {
-    const std::vector<int64_t> &cells = slabs.cellsOf(slab);
-    for (size_t i = 0; i < cells.size();) {
-      size_t first = i;
-      while (i < cells.size() && wanted(cells[i]) &&
-             cells[i] - cells[first] == int64_t(i - first) &&
-             int64_t(i - first) < longest)
-        ++i;
-      if (i == first) {
-        ++i;
-        continue;
-      }
-      Status status = body(cells[first], cells[i - 1] + 1);
-      if (!status)
-        return status;
-    }
-    return Status::success();
-  }
-  int64_t cell = slab < 0 ? 0 : slab * cellsPerSlab;
-  int64_t end = slab < 0 ? numCells() : cell + cellsPerSlab;
-  while (cell < end) {
-    if (!wanted(cell)) {
-      ++cell;
-      continue;
-    }
-    int64_t first = cell;
-    while (cell < end && cell - first < longest && wanted(cell))
-      ++cell;
-    Status status = body(first, cell);
-    if (!status)
-      return status;
-  }
-  return Status::success();
-}
-
-class Checkpoints;
 
 class TapeMemory {
 public:
@@ -281,7 +131,10 @@ public:
   /// Fields that some adjoint reads.
   bool isRead(const Field &field) const;
   /// Fields that hold what some adjoint may load as stored.
-  bool isStored(const Field &field) const;
+  bool isStored(const Field &field) const {
+    const Track *track = findTrack(field);
+    return track && track->stored.any();
+  }
   /// Whether what the record has stored was not changed by a later one.
   bool holdsStored(uint32_t record) const {
     uint32_t stamp = stampOf(record);
@@ -289,6 +142,11 @@ public:
   }
   /// Fields that some record reads or changes.
   bool isTouched(const Field &field) const { return findTrack(field); }
+  /// Fields that the reverse sweep needs as they are. What is recomputed reads
+  /// whatever launches read.
+  bool minds(const Field &field) const {
+    return checkpoints ? isTouched(field) : isRead(field);
+  }
   bool empty() const { return pieces.empty(); }
   /// No launch of the sequence changes what an adjoint wants as it was.
   bool savesNothing() const { return pieces.empty() && candidates.empty(); }
@@ -354,4 +212,4 @@ private:
 
 } // namespace mlir::tai::runtime
 
-#endif // TAI_LIB_RUNTIME_TAPE_TAPEMEMORY_H
+#endif // TAI_LIB_RUNTIME_TAPE_MEMORY_TAPEMEMORY_H
