@@ -29,16 +29,30 @@ void KernelOp::build(OpBuilder &builder, OperationState &state, StringRef name,
     entry.addArgument(input, state.location);
 }
 
+/// Generated parsers do so; without, an attribute of the dialect that has
+/// another type is left out without a word.
+template <typename Op>
+static ParseResult checkAttributes(OpAsmParser &parser, SMLoc where,
+                                   OperationState &result) {
+  return Op::verifyInherentAttrs(result.name, result.attributes, [&] {
+    return parser.emitError(where)
+           << "'" << result.name.getStringRef() << "' op ";
+  });
+}
+
 ParseResult KernelOp::parse(OpAsmParser &parser, OperationState &result) {
+  SMLoc where = parser.getCurrentLocation();
   auto buildType = [](Builder &builder, ArrayRef<Type> inputs,
                       ArrayRef<Type> results,
                       function_interface_impl::VariadicFlag, std::string &) {
     return builder.getFunctionType(inputs, results);
   };
-  return function_interface_impl::parseFunctionOp(
-      parser, result, /*allowVariadic=*/false,
-      getFunctionTypeAttrName(result.name), buildType,
-      getArgAttrsAttrName(result.name), getResAttrsAttrName(result.name));
+  if (function_interface_impl::parseFunctionOp(
+          parser, result, /*allowVariadic=*/false,
+          getFunctionTypeAttrName(result.name), buildType,
+          getArgAttrsAttrName(result.name), getResAttrsAttrName(result.name)))
+    return failure();
+  return checkAttributes<KernelOp>(parser, where, result);
 }
 
 void KernelOp::print(OpAsmPrinter &printer) {
@@ -174,8 +188,11 @@ ParseResult ParallelForOp::parse(OpAsmParser &parser, OperationState &result) {
     props.block_dim = builder.getI64IntegerAttr(size);
   }
   Region *body = result.addRegion();
+  SMLoc attributes;
   if (parser.parseRegion(*body, ivs) ||
-      parser.parseOptionalAttrDict(result.attributes))
+      parser.getCurrentLocation(&attributes) ||
+      parser.parseOptionalAttrDict(result.attributes) ||
+      checkAttributes<ParallelForOp>(parser, attributes, result))
     return failure();
   ParallelForOp::ensureTerminator(*body, builder, result.location);
   return success();
