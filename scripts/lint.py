@@ -6,6 +6,7 @@ Each check prints what it found and counts as one test of `make test`.
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import re
 import subprocess
 import sys
@@ -81,6 +82,14 @@ def lit_run_lines(_fix: bool) -> str:
     return "\n".join(bad)
 
 
+def python_types(_fix: bool) -> str:
+    """Types of the package; `[tool.mypy]` of pyproject.toml says of which modules."""
+    if importlib.util.find_spec("mypy") is None:
+        print("lint: types are not checked: no mypy; scripts/setup.sh installs it")
+        return ""
+    return run([sys.executable, "-m", "mypy", "--no-error-summary"])
+
+
 def python_rooms(_fix: bool) -> str:
     """Packages of `python/tai` import from those below them, at the top of a module."""
     return "\n".join(rooms_python.problems(ROOT / "python" / "tai"))
@@ -99,6 +108,7 @@ CHECKS: dict[str, Callable[[bool], str]] = {
     "file sizes": file_sizes,
     "RUN lines": lit_run_lines,
     "Python rooms": python_rooms,
+    "Python types": python_types,
     "rooms": rooms_of_sources,
 }
 

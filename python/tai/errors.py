@@ -66,7 +66,7 @@ class TaiSyntaxError(TaiCompilationError, SyntaxError):
     filename = lineno = text = None
 
     @property
-    def msg(self) -> str:
+    def msg(self) -> str:  # type: ignore[override]
         return TaiError.__str__(self)
 
     __str__ = TaiError.__str__

@@ -31,8 +31,7 @@ def innermost(field: Field) -> SNode:
     Raises:
         TaiRuntimeError: the field is not placed, or all of its elements exist.
     """
-    field._placed_node()
-    for level in reversed(field.level.path()):
+    for level in reversed(field._placed_node().path()):
         if level.kind != "dense":
             return level
     raise TaiRuntimeError(
@@ -50,7 +49,7 @@ def coordinates(field: Field) -> np.ndarray:
     level = innermost(field)
     cells = level.active_cells()
     shape, own = field.shape, level.axis_extents()
-    axes = list(field.level.axis_extents())
+    axes = list(field._placed_node().axis_extents())
     # An active cell is a box of elements.
     spans = [n // own.get(axis, 1) for axis, n in zip(axes, shape, strict=True)]
     first = np.zeros((len(cells), len(axes)), np.int64)

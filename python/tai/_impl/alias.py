@@ -38,7 +38,7 @@ class _Finder:
             module = importlib.import_module(f"{_PACKAGE}.{rest}")
         except ModuleNotFoundError:
             return None
-        return importlib.machinery.ModuleSpec(name, _Loader(module))
+        return importlib.machinery.ModuleSpec(name, _Loader(module))  # type: ignore[arg-type]
 
 
 def install() -> None:

@@ -157,7 +157,11 @@ def _report(core: Any, loss: Any) -> HealthReport:
     program_fields = _names()
     rows = [
         HealthRow(
-            record, place(record).kernel, program_fields.get(symbol, symbol), *numbers, symbol
+            record,
+            place(record).kernel,
+            program_fields.get(symbol, symbol),
+            *numbers,
+            symbol,  # type: ignore[call-arg]
         )  # fmt: skip
         for record, symbol, *numbers in core.health()
     ]

@@ -184,7 +184,7 @@ def climb(
         best = (np.nan, ladder[-1].central, ladder[-1].step)
     probe = Probe("differences", reverse, best[1], best[0], tolerance, best[2], ladder)
     if not best[0] <= tolerance:
-        _look_for_kinks(probe, scale, size, np.finfo(dtype.replace("f", "float")).eps)
+        _look_for_kinks(probe, scale, size, float(np.finfo(dtype.replace("f", "float")).eps))
     return probe
 
 

@@ -70,5 +70,6 @@ class Place:
                 if isinstance(node.op, (ast.Div, ast.Pow)):
                     name = "pow"
             if name in _SINGULAR:
-                found[start + node.lineno - 1] = lines[node.lineno - 1].strip()
+                line = node.lineno  # type: ignore[attr-defined]
+                found[start + line - 1] = lines[line - 1].strip()
         return sorted(found.items())

@@ -365,7 +365,7 @@ def grad_replaced(function: Callable[..., Any]) -> Callable[..., Any]:
     """
 
     @functools.wraps(function)
-    def decorated(*args: Any, **kwargs: Any) -> Any:
+    def replaced(*args: Any, **kwargs: Any) -> Any:
         tape = state.tape
         if tape is None:
             return function(*args, **kwargs)
@@ -380,7 +380,8 @@ def grad_replaced(function: Callable[..., Any]) -> Callable[..., Any]:
         tape.record(forward, lambda: gradient(*args, **kwargs))
         return result
 
-    decorated.grad = None  # type: ignore[attr-defined]
+    decorated: Any = replaced
+    decorated.grad = None
     return decorated
 
 

@@ -51,7 +51,7 @@ class Violation(NamedTuple):
 
     message: str
     field: str
-    index: tuple[int, ...]
+    index: tuple[int, ...]  # type: ignore[assignment]  # of a NamedTuple, no method of tuples
     component: int | None
     access: Place
     earlier: Place | None

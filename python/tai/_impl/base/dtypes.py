@@ -23,9 +23,9 @@ class DataType:
 
     __slots__ = ("bits", "kind", "mlir", "name", "numpy")
 
-    def __init__(self, name: str, kind: str, bits: int, mlir: str, numpy: str | None):
+    def __init__(self, name: str, kind: str, bits: int, mlir: str, numpy: str):
         self.name, self.kind, self.bits, self.mlir = name, kind, bits, mlir
-        self.numpy = None if numpy is None else np.dtype(numpy)
+        self.numpy: np.dtype = np.dtype(numpy)
 
     is_float = property(lambda self: self.kind == "f")
     is_int = property(lambda self: self.kind in "iu")

@@ -20,6 +20,13 @@ program: Any = None
 kernels_made: int = 0
 
 
+# What each thread has of its own; see `_State`.
+emitter: Any
+tape: Any
+forward: bool
+thread: object
+
+
 class _OfThread(threading.local):
     emitter: Any = None
     tape: Any = None

@@ -23,7 +23,10 @@ class Field(Elements, Shareable):
         element_shape: `()`, `(n,)` or `(n, m)`.
         role: `primal`, `grad` or `dual`.
         level: the level that holds the field, or None before it is placed.
+        offset: the first index along each dimension; () for zeros.
     """
+
+    offset: Any
 
     def __init__(self, dtype: Any, element_shape: tuple[int, ...], name: str | None, role: str):
         resolved = dtypes.to_dtype(dtype)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..base import state
-from ..base.dtypes import DataType, to_dtype
+from ..base.dtypes import DataType
 
 
 class Gradient:
@@ -59,7 +59,7 @@ class Gradient:
             for gradient, part, partial in self.parts:
                 gradient.add(partial * amount, part)
             return
-        buffer = self.buffer(self.dt or to_dtype(float))
+        buffer = self.buffer(self.dt or state.options.default_fp)
         if component is None:
             buffer += amount
         else:

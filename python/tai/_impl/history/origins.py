@@ -121,7 +121,7 @@ def note_read(field: Any) -> None:
 
 
 def _caller() -> Any:
-    frame = sys._getframe(2)
+    frame: Any = sys._getframe(2)
     while frame is not None and frame.f_globals.get("__name__", "").startswith("tai."):
         frame = frame.f_back
     return frame
@@ -287,7 +287,8 @@ class _Scope:
         """The values of assignments in a line, and the arguments of methods that write."""
         found: list[ast.AST] = []
         for node in self._nodes:
-            if not (getattr(node, "lineno", line + 1) <= line <= (node.end_lineno or line)):
+            last = getattr(node, "end_lineno", None) or line
+            if not getattr(node, "lineno", line + 1) <= line <= last:
                 continue
             if isinstance(node, (ast.Assign, ast.AugAssign)):
                 found.append(node.value)

@@ -107,11 +107,11 @@ def launch(
         )
     others = [held.array for held in kept if isinstance(held.array, device_arrays.DeviceArray)]
     streams = device_arrays.order_before(others) if others else None
-    tape = tracked.recording()
+    tape: Any = tracked.recording()
     slots += [tangents.cell_of(values[number]).first for number in found.followed]
     cell = None
-    if found.result_pool is not None:
-        count = int(np.prod(found.result_spec.shape, dtype=int))
+    if found.result_pool is not None and result is not None:
+        count = int(np.prod(result.shape, dtype=int))
         cell = tangents.Cell(found.result_pool, count)
         slots.append(cell.first)
     gradient = None
