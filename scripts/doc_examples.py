@@ -99,7 +99,11 @@ def check(opt: str, example: Example) -> str:
         if not mismatch or mismatch[1] not in given:
             break
         given[mismatch[1]] = mismatch[2]
-    if error or given or "@" in re.sub(r"tai\.kernel @\w+|tai\.field @\w+|tai\.tree @\w+", "", text):
+    if (
+        error
+        or given
+        or "@" in re.sub(r"tai\.kernel @\w+|tai\.field @\w+|tai\.tree @\w+", "", text)
+    ):
         return error
     return parse(opt, wrap(text, given), verify=True)
 
