@@ -83,7 +83,7 @@ _CHOICES = {
     "sanitize": ("", "address"),
 }
 
-# Options of Taichi that ask for what is always so here, or tune its own passes.
+# Options of Taichi that ask for what is always so here, or tune its own passes: docs/options.md.
 _ACCEPTED = {
     "advanced_optimization", "flatten_if", "device_memory_GB", "device_memory_fraction",
     "ad_stack_size", "default_ad_stack_size", "demote_dense_struct_fors", "verbose",
@@ -126,6 +126,11 @@ _WITHOUT_EFFECT = {
     "random_seed_is_time": (False, "random_seed=time.time_ns() % 2**31"),
     "require_version": (None, "compare ti.__version__ in the program"),
     "use_unified_memory": (False, "fields on the GPU are in its memory"),
+    "external_optimization_level": (3, "opt_level=0 to 3 says it for all passes"),
+    "offline_cache_cleaning_policy": ("lru", "the cache keeps 1 GiB, and drops what was not used "
+                                      "for longest; offline_cache=False does without"),
+    "offline_cache_max_size_of_files": (100 << 20, "the cache keeps 1 GiB at most; "
+                                        "offline_cache_file_path says where"),
 }  # fmt: skip
 
 
@@ -329,6 +334,9 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
         enable_fallback: take the CPU where `ti.cuda` is not there.
         require: extensions that the target must have (`ti.extension.data64`, …).
         exclude: targets that the program does not run on.
+        opt_level: 0 to 3, how much the compiler does for speed; 3 where nothing is said.
+        log_level: accepted, as are other options of Taichi that no result depends on; docs/options.md
+            lists them. Those that ask for what does not happen warn.
 
     Raises:
         TaiRuntimeError: an option that does not exist, or a target that is not there, and why.
