@@ -12,6 +12,8 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import rooms
+
 ROOT = Path(__file__).resolve().parent.parent
 LICENSE_TAG = "SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception"
 MAX_LINES = 800
@@ -78,6 +80,11 @@ def lit_run_lines(_fix: bool) -> str:
     return "\n".join(bad)
 
 
+def rooms_of_sources(_fix: bool) -> str:
+    """Includes go one way, classes are not cut into slices, folders are not crowded."""
+    return "\n".join(rooms.check())
+
+
 CHECKS: dict[str, Callable[[bool], str]] = {
     "clang-format": clang_format,
     "ruff format": ruff_format,
@@ -85,6 +92,7 @@ CHECKS: dict[str, Callable[[bool], str]] = {
     "licence headers": license_headers,
     "file sizes": file_sizes,
     "RUN lines": lit_run_lines,
+    "rooms": rooms_of_sources,
 }
 
 

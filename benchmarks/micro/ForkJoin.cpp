@@ -11,7 +11,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../../lib/Runtime/WorkerPool.h"
+#include "../../lib/Runtime/Launch/WorkerPool.h"
 #include <algorithm>
 #include <chrono>
 #include <cstdio>

@@ -10,8 +10,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/Runtime/CacheStore.h"
-#include "tai/Runtime/Runtime.h"
+#include "tai/Runtime/Cache/CacheStore.h"
+#include "tai/Runtime/Launch/Runtime.h"
 #include <algorithm>
 #include <chrono>
 #include <cstdio>

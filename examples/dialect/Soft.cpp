@@ -19,7 +19,7 @@
 #include "mlir/Tools/Plugins/DialectPlugin.h"
 #include "mlir/Tools/Plugins/PassPlugin.h"
 #include "tai/AD/AdjointBuilder.h"
-#include "tai/AD/Differentiable.h"
+#include "tai/Interfaces/Differentiable.h"
 
 #include "SoftDialect.h.inc"
 #define GET_OP_CLASSES

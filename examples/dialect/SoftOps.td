@@ -10,7 +10,7 @@
 
 include "mlir/IR/OpBase.td"
 include "mlir/Interfaces/SideEffectInterfaces.td"
-include "tai/AD/DifferentiableInterfaces.td"
+include "tai/Interfaces/DifferentiableInterfaces.td"
 
 def Soft_Dialect : Dialect {
   let name = "soft";

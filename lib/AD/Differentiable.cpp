@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/AD/Differentiable.h"
+#include "tai/Interfaces/Differentiable.h"
 #include "Rules/Models.h"
 #include "tai/AD/AdjointBuilder.h"
 #include "tai/AD/TangentBuilder.h"
@@ -13,7 +13,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-#include "tai/AD/DifferentiableInterfaces.cpp.inc"
+#include "tai/Interfaces/DifferentiableInterfaces.cpp.inc"
 
 void mlir::tai::registerDifferentiableModels(DialectRegistry &registry) {
   registerArithModels(registry);

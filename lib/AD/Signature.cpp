@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/AD/Signature.h"
-#include "tai/AD/Differentiable.h"
+#include "tai/Interfaces/Differentiable.h"
 
 using namespace mlir;
 using namespace mlir::tai;

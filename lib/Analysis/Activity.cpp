@@ -14,7 +14,7 @@
 
 #include "tai/Analysis/Activity.h"
 #include "mlir/Interfaces/ControlFlowInterfaces.h"
-#include "tai/AD/DerivativePaths.h"
+#include "tai/Analysis/DerivativePaths.h"
 
 using namespace mlir;
 using namespace mlir::tai;

@@ -12,8 +12,8 @@
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/LoopLikeInterface.h"
-#include "tai/AD/Differentiable.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Interfaces/Differentiable.h"
 #include "llvm/ADT/TypeSwitch.h"
 #include <cmath>
 #include <limits>

@@ -15,7 +15,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/IR/Matchers.h"
-#include "tai/Analysis/BoundsMode.h"
+#include "tai/Support/BoundsMode.h"
 #include "llvm/ADT/TypeSwitch.h"
 
 using namespace mlir;

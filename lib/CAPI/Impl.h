@@ -10,7 +10,7 @@
 
 #include "tai-c/Tai.h"
 #include "tai/ExecutionEngine/Session.h"
-#include "tai/Runtime/Safepoint.h"
+#include "tai/Runtime/Launch/Safepoint.h"
 #include "llvm/ADT/DenseMap.h"
 #include <mutex>
 

@@ -11,7 +11,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Level.h"
-#include "tai/Runtime/DeviceAbi.h"
+#include "tai/ABI/DeviceAbi.h"
 
 using namespace tai::device;
 

@@ -13,7 +13,7 @@
 #define TAI_LIB_DEVICELIBRARY_LEVEL_H
 
 #include "Target.h"
-#include "tai/Runtime/DeviceSparse.h"
+#include "tai/ABI/DeviceSparse.h"
 
 namespace tai::device {
 

@@ -13,7 +13,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Target.h"
-#include "tai/Runtime/DeviceAbi.h"
+#include "tai/ABI/DeviceAbi.h"
 
 using namespace tai::device;
 

@@ -11,7 +11,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Target.h"
-#include "tai/Runtime/DeviceAbi.h"
+#include "tai/ABI/DeviceAbi.h"
 
 using namespace tai::device;
 
@@ -188,4 +188,4 @@ template <typename Op, typename T> static void reduce(T *target, T value) {
   void tai_dev_reduce_##op##_##suffix(type *target, type value) {              \
     reduce<TAI_OP_##op>(target, value);                                        \
   }
-#include "tai/Runtime/DeviceReductions.def"
+#include "tai/ABI/DeviceReductions.def"

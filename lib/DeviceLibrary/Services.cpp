@@ -12,10 +12,10 @@
 //===----------------------------------------------------------------------===//
 
 #include "Target.h"
-#include "tai/Runtime/Abi.h"
-#include "tai/Runtime/DeviceAbi.h"
-#include "tai/Runtime/DeviceState.h"
-#include "tai/Runtime/Philox.h"
+#include "tai/ABI/Abi.h"
+#include "tai/ABI/DeviceAbi.h"
+#include "tai/ABI/DeviceState.h"
+#include "tai/Support/Philox.h"
 
 using namespace tai::device;
 

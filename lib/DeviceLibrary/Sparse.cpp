@@ -13,8 +13,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "Level.h"
-#include "tai/Runtime/Abi.h"
-#include "tai/Runtime/DeviceState.h"
+#include "tai/ABI/Abi.h"
+#include "tai/ABI/DeviceState.h"
 
 using namespace tai::device;
 

@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Target.h"
-#include "tai/Runtime/DeviceAbi.h"
+#include "tai/ABI/DeviceAbi.h"
 
 #ifdef __NVPTX__
 

@@ -6,11 +6,11 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/Compiler.h"
+#include "../CodeGen/Device/Libdevice.h"
+#include "../CodeGen/InjectedFailures.h"
+#include "../CodeGen/VerifyEach.h"
 #include "BuildId.h"
 #include "CompilerWorker.h"
-#include "InjectedFailures.h"
-#include "Libdevice.h"
-#include "VerifyEach.h"
 #include "mlir/Pass/Pass.h"
 #include "mlir/Pass/PassInstrumentation.h"
 #include "tai/Analysis/SkipScope.h"
@@ -18,22 +18,32 @@
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/ExecutionEngine/AdjointNeeds.h"
 #include "tai/ExecutionEngine/Background.h"
-#include "tai/Runtime/CacheStore.h"
+#include "tai/Runtime/Cache/CacheStore.h"
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/Support/BLAKE3.h"
 
 using namespace mlir;
 using namespace mlir::tai;
 
+static std::string describe(BoundsMode mode) {
+  return stringifyBoundsMode(mode).str();
+}
+static std::string describe(const SkipSet &skips) { return skips.str(); }
+template <typename Number> static std::string describe(Number value) {
+  return std::to_string(value);
+}
+
 std::string CompileOptions::str() const {
   std::string text;
-  llvm::raw_string_ostream(text)
-      << "opt=" << codegen.optLevel << " fast=" << codegen.fastMath
-      << " contract=" << codegen.contract
-      << " sanitize=" << codegen.sanitizeAddress << " debug=" << debug
-      << " bounds=" << stringifyBoundsMode(bounds)
-      << " deterministic=" << deterministic << " history=" << historyBytes
-      << " skip=" << skips.str();
+  auto add = [&](StringRef key, const std::string &value) {
+    if (!key.empty())
+      text += (text.empty() ? "" : " ") + key.str() + '=' + value;
+  };
+#define TAI_CODEGEN_OPTION(type, member, initial, key)                         \
+  add(key, describe(codegen.member));
+#define TAI_COMPILE_OPTION(type, member, initial, key)                         \
+  add(key, describe(member));
+#include "tai/Support/Options.def"
   if (device)
     text += " device=" + DeviceTarget{*device, deviceTarget}.str();
   return text;

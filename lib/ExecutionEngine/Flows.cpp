@@ -15,8 +15,8 @@
 #include "tai/AD/Signature.h"
 #include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Activity.h"
-#include "tai/ExecutionEngine/Diagnostics.h"
-#include "tai/ExecutionEngine/Session.h"
+#include "tai/CodeGen/Diagnostics.h"
+#include "tai/ExecutionEngine/Summaries.h"
 #include "llvm/ADT/SmallBitVector.h"
 
 using namespace mlir;

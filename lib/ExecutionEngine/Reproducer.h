@@ -16,7 +16,7 @@
 
 #include "mlir/Pass/PassInstrumentation.h"
 #include "mlir/Pass/PassManager.h"
-#include "tai/ExecutionEngine/Diagnostics.h"
+#include "tai/CodeGen/Diagnostics.h"
 
 namespace mlir::tai {
 

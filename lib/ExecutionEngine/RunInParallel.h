@@ -9,9 +9,9 @@
 #ifndef TAI_LIB_EXECUTIONENGINE_RUNINPARALLEL_H
 #define TAI_LIB_EXECUTIONENGINE_RUNINPARALLEL_H
 
-#include "tai/Runtime/Safepoint.h"
-#include "tai/Runtime/Status.h"
-#include "tai/Runtime/Thread.h"
+#include "tai/Runtime/Launch/Safepoint.h"
+#include "tai/Support/Status.h"
+#include "tai/Support/Thread.h"
 #include "llvm/ADT/STLFunctionalExtras.h"
 #include <algorithm>
 #include <atomic>

@@ -18,11 +18,11 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/UB/IR/UBOps.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
-#include "tai/AD/Differentiable.h"
 #include "tai/AD/Passes.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
-#include "tai/Dialect/Tai/Transforms/Passes.h"
+#include "tai/Interfaces/Differentiable.h"
+#include "tai/Transforms/Passes.h"
 
 using namespace mlir;
 

@@ -8,7 +8,7 @@
 #include "LoweringPasses.h"
 #include "mlir/Transforms/Passes.h"
 #include "tai/Conversion/Passes.h"
-#include "tai/Dialect/Tai/Transforms/Passes.h"
+#include "tai/Transforms/Passes.h"
 
 using namespace mlir;
 

@@ -9,8 +9,8 @@
 #include "mlir/Pass/PassRegistry.h"
 #include "mlir/Transforms/Passes.h"
 #include "tai/Conversion/Passes.h"
-#include "tai/Dialect/Tai/Transforms/Passes.h"
 #include "tai/Pipelines/Pipelines.h"
+#include "tai/Transforms/Passes.h"
 
 using namespace mlir;
 

@@ -83,7 +83,7 @@ _CHOICES = {
     "sanitize": ("", "address"),
 }
 
-# Options of Taichi that ask for what is always so here, or tune its own passes: docs/options.md.
+# Options of Taichi that ask for what is always so here, or tune its own passes: docs/taichi-options.md.
 _ACCEPTED = {
     "advanced_optimization", "flatten_if", "device_memory_GB", "device_memory_fraction",
     "ad_stack_size", "default_ad_stack_size", "demote_dense_struct_fors", "verbose",
@@ -335,7 +335,7 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
         require: extensions that the target must have (`ti.extension.data64`, …).
         exclude: targets that the program does not run on.
         opt_level: 0 to 3, how much the compiler does for speed; 3 where nothing is said.
-        log_level: accepted, as are other options of Taichi that no result depends on; docs/options.md
+        log_level: accepted, as are others that no result depends on; docs/taichi-options.md
             lists them. Those that ask for what does not happen warn.
 
     Raises:

@@ -8,7 +8,7 @@
 #ifndef TAI_TOOLS_TAIRUN_PRINTFIELD_H
 #define TAI_TOOLS_TAIRUN_PRINTFIELD_H
 
-#include "tai/Runtime/Runtime.h"
+#include "tai/Runtime/Launch/Runtime.h"
 #include "llvm/Support/raw_ostream.h"
 
 namespace mlir::tai {

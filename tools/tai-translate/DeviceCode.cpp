@@ -15,9 +15,9 @@
 #include "mlir/Dialect/DLTI/DLTI.h"
 #include "mlir/IR/BuiltinOps.h"
 #include "mlir/Tools/mlir-translate/Translation.h"
-#include "tai/ExecutionEngine/DeviceCompiler.h"
+#include "tai/ABI/DeviceAbi.h"
+#include "tai/CodeGen/DeviceCompiler.h"
 #include "tai/InitAll.h"
-#include "tai/Runtime/DeviceAbi.h"
 #include "llvm/Support/CommandLine.h"
 #include "llvm/Support/raw_ostream.h"
 

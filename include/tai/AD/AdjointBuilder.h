@@ -25,7 +25,7 @@
 #include "tai/AD/Signature.h"
 #include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Activity.h"
-#include "tai/Runtime/Skips.h"
+#include "tai/Support/Skips.h"
 #include "llvm/ADT/MapVector.h"
 #include "llvm/ADT/SetVector.h"
 #include <map>

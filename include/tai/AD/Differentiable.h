@@ -1,78 +1,17 @@
-//===- Differentiable.h - Interfaces of differentiable ops ------*- C++ -*-===//
+//===- Differentiable.h - Former place --------------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The interfaces of DifferentiableInterfaces.td, the types they speak of, and
-// the registration of their models for upstream dialects and for tai.
+// The file has moved; this name stays for one release.
 //
 //===----------------------------------------------------------------------===//
 
 #ifndef TAI_AD_DIFFERENTIABLE_H
 #define TAI_AD_DIFFERENTIABLE_H
 
-#include "mlir/IR/BuiltinAttributes.h"
-#include "mlir/IR/BuiltinTypes.h"
-#include "mlir/IR/OpDefinition.h"
-#include "llvm/ADT/Hashing.h"
-#include "llvm/ADT/PointerUnion.h"
-
-namespace mlir {
-class DialectRegistry;
-class OpBuilder;
-} // namespace mlir
-
-namespace mlir::tai {
-class AdjointBuilder;
-class TangentBuilder;
-
-/// What an access does to an element. `Update` is any combination with the old
-/// value that is not a sum.
-enum class AccessKind { Read, Write, Accumulate, Update };
-
-/// Where an access goes: a field, by symbol, or a memref, by value.
-struct Storage {
-  FlatSymbolRefAttr field;
-  Value memref;
-
-  Storage() = default;
-  Storage(FlatSymbolRefAttr field) : field(field) {}
-  Storage(Value memref) : memref(memref) {}
-  explicit operator bool() const { return field || memref; }
-  bool operator==(const Storage &other) const {
-    return field == other.field && memref == other.memref;
-  }
-  bool operator!=(const Storage &other) const { return !(*this == other); }
-  const void *getOpaque() const {
-    return field ? field.getAsOpaquePointer() : memref.getAsOpaquePointer();
-  }
-};
-
-/// True for floats and vectors of floats: the types that carry derivatives.
-inline bool isFloatOrVector(Type type) {
-  if (auto vector = dyn_cast<VectorType>(type))
-    return isa<FloatType>(vector.getElementType());
-  return isa<FloatType>(type);
-}
-
-/// Bytes that a loop of one thread may record at once, unless told otherwise:
-/// part of what its core keeps close.
-constexpr int64_t kDefaultHistoryBytes = 256 * 1024;
-
-/// Reports that `op` has no tangent rule; for the defaults of the interfaces.
-LogicalResult refuseTangent(Operation *op, TangentBuilder &builder);
-/// Extends the regions of an op that passes no tangents on, or reports that it
-/// would have to.
-LogicalResult extendRegions(Operation *op, TangentBuilder &builder);
-
-/// Attaches the interfaces to the ops of arith, math, scf, vector, memref and
-/// tai, when these dialects are loaded.
-void registerDifferentiableModels(DialectRegistry &registry);
-
-} // namespace mlir::tai
-
-#include "tai/AD/DifferentiableInterfaces.h.inc"
+#include "tai/Interfaces/Differentiable.h"
 
 #endif // TAI_AD_DIFFERENTIABLE_H

@@ -9,8 +9,8 @@
 #define TAI_AD_PASSES_H
 
 #include "mlir/Pass/Pass.h"
-#include "tai/AD/Differentiable.h"
-#include "tai/Analysis/SkipOption.h"
+#include "tai/Interfaces/Differentiable.h"
+#include "tai/Support/SkipOption.h"
 #include <memory>
 
 namespace mlir::tai {

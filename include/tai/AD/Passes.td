@@ -269,4 +269,69 @@ def ForwardDiff : Pass<"tai-forward-diff", "::mlir::ModuleOp"> {
   ];
 }
 
+def ExpandAtomics : Pass<"tai-expand-atomics", "::mlir::ModuleOp"> {
+  let summary = "write atomics that one iteration alone reaches as load and store";
+  let description = [{
+    Replaces a `tai.atomic` by a load, the operation and a store where no other
+    iteration of a parallel loop writes the element (serial code, or indices that
+    tell the iterations apart), so that it is differentiated as these are: `mul`,
+    `min` and `max` on fields with an adjoint, and every atomic whose old value
+    is used, which is what was loaded. In a tie of `min` and `max`, the new
+    contribution wins.
+
+    `mul`, `min` and `max` that iterations do contend for are split into one for
+    each component, and what does not change in their loop is moved before it, as
+    `tai-make-adjoint` wants them. Sums stay as they are.
+
+    Looks at the kernels that `tai-make-adjoint` would differentiate.
+
+    ```mlir
+    tai.parallel_for (%i) in @x {
+      %old = tai.atomic mul %a, @x[%i] : f32
+    }
+    ```
+
+    becomes
+
+    ```mlir
+    tai.parallel_for (%i) in @x {
+      %old = tai.load @x[%i] : f32
+      %new = arith.mulf %old, %a : f32
+      tai.store %new, @x[%i] : f32
+    }
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::vector::VectorDialect"];
+  let options = [
+    ListOption<"kernels", "kernel", "std::string",
+               "Names of the kernels or functions to look at">,
+  ];
+}
+
+def CheckAccessRules : Pass<"tai-check-access-rules", "::mlir::ModuleOp"> {
+  let summary = "refuse kernels whose parallel iterations meet in an element";
+  let description = [{
+    The paper (section 3) asks of a kernel that an element which is written more
+    than once is accumulated from the second write on, and that no element is
+    read before its accumulation is done. Within one iteration, in serial loops
+    and from loop to loop the order of accesses is known, and differentiation
+    deals with such programs. What remains is between the iterations of one
+    parallel loop: in a field with an adjoint,
+
+    1. two iterations must not store to the same element;
+    2. none may read an element that others still accumulate.
+
+    Reports an error where a kernel breaks a rule for certain. What cannot be
+    proven is left alone. Changes nothing.
+
+    Looks at the kernels that `tai-make-adjoint` would differentiate: a kernel
+    that only runs forward may do as it likes.
+  }];
+  let options = [
+    ListOption<"kernels", "kernel", "std::string",
+               "Names of the kernels or functions to check">,
+  ];
+}
+
 #endif // TAI_AD_PASSES_TD

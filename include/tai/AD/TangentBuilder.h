@@ -21,7 +21,7 @@
 #include "mlir/IR/IRMapping.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
 #include "tai/AD/DerivativeBuilder.h"
-#include "tai/AD/Differentiable.h"
+#include "tai/Interfaces/Differentiable.h"
 #include "llvm/ADT/DenseSet.h"
 
 namespace mlir::tai {

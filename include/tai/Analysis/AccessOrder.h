@@ -14,7 +14,7 @@
 #define TAI_ANALYSIS_ACCESSORDER_H
 
 #include "mlir/Interfaces/FunctionInterfaces.h"
-#include "tai/AD/Differentiable.h"
+#include "tai/Interfaces/Differentiable.h"
 #include "llvm/ADT/MapVector.h"
 
 namespace mlir::tai {

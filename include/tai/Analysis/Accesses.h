@@ -17,7 +17,7 @@
 #include "mlir/IR/AffineMap.h"
 #include "mlir/IR/Value.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
-#include "tai/AD/Differentiable.h"
+#include "tai/Interfaces/Differentiable.h"
 
 namespace mlir::tai {
 class FieldOp;

@@ -17,7 +17,7 @@
 
 #include "mlir/Interfaces/ControlFlowInterfaces.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
-#include "tai/AD/Differentiable.h"
+#include "tai/Interfaces/Differentiable.h"
 #include "llvm/ADT/DenseSet.h"
 
 namespace mlir::tai {

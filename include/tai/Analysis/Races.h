@@ -8,7 +8,7 @@
 #ifndef TAI_ANALYSIS_RACES_H
 #define TAI_ANALYSIS_RACES_H
 
-#include "tai/AD/Differentiable.h"
+#include "tai/Interfaces/Differentiable.h"
 
 namespace mlir::tai {
 

@@ -13,7 +13,7 @@
 #ifndef TAI_ANALYSIS_SKIPSCOPE_H
 #define TAI_ANALYSIS_SKIPSCOPE_H
 
-#include "tai/Runtime/Skips.h"
+#include "tai/Support/Skips.h"
 
 namespace mlir::tai {
 

@@ -9,7 +9,7 @@
 #define TAI_CONVERSION_PASSES_H
 
 #include "mlir/Pass/Pass.h"
-#include "tai/Analysis/SkipOption.h"
+#include "tai/Support/SkipOption.h"
 
 namespace mlir {
 class ModuleOp;

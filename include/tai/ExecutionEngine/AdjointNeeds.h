@@ -15,7 +15,7 @@
 #define TAI_EXECUTIONENGINE_ADJOINTNEEDS_H
 
 #include "tai/Dialect/Tai/IR/Tai.h"
-#include "tai/Runtime/Kernel.h"
+#include "tai/Runtime/Launch/Kernel.h"
 
 namespace mlir::tai {
 

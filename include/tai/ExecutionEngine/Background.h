@@ -13,7 +13,7 @@
 #ifndef TAI_EXECUTIONENGINE_BACKGROUND_H
 #define TAI_EXECUTIONENGINE_BACKGROUND_H
 
-#include "tai/Runtime/Thread.h"
+#include "tai/Support/Thread.h"
 #include <atomic>
 #include <condition_variable>
 #include <deque>

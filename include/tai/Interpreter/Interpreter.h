@@ -22,7 +22,7 @@
 
 #include "mlir/IR/BuiltinOps.h"
 #include "mlir/IR/OwningOpRef.h"
-#include "tai/Runtime/Abi.h"
+#include "tai/ABI/Abi.h"
 #include <memory>
 
 namespace mlir::tai {

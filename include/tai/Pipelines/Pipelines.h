@@ -16,9 +16,9 @@
 #include "mlir/IR/BuiltinOps.h"
 #include "mlir/Pass/PassManager.h"
 #include "mlir/Pass/PassOptions.h"
-#include "tai/AD/Differentiable.h"
-#include "tai/Analysis/BoundsMode.h"
-#include "tai/Analysis/SkipOption.h"
+#include "tai/Interfaces/Differentiable.h"
+#include "tai/Support/BoundsMode.h"
+#include "tai/Support/SkipOption.h"
 #include "llvm/ADT/SetVector.h"
 
 namespace mlir::tai {

@@ -12,10 +12,10 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Common/Accumulate.h"
+#include "../../Transforms/Utils/Accumulate.h"
 #include "WarpLoop.h"
 #include "mlir/Dialect/LLVMIR/NVVMDialect.h"
-#include "tai/Runtime/Device.h"
+#include "tai/ABI/DeviceAccesses.h"
 #include "llvm/Support/MathExtras.h"
 
 using namespace mlir;

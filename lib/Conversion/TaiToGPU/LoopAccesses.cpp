@@ -13,8 +13,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "LoopAccesses.h"
-#include "../Common/Accumulate.h"
-#include "../Common/FieldAddress.h"
+#include "../../Transforms/Utils/Accumulate.h"
+#include "../../Transforms/Utils/FieldAddress.h"
 #include "Offload.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Matchers.h"

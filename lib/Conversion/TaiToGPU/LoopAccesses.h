@@ -11,8 +11,8 @@
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/BuiltinAttributes.h"
+#include "tai/ABI/DeviceAccesses.h"
 #include "tai/Analysis/LoopBox.h"
-#include "tai/Runtime/DeviceAccesses.h"
 
 namespace mlir::tai {
 

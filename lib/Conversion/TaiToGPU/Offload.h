@@ -12,9 +12,9 @@
 #ifndef TAI_LIB_CONVERSION_TAITOGPU_OFFLOAD_H
 #define TAI_LIB_CONVERSION_TAITOGPU_OFFLOAD_H
 
-#include "../TaiToSCF/Lowering.h"
+#include "../TaiToHost/Lowering.h"
 #include "mlir/Dialect/GPU/IR/GPUDialect.h"
-#include "tai/Conversion/LocalMemory.h"
+#include "tai/ABI/LocalMemory.h"
 
 namespace mlir::tai {
 

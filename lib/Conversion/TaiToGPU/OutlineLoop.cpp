@@ -11,8 +11,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Common/IndexMath.h"
-#include "../TaiToSCF/Accumulators.h"
+#include "../../Transforms/Utils/IndexMath.h"
+#include "../TaiToHost/Accumulators.h"
 #include "LoopAccesses.h"
 #include "Offload.h"
 #include "Sums.h"

@@ -12,7 +12,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Sums.h"
-#include "../Common/IndexMath.h"
+#include "../../Transforms/Utils/IndexMath.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 
 using namespace mlir;

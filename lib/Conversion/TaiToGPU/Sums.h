@@ -8,7 +8,7 @@
 #ifndef TAI_LIB_CONVERSION_TAITOGPU_SUMS_H
 #define TAI_LIB_CONVERSION_TAITOGPU_SUMS_H
 
-#include "../Common/Accumulation.h"
+#include "../../Transforms/Utils/Accumulation.h"
 #include "Offload.h"
 
 namespace mlir::tai {

@@ -12,8 +12,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Common/FieldAddress.h"
-#include "../TaiToSCF/RuntimeCalls.h"
+#include "../../Transforms/Utils/FieldAddress.h"
+#include "../TaiToHost/RuntimeCalls.h"
 #include "LoopAccesses.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"

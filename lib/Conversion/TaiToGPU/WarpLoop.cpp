@@ -15,8 +15,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "WarpLoop.h"
-#include "../Common/IndexMath.h"
-#include "../Common/OrderedAdditions.h"
+#include "../../Transforms/Utils/IndexMath.h"
+#include "../../Transforms/Utils/OrderedAdditions.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Dominance.h"
 #include "mlir/IR/PatternMatch.h"

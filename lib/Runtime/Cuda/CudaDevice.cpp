@@ -6,10 +6,10 @@
 //===----------------------------------------------------------------------===//
 
 #include "CudaDevice.h"
-#include "../Launch.h"
+#include "../Launch/Launch.h"
 #include "FillTable.h"
-#include "tai/Runtime/DeviceHeap.h"
-#include "tai/Runtime/DeviceReport.h"
+#include "tai/Runtime/Device/DeviceHeap.h"
+#include "tai/Runtime/Device/DeviceReport.h"
 #include <algorithm>
 #include <cstdlib>
 #include <cstring>

@@ -17,7 +17,7 @@
 #include "Driver.h"
 #include "FillTable.h"
 #include "RepeatedLaunch.h"
-#include "tai/Runtime/Device.h"
+#include "tai/Runtime/Device/Device.h"
 #include <map>
 #include <mutex>
 #include <set>

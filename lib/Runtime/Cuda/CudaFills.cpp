@@ -12,7 +12,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../FillRun.h"
+#include "../Queue/FillRun.h"
 #include "CudaDevice.h"
 #include "FillTable.h"
 #include <algorithm>

@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "CudaDevice.h"
-#include "tai/Runtime/Safepoint.h"
+#include "tai/Runtime/Launch/Safepoint.h"
 #include <algorithm>
 #include <sched.h>
 

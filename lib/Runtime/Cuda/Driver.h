@@ -14,7 +14,7 @@
 #ifndef TAI_LIB_RUNTIME_CUDA_DRIVER_H
 #define TAI_LIB_RUNTIME_CUDA_DRIVER_H
 
-#include "tai/Runtime/Status.h"
+#include "tai/Support/Status.h"
 #include <cstddef>
 #include <cstdint>
 

@@ -15,7 +15,7 @@
 #define TAI_LIB_RUNTIME_CUDA_REPEATEDLAUNCH_H
 
 #include "Driver.h"
-#include "tai/Runtime/Device.h"
+#include "tai/Runtime/Device/Device.h"
 #include <atomic>
 #include <vector>
 

@@ -1,0 +1,234 @@
+//===- DeviceAccesses.h - What a device function touches --------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The compiler says of each device function which bytes it reads and writes, in
+// terms of its parameters: those of a launch are then known from its slots
+// alone, and launches that touch different rows of a field are told apart. It
+// also says which iteration touches what, so that launches in which each
+// thread goes on with its own elements need not wait for each other. See
+// docs/decisions/0012-fused-launches.md.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_ABI_DEVICEACCESSES_H
+#define TAI_ABI_DEVICEACCESSES_H
+
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+namespace mlir::tai::runtime {
+
+/// The most threads that a block of any GPU has.
+constexpr unsigned kMostBlockThreads = 1024;
+
+/// The accesses of one operation of a device function. Iteration (i0, i1, ...)
+/// touches bytes of
+///   address(slot) + offset + sum of terms + sum of strides * i
+/// and `window` bytes from there on. Inside of the window its accesses are
+/// `step` bytes apart, as are all elements of this operation over all
+/// iterations, and have `size` bytes; a step of 0 says that there is one
+/// element only.
+struct DeviceAccess {
+  enum Kind : int64_t {
+    Read,
+    Write,
+    /// An atomic addition whose result nobody uses. Additions may change
+    /// places; in deterministic mode those of floats are no sums but writes.
+    Sum,
+  };
+  /// An integer parameter, sign-extended from so many bits, times a factor.
+  struct Term {
+    int64_t slot;
+    int64_t bits;
+    int64_t factor;
+    bool operator==(const Term &other) const {
+      return slot == other.slot && bits == other.bits && factor == other.factor;
+    }
+  };
+
+  int64_t kind = Write;
+  int64_t slot = 0;
+  int64_t offset = 0;
+  int64_t window = 0;
+  int64_t step = 0;
+  int64_t size = 0;
+  /// Not 0 where the program multiplies in 32 bits: then all of this holds as
+  /// long as offset, terms and strides together stay far below 2^31 times so
+  /// many bytes.
+  int64_t unit = 0;
+  /// One for each dimension of the loop.
+  std::vector<int64_t> strides;
+  std::vector<Term> terms;
+
+  bool operator==(const DeviceAccess &other) const {
+    return kind == other.kind && slot == other.slot && offset == other.offset &&
+           window == other.window && step == other.step && size == other.size &&
+           unit == other.unit && strides == other.strides &&
+           terms == other.terms;
+  }
+};
+
+/// Behind the name of a device function, that of the one that does an iteration
+/// of its loop, and what that calls with an address and the number of a site,
+/// for the address to take instead.
+constexpr char tileSuffix[] = "_tile";
+constexpr char tileSiteFunction[] = "tai_tile_site";
+
+/// One load or store in the body of a loop, by itself. Those of functions that
+/// can run in tiles are numbered; see ProgramTiles.h.
+struct TileSite {
+  /// Along one dimension of the loop: iteration i touches the cell of the
+  /// number i + shift, of `extent` cells that lie `stride` bytes apart; with
+  /// `wraps`, of that number modulo the extent. A stride of 0: all the same.
+  struct Digit {
+    int64_t stride = 0, extent = 0, shift = 0;
+    bool wraps = false;
+    bool operator==(const Digit &other) const {
+      return stride == other.stride && extent == other.extent &&
+             shift == other.shift && wraps == other.wraps;
+    }
+  };
+  /// Where `isRegular`, offset and terms lead to cell 0, and strides are zeros.
+  DeviceAccess access;
+  /// The digits say which cell it is; else the access says all that is known.
+  bool isRegular = false;
+  /// Every iteration does it, once.
+  bool isCertain = false;
+  std::vector<Digit> digits;
+
+  bool operator==(const TileSite &other) const {
+    return access == other.access && isRegular == other.isRegular &&
+           isCertain == other.isCertain && digits == other.digits;
+  }
+};
+
+/// All accesses of a device function: what is not listed it does not touch. A
+/// function of which this cannot be said has none of these.
+struct FunctionAccesses {
+  /// Iteration number i, counted over all dimensions with the last one running
+  /// fastest, is of thread i modulo the threads of the grid.
+  bool isPlain = false;
+  /// Of the loop; -1 for what is not known.
+  std::vector<int64_t> extents;
+  std::vector<DeviceAccess> accesses;
+
+  /// Where the loop begins, and its loads and stores; none if it cannot run in
+  /// tiles. In this case there is another function, with one more parameter for
+  /// each dimension, that does one iteration.
+  std::vector<int64_t> lower;
+  std::vector<TileSite> sites;
+
+  /// As a list of numbers, to be kept with the code.
+  std::vector<int64_t> encode() const {
+    std::vector<int64_t> words{isPlain, static_cast<int64_t>(extents.size())};
+    words.insert(words.end(), extents.begin(), extents.end());
+    for (const DeviceAccess &access : accesses)
+      encode(access, words);
+    if (!sites.empty()) {
+      words.push_back(sitesFollow);
+      std::vector<int64_t> rest = encodeSites();
+      words.insert(words.end(), rest.begin(), rest.end());
+    }
+    return words;
+  }
+
+  /// What follows the word `sitesFollow`.
+  std::vector<int64_t> encodeSites() const {
+    std::vector<int64_t> words = lower;
+    for (const TileSite &site : sites) {
+      encode(site.access, words);
+      words.push_back(site.isRegular);
+      words.push_back(site.isCertain);
+      for (const TileSite::Digit &digit : site.digits)
+        for (int64_t word :
+             {digit.stride, digit.extent, digit.shift, int64_t(digit.wraps)})
+          words.push_back(word);
+    }
+    return words;
+  }
+  static constexpr int64_t sitesFollow = -1;
+
+  /// Nothing for an empty list, and for what no list of these is.
+  static std::optional<FunctionAccesses>
+  decode(const std::vector<int64_t> &words) {
+    size_t at = 0;
+    auto has = [&](int64_t count) {
+      return count >= 0 && static_cast<uint64_t>(count) <= words.size() - at;
+    };
+    if (!has(2))
+      return std::nullopt;
+    FunctionAccesses result;
+    result.isPlain = words[at++] != 0;
+    int64_t rank = words[at++];
+    if (!has(rank))
+      return std::nullopt;
+    for (int64_t d = 0; d < rank; ++d)
+      result.extents.push_back(words[at++]);
+    while (at < words.size() && words[at] != sitesFollow) {
+      DeviceAccess access;
+      if (!decode(words, at, rank, access))
+        return std::nullopt;
+      result.accesses.push_back(std::move(access));
+    }
+    if (at == words.size())
+      return result;
+    ++at;
+    if (!has(rank))
+      return std::nullopt;
+    for (int64_t d = 0; d < rank; ++d)
+      result.lower.push_back(words[at++]);
+    while (at < words.size()) {
+      TileSite site;
+      if (!decode(words, at, rank, site.access) || !has(2 + 4 * rank))
+        return std::nullopt;
+      site.isRegular = words[at++] != 0;
+      site.isCertain = words[at++] != 0;
+      for (int64_t d = 0; d < rank; ++d, at += 4)
+        site.digits.push_back(
+            {words[at], words[at + 1], words[at + 2], words[at + 3] != 0});
+      result.sites.push_back(std::move(site));
+    }
+    return result;
+  }
+
+private:
+  static void encode(const DeviceAccess &access, std::vector<int64_t> &words) {
+    for (int64_t word : {access.kind, access.slot, access.offset, access.window,
+                         access.step, access.size, access.unit})
+      words.push_back(word);
+    words.insert(words.end(), access.strides.begin(), access.strides.end());
+    words.push_back(static_cast<int64_t>(access.terms.size()));
+    for (const DeviceAccess::Term &term : access.terms)
+      for (int64_t word : {term.slot, term.bits, term.factor})
+        words.push_back(word);
+  }
+
+  static bool decode(const std::vector<int64_t> &words, size_t &at,
+                     int64_t rank, DeviceAccess &access) {
+    auto left = static_cast<int64_t>(words.size() - at);
+    if (left < 8 + rank)
+      return false;
+    for (int64_t *word :
+         {&access.kind, &access.slot, &access.offset, &access.window,
+          &access.step, &access.size, &access.unit})
+      *word = words[at++];
+    for (int64_t d = 0; d < rank; ++d)
+      access.strides.push_back(words[at++]);
+    int64_t terms = words[at++];
+    left -= 8 + rank;
+    if (terms < 0 || terms > left / 3)
+      return false;
+    for (; terms > 0; --terms, at += 3)
+      access.terms.push_back({words[at], words[at + 1], words[at + 2]});
+    return true;
+  }
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_ABI_DEVICEACCESSES_H

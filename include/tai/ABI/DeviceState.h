@@ -1,0 +1,82 @@
+//===- DeviceState.h - What device code leaves for the host -----*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The state of a device, in its memory, in C: failures and printed lines, which
+// device code writes and the host reads when it waits for the device (see
+// DeviceReport.h). The functions of Abi.h that device code calls get its
+// address as their frame. The offsets are the same on both sides.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_ABI_DEVICESTATE_H
+#define TAI_ABI_DEVICESTATE_H
+
+#include <stdint.h>
+
+#define TAI_DEVICE_STATE_MAGIC 0x74616964u
+#define TAI_DEVICE_STATE_VERSION 1u
+
+/// The most bytes of a record; what does not fit is cut off and counted.
+#define TAI_DEVICE_RECORD_BYTES 2048u
+
+/// A number of bytes, for people; in records of device code alone, next to the
+/// kinds of Abi.h.
+#define TAI_DEVICE_VALUE_BYTES 64
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/// A failure or a printed line: this, `slots` slots of eight bytes, `count`
+/// kinds and `count` shapes of four bytes, the text, the place; each of both
+/// with the zero at its end, which its length does not count. A multiple of
+/// eight bytes.
+typedef struct TaiDeviceRecord {
+  /// All of it.
+  uint32_t bytes;
+  /// Of failures, an enum TaiFailure; of lines, 0.
+  int32_t kind;
+  int32_t count;
+  int32_t slots;
+  uint32_t textBytes;
+  uint32_t whereBytes;
+  /// Values, and characters of the text and of the place, that found no room.
+  uint32_t lostValues;
+  uint32_t lostBytes;
+} TaiDeviceRecord;
+
+/// Followed in memory by `outputCapacity` bytes for the records of lines.
+typedef struct TaiDeviceState {
+  uint32_t magic;
+  uint32_t version;
+  /// Non-zero once `failure` has been claimed.
+  uint32_t failed;
+  /// Lines that found no room.
+  uint32_t lostLines;
+  uint64_t outputCapacity;
+  /// Bytes that were claimed, in order; may be more than there are.
+  uint64_t outputUsed;
+  /// Where the records end if more was claimed than there is.
+  uint64_t outputEnd;
+  /// The most bytes that a stack may have.
+  uint64_t stackLimit;
+  /// For tai_dev_grid_barrier: blocks that have arrived, and rounds.
+  uint32_t barrier[2];
+  uint32_t reserved[2];
+  /// The first failure, a TaiDeviceRecord.
+  uint64_t failure[TAI_DEVICE_RECORD_BYTES / 8];
+} TaiDeviceState;
+
+#ifdef __cplusplus
+} // extern "C"
+
+static_assert(sizeof(TaiDeviceRecord) == 32 &&
+                  sizeof(TaiDeviceState) == 64 + TAI_DEVICE_RECORD_BYTES,
+              "both sides know these by their offsets");
+#endif
+
+#endif // TAI_ABI_DEVICESTATE_H

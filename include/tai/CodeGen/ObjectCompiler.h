@@ -1,0 +1,94 @@
+//===- ObjectCompiler.h - LLVM IR to object code for this CPU ---*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The LLVM half of the compiler: optimises a module for the CPU that it runs on
+// and emits object code or assembly into memory. Target machines are costly to
+// make, so an ObjectCompiler is kept and used again, by one thread at a time.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_CODEGEN_OBJECTCOMPILER_H
+#define TAI_CODEGEN_OBJECTCOMPILER_H
+
+#include "llvm/ADT/SmallVector.h"
+#include "llvm/Support/Error.h"
+#include <memory>
+#include <string>
+
+namespace llvm {
+class Module;
+class TargetMachine;
+class raw_pwrite_stream;
+} // namespace llvm
+
+namespace mlir::tai {
+
+/// What decides the machine code made from a module; see Options.def.
+struct CodegenOptions {
+#define TAI_CODEGEN_OPTION(type, member, initial, key) type member = initial;
+#include "tai/Support/Options.def"
+
+  bool operator==(const CodegenOptions &other) const {
+    bool same = true;
+#define TAI_CODEGEN_OPTION(type, member, initial, key)                         \
+  same &= member == other.member;
+#include "tai/Support/Options.def"
+    return same;
+  }
+};
+
+/// Allows, for all operations of the module, what fastMath allows.
+void allowFastMath(llvm::Module &module);
+
+/// The CPU that this process runs on.
+struct HostCpu {
+  std::string triple;
+  std::string name;
+  std::string features;
+
+  static const HostCpu &get();
+};
+
+class ObjectCompiler {
+public:
+  static llvm::Expected<std::unique_ptr<ObjectCompiler>>
+  create(const CodegenOptions &options);
+  ~ObjectCompiler();
+
+  const CodegenOptions &getOptions() const { return options; }
+
+  /// Sets the target of the module, for what is done before optimize().
+  void setTarget(llvm::Module &module);
+
+  /// Sets the target of the module and runs the optimisation pipeline on it.
+  llvm::Error optimize(llvm::Module &module);
+
+  /// The object code of an optimised module.
+  llvm::Expected<llvm::SmallVector<char, 0>> emitObject(llvm::Module &module);
+
+  /// The assembly text of an optimised module.
+  llvm::Expected<std::string> emitAssembly(llvm::Module &module);
+
+  /// True once LLVM has met a fatal error in here. The module that it was
+  /// given, and this, are then in no state to be used or even destroyed: leak
+  /// them.
+  bool isBroken() const { return broken; }
+
+private:
+  explicit ObjectCompiler(const CodegenOptions &options);
+  void runPasses(llvm::Module &module);
+  llvm::Error emit(llvm::Module &module, llvm::raw_pwrite_stream &stream,
+                   bool assembly);
+
+  CodegenOptions options;
+  std::unique_ptr<llvm::TargetMachine> machine;
+  bool broken = false;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_CODEGEN_OBJECTCOMPILER_H

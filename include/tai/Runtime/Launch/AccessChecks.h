@@ -1,0 +1,111 @@
+//===- AccessChecks.h - Watching the accesses of a tape ---------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Runs the launches of a tape in the form that checks the global data access
+// rules, and collects what breaks them.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_RUNTIME_LAUNCH_ACCESSCHECKS_H
+#define TAI_RUNTIME_LAUNCH_ACCESSCHECKS_H
+
+#include "tai/ABI/AccessLog.h"
+#include "tai/Runtime/Launch/Kernel.h"
+#include <unordered_map>
+#include <utility>
+
+namespace mlir::tai::runtime {
+
+struct Launch;
+
+/// One access of a checked kernel, as the program wrote it.
+struct CheckedAccess {
+  Field *field;
+  AccessKind kind;
+  std::string file;
+  int64_t line = 0, column = 0;
+};
+
+/// The form of a kernel that checks.
+struct CheckedKernel {
+  KernelPtr kernel;
+  /// The fields whose shadow arrays it takes.
+  std::vector<FieldPtr> fields;
+  std::vector<CheckedAccess> accesses;
+};
+
+/// Where an access was: the launch, counted among those checked, and the line.
+struct AccessPlace {
+  std::string kernel;
+  int64_t launch;
+  AccessKind kind;
+  std::string file;
+  int64_t line, column;
+};
+
+struct Violation {
+  accesslog::ViolationKind kind;
+  std::string field;
+  std::vector<int64_t> indices;
+  /// Row-major, or -1 for fields of scalars.
+  int64_t component;
+  AccessPlace access, earlier;
+};
+
+class AccessChecks {
+public:
+  /// Keeps the first `limit` violations; of races alone, if so asked.
+  AccessChecks(Runtime &runtime, int64_t limit, bool racesOnly)
+      : runtime(runtime), limit(limit), racesOnly(racesOnly) {}
+
+  /// Launches the checking form of the kernel in its place, and reads its log.
+  Status run(Launch &launch, Kernel &kernel, const uint64_t *args,
+             uint64_t *results, uint64_t number);
+
+  const std::vector<Violation> &violations() const { return found; }
+  /// All of them, also those that were not kept.
+  int64_t numViolations() const { return total; }
+
+private:
+  /// The numbers that the accesses of a launch have.
+  struct Range {
+    int64_t base;
+    const CheckedKernel *kernel;
+    int64_t launch;
+  };
+
+  /// Words beside the components of a field, zero when made. The system
+  /// provides them when they are first written: a sparse field may span far
+  /// more elements than it has.
+  struct Shadow {
+    Shadow() = default;
+    Shadow(Shadow &&other) noexcept
+        : words(std::exchange(other.words, nullptr)), count(other.count) {}
+    Shadow &operator=(Shadow &&) = delete;
+    ~Shadow();
+    int32_t *words = nullptr;
+    size_t count = 0;
+  };
+  Status findShadow(Field &field, const Shadow *&shadow);
+  void collect(const Range &range);
+  AccessPlace getPlace(int64_t id) const;
+
+  Runtime &runtime;
+  int64_t limit;
+  bool racesOnly;
+  int64_t total = 0;
+  int64_t nextBase = 0;
+  std::unordered_map<Field *, Shadow> shadows;
+  std::vector<Range> ranges;
+  std::vector<int64_t> log;
+  std::vector<uint64_t> slots;
+  std::vector<Violation> found;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_RUNTIME_LAUNCH_ACCESSCHECKS_H

@@ -1,0 +1,325 @@
+//===- Field.h - Trees and fields as the host sees them ---------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Storage and its description. The compiler decides where an element lies; the
+// runtime is told so by a FieldLayout and uses it for host access only.
+// Compiled kernels compute addresses on their own.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_RUNTIME_STORAGE_FIELD_H
+#define TAI_RUNTIME_STORAGE_FIELD_H
+
+#include "tai/Runtime/Sparse/Sparse.h"
+#include "tai/Support/Status.h"
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <unordered_set>
+#include <vector>
+
+namespace mlir::tai::runtime {
+
+class Field;
+class Mirror;
+class Runtime;
+struct OwedZeros;
+
+/// Scalar types, with the numbers of TaiScalarType. i1 is stored as one byte.
+enum class ScalarKind : uint8_t {
+  I8 = 0,
+  I16,
+  I32,
+  I64,
+  F16,
+  BF16,
+  F32,
+  F64,
+  I1
+};
+int64_t byteSize(ScalarKind kind);
+bool isFloat(ScalarKind kind);
+const char *spelling(ScalarKind kind);
+
+/// One allocation, zero when made. Pages are committed when first written.
+/// Where there is a device, the tree has memory there too, and either may be
+/// behind the other: the host reaches the contents by `readable` and `writable`
+/// alone.
+class Tree {
+public:
+  const std::string &name() const { return treeName; }
+  /// Which tree it is, and whether it is there: null once it has been
+  /// destroyed. Aligned to 64 bytes. What is there may be out of date on a
+  /// device; sparse trees are on the host always.
+  char *base() const { return address; }
+  /// The contents for the host to read, or to read and change, until the next
+  /// launch. What goes wrong with the device is said by the call after.
+  const char *readable() const {
+    if (__builtin_expect(mirrored != nullptr, false))
+      bringToHost();
+    return address;
+  }
+  char *writable() const {
+    if (__builtin_expect(mirrored != nullptr, false))
+      bringToHostToChange();
+    return address;
+  }
+  /// The memory on the device, or null where there is none.
+  Mirror *mirror() const { return mirrored.get(); }
+  int64_t bytes() const { return size; }
+  /// The sparse levels, those above before those below.
+  const std::vector<std::unique_ptr<SparseNode>> &sparseNodes() const {
+    return nodes;
+  }
+  /// Whether others have its address, and may write to it at any time.
+  bool isLent() const { return loans.load(std::memory_order_relaxed) > 0; }
+  /// Memory of the active cells of the innermost sparse levels.
+  int64_t activeCellBytes() const {
+    return activeBytes.load(std::memory_order_relaxed);
+  }
+  /// The tree of a base address.
+  static Tree &of(void *base) { return *static_cast<Tree **>(base)[-1]; }
+
+private:
+  friend class Runtime;
+  friend class SparseNode;
+  friend class Loan;
+  void bringToHost() const;
+  void bringToHostToChange() const;
+
+  std::string treeName;
+  std::shared_ptr<Mirror> mirrored;
+  char *address = nullptr;
+  int64_t size = 0;
+  int64_t charged = 0; // of the memory limit
+  /// Where all of that lies. Loans keep it when the tree is gone.
+  std::shared_ptr<void> memory;
+  std::atomic<int> loans{0};
+  std::vector<std::unique_ptr<SparseNode>> nodes;
+  std::atomic<int64_t> activeBytes{0};
+  /// Regions that have been asked to lie in large pages, by their number.
+  std::unordered_set<uintptr_t> largePages;
+  std::mutex largePagesMutex;
+  /// The same for all trees of the runtime.
+  std::atomic<int64_t> *allActiveBytes = nullptr;
+};
+using TreePtr = std::shared_ptr<Tree>;
+
+/// A level of the tree divides one index into digits:
+///   digit = index / divisor % extent, and the address grows by digit * stride.
+struct LayoutLevel {
+  int64_t divisor;
+  int64_t extent;
+  int64_t stride; // bytes
+  /// What the digit adds to the number of the cell of the innermost sparse
+  /// level.
+  int64_t cells = 0;
+};
+
+/// Where the elements of a field lie in its tree: component c of element
+/// (i0, i1, ...) is at
+///   tree + placeOffset + sum over indices and levels of digit * stride
+///        + c * componentStride.
+struct FieldLayout {
+  ScalarKind scalar = ScalarKind::F32;
+  /// Empty for a scalar, one number for a vector, two for a matrix.
+  std::vector<int64_t> elementShape;
+  int64_t placeOffset = 0;
+  /// Bytes from one component to the next; 0 means the size of the scalar.
+  int64_t componentStride = 0;
+  /// For each index, in the order in which the field is indexed, the levels
+  /// that divide its axis. The shape follows: the product of the extents.
+  std::vector<std::vector<LayoutLevel>> indices;
+  /// First index along each dimension; empty means zeros.
+  std::vector<int64_t> offset;
+  /// The innermost sparse level above the place, by its number in the tree; or
+  /// -1.
+  int sparseNode = -1;
+};
+
+class Tape;
+
+/// 0 for a thread that has none yet.
+extern __thread uint64_t ownThreadNumber;
+uint64_t numberThread();
+/// The number of the calling thread, which no other one of the process has had.
+inline uint64_t threadNumber() {
+  return __builtin_expect(ownThreadNumber != 0, true) ? ownThreadNumber
+                                                      : numberThread();
+}
+
+/// How a tape uses a field, from its first launch with it to the end of the
+/// sweep. Tapes of several threads may read the same field, or add to it.
+enum class HoldKind : uint8_t { Read, Add, Write };
+struct Hold {
+  const Tape *tape;
+  uint64_t thread;
+  HoldKind kind;
+};
+
+class Field {
+public:
+  const std::string &name() const { return fieldName; }
+  const FieldLayout &layout() const { return fieldLayout; }
+  ScalarKind scalar() const { return fieldLayout.scalar; }
+  int rank() const { return static_cast<int>(shapeOf.size()); }
+  const std::vector<int64_t> &shape() const { return shapeOf; }
+  const std::vector<int64_t> &elementShape() const {
+    return fieldLayout.elementShape;
+  }
+  int64_t numElements() const { return elements; }
+  /// Components of one element.
+  int64_t numComponents() const { return components; }
+  /// The first index along a dimension.
+  int64_t firstIndex(int64_t dimension) const {
+    return fieldLayout.offset.empty() ? 0 : fieldLayout.offset[dimension];
+  }
+  /// Bytes of the row-major host array of the whole field.
+  int64_t hostBytes() const {
+    return elements * components * byteSize(fieldLayout.scalar);
+  }
+  const Tree &tree() const { return *owner; }
+  /// False once the tree has been destroyed.
+  bool valid() const { return owner->base() != nullptr; }
+  /// True where the elements lie one after another in row-major order.
+  bool contiguous() const { return isContiguous; }
+  /// Where elements, in row-major order, lie dense in themselves and evenly in
+  /// the tree: the bytes from one to the next, else 0.
+  int64_t evenStep() const { return elementStep; }
+  /// Address of the place: of the first element. As Tree::base().
+  char *data() const { return owner->base() + fieldLayout.placeOffset; }
+  /// The same, to read and to change there; see Tree.
+  const char *readable() const {
+    settleZeros();
+    return owner->readable() + fieldLayout.placeOffset;
+  }
+  char *writable() const {
+    settleZeros();
+    return owner->writable() + fieldLayout.placeOffset;
+  }
+
+  /// Of adjoint fields: elements that are zero and not stored yet, because a
+  /// sweep has left them to whoever looks first. Null where there are none.
+  const OwedZeros *owesZeros() const { return owed.get(); }
+  void oweZeros(std::shared_ptr<const OwedZeros> zeros) const {
+    owed = std::move(zeros);
+  }
+  /// Stores them now. Everything that looks at the elements does so first.
+  void settleZeros() const {
+    if (__builtin_expect(owed != nullptr, false))
+      storeZeros();
+  }
+
+  /// The field that accumulates the derivative of the loss by this one; null
+  /// where there is none (yet).
+  Field *adjoint() const { return adjointField.get(); }
+  Field *dual() const { return dualField.get(); }
+  /// True where this field is the adjoint of another.
+  bool isAdjoint() const { return ofPrimal; }
+
+  /// Of adjoint fields: may hold something else than zeros.
+  bool dirty() const { return dirtiedBy() != 0 || owner->isLent(); }
+  void markDirty() {
+    uint64_t self = threadNumber();
+    if (dirtiedBy() != self)
+      lastWriter.store(self, std::memory_order_relaxed);
+  }
+  /// The thread that has written to it last, or 0 since it was cleared.
+  uint64_t dirtiedBy() const {
+    return lastWriter.load(std::memory_order_relaxed);
+  }
+  /// The thread whose tapes use it now, or 0; kManyThreads for several.
+  uint64_t heldBy() const { return holder.load(std::memory_order_acquire); }
+  static constexpr uint64_t kManyThreads = UINT64_MAX;
+
+  /// The innermost sparse level above the field, or null.
+  SparseNode *sparseNode() const {
+    return fieldLayout.sparseNode < 0
+               ? nullptr
+               : owner->sparseNodes()[fieldLayout.sparseNode].get();
+  }
+  /// The cell of that level that holds the element, or -1 if an index is out of
+  /// range.
+  int64_t cellNumber(const int64_t *index) const;
+
+  /// Where the element is in the tree, or -1 if an index is out of range.
+  /// Indices count from the offset of the field.
+  int64_t elementOffset(const int64_t *index) const;
+
+  /// One component (row-major in the element) of one element, converted from
+  /// or to the type of the field. Integers wrap, as in C; writing marks the
+  /// field as dirty. No tape hears of it: see Runtime::writeF64.
+  Status readF64(const int64_t *index, int64_t component, double &value) const;
+  Status writeF64(const int64_t *index, int64_t component, double value);
+  Status readI64(const int64_t *index, int64_t component, int64_t &value) const;
+  Status writeI64(const int64_t *index, int64_t component, int64_t value);
+  /// All components of the elements at `count` index tuples, as they are
+  /// stored. For the other direction see Runtime::writeElements.
+  Status readElements(const int64_t *indices, int64_t count,
+                      void *values) const;
+  /// Where a component is in the tree, or why there is none.
+  Status locate(const int64_t *index, int64_t component, int64_t &offset) const;
+  /// The bytes of one component, which `locate` has found.
+  Status loadBytes(int64_t offset, void *to) const {
+    settleZeros();
+    if (__builtin_expect(owner->mirror() != nullptr, false))
+      return loadMirrored(offset, to);
+    std::memcpy(to, owner->base() + offset,
+                static_cast<size_t>(byteSize(fieldLayout.scalar)));
+    return Status::success();
+  }
+  Status storeBytes(int64_t offset, const void *from) const {
+    settleZeros();
+    if (__builtin_expect(owner->mirror() != nullptr, false))
+      return storeMirrored(offset, from);
+    std::memcpy(owner->base() + offset, from,
+                static_cast<size_t>(byteSize(fieldLayout.scalar)));
+    return Status::success();
+  }
+
+private:
+  friend class Runtime;
+  friend class Tape;
+
+  Status loadMirrored(int64_t offset, void *to) const;
+  Status storeMirrored(int64_t offset, const void *from) const;
+  void storeZeros() const;
+
+  std::string fieldName;
+  TreePtr owner;
+  FieldLayout fieldLayout;
+  std::vector<int64_t> shapeOf;
+  int64_t elements = 1;
+  int64_t components = 1;
+  bool isContiguous = false;
+  int64_t elementStep = 0;
+  bool ofPrimal = false;
+  std::string adjointName, dualName;
+  std::shared_ptr<Field> adjointField, dualField;
+  std::atomic<uint64_t> lastWriter{0};
+  /// Tapes that use it now; see FieldHolds.cpp.
+  std::atomic<uint64_t> holder{0};
+  std::vector<Hold> holds;
+  mutable std::shared_ptr<const OwedZeros> owed;
+  /// Number of times that the host has changed it.
+  uint64_t hostVersion = 0;
+  /// Stamp of the plan in which the field is live.
+  /// Of the plan in which seenIndex is the place of the field among those that
+  /// change.
+  uint64_t seenMark = 0;
+  size_t seenIndex = 0;
+  uint64_t planMark = 0;
+};
+using FieldPtr = std::shared_ptr<Field>;
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_RUNTIME_STORAGE_FIELD_H

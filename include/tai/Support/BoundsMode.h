@@ -1,0 +1,52 @@
+//===- BoundsMode.h - What happens to indices out of range ------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The option `bounds`, and how passes tell one another what is checked; see
+// docs/decisions/0018-hoisted-bounds.md.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_SUPPORT_BOUNDSMODE_H
+#define TAI_SUPPORT_BOUNDSMODE_H
+
+#include "llvm/ADT/StringRef.h"
+#include "llvm/Support/CommandLine.h"
+
+namespace mlir::tai {
+
+/// What happens to an index that depends on data and is out of range: anything,
+/// the nearest element is taken, or the launch fails.
+enum class BoundsMode { Off, Clamp, Check };
+
+inline llvm::StringRef stringifyBoundsMode(BoundsMode mode) {
+  switch (mode) {
+  case BoundsMode::Off:
+    return "off";
+  case BoundsMode::Clamp:
+    return "clamp";
+  case BoundsMode::Check:
+    return "check";
+  }
+  llvm_unreachable("all modes are handled");
+}
+
+/// On an access: all its indices lie in range, so that it needs no check. A
+/// pass that drops the attribute costs time and nothing else.
+constexpr llvm::StringLiteral kInRangeAttrName = "tai.in_range";
+
+/// On a kernel: some of its accesses are checked as they run. Passes that only
+/// make code fast leave it as it was written.
+constexpr llvm::StringLiteral kChecksIndicesAttrName = "tai.checks_indices";
+
+/// On a module that was lowered: places in the source are in its code, because
+/// launches can be refused. Without, the cache takes code of the same kernel at
+/// another line for its own.
+constexpr llvm::StringLiteral kReportsPlacesAttrName = "tai.reports_places";
+
+} // namespace mlir::tai
+
+#endif // TAI_SUPPORT_BOUNDSMODE_H

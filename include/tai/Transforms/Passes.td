@@ -1,0 +1,647 @@
+//===- Passes.td - Passes on kernels -----------------------*- tablegen -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_TRANSFORMS_PASSES_TD
+#define TAI_TRANSFORMS_PASSES_TD
+
+include "mlir/Pass/PassBase.td"
+
+def EliminateLocals : Pass<"tai-eliminate-locals"> {
+  let summary = "turn mutable local variables into values";
+  let description = [{
+    Replaces each `tai.local_load` by the value that the last `tai.local_store`
+    wrote, or zero before the first (paper, figure 4, right). What a branch or a
+    loop writes leaves it as a result; what a loop carries from one iteration to
+    the next becomes one of its `iter_args`.
+
+    A variable that is used in a parallel loop nested in its scope, or in an op
+    that is not `scf.if`, `scf.for` or `scf.while`, is an error: iterations that
+    run at the same time cannot share it.
+
+    ```mlir
+    %a = tai.alloca : !tai.local<f32>
+    tai.local_store %x, %a : f32
+    scf.if %c {
+      tai.local_store %y, %a : f32
+    }
+    %r = tai.local_load %a : f32
+    ```
+
+    becomes
+
+    ```mlir
+    %r = scf.if %c -> (f32) {
+      scf.yield %y : f32
+    } else {
+      scf.yield %x : f32
+    }
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect",
+                           "::mlir::tai::TaiDialect"];
+}
+
+def SimplifyHugeBodies : Pass<"tai-simplify-huge-bodies"> {
+  let summary = "canonicalise the bodies of huge loops by themselves";
+  let description = [{
+    Runs the canonicalisation of all ops in each body that has at least
+    `min-ops` operations, and of what is nested in it, and makes one of equal
+    operations of the body, reads with no write between them too. To run in
+    front of `canonicalize` and `cse`, which then find little to do: the one
+    looks at all of a body again after each rewrite in it, to see whether the
+    loop around it is dead, the other at all between two equal reads, so that
+    their time grows with the square of the body.
+
+    Example: with `min-ops=3`,
+
+    ```mlir
+    tai.parallel_for (%i) = (%c0) to (%n) {
+      %s = arith.addf %a, %zero : f32
+      %t = arith.select %true, %s, %b : f32
+      tai.store %t, @x[%i] : f32
+    }
+    ```
+
+    becomes what `canonicalize` and `cse` make of it. A smaller body stays as it
+    is.
+  }];
+  let options = [
+    Option<"minOps", "min-ops", "unsigned", /*default=*/"2000",
+           "Least number of operations of a body that is huge">,
+  ];
+}
+
+def FlattenBranches : Pass<"tai-flatten-branches"> {
+  let summary = "turn cheap and safe branches into selects";
+  let description = [{
+    Replaces an `scf.if` by the operations of both arms, followed by one
+    `arith.select` for each result (paper, figure 4, middle), where
+
+    - neither arm has a side effect or can fault: a `tai.load` counts as safe
+      where its indices are known to lie in the field;
+    - neither arm can make a value or a derivative that is not finite from what
+      is: a division, root or logarithm stays under its condition unless its
+      operand is known to be safe. (Flattening these is how NaN enters the
+      gradients of untaken branches.)
+    - the arms together have at most `max-ops` operations.
+
+    Any other branch stays, and the adjoint mirrors it. With `force`, only side
+    effects, faults and loops keep a branch.
+
+    ```mlir
+    %r = scf.if %c -> (f32) {
+      scf.yield %a : f32
+    } else {
+      %2 = arith.mulf %a, %b : f32
+      scf.yield %2 : f32
+    }
+    ```
+
+    becomes
+
+    ```mlir
+    %2 = arith.mulf %a, %b : f32
+    %r = arith.select %c, %a, %2 : f32
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect"];
+  let options = [
+    Option<"force", "force", "bool", /*default=*/"false",
+           "Flatten branches of any size that have no effects and cannot fault">,
+    Option<"maxOps", "max-ops", "unsigned", /*default=*/"16",
+           "Largest number of operations in both arms of a branch together">,
+  ];
+}
+
+def InstrumentAccesses : Pass<"tai-instrument-accesses", "::mlir::ModuleOp"> {
+  let summary = "make kernels check the global data access rules as they run";
+  let description = [{
+    Gives each kernel additional arguments at the end: a shadow array
+    (`memref<?xi32>`) for each field of the module that has an adjoint, in the
+    order of the module, a log (`memref<?xi64>`), and a number (`i32`), which is
+    added to the numbers of its accesses. Each access to such a field then
+    leaves its number in the shadow array, and puts into the log what breaks a
+    rule: a write to an element that was read, a second store, a read of what
+    another iteration of the loop writes. See `tai/Runtime/AccessLog.h` for the
+    layout of both. What a kernel computes does not change.
+
+    `tai.checked_accesses` says of each access its field, its use and where it
+    stands.
+
+    Calls hide accesses: run `inline` first. A store of a constant before all
+    others counts as clearing, and not as the first of two stores.
+
+    ```mlir
+    tai.kernel @k() {
+      tai.parallel_for (%i) in @x {
+        %0 = tai.load @x[%i] : f32
+      }
+      tai.return
+    }
+    ```
+
+    becomes
+
+    ```mlir
+    tai.kernel @k(%shadow: memref<?xi32>, %log: memref<?xi64>, %base: i32) {
+      tai.parallel_for (%i) in @x {
+        %id = arith.addi %base, %c1_i32 : i32
+        ... // has another iteration written x[i]?
+        memref.atomic_rmw assign %id, %shadow[...]
+        %0 = tai.load @x[%i] : f32
+      }
+      tai.return
+    }
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::memref::MemRefDialect",
+                           "::mlir::scf::SCFDialect"];
+}
+
+def SummarizeKernels : Pass<"tai-summarize-kernels"> {
+  let summary = "list what each kernel reads, writes and accumulates";
+  let description = [{
+    Sets the `summary` attribute of each kernel: one `#tai.access` for each
+    field, kind of access and index map, in the order of the first such access.
+    Where indices are affine, the map takes the induction variables of the loops
+    around the access (dimensions, from the outermost) and the integer arguments
+    of the kernel (symbols) to the indices. A kernel that touches part of a
+    field in a way that is not affine has an entry without a map.
+
+    ```mlir
+    tai.kernel @step(%t: i32) attributes {summary = [
+        #tai.access<read @x, affine_map<(d0)[s0] -> (s0 - 1, d0)>>,
+        #tai.access<write @x, affine_map<(d0)[s0] -> (s0, d0)>>]}
+    ```
+  }];
+}
+
+def MarkExclusive : Pass<"tai-mark-exclusive"> {
+  let summary = "find atomics that need not be atomic";
+  let description = [{
+    Marks a `tai.atomic` as `exclusive` where no other iteration of the parallel
+    loop around it writes the same element: all writes of the loop to that field
+    agree in indices that tell its iterations apart. The mark is removed where
+    that does not hold.
+  }];
+}
+
+//===----------------------------------------------------------------------===//
+// Loops
+//===----------------------------------------------------------------------===//
+
+def CheckBounds : Pass<"tai-check-bounds"> {
+  let summary = "check indices before kernels run, and note which need no check";
+  let description = [{
+    Looks at the indices of all accesses of a kernel. What follows from the
+    arguments of the kernel, from constants and from the bounds of loops alone is
+    decided before the kernel runs: if the affine indices of an access leave the
+    field (or array) in an iteration that is certain to run, `tai.precondition`
+    refuses the launch and names the first such element. Where all these numbers
+    are constants, nothing or a condition that never holds is left of that.
+
+    An access is certain to run if all conditions around it are affine in the
+    indices of loops and in what the launch is given, as in `if i > 0`: they are
+    part of what is decided. Below any other condition, and in the body of
+    `scf.while`, nothing is certain, and no launch is refused for the access.
+
+    `bounds` says what happens to all other indices, which depend on data:
+
+    - `off`: nothing. The behaviour of an index that is out of range is
+      undefined.
+    - `check`: accesses that are known to lie in range get the attribute
+      `tai.in_range`, by which `tai-lower-layout` leaves out their check. A
+      kernel that needs checks gets `tai.checks_indices`, and no pass changes its
+      indices.
+    - `clamp`: an index that is not known to lie in range becomes the nearest
+      one that does. That is another program, so it is done first of all, before
+      differentiation, and by itself: no preconditions are made.
+
+    ```mlir
+    tai.kernel @next(%n: index) {
+      %c0 = arith.constant 0 : index
+      %c1 = arith.constant 1 : index
+      tai.parallel_for (%i) = (%c0) to (%n) {
+        %0 = arith.addi %i, %c1 : index
+        %1 = tai.load @x[%0] : f32   // of shape [8]
+        tai.store %1, @y[%i] : f32   // of shape [8]
+      }
+      tai.return
+    }
+    ```
+
+    begins, in effect, with
+
+    ```mlir
+    %0 = arith.cmpi slt, %n, %c8 : index
+    tai.precondition %0, "index {} is out of range ..."(%c8) : index
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::memref::MemRefDialect",
+                           "::mlir::tai::TaiDialect"];
+  let options = [
+    Option<"bounds", "bounds", "::mlir::tai::BoundsMode",
+           /*default=*/"::mlir::tai::BoundsMode::Off",
+           "What happens to indices that depend on data",
+           [{::llvm::cl::values(
+             clEnumValN(::mlir::tai::BoundsMode::Off, "off", "Nothing"),
+             clEnumValN(::mlir::tai::BoundsMode::Clamp, "clamp",
+                        "They become the nearest ones in range"),
+             clEnumValN(::mlir::tai::BoundsMode::Check, "check",
+                        "They are checked"))}]>,
+  ];
+}
+
+def NormalizeIndices : Pass<"tai-normalize-indices"> {
+  let summary = "write shifted and wrapped indices in one form";
+  let description = [{
+    Replaces an index of an access that is a shift of one index of the parallel
+    loop, wrapped around its range or not, by an addition and at most one
+    select on `index`. What an expression is, is found by evaluating it for each
+    value of the loop index, so the bounds of the loop must be constants.
+
+    ```mlir
+    // x[(i - 1) mod 8], in 32 bits, with the sign of the divisor
+    %0 = arith.index_cast %i : index to i32
+    %1 = arith.subi %0, %c1 : i32
+    %2 = arith.floordivsi %1, %c8 : i32
+    %3 = arith.muli %2, %c8 : i32
+    %4 = arith.subi %1, %3 : i32
+    %5 = arith.index_cast %4 : i32 to index
+    %6 = tai.load @x[%5] : f32
+    // becomes
+    %0 = arith.addi %i, %cm1 : index
+    %1 = arith.cmpi slt, %0, %c0 : index
+    %2 = arith.addi %i, %c7 : index
+    %3 = arith.select %1, %2, %0 : index
+    %4 = tai.load @x[%3] : f32
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect"];
+}
+
+def GatherAccumulations : Pass<"tai-gather-accumulations"> {
+  let summary = "turn scatters to shifted indices into gathers";
+  let description = [{
+    In a parallel loop over all elements of a field, additions to shifted
+    elements (`x[i + 1] += f(i)`, wrapped around the end of the field or left
+    out there) are replaced by one addition to the element of the iteration's
+    own index: `x[i] += f(i - 1)`. It is the adjoint of a stencil, written as a
+    stencil. The addition is `exclusive`, so that it needs no atomic operation,
+    its order is fixed, and the loop vectorises.
+
+    Left alone: additions at an index that is no shift of a loop index, loops
+    A loop over the inside of a field, which is more than half of it, becomes a
+    loop over all of the field, whose body asks whether it is inside.
+
+    Left alone: additions at an index that is no shift of a loop index, loops
+    over less of the field, values that cannot be computed twice or that read
+    what the loop writes, and more than `max-ops` operations to compute again.
+
+    ```mlir
+    tai.parallel_for (%i) in @x {
+      %0 = tai.load @y[%i] : f32
+      %1 = arith.addi %i, %c1 : index
+      %2 = arith.remui %1, %c8 : index
+      %3 = tai.atomic add %0, @x[%2] : f32
+    }
+    // becomes, with %s = %i - 1 wrapped into [0, 8)
+    tai.parallel_for (%i) in @x {
+      %0 = tai.load @y[%s] : f32
+      %1 = tai.atomic add %0, @x[%i] exclusive : f32
+    }
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect"];
+  let options = [
+    Option<"maxOps", "max-ops", "unsigned", /*default=*/"256",
+           "Largest number of operations computed again for one field">,
+  ];
+}
+
+def SplitInterior : Pass<"tai-split-interior"> {
+  let summary = "give a loop a second body for its interior";
+  let description = [{
+    Where all questions that a body asks about the innermost loop index (is this
+    a border, does an index wrap) have one answer on most of its range, wraps
+    the body in an `scf.if` on that range, in which the answers are constants.
+    The branch carries the range as `tai.interior` for `tai-split-loops`.
+
+    ```mlir
+    tai.parallel_for (%i) in @x {
+      %0 = arith.cmpi eq, %i, %c0 : index
+      %1 = arith.select %0, %c7, %im1 : index
+      ...
+    }
+    // becomes
+    tai.parallel_for (%i) in @x {
+      %0 = %i in [1, 8)
+      scf.if %0 {
+        ... // with %im1
+      } else {
+        ... // as before
+      } {tai.interior = array<i64: 1, 8>}
+    }
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect"];
+  let options = [
+    Option<"minLength", "min-length", "int64_t", /*default=*/"16",
+           "Shortest range of the innermost index that is split">,
+    Option<"maxOps", "max-ops", "int64_t", /*default=*/"400",
+           "Largest body that is copied, in operations">,
+  ];
+}
+
+def SplitLoops : Pass<"tai-split-loops"> {
+  let summary = "run the interior of a loop apart from its borders";
+  let description = [{
+    Splits a serial loop whose body is a branch marked `tai.interior` into a
+    loop over the interior, without the branch, and loops over the borders.
+
+    ```mlir
+    scf.for %i = %lo to %hi step %c1 {
+      scf.if %inside { A } else { B } {tai.interior = array<i64: 1, 8>}
+    }
+    // becomes, with lo <= a <= b <= hi
+    scf.for %i = %a to %b step %c1 { A }
+    scf.for %side = %c0 to %c2 step %c1 {
+      scf.for %i = ... { B } // [lo, a), then [b, hi)
+    }
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect"];
+}
+
+def FuseLaunches : Pass<"tai-fuse-launches", "::mlir::ModuleOp"> {
+  let summary = "make one kernel of those that are launched one after another";
+  let description = [{
+    Where a host function launches two kernels in a row (with nothing but
+    arithmetic between), each of one parallel loop over the same constant box,
+    and no iteration of the second meets what another iteration of the first
+    wrote, or overwrites what another one reads, launches one kernel with one
+    loop that runs both bodies. Loads of what the same iteration has just stored
+    become that value; the stores stay. Longer runs of launches become one
+    likewise. The kernels themselves stay for others that launch them.
+
+    Indices are compared as sums of induction variables and of what the host
+    passes. An argument that differs by a constant from one of the other launch
+    is computed from that.
+
+    ```mlir
+    tai.launch @f(%t) : (i32) -> ()   // y[t + 1, i] = f(x[t, i])
+    %t1 = arith.addi %t, %c1 : i32
+    tai.launch @g(%t1) : (i32) -> ()  // z[t, i] = g(y[t, i])
+    // becomes
+    tai.launch @f_g(%t) : (i32) -> ()
+    ```
+
+    Launches under a tape stay: they are differentiated one by one. So do
+    kernels that return values, take arrays, draw random numbers, print, assert,
+    or touch sparse fields.
+  }];
+  let options = [
+    Option<"deterministic", "deterministic", "bool", /*default=*/"false",
+           "Keep the order of float sums: those of two launches into the same "
+           "elements are not mixed">,
+    Option<"maxAccesses", "max-accesses", "int64_t", /*default=*/"128",
+           "Most accesses to fields in a kernel that is made">,
+  ];
+  let statistics = [
+    Statistic<"numFused", "num-fused", "Launches that became part of another">,
+  ];
+  let dependentDialects = ["::mlir::arith::ArithDialect"];
+}
+
+def TestFailure : Pass<"tai-test-failure", "::mlir::ModuleOp"> {
+  let summary = "fail, in tests of what is done about it";
+  let description = [{
+    Fails without saying why, or leaves a module behind that is not valid. No
+    pipeline has it but those that a test asks for.
+  }];
+  let options = [
+    Option<"invalid", "invalid", "bool", /*default=*/"false",
+           "Succeed, and leave an op that is not valid">,
+  ];
+}
+
+def Scalarize : Pass<"tai-scalarize"> {
+  let summary = "turn small vectors and matrices into scalars";
+  let description = [{
+    Replaces each value of vector type in kernels and host functions by one
+    scalar for each component: elementwise operations, the matrix operations of
+    the dialect, accesses to fields, and the values that loops and branches
+    carry. LLVM vectorises over the iterations of a loop, which it cannot do
+    where the values are vectors already.
+
+    What the caller of a kernel passes and receives keeps its type: arguments
+    are taken apart by `vector.to_elements` on entry, and results put together
+    by `vector.from_elements` on return.
+
+    ```mlir
+    %a = tai.load @v[%i] : vector<2xf32>
+    %b = arith.mulf %a, %a : vector<2xf32>
+    %n = tai.sum %b : vector<2xf32>
+    // becomes
+    %a0 = tai.load @v[%i] component [%c0] : f32
+    %a1 = tai.load @v[%i] component [%c1] : f32
+    %b0 = arith.mulf %a0, %a0 : f32
+    %b1 = arith.mulf %a1, %a1 : f32
+    %n = arith.addf %b0, %b1 : f32
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::math::MathDialect",
+                           "::mlir::scf::SCFDialect",
+                           "::mlir::vector::VectorDialect"];
+}
+
+def VectorizeBlocks : Pass<"tai-vectorize-blocks"> {
+  let summary = "run loops over blocked fields a row at a time";
+  let description = [{
+    Where the innermost level of a field is dense and cuts the index space into
+    blocks, the neighbours of an element may lie in another block, and the
+    address is no affine function of the index. This pass turns a loop over the
+    elements of such a field into one over its blocks. In the interior, where
+    every question about the indices has the same answer for all elements, each
+    row of a block becomes operations on vectors: what lies across a border is a
+    shuffle of two rows. Other blocks run element by element.
+
+    It takes loops that read elements at constant distances, compute with
+    elementwise operations and write to elements of their own; others stay.
+
+    ```mlir
+    tai.parallel_for (%i, %j) in @x { … }
+    // becomes, for a layout pointer<[i: 4, j: 4], dense<[i: 8, j: 8], {x: f32}>>
+    tai.parallel_for (%i, %j) in @x level 2 {
+      %inside = …
+      scf.if %inside { … : vector<8xf32> } else { scf.for … }
+    }
+    ```
+  }];
+  let options = [
+    Option<"maxOps", "max-ops", "int64_t", /*default=*/"512",
+           "Unroll rows of a block into at most so many operations">,
+  ];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect",
+                           "::mlir::LLVM::LLVMDialect"];
+}
+
+def RelaxAtomics : Pass<"tai-relax-atomics"> {
+  let summary = "choose how each accumulation of a parallel loop is done";
+  let description = [{
+    An atomic update in a parallel loop is
+    * a plain read and write (`exclusive`), where each iteration has elements of
+      its own;
+    * a sum in a register (`tai.accumulate = "register"`), one for each
+      partition, where all iterations update one element of a field, or of a
+      small array (`memref.alloca`) that the kernel makes for such sums;
+    * an addition to a buffer of the partition (`tai.accumulate = "private"`),
+      where the updated part of the field is small against the number of
+      updates;
+    * atomic otherwise.
+
+    Partial sums and buffers are combined in the order of the partitions, which
+    makes the result independent of timing. With `deterministic`, no float
+    accumulation stays atomic: a loop whose accumulations cannot be made
+    independent of timing runs on one thread.
+  }];
+  let options = [
+    Option<"deterministic", "deterministic", "bool", /*default=*/"false",
+           "Leave no accumulation whose result depends on timing">,
+    Option<"onDevice", "on-device", "bool", /*default=*/"false",
+           "Choose for a GPU: atomics are fast, threads are many, and no loop "
+           "is too small to be parallel">,
+  ];
+  let dependentDialects = ["::mlir::LLVM::LLVMDialect"];
+}
+
+def SpreadAccumulations : Pass<"tai-spread-accumulations"> {
+  let summary = "make iterations of additions that are written out, on a GPU";
+  let description = [{
+    Of a loop with few iterations and a long body that only adds to fields, such
+    as the adjoint of a dense layer whose sum is written out, additions that
+    differ in constant indices alone become iterations, where these indices take
+    even steps. What is left is done by one iteration more.
+
+    ```mlir
+    tai.parallel_for (%i) = (0) to (32) {
+      %g = …
+      tai.atomic add … @w[%i, 0] exclusive
+      …
+      tai.atomic add … @w[%i, 99] exclusive
+    }
+    // becomes
+    tai.parallel_for (%m, %i) = (0, 0) to (100, 32) {
+      %g = …
+      tai.atomic add … @w[%i, %m] exclusive
+    }
+    ```
+
+    Additions to one element that are not atomic stay in one iteration. Terms of
+    a long sum that is added atomically are added one by one, so in another
+    order. Bodies that read what they add to, store, or use what was there
+    before stay as they are.
+  }];
+  let options = [
+    Option<"maxIterations", "max-iterations", "int64_t", /*default=*/"512",
+           "Leave loops with more iterations as they are: they have work for "
+           "enough threads">,
+    Option<"minAdditions", "min-additions", "int64_t", /*default=*/"16",
+           "Leave bodies with fewer additions as they are">,
+  ];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect",
+                           "::mlir::LLVM::LLVMDialect"];
+}
+
+def StripLoops : Pass<"tai-strip-loops"> {
+  let summary = "give each iteration of a large loop several neighbours, on a GPU";
+  let description = [{
+    Of a loop over a large box whose accesses lie side by side in memory along
+    the innermost index, each iteration gets a strip of as many elements as 16
+    bytes hold. Inside of the borders, where every question about a single index
+    has one answer, their operations are interleaved, so that what is next to
+    each other is read and written at once; at borders they follow one another.
+    Where rows read what lies in other rows, the iterations of a block are those
+    of a tile.
+
+    ```mlir
+    tai.parallel_for (%i, %j) = (0, 0) to (8192, 8192) { body }
+    // becomes
+    tai.parallel_for (%a, %b, %r, %s) = (0, 0, 0, 0) to (1024, 64, 8, 32) {
+      %i = 8 * %a + %r
+      %j = 4 * (32 * %b + %s)
+      scf.if %inside { four times body' } else { scf.for body }
+    }
+    ```
+
+    Expects loops over boxes whose accumulations are decided
+    (`tai-relax-atomics`). Loops with updates of shared elements, inner loops,
+    random numbers or failures stay as they are.
+  }];
+  let options = [
+    Option<"minIterations", "min-iterations", "int64_t",
+           /*default=*/"int64_t(1) << 21",
+           "Leave loops with fewer iterations as they are: all threads of a GPU "
+           "are needed first">,
+    Option<"maxOps", "max-ops", "int64_t", /*default=*/"160",
+           "Leave larger bodies as they are">,
+  ];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect",
+                           "::mlir::LLVM::LLVMDialect"];
+}
+
+def GuardDivisions : Pass<"tai-guard-divisions", "::mlir::ModuleOp"> {
+  let summary = "define integer division by zero";
+  let description = [{
+    The `arith` dialect leaves undefined what a division of integers by zero
+    yields, and the smallest integer divided by -1. In kernels, and in host
+    functions that hold ops of this dialect, both get a result: the quotient and
+    the remainder by zero are 0, the smallest integer divided by -1 is itself,
+    and leaves 0.
+
+    ```mlir
+    %q = arith.divsi %a, %n : i32
+    // becomes, for %a that is not negative
+    %zero = arith.cmpi eq, %n, %c0 : i32
+    %d = arith.select %zero, %c1, %n : i32
+    %d_q = arith.divsi %a, %d : i32
+    %q = arith.select %zero, %c0, %d_q : i32
+    ```
+
+    A division that cannot do either, by the ranges of its operands, stays as it
+    is; one that always does is an error. With `debug`, a `tai.assert` reports
+    it too.
+  }];
+  let options = [
+    Option<"debug", "debug", "bool", /*default=*/"false",
+           "Report divisions by zero and those that overflow">,
+  ];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::vector::VectorDialect"];
+}
+
+def HoistAllocations : Pass<"tai-hoist-allocations"> {
+  let summary = "allocate once what each iteration of a loop allocates and frees";
+  let description = [{
+    Moves a call of `malloc` in the body of an `scf.for` before the loop, and the
+    `free` of the same block behind it, if the size does not change. Adjoints
+    record what loops carry in such memory; after `convert-tai-to-scf` every
+    thread that runs a part of a parallel loop then allocates once.
+  }];
+}
+
+#endif // TAI_TRANSFORMS_PASSES_TD

@@ -1,0 +1,140 @@
+//===- ContendedAtomics.h - Products and extrema over iterations -*- C++
+//-*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The derivatives of elements that the iterations of a parallel loop multiply,
+// or compare with their values, at the same time. See ContendedAtomics.cpp for
+// what the adjoint does, and Contention.cpp for the formulas.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_AD_REVERSE_CONTENDEDATOMICS_H
+#define TAI_LIB_AD_REVERSE_CONTENDEDATOMICS_H
+
+#include "tai/AD/AdjointBuilder.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+namespace mlir::tai {
+
+/// A loop around an atomic, along one dimension: its index in the primal, and
+/// its range in the adjoint. No step is a step of one.
+struct CountedLoop {
+  Value iv;
+  Value lower, step, extent;
+};
+
+/// What is kept of each run of an atomic: its value, which becomes the adjoint
+/// of the value, and the number of the element, or -1 where it did not run.
+struct KeptValues {
+  SmallVector<CountedLoop> loops;
+  Value size, values, elements;
+};
+
+/// The updates of one kind of one field in one parallel loop.
+class Contention {
+public:
+  Contention(AdjointBuilder &b, ParallelForOp loop, AtomicKind kind)
+      : b(b), loop(loop), kind(kind) {}
+
+  void add(AtomicOp atomic) { atomics.push_back(atomic); }
+  MutableArrayRef<AtomicOp> getAtomics() { return atomics; }
+
+  /// Makes room for what is known of each element.
+  LogicalResult prepare();
+  KeptValues createKept(ArrayRef<CountedLoop> loops);
+  /// At `copy`, in a copy of the loop: keeps its value. `run` is how often it
+  /// could have run before.
+  void keepValue(const KeptValues &kept, AtomicOp copy, Value run);
+  /// Turns values into their adjoints, and the adjoint of each element into
+  /// that of what stood there before.
+  void createAdjoints(ArrayRef<KeptValues> kept);
+
+private:
+  /// One dimension of the elements.
+  struct Dimension {
+    Value fixed; // the index, where it is the same for all
+    int64_t first, extent;
+  };
+  /// Where a loop over elements is.
+  struct Element {
+    Value number;
+    SmallVector<Value> indices, components;
+  };
+
+  LogicalResult findDimensions();
+  Value createBuffer(Value size, Type type, Value init);
+  void createLoop(ValueRange sizes,
+                  llvm::function_ref<void(ValueRange)> createBody);
+  void createElementLoop(llvm::function_ref<void(const Element &)> createBody);
+  void createValueLoop(const KeptValues &kept,
+                       llvm::function_ref<void(Value, Value, Value)> create);
+  Value createFactorAdjoint(Value factor, Value element);
+  void startProduct();
+  void countDeciding(const KeptValues &kept);
+  void createProductWeights();
+  void createExtremeWeights();
+  void createShares(const KeptValues &kept);
+
+  Value loadElement(Storage storage, const Element &element);
+  void storeElement(Value value, Storage storage, const Element &element);
+  Storage getStorage() { return atomics.front().getFieldAttr(); }
+  Value load(Value buffer, Value at);
+  void store(Value value, Value buffer, Value at);
+  Value compare(arith::CmpFPredicate predicate, Value lhs, Value rhs);
+  Value select(Value condition, Value yes, Value no);
+  Value constant(double value) { return b.createConstant(real, value); }
+  Value integer(int64_t value);
+  Value isInteger(Value value, int64_t expected);
+  Value isZero(Value value);
+  Value toReal(Value value);
+
+  AdjointBuilder &b;
+  ParallelForOp loop;
+  AtomicKind kind;
+  SmallVector<AtomicOp> atomics;
+  /// What is computed in: no less than f32.
+  Type real;
+  SmallVector<Dimension> dimensions;
+  unsigned rank = 0; // of the field, without its components
+  /// By element: the extreme value, or the product without zeros; how many
+  /// values are equal to it, or are zero; what such a value gets.
+  Value numElements, total, count, weight;
+};
+
+class ContendedAtomics {
+public:
+  explicit ContendedAtomics(AdjointBuilder &builder) : b(builder) {}
+
+  /// Before the reverse of `loop`: finds the adjoints of all contributions.
+  LogicalResult begin(FunctionOpInterface kernel, ParallelForOp loop);
+  /// In the reverse of the loop: the adjoint of the contribution, or null for
+  /// an atomic that is not one.
+  Value getAdjoint(AtomicOp atomic);
+  /// After the reverse of the loop.
+  void end();
+
+private:
+  LogicalResult check(FunctionOpInterface kernel, ParallelForOp loop,
+                      AtomicOp atomic);
+  FailureOr<SmallVector<CountedLoop>> countLoops(ParallelForOp loop,
+                                                 AtomicOp atomic);
+  LogicalResult keepValues(FunctionOpInterface kernel, ParallelForOp loop,
+                           MutableArrayRef<Contention> groups);
+
+  AdjointBuilder &b;
+  llvm::MapVector<Operation *, KeptValues> kept;
+};
+
+/// True if `value` is the same in all iterations and known before the loop.
+bool isKnownBefore(Operation *loop, Value value);
+
+/// The indices of the element, then those of its component.
+SmallVector<Value> getElementPosition(AtomicOp atomic);
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_AD_REVERSE_CONTENDEDATOMICS_H

@@ -1,0 +1,51 @@
+//===- StoredOutputs.h - Values that a kernel leaves in fields --*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The derivatives of tanh, exp or sqrt need the result, which the kernel has
+// often stored: `y[t, i] = tanh(total)`. An adjoint that may rely on finding it
+// there loads it, and computes nothing of what led to it.
+//
+// See docs/decisions/0013-stored-outputs.md for who may rely on that.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_AD_REVERSE_STOREDOUTPUTS_H
+#define TAI_LIB_AD_REVERSE_STOREDOUTPUTS_H
+
+#include "tai/AD/AdjointBuilder.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+namespace mlir::tai {
+
+/// The values of a kernel that stand in a field when it is done.
+class StoredOutputs {
+public:
+  /// Where a value stands: in what `store` stores, or in one component
+  /// (row-major) of that, unless `component` is -1.
+  struct Place {
+    StoreOp store;
+    int64_t component = -1;
+  };
+
+  StoredOutputs(FunctionOpInterface function, const AccessTable &accesses);
+
+  bool empty() const { return places.empty(); }
+  const Place *find(Value value) const {
+    auto found = places.find(value);
+    return found == places.end() ? nullptr : &found->second;
+  }
+
+  /// The stores whose elements the adjoint has loaded.
+  llvm::SetVector<Operation *> used;
+
+private:
+  DenseMap<Value, Place> places;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_AD_REVERSE_STOREDOUTPUTS_H

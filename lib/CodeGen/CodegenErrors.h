@@ -1,0 +1,41 @@
+//===- CodegenErrors.h - What goes wrong inside LLVM ------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// LLVM reports some errors to a handler of the context, and ends the process
+// where its code generator cannot go on. A compiler that lives in somebody's
+// program turns both into errors.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CODEGEN_CODEGENERRORS_H
+#define TAI_LIB_CODEGEN_CODEGENERRORS_H
+
+#include "llvm/ADT/STLFunctionalExtras.h"
+#include "llvm/IR/DiagnosticHandler.h"
+#include "llvm/Support/Error.h"
+#include <string>
+
+namespace mlir::tai {
+
+/// Runs a task. After a fatal error in it, `broken` is true, and what the task
+/// worked on is in no state to be used or even destroyed. Tests inject an error
+/// at `place`.
+llvm::Error guardFatalErrors(bool &broken, llvm::StringRef place,
+                             llvm::function_ref<void()> task);
+
+/// Keeps the first error that code generation reports.
+struct CodegenErrors : llvm::DiagnosticHandler {
+  explicit CodegenErrors(std::string &message) : message(message) {}
+
+  bool handleDiagnostics(const llvm::DiagnosticInfo &info) override;
+
+  std::string &message;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CODEGEN_CODEGENERRORS_H

@@ -1,0 +1,48 @@
+//===- CodegenPasses.h - The passes of a code generator ---------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CODEGEN_CODEGENPASSES_H
+#define TAI_LIB_CODEGEN_CODEGENPASSES_H
+
+#include "VerifyEach.h"
+#include "llvm/ADT/StringRef.h"
+#include "llvm/IR/LegacyPassManager.h"
+#include "llvm/IR/Verifier.h"
+#include "llvm/Pass.h"
+#include <functional>
+
+namespace mlir::tai {
+
+/// The code generator's passes without strength reduction. On a CPU that pass
+/// takes half of the time of code generation, because loops over many arrays
+/// give it many formulas to weigh, and what it gains the addressing modes of
+/// the machine give for nothing. On a GPU it gives a loop over iterations
+/// several counters, each with its own division into indices.
+class CodegenPasses : public llvm::legacy::PassManager {
+public:
+  void add(llvm::Pass *pass) override {
+    if (pass->getPassName() == "Loop Strength Reduction") {
+      delete pass;
+      return;
+    }
+    if (beforeVectorizer &&
+        pass->getPassName() == "GPU Load and Store Vectorizer") {
+      llvm::legacy::PassManager::add(beforeVectorizer());
+      if (verifiesEach())
+        llvm::legacy::PassManager::add(llvm::createVerifierPass());
+    }
+    llvm::legacy::PassManager::add(pass);
+  }
+
+  /// Makes a pass to run before loads and stores are vectorised, when addresses
+  /// are what the machine will see.
+  std::function<llvm::Pass *()> beforeVectorizer;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CODEGEN_CODEGENPASSES_H

@@ -1,0 +1,23 @@
+//===- Libdevice.h - CUDA's math library ------------------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CODEGEN_DEVICE_LIBDEVICE_H
+#define TAI_LIB_CODEGEN_DEVICE_LIBDEVICE_H
+
+#include "llvm/Support/MemoryBufferRef.h"
+#include <optional>
+#include <string>
+
+namespace mlir::tai {
+
+/// The bitcode of libdevice, kept once it has been read; else, in `searched`,
+/// where it was looked for.
+std::optional<llvm::MemoryBufferRef> getLibdevice(std::string &searched);
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CODEGEN_DEVICE_LIBDEVICE_H

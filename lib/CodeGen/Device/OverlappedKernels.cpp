@@ -1,0 +1,85 @@
+//===- OverlappedKernels.cpp - Kernels that wait by themselves ------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A kernel that begins with `griddepcontrol.wait` can be made ready, and its
+// blocks can be brought to where they run, while the kernel before it in the
+// queue is still at work. It must not read past the caches of writes: it has
+// begun when that one writes.
+//
+//===----------------------------------------------------------------------===//
+
+#include "ProgramParts.h"
+#include "tai/CodeGen/DeviceCompiler.h"
+#include "llvm/ADT/DenseSet.h"
+#include "llvm/IR/IRBuilder.h"
+#include "llvm/IR/InlineAsm.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+using llvm::createStringError;
+using llvm::Error;
+using llvm::Expected;
+
+/// Calls `body` once what was queued before has ended. From the start on, what
+/// is queued behind may be made ready.
+static llvm::Function *addKernel(llvm::Function &body, size_t number) {
+  llvm::Module &module = *body.getParent();
+  llvm::LLVMContext &context = module.getContext();
+  llvm::IRBuilder<> builder(context);
+  auto *kernel = llvm::Function::Create(
+      body.getFunctionType(), llvm::GlobalValue::ExternalLinkage,
+      "tai_overlapped" + Twine(number), module);
+  kernel->setCallingConv(llvm::CallingConv::PTX_Kernel);
+  builder.SetInsertPoint(llvm::BasicBlock::Create(context, "", kernel));
+  // As assembly, since the intrinsics let loads pass.
+  auto *type = llvm::FunctionType::get(builder.getVoidTy(), false);
+  for (StringRef text :
+       {"griddepcontrol.launch_dependents;", "griddepcontrol.wait;"})
+    builder.CreateCall(type, llvm::InlineAsm::get(type, text, "~{memory}",
+                                                  /*hasSideEffects=*/true));
+  SmallVector<llvm::Value *> arguments;
+  for (llvm::Argument &argument : kernel->args())
+    arguments.push_back(&argument);
+  builder.CreateCall(&body, arguments);
+  builder.CreateRetVoid();
+  return kernel;
+}
+
+Expected<runtime::DeviceImage>
+DeviceCompiler::makeOverlapped(ArrayRef<runtime::ProgramPart> parts) {
+  if (!isCuda())
+    return createStringError("kernels of this device do not overlap");
+  DeviceCode code;
+  code.context = std::make_unique<llvm::LLVMContext>();
+  code.module = std::make_unique<llvm::Module>("overlapped", *code.context);
+  llvm::Module &module = *code.module;
+  setTarget(module);
+  llvm::DenseSet<llvm::GlobalValue *> visible;
+  for (auto [i, part] : llvm::enumerate(parts)) {
+    if (!part.bitcode)
+      return createStringError("'%s' has no code", part.function.c_str());
+    auto body = addPart(module, *part.bitcode, part.function, i);
+    if (!body)
+      return body.takeError();
+    llvm::Function *kernel = addKernel(**body, i);
+    code.functions.push_back(kernel->getName().str());
+    code.mostThreads.push_back(part.threads ? std::to_string(part.threads)
+                                            : std::string());
+    visible.insert(kernel);
+  }
+  if (Error error = link(module))
+    return error;
+  for (llvm::Function &function : module)
+    forgetInvariance(function);
+  for (llvm::GlobalValue &value : module.global_values())
+    if (!value.isDeclaration() && !visible.contains(&value))
+      value.setLinkage(llvm::GlobalValue::InternalLinkage);
+  prepareForCuda(module);
+  if (Error error = optimize(code))
+    return error;
+  return emit(code);
+}

@@ -1,0 +1,20 @@
+//===- InjectedFailures.cpp - Failures that tests ask for -----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "InjectedFailures.h"
+#include "mlir/Pass/PassManager.h"
+#include "tai/Transforms/Passes.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+void mlir::tai::injectFailingPass(OpPassManager &manager, StringRef place) {
+  TestFailureOptions options;
+  options.invalid = injectsFailure((place + "-invalid").str());
+  if (options.invalid || injectsFailure(place))
+    manager.addPass(createTestFailure(options));
+}

@@ -1,0 +1,36 @@
+//===- InjectedFailures.h - Failures that tests ask for ---------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// What follows on a bug of ours is tested where there is none.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CODEGEN_INJECTEDFAILURES_H
+#define TAI_LIB_CODEGEN_INJECTEDFAILURES_H
+
+#include "llvm/ADT/StringRef.h"
+#include <cstdlib>
+
+namespace mlir {
+class OpPassManager;
+} // namespace mlir
+
+namespace mlir::tai {
+
+/// True where the environment variable TAI_INJECT_FAILURE names this place.
+inline bool injectsFailure(llvm::StringRef place) {
+  const char *given = std::getenv("TAI_INJECT_FAILURE");
+  return given && place == given;
+}
+
+/// Adds a pass that fails, at "place" without a word, at "place-invalid" by
+/// what it leaves.
+void injectFailingPass(OpPassManager &manager, llvm::StringRef place);
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CODEGEN_INJECTEDFAILURES_H

@@ -1,0 +1,112 @@
+//===- Linker.cpp - Object code to functions in this process --------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/CodeGen/Linker.h"
+#include "llvm/ExecutionEngine/Orc/AbsoluteSymbols.h"
+#include "llvm/ExecutionEngine/Orc/Core.h"
+#include "llvm/ExecutionEngine/Orc/ExecutionUtils.h"
+#include "llvm/ExecutionEngine/Orc/ObjectLinkingLayer.h"
+#include "llvm/ExecutionEngine/Orc/SelfExecutorProcessControl.h"
+#include "llvm/ExecutionEngine/Orc/TaskDispatch.h"
+#include "llvm/Support/MemoryBuffer.h"
+
+using namespace llvm;
+using namespace llvm::orc;
+using namespace mlir::tai;
+
+Linker::Linker() = default;
+
+Linker::~Linker() {
+  // Ends the session first: that frees, through the layer, what was linked.
+  if (session)
+    consumeError(session->endSession());
+  layer.reset();
+}
+
+Expected<std::unique_ptr<Linker>>
+Linker::create(ArrayRef<runtime::RuntimeSymbol> runtime) {
+  std::unique_ptr<Linker> linker(new Linker());
+  // Linking happens on the calling thread: the compiler has its own threads.
+  auto control = SelfExecutorProcessControl::Create(
+      nullptr, std::make_unique<InPlaceTaskDispatcher>());
+  if (!control)
+    return control.takeError();
+  linker->session = std::make_unique<ExecutionSession>(std::move(*control));
+  // Nothing is printed. What comes back through the calls does not say why.
+  linker->session->setErrorReporter([linker = linker.get()](Error error) {
+    std::lock_guard<std::mutex> lock(linker->mutex);
+    linker->reasons +=
+        (linker->reasons.empty() ? "" : "; ") + toString(std::move(error));
+  });
+  linker->layer = std::make_unique<ObjectLinkingLayer>(*linker->session);
+
+  JITDylib &library = linker->session->createBareJITDylib("runtime");
+  SymbolMap symbols;
+  for (const runtime::RuntimeSymbol &symbol : runtime)
+    symbols[linker->session->intern(symbol.name)] = {
+        ExecutorAddr::fromPtr(symbol.address),
+        JITSymbolFlags::Exported | JITSymbolFlags::Callable};
+  if (Error error = library.define(absoluteSymbols(std::move(symbols))))
+    return error;
+  // The math libraries by name: the process may hold them privately only. The
+  // vector library is there on x86 alone.
+  for (const char *name : {"libm.so.6", "libmvec.so.1"}) {
+    auto generator = DynamicLibrarySearchGenerator::Load(name, '\0');
+    if (generator)
+      library.addGenerator(std::move(*generator));
+    else
+      consumeError(generator.takeError());
+  }
+  auto process = DynamicLibrarySearchGenerator::GetForCurrentProcess('\0');
+  if (!process)
+    return process.takeError();
+  library.addGenerator(std::move(*process));
+  linker->runtimeLibrary = &library;
+  return linker;
+}
+
+Expected<Linker::Linked> Linker::link(ArrayRef<char> object,
+                                      ArrayRef<std::string> names) {
+  std::string name;
+  {
+    std::lock_guard<std::mutex> lock(mutex);
+    name = "kernel" + std::to_string(counter++);
+  }
+  JITDylib &library = session->createBareJITDylib(name);
+  linked.fetch_add(1, std::memory_order_relaxed);
+  library.addToLinkOrder(*runtimeLibrary);
+  Linked result;
+  result.library = &library;
+  auto fail = [&](Error error) -> Error {
+    unload(&library);
+    std::lock_guard<std::mutex> lock(mutex);
+    if (reasons.empty())
+      return error;
+    return createStringError(toString(std::move(error)) + ": " +
+                             std::exchange(reasons, std::string()));
+  };
+  auto buffer = MemoryBuffer::getMemBufferCopy(
+      StringRef(object.data(), object.size()), name);
+  if (Error error = layer->add(library, std::move(buffer)))
+    return fail(std::move(error));
+  for (const std::string &symbol : names) {
+    auto address = session->lookup({&library}, session->intern(symbol));
+    if (!address)
+      return fail(address.takeError());
+    result.addresses.push_back(address->getAddress().toPtr<void *>());
+  }
+  return result;
+}
+
+void Linker::unload(Library *library) {
+  consumeError(session->removeJITDylib(*library));
+  linked.fetch_sub(1, std::memory_order_relaxed);
+  // Names are kept until somebody looks for those that nobody uses.
+  constexpr uint64_t often = 256;
+  if (unloaded.fetch_add(1, std::memory_order_relaxed) % often == often - 1)
+    session->getSymbolStringPool()->clearDeadEntries();
+}

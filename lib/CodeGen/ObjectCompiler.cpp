@@ -1,0 +1,264 @@
+//===- ObjectCompiler.cpp - LLVM IR to object code for this CPU -----------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/CodeGen/ObjectCompiler.h"
+#include "CodegenErrors.h"
+#include "CodegenPasses.h"
+#include "Passes/HalfAtomics.h"
+#include "Passes/HugeBodies.h"
+#include "Passes/InsertSafepoints.h"
+#include "Passes/TransposeColumns.h"
+#include "VerifyEach.h"
+#include "llvm/Analysis/TargetLibraryInfo.h"
+#include "llvm/IR/InstIterator.h"
+#include "llvm/IR/Module.h"
+#include "llvm/IR/Operator.h"
+#include "llvm/MC/TargetRegistry.h"
+#include "llvm/Passes/PassBuilder.h"
+#include "llvm/Support/DynamicLibrary.h"
+#include "llvm/Support/TargetSelect.h"
+#include "llvm/Target/TargetMachine.h"
+#include "llvm/TargetParser/Host.h"
+#include "llvm/TargetParser/SubtargetFeature.h"
+#include "llvm/TargetParser/Triple.h"
+#include "llvm/Transforms/Instrumentation/AddressSanitizer.h"
+#include "llvm/Transforms/Scalar/GVN.h"
+
+using namespace llvm;
+using namespace mlir::tai;
+
+const HostCpu &HostCpu::get() {
+  static const HostCpu host = [] {
+    InitializeNativeTarget();
+    InitializeNativeTargetAsmPrinter();
+    InitializeNativeTargetAsmParser();
+    HostCpu cpu;
+    cpu.triple = sys::getProcessTriple();
+    cpu.name = sys::getHostCPUName().str();
+    // Sorted, because the string is part of the key of cached code.
+    StringMap<bool> map = sys::getHostCPUFeatures();
+    SmallVector<StringRef> names(map.keys());
+    sort(names);
+    SubtargetFeatures features;
+    for (StringRef name : names)
+      features.AddFeature(name, map[name]);
+    cpu.features = features.getString();
+    return cpu;
+  }();
+  return host;
+}
+
+ObjectCompiler::ObjectCompiler(const CodegenOptions &options)
+    : options(options) {}
+
+ObjectCompiler::~ObjectCompiler() = default;
+
+Expected<std::unique_ptr<ObjectCompiler>>
+ObjectCompiler::create(const CodegenOptions &options) {
+  const HostCpu &host = HostCpu::get();
+  Triple triple(host.triple);
+  std::string message;
+  const Target *target = TargetRegistry::lookupTarget(triple, message);
+  if (!target)
+    return createStringError("no code generator for this CPU: %s",
+                             message.c_str());
+  TargetOptions targetOptions;
+  targetOptions.AllowFPOpFusion =
+      options.contract ? FPOpFusion::Fast : FPOpFusion::Standard;
+  // Nothing unwinds through a kernel.
+  targetOptions.ExceptionModel = ExceptionHandling::None;
+  static constexpr CodeGenOptLevel levels[] = {
+      CodeGenOptLevel::None, CodeGenOptLevel::Less, CodeGenOptLevel::Default,
+      CodeGenOptLevel::Aggressive};
+  std::unique_ptr<ObjectCompiler> compiler(new ObjectCompiler(options));
+  // Position-independent code in the small model: the linker may place it
+  // anywhere, and reaches the runtime through its own table.
+  compiler->machine.reset(target->createTargetMachine(
+      triple, host.name, host.features, targetOptions, Reloc::PIC_,
+      CodeModel::Small, levels[std::min(options.optLevel, 3u)], /*JIT=*/true));
+  if (!compiler->machine)
+    return createStringError("no target machine for %s", host.triple.c_str());
+  return compiler;
+}
+
+void mlir::tai::allowFastMath(Module &module) {
+  FastMathFlags flags;
+  flags.setAllowReassoc();
+  flags.setNoSignedZeros();
+  flags.setAllowReciprocal();
+  flags.setAllowContract();
+  flags.setApproxFunc();
+  for (Function &function : module)
+    for (Instruction &instruction : instructions(function))
+      if (isa<FPMathOperator>(instruction))
+        instruction.setFastMathFlags(instruction.getFastMathFlags() | flags);
+}
+
+/// True if glibc's vector math library can be loaded into this process.
+static bool hasVectorMathLibrary() {
+  static const bool found =
+      sys::DynamicLibrary::getPermanentLibrary("libmvec.so.1").isValid();
+  return found;
+}
+
+//===----------------------------------------------------------------------===//
+// Optimisation
+//===----------------------------------------------------------------------===//
+
+Error ObjectCompiler::optimize(Module &module) {
+  return guardFatalErrors(broken, "optimize", [&] { runPasses(module); });
+}
+
+/// The number of instructions in the largest basic block.
+static size_t getLargestBlock(const Module &module) {
+  size_t largest = 0;
+  for (const Function &function : module)
+    for (const BasicBlock &block : function)
+      largest = std::max(largest, block.size());
+  return largest;
+}
+
+namespace {
+/// Value numbering that does not carry a load over to the next iteration of a
+/// loop. A stencil reads each element in several iterations, and a value that
+/// is carried across branches or stores keeps the loop from being vectorised.
+struct StencilGVN : PassInfoMixin<StencilGVN> {
+  PreservedAnalyses run(Function &function, FunctionAnalysisManager &analyses) {
+    return GVNPass(GVNOptions().setLoadInLoopPRE(false))
+        .run(function, analyses);
+  }
+};
+} // namespace
+
+void ObjectCompiler::setTarget(Module &module) {
+  module.setTargetTriple(machine->getTargetTriple());
+  module.setDataLayout(machine->createDataLayout());
+}
+
+void ObjectCompiler::runPasses(Module &module) {
+  setTarget(module);
+  if (options.fastMath)
+    allowFastMath(module);
+  for (Function &function : module) {
+    if (function.isDeclaration())
+      continue;
+    function.setDoesNotThrow();
+    function.addFnAttr("no-trapping-math", "true");
+    if (options.sanitizeAddress)
+      function.addFnAttr(llvm::Attribute::SanitizeAddress);
+  }
+
+  PipelineTuningOptions tuning;
+  tuning.LoopVectorization = options.optLevel > 1;
+  // Its time grows with the square of a block, and unrolled programs make
+  // blocks that would take seconds.
+  tuning.SLPVectorization =
+      options.optLevel > 1 && getLargestBlock(module) < 2000;
+  tuning.LoopInterleaving = options.optLevel > 1;
+  LoopAnalysisManager loops;
+  FunctionAnalysisManager functions;
+  CGSCCAnalysisManager sccs;
+  ModuleAnalysisManager modules;
+  TargetLibraryInfoImpl libraryInfo(machine->getTargetTriple());
+  // Its results are within 4 ulp, which only fast_math may accept.
+  if (options.fastMath && machine->getTargetTriple().isX86() &&
+      hasVectorMathLibrary())
+    libraryInfo.addVectorizableFunctionsFromVecLib(VectorLibrary::LIBMVEC,
+                                                   machine->getTargetTriple());
+  functions.registerPass([&] { return TargetLibraryAnalysis(libraryInfo); });
+  // The pipeline's own value numbering makes way for ours, which is all that an
+  // option of the pipeline could do, if it had one.
+  PassInstrumentationCallbacks callbacks;
+  callbacks.registerShouldRunOptionalPassCallback([](StringRef name, Any ir) {
+    return name != "GVNPass" && KeepHugeLoopsScalar::canRun(name, ir);
+  });
+  verifyOwnPasses(callbacks);
+  PassBuilder builder(machine.get(), tuning, std::nullopt, &callbacks);
+  builder.registerScalarOptimizerLateEPCallback(
+      [](FunctionPassManager &late, OptimizationLevel) {
+        late.addPass(StencilGVN());
+      });
+  builder.registerVectorizerStartEPCallback(
+      [](FunctionPassManager &early, OptimizationLevel) {
+        early.addPass(KeepHugeLoopsScalar());
+      });
+  builder.registerVectorizerEndEPCallback(
+      [](FunctionPassManager &late, OptimizationLevel) {
+        late.addPass(TransposeColumns());
+      });
+  builder.registerOptimizerLastEPCallback(
+      [](ModulePassManager &last, OptimizationLevel, ThinOrFullLTOPhase) {
+        last.addPass(createModuleToFunctionPassAdaptor(InsertSafepoints()));
+      });
+  if (options.sanitizeAddress)
+    builder.registerOptimizerLastEPCallback(
+        [](ModulePassManager &last, OptimizationLevel, ThinOrFullLTOPhase) {
+          // Code comes and goes without constructors and destructors.
+          last.addPass(AddressSanitizerPass(
+              AddressSanitizerOptions(), /*UseGlobalGC=*/false,
+              /*UseOdrIndicator=*/false, AsanDtorKind::None,
+              AsanCtorKind::None));
+        });
+  builder.registerModuleAnalyses(modules);
+  builder.registerCGSCCAnalyses(sccs);
+  builder.registerFunctionAnalyses(functions);
+  builder.registerLoopAnalyses(loops);
+  builder.crossRegisterProxies(loops, functions, sccs, modules);
+  static const OptimizationLevel levels[] = {
+      OptimizationLevel::O0, OptimizationLevel::O1, OptimizationLevel::O2,
+      OptimizationLevel::O3};
+  ModulePassManager passes = builder.buildPerModuleDefaultPipeline(
+      levels[std::min(options.optLevel, 3u)]);
+  passes.run(module, modules);
+  expandHalfAtomics(module);
+}
+
+//===----------------------------------------------------------------------===//
+// Code generation
+//===----------------------------------------------------------------------===//
+
+Error ObjectCompiler::emit(Module &module, raw_pwrite_stream &stream,
+                           bool assembly) {
+  std::string message;
+  module.getContext().setDiagnosticHandler(
+      std::make_unique<CodegenErrors>(message));
+  bool supported = true;
+  Error error = guardFatalErrors(broken, "emit", [&] {
+    divideHugeBlocks(module, machine.get());
+    CodegenPasses passes;
+    supported = !machine->addPassesToEmitFile(
+        passes, stream, /*DwoOut=*/nullptr,
+        assembly ? CodeGenFileType::AssemblyFile : CodeGenFileType::ObjectFile,
+        /*DisableVerify=*/!verifiesEach());
+    if (supported)
+      passes.run(module);
+  });
+  if (error)
+    return error;
+  module.getContext().setDiagnosticHandler(nullptr);
+  if (!supported)
+    return createStringError("this target cannot emit the file type");
+  if (!message.empty())
+    return createStringError(message);
+  return Error::success();
+}
+
+Expected<SmallVector<char, 0>> ObjectCompiler::emitObject(Module &module) {
+  SmallVector<char, 0> object;
+  raw_svector_ostream stream(object);
+  if (Error error = emit(module, stream, /*assembly=*/false))
+    return error;
+  return object;
+}
+
+Expected<std::string> ObjectCompiler::emitAssembly(Module &module) {
+  SmallVector<char, 0> text;
+  raw_svector_ostream stream(text);
+  if (Error error = emit(module, stream, /*assembly=*/true))
+    return error;
+  return std::string(text.begin(), text.end());
+}

@@ -1,0 +1,24 @@
+//===- AggregateAtomics.h - One atomic addition for a warp ------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CODEGEN_PASSES_AGGREGATEATOMICS_H
+#define TAI_LIB_CODEGEN_PASSES_AGGREGATEATOMICS_H
+
+#include "llvm/IR/PassManager.h"
+
+namespace mlir::tai {
+
+/// Where all threads of a warp add to the same elements of f32, adds up their
+/// values first, so that one of them adds to each element. For NVPTX.
+struct AggregateAtomics : llvm::PassInfoMixin<AggregateAtomics> {
+  llvm::PreservedAnalyses run(llvm::Function &function,
+                              llvm::FunctionAnalysisManager &analyses);
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CODEGEN_PASSES_AGGREGATEATOMICS_H

@@ -1,0 +1,25 @@
+//===- GroupLoads.h - Loads before the stores they can pass -----*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CODEGEN_PASSES_GROUPLOADS_H
+#define TAI_LIB_CODEGEN_PASSES_GROUPLOADS_H
+
+#include "llvm/IR/PassManager.h"
+
+namespace mlir::tai {
+
+/// Moves loads of a block up to earlier ones, past stores to other memory, so
+/// that a GPU waits once for several of them. ptxas does not do that: it knows
+/// nothing of what may alias.
+struct GroupLoads : llvm::PassInfoMixin<GroupLoads> {
+  llvm::PreservedAnalyses run(llvm::Function &function,
+                              llvm::FunctionAnalysisManager &analyses);
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CODEGEN_PASSES_GROUPLOADS_H

@@ -1,0 +1,161 @@
+//===- LocalMemory.cpp - Where a thread of a device has no memory ---------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A thread that is given no memory gives back what it has, and goes to the end
+// of its function. All threads of a block meet where they add up their sums: it
+// does not leave that out.
+//
+//===----------------------------------------------------------------------===//
+
+#include "LocalMemory.h"
+#include "tai/ABI/LocalMemory.h"
+#include "llvm/IR/Dominators.h"
+#include "llvm/IR/IRBuilder.h"
+#include "llvm/IR/InstIterator.h"
+#include "llvm/IR/MDBuilder.h"
+#include "llvm/IR/Module.h"
+
+using namespace llvm;
+
+/// The first block in which threads meet, or null.
+static BasicBlock *findMeeting(Function &function, const DominatorTree &tree) {
+  BasicBlock *first = nullptr;
+  for (Instruction &instruction : instructions(function)) {
+    auto *call = dyn_cast<CallInst>(&instruction);
+    const Function *callee = call ? call->getCalledFunction() : nullptr;
+    if (!callee || !callee->getName().starts_with("tai_dev_reduce_"))
+      continue;
+    BasicBlock *block = call->getParent();
+    if (!first || tree.dominates(block, first))
+      first = block;
+  }
+  return first;
+}
+
+static bool isValid(Function &function) {
+  DominatorTree tree(function);
+  for (Instruction &instruction : instructions(function))
+    for (Use &use : instruction.operands())
+      if (auto *definition = dyn_cast<Instruction>(use.get()))
+        if (!tree.dominates(definition, use))
+          return false;
+  return true;
+}
+
+namespace {
+/// What a function has allocated and frees itself, each in a variable that is
+/// null while there is none.
+class OwnMemory {
+public:
+  explicit OwnMemory(Function &function);
+  void freeAll(IRBuilder<> &builder) const;
+
+private:
+  SmallVector<AllocaInst *> variables;
+  FunctionCallee release;
+};
+} // namespace
+
+OwnMemory::OwnMemory(Function &function) {
+  SmallVector<CallInst *> allocations;
+  for (Instruction &instruction : instructions(function))
+    if (auto *call = dyn_cast<CallInst>(&instruction))
+      if (const Function *callee = call->getCalledFunction();
+          callee && callee->getName() == mlir::tai::kLocalAllocate)
+        allocations.push_back(call);
+  Function *free = function.getParent()->getFunction(mlir::tai::kLocalFree);
+  if (!free)
+    return;
+  release = free;
+  for (CallInst *allocation : allocations) {
+    SmallVector<CallInst *> frees;
+    for (User *user : allocation->users())
+      if (auto *call = dyn_cast<CallInst>(user))
+        if (call->getCalledFunction() == free)
+          frees.push_back(call);
+    if (frees.empty())
+      continue;
+    IRBuilder<> builder(&*function.getEntryBlock().getFirstInsertionPt());
+    auto *null = ConstantPointerNull::get(builder.getPtrTy());
+    AllocaInst *variable = builder.CreateAlloca(builder.getPtrTy());
+    builder.CreateStore(null, variable);
+    builder.SetInsertPoint(allocation->getNextNode());
+    builder.CreateStore(allocation, variable);
+    for (CallInst *call : frees) {
+      builder.SetInsertPoint(call);
+      builder.CreateStore(null, variable);
+    }
+    variables.push_back(variable);
+  }
+}
+
+void OwnMemory::freeAll(IRBuilder<> &builder) const {
+  for (AllocaInst *variable : variables)
+    builder.CreateCall(release,
+                       builder.CreateLoad(builder.getPtrTy(), variable));
+}
+
+/// Goes on behind the call where `address` is not null.
+static void endWhereNull(CallInst &call, Value &address,
+                         const OwnMemory &memory) {
+  Function &function = *call.getFunction();
+  BasicBlock *meeting = findMeeting(function, DominatorTree(function));
+  BasicBlock *block = call.getParent();
+  bool isBefore = meeting && meeting != block;
+  BasicBlock *rest = block->splitBasicBlock(call.getNextNode());
+  auto *lacking = BasicBlock::Create(function.getContext(), "", &function);
+  block->getTerminator()->eraseFromParent();
+  IRBuilder<> builder(block);
+  builder.CreateCondBr(
+      builder.CreateIsNull(&address), lacking, rest,
+      MDBuilder(function.getContext()).createUnlikelyBranchWeights());
+  builder.SetInsertPoint(lacking);
+  memory.freeAll(builder);
+  if (!isBefore) {
+    builder.CreateRetVoid();
+    return;
+  }
+  BranchInst *leave = builder.CreateBr(meeting);
+  for (PHINode &phi : meeting->phis())
+    phi.addIncoming(Constant::getNullValue(phi.getType()), lacking);
+  if (isValid(function))
+    return;
+  // The sums need what has not been computed.
+  meeting->removePredecessor(lacking, /*KeepOneInputPHIs=*/true);
+  leave->eraseFromParent();
+  builder.SetInsertPoint(lacking);
+  builder.CreateRetVoid();
+}
+
+void mlir::tai::endWhereMemoryLacks(Module &module) {
+  DenseMap<Function *, OwnMemory> memories;
+  for (StringRef name : {kLocalAllocate, kLocalGiven}) {
+    Function *function = module.getFunction(name);
+    if (!function)
+      continue;
+    SmallVector<CallInst *> calls;
+    for (User *user : function->users())
+      if (auto *call = dyn_cast<CallInst>(user))
+        calls.push_back(call);
+    for (CallInst *call : calls) {
+      bool isGiven = name == kLocalGiven;
+      llvm::Value *address = isGiven ? call->getArgOperand(0) : call;
+      Function *caller = call->getFunction();
+      if (caller->getReturnType()->isVoidTy()) {
+        const OwnMemory &memory =
+            memories.try_emplace(caller, *caller).first->second;
+        endWhereNull(*call, *address, memory);
+      }
+      if (isGiven) {
+        call->replaceAllUsesWith(address);
+        call->eraseFromParent();
+      }
+    }
+    if (name == kLocalGiven)
+      function->eraseFromParent();
+  }
+}

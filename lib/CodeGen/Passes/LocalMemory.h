@@ -1,0 +1,21 @@
+//===- LocalMemory.h - Where a thread of a device has no memory -*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CODEGEN_PASSES_LOCALMEMORY_H
+#define TAI_LIB_CODEGEN_PASSES_LOCALMEMORY_H
+
+#include "llvm/IR/Module.h"
+
+namespace mlir::tai {
+
+/// Ends each thread that asks for memory, or wants some that was asked for
+/// before, where there is none; see tai/Conversion/LocalMemory.h.
+void endWhereMemoryLacks(llvm::Module &module);
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CODEGEN_PASSES_LOCALMEMORY_H

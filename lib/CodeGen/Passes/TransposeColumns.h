@@ -1,0 +1,25 @@
+//===- TransposeColumns.h - Rows in the place of columns --------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CODEGEN_PASSES_TRANSPOSECOLUMNS_H
+#define TAI_LIB_CODEGEN_PASSES_TRANSPOSECOLUMNS_H
+
+#include "llvm/IR/PassManager.h"
+
+namespace mlir::tai {
+
+/// To run after loops are vectorised: where a loop gathers neighbouring columns
+/// of a matrix, or scatters to them, loads or stores pieces of rows and
+/// transposes them.
+struct TransposeColumns : llvm::PassInfoMixin<TransposeColumns> {
+  llvm::PreservedAnalyses run(llvm::Function &function,
+                              llvm::FunctionAnalysisManager &analyses);
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CODEGEN_PASSES_TRANSPOSECOLUMNS_H

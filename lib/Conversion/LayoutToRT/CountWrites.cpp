@@ -1,0 +1,34 @@
+//===- CountWrites.cpp - Writes that test activity, and not ---------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "CountWrites.h"
+#include "../../Transforms/Utils/Accumulate.h"
+#include "tai/Analysis/SkipScope.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+void mlir::tai::countWrites(Operation *root) {
+  llvm::DenseMap<FieldOp, bool> isSparse;
+  root->walk([&](Operation *op) {
+    if (!isa<StoreOp, AtomicOp>(op))
+      return;
+    FieldOp field =
+        lookupField(op, op->getAttrOfType<FlatSymbolRefAttr>("field"));
+    if (!field)
+      return;
+    auto [known, isNew] = isSparse.try_emplace(field, false);
+    if (isNew) {
+      FailureOr<FieldLayout> layout = getFieldLayout(field);
+      known->second = succeeded(layout) && layout->path.getFirstSparse();
+    }
+    if (known->second)
+      SkipScope::count(op->hasAttr(kActiveAttrName) ? SkipCount::WritesDemoted
+                                                    : SkipCount::WritesKept);
+  });
+}

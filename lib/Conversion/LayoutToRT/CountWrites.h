@@ -1,0 +1,22 @@
+//===- CountWrites.h - Writes that test activity, and not -------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CONVERSION_LAYOUTTORT_COUNTWRITES_H
+#define TAI_LIB_CONVERSION_LAYOUTTORT_COUNTWRITES_H
+
+namespace mlir {
+class Operation;
+namespace tai {
+
+/// Counts the writes to sparse fields below `root`: those whose cell is known
+/// to be active, and those that ask.
+void countWrites(Operation *root);
+
+} // namespace tai
+} // namespace mlir
+
+#endif // TAI_LIB_CONVERSION_LAYOUTTORT_COUNTWRITES_H

@@ -1,0 +1,184 @@
+//===- LocalArrays.cpp - Arrays that a kernel makes -----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "LocalArrays.h"
+#include "../../Transforms/Utils/Accumulate.h"
+#include "../../Transforms/Utils/FieldAddress.h"
+#include "../../Transforms/Utils/IndexMath.h"
+#include "mlir/Dialect/LLVMIR/FunctionCallUtils.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/Utils/StaticValueUtils.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// The combination of `tai.atomic` that an upstream kind names.
+static std::optional<AtomicKind> toAtomicKind(arith::AtomicRMWKind kind) {
+  switch (kind) {
+  case arith::AtomicRMWKind::addf:
+  case arith::AtomicRMWKind::addi:
+    return AtomicKind::Add;
+  case arith::AtomicRMWKind::mulf:
+    return AtomicKind::Mul;
+  case arith::AtomicRMWKind::minimumf:
+    return AtomicKind::Min;
+  case arith::AtomicRMWKind::maximumf:
+    return AtomicKind::Max;
+  default:
+    return std::nullopt;
+  }
+}
+
+namespace {
+/// Lowers one array.
+class ArrayLowering {
+public:
+  ArrayLowering(FunctionOpInterface function, Operation *alloc)
+      : function(function), alloc(alloc), array(alloc->getResult(0)),
+        type(cast<MemRefType>(array.getType())) {}
+
+  LogicalResult run() {
+    for (Operation *user : array.getUsers()) {
+      auto atomic = dyn_cast<memref::AtomicRMWOp>(user);
+      if (atomic
+              ? !toAtomicKind(atomic.getKind())
+              : !isa<memref::LoadOp, memref::StoreOp, memref::DeallocOp>(user))
+        return user->emitOpError(
+            "cannot be lowered on an array that a kernel makes");
+    }
+    if (!type.getLayout().isIdentity() ||
+        !type.getElementType().isIntOrIndexOrFloat())
+      return alloc->emitOpError("makes an array of a type that cannot be "
+                                "lowered");
+    if (isa<memref::AllocaOp>(alloc) &&
+        (alloc->getParentOfType<ParallelForOp>() || !type.hasStaticShape()))
+      return alloc->emitOpError("cannot be lowered here; use 'memref.alloc'");
+    allocate();
+    for (Operation *user : llvm::make_early_inc_range(array.getUsers()))
+      lowerUse(user);
+    alloc->erase();
+    return success();
+  }
+
+private:
+  void allocate() {
+    OpBuilder builder(alloc);
+    Location loc = alloc->getLoc();
+    IndexMath math(builder, loc);
+    storage = getStorageType(type.getElementType());
+    auto dynamic = alloc->getOperands().begin();
+    Value count = math.constant(1);
+    for (int64_t extent : type.getShape()) {
+      extents.push_back(ShapedType::isDynamic(extent) ? *dynamic++
+                                                      : math.constant(extent));
+      count = math.mul(count, extents.back());
+    }
+    auto pointer = LLVM::LLVMPointerType::get(builder.getContext());
+    if (isa<memref::AllocaOp>(alloc)) {
+      // Once for the kernel, wherever it stands: the stack does not grow.
+      builder.setInsertionPointToStart(&function.getFunctionBody().front());
+      Value size = LLVM::ConstantOp::create(builder, loc, builder.getI64Type(),
+                                            type.getNumElements());
+      base = LLVM::AllocaOp::create(builder, loc, pointer, storage, size);
+      return;
+    }
+    Operation *table = SymbolTable::getNearestSymbolTable(function);
+    FailureOr<LLVM::LLVMFuncOp> malloc =
+        LLVM::lookupOrCreateMallocFn(builder, table, builder.getI64Type());
+    Value one = LLVM::ConstantOp::create(builder, loc, builder.getI64Type(), 1);
+    Value null = LLVM::ZeroOp::create(builder, loc, pointer);
+    Value end = LLVM::GEPOp::create(builder, loc, pointer, storage, null, one);
+    Value each =
+        LLVM::PtrToIntOp::create(builder, loc, builder.getI64Type(), end);
+    Value bytes = LLVM::MulOp::create(builder, loc, math.toI64(count), each);
+    base = LLVM::CallOp::create(builder, loc, *malloc, bytes).getResult();
+  }
+
+  Value getElement(OpBuilder &builder, Location loc, ValueRange indices) {
+    IndexMath math(builder, loc);
+    Value offset = math.constant(0);
+    for (auto [index, extent] : llvm::zip(indices, extents))
+      offset = math.add(math.mul(offset, extent), index);
+    return emitPointer(builder, loc, storage, base, offset);
+  }
+
+  void lowerUse(Operation *user) {
+    OpBuilder builder(user);
+    Location loc = user->getLoc();
+    if (auto load = dyn_cast<memref::LoadOp>(user)) {
+      load.getResult().replaceAllUsesWith(
+          emitLoad(builder, loc, type.getElementType(),
+                   getElement(builder, loc, load.getIndices()), {}));
+    } else if (auto store = dyn_cast<memref::StoreOp>(user)) {
+      emitStore(builder, loc, store.getValueToStore(),
+                getElement(builder, loc, store.getIndices()), {});
+    } else if (auto atomic = dyn_cast<memref::AtomicRMWOp>(user)) {
+      lowerSum(atomic);
+    } else {
+      Operation *table = SymbolTable::getNearestSymbolTable(function);
+      FailureOr<LLVM::LLVMFuncOp> free =
+          LLVM::lookupOrCreateFreeFn(builder, table);
+      LLVM::CallOp::create(builder, loc, *free, base);
+    }
+    user->erase();
+  }
+
+  void lowerSum(memref::AtomicRMWOp atomic) {
+    OpBuilder builder(atomic);
+    Location loc = atomic.getLoc();
+    AtomicKind kind = *toAtomicKind(atomic.getKind());
+    Attribute strategy = atomic->getAttr(kAccumulateAttrName);
+    if (!strategy) {
+      auto loop = atomic->getParentOfType<ParallelForOp>();
+      bool isAlone = !loop || loop.getSerialize();
+      Value element = getElement(builder, loc, atomic.getIndices());
+      Value old = isAlone ? emitPlainUpdate(builder, loc, kind,
+                                            atomic.getValue(), element, {})
+                          : emitAtomicUpdate(builder, loc, kind,
+                                             atomic.getValue(), element, {});
+      atomic.getResult().replaceAllUsesWith(old);
+      return;
+    }
+    // The loop sums in a register; the address is wanted behind it.
+    OpBuilder start(builder.getContext());
+    start.setInsertionPointAfterValue(base);
+    IndexMath math(start, loc);
+    auto constants =
+        llvm::map_to_vector(atomic.getIndices(), [&](Value index) -> Value {
+          return math.constant(*getConstantIntValue(index));
+        });
+    auto update = LLVM::AtomicRMWOp::create(
+        builder, loc, LLVM::AtomicBinOp::fadd,
+        getElement(start, loc, constants), atomic.getValue(),
+        LLVM::AtomicOrdering::monotonic);
+    update->setAttr(kAccumulateAttrName, strategy);
+    atomic.getResult().replaceAllUsesWith(update);
+  }
+
+  FunctionOpInterface function;
+  Operation *alloc;
+  Value array;
+  MemRefType type;
+  Type storage;
+  Value base;
+  SmallVector<Value> extents;
+};
+} // namespace
+
+LogicalResult mlir::tai::lowerLocalArrays(FunctionOpInterface function) {
+  SmallVector<Operation *> allocs;
+  function.walk([&](Operation *op) {
+    if (isa<memref::AllocOp, memref::AllocaOp>(op))
+      allocs.push_back(op);
+  });
+  for (Operation *alloc : allocs)
+    if (failed(ArrayLowering(function, alloc).run()))
+      return failure();
+  return success();
+}

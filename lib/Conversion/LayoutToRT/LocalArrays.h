@@ -1,0 +1,22 @@
+//===- LocalArrays.h - Arrays that a kernel makes ---------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CONVERSION_LAYOUTTORT_LOCALARRAYS_H
+#define TAI_LIB_CONVERSION_LAYOUTTORT_LOCALARRAYS_H
+
+#include "mlir/Interfaces/FunctionInterfaces.h"
+
+namespace mlir::tai {
+
+/// Lowers the memrefs that a kernel allocates for itself, such as the history
+/// of a loop in an adjoint, with all accesses to them: `memref.alloc` to
+/// `malloc`, `memref.alloca` outside of loops to the stack of the kernel.
+LogicalResult lowerLocalArrays(FunctionOpInterface function);
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CONVERSION_LAYOUTTORT_LOCALARRAYS_H

@@ -1,0 +1,163 @@
+//===- StridedOrder.cpp - Iterations whose accesses keep their order ------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "StridedOrder.h"
+#include "../../Transforms/Utils/Accumulate.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/Utils/StaticValueUtils.h"
+#include "mlir/Interfaces/LoopLikeInterface.h"
+#include "tai/Analysis/Accesses.h"
+#include <cstdlib>
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+struct ElementAccess {
+  Operation *op;
+  /// Of a field; null for arrays, of which any two may be one.
+  const FieldInfo *field;
+  ValueRange indices, components;
+  bool stores;
+  /// The innermost serial loop around it, within the parallel one.
+  Operation *loop = nullptr;
+  bool isStrided = true;
+};
+
+/// Whether elements with neighbouring last indices lie side by side.
+bool isPacked(const FieldInfo &field) {
+  if (field.numComponents != 1)
+    return false;
+  unsigned last = field.layout.shape.size() - 1;
+  return field.layout.shape.empty() ||
+         llvm::any_of(field.storage.digits, [&](const IndexDigit &digit) {
+           return digit.dimension == last && digit.divisor == 1 &&
+                  digit.stride == static_cast<uint64_t>(field.scalarSize);
+         });
+}
+
+/// Whether the address may go up by more than one element, or down, from one
+/// iteration to the next.
+bool isStrided(const ElementAccess &access, Value iv) {
+  if (!access.components.empty())
+    return true;
+  for (auto [number, index] : llvm::enumerate(access.indices)) {
+    bool isLast = number + 1 == access.indices.size();
+    for (auto [value, factor] : getLinearIndex(index).terms) {
+      // Another value may be made of the index in its own way.
+      bool isOther =
+          value != iv && value.getParentRegion() == iv.getParentRegion();
+      if (isOther || (value == iv && (!isLast || factor != 1)))
+        return true;
+    }
+  }
+  return false;
+}
+
+/// Whether two accesses of one storage may be of the same element.
+bool mayMeet(const ElementAccess &a, const ElementAccess &b) {
+  if ((a.field ? a.field->scope : nullptr) !=
+      (b.field ? b.field->scope : nullptr))
+    return false;
+  if (a.field && areProvablyDistinct(a.indices, b.indices))
+    return false;
+  if (a.components.size() != b.components.size())
+    return true;
+  for (auto [x, y] : llvm::zip(a.components, b.components)) {
+    std::optional<int64_t> first = getConstantIntValue(x);
+    std::optional<int64_t> second = getConstantIntValue(y);
+    if (first && second && *first != *second)
+      return false;
+  }
+  return true;
+}
+
+/// Whether each round of the serial loop around it is of another element: its
+/// index is part of a sum.
+bool variesWithRounds(const ElementAccess &access) {
+  return llvm::any_of(access.indices, [&](Value index) {
+    return llvm::any_of(getLinearIndex(index).terms, [&](const auto &term) {
+      auto argument = dyn_cast<BlockArgument>(term.first);
+      return argument && argument.getArgNumber() == 0 &&
+             isa<scf::ForOp>(access.loop) &&
+             argument.getOwner()->getParentOp() == access.loop;
+    });
+  });
+}
+
+/// Whether a later round of `other` may be of the element of `store`.
+bool mayMeetInRounds(const ElementAccess &store, const ElementAccess &other) {
+  if (!store.loop || !other.loop)
+    return false;
+  return store.loop != other.loop || !variesWithRounds(store) ||
+         !areProvablyEqual(store.indices, other.indices);
+}
+
+SmallVector<ElementAccess> collectAccesses(ParallelForOp loop,
+                                           FieldTable &fields) {
+  SmallVector<ElementAccess> accesses;
+  auto add = [&](Operation *op, FlatSymbolRefAttr name, ValueRange indices,
+                 ValueRange components, bool stores) {
+    const FieldInfo *field = nullptr;
+    if (name)
+      if (auto found = fields.lookup(op, name); succeeded(found))
+        field = *found;
+    accesses.push_back({op, field, indices, components, stores});
+  };
+  loop.getBody().walk<WalkOrder::PreOrder>([&](Operation *op) {
+    if (auto load = dyn_cast<LoadOp>(op))
+      add(op, load.getFieldAttr(), load.getIndices(), load.getComponents(),
+          false);
+    else if (auto store = dyn_cast<StoreOp>(op))
+      add(op, store.getFieldAttr(), store.getIndices(), store.getComponents(),
+          true);
+    else if (auto atomic = dyn_cast<AtomicOp>(op);
+             atomic && !op->hasAttr(kAccumulateAttrName))
+      // The others add to partial sums of their own.
+      add(op, atomic.getFieldAttr(), atomic.getIndices(),
+          atomic.getComponents(), true);
+    else if (auto load = dyn_cast<memref::LoadOp>(op))
+      add(op, {}, load.getIndices(), {}, false);
+    else if (auto store = dyn_cast<memref::StoreOp>(op))
+      add(op, {}, store.getIndices(), {}, true);
+    else if (auto atomic = dyn_cast<memref::AtomicRMWOp>(op))
+      add(op, {}, atomic.getIndices(), {}, true);
+  });
+  Value iv = loop.getBody().front().getArguments().back();
+  for (ElementAccess &access : accesses) {
+    auto inner = access.op->getParentOfType<LoopLikeOpInterface>();
+    if (inner && inner != loop.getOperation() && loop->isAncestor(inner))
+      access.loop = inner;
+    access.isStrided =
+        (access.field && !isPacked(*access.field)) || isStrided(access, iv);
+  }
+  return accesses;
+}
+} // namespace
+
+bool tai::needsOrderWithin(ParallelForOp loop, FieldTable &fields) {
+  if (loop.getBody().front().getNumArguments() == 0)
+    return false;
+  SmallVector<ElementAccess> accesses = collectAccesses(loop, fields);
+  for (size_t i = 0; i < accesses.size(); ++i) {
+    const ElementAccess &store = accesses[i];
+    if (!store.stores)
+      continue;
+    for (size_t j = 0; j < accesses.size(); ++j) {
+      const ElementAccess &other = accesses[j];
+      // Loops inside may be unrolled: their next round comes after.
+      bool isAfter = j > i || mayMeetInRounds(store, other);
+      if (isAfter && j != i && (store.isStrided || other.isStrided) &&
+          mayMeet(store, other))
+        return true;
+    }
+    if (store.isStrided && mayMeetInRounds(store, store))
+      return true;
+  }
+  return false;
+}

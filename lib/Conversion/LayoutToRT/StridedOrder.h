@@ -1,0 +1,29 @@
+//===- StridedOrder.h - Iterations whose accesses keep their order -*- C++
+//-*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CONVERSION_LAYOUTTORT_STRIDEDORDER_H
+#define TAI_LIB_CONVERSION_LAYOUTTORT_STRIDEDORDER_H
+
+#include "../../Transforms/Utils/FieldAddress.h"
+
+namespace mlir::tai {
+
+/// On a parallel loop: its iterations do not depend on one another, but LLVM
+/// must not be told so.
+constexpr llvm::StringLiteral kKeepsOrderAttrName = "tai.keeps_order";
+
+/// Whether an iteration of the loop stores something and then accesses what may
+/// be the same element, where LLVM could combine accesses of several iterations
+/// at a stride. LLVM's vectoriser does not look for dependences in a loop that
+/// is annotated as parallel, those within an iteration included, and moves such
+/// groups past one another. All fields of the loop are in the table.
+bool needsOrderWithin(ParallelForOp loop, FieldTable &fields);
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CONVERSION_LAYOUTTORT_STRIDEDORDER_H

@@ -1,0 +1,478 @@
+//===- Accumulators.cpp - Partial sums of a parallel loop -----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "Accumulators.h"
+#include "../../Transforms/Utils/IndexMath.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/Analysis/Cost.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Partial sums of two partitions do not share a cache line.
+constexpr int64_t kCacheLine = 64;
+
+/// The given indices as values before the loop; constants inside are copied.
+static SmallVector<Value> getOutside(ValueRange values, ParallelForOp loop) {
+  OpBuilder builder(loop);
+  return llvm::map_to_vector(values, [&](Value value) -> Value {
+    if (loop.isDefinedOutsideOfLoop(value))
+      return value;
+    return IndexMath(builder, loop.getLoc())
+        .constant(*getConstantIntValue(value));
+  });
+}
+
+/// What partial sums of this type are kept in: of 16-bit floats in f32, which
+/// does not stop growing at 2048 of its terms.
+static Type getSumType(Type type, AtomicKind kind) {
+  bool isNarrow = isa<Float16Type, BFloat16Type>(type);
+  return isNarrow && kind == AtomicKind::Add
+             ? Float32Type::get(type.getContext())
+             : type;
+}
+
+/// A sum of such partial sums, as what it is of.
+static Value emitNarrowed(OpBuilder &builder, Location loc, Value sum,
+                          Type type) {
+  if (sum.getType() == type)
+    return sum;
+  return arith::TruncFOp::create(builder, loc, type, sum);
+}
+
+FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
+                                              ModuleLowering &lowering) {
+  Accumulators result(lowering);
+  // Otherwise LLVM sees the same loop whatever has been left out of it.
+  result.keepsOrder = loop->hasAttr(kFixedCostAttrName) &&
+                      (loop->hasAttr(kOuterDimsAttrName) ||
+                       loop.walk([&](LoopLikeOpInterface inner) {
+                             return inner == loop ? WalkResult::advance()
+                                                  : WalkResult::interrupt();
+                           })
+                           .wasInterrupted());
+  SmallVector<AtomicOp> inBuffers;
+  WalkResult walked = loop.walk([&](AtomicOp atomic) {
+    auto strategy = atomic->getAttrOfType<StringAttr>(kAccumulateAttrName);
+    if (!strategy) {
+      atomic.emitOpError("reaches the lowering of loops; expects "
+                         "tai-lower-layout to run before");
+      return WalkResult::interrupt();
+    }
+    if (strategy.getValue() == kPrivate) {
+      inBuffers.push_back(atomic);
+      return WalkResult::advance();
+    }
+    FailureOr<const FieldInfo *> field =
+        lowering.fields.lookup(atomic, atomic.getFieldAttr());
+    if (failed(field))
+      return WalkResult::interrupt();
+    auto found = llvm::find_if(result.registers, [&](Register &other) {
+      return other.kind == getCombiningKind(atomic.getKind()) &&
+             updatesSameComponent(other.atomics.front(), atomic);
+    });
+    if (found != result.registers.end()) {
+      found->atomics.push_back(atomic);
+      return WalkResult::advance();
+    }
+    result.registers.push_back({*field,
+                                {atomic},
+                                getCombiningKind(atomic.getKind()),
+                                getSumType(atomic.getValue().getType(),
+                                           getCombiningKind(atomic.getKind())),
+                                getOutside(atomic.getIndices(), loop),
+                                getOutside(atomic.getComponents(), loop),
+                                Value(),
+                                {},
+                                Value()});
+    return WalkResult::advance();
+  });
+  if (walked.wasInterrupted())
+    return failure();
+  result.collectLocalSums(loop);
+
+  FailureOr<SmallVector<AccumulationGroup>> groups =
+      groupAccumulations(loop, inBuffers, lowering.fields);
+  if (failed(groups))
+    return failure();
+  for (AccumulationGroup &group : *groups) {
+    SmallVector<bool> fixed = llvm::map_to_vector(
+        group.fixed, [](Value index) { return bool(index); });
+    std::optional<FieldSlice> slice = FieldTable::getSlice(*group.field, fixed);
+    if (!slice)
+      return group.atomics.front().emitOpError(
+          "updates a part of a field that is not evenly spaced in memory");
+    double updates = 0;
+    for (AtomicOp atomic : group.atomics)
+      updates += estimateRuns(atomic, loop);
+    Buffer buffer;
+    buffer.group = std::move(group);
+    buffer.slice = std::move(*slice);
+    buffer.updatesPerIteration = updates;
+    result.buffers.push_back(std::move(buffer));
+  }
+  return result;
+}
+
+void Accumulators::collectLocalSums(ParallelForOp loop) {
+  loop.walk([&](LLVM::AtomicRMWOp update) {
+    if (!update->hasAttr(kAccumulateAttrName))
+      return;
+    auto found = llvm::find_if(registers, [&](Register &other) {
+      return other.address == update.getPtr();
+    });
+    if (found != registers.end()) {
+      found->updates.push_back(update);
+      return;
+    }
+    Register sum = {nullptr, {}, AtomicKind::Add, update.getVal().getType(),
+                    {},      {}, Value(),         {},
+                    Value()};
+    sum.address = update.getPtr();
+    sum.updates.push_back(update);
+    registers.push_back(std::move(sum));
+  });
+}
+
+//===----------------------------------------------------------------------===//
+// In the kernel
+//===----------------------------------------------------------------------===//
+
+Value Accumulators::limitParts(OpBuilder &builder, Location loc, Value parts,
+                               Value count, double iterationsPerCount) {
+  double elements = 0, updates = 0;
+  for (const Buffer &buffer : buffers) {
+    elements += buffer.numElements();
+    updates += buffer.updatesPerIteration;
+  }
+  if (buffers.empty())
+    return parts;
+  // Each partition costs its elements, and the updates are what it saves.
+  double partsPerCount =
+      updates * iterationsPerCount * kElementsPerUpdate / elements;
+  RuntimeCalls &runtime = lowering->runtime;
+  Value limit;
+  if (partsPerCount >= 1)
+    limit = arith::MulIOp::create(
+        builder, loc, count,
+        runtime.i64(builder, loc, int64_t(std::min(partsPerCount, 1e6))));
+  else
+    limit = arith::DivUIOp::create(
+        builder, loc, count,
+        runtime.i64(builder, loc, int64_t(1 / partsPerCount)));
+  limit =
+      arith::MaxSIOp::create(builder, loc, limit, runtime.i64(builder, loc, 1));
+  return arith::MinSIOp::create(builder, loc, parts, limit);
+}
+
+int64_t Accumulators::getPartialBytes() const {
+  return llvm::alignTo(registers.size() * 8, kCacheLine);
+}
+
+/// The address of the first element of the updated part.
+Value Accumulators::emitTarget(OpBuilder &builder, Location loc,
+                               const Buffer &buffer) {
+  const FieldInfo &field = *buffer.group.field;
+  IndexMath math(builder, loc);
+  Value base = emitFieldBase(builder, loc, field);
+  Value offset = math.constant(0);
+  for (const IndexDigit &digit : field.storage.digits) {
+    if (!buffer.slice.fixed[digit.dimension] || digit.extent == 1)
+      continue;
+    // The indices of free dimensions are not looked at.
+    SmallVector<Value> zeroBased(field.layout.shape.size());
+    zeroBased[digit.dimension] = math.sub(buffer.group.fixed[digit.dimension],
+                                          field.layout.offset[digit.dimension]);
+    Value value = emitDigit(builder, loc, field, digit, zeroBased);
+    offset = math.add(offset, math.mul(value, digit.stride / field.scalarSize));
+  }
+  return emitPointer(builder, loc, getStorageType(field.scalarType), base,
+                     offset);
+}
+
+void Accumulators::emitBefore(OpBuilder &builder, Location loc, Value frame,
+                              Value parts) {
+  RuntimeCalls &runtime = lowering->runtime;
+  Type pointer = runtime.getPointerType();
+  Value one = runtime.i64(builder, loc, 1);
+  Value single =
+      arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::eq, parts, one);
+  if (!registers.empty()) {
+    Value onStack =
+        emitStackSlots(builder, loc, getPartialBytes() / sizeof(uint64_t));
+    auto choice = scf::IfOp::create(builder, loc, TypeRange{pointer}, single,
+                                    /*addThenBlock=*/true,
+                                    /*addElseBlock=*/true);
+    OpBuilder then = OpBuilder::atBlockBegin(choice.thenBlock());
+    scf::YieldOp::create(then, loc, onStack);
+    OpBuilder otherwise = OpBuilder::atBlockBegin(choice.elseBlock());
+    Value bytes = arith::MulIOp::create(
+        otherwise, loc, parts, runtime.i64(otherwise, loc, getPartialBytes()));
+    Value memory =
+        runtime.call(otherwise, loc, "tai_rt_scratch", pointer, {frame, bytes});
+    scf::YieldOp::create(otherwise, loc, memory);
+    partials = choice.getResult(0);
+  }
+
+  for (Buffer &buffer : buffers) {
+    buffer.target = emitTarget(builder, loc, buffer);
+    int64_t bytes = buffer.numElements() * buffer.group.field->scalarSize;
+    // One partition has the field to itself.
+    auto choice = scf::IfOp::create(builder, loc, TypeRange{pointer}, single,
+                                    /*addThenBlock=*/true,
+                                    /*addElseBlock=*/true);
+    OpBuilder then = OpBuilder::atBlockBegin(choice.thenBlock());
+    scf::YieldOp::create(then, loc, buffer.target);
+    OpBuilder otherwise = OpBuilder::atBlockBegin(choice.elseBlock());
+    Value memory =
+        runtime.call(otherwise, loc, "tai_rt_private", pointer,
+                     {frame, runtime.i64(otherwise, loc, bytes), parts});
+    scf::YieldOp::create(otherwise, loc, memory);
+    buffer.memory = choice.getResult(0);
+    buffer.partStride =
+        runtime.i64(builder, loc, llvm::alignTo(bytes, kCacheLine));
+    if (!buffer.isContiguous())
+      buffer.cellStride = arith::SelectOp::create(
+          builder, loc, single,
+          runtime.i64(builder, loc, buffer.slice.cellStride),
+          runtime.i64(builder, loc, buffer.compactStride()));
+  }
+}
+
+void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
+                             Value parts) {
+  RuntimeCalls &runtime = lowering->runtime;
+  IndexMath math(builder, loc);
+
+  if (!registers.empty()) {
+    SmallVector<Value> initial;
+    for (Register &sum : registers)
+      initial.push_back(arith::ConstantOp::create(
+          builder, loc, getIdentity(sum.kind, sum.type)));
+    auto combine = [&](OpBuilder &b, Location, Value part, ValueRange sums) {
+      Value bytes =
+          arith::MulIOp::create(b, loc, IndexMath(b, loc).toI64(part),
+                                runtime.i64(b, loc, getPartialBytes()));
+      Value slots = emitPointer(b, loc, b.getI8Type(), partials, bytes);
+      SmallVector<Value> next;
+      for (auto [i, sum] : llvm::enumerate(registers)) {
+        Value partial =
+            emitSlotLoad(b, loc, sums[i].getType(), emitSlot(b, loc, slots, i));
+        next.push_back(emitCombination(b, loc, sum.kind, sums[i], partial));
+        next.back().getDefiningOp()->setAttr(kOrderedAttrName, b.getUnitAttr());
+      }
+      scf::YieldOp::create(b, loc, next);
+    };
+    auto total =
+        scf::ForOp::create(builder, loc, math.constant(0), math.toIndex(parts),
+                           math.constant(1), initial, combine);
+    for (auto [i, sum] : llvm::enumerate(registers)) {
+      if (sum.address) {
+        emitPlainUpdate(builder, loc, sum.kind, total.getResult(i), sum.address,
+                        {});
+        continue;
+      }
+      const FieldInfo &field = *sum.field;
+      SmallVector<Value> zeroBased =
+          emitZeroBased(builder, loc, field, sum.indices);
+      Value offset =
+          emitElementOffset(builder, loc, field, zeroBased, sum.components);
+      Value address =
+          emitPointer(builder, loc, getStorageType(field.scalarType),
+                      emitFieldBase(builder, loc, field), offset);
+      Value narrowed =
+          emitNarrowed(builder, loc, total.getResult(i), field.scalarType);
+      emitPlainUpdate(builder, loc, sum.kind, narrowed, address,
+                      lowering->fields.getScopes(field));
+    }
+  }
+
+  if (buffers.empty())
+    return;
+  Value one = runtime.i64(builder, loc, 1);
+  Value several =
+      arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::ne, parts, one);
+  auto branch = scf::IfOp::create(builder, loc, several);
+  OpBuilder inside = branch.getThenBodyBuilder();
+  for (Buffer &buffer : buffers) {
+    const FieldInfo &field = *buffer.group.field;
+    Value kind = runtime.i32(inside, loc, field.scalarType.isF64() ? 1 : 0);
+    if (buffer.isContiguous()) {
+      Value count = runtime.i64(inside, loc, buffer.numElements());
+      runtime.call(inside, loc, "tai_rt_combine", Type(),
+                   {frame, buffer.target, buffer.memory, count, parts, kind});
+      continue;
+    }
+    runtime.call(inside, loc, "tai_rt_combine_strided", Type(),
+                 {frame, buffer.target, buffer.memory,
+                  runtime.i64(inside, loc, buffer.slice.numCells),
+                  runtime.i64(inside, loc, field.numComponents),
+                  runtime.i64(inside, loc, buffer.slice.cellStride), parts,
+                  kind});
+  }
+}
+
+//===----------------------------------------------------------------------===//
+// In the function of the loop
+//===----------------------------------------------------------------------===//
+
+void Accumulators::emitEntry(OpBuilder &builder, Location loc, Value part) {
+  RuntimeCalls &runtime = lowering->runtime;
+  for (Register &sum : registers) {
+    sum.slot = emitStackSlots(builder, loc, 1);
+    Value identity = arith::ConstantOp::create(builder, loc,
+                                               getIdentity(sum.kind, sum.type));
+    emitSlotStore(builder, loc, identity, sum.slot);
+  }
+  if (!registers.empty()) {
+    Value bytes = arith::MulIOp::create(
+        builder, loc, part, runtime.i64(builder, loc, getPartialBytes()));
+    insidePartials =
+        emitPointer(builder, loc, builder.getI8Type(), partials, bytes);
+  }
+  for (Buffer &buffer : buffers) {
+    Value bytes = arith::MulIOp::create(builder, loc, part, buffer.partStride);
+    buffer.base =
+        emitPointer(builder, loc, builder.getI8Type(), buffer.memory, bytes);
+  }
+}
+
+/// Moves an update behind the branches that it stands in; where it would not
+/// run it adds what changes nothing. LLVM vectorises the sum then, which it
+/// does not do for one that only some iterations change.
+static void moveBehindBranches(Operation *update, OpOperand &updated,
+                               AtomicKind kind) {
+  while (auto branch = dyn_cast<scf::IfOp>(update->getParentOp())) {
+    // tai-split-loops takes this branch out of the loop.
+    if (branch->hasAttr("tai.interior"))
+      return;
+    Location loc = branch.getLoc();
+    Type type = updated.get().getType();
+    SmallVector<Type> types(branch.getResultTypes());
+    types.push_back(type);
+    OpBuilder builder(branch);
+    auto moved = scf::IfOp::create(builder, loc, types, branch.getCondition(),
+                                   /*addThenBlock=*/false,
+                                   /*addElseBlock=*/false);
+    moved->setDiscardableAttrs(branch->getDiscardableAttrDictionary());
+    moved.getThenRegion().takeBody(branch.getThenRegion());
+    moved.getElseRegion().takeBody(branch.getElseRegion());
+    if (moved.getElseRegion().empty()) {
+      Block &block = moved.getElseRegion().emplaceBlock();
+      OpBuilder end = OpBuilder::atBlockEnd(&block);
+      scf::YieldOp::create(end, loc);
+    }
+    for (Region *region : moved.getRegions()) {
+      Operation *yield = region->front().getTerminator();
+      Value value = updated.get();
+      if (!region->isAncestor(update->getParentRegion())) {
+        builder.setInsertionPoint(yield);
+        // x + -0 is x, also for x = -0.
+        TypedAttr nothing = getIdentity(kind, type);
+        if (kind == AtomicKind::Add && isa<FloatType>(type))
+          nothing = builder.getFloatAttr(type, -0.0);
+        value = arith::ConstantOp::create(builder, loc, nothing);
+      }
+      yield->insertOperands(yield->getNumOperands(), value);
+    }
+    branch->replaceAllUsesWith(
+        moved.getResults().take_front(branch.getNumResults()));
+    branch.erase();
+    update->moveAfter(moved);
+    updated.assign(moved.getResults().back());
+  }
+}
+
+void Accumulators::rewriteUpdates() {
+  auto reassociable = arith::FastMathFlagsAttr::get(
+      lowering->module.getContext(),
+      arith::FastMathFlags::reassoc | arith::FastMathFlags::contract);
+  auto rewrite = [&](Register &sum, Operation *update, OpOperand &value,
+                     AtomicKind kind) {
+    moveBehindBranches(update, value, kind);
+    OpBuilder builder(update);
+    Location loc = update->getLoc();
+    Value old = emitSlotLoad(builder, loc, sum.type, sum.slot);
+    Value term = value.get();
+    if (term.getType() != sum.type)
+      term = arith::ExtFOp::create(builder, loc, sum.type, term);
+    Value next = emitCombination(builder, loc, kind, old, term);
+    // The order of a sum over iterations is ours to choose; LLVM needs to
+    // know to vectorise it.
+    if (!keepsOrder && isa<arith::AddFOp, arith::SubFOp>(next.getDefiningOp()))
+      next.getDefiningOp()->setAttr("fastmath", reassociable);
+    emitSlotStore(builder, loc, next, sum.slot);
+    update->erase();
+  };
+  for (Register &sum : registers) {
+    for (AtomicOp atomic : sum.atomics)
+      rewrite(sum, atomic, atomic.getValueMutable(), atomic.getKind());
+    for (LLVM::AtomicRMWOp update : sum.updates)
+      rewrite(sum, update, update.getValMutable(), AtomicKind::Add);
+  }
+  for (Buffer &buffer : buffers) {
+    const FieldInfo &field = *buffer.group.field;
+    for (AtomicOp atomic : buffer.group.atomics) {
+      OpBuilder builder(atomic);
+      Location loc = atomic.getLoc();
+      IndexMath math(builder, loc);
+      SmallVector<Value> zeroBased =
+          emitZeroBased(builder, loc, field, atomic.getIndices());
+      Value cell = math.constant(0);
+      for (auto [digit, cells] :
+           llvm::zip(field.storage.digits, buffer.slice.digitCells))
+        if (cells != 0)
+          cell = math.add(
+              cell, math.mul(emitDigit(builder, loc, field, digit, zeroBased),
+                             cells));
+      Type storage = getStorageType(field.scalarType);
+      Value address = buffer.base;
+      if (buffer.isContiguous()) {
+        cell = math.mul(cell, field.numComponents);
+      } else {
+        Value bytes = math.mul(cell, math.toIndex(buffer.cellStride));
+        address =
+            emitPointer(builder, loc, builder.getI8Type(), address, bytes);
+        cell = math.constant(0);
+      }
+      if (!atomic.getComponents().empty())
+        cell = math.add(cell, emitComponent(builder, loc, field.elementShape,
+                                            atomic.getComponents()));
+      address = emitPointer(builder, loc, storage, address, cell);
+      emitPlainUpdate(builder, loc, atomic.getKind(), atomic.getValue(),
+                      address, lowering->fields.getScopes(field));
+      atomic.erase();
+    }
+  }
+}
+
+void Accumulators::emitExit(OpBuilder &builder, Location loc) {
+  for (auto [i, sum] : llvm::enumerate(registers))
+    emitSlotStore(builder, loc, emitSlotLoad(builder, loc, sum.type, sum.slot),
+                  emitSlot(builder, loc, insidePartials, i));
+}
+
+LogicalResult tai::lowerPlainly(AtomicOp atomic, FieldTable &fields) {
+  FailureOr<const FieldInfo *> field =
+      fields.lookup(atomic, atomic.getFieldAttr());
+  if (failed(field))
+    return failure();
+  OpBuilder builder(atomic);
+  Location loc = atomic.getLoc();
+  SmallVector<Value> zeroBased =
+      emitZeroBased(builder, loc, **field, atomic.getIndices());
+  Value offset = emitElementOffset(builder, loc, **field, zeroBased,
+                                   atomic.getComponents());
+  Value address =
+      emitPointer(builder, loc, getStorageType((*field)->scalarType),
+                  emitFieldBase(builder, loc, **field), offset);
+  Value old = emitPlainUpdate(builder, loc, atomic.getKind(), atomic.getValue(),
+                              address, fields.getScopes(**field));
+  atomic.getOld().replaceAllUsesWith(old);
+  atomic.erase();
+  return success();
+}

@@ -1,0 +1,104 @@
+//===- Accumulators.h - Partial sums of a parallel loop ---------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Does the accumulations that `tai-relax-atomics` took out of memory: each
+// partition sums in registers and in buffers of its own, and the kernel adds
+// the partial sums to the fields afterwards, in the order of the partitions.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CONVERSION_TAITOHOST_ACCUMULATORS_H
+#define TAI_LIB_CONVERSION_TAITOHOST_ACCUMULATORS_H
+
+#include "../../Transforms/Utils/Accumulation.h"
+#include "Lowering.h"
+#include <vector>
+
+namespace mlir::tai {
+
+class Accumulators {
+public:
+  /// Collects the accumulations of `loop`.
+  static FailureOr<Accumulators> collect(ParallelForOp loop,
+                                         ModuleLowering &lowering);
+
+  bool empty() const { return registers.empty() && buffers.empty(); }
+
+  /// The number of partitions that pays for the buffers, at most `parts`.
+  Value limitParts(OpBuilder &builder, Location loc, Value parts, Value count,
+                   double iterationsPerCount);
+
+  /// In the kernel, before the loop: makes room for partial sums.
+  void emitBefore(OpBuilder &builder, Location loc, Value frame, Value parts);
+
+  /// In the function of the loop, before its loops, at the place where the
+  /// partition is known.
+  void emitEntry(OpBuilder &builder, Location loc, Value part);
+  /// Replaces the updates, once they have been moved into the function.
+  void rewriteUpdates();
+  /// After the loops.
+  void emitExit(OpBuilder &builder, Location loc);
+
+  /// In the kernel, after the loop: adds the partial sums to the fields.
+  void emitAfter(OpBuilder &builder, Location loc, Value frame, Value parts);
+
+private:
+  /// A sum of one component in a register.
+  struct Register {
+    const FieldInfo *field;
+    SmallVector<AtomicOp> atomics;
+    AtomicKind kind; // how partial sums are combined
+    Type type;
+    // In the kernel:
+    SmallVector<Value> indices, components;
+    /// Where a local sum goes, which is of no field.
+    Value address;
+    SmallVector<LLVM::AtomicRMWOp> updates;
+    // In the function of the loop:
+    Value slot;
+  };
+  /// Sums of a part of a field in a buffer.
+  struct Buffer {
+    AccumulationGroup group;
+    FieldSlice slice;
+    double updatesPerIteration;
+    // In the kernel:
+    Value target, memory, partStride, cellStride;
+    // In the function of the loop:
+    Value base;
+
+    int64_t numElements() const {
+      return slice.numCells * group.field->numComponents;
+    }
+    int64_t compactStride() const {
+      return group.field->numComponents * group.field->scalarSize;
+    }
+    bool isContiguous() const { return slice.cellStride == compactStride(); }
+  };
+
+  explicit Accumulators(ModuleLowering &lowering) : lowering(&lowering) {}
+  /// Sums in arrays that the kernel makes for them.
+  void collectLocalSums(ParallelForOp loop);
+  Value emitTarget(OpBuilder &builder, Location loc, const Buffer &buffer);
+  int64_t getPartialBytes() const;
+
+  ModuleLowering *lowering;
+  /// Whether LLVM may not reorder the sums.
+  bool keepsOrder = false;
+  std::vector<Register> registers;
+  std::vector<Buffer> buffers;
+  /// Room for the registers of all partitions, in the kernel.
+  Value partials;
+  Value insidePartials;
+};
+
+/// Does an update where only one thread runs.
+LogicalResult lowerPlainly(AtomicOp atomic, FieldTable &fields);
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CONVERSION_TAITOHOST_ACCUMULATORS_H

@@ -1,0 +1,268 @@
+//===- ParallelLoop.cpp - Parallel loops become loops over partitions -----===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The body of a parallel loop becomes a function that runs a range of the
+// linearised iterations. Whatever the rank, its innermost loop is a plain
+// counted loop over the last dimension, which LLVM vectorises: where there are
+// many rows, the range counts whole rows; else its first and last rows may be
+// partial.
+//
+//===----------------------------------------------------------------------===//
+
+#include "../../Transforms/Utils/IndexMath.h"
+#include "Accumulators.h"
+#include "Lowering.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/Analysis/Cost.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// From this many rows on, a partition is made of whole rows: enough for an
+/// even distribution over the cores of a large machine.
+constexpr int64_t kManyRows = 64;
+
+namespace {
+/// The box of a loop. Values are valid where the loop stands.
+struct Box {
+  SmallVector<Value> lower, upper, extent;
+
+  Box(ParallelForOp loop, OpBuilder &builder)
+      : lower(loop.getLowerBounds()), upper(loop.getUpperBounds()) {
+    IndexMath math(builder, loop.getLoc());
+    for (auto [from, to] : llvm::zip(lower, upper))
+      extent.push_back(math.extent(from, to));
+  }
+  size_t rank() const { return extent.size(); }
+
+  /// Product of the extents of the first `count` dimensions, if constant.
+  std::optional<int64_t> constantCount(size_t count) const {
+    int64_t product = 1;
+    for (Value value : ArrayRef(extent).take_front(count)) {
+      std::optional<int64_t> constant = getConstantIntValue(value);
+      if (!constant || llvm::MulOverflow(product, *constant, product))
+        return std::nullopt;
+    }
+    return product;
+  }
+  Value count(size_t dimensions, OpBuilder &builder, Location loc) const {
+    IndexMath math(builder, loc);
+    Value product = math.constant(1);
+    for (Value value : ArrayRef(extent).take_front(dimensions))
+      product = math.mul(product, value);
+    return product;
+  }
+};
+} // namespace
+
+/// Moves the body of `loop` into the innermost of the loops that take its
+/// place, with the given induction variables.
+static void moveBody(ParallelForOp loop, scf::ForOp innermost, ValueRange ivs) {
+  Block *block = innermost.getBody();
+  Block &body = loop.getBody().front();
+  for (auto [argument, iv] : llvm::zip(body.getArguments(), ivs))
+    argument.replaceAllUsesWith(iv);
+  body.getTerminator()->erase();
+  block->getOperations().splice(block->getTerminator()->getIterator(),
+                                body.getOperations());
+  // The loop says that accesses of this group do not depend on one another.
+  auto group = loop->getAttrOfType<LLVM::AccessGroupAttr>(kAccessGroupAttrName);
+  if (!group)
+    return;
+  auto annotation = LLVM::LoopAnnotationAttr::get(
+      loop.getContext(), /*disableNonforced=*/{}, {}, {}, {}, {}, {}, {}, {},
+      {}, {}, {}, {}, {}, {}, ArrayRef(group));
+  innermost->setAttr("llvm.loop_annotation", annotation);
+}
+
+static scf::ForOp createFor(OpBuilder &builder, Location loc, Value lower,
+                            Value upper) {
+  Value one = arith::ConstantIndexOp::create(builder, loc, 1);
+  return scf::ForOp::create(builder, loc, lower, upper, one);
+}
+
+/// Replaces `loop` by nested serial loops where it stands.
+static LogicalResult lowerSerially(ParallelForOp loop, const Box &box,
+                                   FieldTable &fields) {
+  SmallVector<AtomicOp> atomics;
+  loop.walk([&](AtomicOp atomic) { atomics.push_back(atomic); });
+  for (AtomicOp atomic : atomics)
+    if (failed(lowerPlainly(atomic, fields)))
+      return failure();
+  OpBuilder builder(loop);
+  SmallVector<Value> ivs;
+  scf::ForOp innermost;
+  for (auto [lower, upper] : llvm::zip(box.lower, box.upper)) {
+    innermost = createFor(builder, loop.getLoc(), lower, upper);
+    ivs.push_back(innermost.getInductionVar());
+    builder.setInsertionPointToStart(innermost.getBody());
+  }
+  moveBody(loop, innermost, ivs);
+  loop.erase();
+  return success();
+}
+
+LogicalResult tai::lowerSerially(ParallelForOp loop, FieldTable &fields) {
+  OpBuilder builder(loop);
+  return ::lowerSerially(loop, Box(loop, builder), fields);
+}
+
+/// The indices of the dimensions before the last, for a row number.
+static SmallVector<Value> delinearize(OpBuilder &builder, Location loc,
+                                      const Box &box, Value row) {
+  IndexMath math(builder, loc);
+  SmallVector<Value> indices(box.rank() - 1);
+  for (size_t d = indices.size(); d-- > 0;) {
+    Value digit = d == 0 ? row : math.rem(row, box.extent[d]);
+    if (d != 0)
+      row = math.div(row, box.extent[d]);
+    indices[d] = math.add(box.lower[d], digit);
+  }
+  return indices;
+}
+
+/// Emits the loops of a partition and moves the body into them. `byRows`: the
+/// range counts rows.
+static void emitPartition(OpBuilder &builder, ParallelForOp loop,
+                          const Box &box, Value begin, Value end, bool byRows) {
+  Location loc = loop.getLoc();
+  IndexMath math(builder, loc);
+  Value lower = box.lower.back();
+  if (box.rank() == 1) {
+    auto inner =
+        createFor(builder, loc, math.add(lower, begin), math.add(lower, end));
+    return moveBody(loop, inner, inner.getInductionVar());
+  }
+
+  // One loop for each dimension: the partition counts the first.
+  if (loop->hasAttr(kOuterDimsAttrName)) {
+    SmallVector<Value> ivs;
+    scf::ForOp inner;
+    for (auto [d, from] : llvm::enumerate(box.lower)) {
+      inner = d == 0 ? createFor(builder, loc, math.add(from, begin),
+                                 math.add(from, end))
+                     : createFor(builder, loc, from, box.upper[d]);
+      ivs.push_back(inner.getInductionVar());
+      builder.setInsertionPointToStart(inner.getBody());
+    }
+    return moveBody(loop, inner, ivs);
+  }
+
+  Value extent = box.extent.back();
+  Value firstRow = begin, endRow = end;
+  if (!byRows) {
+    firstRow = math.div(begin, extent);
+    endRow = math.div(math.add(end, math.sub(extent, 1)), extent);
+  }
+  auto rows = createFor(builder, loc, firstRow, endRow);
+  builder.setInsertionPointToStart(rows.getBody());
+  Value row = rows.getInductionVar();
+  SmallVector<Value> ivs = delinearize(builder, loc, box, row);
+  Value from = lower, to = box.upper.back();
+  if (!byRows) {
+    Value start = math.mul(row, extent);
+    from = math.add(lower, math.max(math.sub(begin, start), math.constant(0)));
+    to = math.add(lower, math.min(math.sub(end, start), extent));
+  }
+  auto inner = createFor(builder, loc, from, to);
+  ivs.push_back(inner.getInductionVar());
+  moveBody(loop, inner, ivs);
+}
+
+LogicalResult
+tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
+                      ModuleLowering &lowering,
+                      SmallVectorImpl<LLVM::LLVMFuncOp> &functions) {
+  if (loop.isStructFor())
+    return loop.emitOpError("runs over a field; expects a box, as "
+                            "tai-lower-struct-for makes it");
+  Location loc = loop.getLoc();
+  RuntimeCalls &runtime = lowering.runtime;
+  numberDraws(loop, loop);
+
+  OpBuilder builder(loop);
+  IndexMath math(builder, loc);
+  Box box(loop, builder);
+  std::optional<int64_t> total = box.constantCount(box.rank());
+  if (loop.getSerialize() || loop->getParentOfType<ParallelForOp>() ||
+      (total && *total <= 1)) {
+    return ::lowerSerially(loop, box, lowering.fields);
+  }
+  FailureOr<Accumulators> accumulators = Accumulators::collect(loop, lowering);
+  if (failed(accumulators))
+    return failure();
+
+  // What a partition counts.
+  std::optional<int64_t> rows = box.constantCount(box.rank() - 1);
+  std::optional<int64_t> rowLength = getConstantIntValue(box.extent.back());
+  bool byRows = box.rank() > 1 && rows && *rows >= kManyRows && rowLength;
+  double cost = estimateIteration(loop, loop->hasAttr(kIndependentAttrName));
+  if (auto fixed = loop->getAttrOfType<FloatAttr>(kFixedCostAttrName))
+    cost = fixed.getValueAsDouble();
+  // Iterations in one step of what the partition counts.
+  double perStep = byRows ? double(*rowLength) : 1.0;
+  size_t counted = byRows ? box.rank() - 1 : box.rank();
+  if (auto outer = loop->getAttrOfType<IntegerAttr>(kOuterDimsAttrName)) {
+    counted = outer.getInt();
+    for (Value extent : ArrayRef(box.extent).drop_front(counted))
+      perStep *= getConstantIntValue(extent).value_or(1);
+    byRows = false;
+  }
+  cost *= perStep;
+  Value count = math.toI64(box.count(counted, builder, loc));
+
+  Type pointer = runtime.getPointerType();
+  Type i64 = builder.getI64Type();
+  auto function = createFunction(lowering.module, loc, name, Type(),
+                                 {pointer, pointer, i64, i64, i64},
+                                 /*isInternal=*/true);
+  functions.push_back(function);
+
+  // An empty box runs nothing: a row of no length cannot be counted.
+  if (!total) {
+    Value zero = runtime.i64(builder, loc, 0);
+    Value some = arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::sgt,
+                                       count, zero);
+    auto guard = scf::IfOp::create(builder, loc, some);
+    loop->moveBefore(guard.thenBlock(), guard.thenBlock()->begin());
+    builder.setInsertionPoint(loop);
+  }
+
+  bool reduces = !accumulators->empty();
+  Value fixed = runtime.i32(builder, loc, reduces || lowering.deterministic);
+  Value nanoseconds =
+      runtime.i64(builder, loc, std::max<int64_t>(1, std::llround(cost)));
+  Value parts = runtime.call(builder, loc, "tai_rt_parts", i64,
+                             {frame, count, nanoseconds, fixed});
+  if (reduces) {
+    parts = accumulators->limitParts(builder, loc, parts, count, perStep);
+    accumulators->emitBefore(builder, loc, frame, parts);
+  }
+
+  Closure closure(function, frame, loop);
+  Block *entry = &function.getBody().front();
+  OpBuilder inside = OpBuilder::atBlockEnd(entry);
+  accumulators->emitEntry(inside, loc, entry->getArgument(4));
+  auto ret = LLVM::ReturnOp::create(inside, loc, ValueRange());
+  inside.setInsertionPoint(ret);
+  IndexMath insideMath(inside, loc);
+  emitPartition(inside, loop, box, insideMath.toIndex(entry->getArgument(2)),
+                insideMath.toIndex(entry->getArgument(3)), byRows);
+  accumulators->rewriteUpdates();
+  inside.setInsertionPoint(ret);
+  accumulators->emitExit(inside, loc);
+  if (failed(closure.capture(function.getBody())))
+    return failure();
+
+  Value address = LLVM::AddressOfOp::create(builder, loc, function);
+  Value environment = closure.emit(runtime);
+  runtime.call(builder, loc, "tai_rt_parallel_for", Type(),
+               {frame, address, environment, count, parts});
+  accumulators->emitAfter(builder, loc, frame, parts);
+  loop.erase();
+  return success();
+}

@@ -1,0 +1,258 @@
+//===- ConvertToLLVM.cpp - The last conversion ----------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "../../Transforms/Utils/Accumulate.h"
+#include "FloatOptions.h"
+#include "mlir/Conversion/ArithToLLVM/ArithToLLVM.h"
+#include "mlir/Conversion/ControlFlowToLLVM/ControlFlowToLLVM.h"
+#include "mlir/Conversion/FuncToLLVM/ConvertFuncToLLVM.h"
+#include "mlir/Conversion/LLVMCommon/ConversionTarget.h"
+#include "mlir/Conversion/LLVMCommon/TypeConverter.h"
+#include "mlir/Conversion/MathToLLVM/MathToLLVM.h"
+#include "mlir/Conversion/MathToLibm/MathToLibm.h"
+#include "mlir/Conversion/SCFToControlFlow/SCFToControlFlow.h"
+#include "mlir/Conversion/UBToLLVM/UBToLLVM.h"
+#include "mlir/Dialect/Arith/Transforms/Passes.h"
+#include "mlir/Dialect/ControlFlow/IR/ControlFlow.h"
+#include "mlir/Dialect/Func/IR/FuncOps.h"
+#include "mlir/Dialect/GPU/IR/GPUDialect.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "mlir/Dialect/LLVMIR/NVVMDialect.h"
+#include "mlir/Dialect/Math/IR/Math.h"
+#include "mlir/Dialect/Math/Transforms/Passes.h"
+#include "tai/Conversion/Passes.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_CONVERTTOLLVM
+#define GEN_PASS_DEF_CHECKLOWERABLE
+#define GEN_PASS_DEF_VERIFYLLVM
+#include "tai/Conversion/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+void tai::setFloatOptions(Operation *root, bool fastMath, bool contract) {
+  using arith::FastMathFlags;
+  FastMathFlags flags = FastMathFlags::none;
+  if (contract)
+    flags = flags | FastMathFlags::contract;
+  if (fastMath)
+    flags = flags | FastMathFlags::reassoc | FastMathFlags::nsz |
+            FastMathFlags::arcp | FastMathFlags::contract | FastMathFlags::afn;
+  root->walk([&](Operation *op) {
+    auto arithmetic = dyn_cast<arith::ArithFastMathInterface>(op);
+    // Comparisons and selects gain nothing, and what they decide must not move;
+    // conversions have no such flags in LLVM.
+    if (!arithmetic || op->removeAttr(kOrderedAttrName) ||
+        isa<arith::CmpFOp, arith::SelectOp, arith::ExtFOp, arith::TruncFOp>(op))
+      return;
+    FastMathFlags old = FastMathFlags::none;
+    if (arith::FastMathFlagsAttr attr = arithmetic.getFastMathFlagsAttr())
+      old = attr.getValue();
+    op->setAttr(arithmetic.getFastMathAttrName(),
+                arith::FastMathFlagsAttr::get(op->getContext(), old | flags));
+  });
+}
+
+namespace {
+/// clampf %x to [%lo, %hi]  ->  minimumf (maximumf %x, %lo), %hi
+/// Upstream's expansion takes the bounds the wrong way round.
+struct ExpandClamp : OpRewritePattern<math::ClampFOp> {
+  using OpRewritePattern::OpRewritePattern;
+  LogicalResult matchAndRewrite(math::ClampFOp op,
+                                PatternRewriter &rewriter) const override {
+    Value low = arith::MaximumFOp::create(rewriter, op.getLoc(), op.getValue(),
+                                          op.getMin(), op.getFastmathAttr());
+    rewriter.replaceOpWithNewOp<arith::MinimumFOp>(op, low, op.getMax(),
+                                                   op.getFastmathAttr());
+    return success();
+  }
+};
+
+/// isinf %x  ->  |x| == infinity. Upstream lowers it as a class of floats
+/// nowhere but in a pass of its own.
+struct ExpandIsInf : OpRewritePattern<math::IsInfOp> {
+  using OpRewritePattern::OpRewritePattern;
+  LogicalResult matchAndRewrite(math::IsInfOp op,
+                                PatternRewriter &rewriter) const override {
+    Value operand = op.getOperand();
+    Type type = operand.getType();
+    auto element = cast<FloatType>(getElementTypeOrSelf(type));
+    TypedAttr infinity = rewriter.getFloatAttr(
+        element, APFloat::getInf(element.getFloatSemantics()));
+    if (auto shaped = dyn_cast<ShapedType>(type))
+      infinity = DenseElementsAttr::get(shaped, Attribute(infinity));
+    Value size = math::AbsFOp::create(rewriter, op.getLoc(), operand);
+    rewriter.replaceOpWithNewOp<arith::CmpFOp>(
+        op, arith::CmpFPredicate::OEQ, size,
+        arith::ConstantOp::create(rewriter, op.getLoc(), infinity));
+    return success();
+  }
+};
+
+/// isnormal %x  ->  the smallest normal <= |x| < infinity
+struct ExpandIsNormal : OpRewritePattern<math::IsNormalOp> {
+  using OpRewritePattern::OpRewritePattern;
+  LogicalResult matchAndRewrite(math::IsNormalOp op,
+                                PatternRewriter &rewriter) const override {
+    Location loc = op.getLoc();
+    Type type = op.getOperand().getType();
+    auto element = cast<FloatType>(getElementTypeOrSelf(type));
+    auto constant = [&](const APFloat &value) -> Value {
+      TypedAttr attr = rewriter.getFloatAttr(element, value);
+      if (auto shaped = dyn_cast<ShapedType>(type))
+        attr = DenseElementsAttr::get(shaped, Attribute(attr));
+      return arith::ConstantOp::create(rewriter, loc, attr);
+    };
+    const llvm::fltSemantics &semantics = element.getFloatSemantics();
+    Value size = math::AbsFOp::create(rewriter, loc, op.getOperand());
+    Value isLarge = arith::CmpFOp::create(
+        rewriter, loc, arith::CmpFPredicate::OGE, size,
+        constant(APFloat::getSmallestNormalized(semantics)));
+    Value isFinite =
+        arith::CmpFOp::create(rewriter, loc, arith::CmpFPredicate::OLT, size,
+                              constant(APFloat::getInf(semantics)));
+    rewriter.replaceOpWithNewOp<arith::AndIOp>(op, isLarge, isFinite);
+    return success();
+  }
+};
+
+/// Casts a float to an integer as the hardware does, also where none stands for
+/// it: LLVM takes the result to be whatever suits it then, a different number
+/// each time it is used.
+template <typename FromT, typename ToT>
+struct CastFloat : OpConversionPattern<FromT> {
+  using OpConversionPattern<FromT>::OpConversionPattern;
+  LogicalResult
+  matchAndRewrite(FromT op, typename FromT::Adaptor adaptor,
+                  ConversionPatternRewriter &rewriter) const override {
+    Type type = this->getTypeConverter()->convertType(op.getType());
+    if (!isa_and_present<IntegerType>(type))
+      return failure();
+    Value cast = ToT::create(rewriter, op.getLoc(), type, adaptor.getIn());
+    rewriter.replaceOpWithNewOp<LLVM::FreezeOp>(op, cast);
+    return success();
+  }
+};
+} // namespace
+
+void tai::populateFloatCasts(const LLVMTypeConverter &converter,
+                             RewritePatternSet &patterns) {
+  // Before those of upstream.
+  patterns.add<CastFloat<arith::FPToSIOp, LLVM::FPToSIOp>,
+               CastFloat<arith::FPToUIOp, LLVM::FPToUIOp>>(
+      converter, patterns.getContext(), /*benefit=*/2);
+}
+
+void tai::populateExpansionFixes(RewritePatternSet &patterns) {
+  // LLVM 22 crashes when it vectorises a loop with the intrinsic for sine and
+  // cosine together; it finds the pair by itself.
+  math::populateExpansionPatterns(patterns, {"sincos"});
+  // Upstream makes e^x - 1 of it, of which nothing is left for small x.
+  llvm::erase_if(patterns.getNativePatterns(), [](const auto &pattern) {
+    std::optional<OperationName> root = pattern->getRootKind();
+    return root && root->getStringRef() == math::ExpM1Op::getOperationName() &&
+           pattern->getBenefit() == 1;
+  });
+  patterns.add<ExpandClamp, ExpandIsInf, ExpandIsNormal>(patterns.getContext());
+}
+
+namespace {
+struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
+  using Base::Base;
+
+  void runOnOperation() override {
+    ModuleOp module = getOperation();
+    MLIRContext *context = &getContext();
+    setFloatOptions(module, fastMath, contract);
+
+    LLVMTypeConverter converter(context);
+    RewritePatternSet patterns(context);
+    populateSCFToControlFlowConversionPatterns(patterns);
+    arith::populateCeilFloorDivExpandOpsPatterns(patterns);
+    arith::populateArithToLLVMConversionPatterns(converter, patterns);
+    cf::populateControlFlowToLLVMConversionPatterns(converter, patterns);
+    ub::populateUBToLLVMConversionPatterns(converter, patterns);
+    populateMathToLLVMConversionPatterns(converter, patterns,
+                                         /*approximateLog1p=*/false);
+    populateExpansionFixes(patterns);
+    populateFloatCasts(converter, patterns);
+    // In f32, polynomials that are right to some units in the last place: they
+    // vectorise, which calls of libm do not.
+    if (fastMath)
+      populateMathPolynomialApproximationPatterns(
+          patterns,
+          [](StringRef name) {
+            return llvm::is_contained({"math.exp", "math.log", "math.tanh"},
+                                      name);
+          },
+          /*benefit=*/2);
+    else if (contract)
+      populateWideMath(patterns, /*benefit=*/2);
+    // What LLVM has no intrinsic for is called in libm.
+    populateMathToLibmConversionPatterns(patterns, /*benefit=*/0);
+    populateFuncToLLVMConversionPatterns(converter, patterns);
+
+    LLVMConversionTarget target(*context);
+    if (failed(applyPartialConversion(module, target, std::move(patterns))))
+      return signalPassFailure();
+    // The conversions carry annotations of loops along without knowing them.
+    module.walk([](LLVM::BrOp branch) {
+      if (auto annotation = dyn_cast_if_present<LLVM::LoopAnnotationAttr>(
+              branch->removeDiscardableAttr("llvm.loop_annotation")))
+        branch.setLoopAnnotationAttr(annotation);
+    });
+  }
+};
+
+/// True for the dialects that the passes before and in this file lower, with
+/// what those of a device leave.
+bool isLowered(StringRef dialect) {
+  return llvm::is_contained({"arith", "builtin", "cf", "func", "gpu", "llvm",
+                             "math", "memref", "nvvm", "scf", "tai", "ub",
+                             "vector"},
+                            dialect);
+}
+
+struct CheckLowerable : tai::impl::CheckLowerableBase<CheckLowerable> {
+  using Base::Base;
+
+  void runOnOperation() override {
+    WalkResult result = getOperation().walk([](Operation *op) {
+      StringRef dialect = op->getName().getDialectNamespace();
+      if (isLowered(dialect))
+        return WalkResult::advance();
+      op->emitOpError("is not lowered by this pipeline").attachNote()
+          << "run the passes that turn the dialect '" << dialect
+          << "' into those of arith, math, scf, memref, vector and func before";
+      return WalkResult::interrupt();
+    });
+    if (result.wasInterrupted())
+      return signalPassFailure();
+    markAllAnalysesPreserved();
+  }
+};
+
+struct VerifyLLVM : tai::impl::VerifyLLVMBase<VerifyLLVM> {
+  using Base::Base;
+
+  void runOnOperation() override {
+    WalkResult result = getOperation().walk([](Operation *op) {
+      if (isa<ModuleOp, gpu::GPUModuleOp>(op) ||
+          isa_and_present<LLVM::LLVMDialect, NVVM::NVVMDialect>(
+              op->getDialect()))
+        return WalkResult::advance();
+      op->emitOpError("was not lowered to the LLVM dialect");
+      return WalkResult::interrupt();
+    });
+    if (result.wasInterrupted())
+      return signalPassFailure();
+    markAllAnalysesPreserved();
+  }
+};
+} // namespace

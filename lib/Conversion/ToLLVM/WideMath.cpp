@@ -1,0 +1,221 @@
+//===- WideMath.cpp - Functions of f32 by arithmetic in f64 ---------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A call into libm keeps a loop from being vectorised, and its function works
+// on one number at a time. In f64 an exponential and a logarithm that are right
+// for f32 need no table and no branch: a short polynomial is exact to 2^-35, so
+// that what is rounded to f32 is off by hardly more than half a unit in the
+// last place (libm: up to 1, and 2 for tanh). The same for a number alone as
+// for a vector of them.
+//
+//===----------------------------------------------------------------------===//
+
+#include "FloatOptions.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Math/IR/Math.h"
+#include "llvm/ADT/bit.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+/// Arithmetic on f64, or vectors of it, that may be contracted.
+class Wide {
+public:
+  /// `type`: f32, or a vector of it.
+  Wide(OpBuilder &builder, Location loc, Type type)
+      : builder(builder), loc(loc), narrowType(type),
+        wideType(withElement(builder.getF64Type())),
+        bitsType(withElement(builder.getI64Type())),
+        contract(arith::FastMathFlagsAttr::get(
+            builder.getContext(), arith::FastMathFlags::contract)) {}
+
+  Value constant(double value) {
+    return splat(wideType, builder.getF64FloatAttr(value));
+  }
+  Value bits(int64_t value) {
+    return splat(bitsType, builder.getI64IntegerAttr(value));
+  }
+  Value extend(Value a) {
+    return arith::ExtFOp::create(builder, loc, wideType, a);
+  }
+  Value truncate(Value a) {
+    return arith::TruncFOp::create(builder, loc, narrowType, a);
+  }
+  Value add(Value a, Value b) {
+    return arith::AddFOp::create(builder, loc, a, b, contract);
+  }
+  Value sub(Value a, Value b) {
+    return arith::SubFOp::create(builder, loc, a, b, contract);
+  }
+  Value mul(Value a, Value b) {
+    return arith::MulFOp::create(builder, loc, a, b, contract);
+  }
+  Value div(Value a, Value b) {
+    return arith::DivFOp::create(builder, loc, a, b, contract);
+  }
+  Value toBits(Value a) {
+    return arith::BitcastOp::create(builder, loc, bitsType, a);
+  }
+  Value fromBits(Value a) {
+    return arith::BitcastOp::create(builder, loc, wideType, a);
+  }
+  Value addBits(Value a, Value b) {
+    return arith::AddIOp::create(builder, loc, a, b);
+  }
+  Value subBits(Value a, Value b) {
+    return arith::SubIOp::create(builder, loc, a, b);
+  }
+  Value shiftLeft(Value a, int64_t by) {
+    return arith::ShLIOp::create(builder, loc, a, bits(by));
+  }
+  Value shiftRight(Value a, int64_t by) {
+    return arith::ShRSIOp::create(builder, loc, a, bits(by));
+  }
+  Value andBits(Value a, int64_t mask) {
+    return arith::AndIOp::create(builder, loc, a, bits(mask));
+  }
+  Value toFloat(Value a) {
+    return arith::SIToFPOp::create(builder, loc, wideType, a);
+  }
+  Value choose(arith::CmpFPredicate predicate, Value a, Value b, Value yes,
+               Value no) {
+    Value holds = arith::CmpFOp::create(builder, loc, predicate, a, b);
+    return arith::SelectOp::create(builder, loc, holds, yes, no);
+  }
+
+  /// c[0] + c[1] x + ... + c[7] x^7, in few steps one after another.
+  Value polynomial(Value x, const std::array<double, 8> &c) {
+    Value square = mul(x, x);
+    Value fourth = mul(square, square);
+    auto pair = [&](int i) {
+      return add(constant(c[i]), mul(constant(c[i + 1]), x));
+    };
+    Value low = add(pair(0), mul(square, pair(2)));
+    Value high = add(pair(4), mul(square, pair(6)));
+    return add(low, mul(fourth, high));
+  }
+
+  /// 2^k and e^r - 1, where x = k ln 2 + r, for |x| < 1000.
+  std::pair<Value, Value> splitExp(Value x) {
+    // Added to a number below 2^51, this rounds it to an integer, which is then
+    // in the low bits.
+    Value shifter = constant(0x1.8p52);
+    Value shifted = add(mul(x, constant(0x1.71547652b82fep0)), shifter);
+    Value k = sub(shifted, shifter);
+    Value scale = fromBits(
+        addBits(shiftLeft(toBits(shifted), 52), bits(int64_t(1023) << 52)));
+    Value r = sub(x, mul(k, constant(0x1.62e42fefa39efp-1)));
+    // (e^r - 1 - r) / r^2; |r| < 0.35, so the next term is below 2^-37.
+    Value rest =
+        polynomial(r, {1.0 / 2, 1.0 / 6, 1.0 / 24, 1.0 / 120, 1.0 / 720,
+                       1.0 / 5040, 1.0 / 40320, 1.0 / 362880});
+    return {scale, add(r, mul(mul(r, r), rest))};
+  }
+
+private:
+  Type withElement(Type element) {
+    auto vector = dyn_cast<VectorType>(narrowType);
+    return vector ? Type(vector.clone(element)) : element;
+  }
+  Value splat(Type type, TypedAttr value) {
+    if (auto vector = dyn_cast<VectorType>(type))
+      value = DenseElementsAttr::get(vector, Attribute(value));
+    return arith::ConstantOp::create(builder, loc, value);
+  }
+
+  OpBuilder &builder;
+  Location loc;
+  Type narrowType, wideType, bitsType;
+  arith::FastMathFlagsAttr contract;
+};
+
+using Predicate = arith::CmpFPredicate;
+
+Value expandExp(Wide &wide, Value x) {
+  // Beyond these f32 knows infinity and zero alone. NaN stays.
+  Value most = wide.constant(90), least = wide.constant(-110);
+  x = wide.extend(x);
+  x = wide.choose(Predicate::OGT, x, most, most, x);
+  x = wide.choose(Predicate::OLT, x, least, least, x);
+  auto [scale, minusOne] = wide.splitExp(x);
+  return wide.truncate(wide.add(scale, wide.mul(scale, minusOne)));
+}
+
+/// t / (t + 2) with t = e^2x - 1, of which nothing cancels.
+Value expandTanh(Wide &wide, Value x) {
+  // From 9.1 on the result is 1.
+  Value most = wide.constant(20);
+  Value twice = wide.extend(x);
+  twice = wide.add(twice, twice);
+  twice = wide.choose(Predicate::OGT, twice, most, most, twice);
+  auto [scale, minusOne] = wide.splitExp(twice);
+  Value t =
+      wide.add(wide.mul(scale, minusOne), wide.sub(scale, wide.constant(1)));
+  return wide.truncate(wide.div(t, wide.add(t, wide.constant(2))));
+}
+
+/// e ln 2 + ln m, where x = 2^e m, by the series of artanh((m - 1) / (m + 1)).
+Value expandLog(Wide &wide, Value narrow) {
+  Value x = wide.extend(narrow);
+  // Every f32 but 0 is a normal f64. Counted from sqrt(1/2), the bits of the
+  // exponent are those of e.
+  constexpr auto rootHalf = int64_t(0x3fe6a09e667f3bcd);
+  Value above = wide.subBits(wide.toBits(x), wide.bits(rootHalf));
+  Value e = wide.toFloat(wide.shiftRight(above, 52));
+  Value m = wide.fromBits(wide.addBits(
+      wide.andBits(above, (int64_t(1) << 52) - 1), wide.bits(rootHalf)));
+  Value one = wide.constant(1);
+  Value s = wide.div(wide.sub(m, one), wide.add(m, one));
+  // s^2 < 0.03: the next term is below 2^-40.
+  Value series =
+      wide.polynomial(wide.mul(s, s), {2.0, 2.0 / 3, 2.0 / 5, 2.0 / 7, 2.0 / 9,
+                                       2.0 / 11, 2.0 / 13, 2.0 / 15});
+  Value result = wide.add(wide.mul(e, wide.constant(0x1.62e42fefa39efp-1)),
+                          wide.mul(s, series));
+  Value zero = wide.constant(0);
+  Value infinity = wide.constant(std::numeric_limits<double>::infinity());
+  Value nan = wide.constant(std::numeric_limits<double>::quiet_NaN());
+  result = wide.choose(Predicate::OLT, x, infinity, result, x);
+  result = wide.choose(Predicate::OGT, x, zero, result, nan);
+  result = wide.choose(Predicate::OEQ, x, zero,
+                       wide.constant(-std::numeric_limits<double>::infinity()),
+                       result);
+  return wide.truncate(result);
+}
+
+template <typename Op, Value (*expand)(Wide &, Value), bool isOdd = false>
+struct ExpandWide : OpRewritePattern<Op> {
+  using OpRewritePattern<Op>::OpRewritePattern;
+  LogicalResult matchAndRewrite(Op op,
+                                PatternRewriter &rewriter) const override {
+    Type type = op.getType();
+    auto vector = dyn_cast<VectorType>(type);
+    if (!getElementTypeOrSelf(type).isF32() || (vector && vector.isScalable()))
+      return failure();
+    Location loc = op.getLoc();
+    Wide wide(rewriter, loc, type);
+    Value x = op.getOperand();
+    // Zeros have signs too.
+    if constexpr (isOdd)
+      x = math::AbsFOp::create(rewriter, loc, x);
+    Value result = expand(wide, x);
+    if constexpr (isOdd)
+      result = math::CopySignOp::create(rewriter, loc, result, op.getOperand());
+    rewriter.replaceOp(op, result);
+    return success();
+  }
+};
+} // namespace
+
+void tai::populateWideMath(RewritePatternSet &patterns,
+                           PatternBenefit benefit) {
+  patterns.add<ExpandWide<math::ExpOp, expandExp>,
+               ExpandWide<math::LogOp, expandLog>,
+               ExpandWide<math::TanhOp, expandTanh, /*isOdd=*/true>>(
+      patterns.getContext(), benefit);
+}

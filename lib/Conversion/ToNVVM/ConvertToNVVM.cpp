@@ -1,0 +1,131 @@
+//===- ConvertToNVVM.cpp - Device functions in terms of NVVM and LLVM -----===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "../TaiToGPU/Offload.h"
+#include "../ToLLVM/FloatOptions.h"
+#include "mlir/Conversion/ArithToLLVM/ArithToLLVM.h"
+#include "mlir/Conversion/ControlFlowToLLVM/ControlFlowToLLVM.h"
+#include "mlir/Conversion/GPUToNVVM/GPUToNVVMPass.h"
+#include "mlir/Conversion/LLVMCommon/ConversionTarget.h"
+#include "mlir/Conversion/LLVMCommon/TypeConverter.h"
+#include "mlir/Conversion/MathToLLVM/MathToLLVM.h"
+#include "mlir/Conversion/MathToLibm/MathToLibm.h"
+#include "mlir/Conversion/SCFToControlFlow/SCFToControlFlow.h"
+#include "mlir/Conversion/UBToLLVM/UBToLLVM.h"
+#include "mlir/Dialect/Arith/Transforms/Passes.h"
+#include "mlir/Dialect/ControlFlow/IR/ControlFlow.h"
+#include "mlir/Dialect/GPU/IR/GPUDialect.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "mlir/Dialect/LLVMIR/NVVMDialect.h"
+#include "mlir/Dialect/Math/IR/Math.h"
+#include "tai/Conversion/Passes.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_CONVERTTONVVM
+#include "tai/Conversion/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+/// gpu.thread_id x  ->  a call of the device library, on the CPU.
+template <typename OpT> struct AskForNumber : OpRewritePattern<OpT> {
+  AskForNumber(MLIRContext *context, StringRef callee)
+      : OpRewritePattern<OpT>(context), callee(callee) {}
+
+  LogicalResult matchAndRewrite(OpT op,
+                                PatternRewriter &rewriter) const override {
+    Location loc = op.getLoc();
+    if (op.getDimension() != gpu::Dimension::x)
+      return rewriter.notifyMatchFailure(op, "grids have one dimension");
+    auto kernels = op->template getParentOfType<gpu::GPUModuleOp>();
+    auto function = kernels.template lookupSymbol<LLVM::LLVMFuncOp>(callee);
+    if (!function) {
+      OpBuilder::InsertionGuard guard(rewriter);
+      rewriter.setInsertionPointToStart(&kernels.getBodyRegion().front());
+      function = LLVM::LLVMFuncOp::create(
+          rewriter, kernels.getLoc(), callee,
+          LLVM::LLVMFunctionType::get(rewriter.getI32Type(), {}));
+    }
+    Value number =
+        LLVM::CallOp::create(rewriter, loc, function, ValueRange()).getResult();
+    rewriter.replaceOpWithNewOp<arith::IndexCastOp>(op, rewriter.getIndexType(),
+                                                    number);
+    return success();
+  }
+
+  StringRef callee;
+};
+
+struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
+  using Base::Base;
+
+  void runOnOperation() override {
+    for (auto kernels : getOperation().getOps<gpu::GPUModuleOp>())
+      if (failed(convert(kernels)))
+        return signalPassFailure();
+  }
+
+  LogicalResult convert(gpu::GPUModuleOp kernels) {
+    MLIRContext *context = &getContext();
+    setFloatOptions(kernels, fastMath, contract);
+
+    LowerToLLVMOptions options(context);
+    if (auto bits = kernels->getAttrOfType<IntegerAttr>(kIndexBitsAttrName))
+      options.overrideIndexBitwidth(bits.getInt());
+    LLVMTypeConverter converter(context, options);
+    RewritePatternSet patterns(context);
+    populateSCFToControlFlowConversionPatterns(patterns);
+    arith::populateCeilFloorDivExpandOpsPatterns(patterns);
+    arith::populateArithToLLVMConversionPatterns(converter, patterns);
+    cf::populateControlFlowToLLVMConversionPatterns(converter, patterns);
+    ub::populateUBToLLVMConversionPatterns(converter, patterns);
+    populateMathToLLVMConversionPatterns(converter, patterns,
+                                         /*approximateLog1p=*/false);
+    populateExpansionFixes(patterns);
+    populateFloatCasts(converter, patterns);
+    if (emulated) {
+      patterns.add<AskForNumber<gpu::ThreadIdOp>>(context, "tai_dev_thread_id");
+      patterns.add<AskForNumber<gpu::BlockIdOp>>(context, "tai_dev_block_id");
+      patterns.add<AskForNumber<gpu::BlockDimOp>>(context, "tai_dev_block_dim");
+      patterns.add<AskForNumber<gpu::GridDimOp>>(context, "tai_dev_grid_dim");
+      populateMathToLibmConversionPatterns(patterns, /*benefit=*/0);
+    } else {
+      configureGpuToNVVMTypeConverter(converter);
+      // Before the intrinsics of LLVM, which the backend cannot select.
+      populateGpuToNVVMConversionPatterns(converter, patterns, /*benefit=*/10);
+    }
+
+    LLVMConversionTarget target(*context);
+    target.addLegalDialect<NVVM::NVVMDialect>();
+    target.addLegalOp<gpu::GPUModuleOp>();
+    target.addIllegalDialect<gpu::GPUDialect>();
+    target.addLegalOp<gpu::GPUModuleOp>();
+    if (failed(applyPartialConversion(kernels, target, std::move(patterns))))
+      return failure();
+    // Annotations of loops are for the vectoriser, which a GPU has not, but for
+    // those that keep a loop as it is.
+    // It comes from scf.for as an attribute that is not the op's own.
+    kernels.walk([](LLVM::BrOp branch) {
+      auto annotation = dyn_cast_if_present<LLVM::LoopAnnotationAttr>(
+          branch->removeDiscardableAttr("llvm.loop_annotation"));
+      if (annotation && annotation.getUnroll())
+        branch.setLoopAnnotationAttr(annotation);
+    });
+    if (emulated)
+      return success();
+    for (auto function : kernels.getOps<LLVM::LLVMFuncOp>())
+      if (function->hasAttr(gpu::GPUDialect::getKernelFuncAttrName())) {
+        function->setAttr(NVVM::NVVMDialect::getKernelFuncAttrName(),
+                          UnitAttr::get(context));
+        limitRegisters(function);
+      }
+    return success();
+  }
+};
+} // namespace

@@ -1,0 +1,303 @@
+//===- Declarations.cpp - Trees and fields of a session -------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/ExecutionEngine/Declarations.h"
+#include "mlir/AsmParser/AsmParser.h"
+#include "mlir/IR/Verifier.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/ExecutionEngine/ModuleFile.h"
+#include "llvm/ADT/SetVector.h"
+#include "llvm/ADT/StringSet.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+Declarations::Declarations(MLIRContext *context, runtime::Runtime &runtime,
+                           FailureLog &failures)
+    : context(context), rt(runtime), failures(failures),
+      declared(ModuleOp::create(UnknownLoc::get(context))), symbols(*declared) {
+}
+
+int64_t Declarations::size() const {
+  return llvm::range_size(declared.get().getBody()->getOperations());
+}
+
+//===----------------------------------------------------------------------===//
+// Trees
+//===----------------------------------------------------------------------===//
+
+LogicalResult Declarations::addTree(StringRef name, StringRef layout) {
+  DiagnosticCollector collector(context);
+  size_t read = 0;
+  Type type = parseType(layout, context, &read,
+                        /*isKnownNullTerminated=*/false);
+  if (!type)
+    return failures.fail(collector.take(
+        FailureKind::Syntax, "the layout '" + layout + "' does not parse"));
+  if (!layout.substr(read).trim().empty())
+    return failures.fail(FailureKind::Syntax,
+                         "the layout of '" + name + "' ends with '" +
+                             layout.substr(read).trim() +
+                             "', which does not belong to it");
+  auto root = dyn_cast<RootType>(type);
+  if (!root)
+    return failures.fail(FailureKind::Type,
+                         "the layout of a tree is a !tai.root type, but got '" +
+                             layout + "'");
+  OpBuilder builder(context);
+  OperationState state(UnknownLoc::get(context), TreeOp::getOperationName());
+  state.addAttribute("sym_name", builder.getStringAttr(name));
+  state.addAttribute("layout", TypeAttr::get(root));
+  OwningOpRef<TreeOp> tree(cast<TreeOp>(builder.create(state)));
+  return addTree(*tree);
+}
+
+/// "the 'pointer' level above @x, @v", for messages.
+static std::string describeNode(RootType root, const SparseNode &node) {
+  std::string label;
+  llvm::raw_string_ostream os(label);
+  os << "the '" << node.type.getKind() << "' level above ";
+  unsigned count = 0;
+  walkPlaces(root, [&](const PlacePath &path) {
+    ArrayRef<unsigned> position = node.position;
+    if (path.levels.size() < position.size() ||
+        !llvm::all_of(llvm::zip(position, path.levels), [](auto pair) {
+          return std::get<0>(pair) == std::get<1>(pair).child;
+        }))
+      return;
+    if (++count <= 3)
+      os << (count > 1 ? ", " : "") << '@'
+         << path.places.getNames()[path.place].getValue();
+  });
+  if (count > 3)
+    os << " and " << count - 3 << " more";
+  return label;
+}
+
+/// What the runtime must know of the sparse levels of a tree.
+static std::vector<runtime::SparseInfo>
+describeSparse(RootType root, const DataLayout &dataLayout) {
+  std::vector<runtime::SparseInfo> infos;
+  for (const SparseNode &node : getSparseNodes(root, dataLayout)) {
+    runtime::SparseInfo info;
+    info.label = describeNode(root, node);
+    info.isList = node.type.isList();
+    info.parent = node.parent ? int(*node.parent) : -1;
+    for (const SparseNode::Step &step : node.steps)
+      info.steps.push_back({step.cells, static_cast<int64_t>(step.stride)});
+    info.offset = node.offset;
+    info.activityOffset = node.activityOffset;
+    infos.push_back(std::move(info));
+  }
+  return infos;
+}
+
+LogicalResult Declarations::addTree(TreeOp tree) {
+  StringRef name = tree.getSymName();
+  DiagnosticCollector collector(context);
+  if (symbols.lookup(name))
+    return failures.fail(FailureKind::Usage,
+                         "'" + name + "' is already declared");
+  if (failed(verify(tree)))
+    return failures.fail(
+        collector.take(FailureKind::Type, "'" + name + "' is invalid"));
+  RootType root = tree.getLayout();
+  DataLayout dataLayout(*declared);
+  runtime::TreePtr made;
+  if (failed(failures.check(
+          rt.addTree(name.str(), getTreeSize(root, dataLayout).total, made,
+                     describeSparse(root, dataLayout)))))
+    return failure();
+  symbols.insert(tree.clone());
+  return success();
+}
+
+LogicalResult Declarations::destroyTree(StringRef name) {
+  if (failed(failures.check(rt.destroyTree(name.str()))))
+    return failure();
+  llvm::StringSet<> gone;
+  for (FieldOp field : llvm::make_early_inc_range(declared->getOps<FieldOp>()))
+    if (field.getTree() == name) {
+      gone.insert(field.getSymName());
+      symbols.erase(field);
+    }
+  // What takes the name of an adjoint that is gone is another field.
+  for (FieldOp field : declared->getOps<FieldOp>()) {
+    if (field.getAdjoint() && gone.contains(*field.getAdjoint()))
+      field.removeAdjointAttr();
+    if (field.getDual() && gone.contains(*field.getDual()))
+      field.removeDualAttr();
+  }
+  if (Operation *tree = symbols.lookup(name))
+    symbols.erase(tree);
+  return success();
+}
+
+//===----------------------------------------------------------------------===//
+// Fields
+//===----------------------------------------------------------------------===//
+
+FailureOr<runtime::FieldPtr> Declarations::addField(StringRef declaration) {
+  DiagnosticCollector collector(context);
+  // Not verified yet: the adjoint and the tree are not in the text.
+  ParserConfig config(context, /*verifyAfterParse=*/false);
+  OwningOpRef<ModuleOp> module = readModule(declaration, config, "declaration");
+  if (!module)
+    return failures.fail(
+        collector.take(FailureKind::Syntax, "the declaration does not parse"));
+  Block *body = module->getBody();
+  if (!llvm::hasSingleElement(*body) || !isa<FieldOp>(body->front()))
+    return failures.fail(FailureKind::Syntax,
+                         "a declaration is one 'tai.field' op, but got '" +
+                             declaration + "'");
+  return addField(cast<FieldOp>(body->front()));
+}
+
+/// Verifies a field by itself, with its tree but without its adjoint, which may
+/// come later.
+static LogicalResult verifyAlone(FieldOp field, TreeOp tree) {
+  OwningOpRef<ModuleOp> scratch = ModuleOp::create(field.getLoc());
+  scratch->push_back(tree.clone());
+  FieldOp copy = field.clone();
+  copy.removeAdjointAttr();
+  copy.removeDualAttr();
+  scratch->push_back(copy);
+  return verify(*scratch);
+}
+
+static std::optional<runtime::ScalarKind> getScalarKind(Type type) {
+  using Kind = runtime::ScalarKind;
+  if (type.isInteger(1))
+    return Kind::I1;
+  if (type.isInteger(8))
+    return Kind::I8;
+  if (type.isInteger(16))
+    return Kind::I16;
+  if (type.isInteger(32))
+    return Kind::I32;
+  if (type.isInteger(64))
+    return Kind::I64;
+  if (type.isF16())
+    return Kind::F16;
+  if (type.isBF16())
+    return Kind::BF16;
+  if (type.isF32())
+    return Kind::F32;
+  if (type.isF64())
+    return Kind::F64;
+  return std::nullopt;
+}
+
+FailureOr<runtime::FieldPtr> Declarations::addField(FieldOp field) {
+  StringRef name = field.getSymName();
+  if (symbols.lookup(name))
+    return failures.fail(FailureKind::Usage,
+                         "'" + name + "' is already declared");
+  auto tree = symbols.lookup<TreeOp>(field.getTree());
+  if (!tree)
+    return failures.fail(FailureKind::Usage,
+                         "field '" + name + "' names the tree '" +
+                             field.getTree() + "', which is not there");
+  DiagnosticCollector collector(context);
+  if (failed(verifyAlone(field, tree)))
+    return failures.fail(
+        collector.take(FailureKind::Type, "field '" + name + "' is invalid"));
+  FieldOp kept = field.clone();
+  symbols.insert(kept);
+  auto undo = [&](LogicalResult result) {
+    symbols.erase(kept);
+    return result;
+  };
+
+  FailureOr<FieldLayout> layout = getFieldLayout(kept);
+  if (failed(layout))
+    return undo(failures.fail(collector.take(
+        FailureKind::Type, "field '" + name + "' has no layout")));
+  FieldStorage storage = getFieldStorage(*layout, DataLayout(*declared));
+  runtime::FieldInfo info;
+  info.name = name.str();
+  info.tree = rt.findTree(field.getTree().str());
+  Type scalar = field.getType();
+  if (auto vector = dyn_cast<VectorType>(scalar)) {
+    scalar = vector.getElementType();
+    info.layout.elementShape.assign(vector.getShape().begin(),
+                                    vector.getShape().end());
+  }
+  std::optional<runtime::ScalarKind> kind = getScalarKind(scalar);
+  if (!kind) {
+    field.emitError() << "fields of " << scalar << " cannot be run";
+    return undo(failures.fail(collector.take(FailureKind::Type)));
+  }
+  info.layout.scalar = *kind;
+  info.layout.placeOffset = storage.offset;
+  info.layout.indices.resize(layout->shape.size());
+  unsigned innermost = 0;
+  if (!storage.sparse.empty()) {
+    innermost = storage.sparse.back().level + 1;
+    info.layout.sparseNode = storage.sparse.back().node;
+  }
+  for (const IndexDigit &digit : storage.digits) {
+    // What one step of the digit is worth in cells of the innermost sparse
+    // level: nothing for the digits below it.
+    int64_t cells = digit.level < innermost ? digit.weight : 0;
+    for (unsigned level = digit.level + 1; level < innermost; ++level)
+      cells *= layout->path.levels[level].type.getNumCells();
+    info.layout.indices[digit.dimension].push_back(
+        {digit.divisor, digit.extent, static_cast<int64_t>(digit.stride),
+         cells});
+  }
+  info.layout.offset.assign(layout->offset.begin(), layout->offset.end());
+  if (field.getAdjoint())
+    info.adjoint = field.getAdjoint()->str();
+  if (field.getDual())
+    info.dual = field.getDual()->str();
+  runtime::FieldPtr made;
+  if (failed(failures.check(rt.addField(std::move(info), made))))
+    return undo(failure());
+  return made;
+}
+
+//===----------------------------------------------------------------------===//
+// What kernels use
+//===----------------------------------------------------------------------===//
+
+LogicalResult Declarations::declareUsed(ModuleOp module) {
+  // In the order of first use, so that the module, and with it the key of its
+  // cached code, does not depend on what else the session holds.
+  llvm::SetVector<StringAttr> pending;
+  module.walk([&](Operation *op) {
+    op->getAttrDictionary().walk([&](SymbolRefAttr symbol) {
+      pending.insert(symbol.getRootReference());
+    });
+  });
+  SmallVector<Operation *> used;
+  for (size_t i = 0; i < pending.size(); ++i) {
+    StringAttr name = pending[i];
+    Operation *held = SymbolTable::lookupSymbolIn(module, name);
+    Operation *known = symbols.lookup(name);
+    if (auto tree = dyn_cast_or_null<TreeOp>(held)) {
+      auto knownTree = dyn_cast_or_null<TreeOp>(known);
+      if (!knownTree || knownTree.getLayout() != tree.getLayout())
+        return failures.fail(FailureKind::Usage,
+                             "the tree '" + name.getValue() +
+                                 "' of the module is not that of the context");
+    }
+    Operation *op = held ? held : known;
+    if (!held && known)
+      used.push_back(known);
+    if (auto field = dyn_cast_or_null<FieldOp>(op))
+      for (NamedAttribute attribute : field->getAttrs())
+        if (auto symbol = dyn_cast<SymbolRefAttr>(attribute.getValue()))
+          pending.insert(symbol.getRootReference());
+  }
+  OpBuilder builder = OpBuilder::atBlockBegin(module.getBody());
+  for (bool wantTrees : {true, false})
+    for (Operation *op : used)
+      if (isa<TreeOp>(op) == wantTrees)
+        builder.clone(*op);
+  return success();
+}

@@ -1,0 +1,393 @@
+//===- EmulatedDevice.cpp - Device code on the CPU ------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Runs the device functions of kernels where there is no GPU, for tests. Its
+// memory is not that of the host's side, so that what was not copied is not
+// there, and holds garbage until it is written. Blocks run one after another in
+// an order that changes from launch to launch. They have one thread, which
+// makes barriers and shuffles right by themselves, unless TAI_EMULATED_THREADS
+// asks for more; see EmulatedThreads.h. Programs always have one.
+//
+//===----------------------------------------------------------------------===//
+
+#include "../Launch/Launch.h"
+#include "EmulatedThreads.h"
+#include "tai/ABI/DeviceAbi.h"
+#include "tai/Runtime/Device/Device.h"
+#include <algorithm>
+#include <chrono>
+#include <cstring>
+#include <map>
+#include <mutex>
+#include <numeric>
+#include <set>
+#include <sys/mman.h>
+#include <unistd.h>
+
+using namespace mlir::tai::runtime;
+
+namespace {
+struct Place {
+  int32_t block = 0;
+  int32_t blocks = 1;
+};
+} // namespace
+
+static thread_local Place place;
+
+extern "C" int32_t tai_emu_block_id(void) { return place.block; }
+extern "C" int32_t tai_emu_grid_dim(void) { return place.blocks; }
+
+static thread_local struct {
+  Place before;
+  uint64_t number, next, step;
+} group = {};
+
+extern "C" int32_t tai_emu_begin_group(void) {
+  // Odd steps reach each of a power of two once.
+  constexpr int32_t threads = 4;
+  group.before = place;
+  group.next = group.number++;
+  group.step = 1 + group.number / threads % 2 * 2;
+  place.blocks = threads;
+  return threads;
+}
+extern "C" void tai_emu_next_in_group(void) {
+  place.block = static_cast<int32_t>(group.next % uint64_t(place.blocks));
+  group.next += group.step;
+}
+extern "C" void tai_emu_end_group(void) { place = group.before; }
+
+namespace {
+using ThreadFunction = void (*)(const uint64_t *slots);
+
+struct EmulatedFunction : DeviceFunction {
+  ThreadFunction run = nullptr;
+  /// What stands for several blocks runs as one thread.
+  unsigned mostThreads = 1;
+};
+
+/// Work is done when it has been queued.
+struct EmulatedEvent : DeviceEvent {
+  std::chrono::steady_clock::time_point time;
+};
+
+struct EmulatedModule : DeviceModule {
+  std::shared_ptr<void> library;
+  std::map<std::string, EmulatedFunction> functions;
+};
+
+class EmulatedDevice final : public Device {
+public:
+  explicit EmulatedDevice(ObjectLinker linker) : linker(std::move(linker)) {}
+  ~EmulatedDevice() override {
+    for (const auto &[memory, bytes] : allocations)
+      munmap(reinterpret_cast<void *>(memory), mappedBytes(bytes));
+  }
+
+  DeviceKind kind() const override { return DeviceKind::Emulated; }
+  std::string name() const override { return "emulated"; }
+  DeviceLimits limits() const override {
+    DeviceLimits limits;
+    limits.multiprocessors = 4;
+    limits.memoryBytes = memoryBytes;
+    // Small, so that a test reaches the limit.
+    limits.reservedPieceBytes = 64 << 10;
+    return limits;
+  }
+  std::string target() const override { return "cpu"; }
+
+  Status allocate(int64_t bytes, DevicePtr &memory) override {
+    std::lock_guard<std::mutex> lock(mutex);
+    memory = 0;
+    void *mapped =
+        bytes > memoryBytes - allocated
+            ? MAP_FAILED
+            : mmap(nullptr, mappedBytes(bytes), PROT_READ | PROT_WRITE,
+                   MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+    if (mapped == MAP_FAILED)
+      return Status::failure(StatusCode::Memory, "the device has no " +
+                                                     formatBytes(bytes) +
+                                                     " left");
+    memory = reinterpret_cast<DevicePtr>(mapped);
+    // Nothing may count on zeros. Of large memory, the start has to do.
+    std::memset(mapped, 0xa5,
+                static_cast<size_t>(std::min<int64_t>(bytes, 16 << 20)));
+    allocations.emplace(memory, bytes);
+    allocated += bytes;
+    return Status::success();
+  }
+
+  Status reserve(int64_t bytes, DevicePtr &memory) override {
+    std::lock_guard<std::mutex> lock(mutex);
+    memory = 0;
+    void *mapped = mmap(nullptr, mappedBytes(bytes), PROT_READ | PROT_WRITE,
+                        MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+    if (mapped == MAP_FAILED)
+      return Status::failure(StatusCode::Memory, "the device has no " +
+                                                     formatBytes(bytes) +
+                                                     " of addresses left");
+    memory = reinterpret_cast<DevicePtr>(mapped);
+    allocations.emplace(memory, bytes);
+    reserved.insert(memory);
+    return Status::success();
+  }
+
+  void free(DevicePtr memory) override {
+    std::lock_guard<std::mutex> lock(mutex);
+    auto found = allocations.find(memory);
+    if (found == allocations.end())
+      return;
+    munmap(reinterpret_cast<void *>(memory), mappedBytes(found->second));
+    if (reserved.erase(memory) == 0)
+      allocated -= found->second;
+    allocations.erase(found);
+  }
+
+  int64_t allocatedBytes() const override {
+    std::lock_guard<std::mutex> lock(mutex);
+    return allocated;
+  }
+  int64_t freeBytes() const override { return memoryBytes - allocatedBytes(); }
+
+  Status copyIn(DevicePtr to, const void *from, int64_t bytes) override {
+    Status status = check(to, bytes);
+    if (status && bytes > 0)
+      std::memcpy(reinterpret_cast<void *>(to), from,
+                  static_cast<size_t>(bytes));
+    return status;
+  }
+  Status copyOut(void *to, DevicePtr from, int64_t bytes) override {
+    Status status = check(from, bytes);
+    if (status && bytes > 0)
+      std::memcpy(to, reinterpret_cast<const void *>(from),
+                  static_cast<size_t>(bytes));
+    return status;
+  }
+  Status copy(DevicePtr to, DevicePtr from, int64_t bytes) override {
+    Status status = check(to, bytes);
+    if (status)
+      status = check(from, bytes);
+    if (status)
+      std::memmove(reinterpret_cast<void *>(to),
+                   reinterpret_cast<const void *>(from),
+                   static_cast<size_t>(bytes));
+    return status;
+  }
+
+  Status fill(DevicePtr to, const void *pattern, int patternBytes,
+              int64_t count) override {
+    Status status = check(to, patternBytes * count);
+    if (status && to % static_cast<unsigned>(patternBytes) != 0)
+      status = Status::failure(StatusCode::Internal,
+                               "a fill of device memory is not aligned");
+    if (!status)
+      return status;
+    auto *at = reinterpret_cast<char *>(to);
+    const auto *bytes = static_cast<const char *>(pattern);
+    if (std::all_of(bytes, bytes + patternBytes, [](char b) { return !b; })) {
+      zero(at, patternBytes * count);
+      return status;
+    }
+    for (int64_t i = 0; i < count; ++i, at += patternBytes)
+      std::memcpy(at, pattern, static_cast<size_t>(patternBytes));
+    return status;
+  }
+
+  Status copyRows(const DeviceRows &to, DevicePtr from,
+                  int64_t fromStep) override {
+    Status status;
+    for (int64_t row = 0; row < to.rows && status; ++row)
+      status = copy(rowOf(to, row),
+                    from + static_cast<DevicePtr>(row * fromStep), to.rowBytes);
+    return status;
+  }
+  Status swapRows(const DeviceRows &one, DevicePtr other,
+                  int64_t otherStep) override {
+    Status status;
+    for (int64_t row = 0; row < one.rows && status; ++row) {
+      DevicePtr a = rowOf(one, row);
+      DevicePtr b = other + static_cast<DevicePtr>(row * otherStep);
+      status = check(a, one.rowBytes);
+      if (status)
+        status = check(b, one.rowBytes);
+      if (status)
+        std::swap_ranges(reinterpret_cast<char *>(a),
+                         reinterpret_cast<char *>(a) + one.rowBytes,
+                         reinterpret_cast<char *>(b));
+    }
+    return status;
+  }
+  Status fillRows(const DeviceRows &to, const void *pattern,
+                  int patternBytes) override {
+    Status status;
+    for (int64_t group = 0; group < to.outer; ++group)
+      for (int64_t row = 0; row < to.rows && status; ++row)
+        status =
+            fill(rowOf(to, row) + static_cast<DevicePtr>(group * to.outerStep),
+                 pattern, patternBytes, to.rowBytes / patternBytes);
+    return status;
+  }
+
+  bool isDeviceMemory(const void *address) const override {
+    return check(reinterpret_cast<DevicePtr>(address), 1).ok();
+  }
+
+  Status load(const DeviceImage &image,
+              std::unique_ptr<DeviceModule> &module) override {
+    auto loaded = std::make_unique<EmulatedModule>();
+    std::vector<std::string> names;
+    for (const std::string &function : image.functions)
+      names.push_back(function + ".slots");
+    if (!linker || image.kind != DeviceKind::Emulated)
+      return Status::failure(StatusCode::Internal,
+                             "the emulated device cannot load this code");
+    std::vector<void *> addresses;
+    Status status = linker(image.bytes, names, addresses, loaded->library);
+    if (!status)
+      return status;
+    for (size_t i = 0; i < names.size(); ++i)
+      if (addresses[i]) {
+        EmulatedFunction &function = loaded->functions[image.functions[i]];
+        function.run = reinterpret_cast<ThreadFunction>(addresses[i]);
+        if (image.functions[i] != TAI_PROGRAM_FUNCTION)
+          function.mostThreads = emulatedThreads();
+      }
+    module = std::move(loaded);
+    return status;
+  }
+
+  Status find(DeviceModule &module, const std::string &name,
+              DeviceFunction *&function) override {
+    auto &functions = static_cast<EmulatedModule &>(module).functions;
+    auto found = functions.find(name);
+    if (found == functions.end())
+      return Status::failure(StatusCode::Internal,
+                             "device code holds no function '" + name + "'");
+    function = &found->second;
+    return Status::success();
+  }
+
+  unsigned mostThreads(const DeviceFunction &function) const override {
+    return static_cast<const EmulatedFunction &>(function).mostThreads;
+  }
+  unsigned residentBlocks(const DeviceFunction &, unsigned) const override {
+    return limits().multiprocessors;
+  }
+
+  Status launch(DeviceFunction &function, const LaunchShape &shape,
+                const uint64_t *slots, int) override {
+    // One block has all its grid at barriers over the grid.
+    unsigned blocks = shape.cooperative ? 1 : shape.blocks;
+    ThreadFunction run = static_cast<EmulatedFunction &>(function).run;
+    uint64_t order = launches.fetch_add(1, std::memory_order_relaxed);
+    // Steps that share no divisor with the number of blocks reach each once.
+    uint64_t step = 1 + order % blocks;
+    while (std::gcd(step, uint64_t(blocks)) != 1)
+      ++step;
+    Place before = place;
+    place.blocks = static_cast<int32_t>(blocks);
+    for (unsigned i = 0; i < blocks; ++i) {
+      place.block = static_cast<int32_t>((order + i * step) % blocks);
+      if (!runEmulatedBlock(shape.threads, order + i, [&] { run(slots); })) {
+        place = before;
+        return Status::failure(StatusCode::Internal,
+                               "threads of a block wait for others that do not "
+                               "come to the same barrier");
+      }
+    }
+    place = before;
+    return Status::success();
+  }
+
+  Status record(std::unique_ptr<DeviceEvent> &event) override {
+    if (!event)
+      event = std::make_unique<EmulatedEvent>();
+    static_cast<EmulatedEvent &>(*event).time =
+        std::chrono::steady_clock::now();
+    return Status::success();
+  }
+  Status wait(DeviceEvent &) override { return Status::success(); }
+  Status elapsed(const DeviceEvent &from, const DeviceEvent &to,
+                 int64_t &ns) override {
+    ns = std::chrono::duration_cast<std::chrono::nanoseconds>(
+             static_cast<const EmulatedEvent &>(to).time -
+             static_cast<const EmulatedEvent &>(from).time)
+             .count();
+    return Status::success();
+  }
+
+  Status waitForStream(uint64_t stream) override { return tell(stream, 0); }
+  Status letStreamWait(uint64_t stream) override { return tell(stream, 1); }
+
+  Status synchronize() override { return Status::success(); }
+
+private:
+  static Status tell(uint64_t stream, int32_t what) {
+    constexpr uint64_t lastDefault = 2;
+    if (stream > lastDefault)
+      reinterpret_cast<void (*)(int32_t)>(stream)(what);
+    return Status::success();
+  }
+
+  static size_t mappedBytes(int64_t bytes) {
+    auto page = static_cast<int64_t>(sysconf(_SC_PAGESIZE));
+    return static_cast<size_t>((bytes / page + 1) * page);
+  }
+
+  static DevicePtr rowOf(const DeviceRows &rows, int64_t row) {
+    return rows.address + static_cast<DevicePtr>(row * rows.step);
+  }
+
+  /// Of much memory, such as that of a sparse tree, whole pages are taken away:
+  /// they come back as zeros when they are used.
+  static void zero(char *at, int64_t bytes) {
+    constexpr int64_t large = 1 << 20;
+    const int64_t page = sysconf(_SC_PAGESIZE);
+    auto address = reinterpret_cast<intptr_t>(at);
+    intptr_t first = (address + page - 1) / page * page;
+    intptr_t last = (address + bytes) / page * page;
+    if (bytes < large ||
+        madvise(reinterpret_cast<void *>(first),
+                static_cast<size_t>(last - first), MADV_DONTNEED) != 0) {
+      std::memset(at, 0, static_cast<size_t>(bytes));
+      return;
+    }
+    std::memset(at, 0, static_cast<size_t>(first - address));
+    std::memset(reinterpret_cast<void *>(last), 0,
+                static_cast<size_t>(address + bytes - last));
+  }
+
+  /// A GPU would fault on memory of the host; here it must be looked for.
+  Status check(DevicePtr memory, int64_t bytes) const {
+    std::lock_guard<std::mutex> lock(mutex);
+    auto after = allocations.upper_bound(memory);
+    if (after != allocations.begin()) {
+      auto found = std::prev(after);
+      if (memory - found->first + static_cast<uint64_t>(bytes) <=
+          static_cast<uint64_t>(found->second))
+        return Status::success();
+    }
+    return Status::failure(StatusCode::Internal,
+                           "a copy of " + formatBytes(bytes) +
+                               " leaves the memory of the device");
+  }
+
+  static constexpr int64_t memoryBytes = int64_t(1) << 40;
+  ObjectLinker linker;
+  mutable std::mutex mutex;
+  std::map<DevicePtr, int64_t> allocations;
+  std::set<DevicePtr> reserved;
+  int64_t allocated = 0;
+  std::atomic<uint64_t> launches{0};
+};
+} // namespace
+
+std::unique_ptr<Device>
+mlir::tai::runtime::openEmulatedDevice(ObjectLinker linker) {
+  return std::make_unique<EmulatedDevice>(std::move(linker));
+}

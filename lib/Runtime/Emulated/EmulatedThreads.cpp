@@ -1,0 +1,255 @@
+//===- EmulatedThreads.cpp - Blocks of several threads on the CPU ---------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "EmulatedThreads.h"
+#include "tai/ABI/DeviceAbi.h"
+#include <algorithm>
+#include <csetjmp>
+#include <cstdlib>
+#include <sys/mman.h>
+#include <ucontext.h>
+#include <utility>
+#include <vector>
+
+using namespace mlir::tai::runtime;
+
+unsigned mlir::tai::runtime::emulatedThreads() {
+  const char *given = std::getenv("TAI_EMULATED_THREADS");
+  long number = given ? std::strtol(given, nullptr, 10) : 1;
+  if (number <= 1)
+    return 1;
+  // Ordered additions take whole warps.
+  auto threads = static_cast<unsigned>(std::min(number, 1024l));
+  return (threads + kEmulatedWarp - 1) / kEmulatedWarp * kEmulatedWarp;
+}
+
+namespace {
+enum class State { Ready, AtWarpBarrier, AtBlockBarrier, Ended };
+
+struct Thread {
+  State state = State::Ready;
+  /// What the warp sees of it: a slot is free again after the next exchange.
+  uint64_t published[2] = {};
+  unsigned exchanges = 0;
+};
+
+/// A stack that runs threads of one block after another. Once it is entered, it
+/// is left and come back to by jumps, which make no calls to the system.
+class Fiber {
+public:
+  Fiber() = default;
+  Fiber(const Fiber &) = delete;
+  Fiber &operator=(const Fiber &) = delete;
+  ~Fiber() {
+    if (memory != MAP_FAILED)
+      munmap(memory, bytes);
+  }
+  bool reserve() {
+    if (memory == MAP_FAILED)
+      memory = mmap(nullptr, bytes, PROT_READ | PROT_WRITE,
+                    MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+    return memory != MAP_FAILED;
+  }
+  /// Goes on where the fiber has left, until it leaves again.
+  void enter(std::jmp_buf &from, void (*start)());
+  void leave(std::jmp_buf &to) {
+    if (_setjmp(place) == 0)
+      _longjmp(to, 1);
+  }
+  /// The thread that it runs will never end.
+  void abandon() { isStarted = false; }
+
+private:
+  static constexpr size_t bytes = size_t(1) << 20;
+  void *memory = MAP_FAILED;
+  bool isStarted = false;
+  std::jmp_buf place;
+};
+
+class Block {
+public:
+  Block(unsigned threads, const std::function<void()> &body)
+      : body(body), threads(threads) {}
+
+  bool run(uint64_t order);
+  /// Leaves the thread that runs until all have come.
+  void meet(State barrier);
+  unsigned size() const { return static_cast<unsigned>(threads.size()); }
+  uint64_t exchange(uint64_t value, uint32_t from);
+  uint32_t match(uint64_t value);
+
+  unsigned running = 0;
+
+private:
+  static void start();
+  unsigned publish(uint64_t value);
+  unsigned firstOfWarp() const {
+    return running / kEmulatedWarp * kEmulatedWarp;
+  }
+  bool releaseWarps();
+  bool releaseBlock();
+
+  const std::function<void()> &body;
+  std::vector<Thread> threads;
+  std::jmp_buf scheduler;
+};
+} // namespace
+
+static thread_local Block *current = nullptr;
+
+/// They stay for the next block.
+static thread_local std::vector<std::unique_ptr<Fiber>> fibers;
+
+void Fiber::enter(std::jmp_buf &from, void (*start)()) {
+  if (_setjmp(from) != 0)
+    return;
+  if (isStarted)
+    _longjmp(place, 1);
+  isStarted = true;
+  ucontext_t context;
+  getcontext(&context);
+  context.uc_stack.ss_sp = memory;
+  context.uc_stack.ss_size = bytes;
+  context.uc_link = nullptr;
+  makecontext(&context, start, 0);
+  setcontext(&context);
+}
+
+void Block::meet(State barrier) {
+  threads[running].state = barrier;
+  fibers[running]->leave(scheduler);
+}
+
+/// Runs a thread of the present block, and after it those of the next ones.
+void Block::start() {
+  for (;;) {
+    current->body();
+    current->meet(State::Ended);
+  }
+}
+
+/// Lets the warps go on of which nobody is missing.
+bool Block::releaseWarps() {
+  bool any = false;
+  for (unsigned first = 0; first < size(); first += kEmulatedWarp) {
+    auto begin = threads.begin() + first;
+    auto end = begin + std::min(kEmulatedWarp, size() - first);
+    auto waits = [](const Thread &t) {
+      return t.state == State::AtWarpBarrier;
+    };
+    if (std::none_of(begin, end, waits) ||
+        !std::all_of(begin, end, [&](const Thread &thread) {
+          return waits(thread) || thread.state == State::Ended;
+        }))
+      continue;
+    for (auto thread = begin; thread != end; ++thread)
+      if (waits(*thread))
+        thread->state = State::Ready;
+    any = true;
+  }
+  return any;
+}
+
+/// Lets all go on if each of them has come to a barrier of the block or ended.
+bool Block::releaseBlock() {
+  for (const Thread &thread : threads)
+    if (thread.state != State::AtBlockBarrier && thread.state != State::Ended)
+      return false;
+  bool any = false;
+  for (Thread &thread : threads)
+    if (thread.state == State::AtBlockBarrier) {
+      thread.state = State::Ready;
+      any = true;
+    }
+  return any;
+}
+
+bool Block::run(uint64_t order) {
+  while (fibers.size() < size())
+    fibers.push_back(std::make_unique<Fiber>());
+  for (unsigned i = 0; i < size(); ++i)
+    if (!fibers[i]->reserve())
+      return false;
+  Block *outer = std::exchange(current, this);
+  do {
+    for (unsigned i = 0; i < size(); ++i) {
+      unsigned place = static_cast<unsigned>((i + order) % size());
+      running = order % 2 ? size() - 1 - place : place;
+      if (threads[running].state == State::Ready)
+        fibers[running]->enter(scheduler, start);
+    }
+    ++order;
+  } while (releaseWarps() || releaseBlock());
+  current = outer;
+  bool allEnded = true;
+  for (unsigned i = 0; i < size(); ++i)
+    if (threads[i].state != State::Ended) {
+      fibers[i]->abandon();
+      allEnded = false;
+    }
+  return allEnded;
+}
+
+/// Shows a value to the warp. Returns in which slots the others' are.
+unsigned Block::publish(uint64_t value) {
+  Thread &self = threads[running];
+  unsigned slot = self.exchanges++ % 2;
+  self.published[slot] = value;
+  meet(State::AtWarpBarrier);
+  return slot;
+}
+
+uint32_t Block::match(uint64_t value) {
+  unsigned slot = publish(value), first = firstOfWarp();
+  uint32_t same = 0;
+  for (unsigned lane = 0; lane < kEmulatedWarp && first + lane < size(); ++lane)
+    same |= uint32_t(threads[first + lane].published[slot] == value) << lane;
+  return same;
+}
+
+uint64_t Block::exchange(uint64_t value, uint32_t from) {
+  unsigned slot = publish(value), source = firstOfWarp() + from;
+  return from < kEmulatedWarp && source < size()
+             ? threads[source].published[slot]
+             : value;
+}
+
+bool mlir::tai::runtime::runEmulatedBlock(unsigned threads, uint64_t order,
+                                          const std::function<void()> &body) {
+  if (threads <= 1) {
+    Block *outer = std::exchange(current, nullptr);
+    body();
+    current = outer;
+    return true;
+  }
+  return Block(threads, body).run(order);
+}
+
+//===----------------------------------------------------------------------===//
+// What device code asks for
+//===----------------------------------------------------------------------===//
+
+extern "C" int32_t tai_emu_thread_id(void) {
+  return current ? static_cast<int32_t>(current->running) : 0;
+}
+extern "C" int32_t tai_emu_block_dim(void) {
+  return current ? static_cast<int32_t>(current->size()) : 1;
+}
+extern "C" void tai_emu_block_barrier(void) {
+  if (current)
+    current->meet(State::AtBlockBarrier);
+}
+extern "C" void tai_emu_warp_barrier(void) {
+  if (current)
+    current->meet(State::AtWarpBarrier);
+}
+extern "C" uint32_t tai_emu_match(uint64_t value) {
+  return current ? current->match(value) : 1;
+}
+extern "C" uint64_t tai_emu_exchange(uint64_t value, uint32_t from) {
+  return current ? current->exchange(value, from) : value;
+}

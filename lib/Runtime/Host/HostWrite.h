@@ -1,0 +1,43 @@
+//===- HostWrite.h - Changes that the host makes to fields ------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A change from outside of kernels, as data: a tape records it and makes it
+// again in a forward replay.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_HOST_HOSTWRITE_H
+#define TAI_LIB_RUNTIME_HOST_HOSTWRITE_H
+
+#include "tai/Runtime/Storage/Field.h"
+
+namespace mlir::tai::runtime {
+
+struct HostWrite {
+  enum class What : uint8_t { Fill, Array, Element };
+
+  What what;
+  Field *field;
+  /// A scalar of the type of the field, or, for an array, all of them.
+  const void *bytes;
+  /// Of an element.
+  const int64_t *index = nullptr;
+  int64_t component = 0;
+
+  /// Whether nothing stays of what the field held.
+  bool replacesAll() const {
+    return what != What::Element ||
+           field->numElements() * field->numComponents() == 1;
+  }
+  int64_t numBytes() const {
+    return what == What::Array ? field->hostBytes() : byteSize(field->scalar());
+  }
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_HOST_HOSTWRITE_H

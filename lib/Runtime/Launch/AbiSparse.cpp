@@ -1,0 +1,200 @@
+//===- AbiSparse.cpp - What compiled kernels call for sparse levels -------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "../Mirror/Mirror.h"
+#include "Launch.h"
+#include "tai/ABI/Abi.h"
+
+using namespace mlir::tai;
+using namespace mlir::tai::runtime;
+
+static SparseNode &nodeOf(void *tree, int32_t node) {
+  return *Tree::of(tree).sparseNodes()[node];
+}
+
+/// Where the launch runs on a device, the tree that has this base there; null
+/// where it runs on the CPU.
+static Mirror *mirrorOf(const Launch &launch, const void *tree) {
+  return __builtin_expect(launch.onDevice != nullptr, false)
+             ? launch.onDevice->mirrorOf(tree)
+             : nullptr;
+}
+
+static SparseNode &nodeOf(const Launch &launch, void *tree, int32_t node) {
+  if (Mirror *mirror = mirrorOf(launch, tree))
+    return *mirror->getTree().sparseNodes()[node];
+  return nodeOf(tree, node);
+}
+
+Status Runtime::checkActiveBytes(const SparseNode &node, int64_t cells) const {
+  int64_t used = reservedBytes() + activeCellBytes(), wanted;
+  if (!node.isInnermost() ||
+      (!__builtin_mul_overflow(cells, node.cellBytes(), &wanted) &&
+       wanted <= limit - used))
+    return Status::success();
+  std::string what =
+      cells == 1 ? "one more cell" : std::to_string(cells) + " cells";
+  return Status::failure(StatusCode::Memory,
+                         "out of memory: " + what + " of " + node.info().label +
+                             " of " + formatBytes(node.cellBytes()) +
+                             " each; its " + std::to_string(node.numActive()) +
+                             " active cells take " +
+                             formatBytes(node.numActive() * node.cellBytes()) +
+                             ", and all fields take " + formatBytes(used) +
+                             " of " + formatBytes(limit));
+}
+
+/// Fails the launch at a line of the program.
+static void failAt(TaiFrame *frame, StatusCode code, std::string message,
+                   const char *where) {
+  launchOf(frame).fail(
+      Status::failure(code, std::move(message), where ? where : ""));
+}
+
+/// True if there is such a cell; else the launch fails. Where indices are not
+/// checked, some that are out of range name a cell all the same.
+static bool checkCell(TaiFrame *frame, const SparseNode &node, int64_t cell,
+                      const char *where) {
+  if (cell >= 0 && cell < node.numCells())
+    return true;
+  failAt(frame, StatusCode::Index,
+         "index out of range: there is no cell " + std::to_string(cell) +
+             " in " + node.info().label + ", which has " +
+             std::to_string(node.numCells()),
+         where);
+  return false;
+}
+
+/// True if there is memory for one more cell; else the launch fails.
+static bool checkMemory(TaiFrame *frame, const SparseNode &node,
+                        const char *where) {
+  Status status = launchOf(frame).owner().checkActiveBytes(node, 1);
+  if (status)
+    return true;
+  failAt(frame, status.code(), status.message(), where);
+  return false;
+}
+
+extern "C" int32_t tai_rt_activate(TaiFrame *frame, void *tree, int32_t node,
+                                   int64_t cell, const char *where) {
+  SparseNode &sparse = nodeOf(tree, node);
+  if (!checkCell(frame, sparse, cell, where) ||
+      !checkMemory(frame, sparse, where))
+    return 0;
+  sparse.activate(cell);
+  return 1;
+}
+
+extern "C" void tai_rt_deactivate(TaiFrame *frame, void *tree, int32_t node,
+                                  int64_t cell, const char *where) {
+  SparseNode &sparse = nodeOf(tree, node);
+  if (checkCell(frame, sparse, cell, where))
+    sparse.deactivate(cell);
+}
+
+extern "C" int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node,
+                                 int64_t list, const char *where) {
+  SparseNode &sparse = nodeOf(tree, node);
+  int64_t first;
+  if (__builtin_mul_overflow(list, sparse.capacity(), &first))
+    first = -1;
+  if (!checkCell(frame, sparse, first, where) ||
+      !checkMemory(frame, sparse, where))
+    return -1;
+  int64_t at = sparse.append(list);
+  if (at < 0)
+    failAt(frame, StatusCode::Index,
+           "append to a full list: " + sparse.info().label + " holds at most " +
+               std::to_string(sparse.capacity()) + " cells",
+           where);
+  return at;
+}
+
+/// Hands a list to compiled code.
+static int64_t give(Launch &launch, const std::vector<int64_t> &list,
+                    const int64_t **cells) {
+  *cells = list.data();
+  if (list.empty())
+    launch.owner().skipCounters().add(SkipCount::EmptyLoops);
+  return static_cast<int64_t>(list.size());
+}
+
+/// The same for code on a device, which makes the list and knows its length. No
+/// cells are left out there for what they hold: to look at that the host would
+/// have to wait for it.
+static int64_t giveOnDevice(Launch &launch, Mirror &mirror, int32_t node,
+                            const int64_t **cells) {
+  SparseNode &sparse = *mirror.getTree().sparseNodes()[node];
+  *cells = nullptr;
+  DeviceCellsPtr there;
+  Status status;
+  if (launch.given) {
+    const LoopLists::Entry *entry = launch.findGiven(sparse);
+    if (!entry)
+      return 0;
+    there = entry->onDevice;
+  } else {
+    status = mirror.sparse()->list(sparse, there);
+    if (status && there) {
+      std::lock_guard<std::mutex> lock(launch.failureMutex);
+      launch.loops.add(sparse, there);
+    }
+  }
+  if (status && there) {
+    *cells = reinterpret_cast<const int64_t *>(there->cells());
+    if (!launch.given && !sparse.mayBeActive())
+      launch.owner().skipCounters().add(SkipCount::EmptyLoops);
+    return mirror.sparse()->guessActive(sparse);
+  }
+  ActiveListPtr list = status ? launch.visitedList(sparse) : nullptr;
+  DevicePtr address = 0;
+  if (list)
+    status = mirror.sparse()->find(list, address);
+  if (!list || !status) {
+    if (!status)
+      launch.fail(std::move(status));
+    return 0;
+  }
+  *cells = reinterpret_cast<const int64_t *>(address);
+  if (list->cells.empty())
+    launch.owner().skipCounters().add(SkipCount::EmptyLoops);
+  return static_cast<int64_t>(list->cells.size());
+}
+
+extern "C" int64_t tai_rt_active_cells(TaiFrame *frame, void *tree,
+                                       int32_t node, const int64_t **cells) {
+  Launch &launch = launchOf(frame);
+  if (Mirror *mirror = mirrorOf(launch, tree))
+    return giveOnDevice(launch, *mirror, node, cells);
+  return give(launch, launch.cellsFor(nodeOf(tree, node)), cells);
+}
+
+extern "C" int64_t tai_rt_gathered_cells(TaiFrame *frame, void *tree,
+                                         int32_t node, int64_t reach,
+                                         const int64_t **cells) {
+  Launch &launch = launchOf(frame);
+  if (Mirror *mirror = mirrorOf(launch, tree))
+    return giveOnDevice(launch, *mirror, node, cells);
+  return give(launch, launch.gatheredCellsFor(nodeOf(tree, node), reach),
+              cells);
+}
+
+extern "C" int32_t tai_rt_list_is_current(TaiFrame *frame, void *tree,
+                                          int32_t node) {
+  Launch &launch = launchOf(frame);
+  SparseNode &sparse = nodeOf(launch, tree, node);
+  if (Mirror *mirror = launch.given ? mirrorOf(launch, tree) : nullptr) {
+    const LoopLists::Entry *entry = launch.findGiven(sparse);
+    if (!entry)
+      return 0;
+    // Who is told no does what is right for any list.
+    if (entry->onDevice)
+      return mirror->sparse()->isCurrent(*entry->onDevice);
+  }
+  return !launch.given ||
+         launch.visitedCells(sparse) == sparse.list(launch.owner())->cells;
+}

@@ -1,0 +1,126 @@
+//===- FlowTracker.h - Where derivatives end on their way -------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Follows launches in their order and knows, for each field and array, which
+// stores have cut a derivative that what it holds should have: a value was kept
+// where derivatives end, and read from there on the way.
+//
+// Where a launch changes nothing of what is known, and depends on no argument,
+// the next launch of its kernel costs one look.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_LAUNCH_FLOWTRACKER_H
+#define TAI_LIB_RUNTIME_LAUNCH_FLOWTRACKER_H
+
+#include "tai/Runtime/Launch/Kernel.h"
+#include <map>
+#include <unordered_map>
+#include <unordered_set>
+
+namespace mlir::tai::runtime {
+
+/// An array of a launch, which is contiguous.
+inline ArrayRange rangeOf(const FlowPlace &place, const uint64_t *args) {
+  auto bytes = static_cast<uint64_t>(place.elementBytes);
+  uint64_t all = bytes;
+  for (int64_t d = 0; d < place.rank; ++d)
+    all *= args[place.slot + 1 + d];
+  return {args[place.slot], args[place.slot] + all, bytes, bytes};
+}
+
+class FlowTracker {
+public:
+  enum class Mode : uint8_t { Reverse, Forward };
+
+  /// Numbers of cuts, ascending.
+  using CutSet = std::vector<unsigned>;
+
+  /// `fields`: all that there are.
+  FlowTracker(Mode mode, const std::vector<FieldPtr> &fields);
+
+  /// In forward mode: what the field holds has a tangent.
+  void addSource(const Field &field);
+  /// Some memory holds the elements of an array for a launch to come.
+  void addCopy(uint64_t address, const ArrayRange &array) {
+    copies[address] = array;
+  }
+
+  void launch(Kernel &kernel, const uint64_t *args);
+  /// The host has replaced what is there.
+  void overwrite(const Field &field);
+  void overwrite(const ArrayRange &array);
+
+  /// The cuts on the way to what the field holds.
+  const CutSet &cutsOf(const Field &field) const;
+  /// The same for results of kernels that `isWanted` and for arrays with
+  /// gradients whose adjoint is.
+  using Wants = std::function<bool(uint64_t adjoint, uint64_t bytes)>;
+  CutSet cutsOfArrays(const Wants &isWanted) const;
+  const CutSet &cutsOfResults() const { return fromResults; }
+
+  /// A cut in words: its kernel and place, for those who want to say it once,
+  /// and the sentence.
+  std::string nameOf(unsigned cut) const;
+  std::string describe(unsigned cut) const;
+
+private:
+  struct State {
+    /// Of a field with a dual: it may hold a tangent.
+    bool isActive = false;
+    CutSet cuts;
+
+    bool empty() const { return !isActive && cuts.empty(); }
+    /// Returns true if there was something new.
+    bool add(const State &more);
+  };
+  struct ArrayState {
+    ArrayRange range;
+    uint64_t adjoint; // of an array with a gradient
+    State state;
+  };
+  struct Cut {
+    std::string kernel;
+    std::string line;
+    std::string fromName, toName;
+    bool isFromSource, isToArray;
+  };
+  struct Known {
+    bool dependsOnArguments;
+    uint64_t version = 0;
+  };
+
+  bool hasDerivative(const FlowPlace &place) const;
+  bool endsDerivatives(const FlowPlace &place) const;
+  bool isIgnored(const FlowPlace &place) const;
+  ArrayRange findRange(const FlowPlace &place, const uint64_t *args) const;
+  State stateOf(const FlowPlace &place, const uint64_t *args) const;
+  void store(const FlowPlace &place, const uint64_t *args, const State &added,
+             bool replaces);
+  unsigned number(const Kernel &kernel, const KernelFlows &known,
+                  const ValueFlow &flow);
+  bool dependsOnArguments(Kernel &kernel) const;
+
+  Mode mode;
+  /// Adjoints and duals.
+  std::unordered_set<const Field *> companions;
+  std::unordered_map<const Field *, State> ofFields;
+  /// By their first byte.
+  std::multimap<uint64_t, ArrayState> ofArrays;
+  uint64_t longest = 0;
+  std::unordered_map<uint64_t, ArrayRange> copies;
+  std::vector<Cut> cuts;
+  std::map<std::pair<std::string, std::string>, unsigned> cutNumbers;
+  CutSet fromResults;
+  std::unordered_map<const Kernel *, Known> kernels;
+  /// Of all states.
+  uint64_t version = 1;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_LAUNCH_FLOWTRACKER_H

@@ -1,0 +1,282 @@
+//===- Kernel.cpp - Kernels and their summaries ---------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Lazy compilation of kernels and adjoints, and what summaries say.
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Runtime/Launch/Kernel.h"
+#include <algorithm>
+
+using namespace mlir::tai::runtime;
+
+bool CallerAdjoints::areZero(const uint64_t *callerSlots) const {
+  if (hasArrays)
+    return false;
+  for (const Result &result : results) {
+    auto *bytes = reinterpret_cast<const char *>(callerSlots[result.slot]);
+    if (std::any_of(bytes, bytes + result.bytes, [](char c) { return c; }))
+      return false;
+  }
+  return true;
+}
+
+Kernel::Kernel(KernelInfo kernelInfo) : info(std::move(kernelInfo)) {
+  function.store(info.function, std::memory_order_release);
+  adjointForms[0].kernel = info.adjoint;
+  if (info.adjointTakes)
+    adjointForms[1].kernel = info.adjoint;
+}
+
+//===----------------------------------------------------------------------===//
+// What a provider need not say
+//===----------------------------------------------------------------------===//
+
+static Status hasNoAdjoint(const Kernel &kernel, bool zeroes) {
+  return Status::failure(
+      StatusCode::Usage,
+      "kernel '" + kernel.name() + "' has no adjoint" +
+          (zeroes ? " that zeroes the adjoints of what it stores" : ""));
+}
+
+KernelProvider::~KernelProvider() = default;
+
+static Status hasNoCode(const Kernel &kernel) {
+  return Status::failure(StatusCode::Usage,
+                         "kernel '" + kernel.name() + "' has no code");
+}
+
+Status KernelProvider::compile(Kernel &kernel, TaiKernelFn &) {
+  return hasNoCode(kernel);
+}
+
+Status KernelProvider::makeAdjoint(Kernel &kernel, AdjointVariant variant,
+                                   KernelPtr &) {
+  return variant.readsStored ? Status::success()
+                             : hasNoAdjoint(kernel, variant.zeroes);
+}
+
+Status KernelProvider::planAdjoint(Kernel &kernel, AdjointPlan &plan) {
+  plan.reads = kernel.summary();
+  return Status::success();
+}
+
+KernelFlows KernelProvider::findFlows(const Kernel &) { return {}; }
+
+Status KernelProvider::makeChecked(CheckedKernel &) {
+  return Status::success();
+}
+
+Status KernelProvider::makeTangent(KernelPtr &) { return Status::success(); }
+
+//===----------------------------------------------------------------------===//
+// Kernels
+//===----------------------------------------------------------------------===//
+
+Status Kernel::resolve() {
+  if (resolved())
+    return Status::success();
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  if (resolved())
+    return Status::success();
+  if (!info.provider)
+    return hasNoCode(*this);
+  // A failure is not remembered: what was wrong outside (a full disk) may be
+  // put right.
+  TaiKernelFn result = nullptr;
+  Status status = info.provider->compile(*this, result);
+  if (!status)
+    return status;
+  if (!result)
+    return Status::failure(StatusCode::Internal,
+                           "kernel '" + name() + "' was compiled to nothing");
+  function.store(result, std::memory_order_release);
+  return status;
+}
+
+/// What a tape has kept for an adjoint without a plan is not what it reads.
+static Status planFailed(const Status &why) {
+  return Status::failure(why.code(), why.message(), why.where(), why.detail());
+}
+
+Status Kernel::resolveAdjoint(Kernel *&adjoint, bool takes) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  adjoint = nullptr;
+  if (!info.differentiable)
+    return Status::success();
+  AdjointForm &form = adjointForms[takes];
+  if (!form.asked && !form.kernel) {
+    if (!info.provider)
+      return hasNoAdjoint(*this, takes);
+    Status status = info.provider->makeAdjoint(*this, {takes}, form.kernel);
+    if (!status)
+      return status;
+    form.asked = true;
+  }
+  if (form.kernel && !planFailure)
+    return planFailed(planFailure);
+  adjoint = form.kernel.get();
+  form.known.store(adjoint, std::memory_order_release);
+  return Status::success();
+}
+
+Status Kernel::resolveStoredAdjoint(Kernel *&adjoint, bool takes) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  AdjointForm &form = storedForms[takes];
+  if (!form.asked && info.provider) {
+    Status status = info.provider->makeAdjoint(
+        *this, {takes, /*readsStored=*/true}, form.kernel);
+    if (!status)
+      return status;
+    form.asked = true;
+  }
+  adjoint = form.kernel.get();
+  form.known.store(adjoint, std::memory_order_release);
+  return Status::success();
+}
+
+const AdjointPlan &Kernel::plan() {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  if (adjointPlan && !adjointPlan->provisional)
+    return *adjointPlan;
+  adjointPlan = std::make_unique<AdjointPlan>();
+  if (!info.differentiable)
+    return *adjointPlan;
+  if (!info.provider) {
+    adjointPlan->reads = info.summary;
+    return *adjointPlan;
+  }
+  // Without an adjoint nothing is read. What is wrong is said when a reverse
+  // sweep needs it.
+  planFailure = info.provider->planAdjoint(*this, *adjointPlan);
+  if (!planFailure)
+    *adjointPlan = AdjointPlan();
+  adjointReruns = adjointPlan->reruns;
+  loadsStored = adjointPlan->loadsStored;
+  alwaysTakes = adjointPlan->takes;
+  return *adjointPlan;
+}
+
+const KernelFlows &Kernel::flows() {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  if (!valueFlows)
+    valueFlows =
+        info.provider ? info.provider->findFlows(*this) : KernelFlows();
+  return *valueFlows;
+}
+
+Status Kernel::resolveTangent(Kernel *&result) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  if (!tangentAsked && info.provider) {
+    Status status = info.provider->makeTangent(tangent);
+    if (!status)
+      return status;
+    tangentAsked = true;
+  }
+  result = tangent ? tangent.get() : this;
+  return Status::success();
+}
+
+void Kernel::setTrees(std::vector<TreePtr> trees) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  for (TreePtr &tree : trees)
+    for (const TreePtr &known : info.trees)
+      if (tree && known && tree->name() == known->name())
+        tree = known;
+  info.trees = std::move(trees);
+  forget();
+}
+
+void Kernel::setSummary(std::vector<Access> summary) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  info.summary = std::move(summary);
+  forget();
+}
+
+void Kernel::setLoopLevels(std::vector<LoopLevel> levels) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  info.loopLevels = std::move(levels);
+  forget();
+}
+
+int64_t Kernel::touchedBytes() const {
+  struct Touched {
+    int64_t read = 0, written = 0;
+  };
+  std::unordered_map<const Field *, Touched> fields;
+  for (const Access &access : info.summary) {
+    const Field &field = *access.field;
+    if (field.sparseNode())
+      return -1;
+    int64_t bytes = field.hostBytes();
+    if (access.fixed)
+      bytes /= std::max<int64_t>(
+          field.shape()[static_cast<size_t>(access.fixed->dimension)], 1);
+    Touched &touched = fields[&field];
+    if (access.kind != AccessKind::Write)
+      touched.read = std::max(touched.read, bytes);
+    if (access.kind != AccessKind::Read)
+      touched.written = std::max(touched.written, bytes);
+  }
+  int64_t sum = 0;
+  for (const auto &[field, touched] : fields)
+    sum += touched.read + touched.written;
+  return fields.empty() ? -1 : sum;
+}
+
+void Kernel::setDeviceImage(std::shared_ptr<const DeviceImage> image) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  info.image = std::move(image);
+  forget();
+}
+
+static void addOnce(std::vector<Field *> &fields, Field *field) {
+  if (std::find(fields.begin(), fields.end(), field) == fields.end())
+    fields.push_back(field);
+}
+
+Status Kernel::bind(uint64_t epoch) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  if (boundEpoch.load(std::memory_order_acquire) == epoch)
+    return Status::success();
+  for (const TreePtr &tree : info.trees)
+    if (!tree)
+      return Status::failure(StatusCode::Usage,
+                             "kernel '" + name() +
+                                 "' uses a tree that has been destroyed");
+    else if (!tree->base())
+      return Status::failure(StatusCode::Usage,
+                             "kernel '" + name() + "' uses tree '" +
+                                 tree->name() + "', which has been destroyed");
+  bases.clear();
+  sparseNodes.clear();
+  for (const TreePtr &tree : info.trees) {
+    bases.push_back(tree->base());
+    for (const std::unique_ptr<SparseNode> &node : tree->sparseNodes())
+      sparseNodes.push_back(node.get());
+  }
+  loopLevels.clear();
+  for (const LoopLevel &level : info.loopLevels)
+    loopLevels.push_back(
+        info.trees[level.tree]->sparseNodes()[level.node].get());
+  changedAdjoints.clear();
+  adjointTargets.clear();
+  adjointSources.clear();
+  overwritten.clear();
+  for (const Access &access : info.summary) {
+    Field *field = access.field.get();
+    bool changes = access.kind != AccessKind::Read;
+    if (changes && field->isAdjoint())
+      addOnce(changedAdjoints, field);
+    if (field->adjoint())
+      addOnce(changes ? adjointSources : adjointTargets, field);
+    if (field->adjoint() && access.kind == AccessKind::Write)
+      addOnce(overwritten, field);
+  }
+  boundEpoch.store(epoch, std::memory_order_release);
+  return Status::success();
+}

@@ -1,0 +1,157 @@
+//===- PreparedLaunch.cpp - The short way of a launch ---------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Most launches are of a kernel that was launched before, with the same storage
+// and no tape, profiler or forward mode. What they have in common is kept with
+// the kernel, and one number says whether it still holds. On a device the
+// driver leaves little of the caches, so that it counts how many places of
+// memory a launch looks at.
+//
+//===----------------------------------------------------------------------===//
+
+#include "../Mirror/Mirror.h"
+#include "Launch.h"
+#include <algorithm>
+
+using namespace mlir::tai::runtime;
+
+//===----------------------------------------------------------------------===//
+// Launches, to be used again
+//===----------------------------------------------------------------------===//
+
+Launch *Runtime::acquireLaunch() {
+  // Once a thread has ended, another one may have its number, and its launch.
+  const void *self = __builtin_thread_pointer();
+  const void *thread = hot.thread.load(std::memory_order_acquire);
+  if (__builtin_expect(thread == self && !hot.isTaken, true)) {
+    hot.isTaken = true;
+    return hot.launch.load(std::memory_order_relaxed);
+  }
+  if (Launch *launch = spareLaunch.exchange(nullptr, std::memory_order_acquire))
+    return launch;
+  std::lock_guard<std::mutex> lock(launchMutex);
+  if (!freeLaunches.empty()) {
+    Launch *launch = freeLaunches.back();
+    freeLaunches.pop_back();
+    return launch;
+  }
+  launches.push_back(std::make_unique<Launch>(*this));
+  Launch *made = launches.back().get();
+  if (!hot.thread.load(std::memory_order_relaxed)) {
+    hot.launch.store(made, std::memory_order_relaxed);
+    hot.isTaken = true;
+    hot.thread.store(self, std::memory_order_release);
+  }
+  return made;
+}
+
+void Runtime::releaseLaunch(Launch *launch) {
+  if (__builtin_expect(!launch->loops.empty(), false))
+    launch->loops.clear();
+  if (__builtin_expect(launch == hot.launch.load(std::memory_order_relaxed),
+                       true)) {
+    hot.isTaken = false;
+    return;
+  }
+  Launch *none = nullptr;
+  if (spareLaunch.compare_exchange_strong(
+          none, launch, std::memory_order_release, std::memory_order_relaxed))
+    return;
+  std::lock_guard<std::mutex> lock(launchMutex);
+  freeLaunches.push_back(launch);
+}
+
+//===----------------------------------------------------------------------===//
+// Prepared launches
+//===----------------------------------------------------------------------===//
+
+void Runtime::prepare(Kernel &kernel) {
+  uint64_t epoch = hot.state.load(std::memory_order_relaxed);
+  PreparedLaunch &prepared = kernel.prepared;
+  if (epoch == neverPrepared ||
+      prepared.state.load(std::memory_order_relaxed) == epoch ||
+      kernel.boundEpoch.load(std::memory_order_acquire) != epoch ||
+      !kernel.resolved() || !kernel.sparseNodes.empty() ||
+      !kernel.loopLevels.empty())
+    return;
+  std::lock_guard<std::recursive_mutex> lock(kernel.mutex);
+  // What others may be using is not written again.
+  if (prepared.state.load(std::memory_order_relaxed) == epoch)
+    return;
+  const DeviceCode *code = nullptr;
+  if (device) {
+    code = kernel.deviceCode.get();
+    if (!kernel.info.image || !code || code->epoch != epoch ||
+        code->image != kernel.info.image)
+      return;
+    prepared.mirrors = code->mirrors.data();
+    prepared.mirrorsEnd = prepared.mirrors + code->mirrors.size();
+    prepared.changed = code->changed.data();
+    prepared.changedEnd = prepared.changed + code->changed.size();
+    prepared.trees = const_cast<void **>(code->bases.data());
+  } else {
+    prepared.mirrorsEnd = prepared.mirrors;
+    prepared.changedEnd = prepared.changed;
+    prepared.trees = kernel.bases.data();
+  }
+  prepared.code = code;
+  prepared.function = kernel.function.load(std::memory_order_relaxed);
+  prepared.slots = kernel.argSlots();
+  prepared.hasResults = kernel.resultSlots() > 0;
+  prepared.adjoints = kernel.changedAdjoints.data();
+  prepared.adjointsEnd = prepared.adjoints + kernel.changedAdjoints.size();
+  prepared.state.store(epoch, std::memory_order_release);
+}
+
+Status Runtime::launchPrepared(Kernel &kernel, const uint64_t *args,
+                               uint64_t *results) {
+  PreparedLaunch &prepared = kernel.prepared;
+  Launch &launch = *acquireLaunch();
+  uint64_t number = hot.launches.fetch_add(1, std::memory_order_relaxed);
+  prepared.lastLaunch.store(number, std::memory_order_relaxed);
+  DeviceLaunch *onDevice = nullptr;
+  if (prepared.code) {
+    onDevice = launch.onDevice.get();
+    bool isReady = onDevice && !onDevice->context->hasNoted();
+    for (auto *mirror = prepared.mirrors; mirror != prepared.mirrorsEnd;
+         ++mirror)
+      isReady &= (*mirror)->onDevice();
+    if (__builtin_expect(!isReady, false)) {
+      Status status = run(launch, kernel, args, results, number);
+      releaseLaunch(&launch);
+      return status;
+    }
+    onDevice->code = prepared.code;
+    onDevice->usesState = onDevice->waited = false;
+  }
+  launch.trees = prepared.trees;
+  launch.args = args;
+  launch.results = results;
+  launch.seed = hot.seed;
+  launch.launch = number;
+  launch.loopTimes = &kernel.loopTimes;
+  int32_t code = prepared.function(&launch);
+  for (auto *mirror = prepared.changed; mirror != prepared.changedEnd; ++mirror)
+    (*mirror)->deviceWrites();
+  for (auto *field = prepared.adjoints; field != prepared.adjointsEnd; ++field)
+    (*field)->markDirty();
+  if (onDevice) {
+    if (__builtin_expect(onDevice->isFinished(), true))
+      onDevice->code = nullptr;
+    else
+      leaveDevice(launch);
+  }
+  if (launch.arena.used())
+    launch.arena.reset();
+  Status status;
+  if (__builtin_expect(code != 0 || launch.hasFailed(), false)) {
+    launch.freeSinks();
+    status = failureOf(launch, kernel);
+  }
+  releaseLaunch(&launch);
+  return status;
+}

@@ -1,0 +1,61 @@
+//===- TangentFlows.cpp - Tangents that end where there is none -----------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "TangentFlows.h"
+#include "tai/Runtime/Launch/Runtime.h"
+#include <algorithm>
+
+using namespace mlir::tai::runtime;
+
+TangentFlows::TangentFlows(const std::vector<FieldPtr> &fields,
+                           const std::vector<FieldPtr> &inputs)
+    : tracker(FlowTracker::Mode::Forward, fields) {
+  for (const FieldPtr &field : inputs)
+    tracker.addSource(*field);
+}
+
+void TangentFlows::launch(Kernel &kernel, const uint64_t *args) {
+  std::lock_guard<std::mutex> lock(mutex);
+  hasLaunched = true;
+  tracker.launch(kernel, args);
+}
+
+void TangentFlows::overwrite(const Field &field) {
+  std::lock_guard<std::mutex> lock(mutex);
+  // Before the first launch the host says at which point one differentiates.
+  if (hasLaunched)
+    tracker.overwrite(field);
+}
+
+std::vector<std::string>
+TangentFlows::describe(const std::vector<FieldPtr> &outputs,
+                       std::unordered_set<std::string> &said) {
+  std::lock_guard<std::mutex> lock(mutex);
+  FlowTracker::CutSet cuts;
+  for (const FieldPtr &field : outputs) {
+    const FlowTracker::CutSet &more = tracker.cutsOf(*field);
+    cuts.insert(cuts.end(), more.begin(), more.end());
+  }
+  // In the order of the program.
+  std::sort(cuts.begin(), cuts.end());
+  cuts.erase(std::unique(cuts.begin(), cuts.end()), cuts.end());
+  std::vector<std::string> lines;
+  for (unsigned cut : cuts)
+    if (said.insert("forward\n" + tracker.nameOf(cut)).second)
+      lines.push_back(tracker.describe(cut));
+  return lines;
+}
+
+void Runtime::followTangents(const std::vector<FieldPtr> &inputs) {
+  tangentFlows = std::make_unique<TangentFlows>(fieldList, inputs);
+}
+
+std::vector<std::string>
+Runtime::lostTangents(const std::vector<FieldPtr> &outputs) {
+  return tangentFlows ? tangentFlows->describe(outputs, cutsSaid)
+                      : std::vector<std::string>();
+}

@@ -1,0 +1,40 @@
+//===- TangentFlows.h - Tangents that end where there is none ---*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Forward mode records nothing: what ends tangents is found as launches come.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_LAUNCH_TANGENTFLOWS_H
+#define TAI_LIB_RUNTIME_LAUNCH_TANGENTFLOWS_H
+
+#include "FlowTracker.h"
+#include <mutex>
+
+namespace mlir::tai::runtime {
+
+class TangentFlows {
+public:
+  TangentFlows(const std::vector<FieldPtr> &fields,
+               const std::vector<FieldPtr> &inputs);
+
+  void launch(Kernel &kernel, const uint64_t *args);
+  void overwrite(const Field &field);
+  /// One line for each cut on the way to the outputs that is not among `said`.
+  std::vector<std::string> describe(const std::vector<FieldPtr> &outputs,
+                                    std::unordered_set<std::string> &said);
+
+private:
+  /// Several threads may launch.
+  std::mutex mutex;
+  FlowTracker tracker;
+  bool hasLaunched = false;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_LAUNCH_TANGENTFLOWS_H

@@ -1,0 +1,91 @@
+//===- CellElements.h - The elements of a field in its cells ----*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Where the elements of a sparse field lie, cell by cell of the innermost
+// sparse level above it, so that work on a whole field is work on active cells.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_MIRROR_CELLELEMENTS_H
+#define TAI_LIB_RUNTIME_MIRROR_CELLELEMENTS_H
+
+#include "tai/Runtime/Storage/Field.h"
+
+namespace mlir::tai::runtime {
+
+class CellElements {
+public:
+  /// The field must lie below a sparse level.
+  explicit CellElements(const Field &field);
+
+  /// Memory of the field in one cell, without gaps: pieces of this many bytes
+  /// at these distances from `base`.
+  struct Run {
+    int64_t offset;
+    int64_t bytes;
+  };
+  const std::vector<Run> &runs() const { return pieces; }
+  /// The distance between consecutive cells where it is always the same, else
+  /// 0.
+  int64_t evenCellStride() const { return uniform ? cellStride : 0; }
+  int64_t bytes() const { return total; }
+
+  /// The first component of the first element in the cell. Who writes there
+  /// asks for Field::writable before.
+  char *base(int64_t cell) const {
+    char *address = const_cast<char *>(field->readable());
+    if (uniform)
+      return address + cell * cellStride;
+    for (const LayoutLevel &level : outer)
+      address += cell / level.cells % level.extent * level.stride;
+    return address;
+  }
+
+  /// Copies the contents of the cell to or from a dense buffer of `bytes()`.
+  void load(int64_t cell, char *to) const;
+  void store(int64_t cell, const char *from) const;
+  bool equal(int64_t cell, const char *expected) const;
+  void exchange(int64_t cell, char *contents) const;
+  void clear(int64_t cell) const;
+  bool isZero(int64_t cell) const;
+
+  /// The elements in a cell: distance from `base`, and from `firstNumber(cell)`
+  /// in a row-major array of the field.
+  struct Element {
+    int64_t offset;
+    int64_t number;
+  };
+  const std::vector<Element> &elements() const { return inner; }
+  int64_t firstNumber(int64_t cell) const;
+
+  /// True if all elements of a cell have the same index along the dimension.
+  bool separates(int dimension) const;
+  /// That index, from zero.
+  int64_t position(int64_t cell, int dimension) const;
+
+private:
+  /// Calls body(offset, constant size, position in the buffer) for all pieces
+  /// until it returns false.
+  template <typename Body> bool forEachRun(const Body &body) const;
+
+  const Field *field;
+  std::vector<Run> pieces;
+  int64_t total = 0;
+  /// Where there are many pieces of one size, evenly spaced, as in records of
+  /// several fields: the distance between them, else 0.
+  int64_t step = 0;
+  std::vector<Element> inner;
+  /// The digits that count cells; `divisor` is what a step adds to the number
+  /// of the element.
+  std::vector<LayoutLevel> outer;
+  bool uniform = false;
+  int64_t cellStride = 0;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_MIRROR_CELLELEMENTS_H

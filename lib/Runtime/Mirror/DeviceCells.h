@@ -1,0 +1,60 @@
+//===- DeviceCells.h - Lists of active cells on a device --------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A list that device code makes and loops go over, and that the host need not
+// know. Launches that are queued after it has been asked for find it made.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_MIRROR_DEVICECELLS_H
+#define TAI_LIB_RUNTIME_MIRROR_DEVICECELLS_H
+
+#include "DeviceContext.h"
+#include "tai/ABI/DeviceSparse.h"
+#include "tai/Runtime/Sparse/LoopLists.h"
+
+namespace mlir::tai::runtime {
+
+class DeviceCells {
+public:
+  /// Zeroed, so that it shows nothing yet. With room for `capacity` cells.
+  static Status make(std::shared_ptr<DeviceContext> context, int64_t capacity,
+                     std::shared_ptr<DeviceCells> &list);
+  ~DeviceCells() { context->free(memory); }
+  DeviceCells(const DeviceCells &) = delete;
+  DeviceCells &operator=(const DeviceCells &) = delete;
+
+  DevicePtr header() const { return cells() - sizeof(TaiDeviceListHeader); }
+  DevicePtr cells() const { return memory + cellsOffset; }
+  int64_t capacity() const { return most; }
+  Device &device() const { return context->get(); }
+
+  /// The state of the tree when it was last asked for.
+  uint64_t generation = 0;
+
+  static constexpr DevicePtr cellsOffset = 256;
+
+private:
+  DeviceCells(std::shared_ptr<DeviceContext> context, DevicePtr memory,
+              int64_t most)
+      : context(std::move(context)), memory(memory), most(most) {}
+
+  std::shared_ptr<DeviceContext> context;
+  DevicePtr memory;
+  int64_t most;
+};
+
+/// Waits for the device, and copies the list.
+Status fetchCells(const DeviceCells &list, std::vector<int64_t> &cells);
+
+/// Whether loops over the level went over different cells.
+Status findDifference(const LoopLists &lists, const SparseNode &node,
+                      bool &differs);
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_MIRROR_DEVICECELLS_H

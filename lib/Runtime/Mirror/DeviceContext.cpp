@@ -1,0 +1,346 @@
+//===- DeviceContext.cpp - What a runtime keeps on its device -------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "DeviceContext.h"
+#include "../Launch/Launch.h"
+#include "tai/Runtime/Device/DeviceReport.h"
+#include <algorithm>
+
+using namespace mlir::tai::runtime;
+
+/// Bytes of printed lines that a program can leave until someone waits.
+static constexpr int64_t outputBytes = 1 << 20;
+/// The most bytes of one stack of a gradient.
+static constexpr int64_t stackBytes = 256 << 20;
+
+DeviceContext::DeviceContext(Runtime &runtime, std::unique_ptr<Device> device,
+                             int64_t limit, std::shared_ptr<Profiler> profiler)
+    : runtime(runtime), limit(limit) {
+  bool profiles = profiler->isOn();
+  auto made =
+      std::make_unique<WatchedDevice>(std::move(device), std::move(profiler));
+  watched = made.get();
+  this->device =
+      std::make_unique<DeviceQueue>(std::move(made), watched->unwatched());
+  libraryKernels = std::make_unique<LibraryKernels>(*this->device);
+  this->device->setOneByOne(profiles);
+}
+
+DeviceContext::~DeviceContext() {
+  dropSpare();
+  if (stateMemory)
+    free(stateMemory);
+}
+
+//===----------------------------------------------------------------------===//
+// Memory
+//===----------------------------------------------------------------------===//
+
+Status DeviceContext::allocate(int64_t bytes, const std::string &owner,
+                               DevicePtr &memory) {
+  std::lock_guard<std::mutex> lock(mutex);
+  // Others need the memory more than a recording that may not come.
+  if (limit > 0 && bytes > limit - held)
+    dropSpare();
+  Status status;
+  std::string why;
+  if (limit > 0 && bytes > limit - held)
+    why = "a limit of " + formatBytes(limit) + " is set";
+  else if (status = allocateNow(bytes, memory); status) {
+    holdings[memory] = {owner, bytes};
+    held += bytes;
+    return status;
+  } else if (status.code() != StatusCode::Memory)
+    return status;
+  else
+    why = formatBytes(device->freeBytes()) + " of " +
+          formatBytes(device->limits().memoryBytes) + " are free";
+  std::string message = "out of memory on the device '" + device->name() +
+                        "': " + owner + " needs " + formatBytes(bytes) + ", " +
+                        why;
+  if (holdings.empty())
+    return Status::failure(StatusCode::Memory,
+                           message + "; this program holds nothing else there");
+  // Who holds how much, of equal names together.
+  std::map<std::string, int64_t> sums;
+  for (const auto &[address, holding] : holdings)
+    sums[holding.owner] += holding.bytes;
+  std::vector<std::pair<std::string, int64_t>> rows(sums.begin(), sums.end());
+  std::sort(rows.begin(), rows.end(), [](const auto &a, const auto &b) {
+    return a.second != b.second ? a.second > b.second : a.first < b.first;
+  });
+  constexpr size_t mostRows = 8;
+  message += "; this program holds " + formatBytes(held) + ": ";
+  for (size_t i = 0; i < std::min(rows.size(), mostRows); ++i)
+    message +=
+        (i ? ", " : "") + rows[i].first + " " + formatBytes(rows[i].second);
+  if (rows.size() > mostRows)
+    message += " and " + std::to_string(rows.size() - mostRows) + " more";
+  return Status::failure(StatusCode::Memory, std::move(message));
+}
+
+Status DeviceContext::reserve(int64_t bytes, const std::string &owner,
+                              DevicePtr &memory) {
+  std::lock_guard<std::mutex> lock(mutex);
+  Status status = device->reserve(bytes, memory);
+  if (status)
+    holdings[memory] = {owner, 0};
+  return status;
+}
+
+int64_t DeviceContext::mostBytes() const {
+  int64_t all = device->limits().memoryBytes;
+  return limit > 0 ? std::min(limit, all) : all;
+}
+
+int64_t DeviceContext::leftToReserved(int64_t taken) {
+  std::lock_guard<std::mutex> lock(mutex);
+  // Where memory runs out, pages are moved to the host, which is worse than a
+  // failure: lists, copies and kernels need some, too.
+  int64_t kept = device->limits().memoryBytes / 32;
+  int64_t left = device->freeBytes() - kept;
+  if (limit > 0)
+    left = std::min(left, limit - held - taken);
+  return std::max<int64_t>(left, 0);
+}
+
+Status DeviceContext::allocateNow(int64_t bytes, DevicePtr &memory) {
+  Status status = device->allocate(bytes, memory);
+  if (status || spare.empty() || status.code() != StatusCode::Memory)
+    return status;
+  dropSpare();
+  return device->allocate(bytes, memory);
+}
+
+void DeviceContext::dropSpare() {
+  for (auto [bytes, memory] : spare) {
+    held -= bytes;
+    holdings.erase(memory);
+    device->free(memory);
+  }
+  spare.clear();
+}
+
+Status DeviceContext::take(int64_t bytes, const std::string &owner,
+                           DevicePtr &memory) {
+  {
+    std::lock_guard<std::mutex> lock(mutex);
+    // The first of so many bytes, so that each has what it had before.
+    if (auto found = spare.lower_bound(bytes);
+        found != spare.end() && found->first == bytes) {
+      memory = found->second;
+      spare.erase(found);
+      return Status::success();
+    }
+  }
+  return allocate(bytes, owner, memory);
+}
+
+void DeviceContext::giveBack(int64_t bytes, DevicePtr memory) {
+  // Work is in the order in which it was asked for, so whoever has the memory
+  // next comes after those that use it now.
+  constexpr int often = 2;
+  std::lock_guard<std::mutex> lock(mutex);
+  spare.emplace(bytes, memory);
+  if (numRecordings < often)
+    dropSpare();
+}
+
+void DeviceContext::free(DevicePtr memory) {
+  std::lock_guard<std::mutex> lock(mutex);
+  auto found = holdings.find(memory);
+  if (found == holdings.end())
+    return;
+  held -= found->second.bytes;
+  holdings.erase(found);
+  device->free(memory);
+}
+
+void DeviceContext::beginRecording() {
+  ++numRecordings;
+  if (!device->keepsLaunches())
+    collections.fetch_add(1, std::memory_order_relaxed);
+  note(device->beginRecording());
+}
+
+void DeviceContext::endRecording(bool isSwept) {
+  note(device->endRecording(isSwept));
+  if (device->expectsLaunches())
+    collections.fetch_add(1, std::memory_order_relaxed);
+  // What this recording did not want.
+  std::lock_guard<std::mutex> lock(mutex);
+  dropSpare();
+}
+
+//===----------------------------------------------------------------------===//
+// Failures and output
+//===----------------------------------------------------------------------===//
+
+Status DeviceContext::state(DevicePtr &memory) {
+  static std::mutex making;
+  std::lock_guard<std::mutex> lock(making);
+  if (!stateMemory) {
+    DevicePtr made = 0;
+    Status status =
+        allocate(static_cast<int64_t>(sizeof(TaiDeviceState)) + outputBytes,
+                 "failures and output of kernels", made);
+    TaiDeviceState fresh = freshDeviceState(outputBytes, stackBytes);
+    if (status) {
+      status = device->copyIn(made, &fresh, sizeof(fresh));
+      if (!status)
+        free(made);
+    }
+    if (!status)
+      return status;
+    stateMemory = made;
+  }
+  memory = stateMemory;
+  return Status::success();
+}
+
+Status DeviceContext::report() {
+  if (!stateUsed.exchange(false, std::memory_order_relaxed))
+    return Status::success();
+  TaiDeviceState found;
+  Status status = device->copyOut(&found, stateMemory, sizeof(found));
+  if (!status || !hasDeviceReport(found))
+    return status;
+  auto bytes = static_cast<int64_t>(deviceOutputBytes(found));
+  std::vector<char> output(static_cast<size_t>(bytes));
+  status = device->copyOut(output.data(), stateMemory + sizeof(found), bytes);
+  TaiDeviceState fresh = freshDeviceState(outputBytes, stackBytes);
+  if (status)
+    status = device->copyIn(stateMemory, &fresh, sizeof(fresh));
+  DeviceReport report;
+  if (status)
+    status = readDeviceReport(found, output.data(),
+                              static_cast<uint64_t>(bytes), report);
+  if (!status)
+    return status;
+  for (std::string &line : report.lines)
+    runtime.print(line + '\n');
+  if (report.lostLines)
+    runtime.print("[tai] " + std::to_string(report.lostLines) +
+                  " lines that kernels printed were lost: there is room for " +
+                  formatBytes(outputBytes) +
+                  " of them on the device until the next wait for it\n");
+  return std::move(report.failure);
+}
+
+void DeviceContext::note(Status status) {
+  if (status)
+    return;
+  std::lock_guard<std::mutex> lock(mutex);
+  if (noted.load(std::memory_order_relaxed))
+    return;
+  failure = std::move(status);
+  noted.store(true, std::memory_order_release);
+}
+
+Status DeviceContext::takeNoted() {
+  std::lock_guard<std::mutex> lock(mutex);
+  noted.store(false, std::memory_order_relaxed);
+  return std::move(failure);
+}
+
+//===----------------------------------------------------------------------===//
+// Launches
+//===----------------------------------------------------------------------===//
+
+DeviceLaunch::~DeviceLaunch() {
+  if (block)
+    context->free(block);
+}
+
+Status DeviceLaunch::scratch(int64_t bytes, DevicePtr &memory) {
+  constexpr int64_t smallestBlock = 1 << 20;
+  const char zero = 0;
+  usesMemory = true;
+  bytes = std::max<int64_t>((bytes + 255) / 256 * 256, 256);
+  if (collection != context->numCollections()) {
+    collection = context->numCollections();
+    if (used > 0) {
+      Status status = context->get().fill(block, &zero, 1, used);
+      if (!status)
+        return status;
+    }
+    start = used = 0;
+  }
+  if (bytes > blockBytes - used) {
+    bool fresh = bytes > blockBytes || start < used;
+    if (fresh) {
+      int64_t size = std::max({smallestBlock, 2 * blockBytes, bytes});
+      DevicePtr larger = 0;
+      Status status =
+          context->allocate(size, "scratch memory of kernels", larger);
+      if (!status && size > bytes) {
+        size = bytes;
+        status = context->allocate(size, "scratch memory of kernels", larger);
+      }
+      if (!status)
+        return status;
+      if (block)
+        outgrown.push_back(block);
+      block = larger;
+      used = blockBytes = size;
+    }
+    Status status = context->get().fill(block, &zero, 1, used);
+    if (!status)
+      return status;
+    start = used = 0;
+  }
+  memory = block + static_cast<DevicePtr>(used);
+  used += bytes;
+  return Status::success();
+}
+
+Status DeviceLaunch::array(void *host, int64_t bytes, bool written,
+                           DevicePtr &memory) {
+  Device &device = context->get();
+  // Nothing is nowhere; that of other libraries has no address.
+  if (bytes == 0 || device.isDeviceMemory(host)) {
+    memory = reinterpret_cast<DevicePtr>(host);
+    if (bytes > 0 && context->queue().mayKeep())
+      usesMemory = usesOthers = true;
+    return Status::success();
+  }
+  usesMemory = true;
+  // One that is given twice is one.
+  for (Array &known : arrays)
+    if (known.host == host && known.bytes >= bytes) {
+      known.written |= written;
+      memory = known.memory;
+      return Status::success();
+    }
+  Status status = context->allocate(std::max<int64_t>(bytes, 1),
+                                    "arrays given to kernels", memory);
+  if (!status)
+    return status;
+  arrays.push_back({host, memory, bytes, written});
+  return device.copyIn(memory, host, bytes);
+}
+
+Status DeviceLaunch::finish() {
+  Status status;
+  for (const Array &array : arrays) {
+    if (array.written && status) {
+      status = context->get().copyOut(array.host, array.memory, array.bytes);
+      waited = true;
+    }
+    context->free(array.memory);
+  }
+  arrays.clear();
+  for (DevicePtr memory : outgrown)
+    context->free(memory);
+  outgrown.clear();
+  start = used;
+  // Who has the memory does not ask for launches that are kept.
+  if (usesOthers && status)
+    status = context->queue().settle();
+  usesMemory = usesOthers = false;
+  return status;
+}

@@ -1,0 +1,369 @@
+//===- Mirror.cpp - The memory of a tree on a device ----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// What moves between host and device, and what is done on the device instead.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Mirror.h"
+#include "../Storage/Scalars.h"
+#include "Slabs.h"
+#include "tai/Runtime/Launch/Runtime.h"
+#include <algorithm>
+#include <cstring>
+
+using namespace mlir::tai::runtime;
+
+Mirror::~Mirror() {
+  if (memory && !sparseTree)
+    deviceContext->free(memory);
+}
+
+Status Mirror::allocate(DevicePtr &address) {
+  std::lock_guard<std::mutex> lock(mutex);
+  Status status;
+  if (!memory && sparseTree)
+    status = sparseTree->allocate(memory);
+  else if (!memory)
+    status = deviceContext->allocate(std::max<int64_t>(tree.bytes(), 1),
+                                     "tree '" + tree.name() + "'", memory);
+  address = memory;
+  return status;
+}
+
+Status Mirror::upload() {
+  DevicePtr address = 0;
+  Status status = allocate(address);
+  if (!status)
+    return status;
+  std::lock_guard<std::mutex> lock(mutex);
+  if (onDevice())
+    return status;
+  const char zero = 0;
+  if (sparseTree)
+    status = pristine ? Status::success() : sparseTree->upload();
+  else
+    status = pristine ? device().fill(memory, &zero, 1, tree.bytes())
+                      : device().copyIn(memory, tree.base(), tree.bytes());
+  if (status && isLent())
+    hostCurrent.store(false, std::memory_order_relaxed);
+  if (status)
+    deviceCurrent.store(true, std::memory_order_release);
+  return status;
+}
+
+Status Mirror::download() {
+  std::lock_guard<std::mutex> lock(mutex);
+  if (onHost())
+    return Status::success();
+  Status status = sparseTree
+                      ? sparseTree->download()
+                      : device().copyOut(tree.base(), memory, tree.bytes());
+  if (!status)
+    return status;
+  if (!isLent())
+    hostCurrent.store(true, std::memory_order_release);
+  return context().report();
+}
+
+/// As many accesses to single elements cost about as much as one of the whole
+/// tree, which comes after them: what others have paid is then at most doubled.
+static int64_t accessesWorth(int64_t bytes) { return bytes >> 17; }
+
+Status Mirror::read(int64_t offset, void *to, int64_t bytes) {
+  Status status;
+  if (!onHost() && (isLent() || reads++ < accessesWorth(tree.bytes()))) {
+    status = device().copyOut(to, at(offset), bytes);
+    return status ? context().report() : std::move(status);
+  }
+  status = toHost();
+  if (status)
+    std::memcpy(to, tree.base() + offset, static_cast<size_t>(bytes));
+  return status;
+}
+
+Status Mirror::write(int64_t offset, const void *from, int64_t bytes) {
+  // A write on the device is not waited for.
+  constexpr int64_t few = 8;
+  if (onDevice() &&
+      (isLent() || writes++ < few + accessesWorth(tree.bytes()))) {
+    pristine = false;
+    // Where both are current, both stay so.
+    if (onHost())
+      std::memcpy(tree.base() + offset, from, static_cast<size_t>(bytes));
+    Status status = device().fill(at(offset), from, static_cast<int>(bytes), 1);
+    return status && isLent() ? context().queue().settle() : std::move(status);
+  }
+  Status status = toHost();
+  if (!status)
+    return status;
+  hostWrites();
+  std::memcpy(tree.base() + offset, from, static_cast<size_t>(bytes));
+  return status;
+}
+
+//===----------------------------------------------------------------------===//
+// Trees and fields
+//===----------------------------------------------------------------------===//
+
+void Tree::bringToHost() const { mirrored->context().note(mirrored->toHost()); }
+
+void Tree::bringToHostToChange() const {
+  Status status = mirrored->toHost();
+  // What could not be read is not to be overwritten with something older.
+  if (status)
+    mirrored->hostWrites();
+  mirrored->context().note(std::move(status));
+}
+
+Status Field::loadMirrored(int64_t offset, void *to) const {
+  return owner->mirror()->read(offset, to, byteSize(fieldLayout.scalar));
+}
+
+Status Field::storeMirrored(int64_t offset, const void *from) const {
+  return owner->mirror()->write(offset, from, byteSize(fieldLayout.scalar));
+}
+
+//===----------------------------------------------------------------------===//
+// Whole fields
+//===----------------------------------------------------------------------===//
+
+/// Whether fields are copied and filled where the device has them.
+static bool liesThere(const Field &field) {
+  return field.evenStep() != 0 && field.tree().mirror()->onDevice();
+}
+
+/// Copies between an array of the host and elements that other fields lie
+/// between, by way of memory in which they are dense.
+static Status copyThrough(Mirror &mirror, const Field &field, void *to,
+                          const void *from) {
+  std::unique_ptr<DeviceBlock> dense;
+  Status status = DeviceBlock::make(mirror.sharedContext(), field.hostBytes(),
+                                    "copies of fields", dense);
+  if (!status)
+    return status;
+  Device &device = mirror.device();
+  DeviceRows rows = mirror.rows(field, 0, field.numElements());
+  if (from) {
+    status = device.copyIn(dense->get(), from, field.hostBytes());
+    return status ? device.copyRows(rows, dense->get(), rows.rowBytes)
+                  : std::move(status);
+  }
+  status =
+      device.copyRows({dense->get(), rows.rowBytes, rows.rowBytes, rows.rows},
+                      rows.address, rows.step);
+  return status ? device.copyOut(to, dense->get(), field.hostBytes())
+                : std::move(status);
+}
+
+bool Runtime::copyFromDevice(const Field &field, void *array) {
+  Mirror &mirror = *field.tree().mirror();
+  if (mirror.onHost() || !liesThere(field))
+    return false;
+  Status status =
+      field.contiguous()
+          ? mirror.device().copyOut(
+                array, mirror.at(field.layout().placeOffset), field.hostBytes())
+          : copyThrough(mirror, field, array, nullptr);
+  if (status)
+    status = mirror.context().report();
+  mirror.context().note(std::move(status));
+  return true;
+}
+
+bool Runtime::copyToDevice(Field &field, const void *array) {
+  Mirror &mirror = *field.tree().mirror();
+  if (!liesThere(field))
+    return false;
+  mirror.deviceWrites();
+  mirror.context().note(
+      field.contiguous()
+          ? mirror.device().copyIn(mirror.at(field.layout().placeOffset), array,
+                                   field.hostBytes())
+          : copyThrough(mirror, field, nullptr, array));
+  return true;
+}
+
+/// The pieces of a field that is not evenly spaced: those of its elements that
+/// differ in the indices with the largest steps alone are in other pieces.
+/// Empty where there are too many, or no pieces of even spacing.
+static std::vector<DeviceRows> findPieces(const Mirror &mirror,
+                                          const Field &field) {
+  struct Axis {
+    int64_t extent, step;
+  };
+  constexpr int64_t most = 4096;
+  const FieldLayout &layout = field.layout();
+  if (layout.componentStride != byteSize(field.scalar()))
+    return {};
+  std::vector<Axis> axes;
+  for (int d = 0; d < field.rank(); ++d) {
+    int64_t step;
+    if (!findConstantStep(layout.indices[d], step))
+      return {};
+    if (field.shape()[d] > 1)
+      axes.push_back({field.shape()[d], step});
+  }
+  std::sort(axes.begin(), axes.end(),
+            [](const Axis &a, const Axis &b) { return a.step < b.step; });
+  // One axis after the other goes on where those before have ended.
+  int64_t rows = 1, step = field.numComponents() * layout.componentStride;
+  size_t even = 0;
+  for (; even < axes.size(); ++even) {
+    if (even == 0)
+      step = axes[0].step;
+    else if (axes[even].step != step * rows)
+      break;
+    rows *= axes[even].extent;
+  }
+  // The next axis is one of groups.
+  Axis group{1, 0};
+  if (even < axes.size())
+    group = axes[even++];
+  std::vector<int64_t> offsets{layout.placeOffset};
+  for (; even < axes.size(); ++even) {
+    std::vector<int64_t> all;
+    for (int64_t i = 0; i < axes[even].extent; ++i)
+      for (int64_t offset : offsets) {
+        if (static_cast<int64_t>(all.size()) == most)
+          return {};
+        all.push_back(offset + i * axes[even].step);
+      }
+    offsets = std::move(all);
+  }
+  int64_t rowBytes = field.numComponents() * layout.componentStride;
+  if (rowBytes == step) {
+    rowBytes *= rows;
+    rows = 1;
+  }
+  std::vector<DeviceRows> pieces;
+  for (int64_t offset : offsets)
+    pieces.push_back(
+        {mirror.at(offset), step, rowBytes, rows, group.step, group.extent});
+  return pieces;
+}
+
+/// Who looks at the memory of a field by itself does not ask for what the
+/// queue keeps.
+static void settleLent(const Mirror &mirror) {
+  if (mirror.isLent())
+    mirror.context().note(mirror.context().queue().settle());
+}
+
+bool Runtime::fillOnDevice(Field &field, const void *scalarBytes) {
+  Mirror &mirror = *field.tree().mirror();
+  if (!mirror.onDevice())
+    return false;
+  if (!liesThere(field)) {
+    std::vector<DeviceRows> pieces = findPieces(mirror, field);
+    if (pieces.empty())
+      return false;
+    mirror.deviceWrites();
+    auto size = static_cast<int>(byteSize(field.scalar()));
+    for (const DeviceRows &piece : pieces)
+      mirror.context().note(
+          piece.rows == 1 && piece.outer == 1
+              ? mirror.device().fill(piece.address, scalarBytes, size,
+                                     piece.rowBytes / size)
+              : mirror.device().fillRows(piece, scalarBytes, size));
+    settleLent(mirror);
+    return true;
+  }
+  mirror.deviceWrites();
+  auto size = static_cast<int>(byteSize(field.scalar()));
+  Device &device = mirror.device();
+  DeviceRows rows = mirror.rows(field, 0, field.numElements());
+  mirror.context().note(
+      rows.rows == 1
+          ? device.fill(rows.address, scalarBytes, size, rows.rowBytes / size)
+          : device.fillRows(rows, scalarBytes, size));
+  settleLent(mirror);
+  return true;
+}
+
+//===----------------------------------------------------------------------===//
+// Parts of fields
+//===----------------------------------------------------------------------===//
+
+DeviceRows Slabs::rowsOf(int64_t first, int64_t count) const {
+  const Mirror &mirror = *field->tree().mirror();
+  if (slowDimension <= 0)
+    return mirror.rows(*field, first, count);
+  int64_t rowBytes = bytes;
+  for (int d = slowDimension + 1; d < field->rank(); ++d)
+    rowBytes *= field->shape()[d];
+  int64_t slab = first / slabElements;
+  return {mirror.at(field->layout().placeOffset + slab * rowBytes),
+          field->shape()[slowDimension] * rowBytes, rowBytes,
+          count * bytes / rowBytes};
+}
+
+Status Slabs::keepOnDevice(int64_t first, int64_t count,
+                           std::unique_ptr<DeviceBlock> &block) const {
+  Mirror &mirror = *field->tree().mirror();
+  Status status = mirror.toDevice();
+  if (status)
+    status =
+        DeviceBlock::makeKept(mirror.sharedContext(), count * bytes, block);
+  if (!status)
+    return status;
+  if (mover) {
+    CellMover::Cells cells{};
+    status = bringNumbers(first, count, cells);
+    return status ? mover->load(cells, block->get()) : std::move(status);
+  }
+  DeviceRows rows = rowsOf(first, count);
+  return mirror.context().queue().copyKept(
+      {block->get(), rows.rowBytes, rows.rowBytes, rows.rows}, rows.address,
+      rows.step);
+}
+
+Status Slabs::zerosOnDevice(int64_t count,
+                            std::unique_ptr<DeviceBlock> &block) const {
+  Mirror &mirror = *field->tree().mirror();
+  Status status =
+      DeviceBlock::makeKept(mirror.sharedContext(), count * bytes, block);
+  const char zero = 0;
+  return status ? mirror.device().fill(block->get(), &zero, 1, count * bytes)
+                : std::move(status);
+}
+
+void Slabs::storeOnDevice(int64_t first, int64_t count,
+                          const DeviceBlock &block) const {
+  Mirror &mirror = *field->tree().mirror();
+  mirror.context().note(mirror.toDevice());
+  if (mover) {
+    CellMover::Cells cells{};
+    Status status = bringNumbers(first, count, cells);
+    mirror.context().note(status ? mover->store(cells, block.get())
+                                 : std::move(status));
+    return;
+  }
+  mirror.deviceWrites();
+  DeviceRows rows = rowsOf(first, count);
+  mirror.context().note(
+      rows.rows == 1
+          ? mirror.device().copy(rows.address, block.get(), rows.rowBytes)
+          : mirror.device().copyRows(rows, block.get(), rows.rowBytes));
+}
+
+void Slabs::exchangeOnDevice(int64_t first, int64_t count,
+                             const DeviceBlock &block) const {
+  Mirror &mirror = *field->tree().mirror();
+  mirror.context().note(mirror.toDevice());
+  if (mover) {
+    CellMover::Cells cells{};
+    Status status = bringNumbers(first, count, cells);
+    mirror.context().note(status ? mover->exchange(cells, block.get())
+                                 : std::move(status));
+    return;
+  }
+  mirror.deviceWrites();
+  DeviceRows rows = rowsOf(first, count);
+  mirror.context().note(
+      mirror.device().swapRows(rows, block.get(), rows.rowBytes));
+}

@@ -1,0 +1,118 @@
+//===- Mirror.h - The memory of a tree on a device --------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A tree has its memory on the host and, from its first use there, on the
+// device. At least one of them is current. Launches bring a tree to the device
+// and change it there; host access brings it back, or reaches for the elements
+// that it wants.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_MIRROR_MIRROR_H
+#define TAI_LIB_RUNTIME_MIRROR_MIRROR_H
+
+#include "DeviceContext.h"
+#include "SparseMirror.h"
+#include "tai/Runtime/Storage/Field.h"
+
+namespace mlir::tai::runtime {
+
+class Mirror {
+public:
+  Mirror(std::shared_ptr<DeviceContext> context, Tree &tree)
+      : deviceContext(std::move(context)), tree(tree),
+        sparseTree(tree.sparseNodes().empty()
+                       ? nullptr
+                       : std::make_unique<SparseMirror>(*deviceContext, tree)) {
+  }
+  ~Mirror();
+
+  DeviceContext &context() const { return *deviceContext; }
+  const std::shared_ptr<DeviceContext> &sharedContext() const {
+    return deviceContext;
+  }
+  Tree &getTree() const { return tree; }
+  /// Null for a tree without sparse levels.
+  SparseMirror *sparse() const { return sparseTree.get(); }
+  Device &device() const { return deviceContext->get(); }
+  bool onHost() const { return hostCurrent.load(std::memory_order_acquire); }
+  bool onDevice() const {
+    return deviceCurrent.load(std::memory_order_acquire);
+  }
+
+  /// Makes the memory of the host current.
+  Status toHost() { return onHost() ? Status::success() : download(); }
+  /// The host is about to change it, all of it being current there.
+  void hostWrites() {
+    hostCurrent.store(true, std::memory_order_relaxed);
+    deviceCurrent.store(false, std::memory_order_relaxed);
+    pristine = false;
+  }
+  /// The memory on the device, which need not be current.
+  Status allocate(DevicePtr &address);
+  /// Makes the memory of the device current.
+  Status toDevice() { return onDevice() ? Status::success() : upload(); }
+  /// Work that changes it has been queued.
+  void deviceWrites() {
+    hostCurrent.store(false, std::memory_order_relaxed);
+    reads = writes = 0;
+    pristine.store(false, std::memory_order_relaxed);
+  }
+
+  /// Others have its address on the device, and may write there at any time:
+  /// what the host has read is not current any more then.
+  bool isLent() const { return loans.load(std::memory_order_relaxed) > 0; }
+  /// The memory of the device is current.
+  void lend() {
+    loans.fetch_add(1, std::memory_order_relaxed);
+    deviceWrites();
+    context().note(context().queue().share());
+  }
+  void takeBack() {
+    loans.fetch_sub(1, std::memory_order_relaxed);
+    context().queue().unshare();
+  }
+
+  /// A few bytes, from or to wherever they can be had at the least cost.
+  Status read(int64_t offset, void *to, int64_t bytes);
+  Status write(int64_t offset, const void *from, int64_t bytes);
+
+  /// Elements of a field that lie evenly in the tree, from number `first` on;
+  /// the memory of the device must be there.
+  DeviceRows rows(const Field &field, int64_t first, int64_t count) const {
+    int64_t bytes = field.numComponents() * byteSize(field.scalar());
+    int64_t step = field.evenStep();
+    DevicePtr address = at(field.layout().placeOffset + first * step);
+    if (step == bytes)
+      return {address, 0, count * bytes, 1};
+    return {address, step, bytes, count};
+  }
+  /// A place in the memory of the device, which must be there.
+  DevicePtr at(int64_t offset) const {
+    return memory + static_cast<DevicePtr>(offset);
+  }
+
+private:
+  Status download();
+  Status upload();
+
+  std::shared_ptr<DeviceContext> deviceContext;
+  Tree &tree;
+  std::unique_ptr<SparseMirror> sparseTree;
+  std::mutex mutex;
+  std::atomic<bool> hostCurrent{true}, deviceCurrent{false};
+  std::atomic<int> loans{0};
+  /// Nobody has written to it: it holds zeros.
+  std::atomic<bool> pristine{true};
+  /// Elements read and written one by one since the last launch.
+  int64_t reads = 0, writes = 0;
+  DevicePtr memory = 0;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_MIRROR_MIRROR_H

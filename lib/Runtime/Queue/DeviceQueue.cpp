@@ -1,0 +1,319 @@
+//===- DeviceQueue.cpp - Work for a device, run again and again -----------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "DeviceProgram.h"
+#include "LaunchLeads.h"
+#include "RecordedLaunches.h"
+#include "tai/ABI/DeviceAbi.h"
+#include <algorithm>
+#include <cstring>
+
+using namespace mlir::tai::runtime;
+
+DeviceQueue::DeviceQueue(std::unique_ptr<Device> device, Device *unwatched)
+    : device(std::move(device)), unwatched(unwatched),
+      collected(std::make_unique<Sequence>()),
+      lead(std::make_unique<Sequence>()),
+      leads(std::make_unique<LaunchLeads>()),
+      recorded(std::make_unique<RecordedLaunches>()) {
+  setOneByOne(false);
+}
+
+DeviceQueue::~DeviceQueue() {
+  (void)flush();
+  programs.clear();
+}
+
+//===----------------------------------------------------------------------===//
+// Code
+//===----------------------------------------------------------------------===//
+
+Status DeviceQueue::load(const DeviceImage &image,
+                         std::unique_ptr<DeviceModule> &module) {
+  auto made = std::make_unique<Module>();
+  made->queue = this;
+  made->bitcode = image.bitcode;
+  for (size_t i = 0; i < image.accesses.size(); ++i)
+    if (auto accesses = FunctionAccesses::decode(image.accesses[i])) {
+      made->footprints.emplace(image.functions[i],
+                               std::make_shared<Footprint>(*accesses));
+      if (!accesses->sites.empty())
+        made->tileable.emplace(
+            image.functions[i],
+            std::make_shared<FunctionAccesses>(std::move(*accesses)));
+    }
+  Status status = device->load(image, made->module);
+  if (status)
+    module = std::move(made);
+  return status;
+}
+
+Status DeviceQueue::makeLibrary(const std::vector<std::string> &names,
+                                DeviceImage &image) const {
+  ProgramPlan plan;
+  for (const std::string &name : names)
+    plan.parts.push_back({nullptr, name});
+  plan.scope = TAI_SCOPE_NONE;
+  return makeProgram(plan, image);
+}
+
+Status DeviceQueue::find(DeviceModule &module, const std::string &name,
+                         DeviceFunction *&function) {
+  auto &owner = static_cast<Module &>(module);
+  auto made = std::make_unique<Function>();
+  made->name = name;
+  made->bitcode = owner.bitcode;
+  if (auto found = owner.footprints.find(name); found != owner.footprints.end())
+    made->footprint = found->second;
+  if (auto found = owner.tileable.find(name); found != owner.tileable.end())
+    made->accesses = found->second;
+  Status status = device->find(*owner.module, name, made->function);
+  if (!status)
+    return status;
+  function = made.get();
+  owner.functions.push_back(std::move(made));
+  return status;
+}
+
+unsigned DeviceQueue::mostThreads(const DeviceFunction &function) const {
+  return device->mostThreads(*static_cast<const Function &>(function).function);
+}
+
+unsigned DeviceQueue::residentBlocks(const DeviceFunction &function,
+                                     unsigned threads) const {
+  return device->residentBlocks(
+      *static_cast<const Function &>(function).function, threads);
+}
+
+//===----------------------------------------------------------------------===//
+// Work
+//===----------------------------------------------------------------------===//
+
+DeviceFunctionFacts DeviceQueue::facts(const DeviceFunction &function) const {
+  return device->facts(*static_cast<const Function &>(function).function);
+}
+
+Status DeviceQueue::launch(DeviceFunction &function, const LaunchShape &shape,
+                           const uint64_t *slots, int count) {
+  auto &wrapped = static_cast<Function &>(function);
+  if (__builtin_expect(collecting == 0, true)) {
+    if (__builtin_expect(records, false))
+      return launchRecorded(wrapped, shape, slots, count);
+    if (__builtin_expect(watches, false) && keep(wrapped, shape, slots, count))
+      return Status::success();
+    if (__builtin_expect(isKeeping, false))
+      if (Status status = flush(/*isWhole=*/false); !status)
+        return status;
+    return launchNow(function, shape, slots, count);
+  }
+  collected->addLaunch(wrapped, shape, slots, count);
+  return Status::success();
+}
+
+Status DeviceQueue::launchNow(DeviceFunction &function,
+                              const LaunchShape &shape, const uint64_t *slots,
+                              int count) {
+  return launcher->launch(*static_cast<Function &>(function).function, shape,
+                          slots, count);
+}
+
+Status DeviceQueue::copy(DevicePtr to, DevicePtr from, int64_t bytes) {
+  if (collecting == 0) {
+    Status status = settle();
+    return status ? device->copy(to, from, bytes) : std::move(status);
+  }
+  if (bytes > 0)
+    collected->addCopy(to, from, bytes);
+  return Status::success();
+}
+
+Status DeviceQueue::fill(DevicePtr to, const void *pattern, int patternBytes,
+                         int64_t count) {
+  return fillRows({to, 0, patternBytes * count, 1}, pattern, patternBytes);
+}
+
+Status DeviceQueue::copyRows(const DeviceRows &to, DevicePtr from,
+                             int64_t fromStep) {
+  if (collecting == 0) {
+    Status status = settle();
+    return status ? device->copyRows(to, from, fromStep) : std::move(status);
+  }
+  collected->addRows(Step::Kind::CopyRows, to, from, fromStep);
+  return Status::success();
+}
+
+Status DeviceQueue::swapRows(const DeviceRows &one, DevicePtr other,
+                             int64_t otherStep) {
+  if (collecting == 0) {
+    Status status = settle();
+    return status ? device->swapRows(one, other, otherStep) : std::move(status);
+  }
+  collected->addRows(Step::Kind::SwapRows, one, other, otherStep);
+  return Status::success();
+}
+
+Status DeviceQueue::fillRows(const DeviceRows &to, const void *pattern,
+                             int patternBytes) {
+  if (to.rowBytes == 0 || to.rows == 0 || to.outer == 0)
+    return Status::success();
+  collected->addFill(to, pattern, patternBytes);
+  // Those that nobody has asked for yet wait for what comes beside them, or
+  // for the sequence that they belong to.
+  isKeeping |= collecting == 0;
+  return oneByOne ? settle() : Status::success();
+}
+
+Status DeviceQueue::copyIn(DevicePtr to, const void *from, int64_t bytes) {
+  Status status = flush();
+  return status ? device->copyIn(to, from, bytes) : std::move(status);
+}
+
+Status DeviceQueue::copyOut(void *to, DevicePtr from, int64_t bytes) {
+  Status status = flush();
+  return status ? device->copyOut(to, from, bytes) : std::move(status);
+}
+
+Status DeviceQueue::record(std::unique_ptr<DeviceEvent> &event) {
+  Status status = flush();
+  return status ? device->record(event) : std::move(status);
+}
+
+Status DeviceQueue::waitForStream(uint64_t stream) {
+  Status status = flush();
+  return status ? device->waitForStream(stream) : std::move(status);
+}
+
+Status DeviceQueue::letStreamWait(uint64_t stream) {
+  Status status = flush();
+  return status ? device->letStreamWait(stream) : std::move(status);
+}
+
+Status DeviceQueue::synchronize() {
+  Status status = flush();
+  return status ? device->synchronize() : std::move(status);
+}
+
+void DeviceQueue::free(DevicePtr memory) {
+  // What has been collected may use it. A recording goes on: who frees what a
+  // tape has kept need not wait.
+  if (!records)
+    (void)settle();
+  if (collected->empty() && lead->empty())
+    device->free(memory);
+  else
+    released.push_back(memory);
+}
+
+//===----------------------------------------------------------------------===//
+// Sequences
+//===----------------------------------------------------------------------===//
+
+DeviceQueue::Program *DeviceQueue::findProgram(Sequence &&sequence,
+                                               bool &same) {
+  auto range = programs.equal_range(sequence.hash);
+  for (auto it = range.first; it != range.second; ++it)
+    if (it->second->sequence.hasStructureOf(sequence)) {
+      Program &program = *it->second;
+      same = program.sequence.slots == sequence.slots;
+      if (!same)
+        program.sequence = std::move(sequence);
+      return &program;
+    }
+  // Programs whose sequences never come again would pile up.
+  constexpr size_t mostPrograms = 64;
+  if (programs.size() >= mostPrograms)
+    programs.clear();
+  uint64_t hash = sequence.hash;
+  auto made = std::make_unique<Program>(*device, std::move(sequence));
+  Program *program = made.get();
+  programs.emplace(hash, std::move(made));
+  same = false;
+  return program;
+}
+
+Status DeviceQueue::flush(bool isWhole) {
+  if (collected->empty() && lead->empty())
+    return Status::success();
+  isKeeping = false;
+  // Nothing of this may be collected in its turn.
+  Sequence sequence = std::move(*collected), before = std::move(*lead);
+  *collected = Sequence();
+  *lead = Sequence();
+  std::vector<DevicePtr> unused;
+  unused.swap(released);
+  Status status;
+  // Less than this is not worth a graph.
+  constexpr size_t fewest = 4;
+  RecordedLaunches::Outcome outcome;
+  if (!isWhole || sequence.steps.size() < fewest ||
+      mode == ProgramMode::Launches || oneByOne) {
+    status = before.run(*device);
+    if (status)
+      status = sequence.run(*device);
+  } else {
+    bool same = false;
+    Program *program = findProgram(std::move(sequence), same);
+    int64_t start = recorded->hasRun() ? RecordedLaunches::now() : 0;
+    status = program->run(before, same, mode, makeProgram);
+    hasProgram = program->isPrepared();
+    if (recorded->hasRun()) {
+      outcome.isPrepared = hasProgram;
+      outcome.steps = program->sequence.steps.size();
+      outcome.hostNs = RecordedLaunches::now() - start;
+      program->tellTimes(outcome.chosenMs, outcome.graphMs);
+    }
+  }
+  if (recorded->hasRun())
+    recorded->judge(outcome);
+  for (DevicePtr memory : unused)
+    device->free(memory);
+  return status;
+}
+
+std::string DeviceQueue::explain() const {
+  std::string text;
+  for (const auto &[hash, program] : programs)
+    text += program->explain() + "\n";
+  return text + leads->explain() + recorded->explain();
+}
+
+//===----------------------------------------------------------------------===//
+// Devices without graphs or events
+//===----------------------------------------------------------------------===//
+
+static Status hasNoGraphs() {
+  return Status::failure(StatusCode::Internal, "this device has no graphs");
+}
+
+Status Device::reserve(int64_t, DevicePtr &) {
+  return Status::failure(StatusCode::Internal,
+                         "this device does not reserve memory");
+}
+
+Status Device::beginCapture(size_t, bool) { return hasNoGraphs(); }
+Status Device::endCapture(std::unique_ptr<DeviceGraph> &) {
+  return hasNoGraphs();
+}
+Status Device::run(DeviceGraph &) { return hasNoGraphs(); }
+Status Device::change(DeviceGraph &, size_t, DeviceFunction &,
+                      const LaunchShape &, const uint64_t *, int) {
+  return hasNoGraphs();
+}
+
+static Status hasNoEvents() {
+  return Status::failure(StatusCode::Internal, "this device has no events");
+}
+
+Status Device::record(std::unique_ptr<DeviceEvent> &) { return hasNoEvents(); }
+Status Device::wait(DeviceEvent &) { return hasNoEvents(); }
+Status Device::elapsed(const DeviceEvent &, const DeviceEvent &, int64_t &) {
+  return hasNoEvents();
+}
+
+// Where there are no other queues, there is nothing to wait for.
+Status Device::waitForStream(uint64_t) { return Status::success(); }
+Status Device::letStreamWait(uint64_t) { return Status::success(); }

@@ -1,0 +1,288 @@
+//===- SparseLists.cpp - Lists of active cells on a device ----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The device makes lists where it is asked for them, and keeps the lengths to
+// itself. The host knows which launches may have changed activity, and no more:
+// after such a one it queues the making of a list anew, which ends at once
+// where nothing has changed.
+//
+//===----------------------------------------------------------------------===//
+
+#include "../Launch/Launch.h"
+#include "../Mirror/Mirror.h"
+#include <algorithm>
+#include <cstddef>
+
+using namespace mlir::tai::runtime;
+
+//===----------------------------------------------------------------------===//
+// Memory for lists
+//===----------------------------------------------------------------------===//
+
+/// Longer ones take memory as far as they are used, where that can be.
+static constexpr int64_t mostBytes = int64_t(256) << 20;
+
+static int64_t bytesFor(int64_t cells) {
+  return static_cast<int64_t>(DeviceCells::cellsOffset) +
+         cells * static_cast<int64_t>(sizeof(int64_t));
+}
+
+Status DeviceCells::make(std::shared_ptr<DeviceContext> context,
+                         int64_t capacity, std::shared_ptr<DeviceCells> &list) {
+  DevicePtr memory = 0;
+  int64_t bytes = bytesFor(capacity);
+  const char *owner = "lists of active cells";
+  Status status = bytes > mostBytes ? context->reserve(bytes, owner, memory)
+                                    : context->allocate(bytes, owner, memory);
+  if (!status)
+    return status;
+  list.reset(new DeviceCells(std::move(context), memory, capacity));
+  const char zero = 0;
+  return list->device().fill(memory, &zero, 1, int64_t(cellsOffset));
+}
+
+Status mlir::tai::runtime::fetchCells(const DeviceCells &list,
+                                      std::vector<int64_t> &cells) {
+  TaiDeviceListHeader header;
+  Status status = list.device().copyOut(&header, list.header(), sizeof(header));
+  if (!status)
+    return status;
+  cells.resize(static_cast<size_t>(header.count));
+  return list.device().copyOut(cells.data(), list.cells(),
+                               header.count *
+                                   static_cast<int64_t>(sizeof(int64_t)));
+}
+
+Status mlir::tai::runtime::findDifference(const LoopLists &lists,
+                                          const SparseNode &node,
+                                          bool &differs) {
+  bool any = false;
+  std::vector<int64_t> first, next;
+  differs = false;
+  for (const LoopLists::Entry &entry : lists.all()) {
+    if (entry.node != &node || differs)
+      continue;
+    Status status;
+    if (entry.onDevice)
+      status = fetchCells(*entry.onDevice, next);
+    else
+      next = entry.list->cells;
+    if (!status)
+      return status;
+    if (!any)
+      first.swap(next);
+    else
+      differs = first != next;
+    any = true;
+  }
+  return Status::success();
+}
+
+Status SparseMirror::find(const ActiveListPtr &list, DevicePtr &address) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  for (const Uploaded &known : lists)
+    if (known.list == list) {
+      address = known.memory + DeviceCells::cellsOffset;
+      return Status::success();
+    }
+  // Those that nobody else has any more are not asked for again; of others the
+  // oldest go.
+  constexpr size_t mostLists = 64;
+  auto isOld = [&](const Uploaded &known) {
+    bool old =
+        known.list && (known.list.use_count() == 1 ||
+                       (lists.size() > mostLists &&
+                        &known - lists.data() <
+                            ptrdiff_t(lists.size()) - ptrdiff_t(mostLists)));
+    if (old)
+      context.free(known.memory);
+    return old;
+  };
+  std::vector<Uploaded> kept;
+  for (const Uploaded &known : lists)
+    if (!isOld(known))
+      kept.push_back(known);
+  lists = std::move(kept);
+  auto count = static_cast<int64_t>(list->cells.size());
+  DevicePtr memory = 0;
+  Status status =
+      context.allocate(bytesFor(count), "lists of active cells", memory);
+  if (!status)
+    return status;
+  lists.push_back({list, memory});
+  address = memory + DeviceCells::cellsOffset;
+  status = context.get().copyIn(address - sizeof(count), &count, sizeof(count));
+  if (!status || count == 0)
+    return status;
+  return context.get().copyIn(address, list->cells.data(),
+                              count * static_cast<int64_t>(sizeof(int64_t)));
+}
+
+//===----------------------------------------------------------------------===//
+// Making them
+//===----------------------------------------------------------------------===//
+
+size_t SparseMirror::numberOf(const SparseNode &node) const {
+  const auto &nodes = tree.sparseNodes();
+  return static_cast<size_t>(
+      std::find_if(nodes.begin(), nodes.end(),
+                   [&](const auto &other) { return other.get() == &node; }) -
+      nodes.begin());
+}
+
+int64_t SparseMirror::guessActive(const SparseNode &node) const {
+  int64_t known = node.active.load(std::memory_order_relaxed);
+  if (isBehind())
+    known = known > 0 ? 2 * known : node.numCells();
+  // Not every cell is to make another number of it.
+  int64_t guess = 1;
+  while (guess < known)
+    guess *= 2;
+  return std::min(guess, std::max<int64_t>(node.numCells(), 1));
+}
+
+Status SparseMirror::queueList(const SparseNode &node, DeviceCells &cells) {
+  constexpr int64_t fewTiles = 4;
+  constexpr unsigned manyThreads = 1024, someThreads = 512;
+  uint64_t number = numberOf(node), header = cells.header();
+  int64_t units = node.info().isList ? node.numCells() / node.capacity()
+                                     : (node.numCells() + 63) / 64;
+  int64_t tiles = (units + TAI_DEVICE_LIST_TILE - 1) / TAI_DEVICE_LIST_TILE;
+  LibraryKernels &library = context.library();
+  if (tiles <= fewTiles)
+    return library.launch(LibraryKernel::ListCells, /*blocks=*/1, manyThreads,
+                          {base, number, header});
+  constexpr int64_t mostBlocks = 1024;
+  auto blocks = static_cast<unsigned>(std::min(tiles, mostBlocks));
+  Status status = library.launch(LibraryKernel::ListCount, blocks, someThreads,
+                                 {base, number, header, sums});
+  if (status)
+    status = library.launch(LibraryKernel::ListScan, /*blocks=*/1, manyThreads,
+                            {base, number, header, sums});
+  if (status)
+    status = library.launch(LibraryKernel::ListWrite, blocks, someThreads,
+                            {base, number, header, sums});
+  return status;
+}
+
+Status SparseMirror::list(SparseNode &node, DeviceCellsPtr &cells) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  cells = nullptr;
+  Runtime &runtime = context.getRuntime();
+  Pool &pool = pools[numberOf(node)];
+  if (pool.current && isCurrent(*pool.current) &&
+      runtime.skips(Skip::ListReuse)) {
+    ++node.reused;
+    runtime.skipCounters().add(SkipCount::ListsReused);
+    cells = pool.current;
+    return Status::success();
+  }
+  // Where the host does not know how many there are, there is room for all.
+  int64_t needed = isBehind() ? node.numCells() : guessActive(node);
+  if (bytesFor(needed) > mostBytes &&
+      context.get().limits().reservedPieceBytes == 0)
+    return Status::success();
+  bool isThere = false;
+  Status status = context.library().load(isThere);
+  if (!status || !isThere)
+    return status;
+  auto isFree = [&](const std::shared_ptr<DeviceCells> &list) {
+    long holders = list == pool.current ? 2 : 1;
+    return list.use_count() == holders && list->capacity() >= needed;
+  };
+  std::shared_ptr<DeviceCells> chosen;
+  // The last one may show what is active. What is collected is the same work
+  // again where each of its loops has the list that it had before.
+  if (pool.current && isFree(pool.current) && !context.queue().isCollecting())
+    chosen = pool.current;
+  for (const std::shared_ptr<DeviceCells> &list : pool.all)
+    if (!chosen && isFree(list))
+      chosen = list;
+  if (!chosen) {
+    status = DeviceCells::make(tree.mirror()->sharedContext(), needed, chosen);
+    if (!status)
+      return status;
+    pool.all.push_back(chosen);
+  }
+  chosen->generation = generation;
+  pool.current = chosen;
+  cells = chosen;
+  ++node.made;
+  runtime.skipCounters().add(SkipCount::ListsMade);
+  return queueList(node, *chosen);
+}
+
+/// What active cells may take, where the host knows what they take.
+Status SparseMirror::sendAccount() {
+  Runtime &runtime = context.getRuntime();
+  int64_t used = 0;
+  for (const std::unique_ptr<SparseNode> &node : tree.sparseNodes())
+    if (node->isInnermost())
+      used += node->active.load(std::memory_order_relaxed) * node->cellBytes();
+  int64_t others = runtime.activeCellBytes() - used;
+  const int64_t now[] = {used, runtime.memoryLimit() - runtime.reservedBytes() -
+                                   others};
+  static_assert(offsetof(TaiDeviceAccount, limit) == sizeof(int64_t), "");
+  if (!context.queue().isCollecting())
+    return context.get().copyIn(account, now, sizeof(now));
+  Status status = context.get().fill(account, &now[0], sizeof(int64_t), 1);
+  return status ? context.get().fill(account + sizeof(int64_t), &now[1],
+                                     sizeof(int64_t), 1)
+                : std::move(status);
+}
+
+/// Makes the activity of the levels that the host has changed known to lists.
+Status SparseMirror::sendActivity() {
+  const auto &nodes = tree.sparseNodes();
+  Status status;
+  bool any = false;
+  for (size_t i = 0; i < nodes.size() && status; ++i) {
+    uint64_t epoch = nodes[i]->changes.load(std::memory_order_acquire);
+    if (epoch == sharedEpochs[i])
+      continue;
+    sharedEpochs[i] = epoch;
+    any = true;
+    unchangedFrom = ++generation;
+    status = context.get().copyIn(marks[i], nodes[i]->marks,
+                                  nodes[i]->numMarks *
+                                      static_cast<int64_t>(sizeof(uint64_t)));
+    const uint32_t isNew = 1;
+    if (status)
+      status = context.get().fill(activity + i * sizeof(TaiDeviceActivity) +
+                                      offsetof(TaiDeviceActivity, isNew),
+                                  &isNew, sizeof(isNew), 1);
+  }
+  return status && any ? sendAccount() : std::move(status);
+}
+
+//===----------------------------------------------------------------------===//
+// What the host knows without waiting
+//===----------------------------------------------------------------------===//
+
+SparseNode::Moment SparseNode::now() const {
+  Moment moment{changes.load(std::memory_order_acquire), 0, true};
+  if (onDevice) {
+    moment.generation = onDevice->getGeneration();
+    moment.isKnown = !onDevice->isBehind();
+  }
+  return moment;
+}
+
+bool SparseNode::hasChangedSince(const Moment &moment) const {
+  return epoch() != moment.epoch &&
+         (moment.isKnown || onDevice->getGeneration() > moment.generation);
+}
+
+bool SparseNode::hasRemovedSince(const Moment &moment) const {
+  return lastRemoval() > moment.epoch &&
+         (moment.isKnown || onDevice->getLastRemoval() > moment.generation);
+}
+
+bool SparseNode::mayBeActive() const {
+  return (onDevice && onDevice->isBehind()) ||
+         active.load(std::memory_order_relaxed) != 0;
+}

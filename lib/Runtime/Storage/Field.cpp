@@ -1,0 +1,119 @@
+//===- Field.cpp - Single elements of fields ------------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Where an element lies, and its conversion from and to the host's numbers.
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Runtime/Storage/Field.h"
+#include "Scalars.h"
+
+using namespace mlir::tai::runtime;
+
+int64_t Field::elementOffset(const int64_t *index) const {
+  int64_t offset = fieldLayout.placeOffset;
+  for (size_t d = 0; d < shapeOf.size(); ++d) {
+    int64_t i = index[d];
+    if (!fieldLayout.offset.empty())
+      i -= fieldLayout.offset[d];
+    if (i < 0 || i >= shapeOf[d])
+      return -1;
+    for (const LayoutLevel &level : fieldLayout.indices[d])
+      offset += i / level.divisor % level.extent * level.stride;
+  }
+  return offset;
+}
+
+int64_t Field::cellNumber(const int64_t *index) const {
+  int64_t cell = 0;
+  for (size_t d = 0; d < shapeOf.size(); ++d) {
+    int64_t at = index[d] - firstIndex(static_cast<int64_t>(d));
+    if (at < 0 || at >= shapeOf[d])
+      return -1;
+    for (const LayoutLevel &level : fieldLayout.indices[d])
+      cell += at / level.divisor % level.extent * level.cells;
+  }
+  return cell;
+}
+
+Status Field::locate(const int64_t *index, int64_t component,
+                     int64_t &offset) const {
+  if (!valid())
+    return Status::failure(StatusCode::Usage,
+                           "field '" + fieldName + "' is gone: its tree '" +
+                               owner->name() + "' has been destroyed");
+  if (component < 0 || component >= components)
+    return Status::failure(
+        StatusCode::Index,
+        "component " + std::to_string(component) + " of field '" + fieldName +
+            "', whose elements have " + std::to_string(components));
+  offset = elementOffset(index);
+  if (offset < 0) {
+    std::string text = "index (";
+    for (size_t d = 0; d < shapeOf.size(); ++d)
+      text += (d ? ", " : "") + std::to_string(index[d]);
+    text += ") is out of range of field '" + fieldName + "', whose indices are";
+    for (size_t d = 0; d < shapeOf.size(); ++d) {
+      int64_t first = fieldLayout.offset.empty() ? 0 : fieldLayout.offset[d];
+      text += (d ? ", " : " ") + std::to_string(first) + " to " +
+              std::to_string(first + shapeOf[d] - 1);
+    }
+    return Status::failure(StatusCode::Index, std::move(text));
+  }
+  offset += component * fieldLayout.componentStride;
+  return Status::success();
+}
+
+Status Field::readF64(const int64_t *index, int64_t component,
+                      double &value) const {
+  int64_t offset = 0;
+  char bytes[8] = {};
+  Status status = locate(index, component, offset);
+  if (status)
+    status = loadBytes(offset, bytes);
+  if (status)
+    value = loadF64(scalar(), bytes);
+  return status;
+}
+
+Status Field::writeF64(const int64_t *index, int64_t component, double value) {
+  int64_t offset = 0;
+  Status status = locate(index, component, offset);
+  if (!status)
+    return status;
+  if (SparseNode *node = sparseNode())
+    node->activate(cellNumber(index));
+  char bytes[8] = {};
+  storeF64(scalar(), bytes, value);
+  markDirty();
+  return storeBytes(offset, bytes);
+}
+
+Status Field::readI64(const int64_t *index, int64_t component,
+                      int64_t &value) const {
+  int64_t offset = 0;
+  char bytes[8] = {};
+  Status status = locate(index, component, offset);
+  if (status)
+    status = loadBytes(offset, bytes);
+  if (status)
+    value = loadI64(scalar(), bytes);
+  return status;
+}
+
+Status Field::writeI64(const int64_t *index, int64_t component, int64_t value) {
+  int64_t offset = 0;
+  Status status = locate(index, component, offset);
+  if (!status)
+    return status;
+  if (SparseNode *node = sparseNode())
+    node->activate(cellNumber(index));
+  char bytes[8] = {};
+  storeI64(scalar(), bytes, value);
+  markDirty();
+  return storeBytes(offset, bytes);
+}

@@ -1,0 +1,46 @@
+//===- Scalars.h - Numbers of the host and of fields ------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Loads and stores of one scalar of any kind as double or int64_t.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_STORAGE_SCALARS_H
+#define TAI_LIB_RUNTIME_STORAGE_SCALARS_H
+
+#include "tai/Runtime/Storage/Field.h"
+
+namespace mlir::tai::runtime {
+
+struct RuntimeSymbol;
+
+double loadF64(ScalarKind kind, const char *address);
+int64_t loadI64(ScalarKind kind, const char *address);
+void storeF64(ScalarKind kind, char *address, double value);
+void storeI64(ScalarKind kind, char *address, int64_t value);
+
+/// IEEE binary16 and bfloat16, rounded to nearest, ties to even.
+uint16_t halfFromDouble(double value);
+uint16_t bfloatFromDouble(double value);
+double doubleFromHalf(uint16_t bits);
+double doubleFromBfloat(uint16_t bits);
+
+/// The conversions of these types that compiled code calls.
+void appendHalfCalls(std::vector<RuntimeSymbol> &symbols);
+
+/// The distance from one element to the next along an index; false where it
+/// varies.
+bool findConstantStep(const std::vector<LayoutLevel> &levels, int64_t &step);
+
+/// The distance from one element to the next in row-major order; 0 where it
+/// varies. That of a single element is its size.
+int64_t findEvenStep(const FieldLayout &layout,
+                     const std::vector<int64_t> &shape, int64_t elementBytes);
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_STORAGE_SCALARS_H

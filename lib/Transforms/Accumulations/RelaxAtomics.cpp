@@ -1,0 +1,377 @@
+//===- RelaxAtomics.cpp - How each accumulation is done -------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// An atomic float addition is a loop around a compare-and-exchange on CPUs, and
+// nothing vectorises around it. Nearly all accumulations of simulators and of
+// their adjoints can do without: each iteration has its own element, or all
+// share one, or the part of the field that is updated is small.
+//
+//===----------------------------------------------------------------------===//
+
+#include "../Utils/Accumulation.h"
+#include "../Utils/OrderedAdditions.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/Utils/StaticValueUtils.h"
+#include "mlir/Transforms/LoopInvariantCodeMotionUtils.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/Cost.h"
+#include "tai/Transforms/Passes.h"
+#include "llvm/ADT/TypeSwitch.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_RELAXATOMICS
+#include "tai/Transforms/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// More sums than this in one field are held in a buffer rather than in
+/// registers: they are neighbours as a rule (the weights of a sum written out),
+/// which LLVM updates as vectors, while it would spill so many registers.
+constexpr size_t kMaxRegisters = 8;
+
+/// Iterations of a loop on a GPU whose sums do not meet in a block: its
+/// threads.
+constexpr int64_t kMaxWarpSums = 1024;
+
+/// Private buffers larger than this are left alone: they would fill the memory
+/// of a machine with many cores.
+constexpr int64_t kMaxPrivateElements = int64_t(1) << 24;
+
+/// Local arrays up to this size are summed in registers: a matrix.
+constexpr int64_t kMaxLocalSums = 16;
+
+namespace {
+/// The accesses of a loop to one field.
+struct FieldAccesses {
+  SmallVector<AtomicOp> atomics; // those that are not exclusive yet
+  SmallVector<Operation *> others;
+};
+
+class LoopRelaxation {
+public:
+  LoopRelaxation(ParallelForOp loop, FieldTable &fields, bool deterministic,
+                 bool onDevice)
+      : loop(loop), fields(fields), deterministic(deterministic),
+        onDevice(onDevice) {}
+
+  LogicalResult run();
+
+private:
+  void serialize();
+  bool isIndependentOfTiming(AtomicOp atomic);
+  bool mayReach(ValueRange a, ValueRange b);
+  void relaxField(FieldAccesses &accesses);
+  bool isWorthPrivate(const AccumulationGroup &group);
+  bool isWarpSum(AtomicOp atomic);
+
+  ParallelForOp loop;
+  FieldTable &fields;
+  bool deterministic, onDevice;
+  int64_t numBuffers = 0;
+};
+} // namespace
+
+/// True if the update is a sum in a small array that the kernel makes for it,
+/// and nothing else in the loop touches the array: adjoints of what the body of
+/// a loop takes from outside.
+static bool isLocalSum(memref::AtomicRMWOp atomic, ParallelForOp loop) {
+  auto array = atomic.getMemref().getDefiningOp<memref::AllocaOp>();
+  if (!array || loop->isAncestor(array) ||
+      array.getType().getNumElements() > kMaxLocalSums)
+    return false;
+  return llvm::all_of(array->getUsers(), [&](Operation *user) {
+    if (!loop->isAncestor(user))
+      return true;
+    auto other = dyn_cast<memref::AtomicRMWOp>(user);
+    return other && other.getKind() == arith::AtomicRMWKind::addf &&
+           other.getResult().use_empty() &&
+           llvm::all_of(other.getIndices(), [](Value index) {
+             return getConstantIntValue(index).has_value();
+           });
+  });
+}
+
+/// Runs the loop on one thread, where every update is plain.
+void LoopRelaxation::serialize() {
+  loop.setSerialize(true);
+  loop.walk([](AtomicOp atomic) {
+    atomic->removeAttr(kAccumulateAttrName);
+    atomic->removeAttr(kBufferAttrName);
+    atomic.setExclusive(true);
+  });
+  loop.walk([](memref::AtomicRMWOp atomic) {
+    atomic->removeAttr(kAccumulateAttrName);
+  });
+}
+
+/// Integer updates give the same result in any order, unless somebody looks at
+/// what was there before.
+bool LoopRelaxation::isIndependentOfTiming(AtomicOp atomic) {
+  if (!atomic.getOld().use_empty())
+    return false;
+  Type type = getElementTypeOrSelf(atomic.getValue().getType());
+  return !isa<FloatType>(type) || atomic.getKind() == AtomicKind::Min ||
+         atomic.getKind() == AtomicKind::Max;
+}
+
+static void setStrategy(AtomicOp atomic, StringRef strategy) {
+  atomic->setAttr(kAccumulateAttrName,
+                  StringAttr::get(atomic.getContext(), strategy));
+}
+
+/// The slice of the field that a group updates.
+static std::optional<FieldSlice> getSlice(const AccumulationGroup &group) {
+  SmallVector<bool> fixed =
+      llvm::map_to_vector(group.fixed, [](Value index) { return bool(index); });
+  return FieldTable::getSlice(*group.field, fixed);
+}
+
+/// True if buffers for the updated part of the field cost less than the atomic
+/// updates.
+bool LoopRelaxation::isWorthPrivate(const AccumulationGroup &group) {
+  const FieldInfo &field = *group.field;
+  if (!field.scalarType.isF32() && !field.scalarType.isF64())
+    return false;
+  double updates = 0;
+  for (AtomicOp atomic : group.atomics) {
+    if (atomic.getKind() != AtomicKind::Add &&
+        atomic.getKind() != AtomicKind::Sub)
+      return false;
+    updates += estimateRuns(atomic, loop);
+  }
+  std::optional<FieldSlice> slice = getSlice(group);
+  if (!slice)
+    return false;
+  int64_t elements = slice->numCells * field.numComponents;
+  if (elements > kMaxPrivateElements)
+    return false;
+  // Where the number of iterations is known at run time only, so is what pays:
+  // too few of them run in one partition, which needs no buffers.
+  std::optional<int64_t> iterations = getNumIterations(loop);
+  return !iterations || elements <= *iterations * updates * kElementsPerUpdate;
+}
+
+/// True if a buffer for the group has the layout of the field, so that all its
+/// addresses are known to LLVM.
+static bool isContiguous(const AccumulationGroup &group) {
+  std::optional<FieldSlice> slice = getSlice(group);
+  return slice && slice->cellStride ==
+                      group.field->numComponents * group.field->scalarSize;
+}
+
+static ValueRange getIndices(Operation *access) {
+  return llvm::TypeSwitch<Operation *, ValueRange>(access)
+      .Case<LoadOp, StoreOp, AtomicOp>([](auto op) { return op.getIndices(); });
+}
+
+/// False if accesses at `a` and `b` reach different elements in any two
+/// iterations: an index that is the same in all of them tells them apart, such
+/// as the time slot.
+bool LoopRelaxation::mayReach(ValueRange a, ValueRange b) {
+  for (auto [x, y] : llvm::zip_equal(a, b))
+    if (loop.isDefinedOutsideOfLoop(x) && loop.isDefinedOutsideOfLoop(y) &&
+        areProvablyDistinct(x, y))
+      return false;
+  return true;
+}
+
+/// True for sums that a GPU takes with one atomic addition of each warp: of so
+/// few warps, that is quicker than to bring them together in their block.
+bool LoopRelaxation::isWarpSum(AtomicOp atomic) {
+  std::optional<int64_t> iterations = getNumIterations(loop);
+  if (deterministic || !iterations || *iterations > kMaxWarpSums ||
+      atomic.getKind() != AtomicKind::Add ||
+      !atomic.getValue().getType().isF32())
+    return false;
+  // In an inner loop there would be one for each of its iterations.
+  Operation *around = atomic->getParentOp();
+  while (isa<scf::IfOp>(around))
+    around = around->getParentOp();
+  return around == loop;
+}
+
+/// Chooses for the updates of one field.
+void LoopRelaxation::relaxField(FieldAccesses &accesses) {
+  SmallVector<AtomicOp> &atomics = accesses.atomics;
+  auto sameElement = [&](AtomicOp atomic) {
+    return llvm::equal(atomic.getIndices(), atomics.front().getIndices());
+  };
+  // A store of another iteration would be lost to a plain addition of zero,
+  // which a branch that was turned into a select makes.
+  bool meetsStore = llvm::any_of(accesses.others, [&](Operation *other) {
+    ValueRange indices = atomics.front().getIndices();
+    return isa<StoreOp>(other) && !llvm::equal(getIndices(other), indices) &&
+           mayReach(getIndices(other), indices);
+  });
+  if (llvm::all_of(atomics, sameElement) && !meetsStore &&
+      isInjective(loop, atomics.front().getIndices())) {
+    for (AtomicOp atomic : atomics)
+      atomic.setExclusive(true);
+    return;
+  }
+  // What the iterations read in between would not be there yet.
+  auto usesOld = [](AtomicOp atomic) { return !atomic.getOld().use_empty(); };
+  if (llvm::any_of(atomics, usesOld) ||
+      llvm::any_of(atomics, [&](AtomicOp atomic) {
+        return llvm::any_of(accesses.others, [&](Operation *other) {
+          return mayReach(atomic.getIndices(), getIndices(other));
+        });
+      }))
+    return;
+  FailureOr<SmallVector<AccumulationGroup>> groups =
+      groupAccumulations(loop, atomics, fields);
+  if (failed(groups))
+    return;
+  // An update may have to make its cell active first.
+  if (llvm::any_of(*groups, [](const AccumulationGroup &group) {
+        return !group.field->sparse.empty();
+      }))
+    return;
+  // Groups of one field may overlap: all must leave the field alone until the
+  // end, or none.
+  SmallVector<AccumulationGroup> sums, buffers;
+  for (AccumulationGroup &group : *groups) {
+    auto isFixed = [&](AtomicOp atomic) {
+      return llvm::all_of(atomic.getComponents(), [&](Value component) {
+        return getConstantIntValue(component) ||
+               loop.isDefinedOutsideOfLoop(component);
+      });
+    };
+    if (group.isFixed() && llvm::all_of(group.atomics, isFixed))
+      sums.push_back(std::move(group));
+    else if (!onDevice && isWorthPrivate(group))
+      buffers.push_back(std::move(group));
+    else
+      return;
+  }
+  if (onDevice && sums.size() > kMaxRegisters)
+    return;
+  if (onDevice &&
+      llvm::all_of(atomics, [&](AtomicOp atomic) { return isWarpSum(atomic); }))
+    return;
+  if (sums.size() > kMaxRegisters) {
+    AccumulationGroup merged = sums.front();
+    for (const AccumulationGroup &group : ArrayRef(sums).drop_front())
+      mergeGroups(merged, group);
+    if (isWorthPrivate(merged) && isContiguous(merged)) {
+      buffers.push_back(std::move(merged));
+      sums.clear();
+    }
+  }
+  for (AccumulationGroup &group : sums)
+    for (AtomicOp atomic : group.atomics)
+      setStrategy(atomic, kRegister);
+  for (AccumulationGroup &group : buffers) {
+    auto number =
+        IntegerAttr::get(IntegerType::get(loop.getContext(), 64), numBuffers++);
+    for (AtomicOp atomic : group.atomics) {
+      setStrategy(atomic, kPrivate);
+      atomic->setAttr(kBufferAttrName, number);
+    }
+  }
+}
+
+LogicalResult LoopRelaxation::run() {
+  if (loop.getSerialize()) {
+    serialize();
+    return success();
+  }
+  // Indices that are the same in all iterations are computed before the loop:
+  // they tell which part of a field is updated.
+  moveLoopInvariantCode(cast<LoopLikeOpInterface>(loop.getOperation()));
+
+  llvm::MapVector<Attribute, FieldAccesses> places;
+  WalkResult result = loop.walk([&](Operation *op) {
+    if (!isa<LoadOp, StoreOp, AtomicOp>(op))
+      return WalkResult::advance();
+    FailureOr<const FieldInfo *> field =
+        fields.lookup(op, op->getAttrOfType<FlatSymbolRefAttr>("field"));
+    if (failed(field))
+      return WalkResult::interrupt();
+    FieldAccesses &accesses = places[(*field)->scope];
+    auto atomic = dyn_cast<AtomicOp>(op);
+    if (!atomic || atomic.getExclusive())
+      accesses.others.push_back(op);
+    else
+      accesses.atomics.push_back(atomic);
+    return WalkResult::advance();
+  });
+  if (result.wasInterrupted())
+    return failure();
+  for (auto &[place, accesses] : places)
+    if (!accesses.atomics.empty())
+      relaxField(accesses);
+
+  // Sums in registers are no memory.
+  bool inMemory = false, dependsOnTiming = false;
+  loop.walk([&](AtomicOp atomic) {
+    if (atomic.getExclusive())
+      return;
+    auto strategy = atomic->getAttrOfType<StringAttr>(kAccumulateAttrName);
+    inMemory |= !strategy || strategy.getValue() != kRegister;
+    dependsOnTiming |= !strategy && !isIndependentOfTiming(atomic);
+  });
+  // Arrays of the caller stay as they are; those of an iteration are its own.
+  loop.walk([&](memref::AtomicRMWOp atomic) {
+    if (!loop.isDefinedOutsideOfLoop(atomic.getMemref()))
+      return;
+    if (isLocalSum(atomic, loop)) {
+      atomic->setAttr(kAccumulateAttrName,
+                      StringAttr::get(atomic.getContext(), kRegister));
+      return;
+    }
+    inMemory = true;
+    bool isExtreme = atomic.getKind() == arith::AtomicRMWKind::minimumf ||
+                     atomic.getKind() == arith::AtomicRMWKind::maximumf;
+    dependsOnTiming |=
+        (isa<FloatType>(atomic.getValue().getType()) && !isExtreme) ||
+        !atomic.getResult().use_empty();
+  });
+
+  std::optional<int64_t> iterations = getNumIterations(loop);
+  bool isSmall =
+      !onDevice && iterations &&
+      *iterations * estimateIteration(loop, !inMemory) < kForkNanoseconds;
+  if (deterministic && dependsOnTiming && onDevice &&
+      canOrderAdditions(loop, fields)) {
+    loop->setAttr(kInWarpAttrName, UnitAttr::get(loop.getContext()));
+  } else if (isSmall || (deterministic && dependsOnTiming)) {
+    loop.walk([&](AtomicOp atomic) { inMemory |= !atomic.getExclusive(); });
+    serialize();
+  }
+  if (!inMemory)
+    loop->setAttr(kIndependentAttrName, UnitAttr::get(loop.getContext()));
+  return success();
+}
+
+namespace {
+struct RelaxAtomics : tai::impl::RelaxAtomicsBase<RelaxAtomics> {
+  using Base::Base;
+
+  void runOnOperation() override {
+    Operation *table = SymbolTable::getNearestSymbolTable(getOperation());
+    if (!table)
+      return;
+    FieldTable fields(table);
+    SmallVector<ParallelForOp> loops;
+    getOperation()->walk([&](Operation *op) {
+      if (auto loop = dyn_cast<ParallelForOp>(op))
+        loops.push_back(loop);
+      // Serial code of a kernel runs on one thread.
+      auto atomic = dyn_cast<AtomicOp>(op);
+      if (atomic && !op->getParentOfType<ParallelForOp>())
+        atomic.setExclusive(true);
+    });
+    for (ParallelForOp loop : loops)
+      if (failed(LoopRelaxation(loop, fields, deterministic, onDevice).run()))
+        return signalPassFailure();
+  }
+};
+} // namespace

@@ -1,0 +1,397 @@
+//===- FuseLaunches.cpp - Kernels that are launched together --------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Two kernels of one parallel loop each, over the same box, become one if an
+// iteration of the second needs of what the first writes only what the same
+// iteration wrote, and overwrites nothing that another one still reads. Indices
+// are compared as sums of the induction variables and of what the host passes:
+// arguments of both launches are told from each other by the host's arithmetic.
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Func/IR/FuncOps.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/IR/IRMapping.h"
+#include "mlir/IR/SymbolTable.h"
+#include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/LoopBox.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Transforms/Passes.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_FUSELAUNCHES
+#include "tai/Transforms/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+//===----------------------------------------------------------------------===//
+// What can be fused
+//===----------------------------------------------------------------------===//
+
+namespace {
+/// A launch of a kernel that is one parallel loop.
+struct Candidate {
+  LaunchOp launch;
+  KernelOp kernel;
+  LoopBox box;
+  /// Loads, stores and atomics of the loop.
+  SmallVector<Operation *> accesses;
+};
+} // namespace
+
+static bool isDense(Operation *user, FlatSymbolRefAttr name) {
+  FieldOp field = lookupField(user, name);
+  FailureOr<FieldLayout> layout =
+      field ? getFieldLayout(field) : FailureOr<FieldLayout>(failure());
+  return succeeded(layout) && !layout->path.getFirstSparse();
+}
+
+/// True if all effects of the loop are accesses to dense fields, which are
+/// collected.
+static bool collectAccesses(ParallelForOp loop,
+                            SmallVectorImpl<Operation *> &accesses) {
+  return !loop.getBody()
+              .walk([&](Operation *op) {
+                if (isa<LoadOp, StoreOp, AtomicOp>(op)) {
+                  accesses.push_back(op);
+                  auto field = op->getAttrOfType<FlatSymbolRefAttr>("field");
+                  return isDense(op, field) ? WalkResult::advance()
+                                            : WalkResult::interrupt();
+                }
+                // Variables belong to an iteration.
+                if (isa<AllocaOp, LocalLoadOp, LocalStoreOp, scf::ForOp,
+                        scf::IfOp, scf::WhileOp>(op))
+                  return WalkResult::advance();
+                return op->getNumRegions() == 0 && isMemoryEffectFree(op)
+                           ? WalkResult::advance()
+                           : WalkResult::interrupt();
+              })
+              .wasInterrupted();
+}
+
+static std::optional<Candidate> getCandidate(LaunchOp launch,
+                                             SymbolTable &symbols) {
+  auto kernel = symbols.lookup<KernelOp>(launch.getKernel());
+  // A sequence under a tape is differentiated launch by launch.
+  if (!kernel || kernel.isExternal() || launch.getNumResults() != 0 ||
+      launch->getParentOfType<TapeOp>() ||
+      launch->getParentOfType<CheckGradientOp>() ||
+      llvm::any_of(kernel.getArgumentTypes(),
+                   [](Type type) { return isa<MemRefType>(type); }))
+    return std::nullopt;
+  ParallelForOp loop;
+  for (Operation &op : kernel.getBody().front().without_terminator()) {
+    if (auto found = dyn_cast<ParallelForOp>(op); found && !loop)
+      loop = found;
+    else if (op.getNumRegions() != 0 || !isMemoryEffectFree(&op))
+      return std::nullopt;
+  }
+  if (!loop || loop.getSerialize())
+    return std::nullopt;
+  std::optional<LoopBox> box = getConstantBox(loop);
+  if (!box)
+    return std::nullopt;
+  Candidate candidate{launch, kernel, *box, {}};
+  if (!collectAccesses(loop, candidate.accesses))
+    return std::nullopt;
+  return candidate;
+}
+
+//===----------------------------------------------------------------------===//
+// Legality
+//===----------------------------------------------------------------------===//
+
+static ValueRange getIndices(Operation *access) {
+  return llvm::TypeSwitch<Operation *, ValueRange>(access)
+      .Case<LoadOp, StoreOp, AtomicOp>([](auto op) { return op.getIndices(); });
+}
+
+/// The form with arguments of the kernel as what the host passes, and with the
+/// induction variables given.
+static LinearIndex translate(const LinearIndex &form, Candidate &from,
+                             ValueRange ivs) {
+  LinearIndex result;
+  result.constant = form.constant;
+  result.mayWrap = form.mayWrap;
+  auto add = [&](Value term, int64_t factor) {
+    auto *known = llvm::find_if(
+        result.terms, [&](auto &other) { return other.first == term; });
+    if (known == result.terms.end())
+      result.terms.emplace_back(term, factor);
+    else
+      known->second += factor;
+  };
+  for (auto [term, factor] : form.terms) {
+    auto argument = dyn_cast<BlockArgument>(term);
+    if (std::optional<unsigned> d = from.box.find(term)) {
+      add(ivs[*d], factor);
+    } else if (argument &&
+               argument.getOwner() == &from.kernel.getBody().front()) {
+      LinearIndex passed =
+          getLinearIndex(from.launch.getOperands()[argument.getArgNumber()]);
+      result.constant += factor * passed.constant;
+      result.mayWrap |= passed.mayWrap;
+      for (auto [outer, scale] : passed.terms)
+        add(outer, factor * scale);
+    } else {
+      add(term, factor);
+    }
+  }
+  llvm::erase_if(result.terms, [](auto &term) { return term.second == 0; });
+  llvm::sort(result.terms, [](auto &a, auto &b) {
+    return a.first.getAsOpaquePointer() < b.first.getAsOpaquePointer();
+  });
+  return result;
+}
+
+static bool isSum(Operation *access) {
+  auto atomic = dyn_cast<AtomicOp>(access);
+  return atomic && atomic.getOld().use_empty() &&
+         (atomic.getKind() == AtomicKind::Add ||
+          atomic.getKind() == AtomicKind::Sub);
+}
+
+/// True if iterations of the first loop and other iterations of the second one
+/// never meet by these accesses, or may meet in any order.
+static bool areIndependent(Candidate &first, Operation *a, Candidate &second,
+                           Operation *b, bool deterministic) {
+  if (getStorageKey(a) != getStorageKey(b) ||
+      (isa<LoadOp>(a) && isa<LoadOp>(b)))
+    return true;
+  if (isSum(a) && isSum(b)) {
+    Type type = getElementTypeOrSelf(cast<AtomicOp>(a).getValue().getType());
+    if (!deterministic || !isa<FloatType>(type))
+      return true;
+  }
+  ValueRange ivs = second.box.loop.getInductionVars();
+  SmallVector<LinearIndex> common;
+  for (auto [x, y] : llvm::zip(getIndices(a), getIndices(b))) {
+    LinearIndex one = translate(getLinearIndex(x), first, ivs);
+    LinearIndex other = translate(getLinearIndex(y), second, ivs);
+    if (one == other) {
+      common.push_back(one);
+      continue;
+    }
+    // Different rows, whatever the iterations are.
+    bool isFixed = llvm::none_of(one.terms, [&](auto &term) {
+      return llvm::is_contained(ivs, term.first);
+    });
+    if (isFixed && one.terms == other.terms && !one.mayWrap && !other.mayWrap)
+      return true;
+  }
+  // Dimensions of one iteration tell nothing apart, and need not.
+  SmallVector<Value> running;
+  for (auto [d, iv] : llvm::enumerate(ivs))
+    if (second.box.upper[d] - second.box.lower[d] > 1)
+      running.push_back(iv);
+  return running.empty() || isInjectiveOver(common, running);
+}
+
+static bool canFuse(Candidate &first, Candidate &second, bool deterministic) {
+  if (first.box.lower != second.box.lower ||
+      first.box.upper != second.box.upper ||
+      first.box.loop.getBlockDim() != second.box.loop.getBlockDim())
+    return false;
+  for (Operation *a : first.accesses)
+    for (Operation *b : second.accesses)
+      if (!areIndependent(first, a, second, b, deterministic))
+        return false;
+  return true;
+}
+
+//===----------------------------------------------------------------------===//
+// Fusion
+//===----------------------------------------------------------------------===//
+
+namespace {
+/// Where an argument of the second kernel comes from: an argument of the new
+/// one, and what is to be added to it.
+struct Source {
+  unsigned argument;
+  int64_t difference = 0;
+};
+} // namespace
+
+/// Finds operands of the new launch for those of the second one: what differs
+/// by a constant from one that is passed already is computed from that, so that
+/// what both kernels touch is seen to be the same.
+static Source getSource(Value operand, SmallVectorImpl<Value> &operands) {
+  for (auto [i, known] : llvm::enumerate(operands)) {
+    if (known == operand)
+      return {static_cast<unsigned>(i)};
+    if (known.getType() != operand.getType() ||
+        !operand.getType().isIntOrIndex() || operand.getType().isInteger(1))
+      continue;
+    LinearIndex one = getLinearIndex(known), other = getLinearIndex(operand);
+    if (one.terms == other.terms && !one.mayWrap && !other.mayWrap)
+      return {static_cast<unsigned>(i), other.constant - one.constant};
+  }
+  operands.push_back(operand);
+  return {static_cast<unsigned>(operands.size() - 1)};
+}
+
+/// Loads of what the same iteration has just stored become that value.
+static void reuseStoredValues(Block &body) {
+  SmallVector<LoadOp> loads;
+  body.walk([&](LoadOp load) { loads.push_back(load); });
+  for (LoadOp load : loads) {
+    Operation *here = body.findAncestorOpInBlock(*load);
+    const void *storage = getStorageKey(load);
+    auto writes = [&](Operation *op) {
+      return op
+          ->walk([&](Operation *inner) {
+            return isa<StoreOp, AtomicOp>(inner) &&
+                           getStorageKey(inner) == storage
+                       ? WalkResult::interrupt()
+                       : WalkResult::advance();
+          })
+          .wasInterrupted();
+    };
+    if (here != load && writes(here))
+      continue;
+    Operation *last = here->getPrevNode();
+    while (last && !writes(last))
+      last = last->getPrevNode();
+    auto store = dyn_cast_if_present<StoreOp>(last);
+    if (!store || store.getValue().getType() != load.getResult().getType() ||
+        !areProvablyEqual(store.getIndices(), load.getIndices()) ||
+        !areProvablyEqual(store.getComponents(), load.getComponents()))
+      continue;
+    load.replaceAllUsesWith(store.getValue());
+    load.erase();
+  }
+}
+
+static LaunchOp fuse(Candidate &first, Candidate &second,
+                     SymbolTable &symbols) {
+  SmallVector<Value> operands;
+  SmallVector<unsigned> ofFirst;
+  for (Value operand : first.launch.getOperands()) {
+    ofFirst.push_back(operands.size());
+    operands.push_back(operand);
+  }
+  SmallVector<Source> sources =
+      llvm::map_to_vector(second.launch.getOperands(), [&](Value operand) {
+        return getSource(operand, operands);
+      });
+
+  MLIRContext *context = first.kernel.getContext();
+  Location loc =
+      FusedLoc::get(context, {first.kernel.getLoc(), second.kernel.getLoc()});
+  OpBuilder builder(context);
+  builder.setInsertionPointAfter(second.kernel);
+  std::string name =
+      (first.kernel.getSymName() + "_" + second.kernel.getSymName()).str();
+  auto type = FunctionType::get(
+      context, llvm::to_vector(TypeRange(ValueRange(operands))), {});
+  auto kernel = KernelOp::create(builder, loc, name, type);
+  symbols.insert(kernel);
+  Block &body = kernel.getBody().front();
+  builder.setInsertionPointToEnd(&body);
+
+  IRMapping one, other;
+  for (auto [argument, number] :
+       llvm::zip(first.kernel.getArguments(), ofFirst))
+    one.map(argument, body.getArgument(number));
+  for (auto [argument, source] :
+       llvm::zip(second.kernel.getArguments(), sources)) {
+    Value value = body.getArgument(source.argument);
+    if (source.difference != 0) {
+      auto constant = arith::ConstantOp::create(
+          builder, loc,
+          builder.getIntegerAttr(value.getType(), source.difference));
+      value = arith::AddIOp::create(builder, loc, value, constant);
+    }
+    other.map(argument, value);
+  }
+  // What is computed in front of the loops, then one loop with both bodies.
+  for (Operation &op : second.kernel.getBody().front().without_terminator())
+    if (&op != second.box.loop)
+      builder.clone(op, other);
+  ParallelForOp loop;
+  for (Operation &op : first.kernel.getBody().front().without_terminator()) {
+    Operation *copy = builder.clone(op, one);
+    if (&op == first.box.loop)
+      loop = cast<ParallelForOp>(copy);
+  }
+  ReturnOp::create(builder, loc, ValueRange());
+  loop->setLoc(FusedLoc::get(
+      context, {first.box.loop.getLoc(), second.box.loop.getLoc()}));
+  Block &iteration = loop.getBody().front();
+  builder.setInsertionPoint(iteration.getTerminator());
+  for (auto [from, to] :
+       llvm::zip(second.box.loop.getInductionVars(), loop.getInductionVars()))
+    other.map(from, to);
+  for (Operation &op : second.box.loop.getBody().front().without_terminator())
+    builder.clone(op, other);
+  // That an iteration is alone with its elements is to be found out again.
+  loop.walk([](AtomicOp atomic) { atomic.setExclusive(false); });
+  reuseStoredValues(iteration);
+
+  builder.setInsertionPoint(second.launch);
+  auto launch = LaunchOp::create(
+      builder,
+      FusedLoc::get(context, {first.launch.getLoc(), second.launch.getLoc()}),
+      TypeRange(), kernel.getSymName(), operands);
+  first.launch.erase();
+  second.launch.erase();
+  return launch;
+}
+
+namespace {
+struct FuseLaunches : tai::impl::FuseLaunchesBase<FuseLaunches> {
+  using Base::Base;
+
+  void runOnOperation() override {
+    ModuleOp module = getOperation();
+    SymbolTable symbols(module);
+    SmallVector<Block *> blocks;
+    for (auto function : module.getOps<func::FuncOp>())
+      function.walk([&](Block *block) { blocks.push_back(block); });
+    for (Block *block : blocks)
+      run(*block, symbols);
+  }
+
+  void run(Block &block, SymbolTable &symbols) {
+    std::optional<Candidate> last;
+    for (Operation &op : llvm::make_early_inc_range(block)) {
+      auto launch = dyn_cast<LaunchOp>(op);
+      if (!launch) {
+        // The host's arithmetic may come before the first launch as well.
+        if (op.getNumRegions() != 0 || !isMemoryEffectFree(&op))
+          last.reset();
+        continue;
+      }
+      std::optional<Candidate> next = getCandidate(launch, symbols);
+      if (!last || !next ||
+          last->accesses.size() + next->accesses.size() > size_t(maxAccesses) ||
+          !canFuse(*last, *next, deterministic)) {
+        last = std::move(next);
+        continue;
+      }
+      KernelOp before = last->kernel;
+      bool isTemporary = made.contains(before);
+      LaunchOp fused = fuse(*last, *next, symbols);
+      last = getCandidate(fused, symbols);
+      made.insert(symbols.lookup(fused.getKernel()));
+      ++numFused;
+      // One that was made in between and is launched no more.
+      if (isTemporary) {
+        made.erase(before);
+        symbols.erase(before);
+      }
+    }
+  }
+
+  llvm::DenseSet<Operation *> made;
+};
+} // namespace

@@ -1,0 +1,80 @@
+//===- SummarizeKernels.cpp - What a kernel touches -----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The tape skips launches, and later fuses them, by these summaries.
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Analysis/Accesses.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Transforms/Passes.h"
+#include "llvm/ADT/SetVector.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_SUMMARIZEKERNELS
+#define GEN_PASS_DEF_MARKEXCLUSIVE
+#include "tai/Transforms/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// The uses that one op makes of its field. Ops on the topology of a field read
+/// or write it as a whole; a value that an atomic returns is read if it is
+/// used.
+static void addUses(Operation *op, llvm::SetVector<Attribute> &uses) {
+  auto add = [&](FieldUse use, FlatSymbolRefAttr field, ValueRange indices,
+                 bool isElement = true) {
+    AffineMapAttr map;
+    if (isElement)
+      if (AffineMap affine = getAffineMap(op, indices))
+        map = AffineMapAttr::get(affine);
+    uses.insert(AccessAttr::get(op->getContext(), use, field, map));
+  };
+  llvm::TypeSwitch<Operation *>(op)
+      .Case<LoadOp>([&](auto op) {
+        add(FieldUse::Read, op.getFieldAttr(), op.getIndices());
+      })
+      .Case<StoreOp>([&](auto op) {
+        add(FieldUse::Write, op.getFieldAttr(), op.getIndices());
+      })
+      .Case<AtomicOp>([&](auto op) {
+        bool isSum =
+            op.getKind() == AtomicKind::Add || op.getKind() == AtomicKind::Sub;
+        if (!isSum || !op.getOld().use_empty())
+          add(FieldUse::Read, op.getFieldAttr(), op.getIndices());
+        add(isSum ? FieldUse::Accumulate : FieldUse::Write, op.getFieldAttr(),
+            op.getIndices());
+      })
+      .Case<IsActiveOp, LengthOp>([&](auto op) {
+        add(FieldUse::Read, op.getFieldAttr(), {}, /*isElement=*/false);
+      })
+      .Case<ActivateOp, DeactivateOp, AppendOp>([&](auto op) {
+        add(FieldUse::Write, op.getFieldAttr(), {}, /*isElement=*/false);
+      });
+}
+
+namespace {
+struct SummarizeKernels : tai::impl::SummarizeKernelsBase<SummarizeKernels> {
+  void runOnOperation() override {
+    getOperation()->walk([](KernelOp kernel) {
+      llvm::SetVector<Attribute> uses;
+      kernel.walk([&](Operation *op) { addUses(op, uses); });
+      kernel.setSummaryAttr(
+          ArrayAttr::get(kernel.getContext(), uses.getArrayRef()));
+    });
+    markAllAnalysesPreserved();
+  }
+};
+
+struct MarkExclusive : tai::impl::MarkExclusiveBase<MarkExclusive> {
+  void runOnOperation() override {
+    getOperation()->walk([](KernelOp kernel) { markExclusiveAtomics(kernel); });
+    markAllAnalysesPreserved();
+  }
+};
+} // namespace

@@ -1,0 +1,154 @@
+//===- SplitInterior.cpp - A fast path away from the borders --------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A stencil asks at every cell whether it is at a border: to wrap an index, or
+// to leave a neighbour out. Along the innermost index the answer is the same
+// nearly everywhere, and asking costs the loop its contiguous vector loads.
+// This pass gives the loop a second body in which the answers are constants,
+// and `tai-split-loops` later runs it on the interior range alone.
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/IR/IRMapping.h"
+#include "mlir/IR/Matchers.h"
+#include "tai/Analysis/IndexBounds.h"
+#include "tai/Analysis/IndexShift.h"
+#include "tai/Analysis/LoopBox.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Transforms/Passes.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_SPLITINTERIOR
+#include "tai/Transforms/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+/// A question about the innermost index, and its answer in the interior.
+struct Condition {
+  Value value;
+  bool answer;
+};
+
+/// Where all conditions of a loop have one answer.
+struct Interior {
+  int64_t lower, upper;
+  SmallVector<Condition> conditions;
+};
+} // namespace
+
+/// The truth values in the body that depend on `iv` and nothing else.
+static SmallVector<Value> collectConditions(LoopBox &box, Value iv) {
+  SmallVector<Value> conditions;
+  box.loop.getBody().walk([&](Operation *op) {
+    for (Value result : op->getResults()) {
+      if (!result.getType().isInteger(1) || matchPattern(result, m_Constant()))
+        continue;
+      SmallVector<Value> variables;
+      if (collectIndexVariables(result, box.loop.getBody(), variables) &&
+          variables.size() == 1 && variables.front() == iv)
+        conditions.push_back(result);
+    }
+  });
+  return conditions;
+}
+
+/// Narrows `interior` to where `condition` answers as it does in the middle.
+static bool narrow(Interior &interior, Value condition, Value iv) {
+  std::optional<ConstantStretch> stretch =
+      getConstantStretch(condition, iv, interior.lower, interior.upper);
+  if (!stretch)
+    return false;
+  interior.lower = stretch->lower;
+  interior.upper = stretch->upper;
+  interior.conditions.push_back({condition, stretch->answer});
+  return true;
+}
+
+/// The interior of the loop, if it is worth a body of its own: conditions are
+/// asked, and the borders are thin.
+static std::optional<Interior> findInterior(LoopBox &box, int64_t minLength) {
+  unsigned last = box.ivs().size() - 1;
+  Value iv = box.ivs()[last];
+  int64_t length = box.upper[last] - box.lower[last];
+  if (length < minLength || length > (1 << 16))
+    return std::nullopt;
+  Interior interior{box.lower[last], box.upper[last], {}};
+  for (Value condition : collectConditions(box, iv))
+    if (!narrow(interior, condition, iv))
+      return std::nullopt;
+  int64_t inner = interior.upper - interior.lower;
+  if (interior.conditions.empty() || inner == length ||
+      inner < length - length / 4)
+    return std::nullopt;
+  return interior;
+}
+
+/// Wraps the body of the loop in an `scf.if` that asks once.
+static void split(LoopBox &box, const Interior &interior) {
+  Location loc = box.loop.getLoc();
+  Block &body = box.body();
+  OpBuilder builder = OpBuilder::atBlockBegin(&body);
+  Value iv = box.ivs().back();
+  auto constant = [&](int64_t value) -> Value {
+    return arith::ConstantIndexOp::create(builder, loc, value);
+  };
+  Value above = arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::sge,
+                                      iv, constant(interior.lower));
+  Value below = arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::slt,
+                                      iv, constant(interior.upper));
+  Value inside = arith::AndIOp::create(builder, loc, above, below);
+  auto branch = scf::IfOp::create(builder, loc, inside, /*withElse=*/true);
+  branch->setAttr("tai.interior", builder.getDenseI64ArrayAttr(
+                                      {interior.lower, interior.upper}));
+
+  // The body as it was becomes the border's.
+  Block &border = branch.getElseRegion().front();
+  border.getOperations().splice(border.begin(), body.getOperations(),
+                                std::next(branch->getIterator()),
+                                std::prev(body.end()));
+
+  Block &fast = branch.getThenRegion().front();
+  OpBuilder inner = OpBuilder::atBlockBegin(&fast);
+  IRMapping mapping;
+  for (Operation &op : border.without_terminator())
+    inner.clone(op, mapping);
+  inner.setInsertionPointToStart(&fast);
+  for (const Condition &condition : interior.conditions) {
+    Value clone = mapping.lookup(condition.value);
+    Value known = arith::ConstantIntOp::create(
+        inner, loc, static_cast<int64_t>(condition.answer), 1);
+    clone.replaceAllUsesWith(known);
+  }
+}
+
+namespace {
+struct SplitInterior : tai::impl::SplitInteriorBase<SplitInterior> {
+  using Base::Base;
+
+  void runOnOperation() override {
+    getOperation()->walk([&](ParallelForOp loop) {
+      if (loop.getSerialize() || loop.getInductionVars().empty() ||
+          checksIndices(loop))
+        return;
+      int64_t ops = 0;
+      loop.getBody().walk([&](Operation *) { ++ops; });
+      if (ops > maxOps)
+        return;
+      std::optional<LoopBox> box = getConstantBox(loop);
+      if (!box)
+        return;
+      if (std::optional<Interior> interior = findInterior(*box, minLength))
+        split(*box, *interior);
+    });
+  }
+};
+} // namespace

@@ -1,0 +1,83 @@
+//===- Scalarizer.h - Values taken apart into components --------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_TRANSFORMS_SCALARIZE_SCALARIZER_H
+#define TAI_LIB_TRANSFORMS_SCALARIZE_SCALARIZER_H
+
+#include "ScalarMath.h"
+#include "mlir/Interfaces/FunctionInterfaces.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+namespace mlir::tai {
+
+/// Takes apart all vectors of one function, in one walk from the top: when an
+/// op is reached, the components of its operands are known. Ops that are
+/// replaced stay until the end, where they are erased together.
+class Scalarizer {
+public:
+  explicit Scalarizer(FunctionOpInterface function) : function(function) {}
+
+  LogicalResult run();
+
+  /// The components of a vector, or the scalar itself.
+  Components get(Value value);
+  /// Gives a result its components.
+  void set(Value result, Components components);
+
+  /// An index constant at the top of the function.
+  Value index(int64_t value);
+
+private:
+  LogicalResult processBlock(Block &block);
+  LogicalResult process(Operation *op);
+  LogicalResult processStructure(Operation *op);
+  LogicalResult processBoundary(Operation *op);
+  LogicalResult processAccess(Operation *op);
+  void processLocal(Operation *op);
+  void processMessage(Operation *op);
+  void processElementwise(Operation *op);
+  LogicalResult processArrayAccess(Operation *op);
+
+  /// Component indices of a position in an element type.
+  Components indicesOf(VectorType type, int64_t position);
+  void expandArguments(Block &block);
+  LogicalResult verify();
+
+  FunctionOpInterface function;
+  llvm::DenseMap<Value, Components> parts;
+  llvm::DenseMap<int64_t, Value> indexConstants;
+  SmallVector<Operation *> dead;
+  SmallVector<BlockArgument> deadArguments;
+};
+
+/// Expands an op of the vector dialect; nullopt if it is not known.
+std::optional<LogicalResult> expandVectorOp(Operation *op,
+                                            Scalarizer &scalarizer);
+
+/// Expands an op of the tai dialect on small matrices; false if it is none.
+bool expandMatrixOp(Operation *op, Scalarizer &scalarizer);
+
+/// Decompositions of an n×n matrix (n is 2 or 3), as components.
+struct Svd {
+  Components u, sigma, v; // sigma: the n values
+};
+Svd emitSvd(ScalarMath &math, ArrayRef<Value> matrix, unsigned n);
+struct Polar {
+  Components rotation, stretch;
+};
+Polar emitPolar(ScalarMath &math, ArrayRef<Value> matrix, unsigned n);
+struct SymEig {
+  Components values, vectors;
+};
+SymEig emitSymEig(ScalarMath &math, ArrayRef<Value> matrix, unsigned n);
+
+/// Splits the appends of a function into new cells and stores to them.
+LogicalResult expandAppends(FunctionOpInterface function);
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_TRANSFORMS_SCALARIZE_SCALARIZER_H

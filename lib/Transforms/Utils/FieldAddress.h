@@ -1,0 +1,202 @@
+//===- FieldAddress.h - Addresses of the elements of fields -----*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Turns the indices of an access into an address, and into the number of the
+// cell that must be active for it.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_TRANSFORMS_UTILS_FIELDADDRESS_H
+#define TAI_LIB_TRANSFORMS_UTILS_FIELDADDRESS_H
+
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "mlir/IR/Builders.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include <memory>
+
+namespace mlir::tai {
+
+/// What LLVM is told of an access; each may be null: its scope, the scopes that
+/// it does not overlap, and the groups of accesses that do not depend on those
+/// of other iterations.
+struct AliasScopes {
+  ArrayAttr own, others, groups;
+  /// Of the address, in bytes; 0 for that of the type.
+  unsigned alignment = 0;
+  /// What accesses carry as kDigitsAttrName, or null.
+  DenseI64ArrayAttr digits = nullptr;
+};
+
+/// On an access to memory that was one to a field: strides in bytes and extents
+/// of the digits of its indices and of its component, and where the part of the
+/// address that is not constant has them begin: three numbers for each.
+constexpr llvm::StringLiteral kDigitsAttrName = "tai.digits";
+
+/// A sparse level on the path to a field.
+struct SparseInfo {
+  SNodeTypeInterface type;
+  unsigned level; // position on the path
+  unsigned node;  // number in the tree
+  uint64_t activityOffset;
+  int64_t capacity; // of a list
+
+  /// A cell, for the methods of the interface.
+  CellRef at(Value tree, Value cell) const {
+    return {tree, node, activityOffset, capacity, cell};
+  }
+};
+
+/// What the lowering needs to know about one field.
+struct FieldInfo {
+  FieldLayout layout;
+  FieldStorage storage;
+  /// The sparse levels on the path, outermost first.
+  SmallVector<SparseInfo> sparse;
+  /// Type of one component, its size in bytes, and the shape of an element
+  /// (empty for a scalar).
+  Type scalarType;
+  int64_t scalarSize;
+  /// Where the place lies in a cell of the innermost level, in bytes.
+  uint64_t cellOffset = 0;
+  SmallVector<int64_t> elementShape;
+  int64_t numComponents;
+  /// Identity of the storage: fields that name the same place share it.
+  LLVM::AliasScopeAttr scope;
+
+  /// Product of the extents of all dimensions.
+  int64_t getNumElements() const {
+    int64_t count = 1;
+    for (int64_t extent : layout.shape)
+      count *= extent;
+    return count;
+  }
+};
+
+/// The part of a field in which some leading indices are fixed, where that part
+/// is evenly spaced in memory: element `e` (in storage order) of the remaining
+/// digits lies at base + e * cellStride.
+struct FieldSlice {
+  /// For each dimension, whether its index is fixed.
+  SmallVector<bool> fixed;
+  int64_t cellStride; // bytes
+  int64_t numCells;
+  /// Value of one step of each digit of the free dimensions, in cells;
+  /// parallel to FieldInfo::storage.digits, 0 for digits of fixed dimensions.
+  SmallVector<int64_t> digitCells;
+};
+
+/// Finds the fields of a module, computes their layout once, and builds
+/// addresses.
+class FieldTable {
+public:
+  explicit FieldTable(Operation *root);
+
+  /// The field that `user` names.
+  FailureOr<const FieldInfo *> lookup(Operation *user, FlatSymbolRefAttr name);
+
+  /// Whether the part of `field` with the given dimensions fixed is evenly
+  /// spaced; dimensions whose digits stand inside free ones become free.
+  static std::optional<FieldSlice> getSlice(const FieldInfo &field,
+                                            ArrayRef<bool> fixed);
+
+  /// The scopes for an access to a place, given all places looked up so far.
+  AliasScopes getScopes(const FieldInfo &field);
+
+  /// The scopes for an access to an array that the caller owns. Arrays may be
+  /// one another, but none is a field.
+  AliasScopes getArrayScopes();
+
+private:
+  LLVM::AliasScopeAttr makeScope(StringRef id);
+  AliasScopes getScopes(LLVM::AliasScopeAttr scope);
+
+  SymbolTable symbols;
+  DataLayout dataLayout;
+  LLVM::AliasScopeDomainAttr domain;
+  llvm::DenseMap<StringAttr, std::unique_ptr<FieldInfo>> fields;
+  SmallVector<LLVM::AliasScopeAttr> scopes;
+  llvm::DenseMap<Attribute, ArrayAttr> otherScopes;
+};
+
+/// The indices with the offset of the field subtracted: all from zero.
+SmallVector<Value> emitZeroBased(OpBuilder &builder, Location loc,
+                                 const FieldInfo &field, ValueRange indices);
+
+/// The digit of its zero-based index.
+Value emitDigit(OpBuilder &builder, Location loc, const FieldInfo &field,
+                const IndexDigit &digit, ValueRange zeroBased);
+
+/// Row-major position of a component in an element.
+Value emitComponent(OpBuilder &builder, Location loc,
+                    ArrayRef<int64_t> elementShape, ValueRange components);
+
+/// Distance from the first component of the field to the one at the zero-based
+/// indices, in units of the size of a component.
+Value emitElementOffset(OpBuilder &builder, Location loc,
+                        const FieldInfo &field, ValueRange zeroBased,
+                        ValueRange components);
+
+/// The number of the cell at position `level` of the path.
+Value emitCellNumber(OpBuilder &builder, Location loc, const FieldInfo &field,
+                     unsigned level, ValueRange zeroBased);
+
+/// The innermost `dynamic` level above a field, which must have one.
+const SparseInfo &getInnermostList(const FieldInfo &field);
+/// The number of the list of that level. `indices` are those of the field
+/// without that along the list.
+Value emitListNumber(OpBuilder &builder, Location loc, const FieldInfo &field,
+                     ValueRange indices);
+/// The position of the index along the list.
+unsigned getListDimension(const FieldInfo &field);
+
+/// The length of a list of a `dynamic` level, as an index.
+Value emitLength(OpBuilder &builder, Location loc, const SparseInfo &sparse,
+                 Value tree, Value list);
+
+/// What the addresses of a component of all elements are a multiple of, if that
+/// is more than its size; else 0. Neighbours can then be accessed together.
+unsigned getAlignment(const FieldInfo &field, ValueRange components);
+
+/// The base address of the tree of a field.
+Value emitTreeBase(OpBuilder &builder, Location loc, const FieldInfo &field);
+
+/// The address so many bytes into the tree of a field.
+Value emitTreeAddress(OpBuilder &builder, Location loc, const FieldInfo &field,
+                      uint64_t bytes);
+
+/// The address of the first component of a field.
+Value emitFieldBase(OpBuilder &builder, Location loc, const FieldInfo &field);
+
+/// How a scalar is stored: i1 takes a byte.
+Type getStorageType(Type scalar);
+
+/// &base[offset] for elements of the given storage type.
+Value emitPointer(OpBuilder &builder, Location loc, Type storageType,
+                  Value base, Value offset);
+
+/// Takes small constants that are added to indices away from those, where their
+/// dimension has one stride. Yields what has been taken, for each.
+SmallVector<int64_t> peelConstants(OpBuilder &builder, Location loc,
+                                   const FieldInfo &field,
+                                   MutableArrayRef<Value> zeroBased);
+
+/// The address of a component of an element, of whose indices `peeled` has been
+/// taken away. It is added last, as is a constant component, so that neighbours
+/// share all of their address but a constant.
+Value emitNearPointer(OpBuilder &builder, Location loc, const FieldInfo &field,
+                      Value base, ValueRange indices, ArrayRef<int64_t> peeled,
+                      ValueRange components);
+
+/// Loads or stores a scalar.
+Value emitLoad(OpBuilder &builder, Location loc, Type scalar, Value pointer,
+               AliasScopes scopes);
+void emitStore(OpBuilder &builder, Location loc, Value value, Value pointer,
+               AliasScopes scopes);
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_TRANSFORMS_UTILS_FIELDADDRESS_H

@@ -1,0 +1,259 @@
+"""Keeps the rooms of the C++ sources apart: which may include which.
+
+A room is a folder of lib/ with that of the same name in include/tai; the rooms of the
+runtime are its subfolders. `ARROWS` and `RUNTIME_ARROWS` are the rule; docs/architecture.md
+shows them, and this script writes what it shows (`--write`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+import sys
+from collections import defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs/architecture.md"
+MOST_FILES = 40
+MOST_SOURCES = 2
+
+# Room: the rooms whose headers it may include. What is listed and not needed is an error, too.
+ARROWS: dict[str, str] = {
+    "ABI": "",
+    "Support": "",
+    "Interfaces": "",
+    "Dialect": "",
+    "Analysis": "Dialect Interfaces Support",
+    "AD": "Analysis Dialect Interfaces Support",
+    "Transforms": "ABI Analysis Dialect Interfaces Support",
+    "Conversion": "ABI Analysis Dialect Support Transforms",
+    "Pipelines": "AD Conversion Dialect Interfaces Support Transforms",
+    "DeviceLibrary": "ABI Support",
+    "Runtime": "ABI Support",
+    "CodeGen": "ABI Runtime Support Transforms",
+    "Interpreter": "ABI Dialect Runtime",
+    "ExecutionEngine": "ABI AD Analysis CodeGen Conversion Dialect Interfaces Interpreter "
+    "Pipelines Runtime Support Transforms",
+    "CAPI": "ExecutionEngine Runtime Support",
+}
+
+# The same for the rooms of the runtime. Those that include one another are listed in
+# KNOWN_CIRCLES and nowhere else: parts of one class that are still to be separated.
+RUNTIME_ARROWS: dict[str, str] = {
+    "Cache": "",
+    "Sparse": "",
+    "Storage": "Sparse",
+    "Device": "",
+    "Profile": "Device",
+    "Queue": "Device",
+    "Mirror": "Device Profile Queue Sparse Storage",
+    "Launch": "Device Mirror Profile Sparse Storage",
+    "Host": "Launch Mirror Storage",
+    "Tape": "Host Launch Mirror Sparse Storage",
+    "Cuda": "Device Launch Queue",
+    "Emulated": "Device Launch",
+}
+KNOWN_CIRCLES: set[tuple[str, str]] = {
+    ("Device", "Launch"),
+    ("Host", "Tape"),
+    ("Launch", "Tape"),
+    ("Mirror", "Launch"),
+    ("Sparse", "Launch"),
+    ("Sparse", "Mirror"),
+}
+
+# Classes whose methods stand in more sources than MOST_SOURCES, and in how many: to be cut
+# into parts. The numbers may fall, not rise.
+KNOWN_SLICES: dict[str, int] = {
+    "AdjointBuilder": 9,
+    "CudaDevice": 4,
+    "DeviceCompiler": 3,
+    "DeviceQueue": 3,
+    "Field": 4,
+    "IndexBounds": 3,
+    "Kernel": 4,
+    "Launch": 3,
+    "LoopHistory": 3,
+    "Run": 5,
+    "Runtime": 18,
+    "SparseMirror": 3,
+    "SparseNode": 5,
+    "TaiDialect": 5,
+    "Tape": 11,
+}
+
+
+@dataclass
+class Graph:
+    """Includes from room to room, with one example of each."""
+
+    arrows: dict[tuple[str, str], list[str]] = field(default_factory=lambda: defaultdict(list))
+
+    def below(self, room: str) -> list[str]:
+        return sorted(b for a, b in self.arrows if a == room)
+
+
+def sources() -> list[str]:
+    command = ["git", "ls-files", "--cached", "--others", "--exclude-standard"]
+    command += ["lib", "include/tai"]
+    output = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    return sorted(n for n in set(output.splitlines()) if (ROOT / n).is_file())
+
+
+def room_of(name: str, *, runtime: bool = False) -> str | None:
+    """The room of a file; of the runtime's own rooms if so asked."""
+    parts = name.split("/")
+    parts = parts[1:] if parts[0] == "lib" else parts[2:]
+    if runtime:
+        return parts[1] if len(parts) > 2 and parts[0] == "Runtime" else None
+    return parts[0] if len(parts) > 1 else None
+
+
+def included(name: str, text: str) -> list[str]:
+    """The files of this project that a file includes."""
+    found = []
+    for path in re.findall(r'^\s*#?\s*include "([^"]+)"', text, re.M):
+        if path.startswith("tai/"):
+            found.append("include/" + path)
+        elif (ROOT / name).parent.joinpath(path).exists():
+            target = (ROOT / name).parent.joinpath(path).resolve()
+            found.append(str(target.relative_to(ROOT)))
+    return found
+
+
+def read_graph(*, runtime: bool = False) -> Graph:
+    graph = Graph()
+    for name in sources():
+        room = room_of(name, runtime=runtime)
+        if room is None or not name.endswith((".cpp", ".h", ".td", ".def", ".cu")):
+            continue
+        for target in included(name, (ROOT / name).read_text()):
+            other = room_of(target, runtime=runtime)
+            if other is not None and other != room:
+                graph.arrows[room, other].append(f"{name} includes {target}")
+    return graph
+
+
+def check_arrows(table: dict[str, str], graph: Graph, circles: set[tuple[str, str]]) -> list[str]:
+    """What the includes do that the table does not allow, and what it allows and nobody uses."""
+    problems = []
+    for (room, other), examples in sorted(graph.arrows.items()):
+        if room not in table:
+            problems.append(f"{examples[0]}: the room '{room}' is in no table of scripts/rooms.py")
+        elif other not in table[room].split() and (room, other) not in circles:
+            problems.append(f"{examples[0]}: '{room}' may not include '{other}'")
+    for room, allowed in table.items():
+        for other in allowed.split():
+            if (room, other) not in graph.arrows:
+                problems.append(f"scripts/rooms.py: '{room}' does not need '{other}'")
+    for room, other in sorted(circles):
+        if (room, other) not in graph.arrows:
+            problems.append(f"scripts/rooms.py: '{room}' does not need '{other}' any more")
+    if order(table) is None:
+        problems.append("scripts/rooms.py: the rooms of the table form a circle")
+    return problems
+
+
+def order(table: dict[str, str]) -> list[str] | None:
+    """The rooms, each after those that it includes; None where there is a circle."""
+    done: list[str] = []
+    while len(done) < len(table):
+        ready = [r for r in table if r not in done and set(table[r].split()) <= set(done)]
+        if not ready:
+            return None
+        done += ready
+    return done
+
+
+def slices() -> dict[str, set[str]]:
+    """In which sources the methods of each class stand."""
+    found: dict[str, set[str]] = defaultdict(set)
+    method = re.compile(r"^(?!\s)(?:[\w:<>,&*\s]+?\s[&*]?)?(\w+)::~?(\w+)\(", re.M)
+    for name in sources():
+        if name.endswith(".cpp"):
+            for match in method.finditer((ROOT / name).read_text()):
+                # Ops are defined by ODS; their methods stand with what they are about.
+                if match.group(1)[0].isupper() and not match.group(1).endswith("Op"):
+                    found[match.group(1)].add(name)
+    return found
+
+
+def check_slices() -> list[str]:
+    problems = []
+    counts = {name: len(files) for name, files in slices().items()}
+    for name, count in sorted(counts.items()):
+        if count > max(MOST_SOURCES, KNOWN_SLICES.get(name, 0)):
+            problems.append(f"the methods of '{name}' stand in {count} sources: cut it into parts")
+    for name, known in KNOWN_SLICES.items():
+        now = counts.get(name, 0)
+        if now < known:
+            problems.append(f"scripts/rooms.py: '{name}' stands in {now} sources now")
+    return problems
+
+
+def check_crowds() -> list[str]:
+    counts: dict[str, int] = defaultdict(int)
+    for name in sources():
+        if name.endswith((".cpp", ".h")):
+            counts[str(Path(name).parent)] += 1
+    return [
+        f"{folder}: {count} files side by side, at most {MOST_FILES}"
+        for folder, count in sorted(counts.items())
+        if count > MOST_FILES
+    ]
+
+
+def drawing() -> str:
+    """The tables of the page, from the lowest rooms up."""
+    text = []
+    for title, table in (("rooms", ARROWS), ("rooms of the runtime", RUNTIME_ARROWS)):
+        text.append(f"| {title} | may include |\n|---|---|")
+        for room in order(table) or table:
+            text.append(f"| `{room}` | {', '.join(f'`{r}`' for r in table[room].split())} |")
+        text.append("")
+    return "\n".join(text)
+
+
+BEGIN, END = "<!-- rooms: begin (scripts/rooms.py --write) -->", "<!-- rooms: end -->"
+
+
+def page(text: str) -> str:
+    head, rest = text.split(BEGIN)
+    return head + BEGIN + "\n" + drawing() + END + rest.split(END)[1]
+
+
+def check() -> list[str]:
+    problems = check_arrows(ARROWS, read_graph(), set())
+    problems += check_arrows(RUNTIME_ARROWS, read_graph(runtime=True), KNOWN_CIRCLES)
+    problems += check_slices() + check_crowds()
+    text = PAGE.read_text()
+    if page(text) != text:
+        problems.append("docs/architecture.md is not what scripts/rooms.py --write makes of it")
+    return problems
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--write", action="store_true", help="write the tables of the page")
+    parser.add_argument("--show", action="store_true", help="print what the includes do")
+    args = parser.parse_args()
+    if args.show:
+        for runtime in (False, True):
+            for (room, other), examples in sorted(read_graph(runtime=runtime).arrows.items()):
+                print(f"{room} -> {other}: {len(examples)}, {examples[0]}")
+        for name, files in sorted(slices().items()):
+            if len(files) > MOST_SOURCES:
+                print(f"{name}: {len(files)} sources")
+        return 0
+    if args.write:
+        PAGE.write_text(page(PAGE.read_text()))
+    problems = check()
+    print("\n".join(problems))
+    return 1 if problems else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

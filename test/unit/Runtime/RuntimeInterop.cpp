@@ -1,0 +1,113 @@
+//===- RuntimeInterop.cpp - Queues and memory of other libraries ----------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "RuntimeTestUtils.h"
+#include "tai/Runtime/Device/Device.h"
+#include <cstdlib>
+#include <cstring>
+#include <dlfcn.h>
+
+using namespace mlir::tai::runtime;
+using namespace mlir::tai::runtime::test;
+
+static Status lend(Runtime &runtime, Field &field, LentField &lent) {
+  return runtime.lend(field, lent);
+}
+
+TEST(RuntimeInterop, LendsFieldsByTheirStrides) {
+  Runtime runtime;
+  FieldPtr x = makeField(runtime, "x", ScalarKind::F32, {3, 4}, {2});
+  LentField lent;
+  ASSERT_OK(lend(runtime, *x, lent));
+  EXPECT_FALSE(lent.onDevice);
+  EXPECT_EQ(lent.strides, (std::vector<int64_t>{32, 8, 4}));
+  static_cast<float *>(lent.address)[2 * 8 + 1 * 2 + 1] = 5;
+  EXPECT_EQ(get(*x, {2, 1}, 1), 5.0);
+  // Who has the address may have written.
+  EXPECT_TRUE(x->dirty());
+  // The memory outlives the tree.
+  EXPECT_OK(runtime.destroyTree("x_tree"));
+  EXPECT_EQ(static_cast<float *>(lent.address)[2 * 8 + 1 * 2 + 1], 5);
+  LentField again;
+  EXPECT_EQ(lend(runtime, *x, again).message(),
+            "field 'x' cannot be shared: its tree has been destroyed");
+}
+
+TEST(RuntimeInterop, GivesBackWhatWasLent) {
+  Runtime runtime;
+  FieldPtr x = makeField(runtime, "x", ScalarKind::F32, {3});
+  {
+    LentField lent;
+    ASSERT_OK(lend(runtime, *x, lent));
+    EXPECT_TRUE(x->dirty());
+  }
+  EXPECT_FALSE(x->dirty());
+}
+
+TEST(RuntimeInterop, RefusesWhatHasNoStrides) {
+  Runtime runtime;
+  FieldInfo info;
+  info.name = "blocked";
+  ASSERT_OK(runtime.addTree("t", 16 * 4, info.tree));
+  info.layout = rowMajor(ScalarKind::F32, {16});
+  // Blocks of four, one behind the other in turns.
+  info.layout.indices[0] = {{4, 4, 4}, {1, 4, 16}};
+  FieldPtr field;
+  ASSERT_OK(runtime.addField(std::move(info), field));
+  LentField lent;
+  EXPECT_NE(lend(runtime, *field, lent).message().find("in blocks"),
+            std::string::npos);
+}
+
+#ifdef TAI_FAKE_CUDA_LIBRARY
+TEST(RuntimeInterop, PutsStreamsInOrder) {
+  setenv("TAI_CUDA_DRIVER", TAI_FAKE_CUDA_LIBRARY, 1);
+  setenv("TAI_FAKE_CUDA", "", 1);
+  {
+    Runtime runtime;
+    std::unique_ptr<Device> device;
+    ASSERT_OK(openCudaDevice(0, device));
+    ASSERT_OK(runtime.useDevice(std::move(device)));
+    void *library = dlopen(TAI_FAKE_CUDA_LIBRARY, RTLD_NOW | RTLD_NOLOAD);
+    auto *waits =
+        static_cast<const char *>(dlsym(library, "tai_fake_cuda_waits"));
+    auto events = [&] {
+      return *static_cast<int *>(dlsym(library, "tai_fake_cuda_events"));
+    };
+    int before = events();
+    waits += std::strlen(waits);
+    // Ours is s. With the default stream, whose handle is 1 or 0, it is in
+    // order by itself; one event does for all others.
+    EXPECT_OK(runtime.waitForStream(3));
+    EXPECT_OK(runtime.letStreamWait(4));
+    EXPECT_OK(runtime.waitForStream(0));
+    EXPECT_OK(runtime.letStreamWait(1));
+    EXPECT_OK(runtime.waitForStream(2));
+    EXPECT_STREQ(waits, "3>s s>4 2>s ");
+    EXPECT_EQ(events(), before + 1);
+    // Device memory, which stays when the tree goes.
+    FieldPtr x = makeField(runtime, "x", ScalarKind::F64, {100});
+    set(*x, {7}, 2.5);
+    LentField lent;
+    ASSERT_OK(lend(runtime, *x, lent));
+    EXPECT_TRUE(lent.onDevice);
+    auto *there = static_cast<double *>(lent.address);
+    EXPECT_EQ(there[7], 2.5);
+    there[7] = 3.5;
+    EXPECT_EQ(get(*x, {7}), 3.5);
+    set(*x, {8}, 4.5);
+    EXPECT_EQ(there[8], 4.5);
+    EXPECT_OK(runtime.destroyTree("x_tree"));
+    EXPECT_EQ(there[7], 3.5);
+    EXPECT_GE(runtime.getDevice()->allocatedBytes(), 800);
+    lent.loan.reset();
+    EXPECT_LT(runtime.getDevice()->allocatedBytes(), 800);
+  }
+  unsetenv("TAI_CUDA_DRIVER");
+  unsetenv("TAI_FAKE_CUDA");
+}
+#endif // TAI_FAKE_CUDA_LIBRARY

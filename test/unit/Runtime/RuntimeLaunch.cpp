@@ -1,0 +1,665 @@
+//===- RuntimeLaunch.cpp - Launches and what kernels call -----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "RuntimeTestUtils.h"
+#include "tai/Support/Philox.h"
+#include <chrono>
+#include <cmath>
+#include <map>
+#include <set>
+#include <thread>
+
+using namespace mlir::tai::runtime;
+using namespace mlir::tai::runtime::test;
+
+static Options withThreads(int threads) {
+  Options options;
+  options.threads = threads;
+  return options;
+}
+
+/// Launches a function as a kernel without fields.
+static Status launchOnce(Runtime &runtime, TaiKernelFn function,
+                         const uint64_t *args = nullptr, int64_t slots = 0) {
+  return runtime.launch(*makeKernel(runtime, "k", function, {}, slots), args,
+                        slots, nullptr);
+}
+
+//===----------------------------------------------------------------------===//
+// Random numbers
+//===----------------------------------------------------------------------===//
+
+// The known answers that come with the definition of the generator.
+TEST(RuntimeRandom, KnownAnswers) {
+  using Counter = std::array<uint32_t, 4>;
+  EXPECT_EQ(philox4x32({0, 0, 0, 0}, {0, 0}),
+            (Counter{0x6627e8d5, 0xe169c58d, 0xbc57ac4c, 0x9b00dbd8}));
+  uint32_t ones = 0xffffffff;
+  EXPECT_EQ(philox4x32({ones, ones, ones, ones}, {ones, ones}),
+            (Counter{0x408f276d, 0x41c83b0e, 0xa20bc7c6, 0x6d5451fd}));
+  EXPECT_EQ(philox4x32({0x243f6a88, 0x85a308d3, 0x13198a2e, 0x03707344},
+                       {0xa4093822, 0x299f31d0}),
+            (Counter{0xd16cfe09, 0x94fdcceb, 0x5001e420, 0x24126ea1}));
+}
+
+TEST(RuntimeRandom, DependsOnEveryCoordinate) {
+  std::set<uint32_t> seen;
+  seen.insert(tai_rt_random_u32(1, 2, 3, 4, 5));
+  seen.insert(tai_rt_random_u32(2, 2, 3, 4, 5));
+  seen.insert(tai_rt_random_u32(1, 3, 3, 4, 5));
+  seen.insert(tai_rt_random_u32(1, 2, 4, 4, 5));
+  seen.insert(tai_rt_random_u32(1, 2, uint64_t(1) << 40, 4, 5));
+  seen.insert(tai_rt_random_u32(1, 2, 3, 5, 5));
+  seen.insert(tai_rt_random_u32(1, 2, 3, 4, 6));
+  seen.insert(tai_rt_random_u32(1, 2, 3, 4, 9));
+  EXPECT_EQ(seen.size(), 8u);
+  EXPECT_EQ(tai_rt_random_u32(1, 2, 3, 4, 5), tai_rt_random_u32(1, 2, 3, 4, 5));
+}
+
+TEST(RuntimeRandom, IsUniform) {
+  double sum = 0, squares = 0;
+  int n = 200000;
+  for (int i = 0; i < n; ++i) {
+    double u = tai_rt_random_u32(7, 0, uint64_t(i), 0, 0) * 0x1p-32;
+    sum += u;
+    squares += u * u;
+  }
+  // Five standard deviations.
+  EXPECT_NEAR(sum / n, 0.5, 5 * 0.2887 / std::sqrt(n));
+  EXPECT_NEAR(squares / n, 1.0 / 3, 5 * 0.2982 / std::sqrt(n));
+}
+
+//===----------------------------------------------------------------------===//
+// Launch
+//===----------------------------------------------------------------------===//
+
+TEST(RuntimeLaunch, PassesArgumentsAndResults) {
+  Options options;
+  options.seed = 42;
+  Runtime runtime(options);
+  KernelInfo info;
+  info.name = "add";
+  info.argSlots = 2;
+  info.resultSlots = 1;
+  info.function = [](TaiFrame *frame) {
+    frame->results[0] = frame->args[0] + frame->args[1] + frame->seed;
+    return 0;
+  };
+  KernelPtr kernel = runtime.createKernel(info);
+  uint64_t args[] = {3, 4}, result = 0;
+  ASSERT_OK(runtime.launch(*kernel, args, 2, &result));
+  EXPECT_EQ(result, 49u);
+  // A result that nobody wants goes nowhere.
+  ASSERT_OK(runtime.launch(*kernel, args, 2, nullptr));
+  EXPECT_EQ(runtime.launch(*kernel, args, 1, &result).message(),
+            "kernel 'add' takes 2 argument slots, but got 1");
+}
+
+TEST(RuntimeLaunch, CompilesOnFirstUseOnly) {
+  Runtime runtime;
+  int compiled = 0;
+  KernelInfo info;
+  info.name = "lazy";
+  provide(info).onCompile = [&](Kernel &, TaiKernelFn &function) {
+    if (++compiled == 1)
+      return Status::failure(StatusCode::Compile, "no such op", "a.py:3:4", 17);
+    function = [](TaiFrame *) { return 0; };
+    return Status::success();
+  };
+  KernelPtr kernel = runtime.createKernel(info);
+  EXPECT_EQ(compiled, 0);
+  Status status = runtime.launch(*kernel, nullptr, 0, nullptr);
+  EXPECT_EQ(status.code(), StatusCode::Compile);
+  EXPECT_EQ(status.where(), "a.py:3:4");
+  EXPECT_EQ(status.detail(), 17);
+  for (int i = 0; i < 3; ++i)
+    EXPECT_OK(runtime.launch(*kernel, nullptr, 0, nullptr));
+  EXPECT_EQ(compiled, 2);
+}
+
+TEST(RuntimeLaunch, CompilesOnceFromManyThreads) {
+  Runtime runtime;
+  std::atomic<int> compiled{0};
+  KernelInfo info;
+  info.name = "lazy";
+  provide(info).onCompile = [&](Kernel &, TaiKernelFn &function) {
+    ++compiled;
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    function = [](TaiFrame *) { return 0; };
+    return Status::success();
+  };
+  KernelPtr kernel = runtime.createKernel(info);
+  std::vector<std::thread> threads;
+  for (int i = 0; i < 8; ++i)
+    threads.emplace_back(
+        [&] { EXPECT_OK(runtime.launch(*kernel, nullptr, 0, nullptr)); });
+  for (std::thread &thread : threads)
+    thread.join();
+  EXPECT_EQ(compiled, 1);
+}
+
+TEST(RuntimeLaunch, KeepsTheFirstFailure) {
+  Runtime runtime;
+  Status status = launchOnce(runtime, [](TaiFrame *frame) {
+    int32_t kinds[] = {TAI_VALUE_I64, TAI_VALUE_F64};
+    int32_t shapes[] = {1, 2};
+    uint64_t slots[] = {uint64_t(-3), slotOf(0.1), slotOf(2)};
+    EXPECT_EQ(tai_rt_failed(frame), 0);
+    tai_rt_fail(frame, TAI_FAIL_ASSERT, "i = {}, v = {}", "k.py:7:2", 2, kinds,
+                shapes, slots);
+    EXPECT_NE(tai_rt_failed(frame), 0);
+    tai_rt_fail(frame, TAI_FAIL_INDEX, "later", "", 0, nullptr, nullptr,
+                nullptr);
+    return 0;
+  });
+  EXPECT_EQ(status.code(), StatusCode::Assert);
+  EXPECT_EQ(status.message(), "i = -3, v = [0.1, 2.0]");
+  EXPECT_EQ(status.where(), "k.py:7:2");
+  // The next launch starts afresh.
+  EXPECT_OK(launchOnce(runtime, [](TaiFrame *) { return 0; }));
+  EXPECT_EQ(launchOnce(runtime, [](TaiFrame *) { return 5; }).message(),
+            "kernel 'k' failed");
+}
+
+TEST(RuntimeLaunch, PrintsWholeLines) {
+  Runtime runtime;
+  std::string text;
+  runtime.setPrintSink([&](std::string_view line) { text += line; });
+  ASSERT_OK(launchOnce(runtime, [](TaiFrame *frame) {
+    int32_t kinds[] = {TAI_VALUE_U64, TAI_VALUE_BOOL, TAI_VALUE_F64,
+                       TAI_VALUE_F64};
+    int32_t shapes[] = {1, 1, 1, 3};
+    uint64_t slots[] = {
+        7, 1, slotOf(0.1f), slotOf(1e30), slotOf(-INFINITY), slotOf(1.0 / 3)};
+    tai_rt_print(frame, "a {} b {} c {}{}!", 4, kinds, shapes, slots);
+    tai_rt_print(frame, "plain {}", 0, nullptr, nullptr, nullptr);
+    tai_rt_print(frame, "", 1, kinds, shapes, slots);
+    return 0;
+  }));
+  EXPECT_EQ(text, "a 7 b true c 0.1[1e+30, -inf, 0.3333333333333333]!\n"
+                  "plain {}\n"
+                  "7\n");
+}
+
+TEST(RuntimeLaunch, ProfilesWhenAsked) {
+  Runtime runtime;
+  EXPECT_OK(launchOnce(runtime, [](TaiFrame *) { return 0; }));
+  EXPECT_TRUE(runtime.profile().empty());
+  runtime.setProfiler(true);
+  for (int i = 0; i < 3; ++i)
+    EXPECT_OK(launchOnce(runtime, [](TaiFrame *) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(2));
+      return 0;
+    }));
+  std::vector<ProfileRow> rows = runtime.profile();
+  ASSERT_EQ(rows.size(), 1u);
+  EXPECT_EQ(rows[0].kernel, "k");
+  EXPECT_EQ(rows[0].times.launches, 3);
+  EXPECT_GE(rows[0].times.minNs, 2000000);
+  EXPECT_GE(rows[0].times.maxNs, rows[0].times.minNs);
+  EXPECT_GE(rows[0].times.totalNs, 3 * rows[0].times.minNs);
+  runtime.clearProfile();
+  EXPECT_TRUE(runtime.profile().empty());
+}
+
+//===----------------------------------------------------------------------===//
+// Parallel loops
+//===----------------------------------------------------------------------===//
+
+TEST(RuntimeLoop, VisitsEveryIterationOnce) {
+  for (int threads : {1, 2, 3, 8}) {
+    Runtime runtime(withThreads(threads));
+    for (int64_t parts : {1, 2, 3, 7, 32, 1000})
+      for (int64_t n : {0, 1, 5, 1000, 1001}) {
+        std::vector<std::atomic<int>> visits(n);
+        uint64_t args[] = {uint64_t(n), uint64_t(parts),
+                           reinterpret_cast<uint64_t>(visits.data())};
+        ASSERT_OK(launchOnce(
+            runtime,
+            [](TaiFrame *frame) {
+              tai_rt_parallel_for(
+                  frame,
+                  [](TaiFrame *frame, void *closure, int64_t begin, int64_t end,
+                     int64_t part) {
+                    int64_t n = frame->args[0], parts = frame->args[1];
+                    EXPECT_EQ(begin, n * part / parts);
+                    EXPECT_EQ(end, n * (part + 1) / parts);
+                    for (int64_t i = begin; i < end; ++i)
+                      ++static_cast<std::atomic<int> *>(closure)[i];
+                  },
+                  reinterpret_cast<void *>(frame->args[2]), frame->args[0],
+                  frame->args[1]);
+              return 0;
+            },
+            args, 3));
+        for (auto &count : visits)
+          ASSERT_EQ(count.load(), 1);
+      }
+  }
+}
+
+TEST(RuntimeLoop, ManyForksInARow) {
+  Runtime runtime(withThreads(4));
+  auto kernel = makeKernel(runtime, "k",
+                           [](TaiFrame *frame) {
+                             int64_t sums[16] = {};
+                             for (int round = 0; round < 20; ++round)
+                               tai_rt_parallel_for(
+                                   frame,
+                                   [](TaiFrame *, void *closure, int64_t begin,
+                                      int64_t end, int64_t part) {
+                                     static_cast<int64_t *>(closure)[part] +=
+                                         end - begin;
+                                   },
+                                   sums, 1000, 16);
+                             int64_t total = 0;
+                             for (int64_t sum : sums)
+                               total += sum;
+                             return total == 20000 ? 0 : 1;
+                           },
+                           {});
+  for (int i = 0; i < 2000; ++i)
+    ASSERT_OK(runtime.launch(*kernel, nullptr, 0, nullptr));
+}
+
+TEST(RuntimeLoop, NestedLoopsRunInline) {
+  Runtime runtime(withThreads(4));
+  std::atomic<int64_t> sum{0};
+  uint64_t arg = reinterpret_cast<uint64_t>(&sum);
+  ASSERT_OK(launchOnce(
+      runtime,
+      [](TaiFrame *frame) {
+        auto outer = [](TaiFrame *frame, void *closure, int64_t begin,
+                        int64_t end, int64_t) {
+          for (int64_t i = begin; i < end; ++i)
+            tai_rt_parallel_for(
+                frame,
+                [](TaiFrame *, void *closure, int64_t begin, int64_t end,
+                   int64_t) {
+                  *static_cast<std::atomic<int64_t> *>(closure) += end - begin;
+                },
+                closure, 100, 8);
+        };
+        tai_rt_parallel_for(frame, outer,
+                            reinterpret_cast<void *>(frame->args[0]), 50, 8);
+        return 0;
+      },
+      &arg, 1));
+  EXPECT_EQ(sum, 5000);
+}
+
+TEST(RuntimeLoop, LaunchesFromManyThreads) {
+  Runtime runtime(withThreads(2));
+  auto kernel = makeKernel(
+      runtime, "k",
+      [](TaiFrame *frame) {
+        int64_t parts = tai_rt_parts(frame, 1000, 1000, 1);
+        auto *sums = static_cast<double *>(tai_rt_private(frame, 64, parts));
+        tai_rt_parallel_for(
+            frame,
+            [](TaiFrame *, void *closure, int64_t begin, int64_t end,
+               int64_t part) {
+              for (int64_t i = begin; i < end; ++i)
+                static_cast<double *>(closure)[part * 8] += double(i);
+            },
+            sums, 1000, parts);
+        double total = 0;
+        for (int64_t part = 0; part < parts; ++part)
+          total += sums[part * 8];
+        return total == 499500 ? 0 : 1;
+      },
+      {});
+  std::vector<std::thread> threads;
+  for (int t = 0; t < 32; ++t)
+    threads.emplace_back([&] {
+      for (int i = 0; i < 50; ++i)
+        EXPECT_OK(runtime.launch(*kernel, nullptr, 0, nullptr));
+    });
+  for (std::thread &thread : threads)
+    thread.join();
+}
+
+TEST(RuntimeLoop, SeveralRuntimesAtOnce) {
+  std::vector<std::thread> threads;
+  for (int t = 0; t < 4; ++t)
+    threads.emplace_back([] {
+      for (int i = 0; i < 10; ++i) {
+        Runtime runtime(withThreads(3));
+        std::vector<float> in(100000, 1.0f);
+        FieldPtr x = makeField(runtime, "x", ScalarKind::F32, {100000});
+        EXPECT_OK(runtime.copyFromHost(*x, in.data()));
+        EXPECT_EQ(get(*x, {99999}), 1);
+      }
+    });
+  for (std::thread &thread : threads)
+    thread.join();
+}
+
+TEST(RuntimeLoop, StopsAfterAFailure) {
+  Runtime runtime(withThreads(2));
+  std::atomic<int64_t> ran{0};
+  uint64_t arg = reinterpret_cast<uint64_t>(&ran);
+  Status status = launchOnce(
+      runtime,
+      [](TaiFrame *frame) {
+        tai_rt_parallel_for(
+            frame,
+            [](TaiFrame *frame, void *closure, int64_t, int64_t, int64_t) {
+              ++*static_cast<std::atomic<int64_t> *>(closure);
+              tai_rt_fail(frame, TAI_FAIL_INDEX, "out of range", "f:1:1", 0,
+                          nullptr, nullptr, nullptr);
+            },
+            reinterpret_cast<void *>(frame->args[0]), 10000, 10000);
+        return 0;
+      },
+      &arg, 1);
+  EXPECT_EQ(status.code(), StatusCode::Index);
+  EXPECT_LE(ran, 2);
+}
+
+TEST(RuntimeLoop, CanBeInterrupted) {
+  Runtime runtime(withThreads(2));
+  std::thread other([&] {
+    std::this_thread::sleep_for(std::chrono::milliseconds(30));
+    runtime.interrupt();
+  });
+  auto start = std::chrono::steady_clock::now();
+  auto endless = [](TaiFrame *frame) {
+    // Ten seconds, if it were to finish.
+    tai_rt_parallel_for(
+        frame,
+        [](TaiFrame *, void *, int64_t begin, int64_t end, int64_t) {
+          std::this_thread::sleep_for(std::chrono::milliseconds(end - begin));
+        },
+        nullptr, 20000, tai_rt_parts(frame, 20000, 1000000, 0));
+    return 0;
+  };
+  Status status = launchOnce(runtime, endless);
+  other.join();
+  EXPECT_EQ(status.code(), StatusCode::Interrupted);
+  EXPECT_LT(std::chrono::steady_clock::now() - start, std::chrono::seconds(2));
+  EXPECT_EQ(launchOnce(runtime, [](TaiFrame *) { return 0; }).code(),
+            StatusCode::Interrupted);
+  runtime.clearInterrupt();
+  EXPECT_OK(launchOnce(runtime, [](TaiFrame *) { return 0; }));
+}
+
+TEST(RuntimeLoop, CutsByCost) {
+  Runtime runtime(withThreads(4));
+  // Too small to pay for a fork, whatever it is.
+  EXPECT_EQ(runtime.partition(1000, 1, false), 1);
+  EXPECT_EQ(runtime.partition(1, 1000000000, false), 1);
+  EXPECT_EQ(runtime.partition(0, 1, true), 1);
+  // Worth it.
+  EXPECT_EQ(runtime.partition(1000000, 1, true), 4);
+  EXPECT_GE(runtime.partition(1000000, 1, false), 4);
+  EXPECT_EQ(runtime.partition(3, 1000000, true), 3);
+  // No overflow.
+  EXPECT_EQ(runtime.partition(INT64_MAX / 2, 0x1p62, true), 4);
+  runtime.setThreads(1);
+  EXPECT_EQ(runtime.partition(1000000, 1000, false), 1);
+}
+
+TEST(RuntimeLoop, MeasuresWhatEstimatesLeaveOpen) {
+  LoopTimes times;
+  LoopTimes::Entry *entry = times.find(375);
+  ASSERT_TRUE(entry);
+  EXPECT_EQ(times.find(375), entry);
+  EXPECT_NE(times.find(376), entry);
+  // The first runs are measured, the later ones now and then.
+  int measured = 0;
+  for (int i = 0; i < 1024; ++i) {
+    measured += entry->wantsRun();
+    entry->noteRun();
+  }
+  EXPECT_GE(measured, 4);
+  EXPECT_LE(measured, 10);
+  // What disturbs a run only makes it longer.
+  for (double nanoseconds : {500.0, 20.0, 30000.0, 21.0})
+    entry->add(nanoseconds);
+  EXPECT_GE(entry->perIteration(), 20);
+  EXPECT_LE(entry->perIteration(), 2000);
+  // A kernel with more loops goes by their estimates.
+  int known = 0;
+  for (int64_t cost = 1; cost <= 100; ++cost)
+    known += times.find(cost) != nullptr;
+  EXPECT_LT(known, 20);
+}
+
+TEST(RuntimeLoop, DeterministicPartsIgnoreTheThreads) {
+  std::set<std::vector<int64_t>> answers;
+  for (int threads : {1, 2, 5, 64}) {
+    Options options;
+    options.threads = threads;
+    options.deterministic = true;
+    Runtime runtime(options);
+    std::vector<int64_t> parts;
+    for (int64_t n : {1, 10, 1000, 100000, 10000000})
+      for (int64_t cost : {1, 7, 500})
+        parts.push_back(runtime.partition(n, cost, true));
+    answers.insert(parts);
+  }
+  EXPECT_EQ(answers.size(), 1u);
+  EXPECT_GT(*std::max_element(answers.begin()->begin(), answers.begin()->end()),
+            8);
+}
+
+//===----------------------------------------------------------------------===//
+// Scratch memory and partial sums
+//===----------------------------------------------------------------------===//
+
+TEST(RuntimeScratch, IsZeroInEveryLaunch) {
+  Runtime runtime;
+  auto kernel =
+      makeKernel(runtime, "k",
+                 [](TaiFrame *frame) {
+                   int64_t sizes[] = {1, 64, 100, 5000, 300000, 1, 2000000};
+                   char *previousEnd = nullptr;
+                   for (int64_t size : sizes) {
+                     char *memory =
+                         static_cast<char *>(tai_rt_scratch(frame, size));
+                     if (reinterpret_cast<uintptr_t>(memory) % 64)
+                       return 1;
+                     for (int64_t b = 0; b < size; ++b)
+                       if (memory[b])
+                         return 2;
+                     std::memset(memory, 0xff, size);
+                     previousEnd = memory + size;
+                   }
+                   return previousEnd ? 0 : 3;
+                 },
+                 {});
+  for (int i = 0; i < 50; ++i)
+    ASSERT_OK(runtime.launch(*kernel, nullptr, 0, nullptr));
+}
+
+TEST(RuntimeScratch, IsReused) {
+  Runtime runtime;
+  void *seen[8] = {};
+  uint64_t arg = reinterpret_cast<uint64_t>(seen);
+  auto kernel = makeKernel(
+      runtime, "k",
+      [](TaiFrame *frame) {
+        auto **seen = reinterpret_cast<void **>(frame->args[0]);
+        seen[frame->launch % 8] = tai_rt_scratch(frame, 100000);
+        return 0;
+      },
+      {}, 1);
+  for (int i = 0; i < 8; ++i)
+    ASSERT_OK(runtime.launch(*kernel, &arg, 1, nullptr));
+  for (void *memory : seen)
+    EXPECT_EQ(memory, seen[0]);
+}
+
+TEST(RuntimeScratch, ComesInParallel) {
+  Runtime runtime(withThreads(4));
+  for (int i = 0; i < 20; ++i)
+    ASSERT_OK(launchOnce(runtime, [](TaiFrame *frame) {
+      tai_rt_parallel_for(
+          frame,
+          [](TaiFrame *frame, void *, int64_t, int64_t, int64_t part) {
+            auto *memory = static_cast<char *>(tai_rt_scratch(frame, 10000));
+            for (int b = 0; b < 10000; ++b)
+              if (memory[b])
+                tai_rt_fail(frame, TAI_FAIL_CHECK, "not zero", "", 0, nullptr,
+                            nullptr, nullptr);
+            std::memset(memory, int(part) + 1, 10000);
+            for (int b = 0; b < 10000; ++b)
+              if (memory[b] != char(part + 1))
+                tai_rt_fail(frame, TAI_FAIL_CHECK, "shared", "", 0, nullptr,
+                            nullptr, nullptr);
+          },
+          nullptr, 64, 64);
+      return 0;
+    }));
+}
+
+TEST(RuntimeScratch, OutOfMemoryFailsTheLaunchOnly) {
+  Options options;
+  options.memoryLimit = 1 << 20;
+  Runtime runtime(options);
+  auto kernel = [](TaiFrame *frame) {
+    // The kernel may go on to write what it asked for.
+    auto *memory = static_cast<char *>(tai_rt_scratch(frame, 40 << 20));
+    for (int64_t b = 0; b < (40 << 20); b += 1000)
+      memory[b] = 1;
+    return 0;
+  };
+  for (int i = 0; i < 3; ++i) {
+    Status status = launchOnce(runtime, kernel);
+    EXPECT_EQ(status.code(), StatusCode::Memory);
+    EXPECT_EQ(status.message(), "out of memory: a kernel needs 40.0 MiB of "
+                                "scratch memory, of 1.0 MiB");
+  }
+  EXPECT_EQ(launchOnce(runtime,
+                       [](TaiFrame *frame) {
+                         return tai_rt_private(frame, INT64_MAX / 2, 4) ? 0 : 1;
+                       })
+                .code(),
+            StatusCode::Memory);
+  EXPECT_EQ(launchOnce(runtime,
+                       [](TaiFrame *frame) {
+                         return tai_rt_scratch(frame, -1) ? 0 : 1;
+                       })
+                .message(),
+            "a kernel asked for memory of negative size");
+  EXPECT_OK(launchOnce(runtime, [](TaiFrame *frame) {
+    return tai_rt_scratch(frame, 1000) ? 0 : 1;
+  }));
+}
+
+template <typename T>
+static void combine(int threads, int64_t count, int64_t parts, int kind) {
+  Runtime runtime(withThreads(threads));
+  std::vector<T> target(count), expected(count);
+  for (int64_t e = 0; e < count; ++e)
+    target[e] = T(e);
+  for (int64_t e = 0; e < count; ++e) {
+    // In the order of the partitions, without a different association.
+    T sum = T(0) + T(1) / T(e % 13 + 1);
+    for (int64_t p = 1; p < parts; ++p)
+      sum += T(p + 1) / T(e % 13 + 1);
+    expected[e] = target[e] + sum;
+  }
+  uint64_t args[] = {reinterpret_cast<uint64_t>(target.data()), uint64_t(count),
+                     uint64_t(parts), uint64_t(kind)};
+  ASSERT_OK(launchOnce(
+      runtime,
+      [](TaiFrame *frame) {
+        int64_t count = frame->args[1], parts = frame->args[2];
+        int64_t bytes = count * sizeof(T), block = (bytes + 63) / 64 * 64;
+        auto *buffers =
+            static_cast<char *>(tai_rt_private(frame, bytes, parts));
+        for (int64_t p = 0; p < parts; ++p)
+          for (int64_t e = 0; e < count; ++e)
+            reinterpret_cast<T *>(buffers + p * block)[e] +=
+                T(p + 1) / T(e % 13 + 1);
+        tai_rt_combine(frame, reinterpret_cast<void *>(frame->args[0]), buffers,
+                       count, parts, int32_t(frame->args[3]));
+        return 0;
+      },
+      args, 4));
+  ASSERT_EQ(target, expected);
+}
+
+TEST(RuntimeCombine, AddsInPartitionOrder) {
+  for (int threads : {1, 4})
+    for (int64_t count : {1, 15, 1024, 1025, 300000})
+      for (int64_t parts : {1, 2, 9}) {
+        combine<float>(threads, count, parts, 0);
+        combine<double>(threads, count, parts, 1);
+      }
+}
+
+// Cells of three components in a record of five, so that two between them
+// must stay as they are.
+TEST(RuntimeCombine, AddsIntoCells) {
+  for (int threads : {1, 4})
+    for (int64_t cells : {1, 341, 342, 50000})
+      for (int64_t parts : {1, 2, 9}) {
+        Runtime runtime(withThreads(threads));
+        std::vector<double> target(cells * 5, 0.5), expected(cells * 5, 0.5);
+        for (int64_t cell = 0; cell < cells; ++cell)
+          for (int64_t c = 0; c < 3; ++c) {
+            double sum = 0;
+            for (int64_t p = 0; p < parts; ++p)
+              sum += double(p + 1) / double(cell * 3 + c + 1);
+            expected[cell * 5 + c] += sum;
+          }
+        uint64_t args[] = {reinterpret_cast<uint64_t>(target.data()),
+                           uint64_t(cells), uint64_t(parts)};
+        ASSERT_OK(launchOnce(
+            runtime,
+            [](TaiFrame *frame) {
+              int64_t cells = frame->args[1], parts = frame->args[2];
+              int64_t bytes = cells * 24, block = (bytes + 63) / 64 * 64;
+              auto *buffers =
+                  static_cast<char *>(tai_rt_private(frame, bytes, parts));
+              for (int64_t p = 0; p < parts; ++p)
+                for (int64_t e = 0; e < cells * 3; ++e)
+                  reinterpret_cast<double *>(buffers + p * block)[e] =
+                      double(p + 1) / double(e + 1);
+              tai_rt_combine_strided(frame,
+                                     reinterpret_cast<void *>(frame->args[0]),
+                                     buffers, cells, 3, 40, parts, 1);
+              return 0;
+            },
+            args, 3));
+        ASSERT_EQ(target, expected);
+      }
+}
+
+TEST(RuntimeSymbols, AreTheFunctions) {
+  std::map<std::string, void *> symbols;
+  for (const RuntimeSymbol &symbol : runtimeSymbols())
+    EXPECT_TRUE(symbols.emplace(symbol.name, symbol.address).second);
+  EXPECT_EQ(symbols["tai_rt_parallel_for"],
+            reinterpret_cast<void *>(&tai_rt_parallel_for));
+  EXPECT_EQ(symbols["tai_rt_host_launch"],
+            reinterpret_cast<void *>(&tai_rt_host_launch));
+  for (const auto &[name, address] : symbols) {
+    // The others are conversions that LLVM calls by these names.
+    EXPECT_TRUE(name.rfind("tai_rt_", 0) == 0 ||
+                name.rfind("tai_emu_", 0) == 0 ||
+                name.rfind("__trunc", 0) == 0 || name == "__extendhfsf2")
+        << name;
+    EXPECT_NE(address, nullptr) << name;
+  }
+}
+
+TEST(RuntimeSymbols, ConvertToHalfWithOneRounding) {
+  for (const RuntimeSymbol &symbol : runtimeSymbols()) {
+    if (std::string(symbol.name) != "__truncdfhf2")
+      continue;
+    auto convert = reinterpret_cast<_Float16 (*)(double)>(symbol.address);
+    // By way of float it would be a tie, which goes to the even neighbour.
+    EXPECT_EQ(static_cast<float>(convert(1 + 0x1p-11 + 0x1p-40)), 1 + 0x1p-10);
+    EXPECT_EQ(static_cast<float>(convert(1 + 0x1p-11)), 1);
+    return;
+  }
+  FAIL() << "no conversion";
+}
