@@ -83,7 +83,8 @@ _CHOICES = {
     "sanitize": ("", "address"),
 }
 
-# Options of Taichi that ask for what is always so here, or tune its own passes: docs/taichi-options.md.
+# Options of Taichi that ask for what is always so here, or tune its own passes; they are in
+# docs/taichi-options.md.
 _ACCEPTED = {
     "advanced_optimization", "flatten_if", "device_memory_GB", "device_memory_fraction",
     "ad_stack_size", "default_ad_stack_size", "demote_dense_struct_fors", "verbose",
