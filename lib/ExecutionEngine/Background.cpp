@@ -10,6 +10,7 @@
 #include <algorithm>
 #include <cstdlib>
 #include <pthread.h>
+#include <vector>
 
 using namespace mlir::tai;
 
@@ -52,8 +53,7 @@ private:
 void Background::hold() {
   std::unique_lock<std::mutex> lock(mutex);
   isHeld = true;
-  changed.wait(lock, [&] { return running == 0; });
-  joinThreads();
+  endThreads(lock);
   lock.release();
 }
 
@@ -61,7 +61,7 @@ void Background::release(bool inChild) {
   isHeld = false;
   // What the child wants of it is done when it asks.
   if (!inChild && !queue.empty())
-    addThread();
+    callThread();
   mutex.unlock();
 }
 
@@ -94,25 +94,36 @@ Background::~Background() {
 void Background::stop() {
   std::unique_lock<std::mutex> lock(mutex);
   maxThreads = 0;
-  changed.wait(lock, [&] { return running == 0; });
-  joinThreads();
+  endThreads(lock);
   std::deque<JobPtr> waiting = queue;
   for (const JobPtr &job : waiting)
     if (job->isNeeded && take(*job))
       runHere(*job, lock);
 }
 
-void Background::addThread() {
-  if (running == 0)
-    joinThreads();
-  if (running >= maxThreads || isHeld)
-    return;
-  runtime::Thread thread;
+void Background::endThreads(std::unique_lock<std::mutex> &lock) {
+  called.notify_all();
+  changed.wait(lock, [&] { return numThreads() == 0; });
+  ended.clear();
+}
+
+bool Background::callThread() {
+  if (isHeld || maxThreads == 0)
+    return false;
+  if (idle > 0) {
+    --idle;
+    ++calls;
+    called.notify_one();
+    return true;
+  }
+  ended.clear();
+  threads.emplace_front();
+  auto self = threads.begin();
   // Where there are no more, finish() does what is to be done.
-  if (!thread.start([this] { run(); }, "tai-compile"))
-    return;
-  ++running;
-  threads.push_back(std::move(thread));
+  if (self->start([this, self] { run(self); }, "tai-compile"))
+    return true;
+  threads.erase(self);
+  return false;
 }
 
 Background::JobPtr Background::start(std::function<void()> task) {
@@ -129,25 +140,49 @@ Background::JobPtr Background::add(std::function<void()> task, bool isNeeded) {
   job->isNeeded = isNeeded;
   std::lock_guard<std::mutex> lock(mutex);
   queue.push_back(job);
-  addThread();
+  if (numBusy() < maxThreads)
+    callThread();
   return job;
 }
 
-void Background::run() {
+Background::JobPtr Background::takeNext() {
+  JobPtr job;
+  bool goesOn = maxThreads > 0 && !isHeld && numBusy() <= maxThreads;
+  for (std::deque<JobPtr> *jobs : {&asides, &queue}) {
+    if (jobs->empty() || (jobs == &queue && !goesOn))
+      continue;
+    job = std::move(jobs->front());
+    jobs->pop_front();
+    break;
+  }
+  return job;
+}
+
+void Background::run(std::list<runtime::Thread>::iterator self) {
   runtime::safepoint::enterWorker();
   std::unique_lock<std::mutex> lock(mutex);
-  while (!queue.empty() && maxThreads > 0 && !isHeld) {
-    JobPtr job = std::move(queue.front());
-    queue.pop_front();
-    job->state = Job::State::Running;
-    lock.unlock();
-    perform(*job);
-    lock.lock();
-    job->state = Job::State::Done;
-    changed.notify_all();
+  while (true) {
+    if (JobPtr job = takeNext()) {
+      job->state = Job::State::Running;
+      lock.unlock();
+      perform(*job);
+      lock.lock();
+      job->state = Job::State::Done;
+      changed.notify_all();
+      continue;
+    }
+    if (isHeld || maxThreads == 0 || idle == kMostIdle)
+      break;
+    ++idle;
+    called.wait(lock, [&] { return calls > 0 || isHeld || maxThreads == 0; });
+    // Whoever calls takes it from those that are idle.
+    if (calls > 0)
+      --calls;
+    else
+      --idle;
   }
   // Under the lock, so that a job which comes now starts another thread.
-  --running;
+  ended.splice(ended.begin(), threads, self);
   changed.notify_all();
 }
 
@@ -178,28 +213,11 @@ bool Background::runAside(std::function<void()> task) {
   auto job = std::make_shared<Job>();
   job->task = std::move(task);
   std::unique_lock<std::mutex> lock(mutex);
-  if (running == 0)
-    joinThreads();
-  runtime::Thread thread;
-  if (maxThreads == 0 || isHeld ||
-      !thread.start(
-          [this, job] {
-            runtime::safepoint::enterWorker();
-            std::unique_lock<std::mutex> lock(mutex);
-            job->state = Job::State::Running;
-            lock.unlock();
-            perform(*job);
-            lock.lock();
-            job->state = Job::State::Done;
-            --running;
-            changed.notify_all();
-          },
-          "tai-compile")) {
+  if (!callThread()) {
     runHere(*job, lock);
     return true;
   }
-  ++running;
-  threads.push_back(std::move(thread));
+  asides.push_back(job);
   if (waitFor(*job, lock))
     return true;
   job->isAbandoned = true;

@@ -1,7 +1,9 @@
 """Large and odd programs: long chains, deep calls, names that are not English, huge shapes."""
 
 import importlib.util
+import re
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -195,6 +197,28 @@ def test_options_that_ask_for_what_is_always_so_do_not():
             flatten_if=True, advanced_optimization=False, device_memory_GB=1.0, ad_stack_size=32,
             print_kernel_llvm_ir=False, short_circuit_operators=True, packed=True,
         )  # fmt: skip
+
+
+def documented_options():
+    page = (Path(__file__).parents[2] / "docs" / "taichi-options.md").read_text()
+    rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
+    return {name for row in rows for name in re.findall(r"`(\w+)`", row)}
+
+
+def test_every_option_does_something_or_says_that_it_does_not():
+    from tai._impl.base import options
+
+    silent = options.ACCEPTED - set(options._WITHOUT_EFFECT)
+    assert silent | {"log_level"} == documented_options()
+    for name in sorted(silent - {"enable_fallback"}):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            ti.init(**{name: 2})
+    for name in sorted(options._WITHOUT_EFFECT):
+        with pytest.warns(UserWarning, match=rf"{name}=2\) has no effect\n  hint: \S"):
+            ti.init(**{name: 2})
+    for name in sorted(options.KNOWN):
+        assert re.search(rf"\b{name}\b", ti.init.__doc__), name
 
 
 def test_memory_of_fields_is_printed(capsys):

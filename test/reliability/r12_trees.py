@@ -9,6 +9,7 @@ and the last rounds must take as long as the first ones.
 
 import argparse
 import gc
+import itertools
 import statistics
 import sys
 import threading
@@ -57,6 +58,9 @@ def double_array(x: ti.types.ndarray()):
         x[i] *= 2.0
 
 
+sizes = itertools.count(10017)
+
+
 def make_tree():
     x, loss = (ti.field(ti.f32, needs_grad=True) for _ in range(2))
     builder = ti.FieldsBuilder()
@@ -73,6 +77,16 @@ def tree():
 
 def tree_with_kernel():
     x, _, made = make_tree()
+    double(x)
+    made.destroy()
+
+
+def tree_of_another_size():
+    """Code that is new each time."""
+    x = ti.field(ti.f32)
+    builder = ti.FieldsBuilder()
+    builder.dense(ti.i, next(sizes)).place(x)
+    made = builder.finalize()
     double(x)
     made.destroy()
 
@@ -129,7 +143,8 @@ def program():
 
 
 # Each with its share of the rounds.
-PARTS = [(tree, 1.0), (tree_with_kernel, 0.1), (tree_with_tape, 0.05), (tape, 1.0),
+PARTS = [(tree, 1.0), (tree_with_kernel, 0.1), (tree_of_another_size, 0.1),
+         (tree_with_tape, 0.05), (tape, 1.0),
          (defined_again, 0.1), (array, 1.0), (thread, 0.3), (program, 0.1)]  # fmt: skip
 
 

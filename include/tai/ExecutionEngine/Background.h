@@ -18,9 +18,9 @@
 #include <condition_variable>
 #include <deque>
 #include <functional>
+#include <list>
 #include <memory>
 #include <mutex>
-#include <vector>
 
 namespace mlir::tai {
 
@@ -37,9 +37,11 @@ public:
   };
   using JobPtr = std::shared_ptr<Job>;
 
-  /// Threads live only while there are jobs. A fork waits for those that run,
-  /// so that no child inherits half a job; so does the end of the process, at
-  /// which code and data that they use go.
+  /// Threads that have no job sleep until there is one: what MLIR keeps for
+  /// each thread stays until the end of the context, 4 KiB for every kind of
+  /// attribute that it makes. A fork waits for the jobs that run, so that no
+  /// child inherits half a job, and ends the threads; so does the end of the
+  /// process, at which code and data that they use go.
   explicit Background(unsigned maxThreads);
   ~Background();
   Background(const Background &) = delete;
@@ -77,17 +79,23 @@ public:
 
 private:
   friend struct BackgroundForks;
-  void run();
-  /// Starts a thread if one more may run; the lock is held.
-  void addThread();
+  /// As many threads sleep, no more.
+  static constexpr unsigned kMostIdle = 16;
+
+  void run(std::list<runtime::Thread>::iterator self);
+  /// Has one more thread look for a job, if it may; the lock is held.
+  bool callThread();
+  /// What a thread does next, or null; the lock is held.
+  JobPtr takeNext();
+  unsigned numThreads() const { return threads.size(); }
+  unsigned numBusy() const { return numThreads() - idle; }
   JobPtr add(std::function<void()> task, bool isNeeded);
   /// Runs the task of a job, which says meanwhile what is wanted of it.
   void perform(Job &job);
   /// Runs a job that nobody else runs; the lock is held, but while it runs.
   void runHere(Job &job, std::unique_lock<std::mutex> &lock);
-  /// Lets go of the threads, which have ended or are about to; the lock is
-  /// held.
-  void joinThreads() { threads.clear(); }
+  /// Waits until all threads have ended, which they have been told to.
+  void endThreads(std::unique_lock<std::mutex> &lock);
   void hold();
   void release(bool inChild);
   bool waitFor(Job &job, std::unique_lock<std::mutex> &lock);
@@ -96,10 +104,19 @@ private:
 
   std::atomic<unsigned> maxThreads;
   std::mutex mutex;
+  /// A job is done, or a thread has ended.
   std::condition_variable changed;
+  /// A thread that sleeps is to look for a job.
+  std::condition_variable called;
   std::deque<JobPtr> queue;
-  std::vector<runtime::Thread> threads;
-  unsigned running = 0;
+  /// What runs at once, by whom somebody waits; each has called a thread.
+  std::deque<JobPtr> asides;
+  std::list<runtime::Thread> threads;
+  /// Those that have ended, or are about to, and hold no lock any more.
+  std::list<runtime::Thread> ended;
+  unsigned idle = 0;
+  /// Threads that were called and have not woken up yet.
+  unsigned calls = 0;
   /// Threads end after the job that they run.
   std::atomic<bool> isHeld{false};
 };

@@ -36,13 +36,50 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
+/// Groups of accesses that do not depend on those of other iterations. Each is
+/// an attribute of its own that a context keeps for ever, with 4 KiB for the
+/// first that a thread makes; so those of one module serve the next.
+class AccessGroups {
+public:
+  /// Hands all groups out again.
+  void reuse() { used = 0; }
+  void forget() {
+    groups.clear();
+    used = 0;
+  }
+
+  /// The group of the independent loop around an access, if there is one.
+  /// Arrays may be one another, but iterations do not communicate through them
+  /// either.
+  ArrayAttr get(Operation *op) {
+    auto loop = op->getParentOfType<ParallelForOp>();
+    if (!loop || !loop->hasAttr(kIndependentAttrName) ||
+        loop->hasAttr(kKeepsOrderAttrName))
+      return {};
+    MLIRContext *context = op->getContext();
+    auto group =
+        loop->getAttrOfType<LLVM::AccessGroupAttr>(kAccessGroupAttrName);
+    if (!group) {
+      if (used == groups.size())
+        groups.push_back(LLVM::AccessGroupAttr::get(context));
+      group = groups[used++];
+      loop->setAttr(kAccessGroupAttrName, group);
+    }
+    return ArrayAttr::get(context, {group});
+  }
+
+private:
+  SmallVector<LLVM::AccessGroupAttr> groups;
+  size_t used = 0;
+};
+
 /// Lowers the accesses of one kernel or function.
 class AccessLowering {
 public:
   AccessLowering(FunctionOpInterface function, FieldTable &fields,
-                 bool boundsCheck, bool onDevice)
-      : function(function), fields(fields), boundsCheck(boundsCheck),
-        onDevice(onDevice) {}
+                 AccessGroups &groups, bool boundsCheck, bool onDevice)
+      : function(function), fields(fields), groups(groups),
+        boundsCheck(boundsCheck), onDevice(onDevice) {}
 
   LogicalResult run();
 
@@ -77,6 +114,7 @@ private:
 
   FunctionOpInterface function;
   FieldTable &fields;
+  AccessGroups &groups;
   bool boundsCheck, onDevice;
   llvm::DenseMap<const FieldInfo *, Value> bases;
   llvm::DenseMap<Operation *, Value> trees;
@@ -233,22 +271,6 @@ void AccessLowering::guard(OpBuilder &builder, Operation *op, Value inRange,
   op->replaceAllUsesWith(branch.getResults());
 }
 
-/// The group of the independent loop around an access, if there is one. Arrays
-/// may be one another, but iterations do not communicate through them either.
-static ArrayAttr getAccessGroup(Operation *op) {
-  auto loop = op->getParentOfType<ParallelForOp>();
-  if (!loop || !loop->hasAttr(kIndependentAttrName) ||
-      loop->hasAttr(kKeepsOrderAttrName))
-    return {};
-  MLIRContext *context = op->getContext();
-  auto group = loop->getAttrOfType<LLVM::AccessGroupAttr>(kAccessGroupAttrName);
-  if (!group) {
-    group = LLVM::AccessGroupAttr::get(context);
-    loop->setAttr(kAccessGroupAttrName, group);
-  }
-  return ArrayAttr::get(context, {group});
-}
-
 /// How the address of an access is made up, for those who follow it; null if
 /// the program computes an index from digits of its own that could be taken for
 /// those of the field. From each index `peeled` has been taken away.
@@ -326,7 +348,7 @@ LogicalResult AccessLowering::lowerField(Operation *op) {
   }
 
   AliasScopes scopes = fields.getScopes(field);
-  scopes.groups = getAccessGroup(op);
+  scopes.groups = groups.get(op);
   scopes.alignment = getAlignment(field, components);
   bool isNear = onDevice && isa<KernelOp>(function);
   SmallVector<Value> near(zeroBased);
@@ -542,7 +564,7 @@ void AccessLowering::lowerArray(Operation *op) {
   guard(builder, op, inRange, [&](OpBuilder &b) -> Value {
     Type scalar = type.getElementType();
     AliasScopes scopes = fields.getArrayScopes();
-    scopes.groups = getAccessGroup(op);
+    scopes.groups = groups.get(op);
     Value pointer = emitArrayPointer(b, loc, array, indices, extents);
     if (load)
       return emitLoad(b, loc, scalar, pointer, scopes);
@@ -618,15 +640,24 @@ struct LowerLayout : tai::impl::LowerLayoutBase<LowerLayout> {
     if (!table)
       return;
     FieldTable fields(table);
+    // Functions of one module may be inlined into one another: they need groups
+    // of their own, which only a run over all of them can give.
+    if (isa<ModuleOp>(getOperation()))
+      groups.reuse();
+    else
+      groups.forget();
     WalkResult result = getOperation()->walk([&](FunctionOpInterface function) {
       if (function.isExternal() || !isa<KernelOp, func::FuncOp>(function))
         return WalkResult::skip();
-      AccessLowering lowering(function, fields, boundsCheck, onDevice);
+      AccessLowering lowering(function, fields, groups, boundsCheck, onDevice);
       return failed(lowering.run()) ? WalkResult::interrupt()
                                     : WalkResult::skip();
     });
     if (result.wasInterrupted())
       signalPassFailure();
   }
+
+private:
+  AccessGroups groups;
 };
 } // namespace

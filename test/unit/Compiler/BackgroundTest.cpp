@@ -16,6 +16,7 @@
 #include <sys/wait.h>
 #include <thread>
 #include <unistd.h>
+#include <vector>
 
 using namespace mlir::tai;
 
@@ -95,6 +96,56 @@ TEST(Background, ForksDoNotWaitForOthers) {
   waitpid(child, nullptr, 0);
   background.finish(*waiting.job);
   EXPECT_EQ(waiting.wish, Background::Wish::Hurry);
+}
+
+/// How many jobs the calling thread has run, this one among them.
+static int countOnThisThread() {
+  static thread_local int count = 0;
+  return ++count;
+}
+
+TEST(Background, ThreadsServeAgain) {
+  Background background(1);
+  int last = 0;
+  for (int i = 1; i <= 3; ++i) {
+    EXPECT_TRUE(background.runAside([&] { last = countOnThisThread(); }));
+    EXPECT_EQ(last, i);
+  }
+  // Also after a fork, which ends them.
+  pid_t child = fork();
+  ASSERT_GE(child, 0);
+  if (child == 0)
+    _exit(0);
+  waitpid(child, nullptr, 0);
+  for (int i = 1; i <= 2; ++i) {
+    EXPECT_TRUE(background.runAside([&] { last = countOnThisThread(); }));
+    EXPECT_EQ(last, i);
+  }
+}
+
+TEST(Background, WhatIsWaitedForWaitsForNoOtherJob) {
+  Background background(1);
+  EXPECT_TRUE(background.runAside([] {}));
+  HalfDone first(background);
+  bool ran = false;
+  EXPECT_TRUE(background.runAside([&] { ran = true; }));
+  EXPECT_TRUE(ran && !first.isWhole());
+  // Nor does what comes from several threads at once.
+  std::atomic<int> begun{0};
+  std::vector<std::thread> callers;
+  for (int i = 0; i < 40; ++i)
+    callers.emplace_back([&] {
+      background.runAside([&] {
+        ++begun;
+        while (begun != 40)
+          std::this_thread::yield();
+      });
+    });
+  for (std::thread &caller : callers)
+    caller.join();
+  EXPECT_EQ(begun, 40);
+  first.goesOn = true;
+  background.finish(*first.job);
 }
 
 TEST(Background, LeavesNothingUndoneThatIsNeeded) {

@@ -65,7 +65,8 @@ CHOICES = {
     "sanitize": ("", "address"),
 }
 
-# Options of Taichi that ask for what is always so here, or tune its own passes.
+# Options of Taichi that ask for what is always so here, or tune its own passes; they are in
+# docs/taichi-options.md.
 ACCEPTED = {
     "advanced_optimization", "flatten_if", "device_memory_GB", "device_memory_fraction",
     "ad_stack_size", "default_ad_stack_size", "demote_dense_struct_fors", "verbose",
@@ -84,6 +85,11 @@ ACCEPTED = {
     "offline_cache_cleaning_policy", "offline_cache_max_size_of_files",
     "offline_cache_cleaning_factor", "enable_fallback", "require_version", "vk_api_version",
     "num_compile_threads", "packed", "lazy_compilation", "use_unified_memory",
+    "external_optimization_level": (3, "opt_level=0 to 3 says it for all passes"),
+    "offline_cache_cleaning_policy": ("lru", "the cache keeps 1 GiB, and drops what was not used "
+                                      "for longest; offline_cache=False does without"),
+    "offline_cache_max_size_of_files": (100 << 20, "the cache keeps 1 GiB at most; "
+                                        "offline_cache_file_path says where"),
     "ndrange_order", "random_seed_is_time",
 }  # fmt: skip
 

@@ -72,6 +72,9 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
         enable_fallback: take the CPU where `ti.cuda` is not there.
         require: extensions that the target must have (`ti.extension.data64`, …).
         exclude: targets that the program does not run on.
+        opt_level: 0 to 3, how much the compiler does for speed; 3 where nothing is said.
+        log_level: accepted, as are others that no result depends on; docs/taichi-options.md
+            lists them. Those that ask for what does not happen warn.
 
     Raises:
         TaiRuntimeError: an option that does not exist, or a target that is not there, and why.
