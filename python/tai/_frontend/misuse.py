@@ -7,6 +7,17 @@ from typing import Any
 from ..dtypes import DataType
 from .value import Value
 
+# What the classes of values are called in messages of Python's own.
+KINDS = {
+    "ArrayArgument": "array",
+    "FunctionType": "function",
+    "MatrixValue": "vector or matrix",
+    "Place": "element of a field",
+    "ScalarField": "field",
+    "StructValue": "struct",
+    "Value": "number of a kernel",
+}
+
 
 def name_of(thing: Any) -> str:
     if isinstance(thing, Value):
