@@ -70,7 +70,10 @@ class Bar:
 def choose_arch(name: str) -> None:
     """Where the next `ti.init` runs kernels: on the cpu, on the emulated GPU or on one (cuda)."""
     os.environ["TI_ARCH"] = "cuda" if name == "emulated" else name
-    os.environ["TAI_CUDA_EMULATION"] = "1" if name == "emulated" else ""
+    if name == "emulated":
+        os.environ["TAI_CUDA_EMULATION"] = "1"
+    elif name == "cpu":
+        os.environ["TAI_CUDA_EMULATION"] = ""
 
 
 def build_folder() -> Path:

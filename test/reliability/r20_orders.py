@@ -99,8 +99,9 @@ def main() -> None:
         broken += sum(name in again for name in failed)
         flakes += sum(name not in again for name in failed)
         runs += 1
+    some = f"of {len(files)} files alone" if args.short or args.files else "of the whole suite"
     bar.report(
-        f"{runs} runs with {workers} workers, {tests} tests in all",
+        f"{runs} runs with {workers} workers, {tests} tests in all, {some}",
         f"{flakes} flakes, {broken} broken", met=not flakes and not broken and tests > 0,
     )  # fmt: skip
 

@@ -40,6 +40,7 @@ CONFIGURATIONS: dict[str, dict[str, str]] = {
     "O3": {"opt_level": "3", "threads": "3", "deterministic": "true"},
     "O3-default": {"opt_level": "3", "threads": "2"},
     "emulated": {"arch": "cuda", "opt_level": "3", "deterministic": "true"},
+    "cuda": {"arch": "cuda", "opt_level": "3", "deterministic": "true"},
 }
 # Messages of modules that are refused, and rightly so: what is constant is known to fail.
 REFUSALS = ("divided by zero", "is divided by -1")
@@ -221,8 +222,9 @@ class Judge:
     def __init__(self, names: list[str]):
         self.library = load_library()
         self.contexts: dict[str, Context] = {}
+        emulation = {"emulated": "1", "cuda": os.environ.get("TAI_CUDA_EMULATION", "")}
         for name in names:
-            os.environ["TAI_CUDA_EMULATION"] = "1" if name == "emulated" else ""
+            os.environ["TAI_CUDA_EMULATION"] = emulation.get(name, "")
             self.contexts[name] = Context(self.library, CONFIGURATIONS[name])
 
     def judge(self, seed: int) -> dict:
@@ -358,6 +360,7 @@ def run(args: argparse.Namespace) -> list[dict]:
 def main() -> int:
     bar = Bar(
         "R3", "random modules", full=20_000, short=60,
+        archs=("emulated", "cuda"),
         target="20,000 modules: the same at -O0, at -O3, on a GPU and in the interpreter",
         miss="a module that gives other bits somewhere, an error, a crash or a hang",
     )  # fmt: skip
@@ -365,9 +368,11 @@ def main() -> int:
     add("--jobs", type=int, default=1, help="processes")
     add("--limit", type=float, default=60, help="seconds until a module hangs")
     add("--one", type=int, help="run one module in this process, and print it")
-    add("--configurations", nargs="+", choices=CONFIGURATIONS, default=list(CONFIGURATIONS))
+    add("--configurations", nargs="+", choices=CONFIGURATIONS, help="all of a device without it")
     add("--worker", action="store_true", help=argparse.SUPPRESS)
     args = bar.parse()
+    other = "cuda" if args.arch == "emulated" else "emulated"
+    args.configurations = args.configurations or [c for c in CONFIGURATIONS if c != other]
     os.environ["TAI_BUILD_DIR"] = str(args.build)
     if args.worker:
         return work(args)

@@ -87,6 +87,8 @@ def facts(script: Path) -> dict:
 def machine(arch: str) -> str:
     if arch == "cuda":
         command = ["nvidia-smi", "--query-gpu=name", "--format=csv,noheader"]
+        if os.environ.get("TAI_CUDA_EMULATION") == "1":
+            return "emulated GPU"
         names = subprocess.run(command, capture_output=True, text=True).stdout.splitlines()
         return names[0] if names else "GPU"
     text = Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""
@@ -96,23 +98,21 @@ def machine(arch: str) -> str:
 
 
 def commit() -> str:
+    if known := os.environ.get("TAI_COMMIT"):
+        return known
     command = ["git", "-C", ROOT, "log", "-1", "--format=%h"]
-    found = subprocess.run(command, capture_output=True, text=True).stdout.strip()
-    return found or os.environ.get("TAI_COMMIT", "unknown")
+    return subprocess.run(command, capture_output=True, text=True).stdout.strip() or "unknown"
 
 
-def run_bar(name: str, script: Path, args: argparse.Namespace) -> dict[str, str] | None:
-    """Runs a bar; its row, or None where it cannot run there."""
-    archs = facts(script)["archs"]
-    if args.arch == "cuda" and "cuda" not in archs:
-        return None
+def run_bar(name: str, script: Path, seconds: float, args: argparse.Namespace) -> dict[str, str]:
+    """Runs a bar for so many seconds; its row."""
     command = [sys.executable, script, "--seed", str(args.seed), *OPTIONS.get(name, [])]
-    seconds = args.seconds or SECONDS[name]
-    command += ["--seconds", str(seconds)]
+    command += ["--seconds", f"{seconds:.0f}"]
     if args.count:
         command += ["--count", str(args.count)]
     if args.arch == "cuda":
         command += ["--arch", "cuda"]
+    command += args.options.split()
     print("$", *command, flush=True)
     run = subprocess.run(command, env=environment(), stdout=subprocess.PIPE, text=True)
     print(run.stdout, end="", flush=True)
@@ -188,8 +188,10 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", metavar="R", help="bars to run; all without it")
     parser.add_argument("--count", type=int, help="number of cases of each")
     parser.add_argument("--seconds", type=float, help="of each, in place of its share")
+    parser.add_argument("--all-seconds", type=float, help="of all together, each with its share")
     parser.add_argument("--seed", type=int, default=0, help="where the random choices begin")
     parser.add_argument("--arch", choices=["cpu", "cuda"], default="cpu")
+    parser.add_argument("--options", default="", help="more options for the scripts")
     parser.add_argument("--page", action="store_true", help="run none")
     args = parser.parse_args()
     known = scripts()
@@ -197,14 +199,17 @@ def main() -> int:
     if unknown:
         parser.error(f"no script is {', '.join(sorted(unknown))}; there are {', '.join(known)}")
     device = "gpu" if args.arch == "cuda" else "cpu"
+    chosen = [name for name in known if not args.page and name in (args.only or known)]
+    if args.arch == "cuda":
+        chosen = [name for name in chosen if "cuda" in facts(known[name])["archs"]]
     missed = []
     begun = time.monotonic()
-    for name, script in known.items():
-        if args.page or (args.only and name not in args.only):
-            continue
-        row = run_bar(name, script, args)
-        if row is None:
-            continue
+    for position, name in enumerate(chosen):
+        seconds = args.seconds or SECONDS[name]
+        if args.all_seconds:
+            left = args.all_seconds - (time.monotonic() - begun)
+            seconds = left * SECONDS[name] / sum(SECONDS[other] for other in chosen[position:])
+        row = run_bar(name, known[name], seconds, args)
         missed += [name] * (row["met"] == "no")
         write_rows(device, read_rows(device) | {name: row})
     PAGE.write_text(make_page())
