@@ -47,7 +47,7 @@ ELSEWHERE = {
             "a report of the tool",
             "`make test-gpu ARGS=--sanitize`, the stage `sanitize` of `scripts/test_gpu.py`"),
 }  # fmt: skip
-LINE = re.compile(r"^(R\d+) (.+?): (.+); (.+) \(bar (.+)\)$", re.MULTILINE)
+LINE = re.compile(r"^(R\d+) (.+?): (.+?); (.+) \(bar (.+)\)$", re.MULTILINE)
 
 HEAD = """\
 # Reliability
