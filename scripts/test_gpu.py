@@ -9,6 +9,7 @@ the interpreter that runs this script, copies the tests beside it, and runs the 
     bench     benchmarks/gpu/run.py: tai, hand-written CUDA, and other systems
     fuzz      random kernels on the GPU, of up to two million elements; see test/fuzz/run.py
     ensemble  examples/ensemble.py on 1, 2 and 4 GPUs, as many as there are
+    bars      the bars of test/reliability that can run on a GPU, from seeds of their own
     sanitize  some of the tests under compute-sanitizer, where there is one, on all GPUs;
               -k test_ takes all of them
 
@@ -44,7 +45,7 @@ sys.path.insert(0, str(ROOT / "benchmarks" / "gpu"))
 # What tests read besides the package.
 TREE = ["test", "benchmarks", "examples", "docs", "scripts", "README.md", "pyproject.toml"]
 # How the time is shared among the steps.
-SHARES = {"tests": 4, "bench": 5, "fuzz": 1, "ensemble": 2, "sanitize": 4}
+SHARES = {"tests": 4, "bench": 5, "fuzz": 1, "ensemble": 2, "bars": 3, "sanitize": 4}
 # What runs under compute-sanitizer: each kind of access once, it is slow.
 SANITIZED = (
     "test_fields or test_gradients or test_atomic_gradients or test_loop_gradients or "
@@ -384,6 +385,26 @@ def run_ensemble(stage: Stage, seconds: float) -> Step:
     return step
 
 
+def run_bars(stage: Stage, seconds: float) -> Step:
+    """What they see goes into a table, which docs/reliability.md shows."""
+    step, options = Step("bars"), stage.options
+    arch = "cpu" if options.arch == "cpu" else "cuda"
+    results = stage.root / f"benchmarks/results/reliability-{'cpu' if arch == 'cpu' else 'gpu'}.csv"
+    results.unlink(missing_ok=True)
+    command = [sys.executable, "test/reliability/soak.py", "--arch", arch]
+    command += ["--all-seconds", f"{seconds - 15:.0f}"]
+    environment = stage.environment | {"TAI_VERIFY_EACH": "1"}
+    if options.arch == "emulated":
+        environment["TAI_CUDA_EMULATION"] = "1"
+    status, output = stage.machine.run(command, seconds, stage.root, environment)
+    step.details = [line for line in output.splitlines() if re.match(r"R\d+ .*\(bar .*\)$", line)]
+    step.summary = f"{len(step.details)} bars, {'all met' if status == 0 else 'some missed'}"
+    step.failed = status != 0 or not step.details
+    if results.exists():
+        shutil.copy2(results, options.out)
+    return step
+
+
 def run_sanitizers(stage: Stage, seconds: float) -> Step:
     step, options = Step("sanitize"), stage.options
     program = shutil.which("compute-sanitizer") or "/usr/local/cuda/bin/compute-sanitizer"
@@ -484,6 +505,7 @@ STEPS = {
     "bench": run_bench,
     "fuzz": run_fuzz,
     "ensemble": run_ensemble,
+    "bars": run_bars,
     "sanitize": run_sanitizers,
 }
 
@@ -501,7 +523,7 @@ def write_report(options: argparse.Namespace, origin: str, steps: list[Step]) ->
     lines += [f"| {s.name} | {s.summary} | {s.seconds:.0f} |" for s in steps]
     for step in steps:
         if step.details:
-            bullets = step.name in ("tests", "fuzz")
+            bullets = step.name in ("tests", "fuzz", "bars")
             lines += ["", f"## {step.name}", ""]
             lines += [f"- {line}" if bullets else line for line in step.details]
     path.write_text("\n".join(lines) + "\n")

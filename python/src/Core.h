@@ -27,6 +27,18 @@ namespace taipy {
 
 namespace py = pybind11;
 
+/// To be called after a call of libtai that cannot fail, but may have waited
+/// for another thread's. Raises what a signal handler has raised meanwhile.
+inline void settle() {
+  if (!afterCall())
+    throw py::error_already_set();
+}
+/// What such a call has returned.
+template <typename Result> Result settled(Result result) {
+  settle();
+  return result;
+}
+
 /// A TaiContext with shared ownership: fields, kernels and tapes keep it alive.
 struct Context {
   Context() : handle(taiContextCreate()) {}

@@ -286,7 +286,7 @@ void bindTape(py::module_ &module) {
            })
       .def("record",
            [](Tape &t, py::object forward, py::object backward) {
-             t.hostFunctions[taiTapeNumRecords(t.handle)] = forward;
+             t.hostFunctions[settled(taiTapeNumRecords(t.handle))] = forward;
              // One user pointer serves both directions: a pair of callables.
              bool reverses = !backward.is_none();
              auto pair = std::make_unique<py::object>(
@@ -305,11 +305,13 @@ void bindTape(py::module_ &module) {
              taiTapeNoteArrayCopy(t.handle,
                                   reinterpret_cast<const void *>(address),
                                   {begin, end, step, elementBytes});
+             settle();
            })
       .def("note_array_write",
            [](Tape &t, uint64_t begin, uint64_t end, uint64_t step,
               uint64_t elementBytes) {
              taiTapeNoteArrayWrite(t.handle, {begin, end, step, elementBytes});
+             settle();
            })
       .def("add_loss",
            [](Tape &t, const Field &loss) {
@@ -337,24 +339,28 @@ void bindTape(py::module_ &module) {
       .def("warnings",
            [](Tape &t) {
              std::vector<std::string> lines;
-             while (const char *line = taiTapeWarning(
-                        t.handle, static_cast<int64_t>(lines.size())))
+             while (const char *line = settled(taiTapeWarning(
+                        t.handle, static_cast<int64_t>(lines.size()))))
                lines.push_back(line);
              return lines;
            })
       .def("explain",
-           [](Tape &t) { return std::string(taiTapeExplain(t.handle)); })
+           [](Tape &t) {
+             return std::string(settled(taiTapeExplain(t.handle)));
+           })
       .def_property_readonly(
-          "records", [](Tape &t) { return taiTapeNumRecords(t.handle); })
+          "records",
+          [](Tape &t) { return settled(taiTapeNumRecords(t.handle)); })
       .def_property_readonly(
-          "skipped", [](Tape &t) { return taiTapeNumSkipped(t.handle); })
+          "skipped",
+          [](Tape &t) { return settled(taiTapeNumSkipped(t.handle)); })
       .def("run_record",
            [](Tape &t, int64_t record) {
              checkSweep(t, taiTapeRunRecord(t.handle, record));
            })
       .def("kernel_of",
            [](Tape &t, int64_t record) -> py::object {
-             const char *name = taiTapeRecordKernel(t.handle, record);
+             const char *name = settled(taiTapeRecordKernel(t.handle, record));
              return name ? py::object(py::str(name)) : py::object(py::none());
            })
       .def("host_function",
@@ -428,6 +434,7 @@ void bindField(py::module_ &module) {
              f.context->check(taiFieldLend(f.handle, &memory, &loan));
              py::capsule owner(loan, [](void *pointer) {
                taiLoanEnd(static_cast<TaiLoan>(pointer));
+               retakeLock();
              });
              py::tuple strides(f.info.rank + f.info.element_rank);
              for (size_t d = 0; d < strides.size(); ++d)
@@ -637,13 +644,14 @@ void taipy::bindRuntime(py::module_ &module) {
              std::vector<TaiField> handles = handlesOf(inputs);
              taiContextFollowTangents(c.handle, handles.data(),
                                       static_cast<int64_t>(handles.size()));
+             settle();
            })
       .def("lost_tangents",
            [](Context &c, const std::vector<Field *> &outputs) {
              std::vector<TaiField> handles = handlesOf(outputs);
-             return std::string(
+             return std::string(settled(
                  taiContextLostTangents(c.handle, handles.data(),
-                                        static_cast<int64_t>(handles.size())));
+                                        static_cast<int64_t>(handles.size()))));
            })
       .def("is_on_gpu",
            [](Context &c) { return bool(taiContextIsOnGpu(c.handle)); })

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import linecache
 import os
+import re
 from collections.abc import Iterable
 
 # Whether errors of kernels show the way through the compiler, for those who work on it.
@@ -164,10 +165,14 @@ def from_core(
     kind = _BY_STATUS.get(status, TaiRuntimeError)
     if status == 4 and file:  # what fails at a line of a kernel is an assertion or an index
         kind = TaiAssertionError
+    # Fields have no such sign in Python.
+    message = re.sub(r"'@(\"?)([^'\"]+)\1'", r"'\2'", message)
     error = kind(message or "unknown failure")
     if file and line > 0:
         error.locate(file, line, max(column, 1))
     error.details = _notes(diagnostics)
+    if kind is TaiAssertionError and "out of range" in message:
+        error.hint = "indices count from 0: change the range of the loop, or test the index before"
     if status == 6:
         error.hint = "this is a bug of tai, not of the program: please report it"
     return error

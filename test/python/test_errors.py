@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 import tai as ti
 
+import bad_algebra  # noqa: F401
+import bad_calls  # noqa: F401
 import bad_expressions  # noqa: F401
+import bad_loops  # noqa: F401
 import bad_register
 import bad_statements
 
@@ -53,7 +56,7 @@ def test_bad_kernel(case):
 
 
 def test_there_are_many():
-    assert len(bad_register.CASES) >= 60
+    assert len(bad_register.CASES) >= 150
 
 
 def test_functions_are_named_on_the_way():

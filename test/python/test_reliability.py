@@ -20,4 +20,14 @@ def test_bar(script):
     result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=200)
     assert result.returncode == 0, result.stdout + result.stderr
     name = script.stem.split("_")[0].upper()
-    assert re.search(rf"^{name} .+: .+ \(bar .+\)$", result.stdout, re.MULTILINE), result.stdout
+    assert re.search(rf"^{name} .+: .+; .+ \(bar .+\)$", result.stdout, re.MULTILINE), result.stdout
+
+
+def test_the_page_is_that_of_the_scripts():
+    """docs/reliability.md is made of the scripts and of what is kept of their runs."""
+    sys.path.insert(0, str(ROOT / "test/reliability"))
+    import soak
+
+    assert set(soak.SECONDS) == set(soak.scripts())
+    assert sum(soak.SECONDS.values()) <= 90 * 60
+    assert soak.make_page() == soak.PAGE.read_text()

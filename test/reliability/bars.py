@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import json
+import math
 import os
 import sys
+import time
 from pathlib import Path
 from typing import NoReturn
 
@@ -12,33 +15,73 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 
 
 class Bar:
-    """One bar: its name, what is counted, and how many cases a long and a short run take."""
+    """One bar: its name, what is counted, and how many cases a long and a short run take.
 
-    def __init__(self, name: str, what: str, full: int, short: int):
+    `target` and `miss` are for the page of all bars: what must hold, and what one miss is. `archs`
+    are the devices on which the script can run, if there is a choice, the first by default.
+    """
+
+    def __init__(
+        self, name: str, what: str, full: int, short: int, *, target: str, miss: str,
+        archs: tuple[str, ...] = (),
+    ):  # fmt: skip
         self.name, self.what = name, what
         self.full, self.short = full, short
+        self.facts = {"bar": name, "what": what, "target": target, "miss": miss,
+                      "archs": archs, "full": full}  # fmt: skip
+        self.begun = time.monotonic()
+        self.seconds = math.inf
         self.parser = argparse.ArgumentParser(
             description=f"{name}: {what}", formatter_class=argparse.ArgumentDefaultsHelpFormatter
         )
         add = self.parser.add_argument
         add("--short", action="store_true", help=f"{short} cases, at most 15 seconds")
         add("--count", type=int, default=full, help="number of cases")
+        add("--seconds", type=float, default=math.inf, help="begin no case after that long")
         add("--seed", type=int, default=0, help="where the random choices begin")
         add("--build", type=Path, default=build_folder(), help="the build to test")
+        add("--facts", action="store_true", help="print what the page of all bars says of it")
+        if archs:
+            add("--arch", choices=archs, default=archs[0], help="where kernels run")
 
     def parse(self) -> argparse.Namespace:
         """Reads the command line. A script may add options to `parser` before."""
         args = self.parser.parse_args()
+        if args.facts:
+            print(json.dumps(self.facts))
+            sys.exit(0)
         if args.short:
             args.count = min(args.count, self.short)
+        self.seconds = args.seconds
+        if getattr(args, "arch", "both") != "both":
+            choose_arch(args.arch)
         return args
 
-    def report(self, numbers: str, *, met: bool, bar: object = 0) -> NoReturn:
+    def left(self) -> float:
+        """How many seconds are left of --seconds."""
+        return self.seconds - (time.monotonic() - self.begun)
+
+    def report(self, cases: str, seen: str, *, met: bool, bar: object = 0) -> NoReturn:
         """Prints the line with the numbers and ends the script, with 1 below the bar."""
-        print(f"{self.name} {self.what}: {numbers} (bar {bar})", flush=True)
+        print(f"{self.name} {self.what}: {cases}; {seen} (bar {bar})", flush=True)
         sys.exit(0 if met else 1)
+
+
+def choose_arch(name: str) -> None:
+    """Where the next `ti.init` runs kernels: on the cpu, on the emulated GPU or on one (cuda)."""
+    os.environ["TI_ARCH"] = "cuda" if name == "emulated" else name
+    if name == "emulated":
+        os.environ["TAI_CUDA_EMULATION"] = "1"
+    elif name == "cpu":
+        os.environ["TAI_CUDA_EMULATION"] = ""
 
 
 def build_folder() -> Path:
     """The build of this checkout, or that of TAI_BUILD_DIR."""
     return Path(os.environ.get("TAI_BUILD_DIR", ROOT / "build")).resolve()
+
+
+def resident() -> int:
+    """Bytes of this process that are in memory."""
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * 4096

@@ -2,22 +2,15 @@
 
 Each has fields, kernels and tapes of its own, and gets the losses and gradients of a run without
 threads, bit for bit.
-
-    python test/reliability/r16_threads.py [--short] [--count ROUNDS]
 """
 
-import argparse
 import multiprocessing
 import os
-import sys
 import threading
 
 import numpy as np
 import tai as ti
-
-parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-parser.add_argument("--short", action="store_true", help="two rounds")
-parser.add_argument("--count", type=int, default=None, help="rounds (20)")
+from bars import Bar
 
 THREADS = 32
 STEPS, N = 5, 24
@@ -100,14 +93,20 @@ def fork_one(problem, expected):
 
 
 def main():
-    args = parser.parse_args()
-    count = args.count or (2 if args.short else 20)
+    bar = Bar(
+        "R16", "threads, forks and spawned processes", full=20, short=1,
+        target="32 threads, a fork and spawned processes: the numbers of one thread",
+        miss="a thread, child or process that gets other numbers, or an error",
+    )  # fmt: skip
+    args = bar.parse()
     ti.init(arch=ti.cpu, cpu_max_num_threads=2, deterministic=True)
     problems = [Problem(number) for number in range(THREADS)]
     expected = [p.solve(OPTIONS[n % len(OPTIONS)]) for n, p in enumerate(problems)]
     plain = problems[0].solve({})
     wrong = []
-    for _ in range(count):
+    count = 0
+    while count < args.count and bar.left() > 0:
+        count += 1
         wrong += run_threads(problems, expected)
         wrong += fork_one(problems[0], plain)
     # Where each is compiled by its own thread, while others sweep.
@@ -122,10 +121,11 @@ def main():
             wrong.append(f"spawned process {number} got other numbers")
     for line in wrong[:5]:
         print(f"  {line}")
-    print(f"R16 threads: {count} times {THREADS} threads and a fork, {processes} spawned, "
-          f"{len(wrong)} wrong (bar 0)")  # fmt: skip
-    return int(bool(wrong))
+    bar.report(
+        f"{count} times {THREADS} threads and a fork, {processes} spawned",
+        f"{len(wrong)} wrong", met=not wrong,
+    )  # fmt: skip
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

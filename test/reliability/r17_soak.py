@@ -2,36 +2,41 @@
 
 The robot of examples/diffmpm.py learns to crawl, twice, in deterministic mode: the two curves of
 the loss must be equal bit for bit, and memory must stay as it is after the first tenth.
-
-    python test/reliability/r17_soak.py [--short] [--count ITERATIONS]
 """
 
-import argparse
 import gc
+import math
 import runpy
 import sys
-from pathlib import Path
+import time
 
 import tai as ti
-
-parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-parser.add_argument("--short", action="store_true", help="30 iterations of 80 steps")
-parser.add_argument("--count", type=int, default=None, help="iterations of each run (400)")
-args = parser.parse_args()
+from bars import ROOT, Bar, resident
 
 MOST_GROWTH = 1.0  # % of the resident memory
-COUNT = args.count or (30 if args.short else 400)
+EXAMPLE = ROOT / "examples" / "diffmpm.py"
+
+bar = Bar(
+    "R17", "a long training, twice", full=400, short=14,
+    target="no growth of memory beyond 1 %, and equal losses bit for bit",
+    miss="a loss of the second run with other bits, memory that grows, or a robot that learns "
+    "nothing",
+    archs=("cpu", "emulated", "cuda"),
+)  # fmt: skip
+args = bar.parse()
+COUNT = args.count
 STEPS = 80 if args.short else 256
-EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "diffmpm.py"
 
 
-def resident():
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * 4096
+def first_tenth(count):
+    return max(10, count // 10)
 
 
-def train():
-    """The curve of the loss, and how much memory has grown since the first tenth, in %."""
+def train(count, seconds):
+    """The curve of the loss, and how much memory has grown since the first tenth, in %.
+
+    Ends after so many iterations, or after so many seconds.
+    """
     begin, ti.init = ti.init, lambda **options: begin(**{**options, "deterministic": True})
     before, sys.argv = sys.argv, [str(EXAMPLE), "--steps", str(STEPS)]
     try:
@@ -40,12 +45,15 @@ def train():
         sys.argv, ti.init = before, begin
     robot["set_up"]()
     losses, start = [], 0
-    for iteration in range(COUNT):
+    end = time.monotonic() + seconds
+    for iteration in range(count):
+        if time.monotonic() > end and iteration > first_tenth(count):
+            break
         with ti.ad.Tape(robot["loss"]):
             robot["forward"]()
         robot["descend"](0.1)
         losses.append(robot["loss"][None])
-        if iteration == max(12, COUNT // 10):
+        if iteration == first_tenth(count):
             gc.collect()
             start = resident()
     gc.collect()
@@ -53,16 +61,19 @@ def train():
 
 
 def main():
-    first, growth = train()
-    second, again = train()
+    first, growth = train(COUNT, bar.left() / 2)
+    second, again = train(len(first), math.inf)
     differing = sum(a != b for a, b in zip(first, second, strict=True))
-    if first[0] == first[-1]:
-        print("  the robot learns nothing")
+    learned = first[0] != first[-1]
     growth = max(growth, again)
-    print(f"R17 soak: 2 runs of {COUNT} iterations, {differing} losses differ (bar 0), "
-          f"RSS {growth:+.1f} % (bar {MOST_GROWTH:.0f} %)")  # fmt: skip
-    return int(differing > 0 or growth > MOST_GROWTH or first[0] == first[-1])
+    most = 3 * MOST_GROWTH if args.short else MOST_GROWTH
+    bar.report(
+        f"{len(first)} iterations of {STEPS} steps on {args.arch}, twice",
+        f"{differing} losses differ, RSS {growth:+.1f} %{'' if learned else ', nothing learned'}",
+        met=differing == 0 and learned and growth <= most,
+        bar=f"0, {most:.0f} %",
+    )  # fmt: skip
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -75,7 +75,11 @@ def judge(build: Path, what: str, arch: str, step: str) -> str:
 
 
 def main() -> None:
-    bar = Bar("R18", "reproducers of internal failures", full=len(CASES), short=5)
+    bar = Bar(
+        "R18", "reproducers of internal failures", full=len(CASES), short=5,
+        target="each internal failure writes one reproducer, whose path is in the error",
+        miss="a failure without a file, without its name in the error, or that it does not show",
+    )  # fmt: skip
     args = bar.parse()
     # Every so many, so that a short run has some of each kind.
     count = min(args.count, len(CASES))
@@ -85,7 +89,7 @@ def main() -> None:
         if problem := judge(args.build, *case):
             missing += 1
             print(f"{', '.join(case)}: {problem}", flush=True)
-    bar.report(f"{count} failures injected, {missing} without", met=missing == 0)
+    bar.report(f"{count} failures injected", f"{missing} without", met=missing == 0)
 
 
 if __name__ == "__main__":

@@ -136,7 +136,11 @@ def generic_form(tool: Path, text: str) -> str:
 
 
 def main() -> None:
-    bar = Bar("R1", "mutants of .mlir text", full=100_000, short=800)
+    bar = Bar(
+        "R1", "mutants of .mlir text", full=100_000, short=800,
+        target="100,000 mutants through tai-opt and whole pipelines: no signal, no hang",
+        miss="a mutant that ends tai-opt by a signal or computes for more than 10 s",
+    )  # fmt: skip
     bar.parser.add_argument("--keep", type=Path, help="folder for the mutants that fail")
     args = bar.parse()
     sources = read_sources(ROOT / "test")
@@ -146,7 +150,7 @@ def main() -> None:
     counts: Counter[str] = Counter()
     places: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
-        while done < args.count:
+        while done < args.count and bar.left() > 0:
             source = choose.choices(sources, [1 if piece.invalid else 6 for piece in sources])[0]
             options = choose.choice([*PIPELINES, *source.options * 2])
             pieces = [other for other in sources if other.path == source.path]
@@ -172,7 +176,8 @@ def main() -> None:
     for place, number in places.most_common():
         print(f"{number:6} {place}")
     bar.report(
-        f"{done} run, {counts['signal']} signals, {counts['hang']} hangs, "
+        f"{done} mutants",
+        f"{counts['signal']} signals, {counts['hang']} hangs, "
         f"{counts['known']} known crashes of MLIR's own",
         met=not counts["signal"] and not counts["hang"],
     )

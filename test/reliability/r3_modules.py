@@ -1,8 +1,6 @@
 """R3: random modules mean the same to the optimiser, to a GPU and to the interpreter.
 
-    python test/reliability/r3_modules.py                  # short form, 15 seconds
-    python test/reliability/r3_modules.py --count 20000 --jobs 2
-    python test/reliability/r3_modules.py --seed 17        # one module: its text, what differs
+    python test/reliability/r3_modules.py --one 17         # one module: its text, what differs
 
 Each module runs on the CPU at -O0 and at -O3 with several threads, on the emulated GPU, and in
 the interpreter, with the verifiers of MLIR and LLVM after every pass. Every field must hold the
@@ -23,13 +21,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(Path(__file__).parent))
-
-import numpy as np  # noqa: E402
-import random_modules  # noqa: E402
+import numpy as np
+import random_modules
+from bars import Bar, build_folder
 
 # Units in the last place for `near_…`, and relative error for `loose_…`.
 NEAR = {"f16": 2, "f32": 4, "f64": 4}
@@ -45,6 +40,7 @@ CONFIGURATIONS: dict[str, dict[str, str]] = {
     "O3": {"opt_level": "3", "threads": "3", "deterministic": "true"},
     "O3-default": {"opt_level": "3", "threads": "2"},
     "emulated": {"arch": "cuda", "opt_level": "3", "deterministic": "true"},
+    "cuda": {"arch": "cuda", "opt_level": "3", "deterministic": "true"},
 }
 # Messages of modules that are refused, and rightly so: what is constant is known to fail.
 REFUSALS = ("divided by zero", "is divided by -1")
@@ -61,8 +57,7 @@ class Refused(Exception):
 
 
 def load_library() -> ctypes.CDLL:
-    build = Path(os.environ.get("TAI_BUILD", ROOT / "build"))
-    library = ctypes.CDLL(str(build / "lib" / "libtai.so"))
+    library = ctypes.CDLL(str(build_folder() / "lib" / "libtai.so"))
     library.taiContextCreate.restype = ctypes.c_void_p
     library.taiContextLastError.restype = Error
     library.taiContextLastError.argtypes = [ctypes.c_void_p]
@@ -227,8 +222,9 @@ class Judge:
     def __init__(self, names: list[str]):
         self.library = load_library()
         self.contexts: dict[str, Context] = {}
+        emulation = {"emulated": "1", "cuda": os.environ.get("TAI_CUDA_EMULATION", "")}
         for name in names:
-            os.environ["TAI_CUDA_EMULATION"] = "1" if name == "emulated" else ""
+            os.environ["TAI_CUDA_EMULATION"] = emulation.get(name, "")
             self.contexts[name] = Context(self.library, CONFIGURATIONS[name])
 
     def judge(self, seed: int) -> dict:
@@ -331,7 +327,7 @@ class Worker:
 
 def run(args: argparse.Namespace) -> list[dict]:
     """Judges the seeds in several processes."""
-    seeds = iter(range(args.first, args.first + args.count))
+    seeds = iter(range(args.seed, args.seed + args.count))
     end = time.monotonic() + args.seconds
     rows: list[dict] = []
     workers = [Worker(args) for _ in range(args.jobs)]
@@ -362,40 +358,39 @@ def run(args: argparse.Namespace) -> list[dict]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=0, help="how many; 0: as many as time allows")
-    parser.add_argument("--first", type=int, default=0, help="the first seed")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--seconds", type=float, default=0, help="stop after that long")
-    parser.add_argument("--limit", type=float, default=60, help="seconds until a module hangs")
-    parser.add_argument("--seed", type=int, help="run one module in this process, and print it")
-    parser.add_argument("--full", action="store_true", help="20,000 modules")
-    parser.add_argument(
-        "--configurations", nargs="+", choices=CONFIGURATIONS, default=list(CONFIGURATIONS)
-    )
-    parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
-    args = parser.parse_args()
+    bar = Bar(
+        "R3", "random modules", full=20_000, short=60,
+        archs=("emulated", "cuda"),
+        target="20,000 modules: the same at -O0, at -O3, on a GPU and in the interpreter",
+        miss="a module that gives other bits somewhere, an error, a crash or a hang",
+    )  # fmt: skip
+    add = bar.parser.add_argument
+    add("--jobs", type=int, default=1, help="processes")
+    add("--limit", type=float, default=60, help="seconds until a module hangs")
+    add("--one", type=int, help="run one module in this process, and print it")
+    add("--configurations", nargs="+", choices=CONFIGURATIONS, help="all of a device without it")
+    add("--worker", action="store_true", help=argparse.SUPPRESS)
+    args = bar.parse()
+    other = "cuda" if args.arch == "emulated" else "emulated"
+    args.configurations = args.configurations or [c for c in CONFIGURATIONS if c != other]
+    os.environ["TAI_BUILD_DIR"] = str(args.build)
     if args.worker:
         return work(args)
-    if args.seed is not None:
+    if args.one is not None:
         os.environ["TAI_VERIFY_EACH"] = "1"
-        print(random_modules.make(args.seed).text())
-        row = Judge(args.configurations).judge(args.seed)
-        print(f"seed {args.seed}: {row['kind']}\n{row['detail']}")
+        print(random_modules.make(args.one).text())
+        row = Judge(args.configurations).judge(args.one)
+        print(f"seed {args.one}: {row['kind']}\n{row['detail']}")
         return 1 if row["kind"].isupper() else 0
-    if args.full:
-        args.count = args.count or 20000
-    args.seconds = args.seconds or (1e9 if args.count else 12)
-    args.count = args.count or 10**9
     rows = run(args)
     kinds = [row["kind"] for row in rows]
     bad = sum(kind.isupper() for kind in kinds)
-    print(
-        f"R3 generated modules: {len(rows)} run, {kinds.count('MISMATCH')} mismatches, "
-        f"{kinds.count('ERROR')} errors, {kinds.count('CRASH')} crashes, "
-        f"{kinds.count('refused')} refused (bar 0)"
+    bar.report(
+        f"{len(rows)} modules",
+        f"{kinds.count('MISMATCH')} mismatches, {kinds.count('ERROR')} errors, "
+        f"{kinds.count('CRASH')} crashes, {kinds.count('refused')} refused",
+        met=bool(rows) and not bad,
     )
-    return 1 if bad or not rows else 0
 
 
 if __name__ == "__main__":

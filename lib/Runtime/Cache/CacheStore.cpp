@@ -117,9 +117,12 @@ bool makeFolders(const std::string &path) {
     std::string part = path.substr(0, at);
     if (mkdir(part.c_str(), 0700) != 0 && errno != EEXIST && errno != EISDIR) {
       // A folder above may exist and not be ours to write.
+      int why = errno;
       struct stat info;
-      if (stat(part.c_str(), &info) != 0)
+      if (stat(part.c_str(), &info) != 0) {
+        errno = why;
         return false;
+      }
     }
     if (at != std::string::npos)
       ++at;

@@ -85,11 +85,6 @@ ACCEPTED = {
     "offline_cache_cleaning_policy", "offline_cache_max_size_of_files",
     "offline_cache_cleaning_factor", "enable_fallback", "require_version", "vk_api_version",
     "num_compile_threads", "packed", "lazy_compilation", "use_unified_memory",
-    "external_optimization_level": (3, "opt_level=0 to 3 says it for all passes"),
-    "offline_cache_cleaning_policy": ("lru", "the cache keeps 1 GiB, and drops what was not used "
-                                      "for longest; offline_cache=False does without"),
-    "offline_cache_max_size_of_files": (100 << 20, "the cache keeps 1 GiB at most; "
-                                        "offline_cache_file_path says where"),
     "ndrange_order", "random_seed_is_time",
 }  # fmt: skip
 
@@ -114,6 +109,11 @@ _WITHOUT_EFFECT = {
     "random_seed_is_time": (False, "random_seed=time.time_ns() % 2**31"),
     "require_version": (None, "compare ti.__version__ in the program"),
     "use_unified_memory": (False, "fields on the GPU are in its memory"),
+    "external_optimization_level": (3, "opt_level=0 to 3 says it for all passes"),
+    "offline_cache_cleaning_policy": ("lru", "the cache keeps 1 GiB, and drops what was not used "
+                                      "for longest; offline_cache=False does without"),
+    "offline_cache_max_size_of_files": (100 << 20, "the cache keeps 1 GiB at most; "
+                                        "offline_cache_file_path says where"),
 }  # fmt: skip
 
 

@@ -52,7 +52,11 @@ class StructType:
         given = dict(zip(self.members, args, strict=False))
         for name, value in kwargs.items():
             if name not in self.members or name in given:
-                raise TaiTypeError(f"{self!r} cannot take a member '{name}' here")
+                why = "twice" if name in given else "of that name"
+                raise TaiTypeError(
+                    f"{self!r} cannot take a member '{name}' {why}",
+                    f"its members are {', '.join(self.members)}",
+                )
             given[name] = value
         return {name: given.get(name, 0) for name in self.members}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import contextlib
 import functools
+import re
 import signal
 import sys
 import threading
@@ -28,6 +29,7 @@ from .checks import Checks
 from .expressions import Expressions
 from .hints import hint_for
 from .loops import Loops
+from .misuse import KINDS
 from .printing import Printing
 from .refs import ArrayArgument, FieldElement, Variable
 from .returns import Returns
@@ -289,6 +291,7 @@ class Compiler(
         kinds = {IndexError: TaiIndexError, KeyError: TaiIndexError, TypeError: TaiTypeError}
         kind = next((k for e, k in kinds.items() if isinstance(error, e)), TaiCompilationError)
         text = str(error) or type(error).__name__
+        text = re.sub(r"'(\w+)'", lambda found: f"'{KINDS.get(found[1], found[1])}'", text)
         if isinstance(error, KeyError):
             text = f"no item {text}"
         elif isinstance(error, RecursionError):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import itertools
 import operator
+import re
 from typing import Any
 
 from ...errors import TaiAutodiffError, TaiNameError, TaiSyntaxError, TaiTypeError, did_you_mean
@@ -14,7 +15,7 @@ from ..fields.field import Field
 from ..fields.structs import StructField
 from ..tracking.tracked import Number, TrackedMatrix, TrackedVector
 from ..values.matrix import swizzle
-from ..values.misuse import describe_misuse, misuse_hint
+from ..values.misuse import KINDS, describe_misuse, misuse_hint
 from ..values.value import MatrixValue, NoAttribute, Value
 from .checks import is_struct, refuse_condition
 from .refs import ArrayArgument, Part, Place, Variable, VariablePlace, field_element
@@ -45,6 +46,17 @@ _SPECULATABLE = {
 
 # The least that `ti.init(unrolling_limit=…)` can mean: Taichi's only warns, from 32 on.
 _UNROLLING_LIMIT = 65536
+
+
+def _refuse_repetition(a: Any, b: Any) -> None:
+    """A list times a whole number is a longer list in Python, and its length a constant here."""
+    for one, other in ((a, b), (b, a)):
+        if isinstance(one, (list, tuple)) and isinstance(other, Value):
+            if other.dt.is_int and not other.shape:
+                raise TaiTypeError(
+                    "a list is repeated a number of times that is known only when the kernel runs",
+                    "to multiply each component, write ti.Vector([…]) * n",
+                )
 
 
 class Expressions:
@@ -125,6 +137,7 @@ class Expressions:
             raise
         except AttributeError:
             kind = getattr(base, "__name__", None) or type(base).__name__
+            kind = re.sub(r"^tai\b", "ti", KINDS.get(kind, kind))
             raise TaiNameError(
                 f"'{kind}' has no attribute '{name}'", did_you_mean(name, dir(base))
             ) from None
@@ -276,6 +289,8 @@ class Expressions:
         op = BINARY[type(node.op)]
         for side in (a, b):
             self.refuse_non_number(side, (a, b))
+        if isinstance(node.op, ast.Mult):
+            _refuse_repetition(a, b)
         return self.emitter.binary(op, a, b)
 
     def refuse_non_number(self, thing: Any, operands: tuple) -> None:

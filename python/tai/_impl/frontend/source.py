@@ -10,7 +10,7 @@ from typing import Any
 from ...errors import TaiSyntaxError
 
 # File name -> (the text it was parsed from, functions by first line and name).
-_parsed: dict[str, tuple[str, dict[tuple[int, str], ast.FunctionDef]]] = {}
+_parsed: dict[str, tuple[str, dict[tuple[int, str], ast.FunctionDef | ast.AsyncFunctionDef]]] = {}
 
 
 def function_ast(function: Callable[..., Any]) -> ast.FunctionDef:
@@ -31,17 +31,21 @@ def function_ast(function: Callable[..., Any]) -> ast.FunctionDef:
             f"the source of function '{function.__name__}' cannot be read",
             "kernels must stand in a file: the compiler reads their text",
         )
+    if isinstance(found, ast.AsyncFunctionDef):
+        raise TaiSyntaxError(
+            f"'{function.__name__}' is an 'async def', and kernels have no coroutines", "write def"
+        ).locate(filename, found.lineno, found.col_offset + 1)
     return found
 
 
-def _index(text: str) -> dict[tuple[int, str], ast.FunctionDef]:
+def _index(text: str) -> dict[tuple[int, str], ast.FunctionDef | ast.AsyncFunctionDef]:
     try:
         tree = ast.parse(text)
     except SyntaxError:
         return {}
     found = {}
     for node in ast.walk(tree):
-        if isinstance(node, ast.FunctionDef):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
             first = node.decorator_list[0].lineno if node.decorator_list else node.lineno
             found[first, node.name] = node
     return found

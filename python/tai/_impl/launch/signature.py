@@ -90,9 +90,10 @@ def parse_type(annotation: Any, function: Callable[..., Any], what: str) -> Any:
         return annotation
     if dtypes.to_dtype(annotation) is not None:
         return ScalarType(annotation)
+    shown = annotation.__name__ if isinstance(annotation, type) else repr(annotation)
     raise _located(
         TaiSyntaxError(
-            f"{what} of '{function.__name__}' has a type that kernels do not know: {annotation!r}",
+            f"{what} of '{function.__name__}' has a type that kernels do not know: {shown}",
             "use a number type, ti.template(), ti.types.ndarray() or ti.types.vector(…)",
         ),
         function,

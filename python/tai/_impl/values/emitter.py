@@ -160,7 +160,8 @@ class Emitter(Integers):
         if isinstance(rows, np.ndarray):
             rows = rows.tolist()
         if not isinstance(rows, (list, tuple)) or not rows:
-            raise TaiTypeError(f"a matrix is made of a list of numbers, but got {name_of(rows)}")
+            got = name_of(rows) if rows else "an empty list"
+            raise TaiTypeError(f"a matrix is made of a list of numbers, but got {got}")
         parts: list[Any] = []
         widths = set()
         for row in rows:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import operator
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -445,6 +446,7 @@ def to_extent(n: Any) -> int:
 
 
 def _full(value: int, dt: Any, n: int, m: int | None) -> Any:
+    n, m = operator.index(n), None if m is None else operator.index(m)
     rows = [value] * n if m is None else [[value] * m for _ in range(n)]
     return _from_rows(rows, dt)
 

@@ -8,6 +8,17 @@ from ..base.dtypes import DataType
 from ..base.elements import Elements
 from .value import Value
 
+# What the classes of values are called in messages of Python's own.
+KINDS = {
+    "ArrayArgument": "array",
+    "FunctionType": "function",
+    "MatrixValue": "vector or matrix",
+    "Place": "element of a field",
+    "ScalarField": "field",
+    "StructValue": "struct",
+    "Value": "number of a kernel",
+}
+
 
 def name_of(thing: Any) -> str:
     if isinstance(thing, Value):

@@ -271,7 +271,10 @@ def solve(a: Any, b: Any, dt: Any = None) -> Any:
     emitter = _in_kernel("solve")
     a, b = emitter.as_value(a), emitter.as_value(b)
     if len(a.shape) != 2 or a.shape[0] != a.shape[1] or b.shape != a.shape[:1]:
-        raise TaiTypeError(f"solve takes a square matrix and a vector, but got {a.kind_name}")
+        raise TaiTypeError(
+            "solve takes a square matrix and a vector of as many components, but got a "
+            f"{a.kind_name} and a {b.kind_name}"
+        )
     if a.shape[0] > 4:
         raise TaiTypeError("solve takes at most 4 unknowns")
     return emitter.solve(a, b)
@@ -339,7 +342,9 @@ def static_print(*things: Any, **options: Any) -> None:
 def static_assert(condition: Any, message: str = "") -> None:
     """Fails while the kernel is compiled unless the condition holds."""
     if not condition:
-        raise TaiTypeError(message or "static assertion failed")
+        raise TaiTypeError(
+            message or "static assertion failed", "ti.static_assert is judged at compile time"
+        )
 
 
 def loop_config(**options: Any) -> None:

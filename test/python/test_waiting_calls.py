@@ -1,0 +1,82 @@
+"""Calls that wait for another thread's give Python's lock away, and return with it.
+
+A thread holds the context, for as long as a large kernel is compiled, and others ask their tapes
+meanwhile for what cannot fail. Whoever goes on without the lock ends the process.
+"""
+
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+PROGRAM = """
+    import sys
+    import threading
+
+    import tai as ti
+
+    ti.init(arch=ti.cpu, offline_cache=False)
+    x = ti.field(ti.f64, shape=16, needs_grad=True, name="x")
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def add_up():
+        for i in x:
+            loss[None] += x[i] ** 2
+
+    @ti.kernel
+    def large(a: ti.f64):
+        for i in x:
+            s = a
+            for k in ti.static(range(150)):
+                s += ti.sin(x[i] * k) * ti.exp(x[i] - k)
+            x[i] = s
+
+    def ask(core, what):
+        if what == "release":
+            ti.field(ti.f64, shape=4)[0] = 1.0
+        elif what == "note_array_write":
+            core.note_array_write(0, 8, 8, 8)
+        elif what == "note_array_copy":
+            core.note_array_copy(64, 0, 8, 8, 8)
+        elif what == "kernel_of":
+            core.kernel_of(0)
+        else:
+            answer = getattr(core, what)
+            answer() if callable(answer) else answer
+
+    with ti.ad.Tape(loss) as tape:
+        add_up()
+    compiling = threading.Event()
+
+    def compile_large():
+        compiling.set()
+        large.compile(1.0)
+
+    asked = 0
+    thread = threading.Thread(target=compile_large)
+    thread.start()
+    compiling.wait()
+    while thread.is_alive():
+        ask(tape._core, sys.argv[1])
+        # Python notices a thread without the lock where it looks whether another one wants it.
+        sum(range(1000))
+        asked += 1
+    thread.join()
+    print("asked", asked)
+"""
+
+
+ASKED = ["warnings", "explain", "records", "skipped", "kernel_of", "note_array_write",
+         "note_array_copy", "release"]  # fmt: skip
+
+
+@pytest.mark.parametrize("what", ASKED)
+def test_tapes_are_asked_while_another_thread_compiles(what, tmp_path):
+    program = tmp_path / "program.py"
+    program.write_text(textwrap.dedent(PROGRAM))
+    command = [sys.executable, program, what]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert run.returncode == 0, run.stderr[:2000]
+    assert run.stdout.startswith("asked ")

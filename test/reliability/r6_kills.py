@@ -1,0 +1,82 @@
+"""R6: processes are killed while they compile, and leave nothing that harms those that follow.
+
+A process compiles some kernels into a cache and is killed at a random moment; in half of the cases
+another process wants the same kernels at the same time. Whoever comes after must get the right
+numbers, wait for no lock of the dead, find the entries that were whole, and complain of none.
+"""
+
+from __future__ import annotations
+
+import random
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+import cold_kernels
+from bars import Bar
+
+KERNELS = 8
+SECONDS = 50  # a claim that nobody gives back ends after 60
+
+
+def judge(first: int, cache: Path, delay: float, with_another: bool, counts: Counter) -> list[str]:
+    """What is wrong after one kill."""
+    killed = cold_kernels.Process(first, KERNELS, cache)
+    another = cold_kernels.Process(first, KERNELS, cache) if with_another else None
+    time.sleep(delay)
+    killed.kill()
+    problems = []
+    if another and (problem := another.wait(SECONDS).problem):
+        problems.append(f"the other process {problem}")
+    begun = killed.wait()
+    counts["in the midst"] += 0 < begun.compiled.total() < KERNELS * cold_kernels.ENTRIES
+    kept = {path.name for path in cold_kernels.entries(cache)}
+    ended = cold_kernels.Process(first, KERNELS, cache).wait(SECONDS)
+    if ended.problem:
+        problems.append(f"the next process {ended.problem}")
+    if ended.warnings:
+        problems.append(f"the next process says {ended.warnings[0]}")
+    wanted = KERNELS * cold_kernels.ENTRIES
+    made = {path.name for path in cold_kernels.entries(cache)} - kept
+    if ended.hits + ended.compiled.total() != wanted or len(made) != ended.compiled.total():
+        problems.append(f"{len(made)} entries were missing, {ended.compiled.total()} compiled")
+    if with_another and ended.compiled:
+        problems.append("the next process compiled what the other one had")
+    return problems
+
+
+def main() -> None:
+    bar = Bar(
+        "R6", "kills while the cache is cold", full=1000, short=6,
+        target="1,000 kills: the next run right, no stale lock, entries kept",
+        miss="a run after a kill that fails, waits, warns, or compiles what an entry holds",
+    )  # fmt: skip
+    args = bar.parse()
+    choose = random.Random(args.seed)
+    counts: Counter[str] = Counter()
+    wrong = done = 0
+    with tempfile.TemporaryDirectory() as folder:
+        begun = time.monotonic()
+        for warm_up in range(2):
+            cold_kernels.run(warm_up * KERNELS, KERNELS, Path(folder) / "first")
+        usual = (time.monotonic() - begun) / 2
+        while done < args.count and bar.left() > 0:
+            # What many kills leave behind is in one folder.
+            cache = Path(folder) / f"cache-{done // 50}"
+            delay = choose.uniform(0, 1.2 * usual)
+            problems = judge(1000 + done * KERNELS, cache, delay, choose.random() < 0.5, counts)
+            for problem in problems:
+                print(f"kill {done} after {delay:.3f} s: {problem}", flush=True)
+            wrong += bool(problems)
+            done += 1
+        left = sum(len(list(Path(folder).glob(f"*/{name}"))) for name in (".lock-*", ".tmp-*"))
+    bar.report(
+        f"{done} kills, {counts['in the midst']} while some kernels were compiled",
+        f"{wrong} with errors, {left} locks and temporary files left for pruning",
+        met=not wrong and done > 0,
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,61 @@
+"""R7: many processes begin at once on one cold cache, and share the work.
+
+All want the same kernels, in orders of their own. Each must get the right numbers, and no kernel
+may be compiled more than twice. The wall time is that of the kernels after everything was imported;
+it is stated beside that of one process, with the number of cores, since what all must do in any
+case, loading the code, is divided among those.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+import cold_kernels
+from bars import Bar
+
+MOST_COMPILED = 2
+
+
+def run_together(processes: int, first: int, count: int, cache: Path | None):
+    """How they ended, and the seconds that took."""
+    begun = time.monotonic()
+    running = [cold_kernels.Process(first, count, cache) for _ in range(processes)]
+    ended = [process.wait(600) for process in running]
+    return ended, time.monotonic() - begun
+
+
+def main() -> None:
+    bar = Bar(
+        "R7", "processes on one cold cache", full=64, short=8,
+        target="64 processes, 50 kernels: no error, each compiled at most twice",
+        miss="a process that fails or warns, or a kernel that is compiled more than twice",
+    )  # fmt: skip
+    bar.parser.add_argument(
+        "--kernels", type=int, help="how many each runs; 50, or 10 with --short"
+    )
+    args = bar.parse()
+    kernels = args.kernels or (10 if args.short else 50)
+    with tempfile.TemporaryDirectory() as folder:
+        _, alone = run_together(1, 0, kernels, Path(folder) / "alone")
+        _, loading = run_together(args.count, 0, kernels, Path(folder) / "alone")
+        ended, together = run_together(args.count, 0, kernels, Path(folder) / "shared")
+    problems = [one.problem or one.warnings[0] for one in ended if one.problem or one.warnings]
+    compiled: Counter[str] = sum((one.compiled for one in ended), Counter())
+    for problem in problems[:5]:
+        print(problem)
+    most = max(compiled.values())
+    bar.report(
+        f"{args.count} processes of {kernels} kernels",
+        f"{len(problems)} errors, each function compiled at most {most} times; "
+        f"{together:.1f} s, one process {alone:.1f} s, all on a warm cache {loading:.1f} s, "
+        f"on {os.cpu_count()} cores",
+        met=not problems and most <= MOST_COMPILED, bar=f"0, {MOST_COMPILED}",
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

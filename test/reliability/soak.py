@@ -1,0 +1,223 @@
+"""Runs all bars, and writes docs/reliability.md.
+
+    make soak                            # all, in 90 minutes on 2 cores at most
+    make soak ARGS="--only R5 R8"        # these rows of the page alone
+    make soak ARGS="--only R4 --count 5000 --seconds 7200"
+    python test/reliability/soak.py --arch cuda     # on a GPU: those that can run there
+    python test/reliability/soak.py --page          # the page, from what was kept
+
+What was seen is kept in benchmarks/results, one file for CPUs and one for GPUs: the page is made
+of both. A row stays what it was until its bar runs again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import datetime
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+FOLDER = Path(__file__).resolve().parent
+RESULTS = {name: ROOT / f"benchmarks/results/reliability-{name}.csv" for name in ("cpu", "gpu")}
+PAGE = ROOT / "docs/reliability.md"
+COLUMNS = ["bar", "met", "seen", "cases", "limit", "date", "machine", "commit"]
+# How many seconds each may take in a soak of all, 85 minutes together. A bar that is stopped says
+# how many cases it ran.
+SECONDS = {
+    "R1": 900, "R2": 240, "R3": 840, "R4": 840, "R5": 30, "R6": 300, "R7": 120, "R8": 240,
+    "R9": 30, "R10": 60, "R11": 60, "R12": 240, "R15": 60, "R16": 90, "R17": 240, "R18": 120,
+    "R19": 240, "R20": 450,
+}  # fmt: skip
+# Options that make use of two cores, where a script takes them.
+OPTIONS = {"R3": ["--jobs", "2"], "R4": ["--jobs", "2"]}
+ELSEWHERE = {
+    "R13": ("sanitizers", "the tests under ASan and UBSan, JIT code under ASan: no report",
+            "a report that no suppression names",
+            "`make test PRESET=asan`, and `ti.init(sanitize=\"address\")` in "
+            "`test/python/test_sanitizer.py`"),
+    "R14": ("compute-sanitizer", "memcheck, racecheck, initcheck and synccheck: no report",
+            "a report of the tool",
+            "`make test-gpu ARGS=--sanitize`, the stage `sanitize` of `scripts/test_gpu.py`"),
+}  # fmt: skip
+LINE = re.compile(r"^(R\d+) (.+?): (.+?); (.+) \(bar (.+)\)$", re.MULTILINE)
+
+HEAD = """\
+# Reliability
+
+What must not happen, counted. Each bar is a script of [test/reliability](../test/reliability),
+which ends with a line of numbers and a status other than zero below its bar. `make soak` runs them
+all and writes this page; `make soak ARGS="--only R5"` writes one row of it. A row says what was
+seen on the day, machine and commit that it names, and how many cases that were: fewer than the
+target names are said to be fewer. Where a bar can run on a GPU, what was seen there has a column
+of its own; an emulated device is not one. Short forms run with `make test`.
+"""
+
+
+def number(name: str) -> int:
+    return int(re.match(r"r?(\d+)", name.lower())[1])
+
+
+def scripts() -> dict[str, Path]:
+    """The script of each bar."""
+    found = {f"R{number(path.name)}": path for path in FOLDER.glob("r[0-9]*_*.py")
+             if "Bar(" in path.read_text()}  # fmt: skip
+    return dict(sorted(found.items(), key=lambda item: number(item[0])))
+
+
+def environment() -> dict[str, str]:
+    paths = [str(ROOT / "python"), os.environ.get("PYTHONPATH", "")]
+    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
+
+
+def facts(script: Path) -> dict:
+    """What a script says of its bar."""
+    command = [sys.executable, script, "--facts"]
+    run = subprocess.run(command, env=environment(), capture_output=True, text=True, check=True)
+    return json.loads(run.stdout.splitlines()[-1])
+
+
+def machine(arch: str) -> str:
+    if arch == "cuda":
+        command = ["nvidia-smi", "--query-gpu=name", "--format=csv,noheader"]
+        if os.environ.get("TAI_CUDA_EMULATION") == "1":
+            return "emulated GPU"
+        names = subprocess.run(command, capture_output=True, text=True).stdout.splitlines()
+        return names[0] if names else "GPU"
+    text = Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""
+    model = re.search(r"model name\s*: (.+)", text)
+    name = re.sub(r"\((R|TM)\)|CPU|@.*", "", model[1] if model else platform.machine())
+    return f"{' '.join(name.split())}, {os.cpu_count()} cores"
+
+
+def commit() -> str:
+    if known := os.environ.get("TAI_COMMIT"):
+        return known
+    command = ["git", "-C", ROOT, "log", "-1", "--format=%h"]
+    return subprocess.run(command, capture_output=True, text=True).stdout.strip() or "unknown"
+
+
+def run_bar(name: str, script: Path, seconds: float, args: argparse.Namespace) -> dict[str, str]:
+    """Runs a bar for so many seconds; its row."""
+    command = [sys.executable, script, "--seed", str(args.seed), *OPTIONS.get(name, [])]
+    command += ["--seconds", f"{seconds:.0f}"]
+    if args.count:
+        command += ["--count", str(args.count)]
+    if args.arch == "cuda":
+        command += ["--arch", "cuda"]
+    command += args.options.split()
+    print("$", *command, flush=True)
+    run = subprocess.run(command, env=environment(), stdout=subprocess.PIPE, text=True)
+    print(run.stdout, end="", flush=True)
+    found = LINE.findall(run.stdout)
+    row = dict.fromkeys(COLUMNS, "")
+    row |= {"bar": name, "met": "yes" if run.returncode == 0 else "no"}
+    row |= {"date": datetime.date.today().isoformat(), "machine": machine(args.arch)}
+    row |= {"commit": commit()}
+    if found:
+        row |= {"cases": found[-1][2], "seen": found[-1][3], "limit": found[-1][4]}
+    else:
+        row["seen"] = f"the script ended with {run.returncode} and no line"
+    return row
+
+
+def read_rows(device: str) -> dict[str, dict[str, str]]:
+    if not RESULTS[device].exists():
+        return {}
+    with RESULTS[device].open(newline="") as file:
+        return {row["bar"]: row for row in csv.DictReader(file)}
+
+
+def write_rows(device: str, rows: dict[str, dict[str, str]]) -> None:
+    with RESULTS[device].open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(sorted(rows.values(), key=lambda row: number(row["bar"])))
+
+
+def show(row: dict[str, str] | None, full: int) -> str:
+    """A cell of the page. `full` is the number of cases of the target."""
+    if row is None:
+        return "not run"
+    sign = "met" if row["met"] == "yes" else "**missed**"
+    if row["met"] == "yes" and int(re.match(r"\d+", row["cases"])[0]) < full:
+        sign = "no miss in fewer cases"
+    limit = f" (bar {row['limit']})" if row["limit"] else ""
+    return f"{sign}: {row['seen']}{limit}"
+
+
+def make_page() -> str:
+    """The page, from the scripts and what is kept of their runs."""
+    cpu, gpu = read_rows("cpu"), read_rows("gpu")
+    known = scripts()
+    lines = [HEAD, "| bar | target | seen | cases | seen on a GPU | date, machine, commit |",
+             "|---|---|---|---|---|---|"]  # fmt: skip
+    misses = []
+    for name in sorted({*known, *ELSEWHERE}, key=number):
+        if name in ELSEWHERE:
+            what, target, miss, where = ELSEWHERE[name]
+            lines.append(f"| {name} {what} | {target} | {where} | | | |")
+        else:
+            said = facts(known[name])
+            what, target, miss = said["what"], said["target"], said["miss"]
+            here, there = cpu.get(name), gpu.get(name)
+            on_gpu = show(there, said["full"]) if "cuda" in said["archs"] else ""
+            if there:
+                on_gpu += f"; {there['cases']}"
+            runs = [f"{row['date']}, {row['machine']}, {row['commit']}"
+                    for row in (here, there) if row]  # fmt: skip
+            cases = here["cases"] if here else ""
+            lines.append(
+                f"| {name} {what} | {target} | {show(here, said['full'])} | {cases} | {on_gpu} | "
+                f"{'; '.join(runs)} |"
+            )
+        misses.append(f"| {name} | {miss} |")
+    return "\n".join([*lines, "", "What one miss is:", "", "| bar | a miss |", "|---|---|",
+                      *misses, ""])  # fmt: skip
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", nargs="+", metavar="R", help="bars to run; all without it")
+    parser.add_argument("--count", type=int, help="number of cases of each")
+    parser.add_argument("--seconds", type=float, help="of each, in place of its share")
+    parser.add_argument("--all-seconds", type=float, help="of all together, each with its share")
+    parser.add_argument("--seed", type=int, default=0, help="where the random choices begin")
+    parser.add_argument("--arch", choices=["cpu", "cuda"], default="cpu")
+    parser.add_argument("--options", default="", help="more options for the scripts")
+    parser.add_argument("--page", action="store_true", help="run none")
+    args = parser.parse_args()
+    known = scripts()
+    unknown = set(args.only or ()) - set(known)
+    if unknown:
+        parser.error(f"no script is {', '.join(sorted(unknown))}; there are {', '.join(known)}")
+    device = "gpu" if args.arch == "cuda" else "cpu"
+    chosen = [name for name in known if not args.page and name in (args.only or known)]
+    if args.arch == "cuda":
+        chosen = [name for name in chosen if "cuda" in facts(known[name])["archs"]]
+    missed = []
+    begun = time.monotonic()
+    for position, name in enumerate(chosen):
+        seconds = args.seconds or SECONDS[name]
+        if args.all_seconds:
+            left = args.all_seconds - (time.monotonic() - begun)
+            seconds = left * SECONDS[name] / sum(SECONDS[other] for other in chosen[position:])
+        row = run_bar(name, known[name], seconds, args)
+        missed += [name] * (row["met"] == "no")
+        write_rows(device, read_rows(device) | {name: row})
+    PAGE.write_text(make_page())
+    if not args.page:
+        minutes = (time.monotonic() - begun) / 60
+        print(f"{minutes:.0f} minutes, missed: {', '.join(missed) or 'none'}; see {PAGE}")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
