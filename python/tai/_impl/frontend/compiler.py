@@ -24,12 +24,12 @@ from ...errors import (
 from ..base import dtypes, state
 from ..values.builder import Builder
 from ..values.emitter import Emitter
+from ..values.misuse import KINDS
 from .calls import Calls
 from .checks import Checks
 from .expressions import Expressions
 from .hints import hint_for
 from .loops import Loops
-from .misuse import KINDS
 from .printing import Printing
 from .refs import ArrayArgument, FieldElement, Variable
 from .returns import Returns
