@@ -299,6 +299,10 @@ TapeStats Tape::stats() const {
   return stats;
 }
 
+std::vector<FieldOverwrite> Tape::overwrites() const {
+  return parts->recording.overwrites();
+}
+
 const std::vector<std::string> &Tape::warnings() const {
   return parts->report.notes;
 }

@@ -7,6 +7,7 @@
 
 #include "TapeRecording.h"
 #include <algorithm>
+#include <unordered_map>
 
 using namespace mlir::tai::runtime;
 
@@ -50,6 +51,27 @@ void TapeRecording::addCallback(TapeCallback callback, uint64_t start,
 void TapeRecording::addWrite(FieldPtr field, const HostWrite &write) {
   records.push_back({nullptr, 0, writes.size(), Kind::Write});
   writes.push_back(std::make_unique<Write>(std::move(field), write));
+}
+
+std::vector<FieldOverwrite> TapeRecording::overwrites() const {
+  std::vector<FieldOverwrite> result;
+  std::unordered_map<const Field *, int64_t> lastUse;
+  for (size_t i = 0; i < records.size(); ++i) {
+    if (!records[i].kernel)
+      continue;
+    const std::vector<Access> &summary = records[i].kernel->summary();
+    for (const Access &access : summary) {
+      if (access.kind != AccessKind::Write)
+        continue;
+      auto earlier = lastUse.find(access.field.get());
+      if (earlier != lastUse.end())
+        result.push_back(
+            {static_cast<int64_t>(i), access.field.get(), earlier->second});
+    }
+    for (const Access &access : summary)
+      lastUse[access.field.get()] = static_cast<int64_t>(i);
+  }
+  return result;
 }
 
 std::string TapeRecording::describe(const Record &record) const {

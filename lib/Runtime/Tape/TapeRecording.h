@@ -62,6 +62,9 @@ public:
   /// Some host function has a reverse.
   bool callsInReverse() const { return reverseCallbacks; }
 
+  /// As summaries tell, in the order of the records.
+  std::vector<FieldOverwrite> overwrites() const;
+
   /// Keeps a kernel alive that is launched.
   void keep(Kernel &kernel);
   void addLaunch(Kernel &kernel, const uint64_t *args, uint64_t number) {

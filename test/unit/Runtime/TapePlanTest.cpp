@@ -301,7 +301,7 @@ TEST(TapeReport, SaysWhatBecomesOfRecords) {
   report.addRecord(scene.recording, scene.plan, forms, 1, 0, 0);
   EXPECT_EQ(report.get(),
             "0: @k0: replayed, from the adjoints of @y to those of @x; saved "
-            "2 KB; recomputed 3 times\n"
+            "2.0 KiB; recomputed 3 times\n"
             "1: (host function): skipped: it has no reverse function\n");
   report.checkEffect(scene.recording, scene.plan, "'y'");
   EXPECT_TRUE(report.notes.empty());

@@ -127,6 +127,7 @@ public:
   /// One line for each record: replayed or skipped, and why.
   const std::string &explain();
   TapeStats stats() const;
+  std::vector<FieldOverwrite> overwrites() const;
   /// What a careful user should know about the last sweep, one line each.
   const std::vector<std::string> &warnings() const;
   /// Whether reverse sweeps from now on examine each adjoint they replay, and

@@ -84,6 +84,13 @@ struct RecordHealth {
   double sumSquares; // of the finite numbers
 };
 
+/// A launch that writes a field which an earlier record reads or writes.
+struct FieldOverwrite {
+  int64_t record;
+  const Field *field;
+  int64_t earlier; // the last such record before it
+};
+
 } // namespace mlir::tai::runtime
 
 #endif // TAI_RUNTIME_TAPE_TAPETYPES_H
