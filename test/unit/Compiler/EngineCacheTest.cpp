@@ -11,6 +11,7 @@
 #include "mlir/Parser/Parser.h"
 #include "tai/CodeGen/CompiledObject.h"
 #include "tai/ExecutionEngine/Session.h"
+#include "tai/Runtime/Tape/Tape.h"
 #include "tai/Runtime/Cache/CacheStore.h"
 #include "llvm/Object/BuildID.h"
 #include "llvm/Object/ObjectFile.h"
