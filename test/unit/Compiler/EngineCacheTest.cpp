@@ -13,6 +13,7 @@
 #include "tai/ExecutionEngine/Session.h"
 #include "tai/Runtime/Tape/Tape.h"
 #include "tai/Runtime/Cache/CacheStore.h"
+#include "tai/Runtime/Tape/Tape.h"
 #include "llvm/Object/BuildID.h"
 #include "llvm/Object/ObjectFile.h"
 #include "llvm/Support/Endian.h"
