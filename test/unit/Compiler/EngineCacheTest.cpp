@@ -11,7 +11,6 @@
 #include "mlir/Parser/Parser.h"
 #include "tai/CodeGen/CompiledObject.h"
 #include "tai/ExecutionEngine/Session.h"
-#include "tai/Runtime/Tape/Tape.h"
 #include "tai/Runtime/Cache/CacheStore.h"
 #include "tai/Runtime/Tape/Tape.h"
 #include "llvm/Object/BuildID.h"
