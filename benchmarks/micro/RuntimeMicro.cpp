@@ -12,6 +12,7 @@
 
 #include "tai/Runtime/Cache/CacheStore.h"
 #include "tai/Runtime/Launch/Runtime.h"
+#include "tai/Runtime/Tape/Tape.h"
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
@@ -75,6 +76,7 @@ static KernelPtr makeKernel(Runtime &runtime, TaiKernelFn function,
   info.function = function;
   info.summary = std::move(summary);
   info.adjoint = std::move(adjoint);
+  info.adjointTakes = info.adjoint != nullptr;
   return runtime.createKernel(info);
 }
 
@@ -163,9 +165,35 @@ int main(int argc, char **argv) {
     });
     perLaunch("  replay, forward", [&] { must(tape->replay(true, false)); });
     perLaunch("  replay, backward", [&] { must(tape->replay(false, true)); });
+    // Nothing is saved and nothing stands between them.
+    auto recordDirect = [&] {
+      must(runtime.beginTape(loss, true, tape));
+      for (int i = 0; i < steps + 1; ++i)
+        must(runtime.launch(*sum, args, 2, nullptr));
+      tape->end();
+    };
+    recordDirect();
+    perLaunch("  direct replay, forward",
+              [&] { must(tape->replay(true, false)); });
+    perLaunch("  direct replay, backward",
+              [&] { must(tape->replay(false, true)); });
+    // Something stands between the launches, so that each is looked at.
+    auto recordWithWrite = [&] {
+      must(runtime.beginTape(loss, true, tape));
+      must(runtime.fillF64(*y, 0));
+      for (int i = 0; i < steps; ++i)
+        must(runtime.launch(*step, args, 2, nullptr));
+      must(runtime.launch(*sum, args, 2, nullptr));
+      tape->end();
+    };
+    recordWithWrite();
+    perLaunch("  replay after a write, forward",
+              [&] { must(tape->replay(true, false)); });
+    perLaunch("  replay after a write, backward",
+              [&] { must(tape->replay(false, true)); });
     // Nothing reaches the loss: all but the plan is skipped.
+    std::unique_ptr<Tape> dead;
     perLaunch("  replay, backward, all skipped", [&] {
-      static std::unique_ptr<Tape> dead;
       if (!dead) {
         must(runtime.beginTape(loss, true, dead));
         for (int i = 0; i < steps + 1; ++i)

@@ -55,8 +55,10 @@ public:
   KernelFlows findFlows(const Kernel &kernel) override {
     KernelFlows flows;
     flows.places.resize(2);
-    flows.places[0].field = kernel.summary()[0].field;
-    flows.places[1].field = kernel.summary()[1].field;
+    for (size_t i = 0; i < 2; ++i) {
+      flows.places[i].field = kernel.summary()[i].field;
+      flows.places[i].name = flows.places[i].field->name();
+    }
     flows.flows.push_back({0, 1, "here.py:3:5"});
     return flows;
   }
