@@ -8,8 +8,8 @@
 // Replays and sweeps are collected as a whole. What a tape records is collected
 // where the same was recorded before, and with it the sweep that follows at
 // once: the program is then that of a replay. Whatever cannot wait until the
-// recording ends has what was collected queued first, in the same order. What is
-// launched between two replays is kept for the second one.
+// recording ends has what was collected queued first, in the same order. What
+// is launched between two replays is kept for the second one.
 //
 //===----------------------------------------------------------------------===//
 
