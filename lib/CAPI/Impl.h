@@ -11,6 +11,7 @@
 #include "tai-c/Tai.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "tai/Runtime/Launch/Safepoint.h"
+#include "tai/Runtime/Tape/Tape.h"
 #include "llvm/ADT/DenseMap.h"
 #include <mutex>
 

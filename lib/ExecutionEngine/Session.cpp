@@ -17,6 +17,7 @@
 #include "tai/ExecutionEngine/ModuleFile.h"
 #include "tai/InitAll.h"
 #include "tai/Pipelines/Pipelines.h"
+#include "tai/Runtime/Tape/Tape.h"
 #include "llvm/Support/Path.h"
 #include "llvm/Support/Process.h"
 #include "llvm/Support/ThreadPool.h"
@@ -220,7 +221,7 @@ LogicalResult Session::compile(ArrayRef<SessionKernel *> kernels,
 }
 
 LogicalResult Session::prepareReverse(runtime::Tape &tape, bool cleared) {
-  std::vector<runtime::Tape::Pending> needed = tape.pendingAdjoints(cleared);
+  std::vector<runtime::PendingAdjoint> needed = tape.pendingAdjoints(cleared);
   if (needed.size() < 2)
     return success();
   std::vector<runtime::Status> statuses(needed.size());

@@ -14,6 +14,7 @@
 
 #include "../Launch/Launch.h"
 #include "../Storage/Scalars.h"
+#include "tai/Runtime/Tape/Tape.h"
 #include <algorithm>
 #include <array>
 #include <cstring>
@@ -351,7 +352,7 @@ void Runtime::clearGradients(const Tape *tape) {
   const Field *cleared = nullptr;
   for (const FieldPtr &field : fieldList) {
     if (tape && field->isAdjoint() && isOfAnotherThread(*field) &&
-        !tape->touched.count(field))
+        !tape->uses(field))
       continue;
     if (forward && field->isAdjoint() && field->dual())
       fillWith(*field->dual(), zeros);

@@ -14,6 +14,7 @@
 #include "../Storage/Scalars.h"
 #include "Launch.h"
 #include "tai/ABI/Abi.h"
+#include "tai/Runtime/Tape/Tape.h"
 #include "tai/Support/Philox.h"
 #include <algorithm>
 #include <cmath>

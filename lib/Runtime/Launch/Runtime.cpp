@@ -16,6 +16,7 @@
 #include "Launch.h"
 #include "TangentFlows.h"
 #include "WorkerPool.h"
+#include "tai/Runtime/Tape/Tape.h"
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
@@ -517,7 +518,7 @@ Status Runtime::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
   // Only what is recorded needs to say where adjoints are.
   if (__builtin_expect(slots != kernel.tapeSlots(), false)) {
     Tape *tape = recordingTape();
-    bool recorded = tape && !tape->suspended;
+    bool recorded = tape && !tape->isSuspended();
     if (recorded || slots != kernel.argSlots())
       return wrongSlots(
           kernel, recorded ? kernel.tapeSlots() : kernel.argSlots(), slots);

@@ -5,16 +5,14 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What the host does to the activity of a tree while a tape records, and what
-// adjoints ask of it.
+// What the runtime does for tapes: begins them, and changes the activity of a
+// tree where one may record.
 //
 //===----------------------------------------------------------------------===//
 
-#include "TapeMemory.h"
-#include "TapeTopology.h"
+#include "tai/Runtime/Launch/Runtime.h"
 #include "tai/Runtime/Tape/Tape.h"
 #include <algorithm>
-#include <utility>
 
 using namespace mlir::tai::runtime;
 
@@ -53,65 +51,7 @@ Status Runtime::setActive(const TreePtr &tree, int64_t level, int64_t cell,
   return status;
 }
 
-void Tape::watch(const TreePtr &tree) { topology->watch(tree); }
-
-Status Tape::changeActivity(const TreePtr &tree,
-                            std::function<Status()> change) {
-  watch(tree);
-  auto index = static_cast<uint32_t>(records.size());
-  for (const FieldPtr &field : runtime.fields()) {
-    if (field->owner != tree || field->isAdjoint() || !field->sparseNode())
-      continue;
-    Status status = touch(field, HoldKind::Write);
-    if (status)
-      status = memory->beforeWrite(field, nullptr, index);
-    if (!status)
-      return status;
-  }
-  Status status = change();
-  memory->settle();
-  recordCallback({std::move(change), nullptr});
-  return status;
-}
-
-Status Tape::callReverse(size_t index) {
-  Tape *outer = std::exchange(runtime.sweeping, this);
-  const void *thread =
-      std::exchange(runtime.sweepThread, __builtin_thread_pointer());
-  reverseFunction = index;
-  Status status = callbacks[records[index].payload].backward();
-  runtime.sweeping = outer;
-  runtime.sweepThread = thread;
-  return status;
-}
-
-Status Tape::findLoops(Kernel &kernel, LoopLists &lists, bool &found) {
-  // Activity is what it was when the function was done.
-  found = true;
-  for (SparseNode *node : kernel.sparseNodes)
-    lists.addUnknown(
-        *node, node->list(runtime),
-        topology->changes(static_cast<uint32_t>(reverseFunction), *node));
-  return checkActivity(kernel, reverseFunction);
-}
-
-Status Tape::checkActivity(size_t index) {
-  return checkActivity(*records[index].kernel, index);
-}
-
-Status Tape::checkActivity(Kernel &kernel, size_t index) {
-  if (kernel.sparseNodes.empty())
-    return Status::success();
-  for (const FieldPtr &field : kernel.plan().activity)
-    for (const SparseNode *node = field->sparseNode(); node;
-         node = node->above())
-      if (topology->changes(static_cast<uint32_t>(index), *node))
-        return Status::failure(
-            StatusCode::Usage,
-            "kernel '" + kernel.name() + "' asks which cells of " +
-                node->info().label + " are active, which the same " +
-                (records[index].kernel ? "kernel" : "host function") +
-                " changes, and its gradient needs the answers; make the "
-                "changes in a kernel of their own");
-  return Status::success();
+Status Runtime::beginTape(FieldPtr loss, bool clear,
+                          std::unique_ptr<Tape> &tape) {
+  return Tape::begin(*this, ++stamps, std::move(loss), clear, tape);
 }

@@ -13,6 +13,7 @@
 #define TEST_UNIT_RUNTIME_RUNTIMETESTUTILS_H
 
 #include "tai/Runtime/Launch/Runtime.h"
+#include "tai/Runtime/Tape/Tape.h"
 #include "gtest/gtest.h"
 #include <cstring>
 

@@ -21,7 +21,6 @@
 #include "tai/Runtime/Launch/Kernel.h"
 #include "tai/Runtime/Launch/Safepoint.h"
 #include "tai/Runtime/Profile/Profiler.h"
-#include "tai/Runtime/Tape/Tape.h"
 #include "tai/Support/Skips.h"
 #include <string_view>
 #include <unordered_map>
@@ -348,10 +347,9 @@ public:
   void setMemoryLimit(int64_t bytes);
 
 private:
-  friend class Tape;
   friend class GradientCheck;
   friend class AccessChecks;
-  friend class TapeMemory;
+  friend class TapeServices;
 
   void freeTree(Tree &tree);
   /// Fails where an array shares memory with a field that the kernel uses:
@@ -400,8 +398,6 @@ private:
   Status launchPrepared(Kernel &kernel, const uint64_t *args,
                         uint64_t *results);
   Status ready(Kernel &kernel);
-  /// Whether there is nothing to do around the code of kernels.
-  bool runsPlainly() const;
   static Status failureOf(Launch &launch, const Kernel &kernel);
   Status run(Launch &launch, Kernel &kernel, const uint64_t *args,
              uint64_t *results, uint64_t number) {

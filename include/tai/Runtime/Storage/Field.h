@@ -287,7 +287,7 @@ public:
 
 private:
   friend class Runtime;
-  friend class Tape;
+  friend struct TapedField;
 
   Status loadMirrored(int64_t offset, void *to) const;
   Status storeMirrored(int64_t offset, const void *from) const;

@@ -1,0 +1,90 @@
+//===- TapeHolds.cpp - The fields that a tape uses ------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "TapeHolds.h"
+
+using namespace mlir::tai::runtime;
+
+static HoldKind getKind(AccessKind kind) {
+  switch (kind) {
+  case AccessKind::Read:
+    return HoldKind::Read;
+  case AccessKind::Accumulate:
+    return HoldKind::Add;
+  case AccessKind::Write:
+    return HoldKind::Write;
+  }
+  __builtin_unreachable();
+}
+
+Status TapeHolds::add(const FieldPtr &field, HoldKind kind) {
+  auto [entry, isNew] = used.try_emplace(field, kind);
+  if (!isNew) {
+    if (entry->second == kind || entry->second == HoldKind::Write)
+      return Status::success();
+    entry->second = HoldKind::Write;
+  }
+  if (!isHolding)
+    return Status::success();
+  Status status = services.hold(tape, *field, entry->second);
+  if (!status) {
+    used.erase(entry);
+    return status;
+  }
+  // Left there by another thread before: a tape begins with gradients of zero.
+  if (isNew && clears && field->isAdjoint() &&
+      TapeServices::isOfAnotherThread(*field)) {
+    const char zeros[8] = {};
+    field->settleZeros();
+    services.perform({HostWrite::What::Fill, field.get(), zeros});
+    TapedField::setClean(*field);
+  }
+  return status;
+}
+
+Status TapeHolds::add(const Kernel &kernel) {
+  bool reads = kernel.callerAdjoints().hasTargets;
+  bool changes = kernel.callerAdjoints().hasSources();
+  Status status;
+  for (const Access &access : kernel.summary()) {
+    if (status)
+      status = add(access.field, getKind(access.kind));
+    // What is active is part of the sequence, and the same for all fields.
+    if (status && access.field->sparseNode() && access.field->valid())
+      status = add(services.firstOf(access.field->tree()), HoldKind::Write);
+    if (access.field->adjoint())
+      (access.kind == AccessKind::Read ? reads : changes) = true;
+  }
+  // A sweep adds to the gradients of what is read, and takes those of what is
+  // changed to be of this tape.
+  if (reads && changes)
+    for (const Access &access : kernel.summary())
+      if (status && TapedField::adjoint(*access.field))
+        status = add(TapedField::adjoint(*access.field), gradientKind());
+  return status;
+}
+
+Status TapeHolds::hold() {
+  if (!isHolding) {
+    isHolding = true;
+    services.countHolding(1);
+  }
+  Status status;
+  for (const auto &[field, kind] : used)
+    if (status)
+      status = services.hold(tape, *field, kind);
+  return status;
+}
+
+void TapeHolds::release() {
+  if (!isHolding)
+    return;
+  isHolding = false;
+  for (const auto &[field, kind] : used)
+    services.release(tape, *field);
+  services.countHolding(-1);
+}
