@@ -5,20 +5,19 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The part of IndexBounds that looks at one value: the numbers it can be, and
-// how it is made up. Integers wrap around, sums do not: where it is not known
-// that a value does not, that is an assumption, and launches are refused for
-// what happens in the iterations for which it holds.
+// Launches are refused for what happens in the iterations for which assumptions
+// hold.
 //
 //===----------------------------------------------------------------------===//
 
+#include "tai/Analysis/IndexForms.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
-#include "tai/Analysis/IndexBounds.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
 #include "llvm/ADT/TypeSwitch.h"
 #include "llvm/Support/MathExtras.h"
 
@@ -28,6 +27,8 @@ using namespace mlir::tai;
 /// Beyond this no storage reaches. Numbers of 64 bits that the launch is given
 /// are assumed to be smaller, so that sums of them do not overflow.
 static constexpr int64_t kLargest = int64_t(1) << 47;
+/// Factors are assumed to be no larger, so that products do not overflow.
+static constexpr int64_t kLargestFactor = int64_t(1) << 31;
 
 //===----------------------------------------------------------------------===//
 // Ranges
@@ -78,14 +79,14 @@ static NumberRange divideRange(NumberRange a, int64_t d) {
           a.high == INT64_MAX ? INT64_MAX : llvm::divideFloorSigned(a.high, d)};
 }
 
-NumberRange IndexBounds::rangeOfSum(const LinearSum &sum) const {
+NumberRange IndexForms::rangeOfSum(const LinearSum &sum) const {
   NumberRange range{sum.constant, sum.constant};
   for (auto [variable, factor] : sum.terms)
     range = addRanges(range, scaleRange(variables[variable].range, factor));
   return sum.hasOverflow ? NumberRange() : range;
 }
 
-NumberRange IndexBounds::rangeOf(Value value) {
+NumberRange IndexForms::rangeOf(Value value) {
   if (auto known = ranges.find(value); known != ranges.end())
     return known->second;
   NumberRange range = fit(computeRange(value), value.getType());
@@ -93,7 +94,7 @@ NumberRange IndexBounds::rangeOf(Value value) {
   return range;
 }
 
-NumberRange IndexBounds::computeRange(Value value) {
+NumberRange IndexForms::computeRange(Value value) {
   Type type = value.getType();
   APInt constant;
   if (matchPattern(value, m_ConstantInt(&constant))) {
@@ -201,7 +202,7 @@ static std::optional<std::pair<Value, int64_t>> getArrayExtent(Value value) {
   return std::make_pair(dim.getSource(), *number);
 }
 
-bool IndexBounds::isLaunchValue(Value value) {
+bool IndexForms::isLaunchValue(Value value) {
   if (auto known = launchValues.find(value); known != launchValues.end())
     return known->second;
   bool is = false;
@@ -218,37 +219,35 @@ bool IndexBounds::isLaunchValue(Value value) {
   return launchValues[value] = is;
 }
 
-const LaunchValue *IndexBounds::getLaunchValue(unsigned variable) const {
+const LaunchValue *IndexForms::getLaunchValue(unsigned variable) const {
   const Variable &known = variables[variable];
-  return known.kind == Variable::Kind::Launch ? &known.launch : nullptr;
+  return known.kind == Kind::Launch ? &known.launch : nullptr;
 }
 
 //===----------------------------------------------------------------------===//
 // Forms
 //===----------------------------------------------------------------------===//
 
-IndexBounds::Form IndexBounds::makeVariable(Variable::Kind kind,
-                                            NumberRange range) {
+LinearForm IndexForms::makeVariable(Kind kind, NumberRange range) {
   unsigned number = variables.size();
   variables.push_back({kind, range});
-  Form form;
+  LinearForm form;
   form.sum = LinearSum::variable(number);
-  form.isCertain = kind != Variable::Kind::Data;
+  form.isCertain = kind != Kind::Data;
   return form;
 }
 
-IndexBounds::Form IndexBounds::makeLaunchForm(LaunchValue launch,
-                                              NumberRange range) {
+LinearForm IndexForms::makeLaunchForm(LaunchValue launch, NumberRange range) {
   auto [entry, isNew] =
       launch.array
           ? extentVariables.try_emplace({launch.array, launch.dimension}, 0)
           : std::pair{extentVariables.end(), true};
   if (!isNew) {
-    Form form;
+    LinearForm form;
     form.sum = LinearSum::variable(entry->second);
     return form;
   }
-  Form form = makeVariable(Variable::Kind::Launch, range);
+  LinearForm form = makeVariable(Kind::Launch, range);
   unsigned number = form.sum.terms.front().first;
   variables[number].launch = launch;
   if (launch.array)
@@ -261,17 +260,16 @@ IndexBounds::Form IndexBounds::makeLaunchForm(LaunchValue launch,
   return form;
 }
 
-IndexBounds::Form IndexBounds::combine(const Form &a, const Form &b,
-                                       int64_t scale) const {
-  Form form = a;
-  form.sum.add(b.sum, scale);
-  form.facts.append(b.facts.begin(), b.facts.end());
-  form.isCertain &= b.isCertain;
-  form.isComplete &= b.isComplete;
+LinearForm LinearForm::plus(const LinearForm &other, int64_t scale) const {
+  LinearForm form = *this;
+  form.sum.add(other.sum, scale);
+  form.facts.append(other.facts.begin(), other.facts.end());
+  form.isCertain &= other.isCertain;
+  form.isComplete &= other.isComplete;
   return form;
 }
 
-void IndexBounds::assumeFits(Form &form, Type type) const {
+void IndexForms::assumeFits(LinearForm &form, Type type) const {
   NumberRange most = rangeOfType(type);
   // A product is looked at where it is largest: what wraps there is no index,
   // either.
@@ -287,30 +285,30 @@ void IndexBounds::assumeFits(Form &form, Type type) const {
 }
 
 /// The index of a loop. With a step it is the first one and a number of steps.
-IndexBounds::Form IndexBounds::makeLoopForm(BlockArgument argument) {
+LinearForm IndexForms::makeLoopForm(BlockArgument argument) {
   auto loop = dyn_cast<scf::ForOp>(argument.getOwner()->getParentOp());
   std::optional<int64_t> step =
       loop ? getConstantIntValue(loop.getStep()) : std::nullopt;
   if (!step || *step <= 1)
-    return makeVariable(Variable::Kind::Loop, rangeOf(argument));
-  Form steps = makeVariable(Variable::Kind::Loop, {0, INT64_MAX});
-  return combine(formOf(loop.getLowerBound()), steps, *step);
+    return makeVariable(Kind::Loop, rangeOf(argument));
+  LinearForm steps = makeVariable(Kind::Loop, {0, INT64_MAX});
+  return formOf(loop.getLowerBound()).plus(steps, *step);
 }
 
 /// Sums, differences, multiples, and casts of them.
-std::optional<IndexBounds::Form> IndexBounds::makeLinear(Operation *op) {
-  Form form;
+std::optional<LinearForm> IndexForms::makeLinear(Operation *op) {
+  LinearForm form;
   if (auto add = dyn_cast<arith::AddIOp>(op)) {
-    form = combine(formOf(add.getLhs()), formOf(add.getRhs()), 1);
+    form = formOf(add.getLhs()).plus(formOf(add.getRhs()), 1);
   } else if (auto sub = dyn_cast<arith::SubIOp>(op)) {
-    form = combine(formOf(sub.getLhs()), formOf(sub.getRhs()), -1);
+    form = formOf(sub.getLhs()).plus(formOf(sub.getRhs()), -1);
   } else if (auto mul = dyn_cast<arith::MulIOp>(op)) {
     std::optional<int64_t> left = getConstantIntValue(mul.getLhs());
     std::optional<int64_t> right = getConstantIntValue(mul.getRhs());
     if (!left && !right)
       return makeProduct(op);
-    form = combine({}, formOf(left ? mul.getRhs() : mul.getLhs()),
-                   left ? *left : *right);
+    form = LinearForm().plus(formOf(left ? mul.getRhs() : mul.getLhs()),
+                             left ? *left : *right);
   } else if (isa<arith::IndexCastOp, arith::ExtSIOp, arith::TruncIOp>(op) &&
              !op->getOperand(0).getType().isInteger(1)) {
     form = formOf(op->getOperand(0));
@@ -329,7 +327,7 @@ std::optional<IndexBounds::Form> IndexBounds::makeLinear(Operation *op) {
 }
 
 /// Division by a constant and what is left over: d q <= a <= d q + d - 1.
-std::optional<IndexBounds::Form> IndexBounds::makeQuotient(Operation *op) {
+std::optional<LinearForm> IndexForms::makeQuotient(Operation *op) {
   bool isFloor = isa<arith::FloorDivSIOp>(op);
   bool isDivision = isFloor || isa<arith::DivSIOp, arith::DivUIOp>(op);
   if (!isDivision && !isa<arith::RemSIOp, arith::RemUIOp>(op))
@@ -337,17 +335,17 @@ std::optional<IndexBounds::Form> IndexBounds::makeQuotient(Operation *op) {
   int64_t d = getConstantIntValue(op->getOperand(1)).value_or(0);
   if (d <= 0 || (!isFloor && rangeOf(op->getOperand(0)).low < 0))
     return std::nullopt;
-  Form dividend = formOf(op->getOperand(0));
+  LinearForm dividend = formOf(op->getOperand(0));
   // A hash, say, that is to wrap.
   if (hasProduct(dividend.sum))
     return std::nullopt;
-  Form quotient = makeVariable(Variable::Kind::Quotient,
-                               divideRange(rangeOf(op->getOperand(0)), d));
-  Form rest = combine(dividend, quotient, -d);
+  LinearForm quotient =
+      makeVariable(Kind::Quotient, divideRange(rangeOf(op->getOperand(0)), d));
+  LinearForm rest = dividend.plus(quotient, -d);
   SmallVector<LinearSum, 2> facts = dividend.facts;
   facts.push_back(rest.sum);
   facts.push_back(LinearSum::of(d - 1).plus(rest.sum, -1));
-  Form form = isDivision ? quotient : rest;
+  LinearForm form = isDivision ? quotient : rest;
   form.facts = std::move(facts);
   form.isCertain = dividend.isCertain;
   form.isComplete = dividend.isComplete;
@@ -356,13 +354,13 @@ std::optional<IndexBounds::Form> IndexBounds::makeQuotient(Operation *op) {
 
 /// Of the smaller of two numbers it is known that it is no larger than both.
 /// That proves, but does not show that an iteration goes out of range.
-std::optional<IndexBounds::Form> IndexBounds::makeExtreme(Operation *op) {
+std::optional<LinearForm> IndexForms::makeExtreme(Operation *op) {
   if (!isa<arith::MinSIOp, arith::MaxSIOp>(op))
     return std::nullopt;
   int64_t sign = isa<arith::MinSIOp>(op) ? 1 : -1;
-  Form a = formOf(op->getOperand(0)), b = formOf(op->getOperand(1));
-  Form form = makeVariable(Variable::Kind::Data, rangeOf(op->getResult(0)));
-  for (const Form &other : {a, b}) {
+  LinearForm a = formOf(op->getOperand(0)), b = formOf(op->getOperand(1));
+  LinearForm form = makeVariable(Kind::Data, rangeOf(op->getResult(0)));
+  for (const LinearForm &other : {a, b}) {
     form.facts.append(other.facts.begin(), other.facts.end());
     form.facts.push_back(
         LinearSum().plus(other.sum, sign).plus(form.sum, -sign));
@@ -371,12 +369,12 @@ std::optional<IndexBounds::Form> IndexBounds::makeExtreme(Operation *op) {
   return form;
 }
 
-IndexBounds::Form IndexBounds::makeForm(Value value) {
+LinearForm IndexForms::makeForm(Value value) {
   if (!value.getType().isIntOrIndex())
-    return makeVariable(Variable::Kind::Data, {});
+    return makeVariable(Kind::Data, {});
   NumberRange range = rangeOf(value);
   if (range.isBounded() && range.low == range.high) {
-    Form form;
+    LinearForm form;
     form.sum = LinearSum::of(range.low);
     return form;
   }
@@ -391,7 +389,7 @@ IndexBounds::Form IndexBounds::makeForm(Value value) {
   }
   if (std::optional<std::pair<Value, int64_t>> extent = getArrayExtent(value))
     return makeLaunchForm({{}, extent->first, extent->second}, range);
-  std::optional<Form> linear;
+  std::optional<LinearForm> linear;
   if (op && (linear = makeLinear(op)) && linear->isComplete)
     return *linear;
   if (isLaunchValue(value))
@@ -399,26 +397,96 @@ IndexBounds::Form IndexBounds::makeForm(Value value) {
   if (linear)
     return *linear;
   if (op)
-    if (std::optional<Form> form = makeQuotient(op))
+    if (std::optional<LinearForm> form = makeQuotient(op))
       return *form;
   if (op)
-    if (std::optional<Form> form = makeExtreme(op))
+    if (std::optional<LinearForm> form = makeExtreme(op))
       return *form;
-  return makeVariable(Variable::Kind::Data, range);
+  return makeVariable(Kind::Data, range);
 }
 
 // By value: what is asked for next may move the table.
-IndexBounds::Form IndexBounds::formOf(Value value) {
+LinearForm IndexForms::formOf(Value value) {
   if (auto known = forms.find(value); known != forms.end())
     return known->second;
-  Form form = makeForm(value);
+  LinearForm form = makeForm(value);
   forms[value] = form;
   return form;
 }
 
-std::optional<LinearSum> IndexBounds::getSum(Value index) {
-  Form form = formOf(index);
-  if (!form.isCertain)
+//===----------------------------------------------------------------------===//
+// Products
+//===----------------------------------------------------------------------===//
+
+bool IndexForms::isOfLaunch(const LinearSum &sum) const {
+  return !sum.hasOverflow && llvm::all_of(sum.terms, [&](auto term) {
+    return variables[term.first].kind == Kind::Launch;
+  });
+}
+
+bool IndexForms::hasProduct(const LinearSum &sum) const {
+  return llvm::any_of(sum.terms, [&](auto term) {
+    return variables[term.first].kind == Kind::Product;
+  });
+}
+
+static NumberRange multiplyRanges(NumberRange a, NumberRange b) {
+  NumberRange range{INT64_MAX, INT64_MIN};
+  if (!a.isBounded() || !b.isBounded())
+    return {};
+  for (int64_t x : {a.low, a.high})
+    for (int64_t y : {b.low, b.high}) {
+      int64_t product;
+      if (llvm::MulOverflow(x, y, product))
+        return {};
+      range = {std::min(range.low, product), std::max(range.high, product)};
+    }
+  return range;
+}
+
+/// A sum of launch values times one of loop indices.
+std::optional<LinearForm> IndexForms::makeProduct(Operation *op) {
+  LinearForm a = formOf(op->getOperand(0)), b = formOf(op->getOperand(1));
+  if (!isOfLaunch(a.sum))
+    std::swap(a, b);
+  if (!isOfLaunch(a.sum) || isOfLaunch(b.sum) || !a.isCertain || !b.isCertain)
     return std::nullopt;
-  return form.sum;
+  for (auto [variable, factor] : b.sum.terms)
+    if (variables[variable].kind == Kind::Quotient)
+      return std::nullopt;
+  LinearForm form = makeVariable(
+      Kind::Product, multiplyRanges(rangeOfSum(a.sum), rangeOfSum(b.sum)));
+  variables.back().factors = {a.sum, b.sum};
+  form.facts = a.facts;
+  form.facts.append(b.facts.begin(), b.facts.end());
+  form.isComplete = false;
+  return form;
+}
+
+LinearSum IndexForms::multiply(const LinearSum &a, const LinearSum &b,
+                               SmallVectorImpl<LinearSum> &facts) {
+  for (const LinearSum *factor : {&a, &b}) {
+    if (rangeOfSum(*factor).isWithin({-kLargestFactor, kLargestFactor}))
+      continue;
+    facts.push_back(factor->plus(kLargestFactor));
+    facts.push_back(LinearSum::of(kLargestFactor).plus(*factor, -1));
+  }
+  LinearSum product;
+  if (a.terms.empty() || b.terms.empty()) {
+    const LinearSum &constant = a.terms.empty() ? a : b;
+    product.add(a.terms.empty() ? b : a, constant.constant);
+    return product;
+  }
+  SmallVector<LinearSum, 0> factors = {a, b};
+  auto known = llvm::find_if(variables, [&](const Variable &variable) {
+    return variable.launch.factors == factors;
+  });
+  if (known != variables.end()) {
+    product = LinearSum::variable(known - variables.begin());
+  } else {
+    NumberRange range = multiplyRanges(rangeOfSum(a), rangeOfSum(b));
+    product = makeVariable(Kind::Launch, range).sum;
+    variables.back().launch.factors = std::move(factors);
+  }
+  return product;
 }

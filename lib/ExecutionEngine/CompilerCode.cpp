@@ -149,7 +149,7 @@ Compiler::makeProgram(const runtime::ProgramPlan &plan,
     (void)failInLLVM(compiler.takeError(), failure);
     return std::nullopt;
   }
-  auto image = (*compiler)->makeProgram(plan);
+  auto image = tai::makeProgram(**compiler, plan);
   if ((*compiler)->isBroken())
     (*lease).deviceCode.reset();
   if (!image) {

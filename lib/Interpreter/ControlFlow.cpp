@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Program.h"
+#include "Handlers.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include <numeric>
@@ -14,127 +14,139 @@ using namespace mlir;
 using namespace mlir::tai;
 using namespace mlir::tai::interpreter;
 
-Data Run::getOperands(Operation *terminator) {
-  Data operands;
-  for (Value operand : terminator->getOperands())
-    operands.push_back(get(operand));
-  return operands;
-}
-
-void Run::setResults(Operation *op, const Data &results) {
-  for (auto [result, datum] : llvm::zip(op->getResults(), results))
-    set(result, datum);
-}
-
-LogicalResult Run::runTerminator(Operation *op) {
-  ended = getOperands(op);
+static LogicalResult runTerminator(Run &run, Operation *op) {
+  run.ended = run.getOperands(op);
   return success();
 }
 
-LogicalResult Run::runFor(Operation *op) {
+static LogicalResult runFor(Run &run, Operation *op) {
   auto loop = cast<scf::ForOp>(op);
-  llvm::APInt at = std::get<llvm::APInt>(getNumber(loop.getLowerBound()));
-  llvm::APInt end = std::get<llvm::APInt>(getNumber(loop.getUpperBound()));
-  llvm::APInt step = std::get<llvm::APInt>(getNumber(loop.getStep()));
+  llvm::APInt at = std::get<llvm::APInt>(run.getNumber(loop.getLowerBound()));
+  llvm::APInt end = std::get<llvm::APInt>(run.getNumber(loop.getUpperBound()));
+  llvm::APInt step = std::get<llvm::APInt>(run.getNumber(loop.getStep()));
   bool isUnsigned = loop.getUnsignedCmp();
   if (isUnsigned ? step.isZero() : !step.isStrictlyPositive())
-    return fail(op, "the step of the loop is not positive");
+    return run.fail(op, "the step of the loop is not positive");
   Data carried;
   for (Value value : loop.getInitArgs())
-    carried.push_back(get(value));
+    carried.push_back(run.get(value));
   while (isUnsigned ? at.ult(end) : at.slt(end)) {
-    if (failed(passSafepoint()))
+    if (failed(run.passSafepoint()))
       return failure();
     Data arguments{Datum(Number(at))};
     arguments.append(carried);
-    if (failed(runBlock(*loop.getBody(), arguments)))
+    if (failed(run.runBlock(*loop.getBody(), arguments)))
       return failure();
-    carried = ended;
+    carried = run.ended;
     bool overflows;
     at = isUnsigned ? at.uadd_ov(step, overflows) : at.sadd_ov(step, overflows);
     if (overflows)
       break;
   }
-  setResults(op, carried);
+  run.setResults(op, carried);
   return success();
 }
 
-LogicalResult Run::runWhile(Operation *op) {
+static LogicalResult runWhile(Run &run, Operation *op) {
   auto loop = cast<scf::WhileOp>(op);
-  Data carried = getOperands(op);
+  Data carried = run.getOperands(op);
   while (true) {
-    if (failed(passSafepoint()) ||
-        failed(runBlock(*loop.getBeforeBody(), carried)))
+    if (failed(run.passSafepoint()) ||
+        failed(run.runBlock(*loop.getBeforeBody(), carried)))
       return failure();
     // The condition, and what both the body and the results get.
-    bool goesOn = isTrue(ended.front().numbers.front());
-    Data forwarded(ended.begin() + 1, ended.end());
+    bool goesOn = isTrue(run.ended.front().numbers.front());
+    Data forwarded(run.ended.begin() + 1, run.ended.end());
     if (!goesOn) {
-      setResults(op, forwarded);
+      run.setResults(op, forwarded);
       return success();
     }
-    if (failed(runBlock(*loop.getAfterBody(), forwarded)))
+    if (failed(run.runBlock(*loop.getAfterBody(), forwarded)))
       return failure();
-    carried = ended;
+    carried = run.ended;
   }
 }
 
-LogicalResult Run::runIf(Operation *op) {
+static LogicalResult runIf(Run &run, Operation *op) {
   auto branch = cast<scf::IfOp>(op);
-  Region &taken = isTrue(getNumber(branch.getCondition()))
+  Region &taken = isTrue(run.getNumber(branch.getCondition()))
                       ? branch.getThenRegion()
                       : branch.getElseRegion();
   if (taken.empty())
     return success();
-  if (failed(runBlock(taken.front(), {})))
+  if (failed(run.runBlock(taken.front(), {})))
     return failure();
-  setResults(op, Data(ended));
+  run.setResults(op, Data(run.ended));
   return success();
 }
 
-LogicalResult Run::runSwitch(Operation *op) {
+static LogicalResult runSwitch(Run &run, Operation *op) {
   auto branch = cast<scf::IndexSwitchOp>(op);
   Region *taken = &branch.getDefaultRegion();
   for (auto [value, region] :
        llvm::zip(branch.getCases(), branch.getCaseRegions()))
-    if (value == toIndex(getNumber(branch.getArg())))
+    if (value == toIndex(run.getNumber(branch.getArg())))
       taken = &region;
-  if (failed(runBlock(taken->front(), {})))
+  if (failed(run.runBlock(taken->front(), {})))
     return failure();
-  setResults(op, Data(ended));
+  run.setResults(op, Data(run.ended));
   return success();
 }
 
-LogicalResult Run::runCall(Operation *op) {
-  auto callee = cast<func::FuncOp>(program.getCallee(op));
-  if (calls.size() > 200)
-    return fail(op, "calls nest too deeply");
+static LogicalResult runCall(Run &run, Operation *op) {
+  auto callee = cast<func::FuncOp>(run.program.getCallee(op));
+  if (run.draws.calls.size() > 200)
+    return run.fail(op, "calls nest too deeply");
   // A function that calls itself has values of its own in each call.
-  llvm::DenseMap<Value, Datum> outer = values;
-  calls.push_back(op);
-  Data arguments = getOperands(op);
-  LogicalResult result = runBlock(callee.getBody().front(), arguments);
-  calls.pop_back();
-  values = std::move(outer);
-  setResults(op, Data(ended));
+  llvm::DenseMap<Value, Datum> outer = run.values;
+  run.draws.calls.push_back(op);
+  Data arguments = run.getOperands(op);
+  LogicalResult result = run.runBlock(callee.getBody().front(), arguments);
+  run.draws.calls.pop_back();
+  run.values = std::move(outer);
+  run.setResults(op, Data(run.ended));
   return result;
+}
+
+//===----------------------------------------------------------------------===//
+// Parallel loops
+//===----------------------------------------------------------------------===//
+
+/// Runs `iterate` for 0, 1, ..., or in the order of the seed.
+static LogicalResult forEach(Run &run, int64_t count, bool serial,
+                             function_ref<LogicalResult(int64_t)> iterate) {
+  if (serial || !run.program.getOptions().orderSeed) {
+    for (int64_t i = 0; i < count; ++i)
+      if (failed(run.passSafepoint()) || failed(iterate(i)))
+        return failure();
+    return success();
+  }
+  std::vector<int64_t> order(std::max<int64_t>(count, 0));
+  std::iota(order.begin(), order.end(), 0);
+  // The same on every machine, which std::shuffle does not promise.
+  for (size_t i = order.size(); i > 1; --i)
+    std::swap(order[i - 1], order[run.order() % i]);
+  for (int64_t i : order)
+    if (failed(run.passSafepoint()) || failed(iterate(i)))
+      return failure();
+  return success();
 }
 
 /// Of loops over arrays: no order is promised, and reductions take the values
 /// in that of the iterations.
-LogicalResult Run::runScfParallel(Operation *op) {
+static LogicalResult runScfParallel(Run &run, Operation *op) {
   auto loop = cast<scf::ParallelOp>(op);
   Data reduced;
   for (Value value : loop.getInitVals())
-    reduced.push_back(get(value));
-  SmallVector<int64_t> lower = getIndices(loop.getLowerBound()),
-                       upper = getIndices(loop.getUpperBound()),
-                       step = getIndices(loop.getStep());
+    reduced.push_back(run.get(value));
+  SmallVector<int64_t> lower = run.getIndices(loop.getLowerBound()),
+                       upper = run.getIndices(loop.getUpperBound()),
+                       step = run.getIndices(loop.getStep());
   SmallVector<int64_t> counts;
   int64_t total = 1;
   for (auto [first, last, by] : llvm::zip(lower, upper, step)) {
     if (by <= 0)
-      return fail(op, "a step of the loop is not positive");
+      return run.fail(op, "a step of the loop is not positive");
     counts.push_back(last > first ? llvm::divideCeil(uint64_t(last - first), by)
                                   : 0);
     total *= counts.back();
@@ -143,86 +155,54 @@ LogicalResult Run::runScfParallel(Operation *op) {
     Data arguments(counts.size());
     for (size_t i = counts.size(); i-- > 0; number /= counts[i])
       arguments[i] = fromIndex(lower[i] + number % counts[i] * step[i]);
-    if (failed(runBlock(*loop.getBody(), arguments)))
+    if (failed(run.runBlock(*loop.getBody(), arguments)))
       return failure();
     auto reduce = cast<scf::ReduceOp>(loop.getBody()->getTerminator());
-    Data values = ended;
+    Data values = run.ended;
     for (auto [i, region] : llvm::enumerate(reduce.getReductions())) {
-      if (failed(runBlock(region.front(), {reduced[i], values[i]})))
+      if (failed(run.runBlock(region.front(), {reduced[i], values[i]})))
         return failure();
-      reduced[i] = ended.front();
+      reduced[i] = run.ended.front();
     }
     return success();
   };
-  if (failed(forEach(total, /*serial=*/!reduced.empty(), iterate)))
+  if (failed(forEach(run, total, /*serial=*/!reduced.empty(), iterate)))
     return failure();
-  setResults(op, reduced);
+  run.setResults(op, reduced);
   return success();
 }
 
-//===----------------------------------------------------------------------===//
-// Parallel loops
-//===----------------------------------------------------------------------===//
-
-LogicalResult Run::forEach(int64_t count, bool serial,
-                           function_ref<LogicalResult(int64_t)> iterate) {
-  if (serial || !program.getOptions().orderSeed) {
-    for (int64_t i = 0; i < count; ++i)
-      if (failed(passSafepoint()) || failed(iterate(i)))
-        return failure();
-    return success();
-  }
-  std::vector<int64_t> order(std::max<int64_t>(count, 0));
-  std::iota(order.begin(), order.end(), 0);
-  // The same on every machine, which std::shuffle does not promise.
-  for (size_t i = order.size(); i > 1; --i)
-    std::swap(order[i - 1], order[random() % i]);
-  for (int64_t i : order)
-    if (failed(passSafepoint()) || failed(iterate(i)))
-      return failure();
-  return success();
-}
-
-LogicalResult Run::runIteration(ParallelForOp loop, ArrayRef<int64_t> indices,
-                                int64_t number) {
-  int64_t outer = std::exchange(iteration, number);
-  draws.clear();
+static LogicalResult runIteration(Run &run, ParallelForOp loop,
+                                  ArrayRef<int64_t> indices, int64_t number) {
+  int64_t outer = std::exchange(run.draws.iteration, number);
+  run.draws.drawn.clear();
   Data arguments;
   for (int64_t index : indices)
     arguments.push_back(Datum(fromIndex(index)));
-  LogicalResult result = runBlock(loop.getBody().front(), arguments);
-  iteration = outer;
+  LogicalResult result = run.runBlock(loop.getBody().front(), arguments);
+  run.draws.iteration = outer;
   return result;
 }
 
-LogicalResult Run::runParallelFor(Operation *op) {
-  auto loop = cast<ParallelForOp>(op);
-  // Draws outside the loop are counted apart from those within.
-  auto outer = std::exchange(draws, {});
-  LogicalResult result = loop.isStructFor() ? runStructFor(loop) : runBox(loop);
-  draws = std::move(outer);
-  return result;
-}
-
-LogicalResult Run::runBox(ParallelForOp loop) {
-  SmallVector<int64_t> lower = getIndices(loop.getLowerBounds()),
-                       upper = getIndices(loop.getUpperBounds());
+static LogicalResult runBox(Run &run, ParallelForOp loop) {
+  SmallVector<int64_t> lower = run.getIndices(loop.getLowerBounds()),
+                       upper = run.getIndices(loop.getUpperBounds());
   int64_t total = 1;
   for (auto [first, last] : llvm::zip(lower, upper))
     total *= std::max<int64_t>(last - first, 0);
-  return forEach(total, loop.getSerialize(), [&](int64_t number) {
+  return forEach(run, total, loop.getSerialize(), [&](int64_t number) {
     SmallVector<int64_t> indices(lower.size());
     int64_t rest = number;
     for (size_t i = lower.size(); i-- > 0; rest /= upper[i] - lower[i])
       indices[i] = lower[i] + rest % (upper[i] - lower[i]);
-    return runIteration(loop, indices, number);
+    return runIteration(run, loop, indices, number);
   });
 }
 
 /// Goes over the active cells of the innermost sparse level that is looped over
 /// and, below each, over the digits of the dense levels.
-LogicalResult Run::runStructFor(ParallelForOp loop) {
-  const FieldPlace &field = getField(loop);
+static LogicalResult runStructFor(Run &run, ParallelForOp loop) {
+  const FieldPlace &field = run.getField(loop);
   unsigned levels = field.layout.path.levels.size();
   unsigned last = levels + 1 - loop.getLevel().value_or(1);
   const FieldStorage::SparseLevel *sparse = nullptr;
@@ -235,7 +215,7 @@ LogicalResult Run::runStructFor(ParallelForOp loop) {
   if (sparse) {
     const int64_t *list = nullptr;
     int64_t count =
-        tai_rt_active_cells(frame, getTree(field), sparse->node, &list);
+        tai_rt_active_cells(run.frame, run.getTree(field), sparse->node, &list);
     cells.assign(list, list + count);
     first = sparse->level + 1;
   }
@@ -260,7 +240,7 @@ LogicalResult Run::runStructFor(ParallelForOp loop) {
     below *= digit->extent;
 
   int64_t total = static_cast<int64_t>(cells.size()) * below;
-  return forEach(total, loop.getSerialize(), [&](int64_t number) {
+  return forEach(run, total, loop.getSerialize(), [&](int64_t number) {
     SmallVector<int64_t> indices(field.layout.offset);
     int64_t rest = number % below;
     for (const IndexDigit *digit : llvm::reverse(inner)) {
@@ -276,6 +256,33 @@ LogicalResult Run::runStructFor(ParallelForOp loop) {
               cell % count / digit.weight % digit.extent * digit.divisor;
       cell /= count;
     }
-    return runIteration(loop, indices, number);
+    return runIteration(run, loop, indices, number);
   });
+}
+
+static LogicalResult runParallelFor(Run &run, Operation *op) {
+  auto loop = cast<ParallelForOp>(op);
+  // Draws outside the loop are counted apart from those within.
+  auto outer = std::exchange(run.draws.drawn, {});
+  LogicalResult result =
+      loop.isStructFor() ? runStructFor(run, loop) : runBox(run, loop);
+  run.draws.drawn = std::move(outer);
+  return result;
+}
+
+void interpreter::addControlFlowHandlers(Handlers &handlers) {
+  handlers["func.call"] = runCall;
+  handlers["func.return"] = runTerminator;
+  handlers["scf.condition"] = runTerminator;
+  handlers["scf.for"] = runFor;
+  handlers["scf.if"] = runIf;
+  handlers["scf.index_switch"] = runSwitch;
+  handlers["scf.parallel"] = runScfParallel;
+  handlers["scf.reduce"] = runTerminator;
+  handlers["scf.reduce.return"] = runTerminator;
+  handlers["scf.while"] = runWhile;
+  handlers["scf.yield"] = runTerminator;
+  handlers["tai.parallel_for"] = runParallelFor;
+  handlers["tai.return"] = runTerminator;
+  handlers["tai.yield"] = runTerminator;
 }

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Program.h"
+#include "Handlers.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 
@@ -45,7 +45,7 @@ static std::string describeIndices(ArrayRef<int64_t> indices) {
 // Locals and stacks
 //===----------------------------------------------------------------------===//
 
-LogicalResult Run::runAlloca(Operation *op) {
+static LogicalResult runAlloca(Run &run, Operation *op) {
   Datum datum;
   datum.variable = std::make_shared<Variable>();
   if (auto local = dyn_cast<LocalType>(op->getResult(0).getType())) {
@@ -53,35 +53,36 @@ LogicalResult Run::runAlloca(Operation *op) {
     datum.variable->value.assign(countNumbers(type),
                                  getZero(getElementTypeOrSelf(type)));
   }
-  set(op->getResult(0), std::move(datum));
+  run.set(op->getResult(0), std::move(datum));
   return success();
 }
 
-LogicalResult Run::runLocalLoad(Operation *op) {
+static LogicalResult runLocalLoad(Run &run, Operation *op) {
   auto load = cast<LocalLoadOp>(op);
-  set(load.getValue(), Datum(get(load.getLocal()).variable->value));
+  run.set(load.getValue(), Datum(run.get(load.getLocal()).variable->value));
   return success();
 }
 
-LogicalResult Run::runLocalStore(Operation *op) {
+static LogicalResult runLocalStore(Run &run, Operation *op) {
   auto store = cast<LocalStoreOp>(op);
-  get(store.getLocal()).variable->value = get(store.getValue()).numbers;
+  run.get(store.getLocal()).variable->value = run.get(store.getValue()).numbers;
   return success();
 }
 
-LogicalResult Run::runStackPush(Operation *op) {
+static LogicalResult runStackPush(Run &run, Operation *op) {
   auto push = cast<StackPushOp>(op);
-  get(push.getStack()).variable->value.push_back(getNumber(push.getValue()));
+  run.get(push.getStack())
+      .variable->value.push_back(run.getNumber(push.getValue()));
   return success();
 }
 
-LogicalResult Run::runStackPop(Operation *op) {
+static LogicalResult runStackPop(Run &run, Operation *op) {
   auto pop = cast<StackPopOp>(op);
-  Numbers &stack = get(pop.getStack()).variable->value;
+  Numbers &stack = run.get(pop.getStack()).variable->value;
   if (stack.empty())
-    return fail(op, "the stack is empty");
+    return run.fail(op, "the stack is empty");
   Number last = stack.pop_back_val();
-  set(pop.getValue(), Datum(last));
+  run.set(pop.getValue(), Datum(last));
   return success();
 }
 
@@ -89,7 +90,7 @@ LogicalResult Run::runStackPop(Operation *op) {
 // Arrays
 //===----------------------------------------------------------------------===//
 
-LogicalResult Run::runAlloc(Operation *op) {
+static LogicalResult runAlloc(Run &run, Operation *op) {
   auto type = cast<MemRefType>(op->getResult(0).getType());
   auto array = std::make_shared<Array>();
   array->element = type.getElementType();
@@ -98,9 +99,9 @@ LogicalResult Run::runAlloc(Operation *op) {
                   getByteSize(getElementTypeOrSelf(array->element));
   for (int64_t extent : type.getShape()) {
     if (ShapedType::isDynamic(extent))
-      extent = toIndex(getNumber(op->getOperand(next++)));
+      extent = toIndex(run.getNumber(op->getOperand(next++)));
     if (extent < 0 || (extent > 0 && bytes > (int64_t(1) << 40) / extent))
-      return fail(op, "there is no array of that size", TAI_FAIL_MEMORY);
+      return run.fail(op, "there is no array of that size", TAI_FAIL_MEMORY);
     array->extents.push_back(extent);
     bytes *= extent;
   }
@@ -108,31 +109,33 @@ LogicalResult Run::runAlloc(Operation *op) {
   array->data = array->owned.get();
   Datum datum;
   datum.array = std::move(array);
-  set(op->getResult(0), std::move(datum));
+  run.set(op->getResult(0), std::move(datum));
   return success();
 }
 
-LogicalResult Run::runDim(Operation *op) {
+static LogicalResult runDim(Run &run, Operation *op) {
   auto dim = cast<memref::DimOp>(op);
-  ArrayRef<int64_t> extents = get(dim.getSource()).array->extents;
-  int64_t at = toIndex(getNumber(dim.getIndex()));
+  ArrayRef<int64_t> extents = run.get(dim.getSource()).array->extents;
+  int64_t at = toIndex(run.getNumber(dim.getIndex()));
   if (at < 0 || at >= static_cast<int64_t>(extents.size()))
-    return fail(op, "the array has no dimension " + Twine(at), TAI_FAIL_INDEX);
-  set(dim, Datum(fromIndex(extents[at])));
+    return run.fail(op, "the array has no dimension " + Twine(at),
+                    TAI_FAIL_INDEX);
+  run.set(dim, Datum(fromIndex(extents[at])));
   return success();
 }
 
-FailureOr<char *> Run::locate(Operation *op, Value array, ValueRange indices) {
-  Array &memory = *get(array).array;
-  SmallVector<int64_t> at = getIndices(indices);
+static FailureOr<char *> locate(Run &run, Operation *op, Value array,
+                                ValueRange indices) {
+  Array &memory = *run.get(array).array;
+  SmallVector<int64_t> at = run.getIndices(indices);
   int64_t position = 0;
   for (auto [index, extent] : llvm::zip_equal(at, memory.extents)) {
     if (index < 0 || index >= extent)
-      return fail(op,
-                  "index " + describeIndices(at) +
-                      " is out of range for an array of shape " +
-                      describeIndices(memory.extents),
-                  TAI_FAIL_INDEX);
+      return run.fail(op,
+                      "index " + describeIndices(at) +
+                          " is out of range for an array of shape " +
+                          describeIndices(memory.extents),
+                      TAI_FAIL_INDEX);
     position = position * extent + index;
   }
   int64_t size = countNumbers(memory.element) *
@@ -140,22 +143,22 @@ FailureOr<char *> Run::locate(Operation *op, Value array, ValueRange indices) {
   return memory.data + position * size;
 }
 
-LogicalResult Run::runArrayLoad(Operation *op) {
+static LogicalResult runArrayLoad(Run &run, Operation *op) {
   auto load = cast<memref::LoadOp>(op);
-  FailureOr<char *> at = locate(op, load.getMemRef(), load.getIndices());
+  FailureOr<char *> at = locate(run, op, load.getMemRef(), load.getIndices());
   if (failed(at))
     return failure();
-  set(load, Datum(readNumbers(*at, load.getType())));
+  run.set(load, Datum(readNumbers(*at, load.getType())));
   return success();
 }
 
-LogicalResult Run::runArrayStore(Operation *op) {
+static LogicalResult runArrayStore(Run &run, Operation *op) {
   auto store = cast<memref::StoreOp>(op);
-  FailureOr<char *> at = locate(op, store.getMemRef(), store.getIndices());
+  FailureOr<char *> at = locate(run, op, store.getMemRef(), store.getIndices());
   if (failed(at))
     return failure();
   Value value = store.getValueToStore();
-  writeNumbers(get(value).numbers, value.getType(), *at);
+  writeNumbers(run.get(value).numbers, value.getType(), *at);
   return success();
 }
 
@@ -199,17 +202,18 @@ static Number combineArray(arith::AtomicRMWKind kind, const Number &a,
   llvm_unreachable("unknown kind");
 }
 
-LogicalResult Run::runArrayAtomic(Operation *op) {
+static LogicalResult runArrayAtomic(Run &run, Operation *op) {
   auto atomic = cast<memref::AtomicRMWOp>(op);
-  FailureOr<char *> at = locate(op, atomic.getMemref(), atomic.getIndices());
+  FailureOr<char *> at =
+      locate(run, op, atomic.getMemref(), atomic.getIndices());
   if (failed(at))
     return failure();
   Type type = atomic.getResult().getType();
   Numbers old = readNumbers(*at, type), combined;
-  for (auto [a, b] : llvm::zip_equal(old, get(atomic.getValue()).numbers))
+  for (auto [a, b] : llvm::zip_equal(old, run.get(atomic.getValue()).numbers))
     combined.push_back(combineArray(atomic.getKind(), a, b));
   writeNumbers(combined, type, *at);
-  set(atomic.getResult(), Datum(old));
+  run.set(atomic.getResult(), Datum(old));
   return success();
 }
 
@@ -217,13 +221,11 @@ LogicalResult Run::runArrayAtomic(Operation *op) {
 // Fields
 //===----------------------------------------------------------------------===//
 
-const FieldPlace &Run::getField(Operation *op) {
-  return program.getField(
-      op->getAttrOfType<FlatSymbolRefAttr>("field").getAttr());
-}
-
-LogicalResult Run::checkIndices(Operation *op, const FieldPlace &field,
-                                SmallVector<int64_t> &indices) {
+/// Fails the launch unless the indices are in range; makes them count from
+/// zero.
+static LogicalResult checkIndices(Run &run, Operation *op,
+                                  const FieldPlace &field,
+                                  SmallVector<int64_t> &indices) {
   SmallVector<int64_t> given = indices;
   bool inRange = true;
   for (auto [index, first, extent] :
@@ -237,17 +239,17 @@ LogicalResult Run::checkIndices(Operation *op, const FieldPlace &field,
       llvm::all_of(field.layout.offset, [](int64_t x) { return x == 0; })
           ? ""
           : ", which begins at " + describeIndices(field.layout.offset);
-  return fail(op,
-              "index " + describeIndices(given) +
-                  " is out of range for field '@" +
-                  FieldOp(field.layout.field).getSymName() + "' of shape " +
-                  describeIndices(field.layout.shape) + offset,
-              TAI_FAIL_INDEX);
+  return run.fail(op,
+                  "index " + describeIndices(given) +
+                      " is out of range for field '@" +
+                      FieldOp(field.layout.field).getSymName() + "' of shape " +
+                      describeIndices(field.layout.shape) + offset,
+                  TAI_FAIL_INDEX);
 }
 
 /// The cell of a level, counted row-major, level below level.
-int64_t Run::getCell(const FieldPlace &field, unsigned level,
-                     ArrayRef<int64_t> indices) {
+static int64_t getCell(const FieldPlace &field, unsigned level,
+                       ArrayRef<int64_t> indices) {
   int64_t cell = 0;
   for (unsigned l = 0; l <= level; ++l) {
     cell *= field.layout.path.levels[l].type.getNumCells();
@@ -259,50 +261,55 @@ int64_t Run::getCell(const FieldPlace &field, unsigned level,
   return cell;
 }
 
-int64_t Run::getListLength(const FieldPlace &field, unsigned node,
-                           int64_t list) {
+static int64_t getListLength(Run &run, const FieldPlace &field, unsigned node,
+                             int64_t list) {
   int32_t length;
   std::memcpy(&length,
-              getTree(field) + field.nodes[node].activityOffset + 4 * list, 4);
+              run.getTree(field) + field.nodes[node].activityOffset + 4 * list,
+              4);
   return length;
 }
 
-bool Run::isActive(const FieldPlace &field, FieldStorage::SparseLevel level,
-                   int64_t cell) {
+static bool isActive(Run &run, const FieldPlace &field,
+                     FieldStorage::SparseLevel level, int64_t cell) {
   const SparseNode &node = field.nodes[level.node];
   if (node.type.isList()) {
     int64_t capacity = node.type.getNumCells();
-    return cell % capacity < getListLength(field, level.node, cell / capacity);
+    return cell % capacity <
+           getListLength(run, field, level.node, cell / capacity);
   }
   uint64_t word;
-  std::memcpy(&word, getTree(field) + node.activityOffset + cell / 64 * 8, 8);
+  std::memcpy(&word, run.getTree(field) + node.activityOffset + cell / 64 * 8,
+              8);
   return word >> cell % 64 & 1;
 }
 
-FailureOr<char *> Run::locate(Operation *op, const FieldPlace &field,
-                              SmallVector<int64_t> indices,
-                              ValueRange components, bool activates,
-                              bool &exists) {
+/// The address of an element, or of one of its components, in range.
+static FailureOr<char *> locate(Run &run, Operation *op,
+                                const FieldPlace &field,
+                                SmallVector<int64_t> indices,
+                                ValueRange components, bool activates,
+                                bool &exists) {
   exists = true;
-  if (failed(checkIndices(op, field, indices)))
+  if (failed(checkIndices(run, op, field, indices)))
     return failure();
   int64_t component = 0;
-  SmallVector<int64_t> at = getIndices(components);
+  SmallVector<int64_t> at = run.getIndices(components);
   for (auto [index, extent] : llvm::zip(at, field.elementShape)) {
     if (index < 0 || index >= extent)
-      return fail(op,
-                  "index " + describeIndices(at) +
-                      " is out of range for an element of field '@" +
-                      FieldOp(field.layout.field).getSymName() + "'",
-                  TAI_FAIL_INDEX);
+      return run.fail(op,
+                      "index " + describeIndices(at) +
+                          " is out of range for an element of field '@" +
+                          FieldOp(field.layout.field).getSymName() + "'",
+                      TAI_FAIL_INDEX);
     component = component * extent + index;
   }
   if (!field.storage.sparse.empty()) {
     FieldStorage::SparseLevel level = field.storage.sparse.back();
     int64_t cell = getCell(field, level.level, indices);
-    exists = isActive(field, level, cell);
-    if (!exists && activates && !keepsActivity)
-      exists = tai_rt_activate(frame, getTree(field), level.node, cell,
+    exists = isActive(run, field, level, cell);
+    if (!exists && activates && !run.keepsActivity)
+      exists = tai_rt_activate(run.frame, run.getTree(field), level.node, cell,
                                describePlaceOf(op).c_str()) != 0;
   }
   uint64_t offset =
@@ -310,44 +317,44 @@ FailureOr<char *> Run::locate(Operation *op, const FieldPlace &field,
   for (const IndexDigit &digit : field.storage.digits)
     offset +=
         indices[digit.dimension] / digit.divisor % digit.extent * digit.stride;
-  return getTree(field) + offset;
+  return run.getTree(field) + offset;
 }
 
-LogicalResult Run::runLoad(Operation *op) {
+static LogicalResult runLoad(Run &run, Operation *op) {
   auto load = cast<LoadOp>(op);
   bool exists;
   FailureOr<char *> at =
-      locate(op, getField(op), getIndices(load.getIndices()),
+      locate(run, op, run.getField(op), run.getIndices(load.getIndices()),
              load.getComponents(), /*activates=*/false, exists);
   if (failed(at))
     return failure();
   Type type = load.getValue().getType();
-  set(load.getValue(),
-      exists ? Datum(readNumbers(*at, type))
-             : Datum(Numbers(countNumbers(type),
-                             getZero(getElementTypeOrSelf(type)))));
+  run.set(load.getValue(),
+          exists ? Datum(readNumbers(*at, type))
+                 : Datum(Numbers(countNumbers(type),
+                                 getZero(getElementTypeOrSelf(type)))));
   return success();
 }
 
-LogicalResult Run::runStore(Operation *op) {
+static LogicalResult runStore(Run &run, Operation *op) {
   auto store = cast<StoreOp>(op);
   bool exists;
   FailureOr<char *> at =
-      locate(op, getField(op), getIndices(store.getIndices()),
+      locate(run, op, run.getField(op), run.getIndices(store.getIndices()),
              store.getComponents(), /*activates=*/true, exists);
   if (failed(at))
     return failure();
   if (exists)
-    writeNumbers(get(store.getValue()).numbers, store.getValue().getType(),
+    writeNumbers(run.get(store.getValue()).numbers, store.getValue().getType(),
                  *at);
   return success();
 }
 
-LogicalResult Run::runAtomic(Operation *op) {
+static LogicalResult runAtomic(Run &run, Operation *op) {
   auto atomic = cast<AtomicOp>(op);
   bool exists;
   FailureOr<char *> at =
-      locate(op, getField(op), getIndices(atomic.getIndices()),
+      locate(run, op, run.getField(op), run.getIndices(atomic.getIndices()),
              atomic.getComponents(), /*activates=*/true, exists);
   if (failed(at))
     return failure();
@@ -356,11 +363,11 @@ LogicalResult Run::runAtomic(Operation *op) {
   if (exists) {
     old = readNumbers(*at, type);
     Numbers combined;
-    for (auto [a, b] : llvm::zip_equal(old, get(atomic.getValue()).numbers))
+    for (auto [a, b] : llvm::zip_equal(old, run.get(atomic.getValue()).numbers))
       combined.push_back(combine(atomic.getKind(), a, b));
     writeNumbers(combined, type, *at);
   }
-  set(atomic.getOld(), Datum(old));
+  run.set(atomic.getOld(), Datum(old));
   return success();
 }
 
@@ -368,9 +375,10 @@ LogicalResult Run::runAtomic(Operation *op) {
 // Topology
 //===----------------------------------------------------------------------===//
 
-/// That `up` levels up, 1 being the innermost, or the nearest above it.
-const FieldStorage::SparseLevel *Run::findLevel(const FieldPlace &field,
-                                                int64_t up) {
+/// The sparse level that a topology operation means, or null: that `up` levels
+/// up, 1 being the innermost, or the nearest above it.
+static const FieldStorage::SparseLevel *findLevel(const FieldPlace &field,
+                                                  int64_t up) {
   int64_t level = static_cast<int64_t>(field.layout.path.levels.size()) - up;
   for (const auto &sparse : llvm::reverse(field.storage.sparse))
     if (static_cast<int64_t>(sparse.level) <= level)
@@ -378,53 +386,55 @@ const FieldStorage::SparseLevel *Run::findLevel(const FieldPlace &field,
   return nullptr;
 }
 
-LogicalResult Run::runActivate(Operation *op) {
-  const FieldPlace &field = getField(op);
-  SmallVector<int64_t> indices = getIndices(op->getOperands());
-  if (failed(checkIndices(op, field, indices)))
+static LogicalResult runActivate(Run &run, Operation *op) {
+  const FieldPlace &field = run.getField(op);
+  SmallVector<int64_t> indices = run.getIndices(op->getOperands());
+  if (failed(checkIndices(run, op, field, indices)))
     return failure();
   if (auto *level = findLevel(field, cast<ActivateOp>(op).getLevel()))
-    tai_rt_activate(frame, getTree(field), level->node,
+    tai_rt_activate(run.frame, run.getTree(field), level->node,
                     getCell(field, level->level, indices),
                     describePlaceOf(op).c_str());
   return success();
 }
 
-LogicalResult Run::runDeactivate(Operation *op) {
-  const FieldPlace &field = getField(op);
-  SmallVector<int64_t> indices = getIndices(op->getOperands());
-  if (failed(checkIndices(op, field, indices)))
+static LogicalResult runDeactivate(Run &run, Operation *op) {
+  const FieldPlace &field = run.getField(op);
+  SmallVector<int64_t> indices = run.getIndices(op->getOperands());
+  if (failed(checkIndices(run, op, field, indices)))
     return failure();
   if (auto *level = findLevel(field, cast<DeactivateOp>(op).getLevel()))
-    tai_rt_deactivate(frame, getTree(field), level->node,
+    tai_rt_deactivate(run.frame, run.getTree(field), level->node,
                       getCell(field, level->level, indices),
                       describePlaceOf(op).c_str());
   return success();
 }
 
-LogicalResult Run::runIsActive(Operation *op) {
-  const FieldPlace &field = getField(op);
-  SmallVector<int64_t> indices = getIndices(op->getOperands());
-  if (failed(checkIndices(op, field, indices)))
+static LogicalResult runIsActive(Run &run, Operation *op) {
+  const FieldPlace &field = run.getField(op);
+  SmallVector<int64_t> indices = run.getIndices(op->getOperands());
+  if (failed(checkIndices(run, op, field, indices)))
     return failure();
   auto *level = findLevel(field, cast<IsActiveOp>(op).getLevel());
-  bool active =
-      !level || isActive(field, *level, getCell(field, level->level, indices));
-  set(op->getResult(0), Datum(Number(llvm::APInt(1, active))));
+  bool active = !level || isActive(run, field, *level,
+                                   getCell(field, level->level, indices));
+  run.set(op->getResult(0), Datum(Number(llvm::APInt(1, active))));
   return success();
 }
 
-LogicalResult Run::runVisitsAll(Operation *op) {
-  const FieldPlace &field = getField(op);
+static LogicalResult runVisitsAll(Run &run, Operation *op) {
+  const FieldPlace &field = run.getField(op);
   bool all = field.storage.sparse.empty() ||
-             tai_rt_list_is_current(frame, getTree(field),
+             tai_rt_list_is_current(run.frame, run.getTree(field),
                                     field.storage.sparse.back().node);
-  set(op->getResult(0), Datum(Number(llvm::APInt(1, all))));
+  run.set(op->getResult(0), Datum(Number(llvm::APInt(1, all))));
   return success();
 }
 
-FailureOr<FieldStorage::SparseLevel>
-Run::findList(Operation *op, const FieldPlace &field, unsigned &dimension) {
+/// The list that `append` and `length` mean, and the number of its dimension.
+static FailureOr<FieldStorage::SparseLevel> findList(Run &run, Operation *op,
+                                                     const FieldPlace &field,
+                                                     unsigned &dimension) {
   for (const auto &sparse : llvm::reverse(field.storage.sparse))
     if (field.nodes[sparse.node].type.isList()) {
       for (const IndexDigit &digit : field.storage.digits)
@@ -432,43 +442,43 @@ Run::findList(Operation *op, const FieldPlace &field, unsigned &dimension) {
           dimension = digit.dimension;
       return sparse;
     }
-  return fail(op, "the field lies below no 'dynamic' level");
+  return run.fail(op, "the field lies below no 'dynamic' level");
 }
 
-LogicalResult Run::runLength(Operation *op) {
-  const FieldPlace &field = getField(op);
+static LogicalResult runLength(Run &run, Operation *op) {
+  const FieldPlace &field = run.getField(op);
   unsigned dimension = 0;
-  auto list = findList(op, field, dimension);
+  auto list = findList(run, op, field, dimension);
   if (failed(list))
     return failure();
-  SmallVector<int64_t> indices = getIndices(op->getOperands());
+  SmallVector<int64_t> indices = run.getIndices(op->getOperands());
   indices.insert(indices.begin() + dimension, field.layout.offset[dimension]);
-  if (failed(checkIndices(op, field, indices)))
+  if (failed(checkIndices(run, op, field, indices)))
     return failure();
   int64_t number = getCell(field, list->level, indices) /
                    field.nodes[list->node].type.getNumCells();
-  set(op->getResult(0),
-      Datum(fromIndex(getListLength(field, list->node, number))));
+  run.set(op->getResult(0),
+          Datum(fromIndex(getListLength(run, field, list->node, number))));
   return success();
 }
 
-LogicalResult Run::runAppend(Operation *op) {
+static LogicalResult runAppend(Run &run, Operation *op) {
   auto append = cast<AppendOp>(op);
-  const FieldPlace &field = getField(op);
+  const FieldPlace &field = run.getField(op);
   unsigned dimension = 0;
-  auto list = findList(op, field, dimension);
+  auto list = findList(run, op, field, dimension);
   if (failed(list))
     return failure();
   if (list->level != field.storage.sparse.back().level)
-    return fail(op, "the field is not directly below a 'dynamic' level");
-  SmallVector<int64_t> given = getIndices(append.getIndices());
+    return run.fail(op, "the field is not directly below a 'dynamic' level");
+  SmallVector<int64_t> given = run.getIndices(append.getIndices());
   given.insert(given.begin() + dimension, field.layout.offset[dimension]);
   SmallVector<int64_t> indices = given;
-  if (failed(checkIndices(op, field, indices)))
+  if (failed(checkIndices(run, op, field, indices)))
     return failure();
   int64_t number = getCell(field, list->level, indices) /
                    field.nodes[list->node].type.getNumCells();
-  int64_t at = tai_rt_append(frame, getTree(field), list->node, number,
+  int64_t at = tai_rt_append(run.frame, run.getTree(field), list->node, number,
                              describePlaceOf(op).c_str());
   // The launch has failed, and says so.
   if (at < 0)
@@ -476,11 +486,41 @@ LogicalResult Run::runAppend(Operation *op) {
   given[dimension] += at;
   bool exists;
   FailureOr<char *> place =
-      locate(op, field, given, {}, /*activates=*/false, exists);
+      locate(run, op, field, given, {}, /*activates=*/false, exists);
   if (failed(place))
     return failure();
-  writeNumbers(get(append.getValue()).numbers, append.getValue().getType(),
+  writeNumbers(run.get(append.getValue()).numbers, append.getValue().getType(),
                *place);
-  set(append.getAt(), Datum(fromIndex(at)));
+  run.set(append.getAt(), Datum(fromIndex(at)));
   return success();
+}
+
+/// Of operations that have nothing to do here.
+static LogicalResult runNothing(Run &run, Operation *op) { return success(); }
+
+void interpreter::addMemoryHandlers(Handlers &handlers) {
+  handlers["memref.alloc"] = runAlloc;
+  handlers["memref.alloca"] = runAlloc;
+  handlers["memref.atomic_rmw"] = runArrayAtomic;
+  handlers["memref.dealloc"] = runNothing;
+  handlers["memref.dim"] = runDim;
+  handlers["memref.load"] = runArrayLoad;
+  handlers["memref.store"] = runArrayStore;
+  handlers["tai.activate"] = runActivate;
+  handlers["tai.alloca"] = runAlloca;
+  handlers["tai.append"] = runAppend;
+  handlers["tai.atomic"] = runAtomic;
+  handlers["tai.deactivate"] = runDeactivate;
+  handlers["tai.is_active"] = runIsActive;
+  handlers["tai.length"] = runLength;
+  handlers["tai.load"] = runLoad;
+  handlers["tai.local_load"] = runLocalLoad;
+  handlers["tai.local_store"] = runLocalStore;
+  handlers["tai.precondition"] = runNothing;
+  handlers["tai.stack_create"] = runAlloca;
+  handlers["tai.stack_destroy"] = runNothing;
+  handlers["tai.stack_pop"] = runStackPop;
+  handlers["tai.stack_push"] = runStackPush;
+  handlers["tai.store"] = runStore;
+  handlers["tai.visits_all"] = runVisitsAll;
 }

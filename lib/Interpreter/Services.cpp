@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Program.h"
+#include "Handlers.h"
 #include "llvm/ADT/bit.h"
 #include <cmath>
 
@@ -19,16 +19,15 @@ using llvm::APInt;
 // Random numbers
 //===----------------------------------------------------------------------===//
 
-LogicalResult Run::runRandom(Operation *op) {
+static LogicalResult runRandom(Run &run, Operation *op) {
   auto draw = cast<RandomOp>(op);
   Type type = draw.getValue().getType();
   unsigned width = getWidth(type);
-  std::vector<Operation *> path = calls;
-  path.push_back(op);
-  uint32_t &sequence = draws[path];
+  uint32_t &sequence = run.draws.at(op);
   auto bits = [&] {
-    return uint64_t(tai_rt_random_u32(frame->seed, frame->launch, iteration,
-                                      draw.getStream(), sequence++));
+    return uint64_t(tai_rt_random_u32(run.frame->seed, run.frame->launch,
+                                      run.draws.iteration, draw.getStream(),
+                                      sequence++));
   };
   uint64_t drawn = bits();
   unsigned available = 32;
@@ -38,12 +37,14 @@ LogicalResult Run::runRandom(Operation *op) {
   }
   auto floating = dyn_cast<FloatType>(type);
   if (!floating) {
-    set(draw.getValue(), Datum(Number(APInt(available, drawn).trunc(width))));
+    run.set(draw.getValue(),
+            Datum(Number(APInt(available, drawn).trunc(width))));
     return success();
   }
   // As many bits as the significand has.
   unsigned kept = APFloat::semanticsPrecision(floating.getFloatSemantics());
-  set(draw.getValue(),
+  run.set(
+      draw.getValue(),
       Datum(fromDouble(
           std::ldexp(double(drawn >> (available - kept)), -int(kept)), type)));
   return success();
@@ -53,72 +54,54 @@ LogicalResult Run::runRandom(Operation *op) {
 // Messages
 //===----------------------------------------------------------------------===//
 
-Run::Message Run::getMessage(ValueRange reported) {
-  Message message;
-  for (Value value : reported) {
-    Type type = getElementTypeOrSelf(value.getType());
-    const Numbers &numbers = get(value).numbers;
-    message.kinds.push_back(isa<FloatType>(type) ? TAI_VALUE_F64
-                            : type.isInteger(1)  ? TAI_VALUE_BOOL
-                                                 : TAI_VALUE_I64);
-    message.shapes.push_back(numbers.size());
-    for (const Number &number : numbers)
-      message.slots.push_back(
-          isa<FloatType>(type) ? llvm::bit_cast<uint64_t>(toDouble(number))
-          : type.isInteger(1)
-              ? std::get<APInt>(number).getZExtValue()
-              : static_cast<uint64_t>(std::get<APInt>(number).getSExtValue()));
-  }
-  return message;
-}
-
-LogicalResult Run::runPrint(Operation *op) {
+static LogicalResult runPrint(Run &run, Operation *op) {
   auto print = cast<PrintOp>(op);
-  Message message = getMessage(print.getArgs());
-  tai_rt_print(frame, print.getFormat().str().c_str(), message.kinds.size(),
+  Message message = run.getMessage(print.getArgs());
+  tai_rt_print(run.frame, print.getFormat().str().c_str(), message.kinds.size(),
                message.kinds.data(), message.shapes.data(),
                message.slots.data());
   return success();
 }
 
-LogicalResult Run::runAssert(Operation *op) {
+static LogicalResult runAssert(Run &run, Operation *op) {
   auto assertion = cast<AssertOp>(op);
-  if (program.getOptions().debug &&
-      !isTrue(getNumber(assertion.getCondition())))
-    report(op, assertion.getMessage(), assertion.getArgs(), TAI_FAIL_ASSERT);
+  if (run.program.getOptions().debug &&
+      !isTrue(run.getNumber(assertion.getCondition())))
+    run.report(op, assertion.getMessage(), assertion.getArgs(),
+               TAI_FAIL_ASSERT);
   return success();
 }
 
 /// What a value needs follows from the arguments of the kernel.
-LogicalResult Run::evaluate(Value value) {
+static LogicalResult evaluate(Run &run, Value value) {
   Operation *op = value.getDefiningOp();
-  if (!op || values.contains(value))
+  if (!op || run.values.contains(value))
     return success();
   for (Value operand : op->getOperands())
-    if (failed(evaluate(operand)))
+    if (failed(evaluate(run, operand)))
       return failure();
-  return execute(op);
+  return run.execute(op);
 }
 
-LogicalResult Run::checkPreconditions(Block &body) {
+LogicalResult interpreter::checkPreconditions(Run &run, Block &body) {
   bool good = true;
   for (auto condition : body.getOps<PreconditionOp>()) {
     for (Value operand : condition->getOperands())
-      if (failed(evaluate(operand)))
+      if (failed(evaluate(run, operand)))
         return failure();
-    if (isTrue(getNumber(condition.getCondition())))
+    if (isTrue(run.getNumber(condition.getCondition())))
       continue;
-    report(condition, condition.getMessage(), condition.getArgs(),
-           TAI_FAIL_INDEX);
+    run.report(condition, condition.getMessage(), condition.getArgs(),
+               TAI_FAIL_INDEX);
     good = false;
   }
   return success(good);
 }
 
-LogicalResult Run::runCheckClose(Operation *op) {
+static LogicalResult runCheckClose(Run &run, Operation *op) {
   auto check = cast<CheckCloseOp>(op);
-  double actual = toDouble(getNumber(check.getActual()));
-  double expected = toDouble(getNumber(check.getExpected()));
+  double actual = toDouble(run.getNumber(check.getActual()));
+  double expected = toDouble(run.getNumber(check.getExpected()));
   double tolerance = check.getTolerance().convertToDouble();
   double allowed = tolerance * std::fmax(1, std::abs(expected));
   // A NaN on either side is a failure.
@@ -129,7 +112,7 @@ LogicalResult Run::runCheckClose(Operation *op) {
   uint64_t slots[] = {llvm::bit_cast<uint64_t>(actual),
                       llvm::bit_cast<uint64_t>(expected),
                       llvm::bit_cast<uint64_t>(tolerance)};
-  tai_rt_fail(frame, TAI_FAIL_CHECK,
+  tai_rt_fail(run.frame, TAI_FAIL_CHECK,
               "check failed: got {}, expected {} within {}",
               describePlaceOf(op).c_str(), 3, kinds, shapes, slots);
   return success();
@@ -139,13 +122,13 @@ LogicalResult Run::runCheckClose(Operation *op) {
 // Host programs
 //===----------------------------------------------------------------------===//
 
-LogicalResult Run::runLaunch(Operation *op) {
+static LogicalResult runLaunch(Run &run, Operation *op) {
   auto launch = cast<LaunchOp>(op);
   SmallVector<uint64_t> arguments, results;
   for (Value operand : launch.getOperands()) {
     if (isa<MemRefType>(operand.getType()))
-      return fail(op, "host programs pass no arrays");
-    for (const Number &number : get(operand).numbers)
+      return run.fail(op, "host programs pass no arrays");
+    for (const Number &number : run.get(operand).numbers)
       writeNumber(number, reinterpret_cast<char *>(&arguments.emplace_back(0)));
   }
   auto count = [](Type type) {
@@ -155,7 +138,7 @@ LogicalResult Run::runLaunch(Operation *op) {
   for (Type type : launch.getResultTypes())
     results.append(count(type), 0);
   // The runtime knows kernels by the address of their names, which end in zero.
-  tai_rt_host_launch(frame, launch.getKernel().data(), arguments.data(),
+  tai_rt_host_launch(run.frame, launch.getKernel().data(), arguments.data(),
                      arguments.size(), results.data(), results.size());
   const uint64_t *slot = results.data();
   for (Value result : launch.getResults()) {
@@ -164,25 +147,25 @@ LogicalResult Run::runLaunch(Operation *op) {
       datum.numbers.push_back(
           readNumber(reinterpret_cast<const char *>(slot++),
                      getElementTypeOrSelf(result.getType())));
-    set(result, std::move(datum));
+    run.set(result, std::move(datum));
   }
-  return failure(tai_rt_failed(frame) != 0);
+  return failure(tai_rt_failed(run.frame) != 0);
 }
 
-LogicalResult Run::runTape(Operation *op) {
+static LogicalResult runTape(Run &run, Operation *op) {
   auto tape = cast<TapeOp>(op);
-  tai_rt_host_tape_begin(frame, tape.getLoss().data());
-  LogicalResult result = runBlock(tape.getBody().front(), {});
-  tai_rt_host_tape_end(frame);
-  return failure(failed(result) || tai_rt_failed(frame));
+  tai_rt_host_tape_begin(run.frame, tape.getLoss().data());
+  LogicalResult result = run.runBlock(tape.getBody().front(), {});
+  tai_rt_host_tape_end(run.frame);
+  return failure(failed(result) || tai_rt_failed(run.frame));
 }
 
-LogicalResult Run::runCheckGradient(Operation *op) {
+static LogicalResult runCheckGradient(Run &run, Operation *op) {
   auto check = cast<CheckGradientOp>(op);
   struct Region {
     Run &run;
     Block &body;
-  } region{*this, check.getBody().front()};
+  } region{run, check.getBody().front()};
   auto call = [](TaiFrame *inner, void *closure) -> int32_t {
     Region &region = *static_cast<Region *>(closure);
     TaiFrame *outer = std::exchange(region.run.frame, inner);
@@ -196,8 +179,19 @@ LogicalResult Run::runCheckGradient(Operation *op) {
     names.push_back(cast<FlatSymbolRefAttr>(field).getValue().str());
   for (const std::string &name : names)
     wrt.push_back(name.c_str());
-  tai_rt_host_check_gradient(frame, check.getLoss().str().c_str(), wrt.data(),
-                             wrt.size(), check.getTolerance().convertToDouble(),
-                             call, &region, describePlaceOf(op).c_str());
-  return failure(tai_rt_failed(frame) != 0);
+  tai_rt_host_check_gradient(run.frame, check.getLoss().str().c_str(),
+                             wrt.data(), wrt.size(),
+                             check.getTolerance().convertToDouble(), call,
+                             &region, describePlaceOf(op).c_str());
+  return failure(tai_rt_failed(run.frame) != 0);
+}
+
+void interpreter::addServiceHandlers(Handlers &handlers) {
+  handlers["tai.assert"] = runAssert;
+  handlers["tai.check_close"] = runCheckClose;
+  handlers["tai.check_gradient"] = runCheckGradient;
+  handlers["tai.launch"] = runLaunch;
+  handlers["tai.print"] = runPrint;
+  handlers["tai.random"] = runRandom;
+  handlers["tai.tape"] = runTape;
 }

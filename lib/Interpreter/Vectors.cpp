@@ -10,7 +10,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Decompositions.h"
-#include "Program.h"
+#include "Handlers.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 
@@ -36,7 +36,7 @@ static int64_t getCount(Type type) {
 // Components
 //===----------------------------------------------------------------------===//
 
-LogicalResult Run::runConstant(Operation *op) {
+static LogicalResult runConstant(Run &run, Operation *op) {
   Attribute value = cast<arith::ConstantOp>(op).getValue();
   Datum datum;
   if (auto elements = dyn_cast<DenseElementsAttr>(value)) {
@@ -45,67 +45,67 @@ LogicalResult Run::runConstant(Operation *op) {
   } else {
     datum.numbers.push_back(interpreter::getNumber(value));
   }
-  set(op->getResult(0), std::move(datum));
+  run.set(op->getResult(0), std::move(datum));
   return success();
 }
 
-LogicalResult Run::runScalars(Operation *op) {
-  ScalarFunction function = program.getScalarFunction(op);
+LogicalResult interpreter::runScalars(Run &run, Operation *op) {
+  ScalarFunction function = run.program.getScalarFunction(op);
   Type type = op->getResult(0).getType();
   Datum result;
   for (int64_t i = 0; i != getCount(type); ++i) {
     SmallVector<Number, 3> operands;
     for (Value operand : op->getOperands())
-      operands.push_back(get(operand).numbers[i]);
+      operands.push_back(run.get(operand).numbers[i]);
     Outcome outcome = function(op, operands, getElementTypeOrSelf(type));
     if (!outcome.number)
-      return fail(op, outcome.problem);
-    if (outcome.isTolerated && program.getOptions().debug)
-      report(op, outcome.problem, {}, TAI_FAIL_ASSERT);
+      return run.fail(op, outcome.problem);
+    if (outcome.isTolerated && run.program.getOptions().debug)
+      run.report(op, outcome.problem, {}, TAI_FAIL_ASSERT);
     result.numbers.push_back(std::move(*outcome.number));
   }
-  set(op->getResult(0), std::move(result));
+  run.set(op->getResult(0), std::move(result));
   return success();
 }
 
-LogicalResult Run::runSinCos(Operation *op) {
+static LogicalResult runSinCos(Run &run, Operation *op) {
   Datum sine, cosine;
   Type type = getElementTypeOrSelf(op->getOperand(0).getType());
-  for (const Number &number : get(op->getOperand(0)).numbers) {
+  for (const Number &number : run.get(op->getOperand(0)).numbers) {
     long double x = toDouble(number);
     sine.numbers.push_back(fromDouble(std::sin(x), type));
     cosine.numbers.push_back(fromDouble(std::cos(x), type));
   }
-  set(op->getResult(0), std::move(sine));
-  set(op->getResult(1), std::move(cosine));
+  run.set(op->getResult(0), std::move(sine));
+  run.set(op->getResult(1), std::move(cosine));
   return success();
 }
 
-LogicalResult Run::runSelect(Operation *op) {
+static LogicalResult runSelect(Run &run, Operation *op) {
   auto select = cast<arith::SelectOp>(op);
-  const Numbers &condition = get(select.getCondition()).numbers;
-  Datum result = get(select.getFalseValue());
+  const Numbers &condition = run.get(select.getCondition()).numbers;
+  Datum result = run.get(select.getFalseValue());
   if (condition.size() == 1) {
     // A scalar decides for all, and for arrays and the like.
     if (isTrue(condition.front()))
-      result = get(select.getTrueValue());
+      result = run.get(select.getTrueValue());
   } else {
     for (auto [i, holds] : llvm::enumerate(condition))
       if (isTrue(holds))
-        result.numbers[i] = get(select.getTrueValue()).numbers[i];
+        result.numbers[i] = run.get(select.getTrueValue()).numbers[i];
   }
-  set(select, std::move(result));
+  run.set(select, std::move(result));
   return success();
 }
 
-LogicalResult Run::runForward(Operation *op) {
-  set(op->getResult(0), get(op->getOperand(0)));
+static LogicalResult runForward(Run &run, Operation *op) {
+  run.set(op->getResult(0), run.get(op->getOperand(0)));
   return success();
 }
 
-LogicalResult Run::runBroadcast(Operation *op) {
+static LogicalResult runBroadcast(Run &run, Operation *op) {
   auto broadcast = cast<vector::BroadcastOp>(op);
-  const Numbers &source = get(broadcast.getSource()).numbers;
+  const Numbers &source = run.get(broadcast.getSource()).numbers;
   VectorType type = broadcast.getResultVectorType();
   auto from = dyn_cast<VectorType>(broadcast.getSourceType());
   ArrayRef<int64_t> shape = from ? from.getShape() : ArrayRef<int64_t>();
@@ -122,7 +122,7 @@ LogicalResult Run::runBroadcast(Operation *op) {
     }
     result.numbers.push_back(source[at]);
   }
-  set(broadcast, std::move(result));
+  run.set(broadcast, std::move(result));
   return success();
 }
 
@@ -150,56 +150,56 @@ static SmallVector<int64_t> getPosition(Op op,
   return position;
 }
 
-LogicalResult Run::runExtract(Operation *op) {
+static LogicalResult runExtract(Run &run, Operation *op) {
   auto extract = cast<vector::ExtractOp>(op);
-  SmallVector<int64_t> position =
-      getPosition(extract, [&](Value at) { return toIndex(getNumber(at)); });
+  SmallVector<int64_t> position = getPosition(
+      extract, [&](Value at) { return toIndex(run.getNumber(at)); });
   int64_t offset = getOffset(extract.getSourceVectorType(), position);
   if (offset < 0)
-    return fail(op, "the vector has no such component", TAI_FAIL_INDEX);
-  const Numbers &source = get(extract.getSource()).numbers;
+    return run.fail(op, "the vector has no such component", TAI_FAIL_INDEX);
+  const Numbers &source = run.get(extract.getSource()).numbers;
   Datum result;
   for (int64_t i = 0; i != getCount(extract.getType()); ++i)
     result.numbers.push_back(source[offset + i]);
-  set(extract, std::move(result));
+  run.set(extract, std::move(result));
   return success();
 }
 
-LogicalResult Run::runInsert(Operation *op) {
+static LogicalResult runInsert(Run &run, Operation *op) {
   auto insert = cast<vector::InsertOp>(op);
   SmallVector<int64_t> position =
-      getPosition(insert, [&](Value at) { return toIndex(getNumber(at)); });
+      getPosition(insert, [&](Value at) { return toIndex(run.getNumber(at)); });
   int64_t offset = getOffset(insert.getDestVectorType(), position);
   if (offset < 0)
-    return fail(op, "the vector has no such component", TAI_FAIL_INDEX);
-  Datum result = get(insert.getDest());
+    return run.fail(op, "the vector has no such component", TAI_FAIL_INDEX);
+  Datum result = run.get(insert.getDest());
   for (auto [i, number] :
-       llvm::enumerate(get(insert.getValueToStore()).numbers))
+       llvm::enumerate(run.get(insert.getValueToStore()).numbers))
     result.numbers[offset + i] = number;
-  set(insert, std::move(result));
+  run.set(insert, std::move(result));
   return success();
 }
 
-LogicalResult Run::runFromElements(Operation *op) {
+static LogicalResult runFromElements(Run &run, Operation *op) {
   Datum result;
   for (Value element : op->getOperands())
-    result.numbers.push_back(getNumber(element));
-  set(op->getResult(0), std::move(result));
+    result.numbers.push_back(run.getNumber(element));
+  run.set(op->getResult(0), std::move(result));
   return success();
 }
 
-LogicalResult Run::runToElements(Operation *op) {
-  Numbers source = get(op->getOperand(0)).numbers;
+static LogicalResult runToElements(Run &run, Operation *op) {
+  Numbers source = run.get(op->getOperand(0)).numbers;
   for (auto [result, number] : llvm::zip_equal(op->getResults(), source))
-    set(result, Datum(number));
+    run.set(result, Datum(number));
   return success();
 }
 
 /// Rows of two vectors, by their numbers in the one behind the other.
-LogicalResult Run::runShuffle(Operation *op) {
+static LogicalResult runShuffle(Run &run, Operation *op) {
   auto shuffle = cast<vector::ShuffleOp>(op);
-  Numbers both = get(shuffle.getV1()).numbers;
-  llvm::append_range(both, Numbers(get(shuffle.getV2()).numbers));
+  Numbers both = run.get(shuffle.getV1()).numbers;
+  llvm::append_range(both, Numbers(run.get(shuffle.getV2()).numbers));
   VectorType type = shuffle.getResultVectorType();
   int64_t size =
       type.getRank() == 0 ? 1 : type.getNumElements() / type.getDimSize(0);
@@ -208,14 +208,14 @@ LogicalResult Run::runShuffle(Operation *op) {
     for (int64_t i = 0; i != size; ++i) {
       // -1 says that any number will do.
       if (row < 0)
-        return fail(op, "the mask leaves a component undefined");
+        return run.fail(op, "the mask leaves a component undefined");
       result.numbers.push_back(both[row * size + i]);
     }
-  set(shuffle, std::move(result));
+  run.set(shuffle, std::move(result));
   return success();
 }
 
-LogicalResult Run::runReduction(Operation *op) {
+static LogicalResult runReduction(Run &run, Operation *op) {
   auto reduction = cast<vector::ReductionOp>(op);
   using Kind = vector::CombiningKind;
   auto combineTwo = [&](const Number &a, const Number &b) -> Number {
@@ -253,10 +253,10 @@ LogicalResult Run::runReduction(Operation *op) {
   };
   std::optional<Number> total;
   if (reduction.getAcc())
-    total = getNumber(reduction.getAcc());
-  for (const Number &number : get(reduction.getVector()).numbers)
+    total = run.getNumber(reduction.getAcc());
+  for (const Number &number : run.get(reduction.getVector()).numbers)
     total = total ? combineTwo(*total, number) : number;
-  set(reduction, Datum(*total));
+  run.set(reduction, Datum(*total));
   return success();
 }
 
@@ -276,10 +276,10 @@ sumProducts(int64_t n, function_ref<std::pair<Number, Number>(int64_t)> get) {
   return *sum;
 }
 
-LogicalResult Run::runMatmul(Operation *op) {
+static LogicalResult runMatmul(Run &run, Operation *op) {
   auto matmul = cast<MatmulOp>(op);
-  const Numbers &a = get(matmul.getLhs()).numbers;
-  const Numbers &b = get(matmul.getRhs()).numbers;
+  const Numbers &a = run.get(matmul.getLhs()).numbers;
+  const Numbers &b = run.get(matmul.getRhs()).numbers;
   int64_t rows = getRows(matmul.getLhs()), inner = getColumns(matmul.getLhs());
   int64_t columns = getColumns(matmul.getRhs());
   Datum result;
@@ -288,70 +288,70 @@ LogicalResult Run::runMatmul(Operation *op) {
       result.numbers.push_back(sumProducts(inner, [&](int64_t l) {
         return std::pair(a[i * inner + l], b[l * columns + j]);
       }));
-  set(matmul.getResult(), std::move(result));
+  run.set(matmul.getResult(), std::move(result));
   return success();
 }
 
-LogicalResult Run::runTranspose(Operation *op) {
+static LogicalResult runTranspose(Run &run, Operation *op) {
   auto transpose = cast<TransposeOp>(op);
-  const Numbers &from = get(transpose.getMatrix()).numbers;
+  const Numbers &from = run.get(transpose.getMatrix()).numbers;
   int64_t rows = getRows(transpose.getMatrix());
   int64_t columns = getColumns(transpose.getMatrix());
   Datum result;
   for (int64_t j = 0; j != columns; ++j)
     for (int64_t i = 0; i != rows; ++i)
       result.numbers.push_back(from[i * columns + j]);
-  set(transpose.getResult(), std::move(result));
+  run.set(transpose.getResult(), std::move(result));
   return success();
 }
 
-LogicalResult Run::runDot(Operation *op) {
-  const Numbers &a = get(op->getOperand(0)).numbers;
-  const Numbers &b = get(op->getOperand(1)).numbers;
-  set(op->getResult(0), Datum(sumProducts(a.size(), [&](int64_t i) {
-        return std::pair(a[i], b[i]);
-      })));
+static LogicalResult runDot(Run &run, Operation *op) {
+  const Numbers &a = run.get(op->getOperand(0)).numbers;
+  const Numbers &b = run.get(op->getOperand(1)).numbers;
+  run.set(op->getResult(0), Datum(sumProducts(a.size(), [&](int64_t i) {
+            return std::pair(a[i], b[i]);
+          })));
   return success();
 }
 
-LogicalResult Run::runSum(Operation *op) {
-  const Numbers &a = get(op->getOperand(0)).numbers;
+static LogicalResult runSum(Run &run, Operation *op) {
+  const Numbers &a = run.get(op->getOperand(0)).numbers;
   Number sum = a.front();
   for (const Number &number : llvm::drop_begin(a))
     sum = add(sum, number);
-  set(op->getResult(0), Datum(sum));
+  run.set(op->getResult(0), Datum(sum));
   return success();
 }
 
-LogicalResult Run::runCross(Operation *op) {
-  const Numbers &a = get(op->getOperand(0)).numbers;
-  const Numbers &b = get(op->getOperand(1)).numbers;
+static LogicalResult runCross(Run &run, Operation *op) {
+  const Numbers &a = run.get(op->getOperand(0)).numbers;
+  const Numbers &b = run.get(op->getOperand(1)).numbers;
   Datum result;
   for (int i = 0; i != 3; ++i) {
     int j = (i + 1) % 3, k = (i + 2) % 3;
     result.numbers.push_back(
         subtract(multiply(a[j], b[k]), multiply(a[k], b[j])));
   }
-  set(op->getResult(0), std::move(result));
+  run.set(op->getResult(0), std::move(result));
   return success();
 }
 
-LogicalResult Run::runOuter(Operation *op) {
+static LogicalResult runOuter(Run &run, Operation *op) {
   Datum result;
-  for (const Number &a : get(op->getOperand(0)).numbers)
-    for (const Number &b : get(op->getOperand(1)).numbers)
+  for (const Number &a : run.get(op->getOperand(0)).numbers)
+    for (const Number &b : run.get(op->getOperand(1)).numbers)
       result.numbers.push_back(multiply(a, b));
-  set(op->getResult(0), std::move(result));
+  run.set(op->getResult(0), std::move(result));
   return success();
 }
 
-LogicalResult Run::runTrace(Operation *op) {
-  const Numbers &a = get(op->getOperand(0)).numbers;
+static LogicalResult runTrace(Run &run, Operation *op) {
+  const Numbers &a = run.get(op->getOperand(0)).numbers;
   int64_t n = getRows(op->getOperand(0));
   Number sum = a.front();
   for (int64_t i = 1; i != n; ++i)
     sum = add(sum, a[i * n + i]);
-  set(op->getResult(0), Datum(sum));
+  run.set(op->getResult(0), Datum(sum));
   return success();
 }
 
@@ -372,46 +372,47 @@ static Datum narrow(ArrayRef<long double> numbers, Type type) {
   return result;
 }
 
-LogicalResult Run::runNorm(Operation *op) {
+static LogicalResult runNorm(Run &run, Operation *op) {
   auto norm = cast<NormOp>(op);
   // Its squares are in the range of long double for f64 too; with `fast`, those
   // of the type itself count.
   long double sum = 0;
-  for (long double a : widen(get(norm.getVector()).numbers))
+  for (long double a : widen(run.get(norm.getVector()).numbers))
     sum += a * a;
   if (norm.getFast()) {
-    const Numbers &a = get(norm.getVector()).numbers;
+    const Numbers &a = run.get(norm.getVector()).numbers;
     sum = toDouble(sumProducts(
         a.size(), [&](int64_t i) { return std::pair(a[i], a[i]); }));
   }
-  set(norm.getResult(), narrow({std::sqrt(sum)}, norm.getResult().getType()));
+  run.set(norm.getResult(),
+          narrow({std::sqrt(sum)}, norm.getResult().getType()));
   return success();
 }
 
-LogicalResult Run::runDeterminant(Operation *op) {
+static LogicalResult runDeterminant(Run &run, Operation *op) {
   Value matrix = op->getOperand(0);
-  set(op->getResult(0),
-      narrow({determinant(widen(get(matrix).numbers), getRows(matrix))},
-             op->getResult(0).getType()));
+  run.set(op->getResult(0),
+          narrow({determinant(widen(run.get(matrix).numbers), getRows(matrix))},
+                 op->getResult(0).getType()));
   return success();
 }
 
-LogicalResult Run::runInverse(Operation *op) {
+static LogicalResult runInverse(Run &run, Operation *op) {
   Value matrix = op->getOperand(0);
   int64_t n = getRows(matrix);
-  SmallVector<long double> a = widen(get(matrix).numbers), result;
+  SmallVector<long double> a = widen(run.get(matrix).numbers), result;
   for (int64_t i = 0; i != n; ++i)
     for (int64_t j = 0; j != n; ++j)
       result.push_back(cofactor(a, n, j, i) / determinant(a, n));
-  set(op->getResult(0), narrow(result, op->getResult(0).getType()));
+  run.set(op->getResult(0), narrow(result, op->getResult(0).getType()));
   return success();
 }
 
-LogicalResult Run::runSolve(Operation *op) {
+static LogicalResult runSolve(Run &run, Operation *op) {
   auto solve = cast<SolveOp>(op);
   int64_t n = getRows(solve.getMatrix());
-  SmallVector<long double> a = widen(get(solve.getMatrix()).numbers);
-  SmallVector<long double> b = widen(get(solve.getRhs()).numbers), result;
+  SmallVector<long double> a = widen(run.get(solve.getMatrix()).numbers);
+  SmallVector<long double> b = widen(run.get(solve.getRhs()).numbers), result;
   // Cramer's rule.
   for (int64_t k = 0; k != n; ++k) {
     SmallVector<long double> replaced = a;
@@ -419,16 +420,16 @@ LogicalResult Run::runSolve(Operation *op) {
       replaced[i * n + k] = b[i];
     result.push_back(determinant(replaced, n) / determinant(a, n));
   }
-  set(solve.getResult(), narrow(result, solve.getResult().getType()));
+  run.set(solve.getResult(), narrow(result, solve.getResult().getType()));
   return success();
 }
 
-LogicalResult Run::runPolar(Operation *op) {
+static LogicalResult runPolar(Run &run, Operation *op) {
   auto polar = cast<PolarOp>(op);
   int64_t n = getRows(polar.getMatrix());
   // A = U Σ Vᵀ = (U Vᵀ) (V Σ Vᵀ).
   Decomposition parts =
-      decomposeSingular(widen(get(polar.getMatrix()).numbers), n);
+      decomposeSingular(widen(run.get(polar.getMatrix()).numbers), n);
   SmallVector<long double> rotation(n * n), stretch(n * n);
   for (int64_t i = 0; i != n; ++i)
     for (int64_t j = 0; j != n; ++j)
@@ -438,36 +439,65 @@ LogicalResult Run::runPolar(Operation *op) {
             parts.right[i * n + k] * parts.values[k] * parts.right[j * n + k];
       }
   Type type = polar.getRotation().getType();
-  set(polar.getRotation(), narrow(rotation, type));
-  set(polar.getStretch(), narrow(stretch, type));
+  run.set(polar.getRotation(), narrow(rotation, type));
+  run.set(polar.getStretch(), narrow(stretch, type));
   return success();
 }
 
-LogicalResult Run::runSvd(Operation *op) {
+static LogicalResult runSvd(Run &run, Operation *op) {
   auto svd = cast<SvdOp>(op);
   int64_t n = getRows(svd.getMatrix());
   Decomposition parts =
-      decomposeSingular(widen(get(svd.getMatrix()).numbers), n);
+      decomposeSingular(widen(run.get(svd.getMatrix()).numbers), n);
   SmallVector<long double> sigma(n * n);
   for (int64_t i = 0; i != n; ++i)
     sigma[i * n + i] = parts.values[i];
   Type type = svd.getU().getType();
-  set(svd.getU(), narrow(parts.left, type));
-  set(svd.getSigma(), narrow(sigma, type));
-  set(svd.getV(), narrow(parts.right, type));
+  run.set(svd.getU(), narrow(parts.left, type));
+  run.set(svd.getSigma(), narrow(sigma, type));
+  run.set(svd.getV(), narrow(parts.right, type));
   return success();
 }
 
-LogicalResult Run::runSymEig(Operation *op) {
+static LogicalResult runSymEig(Run &run, Operation *op) {
   auto eig = cast<SymEigOp>(op);
   int64_t n = getRows(eig.getMatrix());
-  SmallVector<long double> a = widen(get(eig.getMatrix()).numbers);
+  SmallVector<long double> a = widen(run.get(eig.getMatrix()).numbers);
   // The lower triangle is what counts.
   for (int64_t i = 0; i != n; ++i)
     for (int64_t j = i + 1; j != n; ++j)
       a[i * n + j] = a[j * n + i];
   Decomposition parts = decomposeSymmetric(a, n);
-  set(eig.getValues(), narrow(parts.values, eig.getValues().getType()));
-  set(eig.getVectors(), narrow(parts.right, eig.getVectors().getType()));
+  run.set(eig.getValues(), narrow(parts.values, eig.getValues().getType()));
+  run.set(eig.getVectors(), narrow(parts.right, eig.getVectors().getType()));
   return success();
+}
+
+void interpreter::addVectorHandlers(Handlers &handlers) {
+  handlers["arith.constant"] = runConstant;
+  handlers["arith.select"] = runSelect;
+  handlers["math.sincos"] = runSinCos;
+  handlers["tai.cross"] = runCross;
+  handlers["tai.determinant"] = runDeterminant;
+  handlers["tai.dot"] = runDot;
+  handlers["tai.inverse"] = runInverse;
+  handlers["tai.matmul"] = runMatmul;
+  handlers["tai.norm"] = runNorm;
+  handlers["tai.outer"] = runOuter;
+  handlers["tai.polar"] = runPolar;
+  handlers["tai.solve"] = runSolve;
+  handlers["tai.stop_gradient"] = runForward;
+  handlers["tai.sum"] = runSum;
+  handlers["tai.svd"] = runSvd;
+  handlers["tai.sym_eig"] = runSymEig;
+  handlers["tai.trace"] = runTrace;
+  handlers["tai.transpose"] = runTranspose;
+  handlers["vector.broadcast"] = runBroadcast;
+  handlers["vector.extract"] = runExtract;
+  handlers["vector.from_elements"] = runFromElements;
+  handlers["vector.insert"] = runInsert;
+  handlers["vector.reduction"] = runReduction;
+  handlers["vector.shape_cast"] = runForward;
+  handlers["vector.shuffle"] = runShuffle;
+  handlers["vector.to_elements"] = runToElements;
 }

@@ -102,7 +102,7 @@ static LogicalResult translate(Operation *op, raw_ostream &output,
     for (auto [i, function] : llvm::enumerate(image->functions))
       plan.parts.push_back({bitcode.get(), function, /*isInTable=*/false,
                             /*isTile=*/false, image->blockSize(i)});
-    image = (*compiler)->makeProgram(plan);
+    image = makeProgram(**compiler, plan);
     if (!image)
       return fail(image.takeError());
   }

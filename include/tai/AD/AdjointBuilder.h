@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The state of reverse-mode differentiation, and what rules call to use it.
+// The reverse sweep, and what rules call to take part in it.
 //
 // The adjoint kernel mirrors the blocks of the primal one. Each mirrored block
 // is a `Frame` of two parts: first the primal values that the second part asks
@@ -21,20 +21,20 @@
 
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/IRMapping.h"
+#include "tai/AD/AdjointPlan.h"
 #include "tai/AD/DerivativeBuilder.h"
 #include "tai/AD/Signature.h"
-#include "tai/Analysis/AccessOrder.h"
-#include "tai/Analysis/Activity.h"
-#include "tai/Support/Skips.h"
 #include "llvm/ADT/MapVector.h"
-#include "llvm/ADT/SetVector.h"
+#include "llvm/Support/SaveAndRestore.h"
 #include <map>
 
 namespace mlir::tai {
 class ContendedAtomics;
-class ParallelForOp;
-
+class ForwardReexecution;
 class LoopHistory;
+class NonFiniteAdjoints;
+class ParallelForOp;
+class Rematerializer;
 class StoredOutputs;
 
 /// The adjoint of one value while it is being summed: a part for the whole
@@ -44,16 +44,6 @@ struct PartialAdjoint {
   Value whole;
   SmallVector<Value> components;
 };
-
-/// What an adjoint cannot compute from memory as it is: see Rerun.cpp.
-struct RerunPlan {
-  /// Reads whose elements are overwritten, and draws in serial loops.
-  llvm::SetVector<Operation *> recorded;
-  /// The storages that are written when the primal runs again.
-  DenseSet<const void *> storages;
-};
-
-class Rerun;
 
 /// A primal block and its mirror in the adjoint kernel.
 struct Frame {
@@ -91,49 +81,26 @@ struct Frame {
   DenseSet<Value> popped;
 };
 
-/// Values of a function that have an adjoint, each with the memref that holds
-/// it: arguments that are no arrays, and what the function returns.
-struct ValueShadows {
-  SmallVector<Value> inputs, inputShadows;
-  SmallVector<Value> outputs, outputShadows;
-};
-
 class AdjointBuilder : public DerivativeBuilder {
 public:
-  /// Builds into the body of `adjoint`, whose arguments begin with those of
-  /// `primal`. `adjointOf` gives the storage of adjoints, or none. With
-  /// `takesAll`, all stores take the adjoints of their elements.
-  AdjointBuilder(FunctionOpInterface primal, FunctionOpInterface adjoint,
-                 std::function<Storage(Storage)> adjointOf, bool takesAll,
-                 const RerunPlan &plan, ValueShadows shadows = {},
-                 SkipSet skips = SkipSet::all());
+  /// Builds what `plan` says into the body of `adjoint`, whose arguments begin
+  /// with those of the primal.
+  AdjointBuilder(FunctionOpInterface adjoint, const AdjointPlan &plan);
   ~AdjointBuilder();
 
   /// Builds the whole adjoint; the terminator is left to the caller. Fails
   /// after an error at the op that cannot be differentiated.
   LogicalResult build();
-
-  /// To be called before `build`: rules load what the kernel has stored, where
-  /// that saves work. `findsStored` says afterwards whether any does, and finds
-  /// it.
-  void readStored();
-  bool findsStored() const;
-
-  /// Counts what the analyses kept out of what was built.
-  void countSkips();
-  /// True if what was built has to be built again, by a larger plan.
-  bool needsMore() const { return wantsMore; }
-  const RerunPlan &getLargerPlan() const { return larger; }
-  /// True if building failed because several states of a field are needed, and
-  /// not all by one loop.
-  bool needsParts() const { return wantsParts; }
+  /// What was asked of the primal, which the plan may not provide: to be
+  /// settled by the planner.
+  const PrimalDemands &getDemands() const { return demands; }
 
   //===--------------------------------------------------------------------===//
   // For rules
   //===--------------------------------------------------------------------===//
 
   /// True if the value carries a derivative that is wanted.
-  bool isActive(Value value) const { return activity.isActive(value); }
+  bool isActive(Value value) const { return plan.activity.isActive(value); }
   /// The primal value, recomputed in the adjoint kernel.
   Value getPrimal(Value value) override;
   SmallVector<Value> getPrimals(ValueRange values);
@@ -150,23 +117,30 @@ public:
   void addAdjointComponent(Value value, int64_t component, Value contribution);
   /// True if the reverse of the access does something.
   bool isReversed(Operation *access) const {
-    return activity.isActiveAccess(access) || takes.contains(access);
+    return plan.activity.isActiveAccess(access) || takesAdjoint(access);
   }
-  /// True if the reverse of the store takes the adjoint of the element: it
-  /// leaves zero, for the value before the store.
-  bool takesAdjoint(Operation *store) const { return takes.contains(store); }
+  /// True if the reverse of the store zeroes the adjoint of the element, for
+  /// the value before the store.
+  bool takesAdjoint(Operation *store) const {
+    return plan.zeroing.isZeroedBy(store);
+  }
   /// True if a write may follow on `read` and reach the same element.
   bool mayBeOverwritten(DifferentiableAccessInterface read) const {
-    return static_cast<bool>(accesses.findLaterWrite(read));
+    return static_cast<bool>(plan.accesses.findLaterWrite(read));
   }
 
   //===--------------------------------------------------------------------===//
   // For loops and branches
   //===--------------------------------------------------------------------===//
 
-  const Activity &getActivity() const { return activity; }
+  const AdjointPlan &getPlan() const { return plan; }
+  const Activity &getActivity() const { return plan.activity; }
   Frame &getFrame() { return *current; }
-  Storage getAdjointStorage(Storage storage) { return adjointOf(storage); }
+  /// Works in another frame until the result goes.
+  [[nodiscard]] llvm::SaveAndRestore<Frame *> enter(Frame &frame) {
+    return llvm::SaveAndRestore<Frame *>(current, &frame);
+  }
+  Storage getAdjointStorage(Storage storage) { return plan.adjointOf(storage); }
 
   /// Reverses `primal` into `mirror`, whose terminator is left to the caller.
   /// `begin` maps the arguments of the block and seeds the adjoints of what the
@@ -187,14 +161,11 @@ public:
   void sweepCaptured();
   /// The number of iterations of a serial loop, as an index.
   Value createTripCount(scf::ForOp loop);
-  /// The bytes that a loop may record at once; it is recorded in chunks where
-  /// it takes more.
-  int64_t getHistoryLimit() const { return historyLimit; }
-  void setHistoryLimit(int64_t bytes) { historyLimit = bytes; }
-
   /// True if values of the loop are recorded while the primal runs again: they
   /// cannot be computed again from one iteration or from several.
-  bool isRecordedLoop(Operation *loop) const { return holders.contains(loop); }
+  bool isRecordedLoop(Operation *loop) const {
+    return plan.reexecution.holdsRecorded(loop);
+  }
   /// How often the second region of such a loop has run.
   Value fetchCount(scf::WhileOp loop);
 
@@ -204,124 +175,63 @@ public:
   LogicalResult beginContended(ParallelForOp loop);
   void endContended();
   /// The adjoint reads the field of the access as it was before the launch.
-  void requireBefore(Operation *access) { wantsBefore.insert(access); }
+  void requireBefore(Operation *access) { demands.before.insert(access); }
   /// A kernel of its own for each loop would do.
-  void requestParts() { wantsParts = true; }
+  void requestParts() { demands.parts = true; }
   /// True if the adjoint runs stores to the storage of the access again.
   bool runsAgain(Operation *access) const;
   /// Checks that a read gives in the adjoint what it gave in the primal.
   bool checkReadable(DifferentiableAccessInterface read);
 
+  /// Counts what a reversed loop carries, and how much of it is recorded.
+  void countCarried(int64_t values, int64_t recorded) {
+    demands.carriedValues += values;
+    demands.recordedValues += recorded;
+  }
+
   /// Says that what was added to the adjoint of `value` may be infinite.
-  void markInfinite(Value value) { mayBeInfinite.insert(value); }
+  void markInfinite(Value value);
   /// Says that what was added to the adjoint of `value` may be NaN though all
   /// values are finite: a derivative that does not exist.
-  void markUndefined(Value value) { mayBeUndefined.insert(value); }
+  void markUndefined(Value value);
   /// True if an adjoint that the rule at hand starts from may be so.
-  bool isSeedUndefined() const { return seedIsUndefined; }
+  bool isSeedUndefined() const;
 
   /// Reports that `op` cannot be differentiated; building then fails.
   InFlightDiagnostic emitError(Operation *op, const Twine &message);
 
-private:
-  friend class LoopHistory;
+  bool hasFailed() const { return hasErrors; }
 
-  Value materialize(Frame &frame, Value value);
-  void materializeArgument(Frame &frame, BlockArgument argument);
-  void recompute(Frame &frame, Operation *op);
-  void recomputeRegions(Operation *op, Operation *copy);
-  bool checkRecomputable(Operation *op);
-  LogicalResult checkAccesses();
-  void checkActivityChanges();
-  void findTakes();
-  LogicalResult chooseStates();
-  LogicalResult chooseState(ArrayRef<DifferentiableAccessInterface> reads,
-                            SmallVectorImpl<Attribute> &before);
-  bool planRerun(DifferentiableAccessInterface lost,
-                 ArrayRef<DifferentiableAccessInterface> reads);
-  bool isRecorded(Value value) const;
-  bool needsOperands(Frame &frame, Operation *op,
-                     SmallVectorImpl<Operation *> &missing);
-  Value fetchStored(Frame &frame, Value value);
-  void beginRerun(Frame &frame);
-  void endRerun(Frame &frame);
-  void leaveMirror(Frame &frame);
-  Value fetchRecorded(Frame &frame, Value value);
-  void collectRerunReads();
+private:
   LogicalResult reverseOp(Operation *op);
   LogicalResult reverseAccess(Operation *op);
   Value sumUp(Value value, PartialAdjoint &entry);
-  Value createInfinityTest(Operation *op);
-  Value createFinite(Value value, Value contribution);
-  Value createUnitContribution(Value contribution);
-  void seedOutputs();
-  void accumulateInputs();
 
   FunctionOpInterface primal, adjoint;
-  std::function<Storage(Storage)> adjointOf;
-  ValueShadows shadows;
-  Activity activity;
-  AccessTable accesses;
-  bool takesAll;
-  /// What analyses may leave out: whether all values that loops carry are
-  /// recorded, and adjoint code kept that reaches no memory.
-  bool recordsAll, keepsDead;
-  /// Of the loops that are reversed.
-  int64_t carriedValues = 0, recordedValues = 0;
-  /// The stores that take, and the ops around them.
-  DenseSet<Operation *> takes, takeHolders;
-  /// The reads that the adjoint repeats.
-  llvm::SetVector<Operation *> needed;
-  const RerunPlan &plan;
-  /// The plan for the next attempt, if this one turns out to lack something.
-  RerunPlan larger;
-  bool wantsMore = false, wantsParts = false;
-  /// The ops with regions around recorded ones, and the blocks to run again.
-  DenseSet<Operation *> holders;
-  DenseSet<Block *> units;
-  /// The innermost block that is being run again.
-  std::unique_ptr<Rerun> rerun;
-  /// The reads for which those marked with kRerunReadAttrName stand.
-  SmallVector<Operation *> rerunReads;
+  const AdjointPlan &plan;
+  PrimalDemands demands;
   Frame *current = nullptr;
   bool hasErrors = false;
-  int64_t historyLimit = kDefaultHistoryBytes;
-  /// Values whose adjoint may be infinite, and whether one of those is that the
-  /// rule at hand starts from (null: no).
-  DenseSet<Value> mayBeInfinite;
-  Value seedIsInfinite;
-  /// The same for adjoints that may be NaN.
-  DenseSet<Value> mayBeUndefined;
-  bool seedIsUndefined = false;
-  /// The adjoints that it starts from.
-  llvm::SmallSetVector<Value, 2> ruleSeeds;
-  DenseSet<Operation *> recomputedDraws, refused;
-  /// The storages that the adjoint accumulates into.
-  DenseSet<const void *> accumulated;
-  /// Accesses whose fields the adjoint reads as they were before the launch.
-  llvm::SetVector<Operation *> wantsBefore;
-  std::unique_ptr<ContendedAtomics> contended;
-  /// What rules may load, if anything, and whether one of them asks.
   std::unique_ptr<StoredOutputs> stored;
-  bool inRule = false;
+  std::unique_ptr<ForwardReexecution> reexecution;
+  std::unique_ptr<Rematerializer> rematerializer;
+  std::unique_ptr<NonFiniteAdjoints> nonFinite;
+  std::unique_ptr<ContendedAtomics> contended;
 };
 
 /// Fills the empty adjoint `shell` of `function`, which has the arguments that
-/// `signature` asks for. `takes` is as the option of `tai-make-adjoint`;
-/// `needsParts` is told whether a failure can be helped by splitting the
-/// kernel. Values that only lack of `activity-analysis` among the skips gives
-/// an adjoint need not have one that can be made. With `stored`, the adjoint
-/// loads what the kernel has stored; fails if there is nothing to gain.
+/// `signature` asks for. `needsParts` is told whether a failure can be helped
+/// by splitting the kernel. Values that only lack of `activity-analysis` among
+/// the skips gives an adjoint need not have one that can be made. With
+/// `loadsStored`, fails if there is nothing to gain.
 LogicalResult fillAdjoint(FunctionOpInterface function,
                           FunctionOpInterface shell,
                           const AdjointSignature &signature,
-                          int64_t historyBytes, bool takes,
-                          bool *needsParts = nullptr,
-                          SkipSet skips = SkipSet::all(), bool stored = false);
+                          AdjointOptions options, bool *needsParts = nullptr);
 
-/// Zeroes what parallel loops of an adjoint take in loops of their own, where
-/// that lets the additions of the others be gathered.
-void separateTakes(FunctionOpInterface adjoint);
+/// Zeroes adjoints in loops of their own, where that lets the additions of the
+/// others be gathered.
+void splitAdjointZeroing(FunctionOpInterface adjoint);
 
 /// Removes from the serial loops in `region` the carried values that neither
 /// the results in use nor an effect in the body need.

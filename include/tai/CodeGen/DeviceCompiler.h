@@ -99,23 +99,21 @@ public:
   /// PTX text, or object code of the host.
   llvm::Expected<runtime::DeviceImage> emit(DeviceCode &code);
 
-  /// Makes one kernel, `tai_program`, of the bodies of kernels, given by the
-  /// bitcode of their images and by their names; see tai/Runtime/DeviceAbi.h.
-  /// For TAI_SCOPE_NONE, makes a kernel of each of these functions of the
-  /// device library, with `_kernel` behind its name.
+  /// For code that is put together without a translation: an empty module, and
+  /// what makes an image of it. `prepare`, where given, runs when the libraries
+  /// are linked; what is not visible is hidden.
+  DeviceCode createCode(StringRef name);
   llvm::Expected<runtime::DeviceImage>
-  makeProgram(const runtime::ProgramPlan &plan);
+  finish(DeviceCode &code,
+         llvm::function_ref<bool(const llvm::GlobalValue &)> isVisible,
+         llvm::function_ref<void()> prepare = {});
 
+  bool isCuda() const { return target.kind == runtime::DeviceKind::Cuda; }
   /// True once LLVM has met a fatal error: this is then no longer of use.
   bool isBroken() const;
 
 private:
-  llvm::Expected<runtime::DeviceImage>
-  makeLibrary(llvm::ArrayRef<runtime::ProgramPart> parts);
-  llvm::Expected<runtime::DeviceImage>
-  makeOverlapped(llvm::ArrayRef<runtime::ProgramPart> parts);
   DeviceCompiler(const DeviceTarget &target, const CodegenOptions &options);
-  bool isCuda() const { return target.kind == runtime::DeviceKind::Cuda; }
   llvm::Error link(llvm::Module &module);
   llvm::Error linkLibdevice(llvm::Module &module);
   void setTarget(llvm::Module &module);
@@ -133,6 +131,13 @@ private:
   std::unique_ptr<ObjectCompiler> objects;
   bool broken = false;
 };
+
+/// Makes one kernel, `tai_program`, of the bodies of kernels, given by the
+/// bitcode of their images and by their names; see tai/ABI/DeviceAbi.h.
+/// For TAI_SCOPE_NONE, makes a kernel of each of these functions of the
+/// device library, with `_kernel` behind its name.
+llvm::Expected<runtime::DeviceImage>
+makeProgram(DeviceCompiler &compiler, const runtime::ProgramPlan &plan);
 
 } // namespace mlir::tai
 

@@ -121,8 +121,7 @@ static bool needsParts(KernelOp kernel) {
   bool result = false;
   SkipScope unheard;
   bool failing =
-      failed(fillAdjoint(kernel, shell, *signature, kDefaultHistoryBytes,
-                         /*takes=*/false, &result));
+      failed(fillAdjoint(kernel, shell, *signature, AdjointOptions(), &result));
   shell.erase();
   return failing && result;
 }

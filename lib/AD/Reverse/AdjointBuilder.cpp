@@ -5,63 +5,44 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The reverse sweep: blocks, ops and sums of adjoints. Recomputation of primal
-// values is in Recompute.cpp.
+// The reverse sweep: blocks, ops and sums of adjoints. Primal values come from
+// Rematerializer.
 //
 //===----------------------------------------------------------------------===//
 
 #include "tai/AD/AdjointBuilder.h"
 #include "ContendedAtomics.h"
+#include "ForwardReexecution.h"
+#include "NonFiniteAdjoints.h"
+#include "Rematerializer.h"
 #include "StoredOutputs.h"
+#include "ValueShadows.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
-#include "mlir/Dialect/Math/IR/Math.h"
-#include "mlir/Dialect/MemRef/IR/MemRef.h"
-#include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/CallInterfaces.h"
-#include "tai/AD/Rerun.h"
 #include "tai/Analysis/Accesses.h"
-#include "tai/Analysis/DerivativePaths.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
-#include "llvm/Support/SaveAndRestore.h"
 
 using namespace mlir;
 using namespace mlir::tai;
 
-AdjointBuilder::AdjointBuilder(FunctionOpInterface primal,
-                               FunctionOpInterface adjoint,
-                               std::function<Storage(Storage)> adjointOf,
-                               bool takesAll, const RerunPlan &plan,
-                               ValueShadows valueShadows, SkipSet skips)
-    : DerivativeBuilder(primal, /*usesConditions=*/true), primal(primal),
-      adjoint(adjoint), adjointOf(std::move(adjointOf)),
-      shadows(std::move(valueShadows)),
-      activity(
-          primal,
-          [this](Storage storage) {
-            return static_cast<bool>(this->adjointOf(storage));
-          },
-          shadows.inputs, shadows.outputs,
-          /*assumeVaried=*/!skips.has(Skip::ActivityAnalysis)),
-      accesses(primal), takesAll(takesAll),
-      recordsAll(!skips.has(Skip::RecordingAnalysis)),
-      keepsDead(!skips.has(Skip::ActivityAnalysis)), plan(plan), larger(plan),
-      contended(std::make_unique<ContendedAtomics>(*this)) {
-  for (Operation *op : plan.recorded) {
-    Block *unit = getRerunUnit(op);
-    units.insert(unit);
-    for (Operation *parent = op->getParentOp(); parent != unit->getParentOp();
-         parent = parent->getParentOp())
-      holders.insert(parent);
-  }
-}
+AdjointBuilder::AdjointBuilder(FunctionOpInterface adjoint,
+                               const AdjointPlan &plan)
+    : DerivativeBuilder(plan.primal, /*usesConditions=*/true),
+      primal(plan.primal), adjoint(adjoint), plan(plan),
+      stored(plan.options.loadsStored
+                 ? std::make_unique<StoredOutputs>(primal, plan.accesses)
+                 : nullptr),
+      reexecution(
+          std::make_unique<ForwardReexecution>(*this, plan.reexecution)),
+      rematerializer(std::make_unique<Rematerializer>(
+          *this, plan, demands, *reexecution, stored.get())),
+      nonFinite(std::make_unique<NonFiniteAdjoints>(*this)),
+      contended(std::make_unique<ContendedAtomics>(*this)) {}
 
 AdjointBuilder::~AdjointBuilder() = default;
 
 LogicalResult AdjointBuilder::build() {
-  if (failed(checkAccesses()))
-    return failure();
-  findTakes();
   Block *body = &primal.getFunctionBody().front();
   Block *mirror = &adjoint.getFunctionBody().front();
   LogicalResult result = reverseBlock(
@@ -70,17 +51,47 @@ LogicalResult AdjointBuilder::build() {
         for (auto [from, to] :
              llvm::zip(body->getArguments(), mirror->getArguments()))
           frame.values.map(from, to);
-        seedOutputs();
+        seedOutputs(*this);
       },
-      [&](Frame &) { accumulateInputs(); });
+      [&](Frame &) { accumulateInputs(*this); });
   if (failed(result) || hasErrors)
     return failure();
-  collectRerunReads();
-  if (failed(chooseStates()))
-    return failure();
-  if (!keepsDead)
+  reexecution->collectReads(adjoint, demands);
+  if (stored)
+    demands.stored = stored->getUsed();
+  if (!plan.keepsDead())
     dropDeadCarried(adjoint.getFunctionBody());
   return success();
+}
+
+//===----------------------------------------------------------------------===//
+// What its parts do
+//===----------------------------------------------------------------------===//
+
+Value AdjointBuilder::getPrimal(Value value) {
+  return rematerializer->get(value);
+}
+
+SmallVector<Value> AdjointBuilder::getPrimals(ValueRange values) {
+  return llvm::map_to_vector(values,
+                             [&](Value value) { return getPrimal(value); });
+}
+
+void AdjointBuilder::recomputeBlock(Block *primal, Block *mirror) {
+  rematerializer->cloneBlock(primal, mirror);
+}
+
+bool AdjointBuilder::checkReadable(DifferentiableAccessInterface read) {
+  return rematerializer->checkReadable(read);
+}
+
+Value AdjointBuilder::fetchCount(scf::WhileOp loop) {
+  return reexecution->fetchCount(loop);
+}
+
+bool AdjointBuilder::runsAgain(Operation *access) const {
+  return plan.reexecution.isRecorded(access) ||
+         plan.reexecution.isRewritten(getStorageKey(access));
 }
 
 LogicalResult AdjointBuilder::beginContended(ParallelForOp loop) {
@@ -89,74 +100,30 @@ LogicalResult AdjointBuilder::beginContended(ParallelForOp loop) {
 
 void AdjointBuilder::endContended() { contended->end(); }
 
-bool AdjointBuilder::runsAgain(Operation *access) const {
-  return plan.recorded.contains(access) ||
-         plan.storages.contains(getStorageKey(access));
+void AdjointBuilder::markInfinite(Value value) {
+  nonFinite->markInfinite(value);
 }
 
-/// True for what only looks at an array.
-static bool isQuery(Operation *op) {
-  return isa<memref::DimOp, memref::RankOp, memref::DeallocOp>(op);
+void AdjointBuilder::markUndefined(Value value) {
+  nonFinite->markUndefined(value);
 }
 
-// What is not understood would be left out of the gradient in silence.
-LogicalResult AdjointBuilder::checkAccesses() {
-  for (BlockArgument argument : primal.getArguments()) {
-    if (!isa<MemRefType>(argument.getType()) || !adjointOf(Storage(argument)))
-      continue;
-    for (Operation *user : argument.getUsers()) {
-      auto access = dyn_cast<DifferentiableAccessInterface>(user);
-      if (isQuery(user) ||
-          (access && access.getAccessedStorage().memref == argument) ||
-          !refused.insert(user).second)
-        continue;
-      emitError(user, "cannot differentiate '" +
-                          user->getName().getStringRef() +
-                          "' on an array with a derivative")
-              .attachNote()
-          << "access its elements by 'memref.load', 'memref.store' and "
-             "'memref.atomic_rmw addf'";
-    }
-  }
-  auto hasAdjoint = [&](Storage storage) {
-    return static_cast<bool>(adjointOf(storage));
-  };
-  DerivativeEnds ends{hasAdjoint, shadows.inputs, shadows.outputs};
-  (void)verifyDerivativePaths(primal, ends,
-                              [&](Operation *op, const Twine &message) {
-                                return emitError(op, message);
-                              });
-  checkActivityChanges();
-  primal.walk([&](Operation *op) {
-    if (auto access = dyn_cast<DifferentiableAccessInterface>(op)) {
-      Storage storage = access.getAccessedStorage();
-      if (access.getAccessKind() == AccessKind::Read) {
-        if (activity.isActiveAccess(op))
-          accumulated.insert(adjointOf(storage).getOpaque());
-      } else if (storage.memref && !isa<BlockArgument>(storage.memref) &&
-                 activity.isVaried(access.getAccessedValue())) {
-        emitError(op, "a derivative is lost in an array that the function "
-                      "makes for itself")
-                .attachNote()
-            << "use a local variable, a field, or an array that is an argument";
-      }
-      return;
-    }
-    // Output and checks take what they like; regions are looked into.
-    if (op->getNumRegions() != 0 || isMemoryEffectFree(op) ||
-        isa<PrintOp, AssertOp, PreconditionOp>(op))
-      return;
-    if (llvm::none_of(op->getOperands(),
-                      [&](Value v) { return activity.isVaried(v); }))
-      return;
-    InFlightDiagnostic diag = emitError(
-        op, "a derivative is lost in '" + op->getName().getStringRef() +
-                "', which cannot be differentiated");
-    if (isa<AppendOp>(op))
-      diag.attachNote() << "store the value to the element by an index; the "
-                           "list grows to the highest one";
-  });
-  return failure(hasErrors);
+bool AdjointBuilder::isSeedUndefined() const {
+  return nonFinite->isSeedUndefined();
+}
+
+Value AdjointBuilder::createTripCount(scf::ForOp loop) {
+  Value lower = getPrimal(loop.getLowerBound());
+  Value upper = getPrimal(loop.getUpperBound());
+  Value step = getPrimal(loop.getStep());
+  Value count = upper;
+  if (!matchPattern(lower, m_Zero()))
+    count = createOrFold<arith::SubIOp>(upper, lower);
+  if (!matchPattern(step, m_One()))
+    count = createOrFold<arith::CeilDivSIOp>(count, step);
+  if (!count.getType().isIndex())
+    count = createOrFold<arith::IndexCastOp>(getIndexType(), count);
+  return count;
 }
 
 InFlightDiagnostic AdjointBuilder::emitError(Operation *op,
@@ -184,8 +151,9 @@ AdjointBuilder::reverseBlock(Block *primal, Block *mirror,
   auto createMarker = [&] { return createConstant(getF32Type(), 0); };
   frame.recomputeBegin = createMarker().getDefiningOp();
   frame.sweepBegin = createMarker().getDefiningOp();
-  if (units.contains(primal))
-    beginRerun(frame);
+  bool isReexecuted = plan.reexecution.isReexecuted(primal);
+  if (isReexecuted)
+    reexecution->begin(frame);
   if (beforeSweep)
     beforeSweep();
   LogicalResult result = success();
@@ -195,11 +163,11 @@ AdjointBuilder::reverseBlock(Block *primal, Block *mirror,
       result = failure();
   }
   setLoc(loc);
-  if (units.contains(primal))
-    endRerun(frame);
+  if (isReexecuted)
+    reexecution->end(frame);
   end(frame);
   frame.sweepBegin->erase();
-  leaveMirror(frame);
+  reexecution->leave(frame);
   current = frame.parent;
   return result;
 }
@@ -211,10 +179,10 @@ static bool hasAdjoint(Frame &frame, Value value) {
 LogicalResult AdjointBuilder::reverseOp(Operation *op) {
   if (isa<DifferentiableAccessInterface>(op))
     return isReversed(op) ? reverseAccess(op) : success();
-  bool matters = activity.holdsActiveAccess(op) || takeHolders.contains(op) ||
-                 llvm::any_of(op->getResults(), [&](Value result) {
-                   return hasAdjoint(*current, result);
-                 });
+  bool matters =
+      plan.activity.holdsActiveAccess(op) || plan.zeroing.isHeldBy(op) ||
+      llvm::any_of(op->getResults(),
+                   [&](Value result) { return hasAdjoint(*current, result); });
   if (isa<CallOpInterface>(op) && !isMemoryEffectFree(op)) {
     emitError(op, "cannot differentiate a call that was not inlined")
             .attachNote()
@@ -224,18 +192,14 @@ LogicalResult AdjointBuilder::reverseOp(Operation *op) {
   if (!matters)
     return success();
   if (auto loop = dyn_cast<AdjointLoopInterface>(op)) {
-    llvm::SaveAndRestore notInRule(inRule, false);
+    llvm::SaveAndRestore notForRule(rematerializer->isForRule, false);
     return loop.buildReverse(*this);
   }
-  llvm::SaveAndRestore nowInRule(inRule, true);
+  llvm::SaveAndRestore forRule(rematerializer->isForRule, true);
   if (auto rule = dyn_cast<DifferentiableOpInterface>(op)) {
-    seedIsInfinite = createInfinityTest(op);
-    seedIsUndefined = llvm::any_of(op->getResults(), [&](Value result) {
-      return mayBeUndefined.contains(result);
-    });
+    nonFinite->beginRule(op);
     LogicalResult result = rule.buildAdjoint(*this);
-    seedIsInfinite = {};
-    seedIsUndefined = false;
+    nonFinite->endRule();
     return result;
   }
   emitError(op, "'" + op->getName().getStringRef() +
@@ -250,7 +214,7 @@ LogicalResult AdjointBuilder::reverseOp(Operation *op) {
 LogicalResult AdjointBuilder::reverseAccess(Operation *op) {
   auto access = cast<DifferentiableAccessInterface>(op);
   Value value = access.getAccessedValue();
-  Storage storage = adjointOf(access.getAccessedStorage());
+  Storage storage = plan.adjointOf(access.getAccessedStorage());
   bool isRead = access.getAccessKind() == AccessKind::Read;
   if (!isRead)
     for (Value result : op->getResults())
@@ -284,9 +248,9 @@ LogicalResult AdjointBuilder::reverseAccess(Operation *op) {
     return success();
   }
   Value read;
-  if (activity.isActiveAccess(op))
+  if (plan.activity.isActiveAccess(op))
     read = access.createAdjointRead(*this, storage, indices, components);
-  if (takes.contains(op))
+  if (takesAdjoint(op))
     access.createAdjointStore(*this, createZero(value.getType()), storage,
                               indices, components);
   if (read && access.isNegated())
@@ -357,95 +321,12 @@ static Value addUp(ImplicitLocOpBuilder &builder, Value sum, Value term) {
   return arith::AddFOp::create(builder, sum, term);
 }
 
-/// Whether some adjoint of a result of `op` is infinite; null where that cannot
-/// be.
-Value AdjointBuilder::createInfinityTest(Operation *op) {
-  Value any;
-  ruleSeeds.clear();
-  for (Value result : op->getResults()) {
-    Value size = getAdjoint(result);
-    if (!size)
-      continue;
-    ruleSeeds.insert(size);
-    if (!mayBeInfinite.contains(result))
-      continue;
-    size = math::AbsFOp::create(*this, size);
-    if (isa<VectorType>(size.getType()))
-      size = SumOp::create(*this, getElementTypeOrSelf(size.getType()), size);
-    Value infinity =
-        createConstant(size.getType(), std::numeric_limits<double>::infinity());
-    Value test =
-        arith::CmpFOp::create(*this, arith::CmpFPredicate::OEQ, size, infinity);
-    any = any ? Value(arith::OrIOp::create(*this, any, test)) : test;
-  }
-  return any;
-}
-
-/// What a rule has made of the adjoints that it starts from, with 1 in their
-/// place: the partial derivative. Null where it is not made by a few plain ops.
-Value AdjointBuilder::createUnitContribution(Value contribution) {
-  SmallVector<Operation *> slice;
-  DenseMap<Value, bool> known;
-  auto depends = [&](auto &self, Value value) -> bool {
-    if (ruleSeeds.contains(value))
-      return true;
-    Operation *op = value.getDefiningOp();
-    if (!op || op->getBlock() != getInsertionBlock())
-      return false;
-    if (auto it = known.find(value); it != known.end())
-      return it->second;
-    bool any = false;
-    for (Value operand : op->getOperands())
-      any |= self(self, operand);
-    known[value] = any;
-    if (any && !llvm::is_contained(slice, op))
-      slice.push_back(op);
-    return any;
-  };
-  constexpr size_t most = 64;
-  if (!depends(depends, contribution) || slice.size() > most ||
-      llvm::any_of(slice, [](Operation *op) {
-        return op->getNumRegions() != 0 || !isMemoryEffectFree(op);
-      }))
-    return {};
-  IRMapping mapping;
-  for (Value seed : ruleSeeds)
-    mapping.map(seed, createConstant(seed.getType(), 1));
-  for (Operation *op : slice)
-    clone(*op, mapping);
-  return mapping.lookup(contribution);
-}
-
-/// What an infinite adjoint contributes: nothing where the partial derivative
-/// is zero, and not the NaN that the product of both is. A partial that is
-/// itself no number stays one.
-Value AdjointBuilder::createFinite(Value value, Value contribution) {
-  if (seedIsUndefined)
-    mayBeUndefined.insert(value);
-  if (!seedIsInfinite)
-    return contribution;
-  mayBeInfinite.insert(value);
-  auto isOrdered = [&](arith::CmpFPredicate predicate, Value number) {
-    return arith::CmpFOp::create(*this, predicate, number, number);
-  };
-  Value isNaN = isOrdered(arith::CmpFPredicate::UNO, contribution);
-  if (Value partial = createUnitContribution(contribution);
-      partial && !matchPattern(partial, m_Constant()))
-    isNaN = arith::AndIOp::create(
-        *this, isNaN, isOrdered(arith::CmpFPredicate::ORD, partial));
-  Value infinite = seedIsInfinite;
-  if (isa<VectorType>(isNaN.getType()))
-    infinite = vector::BroadcastOp::create(*this, isNaN.getType(), infinite);
-  Value drops = arith::AndIOp::create(*this, infinite, isNaN);
-  return arith::SelectOp::create(
-      *this, drops, createZero(contribution.getType()), contribution);
-}
-
 void AdjointBuilder::addAdjoint(Value value, Value contribution) {
   if (!contribution || !isActive(value))
     return;
   PartialAdjoint &entry = current->adjoints[value];
-  entry.whole = addUp(*this, entry.whole, createFinite(value, contribution));
+  entry.whole =
+      addUp(*this, entry.whole, nonFinite->guard(value, contribution));
 }
 
 void AdjointBuilder::addAdjointComponent(Value value, int64_t component,
@@ -456,7 +337,7 @@ void AdjointBuilder::addAdjointComponent(Value value, int64_t component,
   if (entry.components.empty())
     entry.components.resize(cast<VectorType>(value.getType()).getNumElements());
   Value &sum = entry.components[component];
-  sum = addUp(*this, sum, createFinite(value, contribution));
+  sum = addUp(*this, sum, nonFinite->guard(value, contribution));
 }
 
 Value AdjointBuilder::sumUp(Value value, PartialAdjoint &entry) {

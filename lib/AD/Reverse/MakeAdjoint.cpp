@@ -18,6 +18,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/AdjointPlanner.h"
 #include "tai/AD/Conventions.h"
 #include "tai/AD/Passes.h"
 #include "tai/AD/Selection.h"
@@ -118,8 +119,7 @@ static void clearBody(FunctionOpInterface shell) {
 static LogicalResult fillWith(FunctionOpInterface function,
                               FunctionOpInterface shell,
                               const AdjointSignature &signature,
-                              int64_t historyBytes, bool takes,
-                              bool *needsParts, SkipSet skips, bool stored) {
+                              const AdjointOptions &options, bool *needsParts) {
   DenseMap<Value, Value> arrays;
   ValueShadows values;
   unsigned next = function.getNumArguments();
@@ -146,27 +146,33 @@ static LogicalResult fillWith(FunctionOpInterface function,
                ? Storage(field.getAdjointAttr())
                : Storage();
   };
-  // What the adjoint has to run forward again shows when it is built.
-  RerunPlan plan;
+  AdjointPlanner planner(function, adjointOf, values, options);
+  const AdjointPlan &plan = planner.getPlan();
+  if (failed(verifyReversible(plan)))
+    return failure();
+  // What the adjoint has to execute forward again shows when it is emitted.
   while (true) {
-    AdjointBuilder builder(function, shell, adjointOf, takes, plan, values,
-                           skips);
-    builder.setHistoryLimit(historyBytes);
-    if (stored)
-      builder.readStored();
+    AdjointBuilder builder(shell, plan);
     LogicalResult built = builder.build();
+    const PrimalDemands &demands = builder.getDemands();
+    FailureOr<bool> fits = failure();
+    if (succeeded(built))
+      fits = planner.settle(demands);
     if (needsParts)
-      *needsParts = builder.needsParts();
-    if (failed(built) || (stored && !builder.findsStored()))
+      *needsParts = demands.parts || planner.needsParts();
+    if (failed(fits))
       return failure();
-    if (!builder.needsMore()) {
-      if (!stored)
-        builder.countSkips();
+    if (options.loadsStored &&
+        !(*fits && planner.findsStored(demands.stored.getArrayRef())))
+      return failure();
+    if (*fits) {
+      if (!options.loadsStored)
+        countSkips(plan, demands);
       break;
     }
-    plan = RerunPlan(builder.getLargerPlan());
     clearBody(shell);
   }
+  planner.annotate(shell);
   OpBuilder builder = OpBuilder::atBlockEnd(&shell.getFunctionBody().front());
   if (isa<KernelOp>(shell.getOperation()))
     ReturnOp::create(builder, function.getLoc(), ValueRange());
@@ -176,7 +182,7 @@ static LogicalResult fillWith(FunctionOpInterface function,
   if (isa<KernelOp>(shell.getOperation()) && reachesSparse(shell))
     shell->setAttr(kKeepsActivityAttrName, builder.getUnitAttr());
   markExclusiveAtomics(shell);
-  separateTakes(shell);
+  splitAdjointZeroing(shell);
   relaxArrayAccumulations(shell);
   return success();
 }
@@ -184,21 +190,17 @@ static LogicalResult fillWith(FunctionOpInterface function,
 LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
                                      FunctionOpInterface shell,
                                      const AdjointSignature &signature,
-                                     int64_t historyBytes, bool takes,
-                                     bool *needsParts, SkipSet skips,
-                                     bool stored) {
-  if (!skips.has(Skip::ActivityAnalysis)) {
+                                     AdjointOptions options, bool *needsParts) {
+  if (!options.skips.has(Skip::ActivityAnalysis)) {
     // Not all that is assumed to carry derivatives can be differentiated.
     ScopedDiagnosticHandler silence(function.getContext(),
                                     [](Diagnostic &) { return success(); });
-    if (succeeded(fillWith(function, shell, signature, historyBytes, takes,
-                           needsParts, skips, stored)))
+    if (succeeded(fillWith(function, shell, signature, options, needsParts)))
       return success();
     clearBody(shell);
-    skips.set(Skip::ActivityAnalysis, true);
+    options.skips.set(Skip::ActivityAnalysis, true);
   }
-  return fillWith(function, shell, signature, historyBytes, takes, needsParts,
-                  skips, stored);
+  return fillWith(function, shell, signature, options, needsParts);
 }
 
 /// Decides by the loops as they were written how those of the adjoint, which
@@ -236,6 +238,10 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
       signalPassFailure();
   }
 
+  AdjointOptions getOptions(bool zeroesAll, bool loadsStored) {
+    return {zeroesAll, loadsStored, historyBytes, skip.getValue()};
+  }
+
   /// The form of the adjoint that loads what the kernel has stored, where that
   /// is worth having: beside the adjoint, which names it.
   void makeStoredForm(FunctionOpInterface function, KernelOp adjoint,
@@ -252,9 +258,8 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
     // All there is to say has been said of the adjoint.
     ScopedDiagnosticHandler silence(&getContext(),
                                     [](Diagnostic &) { return success(); });
-    if (failed(fillAdjoint(function, shell, signature, historyBytes, takes,
-                           /*needsParts=*/nullptr, skip.getValue(),
-                           /*stored=*/true)) ||
+    if (failed(fillAdjoint(function, shell, signature,
+                           getOptions(takes, /*loadsStored=*/true))) ||
         shell->getAttr(kBeforeAttrName) != adjoint->getAttr(kBeforeAttrName) ||
         shell->hasAttr(kRerunsAttrName) ||
         estimateNanoseconds(shell) + worthHaving >
@@ -307,8 +312,8 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
       shell->setAttr(kTakesAttrName, UnitAttr::get(&getContext()));
     if (deterministic)
       fixCosts(function);
-    if (failed(fillAdjoint(function, shell, *signature, historyBytes, takesAll,
-                           /*needsParts=*/nullptr, skip.getValue()))) {
+    if (failed(fillAdjoint(function, shell, *signature,
+                           getOptions(takesAll, /*loadsStored=*/false)))) {
       shell.erase();
       return failure();
     }

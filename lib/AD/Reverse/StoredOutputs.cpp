@@ -131,38 +131,33 @@ static bool isDear(Frame &frame, Value value) {
   return false;
 }
 
-/// The value as the kernel has left it in a field, or null. Only rules may ask
-/// for it: what decides where an adjoint goes must be the same in both of its
-/// forms, for one is asked what the other reads.
-Value AdjointBuilder::fetchStored(Frame &frame, Value value) {
-  if (!stored || !inRule || !frame.sweepBegin)
-    return {};
-  const StoredOutputs::Place *place = stored->find(value);
+Value StoredOutputs::load(AdjointBuilder &b, Frame &frame, Value value) {
+  const Place *place = find(value);
   if (!place)
     return {};
   StoreOp store = place->store;
-  if (accumulated.contains(store.getFieldAttr().getAsOpaquePointer()) ||
+  if (b.getPlan().accumulated.contains(
+          store.getFieldAttr().getAsOpaquePointer()) ||
       !isDear(frame, value))
     return {};
-  stored->used.insert(store);
-  OpBuilder::InsertionGuard guard(*this);
-  Location loc = getLoc();
-  Frame *saved = current;
-  current = &frame;
-  setInsertionPoint(frame.recomputeBegin);
-  setLoc(store.getLoc());
+  used.insert(store);
+  OpBuilder::InsertionGuard guard(b);
+  Location loc = b.getLoc();
+  auto scope = b.enter(frame);
+  b.setInsertionPoint(frame.recomputeBegin);
+  b.setLoc(store.getLoc());
   // A copy of its own: others may be computed too late.
   DenseMap<Value, Value> copies;
   std::function<Value(Value)> copy = [&](Value index) -> Value {
     Operation *op = index.getDefiningOp();
     if (!op)
-      return getPrimal(index);
+      return b.getPrimal(index);
     if (Value known = copies.lookup(index))
       return known;
     IRMapping mapping;
     for (Value operand : op->getOperands())
       mapping.map(operand, copy(operand));
-    Operation *made = insert(op->clone(mapping));
+    Operation *made = b.insert(op->clone(mapping));
     for (auto [from, to] : llvm::zip(op->getResults(), made->getResults()))
       copies[from] = to;
     return copies[index];
@@ -175,35 +170,12 @@ Value AdjointBuilder::fetchStored(Frame &frame, Value value) {
     auto type = cast<VectorType>(store.getValue().getType());
     for (int64_t extent : llvm::reverse(type.getShape())) {
       components.insert(components.begin(),
-                        arith::ConstantIndexOp::create(*this, rest % extent));
+                        arith::ConstantIndexOp::create(b, rest % extent));
       rest /= extent;
     }
   }
-  Value loaded = LoadOp::create(*this, value.getType(), store.getFieldAttr(),
+  Value loaded = LoadOp::create(b, value.getType(), store.getFieldAttr(),
                                 indices, components);
-  current = saved;
-  setLoc(loc);
+  b.setLoc(loc);
   return loaded;
-}
-
-/// True if the loads of what was stored find it: the adjoint runs on what the
-/// launch has left, and not on what was there before.
-bool AdjointBuilder::findsStored() const {
-  if (!stored || stored->used.empty() || wantsMore || !plan.recorded.empty() ||
-      !plan.storages.empty())
-    return false;
-  auto before = adjoint->getAttrOfType<ArrayAttr>(kBeforeAttrName);
-  if (!before)
-    return true;
-  return llvm::none_of(stored->used, [&](Operation *store) {
-    return llvm::any_of(
-        before.getAsRange<FlatSymbolRefAttr>(), [&](FlatSymbolRefAttr name) {
-          FieldOp field = lookupField(store, name);
-          return !field || getFieldStorageKey(field) == getStorageKey(store);
-        });
-  });
-}
-
-void AdjointBuilder::readStored() {
-  stored = std::make_unique<StoredOutputs>(primal, accesses);
 }

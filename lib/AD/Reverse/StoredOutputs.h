@@ -39,10 +39,14 @@ public:
     return found == places.end() ? nullptr : &found->second;
   }
 
-  /// The stores whose elements the adjoint has loaded.
-  llvm::SetVector<Operation *> used;
+  /// The value as the kernel has left it in a field, loaded into the frame of
+  /// its block; null where that saves no work.
+  Value load(AdjointBuilder &builder, Frame &frame, Value value);
+  /// The stores whose elements were loaded.
+  const llvm::SetVector<Operation *> &getUsed() const { return used; }
 
 private:
+  llvm::SetVector<Operation *> used;
   DenseMap<Value, Place> places;
 };
 

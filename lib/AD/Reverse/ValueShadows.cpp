@@ -11,10 +11,10 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "ValueShadows.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/Utils/IndexingUtils.h"
-#include "tai/AD/AdjointBuilder.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -30,32 +30,35 @@ static SmallVector<Value> createIndices(AdjointBuilder &b, Value shadow,
       });
 }
 
-void AdjointBuilder::seedOutputs() {
+void mlir::tai::seedOutputs(AdjointBuilder &b) {
+  const ValueShadows &shadows = b.getPlan().shadows;
   for (auto [output, shadow] :
        llvm::zip(shadows.outputs, shadows.outputShadows)) {
-    if (!isActive(output))
+    if (!b.isActive(output))
       continue;
     auto vector = dyn_cast<VectorType>(output.getType());
     SmallVector<Value> parts;
     for (int64_t i = 0, e = vector ? vector.getNumElements() : 1; i != e; ++i)
-      parts.push_back(memref::LoadOp::create(*this, shadow,
-                                             createIndices(*this, shadow, i)));
-    addAdjoint(output, vector ? createVector(vector, parts) : parts.front());
+      parts.push_back(
+          memref::LoadOp::create(b, shadow, createIndices(b, shadow, i)));
+    b.addAdjoint(output,
+                 vector ? b.createVector(vector, parts) : parts.front());
   }
 }
 
-void AdjointBuilder::accumulateInputs() {
+void mlir::tai::accumulateInputs(AdjointBuilder &b) {
+  const ValueShadows &shadows = b.getPlan().shadows;
   for (auto [input, shadow] : llvm::zip(shadows.inputs, shadows.inputShadows)) {
-    Value adjoint = getAdjoint(input);
+    Value adjoint = b.getAdjoint(input);
     if (!adjoint)
       continue;
     auto vector = dyn_cast<VectorType>(input.getType());
     for (int64_t i = 0, e = vector ? vector.getNumElements() : 1; i != e; ++i) {
-      SmallVector<Value> indices = createIndices(*this, shadow, i);
-      Value old = memref::LoadOp::create(*this, shadow, indices);
-      Value part = vector ? createExtract(adjoint, i) : adjoint;
-      Value sum = arith::AddFOp::create(*this, old, part);
-      memref::StoreOp::create(*this, sum, shadow, indices);
+      SmallVector<Value> indices = createIndices(b, shadow, i);
+      Value old = memref::LoadOp::create(b, shadow, indices);
+      Value part = vector ? b.createExtract(adjoint, i) : adjoint;
+      Value sum = arith::AddFOp::create(b, old, part);
+      memref::StoreOp::create(b, sum, shadow, indices);
     }
   }
 }

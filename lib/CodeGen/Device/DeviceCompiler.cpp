@@ -356,6 +356,33 @@ void DeviceCompiler::setTarget(llvm::Module &module) {
   module.setDataLayout(machine->createDataLayout());
 }
 
+DeviceCode DeviceCompiler::createCode(StringRef name) {
+  DeviceCode code;
+  code.context = std::make_unique<llvm::LLVMContext>();
+  code.module = std::make_unique<llvm::Module>(name, *code.context);
+  setTarget(*code.module);
+  return code;
+}
+
+Expected<runtime::DeviceImage> DeviceCompiler::finish(
+    DeviceCode &code,
+    llvm::function_ref<bool(const llvm::GlobalValue &)> isVisible,
+    llvm::function_ref<void()> prepare) {
+  llvm::Module &module = *code.module;
+  if (Error error = link(module))
+    return error;
+  if (prepare)
+    prepare();
+  for (llvm::GlobalValue &value : module.global_values())
+    if (!value.isDeclaration() && !isVisible(value))
+      value.setLinkage(llvm::GlobalValue::InternalLinkage);
+  if (isCuda())
+    prepareForCuda(module);
+  if (Error error = optimize(code))
+    return error;
+  return emit(code);
+}
+
 /// Passes would count on the most threads that a kernel names; but programs
 /// take the bitcode, and run it in blocks of other sizes. The driver alone is
 /// told.

@@ -21,7 +21,6 @@
 using namespace mlir;
 using namespace mlir::tai;
 using llvm::createStringError;
-using llvm::Error;
 using llvm::Expected;
 
 /// Calls `body` once what was queued before has ended. From the start on, what
@@ -50,15 +49,13 @@ static llvm::Function *addKernel(llvm::Function &body, size_t number) {
 }
 
 Expected<runtime::DeviceImage>
-DeviceCompiler::makeOverlapped(ArrayRef<runtime::ProgramPart> parts) {
-  if (!isCuda())
+mlir::tai::makeOverlapped(DeviceCompiler &compiler,
+                          ArrayRef<runtime::ProgramPart> parts) {
+  if (!compiler.isCuda())
     return createStringError("kernels of this device do not overlap");
-  DeviceCode code;
-  code.context = std::make_unique<llvm::LLVMContext>();
-  code.module = std::make_unique<llvm::Module>("overlapped", *code.context);
+  DeviceCode code = compiler.createCode("overlapped");
   llvm::Module &module = *code.module;
-  setTarget(module);
-  llvm::DenseSet<llvm::GlobalValue *> visible;
+  llvm::DenseSet<const llvm::GlobalValue *> visible;
   for (auto [i, part] : llvm::enumerate(parts)) {
     if (!part.bitcode)
       return createStringError("'%s' has no code", part.function.c_str());
@@ -71,15 +68,11 @@ DeviceCompiler::makeOverlapped(ArrayRef<runtime::ProgramPart> parts) {
                                             : std::string());
     visible.insert(kernel);
   }
-  if (Error error = link(module))
-    return error;
-  for (llvm::Function &function : module)
-    forgetInvariance(function);
-  for (llvm::GlobalValue &value : module.global_values())
-    if (!value.isDeclaration() && !visible.contains(&value))
-      value.setLinkage(llvm::GlobalValue::InternalLinkage);
-  prepareForCuda(module);
-  if (Error error = optimize(code))
-    return error;
-  return emit(code);
+  auto isVisible = [&](const llvm::GlobalValue &value) {
+    return visible.contains(&value);
+  };
+  return compiler.finish(code, isVisible, [&] {
+    for (llvm::Function &function : module)
+      forgetInvariance(function);
+  });
 }

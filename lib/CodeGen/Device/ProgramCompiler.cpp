@@ -260,37 +260,29 @@ static Expected<llvm::Function *> addLibraryKernel(llvm::Module &module,
   return kernel;
 }
 
-Expected<runtime::DeviceImage>
-DeviceCompiler::makeLibrary(ArrayRef<runtime::ProgramPart> parts) {
-  DeviceCode code;
-  code.context = std::make_unique<llvm::LLVMContext>();
-  code.module = std::make_unique<llvm::Module>("library", *code.context);
+static Expected<runtime::DeviceImage>
+makeLibrary(DeviceCompiler &compiler, ArrayRef<runtime::ProgramPart> parts) {
+  bool isCuda = compiler.isCuda();
+  DeviceCode code = compiler.createCode("library");
   llvm::Module &module = *code.module;
-  setTarget(module);
-  llvm::ArrayRef<char> bytes = getDeviceLibrary(target.kind);
+  llvm::ArrayRef<char> bytes = getDeviceLibrary(
+      isCuda ? runtime::DeviceKind::Cuda : runtime::DeviceKind::Emulated);
   auto library = llvm::getLazyBitcodeModule(
       llvm::MemoryBufferRef(StringRef(bytes.data(), bytes.size()), "library"),
       *code.context);
   if (!library)
     return library.takeError();
-  llvm::DenseSet<llvm::GlobalValue *> visible;
+  llvm::DenseSet<const llvm::GlobalValue *> visible;
   for (const runtime::ProgramPart &part : parts) {
-    auto kernel = addLibraryKernel(module, **library, part.function, isCuda());
+    auto kernel = addLibraryKernel(module, **library, part.function, isCuda);
     if (!kernel)
       return kernel.takeError();
     code.functions.push_back((*kernel)->getName().str());
-    visible.insert(isCuda() ? *kernel : addSlotsFunction(**kernel));
+    visible.insert(isCuda ? *kernel : addSlotsFunction(**kernel));
   }
-  if (Error error = link(module))
-    return error;
-  for (llvm::GlobalValue &value : module.global_values())
-    if (!value.isDeclaration() && !visible.contains(&value))
-      value.setLinkage(llvm::GlobalValue::InternalLinkage);
-  if (isCuda())
-    prepareForCuda(module);
-  if (Error error = optimize(code))
-    return error;
-  return emit(code);
+  return compiler.finish(code, [&](const llvm::GlobalValue &value) {
+    return visible.contains(&value);
+  });
 }
 
 /// Rows of the table, by the device library.
@@ -574,17 +566,16 @@ static void removeTileFunctions(llvm::Module &module) {
 }
 
 Expected<runtime::DeviceImage>
-DeviceCompiler::makeProgram(const runtime::ProgramPlan &plan) {
+mlir::tai::makeProgram(DeviceCompiler &compiler,
+                       const runtime::ProgramPlan &plan) {
   if (plan.scope == TAI_SCOPE_NONE)
-    return makeLibrary(plan.parts);
+    return makeLibrary(compiler, plan.parts);
   if (plan.scope == TAI_SCOPE_LAUNCHES)
-    return makeOverlapped(plan.parts);
-  DeviceCode code;
-  code.context = std::make_unique<llvm::LLVMContext>();
-  code.module = std::make_unique<llvm::Module>("program", *code.context);
+    return makeOverlapped(compiler, plan.parts);
+  bool isCuda = compiler.isCuda();
+  DeviceCode code = compiler.createCode("program");
   code.functions.push_back(programName.str());
   llvm::Module &module = *code.module;
-  setTarget(module);
   SmallVector<llvm::Function *> bodies;
   for (auto [i, part] : llvm::enumerate(plan.parts)) {
     if (!part.bitcode) {
@@ -592,7 +583,7 @@ DeviceCompiler::makeProgram(const runtime::ProgramPlan &plan) {
       continue;
     }
     std::string name = part.function;
-    if (!isCuda() && !part.isTile)
+    if (!isCuda && !part.isTile)
       name += kSlotsSuffix;
     auto body = addPart(module, *part.bitcode, name, i);
     if (!body)
@@ -602,32 +593,26 @@ DeviceCompiler::makeProgram(const runtime::ProgramPlan &plan) {
                                part.function.c_str());
     bodies.push_back(*body);
   }
-  addDispatch(module, plan.parts, bodies, isCuda());
-  llvm::Function *kernel =
-      ProgramBuilder(module, plan, bodies, isCuda()).build();
+  addDispatch(module, plan.parts, bodies, isCuda);
+  llvm::Function *kernel = ProgramBuilder(module, plan, bodies, isCuda).build();
   removeTileFunctions(module);
 
-  llvm::GlobalValue *visible = isCuda() ? kernel : addSlotsFunction(*kernel);
-  if (Error error = link(module))
-    return error;
-  for (llvm::Function &function : module)
-    if (&function != kernel)
-      forgetInvariance(function);
-  for (llvm::GlobalValue &value : module.global_values())
-    if (!value.isDeclaration() && &value != visible)
-      value.setLinkage(llvm::GlobalValue::InternalLinkage);
-  // Called once, the runner of tables is best in place; so is what moves rows,
-  // which then knows its parameters.
-  if (llvm::Function *runner = module.getFunction(getRunnerName(plan.scope)))
-    if (runner->hasOneUse())
-      runner->addFnAttr(llvm::Attribute::AlwaysInline);
-  for (StringRef name :
-       {getBarrierName(plan.scope), StringRef("tai_dev_program_part")})
-    if (llvm::Function *function = module.getFunction(name))
-      function->addFnAttr(llvm::Attribute::AlwaysInline);
-  if (isCuda())
-    prepareForCuda(module);
-  if (Error error = optimize(code))
-    return error;
-  return emit(code);
+  llvm::GlobalValue *visible = isCuda ? kernel : addSlotsFunction(*kernel);
+  auto isVisible = [&](const llvm::GlobalValue &value) {
+    return &value == visible;
+  };
+  return compiler.finish(code, isVisible, [&] {
+    for (llvm::Function &function : module)
+      if (&function != kernel)
+        forgetInvariance(function);
+    // Called once, the runner of tables is best in place; so is what moves
+    // rows, which then knows its parameters.
+    if (llvm::Function *runner = module.getFunction(getRunnerName(plan.scope)))
+      if (runner->hasOneUse())
+        runner->addFnAttr(llvm::Attribute::AlwaysInline);
+    for (StringRef name :
+         {getBarrierName(plan.scope), StringRef("tai_dev_program_part")})
+      if (llvm::Function *function = module.getFunction(name))
+        function->addFnAttr(llvm::Attribute::AlwaysInline);
+  });
 }

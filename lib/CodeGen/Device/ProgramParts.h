@@ -8,7 +8,7 @@
 #ifndef TAI_LIB_CODEGEN_DEVICE_PROGRAMPARTS_H
 #define TAI_LIB_CODEGEN_DEVICE_PROGRAMPARTS_H
 
-#include "mlir/Support/LLVM.h"
+#include "tai/CodeGen/DeviceCompiler.h"
 #include "llvm/IR/Module.h"
 #include "llvm/Support/Error.h"
 
@@ -18,6 +18,10 @@ namespace mlir::tai {
 /// that is called and has a name of its own.
 llvm::Expected<llvm::Function *> addPart(llvm::Module &module, StringRef bytes,
                                          StringRef name, size_t number);
+
+/// A kernel of each part that waits by itself for what was queued before it.
+llvm::Expected<runtime::DeviceImage>
+makeOverlapped(DeviceCompiler &compiler, ArrayRef<runtime::ProgramPart> parts);
 
 /// What one step reads may have been written by another: no load goes past the
 /// caches of writes.

@@ -7,23 +7,16 @@
 
 #include "CudaDevice.h"
 #include "../Launch/Launch.h"
-#include "FillTable.h"
+#include "../Queue/FillRun.h"
 #include "tai/Runtime/Device/DeviceHeap.h"
 #include "tai/Runtime/Device/DeviceReport.h"
 #include <algorithm>
+#include <cstdio>
 #include <cstdlib>
 #include <cstring>
 
 using namespace mlir::tai::runtime;
 using namespace mlir::tai::runtime::cuda;
-
-namespace mlir::tai {
-// Made of Rows.cu when the project is built.
-extern const unsigned char cudaRowKernels[];
-extern const unsigned long cudaRowKernels_size;
-extern const unsigned char cudaOverlappedRowKernels[];
-extern const unsigned long cudaOverlappedRowKernels_size;
-} // namespace mlir::tai
 
 /// With code that was made by a compiler this is memory that a kernel used and
 /// should not have.
@@ -153,7 +146,7 @@ Status CudaDevice::open() {
                    "no memory for copies can be had");
   staging = static_cast<char *>(memory);
   if (status)
-    status = loadRowKernels();
+    status = kernels.load();
   if (!status || !pools)
     return status;
   PoolProperties properties;
@@ -191,7 +184,7 @@ Status CudaDevice::setHeap(size_t memoryBytes) {
 CudaDevice::~CudaDevice() {
   if (!context)
     return;
-  rowsModule.reset();
+  kernels.unload();
   // At the end of a process the driver may have gone first.
   if (enter()) {
     if (stream)
@@ -368,81 +361,16 @@ Status CudaDevice::copy(DevicePtr to, DevicePtr from, int64_t bytes) {
                "a copy on the device fails");
 }
 
-//===----------------------------------------------------------------------===//
-// Rows
-//===----------------------------------------------------------------------===//
-
-/// Not when they are first used: that may be while a graph is recorded.
-Status CudaDevice::loadRowKernels() {
-  DeviceImage image;
-  if (most.hasOverlaps)
-    image.bytes.assign(
-        reinterpret_cast<const char *>(mlir::tai::cudaOverlappedRowKernels),
-        mlir::tai::cudaOverlappedRowKernels_size);
-  else
-    image.bytes.assign(
-        reinterpret_cast<const char *>(mlir::tai::cudaRowKernels),
-        mlir::tai::cudaRowKernels_size);
-  Status status = load(image, rowsModule);
-  const char *kernels[] = {"tai_copy_", "tai_swap_"};
-  const char *units[] = {"bytes", "words", "pairs", "quads"};
-  for (int u = 0; u < kRowUnits; ++u)
-    for (int k = 0; k < 2 && status; ++k)
-      status = find(*rowsModule, (std::string(kernels[k]) + units[u]).c_str(),
-                    rowFunctions[u][k]);
-  if (status)
-    status = find(*rowsModule, "tai_fill_pieces", fillFunction);
-  if (status)
-    fillBlocks = residentBlocks(*fillFunction, taiFillThreads);
-  return status;
-}
-
-static constexpr uint64_t rowUnitBytes[] = {1, 4, 8, 16};
-
-/// The largest unit of which all of these are multiples.
-static int findUnit(std::initializer_list<uint64_t> numbers) {
-  int unit = 3;
-  for (uint64_t number : numbers)
-    while (number % rowUnitBytes[unit])
-      --unit;
-  return unit;
-}
-
-Status CudaDevice::runRows(RowKernel kernel, int unit, int64_t units,
-                           std::initializer_list<uint64_t> parameters) {
-  if (units == 0)
-    return Status::success();
-  LaunchShape shape;
-  shape.threads = 256;
-  shape.overlaps = doesOverlap();
-  constexpr int64_t blocksEach = 8;
-  shape.blocks = static_cast<unsigned>(
-      std::clamp<int64_t>((units + shape.threads - 1) / shape.threads, 1,
-                          blocksEach * most.multiprocessors));
-  return launch(*rowFunctions[unit][kernel], shape, parameters.begin(),
-                static_cast<int>(parameters.size()));
-}
-
-Status CudaDevice::runPairs(RowKernel kernel, const DeviceRows &one,
-                            DevicePtr other, int64_t otherStep) {
-  auto bytes = static_cast<uint64_t>(one.rowBytes);
-  auto step = static_cast<uint64_t>(one.step);
-  auto stepThere = static_cast<uint64_t>(otherStep);
-  int unit = findUnit({one.address, step, other, stepThere, bytes});
-  uint64_t size = rowUnitBytes[unit];
-  return runRows(kernel, unit, static_cast<int64_t>(bytes / size) * one.rows,
-                 {one.address, step / size, other, stepThere / size,
-                  bytes / size, static_cast<uint64_t>(one.rows)});
-}
-
 Status CudaDevice::copyRows(const DeviceRows &to, DevicePtr from,
                             int64_t fromStep) {
-  return runPairs(CopyRows, to, from, fromStep);
+  return kernels.runPairs(CudaKernels::CopyRows, to, from, fromStep,
+                          doesOverlap());
 }
 
 Status CudaDevice::swapRows(const DeviceRows &one, DevicePtr other,
                             int64_t otherStep) {
-  return runPairs(SwapRows, one, other, otherStep);
+  return kernels.runPairs(CudaKernels::SwapRows, one, other, otherStep,
+                          doesOverlap());
 }
 
 bool CudaDevice::isDeviceMemory(const void *address) const {
@@ -452,4 +380,94 @@ bool CudaDevice::isDeviceMemory(const void *address) const {
                                 reinterpret_cast<Address>(address)) ==
              kSuccess &&
          (type == kMemoryTypeDevice || type == kMemoryTypeUnified);
+}
+
+//===----------------------------------------------------------------------===//
+// Fills
+//===----------------------------------------------------------------------===//
+
+static int64_t bytesOf(const DeviceRows &rows) {
+  return rows.rowBytes * rows.rows * rows.outer;
+}
+
+static bool isDense(const DeviceRows &rows) {
+  return rows.rows == 1 && rows.outer == 1;
+}
+
+/// By the driver, unless its pattern is too long. That takes a microsecond,
+/// however small the fill is.
+Status CudaDevice::fill(DevicePtr to, const void *pattern, int patternBytes,
+                        int64_t count) {
+  Status status = enter();
+  if (!status || count <= 0)
+    return status;
+  isAfterKernel = false;
+  auto size = static_cast<size_t>(count);
+  char what[96];
+  std::snprintf(what, sizeof what,
+                "%lld elements of %d bytes at %#llx cannot be filled",
+                static_cast<long long>(count), patternBytes,
+                static_cast<unsigned long long>(to));
+  auto *bytes = static_cast<const char *>(pattern);
+  bool zero =
+      std::all_of(bytes, bytes + patternBytes, [](char b) { return !b; });
+  if (zero || patternBytes == 1)
+    return check(cu.memsetD8Async(to, static_cast<unsigned char>(bytes[0]),
+                                  size * static_cast<size_t>(patternBytes),
+                                  stream),
+                 what);
+  if (patternBytes == 2) {
+    unsigned short value;
+    std::memcpy(&value, pattern, sizeof(value));
+    return check(cu.memsetD16Async(to, value, size, stream), what);
+  }
+  unsigned words[2] = {};
+  std::memcpy(words, pattern, static_cast<size_t>(patternBytes));
+  if (patternBytes == 4 || words[0] == words[1])
+    return check(cu.memsetD32Async(to, words[0],
+                                   size * static_cast<size_t>(patternBytes / 4),
+                                   stream),
+                 what);
+  DeviceFill pairs{{to, 0, 8 * count, 1}, repeatPattern(pattern, 8), 8};
+  return fillByKernel({&pairs});
+}
+
+/// A block on each multiprocessor leaves room for launches beside.
+Status CudaDevice::fillByKernel(const std::vector<const DeviceFill *> &fills) {
+  return kernels.fill(fills, doesOverlap(),
+                      isFillingAside ? most.multiprocessors : 0);
+}
+
+Status CudaDevice::fillRows(const DeviceRows &to, const void *pattern,
+                            int patternBytes) {
+  DeviceFill fill{to, repeatPattern(pattern, patternBytes), patternBytes};
+  return fillByKernel({&fill});
+}
+
+/// A large one is by itself: there is nothing to gain.
+Status CudaDevice::fillAlone(const DeviceFill &fill) {
+  const DeviceRows &rows = fill.rows;
+  bool byKernel =
+      (doesOverlap() || isFillingAside) && bytesOf(rows) < largeFillBytes();
+  return isDense(rows) && !byKernel && !fill.isJoined
+             ? this->fill(rows.address, &fill.pattern, fill.patternBytes,
+                          rows.rowBytes / fill.patternBytes)
+             : fillByKernel({&fill});
+}
+
+Status CudaDevice::fillAll(const std::vector<DeviceFill> &fills) {
+  if (fills.size() == 1)
+    return fillAlone(fills.front());
+  // The others come last: what follows is made ready while they run.
+  Status status;
+  int64_t large = largeFillBytes();
+  std::vector<const DeviceFill *> together;
+  for (const DeviceFill &fill : fills)
+    if (bytesOf(fill.rows) < large)
+      together.push_back(&fill);
+    else if (status)
+      status = fillAlone(fill);
+  if (status && together.size() == 1)
+    return fillAlone(*together.front());
+  return status ? fillByKernel(together) : std::move(status);
 }

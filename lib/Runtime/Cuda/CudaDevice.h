@@ -14,8 +14,8 @@
 #ifndef TAI_LIB_RUNTIME_CUDA_CUDADEVICE_H
 #define TAI_LIB_RUNTIME_CUDA_CUDADEVICE_H
 
+#include "CudaKernels.h"
 #include "Driver.h"
-#include "FillTable.h"
 #include "RepeatedLaunch.h"
 #include "tai/Runtime/Device/Device.h"
 #include <map>
@@ -123,19 +123,9 @@ private:
   Status setHeap(size_t memoryBytes);
   /// What is queued in `second` from now on comes after what is in `first`.
   Status order(Stream first, Stream second);
-  /// Kernels of our own; see Rows.cu.
-  Status loadRowKernels();
-  enum RowKernel { CopyRows, SwapRows };
   Status launchOverlapped(Function handle, const LaunchShape &shape,
                           void **parameters);
-  Status runRows(RowKernel kernel, int unit, int64_t units,
-                 std::initializer_list<uint64_t> parameters);
-  /// One of those that take rows here and rows there.
-  Status runPairs(RowKernel kernel, const DeviceRows &one, DevicePtr other,
-                  int64_t otherStep);
-  Status addFill(TaiFillTable &table, const DeviceFill &fill);
-  Status runFills(TaiFillTable &table);
-  Status fillByKernel(const DeviceFill &fill);
+  Status fillByKernel(const std::vector<const DeviceFill *> &fills);
   Status fillAlone(const DeviceFill &fill);
   /// Whether kernels of our own are made ready early now.
   bool doesOverlap() const { return isCapturing && capturesOverlaps; }
@@ -165,13 +155,7 @@ private:
   std::set<DevicePtr> reserved;
   int64_t allocated = 0;
 
-  std::unique_ptr<DeviceModule> rowsModule;
-  /// Bytes, words, pairs of them and quads.
-  static constexpr int kRowUnits = 4;
-  DeviceFunction *rowFunctions[kRowUnits][2] = {};
-  DeviceFunction *fillFunction = nullptr;
-  /// So many of its blocks run at a time.
-  unsigned fillBlocks = 1;
+  CudaKernels kernels{*this};
 
   /// The first launches that a graph that is recorded shall let change.
   size_t numChangeable = 0;

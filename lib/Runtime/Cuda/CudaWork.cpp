@@ -339,3 +339,82 @@ Status CudaDevice::synchronize() {
   return status ? check(result, "a kernel has failed on the device")
                 : std::move(status);
 }
+
+//===----------------------------------------------------------------------===//
+// The order of our stream and others
+//===----------------------------------------------------------------------===//
+
+// A launch that takes tensors of another library comes after what that has
+// queued, and before what it queues next. That is asked for at every such
+// launch, so it takes two calls of the driver each way, and none for the
+// default stream.
+
+/// Ours is a blocking stream: the driver itself keeps it in order with the
+/// default one.
+static bool isDefault(uint64_t stream) {
+  return stream == 0 || stream == kLegacyStream;
+}
+
+Status CudaDevice::waitForStream(uint64_t other) {
+  // A kernel must not start before what has come in between.
+  isAfterKernel = false;
+  return isDefault(other) ? Status::success()
+                          : order(reinterpret_cast<Stream>(other), stream);
+}
+
+Status CudaDevice::letStreamWait(uint64_t other) {
+  return isDefault(other) ? Status::success()
+                          : order(stream, reinterpret_cast<Stream>(other));
+}
+
+Status CudaDevice::order(Stream first, Stream second) {
+  Status status = enter();
+  if (!status)
+    return status;
+  // A stream waits for the place where the event was when it was told to: the
+  // event can be used again at once.
+  std::lock_guard<std::mutex> lock(orderMutex);
+  if (!orderEvent)
+    status = check(cu.eventCreate(&orderEvent, kEventNoTiming),
+                   "no event can be made");
+  if (status)
+    status = check(cu.eventRecord(orderEvent, first),
+                   "the stream of another library cannot be used");
+  if (status)
+    status = check(cu.streamWaitEvent(second, orderEvent, 0),
+                   "the stream of another library cannot be used");
+  return status;
+}
+
+//===----------------------------------------------------------------------===//
+// Beside other work
+//===----------------------------------------------------------------------===//
+
+/// In a branch of the graph: what another stream is given while this one is
+/// recorded.
+Status CudaDevice::fillAside(const std::vector<DeviceFill> &fills) {
+  if (!side || !isCapturing || isAside)
+    return fillAll(fills);
+  Status status = order(stream, side);
+  if (!status)
+    return status;
+  bool wasAfterKernel = isAfterKernel, overlapped = capturesOverlaps;
+  isAside = isFillingAside = true;
+  capturesOverlaps = false;
+  std::swap(stream, side);
+  status = fillAll(fills);
+  std::swap(stream, side);
+  capturesOverlaps = overlapped;
+  isAfterKernel = wasAfterKernel;
+  isFillingAside = false;
+  return status;
+}
+
+/// What comes next does not wait for one kernel alone, so it waits for the end
+/// of both.
+Status CudaDevice::joinAside() {
+  if (!isAside)
+    return Status::success();
+  isAside = isAfterKernel = false;
+  return order(side, stream);
+}

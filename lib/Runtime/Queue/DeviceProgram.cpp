@@ -25,6 +25,17 @@
 
 using namespace mlir::tai::runtime;
 
+void DeviceQueue::Sequence::append(const Sequence &other) {
+  for (const Step &step : other.steps) {
+    Step added = step;
+    added.firstSlot = slots.size();
+    auto first = other.slots.begin() + static_cast<ptrdiff_t>(step.firstSlot);
+    slots.insert(slots.end(), first,
+                 first + static_cast<ptrdiff_t>(step.numSlots));
+    add(added);
+  }
+}
+
 bool DeviceQueue::Sequence::hasStructureOf(const Sequence &other) const {
   return hash == other.hash && steps.size() == other.steps.size() &&
          std::equal(steps.begin(), steps.end(), other.steps.begin(),
@@ -722,4 +733,25 @@ std::string DeviceQueue::Program::explain() const {
       text += explainClocks(way);
   }
   return text + explainLeads();
+}
+
+bool DeviceQueue::Program::uses(const Module &module) const {
+  auto isFrom = [&](const Sequence &some) {
+    return std::any_of(some.steps.begin(), some.steps.end(),
+                       [&](const Step &step) {
+                         return step.function && module.has(step.function);
+                       });
+  };
+  return isFrom(sequence) ||
+         std::any_of(leds.begin(), leds.end(),
+                     [&](const auto &led) { return isFrom(led->lead); });
+}
+
+void DeviceQueue::Program::tellTimes(double &chosenMs, double &graphMs) const {
+  if (!chosen || current >= ways.size())
+    return;
+  chosenMs = ways[current].measured;
+  for (const Way &way : ways)
+    if (way.mode == ProgramMode::Graph)
+      graphMs = way.measured;
 }

@@ -5,64 +5,21 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What is launched between two replays is kept and runs with the second one, as
-// one graph where the device has graphs. The program of the replay stays as it
-// is, so one that comes without them needs nothing new. See
+// What was launched between two replays runs with the second one, as one graph
+// where the device has graphs. The program of the replay stays as it is, so one
+// that comes without them needs nothing new. See
 // docs/decisions/0014-launches-between-replays.md.
 //
 //===----------------------------------------------------------------------===//
 
 #include "FillRun.h"
-#include "LaunchLeads.h"
 #include <algorithm>
 
 using namespace mlir::tai::runtime;
 
 //===----------------------------------------------------------------------===//
-// Keeping launches
-//===----------------------------------------------------------------------===//
-
-bool DeviceQueue::keepsLaunches() const { return !lead->empty(); }
-bool DeviceQueue::expectsLaunches() const {
-  return watches && leads->areAnyKnown();
-}
-
-bool DeviceQueue::keep(Function &function, const LaunchShape &shape,
-                       const uint64_t *slots, int count) {
-  // Those who use memory by themselves do not ask for what is kept.
-  if (numShared.load(std::memory_order_relaxed) > 0)
-    leads->interrupt();
-  else if (leads->expects(&function, shape, count)) {
-    lead->append(*collected);
-    *collected = Sequence();
-    lead->addLaunch(function, shape, slots, count);
-    isKeeping = true;
-    return true;
-  }
-  watches = leads->isOpen();
-  return false;
-}
-
-Status DeviceQueue::runLead() {
-  Sequence before = std::move(*lead);
-  *lead = Sequence();
-  return before.run(*device);
-}
-
-//===----------------------------------------------------------------------===//
 // Sequences behind others
 //===----------------------------------------------------------------------===//
-
-void DeviceQueue::Sequence::append(const Sequence &other) {
-  for (const Step &step : other.steps) {
-    Step added = step;
-    added.firstSlot = slots.size();
-    auto first = other.slots.begin() + static_cast<ptrdiff_t>(step.firstSlot);
-    slots.insert(slots.end(), first,
-                 first + static_cast<ptrdiff_t>(step.numSlots));
-    add(added);
-  }
-}
 
 Status DeviceQueue::Program::run(const Sequence &lead, bool same,
                                  ProgramMode mode,

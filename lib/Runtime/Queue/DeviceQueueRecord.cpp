@@ -8,7 +8,8 @@
 // Replays and sweeps are collected as a whole. What a tape records is collected
 // where the same was recorded before, and with it the sweep that follows at
 // once: the program is then that of a replay. Whatever cannot wait until the
-// recording ends has what was collected queued first, in the same order.
+// recording ends has what was collected queued first, in the same order. What
+// is launched between two replays is kept for the second one.
 //
 //===----------------------------------------------------------------------===//
 
@@ -166,6 +167,37 @@ Status DeviceQueue::copyKept(const DeviceRows &to, DevicePtr from,
 }
 
 //===----------------------------------------------------------------------===//
+// Keeping launches
+//===----------------------------------------------------------------------===//
+
+bool DeviceQueue::keepsLaunches() const { return !lead->empty(); }
+bool DeviceQueue::expectsLaunches() const {
+  return watches && leads->areAnyKnown();
+}
+
+bool DeviceQueue::keep(Function &function, const LaunchShape &shape,
+                       const uint64_t *slots, int count) {
+  // Those who use memory by themselves do not ask for what is kept.
+  if (numShared.load(std::memory_order_relaxed) > 0)
+    leads->interrupt();
+  else if (leads->expects(&function, shape, count)) {
+    lead->append(*collected);
+    *collected = Sequence();
+    lead->addLaunch(function, shape, slots, count);
+    isKeeping = true;
+    return true;
+  }
+  watches = leads->isOpen();
+  return false;
+}
+
+Status DeviceQueue::runLead() {
+  Sequence before = std::move(*lead);
+  *lead = Sequence();
+  return before.run(*device);
+}
+
+//===----------------------------------------------------------------------===//
 // Memory and code
 //===----------------------------------------------------------------------===//
 
@@ -187,25 +219,4 @@ void DeviceQueue::forget(const Module &module) {
                                             : std::next(program);
   recorded->forget(
       [&](const DeviceFunction *function) { return module.has(function); });
-}
-
-bool DeviceQueue::Program::uses(const Module &module) const {
-  auto isFrom = [&](const Sequence &some) {
-    return std::any_of(some.steps.begin(), some.steps.end(),
-                       [&](const Step &step) {
-                         return step.function && module.has(step.function);
-                       });
-  };
-  return isFrom(sequence) ||
-         std::any_of(leds.begin(), leds.end(),
-                     [&](const auto &led) { return isFrom(led->lead); });
-}
-
-void DeviceQueue::Program::tellTimes(double &chosenMs, double &graphMs) const {
-  if (!chosen || current >= ways.size())
-    return;
-  chosenMs = ways[current].measured;
-  for (const Way &way : ways)
-    if (way.mode == ProgramMode::Graph)
-      graphMs = way.measured;
 }

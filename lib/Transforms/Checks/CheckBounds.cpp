@@ -91,11 +91,11 @@ Value PreconditionWriter::emitLaunchValue(const LaunchValue &launch) {
 }
 
 Value PreconditionWriter::emit(unsigned variable) {
-  const LaunchValue *launch = bounds.getLaunchValue(variable);
+  const LaunchValue *launch = bounds.getForms().getLaunchValue(variable);
   auto &values = launch ? launchValues : iteration;
   if (Value known = values.lookup(variable))
     return known;
-  if (ArrayRef<LinearSum> factors = bounds.getFactors(variable);
+  if (ArrayRef<LinearSum> factors = bounds.getForms().getFactors(variable);
       !factors.empty()) {
     Value first = emit(factors[0]);
     return values[variable] =
@@ -178,8 +178,8 @@ void PreconditionWriter::refuse(const IndexedAccess &access,
   }
   auto isKnown = [&](auto &&self, const LinearSum &sum) -> bool {
     return llvm::all_of(sum.terms, [&](auto term) {
-      ArrayRef<LinearSum> factors = bounds.getFactors(term.first);
-      return bounds.getLaunchValue(term.first) ||
+      ArrayRef<LinearSum> factors = bounds.getForms().getFactors(term.first);
+      return bounds.getForms().getLaunchValue(term.first) ||
              iteration.contains(term.first) ||
              (!factors.empty() && self(self, factors[1]));
     });

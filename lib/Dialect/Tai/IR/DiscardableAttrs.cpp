@@ -11,6 +11,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "DiscardableAttrs.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
@@ -155,8 +156,8 @@ static LogicalResult verifyDifferentiate(Operation *op) {
   return success();
 }
 
-LogicalResult TaiDialect::verifyOperationAttribute(Operation *op,
-                                                   NamedAttribute attribute) {
+LogicalResult tai::verifyDiscardableAttr(Operation *op,
+                                         NamedAttribute attribute) {
   StringRef name = attribute.getName();
   const KnownAttr *known = llvm::find_if(
       kKnown, [&](const KnownAttr &entry) { return entry.name == name; });
@@ -175,9 +176,8 @@ LogicalResult TaiDialect::verifyOperationAttribute(Operation *op,
   return success();
 }
 
-LogicalResult TaiDialect::verifyRegionArgAttribute(Operation *op, unsigned,
-                                                   unsigned index,
-                                                   NamedAttribute attribute) {
+LogicalResult tai::verifyArgumentAttr(Operation *op, unsigned index,
+                                      NamedAttribute attribute) {
   if (attribute.getName() != kElementRank)
     return op->emitError("argument ")
            << index << " has an attribute '" << attribute.getName().strref()
@@ -187,9 +187,8 @@ LogicalResult TaiDialect::verifyRegionArgAttribute(Operation *op, unsigned,
   return success();
 }
 
-LogicalResult
-TaiDialect::verifyRegionResultAttribute(Operation *op, unsigned, unsigned index,
-                                        NamedAttribute attribute) {
+LogicalResult tai::verifyResultAttr(Operation *op, unsigned index,
+                                    NamedAttribute attribute) {
   return op->emitError("result ")
          << index << " has an attribute '" << attribute.getName().strref()
          << "', which there is not";

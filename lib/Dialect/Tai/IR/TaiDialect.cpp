@@ -6,18 +6,26 @@
 //===----------------------------------------------------------------------===//
 //
 // Registers what the dialect defines, and lets helper functions be inlined
-// into kernels.
+// into kernels. Types register themselves in TaiTypes.cpp, next to their
+// storage.
 //
 //===----------------------------------------------------------------------===//
 
+#include "DiscardableAttrs.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/IR/Builders.h"
+#include "mlir/IR/DialectImplementation.h"
 #include "mlir/Transforms/InliningUtils.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "llvm/ADT/TypeSwitch.h"
 
 using namespace mlir;
 using namespace mlir::tai;
 
 #include "tai/Dialect/Tai/IR/TaiDialect.cpp.inc"
+#include "tai/Dialect/Tai/IR/TaiEnums.cpp.inc"
+#define GET_ATTRDEF_CLASSES
+#include "tai/Dialect/Tai/IR/TaiAttrs.cpp.inc"
 
 namespace {
 /// Any op of the dialect may be inlined: kernels call helpers, nothing calls a
@@ -37,9 +45,40 @@ struct TaiInlinerInterface : DialectInlinerInterface {
 };
 } // namespace
 
+void TaiDialect::registerAttributes() {
+  addAttributes<
+#define GET_ATTRDEF_LIST
+#include "tai/Dialect/Tai/IR/TaiAttrs.cpp.inc"
+      >();
+}
+
+void TaiDialect::registerOps() {
+  addOperations<
+#define GET_OP_LIST
+#include "tai/Dialect/Tai/IR/TaiOps.cpp.inc"
+      >();
+}
+
 void TaiDialect::initialize() {
   registerTypes();
   registerAttributes();
   registerOps();
   addInterfaces<TaiInlinerInterface>();
+}
+
+LogicalResult TaiDialect::verifyOperationAttribute(Operation *op,
+                                                   NamedAttribute attribute) {
+  return verifyDiscardableAttr(op, attribute);
+}
+
+LogicalResult TaiDialect::verifyRegionArgAttribute(Operation *op, unsigned,
+                                                   unsigned index,
+                                                   NamedAttribute attribute) {
+  return verifyArgumentAttr(op, index, attribute);
+}
+
+LogicalResult
+TaiDialect::verifyRegionResultAttribute(Operation *op, unsigned, unsigned index,
+                                        NamedAttribute attribute) {
+  return verifyResultAttr(op, index, attribute);
 }

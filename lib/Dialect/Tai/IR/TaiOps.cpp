@@ -82,13 +82,6 @@ static void printFieldClauses(OpAsmPrinter &printer, FieldOp,
 #define GET_OP_CLASSES
 #include "tai/Dialect/Tai/IR/TaiOps.cpp.inc"
 
-void TaiDialect::registerOps() {
-  addOperations<
-#define GET_OP_LIST
-#include "tai/Dialect/Tai/IR/TaiOps.cpp.inc"
-      >();
-}
-
 //===----------------------------------------------------------------------===//
 // TreeOp, FieldOp
 //===----------------------------------------------------------------------===//

@@ -1,4 +1,4 @@
-//===- History.cpp - Values that serial loops carry -----------------------===//
+//===- LoopHistory.cpp - Values that serial loops carry -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -11,55 +11,21 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "tai/AD/LoopHistory.h"
+#include "LoopRemarks.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/IR/Matchers.h"
-#include "tai/AD/LoopHistory.h"
 
 using namespace mlir;
 using namespace mlir::tai;
 
-Value AdjointBuilder::createTripCount(scf::ForOp loop) {
-  Value lower = getPrimal(loop.getLowerBound());
-  Value upper = getPrimal(loop.getUpperBound());
-  Value step = getPrimal(loop.getStep());
-  Value count = upper;
-  if (!matchPattern(lower, m_Zero()))
-    count = createOrFold<arith::SubIOp>(upper, lower);
-  if (!matchPattern(step, m_One()))
-    count = createOrFold<arith::CeilDivSIOp>(count, step);
-  if (!count.getType().isIndex())
-    count = createOrFold<arith::IndexCastOp>(getIndexType(), count);
-  return count;
-}
-
-void AdjointBuilder::materializeArgument(Frame &frame, BlockArgument argument) {
-  Operation *parent = frame.primal->getParentOp();
-  unsigned index = argument.getArgNumber();
-  current = frame.parent;
-  Value value;
-  if (!frame.argumentValues.empty()) {
-    value = getPrimal(frame.argumentValues[index]);
-  } else if (isRecorded(argument)) {
-    value = fetchRecorded(frame, argument);
-  } else if (frame.history) {
-    if (auto loop = dyn_cast<scf::ForOp>(parent))
-      index -= loop.getNumInductionVars();
-    value = frame.history->getCarried(frame, index);
-  } else {
-    emitError(parent, "the gradient needs a value that this op carries, which "
-                      "cannot be recomputed");
-  }
-  current = &frame;
-  if (value)
-    frame.values.map(argument, value);
-}
-
 LoopHistory::LoopHistory(AdjointBuilder &builder, scf::ForOp loop, Value count)
-    : b(builder), loop(loop), around(&builder.getFrame()), carried(loop),
-      count(count) {}
+    : b(builder), loop(loop), around(builder.getFrame()), carried(loop),
+      count(count), trajectory(builder, loop) {}
 
 LoopHistory::LoopHistory(AdjointBuilder &builder, scf::WhileOp loop)
-    : b(builder), loop(loop), around(&builder.getFrame()), carried(loop) {
+    : b(builder), loop(loop), around(builder.getFrame()), carried(loop),
+      trajectory(builder, loop) {
   if (b.isRecordedLoop(loop)) {
     count = b.fetchCount(loop);
     return;
@@ -108,13 +74,13 @@ scf::ForOp LoopHistory::getForward() {
   if (forward)
     return forward;
   OpBuilder::InsertionGuard guard(b);
-  Frame *saved = b.current;
-  b.current = around;
+  auto scope = b.enter(around);
   if (!counted) {
     b.getPrimal(loop->getResult(0));
-    if (!b.hasErrors)
-      forward = cast<scf::ForOp>(around->recomputed.at(loop));
-    b.current = saved;
+    if (!b.hasFailed()) {
+      forward = cast<scf::ForOp>(around.recomputed.at(loop));
+      trajectory.setForward(forward, count);
+    }
     return forward;
   }
   Location loc = b.getLoc();
@@ -147,7 +113,7 @@ scf::ForOp LoopHistory::getForward() {
                                copy.getAfterBody()->getOperations());
   copy->erase();
   b.setLoc(loc);
-  b.current = saved;
+  trajectory.setForward(forward, count);
   return forward;
 }
 
@@ -159,7 +125,7 @@ BlockArgument LoopHistory::getArgument(unsigned index) const {
 
 Value LoopHistory::getCarried(Frame &frame, unsigned index) {
   const CarriedValue &value = carried[index];
-  if (value.kind == CarriedKind::ClosedForm && !b.recordsAll) {
+  if (value.kind == CarriedKind::ClosedForm && !b.getPlan().recordsAll()) {
     closed.insert(index);
     return createClosedForm(frame, value, index);
   }
@@ -168,11 +134,11 @@ Value LoopHistory::getCarried(Frame &frame, unsigned index) {
   // Only the end of a loop that was counted is an iteration of its own.
   if (frame.iteration == count)
     return forward.getResult(index);
-  if (value.kind == CarriedKind::Invertible && !b.recordsAll) {
+  if (value.kind == CarriedKind::Invertible && !b.getPlan().recordsAll()) {
     inverted.insert(index);
     return createInverse(frame, value);
   }
-  return createRecorded(frame, index);
+  return trajectory.load(frame, index, draft);
 }
 
 /// The primal value of an operand of a step, at the very beginning of the
@@ -181,10 +147,8 @@ Value LoopHistory::getEarly(Frame &frame, Value value) {
   if (!loop->isAncestor(value.getParentBlock()->getParentOp()))
     return b.getPrimal(value);
   if (std::optional<unsigned> index = carried.getIndex(value)) {
-    b.current = &frame;
-    Value known = b.getPrimal(getArgument(*index));
-    b.current = frame.parent;
-    return known;
+    auto scope = b.enter(frame);
+    return b.getPrimal(getArgument(*index));
   }
   if (isa<BlockArgument>(value)) // the induction variable
     return frame.values.lookup(value);
@@ -225,8 +189,8 @@ Value LoopHistory::createClosedForm(Frame &frame, const CarriedValue &value,
 Value LoopHistory::getNext(unsigned index) {
   BlockArgument &next = nexts[index];
   if (!next)
-    next = draft.getBody()->addArgument(getArgument(index).getType(),
-                                        loop->getLoc());
+    next = draft.loop.getBody()->addArgument(getArgument(index).getType(),
+                                             loop->getLoc());
   return next;
 }
 
@@ -273,20 +237,21 @@ Value LoopHistory::createInverse(Frame &frame, const CarriedValue &value) {
 scf::ForOp LoopHistory::createReverse(ValueRange inits) {
   Value zero = arith::ConstantIndexOp::create(b, 0);
   Value one = arith::ConstantIndexOp::create(b, 1);
-  draft = scf::ForOp::create(b, zero, count, one, inits);
-  if (!draft.getBody()->empty())
-    draft.getBody()->back().erase();
-  draftInits.assign(inits.begin(), inits.end());
-  return draft;
+  draft.loop = scf::ForOp::create(b, zero, count, one, inits);
+  if (!draft.loop.getBody()->empty())
+    draft.loop.getBody()->back().erase();
+  draft.inits.assign(inits.begin(), inits.end());
+  return draft.loop;
 }
 
 void LoopHistory::beginIteration(Frame &frame) {
   Value zero = arith::ConstantIndexOp::create(b, 0);
   Value one = arith::ConstantIndexOp::create(b, 1);
-  last = arith::SubIOp::create(b, count, one);
-  local = arith::SubIOp::create(b, last->getResult(0), draft.getInductionVar());
-  iteration = arith::AddIOp::create(b, local->getResult(0), zero);
-  frame.iteration = iteration->getResult(0);
+  draft.last = arith::SubIOp::create(b, count, one);
+  draft.local = arith::SubIOp::create(b, draft.last->getResult(0),
+                                      draft.loop.getInductionVar());
+  draft.iteration = arith::AddIOp::create(b, draft.local->getResult(0), zero);
+  frame.iteration = draft.iteration->getResult(0);
   frame.history = this;
 }
 
@@ -296,11 +261,75 @@ void LoopHistory::beginLast(Frame &frame) {
 }
 
 void LoopHistory::endIteration() {
-  if (b.recordsAll)
+  if (b.getPlan().recordsAll())
     for (unsigned i = 0, e = static_cast<unsigned>(carried.size()); i != e; ++i)
       b.getPrimal(getArgument(i));
   // Getting one may take the next value of another.
   for (size_t i = 0; i != nexts.size(); ++i)
     nextYields.push_back(
         b.getPrimal(getArgument(nexts.getArrayRef()[i].first)));
+}
+
+ResultRange LoopHistory::close(ArrayRef<Value> yields,
+                               const llvm::MapVector<Value, Value> &captured) {
+  size_t own = draft.inits.size();
+  SmallVector<Value> inits(draft.inits), all(yields);
+  trajectory.record();
+  for (auto [index, next] : nexts)
+    inits.push_back(forward.getResult(index));
+  llvm::append_range(all, nextYields);
+  {
+    OpBuilder::InsertionGuard guard(b);
+    Block *body = draft.loop.getBody();
+    for (auto &[value, adjoint] : captured) {
+      b.setInsertionPoint(draft.loop);
+      inits.push_back(b.createZero(value.getType()));
+      Value sum = body->addArgument(value.getType(), value.getLoc());
+      b.setInsertionPointToEnd(body);
+      all.push_back(arith::AddFOp::create(b, sum, adjoint));
+    }
+  }
+  scf::ForOp reverse = trajectory.createReverse(draft, inits, all);
+  draft.loop.erase();
+  for (auto [entry, result] :
+       llvm::zip(captured, reverse.getResults().drop_front(own + nexts.size())))
+    b.addAdjoint(entry.first, result);
+  trajectory.release();
+  b.countCarried(static_cast<int64_t>(carried.size()),
+                 static_cast<int64_t>(trajectory.size()));
+  // Of a second form, all has been said of the first.
+  if (loop->getContext()->getRemarkEngine() && !b.getPlan().options.loadsStored)
+    remarkReversedLoop(summarize());
+  return reverse.getResults().take_front(own);
+}
+
+StringRef LoopHistory::classify(unsigned index) const {
+  if (trajectory.isRecorded(index))
+    return "trajectory";
+  if (inverted.contains(index))
+    return "invertible";
+  if (closed.contains(index))
+    return "closed form";
+  return b.isActive(getArgument(index)) ? "linear" : "not needed";
+}
+
+ReversedLoop LoopHistory::summarize() {
+  ReversedLoop summary;
+  summary.loop = loop;
+  FunctionOpInterface function = b.getPlan().primal;
+  summary.function = function.getName();
+  APInt trips;
+  if (!counted)
+    summary.trips = matchPattern(count, m_ConstantInt(&trips))
+                        ? llvm::toString(trips, 10, /*Signed=*/true)
+                        : "known when the loop begins";
+  if (trajectory.size() != 0)
+    summary.bytesPerIteration = trajectory.getBytesPerIteration();
+  if (trajectory.isChunked())
+    summary.chunkedFrom =
+        std::max(b.getPlan().options.historyBytes, summary.bytesPerIteration);
+  for (unsigned i = 0; i != carried.size(); ++i)
+    summary.carried.push_back(
+        {getArgument(i), classify(i), trajectory.isKeptByChunks(i)});
+  return summary;
 }

@@ -1,24 +1,11 @@
-//===- Rerun.cpp - Running the primal forward again -----------------------===//
+//===- ForwardReexecution.cpp - Executing the primal again ----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
-//
-// Where neither what a field held before a launch nor what it holds afterwards
-// is all that the reverse needs, the block is run forward again on what was
-// there before, with its stores to such fields. So are random draws in serial
-// loops, which must come in the same order. What the reverse asks for is pushed
-// on a stack, one for each value, when the rerun computes it; the reverse pops
-// it where the mirror of the same block begins. Each execution of a block
-// pushes once and each reversed execution pops once, so that the orders agree
-// however loops and branches are nested.
-//
-// All else is recomputed from what is popped, as it is elsewhere.
-//
-//===----------------------------------------------------------------------===//
 
-#include "tai/AD/Rerun.h"
+#include "ForwardReexecution.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
@@ -26,34 +13,25 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// On a read of a rerun, while the adjoint is built: which read it repeats.
-constexpr llvm::StringLiteral kRerunReadAttrName = "tai.rerun_read";
-
-Block *mlir::tai::getRerunUnit(Operation *op) {
-  Operation *up = op;
-  while (!isa<FunctionOpInterface>(up->getParentOp())) {
-    up = up->getParentOp();
-    if (isa<ParallelForOp, scf::ParallelOp>(up) && !isSerialLoop(up))
-      return &up->getRegion(0).front();
-  }
-  return up->getBlock();
-}
+/// On a read of a second execution, while the adjoint is emitted: which read it
+/// repeats.
+constexpr llvm::StringLiteral kRepeatedReadAttrName = "tai.rerun_read";
 
 //===----------------------------------------------------------------------===//
-// What is run again
+// What is executed again
 //===----------------------------------------------------------------------===//
 
 namespace {
 /// Copies the ops of a block that matter, into the mirror.
 class Slice {
 public:
-  Slice(AdjointBuilder &builder, Rerun &rerun,
+  Slice(AdjointBuilder &builder, ReexecutedBlock &again,
         SmallVectorImpl<Operation *> &reads)
-      : b(builder), rerun(rerun), reads(reads), unit(rerun.frame.primal) {}
+      : b(builder), again(again), reads(reads), unit(again.frame.primal) {}
 
   /// `matters` says which accesses and draws do by themselves.
   void find(llvm::function_ref<bool(Operation *)> matters);
-  void copy() { copyBlock(unit, rerun.frame.mirror); }
+  void copy() { copyBlock(unit, again.frame.mirror); }
 
   /// Loops whose iterations are to be counted, and writes that are repeated.
   llvm::function_ref<bool(Operation *)> counts, writes;
@@ -67,7 +45,7 @@ private:
   Value lookup(Value value);
 
   AdjointBuilder &b;
-  Rerun &rerun;
+  ReexecutedBlock &again;
   SmallVectorImpl<Operation *> &reads;
   Block *unit;
   DenseSet<Operation *> live;
@@ -110,12 +88,12 @@ void Slice::find(llvm::function_ref<bool(Operation *)> matters) {
   }
 }
 
-/// The value in the rerun; one from outside is recomputed there.
+/// The value in the second execution; one from outside is rematerialised there.
 Value Slice::lookup(Value value) {
-  if (Value known = rerun.values.lookupOrNull(value))
+  if (Value known = again.values.lookupOrNull(value))
     return known;
   Value outer = b.getPrimal(value);
-  rerun.values.map(value, outer);
+  again.values.map(value, outer);
   return outer;
 }
 
@@ -131,7 +109,7 @@ Operation *Slice::copyWhile(scf::WhileOp loop) {
   for (auto [from, to] : llvm::zip(loop->getRegions(), copy->getRegions())) {
     Block *body = b.createBlock(&to);
     for (BlockArgument argument : from.getArguments())
-      rerun.values.map(
+      again.values.map(
           argument, body->addArgument(argument.getType(), argument.getLoc()));
     Value count = body->addArgument(b.getIndexType(), b.getLoc());
     copyBlock(&from.front(), body);
@@ -143,7 +121,7 @@ Operation *Slice::copyWhile(scf::WhileOp loop) {
     }
     terminator->insertOperands(terminator->getNumOperands(), count);
   }
-  rerun.counts[loop] = copy.getResults().back();
+  again.counts[loop] = copy.getResults().back();
   return copy;
 }
 
@@ -158,7 +136,7 @@ Operation *Slice::copyOp(Operation *op) {
       continue;
     Block *body = b.createBlock(&to);
     for (BlockArgument argument : from.getArguments())
-      rerun.values.map(
+      again.values.map(
           argument, body->addArgument(argument.getType(), argument.getLoc()));
     copyBlock(&from.front(), body);
   }
@@ -176,7 +154,7 @@ void Slice::copyBlock(Block *from, Block *to) {
     auto loop = dyn_cast<scf::WhileOp>(op);
     Operation *copy = loop && counts(loop) ? copyWhile(loop) : copyOp(&op);
     for (auto [before, after] : llvm::zip(op.getResults(), copy->getResults()))
-      rerun.values.map(before, after);
+      again.values.map(before, after);
     checkCopy(&op, copy);
   }
 }
@@ -189,7 +167,7 @@ void Slice::checkCopy(Operation *op, Operation *copy) {
     bool isOwn = array && unit->getParentOp()->isProperAncestor(
                               array.getParentBlock()->getParentOp());
     if (access.getAccessKind() == AccessKind::Read) {
-      copy->setAttr(kRerunReadAttrName, b.getIndexAttr(reads.size()));
+      copy->setAttr(kRepeatedReadAttrName, b.getIndexAttr(reads.size()));
       reads.push_back(op);
     } else if (!isOwn && !writes(op)) {
       b.emitError(op, "the value before the update is needed by the gradient, "
@@ -212,111 +190,92 @@ void Slice::checkCopy(Operation *op, Operation *copy) {
 // Recording
 //===----------------------------------------------------------------------===//
 
-/// True if the value is taken from the rerun and not recomputed.
-bool AdjointBuilder::isRecorded(Value value) const {
-  if (plan.recorded.empty())
-    return false;
-  if (Operation *owner = value.getDefiningOp())
-    return plan.recorded.contains(owner) || holders.contains(owner);
-  auto argument = cast<BlockArgument>(value);
-  Operation *loop = argument.getOwner()->getParentOp();
-  if (!holders.contains(loop))
-    return false;
-  auto forOp = dyn_cast<scf::ForOp>(loop);
-  return forOp ? argument != forOp.getInductionVar() : isa<scf::WhileOp>(loop);
-}
-
-void AdjointBuilder::beginRerun(Frame &frame) {
-  OpBuilder::InsertionGuard guard(*this);
-  Location loc = getLoc();
-  rerun = std::make_unique<Rerun>(frame, std::move(rerun));
+void ForwardReexecution::begin(Frame &frame) {
+  OpBuilder::InsertionGuard guard(b);
+  Location loc = b.getLoc();
+  innermost = std::make_unique<ReexecutedBlock>(frame, std::move(innermost));
   for (BlockArgument argument : frame.primal->getArguments())
     if (Value known = frame.values.lookupOrNull(argument))
-      rerun->values.map(argument, known);
-  setInsertionPoint(frame.recomputeBegin);
-  rerun->begin = createConstant(getF32Type(), 0).getDefiningOp();
-  Slice slice(*this, *rerun, rerunReads);
-  auto isCounted = [&](Operation *op) { return holders.contains(op); };
+      innermost->values.map(argument, known);
+  b.setInsertionPoint(frame.recomputeBegin);
+  innermost->begin = b.createConstant(b.getF32Type(), 0).getDefiningOp();
+  Slice slice(b, *innermost, reads);
+  auto isCounted = [&](Operation *op) { return plan.holdsRecorded(op); };
   auto isWritten = [&](Operation *op) {
     auto access = dyn_cast<DifferentiableAccessInterface>(op);
     return access && access.getAccessKind() != AccessKind::Read &&
-           plan.storages.contains(getStorageKey(op));
+           plan.isRewritten(getStorageKey(op));
   };
   slice.counts = isCounted;
   slice.writes = isWritten;
   slice.find([&](Operation *op) {
-    return getRerunUnit(op) == frame.primal &&
-           (plan.recorded.contains(op) || isWritten(op));
+    return getReexecutedBlock(op) == frame.primal &&
+           (plan.isRecorded(op) || isWritten(op));
   });
-  setInsertionPoint(frame.recomputeBegin);
+  b.setInsertionPoint(frame.recomputeBegin);
   slice.copy();
-  setLoc(loc);
+  b.setLoc(loc);
 }
 
-/// The value of the rerun that stands for a primal one, where it is asked for.
-Value AdjointBuilder::fetchRecorded(Frame &frame, Value value) {
-  Rerun *from = rerun.get();
+Value ForwardReexecution::fetch(Frame &frame, Value value) {
+  ReexecutedBlock *from = innermost.get();
   while (from && !from->values.contains(value))
     from = from->parent.get();
   if (!from) {
-    emitError(value.getDefiningOp() ? value.getDefiningOp()
-                                    : frame.primal->getParentOp(),
-              "a value that the gradient needs cannot be recorded");
+    b.emitError(value.getDefiningOp() ? value.getDefiningOp()
+                                      : frame.primal->getParentOp(),
+                "a value that the gradient needs cannot be recorded");
     return value;
   }
   Value known = from->values.lookup(value);
   if (&frame == &from->frame)
     return known;
   if (!frame.recomputeBegin) {
-    emitError(
+    b.emitError(
         frame.primal->getParentOp(),
         "the gradient needs a value that this op carries, which cannot be "
         "recomputed");
     return value;
   }
-  OpBuilder::InsertionGuard guard(*this);
+  OpBuilder::InsertionGuard guard(b);
   auto vector = dyn_cast<VectorType>(known.getType());
   Type scalar = getElementTypeOrSelf(known.getType());
   int64_t count = vector ? vector.getNumElements() : 1;
-  Rerun::Record &record = from->records[known];
+  ReexecutedBlock::Record &record = from->records[known];
   if (record.stacks.empty()) {
     record.block = frame.primal;
-    setInsertionPoint(from->begin);
+    b.setInsertionPoint(from->begin);
     for (int64_t i = 0; i != count; ++i)
-      record.stacks.push_back(
-          StackCreateOp::create(*this, StackType::get(scalar)));
-    setInsertionPointAfterValue(known);
+      record.stacks.push_back(StackCreateOp::create(b, StackType::get(scalar)));
+    b.setInsertionPointAfterValue(known);
     for (auto [i, stack] : llvm::enumerate(record.stacks))
-      StackPushOp::create(*this, vector ? createExtract(known, i) : known,
-                          stack);
+      StackPushOp::create(b, vector ? b.createExtract(known, i) : known, stack);
   }
-  setInsertionPoint(frame.recomputeBegin);
+  b.setInsertionPoint(frame.recomputeBegin);
   SmallVector<Value> components;
   for (Value stack : record.stacks)
-    components.push_back(StackPopOp::create(*this, scalar, stack));
+    components.push_back(StackPopOp::create(b, scalar, stack));
   frame.popped.insert(known);
-  return vector ? createVector(vector, components) : components.front();
+  return vector ? b.createVector(vector, components) : components.front();
 }
 
-Value AdjointBuilder::fetchCount(scf::WhileOp loop) {
-  Rerun *from = rerun.get();
+Value ForwardReexecution::fetchCount(scf::WhileOp loop) {
+  ReexecutedBlock *from = innermost.get();
   while (from && !from->counts.count(loop))
     from = from->parent.get();
   if (!from)
-    return arith::ConstantIndexOp::create(*this, 0); // after an error
+    return arith::ConstantIndexOp::create(b, 0); // after an error
   Value count = from->counts.lookup(loop);
   from->values.map(count, count);
-  return fetchRecorded(*current, count);
+  return fetch(b.getFrame(), count);
 }
 
-/// Where a mirror ends: other mirrors of the block may still ask for values
-/// that this one must then pop as well.
-void AdjointBuilder::leaveMirror(Frame &frame) {
-  Rerun *from = rerun.get();
+void ForwardReexecution::leave(Frame &frame) {
+  ReexecutedBlock *from = innermost.get();
   if (from && &frame == &from->frame) {
     // Out of the way before what hangs on it goes.
-    std::unique_ptr<Rerun> outer = std::move(from->parent);
-    rerun = std::move(outer);
+    std::unique_ptr<ReexecutedBlock> outer = std::move(from->parent);
+    innermost = std::move(outer);
     frame.recomputeBegin->erase();
     return;
   }
@@ -327,23 +286,23 @@ void AdjointBuilder::leaveMirror(Frame &frame) {
     frame.recomputeBegin->erase();
 }
 
-void AdjointBuilder::endRerun(Frame &frame) {
-  OpBuilder::InsertionGuard guard(*this);
-  for (auto &[value, record] : rerun->records) {
-    for (Rerun::Mirror &mirror : rerun->mirrors)
+void ForwardReexecution::end(Frame &frame) {
+  OpBuilder::InsertionGuard guard(b);
+  for (auto &[value, record] : innermost->records) {
+    for (ReexecutedBlock::Mirror &mirror : innermost->mirrors)
       if (mirror.block == record.block && !mirror.popped.contains(value)) {
-        setInsertionPoint(mirror.marker);
+        b.setInsertionPoint(mirror.marker);
         for (Value stack : record.stacks)
           StackPopOp::create(
-              *this, cast<StackType>(stack.getType()).getElementType(), stack);
+              b, cast<StackType>(stack.getType()).getElementType(), stack);
       }
-    setInsertionPointToEnd(frame.mirror);
+    b.setInsertionPointToEnd(frame.mirror);
     for (Value stack : record.stacks)
-      StackDestroyOp::create(*this, stack);
+      StackDestroyOp::create(b, stack);
   }
-  for (Rerun::Mirror &mirror : rerun->mirrors)
+  for (ReexecutedBlock::Mirror &mirror : innermost->mirrors)
     mirror.marker->erase();
-  rerun->begin->erase();
+  innermost->begin->erase();
 }
 
 /// Erases the ops whose results nothing uses.
@@ -357,16 +316,16 @@ static void eraseDead(Region &region) {
     }
 }
 
-/// The reads of reruns that something needs count as those of the adjoint.
-void AdjointBuilder::collectRerunReads() {
-  if (plan.recorded.empty())
+void ForwardReexecution::collectReads(FunctionOpInterface adjoint,
+                                      PrimalDemands &demands) {
+  if (!plan.hasRecorded())
     return;
   dropDeadCarried(adjoint.getFunctionBody());
   eraseDead(adjoint.getFunctionBody());
   adjoint.getFunctionBody().walk([&](Operation *op) {
     auto index =
-        dyn_cast_if_present<IntegerAttr>(op->removeAttr(kRerunReadAttrName));
+        dyn_cast_if_present<IntegerAttr>(op->removeAttr(kRepeatedReadAttrName));
     if (index)
-      needed.insert(rerunReads[index.getInt()]);
+      demands.reads.insert(reads[index.getInt()]);
   });
 }

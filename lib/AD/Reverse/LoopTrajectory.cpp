@@ -1,24 +1,16 @@
-//===- HistoryChunks.cpp - Recording loops in bounded memory --------------===//
+//===- LoopTrajectory.cpp - What a reversed loop records ------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
-//
-// A loop of few iterations records them all. One of many, or of a number that
-// only the run knows, is recorded in chunks of about the square root of that
-// number: the first pass keeps what each chunk began with, and ends with a
-// record of the last one; each of the others is run and recorded again before
-// its reverse. While the whole record is small, the chunk is the whole loop, so
-// that nothing is run again.
-//
-//===----------------------------------------------------------------------===//
 
+#include "tai/AD/LoopTrajectory.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
-#include "tai/AD/LoopHistory.h"
+#include "tai/Analysis/CarriedValues.h"
 #include "llvm/Support/MathExtras.h"
 
 using namespace mlir;
@@ -34,7 +26,7 @@ static MemRefType getHistoryType(Type type) {
   return MemRefType::get(shape, getElementTypeOrSelf(type));
 }
 
-int64_t LoopHistory::getBytes(Type type) {
+int64_t LoopTrajectory::getBytes(Type type) {
   Type element = getElementTypeOrSelf(type);
   int64_t bytes = element.isIndex()
                       ? 8
@@ -68,20 +60,21 @@ static Value loadState(AdjointBuilder &b, Type type, Value buffer,
   return b.createVector(vector, components);
 }
 
-/// The value of a carried value that is recorded. How large its buffer is and
-/// what writes it is decided when the reverse is complete.
-Value LoopHistory::createRecorded(Frame &frame, unsigned index) {
-  Type type = getArgument(index).getType();
+// How large the buffer is and what writes it is decided when the reverse is
+// complete.
+Value LoopTrajectory::load(Frame &frame, unsigned index,
+                           const ReverseDraft &draft) {
+  Type type = forward.getRegionIterArg(index).getType();
   memref::AllocOp &buffer = histories[index];
   if (!buffer) {
     b.setInsertionPoint(forward);
     buffer = memref::AllocOp::create(b, getHistoryType(type), count);
   }
   b.setInsertionPoint(frame.recomputeBegin);
-  return loadState(b, type, buffer, local->getResult(0));
+  return loadState(b, type, buffer, draft.local->getResult(0));
 }
 
-int64_t LoopHistory::getBytesPerIteration() {
+int64_t LoopTrajectory::getBytesPerIteration() {
   int64_t bytes = 0;
   for (auto [index, buffer] : histories)
     bytes += getBytes(forward.getRegionIterArg(index).getType());
@@ -90,7 +83,7 @@ int64_t LoopHistory::getBytesPerIteration() {
 
 /// Stores what is recorded at the beginning of the body of `recorder`, at the
 /// position of the iteration among those of `recorder`.
-void LoopHistory::storeRecorded(scf::ForOp recorder) {
+void LoopTrajectory::storeRecorded(scf::ForOp recorder) {
   b.setInsertionPointToStart(recorder.getBody());
   Value position = recorder.getInductionVar();
   if (!matchPattern(recorder.getLowerBound(), m_Zero()))
@@ -136,9 +129,9 @@ static std::pair<Value, Value> createSquareRoots(AdjointBuilder &b, Value trips,
 }
 
 /// The size and number of chunks, or nulls if there is to be one.
-LoopHistory::Chunks LoopHistory::createChunks() {
-  int64_t limit =
-      std::max<int64_t>(1, b.getHistoryLimit() / getBytesPerIteration());
+LoopTrajectory::Chunks LoopTrajectory::createChunks() {
+  int64_t limit = std::max<int64_t>(1, b.getPlan().options.historyBytes /
+                                           getBytesPerIteration());
   APInt constant;
   if (matchPattern(count, m_ConstantInt(&constant))) {
     int64_t trips = std::max<int64_t>(constant.getSExtValue(), 0);
@@ -176,8 +169,9 @@ LoopHistory::Chunks LoopHistory::createChunks() {
   return {size, number, arith::MinSIOp::create(b, trips, size)};
 }
 
-/// Lets the forward loop write the record, whole or of its last chunk.
-void LoopHistory::record() {
+void LoopTrajectory::record() {
+  if (histories.empty())
+    return;
   OpBuilder::InsertionGuard guard(b);
   b.setInsertionPoint(forward);
   if (auto forOp = dyn_cast<scf::ForOp>(loop)) // known to the sweep only
@@ -202,16 +196,17 @@ void LoopHistory::record() {
 
 /// The bounds, in terms of the induction variable of the loop, of the
 /// iterations from `begin` to `end`.
-std::pair<Value, Value> LoopHistory::createRange(Value begin, Value end) {
+std::pair<Value, Value> LoopTrajectory::createRange(Value begin, Value end) {
   auto forOp = dyn_cast<scf::ForOp>(loop);
   if (!forOp)
     return {begin, end};
-  Frame *saved = b.current;
-  b.current = around;
-  Value lower = b.getPrimal(forOp.getLowerBound());
-  Value upper = b.getPrimal(forOp.getUpperBound());
-  Value step = b.getPrimal(forOp.getStep());
-  b.current = saved;
+  Value lower, upper, step;
+  {
+    auto scope = b.enter(around);
+    lower = b.getPrimal(forOp.getLowerBound());
+    upper = b.getPrimal(forOp.getUpperBound());
+    step = b.getPrimal(forOp.getStep());
+  }
   bool isUnit = matchPattern(step, m_One());
   auto scale = [&](Value position) {
     if (!lower.getType().isIndex())
@@ -233,7 +228,7 @@ std::pair<Value, Value> LoopHistory::createRange(Value begin, Value end) {
 
 /// Turns the forward loop into one over chunks, which keeps what each begins
 /// with, around one over the iterations of a chunk.
-void LoopHistory::recordChunks() {
+void LoopTrajectory::recordChunks() {
   inner =
       scf::ForOp::create(b, forward.getLowerBound(), forward.getUpperBound(),
                          forward.getStep(), forward.getInitArgs());
@@ -278,16 +273,17 @@ void LoopHistory::recordChunks() {
 }
 
 /// Where the buffer of a carried value holds what a chunk begins with.
-Value LoopHistory::getStart(unsigned index, Value chunk) {
+Value LoopTrajectory::getStart(unsigned index, Value chunk) {
   return histories.contains(index)
              ? arith::AddIOp::create(b, chunks.room, chunk).getResult()
              : chunk;
 }
 
 /// Moves the body of the draft to `reverse`, with the given yields.
-scf::ForOp LoopHistory::finishReverse(scf::ForOp reverse,
-                                      ArrayRef<Value> yields) {
-  reverse.getRegion().takeBody(draft.getRegion());
+scf::ForOp LoopTrajectory::finishReverse(scf::ForOp reverse,
+                                         ReverseDraft &draft,
+                                         ArrayRef<Value> yields) {
+  reverse.getRegion().takeBody(draft.loop.getRegion());
   OpBuilder::InsertionGuard guard(b);
   b.setInsertionPointToEnd(reverse.getBody());
   scf::YieldOp::create(b, yields);
@@ -296,8 +292,9 @@ scf::ForOp LoopHistory::finishReverse(scf::ForOp reverse,
 
 /// The loop over chunks from the last to the first: each but the last, of which
 /// there is a record, is recorded before the reverse of its iterations.
-scf::ForOp LoopHistory::createReverseChunks(ArrayRef<Value> inits,
-                                            ArrayRef<Value> yields) {
+scf::ForOp LoopTrajectory::createReverseChunks(ReverseDraft &draft,
+                                               ArrayRef<Value> inits,
+                                               ArrayRef<Value> yields) {
   Value zero = arith::ConstantIndexOp::create(b, 0);
   Value one = arith::ConstantIndexOp::create(b, 1);
   auto outer = scf::ForOp::create(b, zero, chunks.number, one, inits);
@@ -318,7 +315,7 @@ scf::ForOp LoopHistory::createReverseChunks(ArrayRef<Value> inits,
   // What the record does not depend on will be dropped.
   SmallVector<Value> states(forward.getInitArgs());
   for (auto [index, start] : starts)
-    states[index] = loadState(b, getArgument(index).getType(), start,
+    states[index] = loadState(b, inner.getRegionIterArg(index).getType(), start,
                               getStart(index, chunk));
   IRMapping mapping;
   mapping.map(inner.getLowerBound(), lower);
@@ -329,51 +326,28 @@ scf::ForOp LoopHistory::createReverseChunks(ArrayRef<Value> inits,
   Value length = arith::SubIOp::create(b, end, begin);
   auto reverse =
       scf::ForOp::create(b, zero, length, one, outer.getRegionIterArgs());
-  last->setOperand(0, length);
-  iteration->setOperand(1, begin);
+  draft.last->setOperand(0, length);
+  draft.iteration->setOperand(1, begin);
   scf::YieldOp::create(b, reverse.getResults());
-  finishReverse(reverse, yields);
+  finishReverse(reverse, draft, yields);
   return outer;
 }
 
-ResultRange LoopHistory::close(ArrayRef<Value> yields,
-                               const llvm::MapVector<Value, Value> &captured) {
-  size_t own = draftInits.size();
-  SmallVector<Value> inits(draftInits), all(yields);
-  if (!histories.empty())
-    record();
-  for (auto [index, next] : nexts)
-    inits.push_back(forward.getResult(index));
-  llvm::append_range(all, nextYields);
-  {
-    OpBuilder::InsertionGuard guard(b);
-    Block *body = draft.getBody();
-    for (auto &[value, adjoint] : captured) {
-      b.setInsertionPoint(draft);
-      inits.push_back(b.createZero(value.getType()));
-      Value sum = body->addArgument(value.getType(), value.getLoc());
-      b.setInsertionPointToEnd(body);
-      all.push_back(arith::AddFOp::create(b, sum, adjoint));
-    }
-  }
-  scf::ForOp reverse =
-      chunks.size ? createReverseChunks(inits, all)
-                  : finishReverse(scf::ForOp::create(b, draft.getLowerBound(),
-                                                     draft.getUpperBound(),
-                                                     draft.getStep(), inits),
-                                  all);
-  draft.erase();
-  for (auto [entry, result] :
-       llvm::zip(captured, reverse.getResults().drop_front(draftInits.size() +
-                                                           nexts.size())))
-    b.addAdjoint(entry.first, result);
+scf::ForOp LoopTrajectory::createReverse(ReverseDraft &draft,
+                                         ArrayRef<Value> inits,
+                                         ArrayRef<Value> yields) {
+  if (isChunked())
+    return createReverseChunks(draft, inits, yields);
+  return finishReverse(scf::ForOp::create(b, draft.loop.getLowerBound(),
+                                          draft.loop.getUpperBound(),
+                                          draft.loop.getStep(), inits),
+                       draft, yields);
+}
+
+void LoopTrajectory::release() {
   for (auto [index, start] : starts)
     if (!histories.contains(index))
       memref::DeallocOp::create(b, start);
   for (auto [index, history] : histories)
     memref::DeallocOp::create(b, history);
-  b.carriedValues += static_cast<int64_t>(carried.size());
-  b.recordedValues += static_cast<int64_t>(histories.size());
-  report();
-  return reverse.getResults().take_front(own);
 }

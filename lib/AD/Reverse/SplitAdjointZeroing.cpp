@@ -1,4 +1,4 @@
-//===- SeparateTakes.cpp - Zeroing in a loop of its own -------------------===//
+//===- SplitAdjointZeroing.cpp - Zeroing in a loop of its own -------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -65,7 +65,7 @@ static SmallVector<StoreOp> findTakes(ParallelForOp loop) {
   return takes;
 }
 
-void mlir::tai::separateTakes(FunctionOpInterface adjoint) {
+void mlir::tai::splitAdjointZeroing(FunctionOpInterface adjoint) {
   SmallVector<ParallelForOp> loops;
   adjoint.getFunctionBody().walk([&](ParallelForOp loop) {
     if (!loop.getSerialize())

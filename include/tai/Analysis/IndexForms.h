@@ -1,0 +1,120 @@
+//===- IndexForms.h - Indices as linear sums --------------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// How a value of a kernel is made up, and the numbers that it can be: a linear
+// sum of loop indices and of launch values, which follow from the arguments of
+// the kernel and the extents of its arrays alone. Integers wrap around, sums do
+// not: where it is not known that a value does not, that is an assumption.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_ANALYSIS_INDEXFORMS_H
+#define TAI_ANALYSIS_INDEXFORMS_H
+
+#include "tai/Analysis/LinearSystem.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "llvm/ADT/DenseMap.h"
+#include <optional>
+
+namespace mlir::tai {
+
+/// Values that a number can have, both ends included. The ends of int64_t stand
+/// for no bound.
+struct NumberRange {
+  int64_t low = INT64_MIN, high = INT64_MAX;
+
+  bool isBounded() const { return low != INT64_MIN && high != INT64_MAX; }
+  bool isWithin(NumberRange other) const {
+    return low >= other.low && high <= other.high;
+  }
+};
+
+/// A number of which the host knows the value before the kernel runs: a value
+/// that can be computed then, the extent of an array, or the product of two
+/// sums of launch values.
+struct LaunchValue {
+  Value value, array;
+  int64_t dimension = 0;
+  SmallVector<LinearSum, 0> factors = {};
+};
+
+/// A value as a sum, and what holds for the variables in it.
+struct LinearForm {
+  LinearSum sum;
+  SmallVector<LinearSum, 2> facts;
+  /// The sum is the value for certain, and follows from the iteration.
+  bool isCertain = true;
+  /// `facts` hold always. If not, they are assumptions.
+  bool isComplete = true;
+
+  /// This and `scale` times another one.
+  LinearForm plus(const LinearForm &other, int64_t scale) const;
+};
+
+/// The forms of the values of a kernel, and the variables that they speak of.
+class IndexForms {
+public:
+  enum class Kind { Launch, Loop, Quotient, Product, Data };
+
+  explicit IndexForms(KernelOp kernel) : kernel(kernel) {}
+
+  LinearForm formOf(Value value);
+  NumberRange rangeOf(Value value);
+  NumberRange rangeOfSum(const LinearSum &sum) const;
+  /// True if the value can be computed before the kernel runs.
+  bool isLaunchValue(Value value);
+  LinearForm makeLaunchForm(LaunchValue launch, NumberRange range);
+
+  Kind getKind(unsigned variable) const { return variables[variable].kind; }
+  NumberRange getRange(unsigned variable) const {
+    return variables[variable].range;
+  }
+  /// What a variable stands for, if the launch knows it.
+  const LaunchValue *getLaunchValue(unsigned variable) const;
+  /// The two factors, where a variable stands for a product that changes in a
+  /// loop; the first is of launch values. Empty for others.
+  ArrayRef<LinearSum> getFactors(unsigned variable) const {
+    return variables[variable].factors;
+  }
+  bool isOfLaunch(const LinearSum &sum) const;
+  bool hasProduct(const LinearSum &sum) const;
+  /// The product of two sums of launch values as a launch value. Adds to
+  /// `facts` what must hold for it not to overflow.
+  LinearSum multiply(const LinearSum &a, const LinearSum &b,
+                     SmallVectorImpl<LinearSum> &facts);
+
+private:
+  struct Variable {
+    Kind kind;
+    NumberRange range;
+    LaunchValue launch = {};
+    /// Of a product.
+    SmallVector<LinearSum, 0> factors = {};
+  };
+
+  LinearForm makeForm(Value value);
+  LinearForm makeLoopForm(BlockArgument argument);
+  std::optional<LinearForm> makeLinear(Operation *op);
+  std::optional<LinearForm> makeQuotient(Operation *op);
+  std::optional<LinearForm> makeExtreme(Operation *op);
+  std::optional<LinearForm> makeProduct(Operation *op);
+  LinearForm makeVariable(Kind kind, NumberRange range);
+  /// Adds what must hold for a value of the type not to have wrapped.
+  void assumeFits(LinearForm &form, Type type) const;
+  NumberRange computeRange(Value value);
+
+  KernelOp kernel;
+  std::vector<Variable> variables;
+  llvm::DenseMap<Value, LinearForm> forms;
+  llvm::DenseMap<Value, NumberRange> ranges;
+  llvm::DenseMap<Value, bool> launchValues;
+  llvm::DenseMap<std::pair<Value, int64_t>, unsigned> extentVariables;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_ANALYSIS_INDEXFORMS_H

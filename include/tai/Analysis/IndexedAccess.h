@@ -1,0 +1,48 @@
+//===- IndexedAccess.h - Accesses taken apart -------------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_ANALYSIS_INDEXEDACCESS_H
+#define TAI_ANALYSIS_INDEXEDACCESS_H
+
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include <optional>
+
+namespace mlir::tai {
+
+/// The number of an extent, which for an array may be known to the launch only.
+struct Extent {
+  int64_t number = 0;
+  /// If not null: dimension `number` of this argument.
+  Value array = {};
+};
+
+/// An access that has indices, taken apart.
+struct IndexedAccess {
+  Operation *op;
+  /// "field '@x' of shape [4, 8]".
+  std::string what;
+  /// As the program gives them. Those of components of an element follow those
+  /// of the element.
+  SmallVector<OpOperand *> indices;
+  SmallVector<int64_t> first;
+  SmallVector<Extent> extents;
+  /// How many of them are those of the element.
+  size_t rank = 0;
+
+  /// Nothing for an operation that is no access, or of a kind that has no box.
+  static std::optional<IndexedAccess> get(Operation *op);
+};
+
+/// "field '@x' of shape [4, 8]", with the first index where it is not zero.
+std::string describeField(const FieldLayout &layout);
+/// "an array of f32 of shape [?, 3]".
+std::string describeArray(MemRefType type);
+
+} // namespace mlir::tai
+
+#endif // TAI_ANALYSIS_INDEXEDACCESS_H

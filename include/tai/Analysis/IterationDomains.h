@@ -1,0 +1,58 @@
+//===- IterationDomains.h - When a block of a kernel runs -------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The loops and conditions around a block bound the iterations in which it
+// runs: a union of linear systems over loop indices and launch values.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_ANALYSIS_ITERATIONDOMAINS_H
+#define TAI_ANALYSIS_ITERATIONDOMAINS_H
+
+#include "tai/Analysis/IndexForms.h"
+
+namespace mlir::tai {
+
+/// The iterations in which a block runs, as a union of systems.
+struct IterationDomain {
+  SmallVector<SmallVector<LinearSum>, 1> pieces;
+  /// Loop indices, from the outermost to the innermost.
+  SmallVector<unsigned> loops;
+  /// Each point is an iteration that runs.
+  bool isCertain = true;
+  /// Each iteration that runs is a point.
+  bool isComplete = true;
+
+  void addRow(const LinearSum &row);
+  void addFacts(const LinearForm &form);
+};
+
+class IterationDomains {
+public:
+  IterationDomains(KernelOp kernel, IndexForms &forms)
+      : kernel(kernel), forms(forms) {}
+
+  IterationDomain domainOf(Block *block);
+
+private:
+  using Domain = IterationDomain;
+
+  void addLoop(Domain &domain, ParallelForOp loop);
+  void addLoop(Domain &domain, BlockArgument iv, Value lower, Value upper);
+  void addCondition(Domain &domain, Value condition, bool holds);
+  void addComparison(Domain &domain, Value lhs, Value rhs, int64_t gap);
+  void addEither(Domain &domain, function_ref<void(Domain &)> first,
+                 function_ref<void(Domain &)> second);
+
+  KernelOp kernel;
+  IndexForms &forms;
+  llvm::DenseMap<Block *, Domain> domains;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_ANALYSIS_ITERATIONDOMAINS_H

@@ -1,0 +1,176 @@
+//===- AdjointPlanner.cpp - Decides what an adjoint is to do --------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/AD/AdjointPlanner.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/SkipScope.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+FailureOr<bool> AdjointPlanner::settle(const PrimalDemands &demands) {
+  larger = plan.reexecution;
+  hasGrown = wantsParts = false;
+  before.clear();
+  for (Operation *draw : demands.draws)
+    hasGrown |= larger.addRecorded(draw);
+  // Storages in the order of the program.
+  llvm::MapVector<const void *, SmallVector<DifferentiableAccessInterface>>
+      byStorage;
+  for (auto &[storage, list] : plan.accesses.getStorages())
+    for (DifferentiableAccessInterface access : list)
+      if (demands.reads.contains(access) ||
+          plan.reexecution.isRecorded(access.getOperation()))
+        byStorage[storage].push_back(access);
+  llvm::SmallDenseSet<const void *> chosen;
+  for (Operation *op : demands.before)
+    if (chosen.insert(getStorageKey(op)).second)
+      before.push_back(
+          cast<DifferentiableAccessInterface>(op).getAccessedStorage().field);
+  bool allChosen = true;
+  for (auto &[storage, reads] : byStorage)
+    if (!chosen.contains(storage) && failed(chooseVersion(reads)))
+      allChosen = false;
+  if (!allChosen)
+    return failure();
+  if (hasGrown)
+    plan.reexecution = larger;
+  return !hasGrown;
+}
+
+void AdjointPlanner::annotate(FunctionOpInterface adjoint) const {
+  Builder builder(adjoint.getContext());
+  if (!before.empty())
+    adjoint->setAttr(kBeforeAttrName, builder.getArrayAttr(before));
+  if (plan.reexecution.hasRewritten())
+    adjoint->setAttr(kRerunsAttrName, builder.getUnitAttr());
+}
+
+bool AdjointPlanner::findsStored(ArrayRef<Operation *> stores) const {
+  if (stores.empty() || plan.reexecution.hasRecorded() ||
+      plan.reexecution.hasRewritten())
+    return false;
+  return llvm::none_of(stores, [&](Operation *store) {
+    return llvm::any_of(before, [&](Attribute name) {
+      FieldOp field = lookupField(store, cast<FlatSymbolRefAttr>(name));
+      return !field || getFieldStorageKey(field) == getStorageKey(store);
+    });
+  });
+}
+
+/// Decides which version of one storage holds what these reads need, or
+/// refuses.
+LogicalResult
+AdjointPlanner::chooseVersion(ArrayRef<DifferentiableAccessInterface> reads) {
+  DifferentiableAccessInterface lost, write;
+  for (DifferentiableAccessInterface read : reads)
+    if ((write = plan.accesses.findLaterWrite(read))) {
+      lost = read;
+      break;
+    }
+  if (!lost)
+    return success();
+  FlatSymbolRefAttr field = lost.getAccessedStorage().field;
+  if (plan.reexecution.isRewritten(getStorageKey(lost)) &&
+      planReexecution(lost, reads)) {
+    // The second execution starts from what was there before.
+    before.push_back(field);
+    return success();
+  }
+  // A tape can bring back a field, and nobody an array.
+  bool canRestore = field && isa<KernelOp>(plan.primal.getOperation());
+  DifferentiableAccessInterface changed, earlier;
+  for (DifferentiableAccessInterface read : reads)
+    if (canRestore && (earlier = plan.accesses.findEarlierWrite(read))) {
+      changed = read;
+      break;
+    }
+  if (canRestore && !changed) {
+    before.push_back(field);
+    return success();
+  }
+  if (canRestore && planReexecution(lost, reads))
+    return success();
+  wantsParts |= canRestore;
+  InFlightDiagnostic diag =
+      lost.emitError("the value read here is needed by the gradient, but is "
+                     "overwritten");
+  diag.attachNote(write->getLoc()) << "overwritten here";
+  if (changed) {
+    if (changed != lost)
+      diag.attachNote(changed->getLoc())
+          << "the gradient also needs the value read here";
+    diag.attachNote(earlier->getLoc())
+        << "and what stood there before is replaced here";
+  }
+  diag.attachNote() << "store the new value to another element, such as one "
+                       "more time step of the field";
+  return diag;
+}
+
+/// Extends the plan by executing again what reads and writes the storage of
+/// `lost`. False if that does not happen in one place: in one iteration of a
+/// parallel loop that runs once, or in serial code.
+bool AdjointPlanner::planReexecution(
+    DifferentiableAccessInterface lost,
+    ArrayRef<DifferentiableAccessInterface> reads) {
+  Block *block = getReexecutedBlock(lost);
+  for (Operation *parent = block->getParentOp(); parent != plan.primal;
+       parent = parent->getParentOp())
+    if (isSerialLoop(parent))
+      return false;
+  const void *storage = getStorageKey(lost);
+  for (DifferentiableAccessInterface access :
+       plan.accesses.getStorages().find(storage)->second)
+    if (access.getAccessKind() != AccessKind::Read &&
+        getReexecutedBlock(access) != block)
+      return false;
+  for (DifferentiableAccessInterface read : reads) {
+    bool isOverwritten = static_cast<bool>(plan.accesses.findLaterWrite(read));
+    if (getReexecutedBlock(read) != block) {
+      if (isOverwritten || plan.accesses.findEarlierWrite(read))
+        return false;
+    } else if (isOverwritten) {
+      // Stacks cannot be handed to another function, which the body becomes.
+      if (read->getParentOfType<ParallelForOp>() &&
+          block == &plan.primal.getFunctionBody().front())
+        return false;
+      hasGrown |= larger.addRecorded(read);
+    }
+  }
+  hasGrown |= larger.addStorage(storage);
+  return true;
+}
+
+void mlir::tai::countSkips(const AdjointPlan &plan,
+                           const PrimalDemands &demands) {
+  int64_t values = 0, active = 0;
+  bool anyAccess = false;
+  auto count = [&](Value value) {
+    if (!isFloatOrVector(value.getType()) || value.use_empty())
+      return;
+    ++values;
+    active += plan.activity.isActive(value);
+  };
+  FunctionOpInterface primal = plan.primal;
+  primal.walk([&](Operation *op) {
+    anyAccess |= plan.activity.isActiveAccess(op);
+    if (op->hasTrait<OpTrait::ConstantLike>())
+      return;
+    llvm::for_each(op->getResults(), count);
+    for (Region &region : op->getRegions())
+      for (Block &block : region)
+        llvm::for_each(block.getArguments(), count);
+  });
+  SkipScope::count(SkipCount::ValuesAll, values);
+  SkipScope::count(SkipCount::ValuesActive, active);
+  SkipScope::count(SkipCount::KernelsWithoutAdjoint, anyAccess ? 0 : 1);
+  SkipScope::count(SkipCount::ValuesCarried, demands.carriedValues);
+  SkipScope::count(SkipCount::ValuesRecorded, demands.recordedValues);
+}

@@ -1,0 +1,159 @@
+//===- VerifyReversible.cpp - Reports what has no reverse -----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// What is not understood would be left out of the gradient in silence: other
+// uses of arrays, derivatives that end in ops without a rule, or in memory that
+// has no adjoint.
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "tai/AD/AdjointPlanner.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/DerivativePaths.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+class Verifier {
+public:
+  explicit Verifier(const AdjointPlan &plan)
+      : plan(plan), primal(plan.primal) {}
+
+  LogicalResult run();
+
+private:
+  void checkArrays();
+  void checkDeactivation();
+  void checkAccess(DifferentiableAccessInterface access);
+  void checkSink(Operation *op);
+  InFlightDiagnostic emitError(Operation *op, const Twine &message) {
+    hasErrors = true;
+    return op->emitError() << message;
+  }
+
+  const AdjointPlan &plan;
+  FunctionOpInterface primal;
+  bool hasErrors = false;
+};
+} // namespace
+
+/// True for what only looks at an array.
+static bool isQuery(Operation *op) {
+  return isa<memref::DimOp, memref::RankOp, memref::DeallocOp>(op);
+}
+
+/// Arrays with a derivative are used by accesses to their elements alone.
+void Verifier::checkArrays() {
+  DenseSet<Operation *> refused;
+  for (BlockArgument argument : primal.getArguments()) {
+    if (!isa<MemRefType>(argument.getType()) ||
+        !plan.adjointOf(Storage(argument)))
+      continue;
+    for (Operation *user : argument.getUsers()) {
+      auto access = dyn_cast<DifferentiableAccessInterface>(user);
+      if (isQuery(user) ||
+          (access && access.getAccessedStorage().memref == argument) ||
+          !refused.insert(user).second)
+        continue;
+      emitError(user, "cannot differentiate '" +
+                          user->getName().getStringRef() +
+                          "' on an array with a derivative")
+              .attachNote()
+          << "access its elements by 'memref.load', 'memref.store' and "
+             "'memref.atomic_rmw addf'";
+    }
+  }
+}
+
+/// Deactivation overwrites with zeros whatever lies below a cell, as no store
+/// says. A tape undoes that between two launches, and an adjoint cannot do so
+/// in the middle of one.
+void Verifier::checkDeactivation() {
+  auto treeOf = [](Operation *op, FlatSymbolRefAttr name) {
+    FieldOp field = name ? lookupField(op, name) : FieldOp();
+    return field ? field.getTreeAttr() : FlatSymbolRefAttr();
+  };
+  // The accesses that matter, by tree.
+  DenseMap<Attribute, Operation *> accessed;
+  bool any = false;
+  primal.walk([&](DifferentiableAccessInterface access) {
+    any |= plan.activity.isActiveAccess(access);
+    if (FlatSymbolRefAttr tree =
+            treeOf(access, access.getAccessedStorage().field))
+      accessed.try_emplace(tree, access);
+  });
+  if (!any)
+    return;
+  primal.walk([&](DeactivateOp op) {
+    Operation *access = accessed.lookup(treeOf(op, op.getFieldAttr()));
+    if (!access)
+      return;
+    emitError(op, "cannot differentiate a kernel that deactivates cells of a "
+                  "tree which it reads or writes")
+            .attachNote(access->getLoc())
+        << "reads or writes it here; deactivate in a kernel of its own, or by "
+           "'deactivate_all' between kernels";
+  });
+}
+
+/// Arrays that the function makes for itself have no adjoint.
+void Verifier::checkAccess(DifferentiableAccessInterface access) {
+  Storage storage = access.getAccessedStorage();
+  if (access.getAccessKind() == AccessKind::Read || !storage.memref ||
+      isa<BlockArgument>(storage.memref) ||
+      !plan.activity.isVaried(access.getAccessedValue()))
+    return;
+  emitError(access, "a derivative is lost in an array that the function makes "
+                    "for itself")
+          .attachNote()
+      << "use a local variable, a field, or an array that is an argument";
+}
+
+/// Nor have ops with other effects.
+void Verifier::checkSink(Operation *op) {
+  // Output and checks take what they like; regions are looked into.
+  if (op->getNumRegions() != 0 || isMemoryEffectFree(op) ||
+      isa<PrintOp, AssertOp, PreconditionOp>(op))
+    return;
+  if (llvm::none_of(op->getOperands(),
+                    [&](Value v) { return plan.activity.isVaried(v); }))
+    return;
+  InFlightDiagnostic diag =
+      emitError(op, "a derivative is lost in '" + op->getName().getStringRef() +
+                        "', which cannot be differentiated");
+  if (isa<AppendOp>(op))
+    diag.attachNote() << "store the value to the element by an index; the "
+                         "list grows to the highest one";
+}
+
+LogicalResult Verifier::run() {
+  checkArrays();
+  auto hasAdjoint = [&](Storage storage) {
+    return static_cast<bool>(plan.adjointOf(storage));
+  };
+  DerivativeEnds ends{hasAdjoint, plan.shadows.inputs, plan.shadows.outputs};
+  (void)verifyDerivativePaths(primal, ends,
+                              [&](Operation *op, const Twine &message) {
+                                return emitError(op, message);
+                              });
+  checkDeactivation();
+  primal.walk([&](Operation *op) {
+    if (auto access = dyn_cast<DifferentiableAccessInterface>(op))
+      checkAccess(access);
+    else
+      checkSink(op);
+  });
+  return failure(hasErrors);
+}
+
+LogicalResult mlir::tai::verifyReversible(const AdjointPlan &plan) {
+  return Verifier(plan).run();
+}

@@ -1,0 +1,25 @@
+//===- DiscardableAttrs.h - Attributes of other ops -------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_DIALECT_TAI_IR_DISCARDABLEATTRS_H
+#define TAI_LIB_DIALECT_TAI_IR_DISCARDABLEATTRS_H
+
+#include "mlir/IR/Operation.h"
+
+namespace mlir::tai {
+
+/// Checks an attribute `tai.*` of an op of any dialect.
+LogicalResult verifyDiscardableAttr(Operation *op, NamedAttribute attribute);
+/// The same for one of an argument, and of a result, of a function.
+LogicalResult verifyArgumentAttr(Operation *op, unsigned index,
+                                 NamedAttribute attribute);
+LogicalResult verifyResultAttr(Operation *op, unsigned index,
+                               NamedAttribute attribute);
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_DIALECT_TAI_IR_DISCARDABLEATTRS_H
