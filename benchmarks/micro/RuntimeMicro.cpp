@@ -11,7 +11,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Cache/CacheStore.h"
-#include "tai/Runtime/Launch/Runtime.h"
+#include "tai/Runtime/Tape/Tape.h"
 #include <algorithm>
 #include <chrono>
 #include <cstdio>

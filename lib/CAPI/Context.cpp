@@ -125,7 +125,7 @@ TaiStatus taiContextGetActiveCells(TaiContext context, const char *tree,
   ContextLock lock(*context);
   TaiStatus status;
   if (runtime::SparseNode *node = findLevel(context, tree, level, status)) {
-    runtime::ActiveListPtr list = node->list(context->session.getRuntime());
+    runtime::ActiveListPtr list = node->list();
     if (count != int64_t(list->cells.size()))
       return context->status(context->session.fail(
           FailureKind::Usage, "there are " + Twine(list->cells.size()) +

@@ -8,7 +8,7 @@
 #include "tai/Interpreter/Interpreter.h"
 #include "Program.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
-#include "tai/Runtime/Launch/Safepoint.h"
+#include "tai/Runtime/Threads/Safepoint.h"
 #include "llvm/ADT/StringMap.h"
 
 using namespace mlir;

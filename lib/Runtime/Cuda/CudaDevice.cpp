@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "CudaDevice.h"
-#include "../Launch/Launch.h"
+#include "../Text/Format.h"
 #include "FillTable.h"
 #include "tai/Runtime/Device/DeviceHeap.h"
 #include "tai/Runtime/Device/DeviceReport.h"

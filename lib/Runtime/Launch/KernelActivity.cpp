@@ -116,7 +116,7 @@ ActiveListPtr Launch::visitedList(SparseNode &node) {
     fetched.push_back(list);
     return list;
   }
-  ActiveListPtr list = node.list(owner());
+  ActiveListPtr list = node.list();
   std::lock_guard<std::mutex> lock(failureMutex);
   loops.add(node, list);
   return list;

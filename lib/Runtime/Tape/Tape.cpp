@@ -17,6 +17,7 @@
 #include "../Launch/Launch.h"
 #include "../Mirror/DeviceContext.h"
 #include "../Storage/Scalars.h"
+#include "../Text/Format.h"
 #include "TapeCheckpoint.h"
 #include "TapeMemory.h"
 #include "TapeTopology.h"
@@ -25,18 +26,20 @@
 
 using namespace mlir::tai::runtime;
 
-Status Runtime::beginTape(FieldPtr loss, bool clear,
-                          std::unique_ptr<Tape> &tape) {
-  if (recordingTape())
+Status Tape::begin(Runtime &runtime, FieldPtr loss, bool clear,
+                   std::unique_ptr<Tape> &tape) {
+  if (runtime.recordingTape())
     return Status::failure(StatusCode::Usage,
                            "a tape is being recorded already, and tapes do not "
                            "nest");
   // A device recognises recordings that come again by what is queued.
-  if (device && numRecording > 0)
+  DeviceContext *device = runtime.getDeviceContext();
+  if (device && runtime.recordings().isAny())
     return Status::failure(StatusCode::Usage,
                            "another thread records a tape, and a GPU has room "
                            "for one at a time: let it finish first");
-  std::unique_ptr<Tape> made(new Tape(*this, ++stamps, clear));
+  std::unique_ptr<Tape> made(
+      new Tape(runtime, runtime.recordings().nextStamp(), clear));
   // From here on it holds what it uses.
   Status held = made->holdFields();
   if (!held)
@@ -56,12 +59,12 @@ Status Runtime::beginTape(FieldPtr loss, bool clear,
   if (device)
     device->beginRecording();
   if (clear)
-    clearGradients(made.get());
+    runtime.clearGradients(made.get());
   else
-    settleZeros();
+    runtime.settleZeros();
   tape = std::move(made);
   tape->isOpen = true;
-  beginRecording(*tape);
+  runtime.recordings().begin(*tape);
   return Status::success();
 }
 
@@ -109,12 +112,12 @@ Tape::Decision Tape::withoutPruning(size_t index, Decision decision) const {
 std::vector<Field *> Tape::liveFields(bool cleared) const {
   // What another thread has left is no concern of this tape.
   auto mayBeNonzero = [&](const FieldPtr &adjoint) {
-    if (Runtime::isOfAnotherThread(*adjoint) && !touched.count(adjoint))
+    if (adjoint->isDirtiedByOther() && !touched.count(adjoint))
       return false;
     return cleared ? adjoint->tree().isLent() : adjoint->dirty();
   };
   std::vector<Field *> live;
-  for (const FieldPtr &field : runtime.fieldList)
+  for (const FieldPtr &field : runtime.fields())
     if (field->adjoint() &&
         (isLoss(*field) || mayBeNonzero(field->adjointField)))
       live.push_back(field.get());
@@ -123,12 +126,12 @@ std::vector<Field *> Tape::liveFields(bool cleared) const {
 
 bool Tape::planHolds(bool cleared) const {
   return decisions.size() == records.size() &&
-         plannedEpoch == runtime.storageEpoch.load(std::memory_order_relaxed) &&
+         plannedEpoch == runtime.storageEpoch() &&
          plannedLive == liveFields(cleared);
 }
 
 void Tape::plan(bool cleared) {
-  plannedEpoch = runtime.storageEpoch.load(std::memory_order_relaxed);
+  plannedEpoch = runtime.storageEpoch();
   plannedLive = liveFields(cleared);
   decisions.assign(records.size(), Decision::SkipUnreached);
   needed.clear();
@@ -137,7 +140,7 @@ void Tape::plan(bool cleared) {
     (void)kernel->bind(plannedEpoch);
   findRepeatedStores();
 
-  uint64_t mark = ++runtime.stamps;
+  uint64_t mark = runtime.recordings().nextStamp();
   for (Field *field : plannedLive)
     field->planMark = mark;
   bool all = false;
@@ -198,7 +201,7 @@ Status Tape::runAdjoint(Launch &launch, size_t index) {
   status = checkActivity(index);
   if (!status)
     return status;
-  runtime.skipCounts.bump(SkipCount::TapeReplayed);
+  runtime.skipCounters().bump(SkipCount::TapeReplayed);
   static const LoopLists none;
   const LoopLists *loops = topology->loopsAt(static_cast<uint32_t>(index));
   status = runtime.runAdjoint(
@@ -225,8 +228,9 @@ private:
 Status Tape::sweepPlanned() {
   if (!planHolds())
     plan();
-  runtime.skipCounts.bump(SkipCount::TapeSkipped,
-                          numRecords() - static_cast<int64_t>(needed.size()));
+  runtime.skipCounters().bump(SkipCount::TapeSkipped,
+                              numRecords() -
+                                  static_cast<int64_t>(needed.size()));
   HeldLaunch held(runtime);
   if (findPlainReverse())
     return runPlainReverse(held.get());
@@ -253,7 +257,7 @@ Status Tape::reverseRecord(Launch &launch, size_t i) {
   } else if (isReplayed(decisions[i])) {
     status = replayAdjoint(launch, i);
   } else {
-    runtime.skipCounts.bump(SkipCount::TapeSkipped);
+    runtime.skipCounters().bump(SkipCount::TapeSkipped);
   }
   return status;
 }
@@ -338,8 +342,8 @@ Status Tape::sweep() {
 
 Status Tape::runForward() {
   // New numbers for all launches, at the same distances.
-  firstLaunch = runtime.hot.launches.fetch_add(anyLaunch ? lastLaunch + 1 : 0,
-                                               std::memory_order_relaxed);
+  firstLaunch = runtime.launcher().numbers().fetch_add(
+      anyLaunch ? lastLaunch + 1 : 0, std::memory_order_relaxed);
   HeldLaunch held(runtime);
   memory->restart();
   topology->restart();

@@ -13,45 +13,8 @@
 #include "TapeMemory.h"
 #include "TapeTopology.h"
 #include "tai/Runtime/Tape/Tape.h"
-#include <algorithm>
-#include <utility>
 
 using namespace mlir::tai::runtime;
-
-Status Runtime::setActive(const TreePtr &tree, int64_t level, int64_t cell,
-                          bool isActive) {
-  auto change = [tree, level, cell, isActive]() {
-    if (!tree->base())
-      return Status::failure(StatusCode::Usage,
-                             "tree '" + tree->name() + "' has been destroyed");
-    SparseNode &node = *tree->sparseNodes()[level];
-    if (isActive)
-      node.activate(cell);
-    else if (cell < 0)
-      node.deactivateAll();
-    else
-      node.deactivate(cell);
-    return Status::success();
-  };
-  auto held =
-      std::find_if(fieldList.begin(), fieldList.end(),
-                   [&](const FieldPtr &field) { return field->owner == tree; });
-  if (held != fieldList.end())
-    if (Status free = checkHold(**held, HoldKind::Write); !free)
-      return free;
-  if (Tape *tape = recordingTape())
-    return tape->changeActivity(tree, change);
-  // Without tapes nobody asks, and a device need not be waited for.
-  SparseNode &node = *tree->sparseNodes()[level];
-  uint64_t before = !tapes.empty() ? node.lastRemoval() : 0;
-  Status status = change();
-  // What inactive cells hold has become zero.
-  if (!tapes.empty() && node.lastRemoval() != before)
-    for (const FieldPtr &field : fieldList)
-      if (field->owner == tree && field->sparseNode())
-        ++field->hostVersion;
-  return status;
-}
 
 void Tape::watch(const TreePtr &tree) { topology->watch(tree); }
 
@@ -60,7 +23,8 @@ Status Tape::changeActivity(const TreePtr &tree,
   watch(tree);
   auto index = static_cast<uint32_t>(records.size());
   for (const FieldPtr &field : runtime.fields()) {
-    if (field->owner != tree || field->isAdjoint() || !field->sparseNode())
+    if (field->sharedTree() != tree || field->isAdjoint() ||
+        !field->sparseNode())
       continue;
     Status status = touch(field, HoldKind::Write);
     if (status)
@@ -75,14 +39,9 @@ Status Tape::changeActivity(const TreePtr &tree,
 }
 
 Status Tape::callReverse(size_t index) {
-  Tape *outer = std::exchange(runtime.sweeping, this);
-  const void *thread =
-      std::exchange(runtime.sweepThread, __builtin_thread_pointer());
+  Recordings::ReverseFunction calling(runtime.recordings(), *this);
   reverseFunction = index;
-  Status status = callbacks[records[index].payload].backward();
-  runtime.sweeping = outer;
-  runtime.sweepThread = thread;
-  return status;
+  return callbacks[records[index].payload].backward();
 }
 
 Status Tape::findLoops(Kernel &kernel, LoopLists &lists, bool &found) {
@@ -90,7 +49,7 @@ Status Tape::findLoops(Kernel &kernel, LoopLists &lists, bool &found) {
   found = true;
   for (SparseNode *node : kernel.sparseNodes)
     lists.addUnknown(
-        *node, node->list(runtime),
+        *node, node->list(),
         topology->changes(static_cast<uint32_t>(reverseFunction), *node));
   return checkActivity(kernel, reverseFunction);
 }

@@ -20,6 +20,7 @@
 #define TAI_LIB_RUNTIME_TAPE_TAPECHECKPOINT_H
 
 #include "TapeMemory.h"
+#include "tai/Runtime/Tape/Tape.h"
 
 namespace mlir::tai::runtime {
 

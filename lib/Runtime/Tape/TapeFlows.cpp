@@ -116,10 +116,10 @@ void Tape::noteCuts() {
   size_t known = hashSequence(hasArrays);
   for (const Field *field : live)
     known = known * 31 + std::hash<const void *>()(field);
-  if (!runtime.sequencesSeen.insert(known).second)
+  if (!runtime.recordings().sequencesSeen.insert(known).second)
     return;
 
-  FlowTracker tracker(FlowTracker::Mode::Reverse, runtime.fieldList);
+  FlowTracker tracker(FlowTracker::Mode::Reverse, runtime.fields());
   for (const auto &[address, array] : arrays->copies)
     tracker.addCopy(address, array);
   auto written = arrays->written.begin();
@@ -149,7 +149,7 @@ void Tape::noteCuts() {
   std::sort(cuts.begin(), cuts.end());
   cuts.erase(std::unique(cuts.begin(), cuts.end()), cuts.end());
   for (unsigned cut : cuts)
-    if (runtime.cutsSaid.insert(tracker.nameOf(cut)).second)
+    if (runtime.recordings().cutsSaid.insert(tracker.nameOf(cut)).second)
       notes.push_back(tracker.describe(cut));
 }
 

@@ -8,6 +8,7 @@
 #include "TapeMemory.h"
 #include "../Launch/Launch.h"
 #include "../Mirror/Mirror.h"
+#include "../Text/Format.h"
 #include "TapeCheckpoint.h"
 #include <algorithm>
 #include <cstring>
@@ -52,7 +53,7 @@ int64_t Track::longestRun() const {
                            1);
 }
 
-int64_t Track::refresh(Runtime &runtime) {
+int64_t Track::refresh() {
   if (!slabs.byCell())
     return numCells();
   SparseNode &node = *field->sparseNode();
@@ -70,7 +71,7 @@ int64_t Track::refresh(Runtime &runtime) {
     }
     return slabs.addCells(everyCell);
   }
-  return slabs.addCells(node.list(runtime));
+  return slabs.addCells(node.list());
 }
 
 void Track::markRead(int64_t slab, uint32_t stamp) {
@@ -287,7 +288,7 @@ Status TapeMemory::propose(Candidate candidate) {
 
 Status TapeMemory::save(const Candidate &candidate) {
   Track &track = *candidate.track;
-  track.refresh(runtime);
+  track.refresh();
   track.savedAt.resize(static_cast<size_t>(track.numCells()));
   track.everSaved = true;
   if (track.slabs.byCell())
@@ -343,7 +344,7 @@ void TapeMemory::keepZeros() {
   for (const Candidate &candidate : growing) {
     Track &track = *candidate.track;
     auto first = static_cast<int64_t>(track.savedAt.size());
-    track.refresh(runtime);
+    track.refresh();
     int64_t end = track.numCells(), longest = track.longestRun();
     track.savedAt.resize(static_cast<size_t>(end));
     if (first < end)

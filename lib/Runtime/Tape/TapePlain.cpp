@@ -22,10 +22,6 @@
 
 using namespace mlir::tai::runtime;
 
-bool Runtime::runsPlainly() const {
-  return fusesLaunches && !device && !isForward() && !opts.profiler;
-}
-
 /// Whether calling the function, with its trees and arguments, is all that a
 /// launch does.
 bool Kernel::isPlain() const {
@@ -42,7 +38,7 @@ bool Tape::isPlain() const {
 bool Tape::findPlainForward() {
   if (!isPlain())
     return false;
-  uint64_t epoch = runtime.storageEpoch.load(std::memory_order_relaxed);
+  uint64_t epoch = runtime.storageEpoch();
   for (const KernelPtr &kernel : kernels)
     if (!kernel->resolved() || !kernel->bind(epoch) || !kernel->isPlain())
       return false;
@@ -52,7 +48,7 @@ bool Tape::findPlainForward() {
 bool Tape::findPlainReverse() {
   if (!isPlain())
     return false;
-  uint64_t epoch = runtime.storageEpoch.load(std::memory_order_relaxed);
+  uint64_t epoch = runtime.storageEpoch();
   for (const KernelPtr &kernel : kernels)
     if (!kernel->bind(epoch) || !kernel->isPlain() || kernel->adjointReruns ||
         !kernel->plan().activity.empty())
@@ -102,7 +98,7 @@ Status Tape::runPlainForward(Launch &launch) {
     for (Field *field : kernel->changedAdjoints)
       field->markDirty();
   launch.results = nullptr;
-  launch.seed = runtime.opts.seed;
+  launch.seed = runtime.options().seed;
   for (size_t i = 0; i < records.size(); ++i) {
     Kernel &kernel = *records[i].kernel;
     kernel.prepared.lastLaunch.store(firstLaunch + records[i].launch,
@@ -118,14 +114,14 @@ Status Tape::runPlainReverse(Launch &launch) {
   for (Field *field : plainTargets)
     field->markDirty();
   launch.results = nullptr;
-  launch.seed = runtime.opts.seed;
+  launch.seed = runtime.options().seed;
   for (size_t i = 0; i < needed.size(); ++i) {
     Status status = callPlainly(launch, *plainAdjoints[i], needed[i]);
     if (!status)
       return status;
   }
-  runtime.skipCounts.bump(SkipCount::TapeReplayed,
-                          static_cast<int64_t>(needed.size()));
+  runtime.skipCounters().bump(SkipCount::TapeReplayed,
+                              static_cast<int64_t>(needed.size()));
   return Status::success();
 }
 

@@ -91,9 +91,9 @@ Status Tape::runAgain(Launch &launch, size_t index) {
                                      " of the tape is a host function that "
                                      "cannot be run again, which recomputing "
                                      "needs");
-  uint64_t next = runtime.hot.launches.exchange(number);
+  uint64_t next = runtime.launcher().numbers().exchange(number);
   Status status = callback.forward();
-  runtime.hot.launches.store(next);
+  runtime.launcher().numbers().store(next);
   return status;
 }
 

@@ -30,21 +30,20 @@ Tape::Tape(Runtime &runtime, uint64_t stamp, bool clears)
       memory(std::make_unique<TapeMemory>(runtime)),
       topology(std::make_unique<TapeTopology>(runtime)),
       arrays(std::make_unique<TapeArrays>()), clears(clears) {
-  runtime.tapes.push_back(this);
+  runtime.recordings().add(*this);
 }
 
 Tape::~Tape() {
   end();
   releaseFields();
-  runtime.tapes.erase(
-      std::find(runtime.tapes.begin(), runtime.tapes.end(), this));
+  runtime.recordings().remove(*this);
 }
 
 void Tape::end(bool isSwept) {
   // Of whichever thread: a tape may be dropped by another one.
   if (!std::exchange(isOpen, false))
     return;
-  runtime.endRecording(*this);
+  runtime.recordings().end(*this);
   topology->end();
   markVersions();
   if (DeviceContext *device = runtime.getDeviceContext())
@@ -57,7 +56,7 @@ bool Tape::recording() const { return runtime.recordingTape() == this; }
 
 void Tape::suspend() {
   if (suspended++ == 0)
-    suspendedAt = runtime.hot.launches.load(std::memory_order_relaxed);
+    suspendedAt = runtime.launcher().numbers().load(std::memory_order_relaxed);
 }
 
 Status Tape::resume() {
@@ -98,7 +97,7 @@ Status Tape::adopt(Kernel &kernel) {
       topology->watch(tree);
   const void *uses = &memory->usesOf(kernel);
   // Where several tapes record, each looks for itself.
-  if (!runtime.recordsTogether) {
+  if (!runtime.recordings().areTogether()) {
     kernel.tapeUses = uses;
     kernel.tapeStamp = stamp;
   }
@@ -110,7 +109,7 @@ Status Tape::adopt(Kernel &kernel) {
 }
 
 Status Tape::findUses(Kernel &kernel, const void *&uses) {
-  bool isAlone = !runtime.recordsTogether.load(std::memory_order_relaxed);
+  bool isAlone = !runtime.recordings().areTogether();
   Status status;
   if (__builtin_expect(isAlone && kernel.tapeStamp == stamp, true)) {
     uses = kernel.tapeUses;
@@ -181,7 +180,7 @@ void Tape::record(Kernel &kernel, const uint64_t *args, uint64_t launch) {
   lastLaunch = launch - firstLaunch;
   records.push_back({&kernel, lastLaunch, slots.size()});
   slots.insert(slots.end(), args, args + kernel.tapeSlots());
-  runtime.skipCounts.bump(SkipCount::TapeRecorded);
+  runtime.skipCounters().bump(SkipCount::TapeRecorded);
 }
 
 //===----------------------------------------------------------------------===//
@@ -195,7 +194,7 @@ void Tape::recordCallback(TapeCallback callback) {
   memory->endParts(static_cast<uint32_t>(records.size()),
                    static_cast<bool>(callback.backward));
   // The launches of the function draw the same random numbers again.
-  uint64_t next = runtime.hot.launches.load(std::memory_order_relaxed);
+  uint64_t next = runtime.launcher().numbers().load(std::memory_order_relaxed);
   uint64_t start = std::min(suspendedAt, next);
   suspendedAt = UINT64_MAX;
   if (!anyLaunch) {
@@ -266,10 +265,10 @@ bool Tape::minds(const Field &field) const {
 
 void Tape::markVersions() {
   versions.clear();
-  for (const FieldPtr &field : runtime.fieldList)
+  for (const FieldPtr &field : runtime.fields())
     if (memory->isTouched(*field))
-      versions.emplace_back(field, field->hostVersion);
-  endLaunch = runtime.hot.launches.load(std::memory_order_relaxed);
+      versions.emplace_back(field, field->version());
+  endLaunch = runtime.launcher().numbers().load(std::memory_order_relaxed);
 }
 
 /// The fields that launches since then have changed.
@@ -283,17 +282,16 @@ Status Tape::checkVersions() {
   lostStored = false;
   std::vector<Field *> byHost, byKernels;
   for (const auto &[field, version] : versions)
-    if (field->hostVersion != version)
+    if (field->version() != version)
       byHost.push_back(field.get());
   {
     // Other threads may define kernels meanwhile.
-    std::lock_guard<std::mutex> lock(runtime.launchMutex);
-    for (const std::weak_ptr<Kernel> &entry : runtime.kernelList)
-      if (KernelPtr kernel = entry.lock())
-        if (kernel->prepared.lastLaunch.load(std::memory_order_relaxed) >=
-                endLaunch &&
-            endLaunch > 0)
-          addChangedBy(*kernel, byKernels);
+    runtime.launcher().kernels().forEach([&](const Kernel &kernel) {
+      if (kernel.prepared.lastLaunch.load(std::memory_order_relaxed) >=
+              endLaunch &&
+          endLaunch > 0)
+        addChangedBy(kernel, byKernels);
+    });
   }
   auto check = [&](const std::vector<Field *> &changed, const char *how) {
     for (Field *field : changed) {

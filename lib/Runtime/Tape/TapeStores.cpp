@@ -16,7 +16,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "../Host/HostWrite.h"
-#include "../Host/OwedZeros.h"
+#include "../Launch/Launch.h"
+#include "../Mirror/OwedZeros.h"
 #include "tai/Runtime/Launch/Runtime.h"
 #include "tai/Runtime/Tape/Tape.h"
 #include <algorithm>
@@ -128,7 +129,7 @@ struct Repeated {
 
 void Tape::findRepeatedStores() {
   storesAgain.assign(records.size(), false);
-  uint64_t mark = ++runtime.stamps;
+  uint64_t mark = runtime.recordings().nextStamp();
   std::vector<Used> used;
   auto lookup = [&](const Access &access) -> size_t {
     Field &field = *access.field;

@@ -30,7 +30,7 @@ Status Tape::runRecord(int64_t index) {
                            "a record cannot be launched again while its tape "
                            "records");
   const Record &record = records[index];
-  Tape *other = runtime.recordingTape();
+  auto *other = static_cast<Tape *>(runtime.recordingTape());
   if (record.kind == Kind::Write)
     return runtime.change(getWrite(record));
   if (!record.kernel) {
@@ -80,13 +80,12 @@ static void examineElement(const Field &adjoint, const char *address,
 }
 
 /// The same as below where only active cells hold anything.
-static void examineCells(Runtime &runtime, const Field &adjoint,
-                         int64_t dimension, int64_t position,
-                         Tape::Health &found) {
+static void examineCells(const Field &adjoint, int64_t dimension,
+                         int64_t position, Tape::Health &found) {
   CellElements elements(adjoint);
   if (dimension >= 0 && !elements.separates(static_cast<int>(dimension)))
     dimension = -1;
-  ActiveListPtr list = adjoint.sparseNode()->list(runtime);
+  ActiveListPtr list = adjoint.sparseNode()->list();
   for (int64_t cell : list->cells)
     if (dimension < 0 ||
         elements.position(cell, static_cast<int>(dimension)) == position)
@@ -130,7 +129,7 @@ void Tape::examine(size_t index) {
       return;
     Health found{static_cast<int64_t>(index), &field, 0, 0, 0.0, 0.0};
     if (adjoint->sparseNode())
-      examineCells(runtime, *adjoint, dimension, position, found);
+      examineCells(*adjoint, dimension, position, found);
     else
       examineElements(*adjoint, dimension, position, found);
     examined.push_back(found);

@@ -12,6 +12,7 @@
 #include "tai/CodeGen/CompiledObject.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "tai/Runtime/Cache/CacheStore.h"
+#include "tai/Runtime/Tape/Tape.h"
 #include "llvm/Object/BuildID.h"
 #include "llvm/Object/ObjectFile.h"
 #include "llvm/Support/Endian.h"

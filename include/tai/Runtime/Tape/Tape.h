@@ -26,7 +26,7 @@
 #define TAI_RUNTIME_TAPE_TAPE_H
 
 #include "tai/Runtime/Launch/AccessChecks.h"
-#include "tai/Runtime/Launch/Kernel.h"
+#include "tai/Runtime/Launch/Runtime.h"
 
 namespace mlir::tai::runtime {
 
@@ -75,16 +75,22 @@ struct CheckpointPolicy {
   int64_t budget = 0;
 };
 
-class Tape {
+class Tape final : public Recorder {
 public:
-  /// Made by Runtime::beginTape.
-  ~Tape();
+  /// As Runtime::beginTape.
+  static Status begin(Runtime &runtime, FieldPtr loss, bool clearGradients,
+                      std::unique_ptr<Tape> &tape);
+  ~Tape() override;
   Tape(const Tape &) = delete;
   Tape &operator=(const Tape &) = delete;
 
   /// Whether the gradient needs what the field holds. What is recomputed reads
   /// whatever launches read.
-  bool minds(const Field &field) const;
+  bool minds(const Field &field) const override;
+  bool uses(const FieldPtr &field) const override {
+    return touched.count(field) != 0;
+  }
+  bool isSuspended() const override { return suspended > 0; }
   /// Stops recording. Ending twice is harmless. `isSwept`: backward() comes
   /// next, so that a device may run both as one.
   void end(bool isSwept = false);
@@ -212,7 +218,6 @@ public:
   const std::vector<Health> &health() const { return examined; }
 
 private:
-  friend class Runtime;
   class HeldLaunch;
   Tape(Runtime &runtime, uint64_t stamp, bool clears);
 
@@ -242,7 +247,7 @@ private:
 
   /// Launches and records, with its parts where it is made of such.
   Status launch(Launch &launch, Kernel &kernel, const uint64_t *args,
-                uint64_t *results, uint64_t number);
+                uint64_t *results, uint64_t number) override;
   Status launchOne(Launch &launch, Kernel &kernel, const void *known,
                    const uint64_t *args, uint64_t *results, uint64_t number);
   Status adopt(Kernel &kernel);
@@ -256,18 +261,19 @@ private:
   Status holdFields();
   void record(Kernel &kernel, const uint64_t *args, uint64_t launch);
   /// Changes a field and records that.
-  Status write(const HostWrite &write);
+  Status write(const HostWrite &write) override;
   /// To be called before the host makes cells of the tree active.
-  void watch(const TreePtr &tree);
+  void watch(const TreePtr &tree) override;
   /// Changes the activity of a tree on behalf of the host, and records that.
-  Status changeActivity(const TreePtr &tree, std::function<Status()> change);
+  Status changeActivity(const TreePtr &tree,
+                        std::function<Status()> change) override;
   /// Fails if the adjoint of a record asks for activity that the record itself
   /// has changed.
   Status checkActivity(size_t index);
   Status checkActivity(Kernel &kernel, size_t index);
   /// What the loops of a kernel went over that the host function launched whose
   /// reverse is running.
-  Status findLoops(Kernel &kernel, LoopLists &lists, bool &found);
+  Status findLoops(Kernel &kernel, LoopLists &lists, bool &found) override;
   Status callReverse(size_t index);
   /// What the reverse sweep does with a record, given which fields are live:
   /// have an adjoint that may be non-zero.
@@ -402,6 +408,11 @@ private:
   uint64_t plannedEpoch = 0;
   std::string explanation;
 };
+
+inline Status Runtime::beginTape(FieldPtr loss, bool clearGradients,
+                                 std::unique_ptr<Tape> &tape) {
+  return Tape::begin(*this, std::move(loss), clearGradients, tape);
+}
 
 } // namespace mlir::tai::runtime
 

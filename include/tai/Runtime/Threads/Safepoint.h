@@ -18,8 +18,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_RUNTIME_LAUNCH_SAFEPOINT_H
-#define TAI_RUNTIME_LAUNCH_SAFEPOINT_H
+#ifndef TAI_RUNTIME_THREADS_SAFEPOINT_H
+#define TAI_RUNTIME_THREADS_SAFEPOINT_H
 
 #include <atomic>
 #include <chrono>
@@ -98,4 +98,4 @@ bool isWorker();
 
 } // namespace mlir::tai::runtime::safepoint
 
-#endif // TAI_RUNTIME_LAUNCH_SAFEPOINT_H
+#endif // TAI_RUNTIME_THREADS_SAFEPOINT_H

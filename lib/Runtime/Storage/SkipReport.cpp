@@ -1,4 +1,4 @@
-//===- Skips.cpp - What was left out, in numbers --------------------------===//
+//===- SkipReport.cpp - What was left out, in numbers ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -10,33 +10,18 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Launch.h"
-#include "tai/Runtime/Launch/Runtime.h"
-#include "tai/Support/Skips.h"
+#include "../Text/Format.h"
+#include "tai/Runtime/Storage/TreeStore.h"
 #include <algorithm>
-#include <cstring>
 #include <sys/mman.h>
 #include <unistd.h>
 
 using namespace mlir::tai;
 using namespace mlir::tai::runtime;
 
-void Runtime::setSkips(SkipSet skips) {
-  opts.skips = skips;
-  // Kernels look again.
-  storageChanged();
-}
-
 //===----------------------------------------------------------------------===//
 // Memory
 //===----------------------------------------------------------------------===//
-
-/// Writes to each page, which makes the system provide it.
-void mlir::tai::runtime::commitPages(char *begin, int64_t bytes) {
-  int64_t page = sysconf(_SC_PAGESIZE);
-  for (int64_t at = 0; at < bytes; at += page)
-    *static_cast<volatile char *>(begin + at) = 0;
-}
 
 /// Bytes of the pages of a mapping that have been provided, of those that
 /// [begin, end) lies on.
@@ -78,17 +63,17 @@ static std::pair<const char *, const char *> getSpan(const Field &field) {
   return {base + first, base + last};
 }
 
-void Runtime::addMemory(SkipAmounts &amounts) const {
+void TreeStore::countMemory(SkipAmounts &amounts) const {
   auto at = [&](SkipCount counter) -> int64_t & {
     return amounts[static_cast<unsigned>(counter)];
   };
-  for (const auto &[name, tree] : trees) {
+  for (const auto &[name, tree] : treesByName) {
     at(SkipCount::BytesReserved) += tree->bytes();
     // Larger trees have too many pages to ask about each.
     constexpr int64_t largest = int64_t(64) << 30;
     at(SkipCount::BytesUsed) +=
-        tree->size <= largest
-            ? usedBytes(tree->address, tree->address + tree->size)
+        tree->bytes() <= largest
+            ? usedBytes(tree->base(), tree->base() + tree->bytes())
             : tree->activeCellBytes();
   }
   std::vector<std::pair<const char *, const char *>> spans;
@@ -120,22 +105,14 @@ void Runtime::addMemory(SkipAmounts &amounts) const {
 // Counters
 //===----------------------------------------------------------------------===//
 
-SkipAmounts Runtime::skipAmounts() const {
-  SkipAmounts amounts;
-  for (unsigned i = 0; i < kNumSkipCounts; ++i)
-    amounts[i] = skipCounts.get(static_cast<SkipCount>(i));
-  addMemory(amounts);
-  return amounts;
-}
-
-std::string Runtime::skipTable() const {
-  SkipAmounts amounts = skipAmounts();
+std::string mlir::tai::runtime::skipTable(SkipSet skips,
+                                          const SkipAmounts &amounts) {
   std::string text;
   for (unsigned s = 0; s < kNumSkips; ++s) {
     auto skip = static_cast<Skip>(s);
     std::string line = kSkips[s].name;
     line.resize(std::max<size_t>(line.size(), 22), ' ');
-    line += opts.skips.has(skip) ? "on   " : "off  ";
+    line += skips.has(skip) ? "on   " : "off  ";
     const char *separator = "";
     for (unsigned i = 0; i < kNumSkipCounts; ++i) {
       if (kSkipCounts[i].skip != skip)

@@ -1,4 +1,4 @@
-//===- SparseLists.cpp - Lists of active cells on a device ----------------===//
+//===- DeviceLists.cpp - Lists of active cells on a device ----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -12,11 +12,11 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Launch/Launch.h"
-#include "../Mirror/Mirror.h"
+#include "DeviceLists.h"
+#include "Mirror.h"
 #include <algorithm>
-#include <cstddef>
 
+using namespace mlir::tai;
 using namespace mlir::tai::runtime;
 
 //===----------------------------------------------------------------------===//
@@ -82,9 +82,14 @@ Status mlir::tai::runtime::findDifference(const LoopLists &lists,
   return Status::success();
 }
 
-Status SparseMirror::find(const ActiveListPtr &list, DevicePtr &address) {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
-  for (const Uploaded &known : lists)
+DeviceLists::~DeviceLists() {
+  for (const Uploaded &list : uploaded)
+    context.free(list.memory);
+}
+
+Status DeviceLists::find(const ActiveListPtr &list, DevicePtr &address) {
+  std::lock_guard<std::mutex> lock(mutex);
+  for (const Uploaded &known : uploaded)
     if (known.list == list) {
       address = known.memory + DeviceCells::cellsOffset;
       return Status::success();
@@ -93,27 +98,26 @@ Status SparseMirror::find(const ActiveListPtr &list, DevicePtr &address) {
   // oldest go.
   constexpr size_t mostLists = 64;
   auto isOld = [&](const Uploaded &known) {
-    bool old =
-        known.list && (known.list.use_count() == 1 ||
-                       (lists.size() > mostLists &&
-                        &known - lists.data() <
-                            ptrdiff_t(lists.size()) - ptrdiff_t(mostLists)));
+    bool old = (known.list.use_count() == 1 ||
+                (uploaded.size() > mostLists &&
+                 &known - uploaded.data() <
+                     ptrdiff_t(uploaded.size()) - ptrdiff_t(mostLists)));
     if (old)
       context.free(known.memory);
     return old;
   };
   std::vector<Uploaded> kept;
-  for (const Uploaded &known : lists)
+  for (const Uploaded &known : uploaded)
     if (!isOld(known))
       kept.push_back(known);
-  lists = std::move(kept);
+  uploaded = std::move(kept);
   auto count = static_cast<int64_t>(list->cells.size());
   DevicePtr memory = 0;
   Status status =
       context.allocate(bytesFor(count), "lists of active cells", memory);
   if (!status)
     return status;
-  lists.push_back({list, memory});
+  uploaded.push_back({list, memory});
   address = memory + DeviceCells::cellsOffset;
   status = context.get().copyIn(address - sizeof(count), &count, sizeof(count));
   if (!status || count == 0)
@@ -126,7 +130,7 @@ Status SparseMirror::find(const ActiveListPtr &list, DevicePtr &address) {
 // Making them
 //===----------------------------------------------------------------------===//
 
-size_t SparseMirror::numberOf(const SparseNode &node) const {
+size_t mlir::tai::runtime::numberOf(const Tree &tree, const SparseNode &node) {
   const auto &nodes = tree.sparseNodes();
   return static_cast<size_t>(
       std::find_if(nodes.begin(), nodes.end(),
@@ -134,9 +138,9 @@ size_t SparseMirror::numberOf(const SparseNode &node) const {
       nodes.begin());
 }
 
-int64_t SparseMirror::guessActive(const SparseNode &node) const {
-  int64_t known = node.active.load(std::memory_order_relaxed);
-  if (isBehind())
+int64_t DeviceLists::guessActive(const SparseNode &node) const {
+  int64_t known = node.knownActive();
+  if (activity.isBehind())
     known = known > 0 ? 2 * known : node.numCells();
   // Not every cell is to make another number of it.
   int64_t guess = 1;
@@ -145,10 +149,10 @@ int64_t SparseMirror::guessActive(const SparseNode &node) const {
   return std::min(guess, std::max<int64_t>(node.numCells(), 1));
 }
 
-Status SparseMirror::queueList(const SparseNode &node, DeviceCells &cells) {
+Status DeviceLists::queueList(const SparseNode &node, DeviceCells &cells) {
   constexpr int64_t fewTiles = 4;
   constexpr unsigned manyThreads = 1024, someThreads = 512;
-  uint64_t number = numberOf(node), header = cells.header();
+  uint64_t number = numberOf(tree, node), header = cells.header();
   int64_t units = node.info().isList ? node.numCells() / node.capacity()
                                      : (node.numCells() + 63) / 64;
   int64_t tiles = (units + TAI_DEVICE_LIST_TILE - 1) / TAI_DEVICE_LIST_TILE;
@@ -169,20 +173,20 @@ Status SparseMirror::queueList(const SparseNode &node, DeviceCells &cells) {
   return status;
 }
 
-Status SparseMirror::list(SparseNode &node, DeviceCellsPtr &cells) {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
+Status DeviceLists::list(SparseNode &node, DeviceCellsPtr &cells) {
+  std::lock_guard<std::mutex> lock(mutex);
   cells = nullptr;
-  Runtime &runtime = context.getRuntime();
-  Pool &pool = pools[numberOf(node)];
-  if (pool.current && isCurrent(*pool.current) &&
-      runtime.skips(Skip::ListReuse)) {
-    ++node.reused;
-    runtime.skipCounters().add(SkipCount::ListsReused);
+  const DeviceServices &host = context.host();
+  Pool &pool = pools[numberOf(tree, node)];
+  if (pool.current && activity.isShownBy(*pool.current) &&
+      host.skips.has(Skip::ListReuse)) {
+    node.countList(/*isReused=*/true);
+    host.counters.add(SkipCount::ListsReused);
     cells = pool.current;
     return Status::success();
   }
   // Where the host does not know how many there are, there is room for all.
-  int64_t needed = isBehind() ? node.numCells() : guessActive(node);
+  int64_t needed = activity.isBehind() ? node.numCells() : guessActive(node);
   if (bytesFor(needed) > mostBytes &&
       context.get().limits().reservedPieceBytes == 0)
     return Status::success();
@@ -208,81 +212,10 @@ Status SparseMirror::list(SparseNode &node, DeviceCellsPtr &cells) {
       return status;
     pool.all.push_back(chosen);
   }
-  chosen->generation = generation;
+  chosen->generation = activity.generation;
   pool.current = chosen;
   cells = chosen;
-  ++node.made;
-  runtime.skipCounters().add(SkipCount::ListsMade);
+  node.countList(/*isReused=*/false);
+  host.counters.add(SkipCount::ListsMade);
   return queueList(node, *chosen);
-}
-
-/// What active cells may take, where the host knows what they take.
-Status SparseMirror::sendAccount() {
-  Runtime &runtime = context.getRuntime();
-  int64_t used = 0;
-  for (const std::unique_ptr<SparseNode> &node : tree.sparseNodes())
-    if (node->isInnermost())
-      used += node->active.load(std::memory_order_relaxed) * node->cellBytes();
-  int64_t others = runtime.activeCellBytes() - used;
-  const int64_t now[] = {used, runtime.memoryLimit() - runtime.reservedBytes() -
-                                   others};
-  static_assert(offsetof(TaiDeviceAccount, limit) == sizeof(int64_t), "");
-  if (!context.queue().isCollecting())
-    return context.get().copyIn(account, now, sizeof(now));
-  Status status = context.get().fill(account, &now[0], sizeof(int64_t), 1);
-  return status ? context.get().fill(account + sizeof(int64_t), &now[1],
-                                     sizeof(int64_t), 1)
-                : std::move(status);
-}
-
-/// Makes the activity of the levels that the host has changed known to lists.
-Status SparseMirror::sendActivity() {
-  const auto &nodes = tree.sparseNodes();
-  Status status;
-  bool any = false;
-  for (size_t i = 0; i < nodes.size() && status; ++i) {
-    uint64_t epoch = nodes[i]->changes.load(std::memory_order_acquire);
-    if (epoch == sharedEpochs[i])
-      continue;
-    sharedEpochs[i] = epoch;
-    any = true;
-    unchangedFrom = ++generation;
-    status = context.get().copyIn(marks[i], nodes[i]->marks,
-                                  nodes[i]->numMarks *
-                                      static_cast<int64_t>(sizeof(uint64_t)));
-    const uint32_t isNew = 1;
-    if (status)
-      status = context.get().fill(activity + i * sizeof(TaiDeviceActivity) +
-                                      offsetof(TaiDeviceActivity, isNew),
-                                  &isNew, sizeof(isNew), 1);
-  }
-  return status && any ? sendAccount() : std::move(status);
-}
-
-//===----------------------------------------------------------------------===//
-// What the host knows without waiting
-//===----------------------------------------------------------------------===//
-
-SparseNode::Moment SparseNode::now() const {
-  Moment moment{changes.load(std::memory_order_acquire), 0, true};
-  if (onDevice) {
-    moment.generation = onDevice->getGeneration();
-    moment.isKnown = !onDevice->isBehind();
-  }
-  return moment;
-}
-
-bool SparseNode::hasChangedSince(const Moment &moment) const {
-  return epoch() != moment.epoch &&
-         (moment.isKnown || onDevice->getGeneration() > moment.generation);
-}
-
-bool SparseNode::hasRemovedSince(const Moment &moment) const {
-  return lastRemoval() > moment.epoch &&
-         (moment.isKnown || onDevice->getLastRemoval() > moment.generation);
-}
-
-bool SparseNode::mayBeActive() const {
-  return (onDevice && onDevice->isBehind()) ||
-         active.load(std::memory_order_relaxed) != 0;
 }

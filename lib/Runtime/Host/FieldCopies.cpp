@@ -1,4 +1,4 @@
-//===- HostAccess.cpp - Whole fields at once ------------------------------===//
+//===- FieldCopies.cpp - Whole fields at once -----------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -12,7 +12,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Launch/Launch.h"
+#include "tai/Runtime/Host/FieldCopies.h"
+#include "../Mirror/Mirror.h"
 #include "../Storage/Scalars.h"
 #include <algorithm>
 #include <array>
@@ -41,49 +42,10 @@ template <typename Data> struct RowPart {
 };
 } // namespace
 
-bool mlir::tai::runtime::findConstantStep(
-    const std::vector<LayoutLevel> &levels, int64_t &step) {
-  int64_t weight = 1;
-  bool any = false;
-  step = 0;
-  for (auto level = levels.rbegin(); level != levels.rend(); ++level) {
-    if (level->extent == 1)
-      continue;
-    if (level->divisor != weight)
-      return false;
-    if (!any)
-      step = level->stride;
-    else if (level->stride != step * weight)
-      return false;
-    any = true;
-    weight *= level->extent;
-  }
-  return true;
-}
-
-int64_t mlir::tai::runtime::findEvenStep(const FieldLayout &layout,
-                                         const std::vector<int64_t> &shape,
-                                         int64_t elementBytes) {
-  int64_t first = 0, expected = 0;
-  for (size_t d = shape.size(); d-- > 0;) {
-    int64_t step;
-    if (!findConstantStep(layout.indices[d], step))
-      return 0;
-    if (shape[d] <= 1)
-      continue;
-    if (first == 0)
-      first = expected = step;
-    if (step != expected)
-      return 0;
-    expected *= shape[d];
-  }
-  // One element follows on itself.
-  return first == 0 ? elementBytes : first;
-}
-
 /// `data` is the address of the first element.
 template <typename Data, typename Move>
-void Runtime::forEachRow(const Field &field, Data *data, const Move &move) {
+void FieldCopies::forEachRow(const Field &field, Data *data,
+                             const Move &move) const {
   const FieldLayout &layout = field.layout();
   const std::vector<int64_t> &shape = field.shape();
   int rank = field.rank();
@@ -137,13 +99,12 @@ void Runtime::forEachRow(const Field &field, Data *data, const Move &move) {
     }
   };
 
-  int64_t parts =
-      std::clamp<int64_t>(field.hostBytes() / bytesPerPart, 1, 2 * numThreads);
+  int64_t parts = workers.partsOf(field.hostBytes(), bytesPerPart);
   struct Job {
     decltype(visit) *run;
     int64_t elements, parts;
   } job{&visit, field.numElements(), parts};
-  parallel(
+  workers.parallel(
       parts,
       [](void *context, int64_t part) {
         Job &job = *static_cast<Job *>(context);
@@ -187,7 +148,7 @@ template <typename Body> static void withSize(int64_t bytes, const Body &body) {
   }
 }
 
-Status Runtime::copyToHost(const Field &field, void *array) {
+Status FieldCopies::copyOut(const Field &field, void *array) const {
   if (!field.valid())
     return gone(field);
   int64_t scalar = byteSize(field.scalar());
@@ -196,8 +157,9 @@ Status Runtime::copyToHost(const Field &field, void *array) {
   int64_t stride = field.layout().componentStride;
   char *host = static_cast<char *>(array);
   field.settleZeros();
-  if (field.tree().mirror() && copyFromDevice(field, array))
-    return takeDeviceFailure();
+  if (Mirror *mirror = field.tree().mirror();
+      mirror && mirror->copyOut(field, array))
+    return devices.takeFailure();
   forEachRow(field, field.readable(), [&](const RowPart<const char> &row) {
     if (stride != scalar) {
       alongRow(row, [&](const char *from, int64_t k) {
@@ -216,10 +178,10 @@ Status Runtime::copyToHost(const Field &field, void *array) {
       });
     }
   });
-  return takeDeviceFailure();
+  return devices.takeFailure();
 }
 
-void Runtime::copyIn(Field &field, const void *array) {
+void FieldCopies::copyIn(Field &field, const void *array) const {
   field.oweZeros(nullptr);
   if (field.sparseNode())
     return copyInActive(field, array);
@@ -228,7 +190,8 @@ void Runtime::copyIn(Field &field, const void *array) {
   int64_t element = scalar * components;
   int64_t stride = field.layout().componentStride;
   const char *host = static_cast<const char *>(array);
-  if (field.tree().mirror() && copyToDevice(field, array))
+  if (Mirror *mirror = field.tree().mirror();
+      mirror && mirror->copyIn(field, array))
     return;
   forEachRow(field, field.writable(), [&](const RowPart<char> &row) {
     if (stride != scalar) {
@@ -290,7 +253,7 @@ static bool fillEvenly(const Field &field, char *data, const char *scalar,
   return false;
 }
 
-void Runtime::fillWith(Field &field, const void *scalarBytes) {
+void FieldCopies::fill(Field &field, const void *scalarBytes) const {
   field.oweZeros(nullptr);
   if (field.sparseNode())
     return fillActive(field, scalarBytes);
@@ -299,7 +262,8 @@ void Runtime::fillWith(Field &field, const void *scalarBytes) {
   int64_t stride = field.layout().componentStride;
   const char *bytes = static_cast<const char *>(scalarBytes);
   bool zero = std::all_of(bytes, bytes + scalar, [](char b) { return !b; });
-  if (field.tree().mirror() && fillOnDevice(field, scalarBytes))
+  if (Mirror *mirror = field.tree().mirror();
+      mirror && mirror->fill(field, scalarBytes))
     return;
   char *data = field.writable();
   if (fillEvenly(field, data, bytes, zero))
@@ -323,58 +287,4 @@ void Runtime::fillWith(Field &field, const void *scalarBytes) {
       }
     });
   });
-}
-
-/// Whether, in cells that they share, the elements of the second field follow
-/// those of the first.
-static bool endsBeside(const Field &first, const Field &second) {
-  int64_t bytes = first.numComponents() * byteSize(first.scalar());
-  return &first.tree() == &second.tree() &&
-         first.layout().placeOffset + bytes == second.layout().placeOffset &&
-         first.shape() == second.shape();
-}
-
-void Runtime::clearTangents() {
-  const char zeros[8] = {};
-  for (const FieldPtr &field : fieldList) {
-    Field *tangent = field->dual();
-    if (!tangent || !tangent->valid() || isOfAnotherThread(*tangent))
-      continue;
-    fillWith(*tangent, zeros);
-    tangent->lastWriter.store(0, std::memory_order_relaxed);
-  }
-}
-
-void Runtime::clearGradients(const Tape *tape) {
-  bool forward = isForward();
-  const char zeros[8] = {};
-  const Field *cleared = nullptr;
-  for (const FieldPtr &field : fieldList) {
-    if (tape && field->isAdjoint() && isOfAnotherThread(*field) &&
-        !tape->touched.count(field))
-      continue;
-    if (forward && field->isAdjoint() && field->dual())
-      fillWith(*field->dual(), zeros);
-    if (!field->isAdjoint())
-      continue;
-    int64_t bytes = bytesInUse(*field);
-    // On a device, rows with holes take longer than rows without: what is
-    // clear already is cleared along with its neighbour.
-    bool isAlong =
-        cleared && cleared->tree().mirror() && endsBeside(*cleared, *field);
-    if (!field->dirty() && skips(Skip::FlaggedClears) && !isAlong) {
-      skipCounts.bump(SkipCount::FieldsNotCleared);
-      skipCounts.bump(SkipCount::BytesNotCleared, bytes);
-      continue;
-    }
-    fillWith(*field, zeros);
-    cleared = field.get();
-    field->lastWriter.store(0, std::memory_order_relaxed);
-    skipCounts.bump(SkipCount::FieldsCleared);
-    skipCounts.bump(SkipCount::BytesCleared, bytes);
-  }
-  if (!owing.empty()) {
-    std::lock_guard<std::mutex> lock(launchMutex);
-    forgetSettled();
-  }
 }

@@ -13,10 +13,10 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_RUNTIME_HOST_OWEDZEROS_H
-#define TAI_LIB_RUNTIME_HOST_OWEDZEROS_H
+#ifndef TAI_LIB_RUNTIME_MIRROR_OWEDZEROS_H
+#define TAI_LIB_RUNTIME_MIRROR_OWEDZEROS_H
 
-#include "tai/Runtime/Launch/Kernel.h"
+#include "tai/Runtime/Storage/Field.h"
 
 namespace mlir::tai::runtime {
 
@@ -30,16 +30,11 @@ struct OwedZeros {
 
   /// Adds a box; one that goes on where the last has ended becomes part of it.
   void add(Box box, int64_t dimension);
-  /// Whether a launch may touch one of the elements by this access.
-  bool meets(const Access &access, const uint64_t *args) const;
+  /// Whether one of the elements has this position along a dimension.
+  bool meets(int64_t dimension, int64_t position) const;
   void store(const Field &field) const;
 };
 
-/// The elements of a box in a launch with these arguments, those within the
-/// field; false where there are none.
-bool findElements(const StoredBox &box, const Field &field,
-                  const uint64_t *args, OwedZeros::Box &elements);
-
 } // namespace mlir::tai::runtime
 
-#endif // TAI_LIB_RUNTIME_HOST_OWEDZEROS_H
+#endif // TAI_LIB_RUNTIME_MIRROR_OWEDZEROS_H

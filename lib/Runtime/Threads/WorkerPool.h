@@ -14,8 +14,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_RUNTIME_LAUNCH_WORKERPOOL_H
-#define TAI_LIB_RUNTIME_LAUNCH_WORKERPOOL_H
+#ifndef TAI_LIB_RUNTIME_THREADS_WORKERPOOL_H
+#define TAI_LIB_RUNTIME_THREADS_WORKERPOOL_H
 
 #include <atomic>
 #include <condition_variable>
@@ -103,4 +103,4 @@ int availableThreads();
 
 } // namespace mlir::tai::runtime
 
-#endif // TAI_LIB_RUNTIME_LAUNCH_WORKERPOOL_H
+#endif // TAI_LIB_RUNTIME_THREADS_WORKERPOOL_H

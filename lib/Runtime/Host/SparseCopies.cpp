@@ -1,4 +1,4 @@
-//===- HostAccessSparse.cpp - Whole sparse fields at once -----------------===//
+//===- SparseCopies.cpp - Whole sparse fields at once ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -10,9 +10,9 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Launch/Launch.h"
 #include "../Mirror/CellElements.h"
 #include "../Mirror/Mirror.h"
+#include "tai/Runtime/Host/FieldCopies.h"
 #include <algorithm>
 #include <cstring>
 
@@ -20,10 +20,10 @@ using namespace mlir::tai::runtime;
 
 /// Calls body(cell) for all active cells of the field, on the workers.
 template <typename Body>
-static void forEachActiveCell(Runtime &runtime, const Field &field,
-                              int64_t bytesOfCell, const Body &body) {
+void FieldCopies::forEachActiveCell(const Field &field, int64_t bytesOfCell,
+                                    const Body &body) const {
   constexpr int64_t bytesPerPart = 128 << 10;
-  ActiveListPtr list = field.sparseNode()->list(runtime);
+  ActiveListPtr list = field.sparseNode()->list();
   const std::vector<int64_t> &cells = list->cells;
   auto count = static_cast<int64_t>(cells.size());
   struct Job {
@@ -31,9 +31,8 @@ static void forEachActiveCell(Runtime &runtime, const Field &field,
     const int64_t *cells;
     int64_t count, parts;
   } job{body, cells.data(), count,
-        std::clamp<int64_t>(count * bytesOfCell / bytesPerPart, 1,
-                            2 * int64_t(runtime.threads()))};
-  runtime.parallel(
+        workers.partsOf(count * bytesOfCell, bytesPerPart)};
+  workers.parallel(
       job.parts,
       [](void *context, int64_t part) {
         const Job &job = *static_cast<Job *>(context);
@@ -44,7 +43,7 @@ static void forEachActiveCell(Runtime &runtime, const Field &field,
       &job);
 }
 
-void Runtime::fillActive(Field &field, const void *scalarBytes) {
+void FieldCopies::fillActive(Field &field, const void *scalarBytes) const {
   CellElements elements(field);
   if (Mirror *mirror = field.tree().mirror())
     if (mirror->sparse()->fillActive(field, elements, scalarBytes))
@@ -56,7 +55,7 @@ void Runtime::fillActive(Field &field, const void *scalarBytes) {
   if (!zero)
     for (int64_t at = 0; at < elements.bytes(); at += int64_t(scalar))
       pattern.insert(pattern.end(), bytes, bytes + scalar);
-  forEachActiveCell(*this, field, elements.bytes(), [&](int64_t cell) {
+  forEachActiveCell(field, elements.bytes(), [&](int64_t cell) {
     if (zero)
       elements.clear(cell);
     else
@@ -64,14 +63,14 @@ void Runtime::fillActive(Field &field, const void *scalarBytes) {
   });
 }
 
-void Runtime::copyInActive(Field &field, const void *array) {
+void FieldCopies::copyInActive(Field &field, const void *array) const {
   (void)field.writable();
   CellElements elements(field);
   auto scalar = static_cast<size_t>(byteSize(field.scalar()));
   int64_t components = field.numComponents();
   int64_t stride = field.layout().componentStride;
   const auto *host = static_cast<const char *>(array);
-  forEachActiveCell(*this, field, elements.bytes(), [&](int64_t cell) {
+  forEachActiveCell(field, elements.bytes(), [&](int64_t cell) {
     char *base = elements.base(cell);
     int64_t first = elements.firstNumber(cell);
     for (const CellElements::Element &element : elements.elements()) {

@@ -10,7 +10,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "WorkerPool.h"
-#include "tai/Runtime/Launch/Safepoint.h"
+#include "tai/Runtime/Threads/Safepoint.h"
 #include <algorithm>
 #include <chrono>
 #include <cstdio>

@@ -16,12 +16,12 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Launch/Launch.h"
-#include "../Mirror/Mirror.h"
-#include "tai/Runtime/Launch/Runtime.h"
+#include "../Text/Format.h"
+#include "Mirror.h"
 #include <algorithm>
 #include <cstddef>
 
+using namespace mlir::tai;
 using namespace mlir::tai::runtime;
 
 static constexpr int64_t wordBytes = sizeof(uint64_t);
@@ -119,13 +119,6 @@ Status SparseMirror::countPieces() {
 // Bits and lengths
 //===----------------------------------------------------------------------===//
 
-bool SparseNode::holdsCellsAlone() const {
-  int64_t within = 0;
-  for (const SparseNode *child : children)
-    within += child->cellsBelow * child->cellBytes();
-  return within == cellBytes();
-}
-
 /// Calls body(offset, bytes) for those parts of a row of bits or lengths which
 /// these marks say may not be zero; for all of a short one.
 template <typename Marks, typename Body>
@@ -159,12 +152,13 @@ Status SparseMirror::sendBits(const SparseNode &node) {
   // What was marked once stays so: there are no others than zeros elsewhere, on
   // the device either.
   auto mark = [&](int64_t i) {
-    return node.marks[i].load(std::memory_order_relaxed);
+    return node.marked()[i].load(std::memory_order_relaxed);
   };
-  return forEachPart(node, node.numMarks, mark, [&](int64_t at, int64_t bytes) {
-    return context.get().copyIn(base + static_cast<DevicePtr>(offset + at),
-                                tree.base() + offset + at, bytes);
-  });
+  return forEachPart(
+      node, node.numMarked(), mark, [&](int64_t at, int64_t bytes) {
+        return context.get().copyIn(base + static_cast<DevicePtr>(offset + at),
+                                    tree.base() + offset + at, bytes);
+      });
 }
 
 void SparseMirror::uploadActivity(const SparseNode &node,
@@ -193,9 +187,9 @@ Status SparseMirror::sendWords(const SparseNode &node,
           context.get().fill(base + static_cast<DevicePtr>(offset),
                              tree.base() + offset, static_cast<int>(unit), 1);
   }
-  size_t number = numberOf(node);
-  sharedEpochs[number] = node.changes.load(std::memory_order_acquire);
-  unchangedFrom = ++generation;
+  size_t number = numberOf(tree, node);
+  sharedEpochs[number] = node.knownEpoch();
+  state.unchangedFrom = ++state.generation;
   const uint32_t isNew = 1;
   if (status)
     status = context.get().fill(activity + number * sizeof(TaiDeviceActivity) +
@@ -208,10 +202,10 @@ Status SparseMirror::sendWords(const SparseNode &node,
 /// inactive there.
 Status SparseMirror::fetchLevel(SparseNode &node, bool removes) {
   Device &device = context.get();
-  size_t number = numberOf(node);
-  std::vector<uint64_t> found(static_cast<size_t>(node.numMarks));
+  size_t number = numberOf(tree, node);
+  std::vector<uint64_t> found(static_cast<size_t>(node.numMarked()));
   Status status =
-      device.copyOut(found.data(), marks[number], node.numMarks * wordBytes);
+      device.copyOut(found.data(), marks[number], node.numMarked() * wordBytes);
   if (!status)
     return status;
   int64_t unit = node.info().isList ? int64_t(sizeof(int32_t)) : wordBytes;
@@ -220,7 +214,7 @@ Status SparseMirror::fetchLevel(SparseNode &node, bool removes) {
   std::vector<uint64_t> now, gone;
   auto mark = [&](int64_t i) { return found[static_cast<size_t>(i)]; };
   status =
-      forEachPart(node, node.numMarks, mark, [&](int64_t at, int64_t bytes) {
+      forEachPart(node, node.numMarked(), mark, [&](int64_t at, int64_t bytes) {
         // Whole words, of which the last of a row of lengths may be half.
         now.assign(static_cast<size_t>((bytes + 7) / 8), 0);
         Status copied =
@@ -242,6 +236,48 @@ Status SparseMirror::fetchLevel(SparseNode &node, bool removes) {
   if (adopted.differs || adopted.removes)
     node.changed(adopted.by, adopted.removes);
   return status;
+}
+
+/// What active cells may take, where the host knows what they take.
+Status SparseMirror::sendAccount() {
+  const MemoryAccount &memory = context.host().memory;
+  int64_t used = 0;
+  for (const std::unique_ptr<SparseNode> &node : tree.sparseNodes())
+    if (node->isInnermost())
+      used += node->knownActive() * node->cellBytes();
+  int64_t others = memory.activeCellBytes() - used;
+  const int64_t now[] = {used, memory.left() - others};
+  static_assert(offsetof(TaiDeviceAccount, limit) == sizeof(int64_t), "");
+  if (!context.queue().isCollecting())
+    return context.get().copyIn(account, now, sizeof(now));
+  Status status = context.get().fill(account, &now[0], sizeof(int64_t), 1);
+  return status ? context.get().fill(account + sizeof(int64_t), &now[1],
+                                     sizeof(int64_t), 1)
+                : std::move(status);
+}
+
+/// Makes the activity of the levels that the host has changed known to lists.
+Status SparseMirror::sendActivity() {
+  const auto &nodes = tree.sparseNodes();
+  Status status;
+  bool any = false;
+  for (size_t i = 0; i < nodes.size() && status; ++i) {
+    uint64_t epoch = nodes[i]->knownEpoch();
+    if (epoch == sharedEpochs[i])
+      continue;
+    sharedEpochs[i] = epoch;
+    any = true;
+    state.unchangedFrom = ++state.generation;
+    status = context.get().copyIn(marks[i], nodes[i]->marked(),
+                                  nodes[i]->numMarked() *
+                                      static_cast<int64_t>(sizeof(uint64_t)));
+    const uint32_t isNew = 1;
+    if (status)
+      status = context.get().fill(activity + i * sizeof(TaiDeviceActivity) +
+                                      offsetof(TaiDeviceActivity, isNew),
+                                  &isNew, sizeof(isNew), 1);
+  }
+  return status && any ? sendAccount() : std::move(status);
 }
 
 //===----------------------------------------------------------------------===//
@@ -276,7 +312,7 @@ bool SparseMirror::keepActivity(std::function<void()> seen) {
   if (!base || isFetching || kept.size() == mostStates || !canKeepActivity())
     return false;
   // Nothing was launched that could have done anything.
-  if (!kept.empty() && keptGeneration == generation)
+  if (!kept.empty() && keptGeneration == state.generation)
     return true;
   bool isThere = false;
   Status status = context.library().load(isThere);
@@ -296,7 +332,7 @@ bool SparseMirror::keepActivity(std::function<void()> seen) {
                                         /*blocks=*/1, threads,
                                         {base, keptMemory[kept.size()]}));
   kept.push_back(std::move(seen));
-  keptGeneration = generation;
+  keptGeneration = state.generation;
   return true;
 }
 
@@ -327,57 +363,9 @@ Status SparseMirror::adoptKept(bool &any) {
                  adopted, [&](int64_t cell) { touchCell(node, cell); });
       if (adopted.differs || adopted.removes)
         node.changed(adopted.by, adopted.removes);
-      sharedEpochs[n] = node.changes.load(std::memory_order_acquire);
+      sharedEpochs[n] = node.knownEpoch();
     }
     states[i]();
   }
   return Status::success();
-}
-
-void SparseNode::adopt(const Part &part, Adopted &adopted,
-                       const std::function<void(int64_t)> &added) {
-  auto forEachBit = [](uint64_t word, const auto &body) {
-    for (; word; word &= word - 1)
-      body(__builtin_ctzll(word));
-  };
-  if (layout.isList) {
-    const auto *now = static_cast<const int32_t *>(part.activity);
-    const auto *was = static_cast<const int32_t *>(part.gone);
-    for (int64_t i = 0; i < part.count; ++i) {
-      int64_t list = part.first + i;
-      int32_t before = lengths()[list], length = was ? was[i] : 0;
-      length = std::max(length, now[i] < before ? before : 0);
-      if (length) {
-        adopted.removes = true;
-        noteRemoved(list * capacity(), length);
-      }
-      if (now[i] == before && !length)
-        continue;
-      adopted.differs |= now[i] != before;
-      adopted.by += now[i] - before;
-      lengths()[list] = now[i];
-      markWord(list);
-      for (int32_t k = 0; k < now[i]; ++k)
-        added(list * capacity() + k);
-    }
-  } else {
-    const auto *now = static_cast<const uint64_t *>(part.activity);
-    const auto *was = static_cast<const uint64_t *>(part.gone);
-    for (int64_t i = 0; i < part.count; ++i) {
-      int64_t at = part.first + i;
-      uint64_t before = words()[at];
-      uint64_t left = (was ? was[i] : 0) | (before & ~now[i]);
-      if (left) {
-        adopted.removes = true;
-        forEachBit(left, [&](int bit) { noteRemoved(at * 64 + bit, 1); });
-      }
-      if (now[i] == before)
-        continue;
-      adopted.differs = true;
-      adopted.by += __builtin_popcountll(now[i]) - __builtin_popcountll(before);
-      words()[at] = now[i];
-      markWord(at);
-      forEachBit(now[i] & ~before, [&](int bit) { added(at * 64 + bit); });
-    }
-  }
 }

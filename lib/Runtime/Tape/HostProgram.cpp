@@ -11,9 +11,11 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "tai/Runtime/Tape/HostProgram.h"
+#include "../Launch/Launch.h"
 #include "../Storage/Scalars.h"
-#include "Launch.h"
 #include "tai/ABI/Abi.h"
+#include "tai/Runtime/Tape/Tape.h"
 #include "tai/Support/Philox.h"
 #include <algorithm>
 #include <cmath>
@@ -21,6 +23,57 @@
 #include <cstring>
 
 using namespace mlir::tai::runtime;
+
+struct mlir::tai::runtime::HostState {
+  HostModule *module;
+  /// Those that the program itself may use.
+  const std::vector<TreePtr> *trees;
+  std::unique_ptr<Tape> tape;
+  /// Names come as literals of the module: found once by address.
+  std::unordered_map<const char *, Kernel *> kernels;
+};
+
+Status mlir::tai::runtime::runHost(Runtime &runtime, TaiKernelFn function,
+                                   const std::vector<TreePtr> &trees,
+                                   HostModule &module, const uint64_t *args,
+                                   uint64_t *results) {
+  runtime.settleZeros();
+  std::vector<void *> bases;
+  for (const TreePtr &tree : trees) {
+    if (!tree->base())
+      return Status::failure(StatusCode::Usage, "the host program uses tree '" +
+                                                    tree->name() +
+                                                    "', which has been "
+                                                    "destroyed");
+    bases.push_back(module.usesTrees ? tree->writable() : tree->base());
+  }
+  HostState state;
+  state.module = &module;
+  state.trees = &trees;
+  Launch *launch = runtime.acquireLaunch();
+  launch->host = &state;
+  launch->loopTimes = nullptr;
+  launch->trees = bases.data();
+  launch->args = args;
+  launch->results = results;
+  launch->seed = runtime.options().seed;
+  launch->launch =
+      runtime.launcher().numbers().fetch_add(1, std::memory_order_relaxed);
+  int32_t code = function(launch);
+  state.tape.reset();
+  launch->host = nullptr;
+  if (launch->arena.used())
+    launch->arena.reset();
+  Status status;
+  if (code != 0 || launch->hasFailed()) {
+    launch->freeSinks();
+    status = launch->hasFailed() ? launch->takeFailure()
+                                 : Status::failure(StatusCode::Internal,
+                                                   "the host program failed");
+  }
+  runtime.releaseLaunch(launch);
+  return status ? runtime.synchronize() : std::move(status);
+}
 
 /// Passes a failure on to the host program. Returns what the caller returns.
 static int32_t report(Launch &launch, Status status) {
@@ -146,7 +199,7 @@ public:
 
   /// Runs the region under a tape. Returns zero if all went well.
   int32_t run(const char *where) {
-    for (const auto &entry : runtime.trees)
+    for (const auto &entry : runtime.store().trees())
       if (!entry.second->sparseNodes().empty())
         return reportUsage(
             launch,
@@ -230,18 +283,18 @@ private:
 
   Snapshot save() const {
     Snapshot snapshot;
-    for (const auto &entry : runtime.trees)
+    for (const auto &entry : runtime.store().trees())
       snapshot.trees.emplace_back(
           entry.second.get(),
           std::string(entry.second->readable(),
                       static_cast<size_t>(entry.second->bytes())));
-    snapshot.launches = runtime.hot.launches.load();
+    snapshot.launches = runtime.launcher().numbers().load();
     return snapshot;
   }
 
   void restoreAfter() {
     after.restore();
-    runtime.hot.launches.store(after.launches);
+    runtime.launcher().numbers().store(after.launches);
   }
 
   /// Components of both signs, none close to zero.
@@ -261,7 +314,7 @@ private:
                 const std::vector<double> &direction, double step,
                 double &result) {
     before.restore();
-    runtime.hot.launches.store(before.launches);
+    runtime.launcher().numbers().store(before.launches);
     for (size_t i = 0; i < values.size(); ++i)
       storeF64(field.scalar(), values[i],
                loadF64(field.scalar(), values[i]) + step * direction[i]);

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/Runtime/Launch/Safepoint.h"
+#include "tai/Runtime/Threads/Safepoint.h"
 #include "tai/Support/Thread.h"
 #include <ctime>
 #include <pthread.h>
