@@ -70,7 +70,7 @@ void taiKernelDestroy(TaiKernel kernel) {
 }
 
 const char *taiKernelGetTree(TaiKernel kernel, int64_t number) {
-  const std::vector<runtime::TreePtr> &trees = kernel->kernel->code->trees;
+  const std::vector<runtime::TreePtr> &trees = kernel->kernel->code->getTrees();
   if (number < 0 || number >= static_cast<int64_t>(trees.size()))
     return nullptr;
   return trees[number]->name().c_str();

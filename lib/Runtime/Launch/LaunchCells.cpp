@@ -1,24 +1,90 @@
-//===- AdjointFlags.cpp - Cells that a reverse loop may leave out ---------===//
+//===- LaunchCells.cpp - The cells that loops of a launch go over ---------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
-//
-// Where every contribution of an iteration is a product with adjoints of its
-// own cell, and these are zero, it need not run. Whether they are is found by
-// looking at them, before the loop: a few bytes of each cell against the body.
-//
-//===----------------------------------------------------------------------===//
 
-#include "../Launch/Launch.h"
 #include "../Mirror/CellElements.h"
+#include "../Mirror/DeviceCells.h"
+#include "Launch.h"
 #include <algorithm>
 #include <array>
 #include <iterator>
 
 using namespace mlir::tai;
 using namespace mlir::tai::runtime;
+
+const std::vector<int64_t> &Launch::visitedCells(SparseNode &node) {
+  static const std::vector<int64_t> none;
+  // The list stays: `loops` or the record of the primal holds it.
+  ActiveListPtr list = visitedList(node);
+  return list ? list->cells : none;
+}
+
+/// The list of the primal's loops over the level; null after a failure.
+const LoopLists::Entry *Launch::findGiven(SparseNode &node) {
+  const LoopLists::Entry *entry = given->find(node);
+  bool differs = entry && entry->differs;
+  if (entry && entry->mayDiffer) {
+    Status status = findDifference(*given, node, differs);
+    if (!status) {
+      fail(std::move(status));
+      return nullptr;
+    }
+  }
+  if (entry && !differs)
+    return entry;
+  std::string what = "the gradient of kernel '" + *primalName + "' ";
+  if (entry && owner().inReverseFunction())
+    what += "loops over the active cells of " + node.info().label +
+            ", and the host function that launched it has changed them; change "
+            "them outside of that function";
+  else if (entry)
+    what += "needs the cells of " + node.info().label +
+            " that each of its loops went over, but they went over different "
+            "ones; split the kernel, with such a loop in each part";
+  else
+    what += "loops over the active cells of " + node.info().label +
+            ", but there is no launch of the kernel that it could belong to";
+  fail(Status::failure(StatusCode::Usage, std::move(what)));
+  return nullptr;
+}
+
+ActiveListPtr Launch::visitedList(SparseNode &node) {
+  if (given) {
+    const LoopLists::Entry *entry = findGiven(node);
+    if (!entry || entry->list)
+      return entry ? entry->list : nullptr;
+    // What a device has made is wanted by the host, which is rare.
+    auto list = std::make_shared<ActiveList>();
+    Status status = fetchCells(*entry->onDevice, list->cells);
+    if (!status) {
+      fail(std::move(status));
+      return nullptr;
+    }
+    std::lock_guard<std::mutex> lock(failureMutex);
+    fetched.push_back(list);
+    return list;
+  }
+  ActiveListPtr list = node.list();
+  std::lock_guard<std::mutex> lock(failureMutex);
+  loops.add(node, list);
+  return list;
+}
+
+const std::vector<int64_t> &Launch::cellsFor(SparseNode &node) {
+  const std::vector<int64_t> &cells = visitedCells(node);
+  return flags ? withoutVain(node, cells) : cells;
+}
+
+//===----------------------------------------------------------------------===//
+// Cells that a reverse loop may leave out
+//===----------------------------------------------------------------------===//
+
+// Where every contribution of an iteration is a product with adjoints of its
+// own cell, and these are zero, it need not run. Whether they are is found by
+// looking at them, before the loop: a few bytes of each cell against the body.
 
 /// True if cells of the level are numbered for both fields by the same digits
 /// of the same indices.
