@@ -88,10 +88,8 @@ static thread_local const Recordings *forwardOn = nullptr;
 bool Recordings::isForwardHere() const { return forwardOn == this; }
 
 void Recordings::setForward(bool on) {
-  if (on == isForwardHere()) {
-    forwardOn = on ? this : nullptr;
+  if (on == isForwardHere())
     return;
-  }
   forwardOn = on ? this : nullptr;
   numForward += on ? 1 : -1;
   if (on)

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Implements tai/Runtime/Abi.h for kernels. The functions for host programs are
-// in HostProgram.cpp.
+// Implements tai/ABI/Abi.h for kernels. The functions for host programs are in
+// Tape/HostProgram.cpp.
 //
 //===----------------------------------------------------------------------===//
 
