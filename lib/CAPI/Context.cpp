@@ -79,7 +79,7 @@ void taiContextClearInterrupt(TaiContext context) {
 void taiContextSetPrintHandler(TaiContext context, TaiPrintHandler handler,
                                void *user) {
   ContextLock lock(*context);
-  runtime::Runtime::Sink sink;
+  runtime::Printer::Sink sink;
   if (handler)
     sink = [handler, user](std::string_view line) {
       handler(line.data(), line.size(), user);
