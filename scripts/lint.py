@@ -6,6 +6,7 @@ Each check prints what it found and counts as one test of `make test`.
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import re
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import rooms
+import rooms_python
 
 ROOT = Path(__file__).resolve().parent.parent
 LICENSE_TAG = "SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception"
@@ -80,6 +82,19 @@ def lit_run_lines(_fix: bool) -> str:
     return "\n".join(bad)
 
 
+def python_types(_fix: bool) -> str:
+    """Types of the package; `[tool.mypy]` of pyproject.toml says of which modules."""
+    if importlib.util.find_spec("mypy") is None:
+        print("lint: types are not checked: no mypy; scripts/setup.sh installs it")
+        return ""
+    return run([sys.executable, "-m", "mypy", "--no-error-summary"])
+
+
+def python_rooms(_fix: bool) -> str:
+    """Packages of `python/tai` import from those below them, at the top of a module."""
+    return "\n".join(rooms_python.problems(ROOT / "python" / "tai"))
+
+
 def rooms_of_sources(_fix: bool) -> str:
     """Includes go one way, classes are not cut into slices, folders are not crowded."""
     return "\n".join(rooms.check())
@@ -92,6 +107,8 @@ CHECKS: dict[str, Callable[[bool], str]] = {
     "licence headers": license_headers,
     "file sizes": file_sizes,
     "RUN lines": lit_run_lines,
+    "Python rooms": python_rooms,
+    "Python types": python_types,
     "rooms": rooms_of_sources,
 }
 

@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Impl.h"
+#include "tai/Runtime/Launch/AccessChecks.h"
 
 using namespace mlir::tai;
 

@@ -61,7 +61,7 @@ TaiStatus taiTapeHealth(TaiTape tape, const TaiTapeHealthRow **rows,
                         int64_t *count) {
   ContextLock lock(tape->context);
   tape->health.clear();
-  for (const runtime::Tape::Health &row : tape->tape->health())
+  for (const runtime::RecordHealth &row : tape->tape->health())
     tape->health.push_back({row.record, row.field->name().c_str(), row.nans,
                             row.infs, row.maxAbs, std::sqrt(row.sumSquares)});
   *rows = tape->health.data();

@@ -222,7 +222,7 @@ LogicalResult Session::compile(ArrayRef<SessionKernel *> kernels,
 }
 
 LogicalResult Session::prepareReverse(runtime::Tape &tape, bool cleared) {
-  std::vector<runtime::Tape::Pending> needed = tape.pendingAdjoints(cleared);
+  std::vector<runtime::PendingAdjoint> needed = tape.pendingAdjoints(cleared);
   if (needed.size() < 2)
     return success();
   std::vector<runtime::Status> statuses(needed.size());

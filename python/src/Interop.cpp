@@ -6,7 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // The binary interface of DLPack, in both forms: capsules "dltensor", and those
-// with a version and flags. What is in them is decided in tai/_interop.py.
+// with a version and flags. What is in them is decided in
+// tai/_impl/interop/sharing.py.
 //
 //===----------------------------------------------------------------------===//
 

@@ -118,7 +118,7 @@ static const char *readFormat(PyObject *dtype, int &itemBytes) {
   if (!found) {
     PyErr_Clear();
     try {
-      py::object type = py::module_::import("tai._interop")
+      py::object type = py::module_::import("tai._impl.interop.device_arrays")
                             .attr("numpy_type")(py::handle(dtype));
       py::tuple made = py::make_tuple(type.attr("char"), type.attr("itemsize"));
       PyDict_SetItem(formats, dtype, made.ptr());
@@ -181,8 +181,8 @@ bool taipy::findStream(const TensorType &type, uint64_t &stream) {
     return true;
   }
   try {
-    stream = py::module_::import("tai._interop")
-                 .attr("_stream_number")(py::none())
+    stream = py::module_::import("tai._impl.interop.streams")
+                 .attr("stream_number")(py::none())
                  .cast<uint64_t>();
     return true;
   } catch (py::error_already_set &error) {

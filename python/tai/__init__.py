@@ -21,11 +21,13 @@ print(x.grad)
 
 from __future__ import annotations
 
+import importlib as _importlib
 from typing import Any
 
-from . import _alias, dtypes, types
-from .arrays import Ndarray, ndarray
-from .dtypes import (
+from . import types
+from ._impl import alias
+from ._impl.base import dtypes
+from ._impl.base.dtypes import (
     f16,
     f32,
     f64,
@@ -50,31 +52,52 @@ from .dtypes import (
     uint32,
     uint64,
 )
-from .errors import (
-    TaiAssertionError,
-    TaiAutodiffError,
-    TaichiAssertionError,
-    TaichiAutodiffError,
-    TaichiCompilationError,
-    TaichiIndexError,
-    TaichiNameError,
-    TaichiRuntimeError,
-    TaichiRuntimeTypeError,
-    TaichiSyntaxError,
-    TaichiTypeError,
-    TaiCompilationError,
-    TaiError,
-    TaiIndexError,
-    TaiMemoryError,
-    TaiNameError,
-    TaiRuntimeError,
-    TaiRuntimeTypeError,
-    TaiSyntaxError,
-    TaiTypeError,
+from ._impl.base.options import CRITICAL, DEBUG, ERROR, INFO, TRACE, WARN
+from ._impl.base.program import reset, sync
+from ._impl.base.start import init
+from ._impl.base.targets import (
+    amdgpu,
+    arm64,
+    cpu,
+    cuda,
+    dx11,
+    gles,
+    gpu,
+    metal,
+    opengl,
+    python,
+    vulkan,
+    x64,
 )
-from .fields import Field, MatrixField, ScalarField, field
-from .matrix import Matrix, Vector
-from .ops import (
+from ._impl.fields.arrays import Ndarray, ndarray
+from ._impl.fields.field import Field
+from ._impl.fields.make import field
+from ._impl.fields.matrix_field import MatrixField
+from ._impl.fields.root import root
+from ._impl.fields.scalar import ScalarField
+from ._impl.fields.snode import (
+    FieldsBuilder,
+    Layout,
+    SNode,
+    axes,
+    i,
+    ij,
+    ijk,
+    ijkl,
+    ijl,
+    ik,
+    ikl,
+    il,
+    j,
+    jk,
+    jkl,
+    jl,
+    k,
+    kl,
+    l,
+)
+from ._impl.values.matrix import Matrix, Vector
+from ._impl.values.ops import (
     abs,
     acos,
     activate,
@@ -136,70 +159,52 @@ from .ops import (
     tanh,
     zero,
 )
-from .program import (
-    CRITICAL,
-    DEBUG,
-    ERROR,
-    INFO,
-    TRACE,
-    WARN,
-    amdgpu,
-    arm64,
-    cpu,
-    cuda,
-    dx11,
-    gles,
-    gpu,
-    init,
-    metal,
-    opengl,
-    python,
-    reset,
-    root,
-    sync,
-    vulkan,
-    x64,
+from ._impl.values.types import template
+from .errors import (
+    TaiAssertionError,
+    TaiAutodiffError,
+    TaichiAssertionError,
+    TaichiAutodiffError,
+    TaichiCompilationError,
+    TaichiIndexError,
+    TaichiNameError,
+    TaichiRuntimeError,
+    TaichiRuntimeTypeError,
+    TaichiSyntaxError,
+    TaichiTypeError,
+    TaiCompilationError,
+    TaiError,
+    TaiIndexError,
+    TaiMemoryError,
+    TaiNameError,
+    TaiRuntimeError,
+    TaiRuntimeTypeError,
+    TaiSyntaxError,
+    TaiTypeError,
 )
-from .snode import (
-    FieldsBuilder,
-    Layout,
-    SNode,
-    axes,
-    i,
-    ij,
-    ijk,
-    ijkl,
-    ijl,
-    ik,
-    ikl,
-    il,
-    j,
-    jk,
-    jkl,
-    jl,
-    k,
-    kl,
-    l,
-)
-from .types import template
+from .errors import did_you_mean as _did_you_mean
 
 __version__ = "0.1.0"
 
-_alias.install()
+alias.install()
 
 # Loaded when they are first used: the extension module with libtai behind it, and what
 # draws and writes pictures.
 _LAZY = {
-    "kernel": "kernels", "func": "kernels", "pyfunc": "kernels", "real_func": "kernels",
-    "data_oriented": "kernels", "Kernel": "kernels",
-    "Tape": "ad", "clear_all_gradients": "ad", "no_grad": "ad", "grad_replaced": "ad",
-    "complex_kernel": "ad", "complex_kernel_grad": "ad",
-    "extension": "lang.misc", "is_extension_supported": "lang.misc",
-    "Struct": "structs", "StructField": "structs", "dataclass": "structs",
-    "BitpackedFields": "types", "loop_unique": "ops",
-    "from_dlpack": "_interop", "wait_for_stream": "_interop", "let_stream_wait": "_interop",
-    "GUI": "gui", "rgb_to_hex": "gui", "hex_to_rgb": "gui",
-}  # fmt: skip
+    name: module
+    for module, names in {
+        "_impl.launch.kernels": "kernel func pyfunc real_func data_oriented Kernel",
+        "ad": "Tape clear_all_gradients no_grad grad_replaced complex_kernel complex_kernel_grad",
+        "lang.misc": "extension is_extension_supported",
+        "_impl.fields.structs": "Struct StructField dataclass",
+        "types": "BitpackedFields",
+        "_impl.values.ops": "loop_unique",
+        "_impl.interop.device_arrays": "from_dlpack",
+        "_impl.interop.streams": "wait_for_stream let_stream_wait",
+        "gui": "GUI rgb_to_hex hex_to_rgb",
+    }.items()
+    for name in names.split()
+}
 # Names of Taichi that are known and missing: the answer should say so.
 _NOT_YET = {
     "linalg", "Texture", "mesh_local", "Mesh", "ui", "simt", "aot", "graph",
@@ -210,19 +215,15 @@ _MODULES = {"ad", "errors", "gui", "lang", "math", "profiler", "sparse", "testin
 
 
 def __getattr__(name: str) -> Any:
-    import importlib
-
     if name in _LAZY:
-        value = getattr(importlib.import_module(f".{_LAZY[name]}", __name__), name)
+        value = getattr(_importlib.import_module(f".{_LAZY[name]}", __name__), name)
     elif name in _MODULES:
-        value = importlib.import_module(f".{name}", __name__)
+        value = _importlib.import_module(f".{name}", __name__)
     else:
-        from .errors import did_you_mean
-
         if name in _NOT_YET:
             raise AttributeError(f"ti.{name} is not built in yet")
         error = AttributeError(f"module 'tai' has no attribute '{name}'")
-        hint = did_you_mean(name, __dir__())
+        hint = _did_you_mean(name, __dir__())
         if hint:
             error.add_note(hint)
         raise error

@@ -1,7 +1,7 @@
 """`ti._lib`: what programs ask of Taichi's core."""
 
+from ._impl.fields.snode import AXIS_NAMES
 from .errors import TaiRuntimeError
-from .snode import AXIS_NAMES
 
 
 class core:  # noqa: N801

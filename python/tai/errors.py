@@ -66,7 +66,7 @@ class TaiSyntaxError(TaiCompilationError, SyntaxError):
     filename = lineno = text = None
 
     @property
-    def msg(self) -> str:
+    def msg(self) -> str:  # type: ignore[override]
         return TaiError.__str__(self)
 
     __str__ = TaiError.__str__
@@ -102,6 +102,14 @@ class TaiAssertionError(TaiRuntimeError, AssertionError):
 
 class TaiMemoryError(TaiRuntimeError, MemoryError):
     """Not enough memory for a tree of fields."""
+
+
+class TaiGradientWarning(UserWarning):
+    """A gradient that is right, but perhaps not what was wanted."""
+
+
+class TaiCompilationWarning(UserWarning):
+    """Something that compiles, and is hardly meant."""
 
 
 def shorten(filename: str | None) -> str:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math as _math
 from typing import Any
 
-from . import dtypes, ops
-from .ops import (
+from ._impl.base import dtypes
+from ._impl.values import ops
+from ._impl.values.matrix import Matrix
+from ._impl.values.ops import (
     acos,
     asin,
     atan2,
@@ -26,7 +28,7 @@ from .ops import (
     tan,
     tanh,
 )
-from .types import matrix, vector
+from ._impl.values.types import matrix, vector
 
 pi, e, inf, nan = _math.pi, _math.e, _math.inf, _math.nan
 
@@ -143,15 +145,11 @@ def determinant(m: Any) -> Any:
 
 def eye(n: int) -> Any:
     """The identity of size n."""
-    from .matrix import Matrix
-
     return Matrix.identity(float, n)
 
 
 def rotation2d(angle: Any) -> Any:
     """The matrix that turns by an angle, counter-clockwise."""
-    from .matrix import Matrix
-
     c, s = cos(angle), sin(angle)
     return Matrix([[c, -s], [s, c]])
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from . import _state
-from ._skips import Skips as Skips
-from ._skips import clear_skips as clear_skips
-from ._skips import print_skips as print_skips
-from ._skips import skips as skips
+from ._impl.base import state
+from ._impl.base.skips import Skips as Skips
+from ._impl.base.skips import clear_skips as clear_skips
+from ._impl.base.skips import print_skips as print_skips
+from ._impl.base.skips import skips as skips
 from .errors import TaiRuntimeError
 
 _KINDS = ("host", "device", "memory")
@@ -70,9 +70,9 @@ def _known(number: Any) -> Any:
 
 
 def _context() -> Any:
-    if not _state.options.kernel_profiler:
+    if not state.options.kernel_profiler:
         raise TaiRuntimeError("the profiler is off", "turn it on: ti.init(kernel_profiler=True)")
-    return _state.program.context
+    return state.program.context
 
 
 def get_stats(memory: bool = False) -> list[KernelStats]:
@@ -81,7 +81,7 @@ def get_stats(memory: bool = False) -> list[KernelStats]:
     Args:
         memory: what a GPU did with memory, too.
     """
-    if _state.program is None:
+    if state.program is None:
         return []
     rows = []
     for name, counter, total, least, most, place, kind, *rest in _context().profile():
@@ -151,7 +151,7 @@ def print_kernel_profiler_info(mode: str = "count") -> None:
 
 
 def _events() -> list[dict[str, Any]]:
-    if _state.program is None:
+    if state.program is None:
         return []
     names = (
         "name", "place", "kind", "device", "thread", "start", "duration", "queued", "blocks",
@@ -207,8 +207,8 @@ def save_trace(path: Any) -> None:
 
 def clear_kernel_profiler_info() -> None:
     """Forgets the times so far."""
-    if _state.program is not None:
-        _state.program.context.clear_profile()
+    if state.program is not None:
+        state.program.context.clear_profile()
 
 
 def query_kernel_profiler_info(name: str) -> KernelStats:
@@ -256,7 +256,7 @@ def print_memory_profiler_info() -> None:
     Of a field below sparse levels, it is what all cells would take together.
     """
     rows = []
-    for field in _state.program.fields.values() if _state.program is not None else ():
+    for field in state.program.fields.values() if state.program is not None else ():
         count = math.prod(field.shape) * math.prod(field.element_shape)
         dt = field.dtype
         kind = f"{dt}" + "".join(f"×{n}" for n in field.element_shape)

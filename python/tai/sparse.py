@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from ._impl.fields.field import Field
+from ._impl.fields.root import root
+from ._impl.fields.snode import Axes
+from ._impl.fields.structs import Struct, StructField
 from .errors import TaiRuntimeTypeError
-from .fields import Field
-from .snode import Axes
-from .structs import Struct, StructField
+from .volumes import innermost
 
 
 def grid(members: dict[str, Any], shape: Any) -> StructField:
@@ -17,8 +19,6 @@ def grid(members: dict[str, Any], shape: Any) -> StructField:
         members: the type of each member.
         shape: the extents.
     """
-    from .program import root
-
     extents = tuple(shape) if isinstance(shape, (tuple, list)) else (shape,)
     if len(extents) not in (2, 3):
         raise TaiRuntimeTypeError(
@@ -32,8 +32,6 @@ def grid(members: dict[str, Any], shape: Any) -> StructField:
 
 def usage(field: Field) -> float:
     """The active part of a field, from 0 to 1: of the cells of the innermost sparse level."""
-    from .volumes import innermost
-
     level = innermost(field)
     cells = 1
     for extent in level.shape:

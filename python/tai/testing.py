@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .ad import Tape
+from ._impl.ad.tape import Tape
 from .errors import TaiAutodiffError
 
 
@@ -63,7 +63,11 @@ def check_gradient(
             expected = float(np.sum(gradient * direction))
             moved = [value(start + step * direction) for step in (0.0, 0.1, -0.1)]
             is_flat &= expected == 0 and moved[0] == moved[1] == moved[2]
-            error = _best_error(lambda h, d=direction, s=start: value(s + h * d), expected)
+
+            def along(h: float, d: np.ndarray = direction, s: np.ndarray = start) -> float:
+                return value(s + h * d)
+
+            error = _best_error(along, expected)
             if not error <= tolerance:
                 field.from_numpy(start)
                 run()

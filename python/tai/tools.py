@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from .errors import TaiRuntimeError
+from .gui import GUI
 
 
 def cook_image_to_bytes(image: Any) -> np.ndarray:
@@ -52,8 +53,6 @@ def imresize(image: Any, width: int, height: int | None = None) -> np.ndarray:
 
 def imshow(image: Any, title: str = "imshow") -> None:
     """Shows a picture, that is, writes one frame of a `ti.GUI`."""
-    from .gui import GUI
-
     pixels = image.to_numpy() if hasattr(image, "to_numpy") else np.asarray(image)
     gui = GUI(title, res=pixels.shape[:2])
     gui.set_image(pixels)

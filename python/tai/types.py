@@ -4,221 +4,47 @@ from __future__ import annotations
 
 from typing import Any
 
-from . import dtypes
-from .errors import TaiRuntimeError, TaiRuntimeTypeError, TaiTypeError
-from .matrix import Matrix, Vector
+from ._impl.base import dtypes as primitive_types
+from ._impl.base.dtypes import (
+    DataType,
+    f16,
+    f32,
+    f64,
+    i8,
+    i16,
+    i32,
+    i64,
+    u1,
+    u8,
+    u16,
+    u32,
+    u64,
+)
+from ._impl.fields.structs import StructType
+from ._impl.values.types import (
+    BitpackedFields,
+    MatrixType,
+    NdarrayType,
+    ScalarType,
+    is_integral,
+    is_real,
+    is_signed,
+    matrix,
+    ndarray,
+    quant,
+    template,
+    vector,
+)
 
 
-class template:  # noqa: N801
-    """Annotates a parameter that is part of the compiled code: a field, a function, a constant.
-
-    A kernel is compiled for each value. In a `ti.func`, variables are passed by reference.
-    """
-
-    def __init__(self, tensor: Any = None, dim: Any = None):
-        pass
-
-    def __repr__(self) -> str:
-        return "ti.template()"
-
-
-class MatrixType:
-    """The type of n×m matrices, or of vectors of n components (`m` is None).
-
-    Called, it makes one: `vec3(x, y, z)`, `vec3(0.0)`, `vec3(v.xy, 1)`.
-    """
-
-    def __init__(self, n: int, m: int | None, dtype: Any):
-        self.n, self.columns, self._dtype = n, m, dtype
-        if dtypes.to_dtype(dtype) is None:
-            raise TaiRuntimeTypeError(f"{dtype!r} is not a type of numbers")
-
-    @property
-    def m(self) -> int:
-        return 1 if self.columns is None else self.columns
-
-    @property
-    def dtype(self) -> dtypes.DataType:
-        found = dtypes.to_dtype(self._dtype)
-        assert found is not None
-        return found
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return (self.n,) if self.columns is None else (self.n, self.columns)
-
-    def __call__(self, *parts: Any) -> Any:
-        items: list[Any] = []
-        for part in parts:
-            if getattr(part, "is_matrix", False):
-                shape = part.shape if hasattr(part, "emit_operand") else part.element_shape
-                items += list(part) if len(shape) == 1 else [x for row in part for x in row]
-            elif isinstance(part, (list, tuple)):
-                for item in part:
-                    nested = isinstance(item, (list, tuple)) or getattr(item, "is_matrix", False)
-                    items += list(item) if nested else [item]
-            else:
-                items.append(part)
-        count = self.n * self.m
-        if len(items) == 1:
-            items *= count
-        if len(items) != count:
-            raise TaiTypeError(f"{self!r} takes {count} numbers, but got {len(items)}")
-        if self.columns is None:
-            return Vector(items, self.dtype)
-        rows = [items[r * self.columns : (r + 1) * self.columns] for r in range(self.n)]
-        return Matrix(rows, self.dtype)
-
-    def field(self, shape: Any = None, **options: Any) -> Any:
-        """A field of such elements; for the arguments see `ti.field`."""
-        if self.columns is None:
-            return Vector.field(self.n, self.dtype, shape, **options)
-        return Matrix.field(self.n, self.columns, self.dtype, shape, **options)
-
-    def ndarray(self, shape: Any, needs_grad: bool = False) -> Any:
-        """An array of such elements; see `ti.ndarray`."""
-        from .arrays import Ndarray
-
-        return Ndarray(self.dtype, shape, self.shape, needs_grad)
-
-    def convert(self, emitter: Any, value: Any) -> Any:
-        """A value of a kernel in this type."""
-        value = emitter.as_value(value)
-        if value.shape != self.shape:
-            raise TaiTypeError(f"expects {self!r}, but got a {value.kind_name}")
-        return emitter.cast(value, self.dtype)
-
-    def __repr__(self) -> str:
-        if self.columns is None:
-            return f"vector({self.n}, {self.dtype})"
-        return f"matrix({self.n}, {self.columns}, {self.dtype})"
-
-
-class ScalarType:
-    """A scalar type where a type with `convert` is expected."""
-
-    shape: tuple[int, ...] = ()
-
-    def __init__(self, dtype: Any):
-        self._dtype = dtype
-
-    @property
-    def dtype(self) -> dtypes.DataType:
-        found = dtypes.to_dtype(self._dtype)
-        assert found is not None
-        return found
-
-    def convert(self, emitter: Any, value: Any) -> Any:
-        """A value of a kernel in this type."""
-        emitter.check_fraction(
-            value, self.dtype, f"a result, parameter or member of type {self.dtype}"
-        )
-        if not hasattr(value, "emit_operand"):
-            if isinstance(value, (bool, int, float)):
-                return emitter.constant(value, self.dtype)
-            value = emitter.as_value(value)
-        if value.shape:
-            raise TaiTypeError(
-                f"expects a number of type {self.dtype}, but got a {value.kind_name}"
-            )
-        return emitter.cast(value, self.dtype)
-
-
-class NdarrayType:
-    """Annotates an array that the caller owns: a NumPy array, a torch tensor, a `ti.ndarray`.
-
-    Args:
-        dtype: type of the numbers, or a vector or matrix type; any if left out.
-        ndim: number of dimensions without those of the element; any if left out.
-        element_dim: 1 or 2: the last dimensions are vectors or matrices.
-        element_shape: the extents of the element.
-        needs_grad: refuse a `ti.ndarray` without a gradient. An array that has one is always
-            differentiated; a NumPy array is always constant.
-    """
-
-    def __init__(
-        self, dtype: Any = None, ndim: int | None = None, element_dim: int | None = None,
-        element_shape: tuple[int, ...] | None = None, field_dim: int | None = None,
-        needs_grad: bool | None = None, boundary: str = "unsafe",
-    ):  # fmt: skip
-        self.ndim = ndim if ndim is not None else field_dim
-        self.element_shape = element_shape
-        self.element_dim = element_dim
-        self.needs_grad = bool(needs_grad)
-        if isinstance(dtype, MatrixType):
-            self.element_shape, dtype = dtype.shape, dtype.dtype
-        if self.element_shape is not None:
-            self.element_dim = len(self.element_shape)
-        self._dtype = dtype
-        if dtype is not None and dtypes.to_dtype(dtype) is None:
-            raise TaiRuntimeTypeError(f"{dtype!r} is not a type of numbers")
-
-    @property
-    def dtype(self) -> dtypes.DataType | None:
-        return None if self._dtype is None else dtypes.to_dtype(self._dtype)
-
-
-ndarray = NdarrayType
-
-
-def vector(n: int, dtype: Any) -> MatrixType:
-    """The type of vectors of n components."""
-    return MatrixType(n, None, dtype)
-
-
-def matrix(n: int, m: int, dtype: Any) -> MatrixType:
-    """The type of n×m matrices."""
-    return MatrixType(n, m, dtype)
-
-
-def struct(**members: Any) -> Any:
+def struct(**members: Any) -> StructType:
     """The type of structs with these members."""
-    from .structs import StructType
-
     return StructType(members)
 
 
-def refuse_quant(what: str) -> None:
-    """Says that there are no types of a few bits."""
-    raise TaiRuntimeError(
-        f"{what}: types of a few bits are not built in", "use ti.i8, ti.i16, ti.u8 or ti.f16"
-    )
-
-
-class _Quant:
-    """`ti.types.quant`: every use is refused."""
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return lambda *args, **options: refuse_quant(f"ti.types.quant.{name}")
-
-
-quant = _Quant()
-
-
-class BitpackedFields:
-    """Fields of a few bits side by side: not built in."""
-
-    def __init__(self, max_num_bits: int = 32):
-        refuse_quant("ti.BitpackedFields")
-
-
-def is_integral(dtype: Any) -> bool:
-    found = dtypes.to_dtype(dtype)
-    return found is not None and found.is_int
-
-
-def is_real(dtype: Any) -> bool:
-    found = dtypes.to_dtype(dtype)
-    return found is not None and found.is_float
-
-
-def is_signed(dtype: Any) -> bool:
-    found = dtypes.to_dtype(dtype)
-    return found is not None and found.is_signed
-
-
-for _dtype in dtypes.all_types:
-    globals()[_dtype.name] = _dtype
-primitive_types = dtypes
+__all__ = [
+    "BitpackedFields", "DataType", "MatrixType", "NdarrayType", "ScalarType", "StructType", "f16",
+    "f32", "f64", "i16", "i32", "i64", "i8", "is_integral", "is_real", "is_signed", "matrix",
+    "ndarray", "primitive_types", "quant", "struct", "template", "u1", "u16", "u32", "u64", "u8",
+    "vector",
+]  # fmt: skip

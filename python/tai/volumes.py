@@ -14,11 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from ._active import write_elements
-from .dtypes import f16, f32
+from ._impl.base.dtypes import f16, f32
+from ._impl.fields.active import write_elements
+from ._impl.fields.field import Field
+from ._impl.fields.matrix_field import MatrixField
+from ._impl.fields.scalar import ScalarField
+from ._impl.fields.snode import SNode
 from .errors import TaiError, TaiRuntimeError, TaiRuntimeTypeError
-from .fields import Field, MatrixField, ScalarField
-from .snode import SNode
 
 _FORMAT = 1
 
@@ -29,8 +31,7 @@ def innermost(field: Field) -> SNode:
     Raises:
         TaiRuntimeError: the field is not placed, or all of its elements exist.
     """
-    field._placed_node()
-    for level in reversed(field.level.path()):
+    for level in reversed(field._placed_node().path()):
         if level.kind != "dense":
             return level
     raise TaiRuntimeError(
@@ -48,7 +49,7 @@ def coordinates(field: Field) -> np.ndarray:
     level = innermost(field)
     cells = level.active_cells()
     shape, own = field.shape, level.axis_extents()
-    axes = list(field.level.axis_extents())
+    axes = list(field._placed_node().axis_extents())
     # An active cell is a box of elements.
     spans = [n // own.get(axis, 1) for axis, n in zip(axes, shape, strict=True)]
     first = np.zeros((len(cells), len(axes)), np.int64)

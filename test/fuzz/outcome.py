@@ -14,7 +14,7 @@ import random_kernels as programs
 import singular
 import tai as ti
 from configurations import Configuration
-from tai import _ad_check, _ad_probe
+from tai._impl.ad import compare, probe
 from tai.errors import TaiCompilationError, TaiError
 
 # Elements of which sums are right to the last digits.
@@ -122,7 +122,7 @@ def plain(message: str) -> str:
 
 def _run(module):
     """The program, and its loss and gradients by the names of the fields."""
-    program = _ad_check.Program(module.run, module.loss)
+    program = compare.Program(module.run, module.loss)
     program.record()
     program.start.restore(only_primal=True)
     base = program.values()[0]
@@ -148,7 +148,7 @@ def _compare(found: dict, reference: dict, beside: dict) -> Outcome | None:
         scale = max(float(np.max(np.abs(expected))), 1e-6)
         noise = float(np.max(np.abs(beside.get(name, expected) - expected))) / scale
         error = float(np.max(np.abs(value - expected))) / scale
-        # Where a program amplifies it this much, no digits are left to compare.
+        # Where a program amplifies it this much, no digits are left to check.
         if noise < 1e-8 and not error <= 1e-9 + 100 * noise:
             what = "loss" if name == "loss" else "gradient"
             return Outcome(
@@ -207,7 +207,7 @@ def _check_finite(program, f, mask, gradient) -> Outcome:
 
 def _value(program, f, at):
     program.start.restore(only_primal=True)
-    return _ad_check.Snapshot._take(f)[at]
+    return compare.Snapshot._take(f)[at]
 
 
 def _one_sided_limit(program, f, at, sign: float) -> float | None:
@@ -246,8 +246,8 @@ def _check_forward(program, f, mask, gradient, generator, kinked, bound, beside=
     finite = np.isfinite(gradient) & mask
     if not finite.any():
         return Outcome("agree")
-    along = _ad_probe.direction(generator, gradient, finite)
-    expected = _ad_check.forward_derivative(program, f, along, [np.ones(())])
+    along = probe.direction(generator, gradient, finite)
+    expected = compare.forward_derivative(program, f, along, [np.ones(())])
     if expected is None:
         return Outcome("agree")
     parts = (gradient * along)[finite]
@@ -255,7 +255,7 @@ def _check_forward(program, f, mask, gradient, generator, kinked, bound, beside=
     if not np.isfinite(expected) and singular.stores_infinite_tangents(program, f, along):
         return Outcome("undefined", "a kernel stores an infinite derivative")
     scale = float(np.sum(np.abs(parts)))
-    error = _ad_probe.relative_error(reverse, expected, scale)
+    error = probe.relative_error(reverse, expected, scale)
     # Products of huge and tiny numbers may cancel in one order and not in the other.
     if error <= bound or (kinked and not scale < 1e250):
         return Outcome("agree")
@@ -278,22 +278,22 @@ def _check_forward(program, f, mask, gradient, generator, kinked, bound, beside=
 
 
 def _check_differences(program, f, mask, gradient, generator) -> Outcome:
-    along = _ad_probe.direction(generator, gradient, mask)
+    along = probe.direction(generator, gradient, mask)
     reverse = float(np.sum(gradient * along))
     scale = float(np.linalg.norm(gradient)) / math.sqrt(gradient.size)
     value = program.at(f, along)
-    probe = _ad_probe.climb(value, [np.ones(())], reverse, scale, quick=True)
-    if probe.error <= probe.tolerance:
+    climb = probe.climb(value, [np.ones(())], reverse, scale, quick=True)
+    if climb.error <= climb.tolerance:
         return Outcome("agree")
-    detail = "\n".join([f"{f.name}: reverse {reverse!r}, {probe.method} {probe.expected!r}, "
-                        f"error {probe.error:.2g}", *probe.show()])  # fmt: skip
-    if probe.passed:
+    detail = "\n".join([f"{f.name}: reverse {reverse!r}, {climb.method} {climb.expected!r}, "
+                        f"error {climb.error:.2g}", *climb.show()])  # fmt: skip
+    if climb.passed:
         return Outcome("kink", "", detail)
-    rungs = [r for r in probe.ladder if r.improved is not None]
+    rungs = [r for r in climb.ladder if r.improved is not None]
     spread = min(
         abs(a.improved - b.improved) / max(abs(a.improved), scale, 1e-300)
         for a, b in zip(rungs, rungs[1:], strict=False)
     )
-    if probe.jump or not spread < 1e-2 * probe.error:
+    if climb.jump or not spread < 1e-2 * climb.error:
         return Outcome("undecided", "the differences do not settle", detail)
     return Outcome("FAIL", "the gradient and differences disagree", detail)

@@ -17,7 +17,7 @@ import re
 from pathlib import Path
 
 import numpy as np
-from tai import _ad_check, _ad_forward
+from tai._impl.ad import compare, mode
 
 SEED = 2.0**-600
 TIE = re.compile(r"\b(min|max|clamp|atomic_min|atomic_max)\(")
@@ -51,16 +51,16 @@ def stores_infinite_tangents(program, f, along: np.ndarray) -> bool:
     launches = [line.strip() for line in text[text.index("def run():") :].splitlines()[1:]]
     duals = [
         known._companions["dual"]
-        for known in _ad_check.differentiable_fields().values()
+        for known in compare.differentiable_fields().values()
         if known.symbol not in {output.symbol for output in program.outputs}
     ]
     program.start.restore(only_primal=True)
-    _ad_forward.clear_duals()
+    mode.clear_duals()
     f._companions["dual"].core.copy_from(np.ascontiguousarray(along, f.dtype.numpy))
-    with _ad_forward.forward_mode():
+    with mode.forward_mode():
         for launch in filter(None, launches):
             exec(launch, program.run.__globals__)
-            if any(np.isinf(_ad_check.Snapshot._take(dual)).any() for dual in duals):
+            if any(np.isinf(compare.Snapshot._take(dual)).any() for dual in duals):
                 return True
     return False
 
@@ -73,11 +73,11 @@ def is_lost_in_rounding(program, f, along: np.ndarray, error: float) -> bool:
     generator = np.random.default_rng(0)
     start = program.start
     start.restore(only_primal=True)
-    for known in _ad_check.differentiable_fields().values():
-        values = _ad_check.Snapshot._take(known)
+    for known in compare.differentiable_fields().values():
+        values = compare.Snapshot._take(known)
         off = values * (1 + np.finfo(float).eps * generator.uniform(-2, 2, values.shape))
         known.core.copy_from(np.ascontiguousarray(off, known.dtype.numpy))
-    program.start = _ad_check.Snapshot()
+    program.start = compare.Snapshot()
     found = []
     try:
         for _ in range(2):

@@ -10,8 +10,10 @@ import os
 
 import numpy as np
 import tai as ti
-from tai import _core, _interop, kernels
-from tai.program import get_program
+from tai import _core
+from tai._impl.base.program import get_program
+from tai._impl.interop import streams
+from tai._impl.launch import kernels
 
 ON_GPU = os.environ.get("TI_ARCH") == "cuda" and os.environ.get("TAI_CUDA_EMULATION") != "1"
 
@@ -118,10 +120,10 @@ class StandIns:
 
     def __init__(self):
         self.stream = Stream()
-        self._before = _interop.set_current_stream(lambda device: self.stream.address)
+        self._before = streams.set_current_stream(lambda device: self.stream.address)
 
     def close(self):
-        _interop.set_current_stream(self._before)
+        streams.set_current_stream(self._before)
 
     def tensor(self, values, requires_grad=False, index=0):
         values = np.asarray(values)

@@ -52,10 +52,10 @@ def below(layout: str) -> Iterator[None]:
     if layout == "dense":
         yield
         return
-    from tai import fields, snode
+    from tai._impl.fields import scalar, snode
 
     kind, _, lazy = layout.partition("-")
-    dense, put_into = snode.SNode.dense, fields.ScalarField.put_into
+    dense, put_into = snode.SNode.dense, scalar.ScalarField.put_into
     allocate = snode.Root.allocate
 
     def sparse_dense(self: Any, axes: Any, dimensions: Any) -> Any:
@@ -91,14 +91,14 @@ def below(layout: str) -> Iterator[None]:
                 field.core.fill(0)
 
     snode.SNode.dense = sparse_dense
-    fields.ScalarField.put_into = put_beside
+    scalar.ScalarField.put_into = put_beside
     snode.Root.allocate = allocate_and_activate
     before = os.environ.get(VARIABLE)
     os.environ[VARIABLE] = layout
     try:
         yield
     finally:
-        snode.SNode.dense, fields.ScalarField.put_into = dense, put_into
+        snode.SNode.dense, scalar.ScalarField.put_into = dense, put_into
         snode.Root.allocate = allocate
         os.environ.pop(VARIABLE)
         if before is not None:

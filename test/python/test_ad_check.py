@@ -6,7 +6,7 @@ import inspect
 import numpy as np
 import pytest
 import tai as ti
-from tai._ad_probe import relative_error
+from tai._impl.ad.probe import relative_error
 
 
 class Chain:

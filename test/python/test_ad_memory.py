@@ -282,9 +282,9 @@ def test_recomputed_gradients_are_the_same(number, noise):
 
 def get_seed(seed):
     """Starts the random numbers anew."""
-    from tai import _state
+    from tai._impl.base import state
 
-    _state.program.context.set_option("seed", str(seed))
+    state.program.context.set_option("seed", str(seed))
 
 
 @pytest.mark.parametrize("snapshots", [2, 5, 20])

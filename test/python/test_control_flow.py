@@ -6,6 +6,7 @@ import weakref
 import numpy as np
 import pytest
 import tai as ti
+from tai._impl.base.program import get_program
 
 
 def test_if_changes_variables():
@@ -515,7 +516,7 @@ def test_old_programs_are_let_go():
             x[i] = 1.0
 
     kernel()
-    context = weakref.ref(ti.program.get_program().context)
+    context = weakref.ref(get_program().context)
     ti.init(offline_cache=False)
     gc.collect()
     assert context() is None

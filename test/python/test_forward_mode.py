@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tai as ti
-from tai import _state
+from tai._impl.base import state
 
 N = 7
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "derivatives.md"
@@ -55,8 +55,8 @@ def compare_modes(loss, inputs, run, tolerance=1e-12, seed=0):
 
 def op(name):
     """A function that becomes one op of the IR in a kernel."""
-    return lambda *args: _state.emitter._elementwise(
-        name, [_state.emitter.as_value(a) for a in args], _state.emitter.as_value(args[0]).dt
+    return lambda *args: state.emitter._elementwise(
+        name, [state.emitter.as_value(a) for a in args], state.emitter.as_value(args[0]).dt
     )
 
 
@@ -64,7 +64,7 @@ def truth(name):
     """A test for floats, which chooses between two values."""
 
     def function(x, y):
-        emitter = _state.emitter
+        emitter = state.emitter
         test = emitter._elementwise(name, [emitter.as_value(x)], ti.u1)
         return ti.select(test, x * y, x + y)
 

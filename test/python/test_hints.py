@@ -2,7 +2,7 @@
 
 import pytest
 import tai as ti
-from tai._templates import TaiCompilationWarning
+from tai.errors import TaiCompilationWarning
 
 # One statement each, which is wrong; `x` is a field of numbers, `v` of vectors, `m` of matrices,
 # `s` of structs.

@@ -17,7 +17,7 @@ def program():
 
 def held():
     """How many of each thing there are, in C++ and in Python."""
-    from tai.program import get_program
+    from tai._impl.base.program import get_program
 
     program = get_program()
     gc.collect()
@@ -197,7 +197,7 @@ def test_programs():
         fill()
 
     check_flat(one_round, rounds=4, before=2)
-    from tai.program import Program
+    from tai._impl.base.program import Program
 
     gc.collect()
     assert sum(isinstance(thing, Program) for thing in gc.get_objects()) == 1

@@ -2,7 +2,7 @@
 
 import pytest
 import tai as ti
-from tai import _core as native
+from tai._impl.base import native
 
 TABLE = {name: (initial, expects) for name, initial, expects, _ in native.options()}
 # Set while a program runs, or from the environment alone.

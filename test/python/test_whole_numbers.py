@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 import pytest
 import tai as ti
-from tai._templates import TaiCompilationWarning
+from tai.errors import TaiCompilationWarning
 
 SIGNED = [ti.i8, ti.i16, ti.i32, ti.i64]
 UNSIGNED = [ti.u8, ti.u16, ti.u32, ti.u64]
@@ -248,7 +248,7 @@ def test_shifts_by_any_number_of_bits(dt, counter):
     wide = dt
     f()
     # Of two types of one width the unsigned one wins, and the wider of two others.
-    from tai.dtypes import promote
+    from tai._impl.base.dtypes import promote
 
     kind = promote(dt, counter)
     for i, number in enumerate(numbers):
@@ -297,7 +297,7 @@ def test_shifts_by_a_negative_number_fail_in_debug_mode():
 @pytest.mark.parametrize("base", [ti.u1, ti.i8, ti.u8, ti.i32, ti.u32, ti.i64])
 @pytest.mark.parametrize("exponent", [ti.u1, ti.i8, ti.u8, ti.i32, ti.u64])
 def test_powers_of_whole_numbers(base, exponent):
-    from tai.dtypes import promote
+    from tai._impl.base.dtypes import promote
 
     bases = [0, 1] if base is ti.u1 else [0, 1, 2, 3, 7, -1 if base.is_signed else 5]
     powers = (

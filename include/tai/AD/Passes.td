@@ -73,7 +73,12 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
 
     ```mlir
     tai.kernel @scaled(%a: f32, %x: memref<?xf32>) -> f32
-        attributes {tai.gradients = array<i64: 0, 2>}
+        attributes {tai.gradients = array<i64: 0, 2>} {
+      %i = arith.constant 0 : index
+      %e = memref.load %x[%i] : memref<?xf32>
+      %y = arith.mulf %a, %e : f32
+      tai.return %y : f32
+    }
     ```
 
     has the adjoint, by `%a` and the result,

@@ -18,9 +18,13 @@ def LowerStructFor : Pass<"tai-lower-struct-for"> {
     through memory with the smallest stride.
 
     ```mlir
-    tai.parallel_for (%i, %j) in @x { … }
+    tai.parallel_for (%i, %j) in @x {
+      tai.store %v, @x[%i, %j] : f32
+    }
     // becomes, for a layout dense<[i: 4, j: 8], {x: f32}>
-    tai.parallel_for (%i, %j) = (%c0, %c0) to (%c4, %c8) { … }
+    tai.parallel_for (%i, %j) = (%c0, %c0) to (%c4, %c8) {
+      tai.store %v, @x[%i, %j] : f32
+    }
     ```
 
     With the skip `activation-demotion`, a write to the cell of the iteration
@@ -54,9 +58,15 @@ def NarrowIndices : Pass<"tai-narrow-indices", "::mlir::ModuleOp"> {
     bounds may be large.
 
     ```mlir
-    tai.parallel_for (%i) = (%c0) to (%n) {      // %n from an i32: 32 bits
-    tai.parallel_for (%i) = (%c0) to (%m) {      // %m from an i64: 64 bits
-    tai.parallel_for (%i, %j) = (%c0, %c0) to (%n, %n) {      // 64 bits
+    // %n from an i32: 32 bits
+    tai.parallel_for (%i) = (%c0) to (%n) {
+    }
+    // %m from an i64: 64 bits
+    tai.parallel_for (%j) = (%c0) to (%m) {
+    }
+    // The product of two numbers of 32 bits: 64 bits
+    tai.parallel_for (%k, %l) = (%c0, %c0) to (%n, %n) {
+    }
     ```
 
     Expects loops over boxes and field accesses, as they are before
@@ -132,20 +142,30 @@ def ConvertTaiToGPU : Pass<"convert-tai-to-gpu", "::mlir::ModuleOp"> {
 
     ```mlir
     tai.kernel @k(%s: f32) {
+      %c0 = arith.constant 0 : index
+      %c4096 = arith.constant 4096 : index
       tai.parallel_for (%i) = (%c0) to (%c4096) {
-        … llvm.load, arith, llvm.store …
+        "some.work"(%i, %s) : (index, f32) -> ()
       }
       tai.return
     }
     // becomes
-    llvm.func @k(%frame: !llvm.ptr) -> i32 {
-      gpu.launch_func @kernels::@k_0 blocks in (%c16, …) threads in (%c256, …)
-          args(%s : f32, %tree : !llvm.ptr)
-      …
+    llvm.func @k_host(%frame: !llvm.ptr, %s: f32, %tree: !llvm.ptr) -> i32 {
+      %c1 = arith.constant 1 : index
+      %c16 = arith.constant 16 : index
+      %c256 = arith.constant 256 : index
+      gpu.launch_func @kernels::@k_0 blocks in (%c16, %c1, %c1)
+          threads in (%c256, %c1, %c1) args(%s : f32, %tree : !llvm.ptr)
+      %status = arith.constant 0 : i32
+      llvm.return %status : i32
     }
     gpu.module @kernels {
       llvm.func @k_0(%s: f32, %tree: !llvm.ptr) attributes {gpu.kernel} {
-        scf.for %i = %thread to %c4096 step %threads { … }
+        %thread, %threads, %c4096 = "some.numbers"() : () -> (index, index, index)
+        scf.for %i = %thread to %c4096 step %threads {
+          "some.work"(%i, %s) : (index, f32) -> ()
+        }
+        llvm.return
       }
     }
     ```

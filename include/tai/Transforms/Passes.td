@@ -151,8 +151,8 @@ def InstrumentAccesses : Pass<"tai-instrument-accesses", "::mlir::ModuleOp"> {
     tai.kernel @k(%shadow: memref<?xi32>, %log: memref<?xi64>, %base: i32) {
       tai.parallel_for (%i) in @x {
         %id = arith.addi %base, %c1_i32 : i32
-        ... // has another iteration written x[i]?
-        memref.atomic_rmw assign %id, %shadow[...]
+        // Has another iteration written x[i]? Then that goes into the log.
+        %before = memref.atomic_rmw assign %id, %shadow[%i] : (i32, memref<?xi32>) -> i32
         %0 = tai.load @x[%i] : f32
       }
       tai.return
@@ -339,15 +339,17 @@ def SplitInterior : Pass<"tai-split-interior"> {
     tai.parallel_for (%i) in @x {
       %0 = arith.cmpi eq, %i, %c0 : index
       %1 = arith.select %0, %c7, %im1 : index
-      ...
+      "some.work"(%1) : (index) -> ()
     }
     // becomes
     tai.parallel_for (%i) in @x {
-      %0 = %i in [1, 8)
-      scf.if %0 {
-        ... // with %im1
+      %inside = arith.cmpi sge, %i, %c1 : index
+      scf.if %inside {
+        "some.work"(%im1) : (index) -> ()
       } else {
-        ... // as before
+        %0 = arith.cmpi eq, %i, %c0 : index
+        %1 = arith.select %0, %c7, %im1 : index
+        "some.work"(%1) : (index) -> ()
       } {tai.interior = array<i64: 1, 8>}
     }
     ```
@@ -370,12 +372,21 @@ def SplitLoops : Pass<"tai-split-loops"> {
 
     ```mlir
     scf.for %i = %lo to %hi step %c1 {
-      scf.if %inside { A } else { B } {tai.interior = array<i64: 1, 8>}
+      scf.if %inside {
+        "in.interior"(%i) : (index) -> ()
+      } else {
+        "at.border"(%i) : (index) -> ()
+      } {tai.interior = array<i64: 1, 8>}
     }
     // becomes, with lo <= a <= b <= hi
-    scf.for %i = %a to %b step %c1 { A }
+    scf.for %i = %a to %b step %c1 {
+      "in.interior"(%i) : (index) -> ()
+    }
     scf.for %side = %c0 to %c2 step %c1 {
-      scf.for %i = ... { B } // [lo, a), then [b, hi)
+      // [lo, a), then [b, hi)
+      scf.for %i = %first to %end step %c1 {
+        "at.border"(%i) : (index) -> ()
+      }
     }
     ```
   }];
@@ -481,11 +492,18 @@ def VectorizeBlocks : Pass<"tai-vectorize-blocks"> {
     elementwise operations and write to elements of their own; others stay.
 
     ```mlir
-    tai.parallel_for (%i, %j) in @x { … }
+    tai.parallel_for (%i, %j) in @x {
+      "some.work"(%i, %j) : (index, index) -> ()
+    }
     // becomes, for a layout pointer<[i: 4, j: 4], dense<[i: 8, j: 8], {x: f32}>>
     tai.parallel_for (%i, %j) in @x level 2 {
-      %inside = …
-      scf.if %inside { … : vector<8xf32> } else { scf.for … }
+      scf.if %inside {
+        "on.a.row"(%i, %j, %row) : (index, index, vector<8xf32>) -> ()
+      } else {
+        scf.for %k = %c0 to %c64 step %c1 {
+          "some.work"(%i, %k) : (index, index) -> ()
+        }
+      }
     }
     ```
   }];
@@ -536,16 +554,16 @@ def SpreadAccumulations : Pass<"tai-spread-accumulations"> {
     even steps. What is left is done by one iteration more.
 
     ```mlir
-    tai.parallel_for (%i) = (0) to (32) {
-      %g = …
-      tai.atomic add … @w[%i, 0] exclusive
-      …
-      tai.atomic add … @w[%i, 99] exclusive
+    tai.parallel_for (%i) = (%c0) to (%c32) {
+      %g = "some.value"(%i) : (index) -> f32
+      tai.atomic add %g, @w[%i, %c0] exclusive : f32
+      // and so on, to
+      tai.atomic add %g, @w[%i, %c99] exclusive : f32
     }
     // becomes
-    tai.parallel_for (%m, %i) = (0, 0) to (100, 32) {
-      %g = …
-      tai.atomic add … @w[%i, %m] exclusive
+    tai.parallel_for (%m, %i) = (%c0, %c0) to (%c100, %c32) {
+      %g = "some.value"(%i) : (index) -> f32
+      tai.atomic add %g, @w[%i, %m] exclusive : f32
     }
     ```
 
@@ -578,12 +596,22 @@ def StripLoops : Pass<"tai-strip-loops"> {
     of a tile.
 
     ```mlir
-    tai.parallel_for (%i, %j) = (0, 0) to (8192, 8192) { body }
-    // becomes
-    tai.parallel_for (%a, %b, %r, %s) = (0, 0, 0, 0) to (1024, 64, 8, 32) {
-      %i = 8 * %a + %r
-      %j = 4 * (32 * %b + %s)
-      scf.if %inside { four times body' } else { scf.for body }
+    tai.parallel_for (%i, %j) = (%c0, %c0) to (%c8192, %c8192) {
+      "some.work"(%i, %j) : (index, index) -> ()
+    }
+    // becomes, with i = 8 a + r and j = 4 (32 b + s)
+    tai.parallel_for (%a, %b, %r, %s) = (%c0, %c0, %c0, %c0)
+                                     to (%c1024, %c64, %c8, %c32) {
+      %i, %j = "some.sums"(%a, %b, %r, %s)
+          : (index, index, index, index) -> (index, index)
+      scf.if %inside {
+        "some.work"(%i, %j) : (index, index) -> ()
+        // four times, for j, j + 1, j + 2 and j + 3
+      } else {
+        scf.for %k = %c0 to %left step %c1 {
+          "some.work"(%i, %k) : (index, index) -> ()
+        }
+      }
     }
     ```
 

@@ -178,9 +178,8 @@ LogicalResult KernelOffload::run() {
     for (int64_t d = extents.size(); d != type.getRank(); ++d)
       bytes = math.mul(bytes, type.getDimSize(d));
     // Whether it is written is known when its uses stand.
-    return runtime.call(
-        b, loc, "tai_rt_device_array", runtime.getPointerType(),
-        {frame, address, math.toI64(bytes), runtime.i32(b, loc, 1)});
+    return runtime.tai_rt_device_array(
+        b, loc, frame, address, math.toI64(bytes), runtime.i32(b, loc, 1));
   };
   if (failed(replaceArguments(kernel, frame, builder, runtime, arrayAddress)))
     return failure();
@@ -223,8 +222,7 @@ LogicalResult KernelOffload::run() {
     return failure();
   start.erase();
   builder.setInsertionPointToEnd(entry);
-  Value status = runtime.call(builder, loc, "tai_rt_failed",
-                              builder.getI32Type(), {frame});
+  Value status = runtime.tai_rt_failed(builder, loc, frame);
   LLVM::ReturnOp::create(builder, loc, status);
   lowerPreconditions(host, lowering.host);
   kernel.erase();

@@ -74,9 +74,8 @@ static LogicalResult hoistLists(LLVM::LLVMFuncOp host) {
 /// Memory of the device for this launch.
 static Value createScratch(OpBuilder &builder, Location loc, Value frame,
                            RuntimeCalls &runtime, int64_t bytes) {
-  return runtime.call(builder, loc, "tai_rt_device_scratch",
-                      runtime.getPointerType(),
-                      {frame, runtime.i64(builder, loc, bytes)});
+  return runtime.tai_rt_device_scratch(builder, loc, frame,
+                                       runtime.i64(builder, loc, bytes));
 }
 
 namespace {
@@ -354,9 +353,9 @@ void tai::fetchHostValues(LLVM::LLVMFuncOp host, Value frame,
       OpBuilder builder(first ? first : value.getOperation());
       Location loc = value.getLoc();
       Value room = emitStackSlots(builder, loc, 1);
-      runtime.call(
-          builder, loc, "tai_rt_device_fetch", Type(),
-          {frame, room, value.getOperand(0), runtime.i64(builder, loc, 8)});
+      runtime.tai_rt_device_fetch(builder, loc, frame, room,
+                                  value.getOperand(0),
+                                  runtime.i64(builder, loc, 8));
       value.getResult(0).replaceAllUsesWith(
           emitSlotLoad(builder, loc, value.getResult(0).getType(), room));
     }

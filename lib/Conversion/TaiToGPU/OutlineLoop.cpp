@@ -523,8 +523,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
     RuntimeCalls &host = lowering.host.runtime;
     OpBuilder before(loop);
     operands.insert(operands.begin(),
-                    host.call(before, loc, "tai_rt_device_state",
-                              host.getPointerType(), {frame}));
+                    host.tai_rt_device_state(before, loc, frame));
   }
   function.setFunctionType(LLVM::LLVMFunctionType::get(
       voidType, llvm::to_vector(entry->getArgumentTypes())));
@@ -543,8 +542,8 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   OpBuilder after(loop);
   RuntimeCalls &hostCalls = lowering.host.runtime;
   for (auto [tree, removes] : activated)
-    hostCalls.call(after, loc, "tai_rt_device_activates", Type(),
-                   {frame, tree, hostCalls.i32(after, loc, removes)});
+    hostCalls.tai_rt_device_activates(after, loc, frame, tree,
+                                      hostCalls.i32(after, loc, removes));
   loop.erase();
   return success();
 }

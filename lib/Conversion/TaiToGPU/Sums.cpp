@@ -48,9 +48,8 @@ static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
   Location loc = loop.getLoc();
   Type storage = getStorageType(type);
   auto scratch = [&](int64_t count) {
-    return runtime.call(builder, loc, "tai_rt_device_scratch",
-                        runtime.getPointerType(),
-                        {frame, runtime.i64(builder, loc, 8 * count)});
+    return runtime.tai_rt_device_scratch(builder, loc, frame,
+                                         runtime.i64(builder, loc, 8 * count));
   };
   int64_t threads = getSumThreads(loop);
   Value partials = scratch(threads), groups = scratch(kSumGroups);

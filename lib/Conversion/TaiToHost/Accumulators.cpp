@@ -212,8 +212,7 @@ void Accumulators::emitBefore(OpBuilder &builder, Location loc, Value frame,
     OpBuilder otherwise = OpBuilder::atBlockBegin(choice.elseBlock());
     Value bytes = arith::MulIOp::create(
         otherwise, loc, parts, runtime.i64(otherwise, loc, getPartialBytes()));
-    Value memory =
-        runtime.call(otherwise, loc, "tai_rt_scratch", pointer, {frame, bytes});
+    Value memory = runtime.tai_rt_scratch(otherwise, loc, frame, bytes);
     scf::YieldOp::create(otherwise, loc, memory);
     partials = choice.getResult(0);
   }
@@ -228,9 +227,8 @@ void Accumulators::emitBefore(OpBuilder &builder, Location loc, Value frame,
     OpBuilder then = OpBuilder::atBlockBegin(choice.thenBlock());
     scf::YieldOp::create(then, loc, buffer.target);
     OpBuilder otherwise = OpBuilder::atBlockBegin(choice.elseBlock());
-    Value memory =
-        runtime.call(otherwise, loc, "tai_rt_private", pointer,
-                     {frame, runtime.i64(otherwise, loc, bytes), parts});
+    Value memory = runtime.tai_rt_private(
+        otherwise, loc, frame, runtime.i64(otherwise, loc, bytes), parts);
     scf::YieldOp::create(otherwise, loc, memory);
     buffer.memory = choice.getResult(0);
     buffer.partStride =
@@ -303,16 +301,15 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
     Value kind = runtime.i32(inside, loc, field.scalarType.isF64() ? 1 : 0);
     if (buffer.isContiguous()) {
       Value count = runtime.i64(inside, loc, buffer.numElements());
-      runtime.call(inside, loc, "tai_rt_combine", Type(),
-                   {frame, buffer.target, buffer.memory, count, parts, kind});
+      runtime.tai_rt_combine(inside, loc, frame, buffer.target, buffer.memory,
+                             count, parts, kind);
       continue;
     }
-    runtime.call(inside, loc, "tai_rt_combine_strided", Type(),
-                 {frame, buffer.target, buffer.memory,
-                  runtime.i64(inside, loc, buffer.slice.numCells),
-                  runtime.i64(inside, loc, field.numComponents),
-                  runtime.i64(inside, loc, buffer.slice.cellStride), parts,
-                  kind});
+    runtime.tai_rt_combine_strided(
+        inside, loc, frame, buffer.target, buffer.memory,
+        runtime.i64(inside, loc, buffer.slice.numCells),
+        runtime.i64(inside, loc, field.numComponents),
+        runtime.i64(inside, loc, buffer.slice.cellStride), parts, kind);
   }
 }
 

@@ -96,10 +96,8 @@ LogicalResult tai::lowerKernel(KernelOp kernel, ModuleLowering &lowering) {
       return failure();
 
   builder.setInsertionPointToEnd(entry);
-  Value status = canFail(functions)
-                     ? runtime.call(builder, loc, "tai_rt_failed",
-                                    builder.getI32Type(), {frame})
-                     : runtime.i32(builder, loc, 0);
+  Value status = canFail(functions) ? runtime.tai_rt_failed(builder, loc, frame)
+                                    : runtime.i32(builder, loc, 0);
   LLVM::ReturnOp::create(builder, loc, status);
   lowerPreconditions(function, lowering);
   kernel.erase();

@@ -55,9 +55,9 @@ static LogicalResult lowerLaunch(LaunchOp op, Value frame,
   Value results = numResults ? emitStackSlots(builder, loc, numResults)
                              : runtime.null(builder, loc);
   Value name = runtime.string(builder, loc, op.getKernel());
-  runtime.call(builder, loc, "tai_rt_host_launch", builder.getI32Type(),
-               {frame, name, args, runtime.i64(builder, loc, numArgs), results,
-                runtime.i64(builder, loc, numResults)});
+  runtime.tai_rt_host_launch(builder, loc, frame, name, args,
+                             runtime.i64(builder, loc, numArgs), results,
+                             runtime.i64(builder, loc, numResults));
   next = 0;
   for (Value result : op.getResults()) {
     auto vector = dyn_cast<VectorType>(result.getType());
@@ -88,14 +88,13 @@ static LogicalResult lowerLaunch(LaunchOp op, Value frame,
 static void lowerTape(TapeOp op, Value frame, RuntimeCalls &runtime) {
   OpBuilder builder(op);
   Location loc = op.getLoc();
-  Type i32 = builder.getI32Type();
   Value loss = runtime.string(builder, loc, op.getLoss());
-  runtime.call(builder, loc, "tai_rt_host_tape_begin", i32, {frame, loss});
+  runtime.tai_rt_host_tape_begin(builder, loc, frame, loss);
   Block &body = op.getBody().front();
   body.getTerminator()->erase();
   op->getBlock()->getOperations().splice(op->getIterator(),
                                          body.getOperations());
-  runtime.call(builder, loc, "tai_rt_host_tape_end", i32, {frame});
+  runtime.tai_rt_host_tape_end(builder, loc, frame);
   op.erase();
 }
 
@@ -155,8 +154,7 @@ static LogicalResult lowerCheckGradient(CheckGradientOp op, StringRef name,
   if (failed(closure.capture(region.getBody())))
     return failure();
   OpBuilder inside = OpBuilder::atBlockEnd(entry);
-  Value status =
-      runtime.call(inside, loc, "tai_rt_failed", i32, {region.getArgument(0)});
+  Value status = runtime.tai_rt_failed(inside, loc, region.getArgument(0));
   LLVM::ReturnOp::create(inside, loc, status);
 
   int64_t count = op.getWrt().size();
@@ -171,9 +169,9 @@ static LogicalResult lowerCheckGradient(CheckGradientOp op, StringRef name,
       arith::ConstantOp::create(builder, loc, op.getToleranceAttr());
   Value address = LLVM::AddressOfOp::create(builder, loc, region);
   Value where = runtime.string(builder, loc, describeLocation(loc));
-  runtime.call(builder, loc, "tai_rt_host_check_gradient", i32,
-               {frame, loss, names, runtime.i64(builder, loc, count), tolerance,
-                address, closure.emit(runtime), where});
+  runtime.tai_rt_host_check_gradient(
+      builder, loc, frame, loss, names, runtime.i64(builder, loc, count),
+      tolerance, address, closure.emit(runtime), where);
   op.erase();
   return success();
 }
@@ -268,7 +266,7 @@ LogicalResult tai::lowerHostFunction(func::FuncOp function,
     return failure();
 
   builder.setInsertionPointToEnd(entry);
-  Value status = runtime.call(builder, loc, "tai_rt_failed", type, {frame});
+  Value status = runtime.tai_rt_failed(builder, loc, frame);
   LLVM::ReturnOp::create(builder, loc, status);
   function.erase();
   return success();

@@ -231,9 +231,8 @@ static LogicalResult lowerPrint(PrintOp op, Value frame,
   MessageValues values =
       emitMessageValues(runtime, builder, loc, op.getArgs(), getShapes(op));
   Value format = runtime.string(builder, loc, op.getFormat());
-  runtime.call(
-      builder, loc, "tai_rt_print", Type(),
-      {frame, format, values.count, values.kinds, values.shapes, values.slots});
+  runtime.tai_rt_print(builder, loc, frame, format, values.count, values.kinds,
+                       values.shapes, values.slots);
   op.erase();
   return success();
 }
@@ -248,19 +247,17 @@ static void lowerCellOp(Operation *op, Value frame, RuntimeCalls &runtime) {
   OpBuilder builder(op);
   Location loc = op->getLoc();
   IndexMath math(builder, loc);
-  Type i32 = builder.getI32Type(), i64 = builder.getI64Type();
   Value tree = op->getOperand(0);
   Value node = runtime.i32(builder, loc,
                            op->getAttrOfType<IntegerAttr>("node").getInt());
   if (auto cells = dyn_cast<ActiveCellsOp>(op)) {
     Value slot = emitStackSlots(builder, loc, 1);
     auto reach = op->getAttrOfType<IntegerAttr>(kReachAttrName);
-    Value count =
-        reach ? runtime.call(builder, loc, "tai_rt_gathered_cells", i64,
-                             {frame, tree, node,
-                              runtime.i64(builder, loc, reach.getInt()), slot})
-              : runtime.call(builder, loc, "tai_rt_active_cells", i64,
-                             {frame, tree, node, slot});
+    Value count = reach ? runtime.tai_rt_gathered_cells(
+                              builder, loc, frame, tree, node,
+                              runtime.i64(builder, loc, reach.getInt()), slot)
+                        : runtime.tai_rt_active_cells(builder, loc, frame, tree,
+                                                      node, slot);
     Value list =
         LLVM::LoadOp::create(builder, loc, runtime.getPointerType(), slot);
     cells.getCells().replaceAllUsesWith(list);
@@ -268,8 +265,7 @@ static void lowerCellOp(Operation *op, Value frame, RuntimeCalls &runtime) {
     return op->erase();
   }
   if (auto current = dyn_cast<ListIsCurrentOp>(op)) {
-    Value all = runtime.call(builder, loc, "tai_rt_list_is_current", i32,
-                             {frame, tree, node});
+    Value all = runtime.tai_rt_list_is_current(builder, loc, frame, tree, node);
     current.getCurrent().replaceAllUsesWith(
         arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::ne, all,
                               runtime.i32(builder, loc, 0)));
@@ -278,18 +274,17 @@ static void lowerCellOp(Operation *op, Value frame, RuntimeCalls &runtime) {
   Value number = math.toI64(op->getOperand(1));
   Value where = runtime.string(builder, loc, describeLocation(loc));
   if (auto activate = dyn_cast<ActivateCellOp>(op)) {
-    Value done = runtime.call(builder, loc, "tai_rt_activate", i32,
-                              {frame, tree, node, number, where});
+    Value done =
+        runtime.tai_rt_activate(builder, loc, frame, tree, node, number, where);
     activate.getDone().replaceAllUsesWith(
         arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::ne, done,
                               runtime.i32(builder, loc, 0)));
   } else if (auto append = dyn_cast<AppendCellOp>(op)) {
-    Value at = runtime.call(builder, loc, "tai_rt_append", i64,
-                            {frame, tree, node, number, where});
+    Value at =
+        runtime.tai_rt_append(builder, loc, frame, tree, node, number, where);
     append.getAt().replaceAllUsesWith(math.toIndex(at));
   } else {
-    runtime.call(builder, loc, "tai_rt_deactivate", Type(),
-                 {frame, tree, node, number, where});
+    runtime.tai_rt_deactivate(builder, loc, frame, tree, node, number, where);
   }
   op->erase();
 }

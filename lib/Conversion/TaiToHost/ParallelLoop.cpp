@@ -236,8 +236,8 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   Value fixed = runtime.i32(builder, loc, reduces || lowering.deterministic);
   Value nanoseconds =
       runtime.i64(builder, loc, std::max<int64_t>(1, std::llround(cost)));
-  Value parts = runtime.call(builder, loc, "tai_rt_parts", i64,
-                             {frame, count, nanoseconds, fixed});
+  Value parts =
+      runtime.tai_rt_parts(builder, loc, frame, count, nanoseconds, fixed);
   if (reduces) {
     parts = accumulators->limitParts(builder, loc, parts, count, perStep);
     accumulators->emitBefore(builder, loc, frame, parts);
@@ -260,8 +260,8 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
 
   Value address = LLVM::AddressOfOp::create(builder, loc, function);
   Value environment = closure.emit(runtime);
-  runtime.call(builder, loc, "tai_rt_parallel_for", Type(),
-               {frame, address, environment, count, parts});
+  runtime.tai_rt_parallel_for(builder, loc, frame, address, environment, count,
+                              parts);
   accumulators->emitAfter(builder, loc, frame, parts);
   loop.erase();
   return success();

@@ -211,7 +211,7 @@ void tai::emitFail(RuntimeCalls &runtime, OpBuilder &builder, Location loc,
       emitMessageValues(runtime, builder, loc, values, shapes);
   Value text = runtime.string(builder, loc, message);
   Value where = runtime.string(builder, loc, describeLocation(loc));
-  runtime.call(builder, loc, "tai_rt_fail", Type(),
-               {frame, runtime.i32(builder, loc, failure), text, where,
-                packed.count, packed.kinds, packed.shapes, packed.slots});
+  runtime.tai_rt_fail(builder, loc, frame, runtime.i32(builder, loc, failure),
+                      text, where, packed.count, packed.kinds, packed.shapes,
+                      packed.slots);
 }

@@ -20,14 +20,50 @@
 
 namespace mlir::tai {
 
+/// MLIR's types for those of a C function of Abi.def.
+template <typename Function> struct EntryTypes;
+template <typename Result, typename... Parameters>
+struct EntryTypes<Result(Parameters...)> {
+  static constexpr size_t numParameters = sizeof...(Parameters);
+  static Type getResult(MLIRContext *context) { return get<Result>(context); }
+  static SmallVector<Type> getParameters(MLIRContext *context) {
+    return {get<Parameters>(context)...};
+  }
+
+private:
+  /// Null for void.
+  template <typename T> static Type get(MLIRContext *context) {
+    if constexpr (std::is_void_v<T>)
+      return Type();
+    else if constexpr (std::is_pointer_v<T>)
+      return LLVM::LLVMPointerType::get(context);
+    else if constexpr (std::is_same_v<T, double>)
+      return Float64Type::get(context);
+    else
+      return IntegerType::get(context, 8 * sizeof(T));
+  }
+};
+
 class RuntimeCalls {
 public:
   /// `table` is the module, or the part of it that is compiled for a device:
   /// what is called is declared there.
   explicit RuntimeCalls(Operation *table);
 
-  /// Calls a function of the runtime; a null `result` stands for void. Pure
-  /// functions neither read nor write memory that the kernel sees.
+  /// A method for each row of Abi.def: emits a call of the function of the same
+  /// name, with a value for each parameter. Null where it returns nothing.
+#define TAI_ENTRY(result, name, parameters)                                    \
+  template <typename... Arguments>                                             \
+  Value tai_rt_##name(OpBuilder &builder, Location loc,                        \
+                      Arguments... arguments) {                                \
+    return callEntry<decltype(::tai_rt_##name)>(builder, loc, "tai_rt_" #name, \
+                                                {Value(arguments)...});        \
+  }
+#include "tai/ABI/Abi.def"
+
+  /// Calls another function, of the device library for example; a null `result`
+  /// stands for void. Pure functions neither read nor write memory that the
+  /// kernel sees.
   Value call(OpBuilder &builder, Location loc, StringRef name, Type result,
              ValueRange arguments, bool pure = false);
 
@@ -46,6 +82,19 @@ public:
   LLVM::LLVMPointerType getPointerType() { return pointerType; }
 
 private:
+  template <typename Function, size_t count>
+  Value callEntry(OpBuilder &builder, Location loc, StringRef name,
+                  const Value (&arguments)[count]) {
+    using Types = EntryTypes<Function>;
+    static_assert(count == Types::numParameters,
+                  "a value for each parameter of the function");
+    MLIRContext *context = builder.getContext();
+    assert(TypeRange(ValueRange(arguments)) ==
+               TypeRange(Types::getParameters(context)) &&
+           "values are of the types of the function");
+    return call(builder, loc, name, Types::getResult(context),
+                ValueRange(arguments));
+  }
   Value global(OpBuilder &builder, Location loc, Type type, Attribute value,
                StringRef prefix);
 

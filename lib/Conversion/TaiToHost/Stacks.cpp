@@ -38,7 +38,8 @@ public:
   void push(Value value) {
     Value isFull = arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::eq,
                                          loadSize(), load(2));
-    call(isFull, "tai_rt_stack_grow", {frame, stack});
+    OpBuilder inside = onlyIf(isFull);
+    runtime.tai_rt_stack_grow(inside, loc, frame, stack);
     Value size = loadSize();
     emitSlotStore(builder, loc, value, getTop(size));
     store(add(size, 1), 1);
@@ -56,7 +57,8 @@ public:
     Value grown =
         arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::ne, load(2),
                               runtime.i64(builder, loc, TAI_STACK_SLOTS));
-    call(grown, "tai_rt_stack_free", {stack});
+    OpBuilder inside = onlyIf(grown);
+    runtime.tai_rt_stack_free(inside, loc, stack);
   }
 
 private:
@@ -81,10 +83,8 @@ private:
         builder, loc, slots.getType(), builder.getI64Type(), slots,
         ArrayRef<LLVM::GEPArg>{position}, LLVM::GEPNoWrapFlags::inbounds);
   }
-  void call(Value condition, StringRef name, ValueRange arguments) {
-    auto branch = scf::IfOp::create(builder, loc, condition);
-    OpBuilder inside = branch.getThenBodyBuilder();
-    runtime.call(inside, loc, name, Type(), arguments);
+  OpBuilder onlyIf(Value condition) {
+    return scf::IfOp::create(builder, loc, condition).getThenBodyBuilder();
   }
 
   OpBuilder &builder;

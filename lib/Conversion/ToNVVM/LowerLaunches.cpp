@@ -59,10 +59,10 @@ static LogicalResult lower(gpu::LaunchFuncOp launch, RuntimeCalls &runtime,
   Value iterations = getConstantIntValue(blocks) == 0
                          ? math.constant(-1)
                          : math.mul(blocks, threads);
-  runtime.call(builder, loc, "tai_rt_device_launch", Type(),
-               {host.getArgument(0), runtime.i32(builder, loc, *number),
-                math.toI64(iterations), slots,
-                runtime.i32(builder, loc, operands.size())});
+  runtime.tai_rt_device_launch(builder, loc, host.getArgument(0),
+                               runtime.i32(builder, loc, *number),
+                               math.toI64(iterations), slots,
+                               runtime.i32(builder, loc, operands.size()));
   launch.erase();
   return success();
 }

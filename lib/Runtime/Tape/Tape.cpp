@@ -5,270 +5,60 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The reverse sweep runs by a plan, made once for a sequence of records and a
-// set of adjoints that are non-zero at its start. A callback may touch
-// anything, so a tape with callbacks decides as it goes, from the dirty flags
-// of the adjoint fields, which every launch and every host write keep.
+// What a tape is asked for when it has recorded: the order in which its parts
+// do their work.
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/Runtime/Tape/Tape.h"
-#include "../Host/HostWrite.h"
-#include "../Launch/Launch.h"
-#include "../Mirror/DeviceContext.h"
-#include "../Storage/Scalars.h"
-#include "../Text/Format.h"
-#include "TapeCheckpoint.h"
-#include "TapeMemory.h"
-#include "TapeTopology.h"
-#include <algorithm>
-#include <cstring>
+#include "TapeParts.h"
 
 using namespace mlir::tai::runtime;
 
-Status Tape::begin(Runtime &runtime, FieldPtr loss, bool clear,
-                   std::unique_ptr<Tape> &tape) {
-  if (runtime.recordingTape())
-    return Status::failure(StatusCode::Usage,
-                           "a tape is being recorded already, and tapes do not "
-                           "nest");
-  // A device recognises recordings that come again by what is queued.
-  DeviceContext *device = runtime.getDeviceContext();
-  if (device && runtime.recordings().isAny())
-    return Status::failure(StatusCode::Usage,
-                           "another thread records a tape, and a GPU has room "
-                           "for one at a time: let it finish first");
-  std::unique_ptr<Tape> made(
-      new Tape(runtime, runtime.recordings().nextStamp(), clear));
-  // From here on it holds what it uses.
-  Status held = made->holdFields();
-  if (!held)
-    return held;
-  if (loss) {
-    if (loss->rank() != 0 || loss->numComponents() != 1 ||
-        !isFloat(loss->scalar()))
-      return Status::failure(StatusCode::Usage,
-                             "the loss '" + loss->name() +
-                                 "' must be one floating-point number (a field "
-                                 "without indices)");
-    Status status = made->addLoss(std::move(loss));
-    if (!status)
-      return status;
-  }
-  // Clearing belongs to it.
-  if (device)
-    device->beginRecording();
-  if (clear)
-    runtime.clearGradients(made.get());
-  else
-    runtime.settleZeros();
-  tape = std::move(made);
-  tape->isOpen = true;
-  runtime.recordings().begin(*tape);
-  return Status::success();
-}
-
 //===----------------------------------------------------------------------===//
-// What the reverse sweep needs
+// Fields and losses
 //===----------------------------------------------------------------------===//
 
-template <typename Live>
-Tape::Decision Tape::decide(size_t index, const Live &live) const {
-  const Record &record = records[index];
-  if (record.kind == Kind::Callback)
-    return callbacks[record.payload].backward ? Decision::Callback
-                                              : Decision::SkipCallback;
-  if (record.kind == Kind::Write) {
-    const Field *field = getWrite(record).field;
-    return field->adjoint() && live(field) ? Decision::Overwrite
-                                           : Decision::SkipUnreached;
-  }
-  const Kernel &kernel = *record.kernel;
-  if (!kernel.differentiable())
-    return Decision::SkipNoDerivative;
-  const auto &sources = kernel.adjointSources;
-  const CallerAdjoints &caller = kernel.info.callerAdjoints;
-  if (std::none_of(sources.begin(), sources.end(), live) &&
-      !caller.hasSources())
-    return Decision::SkipUnreached;
-  if (!kernel.adjointTargets.empty() || caller.hasTargets)
-    return Decision::Replay;
-  // What remains is to forget the adjoints of what the kernel overwrote. That
-  // matters only to those who wrote it before.
-  if (storesAgain[index] &&
-      std::any_of(kernel.overwritten.begin(), kernel.overwritten.end(), live))
-    return Decision::Replay;
-  return Decision::SkipNoEffect;
+bool Tape::minds(const Field &field) const {
+  return parts->memory.minds(field);
 }
 
-Tape::Decision Tape::withoutPruning(size_t index, Decision decision) const {
-  bool prunes =
-      decision == Decision::SkipUnreached || decision == Decision::SkipNoEffect;
-  return prunes && records[index].kernel && !runtime.skips(Skip::TapePruning)
-             ? Decision::Unpruned
-             : decision;
+bool Tape::uses(const FieldPtr &field) const { return parts->holds.has(field); }
+
+void Tape::releaseFields() { parts->holds.release(); }
+
+Status Tape::clearGradients() {
+  Status status = parts->holds.hold();
+  if (status)
+    parts->services.owner().clearGradients(this);
+  releaseFields();
+  return status;
 }
 
-std::vector<Field *> Tape::liveFields(bool cleared) const {
-  // What another thread has left is no concern of this tape.
-  auto mayBeNonzero = [&](const FieldPtr &adjoint) {
-    if (adjoint->isDirtiedByOther() && !touched.count(adjoint))
-      return false;
-    return cleared ? adjoint->tree().isLent() : adjoint->dirty();
-  };
-  std::vector<Field *> live;
-  for (const FieldPtr &field : runtime.fields())
-    if (field->adjoint() &&
-        (isLoss(*field) || mayBeNonzero(field->adjointField)))
-      live.push_back(field.get());
-  return live;
+Status Tape::addLoss(FieldPtr loss) {
+  return parts->seeds.add(std::move(loss), parts->holds);
 }
 
-bool Tape::planHolds(bool cleared) const {
-  return decisions.size() == records.size() &&
-         plannedEpoch == runtime.storageEpoch() &&
-         plannedLive == liveFields(cleared);
+Status Tape::setSeed(const Field &loss, const void *array) {
+  return parts->seeds.set(loss, array);
 }
 
-void Tape::plan(bool cleared) {
-  plannedEpoch = runtime.storageEpoch();
-  plannedLive = liveFields(cleared);
-  decisions.assign(records.size(), Decision::SkipUnreached);
-  needed.clear();
-  for (const KernelPtr &kernel : kernels)
-    // A tree that has gone is an error when the kernel is launched.
-    (void)kernel->bind(plannedEpoch);
-  findRepeatedStores();
-
-  uint64_t mark = runtime.recordings().nextStamp();
-  for (Field *field : plannedLive)
-    field->planMark = mark;
-  bool all = false;
-  auto live = [&](const Field *field) {
-    return all || field->planMark == mark;
-  };
-  for (size_t i = records.size(); i-- > 0;) {
-    decisions[i] = withoutPruning(i, decide(i, live));
-    if (decisions[i] == Decision::Callback)
-      all = true;
-    if (isReplayed(decisions[i]))
-      needed.push_back(static_cast<uint32_t>(i));
-    if (decisions[i] != Decision::Replay)
-      continue;
-    for (Field *field : records[i].kernel->adjointTargets)
-      field->planMark = mark;
-  }
+Status Tape::findLoops(Kernel &kernel, LoopLists &lists, bool &found) {
+  found = true;
+  return parts->reverse.findLoops(kernel, lists);
 }
 
 //===----------------------------------------------------------------------===//
 // Replay
 //===----------------------------------------------------------------------===//
 
-Status Tape::replayAdjoint(Launch &launch, size_t index) {
-  const Record &record = records[index];
-  topology->enter(static_cast<uint32_t>(index));
-  if (record.kind == Kind::Write)
-    return overwrite(getWrite(record));
-  if (memory->empty())
-    return runAdjoint(launch, index);
-  Kernel &kernel = *record.kernel;
-  bool changes = kernel.adjointReruns;
-  memory->enter(static_cast<uint32_t>(index), changes);
-  Status status = runAdjoint(launch, index);
-  memory->leave(changes);
-  return status;
+bool Tape::planHolds(bool cleared) const {
+  return parts->plan.holds(parts->recording, parts->services.epoch(),
+                           parts->seeds.liveFields(cleared, parts->holds));
 }
 
-Status Tape::runAdjoint(Launch &launch, size_t index) {
-  const Record &record = records[index];
-  Kernel &kernel = *record.kernel;
-  // A value that was returned and not used any more costs nothing.
-  const auto &sources = kernel.adjointSources;
-  if (runtime.skips(Skip::TapePruning) &&
-      !kernel.info.callerAdjoints.results.empty() &&
-      std::none_of(sources.begin(), sources.end(),
-                   [](Field *field) { return field->adjoint()->dirty(); }) &&
-      kernel.info.callerAdjoints.areZero(slots.data() + record.payload +
-                                         kernel.argSlots()))
-    return Status::success();
-  Kernel *adjoint = nullptr;
-  Status status = findAdjoint(index, adjoint);
-  // What the loss does not depend on need not be differentiable.
-  if (!status && decisions[index] == Decision::Unpruned)
-    return Status::success();
-  if (!status || !adjoint)
-    return status;
-  status = checkActivity(index);
-  if (!status)
-    return status;
-  runtime.skipCounters().bump(SkipCount::TapeReplayed);
-  static const LoopLists none;
-  const LoopLists *loops = topology->loopsAt(static_cast<uint32_t>(index));
-  status = runtime.runAdjoint(
-      launch, kernel, *adjoint, slots.data() + record.payload,
-      firstLaunch + record.launch, loops ? loops : &none);
-  if (__builtin_expect(watching, false) && status)
-    examine(index);
-  return status;
-}
-
-/// A launch for as long as a sweep takes.
-class Tape::HeldLaunch {
-public:
-  explicit HeldLaunch(Runtime &runtime)
-      : runtime(runtime), launch(runtime.acquireLaunch()) {}
-  ~HeldLaunch() { runtime.releaseLaunch(launch); }
-  Launch &get() const { return *launch; }
-
-private:
-  Runtime &runtime;
-  Launch *launch;
-};
-
-Status Tape::sweepPlanned() {
-  if (!planHolds())
-    plan();
-  runtime.skipCounters().bump(SkipCount::TapeSkipped,
-                              numRecords() -
-                                  static_cast<int64_t>(needed.size()));
-  HeldLaunch held(runtime);
-  if (findPlainReverse())
-    return runPlainReverse(held.get());
-  for (uint32_t index : needed) {
-    Status status = replayAdjoint(held.get(), index);
-    if (!status)
-      return status;
-  }
-  return Status::success();
-}
-
-Status Tape::reverseRecord(Launch &launch, size_t i) {
-  if (reverseCallbacks)
-    decisions[i] = withoutPruning(i, decide(i, [](const Field *field) {
-                                    return field->adjoint()->dirty();
-                                  }));
-  Status status;
-  if (decisions[i] == Decision::Callback) {
-    topology->enter(static_cast<uint32_t>(i));
-    memory->enter(static_cast<uint32_t>(i), /*reruns=*/false);
-    status = callReverse(i);
-    if (status && watching)
-      examine(i);
-  } else if (isReplayed(decisions[i])) {
-    status = replayAdjoint(launch, i);
-  } else {
-    runtime.skipCounters().bump(SkipCount::TapeSkipped);
-  }
-  return status;
-}
-
-Status Tape::sweepAroundCallbacks() {
-  plan();
-  HeldLaunch held(runtime);
-  Status status;
-  for (size_t i = records.size(); i-- > 0 && status;)
-    status = reverseRecord(held.get(), i);
-  return status;
+void Tape::plan(bool cleared) {
+  parts->plan.make(parts->services, parts->recording,
+                   parts->seeds.liveFields(cleared, parts->holds));
 }
 
 namespace {
@@ -300,262 +90,225 @@ private:
 
 Status Tape::backward() {
   end(/*isSwept=*/true);
-  Status status = holdFields();
+  Status status = parts->holds.hold();
   if (status) {
-    CollectedWork work(runtime);
+    CollectedWork work(parts->services.owner());
     status = work.finish(sweep());
   }
   releaseFields();
   return status;
 }
 
-Status Tape::sweep() {
-  end();
-  examined.clear();
-  notes.clear();
-  runtime.settleZeros();
-  Status status = topology->check();
-  if (status)
-    status = checkVersions();
-  if (status)
-    status = seed();
-  if (status)
-    status = memory->beginReverse();
-  if (!status)
-    return status;
-  topology->beginReverse();
-  noteCuts();
-  if (checkpoints)
-    status = sweepRecomputing();
-  else
-    status = reverseCallbacks ? sweepAroundCallbacks() : sweepPlanned();
-  if (!checkpoints)
-    memory->endReverse();
-  topology->endReverse(notes);
-  oweZeros();
-  // Host functions may have changed what they like.
-  markVersions();
-  if (status)
-    checkEffect();
-  return status;
-}
-
-Status Tape::runForward() {
-  // New numbers for all launches, at the same distances.
-  firstLaunch = runtime.launcher().numbers().fetch_add(
-      anyLaunch ? lastLaunch + 1 : 0, std::memory_order_relaxed);
-  HeldLaunch held(runtime);
-  memory->restart();
-  topology->restart();
-  sweptBefore = false;
-  Status status;
-  size_t first = 0;
-  bool launched = false;
-  if (findPlainForward()) {
-    status = runPlainForward(held.get());
-    first = records.size();
-  }
-  for (size_t i = first; i < records.size() && status; ++i) {
-    const Record &record = records[i];
-    if (checkpoints) {
-      checkpoints->reach(static_cast<uint32_t>(i));
-      status = recompute(held.get(), i, /*saving=*/false, 0);
-      topology->settle(static_cast<uint32_t>(i));
-      if (record.kernel)
-        topology->noteLoops(static_cast<uint32_t>(i), held.get().loops);
-      continue;
-    }
-    status = memory->beforeReplay(static_cast<uint32_t>(i));
-    if (!status)
-      break;
-    launched |= record.kernel != nullptr;
-    if (record.kernel) {
-      uint64_t number = firstLaunch + record.launch;
-      record.kernel->prepared.lastLaunch.store(number,
-                                               std::memory_order_relaxed);
-      status = runtime.run(held.get(), *record.kernel,
-                           slots.data() + record.payload, nullptr, number);
-    } else if (record.kind == Kind::Write) {
-      HostWrite write = getWrite(record);
-      status = runtime.activateFor(write);
-      runtime.perform(write);
-      // What the host writes is a constant; before the first launch, it is the
-      // point at which one differentiates.
-      const char zeros[8] = {};
-      write.field =
-          runtime.isForward() && launched ? write.field->dual() : nullptr;
-      write.bytes = zeros;
-      if (write.what == HostWrite::What::Array)
-        write.what = HostWrite::What::Fill;
-      if (write.field)
-        runtime.perform(write);
-    } else if (callbacks[record.payload].forward) {
-      status = callbacks[record.payload].forward();
-    }
-    memory->settle();
-    topology->settle(static_cast<uint32_t>(i));
-    if (record.kernel)
-      topology->noteLoops(static_cast<uint32_t>(i), held.get().loops);
-  }
-  topology->end();
-  markVersions();
-  recomputed = 0;
-  recomputedAt.clear();
-  return status;
-}
-
 Status Tape::replay(bool forward, bool reverse) {
+  Runtime &runtime = parts->services.owner();
   if (runtime.recordingTape())
     return Status::failure(StatusCode::Usage,
                            "a tape cannot be replayed while one is being "
                            "recorded");
-  Status status = holdFields();
+  Status status = parts->holds.hold();
   if (status) {
     CollectedWork work(runtime, /*isReplay=*/true);
-    status = work.finish(runAgain(forward, reverse));
+    status = work.finish(replayAll(forward, reverse));
   }
   releaseFields();
   return status;
 }
 
-Status Tape::runAgain(bool forward, bool reverse) {
+Status Tape::replayAll(bool forward, bool reverse) {
+  Runtime &runtime = parts->services.owner();
   if (reverse)
     runtime.clearGradients(this);
   else
     runtime.settleZeros();
   if (forward) {
-    for (const Loss &loss : losses)
-      if (loss.field->valid())
-        clearSum(*loss.field);
-    Status status = runForward();
+    parts->seeds.clearSums();
+    Status status = replayForward();
     if (!status)
       return status;
   }
   return reverse ? sweep() : Status::success();
 }
 
+Status Tape::replayForward() {
+  Parts &tape = *parts;
+  // New numbers for all launches, at the same distances.
+  tape.recording.renumber(
+      tape.services.takeLaunches(tape.recording.numLaunches()));
+  HeldLaunch launch(tape.services);
+  tape.memory.restart();
+  tape.topology.restart();
+  tape.rematerialiser.restart();
+  Status status;
+  if (tape.isDirect() && tape.direct.findForward())
+    status = tape.direct.runForward(launch.get());
+  else if (tape.rematerialiser.isOn())
+    status = tape.rematerialiser.replay(launch.get());
+  else
+    status = ForwardReplay(tape.services, tape.recording, tape.memory,
+                           tape.topology, launch.get())
+                 .run();
+  tape.topology.end();
+  tape.changes.begin(tape.memory);
+  return status;
+}
+
+Status Tape::sweep() {
+  end();
+  Parts &tape = *parts;
+  tape.health.clear();
+  std::vector<std::string> &notes = tape.report.notes;
+  notes.clear();
+  tape.services.owner().settleZeros();
+  bool lostStored = false;
+  Status status = tape.topology.check();
+  if (status) {
+    status = tape.changes.check(tape.memory, notes, lostStored);
+    tape.forms.setLostStored(lostStored);
+  }
+  if (status)
+    status = tape.seeds.store();
+  if (status)
+    status = tape.memory.beginReverse();
+  if (!status)
+    return status;
+  tape.topology.beginReverse();
+  if (LostGradients::mayHave(tape.recording))
+    tape.lost.find(tape.services, tape.recording,
+                   tape.seeds.liveFields(false, tape.holds), notes);
+  status = runPlan();
+  if (!tape.rematerialiser.isOn())
+    tape.memory.endReverse();
+  tape.topology.endReverse(notes);
+  for (const auto &[adjoint, zeros] : tape.plan.zerosAfter())
+    tape.services.oweZeros(adjoint, zeros);
+  // Host functions may have changed what they like.
+  tape.changes.begin(tape.memory);
+  if (status)
+    tape.report.checkEffect(tape.recording, tape.plan, tape.seeds.names());
+  return status;
+}
+
+Status Tape::runPlan() {
+  Parts &tape = *parts;
+  bool decides = tape.recording.callsInReverse();
+  if (decides || tape.rematerialiser.isOn() || !planHolds())
+    plan();
+  if (tape.rematerialiser.isOn())
+    return tape.rematerialiser.sweep();
+  HeldLaunch launch(tape.services);
+  if (decides)
+    return tape.reverse.runDeciding(launch.get());
+  tape.services.count(SkipCount::TapeSkipped,
+                      numRecords() -
+                          static_cast<int64_t>(tape.plan.replayed().size()));
+  if (tape.isDirect() && tape.direct.findReverse(tape.plan, tape.forms))
+    return tape.direct.runReverse(launch.get(), tape.plan);
+  return tape.reverse.runPlanned(launch.get());
+}
+
+Status Tape::runRecord(int64_t index) {
+  if (index < 0 || index >= numRecords())
+    return Status::failure(StatusCode::Usage,
+                           "the tape has no record " + std::to_string(index));
+  if (recording())
+    return Status::failure(StatusCode::Usage,
+                           "a record cannot be launched again while its tape "
+                           "records");
+  const TapeRecording &records = parts->recording;
+  const TapeRecording::Record &record = records[static_cast<size_t>(index)];
+  auto *other = static_cast<Tape *>(parts->services.owner().recordingTape());
+  if (record.kind == TapeRecording::Kind::Write)
+    return parts->services.change(records.write(record));
+  if (!record.kernel) {
+    const TapeCallback &callback = records.callback(record);
+    if (other)
+      other->suspend();
+    Status status = callback.forward ? callback.forward() : Status::success();
+    if (other) {
+      (void)other->resume();
+      if (status)
+        other->recordCallback(callback);
+    }
+    return status;
+  }
+  Kernel &kernel = *record.kernel;
+  const uint64_t *args = records.args(record);
+  uint64_t number = records.number(record);
+  HeldLaunch launch(parts->services);
+  std::vector<uint64_t> results(kernel.resultSlots());
+  TapedKernel::lastLaunch(kernel).store(number, std::memory_order_relaxed);
+  uint64_t *wanted = results.empty() ? nullptr : results.data();
+  return other
+             ? other->launch(launch.get(), kernel, args, wanted, number)
+             : parts->services.run(launch.get(), kernel, args, wanted, number);
+}
+
 //===----------------------------------------------------------------------===//
 // What one sees
 //===----------------------------------------------------------------------===//
 
-int64_t Tape::numSkipped() {
-  if (decisions.size() != records.size())
-    plan();
-  return std::count_if(
-      decisions.begin(), decisions.end(), [](Decision decision) {
-        return !isReplayed(decision) && decision != Decision::Callback;
-      });
+int64_t Tape::numRecords() const {
+  return static_cast<int64_t>(parts->recording.size());
 }
 
-std::vector<Tape::Pending> Tape::pendingAdjoints(bool cleared) {
+const Kernel *Tape::kernelOf(int64_t record) const {
+  return parts->recording[static_cast<size_t>(record)].kernel;
+}
+
+const uint64_t *Tape::argsOf(int64_t record) const {
+  return parts->recording.args(parts->recording[static_cast<size_t>(record)]);
+}
+
+int64_t Tape::numSkipped() {
+  if (!parts->plan.isMade(parts->recording))
+    plan();
+  return parts->plan.numSkipped();
+}
+
+std::vector<PendingAdjoint> Tape::pendingAdjoints(bool cleared) {
   if (!planHolds(cleared))
     plan(cleared);
-  std::vector<Pending> pending;
-  for (uint32_t index : needed) {
-    // Those that are not pruned need not be differentiable.
-    if (!records[index].kernel || decisions[index] == Decision::Unpruned)
-      continue;
-    Pending entry = {records[index].kernel, storesAgain[index],
-                     readsStoredAt(index)};
-    const Kernel::AdjointForm &form =
-        entry.stored ? entry.kernel->storedForms[entry.takes]
-                     : entry.kernel->adjointForms[entry.takes];
-    if (!form.known.load(std::memory_order_relaxed) && !form.asked &&
-        std::find(pending.begin(), pending.end(), entry) == pending.end())
-      pending.push_back(entry);
-  }
-  return pending;
-}
-
-static void appendNames(std::string &text, const std::vector<Field *> &fields) {
-  if (fields.empty())
-    text += "arrays or returned values";
-  for (size_t i = 0; i < fields.size(); ++i)
-    text += (i ? ", @" : "@") + fields[i]->name();
+  return parts->forms.pending();
 }
 
 const std::string &Tape::explain() {
-  if (decisions.size() != records.size())
+  Parts &tape = *parts;
+  if (!tape.plan.isMade(tape.recording))
     plan();
-  explanation.clear();
-  for (size_t i = 0; i < records.size(); ++i) {
-    const Record &record = records[i];
-    std::string name =
-        record.kernel ? "@" + record.kernel->name()
-        : record.kind == Kind::Write
-            ? "(write of @" + getWrite(record).field->name() + ")"
-            : "(host function)";
-    explanation += std::to_string(i) + ": " + name + ": ";
-    switch (decisions[i]) {
-    case Decision::Replay:
-      explanation += "replayed, from the adjoints of ";
-      appendNames(explanation, record.kernel->adjointSources);
-      if (!record.kernel->adjointTargets.empty()) {
-        explanation += " to those of ";
-        appendNames(explanation, record.kernel->adjointTargets);
-      }
-      explainStored(i);
-      break;
-    case Decision::Unpruned:
-      explanation += "replayed, without effect: 'tape-pruning' is off";
-      break;
-    case Decision::SkipNoDerivative:
-      explanation += "skipped: it has nothing to differentiate";
-      break;
-    case Decision::SkipUnreached:
-      if (!record.kernel) {
-        explanation += "skipped: no adjoint reaches it";
-      } else if (record.kernel->adjointSources.empty()) {
-        explanation += "skipped: it changes no field that has an adjoint";
-      } else {
-        explanation += "skipped: no adjoint reaches ";
-        appendNames(explanation, record.kernel->adjointSources);
-      }
-      break;
-    case Decision::SkipNoEffect:
-      explanation += "skipped: it reads no field that has an adjoint";
-      break;
-    case Decision::Callback:
-      explanation += "called";
-      break;
-    case Decision::SkipCallback:
-      explanation += "skipped: it has no reverse function";
-      break;
-    case Decision::Overwrite:
-      explanation += "ends the adjoints of what it overwrites";
-      break;
-    }
-    if (int64_t bytes = memory->bytesAt(static_cast<uint32_t>(i)))
-      explanation += "; saved " + formatBytes(bytes);
-    if (i < recomputedAt.size() && recomputedAt[i])
-      explanation +=
-          "; recomputed " + std::to_string(recomputedAt[i]) + " times";
-    explanation += '\n';
-  }
-  explainPlain();
+  tape.report.begin();
+  for (size_t i = 0; i < tape.recording.size(); ++i)
+    tape.report.addRecord(tape.recording, tape.plan, tape.forms, i,
+                          tape.memory.bytesAt(static_cast<uint32_t>(i)),
+                          tape.rematerialiser.countAt(i));
+  if (tape.isDirect() && tape.direct.findForward())
+    tape.report.addDirect(tape.recording.size(), "launches");
+  if (planHolds(/*cleared=*/true) && tape.isDirect() &&
+      tape.direct.findReverse(tape.plan, tape.forms))
+    tape.report.addDirect(tape.plan.replayed().size(), "adjoints");
   // How a device runs sequences of launches.
-  if (const DeviceQueue *queue = runtime.getDeviceQueue())
-    explanation += queue->explain();
-  return explanation;
+  if (const DeviceQueue *queue = tape.services.owner().getDeviceQueue())
+    tape.report.add(queue->explain());
+  return tape.report.get();
 }
 
-std::vector<Tape::Overwrite> Tape::overwrites() const {
-  std::vector<Overwrite> result;
-  std::unordered_map<const Field *, int64_t> lastUse;
-  for (size_t i = 0; i < records.size(); ++i) {
-    if (!records[i].kernel)
-      continue;
-    const auto &summary = records[i].kernel->summary();
-    for (const Access &access : summary) {
-      if (access.kind != AccessKind::Write)
-        continue;
-      auto earlier = lastUse.find(access.field.get());
-      if (earlier != lastUse.end())
-        result.push_back(
-            {static_cast<int64_t>(i), access.field.get(), earlier->second});
-    }
-    for (const Access &access : summary)
-      lastUse[access.field.get()] = static_cast<int64_t>(i);
-  }
-  return result;
+TapeStats Tape::stats() const {
+  TapeStats stats;
+  stats.savedBytes = parts->memory.savedBytes();
+  stats.peakBytes = parts->memory.peakBytes();
+  parts->rematerialiser.addTo(stats);
+  return stats;
+}
+
+std::vector<FieldOverwrite> Tape::overwrites() const {
+  return parts->recording.overwrites();
+}
+
+const std::vector<std::string> &Tape::warnings() const {
+  return parts->report.notes;
+}
+
+void Tape::watchHealth(bool on) { parts->health.watch(on); }
+
+const std::vector<RecordHealth> &Tape::health() const {
+  return parts->health.found();
 }

@@ -11,60 +11,113 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Host/HostWrite.h"
-#include "../Launch/Launch.h"
-#include "../Storage/Scalars.h"
-#include "TapeArrays.h"
-#include "TapeCheckpoint.h"
-#include "TapeMemory.h"
-#include "TapeTopology.h"
-#include "TapeWrite.h"
-#include "tai/Runtime/Launch/AccessChecks.h"
-#include "tai/Runtime/Tape/Tape.h"
+#include "TapeParts.h"
 #include <algorithm>
 
 using namespace mlir::tai::runtime;
 
+//===----------------------------------------------------------------------===//
+// Beginning and end
+//===----------------------------------------------------------------------===//
+
 Tape::Tape(Runtime &runtime, uint64_t stamp, bool clears)
-    : runtime(runtime), stamp(stamp),
-      memory(std::make_unique<TapeMemory>(runtime)),
-      topology(std::make_unique<TapeTopology>(runtime)),
-      arrays(std::make_unique<TapeArrays>()), clears(clears) {
-  runtime.recordings().add(*this);
+    : parts(std::make_unique<Parts>(runtime, *this, stamp, clears)) {
+  parts->services.add(*this);
 }
 
 Tape::~Tape() {
   end();
   releaseFields();
-  runtime.recordings().remove(*this);
+  parts->services.remove(*this);
+}
+
+Status Tape::begin(Runtime &runtime, uint64_t stamp, FieldPtr loss, bool clears,
+                   std::unique_ptr<Tape> &tape) {
+  if (runtime.recordingTape())
+    return Status::failure(StatusCode::Usage,
+                           "a tape is being recorded already, and tapes do not "
+                           "nest");
+  DeviceContext *device = runtime.getDeviceContext();
+  TapeServices services(runtime);
+  // A device recognises recordings that come again by what is queued.
+  if (device && services.anyRecording())
+    return Status::failure(StatusCode::Usage,
+                           "another thread records a tape, and a GPU has room "
+                           "for one at a time: let it finish first");
+  std::unique_ptr<Tape> made(new Tape(runtime, stamp, clears));
+  // From here on it holds what it uses.
+  Status held = made->parts->holds.hold();
+  if (!held)
+    return held;
+  if (loss) {
+    if (loss->rank() != 0 || loss->numComponents() != 1 ||
+        !isFloat(loss->scalar()))
+      return Status::failure(StatusCode::Usage,
+                             "the loss '" + loss->name() +
+                                 "' must be one floating-point number (a field "
+                                 "without indices)");
+    Status status = made->addLoss(std::move(loss));
+    if (!status)
+      return status;
+  }
+  // Clearing belongs to it.
+  if (device)
+    device->beginRecording();
+  if (clears)
+    runtime.clearGradients(made.get());
+  else
+    runtime.settleZeros();
+  tape = std::move(made);
+  tape->parts->isOpen = true;
+  services.beginRecording(*tape);
+  return Status::success();
 }
 
 void Tape::end(bool isSwept) {
   // Of whichever thread: a tape may be dropped by another one.
-  if (!std::exchange(isOpen, false))
+  if (!std::exchange(parts->isOpen, false))
     return;
-  runtime.recordings().end(*this);
-  topology->end();
-  markVersions();
-  if (DeviceContext *device = runtime.getDeviceContext())
+  parts->services.endRecording(*this);
+  parts->topology.end();
+  parts->changes.begin(parts->memory);
+  if (DeviceContext *device = parts->services.owner().getDeviceContext())
     device->endRecording(isSwept);
   if (!isSwept)
     releaseFields();
 }
 
-bool Tape::recording() const { return runtime.recordingTape() == this; }
+bool Tape::recording() const {
+  return parts->services.owner().recordingTape() == this;
+}
 
 void Tape::suspend() {
-  if (suspended++ == 0)
-    suspendedAt = runtime.launcher().numbers().load(std::memory_order_relaxed);
+  if (parts->suspended++ == 0)
+    parts->suspendedAt = parts->services.nextLaunch();
 }
 
 Status Tape::resume() {
-  if (suspended == 0)
+  if (parts->suspended == 0)
     return Status::failure(StatusCode::Usage, "the tape is not suspended");
-  --suspended;
+  --parts->suspended;
   return Status::success();
 }
+
+bool Tape::isSuspended() const { return parts->suspended > 0; }
+
+Status Tape::setCheckpoints(CheckpointPolicy policy) {
+  if (!parts->recording.empty() || !recording())
+    return Status::failure(StatusCode::Usage,
+                           "how a tape keeps values is decided before it "
+                           "records");
+  return parts->rematerialiser.setPolicy(policy);
+}
+
+void Tape::checkAccesses(int64_t limit, bool racesOnly) {
+  parts->checks =
+      std::make_unique<AccessChecks>(parts->services.owner(), limit, racesOnly);
+}
+
+const AccessChecks *Tape::accessChecks() const { return parts->checks.get(); }
 
 //===----------------------------------------------------------------------===//
 // Launches
@@ -84,43 +137,38 @@ static bool readsWhatItChanges(const Kernel &kernel) {
 
 Status Tape::adopt(Kernel &kernel) {
   // Elsewhere the code comes first: the adjoint is begun meanwhile.
-  if (!readsWhatItChanges(kernel) || suspended) {
-    Status status = runtime.ready(kernel);
+  if (!readsWhatItChanges(kernel) || isSuspended()) {
+    Status status = parts->services.ready(kernel);
     if (!status)
       return status;
   }
-  Status status = touch(kernel);
+  Status status = parts->holds.add(kernel);
   if (!status)
     return status;
-  for (const TreePtr &tree : kernel.info.trees)
+  for (const TreePtr &tree : TapedKernel::info(kernel).trees)
     if (tree)
-      topology->watch(tree);
-  const void *uses = &memory->usesOf(kernel);
+      parts->topology.watch(tree);
+  const void *uses = &parts->memory.usesOf(kernel);
   // Where several tapes record, each looks for itself.
-  if (!runtime.recordings().areTogether()) {
-    kernel.tapeUses = uses;
-    kernel.tapeStamp = stamp;
-  }
-  if (std::find_if(kernels.begin(), kernels.end(), [&](const KernelPtr &known) {
-        return known.get() == &kernel;
-      }) == kernels.end())
-    kernels.push_back(kernel.shared_from_this());
+  if (!parts->services.recordsTogether())
+    TapedKernel::setKnown(kernel, parts->stamp, uses);
+  parts->recording.keep(kernel);
   return Status::success();
 }
 
+/// What it knows of a kernel, which it adopts if it has not yet.
 Status Tape::findUses(Kernel &kernel, const void *&uses) {
-  bool isAlone = !runtime.recordings().areTogether();
+  bool isAlone = !parts->services.recordsTogether();
+  uses = TapedKernel::knownTo(kernel, parts->stamp);
   Status status;
-  if (__builtin_expect(isAlone && kernel.tapeStamp == stamp, true)) {
-    uses = kernel.tapeUses;
+  if (__builtin_expect(isAlone && uses, true))
     return status;
-  }
-  uses = memory->findUses(kernel);
+  uses = parts->memory.findUses(kernel);
   if (uses && !isAlone)
     return status;
   // It may take long: another thread may have begun to record by its end.
   status = adopt(kernel);
-  uses = memory->findUses(kernel);
+  uses = parts->memory.findUses(kernel);
   return status;
 }
 
@@ -130,11 +178,11 @@ Status Tape::launch(Launch &launch, Kernel &kernel, const uint64_t *args,
   Status status = findUses(kernel, uses);
   if (!status)
     return status;
-  if (__builtin_expect(!kernel.hasParts() || suspended, true))
+  if (__builtin_expect(!kernel.hasParts() || isSuspended(), true))
     return launchOne(launch, kernel, uses, args, results, number);
   for (const KernelPtr &part : kernel.plan().parts) {
     status = findUses(*part, uses);
-    part->prepared.lastLaunch.store(number, std::memory_order_relaxed);
+    TapedKernel::lastLaunch(*part).store(number, std::memory_order_relaxed);
     if (status)
       status = launchOne(launch, *part, uses, args,
                          part->resultSlots() > 0 ? results : nullptr, number);
@@ -147,170 +195,96 @@ Status Tape::launch(Launch &launch, Kernel &kernel, const uint64_t *args,
 Status Tape::launchOne(Launch &launch, Kernel &kernel, const void *known,
                        const uint64_t *args, uint64_t *results,
                        uint64_t number) {
+  Parts &tape = *parts;
   const auto &uses = *static_cast<const TapeMemory::KernelUses *>(known);
-  auto index = static_cast<uint32_t>(records.size());
-  Status status = memory->beforeLaunch(uses, args, index, suspended > 0);
-  if (status) {
-    AccessChecks *checking = activeChecks();
-    status = __builtin_expect(checking != nullptr, false)
-                 ? checking->run(launch, kernel, args, results, number)
-                 : runtime.run(launch, kernel, args, results, number);
-  }
+  uint32_t index = tape.recording.next();
+  bool isPart = tape.suspended > 0;
+  Status status = tape.memory.beforeLaunch(uses, args, index, isPart);
+  if (status)
+    status = __builtin_expect(tape.checks && !isPart, false)
+                 ? tape.checks->run(launch, kernel, args, results, number)
+                 : tape.services.run(launch, kernel, args, results, number);
   if (__builtin_expect(!status.ok(), false)) {
     // What it did to memory is undone with the record that comes next.
-    memory->settle();
+    tape.memory.settle();
     return status;
   }
-  if (__builtin_expect(suspended > 0, false)) {
-    memory->afterPart(uses, args);
+  if (__builtin_expect(tape.suspended > 0, false)) {
+    tape.memory.afterPart(uses, args);
     return status;
   }
-  memory->afterLaunch(uses, args, index);
-  topology->settle(index);
-  topology->noteLoops(index, launch.loops);
-  record(kernel, args, number);
+  tape.memory.afterLaunch(uses, args, index);
+  tape.topology.settle(index);
+  tape.topology.noteLoops(index, launch.loops);
+  tape.recording.addLaunch(kernel, args, number);
+  tape.services.count(SkipCount::TapeRecorded);
   return status;
 }
 
-void Tape::record(Kernel &kernel, const uint64_t *args, uint64_t launch) {
-  if (!anyLaunch) {
-    anyLaunch = true;
-    firstLaunch = launch;
-  }
-  lastLaunch = launch - firstLaunch;
-  records.push_back({&kernel, lastLaunch, slots.size()});
-  slots.insert(slots.end(), args, args + kernel.tapeSlots());
-  runtime.skipCounters().bump(SkipCount::TapeRecorded);
-}
-
 //===----------------------------------------------------------------------===//
-// Host functions and writes of the host
+// Host functions, writes of the host, activity, arrays
 //===----------------------------------------------------------------------===//
 
 void Tape::recordCallback(TapeCallback callback) {
-  if (suspended || !recording())
+  if (isSuspended() || !recording())
     return;
-  reverseCallbacks |= static_cast<bool>(callback.backward);
-  memory->endParts(static_cast<uint32_t>(records.size()),
-                   static_cast<bool>(callback.backward));
-  // The launches of the function draw the same random numbers again.
-  uint64_t next = runtime.launcher().numbers().load(std::memory_order_relaxed);
-  uint64_t start = std::min(suspendedAt, next);
-  suspendedAt = UINT64_MAX;
-  if (!anyLaunch) {
-    anyLaunch = true;
-    firstLaunch = start;
-  }
-  if (next > firstLaunch)
-    lastLaunch = next - 1 - firstLaunch;
-  topology->settle(static_cast<uint32_t>(records.size()));
-  records.push_back(
-      {nullptr, start - firstLaunch, callbacks.size(), Kind::Callback});
-  callbacks.push_back(std::move(callback));
+  uint32_t index = parts->recording.next();
+  parts->memory.endParts(index, static_cast<bool>(callback.backward));
+  uint64_t next = parts->services.nextLaunch();
+  uint64_t start =
+      std::min(std::exchange(parts->suspendedAt, UINT64_MAX), next);
+  parts->topology.settle(index);
+  parts->recording.addCallback(std::move(callback), start, next);
 }
 
 Status Tape::write(const HostWrite &write) {
-  FieldPtr field = runtime.findField(write.field->name());
+  FieldPtr field = parts->services.owner().findField(write.field->name());
   if (field.get() != write.field)
     return Status::failure(StatusCode::Internal,
                            "field '" + write.field->name() +
                                "' is not known to its runtime");
-  Status status = touch(field, HoldKind::Write);
+  uint32_t index = parts->recording.next();
+  Status status = parts->holds.add(field, HoldKind::Write);
   if (status)
-    status = memory->beforeWrite(field, write.index,
-                                 static_cast<uint32_t>(records.size()));
+    status = parts->memory.beforeWrite(field, write.index, index);
   if (!status)
     return status;
-  runtime.perform(write);
-  memory->settle();
-  if (suspended)
+  parts->services.perform(write);
+  parts->memory.settle();
+  if (isSuspended())
     return status;
-  memory->endParts(static_cast<uint32_t>(records.size()),
-                   /*readsInReverse=*/false);
-  topology->settle(static_cast<uint32_t>(records.size()));
-  records.push_back({nullptr, 0, writes.size(), Kind::Write});
-  writes.push_back(std::make_unique<Write>(field, write));
+  parts->memory.endParts(index, /*readsInReverse=*/false);
+  parts->topology.settle(index);
+  parts->recording.addWrite(std::move(field), write);
   return status;
 }
 
-HostWrite Tape::getWrite(const Record &record) const {
-  return writes[record.payload]->get();
-}
+void Tape::watch(const TreePtr &tree) { parts->topology.watch(tree); }
 
-Status Tape::overwrite(const HostWrite &write) {
-  Field *adjoint = write.field->adjoint();
-  if (!adjoint || !adjoint->dirty())
-    return Status::success();
-  if (!adjoint->valid())
-    return Status::failure(StatusCode::Usage, "the tree of the gradient of '" +
-                                                  write.field->name() +
-                                                  "' has been destroyed");
-  const char zeros[8] = {};
-  HostWrite zero = write;
-  zero.field = adjoint;
-  zero.bytes = zeros;
-  if (zero.what == HostWrite::What::Array)
-    zero.what = HostWrite::What::Fill;
-  runtime.perform(zero);
-  return Status::success();
-}
-
-//===----------------------------------------------------------------------===//
-// What has changed since
-//===----------------------------------------------------------------------===//
-
-bool Tape::minds(const Field &field) const {
-  return checkpoints ? memory->isTouched(field) : memory->isRead(field);
-}
-
-void Tape::markVersions() {
-  versions.clear();
-  for (const FieldPtr &field : runtime.fields())
-    if (memory->isTouched(*field))
-      versions.emplace_back(field, field->version());
-  endLaunch = runtime.launcher().numbers().load(std::memory_order_relaxed);
-}
-
-/// The fields that launches since then have changed.
-static void addChangedBy(const Kernel &kernel, std::vector<Field *> &changed) {
-  for (const Access &access : kernel.summary())
-    if (access.kind != AccessKind::Read && !access.field->isAdjoint())
-      changed.push_back(access.field.get());
-}
-
-Status Tape::checkVersions() {
-  lostStored = false;
-  std::vector<Field *> byHost, byKernels;
-  for (const auto &[field, version] : versions)
-    if (field->version() != version)
-      byHost.push_back(field.get());
-  {
-    // Other threads may define kernels meanwhile.
-    runtime.launcher().kernels().forEach([&](const Kernel &kernel) {
-      if (kernel.prepared.lastLaunch.load(std::memory_order_relaxed) >=
-              endLaunch &&
-          endLaunch > 0)
-        addChangedBy(kernel, byKernels);
-    });
+Status Tape::changeActivity(const TreePtr &tree,
+                            std::function<Status()> change) {
+  watch(tree);
+  for (const FieldPtr &field : parts->services.fields()) {
+    if (TapedField::tree(*field) != tree || field->isAdjoint() ||
+        !field->sparseNode())
+      continue;
+    Status status = parts->holds.add(field, HoldKind::Write);
+    if (status)
+      status =
+          parts->memory.beforeWrite(field, nullptr, parts->recording.next());
+    if (!status)
+      return status;
   }
-  auto check = [&](const std::vector<Field *> &changed, const char *how) {
-    for (Field *field : changed) {
-      if (minds(*field))
-        return Status::failure(
-            StatusCode::Usage,
-            "field '" + field->name() + "' was changed " + how +
-                " after the tape had recorded, and the gradient needs what it "
-                "held; replay the tape forward and backward instead");
-      lostStored |= memory->isStored(*field);
-      if (memory->isTouched(*field))
-        notes.push_back("field '" + field->name() + "' was changed " + how +
-                        " after the tape had recorded; the gradient is that "
-                        "of what was recorded");
-    }
-    return Status::success();
-  };
-  Status status = check(byHost, "by the host");
-  if (!status)
-    return status;
-  return check(byKernels, "by a kernel");
+  Status status = change();
+  parts->memory.settle();
+  recordCallback({std::move(change), nullptr});
+  return status;
+}
+
+void Tape::noteArrayCopy(uint64_t address, const ArrayRange &array) {
+  parts->lost.noteCopy(address, array);
+}
+
+void Tape::noteArrayWrite(const ArrayRange &array) {
+  parts->lost.noteWrite(parts->recording.size(), array);
 }

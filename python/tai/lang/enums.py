@@ -2,7 +2,7 @@
 
 from enum import Enum
 
-from ..snode import Layout
+from .._impl.fields.snode import Layout
 
 
 class AutodiffMode(Enum):

@@ -1,5 +1,7 @@
 """`ti.lang.field`: fields of numbers and matrices."""
 
-from ..fields import Field, MatrixField, ScalarField
+from .._impl.fields.field import Field
+from .._impl.fields.matrix_field import MatrixField
+from .._impl.fields.scalar import ScalarField
 
 __all__ = ["Field", "MatrixField", "ScalarField"]

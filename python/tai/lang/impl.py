@@ -5,11 +5,12 @@ from __future__ import annotations
 import sys
 from typing import Any
 
-from .. import _state, program
-from ..arrays import ndarray
-from ..fields import field
-from ..ops import grouped, ndrange, static
-from ..program import root
+from .._impl.base import program, state
+from .._impl.base.options import Options
+from .._impl.fields.arrays import ndarray
+from .._impl.fields.make import field
+from .._impl.fields.root import materialize, open_root, root
+from .._impl.values.ops import grouped, ndrange, static
 
 
 class Runtime:
@@ -21,22 +22,22 @@ class Runtime:
 
     @property
     def materialized(self) -> bool:
-        return not self.prog.root.children
+        return not open_root(self.prog).children
 
     def materialize(self) -> None:
         """Allocates the fields that were placed."""
-        self.prog.materialize(sys._getframe(1).f_globals)
+        materialize(self.prog, sys._getframe(1).f_globals)
 
     def sync(self) -> None:
         program.sync()
 
     @property
     def default_fp(self) -> Any:
-        return _state.options.default_fp
+        return state.options.default_fp
 
     @property
     def default_ip(self) -> Any:
-        return _state.options.default_ip
+        return state.options.default_ip
 
 
 _runtime = Runtime()
@@ -46,9 +47,9 @@ def get_runtime() -> Runtime:
     return _runtime
 
 
-def current_cfg() -> program.Options:
+def current_cfg() -> Options:
     """The options of `ti.init`."""
-    return _state.options
+    return state.options
 
 
 __all__ = [

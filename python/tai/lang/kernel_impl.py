@@ -1,5 +1,5 @@
 """`ti.lang.kernel_impl`: kernels and functions."""
 
-from ..kernels import Kernel, data_oriented, func, kernel, pyfunc, real_func
+from .._impl.launch.kernels import Kernel, data_oriented, func, kernel, pyfunc, real_func
 
 __all__ = ["Kernel", "data_oriented", "func", "kernel", "pyfunc", "real_func"]

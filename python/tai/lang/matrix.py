@@ -1,5 +1,5 @@
 """`ti.lang.matrix`."""
 
-from ..matrix import Matrix, Vector
+from .._impl.values.matrix import Matrix, Vector
 
 __all__ = ["Matrix", "Vector"]

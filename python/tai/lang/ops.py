@@ -1,6 +1,6 @@
 """`ti.lang.ops`: functions on numbers."""
 
-from ..ops import (
+from .._impl.values.ops import (
     abs,
     acos,
     asin,

@@ -1,5 +1,5 @@
 """`ti.lang.snode`: nodes of layouts."""
 
-from ..snode import SNode
+from .._impl.fields.snode import SNode
 
 __all__ = ["SNode"]

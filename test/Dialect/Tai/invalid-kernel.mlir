@@ -215,3 +215,20 @@ tai.kernel @k(%ok: i1) {
 "tai.kernel"() <{function_type = () -> (), sym_name = "empty"}> ({
 ^bb0:
 }) : () -> ()
+
+// -----
+
+// An attribute of another type is not left out.
+// expected-error @+1 {{'tai.kernel' op attribute 'adjoint' failed to satisfy constraint}}
+tai.kernel @k() attributes {adjoint = 3 : i32} {
+  tai.return
+}
+
+// -----
+
+tai.kernel @k(%n: index) {
+  tai.parallel_for (%i) = (%n) to (%n) {
+  // expected-error @+1 {{'tai.parallel_for' op attribute 'block_dim' failed to satisfy constraint}}
+  } {block_dim = 0.5 : f32}
+  tai.return
+}

@@ -12,6 +12,7 @@
 #ifndef TEST_UNIT_RUNTIME_RUNTIMETESTUTILS_H
 #define TEST_UNIT_RUNTIME_RUNTIMETESTUTILS_H
 
+#include "tai/Runtime/Launch/Runtime.h"
 #include "tai/Runtime/Tape/Tape.h"
 #include "gtest/gtest.h"
 #include <cstring>

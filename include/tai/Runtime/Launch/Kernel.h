@@ -327,7 +327,7 @@ public:
 private:
   friend class Launcher;
   friend class DeviceLaunches;
-  friend class Tape;
+  friend struct TapedKernel;
 
   void noteBegin();
   void noteLoops(const LoopLists &loops);
@@ -337,7 +337,6 @@ private:
 
   /// Fills the tables below; fails if a tree has been destroyed.
   Status bind(uint64_t epoch);
-  bool isPlain() const;
   /// What `bind` and launches have found out does not hold any more.
   void forget() {
     boundEpoch.store(0, std::memory_order_release);

@@ -252,6 +252,12 @@ public:
   void countChange() { ++hostVersion; }
   /// The tapes that use it.
   FieldHolds holds;
+  /// What analyses of tapes note of it, with their stamps: that it is live; its
+  /// place among the fields that they have seen.
+  struct Marks {
+    uint64_t plan = 0, seen = 0;
+    size_t index = 0;
+  } marks;
 
   /// The innermost sparse level above the field, or null.
   SparseNode *sparseNode() const {
@@ -300,7 +306,6 @@ public:
 
 private:
   friend class TreeStore;
-  friend class Tape;
 
   Status loadMirrored(int64_t offset, void *to) const;
   Status storeMirrored(int64_t offset, const void *from) const;
@@ -320,12 +325,6 @@ private:
   std::atomic<uint64_t> lastWriter{0};
   mutable std::shared_ptr<const OwedZeros> owed;
   uint64_t hostVersion = 0;
-  /// Stamp of the plan in which the field is live.
-  /// Of the plan in which seenIndex is the place of the field among those that
-  /// change.
-  uint64_t seenMark = 0;
-  size_t seenIndex = 0;
-  uint64_t planMark = 0;
 };
 using FieldPtr = std::shared_ptr<Field>;
 

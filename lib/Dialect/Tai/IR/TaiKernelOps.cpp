@@ -29,16 +29,30 @@ void KernelOp::build(OpBuilder &builder, OperationState &state, StringRef name,
     entry.addArgument(input, state.location);
 }
 
+/// Generated parsers do so; without, an attribute of the dialect that has
+/// another type is left out without a word.
+template <typename Op>
+static ParseResult checkAttributes(OpAsmParser &parser, SMLoc where,
+                                   OperationState &result) {
+  return Op::verifyInherentAttrs(result.name, result.attributes, [&] {
+    return parser.emitError(where)
+           << "'" << result.name.getStringRef() << "' op ";
+  });
+}
+
 ParseResult KernelOp::parse(OpAsmParser &parser, OperationState &result) {
+  SMLoc where = parser.getCurrentLocation();
   auto buildType = [](Builder &builder, ArrayRef<Type> inputs,
                       ArrayRef<Type> results,
                       function_interface_impl::VariadicFlag, std::string &) {
     return builder.getFunctionType(inputs, results);
   };
-  return function_interface_impl::parseFunctionOp(
-      parser, result, /*allowVariadic=*/false,
-      getFunctionTypeAttrName(result.name), buildType,
-      getArgAttrsAttrName(result.name), getResAttrsAttrName(result.name));
+  if (function_interface_impl::parseFunctionOp(
+          parser, result, /*allowVariadic=*/false,
+          getFunctionTypeAttrName(result.name), buildType,
+          getArgAttrsAttrName(result.name), getResAttrsAttrName(result.name)))
+    return failure();
+  return checkAttributes<KernelOp>(parser, where, result);
 }
 
 void KernelOp::print(OpAsmPrinter &printer) {
@@ -174,8 +188,11 @@ ParseResult ParallelForOp::parse(OpAsmParser &parser, OperationState &result) {
     props.block_dim = builder.getI64IntegerAttr(size);
   }
   Region *body = result.addRegion();
+  SMLoc attributes;
   if (parser.parseRegion(*body, ivs) ||
-      parser.parseOptionalAttrDict(result.attributes))
+      parser.getCurrentLocation(&attributes) ||
+      parser.parseOptionalAttrDict(result.attributes) ||
+      checkAttributes<ParallelForOp>(parser, attributes, result))
     return failure();
   ParallelForOp::ensureTerminator(*body, builder, result.location);
   return success();
@@ -264,6 +281,48 @@ SmallVector<Region *> ParallelForOp::getLoopRegions() { return {&getRegion()}; }
 
 std::optional<SmallVector<Value>> ParallelForOp::getLoopInductionVars() {
   return SmallVector<Value>(getInductionVars());
+}
+
+/// The indices of the elements that a loop over a field may visit: from the
+/// first number, included, to the second. Passes that ask for induction
+/// variables expect bounds for each of them.
+static std::pair<int64_t, int64_t> getVisitedRange(ParallelForOp loop,
+                                                   unsigned dimension) {
+  if (auto field = SymbolTable::lookupNearestSymbolFrom<FieldOp>(
+          loop, loop.getFieldAttr()))
+    if (FailureOr<FieldLayout> layout = getFieldLayout(field);
+        succeeded(layout) && dimension < layout->shape.size()) {
+      int64_t first = layout->offset.empty() ? 0 : layout->offset[dimension];
+      return {first, first + layout->shape[dimension]};
+    }
+  return {std::numeric_limits<int64_t>::min(),
+          std::numeric_limits<int64_t>::max()};
+}
+
+static SmallVector<OpFoldResult> getBounds(ParallelForOp loop, bool upper) {
+  if (!loop.isStructFor())
+    return getAsOpFoldResult(upper ? loop.getUpperBounds()
+                                   : loop.getLowerBounds());
+  Builder builder(loop.getContext());
+  SmallVector<OpFoldResult> bounds;
+  for (unsigned i = 0, e = loop.getInductionVars().size(); i < e; ++i) {
+    auto [first, end] = getVisitedRange(loop, i);
+    bounds.push_back(builder.getIndexAttr(upper ? end : first));
+  }
+  return bounds;
+}
+
+std::optional<SmallVector<OpFoldResult>> ParallelForOp::getLoopLowerBounds() {
+  return getBounds(*this, /*upper=*/false);
+}
+
+std::optional<SmallVector<OpFoldResult>> ParallelForOp::getLoopUpperBounds() {
+  return getBounds(*this, /*upper=*/true);
+}
+
+std::optional<SmallVector<OpFoldResult>> ParallelForOp::getLoopSteps() {
+  return SmallVector<OpFoldResult>(getInductionVars().size(),
+                                   Builder(getContext()).getIndexAttr(1));
 }
 
 //===----------------------------------------------------------------------===//

@@ -98,7 +98,8 @@ def Tai_ParallelForOp : Tai_Op<"parallel_for", [
     AttrSizedOperandSegments, AutomaticAllocationScope,
     RecursiveMemoryEffects, SingleBlockImplicitTerminator<"YieldOp">,
     DeclareOpInterfaceMethods<LoopLikeOpInterface,
-                              ["getLoopInductionVars"]>,
+                              ["getLoopInductionVars", "getLoopLowerBounds",
+                               "getLoopUpperBounds", "getLoopSteps"]>,
     DeclareOpInterfaceMethods<SymbolUserOpInterface>]> {
   let summary = "run iterations in parallel";
   let description = [{

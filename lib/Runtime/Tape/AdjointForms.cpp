@@ -1,0 +1,61 @@
+//===- AdjointForms.cpp - Which form of its adjoint a record runs ---------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "AdjointForms.h"
+#include <algorithm>
+
+using namespace mlir::tai::runtime;
+
+bool AdjointForms::loadsStored(size_t index) const {
+  const Kernel *kernel = recording[index].kernel;
+  // A host function may do to fields what the tape does not see, now or when it
+  // is called again. Tangents of what is stored need not be stored.
+  return kernel && TapedKernel::loadsStored(*kernel) &&
+         !recording.hasCallbacks() && !lostStored && !services.isForward() &&
+         memory.holdsStored(static_cast<uint32_t>(index));
+}
+
+Status AdjointForms::find(size_t index, Kernel *&adjoint) const {
+  Kernel &kernel = *recording[index].kernel;
+  bool zeroes = plan.zeroesAt(index);
+  // Found once; what makes them takes a lock.
+  if (loadsStored(index)) {
+    adjoint = TapedKernel::known(kernel, zeroes, /*stored=*/true);
+    if (adjoint)
+      return Status::success();
+    Status status = kernel.resolveStoredAdjoint(adjoint, zeroes);
+    if (!status || adjoint)
+      return status;
+  }
+  adjoint = TapedKernel::known(kernel, zeroes, /*stored=*/false);
+  return adjoint ? Status::success() : kernel.resolveAdjoint(adjoint, zeroes);
+}
+
+std::vector<PendingAdjoint> AdjointForms::pending() const {
+  std::vector<PendingAdjoint> pending;
+  for (uint32_t index : plan.replayed()) {
+    Kernel *kernel = recording[index].kernel;
+    // Those that are not pruned need not be differentiable.
+    if (!kernel || plan[index] == TapePlan::Decision::Unpruned)
+      continue;
+    PendingAdjoint entry = {kernel, plan.zeroesAt(index), loadsStored(index)};
+    if (!TapedKernel::isAsked(*kernel, entry.zeroes, entry.loadsStored) &&
+        std::find(pending.begin(), pending.end(), entry) == pending.end())
+      pending.push_back(entry);
+  }
+  return pending;
+}
+
+Status PendingAdjoint::resolve() const {
+  Kernel *adjoint = nullptr;
+  if (loadsStored) {
+    Status status = kernel->resolveStoredAdjoint(adjoint, zeroes);
+    if (!status || adjoint)
+      return status;
+  }
+  return kernel->resolveAdjoint(adjoint, zeroes);
+}

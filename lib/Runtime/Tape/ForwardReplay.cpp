@@ -1,0 +1,97 @@
+//===- ForwardReplay.cpp - Executes recorded sequences again --------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "ForwardReplay.h"
+
+using namespace mlir::tai::runtime;
+using Kind = TapeRecording::Kind;
+
+Status ForwardReplay::run() {
+  Status status;
+  for (size_t i = 0; i < recording.size() && status; ++i) {
+    status = memory.beforeReplay(static_cast<uint32_t>(i));
+    if (!status)
+      break;
+    status = replay(i);
+    memory.settle();
+    topology.settle(static_cast<uint32_t>(i));
+    if (recording[i].kernel)
+      topology.noteLoops(static_cast<uint32_t>(i), launch.loops);
+  }
+  return status;
+}
+
+Status ForwardReplay::replay(size_t index) {
+  const TapeRecording::Record &record = recording[index];
+  switch (record.kind) {
+  case Kind::Launch: {
+    launched = true;
+    uint64_t number = recording.number(record);
+    TapedKernel::lastLaunch(*record.kernel)
+        .store(number, std::memory_order_relaxed);
+    return services.run(launch, *record.kernel, recording.args(record), nullptr,
+                        number);
+  }
+  case Kind::Write:
+    return replayWrite(recording.write(record));
+  case Kind::Callback:
+    break;
+  }
+  const TapeCallback &callback = recording.callback(record);
+  return callback.forward ? callback.forward() : Status::success();
+}
+
+Status ForwardReplay::replayWrite(HostWrite write) {
+  Status status = services.activateFor(write);
+  services.perform(write);
+  // What the host writes is a constant; before the first launch, it is the
+  // point at which one differentiates.
+  const char zeros[8] = {};
+  write.field =
+      services.isForward() && launched ? write.field->dual() : nullptr;
+  write.bytes = zeros;
+  if (write.what == HostWrite::What::Array)
+    write.what = HostWrite::What::Fill;
+  if (write.field)
+    services.perform(write);
+  return status;
+}
+
+Status mlir::tai::runtime::replayRecord(const TapeServices &services,
+                                        const TapeRecording &recording,
+                                        Launch &launch, size_t index,
+                                        bool changesMemory) {
+  const TapeRecording::Record &record = recording[index];
+  uint64_t number = recording.number(record);
+  switch (record.kind) {
+  case Kind::Launch:
+    return services.run(launch, *record.kernel, recording.args(record), nullptr,
+                        number);
+  case Kind::Write: {
+    HostWrite write = recording.write(record);
+    if (Status status = services.activateFor(write); !status)
+      return status;
+    services.perform(write);
+    return Status::success();
+  }
+  case Kind::Callback:
+    break;
+  }
+  const TapeCallback &callback = recording.callback(record);
+  if (!callback.forward)
+    return changesMemory
+               ? Status::failure(StatusCode::Usage,
+                                 "record " + std::to_string(index) +
+                                     " of the tape is a host function that "
+                                     "cannot be run again, which recomputing "
+                                     "needs")
+               : Status::success();
+  uint64_t next = services.exchangeNextLaunch(number);
+  Status status = callback.forward();
+  services.exchangeNextLaunch(next);
+  return status;
+}

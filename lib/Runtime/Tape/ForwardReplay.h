@@ -1,0 +1,51 @@
+//===- ForwardReplay.h - Executes recorded sequences again ------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_TAPE_FORWARDREPLAY_H
+#define TAI_LIB_RUNTIME_TAPE_FORWARDREPLAY_H
+
+#include "Memory/TapeMemory.h"
+#include "Memory/TapeTopology.h"
+#include "TapeRecording.h"
+#include "TapeServices.h"
+
+namespace mlir::tai::runtime {
+
+/// One replay of all records, on what fields hold now. What it overwrites and
+/// adjoints read is saved as when the sequence was recorded.
+class ForwardReplay {
+public:
+  ForwardReplay(TapeServices services, const TapeRecording &recording,
+                TapeMemory &memory, TapeTopology &topology, Launch &launch)
+      : services(services), recording(recording), memory(memory),
+        topology(topology), launch(launch) {}
+
+  Status run();
+
+private:
+  Status replay(size_t index);
+  Status replayWrite(HostWrite write);
+
+  TapeServices services;
+  const TapeRecording &recording;
+  TapeMemory &memory;
+  TapeTopology &topology;
+  Launch &launch;
+  /// Some record so far was a launch.
+  bool launched = false;
+};
+
+/// Executes one record again, with the random numbers that it had.
+/// `changesMemory`: whether a host function did; then it must be one that can
+/// be called again.
+Status replayRecord(const TapeServices &services,
+                    const TapeRecording &recording, Launch &launch,
+                    size_t index, bool changesMemory);
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_TAPE_FORWARDREPLAY_H

@@ -1,0 +1,528 @@
+//===- TapeMemory.cpp - What a tape knows and keeps of memory -------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "TapeMemory.h"
+#include "../../Mirror/Mirror.h"
+#include "../TapeServices.h"
+#include <algorithm>
+#include <cstring>
+#include <set>
+
+using namespace mlir::tai::runtime;
+
+//===----------------------------------------------------------------------===//
+// What launches do to memory
+//===----------------------------------------------------------------------===//
+
+int64_t TapeMemory::Use::locate(const uint64_t *args) const {
+  if (!fixed)
+    return -1;
+  int64_t slab = fixed->evaluate(args) - firstIndex;
+  return slab >= 0 && slab < track->slabs.count() ? slab : -1;
+}
+
+Track &TapeMemory::trackOf(const FieldPtr &field,
+                           const std::optional<FixedIndex> &fixed) {
+  std::unique_ptr<Track> &track =
+      tracks[{&field->tree(), field->layout().placeOffset}];
+  int dimension = fixed ? static_cast<int>(fixed->dimension) : -1;
+  if (!track) {
+    track = std::make_unique<Track>(field, dimension);
+  } else if (track->slabs.dimension() < 0 && dimension >= 0 &&
+             !track->everSaved) {
+    // So far it has only been used as a whole.
+    uint32_t read = track->lastRead;
+    track->stored.lose(-1, lostStored);
+    *track = Track(track->field, dimension);
+    track->readAnywhere = track->lastRead = read;
+  }
+  return *track;
+}
+
+TapeMemory::Use TapeMemory::makeUse(const Access &access) {
+  Use use;
+  use.track = &trackOf(access.field, access.fixed);
+  if (access.fixed && access.fixed->dimension == use.track->slabs.dimension()) {
+    use.fixed = access.fixed;
+    use.firstIndex = access.field->firstIndex(access.fixed->dimension);
+  }
+  return use;
+}
+
+/// A use of all slabs one by one, at constant indices, is one of the field: the
+/// columns of a matrix of weights can be hundreds, in each of many launches.
+static void mergeSlabs(std::vector<TapeMemory::Use> &uses) {
+  std::map<const Track *, std::set<int64_t>> slabs;
+  for (const TapeMemory::Use &use : uses)
+    if (use.isConstant() && use.locate(nullptr) >= 0)
+      slabs[use.track].insert(use.locate(nullptr));
+  for (const auto &[track, found] : slabs) {
+    if (static_cast<int64_t>(found.size()) != track->slabs.count())
+      continue;
+    TapeMemory::Use *whole = nullptr;
+    for (TapeMemory::Use &use : uses)
+      if (use.track == track && use.isConstant())
+        whole = &use;
+    TapeMemory::Use merged = *whole;
+    merged.fixed.reset();
+    uses.erase(std::remove_if(uses.begin(), uses.end(),
+                              [&, track = track](const TapeMemory::Use &use) {
+                                return use.track == track && use.isConstant();
+                              }),
+               uses.end());
+    uses.push_back(std::move(merged));
+  }
+}
+
+const TapeMemory::KernelUses &TapeMemory::usesOf(Kernel &kernel) {
+  std::unique_ptr<KernelUses> &uses = kernelUses[&kernel];
+  if (uses)
+    return *uses;
+  uses = std::make_unique<KernelUses>();
+  const AdjointPlan &plan = kernel.plan();
+  auto add = [](std::vector<Use> &list, Use use) {
+    if (std::find(list.begin(), list.end(), use) == list.end())
+      list.push_back(std::move(use));
+  };
+  for (const Access &access : kernel.summary()) {
+    if (access.field->isAdjoint() || !access.field->valid())
+      continue;
+    Use use = makeUse(access);
+    add(uses->touches, use);
+    if (access.kind == AccessKind::Read)
+      continue;
+    use.before = std::any_of(
+        plan.before.begin(), plan.before.end(), [&](const FieldPtr &field) {
+          return &trackOf(field, std::nullopt) == use.track;
+        });
+    add(uses->changes, std::move(use));
+  }
+  for (const Access &access : plan.reads)
+    if (!access.field->isAdjoint() && access.field->valid())
+      add(uses->reads, makeUse(access));
+  for (const Access &access : plan.stored)
+    if (access.field->valid())
+      add(uses->stored, makeUse(access));
+  mergeSlabs(uses->reads);
+  mergeSlabs(uses->stored);
+  mergeSlabs(uses->touches);
+  uses->reruns = plan.reruns;
+  return *uses;
+}
+
+const Track *TapeMemory::findTrack(const Field &field) const {
+  auto track = tracks.find({&field.tree(), field.layout().placeOffset});
+  return track == tracks.end() ? nullptr : track->second.get();
+}
+
+bool TapeMemory::isRead(const Field &field) const {
+  const Track *track = findTrack(field);
+  return track && track->lastRead != 0;
+}
+
+//===----------------------------------------------------------------------===//
+// Forward
+//===----------------------------------------------------------------------===//
+
+Status TapeMemory::beforeLaunch(const KernelUses &uses, const uint64_t *args,
+                                uint32_t record, bool isPart) {
+  if (checkpoints) {
+    checkpoints->reach(record);
+    lost |= !isPart && !changedParts.empty();
+  }
+  for (const Use &use : uses.changes) {
+    Track &track = *use.track;
+    if (__builtin_expect(track.stored.any(), false))
+      track.stored.lose(use.locate(args), lostStored);
+    // The adjoint of a part is the business of the host function.
+    bool before = use.before && !isPart;
+    if (track.lastRead == 0 && !before && !checkpoints)
+      continue;
+    int64_t slab = use.locate(args);
+    uint32_t stamp = before ? stampOf(record) : track.readStamp(slab);
+    Status status;
+    if (checkpoints) {
+      status = checkpoints->log(track, slab);
+      if (isPart)
+        changedParts.push_back({&track, slab});
+    }
+    if (stamp != 0 && status)
+      status = propose({&track, slab, record, stamp, before});
+    if (!status)
+      return status;
+  }
+  return Status::success();
+}
+
+void TapeMemory::afterLaunch(const KernelUses &uses, const uint64_t *args,
+                             uint32_t record) {
+  settle();
+  for (const Use &use : uses.reads)
+    use.track->markRead(use.locate(args), stampOf(record));
+  for (const Use &use : uses.stored)
+    use.track->stored.mark(use.locate(args), use.track->slabs.count(),
+                           stampOf(record), lostStored);
+}
+
+void TapeMemory::afterPart(const KernelUses &uses, const uint64_t *args) {
+  settle();
+  for (const Use &use : uses.touches)
+    parts.push_back({use.track, use.locate(args)});
+}
+
+Status TapeMemory::beforeWrite(const FieldPtr &field, const int64_t *index,
+                               uint32_t record) {
+  Track &track = trackOf(field, std::nullopt);
+  int dimension = track.slabs.dimension();
+  int64_t slab = -1;
+  if (index && dimension >= 0)
+    slab = index[dimension] - field->firstIndex(dimension);
+  parts.push_back({&track, slab});
+  track.stored.lose(slab, lostStored);
+  uint32_t stamp = track.readStamp(slab);
+  if (checkpoints) {
+    checkpoints->reach(record);
+    changedParts.push_back({&track, slab});
+    Status status = checkpoints->log(track, slab);
+    if (!status)
+      return status;
+  }
+  return stamp ? propose({&track, slab, record, stamp, false})
+               : Status::success();
+}
+
+void TapeMemory::endParts(uint32_t record, bool readsInReverse) {
+  if (readsInReverse)
+    for (const Part &part : parts)
+      part.track->markRead(part.slab, stampOf(record));
+  parts.clear();
+  if (!changedParts.empty()) {
+    std::vector<Part> &kept = partsByRecord[record];
+    for (const Part &part : changedParts)
+      if (std::find(kept.begin(), kept.end(), part) == kept.end())
+        kept.push_back(part);
+    changedParts.clear();
+  }
+}
+
+const std::vector<TapeMemory::Part> &TapeMemory::partsAt(size_t record) const {
+  static const std::vector<Part> none;
+  auto found = partsByRecord.find(record);
+  return found == partsByRecord.end() ? none : found->second;
+}
+
+Status TapeMemory::propose(Candidate candidate) {
+  candidates.push_back(candidate);
+  return checkpoints ? Status::success() : save(candidate);
+}
+
+Status TapeMemory::save(const Candidate &candidate) {
+  Track &track = *candidate.track;
+  track.refresh();
+  track.savedAt.resize(static_cast<size_t>(track.numCells()));
+  track.everSaved = true;
+  if (track.slabs.byCell())
+    growing.push_back(candidate);
+  return track.forEachRun(
+      candidate.slab,
+      [&](int64_t cell) { return track.savedAt[cell] <= candidate.stamp; },
+      [&](int64_t cell, int64_t endCell) {
+        return addPiece(candidate, cell, endCell);
+      });
+}
+
+Status TapeMemory::addPiece(const Candidate &candidate, int64_t cell,
+                            int64_t endCell) {
+  Track &track = *candidate.track;
+  Piece piece{&track, candidate.record, candidate.before, cell, endCell, {}};
+  Status status =
+      piece.allocate(runtime, saved + (checkpoints ? checkpoints->bytes() : 0));
+  if (!status)
+    return status;
+  stampSaved(candidate, cell, endCell);
+  saved += piece.keptBytes();
+  pieces.push_back(std::move(piece));
+  return Status::success();
+}
+
+void TapeMemory::stampSaved(const Candidate &candidate, int64_t cell,
+                            int64_t endCell) {
+  std::vector<uint32_t> &savedAt = candidate.track->savedAt;
+  // A save that is put back before the adjoint serves that adjoint too.
+  uint32_t stamp = stampOf(candidate.record) + (candidate.before ? 1 : 0);
+  std::fill(savedAt.begin() + cell, savedAt.begin() + endCell, stamp);
+}
+
+void TapeMemory::keepZeros() {
+  for (const Candidate &candidate : growing) {
+    Track &track = *candidate.track;
+    auto first = static_cast<int64_t>(track.savedAt.size());
+    track.refresh();
+    int64_t end = track.numCells(), longest = track.longestRun();
+    track.savedAt.resize(static_cast<size_t>(end));
+    if (first < end)
+      stampSaved(candidate, first, end);
+    for (; first < end; first += longest)
+      pieces.push_back({&track,
+                        candidate.record,
+                        candidate.before,
+                        first,
+                        std::min(first + longest, end),
+                        {}});
+  }
+  growing.clear();
+}
+
+void TapeMemory::notePeak() {
+  peak = std::max(peak, saved + (checkpoints ? checkpoints->bytes() : 0));
+}
+
+void TapeMemory::settle() {
+  keepZeros();
+  if (checkpoints && checkpoints->count() > 0)
+    checkpoints->settle();
+  size_t kept = unsettled;
+  for (size_t i = unsettled; i < pieces.size(); ++i) {
+    Piece &piece = pieces[i];
+    Track &track = *piece.track;
+    if (piece.holds()) {
+      // Still what the last read needs.
+      saved -= piece.keptBytes();
+      std::fill(track.savedAt.begin() + piece.cell,
+                track.savedAt.begin() + piece.endCell, 0);
+      continue;
+    }
+    if (kept != i)
+      pieces[kept] = std::move(piece);
+    ++kept;
+  }
+  pieces.resize(kept);
+  unsettled = kept;
+  notePeak();
+}
+
+void TapeMemory::restart() {
+  beginSegment(0);
+  peak = 0;
+  if (checkpoints)
+    checkpoints->restart();
+}
+
+void TapeMemory::beginSegment(uint32_t record) {
+  for (const Piece &piece : pieces)
+    std::fill(piece.track->savedAt.begin() + piece.cell,
+              piece.track->savedAt.begin() + piece.endCell, 0);
+  pieces.clear();
+  growing.clear();
+  unsettled = 0;
+  saved = 0;
+  nextCandidate = firstCandidate(record);
+}
+
+size_t TapeMemory::firstCandidate(uint32_t record) const {
+  return static_cast<size_t>(
+      std::lower_bound(candidates.begin(), candidates.end(), record,
+                       [](const Candidate &candidate, uint32_t wanted) {
+                         return candidate.record < wanted;
+                       }) -
+      candidates.begin());
+}
+
+Status TapeMemory::beforeReplay(uint32_t record, uint32_t oldest) {
+  for (; nextCandidate < candidates.size() &&
+         candidates[nextCandidate].record <= record;
+       ++nextCandidate) {
+    const Candidate &candidate = candidates[nextCandidate];
+    if (candidate.stamp < stampOf(oldest))
+      continue;
+    Status status = save(candidate);
+    if (!status)
+      return status;
+  }
+  return Status::success();
+}
+
+int64_t TapeMemory::mostBytes(uint32_t from, uint32_t to) const {
+  int64_t bytes = 0;
+  for (size_t i = firstCandidate(from);
+       i < candidates.size() && candidates[i].record < to; ++i)
+    if (candidates[i].stamp >= stampOf(from))
+      bytes += candidates[i].track->slabBytes(candidates[i].slab);
+  return bytes;
+}
+
+int64_t TapeMemory::bytesAt(uint32_t record) const {
+  auto at = std::lower_bound(pieces.begin(), pieces.end(), record,
+                             [](const Piece &piece, uint32_t record) {
+                               return piece.record < record;
+                             });
+  int64_t bytes = 0;
+  for (; at != pieces.end() && at->record == record; ++at)
+    bytes += at->keptBytes();
+  return bytes;
+}
+
+//===----------------------------------------------------------------------===//
+// Reverse
+//===----------------------------------------------------------------------===//
+
+void TapeMemory::swap(Piece &piece, std::vector<char> &spare) {
+  auto bytes = static_cast<size_t>(piece.bytes());
+  // What has been zeros has no memory until it is put back.
+  if (!piece.block && piece.track->slabs.onDevice()) {
+    Status status =
+        piece.track->slabs.zerosOnDevice(piece.count(), piece.block);
+    if (!status) {
+      piece.track->field->tree().mirror()->context().note(std::move(status));
+      return;
+    }
+  }
+  if (piece.block) {
+    piece.track->slabs.exchangeOnDevice(piece.first(), piece.count(),
+                                        *piece.block);
+    return;
+  }
+  if (piece.track->slabs.byCell()) {
+    if (!piece.data)
+      piece.data.reset(new char[bytes]());
+    piece.track->slabs.exchange(piece.first(), piece.count(), piece.data.get());
+    return;
+  }
+  if (spare.size() < bytes)
+    spare.resize(bytes);
+  const Slabs &slabs = piece.track->slabs;
+  slabs.load(piece.first(), piece.count(), spare.data());
+  piece.putBack();
+  std::memcpy(piece.data.get(), spare.data(), bytes);
+}
+
+void TapeMemory::swapAll(const std::vector<Piece *> &some) {
+  // Pieces of one record do not overlap.
+  constexpr int64_t bytesPerPart = 1 << 20;
+  int64_t bytes = 0;
+  for (const Piece *piece : some)
+    bytes += piece->bytes();
+  struct Job {
+    TapeMemory &memory;
+    const std::vector<Piece *> &pieces;
+    int64_t parts;
+  } job{*this, some,
+        std::clamp<int64_t>(bytes / bytesPerPart, 1,
+                            2 * int64_t(runtime.threads()))};
+  if (job.parts == 1 ||
+      std::any_of(some.begin(), some.end(), [](const Piece *piece) {
+        return piece->block || piece->track->slabs.onDevice();
+      })) {
+    for (Piece *piece : some)
+      swap(*piece, spare);
+    return;
+  }
+  runtime.parallel(
+      job.parts,
+      [](void *context, int64_t part) {
+        Job &job = *static_cast<Job *>(context);
+        auto count = static_cast<int64_t>(job.pieces.size());
+        std::vector<char> spare;
+        int64_t end = count * (part + 1) / job.parts;
+        for (int64_t i = count * part / job.parts; i < end; ++i)
+          job.memory.swap(*job.pieces[i], spare);
+      },
+      &job);
+}
+
+Status TapeMemory::beginReverse() {
+  cursor = pieces.size();
+  entered = -1;
+  for (const Piece &piece : pieces)
+    if (!piece.track->field->valid())
+      return Status::failure(StatusCode::Usage,
+                             "the tape has saved values of field '" +
+                                 piece.track->field->name() +
+                                 "', whose tree has been destroyed");
+  // Values would come back without their tangents.
+  if (runtime.isForward() && !pieces.empty())
+    return Status::failure(
+        StatusCode::Usage,
+        "the reverse sweep brings back values of field '" +
+            pieces.front().track->field->name() +
+            "' that were overwritten, but in forward mode not their tangents; "
+            "store new values to other elements, such as one more time step of "
+            "the field");
+  return Status::success();
+}
+
+/// Visits the pieces that the record entered last wants put back early.
+template <typename Visit> void TapeMemory::forEachEntered(const Visit &visit) {
+  for (size_t i = cursor; i > 0 && pieces[i - 1].record == entered; --i)
+    if (pieces[i - 1].before)
+      visit(pieces[i - 1]);
+}
+
+void TapeMemory::enter(uint32_t record, bool reruns) {
+  while (cursor > 0 && pieces[cursor - 1].record > record) {
+    uint32_t last = pieces[cursor - 1].record;
+    some.clear();
+    for (; cursor > 0 && pieces[cursor - 1].record == last; --cursor)
+      if (!pieces[cursor - 1].before || entered != last)
+        some.push_back(&pieces[cursor - 1]);
+    swapAll(some);
+  }
+  entered = record;
+  some.clear();
+  forEachEntered([&](Piece &piece) { some.push_back(&piece); });
+  swapAll(some);
+  if (!reruns)
+    return;
+  beforeCopy.clear();
+  beforeBlocks.clear();
+  forEachEntered([&](Piece &piece) {
+    if (piece.block) {
+      std::unique_ptr<DeviceBlock> copy;
+      TapeServices(runtime).noteFailure(
+          piece.track->slabs.keepOnDevice(piece.first(), piece.count(), copy));
+      beforeBlocks.push_back(std::move(copy));
+      return;
+    }
+    size_t at = beforeCopy.size();
+    beforeCopy.resize(at + static_cast<size_t>(piece.bytes()));
+    piece.track->slabs.load(piece.first(), piece.count(),
+                            beforeCopy.data() + at);
+  });
+}
+
+void TapeMemory::leave(bool reruns) {
+  if (!reruns)
+    return;
+  size_t at = 0, next = 0;
+  forEachEntered([&](Piece &piece) {
+    if (piece.block) {
+      if (const std::unique_ptr<DeviceBlock> &copy = beforeBlocks[next++])
+        piece.track->slabs.storeOnDevice(piece.first(), piece.count(), *copy);
+      return;
+    }
+    piece.track->slabs.store(piece.first(), piece.count(),
+                             beforeCopy.data() + at);
+    at += static_cast<size_t>(piece.bytes());
+  });
+}
+
+void TapeMemory::endReverse() {
+  // Of the record that was entered last, what was wanted early is back already.
+  some.clear();
+  for (; cursor > 0 && pieces[cursor - 1].record == entered; --cursor)
+    if (!pieces[cursor - 1].before)
+      some.push_back(&pieces[cursor - 1]);
+  swapAll(some);
+  while (cursor < pieces.size()) {
+    uint32_t next = pieces[cursor].record;
+    some.clear();
+    for (; cursor < pieces.size() && pieces[cursor].record == next; ++cursor)
+      some.push_back(&pieces[cursor]);
+    swapAll(some);
+  }
+  entered = -1;
+}

@@ -1,0 +1,96 @@
+//===- Track.cpp - What a tape knows of the memory of a field -------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "Track.h"
+#include "../../Launch/Launch.h"
+#include "../../Mirror/Mirror.h"
+#include "../../Text/Format.h"
+#include <algorithm>
+#include <new>
+#include <numeric>
+
+using namespace mlir::tai::runtime;
+
+/// Bytes of a cell, and of a piece, where fields are larger.
+static constexpr int64_t cellBytes = 8 << 10;
+
+Track::Track(FieldPtr fieldPtr, int dimension)
+    : field(std::move(fieldPtr)),
+      slabs(*field, dimension, field->sparseNode() != nullptr) {
+  if (slabs.byCell()) {
+    cellElements = 1;
+    cellsPerSlab = 0; // not known
+    return;
+  }
+  if (slabs.onDevice()) {
+    // Nothing is compared there, so a slab is kept in one piece.
+    cellElements = std::max<int64_t>(slabs.elements(), 1);
+    cellsPerSlab = 1;
+    return;
+  }
+  cellElements = std::clamp<int64_t>(cellBytes / slabs.elementBytes(), 1,
+                                     std::max<int64_t>(slabs.elements(), 1));
+  cellsPerSlab = (slabs.elements() + cellElements - 1) / cellElements;
+}
+
+int64_t Track::longestRun() const {
+  if (slabs.onDevice())
+    return slabs.dimension() > 0 && !slabs.byCell()
+               ? 1
+               : std::max<int64_t>(numCells(), 1);
+  return std::max<int64_t>(cellBytes / (cellElements * slabs.elementBytes()),
+                           1);
+}
+
+int64_t Track::refresh() {
+  if (!slabs.byCell())
+    return numCells();
+  SparseNode &node = *field->sparseNode();
+  // To know which cells have been active, the host would wait for the device.
+  // Of those that have not, zeros are kept.
+  constexpr int64_t fewBytes = 256 << 10;
+  if (slabs.onDevice() && slabs.dimension() < 0 &&
+      node.numCells() * slabs.elementBytes() <= fewBytes &&
+      field->tree().mirror()->sparse()->canKeepActivity()) {
+    if (!everyCell) {
+      auto every = std::make_shared<ActiveList>();
+      every->cells.resize(static_cast<size_t>(node.numCells()));
+      std::iota(every->cells.begin(), every->cells.end(), int64_t(0));
+      everyCell = std::move(every);
+    }
+    return slabs.addCells(everyCell);
+  }
+  return slabs.addCells(node.list());
+}
+
+void Track::markRead(int64_t slab, uint32_t stamp) {
+  lastRead = stamp;
+  if (slab < 0) {
+    readAnywhere = stamp;
+    return;
+  }
+  if (readAt.empty())
+    readAt.resize(static_cast<size_t>(slabs.count()));
+  readAt[slab] = stamp;
+}
+
+Status Piece::allocate(Runtime &runtime, int64_t kept) {
+  if (track->slabs.onDevice())
+    return track->slabs.keepOnDevice(first(), count(), block);
+  int64_t size = bytes();
+  if (size <= runtime.memoryLimit() - runtime.reservedBytes() - kept)
+    data.reset(new (std::nothrow) char[static_cast<size_t>(size)]);
+  if (!data)
+    return Status::failure(
+        StatusCode::Memory,
+        "out of memory: the tape keeps " + formatBytes(kept) +
+            " of values that were overwritten, and needs " + formatBytes(size) +
+            " more for field '" + track->field->name() +
+            "'; with a memory budget it recomputes values instead");
+  track->slabs.load(first(), count(), data.get());
+  return Status::success();
+}

@@ -1,0 +1,163 @@
+//===- Track.h - What a tape knows of the memory of a field -----*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// For each slab of a field (the elements with one index along the dimension
+// that launches fix): who reads it last in reverse, and when its cells were
+// saved. Stamps order what happens to a cell. A cell is saved where the last
+// read is not older than the last save: a save at a record serves all reads
+// before it.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_TAPE_MEMORY_TRACK_H
+#define TAI_LIB_RUNTIME_TAPE_MEMORY_TRACK_H
+
+#include "../../Mirror/DeviceContext.h"
+#include "../../Mirror/Slabs.h"
+#include "StoredOutputs.h"
+#include "tai/Runtime/Launch/Runtime.h"
+
+namespace mlir::tai::runtime {
+
+/// What is known of the memory of one field, under whatever name.
+struct Track {
+  Track(FieldPtr field, int dimension);
+
+  FieldPtr field;
+  Slabs slabs;
+  /// A cell is the unit in which changes are noticed: a slab or a part of one,
+  /// or what the field has in a cell of the sparse level above it.
+  int64_t cellElements;
+  int64_t cellsPerSlab;
+
+  /// Stamps of the last record that reads each slab, any slab at an unknown
+  /// place, and anything at all.
+  std::vector<uint32_t> readAt;
+  uint32_t readAnywhere = 0;
+  uint32_t lastRead = 0;
+  /// Stamp of the last save of each cell.
+  std::vector<uint32_t> savedAt;
+  /// The snapshot that last took each cell, and marks for counting cells.
+  std::vector<uint32_t> loggedBy, marks;
+  bool everSaved = false;
+  /// All that there are, where all are kept.
+  ActiveListPtr everyCell;
+
+  /// What launches have stored and adjoints may load.
+  StoredOutputs stored;
+
+  void markRead(int64_t slab, uint32_t stamp);
+  uint32_t readStamp(int64_t slab) const {
+    if (slab < 0)
+      return lastRead;
+    uint32_t here = readAt.empty() ? 0 : readAt[slab];
+    return here > readAnywhere ? here : readAnywhere;
+  }
+  int64_t numCells() const {
+    return slabs.byCell() ? slabs.numCells() : slabs.count() * cellsPerSlab;
+  }
+  /// Counts the cells that are active now among those of a sparse field.
+  /// Returns how many it had before.
+  int64_t refresh();
+  /// Cells of a slab (or of all, for -1): calls body(begin, end) for runs of
+  /// those that are wanted, none longer than a piece should be.
+  template <typename Wanted, typename Body>
+  Status forEachRun(int64_t slab, const Wanted &wanted, const Body &body) const;
+  int64_t longestRun() const;
+  int64_t slabBytes(int64_t slab) const {
+    if (slabs.byCell())
+      return (slab < 0 ? slabs.numCells()
+                       : static_cast<int64_t>(slabs.cellsOf(slab).size())) *
+             slabs.elementBytes();
+    return (slab < 0 ? slabs.count() : 1) * slabs.elements() *
+           slabs.elementBytes();
+  }
+  int64_t firstElement(int64_t cell) const {
+    if (slabs.byCell())
+      return cell;
+    return cell / cellsPerSlab * slabs.elements() +
+           cell % cellsPerSlab * cellElements;
+  }
+};
+
+/// Contents of consecutive elements of a field: zeros where there are no data,
+/// here or on the device.
+struct Piece {
+  Track *track;
+  uint32_t record;
+  /// Put back before the adjoint of the record instead of after it.
+  bool before;
+  int64_t cell, endCell;
+  std::unique_ptr<char[]> data;
+  std::unique_ptr<DeviceBlock> block = nullptr;
+
+  int64_t first() const { return track->firstElement(cell); }
+  int64_t count() const { return track->firstElement(endCell) - first(); }
+  int64_t bytes() const { return count() * track->slabs.elementBytes(); }
+  int64_t keptBytes() const { return data || block ? bytes() : 0; }
+  /// Copies what the field holds; fails where the tape would then keep more
+  /// than there is, `kept` being what it keeps so far.
+  Status allocate(Runtime &runtime, int64_t kept);
+  /// Whether the field still holds that. On a device it is not worth the wait.
+  bool holds() const {
+    if (block || track->slabs.onDevice())
+      return false;
+    return data ? track->slabs.equal(first(), count(), data.get())
+                : track->slabs.isZero(first(), count());
+  }
+  void putBack() const {
+    if (block)
+      track->slabs.storeOnDevice(first(), count(), *block);
+    else if (data)
+      track->slabs.store(first(), count(), data.get());
+    else
+      track->slabs.clear(first(), count());
+  }
+};
+
+template <typename Wanted, typename Body>
+Status Track::forEachRun(int64_t slab, const Wanted &wanted,
+                         const Body &body) const {
+  int64_t longest = longestRun();
+  if (slab >= 0 && slabs.byCell()) {
+    const std::vector<int64_t> &cells = slabs.cellsOf(slab);
+    for (size_t i = 0; i < cells.size();) {
+      size_t first = i;
+      while (i < cells.size() && wanted(cells[i]) &&
+             cells[i] - cells[first] == int64_t(i - first) &&
+             int64_t(i - first) < longest)
+        ++i;
+      if (i == first) {
+        ++i;
+        continue;
+      }
+      Status status = body(cells[first], cells[i - 1] + 1);
+      if (!status)
+        return status;
+    }
+    return Status::success();
+  }
+  int64_t cell = slab < 0 ? 0 : slab * cellsPerSlab;
+  int64_t end = slab < 0 ? numCells() : cell + cellsPerSlab;
+  while (cell < end) {
+    if (!wanted(cell)) {
+      ++cell;
+      continue;
+    }
+    int64_t first = cell;
+    while (cell < end && cell - first < longest && wanted(cell))
+      ++cell;
+    Status status = body(first, cell);
+    if (!status)
+      return status;
+  }
+  return Status::success();
+}
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_TAPE_MEMORY_TRACK_H

@@ -1,0 +1,201 @@
+//===- Overwrites.cpp - Elements that are stored again --------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "Overwrites.h"
+#include "TapeServices.h"
+#include <algorithm>
+#include <unordered_map>
+
+using namespace mlir::tai::runtime;
+
+namespace {
+/// The elements of a field that the records so far have used: positions along
+/// the first dimension in which a launch fixes its index.
+struct Used {
+  const Field *field;
+  int64_t dimension;
+  std::vector<char> positions;
+  bool anywhere = false;
+  bool any = false;
+  /// Of these elements, those that a record stores which was the first to use
+  /// them: slabs, and what else there is.
+  std::vector<char> stored;
+  OwedZeros boxes;
+
+  /// The position of an access, or -1 if it is not known.
+  int64_t locate(const Access &access, const uint64_t *args) const {
+    if (!access.fixed || access.fixed->dimension != dimension)
+      return -1;
+    int64_t position =
+        access.fixed->evaluate(args) - access.field->firstIndex(dimension);
+    bool inRange = position >= 0 && position < int64_t(positions.size());
+    return inRange ? position : -1;
+  }
+  bool has(int64_t position) const {
+    return anywhere || (position < 0 ? any : positions[position] != 0);
+  }
+  void add(int64_t position) {
+    any = true;
+    if (position < 0)
+      anywhere = true;
+    else
+      positions[position] = true;
+  }
+  /// The elements that an access stores in a launch are zeroed after the sweep.
+  void owe(const Access &access, bool isSlab, int64_t position,
+           const uint64_t *args) {
+    if (isSlab && position >= 0) {
+      if (stored.empty())
+        stored.resize(positions.size());
+      stored[position] = true;
+      return;
+    }
+    OwedZeros::Box elements;
+    for (const StoredBox &box : *access.boxes)
+      if (findElements(box, *access.field, args, elements))
+        boxes.add(elements, dimension);
+  }
+  std::shared_ptr<const OwedZeros> take(const Field &field);
+};
+
+std::shared_ptr<const OwedZeros> Used::take(const Field &field) {
+  for (size_t at = 0; at < stored.size(); ++at) {
+    if (!stored[at])
+      continue;
+    OwedZeros::Box slab;
+    slab.lower.resize(field.shape().size());
+    slab.upper = field.shape();
+    slab.lower[dimension] = static_cast<int64_t>(at);
+    while (at + 1 < stored.size() && stored[at + 1])
+      ++at;
+    slab.upper[dimension] = static_cast<int64_t>(at + 1);
+    boxes.boxes.push_back(std::move(slab));
+  }
+  return boxes.boxes.empty() ? nullptr
+                             : std::make_shared<OwedZeros>(std::move(boxes));
+}
+
+/// Whether an access stores all elements at its fixed index, in all launches.
+bool storesSlab(const Access &access) {
+  if (!access.fixed || !access.boxes || access.boxes->size() != 1)
+    return false;
+  const StoredBox &box = access.boxes->front();
+  if (!box.loops.empty())
+    return false;
+  for (size_t d = 0; d < box.ranges.size(); ++d) {
+    const auto &[lower, upper] = box.ranges[d];
+    if (static_cast<int64_t>(d) == access.fixed->dimension)
+      continue;
+    int64_t first = access.field->firstIndex(static_cast<int64_t>(d));
+    if (!lower.terms.empty() || !upper.terms.empty() ||
+        lower.constant > first ||
+        upper.constant < first + access.field->shape()[d])
+      return false;
+  }
+  return true;
+}
+
+/// What launches of a kernel but the first need to look at.
+struct Repeated {
+  struct Use {
+    size_t used;
+    const Access *access;
+    bool stores;
+    bool isSlab;
+    bool varies;
+  };
+  /// The accesses whose places depend on arguments.
+  std::vector<Use> uses;
+  /// It stores elements that its first launch has stored.
+  bool storesAgain = false;
+};
+} // namespace
+
+Overwrites mlir::tai::runtime::findOverwrites(const TapeRecording &recording,
+                                              uint64_t mark) {
+  Overwrites result;
+  result.isRepeated.assign(recording.size(), false);
+  std::vector<Used> used;
+  auto lookup = [&](const Access &access) -> size_t {
+    Field &field = *access.field;
+    bool isNew = false;
+    size_t number = TapedField::number(field, mark, used.size(), isNew);
+    if (isNew) {
+      Used entry;
+      entry.field = &field;
+      entry.dimension = access.fixed ? access.fixed->dimension : -1;
+      if (access.fixed)
+        entry.positions.resize(field.shape()[entry.dimension]);
+      used.push_back(std::move(entry));
+    }
+    return number;
+  };
+  std::unordered_map<const Kernel *, Repeated> known;
+  std::vector<int64_t> positions;
+  // A gradient of the program's own may add to whatever it likes.
+  bool isUnknown = false;
+  for (size_t i = 0; i < recording.size(); ++i) {
+    const TapeRecording::Record &record = recording[i];
+    const Kernel *kernel = record.kernel;
+    if (!kernel) {
+      isUnknown |= record.kind == TapeRecording::Kind::Callback &&
+                   static_cast<bool>(recording.callback(record).backward);
+      continue;
+    }
+    const uint64_t *args = recording.args(record);
+    positions.clear();
+    bool again = TapedKernel::alwaysZeroes(*kernel);
+    // An adjoint that somebody wrote may come in one form.
+    bool canZero = kernel->hasZeroingAdjoint();
+    auto look = [&](const Repeated::Use &use) {
+      Used &entry = used[use.used];
+      int64_t position = entry.locate(*use.access, args);
+      bool isOwed = use.access->boxes && !isUnknown;
+      again |= use.stores && ((canZero && !isOwed) || entry.has(position));
+      positions.push_back(position);
+    };
+    auto [entry, isFirst] = known.try_emplace(kernel);
+    Repeated &repeated = entry->second;
+    if (isFirst) {
+      for (const Access &access : kernel->summary()) {
+        if (!access.field->adjoint())
+          continue;
+        bool stores = access.kind == AccessKind::Write;
+        size_t index = lookup(access);
+        bool varies = access.fixed && !access.fixed->terms.empty() &&
+                      access.fixed->dimension == used[index].dimension;
+        repeated.uses.push_back(
+            {index, &access, stores, stores && storesSlab(access), varies});
+      }
+    }
+    again |= repeated.storesAgain;
+    for (const Repeated::Use &use : repeated.uses)
+      look(use);
+    result.isRepeated[i] = again;
+    for (size_t k = 0; k < positions.size(); ++k) {
+      const Repeated::Use &use = repeated.uses[k];
+      Used &entry = used[use.used];
+      if (use.stores && use.access->boxes && !again)
+        entry.owe(*use.access, use.isSlab, positions[k], args);
+      entry.add(positions[k]);
+    }
+    if (isFirst) {
+      auto isDone = [&](const Repeated::Use &use) {
+        repeated.storesAgain |= use.stores && !use.varies;
+        return !use.varies;
+      };
+      repeated.uses.erase(
+          std::remove_if(repeated.uses.begin(), repeated.uses.end(), isDone),
+          repeated.uses.end());
+    }
+  }
+  for (Used &entry : used)
+    if (std::shared_ptr<const OwedZeros> zeros = entry.take(*entry.field))
+      result.storedOnce.emplace_back(TapedField::adjoint(*entry.field),
+                                     std::move(zeros));
+  return result;
+}

@@ -1,0 +1,280 @@
+//===- Rematerialiser.cpp - Reverse sweeps that recompute values ----------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "Rematerialiser.h"
+#include "ForwardReplay.h"
+#include <algorithm>
+
+using namespace mlir::tai::runtime;
+
+Status Rematerialiser::setPolicy(CheckpointPolicy policy) {
+  if (policy.kind != CheckpointPolicy::Kind::None && services.isForward())
+    return Status::failure(
+        StatusCode::Usage,
+        "a tape that recomputes values cannot be recorded in "
+        "forward mode: snapshots hold no tangents");
+  if (policy.snapshots < 0 || policy.budget < 0)
+    return Status::failure(StatusCode::Usage,
+                           "the number of snapshots and the memory budget of a "
+                           "tape must be positive");
+  checkpoints.reset();
+  if (policy.kind != CheckpointPolicy::Kind::None)
+    checkpoints = std::make_unique<Checkpoints>(services.owner(), policy);
+  memory.useCheckpoints(checkpoints.get());
+  return Status::success();
+}
+
+void Rematerialiser::restart() {
+  sweptBefore = false;
+  executed = 0;
+  executedAt.clear();
+}
+
+/// Calls body(track, slab) for all that the record may change.
+template <typename Body>
+Status Rematerialiser::forEachChange(size_t index, const Body &body) {
+  const TapeRecording::Record &record = recording[index];
+  if (record.kind == TapeRecording::Kind::Launch) {
+    const uint64_t *args = recording.args(record);
+    for (const TapeMemory::Use &use : memory.usesOf(*record.kernel).changes) {
+      Status status = body(*use.track, use.locate(args));
+      if (!status)
+        return status;
+    }
+    return Status::success();
+  }
+  const std::vector<TapeMemory::Part> &changes = memory.partsAt(index);
+  for (const TapeMemory::Part &part : changes) {
+    Status status = body(*part.track, part.slab);
+    if (!status)
+      return status;
+  }
+  return Status::success();
+}
+
+Status Rematerialiser::recompute(Launch &launch, size_t index, bool saving,
+                                 size_t oldest) {
+  topology.goBefore(static_cast<uint32_t>(index));
+  Status status = forEachChange(index, [&](Track &track, int64_t slab) {
+    return checkpoints->log(track, slab);
+  });
+  if (status && saving)
+    status = memory.beforeReplay(static_cast<uint32_t>(index),
+                                 static_cast<uint32_t>(oldest));
+  topology.runsAgain(static_cast<uint32_t>(index));
+  if (status)
+    status = replayRecord(services, recording, launch, index,
+                          !memory.partsAt(index).empty());
+  checkpoints->settle();
+  memory.settle();
+  topology.ranAgain(static_cast<uint32_t>(index));
+  ++executed;
+  executedAt.resize(recording.size());
+  ++executedAt[index];
+  return status;
+}
+
+Status Rematerialiser::recomputeRange(Launch &launch, size_t from, size_t to) {
+  Status status;
+  for (size_t i = from; i < to && status; ++i)
+    status = recompute(launch, i, /*saving=*/false, 0);
+  return status;
+}
+
+/// Whether the sweep has anything to do at the record.
+bool Rematerialiser::mayNeed(size_t index) const {
+  return recording.callsInReverse() || TapePlan::isReplayed(plan[index]);
+}
+
+/// Goes through [from, to) in reverse by saving what is overwritten there.
+/// Memory is that before `from`, and anything afterwards.
+Status Rematerialiser::reverseSaving(Launch &launch, size_t from, size_t to) {
+  memory.beginSegment(static_cast<uint32_t>(from));
+  Status status;
+  for (size_t i = from; i < to && status; ++i)
+    status = recompute(launch, i, /*saving=*/true, from);
+  if (status)
+    status = memory.beginReverse();
+  for (size_t i = to; i-- > from && status;)
+    status = reverse.reverse(launch, i);
+  memory.beginSegment(0);
+  return status;
+}
+
+int64_t Rematerialiser::freeSnapshots() const {
+  const CheckpointPolicy &policy = checkpoints->getPolicy();
+  if (policy.budget > 0)
+    return (policy.budget - checkpoints->bytes() - checkpoints->growth()) /
+               std::max<int64_t>(checkpoints->snapshotBytes(), 1) -
+           1; // the values of the record that is being reversed
+  return std::max<int64_t>(policy.snapshots, 1) - checkpoints->count();
+}
+
+bool Rematerialiser::isShort(size_t from, size_t to) const {
+  const CheckpointPolicy &policy = checkpoints->getPolicy();
+  if (to - from == 1 || policy.kind == CheckpointPolicy::Kind::Periodic)
+    return true;
+  if (policy.kind != CheckpointPolicy::Kind::Mixed)
+    return false;
+  int64_t room = policy.budget > 0 ? policy.budget - checkpoints->bytes() -
+                                         checkpoints->growth()
+                                   : checkpoints->snapshotBytes();
+  return memory.mostBytes(static_cast<uint32_t>(from),
+                          static_cast<uint32_t>(to)) <= room;
+}
+
+/// Goes through [from, to) in reverse. Memory is that before `from`, where the
+/// topmost snapshot is, and anything afterwards.
+Status Rematerialiser::reverseRange(Launch &launch, size_t from, size_t to) {
+  Status status;
+  while (status) {
+    while (to > from && !mayNeed(to - 1))
+      --to;
+    if (to == from)
+      return status;
+    if (isShort(from, to))
+      return reverseSaving(launch, from, to);
+    int64_t free = freeSnapshots();
+    if (free <= 0) {
+      // From this one snapshot again and again.
+      status = recomputeRange(launch, from, to - 1);
+      if (status)
+        status = reverseSaving(launch, to - 1, to);
+      --to;
+      checkpoints->restore();
+      continue;
+    }
+    size_t middle = from + static_cast<size_t>(binomialSplit(
+                               static_cast<int64_t>(to - from), free + 1));
+    status = recomputeRange(launch, from, middle);
+    if (!status)
+      return status;
+    checkpoints->push(static_cast<uint32_t>(middle));
+    status = reverseRange(launch, middle, to);
+    checkpoints->restore();
+    checkpoints->pop();
+    checkpoints->restore();
+    to = middle;
+  }
+  return status;
+}
+
+/// How many of the snapshots, from the first on, a sweep should start with: by
+/// now their number of records is known, and others may serve better in the
+/// places that the later ones take.
+int64_t Rematerialiser::bestSnapshots() const {
+  int64_t count = checkpoints->count();
+  int64_t all = count + std::max<int64_t>(freeSnapshots(), 0);
+  int64_t best = count, bestCost = INT64_MAX, before = 0;
+  for (int64_t kept = 1; kept <= count; ++kept) {
+    int64_t left = all - kept + 1;
+    int64_t start = checkpoints->start(kept - 1);
+    int64_t cost =
+        before +
+        binomialCost(static_cast<int64_t>(recording.size()) - start, left);
+    if (cost < bestCost) {
+      bestCost = cost;
+      best = kept;
+    }
+    if (kept < count)
+      before += binomialCost(checkpoints->start(kept) - start, left);
+  }
+  return best;
+}
+
+Status Rematerialiser::replay(Launch &launch) {
+  Status status;
+  for (size_t i = 0; i < recording.size() && status; ++i) {
+    auto record = static_cast<uint32_t>(i);
+    checkpoints->reach(record);
+    status = recompute(launch, i, /*saving=*/false, 0);
+    topology.settle(record);
+    if (recording[i].kernel)
+      topology.noteLoops(record, launch.loops);
+  }
+  executed = 0;
+  executedAt.clear();
+  return status;
+}
+
+Status Rematerialiser::sweep() {
+  if (services.isForward())
+    return Status::failure(StatusCode::Usage,
+                           "a tape that recomputes values cannot be swept in "
+                           "forward mode: snapshots hold no tangents");
+  if (recording.empty())
+    return Status::success();
+  if (memory.lostChanges())
+    return Status::failure(
+        StatusCode::Usage,
+        "launches that were made while the tape was suspended cannot be "
+        "recomputed; record a host function that makes them");
+  int64_t leaf = 0;
+  for (size_t i = 0; i < recording.size(); ++i)
+    leaf = std::max(leaf, memory.mostBytes(static_cast<uint32_t>(i),
+                                           static_cast<uint32_t>(i + 1)));
+  Status status = checkpoints->checkBudget(leaf);
+  if (!status)
+    return status;
+  HeldLaunch launch(services);
+  if (sweptBefore) {
+    checkpoints->restore();
+    checkpoints->restart();
+    for (size_t i = 0; i < recording.size() && status; ++i) {
+      checkpoints->reach(static_cast<uint32_t>(i));
+      status = recompute(launch.get(), i, /*saving=*/false, 0);
+    }
+  }
+  sweptBefore = true;
+  if (status)
+    status = checkpoints->keepFinal();
+  memory.notePeak();
+  if (status)
+    status = reverseAll(launch.get());
+  // After a failure too, the first snapshot covers all.
+  while (checkpoints->count() > 1) {
+    checkpoints->restore();
+    checkpoints->pop();
+  }
+  checkpoints->restoreFinal();
+  return status;
+}
+
+/// From snapshot to snapshot.
+Status Rematerialiser::reverseAll(Launch &launch) {
+  int64_t kept =
+      checkpoints->getPolicy().kind == CheckpointPolicy::Kind::Binomial
+          ? bestSnapshots()
+          : checkpoints->count();
+  while (checkpoints->count() > kept) {
+    checkpoints->restore();
+    checkpoints->pop();
+  }
+  Status status;
+  for (size_t end = recording.size(); status;) {
+    size_t from = checkpoints->topStart();
+    checkpoints->restore();
+    status = reverseRange(launch, from, end);
+    if (checkpoints->count() == 1)
+      break;
+    checkpoints->restore();
+    checkpoints->pop();
+    end = from;
+  }
+  return status;
+}
+
+void Rematerialiser::addTo(TapeStats &stats) const {
+  if (!checkpoints)
+    return;
+  stats.savedBytes += checkpoints->bytes();
+  stats.snapshots = checkpoints->mostSnapshots();
+  stats.snapshotBytes = checkpoints->snapshotBytes();
+  stats.recomputed = executed;
+  stats.optimum = binomialCost(static_cast<int64_t>(recording.size()),
+                               std::max<int64_t>(stats.snapshots, 1));
+}

@@ -1,0 +1,58 @@
+//===- SweepSeeds.h - Where reverse sweeps start ----------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Losses, what their adjoints are at the start of a sweep, and which other
+// adjoints may be non-zero then.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_TAPE_SWEEPSEEDS_H
+#define TAI_LIB_RUNTIME_TAPE_SWEEPSEEDS_H
+
+#include "TapeHolds.h"
+
+namespace mlir::tai::runtime {
+
+class SweepSeeds {
+public:
+  explicit SweepSeeds(TapeServices services) : services(services) {}
+
+  bool empty() const { return losses.empty(); }
+  bool has(const Field &field) const;
+  /// "'loss', 'other'"
+  std::string names() const;
+
+  /// Adds a loss, which the tape uses from then on. A field of one number is a
+  /// sum: it is set to zero, and its seed is 1.
+  Status add(FieldPtr loss, TapeHolds &holds);
+  /// A row-major array of the scalar type of the adjoint.
+  Status set(const Field &loss, const void *array);
+  /// Sets the sums to zero, before the sequence runs again.
+  void clearSums() const;
+  /// Stores the seeds to the adjoints of the losses.
+  Status store() const;
+
+  /// The fields whose adjoints may be non-zero when a sweep starts; what
+  /// another thread has left is no concern of the tape. `cleared`: gradients
+  /// are zero then, but for those that others may write to.
+  std::vector<Field *> liveFields(bool cleared, const TapeHolds &holds) const;
+
+private:
+  struct Loss {
+    FieldPtr field;
+    /// Of the adjoint; empty for 1.
+    std::vector<char> seed;
+  };
+  void clearSum(Field &loss) const;
+
+  TapeServices services;
+  std::vector<Loss> losses;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_TAPE_SWEEPSEEDS_H

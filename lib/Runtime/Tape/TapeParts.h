@@ -1,0 +1,70 @@
+//===- TapeParts.h - What a tape is made of ---------------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_TAPE_TAPEPARTS_H
+#define TAI_LIB_RUNTIME_TAPE_TAPEPARTS_H
+
+#include "ChangeWatch.h"
+#include "DirectReplay.h"
+#include "ForwardReplay.h"
+#include "LostGradients.h"
+#include "Rematerialiser.h"
+#include "SweepSeeds.h"
+#include "TapeReport.h"
+#include "tai/Runtime/Launch/AccessChecks.h"
+#include "tai/Runtime/Tape/Tape.h"
+
+namespace mlir::tai::runtime {
+
+/// In the order in which they use each other.
+struct Tape::Parts {
+  Parts(Runtime &runtime, Tape &tape, uint64_t stamp, bool clears)
+      : stamp(stamp), services(runtime), holds(services, tape, clears),
+        memory(runtime), topology(runtime), seeds(services), changes(services),
+        forms(services, recording, plan, memory), direct(services, recording),
+        reverse(services, tape, recording, plan, forms, memory, topology,
+                health),
+        rematerialiser(services, recording, plan, memory, topology, reverse) {
+    reverse.liveFields = [this] { return seeds.liveFields(false, holds); };
+  }
+
+  /// No other tape of the runtime has it.
+  uint64_t stamp;
+  TapeServices services;
+  bool isOpen = false;
+  /// How often it was suspended, and the number of the first launch of the host
+  /// function to come.
+  int suspended = 0;
+  uint64_t suspendedAt = UINT64_MAX;
+
+  TapeHolds holds;
+  TapeRecording recording;
+  TapeMemory memory;
+  TapeTopology topology;
+  std::unique_ptr<AccessChecks> checks;
+  SweepSeeds seeds;
+  ChangeWatch changes;
+  TapePlan plan;
+  AdjointForms forms;
+  AdjointHealth health;
+  LostGradients lost;
+  DirectReplay direct;
+  ReverseSweep reverse;
+  Rematerialiser rematerialiser;
+  TapeReport report;
+
+  /// Nothing but launches is to be done in a replay.
+  bool isDirect() const {
+    return services.runsDirectly() && !rematerialiser.isOn() &&
+           !health.isWatching() && recording.onlyLaunches() &&
+           memory.savesNothing() && topology.watchesNothing();
+  }
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_TAPE_TAPEPARTS_H

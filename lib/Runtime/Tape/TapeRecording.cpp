@@ -1,0 +1,83 @@
+//===- TapeRecording.cpp - What a tape has recorded -----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "TapeRecording.h"
+#include <algorithm>
+#include <unordered_map>
+
+using namespace mlir::tai::runtime;
+
+TapeRecording::Write::Write(FieldPtr fieldPtr, const HostWrite &write)
+    : field(std::move(fieldPtr)), view(write),
+      bytes(static_cast<const char *>(write.bytes),
+            static_cast<const char *>(write.bytes) + write.numBytes()) {
+  if (write.index)
+    index.assign(write.index, write.index + field->rank());
+}
+
+HostWrite TapeRecording::Write::get() const {
+  HostWrite write = view;
+  write.bytes = bytes.data();
+  write.index = index.data();
+  return write;
+}
+
+void TapeRecording::keep(Kernel &kernel) {
+  if (std::none_of(kept.begin(), kept.end(), [&](const KernelPtr &known) {
+        return known.get() == &kernel;
+      }))
+    kept.push_back(kernel.shared_from_this());
+}
+
+void TapeRecording::addCallback(TapeCallback callback, uint64_t start,
+                                uint64_t next) {
+  reverseCallbacks |= static_cast<bool>(callback.backward);
+  // The launches of the function draw the same random numbers again.
+  if (!anyLaunch) {
+    anyLaunch = true;
+    firstLaunch = start;
+  }
+  if (next > firstLaunch)
+    lastLaunch = next - 1 - firstLaunch;
+  records.push_back(
+      {nullptr, start - firstLaunch, callbacks.size(), Kind::Callback});
+  callbacks.push_back(std::move(callback));
+}
+
+void TapeRecording::addWrite(FieldPtr field, const HostWrite &write) {
+  records.push_back({nullptr, 0, writes.size(), Kind::Write});
+  writes.push_back(std::make_unique<Write>(std::move(field), write));
+}
+
+std::vector<FieldOverwrite> TapeRecording::overwrites() const {
+  std::vector<FieldOverwrite> result;
+  std::unordered_map<const Field *, int64_t> lastUse;
+  for (size_t i = 0; i < records.size(); ++i) {
+    if (!records[i].kernel)
+      continue;
+    const std::vector<Access> &summary = records[i].kernel->summary();
+    for (const Access &access : summary) {
+      if (access.kind != AccessKind::Write)
+        continue;
+      auto earlier = lastUse.find(access.field.get());
+      if (earlier != lastUse.end())
+        result.push_back(
+            {static_cast<int64_t>(i), access.field.get(), earlier->second});
+    }
+    for (const Access &access : summary)
+      lastUse[access.field.get()] = static_cast<int64_t>(i);
+  }
+  return result;
+}
+
+std::string TapeRecording::describe(const Record &record) const {
+  if (record.kernel)
+    return "@" + record.kernel->name();
+  return record.kind == Kind::Write
+             ? "(write of @" + write(record).field->name() + ")"
+             : "(host function)";
+}

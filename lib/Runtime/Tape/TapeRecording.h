@@ -1,0 +1,114 @@
+//===- TapeRecording.h - What a tape has recorded ---------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The sequence as data: launches with their arguments, functions and writes of
+// the host. It launches nothing and decides nothing.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_TAPE_TAPERECORDING_H
+#define TAI_LIB_RUNTIME_TAPE_TAPERECORDING_H
+
+#include "../Host/HostWrite.h"
+#include "tai/Runtime/Launch/Kernel.h"
+#include "tai/Runtime/Tape/TapeTypes.h"
+
+namespace mlir::tai::runtime {
+
+class TapeRecording {
+public:
+  enum class Kind : uint8_t { Launch, Callback, Write };
+  struct Record {
+    Kernel *kernel;   // of a launch
+    uint64_t launch;  // number, relative to the first
+    uint64_t payload; // first argument slot, or number of callback or write
+    Kind kind = Kind::Launch;
+  };
+
+  size_t size() const { return records.size(); }
+  bool empty() const { return records.empty(); }
+  const Record &operator[](size_t index) const { return records[index]; }
+  std::vector<Record>::const_iterator begin() const { return records.begin(); }
+  std::vector<Record>::const_iterator end() const { return records.end(); }
+  /// The number of the record to come.
+  uint32_t next() const { return static_cast<uint32_t>(records.size()); }
+
+  /// Of a launch.
+  const uint64_t *args(const Record &record) const {
+    return slots.data() + record.payload;
+  }
+  uint64_t number(const Record &record) const {
+    return firstLaunch + record.launch;
+  }
+  /// Of a host function.
+  const TapeCallback &callback(const Record &record) const {
+    return callbacks[record.payload];
+  }
+  /// Of a write of the host.
+  HostWrite write(const Record &record) const {
+    return writes[record.payload]->get();
+  }
+  /// For those who read: "@f", "(write of @x)", "(host function)".
+  std::string describe(const Record &record) const;
+
+  /// Those that were launched, in the order in which they came first.
+  const std::vector<KernelPtr> &kernels() const { return kept; }
+  bool hasCallbacks() const { return !callbacks.empty(); }
+  bool onlyLaunches() const { return callbacks.empty() && writes.empty(); }
+  /// Some host function has a reverse.
+  bool callsInReverse() const { return reverseCallbacks; }
+
+  /// As summaries tell, in the order of the records.
+  std::vector<FieldOverwrite> overwrites() const;
+
+  /// Keeps a kernel alive that is launched.
+  void keep(Kernel &kernel);
+  void addLaunch(Kernel &kernel, const uint64_t *args, uint64_t number) {
+    if (!anyLaunch) {
+      anyLaunch = true;
+      firstLaunch = number;
+    }
+    lastLaunch = number - firstLaunch;
+    records.push_back({&kernel, lastLaunch, slots.size()});
+    slots.insert(slots.end(), args, args + kernel.tapeSlots());
+  }
+  /// `start`: the number that its first launch had, or would have had. `next`:
+  /// that of the next launch.
+  void addCallback(TapeCallback callback, uint64_t start, uint64_t next);
+  void addWrite(FieldPtr field, const HostWrite &write);
+
+  /// How many launches the records stand for, and a new number for the first of
+  /// them: the others keep their distances.
+  uint64_t numLaunches() const { return anyLaunch ? lastLaunch + 1 : 0; }
+  void renumber(uint64_t first) { firstLaunch = first; }
+
+private:
+  /// Owns what a HostWrite points to.
+  struct Write {
+    Write(FieldPtr fieldPtr, const HostWrite &write);
+    HostWrite get() const;
+
+    FieldPtr field;
+    HostWrite view;
+    std::vector<char> bytes;
+    std::vector<int64_t> index;
+  };
+
+  std::vector<Record> records;
+  std::vector<uint64_t> slots;
+  std::vector<TapeCallback> callbacks;
+  std::vector<std::unique_ptr<Write>> writes;
+  std::vector<KernelPtr> kept;
+  uint64_t firstLaunch = 0;
+  uint64_t lastLaunch = 0;
+  bool anyLaunch = false;
+  bool reverseCallbacks = false;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_TAPE_TAPERECORDING_H

@@ -1,0 +1,106 @@
+//===- TapeReport.cpp - What a tape tells about its sweeps ----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "TapeReport.h"
+#include "../Text/Format.h"
+#include <algorithm>
+
+using namespace mlir::tai::runtime;
+using Decision = TapePlan::Decision;
+
+static std::string join(const std::vector<Field *> &fields) {
+  if (fields.empty())
+    return "arrays or returned values";
+  std::string text;
+  for (const Field *field : fields)
+    text += (text.empty() ? "@" : ", @") + field->name();
+  return text;
+}
+
+static std::string explainReplay(const Kernel &kernel) {
+  std::string text =
+      "replayed, from the adjoints of " + join(TapedKernel::sources(kernel));
+  if (!TapedKernel::targets(kernel).empty())
+    text += " to those of " + join(TapedKernel::targets(kernel));
+  return text;
+}
+
+static std::string explainStored(const Kernel &kernel, bool loads) {
+  if (!TapedKernel::loadsStored(kernel))
+    return "";
+  if (!loads)
+    return "; computes again what it stored";
+  std::string text = "; loads what it stored";
+  std::vector<const Field *> named;
+  for (const Access &access : TapedKernel::adjointPlan(kernel).stored) {
+    if (std::find(named.begin(), named.end(), access.field.get()) !=
+        named.end())
+      continue;
+    text += (named.empty() ? " in @" : ", @") + access.field->name();
+    named.push_back(access.field.get());
+  }
+  return text;
+}
+
+static std::string explainUnreached(const Kernel *kernel) {
+  if (!kernel)
+    return "skipped: no adjoint reaches it";
+  if (TapedKernel::sources(*kernel).empty())
+    return "skipped: it changes no field that has an adjoint";
+  return "skipped: no adjoint reaches " + join(TapedKernel::sources(*kernel));
+}
+
+static std::string explainDecision(Decision decision, const Kernel *kernel,
+                                   bool loadsStored) {
+  switch (decision) {
+  case Decision::Replay:
+    return explainReplay(*kernel) + explainStored(*kernel, loadsStored);
+  case Decision::Unpruned:
+    return "replayed, without effect: 'tape-pruning' is off";
+  case Decision::SkipNoDerivative:
+    return "skipped: it has nothing to differentiate";
+  case Decision::SkipUnreached:
+    return explainUnreached(kernel);
+  case Decision::SkipNoEffect:
+    return "skipped: it reads no field that has an adjoint";
+  case Decision::Callback:
+    return "called";
+  case Decision::SkipCallback:
+    return "skipped: it has no reverse function";
+  case Decision::Overwrite:
+    return "ends the adjoints of what it overwrites";
+  }
+  __builtin_unreachable();
+}
+
+void TapeReport::addRecord(const TapeRecording &recording, const TapePlan &plan,
+                           const AdjointForms &forms, size_t index,
+                           int64_t savedBytes, uint32_t timesRecomputed) {
+  const TapeRecording::Record &record = recording[index];
+  text += std::to_string(index) + ": " + recording.describe(record) + ": " +
+          explainDecision(plan[index], record.kernel, forms.loadsStored(index));
+  if (savedBytes)
+    text += "; saved " + formatBytes(savedBytes);
+  if (timesRecomputed)
+    text += "; recomputed " + std::to_string(timesRecomputed) + " times";
+  text += '\n';
+}
+
+void TapeReport::addDirect(size_t count, const char *what) {
+  text += "a replay calls the " + std::to_string(count) + " " + what +
+          " one after another, without a look between them\n";
+}
+
+void TapeReport::checkEffect(const TapeRecording &recording,
+                             const TapePlan &plan, const std::string &losses) {
+  if (recording.empty())
+    notes.push_back("the tape has recorded no launch: there is nothing to "
+                    "differentiate");
+  else if (!losses.empty() && !recording.callsInReverse() && !plan.replaysAny())
+    notes.push_back("the loss " + losses +
+                    " does not depend on any field that has a gradient");
+}

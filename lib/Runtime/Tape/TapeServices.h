@@ -1,0 +1,187 @@
+//===- TapeServices.h - What tapes ask of the runtime -----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// All that the parts of a tape use of a runtime, its kernels and fields beyond
+// what these offer to everybody. Everything is inline: the path of a replayed
+// launch goes through here.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_TAPE_TAPESERVICES_H
+#define TAI_LIB_RUNTIME_TAPE_TAPESERVICES_H
+
+#include "../Host/HostWrite.h"
+#include "../Launch/Launch.h"
+#include "../Launch/TapedKernel.h"
+#include "../Mirror/DeviceContext.h"
+#include "tai/Runtime/Tape/Tape.h"
+
+namespace mlir::tai::runtime {
+
+class TapeServices {
+public:
+  explicit TapeServices(Runtime &runtime) : runtime(runtime) {}
+  Runtime &owner() const { return runtime; }
+  bool isForward() const { return runtime.isForward(); }
+  bool skips(Skip skip) const { return runtime.skips(skip); }
+  void count(SkipCount what, int64_t n = 1) const {
+    runtime.skipCounters().bump(what, n);
+  }
+
+  //===--------------------------------------------------------------------===//
+  // Launches
+  //===--------------------------------------------------------------------===//
+
+  Status ready(Kernel &kernel) const { return runtime.ready(kernel); }
+  Status run(Launch &launch, Kernel &kernel, const uint64_t *args,
+             uint64_t *results, uint64_t number) const {
+    return runtime.run(launch, kernel, args, results, number);
+  }
+  Status runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
+                    const uint64_t *args, uint64_t number,
+                    const LoopLists *given) const {
+    return runtime.runAdjoint(launch, kernel, adjoint, args, number, given);
+  }
+  static Status failureOf(Launch &launch, const Kernel &kernel) {
+    return Runtime::failureOf(launch, kernel);
+  }
+  Launch *acquireLaunch() const { return runtime.acquireLaunch(); }
+  void releaseLaunch(Launch *launch) const { runtime.releaseLaunch(launch); }
+  void noteFailure(Status status) const {
+    runtime.noteFailure(std::move(status));
+  }
+  uint64_t seed() const { return runtime.options().seed; }
+  /// Whether nothing but the code of kernels runs in a launch, as far as the
+  /// runtime is concerned.
+  bool runsDirectly() const { return runtime.runsPlainly(); }
+
+  /// The number of the next launch; takes so many of them; and sets it, for
+  /// launches that are made again. Returns what it was.
+  uint64_t nextLaunch() const {
+    return runtime.launcher().numbers().load(std::memory_order_relaxed);
+  }
+  uint64_t takeLaunches(uint64_t count) const {
+    return runtime.launcher().numbers().fetch_add(count,
+                                                  std::memory_order_relaxed);
+  }
+  uint64_t exchangeNextLaunch(uint64_t number) const {
+    return runtime.launcher().numbers().exchange(number);
+  }
+
+  //===--------------------------------------------------------------------===//
+  // Tapes
+  //===--------------------------------------------------------------------===//
+
+  void add(Tape &tape) const { runtime.recordings().add(tape); }
+  void remove(Tape &tape) const { runtime.recordings().remove(tape); }
+  void beginRecording(Tape &tape) const { runtime.recordings().begin(tape); }
+  void endRecording(Tape &tape) const { runtime.recordings().end(tape); }
+  bool anyRecording() const { return runtime.recordings().isAny(); }
+  /// Several tapes record at a time.
+  bool recordsTogether() const { return runtime.recordings().areTogether(); }
+  Status hold(const Tape &tape, Field &field, HoldKind kind) const {
+    return runtime.recordings().hold(tape, field, kind);
+  }
+  void release(const Tape &tape, Field &field) const {
+    runtime.recordings().release(tape, field);
+  }
+  Status checkHold(const Field &field, HoldKind kind) const {
+    return runtime.checkHold(field, kind);
+  }
+  /// Between the two, a tape holds fields.
+  void beginHolding() const { runtime.recordings().beginHolding(); }
+  void endHolding() const { runtime.recordings().endHolding(); }
+  FieldPtr firstOf(const Tree &tree) const {
+    return runtime.store().firstOf(tree);
+  }
+
+  /// While it lives, the sweep of a tape has called a function of the host.
+  class HostFunction {
+  public:
+    HostFunction(const TapeServices &services, Tape &tape)
+        : calling(services.runtime.recordings(), tape) {}
+
+  private:
+    Recordings::ReverseFunction calling;
+  };
+
+  //===--------------------------------------------------------------------===//
+  // Storage
+  //===--------------------------------------------------------------------===//
+
+  const std::vector<FieldPtr> &fields() const { return runtime.fields(); }
+  uint64_t epoch() const { return runtime.storageEpoch(); }
+  /// A number that no plan has had.
+  uint64_t nextMark() const { return runtime.recordings().nextStamp(); }
+  void perform(const HostWrite &write) const { runtime.perform(write); }
+  Status activateFor(const HostWrite &write) const {
+    return runtime.activateFor(write);
+  }
+  Status change(const HostWrite &write) const { return runtime.change(write); }
+  void oweZeros(const FieldPtr &adjoint,
+                std::shared_ptr<const OwedZeros> zeros) const {
+    runtime.oweZeros(adjoint, std::move(zeros));
+  }
+  /// Calls body(kernel) for those that there are. Other threads may define
+  /// kernels meanwhile.
+  template <typename Body> void forEachKernel(const Body &body) const {
+    runtime.launcher().kernels().forEach(body);
+  }
+  /// True once for each sequence of launches in which derivatives may end, and
+  /// for each place where they do.
+  bool isNewSequence(size_t hash) const {
+    return runtime.recordings().sequencesSeen.insert(hash).second;
+  }
+  bool isNewCut(const std::string &name) const {
+    return runtime.recordings().cutsSaid.insert(name).second;
+  }
+
+private:
+  Runtime &runtime;
+};
+
+/// The same of fields.
+struct TapedField {
+  static const TreePtr &tree(const Field &field) { return field.sharedTree(); }
+  static const FieldPtr &adjoint(const Field &field) {
+    return field.sharedAdjoint();
+  }
+  static uint64_t hostVersion(const Field &field) { return field.version(); }
+  static void setClean(Field &field) { field.markClean(); }
+  /// Marks of plans; see TapeServices::nextMark.
+  static uint64_t &planMark(Field &field) { return field.marks.plan; }
+  static uint64_t planMark(const Field &field) { return field.marks.plan; }
+  /// The number of a field among those that an analysis has seen; `isNew` if
+  /// this is the first time, and the number is `next`.
+  static size_t number(Field &field, uint64_t mark, size_t next, bool &isNew) {
+    isNew = field.marks.seen != mark;
+    if (isNew) {
+      field.marks.seen = mark;
+      field.marks.index = next;
+    }
+    return field.marks.index;
+  }
+};
+
+/// A launch for as long as a sweep or a replay takes.
+class HeldLaunch {
+public:
+  explicit HeldLaunch(const TapeServices &services)
+      : services(services), launch(services.acquireLaunch()) {}
+  ~HeldLaunch() { services.releaseLaunch(launch); }
+  HeldLaunch(const HeldLaunch &) = delete;
+  HeldLaunch &operator=(const HeldLaunch &) = delete;
+  Launch &get() const { return *launch; }
+
+private:
+  TapeServices services;
+  Launch *launch;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_TAPE_TAPESERVICES_H

@@ -1,0 +1,235 @@
+"""Forward mode: kernels that carry tangents along with what they compute.
+
+The tangent of a field is its dual, `x.dual`. In forward mode every launch, also one that a
+tape replays and the gradient of a kernel, reads and writes duals beside the fields. A field
+without a dual is constant.
+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
+from ..base.program import get_program
+from ..fields.root import materialize
+from .mode import (
+    caller_names,
+    check_dual,
+    check_tangent,
+    clear_duals,
+    find_lost,
+    follow,
+    forward_mode,
+    one_thread,
+    prepare,
+    warn_of_lost,
+)
+from .tape import Tape
+
+
+def run_forward(
+    function: Callable[[], Any] | Any,
+    tangents: Sequence[tuple[Any, Any]],
+    outputs: Sequence[Any] = (),
+    clear: bool = True,
+) -> list[np.ndarray]:
+    """Runs kernels in forward mode.
+
+    Args:
+        function: a function without arguments that launches kernels, or a `Tape` that has
+            recorded them; then they are run again on what the fields hold now.
+        tangents: fields that have duals, each with its tangent, an array of shape
+            `shape + element_shape`.
+        outputs: the fields whose tangents are wanted.
+        clear: set all other duals to zero first.
+
+    Returns:
+        The tangents of `outputs`, each of shape `shape + element_shape`.
+
+    Raises:
+        TaiAutodiffError: a field has no dual, or something has no tangent rule.
+        TaiRuntimeTypeError: a tangent has the wrong shape.
+    """
+    pairs = prepare(tangents, "the field of a tangent")
+    for field in outputs:
+        check_dual(field, "output")
+    with one_thread:
+        if clear:
+            clear_duals()
+        for field, tangent in pairs:
+            field.dual.from_numpy(tangent)
+        with forward_mode():
+            follow([field for field, _ in pairs], not clear)
+            if isinstance(function, Tape):
+                function.replay(forward=True, backward=False)
+            else:
+                function()
+            lost = find_lost(outputs)
+        found = [field.dual.to_numpy() for field in outputs]
+    warn_of_lost(lost, 3)
+    return found
+
+
+def hessian_product(
+    function: Callable[[], Any] | Any, loss: Any, pairs: Sequence[tuple[Any, Any]]
+) -> list[np.ndarray]:
+    """The gradient's derivative along the tangents of `pairs`: see `hvp`."""
+    checked = prepare(pairs, "the input")
+    check_dual(loss, "the loss")
+    # What has a gradient takes part in it; its dual would be missed without a word.
+    for field in get_program().fields.values():
+        if field.role == "grad" and getattr(field.dual, "snode", None) is None:
+            raise TaiAutodiffError(
+                f"field '{field.primal.name}' has a gradient but no dual, and the derivative of "
+                "a gradient passes through both",
+                "make it with needs_dual=True too, or call ti.root.lazy_dual()",
+            )
+    with one_thread:
+        clear_duals()
+        for field, tangent in checked:
+            if field.grad is None or field.grad.snode is None:
+                field.grad._placed_node()  # raises
+            field.dual.from_numpy(tangent)
+        with forward_mode():
+            if isinstance(function, Tape):
+                function.replay(forward=True, backward=True)
+            else:
+                with Tape(loss):
+                    function()
+        return [field.grad.dual.to_numpy() for field, _ in checked]
+
+
+def _as_list(value: Any) -> list[Any]:
+    return list(value) if isinstance(value, (list, tuple)) else [value]
+
+
+def _pair(inputs: Any, directions: Any) -> list[tuple[Any, Any]]:
+    """One direction for one field, or a list for a list."""
+    if not isinstance(inputs, (list, tuple)):
+        return [(inputs, directions)]
+    if not isinstance(directions, (list, tuple)) or len(directions) != len(inputs):
+        raise TaiRuntimeTypeError(
+            f"{len(inputs)} fields need a list of as many directions, but got {directions!r}"
+        )
+    return list(zip(inputs, directions, strict=True))
+
+
+def jvp(function: Callable[[], Any] | Any, inputs: Any, directions: Any, outputs: Any) -> Any:
+    """A product of the Jacobian matrix and a vector, by one run in forward mode.
+
+    ```python
+    tangent = ti.ad.jvp(simulate, x, direction, loss)
+    ```
+
+    Args:
+        function: launches kernels; or a `Tape` that has recorded them.
+        inputs: a field, or a list of fields.
+        directions: for each of them an array of shape `shape + element_shape`.
+        outputs: a field, or a list of fields.
+
+    Returns:
+        The derivative of the outputs along the directions, an array of shape
+        `shape + element_shape`, or a list of these for a list of outputs. The duals hold them
+        too.
+
+    Raises:
+        TaiAutodiffError: a field has no dual, or something has no tangent rule.
+        TaiRuntimeTypeError: a direction has the wrong shape.
+    """
+    results = run_forward(function, _pair(inputs, directions), _as_list(outputs))
+    return results if isinstance(outputs, (list, tuple)) else results[0]
+
+
+def hvp(function: Callable[[], Any] | Any, loss: Any, inputs: Any, directions: Any) -> Any:
+    """A product of the Hessian matrix of a loss and a vector, forward over reverse.
+
+    ```python
+    x = ti.field(ti.f64, shape=n, needs_grad=True, needs_dual=True)
+    curvature = ti.ad.hvp(compute_loss, loss, x, direction)
+    ```
+
+    Args:
+        function: launches the kernels that compute the loss; or a `Tape` that has recorded
+            them.
+        loss: a field without dimensions that has a gradient and a dual.
+        inputs: a field, or a list of fields, with gradients and duals.
+        directions: for each of them an array of shape `shape + element_shape`.
+
+    Returns:
+        The derivative of the gradient along the directions, an array of shape
+        `shape + element_shape`, or a list of these for a list of inputs. The gradient itself
+        is in `x.grad`.
+
+    Raises:
+        TaiAutodiffError: a field lacks a gradient or a dual, or something has no rule.
+        TaiRuntimeTypeError: a direction has the wrong shape.
+    """
+    results = hessian_product(function, loss, _pair(inputs, directions))
+    return results if isinstance(inputs, (list, tuple)) else results[0]
+
+
+class FwdMode:
+    """Runs the kernels of its block in forward mode.
+
+    ```python
+    with ti.ad.FwdMode(loss=loss, param=x, seed=[1.0, 0.0, 0.0]):
+        compute()
+    print(loss.dual[None])
+    ```
+
+    Args:
+        loss: a field, or a list of fields, whose duals are wanted.
+        param: the field by which to differentiate.
+        seed: its tangent: an array of shape `shape + element_shape`, or a list of all
+            components in order. A single number needs none: it is 1.
+        clear_gradients: set all duals to zero first.
+
+    The duals of `loss` and of everything between hold the tangents afterwards; that of `param`
+    is zero again.
+
+    Raises:
+        TaiAutodiffError: a field has no dual, or something in a kernel has no tangent rule.
+        TaiRuntimeError: the seed is missing, or forward mode is on already.
+        TaiRuntimeTypeError: `loss` or `param` is not a field, or the seed has the wrong shape.
+    """
+
+    def __init__(self, loss: Any, param: Any, seed: Any = None, clear_gradients: bool = True):
+        self.loss = _as_list(loss)
+        if not self.loss:
+            raise TaiRuntimeTypeError("ti.ad.FwdMode needs the field of the loss")
+        for field in self.loss:
+            check_dual(field, "the loss")
+        self.param = check_dual(param, "the parameter")
+        if seed is None:
+            wanted = param.shape + param.element_shape
+            if wanted:
+                raise TaiRuntimeError(
+                    f"the seed is not set, but field '{param.name}' is more than one number",
+                    f"pass the direction of the derivative: seed=[…], of shape {wanted}",
+                )
+            seed = 1.0
+        self.seed = check_tangent(param, seed)
+        self.clear_gradients = clear_gradients
+        self._mode: Any = None
+
+    def __enter__(self) -> FwdMode:
+        materialize(get_program(), caller_names())
+        mode = forward_mode()
+        mode.__enter__()
+        self._mode = mode
+        if self.clear_gradients:
+            clear_duals()
+        self.param.dual.from_numpy(self.seed)
+        follow([self.param], not self.clear_gradients)
+        return self
+
+    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
+        mode, self._mode = self._mode, None
+        lost = [] if kind is not None else find_lost(self.loss)
+        mode.__exit__(None, None, None)
+        self.param.dual.fill(0.0)
+        warn_of_lost(lost, 2)

@@ -1,0 +1,313 @@
+"""How healthy a gradient is: NaN, overflow, explosion and flatness, by record and by kernel."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ...errors import shorten
+from ..base.program import get_program
+from .compare import READ, Accesses, differentiable_fields, elements
+from .snapshot import Snapshot
+from .source import Place
+
+# Growth of the logarithm of the norm, for each replay of a kernel, from which on a gradient
+# says more about rounding than about the program.
+GROWTH_LIMIT = 0.1
+_LEAST_STEPS = 8
+
+
+@dataclass
+class HealthRow:
+    """The adjoint of one field after the adjoint of one record has run.
+
+    Attributes:
+        record: number in the tape.
+        kernel: name of the kernel, or of the host function.
+        field: whose adjoint it is. Of fields with a time axis, the part that the record reads.
+        nans, infs: how many of its numbers are none, or infinite.
+        max_abs, norm: of the finite numbers.
+        symbol: of the field in the IR.
+    """
+
+    record: int
+    kernel: str
+    field: str
+    nans: int
+    infs: int
+    max_abs: float
+    norm: float
+    symbol: str = ""
+
+
+@dataclass
+class KernelHealth:
+    """All replays of one kernel.
+
+    Attributes:
+        replays: how many records were replayed.
+        nans, infs: numbers found after them, all together.
+        max_abs: the greatest finite adjoint.
+        growth: slope of the logarithm of the norm from one replay to the next, backwards in
+            time; nan where there are fewer than 8 replays.
+    """
+
+    kernel: str
+    filename: str | None
+    lineno: int | None
+    replays: int
+    nans: int
+    infs: int
+    max_abs: float
+    growth: float
+
+
+@dataclass
+class Finding:
+    """One thing that is wrong.
+
+    Attributes:
+        kind: `nan`, `overflow`, `growth` or `flat`.
+        message: what, and where.
+        record, kernel, filename, lineno: of the record where it appears first, where known.
+    """
+
+    kind: str
+    message: str
+    record: int | None = None
+    kernel: str | None = None
+    filename: str | None = None
+    lineno: int | None = None
+
+
+@dataclass
+class HealthReport:
+    """What a reverse sweep did to the adjoints; true if nothing is wrong.
+
+    Attributes:
+        rows: one for each record that was replayed and each field whose adjoint it adds to,
+            in the order of the sweep (last record first).
+        kernels: the same by kernel.
+        findings: what is wrong.
+        flat: names of fields on which the loss does not depend.
+    """
+
+    rows: list[HealthRow]
+    kernels: list[KernelHealth]
+    findings: list[Finding] = field(default_factory=list)
+    flat: list[str] = field(default_factory=list)
+
+    def __bool__(self) -> bool:
+        return not self.findings
+
+    @property
+    def first_nan(self) -> Finding | None:
+        """Where a NaN or an infinity appears first in the sweep."""
+        return next((f for f in self.findings if f.kind in ("nan", "overflow")), None)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The report as plain data."""
+        return asdict(self)
+
+    def __str__(self) -> str:
+        width = max([len(k.kernel) for k in self.kernels] + [6])
+        lines = [
+            f"gradient health: {'good' if self else 'NOT GOOD'}",
+            f"  {'kernel':{width}} replays    nan    inf  greatest   growth  line",
+        ]
+        for k in self.kernels:
+            growth = "-" if math.isnan(k.growth) else f"{k.growth:+.3f}"
+            place = f"{shorten(k.filename)}:{k.lineno}" if k.filename else "-"
+            lines.append(
+                f"  {k.kernel:{width}} {k.replays:7d} {k.nans:6d} {k.infs:6d} {k.max_abs:9.2e} "
+                f"{growth:>8}  {place}"
+            )
+        lines += [f"  {f.kind}: {f.message}" for f in self.findings]
+        return "\n".join(lines)
+
+    __repr__ = __str__
+
+
+def take_health(core: Any, loss: Any, watched: bool) -> HealthReport:
+    """The report of the last sweep, or of one that is run for it."""
+    if watched:
+        return _report(core, loss)
+    snapshot = Snapshot()
+    try:
+        core.clear_gradients()
+        core.watch_health(True)
+        core.backward()
+        return _report(core, loss)
+    finally:
+        core.watch_health(False)
+        snapshot.restore()
+
+
+def _report(core: Any, loss: Any) -> HealthReport:
+    places: dict[int, Place] = {}
+
+    def place(record: int) -> Place:
+        if record not in places:
+            places[record] = Place(core, record)
+        return places[record]
+
+    program_fields = _names()
+    rows = [
+        HealthRow(
+            record,
+            place(record).kernel,
+            program_fields.get(symbol, symbol),
+            *numbers,
+            symbol,  # type: ignore[call-arg]
+        )  # fmt: skip
+        for record, symbol, *numbers in core.health()
+    ]
+    report = HealthReport(rows, _by_kernel(rows, place))
+    _find_nans(report, core, loss, place)
+    _find_growth(report)
+    _find_flat(report, core, loss)
+    return report
+
+
+def _names() -> dict[str, str]:
+    return {symbol: f.name for symbol, f in get_program().fields.items()}
+
+
+def _by_kernel(rows: list[HealthRow], place: Any) -> list[KernelHealth]:
+    kernels: dict[str, list[HealthRow]] = {}
+    for row in rows:
+        kernels.setdefault(row.kernel, []).append(row)
+    found = []
+    for name, mine in kernels.items():
+        where = place(mine[0].record)
+        squares: dict[int, float] = {}
+        for row in mine:
+            squares[row.record] = squares.get(row.record, 0.0) + row.norm**2
+        found.append(
+            KernelHealth(
+                name,
+                where.filename,
+                where.lineno,
+                len(squares),
+                sum(row.nans for row in mine),
+                sum(row.infs for row in mine),
+                max(row.max_abs for row in mine),
+                _slope(list(squares.values())),
+            )  # fmt: skip
+        )
+    return found
+
+
+def _slope(squares: list[float]) -> float:
+    """Least-squares slope of the logarithm of the norm over the replays, as the sweep goes."""
+    logs = [(n, 0.5 * math.log(s)) for n, s in enumerate(squares) if 0 < s < math.inf]
+    if len(logs) < _LEAST_STEPS:
+        return math.nan
+    x, y = np.array(logs).T
+    return float(np.polyfit(x, y, 1)[0])
+
+
+def _find_nans(report: HealthReport, core: Any, loss: Any, place: Any) -> None:
+    if loss is not None and not np.isfinite(loss[None]):
+        report.findings.append(_find_bad_value(core, loss, place))
+    for kind, what in (("nans", "NaN"), ("infs", "an infinity")):
+        bad = next((row for row in report.rows if getattr(row, kind)), None)
+        if bad is None:
+            continue
+        where = place(bad.record)
+        message = (
+            f"{what} appears first in the adjoint of '{bad.field}' ({getattr(bad, kind)} of its "
+            f"numbers), after record {bad.record}, {where}"
+        )
+        values = _bad_values(core, bad.record)
+        if values:
+            message += f"; the kernel reads or changes what is not finite: {', '.join(values)}"
+        suspects = where.suspects()[:3]
+        if suspects:
+            message += "; suspects: " + "; ".join(f"line {n}: {text}" for n, text in suspects)
+        report.findings.append(
+            Finding(
+                "nan" if kind == "nans" else "overflow",
+                message,
+                bad.record,
+                where.kernel,
+                where.filename,
+                suspects[0][0] if suspects else where.lineno,
+            )  # fmt: skip
+        )
+
+
+def _find_bad_value(core: Any, loss: Any, place: Any) -> Finding:
+    """The first record that left something that is not finite, as far as it stands there still."""
+    known = differentiable_fields()
+    message = f"the loss '{loss.name}' itself is {loss[None]}"
+    for record in range(core.records):
+        for symbol, kind, dimension, index in core.accesses(record):
+            if kind == READ or symbol not in known:
+                continue
+            f = known[symbol]
+            if np.all(np.isfinite(Snapshot._take(f)[elements(f, dimension, index)])):
+                continue
+            where = place(record)
+            message += f"; the first record that leaves such values is {record}, {where}"
+            suspects = where.suspects()[:3]
+            if suspects:
+                message += "; suspects: " + "; ".join(f"line {n}: {text}" for n, text in suspects)
+            line = suspects[0][0] if suspects else where.lineno
+            return Finding("nan", message, record, where.kernel, where.filename, line)
+    return Finding("nan", message)
+
+
+def _bad_values(core: Any, record: int) -> list[str]:
+    """Fields of a record that hold NaN or infinity now."""
+    known = differentiable_fields()
+    found = []
+    for symbol in dict.fromkeys(a[0] for a in core.accesses(record)):
+        if symbol in known and not np.all(np.isfinite(Snapshot._take(known[symbol]))):
+            found.append(f"'{known[symbol].name}'")
+    return found
+
+
+def _find_growth(report: HealthReport) -> None:
+    for k in report.kernels:
+        if k.growth > GROWTH_LIMIT:
+            where = f" ({shorten(k.filename)}:{k.lineno})" if k.filename else ""
+            report.findings.append(
+                Finding(
+                    "growth",
+                    f"the norm of the adjoint grows by a factor of {math.exp(k.growth):.3g} with "
+                    f"each replay of '{k.kernel}'{where}, {k.replays} times: the program is "
+                    "chaotic or unstable here, and far steps are rounding; shorten the rollout "
+                    "or cut the gradient",
+                    None,
+                    k.kernel,
+                    k.filename,
+                    k.lineno,
+                )  # fmt: skip
+            )
+
+
+def _find_flat(report: HealthReport, core: Any, loss: Any) -> None:
+    """Fields that are read before they are written, whose gradient is exactly zero."""
+    found = Accesses(core, loss)
+    alive = {row.symbol for row in report.rows if row.norm or row.nans or row.infs}
+    for symbol, reads in found.masks.items():
+        f = found.known[symbol]
+        # Where it may be stored before it is read, only what no adjoint ever reached is flat.
+        mask = found.sure[symbol] if symbol in alive else reads
+        if not mask.any():
+            continue
+        if not np.any(Snapshot._take(f._companions["grad"])[mask]):
+            report.flat.append(f.name)
+            report.findings.append(
+                Finding(
+                    "flat",
+                    f"the loss does not depend on '{f.name}' here: its gradient is exactly 0",
+                )
+            )
+
+
+__all__ = ["Finding", "HealthReport", "HealthRow", "KernelHealth", "take_health"]

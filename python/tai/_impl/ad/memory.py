@@ -1,0 +1,64 @@
+"""How a tape keeps the values that a reverse sweep needs: options and reports."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from ...errors import TaiRuntimeTypeError
+
+# TaiCheckpoint of the C API.
+_KINDS = {"periodic": 1, "binomial": 2, "mixed": 3}
+
+# Enough for six thousand records with three repetitions each.
+_BINOMIAL_SNAPSHOTS = 32
+
+
+class TapeStats(NamedTuple):
+    """What a tape keeps.
+
+    Attributes:
+        saved_bytes: of overwritten values, now.
+        peak_bytes: of snapshots and overwritten values, at most at any time.
+        snapshots: most snapshots at any time; 0 without checkpoints.
+        snapshot_bytes: of the largest snapshot.
+        recomputed: records that were run again since the sequence last ran forward.
+        optimum: records that the binomial schedule runs again with as many snapshots, when
+            it knows their number beforehand and saves those of one record only.
+    """
+
+    saved_bytes: int
+    peak_bytes: int
+    snapshots: int
+    snapshot_bytes: int
+    recomputed: int
+    optimum: int
+
+
+def parse_checkpoint(checkpoint: Any, memory_budget: Any) -> tuple[int, int, int]:
+    """Kind, number of snapshots and bytes for `taiTapeSetCheckpoint`.
+
+    Raises:
+        TaiRuntimeTypeError: anything else than the values that `ti.ad.Tape` documents.
+    """
+    budget = 0
+    if memory_budget is not None:
+        if isinstance(memory_budget, bool) or memory_budget != int(memory_budget):
+            raise TaiRuntimeTypeError("memory_budget is a number of bytes")
+        budget = int(memory_budget)
+        if budget <= 0:
+            raise TaiRuntimeTypeError(f"a memory budget of {budget} bytes holds nothing")
+    if checkpoint is None:
+        return (_KINDS["mixed"], 0, budget) if budget else (0, 0, 0)
+    if isinstance(checkpoint, int) and not isinstance(checkpoint, bool):
+        if checkpoint < 1:
+            raise TaiRuntimeTypeError(f"checkpoint={checkpoint}: at least one snapshot is needed")
+        return _KINDS["binomial"], checkpoint, budget
+    if checkpoint not in _KINDS:
+        raise TaiRuntimeTypeError(
+            f"checkpoint={checkpoint!r} is none of {', '.join(map(repr, _KINDS))}, "
+            "None and a number of snapshots"
+        )
+    snapshots = 0
+    if checkpoint == "binomial" and not budget:
+        snapshots = _BINOMIAL_SNAPSHOTS
+    return _KINDS[checkpoint], snapshots, budget

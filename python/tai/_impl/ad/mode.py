@@ -1,0 +1,143 @@
+"""Forward mode itself: fields that have tangents, and the time while kernels carry them along."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+import warnings
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiAutodiffError, TaiGradientWarning, TaiRuntimeError, TaiRuntimeTypeError
+from ..base import native, state
+from ..base.program import get_program
+from ..fields.field import Field
+from ..fields.root import materialize
+from ..history import origins
+from . import library as library
+from .seeds import parts_of
+
+
+def check_dual(field: Any, what: str) -> Any:
+    """The field, if it has a dual in memory.
+
+    Raises:
+        TaiRuntimeTypeError: it is not a field.
+        TaiAutodiffError: it is not of a float type, or has no dual.
+    """
+    if not isinstance(field, Field):
+        raise TaiRuntimeTypeError(
+            f"{what} must be a field, but got {'nothing' if field is None else repr(field)}"
+        )
+    if not field.dtype.is_float:
+        raise TaiAutodiffError(f"{what} '{field.name}' is of type {field.dtype}, not a float")
+    dual = field.dual
+    if dual is None or dual.snode is None:
+        raise TaiAutodiffError(
+            f"{what} '{field.name}' has no dual",
+            "make it with needs_dual=True, or call ti.root.lazy_dual() after placing it",
+        )
+    return field
+
+
+def check_tangent(field: Any, tangent: Any) -> np.ndarray:
+    """A tangent as an array of shape `field.shape + field.element_shape`.
+
+    Raises:
+        TaiRuntimeTypeError: it is not made of numbers, or has another shape.
+    """
+    wanted = field.shape + field.element_shape
+    try:
+        array = np.asarray(tangent, field.dtype.numpy)
+    except (TypeError, ValueError):
+        raise TaiRuntimeTypeError(
+            f"the tangent of field '{field.name}' must be made of numbers, but got {tangent!r}"
+        ) from None
+    # A list of all components in order is what Taichi takes.
+    if array.shape != wanted and array.shape != (int(np.prod(wanted, dtype=int)),):
+        raise TaiRuntimeTypeError(
+            f"the tangent of field '{field.name}' must have shape {wanted}, but got {array.shape}"
+        )
+    return array.reshape(wanted)
+
+
+def clear_duals() -> None:
+    """Sets the duals of all fields to zero, but those that another thread has computed."""
+    get_program().context.clear_tangents()
+
+
+# Threads are in forward mode one after the other: the duals of a field that two of them use are
+# those of one run.
+one_thread = threading.RLock()
+
+
+def _cores_of(fields: Sequence[Any]) -> list[Any]:
+    """The places of fields, in C++."""
+    return [part.core for field in fields for part, _ in parts_of(field)]
+
+
+def follow(inputs: Sequence[Any], all_others: bool) -> None:
+    """Follows the tangents of fields, to say where they get lost."""
+    program = get_program()
+    if all_others:
+        duals = (f for f in program.fields.values() if f.role == "dual")
+        inputs = [*inputs, *(d.primal for d in duals if d.snode is not None)]
+    program.context.follow_tangents(_cores_of(inputs))
+
+
+def find_lost(outputs: Sequence[Any]) -> list[str]:
+    """Where tangents got lost on the way to the outputs; to be called in forward mode."""
+    return get_program().context.lost_tangents(_cores_of(outputs)).splitlines()
+
+
+def warn_of_lost(lines: list[str], stacklevel: int) -> None:
+    for line in lines:
+        warnings.warn(line, TaiGradientWarning, stacklevel=stacklevel + 1)
+
+
+@contextlib.contextmanager
+def forward_mode() -> Iterator[None]:
+    """Launches kernels with their tangents while its block runs.
+
+    Another thread that wants that waits for the end of the block.
+
+    Raises:
+        TaiRuntimeError: forward mode is on already.
+    """
+    if state.forward:
+        raise TaiRuntimeError("forward mode is on already", "leave its `with` block first")
+    with one_thread:
+        yield from _forward_mode()
+
+
+def _forward_mode() -> Iterator[None]:
+    program = get_program()
+    program.context.set_option("forward_mode", "true")
+    state.forward = True
+    native.set_forward_mode(True)
+    try:
+        yield
+    finally:
+        state.forward = False
+        native.set_forward_mode(False)
+        if state.tape is None:
+            origins.end()
+        program.context.set_option("forward_mode", "false")
+
+
+def prepare(pairs: Sequence[tuple[Any, Any]], what: str) -> list[tuple[Any, np.ndarray]]:
+    """The fields of the pairs, in memory, with their tangents as arrays."""
+    checked = [(check_dual(field, what), tangent) for field, tangent in pairs]
+    materialize(get_program(), caller_names())
+    return [(field, check_tangent(field, tangent)) for field, tangent in checked]
+
+
+def caller_names() -> dict[str, Any]:
+    """The variables of the program that called into the package."""
+    frame = sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("tai."):
+        frame = frame.f_back
+    return frame.f_globals

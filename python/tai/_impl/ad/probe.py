@@ -1,0 +1,209 @@
+"""Directional derivatives of a program by differences, with an account of how good they are.
+
+The checker of gradients is built from this: random directions with components of both signs, a
+ladder of steps with Richardson extrapolation, and one-sided slopes that tell kinks and jumps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+STEPS = tuple(10.0**-k for k in range(2, 11))  # 1e-2 … 1e-10
+
+# Relative errors that pass. Differences in f32 lose about two thirds of its seven digits; a
+# dot product of forward against reverse loses what sums of f32 lose.
+DIFFERENCES_TOLERANCE = {"f64": 1e-7, "f32": 5e-3}
+FORWARD_TOLERANCE = {"f64": 1e-12, "f32": 1e-4}
+# A derivative smaller than this share of the values it is taken of cannot be told from the
+# rounding of the differences.
+_FLOOR = {"f64": 1e-4, "f32": 1e-2}
+
+
+@dataclass
+class Rung:
+    """Differences at one step.
+
+    Attributes:
+        step: distance from the point to either side.
+        central: the central difference.
+        improved: the Richardson extrapolation with the rung before, or None.
+        left, right: the one-sided slopes.
+        error: relative error of the gradient against the better of the two estimates.
+    """
+
+    step: float
+    central: float
+    improved: float | None
+    left: float
+    right: float
+    error: float
+
+
+@dataclass
+class Probe:
+    """One comparison along one direction.
+
+    Attributes:
+        method: `forward` or `differences`.
+        reverse: the derivative by the gradient of the reverse sweep.
+        expected: the derivative by the method, from the best step.
+        error: relative.
+        step: the best step, or None for forward mode.
+        ladder: all steps that were tried.
+        kink: the slopes on the two sides differ and do not meet as the step shrinks.
+        jump: they grow without end as the step shrinks.
+    """
+
+    method: str
+    reverse: float
+    expected: float
+    error: float
+    tolerance: float
+    step: float | None = None
+    ladder: list[Rung] = field(default_factory=list)
+    kink: bool = False
+    jump: bool = False
+
+    @property
+    def passed(self) -> bool:
+        if self.error <= self.tolerance:  # false for nan
+            return True
+        # At a kink any slope between those of the two sides is a gradient.
+        return self.kink and not self.jump and self.between
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether all derivatives are exactly 0, by every step."""
+        return self.reverse == 0 == self.expected and all(
+            rung.left == 0 == rung.right for rung in self.ladder
+        )
+
+    @property
+    def between(self) -> bool:
+        """Whether the gradient lies between the slopes of the two sides."""
+        if not self.ladder:
+            return False
+        rung = _finest(self.ladder)
+        low, high = min(rung.left, rung.right), max(rung.left, rung.right)
+        slack = 1e-3 * max(abs(low), abs(high))
+        return low - slack <= self.reverse <= high + slack
+
+    def show(self) -> list[str]:
+        """The ladder as lines of text."""
+        lines = [
+            "      step        central           improved           left           right  error"
+        ]
+        for rung in self.ladder:
+            improved = "-" if rung.improved is None else f"{rung.improved:.10g}"
+            lines.append(
+                f"   {rung.step:7.0e} {rung.central:14.8g} {improved:>18} {rung.left:14.6g} "
+                f"{rung.right:15.6g}  {rung.error:.1e}"
+            )
+        return lines
+
+
+def direction(generator: np.random.Generator, array: np.ndarray, mask: Any = None) -> np.ndarray:
+    """A random direction of length 1 with components of both signs, zero outside the mask."""
+    found = generator.standard_normal(array.shape)
+    if mask is not None:
+        found = np.where(mask, found, 0.0)
+    norm = np.linalg.norm(found)
+    return found / norm if norm else found
+
+
+def relative_error(a: float, b: float, scale: float) -> float:
+    """The distance of two derivatives; 0 if they are the same, nan if one is no number."""
+    if a == b:
+        return 0.0
+    if not (np.isfinite(a) and np.isfinite(b) and np.isfinite(scale)):
+        return np.nan
+    return abs(a - b) / max(abs(a), abs(b), scale)
+
+
+def climb(
+    value: Callable[[float], list[np.ndarray]],
+    seeds: list[np.ndarray],
+    reverse: float,
+    scale: float,
+    dtype: str = "f64",
+    tolerance: float | None = None,
+    quick: bool = False,
+) -> Probe:
+    """Compares a derivative with differences for a ladder of steps.
+
+    Args:
+        value: the outputs at a signed distance from the point.
+        seeds: weights of the outputs, of their shapes.
+        reverse: the derivative to check.
+        scale: what the derivative would typically be, so that one that is small by accident
+            is not held against the gradient.
+        dtype: the type that the program computes in.
+        quick: stop at the first good step.
+    """
+    tolerance = DIFFERENCES_TOLERANCE[dtype] if tolerance is None else tolerance
+    base = value(0.0)
+    size = max(
+        (float(np.max(np.abs(b * s), initial=0.0)) for b, s in zip(base, seeds, strict=True)),
+        default=0.0,
+    )
+    scale = max(scale, _FLOOR[dtype] * size) if np.isfinite(size) else scale
+
+    def weigh(a: list[np.ndarray], b: list[np.ndarray]) -> float:
+        # Subtracted before they are summed: that keeps more digits.
+        with np.errstate(all="ignore"):
+            parts = [
+                np.sum((x - y)[s != 0] * s[s != 0]) for x, y, s in zip(a, b, seeds, strict=True)
+            ]
+        return float(sum(parts))
+
+    ladder: list[Rung] = []
+    steps = STEPS if dtype == "f64" else tuple(2.0**-k for k in range(2, 11))
+    best: tuple[float, float, float] | None = None
+    for step in steps:
+        above, below = value(step), value(-step)
+        central = weigh(above, below) / (2 * step)
+        right, left = weigh(above, base) / step, weigh(base, below) / step
+        improved = None
+        if ladder:
+            ratio = (ladder[-1].step / step) ** 2
+            improved = (ratio * central - ladder[-1].central) / (ratio - 1)
+        errors = [(relative_error(central, reverse, scale), central)]
+        if improved is not None:
+            errors.append((relative_error(improved, reverse, scale), improved))
+        error, estimate = min(errors, key=lambda e: np.inf if np.isnan(e[0]) else e[0])
+        ladder.append(Rung(step, central, improved, left, right, error))
+        if not np.isnan(error) and (best is None or error < best[0]):
+            best = (error, estimate, step)
+        if quick and error <= 0.1 * tolerance:
+            break
+    if best is None:
+        best = (np.nan, ladder[-1].central, ladder[-1].step)
+    probe = Probe("differences", reverse, best[1], best[0], tolerance, best[2], ladder)
+    if not best[0] <= tolerance:
+        _look_for_kinks(probe, scale, size, float(np.finfo(dtype.replace("f", "float")).eps))
+    return probe
+
+
+def _finest(ladder: list[Rung]) -> Rung:
+    """The rung whose one-sided slopes are best: small, but well above the rounding."""
+    return min(ladder, key=lambda r: abs(np.log10(r.step) + 6))
+
+
+def _look_for_kinks(probe: Probe, scale: float, size: float, eps: float) -> None:
+    gaps, slopes = [], []
+    for rung in probe.ladder:
+        noise = 16 * eps * size / rung.step
+        gap = abs(rung.right - rung.left)
+        if gap > max(noise * 4, 1e-6 * scale):
+            gaps.append((rung.step, gap))
+        slopes.append((rung.step, max(abs(rung.left), abs(rung.right)), noise))
+    small = [(s, g) for s, g in gaps if 1e-8 <= s <= 1e-4]
+    if len(small) >= 2:
+        # Smooth: the gap shrinks with the step. Kink: it stays. Jump: it grows.
+        growth = np.log(small[-1][1] / small[0][1]) / np.log(small[0][0] / small[-1][0])
+        probe.kink = growth > -0.3
+        probe.jump = growth > 0.6

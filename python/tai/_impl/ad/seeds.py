@@ -1,0 +1,105 @@
+"""Where a reverse sweep starts: losses and the seeds of their gradients."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiAutodiffError, TaiGradientWarning, TaiRuntimeTypeError
+from ..fields.field import Field
+
+_DECLARE = "loss = ti.field(ti.f32, shape=(), needs_grad=True)"
+
+
+def as_losses(loss: Any) -> list[Any]:
+    """The fields of the losses, from what `ti.ad.Tape` was given.
+
+    Raises:
+        TaiRuntimeTypeError: something that is no field.
+        TaiAutodiffError: a field of integers.
+    """
+    if loss is None:
+        return []
+    losses = list(loss) if isinstance(loss, (list, tuple)) else [loss]
+    for field in losses:
+        if not isinstance(field, Field):
+            raise TaiRuntimeTypeError(
+                f"ti.ad.Tape takes the field of the loss, but got {field!r}", _DECLARE
+            )
+        if not field.dtype.is_float:
+            raise TaiAutodiffError(f"the loss '{field.name}' is of type {field.dtype}, not a float")
+    if len({id(field) for field in losses}) < len(losses):
+        raise TaiRuntimeTypeError("a loss is given twice")
+    return losses
+
+
+def is_number(field: Any) -> bool:
+    """Whether the field holds one number."""
+    return field.shape == () and field.element_shape == ()
+
+
+def require_grad(field: Any, frame: Any) -> None:
+    """Allocates a field and its gradient; raises where there is none."""
+    field.materialize(frame)
+    grad = field.grad
+    if grad.snode is None:
+        grad._placed_node()  # raises
+
+
+def parts_of(field: Any) -> list[tuple[Any, Any]]:
+    """The places that hold a field, and the index of each in arrays of the whole."""
+    parts = getattr(field, "parts", None)
+    if parts is None or len(parts) == 1:
+        return [(field if parts is None else parts[0], ...)]
+    indices = np.ndindex(*field.element_shape)
+    return [(part, (..., *index)) for part, index in zip(parts, indices, strict=True)]
+
+
+def as_seed(field: Any, seed: Any) -> np.ndarray:
+    """The seed of one field as an array of its shape.
+
+    Raises:
+        TaiRuntimeTypeError: a seed of the wrong shape, or none of numbers.
+    """
+    if hasattr(seed, "to_numpy"):
+        seed = seed.to_numpy()
+    wanted = tuple(field.shape) + tuple(field.element_shape)
+    try:
+        array = np.asarray(seed, field.grad.dtype.numpy)
+    except (TypeError, ValueError):
+        raise TaiRuntimeTypeError(
+            f"the seed of '{field.name}' must be numbers of shape {wanted}, but got {seed!r}"
+        ) from None
+    if array.shape != wanted:
+        raise TaiRuntimeTypeError(
+            f"the seed of '{field.name}' has shape {array.shape}, but the field has {wanted}",
+            f"np.ones({wanted}) gives all elements the same weight",
+        )
+    return array.copy(order="C")
+
+
+def as_seeds(losses: list[Any], seed: Any) -> list[np.ndarray]:
+    """The seeds of all losses: one for a single loss, else one for each."""
+    if len(losses) == 1 and not (isinstance(seed, (list, tuple)) and len(seed) == 1):
+        return [as_seed(losses[0], seed)]
+    if not isinstance(seed, (list, tuple)) or len(seed) != len(losses):
+        names = ", ".join(f"'{field.name}'" for field in losses)
+        raise TaiRuntimeTypeError(
+            f"the tape has the losses {names}, so it takes a list of {len(losses)} seeds"
+        )
+    return [as_seed(field, one) for field, one in zip(losses, seed, strict=True)]
+
+
+def set_seeds(core: Any, losses: list[Any], seeds: list[np.ndarray]) -> None:
+    """Gives the seeds to the tape in C++."""
+    for field, seed in zip(losses, seeds, strict=True):
+        for part, index in parts_of(field):
+            core.set_seed(part.core, np.ascontiguousarray(seed[index]))
+
+
+def warn(core: Any, stacklevel: int) -> None:
+    """Shows what the last sweep of the tape has to say."""
+    for line in core.warnings():
+        warnings.warn(line, TaiGradientWarning, stacklevel=stacklevel + 1)

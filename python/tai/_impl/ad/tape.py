@@ -1,0 +1,421 @@
+"""Gradients across kernels: the tape, and gradients that the program writes itself."""
+
+from __future__ import annotations
+
+import functools
+import sys
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiAutodiffError, TaiGradientWarning, TaiRuntimeError, TaiRuntimeTypeError
+from ..base import native, state
+from ..base.program import get_program
+from ..fields.arrays import Ndarray
+from ..fields.root import materialize
+from ..history import gradients
+from ..tracking import tracked
+from . import library as library
+from .compare import GradCheck
+from .health import HealthReport, take_health
+from .memory import TapeStats, parse_checkpoint
+from .seeds import as_losses, as_seed, as_seeds, is_number, parts_of, require_grad, set_seeds, warn
+from .validation import LIMIT, raise_violations
+
+
+class Tape:
+    """Records the kernels that run in its block, and then runs their gradients in reverse.
+
+    ```python
+    with ti.ad.Tape(loss):
+        simulate()
+    print(x.grad[0])
+    ```
+
+    A kernel may overwrite what others have read, as in `x[i] += dt * v[i]`: the tape saves
+    the old values that the reverse sweep reads, and puts them back at their place. After it,
+    all fields hold what they held at the end of the block. Where that takes too much memory,
+    the tape keeps snapshots and runs kernels again: see `memory_budget` and `checkpoint`.
+
+    Args:
+        loss: a field without dimensions that has a gradient: a sum, which is set to zero when
+            the block is entered, and whose gradient starts as 1. Or any field, or a list of
+            fields: those of more than one number need a seed, here or in `grad`. Or None:
+            then nothing runs in reverse before `backward(…)`, or `grad()` after gradients were
+            set by hand. Or a `ti.ndarray` of one number that has a gradient.
+        clear_gradients: set all gradients to zero first, but for those that another thread has
+            computed and this tape does not use.
+        validation: check the global data access rules at run time, element by element: no
+            element is written again but by accumulation, and none once it was read. What
+            breaks them raises `TaiAssertionError` when the block is left, also where the tape
+            could have saved the value; the `violations` of the error list them. In debug
+            mode, iterations of one loop that meet in an element are reported without it.
+        grad_check: a list of f64 fields whose gradients are compared with forward mode and
+            differences when the block is left; a wrong one raises `GradientCheckError`, with
+            a report that names the first kernel to blame. See `ti.ad.check`.
+        health: look at the adjoints after each record of the reverse sweep; see `health()`.
+        seed: what the gradient of the loss is when the reverse sweep starts: a number or an
+            array of the shape of the loss; for several losses, a list of them.
+        memory_budget: most bytes that the tape may keep of old values. What does not fit is
+            computed again: kernels run once more, with the same random numbers.
+        checkpoint: how: "periodic" (snapshots at even distances, and saved values between
+            two of them), "binomial" (snapshots alone, placed so that as little as possible
+            runs again), a number (binomial, with so many snapshots), "mixed" (periodic where
+            the values in between fit). None saves everything, or is "mixed" under a budget.
+    """
+
+    def __init__(
+        self, loss: Any = None, clear_gradients: bool = True, validation: bool = False,
+        grad_check: Any = None, health: bool = False, *, validate: bool = False,
+        seed: Any = None, memory_budget: Any = None, checkpoint: Any = None,
+    ):  # fmt: skip
+        # What the sweep starts from, besides fields.
+        self._outer_loss = loss if isinstance(loss, Ndarray) else None
+        if self._outer_loss is not None:
+            tracked.check_loss(loss)
+            loss = None
+        if grad_check and loss is None:
+            raise TaiAutodiffError(
+                "grad_check needs the field of the loss", "see also ti.ad.check and tai.testing"
+            )
+        self._losses = as_losses(loss)
+        self._seed = seed
+        self._checkpoint = parse_checkpoint(checkpoint, memory_budget)
+        self.loss, self.clear_gradients = loss, clear_gradients
+        self._core: Any = None
+        self._is_recording = False
+        self._was_seeded = False
+        self._check = GradCheck(grad_check) if grad_check else None
+        self._watches = health
+        self._validates = validation or validate
+        if (grad_check or health) and not (
+            len(self._losses) == 1 and is_number(self._losses[0]) and seed is None
+        ):
+            raise TaiAutodiffError("grad_check and health need a loss of one number")
+
+    def __enter__(self) -> Tape:
+        if state.tape is not None:
+            raise TaiRuntimeError("tapes do not nest", "close the outer ti.ad.Tape first")
+        program = get_program()
+        for field in self._losses:
+            require_grad(field, sys._getframe(1))
+        if self._check:
+            self._check.begin(self.loss)
+        # Wrong seeds are found before anything is computed.
+        seeds = None if self._seed is None else as_seeds(self._losses, self._seed)
+        if self._outer_loss is not None:
+            self._outer_loss.fill(0)
+        if self.clear_gradients:
+            gradients.clear_gradients(all_threads=False)
+        self._core = program.context.tape(None, self.clear_gradients)
+        self._values = tracked.begin(self._core, self._checkpoint[0] != 0, self.clear_gradients)
+        try:
+            for field in self._losses:
+                for part, _ in parts_of(field):
+                    self._core.add_loss(part.core)
+            if seeds is not None:
+                set_seeds(self._core, self._losses, seeds)
+            self._core.set_checkpoint(*self._checkpoint)
+        except BaseException:
+            self._core.end()
+            tracked.end()
+            self._values.end_work()
+            raise
+        self._was_seeded = (seeds is not None or self._outer_loss is not None) or (
+            bool(self._losses) and all(map(is_number, self._losses))
+        )
+        self._core.watch_health(self._watches)
+        self._checks = self._validates or program.options.debug
+        if self._checks:
+            self._core.check_accesses(LIMIT, not self._validates)
+        state.tape = self._core
+        native.set_tape(self._core)
+        self._is_recording = True
+        return self
+
+    def _stop(self, is_swept: bool = False) -> None:
+        state.tape = None
+        native.set_tape(None)
+        tracked.end()
+        self._is_recording = False
+        self._core.end(is_swept)
+
+    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
+        self._stop(is_swept=kind is None and self._was_seeded and not self._checks)
+        try:
+            if kind is None and self._checks:
+                raise_violations(self._core)
+            if kind is None and self._was_seeded:
+                with self._values.sweep(self._outer_seeds()):
+                    self._core.backward()
+        finally:
+            # Where there was no sweep, other threads may go on as after one.
+            self._core.end()
+            self._values.end_work()
+        if kind is None and self._was_seeded:
+            warn(self._core, 2)
+            if self._check:
+                self._check.end(self._core, self.loss)
+
+    def __del__(self) -> None:
+        if getattr(self, "_core", None) and self._losses and not self._was_seeded:
+            names = ", ".join(f"'{field.name}'" for field in self._losses)
+            warnings.warn(
+                f"the gradient of {names} was never computed: a loss of more than one number "
+                "needs a seed, as in tape.grad(seed=np.ones(loss.shape))",
+                TaiGradientWarning,
+                stacklevel=2,
+            )
+
+    def grad(self, seed: Any = None) -> None:
+        """Runs the gradients of what was recorded, once more or with other seeds.
+
+        Args:
+            seed: as for the tape itself. None takes the seeds of the last time. Gradients are
+                set to zero first, unless the tape was made with `clear_gradients=False` or
+                has no loss.
+
+        Raises:
+            TaiRuntimeTypeError: a seed of the wrong shape.
+            TaiRuntimeError: a field that the gradient reads has been changed since.
+        """
+        self._need_record()
+        if seed is not None:
+            if not self._losses:
+                raise TaiRuntimeTypeError(
+                    "the tape has no loss that a seed could belong to",
+                    "tape.backward({field: seed})",
+                )
+            set_seeds(self._core, self._losses, as_seeds(self._losses, seed))
+            self._was_seeded = True
+        self._sweep(self.clear_gradients and (bool(self._losses) or self._outer_loss is not None))
+
+    def backward(self, *losses: Any) -> None:
+        """Runs the gradients of what was recorded, from gradients given for any values.
+
+        ```python
+        with ti.ad.Tape() as tape:
+            energy = step(a)
+            drift = deviation(a)
+        tape.backward(energy, (drift, 0.5), {x: np.ones(x.shape)})
+        ```
+
+        Args:
+            losses: numbers, or pairs of a value and its seed, which has the shape of the value:
+                numbers, vectors and matrices that kernels returned under the tape, numbers
+                computed from these, and arrays with a gradient. And a dictionary of seeds for
+                fields that have a gradient, arrays of their shapes. Losses of the tape that are
+                not among them start from zero. Nothing is `grad()`.
+
+        Raises:
+            TaiRuntimeTypeError: a value that is none of these, or a seed that does not fit.
+        """
+        losses = tuple(loss for loss in losses if loss is not None)
+        if not losses and (self._losses or self._outer_loss is not None):
+            return self.grad()
+        self._need_record()
+        if not losses:
+            raise TaiRuntimeTypeError(
+                "the tape has no loss: say what to differentiate", "tape.backward(L)"
+            )
+        seeds: dict[Any, Any] = {}
+        for loss in losses:
+            if isinstance(loss, dict):
+                seeds.update(loss)
+        values = tracked.parse_losses(tuple(x for x in losses if not isinstance(x, dict)))
+        fields = as_losses(list(seeds))
+        for field in fields:
+            require_grad(field, sys._getframe(1))
+        arrays = [as_seed(field, seed) for field, seed in zip(fields, seeds.values(), strict=True)]
+        given = {id(field) for field in fields}
+        for field in self._losses:
+            if id(field) not in given:
+                fields.append(field)
+                arrays.append(as_seed(field, np.zeros(field.shape + field.element_shape)))
+        if self.clear_gradients:
+            self._clear()
+        known = {id(field) for field in self._losses}
+        for field, array in zip(fields, arrays, strict=True):
+            if id(field) in known:
+                set_seeds(self._core, [field], [array])
+            else:
+                field.grad.from_numpy(array)
+        self._was_seeded = True
+        self._sweep(False, values)
+
+    def _outer_seeds(self) -> tuple:
+        return () if self._outer_loss is None else ((self._outer_loss, 1.0),)
+
+    def _clear(self) -> None:
+        self._core.clear_gradients()
+        gradients.clear_gradients(all_threads=False)
+
+    def _sweep(self, clear: bool, losses: tuple | None = None) -> None:
+        if clear:
+            self._clear()
+        with self._values.sweep(self._outer_seeds() if losses is None else losses):
+            self._core.backward()
+        warn(self._core, 3)
+
+    def stats(self) -> TapeStats:
+        """How much the tape keeps, and how much it has computed again."""
+        if self._core is None:
+            raise TaiRuntimeError("the tape holds nothing yet", "enter its `with` block first")
+        return TapeStats(*self._core.stats())
+
+    @property
+    def memory(self) -> int:
+        """The most bytes of old values that the tape has kept at any time."""
+        return self.stats().peak_bytes
+
+    def replay(self, forward: bool = True, backward: bool = True) -> None:
+        """Runs the recorded kernels, and their gradients, on what the fields hold now.
+
+        One native call, without Python between the kernels. What the host wrote inside the
+        block is written again. Gradients are cleared before the reverse sweep.
+        """
+        self._need_record()
+        if forward:
+            self._values.check_replay()
+        if backward:
+            gradients.clear_gradients(all_threads=False)
+        if self._outer_loss is not None:
+            if forward:
+                self._outer_loss.fill(0)
+            losses: tuple = ((self._outer_loss, 1.0),)
+        else:
+            losses = ()
+        arrays = self._values.arrays
+        if forward and (not backward or arrays.restores):
+            # The sweep leaves the arrays as the kernels leave them now.
+            arrays.take_versions()
+            with arrays.ordered():
+                self._core.replay(True, False)
+            arrays.renew_digests()
+            forward = False
+        if not backward:
+            return
+        with self._values.sweep(losses, forward):
+            self._core.replay(forward, True)
+        if forward:
+            arrays.renew_digests()
+
+    def explain(self) -> str:
+        """One line for each record: replayed or skipped, and why."""
+        self._need_record()
+        return self._core.explain()
+
+    def health(self) -> HealthReport:
+        """What the reverse sweep did to the adjoints: NaN, overflow, growth, flatness.
+
+        From the last sweep if the tape was made with `health=True`; otherwise the sweep runs
+        once more, and the gradients are put back.
+        """
+        self._need_record()
+        with self._values.arrays.ordered():
+            return take_health(self._core, self.loss, self._watches)
+
+    def _need_record(self) -> None:
+        if self._core is None or self._is_recording:
+            raise TaiRuntimeError("the tape holds nothing yet", "leave its `with` block first")
+
+    @property
+    def num_records(self) -> int:
+        return self._core.records
+
+    @property
+    def num_skipped(self) -> int:
+        return self._core.skipped
+
+
+def clear_all_gradients() -> None:
+    """Sets the gradients of all fields, arrays and variables to zero."""
+    materialize(get_program(), sys._getframe(1).f_globals)
+    get_program().context.clear_gradients()
+    gradients.clear_gradients()
+
+
+def no_grad(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Lets a function run without being recorded: no gradient passes through it."""
+
+    @functools.wraps(function)
+    def decorated(*args: Any, **kwargs: Any) -> Any:
+        if state.forward:
+            raise TaiAutodiffError(
+                f"function '{function.__name__}' is marked by no_grad, which forward mode "
+                "does not know yet",
+                "call it outside of forward mode",
+            )
+        tape = state.tape
+        if tape is None:
+            return function(*args, **kwargs)
+        result = _unrecorded(tape, function, args, kwargs)
+        tape.record(functools.partial(function, *args, **kwargs), None)
+        return result
+
+    return decorated
+
+
+def grad_replaced(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Gives a function a gradient of its own, which `grad_for` defines.
+
+    The function may run many kernels; the tape runs the other function in their place.
+    """
+
+    @functools.wraps(function)
+    def replaced(*args: Any, **kwargs: Any) -> Any:
+        tape = state.tape
+        if tape is None:
+            return function(*args, **kwargs)
+        if decorated.grad is None:
+            raise TaiAutodiffError(
+                f"function '{function.__name__}' is marked by grad_replaced but has no gradient",
+                f"define one: @ti.ad.grad_for({function.__name__})",
+            )
+        result = _unrecorded(tape, function, args, kwargs)
+        gradient = decorated.grad
+        forward = functools.partial(function, *args, **kwargs)
+        tape.record(forward, lambda: gradient(*args, **kwargs))
+        return result
+
+    decorated: Any = replaced
+    decorated.grad = None
+    return decorated
+
+
+def _unrecorded(tape: Any, function: Callable[..., Any], args: tuple, kwargs: dict) -> Any:
+    tape.suspend()
+    state.tape = None
+    native.set_tape(None)
+    try:
+        return function(*args, **kwargs)
+    finally:
+        state.tape = tape
+        native.set_tape(tape)
+        tape.resume()
+
+
+def grad_for(primal: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Defines the gradient of a function that is marked by `grad_replaced`."""
+    if not hasattr(primal, "grad") or getattr(primal, "_tai_kernel", False):
+        raise TaiAutodiffError(
+            f"'{getattr(primal, '__name__', primal)}' takes no gradient of its own",
+            "mark it by @ti.ad.grad_replaced",
+        )
+
+    def decorator(function: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(function)
+        def decorated(*args: Any, **kwargs: Any) -> Any:
+            return function(*args, **kwargs)
+
+        primal.grad = decorated
+        return decorated
+
+    return decorator
+
+
+# The names of the paper.
+complex_kernel = grad_replaced
+complex_kernel_grad = grad_for

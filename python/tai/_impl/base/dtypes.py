@@ -1,0 +1,213 @@
+"""Scalar types: `ti.f32`, `ti.i32`, …: how two of them combine, and how numbers become theirs."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiTypeError
+from . import state
+
+
+class DataType:
+    """A scalar type.
+
+    Attributes:
+        name: as in `ti.<name>`.
+        kind: `f` float, `i` signed, `u` unsigned, `b` boolean.
+        bits: width in bits.
+        mlir: the type in IR; signedness is in the operations there.
+    """
+
+    __slots__ = ("bits", "kind", "mlir", "name", "numpy")
+
+    def __init__(self, name: str, kind: str, bits: int, mlir: str, numpy: str):
+        self.name, self.kind, self.bits, self.mlir = name, kind, bits, mlir
+        self.numpy: np.dtype = np.dtype(numpy)
+
+    is_float = property(lambda self: self.kind == "f")
+    is_int = property(lambda self: self.kind in "iu")
+    is_signed = property(lambda self: self.kind in "if")
+    is_bool = property(lambda self: self.kind == "b")
+
+    def __repr__(self) -> str:
+        return self.name
+
+    to_string = __repr__
+
+    def __call__(self, value: Any) -> Any:
+        """Converts a number: `ti.i64(x)`."""
+        return cast(value, self)
+
+    def __reduce__(self):
+        return (_by_name.__getitem__, (self.name,))
+
+    @property
+    def min(self) -> float:
+        """The least finite value."""
+        if self.is_float:
+            return float(np.finfo(self.numpy).min)
+        return -(1 << (self.bits - 1)) if self.kind == "i" else 0
+
+    @property
+    def max(self) -> float:
+        """The greatest finite value."""
+        if self.is_float:
+            return float(np.finfo(self.numpy).max)
+        return (1 << (self.bits - (self.kind == "i"))) - 1
+
+
+i8 = DataType("i8", "i", 8, "i8", "int8")
+i16 = DataType("i16", "i", 16, "i16", "int16")
+i32 = DataType("i32", "i", 32, "i32", "int32")
+i64 = DataType("i64", "i", 64, "i64", "int64")
+u1 = DataType("u1", "b", 1, "i1", "bool")
+u8 = DataType("u8", "u", 8, "i8", "uint8")
+u16 = DataType("u16", "u", 16, "i16", "uint16")
+u32 = DataType("u32", "u", 32, "i32", "uint32")
+u64 = DataType("u64", "u", 64, "i64", "uint64")
+f16 = DataType("f16", "f", 16, "f16", "float16")
+f32 = DataType("f32", "f", 32, "f32", "float32")
+f64 = DataType("f64", "f", 64, "f64", "float64")
+
+all_types = [u1, i8, i16, i32, i64, u8, u16, u32, u64, f16, f32, f64]
+_by_name = {t.name: t for t in all_types}
+_by_numpy = {t.numpy: t for t in all_types}
+
+# NumPy-like names.
+int8, int16, int32, int64 = i8, i16, i32, i64
+uint8, uint16, uint32, uint64 = u8, u16, u32, u64
+float16, float32, float64 = f16, f32, f64
+
+
+def to_dtype(what: Any) -> DataType | None:
+    """The type that `what` names: a `DataType`, `int`, `float`, `bool` or a NumPy type.
+
+    Returns None where it names none. `int` and `float` are the default types of `ti.init`.
+    """
+    if isinstance(what, DataType):
+        return what
+    if what is int:
+        return state.options.default_ip
+    if what is float:
+        return state.options.default_fp
+    if what is bool:
+        return u1
+    if isinstance(what, (np.dtype, type)):
+        try:
+            return _by_numpy.get(np.dtype(what))
+        except TypeError:
+            return None
+    name = str(what)
+    if name.startswith("torch."):
+        return _by_numpy.get(np.dtype(name[len("torch.") :]))
+    return None
+
+
+def promote(a: DataType, b: DataType) -> DataType:
+    """The type of `a + b`: a float wins over an integer, then the wider one wins.
+
+    Of two integers of one width the unsigned one wins. Booleans count as integers
+    narrower than all others.
+    """
+    if a is b:
+        return a
+    if a.is_float != b.is_float:
+        return a if a.is_float else b
+    if a.bits != b.bits:
+        return a if a.bits > b.bits else b
+    return a if a.kind == "u" else b
+
+
+def computed_in(dt: DataType) -> DataType:
+    """The type that arithmetic on `dt` takes place in: f16 is for storage, and computed in f32."""
+    return f32 if dt is f16 else dt
+
+
+def dtype_of(value: Any) -> DataType:
+    """The type that a Python or NumPy number takes in a kernel."""
+    if isinstance(value, (bool, np.bool_)):
+        return u1
+    if isinstance(value, np.generic):
+        found = _by_numpy.get(value.dtype)
+        if found is not None:
+            return found
+    return state.options.default_ip if isinstance(value, int) else state.options.default_fp
+
+
+# Numbers in a type
+
+
+def misfit(number: Any, dt: DataType) -> TaiTypeError:
+    """The error for a whole number that a type cannot hold."""
+    if isinstance(number, float):
+        return TaiTypeError(f"{number} is no whole number of type {dt}")
+    default = state.options.default_ip
+    if dt is default or not default.min <= number <= default.max:
+        wide = "u64" if number > 2**63 - 1 else "i64"
+        hint = f"name a wider type: ti.{wide}({number})"
+        if dt is default and wide == "i64":
+            hint += ", or ti.init(default_ip=ti.i64)"
+    else:
+        hint = f"ti.cast({number}, ti.{dt}) keeps its low bits: {wrapped(number, dt)}"
+    return TaiTypeError(f"the whole number {number} does not fit {dt}", hint)
+
+
+def wrapped(number: int, dt: DataType) -> int:
+    """The number of type `dt` with the same low bits."""
+    number &= (1 << dt.bits) - 1
+    return number - (1 << dt.bits) if number > dt.max else number
+
+
+def fit(number: Any, dt: DataType) -> int:
+    """The whole number, if the type can hold it; a float loses its fraction.
+
+    Raises:
+        TaiTypeError: it cannot.
+    """
+    if isinstance(number, float) and not math.isfinite(number):
+        raise misfit(number, dt)
+    whole = int(number)
+    if not dt.min <= whole <= dt.max:
+        raise misfit(whole, dt)
+    return whole
+
+
+def convert(number: Any, dt: DataType) -> Any:
+    """A number in a type that the program named: `ti.cast(300, ti.u8)` keeps the low bits.
+
+    Raises:
+        TaiTypeError: a whole number that neither this type nor the default one can hold.
+    """
+    if dt.is_bool:
+        return bool(number)
+    if dt.is_float:
+        return float(dt.numpy.type(number)) if dt.bits < 64 else float(number)
+    default = state.options.default_ip
+    if isinstance(number, float) and not math.isfinite(number):
+        raise misfit(number, dt)
+    whole = int(number)
+    if not (dt.min <= whole <= dt.max or default.min <= whole <= default.max):
+        raise misfit(whole, dt)
+    return wrapped(whole, dt)
+
+
+def cast(x: Any, dtype: Any) -> Any:
+    """x in another type; floats become whole numbers by dropping the fraction."""
+    emitter = state.emitter
+    if emitter is not None:
+        target = emitter.to_dtype(dtype)
+        if hasattr(x, "emit_operand") or getattr(x, "is_matrix", False):
+            return emitter.cast(emitter.as_value(x), target)
+        if isinstance(x, (bool, int, float, np.generic)):
+            number = x.item() if isinstance(x, np.generic) else x
+            return emitter.constant(convert(number, target), target)
+        return emitter.cast(emitter.as_value(x), target)
+    resolved = to_dtype(dtype)
+    if resolved is None:
+        raise TaiTypeError(f"{dtype!r} is not a type of numbers")
+    if getattr(x, "is_matrix", False):
+        return x.cast(resolved)
+    return convert(x.item() if hasattr(x, "item") else x, resolved)

@@ -1,0 +1,159 @@
+"""What lives from one `ti.init` to the next: the C++ context, trees, fields and kernels."""
+
+from __future__ import annotations
+
+import atexit
+import sys
+import threading
+import weakref
+from collections.abc import Callable
+from typing import Any
+
+from ...errors import TaiError, TaiRuntimeError
+from . import native, state
+from .options import Options, skip_text
+from .symbols import Symbols
+from .targets import cpu, cuda, python
+
+# What else is forgotten with a program; layers above add to it.
+at_close: list[Callable[[], None]] = []
+
+
+class Program:
+    """What lives from one `ti.init` to the next."""
+
+    def __init__(self, options: Options):
+        self.options = options
+        self.context = native.Context()
+        # The tree that is being laid out under `ti.root`; see `fields.root`.
+        self.root: Any = None
+        # Held while fields are placed under `ti.root`, so that no other thread allocates half of
+        # them.
+        self.layout = threading.RLock()
+        # Functions of kernels by symbol, for reports that name a line.
+        functions: dict[str, Any] = {}
+        self.kernel_functions = functions
+        self.symbols = Symbols(self.context.has_kernel, lambda name: functions.pop(name, None))
+        self.num_trees = 0
+        # The roots of the trees that are allocated, by symbol.
+        self.trees: dict[str, Any] = {}
+        # Fields by symbol, for diagnostics and for clearing gradients.
+        self.fields: dict[str, Any] = {}
+        self.kernels: weakref.WeakSet = weakref.WeakSet()
+        # Where forward mode keeps what kernels return; see `tracking.tangents`.
+        self.pools: list[Any] = []
+        self.count_kernels_from_here()
+        # Lists that sparse levels had made and reused at the last `clear_skips`.
+        self.lists_before: dict[Any, tuple[int, int]] = {}
+        self._set_options()
+
+    def close(self) -> None:
+        """Lets go of all memory, although the program's fields and kernels may live on."""
+        for field in self.fields.values():
+            field.release()
+        for kernel in self.kernels:
+            kernel.release()
+        self.fields.clear()
+        self.trees.clear()
+        self.pools.clear()
+        for forget in at_close:
+            forget()
+
+    def count_kernels_from_here(self) -> None:
+        """Forgets the kernels that were defined so far."""
+        self.first_kernel = state.kernels_made
+
+    def kernels_defined(self) -> int:
+        """How many kernels were defined since, and those before that are in use."""
+        earlier = sum(kernel.number < self.first_kernel for kernel in self.kernels)
+        return state.kernels_made - self.first_kernel + earlier
+
+    def _set_options(self) -> None:
+        o = self.options
+
+        def flag(value: bool) -> str:
+            return "true" if value else "false"
+
+        values = {
+            "device_memory_limit": str(o.device_memory_limit),
+            "device_heap": str(o.device_heap_memory),
+            "arch": "interpreter" if o.arch == python else str(o.arch),
+            "threads": str(o.cpu_max_num_threads),
+            "deterministic": flag(o.deterministic),
+            "debug": flag(o.debug),
+            "bounds": "check" if o.debug or o.check_out_of_bound else o.bounds,
+            "fast_math": flag(o.fast_math),
+            "sanitize": o.sanitize,
+            "opt_level": str(o.opt_level),
+            "seed": str(o.random_seed),
+            "print_ir": "all" if o.print_ir is True else str(o.print_ir or ""),
+            "profiler": flag(o.kernel_profiler),
+            "history_bytes": str(o.ad_history_bytes),
+            "skip": skip_text(o.skip),
+            "memory_limit": str(o.memory_limit),
+            "block_dim": str(o.default_gpu_block_dim),
+            "max_block_dim": str(o.max_block_dim if o.arch == cuda else 0),
+            "fuse_launches": flag(o.fuse_launches),
+        }
+        if not o.offline_cache:
+            values["cache_dir"] = ""
+        elif o.offline_cache_file_path:
+            values["cache_dir"] = o.offline_cache_file_path
+        for name, value in values.items():
+            self.context.set_option(name, value)
+
+    def unique_symbol(self, wanted: str) -> str:
+        """A symbol that no tree, place or field of this program has."""
+        return self.symbols.take(wanted)
+
+
+def get_program() -> Program:
+    """The program, made with default options if `ti.init` was not called."""
+    if state.program is None:
+        state.program = Program(state.options)
+    return state.program
+
+
+state.options = Options()
+
+
+def reset() -> None:
+    """Forgets all fields and compiled kernels."""
+    if state.tape is not None:
+        raise TaiRuntimeError("the program cannot be reset inside a ti.ad.Tape")
+    if state.forward:
+        raise TaiRuntimeError("the program cannot be reset in forward mode")
+    if state.program is None:
+        return
+    _wait()
+    native.next_generation()
+    state.program.close()
+    state.program = None
+
+
+@atexit.register
+def _wait() -> None:
+    """Before the program goes, what kernels on a GPU have printed appears, and why they failed."""
+    if state.program is None or state.program.options.arch == cpu:
+        return
+    try:
+        state.program.context.synchronize()
+    except TaiError as error:
+        print(f"[tai] a kernel has failed: {error}", file=sys.stderr)
+
+
+@atexit.register
+def _stop_background_work() -> None:
+    """What is compiled ahead of need must not outlive the libraries that it uses.
+
+    Programs are not always freed at the end: one whose tape is open is not.
+    """
+    core = sys.modules.get("tai._core")
+    if core is not None:
+        core.stop_background_work()
+
+
+def sync() -> None:
+    """Waits until everything that was launched has run."""
+    if state.program is not None:
+        state.program.context.synchronize()

@@ -1,0 +1,79 @@
+"""The program that `ti.init` made, and what the front end is compiling now.
+
+Kept in a module of its own, so that every other module can read it without an
+import cycle. The C++ side has no global state: this is the package's one. What
+records, or is being compiled, is that of the calling thread.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import types
+from typing import Any
+
+# The options of the last `ti.init`, or the defaults before.
+options: Any = None
+# The program, made at the first use.
+program: Any = None
+# How many kernels have been defined.
+kernels_made: int = 0
+
+
+# What each thread has of its own; see `_State`.
+emitter: Any
+tape: Any
+forward: bool
+thread: object
+
+
+class _OfThread(threading.local):
+    emitter: Any = None
+    tape: Any = None
+    forward: bool = False
+
+    def __init__(self) -> None:
+        # What no other thread has, now or later.
+        self.token = object()
+
+
+_of_thread = _OfThread()
+
+
+class _State(types.ModuleType):
+    """The module itself: some of its variables are another one in each thread."""
+
+    @property
+    def emitter(self) -> Any:
+        """The emitter of the kernel that is being compiled, or None in Python scope."""
+        return _of_thread.emitter
+
+    @emitter.setter
+    def emitter(self, value: Any) -> None:
+        _of_thread.emitter = value
+
+    @property
+    def forward(self) -> bool:
+        """Whether kernels are launched with their tangents."""
+        return _of_thread.forward
+
+    @forward.setter
+    def forward(self, value: bool) -> None:
+        _of_thread.forward = value
+
+    @property
+    def thread(self) -> object:
+        """Stands for the calling thread."""
+        return _of_thread.token
+
+    @property
+    def tape(self) -> Any:
+        """The tape that is recording, or None."""
+        return _of_thread.tape
+
+    @tape.setter
+    def tape(self, value: Any) -> None:
+        _of_thread.tape = value
+
+
+sys.modules[__name__].__class__ = _State

@@ -1,0 +1,93 @@
+"""Targets of kernels, such as `ti.cpu` and `ti.cuda`, and what they can do."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Any
+
+from ...errors import TaiRuntimeError, did_you_mean
+from . import native
+
+
+class Arch(str):
+    """A target: `ti.cpu`, `ti.cuda`, …"""
+
+    __slots__ = ()
+
+
+cpu, x64, arm64 = Arch("cpu"), Arch("x64"), Arch("arm64")
+python = Arch("python")
+cuda, gpu, vulkan, metal = Arch("cuda"), Arch("gpu"), Arch("vulkan"), Arch("metal")
+opengl, gles, dx11, amdgpu = Arch("opengl"), Arch("gles"), Arch("dx11"), Arch("amdgpu")
+
+
+class Extension(Enum):
+    """What a target may have, or not."""
+
+    sparse = "sparse"
+    quant = "quant"
+    quant_basic = "quant_basic"
+    data64 = "data64"
+    adstack = "adstack"
+    bls = "bls"
+    assertion = "assertion"
+    extfunc = "extfunc"
+    mesh = "mesh"
+
+
+extension = Extension
+
+# Block-local storage is a hint without effect here; programs that ask for it run.
+_SUPPORTED = {
+    Extension.data64,
+    Extension.adstack,
+    Extension.assertion,
+    Extension.bls,
+    Extension.sparse,
+}
+
+
+def is_extension_supported(arch: Arch, ext: Extension) -> bool:
+    """Whether a target has what `ext` names.
+
+    Loops that carry values are differentiable without a limit, which is what `adstack`
+    asks for.
+    """
+    return arch in (cpu, x64, arm64, cuda, python) and ext in _SUPPORTED
+
+
+def why_no_cuda() -> str:
+    """Why there is no arch=ti.cuda on this machine; empty where there is."""
+    try:
+        native.Context().set_option("arch", "cuda")
+    except TaiRuntimeError as error:
+        return error.message
+    return ""
+
+
+def check_target(arch: Arch, needs: Any, unwanted: Any) -> None:
+    """Refuses a target that lacks an extension in `needs`, or is one of `unwanted`."""
+
+    def each(what: Any) -> Any:
+        return what if isinstance(what, (list, tuple, set)) else (what,)
+
+    if needs:
+        for extension in each(needs):
+            if not is_extension_supported(arch, extension):
+                raise TaiRuntimeError(f"arch=ti.{arch} has no {extension}")
+    if arch in each(unwanted) or (arch == cpu and x64 in each(unwanted)):
+        raise TaiRuntimeError(f"arch=ti.{arch} is excluded by this program")
+
+
+def choose_arch(arch: Any) -> tuple[Arch, bool]:
+    """The target to use, and whether the CPU will do where it is not there."""
+    if isinstance(arch, (list, tuple)):
+        arch = next((a for a in arch if a in (cpu, x64, arm64)), arch[0] if arch else None)
+    if arch is None or arch in (cpu, x64, arm64):
+        return cpu, False
+    if arch in (gpu, cuda):
+        return cuda, arch == gpu
+    if arch == python:
+        return python, False
+    known = ["cpu", "x64", "cuda", "gpu", "python"]
+    raise TaiRuntimeError(f"there is no target '{arch}'", did_you_mean(str(arch), known))

@@ -1,0 +1,198 @@
+"""`ti.ndarray`: arrays that Python owns and kernels take as arguments."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
+from ..base import dtypes, fitting, state
+from ..base.elements import Elements
+from ..history import gradients, origins
+from ..values.matrix import Matrix, Vector
+from ..values.types import MatrixType
+from . import copies
+from .field import Field
+from .shapes import to_shape
+
+
+class Ndarray(Elements):
+    """An array around NumPy memory, indexed as a field is.
+
+    Attributes:
+        array: the memory, of shape `shape + element_shape`.
+        shape: the extents, without those of the element.
+        element_shape: `()`, `(n,)` or `(n, m)`.
+        grad: the gradient, an array of the same kind; None without `needs_grad`.
+    """
+
+    def __init__(
+        self, dtype: Any, shape: Any, element_shape: tuple[int, ...] = (), needs_grad: bool = False
+    ):
+        if isinstance(dtype, MatrixType):
+            element_shape, dtype = dtype.shape, dtype.dtype
+        resolved = dtypes.to_dtype(dtype)
+        if resolved is None:
+            raise TaiRuntimeTypeError(f"{dtype!r} is not a type of numbers")
+        self.dtype, self.element_shape = resolved, tuple(element_shape)
+        self.shape = to_shape(shape)
+        if any(extent < 0 for extent in self.shape):
+            raise TaiRuntimeTypeError(f"an array of shape {self.shape} does not exist")
+        self.array = np.zeros(self.shape + self.element_shape, resolved.numpy)
+        self._grad: Ndarray | None = None
+        # Of what is a gradient itself.
+        self.taken: Any = None
+        if needs_grad:
+            if not resolved.is_float:
+                raise TaiRuntimeTypeError(
+                    f"an array of {resolved} has no gradient",
+                    "needs_grad=True goes with a float type such as ti.f32",
+                )
+            self._grad = Ndarray(resolved, self.shape, self.element_shape)
+            self._grad.taken = gradients.note_gradient_array(self._grad)
+
+    def _described(self) -> str:
+        return "a ti.ndarray"
+
+    @property
+    def grad(self) -> Ndarray | None:
+        return self._grad
+
+    @grad.setter
+    def grad(self, value: Any) -> None:
+        raise TaiRuntimeTypeError(
+            "the gradient of an array cannot be replaced", "fill it: a.grad.from_numpy(array)"
+        )
+
+    def _check_write(self, value: Any) -> None:
+        """What Python is to write to it.
+
+        Raises:
+            TaiRuntimeError: a tape that records minds.
+        """
+        if state.tape is None:
+            return
+        what = gradients.recorded_as(self.array, self._grad is not None)
+        if what is not None:
+            raise TaiRuntimeError(
+                f"{what} is changed from Python while the tape that has recorded it is open",
+                "change it in a kernel, or before the tape begins",
+            )
+        origins.check_write(self, value)
+
+    @contextlib.contextmanager
+    def _refusing(self, key: Any, value: Any) -> Iterator[None]:
+        """What NumPy says of an index or of a value, as an error of the package."""
+        what = f"an array of {self.dtype} and shape {self.array.shape}"
+        try:
+            yield
+        except IndexError as error:
+            raise TaiIndexError(f"{what} has no element {key!r}: {error}") from None
+        except (TypeError, ValueError) as error:
+            raise TaiRuntimeTypeError(f"{what} cannot take {value!r}: {error}") from None
+
+    def __getitem__(self, key: Any) -> Any:
+        if state.tape is not None:
+            origins.note_read(self)
+        with self._refusing(key, None):
+            item = self.array[() if key is None else key]
+        return Matrix._wrap(item) if np.ndim(item) else item.item()
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        self._check_write(value)
+        with self._refusing(key, value):
+            self.array[() if key is None else key] = self._stored(value)
+
+    def to_numpy(self) -> np.ndarray:
+        if state.tape is not None:
+            origins.note_read(self)
+        return self.array.copy()
+
+    def from_numpy(self, array: Any) -> None:
+        with self._refusing(..., array):
+            array = np.asarray(array)
+        if array.shape != self.array.shape:
+            raise TaiRuntimeTypeError(
+                f"expects an array of shape {self.array.shape}, but got {array.shape}"
+            )
+        self._check_write(array)
+        with self._refusing(..., array):
+            self.array[...] = self._stored(array)
+
+    def fill(self, value: Any) -> None:
+        self._check_write(value)
+        with self._refusing(..., value):
+            self.array[...] = self._stored(value)
+
+    def _stored(self, value: Any) -> Any:
+        """Numbers from Python in the type of the array."""
+        if np.ndim(value) == 0 and hasattr(value, "__float__"):
+            value = value.item() if hasattr(value, "item") else value
+            return fitting.stored(value, self.dtype, "the array")
+        return fitting.stored_array(np.asarray(value), self.dtype, "the array")
+
+    def copy_from(self, other: Any) -> None:
+        """Copies an array or a field of the same shape; tapes and forward mode follow it."""
+        if other is self:
+            return
+        if not isinstance(other, (Ndarray, Field)) or hasattr(other, "members"):
+            raise TaiRuntimeTypeError(
+                f"copy_from expects a ti.ndarray or a field, but got {type(other).__name__}",
+                "copy a NumPy array by from_numpy(array)",
+            )
+        if tuple(other.shape) + tuple(other.element_shape) != self.array.shape:
+            raise TaiRuntimeTypeError(
+                f"expects an array of shape {self.array.shape}, but got "
+                f"{tuple(other.shape) + tuple(other.element_shape)}"
+            )
+        if copies.is_followed(self, other):
+            copies.copy_array(self, other)
+        else:
+            self.from_numpy(other.to_numpy())
+
+    def __dlpack__(self, **options: Any) -> Any:
+        """The memory for another library, by DLPack; it is on the host."""
+        return self.array.__dlpack__(**options)
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        return self.array.__dlpack_device__()
+
+    def __str__(self) -> str:
+        return str(self.array)
+
+    def __repr__(self) -> str:
+        return f"<ti.ndarray of {self.dtype}, shape {self.shape}>"
+
+
+def ndarray(dtype: Any, shape: Any, needs_grad: bool = False) -> Ndarray:
+    """An array of zeros that kernels take as `ti.types.ndarray()`.
+
+    Args:
+        dtype: a number type, or a vector or matrix type.
+        shape: the extents.
+        needs_grad: give it a gradient, `grad`, which tapes add to.
+
+    Raises:
+        TaiRuntimeTypeError: a type that is none of these, or a gradient of whole numbers.
+    """
+    return Ndarray(dtype, shape, needs_grad=needs_grad)
+
+
+def _matrix_array(n: int, m: int, dtype: Any, shape: Any, needs_grad: bool = False) -> Any:
+    """An array of n×m matrices; see `ti.ndarray`."""
+    return Ndarray(dtype, shape, (n, m), needs_grad)
+
+
+def _vector_array(n: int, dtype: Any, shape: Any, needs_grad: bool = False) -> Any:
+    """An array of vectors of n components; see `ti.ndarray`."""
+    return Ndarray(dtype, shape, (n,), needs_grad)
+
+
+# Matrices know nothing of arrays; `ti.Matrix.ndarray` and `ti.Vector.ndarray` are these.
+for _function, _class in ((_matrix_array, Matrix), (_vector_array, Vector)):
+    _function.__name__ = "ndarray"
+    _function.__qualname__ = f"{_class.__name__}.ndarray"
+    _class.ndarray = staticmethod(_function)

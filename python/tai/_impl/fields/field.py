@@ -1,0 +1,204 @@
+"""What all fields have in common: names, gradients, shape, copies."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
+from ..base import dtypes, fitting
+from ..base.elements import Elements
+from . import copies
+from .shareable import Shareable
+from .snode import Place, SNode
+
+
+class Field(Elements, Shareable):
+    """What scalar, vector and matrix fields have in common.
+
+    Attributes:
+        dtype: scalar type of the components.
+        n, m: rows and columns of an element; 1 for a scalar, m is 1 for a vector.
+        element_shape: `()`, `(n,)` or `(n, m)`.
+        role: `primal`, `grad` or `dual`.
+        level: the level that holds the field, or None before it is placed.
+        offset: the first index along each dimension; () for zeros.
+    """
+
+    offset: Any
+
+    def __init__(self, dtype: Any, element_shape: tuple[int, ...], name: str | None, role: str):
+        resolved = dtypes.to_dtype(dtype)
+        if resolved is None:
+            raise TaiRuntimeTypeError(
+                f"a field holds numbers, not {dtype!r}", "use a type such as ti.f32 or ti.i32"
+            )
+        self.dtype = resolved
+        self.element_shape = element_shape
+        self.role = role
+        self.primal: Field | None = None
+        self.needs_grad = self.needs_dual = False
+        self._name = name
+        self._companions: dict[str, Field] = {}
+        self._place: Place | None = None
+
+    # Names
+
+    def suggest_name(self, name: str) -> None:
+        """Takes the name of the variable that holds the field, if it has none yet."""
+        if self._name is None:
+            self._name = name
+
+    @property
+    def name(self) -> str:
+        """What to call the field in messages."""
+        if self.primal is not None:
+            return f"{self.primal.name}.{self.role}"
+        return self._name or "field"
+
+    def _described(self) -> str:
+        return f"field '{self.name}'"
+
+    def _example(self) -> str:
+        scalar = self.snode is None or not self.shape
+        indices = "None" if scalar else ", ".join("ijklmnop"[: len(self.shape)])
+        return f"{self.name}[{indices}]"
+
+    # Companions
+
+    def _companion(self, which: str) -> Field | None:
+        # A gradient has a dual: the derivative of the gradient.
+        nests = self.role == "primal" or (self.role == "grad" and which == "dual")
+        if not self.dtype.is_float or not nests:
+            return None
+        if which not in self._companions:
+            made = self._make_companion(which)
+            made.primal = self
+            self._companions[which] = made
+        return self._companions[which]
+
+    @property
+    def grad(self) -> Any:
+        """The field that accumulates the derivative of the loss, or None for integers."""
+        return self._companion("grad")
+
+    @property
+    def dual(self) -> Any:
+        """The field of tangents of forward mode, or None for integers."""
+        return self._companion("dual")
+
+    def _make_companion(self, which: str) -> Field:
+        raise NotImplementedError
+
+    # Shape
+
+    @property
+    def level(self) -> SNode | None:
+        raise NotImplementedError
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The extents, in the order of the axes i, j, k, …"""
+        node = self._placed_node()
+        return node.shape
+
+    def _placed_node(self) -> SNode:
+        if self.level is None:
+            if self.role == "grad":
+                raise TaiAutodiffError(
+                    f"field '{self.primal.name}' has no gradient",
+                    "make it with needs_grad=True, or call ti.root.lazy_grad() after placing it",
+                )
+            if self.role == "dual":
+                raise TaiAutodiffError(
+                    f"field '{self.primal.name}' has no dual",
+                    "make it with needs_dual=True, or call ti.root.lazy_dual() after placing it",
+                )
+            raise TaiRuntimeError(
+                f"field '{self.name}' is not placed",
+                "give it a shape, or place it: ti.root.dense(ti.i, n).place(x)",
+            )
+        return self.level
+
+    @property
+    def snode(self) -> Place | None:
+        """The place of the field, below its level; None before it is placed."""
+        if self.level is None:
+            return None
+        if self._place is None:
+            self._place = Place(self)
+        return self._place
+
+    def parent(self, n: int = 1) -> SNode | None:
+        """The level `n` levels above the field; for 0, its place."""
+        self._placed_node()
+        return self.snode.parent(n)
+
+    @property
+    def num_indices(self) -> int:
+        return len(self.shape)
+
+    # Whole-field operations
+
+    def to_numpy(self, dtype: Any = None) -> np.ndarray:
+        """A copy as an array of shape `shape + element_shape`."""
+        raise NotImplementedError
+
+    def from_numpy(self, array: Any) -> None:
+        """Copies an array of shape `shape + element_shape` into the field."""
+        raise NotImplementedError
+
+    def fill(self, value: Any) -> None:
+        """Sets all elements to `value`; of a sparse field, those that are active."""
+        raise NotImplementedError
+
+    def _check_array(self, array: Any) -> np.ndarray:
+        array = np.asarray(array)
+        wanted = self.shape + self.element_shape
+        if array.shape != wanted:
+            raise TaiRuntimeTypeError(
+                f"field '{self.name}' expects an array of shape {wanted}, but got {array.shape}"
+            )
+        array = fitting.stored_array(array, self.dtype, self)
+        return np.ascontiguousarray(array)
+
+    def copy_from(self, other: Field) -> None:
+        """Copies all elements of a field of the same shape; tapes and forward mode follow it."""
+        if not isinstance(other, Field) or hasattr(other, "members"):
+            raise TaiRuntimeTypeError(f"copy_from expects a field, but got {other!r}")
+        if other is self:
+            return
+        if copies.is_followed(self, other):
+            copies.copy_field(self, other)
+        else:
+            copies.check_shapes(self, other)
+            self.from_numpy(other.to_numpy())
+
+    def __str__(self) -> str:
+        if self.level is None:
+            return f"<field '{self.name}', not placed>"
+        return str(self.to_numpy())
+
+    def __repr__(self) -> str:
+        kind = "field" if not self.element_shape else f"field of {self.element_shape}"
+        place = "not placed" if self.level is None else f"shape {self.shape}"
+        return f"<{self.dtype} {kind} '{self.name}', {place}>"
+
+    def __iter__(self) -> Any:
+        raise TaiRuntimeTypeError(
+            "a field is iterated in kernels only", "use x.to_numpy() to loop over it in Python"
+        )
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+
+def index_tuple(key: Any) -> tuple:
+    if key is None:
+        return ()
+    if isinstance(key, tuple):
+        return key
+    if isinstance(key, (list, np.ndarray)) or hasattr(key, "to_numpy"):
+        return tuple(key)
+    return (key,)

@@ -1,0 +1,213 @@
+"""Fields of small vectors and matrices."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
+from ..base import fitting, state
+from ..history import origins
+from ..values.matrix import ElementOfField
+from . import active
+from .field import Field, index_tuple
+from .scalar import ComponentField, ScalarField
+from .snode import SNode
+from .whole import WholeElements
+
+
+class MatrixField(Field):
+    """A small vector or matrix per element.
+
+    It is stored as one place, unless its components were placed one by one
+    (`get_scalar_field`) or it was made with `layout=ti.Layout.SOA`.
+    """
+
+    def __init__(
+        self, element_shape: tuple[int, ...], dtype: Any, name: str | None = None,
+        role: str = "primal",
+    ):  # fmt: skip
+        super().__init__(dtype, element_shape, name, role)
+        self._single: ScalarField | None = None
+        self._components: list[ComponentField] | None = None
+        self._symbol_base: str | None = None
+
+    @property
+    def n(self) -> int:
+        return self.element_shape[0]
+
+    @property
+    def m(self) -> int:
+        return self.element_shape[1] if len(self.element_shape) == 2 else 1
+
+    @property
+    def ndim(self) -> int:
+        return len(self.element_shape)
+
+    def _make_companion(self, which: str) -> MatrixField:
+        return MatrixField(self.element_shape, self.dtype, None, which)
+
+    def _base_symbol(self, program: Any) -> str:
+        if self._symbol_base is None:
+            if self.primal is not None:
+                self._symbol_base = f"{self.primal._base_symbol(program)}_{self.role}"
+            else:
+                self._symbol_base = self._name or "field"
+        return self._symbol_base
+
+    @property
+    def components(self) -> list[ComponentField]:
+        if self._components is None:
+            self._components = [
+                ComponentField(self, number, indices)
+                for number, indices in enumerate(np.ndindex(*self.element_shape))
+            ]
+        return self._components
+
+    def get_scalar_field(self, *indices: int) -> ComponentField:
+        """The field of one component, to read, to write, or to place by itself."""
+        if len(indices) == 2 and self.ndim == 1 and indices[1] == 0:
+            indices = indices[:1]
+        if len(indices) != self.ndim or any(
+            not 0 <= i < n for i, n in zip(indices, self.element_shape, strict=True)
+        ):
+            raise TaiIndexError(
+                f"field '{self.name}' has elements of shape {self.element_shape}: "
+                f"there is no component {indices}"
+            )
+        return self.components[int(np.ravel_multi_index(indices, self.element_shape))]
+
+    @property
+    def is_split(self) -> bool:
+        """Whether each component is an array of its own."""
+        return self._single is None and any(c._level is not None for c in self._components or ())
+
+    @property
+    def single(self) -> ScalarField | None:
+        """The place that holds whole elements, or None where the components are separate."""
+        return self._single
+
+    @property
+    def level(self) -> SNode | None:
+        if self._single is not None:
+            return self._single.level
+        if self._components and all(c._level is not None for c in self._components):
+            return self._components[0]._level
+        return None
+
+    def put_into(self, node: SNode, offset: Any = None) -> None:
+        if self._single is not None or self.is_split:
+            raise TaiRuntimeError(f"field '{self.name}' is placed already")
+        primal = self.primal
+        if primal is not None and primal.is_split:
+            # A gradient is stored as its field is: one array for each component.
+            for component in self.components:
+                component.put_into(node, offset)
+            return
+        self._single = WholeElements(self)
+        self._single.put_into(node, offset)
+
+    def materialize(self, frame: Any = None) -> None:
+        """Allocates the tree of the field."""
+        self._placed_node()
+        for part in self.parts:
+            part.materialize(frame)
+
+    @property
+    def parts(self) -> list[ScalarField]:
+        """The places that hold the field: one, or one for each component."""
+        return [self._single] if self._single is not None else list(self.components)
+
+    @property
+    def offset(self) -> tuple[int, ...]:
+        return self.parts[0].offset
+
+    def storage(self) -> tuple[ScalarField, int]:
+        return self.parts[0], 0
+
+    # Elements
+
+    def __getitem__(self, key: Any) -> Any:
+        if state.tape is not None or state.forward:
+            origins.note_read(self)
+        self._placed_node()
+        return ElementOfField(self, index_tuple(key))
+
+    def read(self, key: tuple) -> np.ndarray:
+        """The components of one element."""
+        if self._single is not None:
+            try:
+                values = self._single.core.get_all(key)
+            except (IndexError, TypeError) as error:
+                raise self._single._index_error(error, key) from None
+            if not self.dtype.is_float:
+                values = [self._single._to_python(v) for v in values]
+        else:
+            values = [component[key] for component in self.components]
+        return np.array(values, self.dtype.numpy).reshape(self.element_shape)
+
+    def write(self, key: tuple, component: int, value: Any) -> None:
+        """Sets one component of one element."""
+        if self._single is not None:
+            self._single.set_component(key, component, value)
+        else:
+            self.components[component][key] = value
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        if state.tape is not None or state.forward:
+            origins.check_write(self, value)
+        self._placed_node()
+        values = np.asarray(value.to_numpy() if hasattr(value, "to_numpy") else value)
+        if values.ndim == 0:
+            values = np.full(self.element_shape, values)
+        if values.dtype.kind not in "biuf":
+            raise TaiRuntimeTypeError(
+                f"field '{self.name}' holds numbers of type {self.dtype}, not {value!r}"
+            )
+        if values.shape != self.element_shape:
+            raise TaiRuntimeTypeError(
+                f"an element of field '{self.name}' has shape {self.element_shape}, "
+                f"but got {values.shape}"
+            )
+        at = index_tuple(key)
+        numbers = values.ravel().tolist()
+        if not self.dtype.is_float:
+            numbers = [fitting.stored(number, self.dtype, self) for number in numbers]
+        if self._single is None:
+            for component, number in zip(self.components, numbers, strict=True):
+                component[at] = number
+            return
+        try:
+            self._single.core.set_all(at, numbers)
+        except (IndexError, TypeError) as error:
+            raise self._single._index_error(error, key) from None
+        dual = origins.dual_of_written(self._single) if state.forward else None
+        if dual is not None:
+            dual.set_all(at, [0.0] * len(numbers))
+
+    # Whole field
+
+    def to_numpy(self, keep_dims: bool = False, dtype: Any = None) -> np.ndarray:
+        """A copy as an array of shape `shape + element_shape`."""
+        self._placed_node()
+        if self._single is not None:
+            array = self._single.to_numpy(dtype)
+        else:
+            parts = [component.to_numpy(dtype) for component in self.components]
+            array = np.stack(parts, axis=-1).reshape(self.shape + self.element_shape)
+        return array[..., None] if keep_dims and self.ndim == 1 else array
+
+    def from_numpy(self, array: Any) -> None:
+        array = np.asarray(array)
+        if self.ndim == 1 and array.shape == (*self.shape, self.n, 1):
+            array = array[..., 0]
+        array = self._check_array(array)
+        if self._single is not None:
+            self._single.from_numpy(array)
+            return
+        for component in self.components:
+            component.from_numpy(np.array(array[(..., *component._indices)]))
+
+    def fill(self, value: Any) -> None:
+        active.fill_matrices(self, value)

@@ -1,0 +1,79 @@
+"""`ti.root`: the tree that is being laid out, and when it is allocated."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from ..base import state
+from ..base.elements import Elements
+from ..base.program import Program, get_program
+from .snode import Root
+
+
+def open_root(program: Program) -> Root:
+    """The root of the tree that is being laid out."""
+    if program.root is None:
+        with program.layout:
+            if program.root is None:
+                program.root = Root()
+    return program.root
+
+
+def materialize(program: Program, namespace: dict[str, Any] | None = None) -> None:
+    """Allocates the tree of what was placed under `ti.root` since the last time.
+
+    Args:
+        program: the program.
+        namespace: variables of the caller, to name fields after, so that the IR and
+            diagnostics say `@x` for the field that the program calls `x`.
+    """
+    with program.layout:
+        root = open_root(program)
+        if not root.children:
+            return
+        if namespace is not None:
+            name_fields(namespace)
+        program.root, root.allocator = Root(), state.thread
+    try:
+        root.allocate(program)
+    finally:
+        root.ready.set()
+
+
+def name_fields(namespace: dict[str, Any]) -> None:
+    """Names the fields that variables of `namespace` hold, where they have no name yet."""
+    for name, value in list(namespace.items()):
+        if isinstance(value, Elements):
+            value.suggest_name(name)
+        elif isinstance(value, (list, tuple)):
+            for index, item in enumerate(value):
+                if isinstance(item, Elements):
+                    item.suggest_name(f"{name}_{index}")
+
+
+class _Root:
+    """`ti.root`: the root of the tree that is being laid out."""
+
+    is_root = True
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(open_root(get_program()), name)
+
+    def deactivate_all(self) -> None:
+        """Makes all cells of all sparse levels inactive, in all trees."""
+        program = get_program()
+        materialize(program, sys._getframe(1).f_globals)
+        for tree in list(program.trees.values()):
+            tree.deactivate_all()
+
+    def __eq__(self, other: Any) -> bool:
+        return other is self or getattr(other, "kind", None) == "root"
+
+    __hash__ = object.__hash__
+
+    def __repr__(self) -> str:
+        return "ti.root"
+
+
+root = _Root()

@@ -1,0 +1,338 @@
+"""Fields of numbers, and the places of vectors: what the trees of the runtime hold."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiError, TaiRuntimeError, TaiRuntimeTypeError
+from ..base import dtypes, fitting, state
+from ..base.program import get_program
+from ..history import origins
+from . import active, copies
+from .field import Field, index_tuple
+from .root import materialize, name_fields
+from .snode import SNode
+
+
+class ScalarField(Field):
+    """One number per element; also the storage of a vector field, as one place."""
+
+    def __init__(
+        self,
+        dtype: Any,
+        name: str | None = None,
+        role: str = "primal",
+        element_shape: tuple[int, ...] = (),
+    ):
+        super().__init__(dtype, element_shape, name, role)
+        self._level: SNode | None = None
+        self.offset: tuple[int, ...] = ()
+        self.symbol: str | None = None
+        self._core: Any = None
+        self._tree_freed = False
+
+    # Placement
+
+    @property
+    def level(self) -> SNode | None:
+        return self._level
+
+    @property
+    def mlir_type(self) -> str:
+        if not self.element_shape:
+            return self.dtype.mlir
+        return f"vector<{'x'.join(map(str, self.element_shape))}x{self.dtype.mlir}>"
+
+    def put_into(self, node: SNode, offset: Any = None) -> None:
+        """Becomes a place of the cells of `node`."""
+        if self._level is not None:
+            raise TaiRuntimeError(f"field '{self.name}' is placed already")
+        self._level = node
+        node.children.append(self)
+        if offset is not None:
+            rank = len(node.shape)
+            values = offset if isinstance(offset, (tuple, list)) else (offset,) * rank
+            if len(values) != rank:
+                raise TaiRuntimeTypeError(
+                    f"the offset has {len(values)} numbers, but the field has {rank} dimensions"
+                )
+            self.offset = tuple(int(v) for v in values)
+
+    def place_missing_grad(self) -> None:
+        """Places a gradient or dual that was asked for and not placed, beside the field."""
+        for which, needed in (("grad", self.needs_grad), ("dual", self.needs_dual)):
+            if needed:
+                companion = self._companion(which)
+                if companion is not None and companion.level is None:
+                    companion.put_into(self._level, self.offset or None)
+        placed = {which: f for which, f in self._companions.items() if f.level is not None}
+        if self.role == "primal" and len(placed) == 2:
+            # Both modes together give the derivative of the gradient.
+            second = placed["grad"]._companion("dual")
+            if second.level is None:
+                second.put_into(placed["grad"].level, placed["grad"].offset or None)
+
+    def _make_companion(self, which: str) -> ScalarField:
+        return ScalarField(self.dtype, None, which, self.element_shape)
+
+    def choose_symbol(self, program: Any) -> None:
+        if self.symbol is not None:
+            return
+        if self.primal is not None:
+            self.primal.choose_symbol(program)
+            self.symbol = program.unique_symbol(f"{self.primal.symbol}_{self.role}")
+        else:
+            self.symbol = program.unique_symbol(self._name or "field")
+
+    def declaration(self, tree: str) -> str:
+        """The `tai.field` op of this field."""
+        text = f'tai.field @{self.symbol} = @{tree}["{self.symbol}"] : {self.mlir_type}'
+        text += f", rank {len(self._level.shape)}"
+        for which, word in (("grad", "adjoint"), ("dual", "dual")):
+            companion = self._companions.get(which)
+            if companion is not None and companion.level is not None:
+                companion.choose_symbol(get_program())
+                text += f", {word} @{companion.symbol}"
+        if any(self.offset):
+            text += f", offset [{', '.join(map(str, self.offset))}]"
+        return text
+
+    def declare(self, program: Any, tree: str) -> None:
+        """Makes the field known to the C++ context."""
+        self._core = program.context.add_field(self.declaration(tree))
+        program.fields[self.symbol] = self
+
+    def forget(self) -> None:
+        """The tree is freed."""
+        self._core = None
+        self._tree_freed = True
+
+    def release(self) -> None:
+        """The program is over."""
+        self._core = None
+
+    @property
+    def core(self) -> Any:
+        """The field in C++; allocates its tree at the first use."""
+        if self._core is None:
+            self.materialize(sys._getframe(1))
+        return self._core
+
+    def materialize(self, frame: Any = None) -> None:
+        """Allocates the tree of the field.
+
+        Raises:
+            TaiRuntimeError: it is not placed, or it belongs to an earlier `ti.init`.
+        """
+        if self._core is not None:
+            return
+        node = self._placed_node()
+        while frame is not None and frame.f_globals.get("__name__", "").startswith("tai."):
+            frame = frame.f_back
+        if frame is not None:
+            name_fields(frame.f_globals)
+        program = get_program()
+        root = node.root_node
+        if self._tree_freed:
+            raise TaiRuntimeError(f"the tree of field '{self.name}' has been destroyed and freed")
+        if root.refused is not None:
+            raise TaiRuntimeError(
+                f"field '{self.name}' is not there, as its tree was refused: {root.refused}"
+            )
+        if root.allocator is not None and root.allocator is not state.thread:
+            root.ready.wait()
+        if root is program.root:
+            materialize(program)
+        elif not root.allocated:
+            if any(root is r for r in (program.root,)):
+                return
+            raise TaiRuntimeError(
+                f"field '{self.name}' belongs to a tree that is not in use",
+                "make fields after ti.init, and finalize() a FieldsBuilder before using its fields",
+            )
+        if self._core is None:
+            raise TaiRuntimeError(
+                f"field '{self.name}' was made before the last ti.init and is gone",
+                "make fields after ti.init",
+            )
+
+    def is_current(self) -> bool:
+        """Whether the field is one of the program that runs now."""
+        program = state.program
+        return program is not None and program.fields.get(self.symbol) is self
+
+    def storage(self) -> tuple[ScalarField, int]:
+        """The place that holds the field, and the component in it that comes first."""
+        return self, 0
+
+    # Elements
+
+    def __getitem__(self, key: Any) -> Any:
+        if state.tape is not None or state.forward:
+            origins.note_read(self)
+        try:
+            value = self.core.get(index_tuple(key), 0)
+        except (IndexError, TypeError) as error:
+            raise self._index_error(error, key) from None
+        return value if self.dtype.is_float else self._to_python(value)
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        self.set_component(key, 0, value)
+
+    def get_component(self, key: Any, component: int) -> Any:
+        try:
+            value = self.core.get(index_tuple(key), component)
+        except (IndexError, TypeError) as error:
+            raise self._index_error(error, key) from None
+        return value if self.dtype.is_float else self._to_python(value)
+
+    def set_component(self, key: Any, component: int, value: Any) -> None:
+        if state.tape is not None or state.forward:
+            origins.check_write(self, value)
+        if not isinstance(value, (int, float)):
+            if isinstance(value, str) or not hasattr(value, "__float__"):
+                raise TaiRuntimeTypeError(
+                    f"field '{self.name}' holds numbers of type {self.dtype}, not {value!r}"
+                )
+            value = value.item() if hasattr(value, "item") else float(value)
+        if not self.dtype.is_float:
+            value = fitting.stored(value, self.dtype, self)
+        try:
+            self.core.set(index_tuple(key), component, value)
+        except (IndexError, TypeError) as error:
+            raise self._index_error(error, key) from None
+        dual = origins.dual_of_written(self) if state.forward else None
+        if dual is not None:
+            dual.set(index_tuple(key), component, 0.0)
+
+    def _to_python(self, value: int) -> int | bool:
+        if self.dtype.kind == "u":
+            return value & ((1 << self.dtype.bits) - 1)
+        return bool(value) if self.dtype.is_bool else value
+
+    def _index_error(self, error: Exception, key: Any = None) -> TaiError:
+        return fitting.index_error(self.name, key, error)
+
+    # Whole field
+
+    def to_numpy(self, dtype: Any = None) -> np.ndarray:
+        if state.tape is not None or state.forward:
+            origins.note_read(self)
+        core = self.core
+        array = np.empty(self.shape + self.element_shape, self.dtype.numpy)
+        core.copy_to(array)
+        wanted = None if dtype is None else dtypes.to_dtype(dtype)
+        return array if wanted is None else array.astype(wanted.numpy)
+
+    def from_numpy(self, array: Any) -> None:
+        if state.tape is not None or state.forward:
+            origins.check_write(self, array)
+        self.core.copy_from(self._check_array(array))
+        origins.end_tangent(self)
+
+    def fill(self, value: Any) -> None:
+        if not isinstance(value, (int, float)) and not hasattr(value, "__float__"):
+            raise TaiRuntimeTypeError(
+                f"field '{self.name}' is filled by a number of type {self.dtype}, not {value!r}"
+            )
+        if state.tape is not None or state.forward:
+            origins.check_write(self, value)
+        stored = float(value) if self.dtype.is_float else value
+        self.core.fill(fitting.stored(stored, self.dtype, self))
+        origins.end_tangent(self)
+
+
+class ComponentField(ScalarField):
+    """One component of a vector or matrix field.
+
+    Placing it makes the components of that field separate arrays. Otherwise it is a
+    window on the place that the whole field has.
+    """
+
+    def __init__(self, whole: Any, index: int, indices: tuple[int, ...]):
+        super().__init__(whole.dtype, None, whole.role)
+        self._whole, self._index, self._indices = whole, index, indices
+
+    @property
+    def name(self) -> str:
+        return f"{self._whole.name}[{', '.join(map(str, self._indices))}]"
+
+    def choose_symbol(self, program: Any) -> None:
+        if self.symbol is None:
+            base = self._whole._base_symbol(program)
+            self.symbol = program.unique_symbol("_".join([base, *map(str, self._indices)]))
+
+    def put_into(self, node: SNode, offset: Any = None) -> None:
+        if self._whole._single is not None:
+            raise TaiRuntimeError(f"field '{self._whole.name}' is placed already")
+        super().put_into(node, offset)
+
+    def _companion(self, which: str) -> Any:
+        whole = self._whole._companion(which)
+        return None if whole is None else whole.components[self._index]
+
+    @property
+    def _companions(self) -> dict[str, Any]:
+        made = self._whole._companions
+        return {which: whole.components[self._index] for which, whole in made.items()}
+
+    @_companions.setter
+    def _companions(self, value: Any) -> None:
+        pass
+
+    @property
+    def needs_grad(self) -> bool:
+        return self._whole.needs_grad
+
+    @needs_grad.setter
+    def needs_grad(self, value: bool) -> None:
+        pass
+
+    @property
+    def level(self) -> SNode | None:
+        single = self._whole._single
+        return single.level if single is not None else self._level
+
+    @property
+    def is_window(self) -> bool:
+        return self._whole._single is not None
+
+    def storage(self) -> tuple[ScalarField, int]:
+        return (self._whole._single, self._index) if self.is_window else (self, 0)
+
+    def __getitem__(self, key: Any) -> Any:
+        if self.is_window:
+            return self._whole._single.get_component(key, self._index)
+        return super().__getitem__(key)
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        if self.is_window:
+            self._whole._single.set_component(key, self._index, value)
+        else:
+            super().__setitem__(key, value)
+
+    def to_numpy(self, dtype: Any = None) -> np.ndarray:
+        if not self.is_window:
+            return super().to_numpy(dtype)
+        array = self._whole.to_numpy(dtype)[(..., *self._indices)]
+        return np.array(array, order="C")
+
+    def from_numpy(self, array: Any) -> None:
+        if not self.is_window:
+            return super().from_numpy(array)
+        if copies.store_component(self, self._check_array(array)):
+            return None
+        whole = self._whole.to_numpy()
+        whole[(..., *self._indices)] = self._check_array(array)
+        self._whole.from_numpy(whole)
+
+    def fill(self, value: Any) -> None:
+        if not self.is_window:
+            return super().fill(value)
+        if copies.store_component(self, value):
+            return None
+        if not active.fill_component(self._whole._single, self._index, value):
+            self.from_numpy(np.full(self.shape, value, self.dtype.numpy))

@@ -1,0 +1,33 @@
+"""Arguments that say how a field is laid out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ...errors import TaiRuntimeTypeError
+from .snode import AXIS_NAMES, Axes
+
+
+def to_shape(shape: Any) -> tuple[int, ...]:
+    """The extents that a shape means: a number is one extent."""
+    if not isinstance(shape, (tuple, list)):
+        shape = (shape,)
+    result = []
+    for extent in shape:
+        if not hasattr(extent, "__index__"):
+            raise TaiRuntimeTypeError(f"a shape is made of whole numbers, but got {extent!r}")
+        result.append(extent.__index__())
+    if len(result) > len(AXIS_NAMES):
+        raise TaiRuntimeTypeError(f"a field has at most {len(AXIS_NAMES)} dimensions")
+    return tuple(result)
+
+
+def to_order(order: str | None, rank: int) -> Axes:
+    """The axes in the order of storage, slowest first."""
+    if order is None:
+        return Axes(range(rank))
+    if sorted(order) != sorted(AXIS_NAMES[:rank]):
+        raise TaiRuntimeTypeError(
+            f"order must hold each of '{AXIS_NAMES[:rank]}' once, but got '{order}'"
+        )
+    return Axes(AXIS_NAMES.index(c) for c in order)

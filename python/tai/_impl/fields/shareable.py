@@ -1,0 +1,39 @@
+"""What fields hand to other libraries, and take from them; see `interop`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..interop import sharing
+
+
+class Shareable:
+    """The methods of fields for torch and DLPack."""
+
+    def to_torch(self, device: Any = None) -> Any:
+        """A copy as a torch tensor: on the GPU that kernels run on, without the host."""
+        return sharing.to_torch(self, device)
+
+    def from_torch(self, tensor: Any) -> None:
+        """Copies a torch tensor into the field: from that GPU, without the host."""
+        sharing.from_torch(self, tensor)
+
+    def __dlpack__(
+        self, *, stream: Any = None, max_version: Any = None, dl_device: Any = None,
+        copy: bool | None = None,
+    ) -> Any:  # fmt: skip
+        """The memory of the field for another library, by DLPack, without a copy.
+
+        `torch.from_dlpack(x)` is a tensor that changes with the field, and the other way round;
+        it outlives the field. On a GPU, the stream waits for the launches so far. Before
+        launches that use what was written on a stream other than the default one, call
+        `ti.wait_for_stream()`.
+
+        Raises:
+            BufferError: a sparse field, or elements that do not lie evenly.
+        """
+        return sharing.field_dlpack(self, stream, max_version, dl_device, copy)
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        """Where the field is: `(1, 0)` for the host, `(2, 0)` for the GPU."""
+        return sharing.field_device(self)

@@ -1,0 +1,352 @@
+"""Structs: fields of named members, and the types and values that go with them."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiRuntimeTypeError, TaiTypeError
+from ..base import dtypes, fitting, state
+from ..base.program import get_program
+from ..values.matrix import Matrix
+from ..values.types import MatrixType, ScalarType
+from .field import Field, index_tuple
+from .make import make_field
+from .root import open_root
+from .shapes import to_order, to_shape
+from .snode import Layout, SNode
+
+
+class StructType:
+    """A type with named members: `ti.types.struct(pos=vec3, mass=ti.f32)`.
+
+    Called, it makes a value; `P.field(shape=n)` makes a field. Members are number types, vector
+    and matrix types, and struct types.
+    """
+
+    def __init__(self, members: dict[str, Any], methods: dict[str, Any] | None = None):
+        if not members:
+            raise TaiRuntimeTypeError("a struct type has at least one member")
+        self.members: dict[str, Any] = {}
+        self.methods = dict(methods or {})
+        for name, kind in members.items():
+            if isinstance(kind, dict):
+                kind = StructType(kind)
+            elif not isinstance(kind, (MatrixType, StructType)):
+                if dtypes.to_dtype(kind) is None:
+                    raise TaiRuntimeTypeError(
+                        f"member '{name}' of a struct has a type {kind!r}, which is none of numbers"
+                    )
+                kind = ScalarType(kind)
+            self.members[name] = kind
+
+    def bind(self, args: tuple, kwargs: dict) -> dict[str, Any]:
+        """What each member is given; zero where that is nothing."""
+        if len(args) == 1 and not kwargs and isinstance(args[0], (dict, Struct)):
+            args, kwargs = (), dict(args[0].items())
+        if len(args) > len(self.members):
+            raise TaiTypeError(f"{self!r} has {len(self.members)} members, but got {len(args)}")
+        given = dict(zip(self.members, args, strict=False))
+        for name, value in kwargs.items():
+            if name not in self.members or name in given:
+                raise TaiTypeError(f"{self!r} cannot take a member '{name}' here")
+            given[name] = value
+        return {name: given.get(name, 0) for name in self.members}
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        given = self.bind(args, kwargs)
+        if state.emitter is not None:
+            return state.emitter.make_struct(self, given)
+        entries = {}
+        for name, kind in self.members.items():
+            value = given[name]
+            if isinstance(kind, StructType):
+                value = kind(value) if isinstance(value, (dict, Struct)) else kind()
+            elif isinstance(kind, MatrixType):
+                value = kind(value)
+            else:
+                value = fitting.stored(value, kind.dtype, f"member '{name}'")
+                value = kind.dtype.numpy.type(value).item()
+            entries[name] = value
+        return Struct(entries, self.methods)
+
+    def field(self, shape: Any = None, layout: Any = Layout.AOS, **options: Any) -> StructField:
+        """A field of such structs; for the arguments see `ti.field`."""
+        return make_struct_field(self, shape, layout, **options)
+
+    def __repr__(self) -> str:
+        members = (
+            f"{name}={kind.dtype if isinstance(kind, ScalarType) else kind!r}"
+            for name, kind in self.members.items()
+        )
+        return f"struct({', '.join(members)})"
+
+
+class Struct:
+    """A struct in Python: `ti.Struct(a=1, b=ti.Vector([1.0, 2.0]))`, with members as attributes."""
+
+    # What matters of a template argument.
+    _tai_content = "_content"
+
+    def __init__(self, entries: dict[str, Any] | None = None, methods: Any = None, **more: Any):
+        object.__setattr__(self, "entries", {**(entries or {}), **more})
+        object.__setattr__(self, "methods", dict(methods or {}))
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "entries":  # of one that is being copied
+            raise AttributeError(name)
+        try:
+            return self.entries[name]
+        except KeyError:
+            raise AttributeError(f"the struct has no member '{name}'") from None
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name not in self.entries:
+            raise AttributeError(f"the struct has no member '{name}'")
+        self.entries[name] = value
+
+    def __getitem__(self, name: str) -> Any:
+        return self.entries[name]
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        self.entries[name] = value
+
+    @property
+    def _content(self) -> tuple[dict, dict]:
+        return self.entries, self.methods
+
+    @property
+    def keys(self) -> list[str]:
+        return list(self.entries)
+
+    def items(self) -> Any:
+        return self.entries.items()
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            name: value.to_dict() if isinstance(value, Struct) else (
+                value.to_list() if isinstance(value, Matrix) else value)
+            for name, value in self.entries.items()
+        }  # fmt: skip
+
+    def __repr__(self) -> str:
+        return repr(self.to_dict())
+
+    @staticmethod
+    def field(
+        members: dict[str, Any], shape: Any = None, layout: Any = Layout.AOS, **options: Any
+    ) -> StructField:
+        """A field of structs; `members` gives each member its type."""
+        return make_struct_field(StructType(members), shape, layout, **options)
+
+
+class StructField(Field):
+    """A field of structs: a field for each member, side by side in the same cells.
+
+    Attributes:
+        members: the fields by name; `f.pos` is `f.members["pos"]`.
+    """
+
+    def __init__(self, type_: StructType, members: dict[str, Field], role: str = "primal"):
+        self.type, self.members, self.role = type_, members, role
+        self.element_shape, self.primal = (), None
+        self._name, self._place = None, None
+        taken = [name for name in members if hasattr(StructField, name)]
+        if taken:
+            raise TaiRuntimeTypeError(
+                f"a struct field has an attribute '{taken[0]}' of its own",
+                "give the member another name",
+            )
+
+    def __getattr__(self, name: str) -> Any:
+        members = self.__dict__.get("members", {})
+        if name in members:
+            return members[name]
+        raise AttributeError(f"field '{self.name}' has no member '{name}'")
+
+    @property
+    def keys(self) -> list[str]:
+        return list(self.members)
+
+    def get_member_field(self, key: str) -> Field:
+        """The field of one member."""
+        return self.members[key]
+
+    @property
+    def leaves(self) -> Iterator[Field]:
+        """The fields of numbers, vectors and matrices, in order."""
+        for member in self.members.values():
+            if isinstance(member, StructField):
+                yield from member.leaves
+            else:
+                yield member
+
+    @property
+    def first(self) -> Field:
+        """The first of them, which says what indices there are."""
+        return next(iter(self.leaves))
+
+    @property
+    def parts(self) -> list:
+        return [part for leaf in self.leaves for part in getattr(leaf, "parts", [leaf])]
+
+    @property
+    def level(self) -> SNode | None:
+        return self.first.level
+
+    @property
+    def offset(self) -> tuple[int, ...]:
+        return self.first.offset
+
+    def storage(self) -> Any:
+        return self.first.storage()
+
+    def suggest_name(self, name: str) -> None:
+        super().suggest_name(name)
+        for key, member in self.members.items():
+            member.suggest_name(f"{name}_{key}")
+
+    def _companion(self, which: str) -> StructField | None:
+        found = {k: m._companion(which) for k, m in self.members.items()}
+        found = {k: m for k, m in found.items() if m is not None}
+        return StructField(self.type, found, which) if found else None
+
+    def put_into(self, node: SNode, offset: Any = None) -> None:
+        for member in self.members.values():
+            member.put_into(node, offset)
+
+    def materialize(self, frame: Any = None) -> None:
+        """Allocates the tree of the field."""
+        self._placed_node()
+        for leaf in self.leaves:
+            leaf.materialize(frame)
+
+    def __getitem__(self, key: Any) -> ElementOfStruct:
+        self._placed_node()
+        return ElementOfStruct(self, index_tuple(key))
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        if not isinstance(value, (dict, Struct)):
+            raise TaiRuntimeTypeError(
+                f"an element of field '{self.name}' is a struct, not {value!r}", f"{self.type!r}(…)"
+            )
+        for name, member in value.items():
+            self.members[name][key] = member
+
+    def to_numpy(self, dtype: Any = None) -> dict[str, Any]:
+        """A copy as a dictionary of arrays."""
+        return {name: member.to_numpy() for name, member in self.members.items()}
+
+    def from_numpy(self, arrays: dict[str, Any]) -> None:
+        """Copies a dictionary of arrays into the members that it names."""
+        for name, array in arrays.items():
+            self.members[name].from_numpy(array)
+
+    def to_torch(self, device: Any = None) -> dict[str, Any]:
+        return {name: member.to_torch(device=device) for name, member in self.members.items()}
+
+    def from_torch(self, tensors: dict[str, Any]) -> None:
+        for name, tensor in tensors.items():
+            self.members[name].from_torch(tensor)
+
+    def fill(self, value: Any) -> None:
+        for member in self.members.values():
+            member.fill(value)
+
+    def copy_from(self, other: Field) -> None:
+        if not isinstance(other, StructField) or set(other.members) != set(self.members):
+            raise TaiRuntimeTypeError("copy_from expects a struct field with the same members")
+        for name, member in self.members.items():
+            member.copy_from(other.members[name])
+
+    def __str__(self) -> str:
+        return f"<field '{self.name}', not placed>" if self.level is None else str(self.to_numpy())
+
+    def __repr__(self) -> str:
+        place = "not placed" if self.level is None else f"shape {self.shape}"
+        return f"<field '{self.name}' of {self.type!r}, {place}>"
+
+
+class ElementOfStruct(Struct):
+    """An element of a struct field: its members are read from the field and written to it."""
+
+    def __init__(self, field: StructField, key: tuple):
+        object.__setattr__(self, "_field", field)
+        object.__setattr__(self, "_key", key)
+        object.__setattr__(self, "methods", field.type.methods)
+
+    @property
+    def entries(self) -> dict[str, Any]:
+        return {name: member[self._key] for name, member in self._field.members.items()}
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in self._field.members:
+            raise AttributeError(f"field '{self._field.name}' has no member '{name}'")
+        return self._field.members[name][self._key]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name not in self._field.members:
+            raise AttributeError(f"field '{self._field.name}' has no member '{name}'")
+        self._field.members[name][self._key] = value
+
+    __getitem__, __setitem__ = __getattr__, __setattr__
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            name: value.to_dict() if isinstance(value, Struct) else np.asarray(value).tolist()
+            for name, value in self.items()
+        }
+
+
+def make_struct_field(
+    type_: StructType, shape: Any, layout: Any, name: str | None = None, offset: Any = None,
+    needs_grad: bool = False, needs_dual: bool = False, order: str | None = None,
+) -> StructField:  # fmt: skip
+    """Implements `.field` of structs; without a shape the members are placed by hand."""
+
+    def bare(kind: Any) -> Field:
+        if isinstance(kind, StructType):
+            return StructField(kind, {k: bare(m) for k, m in kind.members.items()})
+        shaped = kind.shape
+        made = make_field(shaped, kind.dtype, None, None, None, None, False, False)
+        made.needs_grad, made.needs_dual = (
+            flag and made.dtype.is_float for flag in (needs_grad, needs_dual)
+        )
+        return made
+
+    made = bare(type_)
+    if name:
+        made.suggest_name(name)
+    if shape is None:
+        if offset is not None or order is not None:
+            raise TaiRuntimeTypeError("offset and order need a shape")
+        return made
+    program, extents = get_program(), to_shape(shape)
+    with program.layout:
+        root = open_root(program)
+        axes = to_order(order, len(extents))
+        sizes = tuple(extents[a] for a in axes)
+        node = root.dense(axes, sizes) if extents else root
+        for leaf in made.leaves:
+            if layout == Layout.SOA and extents:
+                node = root.dense(axes, sizes)
+            node.place(leaf, offset=offset)
+            for which, wanted in (("grad", leaf.needs_grad), ("dual", leaf.needs_dual)):
+                if wanted:
+                    node.place(getattr(leaf, which), offset=offset)
+    return made
+
+
+def dataclass(cls: type) -> StructType:
+    """A struct type with the annotations of a class as members, and its `@ti.func` methods."""
+    methods = {name: f for name, f in vars(cls).items() if hasattr(f, "_tai_func")}
+    members = dict(getattr(cls, "__annotations__", {}))
+    if any(isinstance(kind, str) for kind in members.values()):
+        members = inspect.get_annotations(cls, eval_str=True)
+    made = StructType(members, methods)
+    made.__name__ = cls.__name__
+    made.__doc__ = cls.__doc__
+    return made

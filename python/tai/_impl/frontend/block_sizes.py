@@ -1,0 +1,44 @@
+"""How many threads the blocks of a loop have on a GPU, where the program says so."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+from ...errors import TaiTypeError
+from ..base.options import Options
+
+# Of all GPUs, and what blocks have that need not suit their kernel.
+_MOST, _WARP, _USUAL = 1024, 32, 256
+
+
+def check_block_dim(value: Any, options: Options) -> int:
+    """The `block_dim` of a loop: threads of a block, 0 for what suits the kernel.
+
+    Raises:
+        TaiTypeError: no number, or one that blocks of a GPU cannot have where there is one.
+    """
+    try:
+        threads = -1 if isinstance(value, bool) else operator.index(value or 0)
+    except TypeError:
+        threads = -1
+    if threads < 0:
+        raise TaiTypeError(f"block_dim is a number of threads, but got {value!r}")
+    possible = threads <= _MOST and (threads % _WARP == 0 or threads & (threads - 1) == 0)
+    if options.arch == "cuda" and not possible:
+        raise TaiTypeError(
+            f"a GPU has no blocks of block_dim={threads} threads",
+            f"say a multiple of {_WARP} or a power of two, {_MOST} at most",
+        )
+    return threads
+
+
+def block_dim_of(loop: dict[str, Any], options: Options) -> int:
+    """What a loop with these options of `ti.loop_config` has to say; 0 for nothing."""
+    if threads := loop.get("block_dim", 0):
+        return threads
+    if loop.get("block_dim_adaptive", True) or options.arch != "cuda":
+        return 0
+    # Not to be chosen for this loop: what all others begin with.
+    usual = options.default_gpu_block_dim or _USUAL
+    return min(usual, options.max_block_dim) if options.max_block_dim else usual

@@ -1,0 +1,228 @@
+"""What may not stand where it does: conditions that are no truth values, changes of Python objects
+in code that runs later, and calls whose answer would be frozen into the kernel."""
+
+from __future__ import annotations
+
+import builtins
+import warnings
+from collections import deque
+from types import BuiltinFunctionType, BuiltinMethodType
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiCompilationWarning, TaiSyntaxError, TaiTypeError
+from ..fields.arrays import Ndarray
+from ..fields.field import Field
+from ..fields.snode import SNode
+from ..values.misuse import describe_misuse, misuse_hint
+from ..values.value import Value
+from .refs import ArrayArgument, Place
+from .sparse import ListElement
+from .structs import StructPlace, StructValue
+
+# Methods that change what they belong to.
+_CHANGES = {
+    list: {"append", "extend", "insert", "remove", "pop", "clear", "sort", "reverse"},
+    dict: {"update", "pop", "popitem", "clear", "setdefault"},
+    set: {"add", "remove", "discard", "pop", "clear", "update", "difference_update",
+          "intersection_update", "symmetric_difference_update"},
+    deque: {"append", "appendleft", "extend", "extendleft", "pop", "popleft", "clear", "insert",
+            "remove", "reverse", "rotate"},
+    bytearray: {"append", "extend", "insert", "pop", "clear", "remove", "reverse"},
+    np.ndarray: {"fill", "sort", "put", "resize", "itemset", "partition", "setfield"},
+}  # fmt: skip
+
+_OUTSIDE = {
+    builtins.open, builtins.input, builtins.exec, builtins.eval, builtins.compile,
+    builtins.__import__, builtins.setattr, builtins.delattr, builtins.breakpoint,
+    builtins.globals, builtins.locals, builtins.memoryview,
+}  # fmt: skip
+
+# Modules whose functions answer another thing each time, or do something.
+_MODULES = {
+    "random": "use ti.random()",
+    "numpy.random": "use ti.random()",
+    "secrets": "use ti.random()",
+    "uuid": None,
+    "time": "measure around the launch",
+    "subprocess": None,
+    "socket": None,
+    "shutil": None,
+    "tempfile": None,
+    "threading": None,
+    "_thread": None,
+    "_io": None,
+    "io": None,
+    "posix": None,
+}
+# Methods of fields, arrays and levels that move data, and functions of this package that act.
+_MOVES = {
+    "fill", "to_numpy", "from_numpy", "copy_from", "to_torch", "from_torch", "to_paddle",
+    "from_paddle", "to_dlpack", "__dlpack__", "deactivate_all", "destroy", "active_cells",
+    "place", "lazy_grad", "lazy_dual", "dense", "pointer", "bitmasked", "hash", "dynamic",
+}  # fmt: skip
+_ACTS = {"init", "reset", "sync", "field", "ndarray", "Tape", "clear_all_gradients"}
+_NOW = {"now", "utcnow", "today"}
+# Of the operating system: what only reads or computes.
+_QUIET = {"getcwd", "getenv", "cpu_count", "getpid", "fspath", "sched_getaffinity", "get_environ"}
+
+
+def holds_value(thing: Any) -> bool:
+    """Whether a container holds something that is known only when the kernel runs."""
+    if isinstance(thing, (tuple, list, set, frozenset, deque)):
+        return any(holds_value(t) for t in thing)
+    if isinstance(thing, dict):
+        return any(holds_value(t) for t in (*thing, *thing.values()))
+    return isinstance(thing, (Value, Place, StructValue))
+
+
+def refuse_condition(thing: Any) -> None:
+    """Refuses what Python would take for true although it says nothing of its contents."""
+    if isinstance(thing, (StructValue, StructPlace)):
+        raise TaiTypeError("the truth of a struct is not one answer", "compare its members")
+    if isinstance(thing, ListElement):
+        raise TaiTypeError("a list of cells is no condition", "compare its length: x.length() > 0")
+    if isinstance(thing, (Field, ArrayArgument)) or (
+        callable(thing) and not isinstance(thing, (Value, type))
+    ):
+        raise TaiTypeError(describe_misuse(thing), misuse_hint(thing))
+    if not isinstance(thing, Value) and holds_value(thing):
+        raise TaiTypeError(
+            f"a {type(thing).__name__} is no condition: it is true whatever the values in it are",
+            "compare the values, or use ti.Vector([…]).any()",
+        )
+
+
+def is_struct(thing: Any) -> bool:
+    return isinstance(thing, (StructValue, StructPlace))
+
+
+class Checks:
+    """The part of the compiler that looks at calls of Python functions."""
+
+    frame: Any
+    frames: list
+    depth: int
+    top_depth: int
+    last_node: Any
+
+    def prepare_checks(self) -> None:
+        # Containers that the program makes while it is compiled, and at which depth: by identity.
+        self.made: dict[int, tuple[Any, int]] = {}
+        # Within how many ti.static(…) the expression stands: what they hold is meant to be
+        # evaluated once.
+        self.in_static = 0
+
+    def remember(self, thing: Any) -> Any:
+        """Notes a container that the program makes here, and gives it back."""
+        if isinstance(thing, tuple(_CHANGES)):
+            self.made[id(thing)] = (thing, self.depth - self.top_depth)
+        return thing
+
+    def check_python_call(self, function: Any) -> None:
+        """Refuses calls that make no sense while a kernel is compiled.
+
+        Raises:
+            TaiSyntaxError: it changes a Python object where the kernel runs many times or perhaps
+                not, or it would give another answer each time.
+        """
+        if self.in_static:
+            return
+        receiver = getattr(function, "__self__", None)
+        name = getattr(function, "__name__", "")
+        if isinstance(function, (BuiltinFunctionType, BuiltinMethodType)):
+            for kind, names in _CHANGES.items():
+                if isinstance(receiver, kind) and name in names:
+                    self._check_change(receiver, kind, name)
+                    return
+        self._check_own(function, receiver, name)
+        try:
+            outside = function in _OUTSIDE
+        except TypeError:  # not hashable
+            outside = False
+        if outside:
+            raise TaiSyntaxError(
+                f"{name}(…) would run once, while the kernel is compiled, and not when it runs",
+                "call it in Python, and pass what the kernel needs as an argument",
+            )
+        self._check_answer(function, receiver, name)
+
+    def _check_own(self, function: Any, receiver: Any, name: str) -> None:
+        """Refuses functions of this package that make or move data."""
+        is_data = isinstance(receiver, (Field, Ndarray, SNode)) and name in _MOVES
+        module = getattr(function, "__module__", None) or ""
+        if is_data or (module.startswith("tai.") and name in _ACTS):
+            hints = {"fill": "assign to the elements in a loop", "field": "make fields outside"}
+            raise TaiSyntaxError(
+                f"{name}(…) would run once, while the kernel is compiled, and not when it runs",
+                hints.get(name, "call it in Python, before or after the launch"),
+            )
+
+    def warn_of_hidden_field(self, name: str) -> None:
+        """Says that a new variable has the name of a field, of which an element may be meant."""
+        frame = self.frame
+        found = frame.closure.get(name, frame.globals.get(name))
+        if not isinstance(found, Field) or found.level is None:
+            return
+        index = ", ".join("ijklmnop"[: len(found.shape)]) or "None"
+        text = (
+            f"kernel '{self.frames[0].name}': variable '{name}' hides the field of that name, "
+            f"which stays as it is\n  hint: write {name}[{index}] = …, or take another name"
+        )
+        warnings.warn_explicit(
+            text, TaiCompilationWarning, frame.filename, self.last_node.lineno, registry=_shown
+        )
+
+    def _check_change(self, receiver: Any, kind: type, name: str) -> None:
+        made = self.made.get(id(receiver))
+        if made is not None and made[0] is receiver and made[1] == self.depth - self.top_depth:
+            return
+        what = "an array" if kind is np.ndarray else f"a Python {kind.__name__}"
+        if made is None:
+            raise TaiSyntaxError(
+                f"'{name}' would change {what} once, while the kernel is compiled, and not when "
+                "it runs",
+                "use a field for what a kernel writes; for lists of cells there is ti.root.dynamic",
+            )
+        raise TaiSyntaxError(
+            f"'{name}' changes {what} once, while the kernel is compiled, but the branch or loop "
+            "around it is run when the kernel is",
+            "loop with ti.static(range(…)), branch with if ti.static(…), or use a field",
+        )
+
+    def _check_answer(self, function: Any, receiver: Any, name: str) -> None:
+        if isinstance(function, type):
+            return
+        holder = type(receiver) if receiver is not None and not isinstance(receiver, type) else None
+        is_module = holder is not None and holder.__name__ == "module"
+        if is_module:
+            module = receiver.__name__
+        elif holder is not None:
+            module = holder.__module__
+        else:
+            module = getattr(function, "__module__", None) or ""
+        if module.startswith("numpy.random"):
+            module = "numpy.random"
+        is_now = isinstance(receiver, type) and receiver.__module__ == "datetime" and name in _NOW
+        if (module not in _MODULES or (module == "posix" and name in _QUIET)) and not is_now:
+            return
+        raise TaiSyntaxError(
+            f"{name}(…) would be called once, while the kernel is compiled, and not when it runs",
+            (_MODULES.get(module) or "call it in Python")
+            + ", or pass the answer as an argument; ti.static(…) says that once is meant",
+        )
+
+    def warn_of_fraction(self, what: str) -> None:
+        """Says once for each line that a float is stored in a whole number."""
+        node, frame = self.last_node, self.frame
+        text = (
+            f"kernel '{self.frames[0].name}': {what} takes a float, and drops its fraction\n"
+            "  hint: say so by int(…) or ti.cast(…), or use a float type"
+        )
+        warnings.warn_explicit(
+            text, TaiCompilationWarning, frame.filename, node.lineno, registry=_shown
+        )
+
+
+_shown: dict = {}

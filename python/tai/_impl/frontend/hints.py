@@ -1,0 +1,64 @@
+"""What to do about errors of kernels that do not say so where they arise."""
+
+from __future__ import annotations
+
+import re
+
+from ...errors import TaiError
+
+# The first that is found in the message; groups of the pattern fill the hint.
+_HINTS = [
+    (r"^a vector .* cannot be stored where one number|^expects a number of type .* got a vector",
+     "take one component, such as v[0] or v.x"),
+    (r"cannot be stored where one number|^expects a number of type .* matrix",
+     "take one component, such as m[0, 1]"),
+    (r"cannot be stored in a (vector|matrix)", "make a {0} of that shape"),
+    (r"do not go together", "both must have one shape; '@' multiplies matrices"),
+    (r"index -\d+ is out of range", "indices count from 0; negative ones have no meaning"),
+    (r"index \S+ is out of range", "indices count from 0"),
+    (r"^a number of type \S+ has no attribute", "only vectors, matrices and structs have members"),
+    (r"^a (vector|\d+×\d+ matrix) .* has no attribute", "components are .x, .y, .z, .w, or v[0]"),
+    (r"^field '(.*)' has no attribute", "an element is {0}[i]; dir({0}) lists its attributes"),
+    (r"struct has no member|^struct\(.* members?, but got",
+     "members are named where the struct type is made"),
+    (r"^None stands", "a function without 'return' gives None"),
+    (r"^'.*' stands where a number", "kernels compute with numbers; text is for print and assert"),
+    (r"stands where a number", "use a number, a vector or a matrix"),
+    (r"no len\(\)", "x.shape[0] is the extent of a field, v.n that of a vector"),
+    (r"(\w+)\(\) (takes|missing|got an unexpected)", "help({0}) says what it takes"),
+    (r"^ti\.(\w+) takes at least two", "ti.{0}(a, b), or v.{0}() over the components of a vector"),
+    (r"product of", "both need the same number of components"),
+    (r"takes a 2×2 or 3×3 matrix", "make it by ti.Matrix([[…], […]])"),
+    (r"^kernels have no 'with'", "open contexts such as ti.ad.Tape around the launch"),
+    (r"^kernels have no 'del'", "a name ends with the block that it was assigned in"),
+    (r"^kernels have no ", "do it in Python, outside of the kernel"),
+    (r"loop_config has no option", "it has serialize, parallelize and block_dim"),
+    (r"^(?:field|array) '(.*)' takes 0 ind", "write {0}[None]"),
+    (r"^(?:field|array) '(.*)' takes 1 ind", "write {0}[i]"),
+    (r"^(?:field|array) '(.*)' takes 2 ind", "write {0}[i, j]"),
+    (r"^(?:field|array) '(.*)' takes (\d+) ind", "write {0}[i, j, …] with {1} of them"),
+    (r"^name '(.*)' is not defined", "assign it first, or define it above the kernel"),
+    (r"takes whole numbers|must be a whole number", "convert it: int(…)"),
+    (r"targets cannot take|variables cannot take", "give one target for each value"),
+    (r"'\*' in the target", "name each target"),
+    (r"message of an assertion", 'write assert condition, f"x is {{x}}"'),
+    (r"^function '(.*)' (takes|needs|has no|gets two)", "help({0}) shows its parameters"),
+    (r"cannot be taken apart|cannot be iterated", "lists, tuples, vectors and ranges can"),
+    (r"known (at compile time|only when)|compile-time", "ti.static(…) takes what Python knows"),
+]  # fmt: skip
+
+
+def hint_for(error: TaiError, from_python: bool) -> str | None:
+    """What to do about an error of a kernel.
+
+    Args:
+        error: which has no hint of its own.
+        from_python: whether it is an exception of Python code that ran at compile time.
+    """
+    for pattern, hint in _HINTS:
+        found = re.search(pattern, error.message)
+        if found is not None:
+            return hint.format(*found.groups())
+    if from_python:
+        return "Python evaluates this while the kernel is compiled; try it outside of the kernel"
+    return None

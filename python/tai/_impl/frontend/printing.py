@@ -1,0 +1,161 @@
+"""Text with values of the kernel in it: `print`, f-strings, `"…".format(…)`."""
+
+from __future__ import annotations
+
+import ast
+import string
+from typing import Any
+
+from ...errors import TaiSyntaxError, TaiTypeError
+from ..base.dtypes import i64
+from ..fields.field import Field
+from ..values.misuse import describe_misuse, misuse_hint
+from ..values.value import Value
+from .checks import holds_value
+from .refs import ArrayArgument, Place
+from .structs import StructValue
+
+
+class FormattedText:
+    """Text with values of the kernel: `{}` stands for each."""
+
+    def __init__(self, text: str, values: list[Value]):
+        self.text, self.values = text, values
+
+    def __str__(self) -> str:
+        raise TaiTypeError(
+            "a text with values of the kernel in it is for print and assert only",
+        )
+
+    __repr__ = __str__
+
+
+def formatted(thing: Any) -> FormattedText:
+    """What printing `thing` writes."""
+    if isinstance(thing, FormattedText):
+        return thing
+    if isinstance(thing, Place):
+        thing = thing.load()
+    if isinstance(thing, Value):
+        if len(thing.shape) != 2:
+            return FormattedText("{}", [thing])
+        row = "[" + ", ".join(["{}"] * thing.shape[1]) + "]"
+        return FormattedText("[" + ", ".join([row] * thing.shape[0]) + "]", thing.scalars())
+    if isinstance(thing, StructValue):
+        return _listed("{", [(f"{k}: ", v) for k, v in thing.members.items()], "}")
+    if isinstance(thing, (Field, ArrayArgument)):
+        raise TaiTypeError(describe_misuse(thing), misuse_hint(thing))
+    if isinstance(thing, dict) and holds_value(thing):
+        return _listed("{", [(f"{k!r}: ", v) for k, v in thing.items()], "}")
+    if isinstance(thing, (tuple, list)) and holds_value(thing):
+        left, right = "()" if isinstance(thing, tuple) else "[]"
+        return _listed(left, [("", v) for v in thing], right)
+    if holds_value(thing):
+        raise TaiTypeError(f"a {type(thing).__name__} of values cannot be printed", "print a tuple")
+    return FormattedText(str(thing), [])
+
+
+def _listed(left: str, items: list[tuple[str, Any]], right: str) -> FormattedText:
+    parts = [(name, formatted(item)) for name, item in items]
+    text = ", ".join(name + part.text for name, part in parts)
+    return FormattedText(left + text + right, [v for _, part in parts for v in part.values])
+
+
+def formatted_by(template: str, args: list, kwargs: dict) -> FormattedText:
+    """`template.format(*args, **kwargs)` with values of the kernel among the arguments."""
+    text, values, position = "", [], 0
+    for literal, name, spec, conversion in string.Formatter().parse(template):
+        text += literal
+        if name is None:
+            continue
+        if name == "" or name.isdigit():
+            number = int(name) if name else position
+            position += 1
+            if number >= len(args):
+                raise TaiTypeError(f"the text has a place for value {number}, but there is none")
+            thing = args[number]
+        elif name in kwargs:
+            thing = kwargs[name]
+        else:
+            raise TaiTypeError(
+                f"the text has a place '{{{name}}}' that the kernel cannot fill",
+                "number or name the values themselves",
+            )
+        part = _with_spec(thing, spec or "", conversion)
+        text += part.text
+        values += part.values
+    return FormattedText(text, values)
+
+
+def _with_spec(thing: Any, spec: str, conversion: str | None = None) -> FormattedText:
+    if not holds_value(thing):
+        if isinstance(thing, Field):
+            raise TaiTypeError(describe_misuse(thing), misuse_hint(thing))
+        shown = {"r": repr, "a": ascii, "s": str}[conversion](thing) if conversion else thing
+        return FormattedText(format(shown, spec), [])
+    if spec:
+        raise TaiSyntaxError(
+            "format specifications are not supported in kernels yet",
+            "print the value without one",
+        )
+    return formatted(thing)
+
+
+class Printing:
+    """The part of the compiler that handles text."""
+
+    emitter: Any
+    builder: Any
+    visit: Any
+    items: Any
+    at: Any
+
+    def visit_JoinedStr(self, node: ast.JoinedStr) -> Any:
+        """A string with values in it, or a plain string."""
+        text, values = "", []
+        for part in node.values:
+            if isinstance(part, ast.Constant):
+                text += part.value
+                continue
+            thing = self.visit(part.value)
+            if isinstance(thing, FormattedText):
+                raise TaiSyntaxError("texts with values do not nest", "write one f-string")
+            spec = "" if part.format_spec is None else self.visit(part.format_spec)
+            conversion = chr(part.conversion) if part.conversion > 0 else None
+            shown = _with_spec(thing, spec, conversion)
+            text += shown.text
+            values += shown.values
+        return FormattedText(text, values) if values else text
+
+    def print(self, node: ast.Call) -> None:
+        separator, end = " ", ""
+        for keyword in node.keywords:
+            value = self.visit(keyword.value)
+            if keyword.arg == "sep" and isinstance(value, str):
+                separator = value
+            elif keyword.arg == "end" and isinstance(value, str):
+                if not value.endswith("\n"):
+                    raise TaiSyntaxError(
+                        "print in a kernel ends the line", "drop end=, or print once"
+                    )
+                end = value[:-1]
+            elif keyword.arg not in ("flush",):
+                raise TaiTypeError(
+                    f"print in a kernel has no option '{keyword.arg}'", "it has sep, end and flush"
+                )
+        parts = [formatted(item) for item in self.items(node.args)]
+        values = [value for part in parts for value in part.values]
+        if values and any("{}" in part.text for part in parts if not part.values):
+            raise TaiSyntaxError(
+                "a text with '{}' is printed beside values, which would go there",
+                'write an f-string, or "…".format(…)',
+            )
+        self.at(node)
+        text = separator.join(part.text for part in parts) + end
+        self.builder.print(text, [self.printable(v).handle for v in values])
+
+    def printable(self, value: Value) -> Value:
+        """A value whose printed digits are right although IR does not know its sign."""
+        if value.dt.kind == "u" and value.dt.bits < 64:
+            return self.emitter.cast(value, i64)
+        return value

@@ -1,0 +1,101 @@
+"""What names mean while a function is compiled."""
+
+from __future__ import annotations
+
+import ast
+import builtins
+from collections.abc import Callable
+from typing import Any
+
+from ...errors import TaiNameError, did_you_mean
+from .refs import Variable
+from .source import closure_of
+
+
+class Bound:
+    """A name that stands for a Python object: a field, a function, a list, a constant."""
+
+    __slots__ = ("thing",)
+
+    def __init__(self, thing: Any):
+        self.thing = thing
+
+
+class Loop:
+    """A loop that encloses the statement being compiled.
+
+    Attributes:
+        kind: `parallel`, `for`, `while` or `static`.
+        depth: how many regions of the IR enclose its body.
+        broken, skipped: flags that `break` and `continue` set, or None where the body has none.
+    """
+
+    def __init__(self, kind: str, depth: int):
+        self.kind, self.depth = kind, depth
+        self.broken: Variable | None = None
+        self.skipped: Variable | None = None
+
+
+class Frame:
+    """A function that is being compiled: the kernel, or a `ti.func` inlined into it."""
+
+    def __init__(self, function: Callable[..., Any], node: ast.FunctionDef, kind: str):
+        self.function, self.node, self.kind = function, node, kind
+        self.name = function.__name__
+        self.filename = function.__code__.co_filename
+        self.globals = function.__globals__
+        self.closure = closure_of(function)
+        self.scopes: list[dict[str, Variable | Bound]] = [{}]
+        # Names of inner blocks that ended, with the line of their first assignment.
+        self.gone: dict[str, int] = {}
+        self.loops: list[Loop] = []
+        # The names that branches and loops assign, once found.
+        self.assigned: dict[ast.stmt, list[str]] = {}
+        self.result: Any = None
+        self.result_type: Any = None
+        self.has_returned = False
+        # What `return` gives where it stands in branches and loops; while their types are
+        # being found, the form of that.
+        self.results: Any = None
+        self.form: Any = None
+        self.depth = 0
+        self.call: tuple[str, int] | None = None
+
+    def find(self, name: str) -> Variable | Bound | None:
+        """The local of that name, innermost scope first."""
+        for scope in reversed(self.scopes):
+            if name in scope:
+                return scope[name]
+        return None
+
+    def lookup(self, name: str) -> Variable | Bound:
+        """What `name` means here.
+
+        Raises:
+            TaiNameError: nothing.
+        """
+        found = self.find(name)
+        if found is not None:
+            return found
+        for space in (self.closure, self.globals, vars(builtins)):
+            if name in space:
+                return Bound(space[name])
+        if name in self.gone:
+            raise TaiNameError(
+                f"name '{name}' is not defined here",
+                f"it is assigned in a block that has ended (line {self.gone[name]}): "
+                "assign it before the block",
+            )
+        known = [*(n for scope in self.scopes for n in scope), *self.closure, *self.globals]
+        hint = did_you_mean(name, known) or did_you_mean(name, dir(builtins))
+        raise TaiNameError(f"name '{name}' is not defined", hint)
+
+    def define(self, name: str, meaning: Variable | Bound) -> None:
+        self.scopes[-1][name] = meaning
+
+    def push(self) -> None:
+        self.scopes.append({})
+
+    def pop(self, line: int) -> None:
+        for name in self.scopes.pop():
+            self.gone.setdefault(name, line)

@@ -1,0 +1,81 @@
+"""What one thread has to do, as far as that is known: a GPU's takes its time."""
+
+from __future__ import annotations
+
+import ast
+import math
+import warnings
+from typing import Any
+
+from ...errors import TaiCompilationWarning
+from ..values.value import Value
+
+# From as many operations on, one after another, somebody may wonder whether a GPU's thread ends.
+# Three million with their gradient took less than half a second on an H100.
+_LONG = 1e7
+# Loops of as many iterations are no work for a GPU.
+_FEW = 32
+
+
+class SerialWork:
+    """Counts the operations of an iteration while kernels are compiled."""
+
+    def prepare_work(self) -> None:
+        # Operations so far of one thread; iterations of the parallel loop around; whether the
+        # user has been told.
+        self.work = 0.0
+        self.threads = 1.0
+        self.told_of_work = False
+
+    def end_serial(self, before: float, low: Any, high: Any, step: int, node: ast.For) -> None:
+        """A serial loop has been compiled; before it, there was so much work."""
+        self.repeat(before, _trips(low, high, step, unknown=1), node)
+
+    def repeat(self, before: float, trips: float, node: ast.For) -> None:
+        """The work since then is done so many times."""
+        self.work = before + (self.work - before) * trips
+        is_long = self.work - before > _LONG and self.threads <= _FEW
+        if is_long and not self.told_of_work and self.program.options.arch == "cuda":
+            self.told_of_work = True
+            self._warn(self.work - before, node)
+
+    def begin_parallel(self, bounds: Any, shape: Any, is_serial: bool) -> tuple[float, float]:
+        """A loop at the top begins. What `end_parallel` needs."""
+        kept = self.work, self.threads
+        if not is_serial:
+            self.threads *= self._iterations(bounds, shape)
+        return kept
+
+    def end_parallel(
+        self, kept: tuple[float, float], bounds: Any, shape: Any, is_serial: bool, node: ast.For
+    ) -> None:
+        if is_serial:
+            self.repeat(kept[0], self._iterations(bounds, shape), node)
+        else:
+            self.work, self.threads = kept
+
+    def _iterations(self, bounds: Any, shape: Any) -> float:
+        if bounds is None:
+            return math.prod(shape)
+        pairs = zip(bounds.lower, bounds.upper, strict=True)
+        return math.prod(_trips(low, high, bounds.step, math.inf) for low, high in pairs)
+
+    def _warn(self, work: float, node: ast.For) -> None:
+        text = (
+            f"kernel '{self.frames[0].name}': this loop runs on one thread of the GPU, some "
+            f"{work / 1e6:.1f} million operations one after another\n"
+            "  hint: a CPU is usually faster at that: ti.init(arch=ti.cpu); on a GPU, make what is "
+            "independent the outermost loop"
+        )
+        warnings.warn_explicit(
+            text, TaiCompilationWarning, self.frame.filename, node.lineno, registry=_shown
+        )
+
+
+def _trips(low: Any, high: Any, step: int, unknown: float) -> float:
+    if isinstance(low, Value) or isinstance(high, Value):
+        return unknown
+    return max(0, math.ceil((high - low) / abs(step)))
+
+
+_shown: dict = {}

@@ -1,0 +1,139 @@
+"""The syntax tree of a Python function, with the line numbers of its file."""
+
+from __future__ import annotations
+
+import ast
+import linecache
+from collections.abc import Callable
+from typing import Any
+
+from ...errors import TaiSyntaxError
+
+# File name -> (the text it was parsed from, functions by first line and name).
+_parsed: dict[str, tuple[str, dict[tuple[int, str], ast.FunctionDef]]] = {}
+
+
+def function_ast(function: Callable[..., Any]) -> ast.FunctionDef:
+    """The definition of `function`.
+
+    Raises:
+        TaiSyntaxError: its source is not at hand.
+    """
+    code = function.__code__
+    filename = code.co_filename
+    text = "".join(linecache.getlines(filename, function.__globals__))
+    cached = _parsed.get(filename)
+    if cached is None or cached[0] != text:
+        cached = _parsed[filename] = (text, _index(text))
+    found = cached[1].get((code.co_firstlineno, code.co_name))
+    if found is None:
+        raise TaiSyntaxError(
+            f"the source of function '{function.__name__}' cannot be read",
+            "kernels must stand in a file: the compiler reads their text",
+        )
+    return found
+
+
+def _index(text: str) -> dict[tuple[int, str], ast.FunctionDef]:
+    try:
+        tree = ast.parse(text)
+    except SyntaxError:
+        return {}
+    found = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            first = node.decorator_list[0].lineno if node.decorator_list else node.lineno
+            found[first, node.name] = node
+    return found
+
+
+def closure_of(function: Callable[..., Any]) -> dict[str, Any]:
+    """The variables that `function` takes from the functions around it."""
+    values = {}
+    for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
+        try:
+            values[name] = cell.cell_contents
+        except ValueError:  # not assigned yet
+            continue
+    return values
+
+
+def own_exits(statements: list[ast.stmt]) -> bool:
+    """Whether the statements hold a `break` or `continue` of the loop around them."""
+    for statement in statements:
+        if isinstance(statement, (ast.Break, ast.Continue)):
+            return True
+        if isinstance(statement, ast.If) and (
+            own_exits(statement.body) or own_exits(statement.orelse)
+        ):
+            return True
+    return False
+
+
+class AssignedNames(ast.NodeVisitor):
+    """Collects the names whose variables some statements may change.
+
+    Args:
+        takes_reference: tells whether a call may change the variables given to it.
+        is_settled: tells whether it will always say the same of a call.
+        known: what was found for branches and loops before. Without it, a chain of branches would
+            be walked again for each of them.
+    """
+
+    def __init__(
+        self,
+        takes_reference: Callable[[ast.Call], bool],
+        is_settled: Callable[[ast.Call], bool],
+        known: dict[ast.stmt, list[str]],
+    ):
+        self.names: dict[str, None] = {}  # in order of appearance
+        self._takes_reference, self._is_settled, self._known = takes_reference, is_settled, known
+        self._settled = True
+
+    def collect(self, statements: list[ast.stmt]) -> list[str]:
+        for statement in statements:
+            self.visit(statement)
+        return list(self.names)
+
+    def _target(self, node: ast.expr) -> None:
+        while isinstance(node, (ast.Subscript, ast.Attribute, ast.Starred)):
+            node = node.value
+        if isinstance(node, ast.Name):
+            self.names[node.id] = None
+        elif isinstance(node, (ast.Tuple, ast.List)):
+            for item in node.elts:
+                self._target(item)
+
+    def visit_Assign(self, node: ast.Assign) -> None:
+        for target in node.targets:
+            self._target(target)
+        self.generic_visit(node)
+
+    def visit_AugAssign(self, node: ast.AugAssign) -> None:
+        self._target(node.target)
+        self.generic_visit(node)
+
+    def visit_AnnAssign(self, node: ast.AnnAssign) -> None:
+        self._target(node.target)
+        self.generic_visit(node)
+
+    def visit_If(self, node: ast.stmt) -> None:
+        names = self._known.get(node)
+        if names is None:
+            inside = AssignedNames(self._takes_reference, self._is_settled, self._known)
+            inside.generic_visit(node)
+            names = list(inside.names)
+            if inside._settled:
+                self._known[node] = names
+            else:
+                self._settled = False
+        self.names.update(dict.fromkeys(names))
+
+    visit_While = visit_If
+
+    def visit_Call(self, node: ast.Call) -> None:
+        self._settled = self._settled and self._is_settled(node)
+        if self._takes_reference(node):
+            for argument in [*node.args, *(k.value for k in node.keywords)]:
+                self._target(argument)
+        self.generic_visit(node)

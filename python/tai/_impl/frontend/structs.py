@@ -1,0 +1,136 @@
+"""Structs in kernels: named members, each a value or a place of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from ...errors import TaiNameError, TaiTypeError, did_you_mean
+from ..fields.structs import StructField, StructType
+from ..values.value import Value
+from .refs import Place, Variable, VariablePlace, field_element
+from .scope import Bound
+
+
+class StructMethod:
+    """A `@ti.func` of a struct type with its receiver."""
+
+    def __init__(self, function: Any, receiver: Any):
+        self._tai_func = function._tai_func
+        self.__self__, self.__name__ = receiver, function.__name__
+
+    def __call__(self, *args: Any) -> Any:
+        raise TaiTypeError(f"method '{self.__name__}' is called in kernels and functions only")
+
+
+class _Members:
+    """What struct values and struct places have in common."""
+
+    type: StructType
+    members: dict[str, Any]
+
+    def member(self, name: str) -> Any:
+        if name in self.members:
+            return self.members[name]
+        if name in self.type.methods:
+            return StructMethod(self.type.methods[name], self)
+        raise TaiNameError(
+            f"the struct has no member '{name}'", did_you_mean(name, list(self.members))
+        )
+
+
+class StructValue(_Members):
+    """A struct that has no place: what a constructor makes, or an element that was read."""
+
+    def __init__(self, type_: StructType, members: dict[str, Any]):
+        self.type, self.members = type_, members
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "emit_operand":
+            raise AttributeError(name)
+        return self.member(name)
+
+    def leaves(self) -> Iterator[Value]:
+        """The values, in the order of the members."""
+        for value in self.members.values():
+            if isinstance(value, StructValue):
+                yield from value.leaves()
+            else:
+                yield value
+
+
+class StructPlace(_Members, Place):
+    """A struct whose members are places: a variable, or an element of a struct field."""
+
+    dt, shape = None, ()
+
+    def __init__(self, emitter: Any, type_: StructType, members: dict[str, Place]):
+        self.emitter, self.type, self.members = emitter, type_, members
+
+    def load(self) -> StructValue:
+        return StructValue(self.type, {k: m.load() for k, m in self.members.items()})
+
+    def convert(self, value: Any) -> StructValue:
+        if not isinstance(value, StructValue) or set(value.members) != set(self.members):
+            got = repr(value.type) if isinstance(value, StructValue) else "something else"
+            raise TaiTypeError(f"expects a {self.type!r}, but got {got}")
+        members = self.members.items()
+        return StructValue(self.type, {k: m.convert(value.members[k]) for k, m in members})
+
+    def store(self, value: StructValue) -> None:
+        for name, place in self.members.items():
+            place.store(value.members[name])
+
+    def variables(self) -> Iterator[Variable]:
+        """The variables that hold the members, if it is one."""
+        for place in self.members.values():
+            if isinstance(place, StructPlace):
+                yield from place.variables()
+            else:
+                yield place.variable
+
+
+class StructVariable(Bound):
+    """A local variable that holds a struct: a variable for each member."""
+
+    def __init__(self, emitter: Any, name: str, value: StructValue):
+        super().__init__(_variable_place(emitter, name, value))
+
+    def store(self, value: Any) -> None:
+        self.thing.store(self.thing.convert(value))
+
+
+def _variable_place(emitter: Any, name: str, value: StructValue) -> StructPlace:
+    members = {}
+    for key, member in value.members.items():
+        inner = f"{name}_{key}"
+        if isinstance(member, StructValue):
+            members[key] = _variable_place(emitter, inner, member)
+        else:
+            members[key] = VariablePlace(emitter, Variable(inner, member))
+    return StructPlace(emitter, value.type, members)
+
+
+def make_value(emitter: Any, type_: StructType, given: dict[str, Any]) -> StructValue:
+    """A struct of these members, each converted to its type."""
+    members = {}
+    for name, kind in type_.members.items():
+        value = given[name]
+        if isinstance(kind, StructType):
+            if not isinstance(value, StructValue):
+                value = kind(value) if isinstance(value, dict) else kind()
+            members[name] = value
+            continue
+        if kind.shape and not hasattr(value, "emit_operand"):
+            value = kind(value)
+        members[name] = kind.convert(emitter, value)
+    return StructValue(type_, members)
+
+
+def struct_element(emitter: Any, field: StructField, key: Any) -> StructPlace:
+    """The element of a struct field that a subscript names."""
+    members = {}
+    for name, member in field.members.items():
+        make = struct_element if isinstance(member, StructField) else field_element
+        members[name] = make(emitter, member, key)
+    return StructPlace(emitter, field.type, members)

@@ -1,0 +1,177 @@
+"""Template arguments: what kernels read of them while they are compiled.
+
+The code of a kernel is compiled for its template arguments. Those that are numbers, texts,
+containers, arrays, matrices or structs count by what they contain (`_core.Constant`), other
+objects by identity. Of such an object, a kernel depends on the attributes that it read, which
+`Reads` notes: where one of them is another one at a later launch, other code is wanted.
+"""
+
+from __future__ import annotations
+
+import enum
+import inspect
+import sys
+import warnings
+from collections import deque
+from types import (
+    BuiltinFunctionType,
+    FunctionType,
+    MemberDescriptorType,
+    MethodType,
+    ModuleType,
+)
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiCompilationWarning, TaiRuntimeTypeError
+from ..base import native
+
+_CONTAINERS = (tuple, list, set, frozenset, deque)
+_FUNCTIONS = (FunctionType, BuiltinFunctionType, MethodType)
+_LEAVES = (bool, int, float, complex, str, bytes, type(None), np.generic, np.ndarray, np.dtype,
+           enum.Enum, range)  # fmt: skip
+
+# Attributes of an array that say nothing of its elements.
+ARRAY_FORM = ("shape", "ndim", "size", "dtype")
+
+# How often a kernel is compiled for attributes that change until it says so.
+_MANY = 16
+
+
+def hint(value: Any) -> Any:
+    """Something hashable, equal for template arguments that may stand for the same code."""
+    kind = type(value)
+    return (kind, value) if kind in (int, str) else kind
+
+
+def take(value: Any, parameter: str, kernel: str) -> Any:
+    """The constant that a template argument is now."""
+    try:
+        return native.Constant(value)
+    except RecursionError:
+        raise TaiRuntimeTypeError(
+            f"template argument '{parameter}' of kernel '{kernel}' contains itself, or is nested "
+            "too deeply"
+        ) from None
+
+
+def _is_own(kind: type) -> bool:
+    return kind.__module__.split(".")[0] in ("tai", "builtins", "numpy")
+
+
+def _is_open(thing: Any) -> bool:
+    """Whether a kernel may depend on attributes of `thing` that can change."""
+    if isinstance(thing, (*_LEAVES, *_FUNCTIONS, ModuleType)):
+        return False
+    return not _is_own(thing if isinstance(thing, type) else type(thing))
+
+
+class Reads:
+    """The attributes of template arguments, and of what they hold, that a kernel reads.
+
+    Args:
+        templates: the arguments.
+    """
+
+    def __init__(self, templates: list[Any]):
+        self._followed: dict[int, Any] = {}
+        self._noted: dict[tuple[int, str], tuple[Any, str, Any]] = {}
+        for thing in templates:
+            if isinstance(thing, ModuleType):
+                self._followed[id(thing)] = thing
+            self._follow(thing)
+
+    def all(self) -> list[tuple[Any, str, Any]]:
+        """Owner, name and `Constant` of each."""
+        return list(self._noted.values())
+
+    def note(self, owner: Any, name: str, value: Any, form_only: bool = False) -> None:
+        """Says that `owner.name` was read and is `value`.
+
+        Args:
+            owner, name, value: of the attribute.
+            form_only: whether no more than the shape of an array is wanted of it.
+        """
+        if id(owner) not in self._followed or (id(owner), name) in self._noted:
+            return
+        if self._is_stored(owner, name):
+            if form_only and isinstance(value, np.ndarray):
+                self._add(owner, name, native.Constant.identity(value))
+                for part in ARRAY_FORM:
+                    self._add(value, part, native.Constant(getattr(value, part)))
+                return
+            self._add(owner, name, native.Constant(value))
+        elif isinstance(value, _LEAVES):
+            self._add(owner, name, native.Constant(value))
+        elif not isinstance(value, _FUNCTIONS) and not _is_own(type(value)):
+            self.note_all(owner)  # what a property makes an object of
+        self._follow(value)
+
+    def note_all(self, *things: Any) -> None:
+        """Says that Python code has looked at objects: all that they hold counts."""
+        for thing in things:
+            if isinstance(thing, _CONTAINERS):
+                self.note_all(*thing)
+            elif id(thing) in self._followed:
+                names = list(getattr(thing, "__dict__", ()))
+                for kind in type(thing).__mro__:
+                    slots = vars(kind).get("__slots__", ())
+                    names += [slots] if isinstance(slots, str) else slots
+                for name in names:
+                    if not name.startswith("__") and hasattr(thing, name):
+                        self.note(thing, name, getattr(thing, name))
+
+    def _add(self, owner: Any, name: str, constant: Any) -> None:
+        self._noted.setdefault((id(owner), name), (owner, name, constant))
+
+    def _follow(self, thing: Any) -> None:
+        if isinstance(thing, dict):
+            thing = list(thing.values())
+        if isinstance(thing, _CONTAINERS):
+            for item in thing:
+                self._follow(item)
+        elif _is_open(thing):
+            self._followed[id(thing)] = thing
+
+    @staticmethod
+    def _is_stored(owner: Any, name: str) -> bool:
+        """Whether the attribute is stored, and not computed or bound when it is read."""
+        if name in getattr(owner, "__dict__", ()):
+            found = vars(owner)[name]
+            return not isinstance(owner, type) or not hasattr(type(found), "__get__")
+        found = inspect.getattr_static(type(owner), name, None)
+        return isinstance(found, MemberDescriptorType) or not hasattr(type(found), "__get__")
+
+
+def still_hold(reads: list[tuple[Any, str, Any]]) -> bool:
+    """Whether all attributes are what they were."""
+    missing = object()
+    return all(constant.matches(getattr(owner, name, missing)) for owner, name, constant in reads)
+
+
+def warn_of_many(name: str, variants: list[Any]) -> None:
+    """Says once that a kernel is compiled again and again for attributes that change."""
+    if len(variants) != _MANY:
+        return
+    changed = []
+    for owner, attribute, constant in variants[-1].reads:
+        previous = {(id(o), n): c for o, n, c in variants[-2].reads}.get((id(owner), attribute))
+        current = getattr(owner, attribute, None)
+        if not constant.matches(current) or (previous and not previous.matches(current)):
+            changed.append(f"'{attribute}'")
+    what = ", ".join(dict.fromkeys(changed)) or "a template argument"
+    warnings.warn(
+        f"kernel '{name}' has been compiled {_MANY} times, as {what} changes between launches\n"
+        "  hint: it is part of the code; pass what changes as an argument, or keep it in a field",
+        TaiCompilationWarning,
+        stacklevel=_outside(),
+    )
+
+
+def _outside() -> int:
+    """How many calls above its own caller the code of the program stands."""
+    level, frame = 1, sys._getframe(1)
+    while frame is not None and frame.f_globals.get("__name__", "").split(".")[0] == "tai":
+        level, frame = level + 1, frame.f_back
+    return level

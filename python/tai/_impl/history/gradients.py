@@ -1,0 +1,135 @@
+"""Where the gradients of what Python holds add up: numbers, matrices and arrays."""
+
+from __future__ import annotations
+
+import threading
+import weakref
+from typing import Any
+
+import numpy as np
+
+from ..base import state
+from ..base.dtypes import DataType
+
+
+class Gradient:
+    """Where the gradient of one value adds up.
+
+    Attributes:
+        shape: that of the value.
+        dt: the type in which a kernel returned the value; None for variables and for what
+            Python computed.
+        parts: for a value that Python computed, the values it was computed from: their
+            gradients, a component or None, and the partial derivative.
+    """
+
+    __slots__ = ("__weakref__", "buffers", "dt", "owner", "parts", "shape", "user")
+
+    def __init__(self, shape: tuple[int, ...], dt: DataType | None = None, parts: Any = None):
+        self.shape, self.dt, self.parts = shape, dt, parts
+        # The thread whose it is, and the tape that has used it last; see `tracked.TapeValues.take`.
+        self.owner, self.user = state.thread, None
+        self.buffers: dict[DataType, np.ndarray] = {}
+
+    @property
+    def is_variable(self) -> bool:
+        return self.dt is None and self.parts is None
+
+    def buffer(self, dt: DataType) -> np.ndarray:
+        """The memory that kernels with values of type `dt` use."""
+        found = self.buffers.get(dt)
+        if found is None:
+            found = self.buffers[dt] = np.zeros(self.shape, dt.numpy)
+        return found
+
+    def total(self) -> np.ndarray:
+        """The gradient, in f64."""
+        total = np.zeros(self.shape)
+        for buffer in self.buffers.values():
+            total += buffer
+        return total
+
+    def clear(self) -> None:
+        for buffer in self.buffers.values():
+            buffer[...] = 0
+
+    def add(self, amount: Any, component: int | None = None) -> None:
+        """Adds to the gradient of the value, or of those that it was computed from."""
+        if self.parts is not None:
+            for gradient, part, partial in self.parts:
+                gradient.add(partial * amount, part)
+            return
+        buffer = self.buffer(self.dt or state.options.default_fp)
+        if component is None:
+            buffer += amount
+        else:
+            buffer.reshape(-1)[component] += amount
+
+    def pass_on(self) -> None:
+        """In a sweep: gives what has been added up to where the value comes from."""
+        kept = self.buffers.get(self.dt) if self.dt is not None else None
+        for buffer in self.buffers.values():
+            if buffer is not kept and buffer.any():
+                amount = buffer.astype(np.float64)
+                buffer[...] = 0
+                self.add(amount)
+
+
+# All variables, and all arrays with a gradient: what clearing gradients clears.
+_variables: weakref.WeakSet = weakref.WeakSet()
+_arrays: weakref.WeakSet = weakref.WeakSet()
+# Sets do not like to grow while somebody goes through them.
+_lock = threading.Lock()
+
+
+class ArrayGradient:
+    """The gradient of a `ti.ndarray`, as what a tape takes."""
+
+    def __init__(self, array: np.ndarray):
+        self.array = array
+        self.owner, self.user = state.thread, None
+
+    def clear(self) -> None:
+        self.array[...] = 0
+
+
+def clear_gradients(all_threads: bool = True) -> None:
+    """Sets the gradients of variables and arrays to zero.
+
+    Args:
+        all_threads: or only of those that no other thread has computed.
+    """
+    with _lock:
+        things = [*_variables, *_arrays]
+    for thing in things:
+        if all_threads or thing.owner is state.thread:
+            thing.clear()
+
+
+def note_variable(gradient: Gradient) -> None:
+    with _lock:
+        _variables.add(gradient)
+
+
+def note_gradient_array(array: Any) -> ArrayGradient:
+    """Remembers the gradient of an array, for as long as what this returns is kept."""
+    gradient = ArrayGradient(array.array)
+    with _lock:
+        _arrays.add(gradient)
+    return gradient
+
+
+class _OfThread(threading.local):
+    # The values of the tape that records in this thread, or None; see `tracked.TapeValues`.
+    active: Any = None
+
+
+of_thread = _OfThread()
+
+
+def recorded_as(array: np.ndarray, has_gradient: bool) -> str | None:
+    """What the tape that records calls an array that it has recorded, or None."""
+    active = of_thread.active
+    if active is None or active.core is not state.tape:
+        return None
+    return active.arrays.find(array, has_gradient)

@@ -1,0 +1,378 @@
+"""Numbers that lose their history: warnings where a tape or forward mode takes them as constants.
+
+A number that a kernel returns is followed through arithmetic. What `math.sin(r)`, `float(r)`,
+NumPy, or a read of a field gives is a plain number, which kernels and fields take as a constant.
+That is as it should be for what is printed, and a gradient too small for what flows back. So
+where plain numbers go into a kernel or a field while values with a history are about, the text
+of the calling function is looked at, once for each place: does the number come from one?
+"""
+
+from __future__ import annotations
+
+import ast
+import builtins
+import functools
+import linecache
+import math
+import sys
+import threading
+import warnings
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiGradientWarning
+from ..base import native, state
+from ..base.elements import Elements
+from ..base.program import at_close
+
+# What gives no number, or one that does not change a little when its argument does.
+_DISCRETE = (
+    len, range, isinstance, type, print, str, bool, int, round, math.floor, math.ceil, math.trunc,
+)  # fmt: skip
+
+# Calls of functions that are followed into their text.
+_DEPTH = 3
+
+# Places that have been looked at, by the addresses of code objects and of what they use, and
+# these, so that no others come to lie there.
+_sites: set[tuple[int, int, int]] = set()
+_kept: dict[int, Any] = {}
+# As many as a program has places. What makes code all day meets more.
+_MOST_SITES = 4096
+
+
+class _OfThread(threading.local):
+    watches = False
+
+
+_of_thread = _OfThread()
+
+
+def begin() -> None:
+    """A value with a history has come to Python."""
+    if not _of_thread.watches and (state.tape is not None or state.forward):
+        _of_thread.watches = True
+        native.watch_numbers(True)
+
+
+def end() -> None:
+    """Nothing is recorded or followed any more."""
+    if _of_thread.watches:
+        _of_thread.watches = False
+        native.watch_numbers(False)
+
+
+def forget() -> None:
+    """The program is over: its places are looked at again."""
+    end()
+    _forget_sites()
+
+
+at_close.append(forget)
+
+
+def _forget_sites() -> None:
+    _sites.clear()
+    _kept.clear()
+    native.forget_sites()
+
+
+def has_history(field: Any) -> bool:
+    """Whether what a field or `ti.ndarray` holds has a gradient in the tape, or a tangent in
+    forward mode."""
+    if hasattr(field, "array"):
+        return field.grad is not None and state.tape is not None
+    if getattr(field, "role", None) != "primal" or not field.dtype.is_float:
+        return False
+    which = "grad" if state.tape is not None else "dual"
+    companion = field._companions.get(which)
+    return companion is not None and companion.level is not None and not _is_internal(field)
+
+
+def _is_internal(field: Any) -> bool:
+    program = state.program
+    return program is not None and any(pool.field is field for pool in program.pools)
+
+
+def dual_of_written(field: Any) -> Any:
+    """The dual of a place that Python writes to in forward mode, if its tangent ends there.
+
+    What Python writes is a constant, but before the first launch it is the point at which one
+    differentiates.
+    """
+    dual = field._companions.get("dual")
+    ends = native.forward_launches() > 0 and getattr(dual, "_core", None) is not None
+    return dual.core if ends else None
+
+
+def end_tangent(field: Any) -> None:
+    """Python has written all of a place."""
+    dual = dual_of_written(field) if state.forward else None
+    if dual is not None:
+        dual.fill(0.0)
+
+
+def note_read(field: Any) -> None:
+    """Python reads a field; to be called under a tape or in forward mode."""
+    if not _of_thread.watches and has_history(field):
+        begin()
+
+
+def _caller() -> Any:
+    frame: Any = sys._getframe(2)
+    while frame is not None and frame.f_globals.get("__name__", "").startswith("tai."):
+        frame = frame.f_back
+    return frame
+
+
+def _is_new(frame: Any, what: Any) -> bool:
+    """Whether the place has not been looked at; `what` is not to go away."""
+    code = frame.f_code
+    site = (id(code), frame.f_lineno, id(what))
+    if site in _sites:
+        return False
+    if len(_sites) >= _MOST_SITES:
+        _forget_sites()
+    _sites.add(site)
+    _kept[id(code)], _kept[id(what)] = code, what
+    return True
+
+
+def _as_kernel(called: Any) -> Any:
+    """The kernel behind a method or a static method."""
+    called = getattr(called, "__func__", called)
+    return getattr(called, "_kernel", called)
+
+
+def check_call(kernel: Any, parameters: list, values: list) -> None:
+    """Looks at the plain numbers that a kernel is called with."""
+    if not _of_thread.watches:
+        return
+    frame = _caller()
+    if frame is None:
+        return
+    # The launcher need not come here again.
+    native.note_site(frame.f_code, frame.f_lineno, kernel)
+    if not _is_new(frame, kernel):
+        return
+    scope = _Scope.of_frame(frame)
+    for call in scope.calls_at(frame.f_lineno):
+        if _as_kernel(scope.resolve(call.func)) is not kernel:
+            continue
+        of = scope.resolve(getattr(call.func, "value", call.func))
+        offset = int(kernel._is_method and not isinstance(of, type))
+        given = {n + offset: argument for n, argument in enumerate(call.args)}
+        named = {keyword.arg: keyword.value for keyword in call.keywords}
+        for number, (parameter, value) in enumerate(zip(parameters, values, strict=True)):
+            expression = given.get(number, named.get(parameter.name))
+            if expression is not None and _is_plain(value) and scope.has_history(expression):
+                what = f"parameter '{parameter.name}' of kernel '{kernel.__name__}'"
+                _warn(frame, f"what {what} is given")
+
+
+def check_write(field: Any, value: Any) -> None:
+    """Looks at what Python writes to a field; to be called under a tape or in forward mode."""
+    if not has_history(field):
+        return
+    is_field = hasattr(field, "_companions")
+    what = f"what Python writes to field '{field.name}'" if is_field else "what an array is given"
+    tracked = _is_followed(value)
+    if not tracked and (not _of_thread.watches or isinstance(value, int)):
+        return
+    frame = _caller()
+    if frame is None or not _is_new(frame, check_write):
+        return
+    if tracked or any(
+        scope.has_history(expression)
+        for scope in [_Scope.of_frame(frame)]
+        for expression in scope.written_at(frame.f_lineno)
+    ):
+        _warn(frame, what)
+
+
+def _is_plain(value: Any) -> bool:
+    if isinstance(value, (float, np.floating)):
+        return not _is_followed(value)
+    return getattr(value, "is_matrix", False) and not _is_followed(value)
+
+
+def _is_followed(value: Any) -> bool:
+    """Whether the value has a history, as kernels see it."""
+    return (
+        getattr(value, "_gradient", None) is not None or getattr(value, "_cell", None) is not None
+    )
+
+
+def _warn(frame: Any, what: str) -> None:
+    mode = "the tape" if state.tape is not None else "forward mode"
+    warnings.warn_explicit(
+        f"{what} was computed by Python from a value that has a gradient: to {mode} it is a "
+        "constant from here on. Compute it in a kernel and pass it on in a field; if that is "
+        "meant, read the value in a function under ti.ad.no_grad or before",
+        TaiGradientWarning,
+        frame.f_code.co_filename,
+        frame.f_lineno,
+        module=frame.f_globals.get("__name__"),
+    )
+
+
+# The text of a function
+
+
+@functools.lru_cache(maxsize=64)
+def _parse(filename: str) -> ast.Module | None:
+    try:
+        return ast.parse("".join(linecache.getlines(filename)))
+    except (SyntaxError, ValueError):
+        return None
+
+
+def _find_body(filename: str, line: int, name: str) -> ast.AST | None:
+    """The definition of a function, or the module."""
+    module = _parse(filename)
+    if module is None or name == "<module>":
+        return module
+    for node in ast.walk(module):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and node.name == name:
+            first = min([node.lineno, *(d.lineno for d in node.decorator_list)])
+            if first <= line <= (node.end_lineno or line):
+                return node
+    return module if name.startswith("<") else None
+
+
+class _Scope:
+    """The text of a function, and what its names mean."""
+
+    def __init__(self, body: ast.AST | None, names: list[dict[str, Any]], depth: int):
+        self._nodes = [] if body is None else list(ast.walk(body))
+        self._names, self._depth = names, depth
+        self._tainted: set[str] = set()
+        self._spread()
+
+    @classmethod
+    def of_frame(cls, frame: Any) -> _Scope:
+        code = frame.f_code
+        body = _find_body(code.co_filename, code.co_firstlineno, code.co_name)
+        return cls(body, [frame.f_locals, frame.f_globals, vars(builtins)], _DEPTH)
+
+    def _spread(self) -> None:
+        """Finds the variables that hold values with a history at some time."""
+        pairs = []
+        for node in self._nodes:
+            if isinstance(node, ast.Assign):
+                pairs += [(target, node.value) for target in node.targets]
+            elif isinstance(node, (ast.AugAssign, ast.AnnAssign, ast.NamedExpr)):
+                pairs += [(node.target, node.value)] if node.value is not None else []
+            elif isinstance(node, (ast.For, ast.comprehension)):
+                pairs.append((node.target, node.iter))
+        size = -1
+        while size != len(self._tainted):
+            size = len(self._tainted)
+            for target, value in pairs:
+                names = [n.id for n in ast.walk(target) if isinstance(n, ast.Name)]
+                if not set(names) <= self._tainted and self.has_history(value):
+                    # An element of a field that is stored to says nothing of the field.
+                    if not isinstance(target, (ast.Subscript, ast.Attribute)):
+                        self._tainted.update(names)
+
+    def calls_at(self, line: int) -> list[ast.Call]:
+        return [
+            n for n in self._nodes
+            if isinstance(n, ast.Call) and n.lineno <= line <= (n.end_lineno or n.lineno)
+        ]  # fmt: skip
+
+    def written_at(self, line: int) -> list[ast.AST]:
+        """The values of assignments in a line, and the arguments of methods that write."""
+        found: list[ast.AST] = []
+        for node in self._nodes:
+            last = getattr(node, "end_lineno", None) or line
+            if not getattr(node, "lineno", line + 1) <= line <= last:
+                continue
+            if isinstance(node, (ast.Assign, ast.AugAssign)):
+                found.append(node.value)
+            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+                if node.func.attr in ("fill", "from_numpy", "from_torch"):
+                    found += node.args
+        return found
+
+    def resolve(self, node: ast.AST) -> Any:
+        """What a name or an attribute stands for now; None if that is unknown."""
+        if isinstance(node, ast.Name):
+            return next((names[node.id] for names in self._names if node.id in names), None)
+        if not isinstance(node, ast.Attribute):
+            return None
+        base = self.resolve(node.value)
+        if base is None:
+            return None
+        members = getattr(base, "__dict__", {})
+        if node.attr in members:
+            return members[node.attr]
+        if node.attr in members.get("members", ()):
+            return members["members"][node.attr]
+        return next(
+            (vars(cls)[node.attr] for cls in type(base).__mro__ if node.attr in vars(cls)), None
+        )
+
+    def has_history(self, node: ast.AST) -> bool:
+        """Whether the value of an expression comes from one with a history."""
+        if isinstance(node, ast.Name):
+            return node.id in self._tainted or _is_followed(self.resolve(node))
+        if isinstance(node, (ast.Compare, ast.Constant, ast.Lambda)):
+            return False
+        if isinstance(node, ast.Attribute) and _is_followed(self.resolve(node)):
+            return True
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.FloorDiv):
+            return False
+        if isinstance(node, ast.Subscript):
+            field = self.resolve(node.value)
+            if isinstance(field, Elements):
+                return any(map(has_history, getattr(field, "leaves", [field])))
+            return self.has_history(node.value)
+        if isinstance(node, ast.IfExp):
+            return self.has_history(node.body) or self.has_history(node.orelse)
+        if isinstance(node, ast.Call):
+            return self._call_has_history(node)
+        return any(self.has_history(child) for child in ast.iter_child_nodes(node))
+
+    def _call_has_history(self, node: ast.Call) -> bool:
+        called = self.resolve(node.func)
+        kernel = _as_kernel(called)
+        if getattr(kernel, "_tai_kernel", False):
+            result = kernel._result
+            return result is not None and result.dtype.is_float
+        if isinstance(node.func, ast.Attribute):
+            base = self.resolve(node.func.value)
+            if isinstance(base, Elements):
+                reads = node.func.attr in ("to_numpy", "to_torch")
+                return reads and any(map(has_history, getattr(base, "leaves", [base])))
+            if self.has_history(node.func.value):
+                return True
+        if called in _DISCRETE:
+            return False
+        if isinstance(called, FunctionType) and self._returns_history(called, node):
+            return True
+        arguments = [*node.args, *(keyword.value for keyword in node.keywords)]
+        return any(self.has_history(argument) for argument in arguments)
+
+    def _returns_history(self, function: FunctionType, call: ast.Call) -> bool:
+        if self._depth == 0 or function.__module__.startswith(("tai.", "numpy")):
+            return False
+        code = function.__code__
+        body = _find_body(code.co_filename, code.co_firstlineno, code.co_name)
+        cells = zip(code.co_freevars, function.__closure__ or (), strict=True)
+        closure = {name: cell.cell_contents for name, cell in cells if _is_set(cell)}
+        given = dict(zip(code.co_varnames, map(self.resolve, call.args), strict=False))
+        named = {k.arg: self.resolve(k.value) for k in call.keywords if k.arg}
+        scopes = [given, named, closure, function.__globals__, vars(builtins)]
+        inner = _Scope(body, scopes, self._depth - 1)
+        returns = (n.value for n in inner._nodes if isinstance(n, ast.Return) and n.value)
+        return any(inner.has_history(value) for value in returns)
+
+
+def _is_set(cell: Any) -> bool:
+    try:
+        return cell.cell_contents is not cell
+    except ValueError:
+        return False

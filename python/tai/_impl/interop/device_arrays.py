@@ -1,0 +1,170 @@
+"""Arrays of other libraries in the memory of a GPU, and launches that use them."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiRuntimeError, TaiRuntimeTypeError
+from ..base import native
+from ..base.program import get_program
+from .dlpack import CPU, CUDA, dtype_of
+from .streams import stream_number, wait_for_stream
+
+
+class DeviceArray:
+    """An array in the memory of a GPU, which kernels take as they take NumPy arrays.
+
+    Attributes:
+        dtype: NumPy's name of the type.
+        shape: the extents.
+    """
+
+    class _Address:
+        def __init__(self, data: int):
+            self.data = data
+
+    class _Flags:
+        def __init__(self, is_dense: bool, is_writeable: bool):
+            self.c_contiguous, self.writeable = is_dense, is_writeable
+
+    def __init__(
+        self, address: int, shape: Any, dtype: Any, owner: Any, strides: Any = None,
+        is_writeable: bool = True, number: int = 0, stream: Any = None,
+    ):  # fmt: skip
+        self.shape, self.dtype = tuple(int(n) for n in shape), np.dtype(dtype)
+        self.ndim = len(self.shape)
+        self.ctypes = DeviceArray._Address(address)
+        dense, step = True, 1
+        steps = None if strides is None else strides[::-1]
+        for place, extent in enumerate(self.shape[::-1]):
+            dense &= steps is None or extent <= 1 or steps[place] == step
+            step *= extent
+        dense |= step == 0
+        self.flags = DeviceArray._Flags(dense, is_writeable)
+        self.nbytes = step * self.dtype.itemsize
+        # Of the library that it comes from: a stream, or None for torch's current one.
+        self.library = stream
+        self._owner, self._number = owner, number
+
+    def check(self, what: str) -> None:
+        """Raises where kernels cannot use it."""
+        context = get_program().context
+        # An emulated GPU knows its own memory.
+        if not context.is_on_gpu() and not (
+            self.nbytes == 0 or context.is_on_device(self.ctypes.data)
+        ):
+            raise TaiRuntimeTypeError(
+                f"{what} is on a GPU, and kernels run on the CPU",
+                "copy it to the CPU, or use ti.init(arch=ti.cuda)",
+            )
+        if self._number != 0:
+            raise TaiRuntimeTypeError(
+                f"{what} is on GPU number {self._number}, and kernels run on number 0",
+                "choose one for all by the environment variable CUDA_VISIBLE_DEVICES",
+            )
+        if not self.flags.c_contiguous:
+            raise TaiRuntimeTypeError(
+                f"{what} is not contiguous", "pass a contiguous copy of it: t.contiguous()"
+            )
+
+    def stream(self) -> int:
+        """The stream on which its library works now."""
+        return stream_number(self.library)
+
+    def to_numpy(self) -> np.ndarray:
+        raise TaiRuntimeError("an array on a GPU has no copy here", "ask its library for one")
+
+    def __repr__(self) -> str:
+        return f"<array of {self.dtype} on a GPU, shape {self.shape}>"
+
+
+@functools.cache
+def numpy_type(dtype: Any) -> np.dtype:
+    """NumPy's name for a type of torch.
+
+    Raises:
+        TaiRuntimeTypeError: it has none, as bfloat16.
+    """
+    name = str(dtype).removeprefix("torch.")
+    try:
+        return np.dtype(name)
+    except TypeError:
+        raise TaiRuntimeTypeError(
+            f"kernels have no numbers of type {name}, which the tensor holds",
+            "convert it: t.float()",
+        ) from None
+
+
+def as_device_array(value: Any) -> DeviceArray | None:
+    """An array of torch, jax, cupy or another library on a GPU; None if it is not one."""
+    if isinstance(value, DeviceArray):
+        return value
+    if getattr(value, "is_cuda", None) is True:  # torch
+        value = value.detach()
+        return DeviceArray(
+            value.data_ptr(), value.shape, numpy_type(value.dtype), value,
+            value.stride(), number=value.device.index or 0,
+        )  # fmt: skip
+    interface = getattr(value, "__cuda_array_interface__", None)
+    if interface is None:
+        return None
+    address, is_read_only = interface["data"]
+    dtype = np.dtype(interface["typestr"])
+    steps = interface.get("strides")
+    strides = None if steps is None else tuple(step // dtype.itemsize for step in steps)
+    stream = interface.get("stream")
+    return DeviceArray(
+        address, interface["shape"], dtype, value, strides, not is_read_only,
+        stream=1 if stream is None else stream,
+    )  # fmt: skip
+
+
+def from_dlpack(value: Any) -> Any:
+    """An array of another library, without a copy, for kernels to use.
+
+    Args:
+        value: what has `__dlpack__`: an array of torch, jax, cupy, NumPy.
+
+    Returns:
+        a NumPy array that shares the memory, or for memory of a GPU a `DeviceArray`, which
+        kernels take as an argument. Launches wait for what its library has queued so far.
+
+    Raises:
+        TaiRuntimeTypeError: memory of another kind, or a type that kernels do not know.
+    """
+    kind, number = value.__dlpack_device__()
+    if kind == CPU:
+        return np.from_dlpack(value)
+    if kind != CUDA:
+        raise TaiRuntimeTypeError(f"the array is on a device of kind {kind}, not on an NVIDIA GPU")
+    # Its stream waits; ours is told to wait for that.
+    found = native.take_dlpack(value.__dlpack__(stream=1))
+    dt = dtype_of(*found["type"])
+    if dt is None:
+        raise TaiRuntimeTypeError("the array holds numbers of a type that kernels do not have")
+    array = DeviceArray(
+        found["address"], found["shape"], dt.numpy, found["owner"], found["strides"],
+        not found["read_only"], number, stream=1,
+    )  # fmt: skip
+    array.check("the array")
+    wait_for_stream(1)
+    return array
+
+
+def order_before(arrays: list[DeviceArray]) -> set[int]:
+    """The next launch waits for the libraries of its arrays; their streams."""
+    context = get_program().context
+    streams = {array.stream() for array in arrays}
+    for stream in streams:
+        context.wait_for_stream(stream)
+    return streams
+
+
+def order_after(streams: set[int]) -> None:
+    """Those wait for the launch."""
+    context = get_program().context
+    for stream in streams:
+        context.let_stream_wait(stream)

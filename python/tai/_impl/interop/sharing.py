@@ -1,0 +1,107 @@
+"""Fields shared with other libraries, and copied to and from torch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ...errors import TaiError
+from ..base import native, state
+from ..base.program import get_program
+from .dlpack import CODES, CPU, CUDA
+from .streams import wait_for_stream
+
+
+def _storage(field: Any) -> Any:
+    """The place that holds all of the field."""
+    single = getattr(field, "single", field)
+    if single is None or getattr(field, "is_window", False):
+        raise BufferError(
+            f"field '{field.name}' cannot be shared: its components lie apart; copy it, by "
+            "to_numpy or to_torch"
+        )
+    field._placed_node()
+    return single
+
+
+def field_device(field: Any) -> tuple[int, int]:
+    """Kind and number of the device, as DLPack has them."""
+    _storage(field).materialize()
+    return (CUDA, 0) if get_program().context.is_on_gpu() else (CPU, 0)
+
+
+def field_dlpack(
+    field: Any, stream: Any, max_version: Any, dl_device: Any, copy: bool | None
+) -> Any:
+    """The capsule of a field, which shares its memory."""
+    device = field_device(field)
+    if copy:
+        raise BufferError("a field is shared as it is: copy what comes of it")
+    if dl_device is not None and tuple(dl_device) != device:
+        raise BufferError(f"field '{field.name}' is on device {device}, not on {dl_device}")
+    single = _storage(field)
+    context = get_program().context
+    try:
+        address, _, steps, owner = single.core.lend()
+    except TaiError as error:
+        raise BufferError(str(error)) from None
+    size = 1 if field.dtype.is_bool else field.dtype.bits // 8
+    shape = (*field.shape, *field.element_shape)
+    if any(step % size for step, extent in zip(steps, shape, strict=True) if extent > 1):
+        raise BufferError(f"field '{field.name}' cannot be shared: its elements are not aligned")
+    if device[0] == CUDA and stream != -1:
+        # 1 is the default stream, 2 that of the thread; None means the former.
+        context.let_stream_wait(1 if stream is None else int(stream))
+    strides = [step // size for step in steps]
+    return native.make_dlpack(
+        address, list(shape), strides, CODES[field.dtype.kind], 8 * size, device[0], owner,
+        max_version is not None and tuple(max_version) >= (1, 0),
+    )  # fmt: skip
+
+
+def _shares_with(field: Any, tensor: Any) -> Any:
+    """A tensor that shares the memory of the field, if it is where `tensor` is; else None.
+
+    Torch's current stream waits for what has been launched.
+    """
+    import torch
+
+    kind = {"cpu": CPU, "cuda": CUDA}.get(tensor.type)
+    try:
+        if (kind, tensor.index or 0) != field_device(field):
+            return None
+        return torch.from_dlpack(field)
+    except (BufferError, RuntimeError, TypeError):
+        return None
+
+
+def to_torch(field: Any, device: Any) -> Any:
+    """A copy as a torch tensor, from device to device where it can be."""
+    import torch
+
+    where = torch.device("cpu" if device is None else device)
+    shared = _shares_with(field, where)
+    if shared is None:
+        tensor = torch.from_numpy(field.to_numpy())
+        return tensor if device is None else tensor.to(where)
+    copy = shared.clone(memory_format=torch.contiguous_format)
+    if where.type == "cuda":
+        # What is launched next may change the field.
+        wait_for_stream(torch.cuda.current_stream())
+    return copy
+
+
+def from_torch(field: Any, tensor: Any) -> None:
+    """Copies a torch tensor into a field, from device to device where it can be."""
+    tensor = tensor.detach()
+    wanted = (*field.shape, *field.element_shape)
+    shared = None
+    if tuple(tensor.shape) == wanted and state.tape is None and not state.forward:
+        shared = _shares_with(field, tensor.device)
+    if shared is None:
+        return field.from_numpy(tensor.cpu().numpy())
+    import torch
+
+    shared.copy_(tensor)
+    if tensor.device.type == "cuda":
+        wait_for_stream(torch.cuda.current_stream())
+    _storage(field).core.note_write()

@@ -1,0 +1,187 @@
+"""`@ti.kernel`: functions that are compiled and run over fields."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from ...errors import SHOW_TRACEBACK, TaiAutodiffError, TaiError, TaiSyntaxError, TaiTypeError
+from ..base import native, state
+from ..base.program import get_program
+from ..fields.arrays import Ndarray
+from ..history import origins
+from ..tracking import tracked
+from ..values.types import MatrixType, ScalarType
+from .bound_kernel import BoundKernel
+from .functions import func, pyfunc, real_func
+from .launch import launch
+from .signature import Signature, check_annotations, names_of
+from .specialization import Specialization, Specializations
+
+native.set_tracked_type(tracked.Number)
+native.set_ndarray_type(Ndarray)
+
+
+class Kernel(native.Launcher):
+    """A function that is compiled and runs over fields.
+
+    Calling it runs it; the first call with new kinds of arguments compiles it. `grad` runs
+    the kernel that accumulates its gradient.
+    """
+
+    _tai_kernel = True
+
+    def __init__(self, function: Callable[..., Any], is_method: bool):
+        self._function, self._is_method = function, is_method
+        self.__name__ = function.__name__
+        self.__qualname__ = function.__qualname__
+        self.__doc__ = function.__doc__
+        self.__module__ = function.__module__
+        self.__wrapped__ = function
+        self._program: Any = None
+        self._signature: Signature | None = None
+        self._specializations = Specializations(self, function)
+        # Of the kernels of this process, the how manieth.
+        self.number = state.kernels_made
+        state.kernels_made += 1
+        self.grad = GradientKernel(self)
+        check_annotations(function, is_method)
+
+    def __get__(self, instance: Any, owner: Any = None) -> Any:
+        return self if instance is None else BoundKernel(self, instance)
+
+    def __repr__(self) -> str:
+        return f"<ti.kernel '{self.__qualname__}'>"
+
+    # Calling
+
+    def _launch_slow(self, args: tuple, kwargs: dict) -> Any:
+        try:
+            return self._launch(self, args, kwargs, False)
+        except TaiError as error:
+            # How the compiler came there says nothing about the program.
+            raise error if SHOW_TRACEBACK else error.with_traceback(None)  # noqa: B904
+
+    def _launch(self, launcher: Any, args: tuple, kwargs: dict, grad: bool) -> Any:
+        if state.emitter is not None:
+            raise TaiSyntaxError(
+                f"kernel '{self.__name__}' is called while another kernel is compiled",
+                "make it a @ti.func",
+            )
+        values = self._get_signature().bind(args, kwargs)
+        if state.tape is not None or state.forward:
+            origins.check_call(self, self._get_signature().parameters, values)
+        tracks = grad or state.tape is not None
+        found = self._specialize(values, tracks)
+        signature = self._get_signature()
+        if grad and not found.has_gradients:
+            raise TaiAutodiffError(
+                f"kernel '{self.__name__}' has no gradient: nothing that it uses has one",
+                "make the fields with needs_grad=True, or call ti.root.lazy_grad() after placing "
+                "them",
+            )
+        return launch(launcher, signature, found, values, grad, tracks)
+
+    def _get_signature(self) -> Signature:
+        if self._signature is None:
+            self._signature = Signature(self._function, self._is_method)
+        return self._signature
+
+    @property
+    def _result(self) -> ScalarType | MatrixType | None:
+        """The type of the result; None also before the first call."""
+        return None if self._signature is None else self._signature.result
+
+    def _specialize(self, values: list[Any], tracks: bool = False) -> Specialization:
+        """The compiled kernel for these arguments; see `Specializations.get`."""
+        program = get_program()
+        if self._program is not program:
+            self._program = program
+            program.kernels.add(self)
+            self._signature = None  # default types may be others now
+        return self._specializations.get(program, self._get_signature(), values, tracks)
+
+    def release(self) -> None:
+        """The program is over: forgets what was compiled for it."""
+        self._program = None
+        self._specializations.clear()
+
+    # What was compiled
+
+    def mlir(self, *args: Any, stage: str = "tai") -> str:
+        """The IR of the kernel.
+
+        Args:
+            args: arguments, to choose a specialisation; the last one used if left out.
+            stage: `tai`, `autodiff`, `scf`, `llvm`, `llvmir` or `asm`; of kernels for a GPU also
+                their device code, `nvvm` or `ptx`.
+        """
+        return self._find(args).core.ir(stage)
+
+    def explain(self, *args: Any) -> str:
+        """What the gradient of the kernel does, in words.
+
+        For each serial loop: how many iterations it has, what is remembered of them, and for
+        each value that it carries from one to the next whether it is *linear*, of a *closed
+        form*, *invertible* or a *trajectory* (see docs/loops.md). For each branch: whether it
+        was flattened, or why not. Then the fields that the gradient reads and adds to, and what
+        the tape saves for it.
+
+        Args:
+            args: arguments, to choose a specialisation; the last one used if left out.
+
+        Raises:
+            TaiAutodiffError: the kernel cannot be differentiated.
+        """
+        return self._find(args).core.ir("explain")
+
+    def _find(self, args: tuple) -> Specialization:
+        """The specialisation for these arguments; the last one used if there are none."""
+        last = self._specializations.last
+        if not args and last is not None and self._program is state.program:
+            return last
+        signature = self._get_signature()
+        if not args and signature.is_known:
+            return self._specialize([None] * len(signature.parameters))
+        return self._specialize(signature.bind(args, {}))
+
+    def compile(self, *args: Any, grad: bool = False) -> None:
+        """Compiles the kernel for these arguments without running it."""
+        self._specialize(self._get_signature().bind(args, {})).core.compile(grad)
+
+
+class GradientKernel(native.Launcher):
+    """Runs the kernel that accumulates the gradient: `kernel.grad(…)`."""
+
+    def __init__(self, kernel: Kernel):
+        self._kernel = kernel
+        self.__name__ = kernel.__name__ + ".grad"
+
+    def _launch_slow(self, args: tuple, kwargs: dict) -> Any:
+        try:
+            return self._kernel._launch(self, args, kwargs, True)
+        except TaiError as error:
+            raise error if SHOW_TRACEBACK else error.with_traceback(None)  # noqa: B904
+
+
+def _is_in_class(function: Callable[..., Any]) -> bool:
+    parts = function.__qualname__.split(".")
+    return len(parts) > 1 and parts[-2] != "<locals>"
+
+
+def kernel(function: Callable[..., Any]) -> Kernel:
+    """Compiles a function to a kernel: its outermost loops run in parallel."""
+    if isinstance(function, (staticmethod, classmethod)):
+        raise TaiSyntaxError("put @staticmethod above @ti.kernel")
+    if not hasattr(function, "__code__"):
+        raise TaiTypeError(f"@ti.kernel takes a function, but got {function!r}")
+    return Kernel(function, _is_in_class(function) and "self" in names_of(function)[:1])
+
+
+def data_oriented(cls: type) -> type:
+    """Marks a class whose methods are kernels and functions."""
+    cls._tai_data_oriented = True  # type: ignore[attr-defined]
+    return cls
+
+
+__all__ = ["Kernel", "data_oriented", "func", "kernel", "pyfunc", "real_func"]

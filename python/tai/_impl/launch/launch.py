@@ -1,0 +1,142 @@
+"""One launch: arguments packed in slots, arrays and gradients told to the tape, and the call."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiRuntimeTypeError
+from ..base import native
+from ..history import origins
+from ..interop import device_arrays
+from ..tracking import tangents, tracked
+from ..tracking.arguments import adjoint_slots, as_array, check_arrays
+from ..tracking.tape_arrays import HeldArray, check_overlaps, is_same_array
+from .signature import Signature
+from .slots import number_slot
+from .specialization import Specialization
+
+
+def pack(
+    signature: Signature, found: Specialization, values: list[Any], tracks: bool
+) -> tuple[list[int], list[HeldArray]]:
+    """Slots of the arguments, and all arrays."""
+    slots: list[int] = []
+    kept: list[HeldArray] = []
+    pairs = zip(signature.parameters, found.specs, values, strict=True)
+    for parameter, spec, value in pairs:
+        if spec.kind == "scalar":
+            slots.append(number_slot(signature.kernel, parameter.name, spec.dt, value))
+        elif spec.kind == "matrix":
+            array = np.asarray(value)
+            if array.shape != spec.shape:
+                raise TaiRuntimeTypeError(
+                    f"argument '{parameter.name}' of kernel '{signature.kernel}' expects "
+                    f"{parameter.type!r}, but got shape {array.shape}"
+                )
+            slots += [
+                number_slot(signature.kernel, parameter.name, spec.dt, x.item())
+                for x in array.ravel()
+            ]
+        elif spec.kind == "array" and spec.alias is None:
+            array = as_array(value)
+            is_read, is_written = found.uses_of(spec)
+            if is_written and not array.flags.writeable:
+                raise TaiRuntimeTypeError(
+                    f"argument '{parameter.name}' of kernel '{signature.kernel}' is written, "
+                    "but the array is read-only",
+                    "pass a copy: array.copy()",
+                )
+            if isinstance(array, device_arrays.DeviceArray):
+                array.check(f"argument '{parameter.name}' of kernel '{signature.kernel}'")
+            launched = array
+            if not array.flags.c_contiguous:
+                same = (h.launched for h in kept if is_same_array(h.array, array))
+                launched = next(same, None)
+                if launched is None:
+                    launched = np.array(array, order="C")
+            kept.append(
+                HeldArray(parameter.name, signature.kernel, value, array, launched, len(slots),
+                          is_read, is_written, spec.has_gradient)
+            )  # fmt: skip
+            slots += [launched.ctypes.data, *array.shape]
+            if spec.has_gradient:
+                # Torch makes gradients where they are wanted: a kernel that does not look at
+                # this one gets the array again.
+                looks = tracks or spec.uses_gradient
+                grad = tracked.gradient_array(value) if looks else launched
+                slots += [grad.ctypes.data, *grad.shape]
+    return slots, kept
+
+
+def launch(
+    launcher: Any, signature: Signature, found: Specialization, values: list[Any], grad: bool,
+    tracks: bool,
+) -> Any:  # fmt: skip
+    """Runs a specialisation.
+
+    Args:
+        launcher: the kernel, or its gradient; it gets to know what it can launch by itself.
+        signature, found: of the kernel, and what was compiled for these arguments.
+        values: one for each parameter.
+        grad: whether to run the gradient.
+        tracks: whether adjoints of arguments and of the result have a place.
+
+    Returns:
+        What the kernel returns.
+    """
+    slots, kept = pack(signature, found, values, tracks)
+    if tracks:
+        check_arrays(signature.kernel, signature.parameters, found, values)
+    if len(kept) > 1:
+        check_overlaps(kept, tracks)
+    descriptions = [spec.description() for spec in found.specs]
+    wants_gradients = any(s.has_gradient and s.kind != "array" for s in found.specs)
+    result = found.result_spec
+    if (
+        grad not in found.registered
+        and None not in descriptions
+        and not (found.followed or found.result_pool)
+        and not wants_gradients
+        and not (grad and result is not None and result.has_gradient)
+    ):
+        found.registered.add(grad)
+        native.add_specialization(
+            launcher, found.core, grad, descriptions, found.result, found.tracking, found.reads
+        )
+    others = [held.array for held in kept if isinstance(held.array, device_arrays.DeviceArray)]
+    streams = device_arrays.order_before(others) if others else None
+    tape: Any = tracked.recording()
+    slots += [tangents.cell_of(values[number]).first for number in found.followed]
+    cell = None
+    if found.result_pool is not None and result is not None:
+        count = int(np.prod(result.shape, dtype=int))
+        cell = tangents.Cell(found.result_pool, count)
+        slots.append(cell.first)
+    gradient = None
+    try:
+        for held in kept if tape is not None else ():
+            is_read = found.core.reads_in_reverse(held.slot)
+            ends = held.is_written and found.core.ends_gradients(held.slot)
+            held = held._replace(is_read_in_reverse=is_read, ends_gradients=ends)
+            launched = tape.arrays.use(held)
+            slots[held.slot] = launched.ctypes.data
+        if tracks:
+            adjoints, gradient = adjoint_slots(found, values, tape)
+            slots += adjoints
+        answer = native.launch_slots(found.core, grad, slots, found.result)
+        if streams:
+            device_arrays.order_after(streams)
+        for held in kept:
+            if held.launched is not held.array and held.is_written and not grad:
+                held.array[...] = held.launched
+        if tape is not None and kept:
+            tape.arrays.after_launch()
+    finally:
+        if tape is not None and kept:
+            tape.arrays.forget_launch()
+    if grad or (gradient is None and cell is None):
+        return answer
+    origins.begin()
+    return tracked.wrap_result(answer, gradient, cell)

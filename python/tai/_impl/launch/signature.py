@@ -1,0 +1,178 @@
+"""Signatures of kernels: the types that parameters and results are annotated by."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiCompilationError, TaiRuntimeTypeError, TaiSyntaxError
+from ..base import dtypes
+from ..frontend.source import closure_of, function_ast
+from ..values.types import MatrixType, NdarrayType, ScalarType, template
+
+
+class Parameter:
+    """A parameter of a kernel, as it is annotated."""
+
+    __slots__ = ("default", "has_default", "name", "type")
+
+    def __init__(self, name: str, type_: Any, has_default: bool, default: Any):
+        self.name, self.type = name, type_
+        self.has_default, self.default = has_default, default
+
+
+def names_of(function: Callable[..., Any]) -> list[str]:
+    """The names of the parameters."""
+    code = function.__code__
+    return list(code.co_varnames[: code.co_argcount + code.co_kwonlyargcount])
+
+
+def _located(error: TaiCompilationError, function: Callable[..., Any]) -> TaiCompilationError:
+    """Places an error at the `def` line of a function."""
+    code = function.__code__
+    line = code.co_firstlineno
+    try:
+        node = function_ast(function)
+        error.locate(code.co_filename, node.lineno, node.col_offset + 1)
+    except TaiSyntaxError:
+        error.locate(code.co_filename, line, 1)
+    return error
+
+
+def check_annotations(function: Callable[..., Any], is_method: bool) -> None:
+    """Refuses parameters of a kernel without a type."""
+    code = function.__code__
+    if code.co_flags & 0x0C:
+        raise _located(
+            TaiSyntaxError(
+                f"kernel '{function.__name__}' cannot have *args or **kwargs",
+                "name each parameter, or pass a tuple as a ti.template()",
+            ),
+            function,
+        )
+    for name in names_of(function)[1 if is_method else 0 :]:
+        if name not in function.__annotations__:
+            raise _located(
+                TaiSyntaxError(
+                    f"parameter '{name}' of kernel '{function.__name__}' has no type",
+                    f"annotate it: {name}: ti.f32, {name}: ti.template(), …",
+                ),
+                function,
+            )
+
+
+def resolve(annotation: Any, function: Callable[..., Any]) -> Any:
+    """An annotation as an object; `from __future__ import annotations` leaves text."""
+    if not isinstance(annotation, str):
+        return annotation
+    try:
+        return eval(annotation, function.__globals__, closure_of(function))
+    except Exception as error:
+        raise _located(
+            TaiSyntaxError(f"the annotation '{annotation}' has no meaning: {error}"), function
+        ) from error
+
+
+def _is_template(annotation: Any) -> bool:
+    return annotation is template or isinstance(annotation, template)
+
+
+def parse_type(annotation: Any, function: Callable[..., Any], what: str) -> Any:
+    """The type that an annotation of a parameter or result names."""
+    annotation = resolve(annotation, function)
+    if _is_template(annotation):
+        return template()
+    if annotation is NdarrayType:
+        return NdarrayType()
+    if isinstance(annotation, (NdarrayType, MatrixType)):
+        return annotation
+    if dtypes.to_dtype(annotation) is not None:
+        return ScalarType(annotation)
+    raise _located(
+        TaiSyntaxError(
+            f"{what} of '{function.__name__}' has a type that kernels do not know: {annotation!r}",
+            "use a number type, ti.template(), ti.types.ndarray() or ti.types.vector(…)",
+        ),
+        function,
+    )
+
+
+def _parse(
+    function: Callable[..., Any], is_method: bool
+) -> tuple[list[Parameter], ScalarType | MatrixType | None]:
+    """The parameters of a kernel and the type of its result."""
+    defaults = dict(zip(reversed(names_of(function)), reversed(function.__defaults__ or ()),
+                        strict=False))  # fmt: skip
+    parameters = []
+    for number, name in enumerate(names_of(function)):
+        if number == 0 and is_method and name not in function.__annotations__:
+            type_: Any = template()
+        else:
+            type_ = parse_type(function.__annotations__[name], function, f"parameter '{name}'")
+        parameters.append(Parameter(name, type_, name in defaults, defaults.get(name)))
+    annotation = function.__annotations__.get("return")
+    if annotation is None or resolve(annotation, function) is None:
+        return parameters, None
+    result = parse_type(annotation, function, "the result")
+    if not isinstance(result, (ScalarType, MatrixType)) or result.dtype.name == "f16":
+        raise _located(
+            TaiSyntaxError(
+                f"kernel '{function.__name__}' cannot return {annotation!r}",
+                "return a number, a vector or a matrix",
+            ),
+            function,
+        )
+    if int(np.prod(result.shape, dtype=int)) > 16:
+        raise _located(TaiSyntaxError("a kernel returns at most 16 numbers"), function)
+    return parameters, result
+
+
+class Signature:
+    """The parameters of a kernel and the type of its result.
+
+    Attributes:
+        kernel: the name of the kernel.
+        parameters: in order.
+        result: a number or matrix type, or None.
+    """
+
+    def __init__(self, function: Callable[..., Any], is_method: bool):
+        self.kernel = function.__name__
+        self.parameters, self.result = _parse(function, is_method)
+
+    @property
+    def names(self) -> list[str]:
+        return [parameter.name for parameter in self.parameters]
+
+    @property
+    def is_known(self) -> bool:
+        """Whether no argument can change what is compiled."""
+        return all(isinstance(p.type, (ScalarType, MatrixType)) for p in self.parameters)
+
+    def bind(self, args: tuple, kwargs: dict) -> list[Any]:
+        """The value of each parameter."""
+        parameters = self.parameters
+        if len(args) > len(parameters):
+            raise TaiRuntimeTypeError(
+                f"kernel '{self.kernel}' takes {len(parameters)} arguments, but got {len(args)}",
+                f"its parameters: {', '.join(p.name for p in parameters) or 'none'}",
+            )
+        values = list(args)
+        for parameter in parameters[len(args) :]:
+            if parameter.name in kwargs:
+                values.append(kwargs.pop(parameter.name))
+            elif parameter.has_default:
+                values.append(parameter.default)
+            else:
+                raise TaiRuntimeTypeError(
+                    f"kernel '{self.kernel}' needs an argument '{parameter.name}'",
+                    f"its parameters: {', '.join(p.name for p in parameters)}",
+                )
+        if kwargs:
+            raise TaiRuntimeTypeError(
+                f"kernel '{self.kernel}' has no parameter '{next(iter(kwargs))}'",
+                f"its parameters: {', '.join(p.name for p in parameters) or 'none'}",
+            )
+        return values

@@ -1,0 +1,196 @@
+"""Specialisations: the code of a kernel for some kinds of arguments, found or compiled."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable
+from typing import Any
+
+from ...errors import TaiTypeError
+from ..base import native, state
+from ..fields.root import materialize, name_fields
+from ..frontend import templates
+from ..frontend.compiler import Compiler
+from ..frontend.source import closure_of
+from ..tracking import tangents, tracked
+from ..tracking.arguments import find_alias
+from .signature import Signature
+from .specs import ArgumentSpec, ResultSpec, spec_of
+
+
+class Specialization:
+    """A kernel compiled for some kinds of arguments.
+
+    Attributes:
+        has_gradients: whether something that it uses has a gradient.
+        reads: what the code depends on besides the arguments; see `templates.Reads`.
+    """
+
+    def __init__(
+        self, core: Any, specs: list[ArgumentSpec], result: ResultSpec | None, reads: list[tuple]
+    ):
+        self.core, self.specs, self.reads = core, specs, reads
+        # Takes it away from its kernel; set once the kernel has it.
+        self.drop: Callable[[], None] = lambda: None
+        self.has_gradients = True
+        # Whether the launcher in C++ knows it, for `grad` false and true.
+        self.registered: set[bool] = set()
+        self.result = () if result is None else result.description()
+        self.result_spec = result
+        # In forward mode: the numbers of the parameters that it follows, and the pool in which
+        # it keeps the result, or None.
+        self.followed: list[int] = []
+        self.result_pool: Any = None
+        arrays = any(spec.kind == "array" for spec in specs)
+        # Under a tape, someone must look at the arrays, and Python say where adjoints of results
+        # are: numbers as in the launcher.
+        self.tracking = 2 if result is not None and result.has_gradient else int(arrays)
+
+    def fits(self, specs: list[ArgumentSpec]) -> bool:
+        """Whether its code is that of these template arguments, as they are now."""
+        return self.is_for(specs) and templates.still_hold(self.reads)
+
+    def is_for(self, specs: list[ArgumentSpec]) -> bool:
+        """Whether it was compiled for these template arguments, whatever it read of them."""
+        pairs = zip(self.specs, specs, strict=True)
+        return all(
+            own.taken.matches(given.constant) for own, given in pairs if own.taken is not None
+        )
+
+    def uses_of(self, spec: ArgumentSpec) -> tuple[bool, bool]:
+        """Whether the array is read and written, by any of the parameters that it is given for."""
+        number = self.specs.index(spec)
+        same = [other for other in self.specs if other is spec or other.alias == number]
+        return any(s.is_read for s in same), any(s.is_written for s in same)
+
+
+class Specializations:
+    """What was compiled of one kernel for the program that runs.
+
+    Attributes:
+        last: the one that was asked for last, or None.
+    """
+
+    def __init__(self, kernel: Any, function: Callable[..., Any]):
+        self._kernel, self._function = weakref.ref(kernel), function
+        self._variants: dict[tuple, list[Specialization]] = {}
+        self.last: Specialization | None = None
+
+    def __len__(self) -> int:
+        return sum(map(len, self._variants.values()))
+
+    def get(
+        self, program: Any, signature: Signature, values: list[Any], tracks: bool = False
+    ) -> Specialization:
+        """The one for these arguments, compiled if there is none yet.
+
+        Args:
+            program: for which it is compiled.
+            signature: of the kernel.
+            values: one for each parameter.
+            tracks: whether numbers that have a gradient are to be differentiated by.
+        """
+        specs: list[ArgumentSpec] = []
+        key: list[Any] = []
+        followed: list[int] = []
+        for parameter, value in zip(signature.parameters, values, strict=True):
+            spec = spec_of(signature.kernel, parameter, value)
+            specs.append(spec)
+            if spec.kind == "template":
+                key.append(templates.hint(spec.constant))
+            elif spec.kind == "array":
+                spec.alias = find_alias(spec, value, values, specs)
+                key.append((spec.dt.name, spec.ndim, spec.element_shape, spec.has_gradient,
+                            spec.alias))  # fmt: skip
+            elif spec.dt.is_float and tangents.cell_of(value) is not None:
+                followed.append(len(specs) - 1)
+                key.append(("followed", len(specs), tangents.cell_of(value).pool.number))
+            elif tracks and spec.dt.is_float and tracked.gradient_of(value) is not None:
+                spec.has_gradient = True
+                key.append(len(specs))
+        pool, result = None, signature.result
+        if state.forward and result is not None and result.dtype.is_float:
+            pool = tangents.pool_besides([tangents.cell_of(values[n]) for n in followed])
+            key.append(("result", pool.number))
+        variants = self._variants.setdefault(tuple(key), [])
+        found = next((one for one in reversed(variants) if one.fits(specs)), None)
+        if found is None:
+            inputs = [tangents.cell_of(values[n]).pool for n in followed]
+            found = self._compile(
+                program, signature, specs, list(zip(followed, inputs, strict=True)), pool
+            )
+            variants.append(found)
+            self._note_users(program, found, tuple(key))
+            if found.reads:
+                same = [one for one in variants if one.is_for(specs)]
+                templates.warn_of_many(signature.kernel, same)
+        self.last = found
+        return found
+
+    def _note_users(self, program: Any, found: Specialization, key: tuple) -> None:
+        """Lets the trees that it uses drop a specialization when they are freed."""
+        store, one = weakref.ref(self), weakref.ref(found)
+
+        def drop() -> None:
+            owner, gone = store(), one()
+            if owner is not None and gone is not None:
+                owner._drop(gone, key)
+
+        found.drop = drop
+        for tree in found.core.trees:
+            program.trees[tree].users.add(found)
+
+    def _drop(self, gone: Specialization, key: tuple) -> None:
+        variants = self._variants.get(key, [])
+        if gone not in variants:
+            return
+        variants.remove(gone)
+        if not variants:
+            del self._variants[key]
+        if self.last is gone:
+            self.last = None
+        for launcher in self._launchers():
+            native.drop_specialization(launcher, gone.core)
+
+    def _launchers(self) -> list[Any]:
+        kernel = self._kernel()
+        return [] if kernel is None else [kernel, kernel.grad]
+
+    def clear(self) -> None:
+        """Forgets all of them."""
+        self.last = None
+        self._variants.clear()
+        for launcher in self._launchers():
+            native.clear_specializations(launcher)
+
+    def _compile(
+        self, program: Any, signature: Signature, specs: list[ArgumentSpec],
+        followed: list[tuple[int, Any]], pool: Any,
+    ) -> Specialization:  # fmt: skip
+        for parameter, spec in zip(signature.parameters, specs, strict=True):
+            if spec.dt is not None and spec.dt.name == "f16" and spec.kind != "array":
+                raise TaiTypeError(f"argument '{parameter.name}' cannot be f16", "use ti.f32")
+            if spec.kind == "template":
+                spec.taken = templates.take(spec.constant, parameter.name, signature.kernel)
+                if hasattr(spec.constant, "__dict__"):
+                    name_fields(vars(spec.constant))
+        name_fields(closure_of(self._function))
+        materialize(program, self._function.__globals__)
+        symbol = program.unique_symbol(signature.kernel)
+        program.kernel_functions[symbol] = self._function
+        names = signature.names
+        parameters = list(zip(names, specs, strict=True))
+        cells = ([(names[number], inputs.field) for number, inputs in followed],
+                 None if pool is None else pool.field)  # fmt: skip
+        result = None if signature.result is None else ResultSpec(signature.result)
+        compiler = Compiler(program, self._function, symbol, parameters, result, cells)
+        try:
+            core = compiler.compile()
+        except BaseException:
+            program.symbols.give_back(symbol)
+            raise
+        found = Specialization(core, specs, result, compiler.reads.all())
+        weakref.finalize(found, program.symbols.give_back, symbol).atexit = False
+        found.followed, found.result_pool = [number for number, _ in followed], pool
+        found.has_gradients = compiler.has_gradients
+        return found

@@ -1,0 +1,182 @@
+"""What the parameters and the result of a kernel are in one specialisation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiAutodiffError, TaiRuntimeTypeError
+from ..base import dtypes, state
+from ..fields.arrays import Ndarray
+from ..tracking import tangents, tracked
+from ..tracking.arguments import as_array
+from ..values.matrix import Matrix
+from ..values.types import MatrixType, NdarrayType, ScalarType
+from .signature import Parameter
+
+_SLOT_KINDS = {"f32": ("f",), "f64": ("d",), "u1": ("b",)}
+
+
+class ArgumentSpec:
+    """What one parameter of a kernel is in one specialisation.
+
+    Attributes:
+        kind: `scalar`, `matrix`, `array` or `template`.
+        dt, shape: type of a number or matrix.
+        ndim, element_shape: of an array.
+        constant: what a template parameter stands for.
+        taken: the same as it was when the kernel was compiled, as a `_core.Constant`.
+        has_gradient: whether the kernel is differentiated by it. An array then comes with
+            the array of its gradient.
+        alias: the number of the parameter that is the same array, or None.
+        is_element_fixed: whether the annotation says how many dimensions an element has.
+        is_checked: whether Python must look at each array that is given.
+        is_read, is_written: whether the kernel reads and writes the array; known once it is
+            compiled.
+        uses_gradient: whether it names the gradient of the array; known then, too.
+    """
+
+    def __init__(
+        self, kind: str, dt: Any = None, shape: tuple[int, ...] = (), ndim: int = 0,
+        element_shape: tuple[int, ...] = (), constant: Any = None, has_gradient: bool = False,
+    ):  # fmt: skip
+        self.kind, self.dt, self.shape = kind, dt, shape
+        self.ndim, self.element_shape, self.constant = ndim, element_shape, constant
+        self.has_gradient = has_gradient
+        self.taken: Any = None
+        self.alias: int | None = None
+        self.is_element_fixed = self.is_checked = False
+        self.is_read = self.is_written = self.uses_gradient = False
+
+    @property
+    def has_slot(self) -> bool:
+        return self.kind != "template" and self.alias is None
+
+    @property
+    def mlir_types(self) -> list[str]:
+        """Of the arguments in IR that stand for this one."""
+        if not self.has_slot:
+            return []
+        return [self.mlir_type] * (2 if self.kind == "array" and self.has_gradient else 1)
+
+    def names(self, name: str) -> list[str]:
+        """What these are called: the argument, and the gradient of an array."""
+        return [name, f"{name}.grad"][: len(self.mlir_types)]
+
+    @property
+    def mlir_type(self) -> str:
+        if self.kind == "array":
+            extents = ["?"] * self.ndim + [str(e) for e in self.element_shape]
+            return f"memref<{'x'.join([*extents, self.dt.mlir])}>"
+        if self.shape:
+            return f"vector<{'x'.join(map(str, self.shape))}x{self.dt.mlir}>"
+        return self.dt.mlir
+
+    def description(self) -> tuple | None:
+        """The argument for the launcher in C++, or None where Python must pack it."""
+        if self.kind == "template":
+            return ("c", self.taken)
+        if self.kind == "array":
+            if self.uses_gradient or self.alias is not None or self.is_checked:
+                return None
+            shape = list(self.element_shape)
+            return ("a", self.dt.numpy.char, self.ndim, shape, self.has_gradient,
+                    self.is_element_fixed, self.is_written)  # fmt: skip
+        if self.kind == "matrix":
+            return None
+        if self.dt.is_int:
+            return ("i", self.dt.bits, self.dt.kind == "u")
+        return _SLOT_KINDS[self.dt.name]
+
+
+class ResultSpec:
+    """The type of what a kernel returns."""
+
+    def __init__(self, type_: ScalarType | MatrixType):
+        self.type = type_
+        self.dt, self.shape = type_.dtype, type_.shape
+
+    @property
+    def mlir_type(self) -> str:
+        return ArgumentSpec("matrix", self.dt, self.shape).mlir_type
+
+    def convert(self, emitter: Any, value: Any) -> Any:
+        return self.type.convert(emitter, value)
+
+    def description(self) -> tuple:
+        """Kind and width of a number, how many, and what makes a matrix of them."""
+        kind = "d" if self.dt.name == "f64" else self.dt.kind
+        count = int(np.prod(self.shape, dtype=int))
+        return (kind, self.dt.bits, count, self._wrap if self.shape else None)
+
+    @property
+    def has_gradient(self) -> bool:
+        return self.dt.is_float
+
+    def _wrap(self, numbers: tuple) -> Any:
+        return Matrix._wrap(np.array(numbers, self.dt.numpy).reshape(self.shape))
+
+
+def spec_of(kernel: str, parameter: Parameter, value: Any) -> ArgumentSpec:
+    """What a value is for a parameter of a kernel.
+
+    Raises:
+        TaiRuntimeTypeError: it does not fit the annotation.
+        TaiAutodiffError: a value with a gradient for a template parameter.
+    """
+    type_ = parameter.type
+    if isinstance(type_, ScalarType):
+        return ArgumentSpec("scalar", type_.dtype)
+    if isinstance(type_, MatrixType):
+        return ArgumentSpec("matrix", type_.dtype, type_.shape)
+    if isinstance(type_, NdarrayType):
+        return _array_spec(kernel, parameter, value)
+    has_gradient = tracked.gradient_of(value) is not None and state.tape is not None
+    if has_gradient or tangents.cell_of(value) is not None:
+        raise TaiAutodiffError(
+            f"template argument '{parameter.name}' of kernel '{kernel}' is a constant, "
+            "but got a value with a gradient",
+            f"annotate it by a type: {parameter.name}: ti.f32",
+        )
+    return ArgumentSpec("template", constant=value)
+
+
+def _array_spec(kernel: str, parameter: Parameter, value: Any) -> ArgumentSpec:
+    type_ = parameter.type
+    what = f"argument '{parameter.name}' of kernel '{kernel}'"
+    array = as_array(value)
+    if array is None:
+        raise TaiRuntimeTypeError(f"{what} expects an array, but got {type(value).__name__}")
+    dt = dtypes.to_dtype(array.dtype)
+    if dt is None:
+        raise TaiRuntimeTypeError(f"{what} expects numbers, but got {array.dtype}")
+    if type_.dtype is not None and type_.dtype is not dt:
+        raise TaiRuntimeTypeError(
+            f"{what} expects an array of {type_.dtype}, but got {dt}",
+            f"convert it: array.astype(np.{type_.dtype.numpy})",
+        )
+    element_dim = type_.element_dim or len(getattr(value, "element_shape", ()))
+    ndim = array.ndim - element_dim
+    if ndim < 0 or (type_.ndim is not None and type_.ndim != ndim):
+        wanted = type_.ndim if type_.ndim is not None else f"at least {element_dim}"
+        raise TaiRuntimeTypeError(f"{what} expects {wanted} dimensions, but got {ndim}")
+    element_shape = tuple(array.shape[ndim:])
+    if type_.element_shape is not None and tuple(type_.element_shape) != element_shape:
+        raise TaiRuntimeTypeError(
+            f"{what} expects elements of shape {tuple(type_.element_shape)}, "
+            f"but got {element_shape}"
+        )
+    has_gradient = dt.is_float and tracked.has_gradient_array(value)
+    if type_.needs_grad and isinstance(value, Ndarray) and not has_gradient:
+        raise TaiRuntimeTypeError(
+            f"{what} expects an array with a gradient",
+            "make it with needs_grad=True",
+        )
+    spec = ArgumentSpec(
+        "array", dt, ndim=ndim, element_shape=element_shape, has_gradient=has_gradient
+    )
+    spec.is_element_fixed = bool(type_.element_dim)
+    # Where the annotation wants a gradient, some arrays may still come without one.
+    spec.is_checked = type_.needs_grad and not has_gradient
+    return spec

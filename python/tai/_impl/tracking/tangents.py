@@ -1,0 +1,130 @@
+"""Tangents of what kernels return and take in forward mode.
+
+In forward mode a number that a kernel returns is also stored to an element of a field, whose
+dual is its tangent, and a kernel that takes such a number as an argument loads it from there.
+What Python computes from such numbers is computed by kernels, too. So the derivative of a
+gradient passes through them as it does through fields.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ...errors import TaiRuntimeError
+from ..base import dtypes, state
+from ..base.program import get_program
+from ..fields.scalar import ScalarField
+from ..fields.snode import FieldsBuilder, axes
+
+# Gives the kernel that computes with them; module `ad.library`, which forward mode loads, sets it.
+get_kernel: Any = None
+
+# Numbers that forward mode can follow at a time.
+SIZE = 4096
+
+
+class Pool:
+    """A field, and which of its elements are taken.
+
+    Attributes:
+        number: of the pool.
+        field: of f64, with a gradient and a dual.
+    """
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        self.field = ScalarField(dtypes.f64, "returned")
+        self.field.needs_grad = self.field.needs_dual = True
+        builder = FieldsBuilder()
+        builder.dense(axes(0), SIZE).place(self.field)
+        builder.finalize()
+        # Runs of free elements by their length, and where those begin that were never taken.
+        self._free: dict[int, list[int]] = {}
+        self._next = 0
+
+    def take(self, count: int) -> int:
+        """The first of `count` elements in a row."""
+        free = self._free.get(count)
+        if free:
+            return free.pop()
+        if self._next + count > SIZE:
+            raise TaiRuntimeError(
+                f"forward mode follows at most {SIZE} numbers that kernels have returned at a time",
+                "keep them in a field",
+            )
+        self._next += count
+        return self._next - count
+
+    def give_back(self, first: int, count: int) -> None:
+        self._free.setdefault(count, []).append(first)
+
+
+def pool_besides(inputs: list[Any]) -> Pool:
+    """The pool for what is computed from these places: none of theirs.
+
+    A kernel that reads and writes one field may overwrite what it has read, for all that a tape
+    knows.
+    """
+    pools, taken = get_program().pools, {place.pool for place in inputs}
+    for pool in pools:
+        if pool not in taken:
+            return pool
+    pools.append(Pool(len(pools)))
+    return pools[-1]
+
+
+class Cell:
+    """The place of a number, vector or matrix; it is free again when this object has gone."""
+
+    __slots__ = ("__weakref__", "count", "first", "pool")
+
+    def __init__(self, pool: Pool, count: int):
+        self.pool, self.count = pool, count
+        self.first = pool.take(count)
+        if state.tape is not None:
+            state.tape.keep(self)
+
+    def __del__(self) -> None:
+        if hasattr(self, "first"):
+            self.pool.give_back(self.first, self.count)
+
+    @property
+    def is_current(self) -> bool:
+        """Whether forward mode is on, in the program of the number."""
+        program = state.program
+        return state.forward and program is not None and self.pool in program.pools
+
+
+class Component:
+    """The place of a component of a vector or matrix."""
+
+    __slots__ = ("_whole", "count", "first", "pool")
+
+    def __init__(self, whole: Cell, number: int):
+        self._whole, self.pool = whole, whole.pool
+        self.first, self.count = whole.first + number, 1
+
+    @property
+    def is_current(self) -> bool:
+        return self._whole.is_current
+
+
+def cell_of(value: Any) -> Any:
+    """Where a value has its tangent, if forward mode follows it."""
+    cell = getattr(value, "_cell", None) if state.forward else None
+    return cell if cell is not None and cell.is_current else None
+
+
+def combine(name: str, a: Any, b: Any) -> Cell | None:
+    """The place of what Python computes from two numbers; None if it is a constant."""
+    first, second = cell_of(a), cell_of(b)
+    if first is None and second is None:
+        return None
+    out = Cell(pool_besides([cell for cell in (first, second) if cell is not None]), 1)
+    get_kernel()(
+        name, out.pool.field, None if first is None else first.pool.field,
+        None if second is None else second.pool.field, out.first,
+        -1 if first is None else first.first, -1 if second is None else second.first,
+        float(a), float(b),
+    )  # fmt: skip
+    return out

@@ -1,0 +1,487 @@
+"""Arrays of the launches that a tape records: on the host, and on a GPU.
+
+A launch may overwrite what an earlier one has read. What was there is kept where the array is,
+and put back in the reverse sweep. On a GPU that is a copy in the order of the launches, and a
+part of the sequence that a sweep or a replay queues at once.
+
+Python may change an array at any time. Where the gradient of a launch reads an array of the
+host, the launch gets a copy of it, as long as no recorded kernel writes to the array; the copy
+serves all launches until the array holds something else. What recorded kernels write is the
+array itself: its digest tells whether somebody else has changed it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import weakref
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
+from ..base import native
+from ..base.program import get_program
+from ..interop import device_arrays
+
+
+class _HostCopy:
+    """What an array of the host held."""
+
+    def __init__(self, array: np.ndarray):
+        self._array, self._kept = array, array.copy()
+
+    def save(self) -> None:
+        np.copyto(self._kept, self._array)
+
+    def restore(self) -> None:
+        np.copyto(self._array, self._kept)
+
+
+class _DeviceCopy:
+    """What an array of a GPU held."""
+
+    def __init__(self, array: device_arrays.DeviceArray):
+        self._array = array
+        self._memory = native.DeviceMemory(get_program().context, array.nbytes)
+        self.save()
+
+    def save(self) -> None:
+        self._memory.save(self._array.ctypes.data)
+
+    def restore(self) -> None:
+        self._memory.restore(self._array.ctypes.data)
+
+
+def _copy_of(array: Any) -> Any:
+    on_device = isinstance(array, device_arrays.DeviceArray)
+    return _DeviceCopy(array) if on_device else _HostCopy(array)
+
+
+# Steps of the search for a common element of two arrays with strides.
+_MOST_WORK = 100_000
+
+
+def overlap(one: Any, other: Any) -> bool:
+    """Whether two arrays share elements; true where that is too hard to tell."""
+    if one.nbytes == 0 or other.nbytes == 0:
+        return False
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        if not np.may_share_memory(one, other):
+            return False
+        try:
+            return np.shares_memory(one, other, max_work=_MOST_WORK)
+        except RuntimeError:  # TooHardError, whose place depends on the version of NumPy
+            return True
+    begin, end = one.ctypes.data, other.ctypes.data
+    return begin < end + other.nbytes and end < begin + one.nbytes
+
+
+def is_same_array(one: Any, other: Any) -> bool:
+    """Whether two arrays have the same elements, in the same order."""
+    if type(one) is not type(other) or one.dtype != other.dtype:
+        return False
+    same = one.ctypes.data == other.ctypes.data and one.shape == other.shape
+    return same and getattr(one, "strides", None) == getattr(other, "strides", None)
+
+
+def _is_equal(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two arrays hold the same bits."""
+    flat = (np.ascontiguousarray(a).reshape(-1).view(np.uint8) for a in (one, other))
+    return np.array_equal(*flat)
+
+
+def _digest_of(array: Any) -> int:
+    return native.digest(array.ctypes.data, array.nbytes)
+
+
+class HeldArray(NamedTuple):
+    """An array that a launch is given.
+
+    Attributes:
+        name: the parameter.
+        kernel: the name of the kernel.
+        value: what the kernel was called with.
+        array: its memory.
+        launched: the memory that the kernel gets: the array, or a contiguous copy of it.
+        slot: where its address is among the slots of the launch.
+        is_read, is_written: what the kernel does with it.
+        has_gradient: whether the kernel is differentiated by it.
+        is_read_in_reverse: whether the gradient reads its elements.
+        ends_gradients: whether the kernel stores differentiable values there, and it has no
+            gradient.
+    """
+
+    name: str
+    kernel: str
+    value: Any
+    array: Any
+    launched: Any
+    slot: int
+    is_read: bool
+    is_written: bool
+    has_gradient: bool = False
+    is_read_in_reverse: bool = False
+    ends_gradients: bool = False
+
+    @property
+    def what(self) -> str:
+        return f"array '{self.name}' of kernel '{self.kernel}'"
+
+
+def check_overlaps(held: list[HeldArray], tracks: bool) -> None:
+    """Refuses arrays that share elements of which the kernel writes some.
+
+    The same array for two parameters is changed in place, but a gradient cannot tell.
+    """
+    for number, one in enumerate(held):
+        for other in held[:number]:
+            if not (one.is_written or other.is_written):
+                continue
+            if is_same_array(one.array, other.array) and not tracks:
+                continue
+            if overlap(one.array, other.array):
+                written = one if one.is_written else other
+                raise TaiRuntimeTypeError(
+                    f"arrays '{other.name}' and '{one.name}' of kernel '{one.kernel}' overlap, "
+                    f"and it writes to '{written.name}'",
+                    f"pass a copy of one of them: {other.name}.copy()",
+                )
+
+
+class _Frozen:
+    """What an array held at its launches, as often as that was something new."""
+
+    def __init__(self, held: HeldArray):
+        self.held = held
+        self.versions: list[np.ndarray] = []
+
+    def take(self, array: np.ndarray) -> np.ndarray:
+        """The copy that holds what the array holds."""
+        if not self.versions or not _is_equal(self.versions[-1], array):
+            self.versions.append(np.array(array, order="C"))
+        return self.versions[-1]
+
+    def renew(self) -> None:
+        """The launches run forward again, on what the array holds now."""
+        if len(self.versions) == 1:
+            np.copyto(self.versions[0], self.held.array)
+        elif not _is_equal(self.versions[-1], self.held.array):
+            raise TaiRuntimeError(
+                f"{self.held.what} was changed by Python while the tape recorded, and again since: "
+                "the tape cannot tell which launches are to read what it holds now",
+                "record the program again, or pass each launch an array of its own",
+            )
+
+
+def _range_of(array: Any) -> tuple[int, int, int, int]:
+    """The first byte, the byte behind the last, a divisor of the distances between elements, and
+    the bytes of an element."""
+    address, size = array.ctypes.data, array.dtype.itemsize
+    if not isinstance(array, np.ndarray):
+        return address, address + array.nbytes, size, size
+    steps = [
+        (n - 1, step) for n, step in zip(array.shape, array.strides, strict=True) if n > 1 and step
+    ]
+    begin = address + sum(n * step for n, step in steps if step < 0)
+    end = address + size + sum(n * step for n, step in steps if step > 0)
+    divisor = math.gcd(*(step for _, step in steps)) if steps else size
+    return begin, end, divisor, size
+
+
+class _Sampled:
+    """An array without a gradient that recorded kernels write differentiable values to.
+
+    Whether Python has written to it since is seen by a few of its elements.
+    """
+
+    def __init__(self, held: HeldArray):
+        self.held = held
+        self._sample: int | None = None
+
+    def renew(self, contents: Any) -> None:
+        self._sample = _sample_of(contents)
+        native.note_array_sample(self.held.value, self._sample)
+
+    def is_changed(self, contents: Any) -> bool:
+        return self._sample is not None and _sample_of(contents) != self._sample
+
+
+def _sample_of(array: Any) -> int:
+    return native.sample(array.ctypes.data, array.nbytes)
+
+
+class _Watched:
+    """An array that recorded kernels write and gradients read."""
+
+    def __init__(self, held: HeldArray):
+        self.held = held
+        self.renew()
+
+    def renew(self) -> None:
+        self.digest = _digest_of(self.held.array)
+        native.note_array_digest(self.held.value, self.digest)
+
+    def check(self) -> None:
+        if _digest_of(self.held.array) != self.digest:
+            raise TaiRuntimeError(
+                f"{self.held.what} was changed after the tape had recorded the launch, by Python "
+                "or by a kernel that was not recorded, and the gradient needs what it held",
+                "change it in a recorded kernel, or before the tape begins",
+            )
+
+
+def _version(tensor: Any) -> int | None:
+    """How often torch has changed a tensor in place; None where nobody counts."""
+    try:
+        return tensor._version
+    except (AttributeError, RuntimeError):  # of an inference tensor
+        return None
+
+
+class TapeArrays:
+    """What a tape knows of the arrays of its launches."""
+
+    def __init__(self, core: Any, runs_again: bool, take: weakref.WeakMethod):
+        self._core, self._runs_again, self._launcher = core, runs_again, native
+        # What to do with the gradient of an array that a launch uses. Weak: it is the tape's.
+        self._take = take
+        # By address and size: a part of an array may start where the array does.
+        self._used: dict[tuple, Any] = {}
+        self._names: dict[tuple, HeldArray] = {}
+        self._restored: dict[tuple, Any] = {}
+        # What recorded kernels write; what launches have had copies of; what gradients read.
+        self._written: dict[tuple, Any] = {}
+        self._frozen: dict[tuple, _Frozen] = {}
+        self._watched: dict[tuple, _Watched] = {}
+        self._sampled: dict[tuple, _Sampled] = {}
+        # Of the launch that comes next: copies to write back, and what it changes.
+        self._staged: list[HeldArray] = []
+        self._changing: list[HeldArray] = []
+        # Arrays of a GPU, one for each library that says on which stream it works.
+        self._streams: dict[Any, device_arrays.DeviceArray] = {}
+        # Tensors with their versions, and those with a gradient.
+        self._tensors: dict[int, list] = {}
+        self._gradients: dict[int, tuple[Any, Any]] = {}
+
+    def use(self, held: HeldArray) -> Any:
+        """An array of the launch that comes next.
+
+        Returns:
+            The memory that the kernel gets.
+
+        Raises:
+            TaiRuntimeError: its library, or Python, has changed it since an earlier launch.
+            TaiAutodiffError: a tape that runs kernels again would not find what it held.
+        """
+        value, array = held.value, held.array
+        self._core.keep(array)
+        if isinstance(array, device_arrays.DeviceArray):
+            self._streams.setdefault(array.library, array)
+        version = self._check_version(value)
+        strides = getattr(array, "strides", None)
+        key = (array.ctypes.data, array.nbytes, strides)
+        for watched in self._watched.values():
+            if overlap(array, watched.held.array):
+                watched.check()
+        overwrites = held.is_written and any(overlap(array, a) for a in self._used.values())
+        changes = overwrites or (held.is_written and held.is_read)
+        if held.is_written and self._runs_again:
+            changes |= any(overlap(array, f.held.array) for f in self._frozen.values())
+        if self._runs_again and changes:
+            raise TaiAutodiffError(
+                "a tape with checkpoints runs kernels again, and does not keep what an array held "
+                "that they change",
+                "keep it in a field, or leave out checkpoint and memory_budget",
+            )
+        if overwrites:
+            saved = _copy_of(array)
+            self._restored[key] = array
+            self._core.record(saved.save, saved.restore)
+        is_state = held.is_written or any(overlap(array, a) for a in self._written.values())
+        is_copied = held.launched is not held.array
+        on_host = isinstance(array, np.ndarray) and version is None
+        self._launcher.note_taped_array(value, key[0], key[1], -1 if version is None else version)
+        if on_host:
+            self._look_at_sample(key, held)
+        if held.is_written:
+            self._written[key] = array
+            self._changing.append(held)
+        if on_host and not is_state and (is_copied or held.is_read_in_reverse):
+            return self._freeze(key, held)
+        self._used[key] = array
+        self._names.setdefault(key, held)
+        if is_copied:
+            self._stage(held)
+        elif on_host and held.is_read_in_reverse and key not in self._watched:
+            self._watched[key] = _Watched(held)
+        return held.launched
+
+    def _check_version(self, value: Any) -> int | None:
+        """How often its library has changed a tensor, which must not be now."""
+        version = _version(value)
+        if version is not None:
+            known = self._tensors.setdefault(id(value), [value, version])
+            if known[1] != version:
+                raise TaiRuntimeError(
+                    "a tensor that the tape has recorded launches on was changed by its library",
+                    "change it in a kernel, or before the tape begins",
+                )
+        return version
+
+    def _freeze(self, key: tuple, held: HeldArray) -> np.ndarray:
+        """The copy that the launch reads, and its gradient."""
+        known = self._frozen.setdefault((*key, held.array.dtype.str), _Frozen(held))
+        copies = len(known.versions)
+        copy = known.take(held.array)
+        if held.has_gradient and 0 < copies < len(known.versions):
+            known.versions.pop()
+            raise TaiRuntimeError(
+                f"{held.what} was changed by Python after the tape had recorded a launch on it, "
+                "and it has one gradient for both",
+                "change it in a kernel, or before the tape begins",
+            )
+        self._core.keep(copy)
+        self._launcher.note_frozen_array(held.value, copy.ctypes.data)
+        return copy
+
+    def _look_at_sample(self, key: tuple, held: HeldArray) -> None:
+        """Notes that Python has written to the array since a launch has, if so."""
+        known = self._sampled.get(key)
+        if known is not None and known.is_changed(held.launched):
+            self._core.note_array_write(*_range_of(held.array))
+            del self._sampled[key]
+        elif known is not None and not held.is_written:
+            known.renew(held.launched)
+        if held.ends_gradients:
+            self._sampled[key] = _Sampled(held)
+
+    def _stage(self, held: HeldArray) -> None:
+        """The kernel gets a contiguous copy of what others change: a replay copies again."""
+        copy, array = held.launched, held.array
+        self._core.keep(copy)
+        self._core.note_array_copy(copy.ctypes.data, *_range_of(array))
+        self._core.record(lambda: np.copyto(copy, array), None)
+        if held.is_written:
+            self._staged.append(held)
+
+    def after_launch(self) -> None:
+        """The launch has been recorded, and has run."""
+        for held in self._staged:
+            copy, array = held.launched, held.array
+            self._core.record(lambda copy=copy, array=array: np.copyto(array, copy), None)
+        for held in self._changing:
+            for watched in self._watched.values():
+                if overlap(held.array, watched.held.array):
+                    watched.renew()
+            for sampled in self._sampled.values():
+                if sampled.held.array is held.array:
+                    sampled.renew(held.launched)
+                elif overlap(held.array, sampled.held.array):
+                    sampled.renew(np.ascontiguousarray(sampled.held.array))
+        self.forget_launch()
+
+    def forget_launch(self) -> None:
+        """The launch has failed, or all has been said about it."""
+        self._staged.clear()
+        self._changing.clear()
+
+    def use_gradient(self, value: Any, buffer: Any) -> None:
+        """The memory to which the gradient of an argument is added."""
+        taken = getattr(getattr(value, "grad", None), "taken", None)
+        if taken is not None:
+            self._take()(taken)  # type: ignore[misc]
+        self._core.keep(buffer)
+        self._launcher.note_taped_gradient(value, buffer.ctypes.data)
+        if hasattr(value, "requires_grad"):
+            self._gradients.setdefault(id(value), (value, value.grad))
+
+    def end(self) -> None:
+        """The tape records no more."""
+        self._launcher.forget_taped_arrays()
+
+    def find(self, array: np.ndarray, has_gradient: bool) -> str | None:
+        """The argument of a launch that minds what Python does to the array now, if any.
+
+        Launches that have had copies of a constant array do not.
+        """
+        for frozen in self._frozen.values():
+            if has_gradient and overlap(frozen.held.array, array):
+                return frozen.held.what
+        for held in self._names.values():
+            if overlap(held.array, array):
+                return held.what
+        return None
+
+    @property
+    def restores(self) -> bool:
+        """Whether a sweep puts back contents of arrays."""
+        return bool(self._restored)
+
+    @contextlib.contextmanager
+    def ordered(self) -> Iterator[None]:
+        """What is queued meanwhile comes after what the libraries of the arrays have queued, and
+        before what they queue then."""
+        streams = device_arrays.order_before(list(self._streams.values()))
+        try:
+            yield
+        finally:
+            device_arrays.order_after(streams)
+
+    @contextlib.contextmanager
+    def sweep(self) -> Iterator[None]:
+        """Around a reverse sweep: puts arrays back afterwards."""
+        self._check_gradients()
+        with self.ordered():
+            final = [_copy_of(array) for array in self._restored.values()]
+            try:
+                yield
+            finally:
+                for copy in final:
+                    copy.restore()
+
+    def check_versions(self) -> None:
+        """Before a sweep over what was recorded: tensors, and arrays that kernels have
+        written, must hold what they held.
+
+        Raises:
+            TaiRuntimeError: torch or Python has changed one since.
+        """
+        for tensor, version in self._tensors.values():
+            if _version(tensor) != version:
+                raise TaiRuntimeError(
+                    "a tensor was changed by its library after the tape had recorded, and the "
+                    "gradient needs what it held",
+                    "replay the tape forward and backward: tape.replay()",
+                )
+        for watched in self._watched.values():
+            watched.check()
+
+    def take_versions(self) -> None:
+        """The launches run forward again, on what arrays and tensors hold now."""
+        for entry in self._tensors.values():
+            entry[1] = _version(entry[0])
+        for frozen in self._frozen.values():
+            frozen.renew()
+
+    def renew_digests(self) -> None:
+        """The launches have run forward again."""
+        for watched in self._watched.values():
+            watched.renew()
+
+    def _check_gradients(self) -> None:
+        """Each tensor must still have the gradient that the launches add to.
+
+        One that torch has forgotten, as its optimisers do, begins with zeros again.
+        """
+        for tensor, gradient in self._gradients.values():
+            now = tensor.grad
+            if now is None:
+                gradient.detach().zero_()
+                tensor.grad = gradient
+            elif now.data_ptr() != gradient.data_ptr():
+                raise TaiRuntimeError(
+                    "a tensor that the tape has recorded launches on has another gradient now",
+                    "change the one it has: t.grad.copy_(…) or t.grad.zero_()",
+                )

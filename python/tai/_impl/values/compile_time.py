@@ -1,0 +1,40 @@
+"""Arithmetic on numbers that are known while a kernel is compiled."""
+
+from __future__ import annotations
+
+import math
+import operator
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiTypeError
+
+PYTHON = {
+    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv,
+    "//": operator.floordiv, "%": operator.mod, "**": operator.pow, "&": operator.and_,
+    "|": operator.or_, "^": operator.xor, "<<": operator.lshift, ">>": operator.rshift,
+    "@": operator.matmul,
+}  # fmt: skip
+
+
+def divided_by_zero() -> TaiTypeError:
+    """The error of a division of whole numbers by a constant zero."""
+    return TaiTypeError(
+        "a whole number is divided by zero",
+        "make the divisor a float, or leave the division out: if ti.static(n != 0)",
+    )
+
+
+def compute(op: str, a: Any, b: Any) -> Any:
+    """`a op b` of what is known at compile time: numbers out of range as when the kernel runs."""
+    try:
+        result = PYTHON[op](a, b)
+    except (ZeroDivisionError, OverflowError):
+        whole = not isinstance(a, (float, np.floating)) and not isinstance(b, (float, np.floating))
+        if whole and op in ("//", "%"):
+            raise divided_by_zero() from None
+        function = {"/": np.true_divide, "//": np.floor_divide, "%": np.mod, "**": np.power}[op]
+        with np.errstate(all="ignore"):
+            result = float(function(float(a), float(b)))
+    return math.nan if isinstance(result, complex) else result

@@ -1,0 +1,40 @@
+"""What to say of a thing that stands where a number is needed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..base.dtypes import DataType
+from ..base.elements import Elements
+from .value import Value
+
+
+def name_of(thing: Any) -> str:
+    if isinstance(thing, Value):
+        return f"a {thing.kind_name}"
+    return f"'{thing}'" if isinstance(thing, str) else type(thing).__name__
+
+
+def describe_misuse(thing: Any) -> str:
+    """Why `thing` is no number."""
+    if isinstance(thing, Elements):
+        return f"{thing._described()} stands where a number is needed"
+    if isinstance(thing, DataType):
+        return f"the type {thing.name} stands where a number is needed"
+    if thing is None:
+        return "None stands where a number is needed"
+    if callable(thing):
+        name = getattr(thing, "__name__", type(thing).__name__)
+        return f"function '{name}' stands where a number is needed"
+    return f"{name_of(thing)} stands where a number is needed"
+
+
+def misuse_hint(thing: Any) -> str | None:
+    if isinstance(thing, Elements):
+        example = thing._example()
+        return None if example is None else f"read an element: {example}"
+    if isinstance(thing, DataType):
+        return f"convert a number to it: ti.cast(x, {thing.name})"
+    if callable(thing):
+        return "call it: add parentheses"
+    return None

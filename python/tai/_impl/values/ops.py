@@ -1,0 +1,407 @@
+"""Functions on numbers, which work in Python and in kernels: `ti.sin`, `ti.max`, `ti.cast`, …"""
+
+from __future__ import annotations
+
+import builtins
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiSyntaxError, TaiTypeError
+from ..base import dtypes, state
+from ..base.dtypes import cast as cast
+from .division import check_division
+from .matrix import Matrix
+from .value import stop_gradient
+
+
+def _needs_emitter(*things: Any) -> bool:
+    """Whether the result is a value of the kernel being compiled."""
+    if state.emitter is None:
+        return False
+    return any(hasattr(t, "emit_operand") for t in things)
+
+
+def _check_number(x: Any, name: str) -> None:
+    if not isinstance(x, (bool, int, float, np.generic, Matrix)):
+        raise TaiTypeError(f"ti.{name} takes numbers, but got {x!r}")
+
+
+def _unary(name: str, scalar: Callable[[float], float], doc: str) -> Callable[[Any], Any]:
+    array_function = np.frompyfunc(scalar, 1, 1)
+
+    def function(x: Any) -> Any:
+        if _needs_emitter(x):
+            return state.emitter.unary(name, x)
+        _check_number(x, name)
+        if isinstance(x, Matrix):
+            dtype = x.dtype.numpy if x.dtype.is_float else state.options.default_fp.numpy
+            return Matrix._wrap(array_function(x.to_numpy()).astype(dtype))
+        return scalar(x)
+
+    function.__name__ = function.__qualname__ = name
+    function.__doc__ = doc
+    return function
+
+
+def _or_nan(function: Callable[[float], float]) -> Callable[[float], float]:
+    """As in a kernel, a number outside of the domain gives NaN or infinity, not an exception."""
+
+    def safe(x: float) -> float:
+        try:
+            return function(x)
+        except ValueError:
+            return -math.inf if function is math.log and x == 0 else math.nan
+        except OverflowError:
+            return math.inf
+
+    return safe
+
+
+sin = _unary("sin", _or_nan(math.sin), "Sine.")
+cos = _unary("cos", _or_nan(math.cos), "Cosine.")
+tan = _unary("tan", _or_nan(math.tan), "Tangent.")
+asin = _unary("asin", _or_nan(math.asin), "Arc sine.")
+acos = _unary("acos", _or_nan(math.acos), "Arc cosine.")
+atan = _unary("atan", math.atan, "Arc tangent.")
+sinh = _unary("sinh", _or_nan(math.sinh), "Hyperbolic sine.")
+cosh = _unary("cosh", _or_nan(math.cosh), "Hyperbolic cosine.")
+tanh = _unary("tanh", math.tanh, "Hyperbolic tangent.")
+exp = _unary("exp", _or_nan(math.exp), "e to the power of x.")
+log = _unary("log", _or_nan(math.log), "Natural logarithm.")
+log1p = _unary("log1p", _or_nan(math.log1p), "log(1 + x), also for small x.")
+expm1 = _unary("expm1", _or_nan(math.expm1), "exp(x) - 1, also for small x.")
+sqrt = _unary("sqrt", _or_nan(math.sqrt), "Square root.")
+rsqrt = _unary("rsqrt", lambda x: 1 / math.sqrt(x) if x > 0 else math.inf, "1 / √x.")
+trunc = _unary("trunc", lambda x: float(math.trunc(x)), "The integer part, as a float.")
+
+
+def _rounding(name: str, scalar: Callable[[float], float], doc: str) -> Callable[..., Any]:
+    plain = _unary(name, scalar, doc)
+
+    def function(x: Any, dtype: Any = None) -> Any:
+        result = plain(x)
+        return result if dtype is None else cast(result, dtype)
+
+    function.__name__ = function.__qualname__ = name
+    function.__doc__ = doc + " With `dtype`, converted to it."
+    return function
+
+
+def _half_away(x: float) -> float:
+    return float(math.copysign(math.floor(builtins.abs(x) + 0.5), x))
+
+
+floor = _rounding("floor", lambda x: float(math.floor(x)), "Rounds down.")
+ceil = _rounding("ceil", lambda x: float(math.ceil(x)), "Rounds up.")
+round = _rounding("round", _half_away, "Rounds to the nearest whole number, halves away from zero.")
+
+
+def abs(x: Any) -> Any:
+    """Absolute value."""
+    return state.emitter.unary("abs", x) if _needs_emitter(x) else builtins.abs(x)
+
+
+def _fold(name: str, scalar: Callable[[Any, Any], Any], doc: str) -> Callable[..., Any]:
+    def function(*values: Any) -> Any:
+        if len(values) == 1:
+            single = values[0]
+            if isinstance(single, (list, tuple)):
+                values = tuple(single)
+            elif hasattr(single, name) and getattr(single, "is_matrix", False):
+                return getattr(single, name)()
+        if len(values) < 2:
+            raise TaiTypeError(f"ti.{name} takes at least two numbers")
+        result = values[0]
+        for value in values[1:]:
+            if _needs_emitter(result, value):
+                result = state.emitter.binary(name, result, value)
+            elif isinstance(result, Matrix) or isinstance(value, Matrix):
+                numpy = np.maximum if name == "max" else np.minimum
+                a = result.to_numpy() if isinstance(result, Matrix) else result
+                b = value.to_numpy() if isinstance(value, Matrix) else value
+                result = Matrix._wrap(numpy(a, b))
+            else:
+                result = scalar(result, value)
+        return result
+
+    function.__name__ = function.__qualname__ = name
+    function.__doc__ = doc
+    return function
+
+
+max = _fold("max", builtins.max, "The greatest of its arguments, componentwise.")
+min = _fold("min", builtins.min, "The least of its arguments, componentwise.")
+
+
+def pow(x: Any, y: Any) -> Any:
+    """x to the power of y."""
+    return state.emitter.power(x, y) if _needs_emitter(x, y) else x**y
+
+
+def atan2(y: Any, x: Any) -> Any:
+    """The angle of the point (x, y)."""
+    if _needs_emitter(x, y):
+        return state.emitter.atan2(y, x)
+    if isinstance(x, Matrix) or isinstance(y, Matrix):
+        return Matrix._wrap(np.arctan2(np.asarray(y), np.asarray(x)))
+    return math.atan2(y, x)
+
+
+def select(condition: Any, x: Any, y: Any) -> Any:
+    """x where the condition holds, else y; both are computed."""
+    if _needs_emitter(condition, x, y):
+        return state.emitter.select(condition, x, y)
+    if any(isinstance(t, Matrix) for t in (condition, x, y)):
+        return Matrix._wrap(np.where(*(np.asarray(t) for t in (condition, x, y))))
+    return x if condition else y
+
+
+def bit_cast(x: Any, dtype: Any) -> Any:
+    """The same bits in another type of the same width."""
+    return _in_kernel("bit_cast").bit_cast(x, dtypes.to_dtype(dtype))
+
+
+def zero(x: Any) -> Any:
+    """A zero of the type of x."""
+    return x * 0
+
+
+def one(x: Any) -> Any:
+    """A one of the type of x."""
+    return zero(x) + 1
+
+
+def logical_not(x: Any) -> Any:
+    """Whether x is zero."""
+    return state.emitter.unary("not", x) if _needs_emitter(x) else not x
+
+
+def logical_and(a: Any, b: Any) -> Any:
+    """Whether both are true; both are computed."""
+    if _needs_emitter(a, b):
+        emitter = state.emitter
+        return emitter.binary("&", emitter.to_bool(a), emitter.to_bool(b))
+    return bool(a and b)
+
+
+def logical_or(a: Any, b: Any) -> Any:
+    """Whether one is true; both are computed."""
+    if _needs_emitter(a, b):
+        emitter = state.emitter
+        return emitter.binary("|", emitter.to_bool(a), emitter.to_bool(b))
+    return bool(a or b)
+
+
+def raw_mod(a: Any, b: Any) -> Any:
+    """The remainder with the sign of a, as in C; 0 where a whole b is 0."""
+    emitter = _in_kernel("raw_mod")
+    a, b = emitter.unify(a, b)
+    check_division(a, b, a.dt)
+    forms = {"f": "arith.remf", "i": "arith.remsi", "u": "arith.remui"}
+    return emitter._elementwise(forms[a.dt.kind], [a, b], a.dt)
+
+
+def raw_div(a: Any, b: Any) -> Any:
+    """Division that rounds whole numbers toward zero, as in C; 0 where a whole b is 0."""
+    emitter = _in_kernel("raw_div")
+    a, b = emitter.unify(a, b)
+    check_division(a, b, a.dt)
+    forms = {"f": "arith.divf", "i": "arith.divsi", "u": "arith.divui"}
+    return emitter._elementwise(forms[a.dt.kind], [a, b], a.dt)
+
+
+def _in_kernel(name: str) -> Any:
+    if state.emitter is None:
+        raise TaiSyntaxError(f"ti.{name} stands in kernels and functions only")
+    return state.emitter
+
+
+def random(dtype: Any = float) -> Any:
+    """A random number: a float in [0, 1), or a whole number of any value."""
+    return _in_kernel("random").random(state.emitter.to_dtype(dtype))
+
+
+def randn(dtype: Any = None) -> Any:
+    """A random number of the standard normal distribution."""
+    emitter = _in_kernel("randn")
+    dt = emitter.to_dtype(float if dtype is None else dtype)
+    u1 = 1.0 - emitter.random(dt)  # in (0, 1]: the logarithm is finite
+    u2 = emitter.random(dt)
+    return sqrt(-2.0 * log(u1)) * cos(2.0 * math.pi * u2)
+
+
+def stop_grad(x: Any) -> Any:
+    """A number or matrix that gradients take for a constant.
+
+    Of a field, as a statement: what its block reads of the field is a constant.
+    """
+    if hasattr(x, "emit_operand") or (state.emitter is not None and isinstance(x, Matrix)):
+        return stop_gradient(state.emitter.as_value(x))
+    return x
+
+
+# Matrices
+
+
+def polar_decompose(a: Any, dt: Any = None) -> Any:
+    """A = R S with a rotation R and a symmetric S, of a 2×2 or 3×3 matrix."""
+    matrix = _square("polar_decompose", a)
+    return state.emitter.decompose("polar", matrix, [matrix.shape] * 2)
+
+
+def svd(a: Any, dt: Any = None) -> Any:
+    """A = U Σ Vᵀ of a 2×2 or 3×3 matrix: `U, sigma, V`."""
+    matrix = _square("svd", a)
+    u, sigma, v = state.emitter.decompose("svd", matrix, [matrix.shape] * 3)
+    sigma.is_diagonal = True
+    return u, sigma, v
+
+
+def sym_eig(a: Any, dt: Any = None) -> Any:
+    """Eigenvalues, greatest first, and eigenvectors (columns) of a symmetric matrix."""
+    matrix = _square("sym_eig", a)
+    return state.emitter.decompose("sym_eig", matrix, [matrix.shape[:1], matrix.shape])
+
+
+def solve(a: Any, b: Any, dt: Any = None) -> Any:
+    """The x with A x = b."""
+    emitter = _in_kernel("solve")
+    a, b = emitter.as_value(a), emitter.as_value(b)
+    if len(a.shape) != 2 or a.shape[0] != a.shape[1] or b.shape != a.shape[:1]:
+        raise TaiTypeError(f"solve takes a square matrix and a vector, but got {a.kind_name}")
+    if a.shape[0] > 4:
+        raise TaiTypeError("solve takes at most 4 unknowns")
+    return emitter.solve(a, b)
+
+
+def eig(a: Any, dt: Any = None) -> Any:
+    """Eigenvalues of a general matrix: not available."""
+    raise TaiSyntaxError("ti.eig is not built in", "use ti.sym_eig for symmetric matrices")
+
+
+def _square(name: str, a: Any) -> Any:
+    matrix = _in_kernel(name).as_value(a)
+    if matrix.shape not in ((2, 2), (3, 3)):
+        raise TaiTypeError(
+            f"ti.{name} takes a 2×2 or 3×3 matrix, but got "
+            + (f"a {matrix.kind_name}" if matrix.shape else f"a number of type {matrix.dt}")
+        )
+    return matrix
+
+
+# Loops
+
+
+class ndrange:  # noqa: N801
+    """The product of ranges: `ti.ndrange(n, (1, m))`. In Python it yields tuples."""
+
+    def __init__(self, *arguments: Any):
+        self.arguments = arguments
+
+    def __iter__(self) -> Iterator[tuple[int, ...]]:
+        import itertools
+
+        ranges = [range(*(a if isinstance(a, (tuple, list)) else (0, a))) for a in self.arguments]
+        return iter(itertools.product(*ranges))
+
+
+class Grouped:
+    """The indices of a loop as vectors; see `grouped`."""
+
+    def __init__(self, inner: Any):
+        self.inner = inner
+
+    def __iter__(self) -> Iterator[Any]:
+        if not isinstance(self.inner, (ndrange, Grouped)):
+            raise TaiTypeError("ti.grouped takes a field or a ti.ndrange")
+        for item in self.inner:
+            yield Matrix._wrap(np.array(item, np.int32))
+
+
+def grouped(inner: Any) -> Grouped:
+    """Loops with all indices in one vector: `for I in ti.grouped(x)`."""
+    return Grouped(inner)
+
+
+def static(*things: Any) -> Any:
+    """Evaluates at compile time: unrolls a loop, or chooses a branch."""
+    return things[0] if len(things) == 1 else things
+
+
+def static_print(*things: Any, **options: Any) -> None:
+    """Prints while the kernel is compiled."""
+    print(*things, **options)
+
+
+def static_assert(condition: Any, message: str = "") -> None:
+    """Fails while the kernel is compiled unless the condition holds."""
+    if not condition:
+        raise TaiTypeError(message or "static assertion failed")
+
+
+def loop_config(**options: Any) -> None:
+    """Sets options of the loop that follows, by names.
+
+    Args:
+        serialize: run it on one thread, in order.
+        parallelize: 1 for the same.
+        block_dim: threads of a block on a GPU, a multiple of 32 or a power of two, 1024 at most;
+            0 for what suits the kernel. Without effect on the CPU.
+        block_dim_adaptive: False for blocks of the usual size on a GPU where `block_dim` names
+            none, whatever suits the kernel.
+    """
+    raise TaiSyntaxError("ti.loop_config stands in kernels, before a loop")
+
+
+def block_local(*fields: Any) -> None:
+    """A hint for GPUs; without effect here."""
+
+
+def cache_read_only(*fields: Any) -> None:
+    """A hint for GPUs; without effect here."""
+
+
+def no_activate(*nodes: Any) -> None:
+    """A promise that a loop writes to active cells only; without effect: what it may skip is
+    skipped wherever the compiler sees that it may be."""
+
+
+def loop_unique(value: Any, covers: Any = None) -> Any:
+    """A promise that iterations of a loop have different values; the value itself."""
+    return value
+
+
+# Only the compiler gives these a meaning.
+
+
+def _place_operation(name: str, doc: str, hint: str | None = None) -> Callable[..., Any]:
+    def function(*args: Any) -> Any:
+        raise TaiSyntaxError(f"ti.{name} stands in kernels and functions only", hint)
+
+    function.__name__ = function.__qualname__ = name
+    function.__doc__ = doc
+    return function
+
+
+_IN_PYTHON = (
+    "in Python, writing to an element makes its cell active, level.active_cells() lists the "
+    "active ones, and level.deactivate_all() empties a level"
+)
+atomic_add = _place_operation("atomic_add", "x += y in one step; returns the old x.")
+atomic_sub = _place_operation("atomic_sub", "x -= y in one step; returns the old x.")
+atomic_mul = _place_operation("atomic_mul", "x *= y in one step; returns the old x.")
+atomic_min = _place_operation("atomic_min", "x = min(x, y) in one step; returns the old x.")
+atomic_max = _place_operation("atomic_max", "x = max(x, y) in one step; returns the old x.")
+atomic_and = _place_operation("atomic_and", "x &= y in one step; returns the old x.")
+atomic_or = _place_operation("atomic_or", "x |= y in one step; returns the old x.")
+atomic_xor = _place_operation("atomic_xor", "x ^= y in one step; returns the old x.")
+append = _place_operation("append", "Adds a cell to a dynamic list.", _IN_PYTHON)
+activate = _place_operation("activate", "Makes a cell active.", _IN_PYTHON)
+deactivate = _place_operation("deactivate", "Makes a cell inactive.", _IN_PYTHON)
+is_active = _place_operation("is_active", "Whether a cell is active.", _IN_PYTHON)
+length = _place_operation("length", "The number of cells of a dynamic list.", _IN_PYTHON)
+rescale_index = _place_operation("rescale_index", "The index of a cell of another level.")
+get_addr = _place_operation("get_addr", "The address of an element.")

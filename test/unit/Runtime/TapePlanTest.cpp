@@ -1,0 +1,311 @@
+//===- TapePlanTest.cpp - What tapes record and decide, as data -----------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The parts of a tape that launch nothing. The kernels are never called.
+//
+//===----------------------------------------------------------------------===//
+
+#include "../../../lib/Runtime/Tape/AdjointForms.h"
+#include "../../../lib/Runtime/Tape/TapeReport.h"
+#include "RuntimeTestUtils.h"
+
+using namespace mlir::tai::runtime;
+using namespace mlir::tai::runtime::test;
+using Decision = TapePlan::Decision;
+
+namespace {
+constexpr int64_t n = 4;
+
+int32_t neverCalled(TaiFrame *) {
+  ADD_FAILURE() << "a plan launches nothing";
+  return 0;
+}
+
+struct Scene {
+  Runtime runtime;
+  TapeServices services{runtime};
+  TapeRecording recording;
+  TapePlan plan;
+  std::vector<KernelPtr> kernels;
+
+  FieldPtr field(const char *name) {
+    return makeDifferentiable(runtime, name, ScalarKind::F64, {n});
+  }
+  /// to[...] = f(from[...])
+  Kernel &stores(const FieldPtr &from, const FieldPtr &to,
+                 AccessKind kind = AccessKind::Write) {
+    return make({{from, AccessKind::Read}, {to, kind}});
+  }
+  Kernel &make(std::vector<Access> summary, int64_t slots = 0) {
+    std::string name = "k" + std::to_string(kernels.size());
+    kernels.push_back(
+        makeKernel(runtime, name, neverCalled, std::move(summary), slots));
+    return *kernels.back();
+  }
+  void record(Kernel &kernel, std::vector<uint64_t> args = {}) {
+    recording.keep(kernel);
+    recording.addLaunch(kernel, args.data(), next++);
+  }
+  std::vector<Decision> decide(std::vector<Field *> live) {
+    plan.make(services, recording, std::move(live));
+    std::vector<Decision> decisions;
+    for (size_t i = 0; i < recording.size(); ++i)
+      decisions.push_back(plan[i]);
+    return decisions;
+  }
+  uint64_t next = 0;
+};
+
+/// x[slot 0, ...]
+std::optional<FixedIndex> atArgument() {
+  return FixedIndex{0, 0, {{0, 64, 1}}};
+}
+} // namespace
+
+//===----------------------------------------------------------------------===//
+// Records
+//===----------------------------------------------------------------------===//
+
+TEST(TapeRecording, KeepsArgumentsAndDistances) {
+  Scene scene;
+  FieldPtr x = scene.field("x");
+  Kernel &kernel = scene.make({{x, AccessKind::Read}}, 2);
+  uint64_t first[] = {3, 4}, second[] = {5, 6};
+  TapeRecording &recording = scene.recording;
+  EXPECT_EQ(recording.numLaunches(), 0u);
+  recording.addLaunch(kernel, first, 7);
+  recording.addLaunch(kernel, second, 9);
+  first[0] = second[0] = 0;
+  EXPECT_EQ(recording.size(), 2u);
+  EXPECT_EQ(recording.next(), 2u);
+  EXPECT_EQ(recording.args(recording[0])[0], 3u);
+  EXPECT_EQ(recording.args(recording[1])[0], 5u);
+  EXPECT_EQ(recording.number(recording[1]), 9u);
+  EXPECT_EQ(recording.numLaunches(), 3u);
+  // Launches of a host function lie between its first and the next.
+  recording.addCallback({nullptr, nullptr}, 10, 13);
+  EXPECT_EQ(recording.numLaunches(), 6u);
+  recording.renumber(100);
+  EXPECT_EQ(recording.number(recording[0]), 100u);
+  EXPECT_EQ(recording.number(recording[1]), 102u);
+  EXPECT_EQ(recording.number(recording[2]), 103u);
+}
+
+TEST(TapeRecording, KnowsWhatElseThereIs) {
+  Scene scene;
+  FieldPtr x = scene.field("x");
+  TapeRecording &recording = scene.recording;
+  EXPECT_TRUE(recording.onlyLaunches());
+  recording.addCallback({nullptr, nullptr}, 0, 0);
+  EXPECT_TRUE(recording.hasCallbacks());
+  EXPECT_FALSE(recording.onlyLaunches());
+  EXPECT_FALSE(recording.callsInReverse());
+  recording.addCallback({nullptr, [] { return Status::success(); }}, 0, 0);
+  EXPECT_TRUE(recording.callsInReverse());
+
+  double value = 2;
+  int64_t index = 1;
+  recording.addWrite(x, {HostWrite::What::Element, x.get(), &value, &index});
+  value = 3;
+  index = 2;
+  HostWrite kept = recording.write(recording[2]);
+  EXPECT_EQ(*static_cast<const double *>(kept.bytes), 2);
+  EXPECT_EQ(kept.index[0], 1);
+  EXPECT_EQ(recording.describe(recording[2]), "(write of @x)");
+  EXPECT_EQ(recording.describe(recording[0]), "(host function)");
+}
+
+TEST(TapeRecording, KeepsKernelsAlive) {
+  Scene scene;
+  FieldPtr x = scene.field("x");
+  KernelPtr kernel =
+      makeKernel(scene.runtime, "k", neverCalled, {{x, AccessKind::Read}});
+  std::weak_ptr<Kernel> alive = kernel;
+  scene.recording.keep(*kernel);
+  scene.recording.keep(*kernel);
+  EXPECT_EQ(scene.recording.kernels().size(), 1u);
+  kernel.reset();
+  EXPECT_FALSE(alive.expired());
+}
+
+//===----------------------------------------------------------------------===//
+// Stored outputs and overwrites
+//===----------------------------------------------------------------------===//
+
+TEST(StoredOutputs, LosesWhatIsStoredAgain) {
+  StoredOutputs outputs;
+  std::vector<bool> lost;
+  auto isLost = [&](uint32_t stamp) {
+    return stamp < lost.size() && lost[stamp];
+  };
+  outputs.lose(-1, lost);
+  EXPECT_TRUE(lost.empty());
+  outputs.mark(1, n, 5, lost);
+  outputs.mark(2, n, 6, lost);
+  EXPECT_FALSE(isLost(5));
+  outputs.mark(1, n, 7, lost);
+  EXPECT_TRUE(isLost(5));
+  EXPECT_FALSE(isLost(6));
+  // At an unknown place it may be any, and its own slabs stay its own.
+  outputs.mark(-1, n, 7, lost);
+  EXPECT_TRUE(isLost(6));
+  EXPECT_FALSE(isLost(7));
+  EXPECT_TRUE(outputs.any());
+  outputs.lose(3, lost);
+  EXPECT_TRUE(isLost(7));
+  outputs.lose(-1, lost);
+  EXPECT_FALSE(outputs.any());
+}
+
+TEST(Overwrites, TellsFixedIndicesApart) {
+  Scene scene;
+  FieldPtr x = scene.field("x"), y = scene.field("y");
+  Kernel &kernel = scene.make(
+      {{y, AccessKind::Read}, {x, AccessKind::Write, atArgument()}}, 1);
+  scene.record(kernel, {0});
+  scene.record(kernel, {1});
+  scene.record(kernel, {1});
+  scene.record(kernel, {2});
+  Overwrites found = findOverwrites(scene.recording, scene.services.nextMark());
+  EXPECT_EQ(found.isRepeated, (std::vector<bool>{false, false, true, false}));
+  // Which elements they store is not known.
+  EXPECT_TRUE(found.storedOnce.empty());
+}
+
+TEST(Overwrites, NamesWhatWasStoredOnce) {
+  Scene scene;
+  FieldPtr x = scene.field("x"), y = scene.field("y");
+  Access store{x, AccessKind::Write};
+  store.boxes = std::make_shared<const std::vector<StoredBox>>(
+      std::vector<StoredBox>{{{{{0, 1, {}}, {0, 3, {}}}}, {}}});
+  scene.record(scene.make({{y, AccessKind::Read}, store}));
+  Overwrites found = findOverwrites(scene.recording, scene.services.nextMark());
+  EXPECT_EQ(found.isRepeated, (std::vector<bool>{false}));
+  ASSERT_EQ(found.storedOnce.size(), 1u);
+  EXPECT_EQ(found.storedOnce[0].first.get(), x->adjoint());
+  const OwedZeros &zeros = *found.storedOnce[0].second;
+  ASSERT_EQ(zeros.boxes.size(), 1u);
+  EXPECT_EQ(zeros.boxes[0].lower, (std::vector<int64_t>{1}));
+  EXPECT_EQ(zeros.boxes[0].upper, (std::vector<int64_t>{3}));
+}
+
+//===----------------------------------------------------------------------===//
+// Decisions
+//===----------------------------------------------------------------------===//
+
+TEST(TapePlan, FollowsAdjointsBackwards) {
+  Scene scene;
+  FieldPtr x = scene.field("x"), y = scene.field("y"), z = scene.field("z");
+  FieldPtr plain = makeField(scene.runtime, "plain", ScalarKind::F64, {n});
+  scene.record(scene.stores(x, y));
+  scene.record(scene.stores(x, z));
+  scene.record(scene.stores(plain, y));
+  Kernel &constant = scene.make({{z, AccessKind::Write}});
+  scene.record(constant);
+
+  using D = Decision;
+  EXPECT_EQ(scene.decide({}),
+            (std::vector<D>{D::SkipUnreached, D::SkipUnreached,
+                            D::SkipUnreached, D::SkipUnreached}));
+  EXPECT_TRUE(scene.plan.replayed().empty());
+  EXPECT_FALSE(scene.plan.replaysAny());
+  EXPECT_EQ(scene.plan.numSkipped(), 4);
+
+  // The third overwrites y, of which the adjoint ends there.
+  EXPECT_EQ(scene.decide({y.get()}),
+            (std::vector<D>{D::Replay, D::SkipUnreached, D::Replay,
+                            D::SkipUnreached}));
+  EXPECT_EQ(scene.plan.replayed(), (std::vector<uint32_t>{2, 0}));
+  EXPECT_EQ(scene.decide({z.get()}),
+            (std::vector<D>{D::SkipUnreached, D::Replay, D::SkipUnreached,
+                            D::Replay}));
+  EXPECT_EQ(scene.plan.numSkipped(), 2);
+}
+
+TEST(TapePlan, HoldsForItsRecordsAndAdjoints) {
+  Scene scene;
+  FieldPtr x = scene.field("x"), y = scene.field("y");
+  scene.record(scene.stores(x, y));
+  EXPECT_FALSE(scene.plan.isMade(scene.recording));
+  scene.decide({y.get()});
+  uint64_t epoch = scene.services.epoch();
+  EXPECT_TRUE(scene.plan.holds(scene.recording, epoch, {y.get()}));
+  EXPECT_FALSE(scene.plan.holds(scene.recording, epoch, {x.get()}));
+  EXPECT_FALSE(scene.plan.holds(scene.recording, epoch + 1, {y.get()}));
+  scene.record(scene.stores(x, y));
+  EXPECT_FALSE(scene.plan.holds(scene.recording, epoch, {y.get()}));
+}
+
+TEST(TapePlan, CountsOnNothingBeforeAHostFunction) {
+  Scene scene;
+  FieldPtr x = scene.field("x"), y = scene.field("y"), z = scene.field("z");
+  scene.record(scene.stores(x, y));
+  scene.recording.addCallback({nullptr, [] { return Status::success(); }}, 1,
+                              1);
+  scene.record(scene.stores(x, y));
+  using D = Decision;
+  EXPECT_EQ(scene.decide({z.get()}),
+            (std::vector<D>{D::Replay, D::Callback, D::SkipUnreached}));
+  // What it has really touched is known when its turn has come.
+  scene.plan.decideAgain(scene.recording, 0);
+  EXPECT_EQ(scene.plan[0], D::SkipUnreached);
+  y->adjoint()->markDirty();
+  scene.plan.decideAgain(scene.recording, 0);
+  EXPECT_EQ(scene.plan[0], D::Replay);
+}
+
+TEST(TapePlan, EndsAdjointsOfHostWrites) {
+  Scene scene;
+  FieldPtr x = scene.field("x"), y = scene.field("y");
+  double value = 1;
+  scene.recording.addWrite(x, {HostWrite::What::Fill, x.get(), &value});
+  scene.record(scene.stores(x, y));
+  using D = Decision;
+  EXPECT_EQ(scene.decide({y.get()}), (std::vector<D>{D::Overwrite, D::Replay}));
+  EXPECT_EQ(scene.decide({}),
+            (std::vector<D>{D::SkipUnreached, D::SkipUnreached}));
+}
+
+TEST(AdjointForms, NamesEachPendingFormOnce) {
+  Scene scene;
+  FieldPtr x = scene.field("x"), y = scene.field("y");
+  Kernel &first = scene.stores(x, y), &second = scene.stores(x, y);
+  scene.record(first);
+  scene.record(second);
+  scene.record(second);
+  TapeMemory memory(scene.runtime);
+  AdjointForms forms(scene.services, scene.recording, scene.plan, memory);
+  scene.decide({y.get()});
+  std::vector<PendingAdjoint> pending = forms.pending();
+  // The first launch stores y first; the others end what stood there.
+  ASSERT_EQ(pending.size(), 2u);
+  EXPECT_EQ(pending[0], (PendingAdjoint{&second, true, false}));
+  EXPECT_EQ(pending[1], (PendingAdjoint{&first, false, false}));
+  EXPECT_FALSE(forms.loadsStored(0));
+}
+
+TEST(TapeReport, SaysWhatBecomesOfRecords) {
+  Scene scene;
+  FieldPtr x = scene.field("x"), y = scene.field("y");
+  scene.record(scene.stores(x, y));
+  scene.recording.addCallback({nullptr, nullptr}, 1, 1);
+  TapeMemory memory(scene.runtime);
+  AdjointForms forms(scene.services, scene.recording, scene.plan, memory);
+  TapeReport report;
+  scene.decide({y.get()});
+  report.addRecord(scene.recording, scene.plan, forms, 0, 2048, 3);
+  report.addRecord(scene.recording, scene.plan, forms, 1, 0, 0);
+  EXPECT_EQ(report.get(),
+            "0: @k0: replayed, from the adjoints of @y to those of @x; saved "
+            "2.0 KiB; recomputed 3 times\n"
+            "1: (host function): skipped: it has no reverse function\n");
+  report.checkEffect(scene.recording, scene.plan, "'y'");
+  EXPECT_TRUE(report.notes.empty());
+  scene.decide({});
+  report.checkEffect(scene.recording, scene.plan, "'y'");
+  EXPECT_EQ(report.notes.size(), 1u);
+}
