@@ -11,7 +11,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../../lib/Runtime/Launch/WorkerPool.h"
+#include "../../lib/Runtime/Threads/WorkerPool.h"
 #include <algorithm>
 #include <chrono>
 #include <cstdio>

@@ -75,8 +75,9 @@ static KernelPtr makeKernel(Runtime &runtime, TaiKernelFn function,
   info.argSlots = slots;
   info.function = function;
   info.summary = std::move(summary);
+  // One that zeroes what is stored again, too.
+  info.adjointTakes = adjoint != nullptr;
   info.adjoint = std::move(adjoint);
-  info.adjointTakes = info.adjoint != nullptr;
   return runtime.createKernel(info);
 }
 

@@ -79,7 +79,7 @@ void taiContextClearInterrupt(TaiContext context) {
 void taiContextSetPrintHandler(TaiContext context, TaiPrintHandler handler,
                                void *user) {
   ContextLock lock(*context);
-  runtime::Runtime::Sink sink;
+  runtime::Printer::Sink sink;
   if (handler)
     sink = [handler, user](std::string_view line) {
       handler(line.data(), line.size(), user);
@@ -135,7 +135,7 @@ TaiStatus taiContextGetActiveCells(TaiContext context, const char *tree,
   ContextLock lock(*context);
   TaiStatus status;
   if (runtime::SparseNode *node = findLevel(context, tree, level, status)) {
-    runtime::ActiveListPtr list = node->list(context->session.getRuntime());
+    runtime::ActiveListPtr list = node->list();
     if (count != int64_t(list->cells.size()))
       return context->status(context->session.fail(
           FailureKind::Usage, "there are " + Twine(list->cells.size()) +

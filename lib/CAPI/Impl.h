@@ -10,8 +10,8 @@
 
 #include "tai-c/Tai.h"
 #include "tai/ExecutionEngine/Session.h"
-#include "tai/Runtime/Launch/Safepoint.h"
 #include "tai/Runtime/Tape/Tape.h"
+#include "tai/Runtime/Threads/Safepoint.h"
 #include "llvm/ADT/DenseMap.h"
 #include <mutex>
 

@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/Background.h"
-#include "tai/Runtime/Launch/Safepoint.h"
+#include "tai/Runtime/Threads/Safepoint.h"
 #include <algorithm>
 #include <cstdlib>
 #include <pthread.h>

@@ -10,7 +10,7 @@
 #include "tai/ExecutionEngine/AdjointNeeds.h"
 #include "tai/ExecutionEngine/ModuleFile.h"
 #include "tai/ExecutionEngine/Summaries.h"
-#include "tai/Runtime/Launch/Safepoint.h"
+#include "tai/Runtime/Threads/Safepoint.h"
 
 using namespace mlir;
 using namespace mlir::tai;

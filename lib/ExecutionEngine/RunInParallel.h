@@ -9,7 +9,7 @@
 #ifndef TAI_LIB_EXECUTIONENGINE_RUNINPARALLEL_H
 #define TAI_LIB_EXECUTIONENGINE_RUNINPARALLEL_H
 
-#include "tai/Runtime/Launch/Safepoint.h"
+#include "tai/Runtime/Threads/Safepoint.h"
 #include "tai/Support/Status.h"
 #include "tai/Support/Thread.h"
 #include "llvm/ADT/STLFunctionalExtras.h"

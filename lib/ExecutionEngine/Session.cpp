@@ -17,6 +17,7 @@
 #include "tai/ExecutionEngine/ModuleFile.h"
 #include "tai/InitAll.h"
 #include "tai/Pipelines/Pipelines.h"
+#include "tai/Runtime/Tape/HostProgram.h"
 #include "tai/Runtime/Tape/Tape.h"
 #include "llvm/Support/Path.h"
 #include "llvm/Support/Process.h"
@@ -255,9 +256,9 @@ LogicalResult Session::runHost(ModuleOp module, StringRef name) {
   std::vector<runtime::TreePtr> trees;
   for (const std::string &tree : compiled->trees)
     trees.push_back(rt->findTree(tree));
-  LogicalResult result =
-      check(rt->runHost(reinterpret_cast<TaiKernelFn>(compiled->address), trees,
-                        hostModule, nullptr, nullptr));
+  LogicalResult result = check(
+      runtime::runHost(*rt, reinterpret_cast<TaiKernelFn>(compiled->address),
+                       trees, hostModule, nullptr, nullptr));
   compiler->unload(*compiled);
   return result;
 }

@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Run.h"
-#include "tai/Runtime/Launch/Safepoint.h"
+#include "tai/Runtime/Threads/Safepoint.h"
 #include "llvm/ADT/bit.h"
 
 using namespace mlir;

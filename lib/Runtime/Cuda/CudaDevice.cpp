@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "CudaDevice.h"
-#include "../Launch/Launch.h"
 #include "../Queue/FillRun.h"
+#include "../Text/Format.h"
 #include "tai/Runtime/Device/DeviceHeap.h"
 #include "tai/Runtime/Device/DeviceReport.h"
 #include <algorithm>

@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Device/DeviceReport.h"
-#include "../Launch/Launch.h"
+#include "../Text/Format.h"
 #include "tai/ABI/Abi.h"
 #include <algorithm>
 #include <cstring>

@@ -14,11 +14,12 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Launch/Launch.h"
+#include "../Text/Format.h"
 #include "EmulatedThreads.h"
 #include "tai/ABI/DeviceAbi.h"
 #include "tai/Runtime/Device/Device.h"
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <cstring>
 #include <map>

@@ -4,27 +4,19 @@
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
-//
-// A library that has the address of a field writes to it without a word. On a
-// device, what the host holds of the tree is therefore never current while the
-// tree is lent, unless the host is the last that wrote.
-//
-//===----------------------------------------------------------------------===//
 
-#include "../Mirror/DeviceContext.h"
+#include "tai/Runtime/Host/Loan.h"
 #include "../Mirror/Mirror.h"
 #include "../Storage/Scalars.h"
-#include "tai/Runtime/Launch/Runtime.h"
-#include <algorithm>
 
 using namespace mlir::tai::runtime;
 
 std::atomic<int> Loan::count{0};
 
 Loan::Loan(const TreePtr &tree)
-    : tree(tree), memory(tree->memory), mirror(tree->mirrored) {
+    : tree(tree), memory(tree->sharedMemory()), mirror(tree->sharedMirror()) {
   count.fetch_add(1, std::memory_order_relaxed);
-  tree->loans.fetch_add(1, std::memory_order_relaxed);
+  tree->countLoan(1);
   if (mirror)
     mirror->lend();
 }
@@ -32,7 +24,7 @@ Loan::Loan(const TreePtr &tree)
 Loan::~Loan() {
   if (mirror)
     mirror->takeBack();
-  tree->loans.fetch_sub(1, std::memory_order_relaxed);
+  tree->countLoan(-1);
   count.fetch_sub(1, std::memory_order_relaxed);
 }
 
@@ -54,35 +46,19 @@ static bool findExtent(const Field &field, uint64_t &begin, uint64_t &end) {
   return true;
 }
 
-Status Runtime::checkLentFields(const Kernel &kernel,
-                                const uint64_t *args) const {
-  for (const Access &access : kernel.summary()) {
-    const Field &field = *access.field;
-    uint64_t begin = 0, end = 0;
-    if (!field.valid() || !field.tree().isLent() ||
-        !findExtent(field, begin, end))
-      continue;
-    const Mirror *mirror = field.tree().mirror();
-    uint64_t base = mirror ? mirror->at(0)
-                           : reinterpret_cast<uint64_t>(field.tree().base());
-    for (const ArrayArgument &array : kernel.arrays()) {
-      uint64_t from = args[array.slot];
-      uint64_t bytes = static_cast<uint64_t>(array.elementBytes);
-      for (int64_t d = 1; d <= array.rank; ++d)
-        bytes *= args[array.slot + d];
-      if (bytes > 0 && from < base + end && base + begin < from + bytes)
-        return Status::failure(
-            StatusCode::Usage,
-            "kernel '" + kernel.name() + "' uses field '" + field.name() +
-                "' and is given an array that shares its memory; give it a "
-                "copy, or let it use one of them alone",
-            kernel.place());
-    }
-  }
-  return Status::success();
+bool Loan::findBytes(const Field &field, uint64_t &begin, uint64_t &end) {
+  if (!field.valid() || !field.tree().isLent() ||
+      !findExtent(field, begin, end))
+    return false;
+  const Mirror *mirror = field.tree().mirror();
+  uint64_t base =
+      mirror ? mirror->at(0) : reinterpret_cast<uint64_t>(field.tree().base());
+  begin += base;
+  end += base;
+  return true;
 }
 
-Status Runtime::lend(Field &field, LentField &lent) {
+Status Loan::make(Field &field, DeviceHost &devices, LentField &lent) {
   auto refuse = [&](const char *why) {
     return Status::failure(StatusCode::Usage, "field '" + field.name() +
                                                   "' cannot be shared: " + why);
@@ -108,71 +84,16 @@ Status Runtime::lend(Field &field, LentField &lent) {
                         step);
     step *= layout.elementShape[d];
   }
-  // Others look at the memory of the whole tree from now on.
-  settleZeros();
   Mirror *mirror = field.tree().mirror();
   lent.onDevice = mirror != nullptr;
   if (mirror) {
     Status status =
-        deviceAddress(field.tree(), layout.placeOffset, lent.address);
+        devices.addressOf(field.tree(), layout.placeOffset, lent.address);
     if (!status)
       return status;
   } else {
     lent.address = field.writable();
   }
-  lent.loan = std::make_unique<Loan>(field.owner);
-  return takeDeviceFailure();
-}
-
-Status Runtime::noteOutsideWrite(Field &field) {
-  if (recordingTape() && !field.isAdjoint())
-    return Status::failure(
-        StatusCode::Usage,
-        "field '" + field.name() +
-            "' is written from outside while a tape records");
-  ++field.hostVersion;
-  field.markDirty();
-  return Status::success();
-}
-
-Status Runtime::waitForStream(uint64_t stream) {
-  return device ? device->get().waitForStream(stream) : Status::success();
-}
-
-Status Runtime::letStreamWait(uint64_t stream) {
-  return device ? device->get().letStreamWait(stream) : Status::success();
-}
-
-static Status hasNoDevice() {
-  return Status::failure(StatusCode::Usage,
-                         "there is no device that arrays could be kept on");
-}
-
-Status Runtime::allocateOnDevice(int64_t bytes, void *&address) {
-  address = nullptr;
-  if (!device)
-    return hasNoDevice();
-  DevicePtr memory = 0;
-  Status status =
-      device->allocate(std::max<int64_t>(bytes, 1), "copies of arrays", memory);
-  address = reinterpret_cast<void *>(memory);
-  return status;
-}
-
-void Runtime::freeOnDevice(void *address) {
-  if (device && address)
-    device->free(reinterpret_cast<DevicePtr>(address));
-}
-
-Status Runtime::copyOnDevice(void *to, const void *from, int64_t bytes) {
-  if (!device)
-    return hasNoDevice();
-  return bytes == 0
-             ? Status::success()
-             : device->get().copy(reinterpret_cast<DevicePtr>(to),
-                                  reinterpret_cast<DevicePtr>(from), bytes);
-}
-
-bool Runtime::isOnDevice(const void *address) const {
-  return device && device->get().isDeviceMemory(address);
+  lent.loan = std::make_unique<Loan>(field.sharedTree());
+  return devices.takeFailure();
 }

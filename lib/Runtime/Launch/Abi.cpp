@@ -5,18 +5,19 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Implements tai/Runtime/Abi.h for kernels. The functions for host programs are
-// in HostProgram.cpp.
+// Implements tai/ABI/Abi.h for kernels. The functions for host programs are in
+// Tape/HostProgram.cpp.
 //
 //===----------------------------------------------------------------------===//
 
 #include "tai/ABI/Abi.h"
 #include "../Storage/Scalars.h"
+#include "../Text/Format.h"
 #include "Launch.h"
 #include "tai/ABI/DeviceAbi.h"
 #include "tai/Runtime/Device/Device.h"
 #include "tai/Runtime/Device/DeviceHeap.h"
-#include "tai/Runtime/Launch/Safepoint.h"
+#include "tai/Runtime/Threads/Safepoint.h"
 #include "tai/Support/Philox.h"
 #include <algorithm>
 #include <chrono>
@@ -39,7 +40,7 @@ static int64_t boundOf(int64_t n, int64_t part, int64_t parts) {
 extern "C" int64_t tai_rt_parts(TaiFrame *frame, int64_t n, int64_t cost,
                                 int32_t reduces) {
   Launch &launch = launchOf(frame);
-  return launch.owner().partition(launch, n, cost, reduces != 0);
+  return launch.partition(n, cost, reduces != 0);
 }
 
 namespace {

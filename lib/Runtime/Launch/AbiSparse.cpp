@@ -30,24 +30,6 @@ static SparseNode &nodeOf(const Launch &launch, void *tree, int32_t node) {
   return nodeOf(tree, node);
 }
 
-Status Runtime::checkActiveBytes(const SparseNode &node, int64_t cells) const {
-  int64_t used = reservedBytes() + activeCellBytes(), wanted;
-  if (!node.isInnermost() ||
-      (!__builtin_mul_overflow(cells, node.cellBytes(), &wanted) &&
-       wanted <= limit - used))
-    return Status::success();
-  std::string what =
-      cells == 1 ? "one more cell" : std::to_string(cells) + " cells";
-  return Status::failure(StatusCode::Memory,
-                         "out of memory: " + what + " of " + node.info().label +
-                             " of " + formatBytes(node.cellBytes()) +
-                             " each; its " + std::to_string(node.numActive()) +
-                             " active cells take " +
-                             formatBytes(node.numActive() * node.cellBytes()) +
-                             ", and all fields take " + formatBytes(used) +
-                             " of " + formatBytes(limit));
-}
-
 /// Fails the launch at a line of the program.
 static void failAt(TaiFrame *frame, StatusCode code, std::string message,
                    const char *where) {
@@ -138,7 +120,7 @@ static int64_t giveOnDevice(Launch &launch, Mirror &mirror, int32_t node,
       return 0;
     there = entry->onDevice;
   } else {
-    status = mirror.sparse()->list(sparse, there);
+    status = mirror.sparse()->lists().list(sparse, there);
     if (status && there) {
       std::lock_guard<std::mutex> lock(launch.failureMutex);
       launch.loops.add(sparse, there);
@@ -148,12 +130,12 @@ static int64_t giveOnDevice(Launch &launch, Mirror &mirror, int32_t node,
     *cells = reinterpret_cast<const int64_t *>(there->cells());
     if (!launch.given && !sparse.mayBeActive())
       launch.owner().skipCounters().add(SkipCount::EmptyLoops);
-    return mirror.sparse()->guessActive(sparse);
+    return mirror.sparse()->lists().guessActive(sparse);
   }
   ActiveListPtr list = status ? launch.visitedList(sparse) : nullptr;
   DevicePtr address = 0;
   if (list)
-    status = mirror.sparse()->find(list, address);
+    status = mirror.sparse()->lists().find(list, address);
   if (!list || !status) {
     if (!status)
       launch.fail(std::move(status));
@@ -193,8 +175,7 @@ extern "C" int32_t tai_rt_list_is_current(TaiFrame *frame, void *tree,
       return 0;
     // Who is told no does what is right for any list.
     if (entry->onDevice)
-      return mirror->sparse()->isCurrent(*entry->onDevice);
+      return mirror->sparse()->isShownBy(*entry->onDevice);
   }
-  return !launch.given ||
-         launch.visitedCells(sparse) == sparse.list(launch.owner())->cells;
+  return !launch.given || launch.visitedCells(sparse) == sparse.list()->cells;
 }

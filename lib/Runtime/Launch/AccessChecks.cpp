@@ -15,19 +15,6 @@
 using namespace mlir::tai::runtime;
 using namespace mlir::tai::runtime::accesslog;
 
-Status Kernel::resolveChecked(CheckedKernel *&result) {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
-  if (!checked && info.provider) {
-    auto made = std::make_shared<CheckedKernel>();
-    Status status = info.provider->makeChecked(*made);
-    if (!status)
-      return status;
-    checked = std::move(made);
-  }
-  result = checked.get();
-  return Status::success();
-}
-
 AccessChecks::Shadow::~Shadow() {
   if (words)
     munmap(words, count * sizeof(int32_t));

@@ -10,6 +10,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Launch/Kernel.h"
+#include "tai/Runtime/Launch/AccessChecks.h"
 #include <algorithm>
 
 using namespace mlir::tai::runtime;
@@ -278,5 +279,73 @@ Status Kernel::bind(uint64_t epoch) {
       addOnce(overwritten, field);
   }
   boundEpoch.store(epoch, std::memory_order_release);
+  return Status::success();
+}
+
+Status Kernel::resolveChecked(CheckedKernel *&result) {
+  std::lock_guard<std::recursive_mutex> lock(mutex);
+  if (!checked && info.provider) {
+    auto made = std::make_shared<CheckedKernel>();
+    Status status = info.provider->makeChecked(*made);
+    if (!status)
+      return status;
+    checked = std::move(made);
+  }
+  result = checked.get();
+  return Status::success();
+}
+
+//===----------------------------------------------------------------------===//
+// Activity
+//===----------------------------------------------------------------------===//
+
+// An adjoint goes over the cells that its primal went over. Under a tape that
+// is part of the record; an adjoint that is launched by hand belongs to the
+// last launch of its primal, and finds here what that did.
+
+void Kernel::noteBegin() {
+  std::lock_guard<std::mutex> lock(activityMutex);
+  lastBegins.clear();
+  for (const SparseNode *node : sparseNodes)
+    lastBegins.push_back(node->now());
+  lastLoops.clear();
+}
+
+void Kernel::noteLoops(const LoopLists &loops) {
+  std::lock_guard<std::mutex> lock(activityMutex);
+  lastLoops = loops;
+}
+
+Status Kernel::checkActivity(LoopLists &loops, bool &wasLaunched) {
+  const AdjointPlan &wants = plan();
+  std::lock_guard<std::mutex> lock(activityMutex);
+  if (sparseNodes.empty() || lastBegins.size() != sparseNodes.size())
+    return Status::success();
+  wasLaunched = true;
+  loops = lastLoops;
+  auto asksFor = [&](const SparseNode *node) {
+    for (const FieldPtr &field : wants.activity)
+      for (const SparseNode *at = field->sparseNode(); at; at = at->above())
+        if (at == node)
+          return true;
+    return false;
+  };
+  for (size_t i = 0; i < sparseNodes.size(); ++i) {
+    const SparseNode *node = sparseNodes[i];
+    if (node->hasRemovedSince(lastBegins[i]))
+      return Status::failure(
+          StatusCode::Usage,
+          "cells of " + node->info().label +
+              " were deactivated since kernel '" + name() +
+              "' was launched, and its gradient needs them; launch it under a "
+              "tape, or deactivate after the gradient");
+    if (asksFor(node) && node->hasChangedSince(lastBegins[i]))
+      return Status::failure(
+          StatusCode::Usage,
+          "the gradient of kernel '" + name() + "' asks which cells of " +
+              node->info().label +
+              " are active, and that has changed since the kernel was "
+              "launched; launch it under a tape");
+  }
   return Status::success();
 }

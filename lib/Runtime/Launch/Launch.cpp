@@ -5,16 +5,13 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Scratch memory and failures of a launch, and the text of values.
+// Scratch memory and failures of a launch.
 //
 //===----------------------------------------------------------------------===//
 
 #include "Launch.h"
-#include "tai/Runtime/Launch/Safepoint.h"
+#include "tai/Runtime/Threads/Safepoint.h"
 #include <algorithm>
-#include <charconv>
-#include <cmath>
-#include <cstdio>
 #include <cstring>
 #include <sys/mman.h>
 #include <unistd.h>
@@ -155,98 +152,59 @@ void Launch::freeSinks() {
   sinks.clear();
 }
 
+int64_t Launch::partition(int64_t n, int64_t cost, bool reduces) {
+  Workers &workers = owner().workers();
+  measured = nullptr;
+  // The estimate is wrong by less than this.
+  constexpr double factor = 16;
+  double total = static_cast<double>(n) * static_cast<double>(cost);
+  bool isFixed = reduces && workers.isDeterministic();
+  if (isFixed || workers.threads() == 1 || !loopTimes ||
+      total * factor < Workers::leastNs ||
+      total > Workers::leastNs * factor * factor)
+    return workers.partition(n, static_cast<double>(cost), reduces);
+  LoopTimes::Entry *entry = loopTimes->find(cost);
+  if (!entry)
+    return workers.partition(n, static_cast<double>(cost), reduces);
+  bool wantsRun = entry->wantsRun();
+  entry->noteRun();
+  if (!wantsRun)
+    return workers.partition(n, entry->perIteration(), reduces);
+  measured = entry;
+  return 1;
+}
+
 //===----------------------------------------------------------------------===//
-// Text
+// Elements that launches touch
 //===----------------------------------------------------------------------===//
 
-/// The shortest text that reads back as the same number; of numbers that came
-/// from f32, the shortest that reads back as the same f32.
-static void appendFloat(std::string &text, double value) {
-  if (std::isnan(value)) {
-    text += "nan";
-    return;
-  }
-  if (std::isinf(value)) {
-    text += value < 0 ? "-inf" : "inf";
-    return;
-  }
-  char digits[64];
-  float narrow = static_cast<float>(value);
-  std::to_chars_result end =
-      static_cast<double>(narrow) == value
-          ? std::to_chars(digits, digits + sizeof(digits), narrow)
-          : std::to_chars(digits, digits + sizeof(digits), value);
-  size_t start = text.size();
-  text.append(digits, end.ptr);
-  if (text.find_first_of(".e", start) == std::string::npos)
-    text += ".0";
+bool mlir::tai::runtime::mayMeet(const OwedZeros &zeros, const Access &access,
+                                 const uint64_t *args) {
+  if (!access.fixed)
+    return true;
+  int64_t dimension = access.fixed->dimension;
+  return zeros.meets(dimension, access.fixed->evaluate(args) -
+                                    access.field->firstIndex(dimension));
 }
 
-static void appendValue(std::string &text, int32_t kind, uint64_t slot) {
-  switch (kind) {
-  case TAI_VALUE_I64:
-    text += std::to_string(static_cast<int64_t>(slot));
-    return;
-  case TAI_VALUE_U64:
-    text += std::to_string(slot);
-    return;
-  case TAI_VALUE_BOOL:
-    text += (slot & 0xff) ? "true" : "false";
-    return;
-  case TAI_VALUE_F64: {
-    double value;
-    std::memcpy(&value, &slot, sizeof(value));
-    appendFloat(text, value);
-    return;
+bool mlir::tai::runtime::findElements(const StoredBox &box, const Field &field,
+                                      const uint64_t *args,
+                                      OwedZeros::Box &elements) {
+  for (const StoredBox::Range &loop : box.loops)
+    if (loop.lower.evaluate(args) >= loop.upper.evaluate(args))
+      return false;
+  elements.lower.clear();
+  elements.upper.clear();
+  for (size_t d = 0; d < box.ranges.size(); ++d) {
+    int64_t first = field.firstIndex(static_cast<int64_t>(d));
+    int64_t lower = box.ranges[d].lower.evaluate(args) - first;
+    int64_t upper = box.ranges[d].upper.evaluate(args) - first;
+    lower = std::max<int64_t>(lower, 0);
+    upper = std::min(upper, field.shape()[d]);
+    if (lower >= upper)
+      return false;
+    elements.lower.push_back(lower);
+    elements.upper.push_back(upper);
   }
-  }
-  text += "?";
-}
-
-std::string mlir::tai::runtime::formatValues(const char *format, int32_t count,
-                                             const int32_t *kinds,
-                                             const int32_t *shapes,
-                                             const uint64_t *slots) {
-  std::string text;
-  int32_t next = 0;
-  auto appendNext = [&] {
-    int32_t components = shapes ? shapes[next] : 1;
-    if (components != 1)
-      text += '[';
-    for (int32_t c = 0; c < components; ++c) {
-      if (c)
-        text += ", ";
-      appendValue(text, kinds[next], *slots++);
-    }
-    if (components != 1)
-      text += ']';
-    ++next;
-  };
-  for (const char *at = format ? format : ""; *at; ++at) {
-    if (at[0] == '{' && at[1] == '}' && next < count) {
-      appendNext();
-      ++at;
-    } else {
-      text += *at;
-    }
-  }
-  // Values without a place of their own are not lost.
-  while (next < count) {
-    if (!text.empty())
-      text += ' ';
-    appendNext();
-  }
-  return text;
-}
-
-std::string mlir::tai::runtime::formatBytes(int64_t bytes) {
-  const char *units[] = {"B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB"};
-  double value = static_cast<double>(bytes);
-  int unit = 0;
-  for (; value >= 1024 && unit < 6; ++unit)
-    value /= 1024;
-  char text[32];
-  std::snprintf(text, sizeof(text), unit ? "%.1f %s" : "%.0f %s", value,
-                units[unit]);
-  return text;
+  return true;
 }

@@ -15,10 +15,10 @@
 #define TAI_LIB_RUNTIME_LAUNCH_LAUNCH_H
 
 #include "../Mirror/DeviceContext.h"
+#include "../Mirror/OwedZeros.h"
 #include "tai/Runtime/Launch/LoopTimes.h"
 #include "tai/Runtime/Launch/Runtime.h"
 #include "tai/Runtime/Sparse/LoopLists.h"
-#include <unordered_map>
 
 namespace mlir::tai::runtime {
 
@@ -55,17 +55,10 @@ private:
 };
 
 /// What a host program has open.
-struct HostState {
-  HostModule *module;
-  /// Those that the program itself may use.
-  const std::vector<TreePtr> *trees;
-  std::unique_ptr<Tape> tape;
-  /// Names come as literals of the module: found once by address.
-  std::unordered_map<const char *, Kernel *> kernels;
-};
+struct HostState;
 
 struct Launch : TaiFrame {
-  explicit Launch(Runtime &runtime) {
+  explicit Launch(TaiRuntime &runtime) {
     trees = nullptr;
     args = nullptr;
     results = nullptr;
@@ -90,6 +83,9 @@ struct Launch : TaiFrame {
   /// The same once there has been a tick.
   bool look();
   Status takeFailure();
+  /// Into how many parts a loop is cut. Loops about which the estimate does not
+  /// decide are measured.
+  int64_t partition(int64_t n, int64_t cost, bool reduces);
   /// Scratch memory that a launch which has failed may write to.
   void *sink(int64_t bytes);
 
@@ -138,15 +134,29 @@ struct Launch : TaiFrame {
   void freeSinks();
 };
 
+inline HoldKind holdKindOf(AccessKind kind) {
+  switch (kind) {
+  case AccessKind::Read:
+    return HoldKind::Read;
+  case AccessKind::Accumulate:
+    return HoldKind::Add;
+  case AccessKind::Write:
+    return HoldKind::Write;
+  }
+  __builtin_unreachable();
+}
+
+/// Whether a launch may touch one of the elements by this access.
+bool mayMeet(const OwedZeros &zeros, const Access &access,
+             const uint64_t *args);
+/// The elements of a box in a launch with these arguments, those within the
+/// field; false where there are none.
+bool findElements(const StoredBox &box, const Field &field,
+                  const uint64_t *args, OwedZeros::Box &elements);
+
 inline Launch &launchOf(TaiFrame *frame) {
   return *static_cast<Launch *>(frame);
 }
-
-/// Replaces each "{}" of the format by the next value.
-std::string formatValues(const char *format, int32_t count,
-                         const int32_t *kinds, const int32_t *shapes,
-                         const uint64_t *slots);
-std::string formatBytes(int64_t bytes);
 
 } // namespace mlir::tai::runtime
 

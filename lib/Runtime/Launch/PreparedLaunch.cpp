@@ -15,6 +15,7 @@
 
 #include "../Mirror/Mirror.h"
 #include "Launch.h"
+#include "tai/Runtime/Launch/Launcher.h"
 #include <algorithm>
 
 using namespace mlir::tai::runtime;
@@ -23,7 +24,7 @@ using namespace mlir::tai::runtime;
 // Launches, to be used again
 //===----------------------------------------------------------------------===//
 
-Launch *Runtime::acquireLaunch() {
+Launch *Launcher::acquire() {
   // Once a thread has ended, another one may have its number, and its launch.
   const void *self = __builtin_thread_pointer();
   const void *thread = hot.thread.load(std::memory_order_acquire);
@@ -33,13 +34,13 @@ Launch *Runtime::acquireLaunch() {
   }
   if (Launch *launch = spareLaunch.exchange(nullptr, std::memory_order_acquire))
     return launch;
-  std::lock_guard<std::mutex> lock(launchMutex);
+  std::lock_guard<std::mutex> lock(mutex);
   if (!freeLaunches.empty()) {
     Launch *launch = freeLaunches.back();
     freeLaunches.pop_back();
     return launch;
   }
-  launches.push_back(std::make_unique<Launch>(*this));
+  launches.push_back(std::make_unique<Launch>(owner));
   Launch *made = launches.back().get();
   if (!hot.thread.load(std::memory_order_relaxed)) {
     hot.launch.store(made, std::memory_order_relaxed);
@@ -49,7 +50,7 @@ Launch *Runtime::acquireLaunch() {
   return made;
 }
 
-void Runtime::releaseLaunch(Launch *launch) {
+void Launcher::release(Launch *launch) {
   if (__builtin_expect(!launch->loops.empty(), false))
     launch->loops.clear();
   if (__builtin_expect(launch == hot.launch.load(std::memory_order_relaxed),
@@ -61,18 +62,26 @@ void Runtime::releaseLaunch(Launch *launch) {
   if (spareLaunch.compare_exchange_strong(
           none, launch, std::memory_order_release, std::memory_order_relaxed))
     return;
-  std::lock_guard<std::mutex> lock(launchMutex);
+  std::lock_guard<std::mutex> lock(mutex);
   freeLaunches.push_back(launch);
+}
+
+void Launcher::dropLaunches() {
+  hot.launch = nullptr;
+  hot.thread.store(nullptr, std::memory_order_relaxed);
+  launches.clear();
+  freeLaunches.clear();
+  spareLaunch.store(nullptr, std::memory_order_relaxed);
 }
 
 //===----------------------------------------------------------------------===//
 // Prepared launches
 //===----------------------------------------------------------------------===//
 
-void Runtime::prepare(Kernel &kernel) {
+void Launcher::prepare(Kernel &kernel) {
   uint64_t epoch = hot.state.load(std::memory_order_relaxed);
   PreparedLaunch &prepared = kernel.prepared;
-  if (epoch == neverPrepared ||
+  if (epoch == LaunchState::never ||
       prepared.state.load(std::memory_order_relaxed) == epoch ||
       kernel.boundEpoch.load(std::memory_order_acquire) != epoch ||
       !kernel.resolved() || !kernel.sparseNodes.empty() ||
@@ -83,7 +92,7 @@ void Runtime::prepare(Kernel &kernel) {
   if (prepared.state.load(std::memory_order_relaxed) == epoch)
     return;
   const DeviceCode *code = nullptr;
-  if (device) {
+  if (parts.devices.isThere()) {
     code = kernel.deviceCode.get();
     if (!kernel.info.image || !code || code->epoch != epoch ||
         code->image != kernel.info.image)
@@ -107,10 +116,10 @@ void Runtime::prepare(Kernel &kernel) {
   prepared.state.store(epoch, std::memory_order_release);
 }
 
-Status Runtime::launchPrepared(Kernel &kernel, const uint64_t *args,
-                               uint64_t *results) {
+Status Launcher::launchPrepared(Kernel &kernel, const uint64_t *args,
+                                uint64_t *results) {
   PreparedLaunch &prepared = kernel.prepared;
-  Launch &launch = *acquireLaunch();
+  Launch &launch = *acquire();
   uint64_t number = hot.launches.fetch_add(1, std::memory_order_relaxed);
   prepared.lastLaunch.store(number, std::memory_order_relaxed);
   DeviceLaunch *onDevice = nullptr;
@@ -122,7 +131,7 @@ Status Runtime::launchPrepared(Kernel &kernel, const uint64_t *args,
       isReady &= (*mirror)->onDevice();
     if (__builtin_expect(!isReady, false)) {
       Status status = run(launch, kernel, args, results, number);
-      releaseLaunch(&launch);
+      release(&launch);
       return status;
     }
     onDevice->code = prepared.code;
@@ -143,7 +152,7 @@ Status Runtime::launchPrepared(Kernel &kernel, const uint64_t *args,
     if (__builtin_expect(onDevice->isFinished(), true))
       onDevice->code = nullptr;
     else
-      leaveDevice(launch);
+      deviceLaunches.leave(launch);
   }
   if (launch.arena.used())
     launch.arena.reset();
@@ -152,6 +161,6 @@ Status Runtime::launchPrepared(Kernel &kernel, const uint64_t *args,
     launch.freeSinks();
     status = failureOf(launch, kernel);
   }
-  releaseLaunch(&launch);
+  release(&launch);
   return status;
 }

@@ -6,7 +6,6 @@
 //===----------------------------------------------------------------------===//
 
 #include "TangentFlows.h"
-#include "tai/Runtime/Launch/Runtime.h"
 #include <algorithm>
 
 using namespace mlir::tai::runtime;
@@ -48,14 +47,4 @@ TangentFlows::describe(const std::vector<FieldPtr> &outputs,
     if (said.insert("forward\n" + tracker.nameOf(cut)).second)
       lines.push_back(tracker.describe(cut));
   return lines;
-}
-
-void Runtime::followTangents(const std::vector<FieldPtr> &inputs) {
-  tangentFlows = std::make_unique<TangentFlows>(fieldList, inputs);
-}
-
-std::vector<std::string>
-Runtime::lostTangents(const std::vector<FieldPtr> &outputs) {
-  return tangentFlows ? tangentFlows->describe(outputs, cutsSaid)
-                      : std::vector<std::string>();
 }

@@ -13,17 +13,18 @@
 #define TAI_LIB_RUNTIME_LAUNCH_TANGENTFLOWS_H
 
 #include "FlowTracker.h"
+#include "tai/Runtime/Host/HostWrites.h"
 #include <mutex>
 
 namespace mlir::tai::runtime {
 
-class TangentFlows {
+class TangentFlows final : public OverwriteWatcher {
 public:
   TangentFlows(const std::vector<FieldPtr> &fields,
                const std::vector<FieldPtr> &inputs);
 
   void launch(Kernel &kernel, const uint64_t *args);
-  void overwrite(const Field &field);
+  void overwrite(const Field &field) override;
   /// One line for each cut on the way to the outputs that is not among `said`.
   std::vector<std::string> describe(const std::vector<FieldPtr> &outputs,
                                     std::unordered_set<std::string> &said);

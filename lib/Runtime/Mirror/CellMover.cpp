@@ -43,7 +43,7 @@ Status CellMover::find(const Field &field, const CellElements &elements,
     return status;
   DevicePtr memory = made->description->get();
   TaiDeviceCellMove head = {
-      static_cast<int32_t>(mirror->sparse()->numberOf(*field.sparseNode())),
+      static_cast<int32_t>(numberOf(field.tree(), *field.sparseNode())),
       static_cast<int32_t>(scalar), static_cast<int64_t>(offsets.size()),
       field.layout().placeOffset,
       reinterpret_cast<const int64_t *>(memory + sizeof(TaiDeviceCellMove))};

@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "DeviceContext.h"
-#include "../Launch/Launch.h"
+#include "../Text/Format.h"
 #include "tai/Runtime/Device/DeviceReport.h"
 #include <algorithm>
 
@@ -17,9 +17,10 @@ static constexpr int64_t outputBytes = 1 << 20;
 /// The most bytes of one stack of a gradient.
 static constexpr int64_t stackBytes = 256 << 20;
 
-DeviceContext::DeviceContext(Runtime &runtime, std::unique_ptr<Device> device,
-                             int64_t limit, std::shared_ptr<Profiler> profiler)
-    : runtime(runtime), limit(limit) {
+DeviceContext::DeviceContext(const DeviceServices &services,
+                             std::unique_ptr<Device> device, int64_t limit,
+                             std::shared_ptr<Profiler> profiler)
+    : services(services), limit(limit) {
   bool profiles = profiler->isOn();
   auto made =
       std::make_unique<WatchedDevice>(std::move(device), std::move(profiler));
@@ -222,12 +223,13 @@ Status DeviceContext::report() {
   if (!status)
     return status;
   for (std::string &line : report.lines)
-    runtime.print(line + '\n');
+    services.printer.print(line + '\n');
   if (report.lostLines)
-    runtime.print("[tai] " + std::to_string(report.lostLines) +
-                  " lines that kernels printed were lost: there is room for " +
-                  formatBytes(outputBytes) +
-                  " of them on the device until the next wait for it\n");
+    services.printer.print(
+        "[tai] " + std::to_string(report.lostLines) +
+        " lines that kernels printed were lost: there is room for " +
+        formatBytes(outputBytes) +
+        " of them on the device until the next wait for it\n");
   return std::move(report.failure);
 }
 

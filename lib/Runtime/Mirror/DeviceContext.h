@@ -15,6 +15,7 @@
 
 #include "DeviceWatch.h"
 #include "LibraryKernels.h"
+#include "tai/Runtime/Mirror/DeviceHost.h"
 #include "tai/Runtime/Queue/DeviceQueue.h"
 #include <atomic>
 #include <map>
@@ -23,18 +24,17 @@
 namespace mlir::tai::runtime {
 
 class Mirror;
-class Runtime;
 
 class DeviceContext {
 public:
-  /// `limit` as Options::memoryLimit, for the memory of the device.
-  DeviceContext(Runtime &runtime, std::unique_ptr<Device> device, int64_t limit,
-                std::shared_ptr<Profiler> profiler);
+  /// With at most `limit` bytes there; 0 for what it has.
+  DeviceContext(const DeviceServices &services, std::unique_ptr<Device> device,
+                int64_t limit, std::shared_ptr<Profiler> profiler);
   ~DeviceContext();
   DeviceContext(const DeviceContext &) = delete;
   DeviceContext &operator=(const DeviceContext &) = delete;
 
-  Runtime &getRuntime() const { return runtime; }
+  const DeviceServices &host() const { return services; }
   Device &get() const { return *device; }
   DeviceQueue &queue() const { return *device; }
   /// What lies between the queue and the device.
@@ -106,7 +106,7 @@ private:
   std::atomic<bool> stateUsed{false};
   std::atomic<uint64_t> collections{0};
 
-  Runtime &runtime;
+  DeviceServices services;
   WatchedDevice *watched;
   std::unique_ptr<LibraryKernels> libraryKernels;
   int64_t limit;

@@ -11,8 +11,8 @@
 
 #include "Mirror.h"
 #include "../Storage/Scalars.h"
+#include "OwedZeros.h"
 #include "Slabs.h"
-#include "tai/Runtime/Launch/Runtime.h"
 #include <algorithm>
 #include <cstring>
 
@@ -128,6 +128,15 @@ Status Field::storeMirrored(int64_t offset, const void *from) const {
   return owner->mirror()->write(offset, from, byteSize(fieldLayout.scalar));
 }
 
+void Field::storeZeros() const {
+  // Of two threads that look, the second one waits until they are there.
+  static std::mutex storing;
+  std::lock_guard<std::mutex> lock(storing);
+  if (owed && valid())
+    owed->store(*this);
+  owed = nullptr;
+}
+
 //===----------------------------------------------------------------------===//
 // Whole fields
 //===----------------------------------------------------------------------===//
@@ -160,31 +169,27 @@ static Status copyThrough(Mirror &mirror, const Field &field, void *to,
                 : std::move(status);
 }
 
-bool Runtime::copyFromDevice(const Field &field, void *array) {
-  Mirror &mirror = *field.tree().mirror();
-  if (mirror.onHost() || !liesThere(field))
+bool Mirror::copyOut(const Field &field, void *array) {
+  if (onHost() || !liesThere(field))
     return false;
-  Status status =
-      field.contiguous()
-          ? mirror.device().copyOut(
-                array, mirror.at(field.layout().placeOffset), field.hostBytes())
-          : copyThrough(mirror, field, array, nullptr);
+  Status status = field.contiguous()
+                      ? device().copyOut(array, at(field.layout().placeOffset),
+                                         field.hostBytes())
+                      : copyThrough(*this, field, array, nullptr);
   if (status)
-    status = mirror.context().report();
-  mirror.context().note(std::move(status));
+    status = context().report();
+  context().note(std::move(status));
   return true;
 }
 
-bool Runtime::copyToDevice(Field &field, const void *array) {
-  Mirror &mirror = *field.tree().mirror();
+bool Mirror::copyIn(const Field &field, const void *array) {
   if (!liesThere(field))
     return false;
-  mirror.deviceWrites();
-  mirror.context().note(
-      field.contiguous()
-          ? mirror.device().copyIn(mirror.at(field.layout().placeOffset), array,
-                                   field.hostBytes())
-          : copyThrough(mirror, field, nullptr, array));
+  deviceWrites();
+  context().note(field.contiguous()
+                     ? device().copyIn(at(field.layout().placeOffset), array,
+                                       field.hostBytes())
+                     : copyThrough(*this, field, nullptr, array));
   return true;
 }
 
@@ -254,34 +259,31 @@ static void settleLent(const Mirror &mirror) {
     mirror.context().note(mirror.context().queue().settle());
 }
 
-bool Runtime::fillOnDevice(Field &field, const void *scalarBytes) {
-  Mirror &mirror = *field.tree().mirror();
-  if (!mirror.onDevice())
+bool Mirror::fill(const Field &field, const void *scalarBytes) {
+  if (!onDevice())
     return false;
   if (!liesThere(field)) {
-    std::vector<DeviceRows> pieces = findPieces(mirror, field);
+    std::vector<DeviceRows> pieces = findPieces(*this, field);
     if (pieces.empty())
       return false;
-    mirror.deviceWrites();
+    deviceWrites();
     auto size = static_cast<int>(byteSize(field.scalar()));
     for (const DeviceRows &piece : pieces)
-      mirror.context().note(
-          piece.rows == 1 && piece.outer == 1
-              ? mirror.device().fill(piece.address, scalarBytes, size,
-                                     piece.rowBytes / size)
-              : mirror.device().fillRows(piece, scalarBytes, size));
-    settleLent(mirror);
+      context().note(piece.rows == 1 && piece.outer == 1
+                         ? device().fill(piece.address, scalarBytes, size,
+                                         piece.rowBytes / size)
+                         : device().fillRows(piece, scalarBytes, size));
+    settleLent(*this);
     return true;
   }
-  mirror.deviceWrites();
+  deviceWrites();
   auto size = static_cast<int>(byteSize(field.scalar()));
-  Device &device = mirror.device();
-  DeviceRows rows = mirror.rows(field, 0, field.numElements());
-  mirror.context().note(
-      rows.rows == 1
-          ? device.fill(rows.address, scalarBytes, size, rows.rowBytes / size)
-          : device.fillRows(rows, scalarBytes, size));
-  settleLent(mirror);
+  Device &target = device();
+  DeviceRows rows = this->rows(field, 0, field.numElements());
+  context().note(rows.rows == 1 ? target.fill(rows.address, scalarBytes, size,
+                                              rows.rowBytes / size)
+                                : target.fillRows(rows, scalarBytes, size));
+  settleLent(*this);
   return true;
 }
 

@@ -81,6 +81,12 @@ public:
   Status read(int64_t offset, void *to, int64_t bytes);
   Status write(int64_t offset, const void *from, int64_t bytes);
 
+  /// Copies a whole field from or to an array of the host, or fills it, where
+  /// the device has it. False where that is better done on the host.
+  bool copyOut(const Field &field, void *array);
+  bool copyIn(const Field &field, const void *array);
+  bool fill(const Field &field, const void *scalarBytes);
+
   /// Elements of a field that lie evenly in the tree, from number `first` on;
   /// the memory of the device must be there.
   DeviceRows rows(const Field &field, int64_t first, int64_t count) const {

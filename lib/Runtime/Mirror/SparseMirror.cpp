@@ -6,15 +6,15 @@
 //===----------------------------------------------------------------------===//
 
 #include "SparseMirror.h"
-#include "../Launch/Launch.h"
+#include "../Text/Format.h"
 #include "CellElements.h"
 #include "CellMover.h"
 #include "Mirror.h"
-#include "tai/Runtime/Launch/Runtime.h"
 #include <algorithm>
 #include <cstddef>
 #include <cstring>
 
+using namespace mlir::tai;
 using namespace mlir::tai::runtime;
 
 /// How many tiles a list of the level is made of.
@@ -27,16 +27,15 @@ static int64_t numTiles(const SparseNode &node) {
 static int64_t alignUp(int64_t bytes) { return (bytes + 255) / 256 * 256; }
 
 SparseMirror::SparseMirror(DeviceContext &context, Tree &tree)
-    : context(context), tree(tree) {
+    : context(context), tree(tree), cellLists(context, tree, state) {
   for (const std::unique_ptr<SparseNode> &node : tree.sparseNodes())
-    sharedEpochs.push_back(node->changes.load(std::memory_order_acquire));
-  pools.resize(sharedEpochs.size());
+    sharedEpochs.push_back(node->knownEpoch());
   touchOutside(0, tree.bytes(), nullptr, 0);
 }
 
 SparseMirror::~SparseMirror() {
-  for (const Uploaded &list : lists)
-    context.free(list.memory);
+  for (DevicePtr memory : descriptions)
+    context.free(memory);
   for (DevicePtr memory : keptMemory)
     context.free(memory);
   if (block)
@@ -59,7 +58,7 @@ Status SparseMirror::allocate(DevicePtr &address) {
     removedAt.push_back(bytes);
     bytes += alignUp(node->activityBytes());
     marksAt.push_back(bytes);
-    bytes += alignUp(node->numMarks * int64_t(sizeof(uint64_t)));
+    bytes += alignUp(node->numMarked() * int64_t(sizeof(uint64_t)));
     mostTiles = std::max(mostTiles, numTiles(*node));
   }
   int64_t accountAt = bytes;
@@ -78,8 +77,8 @@ Status SparseMirror::allocate(DevicePtr &address) {
   pieces = block + static_cast<DevicePtr>(piecesAt);
   base = block + TAI_DEVICE_TREE_HEADER;
   activity = block + static_cast<DevicePtr>(activityAt);
-  sums = block + static_cast<DevicePtr>(sumsAt);
   account = block + static_cast<DevicePtr>(accountAt);
+  cellLists.setMemory(base, block + static_cast<DevicePtr>(sumsAt));
   for (int64_t offset : removedAt)
     removed.push_back(block + static_cast<DevicePtr>(offset));
   for (int64_t offset : marksAt)
@@ -170,7 +169,7 @@ Status SparseMirror::writeDescriptor() {
                                    "descriptions of sparse trees", memory);
   if (!status)
     return status;
-  lists.push_back({nullptr, memory});
+  descriptions.push_back(memory);
   DevicePtr nodesAt = memory + sizeof(TaiDeviceTree);
   DevicePtr stepsAt = nodesAt + entryBytes, textsAt = stepsAt + stepBytes;
   for (size_t i = 0; i < entries.size(); ++i) {
@@ -311,7 +310,7 @@ Status SparseMirror::forEachRun(
 Status SparseMirror::upload() {
   std::lock_guard<std::recursive_mutex> lock(mutex);
   for (const std::unique_ptr<SparseNode> &node : tree.sparseNodes())
-    node->forEachActive([&](int64_t cell) { touchCell(*node, cell); });
+    node->forEachKnown([&](int64_t cell) { touchCell(*node, cell); });
   Status status = countPieces();
   if (status)
     status = forEachRun([&](int64_t offset, int64_t bytes) {
@@ -338,10 +337,10 @@ Status SparseMirror::download() {
 Status SparseMirror::fetch() {
   std::lock_guard<std::recursive_mutex> lock(mutex);
   // Whoever is told of a state that was kept asks for it.
-  if (!behind.load(std::memory_order_acquire) || isFetching)
+  if (!isBehind() || isFetching)
     return Status::success();
   Device &device = context.get();
-  context.getRuntime().skipCounters().add(SkipCount::ActivityFetched);
+  context.host().counters.add(SkipCount::ActivityFetched);
   const auto &nodes = tree.sparseNodes();
   std::vector<TaiDeviceActivity> found(nodes.size());
   bool any = false, anyKept = false;
@@ -359,24 +358,30 @@ Status SparseMirror::fetch() {
     any = true;
     SparseNode &node = *nodes[i];
     status = fetchLevel(node, happened & TAI_DEVICE_CELLS_REMOVED);
-    sharedEpochs[i] = node.changes.load(std::memory_order_acquire);
+    sharedEpochs[i] = node.knownEpoch();
   }
   const uint32_t zero = 0;
   if (status && (any || anyKept))
-    unchangedFrom = generation;
+    state.unchangedFrom = state.generation;
   if (status && any) {
     status = device.fillRows({activity, sizeof(TaiDeviceActivity), sizeof(zero),
                               int64_t(nodes.size())},
                              &zero, sizeof(zero));
   }
   if (status)
-    behind.store(false, std::memory_order_release);
+    state.behind.store(false, std::memory_order_release);
   return status;
 }
 
 //===----------------------------------------------------------------------===//
 // What the host changes on both sides
 //===----------------------------------------------------------------------===//
+
+void SparseMirror::hostChanges(bool removes) {
+  // Nobody changes it in two places.
+  (void)tree.writable();
+  state.change(removes);
+}
 
 bool SparseMirror::isCurrent() const { return tree.mirror()->onDevice(); }
 
@@ -402,7 +407,7 @@ bool SparseMirror::deactivateAll(SparseNode &node) {
   std::vector<std::pair<SparseNode *, DeviceCellsPtr>> all;
   for (SparseNode *next : findHolders(node, tree)) {
     DeviceCellsPtr cells;
-    Status status = list(*next, cells);
+    Status status = cellLists.list(*next, cells);
     if (status && !cells)
       return false;
     if (!status) {
@@ -417,7 +422,8 @@ bool SparseMirror::deactivateAll(SparseNode &node) {
     if (status)
       status = context.library().launch(
           LibraryKernel::DeactivateList,
-          /*blocks=*/0, threads, {base, numberOf(*next), cells->header()});
+          /*blocks=*/0, threads,
+          {base, numberOf(tree, *next), cells->header()});
   tree.mirror()->deviceWrites();
   deviceActivates(/*removes=*/true);
   context.note(std::move(status));
@@ -433,7 +439,8 @@ bool SparseMirror::fillActive(const Field &field, const CellElements &elements,
     return false;
   Status status = CellMover::find(field, elements, mover);
   if (status && mover)
-    status = list(const_cast<SparseNode &>(*field.sparseNode()), cells);
+    status =
+        cellLists.list(const_cast<SparseNode &>(*field.sparseNode()), cells);
   if (status && !cells)
     return false;
   // How many there are is known there.
@@ -446,24 +453,4 @@ bool SparseMirror::fillActive(const Field &field, const CellElements &elements,
 std::shared_ptr<CellMover> &SparseMirror::moverOf(const Field &field) {
   return movers[{field.layout().placeOffset, int64_t(field.scalar()),
                  field.numComponents()}];
-}
-
-void SparseNode::bringActivity() const { onDevice->bringActivity(); }
-
-void SparseNode::prepareChange(bool removes) {
-  // Nobody changes it in two places.
-  (void)tree.writable();
-  onDevice->hostChanges(removes);
-}
-
-int64_t SparseNode::activityBytes() const {
-  return layout.isList ? cells / capacity() * int64_t(sizeof(int32_t))
-                       : (cells + 63) / 64 * int64_t(sizeof(uint64_t));
-}
-
-void SparseNode::forEachActive(const std::function<void(int64_t)> &body) const {
-  std::vector<int64_t> found;
-  collectInto(found, 0, numMarks);
-  for (int64_t cell : found)
-    body(cell);
 }

@@ -16,7 +16,7 @@
 #ifndef TAI_LIB_RUNTIME_MIRROR_SPARSEMIRROR_H
 #define TAI_LIB_RUNTIME_MIRROR_SPARSEMIRROR_H
 
-#include "DeviceCells.h"
+#include "DeviceLists.h"
 #include "tai/ABI/DeviceSparse.h"
 #include "tai/Runtime/Storage/Field.h"
 #include <array>
@@ -28,10 +28,10 @@ namespace mlir::tai::runtime {
 class CellElements;
 class CellMover;
 
-class SparseMirror {
+class SparseMirror final : public SparseOnDevice {
 public:
   SparseMirror(DeviceContext &context, Tree &tree);
-  ~SparseMirror();
+  ~SparseMirror() override;
   SparseMirror(const SparseMirror &) = delete;
   SparseMirror &operator=(const SparseMirror &) = delete;
 
@@ -47,58 +47,39 @@ public:
 
   /// Work has been queued that may change activity, or `removes` cells.
   void deviceActivates(bool removes) {
-    changesAgain(removes);
-    behind.store(true, std::memory_order_release);
+    state.change(removes);
+    state.behind.store(true, std::memory_order_release);
   }
-  /// The host is about to.
-  void hostChanges(bool removes) { changesAgain(removes); }
+  void hostChanges(bool removes) override;
   /// Keeps what has happened to activity so far on the device, without waiting:
   /// when somebody asks, the host goes to that state first, and `seen` is
   /// called while it is there. False where the host has to look at once.
   bool keepActivity(std::function<void()> seen);
   bool canKeepActivity() const;
-  bool isBehind() const { return behind.load(std::memory_order_acquire); }
-  uint64_t getGeneration() const { return generation; }
-  /// When cells were last made inactive, as far as the host knows.
-  uint64_t getLastRemoval() const { return lastRemoval; }
+  bool isBehind() const override { return state.isBehind(); }
+  uint64_t getGeneration() const override { return state.generation; }
+  uint64_t getLastRemoval() const override { return state.lastRemoval; }
   /// Makes what the host knows of activity current.
-  Status fetchActivity() {
-    return behind.load(std::memory_order_acquire) ? fetch() : Status::success();
-  }
-  void bringActivity() { context.note(fetchActivity()); }
+  Status fetchActivity() { return isBehind() ? fetch() : Status::success(); }
+  void bringActivity() override { context.note(fetchActivity()); }
 
-  /// Whether the memory of the device is current.
-  bool isCurrent() const;
-  /// Where it is, makes all cells of a level inactive there, as the host does
-  /// on its side. False where that is better done on the host alone.
-  bool deactivateAll(SparseNode &node);
-  /// Brings the activity of a level to the device, which is current but for
-  /// these words of bits, or lengths, which both sides have known as others.
+  bool isCurrent() const override;
+  bool deactivateAll(SparseNode &node) override;
   void uploadActivity(const SparseNode &node,
-                      const std::vector<int64_t> &changed);
+                      const std::vector<int64_t> &changed) override;
 
   /// Where it is, sets the elements of all active cells of a field there. False
   /// where that is better done on the host.
   bool fillActive(const Field &field, const CellElements &elements,
                   const void *scalarBytes);
 
-  /// Where the device finds a list, which the caller keeps, with its length in
-  /// front.
-  Status find(const ActiveListPtr &list, DevicePtr &address);
-
-  /// The list of cells that are active when the work queued before is done,
-  /// made there: the host waits for nothing. Null where this device cannot.
-  Status list(SparseNode &node, DeviceCellsPtr &cells);
+  DeviceLists &lists() { return cellLists; }
   /// Whether a list is known to show what is active.
-  bool isCurrent(const DeviceCells &cells) const {
-    return isBehind() ? cells.generation == generation
-                      : cells.generation >= unchangedFrom;
+  bool isShownBy(const DeviceCells &cells) const {
+    return state.isShownBy(cells);
   }
-  /// How many cells may be active, for who decides how much should run.
-  int64_t guessActive(const SparseNode &node) const;
 
   DeviceContext &getContext() const { return context; }
-  size_t numberOf(const SparseNode &node) const;
   /// What moves the elements of a field and of those in the same place; see
   /// CellMover.
   std::shared_ptr<CellMover> &moverOf(const Field &field);
@@ -114,12 +95,6 @@ private:
   Status sendActivity();
   Status sendAccount();
   Status sendWords(const SparseNode &node, const std::vector<int64_t> &changed);
-  Status queueList(const SparseNode &node, DeviceCells &cells);
-  void changesAgain(bool removes) {
-    ++generation;
-    if (removes)
-      lastRemoval = generation;
-  }
   /// Copies the activity of a level, without parts that nobody has changed.
   Status sendBits(const SparseNode &node);
   void touch(int64_t begin, int64_t end);
@@ -132,7 +107,8 @@ private:
   DeviceContext &context;
   Tree &tree;
   std::recursive_mutex mutex;
-  std::atomic<bool> behind{false};
+  DeviceActivity state;
+  DeviceLists cellLists;
   DevicePtr block = 0, base = 0;
   /// The memory takes room where it is touched; then, which pieces are known to
   /// have done so lies behind the account.
@@ -140,33 +116,21 @@ private:
   int64_t pieceBytes = 0, numPieces = 0;
   /// Behind the tree: a TaiDeviceActivity of each level, then what was removed
   /// from each, its marks, and sums of tiles of the largest.
-  DevicePtr activity = 0, sums = 0, account = 0, pieces = 0;
+  DevicePtr activity = 0, account = 0, pieces = 0;
   std::vector<DevicePtr> removed, marks;
   /// Epochs of the levels for which both sides have the same activity.
   std::vector<uint64_t> sharedEpochs;
-  /// States of activity that may differ, by number: the last one, from which on
-  /// they are known to be the same, and the one at which cells were last made
-  /// inactive.
-  uint64_t generation = 1, unchangedFrom = 1, lastRemoval = 0;
   /// States that are kept, in their order, and memory for them, which serves
   /// the next ones again: the same work is then the same.
   std::vector<std::function<void()>> kept;
   std::vector<DevicePtr> keptMemory;
   uint64_t keptGeneration = 0;
   bool isFetching = false;
-  struct Pool {
-    std::vector<std::shared_ptr<DeviceCells>> all;
-    std::shared_ptr<DeviceCells> current;
-  };
-  std::vector<Pool> pools;
   /// Parts of the tree that may hold something else than zeros on either side:
   /// where each begins, and where it ends.
   std::map<int64_t, int64_t> touched;
-  struct Uploaded {
-    ActiveListPtr list;
-    DevicePtr memory;
-  };
-  std::vector<Uploaded> lists;
+  /// What device code knows of the tree.
+  std::vector<DevicePtr> descriptions;
   std::map<std::array<int64_t, 3>, std::shared_ptr<CellMover>> movers;
 };
 

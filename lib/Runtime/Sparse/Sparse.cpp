@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Sparse/Sparse.h"
-#include "../Mirror/SparseMirror.h"
-#include "tai/Runtime/Launch/Runtime.h"
+#include "tai/Runtime/Threads/Workers.h"
+#include "tai/Support/Skips.h"
 #include <algorithm>
 #include <cstdlib>
 #include <cstring>
@@ -27,8 +27,8 @@ static int32_t loadLength(const int32_t *length) {
   return __atomic_load_n(length, __ATOMIC_RELAXED);
 }
 
-SparseNode::SparseNode(Tree &tree, SparseInfo info, SparseNode *parent)
-    : tree(tree), layout(std::move(info)), parent(parent) {
+SparseNode::SparseNode(CellMemory &memory, SparseInfo info, SparseNode *parent)
+    : memory(memory), layout(std::move(info)), parent(parent) {
   for (const SparseInfo::Step &step : layout.steps)
     cells *= step.cells;
   cellsBelow = parent ? cells / parent->cells : cells;
@@ -44,15 +44,15 @@ SparseNode::SparseNode(Tree &tree, SparseInfo info, SparseNode *parent)
 SparseNode::~SparseNode() { std::free(marks); }
 
 uint64_t *SparseNode::words() const {
-  return reinterpret_cast<uint64_t *>(tree.base() + layout.activityOffset);
+  return reinterpret_cast<uint64_t *>(memory.base + layout.activityOffset);
 }
 
 int32_t *SparseNode::lengths() const {
-  return reinterpret_cast<int32_t *>(tree.base() + layout.activityOffset);
+  return reinterpret_cast<int32_t *>(memory.base + layout.activityOffset);
 }
 
 char *SparseNode::addressOf(int64_t cell) const {
-  return tree.base() + offsetOf(cell);
+  return memory.base + offsetOf(cell);
 }
 
 int64_t SparseNode::offsetOf(int64_t cell) const {
@@ -79,8 +79,9 @@ void SparseNode::changed(int64_t by, bool removes) {
        !peak.compare_exchange_weak(most, now, std::memory_order_relaxed);) {
   }
   if (children.empty()) {
-    tree.activeBytes.fetch_add(by * cellBytes(), std::memory_order_relaxed);
-    tree.allActiveBytes->fetch_add(by * cellBytes(), std::memory_order_relaxed);
+    memory.activeBytes.fetch_add(by * cellBytes(), std::memory_order_relaxed);
+    memory.allActiveBytes->fetch_add(by * cellBytes(),
+                                     std::memory_order_relaxed);
   }
   uint64_t began = changes.fetch_add(1, std::memory_order_release) + 1;
   if (!removes)
@@ -173,7 +174,7 @@ bool SparseNode::activate(int64_t cell) {
   if (__builtin_expect(onDevice != nullptr, false)) {
     if (isActive(cell))
       return false;
-    prepareChange(/*removes=*/false);
+    onDevice->hostChanges(/*removes=*/false);
   }
   if (layout.isList) {
     int32_t *length = lengths() + cell / capacity();
@@ -277,7 +278,7 @@ void SparseNode::deactivate(int64_t cell) {
   if (__builtin_expect(onDevice != nullptr, false)) {
     if (!isActive(layout.isList ? cell / capacity() * capacity() : cell))
       return;
-    prepareChange(/*removes=*/true);
+    onDevice->hostChanges(/*removes=*/true);
   }
   if (layout.isList) {
     int64_t list = cell / capacity();
@@ -372,9 +373,9 @@ void SparseNode::useLargePages(const ActiveList &list) {
   constexpr int64_t kEnough = kPage / 8 * 7;
   if (static_cast<int64_t>(list.cells.size()) * cellBytes() < kEnough)
     return;
-  std::lock_guard<std::mutex> lock(tree.largePagesMutex);
+  std::lock_guard<std::mutex> lock(memory.largePagesMutex);
   auto advise = [&](uintptr_t region, int64_t bytes) {
-    if (bytes >= kEnough && tree.largePages.insert(region).second)
+    if (bytes >= kEnough && memory.largePages.insert(region).second)
       (void)madvise(reinterpret_cast<void *>(region * kPage), kPage, kCollapse);
   };
   uintptr_t region = 0;
@@ -391,13 +392,14 @@ void SparseNode::useLargePages(const ActiveList &list) {
   advise(region, bytes);
 }
 
-ActiveListPtr SparseNode::list(Runtime &runtime) {
+ActiveListPtr SparseNode::list() {
   sync();
+  const ListMaker &maker = *memory.lists;
   std::lock_guard<std::mutex> lock(mutex);
   uint64_t now = changes.load(std::memory_order_acquire);
-  if (current && current->epoch == now && runtime.skips(Skip::ListReuse)) {
+  if (current && current->epoch == now && maker.skips.has(Skip::ListReuse)) {
     ++reused;
-    runtime.skipCounters().add(SkipCount::ListsReused);
+    maker.counters.add(SkipCount::ListsReused);
     return current;
   }
   auto list = std::make_shared<ActiveList>();
@@ -405,8 +407,9 @@ ActiveListPtr SparseNode::list(Runtime &runtime) {
   // Enough cells to repay a fork.
   constexpr int64_t kManyCells = 1 << 15;
   int64_t count = active.load(std::memory_order_relaxed);
-  int64_t parts =
-      count < kManyCells ? 1 : std::min<int64_t>(runtime.threads(), numMarks);
+  int64_t parts = count < kManyCells
+                      ? 1
+                      : std::min<int64_t>(maker.workers.threads(), numMarks);
   if (parts <= 1) {
     list->cells.reserve(static_cast<size_t>(std::max<int64_t>(count, 0)));
     collectInto(list->cells, 0, numMarks);
@@ -416,7 +419,7 @@ ActiveListPtr SparseNode::list(Runtime &runtime) {
       int64_t parts;
       std::vector<std::vector<int64_t>> found;
     } job{this, parts, std::vector<std::vector<int64_t>>(parts)};
-    runtime.parallel(
+    maker.workers.parallel(
         parts,
         [](void *context, int64_t part) {
           Job &job = *static_cast<Job *>(context);
@@ -431,7 +434,106 @@ ActiveListPtr SparseNode::list(Runtime &runtime) {
   if (children.empty() && !onDevice)
     useLargePages(*list);
   ++made;
-  runtime.skipCounters().add(SkipCount::ListsMade);
+  maker.counters.add(SkipCount::ListsMade);
   current = std::move(list);
   return current;
+}
+
+//===----------------------------------------------------------------------===//
+// What the host knows without waiting
+//===----------------------------------------------------------------------===//
+
+SparseNode::Moment SparseNode::now() const {
+  Moment moment{changes.load(std::memory_order_acquire), 0, true};
+  if (onDevice) {
+    moment.generation = onDevice->getGeneration();
+    moment.isKnown = !onDevice->isBehind();
+  }
+  return moment;
+}
+
+bool SparseNode::hasChangedSince(const Moment &moment) const {
+  return epoch() != moment.epoch &&
+         (moment.isKnown || onDevice->getGeneration() > moment.generation);
+}
+
+bool SparseNode::hasRemovedSince(const Moment &moment) const {
+  return lastRemoval() > moment.epoch &&
+         (moment.isKnown || onDevice->getLastRemoval() > moment.generation);
+}
+
+bool SparseNode::mayBeActive() const {
+  return (onDevice && onDevice->isBehind()) ||
+         active.load(std::memory_order_relaxed) != 0;
+}
+
+//===----------------------------------------------------------------------===//
+// The same level on a device
+//===----------------------------------------------------------------------===//
+
+bool SparseNode::holdsCellsAlone() const {
+  int64_t within = 0;
+  for (const SparseNode *child : children)
+    within += child->cellsBelow * child->cellBytes();
+  return within == cellBytes();
+}
+
+int64_t SparseNode::activityBytes() const {
+  return layout.isList ? cells / capacity() * int64_t(sizeof(int32_t))
+                       : (cells + 63) / 64 * int64_t(sizeof(uint64_t));
+}
+
+void SparseNode::forEachKnown(const std::function<void(int64_t)> &body) const {
+  std::vector<int64_t> found;
+  collectInto(found, 0, numMarks);
+  for (int64_t cell : found)
+    body(cell);
+}
+
+void SparseNode::adopt(const Part &part, Adopted &adopted,
+                       const std::function<void(int64_t)> &added) {
+  auto forEachBit = [](uint64_t word, const auto &body) {
+    for (; word; word &= word - 1)
+      body(__builtin_ctzll(word));
+  };
+  if (layout.isList) {
+    const auto *now = static_cast<const int32_t *>(part.activity);
+    const auto *was = static_cast<const int32_t *>(part.gone);
+    for (int64_t i = 0; i < part.count; ++i) {
+      int64_t list = part.first + i;
+      int32_t before = lengths()[list], length = was ? was[i] : 0;
+      length = std::max(length, now[i] < before ? before : 0);
+      if (length) {
+        adopted.removes = true;
+        noteRemoved(list * capacity(), length);
+      }
+      if (now[i] == before && !length)
+        continue;
+      adopted.differs |= now[i] != before;
+      adopted.by += now[i] - before;
+      lengths()[list] = now[i];
+      markWord(list);
+      for (int32_t k = 0; k < now[i]; ++k)
+        added(list * capacity() + k);
+    }
+  } else {
+    const auto *now = static_cast<const uint64_t *>(part.activity);
+    const auto *was = static_cast<const uint64_t *>(part.gone);
+    for (int64_t i = 0; i < part.count; ++i) {
+      int64_t at = part.first + i;
+      uint64_t before = words()[at];
+      uint64_t left = (was ? was[i] : 0) | (before & ~now[i]);
+      if (left) {
+        adopted.removes = true;
+        forEachBit(left, [&](int bit) { noteRemoved(at * 64 + bit, 1); });
+      }
+      if (now[i] == before)
+        continue;
+      adopted.differs = true;
+      adopted.by += __builtin_popcountll(now[i]) - __builtin_popcountll(before);
+      words()[at] = now[i];
+      markWord(at);
+      forEachBit(now[i] & ~before, [&](int bit) { added(at * 64 + bit); });
+    }
+  }
 }

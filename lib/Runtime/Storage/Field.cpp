@@ -14,6 +14,13 @@
 
 using namespace mlir::tai::runtime;
 
+__thread uint64_t mlir::tai::runtime::ownThreadNumber = 0;
+
+uint64_t mlir::tai::runtime::numberThread() {
+  static std::atomic<uint64_t> last{0};
+  return ownThreadNumber = 1 + last.fetch_add(1, std::memory_order_relaxed);
+}
+
 int64_t Field::elementOffset(const int64_t *index) const {
   int64_t offset = fieldLayout.placeOffset;
   for (size_t d = 0; d < shapeOf.size(); ++d) {
@@ -116,4 +123,63 @@ Status Field::writeI64(const int64_t *index, int64_t component, int64_t value) {
   storeI64(scalar(), bytes, value);
   markDirty();
   return storeBytes(offset, bytes);
+}
+
+Status Field::readElements(const int64_t *indices, int64_t count,
+                           void *values) const {
+  auto scalar = static_cast<size_t>(byteSize(fieldLayout.scalar));
+  char *to = static_cast<char *>(values);
+  for (int64_t i = 0; i < count; ++i, indices += rank()) {
+    int64_t from = 0;
+    Status status = locate(indices, 0, from);
+    for (int64_t c = 0; c < components && status; ++c, to += scalar)
+      status = loadBytes(from + c * fieldLayout.componentStride, to);
+    if (!status)
+      return status;
+  }
+  return Status::success();
+}
+
+//===----------------------------------------------------------------------===//
+// Steps
+//===----------------------------------------------------------------------===//
+
+bool mlir::tai::runtime::findConstantStep(
+    const std::vector<LayoutLevel> &levels, int64_t &step) {
+  int64_t weight = 1;
+  bool any = false;
+  step = 0;
+  for (auto level = levels.rbegin(); level != levels.rend(); ++level) {
+    if (level->extent == 1)
+      continue;
+    if (level->divisor != weight)
+      return false;
+    if (!any)
+      step = level->stride;
+    else if (level->stride != step * weight)
+      return false;
+    any = true;
+    weight *= level->extent;
+  }
+  return true;
+}
+
+int64_t mlir::tai::runtime::findEvenStep(const FieldLayout &layout,
+                                         const std::vector<int64_t> &shape,
+                                         int64_t elementBytes) {
+  int64_t first = 0, expected = 0;
+  for (size_t d = shape.size(); d-- > 0;) {
+    int64_t step;
+    if (!findConstantStep(layout.indices[d], step))
+      return 0;
+    if (shape[d] <= 1)
+      continue;
+    if (first == 0)
+      first = expected = step;
+    if (step != expected)
+      return 0;
+    expected *= shape[d];
+  }
+  // One element follows on itself.
+  return first == 0 ? elementBytes : first;
 }

@@ -30,13 +30,12 @@ static void examineElement(const Field &adjoint, const char *address,
 }
 
 /// The same as below where only active cells hold anything.
-static void examineCells(Runtime &runtime, const Field &adjoint,
-                         int64_t dimension, int64_t position,
-                         RecordHealth &found) {
+static void examineCells(const Field &adjoint, int64_t dimension,
+                         int64_t position, RecordHealth &found) {
   CellElements elements(adjoint);
   if (dimension >= 0 && !elements.separates(static_cast<int>(dimension)))
     dimension = -1;
-  ActiveListPtr list = adjoint.sparseNode()->list(runtime);
+  ActiveListPtr list = adjoint.sparseNode()->list();
   for (int64_t cell : list->cells)
     if (dimension < 0 ||
         elements.position(cell, static_cast<int>(dimension)) == position)
@@ -79,7 +78,7 @@ void AdjointHealth::look(size_t index, const Field &field, int64_t dimension,
     return;
   RecordHealth found{static_cast<int64_t>(index), &field, 0, 0, 0.0, 0.0};
   if (adjoint->sparseNode())
-    examineCells(runtime, *adjoint, dimension, position, found);
+    examineCells(*adjoint, dimension, position, found);
   else
     examineElements(*adjoint, dimension, position, found);
   examined.push_back(found);

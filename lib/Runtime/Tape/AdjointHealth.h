@@ -19,8 +19,6 @@ namespace mlir::tai::runtime {
 
 class AdjointHealth {
 public:
-  explicit AdjointHealth(Runtime &runtime) : runtime(runtime) {}
-
   void watch(bool on) {
     watching = on;
     examined.clear();
@@ -41,7 +39,6 @@ private:
   void look(size_t index, const Field &field, int64_t dimension,
             int64_t position);
 
-  Runtime &runtime;
   bool watching = false;
   std::vector<RecordHealth> examined;
 };

@@ -18,7 +18,7 @@
 #ifndef TAI_LIB_RUNTIME_TAPE_OVERWRITES_H
 #define TAI_LIB_RUNTIME_TAPE_OVERWRITES_H
 
-#include "../Host/OwedZeros.h"
+#include "../Mirror/OwedZeros.h"
 #include "TapeRecording.h"
 
 namespace mlir::tai::runtime {

@@ -120,7 +120,7 @@ Status ReverseSweep::findLoops(Kernel &kernel, LoopLists &lists) {
   // Activity is what it was when the function was done.
   for (SparseNode *node : TapedKernel::sparseNodes(kernel))
     lists.addUnknown(
-        *node, node->list(services.owner()),
+        *node, node->list(),
         topology.changes(static_cast<uint32_t>(hostFunction), *node));
   return checkActivity(kernel, hostFunction);
 }

@@ -113,7 +113,7 @@ Status SweepSeeds::store() const {
 std::vector<Field *> SweepSeeds::liveFields(bool cleared,
                                             const TapeHolds &holds) const {
   auto mayBeNonzero = [&](const FieldPtr &adjoint) {
-    if (TapeServices::isOfAnotherThread(*adjoint) && !holds.has(adjoint))
+    if (adjoint->isDirtiedByOther() && !holds.has(adjoint))
       return false;
     return cleared ? adjoint->tree().isLent() : adjoint->dirty();
   };

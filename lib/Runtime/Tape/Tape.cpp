@@ -216,7 +216,7 @@ Status Tape::runRecord(int64_t index) {
                            "records");
   const TapeRecording &records = parts->recording;
   const TapeRecording::Record &record = records[static_cast<size_t>(index)];
-  Tape *other = parts->services.owner().recordingTape();
+  auto *other = static_cast<Tape *>(parts->services.owner().recordingTape());
   if (record.kind == TapeRecording::Kind::Write)
     return parts->services.change(records.write(record));
   if (!record.kernel) {

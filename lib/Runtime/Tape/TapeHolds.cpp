@@ -9,18 +9,6 @@
 
 using namespace mlir::tai::runtime;
 
-static HoldKind getKind(AccessKind kind) {
-  switch (kind) {
-  case AccessKind::Read:
-    return HoldKind::Read;
-  case AccessKind::Accumulate:
-    return HoldKind::Add;
-  case AccessKind::Write:
-    return HoldKind::Write;
-  }
-  __builtin_unreachable();
-}
-
 Status TapeHolds::add(const FieldPtr &field, HoldKind kind) {
   auto [entry, isNew] = used.try_emplace(field, kind);
   if (!isNew) {
@@ -36,8 +24,7 @@ Status TapeHolds::add(const FieldPtr &field, HoldKind kind) {
     return status;
   }
   // Left there by another thread before: a tape begins with gradients of zero.
-  if (isNew && clears && field->isAdjoint() &&
-      TapeServices::isOfAnotherThread(*field)) {
+  if (isNew && clears && field->isAdjoint() && field->isDirtiedByOther()) {
     const char zeros[8] = {};
     field->settleZeros();
     services.perform({HostWrite::What::Fill, field.get(), zeros});
@@ -52,7 +39,7 @@ Status TapeHolds::add(const Kernel &kernel) {
   Status status;
   for (const Access &access : kernel.summary()) {
     if (status)
-      status = add(access.field, getKind(access.kind));
+      status = add(access.field, holdKindOf(access.kind));
     // What is active is part of the sequence, and the same for all fields.
     if (status && access.field->sparseNode() && access.field->valid())
       status = add(services.firstOf(access.field->tree()), HoldKind::Write);
@@ -71,7 +58,7 @@ Status TapeHolds::add(const Kernel &kernel) {
 Status TapeHolds::hold() {
   if (!isHolding) {
     isHolding = true;
-    services.countHolding(1);
+    services.beginHolding();
   }
   Status status;
   for (const auto &[field, kind] : used)
@@ -86,5 +73,5 @@ void TapeHolds::release() {
   isHolding = false;
   for (const auto &[field, kind] : used)
     services.release(tape, *field);
-  services.countHolding(-1);
+  services.endHolding();
 }

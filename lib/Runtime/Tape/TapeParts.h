@@ -25,9 +25,9 @@ struct Tape::Parts {
   Parts(Runtime &runtime, Tape &tape, uint64_t stamp, bool clears)
       : stamp(stamp), services(runtime), holds(services, tape, clears),
         memory(runtime), topology(runtime), seeds(services), changes(services),
-        forms(services, recording, plan, memory), health(runtime),
-        direct(services, recording), reverse(services, tape, recording, plan,
-                                             forms, memory, topology, health),
+        forms(services, recording, plan, memory), direct(services, recording),
+        reverse(services, tape, recording, plan, forms, memory, topology,
+                health),
         rematerialiser(services, recording, plan, memory, topology, reverse) {
     reverse.liveFields = [this] { return seeds.liveFields(false, holds); };
   }

@@ -7,7 +7,7 @@
 
 #include "../../../lib/CodeGen/Passes/InsertSafepoints.h"
 #include "LLVMPassUtils.h"
-#include "tai/Runtime/Launch/Safepoint.h"
+#include "tai/Runtime/Threads/Safepoint.h"
 #include "llvm/AsmParser/Parser.h"
 #include "llvm/IR/InstIterator.h"
 #include "llvm/IR/Instructions.h"

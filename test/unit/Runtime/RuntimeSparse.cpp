@@ -86,8 +86,8 @@ static Status makePath(Runtime &runtime, const std::string &name,
   return runtime.addField(std::move(field), path.field);
 }
 
-static std::vector<int64_t> activeCells(Runtime &runtime, SparseNode &node) {
-  return node.list(runtime)->cells;
+static std::vector<int64_t> activeCells(SparseNode &node) {
+  return node.list()->cells;
 }
 
 static std::vector<int64_t> numbers(int64_t count) {
@@ -131,13 +131,13 @@ TEST(RuntimeSparse, ThreadsActivateTheSameCells) {
     EXPECT_EQ(changed, inner.numCells());
     EXPECT_EQ(inner.numActive(), inner.numCells());
     EXPECT_EQ(outer.numActive(), outer.numCells());
-    EXPECT_EQ(activeCells(runtime, inner), numbers(inner.numCells()));
-    EXPECT_EQ(activeCells(runtime, outer), numbers(outer.numCells()));
+    EXPECT_EQ(activeCells(inner), numbers(inner.numCells()));
+    EXPECT_EQ(activeCells(outer), numbers(outer.numCells()));
     EXPECT_EQ(runtime.activeCellBytes(), inner.numCells() * 16);
     outer.deactivateAll();
     EXPECT_EQ(inner.numActive(), 0);
     EXPECT_EQ(outer.numActive(), 0);
-    EXPECT_TRUE(activeCells(runtime, inner).empty());
+    EXPECT_TRUE(activeCells(inner).empty());
     EXPECT_EQ(runtime.activeCellBytes(), 0);
   }
 }
@@ -168,7 +168,7 @@ TEST(RuntimeSparse, ThreadsAppendToTheSameList) {
   EXPECT_EQ(refused, kThreads * 150 - 1000);
   EXPECT_EQ(list.length(3), 1000);
   EXPECT_EQ(list.numActive(), 1000);
-  EXPECT_EQ(activeCells(runtime, *path.nodes[0]), std::vector<int64_t>{3});
+  EXPECT_EQ(activeCells(*path.nodes[0]), std::vector<int64_t>{3});
 }
 
 TEST(RuntimeSparse, ThreadsLengthenAListByWriting) {
@@ -231,16 +231,16 @@ TEST(RuntimeSparse, ListsMadeInParallelAreTheSame) {
       b.nodes[1]->activate(cell);
     }
     ASSERT_GT(a.nodes[1]->numActive(), 1 << 15);
-    std::vector<int64_t> cells = activeCells(serial, *a.nodes[1]);
+    std::vector<int64_t> cells = activeCells(*a.nodes[1]);
     EXPECT_EQ(static_cast<int64_t>(cells.size()), a.nodes[1]->numActive());
     EXPECT_TRUE(std::is_sorted(cells.begin(), cells.end()));
-    EXPECT_EQ(cells, activeCells(parallel, *b.nodes[1]));
+    EXPECT_EQ(cells, activeCells(*b.nodes[1]));
     // Again: it is kept. After a change: it is made anew.
-    activeCells(parallel, *b.nodes[1]);
+    activeCells(*b.nodes[1]);
     EXPECT_EQ(b.nodes[1]->listsMade(), 1);
     EXPECT_EQ(b.nodes[1]->listsReused(), 1);
     b.nodes[0]->deactivate(cells.front() / 700);
-    EXPECT_LT(activeCells(parallel, *b.nodes[1]).size(), cells.size());
+    EXPECT_LT(activeCells(*b.nodes[1]).size(), cells.size());
     EXPECT_EQ(b.nodes[1]->listsMade(), 2);
   }
 }
@@ -262,7 +262,7 @@ TEST(RuntimeSparse, ListsWhileOthersActivate) {
       return;
     }
     for (int i = 0; i < 200; ++i) {
-      std::vector<int64_t> cells = activeCells(runtime, node);
+      std::vector<int64_t> cells = activeCells(node);
       bool fits =
           std::adjacent_find(cells.begin(), cells.end(),
                              std::greater_equal<int64_t>()) == cells.end();
@@ -273,7 +273,7 @@ TEST(RuntimeSparse, ListsWhileOthersActivate) {
     }
   });
   EXPECT_TRUE(right);
-  std::vector<int64_t> now = activeCells(runtime, node);
+  std::vector<int64_t> now = activeCells(node);
   EXPECT_EQ(static_cast<int64_t>(now.size()), node.numActive());
 }
 
@@ -338,7 +338,7 @@ TEST(RuntimeSparse, RandomActivityIsThatOfSets) {
                 0);
     }
     for (size_t k = 0; k < count; ++k) {
-      EXPECT_EQ(activeCells(runtime, *path.nodes[k]),
+      EXPECT_EQ(activeCells(*path.nodes[k]),
                 std::vector<int64_t>(active[k].begin(), active[k].end()))
           << "seed " << seed;
       EXPECT_EQ(path.nodes[k]->numActive(), int64_t(active[k].size()));
@@ -370,7 +370,7 @@ TEST(RuntimeSparse, RoundsOfTreesLeakNothing) {
       ASSERT_OK(makePath(runtime, "x", {{'s', 1 << 12}, {'d', 1 << 12}}, path));
       for (int64_t cell : {0, 77, 4095})
         set(*path.field, {cell << 12}, 1);
-      ASSERT_EQ(activeCells(runtime, *path.nodes[0]).size(), 3u);
+      ASSERT_EQ(activeCells(*path.nodes[0]).size(), 3u);
       ASSERT_OK(runtime.destroyTree("x_tree"));
     }
   };
@@ -431,7 +431,7 @@ TEST(RuntimeSparse, RunningOutNamesTheLevel) {
   path.nodes[0]->deactivate(0);
   EXPECT_OK(write(5));
   std::vector<int64_t> expected = {5, 1000, 200000, 262143};
-  EXPECT_EQ(activeCells(runtime, *path.nodes[0]), expected);
+  EXPECT_EQ(activeCells(*path.nodes[0]), expected);
 }
 
 //===----------------------------------------------------------------------===//

@@ -11,6 +11,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "RuntimeTestUtils.h"
+#include "tai/Runtime/Tape/HostProgram.h"
 #include <cmath>
 #include <map>
 
@@ -552,8 +553,8 @@ struct Program {
     };
   }
   Status run(TaiKernelFn function, uint64_t arg = 0) {
-    return scene->runtime.runHost(function, {scene->tree(*scene->loss)}, module,
-                                  &arg, nullptr);
+    return runHost(scene->runtime, function, {scene->tree(*scene->loss)},
+                   module, &arg, nullptr);
   }
 };
 

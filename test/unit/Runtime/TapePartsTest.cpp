@@ -209,7 +209,7 @@ TEST(AdjointHealth, LooksAtWhatWasAddedTo) {
   set(adjoint, {1}, -4);
   set(adjoint, {2}, std::nan(""));
   set(adjoint, {3}, std::numeric_limits<double>::infinity());
-  AdjointHealth health(scene.runtime);
+  AdjointHealth health;
   EXPECT_FALSE(health.isWatching());
   health.watch(true);
   health.examine(recording, 0);
@@ -346,7 +346,7 @@ TEST(ReverseSweep, CallsAdjointsAndHostFunctions) {
   TapePlan plan;
   plan.make(scene.services, recording, {});
   AdjointForms forms(scene.services, recording, plan, memory);
-  AdjointHealth health(scene.runtime);
+  AdjointHealth health;
   ReverseSweep sweep(scene.services, *scene.tape, recording, plan, forms,
                      memory, topology, health);
   HeldLaunch launch(scene.services);
@@ -395,7 +395,7 @@ TEST(Rematerialiser, RefusesBadPolicies) {
   TapeTopology topology(scene.runtime);
   TapePlan plan;
   AdjointForms forms(scene.services, recording, plan, memory);
-  AdjointHealth health(scene.runtime);
+  AdjointHealth health;
   ReverseSweep sweep(scene.services, *scene.tape, recording, plan, forms,
                      memory, topology, health);
   Rematerialiser rematerialiser(scene.services, recording, plan, memory,

@@ -20,6 +20,8 @@
 
 namespace mlir::tai::runtime {
 
+class Runtime;
+
 struct Launch;
 
 /// One access of a checked kernel, as the program wrote it.

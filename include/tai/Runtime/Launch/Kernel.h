@@ -246,7 +246,7 @@ struct KernelInfo {
 /// that a launch does not go through the tables of the kernel. There is none
 /// for kernels that need more than that their function is called.
 struct alignas(64) PreparedLaunch {
-  /// The state of the runtime for which it holds; see Runtime::launchState.
+  /// The state of the runtime for which it holds; see LaunchState.
   std::atomic<uint64_t> state{0};
   TaiKernelFn function = nullptr;
   void **trees = nullptr;
@@ -325,7 +325,8 @@ public:
   void setDeviceImage(std::shared_ptr<const DeviceImage> image);
 
 private:
-  friend class Runtime;
+  friend class Launcher;
+  friend class DeviceLaunches;
   friend struct TapedKernel;
 
   void noteBegin();

@@ -27,13 +27,64 @@
 #include <memory>
 #include <mutex>
 #include <string>
+#include <unordered_set>
 #include <vector>
+
+namespace mlir::tai {
+class SkipCounters;
+class SkipSet;
+} // namespace mlir::tai
 
 namespace mlir::tai::runtime {
 
-class Runtime;
-class SparseMirror;
-class Tree;
+class SparseNode;
+class Workers;
+
+/// Who makes lists of active cells on the host.
+struct ListMaker {
+  Workers &workers;
+  const SkipSet &skips;
+  SkipCounters &counters;
+};
+
+/// The memory of the cells of a tree, and how much of it is active.
+struct CellMemory {
+  /// Null once the tree has been destroyed.
+  char *base = nullptr;
+  /// Of the cells of the innermost levels; and the same of all trees.
+  std::atomic<int64_t> activeBytes{0};
+  std::atomic<int64_t> *allActiveBytes = nullptr;
+  const ListMaker *lists = nullptr;
+  /// Regions that have been asked to lie in large pages, by their number.
+  std::unordered_set<uintptr_t> largePages;
+  std::mutex largePagesMutex;
+};
+
+/// The sparse levels of a tree on a device, which changes activity there.
+class SparseOnDevice {
+public:
+  virtual ~SparseOnDevice() = default;
+  /// Makes what the host knows of activity current.
+  virtual void bringActivity() = 0;
+  /// The host is about to change activity, or to remove cells: it is where the
+  /// contents are current from then on.
+  virtual void hostChanges(bool removes) = 0;
+  /// Whether the memory of the device is current.
+  virtual bool isCurrent() const = 0;
+  /// Whether the host does not know what is active.
+  virtual bool isBehind() const = 0;
+  /// How many states there have been, and the one at which cells were last made
+  /// inactive, as far as the host knows.
+  virtual uint64_t getGeneration() const = 0;
+  virtual uint64_t getLastRemoval() const = 0;
+  /// Makes all cells of a level inactive there, as the host does on its side.
+  /// False where that is better done on the host alone.
+  virtual bool deactivateAll(SparseNode &node) = 0;
+  /// Brings the activity of a level to the device, which is current but for
+  /// these words of bits, or lengths, which both sides have known as others.
+  virtual void uploadActivity(const SparseNode &node,
+                              const std::vector<int64_t> &changed) = 0;
+};
 
 /// How a sparse level is laid out.
 struct SparseInfo {
@@ -63,7 +114,7 @@ using ActiveListPtr = std::shared_ptr<const ActiveList>;
 
 class SparseNode {
 public:
-  SparseNode(Tree &tree, SparseInfo info, SparseNode *parent);
+  SparseNode(CellMemory &memory, SparseInfo info, SparseNode *parent);
   ~SparseNode();
   SparseNode(const SparseNode &) = delete;
   SparseNode &operator=(const SparseNode &) = delete;
@@ -144,26 +195,25 @@ public:
   int64_t capacity() const { return layout.steps.back().cells; }
 
   /// The active cells now. The list is kept until activity changes.
-  ActiveListPtr list(Runtime &runtime);
+  ActiveListPtr list();
   int64_t listsMade() const { return made; }
   int64_t listsReused() const { return reused; }
 
-private:
-  friend class Runtime;
-  friend class SparseMirror;
-  friend class Tree;
-  /// Makes what is known here current.
-  void sync() const {
-    if (__builtin_expect(onDevice != nullptr, false))
-      bringActivity();
+  //===--------------------------------------------------------------------===//
+  // For the same level on a device
+  //===--------------------------------------------------------------------===//
+
+  /// Null where there is none (any more).
+  void setOnDevice(SparseOnDevice *levels) { onDevice = levels; }
+  /// What the host knows, without waiting for the device.
+  int64_t knownActive() const { return active.load(std::memory_order_relaxed); }
+  uint64_t knownEpoch() const {
+    return changes.load(std::memory_order_acquire);
   }
-  void bringActivity() const;
-  /// To be called before the host changes activity.
-  void prepare(bool removes) {
-    if (__builtin_expect(onDevice != nullptr, false))
-      prepareChange(removes);
-  }
-  void prepareChange(bool removes);
+  void forEachKnown(const std::function<void(int64_t)> &body) const;
+  /// One bit for each 64 words of bits, or lengths, that may not be zero.
+  const std::atomic<uint64_t> *marked() const { return marks; }
+  int64_t numMarked() const { return numMarks; }
   /// Words of bits, or lengths, from a certain one on, as a device has them,
   /// and what it has made inactive meanwhile, or null.
   struct Part {
@@ -178,7 +228,21 @@ private:
   /// Goes there. Calls `added` for cells that may have become active.
   void adopt(const Part &part, Adopted &adopted,
              const std::function<void(int64_t)> &added);
-  void forEachActive(const std::function<void(int64_t)> &body) const;
+  void changed(int64_t by, bool removes);
+  /// A list was made, or used again, there.
+  void countList(bool isReused) { ++(isReused ? reused : made); }
+
+private:
+  /// Makes what is known here current.
+  void sync() const {
+    if (__builtin_expect(onDevice != nullptr, false))
+      onDevice->bringActivity();
+  }
+  /// To be called before the host changes activity.
+  void prepare(bool removes) {
+    if (__builtin_expect(onDevice != nullptr, false))
+      onDevice->hostChanges(removes);
+  }
   bool holds(int64_t cell) const;
   uint64_t *words() const;
   int32_t *lengths() const;
@@ -190,13 +254,12 @@ private:
   void noteRemoved(int64_t first, int64_t count);
   void useLargePages(const ActiveList &list);
   void markWord(int64_t word);
-  void changed(int64_t by, bool removes);
   /// Appends the active cells of which the marks [begin, end) speak.
   void collectInto(std::vector<int64_t> &found, int64_t begin,
                    int64_t end) const;
 
-  Tree &tree;
-  SparseMirror *onDevice = nullptr;
+  CellMemory &memory;
+  SparseOnDevice *onDevice = nullptr;
   SparseInfo layout;
   SparseNode *parent;
   std::vector<SparseNode *> children;
@@ -213,7 +276,7 @@ private:
   std::vector<int64_t> removals;
   std::mutex mutex;
   ActiveListPtr current;
-  int64_t made = 0, reused = 0;
+  std::atomic<int64_t> made{0}, reused{0};
 };
 
 } // namespace mlir::tai::runtime

@@ -23,14 +23,12 @@
 #include <memory>
 #include <mutex>
 #include <string>
-#include <unordered_set>
 #include <vector>
 
 namespace mlir::tai::runtime {
 
 class Field;
 class Mirror;
-class Runtime;
 struct OwedZeros;
 
 /// Scalar types, with the numbers of TaiScalarType. i1 is stored as one byte.
@@ -59,18 +57,18 @@ public:
   /// Which tree it is, and whether it is there: null once it has been
   /// destroyed. Aligned to 64 bytes. What is there may be out of date on a
   /// device; sparse trees are on the host always.
-  char *base() const { return address; }
+  char *base() const { return cells.base; }
   /// The contents for the host to read, or to read and change, until the next
   /// launch. What goes wrong with the device is said by the call after.
   const char *readable() const {
     if (__builtin_expect(mirrored != nullptr, false))
       bringToHost();
-    return address;
+    return cells.base;
   }
   char *writable() const {
     if (__builtin_expect(mirrored != nullptr, false))
       bringToHostToChange();
-    return address;
+    return cells.base;
   }
   /// The memory on the device, or null where there is none.
   Mirror *mirror() const { return mirrored.get(); }
@@ -83,33 +81,30 @@ public:
   bool isLent() const { return loans.load(std::memory_order_relaxed) > 0; }
   /// Memory of the active cells of the innermost sparse levels.
   int64_t activeCellBytes() const {
-    return activeBytes.load(std::memory_order_relaxed);
+    return cells.activeBytes.load(std::memory_order_relaxed);
   }
+  /// For who gives out the address: what keeps the memory when the tree is
+  /// gone, and how many there are.
+  const std::shared_ptr<void> &sharedMemory() const { return memory; }
+  const std::shared_ptr<Mirror> &sharedMirror() const { return mirrored; }
+  void countLoan(int by) { loans.fetch_add(by, std::memory_order_relaxed); }
   /// The tree of a base address.
   static Tree &of(void *base) { return *static_cast<Tree **>(base)[-1]; }
 
 private:
-  friend class Runtime;
-  friend class SparseNode;
-  friend class Loan;
+  friend class TreeStore;
   void bringToHost() const;
   void bringToHostToChange() const;
 
   std::string treeName;
   std::shared_ptr<Mirror> mirrored;
-  char *address = nullptr;
+  CellMemory cells;
   int64_t size = 0;
   int64_t charged = 0; // of the memory limit
   /// Where all of that lies. Loans keep it when the tree is gone.
   std::shared_ptr<void> memory;
   std::atomic<int> loans{0};
   std::vector<std::unique_ptr<SparseNode>> nodes;
-  std::atomic<int64_t> activeBytes{0};
-  /// Regions that have been asked to lie in large pages, by their number.
-  std::unordered_set<uintptr_t> largePages;
-  std::mutex largePagesMutex;
-  /// The same for all trees of the runtime.
-  std::atomic<int64_t> *allActiveBytes = nullptr;
 };
 using TreePtr = std::shared_ptr<Tree>;
 
@@ -145,7 +140,7 @@ struct FieldLayout {
   int sparseNode = -1;
 };
 
-class Tape;
+class Recorder;
 
 /// 0 for a thread that has none yet.
 extern __thread uint64_t ownThreadNumber;
@@ -160,9 +155,16 @@ inline uint64_t threadNumber() {
 /// sweep. Tapes of several threads may read the same field, or add to it.
 enum class HoldKind : uint8_t { Read, Add, Write };
 struct Hold {
-  const Tape *tape;
+  const Recorder *tape;
   uint64_t thread;
   HoldKind kind;
+};
+/// The tapes that use a field now; see Recordings.
+struct FieldHolds {
+  /// The thread whose tapes they are, or 0; kManyThreads for several.
+  std::atomic<uint64_t> holder{0};
+  static constexpr uint64_t kManyThreads = UINT64_MAX;
+  std::vector<Hold> all;
 };
 
 class Field {
@@ -187,6 +189,7 @@ public:
     return elements * components * byteSize(fieldLayout.scalar);
   }
   const Tree &tree() const { return *owner; }
+  const TreePtr &sharedTree() const { return owner; }
   /// False once the tree has been destroyed.
   bool valid() const { return owner->base() != nullptr; }
   /// True where the elements lie one after another in row-major order.
@@ -221,6 +224,7 @@ public:
   /// The field that accumulates the derivative of the loss by this one; null
   /// where there is none (yet).
   Field *adjoint() const { return adjointField.get(); }
+  const std::shared_ptr<Field> &sharedAdjoint() const { return adjointField; }
   Field *dual() const { return dualField.get(); }
   /// True where this field is the adjoint of another.
   bool isAdjoint() const { return ofPrimal; }
@@ -236,9 +240,24 @@ public:
   uint64_t dirtiedBy() const {
     return lastWriter.load(std::memory_order_relaxed);
   }
-  /// The thread whose tapes use it now, or 0; kManyThreads for several.
-  uint64_t heldBy() const { return holder.load(std::memory_order_acquire); }
-  static constexpr uint64_t kManyThreads = UINT64_MAX;
+  /// To be called when it has been cleared.
+  void markClean() { lastWriter.store(0, std::memory_order_relaxed); }
+  /// Whether that is another thread than the calling one.
+  bool isDirtiedByOther() const {
+    uint64_t writer = dirtiedBy();
+    return writer != 0 && writer != threadNumber();
+  }
+  /// Number of times that the host has changed it.
+  uint64_t version() const { return hostVersion; }
+  void countChange() { ++hostVersion; }
+  /// The tapes that use it.
+  FieldHolds holds;
+  /// What analyses of tapes note of it, with their stamps: that it is live; its
+  /// place among the fields that they have seen.
+  struct Marks {
+    uint64_t plan = 0, seen = 0;
+    size_t index = 0;
+  } marks;
 
   /// The innermost sparse level above the field, or null.
   SparseNode *sparseNode() const {
@@ -256,13 +275,13 @@ public:
 
   /// One component (row-major in the element) of one element, converted from
   /// or to the type of the field. Integers wrap, as in C; writing marks the
-  /// field as dirty. No tape hears of it: see Runtime::writeF64.
+  /// field as dirty. No tape hears of it: see HostWrites::writeF64.
   Status readF64(const int64_t *index, int64_t component, double &value) const;
   Status writeF64(const int64_t *index, int64_t component, double value);
   Status readI64(const int64_t *index, int64_t component, int64_t &value) const;
   Status writeI64(const int64_t *index, int64_t component, int64_t value);
   /// All components of the elements at `count` index tuples, as they are
-  /// stored. For the other direction see Runtime::writeElements.
+  /// stored. For the other direction see HostWrites::writeElements.
   Status readElements(const int64_t *indices, int64_t count,
                       void *values) const;
   /// Where a component is in the tree, or why there is none.
@@ -286,8 +305,7 @@ public:
   }
 
 private:
-  friend class Runtime;
-  friend struct TapedField;
+  friend class TreeStore;
 
   Status loadMirrored(int64_t offset, void *to) const;
   Status storeMirrored(int64_t offset, const void *from) const;
@@ -305,18 +323,8 @@ private:
   std::string adjointName, dualName;
   std::shared_ptr<Field> adjointField, dualField;
   std::atomic<uint64_t> lastWriter{0};
-  /// Tapes that use it now; see FieldHolds.cpp.
-  std::atomic<uint64_t> holder{0};
-  std::vector<Hold> holds;
   mutable std::shared_ptr<const OwedZeros> owed;
-  /// Number of times that the host has changed it.
   uint64_t hostVersion = 0;
-  /// Stamp of the plan in which the field is live.
-  /// Of the plan in which seenIndex is the place of the field among those that
-  /// change.
-  uint64_t seenMark = 0;
-  size_t seenIndex = 0;
-  uint64_t planMark = 0;
 };
 using FieldPtr = std::shared_ptr<Field>;
 

@@ -27,7 +27,7 @@
 #ifndef TAI_RUNTIME_TAPE_TAPE_H
 #define TAI_RUNTIME_TAPE_TAPE_H
 
-#include "tai/Runtime/Launch/Kernel.h"
+#include "tai/Runtime/Launch/Runtime.h"
 #include "tai/Runtime/Tape/TapeTypes.h"
 
 namespace mlir::tai::runtime {
@@ -36,14 +36,14 @@ class AccessChecks;
 struct HostWrite;
 struct Launch;
 
-class Tape {
+class Tape final : public Recorder {
 public:
   /// Starts to record on the calling thread; see Runtime::beginTape. `stamp`: a
   /// number that no other tape of the runtime has. `clears`: sets gradients to
   /// zero first.
   static Status begin(Runtime &runtime, uint64_t stamp, FieldPtr loss,
                       bool clears, std::unique_ptr<Tape> &tape);
-  ~Tape();
+  ~Tape() override;
   Tape(const Tape &) = delete;
   Tape &operator=(const Tape &) = delete;
 
@@ -65,7 +65,7 @@ public:
   /// Launches between the two are not recorded. Pairs nest.
   void suspend();
   Status resume();
-  bool isSuspended() const;
+  bool isSuspended() const override;
 
   void recordCallback(TapeCallback callback);
 
@@ -141,21 +141,22 @@ public:
 
   /// Launches and records, with its parts where it is made of such.
   Status launch(Launch &launch, Kernel &kernel, const uint64_t *args,
-                uint64_t *results, uint64_t number);
+                uint64_t *results, uint64_t number) override;
   /// Changes a field on behalf of the host, and records that.
-  Status write(const HostWrite &write);
+  Status write(const HostWrite &write) override;
   /// To be called before the host makes cells of the tree active.
-  void watch(const TreePtr &tree);
+  void watch(const TreePtr &tree) override;
   /// Changes the activity of a tree on behalf of the host, and records that.
-  Status changeActivity(const TreePtr &tree, std::function<Status()> change);
+  Status changeActivity(const TreePtr &tree,
+                        std::function<Status()> change) override;
   /// Whether the gradient needs what the field holds. What is recomputed reads
   /// whatever launches read.
-  bool minds(const Field &field) const;
+  bool minds(const Field &field) const override;
   /// Whether it holds the field, or has.
-  bool uses(const FieldPtr &field) const;
+  bool uses(const FieldPtr &field) const override;
   /// What the loops of a kernel went over that the host function launched whose
   /// reverse is running.
-  Status findLoops(Kernel &kernel, LoopLists &lists, bool &found);
+  Status findLoops(Kernel &kernel, LoopLists &lists, bool &found) override;
 
 private:
   struct Parts;
@@ -174,6 +175,12 @@ private:
 
   std::unique_ptr<Parts> parts;
 };
+
+inline Status Runtime::beginTape(FieldPtr loss, bool clearGradients,
+                                 std::unique_ptr<Tape> &tape) {
+  return Tape::begin(*this, tapes.nextStamp(), std::move(loss), clearGradients,
+                     tape);
+}
 
 } // namespace mlir::tai::runtime
 

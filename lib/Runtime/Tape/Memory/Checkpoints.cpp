@@ -7,6 +7,7 @@
 
 #include "Checkpoints.h"
 #include "../../Launch/Launch.h"
+#include "../../Text/Format.h"
 #include <algorithm>
 #include <limits>
 #include <new>
@@ -118,7 +119,7 @@ void Checkpoints::thin() {
 
 Status Checkpoints::log(Track &track, int64_t slab) {
   Log &top = logs.back();
-  track.refresh(runtime);
+  track.refresh();
   track.loggedBy.resize(static_cast<size_t>(track.numCells()));
   track.everSaved = true;
   if (track.slabs.byCell())
@@ -144,7 +145,7 @@ void Checkpoints::settle() {
   // Cells that have become active held zeros before.
   for (Track *track : growing) {
     auto first = static_cast<int64_t>(track->loggedBy.size());
-    track->refresh(runtime);
+    track->refresh();
     int64_t end = track->numCells(), longest = track->longestRun();
     track->loggedBy.resize(static_cast<size_t>(end), top.id);
     for (; first < end; first += longest)

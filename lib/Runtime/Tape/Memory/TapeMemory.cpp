@@ -222,7 +222,7 @@ Status TapeMemory::propose(Candidate candidate) {
 
 Status TapeMemory::save(const Candidate &candidate) {
   Track &track = *candidate.track;
-  track.refresh(runtime);
+  track.refresh();
   track.savedAt.resize(static_cast<size_t>(track.numCells()));
   track.everSaved = true;
   if (track.slabs.byCell())
@@ -261,7 +261,7 @@ void TapeMemory::keepZeros() {
   for (const Candidate &candidate : growing) {
     Track &track = *candidate.track;
     auto first = static_cast<int64_t>(track.savedAt.size());
-    track.refresh(runtime);
+    track.refresh();
     int64_t end = track.numCells(), longest = track.longestRun();
     track.savedAt.resize(static_cast<size_t>(end));
     if (first < end)

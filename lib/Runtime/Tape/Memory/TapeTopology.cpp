@@ -25,7 +25,7 @@ void TapeTopology::watch(const TreePtr &tree) {
     if (entry.tree == tree)
       return;
   for (const std::unique_ptr<SparseNode> &node : tree->sparseNodes()) {
-    ActiveListPtr now = node->list(runtime);
+    ActiveListPtr now = node->list();
     watched.push_back({tree, node.get(), now, now});
     node->noteRemovals(true);
   }
@@ -48,7 +48,7 @@ void TapeTopology::update(Watched &entry, uint32_t record) {
   uint64_t epoch = entry.node->epoch();
   if (entry.known->epoch == epoch)
     return;
-  ActiveListPtr now = entry.node->list(runtime);
+  ActiveListPtr now = entry.node->list();
   Change change{record, entry.node, {}, {}, {}};
   const std::vector<int64_t> &before = entry.known->cells, &after = now->cells;
   std::set_difference(after.begin(), after.end(), before.begin(), before.end(),
@@ -118,7 +118,7 @@ void TapeTopology::restart() {
   cursor = passed = 0;
   for (Watched &entry : watched)
     if (entry.tree->base())
-      entry.known = entry.first = entry.node->list(runtime);
+      entry.known = entry.first = entry.node->list();
   noteRemovals(true);
 }
 
@@ -359,5 +359,5 @@ void TapeTopology::endReverse(std::vector<std::string> &notes) {
   passed = changed.size();
   for (Watched &entry : watched)
     if (entry.tree->base())
-      entry.known = entry.node->list(runtime);
+      entry.known = entry.node->list();
 }

@@ -8,6 +8,7 @@
 #include "Track.h"
 #include "../../Launch/Launch.h"
 #include "../../Mirror/Mirror.h"
+#include "../../Text/Format.h"
 #include <algorithm>
 #include <new>
 #include <numeric>
@@ -45,7 +46,7 @@ int64_t Track::longestRun() const {
                            1);
 }
 
-int64_t Track::refresh(Runtime &runtime) {
+int64_t Track::refresh() {
   if (!slabs.byCell())
     return numCells();
   SparseNode &node = *field->sparseNode();
@@ -63,7 +64,7 @@ int64_t Track::refresh(Runtime &runtime) {
     }
     return slabs.addCells(everyCell);
   }
-  return slabs.addCells(node.list(runtime));
+  return slabs.addCells(node.list());
 }
 
 void Track::markRead(int64_t slab, uint32_t stamp) {

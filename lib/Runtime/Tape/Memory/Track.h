@@ -62,7 +62,7 @@ struct Track {
   }
   /// Counts the cells that are active now among those of a sparse field.
   /// Returns how many it had before.
-  int64_t refresh(Runtime &runtime);
+  int64_t refresh();
   /// Cells of a slab (or of all, for -1): calls body(begin, end) for runs of
   /// those that are wanted, none longer than a piece should be.
   template <typename Wanted, typename Body>

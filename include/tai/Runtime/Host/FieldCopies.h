@@ -1,0 +1,54 @@
+//===- FieldCopies.h - Whole fields at once ---------------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Copies between a field and a row-major array of the host, and fills, on the
+// workers or, where the field is there, on the device. Nobody hears of them:
+// see HostWrites.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_RUNTIME_HOST_FIELDCOPIES_H
+#define TAI_RUNTIME_HOST_FIELDCOPIES_H
+
+#include "tai/Runtime/Mirror/DeviceHost.h"
+#include "tai/Runtime/Threads/Workers.h"
+
+namespace mlir::tai::runtime {
+
+class FieldCopies {
+public:
+  FieldCopies(Workers &workers, DeviceHost &devices)
+      : workers(workers), devices(devices) {}
+
+  /// From a field to an array of its own scalar type, of shape (shape...,
+  /// element shape...).
+  Status copyOut(const Field &field, void *array) const;
+  /// The other way round; of a sparse field, what is active.
+  void copyIn(Field &field, const void *array) const;
+  /// Sets all components to one scalar of the type of the field.
+  void fill(Field &field, const void *scalarBytes) const;
+  void clear(Field &field) const {
+    const char zeros[8] = {};
+    fill(field, zeros);
+  }
+
+private:
+  template <typename Data, typename Move>
+  void forEachRow(const Field &field, Data *data, const Move &move) const;
+  template <typename Body>
+  void forEachActiveCell(const Field &field, int64_t bytesOfCell,
+                         const Body &body) const;
+  void fillActive(Field &field, const void *scalarBytes) const;
+  void copyInActive(Field &field, const void *array) const;
+
+  Workers &workers;
+  DeviceHost &devices;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_RUNTIME_HOST_FIELDCOPIES_H

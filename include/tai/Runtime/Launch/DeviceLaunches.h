@@ -1,0 +1,47 @@
+//===- DeviceLaunches.h - Kernels that run on a device ----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// What is done around the code of a kernel: it is loaded at its first launch,
+// its trees are brought there, and what its launch has left is looked at.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_RUNTIME_LAUNCH_DEVICELAUNCHES_H
+#define TAI_RUNTIME_LAUNCH_DEVICELAUNCHES_H
+
+#include "tai/Runtime/Device/KeptBlockSizes.h"
+#include "tai/Runtime/Launch/Kernel.h"
+#include "tai/Runtime/Launch/Options.h"
+#include "tai/Runtime/Mirror/DeviceHost.h"
+
+namespace mlir::tai::runtime {
+
+struct Launch;
+
+class DeviceLaunches {
+public:
+  DeviceLaunches(DeviceHost &devices, const Options &options)
+      : devices(devices), options(options) {}
+
+  /// Holds for kernels that are loaded afterwards.
+  void keepBlockSizes(KeptBlockSizes kept) { blockSizes = std::move(kept); }
+
+  /// Before and after the code of a kernel is called.
+  Status enter(Launch &launch, Kernel &kernel);
+  void leave(Launch &launch);
+
+private:
+  Status load(Kernel &kernel, uint64_t epoch);
+
+  DeviceHost &devices;
+  const Options &options;
+  KeptBlockSizes blockSizes;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_RUNTIME_LAUNCH_DEVICELAUNCHES_H

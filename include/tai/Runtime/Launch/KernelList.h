@@ -1,0 +1,36 @@
+//===- KernelList.h - The kernels of a runtime ------------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_RUNTIME_LAUNCH_KERNELLIST_H
+#define TAI_RUNTIME_LAUNCH_KERNELLIST_H
+
+#include "tai/Runtime/Launch/Kernel.h"
+
+namespace mlir::tai::runtime {
+
+/// Kernels that may be launched, to find those that were.
+class KernelList {
+public:
+  KernelPtr create(KernelInfo info);
+  int64_t size() const;
+  /// Other threads may make kernels meanwhile.
+  template <typename Body> void forEach(const Body &body) const {
+    std::lock_guard<std::mutex> lock(mutex);
+    for (const std::weak_ptr<Kernel> &entry : kernels)
+      if (KernelPtr kernel = entry.lock())
+        body(*kernel);
+  }
+
+private:
+  mutable std::mutex mutex;
+  std::vector<std::weak_ptr<Kernel>> kernels;
+  size_t most = 64;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_RUNTIME_LAUNCH_KERNELLIST_H

@@ -1,0 +1,46 @@
+//===- MemoryAccount.h - What trees may take and do take --------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_RUNTIME_STORAGE_MEMORYACCOUNT_H
+#define TAI_RUNTIME_STORAGE_MEMORYACCOUNT_H
+
+#include "tai/Runtime/Sparse/Sparse.h"
+#include "tai/Support/Status.h"
+
+namespace mlir::tai::runtime {
+
+/// The memory of the host: the most bytes of trees and scratch, and what trees
+/// have.
+class MemoryAccount {
+public:
+  /// 0 for the memory of the machine, or of the control group.
+  explicit MemoryAccount(int64_t limit = 0) { setLimit(limit); }
+
+  int64_t limit() const { return most; }
+  /// Trees that take more already stay.
+  void setLimit(int64_t bytes);
+  /// Of trees without sparse levels.
+  int64_t reserved() const { return taken; }
+  int64_t left() const { return most - taken; }
+  void reserve(int64_t bytes) { taken += bytes; }
+  void release(int64_t bytes) { taken -= bytes; }
+  /// Of the active cells of all sparse trees, which count themselves.
+  std::atomic<int64_t> activeCells{0};
+  int64_t activeCellBytes() const {
+    return activeCells.load(std::memory_order_relaxed);
+  }
+  /// Fails if there is no memory for that many cells more.
+  Status checkCells(const SparseNode &node, int64_t cells) const;
+
+private:
+  int64_t most = 0;
+  int64_t taken = 0;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_RUNTIME_STORAGE_MEMORYACCOUNT_H

@@ -1,0 +1,30 @@
+//===- HostProgram.h - Functions that run on the host -----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_RUNTIME_TAPE_HOSTPROGRAM_H
+#define TAI_RUNTIME_TAPE_HOSTPROGRAM_H
+
+#include "tai/Runtime/Launch/Runtime.h"
+
+namespace mlir::tai::runtime {
+
+/// What a host program (a `func.func` run on the host) may name.
+struct HostModule {
+  std::function<Kernel *(std::string_view name)> findKernel;
+  /// Whether it loads or stores elements of fields itself, so that they must be
+  /// on the host whenever it runs.
+  bool usesTrees = true;
+};
+
+/// Runs a host program, which may launch kernels and open tapes.
+Status runHost(Runtime &runtime, TaiKernelFn function,
+               const std::vector<TreePtr> &trees, HostModule &module,
+               const uint64_t *args, uint64_t *results);
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_RUNTIME_TAPE_HOSTPROGRAM_H

@@ -1,0 +1,290 @@
+//===- FieldCopies.cpp - Whole fields at once -----------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Copies between a field and a row-major host array, and fills. A field whose
+// elements lie in row-major order is one copy; else the rows along the last
+// index are visited, and each row is one copy, a strided loop or a gather,
+// whichever its levels allow. Large fields are split over the workers.
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Runtime/Host/FieldCopies.h"
+#include "../Mirror/Mirror.h"
+#include "../Storage/Scalars.h"
+#include <algorithm>
+#include <array>
+#include <cstring>
+
+using namespace mlir::tai::runtime;
+
+/// Bytes that one worker should have to do, to repay its fork.
+static constexpr int64_t bytesPerPart = 128 << 10;
+
+static Status gone(const Field &field) {
+  return Status::failure(StatusCode::Usage,
+                         "field '" + field.name() + "' is gone: its tree '" +
+                             field.tree().name() + "' has been destroyed");
+}
+
+namespace {
+/// Part of a row: element k is at base + offsets[k], or at base + k * step
+/// where offsets is null; it is element `first` + k of the host array.
+template <typename Data> struct RowPart {
+  Data *base;
+  const int64_t *offsets;
+  int64_t step;
+  int64_t first;
+  int64_t count;
+};
+} // namespace
+
+/// `data` is the address of the first element.
+template <typename Data, typename Move>
+void FieldCopies::forEachRow(const Field &field, Data *data,
+                             const Move &move) const {
+  const FieldLayout &layout = field.layout();
+  const std::vector<int64_t> &shape = field.shape();
+  int rank = field.rank();
+  if (field.numElements() == 0)
+    return;
+  // Contributions of each index to the address.
+  std::vector<std::vector<int64_t>> tables(static_cast<size_t>(rank));
+  std::vector<int64_t> steps(static_cast<size_t>(rank), 0);
+  for (int d = 0; d < rank; ++d) {
+    if (findConstantStep(layout.indices[d], steps[d]))
+      continue;
+    tables[d].resize(static_cast<size_t>(shape[d]));
+    for (int64_t i = 0; i < shape[d]; ++i)
+      for (const LayoutLevel &level : layout.indices[d])
+        tables[d][i] += i / level.divisor % level.extent * level.stride;
+  }
+  auto contribution = [&](int d, int64_t i) {
+    return tables[d].empty() ? i * steps[d] : tables[d][i];
+  };
+
+  auto visit = [&](int64_t begin, int64_t end) {
+    if (rank == 0) {
+      move(RowPart<Data>{data, nullptr, 0, 0, 1});
+      return;
+    }
+    std::vector<int64_t> index(static_cast<size_t>(rank));
+    int64_t rest = begin;
+    for (int d = rank; d-- > 0;) {
+      index[d] = rest % shape[d];
+      rest /= shape[d];
+    }
+    int last = rank - 1;
+    while (begin < end) {
+      Data *base = data;
+      for (int d = 0; d < last; ++d)
+        base += contribution(d, index[d]);
+      int64_t count = std::min(end - begin, shape[last] - index[last]);
+      RowPart<Data> row{base, nullptr, steps[last], begin, count};
+      if (tables[last].empty())
+        row.base += index[last] * steps[last];
+      else
+        row.offsets = tables[last].data() + index[last];
+      move(row);
+      begin += count;
+      index[last] = 0;
+      for (int d = last - 1; d >= 0; --d) {
+        if (++index[d] < shape[d])
+          break;
+        index[d] = 0;
+      }
+    }
+  };
+
+  int64_t parts = workers.partsOf(field.hostBytes(), bytesPerPart);
+  struct Job {
+    decltype(visit) *run;
+    int64_t elements, parts;
+  } job{&visit, field.numElements(), parts};
+  workers.parallel(
+      parts,
+      [](void *context, int64_t part) {
+        Job &job = *static_cast<Job *>(context);
+        auto bound = [&](int64_t p) {
+          return job.elements / job.parts * p +
+                 job.elements % job.parts * p / job.parts;
+        };
+        (*job.run)(bound(part), bound(part + 1));
+      },
+      &job);
+}
+
+/// Calls body(address of the element, number of the element) along the row.
+template <typename Data, typename Body>
+static void alongRow(const RowPart<Data> &row, const Body &body) {
+  if (row.offsets)
+    for (int64_t k = 0; k < row.count; ++k)
+      body(row.base + row.offsets[k], row.first + k);
+  else
+    for (int64_t k = 0; k < row.count; ++k)
+      body(row.base + k * row.step, row.first + k);
+}
+
+/// Calls body with the number of bytes as a constant where it is a usual one.
+template <typename Body> static void withSize(int64_t bytes, const Body &body) {
+  switch (bytes) {
+  case 1:
+    return body(std::integral_constant<size_t, 1>());
+  case 2:
+    return body(std::integral_constant<size_t, 2>());
+  case 4:
+    return body(std::integral_constant<size_t, 4>());
+  case 8:
+    return body(std::integral_constant<size_t, 8>());
+  case 12:
+    return body(std::integral_constant<size_t, 12>());
+  case 16:
+    return body(std::integral_constant<size_t, 16>());
+  default:
+    return body(static_cast<size_t>(bytes));
+  }
+}
+
+Status FieldCopies::copyOut(const Field &field, void *array) const {
+  if (!field.valid())
+    return gone(field);
+  int64_t scalar = byteSize(field.scalar());
+  int64_t components = field.numComponents();
+  int64_t element = scalar * components;
+  int64_t stride = field.layout().componentStride;
+  char *host = static_cast<char *>(array);
+  field.settleZeros();
+  if (Mirror *mirror = field.tree().mirror();
+      mirror && mirror->copyOut(field, array))
+    return devices.takeFailure();
+  forEachRow(field, field.readable(), [&](const RowPart<const char> &row) {
+    if (stride != scalar) {
+      alongRow(row, [&](const char *from, int64_t k) {
+        for (int64_t c = 0; c < components; ++c)
+          std::memcpy(host + k * element + c * scalar, from + c * stride,
+                      static_cast<size_t>(scalar));
+      });
+    } else if (!row.offsets && (row.step == element || row.count == 1)) {
+      std::memcpy(host + row.first * element, row.base,
+                  static_cast<size_t>(row.count * element));
+    } else {
+      withSize(element, [&](auto size) {
+        alongRow(row, [&](const char *from, int64_t k) {
+          std::memcpy(host + k * static_cast<int64_t>(size), from, size);
+        });
+      });
+    }
+  });
+  return devices.takeFailure();
+}
+
+void FieldCopies::copyIn(Field &field, const void *array) const {
+  field.oweZeros(nullptr);
+  if (field.sparseNode())
+    return copyInActive(field, array);
+  int64_t scalar = byteSize(field.scalar());
+  int64_t components = field.numComponents();
+  int64_t element = scalar * components;
+  int64_t stride = field.layout().componentStride;
+  const char *host = static_cast<const char *>(array);
+  if (Mirror *mirror = field.tree().mirror();
+      mirror && mirror->copyIn(field, array))
+    return;
+  forEachRow(field, field.writable(), [&](const RowPart<char> &row) {
+    if (stride != scalar) {
+      alongRow(row, [&](char *to, int64_t k) {
+        for (int64_t c = 0; c < components; ++c)
+          std::memcpy(to + c * stride, host + k * element + c * scalar,
+                      static_cast<size_t>(scalar));
+      });
+    } else if (!row.offsets && (row.step == element || row.count == 1)) {
+      std::memcpy(row.base, host + row.first * element,
+                  static_cast<size_t>(row.count * element));
+    } else {
+      withSize(element, [&](auto size) {
+        alongRow(row, [&](char *to, int64_t k) {
+          std::memcpy(to, host + k * static_cast<int64_t>(size), size);
+        });
+      });
+    }
+  });
+}
+
+/// Elements at one distance throughout: the rows of a small object are too
+/// short to be filled one by one. False where there are none such, or too many
+/// for one thread.
+static bool fillEvenly(const Field &field, char *data, const char *scalar,
+                       bool isZero) {
+  int64_t size = byteSize(field.scalar());
+  int64_t element = field.numComponents() * size, step = field.evenStep();
+  if (step == 0 || field.hostBytes() > 8 * bytesPerPart)
+    return false;
+  if (step == element && isZero) {
+    std::memset(data, 0, static_cast<size_t>(field.hostBytes()));
+    return true;
+  }
+  char pattern[16];
+  if (element > static_cast<int64_t>(sizeof(pattern)))
+    return false;
+  for (int64_t at = 0; at < element; at += size)
+    std::memcpy(pattern + at, scalar, static_cast<size_t>(size));
+  auto fill = [&](auto elementSize) {
+    char *end = data + field.numElements() * step;
+    for (char *at = data; at != end; at += step)
+      std::memcpy(at, pattern, elementSize);
+  };
+  switch (element) {
+  case 4:
+    fill(std::integral_constant<size_t, 4>());
+    return true;
+  case 8:
+    fill(std::integral_constant<size_t, 8>());
+    return true;
+  case 12:
+    fill(std::integral_constant<size_t, 12>());
+    return true;
+  case 16:
+    fill(std::integral_constant<size_t, 16>());
+    return true;
+  }
+  return false;
+}
+
+void FieldCopies::fill(Field &field, const void *scalarBytes) const {
+  field.oweZeros(nullptr);
+  if (field.sparseNode())
+    return fillActive(field, scalarBytes);
+  int64_t scalar = byteSize(field.scalar());
+  int64_t components = field.numComponents();
+  int64_t stride = field.layout().componentStride;
+  const char *bytes = static_cast<const char *>(scalarBytes);
+  bool zero = std::all_of(bytes, bytes + scalar, [](char b) { return !b; });
+  if (Mirror *mirror = field.tree().mirror();
+      mirror && mirror->fill(field, scalarBytes))
+    return;
+  char *data = field.writable();
+  if (fillEvenly(field, data, bytes, zero))
+    return;
+  withSize(scalar, [&](auto size) {
+    forEachRow(field, data, [&](const RowPart<char> &row) {
+      bool dense = stride == scalar && !row.offsets &&
+                   (row.step == components * scalar || row.count == 1);
+      if (dense && zero) {
+        std::memset(row.base, 0,
+                    static_cast<size_t>(row.count * components * scalar));
+      } else if (dense) {
+        char *at = row.base, *end = at + row.count * components * scalar;
+        for (; at < end; at += static_cast<size_t>(size))
+          std::memcpy(at, bytes, size);
+      } else {
+        alongRow(row, [&](char *to, int64_t) {
+          for (int64_t c = 0; c < components; ++c)
+            std::memcpy(to + c * stride, bytes, size);
+        });
+      }
+    });
+  });
+}

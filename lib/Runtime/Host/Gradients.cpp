@@ -1,0 +1,131 @@
+//===- Gradients.cpp - Adjoints and tangents as a whole -------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Runtime/Host/Gradients.h"
+#include "../Mirror/OwedZeros.h"
+#include <algorithm>
+
+using namespace mlir::tai;
+using namespace mlir::tai::runtime;
+
+//===----------------------------------------------------------------------===//
+// Owed zeros
+//===----------------------------------------------------------------------===//
+
+void Gradients::update() {
+  if (isSpecial == !owing.empty())
+    return;
+  isSpecial = !isSpecial;
+  if (isSpecial)
+    state.beginSpecial();
+  else
+    state.endSpecial();
+}
+
+void Gradients::owe(const FieldPtr &adjoint,
+                    std::shared_ptr<const OwedZeros> zeros) {
+  if (!adjoint->valid() || !adjoint->dirty())
+    return;
+  adjoint->settleZeros();
+  // Tangents go along. Others look at the memory of a field that is lent as
+  // they like.
+  bool forward = recordings.isForward();
+  Field *dual = forward ? adjoint->dual() : nullptr;
+  if (dual && dual->valid())
+    zeros->store(*dual);
+  if (forward || adjoint->tree().isLent()) {
+    zeros->store(*adjoint);
+    return;
+  }
+  std::lock_guard<std::mutex> lock(mutex);
+  adjoint->oweZeros(std::move(zeros));
+  owing.push_back(adjoint);
+  update();
+}
+
+void Gradients::forgetSettled() {
+  owing.erase(
+      std::remove_if(owing.begin(), owing.end(),
+                     [](const FieldPtr &field) { return !field->owesZeros(); }),
+      owing.end());
+  update();
+}
+
+void Gradients::settle() {
+  if (owing.empty())
+    return;
+  settle([&] {
+    for (const FieldPtr &field : owing)
+      field->settleZeros();
+  });
+}
+
+void Gradients::forget(const Tree &tree) {
+  std::lock_guard<std::mutex> lock(mutex);
+  owing.erase(std::remove_if(owing.begin(), owing.end(),
+                             [&](const FieldPtr &field) {
+                               return &field->tree() == &tree;
+                             }),
+              owing.end());
+  update();
+}
+
+//===----------------------------------------------------------------------===//
+// Clearing
+//===----------------------------------------------------------------------===//
+
+/// Whether, in cells that they share, the elements of the second field follow
+/// those of the first.
+static bool endsBeside(const Field &first, const Field &second) {
+  int64_t bytes = first.numComponents() * byteSize(first.scalar());
+  return &first.tree() == &second.tree() &&
+         first.layout().placeOffset + bytes == second.layout().placeOffset &&
+         first.shape() == second.shape();
+}
+
+void Gradients::clearTangents() {
+  for (const FieldPtr &field : store.fields()) {
+    Field *tangent = field->dual();
+    if (!tangent || !tangent->valid() || tangent->isDirtiedByOther())
+      continue;
+    copies.clear(*tangent);
+    tangent->markClean();
+  }
+}
+
+void Gradients::clear(const Recorder *tape) {
+  bool forward = recordings.isForward();
+  const Field *cleared = nullptr;
+  for (const FieldPtr &field : store.fields()) {
+    if (tape && field->isAdjoint() && field->isDirtiedByOther() &&
+        !tape->uses(field))
+      continue;
+    if (forward && field->isAdjoint() && field->dual())
+      copies.clear(*field->dual());
+    if (!field->isAdjoint())
+      continue;
+    int64_t bytes = bytesInUse(*field);
+    // On a device, rows with holes take longer than rows without: what is
+    // clear already is cleared along with its neighbour.
+    bool isAlong =
+        cleared && cleared->tree().mirror() && endsBeside(*cleared, *field);
+    if (!field->dirty() && skips.has(Skip::FlaggedClears) && !isAlong) {
+      counters.bump(SkipCount::FieldsNotCleared);
+      counters.bump(SkipCount::BytesNotCleared, bytes);
+      continue;
+    }
+    copies.clear(*field);
+    cleared = field.get();
+    field->markClean();
+    counters.bump(SkipCount::FieldsCleared);
+    counters.bump(SkipCount::BytesCleared, bytes);
+  }
+  if (!owing.empty()) {
+    std::lock_guard<std::mutex> lock(mutex);
+    forgetSettled();
+  }
+}

@@ -1,0 +1,224 @@
+//===- HostWrites.cpp - Changes that the host makes to fields -------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Runtime/Host/HostWrites.h"
+#include "../Mirror/Slabs.h"
+#include "../Storage/Scalars.h"
+#include "HostWrite.h"
+#include <algorithm>
+#include <cstring>
+
+using namespace mlir::tai::runtime;
+
+void HostWrites::perform(const HostWrite &write) {
+  Field &field = *write.field;
+  switch (write.what) {
+  case HostWrite::What::Fill:
+    copies.fill(field, write.bytes);
+    break;
+  case HostWrite::What::Array:
+    copies.copyIn(field, write.bytes);
+    break;
+  case HostWrite::What::Element:
+    devices.noteFailure(
+        field.storeBytes(field.elementOffset(write.index) +
+                             write.component * field.layout().componentStride,
+                         write.bytes));
+    break;
+  }
+  field.markDirty();
+}
+
+/// Whether the write would change nothing. Of a fill, nobody has asked yet.
+static bool isVain(const HostWrite &write) {
+  const Field &field = *write.field;
+  if (write.what == HostWrite::What::Array)
+    return Slabs(field, -1).equal(0, field.numElements(),
+                                  static_cast<const char *>(write.bytes));
+  if (write.what == HostWrite::What::Fill)
+    return false;
+  char held[8] = {};
+  int64_t offset = field.elementOffset(write.index) +
+                   write.component * field.layout().componentStride;
+  return field.loadBytes(offset, held).ok() &&
+         std::memcmp(held, write.bytes,
+                     static_cast<size_t>(byteSize(field.scalar()))) == 0;
+}
+
+/// What the host writes to becomes active. A fill is for what is active, and so
+/// is an array of adjoints or tangents: what an inactive cell holds is a
+/// constant.
+Status HostWrites::activateFor(const HostWrite &write) {
+  SparseNode *node = write.field->sparseNode();
+  if (!node || write.what == HostWrite::What::Fill)
+    return Status::success();
+  if (write.what == HostWrite::What::Element) {
+    int64_t cell = write.field->cellNumber(write.index);
+    Status status = memory.checkCells(*node, node->isActive(cell) ? 0 : 1);
+    if (status)
+      node->activate(cell);
+    return status;
+  }
+  if (store.isPartner(*write.field))
+    return Status::success();
+  return activateNonzero(*write.field, write.bytes);
+}
+
+Status HostWrites::activateNonzero(Field &field, const void *array) {
+  SparseNode &node = *field.sparseNode();
+  const std::vector<int64_t> &shape = field.shape();
+  size_t rank = shape.size();
+  int64_t bytes = byteSize(field.scalar()) * field.numComponents();
+  const char *element = static_cast<const char *>(array);
+  std::vector<int64_t> index(rank);
+  for (size_t d = 0; d < rank; ++d)
+    index[d] = field.firstIndex(static_cast<int64_t>(d));
+  for (int64_t i = 0, n = field.numElements(); i < n; ++i, element += bytes) {
+    if (std::any_of(element, element + bytes, [](char b) { return b != 0; })) {
+      int64_t cell = field.cellNumber(index.data());
+      if (!node.isActive(cell)) {
+        Status status = memory.checkCells(node, 1);
+        if (!status)
+          return status;
+        node.activate(cell);
+      }
+    }
+    for (size_t d = rank; d-- > 0;) {
+      int64_t first = field.firstIndex(static_cast<int64_t>(d));
+      if (++index[d] < first + shape[d])
+        break;
+      index[d] = first;
+    }
+  }
+  return Status::success();
+}
+
+Status HostWrites::change(const HostWrite &write) {
+  Field &field = *write.field;
+  if (!field.valid())
+    return Status::failure(StatusCode::Usage,
+                           "field '" + field.name() + "' is gone: its tree '" +
+                               field.tree().name() + "' has been destroyed");
+  if (write.what == HostWrite::What::Element) {
+    int64_t offset = 0;
+    Status status = field.locate(write.index, write.component, offset);
+    if (!status)
+      return status;
+  }
+  Status free = recordings.check(field, HoldKind::Write);
+  if (free && field.sparseNode())
+    free = recordings.checkActivity(field.tree());
+  if (!free)
+    return free;
+  Recorder *tape = recordings.current();
+  if (tape && field.sparseNode())
+    tape->watch(field.sharedTree());
+  Status active = activateFor(write);
+  if (!active)
+    return active;
+  // Gradients are no values that a program computes from.
+  if (field.isAdjoint()) {
+    perform(write);
+    return devices.takeFailure();
+  }
+  if (watcher && recordings.isForward() && write.replacesAll())
+    watcher->overwrite(field);
+  if (tape)
+    return tape->write(write);
+  // On a device it would take a copy, and a wait, to find out; only tapes that
+  // need what the field held want to know.
+  if ((devices.isThere() && !recordings.minds(field)) || !isVain(write))
+    field.countChange();
+  perform(write);
+  return devices.takeFailure();
+}
+
+Status HostWrites::copyIn(Field &field, const void *array) {
+  return change({HostWrite::What::Array, &field, array});
+}
+
+Status HostWrites::fillF64(Field &field, double value) {
+  char bytes[8];
+  storeF64(field.scalar(), bytes, value);
+  return change({HostWrite::What::Fill, &field, bytes});
+}
+
+Status HostWrites::fillI64(Field &field, int64_t value) {
+  char bytes[8];
+  storeI64(field.scalar(), bytes, value);
+  return change({HostWrite::What::Fill, &field, bytes});
+}
+
+Status HostWrites::writeF64(Field &field, const int64_t *index,
+                            int64_t component, double value) {
+  char bytes[8];
+  storeF64(field.scalar(), bytes, value);
+  return change({HostWrite::What::Element, &field, bytes, index, component});
+}
+
+Status HostWrites::writeI64(Field &field, const int64_t *index,
+                            int64_t component, int64_t value) {
+  char bytes[8];
+  storeI64(field.scalar(), bytes, value);
+  return change({HostWrite::What::Element, &field, bytes, index, component});
+}
+
+Status HostWrites::writeElements(Field &field, const int64_t *indices,
+                                 int64_t count, const void *values) {
+  const char *from = static_cast<const char *>(values);
+  for (int64_t i = 0; i < count; ++i, indices += field.rank())
+    for (int64_t c = 0; c < field.numComponents(); ++c) {
+      Status status =
+          change({HostWrite::What::Element, &field, from, indices, c});
+      if (!status)
+        return status;
+      from += byteSize(field.scalar());
+    }
+  return Status::success();
+}
+
+Status HostWrites::setActive(const TreePtr &tree, int64_t level, int64_t cell,
+                             bool isActive) {
+  auto change = [tree, level, cell, isActive]() {
+    if (!tree->base())
+      return Status::failure(StatusCode::Usage,
+                             "tree '" + tree->name() + "' has been destroyed");
+    SparseNode &node = *tree->sparseNodes()[level];
+    if (isActive)
+      node.activate(cell);
+    else if (cell < 0)
+      node.deactivateAll();
+    else
+      node.deactivate(cell);
+    return Status::success();
+  };
+  if (Status free = recordings.checkActivity(*tree); !free)
+    return free;
+  if (Recorder *tape = recordings.current())
+    return tape->changeActivity(tree, change);
+  // Without tapes nobody asks, and a device need not be waited for.
+  SparseNode &node = *tree->sparseNodes()[level];
+  uint64_t before = recordings.areThereTapes() ? node.lastRemoval() : 0;
+  Status status = change();
+  // What inactive cells hold has become zero.
+  if (recordings.areThereTapes() && node.lastRemoval() != before)
+    for (const FieldPtr &field : store.fields())
+      if (field->sharedTree() == tree && field->sparseNode())
+        field->countChange();
+  return status;
+}
+
+Status HostWrites::noteOutside(Field &field) {
+  if (recordings.current() && !field.isAdjoint())
+    return Status::failure(
+        StatusCode::Usage,
+        "field '" + field.name() +
+            "' is written from outside while a tape records");
+  field.countChange();
+  field.markDirty();
+  return Status::success();
+}

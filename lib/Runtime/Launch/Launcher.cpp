@@ -1,0 +1,362 @@
+//===- Launcher.cpp - The way of a launch ---------------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Runtime/Launch/Launcher.h"
+#include "Launch.h"
+#include "TangentFlows.h"
+#include "tai/Runtime/Host/Loan.h"
+
+using namespace mlir::tai;
+using namespace mlir::tai::runtime;
+
+Launcher::Launcher(TaiRuntime &owner, const Parts &parts)
+    : owner(owner), parts(parts), deviceLaunches(parts.devices, parts.options) {
+  hot.seed = parts.options.seed;
+  parts.state.publishTo(hot.state);
+}
+
+Launcher::~Launcher() = default;
+
+void Launcher::setSeed(uint64_t seed) {
+  hot.seed = seed;
+  hot.launches.store(0, std::memory_order_relaxed);
+  kernelList.forEach([](Kernel &kernel) {
+    kernel.prepared.lastLaunch.store(0, std::memory_order_relaxed);
+  });
+}
+
+OverwriteWatcher *
+Launcher::followTangents(const std::vector<FieldPtr> &inputs) {
+  tangentFlows = std::make_unique<TangentFlows>(parts.store.fields(), inputs);
+  return tangentFlows.get();
+}
+
+std::vector<std::string>
+Launcher::lostTangents(const std::vector<FieldPtr> &outputs) {
+  return tangentFlows
+             ? tangentFlows->describe(outputs, parts.recordings.cutsSaid)
+             : std::vector<std::string>();
+}
+
+void Launcher::forgetTangents() { tangentFlows.reset(); }
+
+bool Launcher::runsPlainly() const {
+  return fusesLaunches && !parts.devices.isThere() &&
+         !parts.recordings.isForward() && !parts.options.profiler;
+}
+
+Status Launcher::ready(Kernel &kernel) {
+  Status status = kernel.resolve();
+  if (status)
+    status = kernel.bind(parts.state.epoch());
+  return status;
+}
+
+Status Launcher::failureOf(Launch &launch, const Kernel &kernel) {
+  if (launch.hasFailed())
+    return launch.takeFailure();
+  return Status::failure(StatusCode::Internal,
+                         "kernel '" + kernel.name() + "' failed");
+}
+
+void Launcher::settleZeros(const Kernel &kernel, const uint64_t *args) {
+  parts.gradients.settle([&] {
+    for (const Access &access : kernel.summary())
+      if (const OwedZeros *zeros = access.field->owesZeros())
+        if (mayMeet(*zeros, access, args))
+          access.field->settleZeros();
+  });
+}
+
+Status Launcher::checkHolds(const Kernel &kernel) const {
+  Status status;
+  for (const Access &access : kernel.summary()) {
+    if (access.kind == AccessKind::Read)
+      continue;
+    if (status)
+      status = parts.recordings.check(*access.field, holdKindOf(access.kind));
+    if (status && access.field->sparseNode() && access.field->valid())
+      status = parts.recordings.checkActivity(access.field->tree());
+  }
+  return status;
+}
+
+Status Launcher::checkAdjointHolds(const Kernel &kernel) const {
+  Status status;
+  for (const std::vector<Field *> &fields :
+       {kernel.adjointTargets, kernel.adjointSources})
+    for (Field *field : fields)
+      if (status)
+        status = parts.recordings.check(*field->adjoint(), HoldKind::Write);
+  return status;
+}
+
+/// The tangents of what a kernel uses are of the thread that launches it, from
+/// its first launch on: those that another one has left are zero to it.
+void Launcher::takeOverTangents(const Kernel &kernel) {
+  for (const Access &access : kernel.summary()) {
+    Field *tangent = access.field->dual();
+    if (!tangent)
+      continue;
+    if (tangent->isDirtiedByOther())
+      parts.copies.clear(*tangent);
+    tangent->markDirty();
+  }
+}
+
+Status Launcher::runTangent(Launch &launch, Kernel &kernel,
+                            const uint64_t *args, uint64_t *results,
+                            uint64_t number) {
+  parts.gradients.settle();
+  Kernel *tangent = nullptr;
+  Status status = kernel.resolveTangent(tangent);
+  if (status)
+    status = kernel.bind(parts.state.epoch());
+  if (!status)
+    return status;
+  for (Field *field : kernel.changedAdjoints)
+    field->markDirty();
+  if (tangentFlows)
+    tangentFlows->launch(kernel, args);
+  takeOverTangents(kernel);
+  if (tangent == &kernel)
+    return runCode(launch, kernel, args, results, number);
+  if (!kernel.sparseNodes.empty() && !launch.given)
+    kernel.noteBegin();
+  status = runCode(launch, *tangent, args, results, number);
+  if (!launch.loops.empty())
+    kernel.noteLoops(launch.loops);
+  return status;
+}
+
+/// On the CPU a kernel takes the time of its launch. On a device that is the
+/// time to queue it, which is kept for the trace alone: its loops are timed
+/// where they run (see DeviceWatch.h).
+int32_t Launcher::runTimed(Launch &launch, Kernel &kernel,
+                           TaiKernelFn function) {
+  Profiler &profiler = parts.devices.profiler();
+  TraceEvent event{};
+  event.thread = profiler.thread();
+  event.startNs = event.queuedNs = profiler.now();
+  int32_t code = function(&launch);
+  event.durationNs = profiler.now() - event.startNs;
+  Profiler::Item item =
+      profiler.find(ProfileKind::Host, kernel.name(), kernel.place());
+  if (launch.onDevice && launch.onDevice->code) {
+    profiler.keep(item, event);
+    return code;
+  }
+  profiler.count(item, event);
+  profiler.noteBytes({kernel.name()}, kernel.touchedBytes());
+  return code;
+}
+
+Status Launcher::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
+                         uint64_t *results, uint64_t number) {
+  if (__builtin_expect(kernel.boundEpoch.load(std::memory_order_acquire) !=
+                               parts.state.epoch() ||
+                           !kernel.resolved(),
+                       false)) {
+    Status status = ready(kernel);
+    if (!status)
+      return status;
+  }
+  if (!launch.passSafepoint())
+    return launch.takeFailure();
+  if (__builtin_expect(!results && kernel.resultSlots() > 0, false)) {
+    launch.unwanted.resize(static_cast<size_t>(kernel.resultSlots()));
+    results = launch.unwanted.data();
+  }
+  if (__builtin_expect(parts.gradients.areOwed(), false))
+    settleZeros(kernel, args);
+  launch.trees = kernel.bases.data();
+  launch.loopTimes = &kernel.loopTimes;
+  if (__builtin_expect(parts.devices.isThere(), false)) {
+    Status status = deviceLaunches.enter(launch, kernel);
+    if (!status)
+      return status;
+  }
+  launch.args = args;
+  launch.results = results;
+  launch.seed = hot.seed;
+  launch.launch = number;
+  if (__builtin_expect(!launch.loops.empty(), false))
+    launch.loops.clear();
+  if (__builtin_expect(!kernel.sparseNodes.empty() && !launch.given, false))
+    kernel.noteBegin();
+  int32_t code;
+  TaiKernelFn function = kernel.function.load(std::memory_order_relaxed);
+  if (!kernel.loopLevels.empty() && parts.options.skips.has(Skip::EmptyLists) &&
+      kernel.hasNoActiveCells() &&
+      !(launch.given && launch.given->hasCells())) {
+    parts.counters.add(SkipCount::EmptyLaunches);
+    // Its adjoint may not be so simple.
+    static const ActiveListPtr none = std::make_shared<const ActiveList>();
+    if (!launch.given)
+      for (const SparseNode *level : kernel.loopLevels)
+        launch.loops.add(*level, none);
+    code = 0;
+  } else if (__builtin_expect(parts.options.profiler, false))
+    code = runTimed(launch, kernel, function);
+  else
+    code = function(&launch);
+  if (__builtin_expect(parts.devices.isThere(), false))
+    deviceLaunches.leave(launch);
+  for (Field *field : kernel.changedAdjoints)
+    field->markDirty();
+  if (launch.arena.used())
+    launch.arena.reset();
+  if (__builtin_expect(!launch.loops.empty(), false))
+    kernel.noteLoops(launch.loops);
+  if (__builtin_expect(code != 0 || launch.hasFailed(), false)) {
+    launch.freeSinks();
+    return failureOf(launch, kernel);
+  }
+  return Status::success();
+}
+
+static Status wrongSlots(const Kernel &kernel, int64_t wanted, int64_t slots) {
+  std::string message = "kernel '" + kernel.name() + "' takes " +
+                        std::to_string(wanted) + " argument slots, but got " +
+                        std::to_string(slots);
+  if (wanted != kernel.argSlots())
+    message += "; the last " + std::to_string(wanted - kernel.argSlots()) +
+               " are for the adjoints of its arguments and results";
+  return Status::failure(StatusCode::Usage, std::move(message));
+}
+
+/// Fails where an array shares memory with a field that the kernel uses: its
+/// code takes them for apart.
+static Status checkLentFields(const Kernel &kernel, const uint64_t *args) {
+  for (const Access &access : kernel.summary()) {
+    const Field &field = *access.field;
+    uint64_t begin = 0, end = 0;
+    if (!Loan::findBytes(field, begin, end))
+      continue;
+    for (const ArrayArgument &array : kernel.arrays()) {
+      uint64_t from = args[array.slot];
+      uint64_t bytes = static_cast<uint64_t>(array.elementBytes);
+      for (int64_t d = 1; d <= array.rank; ++d)
+        bytes *= args[array.slot + d];
+      if (bytes > 0 && from < end && begin < from + bytes)
+        return Status::failure(
+            StatusCode::Usage,
+            "kernel '" + kernel.name() + "' uses field '" + field.name() +
+                "' and is given an array that shares its memory; give it a "
+                "copy, or let it use one of them alone",
+            kernel.place());
+    }
+  }
+  return Status::success();
+}
+
+Status Launcher::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
+                        uint64_t *results) {
+  if (__builtin_expect(Loan::areAny(), false) && !kernel.arrays().empty())
+    if (Status status = checkLentFields(kernel, args); !status)
+      return status;
+  const PreparedLaunch &prepared = kernel.prepared;
+  if (__builtin_expect(prepared.state.load(std::memory_order_acquire) ==
+                               hot.state.load(std::memory_order_relaxed) &&
+                           slots == prepared.slots &&
+                           (results || !prepared.hasResults) &&
+                           !interruptRequested(),
+                       true))
+    return launchPrepared(kernel, args, results);
+  // Only what is recorded needs to say where adjoints are.
+  if (__builtin_expect(slots != kernel.tapeSlots(), false)) {
+    Recorder *tape = parts.recordings.current();
+    bool recorded = tape && !tape->isSuspended();
+    if (recorded || slots != kernel.argSlots())
+      return wrongSlots(
+          kernel, recorded ? kernel.tapeSlots() : kernel.argSlots(), slots);
+  }
+  Recorder *tape = parts.recordings.current();
+  if (__builtin_expect(!tape && parts.recordings.areAnyHeld(), false))
+    if (Status status = checkHolds(kernel); !status)
+      return status;
+  Launch *launch = acquire();
+  uint64_t number = hot.launches.fetch_add(1, std::memory_order_relaxed);
+  kernel.prepared.lastLaunch.store(number, std::memory_order_relaxed);
+  Status status = __builtin_expect(tape != nullptr, false)
+                      ? tape->launch(*launch, kernel, args, results, number)
+                      : run(*launch, kernel, args, results, number);
+  release(launch);
+  if (status)
+    prepare(kernel);
+  return status;
+}
+
+Status Launcher::launchAdjoint(Kernel &kernel, const uint64_t *args,
+                               int64_t slots) {
+  if (slots != kernel.tapeSlots())
+    return wrongSlots(kernel, kernel.tapeSlots(), slots);
+  Status status = kernel.bind(parts.state.epoch());
+  if (!status)
+    return status;
+  if (__builtin_expect(parts.recordings.areAnyHeld(), false))
+    status = checkAdjointHolds(kernel);
+  if (!status)
+    return status;
+  parts.gradients.settle();
+  const AdjointPlan &plan = kernel.plan();
+  if (!plan.before.empty() || !plan.parts.empty())
+    return Status::failure(
+        StatusCode::Usage,
+        "the gradient of kernel '" + kernel.name() +
+            "' needs values that the kernel itself overwrites, which only a "
+            "tape keeps: launch it under a tape, or store the new values to "
+            "other elements");
+  Kernel *adjoint = nullptr;
+  bool canTake = kernel.hasZeroingAdjoint();
+  status = kernel.resolveAdjoint(
+      adjoint, kernel.alwaysTakes || (canTake && !kernel.overwritten.empty()));
+  if (!status)
+    return status;
+  LoopLists loops;
+  bool wasLaunched = false;
+  if (Recorder *sweep = parts.recordings.sweeping())
+    status = sweep->findLoops(kernel, loops, wasLaunched);
+  else
+    status = kernel.checkActivity(loops, wasLaunched);
+  if (!status)
+    return status;
+  Launch *launch = acquire();
+  uint64_t number = kernel.prepared.lastLaunch.load(std::memory_order_relaxed);
+  if (adjoint)
+    status = runAdjoint(*launch, kernel, *adjoint, args, number,
+                        wasLaunched ? &loops : nullptr);
+  release(launch);
+  return status;
+}
+
+Status Launcher::runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
+                            const uint64_t *args, uint64_t number,
+                            const LoopLists *given) {
+  uint64_t epoch = parts.state.epoch();
+  if (__builtin_expect(
+          kernel.boundEpoch.load(std::memory_order_acquire) != epoch, false)) {
+    Status status = kernel.bind(epoch);
+    if (!status)
+      return status;
+  }
+  // The adjoint's own summary need not be known.
+  for (Field *field : kernel.adjointTargets)
+    field->adjoint()->markDirty();
+  launch.given = given;
+  launch.primalName = &kernel.name();
+  if (!kernel.sparseNodes.empty() &&
+      parts.options.skips.has(Skip::AdjointFlags) &&
+      !parts.recordings.isForward())
+    launch.flags = &kernel.plan().flags;
+  Status status = run(launch, adjoint, args, nullptr, number);
+  launch.given = nullptr;
+  launch.flags = nullptr;
+  launch.filtered.clear();
+  launch.fetched.clear();
+  return status;
+}

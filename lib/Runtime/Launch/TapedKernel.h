@@ -1,0 +1,92 @@
+//===- TapedKernel.h - What tapes see of a kernel ---------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_LAUNCH_TAPEDKERNEL_H
+#define TAI_LIB_RUNTIME_LAUNCH_TAPEDKERNEL_H
+
+#include "Launch.h"
+
+namespace mlir::tai::runtime {
+
+/// What tapes use of kernels beyond what these offer to everybody.
+struct TapedKernel {
+  static KernelInfo &info(Kernel &kernel) { return kernel.info; }
+  static const KernelInfo &info(const Kernel &kernel) { return kernel.info; }
+  static Status bind(Kernel &kernel, uint64_t epoch) {
+    return kernel.bind(epoch);
+  }
+  static std::atomic<uint64_t> &lastLaunch(Kernel &kernel) {
+    return kernel.prepared.lastLaunch;
+  }
+  /// Whether calling the function, with its trees and arguments, is all that a
+  /// launch does.
+  static bool isDirect(const Kernel &kernel) {
+    return kernel.sparseNodes.empty() && kernel.loopLevels.empty() &&
+           kernel.info.resultSlots == 0 &&
+           kernel.info.callerAdjoints.slots == 0;
+  }
+  static int32_t call(Kernel &kernel, Launch &launch) {
+    launch.trees = kernel.bases.data();
+    launch.loopTimes = &kernel.loopTimes;
+    return kernel.function.load(std::memory_order_relaxed)(&launch);
+  }
+  /// What a tape knows of it, if that is the tape with the stamp that has
+  /// looked last.
+  static const void *knownTo(const Kernel &kernel, uint64_t stamp) {
+    return kernel.tapeStamp == stamp ? kernel.tapeUses : nullptr;
+  }
+  static void setKnown(Kernel &kernel, uint64_t stamp, const void *uses) {
+    kernel.tapeUses = uses;
+    kernel.tapeStamp = stamp;
+  }
+
+  /// Fields whose adjoints its adjoint adds to, fields whose adjoints it reads,
+  /// those of them that are overwritten, and adjoints that a launch may change.
+  static const std::vector<Field *> &targets(const Kernel &kernel) {
+    return kernel.adjointTargets;
+  }
+  static const std::vector<Field *> &sources(const Kernel &kernel) {
+    return kernel.adjointSources;
+  }
+  static const std::vector<Field *> &overwritten(const Kernel &kernel) {
+    return kernel.overwritten;
+  }
+  static const std::vector<Field *> &changedAdjoints(const Kernel &kernel) {
+    return kernel.changedAdjoints;
+  }
+  static const std::vector<SparseNode *> &sparseNodes(const Kernel &kernel) {
+    return kernel.sparseNodes;
+  }
+  static const AdjointPlan &adjointPlan(const Kernel &kernel) {
+    return *kernel.adjointPlan;
+  }
+  static bool adjointReruns(const Kernel &kernel) {
+    return kernel.adjointReruns;
+  }
+  static bool loadsStored(const Kernel &kernel) { return kernel.loadsStored; }
+  /// The adjoint always zeroes the adjoints of what the kernel overwrites.
+  static bool alwaysZeroes(const Kernel &kernel) { return kernel.alwaysTakes; }
+
+  /// A form of the adjoint if it has been found, and whether it was asked for.
+  static Kernel *known(const Kernel &kernel, bool zeroes, bool stored) {
+    return form(kernel, zeroes, stored).known.load(std::memory_order_acquire);
+  }
+  static bool isAsked(const Kernel &kernel, bool zeroes, bool stored) {
+    const Kernel::AdjointForm &found = form(kernel, zeroes, stored);
+    return found.known.load(std::memory_order_relaxed) || found.asked;
+  }
+
+private:
+  static const Kernel::AdjointForm &form(const Kernel &kernel, bool zeroes,
+                                         bool stored) {
+    return stored ? kernel.storedForms[zeroes] : kernel.adjointForms[zeroes];
+  }
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_LAUNCH_TAPEDKERNEL_H

@@ -1,0 +1,107 @@
+//===- Format.cpp - The text of values ------------------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "Format.h"
+#include "tai/ABI/Abi.h"
+#include <charconv>
+#include <cmath>
+#include <cstdio>
+#include <cstring>
+
+using namespace mlir::tai::runtime;
+
+/// The shortest text that reads back as the same number; of numbers that came
+/// from f32, the shortest that reads back as the same f32.
+static void appendFloat(std::string &text, double value) {
+  if (std::isnan(value)) {
+    text += "nan";
+    return;
+  }
+  if (std::isinf(value)) {
+    text += value < 0 ? "-inf" : "inf";
+    return;
+  }
+  char digits[64];
+  float narrow = static_cast<float>(value);
+  std::to_chars_result end =
+      static_cast<double>(narrow) == value
+          ? std::to_chars(digits, digits + sizeof(digits), narrow)
+          : std::to_chars(digits, digits + sizeof(digits), value);
+  size_t start = text.size();
+  text.append(digits, end.ptr);
+  if (text.find_first_of(".e", start) == std::string::npos)
+    text += ".0";
+}
+
+static void appendValue(std::string &text, int32_t kind, uint64_t slot) {
+  switch (kind) {
+  case TAI_VALUE_I64:
+    text += std::to_string(static_cast<int64_t>(slot));
+    return;
+  case TAI_VALUE_U64:
+    text += std::to_string(slot);
+    return;
+  case TAI_VALUE_BOOL:
+    text += (slot & 0xff) ? "true" : "false";
+    return;
+  case TAI_VALUE_F64: {
+    double value;
+    std::memcpy(&value, &slot, sizeof(value));
+    appendFloat(text, value);
+    return;
+  }
+  }
+  text += "?";
+}
+
+std::string mlir::tai::runtime::formatValues(const char *format, int32_t count,
+                                             const int32_t *kinds,
+                                             const int32_t *shapes,
+                                             const uint64_t *slots) {
+  std::string text;
+  int32_t next = 0;
+  auto appendNext = [&] {
+    int32_t components = shapes ? shapes[next] : 1;
+    if (components != 1)
+      text += '[';
+    for (int32_t c = 0; c < components; ++c) {
+      if (c)
+        text += ", ";
+      appendValue(text, kinds[next], *slots++);
+    }
+    if (components != 1)
+      text += ']';
+    ++next;
+  };
+  for (const char *at = format ? format : ""; *at; ++at) {
+    if (at[0] == '{' && at[1] == '}' && next < count) {
+      appendNext();
+      ++at;
+    } else {
+      text += *at;
+    }
+  }
+  // Values without a place of their own are not lost.
+  while (next < count) {
+    if (!text.empty())
+      text += ' ';
+    appendNext();
+  }
+  return text;
+}
+
+std::string mlir::tai::runtime::formatBytes(int64_t bytes) {
+  const char *units[] = {"B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB"};
+  double value = static_cast<double>(bytes);
+  int unit = 0;
+  for (; value >= 1024 && unit < 6; ++unit)
+    value /= 1024;
+  char text[32];
+  std::snprintf(text, sizeof(text), unit ? "%.1f %s" : "%.0f %s", value,
+                units[unit]);
+  return text;
+}

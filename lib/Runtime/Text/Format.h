@@ -1,0 +1,24 @@
+//===- Format.h - The text of values ----------------------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_TEXT_FORMAT_H
+#define TAI_LIB_RUNTIME_TEXT_FORMAT_H
+
+#include <cstdint>
+#include <string>
+
+namespace mlir::tai::runtime {
+
+/// Replaces each "{}" of the format by the next value.
+std::string formatValues(const char *format, int32_t count,
+                         const int32_t *kinds, const int32_t *shapes,
+                         const uint64_t *slots);
+std::string formatBytes(int64_t bytes);
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_TEXT_FORMAT_H

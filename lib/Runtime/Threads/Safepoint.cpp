@@ -1,0 +1,112 @@
+//===- Safepoint.cpp - Where running work looks up ------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Runtime/Threads/Safepoint.h"
+#include "tai/Support/Thread.h"
+#include <ctime>
+#include <pthread.h>
+
+using namespace mlir::tai::runtime;
+
+std::atomic<uint64_t> tai_rt_tick{1};
+
+namespace {
+/// Counts while somebody looks: its thread ends when nobody does, and whoever
+/// sees the tick that it leaves behind starts another one. Never destroyed,
+/// since threads may look until the very end of the process.
+class Clock {
+public:
+  static Clock &get() {
+    static auto *clock = new Clock;
+    return *clock;
+  }
+
+  /// Called by all who have seen a new tick.
+  void noteLook() {
+    if (isLooked.exchange(true, std::memory_order_relaxed) &&
+        isCounting.load(std::memory_order_acquire))
+      return;
+    std::lock_guard<std::mutex> lock(mutex);
+    if (isCounting.load(std::memory_order_relaxed) || isStopped)
+      return;
+    isCounting.store(true, std::memory_order_release);
+    if (!thread.start([this] { count(); }, "tai-clock"))
+      isCounting.store(false, std::memory_order_relaxed);
+  }
+
+  /// Returns when there is no thread any more; there will be no other one.
+  void stop() {
+    {
+      std::lock_guard<std::mutex> lock(mutex);
+      isStopped = true;
+    }
+    thread.join();
+  }
+
+  std::atomic<safepoint::Handler> handler{nullptr};
+
+private:
+  Clock() {
+    // A child has no thread, and starts its own.
+    pthread_atfork([] { get().mutex.lock(); }, [] { get().mutex.unlock(); },
+                   [] {
+                     Clock &clock = get();
+                     clock.thread.forget();
+                     clock.isCounting = false;
+                     clock.mutex.unlock();
+                     safepoint::request();
+                   });
+  }
+
+  void count() {
+    constexpr long interval = 20 * 1000 * 1000;
+    while (true) {
+      timespec pause = {0, interval};
+      nanosleep(&pause, nullptr);
+      std::lock_guard<std::mutex> lock(mutex);
+      bool goesOn =
+          isLooked.exchange(false, std::memory_order_relaxed) && !isStopped;
+      if (!goesOn)
+        isCounting.store(false, std::memory_order_release);
+      safepoint::request();
+      if (!goesOn)
+        return;
+    }
+  }
+
+  std::atomic<bool> isLooked{false}, isCounting{false};
+  bool isStopped = false;
+  std::mutex mutex;
+  Thread thread;
+};
+
+thread_local bool runsPartsOfOthers = false;
+thread_local const std::atomic<bool> *followed = nullptr;
+} // namespace
+
+void safepoint::setHandler(Handler handler) {
+  Clock::get().handler.store(handler);
+}
+
+bool safepoint::look() {
+  if (followed)
+    return !followed->load(std::memory_order_relaxed);
+  Clock &clock = Clock::get();
+  clock.noteLook();
+  Handler handler = clock.handler.load(std::memory_order_relaxed);
+  return !handler || runsPartsOfOthers || handler();
+}
+
+void safepoint::stopClock() { Clock::get().stop(); }
+
+void safepoint::enterWorker() { runsPartsOfOthers = true; }
+
+void safepoint::follow(const std::atomic<bool> *isCancelled) {
+  followed = isCancelled;
+}
+
+bool safepoint::isWorker() { return runsPartsOfOthers; }

@@ -1,0 +1,108 @@
+//===- Workers.cpp - Loops on several threads -----------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Runtime/Threads/Workers.h"
+#include "WorkerPool.h"
+
+using namespace mlir::tai::runtime;
+
+static int threadsFor(int wanted) {
+  return wanted > 0 ? std::min(wanted, 1024) : availableThreads();
+}
+
+Workers::Workers(int threads, bool deterministic)
+    : numThreads(threadsFor(threads)), deterministic(deterministic),
+      forkGuard(new ForkGuard) {}
+
+Workers::~Workers() {
+  if (!forkGuard->sameProcess())
+    (void)pool.release();
+}
+
+void Workers::leaveParent() {
+  if (forkGuard->sameProcess())
+    return;
+  // The object of the parent is left as it is: it may have been in the middle
+  // of a loop.
+  (void)pool.release();
+  forkGuard->rearm();
+}
+
+void Workers::setThreads(int threads) {
+  int wanted = threadsFor(threads);
+  if (wanted == numThreads)
+    return;
+  std::lock_guard<std::mutex> lock(mutex);
+  leaveParent();
+  current.store(nullptr, std::memory_order_release);
+  pool.reset();
+  numThreads = wanted;
+}
+
+WorkerPool &Workers::get() {
+  WorkerPool *known = current.load(std::memory_order_acquire);
+  if (__builtin_expect(known && forkGuard->sameProcess(), true))
+    return *known;
+  std::lock_guard<std::mutex> lock(mutex);
+  leaveParent();
+  if (!pool)
+    pool = std::make_unique<WorkerPool>(numThreads);
+  current.store(pool.get(), std::memory_order_release);
+  return *pool;
+}
+
+void Workers::parallel(int64_t parts, void (*task)(void *context, int64_t part),
+                       void *context, void (*look)(void *context)) {
+  if (parts > 1 && numThreads > 1) {
+    if (get().tryRun(task, context, parts, look)) {
+      forks.fetch_add(1, std::memory_order_relaxed);
+      return;
+    }
+  }
+  inlineLoops.fetch_add(1, std::memory_order_relaxed);
+  for (int64_t part = 0; part < parts; ++part)
+    task(context, part);
+}
+
+int64_t Workers::partition(int64_t n, double cost, bool reduces) {
+  // Below `wakeNs` a fork does not pay where workers must be woken first. Loops
+  // between that and `leastNs`, if there are many, earn the waking.
+  constexpr int64_t wakeNs = 50000, wakeCredit = 100000;
+  if (n <= 1)
+    return 1;
+  double exact = static_cast<double>(n) * std::max(cost, 1e-3);
+  int64_t total = exact < 9e18 ? static_cast<int64_t>(exact) : INT64_MAX;
+  if (reduces && deterministic) {
+    // Depends on the loop alone. Every part costs a private copy of what is
+    // reduced, so there are few.
+    constexpr int64_t partNs = 16000, mostParts = 32;
+    return std::min(n, std::clamp<int64_t>(total / partNs, 1, mostParts));
+  }
+  if (numThreads == 1)
+    return 1;
+  if (total < leastNs)
+    return 1;
+  if (total < wakeNs) {
+    WorkerPool *known = current.load(std::memory_order_acquire);
+    if (!known || !known->awake()) {
+      if (inlineCredit.fetch_add(total, std::memory_order_relaxed) < wakeCredit)
+        return 1;
+      inlineCredit.store(0, std::memory_order_relaxed);
+    }
+  }
+  constexpr int64_t leastPartNs = 2000;
+  int64_t parts = std::min<int64_t>(numThreads, total / leastPartNs);
+  if (!reduces) {
+    // Smaller parts even out what other processes take, and let a long loop be
+    // interrupted.
+    constexpr int64_t goodPartNs = 25000, longestPartNs = 10000000;
+    parts =
+        std::max({parts, std::min<int64_t>(4 * numThreads, total / goodPartNs),
+                  std::min<int64_t>(total / longestPartNs, 1 << 16)});
+  }
+  return std::clamp<int64_t>(parts, 1, n);
+}
