@@ -216,6 +216,7 @@ KernelCode::~KernelCode() {
 }
 
 void Session::destroyKernel(SessionKernel *kernel) {
+  rt->running().waitForVisits();
   kernels.erase(kernel->place);
 }
 

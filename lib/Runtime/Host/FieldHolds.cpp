@@ -11,6 +11,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "../Launch/Launch.h"
 #include "../Launch/TangentFlows.h"
 #include "HostWrite.h"
 #include "tai/Runtime/Launch/Runtime.h"
@@ -61,6 +62,7 @@ void Runtime::beginRecording(Tape &tape) {
     ++numRecording;
   }
   updateLaunchState();
+  runningLaunches.letLaunchesSee();
 }
 
 void Runtime::endRecording(Tape &tape) {
@@ -93,7 +95,7 @@ void Runtime::setForward(bool on) {
 void Runtime::updateLaunchState() {
   std::lock_guard<std::mutex> lock(stateMutex);
   bool isPlain = numRecording == 0 && numHolding == 0 && numForward == 0 &&
-                 !opts.profiler && owing.empty();
+                 !opts.profiler && !owesZeros();
   hot.state.store(isPlain ? storageEpoch.load(std::memory_order_relaxed)
                           : neverPrepared,
                   std::memory_order_relaxed);
@@ -132,23 +134,69 @@ static const char *describe(HoldKind kind) {
   __builtin_unreachable();
 }
 
-Status Runtime::describeHold(const Field &field, HoldKind kind,
-                             const Hold &other) const {
-  std::string name = "field '" + field.name() + "'";
+std::string Runtime::describe(const Field &field) const {
+  std::lock_guard<std::mutex> lock(fieldsMutex);
   if (field.isAdjoint())
     for (const FieldPtr &primal : fieldList)
       if (primal->adjoint() == &field)
-        name = "the gradient of field '" + primal->name() + "'";
+        return "the gradient of field '" + primal->name() + "'";
+  return "field '" + field.name() + "'";
+}
+
+Status Runtime::describeHold(const Field &field, HoldKind kind,
+                             const Hold &other) const {
   return Status::failure(
       StatusCode::Usage,
       "another thread records a tape that " +
-          std::string(describe(other.kind)) + " " + name +
-          ", which this thread " + describe(kind) +
+          std::string(::describe(other.kind)) + " " + describe(field) +
+          ", which this thread " + ::describe(kind) +
           ": give each thread fields of its own, or begin with the one when "
           "the gradient of the other is there");
 }
 
+Status Runtime::checkRunning(const Field &field, HoldKind kind) {
+  bool isSparse = field.sparseNode() && field.valid();
+  Status status;
+  runningLaunches.visit([&](const Launch &launch, const Kernel &kernel) {
+    if (launch.isOfThisThread() ||
+        !launch.isPlain.load(std::memory_order_relaxed))
+      return;
+    for (const Access &access : kernel.summary()) {
+      HoldKind other = getKind(access.kind);
+      // What is active is the same for all fields of a tree.
+      bool isMet = access.field.get() == &field
+                       ? !agree(other, kind)
+                       : isSparse && access.field->sparseNode() &&
+                             &access.field->tree() == &field.tree();
+      if (access.kind == AccessKind::Read || !isMet || !status)
+        continue;
+      status = Status::failure(
+          StatusCode::Usage,
+          "another thread runs kernel '" + kernel.name() + "', which " +
+              ::describe(other) + " " + describe(*access.field) +
+              ", while a tape of this thread " + ::describe(kind) + " " +
+              (isSparse ? "its tree" : "it") +
+              ": give each thread fields of its own, or wait until the kernel "
+              "has returned");
+    }
+  });
+  return status;
+}
+
 Status Runtime::hold(const Tape &tape, Field &field, HoldKind kind) {
+  if (Status status = noteHold(tape, field, kind); !status)
+    return status;
+  if (__builtin_expect(!runningLaunches.areOthers(), true))
+    return Status::success();
+  // What begins from now on sees the hold.
+  std::atomic_thread_fence(std::memory_order_seq_cst);
+  Status status = checkRunning(field, kind);
+  if (!status)
+    release(tape, field);
+  return status;
+}
+
+Status Runtime::noteHold(const Tape &tape, Field &field, HoldKind kind) {
   uint64_t self = threadNumber();
   std::lock_guard<std::mutex> lock(recordingMutex);
   Hold *own = nullptr;
@@ -209,7 +257,8 @@ Status Runtime::checkHolds(const Kernel &kernel) {
   return status;
 }
 
-const FieldPtr &Runtime::firstOf(const Tree &tree) const {
+FieldPtr Runtime::firstOf(const Tree &tree) const {
+  std::lock_guard<std::mutex> lock(fieldsMutex);
   return *std::find_if(
       fieldList.begin(), fieldList.end(),
       [&](const FieldPtr &field) { return &field->tree() == &tree; });
@@ -287,6 +336,7 @@ Status Tape::holdFields() {
     holding = true;
     ++runtime.numHolding;
     runtime.updateLaunchState();
+    runtime.runningLaunches.letLaunchesSee();
   }
   Status status;
   for (const auto &[field, kind] : touched)

@@ -373,7 +373,7 @@ void Runtime::clearGradients(const Tape *tape) {
     skipCounts.bump(SkipCount::FieldsCleared);
     skipCounts.bump(SkipCount::BytesCleared, bytes);
   }
-  if (!owing.empty()) {
+  if (owesZeros()) {
     std::lock_guard<std::mutex> lock(launchMutex);
     forgetSettled();
   }

@@ -137,6 +137,7 @@ void Runtime::oweZeros(const FieldPtr &adjoint,
   std::lock_guard<std::mutex> lock(launchMutex);
   adjoint->oweZeros(std::move(zeros));
   owing.push_back(adjoint);
+  owesAny.store(true, std::memory_order_release);
   updateLaunchState();
 }
 
@@ -145,6 +146,7 @@ void Runtime::forgetSettled() {
       std::remove_if(owing.begin(), owing.end(),
                      [](const FieldPtr &field) { return !field->owesZeros(); }),
       owing.end());
+  owesAny.store(!owing.empty(), std::memory_order_release);
   updateLaunchState();
 }
 
@@ -158,7 +160,7 @@ void Runtime::settleZeros(const Kernel &kernel, const uint64_t *args) {
 }
 
 void Runtime::settleZeros() {
-  if (owing.empty())
+  if (!owesZeros())
     return;
   std::lock_guard<std::mutex> lock(launchMutex);
   for (const FieldPtr &field : owing)

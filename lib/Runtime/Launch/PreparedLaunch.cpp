@@ -23,7 +23,14 @@ using namespace mlir::tai::runtime;
 // Launches, to be used again
 //===----------------------------------------------------------------------===//
 
-Launch *Runtime::acquireLaunch() {
+Launch *Runtime::acquireLaunch(bool isPlain) {
+  Launch *launch = takeLaunch();
+  if (__builtin_expect(!isPlain, false))
+    launch->isPlain.store(false, std::memory_order_relaxed);
+  return launch;
+}
+
+inline Launch *Runtime::takeLaunch() {
   // Once a thread has ended, another one may have its number, and its launch.
   const void *self = __builtin_thread_pointer();
   const void *thread = hot.thread.load(std::memory_order_acquire);
@@ -31,16 +38,23 @@ Launch *Runtime::acquireLaunch() {
     hot.isTaken = true;
     return hot.launch.load(std::memory_order_relaxed);
   }
-  if (Launch *launch = spareLaunch.exchange(nullptr, std::memory_order_acquire))
+  runningLaunches.noteFork();
+  if (Launch *launch =
+          spareLaunch.exchange(nullptr, std::memory_order_acquire)) {
+    launch->thread.store(self, std::memory_order_relaxed);
     return launch;
+  }
   std::lock_guard<std::mutex> lock(launchMutex);
   if (!freeLaunches.empty()) {
     Launch *launch = freeLaunches.back();
     freeLaunches.pop_back();
+    launch->thread.store(self, std::memory_order_relaxed);
     return launch;
   }
   launches.push_back(std::make_unique<Launch>(*this));
   Launch *made = launches.back().get();
+  made->thread.store(self, std::memory_order_relaxed);
+  runningLaunches.add(*made);
   if (!hot.thread.load(std::memory_order_relaxed)) {
     hot.launch.store(made, std::memory_order_relaxed);
     hot.isTaken = true;
@@ -52,6 +66,8 @@ Launch *Runtime::acquireLaunch() {
 void Runtime::releaseLaunch(Launch *launch) {
   if (__builtin_expect(!launch->loops.empty(), false))
     launch->loops.clear();
+  if (__builtin_expect(!launch->isPlain.load(std::memory_order_relaxed), false))
+    launch->isPlain.store(true, std::memory_order_relaxed);
   if (__builtin_expect(launch == hot.launch.load(std::memory_order_relaxed),
                        true)) {
     hot.isTaken = false;
@@ -110,21 +126,27 @@ void Runtime::prepare(Kernel &kernel) {
 Status Runtime::launchPrepared(Kernel &kernel, const uint64_t *args,
                                uint64_t *results) {
   PreparedLaunch &prepared = kernel.prepared;
-  Launch &launch = *acquireLaunch();
+  Launch &launch = *takeLaunch();
   uint64_t number = hot.launches.fetch_add(1, std::memory_order_relaxed);
   prepared.lastLaunch.store(number, std::memory_order_relaxed);
   DeviceLaunch *onDevice = nullptr;
-  if (prepared.code) {
+  launch.begin(kernel);
+  bool isReady = prepared.state.load(std::memory_order_relaxed) ==
+                 hot.state.load(std::memory_order_relaxed);
+  if (isReady && prepared.code) {
     onDevice = launch.onDevice.get();
-    bool isReady = onDevice && !onDevice->context->hasNoted();
+    isReady = onDevice && !onDevice->context->hasNoted();
     for (auto *mirror = prepared.mirrors; mirror != prepared.mirrorsEnd;
          ++mirror)
       isReady &= (*mirror)->onDevice();
-    if (__builtin_expect(!isReady, false)) {
-      Status status = run(launch, kernel, args, results, number);
-      releaseLaunch(&launch);
-      return status;
-    }
+  }
+  if (__builtin_expect(!isReady, false)) {
+    launch.end();
+    Status status = run(launch, kernel, args, results, number);
+    releaseLaunch(&launch);
+    return status;
+  }
+  if (onDevice) {
     onDevice->code = prepared.code;
     onDevice->usesState = onDevice->waited = false;
   }
@@ -152,6 +174,7 @@ Status Runtime::launchPrepared(Kernel &kernel, const uint64_t *args,
     launch.freeSinks();
     status = failureOf(launch, kernel);
   }
+  launch.end();
   releaseLaunch(&launch);
   return status;
 }

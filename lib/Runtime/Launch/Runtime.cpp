@@ -150,12 +150,43 @@ void Runtime::freeTree(Tree &tree) {
   tree.address = nullptr;
 }
 
+Status Runtime::checkUnused(const Tree &tree) {
+  Status status;
+  runningLaunches.visit([&](const Launch &launch, const Kernel &kernel) {
+    if (!kernel.uses(tree))
+      return;
+    auto field = std::find_if(
+        fieldList.begin(), fieldList.end(),
+        [&](const FieldPtr &other) { return &other->tree() == &tree; });
+    std::string what = field == fieldList.end()
+                           ? "tree '" + tree.name() + "'"
+                           : "the tree of field '" + (*field)->name() + "'";
+    std::string who =
+        launch.isOfThisThread() ? "this thread" : "another thread";
+    status = Status::failure(
+        StatusCode::Usage,
+        what + " cannot be destroyed while " + who + " runs kernel '" +
+            kernel.name() +
+            "', which uses it: wait until the kernel has returned");
+  });
+  return status;
+}
+
 Status Runtime::destroyTree(const std::string &name) {
   auto found = trees.find(name);
   if (found == trees.end())
     return Status::failure(StatusCode::Usage,
                            "there is no tree '" + name + "'");
   Tree *tree = found->second.get();
+  // From here on no launch begins to use it.
+  tree->isClosing.store(true, std::memory_order_release);
+  storageChanged();
+  runningLaunches.letLaunchesSee();
+  if (Status status = checkUnused(*tree); !status) {
+    tree->isClosing.store(false, std::memory_order_release);
+    return status;
+  }
+  std::unique_lock<std::mutex> changing(fieldsMutex);
   for (size_t i = 0; i < fieldList.size();) {
     if (&fieldList[i]->tree() == tree) {
       // Adjoints elsewhere no longer have a primal that can reach them.
@@ -167,6 +198,7 @@ Status Runtime::destroyTree(const std::string &name) {
       ++i;
     }
   }
+  changing.unlock();
   for (const FieldPtr &field : fieldList) {
     // What takes their names is another field.
     if (field->adjointField && &field->adjointField->tree() == tree) {
@@ -178,11 +210,15 @@ Status Runtime::destroyTree(const std::string &name) {
       field->dualName.clear();
     }
   }
-  owing.erase(std::remove_if(owing.begin(), owing.end(),
-                             [tree](const FieldPtr &field) {
-                               return &field->tree() == tree;
-                             }),
-              owing.end());
+  {
+    std::lock_guard<std::mutex> lock(launchMutex);
+    owing.erase(std::remove_if(owing.begin(), owing.end(),
+                               [tree](const FieldPtr &field) {
+                                 return &field->tree() == tree;
+                               }),
+                owing.end());
+    owesAny.store(!owing.empty(), std::memory_order_release);
+  }
   freeTree(*tree);
   trees.erase(found);
   storageChanged();
@@ -258,7 +294,10 @@ Status Runtime::addField(FieldInfo info, FieldPtr &result) {
   if (!status)
     return status;
   fieldsByName.emplace(info.name, field);
-  fieldList.push_back(field);
+  {
+    std::lock_guard<std::mutex> lock(fieldsMutex);
+    fieldList.push_back(field);
+  }
   linkPartners(field);
   result = field;
   return Status::success();
@@ -370,9 +409,16 @@ int64_t Runtime::numKernels() {
 void Runtime::setSeed(uint64_t seed) {
   opts.seed = hot.seed = seed;
   hot.launches.store(0, std::memory_order_relaxed);
+  std::lock_guard<std::mutex> lock(launchMutex);
   for (const std::weak_ptr<Kernel> &entry : kernelList)
     if (KernelPtr kernel = entry.lock())
       kernel->prepared.lastLaunch.store(0, std::memory_order_relaxed);
+}
+
+inline bool Runtime::isReady(const Kernel &kernel) const {
+  return kernel.boundEpoch.load(std::memory_order_acquire) ==
+             storageEpoch.load(std::memory_order_relaxed) &&
+         kernel.resolved();
 }
 
 Status Runtime::ready(Kernel &kernel) {
@@ -389,61 +435,42 @@ Status Runtime::failureOf(Launch &launch, const Kernel &kernel) {
                          "kernel '" + kernel.name() + "' failed");
 }
 
-/// The tangents of what a kernel uses are of the thread that launches it, from
-/// its first launch on: those that another one has left are zero to it.
-void Runtime::takeOverTangents(const Kernel &kernel) {
-  const char zeros[8] = {};
-  for (const Access &access : kernel.summary()) {
-    Field *tangent = access.field->dual();
-    if (!tangent)
-      continue;
-    if (isOfAnotherThread(*tangent))
-      fillWith(*tangent, zeros);
-    tangent->markDirty();
+Status Runtime::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
+                        uint64_t *results, uint64_t number) {
+  while (true) {
+    if (__builtin_expect(!isReady(kernel), false)) {
+      Status status = ready(kernel);
+      if (!status)
+        return status;
+    }
+    if (!launch.passSafepoint())
+      return launch.takeFailure();
+    launch.begin(kernel);
+    if (__builtin_expect(isReady(kernel), true))
+      break;
+    launch.end();
   }
-}
-
-Status Runtime::runTangent(Launch &launch, Kernel &kernel, const uint64_t *args,
-                           uint64_t *results, uint64_t number) {
-  settleZeros();
-  Kernel *tangent = nullptr;
-  Status status = kernel.resolveTangent(tangent);
+  Status status;
+  // A tape of another thread may have begun while this kernel was compiled.
+  if (__builtin_expect(numHolding.load(std::memory_order_relaxed) != 0,
+                       false) &&
+      launch.isPlain.load(std::memory_order_relaxed)) {
+    std::atomic_thread_fence(std::memory_order_seq_cst);
+    status = checkHolds(kernel);
+  }
   if (status)
-    status = kernel.bind(storageEpoch.load(std::memory_order_relaxed));
-  if (!status)
-    return status;
-  for (Field *field : kernel.changedAdjoints)
-    field->markDirty();
-  if (tangentFlows)
-    tangentFlows->launch(kernel, args);
-  takeOverTangents(kernel);
-  if (tangent == &kernel)
-    return runCode(launch, kernel, args, results, number);
-  if (!kernel.sparseNodes.empty() && !launch.given)
-    kernel.noteBegin();
-  status = runCode(launch, *tangent, args, results, number);
-  if (!launch.loops.empty())
-    kernel.noteLoops(launch.loops);
+    status = runBegun(launch, kernel, args, results, number);
+  launch.end();
   return status;
 }
 
-Status Runtime::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
-                        uint64_t *results, uint64_t number) {
-  if (__builtin_expect(kernel.boundEpoch.load(std::memory_order_acquire) !=
-                               storageEpoch.load(std::memory_order_relaxed) ||
-                           !kernel.resolved(),
-                       false)) {
-    Status status = ready(kernel);
-    if (!status)
-      return status;
-  }
-  if (!launch.passSafepoint())
-    return launch.takeFailure();
+Status Runtime::runBegun(Launch &launch, Kernel &kernel, const uint64_t *args,
+                         uint64_t *results, uint64_t number) {
   if (__builtin_expect(!results && kernel.resultSlots() > 0, false)) {
     launch.unwanted.resize(static_cast<size_t>(kernel.resultSlots()));
     results = launch.unwanted.data();
   }
-  if (__builtin_expect(!owing.empty(), false))
+  if (owesZeros())
     settleZeros(kernel, args);
   launch.trees = kernel.bases.data();
   launch.loopTimes = &kernel.loopTimes;
@@ -527,7 +554,7 @@ Status Runtime::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
                        false))
     if (Status status = checkHolds(kernel); !status)
       return status;
-  Launch *launch = acquireLaunch();
+  Launch *launch = acquireLaunch(/*isPlain=*/!tape);
   uint64_t number = hot.launches.fetch_add(1, std::memory_order_relaxed);
   kernel.prepared.lastLaunch.store(number, std::memory_order_relaxed);
   Status status = __builtin_expect(tape != nullptr, false)
@@ -573,7 +600,7 @@ Status Runtime::launchAdjoint(Kernel &kernel, const uint64_t *args,
     status = kernel.checkActivity(loops, wasLaunched);
   if (!status)
     return status;
-  Launch *launch = acquireLaunch();
+  Launch *launch = acquireLaunch(/*isPlain=*/!getSweeping());
   uint64_t number = kernel.prepared.lastLaunch.load(std::memory_order_relaxed);
   if (adjoint)
     status = runAdjoint(*launch, kernel, *adjoint, args, number,
@@ -756,36 +783,4 @@ int64_t Runtime::partition(int64_t n, double cost, bool reduces) {
                   std::min<int64_t>(total / longestPartNs, 1 << 16)});
   }
   return std::clamp<int64_t>(parts, 1, n);
-}
-
-//===----------------------------------------------------------------------===//
-// Print, counters
-//===----------------------------------------------------------------------===//
-
-void Runtime::setPrintSink(Sink newSink) {
-  std::lock_guard<std::mutex> lock(printMutex);
-  sink = std::move(newSink);
-}
-
-void Runtime::print(std::string_view line) {
-  std::lock_guard<std::mutex> lock(printMutex);
-  if (sink) {
-    sink(line);
-    return;
-  }
-  std::fwrite(line.data(), 1, line.size(), stdout);
-  std::fflush(stdout);
-}
-
-Counters Runtime::counters() const {
-  Counters result;
-  result.launches =
-      static_cast<int64_t>(hot.launches.load(std::memory_order_relaxed));
-  result.forks = counts.forks.load(std::memory_order_relaxed);
-  result.inlineLoops = counts.inlineLoops.load(std::memory_order_relaxed);
-  result.recorded = skipCounts.get(SkipCount::TapeRecorded);
-  result.replayed = skipCounts.get(SkipCount::TapeReplayed);
-  result.skipped = skipCounts.get(SkipCount::TapeSkipped);
-  result.clearedFields = skipCounts.get(SkipCount::FieldsCleared);
-  return result;
 }

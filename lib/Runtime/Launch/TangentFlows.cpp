@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "TangentFlows.h"
+#include "Launch.h"
 #include "tai/Runtime/Launch/Runtime.h"
 #include <algorithm>
 
@@ -58,4 +59,46 @@ std::vector<std::string>
 Runtime::lostTangents(const std::vector<FieldPtr> &outputs) {
   return tangentFlows ? tangentFlows->describe(outputs, cutsSaid)
                       : std::vector<std::string>();
+}
+
+//===----------------------------------------------------------------------===//
+// Launches in forward mode
+//===----------------------------------------------------------------------===//
+
+/// The tangents of what a kernel uses are of the thread that launches it, from
+/// its first launch on: those that another one has left are zero to it.
+void Runtime::takeOverTangents(const Kernel &kernel) {
+  const char zeros[8] = {};
+  for (const Access &access : kernel.summary()) {
+    Field *tangent = access.field->dual();
+    if (!tangent)
+      continue;
+    if (isOfAnotherThread(*tangent))
+      fillWith(*tangent, zeros);
+    tangent->markDirty();
+  }
+}
+
+Status Runtime::runTangent(Launch &launch, Kernel &kernel, const uint64_t *args,
+                           uint64_t *results, uint64_t number) {
+  settleZeros();
+  Kernel *tangent = nullptr;
+  Status status = kernel.resolveTangent(tangent);
+  if (status)
+    status = kernel.bind(storageEpoch.load(std::memory_order_relaxed));
+  if (!status)
+    return status;
+  for (Field *field : kernel.changedAdjoints)
+    field->markDirty();
+  if (tangentFlows)
+    tangentFlows->launch(kernel, args);
+  takeOverTangents(kernel);
+  if (tangent == &kernel)
+    return runCode(launch, kernel, args, results, number);
+  if (!kernel.sparseNodes.empty() && !launch.given)
+    kernel.noteBegin();
+  status = runCode(launch, *tangent, args, results, number);
+  if (!launch.loops.empty())
+    kernel.noteLoops(launch.loops);
+  return status;
 }

@@ -76,8 +76,7 @@ Status Tape::changeActivity(const TreePtr &tree,
 
 Status Tape::callReverse(size_t index) {
   Tape *outer = std::exchange(runtime.sweeping, this);
-  const void *thread =
-      std::exchange(runtime.sweepThread, __builtin_thread_pointer());
+  const void *thread = runtime.sweepThread.exchange(__builtin_thread_pointer());
   reverseFunction = index;
   Status status = callbacks[records[index].payload].backward();
   runtime.sweeping = outer;

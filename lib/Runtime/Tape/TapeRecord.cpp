@@ -290,7 +290,10 @@ Status Tape::checkVersions() {
     std::lock_guard<std::mutex> lock(runtime.launchMutex);
     for (const std::weak_ptr<Kernel> &entry : runtime.kernelList)
       if (KernelPtr kernel = entry.lock())
-        if (kernel->prepared.lastLaunch.load(std::memory_order_relaxed) >=
+        // Without code it has changed nothing, and its summary may be on its
+        // way.
+        if (kernel->resolved() &&
+            kernel->prepared.lastLaunch.load(std::memory_order_relaxed) >=
                 endLaunch &&
             endLaunch > 0)
           addChangedBy(*kernel, byKernels);

@@ -19,6 +19,7 @@
 
 #include "tai/Runtime/Device/KeptBlockSizes.h"
 #include "tai/Runtime/Launch/Kernel.h"
+#include "tai/Runtime/Launch/RunningLaunches.h"
 #include "tai/Runtime/Launch/Safepoint.h"
 #include "tai/Runtime/Profile/Profiler.h"
 #include "tai/Runtime/Tape/Tape.h"
@@ -236,6 +237,8 @@ public:
   //===--------------------------------------------------------------------===//
 
   KernelPtr createKernel(KernelInfo info);
+  /// Which of them run.
+  const RunningLaunches &running() const { return runningLaunches; }
   /// Launches and, where a tape records, records. `results` may be null for a
   /// kernel without results.
   Status launch(Kernel &kernel, const uint64_t *args, int64_t slots,
@@ -375,11 +378,16 @@ private:
   /// Notes that the tape uses a field. Fails where tapes of other threads use
   /// it so that one of the two would go wrong.
   Status hold(const Tape &tape, Field &field, HoldKind kind);
+  Status noteHold(const Tape &tape, Field &field, HoldKind kind);
   void release(const Tape &tape, Field &field);
   /// Fails where the calling thread changes what a tape of another thread uses.
   Status checkHolds(const Kernel &kernel);
   Status checkAdjointHolds(const Kernel &kernel);
   Status checkHold(const Field &field, HoldKind kind) const;
+  /// Fails where a launch of another thread, which began before the field was
+  /// held, changes it so that a tape of this thread would go wrong.
+  Status checkRunning(const Field &field, HoldKind kind);
+  std::string describe(const Field &field) const;
   Status describeHold(const Field &field, HoldKind kind,
                       const Hold &other) const;
   /// The adjoint is what another thread has left, and no concern of a tape that
@@ -387,7 +395,7 @@ private:
   static bool isOfAnotherThread(const Field &adjoint);
   void takeOverTangents(const Kernel &kernel);
   /// Stands for the whole tree, where the activity of cells matters.
-  const FieldPtr &firstOf(const Tree &tree) const;
+  FieldPtr firstOf(const Tree &tree) const;
   /// Adjoint fields that owe zeros: leaves them to who looks, or stores those
   /// that a launch may look at.
   void oweZeros(const FieldPtr &adjoint,
@@ -400,6 +408,7 @@ private:
   Status launchPrepared(Kernel &kernel, const uint64_t *args,
                         uint64_t *results);
   Status ready(Kernel &kernel);
+  bool isReady(const Kernel &kernel) const;
   /// Whether there is nothing to do around the code of kernels.
   bool runsPlainly() const;
   static Status failureOf(Launch &launch, const Kernel &kernel);
@@ -411,6 +420,8 @@ private:
   }
   Status runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
                  uint64_t *results, uint64_t number);
+  Status runBegun(Launch &launch, Kernel &kernel, const uint64_t *args,
+                  uint64_t *results, uint64_t number);
   Status runTangent(Launch &launch, Kernel &kernel, const uint64_t *args,
                     uint64_t *results, uint64_t number);
   int32_t runTimed(Launch &launch, Kernel &kernel, TaiKernelFn function);
@@ -419,8 +430,13 @@ private:
   Status runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
                     const uint64_t *args, uint64_t number,
                     const LoopLists *given);
-  Launch *acquireLaunch();
+  /// `isPlain`: for a launch that no tape makes.
+  Launch *acquireLaunch(bool isPlain = false);
+  Launch *takeLaunch();
   void releaseLaunch(Launch *launch);
+
+  /// Fails where a running kernel uses the tree.
+  Status checkUnused(const Tree &tree);
   WorkerPool &workers();
   void fillWith(Field &field, const void *scalarBytes);
   void copyIn(Field &field, const void *array);
@@ -483,8 +499,16 @@ private:
   std::unordered_map<std::string, TreePtr> trees;
   std::unordered_map<std::string, FieldPtr> fieldsByName;
   std::vector<FieldPtr> fieldList;
-  /// Adjoint fields that may owe zeros.
+  /// Taken to change the list, and to read it where others may: launches do not
+  /// wait for other calls.
+  mutable std::mutex fieldsMutex;
+  /// Adjoint fields that may owe zeros, under `launchMutex`; and whether there
+  /// are any.
   std::vector<FieldPtr> owing;
+  std::atomic<bool> owesAny{false};
+  bool owesZeros() const {
+    return __builtin_expect(owesAny.load(std::memory_order_acquire), false);
+  }
   /// Kernels that may be launched, to find those that were.
   std::vector<std::weak_ptr<Kernel>> kernelList;
   size_t kernelsToKeep = 64;
@@ -510,6 +534,7 @@ private:
   std::atomic<Launch *> spareLaunch{nullptr};
   std::vector<std::unique_ptr<Launch>> launches;
   std::vector<Launch *> freeLaunches;
+  RunningLaunches runningLaunches;
   std::mutex launchMutex;
   std::atomic<int64_t> inlineCredit{0};
 
@@ -532,9 +557,12 @@ private:
   std::mutex stateMutex;
   /// The tape whose sweep has called a function of the host, and the thread.
   Tape *sweeping = nullptr;
-  const void *sweepThread = nullptr;
+  std::atomic<const void *> sweepThread{nullptr};
   Tape *getSweeping() const {
-    return sweepThread == __builtin_thread_pointer() ? sweeping : nullptr;
+    return sweepThread.load(std::memory_order_relaxed) ==
+                   __builtin_thread_pointer()
+               ? sweeping
+               : nullptr;
   }
   bool fusesLaunches = true;
   /// Stamps of tapes and of their plans.

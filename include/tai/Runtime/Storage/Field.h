@@ -85,6 +85,10 @@ public:
   int64_t activeCellBytes() const {
     return activeBytes.load(std::memory_order_relaxed);
   }
+  /// Whether launches may begin to use it.
+  bool isThere() const {
+    return address && !isClosing.load(std::memory_order_acquire);
+  }
   /// The tree of a base address.
   static Tree &of(void *base) { return *static_cast<Tree **>(base)[-1]; }
 
@@ -103,6 +107,8 @@ private:
   /// Where all of that lies. Loans keep it when the tree is gone.
   std::shared_ptr<void> memory;
   std::atomic<int> loans{0};
+  /// While it is found out whether it may be destroyed.
+  std::atomic<bool> isClosing{false};
   std::vector<std::unique_ptr<SparseNode>> nodes;
   std::atomic<int64_t> activeBytes{0};
   /// Regions that have been asked to lie in large pages, by their number.
