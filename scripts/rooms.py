@@ -37,7 +37,7 @@ ARROWS: dict[str, str] = {
     "Interpreter": "ABI Dialect Runtime",
     "ExecutionEngine": "ABI AD Analysis CodeGen Conversion Dialect Interfaces Interpreter "
     "Pipelines Runtime Support Transforms",
-    "CAPI": "ExecutionEngine Runtime",
+    "CAPI": "ExecutionEngine Runtime Support",
 }
 
 # The same for the rooms of the runtime. Those that include one another are listed in
@@ -69,7 +69,6 @@ KNOWN_CIRCLES: set[tuple[str, str]] = {
 # into parts. The numbers may fall, not rise.
 KNOWN_SLICES: dict[str, int] = {
     "AdjointBuilder": 9,
-    "Compiler": 3,
     "CudaDevice": 4,
     "DeviceCompiler": 3,
     "DeviceQueue": 3,
@@ -80,7 +79,6 @@ KNOWN_SLICES: dict[str, int] = {
     "LoopHistory": 3,
     "Run": 5,
     "Runtime": 18,
-    "Session": 7,
     "SparseMirror": 3,
     "SparseNode": 5,
     "TaiDialect": 5,

@@ -59,43 +59,18 @@ TAI_EXPORT const char *taiVersion(void);
 TAI_EXPORT TaiContext taiContextCreate(void);
 TAI_EXPORT void taiContextDestroy(TaiContext context);
 
+/// One option: its name, what holds unless it is set, what is expected of a
+/// value, and what it is for.
+typedef struct TaiOptionRow {
+  const char *name, *initial, *expects, *about;
+} TaiOptionRow;
+
+/// All options of taiContextSetOption. The rows stay.
+TAI_EXPORT int64_t taiListOptions(const TaiOptionRow **rows);
+
 /// Options, as text; unknown names and values are TAI_ERROR_USAGE with the
 /// names that exist. They hold for kernels created afterwards.
-///   threads           number, 0 = all cores
-///   deterministic     true | false
-///   debug             true | false: assertions, bounds checks
-///   fast_math         true | false
-///   opt_level         0..3
-///   seed              number, for tai.random
-///   cache_dir         folder of the compile cache; empty = no cache. Where the
-///                     option is not set: $TAI_CACHE_DIR, else the folder `tai`
-///                     in the user's cache folder
-///   print_ir          empty, "all", or a comma list of stage names
-///   profiler          true | false
-///   compile_profile   true | false: times of each compilation, on stderr
-///   forward_mode      true | false: launch every kernel with the tangents that
-///                     it carries along, those of a tape and adjoints too
-///   history_bytes     number: what a loop of an adjoint may record at once
-///   skip              "all", "none", or a comma list of what is left out where
-///                     it is not needed ("-name" takes one away); results do
-///                     not depend on it
-///   memory_limit      number of bytes that fields may take; 0 = what the
-///                     machine has
-///   device_memory_limit  the same for the memory of the GPU; to be set before
-///                     arch
-///   device_heap       number of bytes that kernels on the GPU may allocate
-///                     while they run, 0 for what suits it; to be set before
-///                     arch
-///   arch              cpu | cuda | interpreter: where kernels run; to be set
-///                     before the first tree is added. The error says why there
-///                     is no GPU. With the interpreter no code is made
-///   order_seed        number: with the interpreter, the iterations of parallel
-///                     loops run in an order drawn from it; 0 = ascending
-///   block_dim         number, a multiple of 32: threads of a block on a GPU;
-///                     0 = what suits the kernel. Loops that name theirs
-///                     have that
-///   max_block_dim     number, a multiple of 32: the most threads of a block,
-///                     0 = what the GPU has room for
+/// docs/options.md lists them, as taiListOptions does.
 TAI_EXPORT TaiStatus taiContextSetOption(TaiContext context, const char *name,
                                          const char *value);
 

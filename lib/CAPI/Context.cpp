@@ -28,6 +28,16 @@ void taiStopBackgroundWork(void) {
   runtime::safepoint::stopClock();
 }
 
+int64_t taiListOptions(const TaiOptionRow **rows) {
+  static constexpr TaiOptionRow table[] = {
+#define TAI_OPTION(id, name, kind, initial, expects, about)                    \
+  {name, initial, expects, about},
+#include "tai/Support/Options.def"
+  };
+  *rows = table;
+  return std::size(table);
+}
+
 TaiStatus taiContextSetOption(TaiContext context, const char *name,
                               const char *value) {
   ContextLock lock(*context);

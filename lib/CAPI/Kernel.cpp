@@ -65,12 +65,13 @@ TaiStatus taiModuleWrite(TaiContext context, MlirModule module,
 void taiKernelDestroy(TaiKernel kernel) {
   ContextLock lock(kernel->context);
   TaiContextImpl &context = kernel->context;
+  context.session.getRuntime().running().waitForVisits();
   context.session.destroyKernel(kernel->kernel);
   context.kernels.drop(kernel);
 }
 
 const char *taiKernelGetTree(TaiKernel kernel, int64_t number) {
-  const std::vector<runtime::TreePtr> &trees = kernel->kernel->code->trees;
+  const std::vector<runtime::TreePtr> &trees = kernel->kernel->code->getTrees();
   if (number < 0 || number >= static_cast<int64_t>(trees.size()))
     return nullptr;
   return trees[number]->name().c_str();

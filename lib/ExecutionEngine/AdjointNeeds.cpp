@@ -9,7 +9,7 @@
 #include "AdjointFlags.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/IR/SymbolTable.h"
-#include "tai/ExecutionEngine/Session.h"
+#include "tai/ExecutionEngine/Summaries.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/Support/Endian.h"

@@ -25,15 +25,25 @@
 using namespace mlir;
 using namespace mlir::tai;
 
+static std::string describe(BoundsMode mode) {
+  return stringifyBoundsMode(mode).str();
+}
+static std::string describe(const SkipSet &skips) { return skips.str(); }
+template <typename Number> static std::string describe(Number value) {
+  return std::to_string(value);
+}
+
 std::string CompileOptions::str() const {
   std::string text;
-  llvm::raw_string_ostream(text)
-      << "opt=" << codegen.optLevel << " fast=" << codegen.fastMath
-      << " contract=" << codegen.contract
-      << " sanitize=" << codegen.sanitizeAddress << " debug=" << debug
-      << " bounds=" << stringifyBoundsMode(bounds)
-      << " deterministic=" << deterministic << " history=" << historyBytes
-      << " skip=" << skips.str();
+  auto add = [&](StringRef key, const std::string &value) {
+    if (!key.empty())
+      text += (text.empty() ? "" : " ") + key.str() + '=' + value;
+  };
+#define TAI_CODEGEN_OPTION(type, member, initial, key)                         \
+  add(key, describe(codegen.member));
+#define TAI_COMPILE_OPTION(type, member, initial, key)                         \
+  add(key, describe(member));
+#include "tai/Support/Options.def"
   if (device)
     text += " device=" + DeviceTarget{*device, deviceTarget}.str();
   return text;

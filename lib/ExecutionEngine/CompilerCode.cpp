@@ -13,9 +13,11 @@
 #include "../CodeGen/InjectedFailures.h"
 #include "../CodeGen/VerifyEach.h"
 #include "CompilerWorker.h"
+#include "InterpretedCode.h"
 #include "mlir/Target/LLVMIR/Export.h"
 #include "tai/Analysis/SkipScope.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/ExecutionEngine/LoopLevels.h"
 #include "llvm/ADT/ScopeExit.h"
 #include "llvm/IR/LLVMContext.h"
@@ -311,4 +313,51 @@ Compiler::printCode(Worker &worker, Prepared &prepared, StringRef stage,
     return std::nullopt;
   }
   return *assembly;
+}
+
+std::optional<Compiler::Function>
+Compiler::interpret(Prepared prepared, CompileRequest request,
+                    const CompileOptions &options, Failure &failure) {
+  Function function;
+  function.times = prepared.times;
+  function.skipped = prepared.skipped;
+  if (!prepared.module && failed(start(request, options, prepared, failure)))
+    return std::nullopt;
+  if (prepared.symbol.empty())
+    return function;
+  for (TreeOp tree : prepared.module->getOps<TreeOp>())
+    function.trees.push_back(tree.getSymName().str());
+  function.interpreter = makeInterpreter(std::move(prepared.module),
+                                         prepared.symbol, options, failure);
+  if (!function.interpreter)
+    return std::nullopt;
+
+  WorkerLease lease(*this, options);
+  std::unique_ptr<ObjectCompiler> &objects = (*lease).objects;
+  auto fail = [&](llvm::Error error) -> std::optional<Function> {
+    failure = Failure::get(FailureKind::Internal,
+                           "code generation failed: " +
+                               llvm::toString(std::move(error)));
+    return std::nullopt;
+  };
+  if (!objects) {
+    auto made = ObjectCompiler::create(options.codegen);
+    if (!made)
+      return fail(made.takeError());
+    objects = std::move(*made);
+  }
+  llvm::LLVMContext context;
+  llvm::Module module(prepared.symbol, context);
+  buildInterpreterEntry(module, prepared.symbol, function.interpreter.get());
+  if (llvm::Error error = objects->optimize(module))
+    return fail(std::move(error));
+  auto code = objects->emitObject(module);
+  if (!code)
+    return fail(code.takeError());
+  CompiledObject object;
+  object.symbol = prepared.symbol;
+  object.code = std::move(*code);
+  if (failed(link(object, request.name, function, failure)))
+    return std::nullopt;
+  return function;
 }

@@ -14,7 +14,6 @@
 #include "tai/CodeGen/Diagnostics.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/ExecutionEngine/ModuleFile.h"
-#include "tai/ExecutionEngine/Session.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/Support/Path.h"
 
@@ -193,16 +192,4 @@ std::string mlir::tai::explainAdjoint(ModuleOp module, StringRef name,
   }
   describeMemory(os, module, adjoint);
   return text;
-}
-
-FailureOr<std::string> Session::explain(SessionKernel &kernel) {
-  RemarkScope scope;
-  FailureOr<std::string> text = getIR(kernel, "autodiff");
-  if (failed(text))
-    return failure();
-  OwningOpRef<ModuleOp> module =
-      readModule(*text, ParserConfig(context.get()), "gradient");
-  if (!module)
-    return fail(FailureKind::Internal, "the gradient cannot be read back");
-  return explainAdjoint(*module, kernel.code->name, scope.getRemarks());
 }

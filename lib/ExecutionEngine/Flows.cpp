@@ -16,7 +16,7 @@
 #include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Activity.h"
 #include "tai/CodeGen/Diagnostics.h"
-#include "tai/ExecutionEngine/Session.h"
+#include "tai/ExecutionEngine/Summaries.h"
 #include "llvm/ADT/SmallBitVector.h"
 
 using namespace mlir;

@@ -5,21 +5,21 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The context itself and its options. Trees and fields are in
-// SessionFields.cpp, kernels in SessionKernels.cpp.
+// The context itself, and what runs in it. Its options are in
+// SessionOptions.cpp.
 //
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/Session.h"
+#include "HostPrograms.h"
+#include "RunInParallel.h"
 #include "tai/ExecutionEngine/Explain.h"
+#include "tai/ExecutionEngine/ModuleFile.h"
 #include "tai/InitAll.h"
 #include "tai/Pipelines/Pipelines.h"
-#include "tai/Runtime/Device/DeviceHeap.h"
-#include "llvm/Support/FormatVariadic.h"
 #include "llvm/Support/Path.h"
 #include "llvm/Support/Process.h"
 #include "llvm/Support/ThreadPool.h"
-#include <dlfcn.h>
 #include <thread>
 
 using namespace mlir;
@@ -112,9 +112,7 @@ Session::Session()
   compiler = std::make_unique<Compiler>(context.get(), getPipelines(),
                                         runtime::runtimeSymbols());
   compiler->loadDialects();
-  declarations = ModuleOp::create(UnknownLoc::get(context.get()));
-  symbols.emplace(*declarations);
-  printsProfile = llvm::sys::Process::GetEnv("TAI_COMPILE_PROFILE").has_value();
+  declarations.emplace(context.get(), *rt, failures);
   if (std::optional<std::string> folder =
           llvm::sys::Process::GetEnv("TAI_CACHE_DIR")) {
     useCache(*folder);
@@ -134,298 +132,159 @@ SessionObjects Session::countObjects() {
   SessionObjects held;
   held.trees = rt->numTrees();
   held.fields = static_cast<int64_t>(rt->fields().size());
-  held.declarations =
-      llvm::range_size(declarations->getBody()->getOperations());
+  held.declarations = declarations->size();
   held.kernels = rt->numKernels();
   held.codes = codeNames.size();
   held.linked = compiler->numLinked();
-  std::lock_guard<std::mutex> lock(mutex);
-  held.failures = static_cast<int64_t>(compileFailures.size());
+  held.failures = failures.numKept();
   return held;
 }
 
-//===----------------------------------------------------------------------===//
-// Failures
-//===----------------------------------------------------------------------===//
-
-/// What each thread failed at last. Of another session, it is of no use.
-static thread_local Failure lastFailure;
-static thread_local const Session *lastFailed = nullptr;
-
-LogicalResult Session::fail(Failure failure) {
-  lastFailure = std::move(failure);
-  lastFailed = this;
-  return mlir::failure();
-}
-
-const Failure &Session::getFailure() const {
-  static const Failure none;
-  return lastFailed == this ? lastFailure : none;
-}
-
-LogicalResult Session::fail(FailureKind kind, const Twine &message) {
-  return fail(Failure::get(kind, message));
-}
-
-runtime::Status Session::keepFailure(Failure failure) {
-  std::lock_guard<std::mutex> lock(mutex);
-  std::string where;
-  if (!failure.file.empty())
-    where = llvm::formatv("{0}:{1}:{2}", failure.file, failure.line,
-                          failure.column);
-  auto status = runtime::Status::failure(
-      runtime::StatusCode::Compile, failure.message, where,
-      static_cast<int>(failuresBefore + compileFailures.size()) + 1);
-  compileFailures.push_back(std::move(failure));
-  // Those of old are told by their status alone.
-  constexpr size_t mostFailures = 1024;
-  if (compileFailures.size() > mostFailures) {
-    compileFailures.pop_front();
-    ++failuresBefore;
-  }
-  return status;
-}
-
-static FailureKind getKind(runtime::StatusCode code) {
-  switch (code) {
-  case runtime::StatusCode::Memory:
-    return FailureKind::Memory;
-  case runtime::StatusCode::Usage:
-    return FailureKind::Usage;
-  case runtime::StatusCode::Compile:
-  case runtime::StatusCode::Internal:
-    return FailureKind::Internal;
-  default:
-    return FailureKind::Runtime;
-  }
-}
-
-LogicalResult Session::fail(const runtime::Status &status) {
-  size_t number = status.detail();
-  if (status.code() == runtime::StatusCode::Compile && number > 0) {
-    std::lock_guard<std::mutex> lock(mutex);
-    if (number > failuresBefore &&
-        number - failuresBefore <= compileFailures.size())
-      return fail(compileFailures[number - failuresBefore - 1]);
-  }
-  Failure failure = Failure::get(getKind(status.code()), status.message());
-  // "file:line:col", where the file may hold colons of its own.
-  StringRef place = status.where();
-  auto [head, column] = place.rsplit(':');
-  auto [file, line] = head.rsplit(':');
-  if (!line.getAsInteger(10, failure.line) &&
-      !column.getAsInteger(10, failure.column)) {
-    failure.file = file.str();
-    failure.text = formatDiagnostic(failure.file, failure.line, failure.column,
-                                    "error", failure.message);
-  }
-  return fail(std::move(failure));
+KernelServices Session::getServices() {
+  return {*compiler,     background, codeNames, *rt,
+          *declarations, failures,   reports};
 }
 
 //===----------------------------------------------------------------------===//
-// Options
+// Kernels
 //===----------------------------------------------------------------------===//
 
-void Session::useCache(StringRef folder) {
-  rt->keepBlockSizes({});
-  if (folder.empty()) {
-    cache.reset();
-    compiler->setCache({});
-    return;
+LogicalResult Session::compileEagerly(runtime::Kernel &kernel) {
+  runtime::Kernel *adjoint = nullptr;
+  runtime::Status status = kernel.resolve();
+  if (!status.ok())
+    return fail(status);
+  // That there is no gradient is an error for those who ask for it.
+  if (carriesGradients(kernel))
+    (void)kernel.resolveAdjoint(adjoint);
+  return success();
+}
+
+FailureOr<SessionKernel *> Session::createKernel(OwningOpRef<ModuleOp> module,
+                                                 StringRef name) {
+  auto made =
+      makeKernel(getServices(), std::move(module), name, compileOptions);
+  if (failed(made))
+    return failure();
+  kernels.push_back({std::move(made->code), std::move(made->kernel)});
+  SessionKernel &kernel = kernels.back();
+  kernel.place = std::prev(kernels.end());
+  rt->skipCounters().bump(SkipCount::KernelsDefined);
+  if (!rt->skips(Skip::LazyCompilation) &&
+      failed(compileEagerly(*kernel.kernel)))
+    return failure();
+  return &kernel;
+}
+
+FailureOr<SessionKernel *> Session::parseKernel(StringRef bytes, StringRef file,
+                                                StringRef name) {
+  OwningOpRef<ModuleOp> module;
+  {
+    DiagnosticCollector collector(context.get());
+    // Verified once it has the declarations that it refers to.
+    ParserConfig config(context.get(), /*verifyAfterParse=*/false);
+    module = readModule(bytes, config, file);
+    if (!module)
+      return failures.fail(
+          collector.take(FailureKind::Syntax, "the kernel does not parse"));
   }
-  cache = std::make_shared<runtime::CacheStore>(folder.str());
-  if (!cache->usable())
-    return compiler->setCache({});
-  auto store = cache;
-  compiler->setCache(
-      {[store](StringRef key) { return store->get(std::string_view(key)); },
-       [store](StringRef key, StringRef bytes) {
-         store->put(std::string_view(key), std::string_view(bytes));
-       },
-       [store](StringRef key, const std::function<bool()> &goesOn) {
-         constexpr double mostSeconds = 60;
-         return store->claim(std::string_view(key), mostSeconds, goesOn);
-       }});
-  rt->keepBlockSizes(
-      {[store](const std::string &key) { return store->get(key); },
-       [this, store](std::string key, std::string bytes) {
-         background.doLater(
-             [store, key = std::move(key), bytes = std::move(bytes)] {
-               store->put(key, bytes);
-             });
-       }});
+  return createKernel(std::move(module), name);
 }
 
-static std::optional<bool> parseBool(StringRef text) {
-  return llvm::StringSwitch<std::optional<bool>>(text)
-      .Cases({"true", "1", "on"}, true)
-      .Cases({"false", "0", "off"}, false)
-      .Default(std::nullopt);
+SessionKernel *Session::findKernel(StringRef name) {
+  for (SessionKernel &kernel : kernels)
+    if (kernel.code->getName() == name)
+      return &kernel;
+  return nullptr;
 }
 
-LogicalResult Session::setOption(StringRef name, StringRef value) {
-  auto badValue = [&](StringRef expected) {
-    return fail(FailureKind::Usage, "option '" + name + "' expects " +
-                                        expected + ", but got '" + value + "'");
+//===----------------------------------------------------------------------===//
+// Running
+//===----------------------------------------------------------------------===//
+
+LogicalResult Session::compile(ArrayRef<SessionKernel *> kernels,
+                               bool adjoints) {
+  // All primals first: the adjoint of a kernel waits for its primal.
+  size_t count = kernels.size() * (adjoints ? 2 : 1);
+  std::vector<runtime::Status> statuses(count);
+  runInParallel(count, [&](size_t i) -> const runtime::Status & {
+    runtime::Kernel &kernel = *kernels[i % kernels.size()]->kernel;
+    runtime::Kernel *adjoint = nullptr;
+    return statuses[i] = i < kernels.size() ? kernel.resolve()
+                                            : kernel.resolveAdjoint(adjoint);
+  });
+  for (const runtime::Status &status : statuses)
+    if (!status.ok())
+      return fail(status);
+  return success();
+}
+
+LogicalResult Session::prepareReverse(runtime::Tape &tape, bool cleared) {
+  std::vector<runtime::Tape::Pending> needed = tape.pendingAdjoints(cleared);
+  if (needed.size() < 2)
+    return success();
+  std::vector<runtime::Status> statuses(needed.size());
+  runInParallel(needed.size(), [&](size_t i) -> const runtime::Status & {
+    return statuses[i] = needed[i].resolve();
+  });
+  for (const runtime::Status &status : statuses)
+    if (!status.ok())
+      return fail(status);
+  return success();
+}
+
+LogicalResult Session::runHost(ModuleOp module, StringRef name) {
+  OwningOpRef<ModuleOp> host = makeHostModule(module, name);
+  Failure failure;
+  // The program itself runs on the CPU wherever its kernels do.
+  CompileOptions hostOptions = compileOptions;
+  hostOptions.device = std::nullopt;
+  hostOptions.deviceTarget.clear();
+  auto compiled = compiler->compile({*host, name, CompileRequest::Goal::Primal},
+                                    hostOptions, failure);
+  if (!compiled)
+    return failures.fail(std::move(failure));
+  reports.printProfile(name, CompileRequest::Goal::Primal, *compiled);
+  runtime::HostModule hostModule;
+  hostModule.usesTrees = usesFields(module);
+  hostModule.findKernel = [this](std::string_view kernelName) {
+    SessionKernel *kernel = findKernel(kernelName);
+    return kernel ? kernel->kernel.get() : nullptr;
   };
-  auto setBool = [&](function_ref<void(bool)> set) -> LogicalResult {
-    std::optional<bool> parsed = parseBool(value);
-    if (!parsed)
-      return badValue("true or false");
-    set(*parsed);
-    return success();
-  };
-  if (name == "deterministic")
-    return setBool([&](bool on) {
-      options.deterministic = on;
-      // Loops are cut differently for other numbers of threads, and what is
-      // fused may depend on where a vectorised loop ends.
-      options.codegen.contract = !on;
-      rt->setDeterministic(on);
-    });
-  if (name == "debug")
-    return setBool([&](bool on) {
-      options.debug = on;
-      rt->setDebug(on);
-    });
-  if (name == "bounds") {
-    auto mode = llvm::StringSwitch<std::optional<BoundsMode>>(value)
-                    .Case("off", BoundsMode::Off)
-                    .Case("clamp", BoundsMode::Clamp)
-                    .Case("check", BoundsMode::Check)
-                    .Default(std::nullopt);
-    if (!mode)
-      return badValue("off, clamp or check");
-    options.bounds = *mode;
-    return success();
-  }
-  if (name == "fast_math")
-    return setBool([&](bool on) { options.codegen.fastMath = on; });
-  if (name == "sanitize") {
-    if (!value.empty() && value != "address")
-      return badValue("\"address\" or nothing");
-    if (!value.empty() && !dlsym(RTLD_DEFAULT, "__asan_init"))
-      return fail(FailureKind::Usage,
-                  "option 'sanitize': the process has no run time of "
-                  "AddressSanitizer; start it with LD_PRELOAD=$(clang-22 "
-                  "-print-file-name=libclang_rt.asan-x86_64.so) "
-                  "ASAN_OPTIONS=detect_leaks=0");
-    options.codegen.sanitizeAddress = !value.empty();
-    return success();
-  }
-  if (name == "profiler")
-    return setBool([&](bool on) {
-      rt->setProfiler(on);
-      options.places = rt->wantsPlaces();
-    });
-  if (name == "forward_mode")
-    return setBool([&](bool on) { rt->setForward(on); });
-  if (name == "compile_profile")
-    return setBool([&](bool on) { printsProfile = on; });
-  if (name == "threads") {
-    int threads;
-    if (value.getAsInteger(10, threads) || threads < 0)
-      return badValue("a number of threads, or 0 for all");
-    rt->setThreads(threads);
-    return success();
-  }
-  if (name == "opt_level") {
-    unsigned level;
-    if (value.getAsInteger(10, level) || level > 3)
-      return badValue("a number from 0 to 3");
-    options.codegen.optLevel = level;
-    return success();
-  }
-  if (name == "history_bytes") {
-    int64_t bytes;
-    if (value.getAsInteger(10, bytes) || bytes < 0)
-      return badValue("a number of bytes");
-    options.historyBytes = bytes;
-    return success();
-  }
-  if (name == "skip") {
-    SkipSet skips;
-    std::string error;
-    if (!SkipSet::parse(value, skips, error))
-      return fail(FailureKind::Usage, "option 'skip': " + error);
-    options.skips = skips & SkipSet::ofCompiler();
-    rt->setSkips(skips);
-    return success();
-  }
-  if (name == "memory_limit") {
-    int64_t bytes;
-    if (value.getAsInteger(10, bytes) || bytes < 0)
-      return badValue("a number of bytes, or 0");
-    rt->setMemoryLimit(bytes);
-    return success();
-  }
-  if (name == "arch")
-    return setArch(value);
-  if (name == "device_heap") {
-    int64_t bytes;
-    if (value.getAsInteger(10, bytes) || bytes < 0)
-      return badValue("a number of bytes, or 0 for what suits the device");
-    runtime::setDeviceHeapBytes(bytes);
-    return success();
-  }
-  if (name == "device_memory_limit") {
-    if (value.getAsInteger(10, deviceMemoryLimit) || deviceMemoryLimit < 0)
-      return badValue("a number of bytes, or 0");
-    return success();
-  }
-  if (name == "block_dim" || name == "max_block_dim") {
-    int threads;
-    if (value.getAsInteger(10, threads) || threads < 0 || threads % 32 != 0)
-      return badValue("a multiple of 32, or 0");
-    if (name == "block_dim")
-      rt->setBlockThreads(threads);
-    else
-      rt->setMostBlockThreads(threads);
-    return success();
-  }
-  if (name == "fuse_launches")
-    return setBool([&](bool on) { setFuseLaunches(on); });
-  if (name == "order_seed") {
-    if (value.getAsInteger(0, options.orderSeed))
-      return badValue("a number from 0 to 2^64 - 1");
-    return success();
-  }
-  if (name == "seed") {
-    uint64_t seed;
-    if (value.getAsInteger(0, seed))
-      return badValue("a number from 0 to 2^64 - 1");
-    rt->setSeed(seed);
-    return success();
-  }
-  if (name == "cache_dir") {
-    useCache(value);
-    return success();
-  }
-  if (name == "print_ir") {
-    SmallVector<std::string> stages;
-    SmallVector<StringRef> parts;
-    value.split(parts, ',', -1, /*KeepEmpty=*/false);
-    for (StringRef part : parts) {
-      part = part.trim();
-      if (part == "all") {
-        for (StringRef stage : Compiler::getStages())
-          stages.push_back(stage.str());
-        continue;
-      }
-      if (!llvm::is_contained(Compiler::getStages(), part))
-        return badValue("\"all\" or some of " +
-                        llvm::join(Compiler::getStages(), ", "));
-      stages.push_back(part.str());
-    }
-    printedStages = std::move(stages);
-    return success();
-  }
-  return fail(FailureKind::Usage,
-              "unknown option '" + name +
-                  "'; the options are threads, deterministic, debug, "
-                  "bounds, fast_math, sanitize, opt_level, seed, cache_dir, "
-                  "print_ir, profiler, "
-                  "compile_profile, forward_mode, history_bytes, skip, "
-                  "memory_limit, arch, device_memory_limit, block_dim, "
-                  "max_block_dim, fuse_launches, order_seed");
+  std::vector<runtime::TreePtr> trees;
+  for (const std::string &tree : compiled->trees)
+    trees.push_back(rt->findTree(tree));
+  LogicalResult result =
+      check(rt->runHost(reinterpret_cast<TaiKernelFn>(compiled->address), trees,
+                        hostModule, nullptr, nullptr));
+  compiler->unload(*compiled);
+  return result;
+}
+
+FailureOr<std::string> Session::getIR(SessionKernel &kernel, StringRef stage) {
+  if (stage == "explain")
+    return explain(kernel);
+  Failure failure;
+  bool forward = stage.consume_front("tangent.");
+  CompileRequest::Goal goal = stage.consume_front("adjoint.")
+                                  ? CompileRequest::Goal::Adjoint
+                                  : CompileRequest::Goal::Primal;
+  std::optional<std::string> text =
+      compiler->print(kernel.code->getRequest(goal, forward), stage,
+                      kernel.code->getOptions(), failure);
+  if (!text)
+    return failures.fail(std::move(failure));
+  return *text;
+}
+
+FailureOr<std::string> Session::explain(SessionKernel &kernel) {
+  RemarkScope scope;
+  FailureOr<std::string> text = getIR(kernel, "autodiff");
+  if (failed(text))
+    return failure();
+  OwningOpRef<ModuleOp> module =
+      readModule(*text, ParserConfig(context.get()), "gradient");
+  if (!module)
+    return fail(FailureKind::Internal, "the gradient cannot be read back");
+  return explainAdjoint(*module, kernel.code->getName(), scope.getRemarks());
 }

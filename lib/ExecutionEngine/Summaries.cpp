@@ -9,13 +9,13 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "tai/ExecutionEngine/Summaries.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Matchers.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/ExecutionEngine/AdjointNeeds.h"
-#include "tai/ExecutionEngine/Session.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -291,15 +291,16 @@ std::vector<NamedAccess> mlir::tai::listAccesses(Operation *root) {
   return list;
 }
 
-std::vector<runtime::Access> Session::summarize(ModuleOp module,
-                                                KernelOp kernel) {
+std::vector<runtime::Access> mlir::tai::summarize(const runtime::Runtime &rt,
+                                                  ModuleOp module,
+                                                  KernelOp kernel) {
   std::vector<runtime::Access> summary;
   for (Operation &op : *module.getBody()) {
     // The adjoint that a kernel may come with is not part of it.
     if (isa<KernelOp>(op) && &op != kernel)
       continue;
     for (NamedAccess &access : listAccesses(&op)) {
-      runtime::FieldPtr field = rt->findField(access.field);
+      runtime::FieldPtr field = rt.findField(access.field);
       if (!field)
         continue;
       runtime::Access line{field, access.kind, std::move(access.fixed)};
@@ -308,8 +309,8 @@ std::vector<runtime::Access> Session::summarize(ModuleOp module,
     }
     // All that lies below a cell becomes zero, whichever field names it.
     op.walk([&](DeactivateOp deactivate) {
-      runtime::FieldPtr named = rt->findField(deactivate.getField().str());
-      for (const runtime::FieldPtr &field : rt->fields()) {
+      runtime::FieldPtr named = rt.findField(deactivate.getField().str());
+      for (const runtime::FieldPtr &field : rt.fields()) {
         if (!named || &field->tree() != &named->tree() ||
             !field->sparseNode() || field->isAdjoint())
           continue;

@@ -508,6 +508,15 @@ void taipy::bindRuntime(py::module_ &module) {
     taiStopBackgroundWork();
     (void)afterCall();
   });
+  module.def("options", [] {
+    const TaiOptionRow *rows = nullptr;
+    int64_t count = taiListOptions(&rows);
+    py::list options;
+    for (int64_t i = 0; i < count; ++i)
+      options.append(py::make_tuple(rows[i].name, rows[i].initial,
+                                    rows[i].expects, rows[i].about));
+    return options;
+  });
   py::class_<Context, ContextRef>(module, "Context")
       .def(py::init<>())
       .def("set_option",

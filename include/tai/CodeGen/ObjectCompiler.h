@@ -27,23 +27,17 @@ class raw_pwrite_stream;
 
 namespace mlir::tai {
 
-/// What decides the machine code made from a module.
+/// What decides the machine code made from a module; see Options.def.
 struct CodegenOptions {
-  /// 0 to 3, as of the usual compiler drivers.
-  unsigned optLevel = 3;
-  /// Reassociation, reciprocals, approximate functions and vector math
-  /// functions. Infinities and NaN keep their meaning: gradients rely on it.
-  bool fastMath = false;
-  /// Whether a product and a sum may become one fused operation.
-  bool contract = true;
-  /// Whether each access asks AddressSanitizer, whose run time the process must
-  /// have.
-  bool sanitizeAddress = false;
+#define TAI_CODEGEN_OPTION(type, member, initial, key) type member = initial;
+#include "tai/Support/Options.def"
 
   bool operator==(const CodegenOptions &other) const {
-    return optLevel == other.optLevel && fastMath == other.fastMath &&
-           contract == other.contract &&
-           sanitizeAddress == other.sanitizeAddress;
+    bool same = true;
+#define TAI_CODEGEN_OPTION(type, member, initial, key)                         \
+  same &= member == other.member;
+#include "tai/Support/Options.def"
+    return same;
   }
 };
 

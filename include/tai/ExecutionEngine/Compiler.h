@@ -33,37 +33,23 @@
 namespace mlir::tai {
 class Interpreter;
 
-/// What decides the code made from a kernel.
+/// What decides the code made from a kernel; see Options.def.
 struct CompileOptions {
   CodegenOptions codegen;
-  /// Assertions, and `bounds` is taken to be "check".
-  bool debug = false;
-  /// What happens to indices that depend on data.
-  BoundsMode bounds = BoundsMode::Off;
-  /// Results do not depend on threads.
-  bool deterministic = false;
-  /// What a loop of an adjoint may record at once.
-  int64_t historyBytes = kDefaultHistoryBytes;
-  /// Of the skips, those that passes look at.
-  SkipSet skips = SkipSet::ofCompiler();
+#define TAI_COMPILE_OPTION(type, member, initial, key) type member = initial;
+#include "tai/Support/Options.def"
   /// The device that runs the loops, and what its code is made for, by the
   /// words of runtime::Device. None for the CPU alone.
   std::optional<runtime::DeviceKind> device;
   std::string deviceTarget;
-  /// Device code says where its functions stand in the source.
-  bool places = false;
-  /// Make no code: functions run by the interpreter, the iterations of their
-  /// parallel loops in the order of the seed, or ascending where it is 0.
-  bool interpret = false;
-  uint64_t orderSeed = 0;
 
   bool operator==(const CompileOptions &other) const {
-    return codegen == other.codegen && debug == other.debug &&
-           bounds == other.bounds && deterministic == other.deterministic &&
-           historyBytes == other.historyBytes && skips == other.skips &&
-           device == other.device && deviceTarget == other.deviceTarget &&
-           places == other.places && interpret == other.interpret &&
-           orderSeed == other.orderSeed;
+    bool same = codegen == other.codegen && device == other.device &&
+                deviceTarget == other.deviceTarget;
+#define TAI_COMPILE_OPTION(type, member, initial, key)                         \
+  same &= member == other.member;
+#include "tai/Support/Options.def"
+    return same;
   }
   /// The options as text, for the key of the cache.
   std::string str() const;

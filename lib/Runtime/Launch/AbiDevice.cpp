@@ -182,8 +182,8 @@ Status Runtime::loadOnDevice(Kernel &kernel, uint64_t epoch) {
     if (!status) {
       std::string message =
           "kernel '" + kernel.name() + "': " + status.message();
-      if (status.code() == StatusCode::Internal && kernel.info.explainRefusal)
-        message = kernel.info.explainRefusal(message);
+      if (status.code() == StatusCode::Internal && kernel.info.provider)
+        message = kernel.info.provider->explainRefusal(message);
       return Status::failure(status.code(), std::move(message));
     }
     loaded->image = kernel.info.image;

@@ -17,9 +17,9 @@ using namespace mlir::tai::runtime::accesslog;
 
 Status Kernel::resolveChecked(CheckedKernel *&result) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
-  if (!checked && info.makeChecked) {
+  if (!checked && info.provider) {
     auto made = std::make_shared<CheckedKernel>();
-    Status status = info.makeChecked(*made);
+    Status status = info.provider->makeChecked(*made);
     if (!status)
       return status;
     checked = std::move(made);

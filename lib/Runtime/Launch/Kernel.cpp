@@ -32,19 +32,63 @@ Kernel::Kernel(KernelInfo kernelInfo) : info(std::move(kernelInfo)) {
     adjointForms[1].kernel = info.adjoint;
 }
 
+//===----------------------------------------------------------------------===//
+// What a provider need not say
+//===----------------------------------------------------------------------===//
+
+static Status hasNoAdjoint(const Kernel &kernel, bool zeroes) {
+  return Status::failure(
+      StatusCode::Usage,
+      "kernel '" + kernel.name() + "' has no adjoint" +
+          (zeroes ? " that zeroes the adjoints of what it stores" : ""));
+}
+
+KernelProvider::~KernelProvider() = default;
+
+static Status hasNoCode(const Kernel &kernel) {
+  return Status::failure(StatusCode::Usage,
+                         "kernel '" + kernel.name() + "' has no code");
+}
+
+Status KernelProvider::compile(Kernel &kernel, TaiKernelFn &) {
+  return hasNoCode(kernel);
+}
+
+Status KernelProvider::makeAdjoint(Kernel &kernel, AdjointVariant variant,
+                                   KernelPtr &) {
+  return variant.readsStored ? Status::success()
+                             : hasNoAdjoint(kernel, variant.zeroes);
+}
+
+Status KernelProvider::planAdjoint(Kernel &kernel, AdjointPlan &plan) {
+  plan.reads = kernel.summary();
+  return Status::success();
+}
+
+KernelFlows KernelProvider::findFlows(const Kernel &) { return {}; }
+
+Status KernelProvider::makeChecked(CheckedKernel &) {
+  return Status::success();
+}
+
+Status KernelProvider::makeTangent(KernelPtr &) { return Status::success(); }
+
+//===----------------------------------------------------------------------===//
+// Kernels
+//===----------------------------------------------------------------------===//
+
 Status Kernel::resolve() {
   if (resolved())
     return Status::success();
   std::lock_guard<std::recursive_mutex> lock(mutex);
   if (resolved())
     return Status::success();
-  if (!info.resolve)
-    return Status::failure(StatusCode::Usage,
-                           "kernel '" + name() + "' has no code");
+  if (!info.provider)
+    return hasNoCode(*this);
   // A failure is not remembered: what was wrong outside (a full disk) may be
   // put right.
   TaiKernelFn result = nullptr;
-  Status status = info.resolve(*this, result);
+  Status status = info.provider->compile(*this, result);
   if (!status)
     return status;
   if (!result)
@@ -66,13 +110,9 @@ Status Kernel::resolveAdjoint(Kernel *&adjoint, bool takes) {
     return Status::success();
   AdjointForm &form = adjointForms[takes];
   if (!form.asked && !form.kernel) {
-    const auto &make = takes ? info.makeTakingAdjoint : info.makeAdjoint;
-    if (!make)
-      return Status::failure(
-          StatusCode::Usage,
-          "kernel '" + name() + "' has no adjoint" +
-              (takes ? " that takes the adjoints of what it stores" : ""));
-    Status status = make(*this, form.kernel);
+    if (!info.provider)
+      return hasNoAdjoint(*this, takes);
+    Status status = info.provider->makeAdjoint(*this, {takes}, form.kernel);
     if (!status)
       return status;
     form.asked = true;
@@ -87,8 +127,9 @@ Status Kernel::resolveAdjoint(Kernel *&adjoint, bool takes) {
 Status Kernel::resolveStoredAdjoint(Kernel *&adjoint, bool takes) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
   AdjointForm &form = storedForms[takes];
-  if (!form.asked && info.makeStoredAdjoint) {
-    Status status = info.makeStoredAdjoint(*this, takes, form.kernel);
+  if (!form.asked && info.provider) {
+    Status status = info.provider->makeAdjoint(
+        *this, {takes, /*readsStored=*/true}, form.kernel);
     if (!status)
       return status;
     form.asked = true;
@@ -105,13 +146,13 @@ const AdjointPlan &Kernel::plan() {
   adjointPlan = std::make_unique<AdjointPlan>();
   if (!info.differentiable)
     return *adjointPlan;
-  if (!info.planAdjoint) {
+  if (!info.provider) {
     adjointPlan->reads = info.summary;
     return *adjointPlan;
   }
   // Without an adjoint nothing is read. What is wrong is said when a reverse
   // sweep needs it.
-  planFailure = info.planAdjoint(*this, *adjointPlan);
+  planFailure = info.provider->planAdjoint(*this, *adjointPlan);
   if (!planFailure)
     *adjointPlan = AdjointPlan();
   adjointReruns = adjointPlan->reruns;
@@ -123,14 +164,15 @@ const AdjointPlan &Kernel::plan() {
 const KernelFlows &Kernel::flows() {
   std::lock_guard<std::recursive_mutex> lock(mutex);
   if (!valueFlows)
-    valueFlows = info.findFlows ? info.findFlows() : KernelFlows();
+    valueFlows =
+        info.provider ? info.provider->findFlows(*this) : KernelFlows();
   return *valueFlows;
 }
 
 Status Kernel::resolveTangent(Kernel *&result) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
-  if (!tangentAsked && info.makeTangent) {
-    Status status = info.makeTangent(tangent);
+  if (!tangentAsked && info.provider) {
+    Status status = info.provider->makeTangent(tangent);
     if (!status)
       return status;
     tangentAsked = true;

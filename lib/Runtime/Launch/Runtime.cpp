@@ -587,7 +587,7 @@ Status Runtime::launchAdjoint(Kernel &kernel, const uint64_t *args,
             "tape keeps: launch it under a tape, or store the new values to "
             "other elements");
   Kernel *adjoint = nullptr;
-  bool canTake = kernel.info.makeTakingAdjoint || kernel.info.adjointTakes;
+  bool canTake = kernel.hasZeroingAdjoint();
   status = kernel.resolveAdjoint(
       adjoint, kernel.alwaysTakes || (canTake && !kernel.overwritten.empty()));
   if (!status)

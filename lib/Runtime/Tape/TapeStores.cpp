@@ -159,7 +159,7 @@ void Tape::findRepeatedStores() {
     positions.clear();
     bool again = kernel->alwaysTakes;
     // An adjoint that somebody wrote may come in one form.
-    bool canTake = kernel->info.makeTakingAdjoint || kernel->info.adjointTakes;
+    bool canTake = kernel->hasZeroingAdjoint();
     auto look = [&](const Repeated::Use &use) {
       Used &entry = used[use.used];
       int64_t position = entry.locate(*use.access, args);

@@ -73,7 +73,7 @@ struct Program {
 
   unsigned hits() {
     unsigned count = 0;
-    for (const Compiler::Function &function : kernel->code->functions)
+    for (const Compiler::Function &function : kernel->code->getFunctions())
       count += function.fromCache;
     return count;
   }
@@ -115,8 +115,8 @@ TEST(EngineCache, OtherProgramsAndOptionsMiss) {
   // An option holds for kernels created afterwards.
   Program debug(folder.path);
   EXPECT_TRUE(succeeded(debug.session.setOption("debug", "true")));
-  auto again = debug.session.createKernel(debug.kernel->code->module->clone(),
-                                          "squares");
+  auto again = debug.session.createKernel(
+      debug.kernel->code->getModule().clone(), "squares");
   ASSERT_TRUE(succeeded(again));
   debug.kernel = *again;
   debug.run();

@@ -84,7 +84,7 @@ TEST(RuntimeTree, KernelsStayWithTheirTree) {
   KernelInfo info;
   info.name = "k";
   info.trees = {runtime.findTree("x_tree")};
-  info.resolve = [&](Kernel &kernel, TaiKernelFn &function) {
+  provide(info).onCompile = [&](Kernel &kernel, TaiKernelFn &function) {
     kernel.setTrees({runtime.findTree("x_tree")});
     function = [](TaiFrame *) { return 0; };
     return Status::success();

@@ -104,7 +104,7 @@ TEST(RuntimeLaunch, CompilesOnFirstUseOnly) {
   int compiled = 0;
   KernelInfo info;
   info.name = "lazy";
-  info.resolve = [&](Kernel &, TaiKernelFn &function) {
+  provide(info).onCompile = [&](Kernel &, TaiKernelFn &function) {
     if (++compiled == 1)
       return Status::failure(StatusCode::Compile, "no such op", "a.py:3:4", 17);
     function = [](TaiFrame *) { return 0; };
@@ -126,7 +126,7 @@ TEST(RuntimeLaunch, CompilesOnceFromManyThreads) {
   std::atomic<int> compiled{0};
   KernelInfo info;
   info.name = "lazy";
-  info.resolve = [&](Kernel &, TaiKernelFn &function) {
+  provide(info).onCompile = [&](Kernel &, TaiKernelFn &function) {
     ++compiled;
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
     function = [](TaiFrame *) { return 0; };

@@ -122,7 +122,7 @@ TEST(RuntimePrepared, CarriesTangentsInForwardMode) {
   info.argSlots = 1;
   info.trees = {runtime.findTree("x_tree")};
   info.summary = {{x, AccessKind::Accumulate}};
-  info.makeTangent = [&](KernelPtr &tangent) {
+  provide(info).onMakeTangent = [&](KernelPtr &tangent) {
     tangent = makeKernel(runtime, "tangent", addHere,
                          {{dual, AccessKind::Accumulate}}, 1);
     return Status::success();

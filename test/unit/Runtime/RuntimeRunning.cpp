@@ -150,7 +150,7 @@ TEST(RuntimeRunning, CompilationIsPartOfALaunch) {
   Gate gate;
   KernelInfo info;
   info.name = "late";
-  info.resolve = [&](Kernel &kernel, TaiKernelFn &function) {
+  provide(info).onCompile = [&](Kernel &kernel, TaiKernelFn &function) {
     gate.pass();
     kernel.setTrees({scene.runtime.findTree("x_tree")});
     kernel.setSummary({{scene.x, AccessKind::Write}});

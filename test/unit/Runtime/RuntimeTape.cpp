@@ -88,7 +88,7 @@ struct Scene {
   }
   KernelPtr pair(std::string name, FieldPtr from, FieldPtr to, AccessKind kind,
                  TaiKernelFn function, TaiKernelFn reverse, int64_t slots,
-                 TaiKernelFn taking = nullptr) {
+                 TaiKernelFn zeroing = nullptr) {
     KernelInfo info;
     info.name = name;
     info.argSlots = slots;
@@ -108,13 +108,12 @@ struct Scene {
       adjoint = runtime.createKernel(info);
       return Status::success();
     };
-    info.makeAdjoint = [=](Kernel &primal, KernelPtr &adjoint) {
-      return make(primal, reverse, adjoint);
+    TestProvider &provider = provide(info);
+    provider.onMakeAdjoint = [=](Kernel &primal, AdjointVariant variant,
+                                 KernelPtr &adjoint) {
+      return make(primal, variant.zeroes ? zeroing : reverse, adjoint);
     };
-    if (taking)
-      info.makeTakingAdjoint = [=](Kernel &primal, KernelPtr &adjoint) {
-        return make(primal, taking, adjoint);
-      };
+    provider.zeroes = zeroing != nullptr;
     return runtime.createKernel(info);
   }
   KernelPtr sineOf(FieldPtr from, FieldPtr to) {

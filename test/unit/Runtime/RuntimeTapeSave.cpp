@@ -54,7 +54,7 @@ struct Scene {
         adjoint.trees.push_back(tree(*field->adjoint()));
     info.adjoint = runtime.createKernel(adjoint);
     info.adjointTakes = true;
-    info.planAdjoint = [plan](Kernel &, AdjointPlan &result) {
+    provide(info).onPlanAdjoint = [plan](Kernel &, AdjointPlan &result) {
       result = plan;
       return Status::success();
     };
@@ -290,7 +290,7 @@ TEST(RuntimeTapeSave, FixedIndicesDoNotMeet) {
       in<0>(frame)[3 * (t + 1) + i] = std::sin(in<0>(frame)[3 * t + i]) + 1;
     return 0;
   };
-  info.planAdjoint = [&](Kernel &, AdjointPlan &plan) {
+  provide(info).onPlanAdjoint = [&](Kernel &, AdjointPlan &plan) {
     plan.reads = {{path, AccessKind::Read, now}};
     return Status::success();
   };
@@ -726,7 +726,8 @@ TEST(RuntimeTapeSave, WhatWasNotPlannedIsNotLaunched) {
                   {scene.loss, AccessKind::Accumulate}};
   info.function = [](TaiFrame *) { return 0; };
   int adjointsMade = 0;
-  info.makeAdjoint = [&](Kernel &, KernelPtr &adjoint) {
+  provide(info).onMakeAdjoint = [&](Kernel &, AdjointVariant,
+                                    KernelPtr &adjoint) {
     ++adjointsMade;
     KernelInfo info;
     info.name = "square_grad";
@@ -734,7 +735,7 @@ TEST(RuntimeTapeSave, WhatWasNotPlannedIsNotLaunched) {
     adjoint = scene.runtime.createKernel(info);
     return Status::success();
   };
-  info.planAdjoint = [](Kernel &, AdjointPlan &) {
+  provide(info).onPlanAdjoint = [](Kernel &, AdjointPlan &) {
     return Status::failure(StatusCode::Compile, "no parts", "a.py:1:2");
   };
   auto kernel = scene.runtime.createKernel(info);

@@ -39,6 +39,43 @@ inline ::testing::AssertionResult isOk(const Status &status) {
 #define ASSERT_OK(expression)                                                  \
   ASSERT_TRUE(::mlir::tai::runtime::test::isOk(expression))
 
+/// Makes what a test says, and of the rest what every provider makes.
+class TestProvider final : public KernelProvider {
+public:
+  std::function<Status(Kernel &, TaiKernelFn &)> onCompile;
+  std::function<Status(Kernel &, AdjointVariant, KernelPtr &)> onMakeAdjoint;
+  std::function<Status(Kernel &, AdjointPlan &)> onPlanAdjoint;
+  std::function<Status(KernelPtr &)> onMakeTangent;
+  bool zeroes = false;
+
+  Status compile(Kernel &kernel, TaiKernelFn &function) override {
+    return onCompile ? onCompile(kernel, function)
+                     : KernelProvider::compile(kernel, function);
+  }
+  Status makeAdjoint(Kernel &kernel, AdjointVariant variant,
+                     KernelPtr &adjoint) override {
+    return onMakeAdjoint && !variant.readsStored
+               ? onMakeAdjoint(kernel, variant, adjoint)
+               : KernelProvider::makeAdjoint(kernel, variant, adjoint);
+  }
+  bool makesZeroingAdjoints() const override { return zeroes; }
+  Status planAdjoint(Kernel &kernel, AdjointPlan &plan) override {
+    return onPlanAdjoint ? onPlanAdjoint(kernel, plan)
+                         : KernelProvider::planAdjoint(kernel, plan);
+  }
+  Status makeTangent(KernelPtr &tangent) override {
+    return onMakeTangent ? onMakeTangent(tangent)
+                         : KernelProvider::makeTangent(tangent);
+  }
+};
+
+/// The provider of a kernel that is to be made.
+inline TestProvider &provide(KernelInfo &info) {
+  if (!info.provider)
+    info.provider = std::make_shared<TestProvider>();
+  return static_cast<TestProvider &>(*info.provider);
+}
+
 /// The levels of a dense row-major field.
 inline FieldLayout rowMajor(ScalarKind scalar, std::vector<int64_t> shape,
                             std::vector<int64_t> element = {},

@@ -14,6 +14,7 @@
 #define TAI_RUNTIME_LAUNCH_KERNEL_H
 
 #include "tai/ABI/Abi.h"
+#include "tai/Runtime/Launch/KernelProvider.h"
 #include "tai/Runtime/Launch/LoopTimes.h"
 #include "tai/Runtime/Sparse/LoopLists.h"
 #include "tai/Runtime/Storage/Field.h"
@@ -224,47 +225,21 @@ struct KernelInfo {
   /// What the kernel reads, writes and accumulates. It must be complete: a
   /// field left out is one that the tape may skip.
   std::vector<Access> summary;
-  /// The function, or how to get it: called once, before the first launch, by
-  /// one thread. May call Kernel::setTrees.
+  /// The function; null where the provider makes it.
   TaiKernelFn function = nullptr;
-  std::function<Status(Kernel &kernel, TaiKernelFn &function)> resolve;
-  /// The adjoint kernel, or how to get it: called once, when a reverse sweep
-  /// first needs it. A null kernel with success says that there is nothing to
-  /// differentiate.
+  /// Makes what is not here already; may be null where all is.
+  std::shared_ptr<KernelProvider> provider;
+  /// The adjoint kernel; null where the provider makes it.
   KernelPtr adjoint;
   /// True if `adjoint` leaves zero in the adjoints of what the kernel stores.
   bool adjointTakes = false;
-  std::function<Status(Kernel &kernel, KernelPtr &adjoint)> makeAdjoint;
-  /// What the adjoint asks of memory: called once, when the kernel is first
-  /// recorded. Without it, the adjoint may read all that the kernel touches.
-  std::function<Status(Kernel &kernel, AdjointPlan &plan)> planAdjoint;
   /// False if an adjoint of the kernel would do nothing; the tape skips it.
   bool differentiable = true;
-  /// Which values depend on which: called once, when a tape wants to know.
-  std::function<KernelFlows()> findFlows;
-  /// The same for the form of the adjoint that takes: it leaves zero in the
-  /// adjoints of the elements which the kernel stores. Called once, when
-  /// elements turn out to be stored again.
-  std::function<Status(Kernel &kernel, KernelPtr &adjoint)> makeTakingAdjoint;
-  /// The same for the form that loads what the kernel has stored, plain or
-  /// taking. Null with success where there is none after all.
-  std::function<Status(Kernel &kernel, bool takes, KernelPtr &adjoint)>
-      makeStoredAdjoint;
-  /// How to get the form that checks the access rules as it runs; called once,
-  /// when a tape that checks launches the kernel. None: nothing to check.
-  std::function<Status(CheckedKernel &checked)> makeChecked;
-  /// How to get the kernel that carries tangents along, which is launched in
-  /// the place of this one in forward mode. A null kernel with success says
-  /// that there are none to carry. Called once.
-  std::function<Status(KernelPtr &tangent)> makeTangent;
   /// Where the kernel does nothing but loop over active cells: of which levels.
   std::vector<LoopLevel> loopLevels;
   /// Its code for the device that the runtime uses; null where the function
   /// does everything on the CPU.
   std::shared_ptr<const DeviceImage> image;
-  /// What to add to the reason where a device does not take that code: a file
-  /// that shows it.
-  std::function<std::string(const std::string &reason)> explainRefusal;
 };
 
 /// What one launch of a kernel has in common with the next, found out once, so
@@ -329,6 +304,12 @@ public:
   const KernelFlows &flows();
   /// Whether the plan, if there is one, has parts.
   bool hasParts() const { return adjointPlan && !adjointPlan->parts.empty(); }
+
+  /// Whether there is an adjoint that zeroes what the kernel stores.
+  bool hasZeroingAdjoint() const {
+    return info.adjointTakes ||
+           (info.provider && info.provider->makesZeroingAdjoints());
+  }
 
   /// The form that checks the access rules; null if there is nothing to check.
   Status resolveChecked(CheckedKernel *&checked);

@@ -1,51 +1,55 @@
-//===- SessionFields.cpp - Trees and fields of a session ------------------===//
+//===- Declarations.cpp - Trees and fields of a session -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
-//
-// Takes declarations, tells the runtime where elements lie, and gives each
-// kernel the declarations that it uses.
-//
-//===----------------------------------------------------------------------===//
 
+#include "tai/ExecutionEngine/Declarations.h"
 #include "mlir/AsmParser/AsmParser.h"
 #include "mlir/IR/Verifier.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/ExecutionEngine/ModuleFile.h"
-#include "tai/ExecutionEngine/Session.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/ADT/StringSet.h"
 
 using namespace mlir;
 using namespace mlir::tai;
 
+Declarations::Declarations(MLIRContext *context, runtime::Runtime &runtime,
+                           FailureLog &failures)
+    : context(context), rt(runtime), failures(failures),
+      declared(ModuleOp::create(UnknownLoc::get(context))), symbols(*declared) {
+}
+
+int64_t Declarations::size() const {
+  return llvm::range_size(declared.get().getBody()->getOperations());
+}
+
 //===----------------------------------------------------------------------===//
 // Trees
 //===----------------------------------------------------------------------===//
 
-LogicalResult Session::addTree(StringRef name, StringRef layout) {
-  DiagnosticCollector collector(context.get());
+LogicalResult Declarations::addTree(StringRef name, StringRef layout) {
+  DiagnosticCollector collector(context);
   size_t read = 0;
-  Type type = parseType(layout, context.get(), &read,
+  Type type = parseType(layout, context, &read,
                         /*isKnownNullTerminated=*/false);
   if (!type)
-    return fail(collector.take(FailureKind::Syntax,
-                               "the layout '" + layout + "' does not parse"));
+    return failures.fail(collector.take(
+        FailureKind::Syntax, "the layout '" + layout + "' does not parse"));
   if (!layout.substr(read).trim().empty())
-    return fail(FailureKind::Syntax, "the layout of '" + name +
-                                         "' ends with '" +
-                                         layout.substr(read).trim() +
-                                         "', which does not belong to it");
+    return failures.fail(FailureKind::Syntax,
+                         "the layout of '" + name + "' ends with '" +
+                             layout.substr(read).trim() +
+                             "', which does not belong to it");
   auto root = dyn_cast<RootType>(type);
   if (!root)
-    return fail(FailureKind::Type,
-                "the layout of a tree is a !tai.root type, but got '" + layout +
-                    "'");
-  OpBuilder builder(context.get());
-  OperationState state(UnknownLoc::get(context.get()),
-                       TreeOp::getOperationName());
+    return failures.fail(FailureKind::Type,
+                         "the layout of a tree is a !tai.root type, but got '" +
+                             layout + "'");
+  OpBuilder builder(context);
+  OperationState state(UnknownLoc::get(context), TreeOp::getOperationName());
   state.addAttribute("sym_name", builder.getStringAttr(name));
   state.addAttribute("layout", TypeAttr::get(root));
   OwningOpRef<TreeOp> tree(cast<TreeOp>(builder.create(state)));
@@ -92,42 +96,44 @@ describeSparse(RootType root, const DataLayout &dataLayout) {
   return infos;
 }
 
-LogicalResult Session::addTree(TreeOp tree) {
+LogicalResult Declarations::addTree(TreeOp tree) {
   StringRef name = tree.getSymName();
-  DiagnosticCollector collector(context.get());
-  if (symbols->lookup(name))
-    return fail(FailureKind::Usage, "'" + name + "' is already declared");
+  DiagnosticCollector collector(context);
+  if (symbols.lookup(name))
+    return failures.fail(FailureKind::Usage,
+                         "'" + name + "' is already declared");
   if (failed(verify(tree)))
-    return fail(collector.take(FailureKind::Type, "'" + name + "' is invalid"));
+    return failures.fail(
+        collector.take(FailureKind::Type, "'" + name + "' is invalid"));
   RootType root = tree.getLayout();
-  DataLayout dataLayout(*declarations);
+  DataLayout dataLayout(*declared);
   runtime::TreePtr made;
-  if (failed(check(rt->addTree(name.str(), getTreeSize(root, dataLayout).total,
-                               made, describeSparse(root, dataLayout)))))
+  if (failed(failures.check(
+          rt.addTree(name.str(), getTreeSize(root, dataLayout).total, made,
+                     describeSparse(root, dataLayout)))))
     return failure();
-  symbols->insert(tree.clone());
+  symbols.insert(tree.clone());
   return success();
 }
 
-LogicalResult Session::destroyTree(StringRef name) {
-  if (failed(check(rt->destroyTree(name.str()))))
+LogicalResult Declarations::destroyTree(StringRef name) {
+  if (failed(failures.check(rt.destroyTree(name.str()))))
     return failure();
   llvm::StringSet<> gone;
-  for (FieldOp field :
-       llvm::make_early_inc_range(declarations->getOps<FieldOp>()))
+  for (FieldOp field : llvm::make_early_inc_range(declared->getOps<FieldOp>()))
     if (field.getTree() == name) {
       gone.insert(field.getSymName());
-      symbols->erase(field);
+      symbols.erase(field);
     }
   // What takes the name of an adjoint that is gone is another field.
-  for (FieldOp field : declarations->getOps<FieldOp>()) {
+  for (FieldOp field : declared->getOps<FieldOp>()) {
     if (field.getAdjoint() && gone.contains(*field.getAdjoint()))
       field.removeAdjointAttr();
     if (field.getDual() && gone.contains(*field.getDual()))
       field.removeDualAttr();
   }
-  if (Operation *tree = symbols->lookup(name))
-    symbols->erase(tree);
+  if (Operation *tree = symbols.lookup(name))
+    symbols.erase(tree);
   return success();
 }
 
@@ -135,19 +141,19 @@ LogicalResult Session::destroyTree(StringRef name) {
 // Fields
 //===----------------------------------------------------------------------===//
 
-FailureOr<runtime::FieldPtr> Session::addField(StringRef declaration) {
-  DiagnosticCollector collector(context.get());
+FailureOr<runtime::FieldPtr> Declarations::addField(StringRef declaration) {
+  DiagnosticCollector collector(context);
   // Not verified yet: the adjoint and the tree are not in the text.
-  ParserConfig config(context.get(), /*verifyAfterParse=*/false);
+  ParserConfig config(context, /*verifyAfterParse=*/false);
   OwningOpRef<ModuleOp> module = readModule(declaration, config, "declaration");
   if (!module)
-    return fail(
+    return failures.fail(
         collector.take(FailureKind::Syntax, "the declaration does not parse"));
   Block *body = module->getBody();
   if (!llvm::hasSingleElement(*body) || !isa<FieldOp>(body->front()))
-    return fail(FailureKind::Syntax,
-                "a declaration is one 'tai.field' op, but got '" + declaration +
-                    "'");
+    return failures.fail(FailureKind::Syntax,
+                         "a declaration is one 'tai.field' op, but got '" +
+                             declaration + "'");
   return addField(cast<FieldOp>(body->front()));
 }
 
@@ -186,34 +192,35 @@ static std::optional<runtime::ScalarKind> getScalarKind(Type type) {
   return std::nullopt;
 }
 
-FailureOr<runtime::FieldPtr> Session::addField(FieldOp field) {
+FailureOr<runtime::FieldPtr> Declarations::addField(FieldOp field) {
   StringRef name = field.getSymName();
-  if (symbols->lookup(name))
-    return fail(FailureKind::Usage, "'" + name + "' is already declared");
-  auto tree = symbols->lookup<TreeOp>(field.getTree());
+  if (symbols.lookup(name))
+    return failures.fail(FailureKind::Usage,
+                         "'" + name + "' is already declared");
+  auto tree = symbols.lookup<TreeOp>(field.getTree());
   if (!tree)
-    return fail(FailureKind::Usage, "field '" + name + "' names the tree '" +
-                                        field.getTree() +
-                                        "', which is not there");
-  DiagnosticCollector collector(context.get());
+    return failures.fail(FailureKind::Usage,
+                         "field '" + name + "' names the tree '" +
+                             field.getTree() + "', which is not there");
+  DiagnosticCollector collector(context);
   if (failed(verifyAlone(field, tree)))
-    return fail(
+    return failures.fail(
         collector.take(FailureKind::Type, "field '" + name + "' is invalid"));
   FieldOp kept = field.clone();
-  symbols->insert(kept);
+  symbols.insert(kept);
   auto undo = [&](LogicalResult result) {
-    symbols->erase(kept);
+    symbols.erase(kept);
     return result;
   };
 
   FailureOr<FieldLayout> layout = getFieldLayout(kept);
   if (failed(layout))
-    return undo(fail(collector.take(FailureKind::Type,
-                                    "field '" + name + "' has no layout")));
-  FieldStorage storage = getFieldStorage(*layout, DataLayout(*declarations));
+    return undo(failures.fail(collector.take(
+        FailureKind::Type, "field '" + name + "' has no layout")));
+  FieldStorage storage = getFieldStorage(*layout, DataLayout(*declared));
   runtime::FieldInfo info;
   info.name = name.str();
-  info.tree = rt->findTree(field.getTree().str());
+  info.tree = rt.findTree(field.getTree().str());
   Type scalar = field.getType();
   if (auto vector = dyn_cast<VectorType>(scalar)) {
     scalar = vector.getElementType();
@@ -223,7 +230,7 @@ FailureOr<runtime::FieldPtr> Session::addField(FieldOp field) {
   std::optional<runtime::ScalarKind> kind = getScalarKind(scalar);
   if (!kind) {
     field.emitError() << "fields of " << scalar << " cannot be run";
-    return undo(fail(collector.take(FailureKind::Type)));
+    return undo(failures.fail(collector.take(FailureKind::Type)));
   }
   info.layout.scalar = *kind;
   info.layout.placeOffset = storage.offset;
@@ -249,7 +256,7 @@ FailureOr<runtime::FieldPtr> Session::addField(FieldOp field) {
   if (field.getDual())
     info.dual = field.getDual()->str();
   runtime::FieldPtr made;
-  if (failed(check(rt->addField(std::move(info), made))))
+  if (failed(failures.check(rt.addField(std::move(info), made))))
     return undo(failure());
   return made;
 }
@@ -258,7 +265,7 @@ FailureOr<runtime::FieldPtr> Session::addField(FieldOp field) {
 // What kernels use
 //===----------------------------------------------------------------------===//
 
-LogicalResult Session::declareUsed(ModuleOp module) {
+LogicalResult Declarations::declareUsed(ModuleOp module) {
   // In the order of first use, so that the module, and with it the key of its
   // cached code, does not depend on what else the session holds.
   llvm::SetVector<StringAttr> pending;
@@ -271,13 +278,13 @@ LogicalResult Session::declareUsed(ModuleOp module) {
   for (size_t i = 0; i < pending.size(); ++i) {
     StringAttr name = pending[i];
     Operation *held = SymbolTable::lookupSymbolIn(module, name);
-    Operation *known = symbols->lookup(name);
+    Operation *known = symbols.lookup(name);
     if (auto tree = dyn_cast_or_null<TreeOp>(held)) {
       auto knownTree = dyn_cast_or_null<TreeOp>(known);
       if (!knownTree || knownTree.getLayout() != tree.getLayout())
-        return fail(FailureKind::Usage,
-                    "the tree '" + name.getValue() +
-                        "' of the module is not that of the context");
+        return failures.fail(FailureKind::Usage,
+                             "the tree '" + name.getValue() +
+                                 "' of the module is not that of the context");
     }
     Operation *op = held ? held : known;
     if (!held && known)
@@ -293,11 +300,4 @@ LogicalResult Session::declareUsed(ModuleOp module) {
       if (isa<TreeOp>(op) == wantTrees)
         builder.clone(*op);
   return success();
-}
-
-LogicalResult Session::verifyModule(ModuleOp module) {
-  DiagnosticCollector collector(context.get());
-  if (succeeded(verify(module)))
-    return success();
-  return fail(collector.take(FailureKind::Type, "the module does not verify"));
 }

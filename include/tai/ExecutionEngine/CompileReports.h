@@ -1,0 +1,44 @@
+//===- CompileReports.h - What users see of compilations --------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The options `print_ir` and `compile_profile`: stages of the IR and times of
+// phases, written to the standard error as kernels are compiled.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_EXECUTIONENGINE_COMPILEREPORTS_H
+#define TAI_EXECUTIONENGINE_COMPILEREPORTS_H
+
+#include "tai/ExecutionEngine/Compiler.h"
+
+namespace mlir::tai {
+
+/// Prints from any thread, one report after the other.
+class CompileReports {
+public:
+  CompileReports();
+
+  /// See Compiler::getStages.
+  void setStages(SmallVector<std::string> names) { stages = std::move(names); }
+  void setProfile(bool on) { printsProfile = on; }
+
+  /// Prints the stages that were asked for and that the kernel has.
+  void printStages(Compiler &compiler, CompileRequest request,
+                   const CompileOptions &options);
+  /// Prints one line: where the code came from and what it took.
+  void printProfile(StringRef name, CompileRequest::Goal goal,
+                    const Compiler::Function &function);
+
+private:
+  SmallVector<std::string> stages;
+  bool printsProfile;
+  std::mutex mutex;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_EXECUTIONENGINE_COMPILEREPORTS_H

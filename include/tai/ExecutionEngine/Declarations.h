@@ -1,0 +1,56 @@
+//===- Declarations.h - Trees and fields of a session -----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Holds the declarations, tells the runtime where elements lie, and gives each
+// kernel the declarations that it uses.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_EXECUTIONENGINE_DECLARATIONS_H
+#define TAI_EXECUTIONENGINE_DECLARATIONS_H
+
+#include "mlir/IR/OwningOpRef.h"
+#include "mlir/IR/SymbolTable.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/ExecutionEngine/FailureLog.h"
+#include "tai/Runtime/Launch/Runtime.h"
+
+namespace mlir::tai {
+
+/// Used by one thread at a time. What fails is noted in the log.
+class Declarations {
+public:
+  Declarations(MLIRContext *context, runtime::Runtime &runtime,
+               FailureLog &failures);
+
+  /// Adds a tree, by the text of its layout or by its op.
+  LogicalResult addTree(StringRef name, StringRef layout);
+  LogicalResult addTree(TreeOp tree);
+  /// Forgets the tree and its fields, and frees the memory.
+  LogicalResult destroyTree(StringRef name);
+
+  /// Adds a field, by the text of a `tai.field` op or by the op. The adjoint
+  /// that it names may be added later.
+  FailureOr<runtime::FieldPtr> addField(StringRef declaration);
+  FailureOr<runtime::FieldPtr> addField(FieldOp field);
+
+  /// Adds the declarations that `module` refers to and does not hold.
+  LogicalResult declareUsed(ModuleOp module);
+
+  int64_t size() const;
+
+private:
+  MLIRContext *context;
+  runtime::Runtime &rt;
+  FailureLog &failures;
+  OwningOpRef<ModuleOp> declared;
+  SymbolTable symbols;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_EXECUTIONENGINE_DECLARATIONS_H

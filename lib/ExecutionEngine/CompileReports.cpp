@@ -1,0 +1,69 @@
+//===- CompileReports.cpp - What users see of compilations ----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/ExecutionEngine/CompileReports.h"
+#include "llvm/Support/FormatVariadic.h"
+#include "llvm/Support/Process.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+CompileReports::CompileReports()
+    : printsProfile(
+          llvm::sys::Process::GetEnv("TAI_COMPILE_PROFILE").has_value()) {}
+
+void CompileReports::printStages(Compiler &compiler, CompileRequest request,
+                                 const CompileOptions &options) {
+  bool isAdjoint = request.goal != CompileRequest::Goal::Primal;
+  for (const std::string &stage : stages) {
+    if ((isAdjoint || request.forward) && stage == "tai")
+      continue;
+    // The primal is compiled without differentiation.
+    if (!isAdjoint && !request.forward && stage == "autodiff")
+      continue;
+    if (!options.device && Compiler::isDeviceStage(stage))
+      continue;
+    Failure failure;
+    std::optional<std::string> text =
+        compiler.print(request, stage, options, failure);
+    std::lock_guard<std::mutex> lock(mutex);
+    llvm::errs() << "// -----// " << stage << " of "
+                 << (request.forward ? "the tangent of " : "")
+                 << (isAdjoint ? "the adjoint of " : "") << request.name
+                 << " //----- //\n"
+                 << (text ? *text : failure.text) << "\n";
+  }
+}
+
+static StringRef getGoalName(CompileRequest::Goal goal) {
+  switch (goal) {
+  case CompileRequest::Goal::Primal:
+    return "primal";
+  case CompileRequest::Goal::Adjoint:
+  case CompileRequest::Goal::StoredAdjoint:
+    return "adjoint";
+  case CompileRequest::Goal::TakingAdjoint:
+  case CompileRequest::Goal::StoredTakingAdjoint:
+    return "taking";
+  }
+  llvm_unreachable("unknown goal");
+}
+
+void CompileReports::printProfile(StringRef name, CompileRequest::Goal goal,
+                                  const Compiler::Function &function) {
+  if (!printsProfile)
+    return;
+  std::lock_guard<std::mutex> lock(mutex);
+  llvm::errs() << llvm::formatv("{0,-32} {1,-8} {2,-5}", name,
+                                getGoalName(goal),
+                                function.fromCache ? "hit" : "miss");
+  for (unsigned i = 0; i < kNumPhases; ++i)
+    llvm::errs() << llvm::formatv(" {0} {1,7:F2} ms",
+                                  stringifyPhase(static_cast<Phase>(i)),
+                                  function.times[i] * 1e3);
+  llvm::errs() << "\n";
+}

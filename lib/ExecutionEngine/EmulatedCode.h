@@ -1,0 +1,21 @@
+//===- EmulatedCode.h - Code of the emulated device -------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_EXECUTIONENGINE_EMULATEDCODE_H
+#define TAI_LIB_EXECUTIONENGINE_EMULATEDCODE_H
+
+#include "tai/Runtime/Device/Device.h"
+
+namespace mlir::tai {
+
+/// Places the code of the emulated device in memory. It has a linker of its
+/// own, which what was linked keeps: that outlives the compiler of the session.
+runtime::ObjectLinker makeObjectLinker();
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_EXECUTIONENGINE_EMULATEDCODE_H

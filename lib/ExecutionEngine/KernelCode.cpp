@@ -1,0 +1,450 @@
+//===- KernelCode.cpp - The compiler side of a kernel
+//----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/ExecutionEngine/KernelCode.h"
+#include "tai/ExecutionEngine/AdjointNeeds.h"
+#include "tai/ExecutionEngine/ModuleFile.h"
+#include "tai/ExecutionEngine/Summaries.h"
+#include "tai/Runtime/Launch/Safepoint.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+using Goal = CompileRequest::Goal;
+
+KernelCode::KernelCode(const KernelServices &services, Source source)
+    : services(services), source(std::move(source)) {
+  services.names.add(getName());
+}
+
+KernelCode::~KernelCode() {
+  if (ahead)
+    services.background.cancel(*ahead);
+  for (const Compiler::Function &function : functions)
+    services.compiler.unload(function);
+  services.names.drop(getName());
+}
+
+KernelOp KernelCode::getKernel() const {
+  return getModule().lookupSymbol<KernelOp>(source.name);
+}
+
+CompileRequest KernelCode::getRequest(Goal goal, bool forward) const {
+  return {getModule(), source.name, goal, forward};
+}
+
+bool mlir::tai::carriesGradients(const runtime::Kernel &kernel) {
+  bool reads = kernel.callerAdjoints().hasTargets;
+  bool changes = kernel.callerAdjoints().hasSources();
+  for (const runtime::Access &access : kernel.summary())
+    if (access.field->adjoint())
+      (access.kind == runtime::AccessKind::Read ? reads : changes) = true;
+  return reads && changes;
+}
+
+/// The trees that compiled code wants, in its order. They are those that the
+/// kernel was made for, even if others have taken their names since.
+std::vector<runtime::TreePtr>
+KernelCode::findTrees(ArrayRef<std::string> names) const {
+  std::vector<runtime::TreePtr> trees;
+  for (const std::string &name : names)
+    trees.push_back(*llvm::find_if(
+        source.trees, [&](const auto &tree) { return tree->name() == name; }));
+  return trees;
+}
+
+static std::vector<runtime::LoopLevel>
+getLoopLevels(const Compiler::Function &function) {
+  std::vector<runtime::LoopLevel> levels;
+  for (size_t i = 0; i + 1 < function.loopLevels.size(); i += 2)
+    levels.push_back({function.loopLevels[i], function.loopLevels[i + 1]});
+  return levels;
+}
+
+template <typename Result>
+std::optional<Result>
+KernelCode::runAside(std::function<std::optional<Result>(Failure &)> step,
+                     Failure &failure) {
+  if (runtime::safepoint::isWorker())
+    return step(failure);
+  struct State {
+    std::optional<Result> result;
+    Failure failure;
+  };
+  auto state = std::make_shared<State>();
+  bool ended = services.background.runAside(
+      [state, step = std::move(step), kept = shared_from_this()] {
+        state->result = step(state->failure);
+      });
+  if (!ended) {
+    failure =
+        Failure::get(FailureKind::Runtime, "interrupted while '" + getName() +
+                                               "' was being compiled");
+    return std::nullopt;
+  }
+  if (!state->result)
+    failure = std::move(state->failure);
+  return std::move(state->result);
+}
+
+/// Where the caller was interrupted, nobody else hears of the function.
+std::optional<Compiler::Function>
+KernelCode::keepFunction(std::optional<Compiler::Function> function) {
+  std::lock_guard<std::mutex> lock(functionsMutex);
+  if (function)
+    functions.push_back(*function);
+  return function;
+}
+
+std::optional<Compiler::Function>
+KernelCode::compileAs(Goal goal, Failure &failure, bool forward) {
+  services.reports.printStages(services.compiler, getRequest(goal, forward),
+                               getOptions());
+  auto function = runAside<Compiler::Function>(
+      [this, goal, forward](Failure &failure) {
+        return keepFunction(services.compiler.compile(getRequest(goal, forward),
+                                                      getOptions(), failure));
+      },
+      failure);
+  if (!function)
+    return std::nullopt;
+  services.reports.printProfile(getName(), goal, *function);
+  if (!forward)
+    count(*function, goal != Goal::Primal);
+  return function;
+}
+
+void KernelCode::count(const Compiler::Function &function, bool isAdjoint) {
+  SkipCounters &counters = services.rt.skipCounters();
+  counters.add(function.skipped);
+  if (function.address)
+    counters.add(isAdjoint ? SkipCount::AdjointsCompiled
+                           : SkipCount::KernelsCompiled);
+}
+
+/// True if the kernel may store elements that it reads, or elements of which
+/// only its code knows which they are: then the adjoint must always take,
+/// whatever the launches before it have done.
+static bool alwaysTakes(const std::vector<runtime::Access> &summary) {
+  using Kind = runtime::AccessKind;
+  auto areApart = [](const runtime::Access &a, const runtime::Access &b) {
+    return a.fixed && b.fixed && a.fixed->dimension == b.fixed->dimension &&
+           a.fixed->terms == b.fixed->terms &&
+           a.fixed->constant != b.fixed->constant;
+  };
+  for (const runtime::Access &store : summary) {
+    if (store.kind != Kind::Write || !store.field->adjoint())
+      continue;
+    if (!store.boxes)
+      return true;
+    for (const runtime::Access &read : summary)
+      if (read.kind == Kind::Read && store.field == read.field &&
+          !areApart(store, read))
+        return true;
+  }
+  return false;
+}
+
+LogicalResult KernelCode::prepareAdjoint(Failure &failure, bool claims) {
+  if (prepared)
+    return success();
+  Goal goal = getPlannedGoal();
+  prepared = runAside<Compiler::Prepared>(
+      [this, goal, claims](Failure &failure) {
+        return services.compiler.prepare(getRequest(goal), getOptions(),
+                                         failure, claims);
+      },
+      failure);
+  if (!prepared)
+    return mlir::failure();
+  needs = prepared->needs;
+  return success();
+}
+
+std::optional<Compiler::Function>
+KernelCode::compilePlannedAdjoint(Failure &failure) {
+  Goal goal = getPlannedGoal();
+  // Shared, since the next step may outlive this function.
+  auto first = std::make_shared<std::optional<Compiler::Prepared>>();
+  {
+    // Who plans the tape waits for this step, but not for the next.
+    std::lock_guard<std::mutex> lock(prepareMutex);
+    if (failed(prepareAdjoint(failure, /*claims=*/true)))
+      return std::nullopt;
+    *first = std::move(prepared);
+    prepared.reset();
+  }
+  services.reports.printStages(services.compiler, getRequest(goal),
+                               getOptions());
+  auto function = runAside<Compiler::Function>(
+      [this, goal, first](Failure &failure) {
+        return keepFunction(services.compiler.finish(
+            std::move(**first), getRequest(goal), getOptions(), failure));
+      },
+      failure);
+  if (!function)
+    return std::nullopt;
+  services.reports.printProfile(getName(), goal, *function);
+  count(*function, /*isAdjoint=*/true);
+  return function;
+}
+
+/// Decides, once, which form of the adjoint a tape launches for all we know.
+void KernelCode::choosePlannedForm(const runtime::Kernel &kernel) {
+  std::lock_guard<std::mutex> lock(prepareMutex);
+  if (needs || ahead)
+    return;
+  // One that came with the kernel is what it is.
+  planTakes = !getKernel().getAdjoint() && alwaysTakes(kernel.summary());
+}
+
+runtime::Status KernelCode::compile(runtime::Kernel &kernel,
+                                    TaiKernelFn &function) {
+  // A launch under a tape: the adjoint will be wanted soon, and has its own
+  // core while this one goes on with the forward pass.
+  choosePlannedForm(kernel);
+  if (services.rt.recordingTape() && !ahead && carriesGradients(kernel))
+    ahead = services.background.start(
+        [this] { aheadResult = compilePlannedAdjoint(aheadFailure); });
+  Failure failure;
+  auto compiled = compileAs(Goal::Primal, failure);
+  if (!compiled)
+    return services.failures.keep(std::move(failure));
+  kernel.setTrees(findTrees(compiled->trees));
+  kernel.setLoopLevels(getLoopLevels(*compiled));
+  kernel.setDeviceImage(compiled->image);
+  function = reinterpret_cast<TaiKernelFn>(compiled->address);
+  return runtime::Status::success();
+}
+
+//===----------------------------------------------------------------------===//
+// Forms of the kernel
+//===----------------------------------------------------------------------===//
+
+namespace {
+/// Of kernels that are launched with the arguments of the one they were made
+/// from, which usually outlives them.
+class FormProvider final : public runtime::KernelProvider {
+public:
+  FormProvider(std::weak_ptr<KernelCode> code, Goal goal, bool forward)
+      : code(std::move(code)), goal(goal), forward(forward) {}
+
+  runtime::Status makeTangent(runtime::KernelPtr &tangent) override {
+    std::shared_ptr<KernelCode> primal = code.lock();
+    if (!primal || forward)
+      return runtime::Status::success();
+    // What is stored need not have a dual: tangents come from what it was
+    // computed from.
+    return primal->makeTangentOf(
+        CompileRequest::getAdjointGoal(CompileRequest::takes(goal),
+                                       /*stored=*/false),
+        tangent);
+  }
+  std::string explainRefusal(const std::string &reason) override {
+    std::shared_ptr<KernelCode> primal = code.lock();
+    return primal ? primal->explainRefusalOf(goal, forward, reason) : reason;
+  }
+
+private:
+  std::weak_ptr<KernelCode> code;
+  Goal goal;
+  bool forward;
+};
+} // namespace
+
+runtime::KernelInfo KernelCode::getFormInfo(const Compiler::Function &compiled,
+                                            Goal goal, bool forward,
+                                            StringRef suffix) {
+  runtime::KernelInfo info;
+  info.name = getName() + suffix.str();
+  info.place = source.place;
+  info.argSlots = source.argSlots;
+  info.trees = findTrees(compiled.trees);
+  info.loopLevels = getLoopLevels(compiled);
+  info.image = compiled.image;
+  info.provider =
+      std::make_shared<FormProvider>(weak_from_this(), goal, forward);
+  info.function = reinterpret_cast<TaiKernelFn>(compiled.address);
+  return info;
+}
+
+std::string KernelCode::explainRefusal(const std::string &reason) {
+  return explainRefusalOf(Goal::Primal, /*forward=*/false, reason);
+}
+
+std::string KernelCode::explainRefusalOf(Goal goal, bool forward,
+                                         const std::string &reason) {
+  Failure failure = Failure::get(FailureKind::Internal, reason);
+  services.compiler.addReproducer(getRequest(goal, forward), getOptions(),
+                                  failure);
+  return failure.message;
+}
+
+/// Whether the form of the adjoint that loads what the kernel has stored reads
+/// no more than a tape was told, if it is there at all.
+bool KernelCode::canReadStored(Goal goal, const AdjointNeeds &told) {
+  Failure failure;
+  auto first =
+      services.compiler.prepare(getRequest(goal), getOptions(), failure);
+  auto here = first ? AdjointNeeds::deserialize(first->needs)
+                    : std::optional<AdjointNeeds>();
+  return told.loadsStored && here && here->loadsStored &&
+         llvm::all_of(here->stored, [&](const NamedAccess &access) {
+           return llvm::is_contained(told.stored, access) ||
+                  llvm::is_contained(told.reads, access);
+         });
+}
+
+runtime::Status KernelCode::makeAdjoint(runtime::Kernel &kernel,
+                                        runtime::AdjointVariant variant,
+                                        runtime::KernelPtr &adjoint) {
+  Failure failure;
+  std::optional<Compiler::Function> compiled;
+  choosePlannedForm(kernel);
+  if (ahead && !services.background.finish(*ahead))
+    return services.failures.keep(Failure::get(
+        FailureKind::Runtime, "interrupted while the gradient of '" +
+                                  getName() + "' was being compiled"));
+  std::optional<AdjointNeeds> told;
+  {
+    std::lock_guard<std::mutex> lock(prepareMutex);
+    if (needs)
+      told = AdjointNeeds::deserialize(*needs);
+  }
+  // What was begun before anybody asked loads what is stored, if it can. That a
+  // gradient is launched by hand is seen too late for that.
+  bool isPlanned =
+      variant.zeroes == planTakes &&
+      (told ? variant.readsStored == told->loadsStored : ahead != nullptr);
+  Goal goal =
+      CompileRequest::getAdjointGoal(variant.zeroes, variant.readsStored);
+  if (!isPlanned) {
+    if (variant.readsStored && !(told && canReadStored(goal, *told)))
+      return runtime::Status::success();
+    compiled = compileAs(goal, failure);
+  } else if (ahead) {
+    compiled = std::move(aheadResult);
+    failure = std::move(aheadFailure);
+    ahead.reset();
+  } else {
+    compiled = compilePlannedAdjoint(failure);
+  }
+  if (!compiled)
+    return services.failures.keep(std::move(failure));
+  if (!compiled->address)
+    return runtime::Status::success();
+  adjoint = services.rt.createKernel(
+      getFormInfo(*compiled, goal, /*forward=*/false, "_grad"));
+  return runtime::Status::success();
+}
+
+runtime::Status KernelCode::makeTangent(runtime::KernelPtr &tangent) {
+  return makeTangentOf(Goal::Primal, tangent);
+}
+
+runtime::Status KernelCode::makeTangentOf(Goal goal,
+                                          runtime::KernelPtr &tangent) {
+  auto fields = source.module->getOps<FieldOp>();
+  if (llvm::none_of(fields, [](FieldOp field) { return field.getDual(); }))
+    return runtime::Status::success();
+  Failure failure;
+  auto compiled = compileAs(goal, failure, /*forward=*/true);
+  if (!compiled)
+    return services.failures.keep(std::move(failure));
+  if (!compiled->address)
+    return runtime::Status::success();
+  bool isPrimal = goal == Goal::Primal;
+  runtime::KernelInfo info = getFormInfo(*compiled, goal, /*forward=*/true,
+                                         isPrimal ? "_fwd" : "_grad_fwd");
+  if (isPrimal)
+    info.resultSlots = source.resultSlots;
+  tangent = services.rt.createKernel(std::move(info));
+  return runtime::Status::success();
+}
+
+runtime::KernelFlows KernelCode::findFlows(const runtime::Kernel &kernel) {
+  return tai::findFlows(getKernel(), kernel.summary());
+}
+
+runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
+                                        runtime::AdjointPlan &plan) {
+  // Most kernels need no look at their adjoints. Arrays and results are among
+  // what a gradient may come from.
+  bool reads = !kernel.arrays().empty();
+  bool changes = kernel.callerAdjoints().hasSources();
+  for (const runtime::Access &access : kernel.summary()) {
+    if (access.kind == runtime::AccessKind::Read)
+      reads = true;
+    else if (access.field->adjoint())
+      changes = true;
+  }
+  if (!reads || !changes) {
+    plan.provisional = !changes;
+    return runtime::Status::success();
+  }
+  choosePlannedForm(kernel);
+  plan.takes = planTakes;
+  std::optional<AdjointNeeds> told;
+  {
+    std::lock_guard<std::mutex> lock(prepareMutex);
+    Failure failure;
+    // It may take long until the code itself is asked for.
+    if (!needs && failed(prepareAdjoint(failure, /*claims=*/false)))
+      return services.failures.keep(std::move(failure));
+    told = AdjointNeeds::deserialize(*needs);
+  }
+  // The fields that the kernel was made for, even if others have their names
+  // by now.
+  auto findField = [&](const std::string &name) {
+    for (const runtime::Access &access : kernel.summary())
+      if (access.field->name() == name)
+        return access.field;
+    return source.fields.lookup(name);
+  };
+  for (const NamedAccess &access : told->reads)
+    if (runtime::FieldPtr field = findField(access.field))
+      plan.reads.push_back({field, access.kind, access.fixed});
+  plan.loadsStored = told->loadsStored;
+  for (const NamedAccess &access : told->stored) {
+    runtime::FieldPtr field = findField(access.field);
+    // No tape watches what is written to gradients.
+    if (field && !field->isAdjoint())
+      plan.stored.push_back({field, access.kind, access.fixed});
+    else
+      plan.loadsStored = false;
+  }
+  for (const std::string &name : told->before)
+    if (runtime::FieldPtr field = findField(name))
+      plan.before.push_back(field);
+  for (const std::string &name : told->activity)
+    if (runtime::FieldPtr field = findField(name))
+      plan.activity.push_back(field);
+  for (const LoopFlags &loop : told->flags) {
+    runtime::AdjointFlags flags{findField(loop.field), {}, loop.sumsUp};
+    for (const std::string &name : loop.sources)
+      flags.sources.push_back(findField(name));
+    if (flags.loop)
+      plan.flags.push_back(std::move(flags));
+  }
+  plan.arrays = told->arrays;
+  plan.reruns = told->reruns;
+  if (told->parts.empty())
+    return runtime::Status::success();
+  ParserConfig config(source.module->getContext());
+  OwningOpRef<ModuleOp> parts = readModule(told->parts, config, getName());
+  if (!parts)
+    return runtime::Status::failure(runtime::StatusCode::Internal,
+                                    "the parts of '" + getName() +
+                                        "' do not parse");
+  for (auto &[name, module] : splitParts(*parts)) {
+    auto made = makeKernel(services, std::move(module), name, getOptions());
+    if (failed(made))
+      return services.failures.keep(services.failures.getLast());
+    plan.parts.push_back(std::move(made->kernel));
+  }
+  return runtime::Status::success();
+}

@@ -1,0 +1,263 @@
+//===- SessionOptions.cpp - Options of a session --------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// What each row of Options.def does.
+//
+//===----------------------------------------------------------------------===//
+
+#include "EmulatedCode.h"
+#include "OptionKinds.h"
+#include "tai/ExecutionEngine/Session.h"
+#include "tai/Runtime/Device/DeviceHeap.h"
+#include "tai/Runtime/Queue/DeviceQueue.h"
+#include "llvm/Support/Process.h"
+#include <dlfcn.h>
+
+using namespace mlir;
+using namespace mlir::tai;
+
+void Session::useCache(StringRef folder) {
+  rt->keepBlockSizes({});
+  if (folder.empty()) {
+    cache.reset();
+    compiler->setCache({});
+    return;
+  }
+  cache = std::make_shared<runtime::CacheStore>(folder.str());
+  if (!cache->usable())
+    return compiler->setCache({});
+  auto store = cache;
+  compiler->setCache(
+      {[store](StringRef key) { return store->get(std::string_view(key)); },
+       [store](StringRef key, StringRef bytes) {
+         store->put(std::string_view(key), std::string_view(bytes));
+       },
+       [store](StringRef key, const std::function<bool()> &goesOn) {
+         constexpr double mostSeconds = 60;
+         return store->claim(std::string_view(key), mostSeconds, goesOn);
+       }});
+  rt->keepBlockSizes(
+      {[store](const std::string &key) { return store->get(key); },
+       [this, store](std::string key, std::string bytes) {
+         background.doLater(
+             [store, key = std::move(key), bytes = std::move(bytes)] {
+               store->put(key, bytes);
+             });
+       }});
+}
+
+static std::string listOptions() {
+  std::string names;
+#define TAI_OPTION(id, name, kind, initial, expects, about)                    \
+  names += names.empty() ? name : ", " name;
+#include "tai/Support/Options.def"
+  return names;
+}
+
+LogicalResult Session::setOption(StringRef name, StringRef value) {
+  auto badValue = [&](StringRef expected) {
+    return fail(FailureKind::Usage, "option '" + name + "' expects " +
+                                        expected + ", but got '" + value + "'");
+  };
+#define TAI_OPTION(id, spelling, kind, initial, expects, about)                \
+  if (name == spelling) {                                                      \
+    auto parsed = options::kind::parse(value);                                 \
+    return parsed ? set##id(*parsed) : badValue(expects);                      \
+  }
+#include "tai/Support/Options.def"
+  return fail(FailureKind::Usage, "unknown option '" + name +
+                                      "'; the options are " + listOptions());
+}
+
+LogicalResult Session::setThreads(int threads) {
+  rt->setThreads(threads);
+  return success();
+}
+
+LogicalResult Session::setDeterministic(bool on) {
+  compileOptions.deterministic = on;
+  // Loops are cut differently for other numbers of threads, and what is fused
+  // may depend on where a vectorised loop ends.
+  compileOptions.codegen.contract = !on;
+  rt->setDeterministic(on);
+  return success();
+}
+
+LogicalResult Session::setDebug(bool on) {
+  compileOptions.debug = on;
+  rt->setDebug(on);
+  return success();
+}
+
+LogicalResult Session::setBounds(BoundsMode mode) {
+  compileOptions.bounds = mode;
+  return success();
+}
+
+LogicalResult Session::setFastMath(bool on) {
+  compileOptions.codegen.fastMath = on;
+  return success();
+}
+
+LogicalResult Session::setSanitize(StringRef sanitizer) {
+  if (!sanitizer.empty() && sanitizer != "address")
+    return fail(FailureKind::Usage,
+                "option 'sanitize' expects \"address\" or nothing, but got '" +
+                    sanitizer + "'");
+  if (!sanitizer.empty() && !dlsym(RTLD_DEFAULT, "__asan_init"))
+    return fail(FailureKind::Usage,
+                "option 'sanitize': the process has no run time of "
+                "AddressSanitizer; start it with LD_PRELOAD=$(clang-22 "
+                "-print-file-name=libclang_rt.asan-x86_64.so) "
+                "ASAN_OPTIONS=detect_leaks=0");
+  compileOptions.codegen.sanitizeAddress = !sanitizer.empty();
+  return success();
+}
+
+LogicalResult Session::setOptLevel(unsigned level) {
+  compileOptions.codegen.optLevel = level;
+  return success();
+}
+
+LogicalResult Session::setSeed(uint64_t seed) {
+  rt->setSeed(seed);
+  return success();
+}
+
+LogicalResult Session::setCacheDir(StringRef folder) {
+  useCache(folder);
+  return success();
+}
+
+LogicalResult Session::setPrintIR(StringRef names) {
+  SmallVector<std::string> stages;
+  SmallVector<StringRef> parts;
+  names.split(parts, ',', -1, /*KeepEmpty=*/false);
+  for (StringRef part : parts) {
+    part = part.trim();
+    if (part == "all") {
+      for (StringRef stage : Compiler::getStages())
+        stages.push_back(stage.str());
+      continue;
+    }
+    if (!llvm::is_contained(Compiler::getStages(), part))
+      return fail(FailureKind::Usage,
+                  "option 'print_ir' expects \"all\" or some of " +
+                      llvm::join(Compiler::getStages(), ", ") + ", but got '" +
+                      names + "'");
+    stages.push_back(part.str());
+  }
+  reports.setStages(std::move(stages));
+  return success();
+}
+
+LogicalResult Session::setProfiler(bool on) {
+  rt->setProfiler(on);
+  compileOptions.places = rt->wantsPlaces();
+  return success();
+}
+
+LogicalResult Session::setCompileProfile(bool on) {
+  reports.setProfile(on);
+  return success();
+}
+
+LogicalResult Session::setForwardMode(bool on) {
+  rt->setForward(on);
+  return success();
+}
+
+LogicalResult Session::setHistoryBytes(int64_t bytes) {
+  compileOptions.historyBytes = bytes;
+  return success();
+}
+
+LogicalResult Session::setSkip(StringRef names) {
+  SkipSet skips;
+  std::string error;
+  if (!SkipSet::parse(names, skips, error))
+    return fail(FailureKind::Usage, "option 'skip': " + error);
+  compileOptions.skips = skips & SkipSet::ofCompiler();
+  rt->setSkips(skips);
+  return success();
+}
+
+LogicalResult Session::setMemoryLimit(int64_t bytes) {
+  rt->setMemoryLimit(bytes);
+  return success();
+}
+
+LogicalResult Session::setDeviceMemoryLimit(int64_t bytes) {
+  deviceMemoryLimit = bytes;
+  return success();
+}
+
+LogicalResult Session::setDeviceHeap(int64_t bytes) {
+  runtime::setDeviceHeapBytes(bytes);
+  return success();
+}
+
+LogicalResult Session::setBlockDim(int threads) {
+  rt->setBlockThreads(threads);
+  return success();
+}
+
+LogicalResult Session::setMaxBlockDim(int threads) {
+  rt->setMostBlockThreads(threads);
+  return success();
+}
+
+LogicalResult Session::setOrderSeed(uint64_t seed) {
+  compileOptions.orderSeed = seed;
+  return success();
+}
+
+LogicalResult Session::setArch(StringRef name) {
+  std::unique_ptr<runtime::Device> device;
+  if (name == "cuda") {
+    std::optional<std::string> emulated =
+        llvm::sys::Process::GetEnv("TAI_CUDA_EMULATION");
+    if (emulated && *emulated == "1")
+      device = runtime::openEmulatedDevice(makeObjectLinker());
+    else if (failed(check(runtime::openCudaDevice(0, device))))
+      return failure();
+  } else if (name != "cpu" && name != "interpreter") {
+    return fail(FailureKind::Usage, "there is no arch '" + name +
+                                        "'; there are cpu, cuda and "
+                                        "interpreter");
+  }
+  if (failed(check(rt->useDevice(std::move(device), deviceMemoryLimit))))
+    return failure();
+  compileOptions.interpret = name == "interpreter";
+  compileOptions.device = std::nullopt;
+  compileOptions.deviceTarget.clear();
+  if (const runtime::Device *used = rt->getDevice()) {
+    compileOptions.device = used->kind();
+    compileOptions.deviceTarget = used->target();
+    compileOptions.places = rt->wantsPlaces();
+  }
+  if (runtime::DeviceQueue *queue = rt->getDeviceQueue())
+    queue->setProgramMaker(
+        [this](const runtime::ProgramPlan &plan, runtime::DeviceImage &image) {
+          Failure problem;
+          auto made = compiler->makeProgram(plan, compileOptions, problem);
+          if (!made)
+            return keepFailure(std::move(problem));
+          image = std::move(*made);
+          return runtime::Status::success();
+        });
+  return setFuseLaunches(fuseLaunches);
+}
+
+LogicalResult Session::setFuseLaunches(bool on) {
+  fuseLaunches = on;
+  rt->setFuseLaunches(on);
+  if (runtime::DeviceQueue *queue = rt->getDeviceQueue())
+    queue->setMode(on ? runtime::ProgramMode::Automatic
+                      : runtime::ProgramMode::Launches);
+  return success();
+}
