@@ -16,6 +16,7 @@
 #include "../Mirror/Mirror.h"
 #include "Launch.h"
 #include <algorithm>
+#include <tuple>
 
 using namespace mlir::tai::runtime;
 
@@ -85,6 +86,14 @@ void Runtime::releaseLaunch(Launch *launch) {
 // Prepared launches
 //===----------------------------------------------------------------------===//
 
+/// All but the state and the number.
+static auto fieldsOf(PreparedLaunch &prepared) {
+  PreparedLaunch &p = prepared;
+  return std::tie(p.function, p.trees, p.slots, p.hasResults, p.code, p.mirrors,
+                  p.mirrorsEnd, p.changed, p.changedEnd, p.adjoints,
+                  p.adjointsEnd);
+}
+
 void Runtime::prepare(Kernel &kernel) {
   uint64_t epoch = hot.state.load(std::memory_order_relaxed);
   PreparedLaunch &prepared = kernel.prepared;
@@ -95,31 +104,43 @@ void Runtime::prepare(Kernel &kernel) {
       !kernel.loopLevels.empty())
     return;
   std::lock_guard<std::recursive_mutex> lock(kernel.mutex);
-  // What others may be using is not written again.
-  if (prepared.state.load(std::memory_order_relaxed) == epoch)
+  uint64_t before = prepared.state.load(std::memory_order_relaxed);
+  if (before == epoch)
     return;
-  const DeviceCode *code = nullptr;
+  PreparedLaunch made;
   if (device) {
-    code = kernel.deviceCode.get();
+    const DeviceCode *code = kernel.deviceCode.get();
     if (!kernel.info.image || !code || code->epoch != epoch ||
         code->image != kernel.info.image)
       return;
-    prepared.mirrors = code->mirrors.data();
-    prepared.mirrorsEnd = prepared.mirrors + code->mirrors.size();
-    prepared.changed = code->changed.data();
-    prepared.changedEnd = prepared.changed + code->changed.size();
-    prepared.trees = const_cast<void **>(code->bases.data());
+    made.code = code;
+    made.mirrors = code->mirrors.data();
+    made.mirrorsEnd = made.mirrors + code->mirrors.size();
+    made.changed = code->changed.data();
+    made.changedEnd = made.changed + code->changed.size();
+    made.trees = const_cast<void **>(code->bases.data());
   } else {
-    prepared.mirrorsEnd = prepared.mirrors;
-    prepared.changedEnd = prepared.changed;
-    prepared.trees = kernel.bases.data();
+    made.trees = kernel.bases.data();
   }
-  prepared.code = code;
-  prepared.function = kernel.function.load(std::memory_order_relaxed);
-  prepared.slots = kernel.argSlots();
-  prepared.hasResults = kernel.resultSlots() > 0;
-  prepared.adjoints = kernel.changedAdjoints.data();
-  prepared.adjointsEnd = prepared.adjoints + kernel.changedAdjoints.size();
+  made.function = kernel.function.load(std::memory_order_relaxed);
+  made.slots = kernel.argSlots();
+  made.hasResults = kernel.resultSlots() > 0;
+  made.adjoints = kernel.changedAdjoints.data();
+  made.adjointsEnd = made.adjoints + kernel.changedAdjoints.size();
+  if (fieldsOf(prepared) != fieldsOf(made)) {
+    // A launch of another thread may be using what there is. None begins to
+    // while the state is another one.
+    bool isUsed = false;
+    if (before != 0) {
+      runningLaunches.letLaunchesSee();
+      runningLaunches.visit([&](const Launch &launch, const Kernel &other) {
+        isUsed |= &other == &kernel && !launch.isOfThisThread();
+      });
+    }
+    if (isUsed)
+      return;
+    fieldsOf(prepared) = fieldsOf(made);
+  }
   prepared.state.store(epoch, std::memory_order_release);
 }
 

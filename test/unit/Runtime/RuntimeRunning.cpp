@@ -189,20 +189,23 @@ TEST(RuntimeRunning, ChildrenFreeWhatTheirParentUses) {
   });
 }
 
-// Several threads launch, the short way too, while trees come and go.
+// Several threads launch one kernel, the short way too, while trees come and
+// go.
 TEST(RuntimeRunning, TreesComeAndGo) {
   Scene scene;
   std::atomic<bool> isOver{false};
+  KernelPtr kernel = makeKernel(
+      scene.runtime, "count",
+      [](TaiFrame *frame) {
+        static_cast<double *>(frame->trees[0])[frame->args[0]] += 1;
+        return 0;
+      },
+      {{scene.x, AccessKind::Write},
+       {scene.runtime.findField("loss_grad"), AccessKind::Accumulate}},
+      1);
   std::vector<std::thread> threads;
   for (int t = 0; t < 3; ++t)
     threads.emplace_back([&, t] {
-      KernelPtr kernel = makeKernel(
-          scene.runtime, "k" + std::to_string(t),
-          [](TaiFrame *frame) {
-            static_cast<double *>(frame->trees[0])[frame->args[0]] += 1;
-            return 0;
-          },
-          {{scene.x, AccessKind::Write}}, 1);
       uint64_t arg = static_cast<uint64_t>(t);
       int64_t count = 0;
       for (; !isOver || count < 100; ++count)
