@@ -132,7 +132,7 @@ def test_a_tape_uses_what_a_running_kernel_changes():
     loss, read = make_reader(x)
     with runner:
         with pytest.raises(
-            ti.TaiRuntimeError, match="another thread runs kernel 'run.*changes.*x'"
+            ti.TaiRuntimeError, match="another thread runs kernel 'run.*adds to.*x'"
         ):
             with ti.ad.Tape(loss):
                 read()
