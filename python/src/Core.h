@@ -51,6 +51,14 @@ struct Context {
 };
 using ContextRef = std::shared_ptr<Context>;
 
+/// The answer of a call that cannot fail, but may have waited, so that others
+/// have run meanwhile.
+template <typename T> T checked(T answer) {
+  if (!afterCall())
+    throw py::error_already_set();
+  return answer;
+}
+
 /// Sets the Python error for the last failure of `context` by way of
 /// `tai.errors.from_core`, without throwing.
 void setError(TaiContext context, TaiStatus status);

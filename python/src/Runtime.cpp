@@ -286,7 +286,7 @@ void bindTape(py::module_ &module) {
            })
       .def("record",
            [](Tape &t, py::object forward, py::object backward) {
-             t.hostFunctions[taiTapeNumRecords(t.handle)] = forward;
+             t.hostFunctions[checked(taiTapeNumRecords(t.handle))] = forward;
              // One user pointer serves both directions: a pair of callables.
              bool reverses = !backward.is_none();
              auto pair = std::make_unique<py::object>(
@@ -343,11 +343,15 @@ void bindTape(py::module_ &module) {
              return lines;
            })
       .def("explain",
-           [](Tape &t) { return std::string(taiTapeExplain(t.handle)); })
+           [](Tape &t) {
+             return std::string(checked(taiTapeExplain(t.handle)));
+           })
       .def_property_readonly(
-          "records", [](Tape &t) { return taiTapeNumRecords(t.handle); })
+          "records",
+          [](Tape &t) { return checked(taiTapeNumRecords(t.handle)); })
       .def_property_readonly(
-          "skipped", [](Tape &t) { return taiTapeNumSkipped(t.handle); })
+          "skipped",
+          [](Tape &t) { return checked(taiTapeNumSkipped(t.handle)); })
       .def("run_record",
            [](Tape &t, int64_t record) {
              checkSweep(t, taiTapeRunRecord(t.handle, record));
@@ -575,7 +579,7 @@ void taipy::bindRuntime(py::module_ &module) {
            })
       .def("has_kernel",
            [](Context &c, const std::string &name) {
-             return taiContextHasKernel(c.handle, name.c_str());
+             return checked(taiContextHasKernel(c.handle, name.c_str()));
            })
       .def("count_objects",
            [](Context &c) {
@@ -637,13 +641,14 @@ void taipy::bindRuntime(py::module_ &module) {
              std::vector<TaiField> handles = handlesOf(inputs);
              taiContextFollowTangents(c.handle, handles.data(),
                                       static_cast<int64_t>(handles.size()));
+             c.check(TAI_OK);
            })
       .def("lost_tangents",
            [](Context &c, const std::vector<Field *> &outputs) {
              std::vector<TaiField> handles = handlesOf(outputs);
-             return std::string(
+             return std::string(checked(
                  taiContextLostTangents(c.handle, handles.data(),
-                                        static_cast<int64_t>(handles.size())));
+                                        static_cast<int64_t>(handles.size()))));
            })
       .def("is_on_gpu",
            [](Context &c) { return bool(taiContextIsOnGpu(c.handle)); })

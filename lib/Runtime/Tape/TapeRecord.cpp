@@ -287,7 +287,9 @@ Status Tape::checkVersions() {
   {
     // Other threads may define kernels meanwhile.
     runtime.launcher().kernels().forEach([&](const Kernel &kernel) {
-      if (kernel.prepared.lastLaunch.load(std::memory_order_relaxed) >=
+      // Without code it has changed nothing, and its summary may be on its way.
+      if (kernel.resolved() &&
+          kernel.prepared.lastLaunch.load(std::memory_order_relaxed) >=
               endLaunch &&
           endLaunch > 0)
         addChangedBy(kernel, byKernels);
