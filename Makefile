@@ -1,13 +1,13 @@
 # Names for the common commands. Each sets up the machine first when needed.
-# PRESET=debug or PRESET=asan builds and tests another configuration;
+# PRESET=debug, asan or tsan builds and tests another configuration;
 # ARGS="..." goes to the program that demo and bench run.
 
 PRESET ?= release
 JOBS ?= $(shell nproc)
 BUILD := $(if $(filter release,$(PRESET)),build,build-$(PRESET))
 PYTHON := .venv/bin/python
-# A sanitizer's run time cannot be loaded into an interpreter built without it.
-KINDS := $(if $(filter asan,$(PRESET)),--only lit gtest)
+# What runs with a sanitizer is in scripts/sanitizers.py.
+KINDS := $(if $(filter asan tsan,$(PRESET)),--sanitizer $(PRESET))
 
 .DEFAULT_GOAL := help
 .PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse soak bench bench-pairs fmt lint portable docs clean setup
@@ -75,4 +75,4 @@ docs: build ## generate the reference of dialect and passes in build/docs
 	@echo "the reference is in $(BUILD)/docs/reference"
 
 clean: ## remove what was built (.venv stays)
-	rm -rf build build-debug build-asan build-portable dist python/tai/_core*.so
+	rm -rf build build-debug build-asan build-tsan build-portable dist python/tai/_core*.so

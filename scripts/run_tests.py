@@ -16,6 +16,8 @@ import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from sanitizers import SANITIZERS, Sanitizer, find_reports
+
 ROOT = Path(__file__).resolve().parent.parent
 LLVM_BIN = Path(os.environ.get("TAI_LLVM_BIN", "/usr/lib/llvm-22/bin"))
 
@@ -62,10 +64,11 @@ class Result:
         return self
 
 
-def call(command: list[object]) -> int:
-    """Runs a runner with its output on ours."""
+def call(command: list[object], environment: dict[str, str] | None = None) -> int:
+    """Runs a runner with its output on ours; `environment` is added to what there is."""
     print("$", *command, flush=True)
-    return subprocess.run([str(word) for word in command], cwd=ROOT).returncode
+    words = [str(word) for word in command]
+    return subprocess.run(words, cwd=ROOT, env=os.environ | (environment or {})).returncode
 
 
 def run_lit(build: Path, jobs: int, out: Path) -> Result:
@@ -78,16 +81,13 @@ def run_lit(build: Path, jobs: int, out: Path) -> Result:
     return result.close(status)
 
 
-def run_gtest(build: Path, out: Path) -> Result:
+def run_gtest(build: Path, out: Path, environment: dict[str, str] | None = None) -> Result:
     result = Result("gtest")
     program, report = build / "bin/tai-unit-tests", out / "gtest.json"
     if not program.exists():
         result.fail(f"{program} was not built")
         return result.close(1)
-    # For builds with sanitizers; see test/lit.cfg.py.
-    os.environ.setdefault("ASAN_OPTIONS", "allow_user_poisoning=0")
-    os.environ.setdefault("LSAN_OPTIONS", f"suppressions={ROOT / 'test/lsan.supp'}")
-    status = call([program, "--gtest_brief=1", f"--gtest_output=json:{report}"])
+    status = call([program, "--gtest_brief=1", f"--gtest_output=json:{report}"], environment)
     if report.exists():
         for suite in json.loads(report.read_text())["testsuites"]:
             for case in suite["testsuite"]:
@@ -112,6 +112,37 @@ def run_pytest(jobs: int, out: Path) -> Result:
     if xml.exists():
         result.add_junit(xml)
     return result.close(status)
+
+
+def run_sanitized(sanitizer: Sanitizer, build: Path, jobs: int, out: Path) -> list[Result]:
+    """The tests of a preset with a sanitizer; each of its reports is a failure."""
+    reports = out / "reports"
+    reports.mkdir()
+    results = []
+    if "lit" in sanitizer.kinds:
+        results.append(run_lit(build, jobs, out))
+    results.append(run_gtest(build, out, sanitizer.environment(reports)))
+    files = list(sanitizer.files)
+    if sanitizer.name == "asan":
+        files += EMULATED
+    result = Result("pytest")
+    xml = out / "pytest.xml"
+    command = [sys.executable, "-m", "pytest", "-q", "--tb=short", f"--junitxml={xml}"]
+    # Its handler of signals would take crashes from the sanitizer. All is slower.
+    command += ["-p", "no:faulthandler", "--timeout", "1200"]
+    if jobs > 1:
+        command += ["-n", str(jobs)]
+    command += [f"test/python/test_{name}.py" for name in sorted(set(files))]
+    status = call(command, sanitizer.python_environment(build, reports))
+    if xml.exists():
+        result.add_junit(xml)
+    results.append(result.close(status))
+    found = Result("reports", passed=1)
+    for line in find_reports(reports):
+        found.fail(line)
+    for path in sorted(reports.iterdir()):
+        print(path.read_text(errors="replace"))
+    return [*results, found.close(0)]
 
 
 # What the normal run repeats as on a GPU; `pytest --arch=emulated` takes all there is.
@@ -180,6 +211,7 @@ def main() -> int:
     parser.add_argument("--build", type=Path, default=Path("build"), help="build folder")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--layouts", action="store_true", help="the tests on every layout")
+    parser.add_argument("--sanitizer", choices=SANITIZERS, help="with which BUILD was made")
     parser.add_argument("--only", nargs="+", choices=["lit", "gtest", "pytest", "emulated", "lint"])
     args = parser.parse_args()
     build = (ROOT / args.build).resolve()
@@ -197,9 +229,12 @@ def main() -> int:
             "emulated": lambda: run_emulated(args.jobs, out),
             "lint": run_lint,
         }
-        results = [runners[kind]() for kind in kinds if not args.layouts]
-        if args.layouts:
+        if args.sanitizer:
+            results = run_sanitized(SANITIZERS[args.sanitizer], build, args.jobs, out)
+        elif args.layouts:
             results = run_layouts(build, args.jobs, out)
+        else:
+            results = [runners[kind]() for kind in kinds]
     passed = sum(result.passed for result in results)
     failed = sum(result.failed for result in results)
     print(f"{passed} passed, {failed} failed")

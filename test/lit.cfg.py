@@ -65,7 +65,8 @@ if os.path.exists(config.tai_plugin) and not config.tai_sanitize:
 for tool in tai_tools:
     if os.path.exists(os.path.join(config.tai_tools_dir, tool)):
         config.available_features.add(tool)
-if config.tai_python:
+# Nor can an interpreter, as long as nothing loads the run time into it.
+if config.tai_python and not config.tai_sanitize:
     config.available_features.add("python")
 if config.tai_sanitize:
     config.available_features.add("sanitizer")

@@ -97,42 +97,57 @@ if(TAI_PCH)
     <llvm/ADT/TypeSwitch.h>)
   file(CONFIGURE OUTPUT "${PROJECT_BINARY_DIR}/pch/pch.cpp"
     CONTENT "// Carries the precompiled header.\n")
+  # With TAI_SANITIZE there are two of them.
   add_library(TaiPCH OBJECT "${PROJECT_BINARY_DIR}/pch/pch.cpp")
   tai_compile_options(TaiPCH)
   target_precompile_headers(TaiPCH PRIVATE ${headers})
+  if(TAI_SANITIZE)
+    add_library(TaiSanitizedPCH OBJECT "${PROJECT_BINARY_DIR}/pch/pch.cpp")
+    tai_compile_options(TaiSanitizedPCH)
+    tai_sanitize(TaiSanitizedPCH)
+    target_precompile_headers(TaiSanitizedPCH PRIVATE ${headers})
+    set_target_properties(TaiSanitizedPCH PROPERTIES CXX_COMPILER_LAUNCHER "")
+  endif()
   # A precompiled header holds absolute paths. So it is never taken from ccache,
   # and ccache identifies it by a checksum of what it means, not by its bytes:
   # objects are then shared between checkouts.
   set_target_properties(TaiPCH PROPERTIES CXX_COMPILER_LAUNCHER "")
   string(SHA256 checksum "${headers} ${LLVM_PACKAGE_VERSION} ${CMAKE_CXX_COMPILER_VERSION}")
-  file(CONFIGURE OUTPUT "${PROJECT_BINARY_DIR}/CMakeFiles/TaiPCH.dir/cmake_pch.hxx.pch.sum"
-    CONTENT "${checksum}\n")
+  foreach(name TaiPCH TaiSanitizedPCH)
+    file(CONFIGURE OUTPUT "${PROJECT_BINARY_DIR}/CMakeFiles/${name}.dir/cmake_pch.hxx.pch.sum"
+      CONTENT "${checksum}\n")
+  endforeach()
 endif()
 
-# tai_precompile(<target>)
+# tai_precompile(<target> [THREADS])
 #   Not by REUSE_FROM, which names the header by an absolute path that ccache
-#   does not see through.
+#   does not see through. THREADS: for a target of tai_sanitize.
 function(tai_precompile target)
   if(TAI_PCH)
-    set(pch CMakeFiles/TaiPCH.dir/cmake_pch.hxx.pch)
+    set(header TaiPCH)
+    if(TAI_SANITIZE AND "THREADS" IN_LIST ARGN)
+      set(header TaiSanitizedPCH)
+    endif()
+    set(pch CMakeFiles/${header}.dir/cmake_pch.hxx.pch)
     target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:SHELL:-include-pch ${pch}>)
     get_target_property(sources ${target} SOURCES)
     list(FILTER sources EXCLUDE REGEX "TARGET_OBJECTS")
     set_property(SOURCE ${sources} APPEND PROPERTY OBJECT_DEPENDS "${PROJECT_BINARY_DIR}/${pch}")
-    add_dependencies(${target} TaiPCH)
+    add_dependencies(${target} ${header})
   endif()
 endfunction()
 
-# add_tai_library(<Name> [sources] [PLUGIN] [NO_MLIR]
+# add_tai_library(<Name> [sources] [PLUGIN] [NO_MLIR] [THREADS]
 #                 [LINK_LIBS libs] [DEPENDS targets])
 #   An OBJECT library that becomes part of libtai. Without sources it takes the
 #   *.cpp below the current folder, so that adding a file needs no edit here; a
 #   folder without any is skipped.
 #   PLUGIN   part of TaiPlugin.so too: may use nothing but LLVM and MLIR
 #   NO_MLIR  sees neither the generated headers nor the precompiled header
+#   THREADS  what several threads use at a time: what TAI_SANITIZE is about
 #   LINK_LIBS  libraries other than LLVM and MLIR; libtai links them
 function(add_tai_library name)
-  cmake_parse_arguments(ARG "PLUGIN;NO_MLIR" "" "LINK_LIBS;DEPENDS" ${ARGN})
+  cmake_parse_arguments(ARG "PLUGIN;NO_MLIR;THREADS" "" "LINK_LIBS;DEPENDS" ${ARGN})
   set(sources ${ARG_UNPARSED_ARGUMENTS})
   if(NOT sources)
     file(GLOB_RECURSE sources CONFIGURE_DEPENDS "${CMAKE_CURRENT_SOURCE_DIR}/*.cpp")
@@ -142,8 +157,13 @@ function(add_tai_library name)
   endif()
   add_library(${name} OBJECT ${sources})
   tai_compile_options(${name})
+  set(threads)
+  if(ARG_THREADS)
+    set(threads THREADS)
+    tai_sanitize(${name})
+  endif()
   if(NOT ARG_NO_MLIR)
-    tai_precompile(${name})
+    tai_precompile(${name} ${threads})
     add_dependencies(${name} tai-headers)
   endif()
   if(ARG_DEPENDS)
@@ -169,6 +189,11 @@ function(add_tai_shared_library)
   tai_objects(TAI_LIBRARIES objects)
   if(NOT objects)
     return()
+  endif()
+  if(TAI_SANITIZE)
+    # Of an inline function that many objects hold, the linker takes the first:
+    # it shall be one that is instrumented.
+    list(REVERSE objects)
   endif()
   add_library(tai SHARED ${objects})
   set_target_properties(tai PROPERTIES LINKER_LANGUAGE CXX)
@@ -221,7 +246,8 @@ function(add_tai_unittest name)
   endif()
   add_executable(${name} ${sources})
   tai_compile_options(${name})
-  tai_precompile(${name})
+  tai_sanitize(${name})
+  tai_precompile(${name} THREADS)
   add_dependencies(${name} tai-headers)
   target_link_libraries(${name} PRIVATE tai GTest::gtest GTest::gtest_main ${ARG_LINK_LIBS})
 endfunction()

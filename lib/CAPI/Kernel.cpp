@@ -65,6 +65,7 @@ TaiStatus taiModuleWrite(TaiContext context, MlirModule module,
 void taiKernelDestroy(TaiKernel kernel) {
   ContextLock lock(kernel->context);
   TaiContextImpl &context = kernel->context;
+  context.session.getRuntime().running().waitForVisits();
   context.session.destroyKernel(kernel->kernel);
   context.kernels.drop(kernel);
 }

@@ -148,7 +148,12 @@ bool HeldArrays::isKnownToTape(const Range &range, PyObject *object,
     uint64_t begin = known.begin, bytes = known.end - known.begin;
     if (known.hasSample && sample(begin, bytes) != known.sample)
       return false;
-    if (!taiKernelReadsInReverse(kernel.handle, static_cast<int64_t>(first)))
+    bool isRead =
+        taiKernelReadsInReverse(kernel.handle, static_cast<int64_t>(first));
+    // It may have planned the adjoint, and others may have run meanwhile. An
+    // exception that has come is passed on after the next call.
+    retakeLock();
+    if (!isRead)
       return true;
     if (known.hasDigest)
       return digest(begin, bytes) == known.digest;

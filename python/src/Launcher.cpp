@@ -318,6 +318,8 @@ Match tryLaunch(Specialization &spec, PyObject *const *args, size_t count,
 
 PyObject *callSlow(Launcher *self, PyObject *const *args, size_t count,
                    PyObject *names) {
+  if (!afterCall())
+    return nullptr;
   PyObject *positional = PyTuple_New(static_cast<Py_ssize_t>(count));
   if (!positional)
     return nullptr;

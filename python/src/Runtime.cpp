@@ -582,7 +582,7 @@ void taipy::bindRuntime(py::module_ &module) {
            })
       .def("has_kernel",
            [](Context &c, const std::string &name) {
-             return taiContextHasKernel(c.handle, name.c_str());
+             return settled(taiContextHasKernel(c.handle, name.c_str()));
            })
       .def("count_objects",
            [](Context &c) {

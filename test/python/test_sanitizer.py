@@ -55,8 +55,10 @@ def run_time():
 def run(tmp_path, **values):
     file = tmp_path / "program.py"
     file.write_text(PROGRAM.format(**values))
-    environment = dict(os.environ, TI_ARCH="cpu", ASAN_OPTIONS="detect_leaks=0")
-    environment["LD_PRELOAD"] = run_time()
+    options = "detect_leaks=0:allow_user_poisoning=0"
+    environment = dict(os.environ, TI_ARCH="cpu", ASAN_OPTIONS=options)
+    # A run with a sanitizer has it already.
+    environment.setdefault("LD_PRELOAD", run_time())
     command = [sys.executable, str(file)]
     return subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300)
 

@@ -17,9 +17,10 @@ using namespace mlir::tai::runtime;
 //===----------------------------------------------------------------------===//
 
 void Gradients::update() {
-  if (isSpecial == !owing.empty())
+  bool isSpecial = !owing.empty();
+  if (owesAny.load(std::memory_order_relaxed) == isSpecial)
     return;
-  isSpecial = !isSpecial;
+  owesAny.store(isSpecial, std::memory_order_release);
   if (isSpecial)
     state.beginSpecial();
   else
@@ -56,7 +57,7 @@ void Gradients::forgetSettled() {
 }
 
 void Gradients::settle() {
-  if (owing.empty())
+  if (!areOwed())
     return;
   settle([&] {
     for (const FieldPtr &field : owing)
@@ -124,7 +125,7 @@ void Gradients::clear(const Recorder *tape) {
     counters.bump(SkipCount::FieldsCleared);
     counters.bump(SkipCount::BytesCleared, bytes);
   }
-  if (!owing.empty()) {
+  if (areOwed()) {
     std::lock_guard<std::mutex> lock(mutex);
     forgetSettled();
   }

@@ -46,6 +46,7 @@ void Recordings::begin(Recorder &tape) {
     ++numRecording;
   }
   state.beginSpecial();
+  letLaunchesSee();
 }
 
 void Recordings::end(Recorder &tape) {
@@ -74,8 +75,8 @@ bool Recordings::minds(const Field &field) const {
 Recordings::ReverseFunction::ReverseFunction(Recordings &recordings,
                                              Recorder &tape)
     : recordings(recordings), outer(std::exchange(recordings.sweeper, &tape)),
-      outerThread(
-          std::exchange(recordings.sweepThread, __builtin_thread_pointer())) {}
+      outerThread(recordings.sweepThread.exchange(__builtin_thread_pointer())) {
+}
 
 Recordings::ReverseFunction::~ReverseFunction() {
   recordings.sweeper = outer;
@@ -105,6 +106,7 @@ void Recordings::setForward(bool on) {
 void Recordings::beginHolding() {
   ++numHolding;
   state.beginSpecial();
+  letLaunchesSee();
 }
 
 void Recordings::endHolding() {
@@ -131,20 +133,50 @@ static const char *nameOf(HoldKind kind) {
 
 Status Recordings::describe(const Field &field, HoldKind kind,
                             const Hold &other) const {
-  std::string name = "field '" + field.name() + "'";
-  if (field.isAdjoint())
-    for (const FieldPtr &primal : store.fields())
-      if (primal->adjoint() == &field)
-        name = "the gradient of field '" + primal->name() + "'";
   return Status::failure(
       StatusCode::Usage,
       "another thread records a tape that " + std::string(nameOf(other.kind)) +
-          " " + name + ", which this thread " + nameOf(kind) +
+          " " + store.describe(field) + ", which this thread " + nameOf(kind) +
           ": give each thread fields of its own, or begin with the one when "
           "the gradient of the other is there");
 }
 
+Status Recordings::checkRunning(const Field &field, HoldKind kind) {
+  bool isSparse = field.sparseNode() && field.valid();
+  Status status;
+  launches->visitChanges([&](const std::string &kernel, const Field &changed,
+                             HoldKind other) {
+    // What is active is the same for all fields of a tree.
+    bool isMet = &changed == &field ? !agree(other, kind)
+                                    : isSparse && changed.sparseNode() &&
+                                          &changed.tree() == &field.tree();
+    if (!isMet || !status)
+      return;
+    status = Status::failure(
+        StatusCode::Usage,
+        "another thread runs kernel '" + kernel + "', which " + nameOf(other) +
+            " " + store.describe(changed) + ", while a tape of this thread " +
+            nameOf(kind) + " " + (isSparse ? "its tree" : "it") +
+            ": give each thread fields of its own, or wait until the kernel "
+            "has returned");
+  });
+  return status;
+}
+
 Status Recordings::hold(const Recorder &tape, Field &field, HoldKind kind) {
+  if (Status status = noteHold(tape, field, kind); !status)
+    return status;
+  if (__builtin_expect(!launches || !launches->areThere(), true))
+    return Status::success();
+  // What begins from now on sees the hold.
+  std::atomic_thread_fence(std::memory_order_seq_cst);
+  Status status = checkRunning(field, kind);
+  if (!status)
+    release(tape, field);
+  return status;
+}
+
+Status Recordings::noteHold(const Recorder &tape, Field &field, HoldKind kind) {
   uint64_t self = threadNumber();
   std::lock_guard<std::mutex> lock(mutex);
   Hold *own = nullptr;

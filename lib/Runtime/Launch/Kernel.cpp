@@ -229,6 +229,12 @@ int64_t Kernel::touchedBytes() const {
   return fields.empty() ? -1 : sum;
 }
 
+bool Kernel::uses(const Tree &tree) const {
+  return std::any_of(
+      info.trees.begin(), info.trees.end(),
+      [&](const TreePtr &other) { return other.get() == &tree; });
+}
+
 void Kernel::setDeviceImage(std::shared_ptr<const DeviceImage> image) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
   info.image = std::move(image);
@@ -240,6 +246,12 @@ static void addOnce(std::vector<Field *> &fields, Field *field) {
     fields.push_back(field);
 }
 
+template <typename T>
+static void replace(std::vector<T> &old, std::vector<T> &&made) {
+  if (old != made)
+    old = std::move(made);
+}
+
 Status Kernel::bind(uint64_t epoch) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
   if (boundEpoch.load(std::memory_order_acquire) == epoch)
@@ -249,35 +261,39 @@ Status Kernel::bind(uint64_t epoch) {
       return Status::failure(StatusCode::Usage,
                              "kernel '" + name() +
                                  "' uses a tree that has been destroyed");
-    else if (!tree->base())
+    else if (!tree->isThere())
       return Status::failure(StatusCode::Usage,
                              "kernel '" + name() + "' uses tree '" +
                                  tree->name() + "', which has been destroyed");
-  bases.clear();
-  sparseNodes.clear();
+  // A launch of another thread may be using the tables: what is the same stays.
+  std::vector<void *> newBases;
+  std::vector<SparseNode *> nodes;
   for (const TreePtr &tree : info.trees) {
-    bases.push_back(tree->base());
+    newBases.push_back(tree->base());
     for (const std::unique_ptr<SparseNode> &node : tree->sparseNodes())
-      sparseNodes.push_back(node.get());
+      nodes.push_back(node.get());
   }
-  loopLevels.clear();
+  std::vector<const SparseNode *> levels;
   for (const LoopLevel &level : info.loopLevels)
-    loopLevels.push_back(
-        info.trees[level.tree]->sparseNodes()[level.node].get());
-  changedAdjoints.clear();
-  adjointTargets.clear();
-  adjointSources.clear();
-  overwritten.clear();
+    levels.push_back(info.trees[level.tree]->sparseNodes()[level.node].get());
+  std::vector<Field *> changed, targets, sources, stored;
   for (const Access &access : info.summary) {
     Field *field = access.field.get();
     bool changes = access.kind != AccessKind::Read;
     if (changes && field->isAdjoint())
-      addOnce(changedAdjoints, field);
+      addOnce(changed, field);
     if (field->adjoint())
-      addOnce(changes ? adjointSources : adjointTargets, field);
+      addOnce(changes ? sources : targets, field);
     if (field->adjoint() && access.kind == AccessKind::Write)
-      addOnce(overwritten, field);
+      addOnce(stored, field);
   }
+  replace(bases, std::move(newBases));
+  replace(sparseNodes, std::move(nodes));
+  replace(loopLevels, std::move(levels));
+  replace(changedAdjoints, std::move(changed));
+  replace(adjointTargets, std::move(targets));
+  replace(adjointSources, std::move(sources));
+  replace(overwritten, std::move(stored));
   boundEpoch.store(epoch, std::memory_order_release);
   return Status::success();
 }

@@ -104,6 +104,22 @@ struct Launch : TaiFrame {
 
   // What each launch looks at.
   std::atomic<bool> failed{false};
+  /// Whether other threads know of it by the fields that its kernel changes
+  /// alone: it is neither recorded nor part of a sweep.
+  std::atomic<bool> isPlain{true};
+  /// The kernel whose code runs, or null, and the thread that launched it; see
+  /// RunningLaunches.cpp.
+  std::atomic<const Kernel *> running{nullptr};
+  std::atomic<const void *> thread{nullptr};
+  bool isOfThisThread() const {
+    return thread.load(std::memory_order_relaxed) == __builtin_thread_pointer();
+  }
+  /// The state of the runtime has to be looked at after `begin`.
+  void begin(const Kernel &kernel) {
+    running.store(&kernel, std::memory_order_release);
+    std::atomic_signal_fence(std::memory_order_seq_cst);
+  }
+  void end() { running.store(nullptr, std::memory_order_release); }
   /// Of the kernel that runs, or null; and the loop to be measured, once its
   /// partition has been asked for.
   LoopTimes *loopTimes = nullptr;

@@ -49,6 +49,12 @@ bool Launcher::runsPlainly() const {
          !parts.recordings.isForward() && !parts.options.profiler;
 }
 
+inline bool Launcher::isReady(const Kernel &kernel) const {
+  return kernel.boundEpoch.load(std::memory_order_acquire) ==
+             parts.state.epoch() &&
+         kernel.resolved();
+}
+
 Status Launcher::ready(Kernel &kernel) {
   Status status = kernel.resolve();
   if (status)
@@ -157,21 +163,39 @@ int32_t Launcher::runTimed(Launch &launch, Kernel &kernel,
 
 Status Launcher::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
                          uint64_t *results, uint64_t number) {
-  if (__builtin_expect(kernel.boundEpoch.load(std::memory_order_acquire) !=
-                               parts.state.epoch() ||
-                           !kernel.resolved(),
-                       false)) {
-    Status status = ready(kernel);
-    if (!status)
-      return status;
+  while (true) {
+    if (__builtin_expect(!isReady(kernel), false)) {
+      Status status = ready(kernel);
+      if (!status)
+        return status;
+    }
+    if (!launch.passSafepoint())
+      return launch.takeFailure();
+    launch.begin(kernel);
+    if (__builtin_expect(isReady(kernel), true))
+      break;
+    launch.end();
   }
-  if (!launch.passSafepoint())
-    return launch.takeFailure();
+  Status status;
+  // A tape of another thread may have begun while this kernel was compiled.
+  if (__builtin_expect(parts.recordings.areAnyHeld(), false) &&
+      launch.isPlain.load(std::memory_order_relaxed)) {
+    std::atomic_thread_fence(std::memory_order_seq_cst);
+    status = checkHolds(kernel);
+  }
+  if (status)
+    status = runBegun(launch, kernel, args, results, number);
+  launch.end();
+  return status;
+}
+
+Status Launcher::runBegun(Launch &launch, Kernel &kernel, const uint64_t *args,
+                          uint64_t *results, uint64_t number) {
   if (__builtin_expect(!results && kernel.resultSlots() > 0, false)) {
     launch.unwanted.resize(static_cast<size_t>(kernel.resultSlots()));
     results = launch.unwanted.data();
   }
-  if (__builtin_expect(parts.gradients.areOwed(), false))
+  if (parts.gradients.areOwed())
     settleZeros(kernel, args);
   launch.trees = kernel.bases.data();
   launch.loopTimes = &kernel.loopTimes;
@@ -279,7 +303,7 @@ Status Launcher::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
   if (__builtin_expect(!tape && parts.recordings.areAnyHeld(), false))
     if (Status status = checkHolds(kernel); !status)
       return status;
-  Launch *launch = acquire();
+  Launch *launch = acquire(/*isPlain=*/!tape);
   uint64_t number = hot.launches.fetch_add(1, std::memory_order_relaxed);
   kernel.prepared.lastLaunch.store(number, std::memory_order_relaxed);
   Status status = __builtin_expect(tape != nullptr, false)
@@ -325,7 +349,7 @@ Status Launcher::launchAdjoint(Kernel &kernel, const uint64_t *args,
     status = kernel.checkActivity(loops, wasLaunched);
   if (!status)
     return status;
-  Launch *launch = acquire();
+  Launch *launch = acquire(/*isPlain=*/!parts.recordings.sweeping());
   uint64_t number = kernel.prepared.lastLaunch.load(std::memory_order_relaxed);
   if (adjoint)
     status = runAdjoint(*launch, kernel, *adjoint, args, number,

@@ -17,6 +17,7 @@
 #include "Launch.h"
 #include "tai/Runtime/Launch/Launcher.h"
 #include <algorithm>
+#include <tuple>
 
 using namespace mlir::tai::runtime;
 
@@ -24,7 +25,14 @@ using namespace mlir::tai::runtime;
 // Launches, to be used again
 //===----------------------------------------------------------------------===//
 
-Launch *Launcher::acquire() {
+Launch *Launcher::acquire(bool isPlain) {
+  Launch *launch = take();
+  if (__builtin_expect(!isPlain, false))
+    launch->isPlain.store(false, std::memory_order_relaxed);
+  return launch;
+}
+
+inline Launch *Launcher::take() {
   // Once a thread has ended, another one may have its number, and its launch.
   const void *self = __builtin_thread_pointer();
   const void *thread = hot.thread.load(std::memory_order_acquire);
@@ -32,16 +40,23 @@ Launch *Launcher::acquire() {
     hot.isTaken = true;
     return hot.launch.load(std::memory_order_relaxed);
   }
-  if (Launch *launch = spareLaunch.exchange(nullptr, std::memory_order_acquire))
+  runningLaunches.noteFork();
+  if (Launch *launch =
+          spareLaunch.exchange(nullptr, std::memory_order_acquire)) {
+    launch->thread.store(self, std::memory_order_relaxed);
     return launch;
+  }
   std::lock_guard<std::mutex> lock(mutex);
   if (!freeLaunches.empty()) {
     Launch *launch = freeLaunches.back();
     freeLaunches.pop_back();
+    launch->thread.store(self, std::memory_order_relaxed);
     return launch;
   }
   launches.push_back(std::make_unique<Launch>(owner));
   Launch *made = launches.back().get();
+  made->thread.store(self, std::memory_order_relaxed);
+  runningLaunches.add(*made);
   if (!hot.thread.load(std::memory_order_relaxed)) {
     hot.launch.store(made, std::memory_order_relaxed);
     hot.isTaken = true;
@@ -53,6 +68,8 @@ Launch *Launcher::acquire() {
 void Launcher::release(Launch *launch) {
   if (__builtin_expect(!launch->loops.empty(), false))
     launch->loops.clear();
+  if (__builtin_expect(!launch->isPlain.load(std::memory_order_relaxed), false))
+    launch->isPlain.store(true, std::memory_order_relaxed);
   if (__builtin_expect(launch == hot.launch.load(std::memory_order_relaxed),
                        true)) {
     hot.isTaken = false;
@@ -69,6 +86,7 @@ void Launcher::release(Launch *launch) {
 void Launcher::dropLaunches() {
   hot.launch = nullptr;
   hot.thread.store(nullptr, std::memory_order_relaxed);
+  runningLaunches.clear();
   launches.clear();
   freeLaunches.clear();
   spareLaunch.store(nullptr, std::memory_order_relaxed);
@@ -77,6 +95,14 @@ void Launcher::dropLaunches() {
 //===----------------------------------------------------------------------===//
 // Prepared launches
 //===----------------------------------------------------------------------===//
+
+/// All but the state and the number.
+static auto fieldsOf(PreparedLaunch &prepared) {
+  PreparedLaunch &p = prepared;
+  return std::tie(p.function, p.trees, p.slots, p.hasResults, p.code, p.mirrors,
+                  p.mirrorsEnd, p.changed, p.changedEnd, p.adjoints,
+                  p.adjointsEnd);
+}
 
 void Launcher::prepare(Kernel &kernel) {
   uint64_t epoch = hot.state.load(std::memory_order_relaxed);
@@ -88,52 +114,70 @@ void Launcher::prepare(Kernel &kernel) {
       !kernel.loopLevels.empty())
     return;
   std::lock_guard<std::recursive_mutex> lock(kernel.mutex);
-  // What others may be using is not written again.
-  if (prepared.state.load(std::memory_order_relaxed) == epoch)
+  uint64_t before = prepared.state.load(std::memory_order_relaxed);
+  if (before == epoch)
     return;
-  const DeviceCode *code = nullptr;
+  PreparedLaunch made;
   if (parts.devices.isThere()) {
-    code = kernel.deviceCode.get();
+    const DeviceCode *code = kernel.deviceCode.get();
     if (!kernel.info.image || !code || code->epoch != epoch ||
         code->image != kernel.info.image)
       return;
-    prepared.mirrors = code->mirrors.data();
-    prepared.mirrorsEnd = prepared.mirrors + code->mirrors.size();
-    prepared.changed = code->changed.data();
-    prepared.changedEnd = prepared.changed + code->changed.size();
-    prepared.trees = const_cast<void **>(code->bases.data());
+    made.code = code;
+    made.mirrors = code->mirrors.data();
+    made.mirrorsEnd = made.mirrors + code->mirrors.size();
+    made.changed = code->changed.data();
+    made.changedEnd = made.changed + code->changed.size();
+    made.trees = const_cast<void **>(code->bases.data());
   } else {
-    prepared.mirrorsEnd = prepared.mirrors;
-    prepared.changedEnd = prepared.changed;
-    prepared.trees = kernel.bases.data();
+    made.trees = kernel.bases.data();
   }
-  prepared.code = code;
-  prepared.function = kernel.function.load(std::memory_order_relaxed);
-  prepared.slots = kernel.argSlots();
-  prepared.hasResults = kernel.resultSlots() > 0;
-  prepared.adjoints = kernel.changedAdjoints.data();
-  prepared.adjointsEnd = prepared.adjoints + kernel.changedAdjoints.size();
+  made.function = kernel.function.load(std::memory_order_relaxed);
+  made.slots = kernel.argSlots();
+  made.hasResults = kernel.resultSlots() > 0;
+  made.adjoints = kernel.changedAdjoints.data();
+  made.adjointsEnd = made.adjoints + kernel.changedAdjoints.size();
+  if (fieldsOf(prepared) != fieldsOf(made)) {
+    // A launch of another thread may be using what there is. None begins to
+    // while the state is another one.
+    bool isUsed = false;
+    if (before != 0) {
+      runningLaunches.letThemSee();
+      runningLaunches.visit([&](const Launch &launch, const Kernel &other) {
+        isUsed |= &other == &kernel && !launch.isOfThisThread();
+      });
+    }
+    if (isUsed)
+      return;
+    fieldsOf(prepared) = fieldsOf(made);
+  }
   prepared.state.store(epoch, std::memory_order_release);
 }
 
 Status Launcher::launchPrepared(Kernel &kernel, const uint64_t *args,
                                 uint64_t *results) {
   PreparedLaunch &prepared = kernel.prepared;
-  Launch &launch = *acquire();
+  Launch &launch = *take();
   uint64_t number = hot.launches.fetch_add(1, std::memory_order_relaxed);
   prepared.lastLaunch.store(number, std::memory_order_relaxed);
   DeviceLaunch *onDevice = nullptr;
-  if (prepared.code) {
+  launch.begin(kernel);
+  bool isReady = prepared.state.load(std::memory_order_relaxed) ==
+                 hot.state.load(std::memory_order_relaxed);
+  if (isReady && prepared.code) {
     onDevice = launch.onDevice.get();
-    bool isReady = onDevice && !onDevice->context->hasNoted();
+    isReady = onDevice && !onDevice->context->hasNoted();
     for (auto *mirror = prepared.mirrors; mirror != prepared.mirrorsEnd;
          ++mirror)
       isReady &= (*mirror)->onDevice();
-    if (__builtin_expect(!isReady, false)) {
-      Status status = run(launch, kernel, args, results, number);
-      release(&launch);
-      return status;
-    }
+  }
+  if (__builtin_expect(!isReady, false)) {
+    launch.end();
+    Status status = run(launch, kernel, args, results, number);
+    release(&launch);
+    return status;
+  }
+  if (onDevice) {
     onDevice->code = prepared.code;
     onDevice->usesState = onDevice->waited = false;
   }
@@ -161,6 +205,7 @@ Status Launcher::launchPrepared(Kernel &kernel, const uint64_t *args,
     launch.freeSinks();
     status = failureOf(launch, kernel);
   }
+  launch.end();
   release(&launch);
   return status;
 }

@@ -119,12 +119,20 @@ TreeStore::~TreeStore() {
     freeTree(*entry.second);
 }
 
+void TreeStore::setClosing(Tree &tree, bool isClosing) {
+  tree.isClosing.store(isClosing, std::memory_order_release);
+  // Kernels look again.
+  if (isClosing)
+    state.storageChanged();
+}
+
 Status TreeStore::destroyTree(const std::string &name) {
   auto found = treesByName.find(name);
   if (found == treesByName.end())
     return Status::failure(StatusCode::Usage,
                            "there is no tree '" + name + "'");
   Tree *tree = found->second.get();
+  std::unique_lock<std::mutex> changing(fieldsMutex);
   for (size_t i = 0; i < fieldList.size();) {
     if (&fieldList[i]->tree() == tree) {
       // Adjoints elsewhere no longer have a primal that can reach them.
@@ -136,6 +144,7 @@ Status TreeStore::destroyTree(const std::string &name) {
       ++i;
     }
   }
+  changing.unlock();
   for (const FieldPtr &field : fieldList) {
     // What takes their names is another field.
     if (field->adjointField && &field->adjointField->tree() == tree) {
@@ -222,7 +231,10 @@ Status TreeStore::addField(FieldInfo info, FieldPtr &result) {
   if (!status)
     return status;
   fieldsByName.emplace(info.name, field);
-  fieldList.push_back(field);
+  {
+    std::lock_guard<std::mutex> lock(fieldsMutex);
+    fieldList.push_back(field);
+  }
   linkPartners(field);
   result = field;
   return Status::success();
@@ -314,7 +326,17 @@ bool TreeStore::isPartner(const Field &field) const {
                                           });
 }
 
+std::string TreeStore::describe(const Field &field) const {
+  std::lock_guard<std::mutex> lock(fieldsMutex);
+  if (field.isAdjoint())
+    for (const FieldPtr &primal : fieldList)
+      if (primal->adjoint() == &field)
+        return "the gradient of field '" + primal->name() + "'";
+  return "field '" + field.name() + "'";
+}
+
 FieldPtr TreeStore::firstOf(const Tree &tree) const {
+  std::lock_guard<std::mutex> lock(fieldsMutex);
   auto found = std::find_if(
       fieldList.begin(), fieldList.end(),
       [&](const FieldPtr &field) { return &field->tree() == &tree; });

@@ -33,8 +33,10 @@ Status ChangeWatch::check(const TapeMemory &memory,
     if (TapedField::hostVersion(*field) != version)
       byHost.push_back(field.get());
   services.forEachKernel([&](Kernel &kernel) {
-    if (endLaunch > 0 && TapedKernel::lastLaunch(kernel).load(
-                             std::memory_order_relaxed) >= endLaunch)
+    // Without code it has changed nothing, and its summary may be on its way.
+    if (endLaunch > 0 && kernel.resolved() &&
+        TapedKernel::lastLaunch(kernel).load(std::memory_order_relaxed) >=
+            endLaunch)
       addChangedBy(kernel, byKernels);
   });
   auto check = [&](const std::vector<Field *> &changed, const char *how) {

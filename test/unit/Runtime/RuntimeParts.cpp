@@ -270,6 +270,49 @@ TEST(Recordings, RefuseWhatWouldChangeAnotherGradient) {
   EXPECT_FALSE(scene.state.isSpecial());
 }
 
+namespace {
+/// A kernel that another thread runs and that changes a field.
+struct RunsElsewhere final : OtherLaunches {
+  bool areThere() const override { return true; }
+  void letThemSee() const override { ++numSeen; }
+  void visitChanges(const std::function<void(const std::string &, const Field &,
+                                             HoldKind)> &visit) override {
+    visit("k", *changed, kind);
+  }
+
+  FieldPtr changed;
+  HoldKind kind = HoldKind::Add;
+  mutable int numSeen = 0;
+};
+} // namespace
+
+TEST(Recordings, RefuseWhatAnotherThreadIsChanging) {
+  Hosted scene;
+  FieldPtr x = scene.add("x", {2}, "x_grad"), y = scene.add("y", {2}),
+           adjoint = scene.add("x_grad", {2});
+  RunsElsewhere other;
+  other.changed = adjoint;
+  scene.recordings.setLaunches(&other);
+  Heard tape;
+  scene.recordings.beginHolding();
+  EXPECT_EQ(other.numSeen, 1);
+  EXPECT_OK(scene.recordings.hold(tape, *y, HoldKind::Write));
+  EXPECT_OK(scene.recordings.hold(tape, *adjoint, HoldKind::Add));
+  scene.recordings.release(tape, *adjoint);
+  EXPECT_EQ(scene.recordings.hold(tape, *adjoint, HoldKind::Read).message(),
+            "another thread runs kernel 'k', which adds to the gradient of "
+            "field 'x', while a tape of this thread reads it: give each thread "
+            "fields of its own, or wait until the kernel has returned");
+  // What is refused is not held.
+  std::thread([&] {
+    EXPECT_OK(scene.recordings.check(*adjoint, HoldKind::Write));
+    EXPECT_EQ(scene.recordings.check(*y, HoldKind::Read).code(),
+              StatusCode::Usage);
+  }).join();
+  scene.recordings.release(tape, *y);
+  scene.recordings.endHolding();
+}
+
 TEST(HostWrites, GoToTheTapeThatRecords) {
   Hosted scene;
   FieldPtr x = scene.add("x", {2}, "x_grad"),

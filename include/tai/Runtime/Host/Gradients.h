@@ -35,7 +35,9 @@ public:
 
   /// Leaves zeros of an adjoint field to whoever looks at them.
   void owe(const FieldPtr &adjoint, std::shared_ptr<const OwedZeros> zeros);
-  bool areOwed() const { return !owing.empty(); }
+  bool areOwed() const {
+    return __builtin_expect(owesAny.load(std::memory_order_acquire), false);
+  }
   /// Stores them. To be called before anybody looks past the fields.
   void settle();
   /// The same for those fields that `settleSome` settles.
@@ -58,9 +60,10 @@ private:
   const SkipSet &skips;
   SkipCounters &counters;
   std::mutex mutex;
-  /// Adjoint fields that may owe zeros.
+  /// Adjoint fields that may owe zeros, under the lock; and whether there are
+  /// any.
   std::vector<FieldPtr> owing;
-  bool isSpecial = false;
+  std::atomic<bool> owesAny{false};
 };
 
 } // namespace mlir::tai::runtime

@@ -14,6 +14,7 @@
 #ifndef TAI_RUNTIME_HOST_RECORDINGS_H
 #define TAI_RUNTIME_HOST_RECORDINGS_H
 
+#include "tai/Runtime/Host/OtherLaunches.h"
 #include "tai/Runtime/Host/Recorder.h"
 #include "tai/Runtime/Storage/TreeStore.h"
 #include <unordered_set>
@@ -26,6 +27,9 @@ public:
       : state(state), store(store) {}
   Recordings(const Recordings &) = delete;
   Recordings &operator=(const Recordings &) = delete;
+
+  /// Who knows what other threads run; until then, nothing runs.
+  void setLaunches(OtherLaunches *made) { launches = made; }
 
   //===--------------------------------------------------------------------===//
   // Who records
@@ -56,7 +60,10 @@ public:
   /// The tape whose sweep has called a function of the host on this thread, or
   /// null.
   Recorder *sweeping() const {
-    return sweepThread == __builtin_thread_pointer() ? sweeper : nullptr;
+    return sweepThread.load(std::memory_order_relaxed) ==
+                   __builtin_thread_pointer()
+               ? sweeper
+               : nullptr;
   }
   /// Around such a call.
   class ReverseFunction {
@@ -95,7 +102,8 @@ public:
     return numHolding.load(std::memory_order_relaxed) != 0;
   }
   /// Notes that the tape uses a field. Fails where tapes of other threads use
-  /// it so that one of the two would go wrong.
+  /// it so that one of the two would go wrong, or a kernel changes it that
+  /// another thread has launched before.
   Status hold(const Recorder &tape, Field &field, HoldKind kind);
   void release(const Recorder &tape, Field &field);
   /// Fails where the calling thread changes what a tape of another thread uses.
@@ -111,10 +119,17 @@ public:
 private:
   Recorder *find() const;
   bool isForwardHere() const;
+  void letLaunchesSee() const {
+    if (launches)
+      launches->letThemSee();
+  }
+  Status noteHold(const Recorder &tape, Field &field, HoldKind kind);
+  Status checkRunning(const Field &field, HoldKind kind);
   Status describe(const Field &field, HoldKind kind, const Hold &other) const;
 
   LaunchState &state;
   const TreeStore &store;
+  OtherLaunches *launches = nullptr;
   struct Recording {
     uint64_t thread;
     Recorder *tape;
@@ -131,7 +146,7 @@ private:
   std::vector<Recorder *> tapes;
   uint64_t stamps = 0;
   Recorder *sweeper = nullptr;
-  const void *sweepThread = nullptr;
+  std::atomic<const void *> sweepThread{nullptr};
 };
 
 } // namespace mlir::tai::runtime

@@ -273,6 +273,8 @@ public:
   /// fields (or of the part of them that a fixed index says) once. Negative
   /// where nothing says what it touches, or a field is sparse.
   int64_t touchedBytes() const;
+  /// Whether it uses the tree, once it is resolved.
+  bool uses(const Tree &tree) const;
   int64_t argSlots() const { return info.argSlots; }
   /// Slots of a launch that may be differentiated.
   int64_t tapeSlots() const {

@@ -19,6 +19,7 @@
 #include "tai/Runtime/Launch/DeviceLaunches.h"
 #include "tai/Runtime/Launch/KernelList.h"
 #include "tai/Runtime/Launch/Options.h"
+#include "tai/Runtime/Launch/RunningLaunches.h"
 
 /// What the opaque pointer of Abi.h points to.
 struct TaiRuntime {};
@@ -49,6 +50,8 @@ public:
 
   KernelList &kernels() { return kernelList; }
   DeviceLaunches &onDevice() { return deviceLaunches; }
+  /// Which kernels run.
+  RunningLaunches &running() { return runningLaunches; }
 
   /// Launches and, where a tape records, records. `results` may be null for a
   /// kernel without results.
@@ -86,8 +89,9 @@ public:
   // For tapes and host programs
   //===--------------------------------------------------------------------===//
 
-  /// The state of a launch, to be given back.
-  Launch *acquire();
+  /// The state of a launch, to be given back. `isPlain`: for one that no tape
+  /// makes.
+  Launch *acquire(bool isPlain = false);
   void release(Launch *launch);
   /// Those that there are go; none may run.
   void dropLaunches();
@@ -114,10 +118,14 @@ private:
   /// Finds out what the launches of a kernel that has been launched have in
   /// common.
   void prepare(Kernel &kernel);
+  Launch *take();
+  bool isReady(const Kernel &kernel) const;
   Status launchPrepared(Kernel &kernel, const uint64_t *args,
                         uint64_t *results);
   Status runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
                  uint64_t *results, uint64_t number);
+  Status runBegun(Launch &launch, Kernel &kernel, const uint64_t *args,
+                  uint64_t *results, uint64_t number);
   Status runTangent(Launch &launch, Kernel &kernel, const uint64_t *args,
                     uint64_t *results, uint64_t number);
   int32_t runTimed(Launch &launch, Kernel &kernel, TaiKernelFn function);
@@ -154,6 +162,7 @@ private:
   std::atomic<Launch *> spareLaunch{nullptr};
   std::vector<std::unique_ptr<Launch>> launches;
   std::vector<Launch *> freeLaunches;
+  RunningLaunches runningLaunches;
   std::mutex mutex;
 };
 

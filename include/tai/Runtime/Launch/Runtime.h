@@ -49,6 +49,7 @@ public:
         launches(*this, {opts, trees, state, tapes, fieldGradients, fieldCopies,
                          deviceHost, skipCounts}) {
     trees.setMirrors(&deviceHost);
+    tapes.setLaunches(&launches.running());
     if (opts.profiler)
       state.beginSpecial();
   }
@@ -179,8 +180,15 @@ public:
     return trees.addTree(std::move(name), bytes, tree, std::move(sparse));
   }
   Status destroyTree(const std::string &name) {
-    if (TreePtr tree = trees.findTree(name))
+    if (TreePtr tree = trees.findTree(name)) {
+      trees.setClosing(*tree, true);
+      if (Status status = launches.running().checkUnused(*tree, trees);
+          !status) {
+        trees.setClosing(*tree, false);
+        return status;
+      }
       fieldGradients.forget(*tree);
+    }
     return trees.destroyTree(name);
   }
   TreePtr findTree(const std::string &name) const {
@@ -262,6 +270,8 @@ public:
     return launches.kernels().create(std::move(info));
   }
   int64_t numKernels() { return launches.kernels().size(); }
+  /// Which of them run.
+  RunningLaunches &running() { return launches.running(); }
   Status launch(Kernel &kernel, const uint64_t *args, int64_t slots,
                 uint64_t *results) {
     return launches.launch(kernel, args, slots, results);

@@ -83,6 +83,10 @@ public:
   int64_t activeCellBytes() const {
     return cells.activeBytes.load(std::memory_order_relaxed);
   }
+  /// Whether launches may begin to use it.
+  bool isThere() const {
+    return cells.base && !isClosing.load(std::memory_order_acquire);
+  }
   /// For who gives out the address: what keeps the memory when the tree is
   /// gone, and how many there are.
   const std::shared_ptr<void> &sharedMemory() const { return memory; }
@@ -104,6 +108,8 @@ private:
   /// Where all of that lies. Loans keep it when the tree is gone.
   std::shared_ptr<void> memory;
   std::atomic<int> loans{0};
+  /// While it is found out whether it may be destroyed.
+  std::atomic<bool> isClosing{false};
   std::vector<std::unique_ptr<SparseNode>> nodes;
 };
 using TreePtr = std::shared_ptr<Tree>;

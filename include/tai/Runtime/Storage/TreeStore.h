@@ -53,6 +53,8 @@ public:
   /// `sparse` describes the sparse levels, those above before those below.
   Status addTree(std::string name, int64_t bytes, TreePtr &tree,
                  std::vector<SparseInfo> sparse = {});
+  /// From now on no launch begins to use the tree, or again one may.
+  void setClosing(Tree &tree, bool isClosing);
   /// Frees the storage and forgets the fields.
   Status destroyTree(const std::string &name);
   TreePtr findTree(const std::string &name) const;
@@ -60,7 +62,7 @@ public:
     return treesByName;
   }
   /// A field of the tree, which stands for all of it where the activity of
-  /// cells matters; null if there is none.
+  /// cells matters; null if there is none. Any thread.
   FieldPtr firstOf(const Tree &tree) const;
 
   Status addField(FieldInfo info, FieldPtr &field);
@@ -68,6 +70,8 @@ public:
   Status setAdjoint(Field &field, const FieldPtr &adjoint);
   FieldPtr findField(const std::string &name) const;
   const std::vector<FieldPtr> &fields() const { return fieldList; }
+  /// "field 'x'", for messages; a gradient is said to be one. Any thread.
+  std::string describe(const Field &field) const;
   /// True for adjoints and tangents of other fields.
   bool isPartner(const Field &field) const;
 
@@ -87,6 +91,9 @@ private:
   std::unordered_map<std::string, TreePtr> treesByName;
   std::unordered_map<std::string, FieldPtr> fieldsByName;
   std::vector<FieldPtr> fieldList;
+  /// Taken to change the list, and to read it where others may: launches do not
+  /// wait for other calls.
+  mutable std::mutex fieldsMutex;
 };
 
 /// Bytes of the elements of a field that are active.

@@ -35,7 +35,8 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
         sanitize: `address`: kernels on the CPU are compiled with AddressSanitizer, which ends the
             process where they leave an array of the caller, or memory that is no field. The
             process needs its run time: docs/bounds.md. Elements of other fields are no such
-            memory; `bounds` finds these.
+            memory; `bounds` finds these. The environment variable TI_SANITIZE says it where the
+            program does not and runs on the CPU.
         ad_ties: what `max` and `min` of equal numbers do in gradients: `second`: the second
             one gets all; `split`: half each.
         ad_arcs: the derivatives of asin and acos at ±1: `exact`: infinite; `clamp`: as at the
@@ -111,6 +112,8 @@ def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = Non
     chosen["arch"], may_fall_back = choose_arch(arch)
     if os.environ.get("TI_ARCH"):
         chosen["arch"], may_fall_back = choose_arch(os.environ["TI_ARCH"])
+    if os.environ.get("TI_SANITIZE") and chosen["arch"] == cpu:
+        chosen.setdefault("sanitize", os.environ["TI_SANITIZE"])
     check_target(chosen["arch"], needs, unwanted)
     if chosen.get("sanitize") and chosen["arch"] != cpu:
         raise TaiRuntimeError(

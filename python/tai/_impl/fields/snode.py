@@ -616,7 +616,12 @@ class SNodeTree:
         return self._root.number
 
     def destroy(self) -> None:
-        """Frees the fields of the tree; using one afterwards is an error."""
+        """Frees the fields of the tree; using one afterwards is an error.
+
+        Raises:
+            TaiRuntimeError: a kernel runs that uses the tree, in another thread or around a
+                signal handler that calls this.
+        """
         if self._root.tree is None or state.program is None:
             raise TaiRuntimeError("the tree is freed already")
         program, symbol = state.program, self._root.tree
