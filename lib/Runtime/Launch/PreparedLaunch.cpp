@@ -40,29 +40,33 @@ inline Launch *Launcher::take() {
     hot.isTaken = true;
     return hot.launch.load(std::memory_order_relaxed);
   }
-  runningLaunches.noteFork();
-  if (Launch *launch =
-          spareLaunch.exchange(nullptr, std::memory_order_acquire)) {
-    launch->thread.store(self, std::memory_order_relaxed);
-    return launch;
-  }
-  std::lock_guard<std::mutex> lock(mutex);
-  if (!freeLaunches.empty()) {
-    Launch *launch = freeLaunches.back();
-    freeLaunches.pop_back();
-    launch->thread.store(self, std::memory_order_relaxed);
-    return launch;
-  }
-  launches.push_back(std::make_unique<Launch>(owner));
-  Launch *made = launches.back().get();
-  made->thread.store(self, std::memory_order_relaxed);
-  runningLaunches.add(*made);
-  if (!hot.thread.load(std::memory_order_relaxed)) {
-    hot.launch.store(made, std::memory_order_relaxed);
-    hot.isTaken = true;
-    hot.thread.store(self, std::memory_order_release);
-  }
-  return made;
+  // Not in line: a prepared launch would save registers for it.
+  auto takeAnother = [&]() __attribute__((noinline)) {
+    runningLaunches.noteFork();
+    if (Launch *launch =
+            spareLaunch.exchange(nullptr, std::memory_order_acquire)) {
+      launch->thread.store(self, std::memory_order_relaxed);
+      return launch;
+    }
+    std::lock_guard<std::mutex> lock(mutex);
+    if (!freeLaunches.empty()) {
+      Launch *launch = freeLaunches.back();
+      freeLaunches.pop_back();
+      launch->thread.store(self, std::memory_order_relaxed);
+      return launch;
+    }
+    launches.push_back(std::make_unique<Launch>(owner));
+    Launch *made = launches.back().get();
+    made->thread.store(self, std::memory_order_relaxed);
+    runningLaunches.add(*made);
+    if (!hot.thread.load(std::memory_order_relaxed)) {
+      hot.launch.store(made, std::memory_order_relaxed);
+      hot.isTaken = true;
+      hot.thread.store(self, std::memory_order_release);
+    }
+    return made;
+  };
+  return takeAnother();
 }
 
 void Launcher::release(Launch *launch) {
