@@ -78,7 +78,8 @@ FailureOr<AdjointSignature> AdjointSignature::get(FunctionOpInterface function,
     return signature;
   }
   auto positions = dyn_cast<DenseI64ArrayAttr>(given);
-  if (!positions || !llvm::is_sorted(positions.asArrayRef(), std::less_equal<int64_t>()))
+  if (!positions ||
+      !llvm::is_sorted(positions.asArrayRef(), std::less_equal<int64_t>()))
     return function.emitError("expects '")
            << kGradients
            << "' to be an array of positions in ascending order, such as "
