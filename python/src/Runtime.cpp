@@ -337,8 +337,8 @@ void bindTape(py::module_ &module) {
       .def("warnings",
            [](Tape &t) {
              std::vector<std::string> lines;
-             while (const char *line = taiTapeWarning(
-                        t.handle, static_cast<int64_t>(lines.size())))
+             while (const char *line = checked(taiTapeWarning(
+                        t.handle, static_cast<int64_t>(lines.size()))))
                lines.push_back(line);
              return lines;
            })
