@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import os
 import warnings
 from typing import Any
@@ -152,12 +154,10 @@ class Progress:
         import sys
 
         total = len(self.items)
-        try:
-            from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-            from rich.progress import Progress as Bar
-        except ImportError:
-            Bar = None  # noqa: N806
-        if Bar is None or not sys.stderr.isatty():
+        rich: Any = None
+        with contextlib.suppress(ImportError):
+            rich = importlib.import_module("rich.progress")
+        if rich is None or not sys.stderr.isatty():
             for count, item in enumerate(self.items, 1):
                 yield item
                 if count % max(1, total // 5) == 0 or count == total:
@@ -165,9 +165,9 @@ class Progress:
             return
         from rich.console import Console
 
-        columns = [TextColumn(self.title), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
-        columns.append(TextColumn("{task.fields[note]}"))
-        with Bar(*columns, console=Console(stderr=True)) as bar:
+        columns = [rich.TextColumn(self.title), rich.BarColumn(), rich.MofNCompleteColumn()]
+        columns += [rich.TimeElapsedColumn(), rich.TextColumn("{task.fields[note]}")]
+        with rich.Progress(*columns, console=Console(stderr=True)) as bar:
             task = bar.add_task("", total=total, note="")
             for item in self.items:
                 yield item

@@ -85,6 +85,9 @@ NOT_RUN_ON_A_GPU = {
         "test_code_of_huge_blocks_is_in_parts": "looks at code of the CPU",
         "test_huge_loops_call_a_function_once_for_each_call": "looks at code of the CPU",
     },
+    "test_reliability": {
+        "test_bar": "the bars that a GPU can run are a step of make test-gpu",
+    },
     "test_sparse_api": {
         "test_addresses_hold_the_elements": "the host cannot follow addresses of a GPU",
     },
