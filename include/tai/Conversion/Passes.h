@@ -10,40 +10,7 @@
 
 #include "mlir/Pass/Pass.h"
 #include "tai/Support/SkipOption.h"
-
-namespace mlir {
-class ModuleOp;
-namespace arith {
-class ArithDialect;
-} // namespace arith
-namespace cf {
-class ControlFlowDialect;
-} // namespace cf
-namespace func {
-class FuncDialect;
-} // namespace func
-namespace gpu {
-class GPUDialect;
-} // namespace gpu
-namespace NVVM {
-class NVVMDialect;
-} // namespace NVVM
-namespace LLVM {
-class LLVMDialect;
-} // namespace LLVM
-namespace math {
-class MathDialect;
-} // namespace math
-namespace memref {
-class MemRefDialect;
-} // namespace memref
-namespace scf {
-class SCFDialect;
-} // namespace scf
-namespace vector {
-class VectorDialect;
-} // namespace vector
-} // namespace mlir
+#include "tai/Transforms/UsedDialects.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DECL

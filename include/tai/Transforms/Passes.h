@@ -11,41 +11,8 @@
 #include "mlir/Pass/Pass.h"
 #include "tai/Support/BoundsMode.h"
 #include "tai/Support/SkipOption.h"
+#include "tai/Transforms/UsedDialects.h"
 #include <memory>
-
-namespace mlir {
-class ModuleOp;
-namespace arith {
-class ArithDialect;
-} // namespace arith
-namespace cf {
-class ControlFlowDialect;
-} // namespace cf
-namespace func {
-class FuncDialect;
-} // namespace func
-namespace gpu {
-class GPUDialect;
-} // namespace gpu
-namespace NVVM {
-class NVVMDialect;
-} // namespace NVVM
-namespace LLVM {
-class LLVMDialect;
-} // namespace LLVM
-namespace math {
-class MathDialect;
-} // namespace math
-namespace memref {
-class MemRefDialect;
-} // namespace memref
-namespace scf {
-class SCFDialect;
-} // namespace scf
-namespace vector {
-class VectorDialect;
-} // namespace vector
-} // namespace mlir
 
 namespace mlir::tai {
 

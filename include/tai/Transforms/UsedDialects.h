@@ -1,0 +1,49 @@
+//===- UsedDialects.h - Dialects that passes depend on ----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The generated declarations of passes name them.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_TRANSFORMS_USEDDIALECTS_H
+#define TAI_TRANSFORMS_USEDDIALECTS_H
+
+namespace mlir {
+class ModuleOp;
+namespace arith {
+class ArithDialect;
+} // namespace arith
+namespace cf {
+class ControlFlowDialect;
+} // namespace cf
+namespace func {
+class FuncDialect;
+} // namespace func
+namespace gpu {
+class GPUDialect;
+} // namespace gpu
+namespace NVVM {
+class NVVMDialect;
+} // namespace NVVM
+namespace LLVM {
+class LLVMDialect;
+} // namespace LLVM
+namespace math {
+class MathDialect;
+} // namespace math
+namespace memref {
+class MemRefDialect;
+} // namespace memref
+namespace scf {
+class SCFDialect;
+} // namespace scf
+namespace vector {
+class VectorDialect;
+} // namespace vector
+} // namespace mlir
+
+#endif // TAI_TRANSFORMS_USEDDIALECTS_H
