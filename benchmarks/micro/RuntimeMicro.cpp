@@ -76,7 +76,7 @@ static KernelPtr makeKernel(Runtime &runtime, TaiKernelFn function,
   info.function = function;
   info.summary = std::move(summary);
   // One that zeroes what is stored again, too.
-  info.adjointTakes = adjoint != nullptr;
+  info.zeroesAdjoints = adjoint != nullptr;
   info.adjoint = std::move(adjoint);
   return runtime.createKernel(info);
 }

@@ -257,21 +257,26 @@ TAI_EXPORT TaiStatus taiFieldGetAddress(TaiField field, const int64_t *indices,
 
 /// Memory of a field that another library uses, until it gives it back: it
 /// stays there as long, also when the field and the context are gone.
-typedef struct TaiLoanImpl *TaiLoan;
+typedef struct TaiExportedBufferImpl *TaiExportedBuffer;
 typedef struct TaiFieldMemory {
   void *address; // of the first element
   int32_t on_device;
   /// Bytes from one index to the next, along each dimension of the field and of
-  /// its element; owned by the loan.
+  /// its element; owned by the buffer.
   const int64_t *strides;
 } TaiFieldMemory;
 /// Fails for fields whose elements do not lie evenly, and for sparse ones.
+TAI_EXPORT TaiStatus taiFieldExport(TaiField field, TaiFieldMemory *memory,
+                                    TaiExportedBuffer *buffer);
+TAI_EXPORT void taiExportedBufferRelease(TaiExportedBuffer buffer);
+/// To be called where another library writes to an exported field. Fails
+/// while a tape records.
+TAI_EXPORT TaiStatus taiFieldNoteWrite(TaiField field);
+/// The former names of these, for one release.
+typedef TaiExportedBuffer TaiLoan;
 TAI_EXPORT TaiStatus taiFieldLend(TaiField field, TaiFieldMemory *memory,
                                   TaiLoan *loan);
 TAI_EXPORT void taiLoanEnd(TaiLoan loan);
-/// To be called where another library writes to a field that is lent. Fails
-/// while a tape records.
-TAI_EXPORT TaiStatus taiFieldNoteWrite(TaiField field);
 /// What is queued from now on waits for what a stream of CUDA holds now, and
 /// the other way round; 0 is the default stream. Does nothing without a GPU.
 TAI_EXPORT TaiStatus taiContextWaitForStream(TaiContext context,
@@ -567,7 +572,8 @@ typedef struct TaiSkipRow {
   const char *skip;    // a name for the option "skip"
   const char *counter; // "bytes…" for an amount of memory
   int64_t value;
-  int on; // whether the skip is
+  int on;             // whether the skip is
+  const char *former; // the name of the skip before, which is read as well
 } TaiSkipRow;
 /// All counters since the last clear; owned by the context, valid until the
 /// next call. Amounts of memory in use are those of now.

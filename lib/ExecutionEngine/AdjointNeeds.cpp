@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/AdjointNeeds.h"
-#include "AdjointFlags.h"
+#include "ZeroAdjoints.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/IR/SymbolTable.h"
 #include "tai/ExecutionEngine/Summaries.h"

@@ -46,8 +46,8 @@ static StringRef getGoalName(CompileRequest::Goal goal) {
   case CompileRequest::Goal::Adjoint:
   case CompileRequest::Goal::StoredAdjoint:
     return "adjoint";
-  case CompileRequest::Goal::TakingAdjoint:
-  case CompileRequest::Goal::StoredTakingAdjoint:
+  case CompileRequest::Goal::ZeroingAdjoint:
+  case CompileRequest::Goal::StoredZeroingAdjoint:
     return "taking";
   }
   llvm_unreachable("unknown goal");

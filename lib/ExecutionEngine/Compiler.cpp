@@ -83,18 +83,18 @@ private:
 
 Compiler::Worker::Worker(MLIRContext *context, const Pipelines &pipelines,
                          const CompileOptions &options)
-    : options(options), autodiff(context), takingAutodiff(context),
+    : options(options), autodiff(context), zeroingAutodiff(context),
       forward(context), lowering(context) {
   for (PassManager *manager :
-       {&autodiff, &takingAutodiff, &forward, &lowering}) {
+       {&autodiff, &zeroingAutodiff, &forward, &lowering}) {
     manager->enableVerifier(options.debug || verifiesEach());
     manager->addInstrumentation(std::make_unique<InvalidAfterPass>(finding));
   }
   if (pipelines.autodiff) {
-    pipelines.autodiff(autodiff, options, /*takes=*/false);
-    pipelines.autodiff(takingAutodiff, options, /*takes=*/true);
+    pipelines.autodiff(autodiff, options, /*zeroes=*/false);
+    pipelines.autodiff(zeroingAutodiff, options, /*zeroes=*/true);
     injectFailingPass(autodiff, "autodiff");
-    injectFailingPass(takingAutodiff, "autodiff");
+    injectFailingPass(zeroingAutodiff, "autodiff");
   }
   if (pipelines.forward)
     pipelines.forward(forward, options);
@@ -153,8 +153,8 @@ PhaseTimes Compiler::getTotals() {
 //===----------------------------------------------------------------------===//
 
 /// An adjoint that came with its kernel must say that it takes.
-static LogicalResult checkTakes(ModuleOp module, KernelOp kernel,
-                                Failure &failure) {
+static LogicalResult checkZeroes(ModuleOp module, KernelOp kernel,
+                                 Failure &failure) {
   DiagnosticCollector collector(module.getContext());
   auto adjoint = module.lookupSymbol<KernelOp>(*kernel.getAdjoint());
   if (!adjoint || adjoint->hasAttr(kTakesAttrName))
@@ -206,7 +206,7 @@ LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
   }
   if (request.goal != CompileRequest::Goal::Primal) {
     PhaseTimer timer(prepared.times, Phase::Autodiff);
-    bool takes = CompileRequest::takes(request.goal);
+    bool zeroes = CompileRequest::zeroes(request.goal);
     if (!pipelines.autodiff) {
       failure = Failure::get(FailureKind::Autodiff,
                              "this build cannot differentiate kernels");
@@ -214,13 +214,13 @@ LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
     }
     // A kernel may come with its adjoint.
     if (given && given.getAdjoint()) {
-      if (takes && failed(checkTakes(*module, given, failure)))
+      if (zeroes && failed(checkZeroes(*module, given, failure)))
         return mlir::failure();
-    } else if (failed(
-                   runPipeline(takes ? worker.takingAutodiff : worker.autodiff,
-                               worker.finding, *module,
-                               "differentiation of '" + request.name + "'",
-                               FailureKind::Autodiff, failure))) {
+    } else if (failed(runPipeline(zeroes ? worker.zeroingAutodiff
+                                         : worker.autodiff,
+                                  worker.finding, *module,
+                                  "differentiation of '" + request.name + "'",
+                                  FailureKind::Autodiff, failure))) {
       return mlir::failure();
     }
     prepared.needs = getAdjointNeeds(*module, request.name).serialize();
@@ -294,8 +294,8 @@ void Compiler::addReproducer(CompileRequest request,
   Worker &worker = *lease;
   if (step == Step::Autodiff)
     return tai::addReproducer(failure, request.module,
-                              CompileRequest::takes(request.goal)
-                                  ? worker.takingAutodiff
+                              CompileRequest::zeroes(request.goal)
+                                  ? worker.zeroingAutodiff
                                   : worker.autodiff);
   // What was given to the step is made again.
   CompileRequest before = request;

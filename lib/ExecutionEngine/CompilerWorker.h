@@ -46,7 +46,7 @@ struct Compiler::Worker {
   /// Of the pipeline that has failed last.
   InvalidAfterPass::Finding finding;
   PassManager autodiff;
-  PassManager takingAutodiff;
+  PassManager zeroingAutodiff;
   PassManager forward;
   /// To the LLVM dialect, for a device or without one.
   PassManager lowering;

@@ -129,7 +129,7 @@ void KernelCode::count(const Compiler::Function &function, bool isAdjoint) {
 /// True if the kernel may store elements that it reads, or elements of which
 /// only its code knows which they are: then the adjoint must always take,
 /// whatever the launches before it have done.
-static bool alwaysTakes(const std::vector<runtime::Access> &summary) {
+static bool alwaysZeroes(const std::vector<runtime::Access> &summary) {
   using Kind = runtime::AccessKind;
   auto areApart = [](const runtime::Access &a, const runtime::Access &b) {
     return a.fixed && b.fixed && a.fixed->dimension == b.fixed->dimension &&
@@ -199,7 +199,7 @@ void KernelCode::choosePlannedForm(const runtime::Kernel &kernel) {
   if (needs || ahead)
     return;
   // One that came with the kernel is what it is.
-  planTakes = !getKernel().getAdjoint() && alwaysTakes(kernel.summary());
+  planZeroes = !getKernel().getAdjoint() && alwaysZeroes(kernel.summary());
 }
 
 runtime::Status KernelCode::compile(runtime::Kernel &kernel,
@@ -240,7 +240,7 @@ public:
     // What is stored need not have a dual: tangents come from what it was
     // computed from.
     return primal->makeTangentOf(
-        CompileRequest::getAdjointGoal(CompileRequest::takes(goal),
+        CompileRequest::getAdjointGoal(CompileRequest::zeroes(goal),
                                        /*stored=*/false),
         tangent);
   }
@@ -318,7 +318,7 @@ runtime::Status KernelCode::makeAdjoint(runtime::Kernel &kernel,
   // What was begun before anybody asked loads what is stored, if it can. That a
   // gradient is launched by hand is seen too late for that.
   bool isPlanned =
-      variant.zeroes == planTakes &&
+      variant.zeroes == planZeroes &&
       (told ? variant.readsStored == told->loadsStored : ahead != nullptr);
   Goal goal =
       CompileRequest::getAdjointGoal(variant.zeroes, variant.readsStored);
@@ -387,7 +387,7 @@ runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
     return runtime::Status::success();
   }
   choosePlannedForm(kernel);
-  plan.takes = planTakes;
+  plan.zeroes = planZeroes;
   std::optional<AdjointNeeds> told;
   {
     std::lock_guard<std::mutex> lock(prepareMutex);
@@ -424,7 +424,7 @@ runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
     if (runtime::FieldPtr field = findField(name))
       plan.activity.push_back(field);
   for (const LoopFlags &loop : told->flags) {
-    runtime::AdjointFlags flags{findField(loop.field), {}, loop.sumsUp};
+    runtime::ZeroAdjoints flags{findField(loop.field), {}, loop.sumsUp};
     for (const std::string &name : loop.sources)
       flags.sources.push_back(findField(name));
     if (flags.loop)

@@ -48,9 +48,9 @@ public:
 static Compiler::Pipelines getPipelines() {
   Compiler::Pipelines pipelines;
   pipelines.autodiff = [](OpPassManager &manager, const CompileOptions &options,
-                          bool takes) {
+                          bool zeroes) {
     AutodiffOptions autodiff;
-    autodiff.takes = takes;
+    autodiff.zeroOverwritten = zeroes;
     autodiff.storedOutputs = true;
     // An adjoint is launched with the arguments of its primal and no others.
     autodiff.arrayAdjoints = false;
@@ -172,7 +172,7 @@ FailureOr<SessionKernel *> Session::createKernel(OwningOpRef<ModuleOp> module,
   SessionKernel &kernel = kernels.back();
   kernel.place = std::prev(kernels.end());
   rt->skipCounters().bump(SkipCount::KernelsDefined);
-  if (!rt->skips(Skip::LazyCompilation) &&
+  if (!rt->skips(Skip::UnlaunchedKernels) &&
       failed(compileEagerly(*kernel.kernel)))
     return failure();
   return &kernel;

@@ -31,9 +31,9 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
   CheckAccessRulesOptions rules;
   rules.kernels.assign(options.kernels.begin(), options.kernels.end());
   pm.addPass(createCheckAccessRules(rules));
-  ForwardStoresOptions forward;
+  PromoteElementsOptions forward;
   forward.kernels.assign(options.kernels.begin(), options.kernels.end());
-  pm.addPass(createForwardStores(forward));
+  pm.addPass(createPromoteElements(forward));
   pm.addPass(createEliminateLocals());
   if (options.flatten)
     pm.addPass(createFlattenBranches());
@@ -46,7 +46,7 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
   adjoint.kernels.assign(options.kernels.begin(), options.kernels.end());
   adjoint.arrayAdjoints = options.arrayAdjoints;
   adjoint.historyBytes = options.historyBytes;
-  adjoint.takes = options.takes;
+  adjoint.zeroOverwritten = options.zeroOverwritten || options.takes;
   adjoint.storedOutputs = options.storedOutputs;
   adjoint.deterministic = options.deterministic;
   adjoint.skip = options.skip;

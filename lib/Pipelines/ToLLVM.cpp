@@ -22,9 +22,9 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
 
   if (fast) {
     pm.addPass(createMarkExclusive());
-    pm.addPass(createGatherAccumulations());
+    pm.addPass(createScatterToGather());
     pm.addPass(createNormalizeIndices());
-    pm.addPass(createSplitInterior());
+    pm.addPass(createVersionInterior());
     // The interior's answers are constants now, and dead questions go.
     addCanonicalization(pm);
   }
@@ -36,8 +36,8 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   divisions.debug = options.debug;
   pm.addPass(createGuardDivisions(divisions));
   // Both are the business of the loop over blocks too.
-  if (fast && options.skip.has(Skip::ActivationDemotion) &&
-      options.skip.has(Skip::AccessorHoisting))
+  if (fast && options.skip.has(Skip::ActivityTests) &&
+      options.skip.has(Skip::RepeatedLookups))
     pm.addPass(createVectorizeBlocks());
   LowerStructForOptions loops;
   loops.deterministic = options.deterministic;
@@ -63,7 +63,7 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   if (fast)
     pm.addPass(createHoistAllocations());
   if (fast)
-    pm.addPass(createSplitLoops());
+    pm.addPass(createSplitIndexSets());
 
   ConvertToLLVMOptions llvm;
   llvm.fastMath = options.fastMath;

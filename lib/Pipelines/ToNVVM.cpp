@@ -22,7 +22,7 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
 
   if (fast) {
     pm.addPass(createMarkExclusive());
-    pm.addPass(createGatherAccumulations());
+    pm.addPass(createScatterToGather());
     pm.addPass(createNormalizeIndices());
     addCanonicalization(pm);
   }
@@ -36,7 +36,7 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
   loops.skip = options.skip;
   pm.addPass(createLowerStructFor(loops));
   if (fast && !options.deterministic)
-    pm.addPass(createSpreadAccumulations());
+    pm.addPass(createRerollAccumulations());
   if (fast)
     pm.addPass(createCSEPass());
 
@@ -45,7 +45,7 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
   relax.onDevice = true;
   pm.addPass(createRelaxAtomics(relax));
   if (fast)
-    pm.addPass(createStripLoops());
+    pm.addPass(createCoarsenThreads());
 
   // While accesses name fields: what addresses are made of is in range.
   pm.addPass(createNarrowIndices());

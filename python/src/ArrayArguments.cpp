@@ -121,7 +121,7 @@ Match HeldArrays::pack(const ArrayArg &arg, PyObject *object, Slots &slots) {
     match = packTensor(arg, object, slots);
   else
     match = arg.hasGradient ? Match::No : packBuffer(arg, object, slots);
-  if (match != Match::Yes || (use == ArrayUse::Forward && !mayMeet))
+  if (match != Match::Yes || (use == ArrayUse::Forward && !mayAlias))
     return match;
   const Range &range = addRange(arg, slots, first);
   bool isKnown =

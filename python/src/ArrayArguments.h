@@ -48,9 +48,10 @@ enum class ArrayUse {
 /// What must not go while a launch is made, and what that has to know.
 class HeldArrays {
 public:
-  /// `mayMeet`: the kernel takes several arrays and writes to one.
-  HeldArrays(const Kernel &kernel, ArrayUse use, bool mayMeet)
-      : kernel(kernel), context(*kernel.context), use(use), mayMeet(mayMeet) {}
+  /// `mayAlias`: the kernel takes several arrays and writes to one.
+  HeldArrays(const Kernel &kernel, ArrayUse use, bool mayAlias)
+      : kernel(kernel), context(*kernel.context), use(use), mayAlias(mayAlias) {
+  }
   ~HeldArrays();
   HeldArrays(const HeldArrays &) = delete;
   HeldArrays &operator=(const HeldArrays &) = delete;
@@ -97,7 +98,7 @@ private:
   const Kernel &kernel;
   Context &context;
   ArrayUse use;
-  bool mayMeet;
+  bool mayAlias;
   std::vector<Py_buffer> buffers;
   std::vector<PyObject *> objects;
   /// The arrays so far; those of most kernels lie in place.

@@ -131,7 +131,7 @@ struct Specialization {
   } tracking = Tracking::None;
   Result result;
   /// It takes several arrays and writes to one.
-  bool arraysMayMeet = false;
+  bool arraysMayAlias = false;
   std::shared_ptr<Kernel> kernel;
 
   void setKernel(std::shared_ptr<Kernel> given) {
@@ -182,7 +182,7 @@ Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
                    isRecording() ? ArrayUse::Recorded
                    : spec.grad   ? ArrayUse::Gradient
                                  : ArrayUse::Forward,
-                   spec.arraysMayMeet);
+                   spec.arraysMayAlias);
     return held->pack(arg.array, object, slots);
   case ArgKind::F32:
   case ArgKind::F64: {
@@ -515,7 +515,7 @@ void taipy::bindLauncher(py::module_ &module) {
     }
     for (const py::tuple &read : reads)
       made->reads.add(read);
-    made->arraysMayMeet = arrays > 1 && written > 0;
+    made->arraysMayAlias = arrays > 1 && written > 0;
     if (!result.empty()) {
       made->result.kind = result[0].cast<std::string>().at(0);
       made->result.bits = result[1].cast<int>();

@@ -430,10 +430,11 @@ void bindField(py::module_ &module) {
       .def("lend",
            [](Field &f) {
              TaiFieldMemory memory;
-             TaiLoan loan = nullptr;
-             f.context->check(taiFieldLend(f.handle, &memory, &loan));
-             py::capsule owner(loan, [](void *pointer) {
-               taiLoanEnd(static_cast<TaiLoan>(pointer));
+             TaiExportedBuffer buffer = nullptr;
+             f.context->check(taiFieldExport(f.handle, &memory, &buffer));
+             py::capsule owner(buffer, [](void *pointer) {
+               taiExportedBufferRelease(
+                   static_cast<TaiExportedBuffer>(pointer));
                retakeLock();
              });
              py::tuple strides(f.info.rank + f.info.element_rank);
@@ -692,7 +693,7 @@ void taipy::bindRuntime(py::module_ &module) {
              py::list result;
              for (const TaiSkipRow *row = rows; row != rows + count; ++row)
                result.append(py::make_tuple(row->skip, row->counter, row->value,
-                                            bool(row->on)));
+                                            bool(row->on), row->former));
              return result;
            })
       .def("clear_skips",

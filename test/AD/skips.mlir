@@ -1,11 +1,11 @@
 // RUN: tai-opt %s --tai-make-adjoint | FileCheck %s --check-prefixes=CHECK,ALL
-// RUN: tai-opt %s --tai-make-adjoint="skip=all,-recording-analysis" | FileCheck %s --check-prefixes=CHECK,RECORDS
-// RUN: tai-opt %s --tai-make-adjoint="skip=all,-activity-analysis" | FileCheck %s --check-prefixes=CHECK,ADJOINTS
-// RUN: tai-opt %s --tai-autodiff="skip=-recording-analysis" | FileCheck %s --check-prefix=PIPELINE
+// RUN: tai-opt %s --tai-make-adjoint="skip=all,-unneeded-records" | FileCheck %s --check-prefixes=CHECK,RECORDS
+// RUN: tai-opt %s --tai-make-adjoint="skip=all,-inactive-values" | FileCheck %s --check-prefixes=CHECK,ADJOINTS
+// RUN: tai-opt %s --tai-autodiff="skip=-unneeded-records" | FileCheck %s --check-prefix=PIPELINE
 // RUN: not tai-opt %s --tai-make-adjoint="skip=activity" 2>&1 | FileCheck %s --check-prefix=WRONG
 // RUN: not tai-opt %s --tai-autodiff="skip=activity" 2>&1 | FileCheck %s --check-prefix=WRONG
 
-// WRONG: there is no skip 'activity'; the skips are all, none, list-reuse,
+// WRONG: there is no skip 'activity'; the skips are all, none, unchanged-lists,
 
 !t = !tai.root<dense<[i: 16], {x: f32, x_grad: f32, y: f32, y_grad: f32, c: f32}>>
 tai.tree @t : !t

@@ -5,8 +5,8 @@
 // RUN: tai-opt %s --tai-to-nvvm=emulated=true | FileCheck %s --check-prefix=EMULATED
 // RUN: tai-opt %s --tai-to-nvvm | tai-translate --tai-to-ptx | FileCheck %s --check-prefix=PTX
 // RUN: tai-opt %s --tai-to-nvvm | tai-translate --tai-to-device-llvmir | FileCheck %s --check-prefix=LLVM
-// RUN: tai-opt %s --tai-make-adjoint --tai-split-interior | FileCheck %s --check-prefix=ADJOINT
-// RUN: tai-opt %s --tai-make-adjoint --tai-split-interior --tai-mark-exclusive --tai-gather-accumulations | FileCheck %s --check-prefix=ADJOINT
+// RUN: tai-opt %s --tai-make-adjoint --tai-version-interior | FileCheck %s --check-prefix=ADJOINT
+// RUN: tai-opt %s --tai-make-adjoint --tai-version-interior --tai-mark-exclusive --tai-scatter-to-gather | FileCheck %s --check-prefix=ADJOINT
 // RUN: tai-opt %s --tai-forward-diff | FileCheck %s --check-prefix=TANGENT
 // RUN: tai-opt %s --tai-lower-struct-for --tai-relax-atomics=on-device --tai-lower-layout --convert-tai-to-gpu | FileCheck %s --check-prefix=LAUNCH
 

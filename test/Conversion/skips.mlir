@@ -1,13 +1,13 @@
 // RUN: tai-opt %s --tai-lower-struct-for | FileCheck %s --check-prefixes=CHECK,ALL
-// RUN: tai-opt %s --tai-lower-struct-for="skip=all,-activation-demotion" | FileCheck %s --check-prefixes=CHECK,ASKS
-// RUN: tai-opt %s --tai-lower-struct-for="skip=-accessor-hoisting" | FileCheck %s --check-prefixes=CHECK,EACH
+// RUN: tai-opt %s --tai-lower-struct-for="skip=all,-activity-tests" | FileCheck %s --check-prefixes=CHECK,ASKS
+// RUN: tai-opt %s --tai-lower-struct-for="skip=-repeated-lookups" | FileCheck %s --check-prefixes=CHECK,EACH
 // RUN: tai-opt %s --tai-lower-struct-for="skip=none" | FileCheck %s --check-prefixes=CHECK,NONE
 // RUN: tai-opt %s --tai-lower-struct-for="deterministic" | FileCheck %s --check-prefix=FIXED
 // RUN: tai-opt %s --tai-to-llvm="skip=none" | FileCheck %s --check-prefix=LLVM
 // RUN: not tai-opt %s --tai-lower-struct-for="skip=lists" 2>&1 | FileCheck %s --check-prefix=WRONG
 // RUN: not tai-opt %s --tai-to-llvm="skip=all,-lists" 2>&1 | FileCheck %s --check-prefix=WRONG
 
-// WRONG: there is no skip 'lists'; the skips are all, none, list-reuse,
+// WRONG: there is no skip 'lists'; the skips are all, none, unchanged-lists,
 
 // What a loop over a sparse field leaves out: to ask whether the cell of the
 // iteration is active, and to look its number up for each element again.

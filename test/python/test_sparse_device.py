@@ -20,7 +20,7 @@ def emulated(monkeypatch):
 
 def fetched():
     """How often the host has waited to see what is active."""
-    return ti.profiler.skips()["list-reuse"]["fetched"]
+    return ti.profiler.skips()["unchanged-lists"]["fetched"]
 
 
 def make_scene(levels):

@@ -221,7 +221,7 @@ private:
 
 /// Fills the empty adjoint `shell` of `function`, which has the arguments that
 /// `signature` asks for. `needsParts` is told whether a failure can be helped
-/// by splitting the kernel. Values that only lack of `activity-analysis` among
+/// by splitting the kernel. Values that only lack of `inactive-values` among
 /// the skips gives an adjoint need not have one that can be made. With
 /// `loadsStored`, fails if there is nothing to gain.
 LogicalResult fillAdjoint(FunctionOpInterface function,

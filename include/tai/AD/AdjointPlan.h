@@ -118,11 +118,9 @@ struct AdjointPlan {
   ReexecutionPlan reexecution;
 
   /// True if all values that loops carry are recorded.
-  bool recordsAll() const {
-    return !options.skips.has(Skip::RecordingAnalysis);
-  }
+  bool recordsAll() const { return !options.skips.has(Skip::UnneededRecords); }
   /// True if adjoint code is kept that reaches no memory.
-  bool keepsDead() const { return !options.skips.has(Skip::ActivityAnalysis); }
+  bool keepsDead() const { return !options.skips.has(Skip::InactiveValues); }
 };
 
 /// What an adjoint turned out to need of the primal, while it was emitted.

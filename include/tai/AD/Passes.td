@@ -36,7 +36,7 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
 
     A store ends the life of the value before it: its adjoint takes the adjoint
     of the element and leaves zero, where an access before the store may have
-    used the element in the same kernel; with the option `takes`, always. A tape
+    used the element in the same kernel; with the option `zero-overwritten`, always. A tape
     asks for this form, which has the attribute `tai.takes`, where an earlier
     launch has used the elements.
 
@@ -46,9 +46,9 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
     is right only while the elements that the launch has stored hold what it
     stored, as a tape can tell.
 
-    Without the skip `activity-analysis`, values that do not depend on what is
+    Without the skip `inactive-values`, values that do not depend on what is
     differentiated by get adjoints too, as far as that can be. Without
-    `recording-analysis`, all values that loops carry are recorded.
+    `unneeded-records`, all values that loops carry are recorded.
 
     Without options, takes the kernels launched in a `tai.tape` or
     `tai.check_gradient`, or all kernels of a module that has none of these, and
@@ -131,8 +131,10 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
            /*default=*/"::mlir::tai::kDefaultHistoryBytes",
            "Bytes that a loop may record at once; where it takes more, parts of "
            "the loop are run once more">,
-    Option<"takes", "takes", "bool", /*default=*/"false",
+    Option<"zeroOverwritten", "zero-overwritten", "bool", /*default=*/"false",
            "Leave zero in the adjoints of all that a kernel stores">,
+    Option<"takes", "takes", "bool", /*default=*/"false",
+           "The former name of zero-overwritten">,
     Option<"storedOutputs", "stored-outputs", "bool", /*default=*/"false",
            "Make the forms of adjoints that load what kernels have stored">,
     Option<"deterministic", "deterministic", "bool", /*default=*/"false",
@@ -143,7 +145,7 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
   ];
 }
 
-def ForwardStores : Pass<"tai-forward-stores", "::mlir::ModuleOp"> {
+def PromoteElements : Pass<"tai-promote-elements", "::mlir::ModuleOp"> {
   let summary = "keep elements that are stored and read again in variables";
   let description = [{
     Where an iteration, or serial code, reads an element that it has stored and

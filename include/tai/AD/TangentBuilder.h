@@ -30,7 +30,7 @@ namespace mlir::tai {
 /// zero, and which of these tangents may be infinite or NaN though everything
 /// that is read is finite.
 struct TangentFlow {
-  llvm::DenseSet<Value> varied, wild;
+  llvm::DenseSet<Value> varied, nonFinite;
 
   TangentFlow(FunctionOpInterface function, FloatFacts &facts,
               llvm::function_ref<bool(Storage)> hasTangent);
@@ -54,7 +54,9 @@ public:
   /// True if the value may have a tangent other than zero.
   bool isVaried(Value value) const { return flow.varied.contains(value); }
   /// True if the tangent may be infinite or NaN though what is read is finite.
-  bool isWild(Value value) const { return flow.wild.contains(value); }
+  bool mayBeNonFinite(Value value) const {
+    return flow.nonFinite.contains(value);
+  }
   /// The value itself: the kernel computes it anyway.
   Value getPrimal(Value value) override { return value; }
   /// The tangent, or null where it is zero.

@@ -27,8 +27,8 @@ def LowerStructFor : Pass<"tai-lower-struct-for"> {
     }
     ```
 
-    With the skip `activation-demotion`, a write to the cell of the iteration
-    does not ask whether it is active. Without `accessor-hoisting`, every
+    With the skip `activity-tests`, a write to the cell of the iteration
+    does not ask whether it is active. Without `repeated-lookups`, every
     element of a sparse field reads the list of cells again.
   }];
   let options = [

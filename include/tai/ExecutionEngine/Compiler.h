@@ -81,26 +81,26 @@ struct ObjectCache {
 
 /// What to compile.
 struct CompileRequest {
-  /// TakingAdjoint: the adjoint that leaves zero in the adjoints of the
+  /// ZeroingAdjoint: the adjoint that leaves zero in the adjoints of the
   /// elements which the kernel stores. Stored: the adjoint that loads what the
   /// kernel has stored, or the other where there is no such form.
   enum class Goal {
     Primal,
     Adjoint,
-    TakingAdjoint,
+    ZeroingAdjoint,
     StoredAdjoint,
-    StoredTakingAdjoint
+    StoredZeroingAdjoint
   };
-  static Goal getAdjointGoal(bool takes, bool stored) {
+  static Goal getAdjointGoal(bool zeroes, bool stored) {
     if (stored)
-      return takes ? Goal::StoredTakingAdjoint : Goal::StoredAdjoint;
-    return takes ? Goal::TakingAdjoint : Goal::Adjoint;
+      return zeroes ? Goal::StoredZeroingAdjoint : Goal::StoredAdjoint;
+    return zeroes ? Goal::ZeroingAdjoint : Goal::Adjoint;
   }
-  static bool takes(Goal goal) {
-    return goal == Goal::TakingAdjoint || goal == Goal::StoredTakingAdjoint;
+  static bool zeroes(Goal goal) {
+    return goal == Goal::ZeroingAdjoint || goal == Goal::StoredZeroingAdjoint;
   }
   static bool readsStored(Goal goal) {
-    return goal == Goal::StoredAdjoint || goal == Goal::StoredTakingAdjoint;
+    return goal == Goal::StoredAdjoint || goal == Goal::StoredZeroingAdjoint;
   }
 
   /// Left as it is. Holds the function, what it calls, and the trees and
@@ -116,7 +116,7 @@ class Compiler {
 public:
   /// The pass pipelines. Each is built once and run by one thread at a time.
   struct Pipelines {
-    std::function<void(OpPassManager &, const CompileOptions &, bool takes)>
+    std::function<void(OpPassManager &, const CompileOptions &, bool zeroes)>
         autodiff;
     /// Extends all kernels of a module by tangents.
     std::function<void(OpPassManager &, const CompileOptions &)> forward;

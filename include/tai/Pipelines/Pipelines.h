@@ -32,6 +32,7 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
     flatten = other.flatten.getValue();
     arrayAdjoints = other.arrayAdjoints.getValue();
     historyBytes = other.historyBytes.getValue();
+    zeroOverwritten = other.zeroOverwritten.getValue();
     takes = other.takes.getValue();
     storedOutputs = other.storedOutputs.getValue();
     deterministic = other.deterministic.getValue();
@@ -56,12 +57,15 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
       llvm::cl::desc("Bytes that a loop may record at once; where it takes "
                      "more, parts of the loop are run once more"),
       llvm::cl::init(kDefaultHistoryBytes)};
-  Option<bool> takes{
-      *this, "takes",
+  Option<bool> zeroOverwritten{
+      *this, "zero-overwritten",
       llvm::cl::desc(
           "Make the form of adjoints that leaves zero in the adjoints "
           "of all that kernels store"),
       llvm::cl::init(false)};
+  Option<bool> takes{*this, "takes",
+                     llvm::cl::desc("The former name of zero-overwritten"),
+                     llvm::cl::init(false)};
   Option<bool> storedOutputs{
       *this, "stored-outputs",
       llvm::cl::desc(

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Makes `skip=all,-list-reuse` an option of passes and pipelines.
+// Makes `skip=all,-unchanged-lists` an option of passes and pipelines.
 //
 //===----------------------------------------------------------------------===//
 

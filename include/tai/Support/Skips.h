@@ -23,7 +23,7 @@
 namespace mlir::tai {
 
 enum class Skip : uint8_t {
-#define TAI_SKIP(skip, name, about) skip,
+#define TAI_SKIP(skip, name, former, about) skip,
 #include "tai/Support/Skips.def"
 };
 
@@ -34,10 +34,12 @@ enum class SkipCount : uint8_t {
 
 struct SkipInfo {
   const char *name;
+  /// Its name before, which is read as well.
+  const char *former;
   const char *about;
 };
 inline constexpr SkipInfo kSkips[] = {
-#define TAI_SKIP(skip, name, about) {name, about},
+#define TAI_SKIP(skip, name, former, about) {name, former, about},
 #include "tai/Support/Skips.def"
 };
 inline constexpr unsigned kNumSkips = sizeof(kSkips) / sizeof(kSkips[0]);
@@ -57,6 +59,10 @@ inline constexpr const char *getSkipName(Skip skip) {
   return kSkips[static_cast<unsigned>(skip)].name;
 }
 
+inline constexpr const char *getFormerSkipName(Skip skip) {
+  return kSkips[static_cast<unsigned>(skip)].former;
+}
+
 /// The skips that are on.
 class SkipSet {
 public:
@@ -64,8 +70,8 @@ public:
   static constexpr SkipSet none() { return SkipSet(0); }
   /// Those that decide code: the passes look at them.
   static constexpr SkipSet ofCompiler() {
-    return SkipSet(bit(Skip::ActivationDemotion) | bit(Skip::AccessorHoisting) |
-                   bit(Skip::ActivityAnalysis) | bit(Skip::RecordingAnalysis));
+    return SkipSet(bit(Skip::ActivityTests) | bit(Skip::RepeatedLookups) |
+                   bit(Skip::InactiveValues) | bit(Skip::UnneededRecords));
   }
 
   constexpr SkipSet() = default;
@@ -105,7 +111,8 @@ public:
         named = all();
       } else if (word != "none") {
         unsigned i = 0;
-        while (i < kNumSkips && word != kSkips[i].name)
+        while (i < kNumSkips && word != kSkips[i].name &&
+               word != kSkips[i].former)
           ++i;
         if (i == kNumSkips) {
           error = "there is no skip '" + std::string(word) +

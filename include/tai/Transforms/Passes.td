@@ -287,7 +287,7 @@ def NormalizeIndices : Pass<"tai-normalize-indices"> {
   let dependentDialects = ["::mlir::arith::ArithDialect"];
 }
 
-def GatherAccumulations : Pass<"tai-gather-accumulations"> {
+def ScatterToGather : Pass<"tai-scatter-to-gather"> {
   let summary = "turn scatters to shifted indices into gathers";
   let description = [{
     In a parallel loop over all elements of a field, additions to shifted
@@ -327,13 +327,13 @@ def GatherAccumulations : Pass<"tai-gather-accumulations"> {
   ];
 }
 
-def SplitInterior : Pass<"tai-split-interior"> {
+def VersionInterior : Pass<"tai-version-interior"> {
   let summary = "give a loop a second body for its interior";
   let description = [{
     Where all questions that a body asks about the innermost loop index (is this
     a border, does an index wrap) have one answer on most of its range, wraps
     the body in an `scf.if` on that range, in which the answers are constants.
-    The branch carries the range as `tai.interior` for `tai-split-loops`.
+    The branch carries the range as `tai.interior` for `tai-split-index-sets`.
 
     ```mlir
     tai.parallel_for (%i) in @x {
@@ -364,7 +364,7 @@ def SplitInterior : Pass<"tai-split-interior"> {
   ];
 }
 
-def SplitLoops : Pass<"tai-split-loops"> {
+def SplitIndexSets : Pass<"tai-split-index-sets"> {
   let summary = "run the interior of a loop apart from its borders";
   let description = [{
     Splits a serial loop whose body is a branch marked `tai.interior` into a
@@ -545,7 +545,7 @@ def RelaxAtomics : Pass<"tai-relax-atomics"> {
   let dependentDialects = ["::mlir::LLVM::LLVMDialect"];
 }
 
-def SpreadAccumulations : Pass<"tai-spread-accumulations"> {
+def RerollAccumulations : Pass<"tai-reroll-accumulations"> {
   let summary = "make iterations of additions that are written out, on a GPU";
   let description = [{
     Of a loop with few iterations and a long body that only adds to fields, such
@@ -584,7 +584,7 @@ def SpreadAccumulations : Pass<"tai-spread-accumulations"> {
                            "::mlir::LLVM::LLVMDialect"];
 }
 
-def StripLoops : Pass<"tai-strip-loops"> {
+def CoarsenThreads : Pass<"tai-coarsen-threads"> {
   let summary = "give each iteration of a large loop several neighbours, on a GPU";
   let description = [{
     Of a loop over a large box whose accesses lie side by side in memory along

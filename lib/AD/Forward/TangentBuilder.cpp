@@ -102,7 +102,7 @@ Value TangentBuilder::createProduct(Value operand, Value product,
                                     function_ref<Value()> createPartial) {
   if (partialMayBeNonFinite)
     product = createGuard(getTangent(operand), product);
-  if (!isWild(operand))
+  if (!mayBeNonFinite(operand))
     return product;
   Value partial = createPartial();
   return matchPattern(partial, m_Constant()) ? product
@@ -179,8 +179,8 @@ void TangentBuilder::replace(Operation *op, Operation *made) {
   for (auto [from, to] : llvm::zip(op->getResults(), made->getResults())) {
     if (flow.varied.contains(from))
       flow.varied.insert(to);
-    if (flow.wild.contains(from))
-      flow.wild.insert(to);
+    if (flow.nonFinite.contains(from))
+      flow.nonFinite.insert(to);
     from.replaceAllUsesWith(to);
   }
   op->remove();

@@ -41,18 +41,18 @@ private:
   void visitAccess(DifferentiableAccessInterface access);
   void visitBranch(RegionBranchOpInterface op);
 
-  void mark(Value value, bool isWild) {
+  void mark(Value value, bool mayBeNonFinite) {
     if (!isFloatOrVector(value.getType()) &&
         !isa<BaseMemRefType, LocalType, StackType>(value.getType()))
       return;
     grown |= flow.varied.insert(value).second;
-    if (isWild)
-      grown |= flow.wild.insert(value).second;
+    if (mayBeNonFinite)
+      grown |= flow.nonFinite.insert(value).second;
   }
   /// `to` gets the tangent of `from`.
   void pass(Value from, Value to) {
     if (flow.varied.contains(from))
-      mark(to, flow.wild.contains(from));
+      mark(to, flow.nonFinite.contains(from));
   }
   void pass(ValueRange from, ValueRange to) {
     for (auto [source, target] : llvm::zip(from, to))
@@ -69,10 +69,10 @@ private:
 void FlowWalk::visitAccess(DifferentiableAccessInterface access) {
   Storage storage = access.getAccessedStorage();
   Value array = storage.memref;
-  bool isWild = array && flow.wild.contains(array);
+  bool mayBeNonFinite = array && flow.nonFinite.contains(array);
   if (hasTangent(storage) || (array && flow.varied.contains(array)))
     for (Value result : access->getResults())
-      mark(result, isWild);
+      mark(result, mayBeNonFinite);
   if (access.getAccessKind() != AccessKind::Read && array)
     pass(access.getAccessedValue(), array);
 }
@@ -104,7 +104,7 @@ void FlowWalk::visit(Operation *op) {
     return visitBranch(branch);
   if (op->hasTrait<OpTrait::IsTerminator>())
     return;
-  bool isVaried = false, isWild = false, usesNonFinite = false;
+  bool isVaried = false, mayBeNonFinite = false, usesNonFinite = false;
   for (OpOperand &operand : op->getOpOperands()) {
     Value value = operand.get();
     usesNonFinite |= facts.mayBeNonFinite(value);
@@ -112,13 +112,14 @@ void FlowWalk::visit(Operation *op) {
     if (!flow.varied.contains(value) || !carriesDerivative(operand))
       continue;
     isVaried = true;
-    isWild |= flow.wild.contains(value);
+    mayBeNonFinite |= flow.nonFinite.contains(value);
   }
   if (!isVaried)
     return;
-  isWild = isWild || usesNonFinite || mayHaveNonFinitePartial(op, facts);
+  mayBeNonFinite =
+      mayBeNonFinite || usesNonFinite || mayHaveNonFinitePartial(op, facts);
   for (Value result : op->getResults())
-    mark(result, isWild);
+    mark(result, mayBeNonFinite);
 }
 
 TangentFlow::TangentFlow(FunctionOpInterface function, FloatFacts &facts,

@@ -86,7 +86,7 @@ AdjointPlan::AdjointPlan(FunctionOpInterface primal, AdjointOf adjointOf,
             return static_cast<bool>(this->adjointOf(storage));
           },
           this->shadows.inputs, this->shadows.outputs,
-          /*assumeVaried=*/!options.skips.has(Skip::ActivityAnalysis)),
+          /*assumeVaried=*/!options.skips.has(Skip::InactiveValues)),
       accesses(primal),
       zeroing(primal, accesses, activity, this->adjointOf, options.zeroesAll) {
   for (auto &[storage, list] : accesses.getStorages())

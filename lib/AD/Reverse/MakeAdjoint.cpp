@@ -191,14 +191,14 @@ LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
                                      FunctionOpInterface shell,
                                      const AdjointSignature &signature,
                                      AdjointOptions options, bool *needsParts) {
-  if (!options.skips.has(Skip::ActivityAnalysis)) {
+  if (!options.skips.has(Skip::InactiveValues)) {
     // Not all that is assumed to carry derivatives can be differentiated.
     ScopedDiagnosticHandler silence(function.getContext(),
                                     [](Diagnostic &) { return success(); });
     if (succeeded(fillWith(function, shell, signature, options, needsParts)))
       return success();
     clearBody(shell);
-    options.skips.set(Skip::ActivityAnalysis, true);
+    options.skips.set(Skip::InactiveValues, true);
   }
   return fillWith(function, shell, signature, options, needsParts);
 }
@@ -206,7 +206,7 @@ LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
 /// Decides by the loops as they were written how those of the adjoint, which
 /// take over what they say of themselves, are cut.
 static void fixCosts(FunctionOpInterface function) {
-  // A gradient takes about three times as long.
+  // A gradient zeroes about three times as long.
   constexpr double perPrimal = 3;
   Builder builder(function.getContext());
   function->walk([&](ParallelForOp loop) {
@@ -254,12 +254,12 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
         StoredOutputs(function, AccessTable(function)).empty())
       return;
     FunctionOpInterface shell = createShell(function, name, signature);
-    bool takes = adjoint->hasAttr(kTakesAttrName);
+    bool zeroes = adjoint->hasAttr(kTakesAttrName);
     // All there is to say has been said of the adjoint.
     ScopedDiagnosticHandler silence(&getContext(),
                                     [](Diagnostic &) { return success(); });
     if (failed(fillAdjoint(function, shell, signature,
-                           getOptions(takes, /*loadsStored=*/true))) ||
+                           getOptions(zeroes, /*loadsStored=*/true))) ||
         shell->getAttr(kBeforeAttrName) != adjoint->getAttr(kBeforeAttrName) ||
         shell->hasAttr(kRerunsAttrName) ||
         estimateNanoseconds(shell) + worthHaving >
@@ -267,7 +267,7 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
       shell.erase();
       return;
     }
-    if (takes)
+    if (zeroes)
       shell->setAttr(kTakesAttrName, UnitAttr::get(&getContext()));
     shell->moveAfter(adjoint);
     symbols.insert(shell);
@@ -307,13 +307,14 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
       return diag;
     }
     FunctionOpInterface shell = createShell(function, name, *signature);
-    bool takesAll = takes && isa<KernelOp>(function.getOperation());
-    if (takesAll)
+    bool zeroesAll =
+        (zeroOverwritten || takes) && isa<KernelOp>(function.getOperation());
+    if (zeroesAll)
       shell->setAttr(kTakesAttrName, UnitAttr::get(&getContext()));
     if (deterministic)
       fixCosts(function);
     if (failed(fillAdjoint(function, shell, *signature,
-                           getOptions(takesAll, /*loadsStored=*/false)))) {
+                           getOptions(zeroesAll, /*loadsStored=*/false)))) {
       shell.erase();
       return failure();
     }

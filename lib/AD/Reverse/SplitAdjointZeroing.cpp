@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Where the reverse of a stencil takes, its additions to neighbours depend on
+// Where the reverse of a stencil zeroed, its additions to neighbours depend on
 // what it zeroes, and could not be gathered: another iteration would find zero
 // there, or not. If nothing else in the loop changes the elements, they can as
 // well be zeroed by a loop that runs afterwards.
@@ -31,15 +31,15 @@ static bool isHarmless(Operation *op) {
 
 /// The stores of the loop, all of zero, if they can be made afterwards. Empty
 /// if not, or if nothing is gained.
-static SmallVector<StoreOp> findTakes(ParallelForOp loop) {
-  SmallVector<StoreOp> takes;
+static SmallVector<StoreOp> findZeroed(ParallelForOp loop) {
+  SmallVector<StoreOp> zeroed;
   SmallVector<LoadOp> loads;
   llvm::SmallDenseSet<const void *> added;
   bool isFit = true, scatters = false;
   loop.getBody().walk([&](Operation *op) {
     isFit &= isHarmless(op) && (op->getNumRegions() == 0 || isa<scf::IfOp>(op));
     if (auto store = dyn_cast<StoreOp>(op)) {
-      takes.push_back(store);
+      zeroed.push_back(store);
       isFit &= matchPattern(store.getValue(), m_AnyZeroFloat()) ||
                matchPattern(store.getValue(), m_Zero());
     } else if (auto load = dyn_cast<LoadOp>(op)) {
@@ -52,17 +52,17 @@ static SmallVector<StoreOp> findTakes(ParallelForOp loop) {
   });
   if (!isFit || !scatters)
     return {};
-  for (StoreOp take : takes) {
-    if (added.contains(getStorageKey(take)))
+  for (StoreOp store : zeroed) {
+    if (added.contains(getStorageKey(store)))
       return {};
     for (LoadOp load : loads)
-      if (getStorageKey(load) == getStorageKey(take) &&
+      if (getStorageKey(load) == getStorageKey(store) &&
           mayReachLater(
-              cast<DifferentiableAccessInterface>(take.getOperation()),
+              cast<DifferentiableAccessInterface>(store.getOperation()),
               cast<DifferentiableAccessInterface>(load.getOperation())))
         return {};
   }
-  return takes;
+  return zeroed;
 }
 
 void mlir::tai::splitAdjointZeroing(FunctionOpInterface adjoint) {
@@ -72,14 +72,14 @@ void mlir::tai::splitAdjointZeroing(FunctionOpInterface adjoint) {
       loops.push_back(loop);
   });
   for (ParallelForOp loop : loops) {
-    SmallVector<StoreOp> takes = findTakes(loop);
-    if (takes.empty())
+    SmallVector<StoreOp> zeroed = findZeroed(loop);
+    if (zeroed.empty())
       continue;
     OpBuilder builder(loop->getContext());
     builder.setInsertionPointAfter(loop);
     Operation *zeroing = builder.clone(*loop);
-    for (StoreOp take : takes)
-      take.erase();
+    for (StoreOp store : zeroed)
+      store.erase();
     zeroing->walk([](AtomicOp atomic) { atomic.erase(); });
     IRRewriter rewriter(loop->getContext());
     (void)runRegionDCE(rewriter, zeroing->getRegions());

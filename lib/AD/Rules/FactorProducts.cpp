@@ -166,7 +166,7 @@ Value mlir::tai::createFactorProductTangent(TangentBuilder &b,
     auto svd = factor.getDefiningOp<SvdOp>();
     if (auto transpose = factor.getDefiningOp<TransposeOp>())
       svd = transpose.getMatrix().getDefiningOp<SvdOp>();
-    if (svd != frame->svd && b.isWild(factor))
+    if (svd != frame->svd && b.mayBeNonFinite(factor))
       return {};
   }
   ArrayRef<Value> all = factors;

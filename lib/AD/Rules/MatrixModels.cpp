@@ -27,7 +27,7 @@ Value mlir::tai::createBilinearTangent(
     if (!tangent)
       return;
     bool mayBeNonFinite = b.getFacts().mayBeNonFinite(other);
-    if (!mayBeNonFinite && !b.isWild(of)) {
+    if (!mayBeNonFinite && !b.mayBeNonFinite(of)) {
       sum = addTerms(b, sum,
                      isLeft ? multiply(tangent, rhs) : multiply(lhs, tangent));
       return;
@@ -38,7 +38,7 @@ Value mlir::tai::createBilinearTangent(
       Value product = arith::MulFOp::create(b, t, p);
       if (mayBeNonFinite)
         product = b.createGuard(t, product);
-      return b.isWild(of) ? b.createGuard(p, product) : product;
+      return b.mayBeNonFinite(of) ? b.createGuard(p, product) : product;
     };
     sum = addTerms(b, sum, expand(term));
   };

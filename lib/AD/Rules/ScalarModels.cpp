@@ -86,7 +86,7 @@ static void applyTangentRule(Operation *op, TangentBuilder &b) {
     Value term = b.createProduct(
         operand, product, args.usesNonFinite() || partial.mayBeNonFinite(args),
         createSlope);
-    if (!b.isWild(operand) && saturates(op, partial.operand))
+    if (!b.mayBeNonFinite(operand) && saturates(op, partial.operand))
       term = b.createGuard(createSlope(), term);
     sum = sum ? Value(arith::AddFOp::create(b, sum, term)) : term;
   }

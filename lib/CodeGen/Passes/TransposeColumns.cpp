@@ -145,7 +145,8 @@ private:
   void number();
   bool replace(const Matrix &matrix, ArrayRef<Column> run, bool stores);
   bool canMove(ArrayRef<Column> run, Instruction *to) const;
-  bool mayMeet(const Columns &a, Instruction *first, Instruction *second) const;
+  bool mayAlias(const Columns &a, Instruction *first,
+                Instruction *second) const;
   void emitLoads(const Matrix &matrix, ArrayRef<Column> run,
                  IRBuilder<> &builder, const AAMDNodes &nodes);
   void emitStores(const Matrix &matrix, ArrayRef<Column> run,
@@ -236,8 +237,8 @@ void Transposer::number() {
 
 /// Whether two accesses, one of them of columns, may touch the same memory and
 /// one of them writes.
-bool Transposer::mayMeet(const Columns &columns, Instruction *first,
-                         Instruction *second) const {
+bool Transposer::mayAlias(const Columns &columns, Instruction *first,
+                          Instruction *second) const {
   if (!first->mayWriteToMemory() && !second->mayWriteToMemory())
     return false;
   auto other = known.find(second);
@@ -263,7 +264,7 @@ bool Transposer::canMove(ArrayRef<Column> run, Instruction *to) const {
     size_t from = places.lookup(column.call), end = places.lookup(to);
     const Columns &columns = known.find(column.call)->second;
     for (size_t i = std::min(from, end) + 1; i < std::max(from, end); ++i)
-      if (mayMeet(columns, column.call, memory[i]))
+      if (mayAlias(columns, column.call, memory[i]))
         return false;
   }
   return true;

@@ -215,13 +215,13 @@ struct LowerStructFor : tai::impl::LowerStructForBase<LowerStructFor> {
       return signalPassFailure();
     for (auto [loop, field] : loops) {
       unsigned levels = field->layout.path.levels.size();
-      if (skip.has(Skip::ActivationDemotion))
+      if (skip.has(Skip::ActivityTests))
         markActive(loop, *fields);
       if (field->sparse.empty() && !loop.getLevel())
         lower(loop, *field);
       else
         lowerByDigits(loop, *field, levels + 1 - loop.getLevel().value_or(1),
-                      skip.has(Skip::AccessorHoisting), deterministic);
+                      skip.has(Skip::RepeatedLookups), deterministic);
     }
     countWrites(getOperation());
   }

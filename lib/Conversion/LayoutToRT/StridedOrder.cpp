@@ -60,7 +60,7 @@ bool isStrided(const ElementAccess &access, Value iv) {
 }
 
 /// Whether two accesses of one storage may be of the same element.
-bool mayMeet(const ElementAccess &a, const ElementAccess &b) {
+bool mayAlias(const ElementAccess &a, const ElementAccess &b) {
   if ((a.field ? a.field->scope : nullptr) !=
       (b.field ? b.field->scope : nullptr))
     return false;
@@ -91,7 +91,8 @@ bool variesWithRounds(const ElementAccess &access) {
 }
 
 /// Whether a later round of `other` may be of the element of `store`.
-bool mayMeetInRounds(const ElementAccess &store, const ElementAccess &other) {
+bool mayAliasAcrossIterations(const ElementAccess &store,
+                              const ElementAccess &other) {
   if (!store.loop || !other.loop)
     return false;
   return store.loop != other.loop || !variesWithRounds(store) ||
@@ -151,12 +152,12 @@ bool tai::needsOrderWithin(ParallelForOp loop, FieldTable &fields) {
     for (size_t j = 0; j < accesses.size(); ++j) {
       const ElementAccess &other = accesses[j];
       // Loops inside may be unrolled: their next round comes after.
-      bool isAfter = j > i || mayMeetInRounds(store, other);
+      bool isAfter = j > i || mayAliasAcrossIterations(store, other);
       if (isAfter && j != i && (store.isStrided || other.isStrided) &&
-          mayMeet(store, other))
+          mayAlias(store, other))
         return true;
     }
-    if (store.isStrided && mayMeetInRounds(store, store))
+    if (store.isStrided && mayAliasAcrossIterations(store, store))
       return true;
   }
   return false;

@@ -344,7 +344,7 @@ void Accumulators::emitEntry(OpBuilder &builder, Location loc, Value part) {
 static void moveBehindBranches(Operation *update, OpOperand &updated,
                                AtomicKind kind) {
   while (auto branch = dyn_cast<scf::IfOp>(update->getParentOp())) {
-    // tai-split-loops takes this branch out of the loop.
+    // tai-split-index-sets takes this branch out of the loop.
     if (branch->hasAttr("tai.interior"))
       return;
     Location loc = branch.getLoc();

@@ -38,7 +38,7 @@ void Gradients::owe(const FieldPtr &adjoint,
   Field *dual = forward ? adjoint->dual() : nullptr;
   if (dual && dual->valid())
     zeros->store(*dual);
-  if (forward || adjoint->tree().isLent()) {
+  if (forward || adjoint->tree().isExported()) {
     zeros->store(*adjoint);
     return;
   }
@@ -114,7 +114,7 @@ void Gradients::clear(const Recorder *tape) {
     // clear already is cleared along with its neighbour.
     bool isAlong =
         cleared && cleared->tree().mirror() && endsBeside(*cleared, *field);
-    if (!field->dirty() && skips.has(Skip::FlaggedClears) && !isAlong) {
+    if (!field->dirty() && skips.has(Skip::CleanGradients) && !isAlong) {
       counters.bump(SkipCount::FieldsNotCleared);
       counters.bump(SkipCount::BytesNotCleared, bytes);
       continue;

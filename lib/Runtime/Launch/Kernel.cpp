@@ -29,7 +29,7 @@ bool CallerAdjoints::areZero(const uint64_t *callerSlots) const {
 Kernel::Kernel(KernelInfo kernelInfo) : info(std::move(kernelInfo)) {
   function.store(info.function, std::memory_order_release);
   adjointForms[0].kernel = info.adjoint;
-  if (info.adjointTakes)
+  if (info.zeroesAdjoints)
     adjointForms[1].kernel = info.adjoint;
 }
 
@@ -104,16 +104,16 @@ static Status planFailed(const Status &why) {
   return Status::failure(why.code(), why.message(), why.where(), why.detail());
 }
 
-Status Kernel::resolveAdjoint(Kernel *&adjoint, bool takes) {
+Status Kernel::resolveAdjoint(Kernel *&adjoint, bool zeroes) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
   adjoint = nullptr;
   if (!info.differentiable)
     return Status::success();
-  AdjointForm &form = adjointForms[takes];
+  AdjointForm &form = adjointForms[zeroes];
   if (!form.asked && !form.kernel) {
     if (!info.provider)
-      return hasNoAdjoint(*this, takes);
-    Status status = info.provider->makeAdjoint(*this, {takes}, form.kernel);
+      return hasNoAdjoint(*this, zeroes);
+    Status status = info.provider->makeAdjoint(*this, {zeroes}, form.kernel);
     if (!status)
       return status;
     form.asked = true;
@@ -125,12 +125,12 @@ Status Kernel::resolveAdjoint(Kernel *&adjoint, bool takes) {
   return Status::success();
 }
 
-Status Kernel::resolveStoredAdjoint(Kernel *&adjoint, bool takes) {
+Status Kernel::resolveStoredAdjoint(Kernel *&adjoint, bool zeroes) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
-  AdjointForm &form = storedForms[takes];
+  AdjointForm &form = storedForms[zeroes];
   if (!form.asked && info.provider) {
     Status status = info.provider->makeAdjoint(
-        *this, {takes, /*readsStored=*/true}, form.kernel);
+        *this, {zeroes, /*readsStored=*/true}, form.kernel);
     if (!status)
       return status;
     form.asked = true;
@@ -158,7 +158,7 @@ const AdjointPlan &Kernel::plan() {
     *adjointPlan = AdjointPlan();
   adjointReruns = adjointPlan->reruns;
   loadsStored = adjointPlan->loadsStored;
-  alwaysTakes = adjointPlan->takes;
+  alwaysZeroes = adjointPlan->zeroes;
   return *adjointPlan;
 }
 

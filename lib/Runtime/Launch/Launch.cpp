@@ -178,8 +178,8 @@ int64_t Launch::partition(int64_t n, int64_t cost, bool reduces) {
 // Elements that launches touch
 //===----------------------------------------------------------------------===//
 
-bool mlir::tai::runtime::mayMeet(const OwedZeros &zeros, const Access &access,
-                                 const uint64_t *args) {
+bool mlir::tai::runtime::mayAlias(const OwedZeros &zeros, const Access &access,
+                                  const uint64_t *args) {
   if (!access.fixed)
     return true;
   int64_t dimension = access.fixed->dimension;

@@ -134,7 +134,7 @@ struct Launch : TaiFrame {
   const LoopLists *given = nullptr;
   const std::string *primalName = nullptr;
   /// Of adjoints: which cells their loops may leave out, and what is left.
-  const std::vector<AdjointFlags> *flags = nullptr;
+  const std::vector<ZeroAdjoints> *flags = nullptr;
   std::vector<std::unique_ptr<std::vector<int64_t>>> filtered;
   /// Lists that were brought from a device.
   std::vector<ActiveListPtr> fetched;
@@ -163,8 +163,8 @@ inline HoldKind holdKindOf(AccessKind kind) {
 }
 
 /// Whether a launch may touch one of the elements by this access.
-bool mayMeet(const OwedZeros &zeros, const Access &access,
-             const uint64_t *args);
+bool mayAlias(const OwedZeros &zeros, const Access &access,
+              const uint64_t *args);
 /// The elements of a box in a launch with these arguments, those within the
 /// field; false where there are none.
 bool findElements(const StoredBox &box, const Field &field,

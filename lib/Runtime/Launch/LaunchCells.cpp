@@ -108,10 +108,10 @@ static bool numbersAlike(const Field &a, const Field &b) {
 
 /// The fields that must be zero; none if some loop over the level does more.
 static std::vector<const Field *>
-findSources(const std::vector<AdjointFlags> &flags, const SparseNode &node,
+findSources(const std::vector<ZeroAdjoints> &flags, const SparseNode &node,
             bool deterministic) {
   std::vector<const Field *> sources;
-  for (const AdjointFlags &loop : flags) {
+  for (const ZeroAdjoints &loop : flags) {
     if (loop.loop->sparseNode() != &node)
       continue;
     // Sums are split by the number of iterations.
@@ -249,7 +249,7 @@ const std::vector<int64_t> &Launch::gatheredCellsFor(SparseNode &node,
   if (&busy == &cells)
     return cells;
   auto loop =
-      std::find_if(flags->begin(), flags->end(), [&](const AdjointFlags &f) {
+      std::find_if(flags->begin(), flags->end(), [&](const ZeroAdjoints &f) {
         return f.loop->sparseNode() == &node;
       });
   CellGrid grid(*loop->loop);

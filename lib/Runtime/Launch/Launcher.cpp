@@ -8,7 +8,7 @@
 #include "tai/Runtime/Launch/Launcher.h"
 #include "Launch.h"
 #include "TangentFlows.h"
-#include "tai/Runtime/Host/Loan.h"
+#include "tai/Runtime/Host/ExportedBuffer.h"
 
 using namespace mlir::tai;
 using namespace mlir::tai::runtime;
@@ -73,7 +73,7 @@ void Launcher::settleZeros(const Kernel &kernel, const uint64_t *args) {
   parts.gradients.settle([&] {
     for (const Access &access : kernel.summary())
       if (const OwedZeros *zeros = access.field->owesZeros())
-        if (mayMeet(*zeros, access, args))
+        if (mayAlias(*zeros, access, args))
           access.field->settleZeros();
   });
 }
@@ -214,7 +214,7 @@ Status Launcher::runBegun(Launch &launch, Kernel &kernel, const uint64_t *args,
     kernel.noteBegin();
   int32_t code;
   TaiKernelFn function = kernel.function.load(std::memory_order_relaxed);
-  if (!kernel.loopLevels.empty() && parts.options.skips.has(Skip::EmptyLists) &&
+  if (!kernel.loopLevels.empty() && parts.options.skips.has(Skip::EmptyLoops) &&
       kernel.hasNoActiveCells() &&
       !(launch.given && launch.given->hasCells())) {
     parts.counters.add(SkipCount::EmptyLaunches);
@@ -259,7 +259,7 @@ static Status checkLentFields(const Kernel &kernel, const uint64_t *args) {
   for (const Access &access : kernel.summary()) {
     const Field &field = *access.field;
     uint64_t begin = 0, end = 0;
-    if (!Loan::findBytes(field, begin, end))
+    if (!ExportedBuffer::findBytes(field, begin, end))
       continue;
     for (const ArrayArgument &array : kernel.arrays()) {
       uint64_t from = args[array.slot];
@@ -280,7 +280,8 @@ static Status checkLentFields(const Kernel &kernel, const uint64_t *args) {
 
 Status Launcher::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
                         uint64_t *results) {
-  if (__builtin_expect(Loan::areAny(), false) && !kernel.arrays().empty())
+  if (__builtin_expect(ExportedBuffer::areAny(), false) &&
+      !kernel.arrays().empty())
     if (Status status = checkLentFields(kernel, args); !status)
       return status;
   const PreparedLaunch &prepared = kernel.prepared;
@@ -336,9 +337,9 @@ Status Launcher::launchAdjoint(Kernel &kernel, const uint64_t *args,
             "tape keeps: launch it under a tape, or store the new values to "
             "other elements");
   Kernel *adjoint = nullptr;
-  bool canTake = kernel.hasZeroingAdjoint();
+  bool canZero = kernel.hasZeroingAdjoint();
   status = kernel.resolveAdjoint(
-      adjoint, kernel.alwaysTakes || (canTake && !kernel.overwritten.empty()));
+      adjoint, kernel.alwaysZeroes || (canZero && !kernel.overwritten.empty()));
   if (!status)
     return status;
   LoopLists loops;
@@ -374,7 +375,7 @@ Status Launcher::runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
   launch.given = given;
   launch.primalName = &kernel.name();
   if (!kernel.sparseNodes.empty() &&
-      parts.options.skips.has(Skip::AdjointFlags) &&
+      parts.options.skips.has(Skip::ZeroAdjoints) &&
       !parts.recordings.isForward())
     launch.flags = &kernel.plan().flags;
   Status status = run(launch, adjoint, args, nullptr, number);

@@ -69,7 +69,7 @@ struct TapedKernel {
   }
   static bool loadsStored(const Kernel &kernel) { return kernel.loadsStored; }
   /// The adjoint always zeroes the adjoints of what the kernel overwrites.
-  static bool alwaysZeroes(const Kernel &kernel) { return kernel.alwaysTakes; }
+  static bool alwaysZeroes(const Kernel &kernel) { return kernel.alwaysZeroes; }
 
   /// A form of the adjoint if it has been found, and whether it was asked for.
   static Kernel *known(const Kernel &kernel, bool zeroes, bool stored) {

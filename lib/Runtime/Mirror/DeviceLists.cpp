@@ -179,7 +179,7 @@ Status DeviceLists::list(SparseNode &node, DeviceCellsPtr &cells) {
   const DeviceServices &host = context.host();
   Pool &pool = pools[numberOf(tree, node)];
   if (pool.current && activity.isShownBy(*pool.current) &&
-      host.skips.has(Skip::ListReuse)) {
+      host.skips.has(Skip::UnchangedLists)) {
     node.countList(/*isReused=*/true);
     host.counters.add(SkipCount::ListsReused);
     cells = pool.current;

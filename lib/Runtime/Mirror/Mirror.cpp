@@ -49,7 +49,7 @@ Status Mirror::upload() {
   else
     status = pristine ? device().fill(memory, &zero, 1, tree.bytes())
                       : device().copyIn(memory, tree.base(), tree.bytes());
-  if (status && isLent())
+  if (status && isExported())
     hostCurrent.store(false, std::memory_order_relaxed);
   if (status)
     deviceCurrent.store(true, std::memory_order_release);
@@ -65,7 +65,7 @@ Status Mirror::download() {
                       : device().copyOut(tree.base(), memory, tree.bytes());
   if (!status)
     return status;
-  if (!isLent())
+  if (!isExported())
     hostCurrent.store(true, std::memory_order_release);
   return context().report();
 }
@@ -76,7 +76,7 @@ static int64_t accessesWorth(int64_t bytes) { return bytes >> 17; }
 
 Status Mirror::read(int64_t offset, void *to, int64_t bytes) {
   Status status;
-  if (!onHost() && (isLent() || reads++ < accessesWorth(tree.bytes()))) {
+  if (!onHost() && (isExported() || reads++ < accessesWorth(tree.bytes()))) {
     status = device().copyOut(to, at(offset), bytes);
     return status ? context().report() : std::move(status);
   }
@@ -90,13 +90,14 @@ Status Mirror::write(int64_t offset, const void *from, int64_t bytes) {
   // A write on the device is not waited for.
   constexpr int64_t few = 8;
   if (onDevice() &&
-      (isLent() || writes++ < few + accessesWorth(tree.bytes()))) {
+      (isExported() || writes++ < few + accessesWorth(tree.bytes()))) {
     pristine = false;
     // Where both are current, both stay so.
     if (onHost())
       std::memcpy(tree.base() + offset, from, static_cast<size_t>(bytes));
     Status status = device().fill(at(offset), from, static_cast<int>(bytes), 1);
-    return status && isLent() ? context().queue().settle() : std::move(status);
+    return status && isExported() ? context().queue().settle()
+                                  : std::move(status);
   }
   Status status = toHost();
   if (!status)
@@ -255,7 +256,7 @@ static std::vector<DeviceRows> findPieces(const Mirror &mirror,
 /// Who looks at the memory of a field by itself does not ask for what the
 /// queue keeps.
 static void settleLent(const Mirror &mirror) {
-  if (mirror.isLent())
+  if (mirror.isExported())
     mirror.context().note(mirror.context().queue().settle());
 }
 

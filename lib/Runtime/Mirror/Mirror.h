@@ -65,15 +65,17 @@ public:
 
   /// Others have its address on the device, and may write there at any time:
   /// what the host has read is not current any more then.
-  bool isLent() const { return loans.load(std::memory_order_relaxed) > 0; }
+  bool isExported() const {
+    return exports.load(std::memory_order_relaxed) > 0;
+  }
   /// The memory of the device is current.
-  void lend() {
-    loans.fetch_add(1, std::memory_order_relaxed);
+  void addExport() {
+    exports.fetch_add(1, std::memory_order_relaxed);
     deviceWrites();
     context().note(context().queue().share());
   }
-  void takeBack() {
-    loans.fetch_sub(1, std::memory_order_relaxed);
+  void removeExport() {
+    exports.fetch_sub(1, std::memory_order_relaxed);
     context().queue().unshare();
   }
 
@@ -111,7 +113,7 @@ private:
   std::unique_ptr<SparseMirror> sparseTree;
   std::mutex mutex;
   std::atomic<bool> hostCurrent{true}, deviceCurrent{false};
-  std::atomic<int> loans{0};
+  std::atomic<int> exports{0};
   /// Nobody has written to it: it holds zeros.
   std::atomic<bool> pristine{true};
   /// Elements read and written one by one since the last launch.

@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "DeviceProgram.h"
-#include "LaunchLeads.h"
 #include "RecordedLaunches.h"
+#include "SequencePrefixes.h"
 #include "tai/ABI/DeviceAbi.h"
 #include <algorithm>
 #include <cstring>
@@ -18,7 +18,7 @@ DeviceQueue::DeviceQueue(std::unique_ptr<Device> device, Device *unwatched)
     : device(std::move(device)), unwatched(unwatched),
       collected(std::make_unique<Sequence>()),
       lead(std::make_unique<Sequence>()),
-      leads(std::make_unique<LaunchLeads>()),
+      leads(std::make_unique<SequencePrefixes>()),
       recorded(std::make_unique<RecordedLaunches>()) {
   setOneByOne(false);
 }

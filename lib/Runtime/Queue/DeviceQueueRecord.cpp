@@ -14,8 +14,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "DeviceProgram.h"
-#include "LaunchLeads.h"
 #include "RecordedLaunches.h"
+#include "SequencePrefixes.h"
 #include <algorithm>
 
 using namespace mlir::tai::runtime;

@@ -397,7 +397,8 @@ ActiveListPtr SparseNode::list() {
   const ListMaker &maker = *memory.lists;
   std::lock_guard<std::mutex> lock(mutex);
   uint64_t now = changes.load(std::memory_order_acquire);
-  if (current && current->epoch == now && maker.skips.has(Skip::ListReuse)) {
+  if (current && current->epoch == now &&
+      maker.skips.has(Skip::UnchangedLists)) {
     ++reused;
     maker.counters.add(SkipCount::ListsReused);
     return current;

@@ -74,7 +74,7 @@ Status TreeStore::addTree(std::string name, int64_t bytes, TreePtr &tree,
                                " are taken by other trees)");
   if (sparse.empty() && bytes >= (int64_t(8) << 20))
     (void)madvise(mapping, mapped, MADV_HUGEPAGE);
-  if (sparse.empty() && !lists.skips.has(Skip::LazyMemory))
+  if (sparse.empty() && !lists.skips.has(Skip::UntouchedMemory))
     commitPages(static_cast<char *>(mapping), static_cast<int64_t>(mapped));
   ++treesMade;
   tree = std::make_shared<Tree>();

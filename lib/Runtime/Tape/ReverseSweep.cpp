@@ -67,7 +67,7 @@ Status ReverseSweep::runAdjoint(Launch &launch, size_t index) {
   // A value that was returned and not used any more costs nothing.
   const std::vector<Field *> &sources = TapedKernel::sources(kernel);
   const CallerAdjoints &caller = kernel.callerAdjoints();
-  if (services.skips(Skip::TapePruning) && !caller.results.empty() &&
+  if (services.skips(Skip::DeadLaunches) && !caller.results.empty() &&
       std::none_of(sources.begin(), sources.end(),
                    [](Field *field) { return field->adjoint()->dirty(); }) &&
       caller.areZero(args + kernel.argSlots()))

@@ -115,7 +115,7 @@ std::vector<Field *> SweepSeeds::liveFields(bool cleared,
   auto mayBeNonzero = [&](const FieldPtr &adjoint) {
     if (adjoint->isDirtiedByOther() && !holds.has(adjoint))
       return false;
-    return cleared ? adjoint->tree().isLent() : adjoint->dirty();
+    return cleared ? adjoint->tree().isExported() : adjoint->dirty();
   };
   std::vector<Field *> live;
   for (const FieldPtr &field : services.fields())

@@ -49,7 +49,7 @@ void TapePlan::make(const TapeServices &services,
                     const TapeRecording &recording, std::vector<Field *> live) {
   plannedEpoch = services.epoch();
   plannedLive = std::move(live);
-  prunes = services.skips(Skip::TapePruning);
+  prunes = services.skips(Skip::DeadLaunches);
   decisions.assign(recording.size(), Decision::SkipUnreached);
   needed.clear();
   for (const KernelPtr &kernel : recording.kernels())

@@ -60,7 +60,7 @@ static std::string explainDecision(Decision decision, const Kernel *kernel,
   case Decision::Replay:
     return explainReplay(*kernel) + explainStored(*kernel, loadsStored);
   case Decision::Unpruned:
-    return "replayed, without effect: 'tape-pruning' is off";
+    return "replayed, without effect: 'dead-launches' is off";
   case Decision::SkipNoDerivative:
     return "skipped: it has nothing to differentiate";
   case Decision::SkipUnreached:

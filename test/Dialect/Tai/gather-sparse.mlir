@@ -1,4 +1,4 @@
-// RUN: tai-opt %s --tai-gather-accumulations --canonicalize | FileCheck %s
+// RUN: tai-opt %s --tai-scatter-to-gather --canonicalize | FileCheck %s
 
 // The reverse of a stencil over active cells: each element adds up what the
 // iterations around it would have added, as far as there are such iterations.

@@ -1,4 +1,4 @@
-// RUN: tai-opt %s --tai-gather-accumulations | FileCheck %s
+// RUN: tai-opt %s --tai-scatter-to-gather | FileCheck %s
 
 // Additions that depend on what the loop takes from the same field stay where
 // they are: another iteration would find zero there, or not.

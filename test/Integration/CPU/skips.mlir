@@ -1,9 +1,9 @@
 // RUN: tai-run %s --no-cache --skips | FileCheck %s --check-prefixes=CHECK,ALL
 // RUN: tai-run %s --no-cache --skips --tai-skip=none | FileCheck %s --check-prefixes=CHECK,NONE
-// RUN: tai-run %s --no-cache --skips --tai-skip=all,-list-reuse | FileCheck %s --check-prefixes=CHECK,SOME
+// RUN: tai-run %s --no-cache --skips --tai-skip=all,-unchanged-lists | FileCheck %s --check-prefixes=CHECK,SOME
 // RUN: not tai-run %s --tai-skip=lists 2>&1 | FileCheck %s --check-prefix=WRONG
 
-// WRONG: option 'skip': there is no skip 'lists'; the skips are all, none, list-reuse,
+// WRONG: option 'skip': there is no skip 'lists'; the skips are all, none, unchanged-lists,
 
 tai.tree @t : !tai.root<pointer<[i: 4], dense<[i: 8], {x: i32}>>>
 tai.field @x = @t["x"] : i32, rank 1
@@ -29,17 +29,17 @@ tai.kernel @show(%i: index) {
 }
 
 // CHECK: x = 4
-//  ALL: list-reuse            on   made 1, reused 2
-// NONE: list-reuse            off  made 4, reused 0
-// SOME: list-reuse            off  made 3, reused 0
-//  ALL: activation-demotion   on   writes demoted 1, writes kept 1
-// NONE: activation-demotion   off  writes demoted 0, writes kept 2
-// SOME: activation-demotion   on   writes demoted 1, writes kept 1
-//  ALL: accessor-hoisting     on   cells 8, located 1
-// NONE: accessor-hoisting     off  cells 8, located 8
-//  ALL: empty-lists           on   launches skipped 1, empty loops run 0
-// NONE: empty-lists           off  launches skipped 0, empty loops run 1
-// CHECK: lazy-compilation
+//  ALL: unchanged-lists            on   made 1, reused 2
+// NONE: unchanged-lists            off  made 4, reused 0
+// SOME: unchanged-lists            off  made 3, reused 0
+//  ALL: activity-tests   on   writes demoted 1, writes kept 1
+// NONE: activity-tests   off  writes demoted 0, writes kept 2
+// SOME: activity-tests   on   writes demoted 1, writes kept 1
+//  ALL: repeated-lookups     on   cells 8, located 1
+// NONE: repeated-lookups     off  cells 8, located 8
+//  ALL: empty-loops           on   launches skipped 1, empty loops run 0
+// NONE: empty-loops           off  launches skipped 0, empty loops run 1
+// CHECK: unlaunched-kernels
 func.func @main() {
   %c3 = arith.constant 3 : index
   tai.launch @step() : () -> ()

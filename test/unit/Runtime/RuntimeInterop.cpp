@@ -14,26 +14,27 @@
 using namespace mlir::tai::runtime;
 using namespace mlir::tai::runtime::test;
 
-static Status lend(Runtime &runtime, Field &field, LentField &lent) {
-  return runtime.lend(field, lent);
+static Status exportField(Runtime &runtime, Field &field,
+                          ExportedField &exported) {
+  return runtime.exportField(field, exported);
 }
 
 TEST(RuntimeInterop, LendsFieldsByTheirStrides) {
   Runtime runtime;
   FieldPtr x = makeField(runtime, "x", ScalarKind::F32, {3, 4}, {2});
-  LentField lent;
-  ASSERT_OK(lend(runtime, *x, lent));
-  EXPECT_FALSE(lent.onDevice);
-  EXPECT_EQ(lent.strides, (std::vector<int64_t>{32, 8, 4}));
-  static_cast<float *>(lent.address)[2 * 8 + 1 * 2 + 1] = 5;
+  ExportedField exported;
+  ASSERT_OK(exportField(runtime, *x, exported));
+  EXPECT_FALSE(exported.onDevice);
+  EXPECT_EQ(exported.strides, (std::vector<int64_t>{32, 8, 4}));
+  static_cast<float *>(exported.address)[2 * 8 + 1 * 2 + 1] = 5;
   EXPECT_EQ(get(*x, {2, 1}, 1), 5.0);
   // Who has the address may have written.
   EXPECT_TRUE(x->dirty());
   // The memory outlives the tree.
   EXPECT_OK(runtime.destroyTree("x_tree"));
-  EXPECT_EQ(static_cast<float *>(lent.address)[2 * 8 + 1 * 2 + 1], 5);
-  LentField again;
-  EXPECT_EQ(lend(runtime, *x, again).message(),
+  EXPECT_EQ(static_cast<float *>(exported.address)[2 * 8 + 1 * 2 + 1], 5);
+  ExportedField again;
+  EXPECT_EQ(exportField(runtime, *x, again).message(),
             "field 'x' cannot be shared: its tree has been destroyed");
 }
 
@@ -41,8 +42,8 @@ TEST(RuntimeInterop, GivesBackWhatWasLent) {
   Runtime runtime;
   FieldPtr x = makeField(runtime, "x", ScalarKind::F32, {3});
   {
-    LentField lent;
-    ASSERT_OK(lend(runtime, *x, lent));
+    ExportedField exported;
+    ASSERT_OK(exportField(runtime, *x, exported));
     EXPECT_TRUE(x->dirty());
   }
   EXPECT_FALSE(x->dirty());
@@ -58,8 +59,8 @@ TEST(RuntimeInterop, RefusesWhatHasNoStrides) {
   info.layout.indices[0] = {{4, 4, 4}, {1, 4, 16}};
   FieldPtr field;
   ASSERT_OK(runtime.addField(std::move(info), field));
-  LentField lent;
-  EXPECT_NE(lend(runtime, *field, lent).message().find("in blocks"),
+  ExportedField exported;
+  EXPECT_NE(exportField(runtime, *field, exported).message().find("in blocks"),
             std::string::npos);
 }
 
@@ -92,10 +93,10 @@ TEST(RuntimeInterop, PutsStreamsInOrder) {
     // Device memory, which stays when the tree goes.
     FieldPtr x = makeField(runtime, "x", ScalarKind::F64, {100});
     set(*x, {7}, 2.5);
-    LentField lent;
-    ASSERT_OK(lend(runtime, *x, lent));
-    EXPECT_TRUE(lent.onDevice);
-    auto *there = static_cast<double *>(lent.address);
+    ExportedField exported;
+    ASSERT_OK(exportField(runtime, *x, exported));
+    EXPECT_TRUE(exported.onDevice);
+    auto *there = static_cast<double *>(exported.address);
     EXPECT_EQ(there[7], 2.5);
     there[7] = 3.5;
     EXPECT_EQ(get(*x, {7}), 3.5);
@@ -104,7 +105,7 @@ TEST(RuntimeInterop, PutsStreamsInOrder) {
     EXPECT_OK(runtime.destroyTree("x_tree"));
     EXPECT_EQ(there[7], 3.5);
     EXPECT_GE(runtime.getDevice()->allocatedBytes(), 800);
-    lent.loan.reset();
+    exported.buffer.reset();
     EXPECT_LT(runtime.getDevice()->allocatedBytes(), 800);
   }
   unsetenv("TAI_CUDA_DRIVER");

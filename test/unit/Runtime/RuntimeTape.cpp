@@ -36,12 +36,12 @@ int32_t sine(TaiFrame *frame) {
     in<1>(frame)[i] = scaleOf(frame) * std::sin(in<0>(frame)[i]);
   return 0;
 }
-template <bool takes>
+template <bool zeroes>
 int32_t sineAdjoint(TaiFrame *frame) { // from, to, from_grad, to_grad
   for (int64_t i = 0; i < n; ++i) {
     in<2>(frame)[i] +=
         in<3>(frame)[i] * scaleOf(frame) * std::cos(in<0>(frame)[i]);
-    if (takes)
+    if (zeroes)
       in<3>(frame)[i] = 0;
   }
   return 0;
@@ -138,7 +138,7 @@ struct Scene {
     reverse.trees = {tree(*to), tree(*to->adjoint())};
     reverse.function = onesAdjoint;
     info.adjoint = runtime.createKernel(reverse);
-    info.adjointTakes = true;
+    info.zeroesAdjoints = true;
     return runtime.createKernel(info);
   }
 

@@ -53,7 +53,7 @@ struct Scene {
       if (field->adjoint())
         adjoint.trees.push_back(tree(*field->adjoint()));
     info.adjoint = runtime.createKernel(adjoint);
-    info.adjointTakes = true;
+    info.zeroesAdjoints = true;
     provide(info).onPlanAdjoint = [plan](Kernel &, AdjointPlan &result) {
       result = plan;
       return Status::success();

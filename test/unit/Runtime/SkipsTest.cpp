@@ -27,17 +27,17 @@ TEST(Skips, ParsesNames) {
   EXPECT_EQ(parse("all"), SkipSet::all());
   EXPECT_EQ(parse("none"), SkipSet::none());
   EXPECT_EQ(parse(""), SkipSet::none());
-  SkipSet set = parse(" tape-pruning , list-reuse");
-  EXPECT_EQ(set.str(), "list-reuse,tape-pruning");
-  EXPECT_TRUE(set.has(Skip::ListReuse));
-  EXPECT_FALSE(set.has(Skip::LazyMemory));
-  set = parse("-list-reuse");
-  EXPECT_FALSE(set.has(Skip::ListReuse));
-  set.set(Skip::ListReuse, true);
+  SkipSet set = parse(" dead-launches , unchanged-lists");
+  EXPECT_EQ(set.str(), "unchanged-lists,dead-launches");
+  EXPECT_TRUE(set.has(Skip::UnchangedLists));
+  EXPECT_FALSE(set.has(Skip::UntouchedMemory));
+  set = parse("-unchanged-lists");
+  EXPECT_FALSE(set.has(Skip::UnchangedLists));
+  set.set(Skip::UnchangedLists, true);
   EXPECT_EQ(set, SkipSet::all());
   EXPECT_EQ(parse("all,none"), SkipSet::none());
   EXPECT_EQ(parse("all,-all"), SkipSet::none());
-  EXPECT_EQ(parse("none,lazy-memory").str(), "lazy-memory");
+  EXPECT_EQ(parse("none,untouched-memory").str(), "untouched-memory");
 }
 
 TEST(Skips, EverySetIsReadAsItIsWritten) {
@@ -52,9 +52,10 @@ TEST(Skips, EverySetIsReadAsItIsWritten) {
 TEST(Skips, RefusesWhatIsNoName) {
   SkipSet set = SkipSet::none();
   std::string error;
-  for (const char *text : {"List-reuse", "all,-", "list-reuse,,", "- all"}) {
+  for (const char *text :
+       {"List-reuse", "all,-", "unchanged-lists,,", "- all"}) {
     EXPECT_FALSE(SkipSet::parse(text, set, error)) << text;
-    EXPECT_NE(error.find("the skips are all, none, list-reuse, "),
+    EXPECT_NE(error.find("the skips are all, none, unchanged-lists, "),
               std::string::npos);
   }
   EXPECT_EQ(set, SkipSet::none());
@@ -77,9 +78,9 @@ TEST(Skips, AreInTheCApi) {
   TaiContext context = taiContextCreate();
   EXPECT_EQ(taiContextSetOption(context, "skip", "nothing"), TAI_ERROR_USAGE);
   EXPECT_NE(
-      std::string(taiContextLastError(context).message).find("list-reuse"),
+      std::string(taiContextLastError(context).message).find("unchanged-lists"),
       std::string::npos);
-  ASSERT_EQ(taiContextSetOption(context, "skip", "-list-reuse"), TAI_OK);
+  ASSERT_EQ(taiContextSetOption(context, "skip", "-unchanged-lists"), TAI_OK);
   ASSERT_EQ(
       taiContextAddTree(context, "t", "!tai.root<dense<[i: 1024], {x: f32}>>"),
       TAI_OK);
@@ -87,7 +88,7 @@ TEST(Skips, AreInTheCApi) {
   int64_t count = 0;
   ASSERT_EQ(taiProfilerSkips(context, &rows, &count), TAI_OK);
   ASSERT_EQ(count, kNumSkipCounts);
-  EXPECT_EQ(std::string(rows[0].skip), "list-reuse");
+  EXPECT_EQ(std::string(rows[0].skip), "unchanged-lists");
   EXPECT_EQ(std::string(rows[0].counter), "made");
   EXPECT_FALSE(rows[0].on);
   EXPECT_TRUE(rows[count - 1].on);

@@ -100,7 +100,7 @@ struct LoopLevel {
 
 /// A loop of an adjoint over a sparse field that changes nothing in cells where
 /// all of `sources` are zero; without any, it may.
-struct AdjointFlags {
+struct ZeroAdjoints {
   FieldPtr loop;
   std::vector<FieldPtr> sources;
   /// It adds to elements that lie below no sparse level.
@@ -165,15 +165,15 @@ struct AdjointPlan {
   /// If not empty: what is recorded in the place of the kernel, in this order.
   /// They take its arguments; one of them may return its results.
   std::vector<KernelPtr> parts;
-  /// It holds for the form of the adjoint that takes, which is the one to use.
-  bool takes = false;
+  /// It holds for the form of the adjoint that zeroes, which is the one to use.
+  bool zeroes = false;
   /// Nothing of this is worth keeping: there may be more to plan when there are
   /// other adjoint fields.
   bool provisional = false;
   /// It asks which cells of the sparse levels above these are active.
   std::vector<FieldPtr> activity = {};
   /// Its loops over sparse fields.
-  std::vector<AdjointFlags> flags = {};
+  std::vector<ZeroAdjoints> flags = {};
   /// There is a form of it that loads what the kernel has stored. Besides what
   /// all forms read it reads these: it is right where nothing has changed them
   /// since the launch.
@@ -232,7 +232,7 @@ struct KernelInfo {
   /// The adjoint kernel; null where the provider makes it.
   KernelPtr adjoint;
   /// True if `adjoint` leaves zero in the adjoints of what the kernel stores.
-  bool adjointTakes = false;
+  bool zeroesAdjoints = false;
   /// False if an adjoint of the kernel would do nothing; the tape skips it.
   bool differentiable = true;
   /// Where the kernel does nothing but loop over active cells: of which levels.
@@ -291,12 +291,12 @@ public:
   bool resolved() const {
     return function.load(std::memory_order_acquire) != nullptr;
   }
-  /// The adjoint, or the form of it that takes, made now if need be; null if
+  /// The adjoint, or the form of it that zeroes, made now if need be; null if
   /// there is nothing to differentiate. Any thread.
-  Status resolveAdjoint(Kernel *&adjoint, bool takes = false);
+  Status resolveAdjoint(Kernel *&adjoint, bool zeroes = false);
   /// The same for the forms that load what the kernel has stored: null if there
   /// is none. Ask only where `plan` names what they read.
-  Status resolveStoredAdjoint(Kernel *&adjoint, bool takes);
+  Status resolveStoredAdjoint(Kernel *&adjoint, bool zeroes);
 
   /// What the adjoint asks of memory. Any thread.
   const AdjointPlan &plan();
@@ -307,7 +307,7 @@ public:
 
   /// Whether there is an adjoint that zeroes what the kernel stores.
   bool hasZeroingAdjoint() const {
-    return info.adjointTakes ||
+    return info.zeroesAdjoints ||
            (info.provider && info.provider->makesZeroingAdjoints());
   }
 
@@ -350,7 +350,7 @@ private:
   std::atomic<TaiKernelFn> function{nullptr};
   /// Recursive: the resolver of an adjoint may resolve its primal.
   std::recursive_mutex mutex;
-  /// Of the forms of the adjoint: the plain one and the one that takes, and
+  /// Of the forms of the adjoint: the plain one and the one that zeroes, and
   /// these two where they load what the kernel has stored.
   struct AdjointForm {
     KernelPtr kernel;
@@ -366,7 +366,7 @@ private:
   std::optional<KernelFlows> valueFlows;
   bool adjointReruns = false;
   bool loadsStored = false;
-  bool alwaysTakes = false;
+  bool alwaysZeroes = false;
   KernelPtr tangent;
   bool tangentAsked = false;
 

@@ -17,7 +17,7 @@
 #ifndef TAI_RUNTIME_LAUNCH_RUNTIME_H
 #define TAI_RUNTIME_LAUNCH_RUNTIME_H
 
-#include "tai/Runtime/Host/Loan.h"
+#include "tai/Runtime/Host/ExportedBuffer.h"
 #include "tai/Runtime/Launch/Launcher.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 
@@ -253,10 +253,10 @@ public:
   /// Stores the zeros that sweeps have left to whoever looks at gradients. To
   /// be called before that is done past the fields.
   void settleZeros() { fieldGradients.settle(); }
-  Status lend(Field &field, LentField &lent) {
+  Status exportField(Field &field, ExportedField &exported) {
     // Others look at the memory of the whole tree from now on.
     settleZeros();
-    return Loan::make(field, deviceHost, lent);
+    return ExportedBuffer::make(field, deviceHost, exported);
   }
   Status noteOutsideWrite(Field &field) {
     return hostWrites.noteOutside(field);

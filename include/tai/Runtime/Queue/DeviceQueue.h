@@ -23,7 +23,7 @@
 
 namespace mlir::tai::runtime {
 
-class LaunchLeads;
+class SequencePrefixes;
 class RecordedLaunches;
 
 /// A function of a kernel that goes into a program.
@@ -282,7 +282,7 @@ private:
   std::unique_ptr<Sequence> collected;
   /// What comes before it: launches that were kept, and fills among them.
   std::unique_ptr<Sequence> lead;
-  std::unique_ptr<LaunchLeads> leads;
+  std::unique_ptr<SequencePrefixes> leads;
   std::unique_ptr<RecordedLaunches> recorded;
   /// Whether what is collected is a replay, and whether the last of it has come
   /// before.

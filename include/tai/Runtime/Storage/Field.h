@@ -78,7 +78,9 @@ public:
     return nodes;
   }
   /// Whether others have its address, and may write to it at any time.
-  bool isLent() const { return loans.load(std::memory_order_relaxed) > 0; }
+  bool isExported() const {
+    return exports.load(std::memory_order_relaxed) > 0;
+  }
   /// Memory of the active cells of the innermost sparse levels.
   int64_t activeCellBytes() const {
     return cells.activeBytes.load(std::memory_order_relaxed);
@@ -91,7 +93,7 @@ public:
   /// gone, and how many there are.
   const std::shared_ptr<void> &sharedMemory() const { return memory; }
   const std::shared_ptr<Mirror> &sharedMirror() const { return mirrored; }
-  void countLoan(int by) { loans.fetch_add(by, std::memory_order_relaxed); }
+  void countExport(int by) { exports.fetch_add(by, std::memory_order_relaxed); }
   /// The tree of a base address.
   static Tree &of(void *base) { return *static_cast<Tree **>(base)[-1]; }
 
@@ -107,7 +109,7 @@ private:
   int64_t charged = 0; // of the memory limit
   /// Where all of that lies. Loans keep it when the tree is gone.
   std::shared_ptr<void> memory;
-  std::atomic<int> loans{0};
+  std::atomic<int> exports{0};
   /// While it is found out whether it may be destroyed.
   std::atomic<bool> isClosing{false};
   std::vector<std::unique_ptr<SparseNode>> nodes;
@@ -236,7 +238,7 @@ public:
   bool isAdjoint() const { return ofPrimal; }
 
   /// Of adjoint fields: may hold something else than zeros.
-  bool dirty() const { return dirtiedBy() != 0 || owner->isLent(); }
+  bool dirty() const { return dirtiedBy() != 0 || owner->isExported(); }
   void markDirty() {
     uint64_t self = threadNumber();
     if (dirtiedBy() != self)

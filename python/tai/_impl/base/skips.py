@@ -18,9 +18,9 @@ def format_bytes(count: int) -> str:
 
 
 class Skips(dict):
-    """Counters by the name of the skip: `skips()["list-reuse"]["reused"]`.
+    """Counters by the name of the skip: `skips()["unchanged-lists"]["reused"]`.
 
-    `str` makes a table of them.
+    `str` makes a table of them. Former names of skips, such as "list-reuse", are read as well.
 
     Attributes:
         on: the names of the skips that are on.
@@ -28,14 +28,21 @@ class Skips(dict):
             layout: lists `made` and `reused`.
     """
 
-    def __init__(self, rows: list[tuple[str, str, int, bool]]):
+    def __init__(self, rows: list[tuple[str, str, int, bool, str]]):
         super().__init__()
         self.on: set[str] = set()
         self.levels: dict[str, dict[str, int]] = {}
-        for skip, counter, value, is_on in rows:
+        self._former: dict[str, str] = {}
+        for skip, counter, value, is_on, former in rows:
+            self._former[former] = skip
             self.setdefault(skip, {})[counter] = value
             if is_on:
                 self.on.add(skip)
+
+    def __missing__(self, name: str) -> dict[str, int]:
+        if name in self._former and self._former[name] in self:
+            return self[self._former[name]]
+        raise KeyError(name)
 
     def __str__(self) -> str:
         lines = []
@@ -47,7 +54,7 @@ class Skips(dict):
             ]
             switch = "on" if skip in self.on else "off"
             lines.append(f"{skip:<22}{switch:<5}{', '.join(shown)}")
-            if skip == "list-reuse" and len(self.levels) > 1:
+            if skip == "unchanged-lists" and len(self.levels) > 1:
                 for level, lists in self.levels.items():
                     lines.append(f"{'':<29}{level}: made {lists['made']}, reused {lists['reused']}")
         return "\n".join(lines)
@@ -62,7 +69,7 @@ def skips() -> Skips:
     """
     found = Skips(get_program().context.skips())
     program = state.program
-    found["lazy-compilation"]["kernels_defined"] = program.kernels_defined()
+    found["unlaunched-kernels"]["kernels_defined"] = program.kernels_defined()
     for level, (made, reused) in _lists(program).items():
         made_before, reused_before = program.lists_before.get(level, (0, 0))
         made, reused = made - made_before, reused - reused_before

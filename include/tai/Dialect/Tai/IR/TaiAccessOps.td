@@ -168,7 +168,7 @@ def Tai_VisitsAllOp : Tai_Op<"visits_all", [
   let description = [{
     True if a loop over the field visits the cells that are active now. The
     reverse of a loop visits what the loop visited, which may be fewer. Made by
-    `tai-gather-accumulations`.
+    `tai-scatter-to-gather`.
 
     ```mlir
     %all = tai.visits_all @x

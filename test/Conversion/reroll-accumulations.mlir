@@ -1,8 +1,8 @@
 // Additions that differ in constant indices alone become iterations of their
 // own, in front of those of the loop, which fill whole warps.
-// RUN: tai-opt %s --tai-spread-accumulations=min-additions=4 --canonicalize --cse | FileCheck %s
-// RUN: tai-opt %s --tai-spread-accumulations=min-additions=30 | FileCheck %s --check-prefix=FEW
-// RUN: tai-opt %s --tai-spread-accumulations="min-additions=4 max-iterations=61" | FileCheck %s --check-prefix=FEW
+// RUN: tai-opt %s --tai-reroll-accumulations=min-additions=4 --canonicalize --cse | FileCheck %s
+// RUN: tai-opt %s --tai-reroll-accumulations=min-additions=30 | FileCheck %s --check-prefix=FEW
+// RUN: tai-opt %s --tai-reroll-accumulations="min-additions=4 max-iterations=61" | FileCheck %s --check-prefix=FEW
 
 // FEW-NOT: tai.parallel_for (%{{[a-z0-9]*}}, %
 

@@ -1,7 +1,7 @@
 // Iterations of large loops on a GPU get several neighbours each.
 //
-// RUN: tai-opt %s --tai-strip-loops=min-iterations=4096 --canonicalize --cse --split-input-file | FileCheck %s
-// RUN: tai-opt %s --tai-strip-loops --split-input-file | FileCheck %s --check-prefix=SMALL
+// RUN: tai-opt %s --tai-coarsen-threads=min-iterations=4096 --canonicalize --cse --split-input-file | FileCheck %s
+// RUN: tai-opt %s --tai-coarsen-threads --split-input-file | FileCheck %s --check-prefix=SMALL
 
 // SMALL-NOT: to (%{{.+}}, %{{.+}}, %{{.+}}, %{{.+}})
 

@@ -1,4 +1,4 @@
-//===- StripLoops.cpp - Several neighbours in each thread of a GPU --------===//
+//===- CoarsenThreads.cpp - Several neighbours in each thread of a GPU ----===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -43,7 +43,7 @@
 #include "llvm/ADT/TypeSwitch.h"
 
 namespace mlir::tai {
-#define GEN_PASS_DEF_STRIPLOOPS
+#define GEN_PASS_DEF_COARSENTHREADS
 #include "tai/Transforms/Passes.h.inc"
 } // namespace mlir::tai
 
@@ -495,7 +495,7 @@ static void rewrite(Strips &strips) {
 }
 
 namespace {
-struct StripLoops : tai::impl::StripLoopsBase<StripLoops> {
+struct CoarsenThreads : tai::impl::CoarsenThreadsBase<CoarsenThreads> {
   using Base::Base;
 
   void runOnOperation() override {

@@ -82,7 +82,7 @@ def scene(skip, deterministic=True, step="stencil"):
 
 
 def counters():
-    return ti.profiler.skips()["adjoint-flags"]
+    return ti.profiler.skips()["zero-adjoints"]
 
 
 STEPS = ["stencil", "scaled", "scatter", "constant", "carried"]
@@ -92,7 +92,7 @@ STEPS = ["stencil", "scaled", "scatter", "constant", "carried"]
 @pytest.mark.parametrize("bodies", [0, 1, 10])
 def test_same_bits(step, bodies):
     with_flags = scene("all", step=step)(bodies)
-    without = scene("all,-adjoint-flags", step=step)(bodies)
+    without = scene("all,-zero-adjoints", step=step)(bodies)
     assert counters() == {"cells_visited": 0, "cells_skipped": 0}
     for a, b in zip(with_flags, without, strict=True):
         assert a.tobytes() == b.tobytes()
@@ -129,7 +129,7 @@ def test_what_visits_everything():
 def test_gathered_adjoints_visit_what_lies_around():
     """A stencil: the loss looks at one of four bodies, and reaches over the border of a block."""
     gradients = []
-    for skip in ("all", "all,-adjoint-flags"):
+    for skip in ("all", "all,-zero-adjoints"):
         ti.init(arch=ti.cpu, default_fp=ti.f64, deterministic=True, skip=skip)
         n = 128
         x, y = (ti.field(ti.f64, needs_grad=True) for _ in range(2))
@@ -158,7 +158,7 @@ def test_gathered_adjoints_visit_what_lies_around():
             step()
             look()
         gradients.append(x.grad.to_numpy())
-        counts = ti.profiler.skips()["adjoint-flags"]
+        counts = ti.profiler.skips()["zero-adjoints"]
         if skip == "all":
             # Of the body of nine, what lies around two of its blocks: all but one. And these
             # two, to zero the adjoints of what was stored there.

@@ -1,4 +1,4 @@
-//===- TapeTrust.cpp - Checks and health of gradients in the C API --------===//
+//===- TapeDiagnostics.cpp - Checks and health of gradients in the C API --===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

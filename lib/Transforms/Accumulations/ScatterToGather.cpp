@@ -1,4 +1,4 @@
-//===- GatherAccumulations.cpp - Turn scatters into gathers ---------------===//
+//===- ScatterToGather.cpp - Turn scatters into gathers -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -37,7 +37,7 @@
 #include "tai/Transforms/Passes.h"
 
 namespace mlir::tai {
-#define GEN_PASS_DEF_GATHERACCUMULATIONS
+#define GEN_PASS_DEF_SCATTERTOGATHER
 #include "tai/Transforms/Passes.h.inc"
 } // namespace mlir::tai
 
@@ -706,8 +706,7 @@ static void gatherSparseLoop(ParallelForOp loop, LoopBox &box,
 }
 
 namespace {
-struct GatherAccumulations
-    : tai::impl::GatherAccumulationsBase<GatherAccumulations> {
+struct ScatterToGather : tai::impl::ScatterToGatherBase<ScatterToGather> {
   using Base::Base;
 
   void runOnOperation() override {

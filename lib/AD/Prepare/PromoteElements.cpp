@@ -1,4 +1,4 @@
-//===- ForwardStores.cpp - Elements that are worked on in variables -------===//
+//===- PromoteElements.cpp - Elements that are worked on in variables -----===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -22,7 +22,7 @@
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 namespace mlir::tai {
-#define GEN_PASS_DEF_FORWARDSTORES
+#define GEN_PASS_DEF_PROMOTEELEMENTS
 #include "tai/AD/Passes.h.inc"
 } // namespace mlir::tai
 
@@ -263,7 +263,7 @@ static void visit(Block &block) {
 }
 
 namespace {
-struct ForwardStores : tai::impl::ForwardStoresBase<ForwardStores> {
+struct PromoteElements : tai::impl::PromoteElementsBase<PromoteElements> {
   using Base::Base;
 
   void getDependentDialects(DialectRegistry &registry) const override {

@@ -1,4 +1,4 @@
-//===- LaunchLeadsTest.cpp - Launches between replays ---------------------===//
+//===- SequencePrefixesTest.cpp - Launches between replays ----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-// RUN: tai-opt %s --tai-gather-accumulations --canonicalize --cse --split-input-file | FileCheck %s
+// RUN: tai-opt %s --tai-scatter-to-gather --canonicalize --cse --split-input-file | FileCheck %s
 
 tai.tree @t : !tai.root<dense<[i: 2, j: 8], {g: f32, y: f32}>>
 tai.field @g = @t["g"] : f32, rank 2

@@ -1,4 +1,4 @@
-// RUN: tai-opt %s --tai-split-loops --canonicalize | FileCheck %s
+// RUN: tai-opt %s --tai-split-index-sets --canonicalize | FileCheck %s
 
 // The interior [1, 63) of the program's index, which is the loop's plus 2.
 // CHECK-LABEL: func.func @split(

@@ -1,5 +1,5 @@
-// RUN: tai-opt %s --tai-split-interior --canonicalize | FileCheck %s
-// RUN: tai-opt %s --tai-split-interior=min-length=65 --canonicalize | FileCheck %s --check-prefix=LONG
+// RUN: tai-opt %s --tai-version-interior --canonicalize | FileCheck %s
+// RUN: tai-opt %s --tai-version-interior=min-length=65 --canonicalize | FileCheck %s --check-prefix=LONG
 
 tai.tree @t : !tai.root<dense<[i: 8, j: 64], {x: f32, y: f32}>>
 tai.field @x = @t["x"] : f32, rank 2

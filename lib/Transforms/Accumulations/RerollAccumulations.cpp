@@ -1,4 +1,4 @@
-//===- SpreadAccumulations.cpp - Sums written out, over threads -----------===//
+//===- RerollAccumulations.cpp - Sums written out, over threads -----------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -46,7 +46,7 @@
 #include <map>
 
 namespace mlir::tai {
-#define GEN_PASS_DEF_SPREADACCUMULATIONS
+#define GEN_PASS_DEF_REROLLACCUMULATIONS
 #include "tai/Transforms/Passes.h.inc"
 } // namespace mlir::tai
 
@@ -331,7 +331,7 @@ void Spreading::uniteConflicts(llvm::EquivalenceClasses<unsigned> &united) {
     for (AtomicOp update : effect.updates)
       byPlace[places[update]].push_back({number, update});
   }
-  auto mayMeet = [](AtomicOp a, AtomicOp b) {
+  auto mayAlias = [](AtomicOp a, AtomicOp b) {
     if (a.getField() != b.getField())
       return true;
     if (areProvablyDistinct(a.getIndices(), b.getIndices()))
@@ -345,7 +345,7 @@ void Spreading::uniteConflicts(llvm::EquivalenceClasses<unsigned> &united) {
         auto [first, a] = updates[i];
         auto [second, b] = updates[j];
         if ((a.getExclusive() || b.getExclusive()) && first != second &&
-            mayMeet(a, b))
+            mayAlias(a, b))
           united.unionSets(first, second);
       }
 }
@@ -660,8 +660,8 @@ void Spreading::rewrite() {
 }
 
 namespace {
-struct SpreadAccumulations
-    : tai::impl::SpreadAccumulationsBase<SpreadAccumulations> {
+struct RerollAccumulations
+    : tai::impl::RerollAccumulationsBase<RerollAccumulations> {
   using Base::Base;
 
   void runOnOperation() override {

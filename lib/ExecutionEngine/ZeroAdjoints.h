@@ -1,12 +1,12 @@
-//===- AdjointFlags.h - Loops that zero adjoints make vain ------*- C++ -*-===//
+//===- ZeroAdjoints.h - Loops that zero adjoints make vain ------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_EXECUTIONENGINE_ADJOINTFLAGS_H
-#define TAI_LIB_EXECUTIONENGINE_ADJOINTFLAGS_H
+#ifndef TAI_LIB_EXECUTIONENGINE_ZEROADJOINTS_H
+#define TAI_LIB_EXECUTIONENGINE_ZEROADJOINTS_H
 
 #include "tai/ExecutionEngine/AdjointNeeds.h"
 
@@ -18,4 +18,4 @@ std::vector<LoopFlags> findLoopFlags(KernelOp primal, KernelOp adjoint);
 
 } // namespace mlir::tai
 
-#endif // TAI_LIB_EXECUTIONENGINE_ADJOINTFLAGS_H
+#endif // TAI_LIB_EXECUTIONENGINE_ZEROADJOINTS_H

@@ -1,11 +1,11 @@
-//===- LaunchLeads.cpp - Launches that come before sequences --------------===//
+//===- SequencePrefixes.cpp - Launches that come before sequences ---------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 
-#include "LaunchLeads.h"
+#include "SequencePrefixes.h"
 #include <algorithm>
 #include <chrono>
 #include <cstdlib>
@@ -18,15 +18,15 @@ static int64_t now() {
       .count();
 }
 
-LaunchLeads::LaunchLeads() {
+SequencePrefixes::SequencePrefixes() {
   // A device that has nothing else to do loses so much at most.
   constexpr int64_t usualUs = 100;
   const char *given = std::getenv("TAI_KEEP_LAUNCHES_US");
   longestNs = 1000 * (given && *given ? std::atoll(given) : usualUs);
 }
 
-bool LaunchLeads::expects(const DeviceFunction *function,
-                          const LaunchShape &shape, int count) {
+bool SequencePrefixes::expects(const DeviceFunction *function,
+                               const LaunchShape &shape, int count) {
   if (!open)
     return false;
   if (run.size() == kMostLaunches || ++between > kMostBetween) {
@@ -49,7 +49,7 @@ bool LaunchLeads::expects(const DeviceFunction *function,
 }
 
 /// What has been kept is queued without its sequence.
-void LaunchLeads::lose() {
+void SequencePrefixes::lose() {
   constexpr int mostLost = 2, mostWanted = 64;
   if (expected && !run.empty()) {
     ++numLost;
@@ -62,18 +62,18 @@ void LaunchLeads::lose() {
   expected = nullptr;
 }
 
-void LaunchLeads::count() {
+void SequencePrefixes::count() {
   numKnown = static_cast<size_t>(
       std::count_if(leads.begin(), leads.end(),
                     [](const auto &entry) { return entry.second.isKnown(); }));
 }
 
-void LaunchLeads::interrupt() {
+void SequencePrefixes::interrupt() {
   lose();
   run.clear();
 }
 
-void LaunchLeads::begin() {
+void SequencePrefixes::begin() {
   constexpr size_t mostLeads = 64;
   open = false;
   if (run.empty())
@@ -94,13 +94,13 @@ void LaunchLeads::begin() {
   run.clear();
 }
 
-void LaunchLeads::end(bool isWorthIt) {
+void SequencePrefixes::end(bool isWorthIt) {
   interrupt();
   open = isWorthIt;
   between = 0;
 }
 
-std::string LaunchLeads::explain() const {
+std::string SequencePrefixes::explain() const {
   if (numTaken + numLost == 0)
     return "";
   return "launches between replays: " + std::to_string(numTaken) +

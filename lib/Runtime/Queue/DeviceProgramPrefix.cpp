@@ -1,4 +1,4 @@
-//===- DeviceProgramLead.cpp - Launches in front of sequences -------------===//
+//===- DeviceProgramPrefix.cpp - Launches in front of sequences -----------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Loan.h - Fields in the hands of other libraries ----------*- C++ -*-===//
+//===- ExportedBuffer.h - Field memory that others use ----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -7,36 +7,37 @@
 //
 // A library that has the address of a field writes to it without a word. On a
 // device, what the host holds of the tree is therefore never current while the
-// tree is lent, unless the host is the last that wrote.
+// tree is exported, unless the host is the last that wrote.
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_RUNTIME_HOST_LOAN_H
-#define TAI_RUNTIME_HOST_LOAN_H
+#ifndef TAI_RUNTIME_HOST_EXPORTEDBUFFER_H
+#define TAI_RUNTIME_HOST_EXPORTEDBUFFER_H
 
 #include "tai/Runtime/Mirror/DeviceHost.h"
 
 namespace mlir::tai::runtime {
 
-struct LentField;
+struct ExportedField;
 
 /// Memory of a field in the hands of others, which stays as long as this, also
 /// when the field is gone.
-class Loan {
+class ExportedBuffer {
 public:
-  explicit Loan(const TreePtr &tree);
-  ~Loan();
-  Loan(const Loan &) = delete;
-  Loan &operator=(const Loan &) = delete;
+  explicit ExportedBuffer(const TreePtr &tree);
+  ~ExportedBuffer();
+  ExportedBuffer(const ExportedBuffer &) = delete;
+  ExportedBuffer &operator=(const ExportedBuffer &) = delete;
   /// Whether there are any, of whatever runtime.
   static bool areAny() { return count.load(std::memory_order_relaxed) > 0; }
   /// Gives out the address of a field, on the device if there is one. Until the
-  /// loan is over, what is read on the host may have been changed by others.
-  /// Fails where an element has no even distance from the next along each
-  /// dimension, and for sparse fields. Zeros that are owed are to be settled
-  /// before.
-  static Status make(Field &field, DeviceHost &devices, LentField &lent);
-  /// Whether the field is lent, and where its elements then lie.
+  /// buffer is released, what is read on the host may have been changed by
+  /// others. Fails where an element has no even distance from the next along
+  /// each dimension, and for sparse fields. Zeros that are owed are to be
+  /// settled before.
+  static Status make(Field &field, DeviceHost &devices,
+                     ExportedField &exported);
+  /// Whether the field is exported, and where its elements then lie.
   static bool findBytes(const Field &field, uint64_t &begin, uint64_t &end);
 
 private:
@@ -46,15 +47,15 @@ private:
   std::shared_ptr<Mirror> mirror;
 };
 
-struct LentField {
+struct ExportedField {
   void *address = nullptr;
   bool onDevice = false;
   /// Bytes from one index to the next, along each dimension of the field and of
   /// its element.
   std::vector<int64_t> strides;
-  std::unique_ptr<Loan> loan;
+  std::unique_ptr<ExportedBuffer> buffer;
 };
 
 } // namespace mlir::tai::runtime
 
-#endif // TAI_RUNTIME_HOST_LOAN_H
+#endif // TAI_RUNTIME_HOST_EXPORTEDBUFFER_H

@@ -1,4 +1,4 @@
-//===- Loan.cpp - C functions to share fields with other libraries --------===//
+//===- ExportedBuffer.cpp - Field memory for other libraries, in C --------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -9,25 +9,32 @@
 
 using namespace mlir::tai;
 
-struct TaiLoanImpl {
-  runtime::LentField lent;
+struct TaiExportedBufferImpl {
+  runtime::ExportedField exported;
 };
 
-TaiStatus taiFieldLend(TaiField field, TaiFieldMemory *memory, TaiLoan *loan) {
+TaiStatus taiFieldExport(TaiField field, TaiFieldMemory *memory,
+                         TaiExportedBuffer *buffer) {
   ContextLock lock(field->context);
   TaiContextImpl &context = field->context;
-  auto made = std::make_unique<TaiLoanImpl>();
+  auto made = std::make_unique<TaiExportedBufferImpl>();
   TaiStatus status = context.status(
-      context.session.getRuntime().lend(*field->field, made->lent));
+      context.session.getRuntime().exportField(*field->field, made->exported));
   if (status != TAI_OK)
     return status;
-  *memory = {made->lent.address, made->lent.onDevice,
-             made->lent.strides.data()};
-  *loan = made.release();
+  *memory = {made->exported.address, made->exported.onDevice,
+             made->exported.strides.data()};
+  *buffer = made.release();
   return TAI_OK;
 }
 
-void taiLoanEnd(TaiLoan loan) { delete loan; }
+void taiExportedBufferRelease(TaiExportedBuffer buffer) { delete buffer; }
+
+TaiStatus taiFieldLend(TaiField field, TaiFieldMemory *memory, TaiLoan *loan) {
+  return taiFieldExport(field, memory, loan);
+}
+
+void taiLoanEnd(TaiLoan loan) { taiExportedBufferRelease(loan); }
 
 TaiStatus taiFieldNoteWrite(TaiField field) {
   ContextLock lock(field->context);

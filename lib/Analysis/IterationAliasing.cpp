@@ -1,4 +1,4 @@
-//===- MayMeet.cpp - Accesses that cannot be told apart -------------------===//
+//===- IterationAliasing.cpp - Accesses that cannot be told apart ---------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -266,7 +266,7 @@ bool mlir::tai::mayReachLater(DifferentiableAccessInterface first,
   Block *common = findCommonBlock(firstUp, secondUp);
   if (!common)
     return true;
-  auto mayMeet = [&](const Later &later) {
+  auto mayAlias = [&](const Later &later) {
     if (first.getAccessIndices().size() == second.getAccessIndices().size() &&
         areApart(first.getAccessIndices(), second.getAccessIndices(), common,
                  later))
@@ -292,12 +292,12 @@ bool mlir::tai::mayReachLater(DifferentiableAccessInterface first,
     // Arms of a branch exclude each other.
     follows = first != second && !isa<scf::IfOp>(firstUp);
   }
-  if (follows && mayMeet(inSame))
+  if (follows && mayAlias(inSame))
     return true;
   for (; loop && !isa<FunctionOpInterface>(loop) &&
          !(scope && loop == scope->getParentOp());
        loop = loop->getParentOp())
-    if (isSerialLoop(loop) && llvm::any_of(getWays(loop), mayMeet))
+    if (isSerialLoop(loop) && llvm::any_of(getWays(loop), mayAlias))
       return true;
   return false;
 }

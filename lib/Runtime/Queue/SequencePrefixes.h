@@ -1,4 +1,4 @@
-//===- LaunchLeads.h - Launches that come before sequences ------*- C++ -*-===//
+//===- SequencePrefixes.h - Launches in front of sequences ------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -11,22 +11,22 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_RUNTIME_QUEUE_LAUNCHLEADS_H
-#define TAI_LIB_RUNTIME_QUEUE_LAUNCHLEADS_H
+#ifndef TAI_LIB_RUNTIME_QUEUE_SEQUENCEPREFIXES_H
+#define TAI_LIB_RUNTIME_QUEUE_SEQUENCEPREFIXES_H
 
 #include "SentLaunch.h"
 #include <unordered_map>
 
 namespace mlir::tai::runtime {
 
-class LaunchLeads {
+class SequencePrefixes {
 public:
   /// The most launches before a sequence, and between two of them.
   static constexpr size_t kMostLaunches = 16, kMostBetween = 32;
 
   /// TAI_KEEP_LAUNCHES_US says how long launches may be kept, for tests and
   /// measurements.
-  LaunchLeads();
+  SequencePrefixes();
 
   /// A launch that is in no sequence. Whether it is likely that the same
   /// sequence of launches as ever comes, and a sequence right after it.
@@ -76,4 +76,4 @@ private:
 
 } // namespace mlir::tai::runtime
 
-#endif // TAI_LIB_RUNTIME_QUEUE_LAUNCHLEADS_H
+#endif // TAI_LIB_RUNTIME_QUEUE_SEQUENCEPREFIXES_H

@@ -1,4 +1,4 @@
-// RUN: tai-opt %s --tai-forward-stores --tai-eliminate-locals --canonicalize --cse | FileCheck %s
+// RUN: tai-opt %s --tai-promote-elements --tai-eliminate-locals --canonicalize --cse | FileCheck %s
 
 // Elements that are stored, read and stored again at the same indices.
 

@@ -1,4 +1,4 @@
-//===- AdjointFlags.cpp - Loops that zero adjoints make vain --------------===//
+//===- ZeroAdjoints.cpp - Loops that zero adjoints make vain --------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -13,7 +13,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "AdjointFlags.h"
+#include "ZeroAdjoints.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"

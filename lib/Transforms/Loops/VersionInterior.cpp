@@ -1,4 +1,4 @@
-//===- SplitInterior.cpp - A fast path away from the borders --------------===//
+//===- VersionInterior.cpp - A fast path away from the borders ------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -9,7 +9,7 @@
 // to leave a neighbour out. Along the innermost index the answer is the same
 // nearly everywhere, and asking costs the loop its contiguous vector loads.
 // This pass gives the loop a second body in which the answers are constants,
-// and `tai-split-loops` later runs it on the interior range alone.
+// and `tai-split-index-sets` later runs it on the interior range alone.
 //
 //===----------------------------------------------------------------------===//
 
@@ -24,7 +24,7 @@
 #include "tai/Transforms/Passes.h"
 
 namespace mlir::tai {
-#define GEN_PASS_DEF_SPLITINTERIOR
+#define GEN_PASS_DEF_VERSIONINTERIOR
 #include "tai/Transforms/Passes.h.inc"
 } // namespace mlir::tai
 
@@ -131,7 +131,7 @@ static void split(LoopBox &box, const Interior &interior) {
 }
 
 namespace {
-struct SplitInterior : tai::impl::SplitInteriorBase<SplitInterior> {
+struct VersionInterior : tai::impl::VersionInteriorBase<VersionInterior> {
   using Base::Base;
 
   void runOnOperation() override {

@@ -1,34 +1,34 @@
-//===- Loan.cpp - Fields in the hands of other libraries ------------------===//
+//===- ExportedBuffer.cpp - Field memory that other libraries use ---------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/Runtime/Host/Loan.h"
+#include "tai/Runtime/Host/ExportedBuffer.h"
 #include "../Mirror/Mirror.h"
 #include "../Storage/Scalars.h"
 
 using namespace mlir::tai::runtime;
 
-std::atomic<int> Loan::count{0};
+std::atomic<int> ExportedBuffer::count{0};
 
-Loan::Loan(const TreePtr &tree)
+ExportedBuffer::ExportedBuffer(const TreePtr &tree)
     : tree(tree), memory(tree->sharedMemory()), mirror(tree->sharedMirror()) {
   count.fetch_add(1, std::memory_order_relaxed);
-  tree->countLoan(1);
+  tree->countExport(1);
   if (mirror)
-    mirror->lend();
+    mirror->addExport();
 }
 
-Loan::~Loan() {
+ExportedBuffer::~ExportedBuffer() {
   if (mirror)
-    mirror->takeBack();
-  tree->countLoan(-1);
+    mirror->removeExport();
+  tree->countExport(-1);
   count.fetch_sub(1, std::memory_order_relaxed);
 }
 
-/// The bytes of the tree that the field lies in, where it can be lent.
+/// The bytes of the tree that the field lies in, where it can be exported.
 static bool findExtent(const Field &field, uint64_t &begin, uint64_t &end) {
   const FieldLayout &layout = field.layout();
   int64_t last = byteSize(field.scalar());
@@ -46,8 +46,9 @@ static bool findExtent(const Field &field, uint64_t &begin, uint64_t &end) {
   return true;
 }
 
-bool Loan::findBytes(const Field &field, uint64_t &begin, uint64_t &end) {
-  if (!field.valid() || !field.tree().isLent() ||
+bool ExportedBuffer::findBytes(const Field &field, uint64_t &begin,
+                               uint64_t &end) {
+  if (!field.valid() || !field.tree().isExported() ||
       !findExtent(field, begin, end))
     return false;
   const Mirror *mirror = field.tree().mirror();
@@ -58,7 +59,8 @@ bool Loan::findBytes(const Field &field, uint64_t &begin, uint64_t &end) {
   return true;
 }
 
-Status Loan::make(Field &field, DeviceHost &devices, LentField &lent) {
+Status ExportedBuffer::make(Field &field, DeviceHost &devices,
+                            ExportedField &exported) {
   auto refuse = [&](const char *why) {
     return Status::failure(StatusCode::Usage, "field '" + field.name() +
                                                   "' cannot be shared: " + why);
@@ -68,32 +70,32 @@ Status Loan::make(Field &field, DeviceHost &devices, LentField &lent) {
   if (field.sparseNode())
     return refuse("it is sparse; copy it, by to_numpy or to_torch");
   const FieldLayout &layout = field.layout();
-  lent.strides.clear();
+  exported.strides.clear();
   for (int d = 0; d < field.rank(); ++d) {
     int64_t step = 0;
     if (!findConstantStep(layout.indices[static_cast<size_t>(d)], step))
       return refuse("its layout divides an index in blocks; copy it, by "
                     "to_numpy or to_torch");
-    lent.strides.push_back(step);
+    exported.strides.push_back(step);
   }
-  size_t first = lent.strides.size();
+  size_t first = exported.strides.size();
   int64_t step = field.numComponents() > 1 ? layout.componentStride
                                            : byteSize(field.scalar());
   for (size_t d = layout.elementShape.size(); d-- > 0;) {
-    lent.strides.insert(lent.strides.begin() + static_cast<ptrdiff_t>(first),
-                        step);
+    exported.strides.insert(
+        exported.strides.begin() + static_cast<ptrdiff_t>(first), step);
     step *= layout.elementShape[d];
   }
   Mirror *mirror = field.tree().mirror();
-  lent.onDevice = mirror != nullptr;
+  exported.onDevice = mirror != nullptr;
   if (mirror) {
     Status status =
-        devices.addressOf(field.tree(), layout.placeOffset, lent.address);
+        devices.addressOf(field.tree(), layout.placeOffset, exported.address);
     if (!status)
       return status;
   } else {
-    lent.address = field.writable();
+    exported.address = field.writable();
   }
-  lent.loan = std::make_unique<Loan>(field.sharedTree());
+  exported.buffer = std::make_unique<ExportedBuffer>(field.sharedTree());
   return devices.takeFailure();
 }

@@ -1,4 +1,4 @@
-//===- SplitLoops.cpp - Run the interior of a loop apart ------------------===//
+//===- SplitIndexSets.cpp - Run the interior of a loop apart --------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 //
 // A serial loop whose body is a choice between an interior and a border body
-// (see `tai-split-interior`) becomes a loop over the interior and loops over
+// (see `tai-version-interior`) becomes a loop over the interior and loops over
 // the borders. The two borders share one copy of their body, because code size
 // is compile time.
 //
@@ -20,7 +20,7 @@
 #include "tai/Transforms/Passes.h"
 
 namespace mlir::tai {
-#define GEN_PASS_DEF_SPLITLOOPS
+#define GEN_PASS_DEF_SPLITINDEXSETS
 #include "tai/Transforms/Passes.h.inc"
 } // namespace mlir::tai
 
@@ -134,7 +134,7 @@ static void apply(Split &split) {
 }
 
 namespace {
-struct SplitLoops : tai::impl::SplitLoopsBase<SplitLoops> {
+struct SplitIndexSets : tai::impl::SplitIndexSetsBase<SplitIndexSets> {
   using Base::Base;
 
   void runOnOperation() override {

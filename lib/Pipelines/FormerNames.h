@@ -1,0 +1,18 @@
+//===- FormerNames.h - Passes under the names they had ----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_PIPELINES_FORMERNAMES_H
+#define TAI_LIB_PIPELINES_FORMERNAMES_H
+
+namespace mlir::tai {
+
+/// Registers the former names of passes, after the passes themselves.
+void registerFormerNames();
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_PIPELINES_FORMERNAMES_H
