@@ -29,6 +29,10 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
     addCanonicalization(pm);
   }
 
+  // A test of the results stands for many of single values; the fast floats
+  // assume that all of them succeed.
+  if (fast && !options.fastMath)
+    pm.addPass(createVersionGuards());
   // From here on values are scalars, and loops run over boxes.
   pm.addPass(createScalarize());
   // Of scalars, while loops over fields still say what their indices are.

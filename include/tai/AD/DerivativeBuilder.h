@@ -19,13 +19,9 @@
 #include "mlir/Interfaces/FunctionInterfaces.h"
 #include "tai/AD/Conventions.h"
 #include "tai/Analysis/FloatFacts.h"
+#include "tai/Dialect/Tai/IR/Guards.h"
 
 namespace mlir::tai {
-
-/// Marks the selects of `createGuard`. They are not branches of the program: to
-/// differentiate one again, both the derivative that it tests and that one's
-/// own derivative must be zero for the result to be.
-constexpr llvm::StringLiteral kGuard = "tai.guard";
 
 class DerivativeBuilder : public ImplicitLocOpBuilder {
 public:

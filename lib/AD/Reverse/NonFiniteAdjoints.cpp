@@ -17,30 +17,35 @@ using namespace mlir;
 using namespace mlir::tai;
 
 void NonFiniteAdjoints::beginRule(Operation *op) {
-  seedIsInfinite = createInfinityTest(op);
+  current = op;
+  seedIsInfinite = {};
+  findSeeds(op);
   seedIsUndefined = llvm::any_of(op->getResults(), [&](Value result) {
     return mayBeUndefined.contains(result);
   });
 }
 
 void NonFiniteAdjoints::endRule() {
-  seedIsInfinite = {};
+  current = nullptr;
+  seeds.clear();
+  infiniteSeeds.clear();
   seedIsUndefined = false;
 }
 
-/// Whether some adjoint of a result of `op` is infinite; null where that cannot
-/// be.
-Value NonFiniteAdjoints::createInfinityTest(Operation *op) {
+void NonFiniteAdjoints::findSeeds(Operation *op) {
+  for (Value result : op->getResults())
+    if (Value seed = b.getAdjoint(result)) {
+      seeds.insert(seed);
+      if (mayBeInfinite.contains(result))
+        infiniteSeeds.push_back(seed);
+    }
+}
+
+/// Whether some adjoint that the rule starts from is infinite.
+Value NonFiniteAdjoints::createInfinityTest() {
   Value any;
-  seeds.clear();
-  for (Value result : op->getResults()) {
-    Value size = b.getAdjoint(result);
-    if (!size)
-      continue;
-    seeds.insert(size);
-    if (!mayBeInfinite.contains(result))
-      continue;
-    size = math::AbsFOp::create(b, size);
+  for (Value seed : infiniteSeeds) {
+    Value size = math::AbsFOp::create(b, seed);
     if (isa<VectorType>(size.getType()))
       size = SumOp::create(b, getElementTypeOrSelf(size.getType()), size);
     Value infinity = b.createConstant(size.getType(),
@@ -82,9 +87,45 @@ Value NonFiniteAdjoints::createUnitContribution(Value contribution) {
   IRMapping mapping;
   for (Value seed : seeds)
     mapping.map(seed, b.createConstant(seed.getType(), 1));
-  for (Operation *op : slice)
-    b.clone(*op, mapping);
+  for (Operation *op : slice) {
+    Operation *clone = b.clone(*op, mapping);
+    SmallVector<Value> folded;
+    if (failed(b.tryFold(clone, folded)) || folded.empty())
+      continue;
+    mapping.map(op->getResults(), folded);
+    clone->erase();
+  }
   return mapping.lookup(contribution);
+}
+
+/// Whether no component is zero or NaN.
+static bool isNonZeroConstant(Value value) {
+  Attribute constant;
+  if (!matchPattern(value, m_Constant(&constant)))
+    return false;
+  auto isNonZero = [](const APFloat &number) {
+    return !number.isZero() && !number.isNaN();
+  };
+  if (auto number = dyn_cast<FloatAttr>(constant))
+    return isNonZero(number.getValue());
+  auto numbers = dyn_cast<DenseFPElementsAttr>(constant);
+  return numbers && llvm::all_of(numbers.getValues<APFloat>(), isNonZero);
+}
+
+/// Ops whose partial derivatives are 1, -1, or an absent entry: none of them
+/// multiplies an infinite adjoint by zero.
+static bool movesOrSums(Operation *op) {
+  return isa<arith::AddFOp, arith::SubFOp, arith::NegFOp, arith::ExtFOp,
+             arith::TruncFOp, vector::BroadcastOp, vector::ExtractOp,
+             vector::FromElementsOp, vector::InsertOp, vector::ShapeCastOp,
+             vector::ToElementsOp, SumOp, TransposeOp>(op);
+}
+
+Value NonFiniteAdjoints::createTagged(Value drops, Value contribution) {
+  auto guard = arith::SelectOp::create(
+      b, drops, b.createZero(contribution.getType()), contribution);
+  guard->setAttr(kInfiniteGuard, b.getUnitAttr());
+  return guard;
 }
 
 /// What an infinite adjoint contributes: nothing where the partial derivative
@@ -93,21 +134,35 @@ Value NonFiniteAdjoints::createUnitContribution(Value contribution) {
 Value NonFiniteAdjoints::guard(Value value, Value contribution) {
   if (seedIsUndefined)
     mayBeUndefined.insert(value);
-  if (!seedIsInfinite)
+  if (infiniteSeeds.empty())
     return contribution;
   mayBeInfinite.insert(value);
+  if (movesOrSums(current))
+    return contribution;
+  Value partial = createUnitContribution(contribution);
+  // Component by component, from adjoints that are infinite or finite, the
+  // product is NaN through a partial of zero alone: one test does.
+  if (partial && !seedIsUndefined &&
+      OpTrait::hasElementwiseMappableTraits(current)) {
+    if (isNonZeroConstant(partial))
+      return contribution;
+    Value zero = b.createZero(contribution.getType());
+    Value drops =
+        arith::CmpFOp::create(b, arith::CmpFPredicate::OEQ, partial, zero);
+    return createTagged(drops, contribution);
+  }
+  if (!seedIsInfinite)
+    seedIsInfinite = createInfinityTest();
   auto isOrdered = [&](arith::CmpFPredicate predicate, Value number) {
     return arith::CmpFOp::create(b, predicate, number, number);
   };
   Value isNaN = isOrdered(arith::CmpFPredicate::UNO, contribution);
-  if (Value partial = createUnitContribution(contribution);
-      partial && !matchPattern(partial, m_Constant()))
+  if (partial && !matchPattern(partial, m_Constant()))
     isNaN = arith::AndIOp::create(
         b, isNaN, isOrdered(arith::CmpFPredicate::ORD, partial));
   Value infinite = seedIsInfinite;
   if (isa<VectorType>(isNaN.getType()))
     infinite = vector::BroadcastOp::create(b, isNaN.getType(), infinite);
   Value drops = arith::AndIOp::create(b, infinite, isNaN);
-  return arith::SelectOp::create(b, drops, b.createZero(contribution.getType()),
-                                 contribution);
+  return createTagged(drops, contribution);
 }

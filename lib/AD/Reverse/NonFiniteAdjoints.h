@@ -36,15 +36,21 @@ public:
   Value guard(Value value, Value contribution);
 
 private:
-  Value createInfinityTest(Operation *op);
+  void findSeeds(Operation *op);
+  Value createInfinityTest();
   Value createUnitContribution(Value contribution);
+  Value createTagged(Value drops, Value contribution);
 
   AdjointBuilder &b;
   DenseSet<Value> mayBeInfinite, mayBeUndefined;
-  /// The adjoints that the rule starts from; whether one of them is infinite
-  /// (null: no), or may be NaN.
+  /// The op whose rule is applied, the adjoints that it starts from, and those
+  /// among them that may be infinite.
+  Operation *current = nullptr;
   llvm::SmallSetVector<Value, 2> seeds;
+  SmallVector<Value, 2> infiniteSeeds;
+  /// Whether one of them is, once that has been asked.
   Value seedIsInfinite;
+  /// Whether one of them may be NaN.
   bool seedIsUndefined = false;
 };
 

@@ -50,6 +50,7 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.fixed_cost", Kind::Float},
     {"tai.gradients", Kind::Any, true},
     {"tai.guard", Kind::Unit},
+    {"tai.guard_infinite", Kind::Unit},
     {"tai.in_range", Kind::Unit},
     {"tai.in_warp", Kind::Unit},
     {"tai.independent", Kind::Unit},

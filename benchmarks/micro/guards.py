@@ -1,0 +1,326 @@
+"""What the guards of derivatives cost: forward and backward, with and without them.
+
+A guard keeps an infinite partial derivative away from a zero adjoint (docs/derivatives.md).
+The programs here are none that the compiler was tuned on: shallow water with ghost cells
+behind branches, a lattice Boltzmann flow, elastic triangles, rays through a haze.
+
+    python benchmarks/micro/guards.py                 # all programs, f64 and one thread
+    python benchmarks/micro/guards.py lbm --dtype f32
+
+One process per measurement, in turns; each prints the least of its sweeps. The ratio is that
+of the medians. With --check the exit code says whether all ratios are within the bar, 1.02.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import time
+
+import numpy as np
+
+import tai as ti
+
+BAR = 1.02
+STEPS = 20
+
+
+def shallow_water(real):
+    """Height and momentum on a grid; walls reflect by branches in the flux."""
+    n, dt, g = 192, 1e-3, 9.8
+    state = ti.Vector.field(3, real, shape=(STEPS + 1, n, n), needs_grad=True)
+    loss = ti.field(real, shape=(), needs_grad=True)
+
+    @ti.func
+    def cell(t, i, j):
+        q = ti.Vector([0.0, 0.0, 0.0])
+        if i < 0:
+            q = state[t, 0, j] * ti.Vector([1.0, -1.0, 1.0])
+        elif i >= n:
+            q = state[t, n - 1, j] * ti.Vector([1.0, -1.0, 1.0])
+        elif j < 0:
+            q = state[t, i, 0] * ti.Vector([1.0, 1.0, -1.0])
+        elif j >= n:
+            q = state[t, i, n - 1] * ti.Vector([1.0, 1.0, -1.0])
+        else:
+            q = state[t, i, j]
+        return q
+
+    @ti.func
+    def flux_x(q):
+        u = q[1] / q[0]
+        return ti.Vector([q[1], q[1] * u + 0.5 * g * q[0] ** 2, q[2] * u])
+
+    @ti.func
+    def flux_y(q):
+        v = q[2] / q[0]
+        return ti.Vector([q[2], q[1] * v, q[2] * v + 0.5 * g * q[0] ** 2])
+
+    @ti.func
+    def rusanov_x(a, b):
+        speed = ti.max(
+            ti.abs(a[1] / a[0]) + ti.sqrt(g * a[0]), ti.abs(b[1] / b[0]) + ti.sqrt(g * b[0])
+        )
+        return 0.5 * (flux_x(a) + flux_x(b)) - 0.5 * speed * (b - a)
+
+    @ti.func
+    def rusanov_y(a, b):
+        speed = ti.max(
+            ti.abs(a[2] / a[0]) + ti.sqrt(g * a[0]), ti.abs(b[2] / b[0]) + ti.sqrt(g * b[0])
+        )
+        return 0.5 * (flux_y(a) + flux_y(b)) - 0.5 * speed * (b - a)
+
+    @ti.kernel
+    def step(t: ti.i32):
+        for i, j in ti.ndrange(n, n):
+            q = cell(t, i, j)
+            west, east = cell(t, i - 1, j), cell(t, i + 1, j)
+            south, north = cell(t, i, j - 1), cell(t, i, j + 1)
+            change = rusanov_x(west, q) - rusanov_x(q, east)
+            change += rusanov_y(south, q) - rusanov_y(q, north)
+            state[t + 1, i, j] = q + dt * n * change
+
+    @ti.kernel
+    def measure():
+        for i, j in ti.ndrange(n, n):
+            loss[None] += (state[STEPS, i, j][0] - 1.0) ** 2 / (n * n)
+
+    x = (np.arange(n) + 0.5) / n
+    start = np.zeros((STEPS + 1, n, n, 3))
+    bump = np.exp(-80 * ((x[:, None] - 0.4) ** 2 + (x[None, :] - 0.6) ** 2))
+    start[0, ..., 0] = 1 + 0.3 * bump
+    state.from_numpy(start)
+
+    def run():
+        for t in range(STEPS):
+            step(t)
+        measure()
+
+    return run, loss, state
+
+
+def lbm(real):
+    """D2Q9 lattice Boltzmann, collision and streaming in one kernel, periodic."""
+    n, tau = 160, 0.6
+    ex, ey = [0, 1, 0, -1, 0, 1, -1, -1, 1], [0, 0, 1, 0, -1, 1, 1, -1, -1]
+    weight = [4 / 9] + [1 / 9] * 4 + [1 / 36] * 4
+    f = ti.Vector.field(9, real, shape=(STEPS + 1, n, n), needs_grad=True)
+    loss = ti.field(real, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def step(t: ti.i32):
+        for i, j in ti.ndrange(n, n):
+            q = ti.Vector([0.0] * 9)
+            for k in ti.static(range(9)):
+                q[k] = f[t, (i - ex[k] + n) % n, (j - ey[k] + n) % n][k]
+            rho, mx, my = 0.0, 0.0, 0.0
+            for k in ti.static(range(9)):
+                rho += q[k]
+                mx += ex[k] * q[k]
+                my += ey[k] * q[k]
+            ux, uy = mx / rho, my / rho
+            out = ti.Vector([0.0] * 9)
+            for k in ti.static(range(9)):
+                eu = ex[k] * ux + ey[k] * uy
+                rest = weight[k] * rho * (1 + 3 * eu + 4.5 * eu**2 - 1.5 * (ux**2 + uy**2))
+                out[k] = q[k] - (q[k] - rest) / tau
+            f[t + 1, i, j] = out
+
+    @ti.kernel
+    def measure():
+        for i, j in ti.ndrange(n, n):
+            total = 0.0
+            for k in ti.static(range(9)):
+                total += ex[k] * f[STEPS, i, j][k]
+            loss[None] += total**2
+
+    x = 2 * np.pi * np.arange(n) / n
+    rng = np.random.default_rng(0)
+    start = np.zeros((STEPS + 1, n, n, 9))
+    shear = 0.05 * np.sin(x)[None, :, None] * np.array(ex) * 3
+    start[0] = np.array(weight) * (1 + shear) * (1 + 0.01 * rng.random((n, n, 1)))
+    f.from_numpy(start)
+
+    def run():
+        for t in range(STEPS):
+            step(t)
+        measure()
+
+    return run, loss, f
+
+
+def fem(real):
+    """Neo-Hookean triangles: energy, its gradient written by hand, explicit steps."""
+    n, dt = 64, 1e-3
+    corners, rest = [], []
+    for i in range(n):
+        for j in range(n):
+            a, b, c, d = (
+                i * (n + 1) + j,
+                (i + 1) * (n + 1) + j,
+                (i + 1) * (n + 1) + j + 1,
+                i * (n + 1) + j + 1,
+            )
+            corners += [(a, b, c), (a, c, d)]
+    points = np.array([(i / n, j / n) for i in range(n + 1) for j in range(n + 1)])
+    corners = np.array(corners, np.int32)
+    for a, b, c in corners:
+        rest.append(np.linalg.inv(np.stack([points[b] - points[a], points[c] - points[a]], 1)))
+    triangles, vertices = len(corners), len(points)
+    x = ti.Vector.field(2, real, shape=(STEPS + 1, vertices), needs_grad=True)
+    v = ti.Vector.field(2, real, shape=(STEPS + 1, vertices), needs_grad=True)
+    force = ti.Vector.field(2, real, shape=(STEPS, vertices), needs_grad=True)
+    inverse = ti.Matrix.field(2, 2, real, shape=triangles)
+    corner = ti.Vector.field(3, ti.i32, shape=triangles)
+    loss = ti.field(real, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def forces(t: ti.i32):
+        for e in range(triangles):
+            a, b, c = corner[e][0], corner[e][1], corner[e][2]
+            D = ti.Matrix.cols([x[t, b] - x[t, a], x[t, c] - x[t, a]])
+            F = D @ inverse[e]
+            J = F.determinant()
+            inverse_t = F.inverse().transpose()
+            P = 10.0 * (F - inverse_t) + 10.0 * ti.log(J) * inverse_t
+            H = -0.5 / (n * n) * P @ inverse[e].transpose()
+            fb, fc = ti.Vector([H[0, 0], H[1, 0]]), ti.Vector([H[0, 1], H[1, 1]])
+            force[t, b] += fb
+            force[t, c] += fc
+            force[t, a] -= fb + fc
+
+    @ti.kernel
+    def move(t: ti.i32):
+        for p in range(vertices):
+            v[t + 1, p] = 0.999 * v[t, p] + dt * n * n * force[t, p]
+            x[t + 1, p] = x[t, p] + dt * v[t + 1, p]
+
+    @ti.kernel
+    def clear():
+        for t, p in force:
+            force[t, p] = ti.Vector([0.0, 0.0])
+
+    @ti.kernel
+    def measure():
+        for p in range(vertices):
+            loss[None] += x[STEPS, p].norm_sqr() / vertices
+
+    corner.from_numpy(corners)
+    inverse.from_numpy(np.array(rest))
+    start = np.zeros((STEPS + 1, vertices, 2))
+    start[0] = points * [1.2, 0.9]
+    x.from_numpy(start)
+
+    def run():
+        clear()
+        for t in range(STEPS):
+            forces(t)
+            move(t)
+        measure()
+
+    return run, loss, x
+
+
+def rays(real):
+    """Rays through a haze of spheres: transmittance along each, carried over the samples."""
+    size, samples, spheres = 128, 48, 5
+    center = ti.Vector.field(3, real, shape=spheres, needs_grad=True)
+    radius = ti.field(real, shape=spheres, needs_grad=True)
+    image = ti.field(real, shape=(size, size), needs_grad=True)
+    loss = ti.field(real, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def render():
+        for i, j in image:
+            way = ti.Vector([(i + 0.5) / size - 0.5, (j + 0.5) / size - 0.5, 1.0]).normalized()
+            light, depth = 1.0, 0.0
+            for s in range(samples):
+                p = way * (0.5 + s * 0.05)
+                density = 0.0
+                for k in ti.static(range(spheres)):
+                    d = (p - center[k]).norm() / radius[k]
+                    density += 1.0 / (1.0 + ti.exp(8.0 * (d - 1.0)))
+                light *= ti.exp(-0.05 * density)
+                depth += light * 0.05
+            image[i, j] = depth / ti.sqrt(1.0 + light)
+
+    @ti.kernel
+    def measure():
+        for i, j in image:
+            loss[None] += (image[i, j] - 0.5) ** 2 / (size * size)
+
+    rng = np.random.default_rng(1)
+    center.from_numpy(rng.uniform([-0.4, -0.4, 0.8], [0.4, 0.4, 2.0], (spheres, 3)))
+    radius.from_numpy(rng.uniform(0.15, 0.3, spheres))
+
+    def run():
+        render()
+        measure()
+
+    return run, loss, center
+
+
+PROGRAMS = {"shallow_water": shallow_water, "lbm": lbm, "fem": fem, "rays": rays}
+
+
+def measure_here(name: str, dtype: str, guards: bool, rounds: int) -> dict:
+    real = getattr(ti, dtype)
+    ti.init(arch=ti.cpu, default_fp=real, ad_guards=guards, cpu_max_num_threads=1)
+    run, loss, field = PROGRAMS[name](real)
+    times = []
+    for _ in range(rounds + 2):
+        loss[None] = 0
+        begin = time.process_time()
+        with ti.ad.Tape(loss):
+            run()
+        times.append(time.process_time() - begin)
+    gradient = field.grad.to_numpy().astype(np.float64)
+    return {
+        "ms": 1e3 * min(times[2:]),
+        "loss": float(loss[None]),
+        "norm": float(np.linalg.norm(gradient)),
+    }
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("programs", nargs="*", help=f"of {', '.join(PROGRAMS)}; all by default")
+    parser.add_argument("--dtype", default="f64", choices=("f32", "f64"))
+    parser.add_argument("--processes", type=int, default=3, help="of each kind (3)")
+    parser.add_argument("--rounds", type=int, default=10, help="sweeps in a process (10)")
+    parser.add_argument("--check", action="store_true", help=f"fail above {BAR} times")
+    parser.add_argument("--one", choices=("on", "off"), help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    names = args.programs or list(PROGRAMS)
+    if unknown := [name for name in names if name not in PROGRAMS]:
+        parser.error(f"no program {unknown[0]!r}; there are {', '.join(PROGRAMS)}")
+    if args.one:
+        print(json.dumps(measure_here(names[0], args.dtype, args.one == "on", args.rounds)))
+        return 0
+    missed = 0
+    print(f"{'program':<16}{'guarded ms':>12}{'bare ms':>12}{'ratio':>8}  gradient norms")
+    for name in names:
+        found: dict[str, list[dict]] = {"on": [], "off": []}
+        for _ in range(args.processes):
+            for kind, rows in found.items():
+                command = [sys.executable, __file__, name, "--one", kind, "--dtype", args.dtype]
+                command += ["--rounds", str(args.rounds)]
+                result = subprocess.run(command, capture_output=True, text=True)
+                if result.returncode:
+                    print(result.stderr, file=sys.stderr)
+                    return 2
+                rows.append(json.loads(result.stdout.strip().splitlines()[-1]))
+        on, off = (statistics.median(row["ms"] for row in found[kind]) for kind in found)
+        norms = f"{found['on'][0]['norm']:.9g} {found['off'][0]['norm']:.9g}"
+        print(f"{name:<16}{on:>12.2f}{off:>12.2f}{on / off:>8.3f}  {norms}", flush=True)
+        missed += on / off > BAR
+    return 1 if args.check and missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
