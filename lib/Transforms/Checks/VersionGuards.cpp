@@ -87,10 +87,13 @@ public:
   bool run(Operation *begin);
 
 private:
-  void hoist();
+  void hoist(Operation *begin);
   void findConditions();
   bool findDependents();
+  size_t countBehind();
   void findResults();
+  SmallVector<Value> findFactors();
+  SmallVector<Value> prune(ArrayRef<Value> values);
   SmallVector<Value> findTested();
   Value createTest(OpBuilder &builder, IRMapping &bare);
   void emit();
@@ -111,11 +114,12 @@ static bool isMovable(Operation *op) {
   return op->getNumRegions() == 0 && mlir::isPure(op);
 }
 
-/// Moves what is pure and depends on nothing behind the end in front of it.
-void Segment::hoist() {
+/// Moves what is pure and depends on nothing behind the end in front of it,
+/// where there is a guard among that or in the segment.
+void Segment::hoist(Operation *begin) {
   DenseSet<Operation *> behind;
-  for (Operation &op : llvm::make_early_inc_range(
-           llvm::make_range(end->getIterator(), block.end()))) {
+  SmallVector<Operation *> movable;
+  for (Operation &op : llvm::make_range(end->getIterator(), block.end())) {
     bool depends =
         &op == end || !isMovable(&op) || op.hasTrait<OpTrait::IsTerminator>();
     for (Value operand : op.getOperands())
@@ -124,8 +128,14 @@ void Segment::hoist() {
     if (depends)
       behind.insert(&op);
     else
-      op.moveBefore(end);
+      movable.push_back(&op);
   }
+  bool hasGuards = llvm::any_of(movable, isGuard);
+  for (Operation *op = begin; op != end; op = op->getNextNode())
+    hasGuards |= isGuard(op);
+  if (hasGuards)
+    for (Operation *op : movable)
+      op->moveBefore(end);
 }
 
 /// From the last op to the first: those whose uses all end in conditions.
@@ -176,17 +186,44 @@ static bool keeps(OpOperand &use) {
               vector::ToElementsOp>(use.getOwner());
 }
 
-/// Those results that no other result tells about.
-SmallVector<Value> Segment::findTested() {
-  DenseSet<Value> tested(results.begin(), results.end()), told;
-  for (Operation *op : llvm::reverse(dependents))
+/// What must be finite for all guards to have no effect: the product that a
+/// guard selects, and the adjoint that is multiplied behind a guard against
+/// infinite adjoints.
+SmallVector<Value> Segment::findFactors() {
+  llvm::SetVector<Value> factors;
+  auto add = [&](Value value) {
+    while (auto broadcast = value.getDefiningOp<vector::BroadcastOp>())
+      value = broadcast.getSource();
+    factors.insert(value);
+  };
+  for (Operation *guard : guards) {
+    Value product = guard->getOperand(2);
+    Operation *op = product.getDefiningOp();
+    SmallVector<Value> seeds;
+    if (guard->hasAttr(kInfiniteGuard) && op && op->getBlock() == &block &&
+        OpTrait::hasElementwiseMappableTraits(op))
+      for (Value operand : op->getOperands())
+        if (operand.getDefiningOp() &&
+            dependents.contains(operand.getDefiningOp()))
+          seeds.push_back(operand);
+    if (seeds.empty())
+      seeds.push_back(product);
+    for (Value seed : seeds)
+      add(seed);
+  }
+  return factors.takeVector();
+}
+
+/// Those of the values that no other of them tells about.
+SmallVector<Value> Segment::prune(ArrayRef<Value> values) {
+  DenseSet<Value> tested(values.begin(), values.end()), told;
+  for (Operation *op : llvm::reverse(ops))
     for (Value value : op->getResults()) {
       bool isTold = llvm::any_of(value.getUses(), [&](OpOperand &use) {
         Operation *user = use.getOwner();
-        if (!dependents.contains(user) || isGuard(user))
-          return dependents.contains(user) && use.getOperandNumber() == 2 &&
-                 told.contains(user->getResult(0));
-        return keeps(use) && told.contains(user->getResult(0));
+        if (user->getNumResults() != 1 || !told.contains(user->getResult(0)))
+          return false;
+        return isGuard(user) ? use.getOperandNumber() == 2 : keeps(use);
       });
       if (isTold)
         tested.erase(value);
@@ -194,7 +231,38 @@ SmallVector<Value> Segment::findTested() {
         told.insert(value);
     }
   return llvm::filter_to_vector(
-      results, [&](Value value) { return tested.contains(value); });
+      values, [&](Value value) { return tested.contains(value); });
+}
+
+static int64_t countComponents(ArrayRef<Value> values) {
+  int64_t count = 0;
+  for (Value value : values)
+    if (auto vector = dyn_cast<VectorType>(value.getType()))
+      count += vector.getNumElements();
+    else
+      ++count;
+  return count;
+}
+
+/// The values to test: results, or what guards look at, whichever are fewer.
+SmallVector<Value> Segment::findTested() {
+  SmallVector<Value> ofResults = prune(results),
+                     ofFactors = prune(findFactors());
+  return countComponents(ofFactors) < countComponents(ofResults) ? ofFactors
+                                                                 : ofResults;
+}
+
+/// How many ops follow, in all regions; the number is beyond all bounds where
+/// there is a loop among them.
+size_t Segment::countBehind() {
+  size_t count = 0;
+  for (Operation &op : llvm::make_range(end->getIterator(), block.end()))
+    op.walk([&](Operation *inner) {
+      count += isa<LoopLikeOpInterface>(inner)
+                   ? size_t(std::numeric_limits<int32_t>::max())
+                   : 1;
+    });
+  return count;
 }
 
 void Segment::findResults() {
@@ -206,17 +274,15 @@ void Segment::findResults() {
         results.push_back(result);
 }
 
-/// Whether all results are finite: zero times each is zero, or NaN. The sum of
-/// these is not compared with zero, since LLVM takes it for unlikely that
-/// floats are equal, and for likely that they are ordered.
+/// Whether all that is tested is finite: then the sum is, if it does not
+/// overflow, and zero times the sum is no NaN. That is not compared with zero,
+/// since LLVM takes it for unlikely that floats are equal, and for likely that
+/// they are ordered.
 Value Segment::createTest(OpBuilder &builder, IRMapping &bare) {
   Location loc = guards.front()->getLoc();
   llvm::SmallMapVector<Type, SmallVector<Value>, 2> terms;
-  for (Value result : findTested()) {
-    Value value = bare.lookup(result);
-    auto zero = arith::ConstantOp::create(
-        builder, loc, cast<TypedAttr>(builder.getZeroAttr(value.getType())));
-    Value term = arith::MulFOp::create(builder, loc, value, zero);
+  for (Value tested : findTested()) {
+    Value term = bare.lookupOrDefault(tested);
     if (isa<VectorType>(term.getType()))
       term = SumOp::create(builder, loc, getElementTypeOrSelf(term.getType()),
                            term);
@@ -234,12 +300,28 @@ Value Segment::createTest(OpBuilder &builder, IRMapping &bare) {
         sums.push_back(values.back());
       values = std::move(sums);
     }
+    Value zero = arith::ConstantOp::create(
+        builder, loc, cast<TypedAttr>(builder.getZeroAttr(type)));
+    Value product = arith::MulFOp::create(builder, loc, values[0], zero);
     Value isFinite = arith::CmpFOp::create(
-        builder, loc, arith::CmpFPredicate::ORD, values[0], values[0]);
+        builder, loc, arith::CmpFPredicate::ORD, product, product);
     all = all ? Value(arith::AndIOp::create(builder, loc, all, isFinite))
               : isFinite;
   }
   return all;
+}
+
+/// Moves what only ops of `to` use from in front of `branch` to the start of
+/// that block.
+static void sinkInto(Block *to, Operation *branch) {
+  for (Operation *op = branch->getPrevNode(); op;) {
+    Operation *candidate = std::exchange(op, op->getPrevNode());
+    if (isMovable(candidate) && !candidate->use_empty() &&
+        llvm::all_of(candidate->getUsers(), [&](Operation *user) {
+          return to->findAncestorOpInBlock(*user);
+        }))
+      candidate->moveBefore(to, to->begin());
+  }
 }
 
 void Segment::emit() {
@@ -253,42 +335,55 @@ void Segment::emit() {
       builder.clone(*op, bare);
   }
   Value isFinite = createTest(builder, bare);
+  // What comes afterwards follows in both branches: results that wait for the
+  // test would all be alive at once.
+  Operation *terminator = block.getTerminator();
+  SmallVector<Operation *> tail;
+  for (Operation *op = end; op != terminator; op = op->getNextNode())
+    tail.push_back(op);
+  auto isInside = [&](Value value) {
+    Operation *op = value.getDefiningOp();
+    return op && (dependents.contains(op) || llvm::is_contained(tail, op));
+  };
+  SmallVector<OpOperand *> yielded;
   SmallVector<Type> types;
-  SmallVector<Value> bareResults;
-  for (Value result : results) {
-    types.push_back(result.getType());
-    bareResults.push_back(bare.lookup(result));
-  }
+  SmallVector<Value> guardedResults, bareResults;
+  for (OpOperand &operand : terminator->getOpOperands())
+    if (isInside(operand.get())) {
+      yielded.push_back(&operand);
+      types.push_back(operand.get().getType());
+      guardedResults.push_back(operand.get());
+    }
   auto branch = scf::IfOp::create(builder, loc, types, isFinite,
                                   /*withElseRegion=*/true);
-  builder.setInsertionPointToStart(branch.thenBlock());
+  Block *fast = branch.thenBlock(), *guarded = branch.elseBlock();
+  if (types.empty()) {
+    fast->getTerminator()->erase();
+    guarded->getTerminator()->erase();
+  }
+  builder.setInsertionPointToStart(fast);
+  for (Operation *op : tail)
+    builder.clone(*op, bare);
+  for (Value result : guardedResults)
+    bareResults.push_back(bare.lookup(result));
   scf::YieldOp::create(builder, loc, bareResults);
-  builder.setInsertionPointToStart(branch.elseBlock());
-  auto yield = scf::YieldOp::create(builder, loc, results);
-  for (auto [result, replacement] : llvm::zip(results, branch.getResults()))
-    result.replaceUsesWithIf(replacement, [&](OpOperand &use) {
-      Operation *user = use.getOwner();
-      return user != yield && !dependents.contains(user) &&
-             !conditions.contains(user);
-    });
+  builder.setInsertionPointToStart(guarded);
+  auto yield = scf::YieldOp::create(builder, loc, guardedResults);
+  for (auto [operand, result] : llvm::zip(yielded, branch.getResults()))
+    operand->set(result);
   for (Operation *op : ops)
     if (dependents.contains(op) || conditions.contains(op))
       op->moveBefore(yield);
-  // Partial derivatives that guards ask about, and nothing else.
-  Block *guarded = branch.elseBlock();
-  for (Operation *op = branch->getPrevNode(); op;) {
-    Operation *candidate = std::exchange(op, op->getPrevNode());
-    if (isMovable(candidate) && !candidate->use_empty() &&
-        llvm::all_of(candidate->getUsers(), [&](Operation *user) {
-          return user->getBlock() == guarded;
-        }))
-      candidate->moveBefore(guarded, guarded->begin());
-  }
+  for (Operation *op : tail)
+    op->moveBefore(yield);
+  // Partial derivatives that guards ask about, and what follows the test.
+  sinkInto(guarded, branch);
+  sinkInto(fast, branch);
 }
 
 bool Segment::run(Operation *begin) {
-  hoist();
-  for (Operation *op = begin; op && op != end; op = op->getNextNode()) {
+  hoist(begin);
+  for (Operation *op = begin; op != end; op = op->getNextNode()) {
     ops.push_back(op);
     if (isGuard(op))
       guards.push_back(op);
@@ -299,8 +394,11 @@ bool Segment::run(Operation *begin) {
   if (!findDependents())
     return false;
   findResults();
-  // A test of a result costs about what a guard does.
-  if (results.empty() || guards.size() + conditions.size() <= results.size())
+  // A test of a result costs about what a guard does. Code that is twice there
+  // takes twice as long to compile.
+  constexpr size_t most = 2000, mostBehind = 300;
+  if (results.empty() || guards.size() + conditions.size() <= results.size() ||
+      dependents.size() > most || countBehind() > mostBehind)
     return false;
   emit();
   return true;
@@ -324,9 +422,9 @@ static void versionGuards(Block &block) {
       op = op->getNextNode();
       continue;
     }
-    Operation *end = op, *next = op->getNextNode();
-    Segment(block, end).run(begin);
-    begin = op = next ? end->getNextNode() : nullptr;
+    if (Segment(block, op).run(begin))
+      return;
+    begin = op = op->getNextNode();
   }
 }
 
