@@ -21,7 +21,6 @@ import sys
 import time
 
 import numpy as np
-
 import tai as ti
 
 BAR = 1.02
