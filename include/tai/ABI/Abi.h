@@ -18,7 +18,7 @@
 
 #include <stdint.h>
 
-#define TAI_ABI_VERSION 6
+#define TAI_ABI_VERSION 7
 
 #ifdef __cplusplus
 extern "C" {
@@ -47,6 +47,10 @@ typedef struct TaiFrame {
   /// The last tick that this launch has seen; see tai_rt_safepoint.
   uint64_t tick;
 } TaiFrame;
+
+/// Types of a field and of the private buffers that are added to it: both f32,
+/// both f64, or f32 and f64.
+enum { kSumsF32 = 0, kSumsF64 = 1, kSumsWide = 2 };
 
 /// A compiled kernel. Returns 0, or non-zero if the launch failed (the runtime
 /// holds the message).

@@ -13,6 +13,10 @@
 using namespace mlir;
 using namespace mlir::tai;
 
+/// From this many updates of an element on, a loop sums f32 in buffers of f64:
+/// one addition after another, their number is that of the roundings.
+constexpr double kWideUpdates = 256;
+
 /// Partial sums of two partitions do not share a cache line.
 constexpr int64_t kCacheLine = 64;
 
@@ -36,6 +40,14 @@ static Type getSumType(Type type, AtomicKind kind) {
              : type;
 }
 
+/// A number in a wider type of floats, or as it is.
+static Value emitWidened(OpBuilder &builder, Location loc, Value value,
+                         Type type) {
+  if (value.getType() == type)
+    return value;
+  return arith::ExtFOp::create(builder, loc, type, value);
+}
+
 /// A sum of such partial sums, as what it is of.
 static Value emitNarrowed(OpBuilder &builder, Location loc, Value sum,
                           Type type) {
@@ -43,6 +55,47 @@ static Value emitNarrowed(OpBuilder &builder, Location loc, Value sum,
     return sum;
   return arith::TruncFOp::create(builder, loc, type, sum);
 }
+
+/// A sum of n numbers one after another is off by about n roundings; in blocks
+/// of m it is off by the square root of m n of them, and adding the blocks up
+/// in f64 costs nothing.
+void Accumulators::Register::sumInBlocks() {
+  if (!isa<FloatType>(type) || kind != AtomicKind::Add)
+    return;
+  isBlocked = true;
+  totalType = Float64Type::get(type.getContext());
+}
+
+/// The iterations of a loop, as far as they are known; 1 for those that are
+/// not.
+static double countIterations(ParallelForOp loop) {
+  double count = 1;
+  for (auto [from, to] :
+       llvm::zip(loop.getLowerBounds(), loop.getUpperBounds())) {
+    std::optional<int64_t> low = getConstantIntValue(from);
+    std::optional<int64_t> high = getConstantIntValue(to);
+    if (low && high)
+      count *= std::max<double>(0, double(*high) - double(*low));
+  }
+  return count;
+}
+
+/// Whether a loop is known to have no more iterations than a block.
+static bool isShort(ParallelForOp loop) {
+  for (auto [from, to] :
+       llvm::zip(loop.getLowerBounds(), loop.getUpperBounds()))
+    if (!getConstantIntValue(from) || !getConstantIntValue(to))
+      return false;
+  return countIterations(loop) <= Accumulators::kBlock;
+}
+
+Accumulators::Register::Register(const FieldInfo *field,
+                                 SmallVector<AtomicOp> atomics, AtomicKind kind,
+                                 Type type, SmallVector<Value> indices,
+                                 SmallVector<Value> components)
+    : field(field), atomics(std::move(atomics)), kind(kind), type(type),
+      totalType(type), indices(std::move(indices)),
+      components(std::move(components)) {}
 
 FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
                                               ModuleLowering &lowering) {
@@ -79,21 +132,20 @@ FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
       found->atomics.push_back(atomic);
       return WalkResult::advance();
     }
-    result.registers.push_back({*field,
-                                {atomic},
-                                getCombiningKind(atomic.getKind()),
-                                getSumType(atomic.getValue().getType(),
-                                           getCombiningKind(atomic.getKind())),
-                                getOutside(atomic.getIndices(), loop),
-                                getOutside(atomic.getComponents(), loop),
-                                Value(),
-                                {},
-                                Value()});
+    result.registers.push_back(
+        Register(*field, {atomic}, getCombiningKind(atomic.getKind()),
+                 getSumType(atomic.getValue().getType(),
+                            getCombiningKind(atomic.getKind())),
+                 getOutside(atomic.getIndices(), loop),
+                 getOutside(atomic.getComponents(), loop)));
     return WalkResult::advance();
   });
   if (walked.wasInterrupted())
     return failure();
   result.collectLocalSums(loop);
+  if (!isShort(loop))
+    for (Register &sum : result.registers)
+      sum.sumInBlocks();
 
   FailureOr<SmallVector<AccumulationGroup>> groups =
       groupAccumulations(loop, inBuffers, lowering.fields);
@@ -113,6 +165,9 @@ FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
     buffer.group = std::move(group);
     buffer.slice = std::move(*slice);
     buffer.updatesPerIteration = updates;
+    buffer.isWide = buffer.group.field->scalarType.isF32() &&
+                    updates * countIterations(loop) >=
+                        kWideUpdates * double(buffer.numElements());
     result.buffers.push_back(std::move(buffer));
   }
   return result;
@@ -129,9 +184,8 @@ void Accumulators::collectLocalSums(ParallelForOp loop) {
       found->updates.push_back(update);
       return;
     }
-    Register sum = {nullptr, {}, AtomicKind::Add, update.getVal().getType(),
-                    {},      {}, Value(),         {},
-                    Value()};
+    Register sum(nullptr, {}, AtomicKind::Add, update.getVal().getType(), {},
+                 {});
     sum.address = update.getPtr();
     sum.updates.push_back(update);
     registers.push_back(std::move(sum));
@@ -219,7 +273,14 @@ void Accumulators::emitBefore(OpBuilder &builder, Location loc, Value frame,
 
   for (Buffer &buffer : buffers) {
     buffer.target = emitTarget(builder, loc, buffer);
-    int64_t bytes = buffer.numElements() * buffer.group.field->scalarSize;
+    int64_t bytes = buffer.numElements() * buffer.scalarSize();
+    buffer.partStride =
+        runtime.i64(builder, loc, llvm::alignTo(bytes, kCacheLine));
+    if (buffer.isWide) {
+      buffer.memory = runtime.tai_rt_private(
+          builder, loc, frame, runtime.i64(builder, loc, bytes), parts);
+      continue;
+    }
     // One partition has the field to itself.
     auto choice = scf::IfOp::create(builder, loc, TypeRange{pointer}, single,
                                     /*addThenBlock=*/true,
@@ -231,8 +292,6 @@ void Accumulators::emitBefore(OpBuilder &builder, Location loc, Value frame,
         otherwise, loc, frame, runtime.i64(otherwise, loc, bytes), parts);
     scf::YieldOp::create(otherwise, loc, memory);
     buffer.memory = choice.getResult(0);
-    buffer.partStride =
-        runtime.i64(builder, loc, llvm::alignTo(bytes, kCacheLine));
     if (!buffer.isContiguous())
       buffer.cellStride = arith::SelectOp::create(
           builder, loc, single,
@@ -250,7 +309,7 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
     SmallVector<Value> initial;
     for (Register &sum : registers)
       initial.push_back(arith::ConstantOp::create(
-          builder, loc, getIdentity(sum.kind, sum.type)));
+          builder, loc, getIdentity(sum.kind, sum.totalType)));
     auto combine = [&](OpBuilder &b, Location, Value part, ValueRange sums) {
       Value bytes =
           arith::MulIOp::create(b, loc, IndexMath(b, loc).toI64(part),
@@ -270,8 +329,9 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
                            math.constant(1), initial, combine);
     for (auto [i, sum] : llvm::enumerate(registers)) {
       if (sum.address) {
-        emitPlainUpdate(builder, loc, sum.kind, total.getResult(i), sum.address,
-                        {});
+        Value narrowed =
+            emitNarrowed(builder, loc, total.getResult(i), sum.type);
+        emitPlainUpdate(builder, loc, sum.kind, narrowed, sum.address, {});
         continue;
       }
       const FieldInfo &field = *sum.field;
@@ -295,10 +355,14 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
   Value several =
       arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::ne, parts, one);
   auto branch = scf::IfOp::create(builder, loc, several);
-  OpBuilder inside = branch.getThenBodyBuilder();
+  OpBuilder whereSeveral = branch.getThenBodyBuilder();
   for (Buffer &buffer : buffers) {
     const FieldInfo &field = *buffer.group.field;
-    Value kind = runtime.i32(inside, loc, field.scalarType.isF64() ? 1 : 0);
+    OpBuilder &inside = buffer.isWide ? builder : whereSeveral;
+    Value kind = runtime.i32(inside, loc,
+                             buffer.isWide              ? kSumsWide
+                             : field.scalarType.isF64() ? kSumsF64
+                                                        : kSumsF32);
     if (buffer.isContiguous()) {
       Value count = runtime.i64(inside, loc, buffer.numElements());
       runtime.tai_rt_combine(inside, loc, frame, buffer.target, buffer.memory,
@@ -324,6 +388,12 @@ void Accumulators::emitEntry(OpBuilder &builder, Location loc, Value part) {
     Value identity = arith::ConstantOp::create(builder, loc,
                                                getIdentity(sum.kind, sum.type));
     emitSlotStore(builder, loc, identity, sum.slot);
+    if (!sum.isBlocked)
+      continue;
+    sum.total = emitStackSlots(builder, loc, 1);
+    Value zero = arith::ConstantOp::create(
+        builder, loc, getIdentity(sum.kind, sum.totalType));
+    emitSlotStore(builder, loc, zero, sum.total);
   }
   if (!registers.empty()) {
     Value bytes = arith::MulIOp::create(
@@ -426,9 +496,11 @@ void Accumulators::rewriteUpdates() {
           cell = math.add(
               cell, math.mul(emitDigit(builder, loc, field, digit, zeroBased),
                              cells));
-      Type storage = getStorageType(field.scalarType);
+      Type scalar = buffer.isWide ? Float64Type::get(builder.getContext())
+                                  : field.scalarType;
+      Type storage = getStorageType(scalar);
       Value address = buffer.base;
-      if (buffer.isContiguous()) {
+      if (buffer.isWide || buffer.isContiguous()) {
         cell = math.mul(cell, field.numComponents);
       } else {
         Value bytes = math.mul(cell, math.toIndex(buffer.cellStride));
@@ -440,17 +512,43 @@ void Accumulators::rewriteUpdates() {
         cell = math.add(cell, emitComponent(builder, loc, field.elementShape,
                                             atomic.getComponents()));
       address = emitPointer(builder, loc, storage, address, cell);
-      emitPlainUpdate(builder, loc, atomic.getKind(), atomic.getValue(),
-                      address, lowering->fields.getScopes(field));
+      Value term = emitWidened(builder, loc, atomic.getValue(), scalar);
+      emitPlainUpdate(builder, loc, atomic.getKind(), term, address,
+                      buffer.isWide ? AliasScopes()
+                                    : lowering->fields.getScopes(field));
       atomic.erase();
     }
   }
 }
 
+bool Accumulators::sumsInBlocks() const {
+  return llvm::any_of(registers,
+                      [](const Register &sum) { return sum.isBlocked; });
+}
+
+void Accumulators::emitBlockEnd(OpBuilder &builder, Location loc) {
+  for (Register &sum : registers) {
+    if (!sum.isBlocked)
+      continue;
+    Value block = emitWidened(builder, loc,
+                              emitSlotLoad(builder, loc, sum.type, sum.slot),
+                              sum.totalType);
+    Value total = emitSlotLoad(builder, loc, sum.totalType, sum.total);
+    emitSlotStore(builder, loc,
+                  arith::AddFOp::create(builder, loc, total, block), sum.total);
+    Value zero = arith::ConstantOp::create(builder, loc,
+                                           getIdentity(sum.kind, sum.type));
+    emitSlotStore(builder, loc, zero, sum.slot);
+  }
+}
+
 void Accumulators::emitExit(OpBuilder &builder, Location loc) {
-  for (auto [i, sum] : llvm::enumerate(registers))
-    emitSlotStore(builder, loc, emitSlotLoad(builder, loc, sum.type, sum.slot),
+  emitBlockEnd(builder, loc);
+  for (auto [i, sum] : llvm::enumerate(registers)) {
+    Value slot = sum.isBlocked ? sum.total : sum.slot;
+    emitSlotStore(builder, loc, emitSlotLoad(builder, loc, sum.totalType, slot),
                   emitSlot(builder, loc, insidePartials, i));
+  }
 }
 
 LogicalResult tai::lowerPlainly(AtomicOp atomic, FieldTable &fields) {

@@ -22,6 +22,11 @@ namespace mlir::tai {
 
 class Accumulators {
 public:
+  /// Iterations whose sums are added up apart: few enough that their sum in f32
+  /// is good, and so many that adding the sums of a vector's lanes up is not
+  /// seen.
+  static constexpr int64_t kBlock = 2048;
+
   /// Collects the accumulations of `loop`.
   static FailureOr<Accumulators> collect(ParallelForOp loop,
                                          ModuleLowering &lowering);
@@ -40,6 +45,10 @@ public:
   void emitEntry(OpBuilder &builder, Location loc, Value part);
   /// Replaces the updates, once they have been moved into the function.
   void rewriteUpdates();
+  /// Whether there are sums of floats, for which blocks of iterations pay.
+  bool sumsInBlocks() const;
+  /// After each block of iterations: adds its sums to those of the blocks.
+  void emitBlockEnd(OpBuilder &builder, Location loc);
   /// After the loops.
   void emitExit(OpBuilder &builder, Location loc);
 
@@ -49,23 +58,33 @@ public:
 private:
   /// A sum of one component in a register.
   struct Register {
+    Register(const FieldInfo *field, SmallVector<AtomicOp> atomics,
+             AtomicKind kind, Type type, SmallVector<Value> indices,
+             SmallVector<Value> components);
+    /// Sums blocks of iterations apart, where these are floats.
+    void sumInBlocks();
+
     const FieldInfo *field;
     SmallVector<AtomicOp> atomics;
     AtomicKind kind; // how partial sums are combined
-    Type type;
+    /// Of the sum over a block, and of the sum of blocks and of partitions.
+    Type type, totalType;
+    bool isBlocked = false;
     // In the kernel:
     SmallVector<Value> indices, components;
     /// Where a local sum goes, which is of no field.
     Value address;
     SmallVector<LLVM::AtomicRMWOp> updates;
-    // In the function of the loop:
-    Value slot;
+    // In the function of the loop: of the block, and of those before it.
+    Value slot, total;
   };
   /// Sums of a part of a field in a buffer.
   struct Buffer {
     AccumulationGroup group;
     FieldSlice slice;
     double updatesPerIteration;
+    /// Sums in f64 of a field of f32, in a buffer of every partition.
+    bool isWide = false;
     // In the kernel:
     Value target, memory, partStride, cellStride;
     // In the function of the loop:
@@ -73,6 +92,10 @@ private:
 
     int64_t numElements() const {
       return slice.numCells * group.field->numComponents;
+    }
+    /// Bytes of a number in the buffer.
+    int64_t scalarSize() const {
+      return isWide ? int64_t(sizeof(double)) : group.field->scalarSize;
     }
     int64_t compactStride() const {
       return group.field->numComponents * group.field->scalarSize;

@@ -26,6 +26,9 @@ using namespace mlir::tai;
 /// even distribution over the cores of a large machine.
 constexpr int64_t kManyRows = 64;
 
+/// Rows that are shorter are no block.
+constexpr int64_t kShortRow = 32;
+
 namespace {
 /// The box of a loop. Values are valid where the loop stands.
 struct Box {
@@ -126,16 +129,40 @@ static SmallVector<Value> delinearize(OpBuilder &builder, Location loc,
 }
 
 /// Emits the loops of a partition and moves the body into them. `byRows`: the
-/// range counts rows.
+/// range counts rows. Sums end a block with each row, or after
+/// Accumulators::kBlock iterations.
 static void emitPartition(OpBuilder &builder, ParallelForOp loop,
-                          const Box &box, Value begin, Value end, bool byRows) {
+                          const Box &box, Value begin, Value end, bool byRows,
+                          Accumulators &accumulators) {
   Location loc = loop.getLoc();
   IndexMath math(builder, loc);
   Value lower = box.lower.back();
+  auto endBlock = [&](scf::ForOp innermost) {
+    std::optional<int64_t> length = getConstantIntValue(box.extent.back());
+    if (length && *length < kShortRow)
+      return;
+    OpBuilder after(innermost->getContext());
+    after.setInsertionPointAfter(innermost);
+    accumulators.emitBlockEnd(after, loc);
+  };
   if (box.rank() == 1) {
+    Value from = begin, to = end;
+    std::optional<int64_t> count = getConstantIntValue(box.extent.back());
+    bool inBlocks = accumulators.sumsInBlocks() &&
+                    !(count && *count <= Accumulators::kBlock);
+    if (inBlocks) {
+      auto blocks = scf::ForOp::create(builder, loc, begin, end,
+                                       math.constant(Accumulators::kBlock));
+      builder.setInsertionPointToStart(blocks.getBody());
+      from = blocks.getInductionVar();
+      to = math.min(math.add(from, math.constant(Accumulators::kBlock)), end);
+    }
     auto inner =
-        createFor(builder, loc, math.add(lower, begin), math.add(lower, end));
-    return moveBody(loop, inner, inner.getInductionVar());
+        createFor(builder, loc, math.add(lower, from), math.add(lower, to));
+    moveBody(loop, inner, inner.getInductionVar());
+    if (inBlocks)
+      endBlock(inner);
+    return;
   }
 
   // One loop for each dimension: the partition counts the first.
@@ -149,7 +176,8 @@ static void emitPartition(OpBuilder &builder, ParallelForOp loop,
       ivs.push_back(inner.getInductionVar());
       builder.setInsertionPointToStart(inner.getBody());
     }
-    return moveBody(loop, inner, ivs);
+    moveBody(loop, inner, ivs);
+    return endBlock(inner);
   }
 
   Value extent = box.extent.back();
@@ -171,6 +199,7 @@ static void emitPartition(OpBuilder &builder, ParallelForOp loop,
   auto inner = createFor(builder, loc, from, to);
   ivs.push_back(inner.getInductionVar());
   moveBody(loop, inner, ivs);
+  endBlock(inner);
 }
 
 LogicalResult
@@ -251,7 +280,8 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   inside.setInsertionPoint(ret);
   IndexMath insideMath(inside, loc);
   emitPartition(inside, loop, box, insideMath.toIndex(entry->getArgument(2)),
-                insideMath.toIndex(entry->getArgument(3)), byRows);
+                insideMath.toIndex(entry->getArgument(3)), byRows,
+                *accumulators);
   accumulators->rewriteUpdates();
   inside.setInsertionPoint(ret);
   accumulators->emitExit(inside, loc);

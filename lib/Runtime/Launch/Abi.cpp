@@ -215,13 +215,13 @@ struct Combining {
 
 /// Adds elements [begin, end) of all buffers. The sum of the buffers is formed
 /// first, in their order, in blocks that stay in the first-level cache.
-template <typename T>
+template <typename Target, typename T>
 __attribute__((always_inline)) static inline void
 addBuffers(void *targetBytes, const char *buffers, int64_t begin, int64_t end,
            int64_t parts, int64_t stride) {
   constexpr int64_t block = 1024;
   T sums[block];
-  T *target = static_cast<T *>(targetBytes);
+  Target *target = static_cast<Target *>(targetBytes);
   for (int64_t at = begin; at < end; at += block) {
     int64_t count = std::min(block, end - at);
     const T *first = reinterpret_cast<const T *>(buffers) + at;
@@ -232,29 +232,34 @@ addBuffers(void *targetBytes, const char *buffers, int64_t begin, int64_t end,
         sums[e] += from[e];
     }
     for (int64_t e = 0; e < count; ++e)
-      target[at + e] += sums[e];
+      target[at + e] = static_cast<Target>(target[at + e] + sums[e]);
   }
 }
 
 // Compiled for the vector units that there may be; the sums are the same.
 #if defined(__x86_64__)
-#define TAI_ADD_BUFFERS(name, type, unit)                                      \
+#define TAI_ADD_BUFFERS(name, target_type, type, unit)                         \
   __attribute__((target(unit))) static void name(                              \
       void *to, const char *buffers, int64_t begin, int64_t end,               \
       int64_t parts, int64_t stride) {                                         \
-    addBuffers<type>(to, buffers, begin, end, parts, stride);                  \
+    addBuffers<target_type, type>(to, buffers, begin, end, parts, stride);     \
   }
-TAI_ADD_BUFFERS(addF32Avx2, float, "avx2")
-TAI_ADD_BUFFERS(addF64Avx2, double, "avx2")
+TAI_ADD_BUFFERS(addF32Avx2, float, float, "avx2")
+TAI_ADD_BUFFERS(addF64Avx2, double, double, "avx2")
+TAI_ADD_BUFFERS(addWideAvx2, float, double, "avx2")
 #undef TAI_ADD_BUFFERS
 #endif
 
-static AddBuffers chooseAdd(bool isDouble) {
+static AddBuffers chooseAdd(int32_t kind) {
 #if defined(__x86_64__)
   if (__builtin_cpu_supports("avx2"))
-    return isDouble ? addF64Avx2 : addF32Avx2;
+    return kind == kSumsF32   ? addF32Avx2
+           : kind == kSumsF64 ? addF64Avx2
+                              : addWideAvx2;
 #endif
-  return isDouble ? addBuffers<double> : addBuffers<float>;
+  return kind == kSumsF32   ? addBuffers<float, float>
+         : kind == kSumsF64 ? addBuffers<double, double>
+                            : addBuffers<float, double>;
 }
 
 extern "C" void tai_rt_combine(TaiFrame *frame, void *target,
@@ -264,19 +269,16 @@ extern "C" void tai_rt_combine(TaiFrame *frame, void *target,
   // After a failure the buffers may not be what the code believes.
   if (count <= 0 || parts <= 0 || launch.hasFailed())
     return;
-  int64_t size = kind == 0 ? sizeof(float) : sizeof(double);
+  int64_t size = kind == kSumsF32 ? sizeof(float) : sizeof(double);
   int64_t stride = (count * size + 63) / 64 * 64;
   // Bytes read by one worker that repay its fork.
   constexpr int64_t cutBytes = 64 << 10;
   int64_t cuts = std::clamp<int64_t>(count * size / cutBytes * parts, 1,
                                      launch.owner().threads());
-  Combining combining{target,
-                      static_cast<const char *>(buffers),
-                      count,
-                      parts,
-                      stride,
-                      cuts,
-                      chooseAdd(kind != 0)};
+  Combining combining{target,         static_cast<const char *>(buffers),
+                      count,          parts,
+                      stride,         cuts,
+                      chooseAdd(kind)};
   auto run = [](void *context, int64_t cut) {
     Combining &c = *static_cast<Combining *>(context);
     c.add(c.target, c.buffers, boundOf(c.count, cut, c.cuts),
@@ -297,7 +299,8 @@ struct StridedCombining {
 } // namespace
 
 /// Adds cells [begin, end) of all buffers, summed in their order.
-template <typename T> static void addStrided(void *context, int64_t cut) {
+template <typename Target, typename T>
+static void addStrided(void *context, int64_t cut) {
   const auto &c = *static_cast<StridedCombining *>(context);
   int64_t begin = boundOf(c.cells, cut, c.cuts);
   int64_t end = boundOf(c.cells, cut + 1, c.cuts);
@@ -318,10 +321,11 @@ template <typename T> static void addStrided(void *context, int64_t cut) {
           sums[e] = p == 0 ? from[e] : sums[e] + from[e];
       }
       for (int64_t cell = 0; cell < cells; ++cell) {
-        T *to = reinterpret_cast<T *>(c.target + (at + cell) * c.targetStride) +
-                first;
+        Target *to = reinterpret_cast<Target *>(c.target +
+                                                (at + cell) * c.targetStride) +
+                     first;
         for (int64_t e = 0; e < width; ++e)
-          to[e] += sums[cell * width + e];
+          to[e] = static_cast<Target>(to[e] + sums[cell * width + e]);
       }
     }
   }
@@ -334,9 +338,8 @@ extern "C" void tai_rt_combine_strided(TaiFrame *frame, void *target,
   Launch &launch = launchOf(frame);
   if (cells <= 0 || components <= 0 || parts <= 0 || launch.hasFailed())
     return;
-  int64_t bytes =
-      cells * components *
-      (kind == 0 ? int64_t(sizeof(float)) : int64_t(sizeof(double)));
+  int64_t bytes = cells * components *
+                  int64_t(kind == kSumsF32 ? sizeof(float) : sizeof(double));
   constexpr int64_t cutBytes = 64 << 10;
   int64_t cuts = std::clamp<int64_t>(bytes / cutBytes * parts, 1,
                                      launch.owner().threads());
@@ -348,7 +351,9 @@ extern "C" void tai_rt_combine_strided(TaiFrame *frame, void *target,
                              parts,
                              (bytes + 63) / 64 * 64,
                              cuts};
-  auto run = kind == 0 ? addStrided<float> : addStrided<double>;
+  auto run = kind == kSumsF32   ? addStrided<float, float>
+             : kind == kSumsF64 ? addStrided<double, double>
+                                : addStrided<float, double>;
   if (cuts == 1)
     run(&combining, 0);
   else

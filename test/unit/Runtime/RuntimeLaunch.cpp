@@ -552,18 +552,19 @@ TEST(RuntimeScratch, OutOfMemoryFailsTheLaunchOnly) {
   }));
 }
 
-template <typename T>
+/// Buffers of `T` are added to a field of `Target`, with one rounding.
+template <typename Target, typename T>
 static void combine(int threads, int64_t count, int64_t parts, int kind) {
   Runtime runtime(withThreads(threads));
-  std::vector<T> target(count), expected(count);
+  std::vector<Target> target(count), expected(count);
   for (int64_t e = 0; e < count; ++e)
-    target[e] = T(e);
+    target[e] = Target(e);
   for (int64_t e = 0; e < count; ++e) {
     // In the order of the partitions, without a different association.
     T sum = T(0) + T(1) / T(e % 13 + 1);
     for (int64_t p = 1; p < parts; ++p)
       sum += T(p + 1) / T(e % 13 + 1);
-    expected[e] = target[e] + sum;
+    expected[e] = Target(target[e] + sum);
   }
   uint64_t args[] = {reinterpret_cast<uint64_t>(target.data()), uint64_t(count),
                      uint64_t(parts), uint64_t(kind)};
@@ -590,8 +591,9 @@ TEST(RuntimeCombine, AddsInPartitionOrder) {
   for (int threads : {1, 4})
     for (int64_t count : {1, 15, 1024, 1025, 300000})
       for (int64_t parts : {1, 2, 9}) {
-        combine<float>(threads, count, parts, 0);
-        combine<double>(threads, count, parts, 1);
+        combine<float, float>(threads, count, parts, kSumsF32);
+        combine<double, double>(threads, count, parts, kSumsF64);
+        combine<float, double>(threads, count, parts, kSumsWide);
       }
 }
 
