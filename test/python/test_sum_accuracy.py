@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-
 import tai as ti
 
 # The unit round-off of f32.
