@@ -15,21 +15,29 @@
 #include "llvm/ADT/STLFunctionalExtras.h"
 #include <algorithm>
 #include <atomic>
+#include <optional>
 #include <thread>
 #include <vector>
 
 namespace mlir::tai {
 
 /// Runs task(0) to task(count - 1) on as many threads as help, until one fails.
-inline void
+/// Returns the first that does: others may have been given up because of it,
+/// and say nothing but that.
+inline std::optional<size_t>
 runInParallel(size_t count,
               llvm::function_ref<const runtime::Status &(size_t)> task) {
   std::atomic<size_t> next{0};
   std::atomic<bool> hasFailed{false};
+  std::atomic<size_t> failed{count};
   auto work = [&] {
-    for (size_t i = next++; i < count && !hasFailed; i = next++)
-      if (!task(i).ok())
-        hasFailed = true;
+    for (size_t i = next++; i < count && !hasFailed; i = next++) {
+      if (task(i).ok())
+        continue;
+      size_t none = count;
+      failed.compare_exchange_strong(none, i);
+      hasFailed = true;
+    }
   };
   auto help = [&] {
     runtime::safepoint::follow(&hasFailed);
@@ -43,6 +51,9 @@ runInParallel(size_t count,
     if (!thread.start(help, "tai-compile"))
       break;
   work();
+  // The threads end before the flags that they look at.
+  threads.clear();
+  return failed < count ? std::optional(failed.load()) : std::nullopt;
 }
 
 } // namespace mlir::tai

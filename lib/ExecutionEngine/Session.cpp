@@ -209,16 +209,13 @@ LogicalResult Session::compile(ArrayRef<SessionKernel *> kernels,
   // All primals first: the adjoint of a kernel waits for its primal.
   size_t count = kernels.size() * (adjoints ? 2 : 1);
   std::vector<runtime::Status> statuses(count);
-  runInParallel(count, [&](size_t i) -> const runtime::Status & {
+  auto failed = runInParallel(count, [&](size_t i) -> const runtime::Status & {
     runtime::Kernel &kernel = *kernels[i % kernels.size()]->kernel;
     runtime::Kernel *adjoint = nullptr;
     return statuses[i] = i < kernels.size() ? kernel.resolve()
                                             : kernel.resolveAdjoint(adjoint);
   });
-  for (const runtime::Status &status : statuses)
-    if (!status.ok())
-      return fail(status);
-  return success();
+  return failed ? fail(statuses[*failed]) : success();
 }
 
 LogicalResult Session::prepareReverse(runtime::Tape &tape, bool cleared) {
@@ -226,13 +223,11 @@ LogicalResult Session::prepareReverse(runtime::Tape &tape, bool cleared) {
   if (needed.size() < 2)
     return success();
   std::vector<runtime::Status> statuses(needed.size());
-  runInParallel(needed.size(), [&](size_t i) -> const runtime::Status & {
-    return statuses[i] = needed[i].resolve();
-  });
-  for (const runtime::Status &status : statuses)
-    if (!status.ok())
-      return fail(status);
-  return success();
+  auto failed =
+      runInParallel(needed.size(), [&](size_t i) -> const runtime::Status & {
+        return statuses[i] = needed[i].resolve();
+      });
+  return failed ? fail(statuses[*failed]) : success();
 }
 
 LogicalResult Session::runHost(ModuleOp module, StringRef name) {

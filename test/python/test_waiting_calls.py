@@ -9,6 +9,7 @@ import sys
 import textwrap
 
 import pytest
+import tai as ti
 
 PROGRAM = """
     import sys
@@ -80,3 +81,39 @@ def test_tapes_are_asked_while_another_thread_compiles(what, tmp_path):
     run = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert run.returncode == 0, run.stderr[:2000]
     assert run.stdout.startswith("asked ")
+
+
+def test_gradients_that_are_given_up_hide_no_error():
+    """Adjoints are compiled side by side; where one is refused, that is what is said."""
+    ti.init(offline_cache=False)
+    n = 64
+    x = ti.field(ti.f64, shape=n, needs_grad=True)
+    s = ti.field(ti.f64, shape=(), needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def refused():
+        for _ in range(1):
+            ti.atomic_max(s[None], x[0])
+            loss[None] += s[None]
+            s[None] = s[None] * 0.8 + x[1]
+
+    @ti.kernel
+    def long():
+        for i in x:
+            b = x[i]
+            for _ in ti.static(range(300)):
+                b = ti.sin(b) * 1.0001 + 0.1
+            loss[None] += b
+
+    @ti.kernel
+    def quick():
+        loss[None] += x[3]
+
+    for _ in range(3):
+        # The sweep asks for them from the last to the first.
+        with pytest.raises(ti.TaiCompilationError, match="at the same time"):
+            with ti.ad.Tape(loss):
+                refused()
+                long()
+                quick()
