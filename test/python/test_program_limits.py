@@ -217,7 +217,7 @@ def test_every_option_does_something_or_says_that_it_does_not():
     for name in sorted(options._WITHOUT_EFFECT):
         with pytest.warns(UserWarning, match=rf"{name}=2\) has no effect\n  hint: \S"):
             ti.init(**{name: 2})
-    for name in sorted(options.KNOWN):
+    for name in sorted(options.KEYWORDS):
         assert re.search(rf"\b{name}\b", ti.init.__doc__), name
 
 

@@ -2,52 +2,138 @@
 
 from __future__ import annotations
 
-import dataclasses
+import inspect
+import re
+import textwrap
 import warnings
-from dataclasses import dataclass, fields
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
 
 from . import dtypes
-from .targets import Arch, cpu
+from .option_rows import ROWS, Row
+from .targets import Arch, cpu, cuda, python
 
 TRACE, DEBUG, INFO, WARN, ERROR, CRITICAL = "trace", "debug", "info", "warn", "error", "critical"
 
 
-@dataclass
-class Options:
-    """The options of `ti.init` that change what happens."""
+class Keyword(NamedTuple):
+    """A keyword of `ti.init`."""
 
-    arch: Arch = cpu
-    default_fp: dtypes.DataType = dtypes.f32
-    default_ip: dtypes.DataType = dtypes.i32
-    debug: bool = False
-    check_out_of_bound: bool = False
-    bounds: str = "off"
-    fast_math: bool = False
-    sanitize: str = ""
-    ad_ties: str = "second"
-    ad_arcs: str = "exact"
-    ad_guards: bool = True
-    random_seed: int = 0
-    print_ir: Any = False
-    kernel_profiler: bool = False
-    cpu_max_num_threads: int = 0
-    deterministic: bool = False
-    offline_cache: bool = True
-    offline_cache_file_path: str = ""
-    opt_level: int = 3
-    log_level: str = WARN
-    ad_history_bytes: int = 256 * 1024
-    skip: Any = "all"
-    memory_limit: int = 0
-    device_memory_limit: int = 0
-    device_heap_memory: int = 0
-    default_gpu_block_dim: int = 0
-    max_block_dim: int = 0
-    fuse_launches: bool = True
-    unrolling_limit: int = 65536
-    # What was given for options that are accepted and change nothing.
-    accepted: dict[str, Any] = dataclasses.field(default_factory=dict)
+    name: str
+    type: Any
+    default: Any
+    about: str
+
+
+# What may be given without a keyword.
+_POSITIONAL = ("arch", "default_fp", "default_ip")
+
+# What Taichi calls options of the table, whose own name is no keyword then.
+_NAMES = {
+    "threads": "cpu_max_num_threads",
+    "seed": "random_seed",
+    "profiler": "kernel_profiler",
+    "history_bytes": "ad_history_bytes",
+    "device_heap": "device_heap_memory",
+    "block_dim": "default_gpu_block_dim",
+}
+# Set by the package while a program runs, or by tools; `cache_dir` follows from two keywords.
+_NOT_OF_INIT = {"cache_dir", "compile_profile", "forward_mode", "order_seed"}
+
+# What the kinds of the table are in Python: types and how the initial text is read.
+_KINDS: dict[str, tuple[Any, Callable[[str], Any]]] = {
+    "Switch": (bool, lambda text: text == "true"),
+    **dict.fromkeys(("BlockThreads", "Bytes", "Count", "Level", "Seed"), (int, int)),
+}
+_TYPES = {"arch": Arch, "print_ir": bool | str, "skip": bool | str | Sequence[str]}
+
+# What the C API says of its order of calls.
+_ORDER = re.compile(r"; to be set before [^.;]+")
+
+# What there is to say of a keyword to those who write Python, besides what the table says.
+_NOTES = {
+    "arch": "ti.cpu (or ti.x64), ti.cuda, or ti.gpu: CUDA, or the CPU where there is no GPU; or "
+    "ti.python: no code is made, kernels and their gradients run operation by operation, slowly, "
+    "and every index is checked, so that what a compiled kernel does can be compared with what it "
+    "says. The environment variable TI_ARCH takes precedence",
+    "debug": "The domains of functions such as log and sqrt are checked, too",
+    "bounds": "'clamp' holds in gradients, too; 'check' is an error that names the line, the field "
+    "and the index, and nothing is stored there. Indices that follow from arguments, constants and "
+    "the bounds of loops are checked always, before the kernel runs. `debug` and "
+    "`check_out_of_bound` imply 'check'. The environment variable TI_BOUNDS says it where the "
+    "program does not",
+    "fast_math": "Norms are taken without care for squares that over- or underflow",
+    "sanitize": "It ends the process where a kernel on the CPU leaves an array of the caller, or "
+    "memory that is no field: docs/bounds.md. Elements of other fields are no such memory; "
+    "`bounds` finds these. The environment variable TI_SANITIZE says it where the program does not "
+    "and runs on the CPU",
+    "print_ir": "True for all",
+    "kernel_profiler": "See `ti.profiler`",
+    "ad_history_bytes": "For each thread. `ad_stack_size` is accepted and not needed: loops may be "
+    "of any length",
+    "skip": "Or True, False, or a list of strings; see `ti.profiler.skips`",
+    "memory_limit": "Those of sparse levels count by their active cells. More is a "
+    "`TaiMemoryError`, and the program can go on",
+    "device_heap_memory": "Gradients of loops do so. 0 is a 32nd of its memory, 4 GiB at most",
+    "default_gpu_block_dim": "ti.loop_config(block_dim=…) names that of a loop",
+    "max_block_dim": "Whatever a loop says",
+    "fuse_launches": "Such as those of a tape; see `Tape.explain`. Without it, each is queued by "
+    "itself",
+}
+
+# Keywords for what is decided in Python.
+_OWN = (
+    Keyword("default_fp", dtypes.DataType, dtypes.f32, "the type of `float` in kernels"),
+    Keyword("default_ip", dtypes.DataType, dtypes.i32, "the type of `int` in kernels"),
+    Keyword("check_out_of_bound", bool, False, "the same as bounds='check'"),
+    Keyword("ad_ties", str, "second", "what `max` and `min` of equal numbers do in gradients: "
+            "'second': the second one gets all; 'split': half each"),
+    Keyword("ad_arcs", str, "exact", "the derivatives of asin and acos at ±1: 'exact': infinite; "
+            "'clamp': as at the next number inside"),
+    Keyword("ad_guards", bool, True, "a zero adjoint contributes zero whatever the partial "
+            "derivative is; False leaves the test for it out, to measure what it costs"),
+    Keyword("offline_cache", bool, True, "keep compiled kernels on disk"),
+    Keyword("offline_cache_file_path", str, "", "where; if it is empty, $TAI_CACHE_DIR, else the "
+            "folder `tai` in the user's cache folder"),
+    Keyword("log_level", str, WARN, "accepted, as are others that no result depends on; "
+            "docs/taichi-options.md lists them. Those that ask for what does not happen warn"),
+    Keyword("unrolling_limit", int, 65536, "the most iterations that a `ti.static` loop may "
+            "have; 0 for no limit. Less than the default, 65,536, is taken as that"),
+)  # fmt: skip
+
+
+def keywords_of(rows: Iterable[Row]) -> dict[str, Keyword]:
+    """The keywords of `ti.init` that a table of options makes, and those for what is Python's."""
+    found = {}
+    for name, kind, initial, _, about in rows:
+        if name in _NOT_OF_INIT:
+            continue
+        keyword = _NAMES.get(name, name)
+        type_, read = _KINDS.get(kind, (str, str))
+        type_ = _TYPES.get(keyword, type_)
+        note = _NOTES.get(keyword)
+        about = _ORDER.sub("", about)
+        text = f"{about}. {note}" if note else about
+        found[keyword] = Keyword(keyword, type_, cpu if name == "arch" else read(initial), text)
+    found |= {own.name: own for own in _OWN}
+    first = {name: found.pop(name) for name in _POSITIONAL if name in found}
+    return first | found
+
+
+KEYWORDS = keywords_of(ROWS)
+
+
+class Options:
+    """The options of `ti.init` that change what happens, by the names of the keywords.
+
+    Attributes:
+        accepted: what was given for options that are accepted and change nothing.
+    """
+
+    def __init__(self, accepted: dict[str, Any] | None = None, **chosen: Any):
+        for keyword in KEYWORDS.values():
+            setattr(self, keyword.name, chosen.get(keyword.name, keyword.default))
+        self.accepted = accepted or {}
 
     def __getattr__(self, name: str) -> Any:
         if name in ACCEPTED:
@@ -55,7 +141,32 @@ class Options:
         raise AttributeError(f"ti.init has no option '{name}'")
 
 
-KNOWN = {f.name for f in fields(Options)} - {"accepted"}
+def texts_of(options: Options, rows: Iterable[Row] = ROWS) -> dict[str, str]:
+    """What the options of the table are, in the order in which they are to be set."""
+    texts = {}
+    for name, *_ in rows:
+        make = _TEXTS.get(name)
+        if make is None and name in _NOT_OF_INIT:
+            continue
+        value = getattr(options, _NAMES.get(name, name)) if make is None else make(options)
+        if value is None:
+            continue
+        texts[name] = str(value).lower() if isinstance(value, bool) else str(value)
+    # These decide what a target is.
+    first = {name: texts.pop(name) for name in _BEFORE_ARCH if name in texts}
+    return first | texts
+
+
+# Where the text is not that of the value; None leaves an option as it is.
+_TEXTS: dict[str, Callable[[Options], Any]] = {
+    "arch": lambda o: "interpreter" if o.arch == python else o.arch,
+    "bounds": lambda o: "check" if o.debug or o.check_out_of_bound else o.bounds,
+    "cache_dir": lambda o: (o.offline_cache_file_path or None) if o.offline_cache else "",
+    "max_block_dim": lambda o: o.max_block_dim if o.arch == cuda else 0,
+    "print_ir": lambda o: "all" if o.print_ir is True else o.print_ir or "",
+    "skip": lambda o: skip_text(o.skip),
+}
+_BEFORE_ARCH = ("device_memory_limit", "device_heap", "arch")
 
 # Options that take one of a few words.
 CHOICES = {
@@ -134,3 +245,28 @@ def skip_text(value: Any) -> str:
     if isinstance(value, str):
         return value
     return ",".join(str(name) for name in value) or "none"
+
+
+def signature_of(keywords: dict[str, Keyword]) -> inspect.Signature:
+    """The signature of `ti.init`, as `help` and editors show it."""
+    kind = inspect.Parameter
+    parameters = [
+        kind(
+            k.name,
+            kind.POSITIONAL_OR_KEYWORD if k.name in _POSITIONAL else kind.KEYWORD_ONLY,
+            default=k.default,
+            annotation=k.type,
+        )
+        for k in keywords.values()
+    ]
+    return inspect.Signature([*parameters, kind("accepted", kind.VAR_KEYWORD)])
+
+
+def described(keywords: dict[str, Keyword]) -> str:
+    """The keywords as the section `Args` of a docstring."""
+    return "\n".join(
+        textwrap.fill(
+            f"{k.name}: {k.about}.", 95, initial_indent=" " * 8, subsequent_indent=" " * 12
+        )
+        for k in keywords.values()
+    )

@@ -11,9 +11,9 @@ from typing import Any
 
 from ...errors import TaiError, TaiRuntimeError
 from . import native, state
-from .options import Options, skip_text
+from .options import Options, texts_of
 from .symbols import Symbols
-from .targets import cpu, cuda, python
+from .targets import cpu
 
 # What else is forgotten with a program; layers above add to it.
 at_close: list[Callable[[], None]] = []
@@ -45,7 +45,8 @@ class Program:
         self.count_kernels_from_here()
         # Lists that sparse levels had made and reused at the last `clear_skips`.
         self.lists_before: dict[Any, tuple[int, int]] = {}
-        self._set_options()
+        for name, text in texts_of(options).items():
+            self.context.set_option(name, text)
 
     def close(self) -> None:
         """Lets go of all memory, although the program's fields and kernels may live on."""
@@ -67,40 +68,6 @@ class Program:
         """How many kernels were defined since, and those before that are in use."""
         earlier = sum(kernel.number < self.first_kernel for kernel in self.kernels)
         return state.kernels_made - self.first_kernel + earlier
-
-    def _set_options(self) -> None:
-        o = self.options
-
-        def flag(value: bool) -> str:
-            return "true" if value else "false"
-
-        values = {
-            "device_memory_limit": str(o.device_memory_limit),
-            "device_heap": str(o.device_heap_memory),
-            "arch": "interpreter" if o.arch == python else str(o.arch),
-            "threads": str(o.cpu_max_num_threads),
-            "deterministic": flag(o.deterministic),
-            "debug": flag(o.debug),
-            "bounds": "check" if o.debug or o.check_out_of_bound else o.bounds,
-            "fast_math": flag(o.fast_math),
-            "sanitize": o.sanitize,
-            "opt_level": str(o.opt_level),
-            "seed": str(o.random_seed),
-            "print_ir": "all" if o.print_ir is True else str(o.print_ir or ""),
-            "profiler": flag(o.kernel_profiler),
-            "history_bytes": str(o.ad_history_bytes),
-            "skip": skip_text(o.skip),
-            "memory_limit": str(o.memory_limit),
-            "block_dim": str(o.default_gpu_block_dim),
-            "max_block_dim": str(o.max_block_dim if o.arch == cuda else 0),
-            "fuse_launches": flag(o.fuse_launches),
-        }
-        if not o.offline_cache:
-            values["cache_dir"] = ""
-        elif o.offline_cache_file_path:
-            values["cache_dir"] = o.offline_cache_file_path
-        for name, value in values.items():
-            self.context.set_option(name, value)
 
     def unique_symbol(self, wanted: str) -> str:
         """A symbol that no tree, place or field of this program has."""

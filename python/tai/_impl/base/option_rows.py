@@ -1,0 +1,33 @@
+"""The options of a context, made of Options.def by scripts/options.py --fix.
+
+A row is the name, the kind, the initial text, what is expected and what it is for.
+"""
+
+# ruff: noqa: E501
+# fmt: off
+Row = tuple[str, str, str, str, str]
+ROWS: tuple[Row, ...] = (
+    ("threads", "Count", "0", "a number of threads, or 0 for all", "threads that parallel loops use; 0 for all that the process may"),
+    ("deterministic", "Switch", "false", "true or false", "results are bit-identical from run to run and over numbers of threads, or sizes of blocks on a GPU"),
+    ("debug", "Switch", "false", "true or false", "assertions, and every index is checked"),
+    ("bounds", "Bounds", "off", "off, clamp or check", "what happens to indices that depend on data and are out of range: nothing is defined, the nearest element is taken, or the launch fails"),
+    ("fast_math", "Switch", "false", "true or false", "reassociation, reciprocals and approximate functions; NaN and infinities keep their meaning"),
+    ("sanitize", "Text", "", "\"address\" or nothing", "each access of a kernel asks AddressSanitizer, whose run time the process must have"),
+    ("opt_level", "Level", "3", "a number from 0 to 3", "how much is done to make code fast, as of compiler drivers"),
+    ("seed", "Seed", "0", "a number from 0 to 2^64 - 1", "where random numbers begin"),
+    ("cache_dir", "Text", "", "a folder, or nothing", "where compiled code is kept; empty for no cache. Where it is not set: $TAI_CACHE_DIR, else the folder `tai` in the user's cache folder"),
+    ("print_ir", "Text", "", "stages of the IR", "stages that are printed as kernels are compiled: \"all\" or a list with commas"),
+    ("profiler", "Switch", "false", "true or false", "times of launches"),
+    ("compile_profile", "Switch", "false", "true or false", "times of each compilation, on the standard error"),
+    ("forward_mode", "Switch", "false", "true or false", "every kernel is launched with the tangents that it carries along, those of a tape and adjoints too"),
+    ("history_bytes", "Bytes", "262144", "a number of bytes", "what a loop of an adjoint may record at once; where it takes more, parts of the loop are run once more"),
+    ("skip", "Skips", "all", "all, none, or names of skips", "what is left out where it is not needed, with commas; \"-name\" takes one away. Results do not depend on it"),
+    ("memory_limit", "Bytes", "0", "a number of bytes, or 0", "bytes that fields may take; 0 for what the machine has"),
+    ("device_memory_limit", "Bytes", "0", "a number of bytes, or 0", "the same for the memory of the GPU; to be set before arch"),
+    ("device_heap", "Bytes", "0", "a number of bytes, or 0 for what suits the device", "bytes that kernels on the GPU may allocate while they run; to be set before arch"),
+    ("arch", "Text", "cpu", "cpu, cuda or interpreter", "where kernels run; to be set before the first tree is added. With the interpreter no code is made"),
+    ("block_dim", "BlockThreads", "0", "a multiple of 32, or 0", "threads of a block on a GPU; 0 for what suits the kernel. Loops that name theirs have that"),
+    ("max_block_dim", "BlockThreads", "0", "a multiple of 32, or 0", "the most threads of a block; 0 for what the GPU has room for"),
+    ("fuse_launches", "Switch", "true", "true or false", "launches that come one after another may become one piece of work"),
+    ("order_seed", "Seed", "0", "a number from 0 to 2^64 - 1", "with the interpreter, the iterations of parallel loops run in an order drawn from it; 0 for ascending"),
+)
