@@ -14,6 +14,7 @@
 #include "tai/ExecutionEngine/Session.h"
 #include "tai/Runtime/Device/DeviceHeap.h"
 #include "tai/Runtime/Queue/DeviceQueue.h"
+#include "llvm/ADT/StringExtras.h"
 #include "llvm/Support/Process.h"
 #include <dlfcn.h>
 
