@@ -102,6 +102,15 @@ def run_gtest(build: Path, out: Path, environment: dict[str, str] | None = None)
     return result.close(status)
 
 
+def find_files(names: list[str]) -> list[Path]:
+    """The files of test/python with these names, in whatever folder they are."""
+    found = {path.stem: path.relative_to(ROOT) for path in (ROOT / "test/python").rglob("*.py")}
+    missing = [name for name in names if f"test_{name}" not in found]
+    if missing:
+        raise SystemExit(f"test/python has no test_{missing[0]}.py")
+    return [found[f"test_{name}"] for name in names]
+
+
 def run_pytest(jobs: int, out: Path) -> Result:
     result = Result("pytest")
     xml = out / "pytest.xml"
@@ -132,7 +141,7 @@ def run_sanitized(sanitizer: Sanitizer, build: Path, jobs: int, out: Path) -> li
     command += ["-p", "no:faulthandler", "--timeout", "1200"]
     if jobs > 1:
         command += ["-n", str(jobs)]
-    command += [f"test/python/test_{name}.py" for name in sorted(set(files))]
+    command += find_files(sorted(set(files)))
     status = call(command, sanitizer.python_environment(build, reports))
     if xml.exists():
         result.add_junit(xml)
@@ -161,7 +170,7 @@ def run_emulated(jobs: int, out: Path) -> Result:
     command += ["--arch=emulated"]
     if jobs > 1:
         command += ["-n", str(jobs)]
-    status = call([*command, *(f"test/python/test_{name}.py" for name in EMULATED)])
+    status = call([*command, *find_files(EMULATED)])
     if xml.exists():
         result.add_junit(xml)
     return result.close(status)

@@ -20,7 +20,7 @@ import traceback
 
 from bars import ROOT, Bar
 
-FOLDER = ROOT / "test/python"
+FILES = sorted((ROOT / "test/python").rglob("bad_*.py"))
 LEAST = 150
 # What only those know who write the compiler.
 INTERNAL = re.compile(
@@ -71,7 +71,7 @@ def judge(function, kind: type[Exception]) -> list[str]:
 
 def work(name: str) -> None:
     """Judges the kernels of a file; the number first, then one line for each."""
-    sys.path.insert(0, str(FOLDER))
+    sys.path.insert(0, str(FILES[0].parent))
     importlib.import_module(name)
     import bad_register
 
@@ -99,7 +99,7 @@ def main() -> None:
         work(args.work)
         return
     total = done = wrong = aborts = 0
-    for path in sorted(FOLDER.glob("bad_*.py")):
+    for path in FILES:
         if path.stem == "bad_register":
             continue
         command = [sys.executable, __file__, "--work", path.stem]
