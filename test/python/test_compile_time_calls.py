@@ -1,6 +1,7 @@
 """What a kernel evaluates once, while it is compiled, and what it takes for true."""
 
 import collections
+import dataclasses
 import datetime
 import os
 import random
@@ -337,3 +338,59 @@ def test_gradients_of_kernels_that_have_none():
     with pytest.raises(ti.TaiAutodiffError, match="nothing that it uses has one"):
         array.grad(np.ones(2, np.float32))
     array.grad(ti.ndarray(ti.f32, 2, needs_grad=True))
+
+
+@dataclasses.dataclass
+class Scale:
+    """Equal by what it holds, so that it has no hash."""
+
+    factor: float
+
+    def __call__(self, value):
+        return value * self.factor
+
+
+def test_an_object_without_a_hash_is_called_in_a_branch():
+    x = ti.field(ti.f32, 3)
+    double = Scale(2)
+
+    @ti.kernel
+    def scale():
+        for i in x:
+            if i > 0:
+                x[i] = double(i + 1)
+
+    scale()
+    assert list(x.to_numpy()) == [0, 4, 6]
+
+
+def test_an_object_without_a_hash_is_called_with_a_field():
+    x = ti.field(ti.f32, 3)
+    x.fill(3)
+
+    class First(Scale):
+        __hash__ = None
+
+        def __call__(self, field):
+            return self.factor
+
+    two = First(2)
+
+    @ti.kernel
+    def scale() -> ti.f32:
+        return two(x)
+
+    assert scale() == 2
+
+
+def test_static_of_a_container_says_what_is_wrong():
+    forms = [ti.static]
+
+    @ti.kernel
+    def run():
+        for _ in range(3):
+            print(forms[0](3))
+
+    with pytest.raises(ti.TaiSyntaxError, match=r"'forms\[0\]' is ti.static") as info:
+        run()
+    assert "write ti.static(…)" in str(info.value) and "print(forms[0](3))" in str(info.value)

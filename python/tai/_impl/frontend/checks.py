@@ -12,11 +12,14 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiCompilationWarning, TaiSyntaxError, TaiTypeError
+from ..base.dtypes import DataType
 from ..fields.arrays import Ndarray
 from ..fields.field import Field
 from ..fields.snode import SNode
 from ..values.misuse import describe_misuse, misuse_hint
 from ..values.value import Value
+from .compile_time import CompileTime
+from .context import Context, Part
 from .refs import ArrayArgument, Place
 from .sparse import ListElement
 from .structs import StructPlace, StructValue
@@ -98,26 +101,34 @@ def is_struct(thing: Any) -> bool:
     return isinstance(thing, (StructValue, StructPlace))
 
 
-class Checks:
-    """The part of the compiler that looks at calls of Python functions."""
+def refuse_non_number(thing: Any, operands: tuple) -> None:
+    """Fields and functions are no operands; say so in the user's words."""
+    if isinstance(thing, (Field, ArrayArgument)) or thing is None or (
+        callable(thing) and not isinstance(thing, (Value, DataType)) and not hasattr(
+            thing, "is_matrix")
+    ):  # fmt: skip
+        raise TaiTypeError(describe_misuse(thing), misuse_hint(thing))
+    if isinstance(thing, str) and any(isinstance(o, Value) for o in operands):
+        raise TaiTypeError(describe_misuse(thing), 'to print it: print(f"… {x}")')
 
-    frame: Any
-    frames: list
-    depth: int
-    top_depth: int
-    last_node: Any
 
-    def prepare_checks(self) -> None:
+class Checks(Part):
+    """The part of the compiler that looks at calls of Python functions.
+
+    Args:
+        context, compile_time: below it.
+    """
+
+    def __init__(self, context: Context, compile_time: CompileTime):
+        super().__init__(context)
+        self.compile_time = compile_time
         # Containers that the program makes while it is compiled, and at which depth: by identity.
-        self.made: dict[int, tuple[Any, int]] = {}
-        # Within how many ti.static(…) the expression stands: what they hold is meant to be
-        # evaluated once.
-        self.in_static = 0
+        self._made: dict[int, tuple[Any, int]] = {}
 
     def remember(self, thing: Any) -> Any:
         """Notes a container that the program makes here, and gives it back."""
         if isinstance(thing, tuple(_CHANGES)):
-            self.made[id(thing)] = (thing, self.depth - self.top_depth)
+            self._made[id(thing)] = (thing, self.context.depth_below_top)
         return thing
 
     def check_python_call(self, function: Any) -> None:
@@ -127,7 +138,7 @@ class Checks:
             TaiSyntaxError: it changes a Python object where the kernel runs many times or perhaps
                 not, or it would give another answer each time.
         """
-        if self.in_static:
+        if self.compile_time.in_static:
             return
         receiver = getattr(function, "__self__", None)
         name = getattr(function, "__name__", "")
@@ -167,16 +178,15 @@ class Checks:
             return
         index = ", ".join("ijklmnop"[: len(found.shape)]) or "None"
         text = (
-            f"kernel '{self.frames[0].name}': variable '{name}' hides the field of that name, "
+            f"kernel '{self.context.kernel_name}': variable '{name}' hides the field of that name, "
             f"which stays as it is\n  hint: write {name}[{index}] = …, or take another name"
         )
-        warnings.warn_explicit(
-            text, TaiCompilationWarning, frame.filename, self.last_node.lineno, registry=_shown
-        )
+        line = self.context.diagnostics.last_node.lineno
+        warnings.warn_explicit(text, TaiCompilationWarning, frame.filename, line, registry=_shown)
 
     def _check_change(self, receiver: Any, kind: type, name: str) -> None:
-        made = self.made.get(id(receiver))
-        if made is not None and made[0] is receiver and made[1] == self.depth - self.top_depth:
+        made = self._made.get(id(receiver))
+        if made is not None and made[0] is receiver and made[1] == self.context.depth_below_top:
             return
         what = "an array" if kind is np.ndarray else f"a Python {kind.__name__}"
         if made is None:
@@ -215,9 +225,9 @@ class Checks:
 
     def warn_of_fraction(self, what: str) -> None:
         """Says once for each line that a float is stored in a whole number."""
-        node, frame = self.last_node, self.frame
+        node, frame = self.context.diagnostics.last_node, self.frame
         text = (
-            f"kernel '{self.frames[0].name}': {what} takes a float, and drops its fraction\n"
+            f"kernel '{self.context.kernel_name}': {what} takes a float, and drops its fraction\n"
             "  hint: say so by int(…) or ti.cast(…), or use a float type"
         )
         warnings.warn_explicit(

@@ -5,41 +5,42 @@ from __future__ import annotations
 import ast
 import contextlib
 import functools
-import re
-import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from ...errors import (
-    SHOW_TRACEBACK,
-    TaiCompilationError,
-    TaiError,
-    TaiIndexError,
-    TaiSyntaxError,
-    TaiTypeError,
-    shorten,
-)
-from ..base import dtypes, state
-from ..values.builder import Builder
-from ..values.emitter import Emitter
-from ..values.misuse import KINDS
+from ...errors import TaiError, TaiSyntaxError
+from ..base import state
+from ..base.options import Options
+from ..base.program import Program
+from ..fields.scalar import ScalarField
+from .assignments import Assignments
 from .calls import Calls
 from .checks import Checks
+from .compile_time import CompileTime
+from .context import ArgumentForm, Context, Kernel, Part, ResultForm
 from .expressions import Expressions
 from .hints import hint_for
+from .inlining import Inlining
+from .loop_config import LoopConfig
+from .loop_domains import LoopDomains
 from .loops import Loops
+from .operators import Operators
+from .parallel_loops import ParallelLoops
+from .parameters import Parameters
 from .printing import Printing
-from .refs import ArrayArgument, FieldElement, Variable
+from .regions import Regions
 from .returns import Returns
-from .scope import Bound, Frame
+from .scope import Frame
+from .serial_loops import SerialLoops
 from .serial_work import SerialWork
 from .source import function_ast
-from .sparse import Sparse
-from .statements import Statements, StaticBreak, StaticContinue
+from .sparse import Levels
+from .statements import Statements, refuse_statement
 from .structs import make_value
 from .templates import Reads
+from .while_loops import WhileLoops
 
 # Calls of Python that the compiler may need: some thirty for each statement inside of another.
 _RECURSION = 20000
@@ -66,17 +67,15 @@ def _deep_recursion() -> Iterator[None]:
                 sys.setrecursionlimit(_limit_before)
 
 
-class Compiler(
-    Expressions, Statements, Returns, Loops, Calls, Sparse, Checks, Printing, SerialWork
-):
-    """Compiles one specialisation of one kernel.
+class Compiler:
+    """Compiles one specialisation of one kernel: makes the parts, and walks the tree with them.
 
     Args:
-        program: the `Program` whose fields it uses.
+        program: whose fields it uses.
         function: the Python function.
         symbol: the name of the kernel in IR.
-        parameters: for each parameter, its name and `ArgumentSpec`.
-        result: the `ResultSpec`, or None.
+        parameters: for each parameter, its name and what it is.
+        result: what it returns, or None.
         cells: where forward mode keeps numbers that kernels return and take: the names of
             the parameters that are there with their fields, and the field for the result, or
             None. There is a parameter more for each, the number of its first element.
@@ -84,40 +83,59 @@ class Compiler(
 
     def __init__(
         self,
-        program: Any,
+        program: Program,
         function: Callable[..., Any],
         symbol: str,
-        parameters: list[tuple[str, Any]],
-        result: Any,
-        cells: tuple[list[tuple[str, Any]], Any] = ([], None),
+        parameters: Sequence[tuple[str, ArgumentForm]],
+        result: ResultForm | None,
+        cells: tuple[list[tuple[str, ScalarField]], ScalarField | None] = ([], None),
     ):
-        self.cells = cells
-        self.program, self.kernel_name = program, symbol
-        self.parameters, self.result = parameters, result
-        node = function_ast(function)
-        self.frame = Frame(function, node, "kernel")
-        self.frames = [self.frame]
-        self.builder = Builder(program.context, self.frame.filename)
-        self.emitter = Emitter(self.builder)
-        self.emitter.call = self.call_from_python
-        self.emitter.make_struct = functools.partial(make_value, self.emitter)
-        self.emitter.warn_of_fraction = self.warn_of_fraction
-        self.depth = 0
-        self.is_dead = False
-        # The depth at which loops run in parallel, and what is known of inlined functions.
-        self.top_depth = 0
-        self.return_forms: dict[tuple, Any] = {}
-        self.loop_options: dict[str, Any] = {}
-        self.reads = Reads([s.constant for _, s in parameters if s.kind == "template"])
-        self.prepare_checks()
-        self.prepare_work()
-        # Whether of the attribute that is evaluated next no more than its form is wanted.
-        self.form_only = False
-        self._methods: dict[type, Callable[[Any], Any]] = {}
-        self._lines: dict[tuple[str, int], str] = {}
-        self.last_node: Any = node
-        # The exception of Python code that ended the compilation, as an error of ours.
-        self.from_python: TaiError | None = None
+        frame = Frame(function, function_ast(function), "kernel")
+        followed, result_field = cells
+        kernel = Kernel(symbol, parameters, result, followed, result_field)
+        self.context = context = Context(program, kernel, frame, self)
+
+        compile_time = CompileTime(context)
+        checks = Checks(context, compile_time)
+        levels = Levels(context)
+        self._work = work = SerialWork(context)
+        loop_config = LoopConfig(context)
+        expressions = Expressions(context, compile_time, checks, levels)
+        printing = Printing(context, expressions)
+        self._parameters = Parameters(context)
+        self._returns = returns = Returns(context, self._parameters)
+        regions = Regions(context, compile_time, returns)
+        inlining = Inlining(context, returns, loop_config)
+        calls = Calls(
+            context, compile_time, checks, levels, expressions, printing, inlining, loop_config
+        )
+        self._statements = Statements(context, compile_time, printing, returns, regions)
+        domains = LoopDomains(context, expressions)
+        serial = SerialLoops(context, work, returns, regions, domains)
+        parallel = ParallelLoops(context, levels, work, regions, domains)
+        # What has methods for nodes.
+        self._parts: list[Part] = [
+            expressions,
+            Operators(context, compile_time),
+            printing,
+            returns,
+            calls,
+            Assignments(context, compile_time, checks, expressions),
+            self._statements,
+            WhileLoops(context, returns, regions),
+            Loops(context, compile_time, loop_config, domains, self._statements, serial, parallel),
+        ]
+        self._methods: dict[type[ast.AST], Callable[[Any], Any]] = {}
+
+        emitter = context.emitter
+        emitter.call = calls.call_from_python
+        emitter.make_struct = functools.partial(make_value, emitter)
+        emitter.warn_of_fraction = checks.warn_of_fraction
+
+    @property
+    def reads(self) -> Reads:
+        """What the code depends on besides its arguments."""
+        return self.context.reads
 
     def compile(self) -> Any:
         """Builds and verifies the module.
@@ -128,237 +146,94 @@ class Compiler(
         Raises:
             TaiError: with the place in the program.
         """
-        outer, state.emitter = state.emitter, self.emitter
+        context, diagnostics = self.context, self.context.diagnostics
+        outer, state.emitter = state.emitter, context.emitter
         try:
             with _deep_recursion():
-                self.build()
+                self._build()
         except TaiError as error:
-            error.trail = error.trail or self.trail()
-            error.hint = error.hint or hint_for(error, error is self.from_python)
+            error.trail = error.trail or diagnostics.trail()
+            error.hint = error.hint or hint_for(error, error is diagnostics.from_python)
             raise
         finally:
             state.emitter = outer
-        return self.builder.finish(self.kernel_name)
+        return context.builder.finish(context.kernel.symbol)
 
-    def build(self) -> None:
-        builder, frame = self.builder, self.frame
+    def _build(self) -> None:
+        context, parameters = self.context, self._parameters
+        builder, frame, kernel = context.builder, context.frame, context.kernel
         node = frame.node
-        self.at(node)
-        followed, result_field = self.cells
-        types = [t for _, spec in self.parameters for t in spec.mlir_types]
-        types += ["i32"] * (len(followed) + (result_field is not None))
+        context.at(node)
         region = builder.region()
-        names = [n for name, spec in self.parameters for n in spec.names(name)]
-        names += ["cell"] * (len(types) - len(names))
-        block = builder.block(region, [builder.type(t) for t in types], names)
-        self.emitter.entry = block
+        types = [builder.type(t) for t in parameters.types]
+        block = builder.block(region, types, parameters.names)
+        context.emitter.entry = block
         builder.set_block(block)
-        position, gradients, handles = 0, [], []
-        for name, spec in self.parameters:
-            handles.append([block.argument(position + i) for i in range(len(spec.mlir_types))])
-            if spec.has_gradient and spec.has_slot:
-                gradients.append(position)
-            position += len(spec.mlir_types)
-            given = handles[-1] if spec.alias is None else handles[spec.alias]
-            frame.define(name, self.argument(name, spec, given))
-        for number, (name, field) in enumerate(followed):
-            first = block.argument(position + number)
-            self.load_cells(frame.scopes[-1][name], field, first)
-        self.result_cell = None
-        if result_field is not None:
-            self.result_cell = block.argument(position + len(followed))
-        self.prepare_returns()
+        parameters.define(block)
+        self._returns.prepare_returns()
         self.body(node.body)
         results = frame.results
         if not frame.has_returned and results is not None and results.may_have_run:
-            self.refuse_open_end()
-            self.at(node)
+            self._returns.refuse_open_end()
+            context.at(node)
             for variable in results.parts:
-                self.store_cells(variable.value)
+                parameters.store_cells(variable.value)
             builder.return_([variable.value.handle for variable in results.parts])
         elif not frame.has_returned:
-            if self.result is not None:
+            if kernel.result is not None:
                 raise TaiSyntaxError(
                     f"kernel '{frame.name}' has a return type, but no return"
                 ).locate(frame.filename, node.lineno, node.col_offset + 1)
             builder.return_()
-        result = None if self.result is None else self.result.mlir_type
-        if self.result is not None and self.result.has_gradient:
-            gradients.append(len(types))
+        result = None if kernel.result is None else kernel.result.mlir_type
         builder.enter_module()
-        self.at(node)
-        builder.kernel(self.kernel_name, types, result, region, gradients, conventions())
+        context.at(node)
+        builder.kernel(
+            kernel.symbol, parameters.types, result, region, parameters.gradients,
+            conventions(context.options),
+        )  # fmt: skip
 
     @property
     def has_gradients(self) -> bool:
         """Whether something that the kernel uses has a gradient."""
-        fields = (f for f in self.emitter.fields if f.dtype.is_float)
+        fields = (f for f in self.context.emitter.fields if f.dtype.is_float)
         placed = (f._companions.get("grad") for f in fields)
-        return any(spec.has_gradient for _, spec in self.parameters) or any(
+        return any(spec.has_gradient for _, spec in self.context.kernel.parameters) or any(
             grad is not None and grad.level is not None for grad in placed
         )
-
-    def argument(self, name: str, spec: Any, handles: list) -> Variable | Bound:
-        """What a parameter of the kernel stands for in its body."""
-        if spec.kind == "template":
-            return Bound(spec.constant)
-        if spec.kind == "array":
-            return Bound(ArrayArgument(self.emitter, name, handles, spec))
-        value = self.emitter.value(handles[0], spec.dt, spec.shape)
-        if not spec.shape and spec.dt.kind == "i":
-            value.index = "cast"
-        return Variable(name, value, "kernel argument")
-
-    def cell(self, field: Any, first: Any, number: int) -> FieldElement:
-        """An element of the field that forward mode keeps numbers in."""
-        emitter = self.emitter
-        at = emitter.binary("+", emitter.value(first, dtypes.i32), number)
-        return FieldElement(emitter, field, [emitter.to_index(at)])
-
-    def load_cells(self, variable: Variable, field: Any, first: Any) -> None:
-        """A parameter whose value forward mode follows is what it has kept."""
-        emitter, given = self.emitter, variable.value
-        count = 1
-        for extent in given.shape:
-            count *= extent
-        parts = [emitter.cast(self.cell(field, first, i).load(), given.dt) for i in range(count)]
-        variable.value = emitter.matrix(parts, given.dt, given.shape) if given.shape else parts[0]
-
-    def store_cells(self, value: Any) -> None:
-        """Keeps the result for forward mode, if that follows it."""
-        if self.result_cell is None:
-            return
-        for number, part in enumerate(value.scalars() if value.shape else [value]):
-            place = self.cell(self.cells[1], self.result_cell, number)
-            place.store(self.emitter.cast(part, dtypes.f64))
-
-    def check_kernel_result(self, value: Any) -> None:
-        if value is None and self.result is not None:
-            raise TaiSyntaxError("the kernel has a return type: return a value")
-        if value is not None and self.result is None:
-            raise TaiSyntaxError(
-                "a kernel that returns a value needs a return type",
-                f"def {self.frame.name}(…) -> ti.f32",
-            )
-
-    def return_from_kernel(self, value: Any, node: ast.Return) -> None:
-        self.check_kernel_result(value)
-        if value is None:
-            self.builder.return_()
-            return
-        value = self.result.convert(self.emitter, value)
-        self.at(node)
-        self.store_cells(value)
-        self.builder.return_([value.handle])
-
-    def call_from_python(self, function: Any, args: tuple, kwargs: dict) -> Any:
-        """Inlines a `ti.func` that a plain Python function calls while it is traced."""
-        node = ast.Call(ast.Name(function.__name__, ast.Load()), [], [])
-        ast.copy_location(node, self.last_node)
-        return self.call(function, list(args), kwargs, node)
 
     # Walking
 
     def visit(self, node: ast.AST) -> Any:
         """Compiles a node; an error that has no place yet gets that of the node."""
-        self.work += 1
-        method = self._methods.get(type(node))
+        self._work.work += 1
+        kind = type(node)
+        method = self._methods.get(kind)
         if method is None:
-            name = "visit_" + type(node).__name__
-            fallback = self.generic_statement if isinstance(node, ast.stmt) else self.refuse
-            method = self._methods[type(node)] = getattr(self, name, fallback)
-        return self.guarded(method, node)
+            method = self._methods[kind] = self._find_method(kind)
+        return self.context.diagnostics.guarded(method, node)
 
-    def refuse(self, node: ast.AST) -> Any:
-        raise TaiSyntaxError(f"kernels have no '{type(node).__name__}'")
+    def body(self, statements: list[ast.stmt]) -> None:
+        """Compiles the statements of a block; what follows an exit runs only without it."""
+        self._statements.block(statements)
 
-    def guarded(self, method: Callable[[Any], Any], node: Any) -> Any:
-        """Runs a method on a node and gives errors without a place that of the node."""
-        try:
-            return method(node)
-        except TaiError as error:
-            self.place(error, node)
-            raise
-        except (StaticBreak, StaticContinue):
-            raise
-        except Exception as error:
-            if _is_of_a_handler(error):
-                raise
-            raise self.translated(error, node) from (error if SHOW_TRACEBACK else None)
-
-    def translated(self, error: Exception, node: ast.AST) -> TaiError:
-        """An exception of Python code that ran at compile time, as one of ours."""
-        kinds = {IndexError: TaiIndexError, KeyError: TaiIndexError, TypeError: TaiTypeError}
-        kind = next((k for e, k in kinds.items() if isinstance(error, e)), TaiCompilationError)
-        text = str(error) or type(error).__name__
-        text = re.sub(r"'(\w+)'", lambda found: f"'{KINDS.get(found[1], found[1])}'", text)
-        if isinstance(error, KeyError):
-            text = f"no item {text}"
-        elif isinstance(error, RecursionError):
-            text = "the program nests too deeply"
-        made = kind(text)
-        if isinstance(error, RecursionError):
-            made.hint = "divide it into functions, or long sums into several statements"
-        if isinstance(error, (AssertionError, AttributeError, RuntimeError)):
-            made.hint = "TAI_TRACEBACK=1 in the environment shows where in Python this arose"
-        self.place(made, node)
-        self.from_python = made
-        return made
-
-    def place(self, error: TaiError, node: Any) -> None:
-        if error.lineno is not None or not hasattr(node, "lineno"):
-            return
-        same_line = node.end_lineno == node.lineno
-        error.locate(
-            self.frame.filename,
-            node.lineno,
-            self.column(node.lineno, node.col_offset) + 1,
-            self.column(node.lineno, node.end_col_offset) + 1 if same_line else None,
-        )
-        error.trail = self.trail()
-
-    def column(self, line: int, offset: int) -> int:
-        """A column in characters; `ast` counts bytes."""
-        key = (self.frame.filename, line)
-        text = self._lines.get(key)
-        if text is None:
-            import linecache
-
-            text = self._lines[key] = linecache.getline(*key)
-        return offset if text.isascii() else len(text.encode()[:offset].decode(errors="ignore"))
-
-    def trail(self) -> list[str]:
-        """Where the code being compiled stands: functions, innermost first."""
-        lines = []
-        for frame in reversed(self.frames):
-            if frame.kind == "kernel":
-                lines.append(f"in kernel '{frame.name}'")
-            else:
-                filename, line = frame.call
-                lines.append(f"in function '{frame.name}', called at {shorten(filename)}:{line}")
-        return lines[:6]
-
-    def at(self, node: Any) -> None:
-        """Operations made from now on stand at this node."""
-        self.last_node = node
-        self.builder.set_location(node.lineno, node.col_offset + 1)
-
-    # Frames
-
-    def enter(self, frame: Frame) -> None:
-        self.frames.append(frame)
-        self.frame = frame
-        self.builder.set_file(frame.filename)
-
-    def leave(self) -> None:
-        self.frames.pop()
-        self.frame = self.frames[-1]
-        self.builder.set_file(self.frame.filename)
+    def _find_method(self, kind: type[ast.AST]) -> Callable[[Any], Any]:
+        """The method of a part for nodes of that kind."""
+        name = "visit_" + kind.__name__
+        for part in self._parts:
+            method = getattr(part, name, None)
+            if method is not None:
+                return method
+        return refuse_statement if issubclass(kind, ast.stmt) else _refuse
 
 
-def conventions() -> dict[str, str]:
+def _refuse(node: ast.AST) -> Any:
+    raise TaiSyntaxError(f"kernels have no '{type(node).__name__}'")
+
+
+def conventions(options: Options) -> dict[str, str]:
     """What `ti.init` chose for gradients at kinks, where that is not the usual."""
-    options, chosen = state.options, {}
+    chosen: dict[str, str] = {}
     if options.ad_ties == "split":
         chosen["ties"] = '"split"'
     if options.ad_arcs == "clamp":
@@ -366,18 +241,3 @@ def conventions() -> dict[str, str]:
     if not options.ad_guards:
         chosen["guards"] = "false"
     return chosen
-
-
-def _is_of_a_handler(error: BaseException) -> bool:
-    """Whether the handler of a signal has raised the error: it may come at any statement."""
-    handlers = {
-        handler.__code__
-        for handler in map(signal.getsignal, signal.valid_signals())
-        if hasattr(handler, "__code__")
-    }
-    trace = error.__traceback__
-    while trace is not None:
-        if trace.tb_frame.f_code in handlers:
-            return True
-        trace = trace.tb_next
-    return False

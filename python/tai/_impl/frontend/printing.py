@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import string
+from collections.abc import Callable
 from typing import Any
 
 from ...errors import TaiSyntaxError, TaiTypeError
@@ -12,6 +13,8 @@ from ..fields.field import Field
 from ..values.misuse import describe_misuse, misuse_hint
 from ..values.value import Value
 from .checks import holds_value
+from .context import Context, Part
+from .expressions import Expressions
 from .refs import ArrayArgument, Place
 from .structs import StructValue
 
@@ -87,11 +90,14 @@ def formatted_by(template: str, args: list, kwargs: dict) -> FormattedText:
     return FormattedText(text, values)
 
 
+_CONVERSIONS: dict[str, Callable[[Any], str]] = {"r": repr, "a": ascii, "s": str}
+
+
 def _with_spec(thing: Any, spec: str, conversion: str | None = None) -> FormattedText:
     if not holds_value(thing):
         if isinstance(thing, Field):
             raise TaiTypeError(describe_misuse(thing), misuse_hint(thing))
-        shown = {"r": repr, "a": ascii, "s": str}[conversion](thing) if conversion else thing
+        shown = _CONVERSIONS[conversion](thing) if conversion else thing
         return FormattedText(format(shown, spec), [])
     if spec:
         raise TaiSyntaxError(
@@ -101,22 +107,25 @@ def _with_spec(thing: Any, spec: str, conversion: str | None = None) -> Formatte
     return formatted(thing)
 
 
-class Printing:
-    """The part of the compiler that handles text."""
+class Printing(Part):
+    """The part of the compiler that handles text.
 
-    emitter: Any
-    builder: Any
-    visit: Any
-    items: Any
-    at: Any
+    Args:
+        context, expressions: below it.
+    """
+
+    def __init__(self, context: Context, expressions: Expressions):
+        super().__init__(context)
+        self.expressions = expressions
 
     def visit_JoinedStr(self, node: ast.JoinedStr) -> Any:
         """A string with values in it, or a plain string."""
         text, values = "", []
         for part in node.values:
             if isinstance(part, ast.Constant):
-                text += part.value
+                text += str(part.value)
                 continue
+            assert isinstance(part, ast.FormattedValue)
             thing = self.visit(part.value)
             if isinstance(thing, FormattedText):
                 raise TaiSyntaxError("texts with values do not nest", "write one f-string")
@@ -143,7 +152,7 @@ class Printing:
                 raise TaiTypeError(
                     f"print in a kernel has no option '{keyword.arg}'", "it has sep, end and flush"
                 )
-        parts = [formatted(item) for item in self.items(node.args)]
+        parts = [formatted(item) for item in self.expressions.items(node.args)]
         values = [value for part in parts for value in part.values]
         if values and any("{}" in part.text for part in parts if not part.values):
             raise TaiSyntaxError(

@@ -47,10 +47,10 @@ class Place:
     def load(self) -> Any:
         raise NotImplementedError
 
-    def store(self, value: Value) -> None:
+    def store(self, value: Any) -> None:
         raise NotImplementedError
 
-    def atomic(self, op: str, value: Value) -> Value:
+    def atomic(self, op: str, value: Any) -> Any:
         """Combines `value` into the place and returns what it held before."""
         old = self.load()
         self.store(self.convert(self.emitter.binary(op, old, value)))
@@ -66,7 +66,7 @@ class Place:
     def component(self, component: Any) -> Place:
         return Component(self, component)
 
-    def convert(self, value: Any) -> Value:
+    def convert(self, value: Any) -> Any:
         """`value` in the type of this place."""
         emitter = self.emitter
         emitter.check_fraction(value, self.dt, self._what())
@@ -132,7 +132,16 @@ class VariablePlace(Place):
         return hidden.component(component) if hidden is not None else Component(self, component)
 
 
-def _immutable(variable: Variable) -> TaiTypeError:
+def refuse_truth_arithmetic(op: str, dt: DataType) -> None:
+    """Refuses to count in a place that holds true or false."""
+    if dt.is_bool and op not in ("&", "|", "^", "min", "max"):
+        raise TaiTypeError(
+            f"'{op}' counts, but the target holds {dt}: true or false",
+            "use |= or &=, or a ti.i32 to count in",
+        )
+
+
+def _immutable(variable: Variable) -> TaiSyntaxError:
     return TaiSyntaxError(
         f"{variable.fixed} '{variable.name}' cannot be changed",
         f"copy it first: {variable.name}_ = {variable.name}",
@@ -199,25 +208,31 @@ class FieldElement(Place):
         self.shape = () if self.components else field.element_shape
         emitter.fields.add(field)
 
+    @property
+    def _symbol(self) -> str:
+        symbol = self.field.symbol
+        assert symbol is not None  # what a kernel reads and writes is allocated
+        return symbol
+
     def _what(self) -> str:
         return f"field '{self.field.name}' of type {self.dt}"
 
     def load(self) -> Value:
         type_ = self.emitter.type_of(self.dt, self.shape)
-        handle = self.emitter.builder.load(self.field.symbol, self.indices, self.components, type_)
+        handle = self.emitter.builder.load(self._symbol, self.indices, self.components, type_)
         value = self.emitter.to_computed(self.emitter.value(handle, self.dt, self.shape))
         stopped = id(self.field) in self.emitter.stopped
         return stop_gradient(value) if stopped else value
 
     def store(self, value: Value) -> None:
-        self.emitter.builder.store(self.field.symbol, value.handle, self.indices, self.components)
+        self.emitter.builder.store(self._symbol, value.handle, self.indices, self.components)
 
     def atomic(self, op: str, value: Value) -> Value:
         kind = ATOMIC_KINDS[op]
         if self.dt.kind == "u" and op in ("min", "max"):
             return super().atomic(op, value)
         handle = self.emitter.builder.atomic(
-            kind, self.field.symbol, value.handle, self.indices, self.components,
+            kind, self._symbol, value.handle, self.indices, self.components,
             self.emitter.type_of(self.dt, self.shape),
         )  # fmt: skip
         return self.emitter.to_computed(self.emitter.value(handle, self.dt, self.shape))
@@ -324,7 +339,6 @@ class ArrayElement(Place):
         return ArrayElement(emitter, self.array, [*self.indices, *extra])
 
 
-# arith::AtomicRMWKind
 class ArrayArgument(Elements):
     """An array that was given to the kernel: `ti.types.ndarray`."""
 
@@ -424,7 +438,6 @@ def field_element(emitter: Emitter, field: Field, key: Any) -> Place:
         if not shape:
             error.hint = f"a field without dimensions is read as {field.name}[None]"
         raise error
-    storage = field
     offset = getattr(field, "offset", ()) or (0,) * len(shape)
     handles = []
     for dimension, (index, extent, first) in enumerate(zip(indices, shape, offset, strict=True)):
@@ -439,14 +452,15 @@ def field_element(emitter: Emitter, field: Field, key: Any) -> Place:
                 f"'{field.name}' runs from {first} to {first + extent - 1}"
             )
         handles.append(emitter.to_index(index))
-    if isinstance(storage, MatrixField):
-        if storage.single is None:
-            return SplitElement(emitter, storage, handles)
-        return FieldElement(emitter, storage.single, handles)
-    if isinstance(storage, ComponentField) and storage.is_window:
-        whole = FieldElement(emitter, storage._whole.single, handles)
-        return whole.component(storage._index)
-    return FieldElement(emitter, storage, handles)
+    if isinstance(field, MatrixField):
+        if field.single is None:
+            return SplitElement(emitter, field, handles)
+        return FieldElement(emitter, field.single, handles)
+    if isinstance(field, ComponentField) and field.is_window:
+        whole = FieldElement(emitter, field._whole.single, handles)
+        return whole.component(field._index)
+    assert isinstance(field, ScalarField)
+    return FieldElement(emitter, field, handles)
 
 
 def use_field(field: Field) -> None:

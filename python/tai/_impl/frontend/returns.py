@@ -11,11 +11,11 @@ import ast
 from typing import Any
 
 from ...errors import TaiSyntaxError, TaiTypeError
-from ..base import state
 from ..base.dtypes import DataType, i64, promote, u1, u64
 from ..values.value import MatrixValue, Value
+from .context import Context, Part
+from .parameters import Parameters
 from .refs import Variable, VariablePlace
-from .scope import Frame
 
 
 def find_return(statements: list[ast.stmt]) -> ast.Return | None:
@@ -90,16 +90,18 @@ def _count(count: int) -> str:
     return "no value" if count == 0 else "1 value" if count == 1 else f"{count} values"
 
 
-class Returns:
-    """The part of the compiler that handles `return`."""
+class Returns(Part):
+    """The part of the compiler that handles `return`.
 
-    emitter: Any
-    builder: Any
-    frame: Any
-    frames: list[Frame]
-    depth: int
-    is_dead: bool
-    result: Any
+    Args:
+        context, parameters: below it.
+    """
+
+    def __init__(self, context: Context, parameters: Parameters):
+        super().__init__(context)
+        self.parameters = parameters
+        # What inlined functions return that may do so early, by their parameters.
+        self._forms: dict[tuple, _Form] = {}
 
     def prepare_returns(self) -> None:
         """Makes room for what the function at hand returns, if it may do so early.
@@ -109,8 +111,9 @@ class Returns:
         frame = self.frame
         if not _returns_inside(frame.node):
             return
+        kernel = self.context.kernel
         if frame.kind == "kernel":
-            types = [] if self.result is None else [(self.result.dt, self.result.shape)]
+            types = [] if kernel.result is None else [(kernel.result.dt, kernel.result.shape)]
             self._make_results(types, False)
         elif frame.result_type is not None:
             self._make_results([(frame.result_type.dtype, frame.result_type.shape)], False)
@@ -130,22 +133,22 @@ class Returns:
         """Walks the function once, into a region that nothing uses, for its types alone."""
         frame, builder = self.frame, self.builder
         key = (frame.function, *(_kind(frame.scopes[0].get(n)) for n in frame.scopes[0]))
-        known = self.return_forms.get(key)
+        known = self._forms.get(key)
         if known is not None:
             return known
         form = frame.form = _Form()
-        scopes = [scope for f in self.frames for scope in f.scopes]
+        scopes = [scope for f in self.context.frames for scope in f.scopes]
         variables = {id(m): m for s in scopes for m in s.values() if isinstance(m, Variable)}
-        flags = [v for f in self.frames if f.results for v in f.results.variables]
-        flags += [v for f in self.frames for loop in f.loops for v in (loop.broken, loop.skipped)
-                  if v is not None]  # fmt: skip
+        flags = [v for f in self.context.frames if f.results for v in f.results.variables]
+        loops = [loop for f in self.context.frames for loop in f.loops]
+        flags += [v for loop in loops for v in (loop.broken, loop.skipped) if v is not None]
         saved = [(v, v.value, v.hidden) for v in [*variables.values(), *flags]]
         named = [(scope, dict(scope)) for scope in scopes]
-        numbers, dead, outer = self.emitter.num_random, self.is_dead, builder.get_block()
+        numbers, dead, outer = self.emitter.num_random, self.context.is_dead, builder.get_block()
         builder.set_block(builder.block(builder.region(), []))
         self.body(frame.node.body)
         builder.set_block(outer)
-        self.emitter.num_random, self.is_dead = numbers, dead
+        self.emitter.num_random, self.context.is_dead = numbers, dead
         for variable, value, hidden in saved:
             variable.value, variable.hidden = value, hidden
         for scope, names in named:
@@ -153,7 +156,7 @@ class Returns:
             scope.update(names)
         frame.form, frame.has_returned, frame.result = None, False, None
         frame.gone.clear()
-        self.return_forms[key] = form
+        self._forms[key] = form
         return form
 
     def visit_Return(self, node: ast.Return) -> None:
@@ -163,17 +166,17 @@ class Returns:
         self.at(node)
         if frame.form is not None:
             frame.form.add(*self._parts_of(value))
-            self.is_dead = True
+            self.context.is_dead = True
             return
-        if self.depth == frame.depth and (results is None or not results.may_have_run):
+        if self.context.depth == frame.depth and (results is None or not results.may_have_run):
             frame.has_returned = True
             if frame.kind == "kernel":
-                self.return_from_kernel(value, node)
+                self.parameters.return_from_kernel(value, node)
             else:
                 frame.result = self.convert_result(value)
             return
         self._set_results(value)
-        self.is_dead = True
+        self.context.is_dead = True
 
     def refuse_parallel_return(self, node: ast.Return) -> None:
         """A loop that runs in parallel cannot be left."""
@@ -193,7 +196,7 @@ class Returns:
         return [self._computed(value)], False
 
     def _computed(self, value: Any) -> Value:
-        default = state.options.default_ip
+        default = self.context.options.default_ip
         if isinstance(value, int) and not default.min <= value <= default.max:
             return self.emitter.constant(value, i64 if value <= i64.max else u64)
         try:
@@ -207,7 +210,7 @@ class Returns:
     def _set_results(self, value: Any) -> None:
         emitter, results = self.emitter, self.frame.results
         if self.frame.kind == "kernel":
-            self.check_kernel_result(value)
+            self.parameters.check_kernel_result(value)
         parts, is_tuple = self._parts_of(value)
         if len(parts) != len(results.parts) or is_tuple != results.is_tuple:
             raise TaiTypeError(
@@ -235,7 +238,7 @@ class Returns:
 
     def refuse_open_end(self) -> None:
         """A function that gives a value must not end without `return`."""
-        if self.is_dead or not self.frame.results.parts:
+        if self.context.is_dead or not self.frame.results.parts:
             return
         frame = self.frame
         error = TaiSyntaxError(
@@ -265,6 +268,13 @@ class Returns:
         for flag in flags[1:]:
             stopped = self.emitter.binary("|", stopped, flag.value)
         return self.emitter.unary("not", stopped)
+
+    def convert_result(self, value: Any) -> Any:
+        """The result of a `ti.func` in the type of its annotation, if it has one."""
+        dtype = self.frame.result_type
+        if dtype is None or value is None:
+            return value
+        return dtype.convert(self.emitter, value)
 
 
 def _kind(meaning: Any) -> Any:

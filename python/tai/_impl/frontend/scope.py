@@ -21,6 +21,14 @@ class Bound:
         self.thing = thing
 
 
+class StaticBreak(Exception):
+    """`break` in a loop that is unrolled."""
+
+
+class StaticContinue(Exception):
+    """`continue` in a loop that is unrolled."""
+
+
 class Loop:
     """A loop that encloses the statement being compiled.
 

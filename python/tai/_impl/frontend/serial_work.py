@@ -9,6 +9,7 @@ from typing import Any
 
 from ...errors import TaiCompilationWarning
 from ..values.value import Value
+from .context import Context, Part
 
 # From as many operations on, one after another, somebody may wonder whether a GPU's thread ends.
 # Three million with their gradient took less than half a second on an H100.
@@ -17,15 +18,19 @@ _LONG = 1e7
 _FEW = 32
 
 
-class SerialWork:
-    """Counts the operations of an iteration while kernels are compiled."""
+class SerialWork(Part):
+    """Counts the operations of an iteration while kernels are compiled.
 
-    def prepare_work(self) -> None:
-        # Operations so far of one thread; iterations of the parallel loop around; whether the
-        # user has been told.
+    Attributes:
+        work: operations so far of one thread.
+    """
+
+    def __init__(self, context: Context):
+        super().__init__(context)
         self.work = 0.0
-        self.threads = 1.0
-        self.told_of_work = False
+        # Iterations of the parallel loop around; whether the user has been told.
+        self._threads = 1.0
+        self._told = False
 
     def end_serial(self, before: float, low: Any, high: Any, step: int, node: ast.For) -> None:
         """A serial loop has been compiled; before it, there was so much work."""
@@ -34,16 +39,16 @@ class SerialWork:
     def repeat(self, before: float, trips: float, node: ast.For) -> None:
         """The work since then is done so many times."""
         self.work = before + (self.work - before) * trips
-        is_long = self.work - before > _LONG and self.threads <= _FEW
-        if is_long and not self.told_of_work and self.program.options.arch == "cuda":
-            self.told_of_work = True
+        is_long = self.work - before > _LONG and self._threads <= _FEW
+        if is_long and not self._told and self.context.options.arch == "cuda":
+            self._told = True
             self._warn(self.work - before, node)
 
     def begin_parallel(self, bounds: Any, shape: Any, is_serial: bool) -> tuple[float, float]:
         """A loop at the top begins. What `end_parallel` needs."""
-        kept = self.work, self.threads
+        kept = self.work, self._threads
         if not is_serial:
-            self.threads *= self._iterations(bounds, shape)
+            self._threads *= self._iterations(bounds, shape)
         return kept
 
     def end_parallel(
@@ -52,7 +57,7 @@ class SerialWork:
         if is_serial:
             self.repeat(kept[0], self._iterations(bounds, shape), node)
         else:
-            self.work, self.threads = kept
+            self.work, self._threads = kept
 
     def _iterations(self, bounds: Any, shape: Any) -> float:
         if bounds is None:
@@ -62,7 +67,7 @@ class SerialWork:
 
     def _warn(self, work: float, node: ast.For) -> None:
         text = (
-            f"kernel '{self.frames[0].name}': this loop runs on one thread of the GPU, some "
+            f"kernel '{self.context.kernel_name}': this loop runs on one thread of the GPU, some "
             f"{work / 1e6:.1f} million operations one after another\n"
             "  hint: a CPU is usually faster at that: ti.init(arch=ti.cpu); on a GPU, make what is "
             "independent the outermost loop"

@@ -13,6 +13,7 @@ from ..values import ops
 from ..values.emitter import Emitter
 from ..values.matrix import Vector
 from ..values.value import Value
+from .context import Context, Part
 from .refs import FieldElement, flatten_indices, use_field
 from .structs import StructValue
 
@@ -43,6 +44,7 @@ class Level:
 
     Attributes:
         field: the first field below, whose indices name cells.
+        symbol, below: of that field, and the level that holds it.
         up: how many levels it stands above the field; 1 is the innermost.
         scale: for each dimension of the field, how many of its indices one cell spans.
         dimensions: for each dimension of the level, that of the field.
@@ -56,6 +58,8 @@ class Level:
         use_field(field)
         self.field: ScalarField = field
         below = field.level
+        assert below is not None and field.symbol is not None
+        self.symbol, self.below = field.symbol, below
         self.up = len(below.path()) - len(node.path()) + 1
         extents, own = below.axis_extents(), node.axis_extents()
         self.scale = [extents[axis] // own.get(axis, 1) for axis in extents]
@@ -80,13 +84,16 @@ def _describe(node: SNode) -> str:
     return f"the '{node.kind}' level over {names}"
 
 
-class Sparse:
-    """The part of the compiler that handles levels."""
+class Levels(Part):
+    """The part of the compiler that handles levels.
 
-    emitter: Any
-    builder: Any
-    # Whether the loop being compiled appends to a list.
-    appends = False
+    Attributes:
+        appends: whether the loop that is compiled appends to a list.
+    """
+
+    def __init__(self, context: Context):
+        super().__init__(context)
+        self.appends = False
 
     def level_call(self, function: Any, args: list) -> Any:
         """A call of `ti.activate`, `ti.is_active`, `ti.append`, …"""
@@ -116,7 +123,7 @@ class Sparse:
                 f"cells of {_describe(level.node)} are always active",
                 "deactivate a pointer, bitmasked or dynamic level above it, or store zeros",
             )
-        cell = level.field.symbol, level.up, level.element(self.emitter, indices)
+        cell = level.symbol, level.up, level.element(self.emitter, indices)
         if function is ops.is_active:
             return self.emitter.value(self.builder.is_active(*cell), u1)
         if function is ops.activate:
@@ -133,7 +140,7 @@ class Sparse:
                 f"{name} takes a dynamic level, but this is {_describe(node)}",
                 "ti.root.dynamic(ti.j, 1024).place(x)",
             )
-        inner = [n for n in level.field.level.path() if n.kind == "dynamic"][-1]
+        inner = [n for n in level.below.path() if n.kind == "dynamic"][-1]
         if inner is not node:
             raise TaiTypeError(
                 f"{name} takes the innermost list, and there are lists in {_describe(node)}",
@@ -146,7 +153,7 @@ class Sparse:
         handles = level.element(emitter, self._with_list_index(level, indices, 0))
         del handles[self.list_dimension(level)]
         if value is None:
-            count = self.builder.length(level.field.symbol, handles)
+            count = self.builder.length(level.symbol, handles)
             return emitter.from_index(count, i32)
         if any(isinstance(child, SNode) for child in node.children):
             raise TaiTypeError(
@@ -169,7 +176,7 @@ class Sparse:
             converted = FieldElement(emitter, place, []).convert(one)
             elements.append(converted)
         self.appends = True
-        at = self.builder.append(level.field.symbol, elements[0].handle, handles)
+        at = self.builder.append(level.symbol, elements[0].handle, handles)
         dimension, offset = self.list_dimension(level), level.field.offset
         first = offset[dimension] if offset else 0
         number = emitter.from_index(at, i32)
@@ -191,6 +198,7 @@ class Sparse:
             )
         storage, component = field.storage()
         emitter, node = self.emitter, storage.level
+        assert node is not None
         begin = list(storage.offset or (0,) * len(indices))
         base = storage.core.address(tuple(begin))
         size = storage.dtype.numpy.itemsize
@@ -244,42 +252,43 @@ class Sparse:
 _LIST_METHODS = ("append", "length", "deactivate")
 
 
-def list_method(compiler: Any, field: Field, name: str) -> Any:
+def list_method(levels: Levels, field: Field, name: str) -> Any:
     """`x.append`, `x.length`, `x.deactivate` of a field that is one list, or None."""
     if name not in _LIST_METHODS or field.level is None or len(field.shape) != 1:
         return None
-    found = list_element(compiler, field, None)
+    found = list_element(levels, field, None)
     return None if found is None else getattr(found, name)
 
 
 class ListElement:
     """`y[i]` where `y` lies below a dynamic level: the list as a whole."""
 
-    def __init__(self, compiler: Any, field: Field, indices: list[Any]):
-        self._compiler = compiler
+    def __init__(self, levels: Levels, field: Field, indices: list[Any]):
+        self._levels = levels
+        assert field.level is not None
         self._level = level = Level(field.level, f"field '{field.name}'")
         # Indices of the field begin at its offset, those of a list at zero.
         first = list(field.offset or (0,) * level.rank)
-        del first[compiler.list_dimension(level)]
+        del first[levels.list_dimension(level)]
         self._indices = [
-            compiler.emitter.binary("-", index, start) if start else index
+            levels.emitter.binary("-", index, start) if start else index
             for index, start in zip(indices, first, strict=True)
         ]
 
     def append(self, value: Any) -> Value:
         """Adds a cell and returns its index."""
-        return self._compiler.list_call(self._level, self._indices, value, "append")
+        return self._levels.list_call(self._level, self._indices, value, "append")
 
     def length(self) -> Value:
         """The number of cells."""
-        return self._compiler.list_call(self._level, self._indices, None, "length")
+        return self._levels.list_call(self._level, self._indices, None, "length")
 
     def deactivate(self) -> None:
         """Empties the list."""
-        self._compiler.level_call(ops.deactivate, [self._level.node, self._indices])
+        self._levels.level_call(ops.deactivate, [self._level.node, self._indices])
 
 
-def list_element(compiler: Any, field: Field, key: Any) -> ListElement | None:
+def list_element(levels: Levels, field: Field, key: Any) -> ListElement | None:
     """The list that a subscript with one index less than the field names, or None."""
     storage, _ = field.storage()
     node = storage.level
@@ -289,4 +298,4 @@ def list_element(compiler: Any, field: Field, key: Any) -> ListElement | None:
     if len(indices) != len(field.shape) - 1:
         return None
     use_field(field)
-    return ListElement(compiler, storage, indices)
+    return ListElement(levels, storage, indices)

@@ -62,7 +62,8 @@ class StructValue(_Members):
 class StructPlace(_Members, Place):
     """A struct whose members are places: a variable, or an element of a struct field."""
 
-    dt, shape = None, ()
+    dt: Any = None
+    shape = ()
 
     def __init__(self, emitter: Any, type_: StructType, members: dict[str, Place]):
         self.emitter, self.type, self.members = emitter, type_, members
@@ -101,7 +102,7 @@ class StructVariable(Bound):
 
 
 def _variable_place(emitter: Any, name: str, value: StructValue) -> StructPlace:
-    members = {}
+    members: dict[str, Place] = {}
     for key, member in value.members.items():
         inner = f"{name}_{key}"
         if isinstance(member, StructValue):
@@ -129,8 +130,10 @@ def make_value(emitter: Any, type_: StructType, given: dict[str, Any]) -> Struct
 
 def struct_element(emitter: Any, field: StructField, key: Any) -> StructPlace:
     """The element of a struct field that a subscript names."""
-    members = {}
+    members: dict[str, Place] = {}
     for name, member in field.members.items():
-        make = struct_element if isinstance(member, StructField) else field_element
-        members[name] = make(emitter, member, key)
+        if isinstance(member, StructField):
+            members[name] = struct_element(emitter, member, key)
+        else:
+            members[name] = field_element(emitter, member, key)
     return StructPlace(emitter, field.type, members)

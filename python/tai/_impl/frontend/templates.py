@@ -15,6 +15,7 @@ import warnings
 from collections import deque
 from types import (
     BuiltinFunctionType,
+    FrameType,
     FunctionType,
     MemberDescriptorType,
     MethodType,
@@ -171,7 +172,8 @@ def warn_of_many(name: str, variants: list[Any]) -> None:
 
 def _outside() -> int:
     """How many calls above its own caller the code of the program stands."""
-    level, frame = 1, sys._getframe(1)
+    level = 1
+    frame: FrameType | None = sys._getframe(1)
     while frame is not None and frame.f_globals.get("__name__", "").split(".")[0] == "tai":
         level, frame = level + 1, frame.f_back
     return level

@@ -1,0 +1,161 @@
+"""Assignments: to variables, to elements, and what a name stands for from now on."""
+
+from __future__ import annotations
+
+import ast
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiSyntaxError, TaiTypeError
+from ..fields.field import Field
+from ..values.misuse import describe_misuse, misuse_hint
+from ..values.value import Value
+from .checks import Checks, refuse_non_number
+from .compile_time import CompileTime
+from .context import Context, Part
+from .expressions import Expressions
+from .operators import BINARY
+from .refs import Place, Variable, VariablePlace, refuse_truth_arithmetic
+from .scope import Bound
+from .structs import StructPlace, StructValue, StructVariable
+
+_ATOMIC_ASSIGN = {"+", "-", "&", "|", "^"}
+
+
+class Assignments(Part):
+    """The part of the compiler that handles assignments.
+
+    Args:
+        context, compile_time, checks, expressions: below it.
+    """
+
+    def __init__(
+        self, context: Context, compile_time: CompileTime, checks: Checks, expressions: Expressions
+    ):
+        super().__init__(context)
+        self.compile_time, self.checks, self.expressions = compile_time, checks, expressions
+
+    def visit_Assign(self, node: ast.Assign) -> None:
+        value, is_static = self.compile_time.evaluate(node.value)
+        for target in node.targets:
+            self.at(node)
+            self.guarded(lambda t: self.assign(t, value, node, is_static), target)
+
+    def assign(self, target: ast.expr, value: Any, node: ast.stmt, is_static: bool = False) -> None:
+        if isinstance(target, (ast.Tuple, ast.List)):
+            self.unpack(target, value, node, is_static)
+            return
+        if isinstance(target, ast.Name):
+            self.assign_name(target.id, value, is_static)
+            return
+        if isinstance(target, ast.Starred):
+            raise TaiSyntaxError("'*' in the target of an assignment is not supported in kernels")
+        place = self.expressions.locate(target)
+        self.at(node)
+        if isinstance(place, Value):
+            raise TaiTypeError(f"a {place.kind_name} that has no name cannot be changed")
+        if not isinstance(place, Place):
+            raise TaiTypeError(
+                f"a kernel cannot change the Python object '{ast.unparse(target)}'",
+                "use a field for what a kernel writes",
+            )
+        place.store(place.convert(self.expressions.number(value)))
+
+    def unpack(self, target: ast.Tuple | ast.List, value: Any, node: Any, is_static: bool) -> None:
+        items = self.compile_time.take_apart(value)
+        if any(isinstance(t, ast.Starred) for t in target.elts):
+            raise TaiSyntaxError("'*' in the target of an assignment is not supported in kernels")
+        if len(items) != len(target.elts):
+            raise TaiTypeError(f"{len(target.elts)} targets cannot take {len(items)} values")
+        for one, item in zip(target.elts, items, strict=True):
+            self.guarded(partial(self.assign, value=item, node=node, is_static=is_static), one)
+
+    def assign_name(self, name: str, value: Any, is_static: bool) -> None:
+        meaning = self.frame.find(name)
+        if isinstance(meaning, Variable):
+            place = VariablePlace(self.emitter, meaning)
+            place.store(place.convert(self.expressions.number(value)))
+            return
+        if isinstance(meaning, StructVariable):
+            meaning.store(value)
+            return
+        if isinstance(value, StructValue) and meaning is None and not is_static:
+            self.frame.define(name, StructVariable(self.emitter, name, value))
+            return
+        if meaning is None and not is_static:
+            self.checks.warn_of_hidden_field(name)
+        is_number = isinstance(value, (Value, bool, int, float, np.generic)) or getattr(
+            value, "is_matrix", False
+        )
+        is_outer = meaning is not None and self.frame.scopes[-1].get(name) is None
+        if is_outer and self.context.depth > 0:
+            raise TaiTypeError(
+                f"'{name}' is known at compile time outside of this block and cannot change in it",
+                "give it another name",
+            )
+        if is_static or not is_number:
+            self.frame.define(name, Bound(value))
+            return
+        self.frame.define(name, Variable(name, self.emitter.as_value(value)))
+
+    def visit_AnnAssign(self, node: ast.AnnAssign) -> None:
+        if node.value is None:
+            raise TaiSyntaxError("a variable needs a value", f"{ast.unparse(node)} = 0")
+        if not isinstance(node.target, ast.Name):
+            raise TaiSyntaxError("only variables are annotated")
+        dtype = self.emitter.to_dtype(self.visit(node.annotation))
+        if self.frame.find(node.target.id) is not None:
+            raise TaiSyntaxError(f"variable '{node.target.id}' has its type already")
+        value = self.visit(node.value)
+        self.at(node)
+        self.emitter.check_fraction(value, dtype, f"variable '{node.target.id}' of type {dtype}")
+        if isinstance(value, (bool, int, float)):
+            value = self.emitter.constant(value, dtype)
+        else:
+            value = self.emitter.cast(self.emitter.as_value(value), dtype)
+        self.frame.define(node.target.id, Variable(node.target.id, value))
+
+    def visit_AugAssign(self, node: ast.AugAssign) -> None:
+        value = self.visit(node.value)
+        op = BINARY[type(node.op)]
+        place = self.guarded(self.expressions.locate, node.target)
+        self.at(node)
+        if not isinstance(place, Place):
+            self.augment_static(node, op, place, value)
+            return
+        refuse_non_number(value, (value,))
+        if isinstance(place, StructPlace):
+            raise TaiTypeError("structs have no arithmetic", "compute with their members")
+        value = self.expressions.number(value)
+        refuse_truth_arithmetic(op, place.dt)
+        if op in _ATOMIC_ASSIGN and place.dt.is_float and op in "&|^":
+            raise TaiTypeError(f"'{op}=' takes whole numbers, but the target holds {place.dt}")
+        if op not in _ATOMIC_ASSIGN or isinstance(place, VariablePlace):
+            if (
+                isinstance(place, VariablePlace)
+                and place.variable.hidden is not None
+                and (op in _ATOMIC_ASSIGN)
+            ):
+                place.atomic(op, place.convert(value))
+                return
+            place.store(place.convert(self.emitter.binary(op, place.load(), value)))
+            return
+        place.atomic(op, place.convert(value))
+
+    def augment_static(self, node: ast.AugAssign, op: str, old: Any, value: Any) -> None:
+        """`a += …` where `a` is known at compile time."""
+        if (
+            isinstance(node.target, ast.Name)
+            and isinstance(self.frame.find(node.target.id), Bound)
+            and not isinstance(old, Field)
+        ):
+            self.frame.define(node.target.id, Bound(self.emitter.binary(op, old, value)))
+            return
+        if isinstance(old, Field):
+            raise TaiTypeError(describe_misuse(old), misuse_hint(old))
+        raise TaiTypeError(
+            f"a kernel cannot change the Python object '{ast.unparse(node.target)}'",
+            "use a field for what a kernel writes",
+        )

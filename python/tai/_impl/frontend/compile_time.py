@@ -1,0 +1,156 @@
+"""What the compiler knows now: `ti.static`, callees, sequences of known length."""
+
+from __future__ import annotations
+
+import ast
+import itertools
+from collections.abc import Hashable
+from typing import Any
+
+from ...errors import TaiSyntaxError, TaiTypeError
+from ..fields.field import Field
+from ..values import ops
+from ..values.value import MatrixValue, Value
+from .context import Context, Part
+from .refs import ArrayArgument, Variable
+from .scope import Bound
+
+# Operators of the functions that change a place.
+ATOMICS = {
+    ops.atomic_add: "+",
+    ops.atomic_sub: "-",
+    ops.atomic_mul: "*",
+    ops.atomic_min: "min",
+    ops.atomic_max: "max",
+    ops.atomic_and: "&",
+    ops.atomic_or: "|",
+    ops.atomic_xor: "^",
+}
+
+# The least that `ti.init(unrolling_limit=…)` can mean: Taichi's only warns, from 32 on.
+_UNROLLING_LIMIT = 65536
+
+
+class CompileTime(Part):
+    """What is known now: what names stand for, `ti.static`, and what is iterated at once.
+
+    Attributes:
+        in_static: within how many `ti.static(…)` the expression stands: what they hold is meant to
+            be evaluated once.
+    """
+
+    def __init__(self, context: Context):
+        super().__init__(context)
+        self.in_static = 0
+
+    def static_argument(self, node: ast.expr) -> ast.expr | None:
+        """The argument of `ti.static(…)`, or None if `node` is something else."""
+        if not isinstance(node, ast.Call) or not isinstance(node.func, (ast.Name, ast.Attribute)):
+            return None
+        if self.static_callee(node.func) is not ops.static:
+            return None
+        if len(node.args) != 1 or node.keywords:
+            if len(node.args) > 1:
+                return ast.copy_location(ast.Tuple(node.args, ast.Load()), node)
+            raise TaiSyntaxError("ti.static takes one argument")
+        return node.args[0]
+
+    def static_callee(self, node: ast.expr) -> Any:
+        """What a name or dotted name stands for, or None if that is not known."""
+        if isinstance(node, ast.Name):
+            try:
+                meaning = self.frame.lookup(node.id)
+            except NameError:
+                return None
+            return meaning.thing if isinstance(meaning, Bound) else None
+        if isinstance(node, ast.Attribute):
+            base = self.static_callee(node.value)
+            return (
+                None if base is None or isinstance(base, Value) else getattr(base, node.attr, None)
+            )
+        return None
+
+    def takes_reference(self, node: ast.Call) -> bool:
+        """Whether a call may change the variables that it is given."""
+        callee = self.static_callee(node.func)
+        if isinstance(callee, Hashable) and callable(callee) and callee in ATOMICS:
+            return True
+        info = getattr(callee, "_tai_func", None)
+        return info is not None and info.has_templates
+
+    def is_settled(self, node: ast.Call) -> bool:
+        """Whether the callee is found by a name that this function does not give a meaning."""
+        callee = node.func
+        while isinstance(callee, ast.Attribute):
+            callee = callee.value
+        return isinstance(callee, ast.Name) and self.frame.find(callee.id) is None
+
+    def evaluate(self, node: ast.expr) -> tuple[Any, bool]:
+        """The value of an expression, and whether it is that of a `ti.static(…)`."""
+        static = self.static_argument(node)
+        return (self.visit(node), False) if static is None else (self.visit_static(static), True)
+
+    def visit_static(self, node: ast.expr) -> Any:
+        """The argument of `ti.static(…)`: what is evaluated once, and meant to be."""
+        self.in_static += 1
+        try:
+            return self.visit(node)
+        finally:
+            self.in_static -= 1
+
+    def take_apart(self, thing: Any) -> list:
+        """The items of a sequence whose length is known."""
+        if isinstance(thing, (Field, str)) or (
+            isinstance(thing, Value) and not isinstance(thing, MatrixValue)
+        ):
+            raise TaiTypeError(f"{describe(thing)} cannot be taken apart")
+        try:
+            return list(thing)
+        except TypeError:
+            raise TaiTypeError(f"{describe(thing)} cannot be taken apart") from None
+
+    def static_items(self, thing: Any) -> list:
+        """The items of something that is iterated at compile time."""
+        if isinstance(thing, Value) and not isinstance(thing, MatrixValue):
+            raise TaiTypeError(f"a number of type {thing.kind_name} cannot be iterated")
+        if isinstance(thing, Field):
+            raise TaiTypeError(
+                f"field '{thing.name}' cannot be iterated at compile time",
+                "loop over it at the top of a kernel: for i in x",
+            )
+        limit = self.context.options.unrolling_limit
+        limit = max(limit, _UNROLLING_LIMIT) if limit > 0 else 0
+        try:
+            items = list(thing if limit <= 0 else itertools.islice(thing, limit + 1))
+        except TypeError as error:
+            raise TaiTypeError(f"{describe(thing)} cannot be iterated at compile time") from error
+        if 0 < limit < len(items):
+            raise TaiSyntaxError(
+                f"more than {limit:,} iterations would be unrolled",
+                "loop with range(…) instead, or raise the limit: ti.init(unrolling_limit=…)",
+            )
+        return items
+
+    def bind_static(self, target: ast.expr, item: Any) -> None:
+        """Gives an item of an unrolled loop to its target."""
+        if isinstance(target, ast.Name):
+            if isinstance(item, Value):
+                self.frame.define(target.id, Variable(target.id, item, "loop variable"))
+            else:
+                self.frame.define(target.id, Bound(item))
+            return
+        if not isinstance(target, (ast.Tuple, ast.List)):
+            raise TaiSyntaxError("the variables of a loop are names")
+        parts = self.take_apart(item)
+        if len(parts) != len(target.elts):
+            raise TaiTypeError(f"{len(target.elts)} variables cannot take {len(parts)} values")
+        for one, part in zip(target.elts, parts, strict=True):
+            self.bind_static(one, part)
+
+
+def describe(thing: Any) -> str:
+    if isinstance(thing, Value):
+        return f"a {thing.kind_name}"
+    if isinstance(thing, (Field, ArrayArgument)):
+        return f"{'field' if isinstance(thing, Field) else 'array'} '{thing.name}'"
+    return f"'{thing}'" if isinstance(thing, str) else f"a {type(thing).__name__}"

@@ -1,0 +1,174 @@
+"""What the parts of the compiler share: the kernel, its scopes, and where operations are made."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from ..base.dtypes import DataType
+from ..base.options import Options
+from ..base.program import Program
+from ..fields.scalar import ScalarField
+from ..values.builder import Builder
+from ..values.emitter import Emitter
+from .diagnostics import Diagnostics
+from .scope import Frame
+from .templates import Reads
+
+
+class ArgumentForm(Protocol):
+    """What a parameter of the kernel is; `launch.specs` makes them and says what each means."""
+
+    kind: str
+    dt: Any
+    shape: tuple[int, ...]
+    ndim: int
+    element_shape: tuple[int, ...]
+    constant: Any
+    has_gradient: bool
+    alias: int | None
+    is_read: bool
+    is_written: bool
+    uses_gradient: bool
+
+    @property
+    def has_slot(self) -> bool: ...
+
+    @property
+    def mlir_types(self) -> list[str]: ...
+
+    def names(self, name: str) -> list[str]: ...
+
+
+class ResultForm(Protocol):
+    """What the kernel returns."""
+
+    dt: DataType
+    shape: tuple[int, ...]
+
+    @property
+    def mlir_type(self) -> str: ...
+
+    @property
+    def has_gradient(self) -> bool: ...
+
+    def convert(self, emitter: Any, value: Any) -> Any: ...
+
+
+@dataclass
+class Kernel:
+    """The specialisation that is compiled.
+
+    Attributes:
+        symbol: the name of the kernel in IR.
+        parameters: for each parameter, its name and what it is.
+        result: what it returns, or None.
+        followed: the names of the parameters whose values forward mode keeps, each with the field
+            that has them.
+        result_field: where forward mode keeps the result, or None.
+    """
+
+    symbol: str
+    parameters: Sequence[tuple[str, ArgumentForm]]
+    result: ResultForm | None
+    followed: list[tuple[str, ScalarField]]
+    result_field: ScalarField | None
+
+
+class Walker(Protocol):
+    """The compiler as a whole, for what stands inside of what a part handles."""
+
+    def visit(self, node: ast.AST) -> Any:
+        """Compiles a node; gives the value of an expression."""
+
+    def body(self, statements: list[ast.stmt]) -> None:
+        """Compiles the statements of a block; what follows an exit runs only without it."""
+
+
+class Context:
+    """What the function being compiled is, and where in it the compiler stands.
+
+    Attributes:
+        program, kernel: what is compiled.
+        builder, emitter: what makes operations, and arithmetic of them.
+        frames: the functions that are compiled, each inlined into the one before it.
+        depth: how many regions of IR enclose the operations that are made.
+        top_depth: the depth at which loops run in parallel.
+        is_dead: set while the statements that follow cannot be reached.
+        diagnostics: gives errors their place.
+        reads: what the code depends on besides its arguments.
+        walker: compiles what stands inside.
+    """
+
+    def __init__(self, program: Program, kernel: Kernel, frame: Frame, walker: Walker):
+        self.program, self.kernel = program, kernel
+        self.frames = [frame]
+        self.builder = Builder(program.context, frame.filename)
+        self.emitter = Emitter(self.builder)
+        self.depth = self.top_depth = 0
+        self.is_dead = False
+        self.diagnostics = Diagnostics(self.frames)
+        constants = [spec.constant for _, spec in kernel.parameters if spec.kind == "template"]
+        self.reads = Reads(constants)
+        self.walker = walker
+
+    @property
+    def options(self) -> Options:
+        """Of the program, as `ti.init` took them."""
+        return self.program.options
+
+    @property
+    def kernel_name(self) -> str:
+        """What messages call the kernel."""
+        return self.frames[0].name
+
+    @property
+    def depth_below_top(self) -> int:
+        """How many regions enclose the operations that are made, besides those of returns."""
+        return self.depth - self.top_depth
+
+    @property
+    def frame(self) -> Frame:
+        """The innermost function."""
+        return self.frames[-1]
+
+    def enter(self, frame: Frame) -> None:
+        self.frames.append(frame)
+        self.builder.set_file(frame.filename)
+
+    def leave(self) -> None:
+        self.frames.pop()
+        self.builder.set_file(self.frame.filename)
+
+    def at(self, node: Any) -> None:
+        """Operations made from now on stand at this node."""
+        self.diagnostics.last_node = node
+        self.builder.set_location(node.lineno, node.col_offset + 1)
+
+
+class Part:
+    """A part of the compiler: it handles some nodes of syntax trees, by `visit_<node>`.
+
+    Args:
+        context: what all parts share.
+    """
+
+    def __init__(self, context: Context):
+        self.context = context
+        self.builder, self.emitter = context.builder, context.emitter
+        self.at, self.guarded = context.at, context.diagnostics.guarded
+
+    @property
+    def frame(self) -> Frame:
+        """The innermost function that is compiled."""
+        return self.context.frames[-1]
+
+    def visit(self, node: ast.AST) -> Any:
+        """Compiles a node; an error that has no place yet gets that of the node."""
+        return self.context.walker.visit(node)
+
+    def body(self, statements: list[ast.stmt]) -> None:
+        """Compiles the statements of a block; what follows an exit runs only without it."""
+        self.context.walker.body(statements)

@@ -1,0 +1,121 @@
+"""Where errors of a kernel are, and exceptions of Python code as errors of ours."""
+
+from __future__ import annotations
+
+import ast
+import linecache
+import re
+import signal
+from collections.abc import Callable
+from types import FunctionType, MethodType
+from typing import Any, TypeVar
+
+from ...errors import (
+    SHOW_TRACEBACK,
+    TaiCompilationError,
+    TaiError,
+    TaiIndexError,
+    TaiTypeError,
+    shorten,
+)
+from ..values.misuse import KINDS
+from .scope import Frame, StaticBreak, StaticContinue
+
+Result = TypeVar("Result")
+
+
+class Diagnostics:
+    """Gives errors the place in the program where they arise.
+
+    Args:
+        frames: the functions that are compiled, innermost last.
+
+    Attributes:
+        last_node: the node that the operations which are made stand at.
+        from_python: the exception of Python code that ended the compilation, as an error of ours.
+    """
+
+    def __init__(self, frames: list[Frame]):
+        self._frames = frames
+        self._lines: dict[tuple[str, int], str] = {}
+        self.last_node: Any = frames[0].node
+        self.from_python: TaiError | None = None
+
+    def guarded(self, method: Callable[[Any], Result], node: Any) -> Result:
+        """Runs a method on a node and gives errors without a place that of the node."""
+        try:
+            return method(node)
+        except TaiError as error:
+            self.place(error, node)
+            raise
+        except (StaticBreak, StaticContinue):
+            raise
+        except Exception as error:
+            if _is_of_a_handler(error):
+                raise
+            raise self.translated(error, node) from (error if SHOW_TRACEBACK else None)
+
+    def translated(self, error: Exception, node: ast.AST) -> TaiError:
+        """An exception of Python code that ran at compile time, as one of ours."""
+        kinds = {IndexError: TaiIndexError, KeyError: TaiIndexError, TypeError: TaiTypeError}
+        kind = next((k for e, k in kinds.items() if isinstance(error, e)), TaiCompilationError)
+        text = str(error) or type(error).__name__
+        text = re.sub(r"'(\w+)'", lambda found: f"'{KINDS.get(found[1], found[1])}'", text)
+        if isinstance(error, KeyError):
+            text = f"no item {text}"
+        elif isinstance(error, RecursionError):
+            text = "the program nests too deeply"
+        made = kind(text)
+        if isinstance(error, RecursionError):
+            made.hint = "divide it into functions, or long sums into several statements"
+        if isinstance(error, (AssertionError, AttributeError, RuntimeError)):
+            made.hint = "TAI_TRACEBACK=1 in the environment shows where in Python this arose"
+        self.place(made, node)
+        self.from_python = made
+        return made
+
+    def place(self, error: TaiError, node: Any) -> None:
+        if error.lineno is not None or not hasattr(node, "lineno"):
+            return
+        same_line = node.end_lineno == node.lineno
+        error.locate(
+            self._frames[-1].filename,
+            node.lineno,
+            self.column(node.lineno, node.col_offset) + 1,
+            self.column(node.lineno, node.end_col_offset) + 1 if same_line else None,
+        )
+        error.trail = self.trail()
+
+    def column(self, line: int, offset: int) -> int:
+        """A column in characters; `ast` counts bytes."""
+        key = (self._frames[-1].filename, line)
+        text = self._lines.get(key)
+        if text is None:
+            text = self._lines[key] = linecache.getline(*key)
+        return offset if text.isascii() else len(text.encode()[:offset].decode(errors="ignore"))
+
+    def trail(self) -> list[str]:
+        """Where the code being compiled stands: functions, innermost first."""
+        lines = []
+        for frame in reversed(self._frames):
+            if frame.call is None:
+                lines.append(f"in kernel '{frame.name}'")
+            else:
+                filename, line = frame.call
+                lines.append(f"in function '{frame.name}', called at {shorten(filename)}:{line}")
+        return lines[:6]
+
+
+def _is_of_a_handler(error: BaseException) -> bool:
+    """Whether the handler of a signal has raised the error: it may come at any statement."""
+    handlers = {
+        handler.__code__
+        for handler in map(signal.getsignal, signal.valid_signals())
+        if isinstance(handler, FunctionType | MethodType)
+    }
+    trace = error.__traceback__
+    while trace is not None:
+        if trace.tb_frame.f_code in handlers:
+            return True
+        trace = trace.tb_next
+    return False

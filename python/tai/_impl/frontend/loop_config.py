@@ -1,0 +1,46 @@
+"""`ti.loop_config`: options of the loop that follows."""
+
+from __future__ import annotations
+
+import ast
+from typing import Any
+
+from ...errors import TaiTypeError, did_you_mean
+from ..values.value import Value
+from .block_sizes import check_block_dim
+from .context import Context, Part
+
+
+class LoopConfig(Part):
+    """The part of the compiler that handles `ti.loop_config`: what the next loop is told."""
+
+    def __init__(self, context: Context):
+        super().__init__(context)
+        self._options: dict[str, Any] = {}
+
+    def take(self) -> dict[str, Any]:
+        """The options of the loop that begins, which no other one has."""
+        options, self._options = self._options, {}
+        return options
+
+    def put_back(self, options: dict[str, Any]) -> None:
+        """Lets the next loop have options that were taken for none."""
+        self._options = options
+
+    def configure(self, node: ast.Call) -> None:
+        if node.args:
+            raise TaiTypeError("ti.loop_config takes keywords only")
+        known = {"serialize", "parallelize", "block_dim", "block_dim_adaptive",
+                 "bit_vectorize"}  # fmt: skip
+        for keyword in node.keywords:
+            if keyword.arg not in known:
+                raise TaiTypeError(
+                    f"ti.loop_config has no option '{keyword.arg}'",
+                    did_you_mean(str(keyword.arg), known),
+                )
+            value = self.visit(keyword.value)
+            if isinstance(value, Value):
+                raise TaiTypeError("the options of a loop are known at compile time")
+            if keyword.arg == "block_dim":
+                value = check_block_dim(value, self.context.options)
+            self._options[keyword.arg] = value

@@ -1,0 +1,228 @@
+"""Arithmetic, comparisons, `and`, `or`, and the choice between two expressions."""
+
+from __future__ import annotations
+
+import ast
+import operator
+from collections.abc import Callable
+from typing import Any
+
+from ...errors import TaiTypeError
+from ..base.dtypes import promote, u1
+from ..fields.field import Field
+from ..values.misuse import describe_misuse, misuse_hint
+from ..values.value import Value
+from .checks import is_struct, refuse_condition, refuse_non_number
+from .compile_time import CompileTime
+from .context import Context, Part
+from .expressions import has_value
+
+BINARY = {
+    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.FloorDiv: "//", ast.Mod: "%",
+    ast.Pow: "**", ast.LShift: "<<", ast.RShift: ">>", ast.BitOr: "|", ast.BitXor: "^",
+    ast.BitAnd: "&", ast.MatMult: "@",
+}  # fmt: skip
+
+COMPARE = {
+    ast.Eq: "==", ast.NotEq: "!=", ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="
+}  # fmt: skip
+
+# Of operands that are known now.
+_NOW: dict[type[ast.unaryop], Callable[[Any], Any]] = {
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+    ast.Invert: operator.invert,
+    ast.Not: operator.not_,
+}
+
+# Operations that may run although the program did not ask for them: they cannot fault, and
+# their partial derivatives are finite wherever their operands are.
+_SPECULATABLE = {
+    "arith.constant", "arith.addf", "arith.subf", "arith.mulf", "arith.negf", "arith.addi",
+    "arith.subi", "arith.muli", "arith.andi", "arith.ori", "arith.xori", "arith.cmpi",
+    "arith.cmpf", "arith.select", "arith.index_cast", "arith.extsi", "arith.extui",
+    "arith.trunci", "arith.sitofp", "arith.extf", "vector.extract", "vector.from_elements",
+    "vector.broadcast",
+}  # fmt: skip
+
+
+def _refuse_repetition(a: Any, b: Any) -> None:
+    """A list times a whole number is a longer list in Python, and its length a constant here."""
+    for one, other in ((a, b), (b, a)):
+        if isinstance(one, (list, tuple)) and isinstance(other, Value):
+            if other.dt.is_int and not other.shape:
+                raise TaiTypeError(
+                    "a list is repeated a number of times that is known only when the kernel runs",
+                    "to multiply each component, write ti.Vector([…]) * n",
+                )
+
+
+class Operators(Part):
+    """The part of the compiler that handles operators.
+
+    Args:
+        context, compile_time: below it.
+    """
+
+    def __init__(self, context: Context, compile_time: CompileTime):
+        super().__init__(context)
+        self.compile_time = compile_time
+
+    def visit_BinOp(self, node: ast.BinOp) -> Any:
+        a, b = self.visit(node.left), self.visit(node.right)
+        self.at(node)
+        op = BINARY[type(node.op)]
+        for side in (a, b):
+            refuse_non_number(side, (a, b))
+        if isinstance(node.op, ast.Mult):
+            _refuse_repetition(a, b)
+        return self.emitter.binary(op, a, b)
+
+    def visit_UnaryOp(self, node: ast.UnaryOp) -> Any:
+        x = self.visit(node.operand)
+        self.at(node)
+        if isinstance(node.op, ast.Not):
+            refuse_condition(x)
+        refuse_non_number(x, (x,))
+        if not isinstance(x, Value):
+            return _NOW[type(node.op)](x)
+        if isinstance(node.op, ast.UAdd):
+            return x
+        name = {ast.USub: "neg", ast.Invert: "invert", ast.Not: "not"}[type(node.op)]
+        return self.emitter.unary(name, x)
+
+    def visit_Compare(self, node: ast.Compare) -> Any:
+        left = self.visit(node.left)
+        result: Any = None
+        for op, right_node in zip(node.ops, node.comparators, strict=True):
+            right = self.visit(right_node)
+            self.at(node)
+            one = self.compare(op, left, right)
+            if result is None:
+                result = one
+            elif isinstance(result, Value) or isinstance(one, Value):
+                result = self.emitter.binary("&", result, one)
+            else:
+                result = result and one
+            left = right
+        return result
+
+    def compare(self, op: ast.cmpop, a: Any, b: Any) -> Any:
+        if isinstance(op, (ast.Is, ast.IsNot)):
+            if isinstance(a, Value) or isinstance(b, Value):
+                raise TaiTypeError("'is' compares Python objects, not values", "use == or !=")
+            return (a is b) == isinstance(op, ast.Is)
+        if isinstance(op, (ast.In, ast.NotIn)):
+            items = self.compile_time.static_items(b)
+            if not has_value(a) and not any(has_value(i) for i in items):
+                return (a in items) == isinstance(op, ast.In)
+            found: Any = self.emitter.constant(False, u1)
+            for item in items:
+                found = self.emitter.binary("|", found, self.emitter.compare("==", a, item))
+            return found if isinstance(op, ast.In) else self.emitter.unary("not", found)
+        if is_struct(a) or is_struct(b):
+            raise TaiTypeError("structs are not compared as a whole", "compare their members")
+        if isinstance(a, Value) or isinstance(b, Value):
+            for side in (a, b):
+                refuse_non_number(side, (a, b))
+        elif isinstance(op, (ast.Eq, ast.NotEq)) and isinstance(a, Field):
+            raise TaiTypeError(describe_misuse(a), misuse_hint(a))
+        return self.emitter.compare(COMPARE[type(op)], a, b)
+
+    def visit_BoolOp(self, node: ast.BoolOp) -> Any:
+        """`and`, `or`: what stands on the right is evaluated only if it matters."""
+        is_and = isinstance(node.op, ast.And)
+        result = self.visit(node.values[0])
+        for right in node.values[1:]:
+            if not isinstance(result, Value):
+                refuse_condition(result)
+                if bool(result) != is_and:
+                    return result
+                result = self.visit(right)
+                continue
+            result = self.short_circuit(is_and, result, right)
+        return result
+
+    def short_circuit(self, is_and: bool, left: Value, right_node: ast.expr) -> Value:
+        """As in Python, the operand that decides: `a or b` is `a` unless that is zero."""
+        emitter, builder = self.emitter, self.builder
+        truth = emitter.to_bool(left)
+        outer = builder.get_block()
+        region = builder.region()
+        block = builder.block(region, [])
+        builder.set_block(block)
+        self.context.depth += 1
+        right = self.visit(right_node)
+        right_truth = emitter.to_bool(right)
+        # A plain number takes the type of the other operand, as it does in arithmetic.
+        _, right, dt = emitter.operands(left, right)
+        right = right_truth if dt is u1 else emitter.cast(right, dt)
+        self.context.depth -= 1
+        self.at(right_node)
+        if all(name in _SPECULATABLE for name in builder.op_names(block)):
+            builder.set_block(outer)
+            builder.splice(block)
+            if dt is u1:
+                return emitter.binary("&" if is_and else "|", truth, right)
+            left = emitter.cast(left, dt)
+            return emitter.select(truth, *((right, left) if is_and else (left, right)))
+        builder.yield_([right.handle])
+        other = builder.region()
+        builder.set_block(builder.block(other, []))
+        kept = emitter.constant(not is_and, u1) if dt is u1 else emitter.cast(left, dt)
+        builder.yield_([kept.handle])
+        builder.set_block(outer)
+        regions = [region, other] if is_and else [other, region]
+        handle = builder.if_(truth.handle, [emitter.type_of(dt)], *regions)
+        return Value(emitter, handle, dt)
+
+    def visit_IfExp(self, node: ast.IfExp) -> Any:
+        condition, _ = self.compile_time.evaluate(node.test)
+        self.guarded(lambda _: refuse_condition(condition), node.test)
+        if not isinstance(condition, Value):
+            return self.visit(node.body if condition else node.orelse)
+        if condition.shape:
+            return self.emitter.select(condition, self.visit(node.body), self.visit(node.orelse))
+        condition = self.emitter.to_bool(condition)
+        return self.choose(
+            condition, lambda: self.visit(node.body), lambda: self.visit(node.orelse), node
+        )
+
+    def choose(self, condition: Value, then: Any, orelse: Any, node: ast.expr) -> Any:
+        """One of two expressions; the other one is not evaluated if it could do harm."""
+        emitter, builder = self.emitter, self.builder
+        outer = builder.get_block()
+        blocks, regions, values = [], [], []
+        for arm in (then, orelse):
+            region = builder.region()
+            block = builder.block(region, [])
+            builder.set_block(block)
+            self.context.depth += 1
+            values.append(emitter.as_value(arm()))
+            self.context.depth -= 1
+            blocks.append(block)
+            regions.append(region)
+        dt = promote(values[0].dt, values[1].dt)
+        shape = values[0].shape or values[1].shape
+        handles = []
+        for number, block in enumerate(blocks):
+            builder.set_block(block)
+            value = values[number]
+            if value.shape and value.shape != shape:
+                raise TaiTypeError(
+                    f"the branches give a {values[0].kind_name} and a {values[1].kind_name}"
+                )
+            values[number] = emitter.broadcast(emitter.cast(value, dt), shape)
+            handles.append(values[number].handle)
+        self.at(node)
+        if all(n in _SPECULATABLE for block in blocks for n in builder.op_names(block)):
+            builder.set_block(outer)
+            for block in blocks:
+                builder.splice(block)
+            return emitter.select(condition, *values)
+        for block, handle in zip(blocks, handles, strict=True):
+            builder.set_block(block)
+            builder.yield_([handle])
+        builder.set_block(outer)
+        handle = builder.if_(condition.handle, [emitter.type_of(dt, shape)], *regions)
+        return emitter.value(handle, dt, shape)

@@ -1,0 +1,131 @@
+"""Loops at the top of a kernel: `tai.parallel_for`."""
+
+from __future__ import annotations
+
+import ast
+from typing import Any
+
+from ..base.dtypes import DataType
+from ..fields.matrix_field import MatrixField
+from ..fields.scalar import ComponentField, ScalarField
+from ..fields.snode import Root
+from .block_sizes import block_dim_of
+from .context import Context, Part
+from .loop_domains import Bounds, LoopDomains
+from .refs import FieldElement, Variable
+from .regions import Regions
+from .scope import Loop
+from .serial_work import SerialWork
+from .sparse import Level, Levels
+
+
+class ParallelLoops(Part):
+    """The part of the compiler that makes loops at the top of a kernel.
+
+    Args:
+        context, levels, serial_work, regions, domains: below it.
+    """
+
+    def __init__(
+        self, context: Context, levels: Levels, serial_work: SerialWork, regions: Regions,
+        domains: LoopDomains,
+    ):  # fmt: skip
+        super().__init__(context)
+        self.levels, self.serial_work = levels, serial_work
+        self.regions, self.domains = regions, domains
+
+    def make(
+        self, node: ast.For, bounds: Bounds | None, field: Any, grouped: bool,
+        options: dict[str, Any],
+    ) -> None:  # fmt: skip
+        """A `tai.parallel_for` over a box of indices or the elements of a field."""
+        emitter, builder = self.emitter, self.builder
+        level = field if isinstance(field, Level) else None
+        storage = field = level.field if level is not None else field
+        if isinstance(field, MatrixField):
+            storage = field.single or field.components[0]
+        elif isinstance(field, ComponentField) and field.is_window:
+            storage = field._whole.single
+        rank = len(field.shape) if bounds is None else len(bounds.lower)
+        names = self.domains.targets(node, rank if level is None else level.rank, grouped)
+        lower: list[Any] = []
+        upper: list[Any] = []
+        if bounds is not None:
+            for low, high in zip(bounds.lower, bounds.upper, strict=True):
+                if bounds.step != 1:
+                    lower.append(emitter.index(0))
+                    upper.append(self.domains.trip_count(low, high, bounds.step))
+                else:
+                    lower.append(emitter.to_index(low))
+                    upper.append(emitter.to_index(high))
+        is_serial = bool(options.get("serialize"))
+
+        loop = Loop("parallel", self.context.depth + 1)
+        shared = self._share(self.regions.changed_by(node.body), node)
+        outer = builder.get_block()
+        region = builder.region()
+        block = builder.block(region, [emitter.index_type] * rank)
+        builder.set_block(block)
+        self.context.depth += 1
+        self.frame.push()
+        indices = []
+        for dimension in range(rank):
+            if bounds is not None:
+                parts = [bounds.lower[dimension], bounds.upper[dimension]]
+            else:
+                first = (field.offset or (0,) * rank)[dimension]
+                parts = [first, first + field.shape[dimension]]
+            index = emitter.from_index(block.argument(dimension), self.domains.index_type_of(parts))
+            if bounds is not None and bounds.step != 1:
+                scaled = emitter.binary("*", index, bounds.step)
+                index = emitter.binary("+", bounds.lower[dimension], scaled)
+            indices.append(index)
+        if level is not None:
+            offset = field.offset or (0,) * rank
+            indices = [
+                emitter.binary("//", emitter.binary("-", indices[d], offset[d]), level.scale[d])
+                for d in level.dimensions
+            ]
+        self.domains.define_indices(names, indices, grouped)
+        self.levels.appends = False
+        shape = None if bounds is not None else field.shape
+        work = self.serial_work.begin_parallel(bounds, shape, is_serial)
+        self.regions.loop_body(loop, node)
+        self.serial_work.end_parallel(work, bounds, shape, is_serial, node)
+        if self.levels.appends and self.context.options.deterministic:
+            # On many threads, the order of a list would be that in which they come.
+            is_serial = True
+        self.frame.pop(node.lineno)
+        self.context.depth -= 1
+        self.at(node)
+        builder.end_of_parallel_for()
+        builder.set_block(outer)
+        builder.parallel_for(
+            region, lower, upper, None if bounds is not None else storage.symbol,
+            None if level is None else level.up, is_serial,
+            block_dim_of(options, self.context.options),
+        )  # fmt: skip
+        for variable in shared:
+            place = variable.hidden
+            assert place is not None
+            variable.value = place.convert(place.load())
+            variable.hidden = None
+
+    def _share(self, variables: list[Variable], node: ast.For) -> list[Variable]:
+        """Moves variables that a parallel loop changes to memory that its iterations share."""
+        for variable in variables:
+            value = variable.value
+            field = self._shared_memory(variable.name, value.dt, value.shape)
+            place = FieldElement(self.emitter, field, [])
+            place.store(value)
+            variable.hidden = place
+        return variables
+
+    def _shared_memory(self, name: str, dt: DataType, shape: tuple[int, ...]) -> ScalarField:
+        """A field of one element, with a gradient and a dual, that belongs to this kernel."""
+        field = ScalarField(dt, f"{self.context.kernel.symbol}_{name}", "primal", shape)
+        field.needs_grad = field.needs_dual = dt.is_float
+        root = Root()
+        root.place(field)
+        root.allocate(self.context.program)
+        return field

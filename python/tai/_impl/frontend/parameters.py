@@ -1,0 +1,110 @@
+"""What goes into a kernel, and what it gives."""
+
+from __future__ import annotations
+
+import ast
+from typing import Any
+
+from ...errors import TaiSyntaxError
+from ..base import dtypes
+from .context import Context, Part
+from .refs import ArrayArgument, FieldElement, Variable
+from .scope import Bound
+
+
+class Parameters(Part):
+    """The part of the compiler that handles what goes into a kernel, and what it gives.
+
+    Attributes:
+        types, names: of the arguments in IR.
+        gradients: the numbers of those by which the kernel is differentiated; that of the result
+            comes after the last one.
+    """
+
+    def __init__(self, context: Context):
+        super().__init__(context)
+        kernel = context.kernel
+        keeps_result = kernel.result_field is not None
+        self.types = [t for _, spec in kernel.parameters for t in spec.mlir_types]
+        self.names = [n for name, spec in kernel.parameters for n in spec.names(name)]
+        cells = len(kernel.followed) + keeps_result
+        self.types += ["i32"] * cells
+        self.names += ["cell"] * cells
+        self.gradients: list[int] = []
+        # Where forward mode keeps the result, as the number of its first element.
+        self._result_cell: Any = None
+
+    def define(self, block: Any) -> None:
+        """Gives the parameters their names in the body; the block has an argument for each type."""
+        kernel, frame = self.context.kernel, self.frame
+        position = 0
+        handles: list[list[Any]] = []
+        for name, spec in kernel.parameters:
+            handles.append([block.argument(position + i) for i in range(len(spec.mlir_types))])
+            if spec.has_gradient and spec.has_slot:
+                self.gradients.append(position)
+            position += len(spec.mlir_types)
+            given = handles[-1] if spec.alias is None else handles[spec.alias]
+            frame.define(name, self._argument(name, spec, given))
+        for number, (name, field) in enumerate(kernel.followed):
+            variable = frame.scopes[-1][name]
+            assert isinstance(variable, Variable)
+            self._load_cells(variable, field, block.argument(position + number))
+        if kernel.result_field is not None:
+            self._result_cell = block.argument(position + len(kernel.followed))
+        if kernel.result is not None and kernel.result.has_gradient:
+            self.gradients.append(len(self.types))
+
+    def _argument(self, name: str, spec: Any, handles: list) -> Variable | Bound:
+        """What a parameter of the kernel stands for in its body."""
+        if spec.kind == "template":
+            return Bound(spec.constant)
+        if spec.kind == "array":
+            return Bound(ArrayArgument(self.emitter, name, handles, spec))
+        value = self.emitter.value(handles[0], spec.dt, spec.shape)
+        if not spec.shape and spec.dt.kind == "i":
+            value.index = "cast"
+        return Variable(name, value, "kernel argument")
+
+    def _cell(self, field: Any, first: Any, number: int) -> FieldElement:
+        """An element of the field that forward mode keeps numbers in."""
+        emitter = self.emitter
+        at = emitter.binary("+", emitter.value(first, dtypes.i32), number)
+        return FieldElement(emitter, field, [emitter.to_index(at)])
+
+    def _load_cells(self, variable: Variable, field: Any, first: Any) -> None:
+        """A parameter whose value forward mode follows is what it has kept."""
+        emitter, given = self.emitter, variable.value
+        count = 1
+        for extent in given.shape:
+            count *= extent
+        parts = [emitter.cast(self._cell(field, first, i).load(), given.dt) for i in range(count)]
+        variable.value = emitter.matrix(parts, given.dt, given.shape) if given.shape else parts[0]
+
+    def store_cells(self, value: Any) -> None:
+        """Keeps the result for forward mode, if that follows it."""
+        if self._result_cell is None:
+            return
+        for number, part in enumerate(value.scalars() if value.shape else [value]):
+            place = self._cell(self.context.kernel.result_field, self._result_cell, number)
+            place.store(self.emitter.cast(part, dtypes.f64))
+
+    def check_kernel_result(self, value: Any) -> None:
+        if value is None and self.context.kernel.result is not None:
+            raise TaiSyntaxError("the kernel has a return type: return a value")
+        if value is not None and self.context.kernel.result is None:
+            raise TaiSyntaxError(
+                "a kernel that returns a value needs a return type",
+                f"def {self.frame.name}(…) -> ti.f32",
+            )
+
+    def return_from_kernel(self, value: Any, node: ast.Return) -> None:
+        self.check_kernel_result(value)
+        if value is None:
+            self.builder.return_()
+            return
+        assert self.context.kernel.result is not None
+        value = self.context.kernel.result.convert(self.emitter, value)
+        self.at(node)
+        self.store_cells(value)
+        self.builder.return_([value.handle])

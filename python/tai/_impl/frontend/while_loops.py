@@ -1,0 +1,146 @@
+"""`while`, and what leaves a loop: `break` and `continue`."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable
+
+from ...errors import TaiSyntaxError
+from ..base.dtypes import u1
+from ..values.value import Value
+from .checks import refuse_condition
+from .context import Context, Part
+from .refs import Variable
+from .regions import Regions
+from .returns import Returns, find_return
+from .scope import Loop, StaticBreak, StaticContinue
+from .source import own_exits
+
+
+class WhileLoops(Part):
+    """The part of the compiler that handles `while`, `break` and `continue`.
+
+    Args:
+        context, returns, regions: below it.
+    """
+
+    def __init__(self, context: Context, returns: Returns, regions: Regions):
+        super().__init__(context)
+        self.returns, self.regions = returns, regions
+
+    def visit_While(self, node: ast.While) -> None:
+        if node.orelse:
+            raise TaiSyntaxError("'else' of a while is not supported in kernels")
+        emitter = self.emitter
+        loop = Loop("while", self.context.depth + 1)
+        if own_exits(node.body):
+            loop.broken = Variable("break", emitter.constant(False, u1))
+
+        def condition() -> Value | None:
+            value = self.visit(node.test)
+            self.guarded(lambda _: refuse_condition(value), node.test)
+            if isinstance(value, Value):
+                return emitter.to_bool(value)
+            return None if value else emitter.constant(False, u1)
+
+        self.frame.loops.append(loop)
+        variables = self.regions.changed_by(node.body)
+        self.frame.loops.pop()
+        self._carried_while(loop, variables, condition, node)
+        # Without a condition and `break`, only `return` leaves it.
+        endless = isinstance(node.test, ast.Constant) and node.test.value
+        returns = find_return(node.body) is not None
+        self.context.is_dead = bool(endless) and loop.broken is None and returns
+
+    def _carried_while(
+        self,
+        loop: Loop,
+        variables: list[Variable],
+        condition: Callable[[], Value | None],
+        node: ast.While,
+    ) -> None:
+        """An `scf.while`; `condition` is not evaluated any more once `break` has run."""
+        emitter, builder = self.emitter, self.builder
+        flags = self.returns.exit_flags(loop.broken, node.body)
+        variables = [*(f for f in flags if f not in variables), *variables]
+        types = [emitter.type_of(v.value.dt, v.value.shape) for v in variables]
+        initial = [v.value.handle for v in variables]
+        outer = builder.get_block()
+        before, after = builder.region(), builder.region()
+        names = [v.name for v in variables]
+        head = builder.block(before, types, names)
+        builder.set_block(head)
+        self.regions.take_arguments(head, variables)
+        carried = [v.value.handle for v in variables]
+        self.context.depth += 1
+        if not flags:
+            go_on = condition()
+            if go_on is None:
+                go_on = emitter.constant(True, u1)
+        else:
+            go_on = self._both(self.returns.running(flags), condition)
+        self.at(node)
+        builder.condition_of_while(go_on.handle, carried)
+        block = builder.block(after, types, names)
+        builder.set_block(block)
+        self.regions.take_arguments(block, variables)
+        self.regions.loop_body(loop, node)
+        self.context.depth -= 1
+        self.at(node)
+        builder.yield_([v.value.handle for v in variables])
+        builder.set_block(outer)
+        results = builder.while_(initial, types, before, after)
+        self.regions.take_results(results, variables)
+
+    def _both(self, running: Value, condition: Callable[[], Value | None]) -> Value:
+        """`running and condition()`, evaluating the condition only while running."""
+        emitter, builder = self.emitter, self.builder
+        outer = builder.get_block()
+        region = builder.region()
+        builder.set_block(builder.block(region, []))
+        value = condition()
+        if value is None:
+            builder.yield_([running.handle])
+            value = running
+        else:
+            builder.yield_([value.handle])
+        other = builder.region()
+        builder.set_block(builder.block(other, []))
+        builder.yield_([emitter.constant(False, u1).handle])
+        builder.set_block(outer)
+        if value is running:
+            return running
+        handle = builder.if_(running.handle, [emitter.type_of(u1)], region, other)
+        return Value(emitter, handle, u1)
+
+    def visit_Break(self, node: ast.Break) -> None:
+        loop = self._innermost_loop("break")
+        if loop.kind == "static":
+            raise StaticBreak
+        if loop.kind == "parallel":
+            raise TaiSyntaxError(
+                "the outermost loop of a kernel runs in parallel and cannot be left by 'break'",
+                "write ti.loop_config(serialize=True) before the loop",
+            )
+        assert loop.broken is not None
+        loop.broken.value = self.emitter.constant(True, u1)
+        self.context.is_dead = True
+
+    def visit_Continue(self, node: ast.Continue) -> None:
+        loop = self._innermost_loop("continue")
+        if loop.kind == "static":
+            raise StaticContinue
+        assert loop.skipped is not None
+        loop.skipped.value = self.emitter.constant(True, u1)
+        self.context.is_dead = True
+
+    def _innermost_loop(self, word: str) -> Loop:
+        if not self.frame.loops:
+            raise TaiSyntaxError(f"'{word}' outside of a loop")
+        loop = self.frame.loops[-1]
+        if loop.kind == "static" and self.context.depth > loop.depth:
+            raise TaiSyntaxError(
+                f"'{word}' of a ti.static loop depends on what is known only when the kernel runs",
+                "loop with range(…) instead of ti.static(range(…))",
+            )
+        return loop
