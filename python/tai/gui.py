@@ -174,7 +174,9 @@ class GUI:
         for p, q, r, fill in zip(*corners, colors, strict=True):
             self._draw.polygon([tuple(p), tuple(q), tuple(r)], fill=fill)
 
-    def rect(self, topleft: Any, bottomright: Any, radius: float = 1, color: int = 0xFFFFFF):
+    def rect(
+        self, topleft: Any, bottomright: Any, radius: float = 1, color: int = 0xFFFFFF
+    ) -> None:
         """The outline of a rectangle."""
         (x0, y0), (x1, y1) = _array(topleft), _array(bottomright)
         corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]

@@ -269,3 +269,15 @@ def test_python_matrices():
         v + ti.Vector([1, 2])
     with pytest.raises(AttributeError):
         _ = v.w
+
+
+@pytest.mark.parametrize("op", ["+", "-", "*", "//", "%", "**", "<", "==", "&", "<<"])
+@pytest.mark.parametrize("number", [2, np.int32(2)])
+def test_whole_vectors_and_numbers_in_python(op, number):
+    v = ti.Vector([1, 5, 7])
+    for text in (f"v {op} n", f"n {op} v"):
+        found = eval(text, {"v": v, "n": number}).to_numpy()
+        np.testing.assert_array_equal(found, eval(text, {"v": np.array([1, 5, 7]), "n": number}))
+        if op in "+-*":
+            assert found.dtype == np.int32
+    assert (v + 1).dtype is ti.i32

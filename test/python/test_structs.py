@@ -1,6 +1,7 @@
 """Structs in kernels: variables, arguments of functions, nested members, layouts."""
 
 import numpy as np
+import pytest
 import tai as ti
 
 
@@ -126,3 +127,18 @@ def test_gradient_through_a_struct_variable():
     for k in range(3):
         x, y = k + 1.0, k + 2.0
         assert np.isclose(f.grad[k].x, y**3) and np.isclose(f.grad[k].y, 3 * x * y**2)
+
+
+def test_a_copy_has_the_type_that_is_asked_for():
+    f = pair().field(shape=3)
+    assert {k: a.dtype.name for k, a in f.to_numpy().items()} == {"a": "int32", "b": "float32"}
+    wide = f.to_numpy(dtype=np.float64)
+    assert {a.dtype.name for a in wide.values()} == {"float64"}
+
+
+def test_a_gradient_that_is_not_there_is_named():
+    f = ti.Struct.field({"a": ti.f32}, shape=3, name="f")
+    with pytest.raises(ti.TaiAutodiffError, match="field 'f' has no gradient"):
+        f.grad[0]
+    with pytest.raises(ti.TaiAutodiffError, match="field 'f' has no dual"):
+        f.dual[0]

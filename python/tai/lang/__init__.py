@@ -4,13 +4,14 @@ They are loaded when they are first used: some need the extension module.
 """
 
 import importlib
+from types import ModuleType
 
 __all__ = [
     "enums", "exception", "field", "impl", "kernel_impl", "matrix", "misc", "ops", "snode", "util",
 ]  # fmt: skip
 
 
-def __getattr__(name: str):
+def __getattr__(name: str) -> ModuleType:
     if name in __all__:
         return importlib.import_module(f".{name}", __name__)
     raise AttributeError(f"module 'tai.lang' has no attribute '{name}'")

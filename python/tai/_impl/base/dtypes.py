@@ -41,7 +41,7 @@ class DataType:
         """Converts a number: `ti.i64(x)`."""
         return cast(value, self)
 
-    def __reduce__(self):
+    def __reduce__(self) -> Any:
         return (_by_name.__getitem__, (self.name,))
 
     @property

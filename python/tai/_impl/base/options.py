@@ -259,7 +259,8 @@ def signature_of(keywords: dict[str, Keyword]) -> inspect.Signature:
         )
         for k in keywords.values()
     ]
-    return inspect.Signature([*parameters, kind("accepted", kind.VAR_KEYWORD)])
+    others = kind("accepted", kind.VAR_KEYWORD)
+    return inspect.Signature([*parameters, others], return_annotation=None)
 
 
 def described(keywords: dict[str, Keyword]) -> str:

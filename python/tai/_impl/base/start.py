@@ -21,7 +21,9 @@ from .program import Program, reset
 from .targets import Arch, check_target, choose_arch, cpu, cuda, why_no_cuda
 
 
-def init(arch: Arch | None = None, default_fp: Any = None, default_ip: Any = None, **options: Any):
+def init(
+    arch: Arch | None = None, default_fp: Any = None, default_ip: Any = None, **options: Any
+) -> None:
     """Starts anew: forgets all fields and kernels, and sets the options.
 
     A name of Taichi's that asks for what is always so here, or tunes its own passes, is accepted:

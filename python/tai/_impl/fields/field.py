@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from ..base.elements import Elements
 from . import copies
 from .shareable import Shareable
 from .snode import Place, SNode
+
+if TYPE_CHECKING:
+    from .scalar import ScalarField
 
 
 class Field(Elements, Shareable):
@@ -105,14 +108,15 @@ class Field(Elements, Shareable):
 
     def _placed_node(self) -> SNode:
         if self.level is None:
+            of = self.name if self.primal is None else self.primal.name
             if self.role == "grad":
                 raise TaiAutodiffError(
-                    f"field '{self.primal.name}' has no gradient",
+                    f"field '{of}' has no gradient",
                     "make it with needs_grad=True, or call ti.root.lazy_grad() after placing it",
                 )
             if self.role == "dual":
                 raise TaiAutodiffError(
-                    f"field '{self.primal.name}' has no dual",
+                    f"field '{of}' has no dual",
                     "make it with needs_dual=True, or call ti.root.lazy_dual() after placing it",
                 )
             raise TaiRuntimeError(
@@ -133,11 +137,25 @@ class Field(Elements, Shareable):
     def parent(self, n: int = 1) -> SNode | None:
         """The level `n` levels above the field; for 0, its place."""
         self._placed_node()
-        return self.snode.parent(n)
+        place = self.snode
+        assert place is not None
+        return place.parent(n)
 
     @property
     def num_indices(self) -> int:
         return len(self.shape)
+
+    def put_into(self, node: SNode, offset: Any = None) -> None:
+        """Becomes a place of the cells of `node`."""
+        raise NotImplementedError
+
+    def materialize(self, frame: Any = None) -> None:
+        """Allocates the field, with all that is laid out beside it, unless that has been done."""
+        raise NotImplementedError
+
+    def storage(self) -> tuple[ScalarField, int]:
+        """The field of numbers, vectors or matrices that holds it, and which component of that."""
+        raise NotImplementedError
 
     # Whole-field operations
 
@@ -147,6 +165,12 @@ class Field(Elements, Shareable):
 
     def from_numpy(self, array: Any) -> None:
         """Copies an array of shape `shape + element_shape` into the field."""
+        raise NotImplementedError
+
+    def __getitem__(self, key: Any) -> Any:
+        raise NotImplementedError
+
+    def __setitem__(self, key: Any, value: Any) -> None:
         raise NotImplementedError
 
     def fill(self, value: Any) -> None:

@@ -88,7 +88,9 @@ def field(
         offset: the first index along each dimension.
         needs_grad, needs_dual: place a gradient, a tangent.
     """
-    return make_field((), dtype, shape, order, name or None, offset, needs_grad, needs_dual)
+    made = make_field((), dtype, shape, order, name or None, offset, needs_grad, needs_dual)
+    assert isinstance(made, ScalarField)
+    return made
 
 
 def _matrix_field(

@@ -50,7 +50,7 @@ class MatrixField(Field):
 
     def _base_symbol(self, program: Any) -> str:
         if self._symbol_base is None:
-            if self.primal is not None:
+            if isinstance(self.primal, MatrixField):
                 self._symbol_base = f"{self.primal._base_symbol(program)}_{self.role}"
             else:
                 self._symbol_base = self._name or "field"
@@ -100,7 +100,7 @@ class MatrixField(Field):
         if self._single is not None or self.is_split:
             raise TaiRuntimeError(f"field '{self.name}' is placed already")
         primal = self.primal
-        if primal is not None and primal.is_split:
+        if isinstance(primal, MatrixField) and primal.is_split:
             # A gradient is stored as its field is: one array for each component.
             for component in self.components:
                 component.put_into(node, offset)
@@ -188,7 +188,9 @@ class MatrixField(Field):
 
     # Whole field
 
-    def to_numpy(self, keep_dims: bool = False, dtype: Any = None) -> np.ndarray:
+    def to_numpy(  # type: ignore[override]
+        self, keep_dims: bool = False, dtype: Any = None
+    ) -> np.ndarray:
         """A copy as an array of shape `shape + element_shape`."""
         self._placed_node()
         if self._single is not None:

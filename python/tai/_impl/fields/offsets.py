@@ -6,10 +6,10 @@ stands in a cell of the root starts on a cache line.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 if TYPE_CHECKING:
-    from .snode import SNode
+    from .snode import Place, SNode
 
 _CACHE_LINE = 64
 
@@ -80,13 +80,14 @@ def offset_in_parent(node: SNode) -> int:
     if node.kind == "root":
         return 0
     above = node._parent
+    assert above is not None
     line = _CACHE_LINE if above.kind == "root" else 1
     for body in above.contents().values():
         for part in body:
             if node.kind != "place" and isinstance(part, tuple) and part[0] is node:
                 return _body_size(body, part, line)
             if node.kind == "place" and isinstance(part, list):
-                field, component = node.field.storage()
+                field, component = cast("Place", node).field.storage()
                 if field in part:
                     begin = _body_size(body, part, line) + _place_offset(part, field)
                     return begin + component * _number_size(field)

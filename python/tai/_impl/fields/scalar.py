@@ -67,13 +67,14 @@ class ScalarField(Field):
             if needed:
                 companion = self._companion(which)
                 if companion is not None and companion.level is None:
-                    companion.put_into(self._level, self.offset or None)
+                    companion.put_into(self._placed_node(), self.offset or None)
         placed = {which: f for which, f in self._companions.items() if f.level is not None}
         if self.role == "primal" and len(placed) == 2:
             # Both modes together give the derivative of the gradient.
-            second = placed["grad"]._companion("dual")
-            if second.level is None:
-                second.put_into(placed["grad"].level, placed["grad"].offset or None)
+            first = placed["grad"]
+            second = first._companion("dual")
+            if second is not None and second.level is None:
+                second.put_into(first._placed_node(), first.offset or None)
 
     def _make_companion(self, which: str) -> ScalarField:
         return ScalarField(self.dtype, None, which, self.element_shape)
@@ -82,6 +83,7 @@ class ScalarField(Field):
         if self.symbol is not None:
             return
         if self.primal is not None:
+            assert isinstance(self.primal, ScalarField)
             self.primal.choose_symbol(program)
             self.symbol = program.unique_symbol(f"{self.primal.symbol}_{self.role}")
         else:
@@ -90,10 +92,11 @@ class ScalarField(Field):
     def declaration(self, tree: str) -> str:
         """The `tai.field` op of this field."""
         text = f'tai.field @{self.symbol} = @{tree}["{self.symbol}"] : {self.mlir_type}'
-        text += f", rank {len(self._level.shape)}"
+        text += f", rank {len(self._placed_node().shape)}"
         for which, word in (("grad", "adjoint"), ("dual", "dual")):
             companion = self._companions.get(which)
             if companion is not None and companion.level is not None:
+                assert isinstance(companion, ScalarField)
                 companion.choose_symbol(get_program())
                 text += f", {word} @{companion.symbol}"
         if any(self.offset):

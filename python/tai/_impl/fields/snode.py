@@ -287,7 +287,8 @@ class SNode:
 
     def _get_children(self) -> list[SNode]:
         """The levels and places in a cell."""
-        return [c if isinstance(c, SNode) else c.snode for c in self.children]
+        found = [c if isinstance(c, SNode) else c.snode for c in self.children]
+        return [child for child in found if child is not None]
 
     def _path_from_root(self) -> list[SNode]:
         """From the root down to this level."""
@@ -313,6 +314,7 @@ class SNode:
         root = self.root_node
         if root.number is None:
             self._allocate()
+        assert root.number is not None
         return root.number
 
     @property
@@ -394,7 +396,7 @@ class SNode:
 
     def _bodies(self) -> dict[str, list[str]]:
         """What the cells hold, for each role that has cells of its own."""
-        bodies = {}
+        bodies: dict[str, list[str]] = {}
         for role, parts in self.contents().items():
             body = bodies.setdefault(role, [])
             for part in parts:
@@ -465,9 +467,11 @@ class Place(SNode):
         yield from getattr(self.field, "parts", [self.field])
 
     def deactivate_all(self) -> None:
+        assert self._parent is not None
         self._parent.deactivate_all()
 
     def _sparse(self) -> tuple[Any, str, int]:
+        assert self._parent is not None
         return self._parent._sparse()
 
     @property
@@ -531,6 +535,7 @@ class Root(SNode):
             if isinstance(error, TaiMemoryError) and not error.hint:
                 error.hint = "make the extents smaller"
             for field in fields:
+                assert field.symbol is not None
                 program.symbols.give_back(field.symbol)
             program.symbols.give_back(tree)
             error.filename = error.lineno = None  # a place in the text of the layout
@@ -613,6 +618,7 @@ class SNodeTree:
         """The number of the tree, in the order in which trees were allocated."""
         if self._root.is_destroyed:
             raise TaiRuntimeError("the tree is freed already")
+        assert self._root.number is not None
         return self._root.number
 
     def destroy(self) -> None:

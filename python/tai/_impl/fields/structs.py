@@ -27,6 +27,8 @@ class StructType:
     and matrix types, and struct types.
     """
 
+    __name__: str  # of what a class was made of
+
     def __init__(self, members: dict[str, Any], methods: dict[str, Any] | None = None):
         if not members:
             raise TaiRuntimeTypeError("a struct type has at least one member")
@@ -46,7 +48,8 @@ class StructType:
     def bind(self, args: tuple, kwargs: dict) -> dict[str, Any]:
         """What each member is given; zero where that is nothing."""
         if len(args) == 1 and not kwargs and isinstance(args[0], (dict, Struct)):
-            args, kwargs = (), dict(args[0].items())
+            kwargs = dict(args[0].items())
+            args = ()
         if len(args) > len(self.members):
             raise TaiTypeError(f"{self!r} has {len(self.members)} members, but got {len(args)}")
         given = dict(zip(self.members, args, strict=False))
@@ -214,9 +217,13 @@ class StructField(Field):
             member.suggest_name(f"{name}_{key}")
 
     def _companion(self, which: str) -> StructField | None:
-        found = {k: m._companion(which) for k, m in self.members.items()}
-        found = {k: m for k, m in found.items() if m is not None}
-        return StructField(self.type, found, which) if found else None
+        companions = {k: m._companion(which) for k, m in self.members.items()}
+        found = {k: m for k, m in companions.items() if m is not None}
+        if not found:
+            return None
+        made = StructField(self.type, found, which)
+        made.primal = self
+        return made
 
     def put_into(self, node: SNode, offset: Any = None) -> None:
         for member in self.members.values():
@@ -240,9 +247,9 @@ class StructField(Field):
         for name, member in value.items():
             self.members[name][key] = member
 
-    def to_numpy(self, dtype: Any = None) -> dict[str, Any]:
+    def to_numpy(self, dtype: Any = None) -> dict[str, Any]:  # type: ignore[override]
         """A copy as a dictionary of arrays."""
-        return {name: member.to_numpy() for name, member in self.members.items()}
+        return {name: member.to_numpy(dtype=dtype) for name, member in self.members.items()}
 
     def from_numpy(self, arrays: dict[str, Any]) -> None:
         """Copies a dictionary of arrays into the members that it names."""
@@ -311,9 +318,12 @@ def make_struct_field(
 ) -> StructField:  # fmt: skip
     """Implements `.field` of structs; without a shape the members are placed by hand."""
 
+    def struct_of(kind: StructType) -> StructField:
+        return StructField(kind, {k: bare(m) for k, m in kind.members.items()})
+
     def bare(kind: Any) -> Field:
         if isinstance(kind, StructType):
-            return StructField(kind, {k: bare(m) for k, m in kind.members.items()})
+            return struct_of(kind)
         shaped = kind.shape
         made = make_field(shaped, kind.dtype, None, None, None, None, False, False)
         made.needs_grad, made.needs_dual = (
@@ -321,7 +331,7 @@ def make_struct_field(
         )
         return made
 
-    made = bare(type_)
+    made = struct_of(type_)
     if name:
         made.suggest_name(name)
     if shape is None:

@@ -57,6 +57,7 @@ def adjoint_slots(found: Any, values: list, tape: Any) -> tuple[list, Any]:
             add(buffer)
             continue
         gradient = tracked.gradient_of(value)
+        assert gradient is not None
         add(gradient.buffer(spec.dt) if tape is None else tape.argument(gradient, spec.dt))
     result = found.result_spec
     if result is None or not result.has_gradient:

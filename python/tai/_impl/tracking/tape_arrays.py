@@ -71,7 +71,7 @@ def overlap(one: Any, other: Any) -> bool:
         if not np.may_share_memory(one, other):
             return False
         try:
-            return np.shares_memory(one, other, max_work=_MOST_WORK)
+            return np.shares_memory(one, other, max_work=_MOST_WORK)  # type: ignore[arg-type]
         except RuntimeError:  # TooHardError, whose place depends on the version of NumPy
             return True
     begin, end = one.ctypes.data, other.ctypes.data
@@ -88,8 +88,8 @@ def is_same_array(one: Any, other: Any) -> bool:
 
 def _is_equal(one: np.ndarray, other: np.ndarray) -> bool:
     """Whether two arrays hold the same bits."""
-    flat = (np.ascontiguousarray(a).reshape(-1).view(np.uint8) for a in (one, other))
-    return np.array_equal(*flat)
+    a, b = (np.ascontiguousarray(x).reshape(-1).view(np.uint8) for x in (one, other))
+    return np.array_equal(a, b)
 
 
 def _digest_of(array: Any) -> int:

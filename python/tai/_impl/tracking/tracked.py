@@ -103,6 +103,7 @@ class Number(float):
     # NumPy's numbers leave arithmetic to this class, and its functions refuse it.
     __array_ufunc__ = None
 
+    _gradient: Gradient | None
     # Where its tangent is, in forward mode.
     _cell: Any = None
 
@@ -234,7 +235,7 @@ class _Tracked:
             return self[found[0]]
         if found is not None:
             self._refuse_in_tape()
-        return Matrix.__getattr__(self, name)
+        return Matrix.__getattr__(self, name)  # type: ignore[arg-type]
 
     def __iter__(self) -> Any:
         return (self[i] for i in range(len(self._array)))
@@ -286,7 +287,7 @@ class TrackedMatrix(_Tracked, Matrix):
 
 def _wrap(array: np.ndarray, gradient: Gradient | None, cell: Any = None) -> Any:
     cls = TrackedVector if array.ndim == 1 else TrackedMatrix
-    made = object.__new__(cls)
+    made: Any = object.__new__(cls)
     made._array, made._gradient, made._cell = array, gradient, cell
     return made
 
@@ -453,9 +454,12 @@ def _nothing() -> None:
 
 def _seed(value: Any, amount: Any) -> None:
     if isinstance(value, Ndarray):
+        assert value.grad is not None
         value.grad.array[...] += amount
-    else:
-        gradient_of(value).add(amount)
+        return
+    gradient = gradient_of(value)
+    assert gradient is not None
+    gradient.add(amount)
 
 
 def check_loss(loss: Any) -> None:
@@ -484,8 +488,8 @@ def parse_losses(losses: tuple) -> tuple:
                     "an array without a gradient cannot be a loss", "make it with needs_grad=True"
                 )
             shape = value.array.shape
-        elif gradient_of(value) is not None and not gradient_of(value).is_variable:
-            shape = gradient_of(value).shape
+        elif (gradient := gradient_of(value)) is not None and not gradient.is_variable:
+            shape = gradient.shape
         else:
             raise TaiRuntimeTypeError(
                 f"a reverse sweep begins with what a kernel returned under the tape, not with "

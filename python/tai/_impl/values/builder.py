@@ -268,7 +268,9 @@ class Builder:
 
     # Sparse levels, named by a field below and how many levels above it they are
 
-    def _cell(self, name: str, field: str, level: int, indices: Sequence[Handle], types: list):
+    def _cell(
+        self, name: str, field: str, level: int, indices: Sequence[Handle], types: list[Type]
+    ) -> Handle:
         attributes = {"field": self._symbol(field), "level": self._number(level)}
         return self._op(name, indices, types, attributes)
 

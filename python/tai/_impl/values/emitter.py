@@ -16,7 +16,7 @@ from .builder import IS_NAN, ORDERED, SIGNED, UNORDERED, UNSIGNED, Builder
 from .compile_time import PYTHON, compute
 from .division import check_division
 from .domains import check_domain, check_power
-from .integers import Integers
+from .integers import check_shift, check_signs, integer_power, operand_beside, shift
 from .misuse import describe_misuse, misuse_hint, name_of
 from .value import MatrixValue, Value
 
@@ -51,7 +51,7 @@ _MATH = {
 _MAX_SELECTS = 16
 
 
-class Emitter(Integers):
+class Emitter:
     """Emits operations at the insertion point of a builder.
 
     Args:
@@ -146,6 +146,7 @@ class Emitter(Integers):
         if getattr(thing, "is_matrix", False):
             array = thing.to_numpy()
             found = dtypes.to_dtype(array.dtype)
+            assert found is not None
             numbers = [self.constant(x.item(), found) for x in array.ravel()]
             return self.matrix(numbers, found, array.shape)
         if isinstance(thing, (list, tuple)):
@@ -163,7 +164,7 @@ class Emitter(Integers):
             got = name_of(rows) if rows else "an empty list"
             raise TaiTypeError(f"a matrix is made of a list of numbers, but got {got}")
         parts: list[Any] = []
-        widths = set()
+        widths: set[int | None] = set()
         for row in rows:
             if isinstance(row, (list, tuple, np.ndarray)):
                 items = list(row)
@@ -246,7 +247,8 @@ class Emitter(Integers):
         handle = op(*(v.handle for v in operands), self.type_of(dt, shape))
         return MatrixValue(self, handle, dt, shape)
 
-    def _elementwise(self, name: str, operands: list[Value], dt: DataType) -> Any:
+    def elementwise(self, name: str, operands: list[Value], dt: DataType) -> Any:
+        """The result of an operation of `arith` or `math` on values of one shape."""
         shape = operands[0].shape
         handle = self.builder.apply(name, [v.handle for v in operands], self.type_of(dt, shape))
         return self.value(handle, dt, shape)
@@ -381,10 +383,10 @@ class Emitter(Integers):
         number = (bool, int, float, np.generic)
         if weak_a and isinstance(a, number) and not weak_b:
             dt = computed_in(promote(dtype_of(a), b.dt))
-            return self._operand(a, dt), b, dt
+            return operand_beside(self, a, dt), b, dt
         if weak_b and isinstance(b, number) and not weak_a:
             dt = computed_in(promote(a.dt, dtype_of(b)))
-            return a, self._operand(b, dt), dt
+            return a, operand_beside(self, b, dt), dt
         a, b = self.as_value(a), self.as_value(b)
         return a, b, computed_in(promote(a.dt, b.dt))
 
@@ -424,9 +426,9 @@ class Emitter(Integers):
             return made
         name = _cast_op(source, dt)
         if name is None:  # floats to narrow unsigned integers, through i64
-            wide = self._elementwise("arith.fptosi", [value], dtypes.i64)
-            return self._elementwise("arith.trunci", [wide], dt)
-        made = self._elementwise(name, [value], dt)
+            wide = self.elementwise("arith.fptosi", [value], dtypes.i64)
+            return self.elementwise("arith.trunci", [wide], dt)
+        made = self.elementwise(name, [value], dt)
         if name in ("arith.extsi", "arith.trunci") and not value.shape and dt.kind == "i":
             made.index = value.index if dt.bits > source.bits else None
         return made
@@ -453,7 +455,7 @@ class Emitter(Integers):
         """A whole number as an `index` handle."""
         if not isinstance(value, Value):
             if isinstance(value, (int, np.integer)) and not isinstance(value, bool):
-                return self.index(value)
+                return self.index(int(value))
             value = self.as_value(value)
         if value.shape or not (value.dt.is_int or value.dt.is_bool):
             raise TaiTypeError(
@@ -484,7 +486,7 @@ class Emitter(Integers):
         if name in _MATH:
             x = self.to_float(x)
             check_domain(self, name, x)
-            return self._elementwise(_MATH[name], [x], x.dt)
+            return self.elementwise(_MATH[name], [x], x.dt)
         if name in ("neg", "abs"):
             x = self.cast(x, state.options.default_ip if x.dt.is_bool else computed_in(x.dt))
         if x.shape and x.elements is not None and not x.dt.is_float:
@@ -493,12 +495,12 @@ class Emitter(Integers):
             if x.const is not None and x.dt.is_signed:
                 return self.constant(-x.const, x.dt)
             if x.dt.is_float:
-                return self._elementwise("arith.negf", [x], x.dt)
+                return self.elementwise("arith.negf", [x], x.dt)
             return self.binary("-", self.constant(0, x.dt), x)
         if name == "abs":
             if x.dt.is_float:
-                return self._elementwise("math.absf", [x], x.dt)
-            return self._elementwise("math.absi", [x], x.dt) if x.dt.kind == "i" else x
+                return self.elementwise("math.absf", [x], x.dt)
+            return self.elementwise("math.absi", [x], x.dt) if x.dt.kind == "i" else x
         if name == "invert":
             if x.dt.is_float:
                 raise TaiTypeError(f"'~' takes whole numbers, but got {x.kind_name}")
@@ -530,7 +532,7 @@ class Emitter(Integers):
             dt = state.options.default_ip
         is_constant = a.const is not None, b.const is not None
         if op in ("<<", ">>") and not dt.is_float:
-            self.check_shift(op, a, b, dt)
+            check_shift(op, a, b, dt)
         a, b = self.unify(a, b, dt)
         ordered = state.options.ad_ties == "second" and not all(is_constant)
         if op in _TIES and dt.is_float and ordered:
@@ -549,8 +551,8 @@ class Emitter(Integers):
             if dt.min <= number <= dt.max:
                 return self.constant(number, dt)
         if op in ("<<", ">>"):
-            return self.shift(op, name, a, b)
-        made = self._elementwise(name, [a, b], dt)
+            return shift(self, op, name, a, b)
+        made = self.elementwise(name, [a, b], dt)
         if dt.kind == "i" and not a.shape and op in ("+", "-", "*"):
             known = a.index is not None or b.index is not None
             if known and (op != "*" or a.const is not None or b.const is not None):
@@ -570,7 +572,7 @@ class Emitter(Integers):
 
         first = self.compare_by(_TIES[op][first_is_constant], a, b)
         if not first_is_constant and not second_is_constant:
-            first = self._elementwise("arith.ori", [first, self.compare_by(IS_NAN, b, b)], u1)
+            first = self.elementwise("arith.ori", [first, self.compare_by(IS_NAN, b, b)], u1)
         return self.select(first, a, b)
 
     def _divide_whole(self, op: str, a: Any, b: Any) -> Any:
@@ -588,8 +590,8 @@ class Emitter(Integers):
             return whole if op == "//" else self.binary("-", a, self.binary("*", whole, b))
         if dt.kind == "u":
             name = "arith.divui" if op == "//" else "arith.remui"
-            return self._elementwise(name, [a, b], dt)
-        rest = self._elementwise("arith.remsi", [a, b], dt)
+            return self.elementwise(name, [a, b], dt)
+        rest = self.elementwise("arith.remsi", [a, b], dt)
         zero = self.broadcast(self.constant(0, dt), a.shape)
         if b.const is not None and b.const > 0:
             wrong = self.compare("<", rest, zero)
@@ -597,11 +599,11 @@ class Emitter(Integers):
             wrong = self.binary(
                 "&",
                 self.compare("!=", rest, zero),
-                self.compare("<", self._elementwise("arith.xori", [rest, b], dt), zero),
+                self.compare("<", self.elementwise("arith.xori", [rest, b], dt), zero),
             )
         if op == "%":
             return self.select(wrong, self.binary("+", rest, b), rest)
-        quotient = self._elementwise("arith.divsi", [a, b], dt)
+        quotient = self.elementwise("arith.divsi", [a, b], dt)
         return self.select(wrong, self.binary("-", quotient, 1), quotient)
 
     def power(self, a: Any, b: Any) -> Any:
@@ -616,10 +618,10 @@ class Emitter(Integers):
                 return self.unary("sqrt", a)
         a, b, dt = self.operands(a, b)
         if not dt.is_float:
-            return self.integer_power(a, b, dt)
+            return integer_power(self, a, b, dt)
         a, b = self.unify(a, b)
         check_power(self, a, b)
-        return self._elementwise("math.powf", [a, b], a.dt)
+        return self.elementwise("math.powf", [a, b], a.dt)
 
     def _whole_power(self, base: Any, exponent: int) -> Any:
         if base.dt.is_bool:
@@ -646,7 +648,7 @@ class Emitter(Integers):
         if not isinstance(a, Value) and not isinstance(b, Value):
             return {"==": operator.eq, "!=": operator.ne, "<": operator.lt, "<=": operator.le,
                     ">": operator.gt, ">=": operator.ge}[op](a, b)  # fmt: skip
-        self.check_signs(op, a, b)
+        check_signs(op, a, b)
         a, b = self.unify(a, b)
         dt = a.dt
         if a.shape and not dt.is_float and (a.elements or b.elements):
@@ -691,6 +693,17 @@ class Emitter(Integers):
             )
         return self.matrix_op(self.builder.matmul, [a, b], a.dt, (a.shape[0], *b.shape[1:]))
 
+    def check_fraction(self, value: Any, dt: DataType, what: str) -> None:
+        """Warns where a float goes into a whole number without a conversion."""
+        if not dt.is_int:
+            return
+        if isinstance(value, Value):
+            loses = value.dt.is_float and (value.const is None or value.const % 1 != 0)
+        else:
+            loses = isinstance(value, float) and value % 1 != 0 and math.isfinite(value)
+        if loses:
+            self.warn_of_fraction(what)
+
     def check_small(self, matrix: MatrixValue, what: str) -> None:
         if matrix.shape[0] > 4:
             raise TaiTypeError(f"{what} of a {matrix.kind_name}: at most 4×4")
@@ -700,7 +713,7 @@ class Emitter(Integers):
         a, b = self.unify(a, b, dt if dt.is_float else computed_in(state.options.default_fp))
         if a.const == 0 and b.const == 0:  # MLIR's folder makes NaN of it
             return self.splat(math.atan2(a.const, b.const), a.dt, a.shape)
-        return self._elementwise("math.atan2", [a, b], a.dt)
+        return self.elementwise("math.atan2", [a, b], a.dt)
 
     def decompose(self, name: str, matrix: Any, results: list[tuple[int, ...]]) -> tuple:
         """The factors of a matrix, of the given shapes; for `name` see the builder."""
@@ -727,7 +740,7 @@ class Emitter(Integers):
             raise TaiTypeError(f"bit_cast from {value.dt} to {dt}: the widths differ")
         if value.dt.mlir == dt.mlir:
             return self.value(value.handle, dt, value.shape)
-        return self._elementwise("arith.bitcast", [value], dt)
+        return self.elementwise("arith.bitcast", [value], dt)
 
 
 def _cast_op(source: DataType, dt: DataType) -> str | None:

@@ -94,7 +94,9 @@ class Matrix:
 
     @property
     def dtype(self) -> dtypes.DataType:
-        return dtypes.to_dtype(self._array.dtype)
+        found = dtypes.to_dtype(self._array.dtype)
+        assert found is not None
+        return found
 
     def __len__(self) -> int:
         return self._array.shape[0]
@@ -268,7 +270,8 @@ class Matrix:
     def normalized(self, eps: float = 0) -> Any:
         """a / (‖a‖ + eps), and zero for a zero vector."""
         length = self.norm() + eps
-        return self / length if length else self * 0.0
+        a: Any = self  # with operators, which are installed below
+        return a / length if length else a * 0.0
 
     def cast(self, dtype: Any) -> Any:
         """The matrix in another type."""
@@ -430,8 +433,8 @@ def _plain(value: Any) -> Any:
 
 def _narrow(b: Any, like: np.ndarray) -> Any:
     """Keeps float32 with Python numbers, and lets integers meet floats in default_fp."""
-    if like.dtype.kind in "iu" and (isinstance(b, float) or getattr(b, "dtype", like).kind == "f"):
-        return np.asarray(b, state.options.default_fp.numpy) if isinstance(b, float) else b
+    if like.dtype.kind in "iu" and isinstance(b, float):
+        return np.asarray(b, state.options.default_fp.numpy)
     return b
 
 

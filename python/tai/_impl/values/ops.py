@@ -201,7 +201,7 @@ def raw_mod(a: Any, b: Any) -> Any:
     a, b = emitter.unify(a, b)
     check_division(a, b, a.dt)
     forms = {"f": "arith.remf", "i": "arith.remsi", "u": "arith.remui"}
-    return emitter._elementwise(forms[a.dt.kind], [a, b], a.dt)
+    return emitter.elementwise(forms[a.dt.kind], [a, b], a.dt)
 
 
 def raw_div(a: Any, b: Any) -> Any:
@@ -210,7 +210,7 @@ def raw_div(a: Any, b: Any) -> Any:
     a, b = emitter.unify(a, b)
     check_division(a, b, a.dt)
     forms = {"f": "arith.divf", "i": "arith.divsi", "u": "arith.divui"}
-    return emitter._elementwise(forms[a.dt.kind], [a, b], a.dt)
+    return emitter.elementwise(forms[a.dt.kind], [a, b], a.dt)
 
 
 def _in_kernel(name: str) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NoReturn
 
 from ...errors import TaiRuntimeError, TaiRuntimeTypeError, TaiTypeError
 from ..base import dtypes
@@ -171,7 +171,7 @@ def matrix(n: int, m: int, dtype: Any) -> MatrixType:
     return MatrixType(n, m, dtype)
 
 
-def refuse_quant(what: str) -> None:
+def refuse_quant(what: str) -> NoReturn:
     """Says that there are no types of a few bits."""
     raise TaiRuntimeError(
         f"{what}: types of a few bits are not built in", "use ti.i8, ti.i16, ti.u8 or ti.f16"

@@ -170,6 +170,7 @@ class MatrixValue(Value):
     @property
     def handle(self) -> Any:
         if self._handle is None:
+            assert self.elements is not None
             return self.emitter.pack(self.elements, self.dt, self.shape)
         return self._handle
 
@@ -269,7 +270,7 @@ class MatrixValue(Value):
         return Value(emitter, handle, a.dt)
 
     def norm_inv(self, eps: Any = 0) -> Value:
-        return 1.0 / self.norm(eps)
+        return self.emitter.binary("/", 1.0, self.norm(eps))
 
     def normalized(self, eps: Any = 0) -> MatrixValue:
         """a / (‖a‖ + eps), and zero for a zero vector."""
