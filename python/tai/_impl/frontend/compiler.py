@@ -126,6 +126,7 @@ class Compiler:
             Loops(context, compile_time, loop_config, domains, self._statements, serial, parallel),
         ]
         self._methods: dict[type[ast.AST], Callable[[Any], Any]] = {}
+        self._guarded = context.diagnostics.guarded
 
         emitter = context.emitter
         emitter.call = calls.call_from_python
@@ -211,7 +212,7 @@ class Compiler:
         method = self._methods.get(kind)
         if method is None:
             method = self._methods[kind] = self._find_method(kind)
-        return self.context.diagnostics.guarded(method, node)
+        return self._guarded(method, node)
 
     def body(self, statements: list[ast.stmt]) -> None:
         """Compiles the statements of a block; what follows an exit runs only without it."""

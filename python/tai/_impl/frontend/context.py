@@ -156,19 +156,12 @@ class Part:
     """
 
     def __init__(self, context: Context):
-        self.context = context
+        self.context, self._frames = context, context.frames
         self.builder, self.emitter = context.builder, context.emitter
         self.at, self.guarded = context.at, context.diagnostics.guarded
+        self.visit, self.body = context.walker.visit, context.walker.body
 
     @property
     def frame(self) -> Frame:
         """The innermost function that is compiled."""
-        return self.context.frames[-1]
-
-    def visit(self, node: ast.AST) -> Any:
-        """Compiles a node; an error that has no place yet gets that of the node."""
-        return self.context.walker.visit(node)
-
-    def body(self, statements: list[ast.stmt]) -> None:
-        """Compiles the statements of a block; what follows an exit runs only without it."""
-        self.context.walker.body(statements)
+        return self._frames[-1]
