@@ -1,8 +1,8 @@
 """R5: kernels that are wrong get an error that teaches.
 
-The kernels are those of test/python/bad_*.py. Each error must name the file and the line, show it
-with a caret under the part that is wrong, say why in words of Python and of the package, and what
-to do. A process of its own runs each file, so that one that dies is counted, too.
+The kernels are those of the files bad_*.py of test/python. Each error must name the file and the
+line, show it with a caret under the part that is wrong, say why in words of Python and of the
+package, and what to do. A process of its own runs each file, so that one that dies is counted, too.
 """
 
 from __future__ import annotations
