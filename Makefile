@@ -40,7 +40,7 @@ test-bounds: build ## run the Python tests with bounds="check": the same results
 	@TI_BOUNDS=check $(PYTHON) -m pytest -q --tb=short -n $(JOBS) test/python $(ARGS)
 
 test-differential: build ## run examples and scenes in all ways, at larger sizes, and compare
-	@$(PYTHON) -m pytest -q --tb=short -n $(JOBS) --long --timeout 0 test/python/test_differential.py $(ARGS)
+	@$(PYTHON) -m pytest -q --tb=short -n $(JOBS) --long --timeout 0 test/python/integration/test_differential.py $(ARGS)
 
 fuzz: build ## differentiate 5000 random kernels (ARGS="--count 500 --first 9000")
 	@$(PYTHON) test/fuzz/run.py --jobs $(JOBS) --log $(BUILD)/fuzz.jsonl $(ARGS)

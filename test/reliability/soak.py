@@ -42,7 +42,7 @@ ELSEWHERE = {
     "R13": ("sanitizers", "the tests under ASan and UBSan, JIT code under ASan: no report",
             "a report that no suppression names",
             "`make test PRESET=asan`, and `ti.init(sanitize=\"address\")` in "
-            "`test/python/test_sanitizer.py`"),
+            "`test/python/runtime/test_sanitizer.py`"),
     "R14": ("compute-sanitizer", "memcheck, racecheck, initcheck and synccheck: no report",
             "a report of the tool",
             "`make test-gpu ARGS=--sanitize`, the stage `sanitize` of `scripts/test_gpu.py`"),

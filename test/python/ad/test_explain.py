@@ -1,0 +1,130 @@
+"""What `kernel.explain()` says of loops, branches and memory; the page on loops."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import tai as ti
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "loops.md"
+PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+
+
+def line_of(kernel, text):
+    """The number of the first line of a kernel that holds the text."""
+    code = kernel.__wrapped__.__code__ if hasattr(kernel, "__wrapped__") else None
+    source = Path(__file__).read_text().splitlines()
+    first = code.co_firstlineno if code else 1
+    return next(n for n, line in enumerate(source, 1) if n >= first and text in line)
+
+
+def test_classes_lines_and_bytes():
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    x = ti.field(ti.f64, shape=4, needs_grad=True, name="x")
+    v = ti.Vector.field(3, ti.f64, shape=4, needs_grad=True, name="v")
+    loss = ti.field(ti.f64, shape=(), needs_grad=True, name="loss")
+
+    @ti.kernel
+    def kernel(n: ti.i32):
+        for i in x:
+            value, u, total, at, seed, other = x[i], v[i], 0.0, 0, 7, 3
+            for j in range(n):  # the first loop
+                value = ti.sin(value) + 0.1 * at * (seed % 5)
+                u = u * 2.0
+                total += value * x[j % 4]
+                at += 2
+                seed = seed * 5 + j
+                other = other * other + j
+            while value < 2.0:  # the second loop
+                value *= 1.5
+            w = v[i]
+            for _ in range(6):  # the third loop
+                w = w.cross(u) + ti.cos(w)
+            loss[None] += total + w.sum() + value
+
+    text = kernel.explain()
+    first, second, third = re.split(r"  loop at ", text)[1:]
+    assert first.startswith(f"test_explain.py:{line_of(kernel, '# the first loop')}: iterations")
+    assert "value: f64, trajectory: 8 bytes of history for each iteration" in first
+    assert "u: vector<3xf64>, linear: no history" in first
+    assert "total: f64, linear: no history" in first
+    assert "at: i32, closed form" in first
+    assert "seed: i32, invertible" in first
+    assert "other" not in first or "other: i32, not needed" in first
+    assert second.startswith(f"test_explain.py:{line_of(kernel, '# the second loop')}: iterations")
+    assert "history: none" in second
+    assert third.startswith(f"test_explain.py:{line_of(kernel, '# the third loop')}: 6 iterations")
+    assert "w: vector<3xf64>, trajectory: 24 bytes of history for each iteration\n" in third
+    assert "the gradient reads the values of: x, v\n" in text
+    assert "adds to: " in text
+    assert "x_grad" in text
+
+
+def test_branches():
+    x = ti.field(ti.f32, shape=4, needs_grad=True)
+    y = ti.field(ti.f32, shape=4, needs_grad=True)
+
+    @ti.kernel
+    def kernel():
+        for i in x:
+            value = x[i]
+            if value > 0.5:  # cheap
+                value = value * 2.0
+            if value > 1.5:  # dear
+                value = ti.sqrt(value)
+            y[i] = value
+
+    text = kernel.explain()
+    assert f"branch at test_explain.py:{line_of(kernel, '# cheap')}: flattened\n" in text
+    kept = f"branch at test_explain.py:{line_of(kernel, '# dear')}: kept, because a value or"
+    assert kept in text
+
+
+def test_methods_and_what_has_no_gradient():
+    @ti.data_oriented
+    class Thing:
+        def __init__(self):
+            self.x = ti.field(ti.f32, shape=4, needs_grad=True)
+            self.n = ti.field(ti.i32, shape=4)
+
+        @ti.kernel
+        def double(self, factor: ti.f32):
+            for i in self.x:
+                self.x[i] += factor
+
+        @ti.kernel
+        def count(self):
+            for i in self.n:
+                self.n[i] += 1
+
+    thing = Thing()
+    assert thing.double.explain(2.0).startswith("kernel 'double")
+    assert "kernel 'count" in thing.count.explain()
+
+
+def test_kernels_that_cannot_be_differentiated_say_so():
+    x = ti.field(ti.f32, shape=4, needs_grad=True)
+    y = ti.field(ti.f32, shape=4, needs_grad=True)
+
+    @ti.kernel
+    def kernel():
+        for i in x:
+            y[i] = x[i] * x.grad[i]  # which the gradient adds to
+
+    with pytest.raises(ti.TaiAutodiffError):
+        kernel.explain()
+
+
+@pytest.mark.parametrize("number", range(len(PROGRAMS)))
+def test_programs_of_the_page(number, tmp_path):
+    file = tmp_path / "program.py"
+    file.write_text(PROGRAMS[number])
+    done = subprocess.run([sys.executable, str(file)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip()
+    if number == 0:
+        for line in re.search(r"prints \(among others\)\n\n```\n(.*?)```", PAGE.read_text(),
+                              re.DOTALL).group(1).splitlines():  # fmt: skip
+            assert line in done.stdout
