@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import ast
 import sys
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -22,6 +22,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "tai"
 # Of compiled code; `_impl.base.native` loads it when it is needed.
 EXTENSION = "_core"
+MOST_FILES = 40
 
 # From the bottom to the top; each row may import from the rows that it names. `errors` is for all.
 ALLOWED: dict[str, set[str]] = {
@@ -180,6 +181,19 @@ def problems(root: Path, allowed: dict[str, set[str]] = ALLOWED) -> list[str]:
     return list(dict.fromkeys(found))
 
 
+def crowds(*folders: Path) -> list[str]:
+    """The folders below that hold more files side by side than one can look over."""
+    found = []
+    for root in folders:
+        counts = Counter(path.parent for path in root.rglob("*.py"))
+        found += [
+            f"{folder}: {count} files side by side, at most {MOST_FILES}"
+            for folder, count in sorted(counts.items())
+            if count > MOST_FILES
+        ]
+    return found
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--graph", action="store_true", help="print the arrows between packages")
@@ -193,7 +207,7 @@ def main() -> int:
         for name in ALLOWED:
             print(f"{name:<16} -> {', '.join(n for n in ALLOWED if n in arrows[name]) or '-'}")
         return 0
-    found = problems(root)
+    found = problems(root) + crowds(root, ROOT / "test/python")
     print("\n".join(found))
     return 1 if found else 0
 

@@ -75,3 +75,14 @@ def test_a_table_with_a_circle(tmp_path):
     allowed = {**ALLOWED, "_impl.low": {"_impl.high"}}
     found = rooms_python.problems(tmp_path, allowed)
     assert "packages in a circle: _impl.high, _impl.low" in found
+
+
+def test_no_folder_is_crowded(tmp_path):
+    root = SCRIPTS.parent
+    assert rooms_python.crowds(root / "python/tai", root / "test/python") == []
+    for number in range(41):
+        (tmp_path / f"test_{number}.py").touch()
+    assert "41 files side by side, at most 40" in rooms_python.crowds(tmp_path)[0]
+    (tmp_path / "room").mkdir()
+    (tmp_path / "test_0.py").rename(tmp_path / "room" / "test_0.py")
+    assert rooms_python.crowds(tmp_path) == []
