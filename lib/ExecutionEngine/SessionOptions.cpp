@@ -83,9 +83,24 @@ LogicalResult Session::setDeterministic(bool on) {
   compileOptions.deterministic = on;
   // Loops are cut differently for other numbers of threads, and what is fused
   // may depend on where a vectorised loop ends.
-  compileOptions.codegen.contract = !on;
+  compileOptions.codegen.contract = !on && !isStrict;
   rt->setDeterministic(on);
   return success();
+}
+
+LogicalResult Session::setStrict(bool on) {
+  if (on && compileOptions.codegen.fastMath)
+    return failContradiction();
+  isStrict = on;
+  compileOptions.codegen.contract = !on && !compileOptions.deterministic;
+  return success();
+}
+
+LogicalResult Session::failContradiction() {
+  return fail(FailureKind::Usage,
+              "options 'strict' and 'fast_math' contradict one another: the "
+              "first rounds every operation by itself, the second reorders "
+              "them; choose one");
 }
 
 LogicalResult Session::setDebug(bool on) {
@@ -100,6 +115,8 @@ LogicalResult Session::setBounds(BoundsMode mode) {
 }
 
 LogicalResult Session::setFastMath(bool on) {
+  if (on && isStrict)
+    return failContradiction();
   compileOptions.codegen.fastMath = on;
   return success();
 }

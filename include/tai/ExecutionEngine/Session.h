@@ -160,6 +160,8 @@ private:
   LogicalResult setDebug(bool on);
   LogicalResult setBounds(BoundsMode mode);
   LogicalResult setFastMath(bool on);
+  LogicalResult setStrict(bool on);
+  LogicalResult failContradiction();
   LogicalResult setSanitize(StringRef sanitizer);
   LogicalResult setOptLevel(unsigned level);
   LogicalResult setSeed(uint64_t seed);
@@ -191,6 +193,7 @@ private:
   Background background;
   std::shared_ptr<runtime::CacheStore> cache;
   CompileOptions compileOptions;
+  bool isStrict = false;
   /// Of the device that is opened next.
   int64_t deviceMemoryLimit = 0;
   bool fuseLaunches = true;
