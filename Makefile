@@ -10,7 +10,7 @@ PYTHON := .venv/bin/python
 KINDS := $(if $(filter asan tsan,$(PRESET)),--sanitizer $(PRESET))
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse soak bench bench-pairs fmt lint portable docs clean setup
+.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse soak bench bench-pairs fmt lint tidy portable docs clean setup
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /\1\t/' | \
@@ -66,6 +66,9 @@ fmt: setup ## format C++ and Python
 
 lint: setup ## check the format and the style of C++ and Python
 	@$(PYTHON) scripts/lint.py
+
+tidy: build ## clang-tidy over changed sources (ARGS=--all); needs clang-tidy-22
+	@$(PYTHON) scripts/tidy.py --build $(BUILD) --jobs $(JOBS) $(ARGS)
 
 portable: setup ## make dist/tai-portable-*.tar.xz, which needs no LLVM to run
 	@scripts/portable.sh $(JOBS)

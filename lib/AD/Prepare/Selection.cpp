@@ -140,7 +140,7 @@ mlir::tai::selectFunctions(ModuleOp module, ArrayRef<std::string> names) {
     return selected;
   llvm::SetVector<FunctionOpInterface> functions;
   for (FunctionOpInterface function : *selected) {
-    auto it = parts.find(function.getNameAttr());
+    auto *it = parts.find(function.getNameAttr());
     if (it == parts.end())
       functions.insert(function);
     else

@@ -354,7 +354,7 @@ Value AdjointBuilder::sumUp(Value value, PartialAdjoint &entry) {
 }
 
 Value AdjointBuilder::getAdjoint(Value value) {
-  auto it = current->adjoints.find(value);
+  auto *it = current->adjoints.find(value);
   return it == current->adjoints.end() ? Value() : sumUp(value, it->second);
 }
 
@@ -365,7 +365,7 @@ Value AdjointBuilder::getAdjointOrZero(Value value) {
 
 SmallVector<Value> AdjointBuilder::getAdjointComponents(Value value) {
   auto type = cast<VectorType>(value.getType());
-  auto it = current->adjoints.find(value);
+  auto *it = current->adjoints.find(value);
   if (it == current->adjoints.end())
     return SmallVector<Value>(type.getNumElements());
   PartialAdjoint &entry = it->second;

@@ -337,7 +337,7 @@ LogicalResult ContendedAtomics::begin(FunctionOpInterface kernel,
 }
 
 Value ContendedAtomics::getAdjoint(AtomicOp atomic) {
-  auto it = kept.find(atomic);
+  auto *it = kept.find(atomic);
   if (it == kept.end())
     return {};
   Value run =
