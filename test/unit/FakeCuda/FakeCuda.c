@@ -77,6 +77,8 @@ typedef struct FakeGraph {
 /// Each thread has a context of its own, or none.
 static __thread void *current;
 static int context, stream, side, module, faulted;
+/// What "until" looks at while it runs; null while it does not.
+static volatile uint32_t *awaited;
 
 Result cuInit(unsigned flags) {
   (void)flags;
@@ -170,6 +172,7 @@ Result cuDevicePrimaryCtxRetain(void **result, int device) {
 Result cuDevicePrimaryCtxRelease_v2(int device) {
   (void)device;
   faulted = 0;
+  awaited = NULL;
   return 0;
 }
 Result cuCtxGetCurrent(void **result) {
@@ -188,8 +191,6 @@ Result cuStreamDestroy_v2(void *given) {
   (void)given;
   return 0;
 }
-/// What "until" looks at while it runs; null while it does not.
-static volatile uint32_t *awaited;
 NOT_COUNTED static int isRunning(void *on) {
   if (on == &stream && awaited && awaited[0]) {
     awaited[1] = awaited[0];
