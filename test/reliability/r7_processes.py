@@ -2,9 +2,9 @@
 
 All want the same kernels, in orders of their own. Each must get the right numbers, and no kernel
 may be compiled more than twice. The wall time is that of the kernels after everything was imported.
-It may be 1.5 times that of one process, or that of as many on a warm cache where this is longer: what
-all must do in any case, loading the code, is divided among the cores. In the short form times are
-stated and not judged, since tests run beside each other.
+It may be 1.5 times that of one process, or that of as many on a warm cache where this is longer:
+what all must do in any case, loading the code, is divided among the cores. In the short form times
+are stated and not judged, since tests run beside each other.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ def run_together(processes: int, first: int, count: int, cache: Path | None):
 def main() -> None:
     bar = Bar(
         "R7", "processes on one cold cache", full=64, short=8,
-        target="64 processes, 50 kernels: no error, each compiled at most twice, in 1.5 times the time "
-        "of one, or of all on a warm cache",
+        target="64 processes, 50 kernels: no error, each compiled at most twice, in 1.5 times the "
+        "time of one, or of all on a warm cache",
         miss="a process that fails or warns, a kernel that is compiled more than twice, or a "
         "longer time",
     )  # fmt: skip
