@@ -51,12 +51,12 @@ RUNTIME_ARROWS: dict[str, str] = {
     "Device": "Text",
     "Profile": "Device",
     "Queue": "Device",
-    "Mirror": "Device Profile Queue Sparse Storage Text",
+    "Mirror": "Device Profile Queue Sparse Storage Text Threads",
     "Host": "Mirror Storage Threads",
     "Launch": "Device Host Mirror Sparse Storage Text Threads",
     "Tape": "Host Launch Mirror Sparse Storage Text",
     "Cuda": "Device Queue Text Threads",
-    "Emulated": "Device Text",
+    "Emulated": "Device Text Threads",
 }
 KNOWN_CIRCLES: set[tuple[str, str]] = set()
 

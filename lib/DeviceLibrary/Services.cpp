@@ -225,3 +225,16 @@ __attribute__((noinline)) void tai_rt_local_free(void *memory) {
   if (memory && memory != noBytes)
     freeBytes(memory);
 }
+
+//===----------------------------------------------------------------------===//
+// Loops that may be long
+//===----------------------------------------------------------------------===//
+
+TAI_RARE void *tai_rt_go_on(TaiFrame *frame, int32_t) {
+  TaiDeviceState &state = stateOf(frame);
+  uint32_t who = lookAt(&state.stop);
+  if (!who)
+    return &state;
+  state.stopped = who;
+  return nullptr;
+}

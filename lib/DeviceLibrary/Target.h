@@ -30,6 +30,7 @@ uint32_t tai_emu_match(uint64_t value);
 // A heap with a limit, as that of a GPU has one.
 void *tai_emu_allocate(uint64_t bytes);
 void tai_emu_free(void *memory);
+void tai_emu_look(uint32_t *stop);
 int sched_yield(void);
 #endif
 }
@@ -81,6 +82,18 @@ inline uint32_t shuffleDown(uint32_t, uint32_t value, unsigned offset) {
 inline uint32_t matchAny(uint64_t value) { return tai_emu_match(value); }
 inline bool voteAny(bool mine) {
   return tai_emu_match(mine) != wholeWarp || mine;
+}
+#endif
+
+/// The host writes to this address by itself.
+#ifdef __NVPTX__
+inline uint32_t lookAt(uint32_t *stop) {
+  return *static_cast<volatile uint32_t *>(stop);
+}
+#else
+inline uint32_t lookAt(uint32_t *stop) {
+  tai_emu_look(stop);
+  return *stop;
 }
 #endif
 

@@ -158,6 +158,16 @@ _BY_STATUS = {
 }
 
 
+# Names of the IR, which has letters of English only, and what the program calls the same thing.
+SPELLINGS: dict[str, str] = {}
+
+
+def spelled(name: str) -> str:
+    """A name of the IR, or one that the compiler made of it, as the program has it."""
+    base = name.removesuffix("_grad")
+    return SPELLINGS.get(name) or SPELLINGS.get(base, base) + name[len(base) :]
+
+
 def from_core(
     status: int, message: str, file: str, line: int, column: int, diagnostics: str
 ) -> TaiError:
@@ -167,6 +177,8 @@ def from_core(
         kind = TaiAssertionError
     # Fields have no such sign in Python.
     message = re.sub(r"'@(\"?)([^'\"]+)\1'", r"'\2'", message)
+    if SPELLINGS:
+        message = re.sub(r"'(\w+)'", lambda match: f"'{spelled(match[1])}'", message)
     error = kind(message or "unknown failure")
     if file and line > 0:
         error.locate(file, line, max(column, 1))

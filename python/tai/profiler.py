@@ -18,7 +18,7 @@ from ._impl.base.skips import Skips as Skips
 from ._impl.base.skips import clear_skips as clear_skips
 from ._impl.base.skips import print_skips as print_skips
 from ._impl.base.skips import skips as skips
-from .errors import TaiRuntimeError
+from .errors import TaiRuntimeError, spelled
 
 _KINDS = ("host", "device", "memory")
 
@@ -89,8 +89,16 @@ def get_stats(memory: bool = False) -> list[KernelStats]:
             known = [_known(number) for number in rest[:5]]
             rows.append(
                 KernelStats(
-                    name, counter, total, least, most, _KINDS[kind], place, *known, *rest[5:]
-                )
+                    spelled(name),
+                    counter,
+                    total,
+                    least,
+                    most,
+                    _KINDS[kind],
+                    place,
+                    *known,
+                    *rest[5:],
+                )  # fmt: skip
             )
     return sorted(rows, key=lambda row: -row.total)
 

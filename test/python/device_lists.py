@@ -40,7 +40,7 @@ ONE_RUN_DOES = {
     "test_emulated_blocks": {ALL: CHOOSES},
     "test_forward_mode": {"test_every_scalar_rule_is_tested": NAMES},
     "test_gpu_benchmark": {ALL: CHOOSES},
-    "test_interrupts": {ALL: "nothing ends a kernel on a device before its time"},
+    "test_interrupts": {ALL: "of kernels on the CPU; those of a device: test_device_interrupts"},
     "test_lazy_names": {ALL: NAMES},
     "test_matrices": {
         "test_in_python": "matrices of Python, which no kernel computes",

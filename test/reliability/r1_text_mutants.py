@@ -2,7 +2,9 @@
 
 Each mutant is parsed and goes through whole pipelines, and through the passes of the file that
 it comes from. Errors are what is expected; signals and hangs are not. Many mutants go through one
-process; where that dies or hangs, the mutant that did it is found by halves and kept.
+process; where that dies or hangs, the mutant that did it is found by halves and kept. A process
+that still computes when the time of the run is up is ended and named; what it was given does not
+count as tried.
 """
 
 from __future__ import annotations
@@ -16,12 +18,13 @@ import signal
 import subprocess
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from bars import ROOT, Bar
-from mutations import Mutator, read_sources
+from mutations import SPLIT, Mutator, read_sources
 
 SECONDS = 10  # of computing, for one mutant; more is a hang
 BATCH = 40
@@ -46,7 +49,7 @@ FRAME = re.compile(
 
 @dataclass
 class Outcome:
-    """How one process ended: 'ok', 'hang', or a signal with the frames it came from."""
+    """How one process ended: 'ok', 'hang', 'late', or a signal with the frames it came from."""
 
     kind: str
     frames: list[str] = field(default_factory=list)
@@ -85,54 +88,88 @@ def frames_of(trace: str) -> list[str]:
     return frames
 
 
-def call(tool: Path, options: str, texts: list[str], folder: Path) -> Outcome:
-    """Runs tai-opt on the texts as one file."""
+def is_asleep(process: subprocess.Popen) -> bool:
+    """Whether a process waits for something, instead of computing or waiting for a processor."""
+    state = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()[0]
+    return state in "SDT"
+
+
+def run_limited(
+    command: list[object], seconds: int, left: float, **more: Any
+) -> tuple[str, int, bytes, bytes]:
+    """Runs a tool that may compute for `seconds`, and at most until the time that is left is up.
+
+    On a busy machine the first takes many times as long by the clock.
+
+    Returns:
+        How it ended ('ok', 'hang' or 'late'), its status, and what it wrote.
+    """
+    process = subprocess.Popen(
+        command, stderr=subprocess.PIPE, preexec_fn=lambda: limit(seconds), **more
+    )
+    try:
+        out, error = process.communicate(timeout=max(1, min(20 * seconds, left)))
+    except subprocess.TimeoutExpired:
+        kind = "hang" if left > 20 * seconds or is_asleep(process) else "late"
+        process.kill()
+        process.communicate()
+        return kind, 0, b"", b""
+    return "ok", process.returncode, out or b"", error
+
+
+def call(tool: Path, options: str, texts: list[str], folder: Path, left: float) -> Outcome:
+    """Runs tai-opt on the texts as one file, for at most the time that is left."""
     path = folder / "batch.mlir"
     path.write_text("\n// -----\n".join(texts), encoding="utf-8", errors="surrogateescape")
     seconds = SECONDS + len(texts) - 1
     command = [tool, "--split-input-file", "--mlir-disable-threading", *options.split(), path]
-    try:
-        result = subprocess.run(
-            [*command, "-o", "/dev/null"],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            env={**os.environ, "LLVM_DISABLE_SYMBOLIZATION": "1"},
-            preexec_fn=lambda: limit(seconds),
-            timeout=20 * seconds,
-        )
-    except subprocess.TimeoutExpired:
-        return Outcome("hang")
-    if result.returncode > 1 or b"Unknown command line argument" in result.stderr:
-        raise RuntimeError(result.stderr.decode())
-    if result.returncode >= 0:
+    kind, status, _, error = run_limited(
+        [*command, "-o", "/dev/null"], seconds, left, stdout=subprocess.DEVNULL,
+        env={**os.environ, "LLVM_DISABLE_SYMBOLIZATION": "1"},
+    )  # fmt: skip
+    if kind != "ok":
+        return Outcome(kind)
+    if status > 1 or b"Unknown command line argument" in error:
+        raise RuntimeError(error.decode())
+    if status >= 0:
         return Outcome("ok")
-    report = result.stderr.decode("latin-1")
-    hangs = -result.returncode in (signal.SIGXCPU, signal.SIGKILL)
-    kind = "hang" if hangs else f"signal {-result.returncode}"
+    report = error.decode("latin-1")
+    hangs = -status in (signal.SIGXCPU, signal.SIGKILL)
+    kind = "hang" if hangs else f"signal {-status}"
     return Outcome(kind, frames_of(report), report)
 
 
 def find_failures(
-    tool: Path, options: str, texts: list[str], folder: Path
+    tool: Path, options: str, texts: list[str], folder: Path, left: Callable[[], float]
 ) -> Iterator[tuple[str, Outcome]]:
-    """The texts of a batch that end their process, by halves."""
-    outcome = call(tool, options, texts, folder)
+    """The texts of a batch that end their process, by halves.
+
+    Args:
+        left: the seconds that are left of the run. What is not tried when they are over, comes as
+            one text that is 'late'.
+    """
+    outcome = call(tool, options, texts, folder, left())
     if outcome.kind == "ok":
         return
-    if len(texts) == 1:
-        yield texts[0], outcome
+    if len(texts) == 1 or outcome.kind == "late":
+        yield "\n// -----\n".join(texts), outcome
         return
     middle = len(texts) // 2
-    yield from find_failures(tool, options, texts[:middle], folder)
-    yield from find_failures(tool, options, texts[middle:], folder)
+    yield from find_failures(tool, options, texts[:middle], folder, left)
+    yield from find_failures(tool, options, texts[middle:], folder, left)
 
 
 @functools.cache
 def generic_form(tool: Path, text: str) -> str:
     """The text as MLIR prints any op, in which regions may be what no parser of an op lets by."""
-    command = [tool, "--mlir-print-op-generic", "--mlir-print-local-scope"]
-    result = subprocess.run(command, input=text, capture_output=True, text=True, errors="replace")
-    return result.stdout if result.returncode == 0 else text
+    with tempfile.TemporaryFile() as given:
+        given.write(text.encode(errors="replace"))
+        given.seek(0)
+        kind, status, out, _ = run_limited(
+            [tool, "--mlir-print-op-generic", "--mlir-print-local-scope"], SECONDS, 20 * SECONDS,
+            stdin=given, stdout=subprocess.PIPE,
+        )  # fmt: skip
+    return out.decode(errors="replace") if kind == "ok" and status == 0 else text
 
 
 def main() -> None:
@@ -149,6 +186,7 @@ def main() -> None:
     done = 0
     counts: Counter[str] = Counter()
     places: Counter[str] = Counter()
+    late = 0
     with tempfile.TemporaryDirectory() as folder:
         while done < args.count and bar.left() > 0:
             source = choose.choices(sources, [1 if piece.invalid else 6 for piece in sources])[0]
@@ -160,7 +198,9 @@ def main() -> None:
             if choose.random() < 0.3:
                 texts = [generic_form(tool, text) for text in texts]
             texts = [mutator.mutate(text) for text in texts]
-            for text, outcome in find_failures(tool, options, texts, Path(folder)):
+            late = 0
+            for text, outcome in find_failures(tool, options, texts, Path(folder), bar.left):
+                late += len(SPLIT.split(text)) if outcome.kind == "late" else 0
                 kind = "known" if outcome.known else outcome.kind.split()[0]
                 counts[kind] += 1
                 place = f"{outcome.place} ({options})"
@@ -172,13 +212,16 @@ def main() -> None:
                     (args.keep / f"{kind}-{sum(counts.values())}.mlir").write_text(
                         f"// {place}\n{text}", errors="surrogateescape"
                     )
-            done += size
+            done += size - late
+            if late:
+                break
     for place, number in places.most_common():
         print(f"{number:6} {place}")
     bar.report(
         f"{done} mutants",
         f"{counts['signal']} signals, {counts['hang']} hangs, "
-        f"{counts['known']} known crashes of MLIR's own",
+        f"{counts['known']} known crashes of MLIR's own"
+        + (f", {late} not done when the time was up" if late else ""),
         met=not counts["signal"] and not counts["hang"],
     )
 

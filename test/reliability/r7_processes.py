@@ -1,9 +1,10 @@
 """R7: many processes begin at once on one cold cache, and share the work.
 
 All want the same kernels, in orders of their own. Each must get the right numbers, and no kernel
-may be compiled more than twice. The wall time is that of the kernels after everything was imported;
-it is stated beside that of one process, with the number of cores, since what all must do in any
-case, loading the code, is divided among those.
+may be compiled more than twice. The wall time is that of the kernels after everything was imported.
+It may be 1.5 times that of one process, or that of as many on a warm cache where this is longer:
+what all must do in any case, loading the code, is divided among the cores. In the short form times
+are stated and not judged, since tests run beside each other.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import cold_kernels
 from bars import Bar
 
 MOST_COMPILED = 2
+MOST_TIME = 1.5
 
 
 def run_together(processes: int, first: int, count: int, cache: Path | None):
@@ -31,8 +33,10 @@ def run_together(processes: int, first: int, count: int, cache: Path | None):
 def main() -> None:
     bar = Bar(
         "R7", "processes on one cold cache", full=64, short=8,
-        target="64 processes, 50 kernels: no error, each compiled at most twice",
-        miss="a process that fails or warns, or a kernel that is compiled more than twice",
+        target="64 processes, 50 kernels: no error, each compiled at most twice, in 1.5 times the "
+        "time of one, or of all on a warm cache",
+        miss="a process that fails or warns, a kernel that is compiled more than twice, or a "
+        "longer time",
     )  # fmt: skip
     bar.parser.add_argument(
         "--kernels", type=int, help="how many each runs; 50, or 10 with --short"
@@ -48,12 +52,15 @@ def main() -> None:
     for problem in problems[:5]:
         print(problem)
     most = max(compiled.values())
+    ratio = together / max(alone, loading)
+    in_time = args.short or ratio <= MOST_TIME
     bar.report(
         f"{args.count} processes of {kernels} kernels",
         f"{len(problems)} errors, each function compiled at most {most} times; "
         f"{together:.1f} s, one process {alone:.1f} s, all on a warm cache {loading:.1f} s, "
-        f"on {os.cpu_count()} cores",
-        met=not problems and most <= MOST_COMPILED, bar=f"0, {MOST_COMPILED}",
+        f"{ratio:.2f} times the longer of these, on {os.cpu_count()} cores",
+        met=not problems and most <= MOST_COMPILED and in_time,
+        bar=f"0, {MOST_COMPILED}" + ("" if args.short else f", {MOST_TIME}"),
     )  # fmt: skip
 
 

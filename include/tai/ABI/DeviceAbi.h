@@ -92,6 +92,14 @@ void tai_rt_stack_grow_at(TaiFrame *frame, TaiStack *stack, const char *text,
                           const char *where);
 
 //===----------------------------------------------------------------------===//
+// Loops that may be long
+//===----------------------------------------------------------------------===//
+
+/// Null where the thread is to end, which has then been noted. The compiler
+/// asks every so many iterations of a loop, and says how many: a power of two.
+void *tai_rt_go_on(TaiFrame *frame, int32_t every);
+
+//===----------------------------------------------------------------------===//
 // Programs
 //===----------------------------------------------------------------------===//
 //
@@ -185,6 +193,9 @@ void tai_emu_warp_barrier(void);
 uint64_t tai_emu_exchange(uint64_t value, uint32_t from);
 /// The lanes of the warp that have the same value; all of it call.
 uint32_t tai_emu_match(uint64_t value);
+/// Looks whether the host wants the kernel to end, and then says so at the
+/// address.
+void tai_emu_look(uint32_t *stop);
 void *tai_emu_allocate(uint64_t bytes);
 void tai_emu_free(void *memory);
 

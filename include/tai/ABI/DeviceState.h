@@ -66,7 +66,11 @@ typedef struct TaiDeviceState {
   uint64_t stackLimit;
   /// For tai_dev_grid_barrier: blocks that have arrived, and rounds.
   uint32_t barrier[2];
-  uint32_t reserved[2];
+  /// Not zero while loops that may be long are to end: the number of the thread
+  /// of the host that wants it.
+  uint32_t stop;
+  /// The same of a thread of the device that has ended for it.
+  uint32_t stopped;
   /// The first failure, a TaiDeviceRecord.
   uint64_t failure[TAI_DEVICE_RECORD_BYTES / 8];
 } TaiDeviceState;

@@ -19,6 +19,9 @@ namespace mlir::tai {
 constexpr char kLocalAllocate[] = "tai_rt_local_alloc";
 constexpr char kLocalFree[] = "tai_rt_local_free";
 constexpr char kLocalGiven[] = "tai_rt_local_given";
+/// Asks whether a loop that may be long goes on, every so many iterations: null
+/// where it does not.
+constexpr char kGoOn[] = "tai_rt_go_on";
 
 } // namespace mlir::tai
 

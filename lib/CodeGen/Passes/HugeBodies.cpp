@@ -96,10 +96,21 @@ PreservedAnalyses KeepHugeLoopsScalar::run(Function &function,
   return PreservedAnalyses::all();
 }
 
+/// Whether a block has more instructions than that.
+static bool hasBlockAbove(const Function &function, unsigned limit) {
+  return any_of(function,
+                [&](const BasicBlock &block) { return block.size() > limit; });
+}
+
 bool KeepHugeLoopsScalar::canRun(StringRef pass, const Any &ir) {
   const auto *function = any_cast<const Function *>(&ir);
-  return pass != "LoopLoadEliminationPass" || !function ||
-         !(*function)->hasFnAttribute(kManyPairs);
+  if (!function)
+    return true;
+  if (pass == "LoopLoadEliminationPass")
+    return !(*function)->hasFnAttribute(kManyPairs);
+  // Short loops that were unrolled one behind the other are such a block.
+  return pass != "SLPVectorizerPass" ||
+         !hasBlockAbove(**function, HugeBodyLimits().block);
 }
 
 //===----------------------------------------------------------------------===//

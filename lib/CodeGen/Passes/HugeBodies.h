@@ -29,7 +29,7 @@ struct HugeBodyLimits {
   /// Loops of a function: those of one with more are not unrolled.
   unsigned loops = 200;
   /// Instructions of a basic block that becomes machine code: a longer one is
-  /// divided.
+  /// divided. No vectors are made of the statements of one.
   unsigned block = 8000;
   /// The same of a block's writes times its reads and writes: which of them may
   /// change places is asked of pairs.

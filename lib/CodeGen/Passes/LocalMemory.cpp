@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A thread that is given no memory gives back what it has, and goes to the end
-// of its function. All threads of a block meet where they add up their sums: it
-// does not leave that out.
+// A thread that is given no memory, or whose loop is told to end, gives back
+// what it has, and goes to the end of its function. All threads of a block meet
+// where they add up their sums: it does not leave that out.
 //
 //===----------------------------------------------------------------------===//
 
@@ -18,6 +18,7 @@
 #include "llvm/IR/InstIterator.h"
 #include "llvm/IR/MDBuilder.h"
 #include "llvm/IR/Module.h"
+#include "llvm/Transforms/Utils/BasicBlockUtils.h"
 
 using namespace llvm;
 
@@ -131,9 +132,32 @@ static void endWhereNull(CallInst &call, Value &address,
   builder.CreateRetVoid();
 }
 
+/// Asks every so many times that the call is reached in this run of the
+/// function; the last argument is a power of two.
+static void space(CallInst &call) {
+  Function &function = *call.getFunction();
+  auto *every = cast<ConstantInt>(call.getArgOperand(call.arg_size() - 1));
+  if (every->isOne())
+    return;
+  IRBuilder<> builder(&*function.getEntryBlock().getFirstInsertionPt());
+  AllocaInst *count = builder.CreateAlloca(builder.getInt32Ty());
+  builder.CreateStore(builder.getInt32(0), count);
+  builder.SetInsertPoint(&call);
+  Value *next = builder.CreateAdd(
+      builder.CreateLoad(builder.getInt32Ty(), count), builder.getInt32(1));
+  builder.CreateStore(next, count);
+  Value *isTime = builder.CreateIsNull(
+      builder.CreateAnd(next, builder.getInt32(every->getZExtValue() - 1)));
+  Instruction *then = SplitBlockAndInsertIfThen(
+      isTime, call.getIterator(), /*Unreachable=*/false,
+      MDBuilder(function.getContext()).createUnlikelyBranchWeights());
+  call.moveBefore(then->getIterator());
+}
+
 void mlir::tai::endWhereMemoryLacks(Module &module) {
   DenseMap<Function *, OwnMemory> memories;
-  for (StringRef name : {kLocalAllocate, kLocalGiven}) {
+  for (StringRef name :
+       {StringRef(kLocalAllocate), StringRef(kLocalGiven), StringRef(kGoOn)}) {
     Function *function = module.getFunction(name);
     if (!function)
       continue;
@@ -145,6 +169,8 @@ void mlir::tai::endWhereMemoryLacks(Module &module) {
       bool isGiven = name == kLocalGiven;
       llvm::Value *address = isGiven ? call->getArgOperand(0) : call;
       Function *caller = call->getFunction();
+      if (name == kGoOn)
+        space(*call);
       if (caller->getReturnType()->isVoidTy()) {
         const OwnMemory &memory =
             memories.try_emplace(caller, *caller).first->second;

@@ -433,6 +433,17 @@ static llvm::MapVector<Value, bool> findActivated(Operation *op) {
   return trees;
 }
 
+/// Whether one thread runs all of it.
+static bool runsAlone(ParallelForOp loop) {
+  for (auto [lower, upper] :
+       llvm::zip(loop.getLowerBounds(), loop.getUpperBounds())) {
+    auto first = getConstantIntValue(lower), end = getConstantIntValue(upper);
+    if (!first || !end || *end > *first + 1)
+      return false;
+  }
+  return true;
+}
+
 LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
                                DeviceLowering &lowering) {
   Location loc = loop.getLoc();
@@ -497,6 +508,9 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   if (failed(lowerLeafOps(function, lowering.device)) ||
       (tile && failed(lowerLeafOps(tile, lowering.device))))
     return failure();
+  // Where threads meet inside of loops, none of them may end alone.
+  if (!loop->hasAttr(kInWarpAttrName))
+    pollLongLoops(function, iterations.loop, runsAlone(loop), runtime);
   guardAllocations(function, runtime);
 
   SmallVector<Value> operands(parameters.getOperands());

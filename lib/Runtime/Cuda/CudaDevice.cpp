@@ -197,6 +197,10 @@ CudaDevice::~CudaDevice() {
       (void)cu.memFreeHost(staging);
     if (orderEvent)
       (void)cu.eventDestroy(orderEvent);
+    if (stopSource)
+      (void)cu.memFreeHost(stopSource);
+    if (stopStream)
+      (void)cu.streamDestroy(stopStream);
     if (stream) {
       (void)cu.streamSynchronize(stream);
       (void)cu.streamDestroy(stream);

@@ -18,6 +18,7 @@
 #include "Driver.h"
 #include "RepeatedLaunch.h"
 #include "tai/Runtime/Device/Device.h"
+#include <chrono>
 #include <map>
 #include <mutex>
 #include <set>
@@ -95,6 +96,7 @@ public:
   Status waitForStream(uint64_t other) override;
   Status letStreamWait(uint64_t other) override;
   Status synchronize() override;
+  void setStopWord(DevicePtr word) override;
 
 private:
   friend struct CudaModule;
@@ -159,6 +161,20 @@ private:
 
   /// The first launches that a graph that is recorded shall let change.
   size_t numChangeable = 0;
+
+  /// Waits in safepoints until the driver no longer says that it is not ready.
+  template <typename Query>
+  Status waitUntilReady(const Query &query, Result &result);
+  /// Tells loops that ask whether they go on to end, and waits a moment for it.
+  template <typename Query> void stopLoops(const Query &query);
+  bool isStopWritten(uint32_t who, std::chrono::steady_clock::time_point end);
+
+  /// The word by which they are told, or 0; a stream of its own, which passes
+  /// what is queued; and what it copies from: no thread, and one that asks.
+  DevicePtr stopWord = 0;
+  Stream stopStream = nullptr;
+  uint32_t *stopSource = nullptr;
+  std::mutex stopMutex;
 
   /// Puts streams in order; made when it is needed.
   std::mutex orderMutex;

@@ -8,6 +8,7 @@
 #include "CudaDevice.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 #include <algorithm>
+#include <chrono>
 #include <sched.h>
 
 using namespace mlir::tai::runtime;
@@ -293,15 +294,62 @@ Status CudaDevice::record(std::unique_ptr<DeviceEvent> &event) {
                 : std::move(status);
 }
 
-/// Waits in safepoints until the driver no longer says that it is not ready. An
-/// interrupted wait leaves what is queued as it is: the next one goes on.
+void CudaDevice::setStopWord(DevicePtr word) {
+  std::lock_guard<std::mutex> lock(stopMutex);
+  stopWord = 0;
+  if (!enter() ||
+      (!stopStream &&
+       cu.streamCreate(&stopStream, kStreamNonBlocking) != kSuccess))
+    return;
+  void *memory = nullptr;
+  if (!stopSource &&
+      cu.memAllocHost(&memory, 2 * sizeof(*stopSource)) == kSuccess)
+    stopSource = static_cast<uint32_t *>(memory);
+  if (stopSource)
+    stopWord = word;
+}
+
+bool CudaDevice::isStopWritten(uint32_t who,
+                               std::chrono::steady_clock::time_point end) {
+  // Each value has a place of its own, since a copy may still read the other.
+  uint32_t *source = &stopSource[who != 0];
+  *source = who;
+  if (cu.memcpyHtoDAsync(stopWord, source, sizeof(who), stopStream) != kSuccess)
+    return false;
+  Result result;
+  while ((result = cu.streamQuery(stopStream)) == kNotReady &&
+         std::chrono::steady_clock::now() < end)
+    sched_yield();
+  return result == kSuccess;
+}
+
+template <typename Query> void CudaDevice::stopLoops(const Query &query) {
+  std::lock_guard<std::mutex> lock(stopMutex);
+  if (!stopWord)
+    return;
+  // Whoever sees it ends soon. What does not is left to itself, as is a device
+  // that does not even copy.
+  constexpr std::chrono::milliseconds patience(500);
+  auto end = std::chrono::steady_clock::now() + patience;
+  if (isStopWritten(safepoint::threadNumber(), end))
+    while (query() == kNotReady && std::chrono::steady_clock::now() < end)
+      sched_yield();
+  // Kernels that are queued from now on shall go on.
+  (void)isStopWritten(0, std::chrono::steady_clock::now() + patience);
+}
+
+/// An interrupted wait ends what looks at its word. What else is queued stays
+/// as it is: the next wait goes on.
 template <typename Query>
-static Status waitUntilReady(const Query &query, Result &result) {
+Status CudaDevice::waitUntilReady(const Query &query, Result &result) {
   safepoint::Watch watch;
   while ((result = query()) == kNotReady) {
-    if (!watch.look())
-      return Status::failure(StatusCode::Interrupted, "interrupted");
-    sched_yield();
+    if (watch.look()) {
+      sched_yield();
+      continue;
+    }
+    stopLoops(query);
+    return Status::failure(StatusCode::Interrupted, "interrupted");
   }
   return Status::success();
 }

@@ -143,6 +143,7 @@ Status mlir::tai::runtime::readDeviceReport(const TaiDeviceState &state,
     left -= line.header.bytes;
   }
   report.lostLines = state.lostLines;
+  report.stoppedBy = state.stopped;
   if (!state.failed)
     return Status::success();
   Record failure;

@@ -18,6 +18,7 @@
 #include "EmulatedThreads.h"
 #include "tai/ABI/DeviceAbi.h"
 #include "tai/Runtime/Device/Device.h"
+#include "tai/Runtime/Threads/Safepoint.h"
 #include <algorithm>
 #include <atomic>
 #include <chrono>
@@ -28,6 +29,7 @@
 #include <set>
 #include <sys/mman.h>
 #include <unistd.h>
+#include <utility>
 
 using namespace mlir::tai::runtime;
 
@@ -62,6 +64,17 @@ extern "C" void tai_emu_next_in_group(void) {
   group.next += group.step;
 }
 extern "C" void tai_emu_end_group(void) { place = group.before; }
+
+/// Where the kernel that this thread runs has been told to end.
+static thread_local uint32_t *stoppedAt = nullptr;
+
+extern "C" void tai_emu_look(uint32_t *stop) {
+  static thread_local safepoint::Watch watch;
+  if (stoppedAt || watch.look())
+    return;
+  stoppedAt = stop;
+  *stop = safepoint::threadNumber();
+}
 
 namespace {
 using ThreadFunction = void (*)(const uint64_t *slots);
@@ -302,6 +315,10 @@ public:
       }
     }
     place = before;
+    if (__builtin_expect(stoppedAt != nullptr, false)) {
+      *std::exchange(stoppedAt, nullptr) = 0;
+      return Status::failure(StatusCode::Interrupted, "interrupted");
+    }
     return Status::success();
   }
 

@@ -415,7 +415,8 @@ static std::vector<RuntimeSymbol> getAbiSymbols() {
       TAI_SYMBOL(tai_emu_exchange),      TAI_SYMBOL(tai_emu_match),
       TAI_SYMBOL(tai_emu_begin_group),   TAI_SYMBOL(tai_emu_next_in_group),
       TAI_SYMBOL(tai_emu_end_group),     TAI_SYMBOL(tai_emu_grid_dim),
-      TAI_SYMBOL(tai_emu_allocate),      TAI_SYMBOL(tai_emu_free)};
+      TAI_SYMBOL(tai_emu_look),          TAI_SYMBOL(tai_emu_allocate),
+      TAI_SYMBOL(tai_emu_free)};
 #undef TAI_SYMBOL
 }
 

@@ -8,7 +8,9 @@
 #include "DeviceContext.h"
 #include "../Text/Format.h"
 #include "tai/Runtime/Device/DeviceReport.h"
+#include "tai/Runtime/Threads/Safepoint.h"
 #include <algorithm>
+#include <cstddef>
 
 using namespace mlir::tai::runtime;
 
@@ -198,6 +200,7 @@ Status DeviceContext::state(DevicePtr &memory) {
     if (!status)
       return status;
     stateMemory = made;
+    device->setStopWord(made + offsetof(TaiDeviceState, stop));
   }
   memory = stateMemory;
   return Status::success();
@@ -230,6 +233,12 @@ Status DeviceContext::report() {
         " lines that kernels printed were lost: there is room for " +
         formatBytes(outputBytes) +
         " of them on the device until the next wait for it\n");
+  // Who asked for it knows. Others wait for what was not done in full.
+  if (report.failure && report.stoppedBy &&
+      report.stoppedBy != safepoint::threadNumber())
+    return Status::failure(StatusCode::Interrupted,
+                           "a kernel was interrupted by another thread: what "
+                           "it has computed is not complete");
   return std::move(report.failure);
 }
 

@@ -75,6 +75,7 @@ public:
     return device->letStreamWait(stream);
   }
   Status synchronize() override { return device->synchronize(); }
+  void setStopWord(DevicePtr word) override { device->setStopWord(word); }
 
   Status copyIn(DevicePtr to, const void *from, int64_t bytes) override;
   Status copyOut(void *to, DevicePtr from, int64_t bytes) override;

@@ -110,3 +110,9 @@ void safepoint::follow(const std::atomic<bool> *isCancelled) {
 }
 
 bool safepoint::isWorker() { return runsPartsOfOthers; }
+
+uint32_t safepoint::threadNumber() {
+  static std::atomic<uint32_t> last{0};
+  static thread_local const uint32_t number = ++last;
+  return number;
+}

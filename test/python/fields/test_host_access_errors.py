@@ -45,6 +45,20 @@ CASES = {
     "array fill": (lambda x, v, a: a.fill("abc"), "cannot take 'abc'"),
     "ragged": (lambda x, v, a: a.from_numpy([[1], [1, 2]]), "cannot take"),
     "negative shape": (lambda x, v, a: ti.ndarray(ti.f32, -1), r"shape \(-1,\) does not exist"),
+    "far index": (lambda x, v, a: x[2**64], "field 'x': index 18446744073709551616 is out of"),
+    "store far away": (lambda x, v, a: put(x, -(2**70), 1.0), "field 'x': index -118.* is out of"),
+    "far vector": (lambda x, v, a: v[2**64][0], "field 'v': index"),
+    "array for one": (lambda x, v, a: put(x, 0, np.zeros(2)), "field 'x' holds one number an elem"),
+    "huge number": (lambda x, v, a: put(x, 0, 10**400), "'x': a whole number of 1329 bits is too"),
+    "huge fill": (lambda x, v, a: x.fill(10**400), "'x': a whole number of 1329 bits is too"),
+    "complex": (lambda x, v, a: x.from_numpy(np.zeros(4, complex)), "but the array complex128"),
+    "complex array": (lambda x, v, a: a.from_numpy(np.zeros(3, complex)), "complex128"),
+    "dates": (lambda x, v, a: x.from_numpy(np.zeros(4, "M8[s]")), "but the array datetime64"),
+    "huge array": (lambda x, v, a: ti.ndarray(ti.f32, 2**64), "no memory for an array of f32"),
+    "array of 2**60": (lambda x, v, a: ti.ndarray(ti.f32, 2**60), "no memory for an array of f32"),
+    "name": (lambda x, v, a: ti.field(ti.f32, shape=2, name=5), "name of a field is text, not 5"),
+    "far offset": (lambda x, v, a: ti.field(ti.f32, shape=2, offset=2**64), "of less than 62 bits"),
+    "offset": (lambda x, v, a: ti.field(ti.f32, shape=2, offset=0.5), "an offset is a whole num"),
     "text for a shape": (lambda x, v, a: ti.ndarray(ti.f32, "a"), "made of whole numbers"),
     "array for a number": (lambda x, v, a: take(a, np.ones(3)), "'b' of kernel 'take' expects a"),
 }
@@ -64,6 +78,7 @@ def test_numbers_of_numpy_are_numbers(scene):
     x, v, a = scene
     x[np.int64(1)] = np.float32(2)
     x[[2]] = np.array(3.0)
+    assert x[np.array(2)] == 3
     v[np.array([1])] = np.array([1, 2])
     take(a, np.array(4.0))
     assert x.to_numpy().tolist() == [0, 2, 3, 0] and v[1][1] == 2 and a[-1] == 4

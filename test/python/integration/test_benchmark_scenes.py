@@ -3,6 +3,7 @@
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
@@ -60,3 +61,24 @@ def test_whole_elements(monkeypatch):
     assert program.replay() is not None
     assert program.loss() == pytest.approx(loss, rel=2e-5)
     assert harness.relative_error(program.gradient().astype(float), gradient) < 1e-5
+
+
+@pytest.mark.parametrize("scene", list(problems.PROBLEMS))
+def test_no_loop_on_a_device_asks_whether_it_goes_on(scene, monkeypatch, capfd):
+    """The loops are short: what ends long ones costs these kernels and their gradients nothing."""
+    monkeypatch.setenv("TAI_CUDA_EMULATION", "1")
+    ti.init(arch=ti.cuda, default_fp=ti.f32, print_ir="nvvm", offline_cache=False)
+    tai_scenes.SCENES[scene](problems.PROBLEMS[scene](True)).run()
+    ti.sync()
+    printed = "".join(capfd.readouterr())
+    assert "gpu.kernel" in printed and "nvvm of the adjoint of" in printed
+    assert "tai_rt_go_on" not in printed
+
+    @ti.kernel
+    def search(x: ti.types.ndarray()):
+        for i in x:
+            while x[i] < 1:
+                x[i] += 1
+
+    search(np.zeros(3, np.float32))
+    assert "tai_rt_go_on" in "".join(capfd.readouterr())

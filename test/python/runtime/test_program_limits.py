@@ -133,6 +133,36 @@ def test_names_that_are_not_english():
         größe[5]
 
 
+def test_reports_have_names_that_are_not_english():
+    """IR knows letters of English alone; errors and the profiler say what the program says."""
+    ti.init(debug=True, kernel_profiler=True, offline_cache=False)
+    größe = ti.field(ti.f32, 3, needs_grad=True)
+    zweite = ti.field(ti.f32, 3, name="größe")
+    verlust = ti.field(ti.f32, (), needs_grad=True)
+
+    @ti.kernel
+    def böse(i: ti.i32):
+        größe[i] = 1.0
+
+    @ti.kernel
+    def übrig(i: ti.i32):
+        zweite[i] = 1.0
+
+    @ti.kernel
+    def fläche():
+        for i in größe:
+            verlust[None] += größe[i]
+
+    for kernel in (böse, übrig):
+        with pytest.raises(ti.TaiAssertionError, match="out of range for field 'größe' of"):
+            kernel(9)
+    with ti.ad.Tape(verlust):
+        fläche()
+    names = {row.name for row in ti.profiler.get_stats()}
+    assert {"böse", "fläche", "fläche_grad"} <= names
+    assert ti.profiler.query_kernel_profiler_info("fläche").counter == 2
+
+
 @pytest.mark.parametrize("shape", [2**64, 2**62, (2**40, 2**40), 10**30])
 def test_shapes_that_no_machine_has(shape):
     with pytest.raises(ti.TaiRuntimeError) as caught:

@@ -23,6 +23,19 @@ def test_bar(script):
     assert re.search(rf"^{name} .+: .+; .+ \(bar .+\)$", result.stdout, re.MULTILINE), result.stdout
 
 
+@pytest.mark.parametrize("program, kind", [("while True: pass", "late"), ("input()", "hang")])
+def test_a_tool_ends_with_the_time_of_the_run(program, kind):
+    """One that computes may be slow on this machine; one that waits would wait for ever."""
+    sys.path.insert(0, str(ROOT / "test/reliability"))
+    import r1_text_mutants as r1
+
+    reader, writer = os.pipe()
+    command = [sys.executable, "-c", program]
+    ended = r1.run_limited(command, seconds=100, left=1, stdin=reader, stdout=subprocess.DEVNULL)
+    os.close(reader), os.close(writer)
+    assert ended[0] == kind
+
+
 def test_the_page_is_that_of_the_scripts():
     """docs/reliability.md is made of the scripts and of what is kept of their runs."""
     sys.path.insert(0, str(ROOT / "test/reliability"))

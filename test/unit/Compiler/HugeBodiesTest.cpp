@@ -246,6 +246,21 @@ TEST(HugeBodies, LoopsOfManyPairsAreLeftAloneByWhatComparesThem) {
   EXPECT_TRUE(KeepHugeLoopsScalar::canRun("GVNPass", Any(ir)));
 }
 
+TEST(HugeBodies, StatementsOfHugeBlocksAreNoVectors) {
+  for (int calls : {100, 9000}) {
+    std::string text = "define i32 @f(i32 %v0) {\n";
+    for (int k = 1; k <= calls; ++k)
+      text += "  %v" + number(k) + " = mul i32 %v" + number(k - 1) + ", 3\n";
+    text += "  ret i32 %v" + number(calls) + "\n}\n";
+    LLVMContext context;
+    std::unique_ptr<Module> module = parse(text, context);
+    const auto *ir = static_cast<const Function *>(module->getFunction("f"));
+    EXPECT_EQ(KeepHugeLoopsScalar::canRun("SLPVectorizerPass", Any(ir)),
+              calls == 100);
+    EXPECT_TRUE(KeepHugeLoopsScalar::canRun("GVNPass", Any(ir)));
+  }
+}
+
 namespace {
 /// The calls that stay of so many of a library function of 20 instructions.
 int countKept(int calls, const std::string &name, uint64_t inlined) {

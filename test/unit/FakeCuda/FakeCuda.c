@@ -17,8 +17,10 @@
 // (branches of graphs come as early as they may, else as late). The clock of
 // the device advances by a microsecond with each piece of work, and by a launch
 // of "scale" by one for each thousand numbers. A module has the functions
-// "scale" (double *x, int64_t n, double factor), "add" (the same) and "where"
-// (int32_t *blocks_and_threads), whatever its text is, and those of Rows.cu.
+// "scale" (double *x, int64_t n, double factor), "add" (the same), "where"
+// (int32_t *blocks_and_threads) and "until" (uint32_t *word), whatever its text
+// is, and those of Rows.cu. The last one runs until somebody writes a number to
+// the word, which it then writes behind it.
 // Compiled with -finstrument-functions, it counts how often it is called.
 // Graphs are lists of launches, fills and copies.
 //
@@ -36,6 +38,7 @@
 
 typedef int Result;
 typedef unsigned long long Address;
+enum { NotReady = 600 };
 
 /// Calls of functions of the driver, so that tests can count them.
 long long tai_fake_cuda_calls;
@@ -74,6 +77,8 @@ typedef struct FakeGraph {
 /// Each thread has a context of its own, or none.
 static __thread void *current;
 static int context, stream, side, module, faulted;
+/// What "until" looks at while it runs; null while it does not.
+static volatile uint32_t *awaited;
 
 Result cuInit(unsigned flags) {
   (void)flags;
@@ -167,6 +172,7 @@ Result cuDevicePrimaryCtxRetain(void **result, int device) {
 Result cuDevicePrimaryCtxRelease_v2(int device) {
   (void)device;
   faulted = 0;
+  awaited = NULL;
   return 0;
 }
 Result cuCtxGetCurrent(void **result) {
@@ -185,12 +191,22 @@ Result cuStreamDestroy_v2(void *given) {
   (void)given;
   return 0;
 }
+NOT_COUNTED static int isRunning(void *on) {
+  if (on == &stream && awaited && awaited[0]) {
+    awaited[1] = awaited[0];
+    awaited = NULL;
+  }
+  return on == &stream && awaited;
+}
+/// Waits for no "until".
 Result cuStreamSynchronize(void *given) {
   (void)given;
   return faulted ? 700 : 0;
 }
 
-Result cuStreamQuery(void *given) { return cuStreamSynchronize(given); }
+Result cuStreamQuery(void *given) {
+  return isRunning(given) ? NotReady : cuStreamSynchronize(given);
+}
 
 /// The clock, in microseconds.
 static long long now;
@@ -252,13 +268,16 @@ Result cuEventSynchronize(void *event) {
   return faulted ? 700 : 0;
 }
 
-Result cuEventQuery(void *event) { return cuEventSynchronize(event); }
+Result cuEventQuery(void *event) {
+  return isRunning(((FakeEvent *)event)->on) ? NotReady
+                                             : cuEventSynchronize(event);
+}
 Result cuEventElapsedTime(float *ms, void *from, void *to) {
   FakeEvent *a = from, *b = to;
   if (!a->recorded || !b->recorded)
     return 400;
   if (a->time > reached || b->time > reached)
-    return 600; // not ready
+    return NotReady;
   *ms = (float)(b->time - a->time) / 1000;
   return 0;
 }
@@ -394,7 +413,8 @@ Result cuModuleUnload(void *given) {
 Result cuModuleGetFunction(void **result, void *given, const char *name) {
   (void)given;
   static char names[][16] = {"scale",          "add",
-                             "where",          "tai_copy_quads",
+                             "where",          "until",
+                             "tai_copy_quads",
                              "tai_copy_pairs", "tai_copy_words",
                              "tai_copy_bytes", "tai_swap_quads",
                              "tai_swap_pairs", "tai_swap_words",
@@ -483,6 +503,8 @@ NOT_COUNTED static Result perform(const FakeNode *node) {
     int32_t *result = (int32_t *)v[0];
     result[0] = (int32_t)node->blocks;
     result[1] = (int32_t)node->threads;
+  } else if (strcmp(function, "until") == 0) {
+    awaited = (volatile uint32_t *)v[0];
   }
   return 0;
 }
@@ -534,6 +556,7 @@ NOT_COUNTED static void setLaunch(FakeNode *node, const char *function,
                                   void **parameters) {
   int count = strcmp(function, "scale") == 0 || strcmp(function, "add") == 0 ? 3
               : strcmp(function, "where") == 0                               ? 1
+              : strcmp(function, "until") == 0                               ? 1
               : strncmp(function, "tai_", 4) == 0 ? 6
                                                   : 0;
   node->kind = 0;

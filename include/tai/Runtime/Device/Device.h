@@ -271,8 +271,11 @@ public:
   virtual Status waitForStream(uint64_t stream);
   virtual Status letStreamWait(uint64_t stream);
 
-  /// Waits for all that is queued; reports what failed.
+  /// Waits for all that is queued; reports what failed. Where the wait is
+  /// interrupted, loops of kernels that may be long end as well.
   virtual Status synchronize() = 0;
+  /// The word of device memory by which they are told: see TaiDeviceState.
+  virtual void setStopWord(DevicePtr) {}
 };
 
 /// Opens the CUDA driver and the device of this number. The failure says what

@@ -28,7 +28,7 @@ TaiDeviceState freshDeviceState(uint64_t outputCapacity, uint64_t stackLimit);
 
 /// Whether anything has happened.
 inline bool hasDeviceReport(const TaiDeviceState &state) {
-  return state.failed || state.outputUsed || state.lostLines;
+  return state.failed || state.outputUsed || state.lostLines || state.stopped;
 }
 
 /// How many of the bytes behind the state hold records.
@@ -41,6 +41,8 @@ struct DeviceReport {
   std::vector<std::string> lines;
   /// Lines that found no room.
   uint64_t lostLines = 0;
+  /// The number of the thread that has interrupted a kernel, or 0.
+  uint32_t stoppedBy = 0;
 };
 
 /// Reads the state and the `bytes` bytes of output behind it. Fails where they

@@ -236,6 +236,7 @@ public:
   Status waitForStream(uint64_t stream) override;
   Status letStreamWait(uint64_t stream) override;
   Status synchronize() override;
+  void setStopWord(DevicePtr word) override { device->setStopWord(word); }
 
 private:
   struct Function;

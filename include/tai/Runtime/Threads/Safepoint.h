@@ -96,6 +96,9 @@ void enterWorker();
 void follow(const std::atomic<bool> *isCancelled);
 bool isWorker();
 
+/// A number of the calling thread, not 0, which no other one has.
+uint32_t threadNumber();
+
 } // namespace mlir::tai::runtime::safepoint
 
 #endif // TAI_RUNTIME_THREADS_SAFEPOINT_H

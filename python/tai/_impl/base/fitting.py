@@ -38,6 +38,37 @@ def stored(value: Any, dt: DataType, what: Any) -> Any:
     return _checked(value, dt, what)
 
 
+def check_float(value: Any, dt: DataType, what: Any) -> None:
+    """Raises TaiRuntimeTypeError for a whole number that no float is near to."""
+    try:
+        float(value)
+    except OverflowError:
+        raise TaiRuntimeTypeError(
+            f"{_say(what)}: a whole number of {value.bit_length()} bits is too large for {dt}"
+        ) from None
+
+
+def one_number(value: Any, what: Any) -> Any:
+    """The number that an array or another library's scalar holds, as Python has it."""
+    try:
+        return value.item() if hasattr(value, "item") else float(value)
+    except (TypeError, ValueError):  # several numbers
+        raise TaiRuntimeTypeError(
+            f"{_say(what)} holds one number an element, not {value!r}",
+            f"store a whole array by {what.name}.from_numpy(array)",
+        ) from None
+
+
+def offsets(values: Any, what: Any) -> tuple[int, ...]:
+    """The first index along each dimension."""
+    for value in values:
+        if not hasattr(value, "__index__") or not -(2**62) < value.__index__() < 2**62:
+            raise TaiRuntimeTypeError(
+                f"{_say(what)}: an offset is a whole number of less than 62 bits, not {value!r}"
+            )
+    return tuple(value.__index__() for value in values)
+
+
 def _checked(value: Any, dt: DataType, what: Any) -> int:
     try:
         return fit(value, dt)
@@ -54,6 +85,8 @@ def stored_array(array: np.ndarray, dt: DataType, what: Any) -> np.ndarray:
         TaiRuntimeTypeError: a number that does not fit.
     """
     array = np.asarray(array)
+    if array.dtype.kind in "cmM":
+        raise _no_numbers(array, dt, what)
     if dt.is_int and array.size and array.dtype.kind in "iuf" and not np.can_cast(
         array.dtype, dt.numpy
     ):  # fmt: skip
@@ -62,12 +95,16 @@ def stored_array(array: np.ndarray, dt: DataType, what: Any) -> np.ndarray:
     try:
         return array.astype(dt.numpy, copy=False)
     except (TypeError, ValueError):
-        raise TaiRuntimeTypeError(
-            f"field '{what.name}' holds numbers of type {dt.name}, but the array {array.dtype}"
-            if hasattr(what, "name")
-            else f"numbers of type {dt.name} cannot be made of an array of {array.dtype}",
-            "pass an array of numbers",
-        ) from None
+        raise _no_numbers(array, dt, what) from None
+
+
+def _no_numbers(array: np.ndarray, dt: DataType, what: Any) -> TaiError:
+    return TaiRuntimeTypeError(
+        f"field '{what.name}' holds numbers of type {dt.name}, but the array {array.dtype}"
+        if hasattr(what, "name")
+        else f"numbers of type {dt.name} cannot be made of an array of {array.dtype}",
+        "pass the real part: array.real" if array.dtype.kind == "c" else "pass an array of numbers",
+    )
 
 
 def index_error(name: str, key: Any, error: Exception) -> TaiError:
@@ -85,4 +122,6 @@ def index_error(name: str, key: Any, error: Exception) -> TaiError:
             )
     if isinstance(error, TypeError):
         return TaiRuntimeTypeError(f"field '{name}': an index is a whole number: {error}")
+    if isinstance(error, OverflowError):
+        return TaiIndexError(f"field '{name}': index {key} is out of range")
     return TaiIndexError(f"field '{name}': {error}")

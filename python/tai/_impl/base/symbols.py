@@ -11,6 +11,8 @@ import unicodedata
 from collections import deque
 from collections.abc import Callable
 
+from ... import errors
+
 # How many names that were given back are looked at for each one that is taken: more than one, so
 # that none are left behind.
 _LOOKS = 4
@@ -50,6 +52,8 @@ class Symbols:
                     symbol = f"{base}_{count}"
                 self._next[base] = count + 1
             self._taken[symbol] = base
+            if not wanted.isascii():
+                errors.SPELLINGS[symbol] = wanted
             return symbol
 
     def _reuse(self, base: str) -> str | None:
@@ -78,6 +82,7 @@ class Symbols:
                 continue
             self._forget(symbol)
             base = self._taken.pop(symbol)
+            errors.SPELLINGS.pop(symbol, None)
             self._free.setdefault(base, []).append(symbol)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
+from ...errors import TaiIndexError, TaiMemoryError, TaiRuntimeError, TaiRuntimeTypeError
 from ..base import dtypes, fitting, state
 from ..base.elements import Elements
 from ..history import gradients, origins
@@ -41,7 +41,14 @@ class Ndarray(Elements):
         self.shape = to_shape(shape)
         if any(extent < 0 for extent in self.shape):
             raise TaiRuntimeTypeError(f"an array of shape {self.shape} does not exist")
-        self.array = np.zeros(self.shape + self.element_shape, resolved.numpy)
+        try:
+            self.array = np.zeros(self.shape + self.element_shape, resolved.numpy)
+        except (ValueError, OverflowError, MemoryError):
+            raise TaiMemoryError(
+                f"there is no memory for an array of {resolved} and shape "
+                f"{self.shape + self.element_shape}",
+                "make its shape smaller",
+            ) from None
         self._grad: Ndarray | None = None
         # Of what is a gradient itself.
         self.taken: Any = None

@@ -37,6 +37,8 @@ class Field(Elements, Shareable):
             raise TaiRuntimeTypeError(
                 f"a field holds numbers, not {dtype!r}", "use a type such as ti.f32 or ti.i32"
             )
+        if name is not None and not isinstance(name, str):
+            raise TaiRuntimeTypeError(f"the name of a field is text, not {name!r}", 'name="x"')
         self.dtype = resolved
         self.element_shape = element_shape
         self.role = role
@@ -223,6 +225,8 @@ def index_tuple(key: Any) -> tuple:
         return ()
     if isinstance(key, tuple):
         return key
+    if isinstance(key, np.ndarray) and key.ndim == 0:
+        return (key.item(),)
     if isinstance(key, (list, np.ndarray)) or hasattr(key, "to_numpy"):
         return tuple(key)
     return (key,)

@@ -139,7 +139,7 @@ class MatrixField(Field):
         if self._single is not None:
             try:
                 values = self._single.core.get_all(key)
-            except (IndexError, TypeError) as error:
+            except (IndexError, TypeError, OverflowError) as error:
                 raise self._single._index_error(error, key) from None
             if not self.dtype.is_float:
                 values = [self._single._to_python(v) for v in values]
@@ -180,7 +180,7 @@ class MatrixField(Field):
             return
         try:
             self._single.core.set_all(at, numbers)
-        except (IndexError, TypeError) as error:
+        except (IndexError, TypeError, OverflowError) as error:
             raise self._single._index_error(error, key) from None
         dual = origins.dual_of_written(self._single) if state.forward else None
         if dual is not None:

@@ -59,7 +59,7 @@ class ScalarField(Field):
                 raise TaiRuntimeTypeError(
                     f"the offset has {len(values)} numbers, but the field has {rank} dimensions"
                 )
-            self.offset = tuple(int(v) for v in values)
+            self.offset = fitting.offsets(values, self)
 
     def place_missing_grad(self) -> None:
         """Places a gradient or dual that was asked for and not placed, beside the field."""
@@ -178,7 +178,7 @@ class ScalarField(Field):
             origins.note_read(self)
         try:
             value = self.core.get(index_tuple(key), 0)
-        except (IndexError, TypeError) as error:
+        except (IndexError, TypeError, OverflowError) as error:
             raise self._index_error(error, key) from None
         return value if self.dtype.is_float else self._to_python(value)
 
@@ -188,7 +188,7 @@ class ScalarField(Field):
     def get_component(self, key: Any, component: int) -> Any:
         try:
             value = self.core.get(index_tuple(key), component)
-        except (IndexError, TypeError) as error:
+        except (IndexError, TypeError, OverflowError) as error:
             raise self._index_error(error, key) from None
         return value if self.dtype.is_float else self._to_python(value)
 
@@ -200,12 +200,13 @@ class ScalarField(Field):
                 raise TaiRuntimeTypeError(
                     f"field '{self.name}' holds numbers of type {self.dtype}, not {value!r}"
                 )
-            value = value.item() if hasattr(value, "item") else float(value)
+            value = fitting.one_number(value, self)
         if not self.dtype.is_float:
             value = fitting.stored(value, self.dtype, self)
         try:
             self.core.set(index_tuple(key), component, value)
-        except (IndexError, TypeError) as error:
+        except (IndexError, TypeError, OverflowError) as error:
+            fitting.check_float(value, self.dtype, self)
             raise self._index_error(error, key) from None
         dual = origins.dual_of_written(self) if state.forward else None
         if dual is not None:
@@ -243,6 +244,7 @@ class ScalarField(Field):
             )
         if state.tape is not None or state.forward:
             origins.check_write(self, value)
+        fitting.check_float(value, self.dtype, self)
         stored = float(value) if self.dtype.is_float else value
         self.core.fill(fitting.stored(stored, self.dtype, self))
         origins.end_tangent(self)

@@ -1,0 +1,113 @@
+//===- LongLoops.cpp - Loops of device code that can be told to end -------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A GPU does not stop a kernel that runs. A loop of one thread that may take
+// longer than a person waits therefore asks, every so many iterations, whether
+// it goes on (`tai_rt_go_on`): one whose end nobody knows, and one whose
+// iterations come to more than some ten million operations. Loops that are
+// known to be short do not ask, nor does one with a number of iterations that
+// the program reads somewhere and a short body, such as that over a particle's
+// neighbours, unless a single thread runs it.
+//
+// The question counts as a use of the device's state, which such a kernel gets.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Offload.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/Utils/StaticValueUtils.h"
+#include "llvm/Support/MathExtras.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Operations that one thread does in some tens of milliseconds.
+static constexpr uint64_t kLongLoop = 20000000;
+/// As many of them between two questions, if there are so many iterations.
+static constexpr uint64_t kBetween = 4096;
+/// And at most as many iterations, where nobody knows how long each is.
+static constexpr uint64_t kIterationsBetween = 16;
+/// What stands for loops that may be long, in the body of another one.
+static constexpr uint64_t kUnknown = UINT64_MAX;
+
+namespace {
+class LoopPolls {
+public:
+  LoopPolls(LLVM::LLVMFuncOp function, bool runsAlone, RuntimeCalls &runtime)
+      : function(function), runsAlone(runsAlone), runtime(runtime) {}
+
+  /// The operations that one run of the block takes, at most.
+  uint64_t visit(Block &block);
+
+private:
+  uint64_t visitLoop(scf::ForOp loop);
+  void poll(Block &body, Location loc, uint64_t perIteration);
+
+  LLVM::LLVMFuncOp function;
+  bool runsAlone;
+  RuntimeCalls &runtime;
+};
+} // namespace
+
+void LoopPolls::poll(Block &body, Location loc, uint64_t perIteration) {
+  // An iteration that may be long asks by itself.
+  uint64_t every =
+      perIteration == kUnknown
+          ? kIterationsBetween
+          : llvm::bit_floor(std::max<uint64_t>(
+                1, kBetween / std::max<uint64_t>(1, perIteration)));
+  OpBuilder builder = OpBuilder::atBlockBegin(&body);
+  runtime.call(builder, loc, kGoOn, runtime.getPointerType(),
+               {function.getArgument(0), runtime.i32(builder, loc, every)});
+}
+
+uint64_t LoopPolls::visitLoop(scf::ForOp loop) {
+  uint64_t perIteration = visit(*loop.getBody());
+  std::optional<APInt> count = loop.getStaticTripCount();
+  if (count && perIteration != kUnknown) {
+    uint64_t all = llvm::SaturatingMultiply(
+        count->getLimitedValue(), std::max<uint64_t>(1, perIteration));
+    if (all <= kLongLoop)
+      return all;
+  } else if (!runsAlone && (perIteration != kUnknown ||
+                            (count && count->ule(kIterationsBetween)))) {
+    // A loop around this one asks, or one inside.
+    return kUnknown;
+  }
+  poll(*loop.getBody(), loop.getLoc(), perIteration);
+  return kUnknown;
+}
+
+uint64_t LoopPolls::visit(Block &block) {
+  uint64_t sum = 0;
+  // What is asked for comes between the operations of the block.
+  for (Operation &op : llvm::make_early_inc_range(block)) {
+    uint64_t own = 1;
+    if (auto loop = dyn_cast<scf::ForOp>(op)) {
+      own = visitLoop(loop);
+    } else if (auto loop = dyn_cast<scf::WhileOp>(op)) {
+      uint64_t before = visit(*loop.getBeforeBody());
+      uint64_t after = visit(*loop.getAfterBody());
+      poll(*loop.getBeforeBody(), loop.getLoc(),
+           llvm::SaturatingAdd(before, after));
+      own = kUnknown;
+    } else {
+      for (Region &region : op.getRegions())
+        for (Block &inner : region)
+          own = llvm::SaturatingAdd(own, visit(inner));
+    }
+    sum = llvm::SaturatingAdd(sum, own);
+  }
+  return sum;
+}
+
+void tai::pollLongLoops(LLVM::LLVMFuncOp function, scf::ForOp iterations,
+                        bool runsAlone, RuntimeCalls &runtime) {
+  LoopPolls polls(function, runsAlone, runtime);
+  polls.visit(*iterations.getBody());
+}

@@ -1,0 +1,206 @@
+"""Ctrl-C while a kernel runs on a device: on the emulated one, or on the GPU with --arch=cuda.
+
+The kernels here would go on for hours: that they end is what is tested.
+"""
+
+import os
+import signal
+import threading
+
+import pytest
+import tai as ti
+
+ON_GPU = os.environ.get("TI_ARCH") == "cuda" and not os.environ.get("TAI_CUDA_EMULATION")
+
+
+@pytest.fixture(autouse=True, params=[None] if ON_GPU else ["1", "96"])
+def device(request, monkeypatch):
+    """The GPU, or blocks of so many threads."""
+    if request.param:
+        monkeypatch.setenv("TAI_CUDA_EMULATION", "1")
+        monkeypatch.setenv("TAI_EMULATED_THREADS", request.param)
+    monkeypatch.setenv("TI_ARCH", "cuda")
+    ti.init(arch=ti.cuda, default_fp=ti.f64)
+
+
+@pytest.fixture
+def ctrl_c():
+    """Sends what Ctrl-C sends, once work has begun."""
+    threads = []
+
+    def send():
+        thread = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
+        thread.start()
+        threads.append(thread)
+
+    yield send
+    for thread in threads:
+        thread.join()
+
+
+def check_usable():
+    """The context goes on: kernels, tapes, new fields, failures."""
+    x = ti.field(ti.f64, shape=3, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def total():
+        for i in x:
+            loss[None] += x[i] ** 2
+
+    x.fill(2.0)
+    with ti.ad.Tape(loss):
+        total()
+    assert loss[None] == 12.0
+    assert x.grad.to_numpy().tolist() == [4.0, 4.0, 4.0]
+
+
+def endless_while(s, x):
+    @ti.kernel
+    def run():
+        while s[None] < 1.0:
+            s[None] += 0.0
+
+    return run
+
+
+def endless_for(s, x):
+    @ti.kernel
+    def run():
+        for _ in range(1):
+            for i in range(ti.i64(1) << 60):
+                s[None] = ti.sin(s[None] + ti.cast(i, ti.f64))
+
+    return run
+
+
+def endless_iterations(s, x):
+    """Parallel ones, of which each has a sum to add in the end."""
+
+    @ti.kernel
+    def run():
+        for i in x:
+            v = 0.0
+            while x[i] >= 0.0:
+                v += 1e-30
+            s[None] += v
+
+    return run
+
+
+def endless_in_short(s, x):
+    """A loop of unknown length around another one."""
+
+    @ti.kernel
+    def run(n: ti.i64, m: ti.i32):
+        for i in x:
+            for j in range(n):
+                for k in range(m):
+                    for _ in range(m):
+                        x[i] += ti.sin(ti.cast(j + k, ti.f64)) * 0.0
+
+    return lambda: run(1 << 60, 1 << 13)
+
+
+@pytest.mark.parametrize("make", [endless_while, endless_for, endless_iterations, endless_in_short])
+def test_a_kernel_is_interrupted(make, ctrl_c):
+    s, x = ti.field(ti.f64, shape=()), ti.field(ti.f64, shape=100)
+    run = make(s, x)
+    for _ in range(2):
+        ctrl_c()
+        with pytest.raises(KeyboardInterrupt):
+            run()
+            ti.sync()
+        check_usable()
+
+
+def test_what_was_stored_stays(ctrl_c):
+    s, x = ti.field(ti.f64, shape=()), ti.field(ti.f64, shape=100)
+
+    @ti.kernel
+    def run():
+        for i in x:
+            x[i] = 1.0
+        for i in x:
+            x[i] += 2.0
+            while s[None] < 1.0:
+                s[None] += 0.0
+            x[i] += 4.0
+
+    values = []
+    # On a busy machine the kernel may not have begun.
+    while 3.0 not in values:
+        ctrl_c()
+        with pytest.raises(KeyboardInterrupt):
+            run()
+            ti.sync()
+        values = x.to_numpy().tolist()
+    assert set(values) <= {1.0, 3.0}
+
+
+def test_failures_after_an_interrupt_are_told(ctrl_c):
+    ti.init(arch=ti.cuda, default_fp=ti.f64, debug=True)
+    s, x = ti.field(ti.f64, shape=()), ti.field(ti.f64, shape=100)
+    run = endless_while(s, x)
+    ctrl_c()
+    with pytest.raises(KeyboardInterrupt):
+        run()
+        ti.sync()
+
+    @ti.kernel
+    def fail():
+        for i in x:
+            assert x[i] > 0.0, "not positive"
+
+    with pytest.raises(ti.TaiAssertionError, match="not positive"):
+        fail()
+
+
+def asks(kernel, *args):
+    """How often the device code of a kernel asks whether it goes on."""
+    kernel(*args)
+    return kernel.mlir(stage="nvvm").count("call @tai_rt_go_on")
+
+
+def test_short_loops_do_not_ask():
+    x, n = ti.field(ti.f64, shape=100), ti.field(ti.i32, shape=100)
+
+    @ti.kernel
+    def short():
+        for i in x:
+            for _ in range(1000):
+                x[i] += 1.0
+
+    @ti.kernel
+    def neighbours(m: ti.i32):
+        for i in x:
+            for j in range(n[i]):
+                for k in range(3):
+                    x[i] += j + k
+            for j in range(m):
+                x[i] += j
+
+    @ti.kernel
+    def alone(m: ti.i32):
+        for _ in range(1):
+            for j in range(m):
+                x[0] += j
+
+    @ti.kernel
+    def long():
+        for i in x:
+            for j in range(3000):
+                for k in range(3000):
+                    x[i] += j * k
+
+    @ti.kernel
+    def searching():
+        for i in x:
+            while x[i] < 0:
+                x[i] += 1.0
+
+    assert asks(short) == 0
+    assert asks(neighbours, 3) == 0
+    assert asks(alone, 3) == 1
+    assert asks(long) == 1
+    assert asks(searching) == 1
