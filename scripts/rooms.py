@@ -25,7 +25,7 @@ ARROWS: dict[str, str] = {
     "ABI": "",
     "Support": "",
     "Interfaces": "",
-    "Dialect": "",
+    "Dialect": "Interfaces",
     "Analysis": "Dialect Interfaces Support",
     "AD": "Analysis Dialect Interfaces Support",
     "Transforms": "ABI Analysis Dialect Interfaces Support",

@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // A small dialect outside of tai's tree. `soft.plus` implements the interface
-// of differentiable ops; `vector.interleave`, which belongs to upstream and has
-// no rule in tai, gets one by an external model. No pass of tai knows of
-// either.
+// of differentiable ops, `soft.read` that of accesses to fields;
+// `vector.interleave`, which belongs to upstream and has no rule in tai, gets
+// one by an external model. No pass of tai knows of them.
 //
 //===----------------------------------------------------------------------===//
 
@@ -19,7 +19,9 @@
 #include "mlir/Tools/Plugins/DialectPlugin.h"
 #include "mlir/Tools/Plugins/PassPlugin.h"
 #include "tai/AD/AdjointBuilder.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Interfaces/Differentiable.h"
+#include "tai/Interfaces/FieldAccess.h"
 
 #include "SoftDialect.h.inc"
 #define GET_OP_CLASSES
@@ -49,6 +51,15 @@ LogicalResult soft::PlusOp::buildAdjoint(tai::AdjointBuilder &b) {
   return success();
 }
 
+tai::FieldAccess soft::ReadOp::getFieldAccess() {
+  return tai::FieldAccess::Read;
+}
+Value soft::ReadOp::getAccessedValue() { return getValue(); }
+void soft::ReadOp::getEffects(
+    SmallVectorImpl<MemoryEffects::EffectInstance> &effects) {
+  tai::addFieldEffects(effects, getFieldAccess(), getFieldAttr());
+}
+
 namespace {
 
 /// vector.interleave %a, %b: component k of the result is component k / 2 of
@@ -64,16 +75,25 @@ struct InterleaveModel
   }
 };
 
-/// soft.plus in terms of upstream: max(x, 0) + log1p(exp(-|x|)).
+/// soft.read in terms of tai, and soft.plus in terms of upstream:
+/// max(x, 0) + log1p(exp(-|x|)).
 struct LowerSoft : PassWrapper<LowerSoft, OperationPass<>> {
   MLIR_DEFINE_EXPLICIT_INTERNAL_INLINE_TYPE_ID(LowerSoft)
   StringRef getArgument() const final { return "lower-soft"; }
   StringRef getDescription() const final { return "lower soft to math"; }
   void getDependentDialects(DialectRegistry &registry) const final {
-    registry.insert<arith::ArithDialect, math::MathDialect>();
+    registry.insert<arith::ArithDialect, math::MathDialect, tai::TaiDialect>();
   }
 
   void runOnOperation() final {
+    getOperation()->walk([](soft::ReadOp op) {
+      OpBuilder b(op);
+      Value x = tai::LoadOp::create(b, op.getLoc(), op.getType(),
+                                    op.getFieldAttr(), op.getIndices());
+      op.replaceAllUsesWith(
+          soft::PlusOp::create(b, op.getLoc(), x.getType(), x).getResult());
+      op.erase();
+    });
     getOperation()->walk([](soft::PlusOp op) {
       OpBuilder b(op);
       Location loc = op.getLoc();

@@ -11,6 +11,7 @@
 include "mlir/IR/OpBase.td"
 include "mlir/Interfaces/SideEffectInterfaces.td"
 include "tai/Interfaces/DifferentiableInterfaces.td"
+include "tai/Interfaces/FieldAccessInterface.td"
 
 def Soft_Dialect : Dialect {
   let name = "soft";
@@ -25,6 +26,18 @@ def Soft_PlusOp : Op<Soft_Dialect, "plus", [
   let arguments = (ins AnyFloat:$value);
   let results = (outs AnyFloat:$result);
   let assemblyFormat = "$value attr-dict `:` type($value)";
+}
+
+// An op that accesses a field. Passes that ask what a kernel accesses, such as
+// tai-summarize-kernels and tai-check-bounds, count it among the reads.
+def Soft_ReadOp : Op<Soft_Dialect, "read", [
+    DeclareOpInterfaceMethods<MemoryEffectsOpInterface>,
+    DeclareOpInterfaceMethods<Tai_FieldAccessOpInterface,
+                              ["getFieldAccess", "getAccessedValue"]>]> {
+  let summary = "log(1 + exp(x)) of an element of a field";
+  let arguments = (ins FlatSymbolRefAttr:$field, Variadic<Index>:$indices);
+  let results = (outs AnyFloat:$value);
+  let assemblyFormat = "$field `[` $indices `]` attr-dict `:` type($value)";
 }
 
 #endif // SOFT_OPS_TD

@@ -8,11 +8,12 @@
 #include "tai/AD/Conventions.h"
 #include "mlir/IR/BuiltinAttributes.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
 using namespace mlir::tai;
 
-static constexpr llvm::StringLiteral kAttribute = "tai.conventions";
+static constexpr llvm::StringLiteral kAttribute = "conventions";
 
 static bool isString(Attribute attr, StringRef text) {
   auto string = dyn_cast<StringAttr>(attr);
@@ -26,7 +27,8 @@ Conventions Conventions::of(Operation *op) {
     function = op->getParentOfType<FunctionOpInterface>();
   if (!function)
     return result;
-  auto chosen = function->getAttrOfType<DictionaryAttr>(kAttribute);
+  auto chosen = function->getAttrOfType<DictionaryAttr>(
+      getFunctionAttrName(function, kAttribute));
   if (!chosen)
     return result;
   if (Attribute ties = chosen.get("ties"))
@@ -39,13 +41,14 @@ Conventions Conventions::of(Operation *op) {
 }
 
 LogicalResult Conventions::verify(Operation *function) {
-  Attribute attr = function->getAttr(kAttribute);
+  StringAttr attribute = getFunctionAttrName(function, kAttribute);
+  Attribute attr = function->getAttr(attribute);
   if (!attr)
     return success();
   auto chosen = dyn_cast<DictionaryAttr>(attr);
   if (!chosen)
-    return function->emitError()
-           << "'" << kAttribute << "' is a dictionary, but got " << attr;
+    return function->emitError() << "'" << attribute.strref()
+                                 << "' is a dictionary, but got " << attr;
   for (NamedAttribute entry : chosen) {
     StringRef name = entry.getName();
     Attribute value = entry.getValue();
@@ -54,8 +57,8 @@ LogicalResult Conventions::verify(Operation *function) {
                                  : name == "guards" && isa<BoolAttr>(value);
     if (!good)
       return function->emitError()
-             << "'" << kAttribute << "' has no choice '" << name << " = "
-             << value
+             << "'" << attribute.strref() << "' has no choice '" << name
+             << " = " << value
              << "'; there are 'ties = \"split\"', 'arcs = \"clamp\"' and "
                 "'guards = false'";
   }

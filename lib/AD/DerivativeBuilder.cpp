@@ -8,6 +8,8 @@
 #include "tai/AD/DerivativeBuilder.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "mlir/IR/Matchers.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -73,4 +75,48 @@ Value DerivativeBuilder::createGuard(Value derivative, Value value) {
   auto guard = arith::SelectOp::create(*this, isZero, zero, value);
   guard->setAttr(kGuard, getUnitAttr());
   return guard;
+}
+
+//===----------------------------------------------------------------------===//
+// Guards
+//===----------------------------------------------------------------------===//
+
+void mlir::tai::noteGuards(FunctionOpInterface function) {
+  auto kernel = dyn_cast<KernelOp>(function.getOperation());
+  if (!kernel)
+    return;
+  WalkResult found = kernel.walk([](arith::SelectOp select) {
+    return select->hasAttr(kGuard) ? WalkResult::interrupt()
+                                   : WalkResult::advance();
+  });
+  if (found.wasInterrupted())
+    kernel.setGuarded(true);
+}
+
+/// True for `select (x == 0), 0, y`.
+static bool looksLikeGuard(arith::SelectOp select) {
+  auto test = select.getCondition().getDefiningOp<arith::CmpFOp>();
+  return test && test.getPredicate() == arith::CmpFPredicate::OEQ &&
+         matchPattern(test.getRhs(), m_AnyZeroFloat()) &&
+         matchPattern(select.getTrueValue(), m_AnyZeroFloat());
+}
+
+LogicalResult mlir::tai::checkGuards(FunctionOpInterface function) {
+  auto kernel = dyn_cast<KernelOp>(function.getOperation());
+  if (!kernel || !kernel.getGuarded())
+    return success();
+  arith::SelectOp lost;
+  bool isMarked = false;
+  kernel.walk([&](arith::SelectOp select) {
+    if (select->hasAttr(kGuard))
+      isMarked = true;
+    else if (!lost && looksLikeGuard(select))
+      lost = select;
+  });
+  if (isMarked || !lost)
+    return success();
+  return lost->emitError("a guard of this gradient has lost its mark '")
+         << kGuard
+         << "', so that the gradient cannot be differentiated again; make the "
+            "tangent before the pass that drops such attributes";
 }

@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/AD/Signature.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Interfaces/Differentiable.h"
 
 using namespace mlir;
@@ -60,8 +61,9 @@ LogicalResult mlir::tai::checkHasDerivative(FunctionOpInterface function,
                             << " no array of floats that a derivative is "
                                "wanted of";
   diag.attachNote() << "pass arrays, or name arguments and results by their "
-                       "positions, as in 'tai.gradients = array<i64: 0, "
-                    << numInputs << ">'";
+                       "positions, as in '"
+                    << getFunctionAttrName(function, kGradients).strref()
+                    << " = array<i64: 0, " << numInputs << ">'";
   return diag;
 }
 
@@ -70,7 +72,8 @@ FailureOr<AdjointSignature> AdjointSignature::get(FunctionOpInterface function,
   AdjointSignature signature;
   ArrayRef<Type> inputs = function.getArgumentTypes();
   ArrayRef<Type> results = function.getResultTypes();
-  Attribute given = function->getAttr(kGradients);
+  StringAttr name = getFunctionAttrName(function, kGradients);
+  Attribute given = function->getAttr(name);
   if (!given) {
     for (auto [i, type] : llvm::enumerate(inputs))
       if (arrays && isa<MemRefType>(type) && getShadowType(type))
@@ -81,7 +84,7 @@ FailureOr<AdjointSignature> AdjointSignature::get(FunctionOpInterface function,
   if (!positions ||
       !llvm::is_sorted(positions.asArrayRef(), std::less_equal<int64_t>()))
     return function.emitError("expects '")
-           << kGradients
+           << name.strref()
            << "' to be an array of positions in ascending order, such as "
               "array<i64: 0, 2>";
   for (int64_t position : positions.asArrayRef()) {

@@ -239,14 +239,6 @@ AffineMap mlir::tai::getAffineMap(Operation *access, ValueRange indices) {
 // Exclusive accumulation
 //===----------------------------------------------------------------------===//
 
-/// The name of the field that a tai op accesses.
-static FlatSymbolRefAttr getFieldName(Operation *op) {
-  return llvm::TypeSwitch<Operation *, FlatSymbolRefAttr>(op)
-      .Case<LoadOp, StoreOp, AtomicOp, ActivateOp, DeactivateOp, IsActiveOp,
-            AppendOp, LengthOp>([](auto op) { return op.getFieldAttr(); })
-      .Default([](Operation *) { return FlatSymbolRefAttr(); });
-}
-
 const void *mlir::tai::getFieldStorageKey(FieldOp field) {
   return ArrayAttr::get(field.getContext(),
                         {field.getTreeAttr(), field.getPlaceAttr()})
@@ -254,7 +246,8 @@ const void *mlir::tai::getFieldStorageKey(FieldOp field) {
 }
 
 const void *mlir::tai::getStorageKey(Operation *op) {
-  if (FlatSymbolRefAttr name = getFieldName(op)) {
+  if (auto access = dyn_cast<FieldAccessOpInterface>(op)) {
+    FlatSymbolRefAttr name = access.getFieldAttr();
     // A place is named once in its tree, so tree and place name the storage.
     if (FieldOp field = lookupField(op, name))
       return getFieldStorageKey(field);

@@ -21,6 +21,7 @@
 #include "mlir/Interfaces/ViewLikeInterface.h"
 #include "tai/Analysis/Activity.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/ADT/StringSet.h"
 
@@ -147,6 +148,7 @@ public:
 private:
   void collect();
   void collectAccess(DifferentiableAccessInterface access);
+  void collectForeignAccess(FieldAccessOpInterface access);
   void collectRead(Operation *op);
   void addEdges(OperandRange operands, ValueRange inputs);
   void addEdge(OpOperand &use, Value target) {
@@ -232,6 +234,16 @@ void Paths::collectAccess(DifferentiableAccessInterface access) {
     llvm::append_range(bits, access->getResults());
 }
 
+/// An access to a field by an op without a rule for it.
+void Paths::collectForeignAccess(FieldAccessOpInterface access) {
+  if (!access.isElementAccess() ||
+      !ends.hasDerivative(Storage(access.getFieldAttr())))
+    return;
+  opaque.insert(access);
+  if (access.writesField())
+    wanted.push_back(access.getAccessedValue());
+}
+
 /// What reads memory by an op without a rule.
 void Paths::collectRead(Operation *op) {
   if (op->getNumRegions() != 0 || isa<DifferentiableOpInterface>(op) ||
@@ -263,6 +275,8 @@ void Paths::collect() {
   function.walk([&](Operation *op) {
     if (auto access = dyn_cast<DifferentiableAccessInterface>(op))
       return collectAccess(access);
+    if (auto access = dyn_cast<FieldAccessOpInterface>(op))
+      return collectForeignAccess(access);
     if (isa<LocalStoreOp, StackPushOp>(op))
       return addEdge(op->getOpOperand(0), op->getOperand(1));
     if (isa<LocalLoadOp, StackPopOp>(op))
@@ -459,6 +473,12 @@ LogicalResult Paths::verify() {
   findUseful();
   LogicalResult result = success();
   for (Operation *op : opaque) {
+    if (auto access = dyn_cast<FieldAccessOpInterface>(op);
+        access && access.writesField() &&
+        varied.contains(access.getAccessedValue())) {
+      result = refuse(op);
+      continue;
+    }
     if (llvm::none_of(op->getResults(),
                       [&](Value value) { return useful.contains(value); }))
       continue;

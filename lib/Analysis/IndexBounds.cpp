@@ -18,7 +18,7 @@ bool tai::checksIndices(Operation *op) {
   auto kernel = dyn_cast<KernelOp>(op);
   if (!kernel)
     kernel = op->getParentOfType<KernelOp>();
-  return kernel && kernel->hasAttr(kChecksIndicesAttrName);
+  return kernel && kernel.getChecksIndices();
 }
 
 void IndexBounds::checkPiece(const IterationDomain &domain, LinearSystem system,

@@ -51,44 +51,42 @@ static std::optional<unsigned> findListDimension(const FieldLayout &layout) {
   return std::nullopt;
 }
 
-static std::optional<IndexedAccess> getFieldAccess(Operation *op,
-                                                   FlatSymbolRefAttr name,
-                                                   MutableOperandRange indices,
-                                                   bool isOfList = false) {
-  FieldOp field = lookupField(op, name);
+/// The operands of a range, to be replaced.
+static void addOperands(IndexedAccess &access, OperandRange operands) {
+  for (unsigned i = 0; i != operands.size(); ++i)
+    access.indices.push_back(&operands.getBase()[i]);
+}
+
+static std::optional<IndexedAccess> getFieldAccess(FieldAccessOpInterface op) {
+  FieldOp field = lookupField(op, op.getFieldAttr());
   FailureOr<FieldLayout> layout =
       field ? getFieldLayout(field) : FailureOr<FieldLayout>();
   if (failed(layout))
     return std::nullopt;
   IndexedAccess access{op, describeField(*layout), {}, {}, {}};
+  addOperands(access, op.getIndices());
+  access.rank = access.indices.size();
+  bool isOfList = access.rank + 1 == layout->shape.size();
   std::optional<unsigned> left =
       isOfList ? findListDimension(*layout) : std::nullopt;
-  if (isOfList && !left)
-    return std::nullopt;
   for (size_t d = 0; d != layout->shape.size(); ++d) {
     if (left && *left == d)
       continue;
     access.first.push_back(layout->offset[d]);
     access.extents.push_back({layout->shape[d]});
   }
-  for (OpOperand &index : indices)
-    access.indices.push_back(&index);
-  access.rank = access.indices.size();
   if (access.rank != access.extents.size())
     return std::nullopt;
-  return access;
-}
-
-static void addComponents(IndexedAccess &access, FieldOp field,
-                          MutableOperandRange components) {
   auto type = dyn_cast<VectorType>(field.getType());
-  if (!type)
-    return;
-  for (auto [number, component] : llvm::enumerate(components)) {
-    access.indices.push_back(&component);
-    access.first.push_back(0);
-    access.extents.push_back({type.getDimSize(number)});
+  if (OperandRange components = op.getComponents();
+      type && !components.empty()) {
+    addOperands(access, components);
+    for (int64_t extent : type.getShape()) {
+      access.first.push_back(0);
+      access.extents.push_back({extent});
+    }
   }
+  return access;
 }
 
 static std::optional<IndexedAccess>
@@ -110,24 +108,9 @@ getArrayAccess(Operation *op, Value array, MutableOperandRange indices) {
 }
 
 std::optional<IndexedAccess> IndexedAccess::get(Operation *op) {
-  auto ofField = [&](auto access) {
-    std::optional<IndexedAccess> result =
-        getFieldAccess(op, access.getFieldAttr(), access.getIndicesMutable());
-    if (result)
-      addComponents(*result, lookupField(op, access.getFieldAttr()),
-                    access.getComponentsMutable());
-    return result;
-  };
-  auto ofCell = [&](auto access, bool isOfList) {
-    return getFieldAccess(op, access.getFieldAttr(), access.getIndicesMutable(),
-                          isOfList);
-  };
   return llvm::TypeSwitch<Operation *, std::optional<IndexedAccess>>(op)
-      .Case<LoadOp, StoreOp, AtomicOp>(ofField)
-      .Case<ActivateOp, DeactivateOp, IsActiveOp>(
-          [&](auto access) { return ofCell(access, false); })
-      .Case<LengthOp, AppendOp>(
-          [&](auto access) { return ofCell(access, true); })
+      .Case(
+          [](FieldAccessOpInterface access) { return getFieldAccess(access); })
       .Case([&](memref::LoadOp load) {
         return getArrayAccess(op, load.getMemRef(), load.getIndicesMutable());
       })

@@ -105,8 +105,7 @@ AdjointNeeds mlir::tai::getAdjointNeeds(ModuleOp module, StringRef name) {
   if (!kernel)
     return needs;
   for (KernelOp part : module.getOps<KernelOp>()) {
-    auto whole = part->getAttrOfType<FlatSymbolRefAttr>(kPartOfAttrName);
-    if (!whole || whole.getValue() != name)
+    if (part.getPartOf() != name)
       continue;
     llvm::raw_string_ostream stream(needs.parts);
     module->print(stream, OpPrintingFlags().enableDebugInfo().assumeVerified());
@@ -127,7 +126,8 @@ AdjointNeeds mlir::tai::getAdjointNeeds(ModuleOp module, StringRef name) {
   adjoint.walk([&](Operation *op) {
     if (!isa<IsActiveOp, LengthOp>(op))
       return;
-    StringRef field = op->getAttrOfType<FlatSymbolRefAttr>("field").getValue();
+    StringRef field =
+        cast<FieldAccessOpInterface>(op).getFieldAttr().getValue();
     if (!llvm::is_contained(needs.activity, field))
       needs.activity.push_back(field.str());
   });
@@ -135,8 +135,7 @@ AdjointNeeds mlir::tai::getAdjointNeeds(ModuleOp module, StringRef name) {
   for (Operation &helper : *module.getBody())
     if (!isa<KernelOp>(helper))
       add(listAccesses(&helper));
-  if (auto name =
-          adjoint->getAttrOfType<FlatSymbolRefAttr>(kStoredFormAttrName)) {
+  if (FlatSymbolRefAttr name = adjoint.getStoredFormAttr()) {
     needs.loadsStored = true;
     for (NamedAccess &access :
          listAccesses(module.lookupSymbol<KernelOp>(name)))
@@ -144,15 +143,11 @@ AdjointNeeds mlir::tai::getAdjointNeeds(ModuleOp module, StringRef name) {
           !llvm::is_contained(needs.reads, access))
         needs.stored.push_back(std::move(access));
   }
-  auto addNames = [&](Attribute attribute) {
-    if (auto names = dyn_cast_or_null<ArrayAttr>(attribute))
-      for (auto field : names.getAsRange<FlatSymbolRefAttr>())
-        if (!llvm::is_contained(needs.before, field.getValue()))
-          needs.before.push_back(field.getValue().str());
-  };
-  addNames(adjoint->getAttr(kBeforeAttrName));
-  addNames(adjoint->getAttr(kRerunsAttrName));
-  needs.reruns = adjoint->hasAttr(kRerunsAttrName);
+  if (ArrayAttr names = adjoint.getReadsBeforeAttr())
+    for (auto field : names.getAsRange<FlatSymbolRefAttr>())
+      if (!llvm::is_contained(needs.before, field.getValue()))
+        needs.before.push_back(field.getValue().str());
+  needs.reruns = adjoint.getReexecutes();
   return needs;
 }
 
@@ -160,7 +155,7 @@ SmallVector<std::pair<std::string, OwningOpRef<ModuleOp>>>
 mlir::tai::splitParts(ModuleOp parts) {
   SmallVector<std::pair<std::string, OwningOpRef<ModuleOp>>> result;
   for (KernelOp part : parts.getOps<KernelOp>()) {
-    if (!part->hasAttr(kPartOfAttrName))
+    if (!part.getPartOf())
       continue;
     OwningOpRef<ModuleOp> module = parts.clone();
     for (KernelOp other :
@@ -170,7 +165,7 @@ mlir::tai::splitParts(ModuleOp parts) {
     // Which form of its adjoint is wanted shows later.
     auto copy = module->lookupSymbol<KernelOp>(part.getSymName());
     copy.removeAdjointAttr();
-    copy->removeAttr(kPartOfAttrName);
+    copy.removePartOfAttr();
     result.emplace_back(part.getSymName().str(), std::move(module));
   }
   // "k.10" comes after "k.9".

@@ -54,8 +54,7 @@ runtime::Status KernelCode::makeChecked(runtime::CheckedKernel &checked) {
                              FailureKind::Type, failure)))
     return services.failures.keep(std::move(failure));
   auto kernel = module->lookupSymbol<KernelOp>(getName());
-  auto described =
-      cast<ArrayAttr>(kernel->removeAttr(kCheckedAccessesAttrName));
+  auto described = cast<ArrayAttr>(kernel.removeCheckedAccessesAttr());
   for (auto access : described.getAsRange<ArrayAttr>()) {
     runtime::CheckedAccess row;
     row.field =

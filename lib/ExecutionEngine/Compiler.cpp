@@ -11,6 +11,7 @@
 #include "../CodeGen/VerifyEach.h"
 #include "BuildId.h"
 #include "CompilerWorker.h"
+#include "StripAttributes.h"
 #include "mlir/Pass/Pass.h"
 #include "mlir/Pass/PassInstrumentation.h"
 #include "tai/Analysis/SkipScope.h"
@@ -89,6 +90,7 @@ Compiler::Worker::Worker(MLIRContext *context, const Pipelines &pipelines,
        {&autodiff, &zeroingAutodiff, &forward, &lowering}) {
     manager->enableVerifier(options.debug || verifiesEach());
     manager->addInstrumentation(std::make_unique<InvalidAfterPass>(finding));
+    StripAttributes::addIfWanted(*manager);
   }
   if (pipelines.autodiff) {
     pipelines.autodiff(autodiff, options, /*zeroes=*/false);
@@ -157,14 +159,14 @@ static LogicalResult checkZeroes(ModuleOp module, KernelOp kernel,
                                  Failure &failure) {
   DiagnosticCollector collector(module.getContext());
   auto adjoint = module.lookupSymbol<KernelOp>(*kernel.getAdjoint());
-  if (!adjoint || adjoint->hasAttr(kTakesAttrName))
+  if (!adjoint || adjoint.getZeroesAdjoint())
     return success();
   adjoint.emitError("this adjoint must leave zero in the adjoints of what '@" +
                     kernel.getName() +
                     "' stores, which an earlier launch has used")
           .attachNote()
       << "store zero there after reading them, and give it the attribute '"
-      << kTakesAttrName << "'";
+      << adjoint.getZeroesAdjointAttrName().strref() << "'";
   failure = collector.take(FailureKind::Autodiff);
   return mlir::failure();
 }
@@ -186,7 +188,7 @@ LogicalResult Compiler::extendByTangents(Worker &worker, CompileRequest request,
                          FailureKind::Autodiff, failure)))
     return mlir::failure();
   for (KernelOp kernel : kernels) {
-    auto tangent = kernel->getAttrOfType<FlatSymbolRefAttr>("tai.tangent");
+    FlatSymbolRefAttr tangent = kernel.getTangentAttr();
     if (getEntryPointName(kernel.getSymName()) == prepared.symbol)
       prepared.symbol = getEntryPointName(tangent.getValue());
     kernel.erase();
@@ -233,8 +235,8 @@ LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
       prepared.symbol.clear();
       return success();
     }
-    auto form = module->lookupSymbol<KernelOp>(adjoint)
-                    ->getAttrOfType<FlatSymbolRefAttr>(kStoredFormAttrName);
+    FlatSymbolRefAttr form =
+        module->lookupSymbol<KernelOp>(adjoint).getStoredFormAttr();
     if (form && CompileRequest::readsStored(request.goal))
       adjoint = form;
     prepared.symbol = getEntryPointName(adjoint.getValue());

@@ -251,7 +251,9 @@ Compiler::makeObject(CompileRequest request, const CompileOptions &options,
   PhaseTimes &times = prepared.times;
   if (failed(lower(worker, request, prepared, object.trees, failure, nullptr)))
     return std::nullopt;
-  if (prepared.module.get()->hasAttr(kReportsPlacesAttrName))
+  // What reports an error has its place in the code: without, the cache would
+  // take code of the same kernel at another line for its own.
+  if (prepared.module->lookupSymbol("tai_rt_fail"))
     object.places = getPlaces(request);
   for (auto [sum, amount] : llvm::zip(object.skipped, scope.getAmounts()))
     sum += amount;

@@ -123,18 +123,13 @@ static void describeMemory(llvm::raw_ostream &os, ModuleOp module,
   describeFields(os, "reads the gradients", gradients);
   describeFields(os, "adds to", sums);
   describeFields(os, "stores to", writes);
-  auto describeSymbols = [&](StringRef name, StringRef what) {
-    auto symbols = adjoint->getAttrOfType<ArrayAttr>(name);
-    if (!symbols)
-      return;
+  if (ArrayAttr names = adjoint.getReadsBeforeAttr()) {
     llvm::SetVector<StringRef> fields;
-    for (Attribute symbol : symbols)
-      if (auto reference = dyn_cast<FlatSymbolRefAttr>(symbol))
-        fields.insert(reference.getValue());
-    describeFields(os, what, fields);
-  };
-  describeSymbols("tai.before", "the tape saves, before each launch");
-  if (adjoint->hasAttr("tai.reruns"))
+    for (auto field : names.getAsRange<FlatSymbolRefAttr>())
+      fields.insert(field.getValue());
+    describeFields(os, "the tape saves, before each launch", fields);
+  }
+  if (adjoint.getReexecutes())
     os << "  the kernel is run again, before its gradient, on what was saved\n";
 }
 

@@ -15,6 +15,7 @@
 #include "mlir/IR/Matchers.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/LoopBox.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/ExecutionEngine/AdjointNeeds.h"
 
 using namespace mlir;
@@ -264,18 +265,33 @@ std::vector<NamedAccess> mlir::tai::listAccesses(Operation *root) {
     if (!llvm::is_contained(list, access))
       list.push_back(std::move(access));
   };
-  root->walk([&](Operation *op) {
-    auto field = op->getAttrOfType<FlatSymbolRefAttr>("field");
-    if (!field || isa<ParallelForOp>(op))
+  // What has effects and names a field without saying how it accesses it may do
+  // anything to it.
+  auto addNamed = [&](Operation *op) {
+    if (op->getNumRegions() != 0 || isa<SymbolOpInterface>(op) ||
+        isMemoryEffectFree(op))
       return;
-    if (auto load = dyn_cast<LoadOp>(op))
-      return add(field, Kind::Read, load.getIndices());
-    if (isa<IsActiveOp, LengthOp>(op))
-      return add(field, Kind::Read);
-    if (auto store = dyn_cast<StoreOp>(op))
-      return add(field, Kind::Write, store.getIndices());
-    if (isa<ActivateOp, DeactivateOp>(op))
-      return add(field, Kind::Write);
+    for (NamedAttribute attribute : op->getAttrs())
+      if (auto name = dyn_cast<FlatSymbolRefAttr>(attribute.getValue());
+          name && lookupField(op, name)) {
+        add(name, Kind::Read);
+        add(name, Kind::Write);
+      }
+  };
+  root->walk([&](Operation *op) {
+    if (isa<ParallelForOp>(op))
+      return;
+    auto access = dyn_cast<FieldAccessOpInterface>(op);
+    FlatSymbolRefAttr field = getNamedField(op);
+    if (!field)
+      return addNamed(op);
+    bool isElement = access && access.isElementAccess();
+    if (access && !access.writesField())
+      return add(field, Kind::Read,
+                 isElement ? access.getIndices() : ValueRange());
+    if (access && !access.readsField())
+      return add(field, Kind::Write,
+                 isElement ? access.getIndices() : ValueRange());
     if (auto atomic = dyn_cast<AtomicOp>(op)) {
       bool isSum = atomic.getKind() == AtomicKind::Add ||
                    atomic.getKind() == AtomicKind::Sub;

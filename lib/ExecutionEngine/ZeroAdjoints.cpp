@@ -249,7 +249,7 @@ std::vector<LoopFlags> mlir::tai::findLoopFlags(KernelOp primal,
   // The form of the adjoint that takes sets these to zero, too.
   primal.walk([&](Operation *op) {
     auto loop = op->getParentOfType<ParallelForOp>();
-    auto name = op->getAttrOfType<FlatSymbolRefAttr>("field");
+    FlatSymbolRefAttr name = getNamedField(op);
     FieldOp field = name ? lookupField(op, name) : FieldOp();
     bool stores = isa<StoreOp>(op);
     if (auto atomic = dyn_cast<AtomicOp>(op))

@@ -68,7 +68,8 @@ int32_t Interpreter::run(TaiFrame *frame) const {
   FunctionOpInterface function = program->getFunction();
   Block &body = function.getFunctionBody().front();
   Run run(*program, frame);
-  run.keepsActivity = function->hasAttr(kKeepsActivityAttrName);
+  if (auto kernel = dyn_cast<KernelOp>(function.getOperation()))
+    run.keepsActivity = kernel.getKeepsActivity();
   Data arguments = readArguments(function, frame->args);
   for (auto [argument, datum] : llvm::zip(body.getArguments(), arguments))
     run.set(argument, datum);
@@ -174,7 +175,7 @@ LogicalResult Program::prepare(Operation *function) {
         good = failed(op->emitError("the interpreter knows no branches between "
                                     "blocks")) &&
                false;
-    if (auto access = op->getAttrOfType<FlatSymbolRefAttr>("field");
+    if (FlatSymbolRefAttr access = getNamedField(op);
         access && op->getName().getDialectNamespace() == "tai")
       good &= succeeded(prepareField(op, access.getAttr()));
     if (auto call = dyn_cast<func::CallOp>(op)) {

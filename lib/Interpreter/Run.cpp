@@ -86,8 +86,7 @@ void Run::setResults(Operation *op, const Data &results) {
 }
 
 const FieldPlace &Run::getField(Operation *op) {
-  return program.getField(
-      op->getAttrOfType<FlatSymbolRefAttr>("field").getAttr());
+  return program.getField(getNamedField(op).getAttr());
 }
 
 LogicalResult Run::runBlock(Block &block, ArrayRef<Datum> arguments) {

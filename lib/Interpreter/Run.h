@@ -109,7 +109,7 @@ struct Run {
   llvm::DenseMap<Value, Datum> values;
   /// The operands of the terminator that ended the last block.
   Data ended;
-  /// Stores to inactive cells do nothing; see kKeepsActivityAttrName.
+  /// Stores to inactive cells do nothing; see `tai.kernel`.
   bool keepsActivity = false;
   DrawCounter draws;
 };

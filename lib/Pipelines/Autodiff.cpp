@@ -19,11 +19,13 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
   // Helpers go into the kernels that call them: a call hides what it reads. The
   // inliner's own cleaning of every function is left out, see below.
   pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
-  // Values instead of variables, so that the rest sees what depends on what.
-  pm.addPass(createEliminateLocals());
-  addCanonicalization(pm);
-  // One value for each index, so that equal elements are seen to be equal.
-  pm.addPass(createCSEPass());
+  addPerFunction(pm, [](OpPassManager &function) {
+    // Values instead of variables, so that the rest sees what depends on what.
+    function.addPass(createEliminateLocals());
+    addCanonicalization(function);
+    // One value for each index, so that equal elements are seen to be equal.
+    function.addPass(createCSEPass());
+  });
   ExpandAtomicsOptions expand;
   expand.kernels.assign(options.kernels.begin(), options.kernels.end());
   pm.addPass(createExpandAtomics(expand));
@@ -34,7 +36,9 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
   PromoteElementsOptions forward;
   forward.kernels.assign(options.kernels.begin(), options.kernels.end());
   pm.addPass(createPromoteElements(forward));
-  pm.addPass(createEliminateLocals());
+  addPerFunction(pm, [](OpPassManager &function) {
+    function.addPass(createEliminateLocals());
+  });
   if (options.flatten)
     pm.addPass(createFlattenBranches());
 
@@ -52,27 +56,33 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
   adjoint.skip = options.skip;
   pm.addPass(createMakeAdjoint(adjoint));
 
-  // Rules write the formula, not its simplest form.
-  addCanonicalization(pm);
-  pm.addPass(createCSEPass());
-  // What a backward loop recomputes need not be recomputed in each iteration.
-  pm.addPass(createLoopInvariantCodeMotionPass());
-  pm.addPass(createMarkExclusive());
-  pm.addPass(createSummarizeKernels());
+  addPerFunction(pm, [](OpPassManager &function) {
+    // Rules write the formula, not its simplest form.
+    addCanonicalization(function);
+    function.addPass(createCSEPass());
+    // What a backward loop recomputes need not be recomputed in each iteration.
+    function.addPass(createLoopInvariantCodeMotionPass());
+    function.addPass(createMarkExclusive());
+    function.addPass(createSummarizeKernels());
+  });
 }
 
 void tai::buildForwardPipeline(OpPassManager &pm, bool arrayTangents) {
   pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
-  pm.addPass(createEliminateLocals());
-  addCanonicalization(pm);
-  pm.addPass(createCSEPass());
+  addPerFunction(pm, [](OpPassManager &function) {
+    function.addPass(createEliminateLocals());
+    addCanonicalization(function);
+    function.addPass(createCSEPass());
+  });
   ForwardDiffOptions forward;
   forward.arrayTangents = arrayTangents;
   pm.addPass(createForwardDiff(forward));
-  // Rules write the formula, not its simplest form.
-  addCanonicalization(pm);
-  pm.addPass(createCSEPass());
-  pm.addPass(createMarkExclusive());
+  addPerFunction(pm, [](OpPassManager &function) {
+    // Rules write the formula, not its simplest form.
+    addCanonicalization(function);
+    function.addPass(createCSEPass());
+    function.addPass(createMarkExclusive());
+  });
 }
 
 void tai::registerAutodiffPipeline() {

@@ -22,16 +22,18 @@
 #include "tai/AD/Passes.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Interfaces/Differentiable.h"
 #include "tai/Transforms/Passes.h"
 
 using namespace mlir;
 
 void tai::registerAll(DialectRegistry &registry) {
-  registry.insert<TaiDialect, arith::ArithDialect, cf::ControlFlowDialect,
-                  func::FuncDialect, gpu::GPUDialect, LLVM::LLVMDialect,
-                  math::MathDialect, memref::MemRefDialect, NVVM::NVVMDialect,
-                  scf::SCFDialect, ub::UBDialect, vector::VectorDialect>();
+  registry.insert<TaiDialect, TaiRTDialect, arith::ArithDialect,
+                  cf::ControlFlowDialect, func::FuncDialect, gpu::GPUDialect,
+                  LLVM::LLVMDialect, math::MathDialect, memref::MemRefDialect,
+                  NVVM::NVVMDialect, scf::SCFDialect, ub::UBDialect,
+                  vector::VectorDialect>();
   func::registerInlinerExtension(registry);
   registerDifferentiableModels(registry);
 }

@@ -20,6 +20,7 @@
 #include "mlir/Pass/PassManager.h"
 #include "mlir/Pass/PassRegistry.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Pipelines/Pipelines.h"
 
 using namespace mlir;
@@ -31,7 +32,7 @@ static Operation *findTaiOp(Operation *op) {
   op->walk<WalkOrder::PreOrder>([&](Operation *nested) {
     if (nested != op && nested->hasTrait<OpTrait::SymbolTable>())
       return WalkResult::skip();
-    if (!isa_and_present<TaiDialect>(nested->getDialect()))
+    if (!isa_and_present<TaiDialect, TaiRTDialect>(nested->getDialect()))
       return WalkResult::advance();
     found = nested;
     return WalkResult::interrupt();
@@ -58,7 +59,7 @@ llvm::SetVector<Operation *> tai::collectOwn(ModuleOp module, StringRef entry) {
   SymbolTable symbols(module);
   llvm::SetVector<Operation *> own;
   for (Operation &op : *module.getBody())
-    if (isa_and_present<TaiDialect>(op.getDialect()) ||
+    if (isa_and_present<TaiDialect, TaiRTDialect>(op.getDialect()) ||
         (isa<func::FuncOp>(op) && findTaiOp(&op)))
       own.insert(&op);
   if (!entry.empty())
@@ -171,7 +172,7 @@ LogicalResult Isolate::checkForeign(const llvm::SetVector<Operation *> &own) {
     if (op.hasTrait<OpTrait::SymbolTable>()) {
       Operation *found = nullptr;
       op.walk([&](Operation *nested) {
-        if (isa_and_present<TaiDialect>(nested->getDialect()))
+        if (isa_and_present<TaiDialect, TaiRTDialect>(nested->getDialect()))
           found = nested;
       });
       if (found)

@@ -6,8 +6,10 @@
 //===----------------------------------------------------------------------===//
 
 #include "LoweringPasses.h"
+#include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Transforms/Passes.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Passes.h"
 
 using namespace mlir;
@@ -43,4 +45,10 @@ void tai::addCanonicalization(OpPassManager &pm) {
   // each rewrite in it.
   pm.addPass(createSimplifyHugeBodies());
   pm.addPass(createCanonicalizerPass());
+}
+
+void tai::addPerFunction(OpPassManager &pm,
+                         llvm::function_ref<void(OpPassManager &)> add) {
+  add(pm.nest<KernelOp>());
+  add(pm.nest<func::FuncOp>());
 }

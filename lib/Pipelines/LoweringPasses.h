@@ -19,6 +19,12 @@ void addSourcePasses(OpPassManager &pm, const LoweringOptions &options);
 /// Canonicalises, in time that grows with the program and no faster.
 void addCanonicalization(OpPassManager &pm);
 
+/// Adds passes that change one kernel or function at a time, and read nothing
+/// of its module but what none of them changes: trees and fields. Kernels go
+/// through all of them in parallel.
+void addPerFunction(OpPassManager &pm,
+                    llvm::function_ref<void(OpPassManager &)> add);
+
 } // namespace mlir::tai
 
 #endif // TAI_LIB_PIPELINES_LOWERINGPASSES_H

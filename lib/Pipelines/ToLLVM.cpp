@@ -20,41 +20,44 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
 
   addSourcePasses(pm, options);
 
-  if (fast) {
-    pm.addPass(createMarkExclusive());
-    pm.addPass(createScatterToGather());
-    pm.addPass(createNormalizeIndices());
-    pm.addPass(createVersionInterior());
-    // The interior's answers are constants now, and dead questions go.
-    addCanonicalization(pm);
-  }
-
-  // A test of the results stands for many of single values; the fast floats
-  // assume that all of them succeed.
-  if (fast && !options.fastMath)
-    pm.addPass(createVersionGuards());
-  // From here on values are scalars, and loops run over boxes.
-  pm.addPass(createScalarize());
+  addPerFunction(pm, [&](OpPassManager &function) {
+    if (fast) {
+      function.addPass(createMarkExclusive());
+      function.addPass(createScatterToGather());
+      function.addPass(createNormalizeIndices());
+      function.addPass(createVersionInterior());
+      // The interior's answers are constants now, and dead questions go.
+      addCanonicalization(function);
+    }
+    // A test of the results stands for many of single values; the fast floats
+    // assume that all of them succeed.
+    if (fast && !options.fastMath)
+      function.addPass(createVersionGuards());
+    // From here on values are scalars, and loops run over boxes.
+    function.addPass(createScalarize());
+  });
   // Of scalars, while loops over fields still say what their indices are.
   GuardDivisionsOptions divisions;
   divisions.debug = options.debug;
   pm.addPass(createGuardDivisions(divisions));
-  // Both are the business of the loop over blocks too.
-  if (fast && options.skip.has(Skip::ActivityTests) &&
-      options.skip.has(Skip::RepeatedLookups))
-    pm.addPass(createVectorizeBlocks());
-  LowerStructForOptions loops;
-  loops.deterministic = options.deterministic;
-  loops.skip = options.skip;
-  pm.addPass(createLowerStructFor(loops));
+  addPerFunction(pm, [&](OpPassManager &function) {
+    // Both are the business of the loop over blocks too.
+    if (fast && options.skip.has(Skip::ActivityTests) &&
+        options.skip.has(Skip::RepeatedLookups))
+      function.addPass(createVectorizeBlocks());
+    LowerStructForOptions loops;
+    loops.deterministic = options.deterministic;
+    loops.skip = options.skip;
+    function.addPass(createLowerStructFor(loops));
 
-  if (fast)
-    pm.addPass(createCSEPass());
+    if (fast)
+      function.addPass(createCSEPass());
 
-  // How accumulations are done is decided while they still name fields.
-  RelaxAtomicsOptions relax;
-  relax.deterministic = options.deterministic;
-  pm.addPass(createRelaxAtomics(relax));
+    // How accumulations are done is decided while they still name fields.
+    RelaxAtomicsOptions relax;
+    relax.deterministic = options.deterministic;
+    function.addPass(createRelaxAtomics(relax));
+  });
 
   LowerLayoutOptions layout;
   layout.boundsCheck = checked;

@@ -20,32 +20,36 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
 
   addSourcePasses(pm, options);
 
-  if (fast) {
-    pm.addPass(createMarkExclusive());
-    pm.addPass(createScatterToGather());
-    pm.addPass(createNormalizeIndices());
-    addCanonicalization(pm);
-  }
-  pm.addPass(createScalarize());
+  addPerFunction(pm, [&](OpPassManager &function) {
+    if (fast) {
+      function.addPass(createMarkExclusive());
+      function.addPass(createScatterToGather());
+      function.addPass(createNormalizeIndices());
+      addCanonicalization(function);
+    }
+    function.addPass(createScalarize());
+  });
   // Of scalars, while loops over fields still say what their indices are.
   GuardDivisionsOptions divisions;
   divisions.debug = options.debug;
   pm.addPass(createGuardDivisions(divisions));
-  LowerStructForOptions loops;
-  loops.deterministic = options.deterministic;
-  loops.skip = options.skip;
-  pm.addPass(createLowerStructFor(loops));
-  if (fast && !options.deterministic)
-    pm.addPass(createRerollAccumulations());
-  if (fast)
-    pm.addPass(createCSEPass());
+  addPerFunction(pm, [&](OpPassManager &function) {
+    LowerStructForOptions loops;
+    loops.deterministic = options.deterministic;
+    loops.skip = options.skip;
+    function.addPass(createLowerStructFor(loops));
+    if (fast && !options.deterministic)
+      function.addPass(createRerollAccumulations());
+    if (fast)
+      function.addPass(createCSEPass());
 
-  RelaxAtomicsOptions relax;
-  relax.deterministic = options.deterministic;
-  relax.onDevice = true;
-  pm.addPass(createRelaxAtomics(relax));
-  if (fast)
-    pm.addPass(createCoarsenThreads());
+    RelaxAtomicsOptions relax;
+    relax.deterministic = options.deterministic;
+    relax.onDevice = true;
+    function.addPass(createRelaxAtomics(relax));
+    if (fast)
+      function.addPass(createCoarsenThreads());
+  });
 
   // While accesses name fields: what addresses are made of is in range.
   pm.addPass(createNarrowIndices());

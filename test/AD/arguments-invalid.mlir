@@ -28,14 +28,14 @@ tai.kernel @outside(%a: f32) -> f32 attributes {tai.gradients = array<i64: 0, 2>
 
 // -----
 
-// expected-error @+1 {{expects 'tai.gradients' to be an array of positions in ascending order, such as array<i64: 0, 2>}}
+// expected-error @+1 {{expects 'gradients' to be an array of positions in ascending order, such as array<i64: 0, 2>}}
 tai.kernel @twice(%a: f32) attributes {tai.gradients = array<i64: 0, 0>} {
   tai.return
 }
 
 // -----
 
-// expected-error @+1 {{expects 'tai.gradients' to be an array of positions in ascending order}}
+// expected-error @+1 {{'tai.kernel' op attribute 'gradients' failed to satisfy constraint: i64 dense array attribute}}
 tai.kernel @no_array(%a: f32) attributes {tai.gradients = 0 : i64} {
   tai.return
 }

@@ -11,7 +11,7 @@ tai.field @y = @t["y"] : f32, rank 1, adjoint @y_grad
 // equal share. What stood there before is read as it was, and keeps its adjoint
 // if no value reaches it.
 // CHECK-LABEL: tai.kernel @extreme_grad(
-//  CHECK-SAME:   tai.before = [@y]
+//  CHECK-SAME:   reads_before = [@y]
 //   CHECK-DAG:   %[[BEST:.+]] = memref.alloc() : memref<3xf32>
 //   CHECK-DAG:   %[[VALUES:.+]] = memref.alloc() : memref<8xf32>
 //   CHECK-DAG:   %[[ELEMENTS:.+]] = memref.alloc() : memref<8xindex>
@@ -48,7 +48,7 @@ tai.kernel @extreme() {
 // One element for all needs one number; what stood there is a factor, apart from
 // the product of the others.
 // CHECK-LABEL: tai.kernel @product_grad(
-//  CHECK-SAME:   tai.before = [@y]
+//  CHECK-SAME:   reads_before = [@y]
 //       CHECK:   %[[PRODUCT:.+]] = memref.alloc() : memref<1xf32>
 //       CHECK:   memref.atomic_rmw mulf
 //       CHECK:   tai.load @y[%[[T:.+]]] : f32

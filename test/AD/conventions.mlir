@@ -74,21 +74,21 @@ tai.kernel @unguarded() attributes {tai.conventions = {guards = false}} {
 
 // -----
 
-// expected-error @below {{'tai.conventions' has no choice 'ties = "half"'; there are 'ties = "split"', 'arcs = "clamp"' and 'guards = false'}}
+// expected-error @below {{'conventions' has no choice 'ties = "half"'; there are 'ties = "split"', 'arcs = "clamp"' and 'guards = false'}}
 tai.kernel @unknown() attributes {tai.conventions = {ties = "half"}} {
   tai.return
 }
 
 // -----
 
-// expected-error @below {{'tai.conventions' has no choice 'tie = "split"'}}
+// expected-error @below {{'conventions' has no choice 'tie = "split"'}}
 tai.kernel @misspelt() attributes {tai.conventions = {tie = "split"}} {
   tai.return
 }
 
 // -----
 
-// expected-error @below {{'tai.conventions' is a dictionary, but got "split"}}
+// expected-error @below {{'tai.kernel' op attribute 'conventions' failed to satisfy constraint: dictionary of named attribute values}}
 tai.kernel @no_dictionary() attributes {tai.conventions = "split"} {
   tai.return
 }

@@ -147,7 +147,7 @@ tai.field @y = @t["y"] : f64, rank 0, adjoint @gy, dual @gy
 // expected-note @+1 {{run 'tai-make-adjoint' and 'tai-forward-diff' before 'tai-lower-layout'}}
 tai.kernel @late() {
   // expected-error @+1 {{cannot differentiate accesses that are lowered already}}
-  %base = tai.tree_base @t : !llvm.ptr
+  %base = tai_rt.tree_base @t : !llvm.ptr
   %0 = llvm.load %base : !llvm.ptr -> f64
   %1 = arith.mulf %0, %0 : f64
   %2 = llvm.getelementptr %base[16] : (!llvm.ptr) -> !llvm.ptr, i8

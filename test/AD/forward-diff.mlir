@@ -15,7 +15,7 @@ tai.field @c = @t["c"] : f32, rank 1
 tai.field @n = @t["n"] : i32, rank 1
 
 // The example of the pass's page.
-// ONE:       tai.kernel @square() attributes {tai.tangent = @square_fwd}
+// ONE:       tai.kernel @square() attributes {tangent = @square_fwd}
 // ONE:       tai.kernel @square_fwd
 // ONE-NOT:   _fwd(
 // CHECK-LABEL: tai.kernel @square_fwd() {

@@ -21,7 +21,7 @@ tai.field @p = @t["p"] : i32, rank 1
 // CHECK-LABEL: tai.kernel @once_grad() {
 //   CHECK-NOT:   tai.store
 //       CHECK:   tai.return
-// TAKES-LABEL: tai.kernel @once_grad() attributes {tai.takes} {
+// TAKES-LABEL: tai.kernel @once_grad() attributes {zeroes_adjoint} {
 //       TAKES:   %[[ZERO:.+]] = arith.constant 0.0
 //       TAKES:   tai.parallel_for (%[[I:.+]]) in
 //       TAKES:     %[[G:.+]] = tai.load @y_grad[%[[I]]]
@@ -37,7 +37,7 @@ tai.kernel @once() {
 
 // What is read was overwritten: it is needed as it was before. The adjoint of the
 // element is taken before that of the old value is added.
-// CHECK-LABEL: tai.kernel @in_place_grad() attributes {tai.before = [@x]} {
+// CHECK-LABEL: tai.kernel @in_place_grad() attributes {reads_before = [@x]} {
 //       CHECK:   %[[ZERO:.+]] = arith.constant 0.0
 //       CHECK:   tai.parallel_for (%[[I:.+]]) in
 //       CHECK:     %[[X:.+]] = tai.load @x[%[[I]]]
@@ -46,7 +46,7 @@ tai.kernel @once() {
 //       CHECK:     %[[COS:.+]] = math.cos %[[X]]
 //       CHECK:     %[[GX:.+]] = arith.mulf %[[G]], %[[COS]]
 //       CHECK:     tai.atomic add %[[GX]], @x_grad[%[[I]]] exclusive
-// TAKES-LABEL: tai.kernel @in_place_grad() attributes {tai.before = [@x], tai.takes} {
+// TAKES-LABEL: tai.kernel @in_place_grad() attributes {reads_before = [@x], zeroes_adjoint} {
 tai.kernel @in_place() {
   tai.parallel_for (%i) in @x {
     %0 = tai.load @x[%i] : f32
@@ -57,7 +57,7 @@ tai.kernel @in_place() {
 }
 
 // Whether p[i] is i is not known.
-// CHECK-LABEL: tai.kernel @indirect_grad() attributes {tai.before = [@x]} {
+// CHECK-LABEL: tai.kernel @indirect_grad() attributes {reads_before = [@x]} {
 //       CHECK:     %[[J:.+]] = arith.index_cast
 //       CHECK:     tai.load @x_grad[%[[J]]]
 //       CHECK:     tai.store %{{.+}}, @x_grad[%[[J]]]
@@ -74,7 +74,7 @@ tai.kernel @indirect() {
 }
 
 // A sum adds to the old value, which its own derivative needs.
-// CHECK-LABEL: tai.kernel @add_square_grad() attributes {tai.before = [@x]} {
+// CHECK-LABEL: tai.kernel @add_square_grad() attributes {reads_before = [@x]} {
 //   CHECK-NOT:   tai.store
 //       CHECK:   tai.return
 tai.kernel @add_square() {
@@ -87,7 +87,7 @@ tai.kernel @add_square() {
 }
 
 // A field without an adjoint.
-// CHECK-LABEL: tai.kernel @scratch_grad() attributes {tai.before = [@plain]} {
+// CHECK-LABEL: tai.kernel @scratch_grad() attributes {reads_before = [@plain]} {
 tai.kernel @scratch() {
   tai.parallel_for (%i) in @x {
     %0 = tai.load @plain[%i] : f32
@@ -167,7 +167,7 @@ tai.kernel @recurrence(%n: index) {
 }
 
 // The other way round each is read before it is stored.
-// CHECK-LABEL: tai.kernel @shift_grad(%{{.+}}: index) attributes {tai.before = [@x]} {
+// CHECK-LABEL: tai.kernel @shift_grad(%{{.+}}: index) attributes {reads_before = [@x]} {
 //       CHECK:   tai.store %{{.+}}, @x_grad
 tai.kernel @shift(%n: index) {
   %c0 = arith.constant 0 : index
@@ -222,7 +222,7 @@ tai.kernel @component() {
   tai.return
 }
 
-// CHECK-LABEL: tai.kernel @some_component_grad(%{{.+}}: index) attributes {tai.before = [@v]} {
+// CHECK-LABEL: tai.kernel @some_component_grad(%{{.+}}: index) attributes {reads_before = [@v]} {
 //       CHECK:     tai.store %{{.+}}, @v_grad[%{{.+}}] component[%{{.+}}] : f32
 tai.kernel @some_component(%c: index) {
   %c0 = arith.constant 0 : index
@@ -235,7 +235,7 @@ tai.kernel @some_component(%c: index) {
 }
 
 // What the top level read is overwritten between: its adjoint is summed beside.
-// CHECK-LABEL: tai.kernel @captured_grad() attributes {tai.before = [@a]} {
+// CHECK-LABEL: tai.kernel @captured_grad() attributes {reads_before = [@a]} {
 //       CHECK:   %[[SUM:.+]] = memref.alloca
 //       CHECK:   tai.parallel_for
 //   CHECK-NOT:     @a_grad
@@ -276,7 +276,7 @@ func.func @copy_and_clear(%x: memref<?xf32>, %y: memref<?xf32>) attributes {tai.
 // CHECK-LABEL: tai.kernel @stencil_grad()
 //   CHECK-NOT:   tai.store
 //       CHECK:   tai.return
-// TAKES-LABEL: tai.kernel @stencil_grad() attributes {tai.takes} {
+// TAKES-LABEL: tai.kernel @stencil_grad() attributes {zeroes_adjoint} {
 //       TAKES:   tai.parallel_for
 //   TAKES-NOT:     tai.store
 //       TAKES:     %[[G:.+]] = tai.load @y_grad

@@ -14,7 +14,7 @@ tai.field @v = @t["v"] : vector<2xf32>, rank 1, adjoint @v_grad
 tai.field @plain = @t["plain"] : f32, rank 1
 
 // Outside of serial loops a recorded value is that of the rerun itself.
-// CHECK-LABEL: tai.kernel @sequence_grad() attributes {tai.before = [@x], tai.reruns} {
+// CHECK-LABEL: tai.kernel @sequence_grad() attributes {reads_before = [@x], reexecutes} {
 //       CHECK:   tai.parallel_for (%[[I:.+]]) in @x {
 //   CHECK-NOT:     tai.stack
 //       CHECK:     %[[A:.+]] = tai.load @x[%[[I]]]
@@ -45,7 +45,7 @@ tai.kernel @sequence() {
 
 // In a serial loop it is pushed by the rerun and popped by the reverse. What
 // nothing needs is not run again.
-// CHECK-LABEL: tai.kernel @repeated_grad() attributes {tai.before = [@x], tai.reruns} {
+// CHECK-LABEL: tai.kernel @repeated_grad() attributes {reads_before = [@x], reexecutes} {
 //       CHECK:   tai.parallel_for (%[[I:.+]]) in @x {
 //       CHECK:     %[[STACK:.+]] = tai.stack_create : !tai.stack<f32>
 //       CHECK:     scf.for
@@ -111,7 +111,7 @@ tai.kernel @branches(%n: index) {
 
 // A recurrence that runs over and over: the loops are run again as a whole, with
 // what they carry.
-// CHECK-LABEL: tai.kernel @sweeps_grad(%{{.+}}: index) attributes {tai.before = [@x], tai.reruns} {
+// CHECK-LABEL: tai.kernel @sweeps_grad(%{{.+}}: index) attributes {reads_before = [@x], reexecutes} {
 //   CHECK-DAG:   %[[STACK:.+]] = tai.stack_create
 //       CHECK:   scf.for
 //       CHECK:     scf.for

@@ -11,12 +11,12 @@ tai.field @x = @t["x"] : f32, rank 1, adjoint @x_grad
 tai.field @y = @d["y"] : f32, rank 1, adjoint @y_grad
 
 // CHECK-LABEL: tai.kernel @gather_grad()
-//  CHECK-SAME:   attributes {{{.*}}tai.keeps_activity
+//  CHECK-SAME:   attributes {{{.*}}keeps_activity
 //       CHECK:   tai.parallel_for (%[[I:.+]]) in @x {
 //       CHECK:     tai.atomic add %{{.+}}, @x_grad
 // LOWER-LABEL: tai.kernel @gather_grad()
-//       LOWER:   tai.active_cells
-//   LOWER-NOT:   tai.activate_cell
+//       LOWER:   tai_rt.active_cells
+//   LOWER-NOT:   tai_rt.activate_cell
 //       LOWER:   tai.return
 tai.kernel @gather() {
   %c1 = arith.constant 1 : index

@@ -16,21 +16,21 @@ tai.field @a = @t["a"] : f32, rank 0, adjoint @a_grad
 //       CHECK:   tai.parallel_for
 //       CHECK:   tai.parallel_for
 // CHECK-LABEL: tai.kernel @twice.0(
-//  CHECK-SAME:     %[[S:.+]]: f32) attributes {tai.part_of = @twice} {
+//  CHECK-SAME:     %[[S:.+]]: f32) attributes {part_of = @twice} {
 //       CHECK:   arith.mulf %[[S]], %[[S]]
 //       CHECK:   tai.parallel_for
 //       CHECK:     math.sin
 //   CHECK-NOT:   tai.parallel_for
 //       CHECK:   tai.return
 // CHECK-LABEL: tai.kernel @twice.1(
-//  CHECK-SAME:     %[[S:.+]]: f32) -> f32 attributes {tai.part_of = @twice} {
+//  CHECK-SAME:     %[[S:.+]]: f32) -> f32 attributes {part_of = @twice} {
 //       CHECK:   %[[SS:.+]] = arith.mulf %[[S]], %[[S]]
 //       CHECK:   tai.parallel_for
 //       CHECK:     math.exp
 //       CHECK:   tai.return %[[SS]]
 //
-// GRAD-DAG: tai.kernel @twice.0_grad(%{{.+}}: f32) attributes {tai.before = [@x]}
-// GRAD-DAG: tai.kernel @twice.1_grad(%{{.+}}: f32) attributes {tai.before = [@x]}
+// GRAD-DAG: tai.kernel @twice.0_grad(%{{.+}}: f32) attributes {reads_before = [@x]}
+// GRAD-DAG: tai.kernel @twice.1_grad(%{{.+}}: f32) attributes {guarded, reads_before = [@x]}
 // GRAD-NOT: @twice_grad
 tai.kernel @twice(%s: f32) -> f32 {
   %ss = arith.mulf %s, %s : f32
@@ -54,8 +54,8 @@ tai.kernel @twice(%s: f32) -> f32 {
 //   CHECK-NOT: @agree.0
 // CHECK-LABEL: tai.kernel @alone
 //   CHECK-NOT: @alone.0
-// GRAD-DAG: tai.kernel @agree_grad() attributes {tai.before = [@x]}
-// GRAD-DAG: tai.kernel @alone_grad() attributes {tai.before = [@x], tai.reruns}
+// GRAD-DAG: tai.kernel @agree_grad() attributes {reads_before = [@x]}
+// GRAD-DAG: tai.kernel @alone_grad() attributes {reads_before = [@x], reexecutes}
 tai.kernel @agree() {
   tai.parallel_for (%i) in @x {
     %0 = tai.load @x[%i] : f32

@@ -4,7 +4,7 @@
 
 // The form of adjoints that loads what kernels have stored.
 
-// OFF-NOT: tai.stored_form
+// OFF-NOT: stored_form
 
 !t = !tai.root<dense<[i: 16], dense<[j: 16], {y: f32, y_grad: f32, v: vector<2xf32>, v_grad: vector<2xf32>}>>, dense<[i: 16], {x: f32, x_grad: f32, z: f32, low: f16}>, pointer<[i: 4], dense<[i: 4], {s: f32, s_grad: f32}>>>
 tai.tree @t : !t
@@ -20,7 +20,7 @@ tai.field @z = @t["z"] : f32, rank 1
 tai.field @low = @t["low"] : f16, rank 1
 
 // CHECK-LABEL: tai.kernel @layer_grad(
-// CHECK-SAME:    attributes {tai.stored_form = @layer_grad_stored}
+// CHECK-SAME:    attributes {stored_form = @layer_grad_stored}
 //      CHECK:    math.sin
 //      CHECK:    math.tanh
 // CHECK-LABEL: tai.kernel @layer_grad_stored(%arg0: i32) {
@@ -39,9 +39,9 @@ tai.field @low = @t["low"] : f16, rank 1
 //
 // Both forms take.
 // TAKES-LABEL: tai.kernel @layer_grad(
-// TAKES-SAME:    tai.stored_form = @layer_grad_stored, tai.takes
+// TAKES-SAME:    stored_form = @layer_grad_stored, zeroes_adjoint
 // TAKES-LABEL: tai.kernel @layer_grad_stored(
-// TAKES-SAME:    attributes {tai.takes}
+// TAKES-SAME:    attributes {zeroes_adjoint}
 //      TAKES:    tai.load @y[
 //      TAKES:    tai.store %{{.+}}, @y_grad[
 tai.kernel @layer(%t: i32) {
@@ -215,7 +215,7 @@ tai.kernel @cheap(%t: index) {
 
 // What was there before is wanted too, and it is one or the other.
 // CHECK-LABEL: tai.kernel @in_place_grad(
-// CHECK-SAME:    {tai.before = [@x]}
+// CHECK-SAME:    {guarded, reads_before = [@x]}
 //  CHECK-NOT:  @in_place_grad_stored
 tai.kernel @in_place() {
   tai.parallel_for (%i) in @x {
@@ -258,7 +258,7 @@ tai.kernel @condition(%t: index) {
 
 // A name that is taken stays with who has it.
 // CHECK-LABEL: tai.kernel @taken() attributes {adjoint = @taken_grad} {
-// CHECK-LABEL: tai.kernel @taken_grad() {
+// CHECK-LABEL: tai.kernel @taken_grad() attributes {guarded} {
 // CHECK-LABEL: tai.kernel @taken_grad_stored() attributes {adjoint = @taken_grad_stored_grad} {
 tai.kernel @taken() {
   tai.parallel_for (%i) in @x {

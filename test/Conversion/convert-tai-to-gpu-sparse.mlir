@@ -93,10 +93,10 @@ tai.field @n = @t["n"] : i64, rank 1
 tai.kernel @inside() {
   %zero = arith.constant 0 : index
   %count = arith.constant 3 : index
-  %base = tai.tree_base @t : !llvm.ptr
+  %base = tai_rt.tree_base @t : !llvm.ptr
   tai.parallel_for (%i) = (%zero) to (%count) {
-    %cells, %k = tai.active_cells %base, 0 : !llvm.ptr
-    %all = tai.list_is_current %base, 0 : !llvm.ptr
+    %cells, %k = tai_rt.active_cells %base, 0 : !llvm.ptr
+    %all = tai_rt.list_is_current %base, 0 : !llvm.ptr
     scf.if %all {
       %number = arith.index_cast %k : index to i64
       llvm.store %number, %base : i64, !llvm.ptr
@@ -112,13 +112,13 @@ tai.tree @t : !tai.root<pointer<[i: 4], dense<[i: 8], {x: f32, n: i64}>>>
 tai.kernel @changes() {
   %zero = arith.constant 0 : index
   %count = arith.constant 3 : index
-  %base = tai.tree_base @t : !llvm.ptr
+  %base = tai_rt.tree_base @t : !llvm.ptr
   tai.parallel_for (%i) = (%zero) to (%count) {
     // expected-error@+1 {{the list of active cells, inside of a parallel loop that changes which are active, does not come to the GPU yet; make the loop over them a kernel of its own}}
-    %cells, %k = tai.active_cells %base, 0 : !llvm.ptr
+    %cells, %k = tai_rt.active_cells %base, 0 : !llvm.ptr
     %number = arith.index_cast %k : index to i64
     llvm.store %number, %base : i64, !llvm.ptr
-    tai.deactivate_cell %base, 0, %i : !llvm.ptr
+    tai_rt.deactivate_cell %base, 0, %i : !llvm.ptr
   }
   tai.return
 }

@@ -55,7 +55,7 @@ tai.kernel @array(%m: memref<?xf32>, %x: f32) -> i64 {
 //       CHECK:   llvm.load %[[AT]] invariant : !llvm.ptr -> !llvm.ptr
 //   CHECK-NOT: tai.tree
 tai.kernel @tree() -> f32 {
-  %0 = tai.tree_base @t : !llvm.ptr
+  %0 = tai_rt.tree_base @t : !llvm.ptr
   %1 = llvm.load %0 : !llvm.ptr -> f32
   tai.return %1 : f32
 }
@@ -84,7 +84,7 @@ tai.kernel @range(%x: f32) {
   %five = arith.constant 5.0 : f32
   %c0 = arith.constant 0 : index
   %n = arith.constant 100000 : index
-  %p = tai.tree_base @t : !llvm.ptr
+  %p = tai_rt.tree_base @t : !llvm.ptr
   tai.parallel_for (%i) = (%c0) to (%n) {
     %0 = arith.addf %x, %five : f32
     %1 = arith.index_cast %i : index to i64
@@ -187,7 +187,7 @@ tai.kernel @local(%n: index) {
 //       DEBUG:     llvm.call @tai_rt_fail(%{{.+}}, %[[INDEX]],
 tai.kernel @checks(%c: i1, %x: f32) {
   tai.assert %c, "x is {}"(%x) : f32
-  tai.assert %c, "index" {tai.failure = 2 : i32}
+  tai.assert %c, "index" {failure = 2 : i32}
   tai.return
 }
 
@@ -210,7 +210,7 @@ tai.kernel @checks(%c: i1, %x: f32) {
 tai.kernel @random(%n: index) {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
-  %p = tai.tree_base @t : !llvm.ptr
+  %p = tai_rt.tree_base @t : !llvm.ptr
   tai.parallel_for (%i, %j) = (%c0, %c0) to (%n, %n) {
     %0 = tai.random stream 3 : f32
     llvm.store %0, %p : f32, !llvm.ptr

@@ -14,7 +14,7 @@ tai.field @v = @t["v"] : vector<3xf32>, rank 2
 //       CHECK:   %[[B:.+]] = arith.cmpi ult, %[[J]], %{{.+}}
 //       CHECK:   %[[OK:.+]] = arith.andi %[[A]], %[[B]]
 //       CHECK:   tai.assert %[[OK]], "index [{}, {}] is out of range for field '@x' of shape [4, 8] from [1, 0]"(%[[I]], %[[J]])
-//  CHECK-SAME:     {tai.failure = 2 : i32}
+//  CHECK-SAME:     {failure = 2 : i32}
 //       CHECK:   %[[R:.+]] = scf.if %[[OK]] -> (f32) {
 //       CHECK:     llvm.load
 //       CHECK:   } else {

@@ -13,7 +13,7 @@ tai.field @f = @t["f"] : i1, rank 0
 // three floats, and @v starts one behind @x.
 // CHECK-LABEL: tai.kernel @record(
 //  CHECK-SAME:     %[[I:.+]]: index, %[[J:.+]]: index
-//   CHECK-DAG:   %[[BASE:.+]] = tai.tree_base @t : !llvm.ptr
+//   CHECK-DAG:   %[[BASE:.+]] = tai_rt.tree_base @t : !llvm.ptr
 //   CHECK-DAG:   %[[V:.+]] = llvm.getelementptr inbounds|nuw %[[BASE]][4]
 //       CHECK:   %[[C24:.+]] = arith.constant 24 : index
 //       CHECK:   %[[A:.+]] = arith.muli %[[I]], %[[C24]] overflow<nsw>
@@ -106,8 +106,8 @@ tai.kernel @array(%m: memref<?x?xf32>, %i: index) -> f32 {
 
 // What tai-relax-atomics took out of memory is left to convert-tai-to-scf.
 // CHECK-LABEL: tai.kernel @kept
-//       CHECK:   tai.atomic add %{{.+}}, @x[{{.+}}] {tai.accumulate = "private"}
+//       CHECK:   tai.atomic add %{{.+}}, @x[{{.+}}] strategy private
 tai.kernel @kept(%i: index, %x: f32) {
-  %0 = tai.atomic add %x, @x[%i, %i] {tai.accumulate = "private"} : f32
+  %0 = tai.atomic add %x, @x[%i, %i] strategy private : f32
   tai.return
 }

@@ -8,7 +8,7 @@
 // warp runs those whose threads can come to the additions together, and one
 // thread the rest.
 
-// CPU-NOT: tai.in_warp
+// CPU-NOT: in_warp
 
 tai.tree @t : !tai.root<dense<[i: 100], {at: i32, v: f32}>, dense<[i: 8, j: 8], {m: vector<2xf32>, mass: f32}>, dense<[i: 8], {h: f16, d: f64, seen: i32}>, {total: f32}>
 tai.tree @s : !tai.root<pointer<[i: 16], dense<[i: 16], {p: f32}>>>
@@ -25,7 +25,7 @@ tai.field @p = @s["p"] : f32, rank 1
 // Components and neighbours share a plan; the sum of all iterations stays in
 // registers, of which there are 32 and others that hold nothing.
 // RELAX-LABEL: tai.kernel @neighbours
-//       RELAX: } {tai.in_warp}
+//       RELAX: } {in_warp}
 //   GPU-LABEL: llvm.func @neighbours_0(
 //    GPU-SAME: tai.block_size = 32
 //       GPU:   %[[LANES:.+]] = llvm.call @tai_dev_ordered_lanes() : () -> i32
@@ -74,7 +74,7 @@ tai.kernel @neighbours() {
 // Additions leave the branches in which they stand. All else is done by threads
 // that have an iteration.
 // RELAX-LABEL: tai.kernel @conditions
-//       RELAX: } {tai.in_warp}
+//       RELAX: } {in_warp}
 //   GPU-LABEL: llvm.func @conditions_0(
 //       GPU:   scf.for
 //       GPU:     %[[ACTIVE:.+]] = arith.cmpi slt
@@ -114,7 +114,7 @@ tai.kernel @conditions() {
 
 // Loops that all iterations go through alike; integers stay atomic.
 // RELAX-LABEL: tai.kernel @loops
-//       RELAX: } {tai.in_warp}
+//       RELAX: } {in_warp}
 //   GPU-LABEL: llvm.func @loops_0(
 //       GPU:   scf.for
 //       GPU:     %[[ACTIVE:.+]] = arith.cmpi slt

@@ -30,8 +30,8 @@ tai.kernel @own() {
 
 // Two different elements: the neighbour's iteration updates this one too.
 // CHECK-LABEL: tai.kernel @neighbours
-//       CHECK:     tai.atomic add %{{.+}}, @y[%{{.+}}] {tai.accumulate = "private", tai.buffer = 0 : i64} : f32
-//       CHECK:     tai.atomic add %{{.+}}, @y[%{{.+}}] {tai.accumulate = "private", tai.buffer = 0 : i64} : f32
+//       CHECK:     tai.atomic add %{{.+}}, @y[%{{.+}}] strategy private buffer 0 : f32
+//       CHECK:     tai.atomic add %{{.+}}, @y[%{{.+}}] strategy private buffer 0 : f32
 //       CHECK:   }
 //   CHECK-NOT:   tai.independent
 //       CHECK:   tai.return
@@ -50,8 +50,8 @@ tai.kernel @neighbours() {
 
 // All iterations share one element: sums in registers.
 // CHECK-LABEL: tai.kernel @reduction
-//       CHECK:     tai.atomic add %{{.+}}, @loss[] {tai.accumulate = "register"} : f32
-//       CHECK:     tai.atomic add %{{.+}}, @count[] {tai.accumulate = "register"} : i32
+//       CHECK:     tai.atomic add %{{.+}}, @loss[] strategy register : f32
+//       CHECK:     tai.atomic add %{{.+}}, @count[] strategy register : i32
 //       CHECK:   } {tai.independent}
 tai.kernel @reduction() {
   %c0 = arith.constant 0 : index
@@ -71,7 +71,7 @@ tai.kernel @reduction() {
 //  CHECK-SAME:     %[[T:.+]]: index
 //       CHECK:   %[[NEXT:.+]] = arith.addi %[[T]], %{{.+}} : index
 //       CHECK:   tai.parallel_for
-//       CHECK:     tai.atomic add %{{.+}}, @grid[%[[NEXT]], {{.+}}] {tai.accumulate = "private", tai.buffer = 0 : i64} : f32
+//       CHECK:     tai.atomic add %{{.+}}, @grid[%[[NEXT]], {{.+}}] strategy private buffer 0 : f32
 tai.kernel @slice(%t: index) {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
@@ -207,7 +207,7 @@ tai.kernel @array(%m: memref<?xf32>) {
 // Many sums of one field are neighbours: they share a buffer.
 // CHECK-LABEL: tai.kernel @row
 //  CHECK-SAME:     %[[T:.+]]: index
-// CHECK-COUNT-9:   tai.atomic add %{{.+}}, @grid[%[[T]], {{.+}}] {tai.accumulate = "private", tai.buffer = 0 : i64} : f32
+// CHECK-COUNT-9:   tai.atomic add %{{.+}}, @grid[%[[T]], {{.+}}] strategy private buffer 0 : f32
 tai.kernel @row(%t: index) {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
@@ -279,7 +279,7 @@ tai.kernel @local_sums() -> f32 {
 // One that is read in the loop, or indexed by it, is added to in memory.
 // CHECK-LABEL: tai.kernel @local_array
 //  FREE:   tai.parallel_for
-//   CHECK-NOT: tai.accumulate
+//   CHECK-NOT: {{strategy|tai.accumulate}}
 //  DET:    serialize
 tai.kernel @local_array() -> f32 {
   %c0 = arith.constant 0 : index

@@ -166,7 +166,7 @@ tai.kernel @local(%i: index) {
 
 // A message keeps the numbers of components.
 // CHECK-LABEL: tai.kernel @message(
-//       CHECK:   tai.print "{} {}"(%{{.+}}, %{{.+}}, %{{.+}}) : f32, f32, index {tai.shapes = array<i32: 2, 1>}
+//       CHECK:   tai.print "{} {}"(%{{.+}}, %{{.+}}, %{{.+}}) : f32, f32, index {shapes = array<i32: 2, 1>}
 tai.kernel @message(%i: index) {
   %0 = tai.load @v[%i] : vector<2xf32>
   tai.print "{} {}"(%0, %i) : vector<2xf32>, index

@@ -26,7 +26,7 @@ tai.field @y = @t["y"] : f32, rank 1
 //      NONE:     llvm.load volatile
 //      NONE:     tai.store {{.*}}, @y[{{[^]]*}}] : f32
 // FIXED-LABEL: tai.kernel @visit
-//     FIXED:   } {tai.fixed_cost = {{.*}} : f64, tai.outer_dims = 1 : i64}
+//     FIXED:   } {fixed_cost = {{.*}} : f64, outer_dims = 1 : i64}
 //      LLVM:   llvm.load volatile
 tai.kernel @visit() {
   tai.parallel_for (%i) in @x {

@@ -8,12 +8,12 @@ tai.field @x = @t["x"] : f32, rank 2
 tai.field @y = @t["y"] : f32, rank 2
 
 // LOOP-LABEL: tai.kernel @visit
-//       LOOP:   %[[BASE:.+]] = tai.tree_base @t
-//       LOOP:   %[[CELLS:.+]], %[[COUNT:.+]] = tai.active_cells %[[BASE]], 0
+//       LOOP:   %[[BASE:.+]] = tai_rt.tree_base @t
+//       LOOP:   %[[CELLS:.+]], %[[COUNT:.+]] = tai_rt.active_cells %[[BASE]], 0
 //       LOOP:   tai.parallel_for (%[[E:.+]], %[[DI:.+]], %[[DJ:.+]]) = ({{.*}}) to (%[[COUNT]],
 //       LOOP:     %[[CELL:.+]] = llvm.load {{.*}} invariant
 //       LOOP:     tai.store {{.*}}, @y[{{.*}}] {tai.active}
-//       LOOP:   } {tai.outer_dims = 1 : i64}
+//       LOOP:   } {outer_dims = 1 : i64}
 tai.kernel @visit() {
   tai.parallel_for (%i, %j) in @x {
     %0 = tai.load @x[%i, %j] : f32
@@ -24,7 +24,7 @@ tai.kernel @visit() {
 
 // The indices of the first element of each cell.
 // LOOP-LABEL: tai.kernel @visit_level
-//       LOOP:   tai.active_cells
+//       LOOP:   tai_rt.active_cells
 //       LOOP:   tai.parallel_for (%{{[^,]+}}) = (%{{[^,]+}}) to (%{{[^,]+}})
 tai.kernel @visit_level() {
   tai.parallel_for (%i, %j) in @x level 2 {
@@ -59,7 +59,7 @@ tai.kernel @read(%i: index, %j: index) -> f32 {
 //       CHECK:   %[[WORD:.+]] = llvm.load {{.*}} atomic monotonic {{.*}} -> i64
 //       CHECK:   %[[ACTIVE:.+]] = arith.trunci {{.*}} : i64 to i1
 //       CHECK:   %[[OK:.+]] = scf.if %[[ACTIVE]]
-//       CHECK:     tai.activate_cell {{.*}}, 0,
+//       CHECK:     tai_rt.activate_cell {{.*}}, 0,
 //       CHECK:   scf.if %[[OK]] {
 //       CHECK:     llvm.store
 tai.kernel @write(%i: index, %j: index, %v: f32) {
@@ -69,18 +69,18 @@ tai.kernel @write(%i: index, %j: index, %v: f32) {
 
 // An adjoint adds nothing to inactive cells.
 // CHECK-LABEL: tai.kernel @adjoint
-//   CHECK-NOT:   tai.activate_cell
+//   CHECK-NOT:   tai_rt.activate_cell
 //       CHECK:   %[[ACTIVE:.+]] = arith.trunci {{.*}} : i64 to i1
 //       CHECK:   scf.if %[[ACTIVE]] {
 tai.kernel @adjoint(%i: index, %j: index, %v: f32)
-    attributes {tai.keeps_activity} {
+    attributes {keeps_activity} {
   %0 = tai.atomic add %v, @x[%i, %j] : f32
   tai.return
 }
 
 // CHECK-LABEL: tai.kernel @ask
-//       CHECK:   tai.activate_cell
-//       CHECK:   tai.deactivate_cell
+//       CHECK:   tai_rt.activate_cell
+//       CHECK:   tai_rt.deactivate_cell
 //       CHECK:   llvm.load {{.*}} atomic monotonic
 //       CHECK:   %[[TRUE:.+]] = arith.trunci
 //       CHECK:   tai.return %[[TRUE]]
@@ -98,7 +98,7 @@ tai.tree @t : !tai.root<dense<[i: 3], dynamic<[j: 16], chunk 4, {x: vector<2xf32
 tai.field @x = @t["x"] : vector<2xf32>, rank 2
 
 // CHECK-LABEL: tai.kernel @append
-//       CHECK:   %[[AT:.+]] = tai.append_cell {{.*}}, 0, %{{.+}}
+//       CHECK:   %[[AT:.+]] = tai_rt.append_cell {{.*}}, 0, %{{.+}}
 //       CHECK:   %[[HAS:.+]] = arith.cmpi sge, %[[AT]]
 //       CHECK:   scf.if %[[HAS]] {
 //       CHECK:     llvm.store
@@ -141,8 +141,8 @@ tai.field @z = @t["z"] : f32, rank 1
 //       LOOP:   tai.store {{.*}}, @y[%{{[^]]*}}] : f32
 //       LOOP:   tai.store {{.*}}, @z[%{{[^]]*}}] {tai.active} : f32
 // CHECK-LABEL: tai.kernel @siblings
-//       CHECK:   tai.activate_cell
-//   CHECK-NOT:   tai.activate_cell
+//       CHECK:   tai_rt.activate_cell
+//   CHECK-NOT:   tai_rt.activate_cell
 //       CHECK:   tai.return
 tai.kernel @siblings() {
   tai.parallel_for (%i) in @x {

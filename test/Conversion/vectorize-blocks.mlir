@@ -67,7 +67,7 @@ tai.kernel @scale(%s: f32) {
 //   CHECK-NOT:   tai.activate
 //       CHECK:   vector<8xf32>
 //       CHECK:   tai.return
-tai.kernel @keeps() attributes {tai.keeps_activity} {
+tai.kernel @keeps() attributes {keeps_activity} {
   tai.parallel_for (%i, %j) in @x {
     %a = tai.load @x[%i, %j] : f32
     tai.atomic add %a, @y[%i, %j] exclusive : f32
@@ -184,7 +184,7 @@ tai.field @g = @t["g"] : f32, rank 1
 //       CHECK:     llvm.intr.masked.store
 //       CHECK:   } else {
 //       CHECK:     tai.is_active
-tai.kernel @neighbours() attributes {tai.keeps_activity} {
+tai.kernel @neighbours() attributes {keeps_activity} {
   %one = arith.constant 1 : index
   %zero = arith.constant 0.0 : f32
   tai.parallel_for (%i) in @x {

@@ -14,7 +14,7 @@
 // OPTION: no such option iterations
 // HOST-NOT: note:
 // HOST: llvm.func
-// ZEROES: tai.kernel @copy_grad() attributes {{.*}}tai.takes
+// ZEROES: tai.kernel @copy_grad() attributes {{.*}}zeroes_adjoint
 
 tai.tree @t : !tai.root<dense<[i: 64, j: 128], {x: f32}>, dense<[i: 64, j: 128], {y: f32}>>
 tai.field @x = @t["x"] : f32, rank 2

@@ -23,6 +23,12 @@
 
 namespace mlir::tai {
 
+/// Notes on a kernel that it has guards.
+void noteGuards(FunctionOpInterface function);
+/// Reports an error if a kernel that has guards lost their marks: taken for
+/// branches, their derivatives would be zero where they are not.
+LogicalResult checkGuards(FunctionOpInterface function);
+
 class DerivativeBuilder : public ImplicitLocOpBuilder {
 public:
   /// For derivatives of `function`, which says what its conventions are.

@@ -37,12 +37,12 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
     A store ends the life of the value before it: its adjoint takes the adjoint
     of the element and leaves zero, where an access before the store may have
     used the element in the same kernel; with the option `zero-overwritten`, always. A tape
-    asks for this form, which has the attribute `tai.takes`, where an earlier
+    asks for this form, which has the attribute `zeroes_adjoint`, where an earlier
     launch has used the elements.
 
     With `stored-outputs`, an adjoint that computes at length what its kernel
     has stored, as the `tanh` of a layer, gets a second form, `@k_grad_stored`,
-    which loads that; the attribute `tai.stored_form` of `@k_grad` names it. It
+    which loads that; the attribute `stored_form` of `@k_grad` names it. It
     is right only while the elements that the launch has stored hold what it
     stored, as a tape can tell.
 
@@ -62,9 +62,9 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
     an array takes the adjoint of the element and leaves zero: that of the value
     before starts from there.
 
-    The attribute `tai.gradients` says instead by what a kernel or function is
-    differentiated besides fields: it lists positions of arguments and, counted
-    on from these, of results. The adjoint has one more memref for each. It adds
+    The attribute `gradients` of a kernel, or `tai.gradients` of a function,
+    says instead by what it is differentiated besides fields: it lists positions
+    of arguments and, counted on from these, of results. The adjoint has one more memref for each. It adds
     to the adjoints of numbers and vectors among the arguments, and reads those
     of results: `memref<f32>` for `f32`, `memref<3xf32>` for `vector<3xf32>`.
     What is not listed is constant. What iterations of a parallel loop
@@ -73,7 +73,7 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
 
     ```mlir
     tai.kernel @scaled(%a: f32, %x: memref<?xf32>) -> f32
-        attributes {tai.gradients = array<i64: 0, 2>} {
+        attributes {gradients = array<i64: 0, 2>} {
       %i = arith.constant 0 : index
       %e = memref.load %x[%i] : memref<?xf32>
       %y = arith.mulf %a, %e : f32
@@ -187,7 +187,7 @@ def SplitKernel : Pass<"tai-split-kernel", "::mlir::ModuleOp"> {
     afterwards. Where the loops of a kernel need several states of one field
     between them, as two loops that each scale a field by itself do, this pass
     makes a kernel of each: `@k.0`, `@k.1` and so on, with the arguments of `@k`
-    and the attribute `tai.part_of = @k`. What happens between loops is then what
+    and the attribute `part_of = @k`. What happens between loops is then what
     happens between launches, and a tape records the parts in place of `@k`,
     which stays as it is. The last part has the result.
 
@@ -215,7 +215,7 @@ def ForwardDiff : Pass<"tai-forward-diff", "::mlir::ModuleOp"> {
     For a kernel `@k`, makes the kernel `@k_fwd` that does what `@k` does and
     carries tangents (directional derivatives) along: what it reads from a field
     with a dual, it reads together with the dual; what it stores there, it
-    stores together with the tangent (forward mode). The attribute `tai.tangent`
+    stores together with the tangent (forward mode). The attribute `tangent`
     of `@k` names it.
 
     Every value is at hand when its tangent is computed: overwritten elements,

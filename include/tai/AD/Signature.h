@@ -20,8 +20,8 @@
 namespace mlir::tai {
 
 /// The positions of what a kernel or function is differentiated by: those of
-/// arguments, then, counted on, those of results.
-constexpr llvm::StringLiteral kGradients = "tai.gradients";
+/// arguments, then, counted on, those of results. See getFunctionAttrName.
+constexpr llvm::StringLiteral kGradients = "gradients";
 
 struct AdjointSignature {
   SmallVector<unsigned> arguments;

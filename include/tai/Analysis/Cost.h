@@ -22,10 +22,6 @@ namespace mlir::tai {
 /// Nanoseconds that handing a loop to other cores and waiting for them takes.
 constexpr double kForkNanoseconds = 4000;
 
-/// On tai.parallel_for: nanoseconds of an iteration by which the loop is cut,
-/// and a sign that the order of its sums must not depend on how it is lowered.
-constexpr llvm::StringLiteral kFixedCostAttrName = "tai.fixed_cost";
-
 /// Trips assumed of a loop whose bounds are not known.
 constexpr int64_t kAssumedTrips = 8;
 

@@ -40,7 +40,8 @@ def LowerStructFor : Pass<"tai-lower-struct-for"> {
   ];
   // Alias scopes identify the storage of fields.
   let dependentDialects = ["::mlir::arith::ArithDialect",
-                           "::mlir::LLVM::LLVMDialect"];
+                           "::mlir::LLVM::LLVMDialect",
+                           "::mlir::tai::TaiRTDialect"];
 }
 
 def NarrowIndices : Pass<"tai-narrow-indices", "::mlir::ModuleOp"> {
@@ -82,7 +83,7 @@ def LowerLayout : Pass<"tai-lower-layout"> {
   let summary = "turn accesses to fields into loads and stores of memory";
   let description = [{
     Replaces accesses to fields by address arithmetic on the base of their tree
-    (`tai.tree_base`) and accesses of the LLVM dialect, and accesses to `memref`
+    (`tai_rt.tree_base`) and accesses of the LLVM dialect, and accesses to `memref`
     arguments likewise. Fields do not overlap: each access says so by alias
     scopes, one for each place of a tree.
 
@@ -106,7 +107,8 @@ def LowerLayout : Pass<"tai-lower-layout"> {
   let dependentDialects = ["::mlir::arith::ArithDialect",
                            "::mlir::scf::SCFDialect",
                            "::mlir::memref::MemRefDialect",
-                           "::mlir::LLVM::LLVMDialect"];
+                           "::mlir::LLVM::LLVMDialect",
+                           "::mlir::tai::TaiRTDialect"];
 }
 
 def ConvertTaiToSCF : Pass<"convert-tai-to-scf", "::mlir::ModuleOp"> {
@@ -127,7 +129,8 @@ def ConvertTaiToSCF : Pass<"convert-tai-to-scf", "::mlir::ModuleOp"> {
   let dependentDialects = ["::mlir::arith::ArithDialect",
                            "::mlir::math::MathDialect",
                            "::mlir::scf::SCFDialect",
-                           "::mlir::LLVM::LLVMDialect"];
+                           "::mlir::LLVM::LLVMDialect",
+                           "::mlir::tai::TaiRTDialect"];
 }
 
 def ConvertTaiToGPU : Pass<"convert-tai-to-gpu", "::mlir::ModuleOp"> {
@@ -185,7 +188,8 @@ def ConvertTaiToGPU : Pass<"convert-tai-to-gpu", "::mlir::ModuleOp"> {
                            "::mlir::gpu::GPUDialect",
                            "::mlir::math::MathDialect",
                            "::mlir::scf::SCFDialect",
-                           "::mlir::LLVM::LLVMDialect"];
+                           "::mlir::LLVM::LLVMDialect",
+                           "::mlir::tai::TaiRTDialect"];
 }
 
 def LowerLaunches : Pass<"tai-lower-launches", "::mlir::ModuleOp"> {

@@ -38,15 +38,6 @@ inline llvm::StringRef stringifyBoundsMode(BoundsMode mode) {
 /// pass that drops the attribute costs time and nothing else.
 constexpr llvm::StringLiteral kInRangeAttrName = "tai.in_range";
 
-/// On a kernel: some of its accesses are checked as they run. Passes that only
-/// make code fast leave it as it was written.
-constexpr llvm::StringLiteral kChecksIndicesAttrName = "tai.checks_indices";
-
-/// On a module that was lowered: places in the source are in its code, because
-/// launches can be refused. Without, the cache takes code of the same kernel at
-/// another line for its own.
-constexpr llvm::StringLiteral kReportsPlacesAttrName = "tai.reports_places";
-
 } // namespace mlir::tai
 
 #endif // TAI_SUPPORT_BOUNDSMODE_H

@@ -21,10 +21,6 @@ namespace mlir::tai {
 
 using namespace runtime::accesslog;
 
-/// On a checked kernel: (field, use, location) of each access, in the order of
-/// their numbers.
-constexpr llvm::StringLiteral kCheckedAccessesAttrName = "tai.checked_accesses";
-
 /// The fields for which a checked kernel takes a shadow array, in the order of
 /// its arguments.
 SmallVector<FieldOp> getShadowedFields(ModuleOp module);

@@ -130,7 +130,7 @@ def InstrumentAccesses : Pass<"tai-instrument-accesses", "::mlir::ModuleOp"> {
     another iteration of the loop writes. See `tai/Runtime/AccessLog.h` for the
     layout of both. What a kernel computes does not change.
 
-    `tai.checked_accesses` says of each access its field, its use and where it
+    `checked_accesses` says of each access its field, its use and where it
     stands.
 
     Calls hide accesses: run `inline` first. A store of a constant before all
@@ -217,7 +217,7 @@ def CheckBounds : Pass<"tai-check-bounds"> {
       undefined.
     - `check`: accesses that are known to lie in range get the attribute
       `tai.in_range`, by which `tai-lower-layout` leaves out their check. A
-      kernel that needs checks gets `tai.checks_indices`, and no pass changes its
+      kernel that needs checks gets `checks_indices`, and no pass changes its
       indices.
     - `clamp`: an index that is not known to lie in range becomes the nearest
       one that does. That is another program, so it is done first of all, before
@@ -474,7 +474,8 @@ def Scalarize : Pass<"tai-scalarize"> {
   let dependentDialects = ["::mlir::arith::ArithDialect",
                            "::mlir::math::MathDialect",
                            "::mlir::scf::SCFDialect",
-                           "::mlir::vector::VectorDialect"];
+                           "::mlir::vector::VectorDialect",
+                           "::mlir::tai::TaiRTDialect"];
 }
 
 def VectorizeBlocks : Pass<"tai-vectorize-blocks"> {
@@ -513,7 +514,8 @@ def VectorizeBlocks : Pass<"tai-vectorize-blocks"> {
   ];
   let dependentDialects = ["::mlir::arith::ArithDialect",
                            "::mlir::scf::SCFDialect",
-                           "::mlir::LLVM::LLVMDialect"];
+                           "::mlir::LLVM::LLVMDialect",
+                           "::mlir::tai::TaiRTDialect"];
 }
 
 def RelaxAtomics : Pass<"tai-relax-atomics"> {
@@ -522,10 +524,10 @@ def RelaxAtomics : Pass<"tai-relax-atomics"> {
     An atomic update in a parallel loop is
     * a plain read and write (`exclusive`), where each iteration has elements of
       its own;
-    * a sum in a register (`tai.accumulate = "register"`), one for each
+    * a sum in a register (`strategy register`), one for each
       partition, where all iterations update one element of a field, or of a
       small array (`memref.alloca`) that the kernel makes for such sums;
-    * an addition to a buffer of the partition (`tai.accumulate = "private"`),
+    * an addition to a buffer of the partition (`strategy private`),
       where the updated part of the field is small against the number of
       updates;
     * atomic otherwise.

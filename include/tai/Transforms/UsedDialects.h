@@ -41,6 +41,9 @@ class MemRefDialect;
 namespace scf {
 class SCFDialect;
 } // namespace scf
+namespace tai {
+class TaiRTDialect;
+} // namespace tai
 namespace vector {
 class VectorDialect;
 } // namespace vector

@@ -17,6 +17,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/AD/Conventions.h"
+#include "tai/AD/DerivativeBuilder.h"
 #include "tai/AD/Passes.h"
 #include "tai/AD/Selection.h"
 #include "tai/AD/Signature.h"
@@ -34,7 +35,12 @@ using namespace mlir;
 using namespace mlir::tai;
 
 /// Names the extended copy, on what it was made from.
-static constexpr StringLiteral kTangent = "tai.tangent";
+/// See getFunctionAttrName.
+static constexpr StringLiteral kTangent = "tangent";
+
+static bool hasTangentAlready(FunctionOpInterface function) {
+  return function->hasAttr(getFunctionAttrName(function, kTangent));
+}
 
 /// Adds an argument for the tangents of each argument that is an array of
 /// floats, and returns which belongs to which.
@@ -89,7 +95,7 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
     if (!kernels.empty())
       return success();
     for (auto function : getOperation().getOps<FunctionOpInterface>())
-      if (!function.isExternal() && !function->hasAttr(kTangent) &&
+      if (!function.isExternal() && !hasTangentAlready(function) &&
           (isa<KernelOp>(function.getOperation()) ||
            function->hasAttr("tai.differentiate")))
         functions.push_back(function);
@@ -98,20 +104,21 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
 
   LogicalResult differentiate(FunctionOpInterface function,
                               SymbolTable &symbols) {
-    if (function->hasAttr(kTangent))
+    if (hasTangentAlready(function))
       return success();
     if (failed(checkIsFunction(function)))
       return failure();
     bool isPlain = isa<func::FuncOp>(function.getOperation());
-    if (isPlain && function->hasAttr(kGradients))
+    StringAttr gradients = getFunctionAttrName(function, kGradients);
+    if (isPlain && function->hasAttr(gradients))
       return function.emitError("forward mode has no tangents of arguments and "
                                 "results by position, as '")
-             << kGradients << "' asks for";
+             << gradients.strref() << "' asks for";
     if (!function.getFunctionBody().hasOneBlock())
       return function.emitError(
           "cannot differentiate a function of several blocks; structured "
           "control flow is expected");
-    if (failed(Conventions::verify(function)))
+    if (failed(Conventions::verify(function)) || failed(checkGuards(function)))
       return failure();
     std::string name = (function.getName() + "_fwd").str();
     if (Operation *taken = symbols.lookup(name)) {
@@ -135,7 +142,8 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
       symbols.erase(made);
       return failure();
     }
-    function->setAttr(kTangent, FlatSymbolRefAttr::get(&getContext(), name));
+    function->setAttr(getFunctionAttrName(function, kTangent),
+                      FlatSymbolRefAttr::get(&getContext(), name));
     return success();
   }
 

@@ -11,6 +11,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "../SelectedFunctionsPass.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Matchers.h"
 #include "tai/AD/Passes.h"
@@ -221,31 +222,19 @@ private:
   bool hasErrors = false;
 };
 
-struct CheckAccessRules : tai::impl::CheckAccessRulesBase<CheckAccessRules> {
-  using Base::Base;
+struct CheckAccessRules
+    : SelectedFunctionsPass<CheckAccessRules, tai::impl::CheckAccessRulesBase> {
+  using SelectedFunctionsPass::SelectedFunctionsPass;
 
-  void getDependentDialects(DialectRegistry &registry) const override {
-    registerDifferentiableModels(registry);
-  }
-
-  void runOnOperation() override {
-    FailureOr<SmallVector<FunctionOpInterface>> functions =
-        selectFunctions(getOperation(), kernels);
-    if (failed(functions))
-      return signalPassFailure();
-    bool failedAny = false;
-    for (FunctionOpInterface function : *functions) {
-      Activity activity(function, [&](Storage storage) {
-        if (!storage.field)
-          return isa<BlockArgument>(storage.memref);
-        FieldOp field = lookupField(function, storage.field);
-        return field && field.getAdjointAttr();
-      });
-      failedAny |= failed(Checker(function, activity).check());
-    }
-    if (failedAny)
-      signalPassFailure();
+  LogicalResult runOnFunction(FunctionOpInterface function) {
     markAllAnalysesPreserved();
+    Activity activity(function, [&](Storage storage) {
+      if (!storage.field)
+        return isa<BlockArgument>(storage.memref);
+      FieldOp field = lookupField(function, storage.field);
+      return field && field.getAdjointAttr();
+    });
+    return Checker(function, activity).check();
   }
 };
 } // namespace

@@ -11,6 +11,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "../SelectedFunctionsPass.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/Transforms/LoopInvariantCodeMotionUtils.h"
@@ -133,24 +134,11 @@ static void split(AtomicOp atomic) {
 }
 
 namespace {
-struct ExpandAtomics : tai::impl::ExpandAtomicsBase<ExpandAtomics> {
-  using Base::Base;
+struct ExpandAtomics
+    : SelectedFunctionsPass<ExpandAtomics, tai::impl::ExpandAtomicsBase> {
+  using SelectedFunctionsPass::SelectedFunctionsPass;
 
-  void getDependentDialects(DialectRegistry &registry) const override {
-    Base::getDependentDialects(registry);
-    registerDifferentiableModels(registry);
-  }
-
-  void runOnOperation() override {
-    FailureOr<SmallVector<FunctionOpInterface>> functions =
-        selectFunctions(getOperation(), kernels);
-    if (failed(functions))
-      return signalPassFailure();
-    for (FunctionOpInterface function : *functions)
-      runOnFunction(function);
-  }
-
-  void runOnFunction(FunctionOpInterface function) {
+  LogicalResult runOnFunction(FunctionOpInterface function) {
     markExclusiveAtomics(function);
     SmallVector<AtomicOp> exclusive, contended;
     function.walk([&](AtomicOp atomic) {
@@ -172,6 +160,7 @@ struct ExpandAtomics : tai::impl::ExpandAtomicsBase<ExpandAtomics> {
     llvm::for_each(contended, split);
     for (Operation *loop : loops)
       moveLoopInvariantCode(cast<LoopLikeOpInterface>(loop));
+    return success();
   }
 };
 } // namespace

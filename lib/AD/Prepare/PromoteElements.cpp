@@ -11,6 +11,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "../SelectedFunctionsPass.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Matchers.h"
@@ -263,22 +264,14 @@ static void visit(Block &block) {
 }
 
 namespace {
-struct PromoteElements : tai::impl::PromoteElementsBase<PromoteElements> {
-  using Base::Base;
+struct PromoteElements
+    : SelectedFunctionsPass<PromoteElements, tai::impl::PromoteElementsBase> {
+  using SelectedFunctionsPass::SelectedFunctionsPass;
 
-  void getDependentDialects(DialectRegistry &registry) const override {
-    Base::getDependentDialects(registry);
-    registerDifferentiableModels(registry);
-  }
-
-  void runOnOperation() override {
-    FailureOr<SmallVector<FunctionOpInterface>> functions =
-        selectFunctions(getOperation(), kernels);
-    if (failed(functions))
-      return signalPassFailure();
-    for (FunctionOpInterface function : *functions)
-      if (function.getFunctionBody().hasOneBlock())
-        visit(function.getFunctionBody().front());
+  LogicalResult runOnFunction(FunctionOpInterface function) {
+    if (function.getFunctionBody().hasOneBlock())
+      visit(function.getFunctionBody().front());
+    return success();
   }
 };
 } // namespace

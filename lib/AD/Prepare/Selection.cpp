@@ -22,7 +22,7 @@ static bool hasAdjointAlready(FunctionOpInterface function) {
 /// Refuses a launch under a tape that would have to say where adjoints are.
 static LogicalResult checkTaped(LaunchOp launch, ModuleOp module) {
   auto kernel = module.lookupSymbol<KernelOp>(launch.getKernel());
-  if (!kernel || !kernel->hasAttr(kGradients))
+  if (!kernel || !kernel.getGradientsAttr())
     return success();
   InFlightDiagnostic diag =
       launch.emitError()
@@ -67,7 +67,7 @@ collectTaped(ModuleOp module) {
 LogicalResult mlir::tai::checkNested(ModuleOp module) {
   WalkResult result = module.walk([&](FunctionOpInterface function) {
     if (!function->hasAttr(kDifferentiate) || hasAdjointAlready(function) ||
-        function->hasAttr("tai.tangent") ||
+        function->hasAttr(getFunctionAttrName(function, "tangent")) ||
         SymbolTable::getNearestSymbolTable(function->getParentOp()) == module)
       return WalkResult::advance();
     InFlightDiagnostic diag = function.emitError("cannot differentiate '@")
@@ -134,7 +134,7 @@ mlir::tai::selectFunctions(ModuleOp module, ArrayRef<std::string> names) {
     return selected;
   llvm::MapVector<StringAttr, SmallVector<FunctionOpInterface>> parts;
   for (auto kernel : module.getOps<KernelOp>())
-    if (auto whole = kernel->getAttrOfType<FlatSymbolRefAttr>(kPartOfAttrName))
+    if (FlatSymbolRefAttr whole = kernel.getPartOfAttr())
       parts[whole.getAttr()].push_back(kernel);
   if (parts.empty())
     return selected;

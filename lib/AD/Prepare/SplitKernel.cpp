@@ -11,6 +11,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "../SelectedFunctionsPass.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Dialect/Math/IR/Math.h"
@@ -232,14 +233,14 @@ LogicalResult Splitter::check() {
 
 /// Differentiates a part that returns nothing by its arguments alone.
 static void dropResults(KernelOp part) {
-  auto positions = part->getAttrOfType<DenseI64ArrayAttr>(kGradients);
+  DenseI64ArrayAttr positions = part.getGradientsAttr();
   if (!positions)
     return;
   SmallVector<int64_t> kept;
   for (int64_t position : positions.asArrayRef())
     if (position < part.getNumArguments())
       kept.push_back(position);
-  part->setAttr(kGradients, DenseI64ArrayAttr::get(part.getContext(), kept));
+  part.setGradients(kept);
 }
 
 void Splitter::split() {
@@ -251,8 +252,7 @@ void Splitter::split() {
     builder.insert(clone);
     after = clone;
     clone.setSymName((kernel.getSymName() + "." + Twine(part)).str());
-    clone->setAttr(kPartOfAttrName,
-                   FlatSymbolRefAttr::get(kernel.getSymNameAttr()));
+    clone.setPartOfAttr(FlatSymbolRefAttr::get(kernel.getSymNameAttr()));
     if (part + 1 != count) {
       clone.getBody().front().getTerminator()->setOperands({});
       clone.setFunctionType(FunctionType::get(
@@ -270,33 +270,23 @@ void Splitter::split() {
 }
 
 namespace {
-struct SplitKernel : tai::impl::SplitKernelBase<SplitKernel> {
-  using Base::Base;
+struct SplitKernel
+    : SelectedFunctionsPass<SplitKernel, tai::impl::SplitKernelBase> {
+  using SelectedFunctionsPass::SelectedFunctionsPass;
 
-  void getDependentDialects(DialectRegistry &registry) const override {
-    Base::getDependentDialects(registry);
-    registerDifferentiableModels(registry);
-  }
-
-  void runOnOperation() override {
-    FailureOr<SmallVector<FunctionOpInterface>> functions =
-        selectFunctions(getOperation(), kernels);
-    if (failed(functions))
-      return signalPassFailure();
-    for (FunctionOpInterface function : *functions) {
-      auto kernel = dyn_cast<KernelOp>(function.getOperation());
-      if (!kernel || kernel->hasAttr(kPartOfAttrName) ||
-          !kernel.getBody().hasOneBlock())
-        continue;
-      int count = 0;
-      SmallVector<int> segments = findSegments(kernel, count);
-      if (count < 2 || !sharesStorage(kernel, segments) || !needsParts(kernel))
-        continue;
-      Splitter splitter(kernel, segments, count);
-      if (failed(splitter.check()))
-        return signalPassFailure();
-      splitter.split();
-    }
+  LogicalResult runOnFunction(FunctionOpInterface function) {
+    auto kernel = dyn_cast<KernelOp>(function.getOperation());
+    if (!kernel || kernel.getPartOf() || !kernel.getBody().hasOneBlock())
+      return success();
+    int count = 0;
+    SmallVector<int> segments = findSegments(kernel, count);
+    if (count < 2 || !sharesStorage(kernel, segments) || !needsParts(kernel))
+      return success();
+    Splitter splitter(kernel, segments, count);
+    if (failed(splitter.check()))
+      return failure();
+    splitter.split();
+    return success();
   }
 };
 } // namespace

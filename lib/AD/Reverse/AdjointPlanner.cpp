@@ -47,9 +47,11 @@ FailureOr<bool> AdjointPlanner::settle(const PrimalDemands &demands) {
 void AdjointPlanner::annotate(FunctionOpInterface adjoint) const {
   Builder builder(adjoint.getContext());
   if (!before.empty())
-    adjoint->setAttr(kBeforeAttrName, builder.getArrayAttr(before));
+    adjoint->setAttr(getFunctionAttrName(adjoint, "reads_before"),
+                     builder.getArrayAttr(before));
   if (plan.reexecution.hasRewritten())
-    adjoint->setAttr(kRerunsAttrName, builder.getUnitAttr());
+    adjoint->setAttr(getFunctionAttrName(adjoint, "reexecutes"),
+                     builder.getUnitAttr());
 }
 
 bool AdjointPlanner::findsStored(ArrayRef<Operation *> stores) const {

@@ -10,6 +10,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "../SelectedFunctionsPass.h"
 #include "StoredOutputs.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
@@ -99,7 +100,7 @@ static void relaxArrayAccumulations(FunctionOpInterface function) {
 /// True if some field that the function accesses has a sparse level above it.
 static bool reachesSparse(FunctionOpInterface function) {
   WalkResult result = function->walk([](Operation *op) {
-    auto name = op->getAttrOfType<FlatSymbolRefAttr>("field");
+    FlatSymbolRefAttr name = getNamedField(op);
     FieldOp field = name ? lookupField(op, name) : FieldOp();
     FailureOr<FieldLayout> layout =
         field ? getFieldLayout(field) : FailureOr<FieldLayout>(failure());
@@ -179,8 +180,10 @@ static LogicalResult fillWith(FunctionOpInterface function,
   else
     func::ReturnOp::create(builder, function.getLoc());
   // What is active is the business of the primal.
-  if (isa<KernelOp>(shell.getOperation()) && reachesSparse(shell))
-    shell->setAttr(kKeepsActivityAttrName, builder.getUnitAttr());
+  if (auto kernel = dyn_cast<KernelOp>(shell.getOperation());
+      kernel && reachesSparse(shell))
+    kernel.setKeepsActivity(true);
+  noteGuards(shell);
   markExclusiveAtomics(shell);
   splitAdjointZeroing(shell);
   relaxArrayAccumulations(shell);
@@ -211,31 +214,18 @@ static void fixCosts(FunctionOpInterface function) {
   Builder builder(function.getContext());
   function->walk([&](ParallelForOp loop) {
     double cost = perPrimal * estimateNanoseconds(loop.getBody().front());
-    loop->setAttr(kFixedCostAttrName, builder.getF64FloatAttr(cost));
+    loop.setFixedCostAttr(builder.getF64FloatAttr(cost));
   });
 }
 
 namespace {
-struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
-  using Base::Base;
+struct MakeAdjoint
+    : SelectedFunctionsPass<MakeAdjoint, tai::impl::MakeAdjointBase> {
+  using SelectedFunctionsPass::SelectedFunctionsPass;
 
-  void getDependentDialects(DialectRegistry &registry) const override {
-    Base::getDependentDialects(registry);
-    registerDifferentiableModels(registry);
-  }
-
-  void runOnOperation() override {
-    FailureOr<SmallVector<FunctionOpInterface>> functions =
-        selectFunctions(getOperation(), kernels);
-    if (failed(functions) || failed(checkNested(getOperation())))
-      return signalPassFailure();
-    SymbolTable symbols(getOperation());
-    bool failedAny = false;
-    // One error does not hide the next: every kernel is tried.
-    for (FunctionOpInterface function : *functions)
-      failedAny |= failed(differentiate(function, symbols));
-    if (failedAny)
-      signalPassFailure();
+  LogicalResult begin() { return checkNested(getOperation()); }
+  LogicalResult runOnFunction(FunctionOpInterface function) {
+    return differentiate(function, getAnalysis<SymbolTable>());
   }
 
   AdjointOptions getOptions(bool zeroesAll, bool loadsStored) {
@@ -249,30 +239,29 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
     // Nanoseconds of an iteration. Work may be left that others ask for.
     constexpr double worthHaving = 4;
     std::string name = (adjoint.getName() + "_stored").str();
-    if (symbols.lookup(name) || adjoint->hasAttr(kRerunsAttrName) ||
+    if (symbols.lookup(name) || adjoint.getReexecutes() ||
         reachesSparse(function) ||
         StoredOutputs(function, AccessTable(function)).empty())
       return;
-    FunctionOpInterface shell = createShell(function, name, signature);
-    bool zeroes = adjoint->hasAttr(kTakesAttrName);
+    auto shell =
+        cast<KernelOp>(createShell(function, name, signature).getOperation());
+    bool zeroes = adjoint.getZeroesAdjoint();
     // All there is to say has been said of the adjoint.
     ScopedDiagnosticHandler silence(&getContext(),
                                     [](Diagnostic &) { return success(); });
     if (failed(fillAdjoint(function, shell, signature,
                            getOptions(zeroes, /*loadsStored=*/true))) ||
-        shell->getAttr(kBeforeAttrName) != adjoint->getAttr(kBeforeAttrName) ||
-        shell->hasAttr(kRerunsAttrName) ||
+        shell.getReadsBeforeAttr() != adjoint.getReadsBeforeAttr() ||
+        shell.getReexecutes() ||
         estimateNanoseconds(shell) + worthHaving >
             estimateNanoseconds(adjoint)) {
       shell.erase();
       return;
     }
-    if (zeroes)
-      shell->setAttr(kTakesAttrName, UnitAttr::get(&getContext()));
+    shell.setZeroesAdjoint(zeroes);
     shell->moveAfter(adjoint);
     symbols.insert(shell);
-    adjoint->setAttr(kStoredFormAttrName,
-                     FlatSymbolRefAttr::get(&getContext(), name));
+    adjoint.setStoredFormAttr(FlatSymbolRefAttr::get(&getContext(), name));
   }
 
   LogicalResult differentiate(FunctionOpInterface function,
@@ -310,7 +299,7 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
     bool zeroesAll =
         (zeroOverwritten || takes) && isa<KernelOp>(function.getOperation());
     if (zeroesAll)
-      shell->setAttr(kTakesAttrName, UnitAttr::get(&getContext()));
+      cast<KernelOp>(shell.getOperation()).setZeroesAdjoint(true);
     if (deterministic)
       fixCosts(function);
     if (failed(fillAdjoint(function, shell, *signature,
@@ -318,7 +307,8 @@ struct MakeAdjoint : tai::impl::MakeAdjointBase<MakeAdjoint> {
       shell.erase();
       return failure();
     }
-    auto positions = function->getAttrOfType<DenseI64ArrayAttr>(kGradients);
+    auto positions = function->getAttrOfType<DenseI64ArrayAttr>(
+        getFunctionAttrName(function, kGradients));
     if (isa<func::FuncOp>(function.getOperation()) &&
         failed(checkHasDerivative(function, positions ? positions.asArrayRef()
                                                       : ArrayRef<int64_t>()))) {

@@ -15,11 +15,10 @@ using namespace mlir::tai;
 
 void mlir::tai::countWrites(Operation *root) {
   llvm::DenseMap<FieldOp, bool> isSparse;
-  root->walk([&](Operation *op) {
-    if (!isa<StoreOp, AtomicOp>(op))
+  root->walk([&](FieldAccessOpInterface op) {
+    if (!op.isElementAccess() || !op.writesField())
       return;
-    FieldOp field =
-        lookupField(op, op->getAttrOfType<FlatSymbolRefAttr>("field"));
+    FieldOp field = lookupField(op, op.getFieldAttr());
     if (!field)
       return;
     auto [known, isNew] = isSparse.try_emplace(field, false);

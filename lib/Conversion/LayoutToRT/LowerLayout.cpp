@@ -22,9 +22,11 @@
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/ABI/Abi.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/IndexBounds.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Support/BoundsMode.h"
 
 namespace mlir::tai {
@@ -147,7 +149,8 @@ Value AccessLowering::emitActivation(OpBuilder &builder, Location loc,
   Value cell = emitCellNumber(builder, loc, field, sparse.level, zeroBased);
   CellRef at = sparse.at(tree, cell);
   Value isActive = sparse.type.emitIsActive(builder, loc, at);
-  if (function->hasAttr(kKeepsActivityAttrName))
+  if (auto kernel = dyn_cast<KernelOp>(function.getOperation());
+      kernel && kernel.getKeepsActivity())
     return isActive;
   auto branch = scf::IfOp::create(builder, loc, builder.getI1Type(), isActive,
                                   /*addThenBlock=*/true, /*addElseBlock=*/true);
@@ -202,13 +205,12 @@ Value AccessLowering::checkCasts(OpBuilder &builder, Location loc,
     Value below =
         arith::CmpFOp::create(builder, loc, Predicate::OLT, value, limit(high));
     Value holds = arith::AndIOp::create(builder, loc, above, below);
-    auto assertion = AssertOp::create(
+    AssertOp::create(
         builder, loc, holds,
         builder.getStringAttr("{} is no index: as an integer it is out of "
                               "range for " +
                               what),
-        value);
-    assertion->setAttr(kFailureAttrName, builder.getI32IntegerAttr(2));
+        value, builder.getI32IntegerAttr(TAI_FAIL_INDEX));
     all = all ? arith::AndIOp::create(builder, loc, all, holds).getResult()
               : holds;
   }
@@ -238,9 +240,8 @@ Value AccessLowering::checkRange(Operation *op, ValueRange zeroBased,
   llvm::raw_string_ostream os(message);
   llvm::interleaveComma(shown, os, [&](Value) { os << "{}"; });
   os << "] is out of range for " << what;
-  auto assertion = AssertOp::create(builder, loc, inRange,
-                                    builder.getStringAttr(message), shown);
-  assertion->setAttr(kFailureAttrName, builder.getI32IntegerAttr(2));
+  AssertOp::create(builder, loc, inRange, builder.getStringAttr(message), shown,
+                   builder.getI32IntegerAttr(TAI_FAIL_INDEX));
   return inRange;
 }
 
@@ -294,28 +295,17 @@ static DenseI64ArrayAttr getDigits(MLIRContext *context, const FieldInfo &field,
 LogicalResult AccessLowering::lowerField(Operation *op) {
   OpBuilder builder(op);
   Location loc = op->getLoc();
-  auto name = op->getAttrOfType<FlatSymbolRefAttr>("field");
+  FlatSymbolRefAttr name = getNamedField(op);
   FailureOr<const FieldInfo *> found = fields.lookup(op, name);
   if (failed(found))
     return failure();
   const FieldInfo &field = **found;
 
-  ValueRange indices, components;
-  Value stored;
-  if (auto load = dyn_cast<LoadOp>(op)) {
-    indices = load.getIndices();
-    components = load.getComponents();
-  } else if (auto store = dyn_cast<StoreOp>(op)) {
-    indices = store.getIndices();
-    components = store.getComponents();
-    stored = store.getValue();
-  } else {
-    auto atomic = cast<AtomicOp>(op);
-    indices = atomic.getIndices();
-    components = atomic.getComponents();
-    stored = atomic.getValue();
-  }
-  Type type = stored ? stored.getType() : op->getResult(0).getType();
+  auto named = cast<FieldAccessOpInterface>(op);
+  ValueRange indices = named.getIndices();
+  ValueRange components = named.getComponents();
+  Value stored = named.writesField() ? named.getAccessedValue() : Value();
+  Type type = named.getAccessedValue().getType();
   if (isa<VectorType>(type))
     return op->emitOpError("reaches layout lowering with ")
            << type << "; expects scalars, as tai-scalarize makes them";
@@ -339,7 +329,7 @@ LogicalResult AccessLowering::lowerField(Operation *op) {
   }
 
   // What stays is guarded all the same.
-  if (op->hasAttr(kAccumulateAttrName)) {
+  if (isDoneByLoop(op)) {
     if (inRange) {
       auto branch = scf::IfOp::create(builder, loc, inRange);
       op->moveBefore(branch.thenBlock(), branch.thenBlock()->begin());
@@ -421,7 +411,7 @@ static const SparseInfo *findSparse(const FieldInfo &field, int64_t up) {
 LogicalResult AccessLowering::lowerTopology(Operation *op) {
   OpBuilder builder(op);
   Location loc = op->getLoc();
-  auto name = op->getAttrOfType<FlatSymbolRefAttr>("field");
+  FlatSymbolRefAttr name = getNamedField(op);
   FailureOr<const FieldInfo *> found = fields.lookup(op, name);
   if (failed(found))
     return failure();
@@ -591,8 +581,7 @@ LogicalResult AccessLowering::run() {
   WalkResult result = function->walk([&](Operation *op) {
     if (isa<LoadOp, StoreOp, AtomicOp>(op)) {
       accesses.push_back(op);
-      if (failed(
-              fields.lookup(op, op->getAttrOfType<FlatSymbolRefAttr>("field"))))
+      if (failed(fields.lookup(op, getNamedField(op))))
         return WalkResult::interrupt();
     } else if (isa<memref::LoadOp, memref::StoreOp>(op)) {
       arrays.push_back(op);

@@ -25,6 +25,7 @@
 #include "tai/Analysis/Cost.h"
 #include "tai/Analysis/SkipScope.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Dialect/TaiRT/IR/TaiRT.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_LOWERSTRUCTFOR
@@ -64,9 +65,8 @@ static void moveBody(ParallelForOp loop, ParallelForOp box,
 static ParallelForOp createBox(OpBuilder &builder, ParallelForOp loop,
                                ValueRange lower, ValueRange upper) {
   auto box = ParallelForOp::create(builder, loop.getLoc(), lower, upper);
-  box->setDiscardableAttrs(loop->getDiscardableAttrDictionary());
+  box.copyNotesFrom(loop);
   box.setSerialize(loop.getSerialize());
-  box.setBlockDimAttr(loop.getBlockDimAttr());
   return box;
 }
 
@@ -100,9 +100,8 @@ static void lowerByDigits(ParallelForOp loop, const FieldInfo &field,
   if (sparse) {
     Value base = emitTreeBase(builder, loc, field);
     cells = sparse->type.emitActiveCells(builder, loc, base, sparse->node);
-    Attribute reach = loop->getAttr(kReachAttrName);
-    if (auto list = cells.count.getDefiningOp<ActiveCellsOp>(); list && reach)
-      list->setAttr(kReachAttrName, reach);
+    if (auto list = cells.count.getDefiningOp<ActiveCellsOp>())
+      list.setReachAttr(loop.getReachAttr());
     lower.push_back(math.constant(0));
     upper.push_back(cells.count);
     first = sparse->level + 1;
@@ -128,9 +127,9 @@ static void lowerByDigits(ParallelForOp loop, const FieldInfo &field,
   };
   ArrayRef<BlockArgument> ivs = box.getInductionVars();
   if (sparse) {
-    box->setAttr(kOuterDimsAttrName, builder.getI64IntegerAttr(1));
-    if (deterministic && !loop->hasAttr(kFixedCostAttrName))
-      box->setAttr(kFixedCostAttrName, builder.getF64FloatAttr(cost));
+    box.setOuterDims(1);
+    if (deterministic && !loop.getFixedCostAttr())
+      box.setFixedCostAttr(builder.getF64FloatAttr(cost));
     Type i64 = builder.getI64Type();
     Value pointer = LLVM::GEPOp::create(
         builder, loc, cells.cells.getType(), i64, cells.cells,

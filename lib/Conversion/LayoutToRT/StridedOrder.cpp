@@ -117,8 +117,7 @@ SmallVector<ElementAccess> collectAccesses(ParallelForOp loop,
     else if (auto store = dyn_cast<StoreOp>(op))
       add(op, store.getFieldAttr(), store.getIndices(), store.getComponents(),
           true);
-    else if (auto atomic = dyn_cast<AtomicOp>(op);
-             atomic && !op->hasAttr(kAccumulateAttrName))
+    else if (auto atomic = dyn_cast<AtomicOp>(op); atomic && !isDoneByLoop(op))
       // The others add to partial sums of their own.
       add(op, atomic.getFieldAttr(), atomic.getIndices(),
           atomic.getComponents(), true);

@@ -35,7 +35,7 @@ LogicalResult tai::checkBlockSize(ParallelForOp loop) {
 
 void tai::noteBlockSize(ParallelForOp loop, LLVM::LLVMFuncOp function) {
   IntegerAttr size = loop.getBlockDimAttr();
-  if (loop->hasAttr(kInWarpAttrName))
+  if (loop.getInWarp())
     size = Builder(loop.getContext()).getI64IntegerAttr(kWarpSize);
   if (size)
     function->setAttr(kBlockSizeAttrName, size);

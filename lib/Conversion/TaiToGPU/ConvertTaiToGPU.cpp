@@ -16,6 +16,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Dialect/TaiRT/IR/TaiRT.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_CONVERTTAITOGPU

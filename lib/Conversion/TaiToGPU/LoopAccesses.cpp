@@ -70,7 +70,7 @@ void LoopAccesses::visit(Operation *op) {
   for (Value operand : op->getOperands())
     addSlot(operand);
   // Sums are said by those who know where they go.
-  if (op->hasAttr(kAccumulateAttrName))
+  if (isDoneByLoop(op))
     return;
   auto digits = op->getAttrOfType<DenseI64ArrayAttr>(kDigitsAttrName);
   op->removeAttr(kDigitsAttrName);
@@ -428,7 +428,7 @@ DenseI64ArrayAttr LoopAccesses::encode(ParameterFinder getParameter) {
   runtime::FunctionAccesses result;
   result.isPlain = isPlain;
   // A warp that meets in front of the loop and behind it is like one thread.
-  bool inWarp = loop->hasAttr(kInWarpAttrName);
+  bool inWarp = loop.getInWarp();
   bool isSingle = inWarp && box && !hasSums;
   if (isSingle)
     foldIterations();

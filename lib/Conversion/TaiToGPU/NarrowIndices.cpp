@@ -23,6 +23,7 @@
 #include "tai/Analysis/IntegerRanges.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Dialect/TaiRT/IR/TaiRT.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_NARROWINDICES
@@ -251,7 +252,7 @@ bool Proof::fits(ParallelForOp loop) {
     return true;
   // A loop over the iterations of a thread, whose comparison is unsigned, adds
   // the stride of the grid to their number; a warp adds more.
-  return loop.getLowerBounds().size() == 1 && !loop->hasAttr(kInWarpAttrName) &&
+  return loop.getLowerBounds().size() == 1 && !loop.getInWarp() &&
          !getConstantIntValue(loop.getUpperBounds().front());
 }
 

@@ -16,6 +16,7 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Dialect/TaiRT/IR/TaiRT.h"
 
 using namespace mlir;
 using namespace mlir::tai;

@@ -19,6 +19,7 @@
 #include "WarpLoop.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "llvm/ADT/SetVector.h"
 
 using namespace mlir;
@@ -75,7 +76,7 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
   }
   auto [thread, threads] = emitThread(builder, loc);
   WarpPart warp;
-  if (loop->hasAttr(kInWarpAttrName)) {
+  if (loop.getInWarp()) {
     warp = emitWarpPart(builder, loop, thread, count, runtime);
     thread = warp.first;
     threads = warp.step;
@@ -396,7 +397,7 @@ static void emitLaunch(ParallelForOp loop, LLVM::LLVMFuncOp function,
   IndexMath math(builder, loc);
   Value one = math.constant(1);
   // How large a block is for one warp, its function says.
-  bool inWarp = loop->hasAttr(kInWarpAttrName);
+  bool inWarp = loop.getInWarp();
   Value threads =
       inWarp ? one : math.constant(loop.getBlockDim().value_or(kBlockDim));
   // No blocks stand for a number that the device alone knows.
@@ -450,7 +451,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   MLIRContext *context = loop.getContext();
   RuntimeCalls &runtime = lowering.device.runtime;
   SmallVector<Sum> sums = collectSums(loop, lowering.device.fields);
-  if (loop->hasAttr(kInWarpAttrName))
+  if (loop.getInWarp())
     prepareWarpLoop(loop);
   llvm::MapVector<Value, bool> activated = findActivated(loop);
   LoopAccesses accesses(loop, lowering.deterministic);
@@ -472,7 +473,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
       builder, loc, name, LLVM::LLVMFunctionType::get(voidType, {}));
   function.setNoUnwind(true);
   // Threads meet in it, so that a call must not become several.
-  if (loop->hasAttr(kInWarpAttrName))
+  if (loop.getInWarp())
     function.setConvergent(true);
   Block *entry = function.addEntryBlock(builder);
   // Stands for the state of the device until it is known whether it is used.
@@ -490,7 +491,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   for (Sum &sum : sums) {
     if (!sum.isPartial) {
       emitSumEnd(builder, loc, sum, runtime);
-    } else if (loop->hasAttr(kInWarpAttrName)) {
+    } else if (loop.getInWarp()) {
       auto [thread, threads] = emitThread(builder, loc);
       storeParts(builder, loc, sum, thread, threads, getSumThreads(loop));
     }

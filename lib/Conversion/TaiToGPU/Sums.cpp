@@ -25,14 +25,9 @@ using namespace mlir::tai;
 constexpr int64_t kSumThreads = 8192;
 constexpr int64_t kSumGroups = 128;
 
-static bool isKeptInRegister(Operation *update) {
-  auto strategy = update->getAttrOfType<StringAttr>(kAccumulateAttrName);
-  return strategy && strategy.getValue() == kRegister;
-}
-
 int64_t tai::getSumThreads(ParallelForOp loop) {
   // Those of a warp have parts of their own, and one group has each.
-  if (loop->hasAttr(kInWarpAttrName))
+  if (loop.getInWarp())
     return kSumGroups;
   std::optional<int64_t> count = getNumIterations(loop);
   return count ? std::clamp<int64_t>(llvm::alignTo(*count, kSumGroups),
@@ -89,6 +84,8 @@ static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
 
 LogicalResult tai::prepareSums(ParallelForOp loop, Value frame,
                                DeviceLowering &lowering) {
+  if (lowering.deterministic && failed(checkOrderIsFixed(loop)))
+    return failure();
   FieldTable &fields = lowering.device.fields;
   struct Found {
     AtomicOp first;

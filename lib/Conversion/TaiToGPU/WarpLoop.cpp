@@ -40,7 +40,7 @@ static bool isPrivate(Value pointer) {
 /// True for an addition whose place in the order matters.
 static bool isAddition(Operation *op) {
   auto update = dyn_cast<LLVM::AtomicRMWOp>(op);
-  if (!update || op->hasAttr(kAccumulateAttrName) || !update.use_empty() ||
+  if (!update || isDoneByLoop(op) || !update.use_empty() ||
       isPrivate(update.getPtr()))
     return false;
   Type type = update.getVal().getType();
@@ -69,7 +69,7 @@ static bool isKnown(Operation *op) {
     return false;
   // Sums in registers are not lowered yet.
   if (isa<AtomicOp>(op))
-    return op->hasAttr(kAccumulateAttrName);
+    return isDoneByLoop(op);
   if (isa<LLVM::LoadOp, LLVM::StoreOp, LLVM::AtomicRMWOp, LLVM::AtomicCmpXchgOp,
           LocalLoadOp, LocalStoreOp, scf::IfOp, scf::ForOp, scf::WhileOp,
           scf::IndexSwitchOp, scf::YieldOp, scf::ConditionOp, YieldOp>(op))

@@ -101,8 +101,8 @@ FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
                                               ModuleLowering &lowering) {
   Accumulators result(lowering);
   // Otherwise LLVM sees the same loop whatever has been left out of it.
-  result.keepsOrder = loop->hasAttr(kFixedCostAttrName) &&
-                      (loop->hasAttr(kOuterDimsAttrName) ||
+  result.keepsOrder = loop.getFixedCostAttr() &&
+                      (loop.getOuterDims() ||
                        loop.walk([&](LoopLikeOpInterface inner) {
                              return inner == loop ? WalkResult::advance()
                                                   : WalkResult::interrupt();
@@ -110,13 +110,13 @@ FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
                            .wasInterrupted());
   SmallVector<AtomicOp> inBuffers;
   WalkResult walked = loop.walk([&](AtomicOp atomic) {
-    auto strategy = atomic->getAttrOfType<StringAttr>(kAccumulateAttrName);
+    std::optional<AccumulationStrategy> strategy = atomic.getStrategy();
     if (!strategy) {
       atomic.emitOpError("reaches the lowering of loops; expects "
                          "tai-lower-layout to run before");
       return WalkResult::interrupt();
     }
-    if (strategy.getValue() == kPrivate) {
+    if (strategy == AccumulationStrategy::Private) {
       inBuffers.push_back(atomic);
       return WalkResult::advance();
     }
@@ -146,6 +146,8 @@ FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
   if (!isShort(loop))
     for (Register &sum : result.registers)
       sum.sumInBlocks();
+  if (lowering.deterministic && failed(checkOrderIsFixed(loop)))
+    return failure();
 
   FailureOr<SmallVector<AccumulationGroup>> groups =
       groupAccumulations(loop, inBuffers, lowering.fields);
@@ -175,7 +177,7 @@ FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
 
 void Accumulators::collectLocalSums(ParallelForOp loop) {
   loop.walk([&](LLVM::AtomicRMWOp update) {
-    if (!update->hasAttr(kAccumulateAttrName))
+    if (!isDoneByLoop(update))
       return;
     auto found = llvm::find_if(registers, [&](Register &other) {
       return other.address == update.getPtr();
@@ -300,6 +302,26 @@ void Accumulators::emitBefore(OpBuilder &builder, Location loc, Value frame,
   }
 }
 
+/// a (kind) b, in an op to which no float options are added: its order is part
+/// of the result in every mode.
+static Value emitInOrder(OpBuilder &builder, Location loc, AtomicKind kind,
+                         Value a, Value b) {
+  if (isa<FloatType>(a.getType()))
+    switch (kind) {
+    case AtomicKind::Add:
+      return LLVM::FAddOp::create(builder, loc, a, b);
+    case AtomicKind::Mul:
+      return LLVM::FMulOp::create(builder, loc, a, b);
+    case AtomicKind::Min:
+      return LLVM::MinimumOp::create(builder, loc, a, b);
+    case AtomicKind::Max:
+      return LLVM::MaximumOp::create(builder, loc, a, b);
+    default:
+      break;
+    }
+  return emitCombination(builder, loc, kind, a, b);
+}
+
 void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
                              Value parts) {
   RuntimeCalls &runtime = lowering->runtime;
@@ -319,8 +341,7 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
       for (auto [i, sum] : llvm::enumerate(registers)) {
         Value partial =
             emitSlotLoad(b, loc, sums[i].getType(), emitSlot(b, loc, slots, i));
-        next.push_back(emitCombination(b, loc, sum.kind, sums[i], partial));
-        next.back().getDefiningOp()->setAttr(kOrderedAttrName, b.getUnitAttr());
+        next.push_back(emitInOrder(b, loc, sum.kind, sums[i], partial));
       }
       scf::YieldOp::create(b, loc, next);
     };

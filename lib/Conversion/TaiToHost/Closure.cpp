@@ -10,6 +10,7 @@
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/IRMapping.h"
+#include "tai/Dialect/TaiRT/IR/TaiRT.h"
 
 using namespace mlir;
 using namespace mlir::tai;

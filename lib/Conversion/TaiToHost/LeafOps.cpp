@@ -9,6 +9,7 @@
 #include "../../Transforms/Utils/IndexMath.h"
 #include "Lowering.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "llvm/ADT/TypeSwitch.h"
 
 using namespace mlir;
@@ -186,9 +187,8 @@ static void lowerDraw(UnrealizedConversionCastOp op, Value frame,
 //===----------------------------------------------------------------------===//
 
 /// Numbers of components of the arguments, which tai-scalarize took apart.
-static ArrayRef<int32_t> getShapes(Operation *op) {
-  auto shapes = op->getAttrOfType<DenseI32ArrayAttr>("tai.shapes");
-  return shapes ? shapes.asArrayRef() : ArrayRef<int32_t>();
+static ArrayRef<int32_t> getShapes(std::optional<ArrayRef<int32_t>> shapes) {
+  return shapes.value_or(ArrayRef<int32_t>());
 }
 
 static LogicalResult checkScalars(Operation *op, ValueRange values) {
@@ -202,7 +202,7 @@ static LogicalResult checkScalars(Operation *op, ValueRange values) {
 
 static LogicalResult lowerAssert(AssertOp op, Value frame,
                                  ModuleLowering &lowering) {
-  auto failure = op->getAttrOfType<IntegerAttr>(kFailureAttrName);
+  IntegerAttr failure = op.getFailureAttr();
   if (!failure && !lowering.debug) {
     op.erase();
     return success();
@@ -217,7 +217,7 @@ static LogicalResult lowerAssert(AssertOp op, Value frame,
   OpBuilder inside = branch.getThenBodyBuilder();
   emitFail(lowering.runtime, inside, loc, frame,
            failure ? failure.getInt() : int64_t(TAI_FAIL_ASSERT),
-           op.getMessage(), op.getArgs(), getShapes(op));
+           op.getMessage(), op.getArgs(), getShapes(op.getShapes()));
   op.erase();
   return success();
 }
@@ -228,8 +228,8 @@ static LogicalResult lowerPrint(PrintOp op, Value frame,
     return failure();
   OpBuilder builder(op);
   Location loc = op.getLoc();
-  MessageValues values =
-      emitMessageValues(runtime, builder, loc, op.getArgs(), getShapes(op));
+  MessageValues values = emitMessageValues(runtime, builder, loc, op.getArgs(),
+                                           getShapes(op.getShapes()));
   Value format = runtime.string(builder, loc, op.getFormat());
   runtime.tai_rt_print(builder, loc, frame, format, values.count, values.kinds,
                        values.shapes, values.slots);
@@ -252,7 +252,7 @@ static void lowerCellOp(Operation *op, Value frame, RuntimeCalls &runtime) {
                            op->getAttrOfType<IntegerAttr>("node").getInt());
   if (auto cells = dyn_cast<ActiveCellsOp>(op)) {
     Value slot = emitStackSlots(builder, loc, 1);
-    auto reach = op->getAttrOfType<IntegerAttr>(kReachAttrName);
+    IntegerAttr reach = cells.getReachAttr();
     Value count = reach ? runtime.tai_rt_gathered_cells(
                               builder, loc, frame, tree, node,
                               runtime.i64(builder, loc, reach.getInt()), slot)

@@ -166,7 +166,7 @@ static void emitPartition(OpBuilder &builder, ParallelForOp loop,
   }
 
   // One loop for each dimension: the partition counts the first.
-  if (loop->hasAttr(kOuterDimsAttrName)) {
+  if (loop.getOuterDims()) {
     SmallVector<Value> ivs;
     scf::ForOp inner;
     for (auto [d, from] : llvm::enumerate(box.lower)) {
@@ -230,12 +230,12 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   std::optional<int64_t> rowLength = getConstantIntValue(box.extent.back());
   bool byRows = box.rank() > 1 && rows && *rows >= kManyRows && rowLength;
   double cost = estimateIteration(loop, loop->hasAttr(kIndependentAttrName));
-  if (auto fixed = loop->getAttrOfType<FloatAttr>(kFixedCostAttrName))
+  if (FloatAttr fixed = loop.getFixedCostAttr())
     cost = fixed.getValueAsDouble();
   // Iterations in one step of what the partition counts.
   double perStep = byRows ? double(*rowLength) : 1.0;
   size_t counted = byRows ? box.rank() - 1 : box.rank();
-  if (auto outer = loop->getAttrOfType<IntegerAttr>(kOuterDimsAttrName)) {
+  if (IntegerAttr outer = loop.getOuterDimsAttr()) {
     counted = outer.getInt();
     for (Value extent : ArrayRef(box.extent).drop_front(counted))
       perStep *= getConstantIntValue(extent).value_or(1);

@@ -55,6 +55,4 @@ void tai::lowerPreconditions(LLVM::LLVMFuncOp function,
   LLVM::ReturnOp::create(builder, loc, runtime.i32(builder, loc, 1));
   for (PreconditionOp op : preconditions)
     op.erase();
-  // The places of what is refused are in the code.
-  lowering.module->setAttr(kReportsPlacesAttrName, builder.getUnitAttr());
 }

@@ -48,7 +48,7 @@ void tai::setFloatOptions(Operation *root, bool fastMath, bool contract) {
     auto arithmetic = dyn_cast<arith::ArithFastMathInterface>(op);
     // Comparisons and selects gain nothing, and what they decide must not move;
     // conversions have no such flags in LLVM.
-    if (!arithmetic || op->removeAttr(kOrderedAttrName) ||
+    if (!arithmetic ||
         isa<arith::CmpFOp, arith::SelectOp, arith::ExtFOp, arith::TruncFOp>(op))
       return;
     FastMathFlags old = FastMathFlags::none;

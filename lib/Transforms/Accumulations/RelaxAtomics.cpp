@@ -102,8 +102,8 @@ static bool isLocalSum(memref::AtomicRMWOp atomic, ParallelForOp loop) {
 void LoopRelaxation::serialize() {
   loop.setSerialize(true);
   loop.walk([](AtomicOp atomic) {
-    atomic->removeAttr(kAccumulateAttrName);
-    atomic->removeAttr(kBufferAttrName);
+    atomic.removeStrategyAttr();
+    atomic.removeBufferAttr();
     atomic.setExclusive(true);
   });
   loop.walk([](memref::AtomicRMWOp atomic) {
@@ -119,11 +119,6 @@ bool LoopRelaxation::isIndependentOfTiming(AtomicOp atomic) {
   Type type = getElementTypeOrSelf(atomic.getValue().getType());
   return !isa<FloatType>(type) || atomic.getKind() == AtomicKind::Min ||
          atomic.getKind() == AtomicKind::Max;
-}
-
-static void setStrategy(AtomicOp atomic, StringRef strategy) {
-  atomic->setAttr(kAccumulateAttrName,
-                  StringAttr::get(atomic.getContext(), strategy));
 }
 
 /// The slice of the field that a group updates.
@@ -167,8 +162,7 @@ static bool isContiguous(const AccumulationGroup &group) {
 }
 
 static ValueRange getIndices(Operation *access) {
-  return llvm::TypeSwitch<Operation *, ValueRange>(access)
-      .Case<LoadOp, StoreOp, AtomicOp>([](auto op) { return op.getIndices(); });
+  return cast<FieldAccessOpInterface>(access).getIndices();
 }
 
 /// False if accesses at `a` and `b` reach different elements in any two
@@ -267,13 +261,12 @@ void LoopRelaxation::relaxField(FieldAccesses &accesses) {
   }
   for (AccumulationGroup &group : sums)
     for (AtomicOp atomic : group.atomics)
-      setStrategy(atomic, kRegister);
+      atomic.setStrategy(AccumulationStrategy::Register);
   for (AccumulationGroup &group : buffers) {
-    auto number =
-        IntegerAttr::get(IntegerType::get(loop.getContext(), 64), numBuffers++);
+    int64_t number = numBuffers++;
     for (AtomicOp atomic : group.atomics) {
-      setStrategy(atomic, kPrivate);
-      atomic->setAttr(kBufferAttrName, number);
+      atomic.setStrategy(AccumulationStrategy::Private);
+      atomic.setBuffer(number);
     }
   }
 }
@@ -289,10 +282,11 @@ LogicalResult LoopRelaxation::run() {
 
   llvm::MapVector<Attribute, FieldAccesses> places;
   WalkResult result = loop.walk([&](Operation *op) {
-    if (!isa<LoadOp, StoreOp, AtomicOp>(op))
+    auto access = dyn_cast<FieldAccessOpInterface>(op);
+    if (!access || !access.isElementAccess())
       return WalkResult::advance();
     FailureOr<const FieldInfo *> field =
-        fields.lookup(op, op->getAttrOfType<FlatSymbolRefAttr>("field"));
+        fields.lookup(op, access.getFieldAttr());
     if (failed(field))
       return WalkResult::interrupt();
     FieldAccesses &accesses = places[(*field)->scope];
@@ -314,8 +308,8 @@ LogicalResult LoopRelaxation::run() {
   loop.walk([&](AtomicOp atomic) {
     if (atomic.getExclusive())
       return;
-    auto strategy = atomic->getAttrOfType<StringAttr>(kAccumulateAttrName);
-    inMemory |= !strategy || strategy.getValue() != kRegister;
+    std::optional<AccumulationStrategy> strategy = atomic.getStrategy();
+    inMemory |= strategy != AccumulationStrategy::Register;
     dependsOnTiming |= !strategy && !isIndependentOfTiming(atomic);
   });
   // Arrays of the caller stay as they are; those of an iteration are its own.
@@ -341,7 +335,7 @@ LogicalResult LoopRelaxation::run() {
       *iterations * estimateIteration(loop, !inMemory) < kForkNanoseconds;
   if (deterministic && dependsOnTiming && onDevice &&
       canOrderAdditions(loop, fields)) {
-    loop->setAttr(kInWarpAttrName, UnitAttr::get(loop.getContext()));
+    loop.setInWarp(true);
   } else if (isSmall || (deterministic && dependsOnTiming)) {
     loop.walk([&](AtomicOp atomic) { inMemory |= !atomic.getExclusive(); });
     serialize();

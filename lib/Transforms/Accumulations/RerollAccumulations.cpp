@@ -284,8 +284,8 @@ FailureOr<bool> Spreading::collect(FieldTable &fields) {
     Effect effect{&op, {}};
     WalkResult result = op.walk([&](Operation *nested) {
       if (isa<LoadOp, AtomicOp>(nested)) {
-        FailureOr<const FieldInfo *> field = fields.lookup(
-            nested, nested->getAttrOfType<FlatSymbolRefAttr>("field"));
+        FailureOr<const FieldInfo *> field =
+            fields.lookup(nested, getNamedField(nested));
         if (failed(field))
           return WalkResult::interrupt();
         Attribute place = (*field)->scope;
@@ -619,8 +619,7 @@ void Spreading::rewrite() {
   if (padded != count)
     to.back() = outside.constant(box.lower.back() + padded);
   auto spread = ParallelForOp::create(builder, loc, from, to);
-  spread->setDiscardableAttrs(loop->getDiscardableAttrDictionary());
-  spread.setBlockDimAttr(loop.getBlockDimAttr());
+  spread.copyNotesFrom(loop);
 
   SmallVector<Value> indices(spread.getInductionVars());
   Value m = indices.front();

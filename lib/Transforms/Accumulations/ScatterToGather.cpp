@@ -624,8 +624,8 @@ static void rewrite(LoopBox &box, MutableArrayRef<Group> groups) {
 
 /// Whether the kernel around the loop makes nothing active.
 static bool keepsActivity(ParallelForOp loop) {
-  auto function = loop->getParentOfType<FunctionOpInterface>();
-  return function && function->hasAttr(kKeepsActivityAttrName);
+  auto kernel = loop->getParentOfType<KernelOp>();
+  return kernel && kernel.getKeepsActivity();
 }
 
 /// How many cells away the iterations are that add to an element, at most; -1
@@ -683,8 +683,7 @@ static bool gatherLoop(LoopBox &box, unsigned maxOps) {
     changed = true;
   }
   if (changed && succeeded(visited))
-    box.loop->setAttr(kReachAttrName,
-                      Builder(box.loop.getContext()).getI64IntegerAttr(reach));
+    box.loop.setReach(reach);
   return changed;
 }
 

@@ -239,7 +239,7 @@ private:
     });
     IndexBounds known(kernel);
     PreconditionWriter writer(kernel, known);
-    kernel->removeAttr(kChecksIndicesAttrName);
+    kernel.setChecksIndices(false);
     for (const IndexedAccess &access : accesses) {
       bool isDecided = true;
       for (size_t i = 0; i != access.indices.size(); ++i) {
@@ -260,7 +260,7 @@ private:
       if (isDecided)
         access.op->setAttr(kInRangeAttrName, UnitAttr::get(&getContext()));
       else
-        kernel->setAttr(kChecksIndicesAttrName, UnitAttr::get(&getContext()));
+        kernel.setChecksIndices(true);
     }
   }
 };

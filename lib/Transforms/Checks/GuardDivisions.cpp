@@ -16,6 +16,7 @@
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/Analysis/IntegerRanges.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Transforms/Passes.h"
 
 namespace mlir::tai {
@@ -156,7 +157,7 @@ static bool isOurs(Operation *function) {
   return isa<func::FuncOp>(function) &&
          function
              ->walk([](Operation *op) {
-               return isa<TaiDialect>(op->getDialect())
+               return isa<TaiDialect, TaiRTDialect>(op->getDialect())
                           ? WalkResult::interrupt()
                           : WalkResult::advance();
              })

@@ -241,7 +241,7 @@ LogicalResult Instrumentation::instrument(Operation *access) {
   b.setInsertionPoint(access);
   Builder attributes(access->getContext());
   described.push_back(attributes.getArrayAttr(
-      {access->getAttrOfType<FlatSymbolRefAttr>("field"),
+      {cast<FieldAccessOpInterface>(access).getFieldAttr(),
        attributes.getI32IntegerAttr(static_cast<int32_t>(use)),
        LocationAttr(access->getLoc())}));
   ++ordinal;
@@ -294,7 +294,7 @@ LogicalResult Instrumentation::run(ArrayRef<FieldOp> fields) {
   for (Operation *access : accesses)
     if (failed(instrument(access)))
       return failure();
-  kernel->setAttr(kCheckedAccessesAttrName, b.getArrayAttr(described));
+  kernel.setCheckedAccessesAttr(b.getArrayAttr(described));
   return success();
 }
 
@@ -304,7 +304,7 @@ struct InstrumentAccesses
   void runOnOperation() override {
     SmallVector<FieldOp> fields = getShadowedFields(getOperation());
     for (KernelOp kernel : getOperation().getOps<KernelOp>()) {
-      if (kernel->hasAttr(kCheckedAccessesAttrName)) {
+      if (kernel.getCheckedAccesses()) {
         kernel.emitError("the accesses of this kernel are checked already");
         return signalPassFailure();
       }

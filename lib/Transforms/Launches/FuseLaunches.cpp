@@ -63,9 +63,9 @@ static bool collectAccesses(ParallelForOp loop,
               .walk([&](Operation *op) {
                 if (isa<LoadOp, StoreOp, AtomicOp>(op)) {
                   accesses.push_back(op);
-                  auto field = op->getAttrOfType<FlatSymbolRefAttr>("field");
-                  return isDense(op, field) ? WalkResult::advance()
-                                            : WalkResult::interrupt();
+                  return isDense(op, getNamedField(op))
+                             ? WalkResult::advance()
+                             : WalkResult::interrupt();
                 }
                 // Variables belong to an iteration.
                 if (isa<AllocaOp, LocalLoadOp, LocalStoreOp, scf::ForOp,

@@ -26,36 +26,29 @@ using namespace mlir::tai;
 /// The uses that one op makes of its field. Ops on the topology of a field read
 /// or write it as a whole; a value that an atomic returns is read if it is
 /// used.
-static void addUses(Operation *op, llvm::SetVector<Attribute> &uses) {
+static void addUses(FieldAccessOpInterface op,
+                    llvm::SetVector<Attribute> &uses) {
   auto add = [&](FieldUse use, FlatSymbolRefAttr field, ValueRange indices,
-                 bool isElement = true) {
+                 bool isElement) {
     AffineMapAttr map;
     if (isElement)
       if (AffineMap affine = getAffineMap(op, indices))
         map = AffineMapAttr::get(affine);
     uses.insert(AccessAttr::get(op->getContext(), use, field, map));
   };
-  llvm::TypeSwitch<Operation *>(op)
-      .Case<LoadOp>([&](auto op) {
-        add(FieldUse::Read, op.getFieldAttr(), op.getIndices());
-      })
-      .Case<StoreOp>([&](auto op) {
-        add(FieldUse::Write, op.getFieldAttr(), op.getIndices());
-      })
-      .Case<AtomicOp>([&](auto op) {
-        bool isSum =
-            op.getKind() == AtomicKind::Add || op.getKind() == AtomicKind::Sub;
-        if (!isSum || !op.getOld().use_empty())
-          add(FieldUse::Read, op.getFieldAttr(), op.getIndices());
-        add(isSum ? FieldUse::Accumulate : FieldUse::Write, op.getFieldAttr(),
-            op.getIndices());
-      })
-      .Case<IsActiveOp, LengthOp>([&](auto op) {
-        add(FieldUse::Read, op.getFieldAttr(), {}, /*isElement=*/false);
-      })
-      .Case<ActivateOp, DeactivateOp, AppendOp>([&](auto op) {
-        add(FieldUse::Write, op.getFieldAttr(), {}, /*isElement=*/false);
-      });
+  FlatSymbolRefAttr field = op.getFieldAttr();
+  bool isElement = op.isElementAccess();
+  auto atomic = dyn_cast<AtomicOp>(op.getOperation());
+  bool isSum = atomic && (atomic.getKind() == AtomicKind::Add ||
+                          atomic.getKind() == AtomicKind::Sub);
+  bool reads =
+      atomic ? !isSum || !atomic.getOld().use_empty()
+             : op.readsField() && op.getFieldAccess() != FieldAccess::Append;
+  if (reads)
+    add(FieldUse::Read, field, op.getIndices(), isElement);
+  if (op.writesField())
+    add(isSum ? FieldUse::Accumulate : FieldUse::Write, field, op.getIndices(),
+        isElement);
 }
 
 namespace {
@@ -63,7 +56,7 @@ struct SummarizeKernels : tai::impl::SummarizeKernelsBase<SummarizeKernels> {
   void runOnOperation() override {
     getOperation()->walk([](KernelOp kernel) {
       llvm::SetVector<Attribute> uses;
-      kernel.walk([&](Operation *op) { addUses(op, uses); });
+      kernel.walk([&](FieldAccessOpInterface op) { addUses(op, uses); });
       kernel.setSummaryAttr(
           ArrayAttr::get(kernel.getContext(), uses.getArrayRef()));
     });

@@ -95,8 +95,7 @@ static bool isSimple(ParallelForOp loop, int64_t maxOps) {
     if (isa<StoreOp, scf::IfOp, scf::YieldOp, YieldOp>(op))
       return WalkResult::advance();
     if (auto atomic = dyn_cast<AtomicOp>(op)) {
-      auto strategy = op->getAttrOfType<StringAttr>(kAccumulateAttrName);
-      bool isSum = strategy && strategy.getValue() == kRegister;
+      bool isSum = atomic.getStrategy() == AccumulationStrategy::Register;
       return atomic.getOld().use_empty() && (atomic.getExclusive() || isSum)
                  ? WalkResult::advance()
                  : WalkResult::interrupt();
@@ -216,8 +215,7 @@ static bool chooseWidth(Strips &strips, FieldTable &fields) {
   WalkResult result = box.loop.getBody().walk([&](Operation *op) {
     if (!isa<LoadOp, StoreOp, AtomicOp>(op))
       return WalkResult::advance();
-    auto field =
-        fields.lookup(op, op->getAttrOfType<FlatSymbolRefAttr>("field"));
+    auto field = fields.lookup(op, getNamedField(op));
     if (failed(field) || !(*field)->sparse.empty())
       return WalkResult::interrupt();
     // Sums in registers are no accesses.
@@ -402,8 +400,7 @@ static void rewrite(Strips &strips) {
   };
   auto cut =
       ParallelForOp::create(builder, loc, constants(from), constants(to));
-  cut->setDiscardableAttrs(loop->getDiscardableAttrDictionary());
-  cut.setBlockDimAttr(loop.getBlockDimAttr());
+  cut.copyNotesFrom(loop);
 
   // The indices of the first element of the strip.
   builder.setInsertionPointToStart(&cut.getBody().front());

@@ -74,8 +74,8 @@ private:
     llvm::DenseMap<Value, Value> replacements;
     OpBuilder builder(box.loop.getContext());
     builder.setInsertionPointToStart(&box.body());
-    box.loop.getBody().walk([&](Operation *op) {
-      if (!isa<LoadOp, StoreOp, AtomicOp>(op))
+    box.loop.getBody().walk([&](FieldAccessOpInterface op) {
+      if (!op.isElementAccess())
         return;
       for (OpOperand &operand : op->getOpOperands()) {
         Value index = operand.get();

@@ -14,6 +14,7 @@
 #include "../Utils/IndexMath.h"
 #include "Scalarizer.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/Dialect/TaiRT/IR/TaiRT.h"
 
 using namespace mlir;
 using namespace mlir::tai;

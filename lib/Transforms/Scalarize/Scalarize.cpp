@@ -18,6 +18,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/UB/IR/UBOps.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Transforms/Passes.h"
 #include "llvm/ADT/TypeSwitch.h"
 
@@ -232,11 +233,13 @@ void Scalarizer::processMessage(Operation *op) {
     shapes.push_back(getNumComponents(value.getType()));
     llvm::append_range(components, get(value));
   }
-  if (print)
+  if (print) {
     print.getArgsMutable().assign(components);
-  else
+    print.setShapes(shapes);
+  } else {
     assertion.getArgsMutable().assign(components);
-  op->setAttr("tai.shapes", DenseI32ArrayAttr::get(op->getContext(), shapes));
+    assertion.setShapes(shapes);
+  }
 }
 
 /// An array of vectors is an array of scalars with more dimensions. The

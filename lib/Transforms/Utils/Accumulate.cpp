@@ -12,6 +12,42 @@
 using namespace mlir;
 using namespace mlir::tai;
 
+bool tai::isKeptInRegister(Operation *update) {
+  if (auto atomic = dyn_cast<AtomicOp>(update))
+    return atomic.getStrategy() == AccumulationStrategy::Register;
+  auto strategy = update->getAttrOfType<StringAttr>(kAccumulateAttrName);
+  return strategy && strategy.getValue() == kRegister;
+}
+
+bool tai::isDoneByLoop(Operation *update) {
+  if (auto atomic = dyn_cast<AtomicOp>(update))
+    return atomic.getStrategy().has_value();
+  return update->hasAttr(kAccumulateAttrName);
+}
+
+LogicalResult tai::checkOrderIsFixed(ParallelForOp loop) {
+  // The additions of a warp are put in order when the loop is lowered.
+  if (loop.getSerialize() || loop.getInWarp())
+    return success();
+  WalkResult result = loop.walk([&](LLVM::AtomicRMWOp update) {
+    bool isSum = update.getBinOp() == LLVM::AtomicBinOp::fadd ||
+                 update.getBinOp() == LLVM::AtomicBinOp::fsub;
+    // Memory of an iteration is its own.
+    Value memory = update.getPtr();
+    while (auto element = memory.getDefiningOp<LLVM::GEPOp>())
+      memory = element.getBase();
+    if (!isSum || isDoneByLoop(update) || !loop.isDefinedOutsideOfLoop(memory))
+      return WalkResult::advance();
+    update->emitError("the order of these additions is not fixed, as "
+                      "deterministic mode asks for; expects "
+                      "tai-relax-atomics=deterministic to run before, and no "
+                      "pass in between to drop '")
+        << kAccumulateAttrName << "'";
+    return WalkResult::interrupt();
+  });
+  return failure(result.wasInterrupted());
+}
+
 Value tai::emitCombination(OpBuilder &builder, Location loc, AtomicKind kind,
                            Value a, Value b) {
   bool isFloat = isa<FloatType>(getElementTypeOrSelf(a));

@@ -12,34 +12,29 @@
 
 namespace mlir::tai {
 
-/// On tai.atomic: how `tai-relax-atomics` decided to do it, "register" or
-/// "private". Absent: atomic, or plain if exclusive.
+/// On an update of memory that is no tai.atomic, whose strategy it would be:
+/// its sum is one in a register. Without, the update is an atomic one.
 constexpr llvm::StringLiteral kAccumulateAttrName = "tai.accumulate";
+constexpr llvm::StringLiteral kRegister = "register";
+
+/// True for an update of any kind whose sum is kept in a register.
+bool isKeptInRegister(Operation *update);
+/// True for an update that the lowering of the loop does, not that of memory.
+bool isDoneByLoop(Operation *update);
 
 /// On tai.parallel_for: no iteration touches memory that another writes, so
 /// that LLVM may vectorise over them whatever the addresses.
 constexpr llvm::StringLiteral kIndependentAttrName = "tai.independent";
 
-/// On tai.parallel_for, for a GPU: one warp runs it, whose threads do their
-/// additions together and in a fixed order.
-constexpr llvm::StringLiteral kInWarpAttrName = "tai.in_warp";
-
 /// On tai.parallel_for: the group that its accesses were put into.
 constexpr llvm::StringLiteral kAccessGroupAttrName = "tai.access_group";
-
-/// On tai.parallel_for: a partition counts only so many of the first
-/// dimensions.
-constexpr llvm::StringLiteral kOuterDimsAttrName = "tai.outer_dims";
 
 /// On a write: its cell is known to be active.
 constexpr llvm::StringLiteral kActiveAttrName = "tai.active";
 
-/// On an op of floats: its order is part of the result in every mode.
-constexpr llvm::StringLiteral kOrderedAttrName = "tai.ordered";
-
-/// On tai.assert: the TaiFailure it reports (see tai/Runtime/Abi.h). Absent:
-/// that of the user's own assertion, which only debug mode keeps.
-constexpr llvm::StringLiteral kFailureAttrName = "tai.failure";
+/// Fails, in deterministic mode, at a float addition to memory that several
+/// iterations may reach in any order: `tai-relax-atomics` leaves none.
+LogicalResult checkOrderIsFixed(ParallelForOp loop);
 
 /// a (kind) b, for scalars or vectors of them.
 Value emitCombination(OpBuilder &builder, Location loc, AtomicKind kind,

@@ -25,12 +25,12 @@ tai::groupAccumulations(ParallelForOp loop, ArrayRef<AtomicOp> atomics,
     SmallVector<Value> fixed;
     for (Value index : atomic.getIndices())
       fixed.push_back(loop.isDefinedOutsideOfLoop(index) ? index : Value());
-    Attribute buffer = atomic->getAttr(kBufferAttrName);
+    IntegerAttr buffer = atomic.getBufferAttr();
     AccumulationGroup single{*field, fixed, {atomic}};
     auto *group = llvm::find_if(groups, [&](AccumulationGroup &other) {
       if (other.field != *field)
         return false;
-      return buffer ? other.atomics.front()->getAttr(kBufferAttrName) == buffer
+      return buffer ? other.atomics.front().getBufferAttr() == buffer
                     : other.fixed == fixed;
     });
     if (group == groups.end())

@@ -18,10 +18,6 @@
 
 namespace mlir::tai {
 
-/// Values of kAccumulateAttrName.
-constexpr llvm::StringLiteral kRegister = "register";
-constexpr llvm::StringLiteral kPrivate = "private";
-
 /// Updates of one part of one field.
 struct AccumulationGroup {
   const FieldInfo *field;
@@ -34,9 +30,6 @@ struct AccumulationGroup {
     return llvm::all_of(fixed, [](Value index) { return bool(index); });
   }
 };
-
-/// On a tai.atomic that goes to a buffer: the number of the buffer in its loop.
-constexpr llvm::StringLiteral kBufferAttrName = "tai.buffer";
 
 /// Groups the given updates, which stand in `loop`, by field and by the indices
 /// that do not vary, or by their buffer if they have one. Fails at a field that

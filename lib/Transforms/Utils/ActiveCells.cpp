@@ -43,18 +43,12 @@ void tai::markActive(ParallelForOp loop, FieldTable &fields) {
       loop.walk([](DeactivateOp) { return WalkResult::interrupt(); });
   if (deactivates.wasInterrupted())
     return;
-  loop.walk([&](Operation *op) {
-    ValueRange indices;
-    if (auto store = dyn_cast<StoreOp>(op))
-      indices = store.getIndices();
-    else if (auto atomic = dyn_cast<AtomicOp>(op))
-      indices = atomic.getIndices();
-    else
+  loop.walk([&](FieldAccessOpInterface op) {
+    if (!op.isElementAccess() || !op.writesField())
       return;
-    FailureOr<const FieldInfo *> other =
-        fields.lookup(op, op->getAttrOfType<FlatSymbolRefAttr>("field"));
+    FailureOr<const FieldInfo *> other = fields.lookup(op, op.getFieldAttr());
     if (failed(other) || !shareCells(**other, field) ||
-        !llvm::equal(indices, loop.getInductionVars()))
+        !llvm::equal(op.getIndices(), loop.getInductionVars()))
       return;
     op->setAttr(kActiveAttrName, UnitAttr::get(op->getContext()));
   });

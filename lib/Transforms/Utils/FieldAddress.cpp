@@ -8,6 +8,7 @@
 #include "FieldAddress.h"
 #include "IndexMath.h"
 #include "mlir/IR/Matchers.h"
+#include "tai/Dialect/TaiRT/IR/TaiRT.h"
 
 using namespace mlir;
 using namespace mlir::tai;

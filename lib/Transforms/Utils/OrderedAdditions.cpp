@@ -91,7 +91,7 @@ public:
 
 private:
   bool visit(Operation *op);
-  bool visitField(Operation *op);
+  bool visitField(FieldAccessOpInterface op);
   bool visitArray(Operation *op);
   bool mayReach(ValueRange a, ValueRange b);
   bool isFree(const PlaceAccesses &place);
@@ -105,9 +105,8 @@ private:
 
 static bool isOrderable(Type type) { return type.isF32() || type.isF64(); }
 
-bool Checker::visitField(Operation *op) {
-  FailureOr<const FieldInfo *> field =
-      fields.lookup(op, op->getAttrOfType<FlatSymbolRefAttr>("field"));
+bool Checker::visitField(FieldAccessOpInterface op) {
+  FailureOr<const FieldInfo *> field = fields.lookup(op, op.getFieldAttr());
   if (failed(field))
     return false;
   PlaceAccesses &place = places[(*field)->scope.getAsOpaquePointer()];
@@ -116,17 +115,19 @@ bool Checker::visitField(Operation *op) {
     list.push_back({op, llvm::to_vector(indices), isSparse});
     return true;
   };
-  if (auto load = dyn_cast<LoadOp>(op))
-    return add(place.reads, load.getIndices());
-  if (auto store = dyn_cast<StoreOp>(op))
-    return add(place.writes, store.getIndices());
-  auto atomic = cast<AtomicOp>(op);
+  if (!op.writesField())
+    return add(place.reads, op.getIndices());
+  if (!op.readsField())
+    return add(place.writes, op.getIndices());
+  auto atomic = dyn_cast<AtomicOp>(op.getOperation());
+  if (!atomic)
+    return false;
   if (atomic.getExclusive())
     return add(place.writes, atomic.getIndices());
   if (!atomic.getOld().use_empty())
     return false;
   // Sums of all iterations leave memory alone until the end.
-  if (op->hasAttr(kAccumulateAttrName))
+  if (isDoneByLoop(op))
     return true;
   Type type = atomic.getValue().getType();
   AtomicKind kind = atomic.getKind();
@@ -161,7 +162,7 @@ bool Checker::visitArray(Operation *op) {
     return add(place.writes, store.getIndices());
   if (!atomic.getResult().use_empty())
     return false;
-  if (op->hasAttr(kAccumulateAttrName))
+  if (isDoneByLoop(op))
     return true;
   Type type = atomic.getValue().getType();
   bool isExtreme = atomic.getKind() == arith::AtomicRMWKind::minimumf ||
@@ -176,8 +177,9 @@ bool Checker::visitArray(Operation *op) {
 
 /// False for what is not known to leave other iterations alone.
 bool Checker::visit(Operation *op) {
-  if (isa<LoadOp, StoreOp, AtomicOp>(op))
-    return visitField(op);
+  if (auto access = dyn_cast<FieldAccessOpInterface>(op);
+      access && access.isElementAccess())
+    return visitField(access);
   if (isa<memref::LoadOp, memref::StoreOp, memref::AtomicRMWOp>(op))
     return visitArray(op);
   // Memory of the iteration, and lists of active cells, which nothing here

@@ -266,27 +266,17 @@ void BlockLoop::require(const BlockAccess &access) {
 }
 
 bool BlockLoop::addAccess(Operation *op, FieldTable &fields) {
-  FailureOr<const FieldInfo *> found =
-      fields.lookup(op, op->getAttrOfType<FlatSymbolRefAttr>("field"));
+  auto named = cast<FieldAccessOpInterface>(op);
+  FailureOr<const FieldInfo *> found = fields.lookup(op, named.getFieldAttr());
   if (failed(found))
     return false;
   BlockAccess access{op, *found, {}, 0, std::nullopt};
   const FieldInfo &other = *access.field;
-  ValueRange indices, components;
-  if (auto load = dyn_cast<LoadOp>(op)) {
-    indices = load.getIndices();
-    components = load.getComponents();
-  } else if (auto store = dyn_cast<StoreOp>(op)) {
-    indices = store.getIndices();
-    components = store.getComponents();
-  } else {
-    auto atomic = cast<AtomicOp>(op);
-    // Only what each iteration has for itself can be done a row at a time.
-    if (!atomic.getExclusive() || !atomic->use_empty())
-      return false;
-    indices = atomic.getIndices();
-    components = atomic.getComponents();
-  }
+  ValueRange indices = named.getIndices(), components = named.getComponents();
+  // Only what each iteration has for itself can be done a row at a time.
+  if (auto atomic = dyn_cast<AtomicOp>(op);
+      atomic && (!atomic.getExclusive() || !atomic->use_empty()))
+    return false;
   // Truth values are stored as bytes.
   Type scalar = other.scalarType;
   if (!isa<FloatType>(scalar) &&

@@ -20,6 +20,7 @@
 #include "mlir/Interfaces/FunctionInterfaces.h"
 #include "tai/Analysis/IndexBounds.h"
 #include "tai/Analysis/SkipScope.h"
+#include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Transforms/Passes.h"
 
 namespace mlir::tai {
@@ -85,7 +86,7 @@ static Value emitActivations(OpBuilder &builder, const BlockLoop &block,
                                indices, inner.getI64IntegerAttr(neighbour.up)));
   }
   for (const BlockAccess *access : block.activations) {
-    auto name = access->op->getAttrOfType<FlatSymbolRefAttr>("field");
+    FlatSymbolRefAttr name = getNamedField(access->op);
     IntegerAttr up =
         builder.getI64IntegerAttr(access->field->layout.path.levels.size() -
                                   access->field->sparse.back().level);
@@ -191,14 +192,13 @@ static void emitElements(OpBuilder &builder, const BlockLoop &block,
 static void vectorize(const BlockLoop &block, FieldTable &fields,
                       int64_t maxOps) {
   ParallelForOp loop = block.loop;
-  auto function = loop->getParentOfType<FunctionOpInterface>();
-  bool keeps = function && function->hasAttr(kKeepsActivityAttrName);
+  auto kernel = loop->getParentOfType<KernelOp>();
+  bool keeps = kernel && kernel.getKeepsActivity();
   OpBuilder builder(loop);
   Location loc = loop.getLoc();
   auto blocks = ParallelForOp::create(builder, loc, loop.getFieldAttr(),
                                       block.extents.size());
-  blocks->setDiscardableAttrs(loop->getDiscardableAttrDictionary());
-  blocks.setBlockDimAttr(loop.getBlockDimAttr());
+  blocks.copyNotesFrom(loop);
   blocks.setLevel(2);
 
   builder.setInsertionPointToStart(&blocks.getBody().front());
@@ -250,7 +250,7 @@ struct VectorizeBlocks : tai::impl::VectorizeBlocksBase<VectorizeBlocks> {
     FieldTable fields(table);
     // Accesses say of which other fields they are apart.
     WalkResult known = getOperation()->walk([&](Operation *op) {
-      auto name = op->getAttrOfType<FlatSymbolRefAttr>("field");
+      FlatSymbolRefAttr name = getNamedField(op);
       return name && failed(fields.lookup(op, name)) ? WalkResult::interrupt()
                                                      : WalkResult::advance();
     });

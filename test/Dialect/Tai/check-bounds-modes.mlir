@@ -12,7 +12,7 @@ tai.field @v = @t["v"] : vector<3xf32>, rank 1
 
 // What the launch decides and what data decide, in one kernel.
 // CHECK-LABEL: tai.kernel @mixed(
-//  CHECK-SAME:     attributes {tai.checks_indices}
+//  CHECK-SAME:     attributes {checks_indices}
 //       CHECK:   tai.precondition
 //       CHECK:   tai.load @k[%{{.+}}] {tai.in_range} : i32
 //       CHECK:   tai.load @x[%{{.+}}] : f32
@@ -43,7 +43,7 @@ tai.kernel @mixed(%n: i32) {
 
 // Conditions on data keep an index in range, too; and so does its type.
 // CHECK-LABEL: tai.kernel @asked(
-//   CHECK-NOT:   tai.checks_indices
+//   CHECK-NOT:   checks_indices
 //       CHECK:   tai.store %{{.+}}, @x[%{{.+}}] {tai.in_range}
 //       CHECK:   tai.store %{{.+}}, @v[%{{.+}}] component[%{{.+}}] {tai.in_range}
 // CLAMP-LABEL: tai.kernel @asked(
@@ -72,7 +72,7 @@ tai.kernel @asked(%one: f32) {
 // In the loop over the field all is known: the kernel is compiled as without
 // checks.
 // CHECK-LABEL: tai.kernel @free(
-//   CHECK-NOT:   tai.checks_indices
+//   CHECK-NOT:   checks_indices
 //       CHECK:   tai.store %{{.+}}, @x[%{{.+}}] {tai.in_range}
 tai.kernel @free(%one: f32) {
   tai.parallel_for (%i) in @x {
@@ -84,7 +84,7 @@ tai.kernel @free(%one: f32) {
 // An i32 sum that may wrap around is refused where it does not, and is checked
 // as it runs because it may.
 // CHECK-LABEL: tai.kernel @wraps(
-//  CHECK-SAME:     attributes {tai.checks_indices}
+//  CHECK-SAME:     attributes {checks_indices}
 //       CHECK:   tai.precondition
 tai.kernel @wraps(%by: i32, %one: f32) {
   tai.parallel_for (%i) in @k {

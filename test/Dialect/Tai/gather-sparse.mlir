@@ -24,7 +24,7 @@ tai.field @z_grad = @t["z_grad"] : f32, rank 1
 //       CHECK:     tai.parallel_for
 //       CHECK:       tai.atomic add
 //       CHECK:       tai.atomic add
-tai.kernel @reverse() attributes {tai.keeps_activity} {
+tai.kernel @reverse() attributes {keeps_activity} {
   %one = arith.constant 1 : index
   %two = arith.constant 2.0 : f32
   tai.parallel_for (%i) in @x {
@@ -55,7 +55,7 @@ tai.kernel @forward() {
 // CHECK-LABEL: tai.kernel @apart
 //   CHECK-NOT:   tai.visits_all
 //       CHECK:   tai.atomic add %{{.+}}, @z_grad[%{{.+}}] : f32
-tai.kernel @apart() attributes {tai.keeps_activity} {
+tai.kernel @apart() attributes {keeps_activity} {
   %one = arith.constant 1 : index
   tai.parallel_for (%i) in @x {
     %g = tai.load @y_grad[%i] : f32

@@ -14,7 +14,7 @@ tai.field @plain = @t["plain"] : f32, rank 1
 // written the element. A store looks for readers and writers before it.
 // CHECK-LABEL: tai.kernel @move(
 //  CHECK-SAME:      %[[A:.+]]: i32, %[[X:.+]]: memref<?xi32>, %[[Y:.+]]: memref<?xi32>, %[[V:.+]]: memref<?xi32>, %[[LOG:.+]]: memref<?xi64>, %[[BASE:.+]]: i32)
-//  CHECK-SAME:      tai.checked_accesses = {{\[}}[@x, 0 : i32, #{{.+}}], [@y, 1 : i32, #{{.+}}]]
+//  CHECK-SAME:      checked_accesses = {{\[}}[@x, 0 : i32, #{{.+}}], [@y, 1 : i32, #{{.+}}]]
 //       CHECK:   tai.parallel_for (%[[I:.+]]) in @x
 //       CHECK:     %[[ID:.+]] = arith.addi %[[BASE]], %{{.+}} : i32
 //       CHECK:     %[[FITS:.+]] = arith.cmpi ult, %[[I]], %{{.+}} : index
@@ -56,6 +56,6 @@ tai.kernel @vectors() {
 
 // Once is enough.
 // expected-error @+1 {{the accesses of this kernel are checked already}}
-tai.kernel @checked() attributes {tai.checked_accesses = []} {
+tai.kernel @checked() attributes {checked_accesses = []} {
   tai.return
 }

@@ -1,6 +1,7 @@
 // RUN: tai-opt %s --split-input-file --verify-diagnostics
 
 tai.kernel @load(%i: index) {
+  // (load_c1)
   // expected-error @+1 {{'tai.load' op names '@x', which is not a field}}
   %0 = tai.load @x[%i] : f32
   tai.return
@@ -12,6 +13,7 @@ tai.tree @t : !tai.root<dense<[i: 4, j: 4], {x: f32}>>
 // expected-note @+1 {{field defined here}}
 tai.field @x = @t["x"] : f32, rank 2
 tai.kernel @load(%i: index) {
+  // (load_c2)
   // expected-error @+1 {{'tai.load' op expects 2 indices, but got 1}}
   %0 = tai.load @x[%i] : f32
   tai.return
@@ -23,6 +25,7 @@ tai.tree @t : !tai.root<dense<[i: 4], {x: vector<2xf32>}>>
 // expected-note @+1 {{field defined here}}
 tai.field @x = @t["x"] : vector<2xf32>, rank 1
 tai.kernel @load(%i: index) {
+  // (load_c4)
   // expected-error @+1 {{'tai.load' op expects a value of type 'vector<2xf32>', but got 'f32'}}
   %0 = tai.load @x[%i] : f32
   tai.return
@@ -34,6 +37,7 @@ tai.tree @t : !tai.root<dense<[i: 4], {x: f32}>>
 // expected-note @+1 {{field defined here}}
 tai.field @x = @t["x"] : f32, rank 1
 tai.kernel @store(%i: index, %f: f32) {
+  // (store_c3)
   // expected-error @+1 {{'tai.store' op expects 0 component indices, but got 1}}
   tai.store %f, @x[%i] component [%i] : f32
   tai.return
@@ -45,6 +49,7 @@ tai.tree @t : !tai.root<dense<[i: 4], {x: vector<2xf32>}>>
 // expected-note @+1 {{field defined here}}
 tai.field @x = @t["x"] : vector<2xf32>, rank 1
 tai.kernel @store(%i: index, %f: f64) {
+  // (store_c4)
   // expected-error @+1 {{'tai.store' op expects a value of type 'f32', but got 'f64'}}
   tai.store %f, @x[%i] component [%i] : f64
   tai.return
@@ -55,6 +60,7 @@ tai.kernel @store(%i: index, %f: f64) {
 tai.tree @t : !tai.root<dense<[i: 4], {x: f32}>>
 tai.field @x = @t["x"] : f32, rank 1
 tai.kernel @atomic(%i: index, %f: f32) {
+  // (atomic_c5)
   // expected-error @+1 {{'tai.atomic' op 'xor' expects integers, but got 'f32'}}
   %0 = tai.atomic xor %f, @x[%i] : f32
   tai.return

@@ -1,5 +1,6 @@
 // RUN: tai-opt %s --split-input-file --verify-diagnostics
 
+// (kernel_c2)
 // expected-error @+1 {{'tai.kernel' op argument 0 has type 'tensor<2xf32>'; expects a scalar, a vector, or a memref of them with the identity layout}}
 tai.kernel @k(%a: tensor<2xf32>) {
   tai.return
@@ -7,6 +8,7 @@ tai.kernel @k(%a: tensor<2xf32>) {
 
 // -----
 
+// (kernel_c3)
 // expected-error @+1 {{'tai.kernel' op expects at most one result, but got 2}}
 tai.kernel @k(%a: f32) -> (f32, f32) {
   tai.return %a, %a : f32, f32
@@ -14,6 +16,7 @@ tai.kernel @k(%a: f32) -> (f32, f32) {
 
 // -----
 
+// (kernel_c3)
 // expected-error @+1 {{'tai.kernel' op returns 'memref<2xf32>'; expects a scalar or a vector}}
 tai.kernel @k(%a: memref<2xf32>) -> memref<2xf32> {
   tai.return %a : memref<2xf32>
@@ -23,6 +26,7 @@ tai.kernel @k(%a: memref<2xf32>) -> memref<2xf32> {
 
 // expected-note @+1 {{kernel defined here}}
 tai.kernel @k(%a: f32) -> i32 {
+  // (return_c1)
   // expected-error @+1 {{'tai.return' op expects operands of types ('i32'), but got ('f32')}}
   tai.return %a : f32
 }
@@ -31,6 +35,7 @@ tai.kernel @k(%a: f32) -> i32 {
 
 tai.kernel @k(%n: index) {
   tai.parallel_for (%i) = (%n) to (%n) {
+    // (parallel_for_c3)
     // expected-error @+1 {{'tai.parallel_for' op cannot stand in another parallel loop; use 'scf.for'}}
     tai.parallel_for (%j) = (%n) to (%n) {
     }
@@ -41,6 +46,7 @@ tai.kernel @k(%n: index) {
 // -----
 
 tai.kernel @k() {
+  // (parallel_for_c4)
   // expected-error @+1 {{'tai.parallel_for' op expects at least one dimension}}
   tai.parallel_for () = () to () {
   }
@@ -50,6 +56,7 @@ tai.kernel @k() {
 // -----
 
 tai.kernel @k() {
+  // (parallel_for_c5)
   // expected-error @+1 {{'tai.parallel_for' op names '@x', which is not a field}}
   tai.parallel_for (%i) in @x {
   }
@@ -62,6 +69,7 @@ tai.tree @t : !tai.root<dense<[i: 4], {x: f32}>>
 // expected-note @+1 {{field defined here}}
 tai.field @x = @t["x"] : f32, rank 1
 tai.kernel @k() {
+  // (parallel_for_c5)
   // expected-error @+1 {{'tai.parallel_for' op expects 1 indices, but got 2}}
   tai.parallel_for (%i, %j) in @x {
   }
@@ -71,6 +79,7 @@ tai.kernel @k() {
 // -----
 
 tai.kernel @k(%n: index) {
+  // (parallel_for_c1)
   // expected-error @+1 {{'tai.parallel_for' op expects induction variables of type 'index', but got 'i32'}}
   "tai.parallel_for"(%n, %n) <{operandSegmentSizes = array<i32: 1, 1>}> ({
   ^bb0(%i: i32):
@@ -82,6 +91,7 @@ tai.kernel @k(%n: index) {
 // -----
 
 tai.kernel @k(%n: index) {
+  // (parallel_for_c4)
   // expected-error @+1 {{'tai.parallel_for' op expects 1 lower and upper bounds, but got 2 and 1}}
   "tai.parallel_for"(%n, %n, %n) <{operandSegmentSizes = array<i32: 2, 1>}> ({
   ^bb0(%i: index):
@@ -95,6 +105,7 @@ tai.kernel @k(%n: index) {
 tai.tree @t : !tai.root<dense<[i: 4], {x: f32}>>
 tai.field @x = @t["x"] : f32, rank 1
 tai.kernel @k(%n: index) {
+  // (parallel_for_c5)
   // expected-error @+1 {{'tai.parallel_for' op runs over a field and cannot take bounds}}
   "tai.parallel_for"(%n, %n) <{field = @x, operandSegmentSizes = array<i32: 1, 1>}> ({
   ^bb0(%i: index):
@@ -131,6 +142,7 @@ tai.kernel @k(%x: f64) {
 // -----
 
 func.func @main() {
+  // (launch_c1)
   // expected-error @+1 {{'tai.launch' op names '@k', which is not a kernel}}
   tai.launch @k() : () -> ()
   return
@@ -143,6 +155,7 @@ tai.kernel @k(%a: f32) {
   tai.return
 }
 func.func @main() {
+  // (launch_c2)
   // expected-error @+1 {{'tai.launch' op expects the type '(f32) -> ()' of the kernel}}
   tai.launch @k() : () -> ()
   return
@@ -154,6 +167,7 @@ tai.tree @t : !tai.root<dense<[i: 4], {x: f32}>>
 // expected-note @+1 {{field defined here}}
 tai.field @x = @t["x"] : f32, rank 1
 func.func @main() {
+  // (tape_c1)
   // expected-error @+1 {{'tai.tape' op expects the loss to be a float field of rank 0}}
   tai.tape loss(@x) {
   }
@@ -166,6 +180,7 @@ tai.tree @t : !tai.root<{loss: f32}>
 // expected-note @+1 {{field defined here}}
 tai.field @loss = @t["loss"] : f32, rank 0
 func.func @main() {
+  // (tape_c2)
   // expected-error @+1 {{'tai.tape' op expects the loss to have an adjoint}}
   tai.tape loss(@loss) {
   }
@@ -179,6 +194,7 @@ tai.field @g = @t["g"] : f32, rank 0
 tai.field @x = @t["x"] : f32, rank 0
 tai.field @loss = @t["loss"] : f32, rank 0, adjoint @g
 func.func @main() {
+  // (check_gradient_c2)
   // expected-error @+1 {{'tai.check_gradient' op expects field '@x' to have an adjoint}}
   tai.check_gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
   }
@@ -190,6 +206,7 @@ func.func @main() {
 tai.tree @t : !tai.root<dense<[i: 8], {x: f32}>>
 tai.field @x = @t["x"] : f32, rank 1
 tai.kernel @k() {
+  // (parallel_for_c2)
   // expected-error @+1 {{'tai.parallel_for' op expects a positive block_dim, but got 0}}
   tai.parallel_for (%i) in @x block_dim 0 {
   }
@@ -211,6 +228,7 @@ tai.kernel @k(%ok: i1) {
 // -----
 
 // In the generic form a body may hold nothing.
+// (kernel_c1)
 // expected-error @+1 {{expects a body that ends with 'tai.return'}}
 "tai.kernel"() <{function_type = () -> (), sym_name = "empty"}> ({
 ^bb0:
@@ -230,5 +248,18 @@ tai.kernel @k(%n: index) {
   tai.parallel_for (%i) = (%n) to (%n) {
   // expected-error @+1 {{'tai.parallel_for' op attribute 'block_dim' failed to satisfy constraint}}
   } {block_dim = 0.5 : f32}
+  tai.return
+}
+
+// -----
+
+tai.tree @t : !tai.root<pointer<[i: 2], dense<[i: 4], {x: f32}>>>
+// expected-note @+1 {{field defined here}}
+tai.field @x = @t["x"] : f32, rank 1
+tai.kernel @k() {
+  // (parallel_for_c6)
+  // expected-error @+1 {{'tai.parallel_for' op names level 3 above @x, which has 2}}
+  tai.parallel_for (%i) in @x level 3 {
+  }
   tai.return
 }

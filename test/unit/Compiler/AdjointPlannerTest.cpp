@@ -142,8 +142,8 @@ TEST_F(AdjointPlannerTest, ChoosesTheVersionThatHoldsTheValue) {
   EXPECT_TRUE(*fits);
   EXPECT_EQ(getFieldsBefore(planner), Names({"x"}));
   planner.annotate(kernel);
-  EXPECT_TRUE(kernel->hasAttr(kBeforeAttrName));
-  EXPECT_FALSE(kernel->hasAttr(kRerunsAttrName));
+  EXPECT_TRUE(kernel->hasAttr("reads_before"));
+  EXPECT_FALSE(kernel->hasAttr("reexecutes"));
 }
 
 // Two versions in one iteration: the plan grows once, and then fits.
@@ -177,7 +177,7 @@ TEST_F(AdjointPlannerTest, ExecutesAgainWhatNoVersionHolds) {
   EXPECT_TRUE(*fits);
   EXPECT_EQ(getFieldsBefore(planner), Names({"x"}));
   planner.annotate(kernel);
-  EXPECT_TRUE(kernel->hasAttr(kRerunsAttrName));
+  EXPECT_TRUE(kernel->hasAttr("reexecutes"));
 }
 
 // Serial loops that carry a recorded value hand it on, but not their counter.

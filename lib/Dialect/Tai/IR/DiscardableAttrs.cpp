@@ -30,51 +30,61 @@ struct KnownAttr {
 };
 } // namespace
 
+// What decides a result is no part of this table but an attribute of the op
+// itself; docs/decisions/0028-ir-level.md says which are which.
 static constexpr KnownAttr kKnown[] = {
+    // Written by people, or on functions of other dialects.
+    {"tai.adjoint", Kind::Symbol, true},
+    {"tai.conventions", Kind::Any, true},
+    {"tai.differentiate", Kind::Unit, true},
+    {"tai.gradients", Kind::Any, true},
+    {"tai.reads_before", Kind::List, true},
+    {"tai.reexecutes", Kind::Unit, true},
+    {"tai.tangent", Kind::Symbol, true},
+    // Whoever drops one of these loses time.
     {"tai.access_group", Kind::Any},
     {"tai.accesses", Kind::Numbers},
-    {"tai.accumulate", Kind::String},
     {"tai.active", Kind::Unit},
-    {"tai.adjoint", Kind::Symbol, true},
-    {"tai.alignment", Kind::Integer},
-    {"tai.before", Kind::List, true},
     {"tai.block_size", Kind::Integer},
-    {"tai.buffer", Kind::Integer},
-    {"tai.checked_accesses", Kind::List, true},
-    {"tai.checks_indices", Kind::Unit, true},
-    {"tai.conventions", Kind::Any, true},
-    {"tai.device_slot", Kind::Unit},
-    {"tai.differentiate", Kind::Unit, true},
     {"tai.digits", Kind::Numbers},
-    {"tai.failure", Kind::Integer},
-    {"tai.fixed_cost", Kind::Float},
-    {"tai.gradients", Kind::Any, true},
-    {"tai.guard", Kind::Unit},
-    {"tai.guard_infinite", Kind::Unit},
     {"tai.in_range", Kind::Unit},
-    {"tai.in_warp", Kind::Unit},
     {"tai.independent", Kind::Unit},
     {"tai.index_bits", Kind::Integer},
     {"tai.interior", Kind::Numbers},
-    {"tai.keeps_activity", Kind::Unit, true},
-    {"tai.keeps_order", Kind::Unit},
-    {"tai.ordered", Kind::Unit},
-    {"tai.ordered_scope", Kind::Any},
-    {"tai.outer_dims", Kind::Integer},
-    {"tai.part_of", Kind::Symbol, true},
-    {"tai.partial_sum", Kind::Unit},
-    {"tai.reach", Kind::Integer},
-    {"tai.reports_places", Kind::Unit},
-    {"tai.rerun_read", Kind::Integer},
-    {"tai.reruns", Kind::Unit, true},
-    {"tai.shapes", Kind::Any},
-    {"tai.site", Kind::Integer},
-    {"tai.stored_form", Kind::Symbol, true},
-    {"tai.sum_target", Kind::Integer},
-    {"tai.takes", Kind::Unit, true},
-    {"tai.tangent", Kind::Symbol, true},
     {"tai.tiles", Kind::Any},
+    // Of ops that mean the same without, as far as the program goes.
+    {"tai.accumulate", Kind::String},
+    {"tai.guard", Kind::Unit},
+    {"tai.guard_infinite", Kind::Unit},
+    // Set and read by one pass.
+    {"tai.alignment", Kind::Integer},
+    {"tai.device_slot", Kind::Unit},
+    {"tai.keeps_order", Kind::Unit},
+    {"tai.ordered_scope", Kind::Any},
+    {"tai.partial_sum", Kind::Unit},
+    {"tai.rerun_read", Kind::Integer},
+    {"tai.site", Kind::Integer},
+    {"tai.sum_target", Kind::Integer},
 };
+
+static constexpr RenamedAttr kRenamed[] = {
+    {"tai.before", "reads_before"},
+    {"tai.conventions", "conventions"},
+    {"tai.gradients", "gradients"},
+    {"tai.keeps_activity", "keeps_activity"},
+    {"tai.part_of", "part_of"},
+    {"tai.reruns", "reexecutes"},
+    {"tai.stored_form", "stored_form"},
+    {"tai.takes", "zeroes_adjoint"},
+    {"tai.tangent", "tangent"},
+};
+
+ArrayRef<RenamedAttr> tai::getRenamedKernelAttrs() { return kRenamed; }
+
+StringAttr tai::getFunctionAttrName(Operation *op, StringRef name) {
+  return isa<KernelOp>(op) ? StringAttr::get(op->getContext(), name)
+                           : StringAttr::get(op->getContext(), "tai." + name);
+}
 
 /// The only attribute of arguments.
 static constexpr StringLiteral kElementRank = "tai.element_rank";
@@ -150,7 +160,8 @@ static LogicalResult verifyDifferentiate(Operation *op) {
     return op->emitError("cannot differentiate '@")
            << function.getName() << "', which has no body here";
   // What was differentiated may have been converted since.
-  bool isDone = op->hasAttr("tai.adjoint") || op->hasAttr("tai.tangent");
+  bool isDone = op->hasAttr("tai.adjoint") ||
+                op->hasAttr(getFunctionAttrName(op, "tangent"));
   if (!isDone && name != "func.func" && !isa<KernelOp>(op))
     return op->emitError("cannot differentiate a '")
            << name << "'; expects a 'func.func' or a 'tai.kernel'";
@@ -160,6 +171,12 @@ static LogicalResult verifyDifferentiate(Operation *op) {
 LogicalResult tai::verifyDiscardableAttr(Operation *op,
                                          NamedAttribute attribute) {
   StringRef name = attribute.getName();
+  if (isa<KernelOp>(op))
+    for (const RenamedAttr &renamed : kRenamed)
+      if (renamed.old == name)
+        return op->emitError("expects '")
+               << renamed.name << "', an attribute of the op itself, where '"
+               << name << "' was written";
   const KnownAttr *known = llvm::find_if(
       kKnown, [&](const KnownAttr &entry) { return entry.name == name; });
   if (known == std::end(kKnown))

@@ -12,6 +12,14 @@
 
 namespace mlir::tai {
 
+/// An attribute of kernels that was a discardable one by another name.
+struct RenamedAttr {
+  llvm::StringLiteral old, name;
+};
+/// Those that people may have written. The parser of kernels takes the old name
+/// for the new one; elsewhere, the verifier refuses it.
+llvm::ArrayRef<RenamedAttr> getRenamedKernelAttrs();
+
 /// Checks an attribute `tai.*` of an op of any dialect.
 LogicalResult verifyDiscardableAttr(Operation *op, NamedAttribute attribute);
 /// The same for one of an argument, and of a result, of a function.

@@ -200,6 +200,16 @@ bool mlir::tai::haveSameActivity(const FieldLayout &a, const FieldLayout &b) {
          getSparsePosition(a.path) == getSparsePosition(b.path);
 }
 
+FlatSymbolRefAttr tai::getNamedField(Operation *op) {
+  if (auto access = dyn_cast<FieldAccessOpInterface>(op))
+    return access.getFieldAttr();
+  if (auto loop = dyn_cast<ParallelForOp>(op))
+    return loop.getFieldAttr();
+  if (auto question = dyn_cast<VisitsAllOp>(op))
+    return question.getFieldAttr();
+  return {};
+}
+
 FieldOp tai::lookupField(Operation *from, FlatSymbolRefAttr name) {
   return SymbolTable::lookupNearestSymbolFrom<FieldOp>(from, name);
 }

@@ -5,6 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "DiscardableAttrs.h"
 #include "mlir/IR/Builders.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/IR/PatternMatch.h"
@@ -52,6 +53,17 @@ ParseResult KernelOp::parse(OpAsmParser &parser, OperationState &result) {
           getFunctionTypeAttrName(result.name), buildType,
           getArgAttrsAttrName(result.name), getResAttrsAttrName(result.name)))
     return failure();
+  for (const RenamedAttr &renamed : getRenamedKernelAttrs()) {
+    Attribute value = result.attributes.get(renamed.old);
+    if (!value)
+      continue;
+    if (result.attributes.get(renamed.name))
+      return parser.emitError(where)
+             << "'" << renamed.name << "' is given twice: '" << renamed.old
+             << "' is an older name of it";
+    result.attributes.erase(renamed.old);
+    result.attributes.append(renamed.name, value);
+  }
   return checkAttributes<KernelOp>(parser, where, result);
 }
 
@@ -73,15 +85,18 @@ static bool isKernelArgumentType(Type type) {
 }
 
 LogicalResult KernelOp::verify() {
+  // (kernel_c1)
   if (!getBody().hasOneBlock())
     return emitOpError("expects a body of one block");
   FunctionType type = getFunctionType();
+  // (kernel_c2)
   for (auto [i, input] : llvm::enumerate(type.getInputs()))
     if (!isKernelArgumentType(input))
       return emitOpError("argument ")
              << i << " has type " << input
              << "; expects a scalar, a vector, or a memref of them with the "
                 "identity layout";
+  // (kernel_c3)
   if (type.getNumResults() > 1)
     return emitOpError("expects at most one result, but got ")
            << type.getNumResults();
@@ -89,7 +104,8 @@ LogicalResult KernelOp::verify() {
     if (isa<MemRefType>(result) || !isKernelArgumentType(result))
       return emitOpError("returns ")
              << result << "; expects a scalar or a vector";
-  // What is parsed in the generic form may end in anything, or hold nothing.
+  // (kernel_c1) What is parsed in the generic form may end in anything, or hold
+  // nothing.
   Block &block = getBody().front();
   if (block.empty() || !isa<ReturnOp>(block.back()))
     return emitOpError("expects a body that ends with 'tai.return'");
@@ -98,6 +114,7 @@ LogicalResult KernelOp::verify() {
 
 LogicalResult ReturnOp::verify() {
   auto kernel = cast<KernelOp>((*this)->getParentOp());
+  // (return_c1)
   ArrayRef<Type> expected = kernel.getResultTypes();
   if (TypeRange(expected) == getOperandTypes())
     return success();
@@ -224,22 +241,27 @@ void ParallelForOp::print(OpAsmPrinter &printer) {
 }
 
 LogicalResult ParallelForOp::verify() {
+  // (parallel_for_c1)
   size_t rank = getBody().getNumArguments();
   for (BlockArgument iv : getBody().getArguments())
     if (!iv.getType().isIndex())
       return emitOpError(
                  "expects induction variables of type 'index', but got ")
              << iv.getType();
+  // (parallel_for_c2)
   if (getBlockDim().value_or(1) < 1)
     return emitOpError("expects a positive block_dim, but got ")
            << *getBlockDim();
+  // (parallel_for_c3)
   if ((*this)->getParentOfType<ParallelForOp>())
     return emitOpError("cannot stand in another parallel loop; use 'scf.for'");
+  // (parallel_for_c5)
   if (isStructFor()) {
     if (!getLowerBounds().empty())
       return emitOpError("runs over a field and cannot take bounds");
     return success();
   }
+  // (parallel_for_c4)
   if (getLevel())
     return emitOpError("names a level, but runs over a box");
   if (rank == 0)
@@ -252,6 +274,7 @@ LogicalResult ParallelForOp::verify() {
 }
 
 LogicalResult ParallelForOp::verifySymbolUses(SymbolTableCollection &symbols) {
+  // (parallel_for_c5)
   if (!isStructFor())
     return success();
   auto field = symbols.lookupNearestSymbolFrom<FieldOp>(*this, getFieldAttr());
@@ -265,6 +288,7 @@ LogicalResult ParallelForOp::verifySymbolUses(SymbolTableCollection &symbols) {
     diag.attachNote(field.getLoc()) << "field defined here";
     return diag;
   }
+  // (parallel_for_c6)
   if (!getLevel())
     return success();
   FailureOr<FieldLayout> layout = getFieldLayout(field);
@@ -275,6 +299,15 @@ LogicalResult ParallelForOp::verifySymbolUses(SymbolTableCollection &symbols) {
                             << ", which has " << layout->path.levels.size();
   diag.attachNote(field.getLoc()) << "field defined here";
   return diag;
+}
+
+void ParallelForOp::copyNotesFrom(ParallelForOp other) {
+  (*this)->setDiscardableAttrs(other->getDiscardableAttrDictionary());
+  setBlockDimAttr(other.getBlockDimAttr());
+  setReachAttr(other.getReachAttr());
+  setOuterDimsAttr(other.getOuterDimsAttr());
+  setFixedCostAttr(other.getFixedCostAttr());
+  setInWarp(other.getInWarp());
 }
 
 SmallVector<Region *> ParallelForOp::getLoopRegions() { return {&getRegion()}; }

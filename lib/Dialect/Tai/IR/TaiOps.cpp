@@ -6,7 +6,6 @@
 //===----------------------------------------------------------------------===//
 
 #include "TapeValues.h"
-#include "mlir/Dialect/LLVMIR/LLVMTypes.h"
 #include "mlir/IR/Builders.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/IR/PatternMatch.h"
@@ -17,6 +16,8 @@
 
 using namespace mlir;
 using namespace mlir::tai;
+
+#include "tai/Interfaces/FieldAccessInterface.cpp.inc"
 
 /// Parses the clauses that may follow the rank, in any order:
 /// `, adjoint @a`, `, dual @d`, `, offset [n, …]`, `, order [axis, …]`.
@@ -231,9 +232,11 @@ static LogicalResult verifyAccess(Operation *op, FlatSymbolRefAttr name,
                                   size_t indices, size_t components,
                                   Type valueType,
                                   SymbolTableCollection &symbols) {
+  // (load_c1), (load_c2)
   FieldOp field = lookupOrError(op, name, symbols);
   if (!field || failed(verifyIndices(op, field, indices)))
     return failure();
+  // (load_c3)
   Type expected = field.getType();
   if (components) {
     auto vector = dyn_cast<VectorType>(expected);
@@ -247,6 +250,7 @@ static LogicalResult verifyAccess(Operation *op, FlatSymbolRefAttr name,
     }
     expected = vector.getElementType();
   }
+  // (load_c4)
   if (valueType == expected)
     return success();
   InFlightDiagnostic diag = op->emitOpError("expects a value of type ")
@@ -269,6 +273,7 @@ LogicalResult AtomicOp::verifySymbolUses(SymbolTableCollection &symbols) {
 }
 
 LogicalResult AtomicOp::verify() {
+  // (atomic_c5)
   Type element = getElementTypeOrSelf(getValue().getType());
   bool isBitwise = llvm::is_contained(
       {AtomicKind::And, AtomicKind::Or, AtomicKind::Xor}, getKind());
@@ -292,24 +297,6 @@ void AtomicOp::build(OpBuilder &, OperationState &state, AtomicKind kind,
   props.operandSegmentSizes = {1, static_cast<int32_t>(indices.size()),
                                static_cast<int32_t>(components.size())};
   state.addTypes(value.getType());
-}
-
-using Effects = SmallVectorImpl<MemoryEffects::EffectInstance>;
-
-static void addEffect(Effects &effects, MemoryEffects::Effect *effect,
-                      FlatSymbolRefAttr field) {
-  effects.emplace_back(effect, field, FieldResource::get());
-}
-
-void LoadOp::getEffects(Effects &effects) {
-  addEffect(effects, MemoryEffects::Read::get(), getFieldAttr());
-}
-void StoreOp::getEffects(Effects &effects) {
-  addEffect(effects, MemoryEffects::Write::get(), getFieldAttr());
-}
-void AtomicOp::getEffects(Effects &effects) {
-  addEffect(effects, MemoryEffects::Read::get(), getFieldAttr());
-  addEffect(effects, MemoryEffects::Write::get(), getFieldAttr());
 }
 
 /// True if every index of the access is a constant inside the field.
@@ -444,33 +431,18 @@ LogicalResult LengthOp::verifySymbolUses(SymbolTableCollection &symbols) {
                           symbols);
 }
 
-void ActivateOp::getEffects(Effects &effects) {
-  addEffect(effects, MemoryEffects::Write::get(), getFieldAttr());
-}
-void DeactivateOp::getEffects(Effects &effects) {
-  addEffect(effects, MemoryEffects::Write::get(), getFieldAttr());
-}
-void IsActiveOp::getEffects(Effects &effects) {
-  addEffect(effects, MemoryEffects::Read::get(), getFieldAttr());
-}
-void AppendOp::getEffects(Effects &effects) {
-  addEffect(effects, MemoryEffects::Read::get(), getFieldAttr());
-  addEffect(effects, MemoryEffects::Write::get(), getFieldAttr());
-}
-void LengthOp::getEffects(Effects &effects) {
-  addEffect(effects, MemoryEffects::Read::get(), getFieldAttr());
-}
-
 //===----------------------------------------------------------------------===//
 // Host ops
 //===----------------------------------------------------------------------===//
 
 LogicalResult LaunchOp::verifySymbolUses(SymbolTableCollection &symbols) {
+  // (launch_c1)
   auto kernel =
       symbols.lookupNearestSymbolFrom<KernelOp>(*this, getKernelAttr());
   if (!kernel)
     return emitOpError() << "names '" << getKernelAttr()
                          << "', which is not a kernel";
+  // (launch_c2)
   FunctionType type = kernel.getFunctionType();
   if (TypeRange(type.getInputs()) == getOperandTypes() &&
       TypeRange(type.getResults()) == getResultTypes())
@@ -487,12 +459,14 @@ static LogicalResult verifyLoss(Operation *op, FlatSymbolRefAttr name,
   FieldOp field = lookupOrError(op, name, symbols);
   if (!field)
     return failure();
+  // (tape_c1)
   if (field.getRank() != 0 || !isa<FloatType>(field.getType())) {
     InFlightDiagnostic diag =
         op->emitOpError("expects the loss to be a float field of rank 0");
     diag.attachNote(field.getLoc()) << "field defined here";
     return diag;
   }
+  // (tape_c2)
   if (!field.getAdjointAttr()) {
     InFlightDiagnostic diag =
         op->emitOpError("expects the loss to have an adjoint");
@@ -505,6 +479,7 @@ static LogicalResult verifyLoss(Operation *op, FlatSymbolRefAttr name,
 LogicalResult TapeOp::verifySymbolUses(SymbolTableCollection &symbols) {
   if (failed(verifyLoss(*this, getLossAttr(), symbols)))
     return failure();
+  // (tape_c3)
   return verifyTapeValues(*this, symbols);
 }
 
@@ -516,6 +491,7 @@ CheckGradientOp::verifySymbolUses(SymbolTableCollection &symbols) {
     FieldOp field = lookupOrError(*this, name, symbols);
     if (!field)
       return failure();
+    // (check_gradient_c2)
     if (!field.getAdjointAttr())
       return emitOpError() << "expects field '" << name
                            << "' to have an adjoint";

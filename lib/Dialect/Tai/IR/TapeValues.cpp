@@ -17,6 +17,7 @@
 #include "mlir/Interfaces/ControlFlowInterfaces.h"
 #include "mlir/Interfaces/LoopLikeInterface.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "llvm/ADT/SetVector.h"
 
@@ -50,7 +51,7 @@ private:
                 : FunctionOpInterface();
   }
   FieldOp lookupField(Operation *op) {
-    auto name = op->getAttrOfType<FlatSymbolRefAttr>("field");
+    FlatSymbolRefAttr name = getNamedField(op);
     return name ? symbols.lookupNearestSymbolFrom<FieldOp>(op, name)
                 : FieldOp();
   }
@@ -232,9 +233,10 @@ LogicalResult TapeValues::verifyStores() {
       SmallVector<LaunchOp> launches;
       region.walk([&](LaunchOp launch) { launches.push_back(launch); });
       WalkResult result = region.walk([&](Operation *op) {
-        if (!isa<StoreOp, AtomicOp>(op))
+        auto access = dyn_cast<FieldAccessOpInterface>(op);
+        if (!access || !access.isElementAccess() || !access.writesField())
           return WalkResult::advance();
-        auto name = op->getAttrOfType<FlatSymbolRefAttr>("field");
+        FlatSymbolRefAttr name = access.getFieldAttr();
         bool isLate = scope != tape;
         for (LaunchOp launch : launches) {
           if (!getNames(launch.getKernelAttr()).contains(name))

@@ -351,8 +351,8 @@ class Builder:
         }
         if gradients:
             listed = ", ".join(map(str, gradients))
-            attributes["tai.gradients"] = self._attribute(f"array<i64: {listed}>")
+            attributes["gradients"] = self._attribute(f"array<i64: {listed}>")
         if conventions:
             chosen = ", ".join(f"{name} = {value}" for name, value in conventions.items())
-            attributes["tai.conventions"] = self._attribute("{" + chosen + "}")
+            attributes["conventions"] = self._attribute("{" + chosen + "}")
         self._op("tai.kernel", [], [], attributes, [body])

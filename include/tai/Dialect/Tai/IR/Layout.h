@@ -31,13 +31,9 @@ void printLevelAxes(AsmPrinter &printer, ArrayRef<unsigned> axes,
                     ArrayRef<int64_t> shape);
 void printLevelChildren(AsmPrinter &printer, ArrayRef<Type> children);
 
-/// On a kernel: it adds nothing to inactive cells, instead of making them
-/// active. Adjoints are so, which have no say in what is active.
-constexpr llvm::StringLiteral kKeepsActivityAttrName = "tai.keeps_activity";
-
-/// On a loop over active cells: an iteration has something to do if one of the
-/// cells so many cells around it has an adjoint that is not zero; -1: any cell.
-constexpr llvm::StringLiteral kReachAttrName = "tai.reach";
+/// The field that an op of tai names: that it accesses (as an op of another
+/// dialect may, by FieldAccessOpInterface), loops over or asks about; or null.
+FlatSymbolRefAttr getNamedField(Operation *op);
 
 /// One level on the path from the root to a place.
 struct PathLevel {

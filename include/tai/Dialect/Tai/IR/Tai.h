@@ -26,6 +26,7 @@
 #include "mlir/Interfaces/InferTypeOpInterface.h"
 #include "mlir/Interfaces/LoopLikeInterface.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Interfaces/FieldAccess.h"
 
 namespace mlir::tai {
 /// Size in bytes of a cell that holds `children`, padded to its alignment.
@@ -87,26 +88,10 @@ CellList emitActiveCells(OpBuilder &builder, Location loc, Value tree,
 #include "tai/Dialect/Tai/IR/TaiAttrs.h.inc"
 
 namespace mlir::tai {
-/// The effects of accesses to fields; an effect names the field by symbol.
-struct FieldResource : SideEffects::Resource::Base<FieldResource> {
-  StringRef getName() final { return "tai.field"; }
-};
-
-// Attributes of adjoint kernels: what a tape must know to launch them.
-
-/// The adjoint leaves zero in the adjoints of all that the kernel stores.
-constexpr llvm::StringLiteral kTakesAttrName = "tai.takes";
-/// The fields that the adjoint reads as they were before the launch.
-constexpr llvm::StringLiteral kBeforeAttrName = "tai.before";
-/// The adjoint writes to fields while it runs: those of `tai.before` must be
-/// put back to what they were before the launch once more when it is done.
-constexpr llvm::StringLiteral kRerunsAttrName = "tai.reruns";
-/// On an adjoint: the form of it that loads values which the kernel has stored,
-/// for where nothing has overwritten them since.
-constexpr llvm::StringLiteral kStoredFormAttrName = "tai.stored_form";
-/// On a kernel: it is a part of the named kernel, launched in its place under a
-/// tape.
-constexpr llvm::StringLiteral kPartOfAttrName = "tai.part_of";
+/// What `op` calls an attribute of kernels: the name itself on a kernel; on a
+/// function of another dialect, which has no such attribute, `tai.` and the
+/// name.
+StringAttr getFunctionAttrName(Operation *op, StringRef name);
 } // namespace mlir::tai
 
 #define GET_OP_CLASSES

@@ -12,12 +12,32 @@ include "tai/Dialect/Tai/IR/TaiOpBase.td"
 
 /// An access to one element of a field, or to one component of it. Effects
 /// are on the field's symbol, so that accesses to distinct fields commute.
-class Tai_AccessOp<string mnemonic, list<Trait> traits = []>
+class Tai_AccessOp<string mnemonic, string access, string value = "",
+                   list<Trait> traits = []>
     : Tai_Op<mnemonic, !listconcat(traits, [
         DeclareOpInterfaceMethods<SymbolUserOpInterface>,
-        DeclareOpInterfaceMethods<MemoryEffectsOpInterface>])>;
+        DeclareOpInterfaceMethods<MemoryEffectsOpInterface>,
+        DeclareOpInterfaceMethods<Tai_FieldAccessOpInterface,
+          !if(!empty(value), ["getFieldAccess"],
+              ["getFieldAccess", "getAccessedValue"])>])> {
+  let extraClassDefinition = [{
+    void $cppClass::getEffects(
+        ::llvm::SmallVectorImpl<::mlir::MemoryEffects::EffectInstance>
+            &effects) {
+      ::mlir::tai::addFieldEffects(effects, getFieldAccess(), getFieldAttr());
+    }
+    ::mlir::tai::FieldAccess $cppClass::getFieldAccess() {
+      return ::mlir::tai::FieldAccess::}] # access # [{;
+    }
+  }] # !if(!empty(value), "", [{
+    ::mlir::Value $cppClass::getAccessedValue() { return get}] # value # [{(); }
+  }]);
+}
 
-def Tai_LoadOp : Tai_AccessOp<"load", [AttrSizedOperandSegments,
+let opDocGroup = AccessOpGroup in {
+
+def Tai_LoadOp : Tai_AccessOp<"load", "Read", "Value", [
+    AttrSizedOperandSegments,
     DeclareOpInterfaceMethods<ConditionallySpeculatable>]> {
   let summary = "read one element of a field";
   let description = [{
@@ -30,6 +50,12 @@ def Tai_LoadOp : Tai_AccessOp<"load", [AttrSizedOperandSegments,
     decides, the launch is refused; else it is reported with `bounds=check`,
     replaced with `bounds=clamp`, and without either the behaviour is undefined
     (see `tai-check-bounds`).
+
+    1. (load_c1) `field` names a `tai.field`.
+    2. (load_c2) There is an index for each dimension of the field.
+    3. (load_c3) There is no component, or one index for each dimension of the
+       element type.
+    4. (load_c4) The value has the type of an element, or of a component.
 
     Example:
 
@@ -51,11 +77,14 @@ def Tai_LoadOp : Tai_AccessOp<"load", [AttrSizedOperandSegments,
     }]>];
 }
 
-def Tai_StoreOp : Tai_AccessOp<"store", [AttrSizedOperandSegments]> {
+def Tai_StoreOp : Tai_AccessOp<"store", "Write", "Value", [
+    AttrSizedOperandSegments]> {
   let summary = "write one element of a field";
   let description = [{
     Writes `value` to the element of `field` at `indices`, or to one component
     of it. Activates the cells on the way. For the index rules see `tai.load`.
+
+    1. (store_c1) to (store_c4): those of `tai.load`.
 
     Example:
 
@@ -76,8 +105,8 @@ def Tai_StoreOp : Tai_AccessOp<"store", [AttrSizedOperandSegments]> {
     }]>];
 }
 
-def Tai_AtomicOp : Tai_AccessOp<"atomic", [AttrSizedOperandSegments,
-    AllTypesMatch<["value", "old"]>]> {
+def Tai_AtomicOp : Tai_AccessOp<"atomic", "Combine", "Value", [
+    AttrSizedOperandSegments, AllTypesMatch<["value", "old"]>]> {
   let summary = "combine a value into one element of a field";
   let description = [{
     Replaces the element (or component) by its combination with `value`, in
@@ -86,7 +115,13 @@ def Tai_AtomicOp : Tai_AccessOp<"atomic", [AttrSizedOperandSegments,
     `xor` integers.
 
     `exclusive` says that no other iteration of the enclosing parallel loop
-    reaches the element, so that a plain read and write does.
+    reaches the element, so that a plain read and write does. `strategy` is what
+    `tai-relax-atomics` decided: `register`, the sum of a thread in a register,
+    or `private`, a buffer of its own, whose number in the loop is `buffer`;
+    without it the update is atomic.
+
+    1. (atomic_c1) to (atomic_c4): those of `tai.load`.
+    2. (atomic_c5) `and`, `or` and `xor` combine integers.
 
     Example:
 
@@ -96,12 +131,14 @@ def Tai_AtomicOp : Tai_AccessOp<"atomic", [AttrSizedOperandSegments,
   }];
   let arguments = (ins Tai_AtomicKindAttr:$kind, Tai_Value:$value,
                        FlatSymbolRefAttr:$field, Variadic<Index>:$indices,
-                       Variadic<Index>:$components, UnitAttr:$exclusive);
+                       Variadic<Index>:$components,
+                       OptionalAttr<Tai_AccumulationStrategyAttr>:$strategy,
+                       OptionalAttr<I64Attr>:$buffer, UnitAttr:$exclusive);
   let results = (outs Tai_Value:$old);
   let assemblyFormat = [{
     `` $kind $value `,` $field `[` $indices `]`
     (`component` `[` $components^ `]`)? (`exclusive` $exclusive^)?
-    attr-dict `:` type($value)
+    (`strategy` $strategy^)? (`buffer` $buffer^)? attr-dict `:` type($value)
   }];
   let hasVerifier = 1;
   let builders = [OpBuilder<(ins "::mlir::tai::AtomicKind":$kind,
@@ -111,16 +148,20 @@ def Tai_AtomicOp : Tai_AccessOp<"atomic", [AttrSizedOperandSegments,
     CArg<"bool", "false">:$exclusive)>];
 }
 
+} // opDocGroup = AccessOpGroup
+
 //===----------------------------------------------------------------------===//
 // Sparse topology
 //===----------------------------------------------------------------------===//
 
 /// An op on the cell `level` levels above the place of a field; level 1 is the
 /// innermost SNode.
-class Tai_TopologyOp<string mnemonic, list<Trait> traits = []>
-    : Tai_AccessOp<mnemonic, traits>;
+class Tai_TopologyOp<string mnemonic, string access, string value = "">
+    : Tai_AccessOp<mnemonic, access, value>;
 
-def Tai_ActivateOp : Tai_TopologyOp<"activate"> {
+let opDocGroup = TopologyOpGroup in {
+
+def Tai_ActivateOp : Tai_TopologyOp<"activate", "WriteCells"> {
   let summary = "make a cell active";
   let description = [{
     Activates the cell above the element of `field` at `indices`, `level`
@@ -135,7 +176,7 @@ def Tai_ActivateOp : Tai_TopologyOp<"activate"> {
   let assemblyFormat = "$field `[` $indices `]` `level` $level attr-dict";
 }
 
-def Tai_DeactivateOp : Tai_TopologyOp<"deactivate"> {
+def Tai_DeactivateOp : Tai_TopologyOp<"deactivate", "WriteCells"> {
   let summary = "make a cell inactive";
   let description = [{
     Deactivates the cell; what lies below it reads as zero from then on.
@@ -149,7 +190,7 @@ def Tai_DeactivateOp : Tai_TopologyOp<"deactivate"> {
   let assemblyFormat = "$field `[` $indices `]` `level` $level attr-dict";
 }
 
-def Tai_IsActiveOp : Tai_TopologyOp<"is_active"> {
+def Tai_IsActiveOp : Tai_TopologyOp<"is_active", "ReadCells"> {
   let summary = "tell whether a cell is active";
   let description = [{
     ```mlir
@@ -179,7 +220,7 @@ def Tai_VisitsAllOp : Tai_Op<"visits_all", [
   let assemblyFormat = "$field attr-dict";
 }
 
-def Tai_AppendOp : Tai_TopologyOp<"append"> {
+def Tai_AppendOp : Tai_TopologyOp<"append", "Append", "Value"> {
   let summary = "add a cell to a dynamic list";
   let description = [{
     Appends `value` to the `dynamic` list above `field`; `indices` are those of
@@ -196,7 +237,7 @@ def Tai_AppendOp : Tai_TopologyOp<"append"> {
   let assemblyFormat = "$value `,` $field `[` $indices `]` attr-dict `:` type($value)";
 }
 
-def Tai_LengthOp : Tai_TopologyOp<"length"> {
+def Tai_LengthOp : Tai_TopologyOp<"length", "ReadCells"> {
   let summary = "the number of cells of a dynamic list";
   let description = [{
     ```mlir
@@ -207,5 +248,7 @@ def Tai_LengthOp : Tai_TopologyOp<"length"> {
   let results = (outs Index:$count);
   let assemblyFormat = "$field `[` $indices `]` attr-dict";
 }
+
+} // opDocGroup = TopologyOpGroup
 
 #endif // TAI_DIALECT_TAI_IR_TAIACCESSOPS_TD

@@ -25,6 +25,18 @@ def Tai_AtomicKindAttr
   let assemblyFormat = "$value";
 }
 
+def Tai_AccumulationStrategy
+    : I32EnumAttr<"AccumulationStrategy", "how updates of a loop are done", [
+    I32EnumAttrCase<"Register", 0, "register">,
+    I32EnumAttrCase<"Private", 1, "private">]> {
+  let cppNamespace = "::mlir::tai";
+  let genSpecializedAttr = 0;
+}
+def Tai_AccumulationStrategyAttr
+    : EnumAttr<Tai_Dialect, Tai_AccumulationStrategy, "strategy"> {
+  let assemblyFormat = "$value";
+}
+
 def Tai_FieldUse : I32EnumAttr<"FieldUse", "how a kernel uses a field", [
     I32EnumAttrCase<"Read", 0, "read">, I32EnumAttrCase<"Write", 1, "write">,
     I32EnumAttrCase<"Accumulate", 2, "accumulate">]> {

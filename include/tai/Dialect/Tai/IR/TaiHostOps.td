@@ -13,12 +13,17 @@
 
 include "tai/Dialect/Tai/IR/TaiOpBase.td"
 
+let opDocGroup = HostOpGroup in {
+
 def Tai_LaunchOp : Tai_Op<"launch", [
     DeclareOpInterfaceMethods<SymbolUserOpInterface>]> {
   let summary = "run a kernel";
   let description = [{
     Runs the kernel with the given arguments and waits for what it returns.
     Inside `tai.tape` the launch is recorded, to be replayed in reverse.
+
+    1. (launch_c1) `kernel` names a `tai.kernel`.
+    2. (launch_c2) Operands and results have the types of those of the kernel.
 
     Example:
 
@@ -50,6 +55,11 @@ def Tai_TapeOp : Tai_Op<"tape", [
     launch before has accessed. Arithmetic on numbers from before the tape is
     free.
 
+    1. (tape_c1) `loss` names a `tai.field` of a float, of rank 0.
+    2. (tape_c2) The loss has an adjoint.
+    3. (tape_c3) No value with a derivative goes from one launch to the next
+       through the host.
+
     Example:
 
     ```mlir
@@ -79,6 +89,9 @@ def Tai_CheckGradientOp : Tai_Op<"check_gradient", [
     Elements that the region overwrites before it reads them, such as all steps
     but the first of a field with a time axis, are left out: what they held does
     not matter. The program fails if nothing is left to be checked.
+
+    1. (check_gradient_c1) The loss is one of `tai.tape`, and (tape_c3) holds.
+    2. (check_gradient_c2) Each field of `wrt` has an adjoint.
 
     Example:
 
@@ -114,5 +127,7 @@ def Tai_CheckCloseOp : Tai_Op<"check_close", [
     $actual `,` $expected `tolerance` $tolerance attr-dict `:` type($actual)
   }];
 }
+
+} // opDocGroup = HostOpGroup
 
 #endif // TAI_DIALECT_TAI_IR_TAIHOSTOPS_TD

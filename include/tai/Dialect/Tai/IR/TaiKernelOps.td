@@ -10,6 +10,8 @@
 
 include "tai/Dialect/Tai/IR/TaiOpBase.td"
 
+let opDocGroup = KernelOpGroup in {
+
 def Tai_KernelOp : Tai_Op<"kernel", [
     FunctionOpInterface, IsolatedFromAbove, AffineScope,
     AutomaticAllocationScope]> {
@@ -20,9 +22,39 @@ def Tai_KernelOp : Tai_Op<"kernel", [
     Arguments are scalars, small vectors, and `memref`s (arrays owned by the
     caller). A kernel may return one value.
 
+    1. (kernel_c1) The body is one block that ends with `tai.return`.
+    2. (kernel_c2) An argument is a scalar, a vector, or a `memref` of them with the
+       identity layout.
+    3. (kernel_c3) There is at most one result, a scalar or a vector.
+
     `adjoint` names the kernel that accumulates its gradient; it takes the same
     arguments. `summary` lists what the kernel reads, writes and accumulates
-    (see `#tai.access`).
+    (see `#tai.access`). `tangent` names what forward mode made of it.
+
+    What is to be differentiated, written by people: `gradients`, the positions
+    of arguments, and counted on of results, by which the kernel is
+    differentiated besides fields; `conventions`, what gradients do at kinks
+    (docs/derivatives.md).
+
+    What passes say of a kernel. Of an adjoint: `zeroes_adjoint`, it leaves zero in
+    the adjoints of all that the kernel stores; `reads_before`, the fields that
+    it reads as they were before the launch; `reexecutes`, it writes to fields while it
+    runs, so that those of `reads_before` must be put back once more when it is
+    done; `stored_form`, the form of it that loads values which the kernel has
+    stored, for where nothing has overwritten them since; `keeps_activity`, it adds
+    nothing to inactive cells instead of making them active; `guarded`, some of
+    its selects are guards (`tai.guard`), without which it cannot be
+    differentiated again. Of any kernel:
+    `part_of`, it is launched in place of the named kernel under a tape, with
+    the other parts; `checks_indices`, some accesses are checked as they run, so that passes that
+    only make code fast leave it as it was written; `checked_accesses`,
+    (field, use, location) of each access that is logged.
+
+    In the syntax of this op, an attribute may also be given by its older name:
+    `tai.gradients`, `tai.conventions`, `tai.tangent`, `tai.takes` (now
+    `zeroes_adjoint`), `tai.before` (`reads_before`), `tai.reruns`
+    (`reexecutes`), `tai.stored_form`, `tai.part_of`, `tai.keeps_activity`.
+    The parser reads it as the name without prefix; printed is the new one.
 
     Example:
 
@@ -48,7 +80,19 @@ def Tai_KernelOp : Tai_Op<"kernel", [
     OptionalAttr<DictArrayAttr>:$res_attrs,
     OptionalAttr<StrAttr>:$sym_visibility,
     OptionalAttr<FlatSymbolRefAttr>:$adjoint,
-    OptionalAttr<ArrayAttr>:$summary
+    OptionalAttr<ArrayAttr>:$summary,
+    OptionalAttr<FlatSymbolRefAttr>:$tangent,
+    OptionalAttr<DenseI64ArrayAttr>:$gradients,
+    OptionalAttr<DictionaryAttr>:$conventions,
+    UnitAttr:$zeroes_adjoint,
+    OptionalAttr<TypedArrayAttrBase<FlatSymbolRefAttr, "fields">>:$reads_before,
+    UnitAttr:$reexecutes,
+    OptionalAttr<FlatSymbolRefAttr>:$stored_form,
+    OptionalAttr<FlatSymbolRefAttr>:$part_of,
+    UnitAttr:$keeps_activity,
+    UnitAttr:$guarded,
+    UnitAttr:$checks_indices,
+    OptionalAttr<ArrayAttr>:$checked_accesses
   );
   let regions = (region SizedRegion<1>:$body);
   let skipDefaultBuilders = 1;
@@ -73,6 +117,8 @@ def Tai_ReturnOp : Tai_Op<"return", [
   let description = [{
     Ends a kernel and hands its value, if it has one, to the host.
 
+    1. (return_c1) The operands have the types of the results of the kernel.
+
     Example:
 
     ```mlir
@@ -91,6 +137,10 @@ def Tai_YieldOp : Tai_Op<"yield", [
     Pure, ReturnLike, Terminator,
     ParentOneOf<["ParallelForOp", "TapeOp", "CheckGradientOp"]>]> {
   let summary = "end a region of the dialect";
+  let description = [{
+    Ends the body of a parallel loop, a tape or a check, and yields nothing. It
+    is not written.
+  }];
   let assemblyFormat = "attr-dict";
 }
 
@@ -120,6 +170,24 @@ def Tai_ParallelForOp : Tai_Op<"parallel_for", [
     `block_dim` is the number of threads in a block on a GPU: a multiple of 32
     or a power of two, 1024 at most. It says nothing on the CPU.
 
+    1. (parallel_for_c1) The body has one argument for each dimension, of type
+       `index`.
+    2. (parallel_for_c2) `block_dim` is positive.
+    3. (parallel_for_c3) No parallel loop stands in another one.
+    4. (parallel_for_c4) The box form has at least one dimension, and as many
+       lower and upper bounds; no level.
+    5. (parallel_for_c5) The field form names a `tai.field`, has no bounds, and an index for
+       each dimension of the field.
+    6. (parallel_for_c6) There is a level `n` above the field.
+
+    What passes say of a loop, not of the program: `reach`, an iteration over
+    active cells has something to do if one of the cells so many cells
+    around it has an adjoint that is not zero (-1: any cell); `outer_dims`, a partition counts
+    only so many of the first dimensions; `fixed_cost`, nanoseconds of an
+    iteration by which the loop is cut, and a sign that the order of its sums must not
+    depend on how it is lowered; `in_warp`, one warp of a GPU runs it, whose
+    threads do their additions together and in a fixed order.
+
     Example:
 
     ```mlir
@@ -137,7 +205,11 @@ def Tai_ParallelForOp : Tai_Op<"parallel_for", [
     OptionalAttr<FlatSymbolRefAttr>:$field,
     OptionalAttr<ConfinedAttr<I64Attr, [IntPositive]>>:$level,
     UnitAttr:$serialize,
-    OptionalAttr<I64Attr>:$block_dim
+    OptionalAttr<I64Attr>:$block_dim,
+    OptionalAttr<I64Attr>:$reach,
+    OptionalAttr<I64Attr>:$outer_dims,
+    OptionalAttr<F64Attr>:$fixed_cost,
+    UnitAttr:$in_warp
   );
   let regions = (region SizedRegion<1>:$body);
   let hasCustomAssemblyFormat = 1;
@@ -151,15 +223,22 @@ def Tai_ParallelForOp : Tai_Op<"parallel_for", [
   let extraClassDeclaration = [{
     /// True for the form that visits the elements of a field.
     bool isStructFor() { return getField().has_value(); }
+    /// Takes over what is said of a loop that this one replaces: `block_dim`,
+    /// what passes noted, and discardable attributes.
+    void copyNotesFrom(ParallelForOp other);
     ::mlir::Block::BlockArgListType getInductionVars() {
       return getBody().getArguments();
     }
   }];
 }
 
+} // opDocGroup = KernelOpGroup
+
 //===----------------------------------------------------------------------===//
 // Locals
 //===----------------------------------------------------------------------===//
+
+let opDocGroup = LocalOpGroup in {
 
 def Tai_AllocaOp : Tai_Op<"alloca", []> {
   let summary = "make a mutable local variable";
@@ -204,9 +283,13 @@ def Tai_LocalStoreOp : Tai_Op<"local_store", [
   let assemblyFormat = "$value `,` $local attr-dict `:` type($value)";
 }
 
+} // opDocGroup = LocalOpGroup
+
 //===----------------------------------------------------------------------===//
 // Random numbers, checks, output
 //===----------------------------------------------------------------------===//
+
+let opDocGroup = MessageOpGroup in {
 
 def Tai_RandomOp : Tai_Op<"random", [MemoryEffects<[MemRead, MemWrite]>]> {
   let summary = "draw a random number";
@@ -235,7 +318,9 @@ def Tai_AssertOp : Tai_Op<"assert", [MemoryEffects<[MemWrite]>]> {
     If the condition is false the launch fails with the message, in which
     `{}` stands for the arguments in turn. The iteration goes on; the first
     failure of a launch is the one reported. Removed unless the context checks
-    assertions (debug mode).
+    assertions (debug mode) or `failure` says what kind of error it is (the
+    `TaiFailure` of tai/ABI/Abi.h): checks that passes make stay. `shapes` has
+    the numbers of components of arguments that `tai-scalarize` took apart.
 
     Example:
 
@@ -244,7 +329,15 @@ def Tai_AssertOp : Tai_Op<"assert", [MemoryEffects<[MemWrite]>]> {
     ```
   }];
   let arguments = (ins I1:$condition, StrAttr:$message,
-                       Variadic<AnyType>:$args);
+                       Variadic<AnyType>:$args,
+                       OptionalAttr<I32Attr>:$failure,
+                       OptionalAttr<DenseI32ArrayAttr>:$shapes);
+  let builders = [OpBuilder<(ins "::mlir::Value":$condition,
+    "::mlir::StringAttr":$message, "::mlir::ValueRange":$args,
+    CArg<"::mlir::IntegerAttr", "{}">:$failure), [{
+      build($_builder, $_state, condition, message, args, failure,
+            ::mlir::DenseI32ArrayAttr());
+    }]>];
   let assemblyFormat = [{
     $condition `,` $message (`(` $args^ `)` `:` type($args))? attr-dict
   }];
@@ -285,7 +378,8 @@ def Tai_PrintOp : Tai_Op<"print", [MemoryEffects<[MemWrite]>]> {
   let summary = "print values from a kernel";
   let description = [{
     Prints the format, in which `{}` stands for the arguments in turn, and a
-    newline. Lines of parallel iterations come in any order, whole.
+    newline. Lines of parallel iterations come in any order, whole. `shapes` is
+    that of `tai.assert`.
 
     Example:
 
@@ -293,8 +387,11 @@ def Tai_PrintOp : Tai_Op<"print", [MemoryEffects<[MemWrite]>]> {
     tai.print "x = {}"(%x) : f32
     ```
   }];
-  let arguments = (ins StrAttr:$format, Variadic<AnyType>:$args);
+  let arguments = (ins StrAttr:$format, Variadic<AnyType>:$args,
+                       OptionalAttr<DenseI32ArrayAttr>:$shapes);
   let assemblyFormat = "$format (`(` $args^ `)` `:` type($args))? attr-dict";
 }
+
+} // opDocGroup = MessageOpGroup
 
 #endif // TAI_DIALECT_TAI_IR_TAIKERNELOPS_TD

@@ -10,6 +10,8 @@
 
 include "tai/Dialect/Tai/IR/TaiOpBase.td"
 
+let opDocGroup = LayoutOpGroup in {
+
 def Tai_TreeOp : Tai_Op<"tree", [Symbol]> {
   let summary = "declare a tree of storage";
   let description = [{
@@ -68,5 +70,7 @@ def Tai_FieldOp : Tai_Op<"field", [Symbol,
   }];
   let hasVerifier = 1;
 }
+
+} // opDocGroup = LayoutOpGroup
 
 #endif // TAI_DIALECT_TAI_IR_TAILAYOUTOPS_TD

@@ -19,6 +19,8 @@ class Tai_MatrixOp<string mnemonic, list<Trait> traits = []>
   let hasVerifier = 1;
 }
 
+let opDocGroup = MatrixOpGroup in {
+
 def Tai_MatmulOp : Tai_MatrixOp<"matmul"> {
   let summary = "matrix-matrix or matrix-vector product";
   let description = [{
@@ -256,5 +258,7 @@ def Tai_SymEigOp : Tai_MatrixOp<"sym_eig", [
   let results = (outs Tai_FloatVector:$values, Tai_FloatMatrix:$vectors);
   let assemblyFormat = "$matrix attr-dict `:` type($matrix) `->` type($values)";
 }
+
+} // opDocGroup = MatrixOpGroup
 
 #endif // TAI_DIALECT_TAI_IR_TAIMATRIXOPS_TD

@@ -22,6 +22,44 @@ include "mlir/Interfaces/LoopLikeInterface.td"
 include "mlir/Interfaces/SideEffectInterfaces.td"
 include "tai/Dialect/Tai/IR/TaiAttrs.td"
 include "tai/Dialect/Tai/IR/TaiTypes.td"
+include "tai/Interfaces/FieldAccessInterface.td"
+
+// What ops of the reference stand together.
+def LayoutOpGroup : OpDocGroup {
+  let summary = "Trees and fields";
+  let description = "Storage: its layout, and the names that kernels use.";
+}
+def KernelOpGroup : OpDocGroup {
+  let summary = "Kernels and loops";
+  let description = "Programs over fields, their parallel loops, their ends.";
+}
+def LocalOpGroup : OpDocGroup {
+  let summary = "Local variables and stacks";
+  let description = "What belongs to one iteration of a parallel loop.";
+}
+def MessageOpGroup : OpDocGroup {
+  let summary = "Random numbers, checks, output";
+  let description = "What an iteration draws, checks and says.";
+}
+def AccessOpGroup : OpDocGroup {
+  let summary = "Accesses to elements of fields";
+  let description = [{
+    Ops that implement `FieldAccessOpInterface`: they name a field and give
+    indices. Their effects are on the symbol of the field.
+  }];
+}
+def TopologyOpGroup : OpDocGroup {
+  let summary = "Cells of sparse levels";
+  let description = "What is active, and what is to be.";
+}
+def MatrixOpGroup : OpDocGroup {
+  let summary = "Small vectors and matrices";
+  let description = "Algebra whose derivative is known as a whole.";
+}
+def HostOpGroup : OpDocGroup {
+  let summary = "Host programs";
+  let description = "Launches, tapes, and checks of what came out.";
+}
 
 class Tai_Op<string mnemonic, list<Trait> traits = []>
     : Op<Tai_Dialect, mnemonic, traits>;

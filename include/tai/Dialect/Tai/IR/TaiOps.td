@@ -16,6 +16,5 @@ include "tai/Dialect/Tai/IR/TaiAccessOps.td"
 include "tai/Dialect/Tai/IR/TaiStackOps.td"
 include "tai/Dialect/Tai/IR/TaiMatrixOps.td"
 include "tai/Dialect/Tai/IR/TaiHostOps.td"
-include "tai/Dialect/Tai/IR/TaiLoweringOps.td"
 
 #endif // TAI_DIALECT_TAI_IR_TAIOPS_TD

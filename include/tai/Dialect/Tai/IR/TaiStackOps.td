@@ -14,6 +14,8 @@ def Tai_AnyStack : Type<CPred<"::llvm::isa<::mlir::tai::StackType>($_self)">,
                         "stack", "::mlir::tai::StackType">;
 def Tai_Scalar : AnyTypeOf<[AnySignlessInteger, AnyFloat, Index]>;
 
+let opDocGroup = LocalOpGroup in {
+
 def Tai_StackCreateOp : Tai_Op<"stack_create"> {
   let summary = "make an empty stack";
   let description = [{
@@ -72,5 +74,7 @@ def Tai_StackDestroyOp : Tai_Op<"stack_destroy"> {
   let arguments = (ins Arg<Tai_AnyStack, "", [MemFree]>:$stack);
   let assemblyFormat = "$stack attr-dict `:` qualified(type($stack))";
 }
+
+} // opDocGroup = LocalOpGroup
 
 #endif // TAI_DIALECT_TAI_IR_TAISTACKOPS_TD

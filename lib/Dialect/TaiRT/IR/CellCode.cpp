@@ -13,6 +13,7 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Dialect/TaiRT/IR/TaiRT.h"
 
 using namespace mlir;
 using namespace mlir::tai;

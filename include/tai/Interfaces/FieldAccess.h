@@ -1,0 +1,63 @@
+//===- FieldAccess.h - Interface of accesses to fields ----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// FieldAccessOpInterface and the kinds of accesses that it tells apart.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_INTERFACES_FIELDACCESS_H
+#define TAI_INTERFACES_FIELDACCESS_H
+
+#include "mlir/IR/BuiltinAttributes.h"
+#include "mlir/IR/OpDefinition.h"
+#include "mlir/Interfaces/SideEffectInterfaces.h"
+
+namespace mlir::tai {
+
+/// What an op does to a field.
+enum class FieldAccess {
+  Read,       ///< reads an element
+  Write,      ///< replaces an element
+  Combine,    ///< replaces an element by its combination with a value
+  ReadCells,  ///< asks which cells are active
+  WriteCells, ///< makes cells active or inactive
+  Append,     ///< adds an element to a list, and yields where
+};
+
+inline bool isElementAccess(FieldAccess access) {
+  return access == FieldAccess::Read || access == FieldAccess::Write ||
+         access == FieldAccess::Combine;
+}
+inline bool readsField(FieldAccess access) {
+  return access != FieldAccess::Write && access != FieldAccess::WriteCells;
+}
+inline bool writesField(FieldAccess access) {
+  return access != FieldAccess::Read && access != FieldAccess::ReadCells;
+}
+
+/// The effects of accesses to fields; an effect names the field by symbol.
+struct FieldResource : SideEffects::Resource::Base<FieldResource> {
+  StringRef getName() final { return "tai.field"; }
+};
+
+/// The effects of such an access.
+inline void
+addFieldEffects(SmallVectorImpl<MemoryEffects::EffectInstance> &effects,
+                FieldAccess access, FlatSymbolRefAttr field) {
+  if (readsField(access))
+    effects.emplace_back(MemoryEffects::Read::get(), field,
+                         FieldResource::get());
+  if (writesField(access))
+    effects.emplace_back(MemoryEffects::Write::get(), field,
+                         FieldResource::get());
+}
+
+} // namespace mlir::tai
+
+#include "tai/Interfaces/FieldAccessInterface.h.inc"
+
+#endif // TAI_INTERFACES_FIELDACCESS_H

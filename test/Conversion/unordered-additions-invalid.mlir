@@ -1,0 +1,18 @@
+// RUN: tai-opt %s --convert-tai-to-scf=deterministic --verify-diagnostics
+
+// In deterministic mode, tai-relax-atomics leaves no addition whose order is not
+// fixed. One that is there has lost what the pass had noted on it.
+tai.kernel @lost(%n: index, %x: f32) {
+  %c0 = arith.constant 0 : index
+  %one = llvm.mlir.constant(1 : i64) : i64
+  %sum = llvm.alloca %one x f32 : (i64) -> !llvm.ptr
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    // An iteration's own.
+    %own = llvm.alloca %one x f32 : (i64) -> !llvm.ptr
+    %0 = llvm.atomicrmw fadd %own, %x monotonic : !llvm.ptr, f32
+    %element = llvm.getelementptr %sum[0] : (!llvm.ptr) -> !llvm.ptr, f32
+    // expected-error @below {{the order of these additions is not fixed, as deterministic mode asks for; expects tai-relax-atomics=deterministic to run before, and no pass in between to drop 'tai.accumulate'}}
+    %1 = llvm.atomicrmw fadd %element, %x monotonic : !llvm.ptr, f32
+  }
+  tai.return
+}
