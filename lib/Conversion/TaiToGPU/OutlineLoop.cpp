@@ -510,7 +510,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
       (tile && failed(lowerLeafOps(tile, lowering.device))))
     return failure();
   // Where threads meet inside of loops, none of them may end alone.
-  if (!loop->hasAttr(kInWarpAttrName))
+  if (!loop.getInWarp())
     pollLongLoops(function, iterations.loop, runsAlone(loop), runtime);
   guardAllocations(function, runtime);
 
