@@ -22,6 +22,7 @@ installed) ends the program with one line and exit code 2.
 """
 
 from .descent import optimise, table
+from .memory import add_states, report_memory, tape
 from .options import Options, at_least, fail, need, options, start
 from .pictures import (
     BLUE,

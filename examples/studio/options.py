@@ -10,6 +10,8 @@ from typing import NoReturn
 
 import tai as ti
 
+from .memory import compare
+
 
 def checkpoint(args: argparse.Namespace) -> Path:
     """Where a descent keeps what it has learned."""
@@ -60,6 +62,9 @@ class Options(argparse.ArgumentParser):
             self.set_defaults(**self.quick)
             args = super().parse_args(*given, **named)
         args.name = self.name
+        args.in_place = getattr(args, "state", "slots") != "slots"
+        if getattr(args, "state", "") == "compare":
+            compare(sys.argv[1:])
         if args.picture and args.movie == "mp4":
             need("imageio_ffmpeg", "--movie mp4", "imageio-ffmpeg")
         _check_folder(args.out)

@@ -52,6 +52,8 @@ def plot(
         for name, values in curves.items():
             pair = values if isinstance(values, tuple) else (range(len(values)), values)
             axes.plot(*pair, "." if dots else "-", markersize=3.5, label=name)
+        if x == "iteration":
+            axes.xaxis.get_major_locator().set_params(integer=True)
         axes.set(xlabel=x, ylabel=y, title=title, yscale="log" if log else "linear")
         if len(curves) > 1:
             axes.legend()
