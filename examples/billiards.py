@@ -167,7 +167,7 @@ def ask_health():
     with ti.ad.Tape(loss, health=True) as tape:
         forward()
     for finding in tape.health().findings:
-        print(f"health   {finding}")
+        print(f"health   {finding.message}")
 
 
 def film():

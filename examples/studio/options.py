@@ -74,7 +74,7 @@ class Options(argparse.ArgumentParser):
 
 
 def options(
-    doc: str, name: str, *, iterations: int, steps: int = 0, rate: float = 0.0,
+    doc: str, name: str, *, iterations: int = 0, steps: int = 0, rate: float = 0.0,
     least_steps: int = 2, quick: dict | None = None,
 ) -> Options:  # fmt: skip
     """The parser of an example.
@@ -82,26 +82,31 @@ def options(
     Args:
         doc: what the example is, shown by `--help`.
         name: of the example, and of the files that it writes.
-        iterations, steps, rate: defaults of these options; an example without time slots or a
-            learning rate leaves out `steps` or `rate`.
+        iterations, steps, rate: defaults of these options; those that an example has no use for
+            are left out. Without `iterations` there is no `--resume`.
         least_steps: fewer time slots than this make no sense.
         quick: defaults under `--quick`.
     """
     parser = Options(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.name, parser.quick = name, quick or {"iterations": min(iterations, 3)}
+    parser.name, parser.quick = (
+        name,
+        quick or ({"iterations": min(iterations, 3)} if iterations else {}),
+    )
+    parser.set_defaults(resume=False)
     add = parser.add_argument
     add("--arch", choices=["cpu", "cuda", "python"], default="cpu", help="what computes (cpu)")
     add("--double", action="store_true", help="compute in f64 instead of f32")
     add("--seed", type=at_least(0), default=0, help="of what is random (0)")
-    text = f"steps of descent ({iterations})"
-    add("--iterations", type=at_least(1), default=iterations, help=text)
+    if iterations:
+        text = f"steps of descent ({iterations})"
+        add("--iterations", type=at_least(1), default=iterations, help=text)
+        add("--resume", action="store_true", help="go on where the run in --out stopped")
     if steps:
         add("--steps", type=at_least(least_steps), default=steps, help=f"time slots ({steps})")
     if rate:
         text = f"learning rate ({rate:g})"
         add("--rate", type=at_least(0, float), default=rate, help=text)
     add("--out", type=Path, default=Path("out"), help="folder of what is written (out)")
-    add("--resume", action="store_true", help="go on where the run in --out stopped")
     add("--quick", action="store_true", help="a short run, to see that it works")
     add("--no-picture", dest="picture", action="store_false", help="numbers only")
     text = "what an animation becomes (gif); png: a folder of frames"
