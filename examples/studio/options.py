@@ -67,7 +67,8 @@ class Options(argparse.ArgumentParser):
             compare(sys.argv[1:])
         if args.picture and args.movie == "mp4":
             need("imageio_ffmpeg", "--movie mp4", "imageio-ffmpeg")
-        _check_folder(args.out)
+        if args.out:
+            _check_folder(args.out)
         if args.resume and not checkpoint(args).is_file():
             fail(f"--resume: there is no {checkpoint(args)} to go on from")
         return args
@@ -75,7 +76,7 @@ class Options(argparse.ArgumentParser):
 
 def options(
     doc: str, name: str, *, iterations: int = 0, steps: int = 0, rate: float = 0.0,
-    least_steps: int = 2, quick: dict | None = None,
+    least_steps: int = 2, quick: dict | None = None, bare: bool = False,
 ) -> Options:  # fmt: skip
     """The parser of an example.
 
@@ -86,26 +87,28 @@ def options(
             are left out. Without `iterations` there is no `--resume`.
         least_steps: fewer time slots than this make no sense.
         quick: defaults under `--quick`.
+        bare: only `--arch` and `--steps`: the example prints some numbers and writes nothing.
     """
     parser = Options(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.name, parser.quick = (
-        name,
-        quick or ({"iterations": min(iterations, 3)} if iterations else {}),
-    )
-    parser.set_defaults(resume=False)
+    parser.name, parser.quick = name, quick or {"iterations": min(iterations, 3)}
     add = parser.add_argument
     add("--arch", choices=["cpu", "cuda", "python"], default="cpu", help="what computes (cpu)")
-    add("--double", action="store_true", help="compute in f64 instead of f32")
-    add("--seed", type=at_least(0), default=0, help="of what is random (0)")
+    if steps:
+        add("--steps", type=at_least(least_steps), default=steps, help=f"time slots ({steps})")
+    if not iterations:
+        parser.set_defaults(resume=False, seed=0)
+    if bare:
+        parser.set_defaults(quick=False, picture=False, out=None, double=False)
+        return parser
     if iterations:
         text = f"steps of descent ({iterations})"
         add("--iterations", type=at_least(1), default=iterations, help=text)
         add("--resume", action="store_true", help="go on where the run in --out stopped")
-    if steps:
-        add("--steps", type=at_least(least_steps), default=steps, help=f"time slots ({steps})")
+        add("--seed", type=at_least(0), default=0, help="of what is random (0)")
     if rate:
         text = f"learning rate ({rate:g})"
         add("--rate", type=at_least(0, float), default=rate, help=text)
+    add("--double", action="store_true", help="compute in f64 instead of f32")
     add("--out", type=Path, default=Path("out"), help="folder of what is written (out)")
     add("--quick", action="store_true", help="a short run, to see that it works")
     add("--no-picture", dest="picture", action="store_false", help="numbers only")
@@ -127,9 +130,9 @@ def _check_folder(folder: Path) -> None:
 def start(args: argparse.Namespace, **more) -> None:
     """`ti.init` with what the options say; `float` becomes f32 or, with --double, f64."""
     sys.excepthook = _explain
-    real = ti.f64 if args.double else ti.f32
+    more.setdefault("default_fp", ti.f64 if args.double else ti.f32)
     try:
-        ti.init(arch=getattr(ti, args.arch), default_fp=real, random_seed=args.seed, **more)
+        ti.init(arch=getattr(ti, args.arch), random_seed=args.seed, **more)
     except ti.TaiRuntimeError as error:
         fail(f"--arch {args.arch}: {error}")
 

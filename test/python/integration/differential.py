@@ -20,7 +20,7 @@ import numpy as np
 import tai as ti
 
 ROOT = Path(__file__).resolve().parents[3]
-for folder in (ROOT / "benchmarks", ROOT / "test" / "fuzz"):
+for folder in (ROOT / "benchmarks", ROOT / "examples", ROOT / "test" / "fuzz"):
     sys.path.insert(0, str(folder))
 
 from configurations import Configuration  # noqa: E402
@@ -50,7 +50,7 @@ EXAMPLES = {
     "active_blocks": ("--n 64 --steps 40", "--n 512 --steps 400"),
     "diffmpm": ("--steps 6 --iterations 1", "--steps 64 --iterations 2"),
     "in_place_springs": ("--steps 100", "--steps 1000"),
-    "mass_spring_simple": ("--iterations 1", "--iterations 5"),
+    "mass_spring_simple": ("--iterations 1 --out {out}", "--iterations 5 --out {out}"),
     "neighbours": ("--points 80 --iterations 1", "--points 2000 --iterations 4"),
     "smoke": ("--n 12 --steps 4 --sweeps 3 --iterations 1", "--n 65 --steps 12 --iterations 2"),
     "sparse_mpm": (
@@ -147,7 +147,7 @@ def _gradients(owner: object) -> dict[str, np.ndarray]:
 
 def _run_example(name: str, arguments: str, folder: Path) -> dict[str, np.ndarray]:
     before, printed = sys.argv, io.StringIO()
-    sys.argv = [name, *arguments.split()]
+    sys.argv = [name, *arguments.format(out=folder).split()]
     try:
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
             module = _load(ROOT / "examples" / f"{name}.py", folder, f"example_{name}")
@@ -184,8 +184,7 @@ def _smoke(module) -> dict[str, np.ndarray]:
 
 def _mass_spring_simple(module) -> dict[str, np.ndarray]:
     module.set_up(0.1)
-    losses = module.optimise(int(sys.argv[2]), 5.0)
-    return {"losses": np.array(losses)} | _gradients(module)
+    return _optimise(module)
 
 
 def _in_place_springs(module) -> dict[str, np.ndarray]:
