@@ -48,10 +48,23 @@ REFERENCE = Way()
 # Of these, each in short and in long form: arguments of the program.
 EXAMPLES = {
     "active_blocks": ("--n 64 --steps 40", "--n 512 --steps 400"),
+    "billiards": (
+        "--steps 640 --iterations 1 --out {out}",
+        "--steps 1024 --iterations 2 --out {out}",
+    ),
     "diffmpm": ("--steps 6 --iterations 1", "--steps 64 --iterations 2"),
+    "electric": ("--steps 20 --iterations 1 --out {out}", "--steps 200 --iterations 2 --out {out}"),
     "in_place_springs": ("--steps 100", "--steps 1000"),
+    "mass_spring": (
+        "--robot 0 --steps 24 --iterations 1 --no-picture --out {out}",
+        "--robot 2 --steps 100 --iterations 2 --no-picture --out {out}",
+    ),
     "mass_spring_simple": ("--iterations 1 --out {out}", "--iterations 5 --out {out}"),
     "neighbours": ("--points 80 --iterations 1", "--points 2000 --iterations 4"),
+    "rigid_body": (
+        "--robot 1 --steps 30 --iterations 1 --no-picture --out {out}",
+        "--robot 2 --steps 300 --iterations 2 --no-picture --out {out}",
+    ),
     "smoke": ("--n 12 --steps 4 --sweeps 3 --iterations 1", "--n 65 --steps 12 --iterations 2"),
     "sparse_mpm": (
         "--double --steps 12 --room 64 --large 256 --iterations 1",
@@ -187,6 +200,11 @@ def _mass_spring_simple(module) -> dict[str, np.ndarray]:
     return _optimise(module)
 
 
+def _set_up(module) -> dict[str, np.ndarray]:
+    module.set_up()
+    return _optimise(module)
+
+
 def _in_place_springs(module) -> dict[str, np.ndarray]:
     return {"loss": np.array(module.loss[None])} | _gradients(module)
 
@@ -232,7 +250,9 @@ def _active_blocks(module) -> dict[str, np.ndarray]:
 
 
 STARTS: dict[str, Callable] = {
-    "active_blocks": _active_blocks, "diffmpm": _diffmpm, "in_place_springs": _in_place_springs,
+    "active_blocks": _active_blocks, "billiards": _set_up, "diffmpm": _diffmpm,
+    "electric": _set_up, "mass_spring": _set_up, "rigid_body": _set_up,
+    "in_place_springs": _in_place_springs,
     "mass_spring_simple": _mass_spring_simple, "neighbours": _neighbours, "smoke": _smoke,
     "sparse_mpm": _sparse_mpm, "svd_gradient": _svd_gradient, "wave": _wave,
 }  # fmt: skip
