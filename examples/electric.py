@@ -6,6 +6,7 @@ the goal are and how they move; gradient descent through the whole flight teache
     python examples/electric.py
     python examples/electric.py --controller published
     python examples/electric.py --controller published --gradient reread
+    python examples/electric.py --controller published --double --check
 
 The paper's program calls the network for a slot before that slot is computed, so that it sees
 the ball where the run before this one left it. `--controller published` does so, too. What the
@@ -29,6 +30,7 @@ options = studio.options(
 add = options.add_argument
 add("--controller", choices=["before", "published"], default="before", help="sees the slot before")
 add("--gradient", choices=["tape", "reread"], default="tape", help="reread: as Taichi has it")
+add("--check", action="store_true", help="no descent: both gradients against a difference")
 args = options.parse_args()
 if args.steps % 2:
     options.error("--steps: the path has two halves, so their number is even")
@@ -116,6 +118,11 @@ def forward():
     measure()
 
 
+def by_tape():
+    with ti.ad.Tape(loss):
+        forward()
+
+
 def reread():
     """Goes back by hand. `think` reads what the slots hold now, not what it saw."""
     loss[None] = 0
@@ -169,14 +176,38 @@ def set_up():
 
 def iteration(number):
     lead(path_of(number))
-    if args.gradient == "reread":
-        reread()
-    else:
-        with ti.ad.Tape(loss):
-            forward()
+    by_tape() if args.gradient == "tape" else reread()
     lengths = {f"|d{n}|": np.linalg.norm(w.grad.to_numpy()) for n, w in WEIGHTS.items()}
     descend(args.rate)
     return {"loss": loss[None]} | lengths
+
+
+def slopes(gradient, seen):
+    """The loss of the first path and its gradients, where the network sees what it saw first."""
+    for field, values in zip((x, v), seen):
+        field.from_numpy(values)
+    gradient()
+    return loss[None], [w.grad.to_numpy() for w in WEIGHTS.values()]
+
+
+def check():
+    """Derivatives along a random direction of all weights: a difference, and both gradients."""
+    lead(path_of(0))
+    seen = x.to_numpy(), v.to_numpy()
+    generator = np.random.RandomState(args.seed)
+    way = [generator.standard_normal(w.shape) for w in WEIGHTS.values()]
+    centre = [w.to_numpy() for w in WEIGHTS.values()]
+    size = 1e-6 if args.double else 1e-3
+    losses = []
+    for sign in (1, -1, 0):
+        for w, c, d in zip(WEIGHTS.values(), centre, way):
+            w.from_numpy(c + sign * size * d)
+        losses.append(slopes(by_tape, seen)[0])
+    difference = (losses[0] - losses[1]) / (2 * size)
+    print(f"difference {difference:.9g}")
+    for name, gradient in (("tape", by_tape), ("reread", reread)):
+        slope = sum((g * d).sum() for g, d in zip(slopes(gradient, seen)[1], way))
+        print(f"{name:10} {slope:.9g}, off by {abs(slope / difference - 1):.1e}")
 
 
 def optimise():
@@ -196,6 +227,9 @@ def draw(gui, t):
 
 def main():
     set_up()
+    if args.check:
+        check()
+        return
     losses = optimise()
     count = min(100, len(losses))
     first, last = np.mean(losses[:count]), np.mean(losses[-count:])

@@ -173,6 +173,13 @@ def test_what_rereading_slots_costs(tmp_path):
         np.testing.assert_allclose(values, by_hand[name], rtol=1e-5, err_msg=name)
 
 
+def test_the_published_controller_against_a_difference(tmp_path):
+    options = ("--controller", "published", "--double", "--check")
+    output = printed("electric", tmp_path, *options)
+    off = dict(re.findall(r"^(\w+) .* off by (\S+)$", output, re.M))
+    assert float(off["tape"]) < 1e-7 and float(off["reread"]) > 0.1
+
+
 # Gradients that grow
 
 
