@@ -21,7 +21,7 @@ person can mend (an impossible size, a folder that cannot be written, a library 
 installed) ends the program with one line and exit code 2.
 """
 
-from .descent import optimise, table
+from .descent import optimise, table, take_best
 from .memory import add_states, report_memory, tape
 from .options import Options, at_least, fail, need, options, start
 from .pictures import (

@@ -43,6 +43,8 @@ class _Run:
     def __init__(self, args: argparse.Namespace, kept: dict):
         self.args, self.fields = args, kept
         self.columns: dict[str, list[float]] = {}
+        self.best: dict[str, np.ndarray] = {}
+        self.least = float("inf")
         if args.resume:
             self.load()
         self.take()
@@ -50,10 +52,16 @@ class _Run:
     def __len__(self) -> int:
         return len(self.columns.get("seconds", ()))
 
+    def losses(self) -> list[float]:
+        return next(iter(self.columns.values()), [])
+
     def note(self, result, seconds: float) -> None:
         row = result if isinstance(result, dict) else {"loss": result}
         for name, value in (row | {"seconds": seconds}).items():
             self.columns.setdefault(name, []).append(float(value))
+        loss = self.losses()[-1]
+        if np.isfinite(loss) and loss < self.least:
+            self.least, self.best = loss, self.state  # what it was before this iteration
 
     def take(self) -> None:
         """Copies the state, so that an interrupt amid the next iteration does no harm."""
@@ -66,6 +74,7 @@ class _Run:
         part = path.with_suffix(".part.npz")
         columns = {name: values[: self.rows] for name, values in self.columns.items()}
         arrays = {f"kept.{name}": value for name, value in self.state.items()}
+        arrays |= {f"best.{name}": value for name, value in self.best.items()}
         arrays |= {f"column.{name}": np.array(values) for name, values in columns.items()}
         np.savez(part, settings=json.dumps(_settings(self.args)), **arrays)
         os.replace(part, path)
@@ -84,10 +93,12 @@ class _Run:
                     fail(f"--resume: {path} was made with {option} {made[key]}, not {value}")
             for name, field in self.fields.items():
                 field.from_numpy(stored.pop(f"kept.{name}"))
+                self.best[name] = stored.pop(f"best.{name}")
         except (KeyError, ValueError, OSError, EOFError, BadZipFile, ti.TaiError) as error:
             fail(f"--resume: {path} is not a checkpoint of this program ({error})")
         for name, values in stored.items():
             self.columns[name.removeprefix("column.")] = values.tolist()
+        self.least = min(self.losses())
 
 
 def optimise(args: argparse.Namespace, iteration: Callable, **kept) -> list[float]:
@@ -111,7 +122,7 @@ def optimise(args: argparse.Namespace, iteration: Callable, **kept) -> list[floa
                 result = iteration(number)
                 seconds = time.perf_counter() - begin
                 run.note(result, seconds)
-                loss = next(iter(run.columns.values()))[-1]
+                loss = run.losses()[-1]
                 if not np.isfinite(loss):
                     break
                 run.take()
@@ -132,11 +143,18 @@ def optimise(args: argparse.Namespace, iteration: Callable, **kept) -> list[floa
     if len(run) > run.rows:
         path = checkpoint(args)
         fail(f"the loss of iteration {run.rows} is not finite; what was learned before: {path}")
-    losses = next(iter(run.columns.values()), [])
+    losses = run.losses()
     if losses:
         print(f"loss     {losses[0]:.6g} -> {losses[-1]:.6g}")
         print(f"time     {_times(run.columns['seconds'][first:])}")
     return losses
+
+
+def take_best(args: argparse.Namespace, **kept) -> None:
+    """Puts back into the fields of `optimise` what had the least loss; for a film, say."""
+    with np.load(checkpoint(args)) as file:
+        for name, field in kept.items():
+            field.from_numpy(file[f"best.{name}"])
 
 
 @contextlib.contextmanager

@@ -91,6 +91,22 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, capsys, number):
     assert found["iteration"].tolist() == list(range(20))
 
 
+def test_the_best_is_kept(tmp_path):
+    # The fourth iteration has the least loss, by what the third one left.
+    args = parse(tmp_path, "--iterations", 4)
+    Toy(args).optimise()
+    toy = Toy(args)
+    studio.take_best(args, x=toy.x)
+    best = toy.x.to_numpy()
+    assert best[0] == table(tmp_path / "toy.losses.csv")["first"][3] > 0
+    # It survives a resumed run that is no better.
+    toy = Toy(parse(tmp_path, "--resume", "--iterations", 6))
+    toy.iteration = lambda number: {"loss": 9.0, "first": 0.0}
+    toy.optimise()
+    studio.take_best(args, x=toy.x)
+    assert toy.x.to_numpy().tolist() == best.tolist()
+
+
 def test_an_error_loses_nothing(tmp_path, capsys):
     def wrong():
         raise ValueError("wrong")
