@@ -98,7 +98,8 @@ def options(
     if not iterations:
         parser.set_defaults(resume=False, seed=0)
     if bare:
-        parser.set_defaults(quick=False, picture=False, out=None, double=False)
+        parser.set_defaults(quick=False, picture=False, out=None)
+        parser.set_defaults(deterministic=False, double=False)
         return parser
     if iterations:
         text = f"steps of descent ({iterations})"
@@ -108,6 +109,7 @@ def options(
     if rate:
         text = f"learning rate ({rate:g})"
         add("--rate", type=at_least(0, float), default=rate, help=text)
+    add("--deterministic", action="store_true", help="the same bits in each run")
     add("--double", action="store_true", help="compute in f64 instead of f32")
     add("--out", type=Path, default=Path("out"), help="folder of what is written (out)")
     add("--quick", action="store_true", help="a short run, to see that it works")
@@ -131,6 +133,7 @@ def start(args: argparse.Namespace, **more) -> None:
     """`ti.init` with what the options say; `float` becomes f32 or, with --double, f64."""
     sys.excepthook = _explain
     more.setdefault("default_fp", ti.f64 if args.double else ti.f32)
+    more.setdefault("deterministic", args.deterministic)
     try:
         ti.init(arch=getattr(ti, args.arch), random_seed=args.seed, **more)
     except ti.TaiRuntimeError as error:

@@ -260,6 +260,7 @@ def test_memory_of_all_states(tmp_path):
     ],
 )
 def test_going_on(tmp_path, name, options):
+    options = (*options, "--deterministic")
     whole = descent(name, tmp_path / "whole", *options, "--iterations", 5)
     descent(name, tmp_path / "parts", *options, "--iterations", 2)
     resumed = descent(name, tmp_path / "parts", *options, "--iterations", 5, "--resume")
