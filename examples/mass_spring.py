@@ -86,6 +86,7 @@ x = ti.Vector.field(2, float, shape=(SLOTS, N), needs_grad=True)
 v = ti.Vector.field(2, float, shape=(SLOTS, N), needs_grad=True)
 impulse = ti.Vector.field(2, float, shape=(SLOTS, N), needs_grad=True)
 centre = ti.Vector.field(2, float, shape=SLOTS, needs_grad=True)
+seen = ti.field(float, shape=(SLOTS, N_INPUTS), needs_grad=True)
 hidden = ti.field(float, shape=(SLOTS, N_HIDDEN), needs_grad=True)
 drive = ti.field(float, shape=(SLOTS, N_SPRINGS), needs_grad=True)
 
@@ -122,20 +123,25 @@ def find_centre(t: int):
 
 
 @ti.kernel
+def look(t: int):
+    """What the network sees: waves, the points around their centre, the goal."""
+    for j in range(N_WAVES):
+        seen[at(t), j] = ti.sin(10.0 * t * DT + 2 * math.pi / N_WAVES * j)
+    for j in range(N):
+        for k in ti.static(range(2)):
+            seen[at(t), N_WAVES + 4 * j + k] = 0.05 * (x[at(t), j][k] - centre[at(t)][k])
+            seen[at(t), N_WAVES + 4 * j + 2 + k] = 0.05 * v[at(t), j][k]
+    for k in ti.static(range(2)):
+        seen[at(t), N_INPUTS - 2 + k] = GOAL[k] - centre[at(t)][k]
+
+
+@ti.kernel
 def think(t: int):
-    """The hidden layer of the network; its inputs are waves, the points and the goal."""
+    """The hidden layer of the network."""
     for i in range(N_HIDDEN):
         total = b1[i]
-        for j in range(N_WAVES):
-            total += w1[i, j] * ti.sin(10.0 * t * DT + 2 * math.pi / N_WAVES * j)
-        for j in range(N):
-            way = 0.05 * (x[at(t), j] - centre[at(t)])
-            speed = 0.05 * v[at(t), j]
-            k = N_WAVES + 4 * j
-            total += w1[i, k] * way[0] + w1[i, k + 1] * way[1]
-            total += w1[i, k + 2] * speed[0] + w1[i, k + 3] * speed[1]
-        to_goal = ti.Vector(GOAL) - centre[at(t)]
-        total += w1[i, N_INPUTS - 2] * to_goal[0] + w1[i, N_INPUTS - 1] * to_goal[1]
+        for j in range(N_INPUTS):
+            total += w1[i, j] * seen[at(t), j]
         hidden[at(t), i] = ti.tanh(total)
 
 
@@ -190,6 +196,7 @@ def advance(t):
     if args.in_place:
         clear_impulses()
     find_centre(t - 1)
+    look(t - 1)
     think(t - 1)
     command(t - 1)
     pull(t - 1)
@@ -268,7 +275,7 @@ def main():
     set_up()
     losses = optimise()
     print(f"way      {-losses[0] - start[0][0]:.4f} -> {-losses[-1] - start[0][0]:.4f}")
-    studio.report_memory(args, x, v, impulse, centre, hidden, drive)
+    studio.report_memory(args, x, v, impulse, centre, seen, hidden, drive)
     studio.plot_losses(args, losses)
     if args.picture:
         studio.take_best(args, **WEIGHTS)

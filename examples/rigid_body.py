@@ -108,6 +108,7 @@ more_x = ti.Vector.field(2, float, shape=(SLOTS, N), needs_grad=True)
 more_v = ti.Vector.field(2, float, shape=(SLOTS, N), needs_grad=True)
 more_angle = ti.field(float, shape=(SLOTS, N), needs_grad=True)
 more_spin = ti.field(float, shape=(SLOTS, N), needs_grad=True)
+seen = ti.field(float, shape=(SLOTS, N_INPUTS), needs_grad=True)
 hidden = ti.field(float, shape=(SLOTS, N_HIDDEN), needs_grad=True)
 drive = ti.field(float, shape=(SLOTS, N_SPRINGS), needs_grad=True)
 
@@ -144,10 +145,9 @@ def inverse_inertia(i):
 
 
 @ti.func
-def arm(t, i, place):
-    """From the centre of body i to a place on it."""
+def rotation(t, i):
     c, s = ti.cos(angle[at(t), i]), ti.sin(angle[at(t), i])
-    return ti.Vector([c * place[0] - s * place[1], s * place[0] + c * place[1]])
+    return ti.Matrix([[c, -s], [s, c]])
 
 
 @ti.func
@@ -184,20 +184,28 @@ def clear():
 
 
 @ti.kernel
+def look(t: int):
+    """What the network sees: waves, the bodies around the head, the goal."""
+    for j in range(N_WAVES):
+        seen[at(t), j] = ti.sin(30.0 * t * DT + 2 * math.pi / N_WAVES * j)
+    for j in range(N):
+        first = N_WAVES + 6 * j
+        for k in ti.static(range(2)):
+            seen[at(t), first + k] = 0.05 * (x[at(t), j][k] - x[at(t), HEAD][k])
+            seen[at(t), first + 2 + k] = 0.05 * v[at(t), j][k]
+        seen[at(t), first + 4] = 0.05 * angle[at(t), j]
+        seen[at(t), first + 5] = 0.05 * spin[at(t), j]
+    for k in ti.static(range(2)):
+        seen[at(t), N_INPUTS - 2 + k] = GOAL[k]
+
+
+@ti.kernel
 def think(t: int):
-    """The hidden layer of the network; its inputs are waves, the bodies and the goal."""
+    """The hidden layer of the network."""
     for i in range(N_HIDDEN):
         total = b1[i]
-        for j in range(N_WAVES):
-            total += w1[i, j] * ti.sin(30.0 * t * DT + 2 * math.pi / N_WAVES * j)
-        for j in range(N):
-            way = 0.05 * (x[at(t), j] - x[at(t), HEAD])
-            speed = 0.05 * v[at(t), j]
-            k = N_WAVES + 6 * j
-            total += w1[i, k] * way[0] + w1[i, k + 1] * way[1]
-            total += w1[i, k + 2] * speed[0] + w1[i, k + 3] * speed[1]
-            total += 0.05 * (w1[i, k + 4] * angle[at(t), j] + w1[i, k + 5] * spin[at(t), j])
-        total += w1[i, N_INPUTS - 2] * GOAL[0] + w1[i, N_INPUTS - 1] * GOAL[1]
+        for j in range(N_INPUTS):
+            total += w1[i, j] * seen[at(t), j]
         hidden[at(t), i] = ti.tanh(total)
 
 
@@ -215,9 +223,9 @@ def command(t: int):
 def collide(t: int):
     """Corners that would be below the floor at the end of the step."""
     for i in range(N):
+        turn = rotation(t, i)
         for k in range(4):
-            corner = half[i] * ti.Vector([k % 2 * 2 - 1, k // 2 * 2 - 1])
-            r = arm(t, i, corner)
+            r = turn @ (half[i] * ti.Vector([k % 2 * 2 - 1, k // 2 * 2 - 1]))
             speed = speed_at(t, i, r) + DT * ti.Vector([0.0, GRAVITY])
             height = x[at(t), i][1] + r[1] - FLOOR
             if speed[1] < 0 and height + DT * speed[1] < 0:
@@ -234,7 +242,7 @@ def collide(t: int):
 def pull(t: int):
     for i in range(N_SPRINGS):
         a, b = end[i][0], end[i][1]
-        ra, rb = arm(t, a, place_a[i]), arm(t, b, place_b[i])
+        ra, rb = rotation(t, a) @ place_a[i], rotation(t, b) @ place_b[i]
         way = x[at(t), a] + ra - x[at(t), b] - rb
         length = way.norm() + 1e-4
         wanted = rest_length[i] * (1 + strength[i] * drive[at(t), i])
@@ -271,6 +279,7 @@ def measure(t: int):
 def advance(t):
     if args.in_place:
         clear()
+    look(t - 1)
     think(t - 1)
     command(t - 1)
     collide(t - 1)
@@ -371,7 +380,7 @@ def main():
     set_up()
     losses = optimise()
     print(f"best     {min(losses):.4f} from the goal")
-    state = (x, v, angle, spin, more_x, more_v, more_angle, more_spin, hidden, drive)
+    state = (x, v, angle, spin, more_x, more_v, more_angle, more_spin, seen, hidden, drive)
     studio.report_memory(args, *state)
     studio.plot_losses(args, losses)
     if args.picture:

@@ -99,7 +99,7 @@ def options(
         parser.set_defaults(resume=False, seed=0)
     if bare:
         parser.set_defaults(quick=False, picture=False, out=None)
-        parser.set_defaults(deterministic=False, double=False)
+        parser.set_defaults(deterministic=False, double=False, fast_math=False)
         return parser
     if iterations:
         text = f"steps of descent ({iterations})"
@@ -110,6 +110,7 @@ def options(
         text = f"learning rate ({rate:g})"
         add("--rate", type=at_least(0, float), default=rate, help=text)
     add("--deterministic", action="store_true", help="the same bits in each run")
+    add("--fast-math", action="store_true", help="sums in any order, as Taichi's default has it")
     add("--double", action="store_true", help="compute in f64 instead of f32")
     add("--out", type=Path, default=Path("out"), help="folder of what is written (out)")
     add("--quick", action="store_true", help="a short run, to see that it works")
@@ -132,10 +133,15 @@ def _check_folder(folder: Path) -> None:
 def start(args: argparse.Namespace, **more) -> None:
     """`ti.init` with what the options say; `float` becomes f32 or, with --double, f64."""
     sys.excepthook = _explain
-    more.setdefault("default_fp", ti.f64 if args.double else ti.f32)
-    more.setdefault("deterministic", args.deterministic)
+    given = {
+        "arch": getattr(ti, args.arch),
+        "default_fp": ti.f64 if args.double else ti.f32,
+        "deterministic": args.deterministic,
+        "fast_math": args.fast_math,
+        "random_seed": args.seed,
+    }
     try:
-        ti.init(arch=getattr(ti, args.arch), random_seed=args.seed, **more)
+        ti.init(**given | more)
     except ti.TaiRuntimeError as error:
         fail(f"--arch {args.arch}: {error}")
 

@@ -223,9 +223,10 @@ SHORT = {
 def test_f32_against_f64(tmp_path, name):
     single = descent(name, tmp_path, *SHORT[name])
     double = descent(name, tmp_path, *SHORT[name], "--double")
+    rtol = 2e-3 if name == "mass_spring" else 2e-4  # springs of 14000: stiff, and soon chaotic
     for column, values in double.items():
         assert column == "iteration" or (values.astype(np.float32) != values).any()
-        np.testing.assert_allclose(single[column], values, rtol=2e-4, err_msg=column)
+        np.testing.assert_allclose(single[column], values, rtol=rtol, err_msg=column)
 
 
 @pytest.mark.parametrize("name", ["mass_spring", "rigid_body", "billiards"])
