@@ -127,7 +127,8 @@ def _check_folder(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        fail(f"--out {folder}: cannot write there ({error.strerror})")
+        why = "it is a file" if folder.is_file() else error.strerror
+        fail(f"--out {folder}: cannot write there ({why})")
 
 
 def start(args: argparse.Namespace, **more) -> None:

@@ -114,6 +114,9 @@ def movie(args: argparse.Namespace, frames: list, framerate: float = 24, what: s
     """Frames (arrays of bytes, rows downward) as `NAME.gif`, or what --movie says."""
     if not args.picture:
         return
+    if not frames:
+        print("no film: the run is too short for a frame", file=sys.stderr)
+        return
     path = args.out / f"{args.name}{'.' if what else ''}{what}.{args.movie}"
     frames = [np.asarray(frame) for frame in frames]
     frames += frames[-1:] * round(framerate / 2)

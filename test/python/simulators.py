@@ -12,9 +12,10 @@ import numpy as np
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
-def start(name: str, folder: Path, *options) -> subprocess.CompletedProcess:
-    """Without pictures, in a folder of its own; its end may be an error."""
-    command = [sys.executable, EXAMPLES / f"{name}.py", *options, "--out", folder, "--no-picture"]
+def start(name: str, folder: Path, *options, pictures=False) -> subprocess.CompletedProcess:
+    """In a folder of its own; its end may be an error."""
+    command = [sys.executable, EXAMPLES / f"{name}.py", *options, "--out", folder]
+    command += [] if pictures else ["--no-picture"]
     return subprocess.run([str(word) for word in command], capture_output=True, text=True)
 
 

@@ -270,6 +270,26 @@ def test_going_on(tmp_path, name, options):
 
 
 @pytest.mark.parametrize(
+    "name, options",
+    [
+        ("billiards", ("--iterations", 1)),
+        ("billiards", ("--scan", "--samples", 2)),
+        ("mass_spring", ("--iterations", 1, "--state", "recomputed")),
+        ("rigid_body", ("--iterations", 1, "--robot", 1)),
+        ("rigid_body_toi", ()),
+        ("rigid_body_discontinuity", ("--samples", 1)),
+        ("gradient_explosion", ("--descend", "--iterations", 1)),
+        ("electric", ("--iterations", 1)),
+        ("mass_spring_simple", ("--iterations", 1, "--wall")),
+    ],
+)
+def test_the_shortest_runs_with_pictures(tmp_path, name, options):
+    done = start(name, tmp_path, *options, "--steps", 2, pictures=True)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr and list(tmp_path.glob(f"{name}.*.png"))
+
+
+@pytest.mark.parametrize(
     "name, options, line",
     [
         ("mass_spring", ("--robot", 7), "argument --robot: invalid choice: 7"),

@@ -192,6 +192,7 @@ def test_a_folder_that_cannot_be_written(tmp_path, capsys):
         with ends(capsys) as end:
             parse(folder)
         assert end.text.startswith(f"toy: --out {folder}: cannot write there (")
+        assert ("it is a file" in end.text) == (folder == tmp_path / "file")
 
 
 def test_libraries_that_are_missing(tmp_path, capsys, monkeypatch):
