@@ -148,7 +148,10 @@ def start(args: argparse.Namespace, **more) -> None:
 
 
 def _explain(kind, error, trace) -> None:
-    """What does not fit, or a full disk, is no error of the program and needs no traceback."""
+    """What does not fit, a full disk or Ctrl-C are no errors of the program: no traceback."""
+    if issubclass(kind, KeyboardInterrupt):
+        print(f"{Path(sys.argv[0]).stem}: interrupted", file=sys.stderr)
+        sys.exit(130)
     if issubclass(kind, MemoryError):
         fail(f"this size does not fit into memory: {error}")
     if issubclass(kind, OSError) and error.filename:

@@ -41,10 +41,11 @@ def test_a_short_walk_of_springs(tmp_path):
         close(found[f"|d{name}|"], [length], 1e-3)
 
 
-def test_toi_changes_the_walk(tmp_path):
-    options = ("--robot", 2, "--steps", 100, "--iterations", 1)
-    with_toi = descent("mass_spring", tmp_path, *options)
-    without = descent("mass_spring", tmp_path, *options, "--no-toi")
+@pytest.mark.parametrize("name", ["mass_spring", "rigid_body"])
+def test_toi_changes_the_walk(tmp_path, name):
+    options = ("--robot", 2, "--steps", 300, "--iterations", 1)
+    with_toi = descent(name, tmp_path, *options)
+    without = descent(name, tmp_path, *options, "--no-toi")
     assert with_toi["loss"] != without["loss"]
     assert with_toi["|dw1|"] != pytest.approx(without["|dw1|"], rel=1e-3)
 

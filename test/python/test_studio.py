@@ -3,6 +3,7 @@
 import argparse
 import os
 import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -216,6 +217,32 @@ def test_a_device_that_is_missing(tmp_path, capsys, monkeypatch):
     with ends(capsys) as end:
         studio.start(parse(tmp_path, "--arch", "cuda"))
     assert end.text.startswith("toy: --arch cuda: no CUDA driver") and end.text.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "error, line, code",
+    [
+        ("KeyboardInterrupt", "interrupted", 130),
+        ("MemoryError('7 TiB')", "this size does not fit into memory: 7 TiB", 2),
+        ("OSError(28, 'No space left', 'out/x.gif')", "cannot write out/x.gif: No space left", 2),
+        ("ValueError('own mistake')", None, 1),
+    ],
+)
+def test_errors_outside_of_the_descent(tmp_path, error, line, code):
+    program = tmp_path / "toy.py"
+    program.write_text(
+        f"import sys; sys.path.insert(0, {str(Path(studio.__file__).parents[1])!r})\n"
+        "import studio\n"
+        "studio.start(studio.options('', 'toy').parse_args())\n"
+        f"raise {error}\n"
+    )
+    command = [sys.executable, program, "--out", tmp_path]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == code
+    if line:
+        assert done.stderr == f"toy: {line}\n"
+    else:
+        assert "Traceback" in done.stderr and "own mistake" in done.stderr
 
 
 def test_quick_gives_defaults_and_no_more(tmp_path):
