@@ -65,6 +65,11 @@ EXAMPLES = {
         "--robot 1 --steps 30 --iterations 1 --no-picture --out {out}",
         "--robot 2 --steps 300 --iterations 2 --no-picture --out {out}",
     ),
+    "rigid_body_discontinuity": (
+        "--steps 1024 --samples 2 --out {out}",
+        "--steps 2048 --samples 20 --out {out}",
+    ),
+    "rigid_body_toi": ("--steps 204 --out {out}", "--steps 2040 --out {out}"),
     "smoke": ("--n 12 --steps 4 --sweeps 3 --iterations 1", "--n 65 --steps 12 --iterations 2"),
     "sparse_mpm": (
         "--double --steps 12 --room 64 --large 256 --iterations 1",
@@ -205,6 +210,16 @@ def _set_up(module) -> dict[str, np.ndarray]:
     return _optimise(module)
 
 
+def _bounce(module) -> dict[str, np.ndarray]:
+    module.set_up()
+    return dict(zip(("loss", "by y", "by vy"), module.bounce("toi")))
+
+
+def _throw(module) -> dict[str, np.ndarray]:
+    module.set_up()
+    return dict(zip(("loss", "by spin", "by x"), module.throw(1.0)))
+
+
 def _in_place_springs(module) -> dict[str, np.ndarray]:
     return {"loss": np.array(module.loss[None])} | _gradients(module)
 
@@ -252,7 +267,8 @@ def _active_blocks(module) -> dict[str, np.ndarray]:
 STARTS: dict[str, Callable] = {
     "active_blocks": _active_blocks, "billiards": _set_up, "diffmpm": _diffmpm,
     "electric": _set_up, "mass_spring": _set_up, "rigid_body": _set_up,
-    "in_place_springs": _in_place_springs,
+    "in_place_springs": _in_place_springs, "rigid_body_discontinuity": _throw,
+    "rigid_body_toi": _bounce,
     "mass_spring_simple": _mass_spring_simple, "neighbours": _neighbours, "smoke": _smoke,
     "sparse_mpm": _sparse_mpm, "svd_gradient": _svd_gradient, "wave": _wave,
 }  # fmt: skip
