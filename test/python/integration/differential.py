@@ -50,10 +50,10 @@ EXAMPLES = {
     "active_blocks": ("--n 64 --steps 40", "--n 512 --steps 400"),
     "billiards": (
         "--steps 640 --iterations 1 --out {out}",
-        "--steps 1024 --iterations 2 --out {out}",
+        "--steps 640 --iterations 2 --out {out}",
     ),
     "diffmpm": ("--steps 6 --iterations 1", "--steps 64 --iterations 2"),
-    "electric": ("--steps 20 --iterations 1 --out {out}", "--steps 200 --iterations 2 --out {out}"),
+    "electric": ("--steps 20 --iterations 1 --out {out}", "--steps 100 --iterations 2 --out {out}"),
     "in_place_springs": ("--steps 100", "--steps 1000"),
     "mass_spring": (
         "--robot 0 --steps 24 --iterations 1 --no-picture --out {out}",
@@ -63,13 +63,13 @@ EXAMPLES = {
     "neighbours": ("--points 80 --iterations 1", "--points 2000 --iterations 4"),
     "rigid_body": (
         "--robot 1 --steps 30 --iterations 1 --no-picture --out {out}",
-        "--robot 2 --steps 300 --iterations 2 --no-picture --out {out}",
+        "--robot 2 --steps 120 --iterations 2 --no-picture --out {out}",
     ),
     "rigid_body_discontinuity": (
         "--steps 1024 --samples 2 --out {out}",
-        "--steps 2048 --samples 20 --out {out}",
+        "--steps 1100 --samples 20 --out {out}",
     ),
-    "rigid_body_toi": ("--steps 204 --out {out}", "--steps 2040 --out {out}"),
+    "rigid_body_toi": ("--steps 204 --out {out}", "--steps 408 --out {out}"),
     "smoke": ("--n 12 --steps 4 --sweeps 3 --iterations 1", "--n 65 --steps 12 --iterations 2"),
     "sparse_mpm": (
         "--double --steps 12 --room 64 --large 256 --iterations 1",
