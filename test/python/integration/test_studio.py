@@ -12,7 +12,7 @@ import pytest
 import tai as ti
 from PIL import Image
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "examples"))
 
 import studio  # noqa: E402
 from simulators import table  # noqa: E402

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 
 
 def start(name: str, folder: Path, *options, pictures=False) -> subprocess.CompletedProcess:
