@@ -10,24 +10,27 @@ between them again. The same can be done by hand, with a function that brings it
     python examples/in_place_springs.py --by hand
 """
 
-import argparse
-
 import numpy as np
 import tai as ti
+
+import studio
 
 SIDE = 3
 N = SIDE * SIDE
 DT, STIFFNESS, DAMPING = 2e-3, 60.0, 0.4
 SEGMENT = 100
 
-parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-parser.add_argument("--steps", type=int, default=10_000, help=f"a multiple of {SEGMENT}")
-parser.add_argument("--by", choices=["saving", "budget", "hand"], default="saving")
-parser.add_argument("--budget", type=int, default=50_000, help="bytes that the tape may keep")
-args = parser.parse_args()
+options = studio.options(__doc__, "in_place_springs", steps=10_000, least_steps=1, bare=True)
+add = options.add_argument
+add("--by", choices=["saving", "budget", "hand"], default="saving", help="how to go back (saving)")
+text = "bytes that the tape may keep (50000)"
+add("--budget", type=studio.at_least(1), default=50_000, help=text)
+args = options.parse_args()
 STEPS = args.steps
+if args.by == "hand" and STEPS % SEGMENT:
+    options.error(f"--steps {STEPS}: --by hand takes a multiple of {SEGMENT}")
 
-ti.init(arch=ti.cpu, default_fp=ti.f64, deterministic=True)
+studio.start(args, default_fp=ti.f64, deterministic=True)
 
 x = ti.Vector.field(2, ti.f64, shape=N, needs_grad=True)
 v = ti.Vector.field(2, ti.f64, shape=N, needs_grad=True)

@@ -20,7 +20,7 @@ import numpy as np
 import tai as ti
 
 ROOT = Path(__file__).resolve().parents[3]
-for folder in (ROOT / "benchmarks", ROOT / "test" / "fuzz"):
+for folder in (ROOT / "benchmarks", ROOT / "examples", ROOT / "test" / "fuzz"):
     sys.path.insert(0, str(folder))
 
 from configurations import Configuration  # noqa: E402
@@ -48,10 +48,28 @@ REFERENCE = Way()
 # Of these, each in short and in long form: arguments of the program.
 EXAMPLES = {
     "active_blocks": ("--n 64 --steps 40", "--n 512 --steps 400"),
+    "billiards": (
+        "--steps 640 --iterations 1 --out {out}",
+        "--steps 640 --iterations 2 --out {out}",
+    ),
     "diffmpm": ("--steps 6 --iterations 1", "--steps 64 --iterations 2"),
+    "electric": ("--steps 20 --iterations 1 --out {out}", "--steps 100 --iterations 2 --out {out}"),
     "in_place_springs": ("--steps 100", "--steps 1000"),
-    "mass_spring_simple": ("--iterations 1", "--iterations 5"),
+    "mass_spring": (
+        "--robot 0 --steps 24 --iterations 1 --no-picture --out {out}",
+        "--robot 2 --steps 100 --iterations 2 --no-picture --out {out}",
+    ),
+    "mass_spring_simple": ("--iterations 1 --out {out}", "--iterations 5 --out {out}"),
     "neighbours": ("--points 80 --iterations 1", "--points 2000 --iterations 4"),
+    "rigid_body": (
+        "--robot 1 --steps 30 --iterations 1 --no-picture --out {out}",
+        "--robot 2 --steps 120 --iterations 2 --no-picture --out {out}",
+    ),
+    "rigid_body_discontinuity": (
+        "--steps 1024 --samples 2 --out {out}",
+        "--steps 1100 --samples 20 --out {out}",
+    ),
+    "rigid_body_toi": ("--steps 204 --out {out}", "--steps 408 --out {out}"),
     "smoke": ("--n 12 --steps 4 --sweeps 3 --iterations 1", "--n 65 --steps 12 --iterations 2"),
     "sparse_mpm": (
         "--double --steps 12 --room 64 --large 256 --iterations 1",
@@ -147,7 +165,7 @@ def _gradients(owner: object) -> dict[str, np.ndarray]:
 
 def _run_example(name: str, arguments: str, folder: Path) -> dict[str, np.ndarray]:
     before, printed = sys.argv, io.StringIO()
-    sys.argv = [name, *arguments.split()]
+    sys.argv = [name, *arguments.format(out=folder).split()]
     try:
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
             module = _load(ROOT / "examples" / f"{name}.py", folder, f"example_{name}")
@@ -184,8 +202,22 @@ def _smoke(module) -> dict[str, np.ndarray]:
 
 def _mass_spring_simple(module) -> dict[str, np.ndarray]:
     module.set_up(0.1)
-    losses = module.optimise(int(sys.argv[2]), 5.0)
-    return {"losses": np.array(losses)} | _gradients(module)
+    return _optimise(module)
+
+
+def _set_up(module) -> dict[str, np.ndarray]:
+    module.set_up()
+    return _optimise(module)
+
+
+def _bounce(module) -> dict[str, np.ndarray]:
+    module.set_up()
+    return dict(zip(("loss", "by y", "by vy"), module.bounce("toi")))
+
+
+def _throw(module) -> dict[str, np.ndarray]:
+    module.set_up()
+    return dict(zip(("loss", "by spin", "by x"), module.throw(1.0)))
 
 
 def _in_place_springs(module) -> dict[str, np.ndarray]:
@@ -233,7 +265,10 @@ def _active_blocks(module) -> dict[str, np.ndarray]:
 
 
 STARTS: dict[str, Callable] = {
-    "active_blocks": _active_blocks, "diffmpm": _diffmpm, "in_place_springs": _in_place_springs,
+    "active_blocks": _active_blocks, "billiards": _set_up, "diffmpm": _diffmpm,
+    "electric": _set_up, "mass_spring": _set_up, "rigid_body": _set_up,
+    "in_place_springs": _in_place_springs, "rigid_body_discontinuity": _throw,
+    "rigid_body_toi": _bounce,
     "mass_spring_simple": _mass_spring_simple, "neighbours": _neighbours, "smoke": _smoke,
     "sparse_mpm": _sparse_mpm, "svd_gradient": _svd_gradient, "wave": _wave,
 }  # fmt: skip

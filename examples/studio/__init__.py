@@ -1,0 +1,47 @@
+# ruff: noqa: F401
+"""What all simulators here share: options, the loop of descent, pictures. No physics.
+
+    options = studio.options(__doc__, "billiards", iterations=200, steps=1024, rate=0.01)
+    options.add_argument("--in-place", action="store_true", help="state without a time axis")
+    args = options.parse_args()
+    studio.start(args)                          # ti.init
+    ...                                         # fields of `float`, kernels
+    def iteration(number):                      # one step of descent; returns its loss
+        with ti.ad.Tape(loss):
+            forward()
+        descend()
+        return loss[None]
+
+    losses = studio.optimise(args, iteration, cue=x0, speed=v0)
+    if args.picture:
+        studio.animate(args, draw, range(0, args.steps, 8))
+
+An interrupt (Ctrl-C, SIGTERM) keeps what was learned, and `--resume` goes on there. What a
+person can mend (an impossible size, a folder that cannot be written, a library that is not
+installed) ends the program with one line and exit code 2.
+"""
+
+from .descent import optimise, table, take_best
+from .memory import add_states, report_memory, tape
+from .options import Options, at_least, fail, need, options, start
+from .pictures import (
+    BLUE,
+    GOLD,
+    GREEN,
+    INK,
+    PAPER,
+    PLUM,
+    RED,
+    SERIES,
+    SOFT,
+    TEAL,
+    animate,
+    blend,
+    css,
+    movie,
+    picture,
+    plot,
+    plot_losses,
+    shades,
+    signed,
+)

@@ -1,0 +1,184 @@
+"""The loop of descent: progress, checkpoints, a table of the losses."""
+
+import argparse
+import contextlib
+import csv
+import json
+import os
+import signal
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+import tai as ti
+
+from .options import checkpoint, fail
+
+# Options that may differ between a run and its continuation.
+FREE = {"arch", "iterations", "movie", "out", "picture", "quick", "rate", "resume"}
+KEEP_EVERY = 10.0  # seconds between two checkpoints
+
+
+def table(args: argparse.Namespace, what: str, **columns: Iterable) -> Path:
+    """Writes `NAME.WHAT.csv`, a column for each argument."""
+    path = args.out / f"{args.name}.{what}.csv"
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+    return path
+
+
+def _settings(args: argparse.Namespace) -> dict:
+    return {key: str(value) for key, value in sorted(vars(args).items()) if key not in FREE}
+
+
+class _Run:
+    """The state of a descent: what is kept, and the numbers of each iteration."""
+
+    def __init__(self, args: argparse.Namespace, kept: dict):
+        self.args, self.fields = args, kept
+        self.columns: dict[str, list[float]] = {}
+        self.best: dict[str, np.ndarray] = {}
+        self.least = float("inf")
+        if args.resume:
+            self.load()
+        self.take()
+
+    def __len__(self) -> int:
+        return len(self.columns.get("seconds", ()))
+
+    def losses(self) -> list[float]:
+        return next(iter(self.columns.values()), [])
+
+    def note(self, result, seconds: float) -> None:
+        row = result if isinstance(result, dict) else {"loss": result}
+        for name, value in (row | {"seconds": seconds}).items():
+            self.columns.setdefault(name, []).append(float(value))
+        loss = self.losses()[-1]
+        if np.isfinite(loss) and loss < self.least:
+            self.least, self.best = loss, self.state  # what it was before this iteration
+
+    def take(self) -> None:
+        """Copies the state, so that an interrupt amid the next iteration does no harm."""
+        self.state = {name: field.to_numpy() for name, field in self.fields.items()}
+        self.rows = len(self)
+
+    def save(self) -> Path:
+        """Writes the copy; a file that was there stays whole until the new one is."""
+        path = checkpoint(self.args)
+        part = path.with_suffix(".part.npz")
+        columns = {name: values[: self.rows] for name, values in self.columns.items()}
+        arrays = {f"kept.{name}": value for name, value in self.state.items()}
+        arrays |= {f"best.{name}": value for name, value in self.best.items()}
+        arrays |= {f"column.{name}": np.array(values) for name, values in columns.items()}
+        np.savez(part, settings=json.dumps(_settings(self.args)), **arrays)
+        os.replace(part, path)
+        table(self.args, "losses", iteration=range(self.rows), **columns)
+        return path
+
+    def load(self) -> None:
+        path = checkpoint(self.args)
+        try:
+            with np.load(path) as file:
+                stored = dict(file)
+            made = json.loads(str(stored.pop("settings")))
+            for key, value in _settings(self.args).items():
+                if made[key] != value:
+                    option = f"--{key.replace('_', '-')}"
+                    fail(f"--resume: {path} was made with {option} {made[key]}, not {value}")
+            for name, field in self.fields.items():
+                field.from_numpy(stored.pop(f"kept.{name}"))
+                self.best[name] = stored.pop(f"best.{name}")
+        except (KeyError, ValueError, OSError, EOFError, BadZipFile, ti.TaiError) as error:
+            fail(f"--resume: {path} is not a checkpoint of this program ({error})")
+        for name, values in stored.items():
+            self.columns[name.removeprefix("column.")] = values.tolist()
+        self.least = min(self.losses())
+
+
+def optimise(args: argparse.Namespace, iteration: Callable, **kept) -> list[float]:
+    """Runs `iteration(number)` for each step of descent and returns the losses of all.
+
+    Args:
+        args: the options; `--iterations` counts from the very start, also with `--resume`.
+        iteration: does one step; returns its loss, or a dictionary of numbers whose first is
+            the loss. They become the columns of `NAME.losses.csv`.
+        kept: the fields in which the state between two iterations is: what is learned, and
+            whatever else the next iteration reads. (Anything with `to_numpy` and `from_numpy`.)
+    """
+    run = _Run(args, kept)
+    first = len(run)
+    saved = time.monotonic()
+    bar = ti.tools.Progress(range(first, args.iterations), args.name)
+    try:
+        with _interruptible(), contextlib.closing(iter(bar)) as numbers:
+            for number in numbers:
+                begin = time.perf_counter()
+                result = iteration(number)
+                seconds = time.perf_counter() - begin
+                run.note(result, seconds)
+                loss = run.losses()[-1]
+                if not np.isfinite(loss):
+                    break
+                run.take()
+                bar.note(f"loss {loss:.6g}, {1e3 * seconds:.3g} ms")
+                if time.monotonic() - saved > KEEP_EVERY:
+                    run.save()
+                    saved = time.monotonic()
+    except BaseException as error:
+        if run.rows > first:
+            path = run.save()
+            text = f"{run.rows} of {args.iterations} iterations are kept in {path}"
+            print(f"stopped  {text}; --resume goes on from there", file=sys.stderr)
+        if isinstance(error, KeyboardInterrupt):
+            sys.exit(130)
+        raise
+    if run.rows > first:
+        run.save()
+    if len(run) > run.rows:
+        path = checkpoint(args)
+        fail(f"the loss of iteration {run.rows} is not finite; what was learned before: {path}")
+    losses = run.losses()
+    if losses:
+        print(f"loss     {losses[0]:.6g} -> {losses[-1]:.6g}")
+        print(f"time     {_times(run.columns['seconds'][first:])}")
+    return losses
+
+
+def take_best(args: argparse.Namespace, **kept) -> None:
+    """Puts back into the fields of `optimise` what had the least loss; for a film, say."""
+    with np.load(checkpoint(args)) as file:
+        for name, field in kept.items():
+            field.from_numpy(file[f"best.{name}"])
+
+
+@contextlib.contextmanager
+def _interruptible():
+    """A batch system's SIGTERM counts as Ctrl-C."""
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    try:
+        before = signal.signal(signal.SIGTERM, stop)
+    except ValueError:  # not in the main thread
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _times(seconds: list[float]) -> str:
+    if not seconds:
+        return "nothing was left to do"
+    text = f"first iteration {1e3 * seconds[0]:.4g} ms"
+    if len(seconds) > 1:
+        text += f", then {1e3 * statistics.median(seconds[1:]):.4g} ms each"
+    return text

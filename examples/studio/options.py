@@ -1,0 +1,159 @@
+"""Options that all simulators have, and the end of a program in one line."""
+
+import argparse
+import importlib
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+import tai as ti
+
+from .memory import compare
+
+
+def checkpoint(args: argparse.Namespace) -> Path:
+    """Where a descent keeps what it has learned."""
+    return args.out / f"{args.name}.npz"
+
+
+def fail(message: str) -> NoReturn:
+    """Ends the program with one line."""
+    print(f"{Path(sys.argv[0]).stem}: {' '.join(str(message).split())}", file=sys.stderr)
+    sys.exit(2)
+
+
+def need(library: str, purpose: str, package: str | None = None):
+    """A library that not everybody has; without it the program ends and says how to get it."""
+    try:
+        return importlib.import_module(library)
+    except ImportError:
+        fail(f"{purpose} needs {library}, which is not installed: pip install {package or library}")
+
+
+def at_least(minimum: float, kind: type = int) -> Callable:
+    """The type of an option that is a number, and not too small."""
+
+    def number(text: str):
+        try:
+            value = kind(text)
+        except ValueError:
+            word = "a whole number" if kind is int else "a number"
+            raise argparse.ArgumentTypeError(f"{text!r} is not {word}") from None
+        if not minimum <= value < float("inf"):
+            raise argparse.ArgumentTypeError(f"{text} is impossible; at least {minimum}")
+        return value
+
+    return number
+
+
+class Options(argparse.ArgumentParser):
+    """A parser with the options that all simulators have; see `options`."""
+
+    quick: dict
+
+    def error(self, message: str) -> NoReturn:
+        fail(f"{message} (--help lists all options)")
+
+    def parse_args(self, *given, **named):
+        args = super().parse_args(*given, **named)
+        if args.quick:
+            self.set_defaults(**self.quick)
+            args = super().parse_args(*given, **named)
+        args.name = self.name
+        args.in_place = getattr(args, "state", "slots") != "slots"
+        if getattr(args, "state", "") == "compare":
+            compare(sys.argv[1:])
+        if args.picture and args.movie == "mp4":
+            need("imageio_ffmpeg", "--movie mp4", "imageio-ffmpeg")
+        if args.out:
+            _check_folder(args.out)
+        if args.resume and not checkpoint(args).is_file():
+            fail(f"--resume: there is no {checkpoint(args)} to go on from")
+        return args
+
+
+def options(
+    doc: str, name: str, *, iterations: int = 0, steps: int = 0, rate: float = 0.0,
+    least_steps: int = 2, quick: dict | None = None, bare: bool = False,
+) -> Options:  # fmt: skip
+    """The parser of an example.
+
+    Args:
+        doc: what the example is, shown by `--help`.
+        name: of the example, and of the files that it writes.
+        iterations, steps, rate: defaults of these options; those that an example has no use for
+            are left out. Without `iterations` there is no `--resume`.
+        least_steps: fewer time slots than this make no sense.
+        quick: defaults under `--quick`.
+        bare: only `--arch` and `--steps`: the example prints some numbers and writes nothing.
+    """
+    parser = Options(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.name, parser.quick = name, quick or {"iterations": min(iterations, 3)}
+    add = parser.add_argument
+    add("--arch", choices=["cpu", "cuda", "python"], default="cpu", help="what computes (cpu)")
+    if steps:
+        add("--steps", type=at_least(least_steps), default=steps, help=f"time slots ({steps})")
+    if not iterations:
+        parser.set_defaults(resume=False, seed=0)
+    if bare:
+        parser.set_defaults(quick=False, picture=False, out=None)
+        parser.set_defaults(deterministic=False, double=False, fast_math=False)
+        return parser
+    if iterations:
+        text = f"steps of descent ({iterations})"
+        add("--iterations", type=at_least(1), default=iterations, help=text)
+        add("--resume", action="store_true", help="go on where the run in --out stopped")
+        add("--seed", type=at_least(0), default=0, help="of what is random (0)")
+    if rate:
+        text = f"learning rate ({rate:g})"
+        add("--rate", type=at_least(0, float), default=rate, help=text)
+    add("--deterministic", action="store_true", help="the same bits in each run")
+    add("--fast-math", action="store_true", help="sums in any order, as Taichi's default has it")
+    add("--double", action="store_true", help="compute in f64 instead of f32")
+    add("--out", type=Path, default=Path("out"), help="folder of what is written (out)")
+    add("--quick", action="store_true", help="a short run, to see that it works")
+    add("--no-picture", dest="picture", action="store_false", help="numbers only")
+    text = "what an animation becomes (gif); png: a folder of frames"
+    add("--movie", choices=["gif", "mp4", "png"], default="gif", help=text)
+    return parser
+
+
+def _check_folder(folder: Path) -> None:
+    """Better now than after an hour of descent."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        why = "it is a file" if folder.is_file() else error.strerror
+        fail(f"--out {folder}: cannot write there ({why})")
+
+
+def start(args: argparse.Namespace, **more) -> None:
+    """`ti.init` with what the options say; `float` becomes f32 or, with --double, f64."""
+    sys.excepthook = _explain
+    given = {
+        "arch": getattr(ti, args.arch),
+        "default_fp": ti.f64 if args.double else ti.f32,
+        "deterministic": args.deterministic,
+        "fast_math": args.fast_math,
+        "random_seed": args.seed,
+    }
+    try:
+        ti.init(**given | more)
+    except ti.TaiRuntimeError as error:
+        fail(f"--arch {args.arch}: {error}")
+
+
+def _explain(kind, error, trace) -> None:
+    """What does not fit, a full disk or Ctrl-C are no errors of the program: no traceback."""
+    if issubclass(kind, KeyboardInterrupt):
+        print(f"{Path(sys.argv[0]).stem}: interrupted", file=sys.stderr)
+        sys.exit(130)
+    if issubclass(kind, MemoryError):
+        fail(f"this size does not fit into memory: {error}")
+    if issubclass(kind, OSError) and error.filename:
+        fail(f"cannot write {error.filename}: {error.strerror}")
+    sys.__excepthook__(kind, error, trace)

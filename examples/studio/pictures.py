@@ -1,0 +1,161 @@
+"""One look for all pictures: palette, plots, movies."""
+
+import argparse
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+import tai as ti
+
+from .options import need
+
+# Paper and ink, a soft grey for what stands still, and colours for what is compared, in order.
+PAPER, INK, SOFT = 0xF4F1EA, 0x2B3A55, 0x9A9484
+BLUE, RED, GOLD, GREEN, PLUM, TEAL = 0x3E7CB1, 0xC8553D, 0xE0A458, 0x6A994E, 0x7B506F, 0x3A8F8A
+SERIES = (BLUE, RED, GOLD, GREEN, PLUM, TEAL)
+
+
+def plot(
+    args: argparse.Namespace, what: str, curves: dict, *, x: str, y: str, title: str = "",
+    log: bool = False, dots: bool = False,
+) -> None:  # fmt: skip
+    """Writes `NAME.WHAT.png`.
+
+    Args:
+        curves: the values of each curve by its name, or a pair of positions and values. The
+            name of a single curve is not shown.
+        x, y: what the axes are, with units.
+        log: a logarithmic y axis.
+        dots: points instead of lines.
+    """
+    if not args.picture:
+        return
+    try:
+        import matplotlib
+    except ImportError:
+        print(f"no plot of {what}: pip install matplotlib", file=sys.stderr)
+        return
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    look = {
+        "axes.edgecolor": css(SOFT), "axes.facecolor": css(PAPER), "axes.labelcolor": css(INK),
+        "axes.prop_cycle": matplotlib.cycler(color=[css(color) for color in SERIES]),
+        "axes.spines.right": False, "axes.spines.top": False, "axes.titlecolor": css(INK),
+        "figure.facecolor": css(PAPER), "font.size": 11, "lines.linewidth": 1.8,
+        "legend.frameon": False, "text.color": css(INK),
+        "xtick.color": css(INK), "ytick.color": css(INK),
+    }  # fmt: skip
+    with pyplot.rc_context(look):
+        figure, axes = pyplot.subplots(figsize=(6.4, 4), layout="constrained")
+        for name, values in curves.items():
+            pair = values if isinstance(values, tuple) else (range(len(values)), values)
+            axes.plot(*pair, "." if dots else "-", markersize=3.5, label=name)
+        if x == "iteration":
+            axes.xaxis.get_major_locator().set_params(integer=True)
+        axes.set(xlabel=x, ylabel=y, title=title, yscale="log" if log else "linear")
+        if len(curves) > 1:
+            axes.legend()
+        path = args.out / f"{args.name}.{what}.png"
+        figure.savefig(path, dpi=110)
+        pyplot.close(figure)
+    print(f"plot     {path.resolve()}")
+
+
+def plot_losses(args: argparse.Namespace, losses: list[float], log: bool = False) -> None:
+    """The curve of a descent."""
+    if losses:
+        plot(args, "losses", {"loss": losses}, x="iteration", y="loss", log=log)
+
+
+def css(color: int) -> str:
+    return f"#{color:06x}"
+
+
+def blend(one: int, other: int, share) -> np.ndarray:
+    """Colours between two, 0xRRGGBB, by shares from 0 to 1."""
+    share = np.clip(np.nan_to_num(np.asarray(share, float)), 0, 1)
+    pairs = zip(ti.hex_to_rgb(one), ti.hex_to_rgb(other), strict=True)
+    return ti.rgb_to_hex([a + (b - a) * share for a, b in pairs])
+
+
+def signed(value) -> np.ndarray:
+    """Blue for -1, grey for 0, red for 1, and what is between."""
+    value = np.asarray(value, float)
+    return np.where(value < 0, blend(SOFT, BLUE, -value), blend(SOFT, RED, value))
+
+
+def shades(values, low: float, high: float, colors=(PAPER, BLUE, INK)) -> np.ndarray:
+    """An array of numbers as colours from 0 to 1, (..., 3), from `low` to `high`."""
+    place = np.nan_to_num((np.asarray(values, float) - low) / (high - low)).clip(0, 1)
+    stops = np.linspace(0, 1, len(colors))
+    channels = np.array([ti.hex_to_rgb(color) for color in colors]).T
+    return np.stack([np.interp(place, stops, channel) for channel in channels], axis=-1)
+
+
+def animate(
+    args: argparse.Namespace, draw: Callable, times: Iterable[int], res=(480, 480),
+    framerate: float = 24, what: str = "",
+) -> None:  # fmt: skip
+    """A movie of what `draw(gui, t)` draws at each time; the last frame stays a while."""
+    if not args.picture:
+        return
+    gui = ti.GUI(args.name, res=res, background_color=PAPER)
+    frames = []
+    for t in times:
+        draw(gui, t)
+        frames.append(np.asarray(gui.picture()))
+        gui.show()
+    movie(args, frames, framerate, what)
+
+
+def movie(args: argparse.Namespace, frames: list, framerate: float = 24, what: str = "") -> None:
+    """Frames (arrays of bytes, rows downward) as `NAME.gif`, or what --movie says."""
+    if not args.picture:
+        return
+    if not frames:
+        print("no film: the run is too short for a frame", file=sys.stderr)
+        return
+    path = args.out / f"{args.name}{'.' if what else ''}{what}.{args.movie}"
+    frames = [np.asarray(frame) for frame in frames]
+    frames += frames[-1:] * round(framerate / 2)
+    if args.movie == "gif":
+        ti.tools.write_gif(frames, str(path), framerate)
+    elif args.movie == "mp4":
+        _write_mp4(path, frames, framerate)
+    else:
+        from PIL import Image
+
+        path = path.with_suffix("")
+        path.mkdir(exist_ok=True)
+        for number, frame in enumerate(frames):
+            Image.fromarray(frame).save(path / f"{number:04d}.png")
+    print(f"picture  {path.resolve()}")
+
+
+def _write_mp4(path: Path, frames: list, framerate: float) -> None:
+    # The format wants even sizes.
+    height, width = (extent // 2 * 2 for extent in frames[0].shape[:2])
+    size, rate = (width, height), framerate
+    writer = need("imageio_ffmpeg", "--movie mp4", "imageio-ffmpeg").write_frames(
+        str(path), size, fps=rate, quality=8, macro_block_size=2
+    )
+    writer.send(None)
+    for frame in frames:
+        writer.send(np.ascontiguousarray(frame[:height, :width, :3]))
+    writer.close()
+
+
+def picture(args: argparse.Namespace, image, what: str = "") -> None:
+    """Writes an image (array or Pillow, rows downward) as `NAME.png`."""
+    if not args.picture:
+        return
+    from PIL import Image
+
+    path = args.out / f"{args.name}{'.' if what else ''}{what}.png"
+    image = np.asarray(image)
+    if image.dtype != np.uint8:
+        image = (np.nan_to_num(image).clip(0, 1) * 255).round().astype(np.uint8)
+    Image.fromarray(image).save(path)
+    print(f"picture  {path.resolve()}")

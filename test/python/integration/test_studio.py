@@ -1,0 +1,290 @@
+"""The frame that the simulators share: options, interrupts, what is written."""
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tai as ti
+from PIL import Image
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "examples"))
+
+import studio  # noqa: E402
+from simulators import table  # noqa: E402
+
+
+def parse(folder, *words, **options):
+    parser = studio.options("What it is.", "toy", **({"iterations": 20, "rate": 0.1} | options))
+    parser.add_argument("--n", type=studio.at_least(1), default=3)
+    return parser.parse_args(["--out", str(folder), *map(str, words)])
+
+
+class Toy:
+    """Descent on a parabola; `at` names an iteration in which something happens."""
+
+    def __init__(self, args, at=None, event=lambda: None):
+        self.args, self.at, self.event = args, at, event
+        self.x = ti.field(float, shape=args.n)
+
+    def iteration(self, number):
+        x = self.x.to_numpy()
+        # The state is half of a step ahead when something happens.
+        self.x.from_numpy(x - 0.5 * self.args.rate * 2 * (x - 1))
+        if number == self.at:
+            result = self.event()
+            if result is not None:
+                return result
+        self.x.from_numpy(x - self.args.rate * 2 * (x - 1))
+        return {"loss": float(((x - 1) ** 2).sum()), "first": x[0]}
+
+    def optimise(self):
+        return studio.optimise(self.args, self.iteration, x=self.x)
+
+
+@pytest.fixture(autouse=True)
+def program(monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["toy.py"])
+    monkeypatch.setattr(sys, "excepthook", sys.excepthook)
+    ti.init()
+
+
+def ends(capsys, code=2):
+    """Collects the only line of a program that ends here."""
+
+    class Ends:
+        def __enter__(self):
+            self.context = pytest.raises(SystemExit)
+            self.info = self.context.__enter__()
+            return self
+
+        def __exit__(self, *error):
+            handled = self.context.__exit__(*error)
+            self.text = capsys.readouterr().err
+            assert self.info.value.code == code
+            return handled
+
+    return Ends()
+
+
+def signalled(number):
+    return lambda: os.kill(os.getpid(), number)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, capsys, number):
+    whole = Toy(parse(tmp_path / "whole")).optimise()
+    handler = signal.getsignal(signal.SIGTERM)
+    with ends(capsys, code=130) as end:
+        Toy(parse(tmp_path / "parts"), 7, signalled(number)).optimise()
+    assert signal.getsignal(signal.SIGTERM) is handler
+    path = tmp_path / "parts" / "toy.npz"
+    assert f"7 of 20 iterations are kept in {path}; --resume goes on" in end.text
+    assert table(tmp_path / "parts" / "toy.losses.csv")["loss"].tolist() == whole[:7]
+    toy = Toy(parse(tmp_path / "parts", "--resume"))
+    assert toy.optimise() == whole
+    found, expected = (table(tmp_path / f / "toy.losses.csv") for f in ("parts", "whole"))
+    assert found["first"].tolist() == expected["first"].tolist()
+    assert found["iteration"].tolist() == list(range(20))
+
+
+def test_the_best_is_kept(tmp_path):
+    # The fourth iteration has the least loss, by what the third one left.
+    args = parse(tmp_path, "--iterations", 4)
+    Toy(args).optimise()
+    toy = Toy(args)
+    studio.take_best(args, x=toy.x)
+    best = toy.x.to_numpy()
+    assert best[0] == table(tmp_path / "toy.losses.csv")["first"][3] > 0
+    # It survives a resumed run that is no better.
+    toy = Toy(parse(tmp_path, "--resume", "--iterations", 6))
+    toy.iteration = lambda number: {"loss": 9.0, "first": 0.0}
+    toy.optimise()
+    studio.take_best(args, x=toy.x)
+    assert toy.x.to_numpy().tolist() == best.tolist()
+
+
+def test_an_error_loses_nothing(tmp_path, capsys):
+    def wrong():
+        raise ValueError("wrong")
+
+    with pytest.raises(ValueError, match="wrong"):
+        Toy(parse(tmp_path), 5, wrong).optimise()
+    assert "5 of 20 iterations are kept" in capsys.readouterr().err
+    # Nothing was learned: the file of the run before stays.
+    before = (tmp_path / "toy.npz").read_bytes()
+    with pytest.raises(ValueError, match="wrong"):
+        Toy(parse(tmp_path), 0, wrong).optimise()
+    assert (tmp_path / "toy.npz").read_bytes() == before
+    assert "kept" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_a_loss_that_is_no_number(tmp_path, capsys, value):
+    with ends(capsys) as end:
+        Toy(parse(tmp_path), 9, lambda: value).optimise()
+    assert "the loss of iteration 9 is not finite" in end.text
+    assert len(Toy(parse(tmp_path, "--resume")).optimise()) == 20
+
+
+def test_a_full_disk_in_the_middle(tmp_path, monkeypatch):
+    # Whoever is interrupted while a checkpoint is written has the one before.
+    Toy(parse(tmp_path, "--iterations", 4)).optimise()
+    before = (tmp_path / "toy.npz").read_bytes()
+
+    def half(path, **arrays):
+        Path(path).write_bytes(b"half")
+        raise OSError(28, "No space left on device", str(path))
+
+    monkeypatch.setattr(np, "savez", half)
+    with pytest.raises(OSError, match="No space left"):
+        Toy(parse(tmp_path, "--resume")).optimise()
+    assert (tmp_path / "toy.npz").read_bytes() == before
+
+
+def test_checkpoints_of_other_programs(tmp_path, capsys):
+    with ends(capsys) as end:
+        parse(tmp_path, "--resume")
+    assert end.text == f"toy: --resume: there is no {tmp_path / 'toy.npz'} to go on from\n"
+    Toy(parse(tmp_path, "--iterations", 4)).optimise()
+    capsys.readouterr()
+    with ends(capsys) as end:
+        Toy(parse(tmp_path, "--resume", "--n", 4)).optimise()
+    assert "toy.npz was made with --n 3, not 4" in end.text
+    path = tmp_path / "toy.npz"
+    for content in (b"", b"x" * 100, path.read_bytes()[:200]):
+        path.write_bytes(content)
+        with ends(capsys) as end:
+            Toy(parse(tmp_path, "--resume")).optimise()
+        assert "toy.npz is not a checkpoint of this program" in end.text
+        assert end.text.count("\n") == 1
+
+
+def test_going_on_with_nothing_to_do(tmp_path, capsys):
+    losses = Toy(parse(tmp_path)).optimise()
+    assert Toy(parse(tmp_path, "--resume", "--iterations", 5)).optimise() == losses
+    assert "nothing was left to do" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "words, line",
+    [
+        (["--n", "0"], "argument --n: 0 is impossible; at least 1"),
+        (["--n", "two"], "argument --n: 'two' is not a whole number"),
+        (["--rate", "inf"], "argument --rate: inf is impossible; at least 0"),
+        (["--rate", "fast"], "argument --rate: 'fast' is not a number"),
+        (["--nn", "2"], "unrecognized arguments: --nn 2"),
+        (["--arch", "abacus"], "argument --arch: invalid choice: 'abacus'"),
+    ],
+)
+def test_bad_options(tmp_path, capsys, words, line):
+    with ends(capsys) as end:
+        parse(tmp_path, *words)
+    assert end.text.startswith(f"toy: {line}") and end.text.count("\n") == 1
+
+
+def test_a_folder_that_cannot_be_written(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    for folder in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/none")):
+        with ends(capsys) as end:
+            parse(folder)
+        assert end.text.startswith(f"toy: --out {folder}: cannot write there (")
+        assert ("it is a file" in end.text) == (folder == tmp_path / "file")
+
+
+def test_libraries_that_are_missing(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with ends(capsys) as end:
+        parse(tmp_path, "--movie", "mp4")
+    assert "needs imageio_ffmpeg, which is not installed: pip install imageio-ffmpeg" in end.text
+    parse(tmp_path, "--movie", "mp4", "--no-picture")
+    # A plot is not worth the end of the program.
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    studio.plot_losses(parse(tmp_path), [3.0, 2.0])
+    assert capsys.readouterr().err == "no plot of losses: pip install matplotlib\n"
+    assert not list(tmp_path.glob("*.png"))
+
+
+def test_a_device_that_is_missing(tmp_path, capsys, monkeypatch):
+    def init(**options):
+        raise ti.TaiRuntimeError("no CUDA driver", "use the CPU")
+
+    monkeypatch.setattr(ti, "init", init)
+    with ends(capsys) as end:
+        studio.start(parse(tmp_path, "--arch", "cuda"))
+    assert end.text.startswith("toy: --arch cuda: no CUDA driver") and end.text.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "error, line, code",
+    [
+        ("KeyboardInterrupt", "interrupted", 130),
+        ("MemoryError('7 TiB')", "this size does not fit into memory: 7 TiB", 2),
+        ("OSError(28, 'No space left', 'out/x.gif')", "cannot write out/x.gif: No space left", 2),
+        ("ValueError('own mistake')", None, 1),
+    ],
+)
+def test_errors_outside_of_the_descent(tmp_path, error, line, code):
+    program = tmp_path / "toy.py"
+    program.write_text(
+        f"import sys; sys.path.insert(0, {str(Path(studio.__file__).parents[1])!r})\n"
+        "import studio\n"
+        "studio.start(studio.options('', 'toy').parse_args())\n"
+        f"raise {error}\n"
+    )
+    command = [sys.executable, program, "--out", tmp_path]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == code
+    if line:
+        assert done.stderr == f"toy: {line}\n"
+    else:
+        assert "Traceback" in done.stderr and "own mistake" in done.stderr
+
+
+def test_quick_gives_defaults_and_no_more(tmp_path):
+    options = {"steps": 500, "quick": {"iterations": 2, "steps": 30}}
+    args = parse(tmp_path, "--quick", **options)
+    assert (args.iterations, args.steps) == (2, 30)
+    args = parse(tmp_path, "--quick", "--steps", 70, **options)
+    assert (args.iterations, args.steps) == (2, 70)
+    assert parse(tmp_path, "--quick").iterations == 3
+
+
+def test_pictures(tmp_path, capsys):
+    args = parse(tmp_path)
+    studio.animate(args, lambda gui, t: gui.circle((t / 4, 0.5), radius=9), range(4), res=(60, 40))
+    movie = Image.open(tmp_path / "toy.gif")
+    # Four frames, of which the last one stays; equal ones are merged.
+    assert movie.size == (60, 40) and movie.n_frames >= 4
+    args.movie = "png"
+    studio.movie(args, [np.zeros((4, 6, 3), np.uint8)], framerate=2)
+    assert len(list((tmp_path / "toy").glob("*.png"))) == 2
+    studio.picture(args, np.full((3, 5, 3), 1.5), what="flat")
+    assert Image.open(tmp_path / "toy.flat.png").getpixel((0, 0)) == (255, 255, 255)
+    studio.plot(args, "two", {"a": [1, 2], "b": ([0, 2], [3, 1])}, x="time (s)", y="way (m)")
+    assert Image.open(tmp_path / "toy.two.png").size[0] > 500
+    assert capsys.readouterr().out.count(str(tmp_path)) == 4
+    args.picture = False
+    for call in (studio.movie, studio.picture):
+        call(args, [])
+
+
+def test_colours():
+    assert studio.signed([-1, 0, 1]).tolist() == [studio.BLUE, studio.SOFT, studio.RED]
+    assert studio.signed(float("nan")) == studio.SOFT and studio.signed(-7) == studio.BLUE
+    shades = studio.shades(np.array([[0.0, 5.0], [10.0, np.nan]]), 0, 10)
+    assert shades.shape == (2, 2, 3)
+    expected = [ti.hex_to_rgb(c) for c in (studio.PAPER, studio.BLUE, studio.INK, studio.PAPER)]
+    np.testing.assert_allclose(shades.reshape(4, 3), expected)
+
+
+def test_settings_are_those_of_the_scene(tmp_path):
+    # What differs here does not change what is computed, or is meant to be changed.
+    Toy(parse(tmp_path, "--iterations", 2)).optimise()
+    words = ("--resume", "--iterations", 3, "--rate", 0.2, "--no-picture", "--movie", "png")
+    assert len(Toy(parse(tmp_path, *words)).optimise()) == 3
+    assert isinstance(parse(tmp_path), argparse.Namespace)
