@@ -119,8 +119,9 @@ def compare():
     """The pictures of the true body, and below them those of the one that was found."""
     render()
     found, true = image.to_numpy(), target.to_numpy()
-    step = max(1, VIEWS // 4)
-    rows = [np.hstack(pictures[::step, ::-1]) for pictures in (true, found)]
+    shown = np.unique(np.linspace(0, VIEWS - 1, 4).round().astype(int))
+    middle = slice(RES // 5, RES - RES // 5)
+    rows = [np.hstack(views[shown, middle, middle][:, ::-1]) for views in (true, found)]
     studio.picture(args, studio.shades(np.vstack(rows), 0, true.max() or 1))
 
 
