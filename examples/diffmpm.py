@@ -8,26 +8,20 @@ right as it can in a second.
 One grid serves all steps. Its values are gone when the reverse sweep needs them, so the
 gradient of a step first repeats what filled the grid: `grad_replaced` and `grad_for`.
 
-    python examples/diffmpm.py
-    python examples/diffmpm.py --iterations 100
+    python examples/diffmpm.py --iterations 30
+    python examples/diffmpm.py                      # the paper's: 100 steps of descent
 """
 
-import argparse
 import math
-from pathlib import Path
 
 import numpy as np
 import tai as ti
 
-parser = argparse.ArgumentParser(
-    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-)
-parser.add_argument("--steps", type=int, default=1024, help="time slots (1024)")
-parser.add_argument("--iterations", type=int, default=30, help="steps of descent (30)")
-parser.add_argument("--rate", type=float, default=0.1, help="learning rate (0.1)")
-parser.add_argument("--seed", type=int, default=0, help="of the weights at the start (0)")
-parser.add_argument("--out", type=Path, default=Path("out"), help="folder of the picture")
+import studio
+
+parser = studio.options(__doc__, "diffmpm", iterations=100, steps=1024, rate=0.1)
 args = parser.parse_args()
+studio.start(args)
 
 N_GRID = 128
 DX = 1 / N_GRID
@@ -67,24 +61,22 @@ def build_robot():
 start, muscle_of = build_robot()
 N = len(start)
 
-ti.init(arch=ti.cpu)
-
 # Particles, one slot for each step: position, velocity, velocity gradient, deformation.
-x = ti.Vector.field(2, ti.f32, shape=(STEPS, N), needs_grad=True)
-v = ti.Vector.field(2, ti.f32, shape=(STEPS, N), needs_grad=True)
-C = ti.Matrix.field(2, 2, ti.f32, shape=(STEPS, N), needs_grad=True)
-F = ti.Matrix.field(2, 2, ti.f32, shape=(STEPS, N), needs_grad=True)
+x = ti.Vector.field(2, float, shape=(STEPS, N), needs_grad=True)
+v = ti.Vector.field(2, float, shape=(STEPS, N), needs_grad=True)
+C = ti.Matrix.field(2, 2, float, shape=(STEPS, N), needs_grad=True)
+F = ti.Matrix.field(2, 2, float, shape=(STEPS, N), needs_grad=True)
 muscle = ti.field(ti.i32, shape=N)
 
-grid_v_in = ti.Vector.field(2, ti.f32, shape=(N_GRID, N_GRID), needs_grad=True)  # momentum
-grid_m_in = ti.field(ti.f32, shape=(N_GRID, N_GRID), needs_grad=True)
-grid_v_out = ti.Vector.field(2, ti.f32, shape=(N_GRID, N_GRID), needs_grad=True)
+grid_v_in = ti.Vector.field(2, float, shape=(N_GRID, N_GRID), needs_grad=True)  # momentum
+grid_m_in = ti.field(float, shape=(N_GRID, N_GRID), needs_grad=True)
+grid_v_out = ti.Vector.field(2, float, shape=(N_GRID, N_GRID), needs_grad=True)
 
-weights = ti.field(ti.f32, shape=(N_MUSCLES, N_WAVES), needs_grad=True)
-bias = ti.field(ti.f32, shape=N_MUSCLES, needs_grad=True)
-actuation = ti.field(ti.f32, shape=(STEPS, N_MUSCLES), needs_grad=True)
-mean_x = ti.field(ti.f32, shape=(), needs_grad=True)
-loss = ti.field(ti.f32, shape=(), needs_grad=True)
+weights = ti.field(float, shape=(N_MUSCLES, N_WAVES), needs_grad=True)
+bias = ti.field(float, shape=N_MUSCLES, needs_grad=True)
+actuation = ti.field(float, shape=(STEPS, N_MUSCLES), needs_grad=True)
+mean_x = ti.field(float, shape=(), needs_grad=True)
+loss = ti.field(float, shape=(), needs_grad=True)
 
 
 @ti.kernel
@@ -116,25 +108,25 @@ def actuate(t: ti.i32):
 def particles_to_grid(t: ti.i32):
     for p in range(N):
         base = ti.cast(x[t, p] / DX - 0.5, ti.i32)
-        fx = x[t, p] / DX - ti.cast(base, ti.f32)
+        fx = x[t, p] / DX - base
         w = [0.5 * (1.5 - fx) ** 2, 0.75 - (fx - 1) ** 2, 0.5 * (fx - 0.5) ** 2]
-        new_F = (ti.Matrix.identity(ti.f32, 2) + DT * C[t, p]) @ F[t, p]
+        new_F = (ti.Matrix.identity(float, 2) + DT * C[t, p]) @ F[t, p]
         F[t + 1, p] = new_F
         J = new_F.determinant()
         R, _ = ti.polar_decompose(new_F)
         stress = 2 * STIFFNESS * (new_F - R) @ new_F.transpose()
-        stress += STIFFNESS * (J - 1) * J * ti.Matrix.identity(ti.f32, 2)
+        stress += STIFFNESS * (J - 1) * J * ti.Matrix.identity(float, 2)
         pull = 0.0
         if muscle[p] >= 0:
             pull = STRENGTH * actuation[t, muscle[p]]
         along_y = ti.Matrix([[0.0, 0.0], [0.0, 1.0]]) * pull
         stress += new_F @ along_y @ new_F.transpose()
-        affine = -DT * 4 / DX**2 * stress + C[t, p]
+        affine = -DT * 4 / DX * stress + DX * C[t, p]
+        corner = v[t, p] - affine @ fx  # the momentum for the first node
         for i, j in ti.static(ti.ndrange(3, 3)):
             offset = ti.Vector([i, j])
-            way = (ti.cast(offset, ti.f32) - fx) * DX
             weight = w[i][0] * w[j][1]
-            grid_v_in[base + offset] += weight * (v[t, p] + affine @ way)
+            grid_v_in[base + offset] += weight * (corner + affine @ offset)
             grid_m_in[base + offset] += weight
 
 
@@ -159,19 +151,18 @@ def update_grid():
 def grid_to_particles(t: ti.i32):
     for p in range(N):
         base = ti.cast(x[t, p] / DX - 0.5, ti.i32)
-        fx = x[t, p] / DX - ti.cast(base, ti.f32)
+        fx = x[t, p] / DX - base
         w = [0.5 * (1.5 - fx) ** 2, 0.75 - (fx - 1) ** 2, 0.5 * (fx - 0.5) ** 2]
         new_v = ti.Vector([0.0, 0.0])
         new_C = ti.Matrix([[0.0, 0.0], [0.0, 0.0]])
         for i, j in ti.static(ti.ndrange(3, 3)):
             offset = ti.Vector([i, j])
-            grid_v = grid_v_out[base + offset]
-            weight = w[i][0] * w[j][1]
-            new_v += weight * grid_v
-            new_C += 4 / DX * weight * grid_v.outer_product(ti.cast(offset, ti.f32) - fx)
+            share = w[i][0] * w[j][1] * grid_v_out[base + offset]
+            new_v += share
+            new_C += share.outer_product(offset)
         v[t + 1, p] = new_v
         x[t + 1, p] = x[t, p] + DT * new_v
-        C[t + 1, p] = new_C
+        C[t + 1, p] = 4 / DX * (new_C - new_v.outer_product(fx))
 
 
 @ti.kernel
@@ -186,7 +177,7 @@ def compute_loss():
 
 
 @ti.kernel
-def descend(rate: ti.f32):
+def descend(rate: float):
     for i, j in weights:
         weights[i, j] -= rate * weights.grad[i, j]
     for i in bias:
@@ -235,43 +226,38 @@ def set_up():
 
 def optimise():
     """Gradient descent on the weights of the waves; returns the losses."""
-    losses = []
-    bar = ti.tools.Progress(range(args.iterations), "diffmpm")
-    for _ in bar:
+
+    def iteration(_):
         with ti.ad.Tape(loss):
             forward()
-        losses.append(loss[None])
+        norms = [np.linalg.norm(learned.grad.to_numpy()) for learned in (weights, bias)]
         descend(args.rate)
-        bar.note(f"loss {losses[-1]:.4f}")
-    return losses
+        return {"loss": loss[None], "|dw|": norms[0], "|db|": norms[1]}
+
+    return studio.optimise(args, iteration, weights=weights, bias=bias)
 
 
-def animate(path):
-    """The robot's second as a GIF; muscles are red when they pull and blue when they push."""
+def animate():
+    """The robot's second; muscles are red when they pull and blue when they push."""
+    if not args.picture:
+        return
     forward()
     positions, pulls = x.to_numpy(), actuation.to_numpy()
-    gui = ti.GUI("diffmpm", res=(640, 320), background_color=0xF4F1EA)
-    frames = []
-    for t in range(0, STEPS, 12):
-        tint = np.where(muscle_of >= 0, pulls[min(t, STEPS - 2), muscle_of], 0.0)
-        red, blue = 0.45 + 0.5 * tint, 0.45 - 0.5 * tint
-        gui.line((0, 2 * DX * BOUND), (1, 2 * DX * BOUND), radius=1, color=0x9A9484)
-        where = positions[t] * [1.0, 2.0]
-        gui.circles(where, radius=1.6, color=ti.rgb_to_hex((red, np.full(N, 0.45), blue)))
-        frames.append(gui.picture())
-        gui.show()
-    ti.tools.write_gif(frames + frames[-1:] * 10, str(path), framerate=24)
+
+    def draw(gui, t):
+        pull = np.where(muscle_of >= 0, pulls[min(t, STEPS - 2), muscle_of], 0.0)
+        gui.line((0, 2 * DX * BOUND), (1, 2 * DX * BOUND), radius=1, color=studio.SOFT)
+        gui.circles(positions[t] * [1.0, 2.0], radius=1.6, color=studio.signed(2 * pull))
+
+    studio.animate(args, draw, range(0, STEPS, 12), res=(640, 320))
 
 
 def main():
     set_up()
     losses = optimise()
     print(f"way      {-losses[0] - 0.25:.4f} -> {-losses[-1] - 0.25:.4f} (mean x - 0.25)")
-    print(f"loss     {losses[0]:.6f} -> {losses[-1]:.6f}")
-    args.out.mkdir(parents=True, exist_ok=True)
-    picture = args.out / "diffmpm.gif"
-    animate(picture)
-    print(f"picture  {picture.resolve()}")
+    studio.plot_losses(args, losses)
+    animate()
 
 
 if __name__ == "__main__":

@@ -4,40 +4,60 @@ A smoke solver in two dimensions: advection by bilinear look-up, then a few Jaco
 that make the wind (almost) free of divergence. The unknown is the wind at the start; its
 gradient runs back through a hundred steps.
 
-    python examples/smoke.py
-    python examples/smoke.py --iterations 240
+    python examples/smoke.py                             # 128², 10 sweeps, to the yin-yang sign
+    python examples/smoke.py --setting stripes-peace     # as the paper timed it on a CPU
+    python examples/smoke.py --setting stripes-yin-yang  # and on a GPU
+    python examples/smoke.py --state compare             # memory: a slot for each step, or none
 """
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 import tai as ti
 
-parser = argparse.ArgumentParser(
-    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-)
-parser.add_argument("--n", type=int, default=128, help="cells along a side (128)")
-parser.add_argument("--steps", type=int, default=100, help="time slots (100)")
-parser.add_argument("--sweeps", type=int, default=10, help="Jacobi sweeps in a step (10)")
-parser.add_argument("--iterations", type=int, default=60, help="steps of descent (60)")
-parser.add_argument("--rate", type=float, default=400.0, help="learning rate (400)")
-parser.add_argument("--out", type=Path, default=Path("out"), help="folder of the picture")
+import signs
+import studio
+
+SETTINGS = {
+    "chequers": {"n": 128, "sweeps": 10, "rate": 400.0, "iterations": 240},
+    "stripes-peace": {"n": 110, "sweeps": 6, "rate": 100.0, "iterations": 150},
+    "stripes-yin-yang": {"n": 110, "sweeps": 6, "rate": 100.0, "iterations": 150},
+}
+
+parser = studio.options(__doc__, "smoke", iterations=240, steps=100, rate=400.0)
+parser.add_argument("--n", type=studio.at_least(2), default=128, help="cells along a side (128)")
+text = "Jacobi sweeps in a step (10)"
+parser.add_argument("--sweeps", type=studio.at_least(1), default=10, help=text)
+text = "smoke at the start, and what it should become; sets defaults of other options (chequers)"
+parser.add_argument("--setting", choices=SETTINGS, default="chequers", help=text)
+parser.add_argument("--target", type=Path, help="a picture (the sign of the setting)")
+studio.add_states(parser)
+parser.set_defaults(**SETTINGS[parser.parse_args().setting])
 args = parser.parse_args()
+studio.start(args)
 
 N, STEPS, SWEEPS = args.n, args.steps, args.sweeps
 DX = 1 / N
 
-ti.init(arch=ti.cpu)
+# A slot for each step and each sweep. In place there is one, and what is computed from old values
+# of the neighbours takes turns between two fields.
+SLOTS, PRESSURES, TURNS = (1, 1, 2) if args.in_place else (STEPS, STEPS * SWEEPS + 1, 1)
+
+
+def real_field(slots):
+    return ti.field(float, shape=(slots, N, N), needs_grad=True)
+
 
 # The wind in cells per step, before and after the projection; smoke; pressure by sweep.
-wind = ti.Vector.field(2, ti.f32, shape=(STEPS, N, N), needs_grad=True)
-advected = ti.Vector.field(2, ti.f32, shape=(STEPS, N, N), needs_grad=True)
-smoke = ti.field(ti.f32, shape=(STEPS, N, N), needs_grad=True)
-divergence = ti.field(ti.f32, shape=(STEPS, N, N), needs_grad=True)
-pressure = ti.field(ti.f32, shape=(STEPS * SWEEPS + 1, N, N), needs_grad=True)
-target = ti.field(ti.f32, shape=(N, N))
-loss = ti.field(ti.f32, shape=(), needs_grad=True)
+wind = ti.Vector.field(2, float, shape=(SLOTS, N, N), needs_grad=True)
+advected = ti.Vector.field(2, float, shape=(SLOTS, N, N), needs_grad=True)
+divergence = real_field(SLOTS)
+smoke = [real_field(SLOTS) for _ in range(TURNS)]
+pressure = [real_field(PRESSURES) for _ in range(TURNS)]
+start = ti.Vector.field(2, float, shape=(N, N), needs_grad=True)  # the wind, to be found
+smoke_at_start = ti.field(float, shape=(N, N))
+target = ti.field(float, shape=(N, N))
+loss = ti.field(float, shape=(), needs_grad=True)
 
 
 @ti.func
@@ -52,141 +72,150 @@ def after(i):
 
 
 @ti.func
-def carried(q: ti.template(), t, wind_t, i, j):
-    """The quantity q at the place from which the wind blew into cell (i, j)."""
-    w = wind[wind_t, i, j]
-    x, y = float(i) - w[0], float(j) - w[1]
+def at(t):
+    """The slot of a step or sweep."""
+    return 0 if ti.static(args.in_place) else t
+
+
+@ti.func
+def carried(q: ti.template(), slot, w, i, j):
+    """The quantity q at the place from which the wind w blew into cell (i, j)."""
+    x, y = i - w[0], j - w[1]
     x0, y0 = ti.floor(x), ti.floor(y)
     fx, fy = x - x0, y - y0
     i0, j0 = ti.cast(x0, ti.i32) % N, ti.cast(y0, ti.i32) % N
-    i1, j1 = (i0 + 1) % N, (j0 + 1) % N
-    near = (1 - fy) * q[t, i0, j0] + fy * q[t, i0, j1]
-    far = (1 - fy) * q[t, i1, j0] + fy * q[t, i1, j1]
+    i1, j1 = after(i0), after(j0)
+    near = (1 - fy) * q[slot, i0, j0] + fy * q[slot, i0, j1]
+    far = (1 - fy) * q[slot, i1, j0] + fy * q[slot, i1, j1]
     return (1 - fx) * near + fx * far
+
+
+@ti.kernel
+def begin(density: ti.template()):
+    for i, j in start:
+        wind[0, i, j] = start[i, j]
+        density[0, i, j] = smoke_at_start[i, j]
 
 
 @ti.kernel
 def advect_wind(t: ti.i32):
     for i, j in ti.ndrange(N, N):
-        advected[t, i, j] = carried(wind, t - 1, t - 1, i, j)
+        last, now = at(t - 1), at(t)
+        w = wind[last, i, j]
+        advected[now, i, j] = carried(wind, last, w, i, j)
 
 
 @ti.kernel
 def compute_divergence(t: ti.i32):
     for i, j in ti.ndrange(N, N):
-        along_i = advected[t, after(i), j][0] - advected[t, before(i), j][0]
-        along_j = advected[t, i, after(j)][1] - advected[t, i, before(j)][1]
-        divergence[t, i, j] = -0.5 * DX * (along_i + along_j)
+        now = at(t)
+        along_i = advected[now, after(i), j][0] - advected[now, before(i), j][0]
+        along_j = advected[now, i, after(j)][1] - advected[now, i, before(j)][1]
+        divergence[now, i, j] = -0.5 * DX * (along_i + along_j)
 
 
 @ti.kernel
-def sweep(s: ti.i32, t: ti.i32):
-    """One Jacobi sweep of the pressure equation, from slot s to slot s + 1."""
+def project(p: ti.template(), number: ti.i32, t: ti.i32):
+    """Takes the gradient of the pressure out of the wind."""
     for i, j in ti.ndrange(N, N):
-        around = pressure[s, before(i), j] + pressure[s, after(i), j]
-        around += pressure[s, i, before(j)] + pressure[s, i, after(j)]
-        pressure[s + 1, i, j] = (divergence[t, i, j] + around) / 4
-
-
-@ti.kernel
-def project(t: ti.i32):
-    """Takes the gradient of the pressure (of the step before) out of the wind."""
-    for i, j in ti.ndrange(N, N):
-        s = t * SWEEPS - 1
+        now, s = at(t), at(number)
         push = ti.Vector(
             [
-                pressure[s, after(i), j] - pressure[s, before(i), j],
-                pressure[s, i, after(j)] - pressure[s, i, before(j)],
+                p[s, after(i), j] - p[s, before(i), j],
+                p[s, i, after(j)] - p[s, i, before(j)],
             ]
         )
-        wind[t, i, j] = advected[t, i, j] - 0.5 * push / DX
+        wind[now, i, j] = advected[now, i, j] - 0.5 * push / DX
 
 
 @ti.kernel
-def advect_smoke(t: ti.i32):
+def sweep(old: ti.template(), new: ti.template(), number: ti.i32, t: ti.i32):
+    """One Jacobi sweep of the pressure equation."""
     for i, j in ti.ndrange(N, N):
-        smoke[t, i, j] = carried(smoke, t - 1, t, i, j)
+        s = at(number)
+        around = old[s, before(i), j] + old[s, after(i), j]
+        around += old[s, i, before(j)] + old[s, i, after(j)]
+        new[at(number + 1), i, j] = (divergence[at(t), i, j] + around) / 4
 
 
 @ti.kernel
-def compute_loss():
-    for i, j in target:
-        loss[None] += (target[i, j] - smoke[STEPS - 1, i, j]) ** 2 / N**2
+def advect_smoke(old: ti.template(), new: ti.template(), t: ti.i32):
+    for i, j in ti.ndrange(N, N):
+        now = at(t)
+        w = wind[now, i, j]
+        new[now, i, j] = carried(old, at(t - 1), w, i, j)
 
 
 @ti.kernel
-def descend(rate: ti.f32):
+def compute_loss(density: ti.template()):
     for i, j in target:
-        wind[0, i, j] -= rate * wind.grad[0, i, j]
+        last = at(STEPS - 1)
+        loss[None] += (target[i, j] - density[last, i, j]) ** 2 / N**2
 
 
-def yin_yang(n):
-    """The sign, white 1 and black 0, drawn by its circles; rows run downward."""
-    row, col = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
-    x, y = (col + 0.5) / n - 0.5, (row + 0.5) / n - 0.5
-    upper, lower = x**2 + (y + 0.235) ** 2, x**2 + (y - 0.235) ** 2
-    radius = x**2 + y**2
-    rules = [
-        (radius > 0.5**2, 1),
-        (radius >= 0.47**2, 0),
-        (upper < 0.07**2, 0),
-        (lower < 0.07**2, 1),
-        (upper < 0.235**2, 1),
-        (lower < 0.235**2, 0),
-        (x > 0, 0),
-    ]
-    return np.select([rule for rule, _ in rules], [value for _, value in rules], 1).astype(float)
+def turn(fields, number):
+    return fields[number % len(fields)]
 
 
-def forward():
-    loss[None] = 0.0
+def simulate():
+    """Yields the times when they are reached."""
+    begin(smoke[0])
+    for field in pressure:
+        if args.in_place:
+            field.fill(0.0)
     for t in range(1, STEPS):
         advect_wind(t)
         compute_divergence(t)
-        for s in range(t * SWEEPS, (t + 1) * SWEEPS):
-            sweep(s, t)
-        project(t)
-        advect_smoke(t)
-    compute_loss()
+        # As in the published program: by the last but one sweep of the step before.
+        first = t * SWEEPS
+        project(turn(pressure, first - 1), first - 1, t)
+        for s in range(first, first + SWEEPS):
+            sweep(turn(pressure, s), turn(pressure, s + 1), s, t)
+        advect_smoke(turn(smoke, t - 1), turn(smoke, t), t)
+        yield t
 
 
-def optimise():
-    """Gradient descent on the wind at the start; returns the losses."""
-    losses = []
-    bar = ti.tools.Progress(range(args.iterations), "smoke")
-    for _ in bar:
-        with ti.ad.Tape(loss):
-            forward()
-        losses.append(loss[None])
-        descend(args.rate)
-        bar.note(f"loss {losses[-1]:.4f}")
-    return losses
+@ti.kernel
+def descend(rate: float):
+    for i, j in start:
+        start[i, j] -= rate * start.grad[i, j]
 
 
-def animate(path):
-    """The smoke from first to last slot as a GIF."""
-    forward()
-    slots = np.clip(smoke.to_numpy(), 0, 1)
-    frames = []
-    for t in [*range(0, STEPS, 2), STEPS - 1]:
-        pixels = np.repeat(np.repeat((255 * slots[t]).astype(np.uint8), 3, axis=0), 3, axis=1)
-        frames.append(np.stack([pixels] * 3, axis=-1))
-    ti.tools.write_gif(frames + frames[-1:] * 20, str(path), framerate=20)
+def iteration(_):
+    with studio.tape(args, loss):
+        for _ in simulate():
+            pass
+        compute_loss(turn(smoke, STEPS - 1))
+    norm = np.linalg.norm(start.grad.to_numpy())
+    descend(args.rate)
+    return {"loss": loss[None], "|dv|": norm}
+
+
+def film():
+    """Pictures of the smoke from first to last slot."""
+    slots = [smoke_at_start.to_numpy()]
+    for t in simulate():
+        if t % 2 == 0 or t == STEPS - 1:
+            slots.append(turn(smoke, t).to_numpy()[0 if args.in_place else t])
+    for slot in slots:
+        grey = (255 * np.clip(slot, 0, 1)).astype(np.uint8)
+        yield np.stack([np.kron(grey, np.ones((3, 3), np.uint8))] * 3, axis=-1)
 
 
 def main():
-    tile = max(1, N // 8)
-    i, j = np.meshgrid(np.arange(N) // tile, np.arange(N) // tile, indexing="ij")
-    start = np.zeros((STEPS, N, N), np.float32)
-    start[0] = (i + j) % 2
-    smoke.from_numpy(start)
-    target.from_numpy(yin_yang(N))
-    losses = optimise()
-    print(f"loss     {losses[0]:.6f} -> {losses[-1]:.6f}")
-    args.out.mkdir(parents=True, exist_ok=True)
-    picture = args.out / "smoke.gif"
-    animate(picture)
-    print(f"picture  {picture.resolve()}")
+    i, j = np.meshgrid(np.arange(N), np.arange(N), indexing="ij")
+    if args.setting == "chequers":
+        tile = max(1, N // 8)
+        smoke_at_start.from_numpy((i // tile + j // tile) % 2)
+    else:
+        smoke_at_start.from_numpy(i * 11 // N % 4 == 1)  # three stripes
+    sign = signs.peace if args.setting == "stripes-peace" else signs.yin_yang
+    target.from_numpy(signs.from_file(args.target, N) if args.target else sign(N))
+    losses = studio.optimise(args, iteration, start=start)
+    studio.report_memory(args, wind, advected, divergence, *smoke, *pressure)
+    studio.plot_losses(args, losses)
+    if args.picture:
+        studio.movie(args, list(film()), framerate=20)
 
 
 if __name__ == "__main__":

@@ -10,25 +10,22 @@ their stretches S are the wanted ones.
     python examples/svd_gradient.py --matrices 64 --sweeps 8 --iterations 200
 """
 
-import argparse
-
 import numpy as np
 import tai as ti
 
+import studio
+
 EPSILON = 1e-10
 
-parser = argparse.ArgumentParser(
-    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-)
-parser.add_argument("--matrices", type=int, default=16)
-parser.add_argument("--sweeps", type=int, default=6, help="Jacobi sweeps of the forward solver")
-parser.add_argument("--iterations", type=int, default=400, help="steps of gradient descent")
-parser.add_argument("--rate", type=float, default=0.05, help="length of a step")
-options = parser.parse_args()
+parser = studio.options(__doc__, "svd_gradient", iterations=400, rate=0.05)
+parser.add_argument("--matrices", type=studio.at_least(1), default=16, help="how many (16)")
+text = "Jacobi sweeps of the forward solver (6)"
+parser.add_argument("--sweeps", type=studio.at_least(1), default=6, help=text)
+parser.set_defaults(double=True)
+args = parser.parse_args()
+studio.start(args)
 
-ti.init(arch=ti.cpu, default_fp=ti.f64)
-
-n = options.matrices
+n = args.matrices
 M = ti.Matrix.field(3, 3, ti.f64, shape=n, needs_grad=True)
 U = ti.Matrix.field(3, 3, ti.f64, shape=n, needs_grad=True)
 V = ti.Matrix.field(3, 3, ti.f64, shape=n, needs_grad=True)
@@ -122,7 +119,7 @@ def compute_loss():
 
 def forward():
     loss[None] = 0.0
-    svd_forward(options.sweeps)
+    svd_forward(args.sweeps)
     compute_loss()
 
 
@@ -153,14 +150,14 @@ def main():
     difference = (sides[0] - sides[1]) / (2 * step)
     print(f"slope   {slope:.9f} by the gradient, {difference:.9f} by differences")
 
-    first = None
-    for _ in range(options.iterations):
+    def iteration(_):
         with ti.ad.Tape(loss):
             forward()
-        first = loss[None] if first is None else first
-        M.from_numpy(M.to_numpy() - options.rate * M.grad.to_numpy())
-    forward()
-    print(f"loss    {first:.6g} -> {loss[None]:.6g}")
+        M.from_numpy(M.to_numpy() - args.rate * M.grad.to_numpy())
+        return loss[None]
+
+    losses = studio.optimise(args, iteration, M=M)
+    studio.plot_losses(args, losses, log=True)
 
 
 if __name__ == "__main__":

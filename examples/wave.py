@@ -1,40 +1,39 @@
 """Which ripple, let go now, will be a picture in a moment?
 
 A wave runs over a square of water. Its initial height is found by gradient descent so that
-after 256 steps the water shows the yin-yang sign.
+after 256 steps the water shows the yin-yang sign, or a picture of yours.
 
-    python examples/wave.py
-    python examples/wave.py --n 256 --iterations 200
+    python examples/wave.py                     # the paper's 128²
+    python examples/wave.py --n 256             # as in its published program
+    python examples/wave.py --state compare     # memory: a slot for each step, or updates in place
 """
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 import tai as ti
 
-parser = argparse.ArgumentParser(
-    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-)
-parser.add_argument("--n", type=int, default=128, help="cells along a side (128)")
-parser.add_argument("--steps", type=int, default=256, help="time slots (256)")
-parser.add_argument("--iterations", type=int, default=100, help="steps of descent (100)")
-parser.add_argument("--rate", type=float, default=1.0, help="learning rate (1)")
-parser.add_argument("--out", type=Path, default=Path("out"), help="folder of the picture")
+import signs
+import studio
+
+parser = studio.options(__doc__, "wave", iterations=200, steps=256, rate=1.0, least_steps=3)
+parser.add_argument("--n", type=studio.at_least(2), default=128, help="cells along a side (128)")
+parser.add_argument("--target", type=Path, help="a picture (the yin-yang sign)")
+studio.add_states(parser)
 args = parser.parse_args()
+studio.start(args)
 
 N, STEPS = args.n, args.steps
 DX = 1 / N
 SPEED = 340.0
-DAMPING = 0.0
-# The largest stable step, with a margin: (c dt)² = dx²/3 without damping.
-DT = ((DAMPING**2 + DX**2 / 3) ** 0.5 - DAMPING) / SPEED
+DT = DX / 3**0.5 / SPEED  # the largest stable step, with a margin
+LAST = 0 if args.in_place else STEPS - 1
 
-ti.init(arch=ti.cpu)
-
-u = ti.field(ti.f32, shape=(STEPS, N, N), needs_grad=True)
-target = ti.field(ti.f32, shape=(N, N))
-loss = ti.field(ti.f32, shape=(), needs_grad=True)
+start = ti.field(float, shape=(N, N), needs_grad=True)  # the height at the start, to be found
+u = ti.field(float, shape=(LAST + 1, N, N), needs_grad=True)
+change = ti.field(float, shape=(N, N), needs_grad=True)  # in place: what the last step added
+target = ti.field(float, shape=(N, N))
+loss = ti.field(float, shape=(), needs_grad=True)
 
 
 @ti.func
@@ -44,98 +43,107 @@ def height(t, i, j):
 
 
 @ti.func
-def laplacian(t, i, j):
+def bend(t, i, j):
+    """What the Laplacian adds in a step, by central differences."""
     neighbours = height(t, i - 1, j) + height(t, i + 1, j)
     neighbours += height(t, i, j - 1) + height(t, i, j + 1)
-    return (neighbours - 4 * u[t, i, j]) / DX**2
+    return (SPEED * DT / DX) ** 2 * (neighbours - 4 * u[t, i, j])
+
+
+@ti.kernel
+def let_go():
+    for i, j in start:
+        u[0, i, j] = start[i, j]
 
 
 @ti.kernel
 def step(t: ti.i32):
-    """The wave equation in time and space, by central differences."""
-    for i, j in ti.ndrange(N, N):
-        now = SPEED**2 * DT**2 + SPEED * DAMPING * DT
-        before = SPEED * DAMPING * DT
-        u[t, i, j] = (
-            2 * u[t - 1, i, j]
-            + now * laplacian(t - 1, i, j)
-            - u[t - 2, i, j]
-            - before * laplacian(t - 2, i, j)
-        )
+    """The wave equation in time and space."""
+    for i, j in start:
+        u[t, i, j] = 2 * u[t - 1, i, j] - u[t - 2, i, j] + bend(t - 1, i, j)
+
+
+# The same in place. All updates are linear and add to what is there: the reverse sweep needs
+# nothing of it, and the tape keeps nothing.
+
+
+@ti.kernel
+def let_go_in_place():
+    """The state in slot 1, where all heights are 0."""
+    for i, j in start:
+        change[i, j] = -start[i, j]
+        u[0, i, j] = 0.0
+
+
+@ti.kernel
+def bend_in_place():
+    for i, j in start:
+        change[i, j] += bend(0, i, j)
+
+
+@ti.kernel
+def move_in_place():
+    for i, j in start:
+        u[0, i, j] += change[i, j]
 
 
 @ti.kernel
 def compute_loss():
     for i, j in target:
-        loss[None] += DX**2 * (target[i, j] - u[STEPS - 1, i, j]) ** 2
+        loss[None] += DX**2 * (target[i, j] - u[LAST, i, j]) ** 2
 
 
 @ti.kernel
-def descend(rate: ti.f32):
-    for i, j in target:
-        u[0, i, j] -= rate * u.grad[0, i, j]
+def descend(rate: float):
+    for i, j in start:
+        start[i, j] -= rate * start.grad[i, j]
 
 
-def yin_yang(n):
-    """The sign, white 1 and black 0, drawn by its circles; rows run downward."""
-    row, col = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
-    x, y = (col + 0.5) / n - 0.5, (row + 0.5) / n - 0.5
-    upper, lower = x**2 + (y + 0.235) ** 2, x**2 + (y - 0.235) ** 2
-    radius = x**2 + y**2
-    rules = [
-        (radius > 0.5**2, 1),
-        (radius >= 0.47**2, 0),
-        (upper < 0.07**2, 0),
-        (lower < 0.07**2, 1),
-        (upper < 0.235**2, 1),
-        (lower < 0.235**2, 0),
-        (x > 0, 0),
-    ]
-    return np.select([rule for rule, _ in rules], [value for _, value in rules], 1).astype(float)
-
-
-def forward():
-    loss[None] = 0.0
+def simulate():
+    """Yields the times when they are reached."""
+    if args.in_place:
+        let_go_in_place()
+    else:
+        let_go()
     for t in range(2, STEPS):
-        step(t)
-    compute_loss()
+        if args.in_place:
+            bend_in_place()
+            move_in_place()
+        else:
+            step(t)
+        yield t
 
 
-def optimise():
-    """Gradient descent on the initial height; returns the losses."""
-    losses = []
-    bar = ti.tools.Progress(range(args.iterations), "wave")
-    for _ in bar:
-        with ti.ad.Tape(loss):
-            forward()
-        losses.append(loss[None])
-        descend(args.rate)
-        bar.note(f"loss {losses[-1]:.4f}")
-    return losses
+def iteration(_):
+    with studio.tape(args, loss):
+        for _ in simulate():
+            pass
+        compute_loss()
+    norm = np.linalg.norm(start.grad.to_numpy())
+    descend(args.rate)
+    return {"loss": loss[None], "|du|": norm}
 
 
-def animate(path):
-    """The wave from first to last slot as a GIF, grey for still water."""
-    forward()
-    heights = u.to_numpy()
-    scale = 2 * np.abs(heights[-1]).max()
-    frames = []
-    for t in [*range(0, STEPS, 4), STEPS - 1]:
-        grey = np.clip(heights[t] / scale + 0.5, 0, 1)
-        pixels = np.repeat(np.repeat((255 * grey).astype(np.uint8), 2, axis=0), 2, axis=1)
-        frames.append(np.stack([pixels] * 3, axis=-1))
-    ti.tools.write_gif(frames + frames[-1:] * 30, str(path), framerate=24)
+def film():
+    """Pictures of the wave from first to last slot, grey for still water."""
+    heights = [start.to_numpy()]
+    for t in simulate():
+        if t % 4 == 0 or t == STEPS - 1:
+            heights.append(u.to_numpy()[min(t, LAST)])
+    scale = 2 * np.abs(heights[-1]).max() or 1
+    for still in heights:
+        grey = (255 * np.clip(still / scale + 0.5, 0, 1)).astype(np.uint8)
+        yield np.stack([np.kron(grey, np.ones((2, 2), np.uint8))] * 3, axis=-1)
 
 
 def main():
-    sign = yin_yang(N)
-    target.from_numpy(sign - sign.mean())
-    losses = optimise()
-    print(f"loss     {losses[0]:.6f} -> {losses[-1]:.6f}")
-    args.out.mkdir(parents=True, exist_ok=True)
-    picture = args.out / "wave.gif"
-    animate(picture)
-    print(f"picture  {picture.resolve()}")
+    sign = signs.from_file(args.target, N, centred=True) if args.target else signs.yin_yang(N)
+    target.from_numpy(sign if args.target else sign - sign.mean())
+    losses = studio.optimise(args, iteration, start=start)
+    studio.report_memory(args, u, change)
+    studio.plot_losses(args, losses)
+    if args.picture:
+        studio.movie(args, list(film()))
 
 
 if __name__ == "__main__":

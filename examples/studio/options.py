@@ -28,7 +28,9 @@ def need(library: str, purpose: str, package: str | None = None):
     """A library that not everybody has; without it the program ends and says how to get it."""
     try:
         return importlib.import_module(library)
-    except ImportError:
+    except ImportError as error:
+        if error.name != library.partition(".")[0]:
+            fail(f"{purpose} needs {library}, which cannot be loaded: {error}")
         fail(f"{purpose} needs {library}, which is not installed: pip install {package or library}")
 
 

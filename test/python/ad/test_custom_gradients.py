@@ -12,14 +12,15 @@ import tai as ti
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 
 
-def run_svd(*options):
+def run_svd(folder, *options):
+    options = (*options, "--out", folder, "--no-picture")
     command = [sys.executable, str(EXAMPLES / "svd_gradient.py"), *map(str, options)]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
 @pytest.mark.parametrize("matrices", [1, 16])
-def test_the_svd_of_an_iterative_solver(matrices):
-    output = run_svd("--matrices", matrices, "--iterations", 300)
+def test_the_svd_of_an_iterative_solver(tmp_path, matrices):
+    output = run_svd(tmp_path, "--matrices", matrices, "--iterations", 300)
     slope, difference = map(float, re.search(r"slope\s+(\S+) .*, (\S+) by", output).groups())
     assert slope == pytest.approx(difference, rel=1e-7)
     first, last = map(float, re.search(r"loss\s+(\S+) -> (\S+)", output).groups())
@@ -31,7 +32,8 @@ def test_the_svd_by_hand_agrees_with_the_op(tmp_path):
     program = (EXAMPLES / "svd_gradient.py").read_text().partition('if __name__ == "__main__"')[0]
     script = tmp_path / "compare.py"
     script.write_text(
-        program
+        f"import sys\nsys.path.insert(0, {str(EXAMPLES)!r})\n"
+        + program
         + """
 @ti.kernel
 def built_in():
@@ -59,7 +61,8 @@ assert abs(loss[None] / value - 1) < 1e-12
 assert np.abs(M.grad.to_numpy() - by_hand).max() < 1e-10, (M.grad.to_numpy() - by_hand)
 """
     )
-    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)
+    command = [sys.executable, str(script), "--out", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
 

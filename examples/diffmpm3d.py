@@ -1,0 +1,312 @@
+"""A soft robot of thirty thousand particles, with sixteen muscles in four legs, learns to walk.
+
+The material point method (MLS-MPM) in three dimensions: particles carry mass, velocity and
+deformation, a grid of 64³ nodes carries the forces between them. The muscles follow sine waves
+whose weights are found by gradient descent, so that the robot gets as far along x as it can.
+
+One grid serves all steps. Its values are gone when the reverse sweep needs them, so the gradient
+of a step first repeats what filled the grid: `grad_replaced` and `grad_for`.
+
+    python examples/diffmpm3d.py --steps 128 --iterations 10
+    python examples/diffmpm3d.py                               # the paper's: 512 slots, 100 steps
+"""
+
+import math
+import random
+
+import numpy as np
+import tai as ti
+
+import studio
+from splatter import Splatter
+
+N_GRID = 64
+DX = 1 / N_GRID
+DT = 2e-3
+STIFFNESS = 10.0  # both Lamé parameters, and the bulk modulus of liquid
+GRAVITY = 10.0
+BOUND = 3  # nodes at each side in which nothing moves outward
+N_WAVES = 4
+FREQUENCY = 40.0
+STRENGTH = 5.0  # of the muscles, which pull along z
+SOLID_MASS, LIQUID_MASS = 1.0, 4.0
+
+
+class Scene:
+    """Boxes of particles, three to a cell and axis."""
+
+    def __init__(self, density=3):
+        self.position, self.muscle, self.solid = [], [], []
+        self.density = density
+
+    def box(self, corner, size, muscle=-1):
+        """An elastic box; its muscle, -1 for none."""
+        counts = [int(self.density * side / DX) for side in size]
+        for cell in np.ndindex(*counts):
+            where = [(c + 0.5) * side / n for c, side, n in zip(cell, size, counts, strict=True)]
+            self._add(corner, where, muscle, solid=True)
+
+    def pool(self, corner, size):
+        """Liquid, at random places in a box."""
+        for _ in range(math.prod(int(self.density * side / DX) for side in size)):
+            self._add(corner, [random.random() * side for side in size], -1, solid=False)
+
+    def _add(self, corner, where, muscle, solid):
+        offset = (0.1, 0.05, 0.3)
+        self.position.append([c + w + o for c, w, o in zip(corner, where, offset, strict=True)])
+        self.muscle.append(muscle)
+        self.solid.append(solid)
+
+    def robot(self, block):
+        """Four legs of four muscles each, and three boxes between them, without."""
+        for leg in range(4):
+            x, z = 2 * block * (leg // 2), 2 * block * (leg % 2)
+            for part in range(4):
+                corner = (x + block / 2 * (part // 2), 0.35 * block * (part % 2), z)
+                self.box(corner, (block / 2, 0.35 * block, block), 4 * leg + part)
+        for part in range(3):
+            self.box((part * block, 0, block), (block, 0.7 * block, block))
+
+
+@ti.func
+def around(position):
+    """The first of the 27 nodes around a particle, and the particle's place from there."""
+    base = ti.cast(position / DX - 0.5, ti.i32)
+    return base, position / DX - base
+
+
+@ti.func
+def splines(fx):
+    """Weights of the three nodes along each axis: quadratic B-splines."""
+    return [0.5 * (1.5 - fx) ** 2, 0.75 - (fx - 1) ** 2, 0.5 * (fx - 0.5) ** 2]
+
+
+@ti.data_oriented
+class Simulation:
+    """The fields of a scene, and its steps forward and in reverse."""
+
+    def __init__(self, scene, steps):
+        self.steps, self.count = steps, len(scene.position)
+        self.muscles = max(scene.muscle) + 1
+        self.solids = sum(scene.solid)
+        # Particles, one slot for each step: position, velocity, velocity gradient, deformation.
+        slots = (steps, self.count)
+        self.x, self.v = (ti.Vector.field(3, float, slots, needs_grad=True) for _ in range(2))
+        self.C, self.F = (ti.Matrix.field(3, 3, float, slots, needs_grad=True) for _ in range(2))
+        self.muscle, self.solid = (ti.field(ti.i32, self.count) for _ in range(2))
+        # The grid: momentum and mass, then velocity.
+        nodes = (N_GRID, N_GRID, N_GRID)
+        self.momentum, self.velocity = (
+            ti.Vector.field(3, float, nodes, needs_grad=True) for _ in range(2)
+        )
+        self.mass = ti.field(float, nodes, needs_grad=True)
+        # What is learned: the waves that a muscle follows.
+        self.weights = ti.field(float, (self.muscles, N_WAVES), needs_grad=True)
+        self.bias = ti.field(float, self.muscles, needs_grad=True)
+        self.actuation = ti.field(float, (steps, self.muscles), needs_grad=True)
+        self.loss = ti.field(float, (), needs_grad=True)
+
+        self.load(np.array(scene.position), np.array(scene.muscle), np.array(scene.solid))
+
+    @ti.kernel
+    def load(
+        self,
+        position: ti.types.ndarray(dtype=ti.f64),
+        muscle: ti.types.ndarray(dtype=ti.i64),
+        solid: ti.types.ndarray(dtype=ti.u1),
+    ):
+        for p in range(self.count):
+            self.x[0, p] = ti.Vector([position[p, 0], position[p, 1], position[p, 2]])
+            self.F[0, p] = ti.Matrix.identity(float, 3)
+            self.muscle[p] = ti.cast(muscle[p], ti.i32)
+            self.solid[p] = ti.cast(solid[p], ti.i32)
+
+    @ti.kernel
+    def clear_grid(self):
+        for node in ti.grouped(self.mass):
+            self.momentum[node] = [0.0, 0.0, 0.0]
+            self.mass[node] = 0.0
+
+    @ti.kernel
+    def clear_grid_gradient(self):
+        for node in ti.grouped(self.mass):
+            self.momentum.grad[node] = [0.0, 0.0, 0.0]
+            self.mass.grad[node] = 0.0
+            self.velocity.grad[node] = [0.0, 0.0, 0.0]
+
+    @ti.kernel
+    def actuate(self, t: ti.i32):
+        """The muscles follow a weighted sum of waves."""
+        for i in range(self.muscles):
+            drive = self.bias[i]
+            for j in ti.static(range(N_WAVES)):
+                wave = ti.sin(FREQUENCY * t * DT + 2 * math.pi / N_WAVES * j)
+                drive += self.weights[i, j] * wave
+            self.actuation[t, i] = ti.tanh(drive)
+
+    @ti.kernel
+    def particles_to_grid(self, t: ti.i32):
+        for p in range(self.count):
+            base, fx = around(self.x[t, p])
+            w = splines(fx)
+            F = (ti.Matrix.identity(float, 3) + DT * self.C[t, p]) @ self.F[t, p]
+            J = F.determinant()
+            stress = ti.Matrix.zero(float, 3, 3)
+            mass = 0.0
+            if self.solid[p] == 1:  # neo-Hookean, and what the muscle pulls along z
+                mass = SOLID_MASS
+                stress = STIFFNESS * F @ F.transpose()
+                pressure = STIFFNESS * (ti.log(J) - 1)
+                for d in ti.static(range(3)):
+                    stress[d, d] += pressure
+                if self.muscle[p] >= 0:
+                    along = ti.Vector([F[0, 2], F[1, 2], F[2, 2]])
+                    pull = STRENGTH * self.actuation[t, self.muscle[p]]
+                    stress += pull * along.outer_product(along)
+            else:  # liquid forgets its shape, and keeps its volume
+                mass = LIQUID_MASS
+                root = ti.sqrt(J)
+                F = ti.Matrix([[root, 0.0, 0.0], [0.0, root, 0.0], [0.0, 0.0, 1.0]])
+                for d in ti.static(range(3)):
+                    stress[d, d] = STIFFNESS * (J - 1)
+            self.F[t + 1, p] = F
+            affine = -DT * 4 / DX * stress + mass * DX * self.C[t, p]
+            corner = mass * self.v[t, p] - affine @ fx  # the momentum for the first node
+            for i, j, k in ti.static(ti.ndrange(3, 3, 3)):
+                offset = ti.Vector([i, j, k])
+                weight = w[i][0] * w[j][1] * w[k][2]
+                self.momentum[base + offset] += weight * (corner + affine @ offset)
+                self.mass[base + offset] += weight * mass
+
+    @ti.kernel
+    def update_grid(self):
+        """Momentum becomes velocity; gravity; the walls are sticky."""
+        for node in ti.grouped(self.mass):
+            vel = self.momentum[node] / (self.mass[node] + 1e-10)
+            vel[1] -= DT * GRAVITY
+            for d in ti.static((0, 2, 1)):
+                if node[d] < BOUND and vel[d] < 0:
+                    vel = ti.Vector([0.0, 0.0, 0.0])
+                if node[d] > N_GRID - BOUND and vel[d] > 0:
+                    vel = ti.Vector([0.0, 0.0, 0.0])
+            self.velocity[node] = vel
+
+    @ti.kernel
+    def grid_to_particles(self, t: ti.i32):
+        for p in range(self.count):
+            base, fx = around(self.x[t, p])
+            w = splines(fx)
+            v, C = ti.Vector.zero(float, 3), ti.Matrix.zero(float, 3, 3)
+            for i, j, k in ti.static(ti.ndrange(3, 3, 3)):
+                offset = ti.Vector([i, j, k])
+                share = w[i][0] * w[j][1] * w[k][2] * self.velocity[base + offset]
+                v += share
+                C += share.outer_product(offset)
+            self.v[t + 1, p] = v
+            self.C[t + 1, p] = 4 / DX * (C - v.outer_product(fx))
+            self.x[t + 1, p] = self.x[t, p] + DT * v
+
+    @ti.kernel
+    def compute_loss(self):
+        """How far the solids are, on average."""
+        for p in range(self.count):
+            if self.solid[p] == 1:
+                self.loss[None] -= self.x[self.steps - 1, p][0] / self.solids
+
+    @ti.kernel
+    def descend(self, rate: ti.f32):
+        for i, j in self.weights:
+            self.weights[i, j] -= rate * self.weights.grad[i, j]
+        for i in self.bias:
+            self.bias[i] -= rate * self.bias.grad[i]
+
+    @ti.ad.grad_replaced
+    def advance(self, t):
+        self.clear_grid()
+        self.actuate(t)
+        self.particles_to_grid(t)
+        self.update_grid()
+        self.grid_to_particles(t)
+
+    @ti.ad.grad_for(advance)
+    def advance_gradient(self, t):
+        """Fills the grid again as it was in step t, then goes back through the step."""
+        self.clear_grid()
+        self.clear_grid_gradient()
+        self.particles_to_grid(t)
+        self.update_grid()
+
+        self.grid_to_particles.grad(t)
+        self.update_grid.grad()
+        self.particles_to_grid.grad(t)
+        self.actuate.grad(t)
+
+    def forward(self):
+        for t in range(self.steps - 1):
+            self.advance(t)
+        self.compute_loss()
+
+
+def options(doc, name, iterations, rate):
+    parser = studio.options(
+        doc, name, iterations=iterations, steps=512, rate=rate, quick={"iterations": 2, "steps": 32}
+    )
+    text = "particles in a cell, along each axis (3); memory and time follow its cube"
+    parser.add_argument("--density", type=studio.at_least(0.8, float), default=3, help=text)
+    text = "weights at the start: random, or sines that need no generator (random)"
+    parser.add_argument("--start", choices=["random", "sines"], default="random", help=text)
+    return parser
+
+
+def learn(args, simulation):
+    """Gradient descent on the waves."""
+    i, j = np.arange(simulation.muscles)[:, None], np.arange(N_WAVES)
+    np.random.seed(args.seed)
+    start = np.random.randn(simulation.muscles, N_WAVES)
+    if args.start == "sines":
+        start = np.sin(12.9898 * i + 78.233 * j)
+    simulation.weights.from_numpy(0.01 * start)
+    weights, bias = simulation.weights, simulation.bias
+
+    def iteration(_):
+        with ti.ad.Tape(simulation.loss):
+            simulation.forward()
+        norms = [np.linalg.norm(learned.grad.to_numpy()) for learned in (weights, bias)]
+        simulation.descend(args.rate)
+        return {"loss": simulation.loss[None], "|dw|": norms[0], "|db|": norms[1]}
+
+    losses = studio.optimise(args, iteration, weights=weights, bias=bias)
+    studio.plot_losses(args, losses)
+
+
+def animate(args, simulation):
+    """What was learned, as a movie; muscles are red when they pull and blue when they push."""
+    if not args.picture:
+        return
+    simulation.forward()
+    positions, pulls = simulation.x.to_numpy(), simulation.actuation.to_numpy()
+    muscle, solid = simulation.muscle.to_numpy(), simulation.solid.to_numpy()
+    splatter = Splatter()
+    colours = np.empty((simulation.count, 4), np.float32)
+    frames = []
+    for t in range(0, args.steps, 8):
+        pull = np.where(muscle >= 0, pulls[min(t, args.steps - 2), muscle], 0.0)
+        rgb = ti.hex_to_rgb(np.where(solid == 1, studio.signed(1.5 * pull), studio.BLUE))
+        colours[:] = np.stack([*rgb, np.where(solid == 1, 0.1, 0.5)], axis=-1)
+        frames.append(splatter.picture(positions[t], colours))
+    studio.movie(args, frames, framerate=20)
+
+
+def main():
+    args = options(__doc__, "diffmpm3d", iterations=100, rate=30.0).parse_args()
+    studio.start(args)
+    scene = Scene(args.density)
+    scene.robot(block=0.1)
+    simulation = Simulation(scene, args.steps)
+    print(f"robot    {simulation.count} particles, {simulation.muscles} muscles")
+    learn(args, simulation)
+    animate(args, simulation)
+
+
+if __name__ == "__main__":
+    main()
