@@ -93,12 +93,15 @@ static std::string getText(const Failure &failure, ModuleOp module,
 }
 
 /// Returns the path of a file with the text, which is written once by a
-/// process: a launch that fails is often tried again.
+/// process: a launch that fails is often tried again. Pipelines nested on
+/// several kinds of functions come in any order, so the module alone tells
+/// files apart.
 static std::string writeOnce(StringRef text) {
   static std::mutex mutex;
   static llvm::StringMap<std::string> written;
   std::lock_guard<std::mutex> lock(mutex);
-  std::string &path = written[std::to_string(llvm::xxh3_64bits(text))];
+  std::string &path =
+      written[std::to_string(llvm::xxh3_64bits(text.rsplit("\n{-#").first))];
   if (!path.empty() && llvm::sys::fs::exists(path))
     return path;
   SmallString<128> made;

@@ -39,10 +39,12 @@ def train(count, seconds):
     """
     begin, ti.init = ti.init, lambda **options: begin(**{**options, "deterministic": True})
     before, sys.argv = sys.argv, [str(EXAMPLE), "--steps", str(STEPS)]
+    sys.path.insert(0, str(EXAMPLE.parent))
     try:
         robot = runpy.run_path(str(EXAMPLE))
     finally:
         sys.argv, ti.init = before, begin
+        sys.path.remove(str(EXAMPLE.parent))
     robot["set_up"]()
     losses, start = [], 0
     end = time.monotonic() + seconds

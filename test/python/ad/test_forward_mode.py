@@ -55,7 +55,7 @@ def compare_modes(loss, inputs, run, tolerance=1e-12, seed=0):
 
 def op(name):
     """A function that becomes one op of the IR in a kernel."""
-    return lambda *args: state.emitter._elementwise(
+    return lambda *args: state.emitter.elementwise(
         name, [state.emitter.as_value(a) for a in args], state.emitter.as_value(args[0]).dt
     )
 
@@ -65,7 +65,7 @@ def truth(name):
 
     def function(x, y):
         emitter = state.emitter
-        test = emitter._elementwise(name, [emitter.as_value(x)], ti.u1)
+        test = emitter.elementwise(name, [emitter.as_value(x)], ti.u1)
         return ti.select(test, x * y, x + y)
 
     return function

@@ -179,10 +179,16 @@ def _optimise(module) -> dict[str, np.ndarray]:
     return {"losses": np.array(module.optimise())} | _gradients(module)
 
 
+def _descend(module) -> dict[str, np.ndarray]:
+    """The same where the main program calls the loop itself, with what is learned in `start`."""
+    losses = module.studio.optimise(module.args, module.iteration, start=module.start)
+    return {"losses": np.array(losses)} | _gradients(module)
+
+
 def _wave(module) -> dict[str, np.ndarray]:
-    sign = module.yin_yang(module.N)
+    sign = module.signs.yin_yang(module.N)
     module.target.from_numpy(sign - sign.mean())
-    return _optimise(module)
+    return _descend(module)
 
 
 def _diffmpm(module) -> dict[str, np.ndarray]:
@@ -195,9 +201,9 @@ def _diffmpm(module) -> dict[str, np.ndarray]:
 def _smoke(module) -> dict[str, np.ndarray]:
     generator = np.random.default_rng(0)
     module.target.from_numpy(generator.random((module.N, module.N)))
-    module.wind.from_numpy(0.1 * generator.standard_normal(module.wind.to_numpy().shape))
-    module.smoke.from_numpy(generator.random(module.smoke.to_numpy().shape))
-    return _optimise(module)
+    module.start.from_numpy(0.1 * generator.standard_normal((module.N, module.N, 2)))
+    module.smoke_at_start.from_numpy(generator.random((module.N, module.N)))
+    return _descend(module)
 
 
 def _mass_spring_simple(module) -> dict[str, np.ndarray]:
