@@ -112,11 +112,12 @@ def files() -> list[str]:
 
 INTRODUCTION = """
     Kinks, long loops, ill-conditioned sums, contacts, degenerate matrices, denormals: what is
-    expected of values and gradients there, and what was measured. Each case is tested in f32 and
-    f64 and in reverse and forward mode, unless it is about one of them. `make stress` runs all at
-    the sizes of the table and prints it (`ARGS=--short`: the small sizes of the normal test run;
-    `ARGS="--arch emulated"`: as on a GPU; `ARGS="--only S22"`: some of them), and
-    `make stress ARGS=--write` writes this page. The tests state bounds with their reasons."""
+    expected of values and gradients there, and what was measured. Kinks and matrices are tested in
+    f32 and f64 and in reverse and forward mode; solves, checkpoints, storage and sums as their rows
+    say, in reverse mode. `make stress` runs all at the sizes of the table and prints it
+    (`ARGS=--short`: the small sizes of the normal test run; `ARGS="--arch emulated"`: as on a GPU;
+    `ARGS="--only S22"`: some of them), and `make stress ARGS=--write` writes this page. The tests
+    state bounds with their reasons."""
 
 
 def wrap(text: str) -> str:

@@ -65,7 +65,7 @@ CASES = {
     21: Case("sum of singular values at I", "I", (f"{MATRICES}test_at_the_identity",)),
     22: Case(
         "y *= c, 30 to 1e6 trips, from a field",
-        "f64 1e-10; memory bounded",
+        "f64 1e-10; run again in parts: equal bits",
         ("test_stress_loops::test_powers", "test_stress_loops::test_trips"),
     ),
     23: Case(
