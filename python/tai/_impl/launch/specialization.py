@@ -192,7 +192,7 @@ class Specializations:
                  None if pool is None else pool.field)  # fmt: skip
         result = None if signature.result is None else ResultSpec(signature.result)
         compiler = Compiler(program, self._function, symbol, parameters, result, cells)
-        compiler.emitter.stopped = {id(place) for place in constants}
+        compiler.context.emitter.stopped = {id(place) for place in constants}
         try:
             core = compiler.compile()
         except BaseException:
@@ -202,7 +202,7 @@ class Specializations:
         weakref.finalize(found, program.symbols.give_back, symbol).atexit = False
         found.followed, found.result_pool = [number for number, _ in followed], pool
         found.has_gradients = compiler.has_gradients
-        emitter = compiler.emitter
+        emitter = compiler.context.emitter
         found.fields.update(emitter.fields)
         found.stored.update(emitter.stored)
         found.accumulated.update(emitter.accumulated)

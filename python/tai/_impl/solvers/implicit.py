@@ -8,7 +8,7 @@ from typing import Any
 
 from ..ad.mode import forward_mode
 from . import recorded
-from .krylov import Progress, System, bi_conjugate_gradients, conjugate_gradients
+from .krylov import Progress, System, bi_conjugate_gradients, conjugate_gradients, norm_of
 from .operators import Operator, check_unknown, scratch
 from .report import Caller, SolveInfo
 from .vectors import get_kernels
@@ -61,12 +61,12 @@ def implicit(
         change = math.inf
         for done in range(1, caller.limit + 1):
             operator.apply(field, new)
-            square = k.subtract(rest, new, field, 1.0)
+            k.subtract(rest, new, field, 1.0)
             k.copy(field, new)
-            if not math.isfinite(square):
+            change, norm = norm_of(rest), norm_of(new)
+            if not math.isfinite(change) or not math.isfinite(norm):
                 return Progress(done, math.inf, "diverges")
-            norm = k.dot(new, new)
-            change = math.sqrt(square / norm) if square else 0.0
+            change = change / norm if norm else change
             if change <= caller.tolerance:
                 return Progress(done, change, "")
         return Progress(caller.limit, change, "iterations")
@@ -115,8 +115,8 @@ def newton(
             fields.
         x: the start, and the solution afterwards. Under a tape it needs a gradient; that by the
             start is zero.
-        tol: how small the norm of F must be by that at the start; 1e-10 for f64, 1e-5 for f32.
-            The adjoint system is solved to it too.
+        tol: how small the norm of F must be by that at the start, or the next step by that of
+            x; 1e-10 for f64, 1e-5 for f32. The adjoint system is solved to it too.
         max_iterations: the most steps.
         symmetric: J is symmetric and positive definite, as that of the gradient of an energy
             near its minimum: conjugate gradients instead of BiCGSTAB.
@@ -148,24 +148,31 @@ def newton(
             k.copy(result, operator.image.dual)
 
         operator.apply(point, value)
-        norm = math.sqrt(k.dot(value, value))
+        norm = norm_of(value)
         if not math.isfinite(norm):
             return Progress(0, norm, "not finite")
         first, done, reason = norm, 0, ""
-        while norm > caller.tolerance * first and norm > 0:
+        measure = 1.0 if norm else 0.0
+        while measure > caller.tolerance:
             if done == caller.limit:
                 reason = "iterations"
                 break
             done += 1
             step.fill(0)
-            System(push, value, step, linear.tolerance, linear.limit).solve(method)
+            inner = System(push, value, step, linear.tolerance, linear.limit).solve(method)
+            if not inner.reason:
+                change, size = norm_of(step), norm_of(point)
+                if change <= caller.tolerance * size:
+                    # As near as F can tell: so is a start that is a solution already.
+                    measure = change / size
+                    break
             length = 1.0
             for _ in range(_HALVINGS):
                 k.copy(field, point)
                 k.add(field, step, -length)
                 operator.apply(field, value)
-                new = math.sqrt(k.dot(value, value))
-                if new <= (1 - 1e-4 * length) * norm:
+                new = norm_of(value)
+                if new <= (1 - 0.25 * length) * norm:
                     break
                 length /= 2
             else:
@@ -174,7 +181,8 @@ def newton(
                 break
             k.copy(point, field)
             norm = new
-        return Progress(done, norm / first if first else 0.0, reason)
+            measure = norm / first
+        return Progress(done, measure, reason)
 
     def solve_adjoint(g: Any, adjoint: Any) -> Progress:
         pull = functools.partial(recorded.pull, operator)

@@ -22,6 +22,21 @@ class Progress(NamedTuple):
     reason: str
 
 
+def norm_of(field: Any) -> float:
+    """The norm of a field, also where squares of its elements overflow or vanish."""
+    k = get_kernels()
+    square = k.dot(field, field)
+    if 1e-280 < square < 1e280:
+        return math.sqrt(square)
+    largest = k.largest(field)
+    if largest == 0 or not math.isfinite(largest):
+        return math.sqrt(square)  # zero, infinite, or NaN
+    inverse = math.ldexp(1.0, min(-math.frexp(largest)[1], 1022))
+    scaled = scratch(field, "scaled")
+    k.scale(scaled, field, inverse)
+    return math.sqrt(k.dot(scaled, scaled)) / inverse
+
+
 class System:
     """A x = b.
 

@@ -35,7 +35,8 @@ def check_unknown(field: Any, what: str, solver: str) -> None:
             f"{solver}: field '{field.name}' is of type {field.dtype}",
             "solvers work on fields of f32 and f64",
         )
-    field.materialize()
+    placed: Any = field
+    placed.materialize()
     if sparse_level(parts_of(field)[0][0]) is not None:
         raise TaiRuntimeTypeError(
             f"{solver}: field '{field.name}' is sparse",
@@ -79,7 +80,7 @@ def scratch(like: Any, role: str) -> Any:
     key = (state.thread, role, like.dtype.name, like.shape, like.element_shape, _offset(like))
     if key not in fields:
         offset = _offset(like)
-        made = make_field(
+        made: Any = make_field(
             like.element_shape, like.dtype, like.shape, None, f"solver_{role}",
             offset if any(offset) else None, role == "image", role in ("image", "unknown"),
         )  # fmt: skip
@@ -99,7 +100,8 @@ class Operator:
 
     def __init__(self, solver: str, kernel: Any, x: Any, args: tuple):
         if isinstance(kernel, BoundKernel):
-            self._kernel, self._first = kernel._kernel, (kernel._instance,)
+            self._kernel: Any = kernel._kernel
+            self._first: tuple = (kernel._instance,)
         elif isinstance(kernel, Kernel):
             self._kernel, self._first = kernel, ()
         else:
