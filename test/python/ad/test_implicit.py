@@ -1,11 +1,15 @@
 """Solvers over fields, and gradients through what they solve."""
 
-import warnings
+import re
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 import tai as ti
 
+EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "implicit_elastic.py"
 pytestmark = pytest.mark.filterwarnings("error")
 
 
@@ -649,3 +653,28 @@ def test_where_no_derivative_passes():
     assert found.value.filename == __file__
     # And the program goes on.
     assert chain.solve("cg")
+
+
+def test_the_example():
+    command = [sys.executable, str(EXAMPLE), "--n", "8", "--steps", "6", "--iterations", "60"]
+    output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    first, last = map(float, re.search(r"loss +(\S+) -> (\S+)", output).groups())
+    assert last < 1e-2 * first
+    rows = re.findall(r"(\w+) +\S+ ms +(\S+) KiB on the tape +differs by (\S+)", output)
+    kept = {name: float(memory) for name, memory, _ in rows}
+    assert kept["newton"] == kept["implicit"] < kept["unrolled"] / 100
+    assert all(float(error) < 1e-3 for _, _, error in rows)
+
+
+def test_on_a_device(monkeypatch):
+    monkeypatch.setenv("TI_ARCH", "cuda")
+    monkeypatch.setenv("TAI_CUDA_EMULATION", "1")
+    ti.init(arch=ti.cuda)
+    for name in ("cg", "newton"):
+        chain = Chain(33, ti.f64)
+        with ti.ad.Tape(chain.loss):
+            assert chain.solve(name)
+            chain.sum_up()
+        _, by_b, by_c = chain.exact()
+        assert error_of(chain.b.grad, by_b) < 1e-8
+        assert error_of(chain.c.grad, by_c) < 1e-8
