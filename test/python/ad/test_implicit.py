@@ -678,3 +678,28 @@ def test_on_a_device(monkeypatch):
         _, by_b, by_c = chain.exact()
         assert error_of(chain.b.grad, by_b) < 1e-8
         assert error_of(chain.c.grad, by_c) < 1e-8
+
+
+def test_programs_one_after_the_other():
+    """Kernels outlive a program; fields of the solvers do not."""
+
+    @ti.kernel
+    def double(p: ti.template(), q: ti.template()):
+        for i in p:
+            q[i] = 2 * p[i]
+
+    @ti.kernel
+    def sum_up(x: ti.template(), loss: ti.template()):
+        for i in x:
+            loss[None] += x[i]
+
+    for _ in range(2):
+        b, x = (ti.field(ti.f64, shape=5, needs_grad=True) for _ in range(2))
+        loss = ti.field(ti.f64, shape=(), needs_grad=True)
+        b.fill(3.0)
+        with ti.ad.Tape(loss):
+            ti.linalg.cg(double, b, x)
+            sum_up(x, loss)
+        assert loss[None] == pytest.approx(7.5) and b.grad[2] == pytest.approx(0.5)
+        ti.reset()
+        ti.init(arch=ti.cpu)

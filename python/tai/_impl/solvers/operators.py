@@ -9,17 +9,16 @@ from ...errors import TaiAutodiffError, TaiRuntimeTypeError, shorten
 from ..ad.seeds import parts_of
 from ..ad.sparse import sparse_level
 from ..base import state
-from ..base.program import get_program
+from ..base.program import at_close, get_program
 from ..fields.field import Field
 from ..fields.make import make_field
 from ..launch.bound_kernel import BoundKernel
 from ..launch.kernels import Kernel
 from ..tracking import tracked
 
-# What solvers work on, by program: a field for each role, type and shape of each thread.
-_scratch: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()
-# Of a kernel: the same one with constant parameters.
-_linearized: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()
+# What solvers work on, by thread, role, type and shape, while the program lasts.
+_scratch: dict[tuple, Any] = {}
+at_close.append(_scratch.clear)
 
 
 def check_unknown(field: Any, what: str, solver: str) -> None:
@@ -76,17 +75,17 @@ def scratch(like: Any, role: str) -> Any:
 
     Those whose role is `image` have a gradient, and a dual, too.
     """
-    fields = _scratch.setdefault(get_program(), {})
+    get_program()
     key = (state.thread, role, like.dtype.name, like.shape, like.element_shape, _offset(like))
-    if key not in fields:
+    if key not in _scratch:
         offset = _offset(like)
         made: Any = make_field(
             like.element_shape, like.dtype, like.shape, None, f"solver_{role}",
             offset if any(offset) else None, role == "image", role in ("image", "unknown"),
         )  # fmt: skip
         made.materialize()
-        fields[key] = made
-    return fields[key]
+        _scratch[key] = made
+    return _scratch[key]
 
 
 class Operator:
@@ -200,7 +199,7 @@ class Operator:
     def _linear(self) -> Kernel:
         """The kernel with all that it reads and does not write as a constant, but its first
         field: so its gradient is that by this field alone."""
-        made = _linearized.get(self._kernel)
+        made = getattr(self._kernel, "_linearized", None)
         if made is None:
             base = weakref.ref(self._kernel)
             skipped = len(self._first)
@@ -214,7 +213,7 @@ class Operator:
                 return {place for place in set(found.fields) - changed if place.dtype.is_float}
 
             made._specializations.find_constants = find_constants
-            _linearized[self._kernel] = made
+            self._kernel._linearized = made
         return made
 
 

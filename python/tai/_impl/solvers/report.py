@@ -94,7 +94,7 @@ class Caller:
         self.tolerance, self.limit = float(tolerance), limit
 
     def warn(self, operator: Operator, progress: Progress, what: str, is_recorded: bool) -> None:
-        """Says that a solve did not converge, once for each line and reason."""
+        """Says that a solve did not converge."""
         if not progress.reason:
             return
         text = (
