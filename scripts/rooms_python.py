@@ -39,8 +39,10 @@ ALLOWED: dict[str, set[str]] = {
                      "_impl.fields", "_impl.tracking", "_impl.frontend"},
     "_impl.ad": {"_impl.base", "_impl.values", "_impl.history", "_impl.fields", "_impl.tracking",
                  "_impl.launch"},
+    "_impl.solvers": {"_impl.base", "_impl.values", "_impl.fields", "_impl.tracking",
+                      "_impl.launch", "_impl.ad"},
     "public": {"_impl", "_impl.base", "_impl.values", "_impl.interop", "_impl.fields",
-               "_impl.tracking", "_impl.launch", "_impl.ad"},
+               "_impl.tracking", "_impl.launch", "_impl.ad", "_impl.solvers"},
     "_impl": set(),
 }  # fmt: skip
 

@@ -17,11 +17,13 @@ from ._impl.ad.tape import (
     no_grad,
 )
 from ._impl.ad.validation import Violation
+from ._impl.solvers.implicit import implicit
 from ._impl.tracking.tracked import variable
-from .errors import TaiGradientWarning
+from .errors import TaiConvergenceWarning, TaiGradientWarning
 
 __all__ = [
-    "CheckResult", "FwdMode", "GradientCheckError", "HealthReport", "TaiGradientWarning", "Tape",
-    "TapeStats", "Violation", "check", "clear_all_gradients", "complex_kernel",
-    "complex_kernel_grad", "grad_for", "grad_replaced", "hvp", "jvp", "no_grad", "variable",
+    "CheckResult", "FwdMode", "GradientCheckError", "HealthReport", "TaiConvergenceWarning",
+    "TaiGradientWarning", "Tape", "TapeStats", "Violation", "check", "clear_all_gradients",
+    "complex_kernel", "complex_kernel_grad", "grad_for", "grad_replaced", "hvp", "implicit",
+    "jvp", "no_grad", "variable",
 ]  # fmt: skip

@@ -109,6 +109,10 @@ class TaiGradientWarning(UserWarning):
     """A gradient that is right, but perhaps not what was wanted."""
 
 
+class TaiConvergenceWarning(UserWarning):
+    """A solver that stopped before it had reached its tolerance."""
+
+
 class TaiCompilationWarning(UserWarning):
     """Something that compiles, and is hardly meant."""
 

@@ -351,7 +351,7 @@ def no_grad(function: Callable[..., Any]) -> Callable[..., Any]:
         tape = state.tape
         if tape is None:
             return function(*args, **kwargs)
-        result = _unrecorded(tape, function, args, kwargs)
+        result = run_unrecorded(tape, function, *args, **kwargs)
         tape.record(functools.partial(function, *args, **kwargs), None)
         return result
 
@@ -374,7 +374,7 @@ def grad_replaced(function: Callable[..., Any]) -> Callable[..., Any]:
                 f"function '{function.__name__}' is marked by grad_replaced but has no gradient",
                 f"define one: @ti.ad.grad_for({function.__name__})",
             )
-        result = _unrecorded(tape, function, args, kwargs)
+        result = run_unrecorded(tape, function, *args, **kwargs)
         gradient = decorated.grad
         forward = functools.partial(function, *args, **kwargs)
         tape.record(forward, lambda: gradient(*args, **kwargs))
@@ -385,7 +385,8 @@ def grad_replaced(function: Callable[..., Any]) -> Callable[..., Any]:
     return decorated
 
 
-def _unrecorded(tape: Any, function: Callable[..., Any], args: tuple, kwargs: dict) -> Any:
+def run_unrecorded(tape: Any, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+    """Calls a function; the launches that it makes are parts of the next record of the tape."""
     tape.suspend()
     state.tape = None
     native.set_tape(None)

@@ -225,12 +225,14 @@ class FieldElement(Place):
         return stop_gradient(value) if stopped else value
 
     def store(self, value: Value) -> None:
+        self.emitter.stored.add(self.field)
         self.emitter.builder.store(self._symbol, value.handle, self.indices, self.components)
 
     def atomic(self, op: str, value: Value) -> Value:
         kind = ATOMIC_KINDS[op]
         if self.dt.kind == "u" and op in ("min", "max"):
             return super().atomic(op, value)
+        self.emitter.accumulated.add(self.field)
         handle = self.emitter.builder.atomic(
             kind, self._symbol, value.handle, self.indices, self.components,
             self.emitter.type_of(self.dt, self.shape),

@@ -24,6 +24,7 @@ class Specialization:
     Attributes:
         has_gradients: whether something that it uses has a gradient.
         reads: what the code depends on besides the arguments; see `templates.Reads`.
+        fields, stored, accumulated: the places that it uses, stores to, and changes by atomics.
     """
 
     def __init__(
@@ -33,6 +34,9 @@ class Specialization:
         # Takes it away from its kernel; set once the kernel has it.
         self.drop: Callable[[], None] = lambda: None
         self.has_gradients = True
+        self.fields: weakref.WeakSet = weakref.WeakSet()
+        self.stored: weakref.WeakSet = weakref.WeakSet()
+        self.accumulated: weakref.WeakSet = weakref.WeakSet()
         # Whether the launcher in C++ knows it, for `grad` false and true.
         self.registered: set[bool] = set()
         self.result = () if result is None else result.description()
@@ -69,10 +73,13 @@ class Specializations:
 
     Attributes:
         last: the one that was asked for last, or None.
+        find_constants: gives, for the arguments of a call, the places whose loads are constants
+            to gradients. For the same arguments it gives the same.
     """
 
     def __init__(self, kernel: Any, function: Callable[..., Any]):
         self._kernel, self._function = weakref.ref(kernel), function
+        self.find_constants: Callable[[list[Any]], set[Any]] = lambda values: set()
         self._variants: dict[tuple, list[Specialization]] = {}
         self.last: Specialization | None = None
 
@@ -117,8 +124,9 @@ class Specializations:
         if found is None:
             inputs = [tangents.cell_of(values[n]).pool for n in followed]
             found = self._compile(
-                program, signature, specs, list(zip(followed, inputs, strict=True)), pool
-            )
+                program, signature, specs, list(zip(followed, inputs, strict=True)), pool,
+                self.find_constants(values),
+            )  # fmt: skip
             variants.append(found)
             self._note_users(program, found, tuple(key))
             if found.reads:
@@ -165,7 +173,7 @@ class Specializations:
 
     def _compile(
         self, program: Any, signature: Signature, specs: list[ArgumentSpec],
-        followed: list[tuple[int, Any]], pool: Any,
+        followed: list[tuple[int, Any]], pool: Any, constants: set[Any],
     ) -> Specialization:  # fmt: skip
         for parameter, spec in zip(signature.parameters, specs, strict=True):
             if spec.dt is not None and spec.dt.name == "f16" and spec.kind != "array":
@@ -184,6 +192,7 @@ class Specializations:
                  None if pool is None else pool.field)  # fmt: skip
         result = None if signature.result is None else ResultSpec(signature.result)
         compiler = Compiler(program, self._function, symbol, parameters, result, cells)
+        compiler.context.emitter.stopped = {id(place) for place in constants}
         try:
             core = compiler.compile()
         except BaseException:
@@ -193,4 +202,8 @@ class Specializations:
         weakref.finalize(found, program.symbols.give_back, symbol).atexit = False
         found.followed, found.result_pool = [number for number, _ in followed], pool
         found.has_gradients = compiler.has_gradients
+        emitter = compiler.context.emitter
+        found.fields.update(emitter.fields)
+        found.stored.update(emitter.stored)
+        found.accumulated.update(emitter.accumulated)
         return found

@@ -73,6 +73,9 @@ class Emitter:
         self.num_random = 0
         # The fields that the kernel reads or writes.
         self.fields: set[Any] = set()
+        # Those that it stores to, and those that it changes by atomics.
+        self.stored: set[Any] = set()
+        self.accumulated: set[Any] = set()
         # The places whose loads are constants to gradients, by identity.
         self.stopped: set[int] = set()
         # The arms of selects that are being emitted: conditions, and which way they must go.

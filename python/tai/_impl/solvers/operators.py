@@ -1,0 +1,221 @@
+"""A kernel of the program as a function from a field to a field, and its derivative."""
+
+from __future__ import annotations
+
+import weakref
+from typing import Any
+
+from ...errors import TaiAutodiffError, TaiRuntimeTypeError, shorten
+from ..ad.seeds import parts_of
+from ..ad.sparse import sparse_level
+from ..base import state
+from ..base.program import at_close, get_program
+from ..fields.field import Field
+from ..fields.make import make_field
+from ..launch.bound_kernel import BoundKernel
+from ..launch.kernels import Kernel
+from ..tracking import tracked
+
+# What solvers work on, by thread, role, type and shape, while the program lasts.
+_scratch: dict[tuple, Any] = {}
+at_close.append(_scratch.clear)
+
+
+def check_unknown(field: Any, what: str, solver: str) -> None:
+    """Refuses what a solver cannot solve for.
+
+    Raises:
+        TaiRuntimeTypeError: no field, not of f32 or f64, sparse, or one vector alone.
+    """
+    if not isinstance(field, Field):
+        raise TaiRuntimeTypeError(f"{solver} takes a field for {what}, but got {field!r}")
+    if field.dtype.name not in ("f32", "f64"):
+        raise TaiRuntimeTypeError(
+            f"{solver}: field '{field.name}' is of type {field.dtype}",
+            "solvers work on fields of f32 and f64",
+        )
+    placed: Any = field
+    placed.materialize()
+    if sparse_level(parts_of(field)[0][0]) is not None:
+        raise TaiRuntimeTypeError(
+            f"{solver}: field '{field.name}' is sparse",
+            "solvers work on dense fields",
+        )
+    if field.shape == () and field.element_shape:
+        raise TaiRuntimeTypeError(
+            f"{solver}: field '{field.name}' has no dimensions", "make it with shape=1"
+        )
+
+
+def check_alike(field: Any, other: Any, solver: str) -> None:
+    """Refuses two fields that do not have the same elements, or are one."""
+    if field is other:
+        raise TaiRuntimeTypeError(f"{solver}: field '{field.name}' is given twice")
+    for what in ("shape", "element_shape", "dtype"):
+        own, wanted = getattr(field, what), getattr(other, what)
+        if own != wanted:
+            kind = "type" if what == "dtype" else what.replace("_", " ")
+            raise TaiRuntimeTypeError(
+                f"{solver}: field '{field.name}' has {kind} {own}, but field '{other.name}' has "
+                f"{wanted}"
+            )
+    if _offset(field) != _offset(other):
+        raise TaiRuntimeTypeError(
+            f"{solver}: indices of field '{field.name}' start at {_offset(field)}, those of "
+            f"field '{other.name}' at {_offset(other)}"
+        )
+
+
+def _offset(field: Any) -> tuple[int, ...]:
+    return tuple(getattr(field, "offset", ()) or (0,) * len(field.shape))
+
+
+def scratch(like: Any, role: str) -> Any:
+    """A field with the elements of another one, for the solvers of this thread alone.
+
+    Those whose role is `image` have a gradient, and a dual, too.
+    """
+    get_program()
+    key = (state.thread, role, like.dtype.name, like.shape, like.element_shape, _offset(like))
+    if key not in _scratch:
+        offset = _offset(like)
+        made: Any = make_field(
+            like.element_shape, like.dtype, like.shape, None, f"solver_{role}",
+            offset if any(offset) else None, role == "image", role in ("image", "unknown"),
+        )  # fmt: skip
+        made.materialize()
+        _scratch[key] = made
+    return _scratch[key]
+
+
+class Operator:
+    """A kernel that computes one field from another one, `kernel(x, y, *args)`.
+
+    Attributes:
+        name, place: of the kernel, and where it is defined.
+        x: the unknown.
+        image: where the kernel writes in reverse and forward: a field of the solvers.
+    """
+
+    def __init__(self, solver: str, kernel: Any, x: Any, args: tuple):
+        if isinstance(kernel, BoundKernel):
+            self._kernel: Any = kernel._kernel
+            self._first: tuple = (kernel._instance,)
+        elif isinstance(kernel, Kernel):
+            self._kernel, self._first = kernel, ()
+        else:
+            raise TaiRuntimeTypeError(
+                f"{solver} takes a kernel, but got {kernel!r}",
+                "@ti.kernel def f(x: ti.template(), y: ti.template()): computes field y from x",
+            )
+        if not isinstance(args, tuple):
+            raise TaiRuntimeTypeError(f"{solver}: args must be a tuple, but got {args!r}")
+        self.name = self._kernel.__name__
+        code = self._kernel._function.__code__
+        self.place = f"{shorten(code.co_filename)}:{code.co_firstlineno}"
+        self.solver, self.x, self.args = solver, x, args
+        # Numbers that a tape follows are constants in all launches but the one that it records.
+        self._plain = tuple(float(a) if tracked.gradient_of(a) is not None and isinstance(a, float)
+                            else a for a in args)  # fmt: skip
+        self.image = scratch(x, "image")
+        self._accumulates = False
+        self._check()
+
+    def _places(self, source: Any, target: Any, args: tuple) -> Any:
+        values = self._kernel._get_signature().bind((*self._first, source, target, *args), {})
+        return self._kernel._specialize(values)
+
+    def _check(self) -> None:
+        """Refuses kernels that are no functions from their first field to their second."""
+        found = self._places(self.x, self.image, self._plain)
+        source, target = _parts(self.x), _parts(self.image)
+        written = set(found.stored) | set(found.accumulated)
+        called = f"{self.solver}: kernel '{self.name}' ({self.place})"
+        if source & written:
+            raise TaiRuntimeTypeError(
+                f"{called} writes to its first field, '{self.x.name}'",
+                f"it must compute its second field from the first: {self.name}(x, y)",
+            )
+        if not target & written:
+            raise TaiRuntimeTypeError(
+                f"{called} does not write to its second field",
+                f"it must compute its second field from the first: {self.name}(x, y)",
+            )
+        if not source & set(found.fields):
+            raise TaiRuntimeTypeError(
+                f"{called} does not read its first field",
+                f"it must compute its second field from the first: {self.name}(x, y)",
+            )
+        self._accumulates = not target & set(found.stored)
+
+    def check_differentiable(self) -> None:
+        """Refuses what the adjoint of a solution cannot pass through.
+
+        Raises:
+            TaiAutodiffError: the unknown, or an array, has the wrong kind of gradient.
+        """
+        grad = self.x.grad
+        if grad is None or grad.snode is None:
+            raise TaiAutodiffError(
+                f"{self.solver}: field '{self.x.name}' has no gradient, so none passes through "
+                "the solution",
+                "make it with needs_grad=True, or call the solver in a function under "
+                "ti.ad.no_grad",
+            )
+        for value in self.args:
+            if getattr(value, "grad", None) is not None and hasattr(value, "__array__"):
+                raise TaiAutodiffError(
+                    f"{self.solver}: an array with a gradient is given to kernel '{self.name}'",
+                    "keep it in a field",
+                )
+
+    def apply(self, source: Any, target: Any) -> None:
+        """target = f(source)."""
+        self._run(self._kernel, source, target, self._plain)
+
+    def record(self) -> None:
+        """Launches the kernel at the solution, for a tape: both forms.
+
+        In reverse, the first brings back what the adjoint solve reads; the other adds to the
+        gradients of all parameters.
+        """
+        self._run(self._linear(), self.x, self.image, self._plain)
+        self._run(self._kernel, self.x, self.image, self.args)
+
+    def pull(self) -> None:
+        """x.grad += Jᵀ image.grad, at what x holds; the gradient of the image is zero then."""
+        self._linear().grad(*self._first, self.x, self.image, *self._plain)
+        self.image.grad.fill(0)
+
+    def push(self, source: Any) -> None:
+        """image.dual = J source.dual, at what `source` holds; in forward mode."""
+        self._run(self._linear(), source, self.image, self._plain)
+
+    def _run(self, kernel: Any, source: Any, target: Any, args: tuple) -> None:
+        if self._accumulates:
+            target.fill(0)
+        kernel(*self._first, source, target, *args)
+
+    def _linear(self) -> Kernel:
+        """The kernel with all that it reads and does not write as a constant, but its first
+        field: so its gradient is that by this field alone."""
+        made = getattr(self._kernel, "_linearized", None)
+        if made is None:
+            base = weakref.ref(self._kernel)
+            skipped = len(self._first)
+            made = Kernel(self._kernel._function, self._kernel._is_method)
+
+            def find_constants(values: list[Any]) -> set[Any]:
+                kernel = base()
+                assert kernel is not None
+                found = kernel._specialize(values)
+                changed = set(found.stored) | set(found.accumulated) | _parts(values[skipped])
+                return {place for place in set(found.fields) - changed if place.dtype.is_float}
+
+            made._specializations.find_constants = find_constants
+            self._kernel._linearized = made
+        return made
+
+
+def _parts(field: Any) -> set[Any]:
+    return {part for part, _ in parts_of(field)}

@@ -1,0 +1,97 @@
+"""Solutions under a tape: the solve is not recorded; its gradient is another solve.
+
+The record of a solution x of R(x, θ) = 0 is, in this order: the solve, into a field of the
+solvers; a copy of it to x; the kernel at x; and a function that runs in reverse only. That one
+solves Jᵀ λ = x.grad, J = ∂R/∂x, and gives -λ to the kernel's own adjoint, which the tape runs
+next: it adds -(∂R/∂θ)ᵀ λ to the gradients of all that the kernel reads. What adjoints read is
+saved by the tape as for any kernel.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from ..ad.tape import run_unrecorded
+from ..base import state
+from .krylov import Progress
+from .operators import Operator, scratch
+from .report import Caller, SolveInfo
+from .vectors import get_kernels
+
+
+def run(
+    caller: Caller,
+    operator: Operator,
+    solve: Callable[[Any], Progress],
+    solve_adjoint: Callable[[Any, Any], Progress],
+    sign: float,
+    right_side: Any = None,
+) -> SolveInfo:
+    """Solves, and records it where a tape is open.
+
+    Args:
+        caller: of the solver.
+        operator: the kernel; its unknown is solved for.
+        solve: improves the field that it is given to a solution.
+        solve_adjoint: solve_adjoint(g, λ) solves the adjoint system.
+        sign: of λ where the adjoint of the kernel gets it: -1 for a residual.
+        right_side: a field whose gradient gets λ, or None.
+    """
+    info = SolveInfo()
+    tape: Any = state.tape
+    if tape is None:
+        progress = solve(operator.x)
+        info.take(progress)
+        caller.warn(operator, progress, "field", False)
+        return info
+    operator.check_differentiable()
+    kernels = get_kernels()
+    x = operator.x
+    solution = scratch(x, "solution")
+
+    def forward() -> None:
+        kernels.copy(solution, x)
+        progress = solve(solution)
+        info.take(progress)
+        caller.warn(operator, progress, "field", True)
+
+    run_unrecorded(tape, forward)
+    tape.record(forward, None)
+    kernels.copy(x, solution)
+    operator.record()
+
+    def backward() -> None:
+        g, adjoint = scratch(x, "seed"), scratch(x, "adjoint")
+        kernels.copy(g, x.grad)
+        adjoint.fill(0)
+        progress = solve_adjoint(g, adjoint)
+        if progress.reason == "not finite":
+            # NaN goes on to where it would have gone.
+            adjoint.fill(math.nan)
+        info.adjoint = SolveInfo()
+        info.adjoint.take(progress)
+        caller.warn(operator, progress, "the gradient of field", False)
+        if right_side is not None:
+            kernels.add(right_side.grad, adjoint, 1.0)
+        x.grad.fill(0)
+        kernels.scale(operator.image.grad, adjoint, sign)
+
+    tape.record(lambda: None, backward)
+    return info
+
+
+def pull(operator: Operator, v: Any, result: Any) -> None:
+    """result = Jᵀ v; the gradient of the unknown is what it works on."""
+    kernels = get_kernels()
+    operator.x.grad.fill(0)
+    kernels.copy(operator.image.grad, v)
+    operator.pull()
+    kernels.copy(result, operator.x.grad)
+
+
+def has_gradient(field: Any) -> bool:
+    """Whether the field has a gradient in memory."""
+    grad = field.grad
+    return grad is not None and grad.snode is not None
