@@ -8,7 +8,7 @@ from pathlib import Path
 import device_lists
 
 HERE = Path(__file__).parents[1]
-LISTED = device_lists.FAILS_ON_A_DEVICE["test_adjoint_flags"]
+LISTED = device_lists.FAILS_ON_A_DEVICE["test_zero_adjoints"]
 
 
 def run(folder, name, text):
@@ -32,13 +32,13 @@ def test_a_failure_is_one_whatever_it_says(tmp_path):
 def test_what_is_listed_fails_when_it_passes(tmp_path):
     first, *others = LISTED
     text = f"def {first}():\n    pass\n" + "".join(f"def {n}():\n    assert 0\n" for n in others)
-    status, output = run(tmp_path, "test_adjoint_flags", text)
+    status, output = run(tmp_path, "test_zero_adjoints", text)
     assert status == 1
     assert f"1 failed, {len(others)} xfailed" in output
     assert f"[XPASS(strict)] {LISTED[first]}" in output
 
 
 def test_what_is_listed_is_there(tmp_path):
-    status, output = run(tmp_path, "test_adjoint_flags", "def test_it():\n    pass\n")
+    status, output = run(tmp_path, "test_zero_adjoints", "def test_it():\n    pass\n")
     assert status != 0
-    assert f"lists what is not there: test_adjoint_flags.{next(iter(LISTED))}" in output
+    assert f"lists what is not there: test_zero_adjoints.{next(iter(LISTED))}" in output
