@@ -90,7 +90,7 @@ private:
   void hoist(Operation *begin);
   void findConditions();
   bool findDependents();
-  size_t countBehind();
+  bool hasMoreBehind(size_t most);
   void findResults();
   SmallVector<Value> findFactors();
   SmallVector<Value> prune(ArrayRef<Value> values);
@@ -157,7 +157,6 @@ void Segment::findConditions() {
 /// What guards decide, as far as the end; false if something among it may hide
 /// that a value is not finite.
 bool Segment::findDependents() {
-  DenseSet<Operation *> inside(ops.begin(), ops.end());
   DenseSet<Operation *> reached(guards.begin(), guards.end());
   for (Operation *op : ops) {
     if (conditions.contains(op))
@@ -252,17 +251,19 @@ SmallVector<Value> Segment::findTested() {
                                                                  : ofResults;
 }
 
-/// How many ops follow, in all regions; the number is beyond all bounds where
-/// there is a loop among them.
-size_t Segment::countBehind() {
+/// Whether a loop follows, or more than so many ops in all regions.
+bool Segment::hasMoreBehind(size_t most) {
   size_t count = 0;
-  for (Operation &op : llvm::make_range(end->getIterator(), block.end()))
-    op.walk([&](Operation *inner) {
-      count += isa<LoopLikeOpInterface>(inner)
-                   ? size_t(std::numeric_limits<int32_t>::max())
-                   : 1;
+  for (Operation &op : llvm::make_range(end->getIterator(), block.end())) {
+    WalkResult walked = op.walk([&](Operation *inner) {
+      return isa<LoopLikeOpInterface>(inner) || ++count > most
+                 ? WalkResult::interrupt()
+                 : WalkResult::advance();
     });
-  return count;
+    if (walked.wasInterrupted())
+      return true;
+  }
+  return false;
 }
 
 void Segment::findResults() {
@@ -398,7 +399,7 @@ bool Segment::run(Operation *begin) {
   // takes twice as long to compile.
   constexpr size_t most = 2000, mostBehind = 300;
   if (results.empty() || guards.size() + conditions.size() <= results.size() ||
-      dependents.size() > most || countBehind() > mostBehind)
+      dependents.size() > most || hasMoreBehind(mostBehind))
     return false;
   emit();
   return true;
