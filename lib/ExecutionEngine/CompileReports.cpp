@@ -16,6 +16,11 @@ CompileReports::CompileReports()
     : printsProfile(
           llvm::sys::Process::GetEnv("TAI_COMPILE_PROFILE").has_value()) {}
 
+void CompileReports::write(const std::string &text) {
+  std::lock_guard<std::mutex> lock(mutex);
+  llvm::errs() << text;
+}
+
 void CompileReports::printStages(Compiler &compiler, CompileRequest request,
                                  const CompileOptions &options) {
   bool isAdjoint = request.goal != CompileRequest::Goal::Primal;
@@ -30,12 +35,11 @@ void CompileReports::printStages(Compiler &compiler, CompileRequest request,
     Failure failure;
     std::optional<std::string> text =
         compiler.print(request, stage, options, failure);
-    std::lock_guard<std::mutex> lock(mutex);
-    llvm::errs() << "// -----// " << stage << " of "
-                 << (request.forward ? "the tangent of " : "")
-                 << (isAdjoint ? "the adjoint of " : "") << request.name
-                 << " //----- //\n"
-                 << (text ? *text : failure.text) << "\n";
+    write((Twine("// -----// ") + stage + " of " +
+           (request.forward ? "the tangent of " : "") +
+           (isAdjoint ? "the adjoint of " : "") + request.name +
+           " //----- //\n" + (text ? *text : failure.text) + "\n")
+              .str());
   }
 }
 
@@ -57,13 +61,12 @@ void CompileReports::printProfile(StringRef name, CompileRequest::Goal goal,
                                   const Compiler::Function &function) {
   if (!printsProfile)
     return;
-  std::lock_guard<std::mutex> lock(mutex);
-  llvm::errs() << llvm::formatv("{0,-32} {1,-8} {2,-5}", name,
-                                getGoalName(goal),
-                                function.fromCache ? "hit" : "miss");
+  std::string line =
+      llvm::formatv("{0,-32} {1,-8} {2,-5}", name, getGoalName(goal),
+                    function.fromCache ? "hit" : "miss");
   for (unsigned i = 0; i < kNumPhases; ++i)
-    llvm::errs() << llvm::formatv(" {0} {1,7:F2} ms",
-                                  stringifyPhase(static_cast<Phase>(i)),
-                                  function.times[i] * 1e3);
-  llvm::errs() << "\n";
+    line +=
+        llvm::formatv(" {0} {1,7:F2} ms", stringifyPhase(static_cast<Phase>(i)),
+                      function.times[i] * 1e3);
+  write(line + "\n");
 }

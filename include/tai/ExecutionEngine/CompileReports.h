@@ -34,6 +34,10 @@ public:
                     const Compiler::Function &function);
 
 private:
+  /// Writes a report by one call: the standard error is not buffered, and what
+  /// other threads write to it, warnings say, would come between the parts.
+  void write(const std::string &text);
+
   SmallVector<std::string> stages;
   bool printsProfile;
   std::mutex mutex;

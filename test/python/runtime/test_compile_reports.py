@@ -1,0 +1,50 @@
+"""What `print_ir` and `TAI_COMPILE_PROFILE` write to the standard error."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = """
+import tai as ti
+
+ti.init(arch=ti.cpu, print_ir={stages!r})
+x = ti.field(ti.f64, shape=8, needs_grad=True)
+loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+
+@ti.kernel
+def square():
+    for i in x:
+        loss[None] += x[i] * x[i]
+
+
+with ti.ad.Tape(loss):
+    square()
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "pipe2"), reason="pipes that keep writes apart are Linux's")
+@pytest.mark.parametrize("stages", ["", "autodiff"])
+def test_a_report_is_written_at_once(stages, tmp_path):
+    """Other threads write there too: what is written in parts gets their lines in between."""
+    read, write = os.pipe2(os.O_DIRECT)  # each read returns one write
+    environment = {
+        **os.environ,
+        "TAI_COMPILE_PROFILE": "1",
+        "TAI_CACHE_DIR": str(tmp_path / "cache"),
+    }
+    program = tmp_path / "program.py"
+    program.write_text(PROGRAM.format(stages=stages))
+    process = subprocess.Popen([sys.executable, program], stderr=write, env=environment)
+    os.close(write)
+    writes = []
+    while text := os.read(read, 1 << 16):
+        writes.append(text.decode())
+    os.close(read)
+    assert process.wait() == 0, "".join(writes)
+    profiles = [text for text in writes if " miss " in text]
+    assert len(profiles) == 2 and all(text.endswith(" ms\n") for text in profiles), writes
+    assert all("link" in text for text in profiles), writes
+    assert len(writes) == (3 if stages else 2), writes
