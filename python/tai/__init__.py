@@ -47,6 +47,7 @@ from ._impl.base.dtypes import (
     u16,
     u32,
     u64,
+    uint1,
     uint8,
     uint16,
     uint32,
@@ -68,6 +69,7 @@ from ._impl.base.targets import (
     python,
     vulkan,
     x64,
+    x86_64,
 )
 from ._impl.fields.arrays import Ndarray, ndarray
 from ._impl.fields.field import Field
@@ -103,6 +105,7 @@ from ._impl.values.ops import (
     activate,
     append,
     asin,
+    assume_in_range,
     atan2,
     atomic_add,
     atomic_and,
@@ -113,6 +116,7 @@ from ._impl.values.ops import (
     atomic_sub,
     atomic_xor,
     bit_cast,
+    bit_shr,
     block_local,
     cache_read_only,
     cast,
@@ -196,6 +200,7 @@ _LAZY = {
         "_impl.launch.kernels": "kernel func pyfunc real_func data_oriented Kernel",
         "ad": "Tape clear_all_gradients no_grad grad_replaced complex_kernel complex_kernel_grad",
         "lang.misc": "extension is_extension_supported",
+        "_impl.fields.root": "deactivate_all_snodes",
         "_impl.fields.structs": "Struct StructField dataclass",
         "types": "BitpackedFields",
         "_impl.values.ops": "loop_unique",
@@ -208,7 +213,7 @@ _LAZY = {
 # Names of Taichi that are known and missing: the answer should say so.
 _NOT_YET = {
     "Texture", "mesh_local", "Mesh", "ui", "simt", "aot", "graph",
-    "volatile_load", "frexp", "assume_in_range", "ref",
+    "volatile_load", "frexp", "ref", "argpack", "ArgPack", "algorithms", "sparse_matrix_builder",
 }  # fmt: skip
 _MODULES = {"ad", "errors", "gui", "lang", "linalg", "math", "profiler", "sparse", "testing",
             "tools", "volumes", "_lib"}  # fmt: skip

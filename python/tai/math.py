@@ -7,6 +7,7 @@ from typing import Any
 
 from ._impl.base import dtypes
 from ._impl.values import ops
+from ._impl.values.complex_numbers import cconj, cdiv, cexp, cinv, clog, cmul, cpow, csqrt
 from ._impl.values.matrix import Matrix
 from ._impl.values.ops import (
     acos,
@@ -27,6 +28,14 @@ from ._impl.values.ops import (
     sqrt,
     tan,
     tanh,
+)
+from ._impl.values.rotations import (
+    rot_by_axis,
+    rot_yaw_pitch_roll,
+    rotation2d,
+    rotation3d,
+    scale,
+    translate,
 )
 from ._impl.values.types import matrix, vector
 
@@ -148,23 +157,33 @@ def eye(n: int) -> Any:
     return Matrix.identity(float, n)
 
 
-def rotation2d(angle: Any) -> Any:
-    """The matrix that turns by an angle, counter-clockwise."""
-    c, s = cos(angle), sin(angle)
-    return Matrix([[c, -s], [s, c]])
-
-
-__all__ = [
-    "acos", "asin", "atan2", "ceil", "clamp", "cos", "cross", "degrees", "determinant", "distance",
-    "dot", "e", "exp", "exp2", "expm1", "eye", "floor", "fract", "inf", "inverse", "isinf", "isnan",
-    "ivec2", "ivec3", "ivec4", "length", "log", "log1p", "log2", "mat2", "mat3", "mat4", "max",
-    "min",
-    "mix", "nan", "normalize", "pi", "pow", "radians", "reflect", "refract", "rotation2d",
-    "round", "sign", "sin", "smoothstep", "sqrt", "step", "tan", "tanh", "uvec2", "uvec3",
-    "uvec4", "vec2", "vec3", "vec4",
-]  # fmt: skip
-
-
 def mod(x: Any, y: Any) -> Any:
     """x - y floor(x / y), which has the sign of y."""
     return x - y * floor(x / y)
+
+
+def vdir(angle: Any) -> Any:
+    """The unit vector at an angle from the first axis."""
+    return Matrix([cos(angle), sin(angle)])
+
+
+def popcnt(x: Any) -> Any:
+    """How many bits of a whole number are set."""
+    return ops.count_bits("popcnt", x)
+
+
+def clz(x: Any) -> Any:
+    """How many bits stand above the highest that is set: all of them for 0."""
+    return ops.count_bits("clz", x)
+
+
+__all__ = [
+    "acos", "asin", "atan2", "cconj", "cdiv", "ceil", "cexp", "cinv", "clamp", "clog", "clz",
+    "cmul", "cos", "cpow", "cross", "csqrt", "degrees", "determinant", "distance", "dot", "e",
+    "exp", "exp2", "expm1", "eye", "floor", "fract", "inf", "inverse", "isinf", "isnan", "ivec2",
+    "ivec3", "ivec4", "length", "log", "log1p", "log2", "mat2", "mat3", "mat4", "max", "min",
+    "mix", "mod", "nan", "normalize", "pi", "popcnt", "pow", "radians", "reflect", "refract",
+    "rot_by_axis", "rot_yaw_pitch_roll", "rotation2d", "rotation3d", "round", "scale", "sign",
+    "sin", "smoothstep", "sqrt", "step", "tan", "tanh", "translate", "uvec2", "uvec3", "uvec4",
+    "vdir", "vec2", "vec3", "vec4",
+]  # fmt: skip

@@ -493,3 +493,56 @@ def test_powers_of_truth_values():
     # As in Python: only false to the power of true is false.
     assert out.to_numpy().tolist() == [True, True, False, True]
     assert [raise_one(a, b) for b in (False, True) for a in (False, True)] == [1, 1, 0, 1]
+
+
+@pytest.mark.parametrize("dtype", [ti.i8, ti.i16, ti.i32, ti.i64, ti.u32])
+def test_shifts_without_the_sign(dtype):
+    bits = dtype.bits
+    given, result = ti.field(dtype, shape=4), ti.field(dtype, shape=4)
+    values = [-5, -1, 77, 0] if dtype.kind == "i" else [5, 1, 77, 0]
+    for i, value in enumerate(values):
+        given[i] = value
+
+    @ti.kernel
+    def run(by: ti.i32):
+        for i in given:
+            result[i] = ti.bit_shr(given[i], by)
+
+    for by in (0, 1, 3):
+        run(by)
+        for i, value in enumerate(values):
+            expected = (value % 2**bits) >> by
+            if by == 0 and dtype.kind == "i":
+                expected = value
+            assert result[i] == expected, (by, value)
+
+
+@pytest.mark.parametrize("value", [3.5, float("inf"), float("nan")])
+def test_zeros_and_ones_of_any_value(value):
+    """Not by a multiplication: the type alone counts."""
+    x = ti.Vector.field(2, ti.f32, shape=2)
+    y = ti.field(ti.f64, shape=2)
+
+    @ti.kernel
+    def run(v: ti.f64):
+        y[0], y[1] = ti.zero(v), ti.one(v)
+        x[0], x[1] = ti.zero(x[0]), ti.one(x[1])
+
+    x.fill(value)
+    run(value)
+    assert y.to_numpy().tolist() == [0, 1]
+    assert x.to_numpy().tolist() == [[0, 0], [1, 1]]
+    assert ti.zero(value) == 0 and ti.one(value) == 1
+    assert list(ti.zero(ti.Vector([value, 1.0]))) == [0, 0]
+
+
+def test_promises_are_values():
+    x = ti.field(ti.i32, shape=8)
+
+    @ti.kernel
+    def run():
+        for i in x:
+            x[ti.assume_in_range(i, 0, 0, 8)] = ti.loop_unique(i) + 1
+
+    run()
+    assert x.to_numpy().tolist() == list(range(1, 9))

@@ -16,6 +16,7 @@ class Arch(str):
 
 
 cpu, x64, arm64 = Arch("cpu"), Arch("x64"), Arch("arm64")
+x86_64 = x64
 python = Arch("python")
 cuda, gpu, vulkan, metal = Arch("cuda"), Arch("gpu"), Arch("vulkan"), Arch("metal")
 opengl, gles, dx11, amdgpu = Arch("opengl"), Arch("gles"), Arch("dx11"), Arch("amdgpu")

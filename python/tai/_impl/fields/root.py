@@ -77,3 +77,8 @@ class _Root:
 
 
 root = _Root()
+
+
+def deactivate_all_snodes() -> None:
+    """`ti.root.deactivate_all()`."""
+    root.deactivate_all()

@@ -164,9 +164,25 @@ def bit_cast(x: Any, dtype: Any) -> Any:
     return _in_kernel("bit_cast").bit_cast(x, dtypes.to_dtype(dtype))
 
 
+def bit_shr(x: Any, by: Any) -> Any:
+    """x shifted to the right by a number of bits, with zeros from the left whatever its sign."""
+    emitter = _in_kernel("bit_shr")
+    x = emitter.as_value(x)
+    if x.dt.kind != "i":
+        return x >> by
+    unsigned = getattr(dtypes, f"u{x.dt.bits}")
+    return bit_cast(bit_cast(x, unsigned) >> cast(by, unsigned), x.dt)
+
+
 def zero(x: Any) -> Any:
-    """A zero of the type of x."""
-    return x * 0
+    """A zero of the type of x, also where x is infinite or not a number."""
+    if not _needs_emitter(x):
+        return Matrix._wrap(np.zeros_like(x.to_numpy())) if isinstance(x, Matrix) else type(x)(0)
+    value = state.emitter.as_value(x)
+    nothing = state.emitter.constant(0, value.dt)
+    if not value.shape:
+        return nothing
+    return state.emitter.matrix([nothing] * math.prod(value.shape), value.dt, value.shape)
 
 
 def one(x: Any) -> Any:
@@ -211,6 +227,15 @@ def raw_div(a: Any, b: Any) -> Any:
     check_division(a, b, a.dt)
     forms = {"f": "arith.divf", "i": "arith.divsi", "u": "arith.divui"}
     return emitter.elementwise(forms[a.dt.kind], [a, b], a.dt)
+
+
+def count_bits(name: str, x: Any) -> Any:
+    """The operations "popcnt" and "clz", in the type of x."""
+    emitter = _in_kernel(f"math.{name}")
+    x = emitter.as_value(x)
+    if x.dt.is_float or x.dt.is_bool:
+        raise TaiTypeError(f"ti.math.{name} takes whole numbers, but got {x.kind_name}")
+    return emitter.elementwise({"popcnt": "math.ctpop", "clz": "math.ctlz"}[name], [x], x.dt)
 
 
 def _in_kernel(name: str) -> Any:
@@ -372,6 +397,11 @@ def cache_read_only(*fields: Any) -> None:
 def no_activate(*nodes: Any) -> None:
     """A promise that a loop writes to active cells only; without effect: what it may skip is
     skipped wherever the compiler sees that it may be."""
+
+
+def assume_in_range(value: Any, base: Any, low: Any, high: Any) -> Any:
+    """A promise that base + low <= value < base + high; the value itself."""
+    return value
 
 
 def loop_unique(value: Any, covers: Any = None) -> Any:
