@@ -6,7 +6,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "Format.h"
+#include "FormatSpec.h"
 #include "tai/ABI/Abi.h"
+#include <algorithm>
 #include <charconv>
 #include <cmath>
 #include <cstdio>
@@ -37,25 +39,50 @@ static void appendFloat(std::string &text, double value) {
     text += ".0";
 }
 
-static void appendValue(std::string &text, int32_t kind, uint64_t slot) {
+static void appendValue(std::string &text, int32_t kind, uint64_t slot,
+                        const std::optional<FormatSpec> &spec) {
   switch (kind) {
-  case TAI_VALUE_I64:
-    text += std::to_string(static_cast<int64_t>(slot));
+  case TAI_VALUE_I64: {
+    bool negative =
+        static_cast<int64_t>(slot) < 0 && !(spec && spec->isUnsigned);
+    text += spec ? spec->apply(negative ? 0 - slot : slot, negative)
+                 : std::to_string(static_cast<int64_t>(slot));
     return;
+  }
   case TAI_VALUE_U64:
-    text += std::to_string(slot);
+    text += spec ? spec->apply(slot, false) : std::to_string(slot);
     return;
   case TAI_VALUE_BOOL:
-    text += (slot & 0xff) ? "true" : "false";
+    slot &= 0xff;
+    text += spec ? spec->apply(slot != 0, false) : slot ? "true" : "false";
     return;
   case TAI_VALUE_F64: {
     double value;
     std::memcpy(&value, &slot, sizeof(value));
-    appendFloat(text, value);
+    if (!spec)
+      return appendFloat(text, value);
+    std::string shortest;
+    appendFloat(shortest, std::fabs(value));
+    text += spec->apply(value, shortest);
     return;
   }
   }
   text += "?";
+}
+
+/// The specification of a place for a value, "{}" or "{:...}", at `at`, and how
+/// many characters it takes: none where there is no such place.
+static size_t parsePlace(const char *at, std::optional<FormatSpec> &spec) {
+  spec.reset();
+  if (at[0] != '{')
+    return 0;
+  if (at[1] == '}')
+    return 2;
+  const char *end = std::strchr(at, '}');
+  if (at[1] != ':' || !end)
+    return 0;
+  spec = FormatSpec::parse(std::string_view(at + 2, end - at - 2));
+  return spec ? end - at + 1 : 0;
 }
 
 std::string mlir::tai::runtime::formatValues(const char *format, int32_t count,
@@ -64,6 +91,7 @@ std::string mlir::tai::runtime::formatValues(const char *format, int32_t count,
                                              const uint64_t *slots) {
   std::string text;
   int32_t next = 0;
+  std::optional<FormatSpec> spec;
   auto appendNext = [&] {
     int32_t components = shapes ? shapes[next] : 1;
     if (components != 1)
@@ -71,20 +99,21 @@ std::string mlir::tai::runtime::formatValues(const char *format, int32_t count,
     for (int32_t c = 0; c < components; ++c) {
       if (c)
         text += ", ";
-      appendValue(text, kinds[next], *slots++);
+      appendValue(text, kinds[next], *slots++, spec);
     }
     if (components != 1)
       text += ']';
     ++next;
   };
-  for (const char *at = format ? format : ""; *at; ++at) {
-    if (at[0] == '{' && at[1] == '}' && next < count) {
+  for (const char *at = format ? format : ""; *at;) {
+    size_t size = next < count ? parsePlace(at, spec) : 0;
+    if (size)
       appendNext();
-      ++at;
-    } else {
+    else
       text += *at;
-    }
+    at += std::max<size_t>(size, 1);
   }
+  spec.reset();
   // Values without a place of their own are not lost.
   while (next < count) {
     if (!text.empty())

@@ -13,7 +13,8 @@
 
 namespace mlir::tai::runtime {
 
-/// Replaces each "{}" of the format by the next value.
+/// Replaces each "{}" and "{:...}" (see FormatSpec.h) of the format by the next
+/// value.
 std::string formatValues(const char *format, int32_t count,
                          const int32_t *kinds, const int32_t *shapes,
                          const uint64_t *slots);

@@ -449,13 +449,22 @@ def set_expression():
     kernel(1)
 
 
-@bad(ti.TaiSyntaxError, "format specifications are not supported")
-def format_specification():
+@bad(ti.TaiTypeError, "'d' is no format for a f32", "{x:8.3f}")
+def format_of_another_type():
     @ti.kernel
     def kernel(a: ti.f32):
-        print(f"{a:.2f}")  # BAD
+        print(f"{a:d}")  # BAD
 
     kernel(1.0)
+
+
+@bad(ti.TaiTypeError, "'_d' is no format for a i32: kernels have no such format", "{n:04d}")
+def format_with_groups():
+    @ti.kernel
+    def kernel(a: ti.i32):
+        print(f"{a:_d}")  # BAD
+
+    kernel(1)
 
 
 @bad(ti.TaiTypeError, "ti.loop_config has no option 'serialise'", "serialize")

@@ -638,6 +638,69 @@ def test_print(capfd):
     assert lines == ["n = 3 [0.5, 2.5]", "twice 6", "[[1, 2], [3, 4]]"]
 
 
+SPECS = [
+    "8.3f",
+    "+.2e",
+    "<6",
+    "*^9",
+    "05d",
+    "#x",
+    "X",
+    " d",
+    "b",
+    ".3",
+    "%",
+    "g",
+    "08.3f",
+    "<+7.1F",
+]
+
+
+@pytest.mark.parametrize("spec", SPECS)
+def test_print_by_a_format(capfd, spec):
+    """As Python writes them."""
+    floats, ints = [0.0, -1.25, 1234567.5, float("inf")], [0, -7, 255]
+
+    @ti.kernel
+    def print_float(x: ti.f64):
+        print(f"[{x:{spec}}]", x)
+
+    @ti.kernel
+    def print_int(n: ti.i32):
+        print(f"[{n:{spec}}]", n)
+
+    expected = []
+    for kernel, values in ((print_float, floats), (print_int, ints)):
+        try:
+            format(values[0], spec)
+        except ValueError:
+            with pytest.raises(ti.TaiTypeError, match="is no format for"):
+                kernel(values[0])
+            continue
+        for value in values:
+            kernel(value)
+            expected.append(f"[{value:{spec}}] {value}")
+    ti.sync()
+    assert capfd.readouterr().out.splitlines() == expected
+
+
+def test_formats_of_vectors_and_texts(capfd):
+    @ti.kernel
+    def kernel(v: ti.types.vector(2, ti.f32), n: ti.u64):
+        print(f"{v:.2f}", "{:.1f} and {}".format(v[0], n), f"{n:x}")  # noqa: UP032
+        print(f"{ti.Matrix([[1, 2], [3, 4]]):03d}")
+        print("{:.2f}", "alone")
+
+    kernel([0.5, 2.25], 2**64 - 1)
+    ti.sync()
+    lines = capfd.readouterr().out.splitlines()
+    assert lines == [
+        "[0.50, 2.25] 0.5 and 18446744073709551615 ffffffffffffffff",
+        "[[001, 002], [003, 004]]",
+        "{:.2f} alone",
+    ]
+
+
 def test_assert_in_debug_mode():
     def make():
         @ti.kernel

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import ast
+import re
 import string
 from collections.abc import Callable
 from typing import Any
 
 from ...errors import TaiSyntaxError, TaiTypeError
-from ..base.dtypes import i64
+from ..base.dtypes import i64, u64
 from ..fields.field import Field
 from ..values.misuse import describe_misuse, misuse_hint
 from ..values.value import Value
@@ -18,9 +19,12 @@ from .expressions import Expressions
 from .refs import ArrayArgument, Place
 from .structs import StructValue
 
+# Where the runtime puts a value.
+_PLACE = re.compile(r"\{(?::([^}]*))?\}")
+
 
 class FormattedText:
-    """Text with values of the kernel: `{}` stands for each."""
+    """Text with values of the kernel: `{}` or `{:…}` stands for each."""
 
     def __init__(self, text: str, values: list[Value]):
         self.text, self.values = text, values
@@ -40,9 +44,11 @@ def formatted(thing: Any) -> FormattedText:
     if isinstance(thing, Place):
         thing = thing.load()
     if isinstance(thing, Value):
+        # IR has no signs; narrower numbers are converted, see Printing.printable.
+        place = "{:u}" if thing.dt is u64 else "{}"
         if len(thing.shape) != 2:
-            return FormattedText("{}", [thing])
-        row = "[" + ", ".join(["{}"] * thing.shape[1]) + "]"
+            return FormattedText(place, [thing])
+        row = "[" + ", ".join([place] * thing.shape[1]) + "]"
         return FormattedText("[" + ", ".join([row] * thing.shape[0]) + "]", thing.scalars())
     if isinstance(thing, StructValue):
         return _listed("{", [(f"{k}: ", v) for k, v in thing.members.items()], "}")
@@ -99,12 +105,41 @@ def _with_spec(thing: Any, spec: str, conversion: str | None = None) -> Formatte
             raise TaiTypeError(describe_misuse(thing), misuse_hint(thing))
         shown = _CONVERSIONS[conversion](thing) if conversion else thing
         return FormattedText(format(shown, spec), [])
-    if spec:
-        raise TaiSyntaxError(
-            "format specifications are not supported in kernels yet",
-            "print the value without one",
+    if not spec:
+        return formatted(thing)
+    if isinstance(thing, Place):
+        thing = thing.load()
+    if not isinstance(thing, Value):
+        raise TaiTypeError(
+            f"the format '{spec}' is for numbers and vectors, but got {describe_misuse(thing)}",
+            "format its parts",
         )
-    return formatted(thing)
+    _check_spec(spec, thing)
+    whole = formatted(thing)
+    return FormattedText(
+        _PLACE.sub(lambda place: f"{{:{spec}{place[1] or ''}}}", whole.text), whole.values
+    )
+
+
+# What Python accepts and the runtime does not write: other fills and the grouping of digits.
+_NO_SPEC = re.compile(r"[{}]|[,_nczs]|\d{4,}")
+
+
+def _check_spec(spec: str, value: Value) -> None:
+    """Refuses what Python would refuse for a number of this type."""
+    problem = None
+    if not spec.isascii() or _NO_SPEC.search(spec):
+        problem = "kernels have no such format"
+    else:
+        try:
+            format(1.0 if value.dt.is_float else 1, spec)
+        except (ValueError, OverflowError) as error:
+            problem = str(error)
+    if problem:
+        raise TaiTypeError(
+            f"'{spec}' is no format for a {value.dt}: {problem}",
+            "formats are those of Python's numbers, as in {x:8.3f}, {n:04d} or {n:x}",
+        )
 
 
 class Printing(Part):
@@ -154,7 +189,7 @@ class Printing(Part):
                 )
         parts = [formatted(item) for item in self.expressions.items(node.args)]
         values = [value for part in parts for value in part.values]
-        if values and any("{}" in part.text for part in parts if not part.values):
+        if values and any(_PLACE.search(part.text) for part in parts if not part.values):
             raise TaiSyntaxError(
                 "a text with '{}' is printed beside values, which would go there",
                 'write an f-string, or "…".format(…)',
