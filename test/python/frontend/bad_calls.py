@@ -336,7 +336,8 @@ def two_parameters_of_which_one_has_no_type():
 @bad(
     ti.TaiSyntaxError,
     "parameter 'a' of 'kernel' has a type that kernels do not know: 3",
-    "use a number type, ti.template(), ti.types.ndarray() or ti.types.vector(…)",
+    "use a number type, ti.template(), ti.types.ndarray(), ti.types.vector(…) or "
+    "ti.types.struct(…)",
 )
 def parameter_with_a_number_as_type():
     @ti.kernel
@@ -349,7 +350,8 @@ def parameter_with_a_number_as_type():
 @bad(
     ti.TaiSyntaxError,
     "the result of 'kernel' has a type that kernels do not know: str",
-    "use a number type, ti.template(), ti.types.ndarray() or ti.types.vector(…)",
+    "use a number type, ti.template(), ti.types.ndarray(), ti.types.vector(…) or "
+    "ti.types.struct(…)",
 )
 def return_of_an_unknown_type():
     @ti.kernel

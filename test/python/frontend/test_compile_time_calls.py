@@ -206,7 +206,7 @@ def test_values_are_no_text_of_python():
 
     @ti.kernel
     def spec(n: ti.i32):
-        print(f"{n:3d}")
+        print(f"{n:s}")
 
     for kernel in (percent, joined, field, beside, spec):
         refuse(kernel, 1, match=".")

@@ -23,7 +23,7 @@ WRONG = [
     "x[0] = math.gamma(x[1])", "raise ValueError", "import math", "a = {1, 2}", "a: int",
     "x[0] = 1j", "a = (b := 1)", "global x", "x[0] = x", "x[0] = math.sin", "for i in 5: pass",
     "for i, j in x: pass", "for i in range(1.5): pass", "return 1",
-    "x[0] = 1 if x else 2", "print(f'{x[0]:.2f}')", "print(x[0], file=3)",
+    "x[0] = 1 if x else 2", "print(f'{x[0]:d}')", "print(x[0], file=3)",
 ]  # fmt: skip
 
 HEAD = """

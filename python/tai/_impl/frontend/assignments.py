@@ -55,7 +55,10 @@ class Assignments(Part):
         place = self.expressions.locate(target)
         self.at(node)
         if isinstance(place, Value):
-            raise TaiTypeError(f"a {place.kind_name} that has no name cannot be changed")
+            raise TaiTypeError(
+                f"'{ast.unparse(target)}' is part of a value without a place, which cannot change",
+                "give it a name: b = …, and change that of b",
+            )
         if not isinstance(place, Place):
             raise TaiTypeError(
                 f"a kernel cannot change the Python object '{ast.unparse(target)}'",

@@ -15,6 +15,7 @@ from ..base import state
 from ..base.options import Options
 from ..base.program import Program
 from ..fields.scalar import ScalarField
+from ..fields.structs import StructType
 from .assignments import Assignments
 from .calls import Calls
 from .checks import Checks
@@ -79,6 +80,8 @@ class Compiler:
         cells: where forward mode keeps numbers that kernels return and take: the names of
             the parameters that are there with their fields, and the field for the result, or
             None. There is a parameter more for each, the number of its first element.
+        structs: the names and types of parameters that are structs; their members are among
+            `parameters`, by names such as `a.x`.
     """
 
     def __init__(
@@ -88,11 +91,12 @@ class Compiler:
         symbol: str,
         parameters: Sequence[tuple[str, ArgumentForm]],
         result: ResultForm | None,
-        cells: tuple[list[tuple[str, ScalarField]], ScalarField | None] = ([], None),
+        cells: tuple[list[tuple[str, ScalarField]], ScalarField | None],
+        structs: dict[str, StructType],
     ):
         frame = Frame(function, function_ast(function), "kernel")
         followed, result_field = cells
-        kernel = Kernel(symbol, parameters, result, followed, result_field)
+        kernel = Kernel(symbol, parameters, result, followed, result_field, structs)
         self.context = context = Context(program, kernel, frame, self)
 
         compile_time = CompileTime(context)

@@ -11,6 +11,7 @@ from ..base.dtypes import DataType
 from ..base.options import Options
 from ..base.program import Program
 from ..fields.scalar import ScalarField
+from ..fields.structs import StructType
 from ..values.builder import Builder
 from ..values.emitter import Emitter
 from .diagnostics import Diagnostics
@@ -68,6 +69,8 @@ class Kernel:
         followed: the names of the parameters whose values forward mode keeps, each with the field
             that has them.
         result_field: where forward mode keeps the result, or None.
+        structs: the names and types of parameters that are structs; their members are parameters,
+            by names such as `a.x`.
     """
 
     symbol: str
@@ -75,6 +78,7 @@ class Kernel:
     result: ResultForm | None
     followed: list[tuple[str, ScalarField]]
     result_field: ScalarField | None
+    structs: dict[str, StructType]
 
 
 class Walker(Protocol):

@@ -7,9 +7,11 @@ from typing import Any
 
 from ...errors import TaiSyntaxError
 from ..base import dtypes
+from ..fields.structs import StructType
 from .context import Context, Part
 from .refs import ArrayArgument, FieldElement, Variable
 from .scope import Bound
+from .structs import StructValue
 
 
 class Parameters(Part):
@@ -50,10 +52,25 @@ class Parameters(Part):
             variable = frame.scopes[-1][name]
             assert isinstance(variable, Variable)
             self._load_cells(variable, field, block.argument(position + number))
+        for name, type_ in kernel.structs.items():
+            frame.define(name, Bound(self._struct(name, type_)))
         if kernel.result_field is not None:
             self._result_cell = block.argument(position + len(kernel.followed))
         if kernel.result is not None and kernel.result.has_gradient:
             self.gradients.append(len(self.types))
+
+    def _struct(self, name: str, type_: StructType) -> StructValue:
+        """A struct of the parameters that are its members."""
+        members: dict[str, Any] = {}
+        for key, kind in type_.members.items():
+            inner = f"{name}.{key}"
+            if isinstance(kind, StructType):
+                members[key] = self._struct(inner, kind)
+            else:
+                variable = self.frame.scopes[-1][inner]
+                assert isinstance(variable, Variable)
+                members[key] = variable.value
+        return StructValue(type_, members)
 
     def _argument(self, name: str, spec: Any, handles: list) -> Variable | Bound:
         """What a parameter of the kernel stands for in its body."""

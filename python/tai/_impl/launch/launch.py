@@ -99,6 +99,7 @@ def launch(
         and None not in descriptions
         and not (found.followed or found.result_pool)
         and not wants_gradients
+        and not signature.structs  # one argument, several slots
         and not (grad and result is not None and result.has_gradient)
     ):
         found.registered.add(grad)

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...errors import TaiCompilationError, TaiRuntimeTypeError, TaiSyntaxError
 from ..base import dtypes
+from ..fields.structs import Struct, StructType
 from ..frontend.source import closure_of, function_ast
 from ..values.types import MatrixType, NdarrayType, ScalarType, template
 
@@ -86,7 +87,7 @@ def parse_type(annotation: Any, function: Callable[..., Any], what: str) -> Any:
         return template()
     if annotation is NdarrayType:
         return NdarrayType()
-    if isinstance(annotation, (NdarrayType, MatrixType)):
+    if isinstance(annotation, (NdarrayType, MatrixType, StructType)):
         return annotation
     if dtypes.to_dtype(annotation) is not None:
         return ScalarType(annotation)
@@ -94,7 +95,8 @@ def parse_type(annotation: Any, function: Callable[..., Any], what: str) -> Any:
     raise _located(
         TaiSyntaxError(
             f"{what} of '{function.__name__}' has a type that kernels do not know: {shown}",
-            "use a number type, ti.template(), ti.types.ndarray() or ti.types.vector(…)",
+            "use a number type, ti.template(), ti.types.ndarray(), ti.types.vector(…) or "
+            "ti.types.struct(…)",
         ),
         function,
     )
@@ -121,7 +123,7 @@ def _parse(
         raise _located(
             TaiSyntaxError(
                 f"kernel '{function.__name__}' cannot return {annotation!r}",
-                "return a number, a vector or a matrix",
+                "return a number, a vector or a matrix, or store it in a field",
             ),
             function,
         )
@@ -130,18 +132,44 @@ def _parse(
     return parameters, result
 
 
+def _members(parameter: Parameter) -> list[Parameter]:
+    """A parameter as those of numbers, vectors, arrays and templates: of a struct, its members."""
+    if not isinstance(parameter.type, StructType):
+        return [parameter]
+    members = parameter.type.members.items()
+    inner = (Parameter(f"{parameter.name}.{name}", kind, False, None) for name, kind in members)
+    return [leaf for member in inner for leaf in _members(member)]
+
+
+def _member_values(kernel: str, name: str, type_: Any, value: Any) -> list[Any]:
+    """An argument in the order of `_members`."""
+    if not isinstance(type_, StructType):
+        return [value]
+    if not isinstance(value, (dict, Struct)) or {k for k, _ in value.items()} != set(type_.members):
+        raise TaiRuntimeTypeError(
+            f"argument '{name}' of kernel '{kernel}' expects {type_!r}, but got {value!r}",
+            f"make it by the type, or as a dict of its members: {', '.join(type_.members)}",
+        )
+    pairs = ((f"{name}.{key}", kind, value[key]) for key, kind in type_.members.items())
+    return [leaf for pair in pairs for leaf in _member_values(kernel, *pair)]
+
+
 class Signature:
     """The parameters of a kernel and the type of its result.
 
     Attributes:
         kernel: the name of the kernel.
-        parameters: in order.
+        given: the parameters in order, as they are written.
+        parameters: the same, with the members of a struct, `a.x`, in its place.
+        structs: the names and types of those that are structs.
         result: a number or matrix type, or None.
     """
 
     def __init__(self, function: Callable[..., Any], is_method: bool):
         self.kernel = function.__name__
-        self.parameters, self.result = _parse(function, is_method)
+        self.given, self.result = _parse(function, is_method)
+        self.structs = {p.name: p.type for p in self.given if isinstance(p.type, StructType)}
+        self.parameters = [leaf for parameter in self.given for leaf in _members(parameter)]
 
     @property
     def names(self) -> list[str]:
@@ -153,8 +181,8 @@ class Signature:
         return all(isinstance(p.type, (ScalarType, MatrixType)) for p in self.parameters)
 
     def bind(self, args: tuple, kwargs: dict) -> list[Any]:
-        """The value of each parameter."""
-        parameters = self.parameters
+        """The value of each parameter, and of each member of those that are structs."""
+        parameters = self.given
         if len(args) > len(parameters):
             raise TaiRuntimeTypeError(
                 f"kernel '{self.kernel}' takes {len(parameters)} arguments, but got {len(args)}",
@@ -176,4 +204,7 @@ class Signature:
                 f"kernel '{self.kernel}' has no parameter '{next(iter(kwargs))}'",
                 f"its parameters: {', '.join(p.name for p in parameters) or 'none'}",
             )
-        return values
+        if not self.structs:
+            return values
+        pairs = zip(parameters, values, strict=True)
+        return [leaf for p, v in pairs for leaf in _member_values(self.kernel, p.name, p.type, v)]

@@ -191,7 +191,9 @@ class Specializations:
         cells = ([(names[number], inputs.field) for number, inputs in followed],
                  None if pool is None else pool.field)  # fmt: skip
         result = None if signature.result is None else ResultSpec(signature.result)
-        compiler = Compiler(program, self._function, symbol, parameters, result, cells)
+        compiler = Compiler(
+            program, self._function, symbol, parameters, result, cells, signature.structs
+        )
         compiler.context.emitter.stopped = {id(place) for place in constants}
         try:
             core = compiler.compile()
