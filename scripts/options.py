@@ -25,7 +25,7 @@ BEGIN, END = "<!-- table: begin (scripts/options.py --fix) -->\n", "<!-- table: 
 
 STRINGS = r'((?:"(?:[^"\\]|\\.)*"\s*)+)'
 ROW = re.compile(
-    rf"^TAI_OPTION\((\w+),\s*{STRINGS},\s*(\w+),\s*{STRINGS},\s*{STRINGS},\s*{STRINGS}\)",
+    rf"^TAI_OPTION\({STRINGS},\s*(\w+),\s*{STRINGS},\s*{STRINGS},\s*{STRINGS},\s*\w+\(\w+\)\)",
     re.M,
 )
 
@@ -43,7 +43,7 @@ class Row(NamedTuple):
 def rows(source: str) -> list[Row]:
     """The options in a table."""
     found = []
-    for _, name, kind, *texts in ROW.findall(source):
+    for name, kind, *texts in ROW.findall(source):
         name, *texts = (ast.literal_eval(f"({text})") for text in (name, *texts))
         found.append(Row(name, kind, *texts))
     if len(found) != len(re.findall(r"^TAI_OPTION\(", source, re.M)):

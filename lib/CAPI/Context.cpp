@@ -30,7 +30,7 @@ void taiStopBackgroundWork(void) {
 
 int64_t taiListOptions(const TaiOptionRow **rows) {
   static constexpr TaiOptionRow table[] = {
-#define TAI_OPTION(id, name, kind, initial, expects, about)                    \
+#define TAI_OPTION(name, kind, initial, expects, about, to)                    \
   {name, initial, expects, about},
 #include "tai/Support/Options.def"
   };

@@ -44,6 +44,16 @@ public:
 };
 } // namespace
 
+/// What both lowerings are told of the options of a kernel.
+static void setLowering(LoweringOptions &lowering,
+                        const CompileOptions &options) {
+#define TAI_LOWERING_OPTION(type, member, from, argument, initial, about)      \
+  lowering.member = options.from;
+#include "tai/Support/Options.def"
+  // Kernels are known by their names already.
+  lowering.fuseLaunches = false;
+}
+
 /// The pipelines of tai for the options of a kernel.
 static Compiler::Pipelines getPipelines() {
   Compiler::Pipelines pipelines;
@@ -54,9 +64,9 @@ static Compiler::Pipelines getPipelines() {
     autodiff.storedOutputs = true;
     // An adjoint is launched with the arguments of its primal and no others.
     autodiff.arrayAdjoints = false;
-    autodiff.historyBytes = options.historyBytes;
-    autodiff.deterministic = options.deterministic;
-    autodiff.skip = options.skips;
+#define TAI_AUTODIFF_OPTION(type, member, from, argument, initial, about)      \
+  autodiff.member = options.from;
+#include "tai/Support/Options.def"
     buildAutodiffPipeline(manager, autodiff);
   };
   pipelines.forward = [](OpPassManager &manager, const CompileOptions &) {
@@ -65,29 +75,13 @@ static Compiler::Pipelines getPipelines() {
   };
   pipelines.toLLVM = [](OpPassManager &manager, const CompileOptions &options) {
     ToLLVMOptions lowering;
-    lowering.deterministic = options.deterministic;
-    lowering.debug = options.debug;
-    lowering.bounds = options.bounds;
-    lowering.fastMath = options.codegen.fastMath;
-    lowering.contract = options.codegen.contract;
-    lowering.optLevel = options.codegen.optLevel;
-    lowering.skip = options.skips;
-    // Kernels are known by their names already.
-    lowering.fuseLaunches = false;
+    setLowering(lowering, options);
     buildToLLVMPasses(manager, lowering);
   };
   pipelines.toDevice = [](OpPassManager &manager,
                           const CompileOptions &options) {
     ToNVVMOptions lowering;
-    lowering.deterministic = options.deterministic;
-    lowering.debug = options.debug;
-    lowering.bounds = options.bounds;
-    lowering.fastMath = options.codegen.fastMath;
-    lowering.contract = options.codegen.contract;
-    lowering.optLevel = options.codegen.optLevel;
-    lowering.skip = options.skips;
-    // Kernels are known by their names already.
-    lowering.fuseLaunches = false;
+    setLowering(lowering, options);
     lowering.emulated = options.device == runtime::DeviceKind::Emulated;
     buildToNVVMPasses(manager, lowering);
   };

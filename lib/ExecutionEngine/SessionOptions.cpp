@@ -5,7 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What each row of Options.def does.
+// Where a row of Options.def leads: to a member of the options that decide
+// code, to the runtime, or to one of the methods here.
 //
 //===----------------------------------------------------------------------===//
 
@@ -53,7 +54,7 @@ void Session::useCache(StringRef folder) {
 
 static std::string listOptions() {
   std::string names;
-#define TAI_OPTION(id, name, kind, initial, expects, about)                    \
+#define TAI_OPTION(name, kind, initial, expects, about, to)                    \
   names += names.empty() ? name : ", " name;
 #include "tai/Support/Options.def"
   return names;
@@ -64,19 +65,20 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
     return fail(FailureKind::Usage, "option '" + name + "' expects " +
                                         expected + ", but got '" + value + "'");
   };
-#define TAI_OPTION(id, spelling, kind, initial, expects, about)                \
+// Where the value goes, by the last column.
+#define TAI_SET_Codegen(member)                                                \
+  (compileOptions.codegen.member = *parsed, success())
+#define TAI_SET_Compile(member) (compileOptions.member = *parsed, success())
+#define TAI_SET_Runtime(method) (rt->method(*parsed), success())
+#define TAI_SET_Session(method) method(*parsed)
+#define TAI_OPTION(spelling, kind, initial, expects, about, to)                \
   if (name == spelling) {                                                      \
     auto parsed = options::kind::parse(value);                                 \
-    return parsed ? set##id(*parsed) : badValue(expects);                      \
+    return parsed ? TAI_SET_##to : badValue(expects);                          \
   }
 #include "tai/Support/Options.def"
   return fail(FailureKind::Usage, "unknown option '" + name +
                                       "'; the options are " + listOptions());
-}
-
-LogicalResult Session::setThreads(int threads) {
-  rt->setThreads(threads);
-  return success();
 }
 
 LogicalResult Session::setDeterministic(bool on) {
@@ -109,11 +111,6 @@ LogicalResult Session::setDebug(bool on) {
   return success();
 }
 
-LogicalResult Session::setBounds(BoundsMode mode) {
-  compileOptions.bounds = mode;
-  return success();
-}
-
 LogicalResult Session::setFastMath(bool on) {
   if (on && isStrict)
     return failContradiction();
@@ -133,16 +130,6 @@ LogicalResult Session::setSanitize(StringRef sanitizer) {
                 "-print-file-name=libclang_rt.asan-x86_64.so) "
                 "ASAN_OPTIONS=detect_leaks=0");
   compileOptions.codegen.sanitizeAddress = !sanitizer.empty();
-  return success();
-}
-
-LogicalResult Session::setOptLevel(unsigned level) {
-  compileOptions.codegen.optLevel = level;
-  return success();
-}
-
-LogicalResult Session::setSeed(uint64_t seed) {
-  rt->setSeed(seed);
   return success();
 }
 
@@ -184,16 +171,6 @@ LogicalResult Session::setCompileProfile(bool on) {
   return success();
 }
 
-LogicalResult Session::setForwardMode(bool on) {
-  rt->setForward(on);
-  return success();
-}
-
-LogicalResult Session::setHistoryBytes(int64_t bytes) {
-  compileOptions.historyBytes = bytes;
-  return success();
-}
-
 LogicalResult Session::setSkip(StringRef names) {
   SkipSet skips;
   std::string error;
@@ -204,11 +181,6 @@ LogicalResult Session::setSkip(StringRef names) {
   return success();
 }
 
-LogicalResult Session::setMemoryLimit(int64_t bytes) {
-  rt->setMemoryLimit(bytes);
-  return success();
-}
-
 LogicalResult Session::setDeviceMemoryLimit(int64_t bytes) {
   deviceMemoryLimit = bytes;
   return success();
@@ -216,21 +188,6 @@ LogicalResult Session::setDeviceMemoryLimit(int64_t bytes) {
 
 LogicalResult Session::setDeviceHeap(int64_t bytes) {
   runtime::setDeviceHeapBytes(bytes);
-  return success();
-}
-
-LogicalResult Session::setBlockDim(int threads) {
-  rt->setBlockThreads(threads);
-  return success();
-}
-
-LogicalResult Session::setMaxBlockDim(int threads) {
-  rt->setMostBlockThreads(threads);
-  return success();
-}
-
-LogicalResult Session::setOrderSeed(uint64_t seed) {
-  compileOptions.orderSeed = seed;
   return success();
 }
 

@@ -154,33 +154,24 @@ private:
   LogicalResult compileEagerly(runtime::Kernel &kernel);
   void useCache(StringRef folder);
 
-  // One for each row of Options.def.
-  LogicalResult setThreads(int threads);
+  // Options of which more than one part, or another than CompileOptions and the
+  // runtime, is to know; see Options.def.
   LogicalResult setDeterministic(bool on);
   LogicalResult setDebug(bool on);
-  LogicalResult setBounds(BoundsMode mode);
   LogicalResult setFastMath(bool on);
   LogicalResult setStrict(bool on);
   LogicalResult failContradiction();
   LogicalResult setSanitize(StringRef sanitizer);
-  LogicalResult setOptLevel(unsigned level);
-  LogicalResult setSeed(uint64_t seed);
   LogicalResult setCacheDir(StringRef folder);
   LogicalResult setPrintIR(StringRef names);
   LogicalResult setProfiler(bool on);
   LogicalResult setCompileProfile(bool on);
-  LogicalResult setForwardMode(bool on);
-  LogicalResult setHistoryBytes(int64_t bytes);
   LogicalResult setSkip(StringRef names);
-  LogicalResult setMemoryLimit(int64_t bytes);
   LogicalResult setDeviceMemoryLimit(int64_t bytes);
   LogicalResult setDeviceHeap(int64_t bytes);
   /// Opens the device, or goes back to the CPU.
   LogicalResult setArch(StringRef name);
-  LogicalResult setBlockDim(int threads);
-  LogicalResult setMaxBlockDim(int threads);
   LogicalResult setFuseLaunches(bool on);
-  LogicalResult setOrderSeed(uint64_t seed);
 
   std::unique_ptr<llvm::ThreadPoolInterface> pool;
   std::unique_ptr<MLIRContext> context;

@@ -23,7 +23,8 @@
 
 namespace mlir::tai {
 
-/// Which kernels get an adjoint, and how.
+/// Which kernels get an adjoint, and how. What a context sets comes from
+/// Options.def.
 struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
   AutodiffOptions() = default;
   // Options are bound to their parser and cannot be moved: copy the values.
@@ -31,14 +32,18 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
     kernels = other.kernels;
     flatten = other.flatten.getValue();
     arrayAdjoints = other.arrayAdjoints.getValue();
-    historyBytes = other.historyBytes.getValue();
     zeroOverwritten = other.zeroOverwritten.getValue();
     takes = other.takes.getValue();
     storedOutputs = other.storedOutputs.getValue();
-    deterministic = other.deterministic.getValue();
-    skip = other.skip.getValue();
+#define TAI_AUTODIFF_OPTION(type, member, from, argument, initial, about)      \
+  member = other.member.getValue();
+#include "tai/Support/Options.def"
   }
 
+#define TAI_AUTODIFF_OPTION(type, member, from, argument, initial, about)      \
+  Option<type> member{*this, argument, llvm::cl::desc(about),                  \
+                      llvm::cl::init(initial)};
+#include "tai/Support/Options.def"
   ListOption<std::string> kernels{
       *this, "kernel",
       llvm::cl::desc("Names of the kernels to differentiate; by default those "
@@ -52,11 +57,6 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
       llvm::cl::desc("Give the adjoint of a kernel the adjoints of its float "
                      "memrefs; without, they are constant"),
       llvm::cl::init(true)};
-  Option<int64_t> historyBytes{
-      *this, "history-bytes",
-      llvm::cl::desc("Bytes that a loop may record at once; where it takes "
-                     "more, parts of the loop are run once more"),
-      llvm::cl::init(kDefaultHistoryBytes)};
   Option<bool> zeroOverwritten{
       *this, "zero-overwritten",
       llvm::cl::desc(
@@ -71,14 +71,6 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
       llvm::cl::desc(
           "Make the forms of adjoints that load what kernels have stored"),
       llvm::cl::init(false)};
-  Option<bool> deterministic{
-      *this, "deterministic",
-      llvm::cl::desc("Let results not depend on what adjoints record"),
-      llvm::cl::init(false)};
-  Option<SkipSet> skip{*this, "skip",
-                       llvm::cl::desc("What to leave out where it is not "
-                                      "needed: all, none, or names"),
-                       llvm::cl::init(SkipSet::all())};
 };
 
 /// What of a module is lowered: kernels, trees and fields, and the functions
@@ -104,71 +96,49 @@ void buildForwardPipeline(OpPassManager &pm, bool arrayTangents);
 /// Makes `--tai-autodiff` known to pass pipelines given as text.
 void registerAutodiffPipeline();
 
-/// How kernels are lowered, wherever they run.
+/// The words that an option of the type takes, where it is one of some words.
+template <typename T> struct OptionWords {
+  template <typename Opt> void apply(Opt &) const {}
+};
+template <> struct OptionWords<BoundsMode> {
+  template <typename Opt> void apply(Opt &option) const {
+    llvm::cl::values(
+        clEnumValN(BoundsMode::Off, "off", "Nothing is defined"),
+        clEnumValN(BoundsMode::Clamp, "clamp", "The nearest element is taken"),
+        clEnumValN(BoundsMode::Check, "check", "The launch fails"))
+        .apply(option);
+  }
+};
+
+/// How kernels are lowered, wherever they run. What a context sets comes from
+/// Options.def.
 struct LoweringOptions : virtual ::mlir::detail::PassOptions {
   /// Options are bound to their parser and cannot be moved: copies the values.
   void copyFrom(const LoweringOptions &other) {
-    deterministic = other.deterministic.getValue();
-    debug = other.debug.getValue();
+#define TAI_LOWERING_OPTION(type, member, from, argument, initial, about)      \
+  member = other.member.getValue();
+#include "tai/Support/Options.def"
     boundsCheck = other.boundsCheck.getValue();
-    bounds = other.bounds.getValue();
-    fastMath = other.fastMath.getValue();
-    contract = other.contract.getValue();
-    optLevel = other.optLevel.getValue();
     fuseLaunches = other.fuseLaunches.getValue();
-    skip = other.skip.getValue();
   }
 
-  Option<bool> deterministic{
-      *this, "deterministic",
-      llvm::cl::desc("Make results bit-identical from run to run and over "
-                     "numbers of threads, or sizes of blocks on a GPU"),
-      llvm::cl::init(false)};
-  Option<bool> debug{
-      *this, "debug",
-      llvm::cl::desc("Check tai.assert, and every index (see bounds-check)"),
-      llvm::cl::init(false)};
+#define TAI_LOWERING_OPTION(type, member, from, argument, initial, about)      \
+  Option<type> member{*this, argument, llvm::cl::desc(about),                  \
+                      llvm::cl::init(initial), OptionWords<type>()};
+#include "tai/Support/Options.def"
   Option<bool> boundsCheck{*this, "bounds-check",
                            llvm::cl::desc("The same as bounds=check"),
                            llvm::cl::init(false)};
-  Option<BoundsMode> bounds{
-      *this, "bounds",
-      llvm::cl::desc("What happens to indices that depend on data and lie "
-                     "outside their field or array; all others are checked "
-                     "always. Clamping comes first of all, before "
-                     "differentiation: see tai-check-bounds"),
-      llvm::cl::init(BoundsMode::Off),
-      llvm::cl::values(
-          clEnumValN(BoundsMode::Off, "off", "Nothing is defined"),
-          clEnumValN(BoundsMode::Clamp, "clamp",
-                     "The nearest element is taken"),
-          clEnumValN(BoundsMode::Check, "check", "The launch fails"))};
-  /// Whether indices are checked as kernels run.
-  bool checksIndices() const {
-    return boundsCheck || debug || bounds == BoundsMode::Check;
-  }
-  Option<bool> fastMath{
-      *this, "fast-math",
-      llvm::cl::desc("Let float operations be reordered and approximated; "
-                     "infinities and NaN keep their meaning"),
-      llvm::cl::init(false)};
-  Option<bool> contract{
-      *this, "contract",
-      llvm::cl::desc("Let a product and a sum be rounded once"),
-      llvm::cl::init(true)};
-  Option<unsigned> optLevel{
-      *this, "opt-level",
-      llvm::cl::desc("Effort, 0 to 3; 0 leaves out what only makes code fast"),
-      llvm::cl::init(3)};
   Option<bool> fuseLaunches{
       *this, "fuse-launches",
       llvm::cl::desc("Make one kernel of those that a host function launches "
                      "one after another, where iterations allow"),
       llvm::cl::init(true)};
-  Option<SkipSet> skip{*this, "skip",
-                       llvm::cl::desc("What to leave out where it is not "
-                                      "needed: all, none, or names"),
-                       llvm::cl::init(SkipSet::all())};
+
+  /// Whether indices are checked as kernels run.
+  bool checksIndices() const {
+    return boundsCheck || debug || bounds == BoundsMode::Check;
+  }
 };
 
 /// How kernels are lowered for the CPU.
