@@ -27,6 +27,7 @@
 #include "mlir/Target/LLVMIR/Export.h"
 #include "tai/ABI/DeviceAccesses.h"
 #include "tai/CodeGen/Diagnostics.h"
+#include "tai/Support/Places.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/ADT/StringSet.h"
 #include "llvm/Bitcode/BitcodeReader.h"

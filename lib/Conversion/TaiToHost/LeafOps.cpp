@@ -272,7 +272,7 @@ static void lowerCellOp(Operation *op, Value frame, RuntimeCalls &runtime) {
     return op->erase();
   }
   Value number = math.toI64(op->getOperand(1));
-  Value where = runtime.string(builder, loc, describeLocation(loc));
+  Value where = runtime.string(builder, loc, describePlace(loc));
   if (auto activate = dyn_cast<ActivateCellOp>(op)) {
     Value done =
         runtime.tai_rt_activate(builder, loc, frame, tree, node, number, where);
