@@ -34,7 +34,7 @@ ARROWS: dict[str, str] = {
     "DeviceLibrary": "ABI Support",
     "Runtime": "ABI Support",
     "CodeGen": "ABI Runtime Support Transforms",
-    "Interpreter": "ABI Dialect Runtime",
+    "Interpreter": "ABI Dialect Runtime Support",
     "ExecutionEngine": "ABI AD Analysis CodeGen Conversion Dialect Interfaces Interpreter "
     "Pipelines Runtime Support Transforms",
     "CAPI": "ExecutionEngine Runtime Support",

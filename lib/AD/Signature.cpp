@@ -1,4 +1,4 @@
-//===- Signature.cpp - What an adjoint is given besides -------------------===//
+//===- Signature.cpp - Extra operands of an adjoint function --------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

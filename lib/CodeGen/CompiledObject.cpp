@@ -131,7 +131,7 @@ std::string CompiledObject::serialize() const {
   std::string bytes = magic.str();
   append(bytes, symbol);
   append(bytes, StringRef(code.data(), code.size()));
-  append(bytes, needs);
+  append(bytes, toBeRecorded);
   append(bytes, places);
   append(bytes, ArrayRef<int64_t>(skipped.data(), skipped.size()));
   append(bytes, ArrayRef<int64_t>(loopLevels));
@@ -146,8 +146,9 @@ std::optional<CompiledObject> CompiledObject::deserialize(StringRef bytes) {
     return std::nullopt;
   std::optional<StringRef> symbol = consume(bytes);
   std::optional<StringRef> code = symbol ? consume(bytes) : std::nullopt;
-  std::optional<StringRef> needs = code ? consume(bytes) : std::nullopt;
-  std::optional<StringRef> places = needs ? consume(bytes) : std::nullopt;
+  std::optional<StringRef> toBeRecorded = code ? consume(bytes) : std::nullopt;
+  std::optional<StringRef> places =
+      toBeRecorded ? consume(bytes) : std::nullopt;
   if (!places)
     return std::nullopt;
   auto counts = consumeNumbers(bytes);
@@ -166,7 +167,7 @@ std::optional<CompiledObject> CompiledObject::deserialize(StringRef bytes) {
     object.trees.push_back(tree->str());
   }
   object.symbol = symbol->str();
-  object.needs = needs->str();
+  object.toBeRecorded = toBeRecorded->str();
   object.places = places->str();
   object.code.assign(code->begin(), code->end());
   return object;

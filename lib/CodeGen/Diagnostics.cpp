@@ -7,7 +7,7 @@
 
 #include "tai/CodeGen/Diagnostics.h"
 #include "mlir/IR/BuiltinAttributes.h"
-#include "llvm/Support/FormatVariadic.h"
+#include "tai/Support/Places.h"
 #include "llvm/Support/LineIterator.h"
 #include "llvm/Support/MemoryBuffer.h"
 #include "llvm/Support/Threading.h"
@@ -22,34 +22,6 @@ Failure Failure::get(FailureKind kind, const llvm::Twine &message) {
   failure.message = message.str();
   failure.text = "error: " + failure.message + "\n";
   return failure;
-}
-
-FileLineColLoc mlir::tai::findFileLocation(Location location) {
-  // A call site is where the inlined code stands, not where it was called.
-  if (auto call = dyn_cast<CallSiteLoc>(location))
-    return findFileLocation(call.getCallee());
-  FileLineColLoc found;
-  location->walk([&](Location inner) {
-    if (isa<CallSiteLoc>(inner)) {
-      found = findFileLocation(inner);
-      return found ? WalkResult::interrupt() : WalkResult::skip();
-    }
-    found = dyn_cast<FileLineColLoc>(inner);
-    if (!found)
-      if (auto range = dyn_cast<FileLineColRange>(inner))
-        found = FileLineColLoc::get(range.getFilename(), range.getStartLine(),
-                                    range.getStartColumn());
-    return found ? WalkResult::interrupt() : WalkResult::advance();
-  });
-  return found;
-}
-
-std::string mlir::tai::describePlace(Location location) {
-  FileLineColLoc place = findFileLocation(location);
-  return place ? llvm::formatv("{0}:{1}:{2}", place.getFilename().getValue(),
-                               place.getLine(), place.getColumn())
-                     .str()
-               : std::string();
 }
 
 /// Appends the line of the source and a caret below the column.

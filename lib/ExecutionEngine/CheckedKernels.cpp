@@ -17,6 +17,7 @@
 #include "tai/ExecutionEngine/KernelCode.h"
 #include "tai/ExecutionEngine/Summaries.h"
 #include "tai/Runtime/Launch/AccessChecks.h"
+#include "tai/Support/Places.h"
 #include "tai/Transforms/AccessShadow.h"
 #include "tai/Transforms/Passes.h"
 

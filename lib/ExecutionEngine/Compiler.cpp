@@ -17,8 +17,8 @@
 #include "tai/Analysis/SkipScope.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
-#include "tai/ExecutionEngine/AdjointNeeds.h"
 #include "tai/ExecutionEngine/Background.h"
+#include "tai/ExecutionEngine/ToBeRecorded.h"
 #include "tai/Runtime/Cache/CacheStore.h"
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/Support/BLAKE3.h"
@@ -225,7 +225,7 @@ LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
                                   FailureKind::Autodiff, failure))) {
       return mlir::failure();
     }
-    prepared.needs = getAdjointNeeds(*module, request.name).serialize();
+    prepared.toBeRecorded = findToBeRecorded(*module, request.name).serialize();
     // The primal is compiled on its own, when it is first launched.
     auto kernel = module->lookupSymbol<KernelOp>(request.name);
     FlatSymbolRefAttr adjoint = kernel ? kernel.getAdjointAttr() : nullptr;
@@ -389,7 +389,7 @@ void Compiler::load(Prepared &prepared, CompileRequest request) {
       prepared.object->places != getPlaces(request))
     prepared.object.reset();
   if (prepared.object)
-    prepared.needs = prepared.object->needs;
+    prepared.toBeRecorded = prepared.object->toBeRecorded;
 }
 
 LogicalResult Compiler::claimOrLoad(Prepared &prepared, CompileRequest request,

@@ -239,7 +239,7 @@ Compiler::makeObject(CompileRequest request, const CompileOptions &options,
                      Prepared &prepared, Failure &failure) {
   CompiledObject object;
   object.symbol = prepared.symbol;
-  object.needs = prepared.needs;
+  object.toBeRecorded = prepared.toBeRecorded;
   // Parts of a kernel count for themselves.
   if (object.symbol.empty())
     return object;

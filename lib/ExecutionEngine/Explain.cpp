@@ -14,6 +14,7 @@
 #include "tai/CodeGen/Diagnostics.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/ExecutionEngine/ModuleFile.h"
+#include "tai/Support/Places.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/Support/Path.h"
 

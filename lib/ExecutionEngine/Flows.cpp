@@ -17,6 +17,7 @@
 #include "tai/Analysis/Activity.h"
 #include "tai/CodeGen/Diagnostics.h"
 #include "tai/ExecutionEngine/Summaries.h"
+#include "tai/Support/Places.h"
 #include "llvm/ADT/SmallBitVector.h"
 
 using namespace mlir;

@@ -7,9 +7,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/KernelCode.h"
-#include "tai/ExecutionEngine/AdjointNeeds.h"
 #include "tai/ExecutionEngine/ModuleFile.h"
 #include "tai/ExecutionEngine/Summaries.h"
+#include "tai/ExecutionEngine/ToBeRecorded.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 
 using namespace mlir;
@@ -161,7 +161,7 @@ LogicalResult KernelCode::prepareAdjoint(Failure &failure, bool claims) {
       failure);
   if (!prepared)
     return mlir::failure();
-  needs = prepared->needs;
+  toBeRecorded = prepared->toBeRecorded;
   return success();
 }
 
@@ -196,7 +196,7 @@ KernelCode::compilePlannedAdjoint(Failure &failure) {
 /// Decides, once, which form of the adjoint a tape launches for all we know.
 void KernelCode::choosePlannedForm(const runtime::Kernel &kernel) {
   std::lock_guard<std::mutex> lock(prepareMutex);
-  if (needs || ahead)
+  if (toBeRecorded || ahead)
     return;
   // One that came with the kernel is what it is.
   planZeroes = !getKernel().getAdjoint() && alwaysZeroes(kernel.summary());
@@ -286,12 +286,12 @@ std::string KernelCode::explainRefusalOf(Goal goal, bool forward,
 
 /// Whether the form of the adjoint that loads what the kernel has stored reads
 /// no more than a tape was told, if it is there at all.
-bool KernelCode::canReadStored(Goal goal, const AdjointNeeds &told) {
+bool KernelCode::canReadStored(Goal goal, const ToBeRecorded &told) {
   Failure failure;
   auto first =
       services.compiler.prepare(getRequest(goal), getOptions(), failure);
-  auto here = first ? AdjointNeeds::deserialize(first->needs)
-                    : std::optional<AdjointNeeds>();
+  auto here = first ? ToBeRecorded::deserialize(first->toBeRecorded)
+                    : std::optional<ToBeRecorded>();
   return told.loadsStored && here && here->loadsStored &&
          llvm::all_of(here->stored, [&](const NamedAccess &access) {
            return llvm::is_contained(told.stored, access) ||
@@ -309,11 +309,11 @@ runtime::Status KernelCode::makeAdjoint(runtime::Kernel &kernel,
     return services.failures.keep(Failure::get(
         FailureKind::Runtime, "interrupted while the gradient of '" +
                                   getName() + "' was being compiled"));
-  std::optional<AdjointNeeds> told;
+  std::optional<ToBeRecorded> told;
   {
     std::lock_guard<std::mutex> lock(prepareMutex);
-    if (needs)
-      told = AdjointNeeds::deserialize(*needs);
+    if (toBeRecorded)
+      told = ToBeRecorded::deserialize(*toBeRecorded);
   }
   // What was begun before anybody asked loads what is stored, if it can. That a
   // gradient is launched by hand is seen too late for that.
@@ -388,14 +388,14 @@ runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
   }
   choosePlannedForm(kernel);
   plan.zeroes = planZeroes;
-  std::optional<AdjointNeeds> told;
+  std::optional<ToBeRecorded> told;
   {
     std::lock_guard<std::mutex> lock(prepareMutex);
     Failure failure;
     // It may take long until the code itself is asked for.
-    if (!needs && failed(prepareAdjoint(failure, /*claims=*/false)))
+    if (!toBeRecorded && failed(prepareAdjoint(failure, /*claims=*/false)))
       return services.failures.keep(std::move(failure));
-    told = AdjointNeeds::deserialize(*needs);
+    told = ToBeRecorded::deserialize(*toBeRecorded);
   }
   // The fields that the kernel was made for, even if others have their names
   // by now.
@@ -431,7 +431,7 @@ runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
       plan.flags.push_back(std::move(flags));
   }
   plan.arrays = told->arrays;
-  plan.reruns = told->reruns;
+  plan.reruns = told->reexecutes;
   if (told->parts.empty())
     return runtime::Status::success();
   ParserConfig config(source.module->getContext());

@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/LoopLevels.h"
+#include "SparseLoops.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Conversion/Passes.h"
-#include "tai/Dialect/Tai/IR/Layout.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -17,12 +17,8 @@ using namespace mlir::tai;
 /// is not such a loop.
 static std::optional<unsigned>
 getListLevel(ParallelForOp loop, const DataLayout &dataLayout, TreeOp &tree) {
-  if (!loop.isStructFor())
-    return std::nullopt;
-  FieldOp field = lookupField(loop, loop.getFieldAttr());
-  FailureOr<FieldLayout> layout =
-      field ? getFieldLayout(field) : FailureOr<FieldLayout>(failure());
-  if (failed(layout) || !layout->path.getFirstSparse())
+  std::optional<FieldLayout> layout = getSparseLayout(loop);
+  if (!layout)
     return std::nullopt;
   tree = layout->tree;
   // The loop takes the list of the innermost sparse level that it covers.

@@ -14,6 +14,7 @@
 #include "tai/AD/Signature.h"
 #include "tai/ExecutionEngine/KernelCode.h"
 #include "tai/ExecutionEngine/Summaries.h"
+#include "tai/Support/Places.h"
 #include "tai/Transforms/Passes.h"
 
 using namespace mlir;

@@ -85,6 +85,17 @@ struct Bounds {
   }
 };
 
+/// Whether there is one: AddressSanitizer is all there is.
+struct Sanitizer {
+  using Type = bool;
+  static std::optional<bool> parse(StringRef text) {
+    return llvm::StringSwitch<std::optional<bool>>(text)
+        .Case("", false)
+        .Case("address", true)
+        .Default(std::nullopt);
+  }
+};
+
 /// As it is: whoever sets it says what is wrong with it.
 struct Text {
   using Type = StringRef;

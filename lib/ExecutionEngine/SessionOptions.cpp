@@ -118,18 +118,14 @@ LogicalResult Session::setFastMath(bool on) {
   return success();
 }
 
-LogicalResult Session::setSanitize(StringRef sanitizer) {
-  if (!sanitizer.empty() && sanitizer != "address")
-    return fail(FailureKind::Usage,
-                "option 'sanitize' expects \"address\" or nothing, but got '" +
-                    sanitizer + "'");
-  if (!sanitizer.empty() && !dlsym(RTLD_DEFAULT, "__asan_init"))
+LogicalResult Session::setSanitize(bool address) {
+  if (address && !dlsym(RTLD_DEFAULT, "__asan_init"))
     return fail(FailureKind::Usage,
                 "option 'sanitize': the process has no run time of "
                 "AddressSanitizer; start it with LD_PRELOAD=$(clang-22 "
                 "-print-file-name=libclang_rt.asan-x86_64.so) "
                 "ASAN_OPTIONS=detect_leaks=0");
-  compileOptions.codegen.sanitizeAddress = !sanitizer.empty();
+  compileOptions.codegen.sanitizeAddress = address;
   return success();
 }
 

@@ -6,7 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // Any pass may drop discardable attributes. Tests ask for the worst: that all
-// those of tai are dropped in front of each pass.
+// those of tai are dropped in front of each pass. To find the one that matters,
+// name it: TAI_STRIP_ATTRIBUTES=tai.active,tai.tiles drops these alone.
 //
 //===----------------------------------------------------------------------===//
 
@@ -15,6 +16,8 @@
 
 #include "mlir/Pass/PassInstrumentation.h"
 #include "mlir/Pass/PassManager.h"
+#include "llvm/ADT/StringExtras.h"
+#include "llvm/ADT/StringSet.h"
 #include <cstdlib>
 
 namespace mlir::tai {
@@ -22,20 +25,35 @@ namespace mlir::tai {
 /// Drops what passes have noted on ops of any dialect.
 class StripAttributes : public PassInstrumentation {
 public:
+  /// `names`: attributes with commas, or anything else for all of them.
+  explicit StripAttributes(StringRef names) {
+    for (StringRef name : llvm::split(names, ','))
+      if (name.starts_with("tai."))
+        wanted.insert(name);
+  }
+
   void runBeforePass(Pass *, Operation *root) override {
-    root->walk([](Operation *op) {
+    root->walk([this](Operation *op) {
       for (NamedAttribute attribute :
            llvm::to_vector(op->getDiscardableAttrs()))
-        if (attribute.getName().strref().starts_with("tai."))
+        if (isWanted(attribute.getName()))
           op->removeDiscardableAttr(attribute.getName());
     });
   }
 
   /// Where the environment variable TAI_STRIP_ATTRIBUTES is set.
   static void addIfWanted(PassManager &manager) {
-    if (std::getenv("TAI_STRIP_ATTRIBUTES"))
-      manager.addInstrumentation(std::make_unique<StripAttributes>());
+    if (const char *names = std::getenv("TAI_STRIP_ATTRIBUTES"))
+      manager.addInstrumentation(std::make_unique<StripAttributes>(names));
   }
+
+private:
+  bool isWanted(StringRef name) const {
+    return name.starts_with("tai.") &&
+           (wanted.empty() || wanted.contains(name));
+  }
+
+  llvm::StringSet<> wanted;
 };
 
 } // namespace mlir::tai

@@ -16,7 +16,7 @@
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
-#include "tai/ExecutionEngine/AdjointNeeds.h"
+#include "tai/ExecutionEngine/ToBeRecorded.h"
 
 using namespace mlir;
 using namespace mlir::tai;

@@ -1,24 +1,24 @@
-//===- ZeroAdjoints.cpp - Loops that zero adjoints make vain --------------===//
+//===- ZeroAdjoints.cpp - Zero-adjoint skipping ---------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Every contribution of most adjoint loops is a product with an adjoint that
-// the iteration takes from its own cell. Such a loop has nothing to do in cells
-// where these adjoints are zero. This finds, for each loop, the fields that
-// must be zero, from the set of values that are zero then: the largest one that
-// agrees with what each op does to zeros.
+// Skips iterations whose incoming adjoints are zero. Every contribution of most
+// adjoint loops is a product with an adjoint of the iteration's own cell. This
+// finds, for each loop, the fields that must be zero for it to do nothing: the
+// greatest fixed point of "this value is zero then", by what each op does to
+// zeros.
 //
 //===----------------------------------------------------------------------===//
 
 #include "ZeroAdjoints.h"
+#include "SparseLoops.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/Matchers.h"
-#include "tai/Dialect/Tai/IR/Layout.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/ADT/TypeSwitch.h"
 
@@ -52,18 +52,6 @@ private:
   DenseSet<Value> zeros;
 };
 } // namespace
-
-/// A loop over the elements of a sparse field, and how that is laid out.
-static std::optional<FieldLayout> getSparseLayout(ParallelForOp loop) {
-  if (!loop.isStructFor())
-    return std::nullopt;
-  FieldOp field = lookupField(loop, loop.getFieldAttr());
-  FailureOr<FieldLayout> layout =
-      field ? getFieldLayout(field) : FailureOr<FieldLayout>(failure());
-  if (failed(layout) || !layout->path.getFirstSparse())
-    return std::nullopt;
-  return *layout;
-}
 
 static bool isFloat(Type type) {
   return isa<FloatType>(getElementTypeOrSelf(type));
@@ -246,7 +234,7 @@ std::vector<LoopFlags> mlir::tai::findLoopFlags(KernelOp primal,
         entry.sources.push_back(source.str());
     flags.push_back(std::move(entry));
   });
-  // The form of the adjoint that takes sets these to zero, too.
+  // The form that zeroes overwritten adjoints sets these to zero, too.
   primal.walk([&](Operation *op) {
     auto loop = op->getParentOfType<ParallelForOp>();
     FlatSymbolRefAttr name = getNamedField(op);

@@ -1,4 +1,4 @@
-//===- ZeroAdjoints.h - Loops that zero adjoints make vain ------*- C++ -*-===//
+//===- ZeroAdjoints.h - Zero-adjoint skipping -------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -8,7 +8,7 @@
 #ifndef TAI_LIB_EXECUTIONENGINE_ZEROADJOINTS_H
 #define TAI_LIB_EXECUTIONENGINE_ZEROADJOINTS_H
 
-#include "tai/ExecutionEngine/AdjointNeeds.h"
+#include "tai/ExecutionEngine/ToBeRecorded.h"
 
 namespace mlir::tai {
 

@@ -310,7 +310,7 @@ static FailureOr<char *> locate(Run &run, Operation *op,
     exists = isActive(run, field, level, cell);
     if (!exists && activates && !run.keepsActivity)
       exists = tai_rt_activate(run.frame, run.getTree(field), level.node, cell,
-                               describePlaceOf(op).c_str()) != 0;
+                               describePlace(op->getLoc()).c_str()) != 0;
   }
   uint64_t offset =
       field.storage.offset + component * getByteSize(field.scalar);
@@ -394,7 +394,7 @@ static LogicalResult runActivate(Run &run, Operation *op) {
   if (auto *level = findLevel(field, cast<ActivateOp>(op).getLevel()))
     tai_rt_activate(run.frame, run.getTree(field), level->node,
                     getCell(field, level->level, indices),
-                    describePlaceOf(op).c_str());
+                    describePlace(op->getLoc()).c_str());
   return success();
 }
 
@@ -406,7 +406,7 @@ static LogicalResult runDeactivate(Run &run, Operation *op) {
   if (auto *level = findLevel(field, cast<DeactivateOp>(op).getLevel()))
     tai_rt_deactivate(run.frame, run.getTree(field), level->node,
                       getCell(field, level->level, indices),
-                      describePlaceOf(op).c_str());
+                      describePlace(op->getLoc()).c_str());
   return success();
 }
 
@@ -479,7 +479,7 @@ static LogicalResult runAppend(Run &run, Operation *op) {
   int64_t number = getCell(field, list->level, indices) /
                    field.nodes[list->node].type.getNumCells();
   int64_t at = tai_rt_append(run.frame, run.getTree(field), list->node, number,
-                             describePlaceOf(op).c_str());
+                             describePlace(op->getLoc()).c_str());
   // The launch has failed, and says so.
   if (at < 0)
     return failure();

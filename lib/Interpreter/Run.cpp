@@ -14,31 +14,19 @@ using namespace mlir::tai;
 using namespace mlir::tai::interpreter;
 using llvm::APInt;
 
-std::string interpreter::describePlaceOf(Operation *op) {
-  std::string text;
-  op->getLoc()->walk([&](Location inner) {
-    auto file = dyn_cast<FileLineColLoc>(inner);
-    if (!file)
-      return WalkResult::advance();
-    llvm::raw_string_ostream(text) << file.getFilename().getValue() << ":"
-                                   << file.getLine() << ":" << file.getColumn();
-    return WalkResult::interrupt();
-  });
-  return text;
-}
-
 LogicalResult Run::fail(Operation *op, const Twine &message, int32_t kind) {
-  tai_rt_fail(frame, kind, message.str().c_str(), describePlaceOf(op).c_str(),
-              0, nullptr, nullptr, nullptr);
+  tai_rt_fail(frame, kind, message.str().c_str(),
+              describePlace(op->getLoc()).c_str(), 0, nullptr, nullptr,
+              nullptr);
   return failure();
 }
 
 void Run::report(Operation *op, StringRef message, ValueRange reported,
                  int32_t kind) {
   Message packed = getMessage(reported);
-  tai_rt_fail(frame, kind, message.str().c_str(), describePlaceOf(op).c_str(),
-              packed.shapes.size(), packed.kinds.data(), packed.shapes.data(),
-              packed.slots.data());
+  tai_rt_fail(frame, kind, message.str().c_str(),
+              describePlace(op->getLoc()).c_str(), packed.shapes.size(),
+              packed.kinds.data(), packed.shapes.data(), packed.slots.data());
 }
 
 LogicalResult Run::passSafepoint() {

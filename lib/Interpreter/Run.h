@@ -14,6 +14,7 @@
 #define TAI_LIB_INTERPRETER_RUN_H
 
 #include "Program.h"
+#include "tai/Support/Places.h"
 #include <map>
 #include <random>
 
@@ -113,9 +114,6 @@ struct Run {
   bool keepsActivity = false;
   DrawCounter draws;
 };
-
-/// "file:line:column", or empty.
-std::string describePlaceOf(Operation *op);
 
 } // namespace mlir::tai::interpreter
 

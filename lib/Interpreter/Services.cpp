@@ -114,7 +114,7 @@ static LogicalResult runCheckClose(Run &run, Operation *op) {
                       llvm::bit_cast<uint64_t>(tolerance)};
   tai_rt_fail(run.frame, TAI_FAIL_CHECK,
               "check failed: got {}, expected {} within {}",
-              describePlaceOf(op).c_str(), 3, kinds, shapes, slots);
+              describePlace(op->getLoc()).c_str(), 3, kinds, shapes, slots);
   return success();
 }
 
@@ -182,7 +182,7 @@ static LogicalResult runCheckGradient(Run &run, Operation *op) {
   tai_rt_host_check_gradient(run.frame, check.getLoss().str().c_str(),
                              wrt.data(), wrt.size(),
                              check.getTolerance().convertToDouble(), call,
-                             &region, describePlaceOf(op).c_str());
+                             &region, describePlace(op->getLoc()).c_str());
   return failure(tai_rt_failed(run.frame) != 0);
 }
 

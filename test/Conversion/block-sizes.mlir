@@ -23,16 +23,16 @@ tai.field @z = @t["z"] : f32, rank 1
 // Each loop of a kernel has its own.
 //     NVVM-LABEL: llvm.func @two_0(
 //      NVVM-SAME:   nvvm.kernel, nvvm.maxntid = array<i32: 64>
-//      NVVM-SAME:   tai.block_size = 64 : i64
+//      NVVM-SAME:   passthrough = {{\[\["tai.block_size", "64"\]\]}}
 //     NVVM-LABEL: llvm.func @two_1(
 //      NVVM-SAME:   nvvm.kernel, tai.accesses
 //       NVVM-NOT:   maxntid
 //     NVVM-LABEL: llvm.func @two_2(
 //      NVVM-SAME:   nvvm.maxntid = array<i32: 1024>
-//      NVVM-SAME:   tai.block_size = 1024 : i64
+//      NVVM-SAME:   passthrough = {{\[\["tai.block_size", "1024"\]\]}}
 //   EMULATED-NOT: maxntid
 // EMULATED-LABEL: llvm.func @two_0(
-//  EMULATED-SAME:   tai.block_size = 64 : i64
+//  EMULATED-SAME:   passthrough = {{\[\["tai.block_size", "64"\]\]}}
 //   EMULATED-NOT: maxntid
 
 // The assembler is told; passes are not, since the code runs in programs with
@@ -70,7 +70,7 @@ tai.kernel @two() {
 
 // The active cells of a sparse field.
 //     NVVM-LABEL: llvm.func @cells_0(
-//      NVVM-SAME:   tai.block_size = 96 : i64
+//      NVVM-SAME:   passthrough = {{\[\["tai.block_size", "96"\]\]}}
 //      PTX-LABEL: .entry cells_0(
 //            PTX: .maxntid 96
 tai.kernel @cells() {

@@ -45,7 +45,7 @@ gpu.module @kernels {
   // CHECK: .maxntid 512
   // CHECK: griddepcontrol.wait;
   // CHECK: st.global
-  llvm.func @store(%p: !llvm.ptr) attributes {gpu.kernel, tai.block_size = 512 : i64} {
+  llvm.func @store(%p: !llvm.ptr) attributes {gpu.kernel, passthrough = [["tai.block_size", "512"]]} {
     %zero = llvm.mlir.constant(0.0 : f32) : f32
     llvm.store %zero, %p : f32, !llvm.ptr
     llvm.return

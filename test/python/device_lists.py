@@ -49,6 +49,7 @@ ONE_RUN_DOES = {
     "test_running_launches": {
         ALL: "its kernel waits for the host, which waits for what a device has begun",
     },
+    "test_stripped_attributes": {"test_results_stay_on_a_device": CHOOSES},
     "test_taichi_names": {
         "test_names_are_there": NAMES,
         "test_field_attributes": NAMES,

@@ -1,4 +1,4 @@
-//===- AdjointBuilder.h - Builds the reverse of a kernel --------*- C++ -*-===//
+//===- AdjointBuilder.h - Emits reverse mode of a kernel --------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- AdjointPlan.h - What an adjoint is to do -----------------*- C++ -*-===//
+//===- AdjointPlan.h - The result of planning an adjoint --------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- AdjointPlanner.h - Decides what an adjoint is to do ------*- C++ -*-===//
+//===- AdjointPlanner.h - Plans reverse mode of a kernel --------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

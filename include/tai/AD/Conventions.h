@@ -1,4 +1,4 @@
-//===- Conventions.h - What a program chooses at kinks ----------*- C++ -*-===//
+//===- Conventions.h - Subgradients chosen at kinks -------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

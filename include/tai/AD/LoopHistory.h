@@ -1,4 +1,4 @@
-//===- LoopHistory.h - What a reversed loop knows of the loop ---*- C++ -*-===//
+//===- LoopHistory.h - Loop-carried values, in reverse ----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- LoopTrajectory.h - What a reversed loop records ----------*- C++ -*-===//
+//===- LoopTrajectory.h - Recording of loops, checkpointed ------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

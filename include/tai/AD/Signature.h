@@ -1,4 +1,4 @@
-//===- Signature.h - What an adjoint is given besides ----------*- C++ -*-===//
+//===- Signature.h - Extra operands of an adjoint function ------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

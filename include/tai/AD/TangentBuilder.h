@@ -1,4 +1,4 @@
-//===- TangentBuilder.h - Extends a kernel by tangents ----------*- C++ -*-===//
+//===- TangentBuilder.h - Emits forward mode of a kernel --------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- AccessOrder.h - Which access follows which ---------------*- C++ -*-===//
+//===- AccessOrder.h - Order of accesses to a storage -----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Activity.h - Which values carry derivatives --------------*- C++ -*-===//
+//===- Activity.h - Activity analysis ---------------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- CarriedValues.h - What serial loops carry ----------------*- C++ -*-===//
+//===- CarriedValues.h - Loop-carried values, in reverse --------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- IterationDomains.h - When a block of a kernel runs -------*- C++ -*-===//
+//===- IterationDomains.h - Iteration domains of blocks ---------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Races.h - Iterations that meet for certain ---------------*- C++ -*-===//
+//===- Races.h - Certain races between iterations ---------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

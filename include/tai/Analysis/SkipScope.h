@@ -1,4 +1,4 @@
-//===- SkipScope.h - What passes count of what they leave out ---*- C++ -*-===//
+//===- SkipScope.h - Counters of what passes leave out ----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

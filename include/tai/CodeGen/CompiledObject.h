@@ -28,8 +28,8 @@ struct CompiledObject {
   std::string symbol;
   /// The trees whose bases the function is given, in order.
   std::vector<std::string> trees;
-  /// Of adjoints, what they ask of memory: a serialized AdjointNeeds.
-  std::string needs;
+  /// Of adjoints, which values must be recorded: a serialized ToBeRecorded.
+  std::string toBeRecorded;
   /// A digest of where the kernel stands in the source, if that is in the code.
   std::string places;
   /// What the passes have left out, and what they have not.

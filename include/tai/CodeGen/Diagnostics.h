@@ -44,12 +44,6 @@ struct Failure {
   static Failure get(FailureKind kind, const llvm::Twine &message);
 };
 
-/// The place in a file that a location stands for, if it has one: the
-/// innermost, where functions were inlined.
-FileLineColLoc findFileLocation(Location location);
-/// The same as "file:line:column", or empty.
-std::string describePlace(Location location);
-
 /// "file:line:col: kind: message", and the line of the source with a caret
 /// where the file can be read.
 std::string formatDiagnostic(StringRef file, unsigned line, unsigned column,

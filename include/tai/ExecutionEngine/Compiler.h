@@ -172,7 +172,7 @@ public:
     /// Else the module, differentiated, and the symbol of its entry point.
     OwningOpRef<ModuleOp> module;
     std::string symbol;
-    std::string needs;
+    std::string toBeRecorded;
     SkipAmounts skipped{};
     PhaseTimes times = {};
     /// Makes other processes wait for the object.

@@ -24,7 +24,7 @@
 #include "llvm/ADT/StringMap.h"
 
 namespace mlir::tai {
-struct AdjointNeeds;
+struct ToBeRecorded;
 
 /// The names of the kernels that may be launched. Tapes keep some of them
 /// longer than their handles do. Any thread.
@@ -147,7 +147,7 @@ private:
   /// `prepareMutex`.
   LogicalResult prepareAdjoint(Failure &failure, bool claims);
   std::optional<Compiler::Function> compilePlannedAdjoint(Failure &failure);
-  bool canReadStored(CompileRequest::Goal goal, const AdjointNeeds &told);
+  bool canReadStored(CompileRequest::Goal goal, const ToBeRecorded &told);
   /// What passes have left out of a function that was made or loaded.
   void count(const Compiler::Function &function, bool isAdjoint);
   std::vector<runtime::TreePtr> findTrees(ArrayRef<std::string> names) const;
@@ -166,7 +166,7 @@ private:
   std::mutex prepareMutex;
   bool planZeroes = false;
   std::optional<Compiler::Prepared> prepared;
-  std::optional<std::string> needs;
+  std::optional<std::string> toBeRecorded;
   /// The adjoint, compiled ahead of need, and what became of it.
   Background::JobPtr ahead;
   std::optional<Compiler::Function> aheadResult;

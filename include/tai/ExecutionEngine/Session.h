@@ -161,7 +161,7 @@ private:
   LogicalResult setFastMath(bool on);
   LogicalResult setStrict(bool on);
   LogicalResult failContradiction();
-  LogicalResult setSanitize(StringRef sanitizer);
+  LogicalResult setSanitize(bool address);
   LogicalResult setCacheDir(StringRef folder);
   LogicalResult setPrintIR(StringRef names);
   LogicalResult setProfiler(bool on);

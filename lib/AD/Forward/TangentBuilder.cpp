@@ -1,4 +1,4 @@
-//===- TangentBuilder.cpp - Extends a kernel by tangents ------------------===//
+//===- TangentBuilder.cpp - Emits forward mode of a kernel ----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- PromoteElements.cpp - Elements that are worked on in variables -----===//
+//===- PromoteElements.cpp - Store-to-load forwarding in fields -----------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

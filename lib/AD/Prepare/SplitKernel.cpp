@@ -1,4 +1,4 @@
-//===- SplitKernel.cpp - One kernel for each loop -------------------------===//
+//===- SplitKernel.cpp - Loop fission into kernels ------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

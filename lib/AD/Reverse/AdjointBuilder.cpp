@@ -1,4 +1,4 @@
-//===- AdjointBuilder.cpp - Builds the reverse of a kernel ----------------===//
+//===- AdjointBuilder.cpp - Emits reverse mode of a kernel ----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

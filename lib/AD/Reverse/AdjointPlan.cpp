@@ -1,4 +1,4 @@
-//===- AdjointPlan.cpp - What an adjoint is to do -------------------------===//
+//===- AdjointPlan.cpp - The result of planning an adjoint ----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- AdjointPlanner.cpp - Decides what an adjoint is to do --------------===//
+//===- AdjointPlanner.cpp - Plans reverse mode of a kernel ----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- DropDeadCarried.cpp - Carried values that nothing needs ------------===//
+//===- DropDeadCarried.cpp - Dead loop-carried values ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

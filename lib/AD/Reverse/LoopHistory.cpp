@@ -1,4 +1,4 @@
-//===- LoopHistory.cpp - Values that serial loops carry -------------------===//
+//===- LoopHistory.cpp - Loop-carried values, in reverse ------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

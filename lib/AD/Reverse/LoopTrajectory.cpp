@@ -1,4 +1,4 @@
-//===- LoopTrajectory.cpp - What a reversed loop records ------------------===//
+//===- LoopTrajectory.cpp - Recording of loops, checkpointed --------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

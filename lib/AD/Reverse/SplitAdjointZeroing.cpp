@@ -1,4 +1,4 @@
-//===- SplitAdjointZeroing.cpp - Zeroing in a loop of its own -------------===//
+//===- SplitAdjointZeroing.cpp - Loop fission of adjoint zeroing ----------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

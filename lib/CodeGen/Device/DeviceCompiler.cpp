@@ -27,6 +27,8 @@
 #include "mlir/Target/LLVMIR/Export.h"
 #include "tai/ABI/DeviceAccesses.h"
 #include "tai/CodeGen/Diagnostics.h"
+#include "tai/Support/BlockSize.h"
+#include "tai/Support/Places.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/ADT/StringSet.h"
 #include "llvm/Bitcode/BitcodeReader.h"
@@ -409,8 +411,7 @@ Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
           function->hasAttr(NVVM::NVVMDialect::getKernelFuncAttrName())) {
         code.functions.push_back(function.getName().str());
         code.places.push_back(describePlace(function.getLoc()));
-        auto size = function->getAttrOfType<IntegerAttr>("tai.block_size");
-        code.blockSizes.push_back(size ? size.getInt() : 0);
+        code.blockSizes.push_back(getBlockSize(function).value_or(0));
         auto list = function->getAttrOfType<DenseI64ArrayAttr>("tai.accesses");
         code.accesses.emplace_back();
         if (list)

@@ -12,8 +12,8 @@
 
 namespace mlir::tai {
 
-/// Ends each thread that asks for memory, or wants some that was asked for
-/// before, where there is none; see tai/Conversion/LocalMemory.h.
+/// Exits a thread whose allocation failed, at the call or where it first uses
+/// the memory; see lib/Conversion/ToNVVM/LocalMemory.cpp.
 void endWhereMemoryLacks(llvm::Module &module);
 
 } // namespace mlir::tai

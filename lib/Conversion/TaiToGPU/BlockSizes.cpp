@@ -16,6 +16,7 @@
 #include "WarpLoop.h"
 #include "mlir/Dialect/LLVMIR/NVVMDialect.h"
 #include "tai/ABI/DeviceAccesses.h"
+#include "tai/Support/BlockSize.h"
 #include "llvm/Support/MathExtras.h"
 
 using namespace mlir;
@@ -34,18 +35,17 @@ LogicalResult tai::checkBlockSize(ParallelForOp loop) {
 }
 
 void tai::noteBlockSize(ParallelForOp loop, LLVM::LLVMFuncOp function) {
-  IntegerAttr size = loop.getBlockDimAttr();
   if (loop.getInWarp())
-    size = Builder(loop.getContext()).getI64IntegerAttr(kWarpSize);
-  if (size)
-    function->setAttr(kBlockSizeAttrName, size);
+    setBlockSize(function, kWarpSize);
+  else if (std::optional<int64_t> size = loop.getBlockDim())
+    setBlockSize(function, *size);
 }
 
 void tai::limitRegisters(LLVM::LLVMFuncOp function) {
-  auto size = function->getAttrOfType<IntegerAttr>(kBlockSizeAttrName);
+  std::optional<int64_t> size = getBlockSize(function);
   if (!size)
     return;
-  auto threads = static_cast<int32_t>(size.getInt());
+  auto threads = static_cast<int32_t>(*size);
   function->setAttr(NVVM::NVVMDialect::getMaxntidAttrName(),
                     DenseI32ArrayAttr::get(function.getContext(), threads));
 }

@@ -84,9 +84,6 @@ void noteBlockSize(ParallelForOp loop, LLVM::LLVMFuncOp function);
 /// Leaves so many threads room, if the function says how many there are.
 void limitRegisters(LLVM::LLVMFuncOp function);
 
-/// On a device function: the threads of its blocks, from 1 to 1024.
-constexpr llvm::StringLiteral kBlockSizeAttrName = "tai.block_size";
-
 /// Makes loops that may be long inside the iterations of a device function,
 /// whose first argument is the state of the device, ask whether they go on.
 void pollLongLoops(LLVM::LLVMFuncOp function, scf::ForOp iterations,

@@ -168,7 +168,7 @@ static LogicalResult lowerCheckGradient(CheckGradientOp op, StringRef name,
   Value tolerance =
       arith::ConstantOp::create(builder, loc, op.getToleranceAttr());
   Value address = LLVM::AddressOfOp::create(builder, loc, region);
-  Value where = runtime.string(builder, loc, describeLocation(loc));
+  Value where = runtime.string(builder, loc, describePlace(loc));
   runtime.tai_rt_host_check_gradient(
       builder, loc, frame, loss, names, runtime.i64(builder, loc, count),
       tolerance, address, closure.emit(runtime), where);

@@ -7,45 +7,92 @@
 
 #include "../../Transforms/Utils/Accumulate.h"
 #include "../../Transforms/Utils/IndexMath.h"
+#include "../../Transforms/Utils/LowerEach.h"
 #include "Lowering.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/IR/PatternMatch.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
-#include "llvm/ADT/TypeSwitch.h"
 
 using namespace mlir;
 using namespace mlir::tai;
+
+namespace {
+/// What the lowerings in one function share.
+struct LeafLowering {
+  LeafLowering(LLVM::LLVMFuncOp function, ModuleLowering &module)
+      : function(function), frame(function.getArgument(0)), module(module),
+        runtime(module.runtime) {}
+
+  /// The address of a tree, loaded once at the top of the function.
+  Value getTree(TreeBaseOp op);
+
+  LLVM::LLVMFuncOp function;
+  Value frame;
+  ModuleLowering &module;
+  RuntimeCalls &runtime;
+
+private:
+  llvm::DenseMap<StringAttr, Value> bases;
+};
+
+/// Lowers one op.
+template <typename Op> struct LeafPattern : OpRewritePattern<Op> {
+  LeafPattern(MLIRContext *context, LeafLowering &leaf)
+      : OpRewritePattern<Op>(context), leaf(leaf) {}
+
+  LeafLowering &leaf;
+};
+} // namespace
 
 //===----------------------------------------------------------------------===//
 // Locals
 //===----------------------------------------------------------------------===//
 
+namespace {
 /// A local lives on the stack of the function, where LLVM finds and promotes
-/// it; it is set to zero where the program makes it.
-static LogicalResult lowerLocal(AllocaOp op) {
-  Location loc = op.getLoc();
-  Type type = cast<LocalType>(op.getLocal().getType()).getElementType();
-  if (isa<VectorType>(type))
-    return op.emitOpError("holds ")
-           << type << "; expects a scalar, as tai-scalarize makes it";
-  OpBuilder builder(op);
-  Value slot = emitStackSlots(builder, loc, 1);
-  Value zero =
-      arith::ConstantOp::create(builder, loc, builder.getZeroAttr(type));
-  emitSlotStore(builder, loc, zero, slot);
-  for (Operation *user : llvm::make_early_inc_range(op->getUsers())) {
-    builder.setInsertionPoint(user);
-    if (auto load = dyn_cast<LocalLoadOp>(user)) {
-      load.replaceAllUsesWith(emitSlotLoad(builder, load.getLoc(), type, slot));
-    } else if (auto store = dyn_cast<LocalStoreOp>(user)) {
-      emitSlotStore(builder, store.getLoc(), store.getValue(), slot);
-    } else {
-      return user->emitOpError("cannot be lowered on a local variable");
+/// it; it is set to zero where the program makes it. Its loads and stores go
+/// with it.
+struct LowerLocal final : LeafPattern<AllocaOp> {
+  using LeafPattern::LeafPattern;
+
+  LogicalResult matchAndRewrite(AllocaOp op,
+                                PatternRewriter &rewriter) const override {
+    Location loc = op.getLoc();
+    Type type = cast<LocalType>(op.getLocal().getType()).getElementType();
+    if (isa<VectorType>(type))
+      return op.emitOpError("holds ")
+             << type << "; expects a scalar, as tai-scalarize makes it";
+    Value slot = emitStackSlots(rewriter, loc, 1);
+    Value zero =
+        arith::ConstantOp::create(rewriter, loc, rewriter.getZeroAttr(type));
+    emitSlotStore(rewriter, loc, zero, slot);
+    for (Operation *user : llvm::make_early_inc_range(op->getUsers())) {
+      rewriter.setInsertionPoint(user);
+      Location at = user->getLoc();
+      if (auto load = dyn_cast<LocalLoadOp>(user)) {
+        rewriter.replaceOp(load, emitSlotLoad(rewriter, at, type, slot));
+      } else if (auto store = dyn_cast<LocalStoreOp>(user)) {
+        emitSlotStore(rewriter, at, store.getValue(), slot);
+        rewriter.eraseOp(store);
+      } else {
+        return user->emitOpError("cannot be lowered on a local variable");
+      }
     }
-    user->erase();
+    rewriter.eraseOp(op);
+    return success();
   }
-  op.erase();
-  return success();
-}
+};
+
+/// The same for a stack.
+struct LowerStack final : LeafPattern<StackCreateOp> {
+  using LeafPattern::LeafPattern;
+
+  LogicalResult matchAndRewrite(StackCreateOp op,
+                                PatternRewriter &) const override {
+    return lowerStack(op, leaf.frame, leaf.runtime);
+  }
+};
+} // namespace
 
 //===----------------------------------------------------------------------===//
 // Random numbers
@@ -124,9 +171,8 @@ void tai::numberDraws(Operation *root, ParallelForOp loop) {
 }
 
 /// Random bits as the type asks: all bits for an integer, [0, 1) for a float.
-static void lowerDraw(UnrealizedConversionCastOp op, Value frame,
-                      RuntimeCalls &runtime) {
-  OpBuilder builder(op);
+static Value emitDraw(OpBuilder &builder, UnrealizedConversionCastOp op,
+                      Value frame, RuntimeCalls &runtime) {
   Location loc = op.getLoc();
   Type type = op.getResult(0).getType();
   Type i32 = builder.getI32Type(), i64 = builder.getI64Type();
@@ -157,13 +203,9 @@ static void lowerDraw(UnrealizedConversionCastOp op, Value frame,
                                  runtime.i64(builder, loc, 32));
     bits = arith::OrIOp::create(builder, loc, high, low);
   }
-  if (isa<IntegerType>(type)) {
-    if (width < 32)
-      bits = arith::TruncIOp::create(builder, loc, type, bits);
-    op.getResult(0).replaceAllUsesWith(bits);
-    op.erase();
-    return;
-  }
+  if (isa<IntegerType>(type))
+    return width < 32 ? arith::TruncIOp::create(builder, loc, type, bits)
+                      : bits;
 
   // As many bits as the significand holds, so that 1 is never reached by
   // rounding.
@@ -177,10 +219,27 @@ static void lowerDraw(UnrealizedConversionCastOp op, Value frame,
   Value number = arith::UIToFPOp::create(builder, loc, type, bits);
   Value scale = arith::ConstantOp::create(
       builder, loc, builder.getFloatAttr(type, std::ldexp(1.0, -int(kept))));
-  Value result = arith::MulFOp::create(builder, loc, number, scale);
-  op.getResult(0).replaceAllUsesWith(result);
-  op.erase();
+  return arith::MulFOp::create(builder, loc, number, scale);
 }
+
+/// Whether the cast is the placeholder of a random number.
+static bool isDraw(UnrealizedConversionCastOp op) {
+  return op->hasAttr("stream");
+}
+
+namespace {
+struct LowerDraw final : LeafPattern<UnrealizedConversionCastOp> {
+  using LeafPattern::LeafPattern;
+
+  LogicalResult matchAndRewrite(UnrealizedConversionCastOp op,
+                                PatternRewriter &rewriter) const override {
+    if (!isDraw(op))
+      return failure();
+    rewriter.replaceOp(op, emitDraw(rewriter, op, leaf.frame, leaf.runtime));
+    return success();
+  }
+};
+} // namespace
 
 //===----------------------------------------------------------------------===//
 // Checks and output
@@ -200,151 +259,169 @@ static LogicalResult checkScalars(Operation *op, ValueRange values) {
   return success();
 }
 
-static LogicalResult lowerAssert(AssertOp op, Value frame,
-                                 ModuleLowering &lowering) {
-  IntegerAttr failure = op.getFailureAttr();
-  if (!failure && !lowering.debug) {
-    op.erase();
+namespace {
+struct LowerAssert final : LeafPattern<AssertOp> {
+  using LeafPattern::LeafPattern;
+
+  LogicalResult matchAndRewrite(AssertOp op,
+                                PatternRewriter &rewriter) const override {
+    IntegerAttr failure = op.getFailureAttr();
+    if (!failure && !leaf.module.debug) {
+      rewriter.eraseOp(op);
+      return success();
+    }
+    if (failed(checkScalars(op, op.getArgs())))
+      return LogicalResult::failure();
+    Location loc = op.getLoc();
+    Value yes = arith::ConstantIntOp::create(rewriter, loc, 1, 1);
+    Value broken = arith::XOrIOp::create(rewriter, loc, op.getCondition(), yes);
+    auto branch = scf::IfOp::create(rewriter, loc, broken);
+    OpBuilder inside = branch.getThenBodyBuilder();
+    emitFail(leaf.runtime, inside, loc, leaf.frame,
+             failure ? failure.getInt() : int64_t(TAI_FAIL_ASSERT),
+             op.getMessage(), op.getArgs(), getShapes(op.getShapes()));
+    rewriter.eraseOp(op);
     return success();
   }
-  if (failed(checkScalars(op, op.getArgs())))
-    return LogicalResult::failure();
-  OpBuilder builder(op);
-  Location loc = op.getLoc();
-  Value yes = arith::ConstantIntOp::create(builder, loc, 1, 1);
-  Value broken = arith::XOrIOp::create(builder, loc, op.getCondition(), yes);
-  auto branch = scf::IfOp::create(builder, loc, broken);
-  OpBuilder inside = branch.getThenBodyBuilder();
-  emitFail(lowering.runtime, inside, loc, frame,
-           failure ? failure.getInt() : int64_t(TAI_FAIL_ASSERT),
-           op.getMessage(), op.getArgs(), getShapes(op.getShapes()));
-  op.erase();
-  return success();
-}
+};
 
-static LogicalResult lowerPrint(PrintOp op, Value frame,
-                                RuntimeCalls &runtime) {
-  if (failed(checkScalars(op, op.getArgs())))
-    return failure();
-  OpBuilder builder(op);
-  Location loc = op.getLoc();
-  MessageValues values = emitMessageValues(runtime, builder, loc, op.getArgs(),
-                                           getShapes(op.getShapes()));
-  Value format = runtime.string(builder, loc, op.getFormat());
-  runtime.tai_rt_print(builder, loc, frame, format, values.count, values.kinds,
-                       values.shapes, values.slots);
-  op.erase();
-  return success();
-}
+struct LowerPrint final : LeafPattern<PrintOp> {
+  using LeafPattern::LeafPattern;
+
+  LogicalResult matchAndRewrite(PrintOp op,
+                                PatternRewriter &rewriter) const override {
+    if (failed(checkScalars(op, op.getArgs())))
+      return failure();
+    Location loc = op.getLoc();
+    MessageValues values = emitMessageValues(
+        leaf.runtime, rewriter, loc, op.getArgs(), getShapes(op.getShapes()));
+    Value format = leaf.runtime.string(rewriter, loc, op.getFormat());
+    leaf.runtime.tai_rt_print(rewriter, loc, leaf.frame, format, values.count,
+                              values.kinds, values.shapes, values.slots);
+    rewriter.eraseOp(op);
+    return success();
+  }
+};
+} // namespace
 
 //===----------------------------------------------------------------------===//
-// Sparse levels
+// Trees and sparse levels
 //===----------------------------------------------------------------------===//
 
-/// Calls a function of the runtime for cell ops: (frame, tree, node, number),
-/// and where in the program that is.
-static void lowerCellOp(Operation *op, Value frame, RuntimeCalls &runtime) {
-  OpBuilder builder(op);
-  Location loc = op->getLoc();
+Value LeafLowering::getTree(TreeBaseOp op) {
+  Value &base = bases[op.getTreeAttr().getAttr()];
+  if (!base) {
+    auto builder = OpBuilder::atBlockBegin(&function.getBody().front());
+    Value trees = runtime.frameMember(builder, op.getLoc(), frame,
+                                      offsetof(TaiFrame, trees),
+                                      runtime.getPointerType());
+    int64_t index = module.treeIndex.lookup(op.getTreeAttr().getAttr());
+    base =
+        runtime.frameMember(builder, op.getLoc(), trees, index * sizeof(void *),
+                            runtime.getPointerType());
+  }
+  return base;
+}
+
+using Values = SmallVector<Value>;
+
+static Value isNotZero(OpBuilder &builder, Location loc, Value number,
+                       RuntimeCalls &runtime) {
+  return arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::ne, number,
+                               runtime.i32(builder, loc, 0));
+}
+
+static Values emitCall(OpBuilder &builder, ActiveCellsOp op, Value frame,
+                       Value node, RuntimeCalls &runtime) {
+  Location loc = op.getLoc();
+  Value slot = emitStackSlots(builder, loc, 1);
+  IntegerAttr reach = op.getReachAttr();
+  Value count = reach ? runtime.tai_rt_gathered_cells(
+                            builder, loc, frame, op.getBase(), node,
+                            runtime.i64(builder, loc, reach.getInt()), slot)
+                      : runtime.tai_rt_active_cells(builder, loc, frame,
+                                                    op.getBase(), node, slot);
+  Value list =
+      LLVM::LoadOp::create(builder, loc, runtime.getPointerType(), slot);
+  return {list, IndexMath(builder, loc).toIndex(count)};
+}
+
+static Values emitCall(OpBuilder &builder, ListIsCurrentOp op, Value frame,
+                       Value node, RuntimeCalls &runtime) {
+  Location loc = op.getLoc();
+  Value all =
+      runtime.tai_rt_list_is_current(builder, loc, frame, op.getBase(), node);
+  return {isNotZero(builder, loc, all, runtime)};
+}
+
+static Values emitCall(OpBuilder &builder, ActivateCellOp op, Value frame,
+                       Value node, RuntimeCalls &runtime) {
+  Location loc = op.getLoc();
+  Value cell = IndexMath(builder, loc).toI64(op.getCell());
+  Value where = runtime.string(builder, loc, describePlace(loc));
+  Value done = runtime.tai_rt_activate(builder, loc, frame, op.getBase(), node,
+                                       cell, where);
+  return {isNotZero(builder, loc, done, runtime)};
+}
+
+static Values emitCall(OpBuilder &builder, DeactivateCellOp op, Value frame,
+                       Value node, RuntimeCalls &runtime) {
+  Location loc = op.getLoc();
+  Value cell = IndexMath(builder, loc).toI64(op.getCell());
+  Value where = runtime.string(builder, loc, describePlace(loc));
+  runtime.tai_rt_deactivate(builder, loc, frame, op.getBase(), node, cell,
+                            where);
+  return {};
+}
+
+static Values emitCall(OpBuilder &builder, AppendCellOp op, Value frame,
+                       Value node, RuntimeCalls &runtime) {
+  Location loc = op.getLoc();
   IndexMath math(builder, loc);
-  Value tree = op->getOperand(0);
-  Value node = runtime.i32(builder, loc,
-                           op->getAttrOfType<IntegerAttr>("node").getInt());
-  if (auto cells = dyn_cast<ActiveCellsOp>(op)) {
-    Value slot = emitStackSlots(builder, loc, 1);
-    IntegerAttr reach = cells.getReachAttr();
-    Value count = reach ? runtime.tai_rt_gathered_cells(
-                              builder, loc, frame, tree, node,
-                              runtime.i64(builder, loc, reach.getInt()), slot)
-                        : runtime.tai_rt_active_cells(builder, loc, frame, tree,
-                                                      node, slot);
-    Value list =
-        LLVM::LoadOp::create(builder, loc, runtime.getPointerType(), slot);
-    cells.getCells().replaceAllUsesWith(list);
-    cells.getCount().replaceAllUsesWith(math.toIndex(count));
-    return op->erase();
-  }
-  if (auto current = dyn_cast<ListIsCurrentOp>(op)) {
-    Value all = runtime.tai_rt_list_is_current(builder, loc, frame, tree, node);
-    current.getCurrent().replaceAllUsesWith(
-        arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::ne, all,
-                              runtime.i32(builder, loc, 0)));
-    return op->erase();
-  }
-  Value number = math.toI64(op->getOperand(1));
-  Value where = runtime.string(builder, loc, describeLocation(loc));
-  if (auto activate = dyn_cast<ActivateCellOp>(op)) {
-    Value done =
-        runtime.tai_rt_activate(builder, loc, frame, tree, node, number, where);
-    activate.getDone().replaceAllUsesWith(
-        arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::ne, done,
-                              runtime.i32(builder, loc, 0)));
-  } else if (auto append = dyn_cast<AppendCellOp>(op)) {
-    Value at =
-        runtime.tai_rt_append(builder, loc, frame, tree, node, number, where);
-    append.getAt().replaceAllUsesWith(math.toIndex(at));
-  } else {
-    runtime.tai_rt_deactivate(builder, loc, frame, tree, node, number, where);
-  }
-  op->erase();
+  Value list = math.toI64(op.getList());
+  Value where = runtime.string(builder, loc, describePlace(loc));
+  Value at = runtime.tai_rt_append(builder, loc, frame, op.getBase(), node,
+                                   list, where);
+  return {math.toIndex(at)};
 }
+
+namespace {
+struct LowerTreeBase final : LeafPattern<TreeBaseOp> {
+  using LeafPattern::LeafPattern;
+
+  LogicalResult matchAndRewrite(TreeBaseOp op,
+                                PatternRewriter &rewriter) const override {
+    rewriter.replaceOp(op, leaf.getTree(op));
+    return success();
+  }
+};
+
+/// An op on cells calls a function of the runtime: (frame, tree, node, ...).
+template <typename Op> struct LowerCells final : LeafPattern<Op> {
+  using LeafPattern<Op>::LeafPattern;
+
+  LogicalResult matchAndRewrite(Op op,
+                                PatternRewriter &rewriter) const override {
+    RuntimeCalls &runtime = this->leaf.runtime;
+    Value node = runtime.i32(rewriter, op.getLoc(), op.getNode());
+    rewriter.replaceOp(op,
+                       emitCall(rewriter, op, this->leaf.frame, node, runtime));
+    return success();
+  }
+};
+} // namespace
 
 LogicalResult tai::lowerLeafOps(LLVM::LLVMFuncOp function,
                                 ModuleLowering &lowering) {
-  Value frame = function.getArgument(0);
-  RuntimeCalls &runtime = lowering.runtime;
-  SmallVector<Operation *> ops;
-  llvm::DenseMap<StringAttr, Value> bases;
-  function.walk([&](Operation *op) {
-    if (isa<AllocaOp, StackCreateOp, AssertOp, PrintOp, TreeBaseOp,
-            ActiveCellsOp, ListIsCurrentOp, ActivateCellOp, DeactivateCellOp,
-            AppendCellOp>(op) ||
-        (isa<UnrealizedConversionCastOp>(op) && op->hasAttr("stream")))
-      ops.push_back(op);
+  LeafLowering leaf(function, lowering);
+  RewritePatternSet patterns(function.getContext());
+  patterns.add<LowerLocal, LowerStack, LowerDraw, LowerAssert, LowerPrint,
+               LowerTreeBase, LowerCells<ActiveCellsOp>,
+               LowerCells<ListIsCurrentOp>, LowerCells<ActivateCellOp>,
+               LowerCells<DeactivateCellOp>, LowerCells<AppendCellOp>>(
+      function.getContext(), leaf);
+  return lowerAll(function, std::move(patterns), [](Operation *op) {
+    auto cast = dyn_cast<UnrealizedConversionCastOp>(op);
+    return !cast || isDraw(cast);
   });
-  for (Operation *op : ops) {
-    LogicalResult result =
-        llvm::TypeSwitch<Operation *, LogicalResult>(op)
-            .Case([&](AllocaOp alloca) { return lowerLocal(alloca); })
-            .Case([&](StackCreateOp stack) {
-              return lowerStack(stack, frame, runtime);
-            })
-            .Case([&](AssertOp assertion) {
-              return lowerAssert(assertion, frame, lowering);
-            })
-            .Case([&](PrintOp print) {
-              return lowerPrint(print, frame, runtime);
-            })
-            .Case<ActiveCellsOp, ListIsCurrentOp, ActivateCellOp,
-                  DeactivateCellOp, AppendCellOp>([&](auto cell) {
-              lowerCellOp(cell, frame, runtime);
-              return success();
-            })
-            .Case([&](UnrealizedConversionCastOp draw) {
-              lowerDraw(draw, frame, runtime);
-              return success();
-            })
-            .Case([&](TreeBaseOp tree) {
-              Value &base = bases[tree.getTreeAttr().getAttr()];
-              if (!base) {
-                auto builder =
-                    OpBuilder::atBlockBegin(&function.getBody().front());
-                Value trees = runtime.frameMember(builder, tree.getLoc(), frame,
-                                                  offsetof(TaiFrame, trees),
-                                                  runtime.getPointerType());
-                int64_t index =
-                    lowering.treeIndex.lookup(tree.getTreeAttr().getAttr());
-                base = runtime.frameMember(builder, tree.getLoc(), trees,
-                                           index * sizeof(void *),
-                                           runtime.getPointerType());
-              }
-              tree.getBase().replaceAllUsesWith(base);
-              tree.erase();
-              return success();
-            })
-            .Default([](Operation *) { return failure(); });
-    if (failed(result))
-      return failure();
-  }
-  return success();
 }

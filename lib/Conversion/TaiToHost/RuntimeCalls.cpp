@@ -191,26 +191,13 @@ MessageValues tai::emitMessageValues(RuntimeCalls &runtime, OpBuilder &builder,
   return message;
 }
 
-std::string tai::describeLocation(Location loc) {
-  std::string text;
-  loc->walk([&](Location inner) {
-    auto file = dyn_cast<FileLineColLoc>(inner);
-    if (!file)
-      return WalkResult::advance();
-    llvm::raw_string_ostream(text) << file.getFilename().getValue() << ":"
-                                   << file.getLine() << ":" << file.getColumn();
-    return WalkResult::interrupt();
-  });
-  return text;
-}
-
 void tai::emitFail(RuntimeCalls &runtime, OpBuilder &builder, Location loc,
                    Value frame, int32_t failure, StringRef message,
                    ValueRange values, ArrayRef<int32_t> shapes) {
   MessageValues packed =
       emitMessageValues(runtime, builder, loc, values, shapes);
   Value text = runtime.string(builder, loc, message);
-  Value where = runtime.string(builder, loc, describeLocation(loc));
+  Value where = runtime.string(builder, loc, describePlace(loc));
   runtime.tai_rt_fail(builder, loc, frame, runtime.i32(builder, loc, failure),
                       text, where, packed.count, packed.kinds, packed.shapes,
                       packed.slots);

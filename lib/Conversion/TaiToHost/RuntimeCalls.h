@@ -17,6 +17,7 @@
 #include "mlir/IR/Builders.h"
 #include "mlir/IR/BuiltinOps.h"
 #include "tai/ABI/Abi.h"
+#include "tai/Support/Places.h"
 
 namespace mlir::tai {
 
@@ -133,9 +134,6 @@ MessageValues emitMessageValues(RuntimeCalls &runtime, OpBuilder &builder,
 void emitFail(RuntimeCalls &runtime, OpBuilder &builder, Location loc,
               Value frame, int32_t failure, StringRef message,
               ValueRange values, ArrayRef<int32_t> shapes);
-
-/// "file:line:column" of the innermost source location, or "".
-std::string describeLocation(Location loc);
 
 } // namespace mlir::tai
 

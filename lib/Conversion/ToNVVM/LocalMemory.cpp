@@ -43,7 +43,7 @@ void tai::guardAllocations(LLVM::LLVMFuncOp function, RuntimeCalls &runtime) {
     auto describe = [&] {
       return SmallVector<Value>{
           runtime.string(builder, loc, text),
-          runtime.string(builder, loc, describeLocation(loc))};
+          runtime.string(builder, loc, describePlace(loc))};
     };
     if (*name == "malloc") {
       SmallVector<Value> arguments{state, call.getArgOperands().front()};

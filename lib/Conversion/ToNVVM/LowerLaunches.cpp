@@ -6,8 +6,10 @@
 //===----------------------------------------------------------------------===//
 
 #include "../../Transforms/Utils/IndexMath.h"
+#include "../../Transforms/Utils/LowerEach.h"
 #include "../TaiToHost/RuntimeCalls.h"
 #include "mlir/Dialect/GPU/IR/GPUDialect.h"
+#include "mlir/IR/PatternMatch.h"
 #include "tai/Conversion/Passes.h"
 
 namespace mlir::tai {
@@ -36,49 +38,56 @@ static FailureOr<int64_t> getNumber(gpu::LaunchFuncOp launch, ModuleOp module) {
          << ", which is no device function of this module";
 }
 
-static LogicalResult lower(gpu::LaunchFuncOp launch, RuntimeCalls &runtime,
-                           ModuleOp module) {
-  auto host = launch->getParentOfType<LLVM::LLVMFuncOp>();
-  if (!host || host.getNumArguments() == 0)
-    return launch.emitOpError("stands in no function of the host that has a "
-                              "frame; expects convert-tai-to-gpu to make it");
-  FailureOr<int64_t> number = getNumber(launch, module);
-  if (failed(number))
-    return failure();
-  OpBuilder builder(launch);
-  Location loc = launch.getLoc();
-  IndexMath math(builder, loc);
-  ValueRange operands = launch.getKernelOperands();
-  Value slots = runtime.null(builder, loc);
-  if (!operands.empty())
-    slots = emitStackSlots(builder, loc, operands.size());
-  for (auto [i, operand] : llvm::enumerate(operands))
-    emitSlotStore(builder, loc, operand, emitSlot(builder, loc, slots, i));
-  // No blocks: the device alone knows how many iterations there are.
-  Value blocks = launch.getGridSizeX(), threads = launch.getBlockSizeX();
-  Value iterations = getConstantIntValue(blocks) == 0
-                         ? math.constant(-1)
-                         : math.mul(blocks, threads);
-  runtime.tai_rt_device_launch(builder, loc, host.getArgument(0),
-                               runtime.i32(builder, loc, *number),
-                               math.toI64(iterations), slots,
-                               runtime.i32(builder, loc, operands.size()));
-  launch.erase();
-  return success();
-}
-
 namespace {
+struct LowerLaunch final : OpRewritePattern<gpu::LaunchFuncOp> {
+  LowerLaunch(ModuleOp module, RuntimeCalls &runtime)
+      : OpRewritePattern(module.getContext()), module(module),
+        runtime(runtime) {}
+
+  LogicalResult matchAndRewrite(gpu::LaunchFuncOp launch,
+                                PatternRewriter &rewriter) const override {
+    auto host = launch->getParentOfType<LLVM::LLVMFuncOp>();
+    if (!host || host.getNumArguments() == 0)
+      return launch.emitOpError("stands in no function of the host that has a "
+                                "frame; expects convert-tai-to-gpu to make it");
+    FailureOr<int64_t> number = getNumber(launch, module);
+    if (failed(number))
+      return failure();
+    Location loc = launch.getLoc();
+    IndexMath math(rewriter, loc);
+    ValueRange operands = launch.getKernelOperands();
+    Value slots = runtime.null(rewriter, loc);
+    if (!operands.empty())
+      slots = emitStackSlots(rewriter, loc, operands.size());
+    for (auto [i, operand] : llvm::enumerate(operands))
+      emitSlotStore(rewriter, loc, operand, emitSlot(rewriter, loc, slots, i));
+    // No blocks: the device alone knows how many iterations there are.
+    Value blocks = launch.getGridSizeX(), threads = launch.getBlockSizeX();
+    Value iterations = getConstantIntValue(blocks) == 0
+                           ? math.constant(-1)
+                           : math.mul(blocks, threads);
+    runtime.tai_rt_device_launch(rewriter, loc, host.getArgument(0),
+                                 runtime.i32(rewriter, loc, *number),
+                                 math.toI64(iterations), slots,
+                                 runtime.i32(rewriter, loc, operands.size()));
+    rewriter.eraseOp(launch);
+    return success();
+  }
+
+private:
+  mutable ModuleOp module;
+  RuntimeCalls &runtime;
+};
+
 struct LowerLaunches : tai::impl::LowerLaunchesBase<LowerLaunches> {
   using Base::Base;
 
   void runOnOperation() override {
-    ModuleOp module = getOperation();
-    RuntimeCalls runtime(module);
-    SmallVector<gpu::LaunchFuncOp> launches;
-    module.walk([&](gpu::LaunchFuncOp launch) { launches.push_back(launch); });
-    for (gpu::LaunchFuncOp launch : launches)
-      if (failed(lower(launch, runtime, module)))
-        return signalPassFailure();
+    RuntimeCalls runtime(getOperation());
+    RewritePatternSet patterns(&getContext());
+    patterns.add<LowerLaunch>(getOperation(), runtime);
+    if (failed(lowerAll(getOperation(), std::move(patterns))))
+      signalPassFailure();
   }
 };
 } // namespace

@@ -93,7 +93,7 @@ struct Launch : TaiFrame {
   /// returns. Fails where the launch is an adjoint and its primal has none to
   /// give.
   const std::vector<int64_t> &cellsFor(SparseNode &node);
-  /// The same with those that zero adjoints make vain.
+  /// The same with those whose incoming adjoints are zero.
   const std::vector<int64_t> &visitedCells(SparseNode &node);
   /// As a list; null after a failure.
   ActiveListPtr visitedList(SparseNode &node);

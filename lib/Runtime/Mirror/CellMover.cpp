@@ -104,7 +104,9 @@ Status CellMover::bring(const int64_t *numbers, int64_t count,
   return mirror.device().copyIn(memory->get(), numbers, bytes);
 }
 
-Status CellMover::load(const std::vector<int64_t> &cells, char *to) const {
+template <typename Move>
+Status CellMover::moveDense(const std::vector<int64_t> &cells,
+                            const Move &move) const {
   if (cells.empty())
     return Status::success();
   auto count = static_cast<int64_t>(cells.size());
@@ -114,26 +116,24 @@ Status CellMover::load(const std::vector<int64_t> &cells, char *to) const {
   if (status)
     status = DeviceBlock::make(mirror.sharedContext(), count * cellBytes,
                                "copies of fields", dense);
-  if (status)
-    status = load(there, dense->get());
-  return status ? mirror.device().copyOut(to, dense->get(), count * cellBytes)
+  return status ? move(there, dense->get(), count * cellBytes)
                 : std::move(status);
+}
+
+Status CellMover::load(const std::vector<int64_t> &cells, char *to) const {
+  return moveDense(cells, [&](Cells there, DevicePtr dense, int64_t bytes) {
+    Status status = load(there, dense);
+    return status ? mirror.device().copyOut(to, dense, bytes)
+                  : std::move(status);
+  });
 }
 
 Status CellMover::store(const std::vector<int64_t> &cells,
                         const char *from) const {
-  if (cells.empty())
-    return Status::success();
-  auto count = static_cast<int64_t>(cells.size());
-  std::unique_ptr<DeviceBlock> numbers, dense;
-  Cells there{};
-  Status status = bring(cells.data(), count, numbers, there);
-  if (status)
-    status = DeviceBlock::make(mirror.sharedContext(), count * cellBytes,
-                               "copies of fields", dense);
-  if (status)
-    status = mirror.device().copyIn(dense->get(), from, count * cellBytes);
-  return status ? store(there, dense->get()) : std::move(status);
+  return moveDense(cells, [&](Cells there, DevicePtr dense, int64_t bytes) {
+    Status status = mirror.device().copyIn(dense, from, bytes);
+    return status ? store(there, dense) : std::move(status);
+  });
 }
 
 Status CellMover::clear(const std::vector<int64_t> &cells) const {

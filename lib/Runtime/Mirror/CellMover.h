@@ -58,6 +58,9 @@ private:
   CellMover(Mirror &mirror, int64_t scalarBytes, int64_t cellBytes)
       : mirror(mirror), scalarBytes(scalarBytes), cellBytes(cellBytes) {}
   Status run(Cells cells, DevicePtr other, uint64_t what) const;
+  /// Calls `move` with the cells, and an array for them, on the device.
+  template <typename Move>
+  Status moveDense(const std::vector<int64_t> &cells, const Move &move) const;
 
   Mirror &mirror;
   int64_t scalarBytes, cellBytes;

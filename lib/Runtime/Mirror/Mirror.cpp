@@ -335,38 +335,42 @@ Status Slabs::zerosOnDevice(int64_t count,
                 : std::move(status);
 }
 
-void Slabs::storeOnDevice(int64_t first, int64_t count,
-                          const DeviceBlock &block) const {
+template <typename MoveCells, typename MoveRows>
+void Slabs::changeOnDevice(int64_t first, int64_t count,
+                           const MoveCells &moveCells,
+                           const MoveRows &moveRows) const {
   Mirror &mirror = *field->tree().mirror();
   mirror.context().note(mirror.toDevice());
   if (mover) {
     CellMover::Cells cells{};
     Status status = bringNumbers(first, count, cells);
-    mirror.context().note(status ? mover->store(cells, block.get())
-                                 : std::move(status));
+    mirror.context().note(status ? moveCells(cells) : std::move(status));
     return;
   }
   mirror.deviceWrites();
-  DeviceRows rows = rowsOf(first, count);
-  mirror.context().note(
-      rows.rows == 1
-          ? mirror.device().copy(rows.address, block.get(), rows.rowBytes)
-          : mirror.device().copyRows(rows, block.get(), rows.rowBytes));
+  mirror.context().note(moveRows(mirror.device(), rowsOf(first, count)));
+}
+
+void Slabs::storeOnDevice(int64_t first, int64_t count,
+                          const DeviceBlock &block) const {
+  changeOnDevice(
+      first, count,
+      [&](CellMover::Cells cells) { return mover->store(cells, block.get()); },
+      [&](auto &device, const DeviceRows &rows) {
+        return rows.rows == 1
+                   ? device.copy(rows.address, block.get(), rows.rowBytes)
+                   : device.copyRows(rows, block.get(), rows.rowBytes);
+      });
 }
 
 void Slabs::exchangeOnDevice(int64_t first, int64_t count,
                              const DeviceBlock &block) const {
-  Mirror &mirror = *field->tree().mirror();
-  mirror.context().note(mirror.toDevice());
-  if (mover) {
-    CellMover::Cells cells{};
-    Status status = bringNumbers(first, count, cells);
-    mirror.context().note(status ? mover->exchange(cells, block.get())
-                                 : std::move(status));
-    return;
-  }
-  mirror.deviceWrites();
-  DeviceRows rows = rowsOf(first, count);
-  mirror.context().note(
-      mirror.device().swapRows(rows, block.get(), rows.rowBytes));
+  changeOnDevice(
+      first, count,
+      [&](CellMover::Cells cells) {
+        return mover->exchange(cells, block.get());
+      },
+      [&](auto &device, const DeviceRows &rows) {
+        return device.swapRows(rows, block.get(), rows.rowBytes);
+      });
 }

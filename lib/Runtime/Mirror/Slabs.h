@@ -76,6 +76,10 @@ public:
 
 private:
   DeviceRows rowsOf(int64_t first, int64_t count) const;
+  /// Changes a range there: by `moveCells` where cells are numbered.
+  template <typename MoveCells, typename MoveRows>
+  void changeOnDevice(int64_t first, int64_t count, const MoveCells &moveCells,
+                      const MoveRows &moveRows) const;
   template <typename Visit>
   bool forEachCell(int64_t first, int64_t count, const Visit &visit) const;
   template <typename Data, typename Run>

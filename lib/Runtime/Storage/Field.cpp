@@ -75,54 +75,52 @@ Status Field::locate(const int64_t *index, int64_t component,
   return Status::success();
 }
 
-Status Field::readF64(const int64_t *index, int64_t component,
-                      double &value) const {
+/// Reads a component as the number that `load` makes of its bytes.
+template <typename Number>
+static Status read(const Field &field, const int64_t *index, int64_t component,
+                   Number (*load)(ScalarKind, const char *), Number &value) {
   int64_t offset = 0;
   char bytes[8] = {};
-  Status status = locate(index, component, offset);
+  Status status = field.locate(index, component, offset);
   if (status)
-    status = loadBytes(offset, bytes);
+    status = field.loadBytes(offset, bytes);
   if (status)
-    value = loadF64(scalar(), bytes);
+    value = load(field.scalar(), bytes);
   return status;
 }
 
-Status Field::writeF64(const int64_t *index, int64_t component, double value) {
+/// Writes what `store` makes of a number; the cell becomes active.
+template <typename Number>
+static Status write(Field &field, const int64_t *index, int64_t component,
+                    void (*store)(ScalarKind, char *, Number), Number value) {
   int64_t offset = 0;
-  Status status = locate(index, component, offset);
+  Status status = field.locate(index, component, offset);
   if (!status)
     return status;
-  if (SparseNode *node = sparseNode())
-    node->activate(cellNumber(index));
+  if (SparseNode *node = field.sparseNode())
+    node->activate(field.cellNumber(index));
   char bytes[8] = {};
-  storeF64(scalar(), bytes, value);
-  markDirty();
-  return storeBytes(offset, bytes);
+  store(field.scalar(), bytes, value);
+  field.markDirty();
+  return field.storeBytes(offset, bytes);
+}
+
+Status Field::readF64(const int64_t *index, int64_t component,
+                      double &value) const {
+  return read(*this, index, component, loadF64, value);
+}
+
+Status Field::writeF64(const int64_t *index, int64_t component, double value) {
+  return write(*this, index, component, storeF64, value);
 }
 
 Status Field::readI64(const int64_t *index, int64_t component,
                       int64_t &value) const {
-  int64_t offset = 0;
-  char bytes[8] = {};
-  Status status = locate(index, component, offset);
-  if (status)
-    status = loadBytes(offset, bytes);
-  if (status)
-    value = loadI64(scalar(), bytes);
-  return status;
+  return read(*this, index, component, loadI64, value);
 }
 
 Status Field::writeI64(const int64_t *index, int64_t component, int64_t value) {
-  int64_t offset = 0;
-  Status status = locate(index, component, offset);
-  if (!status)
-    return status;
-  if (SparseNode *node = sparseNode())
-    node->activate(cellNumber(index));
-  char bytes[8] = {};
-  storeI64(scalar(), bytes, value);
-  markDirty();
-  return storeBytes(offset, bytes);
+  return write(*this, index, component, storeI64, value);
 }
 
 Status Field::readElements(const int64_t *indices, int64_t count,

@@ -1,4 +1,4 @@
-//===- RerollAccumulations.cpp - Sums written out, over threads -----------===//
+//===- RerollAccumulations.cpp - Rerolls sums that are written out --------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -56,7 +56,7 @@ using namespace mlir::tai;
 constexpr int64_t kWarpSize = 32;
 /// A sum of fewer terms is one addition, and fewer additions are no series.
 constexpr size_t kMinMembers = 4;
-/// Iterations that there are to be: threads of a block with many registers.
+/// Target iteration count: threads of a block that has many registers.
 constexpr int64_t kThreads = 512;
 
 namespace {

@@ -1,4 +1,4 @@
-//===- FuseLaunches.cpp - Kernels that are launched together --------------===//
+//===- FuseLaunches.cpp - Loop fusion across launches ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

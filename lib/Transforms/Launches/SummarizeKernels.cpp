@@ -1,4 +1,4 @@
-//===- SummarizeKernels.cpp - What a kernel touches -----------------------===//
+//===- SummarizeKernels.cpp - Access summaries of kernels -----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- CoarsenThreads.cpp - Several neighbours in each thread of a GPU ----===//
+//===- CoarsenThreads.cpp - Thread coarsening on GPUs ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

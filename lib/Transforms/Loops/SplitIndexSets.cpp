@@ -1,4 +1,4 @@
-//===- SplitIndexSets.cpp - Run the interior of a loop apart --------------===//
+//===- SplitIndexSets.cpp - Index-set splitting of parallel loops ---------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

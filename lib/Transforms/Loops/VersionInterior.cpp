@@ -1,4 +1,4 @@
-//===- VersionInterior.cpp - A fast path away from the borders ------------===//
+//===- VersionInterior.cpp - Loop versioning, away from borders -----------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

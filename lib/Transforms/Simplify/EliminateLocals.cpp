@@ -1,4 +1,4 @@
-//===- EliminateLocals.cpp - Mutable locals to values ---------------------===//
+//===- EliminateLocals.cpp - Mutable locals to SSA values -----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- FlattenBranches.cpp - Safe branches to selects ---------------------===//
+//===- FlattenBranches.cpp - If-conversion of safe branches ---------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -186,8 +186,7 @@ def result_of(case, options):
     return case()
 
 
-@pytest.mark.parametrize(("case", "options"), CASES, ids=lambda v: getattr(v, "__name__", ""))
-def test_results_stay(case, options, monkeypatch):
+def compare_stripped(case, options, monkeypatch):
     monkeypatch.delenv("TAI_STRIP_ATTRIBUTES", raising=False)
     expected = result_of(case, options)
     monkeypatch.setenv("TAI_STRIP_ATTRIBUTES", "1")
@@ -196,6 +195,20 @@ def test_results_stay(case, options, monkeypatch):
             np.testing.assert_array_equal(kept, whole)
         else:
             np.testing.assert_allclose(kept, whole, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("case", "options"), CASES, ids=lambda v: getattr(v, "__name__", ""))
+def test_results_stay(case, options, monkeypatch):
+    compare_stripped(case, options, monkeypatch)
+
+
+@pytest.mark.parametrize(("case", "options"), CASES, ids=lambda v: getattr(v, "__name__", ""))
+def test_results_stay_on_a_device(case, options, monkeypatch):
+    """Blocks of several warps, so that lanes exchange what they add."""
+    monkeypatch.setenv("TAI_CUDA_EMULATION", "1")
+    monkeypatch.setenv("TAI_EMULATED_THREADS", "96")
+    monkeypatch.setenv("TI_ARCH", "cuda")
+    compare_stripped(case, options, monkeypatch)
 
 
 def test_checks_and_messages_stay(monkeypatch, capfd):

@@ -4,11 +4,11 @@ The kernels here would go on for hours: that they end is what is tested.
 """
 
 import os
-import signal
-import threading
 
 import pytest
 import tai as ti
+
+from interrupts import check_usable, ctrl_c_after
 
 ON_GPU = os.environ.get("TI_ARCH") == "cuda" and not os.environ.get("TAI_CUDA_EMULATION")
 
@@ -25,34 +25,8 @@ def device(request, monkeypatch):
 
 @pytest.fixture
 def ctrl_c():
-    """Sends what Ctrl-C sends, once work has begun."""
-    threads = []
-
-    def send():
-        thread = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
-        thread.start()
-        threads.append(thread)
-
-    yield send
-    for thread in threads:
-        thread.join()
-
-
-def check_usable():
-    """The context goes on: kernels, tapes, new fields, failures."""
-    x = ti.field(ti.f64, shape=3, needs_grad=True)
-    loss = ti.field(ti.f64, shape=(), needs_grad=True)
-
-    @ti.kernel
-    def total():
-        for i in x:
-            loss[None] += x[i] ** 2
-
-    x.fill(2.0)
-    with ti.ad.Tape(loss):
-        total()
-    assert loss[None] == 12.0
-    assert x.grad.to_numpy().tolist() == [4.0, 4.0, 4.0]
+    with ctrl_c_after(0.3) as send:
+        yield send
 
 
 def endless_while(s, x):

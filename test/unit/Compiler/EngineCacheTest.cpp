@@ -329,7 +329,7 @@ TEST(EngineCache, ObjectsSurviveSerialization) {
   CompiledObject object;
   object.symbol = "k";
   object.code = {'a', '\0', 'b'};
-  object.needs = "n";
+  object.toBeRecorded = "n";
   object.skipped[1] = 7;
   object.loopLevels = {0, 2};
   object.trees = {"t", ""};
@@ -338,7 +338,7 @@ TEST(EngineCache, ObjectsSurviveSerialization) {
   ASSERT_TRUE(read);
   EXPECT_EQ(read->symbol, object.symbol);
   EXPECT_EQ(read->code, object.code);
-  EXPECT_EQ(read->needs, object.needs);
+  EXPECT_EQ(read->toBeRecorded, object.toBeRecorded);
   EXPECT_EQ(read->skipped, object.skipped);
   EXPECT_EQ(read->loopLevels, object.loopLevels);
   EXPECT_EQ(read->trees, object.trees);

@@ -55,7 +55,7 @@ protected:
           llvm.return %x : f64
         }
         llvm.func @early(%p: !llvm.ptr, %on: i1, %k: i32, %x: f64)
-            attributes {gpu.kernel, tai.block_size = 96 : i64} {
+            attributes {gpu.kernel, passthrough = [["tai.block_size", "96"]]} {
           llvm.cond_br %on, ^add, ^done
         ^add:
           %thread = llvm.call @tai_dev_thread_id() : () -> i32

@@ -45,7 +45,6 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.access_group", Kind::Any},
     {"tai.accesses", Kind::Numbers},
     {"tai.active", Kind::Unit},
-    {"tai.block_size", Kind::Integer},
     {"tai.digits", Kind::Numbers},
     {"tai.in_range", Kind::Unit},
     {"tai.independent", Kind::Unit},

@@ -1,11 +1,11 @@
-//===- AdjointNeeds.cpp - What an adjoint asks of memory ------------------===//
+//===- ToBeRecorded.cpp - To-be-recorded (TBR) analysis -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/ExecutionEngine/AdjointNeeds.h"
+#include "tai/ExecutionEngine/ToBeRecorded.h"
 #include "ZeroAdjoints.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/IR/SymbolTable.h"
@@ -93,24 +93,24 @@ static std::vector<int64_t> findArraysRead(KernelOp kernel, KernelOp adjoint,
   return arrays;
 }
 
-AdjointNeeds mlir::tai::getAdjointNeeds(ModuleOp module, StringRef name) {
-  AdjointNeeds needs;
+ToBeRecorded mlir::tai::findToBeRecorded(ModuleOp module, StringRef name) {
+  ToBeRecorded found;
   auto add = [&](std::vector<NamedAccess> accesses) {
     for (NamedAccess &access : accesses)
       if (access.kind == runtime::AccessKind::Read &&
-          !llvm::is_contained(needs.reads, access))
-        needs.reads.push_back(std::move(access));
+          !llvm::is_contained(found.reads, access))
+        found.reads.push_back(std::move(access));
   };
   auto kernel = module.lookupSymbol<KernelOp>(name);
   if (!kernel)
-    return needs;
+    return found;
   for (KernelOp part : module.getOps<KernelOp>()) {
     if (part.getPartOf() != name)
       continue;
-    llvm::raw_string_ostream stream(needs.parts);
+    llvm::raw_string_ostream stream(found.parts);
     module->print(stream, OpPrintingFlags().enableDebugInfo().assumeVerified());
-    needs.arrays = findArraysRead(kernel, nullptr, {});
-    return needs;
+    found.arrays = findArraysRead(kernel, nullptr, {});
+    return found;
   }
   SetVector<Operation *> loads = findLoadsBehindStores(kernel);
   for (Operation *load : loads)
@@ -120,35 +120,35 @@ AdjointNeeds mlir::tai::getAdjointNeeds(ModuleOp module, StringRef name) {
                      ? module.lookupSymbol<KernelOp>(*kernel.getAdjoint())
                      : KernelOp();
   if (!adjoint)
-    return needs;
+    return found;
   add(listAccesses(adjoint));
-  needs.arrays = findArraysRead(kernel, adjoint, loads.getArrayRef());
+  found.arrays = findArraysRead(kernel, adjoint, loads.getArrayRef());
   adjoint.walk([&](Operation *op) {
     if (!isa<IsActiveOp, LengthOp>(op))
       return;
     StringRef field =
         cast<FieldAccessOpInterface>(op).getFieldAttr().getValue();
-    if (!llvm::is_contained(needs.activity, field))
-      needs.activity.push_back(field.str());
+    if (!llvm::is_contained(found.activity, field))
+      found.activity.push_back(field.str());
   });
-  needs.flags = findLoopFlags(kernel, adjoint);
+  found.flags = findLoopFlags(kernel, adjoint);
   for (Operation &helper : *module.getBody())
     if (!isa<KernelOp>(helper))
       add(listAccesses(&helper));
   if (FlatSymbolRefAttr name = adjoint.getStoredFormAttr()) {
-    needs.loadsStored = true;
+    found.loadsStored = true;
     for (NamedAccess &access :
          listAccesses(module.lookupSymbol<KernelOp>(name)))
       if (access.kind == runtime::AccessKind::Read &&
-          !llvm::is_contained(needs.reads, access))
-        needs.stored.push_back(std::move(access));
+          !llvm::is_contained(found.reads, access))
+        found.stored.push_back(std::move(access));
   }
   if (ArrayAttr names = adjoint.getReadsBeforeAttr())
     for (auto field : names.getAsRange<FlatSymbolRefAttr>())
-      if (!llvm::is_contained(needs.before, field.getValue()))
-        needs.before.push_back(field.getValue().str());
-  needs.reruns = adjoint.getReexecutes();
-  return needs;
+      if (!llvm::is_contained(found.before, field.getValue()))
+        found.before.push_back(field.getValue().str());
+  found.reexecutes = adjoint.getReexecutes();
+  return found;
 }
 
 SmallVector<std::pair<std::string, OwningOpRef<ModuleOp>>>
@@ -258,7 +258,7 @@ static void addReads(Writer &writer, const std::vector<NamedAccess> &reads) {
   }
 }
 
-std::string AdjointNeeds::serialize() const {
+std::string ToBeRecorded::serialize() const {
   Writer writer;
   addReads(writer, reads);
   writer.add(static_cast<int64_t>(loadsStored));
@@ -280,7 +280,7 @@ std::string AdjointNeeds::serialize() const {
   writer.add(static_cast<int64_t>(arrays.size()));
   for (int64_t slot : arrays)
     writer.add(slot);
-  writer.add(static_cast<int64_t>(reruns));
+  writer.add(static_cast<int64_t>(reexecutes));
   writer.add(parts);
   return std::move(writer.bytes);
 }
@@ -302,27 +302,27 @@ static void takeReads(Reader &reader, std::vector<NamedAccess> &reads) {
   }
 }
 
-std::optional<AdjointNeeds> AdjointNeeds::deserialize(StringRef bytes) {
-  AdjointNeeds needs;
+std::optional<ToBeRecorded> ToBeRecorded::deserialize(StringRef bytes) {
+  ToBeRecorded found;
   Reader reader(bytes);
-  takeReads(reader, needs.reads);
-  needs.loadsStored = reader.number() != 0;
-  takeReads(reader, needs.stored);
+  takeReads(reader, found.reads);
+  found.loadsStored = reader.number() != 0;
+  takeReads(reader, found.stored);
   for (int64_t i = reader.length(); i > 0; --i)
-    needs.before.push_back(reader.text());
+    found.before.push_back(reader.text());
   for (int64_t i = reader.length(); i > 0; --i)
-    needs.activity.push_back(reader.text());
+    found.activity.push_back(reader.text());
   for (int64_t i = reader.length(); i > 0; --i) {
     LoopFlags loop{reader.text(), {}, reader.number() != 0};
     for (int64_t s = reader.length(); s > 0; --s)
       loop.sources.push_back(reader.text());
-    needs.flags.push_back(std::move(loop));
+    found.flags.push_back(std::move(loop));
   }
   for (int64_t i = reader.length(); i > 0; --i)
-    needs.arrays.push_back(reader.number());
-  needs.reruns = reader.number() != 0;
-  needs.parts = reader.text();
+    found.arrays.push_back(reader.number());
+  found.reexecutes = reader.number() != 0;
+  found.parts = reader.text();
   if (!reader.ok || !reader.atEnd())
     return std::nullopt;
-  return needs;
+  return found;
 }

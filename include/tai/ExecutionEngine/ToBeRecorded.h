@@ -1,18 +1,19 @@
-//===- AdjointNeeds.h - What an adjoint asks of memory ----------*- C++ -*-===//
+//===- ToBeRecorded.h - To-be-recorded (TBR) analysis -----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A tape must know which primal values an adjoint reads before anything
-// overwrites them: long before the adjoint has been compiled. This is found as
-// soon as a kernel has been differentiated, and is kept beside its code.
+// Which primal values an adjoint reads: a tape records those before anything
+// overwrites them, long before the adjoint has been compiled. So the analysis
+// runs as soon as a kernel has been differentiated, and its result is kept
+// beside the code.
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_EXECUTIONENGINE_ADJOINTNEEDS_H
-#define TAI_EXECUTIONENGINE_ADJOINTNEEDS_H
+#ifndef TAI_EXECUTIONENGINE_TOBERECORDED_H
+#define TAI_EXECUTIONENGINE_TOBERECORDED_H
 
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Runtime/Launch/Kernel.h"
@@ -43,7 +44,8 @@ struct LoopFlags {
 /// of kernels.
 std::vector<NamedAccess> listAccesses(Operation *root);
 
-struct AdjointNeeds {
+/// What must be in memory when an adjoint runs, and what it changes there.
+struct ToBeRecorded {
   /// Fields that the adjoint reads, those of other adjoints among them.
   std::vector<NamedAccess> reads;
   /// There is a form of it that loads what the kernel has stored; and what else
@@ -57,18 +59,18 @@ struct AdjointNeeds {
   std::vector<LoopFlags> flags;
   /// Array arguments whose elements it reads, by the slots of their pointers.
   std::vector<int64_t> arrays;
-  /// It changes these while it runs.
-  bool reruns = false;
+  /// It executes the kernel forward again, which changes these.
+  bool reexecutes = false;
   /// If not empty, the module with the parts of the kernel, as text.
   std::string parts;
 
   std::string serialize() const;
-  /// Nothing where the bytes are not those of needs.
-  static std::optional<AdjointNeeds> deserialize(StringRef bytes);
+  /// Nothing where the bytes are not those of a result.
+  static std::optional<ToBeRecorded> deserialize(StringRef bytes);
 };
 
 /// Of the kernel of this name, in a module that has been differentiated.
-AdjointNeeds getAdjointNeeds(ModuleOp module, StringRef name);
+ToBeRecorded findToBeRecorded(ModuleOp module, StringRef name);
 
 /// The modules of the parts, each with its kernel, in the order in which they
 /// run.
@@ -77,4 +79,4 @@ splitParts(ModuleOp parts);
 
 } // namespace mlir::tai
 
-#endif // TAI_EXECUTIONENGINE_ADJOINTNEEDS_H
+#endif // TAI_EXECUTIONENGINE_TOBERECORDED_H

@@ -1,0 +1,40 @@
+"""What tests of interrupted programs share, on the CPU and on devices."""
+
+import contextlib
+import os
+import signal
+import threading
+
+import tai as ti
+
+
+@contextlib.contextmanager
+def ctrl_c_after(seconds):
+    """Gives a function that sends what Ctrl-C sends, once work has begun."""
+    threads = []
+
+    def send():
+        thread = threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGINT))
+        thread.start()
+        threads.append(thread)
+
+    yield send
+    for thread in threads:
+        thread.join()
+
+
+def check_usable():
+    """The context goes on: kernels, tapes, new fields."""
+    x = ti.field(ti.f64, shape=3, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def total():
+        for i in x:
+            loss[None] += x[i] ** 2
+
+    x.fill(2.0)
+    with ti.ad.Tape(loss):
+        total()
+    assert loss[None] == 12.0
+    assert x.grad.to_numpy().tolist() == [4.0, 4.0, 4.0]
