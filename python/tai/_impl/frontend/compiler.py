@@ -12,6 +12,7 @@ from typing import Any
 
 from ...errors import TaiError, TaiSyntaxError
 from ..base import state
+from ..base.modes import attribute_of
 from ..base.options import Options
 from ..base.program import Program
 from ..fields.scalar import ScalarField
@@ -79,6 +80,7 @@ class Compiler:
         cells: where forward mode keeps numbers that kernels return and take: the names of
             the parameters that are there with their fields, and the field for the result, or
             None. There is a parameter more for each, the number of its first element.
+        modes: how it rounds, sums and approximates; see `base.modes`.
     """
 
     def __init__(
@@ -89,10 +91,11 @@ class Compiler:
         parameters: Sequence[tuple[str, ArgumentForm]],
         result: ResultForm | None,
         cells: tuple[list[tuple[str, ScalarField]], ScalarField | None] = ([], None),
+        modes: dict[str, Any] | None = None,
     ):
         frame = Frame(function, function_ast(function), "kernel")
         followed, result_field = cells
-        kernel = Kernel(symbol, parameters, result, followed, result_field)
+        kernel = Kernel(symbol, parameters, result, followed, result_field, modes or {})
         self.context = context = Context(program, kernel, frame, self)
 
         compile_time = CompileTime(context)
@@ -129,6 +132,8 @@ class Compiler:
         self._guarded = context.diagnostics.guarded
 
         emitter = context.emitter
+        math = kernel.modes.get("math")
+        emitter.fast_norms = math == "fast" or (math is None and program.options.fast_math)
         emitter.call = calls.call_from_python
         emitter.make_struct = functools.partial(make_value, emitter)
         emitter.warn_of_fraction = checks.warn_of_fraction
@@ -191,7 +196,7 @@ class Compiler:
         context.at(node)
         builder.kernel(
             kernel.symbol, parameters.types, result, region, parameters.gradients,
-            conventions(context.options),
+            conventions(context.options), attribute_of(kernel.modes) if kernel.modes else "",
         )  # fmt: skip
 
     @property

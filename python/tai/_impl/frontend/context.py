@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -68,6 +69,7 @@ class Kernel:
         followed: the names of the parameters whose values forward mode keeps, each with the field
             that has them.
         result_field: where forward mode keeps the result, or None.
+        modes: how it rounds, sums and approximates, where that is not the usual.
     """
 
     symbol: str
@@ -75,6 +77,7 @@ class Kernel:
     result: ResultForm | None
     followed: list[tuple[str, ScalarField]]
     result_field: ScalarField | None
+    modes: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
 class Walker(Protocol):
