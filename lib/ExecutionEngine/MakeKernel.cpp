@@ -12,10 +12,13 @@
 #include "mlir/Pass/PassManager.h"
 #include "mlir/Transforms/Passes.h"
 #include "tai/AD/Signature.h"
+#include "tai/Dialect/Tai/IR/Modes.h"
+#include "tai/ExecutionEngine/ChosenModes.h"
 #include "tai/ExecutionEngine/KernelCode.h"
 #include "tai/ExecutionEngine/Summaries.h"
 #include "tai/Support/Places.h"
 #include "tai/Transforms/Passes.h"
+#include "tai/Transforms/WidenArithmetic.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -80,6 +83,36 @@ static LogicalResult clampIndices(ModuleOp module,
   return failures.fail(std::move(failure));
 }
 
+/// The options of the kernel's own code, where it says what its modes are.
+static FailureOr<CompileOptions> getOwnOptions(KernelOp kernel,
+                                               const CompileOptions &options,
+                                               FailureLog &failures) {
+  if (!kernel->hasAttr(kModesAttrName))
+    return options;
+  DiagnosticCollector collector(kernel.getContext());
+  FailureOr<CompileOptions> own = getKernelOptions(kernel, options);
+  if (failed(own))
+    return failures.fail(
+        collector.take(FailureKind::Usage, "the kernel's modes are not valid"));
+  return own;
+}
+
+/// With a precision a kernel is another program, too.
+static LogicalResult widenArithmetic(ModuleOp module, KernelOp kernel,
+                                     FailureLog &failures) {
+  if (!Modes::of(kernel).precision)
+    return success();
+  auto populate = [](OpPassManager &manager) {
+    manager.addPass(createInlinerPass({}, [](OpPassManager &) {}));
+    manager.addNestedPass<KernelOp>(createWidenArithmetic());
+  };
+  Failure failure;
+  if (succeeded(runPasses(module, populate, "widening arithmetic",
+                          FailureKind::Type, failure)))
+    return success();
+  return failures.fail(std::move(failure));
+}
+
 static LogicalResult verifyModule(ModuleOp module, FailureLog &failures) {
   DiagnosticCollector collector(module.getContext());
   if (succeeded(verify(module)))
@@ -91,7 +124,7 @@ static LogicalResult verifyModule(ModuleOp module, FailureLog &failures) {
 FailureOr<MadeKernel> mlir::tai::makeKernel(const KernelServices &services,
                                             OwningOpRef<ModuleOp> module,
                                             StringRef name,
-                                            const CompileOptions &options) {
+                                            const CompileOptions &given) {
   FailureLog &failures = services.failures;
   auto op = module->lookupSymbol<KernelOp>(name);
   if (!op)
@@ -99,8 +132,11 @@ FailureOr<MadeKernel> mlir::tai::makeKernel(const KernelServices &services,
                          "the module holds no kernel of the name '" + name +
                              "'");
   if (failed(services.declarations.declareUsed(*module)) ||
-      failed(verifyModule(*module, failures)) ||
-      failed(clampIndices(*module, options, failures)))
+      failed(verifyModule(*module, failures)))
+    return failure();
+  FailureOr<CompileOptions> options = getOwnOptions(op, given, failures);
+  if (failed(options) || failed(clampIndices(*module, *options, failures)) ||
+      failed(widenArithmetic(*module, op, failures)))
     return failure();
 
   Failure problem;
@@ -111,7 +147,7 @@ FailureOr<MadeKernel> mlir::tai::makeKernel(const KernelServices &services,
   const runtime::Runtime &rt = services.rt;
   KernelCode::Source source;
   source.name = name.str();
-  source.options = options;
+  source.options = *options;
   runtime::KernelInfo info;
   info.name = source.name;
   info.place = source.place = describePlace(op.getLoc());

@@ -25,6 +25,7 @@
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Interfaces/Differentiable.h"
 #include "tai/Transforms/Passes.h"
+#include "tai/Transforms/WidenArithmetic.h"
 
 using namespace mlir;
 
@@ -43,6 +44,7 @@ void tai::registerAllPasses() {
   registerTaiTransformsPasses();
   registerTaiConversionPasses();
   registerIsolate();
+  registerWidenArithmetic();
   registerAutodiffPipeline();
   registerToLLVMPipeline();
   registerToNVVMPipeline();

@@ -7,6 +7,7 @@
 
 #include "Core.h"
 
+#include <cstring>
 #include <map>
 #include <vector>
 
@@ -194,7 +195,9 @@ struct ArrayView {
     int flags = PyBUF_C_CONTIGUOUS | (writable ? PyBUF_WRITABLE : 0);
     if (PyObject_GetBuffer(array.ptr(), &view, flags) != 0)
       throw py::error_already_set();
-    if (view.len != field.numScalars() * field.scalarSize()) {
+    // NumPy has no bf16: its numbers are f32 in Python.
+    int64_t size = field.info.type == TAI_BF16 ? 4 : field.scalarSize();
+    if (view.len != field.numScalars() * size) {
       PyBuffer_Release(&view);
       throw py::value_error("the array has not the size of the field");
     }
@@ -202,6 +205,26 @@ struct ArrayView {
   ~ArrayView() { PyBuffer_Release(&view); }
   Py_buffer view;
 };
+
+/// Numbers of f32, as bf16: the nearest one, and the even one of two.
+std::vector<uint16_t> toBfloats(const void *numbers, int64_t count) {
+  std::vector<uint16_t> result(count);
+  for (int64_t i = 0; i < count; ++i) {
+    uint32_t bits;
+    std::memcpy(&bits, static_cast<const char *>(numbers) + 4 * i, 4);
+    bool isNaN = (bits & 0x7fffffff) > 0x7f800000;
+    result[i] = isNaN ? (bits >> 16) | 0x40
+                      : (bits + 0x7fff + ((bits >> 16) & 1)) >> 16;
+  }
+  return result;
+}
+
+void fromBfloats(const std::vector<uint16_t> &numbers, void *result) {
+  for (size_t i = 0; i < numbers.size(); ++i) {
+    uint32_t bits = uint32_t(numbers[i]) << 16;
+    std::memcpy(static_cast<char *>(result) + 4 * i, &bits, 4);
+  }
+}
 
 struct Tape {
   ContextRef context;
@@ -449,25 +472,44 @@ void bindField(py::module_ &module) {
            [](Field &f, const py::buffer &indices, const py::buffer &values) {
              // The caller sees to shapes and types.
              py::buffer_info at = indices.request();
-             f.context->check(taiFieldReadElements(
-                 f.handle, static_cast<const int64_t *>(at.ptr), at.shape[0],
-                 values.request(/*writable=*/true).ptr));
+             auto *places = static_cast<const int64_t *>(at.ptr);
+             void *result = values.request(/*writable=*/true).ptr;
+             bool isBfloat = f.info.type == TAI_BF16;
+             std::vector<uint16_t> numbers(
+                 isBfloat ? at.shape[0] * f.numComponents() : 0);
+             f.context->check(
+                 taiFieldReadElements(f.handle, places, at.shape[0],
+                                      isBfloat ? numbers.data() : result));
+             fromBfloats(numbers, result);
            })
       .def("write_elements",
            [](Field &f, const py::buffer &indices, const py::buffer &values) {
              py::buffer_info at = indices.request();
-             f.context->check(taiFieldWriteElements(
-                 f.handle, static_cast<const int64_t *>(at.ptr), at.shape[0],
-                 values.request().ptr));
+             auto *places = static_cast<const int64_t *>(at.ptr);
+             const void *given = values.request().ptr;
+             bool isBfloat = f.info.type == TAI_BF16;
+             std::vector<uint16_t> numbers = toBfloats(
+                 given, isBfloat ? at.shape[0] * f.numComponents() : 0);
+             f.context->check(
+                 taiFieldWriteElements(f.handle, places, at.shape[0],
+                                       isBfloat ? numbers.data() : given));
            })
       .def("copy_to",
            [](Field &f, const py::object &array) {
              ArrayView view(f, array, /*writable=*/true);
+             if (f.info.type == TAI_BF16) {
+               std::vector<uint16_t> numbers(f.numScalars());
+               f.context->check(taiFieldCopyToHost(f.handle, numbers.data()));
+               return fromBfloats(numbers, view.view.buf);
+             }
              f.context->check(taiFieldCopyToHost(f.handle, view.view.buf));
            })
       .def("copy_from",
            [](Field &f, const py::object &array) {
              ArrayView view(f, array, /*writable=*/false);
+             if (f.info.type == TAI_BF16)
+               return f.context->check(taiFieldCopyFromHost(
+                   f.handle, toBfloats(view.view.buf, f.numScalars()).data()));
              f.context->check(taiFieldCopyFromHost(f.handle, view.view.buf));
            })
       .def_property_readonly("shape", [](Field &f) {

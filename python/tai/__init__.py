@@ -28,6 +28,7 @@ from . import types
 from ._impl import alias
 from ._impl.base import dtypes
 from ._impl.base.dtypes import (
+    bf16,
     f16,
     f32,
     f64,

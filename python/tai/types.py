@@ -7,6 +7,7 @@ from typing import Any
 from ._impl.base import dtypes as primitive_types
 from ._impl.base.dtypes import (
     DataType,
+    bf16,
     f16,
     f32,
     f64,
@@ -43,8 +44,8 @@ def struct(**members: Any) -> StructType:
 
 
 __all__ = [
-    "BitpackedFields", "DataType", "MatrixType", "NdarrayType", "ScalarType", "StructType", "f16",
-    "f32", "f64", "i16", "i32", "i64", "i8", "is_integral", "is_real", "is_signed", "matrix",
+    "BitpackedFields", "DataType", "MatrixType", "NdarrayType", "ScalarType", "StructType", "bf16",
+    "f16", "f32", "f64", "i16", "i32", "i64", "i8", "is_integral", "is_real", "is_signed", "matrix",
     "ndarray", "primitive_types", "quant", "struct", "template", "u1", "u16", "u32", "u64", "u8",
     "vector",
 ]  # fmt: skip

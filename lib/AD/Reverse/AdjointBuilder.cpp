@@ -20,6 +20,7 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/CallInterfaces.h"
+#include "tai/AD/NarrowAdjoints.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
@@ -318,7 +319,11 @@ void AdjointBuilder::sweepCaptured() {
 static Value addUp(ImplicitLocOpBuilder &builder, Value sum, Value term) {
   if (!sum || !term)
     return sum ? sum : term;
-  return arith::AddFOp::create(builder, sum, term);
+  Value wideSum = getWidened(sum), wideTerm = getWidened(term);
+  if (wideSum == sum || wideSum.getType() != wideTerm.getType())
+    return arith::AddFOp::create(builder, sum, term);
+  Value wide = arith::AddFOp::create(builder, wideSum, wideTerm);
+  return arith::TruncFOp::create(builder, sum.getType(), wide);
 }
 
 void AdjointBuilder::addAdjoint(Value value, Value contribution) {

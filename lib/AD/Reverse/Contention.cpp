@@ -67,15 +67,20 @@ Value Contention::toReal(Value value) {
   return arith::ExtFOp::create(b, real, value);
 }
 
+/// Adjoints may be wider than what they are of.
+static Type getNumberType(Storage storage, Operation *op) {
+  return getElementTypeOrSelf(lookupField(op, storage.field).getType());
+}
+
 Value Contention::loadElement(Storage storage, const Element &element) {
-  Type type = atomics.front().getValue().getType();
+  Type type = getNumberType(storage, atomics.front());
   return toReal(LoadOp::create(b, type, storage.field, element.indices,
                                element.components));
 }
 
 void Contention::storeElement(Value value, Storage storage,
                               const Element &element) {
-  Type type = atomics.front().getValue().getType();
+  Type type = getNumberType(storage, atomics.front());
   if (type != real)
     value = arith::TruncFOp::create(b, type, value);
   StoreOp::create(b, value, storage.field, element.indices, element.components);
@@ -191,7 +196,12 @@ LogicalResult Contention::prepare() {
                                  "run 'tai-expand-atomics' first");
     return failure();
   }
+  // At least as wide as the adjoint is.
+  Type adjoint =
+      getNumberType(b.getAdjointStorage(getStorage()), atomics.front());
   real = type.getIntOrFloatBitWidth() < 32 ? Type(b.getF32Type()) : type;
+  if (adjoint.getIntOrFloatBitWidth() > real.getIntOrFloatBitWidth())
+    real = adjoint;
   if (failed(findDimensions()))
     return failure();
   double infinity = std::numeric_limits<double>::infinity();

@@ -27,6 +27,7 @@
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Cost.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 namespace mlir::tai {
@@ -53,8 +54,12 @@ static FunctionOpInterface createShell(FunctionOpInterface function,
   OpBuilder builder(function.getContext());
   builder.setInsertionPointAfter(function);
   FunctionType type = getAdjointType(function, signature);
-  if (isa<KernelOp>(function.getOperation()))
-    return KernelOp::create(builder, function.getLoc(), name, type);
+  if (auto kernel = dyn_cast<KernelOp>(function.getOperation())) {
+    auto adjoint = KernelOp::create(builder, function.getLoc(), name, type);
+    if (Attribute modes = kernel->getAttr(kModesAttrName))
+      adjoint->setAttr(kModesAttrName, modes);
+    return adjoint;
+  }
   auto shell = func::FuncOp::create(builder, function.getLoc(), name, type);
   shell.addEntryBlock();
   return shell;

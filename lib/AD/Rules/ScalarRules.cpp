@@ -16,6 +16,7 @@
 
 #include "ScalarRules.h"
 #include "mlir/IR/Matchers.h"
+#include "tai/AD/NarrowAdjoints.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -23,6 +24,9 @@ using namespace mlir::tai;
 Num RuleArgs::cast(Num a, unsigned i) {
   Value target =
       mode == Mode::Backward ? op->getOperand(i) : Value(op->getResult(0));
+  // A derivative does not lose what numbers of 16 bits do not hold.
+  if (Value wide = getWidened(a.value); wide.getType() == target.getType())
+    return {a.builder, wide};
   Type from = a.value.getType(), to = target.getType();
   if (getElementTypeOrSelf(from).getIntOrFloatBitWidth() <
       getElementTypeOrSelf(to).getIntOrFloatBitWidth())

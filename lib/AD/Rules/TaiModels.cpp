@@ -8,7 +8,9 @@
 #include "Models.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "tai/AD/AdjointBuilder.h"
+#include "tai/AD/NarrowAdjoints.h"
 #include "tai/AD/ParallelReverse.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
@@ -34,19 +36,46 @@ struct AccessModel : DifferentiableAccessInterface::ExternalModel<Model, OpTy> {
   }
   Value createAdjointRead(Operation *op, OpBuilder &b, Storage storage,
                           ValueRange indices, ValueRange components) const {
-    return LoadOp::create(b, op->getLoc(), getAccessedValue(op).getType(),
-                          storage.field, indices, components);
+    Type type = getAccessedValue(op).getType();
+    Value read =
+        LoadOp::create(b, op->getLoc(), getStoredType(op, storage, type),
+                       storage.field, indices, components);
+    if (read.getType() == type)
+      return read;
+    return arith::TruncFOp::create(b, op->getLoc(), type, read);
   }
   void createAdjointAccumulate(Operation *op, OpBuilder &b, Value value,
                                Storage storage, ValueRange indices,
                                ValueRange components) const {
-    AtomicOp::create(b, op->getLoc(), AtomicKind::Add, value, storage.field,
-                     indices, components);
+    AtomicOp::create(b, op->getLoc(), AtomicKind::Add,
+                     widen(op, b, value, storage), storage.field, indices,
+                     components);
   }
   void createAdjointStore(Operation *op, OpBuilder &b, Value value,
                           Storage storage, ValueRange indices,
                           ValueRange components) const {
-    StoreOp::create(b, op->getLoc(), value, storage.field, indices, components);
+    StoreOp::create(b, op->getLoc(), widen(op, b, value, storage),
+                    storage.field, indices, components);
+  }
+
+private:
+  /// `type` in the floats of the field, which may be wider: gradients of
+  /// narrow floats are sums, which lose what narrow floats do not hold.
+  static Type getStoredType(Operation *op, Storage storage, Type type) {
+    FieldOp field = lookupField(op, storage.field);
+    Type element = field ? getElementTypeOrSelf(field.getType()) : Type();
+    if (!element || element == getElementTypeOrSelf(type))
+      return type;
+    if (auto vector = dyn_cast<VectorType>(type))
+      return vector.clone(element);
+    return element;
+  }
+  static Value widen(Operation *op, OpBuilder &b, Value value,
+                     Storage storage) {
+    Type type = getStoredType(op, storage, value.getType());
+    if (Value wide = getWidened(value); wide.getType() == type)
+      return wide;
+    return arith::ExtFOp::create(b, op->getLoc(), type, value);
   }
 };
 

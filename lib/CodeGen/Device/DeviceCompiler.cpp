@@ -329,9 +329,18 @@ static Error checkParameters(const llvm::Function &kernel) {
   return Error::success();
 }
 
+/// How denormal numbers of 32 bits are treated, and the way that makes them
+/// zero.
+constexpr StringLiteral kDenormalsAttrName = "denormal-fp-math-f32";
+constexpr StringLiteral kFlushing = "preserve-sign,preserve-sign";
+
 /// Says for the whole module what PTX can only say for each operation.
 void DeviceCompiler::prepareForCuda(llvm::Module &module) {
-  if (options.fastMath)
+  auto saysFlush = [](const llvm::Function &function) {
+    return function.getFnAttribute(kDenormalsAttrName).getValueAsString() ==
+           kFlushing;
+  };
+  if (options.fastMath || llvm::any_of(module, saysFlush))
     module.addModuleFlag(llvm::Module::Override, "nvvm-reflect-ftz", 1);
   // What other threads see is what those of this device see.
   llvm::SyncScope::ID device =
@@ -340,7 +349,7 @@ void DeviceCompiler::prepareForCuda(llvm::Module &module) {
     if (function.isDeclaration())
       continue;
     if (options.fastMath)
-      function.addFnAttr("denormal-fp-math-f32", "preserve-sign,preserve-sign");
+      function.addFnAttr(kDenormalsAttrName, kFlushing);
     function.setDoesNotThrow();
     function.addFnAttr("no-trapping-math", "true");
     for (llvm::Instruction &instruction : llvm::instructions(function)) {

@@ -25,6 +25,7 @@
 #include "tai/Analysis/Cost.h"
 #include "tai/Analysis/SkipScope.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 
 namespace mlir::tai {
@@ -220,7 +221,8 @@ struct LowerStructFor : tai::impl::LowerStructForBase<LowerStructFor> {
         lower(loop, *field);
       else
         lowerByDigits(loop, *field, levels + 1 - loop.getLevel().value_or(1),
-                      skip.has(Skip::RepeatedLookups), deterministic);
+                      skip.has(Skip::RepeatedLookups),
+                      Modes::of(getOperation()).isDeterministic(deterministic));
     }
     countWrites(getOperation());
   }

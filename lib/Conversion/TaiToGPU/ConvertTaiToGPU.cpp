@@ -16,7 +16,9 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
+#include "llvm/Support/SaveAndRestore.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_CONVERTTAITOGPU
@@ -260,9 +262,27 @@ struct ConvertTaiToGPU : tai::impl::ConvertTaiToGPUBase<ConvertTaiToGPU> {
     ModuleLowering host(module, deterministic, debug);
     ModuleLowering device(module, deterministic, debug, kernels);
     DeviceLowering lowering{host, device, kernels, deterministic};
-    for (auto kernel : llvm::make_early_inc_range(module.getOps<KernelOp>()))
+    for (auto kernel : llvm::make_early_inc_range(module.getOps<KernelOp>())) {
+      llvm::SaveAndRestore fixed(
+          lowering.deterministic,
+          Modes::of(kernel).isDeterministic(deterministic));
+      Attribute modes = kernel->getAttr(kModesAttrName);
+      DenseSet<Operation *> known;
+      if (modes)
+        for (Region *region :
+             {&module.getBodyRegion(), &kernels.getBodyRegion()})
+          for (Operation &op : region->front())
+            known.insert(&op);
       if (failed(KernelOffload(kernel, lowering).run()))
         return signalPassFailure();
+      // What was made for it.
+      if (modes)
+        for (Region *region :
+             {&module.getBodyRegion(), &kernels.getBodyRegion()})
+          for (Operation &op : region->front())
+            if (isa<FunctionOpInterface>(op) && !known.contains(&op))
+              op.setAttr(kModesAttrName, modes);
+    }
     declareCallees(module, kernels);
     if (failed(finishModule(host)))
       return signalPassFailure();

@@ -8,7 +8,9 @@
 #include "Accumulators.h"
 #include "../../Transforms/Utils/IndexMath.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/ABI/SumModes.h"
 #include "tai/Analysis/Cost.h"
+#include "tai/Dialect/Tai/IR/Modes.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -32,12 +34,41 @@ static SmallVector<Value> getOutside(ValueRange values, ParallelForOp loop) {
 }
 
 /// What partial sums of this type are kept in: of 16-bit floats in f32, which
-/// does not stop growing at 2048 of its terms.
-static Type getSumType(Type type, AtomicKind kind) {
+/// does not stop growing at 2048 of its terms; compensated ones in f64.
+static Type getSumType(Type type, AtomicKind kind, bool compensated) {
+  if (!isa<FloatType>(type) || kind != AtomicKind::Add)
+    return type;
+  if (compensated)
+    return Float64Type::get(type.getContext());
   bool isNarrow = isa<Float16Type, BFloat16Type>(type);
-  return isNarrow && kind == AtomicKind::Add
-             ? Float32Type::get(type.getContext())
-             : type;
+  return isNarrow ? Float32Type::get(type.getContext()) : type;
+}
+
+namespace {
+/// A sum of f64, and the sum of what that has rounded away.
+struct Pair {
+  Value sum, rest;
+};
+} // namespace
+
+/// The pair with a number more. Its operations have no flags of floats, and the
+/// number is not fused into one of them.
+static Pair emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x) {
+  auto add = [&](Value a, Value b) -> Value {
+    return LLVM::FAddOp::create(builder, loc, a, b);
+  };
+  auto subtract = [&](Value a, Value b) -> Value {
+    return LLVM::FSubOp::create(builder, loc, a, b);
+  };
+  x = LLVM::CallIntrinsicOp::create(
+          builder, loc, x.getType(),
+          builder.getStringAttr("llvm.arithmetic.fence"), ValueRange{x})
+          .getResult(0);
+  Value sum = add(pair.sum, x);
+  Value taken = subtract(sum, pair.sum);
+  Value lost =
+      add(subtract(pair.sum, subtract(sum, taken)), subtract(x, taken));
+  return {sum, add(pair.rest, lost)};
 }
 
 /// A number in a wider type of floats, or as it is.
@@ -60,7 +91,7 @@ static Value emitNarrowed(OpBuilder &builder, Location loc, Value sum,
 /// of m it is off by the square root of m n of them, and adding the blocks up
 /// in f64 costs nothing.
 void Accumulators::Register::sumInBlocks() {
-  if (!isa<FloatType>(type) || kind != AtomicKind::Add)
+  if (!isa<FloatType>(type) || kind != AtomicKind::Add || isPair)
     return;
   isBlocked = true;
   totalType = Float64Type::get(type.getContext());
@@ -100,6 +131,7 @@ Accumulators::Register::Register(const FieldInfo *field,
 FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
                                               ModuleLowering &lowering) {
   Accumulators result(lowering);
+  result.compensated = Modes::of(loop).isCompensated();
   // Otherwise LLVM sees the same loop whatever has been left out of it.
   result.keepsOrder = loop.getFixedCostAttr() &&
                       (loop.getOuterDims() ||
@@ -132,17 +164,23 @@ FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
       found->atomics.push_back(atomic);
       return WalkResult::advance();
     }
-    result.registers.push_back(
-        Register(*field, {atomic}, getCombiningKind(atomic.getKind()),
-                 getSumType(atomic.getValue().getType(),
-                            getCombiningKind(atomic.getKind())),
-                 getOutside(atomic.getIndices(), loop),
-                 getOutside(atomic.getComponents(), loop)));
+    result.registers.push_back(Register(
+        *field, {atomic}, getCombiningKind(atomic.getKind()),
+        getSumType(atomic.getValue().getType(),
+                   getCombiningKind(atomic.getKind()), result.compensated),
+        getOutside(atomic.getIndices(), loop),
+        getOutside(atomic.getComponents(), loop)));
     return WalkResult::advance();
   });
   if (walked.wasInterrupted())
     return failure();
   result.collectLocalSums(loop);
+  if (result.compensated)
+    for (Register &sum : result.registers) {
+      Type own = sum.field ? sum.field->scalarType : sum.localType;
+      sum.isCompensated = isa<FloatType>(own) && sum.kind == AtomicKind::Add;
+      sum.isPair = sum.isCompensated && own.isF64();
+    }
   if (!isShort(loop))
     for (Register &sum : result.registers)
       sum.sumInBlocks();
@@ -167,9 +205,11 @@ FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
     buffer.group = std::move(group);
     buffer.slice = std::move(*slice);
     buffer.updatesPerIteration = updates;
-    buffer.isWide = buffer.group.field->scalarType.isF32() &&
-                    updates * countIterations(loop) >=
-                        kWideUpdates * double(buffer.numElements());
+    bool isLong = updates * countIterations(loop) >=
+                  kWideUpdates * double(buffer.numElements());
+    Type scalar = buffer.group.field->scalarType;
+    buffer.isWide = scalar.isF32() && (isLong || result.compensated);
+    buffer.isPair = scalar.isF64() && result.compensated;
     result.buffers.push_back(std::move(buffer));
   }
   return result;
@@ -186,9 +226,11 @@ void Accumulators::collectLocalSums(ParallelForOp loop) {
       found->updates.push_back(update);
       return;
     }
-    Register sum(nullptr, {}, AtomicKind::Add, update.getVal().getType(), {},
-                 {});
+    Type type =
+        getSumType(update.getVal().getType(), AtomicKind::Add, compensated);
+    Register sum(nullptr, {}, AtomicKind::Add, type, {}, {});
     sum.address = update.getPtr();
+    sum.localType = update.getVal().getType();
     sum.updates.push_back(update);
     registers.push_back(std::move(sum));
   });
@@ -225,8 +267,16 @@ Value Accumulators::limitParts(OpBuilder &builder, Location loc, Value parts,
   return arith::MinSIOp::create(builder, loc, parts, limit);
 }
 
+/// Where register `i` begins: pairs take two slots.
+int64_t Accumulators::getPartialSlot(size_t i) const {
+  int64_t slot = 0;
+  for (const Register &sum : ArrayRef(registers).take_front(i))
+    slot += sum.isPair ? 2 : 1;
+  return slot;
+}
+
 int64_t Accumulators::getPartialBytes() const {
-  return llvm::alignTo(registers.size() * 8, kCacheLine);
+  return llvm::alignTo(getPartialSlot(registers.size()) * 8, kCacheLine);
 }
 
 /// The address of the first element of the updated part.
@@ -278,7 +328,7 @@ void Accumulators::emitBefore(OpBuilder &builder, Location loc, Value frame,
     int64_t bytes = buffer.numElements() * buffer.scalarSize();
     buffer.partStride =
         runtime.i64(builder, loc, llvm::alignTo(bytes, kCacheLine));
-    if (buffer.isWide) {
+    if (buffer.isApart()) {
       buffer.memory = runtime.tai_rt_private(
           builder, loc, frame, runtime.i64(builder, loc, bytes), parts);
       continue;
@@ -322,6 +372,30 @@ static Value emitInOrder(OpBuilder &builder, Location loc, AtomicKind kind,
   return emitCombination(builder, loc, kind, a, b);
 }
 
+/// Adds a compensated sum to its element, and rounds once.
+static void emitCompensatedUpdate(OpBuilder &builder, Location loc, Pair sum,
+                                  Type type, Value address,
+                                  AliasScopes scopes) {
+  Value old = emitLoad(builder, loc, type, address, scopes);
+  Value next;
+  if (sum.rest) {
+    Pair total = emitPairSum(builder, loc, {sum.sum, sum.rest}, old);
+    // Nothing is left of what an infinite sum has rounded away.
+    Value isNone = arith::CmpFOp::create(
+        builder, loc, arith::CmpFPredicate::UNO, total.rest, total.rest);
+    Value zero = arith::ConstantOp::create(
+        builder, loc, builder.getFloatAttr(total.rest.getType(), 0.0));
+    Value rest =
+        arith::SelectOp::create(builder, loc, isNone, zero, total.rest);
+    next = LLVM::FAddOp::create(builder, loc, total.sum, rest);
+  } else {
+    Value wide = emitWidened(builder, loc, old, sum.sum.getType());
+    next = emitNarrowed(
+        builder, loc, LLVM::FAddOp::create(builder, loc, wide, sum.sum), type);
+  }
+  emitStore(builder, loc, next, address, scopes);
+}
+
 void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
                              Value parts) {
   RuntimeCalls &runtime = lowering->runtime;
@@ -330,8 +404,9 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
   if (!registers.empty()) {
     SmallVector<Value> initial;
     for (Register &sum : registers)
-      initial.push_back(arith::ConstantOp::create(
-          builder, loc, getIdentity(sum.kind, sum.totalType)));
+      initial.append(sum.isPair ? 2 : 1,
+                     arith::ConstantOp::create(
+                         builder, loc, getIdentity(sum.kind, sum.totalType)));
     auto combine = [&](OpBuilder &b, Location, Value part, ValueRange sums) {
       Value bytes =
           arith::MulIOp::create(b, loc, IndexMath(b, loc).toI64(part),
@@ -339,9 +414,19 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
       Value slots = emitPointer(b, loc, b.getI8Type(), partials, bytes);
       SmallVector<Value> next;
       for (auto [i, sum] : llvm::enumerate(registers)) {
-        Value partial =
-            emitSlotLoad(b, loc, sums[i].getType(), emitSlot(b, loc, slots, i));
-        next.push_back(emitInOrder(b, loc, sum.kind, sums[i], partial));
+        int64_t at = getPartialSlot(i);
+        auto load = [&](int64_t slot) {
+          return emitSlotLoad(b, loc, sums[at].getType(),
+                              emitSlot(b, loc, slots, slot));
+        };
+        Value partial = load(at);
+        if (!sum.isPair) {
+          next.push_back(emitInOrder(b, loc, sum.kind, sums[at], partial));
+          continue;
+        }
+        Pair pair = emitPairSum(b, loc, {sums[at], sums[at + 1]}, partial);
+        next.push_back(pair.sum);
+        next.push_back(LLVM::FAddOp::create(b, loc, pair.rest, load(at + 1)));
       }
       scf::YieldOp::create(b, loc, next);
     };
@@ -349,9 +434,17 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
         scf::ForOp::create(builder, loc, math.constant(0), math.toIndex(parts),
                            math.constant(1), initial, combine);
     for (auto [i, sum] : llvm::enumerate(registers)) {
+      int64_t at = getPartialSlot(i);
+      Pair compensated = {total.getResult(at),
+                          sum.isPair ? total.getResult(at + 1) : Value()};
+      if (sum.address && sum.isCompensated) {
+        emitCompensatedUpdate(builder, loc, compensated, sum.localType,
+                              sum.address, {});
+        continue;
+      }
       if (sum.address) {
         Value narrowed =
-            emitNarrowed(builder, loc, total.getResult(i), sum.type);
+            emitNarrowed(builder, loc, total.getResult(at), sum.type);
         emitPlainUpdate(builder, loc, sum.kind, narrowed, sum.address, {});
         continue;
       }
@@ -363,8 +456,13 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
       Value address =
           emitPointer(builder, loc, getStorageType(field.scalarType),
                       emitFieldBase(builder, loc, field), offset);
+      if (sum.isCompensated) {
+        emitCompensatedUpdate(builder, loc, compensated, field.scalarType,
+                              address, lowering->fields.getScopes(field));
+        continue;
+      }
       Value narrowed =
-          emitNarrowed(builder, loc, total.getResult(i), field.scalarType);
+          emitNarrowed(builder, loc, total.getResult(at), field.scalarType);
       emitPlainUpdate(builder, loc, sum.kind, narrowed, address,
                       lowering->fields.getScopes(field));
     }
@@ -379,9 +477,10 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
   OpBuilder whereSeveral = branch.getThenBodyBuilder();
   for (Buffer &buffer : buffers) {
     const FieldInfo &field = *buffer.group.field;
-    OpBuilder &inside = buffer.isWide ? builder : whereSeveral;
+    OpBuilder &inside = buffer.isApart() ? builder : whereSeveral;
     Value kind = runtime.i32(inside, loc,
-                             buffer.isWide              ? kSumsWide
+                             buffer.isPair              ? kSumsPairs
+                             : buffer.isWide            ? kSumsWide
                              : field.scalarType.isF64() ? kSumsF64
                                                         : kSumsF32);
     if (buffer.isContiguous()) {
@@ -409,6 +508,10 @@ void Accumulators::emitEntry(OpBuilder &builder, Location loc, Value part) {
     Value identity = arith::ConstantOp::create(builder, loc,
                                                getIdentity(sum.kind, sum.type));
     emitSlotStore(builder, loc, identity, sum.slot);
+    if (sum.isPair) {
+      sum.rest = emitStackSlots(builder, loc, 1);
+      emitSlotStore(builder, loc, identity, sum.rest);
+    }
     if (!sum.isBlocked)
       continue;
     sum.total = emitStackSlots(builder, loc, 1);
@@ -488,6 +591,16 @@ void Accumulators::rewriteUpdates() {
     Value term = value.get();
     if (term.getType() != sum.type)
       term = arith::ExtFOp::create(builder, loc, sum.type, term);
+    if (sum.isPair) {
+      if (kind == AtomicKind::Sub)
+        term = LLVM::FNegOp::create(builder, loc, term);
+      Value rest = emitSlotLoad(builder, loc, sum.type, sum.rest);
+      Pair pair = emitPairSum(builder, loc, {old, rest}, term);
+      emitSlotStore(builder, loc, pair.sum, sum.slot);
+      emitSlotStore(builder, loc, pair.rest, sum.rest);
+      update->erase();
+      return;
+    }
     Value next = emitCombination(builder, loc, kind, old, term);
     // The order of a sum over iterations is ours to choose; LLVM needs to
     // know to vectorise it.
@@ -521,7 +634,7 @@ void Accumulators::rewriteUpdates() {
                                   : field.scalarType;
       Type storage = getStorageType(scalar);
       Value address = buffer.base;
-      if (buffer.isWide || buffer.isContiguous()) {
+      if (buffer.isApart() || buffer.isContiguous()) {
         cell = math.mul(cell, field.numComponents);
       } else {
         Value bytes = math.mul(cell, math.toIndex(buffer.cellStride));
@@ -532,6 +645,22 @@ void Accumulators::rewriteUpdates() {
       if (!atomic.getComponents().empty())
         cell = math.add(cell, emitComponent(builder, loc, field.elementShape,
                                             atomic.getComponents()));
+      if (buffer.isPair) {
+        address =
+            emitPointer(builder, loc, storage, address, math.mul(cell, 2));
+        Value restAt =
+            emitPointer(builder, loc, storage, address, math.constant(1));
+        Value term = atomic.getValue();
+        if (atomic.getKind() == AtomicKind::Sub)
+          term = LLVM::FNegOp::create(builder, loc, term);
+        Pair pair = {emitLoad(builder, loc, scalar, address, AliasScopes()),
+                     emitLoad(builder, loc, scalar, restAt, AliasScopes())};
+        pair = emitPairSum(builder, loc, pair, term);
+        emitStore(builder, loc, pair.sum, address, AliasScopes());
+        emitStore(builder, loc, pair.rest, restAt, AliasScopes());
+        atomic.erase();
+        continue;
+      }
       address = emitPointer(builder, loc, storage, address, cell);
       Value term = emitWidened(builder, loc, atomic.getValue(), scalar);
       emitPlainUpdate(builder, loc, atomic.getKind(), term, address,
@@ -566,9 +695,15 @@ void Accumulators::emitBlockEnd(OpBuilder &builder, Location loc) {
 void Accumulators::emitExit(OpBuilder &builder, Location loc) {
   emitBlockEnd(builder, loc);
   for (auto [i, sum] : llvm::enumerate(registers)) {
-    Value slot = sum.isBlocked ? sum.total : sum.slot;
-    emitSlotStore(builder, loc, emitSlotLoad(builder, loc, sum.totalType, slot),
-                  emitSlot(builder, loc, insidePartials, i));
+    auto keep = [&, &sum = sum](Value slot, int64_t at) {
+      emitSlotStore(builder, loc,
+                    emitSlotLoad(builder, loc, sum.totalType, slot),
+                    emitSlot(builder, loc, insidePartials, at));
+    };
+    int64_t at = getPartialSlot(i);
+    keep(sum.isBlocked ? sum.total : sum.slot, at);
+    if (sum.isPair)
+      keep(sum.rest, at + 1);
   }
 }
 

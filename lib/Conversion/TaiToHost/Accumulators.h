@@ -70,13 +70,19 @@ private:
     /// Of the sum over a block, and of the sum of blocks and of partitions.
     Type type, totalType;
     bool isBlocked = false;
+    /// What the sum rounds away is summed beside it: compensated sums of f64.
+    bool isPair = false;
+    /// Added to the field in `totalType`, and rounded once.
+    bool isCompensated = false;
     // In the kernel:
     SmallVector<Value> indices, components;
     /// Where a local sum goes, which is of no field.
     Value address;
     SmallVector<LLVM::AtomicRMWOp> updates;
-    // In the function of the loop: of the block, and of those before it.
-    Value slot, total;
+    Type localType;
+    // In the function of the loop: of the block, and of those before it; what a
+    // pair has rounded away.
+    Value slot, total, rest;
   };
   /// Sums of a part of a field in a buffer.
   struct Buffer {
@@ -85,6 +91,8 @@ private:
     double updatesPerIteration;
     /// Sums in f64 of a field of f32, in a buffer of every partition.
     bool isWide = false;
+    /// Pairs of f64, for compensated sums of f64: also in all partitions.
+    bool isPair = false;
     // In the kernel:
     Value target, memory, partStride, cellStride;
     // In the function of the loop:
@@ -95,8 +103,12 @@ private:
     }
     /// Bytes of a number in the buffer.
     int64_t scalarSize() const {
+      if (isPair)
+        return 2 * int64_t(sizeof(double));
       return isWide ? int64_t(sizeof(double)) : group.field->scalarSize;
     }
+    /// Whether no partition updates the field itself.
+    bool isApart() const { return isWide || isPair; }
     int64_t compactStride() const {
       return group.field->numComponents * group.field->scalarSize;
     }
@@ -107,9 +119,12 @@ private:
   /// Sums in arrays that the kernel makes for them.
   void collectLocalSums(ParallelForOp loop);
   Value emitTarget(OpBuilder &builder, Location loc, const Buffer &buffer);
+  int64_t getPartialSlot(size_t i) const;
   int64_t getPartialBytes() const;
 
   ModuleLowering *lowering;
+  /// Whether sums are kept with twice the digits of their type.
+  bool compensated = false;
   /// Whether LLVM may not reorder the sums.
   bool keepsOrder = false;
   std::vector<Register> registers;

@@ -18,8 +18,10 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "llvm/Analysis/TargetLibraryInfo.h"
+#include "llvm/Support/SaveAndRestore.h"
 #include "llvm/TargetParser/Triple.h"
 
 namespace mlir::tai {
@@ -57,6 +59,9 @@ static bool canFail(ArrayRef<LLVM::LLVMFuncOp> functions) {
 }
 
 LogicalResult tai::lowerKernel(KernelOp kernel, ModuleLowering &lowering) {
+  llvm::SaveAndRestore deterministic(
+      lowering.deterministic,
+      Modes::of(kernel).isDeterministic(lowering.deterministic));
   std::string name = getEntryPointName(kernel.getSymName());
   Location loc = kernel.getLoc();
   RuntimeCalls &runtime = lowering.runtime;
@@ -64,6 +69,9 @@ LogicalResult tai::lowerKernel(KernelOp kernel, ModuleLowering &lowering) {
                                  IntegerType::get(kernel.getContext(), 32),
                                  {runtime.getPointerType()},
                                  /*isInternal=*/false);
+  Attribute modes = kernel->getAttr(kModesAttrName);
+  if (modes)
+    function->setAttr(kModesAttrName, modes);
   Block *entry = &function.getBody().front();
   Value frame = entry->getArgument(0);
 
@@ -101,6 +109,9 @@ LogicalResult tai::lowerKernel(KernelOp kernel, ModuleLowering &lowering) {
                                     : runtime.i32(builder, loc, 0);
   LLVM::ReturnOp::create(builder, loc, status);
   lowerPreconditions(function, lowering);
+  if (modes)
+    for (LLVM::LLVMFuncOp f : functions)
+      f->setAttr(kModesAttrName, modes);
   kernel.erase();
   return success();
 }

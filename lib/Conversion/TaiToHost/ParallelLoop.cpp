@@ -17,7 +17,9 @@
 #include "Accumulators.h"
 #include "Lowering.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/ABI/SumModes.h"
 #include "tai/Analysis/Cost.h"
+#include "tai/Dialect/Tai/IR/Modes.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -262,7 +264,10 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   }
 
   bool reduces = !accumulators->empty();
-  Value fixed = runtime.i32(builder, loc, reduces || lowering.deterministic);
+  bool isFixed = Modes::of(loop).isDeterministic(false);
+  Value fixed = runtime.i32(builder, loc,
+                            isFixed ? int(kPartsFixed)
+                                    : int(reduces || lowering.deterministic));
   Value nanoseconds =
       runtime.i64(builder, loc, std::max<int64_t>(1, std::llround(cost)));
   Value parts =

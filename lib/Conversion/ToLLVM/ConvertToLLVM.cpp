@@ -25,6 +25,7 @@
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/Math/Transforms/Passes.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Dialect/Tai/IR/Modes.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_CONVERTTOLLVM
@@ -169,7 +170,11 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
   void runOnOperation() override {
     ModuleOp module = getOperation();
     MLIRContext *context = &getContext();
-    setFloatOptions(module, fastMath, contract);
+    for (Operation &op : *module.getBody()) {
+      std::optional<MathMode> own = Modes::of(&op).math;
+      setFloatOptions(&op, own ? own == MathMode::Fast : fastMath,
+                      contract && own != MathMode::Strict);
+    }
 
     LLVMTypeConverter converter(context);
     RewritePatternSet patterns(context);
@@ -194,12 +199,17 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
           /*benefit=*/2);
     else if (contract)
       populateWideMath(patterns, /*benefit=*/2);
+    if (llvm::any_of(module.getOps<LLVM::LLVMFuncOp>(), [](auto function) {
+          return Modes::of(function).isAccurate();
+        }))
+      populateAccurateMath(patterns, /*benefit=*/1);
     // What LLVM has no intrinsic for is called in libm.
     populateMathToLibmConversionPatterns(patterns, /*benefit=*/0);
     populateFuncToLLVMConversionPatterns(converter, patterns);
 
     LLVMConversionTarget target(*context);
-    if (failed(applyPartialConversion(module, target, std::move(patterns))))
+    if (failed(applyPartialConversion(module, target, std::move(patterns))) ||
+        failed(flushDenormals(module)))
       return signalPassFailure();
     // The conversions carry annotations of loops along without knowing them.
     module.walk([](LLVM::BrOp branch) {

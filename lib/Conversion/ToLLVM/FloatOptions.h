@@ -33,6 +33,15 @@ void populateFloatCasts(const LLVMTypeConverter &converter,
 /// of f32 to arithmetic in f64, which vectorises.
 void populateWideMath(RewritePatternSet &patterns, PatternBenefit benefit);
 
+/// Adds expansions of elementary functions that keep them within one unit in
+/// the last place, in functions of kernels that are `accurate`.
+void populateAccurateMath(RewritePatternSet &patterns, PatternBenefit benefit);
+
+/// Lets the functions below `root` treat denormal numbers as zero, by the
+/// control word of the processor, which they put back: those of kernels with
+/// `ftz`. Fails after an error where the processor has no such thing.
+LogicalResult flushDenormals(Operation *root);
+
 } // namespace mlir::tai
 
 #endif // TAI_LIB_CONVERSION_TOLLVM_FLOATOPTIONS_H

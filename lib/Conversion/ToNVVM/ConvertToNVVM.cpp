@@ -23,6 +23,7 @@
 #include "mlir/Dialect/LLVMIR/NVVMDialect.h"
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Dialect/Tai/IR/Modes.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_CONVERTTONVVM
@@ -62,6 +63,36 @@ template <typename OpT> struct AskForNumber : OpRewritePattern<OpT> {
   StringRef callee;
 };
 
+/// Fails at a function of f64 for which CUDA's library allows more than one
+/// unit in the last place.
+LogicalResult checkAccurate(Operation *function) {
+  WalkResult result = function->walk([](Operation *op) {
+    if (!isa<math::AcosOp, math::AcoshOp, math::AsinOp, math::AsinhOp,
+             math::AtanOp, math::Atan2Op, math::AtanhOp, math::CosOp,
+             math::CoshOp, math::ErfOp, math::ErfcOp, math::PowFOp, math::SinOp,
+             math::SinhOp, math::TanOp, math::TanhOp>(op) ||
+        !getElementTypeOrSelf(op->getResult(0).getType()).isF64())
+      return WalkResult::advance();
+    op->emitError("math=\"accurate\" cannot be had for '")
+        << op->getName().stripDialect()
+        << "' of f64 on a GPU: its library is off by up to two units in the "
+           "last place or more; compute it in f32, or on the CPU";
+    return WalkResult::interrupt();
+  });
+  return failure(result.wasInterrupted());
+}
+
+/// The backend flushes denormal numbers of f32 in a function that says so.
+void flushOnDevice(LLVM::LLVMFuncOp function) {
+  Builder builder(function.getContext());
+  SmallVector<Attribute> all;
+  if (ArrayAttr others = function.getPassthroughAttr())
+    llvm::append_range(all, others);
+  all.push_back(builder.getStrArrayAttr(
+      {"denormal-fp-math-f32", "preserve-sign,preserve-sign"}));
+  function.setPassthroughAttr(builder.getArrayAttr(all));
+}
+
 struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
   using Base::Base;
 
@@ -73,7 +104,15 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
 
   LogicalResult convert(gpu::GPUModuleOp kernels) {
     MLIRContext *context = &getContext();
-    setFloatOptions(kernels, fastMath, contract);
+    bool accurate = false;
+    for (Operation &op : *kernels.getBody()) {
+      Modes modes = Modes::of(&op);
+      setFloatOptions(&op, modes.math ? modes.math == MathMode::Fast : fastMath,
+                      contract && modes.math != MathMode::Strict);
+      accurate |= modes.isAccurate();
+      if (modes.isAccurate() && failed(checkAccurate(&op)))
+        return failure();
+    }
 
     LowerToLLVMOptions options(context);
     if (auto bits = kernels->getAttrOfType<IntegerAttr>(kIndexBitsAttrName))
@@ -89,6 +128,9 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
                                          /*approximateLog1p=*/false);
     populateExpansionFixes(patterns);
     populateFloatCasts(converter, patterns);
+    // Before those of libdevice.
+    if (accurate)
+      populateAccurateMath(patterns, /*benefit=*/20);
     if (emulated) {
       patterns.add<AskForNumber<gpu::ThreadIdOp>>(context, "tai_dev_thread_id");
       patterns.add<AskForNumber<gpu::BlockIdOp>>(context, "tai_dev_block_id");
@@ -106,7 +148,8 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
     target.addLegalOp<gpu::GPUModuleOp>();
     target.addIllegalDialect<gpu::GPUDialect>();
     target.addLegalOp<gpu::GPUModuleOp>();
-    if (failed(applyPartialConversion(kernels, target, std::move(patterns))))
+    if (failed(applyPartialConversion(kernels, target, std::move(patterns))) ||
+        (emulated && failed(flushDenormals(kernels))))
       return failure();
     // Annotations of loops are for the vectoriser, which a GPU has not, but for
     // those that keep a loop as it is.
@@ -125,6 +168,9 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
                           UnitAttr::get(context));
         limitRegisters(function);
       }
+    for (auto function : kernels.getOps<LLVM::LLVMFuncOp>())
+      if (Modes::of(function).flushes())
+        flushOnDevice(function);
     return success();
   }
 };

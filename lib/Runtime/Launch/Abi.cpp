@@ -15,12 +15,15 @@
 #include "../Text/Format.h"
 #include "Launch.h"
 #include "tai/ABI/DeviceAbi.h"
+#include "tai/ABI/SumModes.h"
 #include "tai/Runtime/Device/Device.h"
 #include "tai/Runtime/Device/DeviceHeap.h"
+#include "tai/Runtime/Threads/FixedParts.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 #include "tai/Support/Philox.h"
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <cstdlib>
 #include <cstring>
 
@@ -40,6 +43,8 @@ static int64_t boundOf(int64_t n, int64_t part, int64_t parts) {
 extern "C" int64_t tai_rt_parts(TaiFrame *frame, int64_t n, int64_t cost,
                                 int32_t reduces) {
   Launch &launch = launchOf(frame);
+  if (reduces == kPartsFixed)
+    return n <= 1 ? 1 : fixedParts(n, static_cast<double>(cost));
   return launch.partition(n, cost, reduces != 0);
 }
 
@@ -236,6 +241,49 @@ addBuffers(void *targetBytes, const char *buffers, int64_t begin, int64_t end,
   }
 }
 
+namespace {
+/// A sum, and the sum of what that has rounded away.
+struct PairSum {
+  double sum = 0, rest = 0;
+
+  void add(double x) {
+    double next = sum + x, taken = next - sum;
+    rest += (sum - (next - taken)) + (x - taken);
+    sum = next;
+  }
+  void add(const PairSum &other) {
+    add(other.sum);
+    rest += other.rest;
+  }
+};
+} // namespace
+
+/// Adds elements [begin, end) of all buffers of pairs, each rounded once.
+static void addPairs(void *targetBytes, const char *buffers, int64_t begin,
+                     int64_t end, int64_t parts, int64_t stride) {
+  double *target = static_cast<double *>(targetBytes);
+  for (int64_t at = begin; at < end; ++at) {
+    PairSum total;
+    for (int64_t p = 0; p < parts; ++p)
+      total.add(reinterpret_cast<const PairSum *>(buffers + p * stride)[at]);
+    total.add(target[at]);
+    // Nothing is left of what an infinite sum has rounded away.
+    target[at] = total.sum + (std::isnan(total.rest) ? 0 : total.rest);
+  }
+}
+
+/// Bytes of an element of a buffer.
+static int64_t sizeOfSums(int32_t kind) {
+  switch (kind) {
+  case kSumsF32:
+    return sizeof(float);
+  case kSumsPairs:
+    return sizeof(PairSum);
+  default:
+    return sizeof(double);
+  }
+}
+
 // Compiled for the vector units that there may be; the sums are the same.
 #if defined(__x86_64__)
 #define TAI_ADD_BUFFERS(name, target_type, type, unit)                         \
@@ -251,6 +299,8 @@ TAI_ADD_BUFFERS(addWideAvx2, float, double, "avx2")
 #endif
 
 static AddBuffers chooseAdd(int32_t kind) {
+  if (kind == kSumsPairs)
+    return addPairs;
 #if defined(__x86_64__)
   if (__builtin_cpu_supports("avx2"))
     return kind == kSumsF32   ? addF32Avx2
@@ -269,7 +319,7 @@ extern "C" void tai_rt_combine(TaiFrame *frame, void *target,
   // After a failure the buffers may not be what the code believes.
   if (count <= 0 || parts <= 0 || launch.hasFailed())
     return;
-  int64_t size = kind == kSumsF32 ? sizeof(float) : sizeof(double);
+  int64_t size = sizeOfSums(kind);
   int64_t stride = (count * size + 63) / 64 * 64;
   // Bytes read by one worker that repay its fork.
   constexpr int64_t cutBytes = 64 << 10;
@@ -331,6 +381,15 @@ static void addStrided(void *context, int64_t cut) {
   }
 }
 
+static void addStridedPairs(void *context, int64_t cut) {
+  const auto &c = *static_cast<StridedCombining *>(context);
+  int64_t end = boundOf(c.cells, cut + 1, c.cuts);
+  for (int64_t cell = boundOf(c.cells, cut, c.cuts); cell < end; ++cell)
+    addPairs(c.target + cell * c.targetStride,
+             c.buffers + cell * c.components * sizeof(PairSum), 0, c.components,
+             c.parts, c.bufferStride);
+}
+
 extern "C" void tai_rt_combine_strided(TaiFrame *frame, void *target,
                                        const void *buffers, int64_t cells,
                                        int64_t components, int64_t stride,
@@ -338,8 +397,7 @@ extern "C" void tai_rt_combine_strided(TaiFrame *frame, void *target,
   Launch &launch = launchOf(frame);
   if (cells <= 0 || components <= 0 || parts <= 0 || launch.hasFailed())
     return;
-  int64_t bytes = cells * components *
-                  int64_t(kind == kSumsF32 ? sizeof(float) : sizeof(double));
+  int64_t bytes = cells * components * sizeOfSums(kind);
   constexpr int64_t cutBytes = 64 << 10;
   int64_t cuts = std::clamp<int64_t>(bytes / cutBytes * parts, 1,
                                      launch.owner().threads());
@@ -351,9 +409,10 @@ extern "C" void tai_rt_combine_strided(TaiFrame *frame, void *target,
                              parts,
                              (bytes + 63) / 64 * 64,
                              cuts};
-  auto run = kind == kSumsF32   ? addStrided<float, float>
-             : kind == kSumsF64 ? addStrided<double, double>
-                                : addStrided<float, double>;
+  auto run = kind == kSumsF32     ? addStrided<float, float>
+             : kind == kSumsF64   ? addStrided<double, double>
+             : kind == kSumsPairs ? addStridedPairs
+                                  : addStrided<float, double>;
   if (cuts == 1)
     run(&combining, 0);
   else

@@ -7,6 +7,7 @@
 
 #include "tai/Runtime/Threads/Workers.h"
 #include "WorkerPool.h"
+#include "tai/Runtime/Threads/FixedParts.h"
 
 using namespace mlir::tai::runtime;
 
@@ -76,12 +77,8 @@ int64_t Workers::partition(int64_t n, double cost, bool reduces) {
     return 1;
   double exact = static_cast<double>(n) * std::max(cost, 1e-3);
   int64_t total = exact < 9e18 ? static_cast<int64_t>(exact) : INT64_MAX;
-  if (reduces && deterministic) {
-    // Depends on the loop alone. Every part costs a private copy of what is
-    // reduced, so there are few.
-    constexpr int64_t partNs = 16000, mostParts = 32;
-    return std::min(n, std::clamp<int64_t>(total / partNs, 1, mostParts));
-  }
+  if (reduces && deterministic)
+    return fixedParts(n, cost);
   if (numThreads == 1)
     return 1;
   if (total < leastNs)

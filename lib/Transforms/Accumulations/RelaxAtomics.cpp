@@ -20,6 +20,7 @@
 #include "mlir/Transforms/LoopInvariantCodeMotionUtils.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Cost.h"
+#include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Transforms/Passes.h"
 #include "llvm/ADT/TypeSwitch.h"
 
@@ -57,9 +58,9 @@ struct FieldAccesses {
 class LoopRelaxation {
 public:
   LoopRelaxation(ParallelForOp loop, FieldTable &fields, bool deterministic,
-                 bool onDevice)
+                 bool compensated, bool onDevice)
       : loop(loop), fields(fields), deterministic(deterministic),
-        onDevice(onDevice) {}
+        compensated(compensated), onDevice(onDevice) {}
 
   LogicalResult run();
 
@@ -70,10 +71,12 @@ private:
   void relaxField(FieldAccesses &accesses);
   bool isWorthPrivate(const AccumulationGroup &group);
   bool isWarpSum(AtomicOp atomic);
+  bool hasCompensatedSums();
+  LogicalResult checkCompensated();
 
   ParallelForOp loop;
   FieldTable &fields;
-  bool deterministic, onDevice;
+  bool deterministic, compensated, onDevice;
   int64_t numBuffers = 0;
 };
 } // namespace
@@ -147,6 +150,8 @@ bool LoopRelaxation::isWorthPrivate(const AccumulationGroup &group) {
   int64_t elements = slice->numCells * field.numComponents;
   if (elements > kMaxPrivateElements)
     return false;
+  if (compensated)
+    return true;
   // Where the number of iterations is known at run time only, so is what pays:
   // too few of them run in one partition, which needs no buffers.
   std::optional<int64_t> iterations = getNumIterations(loop);
@@ -180,8 +185,8 @@ bool LoopRelaxation::mayReach(ValueRange a, ValueRange b) {
 /// few warps, that is quicker than to bring them together in their block.
 bool LoopRelaxation::isWarpSum(AtomicOp atomic) {
   std::optional<int64_t> iterations = getNumIterations(loop);
-  if (deterministic || !iterations || *iterations > kMaxWarpSums ||
-      atomic.getKind() != AtomicKind::Add ||
+  if (deterministic || compensated || !iterations ||
+      *iterations > kMaxWarpSums || atomic.getKind() != AtomicKind::Add ||
       !atomic.getValue().getType().isF32())
     return false;
   // In an inner loop there would be one for each of its iterations.
@@ -271,6 +276,56 @@ void LoopRelaxation::relaxField(FieldAccesses &accesses) {
   }
 }
 
+static bool isFloatSum(AtomicOp atomic) {
+  return isa<FloatType>(getElementTypeOrSelf(atomic.getValue().getType())) &&
+         (atomic.getKind() == AtomicKind::Add ||
+          atomic.getKind() == AtomicKind::Sub);
+}
+
+/// True if the loop has float sums that are not those of one iteration.
+bool LoopRelaxation::hasCompensatedSums() {
+  return compensated && loop.walk([](AtomicOp atomic) {
+                              return isFloatSum(atomic) &&
+                                             !atomic.getExclusive()
+                                         ? WalkResult::interrupt()
+                                         : WalkResult::advance();
+                            })
+                            .wasInterrupted();
+}
+
+/// Fails at a float sum that would be rounded to its type at each addition.
+LogicalResult LoopRelaxation::checkCompensated() {
+  constexpr StringLiteral what =
+      "sums=\"compensated\" cannot be had for this sum: ";
+  if (!compensated)
+    return success();
+  WalkResult result = loop.walk([&](Operation *op) {
+    if (auto atomic = dyn_cast<AtomicOp>(op)) {
+      if (!isFloatSum(atomic) || atomic.getExclusive() ||
+          (atomic.getStrategy() && !onDevice))
+        return WalkResult::advance();
+      StringRef why = "its field is sparse or large, or takes other updates "
+                      "or reads in the same loop";
+      if (!atomic.getOld().use_empty())
+        why = "the value before the addition is used";
+      else if (onDevice)
+        why = "a GPU keeps no sum wider than its type";
+      op->emitError(what) << why << "; give the kernel sums=\"default\"";
+      return WalkResult::interrupt();
+    }
+    auto atomic = dyn_cast<memref::AtomicRMWOp>(op);
+    if (!atomic || atomic.getKind() != arith::AtomicRMWKind::addf ||
+        !loop.isDefinedOutsideOfLoop(atomic.getMemref()) ||
+        op->hasAttr(kAccumulateAttrName) ||
+        isInjective(loop, atomic.getIndices()))
+      return WalkResult::advance();
+    op->emitError(what) << "it is in an array of the caller; give the kernel "
+                           "sums=\"default\", or add up in a field";
+    return WalkResult::interrupt();
+  });
+  return failure(result.wasInterrupted());
+}
+
 LogicalResult LoopRelaxation::run() {
   if (loop.getSerialize()) {
     serialize();
@@ -329,9 +384,11 @@ LogicalResult LoopRelaxation::run() {
         !atomic.getResult().use_empty();
   });
 
+  if (failed(checkCompensated()))
+    return failure();
   std::optional<int64_t> iterations = getNumIterations(loop);
   bool isSmall =
-      !onDevice && iterations &&
+      !onDevice && iterations && !hasCompensatedSums() &&
       *iterations * estimateIteration(loop, !inMemory) < kForkNanoseconds;
   if (deterministic && dependsOnTiming && onDevice &&
       canOrderAdditions(loop, fields)) {
@@ -363,8 +420,11 @@ struct RelaxAtomics : tai::impl::RelaxAtomicsBase<RelaxAtomics> {
       if (atomic && !op->getParentOfType<ParallelForOp>())
         atomic.setExclusive(true);
     });
+    Modes modes = Modes::of(getOperation());
+    bool fixed = modes.isDeterministic(deterministic);
+    bool paired = modes.isCompensated();
     for (ParallelForOp loop : loops)
-      if (failed(LoopRelaxation(loop, fields, deterministic, onDevice).run()))
+      if (failed(LoopRelaxation(loop, fields, fixed, paired, onDevice).run()))
         return signalPassFailure();
   }
 };

@@ -32,6 +32,7 @@
 #include "tai/Analysis/IndexShift.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Support/BoundsMode.h"
 #include "tai/Transforms/Passes.h"
@@ -709,6 +710,9 @@ struct ScatterToGather : tai::impl::ScatterToGatherBase<ScatterToGather> {
   using Base::Base;
 
   void runOnOperation() override {
+    // A gathered sum is one of plain additions.
+    if (Modes::of(getOperation()).isCompensated())
+      return;
     SmallVector<ParallelForOp> loops;
     getOperation()->walk([&](ParallelForOp loop) { loops.push_back(loop); });
     for (ParallelForOp loop : loops) {

@@ -22,6 +22,7 @@
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Passes.h"
 
@@ -199,7 +200,9 @@ static bool areIndependent(Candidate &first, Operation *a, Candidate &second,
 static bool canFuse(Candidate &first, Candidate &second, bool deterministic) {
   if (first.box.lower != second.box.lower ||
       first.box.upper != second.box.upper ||
-      first.box.loop.getBlockDim() != second.box.loop.getBlockDim())
+      first.box.loop.getBlockDim() != second.box.loop.getBlockDim() ||
+      first.kernel->getAttr(kModesAttrName) !=
+          second.kernel->getAttr(kModesAttrName))
     return false;
   for (Operation *a : first.accesses)
     for (Operation *b : second.accesses)
@@ -294,6 +297,8 @@ static LaunchOp fuse(Candidate &first, Candidate &second,
   auto type = FunctionType::get(
       context, llvm::to_vector(TypeRange(ValueRange(operands))), {});
   auto kernel = KernelOp::create(builder, loc, name, type);
+  if (Attribute modes = first.kernel->getAttr(kModesAttrName))
+    kernel->setAttr(kModesAttrName, modes);
   symbols.insert(kernel);
   Block &body = kernel.getBody().front();
   builder.setInsertionPointToEnd(&body);

@@ -13,6 +13,7 @@
 
 #include "DiscardableAttrs.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
+#include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
@@ -38,6 +39,7 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.conventions", Kind::Any, true},
     {"tai.differentiate", Kind::Unit, true},
     {"tai.gradients", Kind::Any, true},
+    {"tai.modes", Kind::Any, true},
     {"tai.reads_before", Kind::List, true},
     {"tai.reexecutes", Kind::Unit, true},
     {"tai.tangent", Kind::Symbol, true},
@@ -184,6 +186,8 @@ LogicalResult tai::verifyDiscardableAttr(Operation *op,
     return op->emitError("expects '")
            << name << "' " << (known->kind == Kind::Unit ? "" : "to be ")
            << describe(known->kind) << ", but got " << attribute.getValue();
+  if (name == kModesAttrName && failed(verifyModes(op, attribute.getValue())))
+    return failure();
   if (known->ofFunctions && !isa<FunctionOpInterface>(op))
     return op->emitError("'")
            << name << "' stands on functions and kernels, not on '"

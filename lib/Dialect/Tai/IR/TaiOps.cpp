@@ -137,7 +137,18 @@ LogicalResult FieldOp::verify() {
   return success();
 }
 
-/// Checks that `related` can hold derivatives of `field`.
+/// True if the types differ at most in how wide the floats of `related` are.
+static bool holdsWider(Type related, Type type) {
+  auto own = dyn_cast<FloatType>(getElementTypeOrSelf(type));
+  auto other = dyn_cast<FloatType>(getElementTypeOrSelf(related));
+  if (!own || !other || own.getWidth() >= other.getWidth())
+    return related == type;
+  auto vector = dyn_cast<VectorType>(type);
+  return related == (vector ? Type(vector.clone(other)) : Type(other));
+}
+
+/// Checks that `related` can hold derivatives of `field`. Adjoints are sums,
+/// which may be of wider floats.
 static LogicalResult verifyRelatedField(FieldOp field,
                                         FlatSymbolRefAttr related,
                                         StringRef role,
@@ -146,7 +157,9 @@ static LogicalResult verifyRelatedField(FieldOp field,
       symbols.lookupNearestSymbolFrom<FieldOp>(field->getParentOp(), related);
   if (!other)
     return field.emitOpError() << role << " '" << related << "' is not a field";
-  if (other.getType() == field.getType() && other.getRank() == field.getRank())
+  bool fits = role == "adjoint" ? holdsWider(other.getType(), field.getType())
+                                : other.getType() == field.getType();
+  if (fits && other.getRank() == field.getRank())
     return success();
   InFlightDiagnostic diag = field.emitOpError()
                             << "expects " << role << " '" << related

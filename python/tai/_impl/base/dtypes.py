@@ -48,12 +48,14 @@ class DataType:
     def min(self) -> float:
         """The least finite value."""
         if self.is_float:
-            return float(np.finfo(self.numpy).min)
+            return -self.max
         return -(1 << (self.bits - 1)) if self.kind == "i" else 0
 
     @property
     def max(self) -> float:
         """The greatest finite value."""
+        if self is bf16:
+            return float.fromhex("0x1.fep127")
         if self.is_float:
             return float(np.finfo(self.numpy).max)
         return (1 << (self.bits - (self.kind == "i"))) - 1
@@ -69,12 +71,14 @@ u16 = DataType("u16", "u", 16, "i16", "uint16")
 u32 = DataType("u32", "u", 32, "i32", "uint32")
 u64 = DataType("u64", "u", 64, "i64", "uint64")
 f16 = DataType("f16", "f", 16, "f16", "float16")
+# NumPy has no such type: in Python its numbers are f32.
+bf16 = DataType("bf16", "f", 16, "bf16", "float32")
 f32 = DataType("f32", "f", 32, "f32", "float32")
 f64 = DataType("f64", "f", 64, "f64", "float64")
 
-all_types = [u1, i8, i16, i32, i64, u8, u16, u32, u64, f16, f32, f64]
+all_types = [u1, i8, i16, i32, i64, u8, u16, u32, u64, f16, bf16, f32, f64]
 _by_name = {t.name: t for t in all_types}
-_by_numpy = {t.numpy: t for t in all_types}
+_by_numpy = {t.numpy: t for t in all_types if t is not bf16}
 
 # NumPy-like names.
 int8, int16, int32, int64 = i8, i16, i32, i64
@@ -92,7 +96,7 @@ def to_dtype(what: Any) -> DataType | None:
     if what is int:
         return state.options.default_ip
     if what is float:
-        return state.options.default_fp
+        return default_fp()
     if what is bool:
         return u1
     if isinstance(what, (np.dtype, type)):
@@ -122,8 +126,32 @@ def promote(a: DataType, b: DataType) -> DataType:
 
 
 def computed_in(dt: DataType) -> DataType:
-    """The type that arithmetic on `dt` takes place in: f16 is for storage, and computed in f32."""
-    return f32 if dt is f16 else dt
+    """The type that arithmetic on `dt` takes place in: 16 bits are for storage, f32 computes.
+
+    In a kernel that names its precision it is no narrower than that.
+    """
+    if not dt.is_float:
+        return dt
+    if state.fp is not None and state.fp.bits > dt.bits:
+        return state.fp
+    return f32 if dt.bits == 16 else dt
+
+
+def default_fp() -> DataType:
+    """What `float` is: in a kernel that names its precision that, else the default type."""
+    return state.fp or state.options.default_fp
+
+
+def stored_as(what: Any) -> DataType | None:
+    """The type of a field of `what`: with a precision of 16 bits `float` is stored so."""
+    if what is float and state.options.precision in ("f16", "bf16"):
+        return _by_name[state.options.precision]
+    return to_dtype(what)
+
+
+def gradient_of(dt: DataType) -> DataType:
+    """What the gradients of a field of `dt` are kept and summed in."""
+    return f64 if dt.is_float and state.options.adjoints == "f64" else computed_in(dt)
 
 
 def dtype_of(value: Any) -> DataType:
@@ -134,7 +162,7 @@ def dtype_of(value: Any) -> DataType:
         found = _by_numpy.get(value.dtype)
         if found is not None:
             return found
-    return state.options.default_ip if isinstance(value, int) else state.options.default_fp
+    return state.options.default_ip if isinstance(value, int) else default_fp()
 
 
 # Numbers in a type
@@ -175,6 +203,17 @@ def fit(number: Any, dt: DataType) -> int:
     return whole
 
 
+def rounded(number: Any, dt: DataType) -> float:
+    """The number as a float type holds it."""
+    if dt.bits == 64:
+        return float(number)
+    near = dt.numpy.type(number)
+    if dt is bf16 and np.isfinite(near):
+        bits = int(near.view(np.uint32))
+        near = np.uint32((bits + 0x7FFF + (bits >> 16 & 1)) & 0xFFFF0000).view(np.float32)
+    return float(near)
+
+
 def convert(number: Any, dt: DataType) -> Any:
     """A number in a type that the program named: `ti.cast(300, ti.u8)` keeps the low bits.
 
@@ -184,7 +223,7 @@ def convert(number: Any, dt: DataType) -> Any:
     if dt.is_bool:
         return bool(number)
     if dt.is_float:
-        return float(dt.numpy.type(number)) if dt.bits < 64 else float(number)
+        return rounded(number, dt)
     default = state.options.default_ip
     if isinstance(number, float) and not math.isfinite(number):
         raise misfit(number, dt)

@@ -85,6 +85,19 @@ _NOTES = {
 _OWN = (
     Keyword("default_fp", dtypes.DataType, dtypes.f32, "the type of `float` in kernels"),
     Keyword("default_ip", dtypes.DataType, dtypes.i32, "the type of `int` in kernels"),
+    Keyword("precision", str, "default", "what `float` means and what kernels compute in: 'f64' or "
+            "'f32'; with 'f16' or 'bf16' the fields of `float` are stored so, and kernels compute "
+            "in f32. Types that the program names stay, but arithmetic on them is as wide. See "
+            "docs/precision.md for this and the next four"),
+    Keyword("sums", str, "default", "how sums over iterations and scatters are kept: "
+            "'compensated', with twice the digits of their type; 'deterministic', as by the option "
+            "of that name"),
+    Keyword("math", str, "default", "'fast' and 'strict' are as by the options fast_math and "
+            "strict; 'accurate': elementary functions are within one unit in the last place"),
+    Keyword("ftz", bool, False, "denormal numbers are zero, as operands and as results: those of "
+            "f32 and, on the CPU, of f64"),
+    Keyword("adjoints", str, "default", "what gradients of fields are kept and summed in: 'f64'; "
+            "by default the type of the field, and f32 for one of 16 bits"),
     Keyword("check_out_of_bound", bool, False, "the same as bounds='check'"),
     Keyword("ad_ties", str, "second", "what `max` and `min` of equal numbers do in gradients: "
             "'second': the second one gets all; 'split': half each"),
@@ -173,6 +186,11 @@ CHOICES = {
     "ad_ties": ("second", "split"),
     "ad_arcs": ("exact", "clamp"),
     "bounds": ("off", "clamp", "check"),
+    "precision": ("default", "f64", "f32", "f16", "bf16"),
+    "sums": ("default", "compensated", "deterministic"),
+    "math": ("default", "fast", "strict", "accurate"),
+    "ftz": (False, True),
+    "adjoints": ("default", "f64"),
     "sanitize": ("", "address"),
 }
 

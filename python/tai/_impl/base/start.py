@@ -7,7 +7,7 @@ import sys
 from typing import Any
 
 from ...errors import TaiRuntimeError, TaiRuntimeTypeError, did_you_mean
-from . import dtypes, state
+from . import dtypes, modes, state
 from .options import (
     ACCEPTED,
     CHOICES,
@@ -66,12 +66,15 @@ def init(
         if chosen.get(name, known[0]) not in known:
             words = " or ".join(repr(word) for word in known)
             raise TaiRuntimeError(f"{name} is {words}, but got {chosen[name]!r}")
+    modes.check_together(chosen)
+    modes.choose(chosen)
     chosen["arch"], may_fall_back = choose_arch(arch)
     if os.environ.get("TI_ARCH"):
         chosen["arch"], may_fall_back = choose_arch(os.environ["TI_ARCH"])
     if os.environ.get("TI_SANITIZE") and chosen["arch"] == cpu:
         chosen.setdefault("sanitize", os.environ["TI_SANITIZE"])
     check_target(chosen["arch"], needs, unwanted)
+    modes.check_target(chosen, chosen["arch"])
     if chosen.get("sanitize") and chosen["arch"] != cpu:
         raise TaiRuntimeError(
             "sanitize='address' is for kernels on the CPU",

@@ -24,6 +24,7 @@ kernels_made: int = 0
 emitter: Any
 tape: Any
 forward: bool
+fp: Any
 thread: object
 
 
@@ -31,6 +32,7 @@ class _OfThread(threading.local):
     emitter: Any = None
     tape: Any = None
     forward: bool = False
+    fp: Any = None
 
     def __init__(self) -> None:
         # What no other thread has, now or later.
@@ -60,6 +62,15 @@ class _State(types.ModuleType):
     @forward.setter
     def forward(self, value: bool) -> None:
         _of_thread.forward = value
+
+    @property
+    def fp(self) -> Any:
+        """What `float` is in the kernel that is being compiled, where it says so; else None."""
+        return _of_thread.fp
+
+    @fp.setter
+    def fp(self, value: Any) -> None:
+        _of_thread.fp = value
 
     @property
     def thread(self) -> object:

@@ -37,6 +37,10 @@ class Ndarray(Elements):
         resolved = dtypes.to_dtype(dtype)
         if resolved is None:
             raise TaiRuntimeTypeError(f"{dtype!r} is not a type of numbers")
+        if resolved is dtypes.bf16:
+            raise TaiRuntimeTypeError(
+                "an array holds no bf16: NumPy has no such type", "use ti.f16, or a ti.field"
+            )
         self.dtype, self.element_shape = resolved, tuple(element_shape)
         self.shape = to_shape(shape)
         if any(extent < 0 for extent in self.shape):

@@ -32,7 +32,7 @@ class Field(Elements, Shareable):
     offset: Any
 
     def __init__(self, dtype: Any, element_shape: tuple[int, ...], name: str | None, role: str):
-        resolved = dtypes.to_dtype(dtype)
+        resolved = dtypes.stored_as(dtype)
         if resolved is None:
             raise TaiRuntimeTypeError(
                 f"a field holds numbers, not {dtype!r}", "use a type such as ti.f32 or ti.i32"

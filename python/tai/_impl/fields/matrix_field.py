@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
-from ..base import fitting, state
+from ..base import dtypes, fitting, state
 from ..history import origins
 from ..values.matrix import ElementOfField
 from . import active
@@ -46,7 +46,8 @@ class MatrixField(Field):
         return len(self.element_shape)
 
     def _make_companion(self, which: str) -> MatrixField:
-        return MatrixField(self.element_shape, self.dtype, None, which)
+        dt = dtypes.gradient_of(self.dtype) if which == "grad" else self.dtype
+        return MatrixField(self.element_shape, dt, None, which)
 
     def _base_symbol(self, program: Any) -> str:
         if self._symbol_base is None:

@@ -77,7 +77,8 @@ class ScalarField(Field):
                 second.put_into(first._placed_node(), first.offset or None)
 
     def _make_companion(self, which: str) -> ScalarField:
-        return ScalarField(self.dtype, None, which, self.element_shape)
+        dt = dtypes.gradient_of(self.dtype) if which == "grad" else self.dtype
+        return ScalarField(dt, None, which, self.element_shape)
 
     def choose_symbol(self, program: Any) -> None:
         if self.symbol is not None:

@@ -12,6 +12,7 @@ from typing import Any
 
 from ...errors import TaiError, TaiSyntaxError
 from ..base import state
+from ..base.modes import attribute_of
 from ..base.options import Options
 from ..base.program import Program
 from ..fields.scalar import ScalarField
@@ -82,6 +83,7 @@ class Compiler:
             None. There is a parameter more for each, the number of its first element.
         structs: the names and types of parameters that are structs; their members are among
             `parameters`, by names such as `a.x`.
+        modes: how it rounds, sums and approximates; see `base.modes`.
     """
 
     def __init__(
@@ -93,10 +95,11 @@ class Compiler:
         result: ResultForm | None,
         cells: tuple[list[tuple[str, ScalarField]], ScalarField | None],
         structs: dict[str, StructType],
+        modes: dict[str, Any],
     ):
         frame = Frame(function, function_ast(function), "kernel")
         followed, result_field = cells
-        kernel = Kernel(symbol, parameters, result, followed, result_field, structs)
+        kernel = Kernel(symbol, parameters, result, followed, result_field, structs, modes)
         self.context = context = Context(program, kernel, frame, self)
 
         compile_time = CompileTime(context)
@@ -133,6 +136,8 @@ class Compiler:
         self._guarded = context.diagnostics.guarded
 
         emitter = context.emitter
+        math = kernel.modes.get("math")
+        emitter.fast_norms = math == "fast" or (math is None and program.options.fast_math)
         emitter.call = calls.call_from_python
         emitter.make_struct = functools.partial(make_value, emitter)
         emitter.warn_of_fraction = checks.warn_of_fraction
@@ -195,7 +200,7 @@ class Compiler:
         context.at(node)
         builder.kernel(
             kernel.symbol, parameters.types, result, region, parameters.gradients,
-            conventions(context.options),
+            conventions(context.options), attribute_of(kernel.modes) if kernel.modes else "",
         )  # fmt: skip
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -71,6 +72,7 @@ class Kernel:
         result_field: where forward mode keeps the result, or None.
         structs: the names and types of parameters that are structs; their members are parameters,
             by names such as `a.x`.
+        modes: how it rounds, sums and approximates, where that is not the usual.
     """
 
     symbol: str
@@ -79,6 +81,7 @@ class Kernel:
     followed: list[tuple[str, ScalarField]]
     result_field: ScalarField | None
     structs: dict[str, StructType]
+    modes: dict[str, Any]
 
 
 class Walker(Protocol):

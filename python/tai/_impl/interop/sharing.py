@@ -6,6 +6,7 @@ from typing import Any
 
 from ...errors import TaiError
 from ..base import native, state
+from ..base.dtypes import bf16
 from ..base.program import get_program
 from .dlpack import CODES, CPU, CUDA
 from .streams import wait_for_stream
@@ -38,6 +39,11 @@ def field_dlpack(
         raise BufferError("a field is shared as it is: copy what comes of it")
     if dl_device is not None and tuple(dl_device) != device:
         raise BufferError(f"field '{field.name}' is on device {device}, not on {dl_device}")
+    if field.dtype is bf16:
+        raise BufferError(
+            f"field '{field.name}' cannot be shared: it holds bf16; copy it, by to_numpy or "
+            "to_torch, as f32"
+        )
     single = _storage(field)
     context = get_program().context
     try:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, overload
 
 from ...errors import SHOW_TRACEBACK, TaiAutodiffError, TaiError, TaiSyntaxError, TaiTypeError
 from ..base import native, state
+from ..base.modes import check_kernel, computing_in
 from ..base.program import get_program
 from ..fields.arrays import Ndarray
 from ..history import origins
@@ -15,7 +17,7 @@ from ..values.types import MatrixType, ScalarType
 from .bound_kernel import BoundKernel
 from .functions import func, pyfunc, real_func
 from .launch import launch
-from .signature import Signature, check_annotations, names_of
+from .signature import Signature, check_annotations, located, names_of
 from .specialization import Specialization, Specializations
 
 native.set_tracked_type(tracked.Number)
@@ -31,8 +33,12 @@ class Kernel(native.Launcher):
 
     _tai_kernel = True
 
-    def __init__(self, function: Callable[..., Any], is_method: bool):
+    def __init__(
+        self, function: Callable[..., Any], is_method: bool, modes: dict[str, Any] | None = None
+    ):
         self._function, self._is_method = function, is_method
+        # Those that it says by itself.
+        self._modes = modes or {}
         self.__name__ = function.__name__
         self.__qualname__ = function.__qualname__
         self.__doc__ = function.__doc__
@@ -40,7 +46,7 @@ class Kernel(native.Launcher):
         self.__wrapped__ = function
         self._program: Any = None
         self._signature: Signature | None = None
-        self._specializations = Specializations(self, function)
+        self._specializations = Specializations(self, function, self._modes)
         # Of the kernels of this process, the how manieth.
         self.number = state.kernels_made
         state.kernels_made += 1
@@ -84,7 +90,8 @@ class Kernel(native.Launcher):
 
     def _get_signature(self) -> Signature:
         if self._signature is None:
-            self._signature = Signature(self._function, self._is_method)
+            with computing_in(self._modes):
+                self._signature = Signature(self._function, self._is_method)
         return self._signature
 
     @property
@@ -169,13 +176,42 @@ def _is_in_class(function: Callable[..., Any]) -> bool:
     return len(parts) > 1 and parts[-2] != "<locals>"
 
 
-def kernel(function: Callable[..., Any]) -> Kernel:
-    """Compiles a function to a kernel: its outermost loops run in parallel."""
+@overload
+def kernel(function: Callable[..., Any]) -> Kernel: ...
+
+
+@overload
+def kernel(
+    *, precision: str = ..., sums: str = ..., math: str = ..., ftz: bool = ...
+) -> Callable[[Callable[..., Any]], Kernel]: ...
+
+
+def kernel(function: Callable[..., Any] | None = None, **modes: Any) -> Any:
+    """Compiles a function to a kernel: its outermost loops run in parallel.
+
+    `@ti.kernel(precision="f64", sums="compensated")` gives it modes of its own, which go before
+    those of `ti.init`. Its gradient has them, too.
+
+    Args:
+        precision: what it computes in, whatever fields hold: `f64` or `f32`.
+        sums: `compensated` or `deterministic`; see `ti.init`.
+        math: `fast`, `strict` or `accurate`.
+        ftz: denormal numbers are zero.
+
+    Raises:
+        TaiSyntaxError: a mode that there is not.
+    """
+    if function is None:
+        return functools.partial(kernel, **modes)
     if isinstance(function, (staticmethod, classmethod)):
         raise TaiSyntaxError("put @staticmethod above @ti.kernel")
     if not hasattr(function, "__code__"):
         raise TaiTypeError(f"@ti.kernel takes a function, but got {function!r}")
-    return Kernel(function, _is_in_class(function) and "self" in names_of(function)[:1])
+    try:
+        check_kernel(function.__name__, modes)
+    except TaiSyntaxError as error:
+        raise located(error, function) from None
+    return Kernel(function, _is_in_class(function) and "self" in names_of(function)[:1], modes)
 
 
 def data_oriented(cls: type) -> type:

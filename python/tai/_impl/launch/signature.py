@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiCompilationError, TaiRuntimeTypeError, TaiSyntaxError
-from ..base import dtypes
+from ..base import dtypes, state
 from ..fields.structs import Struct, StructType
 from ..frontend.source import closure_of, function_ast
 from ..values.types import MatrixType, NdarrayType, ScalarType, template
@@ -30,7 +30,7 @@ def names_of(function: Callable[..., Any]) -> list[str]:
     return list(code.co_varnames[: code.co_argcount + code.co_kwonlyargcount])
 
 
-def _located(error: TaiCompilationError, function: Callable[..., Any]) -> TaiCompilationError:
+def located(error: TaiCompilationError, function: Callable[..., Any]) -> TaiCompilationError:
     """Places an error at the `def` line of a function."""
     code = function.__code__
     line = code.co_firstlineno
@@ -46,7 +46,7 @@ def check_annotations(function: Callable[..., Any], is_method: bool) -> None:
     """Refuses parameters of a kernel without a type."""
     code = function.__code__
     if code.co_flags & 0x0C:
-        raise _located(
+        raise located(
             TaiSyntaxError(
                 f"kernel '{function.__name__}' cannot have *args or **kwargs",
                 "name each parameter, or pass a tuple as a ti.template()",
@@ -55,7 +55,7 @@ def check_annotations(function: Callable[..., Any], is_method: bool) -> None:
         )
     for name in names_of(function)[1 if is_method else 0 :]:
         if name not in function.__annotations__:
-            raise _located(
+            raise located(
                 TaiSyntaxError(
                     f"parameter '{name}' of kernel '{function.__name__}' has no type",
                     f"annotate it: {name}: ti.f32, {name}: ti.template(), …",
@@ -71,7 +71,7 @@ def resolve(annotation: Any, function: Callable[..., Any]) -> Any:
     try:
         return eval(annotation, function.__globals__, closure_of(function))
     except Exception as error:
-        raise _located(
+        raise located(
             TaiSyntaxError(f"the annotation '{annotation}' has no meaning: {error}"), function
         ) from error
 
@@ -89,10 +89,12 @@ def parse_type(annotation: Any, function: Callable[..., Any], what: str) -> Any:
         return NdarrayType()
     if isinstance(annotation, (NdarrayType, MatrixType, StructType)):
         return annotation
-    if dtypes.to_dtype(annotation) is not None:
-        return ScalarType(annotation)
+    found = dtypes.to_dtype(annotation)
+    if found is not None:
+        # `float` is another type in a kernel that names its precision.
+        return ScalarType(annotation if state.fp is None else found)
     shown = annotation.__name__ if isinstance(annotation, type) else repr(annotation)
-    raise _located(
+    raise located(
         TaiSyntaxError(
             f"{what} of '{function.__name__}' has a type that kernels do not know: {shown}",
             "use a number type, ti.template(), ti.types.ndarray(), ti.types.vector(…) or "
@@ -119,8 +121,8 @@ def _parse(
     if annotation is None or resolve(annotation, function) is None:
         return parameters, None
     result = parse_type(annotation, function, "the result")
-    if not isinstance(result, (ScalarType, MatrixType)) or result.dtype.name == "f16":
-        raise _located(
+    if not isinstance(result, (ScalarType, MatrixType)) or result.dtype.name in ("f16", "bf16"):
+        raise located(
             TaiSyntaxError(
                 f"kernel '{function.__name__}' cannot return {annotation!r}",
                 "return a number, a vector or a matrix, or store it in a field",
@@ -128,7 +130,7 @@ def _parse(
             function,
         )
     if int(np.prod(result.shape, dtype=int)) > 16:
-        raise _located(TaiSyntaxError("a kernel returns at most 16 numbers"), function)
+        raise located(TaiSyntaxError("a kernel returns at most 16 numbers"), function)
     return parameters, result
 
 

@@ -6,15 +6,16 @@ import weakref
 from collections.abc import Callable
 from typing import Any
 
-from ...errors import TaiTypeError
+from ...errors import TaiCompilationError, TaiRuntimeError, TaiTypeError
 from ..base import native, state
+from ..base.modes import computing_in, modes_of
 from ..fields.root import materialize, name_fields
 from ..frontend import templates
 from ..frontend.compiler import Compiler
 from ..frontend.source import closure_of
 from ..tracking import tangents, tracked
 from ..tracking.arguments import find_alias
-from .signature import Signature
+from .signature import Signature, located
 from .specs import ArgumentSpec, ResultSpec, spec_of
 
 
@@ -77,8 +78,10 @@ class Specializations:
             to gradients. For the same arguments it gives the same.
     """
 
-    def __init__(self, kernel: Any, function: Callable[..., Any]):
+    def __init__(self, kernel: Any, function: Callable[..., Any], modes: dict[str, Any]):
         self._kernel, self._function = weakref.ref(kernel), function
+        # Those that the kernel says by itself.
+        self._modes = modes
         self.find_constants: Callable[[list[Any]], set[Any]] = lambda values: set()
         self._variants: dict[tuple, list[Specialization]] = {}
         self.last: Specialization | None = None
@@ -176,8 +179,11 @@ class Specializations:
         followed: list[tuple[int, Any]], pool: Any, constants: set[Any],
     ) -> Specialization:  # fmt: skip
         for parameter, spec in zip(signature.parameters, specs, strict=True):
-            if spec.dt is not None and spec.dt.name == "f16" and spec.kind != "array":
-                raise TaiTypeError(f"argument '{parameter.name}' cannot be f16", "use ti.f32")
+            if spec.dt is not None and spec.dt.name in ("f16", "bf16") and spec.kind != "array":
+                raise TaiTypeError(
+                    f"argument '{parameter.name}' cannot be {spec.dt}: it is a type of fields",
+                    "use ti.f32",
+                )
             if spec.kind == "template":
                 spec.taken = templates.take(spec.constant, parameter.name, signature.kernel)
                 if hasattr(spec.constant, "__dict__"):
@@ -191,12 +197,17 @@ class Specializations:
         cells = ([(names[number], inputs.field) for number, inputs in followed],
                  None if pool is None else pool.field)  # fmt: skip
         result = None if signature.result is None else ResultSpec(signature.result)
+        try:
+            modes = modes_of(self._modes, program.options)
+        except TaiRuntimeError as error:
+            raise located(TaiCompilationError(error.message, error.hint), self._function) from None
         compiler = Compiler(
-            program, self._function, symbol, parameters, result, cells, signature.structs
+            program, self._function, symbol, parameters, result, cells, signature.structs, modes
         )
         compiler.context.emitter.stopped = {id(place) for place in constants}
         try:
-            core = compiler.compile()
+            with computing_in(modes):
+                core = compiler.compile()
         except BaseException:
             program.symbols.give_back(symbol)
             raise

@@ -334,6 +334,7 @@ class Builder:
     def kernel(
         self, symbol: str, arguments: Sequence[str], result: str | None, body: Region,
         gradients: Sequence[int] = (), conventions: dict[str, str] | None = None,
+        modes: str = "",
     ) -> None:  # fmt: skip
         """The kernel with a body that was built.
 
@@ -343,6 +344,7 @@ class Builder:
             gradients: the numbers of arguments by which it is differentiated besides fields; that
                 of the result, if it is, comes after the last argument.
             conventions: what gradients do at kinks, where that is not the usual.
+            modes: how it rounds, sums and approximates, where that is not the usual.
         """
         results = "()" if result is None else result
         attributes = {
@@ -355,4 +357,6 @@ class Builder:
         if conventions:
             chosen = ", ".join(f"{name} = {value}" for name, value in conventions.items())
             attributes["conventions"] = self._attribute("{" + chosen + "}")
+        if modes:
+            attributes["tai.modes"] = self._attribute(modes)
         self._op("tai.kernel", [], [], attributes, [body])

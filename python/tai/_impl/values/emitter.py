@@ -66,6 +66,8 @@ class Emitter:
         self.make_struct: Any = None
         # Says that a float is stored in a whole number.
         self.warn_of_fraction: Any = None
+        # Whether squares of norms may over- and underflow.
+        self.fast_norms = False
         self.entry: Any = None
         self._types: dict[tuple, Any] = {}
         self._constants: dict[tuple, Any] = {}
@@ -111,7 +113,7 @@ class Emitter:
             TaiTypeError: a whole number that does not fit the type.
         """
         if dt.is_float:
-            number = float(number) if dt.bits == 64 else float(dt.numpy.type(number))
+            number = dtypes.rounded(number, dt)
         elif dt.is_bool:
             number = bool(number)
         else:
@@ -438,7 +440,7 @@ class Emitter:
 
     def to_float(self, value: Any) -> Any:
         value = self.as_value(value)
-        dt = value.dt if value.dt.is_float else state.options.default_fp
+        dt = value.dt if value.dt.is_float else dtypes.default_fp()
         return self.cast(value, computed_in(dt))
 
     def to_computed(self, value: Any) -> Any:
@@ -530,7 +532,7 @@ class Emitter:
             return self._divide_whole(op, a, b)
         a, b, dt = self.operands(a, b)
         if op == "/" and not dt.is_float:
-            dt = computed_in(state.options.default_fp)
+            dt = computed_in(dtypes.default_fp())
         if dt.is_bool and op not in "&|^" and op not in ("max", "min"):
             dt = state.options.default_ip
         is_constant = a.const is not None, b.const is not None
@@ -713,7 +715,7 @@ class Emitter:
 
     def atan2(self, a: Any, b: Any) -> Any:
         a, b, dt = self.operands(a, b)
-        a, b = self.unify(a, b, dt if dt.is_float else computed_in(state.options.default_fp))
+        a, b = self.unify(a, b, dt if dt.is_float else computed_in(dtypes.default_fp()))
         if a.const == 0 and b.const == 0:  # MLIR's folder makes NaN of it
             return self.splat(math.atan2(a.const, b.const), a.dt, a.shape)
         return self.elementwise("math.atan2", [a, b], a.dt)

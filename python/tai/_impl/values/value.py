@@ -266,7 +266,7 @@ class MatrixValue(Value):
             return self.emitter.unary("sqrt", a.dot(a) + eps)
         # Without `fast`, it is right where the squares over- or underflow.
         emitter = self.emitter
-        handle = emitter.builder.norm(a.handle, emitter.type_of(a.dt), state.options.fast_math)
+        handle = emitter.builder.norm(a.handle, emitter.type_of(a.dt), emitter.fast_norms)
         return Value(emitter, handle, a.dt)
 
     def norm_inv(self, eps: Any = 0) -> Value:

@@ -1,0 +1,28 @@
+//===- FixedParts.h - Parts that no number of threads decides ---*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_RUNTIME_THREADS_FIXEDPARTS_H
+#define TAI_RUNTIME_THREADS_FIXEDPARTS_H
+
+#include <algorithm>
+#include <cstdint>
+
+namespace mlir::tai::runtime {
+
+/// The parts of a loop of `n` iterations that take `cost` nanoseconds each, by
+/// the estimate of the compiler. It depends on the loop alone. Every part costs
+/// a private copy of what is reduced, so there are few.
+inline int64_t fixedParts(int64_t n, double cost) {
+  constexpr int64_t partNs = 16000, mostParts = 32;
+  double exact = static_cast<double>(n) * std::max(cost, 1e-3);
+  int64_t total = exact < 9e18 ? static_cast<int64_t>(exact) : INT64_MAX;
+  return std::min(n, std::clamp<int64_t>(total / partNs, 1, mostParts));
+}
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_RUNTIME_THREADS_FIXEDPARTS_H

@@ -1,0 +1,123 @@
+//===- FlushDenormals.cpp - Functions that take denormals for zero --------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A processor flushes by its control word, which belongs to the thread. Each
+// function that the runtime may call sets it and puts it back, so that neither
+// the caller nor another launch on the same worker sees any of it. LLVM does
+// not know that arithmetic depends on the word: the body is a function of its
+// own, which is not inlined.
+//
+//===----------------------------------------------------------------------===//
+
+#include "FloatOptions.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "tai/Dialect/Tai/IR/Modes.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+#if defined(__x86_64__)
+// Of MXCSR: denormal operands are zero, denormal results become it.
+constexpr int32_t kFlushBits = 0x8040;
+constexpr bool kCanFlush = true;
+#elif defined(__aarch64__)
+// Of FPCR: both at once.
+constexpr int64_t kFlushBits = 1 << 24;
+constexpr bool kCanFlush = true;
+#else
+constexpr int64_t kFlushBits = 0;
+constexpr bool kCanFlush = false;
+#endif
+
+namespace {
+/// Reads and writes the control word.
+class ControlWord {
+public:
+  ControlWord(OpBuilder &builder, Location loc) : builder(builder), loc(loc) {}
+
+  /// Yields the word as it was.
+  Value setFlushing() {
+#if defined(__x86_64__)
+    Type word = builder.getI32Type();
+    Value one = LLVM::ConstantOp::create(builder, loc, builder.getI64Type(), 1);
+    slot = LLVM::AllocaOp::create(
+        builder, loc, LLVM::LLVMPointerType::get(builder.getContext()), word,
+        one);
+    call("llvm.x86.sse.stmxcsr", {}, slot);
+    Value old = LLVM::LoadOp::create(builder, loc, word, slot);
+    Value bits = LLVM::ConstantOp::create(builder, loc, word, kFlushBits);
+    write(LLVM::OrOp::create(builder, loc, old, bits));
+    return old;
+#else
+    Type word = builder.getI64Type();
+    Value old = call("llvm.aarch64.get.fpcr", word, {});
+    Value bits = LLVM::ConstantOp::create(builder, loc, word, kFlushBits);
+    write(LLVM::OrOp::create(builder, loc, old, bits));
+    return old;
+#endif
+  }
+
+  void write(Value word) {
+#if defined(__x86_64__)
+    LLVM::StoreOp::create(builder, loc, word, slot);
+    call("llvm.x86.sse.ldmxcsr", {}, slot);
+#else
+    call("llvm.aarch64.set.fpcr", {}, word);
+#endif
+  }
+
+private:
+  Value call(StringRef name, Type result, ValueRange arguments) {
+    auto made = result
+                    ? LLVM::CallIntrinsicOp::create(builder, loc, result,
+                                                    builder.getStringAttr(name),
+                                                    arguments)
+                    : LLVM::CallIntrinsicOp::create(
+                          builder, loc, builder.getStringAttr(name), arguments);
+    return result ? made.getResult(0) : Value();
+  }
+
+  OpBuilder &builder;
+  Location loc;
+  Value slot;
+};
+} // namespace
+
+/// Moves the body of the function into another, and calls that.
+static void wrap(LLVM::LLVMFuncOp function) {
+  Location loc = function.getLoc();
+  OpBuilder builder(function);
+  builder.setInsertionPointAfter(function);
+  auto body = LLVM::LLVMFuncOp::create(
+      builder, loc, (function.getSymName() + ".flushing").str(),
+      function.getFunctionType(), LLVM::Linkage::Internal);
+  body.getBody().takeBody(function.getBody());
+  body.setNoInline(true);
+  builder.setInsertionPointToStart(function.addEntryBlock(builder));
+  ControlWord word(builder, loc);
+  Value old = word.setFlushing();
+  auto call = LLVM::CallOp::create(builder, loc, body,
+                                   function.getBody().getArguments());
+  word.write(old);
+  LLVM::ReturnOp::create(builder, loc, call.getResults());
+}
+
+LogicalResult tai::flushDenormals(Operation *root) {
+  SmallVector<LLVM::LLVMFuncOp> functions;
+  root->walk([&](LLVM::LLVMFuncOp function) {
+    if (!function.isExternal() && Modes::of(function).flushes())
+      functions.push_back(function);
+  });
+  if (functions.empty())
+    return success();
+  if (!kCanFlush)
+    return functions.front().emitError(
+        "ftz=True cannot be had: this processor has no such mode that is known "
+        "here");
+  llvm::for_each(functions, wrap);
+  return success();
+}

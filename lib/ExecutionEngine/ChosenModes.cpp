@@ -1,0 +1,52 @@
+//===- ChosenModes.cpp - What modes come to in the code of kernels --------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/ExecutionEngine/ChosenModes.h"
+#include "tai/Dialect/Tai/IR/Modes.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Why `modes` cannot be had together in a context that is fast or not, or
+/// nothing.
+static std::string findContradiction(const Modes &modes, bool fastContext) {
+  bool isFast = modes.math ? modes.math == MathMode::Fast : fastContext;
+  if (!isFast || !modes.isCompensated())
+    return "";
+  std::string fast = modes.math ? "math=\"fast\"" : "fast_math=True";
+  return "sums=\"compensated\" and " + fast +
+         " contradict one another: the first keeps what a sum rounds away, the "
+         "second may cancel it by reordering; choose one";
+}
+
+FailureOr<CompileOptions>
+mlir::tai::getKernelOptions(KernelOp kernel, const CompileOptions &options) {
+  Modes modes = Modes::of(kernel);
+  auto fail = [&](const Twine &problem) {
+    return kernel.emitError()
+           << "kernel '" << kernel.getSymName() << "': " << problem;
+  };
+  std::string problem = findContradiction(modes, options.codegen.fastMath);
+  if (!problem.empty())
+    return fail(problem);
+  if (options.interpret && (modes.flushes() || modes.isCompensated()))
+    return fail(Twine(modes.flushes() ? "ftz=True" : "sums=\"compensated\"") +
+                " cannot be had where no code is made; choose arch=ti.cpu");
+  CompileOptions result = options;
+  result.deterministic = modes.isDeterministic(options.deterministic);
+  if (options.device && result.deterministic && !options.deterministic)
+    return fail("sums=\"deterministic\" cannot be had for one kernel on a GPU; "
+                "give it to ti.init, for all");
+  if (modes.math)
+    result.codegen.fastMath = modes.math == MathMode::Fast;
+  bool isStrict =
+      modes.math ? modes.math == MathMode::Strict : !options.codegen.contract;
+  // Loops are cut differently for other numbers of threads, and what is fused
+  // may depend on where a vectorised loop ends.
+  result.codegen.contract = !isStrict && !result.deterministic;
+  return result;
+}

@@ -1,0 +1,218 @@
+//===- WidenArithmetic.cpp - Arithmetic wider than storage ----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Values of a kernel change their types in place, from narrow floats to the
+// wide one. Operations whose types are those of something else, such as a field
+// or an argument, keep them, with casts around.
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Transforms/WidenArithmetic.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Math/IR/Math.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "mlir/Pass/Pass.h"
+#include "tai/Dialect/Tai/IR/Modes.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+class Widening {
+public:
+  Widening(KernelOp kernel, FloatType wide) : kernel(kernel), wide(wide) {}
+
+  void run();
+
+private:
+  bool isNarrow(Type type);
+  Type widen(Type type);
+  bool isOwnMemory(Value memory);
+  bool keepsTypes(Operation *op);
+  void widenAttributes(Operation *op);
+  /// Uses of `value`, which is narrow, get it widened.
+  void widenUses(OpBuilder &builder, Value value);
+  void keep(Operation *op, ArrayRef<Type> operandTypes);
+
+  KernelOp kernel;
+  FloatType wide;
+};
+} // namespace
+
+bool Widening::isNarrow(Type type) {
+  if (auto memory = dyn_cast<MemRefType>(type))
+    return isNarrow(memory.getElementType());
+  if (auto local = dyn_cast<LocalType>(type))
+    return isNarrow(local.getElementType());
+  auto element = dyn_cast<FloatType>(getElementTypeOrSelf(type));
+  return element && element.getWidth() < wide.getWidth();
+}
+
+Type Widening::widen(Type type) {
+  if (!isNarrow(type))
+    return type;
+  if (auto memory = dyn_cast<MemRefType>(type))
+    return MemRefType::get(memory.getShape(), widen(memory.getElementType()),
+                           memory.getLayout(), memory.getMemorySpace());
+  if (auto local = dyn_cast<LocalType>(type))
+    return LocalType::get(type.getContext(), widen(local.getElementType()));
+  if (auto vector = dyn_cast<VectorType>(type))
+    return vector.clone(wide);
+  return wide;
+}
+
+/// True for an array that the kernel makes for itself.
+bool Widening::isOwnMemory(Value memory) {
+  return isa_and_nonnull<memref::AllocaOp, AllocaOp>(memory.getDefiningOp());
+}
+
+/// True if the types of the operation follow from something that this pass does
+/// not change.
+bool Widening::keepsTypes(Operation *op) {
+  if (isa<memref::AllocaOp, AllocaOp, LocalLoadOp, LocalStoreOp>(op))
+    return false;
+  if (isa<memref::LoadOp, memref::StoreOp, memref::AtomicRMWOp>(op))
+    return llvm::none_of(op->getOperands(),
+                         [&](Value operand) { return isOwnMemory(operand); });
+  if (isa<arith::BitcastOp, arith::ExtFOp, arith::TruncFOp, vector::BitCastOp,
+          RandomOp, ReturnOp>(op) ||
+      isa<FieldAccessOpInterface>(op))
+    return true;
+  if (isa<ParallelForOp, YieldOp, AssertOp, PrintOp, PreconditionOp>(op))
+    return false;
+  StringRef dialect = op->getName().getDialectNamespace();
+  if (dialect == "tai")
+    return !isMemoryEffectFree(op);
+  return !llvm::is_contained({"arith", "math", "scf", "vector"}, dialect);
+}
+
+static Attribute widenNumber(Attribute attr, Type type, FloatType wide) {
+  auto widen = [&](APFloat value) {
+    bool lost = false;
+    value.convert(wide.getFloatSemantics(), APFloat::rmNearestTiesToEven,
+                  &lost);
+    return value;
+  };
+  if (auto number = dyn_cast<FloatAttr>(attr))
+    return FloatAttr::get(wide, widen(number.getValue()));
+  auto numbers = dyn_cast<DenseFPElementsAttr>(attr);
+  if (!numbers)
+    return attr;
+  auto shaped = cast<ShapedType>(type);
+  if (numbers.isSplat())
+    return DenseElementsAttr::get(shaped,
+                                  widen(numbers.getSplatValue<APFloat>()));
+  SmallVector<APFloat> values;
+  for (APFloat value : numbers.getValues<APFloat>())
+    values.push_back(widen(value));
+  return DenseElementsAttr::get(shaped, values);
+}
+
+void Widening::widenAttributes(Operation *op) {
+  if (auto constant = dyn_cast<arith::ConstantOp>(op))
+    constant.setValueAttr(cast<TypedAttr>(
+        widenNumber(constant.getValue(), constant.getType(), wide)));
+}
+
+void Widening::widenUses(OpBuilder &builder, Value value) {
+  if (value.use_empty())
+    return;
+  auto cast = arith::ExtFOp::create(builder, value.getLoc(),
+                                    widen(value.getType()), value);
+  value.replaceAllUsesExcept(cast, cast);
+}
+
+/// Puts casts around an operation whose operands had these types.
+void Widening::keep(Operation *op, ArrayRef<Type> operandTypes) {
+  OpBuilder builder(op);
+  // A cast to the type that its operand has come to is none.
+  if (auto extension = dyn_cast<arith::ExtFOp>(op);
+      extension && extension.getIn().getType() == widen(extension.getType())) {
+    extension.replaceAllUsesWith(extension.getIn());
+    extension.erase();
+    return;
+  }
+  if (!isa<arith::ExtFOp, arith::TruncFOp>(op))
+    for (auto [operand, type] :
+         llvm::zip_equal(op->getOpOperands(), operandTypes))
+      if (operand.get().getType() != type && !isa<MemRefType>(type))
+        operand.set(arith::TruncFOp::create(builder, op->getLoc(), type,
+                                            operand.get()));
+  builder.setInsertionPointAfter(op);
+  for (Value result : op->getResults())
+    if (!isa<MemRefType>(result.getType()) && isNarrow(result.getType()))
+      widenUses(builder, result);
+}
+
+void Widening::run() {
+  // Types as they were, before any of them changes.
+  struct Kept {
+    Operation *op;
+    SmallVector<Type> operandTypes;
+  };
+  SmallVector<Kept> kept;
+  SmallVector<Operation *> widened;
+  kernel.getBody().walk([&](Operation *op) {
+    if (keepsTypes(op))
+      kept.push_back({op, SmallVector<Type>(op->getOperandTypes())});
+    else
+      widened.push_back(op);
+  });
+  for (Operation *op : widened) {
+    for (Value result : op->getResults())
+      result.setType(widen(result.getType()));
+    for (Region &region : op->getRegions())
+      for (BlockArgument argument : region.getArguments())
+        argument.setType(widen(argument.getType()));
+    widenAttributes(op);
+  }
+  OpBuilder builder(kernel.getContext());
+  builder.setInsertionPointToStart(&kernel.getBody().front());
+  for (BlockArgument argument : kernel.getBody().getArguments())
+    if (!isa<MemRefType>(argument.getType()) && isNarrow(argument.getType()))
+      widenUses(builder, argument);
+  for (Kept &one : kept)
+    keep(one.op, one.operandTypes);
+}
+
+namespace {
+struct WidenArithmetic : PassWrapper<WidenArithmetic, OperationPass<KernelOp>> {
+  MLIR_DEFINE_EXPLICIT_INTERNAL_INLINE_TYPE_ID(WidenArithmetic)
+
+  StringRef getArgument() const override { return "tai-widen-arithmetic"; }
+  StringRef getDescription() const override {
+    return "compute in wider floats than fields hold, as kernels say";
+  }
+  void getDependentDialects(DialectRegistry &registry) const override {
+    registry.insert<arith::ArithDialect>();
+  }
+
+  void runOnOperation() override {
+    KernelOp kernel = getOperation();
+    MLIRContext *context = &getContext();
+    switch (Modes::of(kernel).precision.value_or(Precision::Default)) {
+    case Precision::Default:
+      return;
+    case Precision::F64:
+      return Widening(kernel, Float64Type::get(context)).run();
+    case Precision::F32:
+    case Precision::F16:
+    case Precision::BF16:
+      return Widening(kernel, Float32Type::get(context)).run();
+    }
+  }
+};
+} // namespace
+
+std::unique_ptr<Pass> tai::createWidenArithmetic() {
+  return std::make_unique<WidenArithmetic>();
+}
+
+void tai::registerWidenArithmetic() { PassRegistration<WidenArithmetic>(); }
