@@ -24,6 +24,7 @@ kernels_made: int = 0
 emitter: Any
 tape: Any
 forward: bool
+rounding: Any
 thread: object
 
 
@@ -31,6 +32,7 @@ class _OfThread(threading.local):
     emitter: Any = None
     tape: Any = None
     forward: bool = False
+    rounding: Any = None
 
     def __init__(self) -> None:
         # What no other thread has, now or later.
@@ -60,6 +62,15 @@ class _State(types.ModuleType):
     @forward.setter
     def forward(self, value: bool) -> None:
         _of_thread.forward = value
+
+    @property
+    def rounding(self) -> Any:
+        """What makes the emitters of kernels that look at their rounding, or None."""
+        return _of_thread.rounding
+
+    @rounding.setter
+    def rounding(self, value: Any) -> None:
+        _of_thread.rounding = value
 
     @property
     def thread(self) -> object:
