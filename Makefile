@@ -10,7 +10,7 @@ PYTHON := .venv/bin/python
 KINDS := $(if $(filter asan tsan,$(PRESET)),--sanitizer $(PRESET))
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress soak bench bench-pairs fmt lint tidy portable docs clean setup
+.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress soak bench bench-error bench-pairs fmt lint tidy portable docs clean setup
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /\1\t/' | \
@@ -57,6 +57,9 @@ soak: build ## run the bars of reliability, 90 minutes (ARGS="--only R5 R8"): do
 bench: build ## time the scenes against other systems: CSV and plot
 	@$(PYTHON) benchmarks/run.py $(ARGS)
 	@$(PYTHON) benchmarks/sparse/run.py
+
+bench-error: build ## run time against error in all modes: docs/accuracy.md (ARGS=--quick)
+	@$(PYTHON) benchmarks/error/run.py $(ARGS)
 
 bench-pairs: build ## time this build and another one in turns (ARGS="/path/to/base")
 	@$(PYTHON) benchmarks/pairs.py $(ARGS)

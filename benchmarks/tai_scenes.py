@@ -97,13 +97,13 @@ def first_slot(array: np.ndarray) -> np.ndarray:
 def make_smoke(problem) -> Program:
     n, slots, sweeps = problem.n, problem.slots, problem.sweeps
     dx = 1.0 / n
-    v = ti.Vector.field(2, dtype=ti.f32)
-    star = ti.Vector.field(2, dtype=ti.f32)
-    density = ti.field(dtype=ti.f32)
-    divergence = ti.field(dtype=ti.f32)
-    pressure = ti.field(dtype=ti.f32)
-    target = ti.field(dtype=ti.f32)
-    loss = ti.field(dtype=ti.f32)
+    v = ti.Vector.field(2, dtype=float)
+    star = ti.Vector.field(2, dtype=float)
+    density = ti.field(dtype=float)
+    divergence = ti.field(dtype=float)
+    pressure = ti.field(dtype=float)
+    target = ti.field(dtype=float)
+    loss = ti.field(dtype=float)
 
     def grids():
         return ti.root.dense(ti.i, slots).dense(ti.jk, (n, n))
@@ -221,9 +221,9 @@ def make_wave(problem) -> Program:
     dx = 1.0 / n
     # c^2 dt^2 of the scene's time step.
     factor = dx * dx / 3.0
-    u = ti.field(dtype=ti.f32)
-    target = ti.field(dtype=ti.f32)
-    loss = ti.field(dtype=ti.f32)
+    u = ti.field(dtype=float)
+    target = ti.field(dtype=float)
+    loss = ti.field(dtype=float)
     ti.root.dense(ti.i, slots).dense(ti.jk, (n, n)).place(u)
     ti.root.dense(ti.ij, (n, n)).place(target)
     ti.root.place(loss)
@@ -274,14 +274,14 @@ def make_mpm(problem) -> Program:
     mu, lam, mass, volume = material.mu, material.lam, material.mass, material.volume
     gravity = material.gravity
     goal_x, goal_y = problem.target
-    x = ti.Vector.field(2, dtype=ti.f32)
-    v = ti.Vector.field(2, dtype=ti.f32)
-    C = ti.Matrix.field(2, 2, dtype=ti.f32)
-    F = ti.Matrix.field(2, 2, dtype=ti.f32)
-    momentum = ti.Vector.field(2, dtype=ti.f32)
-    grid_mass = ti.field(dtype=ti.f32)
-    grid_v = ti.Vector.field(2, dtype=ti.f32)
-    loss = ti.field(dtype=ti.f32)
+    x = ti.Vector.field(2, dtype=float)
+    v = ti.Vector.field(2, dtype=float)
+    C = ti.Matrix.field(2, 2, dtype=float)
+    F = ti.Matrix.field(2, 2, dtype=float)
+    momentum = ti.Vector.field(2, dtype=float)
+    grid_mass = ti.field(dtype=float)
+    grid_v = ti.Vector.field(2, dtype=float)
+    loss = ti.field(dtype=float)
     whole = elements_whole
 
     def particles():
@@ -295,7 +295,7 @@ def make_mpm(problem) -> Program:
     place_components(grids, grid_v, whole=whole)
     if whole:
         # Fills a node up to 16 bytes.
-        rest = ti.field(dtype=ti.f32)
+        rest = ti.field(dtype=float)
         grids().place(momentum, grid_mass, rest)
     else:
         place_components(grids, momentum)
@@ -307,7 +307,7 @@ def make_mpm(problem) -> Program:
     def scatter(t: ti.i32):
         for p in range(count):
             base = ti.cast(x[t, p] / dx - 0.5, ti.i32)
-            fx = x[t, p] / dx - ti.cast(base, ti.f32)
+            fx = x[t, p] / dx - ti.cast(base, float)
             w = [0.5 * (1.5 - fx) ** 2, 0.75 - (fx - 1.0) ** 2, 0.5 * (fx - 0.5) ** 2]
             new_F = (ti.Matrix.diag(dim=2, val=1.0) + dt * C[t, p]) @ F[t, p]
             F[t + 1, p] = new_F
@@ -320,7 +320,7 @@ def make_mpm(problem) -> Program:
             for i in ti.static(range(3)):
                 for j in ti.static(range(3)):
                     offset = ti.Vector([i, j])
-                    dpos = (ti.cast(offset, ti.f32) - fx) * dx
+                    dpos = (ti.cast(offset, float) - fx) * dx
                     weight = w[i][0] * w[j][1]
                     momentum[t, base + offset] += weight * (mass * v[t, p] + affine @ dpos)
                     grid_mass[t, base + offset] += weight * mass
@@ -346,14 +346,14 @@ def make_mpm(problem) -> Program:
     def gather(t: ti.i32):
         for p in range(count):
             base = ti.cast(x[t, p] / dx - 0.5, ti.i32)
-            fx = x[t, p] / dx - ti.cast(base, ti.f32)
+            fx = x[t, p] / dx - ti.cast(base, float)
             w = [0.5 * (1.5 - fx) ** 2, 0.75 - (fx - 1.0) ** 2, 0.5 * (fx - 0.5) ** 2]
             new_v = ti.Vector([0.0, 0.0])
             new_C = ti.Matrix([[0.0, 0.0], [0.0, 0.0]])
             for i in ti.static(range(3)):
                 for j in ti.static(range(3)):
                     offset = ti.Vector([i, j])
-                    dpos = ti.cast(offset, ti.f32) - fx
+                    dpos = ti.cast(offset, float) - fx
                     weight = w[i][0] * w[j][1]
                     part = weight * grid_v[t, base + offset]
                     new_v += part
@@ -401,22 +401,22 @@ def make_mass_spring(problem) -> Program:
     waves, hidden_count = 10, len(problem.weights["b1"])
     inputs = body.inputs
     damp = float(np.exp(-walk.damping * dt))
-    x = ti.Vector.field(2, dtype=ti.f32)
-    v = ti.Vector.field(2, dtype=ti.f32)
-    increment = ti.Vector.field(2, dtype=ti.f32)
-    centre = ti.Vector.field(2, dtype=ti.f32)
-    hidden = ti.field(dtype=ti.f32)
-    output = ti.field(dtype=ti.f32)
-    w1 = ti.field(dtype=ti.f32)
-    b1 = ti.field(dtype=ti.f32)
-    w2 = ti.field(dtype=ti.f32)
-    b2 = ti.field(dtype=ti.f32)
+    x = ti.Vector.field(2, dtype=float)
+    v = ti.Vector.field(2, dtype=float)
+    increment = ti.Vector.field(2, dtype=float)
+    centre = ti.Vector.field(2, dtype=float)
+    hidden = ti.field(dtype=float)
+    output = ti.field(dtype=float)
+    w1 = ti.field(dtype=float)
+    b1 = ti.field(dtype=float)
+    w2 = ti.field(dtype=float)
+    b2 = ti.field(dtype=float)
     first = ti.field(dtype=ti.i32)
     second = ti.field(dtype=ti.i32)
-    rest = ti.field(dtype=ti.f32)
-    stiffness = ti.field(dtype=ti.f32)
-    amount = ti.field(dtype=ti.f32)
-    loss = ti.field(dtype=ti.f32)
+    rest = ti.field(dtype=float)
+    stiffness = ti.field(dtype=float)
+    amount = ti.field(dtype=float)
+    loss = ti.field(dtype=float)
     ti.root.dense(ti.i, slots).dense(ti.j, points).place(x, v, increment)
     ti.root.dense(ti.i, springs).place(first, second, rest, stiffness, amount)
     if elements_whole:
@@ -524,8 +524,8 @@ def make_mass_spring(problem) -> Program:
 
 
 def make_first_kernel(problem) -> Program:
-    x = ti.field(dtype=ti.f32, shape=len(problem.x), needs_grad=True)
-    loss = ti.field(dtype=ti.f32, shape=(), needs_grad=True)
+    x = ti.field(dtype=float, shape=len(problem.x), needs_grad=True)
+    loss = ti.field(dtype=float, shape=(), needs_grad=True)
 
     @ti.kernel
     def compute_loss():
@@ -538,7 +538,7 @@ def make_first_kernel(problem) -> Program:
 
 def make_launch():
     """A launch of a compiled kernel with one argument, and what waits for it."""
-    value = ti.field(dtype=ti.f32, shape=())
+    value = ti.field(dtype=float, shape=())
 
     @ti.kernel
     def bump(t: ti.i32):

@@ -15,6 +15,9 @@ import numpy as np
 
 import harness
 
+# The type of all floats; with "float64" jax wants jax_enable_x64.
+REAL = "float32"
+
 
 class JaxProgram(harness.Program):
     """Loss of one argument (an array or a tuple of arrays), jitted with its gradient."""
@@ -70,9 +73,9 @@ def make_smoke(problem) -> harness.Program:
 
     n, slots, sweeps = problem.n, problem.slots, problem.sweeps
     dx = 1.0 / n
-    density0 = jnp.asarray(problem.density, dtype=jnp.float32)
-    target = jnp.asarray(problem.target, dtype=jnp.float32)
-    row, column = jnp.arange(n, dtype=jnp.float32)[:, None], jnp.arange(n, dtype=jnp.float32)
+    density0 = jnp.asarray(problem.density, dtype=REAL)
+    target = jnp.asarray(problem.target, dtype=REAL)
+    row, column = jnp.arange(n, dtype=REAL)[:, None], jnp.arange(n, dtype=REAL)
 
     def sampler(w):
         x, y = row - w[0], column - w[1]
@@ -108,12 +111,12 @@ def make_smoke(problem) -> harness.Program:
         return (new, sampler(new)(density), pressure, projected), None
 
     def loss(v0):
-        zero = jnp.zeros((n, n), jnp.float32)
+        zero = jnp.zeros((n, n), REAL)
         start = ((v0[..., 0], v0[..., 1]), density0, zero, zero)
         (_, density, _, _), _ = lax.scan(step, start, None, length=slots - 1)
         return jnp.mean((target - density) ** 2)
 
-    return JaxProgram(loss, problem.velocity.astype(np.float32))
+    return JaxProgram(loss, problem.velocity.astype(REAL))
 
 
 def make_wave(problem) -> harness.Program:
@@ -122,7 +125,7 @@ def make_wave(problem) -> harness.Program:
 
     n, slots = problem.n, problem.slots
     dx = 1.0 / n
-    target = jnp.asarray(problem.target, dtype=jnp.float32)
+    target = jnp.asarray(problem.target, dtype=REAL)
 
     def step(state, _):
         before, now = state
@@ -136,7 +139,7 @@ def make_wave(problem) -> harness.Program:
         (_, last), _ = lax.scan(step, start, None, length=slots - 2)
         return dx * dx * jnp.sum((target - last) ** 2)
 
-    return JaxProgram(loss, problem.height.astype(np.float32))
+    return JaxProgram(loss, problem.height.astype(REAL))
 
 
 def make_mpm(problem) -> harness.Program:
@@ -145,10 +148,10 @@ def make_mpm(problem) -> harness.Program:
 
     material, slots = problem.material, problem.slots
     n, dt, dx = material.n, material.dt, material.dx
-    x0 = jnp.asarray(problem.position, dtype=jnp.float32)
-    goal = jnp.asarray(problem.target, dtype=jnp.float32)
+    x0 = jnp.asarray(problem.position, dtype=REAL)
+    goal = jnp.asarray(problem.target, dtype=REAL)
     count = len(problem.position)
-    identity = jnp.eye(2, dtype=jnp.float32)
+    identity = jnp.eye(2, dtype=REAL)
     offsets = jnp.asarray([(i, j) for i in range(3) for j in range(3)])
     index = jnp.arange(n)
     low, high = index < 3, index > n - 3
@@ -176,9 +179,9 @@ def make_mpm(problem) -> harness.Program:
         carried = material.mass * v + jnp.einsum("pij,kpj->kpi", affine, offset * dx)
         node = base + offsets[:, None, :]
         flat = node[..., 0] * n + node[..., 1]
-        momentum = jnp.zeros((n * n, 2), jnp.float32)
+        momentum = jnp.zeros((n * n, 2), REAL)
         momentum = momentum.at[flat].add(weight[..., None] * carried)
-        mass = jnp.zeros((n * n,), jnp.float32).at[flat].add(weight * material.mass)
+        mass = jnp.zeros((n * n,), REAL).at[flat].add(weight * material.mass)
         grid = momentum / (mass[:, None] + 1e-10)
         gx = grid[:, 0].reshape(n, n)
         gy = grid[:, 1].reshape(n, n) - dt * material.gravity
@@ -191,12 +194,12 @@ def make_mpm(problem) -> harness.Program:
         return (x + dt * v, v, c, f), None
 
     def loss(v0):
-        c0 = jnp.zeros((count, 2, 2), jnp.float32)
+        c0 = jnp.zeros((count, 2, 2), REAL)
         f0 = jnp.broadcast_to(identity, (count, 2, 2))
         (x, _, _, _), _ = lax.scan(step, (x0, v0, c0, f0), None, length=slots - 1)
         return 0.5 * jnp.mean(jnp.sum((x - goal) ** 2, axis=1))
 
-    return JaxProgram(loss, problem.velocity.astype(np.float32))
+    return JaxProgram(loss, problem.velocity.astype(REAL))
 
 
 def make_mass_spring(problem) -> harness.Program:
@@ -205,14 +208,14 @@ def make_mass_spring(problem) -> harness.Program:
 
     body, walk = problem.body, problem.walk
     dt, ground = walk.dt, walk.ground
-    x0 = jnp.asarray(body.points, dtype=jnp.float32)
+    x0 = jnp.asarray(body.points, dtype=REAL)
     first, second = (jnp.asarray(body.springs[:, e]) for e in range(2))
-    rest = jnp.asarray(body.rest, dtype=jnp.float32)
-    stiffness = jnp.asarray(body.stiffness, dtype=jnp.float32)
-    amount = jnp.asarray(body.actuation, dtype=jnp.float32)
-    goal = jnp.asarray(walk.goal, dtype=jnp.float32)
-    phases = jnp.asarray(2.0 * np.pi / 10.0 * np.arange(10), dtype=jnp.float32)
-    pull = jnp.asarray([0.0, dt * walk.gravity], dtype=jnp.float32)
+    rest = jnp.asarray(body.rest, dtype=REAL)
+    stiffness = jnp.asarray(body.stiffness, dtype=REAL)
+    amount = jnp.asarray(body.actuation, dtype=REAL)
+    goal = jnp.asarray(walk.goal, dtype=REAL)
+    phases = jnp.asarray(2.0 * np.pi / 10.0 * np.arange(10), dtype=REAL)
+    pull = jnp.asarray([0.0, dt * walk.gravity], dtype=REAL)
     damp = float(np.exp(-walk.damping * dt))
 
     def loss(weights):
@@ -237,16 +240,16 @@ def make_mass_spring(problem) -> harness.Program:
             v = jnp.where(hit[:, None], 0.0, free)
             return (x + toi * free + (dt - toi) * v, v), None
 
-        times = jnp.arange(walk.slots - 1, dtype=jnp.float32)
+        times = jnp.arange(walk.slots - 1, dtype=REAL)
         (x, _), _ = lax.scan(step, (x0, jnp.zeros_like(x0)), times)
         return -x[0, 0]
 
-    weights = tuple(problem.weights[k].astype(np.float32) for k in ("w1", "b1", "w2", "b2"))
+    weights = tuple(problem.weights[k].astype(REAL) for k in ("w1", "b1", "w2", "b2"))
     return JaxProgram(loss, weights)
 
 
 def make_first_kernel(problem) -> harness.Program:
-    return JaxProgram(lambda x: (x * x).sum(), problem.x.astype(np.float32))
+    return JaxProgram(lambda x: (x * x).sum(), problem.x.astype(REAL))
 
 
 def make_launch():
@@ -254,7 +257,7 @@ def make_launch():
     import jax.numpy as jnp
 
     bump = jax.jit(lambda value, t: value + t)
-    value = jnp.zeros((), jnp.float32)
+    value = jnp.zeros((), REAL)
     return lambda: bump(value, 1.0), lambda: bump(value, 1.0).block_until_ready()
 
 

@@ -11,16 +11,18 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import harness
 
 
-def load(cache: Path, arch: str):
+def load(cache: Path, arch: str, **options):
+    """Starts it; `options` are further arguments of its `init`."""
     import quadrants
 
     sys.modules["tai"] = quadrants
+    chosen = {"default_fp": quadrants.f32, **options}
     quadrants.init(
         arch=getattr(quadrants, arch),
-        default_fp=quadrants.f32,
         offline_cache=True,
         offline_cache_file_path=str(cache),
         log_level=quadrants.ERROR,
+        **chosen,
     )
     import tai_scenes
 

@@ -15,12 +15,12 @@ def load(cache: Path, arch: str, **options):
     """Starts tai; `options` are further arguments of its `init`."""
     import tai
 
+    chosen = {"default_fp": tai.f32, **options}
     tai.init(
         arch=getattr(tai, arch),
-        default_fp=tai.f32,
-        **options,
         offline_cache=True,
         offline_cache_file_path=str(cache),
+        **chosen,
     )
     used = tai.lang.impl.current_cfg().arch
     if used != arch:

@@ -11,16 +11,18 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import harness
 
 
-def load(cache: Path, arch: str):
+def load(cache: Path, arch: str, **options):
+    """Starts it; `options` are further arguments of its `init`."""
     import taichi
 
     sys.modules["tai"] = taichi
+    chosen = {"default_fp": taichi.f32, **options}
     taichi.init(
         arch=getattr(taichi, arch),
-        default_fp=taichi.f32,
         offline_cache=True,
         offline_cache_file_path=str(cache),
         log_level=taichi.ERROR,
+        **chosen,
     )
     import tai_scenes
 

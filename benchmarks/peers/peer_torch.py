@@ -83,11 +83,12 @@ class TorchProgram(harness.Program):
 
 
 def tensor(array, leaf: bool = False):
-    """An f32 (or index) tensor of an array."""
+    """A tensor of an array, of indices or of the default type of floats."""
     import torch
 
     array = np.asarray(array)
-    made = torch.tensor(array if array.dtype.kind == "i" else array.astype(np.float32))
+    dtype = None if array.dtype.kind == "i" else torch.get_default_dtype()
+    made = torch.tensor(array, dtype=dtype)
     return made.requires_grad_(leaf)
 
 
@@ -97,8 +98,8 @@ def make_smoke(problem) -> harness.Program:
     n, slots, sweeps = problem.n, problem.slots, problem.sweeps
     dx = 1.0 / n
     density0, target = tensor(problem.density), tensor(problem.target)
-    row = torch.arange(n, dtype=torch.float32)[:, None]
-    column = torch.arange(n, dtype=torch.float32)
+    row = torch.arange(float(n))[:, None]
+    column = torch.arange(float(n))
 
     def sampler(w0, w1):
         x, y = row - w0, column - w1

@@ -7,6 +7,7 @@ from ._impl.ad.compare import CheckResult, GradientCheckError
 from ._impl.ad.forward import FwdMode, hvp, jvp
 from ._impl.ad.health import HealthReport
 from ._impl.ad.memory import TapeStats
+from ._impl.ad.precision import PrecisionReport
 from ._impl.ad.tape import (
     Tape,
     clear_all_gradients,
@@ -16,6 +17,7 @@ from ._impl.ad.tape import (
     grad_replaced,
     no_grad,
 )
+from ._impl.ad.tuning import TunedPrecision, tune_precision
 from ._impl.ad.validation import Violation
 from ._impl.solvers.implicit import implicit
 from ._impl.tracking.tracked import variable
@@ -23,7 +25,7 @@ from .errors import TaiConvergenceWarning, TaiGradientWarning
 
 __all__ = [
     "CheckResult", "FwdMode", "GradientCheckError", "HealthReport", "TaiConvergenceWarning",
-    "TaiGradientWarning", "Tape", "TapeStats", "Violation", "check", "clear_all_gradients",
-    "complex_kernel", "complex_kernel_grad", "grad_for", "grad_replaced", "hvp", "implicit",
-    "jvp", "no_grad", "variable",
+    "PrecisionReport", "TaiGradientWarning", "Tape", "TapeStats", "TunedPrecision", "Violation",
+    "check", "clear_all_gradients", "complex_kernel", "complex_kernel_grad", "grad_for",
+    "grad_replaced", "hvp", "implicit", "jvp", "no_grad", "tune_precision", "variable",
 ]  # fmt: skip

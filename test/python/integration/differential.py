@@ -282,7 +282,7 @@ STARTS: dict[str, Callable] = {
 
 def _run_benchmark(name: str, folder: Path, long: bool) -> dict[str, np.ndarray]:
     """The scene twice, and its tape played again: a program of launches may be made by then."""
-    ti.init()
+    ti.init(default_fp=ti.f64)
     module = _load(ROOT / "benchmarks" / "tai_scenes.py", folder, "differential_scenes")
     problem = problems.PROBLEMS[name](True) if long else SHORT_PROBLEMS[name]()
     program = module.SCENES[name](problem)

@@ -18,9 +18,11 @@ from ..fields.root import materialize
 from ..history import gradients
 from ..tracking import tracked
 from . import library as library
+from . import rounding
 from .compare import GradCheck
 from .health import HealthReport, take_health
 from .memory import TapeStats, parse_checkpoint
+from .precision import PrecisionReport, find_not_finite, make_report
 from .seeds import as_losses, as_seed, as_seeds, is_number, parts_of, require_grad, set_seeds, warn
 from .validation import LIMIT, raise_violations
 
@@ -56,6 +58,8 @@ class Tape:
             differences when the block is left; a wrong one raises `GradientCheckError`, with
             a report that names the first kernel to blame. See `ti.ad.check`.
         health: look at the adjoints after each record of the reverse sweep; see `health()`.
+        precision: let the kernels of the block say what their rounding does to the loss; see
+            `precision_report()`. They are compiled again for it, and slower.
         seed: what the gradient of the loss is when the reverse sweep starts: a number or an
             array of the shape of the loss; for several losses, a list of them.
         memory_budget: most bytes that the tape may keep of old values. What does not fit is
@@ -70,6 +74,7 @@ class Tape:
         self, loss: Any = None, clear_gradients: bool = True, validation: bool = False,
         grad_check: Any = None, health: bool = False, *, validate: bool = False,
         seed: Any = None, memory_budget: Any = None, checkpoint: Any = None,
+        precision: bool = False,
     ):  # fmt: skip
         # What the sweep starts from, besides fields.
         self._outer_loss = loss if isinstance(loss, Ndarray) else None
@@ -90,10 +95,13 @@ class Tape:
         self._check = GradCheck(grad_check) if grad_check else None
         self._watches = health
         self._validates = validation or validate
-        if (grad_check or health) and not (
+        self._probes: rounding.Probes | None = None
+        self._rounding: rounding.Sweep | None = None
+        self._looks_at_rounding = precision
+        if (grad_check or health or precision) and not (
             len(self._losses) == 1 and is_number(self._losses[0]) and seed is None
         ):
-            raise TaiAutodiffError("grad_check and health need a loss of one number")
+            raise TaiAutodiffError("grad_check, health and precision need a loss of one number")
 
     def __enter__(self) -> Tape:
         if state.tape is not None:
@@ -109,6 +117,8 @@ class Tape:
             self._outer_loss.fill(0)
         if self.clear_gradients:
             gradients.clear_gradients(all_threads=False)
+        if self._looks_at_rounding:
+            self._probes = rounding.begin(program, find_not_finite())
         self._core = program.context.tape(None, self.clear_gradients)
         self._values = tracked.begin(self._core, self._checkpoint[0] != 0, self.clear_gradients)
         try:
@@ -122,6 +132,8 @@ class Tape:
             self._core.end()
             tracked.end()
             self._values.end_work()
+            if self._probes is not None:
+                rounding.end(program)
             raise
         self._was_seeded = (seeds is not None or self._outer_loss is not None) or (
             bool(self._losses) and all(map(is_number, self._losses))
@@ -154,6 +166,9 @@ class Tape:
             # Where there was no sweep, other threads may go on as after one.
             self._core.end()
             self._values.end_work()
+            if self._probes is not None:
+                self._rounding = self._probes.take()
+                rounding.end(get_program())
         if kind is None and self._was_seeded:
             warn(self._core, 2)
             if self._check:
@@ -316,6 +331,30 @@ class Tape:
         self._need_record()
         with self._values.arrays.ordered():
             return take_health(self._core, self.loss, self._watches)
+
+    def precision_report(self, error: float = 1e-4) -> PrecisionReport:
+        """What rounding does to the loss: which lines lose digits, which fields may be narrower.
+
+        ```python
+        with ti.ad.Tape(loss, precision=True) as tape:
+            simulate()
+        print(tape.precision_report(error=1e-4))
+        ```
+
+        Args:
+            error: the relative error of the loss that is allowed to what the report proposes.
+
+        Raises:
+            TaiAutodiffError: the tape was made without `precision=True`, or a field that its
+                kernels read held NaN or an infinity when it was entered.
+        """
+        self._need_record()
+        if self._rounding is None:
+            raise TaiAutodiffError(
+                "the kernels of this tape have not looked at their rounding",
+                "make it with precision=True: ti.ad.Tape(loss, precision=True)",
+            )
+        return make_report(self._rounding, self.loss, error)
 
     def _need_record(self) -> None:
         if self._core is None or self._is_recording:

@@ -42,6 +42,8 @@ class Program:
         self.kernels: weakref.WeakSet = weakref.WeakSet()
         # Where forward mode keeps what kernels return; see `tracking.tangents`.
         self.pools: list[Any] = []
+        # Where a precision report has its derivatives; see `ad.rounding`.
+        self.probes: Any = None
         self.count_kernels_from_here()
         # Lists that sparse levels had made and reused at the last `clear_skips`.
         self.lists_before: dict[Any, tuple[int, int]] = {}
@@ -57,6 +59,7 @@ class Program:
         self.fields.clear()
         self.trees.clear()
         self.pools.clear()
+        self.probes = None
         for forget in at_close:
             forget()
 

@@ -25,6 +25,7 @@ emitter: Any
 tape: Any
 forward: bool
 fp: Any
+rounding: Any
 thread: object
 
 
@@ -33,6 +34,7 @@ class _OfThread(threading.local):
     tape: Any = None
     forward: bool = False
     fp: Any = None
+    rounding: Any = None
 
     def __init__(self) -> None:
         # What no other thread has, now or later.
@@ -71,6 +73,15 @@ class _State(types.ModuleType):
     @fp.setter
     def fp(self, value: Any) -> None:
         _of_thread.fp = value
+
+    @property
+    def rounding(self) -> Any:
+        """What makes the emitters of kernels that look at their rounding, or None."""
+        return _of_thread.rounding
+
+    @rounding.setter
+    def rounding(self, value: Any) -> None:
+        _of_thread.rounding = value
 
     @property
     def thread(self) -> object:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import ast
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from ..base import state
 from ..base.dtypes import DataType
 from ..base.options import Options
 from ..base.program import Program
@@ -113,7 +113,8 @@ class Context:
         self.program, self.kernel = program, kernel
         self.frames = [frame]
         self.builder = Builder(program.context, frame.filename)
-        self.emitter = Emitter(self.builder)
+        rounding = state.rounding
+        self.emitter = rounding.make_emitter(self.builder) if rounding else Emitter(self.builder)
         self.depth = self.top_depth = 0
         self.is_dead = False
         self.diagnostics = Diagnostics(self.frames)

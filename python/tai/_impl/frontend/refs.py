@@ -221,6 +221,7 @@ class FieldElement(Place):
         type_ = self.emitter.type_of(self.dt, self.shape)
         handle = self.emitter.builder.load(self._symbol, self.indices, self.components, type_)
         value = self.emitter.to_computed(self.emitter.value(handle, self.dt, self.shape))
+        value = self.emitter.loaded(self.field, value)
         stopped = id(self.field) in self.emitter.stopped
         return stop_gradient(value) if stopped else value
 
@@ -233,6 +234,8 @@ class FieldElement(Place):
         if self.dt.kind == "u" and op in ("min", "max"):
             return super().atomic(op, value)
         self.emitter.accumulated.add(self.field)
+        if op in ("+", "-"):
+            value = self.emitter.added(self.field, value)
         handle = self.emitter.builder.atomic(
             kind, self._symbol, value.handle, self.indices, self.components,
             self.emitter.type_of(self.dt, self.shape),

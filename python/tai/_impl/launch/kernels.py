@@ -108,6 +108,10 @@ class Kernel(native.Launcher):
             self._signature = None  # default types may be others now
         return self._specializations.get(program, self._get_signature(), values, tracks)
 
+    def forget_launches(self) -> None:
+        """The next launch asks anew which code it needs."""
+        self._specializations.forget_launches()
+
     def release(self) -> None:
         """The program is over: forgets what was compiled for it."""
         self._program = None

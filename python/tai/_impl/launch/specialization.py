@@ -122,6 +122,8 @@ class Specializations:
         if state.forward and result is not None and result.dtype.is_float:
             pool = tangents.pool_besides([tangents.cell_of(values[n]) for n in followed])
             key.append(("result", pool.number))
+        if state.rounding is not None:
+            key.append("rounding")
         variants = self._variants.setdefault(tuple(key), [])
         found = next((one for one in reversed(variants) if one.fits(specs)), None)
         if found is None:
@@ -136,6 +138,8 @@ class Specializations:
                 same = [one for one in variants if one.is_for(specs)]
                 templates.warn_of_many(signature.kernel, same)
         self.last = found
+        if state.rounding is not None:
+            state.rounding.note(found)
         return found
 
     def _note_users(self, program: Any, found: Specialization, key: tuple) -> None:
@@ -166,6 +170,14 @@ class Specializations:
     def _launchers(self) -> list[Any]:
         kernel = self._kernel()
         return [] if kernel is None else [kernel, kernel.grad]
+
+    def forget_launches(self) -> None:
+        """Lets no launch find its code without `get`."""
+        for variants in self._variants.values():
+            for one in variants:
+                one.registered.clear()
+        for launcher in self._launchers():
+            native.clear_specializations(launcher)
 
     def clear(self) -> None:
         """Forgets all of them."""

@@ -38,10 +38,14 @@ class Builder:
     Args:
         context: the program's context.
         filename: of the kernel.
+
+    Attributes:
+        filename: the same.
     """
 
     def __init__(self, context: Any, filename: str):
         made = native.Builder(context, filename)
+        self.filename = filename
         self._op, self._attribute, self._string = made.op, made.attribute, made.string
         # Types by their text, and constants at the start of a block.
         self.type, self.constant = made.type, made.constant

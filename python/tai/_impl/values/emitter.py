@@ -258,6 +258,16 @@ class Emitter:
         handle = self.builder.apply(name, [v.handle for v in operands], self.type_of(dt, shape))
         return self.value(handle, dt, shape)
 
+    def loaded(self, field: Any, value: Any) -> Any:
+        """What a kernel gets that loads an element of a field."""
+        del field
+        return value
+
+    def added(self, field: Any, value: Any) -> Any:
+        """What a kernel adds to an element of a field."""
+        del field
+        return value
+
     def compare_by(self, predicate: int, a: Value, b: Value) -> Any:
         """Whether a predicate of the builder holds between values of one type."""
         compare = self.builder.compare_floats if a.dt.is_float else self.builder.compare_integers

@@ -1,0 +1,326 @@
+"""Pictures of run time against error, and docs/accuracy.md, from the rows of the benchmark."""
+
+from __future__ import annotations
+
+import math
+import statistics
+import sys
+import textwrap
+from collections.abc import Iterable
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples"))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import modes
+import rows
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+PAGE = ROOT / "docs" / "accuracy.md"
+PICTURES = ROOT / "docs" / "pictures"
+TARGETS = (1e-2, 1e-4, 1e-6, 1e-10)
+# What cannot be drawn on a logarithmic axis: no error at all.
+LEAST = 1e-17
+ORDER = [mode.name for mode in modes.TAI]
+
+
+def groups_of(found: list[dict]) -> dict[tuple, list[dict]]:
+    """Measured rows by scene, size, arch and threads, on one machine."""
+    groups: dict[tuple, list[dict]] = {}
+    for row in rows.measured(found):
+        place = (row["machine"], row["size"], row["arch"], row["threads"])
+        groups.setdefault((row["scene"], *place), []).append(row)
+    return groups
+
+
+def split(group: list[dict]) -> tuple[list[dict], list[dict]]:
+    ours = [row for row in group if row["system"] == modes.OURS]
+    return ours, [row for row in group if row["system"] != modes.OURS]
+
+
+def marks(row: dict, peers: list[dict]) -> str:
+    """How a row of tai stands against those of its peers."""
+    if row["system"] != modes.OURS or not peers:
+        return ""
+    if rows.beats_all(row, peers):
+        return "★"
+    bits = modes.find(modes.OURS, row["mode"]).bits
+    same = [r for r in peers if modes.find(r["system"], r["mode"]).bits == bits]
+    return "+" if rows.beats_all(row, same) else ""
+
+
+# Words
+
+
+def number(value: float | None, form: str = ".2g") -> str:
+    return "–" if value is None or math.isnan(value) else f"{value:{form}}"
+
+
+def table(group: list[dict]) -> list[str]:
+    """All rows of a scene, tai's first."""
+    ours, peers = split(group)
+    ours.sort(key=lambda row: ORDER.index(row["mode"]))
+    peers.sort(key=lambda row: (row["system"], row["mode"]))
+    has_ulp = any(row["max_ulp"] is not None for row in group)
+    head = ["", "system, mode", "ms", "p10 – p90", "loss", "gradient", "cosine"]
+    head += ["worst ulp"] if has_ulp else []
+    head += ["results", "launches", "after descent", "MiB"]
+    lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
+    for row in [*ours, *peers]:
+        cells = [marks(row, peers), f"{row['system']}, {row['mode']}", number(row["ms"], ".3g")]
+        cells += [f"{row['p10']:.3g} – {row['p90']:.3g}", number(row["loss_rel"])]
+        cells += [number(row["grad_rel"])]
+        short = row["grad_cos"] is not None and row["grad_cos"] < 1 - 1e-9
+        cells += [f"1 - {1 - row['grad_cos']:.1g}" if short else number(row["grad_cos"], ".0f")]
+        cells += [number(row["max_ulp"], ".3g")] if has_ulp else []
+        cells += [f"{row['distinct']:.0f} of {row['runs']:.0f}", number(row["launches"], ".0f")]
+        cells += [number(row["final_loss"], ".6g"), number(row["peak_mb"], ".0f")]
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def verdict(group: list[dict]) -> str:
+    """Whether some mode is faster and more exact than all that the peers have."""
+    ours, peers = split(group)
+    if not peers:
+        return "No peer was measured."
+    best = [row for row in ours if rows.beats_all(row, peers)]
+    if best:
+        names = ", ".join(row["mode"] for row in best)
+        return f"**{names}**: faster and at least as exact as every mode of every peer."
+    ahead = [row for row in ours if not rows.is_dominated(row, peers)]
+    text = "No mode is at once faster and more exact than every mode of every peer"
+    quick = min(peers, key=lambda row: row["ms"])
+    exact = min(peers, key=rows.error_of)
+    text += f" (the fastest: {quick['system']}, {quick['mode']}, {quick['ms']:.3g} ms; the most "
+    text += f"exact: {exact['system']}, {exact['mode']}, {rows.error_of(exact):.1g})"
+    names = ", ".join(row["mode"] for row in ours if row in ahead)
+    return f"{text}. Dominated by no peer: {names or 'none'}."
+
+
+def choice(group: list[dict]) -> list[str]:
+    """The fastest mode for each greatest error."""
+    ours = [row for row in split(group)[0] if row["mode"] != "f32 unguarded"]
+    cells = []
+    for target in TARGETS:
+        good = [row for row in ours if rows.error_of(row) <= target]
+        best = min(good, key=lambda row: row["ms"], default=None)
+        cells.append("–" if best is None else f"{best['mode']} ({best['ms']:.3g} ms)")
+    return cells
+
+
+def prices(groups: dict[tuple, list[dict]]) -> list[str]:
+    """What each mode costs and gains next to f32, over all scenes."""
+    lines = ["| mode | time next to f32 | error next to f32 | for what |", "|---|---|---|---|"]
+    for name in ORDER:
+        slower, worse = [], []
+        for group in groups.values():
+            ours = {row["mode"]: row for row in split(group)[0]}
+            if name in ours and "f32" in ours:
+                slower.append(ours[name]["ms"] / ours["f32"]["ms"])
+                pair = [rows.error_of(ours[key]) for key in (name, "f32")]
+                if all(math.isfinite(e) for e in pair):
+                    worse.append(max(pair[0], LEAST) / max(pair[1], LEAST))
+        if slower:
+            time, error = (statistics.geometric_mean(x) for x in (slower, worse or [1.0]))
+            spread = f"{min(slower):.2g} to {max(slower):.2g}"
+            about = f"{time:.2f} ({spread}) | {error:.2g} ({min(worse):.1g} to {max(worse):.1g})"
+            lines.append(f"| {name} | {about} | {modes.ABOUT[name]} |")
+        else:
+            lines.append(f"| {name} | not measured | | {modes.ABOUT[name]} |")
+    return lines
+
+
+def trouble(found: list[dict]) -> list[str]:
+    """What failed or is missing, in one line for each reason."""
+    reasons: dict[tuple, set[str]] = {}
+    for row in found:
+        if row["status"] != "ok":
+            key = (row["system"], row["status"], row["reason"] or "no reason given")
+            reasons.setdefault(key, set()).add(f"{row['scene']} ({row['mode']})")
+    lines = []
+    for (system, status, reason), where in sorted(reasons.items()):
+        shown = ", ".join(sorted(where)[:6]) + (", …" if len(where) > 6 else "")
+        lines.append(f"- {system}, {status}: {reason.replace('|', '/')}: {shown}")
+    return lines
+
+
+INTRODUCTION = """
+    How long an iteration takes (forward and backward) and how far its loss and its gradient are
+    off, for each mode of numbers, on the examples at small sizes and on single kernels. This page
+    is written by `make bench-error`; `make bench-error ARGS=--quick` takes ten minutes. What the
+    fields hold at the start are numbers of f32 in all modes: the error is that of computing.
+    Scenes are compared with f64 and deterministic sums, which at a tiny size agrees with numbers of
+    50 digits (`benchmarks/error/exact.py`); kernels with sums that are rounded once and with
+    80-bit floats."""
+
+LEGEND = """
+    *Loss* and *gradient* are relative errors (L2), *cosine* is between the gradient and the true
+    one, *results* how many different ones there were in how many runs, *after descent* the loss
+    after some steps, *MiB* the most memory of the process, *ms* the median over the runs: the
+    processor's time of one thread, or the clock's with all. ★ marks a row of tai that is
+    faster and at least as exact as every mode of every peer that was measured; + one that is so
+    among rows of the same width. The script that ran them sets the marks."""
+
+
+def text_of(found: list[dict], pictures: Iterable[Path]) -> str:
+    groups = groups_of(found)
+    lines = ["# Run time against error", "", *_wrapped(INTRODUCTION), ""]
+    for machine in dict.fromkeys(row["machine"] for row in found):
+        mine = [row for row in found if row["machine"] == machine]
+        systems = {f"{r['system']} {r['version']}" for r in mine if r["version"]}
+        gits = ", ".join(sorted({r["git"] for r in mine}))
+        sizes = ", ".join(sorted({r["size"] for r in mine}))
+        text = f"- {machine}; size {sizes}; tai at {gits}; {', '.join(sorted(systems))}"
+        lines += textwrap.wrap(text, 110, subsequent_indent="  ")
+    lines += ["", "## Which mode for what", "", *prices(groups), ""]
+    lines += _wrapped("The fastest mode of tai whose error stays below a bound:")
+    lines += ["", f"| scene | {' | '.join(f'{t:.0e}' for t in TARGETS)} |"]
+    lines += [f"|---|{'---|' * len(TARGETS)}"]
+    for (scene, *place), group in groups.items():
+        lines.append(f"| {scene} ({_place(place)}) | {' | '.join(choice(group))} |")
+    lines += ["", "## Against peers", ""]
+    for (scene, *place), group in groups.items():
+        lines += textwrap.wrap(f"- {scene} ({_place(place)}): {verdict(group)}", 110,
+                               subsequent_indent="  ")  # fmt: skip
+    fast = speed_and_digits(groups)
+    if fast:
+        lines += ["", "## What fast maths buys, and what it loses", "", *fast]
+    lines += ["", "## Time against error", ""]
+    lines += _wrapped(
+        "Filled marks are modes of tai, and the line joins those that no other mode of tai "
+        "dominates; hollow marks are peers. An error of 0 is drawn at 1e-17."
+    )
+    for path in pictures:
+        lines += ["", f"![{path.stem}](pictures/{path.name})"]
+    lines += ["", "## All figures", "", *_wrapped(LEGEND)]
+    for (scene, *place), group in groups.items():
+        lines += ["", f"### {scene}, {_place(place)}", "", *table(group)]
+    failures = trouble(found)
+    if failures:
+        lines += ["", "## What could not be measured", "", *failures]
+    return "\n".join(lines) + "\n"
+
+
+def speed_and_digits(groups: dict[tuple, list[dict]]) -> list[str]:
+    lines = []
+    for (scene, *place), group in groups.items():
+        ours = {row["mode"]: row for row in split(group)[0]}
+        if not {"f32", "f32 fast"} <= set(ours):
+            continue
+        plain, fast = ours["f32"], ours["f32 fast"]
+        lost = f"{rows.error_of(plain):.1e} | {rows.error_of(fast):.1e}"
+        ulp = f"{number(plain['max_ulp'], '.3g')} | {number(fast['max_ulp'], '.3g')}"
+        faster = plain["ms"] / fast["ms"]
+        lines.append(f"| {scene} ({_place(place)}) | {faster:.2f} | {lost} | {ulp} |")
+    head = "| scene | times faster | error of f32 | of f32 fast | ulp of f32 | of f32 fast |"
+    return [head, "|---|---|---|---|---|---|", *lines] if lines else []
+
+
+def _place(place: Iterable[str]) -> str:
+    machine, _, arch, threads = place
+    if arch == "cuda":
+        return machine.rsplit(", ", 1)[-1]
+    return "one thread" if threads == "1" else "all threads"
+
+
+def _wrapped(text: str) -> list[str]:
+    return textwrap.wrap(" ".join(text.split()), 110)
+
+
+# Pictures
+
+
+def draw(found: list[dict], folder: Path) -> list[Path]:
+    """A panel for each scene, at each place a picture; none without matplotlib."""
+    try:
+        import matplotlib
+    except ImportError:
+        return []
+    matplotlib.use("Agg")
+    places: dict[tuple, dict[str, list[dict]]] = {}
+    for (scene, *place), group in groups_of(found).items():
+        places.setdefault(tuple(place), {})[scene] = group
+    written = []
+    for (machine, size, arch, threads), scenes in places.items():
+        where = machine.rsplit(", ", 1)[-1].lower() if arch == "cuda" else f"cpu-{threads}"
+        path = folder / f"accuracy-{where}{'' if size == 'full' else '-' + size}.png"
+        _draw_place(scenes, path, f"{machine}; size {size}; threads {threads}")
+        written.append(path)
+    return written
+
+
+def _draw_place(scenes: dict[str, list[dict]], path: Path, title: str) -> None:
+    import matplotlib
+    from matplotlib import pyplot
+
+    colours = _palette()
+    paper, ink, soft = colours["PAPER"], colours["INK"], colours["SOFT"]
+    series = [colours[name] for name in ("BLUE", "RED", "GOLD", "GREEN", "PLUM", "TEAL")]
+    look = {
+        "axes.edgecolor": soft, "axes.facecolor": paper, "axes.labelcolor": ink,
+        "axes.spines.right": False, "axes.spines.top": False, "axes.titlecolor": ink,
+        "figure.facecolor": paper, "font.size": 8, "legend.frameon": False, "text.color": ink,
+        "xtick.color": ink, "ytick.color": ink,
+    }  # fmt: skip
+    columns = 4
+    height = math.ceil((len(scenes) + 1) / columns)
+    shapes = "osD^vP*XhdHp<>8"
+    peers = [name for name in modes.MODES if name != modes.OURS]
+    with matplotlib.rc_context(look):
+        figure, axes = pyplot.subplots(
+            height, columns, figsize=(3.1 * columns, 2.7 * height), squeeze=False,
+            layout="constrained",
+        )  # fmt: skip
+        handles: dict[str, object] = {}
+        for axis, (scene, group) in zip(axes.flat, scenes.items(), strict=False):
+            ours, others = split(group)
+            line = rows.front(ours)
+            axis.plot([r["ms"] for r in line], [_shown(r) for r in line], color=soft, zorder=1)
+            for row in ours:
+                k = ORDER.index(row["mode"])
+                handles[row["mode"]] = axis.plot(
+                    row["ms"], _shown(row), shapes[k % len(shapes)], markersize=5,
+                    color=series[k % len(series)], linestyle="none",
+                )[0]  # fmt: skip
+            for row in others:
+                k = peers.index(row["system"])
+                handles[f"{row['system']}"] = axis.plot(
+                    row["ms"], _shown(row), shapes[k], markersize=6, markerfacecolor="none",
+                    markeredgecolor=series[k % len(series)], linestyle="none",
+                )[0]  # fmt: skip
+            axis.set(title=scene, xscale="log", yscale="log", xlabel="ms", ylabel="relative error")
+        for axis in axes.flat[len(scenes) :]:
+            axis.set_axis_off()
+        last = axes.flat[len(scenes)]
+        last.legend(handles.values(), handles.keys(), loc="center", ncols=2, fontsize=7)
+        figure.suptitle(title, fontsize=9)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=100)
+        pyplot.close(figure)
+
+
+def _shown(row: dict) -> float:
+    error = rows.error_of(row)
+    return min(max(error, LEAST), 1e3)
+
+
+def _palette() -> dict[str, str]:
+    """The colours of the simulators' pictures."""
+    from studio import pictures
+
+    names = ("PAPER", "INK", "SOFT", "BLUE", "RED", "GOLD", "GREEN", "PLUM", "TEAL")
+    return {name: pictures.css(getattr(pictures, name)) for name in names}
+
+
+def write(files: list[Path], kept: bool, work: Path) -> str:
+    """Writes the page and its pictures; where results are not kept, into the folder of the run."""
+    found = [row for path in files for row in rows.read(path)]
+    if not rows.measured(found):
+        return "nothing was measured, so there is no page"
+    folder = PICTURES if kept else work
+    pictures = draw(found, folder)
+    path = PAGE if kept else work / "accuracy.md"
+    path.write_text(text_of(found, pictures))
+    return f"{path}, {', '.join(p.name for p in pictures) or 'no pictures: no matplotlib'}"

@@ -1,0 +1,266 @@
+"""What rounding does to a loss, by line and by field: the report of a tape, and what follows.
+
+The estimates are those of `rounding`: sums of adjoint times rounding error, of first order.
+"""
+
+from __future__ import annotations
+
+import linecache
+import math
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiAutodiffError, shorten
+from ..base import dtypes
+from ..base.program import get_program
+from .rounding import BITS, Sweep
+from .snapshot import Snapshot
+
+# The types that a field may be stored in, from narrow to wide, and their digits in bits.
+STORAGE = {"bf16": 8, "f16": 11, "f32": 24, "f64": 53}
+LARGEST_F16 = 65504.0
+# A loss is rounded, too: what is left of what is estimated is never less than half of an ulp.
+_UNIT = 2.0**-24
+# Roundings of a sum that is added up by blocks, as multiples of one of its partial sums.
+_STEPS_OF_SUM = 4.0
+
+
+@dataclass
+class FieldPrecision:
+    """What it would do to the loss to store a field in other types.
+
+    Attributes:
+        name, dtype: of the field.
+        errors: by the name of the type, how far the loss is expected to be off; infinite where
+            what the field holds does not fit.
+        is_accumulated: kernels add to it, so that a narrower type would round each sum on its
+            way: no type is proposed for it.
+        bytes: that it takes now.
+        greatest: of the magnitudes that it holds.
+    """
+
+    name: str
+    dtype: str
+    errors: dict[str, float]
+    is_accumulated: bool
+    bytes: int
+    greatest: float
+    symbols: list[str] = field(default_factory=list)
+
+
+@dataclass
+class LinePrecision:
+    """What the roundings of one line do to the loss.
+
+    Attributes:
+        filename, lineno, text: of the line.
+        error: how much they change the loss, with its sign, to first order.
+    """
+
+    filename: str
+    lineno: int
+    text: str
+    error: float
+
+
+@dataclass
+class PrecisionReport:
+    """The rounding of a program, as it reaches its loss.
+
+    Attributes:
+        loss: its value.
+        expected: how far it is expected to be off if all arithmetic is that of f32: the lines
+            together, what adds up in fields, and the rounding of the loss itself.
+        fields, lines: what each adds to that, greatest first.
+        target: the relative error that was asked for.
+    """
+
+    loss: float
+    expected: float
+    fields: list[FieldPrecision]
+    lines: list[LinePrecision]
+    target: float
+
+    @property
+    def relative(self) -> float:
+        """`expected` next to the loss."""
+        return self.expected / abs(self.loss) if self.loss else math.inf
+
+    def storable(self, error: float | None = None) -> dict[str, str]:
+        """The narrowest types that keep the loss within a relative error, by name of the field.
+
+        Args:
+            error: the target; that of the report if left out.
+
+        Returns:
+            The fields whose type would change. Together, and with the rounding of arithmetic,
+            their errors are expected to stay below half of the target.
+        """
+        room = (error or self.target) * abs(self.loss) / 2
+        # What is kept in f64 is rounded less than what f32 would do to it.
+        spent = 0.0 if all(f.dtype == "f64" for f in self.fields) else self.expected**2
+        chosen: dict[str, str] = {}
+        kinds = [name for name in ("bf16", "f16", "f32") if hasattr(dtypes, name)]
+        # Those that cost the least of the target for each byte that they save come first.
+        offers = sorted(
+            (f.errors[kind] / f.bytes, number, kind)
+            for number, f in enumerate(self.fields)
+            for kind in kinds
+            if not f.is_accumulated and STORAGE[kind] < STORAGE[f.dtype] and f.bytes
+            and math.isfinite(f.errors[kind])
+        )  # fmt: skip
+        costs: dict[str, float] = {}
+        for _, number, kind in offers:
+            f = self.fields[number]
+            name = f.name
+            old = chosen.get(name)
+            saves = bytes_of(kind) < bytes_of(old or f.dtype)
+            cost = f.errors[kind] ** 2
+            if saves and spent - costs.get(name, 0.0) + cost <= room**2:
+                spent += cost - costs.get(name, 0.0)
+                chosen[name], costs[name] = kind, cost
+        return chosen
+
+    def to_dict(self) -> dict[str, Any]:
+        """The report as plain data."""
+        return asdict(self)
+
+    def __str__(self) -> str:
+        lines = [
+            f"precision: the loss {self.loss:.6g} is expected to be off by {self.expected:.1e} "
+            f"({self.relative:.1e} of it) in f32"
+        ]
+        chosen = self.storable()
+        width = max([len(f.name) for f in self.fields] + [5])
+        kinds = list(STORAGE)[:-1]
+        lines.append(
+            f"  {'field':{width}} type  {' '.join(f'{kind:>8}' for kind in kinds)}  for an error "
+            f"of {self.target:.0e}"
+        )
+        for f in self.fields:
+            errors = " ".join(f"{_relative(f.errors.get(k), self.loss):>8}" for k in kinds)
+            advice = "sums are kept in it" if f.is_accumulated else chosen.get(f.name, "as it is")
+            lines.append(f"  {f.name:{width}} {f.dtype:4}  {errors}  {advice}")
+        lines.append("  lines that lose most:")
+        for line in self.lines[:5]:
+            share = _relative(abs(line.error), self.loss)
+            lines.append(f"  {share:>8}  {shorten(line.filename)}:{line.lineno}  {line.text}")
+        return "\n".join(lines)
+
+    __repr__ = __str__
+
+
+def owner_of(f: Any) -> Any:
+    """The field that the user has made, of one that is a component of it."""
+    for name in ("field", "_whole"):
+        owner = getattr(f, name, None)
+        if owner is not None:
+            return owner
+    return f
+
+
+def bytes_of(name: str) -> int:
+    return {"bf16": 2, "f16": 2, "f32": 4, "f64": 8}[name]
+
+
+def _relative(error: float | None, loss: float) -> str:
+    return "-" if error is None else f"{error / abs(loss):.1e}" if loss else f"{error:.1e}"
+
+
+def find_not_finite() -> dict[str, str]:
+    """The fields that hold NaN or an infinity, and what to say of each."""
+    found = {}
+    for f in own_fields():
+        array = Snapshot._take(f)
+        bad = np.argwhere(~np.isfinite(array))
+        if len(bad):
+            index = ", ".join(map(str, bad[0][: len(f.shape)])) or "None"
+            found[f.symbol] = (
+                f"field '{owner_of(f).name}' holds {array[tuple(bad[0])]} at the start, at "
+                f"[{index}] ({len(bad)} of its numbers are not finite): nothing can be said of its "
+                "rounding"
+            )
+    return found
+
+
+def own_fields() -> list[Any]:
+    """The fields of floats that the user made."""
+    program = get_program()
+    internal = {pool.field.symbol for pool in program.pools}
+    if program.probes is not None:
+        internal.add(program.probes.field.symbol)
+    return [
+        f for symbol, f in program.fields.items()
+        if f.role == "primal" and f.dtype.is_float and f._core is not None
+        and symbol not in internal
+    ]  # fmt: skip
+
+
+def make_report(sweep: Sweep, loss: Any, target: float) -> PrecisionReport:
+    """The report of a sweep.
+
+    Raises:
+        TaiAutodiffError: a field that it reads held NaN or an infinity at its start.
+    """
+    for symbol, message in sweep.not_finite.items():
+        if symbol in sweep.loaded:
+            raise TaiAutodiffError(message, "fill it before the tape is entered")
+    value = float(loss[None])
+    lines = [
+        LinePrecision(key[1], key[2], linecache.getline(key[1], key[2]).strip(), total)
+        for key, total in sweep.sums.items()
+        if key[0] == "line" and total
+    ]
+    lines.sort(key=lambda line: -abs(line.error))
+    fields = _fields(sweep)
+    unit = 2.0 ** (BITS["14 bits"] - STORAGE["f32"])
+    added = [_STEPS_OF_SUM * unit * total for key, total in sweep.sums.items() if key[0] == "sum"]
+    added += [f.errors["f32"] for f in fields if f.is_accumulated]
+    # What kernels do not compute is rounded where it is stored.
+    given = [f.errors["f32"] for f in fields if f.dtype == "f64" and not f.is_accumulated
+             and not sweep.stored & set(f.symbols)]  # fmt: skip
+    whole = math.fsum(line.error for line in lines)
+    steps = _STEPS_OF_SUM if loss.symbol in sweep.accumulated else 1.0
+    expected = math.hypot(whole, *added, *given, steps * _UNIT * value)
+    return PrecisionReport(value, expected, fields, lines, target)
+
+
+def _fields(sweep: Sweep) -> list[FieldPrecision]:
+    groups: dict[int, list[Any]] = {}
+    for f in own_fields():
+        if f.symbol in sweep.loaded and any((kind, f.symbol) in sweep.sums for kind in BITS):
+            owner = owner_of(f)
+            groups.setdefault(id(owner), []).append((owner, f))
+    found = []
+    for group in groups.values():
+        owner, parts = group[0][0], [f for _, f in group]
+        arrays = [Snapshot._take(f) for f in parts]
+        greatest = max(float(np.max(np.abs(a), initial=0.0)) for a in arrays)
+        errors = {
+            kind: math.hypot(*(_error(kind, f, sweep.sums) for f in parts))
+            for kind in STORAGE
+            if kind != "f64"
+        }
+        if greatest > LARGEST_F16:
+            errors["f16"] = math.inf
+        symbols = [f.symbol for f in parts]
+        accumulated = bool(sweep.accumulated & set(symbols))
+        size = sum(a.nbytes for a in arrays)
+        found.append(
+            FieldPrecision(owner.name, parts[0].dtype.name, errors, accumulated, size, greatest,
+                           symbols)
+        )  # fmt: skip
+    return sorted(found, key=lambda f: -f.errors["bf16"])
+
+
+def _error(kind: str, f: Any, sums: dict[tuple, float]) -> float:
+    """How far the loss is off if the field is stored in a type.
+
+    What one rounding did may have cancelled by chance; those to other widths have not, as well.
+    """
+    unit = max(
+        abs(sums.get((name, f.symbol), 0.0)) * 2.0**bits for name, bits in BITS.items()
+    )  # fmt: skip
+    return max(abs(sums.get((kind, f.symbol), 0.0)), unit * 2.0 ** -STORAGE[kind])
