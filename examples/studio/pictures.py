@@ -23,8 +23,9 @@ def plot(
     """Writes `NAME.WHAT.png`.
 
     Args:
-        curves: the values of each curve by its name, or a pair of positions and values. The
-            name of a single curve is not shown.
+        curves: the values of each curve by its name, or a pair of positions and values, or a
+            list of runs, which are drawn thin with their mean. The name of a single curve is
+            not shown.
         x, y: what the axes are, with units.
         log: a logarithmic y axis.
         dots: points instead of lines.
@@ -50,6 +51,10 @@ def plot(
     with pyplot.rc_context(look):
         figure, axes = pyplot.subplots(figsize=(6.4, 4), layout="constrained")
         for name, values in curves.items():
+            if np.ndim(values) == 2 and not isinstance(values, tuple):
+                (line,) = axes.plot(np.mean(values, axis=0), label=name)
+                axes.plot(np.transpose(values), color=line.get_color(), linewidth=0.8, alpha=0.4)
+                continue
             pair = values if isinstance(values, tuple) else (range(len(values)), values)
             axes.plot(*pair, "." if dots else "-", markersize=3.5, label=name)
         if x == "iteration":
