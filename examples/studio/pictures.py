@@ -34,12 +34,10 @@ def plot(
         return
     try:
         import matplotlib
+        from matplotlib.figure import Figure
     except ImportError:
         print(f"no plot of {what}: pip install matplotlib", file=sys.stderr)
         return
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
     look = {
         "axes.edgecolor": css(SOFT), "axes.facecolor": css(PAPER), "axes.labelcolor": css(INK),
         "axes.prop_cycle": matplotlib.cycler(color=[css(color) for color in SERIES]),
@@ -48,8 +46,9 @@ def plot(
         "legend.frameon": False, "text.color": css(INK),
         "xtick.color": css(INK), "ytick.color": css(INK),
     }  # fmt: skip
-    with pyplot.rc_context(look):
-        figure, axes = pyplot.subplots(figsize=(6.4, 4), layout="constrained")
+    with matplotlib.rc_context(look):
+        figure = Figure(figsize=(6.4, 4), layout="constrained")
+        axes = figure.subplots()
         for name, values in curves.items():
             if np.ndim(values) == 2 and not isinstance(values, tuple):
                 (line,) = axes.plot(np.mean(values, axis=0), label=name)
@@ -64,7 +63,6 @@ def plot(
             axes.legend()
         path = args.out / f"{args.name}.{what}.png"
         figure.savefig(path, dpi=110)
-        pyplot.close(figure)
     print(f"plot     {path.resolve()}")
 
 

@@ -131,16 +131,26 @@ def _perform(lab: Lab, experiment: Experiment) -> Result:
     except Exception as error:  # an experiment must not take the others with it
         result.status, result.reason = "failed", f"{type(error).__name__}: {error}"
     result.seconds = time.monotonic() - begin
+    result.load = os.getloadavg()[0]
     return result
 
 
 def _write_page(lab: Lab, rows: list[page.Row], copy: Path | None) -> Path:
+    cores, load = len(os.sched_getaffinity(0)), max((row[3].load for row in rows), default=0)
+    seconds = sum(row[3].seconds for row in rows)
+    times = (
+        f"The experiments took {seconds / 60:.1f} minutes together, at a load of up to {load:.0f}."
+    )
+    if load > 2 * cores:
+        times += (
+            f" **{cores} cores were shared with other work: times are several times too large.**"
+        )
     head = [
         "What the programs of [examples](examples.md) give for the figures and tables of "
         "*DiffTaichi: Differentiable Programming for Physical Simulation* (ICLR 2020). Made by "
         f"`python -m tai.paper --{lab.level}`; every number that is not said to be the paper's "
         "comes from that run.",
-        f"Machine: {_machine()}; arch {lab.arch}. Times depend on what else it did.",
+        f"Machine: {_machine()}; arch {lab.arch}. {times}",
     ]
     path = lab.out / "paper.md"
     path.write_text(page.markdown(head, rows))

@@ -42,6 +42,7 @@ class Result:
     status: str = "ok"
     reason: str = ""
     seconds: float = 0.0
+    load: float = 0.0  # of the machine, when it was done
     blocks: list[list[Any]] = field(default_factory=list)
 
 
@@ -191,8 +192,8 @@ class Lab:
             return
         pictures = self.out / "pictures"
         pictures.mkdir(exist_ok=True)
-        known = f"{self.result.name}_{path.name.replace('.', '_', path.name.count('.') - 1)}"
-        name = f"paper_{known}"
+        count = sum(block[0] == "picture" for block in self.result.blocks)
+        name = f"paper_{self.result.name}_{count + 1}.png"
         shutil.copyfile(path, pictures / name)
         self.result.blocks.append(["picture", f"pictures/{name}", caption])
 

@@ -23,7 +23,7 @@ def run(cells, tmp_path):
     client.execute()
     shown = []
     for cell in cells.cells:
-        outputs = [output for output in cell.get("outputs", [])]
+        outputs = cell.get("outputs", [])
         texts = [o.get("text") or o.get("data", {}).get("text/plain", "") for o in outputs]
         shown.append("".join(texts))
     return shown

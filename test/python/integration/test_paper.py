@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
-
 from tai.paper import page
 from tai.paper.experiments import EXPERIMENTS
 from tai.paper.lab import Lab, Result, last_line
@@ -204,7 +203,7 @@ def test_pages(tmp_path):
     text = page.markdown(["Head."], rows)
     assert "| a <b> | c |\n|---|---|\n| 1.23457 | `x` |\n| 2 |  |" in text
     assert "**FAILED: a number is 1 and not 1.1**" in text
-    assert "![Two](pictures/paper_some_plot_two.png)" in text
+    assert "![Two](pictures/paper_some_1.png)" in text
     hypertext = page.hypertext(["Head."], rows, tmp_path)
     assert "<th>a &lt;b&gt;</th>" in hypertext and "<code>x</code>" in hypertext
     assert "One &amp; two." in hypertext and "data:image/png;base64,iVBOR" in hypertext
