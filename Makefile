@@ -10,7 +10,7 @@ PYTHON := .venv/bin/python
 KINDS := $(if $(filter asan tsan,$(PRESET)),--sanitizer $(PRESET))
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress soak bench bench-error bench-pairs fmt lint tidy portable docs clean setup
+.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress paper soak bench bench-error bench-pairs fmt lint tidy portable docs clean setup
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /\1\t/' | \
@@ -50,6 +50,9 @@ fuzz-sparse: build ## play 10000 random sequences on random sparse trees (ARGS="
 
 stress: build ## run the 44 stress cases at full size, with what they measure (ARGS="--only S22")
 	@$(PYTHON) scripts/stress.py $(ARGS)
+
+paper: build ## rerun the figures and tables of the paper into out/paper (ARGS="--full")
+	@$(PYTHON) -m tai.paper $(ARGS)
 
 soak: build ## run the bars of reliability, 90 minutes (ARGS="--only R5 R8"): docs/reliability.md
 	@$(PYTHON) test/reliability/soak.py $(ARGS)

@@ -23,8 +23,9 @@ def plot(
     """Writes `NAME.WHAT.png`.
 
     Args:
-        curves: the values of each curve by its name, or a pair of positions and values. The
-            name of a single curve is not shown.
+        curves: the values of each curve by its name, or a pair of positions and values, or a
+            list of runs, which are drawn thin with their mean. The name of a single curve is
+            not shown.
         x, y: what the axes are, with units.
         log: a logarithmic y axis.
         dots: points instead of lines.
@@ -33,12 +34,10 @@ def plot(
         return
     try:
         import matplotlib
+        from matplotlib.figure import Figure
     except ImportError:
         print(f"no plot of {what}: pip install matplotlib", file=sys.stderr)
         return
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
     look = {
         "axes.edgecolor": css(SOFT), "axes.facecolor": css(PAPER), "axes.labelcolor": css(INK),
         "axes.prop_cycle": matplotlib.cycler(color=[css(color) for color in SERIES]),
@@ -47,9 +46,14 @@ def plot(
         "legend.frameon": False, "text.color": css(INK),
         "xtick.color": css(INK), "ytick.color": css(INK),
     }  # fmt: skip
-    with pyplot.rc_context(look):
-        figure, axes = pyplot.subplots(figsize=(6.4, 4), layout="constrained")
+    with matplotlib.rc_context(look):
+        figure = Figure(figsize=(6.4, 4), layout="constrained")
+        axes = figure.subplots()
         for name, values in curves.items():
+            if np.ndim(values) == 2 and not isinstance(values, tuple):
+                (line,) = axes.plot(np.mean(values, axis=0), label=name)
+                axes.plot(np.transpose(values), color=line.get_color(), linewidth=0.8, alpha=0.4)
+                continue
             pair = values if isinstance(values, tuple) else (range(len(values)), values)
             axes.plot(*pair, "." if dots else "-", markersize=3.5, label=name)
         if x == "iteration":
@@ -59,7 +63,6 @@ def plot(
             axes.legend()
         path = args.out / f"{args.name}.{what}.png"
         figure.savefig(path, dpi=110)
-        pyplot.close(figure)
     print(f"plot     {path.resolve()}")
 
 

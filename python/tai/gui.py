@@ -1,4 +1,4 @@
-"""`ti.GUI` without a window: it draws into pictures.
+"""`ti.GUI`: it draws into pictures, which `python -m tai.view` shows in a window.
 
 Coordinates run from 0 to 1, the second one upward. `show("frame.png")` writes a picture.
 `show()` writes one for each frame into the folder that the option `frames_dir`, or the
@@ -59,6 +59,9 @@ class GUI:
     LEFT, RIGHT, UP, DOWN, TAB, EXIT = "Left", "Right", "Up", "Down", "Tab", "WMClose"
     LMB, MMB, RMB, WHEEL, MOVE = "LMB", "MMB", "RMB", "Wheel", "Motion"
     PRESS, RELEASE, MOTION = "Press", "Release", "Motion"
+
+    # Where `tai.view` shows frames: a window, or files.
+    screen: Any = None
 
     def __init__(
         self,
@@ -227,8 +230,11 @@ class GUI:
             if folder:
                 os.makedirs(folder, exist_ok=True)
             self.picture().save(str(file))
+        if self.screen:
+            self.screen.show(self.picture())
         self.frame += 1
-        if self.frame >= self.max_frames:
+        is_open = self.screen.is_open if self.screen else None
+        if self.frame >= self.max_frames if is_open is None else not is_open:
             self.running = False
         self.clear()
 

@@ -73,6 +73,8 @@ def write_gif(frames: list, filename: str, framerate: float = 24) -> None:
 
     if not frames:
         raise TaiRuntimeError("an animation needs at least one frame")
+    if GUI.screen:
+        GUI.screen.play(frames, framerate)
     pictures = [f if isinstance(f, Image.Image) else Image.fromarray(f) for f in frames]
     colors = [p.convert("P", palette=Image.Palette.ADAPTIVE, colors=64) for p in pictures]
     colors[0].save(

@@ -27,10 +27,10 @@ def function_ast(function: Callable[..., Any]) -> ast.FunctionDef:
         cached = _parsed[filename] = (text, _index(text))
     found = cached[1].get((code.co_firstlineno, code.co_name))
     if found is None:
-        raise TaiSyntaxError(
-            f"the source of function '{function.__name__}' cannot be read",
-            "kernels must stand in a file: the compiler reads their text",
-        )
+        hint = "kernels must stand in a file: the compiler reads their text"
+        if filename.startswith("<timed"):  # what IPython calls cells below %%time and %%timeit
+            hint = "define kernels in a cell without %%time: the compiler reads their text"
+        raise TaiSyntaxError(f"the source of function '{function.__name__}' cannot be read", hint)
     if isinstance(found, ast.AsyncFunctionDef):
         raise TaiSyntaxError(
             f"'{function.__name__}' is an 'async def', and kernels have no coroutines", "write def"

@@ -1,0 +1,215 @@
+"""The command line of the experiments, and what is kept of a run that is interrupted."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import os
+import platform
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NoReturn
+
+from . import __doc__ as text
+from . import page
+from .experiments import EXPERIMENTS, Experiment
+from .lab import Failed, Lab, LeftOut, Result
+
+PLACES = (Path(__file__).resolve().parents[3] / "examples", Path.cwd() / "examples")
+
+
+def fail(message: str) -> NoReturn:
+    """Ends the program with one line."""
+    print(f"paper: {' '.join(str(message).split())}", file=sys.stderr)
+    sys.exit(2)
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        fail(f"{message} (--help lists all options)")
+
+
+def _options() -> argparse.Namespace:
+    parser = _Parser(
+        prog="python -m tai.paper", description=text,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    add = parser.add_argument
+    levels = parser.add_mutually_exclusive_group()
+    words = {
+        "once": "single iterations on small sizes, to see that all runs",
+        "quick": "the default: ten minutes at most on two cores",
+        "full": "all iterations of the paper: hours",
+    }
+    for level, what in words.items():
+        levels.add_argument(
+            f"--{level}", dest="level", action="store_const", const=level, help=what
+        )
+    parser.set_defaults(level="quick")
+    names = [experiment.name for experiment in EXPERIMENTS]
+    add("--only", nargs="+", metavar="NAME", choices=names, help="some experiments")
+    add("--list", action="store_true", help="their names, and what each shows")
+    add("--arch", choices=["cpu", "cuda"], default="cpu", help="what computes (cpu)")
+    add("--resume", action="store_true", help="keep what is done in --out, and go on")
+    add("--out", type=Path, default=Path("out/paper"), help="folder of runs and page (out/paper)")
+    add("--examples", type=Path, help="the folder of the programs (examples, of the checkout)")
+    add("--page", type=Path, help="also writes paper.md and its pictures here (docs)")
+    return parser.parse_args()
+
+
+def _examples(given: Path | None) -> Path:
+    """The folder of the programs, which a package alone does not have."""
+    for place in (given,) if given else PLACES:
+        if (place / "mass_spring_simple.py").is_file() and (place / "studio").is_dir():
+            return place.resolve()
+    where = given or PLACES[0]
+    fail(f"{where} has no examples: name the folder 'examples' of a checkout by --examples")
+
+
+def _writable(folder: Path, option: str) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        fail(f"{option} {folder}: cannot write there ({error.strerror})")
+    return folder.resolve()
+
+
+def _machine() -> str:
+    model = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        names = [line for line in info.read_text().splitlines() if line.startswith("model name")]
+        model = names[0].split(":", 1)[1].strip() if names else model
+    return f"{model}, {len(os.sched_getaffinity(0))} cores"
+
+
+class _Store:
+    """What came of each experiment, a file for each."""
+
+    def __init__(self, folder: Path, settings: dict[str, str]):
+        self.folder, self.settings = folder / "results", settings
+        self.folder.mkdir(exist_ok=True)
+
+    def save(self, result: Result) -> None:
+        content = {"settings": self.settings, "result": dataclasses.asdict(result)}
+        part = self.folder / f"{result.name}.part"
+        part.write_text(json.dumps(content))
+        os.replace(part, self.folder / f"{result.name}.json")
+
+    def load(self, name: str) -> Result | None:
+        """What is there from before, if it was made with the same settings."""
+        try:
+            content = json.loads((self.folder / f"{name}.json").read_text())
+            if content["settings"] == self.settings:
+                return Result(**content["result"])
+        except (OSError, ValueError, KeyError, TypeError):
+            pass
+        return None
+
+
+def _perform(lab: Lab, experiment: Experiment) -> Result:
+    """Runs an experiment; what goes wrong becomes its result."""
+    result = lab.begin(experiment.name)
+    begin = time.monotonic()
+    try:
+        experiment.run(lab)
+    except LeftOut as error:
+        result.status, result.reason = "left out", str(error)
+    except Failed as error:
+        result.status, result.reason = "failed", str(error)
+    except OSError as error:
+        if error.filename and not os.access(lab.out, os.W_OK):
+            raise
+        result.status, result.reason = "failed", f"{type(error).__name__}: {error}"
+    except Exception as error:  # an experiment must not take the others with it
+        result.status, result.reason = "failed", f"{type(error).__name__}: {error}"
+    result.seconds = time.monotonic() - begin
+    result.load = os.getloadavg()[0]
+    return result
+
+
+def _write_page(lab: Lab, rows: list[page.Row], copy: Path | None) -> Path:
+    cores, load = len(os.sched_getaffinity(0)), max((row[3].load for row in rows), default=0)
+    seconds = sum(row[3].seconds for row in rows)
+    times = (
+        f"The experiments took {seconds / 60:.1f} minutes together, at a load of up to {load:.0f}."
+    )
+    if load > 2 * cores:
+        times += (
+            f" **{cores} cores were shared with other work: times are several times too large.**"
+        )
+    head = [
+        "What the programs of [examples](examples.md) give for the figures and tables of "
+        "*DiffTaichi: Differentiable Programming for Physical Simulation* (ICLR 2020). Made by "
+        f"`python -m tai.paper --{lab.level}`; every number that is not said to be the paper's "
+        "comes from that run.",
+        f"Machine: {_machine()}; arch {lab.arch}. {times}",
+    ]
+    path = lab.out / "paper.md"
+    path.write_text(page.markdown(head, rows))
+    (lab.out / "paper.html").write_text(page.hypertext(head, rows, lab.out))
+    if copy:
+        (copy / "pictures").mkdir(exist_ok=True)
+        for old in (copy / "pictures").glob("paper_*.png"):
+            old.unlink()
+        for _, _, _, result in rows:
+            for kind, *content in result.blocks:
+                if kind == "picture":
+                    shutil.copyfile(lab.out / content[0], copy / content[0])
+        shutil.copyfile(path, copy / "paper.md")
+    return path
+
+
+def _stop(*_: object) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def main() -> int:
+    """Runs the experiments that the command line asks for; 1 if one of them failed."""
+    args = _options()
+    if args.list:
+        for experiment in EXPERIMENTS:
+            print(f"{experiment.name:16} {experiment.title} ({experiment.shows})")
+        return 0
+    examples = _examples(args.examples)
+    out = _writable(args.out, "--out")
+    copy = _writable(args.page, "--page") if args.page else None
+    store = _Store(out, {"level": args.level, "arch": args.arch})
+    if not args.resume:
+        shutil.rmtree(out / "runs", ignore_errors=True)
+    lab = Lab(examples, out, args.level, args.arch, args.resume)
+    chosen = [e for e in EXPERIMENTS if not args.only or e.name in args.only]
+    signal.signal(signal.SIGTERM, _stop)
+    rows: list[page.Row] = []
+    for number, experiment in enumerate(chosen, 1):
+        result = store.load(experiment.name) if args.resume else None
+        if result is None or result.status != "ok":
+            print(f"{experiment.name} ({number} of {len(chosen)})", file=sys.stderr, flush=True)
+            try:
+                result = _perform(lab, experiment)
+                store.save(result)
+            except KeyboardInterrupt:
+                done = f"{len(rows)} of {len(chosen)} experiments are kept in {out}"
+                print(f"paper: stopped in {experiment.name}; {done}; --resume goes on",
+                      file=sys.stderr)  # fmt: skip
+                return 130
+            except OSError as error:
+                fail(f"cannot write {error.filename}: {error.strerror}")
+        rows.append((experiment.name, experiment.shows, experiment.title, result))
+        print(f"{experiment.name:16} {page.verdict(result)} ({result.seconds:.1f} s)", flush=True)
+    path = _write_page(lab, rows, copy)
+    failed = sum(result.status == "failed" for *_, result in rows)
+    print(f"page     {path}")
+    print(f"{len(rows) - failed} experiments as expected or left out, {failed} failed")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,89 @@
+"""The page of results, in Markdown and in HTML."""
+
+from __future__ import annotations
+
+import base64
+import html
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from .lab import Result
+
+STYLE = """body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;
+color:#2b3a55;background:#f4f1ea}table{border-collapse:collapse;margin:1em 0}
+td,th{border-bottom:1px solid #9a9484;padding:.2em .7em;text-align:left}img{max-width:100%}
+figure{display:inline-block;width:48%;margin:0 0 1em}code{font-size:90%}"""
+
+Row = tuple[str, str, str, Result]  # name, where in the paper, title, what came of it
+
+
+def verdict(result: Result) -> str:
+    """How an experiment went, in a cell of a table."""
+    if result.status == "ok":
+        return "as expected"
+    word = "FAILED" if result.status == "failed" else "left out"
+    return f"{word}: {result.reason}".replace("|", "/")
+
+
+def _summary(rows: Iterable[Row]) -> tuple[list[str], list[list[str]]]:
+    header = ["experiment", "in the paper", "name", "result", "seconds"]
+    return header, [
+        [title, where, f"`{name}`", verdict(result), f"{result.seconds:.0f}"]
+        for name, where, title, result in rows
+    ]
+
+
+def _markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+    lines += ["| " + " | ".join(row) + " |" for row in rows]
+    return "\n".join(lines)
+
+
+def markdown(head: Sequence[str], rows: Sequence[Row]) -> str:
+    """The page for a reader of the repository."""
+    parts = ["# The paper's experiments", *head, _markdown_table(*_summary(rows))]
+    for _, where, title, result in rows:
+        parts.append(f"## {title}\n\n*In the paper: {where}.*")
+        if result.status != "ok":
+            parts.append(f"**{verdict(result)}**")
+        for kind, *content in result.blocks:
+            if kind == "table":
+                parts.append(_markdown_table(*content))
+            elif kind == "picture":
+                parts.append(f"![{content[1]}]({content[0]})")
+            else:
+                parts.append(content[0])
+    return "\n\n".join(parts) + "\n"
+
+
+def _inline(text: str) -> str:
+    return re.sub(r"`([^`]*)`", r"<code>\1</code>", html.escape(text, quote=False))
+
+
+def _html_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    def line(cells: Sequence[str], tag: str) -> str:
+        return "<tr>" + "".join(f"<{tag}>{_inline(cell)}</{tag}>" for cell in cells) + "</tr>"
+
+    return f"<table>{line(header, 'th')}{''.join(line(row, 'td') for row in rows)}</table>"
+
+
+def hypertext(head: Sequence[str], rows: Sequence[Row], folder: Path) -> str:
+    """The page as one file, with its pictures in it."""
+    parts = ["<h1>The paper's experiments</h1>", *(f"<p>{_inline(text)}</p>" for text in head)]
+    parts.append(_html_table(*_summary(rows)))
+    for _, where, title, result in rows:
+        parts.append(f"<h2>{_inline(title)}</h2><p><i>In the paper: {_inline(where)}.</i></p>")
+        if result.status != "ok":
+            parts.append(f"<p><b>{_inline(verdict(result))}</b></p>")
+        for kind, *content in result.blocks:
+            if kind == "table":
+                parts.append(_html_table(*content))
+            elif kind == "picture":
+                data = base64.b64encode((folder / content[0]).read_bytes()).decode()
+                caption = f"<figcaption>{_inline(content[1])}</figcaption>"
+                parts.append(f'<figure><img src="data:image/png;base64,{data}">{caption}</figure>')
+            else:
+                parts.append(f"<p>{_inline(content[0])}</p>")
+    title = "<title>The paper's experiments</title>"
+    return f'<!doctype html><meta charset="utf-8">{title}<style>{STYLE}</style>' + "\n".join(parts)

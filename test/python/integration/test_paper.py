@@ -1,0 +1,229 @@
+"""The paper's experiments as one command: each once, and what is said when something is amiss."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from PIL import Image
+from tai.paper import page
+from tai.paper.experiments import EXPERIMENTS
+from tai.paper.lab import Lab, Result, last_line
+
+ROOT = Path(__file__).resolve().parents[3]
+COMMAND = [sys.executable, "-m", "tai.paper", "--once"]
+
+
+def paper(out, *options, cwd=ROOT, **environment):
+    words = [*COMMAND, "--out", out, *options]
+    return subprocess.run(
+        list(map(str, words)), capture_output=True, text=True, cwd=cwd,
+        env=os.environ | environment,
+    )  # fmt: skip
+
+
+def results(out):
+    files = (out / "results").glob("*.json")
+    return {path.stem: json.loads(path.read_text())["result"] for path in files}
+
+
+@pytest.mark.parametrize("name", [experiment.name for experiment in EXPERIMENTS])
+def test_each_experiment_once(tmp_path, name):
+    done = paper(tmp_path, "--only", name)
+    (result,) = results(tmp_path).values()
+    if name == "water_renderer" and result["status"] == "left out":
+        assert "torch" in result["reason"] and "pip install torch" in result["reason"]
+        return
+    assert done.returncode == 0 and result["status"] == "ok", done.stdout + done.stderr
+    text, hypertext = (tmp_path / "paper.md").read_text(), (tmp_path / "paper.html").read_text()
+    kinds = [block[0] for block in result["blocks"]]
+    assert "table" in kinds and text.count("\n## ") == 1
+    pictures = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text)
+    assert len(pictures) == kinds.count("picture") == hypertext.count("<img src=")
+    for picture in pictures:
+        assert Image.open(tmp_path / picture).size[0] > 400
+
+
+# A folder of examples in which programs do what a test wants.
+
+FRAME = "def plot(*args, **options): pass\n"
+TOI = """import sys, pathlib, time
+here = pathlib.Path(__file__).parent
+out = pathlib.Path(sys.argv[sys.argv.index("--out") + 1])
+(here / "started").write_text(" ".join(sys.argv))
+{action}
+rows = ["lift,naive,naive by y,toi,toi by y"] + ["0,0.5,{naive},0.5,-1"] * 15
+(out / "rigid_body_toi.heights.csv").write_text("\\n".join(rows))
+"""
+
+
+@pytest.fixture
+def examples(tmp_path):
+    folder = tmp_path / "examples"
+    (folder / "studio").mkdir(parents=True)
+    (folder / "studio/__init__.py").write_text(FRAME)
+    (folder / "mass_spring_simple.py").write_text("raise SystemExit('toy: no springs today')")
+
+    def program(action="", naive=1):
+        (folder / "rigid_body_toi.py").write_text(TOI.format(action=action, naive=naive))
+        return folder
+
+    program()
+    return program
+
+
+def test_a_failed_experiment_does_not_stop_the_others(tmp_path, examples):
+    done = paper(tmp_path / "out", "--examples", examples(), "--only", "lengths", "toi")
+    assert done.returncode == 1, done.stderr
+    found = results(tmp_path / "out")
+    assert found["toi"]["status"] == "ok"
+    assert found["lengths"]["status"] == "failed"
+    assert found["lengths"]["reason"].endswith("toy: no springs today")
+    assert "FAILED: mass_spring_simple: toy: no springs today" in done.stdout
+    assert "FAILED" in (tmp_path / "out/paper.md").read_text()
+    assert "1 failed" in done.stdout.splitlines()[-1]
+
+
+def test_numbers_that_are_wrong_fail(tmp_path, examples):
+    done = paper(tmp_path / "out", "--examples", examples(naive=-1), "--only", "toi")
+    assert done.returncode == 1
+    assert "FAILED: naive: a derivative is 2 away from +1" in done.stdout
+
+
+@pytest.mark.parametrize(
+    "action, reason",
+    [
+        ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "ended by signal SIGKILL"),
+        ("1 / 0", "ZeroDivisionError: division by zero"),
+        ("sys.exit()", "FileNotFoundError"),
+    ],
+)
+def test_programs_that_end(tmp_path, examples, action, reason):
+    done = paper(tmp_path / "out", "--examples", examples(action), "--only", "toi")
+    assert done.returncode == 1 and reason in done.stdout
+
+
+def test_what_a_machine_lacks_is_left_out(tmp_path, examples):
+    action = "sys.exit('toy: it needs torch, which is not installed: pip install torch')"
+    done = paper(tmp_path / "out", "--examples", examples(action), "--only", "toi")
+    assert done.returncode == 0
+    assert "left out: toy: it needs torch, which is not installed: pip install torch" in done.stdout
+
+
+def interrupted(tmp_path, examples, number):
+    """Runs `lengths`, which fails, and `toi`, which is stopped as soon as its program waits."""
+    action = 'sys.stdin.close(); import signal; (here / "waits").touch(); signal.pause()'
+    folder, out = examples(action), tmp_path / "out"
+    (folder / "mass_spring_simple.py").write_text(
+        "import sys, pathlib\n"
+        "out = pathlib.Path(sys.argv[sys.argv.index('--out') + 1])\n"
+        "area, wall = '0.2' in sys.argv, '--wall' in sys.argv\n"
+        "text = '0.650, 0.731, 0.676' if wall else '0.600, 0.600, 0.529'\n"
+        "print(f\"rest lengths  [{'0.858, 0.858, 0.762' if area else text}]\")\n"
+        "(out / 'mass_spring_simple.losses.csv').write_text('loss\\n1\\n')\n"
+        "(out / 'mass_spring_simple.npz').touch()\n"
+    )
+    words = [*COMMAND, "--out", out, "--examples", folder, "--only", "lengths", "toi"]
+    process = subprocess.Popen(list(map(str, words)), stderr=subprocess.PIPE, text=True, cwd=ROOT)
+    end = time.monotonic() + 120
+    while not (folder / "waits").exists():
+        assert process.poll() is None and time.monotonic() < end
+    process.send_signal(number)
+    return process, process.communicate(timeout=60)[1], out, folder
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_goes_on(tmp_path, examples, number):
+    process, errors, out, folder = interrupted(tmp_path, examples, number)
+    assert process.returncode == 130 and "Traceback" not in errors
+    line = errors.splitlines()[-1]
+    assert line.startswith("paper: stopped in toi; 1 of 2 experiments are kept in ")
+    # What is done is not run again, and its place on the page stays.
+    examples()
+    (folder / "mass_spring_simple.py").write_text("1 / 0")
+    done = paper(out, "--examples", folder, "--only", "lengths", "toi", "--resume")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert (out / "paper.md").read_text().count("\n## ") == 2
+    # Without --resume all runs again, and so it does for other settings.
+    done = paper(out, "--examples", folder, "--only", "lengths")
+    assert done.returncode == 1 and "ZeroDivisionError" in done.stdout
+
+
+def test_programs_are_resumed_too(tmp_path, examples):
+    folder, out = examples(), tmp_path / "out"
+    run = out / "runs/toi/run"
+    run.mkdir(parents=True)
+    (run / "rigid_body_toi.npz").touch()
+    assert paper(out, "--examples", folder, "--only", "toi", "--resume").returncode == 0
+    assert " --resume" in (folder / "started").read_text()
+    assert paper(out, "--examples", folder, "--only", "toi").returncode == 0
+    assert " --resume" not in (folder / "started").read_text()
+
+
+def test_bad_input(tmp_path):
+    def line(*options, **more):
+        done = paper(*options, **more)
+        assert done.returncode == 2 and done.stdout == "" and done.stderr.count("\n") == 1
+        return done.stderr
+
+    (tmp_path / "file").write_text("")
+    assert f"--out {tmp_path}/file/below: cannot write there" in line(tmp_path / "file/below")
+    assert "--page" in line(tmp_path, "--page", tmp_path / "file/below")
+    text = line(tmp_path, "--examples", tmp_path)
+    assert text.startswith(f"paper: {tmp_path} has no examples: name the folder 'examples'")
+    assert "invalid choice: 'none'" in line(tmp_path, "--only", "none")
+
+
+def test_a_page_elsewhere(tmp_path, examples):
+    docs = tmp_path / "docs"
+    (docs / "pictures").mkdir(parents=True)
+    (docs / "pictures/paper_old.png").touch()
+    (docs / "pictures/other.png").touch()
+    options = ("--examples", examples(), "--only", "toi", "--page", docs)
+    assert paper(tmp_path / "out", *options).returncode == 0
+    assert (docs / "paper.md").read_text() == (tmp_path / "out/paper.md").read_text()
+    assert [path.name for path in (docs / "pictures").iterdir()] == ["other.png"]
+
+
+def test_pages(tmp_path):
+    lab = Lab(ROOT / "examples", tmp_path, "once", "cpu", resume=False)
+    result = lab.begin("some")
+    lab.table(["a <b>", "c"], [[1.23456789, "`x`"], [2, ""]])
+    lab.text("One & two.")
+    lab.plot("two", {"runs": [[3, 2], [1, 0]], "one": [2, 1]}, "Two", x="iteration", y="loss")
+    lab.near(1.0, 1.1, 1e-3, "a number")
+    lab.near(1.0, 1.0, 0, "another")
+    assert (result.status, result.reason) == ("failed", "a number is 1 and not 1.1")
+    rows = [("some", "figure 1", "Some", result)]
+    text = page.markdown(["Head."], rows)
+    assert "| a <b> | c |\n|---|---|\n| 1.23457 | `x` |\n| 2 |  |" in text
+    assert "**FAILED: a number is 1 and not 1.1**" in text
+    assert "![Two](pictures/paper_some_1.png)" in text
+    hypertext = page.hypertext(["Head."], rows, tmp_path)
+    assert "<th>a &lt;b&gt;</th>" in hypertext and "<code>x</code>" in hypertext
+    assert "One &amp; two." in hypertext and "data:image/png;base64,iVBOR" in hypertext
+
+
+def test_without_matplotlib(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    lab = Lab(ROOT / "examples", tmp_path, "once", "cpu", resume=False)
+    result = lab.begin("some")
+    lab.plot("two", {"one": [2, 1]}, "Two", x="iteration", y="loss")
+    assert result.status == "ok"
+    assert result.blocks == [["text", "(No picture: that takes `pip install matplotlib`.)"]]
+
+
+def test_words():
+    assert last_line("a\n b \n\n") == "b" and last_line("\n") == "it said nothing"
+    assert page.verdict(Result("x", "failed", "a|b")) == "FAILED: a/b"
+
+
+def test_the_list():
+    done = subprocess.run([*COMMAND, "--list"], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0
+    assert [line.split()[0] for line in done.stdout.splitlines()] == [e.name for e in EXPERIMENTS]

@@ -1,0 +1,116 @@
+"""What programs draw, in a window or as files."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tai as ti
+from PIL import Image
+from tai.view import Frames, Window
+
+ROOT = Path(__file__).resolve().parents[3]
+DRAWS = """import sys
+import tai as ti
+gui = ti.GUI("toy", res=(40, 30), max_frames=3)
+while gui.running:
+    gui.circle((0.5, 0.5), radius=5)
+    gui.show()
+if "film" in sys.argv:
+    ti.tools.write_gif([gui.picture()] * 5, sys.argv[2])
+print(gui.frame)
+"""
+
+
+def view(*words, **environment):
+    command = [sys.executable, "-m", "tai.view", *map(str, words)]
+    clean = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    return subprocess.run(command, capture_output=True, text=True, env=clean | environment)
+
+
+@pytest.fixture
+def program(tmp_path):
+    path = tmp_path / "toy.py"
+    path.write_text(DRAWS)
+    return path
+
+
+def test_frames_where_no_display_is(tmp_path, program, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = view(program, "film", tmp_path / "film.gif")
+    assert (done.returncode, done.stdout) == (0, "3\n")
+    folder = tmp_path / "out/view/toy"
+    assert done.stderr == f"view: there is no display: frames go to {folder}\n"
+    # The frames of the film are those that were drawn.
+    assert sorted(p.name for p in folder.iterdir()) == ["000000.png", "000001.png", "000002.png"]
+    picture = np.asarray(Image.open(folder / "000001.png"))
+    assert (
+        picture.shape == (30, 40, 3) and picture[15, 20].min() == 255 and picture[0, 0].max() == 0
+    )
+
+
+def test_a_window_that_cannot_be_opened(tmp_path, program):
+    done = view("--frames", tmp_path / "a", program)
+    assert done.returncode == 0 and f"as asked: frames go to {tmp_path}/a" in done.stderr
+    # A display that nobody listens at, or no library for windows.
+    os.chdir(tmp_path)
+    done = view(program, DISPLAY=":4711")
+    assert done.returncode == 0 and done.stderr.count("\n") == 1
+    assert f"frames go to {tmp_path}/out/view/toy" in done.stderr
+
+
+def test_an_example(tmp_path):
+    words = ("--iterations", 1, "--n", 16, "--steps", 20, "--out", tmp_path)
+    done = view("--frames", tmp_path / "frames", ROOT / "examples/wave.py", *words)
+    assert done.returncode == 0, done.stderr
+    assert len(list((tmp_path / "frames").iterdir())) > 5
+    assert (tmp_path / "wave.gif").is_file()
+
+
+def test_bad_input(tmp_path, program):
+    done = view(tmp_path / "none.py")
+    assert (done.returncode, done.stderr) == (2, f"view: there is no program {tmp_path}/none.py\n")
+    done = view("--frames", program / "below", program)
+    assert done.returncode == 2 and done.stderr.startswith("view: cannot write frames to ")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.fixture
+def window(monkeypatch):
+    made = Window("toy", backends=("agg",))  # draws, and opens nothing
+    monkeypatch.setattr(ti.GUI, "screen", made)
+    return made
+
+
+def test_a_window(window, tmp_path):
+    gui = ti.GUI("toy", res=(40, 30), max_frames=2)
+    for _ in range(5):
+        gui.circle((0.5, 0.5), radius=5, color=0xFF0000)
+        drawn = np.asarray(gui.picture())
+        gui.show()
+        assert gui.running  # as long as nobody closes it
+    np.testing.assert_array_equal(window._image.get_array(), drawn)
+    film = [np.full((30, 40, 3), k, np.uint8) for k in range(3)]
+    ti.tools.write_gif(film, str(tmp_path / "film.gif"), framerate=100)
+    np.testing.assert_array_equal(window._image.get_array(), film[2])
+    # Another size is another picture.
+    window.show(np.zeros((8, 9, 3), np.uint8))
+    assert window._image.get_array().shape == (8, 9, 3)
+    window._figure.canvas.callbacks.process("close_event", None)
+    gui.show()
+    assert not gui.running
+    window.wait()
+    window.play(film, 1)  # shows nothing more, and takes no time
+
+
+def test_backends_that_are_missing():
+    with pytest.raises(ImportError):
+        Window("toy", backends=("module://none_such",))
+
+
+def test_frames_of_films(tmp_path):
+    frames = Frames(tmp_path)
+    frames.play([np.zeros((3, 4, 3), np.uint8)] * 2, 24)
+    assert len(list(tmp_path.glob("*.png"))) == 2
