@@ -123,8 +123,14 @@ def run_pytest(jobs: int, out: Path) -> Result:
     return result.close(status)
 
 
-def run_sanitized(sanitizer: Sanitizer, build: Path, jobs: int, out: Path) -> list[Result]:
-    """The tests of a preset with a sanitizer; each of its reports is a failure."""
+def run_sanitized(
+    sanitizer: Sanitizer, build: Path, jobs: int, out: Path, rooms: list[str]
+) -> list[Result]:
+    """The tests of a preset with a sanitizer; each of its reports is a failure.
+
+    Args:
+        rooms: folders of test/python that run in the place of the preset's files.
+    """
     reports = out / "reports"
     reports.mkdir()
     results = []
@@ -141,7 +147,7 @@ def run_sanitized(sanitizer: Sanitizer, build: Path, jobs: int, out: Path) -> li
     command += ["-p", "no:faulthandler", "--timeout", "1200"]
     if jobs > 1:
         command += ["-n", str(jobs)]
-    command += find_files(sorted(set(files)))
+    command += [f"test/python/{room}" for room in rooms] or find_files(sorted(set(files)))
     status = call(command, sanitizer.python_environment(build, reports))
     if xml.exists():
         result.add_junit(xml)
@@ -221,6 +227,9 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--layouts", action="store_true", help="the tests on every layout")
     parser.add_argument("--sanitizer", choices=SANITIZERS, help="with which BUILD was made")
+    parser.add_argument(
+        "--rooms", nargs="+", default=[], help="with a sanitizer: these folders of test/python"
+    )
     parser.add_argument("--only", nargs="+", choices=["lit", "gtest", "pytest", "emulated", "lint"])
     args = parser.parse_args()
     build = (ROOT / args.build).resolve()
@@ -239,7 +248,8 @@ def main() -> int:
             "lint": run_lint,
         }
         if args.sanitizer:
-            results = run_sanitized(SANITIZERS[args.sanitizer], build, args.jobs, out)
+            sanitizer = SANITIZERS[args.sanitizer]
+            results = run_sanitized(sanitizer, build, args.jobs, out, args.rooms)
         elif args.layouts:
             results = run_layouts(build, args.jobs, out)
         else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
 import os
@@ -13,23 +14,29 @@ from typing import NoReturn
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 
+# The share of the processors that other programs may take where times by the clock are judged.
+BUSY = 0.1
+
 
 class Bar:
     """One bar: its name, what is counted, and how many cases a long and a short run take.
 
     `target` and `miss` are for the page of all bars: what must hold, and what one miss is. `archs`
-    are the devices on which the script can run, if there is a choice, the first by default.
+    are the devices on which the script can run, if there is a choice, the first by default. `adds`
+    says that runs with other seeds are other cases, whose numbers add up; `apart` that the bar
+    takes too long for a soak of all and has no short form.
     """
 
     def __init__(
         self, name: str, what: str, full: int, short: int, *, target: str, miss: str,
-        archs: tuple[str, ...] = (),
+        archs: tuple[str, ...] = (), adds: bool = False, apart: bool = False,
     ):  # fmt: skip
         self.name, self.what = name, what
         self.full, self.short = full, short
         self.facts = {"bar": name, "what": what, "target": target, "miss": miss,
-                      "archs": archs, "full": full}  # fmt: skip
+                      "archs": archs, "full": full, "adds": adds, "apart": apart}  # fmt: skip
         self.begun = time.monotonic()
+        self.busy = busy_seconds()
         self.seconds = math.inf
         self.parser = argparse.ArgumentParser(
             description=f"{name}: {what}", formatter_class=argparse.ArgumentDefaultsHelpFormatter
@@ -61,6 +68,15 @@ class Bar:
         """How many seconds are left of --seconds."""
         return self.seconds - (time.monotonic() - self.begun)
 
+    def others(self) -> float:
+        """The share of the processors that other programs took since this one began.
+
+        Where they took much, times by the clock say little about this program.
+        """
+        seconds = time.monotonic() - self.begun
+        taken = busy_seconds() - self.busy - own_seconds()
+        return max(0.0, taken) / (seconds * (os.cpu_count() or 1))
+
     def report(self, cases: str, seen: str, *, met: bool, bar: object = 0) -> NoReturn:
         """Prints the line with the numbers and ends the script, with 1 below the bar."""
         print(f"{self.name} {self.what}: {cases}; {seen} (bar {bar})", flush=True)
@@ -79,6 +95,36 @@ def choose_arch(name: str) -> None:
 def build_folder() -> Path:
     """The build of this checkout, or that of TAI_BUILD_DIR."""
     return Path(os.environ.get("TAI_BUILD_DIR", ROOT / "build")).resolve()
+
+
+def own_seconds() -> float:
+    """Seconds that processors have worked for this process and its children that have ended."""
+    return sum(os.times()[:4])
+
+
+def busy_seconds() -> float:
+    """Seconds that all processors have worked since the machine was started."""
+    with open("/proc/stat") as file:
+        user, nice, system = map(int, file.readline().split()[1:4])
+    return (user + nice + system) / os.sysconf("SC_CLK_TCK")
+
+
+def seconds_of(process: int) -> float:
+    """Seconds that processors have worked for a process that has not been waited for."""
+    with open(f"/proc/{process}/stat") as file:
+        fields = file.read().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def is_idle(process: int) -> bool:
+    """Whether no thread of a process computes, or waits for a processor: it waits for something."""
+    for _ in range(10):
+        for stat in Path(f"/proc/{process}/task").glob("*/stat"):
+            with contextlib.suppress(OSError):  # the thread has ended
+                if stat.read_text().rpartition(")")[2].split()[0] not in "SDTZX":
+                    return False
+        time.sleep(0.1)
+    return True
 
 
 def resident() -> int:

@@ -154,7 +154,7 @@ def judge(case: Case) -> list[str]:
 
 def main() -> None:
     bar = Bar(
-        "R10", "sparse layouts without memory", full=1000, short=40,
+        "R10", "sparse layouts without memory", full=1000, short=40, adds=True,
         target="an exception with the level and sizes, the context alive, the next kernel right",
         miss="another exception or none, lost cells, or a program of no use afterwards",
         archs=("both", "cpu", "emulated", "cuda"),
@@ -170,7 +170,7 @@ def main() -> None:
         wrong += bool(problems)
         done += 1
     kinds = ", ".join(f"{n} {kind}" for kind, n in sorted(counts.items()))
-    bar.report(f"{done} ({kinds})", f"{wrong} with errors", met=not wrong and done > 0)
+    bar.report(f"{done} layouts ({kinds})", f"{wrong} with errors", met=not wrong and done > 0)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@
 
 Trees of fields, with and without kernels and tapes, tapes, kernels that are defined again, arrays,
 threads and whole programs are made and dropped. Memory must stay as it is after the first tenth,
-and the last rounds must take as long as the first ones.
+and the last rounds must take as long as the first ones: time of the processor, beside that of other
+work at the same moment, since whatever else the machine does changes both.
 """
 
 import gc
@@ -140,6 +141,20 @@ PARTS = [(tree, 1.0), (tree_with_kernel, 0.1), (tree_of_another_size, 0.1),
          (defined_again, 0.1), (array, 1.0), (thread, 0.3), (program, 0.1)]  # fmt: skip
 
 
+def other_work():
+    """What has nothing to do with tai."""
+    table = {}
+    for i in range(1000):
+        table[str(i)] = [i] * 20
+    return table
+
+
+def time_of(work):
+    start = time.thread_time()
+    work()
+    return time.thread_time() - start
+
+
 def measure(part, rounds, seconds):
     """Growth in % since the first tenth, and how much slower the last tenth is than the first.
 
@@ -156,13 +171,14 @@ def measure(part, rounds, seconds):
     for number in range(rounds):
         if number >= 30 and time.monotonic() > end:
             break
-        start = time.thread_time()
-        part()
-        times.append(time.thread_time() - start)
+        times.append((time_of(part), time_of(other_work)))
     gc.collect()
     growth = 100.0 * (resident() - before) / before
     tenth = max(5, len(times) // 10)
-    slowing = statistics.median(times[-tenth:]) / statistics.median(times[:tenth])
+    own, other = zip(*times, strict=True)
+    ratios = [statistics.median(own[piece]) / statistics.median(other[piece])
+              for piece in (slice(tenth), slice(-tenth, None))]  # fmt: skip
+    slowing = ratios[1] / ratios[0]
     if args.verbose:
         print(f"  {part.__name__}: {len(times)} rounds, RSS {growth:+.2f} %, {slowing:.2f} times")
     return growth, slowing, -len(times) / rounds

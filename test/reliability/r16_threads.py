@@ -94,7 +94,7 @@ def fork_one(problem, expected):
 
 def main():
     bar = Bar(
-        "R16", "threads, forks and spawned processes", full=20, short=1,
+        "R16", "threads, forks and spawned processes", full=20, short=1, adds=True,
         target="32 threads, a fork and spawned processes: the numbers of one thread",
         miss="a thread, child or process that gets other numbers, or an error",
     )  # fmt: skip

@@ -174,7 +174,7 @@ def generic_form(tool: Path, text: str) -> str:
 
 def main() -> None:
     bar = Bar(
-        "R1", "mutants of .mlir text", full=100_000, short=800,
+        "R1", "mutants of .mlir text", full=100_000, short=800, adds=True,
         target="100,000 mutants through tai-opt and whole pipelines: no signal, no hang",
         miss="a mutant that ends tai-opt by a signal or computes for more than 10 s",
     )  # fmt: skip

@@ -73,7 +73,7 @@ def run_lit(build: Path, workers: int) -> tuple[int, list[str]]:
 
 def main() -> None:
     bar = Bar(
-        "R20", "tests in random order", full=20, short=1,
+        "R20", "tests in random order", full=20, short=1, adds=True,
         target="20 runs of the suite with 8 workers: 0 flakes",
         miss="a test that fails in one order and passes by itself, or that fails in both",
     )  # fmt: skip

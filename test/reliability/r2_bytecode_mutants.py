@@ -158,7 +158,7 @@ def run(bar: Bar, step: Callable[[bytes], str], make: Callable[[], bytes], count
 
 def main() -> None:
     bar = Bar(
-        "R2", "mutants of bytecode", full=100_000, short=2_000,
+        "R2", "mutants of bytecode", full=100_000, short=2_000, adds=True,
         target="100,000 through the library's loader: all refused, no signal",
         miss="a damaged file that is taken, or that ends the process",
     )  # fmt: skip

@@ -28,7 +28,7 @@ LEAST_AGREEING = 0.4  # of the programs, or hardly anything was compared
 
 def main() -> None:
     bar = Bar(
-        "R4", "random Python kernels", full=5000, short=16,
+        "R4", "random Python kernels", full=5000, short=16, adds=True,
         target="5,000 programs: no gradient that forward mode or differences contradict",
         miss="a gradient that disagrees, an error that names no line, a crash or a hang",
     )  # fmt: skip

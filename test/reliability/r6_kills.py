@@ -48,7 +48,7 @@ def judge(first: int, cache: Path, delay: float, with_another: bool, counts: Cou
 
 def main() -> None:
     bar = Bar(
-        "R6", "kills while the cache is cold", full=1000, short=6,
+        "R6", "kills while the cache is cold", full=1000, short=6, adds=True,
         target="1,000 kills: the next run right, no stale lock, entries kept",
         miss="a run after a kill that fails, waits, warns, or compiles what an entry holds",
     )  # fmt: skip

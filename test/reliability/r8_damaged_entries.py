@@ -149,7 +149,7 @@ def damage(path: Path, choose: random.Random, others: list[bytes], counts: Count
 
 def main() -> None:
     bar = Bar(
-        "R8", "damaged entries of the cache", full=10_000, short=60,
+        "R8", "damaged entries of the cache", full=10_000, short=60, adds=True,
         target="10,000: each found, compiled again, warned of once",
         miss="a run with wrong numbers, that uses a damaged entry, or that warns twice or never",
     )  # fmt: skip

@@ -6,16 +6,26 @@
     python test/reliability/soak.py --arch cuda     # on a GPU: those that can run there
     python test/reliability/soak.py --page          # the page, from what was kept
 
+    python test/reliability/soak.py --lines run.log --seed 5000 --commit 1a2b3c4
+                                         # what a script has printed that was run by itself
+
 What was seen is kept in benchmarks/results, one file for CPUs and one for GPUs: the page is made
 of both. A row stays what it was until its bar runs again.
+
+Cases of several runs add up where each run has other ones (`adds` of a bar), as long as none
+missed and the scripts mean the same: a run begins behind the last seed of those before. After a
+miss the count begins anew, at the seeds of the run that missed.
 """
 
 from __future__ import annotations
 
 import argparse
+import ast
 import csv
 import datetime
+import hashlib
 import json
+import math
 import os
 import platform
 import re
@@ -28,9 +38,12 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 FOLDER = Path(__file__).resolve().parent
 RESULTS = {name: ROOT / f"benchmarks/results/reliability-{name}.csv" for name in ("cpu", "gpu")}
 PAGE = ROOT / "docs/reliability.md"
-COLUMNS = ["bar", "met", "seen", "cases", "limit", "date", "machine", "commit"]
+# `total` is the number of cases of all runs that are added up, `next` the seed behind them, and
+# `version` what their cases are made by.
+COLUMNS = ["bar", "met", "seen", "cases", "limit", "date", "machine", "commit", "runs", "total",
+           "next", "version"]  # fmt: skip
 # How many seconds each may take in a soak of all, 85 minutes together. A bar that is stopped says
-# how many cases it ran.
+# how many cases it ran. One that is not here runs where it is named.
 SECONDS = {
     "R1": 900, "R2": 240, "R3": 840, "R4": 840, "R5": 30, "R6": 300, "R7": 120, "R8": 240,
     "R9": 30, "R10": 60, "R11": 60, "R12": 240, "R15": 60, "R16": 90, "R17": 240, "R18": 120,
@@ -39,10 +52,6 @@ SECONDS = {
 # Options that make use of two cores, where a script takes them.
 OPTIONS = {"R3": ["--jobs", "2"], "R4": ["--jobs", "2"]}
 ELSEWHERE = {
-    "R13": ("sanitizers", "the tests under ASan and UBSan, JIT code under ASan: no report",
-            "a report that no suppression names",
-            "`make test PRESET=asan`, and `ti.init(sanitize=\"address\")` in "
-            "`test/python/runtime/test_sanitizer.py`"),
     "R14": ("compute-sanitizer", "memcheck, racecheck, initcheck and synccheck: no report",
             "a report of the tool",
             "`make test-gpu ARGS=--sanitize`, the stage `sanitize` of `scripts/test_gpu.py`"),
@@ -56,8 +65,10 @@ What must not happen, counted. Each bar is a script of [test/reliability](../tes
 which ends with a line of numbers and a status other than zero below its bar. `make soak` runs them
 all and writes this page; `make soak ARGS="--only R5"` writes one row of it. A row says what was
 seen on the day, machine and commit that it names, and how many cases that were: fewer than the
-target names are said to be fewer. Where a bar can run on a GPU, what was seen there has a column
-of its own; an emulated device is not one. Short forms run with `make test`.
+target names are said to be fewer. Where each run has cases of its own, those of several runs add
+up until one misses: a row that says so names all their commits, and beside the count what the last
+of them saw. Where a bar can run on a GPU, what was seen there has a column of its own; an emulated
+device is not one. Short forms run with `make test`.
 """
 
 
@@ -104,10 +115,91 @@ def commit() -> str:
     return subprocess.run(command, capture_output=True, text=True).stdout.strip() or "unknown"
 
 
-def run_bar(name: str, script: Path, seconds: float, args: argparse.Namespace) -> dict[str, str]:
+def version(script: Path) -> str:
+    """A number that changes with what the cases of a bar are: its code and that of its helpers.
+
+    Comments and descriptions do not count, nor does bars.py, which knows of no cases.
+    """
+    folders = [FOLDER, ROOT / "test/fuzz"]
+    seen: set[Path] = set()
+    waiting = [script]
+    digest = hashlib.sha256()
+    while waiting:
+        path = waiting.pop()
+        if path in seen:
+            continue
+        seen.add(path)
+        tree = ast.parse(path.read_text())
+        for node in ast.walk(tree):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module] if isinstance(node, ast.ImportFrom) else []
+            found = [f / f"{name}.py" for name in names if name != "bars" for f in folders]
+            waiting += sorted(other for other in found if other.exists())
+            body = getattr(node, "body", None)
+            if isinstance(body, list) and body and is_text(body[0]):
+                del body[0]
+        digest.update(ast.dump(tree).encode())
+    return digest.hexdigest()[:12]
+
+
+def is_text(node: ast.AST) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+
+
+def number_of(cases: str) -> int:
+    return int(re.match(r"\d+", cases)[0])
+
+
+def add_up(row: dict[str, str], before: dict[str, str] | None, seed: int, adds: bool) -> None:
+    """Makes one row of a run, which began at a seed, and of those before it, if they go together.
+
+    A miss ends the count: the next run begins where this one did, and sees it again.
+    """
+    if not adds or not row["cases"]:
+        return
+    if row["met"] == "no":
+        row |= {"runs": "1", "total": "0", "next": str(seed)}
+        return
+    count = number_of(row["cases"])
+    row |= {"runs": "1", "total": str(count), "next": str(seed + count)}
+    same = before and before["met"] == "yes" and before["version"] == row["version"]
+    if not same or not before["total"] or not count:
+        return
+    commits = before["commit"].split(" ")
+    commits += [one for one in row["commit"].split(" ") if one not in commits]
+    row |= {
+        "runs": str(int(before["runs"]) + 1),
+        "total": str(int(before["total"]) + count),
+        "next": str(max(seed + count, int(before["next"]))),
+        "commit": " ".join(commits),
+    }
+
+
+def read_line(
+    text: str, name: str, script: Path, returned: int, args: argparse.Namespace
+) -> dict[str, str]:
+    """The row of what a script has printed."""
+    found = [line for line in LINE.findall(text) if line[0] == name]
+    row = dict.fromkeys(COLUMNS, "")
+    row |= {"bar": name, "met": "yes" if returned == 0 else "no", "version": version(script)}
+    # Other options make other cases.
+    row["version"] += f" {args.options}" if args.options else ""
+    row |= {"date": datetime.date.today().isoformat(), "machine": machine(args.arch)}
+    row |= {"commit": args.commit or commit()}
+    if found:
+        row |= {"cases": found[-1][2], "seen": found[-1][3], "limit": found[-1][4]}
+    else:
+        row["seen"] = f"the script ended with {returned} and no line"
+    return row
+
+
+def run_bar(
+    name: str, script: Path, seconds: float, seed: int, args: argparse.Namespace
+) -> dict[str, str]:
     """Runs a bar for so many seconds; its row."""
-    command = [sys.executable, script, "--seed", str(args.seed), *OPTIONS.get(name, [])]
-    command += ["--seconds", f"{seconds:.0f}"]
+    command = [sys.executable, script, "--seed", str(seed), *OPTIONS.get(name, [])]
+    if math.isfinite(seconds):
+        command += ["--seconds", f"{seconds:.0f}"]
     if args.count:
         command += ["--count", str(args.count)]
     if args.arch == "cuda":
@@ -116,23 +208,30 @@ def run_bar(name: str, script: Path, seconds: float, args: argparse.Namespace) -
     print("$", *command, flush=True)
     run = subprocess.run(command, env=environment(), stdout=subprocess.PIPE, text=True)
     print(run.stdout, end="", flush=True)
-    found = LINE.findall(run.stdout)
-    row = dict.fromkeys(COLUMNS, "")
-    row |= {"bar": name, "met": "yes" if run.returncode == 0 else "no"}
-    row |= {"date": datetime.date.today().isoformat(), "machine": machine(args.arch)}
-    row |= {"commit": commit()}
-    if found:
-        row |= {"cases": found[-1][2], "seen": found[-1][3], "limit": found[-1][4]}
-    else:
-        row["seen"] = f"the script ended with {run.returncode} and no line"
-    return row
+    return read_line(run.stdout, name, script, run.returncode, args)
+
+
+def keep(row: dict[str, str], device: str, seed: int, script: Path) -> None:
+    rows = read_rows(device)
+    add_up(row, rows.get(row["bar"]), seed, facts(script)["adds"])
+    write_rows(device, rows | {row["bar"]: row})
+
+
+def first_seed(name: str, script: Path, args: argparse.Namespace) -> int:
+    """Where a run begins: where it is told to, or behind those that it is added to."""
+    row = read_rows("gpu" if args.arch == "cuda" else "cpu").get(name)
+    if args.seed is not None or not row or not row["next"]:
+        return args.seed or 0
+    same = row["version"].split(" ")[0] == version(script)
+    return int(row["next"]) if same else 0
 
 
 def read_rows(device: str) -> dict[str, dict[str, str]]:
     if not RESULTS[device].exists():
         return {}
     with RESULTS[device].open(newline="") as file:
-        return {row["bar"]: row for row in csv.DictReader(file)}
+        rows = csv.DictReader(file, restval="")
+        return {row["bar"]: {name: row.get(name, "") for name in COLUMNS} for row in rows}
 
 
 def write_rows(device: str, rows: dict[str, dict[str, str]]) -> None:
@@ -147,10 +246,18 @@ def show(row: dict[str, str] | None, full: int) -> str:
     if row is None:
         return "not run"
     sign = "met" if row["met"] == "yes" else "**missed**"
-    if row["met"] == "yes" and int(re.match(r"\d+", row["cases"])[0]) < full:
+    if row["met"] == "yes" and int(row["total"] or number_of(row["cases"])) < full:
         sign = "no miss in fewer cases"
     limit = f" (bar {row['limit']})" if row["limit"] else ""
     return f"{sign}: {row['seen']}{limit}"
+
+
+def show_cases(row: dict[str, str]) -> str:
+    """How many cases there were, in all runs that add up."""
+    if int(row["runs"] or 1) < 2:
+        return row["cases"]
+    what = re.match(r"\d+ ([^,(]*)", row["cases"])[1].strip()
+    return f"{row['total']} {what}, in {row['runs']} runs"
 
 
 def make_page() -> str:
@@ -170,10 +277,10 @@ def make_page() -> str:
             here, there = cpu.get(name), gpu.get(name)
             on_gpu = show(there, said["full"]) if "cuda" in said["archs"] else ""
             if there:
-                on_gpu += f"; {there['cases']}"
+                on_gpu += f"; {show_cases(there)}"
             runs = [f"{row['date']}, {row['machine']}, {row['commit']}"
                     for row in (here, there) if row]  # fmt: skip
-            cases = here["cases"] if here else ""
+            cases = show_cases(here) if here else ""
             lines.append(
                 f"| {name} {what} | {target} | {show(here, said['full'])} | {cases} | {on_gpu} | "
                 f"{'; '.join(runs)} |"
@@ -189,29 +296,44 @@ def main() -> int:
     parser.add_argument("--count", type=int, help="number of cases of each")
     parser.add_argument("--seconds", type=float, help="of each, in place of its share")
     parser.add_argument("--all-seconds", type=float, help="of all together, each with its share")
-    parser.add_argument("--seed", type=int, default=0, help="where the random choices begin")
+    parser.add_argument(
+        "--seed", type=int, help="where the random choices begin; behind those before without it"
+    )
     parser.add_argument("--arch", choices=["cpu", "cuda"], default="cpu")
     parser.add_argument("--options", default="", help="more options for the scripts")
     parser.add_argument("--page", action="store_true", help="run none")
+    parser.add_argument("--lines", type=Path, help="run none: take what a script has printed")
+    parser.add_argument("--status", type=int, default=0, help="with which that script ended")
+    parser.add_argument("--commit", help="of what was run, in place of that of this checkout")
     args = parser.parse_args()
     known = scripts()
     unknown = set(args.only or ()) - set(known)
     if unknown:
         parser.error(f"no script is {', '.join(sorted(unknown))}; there are {', '.join(known)}")
     device = "gpu" if args.arch == "cuda" else "cpu"
-    chosen = [name for name in known if not args.page and name in (args.only or known)]
+    chosen = [name for name in known if name in (args.only or SECONDS)]
+    if args.lines:
+        text = args.lines.read_text()
+        names = [name for name, *_ in LINE.findall(text)]
+        if len(names) != 1 or names[0] not in known:
+            parser.error(f"{args.lines} holds {len(names)} lines of bars")
+        row = read_line(text, names[0], known[names[0]], args.status, args)
+        keep(row, device, args.seed or 0, known[names[0]])
+    if args.page or args.lines:
+        chosen = []
     if args.arch == "cuda":
         chosen = [name for name in chosen if "cuda" in facts(known[name])["archs"]]
     missed = []
     begun = time.monotonic()
     for position, name in enumerate(chosen):
-        seconds = args.seconds or SECONDS[name]
-        if args.all_seconds:
+        seconds = args.seconds or SECONDS.get(name, math.inf)
+        if args.all_seconds and name in SECONDS:
             left = args.all_seconds - (time.monotonic() - begun)
-            seconds = left * SECONDS[name] / sum(SECONDS[other] for other in chosen[position:])
-        row = run_bar(name, known[name], seconds, args)
+            seconds = left * SECONDS[name] / sum(SECONDS.get(n, 0) for n in chosen[position:])
+        seed = first_seed(name, known[name], args)
+        row = run_bar(name, known[name], seconds, seed, args)
         missed += [name] * (row["met"] == "no")
-        write_rows(device, read_rows(device) | {name: row})
+        keep(row, device, seed, known[name])
     PAGE.write_text(make_page())
     if not args.page:
         minutes = (time.monotonic() - begun) / 60

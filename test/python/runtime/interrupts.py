@@ -10,7 +10,11 @@ import tai as ti
 
 @contextlib.contextmanager
 def ctrl_c_after(seconds):
-    """Gives a function that sends what Ctrl-C sends, once work has begun."""
+    """Gives a function that sends what Ctrl-C sends, once work has begun, or before on a busy
+    machine.
+
+    It is to be called where the exception is expected: anywhere else that ends the session.
+    """
     threads = []
 
     def send():

@@ -81,8 +81,8 @@ def test_a_kernel_is_interrupted(make, ctrl_c):
     s, x = ti.field(ti.f64, shape=()), ti.field(ti.f64, shape=100)
     run = make(s, x)
     for _ in range(2):
-        ctrl_c()
         with pytest.raises(KeyboardInterrupt):
+            ctrl_c()
             run()
             ti.sync()
         check_usable()
@@ -104,8 +104,8 @@ def test_what_was_stored_stays(ctrl_c):
     values = []
     # On a busy machine the kernel may not have begun.
     while 3.0 not in values:
-        ctrl_c()
         with pytest.raises(KeyboardInterrupt):
+            ctrl_c()
             run()
             ti.sync()
         values = x.to_numpy().tolist()
@@ -116,8 +116,8 @@ def test_failures_after_an_interrupt_are_told(ctrl_c):
     ti.init(arch=ti.cuda, default_fp=ti.f64, debug=True)
     s, x = ti.field(ti.f64, shape=()), ti.field(ti.f64, shape=100)
     run = endless_while(s, x)
-    ctrl_c()
     with pytest.raises(KeyboardInterrupt):
+        ctrl_c()
         run()
         ti.sync()
 

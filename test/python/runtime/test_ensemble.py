@@ -63,9 +63,12 @@ import contextlib, os, runpy, sys
 del sys.argv[0]
 runpy.run_path(sys.argv[0], run_name="__main__")
 for thread in os.listdir("/proc/self/task"):
-    # It may end meanwhile.
-    with contextlib.suppress(FileNotFoundError), open(f"/proc/self/task/{thread}/comm") as name:
-        print("thread", name.read())
+    # It may end meanwhile, and one that was joined is listed until the system has cleared it away.
+    PF_EXITING = 4
+    with contextlib.suppress(OSError), open(f"/proc/self/task/{thread}/stat") as stat:
+        start, _, end = stat.read().rpartition(")")
+        if not int(end.split()[6]) & PF_EXITING:
+            print("thread", start)
 """
 
 

@@ -104,12 +104,19 @@ def test_a_signal_handler_destroys_what_runs(runner):
         runner.flags[0] = 1
 
     before = signal.signal(signal.SIGUSR1, handle)
-    timer = threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGUSR1))
+    unchanged = runner.flags[1]
+
+    def send():
+        while runner.flags[1] == unchanged:
+            pass
+        os.kill(os.getpid(), signal.SIGUSR1)
+
+    sender = threading.Thread(target=send)
     try:
-        timer.start()
+        sender.start()
         runner.run()
     finally:
-        timer.join()
+        sender.join()
         signal.signal(signal.SIGUSR1, before)
     assert len(errors) == 1
     assert "this thread runs kernel 'run" in errors[0]

@@ -1,5 +1,7 @@
 """The bars of reliability in their short form; see test/reliability/README.md."""
 
+import contextlib
+import io
 import os
 import re
 import subprocess
@@ -11,9 +13,10 @@ import pytest
 ROOT = Path(__file__).resolve().parents[3]
 SCRIPTS = sorted((ROOT / "test/reliability").glob("r[0-9]*_*.py"))
 BARS = [path for path in SCRIPTS if "Bar(" in path.read_text()]
+SHORT = [path for path in BARS if "apart=True" not in path.read_text()]
 
 
-@pytest.mark.parametrize("script", BARS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("script", SHORT, ids=lambda path: path.stem)
 def test_bar(script):
     environment = os.environ | {"PYTHONPATH": str(ROOT / "python")}
     command = [sys.executable, script, "--short"]
@@ -36,11 +39,120 @@ def test_a_tool_ends_with_the_time_of_the_run(program, kind):
     assert ended[0] == kind
 
 
-def test_the_page_is_that_of_the_scripts():
-    """docs/reliability.md is made of the scripts and of what is kept of their runs."""
+@pytest.fixture
+def soak():
     sys.path.insert(0, str(ROOT / "test/reliability"))
     import soak
 
-    assert set(soak.SECONDS) == set(soak.scripts())
+    return soak
+
+
+def make_row(soak, met, cases, commit, version="v"):
+    row = dict.fromkeys(soak.COLUMNS, "")
+    return row | {"met": met, "cases": cases, "commit": commit, "version": version}
+
+
+def test_cases_of_runs_add_up_until_one_misses(soak):
+    first = make_row(soak, "yes", "292 modules", "a")
+    soak.add_up(first, None, 0, adds=True)
+    second = make_row(soak, "yes", "1000 modules (3 large)", "b")
+    soak.add_up(second, first, 292, adds=True)
+    assert (second["total"], second["next"], second["commit"]) == ("1292", "1292", "a b")
+    assert soak.show_cases(second) == "1292 modules, in 2 runs"
+    assert soak.show(second, 1292).startswith("met") and soak.show(second, 1293).startswith("no ")
+    # The same commit is named once; other cases do not count.
+    third = make_row(soak, "yes", "8 modules", "b")
+    soak.add_up(third, second, 1292, adds=True)
+    assert (third["total"], third["commit"], third["runs"]) == ("1300", "a b", "3")
+    changed = make_row(soak, "yes", "8 modules", "c", "w")
+    soak.add_up(changed, third, 1300, adds=True)
+    assert (changed["total"], changed["commit"], changed["runs"]) == ("8", "c", "1")
+    # What missed is seen again by the next run, which begins the count anew.
+    missed = make_row(soak, "no", "70 modules", "c")
+    soak.add_up(missed, third, 1300, adds=True)
+    assert (missed["total"], missed["next"]) == ("0", "1300")
+    assert soak.show(missed, 20).startswith("**missed**")
+    mended = make_row(soak, "yes", "70 modules", "d")
+    soak.add_up(mended, missed, 1300, adds=True)
+    assert (mended["total"], mended["next"], mended["commit"]) == ("70", "1370", "d")
+
+
+def test_cases_that_are_the_same_each_time_do_not_add_up(soak):
+    row = make_row(soak, "yes", "215 kernels", "b")
+    soak.add_up(row, make_row(soak, "yes", "215 kernels", "a"), 0, adds=False)
+    assert (row["total"], row["commit"], soak.show_cases(row)) == ("", "b", "215 kernels")
+
+
+def test_a_version_is_that_of_the_code(soak, tmp_path, monkeypatch):
+    """A bar whose scripts only read otherwise keeps its count."""
+    monkeypatch.setattr(soak, "FOLDER", tmp_path)
+    script, helper = tmp_path / "r99_x.py", tmp_path / "helper.py"
+
+    def version(text, more):
+        script.write_text(text)
+        helper.write_text(more)
+        return soak.version(script)
+
+    first = version("import helper\nhelper.go(1)\n", "def go(n):\n    return n\n")
+    comments = '"""What it does."""\nimport helper  # here\n\nhelper.go( 1 )\n'
+    assert version(comments, 'def go(n):\n    """Goes."""\n    return n\n') == first
+    assert version("import helper\nhelper.go(2)\n", "def go(n):\n    return n\n") != first
+    assert version("import helper\nhelper.go(1)\n", "def go(n):\n    return -n\n") != first
+
+
+def test_what_a_script_has_printed_is_kept(soak, tmp_path, monkeypatch):
+    """A run of long ago, or elsewhere."""
+    monkeypatch.setattr(soak, "RESULTS", {"cpu": tmp_path / "cpu.csv", "gpu": tmp_path / "gpu.csv"})
+    monkeypatch.setattr(soak, "PAGE", tmp_path / "page.md")
+    only = {"R3": soak.scripts()["R3"]}
+    monkeypatch.setattr(soak, "scripts", lambda: only)
+    log = tmp_path / "log"
+    log.write_text("seed 3: slow\nR3 random modules: 500 modules; 0 mismatches (bar 0)\n")
+    for seed, commit in ((700, "1a2b"), (1200, "3c4d")):
+        command = ["soak.py", "--lines", str(log), "--seed", str(seed), "--commit", commit]
+        monkeypatch.setattr(sys, "argv", command)
+        assert soak.main() == 0
+    assert "1000 modules, in 2 runs" in soak.PAGE.read_text()
+    row = soak.read_rows("cpu")["R3"]
+    assert (row["next"], row["commit"]) == ("1700", "1a2b 3c4d")
+
+
+def test_lines_of_the_tests_are_counted():
+    """R13 takes its numbers from what run_tests.py prints."""
+    sys.path[:0] = [str(ROOT / "test/reliability"), str(ROOT / "scripts")]
+    import r13_sanitizers as r13
+
+    import run_tests
+
+    done = run_tests.Result("gtest", passed=7)
+    done.fail("One.case")
+    done.skipped.append("Two.case: no reason given")
+    with io.StringIO() as text, contextlib.redirect_stdout(text):
+        done.close(1)
+        run_tests.Result("reports", passed=1).close(0)
+        counted = [r13.count_line(line) for line in text.getvalue().splitlines()]
+    assert [one for one in counted if one] == [("gtest", 7, 1), ("reports", 1, 0)]
+
+
+def test_a_process_that_computes_is_not_idle(soak):
+    import bars
+
+    program = [sys.executable, "-c", "print(flush=True)\nwhile True: pass"]
+    with subprocess.Popen(program, stdout=subprocess.PIPE) as process:
+        process.stdout.readline()
+        assert not bars.is_idle(process.pid)
+        process.kill()
+    reader, writer = os.pipe()
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=reader) as process:
+        while not bars.is_idle(process.pid):
+            pass
+        process.kill()
+    os.close(reader), os.close(writer)
+
+
+def test_the_page_is_that_of_the_scripts(soak):
+    """docs/reliability.md is made of the scripts and of what is kept of their runs."""
+    short = {name for name, path in soak.scripts().items() if path in SHORT}
+    assert set(soak.SECONDS) == short and len(soak.scripts()) == len(BARS)
     assert sum(soak.SECONDS.values()) <= 90 * 60
     assert soak.make_page() == soak.PAGE.read_text()
