@@ -216,6 +216,10 @@ class Field(Elements, Shareable):
             "a field is iterated in kernels only", "use x.to_numpy() to loop over it in Python"
         )
 
+    def __bool__(self) -> bool:
+        """True: a field is there, whatever its shape. Without this, its length would be asked."""
+        return True
+
     def __len__(self) -> int:
         return self.shape[0]
 

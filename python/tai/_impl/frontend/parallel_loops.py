@@ -43,13 +43,17 @@ class ParallelLoops(Part):
         level = field if isinstance(field, Level) else None
         storage = field = level.field if level is not None else field
         if isinstance(field, MatrixField):
-            storage = field.single or field.components[0]
+            storage = field.components[0] if field.single is None else field.single
         elif isinstance(field, ComponentField) and field.is_window:
             storage = field._whole.single
         rank = len(field.shape) if bounds is None else len(bounds.lower)
         names = self.domains.targets(node, rank if level is None else level.rank, grouped)
         lower: list[Any] = []
         upper: list[Any] = []
+        # Over an array of no dimension there is one iteration, which has no index.
+        is_single = bounds is not None and rank == 0
+        if is_single:
+            lower, upper = [emitter.index(0)], [emitter.index(1)]
         if bounds is not None:
             for low, high in zip(bounds.lower, bounds.upper, strict=True):
                 if bounds.step != 1:
@@ -64,7 +68,7 @@ class ParallelLoops(Part):
         shared = self._share(self.regions.changed_by(node.body), node)
         outer = builder.get_block()
         region = builder.region()
-        block = builder.block(region, [emitter.index_type] * rank)
+        block = builder.block(region, [emitter.index_type] * (1 if is_single else rank))
         builder.set_block(block)
         self.context.depth += 1
         self.frame.push()

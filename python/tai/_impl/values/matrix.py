@@ -167,9 +167,7 @@ class Matrix:
             raise TaiRuntimeTypeError(
                 f"shapes {self._array.shape} and {np.shape(b)} do not go together"
             )
-        b = _narrow(b, self._array)
-        with np.errstate(all="ignore"):
-            return Matrix._wrap(function(b, self._array) if swapped else function(self._array, b))
+        return apply(function, other, self) if swapped else apply(function, self, other)
 
     def _compare(self, function: Any, other: Any) -> Any:
         b = _plain(other)
@@ -181,7 +179,7 @@ class Matrix:
         b = _plain(other)
         if np.ndim(b) == 0 or self._array.ndim != 2 or self._array.shape[1] != b.shape[0]:
             raise TaiRuntimeTypeError(f"shapes {self._array.shape} and {np.shape(b)} do not chain")
-        return Matrix._wrap(self._array @ b)
+        return apply(np.matmul, self, other)
 
     def __neg__(self) -> Any:
         return Matrix._wrap(-self._array)
@@ -205,11 +203,11 @@ class Matrix:
             return (a[0] * b[1] - a[1] * b[0]).item()
         if not a.shape == b.shape == (3,):
             raise TaiRuntimeTypeError("cross takes two vectors of 2 or of 3 components")
-        return Matrix._wrap(np.cross(a, b))
+        return apply(np.cross, self, other)
 
     def outer_product(self, other: Any) -> Any:
         """The matrix aᵢ bⱼ."""
-        return Matrix._wrap(np.outer(self._array, _plain(other)))
+        return apply(np.outer, self, other)
 
     def transpose(self) -> Any:
         """The transpose; that of a vector is a matrix of one row."""
@@ -431,11 +429,33 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _narrow(b: Any, like: np.ndarray) -> Any:
-    """Keeps float32 with Python numbers, and lets integers meet floats in default_fp."""
-    if like.dtype.kind in "iu" and isinstance(b, float):
-        return np.asarray(b, state.options.default_fp.numpy)
-    return b
+def apply(function: Any, a: Any, b: Any) -> Any:
+    """`function` of NumPy on two operands, matrices or numbers, in the type of a kernel.
+
+    A number or list of Python takes the type of a float that it meets. Beside whole numbers, and
+    for their quotients, it is default_fp.
+    """
+    arrays = [_typed(a), _typed(b)]
+    kinds = [np.result_type(x).kind for x in arrays]
+    typed = [x.dtype for x in arrays if isinstance(x, (np.ndarray, np.generic))]
+    floats = [dtype for dtype in typed if dtype.kind == "f"]
+    if floats:
+        wanted = functools.reduce(np.promote_types, floats)
+    elif "f" in kinds or function is np.true_divide or function is np.arctan2:
+        wanted = state.options.default_fp.numpy
+    else:
+        wanted = None if typed else state.options.default_ip.numpy
+    if wanted is not None:
+        arrays = [np.asarray(x, wanted) for x in arrays]
+    with np.errstate(all="ignore"):
+        return Matrix._wrap(function(*arrays))
+
+
+def _typed(value: Any) -> Any:
+    """An array; a Python number stays one, for it has no type of its own."""
+    if isinstance(value, (list, tuple)):
+        return Matrix(value)._array
+    return _plain(value)
 
 
 def _length(row: Any) -> int:

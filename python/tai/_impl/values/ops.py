@@ -13,7 +13,7 @@ from ...errors import TaiSyntaxError, TaiTypeError
 from ..base import dtypes, state
 from ..base.dtypes import cast as cast
 from .division import check_division
-from .matrix import Matrix
+from .matrix import Matrix, apply
 from .value import stop_gradient
 
 
@@ -120,9 +120,7 @@ def _fold(name: str, scalar: Callable[[Any, Any], Any], doc: str) -> Callable[..
                 result = state.emitter.binary(name, result, value)
             elif isinstance(result, Matrix) or isinstance(value, Matrix):
                 numpy = np.maximum if name == "max" else np.minimum
-                a = result.to_numpy() if isinstance(result, Matrix) else result
-                b = value.to_numpy() if isinstance(value, Matrix) else value
-                result = Matrix._wrap(numpy(a, b))
+                result = apply(numpy, result, value)
             else:
                 result = scalar(result, value)
         return result
@@ -146,7 +144,7 @@ def atan2(y: Any, x: Any) -> Any:
     if _needs_emitter(x, y):
         return state.emitter.atan2(y, x)
     if isinstance(x, Matrix) or isinstance(y, Matrix):
-        return Matrix._wrap(np.arctan2(np.asarray(y), np.asarray(x)))
+        return apply(np.arctan2, y, x)
     return math.atan2(y, x)
 
 
@@ -155,7 +153,8 @@ def select(condition: Any, x: Any, y: Any) -> Any:
     if _needs_emitter(condition, x, y):
         return state.emitter.select(condition, x, y)
     if any(isinstance(t, Matrix) for t in (condition, x, y)):
-        return Matrix._wrap(np.where(*(np.asarray(t) for t in (condition, x, y))))
+        where = np.asarray(condition)
+        return apply(lambda a, b: np.where(where, a, b), x, y)
     return x if condition else y
 
 
