@@ -33,6 +33,8 @@ FUNCTIONS = {
     "asin": (mpmath.asin, 1, False),
     "acos": (mpmath.acos, 1, False),
     "tanh": (mpmath.tanh, None, False),
+    "expm1": (mpmath.expm1, 700, False),
+    "log1p": (mpmath.log1p, None, True),
     "sqrt": (mpmath.sqrt, None, True),
     "rsqrt": (lambda x: 1 / mpmath.sqrt(x), None, True),
     "pow": (mpmath.power, None, True),
@@ -65,7 +67,8 @@ def compute(name: str, mode: str, dt: ti.types.DataType, x: np.ndarray, y: np.nd
     ti.init(arch=ti.cpu, math=mode, default_fp=dt)
     n = len(x)
     a, b, c = (ti.field(dt, shape=n) for _ in range(3))
-    function = {"pow": ti.pow, "atan2": ti.atan2}.get(name) or getattr(ti, name)
+    function = {"pow": ti.pow, "atan2": ti.atan2}.get(name) or getattr(ti, name, None)
+    function = function or getattr(ti.math, name)
 
     @ti.kernel
     def unary():

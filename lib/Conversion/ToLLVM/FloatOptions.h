@@ -34,12 +34,14 @@ void populateFloatCasts(const LLVMTypeConverter &converter,
 void populateWideMath(RewritePatternSet &patterns, PatternBenefit benefit);
 
 /// Adds expansions of elementary functions that keep them within one unit in
-/// the last place, in functions of kernels that are `accurate`.
-void populateAccurateMath(RewritePatternSet &patterns, PatternBenefit benefit);
+/// the last place, in functions of kernels that are `accurate`. Devices have no
+/// floats wider than f64.
+void populateAccurateMath(RewritePatternSet &patterns, PatternBenefit benefit,
+                          bool onDevice = false);
 
-/// Lets the functions below `root` treat denormal numbers as zero, by the
-/// control word of the processor, which they put back: those of kernels with
-/// `ftz`. Fails after an error where the processor has no such thing.
+/// Lets the functions of the module `root` treat denormal numbers as zero, by
+/// the control word of the processor, which they put back: those of kernels
+/// with `ftz`. Fails after an error where the processor has no such thing.
 LogicalResult flushDenormals(Operation *root);
 
 } // namespace mlir::tai

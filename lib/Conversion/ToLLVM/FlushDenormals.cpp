@@ -108,10 +108,10 @@ static void wrap(LLVM::LLVMFuncOp function) {
 
 LogicalResult tai::flushDenormals(Operation *root) {
   SmallVector<LLVM::LLVMFuncOp> functions;
-  root->walk([&](LLVM::LLVMFuncOp function) {
+  // Those of a device in the module are converted by themselves.
+  for (auto function : root->getRegion(0).getOps<LLVM::LLVMFuncOp>())
     if (!function.isExternal() && Modes::of(function).flushes())
       functions.push_back(function);
-  });
   if (functions.empty())
     return success();
   if (!kCanFlush)

@@ -130,7 +130,7 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
     populateFloatCasts(converter, patterns);
     // Before those of libdevice.
     if (accurate)
-      populateAccurateMath(patterns, /*benefit=*/20);
+      populateAccurateMath(patterns, /*benefit=*/20, /*onDevice=*/true);
     if (emulated) {
       patterns.add<AskForNumber<gpu::ThreadIdOp>>(context, "tai_dev_thread_id");
       patterns.add<AskForNumber<gpu::BlockIdOp>>(context, "tai_dev_block_id");
