@@ -202,6 +202,10 @@ class Specializations:
                     name_fields(vars(spec.constant))
         name_fields(closure_of(self._function))
         materialize(program, self._function.__globals__)
+        try:
+            modes = modes_of(self._modes, program.options)
+        except TaiRuntimeError as error:
+            raise located(TaiCompilationError(error.message, error.hint), self._function) from None
         symbol = program.unique_symbol(signature.kernel)
         program.kernel_functions[symbol] = self._function
         names = signature.names
@@ -209,10 +213,6 @@ class Specializations:
         cells = ([(names[number], inputs.field) for number, inputs in followed],
                  None if pool is None else pool.field)  # fmt: skip
         result = None if signature.result is None else ResultSpec(signature.result)
-        try:
-            modes = modes_of(self._modes, program.options)
-        except TaiRuntimeError as error:
-            raise located(TaiCompilationError(error.message, error.hint), self._function) from None
         compiler = Compiler(
             program, self._function, symbol, parameters, result, cells, signature.structs, modes
         )
