@@ -59,6 +59,7 @@ soak: build ## run the bars of reliability, 90 minutes (ARGS="--only R5 R8"): do
 
 bench: build ## time the scenes against other systems: CSV and plot
 	@$(PYTHON) benchmarks/run.py $(ARGS)
+	@$(PYTHON) benchmarks/programs/run.py
 	@$(PYTHON) benchmarks/sparse/run.py
 
 bench-error: build ## run time against error in all modes: docs/accuracy.md (ARGS=--quick)

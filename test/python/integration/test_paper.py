@@ -227,3 +227,12 @@ def test_the_list():
     done = subprocess.run([*COMMAND, "--list"], capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0
     assert [line.split()[0] for line in done.stdout.splitlines()] == [e.name for e in EXPERIMENTS]
+
+
+def test_the_page_of_this_repository():
+    text = (ROOT / "docs/paper.md").read_text()
+    names = re.findall(r"^\| [^|]+ \| [^|]+ \| `(\w+)` \| ([a-z ]+)", text, re.M)
+    assert [name for name, _ in names] == [e.name for e in EXPERIMENTS]
+    assert {result.strip() for _, result in names} <= {"as expected", "left out"}
+    pictures = re.findall(r"\]\((pictures/[^)]+)\)", text)
+    assert len(pictures) > 10 and all((ROOT / "docs" / name).is_file() for name in pictures)

@@ -1,0 +1,66 @@
+"""The gallery: its page and pictures are those that its script makes of what examples draw."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+ROOT = Path(__file__).resolve().parents[3]
+sys.path.insert(0, str(ROOT / "scripts"))
+
+import gallery  # noqa: E402
+
+LIMIT = 4_000_000  # bytes of all pictures together
+
+
+@pytest.fixture
+def folders(tmp_path, monkeypatch):
+    """Runs that are there already, of films with few frames; page and pictures beside them."""
+    kept = tmp_path / "kept"
+    for folder in (kept, tmp_path / "pictures"):
+        folder.mkdir()
+    monkeypatch.setattr(gallery, "PICTURES", tmp_path / "pictures")
+    monkeypatch.setattr(gallery, "PAGE", tmp_path / "gallery.md")
+    for entry in gallery.ENTRIES:
+        shades = [np.full((60, 60, 3), 25 * k, np.uint8) for k in range(9)]
+        frames = [Image.fromarray(shade) for shade in shades]
+        more = {"save_all": True, "append_images": frames[1:]} if entry.output == "gif" else {}
+        frames[0].save(kept / f"{entry.name}.{entry.output}", **more)
+    return tmp_path
+
+
+def test_what_the_script_makes(folders, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["gallery.py", "--keep", str(folders / "kept")])
+    gallery.main()
+    # The committed page is this one, and has its pictures.
+    assert (folders / "gallery.md").read_text() == (ROOT / "docs/gallery.md").read_text()
+    for path in (folders / "pictures").iterdir():
+        assert (ROOT / "docs/pictures" / path.name).is_file()
+    film = Image.open(folders / "pictures/gallery_billiards.gif")
+    assert film.n_frames == 9 and film.size == (360, 360)
+    strip = np.asarray(Image.open(folders / "pictures/gallery_smoke.png").convert("L"))
+    assert strip.shape[1] == 900 and strip[50, 50] < 10 and strip[50, -50] > 190
+
+
+def test_a_program_that_draws_nothing(folders, monkeypatch):
+    entry = gallery.ENTRIES[0]._replace(name="rigid_body_toi", options="--steps 5")
+    with pytest.raises(SystemExit, match="gallery: rigid_body_toi: "):
+        gallery.run(entry, folders, keep=False)
+
+
+def test_the_pictures_are_small():
+    pictures = [*(ROOT / "docs/pictures").iterdir()]
+    assert sum(path.stat().st_size for path in pictures) < LIMIT
+    shown = re.findall(r"!\[[^\]]+\]\((docs/pictures/[^)]+)\)", (ROOT / "README.md").read_text())
+    assert len(shown) == 3 and all((ROOT / name).is_file() for name in shown)
+
+
+@pytest.mark.parametrize("entry", gallery.ENTRIES, ids=lambda entry: entry.name)
+def test_its_options_exist(entry):
+    program = ROOT / "examples" / f"{entry.name}.py"
+    done = subprocess.run([sys.executable, program, "--help"], capture_output=True, text=True)
+    assert set(re.findall(r"--[a-z]+", entry.options)) <= set(re.findall(r"--[a-z-]+", done.stdout))
