@@ -140,6 +140,26 @@ getDeviceCompiler(std::unique_ptr<DeviceCompiler> &compiler,
   return compiler.get();
 }
 
+/// What is refused before LLVM's passes run, is not a failure of theirs, and
+/// leaves no file.
+static void addProgramReproducer(const runtime::ProgramPlan &plan,
+                                 const CompileOptions &options,
+                                 Failure &failure) {
+  std::unique_ptr<DeviceCompiler> compiler;
+  if (auto made = getDeviceCompiler(compiler, options); !made)
+    return llvm::consumeError(made.takeError());
+  std::string text;
+  compiler->printInsteadOfFinishing(&text);
+  llvm::consumeError(tai::makeProgram(*compiler, plan).takeError());
+  if (text.empty())
+    return;
+  std::string level =
+      "O" + std::to_string(std::min(options.codegen.optLevel, 3u));
+  addReproducer(failure, text,
+                "opt --passes='default<" + level + ">' <this file> | llc -" +
+                    level);
+}
+
 std::optional<runtime::DeviceImage>
 Compiler::makeProgram(const runtime::ProgramPlan &plan,
                       const CompileOptions &options, Failure &failure) {
@@ -154,6 +174,7 @@ Compiler::makeProgram(const runtime::ProgramPlan &plan,
     (*lease).deviceCode.reset();
   if (!image) {
     (void)failInLLVM(image.takeError(), failure);
+    addProgramReproducer(plan, options, failure);
     return std::nullopt;
   }
   return std::move(*image);

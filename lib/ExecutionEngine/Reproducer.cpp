@@ -70,14 +70,20 @@ LogicalResult mlir::tai::runPipeline(PassManager &manager,
 // Files
 //===----------------------------------------------------------------------===//
 
+/// Writes the lines of a failure as comments.
+static void printComments(llvm::raw_ostream &stream, const Failure &failure,
+                          StringRef mark) {
+  SmallVector<StringRef> lines;
+  StringRef(failure.message).split(lines, '\n');
+  for (StringRef line : lines)
+    stream << mark << ' ' << line << '\n';
+}
+
 static std::string getText(const Failure &failure, ModuleOp module,
                            PassManager &manager, StringRef next) {
   std::string text, pipeline;
   llvm::raw_string_ostream stream(text), pipelineStream(pipeline);
-  SmallVector<StringRef> lines;
-  StringRef(failure.message).split(lines, '\n');
-  for (StringRef line : lines)
-    stream << "// " << line << '\n';
+  printComments(stream, failure, "//");
   stream << "// tai-opt --run-reproducer <this file>";
   if (!next.empty())
     stream << " | " << next;
@@ -96,7 +102,7 @@ static std::string getText(const Failure &failure, ModuleOp module,
 /// process: a launch that fails is often tried again. Pipelines nested on
 /// several kinds of functions come in any order, so the module alone tells
 /// files apart.
-static std::string writeOnce(StringRef text) {
+static std::string writeOnce(StringRef text, StringRef suffix) {
   static std::mutex mutex;
   static llvm::StringMap<std::string> written;
   std::lock_guard<std::mutex> lock(mutex);
@@ -107,7 +113,7 @@ static std::string writeOnce(StringRef text) {
   SmallString<128> made;
   int descriptor;
   path.clear();
-  if (llvm::sys::fs::createTemporaryFile("tai-reproducer", "mlir", descriptor,
+  if (llvm::sys::fs::createTemporaryFile("tai-reproducer", suffix, descriptor,
                                          made))
     return path;
   llvm::raw_fd_ostream stream(descriptor, /*shouldClose=*/true);
@@ -121,16 +127,29 @@ static std::string writeOnce(StringRef text) {
   return path = made.str().str();
 }
 
-void mlir::tai::addReproducer(Failure &failure, ModuleOp module,
-                              PassManager &manager, StringRef next) {
-  constexpr StringLiteral mark("; reproducer: ");
-  if (StringRef(failure.message).contains(mark))
-    return;
-  std::string path = writeOnce(getText(failure, module, manager, next));
+constexpr StringLiteral kMark("; reproducer: ");
+
+static void addFile(Failure &failure, StringRef text, StringRef suffix) {
+  std::string path = writeOnce(text, suffix);
   if (path.empty())
     path = "none, for the folder of temporary files cannot be written";
-  failure.message += (mark + path).str();
+  failure.message += (kMark + path).str();
   failure.text += "error: " + failure.message + "\n";
+}
+
+void mlir::tai::addReproducer(Failure &failure, ModuleOp module,
+                              PassManager &manager, StringRef next) {
+  if (!StringRef(failure.message).contains(kMark))
+    addFile(failure, getText(failure, module, manager, next), "mlir");
+}
+
+void mlir::tai::addReproducer(Failure &failure, StringRef module,
+                              StringRef command) {
+  std::string text;
+  llvm::raw_string_ostream stream(text);
+  printComments(stream, failure, ";");
+  stream << "; " << command << '\n' << module;
+  addFile(failure, text, "ll");
 }
 
 LogicalResult

@@ -50,6 +50,10 @@ LogicalResult runPipeline(PassManager &manager,
 void addReproducer(Failure &failure, ModuleOp module, PassManager &manager,
                    StringRef next = {});
 
+/// Writes a module of LLVM IR, with the failure and the command that makes code
+/// of it in its first lines. The failure names the file afterwards.
+void addReproducer(Failure &failure, StringRef module, StringRef command);
+
 /// Runs passes once, with a reproducer where they fail by a bug of ours.
 LogicalResult runPasses(ModuleOp module,
                         llvm::function_ref<void(OpPassManager &)> populate,

@@ -1,4 +1,8 @@
-"""What r18_reproducers.py runs: one kernel, launched in the way that the argument names."""
+"""What r18_reproducers.py runs: one kernel, launched in the way that the argument names.
+
+A sequence of launches that comes again becomes one program of a device. Where that cannot be made,
+they are launched one by one, and the tape says why.
+"""
 
 import sys
 
@@ -21,6 +25,13 @@ def run() -> None:
     if WHAT == "gradient":
         with ti.ad.Tape(y):
             accumulate()
+    elif WHAT == "program":
+        with ti.ad.Tape(y) as tape:
+            for _ in range(4):
+                accumulate()
+        for _ in range(3):
+            tape.replay()
+        print(tape.explain())
     elif WHAT == "checks":
         with ti.ad.Tape(y, validation=True):
             accumulate()
@@ -33,8 +44,8 @@ def run() -> None:
 
 
 # Twice: what is tried again leaves no second file. Indices are clamped where a kernel is made,
-# and the next try makes another one.
-for _ in range(1 if WHAT == "clamp" else 2):
+# and the next try makes another one; a second tape makes a sequence of other launches come again.
+for _ in range(1 if WHAT in ("clamp", "program") else 2):
     try:
         run()
     except ti.TaiError as error:

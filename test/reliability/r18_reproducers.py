@@ -2,7 +2,8 @@
 
 A failure is injected into each step from a kernel to code that runs. The error of the Python
 program must name the one file that was written, and `tai-opt --run-reproducer` must fail on it
-as the program did, or, where passes were not what failed, pass.
+as the program did, or, where passes were not what failed, pass. What is put together of the code of
+several kernels of a device is LLVM IR, for `opt`.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pathlib import Path
 from bars import ROOT, Bar
 
 PROGRAM = ROOT / "test/reliability/r18_program.py"
+LLVM_BIN = Path(os.environ.get("TAI_LLVM_BIN", "/usr/lib/llvm-22/bin"))
 # What the program does, on which device, and the steps that are made to fail. A gradient is
 # compiled while its kernel is linked, and both would fail there.
 PASSES = ("lower", "lower-invalid")
@@ -27,6 +29,7 @@ CASES = [
     *[("tangent", "cpu", step) for step in ("forward", "forward-invalid", *PASSES, *CODE, "link")],
     *[("launch", "emulated", step) for step in (*PASSES, *CODE, "link", "load")],
     *[("gradient", "emulated", step) for step in ("autodiff", *PASSES, *CODE, "load")],
+    *[("program", "emulated", step) for step in ("optimize", "emit")],
     *[("clamp", "cpu", step) for step in ("clamp", "clamp-invalid")],
     *[("checks", "cpu", step) for step in ("checks", "checks-invalid")],
 ]
@@ -56,19 +59,22 @@ def judge(build: Path, what: str, arch: str, step: str) -> str:
         cache, files = Path(folder) / "cache", Path(folder) / "files"
         files.mkdir()
         # A gradient follows on a launch, whose code comes from the cache then.
-        if what in ("gradient", "tangent"):
-            start("launch", arch, cache, files)
+        # So does the code of the kernels of a program.
+        if what in ("gradient", "tangent", "program"):
+            start("program" if what == "program" else "launch", arch, cache, files)
         error = start(what, arch, cache, files, step)
-        written = sorted(files.glob("*.mlir"))
+        written = sorted(files.glob("tai-reproducer*"))
         if len(written) != 1:
             return f"{len(written)} files were written:\n{error}"
         if not re.search(rf"reproducer: {re.escape(str(written[0]))}$", error, re.MULTILINE):
             return f"the error does not name {written[0]}:\n{error}"
         tool = [build / "bin/tai-opt", "--run-reproducer", written[0], "-o", os.devnull]
+        if written[0].suffix == ".ll":
+            tool = [LLVM_BIN / "opt", "--passes=default<O3>", written[0], "-o", os.devnull]
         result = subprocess.run(tool, capture_output=True, text=True)
         fails = step.split("-")[0] not in (*CODE, "link", "load")
         if result.returncode != int(fails):
-            return f"tai-opt ended with {result.returncode}:\n{result.stderr[:2000]}"
+            return f"{tool[0].name} ended with {result.returncode}:\n{result.stderr[:2000]}"
         if step.endswith("-invalid") and "expects parent op 'tai.kernel'" not in result.stderr:
             return f"tai-opt fails in another way:\n{result.stderr[:2000]}"
     return ""

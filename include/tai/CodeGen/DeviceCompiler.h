@@ -107,6 +107,8 @@ public:
   finish(DeviceCode &code,
          llvm::function_ref<bool(const llvm::GlobalValue &)> isVisible,
          llvm::function_ref<void()> prepare = {});
+  /// Makes `finish` print what it would give to LLVM's passes, and fail.
+  void printInsteadOfFinishing(std::string *text) { printed = text; }
 
   bool isCuda() const { return target.kind == runtime::DeviceKind::Cuda; }
   /// True once LLVM has met a fatal error: this is then no longer of use.
@@ -130,6 +132,7 @@ private:
   /// For the emulated device.
   std::unique_ptr<ObjectCompiler> objects;
   bool broken = false;
+  std::string *printed = nullptr;
 };
 
 /// Makes one kernel, `tai_program`, of the bodies of kernels, given by the

@@ -389,6 +389,11 @@ Expected<runtime::DeviceImage> DeviceCompiler::finish(
       value.setLinkage(llvm::GlobalValue::InternalLinkage);
   if (isCuda())
     prepareForCuda(module);
+  if (printed) {
+    llvm::raw_string_ostream stream(*printed);
+    module.print(stream, nullptr);
+    return createStringError("printed");
+  }
   if (Error error = optimize(code))
     return error;
   return emit(code);
