@@ -173,7 +173,7 @@ TEST(Background, ChildrenInheritNoHalfJob) {
   first.goesOn = true;
   pid_t child = fork();
   if (child == 0) {
-    alarm(20);
+    alarm(200);
     bool good = first.isWhole() && ran == 0;
     background.finish(*first.job);
     background.finish(*second);

@@ -125,7 +125,7 @@ TEST_F(RuntimeCache, StoresInTheBackground) {
     pid_t child = fork();
     ASSERT_GE(child, 0);
     if (child == 0) {
-      alarm(20);
+      alarm(200);
       store.flush();
       store.putLater("child", "w");
       store.flush();

@@ -38,7 +38,7 @@ int32_t sumInParallel(TaiFrame *frame) {
 template <typename Work> bool inChild(const Work &work) {
   pid_t child = fork();
   if (child == 0) {
-    alarm(20);
+    alarm(200);
     _exit(work() ? 0 : 1);
   }
   int status = 0;

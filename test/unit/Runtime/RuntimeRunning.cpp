@@ -180,7 +180,7 @@ TEST(RuntimeRunning, ChildrenFreeWhatTheirParentUses) {
   scene.whileStoring([&] {
     pid_t child = fork();
     if (child == 0) {
-      alarm(20);
+      alarm(200);
       _exit(scene.runtime.destroyTree("x_tree").ok() ? 0 : 1);
     }
     int status = 1;
