@@ -165,7 +165,9 @@ def table(rows: list[dict], programs: list[Program], peers: list[str]) -> str:
             found = best_of(by_peer[peer]) if by_peer[peer] else {"reason": ""}
             if found.get("reason"):
                 notes.append(f"- {program.title}, {peer}: {found['reason']}")
-                cells.append(found["reason"].split(":")[0].split(" ")[0] + "…")
+                word = found["reason"].split(":")[0].split(" ")[0]
+                known = ("missing", "longer", "wrong", "ended", "wall")
+                cells.append(word if word in known else "refused")
             elif "ms" in found and "ms" in ours:
                 ratios.append(found["ms"] / ours["ms"])
                 cells.append(f"{found['ms']:.4g} ({ratios[-1]:.2f})")
