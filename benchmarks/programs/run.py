@@ -100,7 +100,8 @@ def measured(program: Program, peer: str, args: argparse.Namespace, folder: Path
     if done.returncode < 0:
         return {"reason": f"ended by signal {-done.returncode}"}
     if done.returncode:
-        lines = [line for line in done.stderr.splitlines() if "Error" in line] or ["no reason"]
+        said = done.stderr.strip().splitlines() or ["no reason"]
+        lines = [line for line in said if "Error" in line] or said
         return {"reason": " ".join(lines[-1].split())[:160]}
     found = json.loads(done.stdout.splitlines()[-1])
     usual = statistics.median(found["ms"][1:] or found["ms"])
