@@ -100,7 +100,8 @@ def measured(program: Program, peer: str, args: argparse.Namespace, folder: Path
     if done.returncode < 0:
         return {"reason": f"ended by signal {-done.returncode}"}
     if done.returncode:
-        lines = [line for line in done.stderr.splitlines() if "Error" in line] or ["no reason"]
+        said = done.stderr.strip().splitlines() or ["no reason"]
+        lines = [line for line in said if "Error" in line] or said
         return {"reason": " ".join(lines[-1].split())[:160]}
     found = json.loads(done.stdout.splitlines()[-1])
     usual = statistics.median(found["ms"][1:] or found["ms"])
@@ -165,7 +166,9 @@ def table(rows: list[dict], programs: list[Program], peers: list[str]) -> str:
             found = best_of(by_peer[peer]) if by_peer[peer] else {"reason": ""}
             if found.get("reason"):
                 notes.append(f"- {program.title}, {peer}: {found['reason']}")
-                cells.append(found["reason"].split(":")[0].split(" ")[0] + "…")
+                word = found["reason"].split(":")[0].split(" ")[0]
+                known = ("missing", "longer", "wrong", "ended", "wall")
+                cells.append(word if word in known else "refused")
             elif "ms" in found and "ms" in ours:
                 ratios.append(found["ms"] / ours["ms"])
                 cells.append(f"{found['ms']:.4g} ({ratios[-1]:.2f})")

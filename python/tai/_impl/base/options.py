@@ -108,6 +108,8 @@ _OWN = (
     Keyword("offline_cache", bool, True, "keep compiled kernels on disk"),
     Keyword("offline_cache_file_path", str, "", "where; if it is empty, $TAI_CACHE_DIR, else the "
             "folder `tai` in the user's cache folder"),
+    Keyword("compile_progress", bool, True, "name the kernel that is compiled on the terminal, if "
+            "there is one, once that takes over a second"),
     Keyword("log_level", str, WARN, "accepted, as are others that no result depends on; "
             "docs/taichi-options.md lists them. Those that ask for what does not happen warn"),
     Keyword("unrolling_limit", int, 65536, "the most iterations that a `ti.static` loop may "

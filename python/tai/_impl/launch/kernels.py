@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Callable
 from typing import Any, overload
 
 from ...errors import SHOW_TRACEBACK, TaiAutodiffError, TaiError, TaiSyntaxError, TaiTypeError
-from ..base import native, state
+from ..base import compiling, native, state
 from ..base.modes import check_kernel, computing_in
 from ..base.program import get_program
 from ..fields.arrays import Ndarray
@@ -86,7 +87,21 @@ class Kernel(native.Launcher):
                 "make the fields with needs_grad=True, or call ti.root.lazy_grad() after placing "
                 "them",
             )
+        if compiling.is_shown():
+            self._compile_now(found, grad)
         return launch(launcher, signature, found, values, grad, tracks)
+
+    def _compile_now(self, found: Specialization, grad: bool) -> None:
+        """Compiles what the launch needs, and what a tape will need, under its name."""
+        is_recorded = tracked.recording() is not None and found.has_gradients
+        for adjoint in (False, True) if is_recorded and not grad else (grad,):
+            if adjoint in found.announced:
+                continue
+            found.announced.add(adjoint)
+            name = self.__name__ + (".grad" if adjoint else "")
+            # What cannot be compiled is said where it is needed.
+            with contextlib.suppress(TaiError), compiling.compiling(name):
+                found.core.compile(adjoint)
 
     def _get_signature(self) -> Signature:
         if self._signature is None:

@@ -40,6 +40,8 @@ class Specialization:
         self.accumulated: weakref.WeakSet = weakref.WeakSet()
         # Whether the launcher in C++ knows it, for `grad` false and true.
         self.registered: set[bool] = set()
+        # Which of them were compiled under their names; see `base.compiling`.
+        self.announced: set[bool] = set()
         self.result = () if result is None else result.description()
         self.result_spec = result
         # In forward mode: the numbers of the parameters that it follows, and the pool in which

@@ -1,0 +1,105 @@
+"""A line on the terminal that names the kernel in the compiler, once that takes over a second.
+
+Only where standard error is a terminal. `ti.init(compile_progress=False)` turns it off.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+from . import state
+
+PATIENCE = 1.0  # seconds without a line
+GAP = 0.3  # a pause that is longer ends a series of compilations
+CLEAR = "\r\x1b[K"
+
+
+class Watcher:
+    """Writes the line from a thread of its own, while other threads compile."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._names: list[str] = []  # being compiled; threads may compile side by side
+        self._begin = self._end = 0.0
+        self._done = 0
+        self._is_shown = False
+        self._thread: threading.Thread | None = None
+        self._wakes = threading.Event()
+
+    @contextlib.contextmanager
+    def compiling(self, name: str) -> Iterator[None]:
+        """While this lasts, the kernel is in the compiler."""
+        with self._lock:
+            now = time.monotonic()
+            if not self._names and now - self._end > GAP:
+                self._begin, self._done = now, 0
+            self._names.append(name)
+            if self._thread is None or not self._thread.is_alive():
+                self._thread = threading.Thread(target=self._run, name="tai-progress", daemon=True)
+                self._thread.start()
+        self._wakes.set()
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._names.remove(name)
+                self._done += 1
+                self._end = time.monotonic()
+                if not self._names:
+                    self._wakes.clear()
+                    if self._is_shown:
+                        self._write(CLEAR)
+                        self._is_shown = False
+
+    def _run(self) -> None:
+        while True:
+            self._wakes.wait()
+            time.sleep(0.1)
+            with self._lock:
+                seconds = time.monotonic() - self._begin
+                if self._names and seconds > PATIENCE:
+                    self._show(self._names[-1], seconds)
+
+    def _show(self, name: str, seconds: float) -> None:
+        text = f"compiling kernel '{name}'"
+        if self._done:
+            text += f", {self._done} done"
+        # Somebody draws a progress bar, and puts whole lines above it: one is enough.
+        if sys.stderr is not sys.__stderr__:
+            if not self._is_shown:
+                self._write(f"{text} …\n")
+        else:
+            self._write(f"{CLEAR}{text}, {seconds:.0f} s")
+        self._is_shown = True
+
+    @staticmethod
+    def _write(text: str) -> None:
+        stream: Any = sys.stderr
+        if text == CLEAR and stream is not sys.__stderr__:
+            return
+        with contextlib.suppress(OSError, ValueError, AttributeError):  # closed, say
+            stream.write(text)
+            stream.flush()
+
+
+_watcher = Watcher()
+
+
+def is_shown() -> bool:
+    """Whether somebody would see the line."""
+    if not state.options.compile_progress:
+        return False
+    try:
+        return bool(sys.stderr.isatty())
+    except (AttributeError, ValueError):  # no standard error, or a closed one
+        return False
+
+
+def compiling(name: str) -> contextlib.AbstractContextManager[None]:
+    """Names a kernel on the terminal for as long as it is compiled."""
+    return _watcher.compiling(name)
