@@ -172,6 +172,39 @@ def test_a_serial_loop(real, masked, bad):
         assert all(np.isfinite(g).all() for g in found)
 
 
+@pytest.mark.parametrize("last", [1, 3, 5])
+@pytest.mark.parametrize("real", REALS)
+def test_an_infinite_adjoint_that_a_loop_carries(real, last):
+    """The root of zero in one iteration: the one before it is regular, and meets a factor of 0."""
+
+    def run():
+        n, most = 17, 6
+        a = ti.field(real, shape=(n, most), needs_grad=True)
+        h = ti.field(real, shape=(n, most), needs_grad=True)
+        loss = ti.field(real, shape=(), needs_grad=True)
+
+        @ti.kernel
+        def roots(samples: ti.i32):
+            for i in range(n):
+                c = 1.0
+                for s in range(samples):
+                    c = ti.sqrt(c + a[i, s] * a[i, s]) - h[i, s]
+                loss[None] += c
+
+        factors, less = np.full((n, most), 1.0), np.zeros((n, most))
+        factors[n - 1, : last + 1] = 0
+        less[n - 1, last - 1] = 1
+        a.from_numpy(factors)
+        h.from_numpy(less)
+        with ti.ad.Tape(loss):
+            roots(most)
+        return [a.grad.to_numpy(), h.grad.to_numpy()]
+
+    by_a, by_h = both(run, real)
+    assert (by_a[-1, : last + 1] == 0).all() and np.isfinite(by_a).all()
+    assert np.isneginf(by_h[-1, last - 1])
+
+
 @pytest.mark.parametrize("name", ["zero", "nan", "infinite", "negative"])
 def test_a_value_that_was_stored(name):
     """An adjoint that loads a result in the place of computing it: it may be infinite, too."""
