@@ -683,17 +683,21 @@ def VersionGuards : Pass<"tai-version-guards"> {
 
     ```mlir
     %quotient = arith.divf %y, %x : f64
-    ...
-    %partial = arith.mulf %a, %quotient : f64
-    %guarded = arith.select %zero, %c0, %partial {tai.guard} : f64
+    %product = arith.mulf %g, %quotient : f64
+    %guarded = arith.select %zero, %c0, %product {tai.guard} : f64
+    %old = tai.atomic add %guarded, @gx[%i] : f64
     // becomes
+    %quotient = arith.divf %y, %x : f64
     %test = arith.mulf %quotient, %c0 : f64
     %finite = arith.cmpf ord, %test, %test : f64
     %likely = llvm.intr.expect %finite, %true : i1
     scf.if %likely {
-      ... // with %partial
+      %product = arith.mulf %g, %quotient : f64
+      %old = tai.atomic add %product, @gx[%i] : f64
     } else {
-      ... // with %guarded
+      %product = arith.mulf %g, %quotient : f64
+      %guarded = arith.select %zero, %c0, %product {tai.guard} : f64
+      %old = tai.atomic add %guarded, @gx[%i] : f64
     }
     ```
 
