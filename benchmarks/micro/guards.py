@@ -2,7 +2,8 @@
 
 A guard keeps an infinite partial derivative away from a zero adjoint (docs/derivatives.md).
 The programs here are none that the compiler was tuned on: shallow water with ghost cells
-behind branches, a lattice Boltzmann flow, elastic triangles, rays through a haze.
+behind branches, a lattice Boltzmann flow, elastic triangles, rays through a haze, smoothed
+particles, cloth with bending, bodies that attract each other, microfacets under lamps.
 
     python benchmarks/micro/guards.py                 # all programs, f64 and one thread
     python benchmarks/micro/guards.py lbm --dtype f32
@@ -262,7 +263,232 @@ def rays(real):
     return run, loss, center
 
 
-PROGRAMS = {"shallow_water": shallow_water, "lbm": lbm, "fem": fem, "rays": rays}
+def sph(real):
+    """Weakly compressible SPH: a cubic kernel over lists of neighbours, Tait pressure."""
+    n, most, h = 1600, 24, 0.06
+    x = ti.Vector.field(2, real, shape=(STEPS + 1, n), needs_grad=True)
+    v = ti.Vector.field(2, real, shape=(STEPS + 1, n), needs_grad=True)
+    density = ti.field(real, shape=(STEPS, n), needs_grad=True)
+    neighbor = ti.field(ti.i32, shape=(n, most))
+    count = ti.field(ti.i32, shape=n)
+    loss = ti.field(real, shape=(), needs_grad=True)
+
+    @ti.func
+    def cubic(r):
+        q = r / h
+        w = 0.0
+        if q < 0.5:
+            w = 6.0 * (q**3 - q**2) + 1.0
+        elif q < 1.0:
+            w = 2.0 * (1.0 - q) ** 3
+        return w * 40.0 / (7.0 * np.pi * h * h)
+
+    @ti.kernel
+    def densities(t: ti.i32):
+        for i in range(n):
+            total = 0.0
+            for k in range(count[i]):
+                total += cubic((x[t, i] - x[t, neighbor[i, k]]).norm())
+            density[t, i] = total / n + 1e-3
+
+    @ti.func
+    def pressure(rho):
+        return 50.0 * (ti.pow(rho / 1.0, 7.0) - 1.0)
+
+    @ti.kernel
+    def move(t: ti.i32):
+        for i in range(n):
+            a = ti.Vector([0.0, -9.8])
+            rho = density[t, i]
+            for k in range(count[i]):
+                j = neighbor[i, k]
+                d = x[t, i] - x[t, j]
+                r = d.norm()
+                if r > 1e-6:
+                    other = density[t, j]
+                    shared = pressure(rho) / rho**2 + pressure(other) / other**2
+                    slope = ti.max(1.0 - r / h, 0.0)
+                    a += 0.01 / n * shared * slope * d / r
+                    a += 0.1 / n * (v[t, j] - v[t, i]) / other * slope
+            v[t + 1, i] = v[t, i] + 1e-4 * a
+            x[t + 1, i] = x[t, i] + 1e-4 * v[t + 1, i]
+
+    @ti.kernel
+    def measure():
+        for i in range(n):
+            loss[None] += x[STEPS, i].norm_sqr() / n
+
+    side = int(np.sqrt(n))
+    rng = np.random.default_rng(2)
+    points = np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2) / side
+    points = points + 0.2 / side * rng.random(points.shape)
+    gaps = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    lists = [np.flatnonzero(row < 1.2 * h)[:most] for row in gaps]
+    table = np.zeros((n, most), np.int32)
+    for i, found in enumerate(lists):
+        table[i, : len(found)] = found
+    neighbor.from_numpy(table)
+    count.from_numpy(np.array([len(found) for found in lists], np.int32))
+    start = np.zeros((STEPS + 1, n, 2))
+    start[0] = points
+    x.from_numpy(start)
+
+    def run():
+        for t in range(STEPS):
+            densities(t)
+            move(t)
+        measure()
+
+    return run, loss, x
+
+
+def cloth(real):
+    """Cloth: springs with rest lengths, and bending by the angle between two triangles."""
+    n = 48
+    x = ti.Vector.field(3, real, shape=(STEPS + 1, n, n), needs_grad=True)
+    v = ti.Vector.field(3, real, shape=(STEPS + 1, n, n), needs_grad=True)
+    energy = ti.field(real, shape=(), needs_grad=True)
+    loss = ti.field(real, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def step(t: ti.i32):
+        for i, j in ti.ndrange(n, n):
+            force = ti.Vector([0.0, -9.8, 0.0])
+            for k in ti.static(range(4)):
+                a, b = i + [1, -1, 0, 0][k], j + [0, 0, 1, -1][k]
+                if a >= 0 and a < n and b >= 0 and b < n:
+                    d = x[t, a, b] - x[t, i, j]
+                    force += 2e3 * (d.norm() - 1.0 / n) * d.normalized()
+            v[t + 1, i, j] = (v[t, i, j] + 1e-3 * force) * ti.exp(-1e-3)
+            x[t + 1, i, j] = x[t, i, j] + 1e-3 * v[t + 1, i, j]
+
+    @ti.kernel
+    def bend():
+        for i, j in ti.ndrange((1, n - 1), (1, n - 1)):
+            p = x[STEPS, i, j]
+            e1, e2 = x[STEPS, i + 1, j] - p, x[STEPS, i, j + 1] - p
+            e3, e4 = x[STEPS, i - 1, j] - p, x[STEPS, i, j - 1] - p
+            n1, n2 = e1.cross(e2).normalized(), e3.cross(e4).normalized()
+            c = ti.min(ti.max(n1.dot(n2), -1.0), 1.0)
+            angle = ti.acos(c)
+            twist = ti.atan2(n1.cross(n2).norm(), n1.dot(n2))
+            energy[None] += angle**2 + 0.1 * twist**2
+
+    @ti.kernel
+    def measure():
+        for i, j in ti.ndrange(n, n):
+            loss[None] += (x[STEPS, i, j] - ti.Vector([0.5, 0.0, 0.5])).norm() / (n * n)
+        loss[None] += 1e-3 * energy[None]
+
+    grid = np.arange(n) / n
+    start = np.zeros((STEPS + 1, n, n, 3))
+    start[0, ..., 0], start[0, ..., 2] = grid[:, None], grid[None, :]
+    start[0, ..., 1] = 0.05 * np.sin(7 * grid)[:, None] * np.cos(5 * grid)[None, :]
+    x.from_numpy(start)
+
+    def run():
+        energy[None] = 0
+        for t in range(STEPS):
+            step(t)
+        bend()
+        measure()
+
+    return run, loss, x
+
+
+def nbody(real):
+    """Bodies that attract all others, with softening, and a collision term without one."""
+    n = 160
+    x = ti.Vector.field(3, real, shape=(STEPS + 1, n), needs_grad=True)
+    v = ti.Vector.field(3, real, shape=(STEPS + 1, n), needs_grad=True)
+    mass = ti.field(real, shape=n, needs_grad=True)
+    loss = ti.field(real, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def step(t: ti.i32):
+        for i in range(n):
+            a = ti.Vector([0.0, 0.0, 0.0])
+            for j in range(n):
+                if i != j:
+                    d = x[t, j] - x[t, i]
+                    a += mass[j] * d / ti.sqrt(d.norm_sqr() + 1e-4) ** 3
+                    a -= 1e-6 * d / d.norm() ** 4
+            v[t + 1, i] = v[t, i] + 1e-3 * a
+            x[t + 1, i] = x[t, i] + 1e-3 * v[t + 1, i]
+
+    @ti.kernel
+    def measure():
+        for i in range(n):
+            loss[None] += x[STEPS, i].norm() / n
+
+    rng = np.random.default_rng(3)
+    start = np.zeros((STEPS + 1, n, 3))
+    start[0] = rng.normal(size=(n, 3))
+    x.from_numpy(start)
+    mass.from_numpy(rng.uniform(0.5, 1.5, n) / n)
+
+    def run():
+        for t in range(STEPS):
+            step(t)
+        measure()
+
+    return run, loss, x
+
+
+def brdf(real):
+    """Pixels lit by lamps: microfacets (GGX), Fresnel by a power, tone by a power."""
+    size, lamps = 160, 4
+    normal = ti.Vector.field(3, real, shape=(size, size), needs_grad=True)
+    rough = ti.field(real, shape=(size, size), needs_grad=True)
+    base = ti.Vector.field(3, real, shape=(size, size), needs_grad=True)
+    lamp = ti.Vector.field(3, real, shape=lamps, needs_grad=True)
+    loss = ti.field(real, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def shade():
+        for i, j in normal:
+            n = normal[i, j].normalized()
+            view = ti.Vector([(i + 0.5) / size - 0.5, (j + 0.5) / size - 0.5, -1.0]).normalized()
+            color = ti.Vector([0.0, 0.0, 0.0])
+            a = rough[i, j] ** 2
+            for k in range(lamps):
+                to = lamp[k] - ti.Vector([i / size, j / size, 0.0])
+                light = to.normalized()
+                half = (light - view).normalized()
+                nl, nv = ti.max(n.dot(light), 0.0), ti.max(-n.dot(view), 1e-4)
+                nh = ti.max(n.dot(half), 0.0)
+                d = a**2 / (np.pi * ((nh**2) * (a**2 - 1.0) + 1.0) ** 2)
+                g = nl / (nl * (1.0 - a / 2) + a / 2)
+                g *= nv / (nv * (1.0 - a / 2) + a / 2)
+                f = base[i, j] + (1.0 - base[i, j]) * ti.pow(1.0 - ti.max(half.dot(light), 0.0), 5)
+                color += (d * g * f / (4 * nv) + base[i, j] * nl / np.pi) / to.norm_sqr()
+            tone = (color / (1.0 + color)) ** (1 / 2.2)
+            loss[None] += (tone - 0.4).norm_sqr() / (size * size)
+
+    rng = np.random.default_rng(4)
+    bumps = rng.normal(size=(size, size, 3)) * 0.2 + np.array([0.0, 0.0, 1.0])
+    normal.from_numpy(bumps)
+    rough.from_numpy(rng.uniform(0.2, 0.9, (size, size)))
+    base.from_numpy(rng.uniform(0.1, 0.9, (size, size, 3)))
+    lamp.from_numpy(rng.uniform([0, 0, 0.5], [1, 1, 1.5], (lamps, 3)))
+
+    def run():
+        for _ in range(STEPS // 4):
+            shade()
+
+    return run, loss, normal
+
+
+PROGRAMS = {
+    "shallow_water": shallow_water,
+    "lbm": lbm,
+    "fem": fem,
+    "rays": rays,
+    "sph": sph,
+    "cloth": cloth,
+    "nbody": nbody,
+    "brdf": brdf,
+}
 
 
 def measure_here(name: str, dtype: str, guards: bool, rounds: int) -> dict:

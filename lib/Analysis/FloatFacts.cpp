@@ -85,9 +85,7 @@ static Interval makeRange(double low, double high, Type type) {
   return {round(low), round(high)};
 }
 
-/// What is at least this far from zero can be divided by, and cubed, without
-/// leaving the range of the type.
-static double getClearance(Type type) {
+double FloatFacts::getClearance(Type type) {
   Type element = getElementTypeOrSelf(type);
   return element.isF64() ? 1e-100 : element.isF32() ? 1e-12 : kInfinity;
 }
@@ -275,8 +273,18 @@ Interval FloatFacts::computeRange(Value value, Operation *at, unsigned depth) {
         return of(op.getLhs()).low >= 0 ? atLeast(0) : all;
       })
       .Case<math::ExpOp, math::Exp2Op, math::AcosOp, math::AcoshOp,
-            math::ErfcOp, NormOp, arith::UIToFPOp>(
-          [&](auto) { return atLeast(0); })
+            math::ErfcOp, arith::UIToFPOp>([&](auto) { return atLeast(0); })
+      .Case([&](NormOp op) {
+        // No component is longer than all of them.
+        double least = 0;
+        if (auto elements =
+                op.getVector().getDefiningOp<vector::FromElementsOp>())
+          for (Value element : elements.getElements()) {
+            Interval a = of(element);
+            least = std::max({least, a.low, -a.high});
+          }
+        return makeRange(least, kInfinity, type);
+      })
       .Case<math::ExpM1Op>([&](auto) { return atLeast(-1); })
       .Case<math::CoshOp>([&](auto) { return atLeast(1); })
       .Case<math::SinOp, math::CosOp, math::TanhOp, math::ErfOp>(
@@ -297,6 +305,33 @@ Interval FloatFacts::computeRange(Value value, Operation *at, unsigned depth) {
       .Default([&](Operation *) { return all; });
 }
 
+/// Whether a quotient is v / |v|, or v / 1 where v is zero: no component is
+/// farther from zero than 1, however small v is.
+static bool isNormalization(Operation *op) {
+  auto division = dyn_cast_if_present<arith::DivFOp>(op);
+  if (!division)
+    return false;
+  Value divisor = division.getRhs();
+  if (auto broadcast = divisor.getDefiningOp<vector::BroadcastOp>())
+    divisor = broadcast.getSource();
+  auto select = divisor.getDefiningOp<arith::SelectOp>();
+  if (!select)
+    return false;
+  Value size = select.getFalseValue();
+  auto test = select.getCondition().getDefiningOp<arith::CmpFOp>();
+  if (!test || test.getPredicate() != arith::CmpFPredicate::OEQ ||
+      test.getLhs() != size || !matchPattern(test.getRhs(), m_AnyZeroFloat()) ||
+      !matchConstant(select.getTrueValue(), [](const APFloat &x) {
+        return x.isFinite() && !x.isZero();
+      }))
+    return false;
+  if (auto sum = size.getDefiningOp<arith::AddFOp>();
+      sum && matchPattern(sum.getRhs(), m_AnyZeroFloat()))
+    size = sum.getLhs();
+  auto norm = size.getDefiningOp<NormOp>();
+  return norm && norm.getVector() == division.getLhs();
+}
+
 bool FloatFacts::isPositive(Value value, Operation *at) {
   return getRange(value, at).low >= getClearance(value.getType());
 }
@@ -307,6 +342,9 @@ bool FloatFacts::isNonZero(Value value, Operation *at) {
   // Constants of both signs have a range around zero.
   if (matchConstant(
           value, [](const APFloat &x) { return x.isFinite() && !x.isZero(); }))
+    return true;
+  // Zero has been replaced, and what is small divides nothing that is larger.
+  if (isNormalization(at) && at->getOperand(1) == value)
     return true;
   Interval range = getRange(value, at);
   double clearance = getClearance(value.getType());

@@ -232,3 +232,47 @@ tai.kernel @other_arm() {
   }
   tai.return
 }
+
+// A vector by its length, or by 1 where that is zero, is at most 1 long; a vector
+// with a component of 1 is at least that long.
+// CHECK-LABEL: tai.kernel @normals_grad(
+//   CHECK-NOT:   tai.guard
+//       CHECK:   tai.return
+// CHECK-LABEL: tai.kernel @other_vector_grad(
+//       CHECK:   tai.guard
+tai.kernel @normals() {
+  %zero = arith.constant 0.0 : f32
+  %one = arith.constant 1.0 : f32
+  tai.parallel_for (%i) in @x {
+    %v = tai.load @v[%i] : vector<2xf32>
+    %l = tai.norm %v : vector<2xf32>
+    %none = arith.cmpf oeq, %l, %zero : f32
+    %d = arith.select %none, %one, %l : f32
+    %b = vector.broadcast %d : f32 to vector<2xf32>
+    %u = arith.divf %v, %b : vector<2xf32>
+    %s = tai.sum %u : vector<2xf32>
+    %x = tai.load @x[%i] : f32
+    %w = vector.from_elements %x, %one : vector<2xf32>
+    %m = tai.norm %w : vector<2xf32>
+    %q = arith.divf %s, %m : f32
+    tai.store %q, @y[%i] : f32
+  }
+  tai.return
+}
+tai.kernel @other_vector() {
+  %zero = arith.constant 0.0 : f32
+  %one = arith.constant 1.0 : f32
+  %two = arith.constant dense<2.0> : vector<2xf32>
+  tai.parallel_for (%i) in @x {
+    %v = tai.load @v[%i] : vector<2xf32>
+    %l = tai.norm %v : vector<2xf32>
+    %none = arith.cmpf oeq, %l, %zero : f32
+    %d = arith.select %none, %one, %l : f32
+    %b = vector.broadcast %d : f32 to vector<2xf32>
+    %w = arith.addf %v, %two : vector<2xf32>
+    %u = arith.divf %w, %b : vector<2xf32>
+    %s = tai.sum %u : vector<2xf32>
+    tai.store %s, @y[%i] : f32
+  }
+  tai.return
+}

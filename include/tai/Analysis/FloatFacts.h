@@ -50,6 +50,10 @@ public:
   bool isInUnitInterval(Value value, Operation *at = nullptr);
   Interval getRange(Value value, Operation *at = nullptr);
 
+  /// What is at least this far from zero can be divided by, and cubed, without
+  /// leaving the range of the type.
+  static double getClearance(Type type);
+
 private:
   static constexpr unsigned kDepth = 8;
   Interval getRange(Value value, Operation *at, unsigned depth);

@@ -670,9 +670,38 @@ def VersionGuards : Pass<"tai-version-guards"> {
     A guard of a derivative is a select: of zero where an adjoint is zero,
     whatever the partial derivative is (`tai.guard`), or where an infinite
     adjoint meets a partial derivative of zero (`tai.guard_infinite`). Guards
-    matter where something is not finite, which is rare. This pass computes what
-    follows from guards in a block without them, if a test says that they would
-    have no effect, and else with them.
+    matter where something is not finite, which is rare. This pass computes a
+    block without them, if a test says that they would have no effect, and else
+    with them.
+
+    Where it can, the test comes first, and is of what partial derivatives are
+    computed from: quotients, logarithms, exponentials and the like are finite,
+    divisors are clear of zero, and so are what loops carry and what comes from
+    memory, as far as a result that is tested does not tell about it. Results
+    that tell about several values are tested in their place. Products of finite
+    numbers count as finite.
+
+    ```mlir
+    %quotient = arith.divf %y, %x : f64
+    %product = arith.mulf %g, %quotient : f64
+    %guarded = arith.select %zero, %c0, %product {tai.guard} : f64
+    %old = tai.atomic add %guarded, @gx[%i] : f64
+    // becomes
+    %quotient = arith.divf %y, %x : f64
+    %test = arith.mulf %quotient, %c0 : f64
+    %finite = arith.cmpf ord, %test, %test : f64
+    %likely = llvm.intr.expect %finite, %true : i1
+    scf.if %likely {
+      %product = arith.mulf %g, %quotient : f64
+      %old = tai.atomic add %product, @gx[%i] : f64
+    } else {
+      %product = arith.mulf %g, %quotient : f64
+      %guarded = arith.select %zero, %c0, %product {tai.guard} : f64
+      %old = tai.atomic add %guarded, @gx[%i] : f64
+    }
+    ```
+
+    Elsewhere what follows from guards is computed without them, and tested.
 
     ```mlir
     %zero = arith.cmpf oeq, %g, %c0 : f64
@@ -695,7 +724,7 @@ def VersionGuards : Pass<"tai-version-guards"> {
     }
     ```
 
-    The test is of the results, or of the products that guards select and the
+    This test is of the results, or of the products that guards select and the
     adjoints behind guards against infinity, whichever are fewer. Both branches
     give the same: a result without guards that is finite has met no product of
     zero and a factor that is not finite, since sums and products pass those on.
@@ -707,7 +736,9 @@ def VersionGuards : Pass<"tai-version-guards"> {
     behind them.
   }];
   let dependentDialects = ["::mlir::arith::ArithDialect",
-                           "::mlir::scf::SCFDialect"];
+                           "::mlir::math::MathDialect",
+                           "::mlir::scf::SCFDialect",
+                           "::mlir::vector::VectorDialect"];
 }
 
 def HoistAllocations : Pass<"tai-hoist-allocations"> {

@@ -8,17 +8,20 @@
 // Guards keep products of zero and infinity out of adjoints. Outside of a few
 // iterations no such product is met, yet each guard is a comparison and a
 // select, or several, behind every multiplication: up to twice the time of a
-// sweep. Here a block is computed without them, and one test of its results
-// says whether that was right.
+// sweep. Here a block is computed without them, if one test of what the partial
+// derivatives are computed from says that all are finite.
 //
-// The test is sound because adjoints are linear: between a guard and a result
+// Where that is not known before the first guard, the results are tested. That
+// is sound because adjoints are linear: between a guard and a result
 // stand operations that make NaN of NaN, and NaN or infinity of infinity, in
 // the component that is passed on. A select by a condition of the program may
 // drop a component; it drops the guarded one as well.
 //
 //===----------------------------------------------------------------------===//
 
+#include "FiniteConditions.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
@@ -37,24 +40,6 @@ namespace mlir::tai {
 
 using namespace mlir;
 using namespace mlir::tai;
-
-static bool isGuard(Operation *op) {
-  return isa<arith::SelectOp>(op) &&
-         (op->hasAttr(kGuard) || op->hasAttr(kInfiniteGuard));
-}
-
-/// Whether the op passes on what is not finite in its operand.
-static bool passesOn(OpOperand &use) {
-  Operation *op = use.getOwner();
-  if (isa<arith::DivFOp>(op) || isa<arith::SelectOp>(op))
-    return isa<arith::DivFOp>(op) ? use.getOperandNumber() == 0
-                                  : use.getOperandNumber() != 0;
-  return isa<arith::AddFOp, arith::SubFOp, arith::NegFOp, arith::MulFOp,
-             arith::ExtFOp, arith::TruncFOp, vector::BroadcastOp,
-             vector::ExtractOp, vector::FromElementsOp, vector::InsertOp,
-             vector::ShapeCastOp, vector::ToElementsOp, vector::FMAOp,
-             math::FmaOp, SumOp, TransposeOp, MatmulOp>(op);
-}
 
 /// Whether nothing hinders that the iterations of the innermost loop around the
 /// block run side by side in the lanes of vectors.
@@ -95,7 +80,6 @@ private:
   SmallVector<Value> findFactors();
   SmallVector<Value> prune(ArrayRef<Value> values);
   SmallVector<Value> findTested();
-  Value createTest(OpBuilder &builder, IRMapping &bare);
   void emit();
 
   Block &block;
@@ -177,14 +161,6 @@ bool Segment::findDependents() {
   return true;
 }
 
-/// Whether the op makes NaN or infinity of a NaN or an infinity in any
-/// component of the operand: none is dropped.
-static bool keeps(OpOperand &use) {
-  return passesOn(use) &&
-         !isa<arith::SelectOp, vector::ExtractOp, vector::InsertOp,
-              vector::ToElementsOp>(use.getOwner());
-}
-
 /// What must be finite for all guards to have no effect: the product that a
 /// guard selects, and the adjoint that is multiplied behind a guard against
 /// infinite adjoints.
@@ -222,7 +198,8 @@ SmallVector<Value> Segment::prune(ArrayRef<Value> values) {
         Operation *user = use.getOwner();
         if (user->getNumResults() != 1 || !told.contains(user->getResult(0)))
           return false;
-        return isGuard(user) ? use.getOperandNumber() == 2 : keeps(use);
+        return isGuard(user) ? use.getOperandNumber() == 2
+                             : keepsNonFinite(use);
       });
       if (isTold)
         tested.erase(value);
@@ -231,16 +208,6 @@ SmallVector<Value> Segment::prune(ArrayRef<Value> values) {
     }
   return llvm::filter_to_vector(
       values, [&](Value value) { return tested.contains(value); });
-}
-
-static int64_t countComponents(ArrayRef<Value> values) {
-  int64_t count = 0;
-  for (Value value : values)
-    if (auto vector = dyn_cast<VectorType>(value.getType()))
-      count += vector.getNumElements();
-    else
-      ++count;
-  return count;
 }
 
 /// The values to test: results, or what guards look at, whichever are fewer.
@@ -275,43 +242,6 @@ void Segment::findResults() {
         results.push_back(result);
 }
 
-/// Whether all that is tested is finite: then the sum is, if it does not
-/// overflow, and zero times the sum is no NaN. That is not compared with zero,
-/// since LLVM takes it for unlikely that floats are equal, and for likely that
-/// they are ordered.
-Value Segment::createTest(OpBuilder &builder, IRMapping &bare) {
-  Location loc = guards.front()->getLoc();
-  llvm::SmallMapVector<Type, SmallVector<Value>, 2> terms;
-  for (Value tested : findTested()) {
-    Value term = bare.lookupOrDefault(tested);
-    if (isa<VectorType>(term.getType()))
-      term = SumOp::create(builder, loc, getElementTypeOrSelf(term.getType()),
-                           term);
-    terms[term.getType()].push_back(term);
-  }
-  Value all;
-  for (auto &[type, values] : terms) {
-    // A tree, so that additions do not wait for each other.
-    while (values.size() > 1) {
-      SmallVector<Value> sums;
-      for (size_t i = 0; i + 1 < values.size(); i += 2)
-        sums.push_back(
-            arith::AddFOp::create(builder, loc, values[i], values[i + 1]));
-      if (values.size() % 2)
-        sums.push_back(values.back());
-      values = std::move(sums);
-    }
-    Value zero = arith::ConstantOp::create(
-        builder, loc, cast<TypedAttr>(builder.getZeroAttr(type)));
-    Value product = arith::MulFOp::create(builder, loc, values[0], zero);
-    Value isFinite = arith::CmpFOp::create(
-        builder, loc, arith::CmpFPredicate::ORD, product, product);
-    all = all ? Value(arith::AndIOp::create(builder, loc, all, isFinite))
-              : isFinite;
-  }
-  return all;
-}
-
 /// Moves what only ops of `to` use from in front of `branch` to the start of
 /// that block.
 static void sinkInto(Block *to, Operation *branch) {
@@ -325,37 +255,33 @@ static void sinkInto(Block *to, Operation *branch) {
   }
 }
 
-void Segment::emit() {
-  Location loc = guards.front()->getLoc();
-  OpBuilder builder(end);
-  IRMapping bare;
-  for (Operation *op : dependents) {
-    if (isGuard(op))
-      bare.map(op->getResult(0), bare.lookupOrDefault(op->getOperand(2)));
-    else
-      builder.clone(*op, bare);
-  }
-  Value isFinite = createTest(builder, bare);
+/// Puts what stands from `begin` on in a block into both branches of an if: as
+/// `bare` maps it, and as it is, behind `own`.
+static scf::IfOp createVersions(Operation *begin, Value condition,
+                                IRMapping &bare, ArrayRef<Operation *> own) {
+  Block &block = *begin->getBlock();
   // What comes afterwards follows in both branches: results that wait for the
   // test would all be alive at once.
   Operation *terminator = block.getTerminator();
+  SetVector<Operation *> moved(own.begin(), own.end());
   SmallVector<Operation *> tail;
-  for (Operation *op = end; op != terminator; op = op->getNextNode())
+  for (Operation *op = begin; op != terminator; op = op->getNextNode()) {
     tail.push_back(op);
-  auto isInside = [&](Value value) {
-    Operation *op = value.getDefiningOp();
-    return op && (dependents.contains(op) || llvm::is_contained(tail, op));
-  };
+    moved.insert(op);
+  }
   SmallVector<OpOperand *> yielded;
   SmallVector<Type> types;
   SmallVector<Value> guardedResults, bareResults;
   for (OpOperand &operand : terminator->getOpOperands())
-    if (isInside(operand.get())) {
+    if (Operation *op = operand.get().getDefiningOp();
+        op && moved.contains(op)) {
       yielded.push_back(&operand);
       types.push_back(operand.get().getType());
       guardedResults.push_back(operand.get());
     }
-  auto branch = scf::IfOp::create(builder, loc, types, isFinite,
+  OpBuilder builder(begin);
+  Location loc = condition.getLoc();
+  auto branch = scf::IfOp::create(builder, loc, types, condition,
                                   /*withElseRegion=*/true);
   Block *fast = branch.thenBlock(), *guarded = branch.elseBlock();
   if (types.empty()) {
@@ -372,14 +298,35 @@ void Segment::emit() {
   auto yield = scf::YieldOp::create(builder, loc, guardedResults);
   for (auto [operand, result] : llvm::zip(yielded, branch.getResults()))
     operand->set(result);
-  for (Operation *op : ops)
-    if (dependents.contains(op) || conditions.contains(op))
-      op->moveBefore(yield);
+  for (Operation *op : own)
+    op->moveBefore(yield);
   for (Operation *op : tail)
     op->moveBefore(yield);
   // Partial derivatives that guards ask about, and what follows the test.
   sinkInto(guarded, branch);
   sinkInto(fast, branch);
+  return branch;
+}
+
+void Segment::emit() {
+  Location loc = guards.front()->getLoc();
+  OpBuilder builder(end);
+  IRMapping bare;
+  for (Operation *op : dependents) {
+    if (isGuard(op))
+      bare.map(op->getResult(0), bare.lookupOrDefault(op->getOperand(2)));
+    else
+      builder.clone(*op, bare);
+  }
+  SmallVector<Value> tested;
+  for (Value value : findTested())
+    tested.push_back(bare.lookupOrDefault(value));
+  Value isFinite = createTestOfFinite(builder, loc, tested);
+  SmallVector<Operation *> own;
+  for (Operation *op : ops)
+    if (dependents.contains(op) || conditions.contains(op))
+      own.push_back(op);
+  createVersions(end, isFinite, bare, own);
 }
 
 bool Segment::run(Operation *begin) {
@@ -405,6 +352,187 @@ bool Segment::run(Operation *begin) {
   return true;
 }
 
+//===----------------------------------------------------------------------===//
+// Tests before the guards
+//===----------------------------------------------------------------------===//
+
+namespace {
+/// Versions all guards of a block by a test of what their partial derivatives
+/// are computed from.
+class EarlyTest {
+public:
+  explicit EarlyTest(Block &block) : block(block) {}
+  bool run();
+
+private:
+  bool findGuards();
+  bool canComeEarly(Value value);
+  void moveEarly(Value value);
+  void moveBegin();
+  Value createTest();
+
+  Block &block;
+  /// Those whose results matter to more than conditions of guards.
+  SmallVector<arith::SelectOp> guards;
+  /// The first op in the block that is or has a guard.
+  Operation *first = nullptr;
+  size_t numOps = 0;
+  FiniteConditions conditions;
+  /// Of ops behind the first guard, whether they can be in front of it.
+  DenseMap<Operation *, bool> isMovedEarly;
+};
+} // namespace
+
+/// Whether nothing but conditions of guards uses the op.
+static bool isForConditions(Operation *op, DenseMap<Operation *, bool> &known) {
+  if (op->use_empty() || !isMovable(op))
+    return false;
+  auto [it, isNew] = known.try_emplace(op, false);
+  if (!isNew)
+    return it->second;
+  bool result = llvm::all_of(op->getUses(), [&](OpOperand &use) {
+    return (isGuard(use.getOwner()) && use.getOperandNumber() == 0) ||
+           isForConditions(use.getOwner(), known);
+  });
+  return known[op] = result;
+}
+
+/// False if there are loops, or too much to have it twice.
+bool EarlyTest::findGuards() {
+  constexpr size_t most = 2000;
+  DenseMap<Operation *, bool> known;
+  for (Operation &op : block) {
+    WalkResult walked = op.walk([&](Operation *inner) {
+      if (first && (isa<LoopLikeOpInterface>(inner) || ++numOps > most))
+        return WalkResult::interrupt();
+      if (!isGuard(inner))
+        return WalkResult::advance();
+      if (!first && op.walk([](LoopLikeOpInterface) {
+                        return WalkResult::interrupt();
+                      }).wasInterrupted())
+        return WalkResult::interrupt();
+      first = first ? first : &op;
+      if (!isForConditions(inner, known))
+        guards.push_back(cast<arith::SelectOp>(inner));
+      return WalkResult::advance();
+    });
+    if (walked.wasInterrupted())
+      return false;
+  }
+  return !guards.empty();
+}
+
+/// Whether a value is there before the first guard, or can be.
+bool EarlyTest::canComeEarly(Value value) {
+  Operation *around = value.getParentBlock()->findAncestorOpInBlock(*first);
+  Operation *op = value.getDefiningOp();
+  if (!around || !op)
+    return around; // an argument of this block or one around it
+  if (op->isBeforeInBlock(around))
+    return true;
+  if (value.getParentBlock() != &block || op->getNumRegions() != 0 ||
+      isGuard(op))
+    return false;
+  auto [it, isNew] = isMovedEarly.try_emplace(op, false);
+  if (!isNew)
+    return it->second;
+  auto onlyReads = [](Operation *op) {
+    return isMemoryEffectFree(op) || hasSingleEffect<MemoryEffects::Read>(op);
+  };
+  bool result =
+      onlyReads(op) && llvm::all_of(op->getOperands(), [&](Value operand) {
+        return canComeEarly(operand);
+      });
+  if (result && !isMemoryEffectFree(op))
+    for (Operation *before = first; before != op;
+         before = before->getNextNode())
+      result &= onlyReads(before);
+  return isMovedEarly[op] = result;
+}
+
+/// Moves what a value is computed from in front of the first guard.
+void EarlyTest::moveEarly(Value value) {
+  Operation *op = value.getDefiningOp();
+  if (!op || op->getBlock() != &block || op->isBeforeInBlock(first))
+    return;
+  for (Value operand : op->getOperands())
+    moveEarly(operand);
+  op->moveBefore(first);
+}
+
+/// Lets the versions begin as soon as the test can be made: LLVM puts floats of
+/// one block into vectors, and not those of two.
+void EarlyTest::moveBegin() {
+  DenseSet<Operation *> needed;
+  for (Value value : conditions.getFinite())
+    needed.insert(value.getDefiningOp());
+  for (Value value : conditions.getClear())
+    needed.insert(value.getDefiningOp());
+  while (Operation *before = first->getPrevNode()) {
+    if (needed.contains(before) || before->getNumRegions() != 0)
+      return;
+    first = before;
+  }
+}
+
+/// Each part of the test where its values are: in front of a loop that does not
+/// change them.
+Value EarlyTest::createTest() {
+  llvm::SmallSetVector<Block *, 4> blocks;
+  for (Value value : conditions.getFinite())
+    blocks.insert(value.getParentBlock());
+  for (Value value : conditions.getClear())
+    blocks.insert(value.getParentBlock());
+  Value all;
+  for (Block *from : blocks) {
+    Operation *at = from->findAncestorOpInBlock(*first);
+    OpBuilder builder(at);
+    Value test = conditions.createTest(
+        builder, guards.front().getLoc(),
+        [&](Value value) { return value.getParentBlock() == from; });
+    builder.setInsertionPoint(first);
+    all = all ? Value(arith::AndIOp::create(builder, test.getLoc(), all, test))
+              : test;
+  }
+  OpBuilder builder(first);
+  Value likely =
+      arith::ConstantIntOp::create(builder, all.getLoc(), /*value=*/1, 1);
+  return LLVM::ExpectOp::create(builder, all.getLoc(), all, likely);
+}
+
+bool EarlyTest::run() {
+  if (!findGuards())
+    return false;
+  for (arith::SelectOp guard : guards)
+    if (!conditions.require(guard))
+      return false;
+  auto isThere = [&](Value value) { return canComeEarly(value); };
+  conditions.simplify(isThere);
+  if (conditions.count() == 0 ||
+      conditions.count() > static_cast<int64_t>(guards.size()) ||
+      !llvm::all_of(conditions.getFinite(), isThere) ||
+      !llvm::all_of(conditions.getClear(), isThere))
+    return false;
+  for (Value value : conditions.getFinite())
+    moveEarly(value);
+  for (Value value : conditions.getClear())
+    moveEarly(value);
+  moveBegin();
+  Value test = createTest();
+  IRMapping bare;
+  scf::IfOp branch = createVersions(first, test, bare, /*own=*/{});
+  SmallVector<arith::SelectOp> removed;
+  branch.getThenRegion().walk([&](arith::SelectOp select) {
+    if (isGuard(select))
+      removed.push_back(select);
+  });
+  for (arith::SelectOp guard : removed) {
+    guard.getResult().replaceAllUsesWith(guard.getFalseValue());
+    guard.erase();
+  }
+  return true;
+}
+
 /// Whether the op stays where it is, and what comes after it is apart.
 static bool isBarrier(Operation *op) {
   return op->hasTrait<OpTrait::IsTerminator>() || op->getNumRegions() != 0 ||
@@ -412,10 +540,21 @@ static bool isBarrier(Operation *op) {
 }
 
 static void versionGuards(Block &block) {
-  if (block.empty() ||
-      !llvm::any_of(block, [](Operation &op) { return isGuard(&op); }))
+  if (block.empty())
     return;
-  if (mayBeVectorized(block))
+  bool hasGuards =
+      llvm::any_of(block, [](Operation &op) { return isGuard(&op); }) &&
+      !mayBeVectorized(block);
+  if (hasGuards && EarlyTest(block).run())
+    return;
+  SmallVector<Block *> inner;
+  for (Operation &op : block)
+    for (Region &region : op.getRegions())
+      for (Block &nested : region)
+        inner.push_back(&nested);
+  for (Block *nested : inner)
+    versionGuards(*nested);
+  if (!hasGuards)
     return;
   Operation *begin = &block.front();
   for (Operation *op = begin; op;) {
@@ -431,15 +570,14 @@ static void versionGuards(Block &block) {
 
 namespace {
 struct VersionGuards : tai::impl::VersionGuardsBase<VersionGuards> {
+  void getDependentDialects(DialectRegistry &registry) const override {
+    VersionGuardsBase::getDependentDialects(registry);
+    registry.insert<LLVM::LLVMDialect>();
+  }
   void runOnOperation() override {
-    SmallVector<Block *> blocks;
-    getOperation()->walk([&](Operation *op) {
-      for (Region &region : op->getRegions())
-        for (Block &block : region)
-          blocks.push_back(&block);
-    });
-    for (Block *block : blocks)
-      versionGuards(*block);
+    for (Region &region : getOperation()->getRegions())
+      for (Block &block : region)
+        versionGuards(block);
   }
 };
 } // namespace

@@ -6,18 +6,20 @@ tai.field @gx = @t["gx"] : f64, rank 1
 tai.field @gy = @t["gy"] : f64, rank 1
 tai.field @p = @t["p"] : i32, rank 1
 
-// The product is tested; guards stand in the other branch alone.
+// A quotient says that its divisor is not zero. It is tested before the guards;
+// these stand in the other branch alone.
 // CHECK-LABEL: tai.kernel @scatter
-//       CHECK:   %[[G:.+]] = tai.load @gy
-//       CHECK:   %[[BARE:.+]] = arith.divf %[[G]], %[[X:.+]] : f64
-//       CHECK:   %[[PRODUCT:.+]] = arith.mulf %[[BARE]], %[[X]] : f64
+//       CHECK:   %[[X:.+]] = tai.load @x
+//       CHECK:   %[[BARE:.+]] = arith.divf %{{.+}}, %[[X]] : f64
 //   CHECK-NOT:   tai.guard
-//       CHECK:   %[[TEST:.+]] = arith.mulf %[[PRODUCT]], %{{.+}} : f64
+//       CHECK:   %[[TEST:.+]] = arith.mulf %[[BARE]], %{{.+}} : f64
 //       CHECK:   %[[FINITE:.+]] = arith.cmpf ord, %[[TEST]], %[[TEST]]
-//       CHECK:   scf.if %[[FINITE]] {
+//       CHECK:   %[[LIKELY:.+]] = llvm.intr.expect %[[FINITE]]
+//       CHECK:   scf.if %[[LIKELY]] {
+//  CHECK-NEXT:     %[[PRODUCT:.+]] = arith.mulf %[[BARE]], %[[X]] : f64
 //  CHECK-NEXT:     tai.atomic add %[[PRODUCT]]
 //  CHECK-NEXT:   } else {
-//       CHECK:     arith.cmpf oeq, %[[G]]
+//       CHECK:     arith.cmpf oeq
 //       CHECK:     arith.select %{{.+}} {tai.guard}
 //       CHECK:     arith.select %{{.+}} {tai.guard_infinite}
 //       CHECK:     tai.atomic add
@@ -61,6 +63,8 @@ tai.kernel @elementwise() {
 }
 
 // A quotient by what a guard has decided hides an infinite value: 1 / inf = 0.
+// What the second partial is computed from comes behind the first guard, so that
+// there is no test in front of both.
 // CHECK-LABEL: tai.kernel @divisor
 //   CHECK-NOT:   scf.if
 //       CHECK:   tai.guard
@@ -77,6 +81,11 @@ tai.kernel @divisor() {
     %a = arith.select %none, %zero, %q {tai.guard} : f64
     %b = arith.divf %one, %a : f64
     tai.atomic add %b, @gx[%j] : f64
+    %y = tai.load @gx[%i] : f64
+    %r = arith.divf %g, %y : f64
+    %c = arith.select %none, %zero, %r {tai.guard} : f64
+    %d = arith.divf %one, %c : f64
+    tai.atomic add %d, @gx[%j] : f64
   }
   tai.return
 }
@@ -144,6 +153,82 @@ tai.kernel @regions() {
     scf.if %low {
       tai.atomic add %r, @gx[%j] : f64
     }
+  }
+  tai.return
+}
+
+// A quotient and a logarithm that are finite say that what they divide by, and
+// are taken of, is not zero: one sum of both is tested. The conditions stand
+// behind the first guard, and are moved in front of it.
+// CHECK-LABEL: tai.kernel @witnesses
+//       CHECK:   arith.divf
+//       CHECK:   %[[U:.+]] = arith.divf
+//       CHECK:   %[[L:.+]] = math.log
+//       CHECK:   %[[SUM:.+]] = arith.addf %[[U]], %[[L]]
+//       CHECK:   %[[TEST:.+]] = arith.mulf %[[SUM]]
+//       CHECK:   %[[FINITE:.+]] = arith.cmpf ord, %[[TEST]], %[[TEST]]
+//  CHECK-NEXT:   %[[LIKELY:.+]] = llvm.intr.expect %[[FINITE]]
+//       CHECK:   scf.if %[[LIKELY]]
+//   CHECK-NOT:     tai.guard
+//       CHECK:   } else {
+tai.kernel @witnesses() {
+  %zero = arith.constant 0.0 : f64
+  tai.parallel_for (%i) in @x {
+    %k = tai.load @p[%i] : i32
+    %j = arith.index_cast %k : i32 to index
+    %x = tai.load @x[%i] : f64
+    %y = tai.load @x[%j] : f64
+    %g = tai.load @gy[%i] : f64
+    %none = arith.cmpf oeq, %g, %zero : f64
+    %q = arith.divf %g, %x : f64
+    %a = arith.select %none, %zero, %q {tai.guard} : f64
+    %u = arith.divf %y, %x : f64
+    %r = arith.mulf %q, %u : f64
+    %b = arith.select %none, %zero, %r {tai.guard} : f64
+    %l = math.log %y : f64
+    %m = arith.mulf %g, %l : f64
+    %c = arith.select %none, %zero, %m {tai.guard} : f64
+    %s = arith.divf %g, %y : f64
+    %d = arith.select %none, %zero, %s {tai.guard} : f64
+    %ab = arith.addf %a, %b : f64
+    %cd = arith.addf %c, %d : f64
+    tai.atomic add %ab, @gx[%j] : f64
+    tai.atomic add %cd, @gx[%i] : f64
+  }
+  tai.return
+}
+
+// What a loop carries may be infinite since an earlier iteration. It is tested,
+// by a quotient of it, where an infinite adjoint has a guard.
+// CHECK-LABEL: tai.kernel @carried_infinite
+//       CHECK:   scf.for {{.*}} iter_args(%[[C:.+]] = %{{.+}})
+//       CHECK:     %[[Q:.+]] = arith.divf %[[C]], %{{.+}}
+//       CHECK:     %[[TEST:.+]] = arith.mulf %[[Q]]
+//       CHECK:     arith.cmpf ord, %[[TEST]], %[[TEST]]
+//       CHECK:     llvm.intr.expect
+//       CHECK:     scf.if %{{.+}} -> (f64) {
+//   CHECK-NOT:       tai.guard
+//       CHECK:     } else {
+tai.kernel @carried_infinite() {
+  %zero = arith.constant 0.0 : f64
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c9 = arith.constant 9 : index
+  tai.parallel_for (%i) in @x {
+    %g = tai.load @gy[%i] : f64
+    %d = scf.for %n = %c0 to %c9 step %c1 iter_args(%c = %g) -> f64 {
+      %x = tai.load @x[%n] : f64
+      %q = arith.divf %c, %x : f64
+      %none = arith.cmpf oeq, %c, %zero : f64
+      %a = arith.select %none, %zero, %q {tai.guard} : f64
+      %r = arith.mulf %a, %x : f64
+      %drops = arith.cmpf oeq, %x, %zero : f64
+      %b = arith.select %drops, %zero, %r {tai.guard_infinite} : f64
+      %t = arith.mulf %b, %x : f64
+      %e = arith.select %drops, %zero, %t {tai.guard_infinite} : f64
+      scf.yield %e : f64
+    }
+    tai.store %d, @gx[%i] : f64
   }
   tai.return
 }

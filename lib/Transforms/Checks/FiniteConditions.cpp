@@ -1,0 +1,531 @@
+//===- FiniteConditions.cpp - When guards have no effect ------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "FiniteConditions.h"
+#include "mlir/Dialect/Math/IR/Math.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "mlir/IR/Matchers.h"
+#include "mlir/Interfaces/LoopLikeInterface.h"
+#include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Interfaces/Differentiable.h"
+#include "llvm/ADT/TypeSwitch.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+bool mlir::tai::passesOn(OpOperand &use) {
+  Operation *op = use.getOwner();
+  if (isa<arith::DivFOp>(op) || isa<arith::SelectOp>(op))
+    return isa<arith::DivFOp>(op) ? use.getOperandNumber() == 0
+                                  : use.getOperandNumber() != 0;
+  return isa<arith::AddFOp, arith::SubFOp, arith::NegFOp, arith::MulFOp,
+             arith::ExtFOp, arith::TruncFOp, vector::BroadcastOp,
+             vector::ExtractOp, vector::FromElementsOp, vector::InsertOp,
+             vector::ShapeCastOp, vector::ToElementsOp, vector::FMAOp,
+             math::FmaOp, SumOp, TransposeOp, MatmulOp>(op);
+}
+
+bool mlir::tai::keepsNonFinite(OpOperand &use) {
+  Operation *op = use.getOwner();
+  if (isa<math::AbsFOp, math::SqrtOp, math::LogOp, math::Log2Op, math::Log10Op,
+          math::Log1pOp, NormOp, DotOp, DeterminantOp, TraceOp>(op))
+    // The trace drops what is not on the diagonal.
+    return !isa<TraceOp>(op);
+  return passesOn(use) && !isa<arith::SelectOp, vector::ExtractOp,
+                               vector::InsertOp, vector::ToElementsOp>(op);
+}
+
+int64_t mlir::tai::countComponents(ArrayRef<Value> values) {
+  int64_t count = 0;
+  for (Value value : values)
+    if (auto vector = dyn_cast<VectorType>(value.getType()))
+      count += vector.getNumElements();
+    else
+      ++count;
+  return count;
+}
+
+/// One value of several, by pairs, so that none waits for all before it.
+static Value createTree(SmallVector<Value> values,
+                        function_ref<Value(Value, Value)> create) {
+  while (values.size() > 1) {
+    SmallVector<Value> pairs;
+    for (size_t i = 0; i + 1 < values.size(); i += 2)
+      pairs.push_back(create(values[i], values[i + 1]));
+    if (values.size() % 2)
+      pairs.push_back(values.back());
+    values = std::move(pairs);
+  }
+  return values.front();
+}
+
+static Value createAnd(OpBuilder &builder, Location loc, Value a, Value b) {
+  return a ? Value(arith::AndIOp::create(builder, loc, a, b)) : b;
+}
+
+/// Whether all that is tested is finite: then the sum is, if it does not
+/// overflow, and zero times the sum is no NaN. That is not compared with zero,
+/// since LLVM takes it for unlikely that floats are equal, and for likely that
+/// they are ordered.
+Value mlir::tai::createTestOfFinite(OpBuilder &builder, Location loc,
+                                    ArrayRef<Value> values) {
+  llvm::SmallMapVector<Type, SmallVector<Value>, 2> terms;
+  for (Value term : values) {
+    if (isa<VectorType>(term.getType()))
+      term = SumOp::create(builder, loc, getElementTypeOrSelf(term.getType()),
+                           term);
+    terms[term.getType()].push_back(term);
+  }
+  Value all;
+  for (auto &[type, values] : terms) {
+    Value sum = createTree(values, [&](Value a, Value b) {
+      return arith::AddFOp::create(builder, loc, a, b).getResult();
+    });
+    Value zero = arith::ConstantOp::create(
+        builder, loc, cast<TypedAttr>(builder.getZeroAttr(type)));
+    Value product = arith::MulFOp::create(builder, loc, sum, zero);
+    all =
+        createAnd(builder, loc, all,
+                  arith::CmpFOp::create(builder, loc, arith::CmpFPredicate::ORD,
+                                        product, product));
+  }
+  return all;
+}
+
+//===----------------------------------------------------------------------===//
+// Conditions
+//===----------------------------------------------------------------------===//
+
+/// The adjoint or tangent, or partial derivative, whose zeros a guard tests
+/// for.
+static Value getSeed(arith::SelectOp guard) {
+  auto test = guard.getCondition().getDefiningOp<arith::CmpFOp>();
+  if (!test || test.getPredicate() != arith::CmpFPredicate::OEQ ||
+      !matchPattern(test.getRhs(), m_AnyZeroFloat()))
+    return {};
+  Value tested = test.getLhs();
+  if (auto sum = tested.getDefiningOp<SumOp>())
+    if (auto abs = sum.getVector().getDefiningOp<math::AbsFOp>())
+      return abs.getOperand();
+  return tested;
+}
+
+namespace {
+/// What a guarded product makes of its seed.
+class Product {
+public:
+  explicit Product(arith::SelectOp guard)
+      : block(guard->getBlock()), seed(getSeed(guard)) {}
+  bool dependsOnSeed(Value value) {
+    if (!seed || value == seed)
+      return static_cast<bool>(seed);
+    Operation *op = value.getDefiningOp();
+    if (!op || op->getBlock() != block || op->getNumRegions() != 0)
+      return false;
+    auto [it, isNew] = known.try_emplace(value, false);
+    if (!isNew)
+      return it->second;
+    bool depends = llvm::any_of(op->getOperands(), [&](Value operand) {
+      return dependsOnSeed(operand);
+    });
+    return known[value] = depends;
+  }
+
+private:
+  Block *block;
+  Value seed;
+  DenseMap<Value, bool> known;
+};
+} // namespace
+
+/// The derivative of a norm divides by the norm, or a power of two times that,
+/// and selects zero where the norm is.
+static bool isDivisorOfNorm(OpOperand &use) {
+  Operation *op = use.getOwner();
+  if (!isa<arith::DivFOp>(op) || use.getOperandNumber() != 1 ||
+      !op->hasOneUse())
+    return false;
+  Value norm = use.get();
+  if (auto product = norm.getDefiningOp<arith::MulFOp>())
+    norm = product.getLhs();
+  auto select = dyn_cast<arith::SelectOp>(*op->user_begin());
+  if (!norm.getDefiningOp<NormOp>() || !select ||
+      select.getFalseValue() != op->getResult(0))
+    return false;
+  auto test = select.getCondition().getDefiningOp<arith::CmpFOp>();
+  return test && test.getPredicate() == arith::CmpFPredicate::OEQ &&
+         test.getLhs() == norm && matchPattern(test.getRhs(), m_AnyZeroFloat());
+}
+
+/// The factors and divisors of the seed in what the guard selects.
+bool FiniteConditions::requirePartial(arith::SelectOp guard) {
+  Product product(guard);
+  Value result = guard.getFalseValue();
+  if (!product.dependsOnSeed(result))
+    return requireFinite(result, guard);
+  SmallVector<Value> pending = {result};
+  DenseSet<Value> seen;
+  while (!pending.empty()) {
+    Value value = pending.pop_back_val();
+    Operation *op = value.getDefiningOp();
+    if (!seen.insert(value).second || value == getSeed(guard))
+      continue;
+    for (OpOperand &operand : op->getOpOperands()) {
+      if (product.dependsOnSeed(operand.get())) {
+        if (!passesOn(operand))
+          return false;
+        pending.push_back(operand.get());
+        continue;
+      }
+      bool isDivisor = isa<arith::DivFOp>(op) &&
+                       operand.getOperandNumber() == 1 &&
+                       !isDivisorOfNorm(operand);
+      if (isDivisor ? !requireClear(operand.get(), op)
+                    : !requireFinite(operand.get(), op))
+        return false;
+    }
+  }
+  return true;
+}
+
+/// Of what comes into a block from iterations that may have met something that
+/// is not finite.
+bool FiniteConditions::requireSeeds(Value value) {
+  if (!isFloatOrVector(value.getType()) || !followed.insert(value).second)
+    return true;
+  if (isa<BlockArgument>(value)) {
+    finite.insert(value);
+    return true;
+  }
+  Operation *op = value.getDefiningOp();
+  if (isa<LoopLikeOpInterface>(op)) {
+    finite.insert(value);
+    return true;
+  }
+  bool all = true;
+  if (auto branch = dyn_cast<scf::IfOp>(op)) {
+    unsigned number = cast<OpResult>(value).getResultNumber();
+    for (Region &region : branch->getRegions())
+      all &= requireSeeds(region.front().getTerminator()->getOperand(number));
+    return all;
+  }
+  if (op->getNumRegions() != 0)
+    return false;
+  for (Value operand : op->getOperands())
+    all &= requireSeeds(operand);
+  return all;
+}
+
+bool FiniteConditions::require(arith::SelectOp guard) {
+  return guard->hasAttr(kInfiniteGuard) ? requireSeeds(guard.getFalseValue())
+                                        : requirePartial(guard);
+}
+
+/// Whether a value is taken as it is: it comes from memory, from around a loop
+/// or out of a region.
+static bool isLeaf(Value value) {
+  Operation *op = value.getDefiningOp();
+  return !op || op->getNumRegions() != 0 || !isMemoryEffectFree(op);
+}
+
+/// Ops that are finite where their operands are, but for overflows.
+static bool isFiniteOfFinite(Operation *op) {
+  return isa<arith::AddFOp, arith::SubFOp, arith::NegFOp, arith::MulFOp,
+             math::FmaOp, vector::FMAOp, arith::ExtFOp, arith::TruncFOp,
+             arith::MaximumFOp, arith::MinimumFOp, arith::MaxNumFOp,
+             arith::MinNumFOp, arith::SIToFPOp, arith::UIToFPOp, math::AbsFOp,
+             math::CopySignOp, math::SinOp, math::CosOp, math::TanhOp,
+             math::AtanOp, math::Atan2Op, math::ErfOp, math::ErfcOp,
+             vector::BroadcastOp, vector::ExtractOp, vector::FromElementsOp,
+             vector::InsertOp, vector::ShapeCastOp, vector::ToElementsOp, SumOp,
+             TransposeOp, MatmulOp, DotOp, CrossOp, OuterOp, NormOp, TraceOp,
+             DeterminantOp, StopGradientOp>(op);
+}
+
+/// A maximum or minimum that is written as a choice between what is compared.
+static bool isGreatestOrLeast(Operation *op) {
+  auto select = dyn_cast<arith::SelectOp>(op);
+  if (!select)
+    return false;
+  Value condition = select.getCondition();
+  // max(a, b) is a where b is NaN, too.
+  if (auto either = condition.getDefiningOp<arith::OrIOp>())
+    condition = either.getLhs();
+  auto test = condition.getDefiningOp<arith::CmpFOp>();
+  return test && ((test.getLhs() == select.getTrueValue() &&
+                   test.getRhs() == select.getFalseValue()) ||
+                  (test.getRhs() == select.getTrueValue() &&
+                   test.getLhs() == select.getFalseValue()));
+}
+
+/// A choice of a number other than zero where a norm, or its product with a
+/// power of two, is zero.
+static bool isNormOrNumber(Value value) {
+  auto select = value.getDefiningOp<arith::SelectOp>();
+  if (!select || !matchPattern(select.getTrueValue(), m_Constant()) ||
+      matchPattern(select.getTrueValue(), m_AnyZeroFloat()))
+    return false;
+  Value norm = select.getFalseValue();
+  if (auto product = norm.getDefiningOp<arith::MulFOp>())
+    norm = product.getLhs();
+  auto test = select.getCondition().getDefiningOp<arith::CmpFOp>();
+  return norm.getDefiningOp<NormOp>() && test &&
+         test.getPredicate() == arith::CmpFPredicate::OEQ &&
+         test.getLhs() == norm && matchPattern(test.getRhs(), m_AnyZeroFloat());
+}
+
+bool FiniteConditions::requireFinite(Value value, Operation *at) {
+  if (!isFloatOrVector(value.getType()) || !required.insert(value).second)
+    return true;
+  Operation *op = value.getDefiningOp();
+  if (isLeaf(value)) {
+    finite.insert(value);
+    return true;
+  }
+  if (matchPattern(op, m_Constant()))
+    return !facts.mayBeNonFinite(value);
+  // Where its own conditions hold, it is finite.
+  if (isGuard(op))
+    return true;
+  if (auto extract = dyn_cast<vector::ExtractOp>(op);
+      extract && isLeaf(extract.getSource())) {
+    finite.insert(value);
+    return true;
+  }
+  if (auto division = dyn_cast<arith::DivFOp>(op)) {
+    if (isa<VectorType>(value.getType()) ||
+        facts.isNonZero(division.getRhs(), op))
+      return requireQuotient(division.getLhs(), division.getRhs(), op);
+    cleared.insert(division.getRhs());
+    finite.insert(value);
+    return true;
+  }
+  // Of two numbers that may be as large as numbers are.
+  if (isa<arith::MulFOp>(op) && !isa<VectorType>(value.getType()) &&
+      facts.mayBeNonFinite(value) &&
+      !llvm::any_of(op->getOperands(), [](Value operand) {
+        return matchPattern(operand, m_Constant());
+      })) {
+    finite.insert(value);
+    return true;
+  }
+  if (auto inverse = dyn_cast<InverseOp>(op))
+    for (Operation *user : inverse.getMatrix().getUsers())
+      if (auto det = dyn_cast<DeterminantOp>(user);
+          det && det->getBlock() == op->getBlock())
+        return requireQuotient(inverse.getMatrix(), det, at);
+  if (isFiniteOfFinite(op) || isGreatestOrLeast(op) || isNormOrNumber(value) ||
+      (isa<arith::SelectOp>(op) && !facts.mayBeNonFinite(value)))
+    return llvm::all_of(op->getOperands(), [&](Value operand) {
+      return requireFinite(operand, at);
+    });
+  finite.insert(value);
+  return true;
+}
+
+/// That no component overflows: it is not enough that the divisor is not zero.
+bool FiniteConditions::requireQuotient(Value lhs, Value rhs, Operation *at) {
+  while (auto broadcast = rhs.getDefiningOp<vector::BroadcastOp>())
+    rhs = broadcast.getSource();
+  if (!requireFinite(lhs, at) || !requireFinite(rhs, at))
+    return false;
+  cleared.insert(rhs);
+  if (facts.isNonZero(rhs, at) || isNormOrNumber(rhs))
+    return true;
+  clear.insert(rhs);
+  strict.insert(rhs);
+  if (facts.isNonNegative(rhs, at))
+    positive.insert(rhs);
+  return true;
+}
+
+bool FiniteConditions::requireClear(Value value, Operation *at,
+                                    bool isPositive) {
+  cleared.insert(value);
+  if (facts.isNonZero(value, at) || isNormOrNumber(value))
+    return requireFinite(value, at);
+  Operation *op = value.getDefiningOp();
+  // What is as far from zero as its operand, or farther.
+  if (isa_and_nonnull<vector::BroadcastOp>(op))
+    return requireClear(op->getOperand(0), at, isPositive);
+  if (auto root = dyn_cast_if_present<math::SqrtOp>(op)) {
+    finite.insert(value);
+    return requireClear(root.getOperand(), at, /*isPositive=*/true);
+  }
+  if (auto sum = dyn_cast_if_present<arith::AddFOp>(op);
+      sum && sum.getLhs() == sum.getRhs())
+    return requireClear(sum.getLhs(), at, isPositive);
+  if (auto product = dyn_cast_if_present<arith::MulFOp>(op))
+    if (facts.getRange(product.getRhs(), at).low >= 1)
+      return requireClear(product.getLhs(), at, isPositive);
+  clear.insert(value);
+  if (isPositive || facts.isNonNegative(value, at))
+    positive.insert(value);
+  return true;
+}
+
+/// Whether each component of a vector is extracted, and told about.
+bool FiniteConditions::areComponentsTold(Value value) {
+  auto type = dyn_cast<VectorType>(value.getType());
+  if (!type)
+    return false;
+  DenseSet<ArrayRef<int64_t>> found;
+  for (Operation *user : value.getUsers())
+    if (auto extract = dyn_cast<vector::ExtractOp>(user);
+        extract && !extract.hasDynamicPosition() &&
+        !isa<VectorType>(extract.getType()) &&
+        (finite.contains(extract.getResult()) || isTold(extract.getResult())))
+      found.insert(extract.getStaticPosition());
+  return static_cast<int64_t>(found.size()) == type.getNumElements();
+}
+
+bool FiniteConditions::isTold(Value value) {
+  auto [it, isNew] = told.try_emplace(value, false);
+  if (!isNew)
+    return it->second;
+  bool result = llvm::any_of(value.getUses(), [&](OpOperand &use) {
+    Operation *user = use.getOwner();
+    if (user->getNumResults() != 1 || !keepsNonFinite(use))
+      return false;
+    return finite.contains(user->getResult(0)) || isTold(user->getResult(0));
+  });
+  return told[value] = result || areComponentsTold(value);
+}
+
+bool FiniteConditions::isRequired(Value value) {
+  return required.contains(value) || finite.contains(value) ||
+         !facts.mayBeNonFinite(value);
+}
+
+/// A quotient or a logarithm that is finite says that its operand is not zero.
+void FiniteConditions::replaceClear(function_ref<bool(Value)> isAvailable) {
+  SmallVector<Value> kept;
+  for (Value value : clear) {
+    Value witness;
+    for (OpOperand &use : value.getUses()) {
+      if (strict.contains(value))
+        break;
+      Operation *user = use.getOwner();
+      bool isQuotient = isa<arith::DivFOp>(user) &&
+                        use.getOperandNumber() == 1 &&
+                        isRequired(user->getOperand(0));
+      if ((isQuotient || isa<math::LogOp>(user)) &&
+          !isa<VectorType>(user->getResult(0).getType()) &&
+          isAvailable(user->getResult(0)) &&
+          !(witness && finite.contains(witness)))
+        witness = user->getResult(0);
+    }
+    if (witness) {
+      finite.insert(witness);
+      continue;
+    }
+    kept.push_back(value);
+    // A comparison of the least of several may miss a NaN.
+    finite.insert(value);
+  }
+  clear.clear();
+  clear.insert_range(kept);
+}
+
+/// Puts one result that tells about several of the values in their place.
+bool FiniteConditions::replaceBySum(function_ref<bool(Value)> isAvailable) {
+  constexpr unsigned mostSteps = 6, most = 100;
+  if (finite.size() > most)
+    return false;
+  llvm::MapVector<Value, llvm::SmallSetVector<Value, 4>> tellsAbout;
+  for (Value value : finite) {
+    SmallVector<std::pair<Value, unsigned>> pending = {{value, 0}};
+    while (!pending.empty()) {
+      Value from = pending.back().first;
+      unsigned steps = pending.pop_back_val().second;
+      if (steps == mostSteps)
+        continue;
+      for (OpOperand &use : from.getUses()) {
+        Operation *user = use.getOwner();
+        if (user->getNumResults() != 1 || !keepsNonFinite(use) ||
+            !(isFiniteOfFinite(user) || isa<arith::DivFOp>(user)))
+          continue;
+        auto isOther = [&](Value operand) {
+          return operand != from && !isRequired(operand);
+        };
+        bool isOrdinary = isa<arith::DivFOp>(user)
+                              ? cleared.contains(user->getOperand(1))
+                              : llvm::none_of(user->getOperands(), isOther);
+        Value result = user->getResult(0);
+        if (isOrdinary && isAvailable(result) &&
+            tellsAbout[result].insert(value))
+          pending.push_back({result, steps + 1});
+      }
+    }
+  }
+  Value best;
+  int64_t saved = 0;
+  for (auto &[result, told] : tellsAbout) {
+    int64_t gain =
+        countComponents(told.getArrayRef()) - countComponents({result});
+    if (gain > saved)
+      best = result, saved = gain;
+  }
+  if (!best)
+    return false;
+  for (Value value : tellsAbout[best])
+    finite.remove(value);
+  finite.insert(best);
+  return true;
+}
+
+void FiniteConditions::simplify(function_ref<bool(Value)> isAvailable) {
+  replaceClear(isAvailable);
+  auto prune = [&] {
+    told.clear();
+    SmallVector<Value> kept = llvm::filter_to_vector(
+        finite, [&](Value value) { return !isTold(value); });
+    finite.clear();
+    finite.insert_range(kept);
+  };
+  prune();
+  while (replaceBySum(isAvailable))
+    prune();
+}
+
+Value FiniteConditions::createTest(OpBuilder &builder, Location loc,
+                                   function_ref<bool(Value)> isIncluded) {
+  SmallVector<Value> sums = llvm::filter_to_vector(finite, isIncluded);
+  Value all = createTestOfFinite(builder, loc, sums);
+  llvm::SmallMapVector<Type, SmallVector<Value>, 2> sizes;
+  for (Value value : clear) {
+    if (!isIncluded(value))
+      continue;
+    SmallVector<Value> components = {value};
+    if (auto type = dyn_cast<VectorType>(value.getType())) {
+      components.clear();
+      auto elements = vector::ToElementsOp::create(builder, loc, value);
+      llvm::append_range(components, elements.getResults());
+    }
+    for (Value component : components)
+      sizes[component.getType()].push_back(
+          positive.contains(value)
+              ? component
+              : math::AbsFOp::create(builder, loc, component).getResult());
+  }
+  for (auto &[type, values] : sizes) {
+    Value least = createTree(values, [&](Value a, Value b) {
+      Value isLess =
+          arith::CmpFOp::create(builder, loc, arith::CmpFPredicate::OLT, a, b);
+      return arith::SelectOp::create(builder, loc, isLess, a, b).getResult();
+    });
+    Value bound = arith::ConstantOp::create(
+        builder, loc,
+        builder.getFloatAttr(type, FloatFacts::getClearance(type)));
+    all = createAnd(builder, loc, all,
+                    arith::CmpFOp::create(
+                        builder, loc, arith::CmpFPredicate::OGE, least, bound));
+  }
+  return all;
+}
