@@ -297,6 +297,7 @@ def _draw_place(scenes: dict[str, list[dict]], path: Path, title: str) -> None:
                     markeredgecolor=series[k % len(series)], linestyle="none",
                 )[0]  # fmt: skip
             axis.set(title=scene, xscale="log", yscale="log", xlabel="ms", ylabel="relative error")
+            axis.minorticks_off()
         for axis in axes.flat[len(scenes) :]:
             axis.set_axis_off()
         last = axes.flat[len(scenes)]
