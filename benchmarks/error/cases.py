@@ -52,7 +52,7 @@ def _robot(module):
 
 def _billiards(module):
     module.set_up()
-    if module.STEPS < 200:  # near enough to hit something
+    if module.STEPS < 500:  # near enough to hit something
         module.cue[None] = 0.42, 0.5
     return module.forward, [module.cue, module.push], module.iteration
 
@@ -135,14 +135,14 @@ EXAMPLES = {
         {"tiny": "--steps 12", "quick": "--steps 160", "full": "--steps 512"}, _robot
     ),
     "billiards": Example(
-        {"tiny": "--steps 120", "quick": "--steps 700", "full": "--steps 1024"}, _billiards
+        {"tiny": "--steps 400", "quick": "--steps 700", "full": "--steps 1024"}, _billiards
     ),
     "electric": Example(
         {"tiny": "--steps 12", "quick": "--steps 128", "full": "--steps 512"}, _electric
     ),
     "volume_renderer": Example(
         {
-            "tiny": "--n 8 --res 6 --views 2 --samples 120",
+            "tiny": "--n 7 --res 5 --views 2 --samples 120",
             "quick": "--n 32 --res 64 --views 3 --samples 120",
             "full": "--n 64 --res 128 --views 5 --samples 120",
         },
@@ -214,7 +214,9 @@ def problem_of(name: str, size: str):
         found = problems.PROBLEMS[name](size == "quick")
     elif name == "smoke":
         p = problems.scenes
-        found = problems.SmokeProblem(8, 4, 2, p.smooth_velocity(8), p.checkerboard(8, 2), p.yy(8))
+        found = problems.SmokeProblem(
+            8, 4, 2, p.smooth_velocity(8) + 0.123, p.checkerboard(8, 2), p.yy(8)
+        )
     elif name == "wave":
         found = problems.WaveProblem(
             8, 6, problems.scenes.smooth_wave(8), problems.scenes.wave_target(8)

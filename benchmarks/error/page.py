@@ -155,6 +155,10 @@ INTRODUCTION = """
     50 digits (`benchmarks/error/exact.py`); kernels with sums that are rounded once and with
     80-bit floats."""
 
+HINT = """
+    Rows of a size other than full were measured in a hurry, several at a time: their errors hold,
+    their times are a hint, and the marks that rest on them as well."""
+
 LEGEND = """
     *Loss* and *gradient* are relative errors (L2), *cosine* is between the gradient and the true
     one, *results* how many different ones there were in how many runs, *after descent* the loss
@@ -174,6 +178,8 @@ def text_of(found: list[dict], pictures: Iterable[Path]) -> str:
         sizes = ", ".join(sorted({r["size"] for r in mine}))
         text = f"- {machine}; size {sizes}; tai at {gits}; {', '.join(sorted(systems))}"
         lines += textwrap.wrap(text, 110, subsequent_indent="  ")
+    if any(row["size"] != "full" for row in found):
+        lines += ["", *_wrapped(HINT)]
     lines += ["", "## Which mode for what", "", *prices(groups), ""]
     lines += _wrapped("The fastest mode of tai whose error stays below a bound:")
     lines += ["", f"| scene | {' | '.join(f'{t:.0e}' for t in TARGETS)} |"]
@@ -291,6 +297,7 @@ def _draw_place(scenes: dict[str, list[dict]], path: Path, title: str) -> None:
                     markeredgecolor=series[k % len(series)], linestyle="none",
                 )[0]  # fmt: skip
             axis.set(title=scene, xscale="log", yscale="log", xlabel="ms", ylabel="relative error")
+            axis.minorticks_off()
         for axis in axes.flat[len(scenes) :]:
             axis.set_axis_off()
         last = axes.flat[len(scenes)]

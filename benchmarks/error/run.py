@@ -19,6 +19,7 @@ import json
 import os
 import platform
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -111,6 +112,8 @@ class Runner:
                 return {"status": "failed", "reason": f"longer than {self.given.timeout} s"}
             except OSError as error:
                 return {"status": "missing", "reason": f"no environment of peers: {error.strerror}"}
+        if done.returncode == -signal.SIGINT:
+            raise KeyboardInterrupt  # Ctrl-C reaches both: that is no failure of the scene
         lines = [line for line in done.stdout.splitlines() if line.startswith("{")]
         if not lines:
             return {"status": "failed", "reason": f"exit status {done.returncode}, see {self.log}"}

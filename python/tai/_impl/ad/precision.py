@@ -247,7 +247,7 @@ def _fields(sweep: Sweep) -> list[FieldPrecision]:
             errors["f16"] = math.inf
         symbols = [f.symbol for f in parts]
         accumulated = bool(sweep.accumulated & set(symbols))
-        size = sum(a.nbytes for a in arrays)
+        size = sum(a.size for a in arrays) * parts[0].dtype.bits // 8
         found.append(
             FieldPrecision(owner.name, parts[0].dtype.name, errors, accumulated, size, greatest,
                            symbols)

@@ -186,7 +186,7 @@ class RoundingEmitter(Emitter):
         """An element that a kernel has loaded, with the probes of its field."""
         if not value.dt.is_float or field is self._probes.field:
             return value
-        bits = {16: 11, 32: 24, 64: 53}[field.dtype.bits]
+        bits = BITS.get(field.dtype.name) or {32: 24, 64: 53}[field.dtype.bits]
         errors = []
         for name, width in BITS.items():
             if width < bits:

@@ -1,0 +1,191 @@
+"""The benchmark of run time against error: one kernel in two modes, and its gates."""
+
+import csv
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks" / "error"))
+
+import gates
+import modes
+
+ROOT = Path(__file__).resolve().parents[3]
+FOLDER = ROOT / "benchmarks" / "error"
+SECONDS = 200
+
+
+def start(script, *options):
+    environment = os.environ | {"PYTHONPATH": str(ROOT / "python")}
+    command = [sys.executable, str(FOLDER / script), *map(str, options)]
+    return subprocess.run(
+        command, capture_output=True, text=True, env=environment, timeout=SECONDS
+    )  # fmt: skip
+
+
+def measured(folder, *options):
+    """A small run; `(rows by mode, what was printed)`."""
+    out = folder / "rows.csv"
+    done = start(
+        "run.py", "--size", "tiny", "--scenes", "sin", "--systems", "tai", "--modes", "f64;f32",
+        "--budget", "0.1", "--runs", "5", "--out", out, "--work", folder / "work", *options,
+    )  # fmt: skip
+    assert out.is_file(), done.stdout + done.stderr
+    with out.open(newline="") as stream:
+        return list(csv.DictReader(stream)), done
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("error")
+    return folder, *measured(folder)
+
+
+def test_columns_and_order(run):
+    _, rows, _ = run
+    by_mode = {row["mode"]: row for row in rows}
+    assert set(by_mode) == {"f64", "f32"}
+    f32, f64 = by_mode["f32"], by_mode["f64"]
+    for row in rows:
+        assert row["status"] == "ok", row["reason"]
+        assert float(row["p10"]) <= float(row["ms"]) <= float(row["p90"])
+        assert float(row["least"]) > 0 and float(row["peak_mb"]) > 1
+        assert row["distinct"] == "1" and row["runs"] == "20" and row["nan_count"] == "0"
+        assert row["launches"] == "2"
+    # Numbers of f32 against 80 bits: half an ulp and a bit of each type.
+    assert 2e-9 < float(f32["grad_rel"]) < 2e-7 and float(f64["grad_rel"]) < 1e-15
+    assert float(f64["loss_rel"]) < float(f32["loss_rel"])
+    assert 0.3 < float(f32["max_ulp"]) < 4 and float(f64["max_ulp"]) < 4
+
+
+def test_the_page_says_what_was_measured(run):
+    folder, rows, _ = run
+    text = (folder / "work" / "accuracy.md").read_text()
+    for row in rows:
+        assert f"| tai, {row['mode']} | {float(row['ms']):.3g} |" in text
+    assert "| f32 strict | not measured | |" in text
+    assert "No peer was measured." in text
+    picture = folder / "work" / "accuracy-cpu-1-tiny.png"
+    assert picture.read_bytes().startswith(b"\x89PNG") or "no pictures" in text
+
+
+def test_a_run_goes_on_where_it_stopped(run, tmp_path):
+    """Rows that are there are kept, a row that failed is measured again, a cut one is dropped."""
+    _, rows, _ = run
+    out = tmp_path / "rows.csv"
+    marked = [dict(rows[0], ms="123", p10="123", p90="123"), dict(rows[1], status="failed")]
+    with out.open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, rows[0], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(marked)
+        stream.write("sin,tiny,tai,f32 str")
+    again, _ = measured(tmp_path, "--resume")
+    assert {(row["mode"], row["status"]) for row in again} == {("f64", "ok"), ("f32", "ok")}
+    assert [row["ms"] for row in again if row["mode"] == rows[0]["mode"]] == ["123"]
+    assert [row["ms"] for row in again if row["mode"] == rows[1]["mode"]] != ["123"]
+
+
+def test_a_mode_that_is_missing_loses_no_other(tmp_path):
+    """What this build, or this machine, does not have stands in the table with its reason."""
+    rows, done = measured(tmp_path, "--systems", "tai,jax", "--peers", tmp_path / "nowhere")
+    found = {(row["system"], row["mode"]): row for row in rows}
+    assert found["jax", "f32"]["status"] == "missing"
+    assert "no environment of peers" in found["jax", "f32"]["reason"]
+    assert found["tai", "f32"]["status"] == "ok"
+
+
+# Gates
+
+
+def good_rows(rows):
+    """A table in which every bar is kept, made of one measured row."""
+    base = dict(rows[0], status="ok", reason="", size="full")
+    found = []
+    for scene in ("sum_ill", "one_cell", "exp"):
+        for mode in modes.TAI:
+            wide = mode.bits == 64
+            row = dict(base, scene=scene, mode=mode.name, max_ulp="0.5")
+            row |= {"loss_rel": 1e-15 if wide else 1e-8, "grad_rel": 1e-16 if wide else 1e-8}
+            row |= {"ms": 2 if wide else 1, "least": 2 if wide else 1}
+            found.append(row)
+    return found
+
+
+def judged(folder, rows):
+    path = folder / "judged.csv"
+    with path.open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, rows[0], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    return gates.main([str(path)])
+
+
+def test_gates_that_are_kept(run, tmp_path, capsys):
+    status = judged(tmp_path, good_rows(run[1]))
+    text = capsys.readouterr().out
+    assert status == 0, text
+    assert "FAILS" not in text and "not judged" not in text
+
+
+@pytest.mark.parametrize(
+    "scene, mode, column, value, gate",
+    [
+        ("exp", "f32 unguarded", "least", 0.9, "guards cost at most 2 %"),
+        ("exp", "f32 compensated", "least", 1.4, "compensated sums cost at most 30 %"),
+        ("one_cell", "f32 deterministic", "least", 1.6, "deterministic costs at most"),
+        ("exp", "f32 deterministic", "least", 3.1, "deterministic costs at most"),
+        ("exp", "f32", "least", 2.1, "f64 is never as fast as f32"),
+        ("sum_ill", "f32", "loss_rel", 3e-4, "f32 sum at condition 1e6"),
+        ("sum_ill", "f32 compensated", "loss_rel", 2e-7, "compensated f32 sum"),
+        ("one_cell", "f32", "loss_rel", 2e-5, "f32 numbers into one cell"),
+        ("one_cell", "f32 compensated", "loss_rel", 2e-7, "compensated f32 numbers"),
+        ("one_cell", "f64", "loss_rel", 2e-13, "f64 numbers into one cell"),
+        ("exp", "f32 accurate", "max_ulp", 1.2, "accurate maps"),
+        ("exp", "f32 deterministic", "distinct", 2, "deterministic: one result"),
+        ("exp", "f32", "nan_count", 1, "finite in, finite out"),
+        ("exp", "f32", "status", "failed", "no scene fails"),
+        ("sum_ill", "f32", "loss_rel", "nan", "f32 sum at condition 1e6"),
+    ],
+)
+def test_gates_that_are_not(run, tmp_path, capsys, scene, mode, column, value, gate):
+    rows = good_rows(run[1])
+    for row in rows:
+        if (row["scene"], row["mode"]) == (scene, mode):
+            row[column] = value
+    assert judged(tmp_path, rows) == 1
+    text = capsys.readouterr().out
+    failing = [line for line in text.splitlines() if line.startswith("FAILS")]
+    assert any(gate in line for line in failing), text
+
+
+def test_a_mode_on_no_front_is_named(run, tmp_path, capsys):
+    rows = good_rows(run[1])
+    for row in rows:
+        if row["mode"] == "f32 ftz":
+            row["ms"] = 1.5
+    assert judged(tmp_path, rows) == 1
+    assert "f32 ftz is on none" in capsys.readouterr().out
+
+
+def test_gates_of_nothing_are_not_kept(run, tmp_path, capsys):
+    """A bar that nothing was measured for does not pass."""
+    rows = [row for row in good_rows(run[1]) if row["mode"] != "f32 compensated"]
+    assert judged(tmp_path, rows) == 1
+    assert "not judged compensated f32 sum at condition 1e6" in capsys.readouterr().out
+
+
+def test_a_table_that_is_none(tmp_path):
+    path = tmp_path / "other.csv"
+    path.write_text("scene,mode\nexp,f32\n")
+    done = start("gates.py", path)
+    assert done.returncode == 2 and "has no column" in done.stderr
+
+
+def test_the_reference_has_all_its_digits():
+    """f64 against numbers of 50 digits, where kernels are Python functions."""
+    done = start("exact.py", "--scenes", "wave,electric,scatter,polar")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count("f64 is off by") == 4
