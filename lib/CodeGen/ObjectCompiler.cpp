@@ -8,6 +8,7 @@
 #include "tai/CodeGen/ObjectCompiler.h"
 #include "CodegenErrors.h"
 #include "CodegenPasses.h"
+#include "Passes/ExpandBfloat.h"
 #include "Passes/HalfAtomics.h"
 #include "Passes/HugeBodies.h"
 #include "Passes/InsertSafepoints.h"
@@ -141,6 +142,9 @@ void ObjectCompiler::setTarget(Module &module) {
 
 void ObjectCompiler::runPasses(Module &module) {
   setTarget(module);
+  bool keepsDenormals = !options.fastMath && module.getTargetTriple().isX86();
+  if (keepsDenormals)
+    expandBfloat(module);
   if (options.fastMath)
     allowFastMath(module);
   for (Function &function : module) {
@@ -215,6 +219,8 @@ void ObjectCompiler::runPasses(Module &module) {
       levels[std::min(options.optLevel, 3u)]);
   passes.run(module, modules);
   expandHalfAtomics(module);
+  if (keepsDenormals)
+    expandBfloat(module);
 }
 
 //===----------------------------------------------------------------------===//
