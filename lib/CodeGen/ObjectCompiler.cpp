@@ -152,6 +152,10 @@ void ObjectCompiler::runPasses(Module &module) {
       continue;
     function.setDoesNotThrow();
     function.addFnAttr("no-trapping-math", "true");
+    // Newton's step from an estimate of 1 / 0 or 1 / infinity is NaN, which
+    // the flags of arithmetic give no leave for.
+    if (options.fastMath)
+      function.addFnAttr("reciprocal-estimates", "none");
     if (options.sanitizeAddress)
       function.addFnAttr(llvm::Attribute::SanitizeAddress);
   }
