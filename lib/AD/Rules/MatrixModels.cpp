@@ -264,6 +264,24 @@ struct StopGradientModel
   bool carriesDerivative(Operation *, OpOperand &) const { return false; }
 };
 
+/// The adjoint goes to the form.
+struct DeriveAsModel
+    : DifferentiableOpInterface::ExternalModel<DeriveAsModel, DeriveAsOp> {
+  LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
+    auto derived = cast<DeriveAsOp>(op);
+    b.addAdjoint(derived.getForm(), b.getAdjoint(derived.getResult()));
+    return success();
+  }
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    auto derived = cast<DeriveAsOp>(op);
+    b.setTangent(derived.getResult(), b.getTangent(derived.getForm()));
+    return success();
+  }
+  bool carriesDerivative(Operation *, OpOperand &operand) const {
+    return operand.getOperandNumber() == 1;
+  }
+};
+
 /// r = tr A:  the diagonal of A* += g.
 struct TraceModel : MatrixModel<TraceModel, TraceOp> {
   void build(TraceOp op, AdjointBuilder &b, Value g) const {
@@ -399,6 +417,7 @@ void mlir::tai::registerMatrixModels(DialectRegistry &registry) {
     OuterOp::attachInterface<OuterModel>(*context);
     NormOp::attachInterface<NormModel>(*context);
     StopGradientOp::attachInterface<StopGradientModel>(*context);
+    DeriveAsOp::attachInterface<DeriveAsModel>(*context);
     TraceOp::attachInterface<TraceModel>(*context);
     DeterminantOp::attachInterface<DeterminantModel>(*context);
     InverseOp::attachInterface<InverseModel>(*context);
