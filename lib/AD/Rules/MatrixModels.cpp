@@ -211,8 +211,7 @@ struct OuterModel : MatrixModel<OuterModel, OuterOp> {
   }
 };
 
-/// r = ‖a‖:  a* += g (a / r), and nothing where r = 0. The components of a / r
-/// are at most 1: g / r may overflow where the product is a number.
+/// r = ‖a‖:  a* += g (a / r), and nothing where r = 0.
 struct NormModel : MatrixModel<NormModel, NormOp> {
   void build(NormOp op, AdjointBuilder &b, Value g) const {
     Value vector = op.getVector(), a = b.getPrimal(vector);
@@ -225,7 +224,8 @@ struct NormModel : MatrixModel<NormModel, NormOp> {
                                             arith::DivFOp::create(b, g, r));
       product = createScaled(b, a, ratio);
     } else {
-      // Where r = 0, so is a.
+      // The components of a / r are at most 1: g / r may overflow where the
+      // product is a number. Where r = 0, so is a.
       Value one = b.createConstant(r.getType(), 1);
       Value divisor = arith::SelectOp::create(b, isZero, one, r);
       Value length = vector::BroadcastOp::create(b, a.getType(), divisor);
@@ -264,7 +264,7 @@ struct StopGradientModel
   bool carriesDerivative(Operation *, OpOperand &) const { return false; }
 };
 
-/// The adjoint goes to the form.
+/// R = A, and has the derivative of B:  B* += G.
 struct DeriveAsModel
     : DifferentiableOpInterface::ExternalModel<DeriveAsModel, DeriveAsOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {

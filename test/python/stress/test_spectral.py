@@ -203,7 +203,7 @@ def pytest_generate_tests(metafunc):
 @pytest.mark.parametrize("n", [2, 3])
 def test_s36_from_values_apart_to_equal_ones(n, dtype, mode, name, form, measure):
     errors = check(name, form, n, dtype, mode, "anew")
-    measure(f"of functions, {dtype}", errors.max(), bound(dtype))
+    measure("of functions", errors.max(), bound(dtype))
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -212,7 +212,7 @@ def test_s36_from_values_apart_to_equal_ones(n, dtype, mode, name, form, measure
 def test_s36_however_it_is_written(n, way, mode, measure):
     for form in ("U V", "V U", "Q Q"):
         errors = check("square", form, n, "f64", mode, way)
-        measure("of functions, f64", errors.max(), bound("f64"))
+        measure("of functions", errors.max(), bound("f64"))
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -246,7 +246,7 @@ def test_s36_odd_functions_where_values_cancel(n, dtype, mode, measure):
     _, found = Points(cube, n * n, len(a), dtype, mode)(a.reshape(len(a), -1))
     found = found.reshape(-1, n, n).astype(float)
     right = np.stack([w @ m.T @ m + m @ w.T @ m + m @ m.T @ w for m in a])
-    measure(f"of a cube, {dtype}", np.abs(found - right).max(), 100 * EPSILON[dtype])
+    measure("of a cube", np.abs(found - right).max(), 100 * EPSILON[dtype])
 
 
 def test_s36_what_is_not_recognised_is_said(capfd):
