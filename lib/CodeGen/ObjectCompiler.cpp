@@ -153,9 +153,9 @@ void ObjectCompiler::runPasses(Module &module) {
     function.setDoesNotThrow();
     function.addFnAttr("no-trapping-math", "true");
     // Newton's step from an estimate of 1 / 0 or 1 / infinity is NaN, which
-    // the flags of arithmetic give no leave for.
-    if (options.fastMath)
-      function.addFnAttr("reciprocal-estimates", "none");
+    // the flags of arithmetic give no leave for: those of one kernel may be
+    // fast.
+    function.addFnAttr("reciprocal-estimates", "none");
     if (options.sanitizeAddress)
       function.addFnAttr(llvm::Attribute::SanitizeAddress);
   }
