@@ -301,7 +301,8 @@ Interval FloatFacts::computeRange(Value value, Operation *at, unsigned depth) {
       })
       .Case<vector::BroadcastOp, vector::ExtractOp>(
           [&](auto op) { return of(op.getSource()); })
-      .Case([&](StopGradientOp op) { return of(op.getValue()); })
+      .Case<StopGradientOp, DeriveAsOp>(
+          [&](auto op) { return of(op.getValue()); })
       .Default([&](Operation *) { return all; });
 }
 

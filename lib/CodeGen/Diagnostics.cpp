@@ -8,10 +8,13 @@
 #include "tai/CodeGen/Diagnostics.h"
 #include "mlir/IR/BuiltinAttributes.h"
 #include "tai/Support/Places.h"
+#include "llvm/ADT/StringSet.h"
 #include "llvm/Support/LineIterator.h"
+#include "llvm/Support/ManagedStatic.h"
 #include "llvm/Support/MemoryBuffer.h"
 #include "llvm/Support/Threading.h"
 #include "llvm/Support/raw_ostream.h"
+#include <mutex>
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -88,10 +91,29 @@ DiagnosticCollector::~DiagnosticCollector() {
   context->getDiagEngine().eraseHandler(handler);
 }
 
+/// Prints a warning with its place. Code is compiled again, for a tape or with
+/// more effort; it is said once.
+static void printWarning(Diagnostic &diagnostic) {
+  std::string text;
+  appendDiagnostic(text, diagnostic.getLocation(), "warning", diagnostic.str());
+  for (Diagnostic &note : diagnostic.getNotes())
+    appendDiagnostic(text, note.getLocation(), "note", note.str());
+  static llvm::ManagedStatic<std::mutex> mutex;
+  static llvm::ManagedStatic<llvm::StringSet<>> printed;
+  std::lock_guard<std::mutex> lock(*mutex);
+  if (printed->insert(text).second)
+    std::fprintf(stderr, "%s\n", text.c_str());
+}
+
 LogicalResult DiagnosticCollector::handle(Diagnostic &diagnostic) {
   // Other threads compile in the same context.
-  if (llvm::get_threadid() != thread ||
-      diagnostic.getSeverity() != DiagnosticSeverity::Error)
+  if (llvm::get_threadid() != thread)
+    return failure();
+  if (diagnostic.getSeverity() == DiagnosticSeverity::Warning) {
+    printWarning(diagnostic);
+    return success();
+  }
+  if (diagnostic.getSeverity() != DiagnosticSeverity::Error)
     return failure();
   std::string message = diagnostic.str();
   if (!hasErrors()) {

@@ -8,6 +8,7 @@
 #include "tai/CodeGen/ObjectCompiler.h"
 #include "CodegenErrors.h"
 #include "CodegenPasses.h"
+#include "Passes/ExpandBfloat.h"
 #include "Passes/HalfAtomics.h"
 #include "Passes/HugeBodies.h"
 #include "Passes/InsertSafepoints.h"
@@ -141,6 +142,9 @@ void ObjectCompiler::setTarget(Module &module) {
 
 void ObjectCompiler::runPasses(Module &module) {
   setTarget(module);
+  bool keepsDenormals = !options.fastMath && module.getTargetTriple().isX86();
+  if (keepsDenormals)
+    expandBfloat(module);
   if (options.fastMath)
     allowFastMath(module);
   for (Function &function : module) {
@@ -148,6 +152,10 @@ void ObjectCompiler::runPasses(Module &module) {
       continue;
     function.setDoesNotThrow();
     function.addFnAttr("no-trapping-math", "true");
+    // Newton's step from an estimate of 1 / 0 or 1 / infinity is NaN, which
+    // the flags of arithmetic give no leave for: those of one kernel may be
+    // fast.
+    function.addFnAttr("reciprocal-estimates", "none");
     if (options.sanitizeAddress)
       function.addFnAttr(llvm::Attribute::SanitizeAddress);
   }
@@ -215,6 +223,8 @@ void ObjectCompiler::runPasses(Module &module) {
       levels[std::min(options.optLevel, 3u)]);
   passes.run(module, modules);
   expandHalfAtomics(module);
+  if (keepsDenormals)
+    expandBfloat(module);
 }
 
 //===----------------------------------------------------------------------===//

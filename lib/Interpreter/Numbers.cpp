@@ -175,7 +175,7 @@ static Outcome multiplyInts(Operation *op, Operands a, Type) {
 /// smallest integer, or no rest, where it is divided by -1.
 template <APInt (*Divide)(const APInt &, const APInt &), bool isSigned,
           bool isRemainder = false>
-static Outcome divide(Operation *, Operands a, Type) {
+static Outcome divide(Operation *, Operands a, Type type) {
   const APInt &dividend = whole(a[0]), &divisor = whole(a[1]);
   Outcome zero(APInt::getZero(dividend.getBitWidth()));
   zero.isTolerated = true;
@@ -184,8 +184,8 @@ static Outcome divide(Operation *, Operands a, Type) {
     return zero;
   }
   if (isSigned && divisor.isAllOnes() && dividend.isMinSignedValue()) {
-    zero.problem = "the smallest integer of its type is divided by -1, and has "
-                   "no negative";
+    llvm::raw_string_ostream(zero.problem)
+        << "the smallest " << type << " is divided by -1, and has no negative";
     if (!isRemainder)
       zero.number = dividend;
     return zero;

@@ -77,6 +77,17 @@ const FieldPlace &Run::getField(Operation *op) {
   return program.getField(getNamedField(op).getAttr());
 }
 
+LogicalResult Run::checkDefined(Operation *op) {
+  if (isa<arith::SelectOp>(op) || program.getScalarFunction(op))
+    return success();
+  for (Value operand : op->getOperands())
+    if (auto &undefined = get(operand).undefined) {
+      const Undefined &first = undefined->begin()->second;
+      return fail(first.op, first.problem);
+    }
+  return success();
+}
+
 LogicalResult Run::runBlock(Block &block, ArrayRef<Datum> arguments) {
   for (auto [argument, datum] :
        llvm::zip_equal(block.getArguments(), arguments))

@@ -35,10 +35,18 @@ struct Variable {
   Numbers value;
 };
 
+/// Why an operation has no result: an error where something is made of it.
+struct Undefined {
+  Operation *op;
+  std::string problem;
+};
+
 /// What an SSA value holds: the components of a scalar, vector or matrix, or a
 /// handle.
 struct Datum {
   Numbers numbers;
+  /// The components that are undefined, by their positions. Null is none.
+  std::shared_ptr<std::map<size_t, Undefined>> undefined;
   std::shared_ptr<Variable> variable;
   std::shared_ptr<Array> array;
 
@@ -99,8 +107,13 @@ struct Run {
   }
 
   LogicalResult execute(Operation *op) {
+    if (hasUndefined && failed(checkDefined(op)))
+      return failure();
     return program.getHandler(op)(*this, op);
   }
+  /// Fails where an operation makes something of what is undefined. Arithmetic
+  /// hands it on, and a select may leave it aside.
+  LogicalResult checkDefined(Operation *op);
   LogicalResult runBlock(Block &block, ArrayRef<Datum> arguments);
 
   const Program &program;
@@ -110,6 +123,8 @@ struct Run {
   llvm::DenseMap<Value, Datum> values;
   /// The operands of the terminator that ended the last block.
   Data ended;
+  /// Something undefined has come out.
+  bool hasUndefined = false;
   /// Stores to inactive cells do nothing; see `tai.kernel`.
   bool keepsActivity = false;
   DrawCounter draws;

@@ -49,17 +49,51 @@ static LogicalResult runConstant(Run &run, Operation *op) {
   return success();
 }
 
+static const Undefined *findUndefined(const Datum &datum, size_t i) {
+  if (!datum.undefined)
+    return nullptr;
+  auto found = datum.undefined->find(i);
+  return found == datum.undefined->end() ? nullptr : &found->second;
+}
+
+static void setUndefined(Run &run, Datum &datum, size_t i, Undefined why) {
+  run.hasUndefined = true;
+  if (!datum.undefined)
+    datum.undefined = std::make_shared<std::map<size_t, Undefined>>();
+  datum.undefined->emplace(i, std::move(why));
+}
+
+/// True if a select may take another value instead of the result.
+static bool mayBeLeftAside(Run &run, Operation *op) {
+  return !op->use_empty() && llvm::all_of(op->getUsers(), [&](Operation *user) {
+    return isa<arith::SelectOp>(user) || run.program.getScalarFunction(user);
+  });
+}
+
 LogicalResult interpreter::runScalars(Run &run, Operation *op) {
   ScalarFunction function = run.program.getScalarFunction(op);
   Type type = op->getResult(0).getType();
   Datum result;
   for (int64_t i = 0; i != getCount(type); ++i) {
     SmallVector<Number, 3> operands;
-    for (Value operand : op->getOperands())
-      operands.push_back(run.get(operand).numbers[i]);
+    const Undefined *undefined = nullptr;
+    for (Value operand : op->getOperands()) {
+      const Datum &datum = run.get(operand);
+      operands.push_back(datum.numbers[i]);
+      undefined = undefined ? undefined : findUndefined(datum, i);
+    }
+    if (undefined) {
+      setUndefined(run, result, i, *undefined);
+      result.numbers.push_back(getZero(getElementTypeOrSelf(type)));
+      continue;
+    }
     Outcome outcome = function(op, operands, getElementTypeOrSelf(type));
-    if (!outcome.number)
-      return run.fail(op, outcome.problem);
+    if (!outcome.number) {
+      if (!mayBeLeftAside(run, op))
+        return run.fail(op, outcome.problem);
+      setUndefined(run, result, i, {op, outcome.problem});
+      outcome.number = getZero(getElementTypeOrSelf(type));
+    }
     if (outcome.isTolerated && run.program.getOptions().debug)
       run.report(op, outcome.problem, {}, TAI_FAIL_ASSERT);
     result.numbers.push_back(std::move(*outcome.number));
@@ -83,16 +117,24 @@ static LogicalResult runSinCos(Run &run, Operation *op) {
 
 static LogicalResult runSelect(Run &run, Operation *op) {
   auto select = cast<arith::SelectOp>(op);
-  const Numbers &condition = run.get(select.getCondition()).numbers;
-  Datum result = run.get(select.getFalseValue());
-  if (condition.size() == 1) {
+  const Datum &condition = run.get(select.getCondition());
+  if (condition.undefined) {
+    const Undefined &first = condition.undefined->begin()->second;
+    return run.fail(first.op, first.problem);
+  }
+  const Datum &ifTrue = run.get(select.getTrueValue());
+  const Datum &ifFalse = run.get(select.getFalseValue());
+  Datum result;
+  if (condition.numbers.size() == 1) {
     // A scalar decides for all, and for arrays and the like.
-    if (isTrue(condition.front()))
-      result = run.get(select.getTrueValue());
+    result = isTrue(condition.numbers.front()) ? ifTrue : ifFalse;
   } else {
-    for (auto [i, holds] : llvm::enumerate(condition))
-      if (isTrue(holds))
-        result.numbers[i] = run.get(select.getTrueValue()).numbers[i];
+    for (auto [i, holds] : llvm::enumerate(condition.numbers)) {
+      const Datum &chosen = isTrue(holds) ? ifTrue : ifFalse;
+      result.numbers.push_back(chosen.numbers[i]);
+      if (const Undefined *undefined = findUndefined(chosen, i))
+        setUndefined(run, result, i, *undefined);
+    }
   }
   run.set(select, std::move(result));
   return success();
@@ -478,6 +520,7 @@ void interpreter::addVectorHandlers(Handlers &handlers) {
   handlers["arith.select"] = runSelect;
   handlers["math.sincos"] = runSinCos;
   handlers["tai.cross"] = runCross;
+  handlers["tai.derive_as"] = runForward;
   handlers["tai.determinant"] = runDeterminant;
   handlers["tai.dot"] = runDot;
   handlers["tai.inverse"] = runInverse;

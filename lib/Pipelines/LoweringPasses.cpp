@@ -29,6 +29,9 @@ void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options) {
   // every function costs more than all that follows, so it is left out.
   pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
 
+  // Nothing that folds runs before.
+  pm.addPass(createFoldAngles());
+
   // On the program as it was written: a report names the index that the program
   // computed. From here on, kernels that check as they run are left alone.
   CheckBoundsOptions bounds;
@@ -41,6 +44,7 @@ void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options) {
 }
 
 void tai::addCanonicalization(OpPassManager &pm) {
+  pm.addPass(createFoldAngles());
   // Large bodies by themselves: the rest would look at all of one again after
   // each rewrite in it.
   pm.addPass(createSimplifyHugeBodies());

@@ -50,7 +50,7 @@ std::string formatDiagnostic(StringRef file, unsigned line, unsigned column,
                              StringRef kind, StringRef message);
 
 /// Collects, as long as it lives, the errors and notes that its own thread
-/// emits in the context. Warnings and remarks are handed on.
+/// emits in the context. Warnings are printed, and remarks handed on.
 class DiagnosticCollector {
 public:
   explicit DiagnosticCollector(MLIRContext *context);

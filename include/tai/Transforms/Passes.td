@@ -76,6 +76,29 @@ def SimplifyHugeBodies : Pass<"tai-simplify-huge-bodies"> {
   ];
 }
 
+def FoldAngles : Pass<"tai-fold-angles"> {
+  let summary = "fold the angle of the origin";
+  let description = [{
+    Replaces `math.atan2` of constants that are both zero by its value: zero or π
+    by the signs of the two, as computed at run time. To run in front of what
+    folds constants, for the folder of the op says that it is NaN. Operands that
+    are computed from constants count as such.
+
+    ```mlir
+    %zero = arith.constant 0.0 : f64
+    %minus = arith.subf %zero, %zero : f64
+    %a = math.atan2 %zero, %minus : f64
+    ```
+
+    becomes
+
+    ```mlir
+    %a = arith.constant 0.0 : f64
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect"];
+}
+
 def FlattenBranches : Pass<"tai-flatten-branches"> {
   let summary = "turn cheap and safe branches into selects";
   let description = [{

@@ -21,8 +21,10 @@
 #include "tai/AD/Passes.h"
 #include "tai/AD/Selection.h"
 #include "tai/AD/Signature.h"
+#include "tai/AD/SpectralForms.h"
 #include "tai/AD/TangentBuilder.h"
 #include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/Activity.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
@@ -159,6 +161,13 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
                  ? Storage(field.getDualAttr())
                  : Storage();
     };
+    SpectralForms forms(function);
+    auto hasTangent = [&](Storage storage) {
+      return static_cast<bool>(tangentOf(storage));
+    };
+    Activity activity(function, hasTangent);
+    warnOfTurningFactors(function,
+                         [&](Value v) { return activity.isActive(v); });
     TangentBuilder builder(function, tangentOf);
     if (failed(builder.build()))
       return failure();

@@ -24,6 +24,7 @@
 #include "tai/AD/Passes.h"
 #include "tai/AD/Selection.h"
 #include "tai/AD/Signature.h"
+#include "tai/AD/SpectralForms.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Cost.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
@@ -172,12 +173,16 @@ static LogicalResult fillWith(FunctionOpInterface function,
         !(*fits && planner.findsStored(demands.stored.getArrayRef())))
       return failure();
     if (*fits) {
-      if (!options.loadsStored)
+      if (!options.loadsStored) {
         countSkips(plan, demands);
+        warnOfTurningFactors(
+            function, [&](Value v) { return plan.activity.isActive(v); });
+      }
       break;
     }
     clearBody(shell);
   }
+  dropForms(shell);
   planner.annotate(shell);
   OpBuilder builder = OpBuilder::atBlockEnd(&shell.getFunctionBody().front());
   if (isa<KernelOp>(shell.getOperation()))
@@ -307,6 +312,7 @@ struct MakeAdjoint
       cast<KernelOp>(shell.getOperation()).setZeroesAdjoint(true);
     if (deterministic)
       fixCosts(function);
+    SpectralForms forms(function);
     if (failed(fillAdjoint(function, shell, *signature,
                            getOptions(zeroesAll, /*loadsStored=*/false)))) {
       shell.erase();

@@ -207,6 +207,10 @@ struct SvdModel : DifferentiableOpInterface::ExternalModel<SvdModel, SvdOp> {
     int64_t n = getRows(svd.getMatrix());
     auto type = cast<VectorType>(svd.getMatrix().getType());
     Value u = b.getPrimal(svd.getU()), v = b.getPrimal(svd.getV());
+    if (!b.getAdjoint(svd.getU()) && !b.getAdjoint(svd.getV())) {
+      buildByValues(svd, b, u, v);
+      return success();
+    }
     M sigma{&b, b.getPrimal(svd.getSigma())};
     M gu = getTurned(b, u, b.getAdjoint(svd.getU()));
     M gv = getTurned(b, v, b.getAdjoint(svd.getV()));
@@ -235,6 +239,18 @@ struct SvdModel : DifferentiableOpInterface::ExternalModel<SvdModel, SvdOp> {
     b.addAdjoint(svd.getMatrix(), createMatmul(b, createMatmul(b, u, inner),
                                                createTranspose(b, v)));
     return success();
+  }
+
+  /// The singular values alone: dσᵢ = Pᵢᵢ.
+  static void buildByValues(SvdOp svd, AdjointBuilder &b, Value u, Value v) {
+    M gs{&b, b.getAdjoint(svd.getSigma())};
+    int64_t n = getRows(gs.v);
+    SmallVector<Value> p(n * n);
+    for (int64_t i = 0; i != n; ++i)
+      p[i * n + i] = gs(i, i).v;
+    Value inner = b.createVector(cast<VectorType>(gs.v.getType()), p);
+    b.addAdjoint(svd.getMatrix(), createMatmul(b, createMatmul(b, u, inner),
+                                               createTranspose(b, v)));
   }
 
   LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {

@@ -211,37 +211,27 @@ struct OuterModel : MatrixModel<OuterModel, OuterOp> {
   }
 };
 
-/// r = ‖a‖:  a* += (g / r) a, and nothing where r = 0.
+/// r = ‖a‖:  a* += g (a / r), and nothing where r = 0.
 struct NormModel : MatrixModel<NormModel, NormOp> {
   void build(NormOp op, AdjointBuilder &b, Value g) const {
-    Value a = b.getPrimal(op.getVector()), r = b.getPrimal(op.getResult());
-    Value isZero = arith::CmpFOp::create(b, arith::CmpFPredicate::OEQ, r,
-                                         b.createZero(r.getType()));
-    if (!op.getFast())
-      scale(b, a, r);
-    Value ratio = arith::SelectOp::create(b, isZero, b.createZero(r.getType()),
-                                          arith::DivFOp::create(b, g, r));
-    Value scaled = createScaled(b, a, ratio);
-    b.addAdjoint(op.getVector(), guardFor(b, op.getVector(), g, scaled));
-  }
-
-  /// Multiplies both by a power of two where g / r could over- or underflow.
-  static void scale(AdjointBuilder &b, Value &a, Value &r) {
-    Type type = r.getType();
-    if (!type.isF32() && !type.isF64())
-      return;
-    double exponent = type.isF64() ? 500 : 60,
-           factor = type.isF64() ? 600 : 100;
-    auto power = [&](double n) { return b.createConstant(type, std::exp2(n)); };
-    Value isSmall = arith::CmpFOp::create(b, arith::CmpFPredicate::OLT, r,
-                                          power(-exponent));
-    Value isLarge =
-        arith::CmpFOp::create(b, arith::CmpFPredicate::OGT, r, power(exponent));
-    Value by = arith::SelectOp::create(
-        b, isSmall, power(factor),
-        arith::SelectOp::create(b, isLarge, power(-factor), power(0)));
-    a = createScaled(b, a, by);
-    r = arith::MulFOp::create(b, r, by);
+    Value vector = op.getVector(), a = b.getPrimal(vector);
+    Value r = b.getPrimal(op.getResult());
+    Value zero = b.createZero(r.getType());
+    Value isZero = arith::CmpFOp::create(b, arith::CmpFPredicate::OEQ, r, zero);
+    Value product;
+    if (op.getFast()) {
+      Value ratio = arith::SelectOp::create(b, isZero, zero,
+                                            arith::DivFOp::create(b, g, r));
+      product = createScaled(b, a, ratio);
+    } else {
+      // The components of a / r are at most 1: g / r may overflow where the
+      // product is a number. Where r = 0, so is a.
+      Value one = b.createConstant(r.getType(), 1);
+      Value divisor = arith::SelectOp::create(b, isZero, one, r);
+      Value length = vector::BroadcastOp::create(b, a.getType(), divisor);
+      product = createScaled(b, arith::DivFOp::create(b, a, length), g);
+    }
+    b.addAdjoint(vector, guardFor(b, vector, g, product));
   }
 
   /// ṙ = (a / r) · ȧ, and 0 where r = 0.
@@ -272,6 +262,24 @@ struct StopGradientModel
     return success();
   }
   bool carriesDerivative(Operation *, OpOperand &) const { return false; }
+};
+
+/// R = A, and has the derivative of B:  B* += G.
+struct DeriveAsModel
+    : DifferentiableOpInterface::ExternalModel<DeriveAsModel, DeriveAsOp> {
+  LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
+    auto derived = cast<DeriveAsOp>(op);
+    b.addAdjoint(derived.getForm(), b.getAdjoint(derived.getResult()));
+    return success();
+  }
+  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
+    auto derived = cast<DeriveAsOp>(op);
+    b.setTangent(derived.getResult(), b.getTangent(derived.getForm()));
+    return success();
+  }
+  bool carriesDerivative(Operation *, OpOperand &operand) const {
+    return operand.getOperandNumber() == 1;
+  }
 };
 
 /// r = tr A:  the diagonal of A* += g.
@@ -409,6 +417,7 @@ void mlir::tai::registerMatrixModels(DialectRegistry &registry) {
     OuterOp::attachInterface<OuterModel>(*context);
     NormOp::attachInterface<NormModel>(*context);
     StopGradientOp::attachInterface<StopGradientModel>(*context);
+    DeriveAsOp::attachInterface<DeriveAsModel>(*context);
     TraceOp::attachInterface<TraceModel>(*context);
     DeterminantOp::attachInterface<DeterminantModel>(*context);
     InverseOp::attachInterface<InverseModel>(*context);

@@ -143,8 +143,8 @@ static Num powerByX(RuleArgs &a) {
              : unless(a.y() == 0, contribution);
 }
 
-/// g n / (x^2 + y^2), 0 where both are 0. Scaled by a power of two where the
-/// squares would over- or underflow.
+/// g n / (x^2 + y^2), 0 where both are 0 or one is infinite. Scaled by a power
+/// of two where the squares would over- or underflow.
 static Num atan2By(RuleArgs &a, bool byX) {
   Num x = a.x(), y = a.y();
   bool isDouble = getElementTypeOrSelf(x.value.getType()).isF64();
@@ -156,7 +156,9 @@ static Num atan2By(RuleArgs &a, bool byX) {
                          constant(x, std::exp2(-factor)), constant(x, 1)));
   x = x * by, y = y * by;
   Num square = x * x + y * y;
-  return unless(square == 0, a.g() * ((byX ? y : -x) / square) * by);
+  double infinity = std::numeric_limits<double>::infinity();
+  return unless(square == 0 || size == infinity,
+                a.g() * ((byX ? y : -x) / square) * by);
 }
 
 using A = RuleArgs &;
@@ -236,7 +238,7 @@ ArrayRef<ScalarRule> mlir::tai::getScalarRules() {
     // Powers and logarithms
     {"math.sqrt", {{0, "g / (2 r)", unlessXPositive, [](A a) { return a.g() / (a.r() + a.r()); }}},
      "x = 0: infinite, or 0 where g = 0"},
-    {"math.rsqrt", {{0, "-g r^3 / 2", unlessXPositive, [](A a) { return -0.5 * a.g() * (a.r() * a.r() * a.r()); }}},
+    {"math.rsqrt", {{0, "-g r^3 / 2", unlessXPositive, [](A a) { return -0.5 * a.g() * a.r() * a.r() * a.r(); }}},
      "x = 0: infinite, or 0 where g = 0"},
     {"math.cbrt", {{0, "g / (3 r^2)", unlessXPositive, [](A a) { return a.g() / (3 * (a.r() * a.r())); }}},
      "x = 0: infinite, or 0 where g = 0"},

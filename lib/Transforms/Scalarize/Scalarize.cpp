@@ -336,6 +336,11 @@ LogicalResult Scalarizer::process(Operation *op) {
     dead.push_back(op);
     return success();
   }
+  if (auto derived = dyn_cast<DeriveAsOp>(op)) {
+    set(derived.getResult(), get(derived.getValue()));
+    dead.push_back(op);
+    return success();
+  }
 
   auto isVectorLocal = [](Value value) {
     auto local = dyn_cast<LocalType>(value.getType());

@@ -147,6 +147,25 @@ def Tai_StopGradientOp : Tai_Op<"stop_gradient", [
   let assemblyFormat = "$value attr-dict `:` type($value)";
 }
 
+def Tai_DeriveAsOp : Tai_Op<"derive_as", [
+    Pure, AllTypesMatch<["value", "form", "result"]>]> {
+  let summary = "a value whose derivative is that of another one";
+  let description = [{
+    The first operand. Derivatives pass through the second one alone, so that a
+    value may be computed in one way and differentiated in another. Differentiation
+    makes such ops itself, for functions of the singular values or eigenvalues of a matrix,
+    and leaves none behind.
+
+    ```mlir
+    %r = tai.derive_as %value, %form : vector<2x2xf32>
+    ```
+  }];
+  let arguments = (ins AnyTypeOf<[AnyFloat, VectorOfAnyRankOf<[AnyFloat]>]>:$value,
+                       AnyTypeOf<[AnyFloat, VectorOfAnyRankOf<[AnyFloat]>]>:$form);
+  let results = (outs AnyTypeOf<[AnyFloat, VectorOfAnyRankOf<[AnyFloat]>]>:$result);
+  let assemblyFormat = "$value `,` $form attr-dict `:` type($value)";
+}
+
 def Tai_TraceOp : Tai_MatrixOp<"trace", [
     TypesMatchWith<"result is the element type", "matrix", "result",
                    "::llvm::cast<::mlir::VectorType>($_self).getElementType()">]> {

@@ -1,0 +1,82 @@
+//===- ExpandBfloat.cpp - Rounding to bf16 by integers --------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "ExpandBfloat.h"
+#include "llvm/IR/IRBuilder.h"
+#include "llvm/IR/InstIterator.h"
+#include "llvm/IR/IntrinsicInst.h"
+#include "llvm/IR/Module.h"
+
+using namespace llvm;
+
+/// The upper half of the bits, rounded: of what is lost, a half is added, and
+/// the last bit that is kept decides a tie. A NaN stays one and becomes quiet.
+static Value *roundToBfloat(IRBuilder<> &builder, Value *number, Type *type) {
+  Type *wide = number->getType()->getWithNewType(builder.getInt32Ty());
+  Type *narrow = wide->getWithNewType(builder.getInt16Ty());
+  Value *bits = builder.CreateBitCast(number, wide);
+  Value *upper = builder.CreateLShr(bits, 16);
+  Value *last = builder.CreateAnd(upper, 1);
+  Value *half = builder.CreateAdd(last, ConstantInt::get(wide, 0x7fff));
+  Value *rounded = builder.CreateLShr(builder.CreateAdd(bits, half), 16);
+  Value *quiet = builder.CreateOr(upper, ConstantInt::get(wide, 0x40));
+  Value *isNaN = builder.CreateFCmpUNO(number, number);
+  Value *result = builder.CreateSelect(isNaN, quiet, rounded);
+  return builder.CreateBitCast(builder.CreateTrunc(result, narrow), type);
+}
+
+static bool isBfloat(Value *value) {
+  return value->getType()->getScalarType()->isBFloatTy();
+}
+
+static bool mustExpand(Instruction &instruction) {
+  if (!isBfloat(&instruction))
+    return false;
+  if (auto *trunc = dyn_cast<FPTruncInst>(&instruction))
+    return trunc->getSrcTy()->getScalarType()->isFloatTy();
+  if (auto *call = dyn_cast<IntrinsicInst>(&instruction))
+    return call->getIntrinsicID() == Intrinsic::sqrt ||
+           call->getIntrinsicID() == Intrinsic::fma ||
+           call->getIntrinsicID() == Intrinsic::fmuladd;
+  return isa<BinaryOperator>(instruction);
+}
+
+static Value *expand(Instruction &instruction) {
+  IRBuilder<> builder(&instruction);
+  Type *type = instruction.getType();
+  if (isa<FPTruncInst>(instruction))
+    return roundToBfloat(builder, instruction.getOperand(0), type);
+  builder.setFastMathFlags(instruction.getFastMathFlags());
+  Type *wide = type->getWithNewType(builder.getFloatTy());
+  auto extend = [&](Value *value) { return builder.CreateFPExt(value, wide); };
+  Value *result;
+  if (auto *call = dyn_cast<IntrinsicInst>(&instruction)) {
+    SmallVector<Value *> operands;
+    for (Value *operand : call->args())
+      operands.push_back(extend(operand));
+    result = builder.CreateIntrinsic(call->getIntrinsicID(), {wide}, operands);
+  } else {
+    auto &binary = cast<BinaryOperator>(instruction);
+    result =
+        builder.CreateBinOp(binary.getOpcode(), extend(binary.getOperand(0)),
+                            extend(binary.getOperand(1)));
+  }
+  return roundToBfloat(builder, result, type);
+}
+
+void mlir::tai::expandBfloat(Module &module) {
+  for (Function &function : module) {
+    SmallVector<Instruction *> found;
+    for (Instruction &instruction : instructions(function))
+      if (mustExpand(instruction))
+        found.push_back(&instruction);
+    for (Instruction *instruction : found) {
+      instruction->replaceAllUsesWith(expand(*instruction));
+      instruction->eraseFromParent();
+    }
+  }
+}

@@ -1,0 +1,79 @@
+//===- ExpandBfloatTest.cpp - Rounding to bf16 by integers ----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "../../../lib/CodeGen/Passes/ExpandBfloat.h"
+#include "llvm/AsmParser/Parser.h"
+#include "llvm/IR/InstIterator.h"
+#include "llvm/IR/Instructions.h"
+#include "llvm/IR/LLVMContext.h"
+#include "llvm/IR/Module.h"
+#include "llvm/IR/Verifier.h"
+#include "llvm/Support/SourceMgr.h"
+#include "gtest/gtest.h"
+
+using namespace llvm;
+
+/// How many operations round to bf16 before and after.
+static std::pair<int, int> countRoundings(StringRef text) {
+  LLVMContext context;
+  SMDiagnostic error;
+  std::unique_ptr<Module> module = parseAssemblyString(text, error, context);
+  EXPECT_TRUE(module) << error.getMessage().str();
+  auto count = [&] {
+    int found = 0;
+    for (Function &function : *module)
+      for (Instruction &instruction : instructions(function))
+        found += instruction.getType()->getScalarType()->isBFloatTy() &&
+                 (isa<FPTruncInst, CallInst>(instruction) ||
+                  isa<BinaryOperator>(instruction));
+    return found;
+  };
+  int before = count();
+  mlir::tai::expandBfloat(*module);
+  EXPECT_FALSE(verifyModule(*module, &errs()));
+  return {before, count()};
+}
+
+TEST(ExpandBfloat, ScalarsAndVectors) {
+  auto [before, after] = countRoundings(R"(
+declare bfloat @llvm.fma.bf16(bfloat, bfloat, bfloat)
+declare <8 x bfloat> @llvm.sqrt.v8bf16(<8 x bfloat>)
+define bfloat @scalars(float %x, bfloat %y) {
+  %a = fptrunc float %x to bfloat
+  %b = fadd bfloat %a, %y
+  %c = fdiv bfloat %b, %y
+  %d = call bfloat @llvm.fma.bf16(bfloat %a, bfloat %b, bfloat %c)
+  ret bfloat %d
+}
+define <8 x bfloat> @vectors(<8 x float> %x) {
+  %a = fptrunc <8 x float> %x to <8 x bfloat>
+  %b = fmul <8 x bfloat> %a, %a
+  %c = call <8 x bfloat> @llvm.sqrt.v8bf16(<8 x bfloat> %b)
+  ret <8 x bfloat> %c
+}
+)");
+  EXPECT_EQ(before, 7);
+  EXPECT_EQ(after, 0);
+}
+
+/// What f64 rounds to is the business of a function of the runtime, and other
+/// types are left alone.
+TEST(ExpandBfloat, OthersStay) {
+  auto [before, after] = countRoundings(R"(
+define half @halves(float %x, half %y) {
+  %a = fptrunc float %x to half
+  %b = fadd half %a, %y
+  ret half %b
+}
+define bfloat @doubles(double %x) {
+  %a = fptrunc double %x to bfloat
+  ret bfloat %a
+}
+)");
+  EXPECT_EQ(before, 1);
+  EXPECT_EQ(after, 1);
+}
