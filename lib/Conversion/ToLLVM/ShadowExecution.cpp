@@ -108,9 +108,11 @@ namespace {
 class Shadows {
 public:
   Shadows(LLVM::LLVMFuncOp function, RuntimeCalls &runtime,
-          llvm::StringMap<LLVM::GlobalOp> &texts, Type wide)
+          llvm::StringMap<LLVM::GlobalOp> &texts, Type wide,
+          unsigned mostPrecision)
       : b(function.getLoc(), function.getContext()), function(function),
-        runtime(runtime), texts(texts), wide(wide) {}
+        runtime(runtime), texts(texts), wide(wide),
+        mostPrecision(mostPrecision) {}
 
   void run();
 
@@ -133,6 +135,11 @@ private:
   static unsigned getPrecision(Type type) {
     return APFloat::semanticsPrecision(
         cast<FloatType>(getElementTypeOrSelf(type)).getFloatSemantics());
+  }
+  /// Bits that a value of the type can have right. Where f32 are extended, what
+  /// is computed from them in f64 has no more than they have.
+  unsigned getMeasure(Type type) {
+    return std::min(getPrecision(type), mostPrecision);
   }
   /// A constant of a type of shadows, exact where it is one of f64.
   Value constant(Type type, const APFloat &value);
@@ -180,6 +187,7 @@ private:
   llvm::StringMap<LLVM::GlobalOp> &texts;
   /// The type of shadows of f64.
   Type wide;
+  unsigned mostPrecision;
   Value table;
   DenseMap<Value, Value> shadows, off, tainted;
   SmallVector<Site> sites;
@@ -230,7 +238,7 @@ Value Shadows::emitIsOff(Value value) {
   Value error = LLVM::FAbsOp::create(b, getError(value));
   Value most = LLVM::FMulAddOp::create(
       b, LLVM::FAbsOp::create(b, shadow),
-      constant(type, std::ldexp(1, -int(getPrecision(value.getType()) / 2))),
+      constant(type, std::ldexp(1, -int(getMeasure(value.getType()) / 2))),
       constant(type,
                APFloat::getSmallestNormalized(element.getFloatSemantics())));
   return LLVM::FCmpOp::create(b, LLVM::FCmpPredicate::ugt, error, most);
@@ -605,7 +613,7 @@ void Shadows::report(const Site &site) {
   Type f64 = b.getF64Type();
   Value frame = function.getArgument(0), text = describe(site.op);
   Value typed = site.result ? site.result : site.a;
-  Value precision = integer(32, getPrecision(typed.getType()));
+  Value precision = integer(32, getMeasure(typed.getType()));
   for (int64_t lane = 0, lanes = countLanes(typed.getType()); lane < lanes;
        ++lane) {
     auto pick = [&](Value value) -> Value {
@@ -794,8 +802,15 @@ struct ShadowExecution : tai::impl::ShadowExecutionBase<ShadowExecution> {
         /*isConstant=*/false, LLVM::Linkage::External, kTable, Attribute());
     RuntimeCalls runtime(module);
     llvm::StringMap<LLVM::GlobalOp> texts;
+    unsigned mostPrecision = ~0u;
+    module.walk([&](LLVM::FPExtOp op) {
+      Type type = getElementTypeOrSelf(op.getArg().getType());
+      mostPrecision = std::min(mostPrecision,
+                               APFloat::semanticsPrecision(
+                                   cast<FloatType>(type).getFloatSemantics()));
+    });
     for (LLVM::LLVMFuncOp function : functions)
-      Shadows(function, runtime, texts, wide).run();
+      Shadows(function, runtime, texts, wide, mostPrecision).run();
   }
 };
 } // namespace
