@@ -287,7 +287,8 @@ def ShadowExecution : Pass<"tai-shadow-execution", "::mlir::ModuleOp"> {
       // Is it far from %s0, and are %a and %b not far from %sa and %sb?
       llvm.cond_br %fires, ^report, ^rest
     ^report:
-      llvm.call @tai_rt_shadow_site(%frame, %site, ...)
+      // With the operands, the result and how far their shadows lie above them.
+      llvm.call @tai_rt_shadow_site(%frame, %site) : (!llvm.ptr, !llvm.ptr) -> ()
       llvm.br ^rest
     ^rest:
       llvm.return %0 : f32

@@ -16,13 +16,13 @@
 //===----------------------------------------------------------------------===//
 
 #include "../TaiToHost/RuntimeCalls.h"
+#include "ShadowOps.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/IR/ImplicitLocOpBuilder.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/IR/RegionGraphTraits.h"
 #include "tai/Conversion/Passes.h"
 #include "llvm/ADT/PostOrderIterator.h"
-#include "llvm/ADT/StringSwitch.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_SHADOWEXECUTION
@@ -50,57 +50,6 @@ static int64_t countLanes(Type type) {
 static Type withElement(Type type, Type element) {
   auto vector = dyn_cast<VectorType>(type);
   return vector ? Type(vector.clone(element)) : element;
-}
-
-/// What an operation does, as users say it.
-static std::string nameOperation(Operation *op) {
-  if (auto call = dyn_cast<LLVM::CallOp>(op))
-    return call.getCallee() ? call.getCallee()->str() : "call";
-  StringRef name = op->getName().stripDialect();
-  StringRef sign = llvm::StringSwitch<StringRef>(name)
-                       .Case("fadd", "+")
-                       .Case("fsub", "-")
-                       .Case("fmul", "*")
-                       .Case("fdiv", "/")
-                       .Case("frem", "%")
-                       .Case("fcmp", "comparison")
-                       .Cases({"fptosi", "fptoui"}, "conversion to an integer")
-                       .Case("atomicrmw", "atomic update")
-                       .Default(name);
-  sign.consume_front("intr.");
-  return sign.str();
-}
-
-/// The function of libm for a wider type, or "".
-static std::string nameWiderCall(StringRef name, Type type, Type shadow) {
-  static constexpr StringLiteral known[] = {
-      "acos",  "acosh", "asin",  "asinh", "atan",  "atan2",     "atanh",
-      "cbrt",  "cos",   "cosh",  "erf",   "erfc",  "exp",       "exp2",
-      "expm1", "fmod",  "log",   "log10", "log1p", "log2",      "pow",
-      "sin",   "sinh",  "sqrt",  "tan",   "tanh",  "floor",     "ceil",
-      "trunc", "rint",  "round", "hypot", "exp10", "remainder", "roundeven"};
-  if (type.isF32() && !name.consume_back("f"))
-    return "";
-  if (!llvm::is_contained(known, name))
-    return "";
-  return shadow.isF64() ? name.str() : name.str() + "l";
-}
-
-/// Rounds at the most; is as right as its operands.
-static bool onlyRounds(Operation *op) {
-  return isa<LLVM::FMulOp, LLVM::FDivOp, LLVM::FNegOp, LLVM::SqrtOp,
-             LLVM::FAbsOp, LLVM::CopySignOp, LLVM::FPExtOp, LLVM::FPTruncOp,
-             LLVM::MaxNumOp, LLVM::MinNumOp, LLVM::MaximumOp, LLVM::MinimumOp,
-             LLVM::SelectOp, LLVM::FreezeOp, LLVM::ExtractElementOp,
-             LLVM::InsertElementOp, LLVM::ShuffleVectorOp>(op);
-}
-
-/// Computes nothing.
-static bool onlyMoves(Operation *op) {
-  return isa<LLVM::FNegOp, LLVM::FAbsOp, LLVM::CopySignOp, LLVM::FPExtOp,
-             LLVM::SelectOp, LLVM::FreezeOp, LLVM::ExtractElementOp,
-             LLVM::InsertElementOp, LLVM::ShuffleVectorOp, LLVM::MaxNumOp,
-             LLVM::MinNumOp, LLVM::MaximumOp, LLVM::MinimumOp>(op);
 }
 
 namespace {

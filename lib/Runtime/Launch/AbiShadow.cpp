@@ -10,6 +10,8 @@
 #include "tai/Runtime/Launch/ShadowLog.h"
 #include <array>
 #include <cmath>
+#include <limits>
+#include <optional>
 
 using namespace mlir::tai::runtime;
 
@@ -124,48 +126,53 @@ template <typename T> static T choose(T a, T b, bool greater) {
   return (a < b) == greater ? b : a;
 }
 
-template <typename T>
+/// What a float becomes.
+template <typename T> static T combine(T before, T operand, int32_t kind) {
+  switch (kind) {
+  case TAI_SHADOW_ADD:
+    return before + operand;
+  case TAI_SHADOW_SUB:
+    return before - operand;
+  case TAI_SHADOW_XCHG:
+    return operand;
+  default:
+    return choose(before, operand, kind == TAI_SHADOW_MAX);
+  }
+}
+
+/// `alone`: no other thread of the launch updates.
+template <typename T, typename Wide>
 static double update(T *address, int32_t kind, T value, double error,
-                     double *oldError) {
-  UpdateLock lock(address);
-  T old;
+                     double *oldError, bool alone) {
+  std::optional<UpdateLock> lock;
+  if (!alone)
+    lock.emplace(address);
+  T old, result;
   __atomic_load(address, &old, __ATOMIC_RELAXED);
-  long double operand = static_cast<long double>(value) + error, exact;
-  T result;
+  Wide operand = static_cast<Wide>(value) + static_cast<Wide>(error), before;
+  // Others may update without shadows.
   do {
-    long double before = shadow::read(address, old);
-    *oldError = static_cast<double>(before - old);
-    switch (kind) {
-    case TAI_SHADOW_ADD:
-      result = old + value;
-      exact = before + operand;
+    before = shadow::read<T, Wide>(address, old);
+    result = combine(old, value, kind);
+    if (alone) {
+      __atomic_store(address, &result, __ATOMIC_RELAXED);
       break;
-    case TAI_SHADOW_SUB:
-      result = old - value;
-      exact = before - operand;
-      break;
-    case TAI_SHADOW_XCHG:
-      result = value;
-      exact = operand;
-      break;
-    default: {
-      bool greater = kind == TAI_SHADOW_MAX;
-      result = choose(old, value, greater);
-      exact = choose(before, operand, greater);
     }
-    }
-    // Others may update without shadows.
   } while (!__atomic_compare_exchange(address, &old, &result, true,
                                       __ATOMIC_RELAXED, __ATOMIC_RELAXED));
-  shadow::write(address, result, exact);
+  *oldError = static_cast<double>(before - static_cast<Wide>(old));
+  shadow::write<T, Wide>(address, result, combine(before, operand, kind));
   return old;
 }
 
-extern "C" double tai_rt_shadow_atomic(TaiFrame *, void *address, int32_t kind,
-                                       int32_t bits, double value, double error,
-                                       double *oldError) {
+extern "C" double tai_rt_shadow_atomic(TaiFrame *frame, void *address,
+                                       int32_t kind, int32_t bits, double value,
+                                       double error, double *oldError) {
+  bool alone = launchOf(frame).owner().threads() == 1;
   if (bits == 32)
-    return update(static_cast<float *>(address), kind,
-                  static_cast<float>(value), error, oldError);
-  return update(static_cast<double *>(address), kind, value, error, oldError);
+    return update<float, double>(static_cast<float *>(address), kind,
+                                 static_cast<float>(value), error, oldError,
+                                 alone);
+  return update<double, long double>(static_cast<double *>(address), kind,
+                                     value, error, oldError, alone);
 }

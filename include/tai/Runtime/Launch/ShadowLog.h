@@ -65,7 +65,7 @@ inline char *entryOf(const void *address) {
 template <typename T> long double read(const T *address, T value) {
   T entry[2];
   std::memcpy(entry, entryOf(address), sizeof(entry));
-  long double known = value;
+  Wide known = value;
   return entry[0] == value ? known + entry[1] : known;
 }
 
