@@ -22,6 +22,7 @@
 #include "mlir/IR/Matchers.h"
 #include "mlir/IR/RegionGraphTraits.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Support/Places.h"
 #include "llvm/ADT/PostOrderIterator.h"
 
 namespace mlir::tai {
@@ -538,7 +539,7 @@ Value Shadows::describe(Operation *op) {
   if (size_t end = kernel.rfind(".loop"); end != StringRef::npos)
     kernel = kernel.take_front(end);
   std::string text = nameOperation(op) + "\n" + kernel.str() + "\n" +
-                     describeLocation(op->getLoc());
+                     describePlace(op->getLoc());
   text.push_back('\0');
   // Room for what the runtime knows of it: see TaiShadowSite.
   text.insert(0, sizeof(TaiShadowSite), '\0');

@@ -62,14 +62,16 @@ inline char *entryOf(const void *address) {
 }
 
 /// The shadow of a float that has this value now.
-template <typename T> long double read(const T *address, T value) {
+template <typename T, typename Wide = long double>
+Wide read(const T *address, T value) {
   T entry[2];
   std::memcpy(entry, entryOf(address), sizeof(entry));
   Wide known = value;
   return entry[0] == value ? known + entry[1] : known;
 }
 
-template <typename T> void write(const T *address, T value, long double exact) {
+template <typename T, typename Wide = long double>
+void write(const T *address, T value, Wide exact) {
   T entry[2] = {value, static_cast<T>(exact - value)};
   std::memcpy(entryOf(address), entry, sizeof(entry));
 }
