@@ -6,6 +6,7 @@ import linecache
 import math
 from collections import defaultdict
 from dataclasses import dataclass
+from typing import Any
 
 from ...errors import TaiRuntimeError, shorten, spelled
 from . import state
@@ -82,7 +83,7 @@ class ShadowReport(list):
 
     def on_source(self) -> str:
         """The lines where something was found, each followed by what, under its column."""
-        by_file = defaultdict(lambda: defaultdict(list))
+        by_file: dict[str, dict[int, list[ShadowRow]]] = defaultdict(lambda: defaultdict(list))
         for row in self:
             if row.filename:
                 by_file[row.filename][row.lineno].append(row)
@@ -104,7 +105,7 @@ def _place(text: str) -> tuple[str | None, int, int]:
     return filename, int(line), int(column) if column.isdigit() else 0
 
 
-def _context():
+def _context() -> Any:
     if not state.options.shadow:
         raise TaiRuntimeError(
             "kernels have no shadows", "ask for them in front of the program: ti.init(shadow=True)"
