@@ -284,11 +284,13 @@ def ShadowExecution : Pass<"tai-shadow-execution", "::mlir::ModuleOp"> {
       %sb = llvm.fpext %b : f32 to f64
       %0 = llvm.fsub %a, %b : f32
       %s0 = llvm.fsub %sa, %sb : f64
-      // Is it far from %s0, and are %a and %b not far from %sa and %sb?
+      // Is it far from %s0, though %a and %b are not far from %sa and %sb?
+      %back = llvm.fpext %0 : f32 to f64
+      %fires = llvm.fcmp "une" %back, %s0 : f64
       llvm.cond_br %fires, ^report, ^rest
     ^report:
       // With the operands, the result and how far their shadows lie above them.
-      llvm.call @tai_rt_shadow_site(%frame, %site) : (!llvm.ptr, !llvm.ptr) -> ()
+      llvm.call @tai_rt_shadow_site(%frame) : (!llvm.ptr) -> ()
       llvm.br ^rest
     ^rest:
       llvm.return %0 : f32
