@@ -566,6 +566,25 @@ TAI_EXPORT TaiStatus taiProfilerTrace(TaiContext context,
                                       int64_t *count, int64_t *lost);
 TAI_EXPORT TaiStatus taiProfilerClear(TaiContext context);
 
+/// An operation of a kernel where digits were lost, with the option "shadow".
+/// Errors are relative to what more digits yield, and 1 at the most.
+typedef struct TaiShadowRow {
+  const char *operation, *kernel;
+  const char *place; // "file:line:column", or ""
+  int32_t precision; // bits of a number of its type
+  int64_t lost;      // results of which less than half of the bits are right
+  int64_t cancellations; // of them, differences of much larger numbers
+  int64_t flips;         // comparisons and conversions that came out otherwise
+  int64_t non_finite;    // infinite or NaN, and finite with more digits
+  // Of the result that lost most bits: its error, that of its operands.
+  double error_made, error_in, bits_lost;
+} TaiShadowRow;
+/// What was found since the last clear, what lost most bits first; owned by the
+/// context, valid until the next call. Fails where the option is off.
+TAI_EXPORT TaiStatus taiShadowRows(TaiContext context,
+                                   const TaiShadowRow **rows, int64_t *count);
+TAI_EXPORT TaiStatus taiShadowClear(TaiContext context);
+
 /// One counter of one skip: of what the system leaves out, or does, because the
 /// scene does not need it, or does. Rows of one skip stand together.
 typedef struct TaiSkipRow {

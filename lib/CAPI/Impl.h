@@ -44,6 +44,8 @@ struct TaiContextImpl {
   Handles<TaiTapeImpl> tapes;
   std::vector<mlir::tai::runtime::ProfileRow> profile;
   std::vector<TaiProfileRow> profileRows;
+  std::vector<mlir::tai::runtime::ShadowRow> shadows;
+  std::vector<TaiShadowRow> shadowRows;
   std::vector<TaiTraceEvent> traceEvents;
   std::vector<TaiSkipRow> skipRows;
   std::string lostTangents;

@@ -361,7 +361,7 @@ std::string Compiler::getKey(CompileRequest request,
   // adjoints, where a device has no memory for what they record.
   bool isAdjoint = request.goal != CompileRequest::Goal::Primal;
   bool hasPlaces =
-      options.debug || options.bounds == BoundsMode::Check ||
+      options.debug || options.shadow || options.bounds == BoundsMode::Check ||
       (options.device && (options.places || isAdjoint)) ||
       request.module.walk([](CheckCloseOp) { return WalkResult::interrupt(); })
           .wasInterrupted();

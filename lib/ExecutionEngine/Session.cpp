@@ -76,6 +76,7 @@ static Compiler::Pipelines getPipelines() {
   pipelines.toLLVM = [](OpPassManager &manager, const CompileOptions &options) {
     ToLLVMOptions lowering;
     setLowering(lowering, options);
+    lowering.shadow = options.shadow;
     buildToLLVMPasses(manager, lowering);
   };
   pipelines.toDevice = [](OpPassManager &manager,

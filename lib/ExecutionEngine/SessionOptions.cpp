@@ -81,28 +81,35 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
                                       "'; the options are " + listOptions());
 }
 
+void Session::setContract() {
+  // Shadows are of single operations.
+  compileOptions.codegen.contract =
+      !compileOptions.deterministic && !isStrict && !compileOptions.shadow;
+}
+
 LogicalResult Session::setDeterministic(bool on) {
   compileOptions.deterministic = on;
   // Loops are cut differently for other numbers of threads, and what is fused
   // may depend on where a vectorised loop ends.
-  compileOptions.codegen.contract = !on && !isStrict;
+  setContract();
   rt->setDeterministic(on);
   return success();
 }
 
 LogicalResult Session::setStrict(bool on) {
   if (on && compileOptions.codegen.fastMath)
-    return failContradiction();
+    return failContradiction("strict");
   isStrict = on;
-  compileOptions.codegen.contract = !on && !compileOptions.deterministic;
+  setContract();
   return success();
 }
 
-LogicalResult Session::failContradiction() {
+LogicalResult Session::failContradiction(StringRef name) {
   return fail(FailureKind::Usage,
-              "options 'strict' and 'fast_math' contradict one another: the "
-              "first rounds every operation by itself, the second reorders "
-              "them; choose one");
+              "options '" + name +
+                  "' and 'fast_math' contradict one another: the "
+                  "first rounds every operation by itself, the second reorders "
+                  "them; choose one");
 }
 
 LogicalResult Session::setDebug(bool on) {
@@ -112,9 +119,23 @@ LogicalResult Session::setDebug(bool on) {
 }
 
 LogicalResult Session::setFastMath(bool on) {
-  if (on && isStrict)
-    return failContradiction();
+  if (on && (isStrict || compileOptions.shadow))
+    return failContradiction(isStrict ? "strict" : "shadow");
   compileOptions.codegen.fastMath = on;
+  return success();
+}
+
+LogicalResult Session::setShadow(bool on) {
+  if (on && compileOptions.codegen.fastMath)
+    return failContradiction("shadow");
+  if (on && (rt->getDevice() || compileOptions.interpret))
+    return fail(FailureKind::Usage,
+                "option 'shadow' is for compiled kernels on the CPU, and this "
+                "context runs them elsewhere; choose arch cpu");
+  if (failed(check(rt->setShadow(on))))
+    return failure();
+  compileOptions.shadow = on;
+  setContract();
   return success();
 }
 
@@ -201,6 +222,11 @@ LogicalResult Session::setArch(StringRef name) {
                                         "'; there are cpu, cuda and "
                                         "interpreter");
   }
+  if (compileOptions.shadow && name != "cpu")
+    return fail(FailureKind::Usage,
+                "option 'shadow' is for compiled kernels on the CPU, not for "
+                "arch '" +
+                    name + "'; choose arch cpu");
   if (failed(check(rt->useDevice(std::move(device), deviceMemoryLimit))))
     return failure();
   compileOptions.interpret = name == "interpreter";

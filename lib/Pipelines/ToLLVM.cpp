@@ -76,6 +76,8 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   llvm.fastMath = options.fastMath;
   llvm.contract = options.contract;
   pm.addPass(createConvertToLLVM(llvm));
+  if (options.shadow)
+    pm.addPass(createShadowExecution());
   pm.addPass(createVerifyLLVM());
 }
 

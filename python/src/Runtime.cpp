@@ -727,6 +727,21 @@ void taipy::bindRuntime(py::module_ &module) {
            })
       .def("clear_profile",
            [](Context &c) { c.check(taiProfilerClear(c.handle)); })
+      .def("shadow_rows",
+           [](Context &c) {
+             const TaiShadowRow *rows = nullptr;
+             int64_t count = 0;
+             c.check(taiShadowRows(c.handle, &rows, &count));
+             py::list result;
+             for (const TaiShadowRow *row = rows; row != rows + count; ++row)
+               result.append(py::make_tuple(
+                   row->operation, row->kernel, row->place, row->precision,
+                   row->lost, row->cancellations, row->flips, row->non_finite,
+                   row->error_made, row->error_in, row->bits_lost));
+             return result;
+           })
+      .def("clear_shadows",
+           [](Context &c) { c.check(taiShadowClear(c.handle)); })
       .def("skips",
            [](Context &c) {
              const TaiSkipRow *rows = nullptr;

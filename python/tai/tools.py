@@ -1,4 +1,4 @@
-"""`ti.tools`: pictures and videos in files."""
+"""`ti.tools`: pictures and videos in files, and what shadow execution found."""
 
 from __future__ import annotations
 
@@ -10,6 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from ._impl.base.shadows import ShadowReport as ShadowReport
+from ._impl.base.shadows import ShadowRow as ShadowRow
+from ._impl.base.shadows import clear_shadow_report as clear_shadow_report
+from ._impl.base.shadows import shadow_report as shadow_report
 from .errors import TaiRuntimeError
 from .gui import GUI
 

@@ -18,7 +18,7 @@
 
 #include <stdint.h>
 
-#define TAI_ABI_VERSION 7
+#define TAI_ABI_VERSION 8
 
 #ifdef __cplusplus
 extern "C" {
@@ -86,6 +86,24 @@ enum TaiFailure {
   TAI_FAIL_MEMORY = 3,
   TAI_FAIL_CHECK = 4
 };
+
+/// An operation with a shadow. Behind it stands "operation\nkernel\nplace".
+typedef struct TaiShadowSite {
+  uint64_t log; // the log that knows it, or 0
+  void *site;   // how the log knows it
+} TaiShadowSite;
+
+/// Atomic updates; see tai_rt_shadow_atomic.
+enum TaiShadowUpdate {
+  TAI_SHADOW_ADD = 0,
+  TAI_SHADOW_SUB = 1,
+  TAI_SHADOW_MIN = 2,
+  TAI_SHADOW_MAX = 3,
+  TAI_SHADOW_XCHG = 4
+};
+/// The bits of an address that say where its shadow stands: at twice their
+/// value, in the table of shadows.
+#define TAI_SHADOW_MASK ((UINT64_C(1) << 34) - 1)
 
 #define TAI_ENTRY(result, name, parameters) result tai_rt_##name parameters;
 #include "tai/ABI/Abi.def"

@@ -252,6 +252,58 @@ def ConvertToLLVM : Pass<"tai-convert-to-llvm", "::mlir::ModuleOp"> {
                            "::mlir::func::FuncDialect"];
 }
 
+def ShadowExecution : Pass<"tai-shadow-execution", "::mlir::ModuleOp"> {
+  let summary = "compute each float once more with more digits, and compare";
+  let description = [{
+    Gives each float of the functions of a module that is lowered to the LLVM
+    dialect a shadow: what the same operations yield from the shadows of their
+    operands, in f64 for a f32 and in `f64-shadow` for a f64. Control flow, and
+    what selects take, follow the floats, which are what they were.
+
+    A shadow in memory stands in a table of the process, with a copy of its
+    float; where that is another float now, somebody else wrote it, and the
+    shadow is the float.
+
+    Operations that lose digits are compared: where less than half of the bits
+    of a result are right while those of its operands are, the runtime is told
+    the place. Comparisons and conversions to integers report where they come
+    out otherwise for the shadows. What only rounds (products, quotients, square
+    roots) is compared where its result is stored or leaves the block.
+
+    Functions whose first parameter is no pointer, that is, no frame, stay as
+    they are. Fails where the module has shadows already.
+
+    ```mlir
+    llvm.func @k(%frame: !llvm.ptr, %a: f32, %b: f32) -> f32 {
+      %0 = llvm.fsub %a, %b : f32
+      llvm.return %0 : f32
+    }
+    // becomes
+    llvm.func @k(%frame: !llvm.ptr, %a: f32, %b: f32) -> f32 {
+      %sa = llvm.fpext %a : f32 to f64
+      %sb = llvm.fpext %b : f32 to f64
+      %0 = llvm.fsub %a, %b : f32
+      %s0 = llvm.fsub %sa, %sb : f64
+      // Is it far from %s0, though %a and %b are not far from %sa and %sb?
+      %back = llvm.fpext %0 : f32 to f64
+      %fires = llvm.fcmp "une" %back, %s0 : f64
+      llvm.cond_br %fires, ^report, ^rest
+    ^report:
+      // With the operands, the result and how far their shadows lie above them.
+      llvm.call @tai_rt_shadow_site(%frame) : (!llvm.ptr) -> ()
+      llvm.br ^rest
+    ^rest:
+      llvm.return %0 : f32
+    }
+    ```
+  }];
+  let options = [
+    Option<"f64Shadow", "f64-shadow", "std::string", /*default=*/"\"f80\"",
+           "The type of the shadows of f64: f80, or f128">,
+  ];
+  let dependentDialects = ["::mlir::LLVM::LLVMDialect"];
+}
+
 def CheckLowerable : Pass<"tai-check-lowerable", "::mlir::ModuleOp"> {
   let summary = "check that a program holds only what the lowering knows";
   let description = [{

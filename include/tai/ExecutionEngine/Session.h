@@ -160,7 +160,9 @@ private:
   LogicalResult setDebug(bool on);
   LogicalResult setFastMath(bool on);
   LogicalResult setStrict(bool on);
-  LogicalResult failContradiction();
+  LogicalResult failContradiction(StringRef name);
+  void setContract();
+  LogicalResult setShadow(bool on);
   LogicalResult setSanitize(bool address);
   LogicalResult setCacheDir(StringRef folder);
   LogicalResult setPrintIR(StringRef names);

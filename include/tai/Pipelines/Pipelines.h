@@ -144,11 +144,17 @@ struct LoweringOptions : virtual ::mlir::detail::PassOptions {
 /// How kernels are lowered for the CPU.
 struct ToLLVMOptions : PassPipelineOptions<ToLLVMOptions>, LoweringOptions {
   ToLLVMOptions() = default;
-  ToLLVMOptions(const ToLLVMOptions &other) { copyFrom(other); }
+  ToLLVMOptions(const ToLLVMOptions &other) { *this = other; }
   ToLLVMOptions &operator=(const ToLLVMOptions &other) {
     copyFrom(other);
+    shadow = other.shadow.getValue();
     return *this;
   }
+
+  Option<bool> shadow{
+      *this, "shadow",
+      llvm::cl::desc("Carry shadows of floats along: see tai-shadow-execution"),
+      llvm::cl::init(false)};
 };
 
 /// Lowers a module of trees, fields, kernels and host functions to the LLVM

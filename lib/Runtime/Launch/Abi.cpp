@@ -18,6 +18,7 @@
 #include "tai/ABI/SumModes.h"
 #include "tai/Runtime/Device/Device.h"
 #include "tai/Runtime/Device/DeviceHeap.h"
+#include "tai/Runtime/Launch/ShadowLog.h"
 #include "tai/Runtime/Threads/FixedParts.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 #include "tai/Support/Philox.h"
@@ -144,6 +145,8 @@ static void *scratch(TaiFrame *frame, int64_t bytes, const char *purpose) {
     int64_t rounded = std::max<int64_t>((bytes + 63) / 64 * 64, 64);
     if (char *address = launch.arena.allocate(rounded, dirty)) {
       zero(launch, address, dirty);
+      if (__builtin_expect(launch.owner().options().shadow, false))
+        shadow::forget(address, dirty);
       return address;
     }
   }
@@ -298,6 +301,47 @@ TAI_ADD_BUFFERS(addWideAvx2, float, double, "avx2")
 #undef TAI_ADD_BUFFERS
 #endif
 
+/// Does `add`, which adds `parts` buffers to `count` numbers, the numbers of
+/// the buffers one after another; shadows follow.
+template <typename Target, typename T, typename AddressOf, typename Add>
+static void addWithShadows(int64_t count, int64_t parts, const char *buffers,
+                           int64_t stride, AddressOf addressOf, Add add) {
+  std::vector<long double> sums(static_cast<size_t>(count));
+  for (int64_t e = 0; e < count; ++e) {
+    auto *target = reinterpret_cast<Target *>(addressOf(e));
+    long double sum = shadow::read(target, *target);
+    for (int64_t p = 0; p < parts; ++p) {
+      const T *from = reinterpret_cast<const T *>(buffers + p * stride) + e;
+      sum += shadow::read(from, *from);
+    }
+    sums[static_cast<size_t>(e)] = sum;
+  }
+  add();
+  for (int64_t e = 0; e < count; ++e) {
+    auto *target = reinterpret_cast<Target *>(addressOf(e));
+    shadow::write(target, *target, sums[static_cast<size_t>(e)]);
+  }
+}
+
+/// The same for the types of `kind`, where the kernels of the context have
+/// shadows.
+template <typename AddressOf, typename Add>
+static void addBuffersOf(Launch &launch, int32_t kind, int64_t count,
+                         int64_t parts, const char *buffers, int64_t stride,
+                         AddressOf addressOf, Add add) {
+  // Compensated sums are pairs of f32 in memory, and have no shadows there.
+  if (__builtin_expect(!launch.owner().options().shadow, true) ||
+      kind == kSumsPairs)
+    return add();
+  if (kind == kSumsF32)
+    return addWithShadows<float, float>(count, parts, buffers, stride,
+                                        addressOf, add);
+  if (kind == kSumsF64)
+    return addWithShadows<double, double>(count, parts, buffers, stride,
+                                          addressOf, add);
+  addWithShadows<float, double>(count, parts, buffers, stride, addressOf, add);
+}
+
 static AddBuffers chooseAdd(int32_t kind) {
   if (kind == kSumsPairs)
     return addPairs;
@@ -320,6 +364,7 @@ extern "C" void tai_rt_combine(TaiFrame *frame, void *target,
   if (count <= 0 || parts <= 0 || launch.hasFailed())
     return;
   int64_t size = sizeOfSums(kind);
+  int64_t sizeOfTarget = kind == kSumsF64 ? sizeof(double) : sizeof(float);
   int64_t stride = (count * size + 63) / 64 * 64;
   // Bytes read by one worker that repay its fork.
   constexpr int64_t cutBytes = 64 << 10;
@@ -334,10 +379,15 @@ extern "C" void tai_rt_combine(TaiFrame *frame, void *target,
     c.add(c.target, c.buffers, boundOf(c.count, cut, c.cuts),
           boundOf(c.count, cut + 1, c.cuts), c.parts, c.stride);
   };
-  if (cuts == 1)
-    run(&combining, 0);
-  else
-    launch.owner().parallel(cuts, run, &combining);
+  addBuffersOf(
+      launch, kind, count, parts, combining.buffers, stride,
+      [&](int64_t e) { return static_cast<char *>(target) + e * sizeOfTarget; },
+      [&] {
+        if (cuts == 1)
+          run(&combining, 0);
+        else
+          launch.owner().parallel(cuts, run, &combining);
+      });
 }
 
 namespace {
@@ -413,10 +463,20 @@ extern "C" void tai_rt_combine_strided(TaiFrame *frame, void *target,
              : kind == kSumsF64   ? addStrided<double, double>
              : kind == kSumsPairs ? addStridedPairs
                                   : addStrided<float, double>;
-  if (cuts == 1)
-    run(&combining, 0);
-  else
-    launch.owner().parallel(cuts, run, &combining);
+  int64_t sizeOfTarget = kind == kSumsF64 ? sizeof(double) : sizeof(float);
+  addBuffersOf(
+      launch, kind, cells * components, parts, combining.buffers,
+      combining.bufferStride,
+      [&](int64_t e) {
+        return combining.target + e / components * stride +
+               e % components * sizeOfTarget;
+      },
+      [&] {
+        if (cuts == 1)
+          run(&combining, 0);
+        else
+          launch.owner().parallel(cuts, run, &combining);
+      });
 }
 
 //===----------------------------------------------------------------------===//
@@ -468,14 +528,14 @@ static std::vector<RuntimeSymbol> getAbiSymbols() {
   return {
 #define TAI_ENTRY(result, name, parameters) TAI_SYMBOL(tai_rt_##name),
 #include "tai/ABI/Abi.def"
-      {"tai_rt_tick", &tai_rt_tick},     TAI_SYMBOL(tai_emu_thread_id),
-      TAI_SYMBOL(tai_emu_block_id),      TAI_SYMBOL(tai_emu_block_dim),
-      TAI_SYMBOL(tai_emu_block_barrier), TAI_SYMBOL(tai_emu_warp_barrier),
-      TAI_SYMBOL(tai_emu_exchange),      TAI_SYMBOL(tai_emu_match),
-      TAI_SYMBOL(tai_emu_begin_group),   TAI_SYMBOL(tai_emu_next_in_group),
-      TAI_SYMBOL(tai_emu_end_group),     TAI_SYMBOL(tai_emu_grid_dim),
-      TAI_SYMBOL(tai_emu_look),          TAI_SYMBOL(tai_emu_allocate),
-      TAI_SYMBOL(tai_emu_free)};
+      {"tai_rt_tick", &tai_rt_tick},     {"tai_rt_shadows", &tai_rt_shadows},
+      TAI_SYMBOL(tai_emu_thread_id),     TAI_SYMBOL(tai_emu_block_id),
+      TAI_SYMBOL(tai_emu_block_dim),     TAI_SYMBOL(tai_emu_block_barrier),
+      TAI_SYMBOL(tai_emu_warp_barrier),  TAI_SYMBOL(tai_emu_exchange),
+      TAI_SYMBOL(tai_emu_match),         TAI_SYMBOL(tai_emu_begin_group),
+      TAI_SYMBOL(tai_emu_next_in_group), TAI_SYMBOL(tai_emu_end_group),
+      TAI_SYMBOL(tai_emu_grid_dim),      TAI_SYMBOL(tai_emu_look),
+      TAI_SYMBOL(tai_emu_allocate),      TAI_SYMBOL(tai_emu_free)};
 #undef TAI_SYMBOL
 }
 

@@ -21,6 +21,8 @@ struct Options {
   /// Recorded for those who ask; the runtime itself checks always.
   bool debug = false;
   bool profiler = false;
+  /// Kernels carry shadows of floats along; see ShadowLog.h.
+  bool shadow = false;
   uint64_t seed = 0;
   /// Most bytes of trees and scratch; 0 = the memory of the machine (or of its
   /// control group).

@@ -19,6 +19,7 @@
 
 #include "tai/Runtime/Host/ExportedBuffer.h"
 #include "tai/Runtime/Launch/Launcher.h"
+#include "tai/Runtime/Launch/ShadowLog.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 
 namespace mlir::tai::runtime {
@@ -68,6 +69,7 @@ public:
   Gradients &gradients() { return fieldGradients; }
   HostWrites &writes() { return hostWrites; }
   Launcher &launcher() { return launches; }
+  ShadowLog &shadowLog() { return shadowSites; }
   /// What was left out, and what was not; see docs/decisions/0008-skips.md.
   SkipCounters &skipCounters() { return skipCounts; }
 
@@ -87,6 +89,11 @@ public:
     workerThreads.setDeterministic(on);
   }
   void setDebug(bool on) { opts.debug = on; }
+  /// Fails where there is no room for shadows.
+  Status setShadow(bool on) {
+    opts.shadow = on;
+    return on ? shadow::reserve() : Status::success();
+  }
   void setProfiler(bool on) {
     if (on != opts.profiler)
       on ? state.beginSpecial() : state.endSpecial();
@@ -381,6 +388,7 @@ private:
   Options opts;
   Printer printer;
   SkipCounters skipCounts;
+  ShadowLog shadowSites;
   Workers workerThreads;
   MemoryAccount account;
   LaunchState state;

@@ -13,6 +13,7 @@ ROWS: tuple[Row, ...] = (
     ("bounds", "Bounds", "off", "off, clamp or check", "what happens to indices that depend on data and are out of range: nothing is defined, the nearest element is taken, or the launch fails"),
     ("fast_math", "Switch", "false", "true or false", "reassociation, reciprocals and approximate functions; NaN and infinities keep their meaning"),
     ("strict", "Switch", "false", "true or false", "every sum, product, quotient and root is rounded by itself: no fused operations; not with fast_math"),
+    ("shadow", "Switch", "false", "true or false", "kernels compute each float once more with more digits, and the lines where digits are lost are reported; as strict, and not with fast_math, on the CPU alone"),
     ("sanitize", "Sanitizer", "", "\"address\" or nothing", "each access of a kernel asks AddressSanitizer, whose run time the process must have"),
     ("opt_level", "Level", "3", "a number from 0 to 3", "how much is done to make code fast, as of compiler drivers"),
     ("seed", "Seed", "0", "a number from 0 to 2^64 - 1", "where random numbers begin"),

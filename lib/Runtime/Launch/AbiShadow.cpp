@@ -1,0 +1,178 @@
+//===- AbiShadow.cpp - What kernels with shadows call ---------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "Launch.h"
+#include "tai/ABI/Abi.h"
+#include "tai/Runtime/Launch/ShadowLog.h"
+#include <array>
+#include <cmath>
+#include <limits>
+#include <optional>
+
+using namespace mlir::tai::runtime;
+
+/// How far a float lies from its shadow, in parts of it; 1 at the most.
+static double relativeError(double value, double error) {
+  double exact = value + error;
+  if (error == 0)
+    return 0;
+  double relative = std::abs(error / exact);
+  return relative < 1 ? relative : 1;
+}
+
+/// Counts; without a locked operation where one thread runs.
+static void count(std::atomic<int64_t> &counter, bool alone) {
+  if (alone)
+    counter.store(counter.load(std::memory_order_relaxed) + 1,
+                  std::memory_order_relaxed);
+  else
+    counter.fetch_add(1, std::memory_order_relaxed);
+}
+
+extern "C" void tai_rt_shadow_site(TaiFrame *frame, TaiShadowSite *named,
+                                   int32_t precision, int32_t fires, double a,
+                                   double errorOfA, double b, double errorOfB,
+                                   double result, double error, double exact) {
+  // Where the shadow overflows too, that is how the program is.
+  if (!fires || !std::isfinite(exact))
+    return;
+  Runtime &owner = launchOf(frame).owner();
+  ShadowLog::Site &site = owner.shadowLog().find(*named);
+  bool alone = owner.threads() == 1;
+  if (!std::isfinite(result))
+    return count(site.nonFinite, alone);
+  count(site.lost, alone);
+  // Of a difference: both operands are at least eight times as large.
+  if (std::min(std::abs(a), std::abs(b)) > 8 * std::abs(result))
+    count(site.cancellations, alone);
+  double made = relativeError(result, error);
+  // Rounding alone makes so much.
+  double least = precision == 24 ? 0x1p-24 : std::ldexp(1, -precision);
+  double in = std::max(relativeError(a, errorOfA), relativeError(b, errorOfB));
+  double growth = made / std::max(in, least);
+  if (growth <= site.growth.load(std::memory_order_relaxed))
+    return;
+  std::lock_guard<std::mutex> lock(site.worst);
+  if (growth <= site.growth.load(std::memory_order_relaxed))
+    return;
+  site.growth = growth;
+  site.precision = precision;
+  site.errorMade = made;
+  site.errorIn = in;
+}
+
+extern "C" void tai_rt_shadow_flip(TaiFrame *frame, TaiShadowSite *named,
+                                   int32_t precision, double a, double errorOfA,
+                                   double b, double errorOfB) {
+  double exactA = a + errorOfA, exactB = b + errorOfB;
+  if (std::isnan(exactA) || std::isnan(exactB))
+    return;
+  // What vanishes in the type of the float has no sign to be seen there.
+  double least = precision <= 24 ? 0x1p-126 : 0x1p-1022;
+  if (std::abs(exactA) < least && std::abs(exactB) < least)
+    return;
+  ShadowLog::Site &site = launchOf(frame).owner().shadowLog().find(*named);
+  site.flips.fetch_add(1, std::memory_order_relaxed);
+  std::lock_guard<std::mutex> lock(site.worst);
+  site.precision = precision;
+  double in = std::max(relativeError(a, errorOfA), relativeError(b, errorOfB));
+  site.errorIn = std::max(site.errorIn, in);
+}
+
+extern "C" void tai_rt_shadow_move(TaiFrame *, void *to, const void *from,
+                                   int64_t bytes) {
+  if (!from)
+    return shadow::forget(to, bytes);
+  for (int64_t at = 0; at < bytes; at += 4)
+    std::memmove(shadow::entryOf(static_cast<char *>(to) + at),
+                 shadow::entryOf(static_cast<const char *>(from) + at), 8);
+}
+
+//===----------------------------------------------------------------------===//
+// Atomic updates
+//===----------------------------------------------------------------------===//
+
+namespace {
+/// An update and its shadow are one: who updates a float that shares a lock
+/// waits.
+class UpdateLock {
+public:
+  explicit UpdateLock(const void *address)
+      : flag(flags[(reinterpret_cast<uintptr_t>(address) >> 2) % count]) {
+    while (flag.value.test_and_set(std::memory_order_acquire))
+      ;
+  }
+  ~UpdateLock() { flag.value.clear(std::memory_order_release); }
+
+private:
+  static constexpr size_t count = 1024;
+  struct Flag {
+    alignas(64) std::atomic_flag value = ATOMIC_FLAG_INIT;
+  };
+  static std::array<Flag, count> flags;
+  Flag &flag;
+};
+std::array<UpdateLock::Flag, UpdateLock::count> UpdateLock::flags;
+} // namespace
+
+/// NaN where one of both is, as the instructions for `minimum` and `maximum`.
+template <typename T> static T choose(T a, T b, bool greater) {
+  if (std::isnan(a) || std::isnan(b))
+    return std::numeric_limits<T>::quiet_NaN();
+  return (a < b) == greater ? b : a;
+}
+
+/// What a float becomes.
+template <typename T> static T combine(T before, T operand, int32_t kind) {
+  switch (kind) {
+  case TAI_SHADOW_ADD:
+    return before + operand;
+  case TAI_SHADOW_SUB:
+    return before - operand;
+  case TAI_SHADOW_XCHG:
+    return operand;
+  default:
+    return choose(before, operand, kind == TAI_SHADOW_MAX);
+  }
+}
+
+/// `alone`: no other thread of the launch updates.
+template <typename T, typename Wide>
+static double update(T *address, int32_t kind, T value, double error,
+                     double *oldError, bool alone) {
+  std::optional<UpdateLock> lock;
+  if (!alone)
+    lock.emplace(address);
+  T old, result;
+  __atomic_load(address, &old, __ATOMIC_RELAXED);
+  Wide operand = static_cast<Wide>(value) + static_cast<Wide>(error), before;
+  // Others may update without shadows.
+  do {
+    before = shadow::read<T, Wide>(address, old);
+    result = combine(old, value, kind);
+    if (alone) {
+      __atomic_store(address, &result, __ATOMIC_RELAXED);
+      break;
+    }
+  } while (!__atomic_compare_exchange(address, &old, &result, true,
+                                      __ATOMIC_RELAXED, __ATOMIC_RELAXED));
+  *oldError = static_cast<double>(before - static_cast<Wide>(old));
+  shadow::write<T, Wide>(address, result, combine(before, operand, kind));
+  return old;
+}
+
+extern "C" double tai_rt_shadow_atomic(TaiFrame *frame, void *address,
+                                       int32_t kind, int32_t bits, double value,
+                                       double error, double *oldError) {
+  bool alone = launchOf(frame).owner().threads() == 1;
+  if (bits == 32)
+    return update<float, double>(static_cast<float *>(address), kind,
+                                 static_cast<float>(value), error, oldError,
+                                 alone);
+  return update<double, long double>(static_cast<double *>(address), kind,
+                                     value, error, oldError, alone);
+}

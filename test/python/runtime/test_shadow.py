@@ -1,0 +1,373 @@
+"""Shadow execution: which line loses digits. Values are those without shadows."""
+
+import math
+
+import numpy as np
+import pytest
+import tai as ti
+from tai.errors import TaiError, TaiRuntimeError
+
+
+def init(**options):
+    ti.init(arch=ti.cpu, shadow=True, **{"default_fp": ti.f32, **options})
+
+
+def line_of(kernel, text):
+    """The line of the source of a kernel that holds a text."""
+    import inspect
+
+    lines, start = inspect.getsourcelines(getattr(kernel, "func", kernel.__wrapped__))
+    return start + next(i for i, line in enumerate(lines) if text in line)
+
+
+@pytest.mark.parametrize("type_, small", [(ti.f32, 1e-4), (ti.f64, 1e-11)])
+def test_finds_the_line_of_a_cancellation(type_, small):
+    init(default_fp=type_)
+    x = ti.field(type_, 8)
+    y = ti.field(type_, 8)
+
+    @ti.kernel
+    def cancel(step: type_):
+        for i in x:
+            near = x[i] * 1000 + step  # rounds
+            y[i] = near - x[i] * 1000  # loses
+
+    for i in range(8):
+        x[i] = 1.1 + i
+    cancel(small)
+    (row,) = ti.tools.shadow_report()
+    assert (row.lineno, row.operation, row.kernel) == (line_of(cancel, "# loses"), "-", "cancel")
+    assert row.filename == __file__
+    assert row.lost == row.cancellations == 8
+    assert row.flips == row.non_finite == 0
+    # From the rounding of the type to what is left.
+    worst = max(abs(y[i] - small) / small for i in range(8))
+    bits = 24 if type_ == ti.f32 else 53
+    assert row.error == pytest.approx(min(worst, 1), rel=2e-2)
+    assert row.digits_lost == pytest.approx(math.log10(row.error / max(row.error_in, 2.0**-bits)))
+    # It is the rounding of the operands that makes the error: a half unit of them.
+    assert abs(row.digits_lost - math.log10(row.error * 2**bits)) < 0.5
+    assert "8 by cancellation" in report_on_source()
+
+
+def report_on_source():
+    return ti.tools.shadow_report().on_source()
+
+
+def test_well_behaved_kernels_report_nothing():
+    init()
+    x = ti.field(ti.f32, (16, 16))
+    total = ti.field(ti.f32, ())
+    m = ti.Matrix.field(3, 3, ti.f32, shape=16)
+
+    @ti.kernel
+    def run():
+        for i, j in x:
+            x[i, j] = ti.sin(i * 0.1) + ti.exp(-0.1 * j) + 2
+            total[None] += x[i, j]
+        for i in m:
+            m[i] = m[i] @ m[i].transpose() + ti.Matrix.identity(ti.f32, 3)
+            if m[i].determinant() > 0.5:
+                m[i] = m[i] * 0.5
+
+    for _ in range(3):
+        run()
+    report = ti.tools.shadow_report()
+    assert list(report) == []
+    assert str(report).startswith("no digits lost")
+    assert report.on_source() == ""
+
+
+def test_sum_that_cancels_is_found_in_serial_and_parallel_loops():
+    init()
+    n = 65537
+    x = ti.field(ti.f32, n)
+    y = ti.field(ti.f32, 2)
+    rng = np.random.default_rng(0)
+    half = rng.random(n // 2).astype(np.float32)
+    terms = np.concatenate([half, -half, [np.float32(0.01)]])
+    rng.shuffle(terms)
+    x.from_numpy(terms)
+
+    @ti.kernel
+    def serial():
+        ti.loop_config(serialize=True)
+        for i in range(n):
+            y[0] += x[i]  # serial
+
+    @ti.kernel
+    def parallel():
+        for i in x:
+            y[1] += x[i]  # parallel
+
+    serial()
+    parallel()
+    rows = {row.lineno: row for row in ti.tools.shadow_report()}
+    # What threads sum is added up where the loop begins.
+    wanted = {line_of(serial, "# serial"), line_of(parallel, "# parallel")}
+    assert wanted <= set(rows) <= wanted | {line_of(parallel, "for i in x")}
+    assert all(row.operation == "+" and row.lost for row in rows.values())
+
+
+@pytest.mark.parametrize("threads", [1, 4])
+@pytest.mark.parametrize("deterministic", [False, True])
+@pytest.mark.parametrize("size", [1, 4])
+def test_sums_over_parallel_loops_have_shadows(threads, deterministic, size):
+    init(cpu_max_num_threads=threads, deterministic=deterministic)
+    y = ti.field(ti.f32, size)
+    rest = ti.field(ti.f32, size)
+    # One thread alone loses digits among the terms, where they are many.
+    terms = 1024 if threads == 1 else 65536
+    n = terms * size
+
+    @ti.kernel
+    def add(a: ti.f32):
+        for i in range(n):
+            y[i % size] += a
+
+    @ti.kernel
+    def take(a: ti.f32):
+        for i in y:
+            rest[i] = y[i] - a  # takes
+
+    y.fill(1e4)
+    term = 0.7 / terms
+    add(term)
+    take(1e4)
+    report = ti.tools.shadow_report()
+    assert [row.lineno for row in report] == [line_of(take, "# takes")], str(report)
+    row = report[0]
+    exact = terms * float(np.float32(term))
+    worst = np.abs(rest.to_numpy() - exact).max() / exact
+    assert worst > 2**-12
+    assert row.error == pytest.approx(min(worst, 1), rel=1e-3)
+
+
+def test_quadratic_formula():
+    init()
+    r = ti.field(ti.f32, 2)
+
+    @ti.kernel
+    def solve(b: ti.f32, c: ti.f32):
+        d = ti.sqrt(b * b - 4 * c)
+        r[0] = (d - b) / 2  # naive
+        r[1] = -2 * c / (b + d)
+
+    solve(1000.0, 1.0)
+    (row,) = ti.tools.shadow_report()
+    assert row.lineno == line_of(solve, "# naive")
+    assert row.operation == "-"
+    exact = -0.001000001
+    assert row.error == pytest.approx(abs(r[0] - exact) / abs(exact), rel=1e-3)
+    assert abs(r[1] - exact) < 1e-9
+
+
+def test_flips_are_found_and_control_follows_the_floats():
+    init()
+    x = ti.field(ti.f32, 3)
+    y = ti.field(ti.i32, 3)
+
+    @ti.kernel
+    def decide(a: ti.f32, b: ti.f32):
+        for i in y:
+            y[i] = 0
+            x[i] = a
+        for i in y:
+            if x[i] + b > x[i]:  # flips
+                y[i] = 1
+            if x[i] + a > b:
+                y[i] += 2
+            y[i] += 10 * ti.cast((x[i] + b) * 0.5, ti.i32)  # converts
+
+    # In f32 the sum is a; with more digits it is greater.
+    decide(2.0**24, 1.0)
+    assert y.to_numpy().tolist() == [2 + 10 * 2**23] * 3
+    rows = {(row.lineno, row.operation): row.flips for row in ti.tools.shadow_report()}
+    assert rows == {(line_of(decide, "# flips"), "comparison"): 3}
+    ti.tools.clear_shadow_report()
+    # The sum is rounded up to a multiple of 4, and its half is another integer.
+    decide(2.0**24 + 2, 1.0)
+    assert y.to_numpy().tolist() == [1 + 2 + 10 * (2**23 + 2)] * 3
+    rows = {(row.lineno, row.operation): row.flips for row in ti.tools.shadow_report()}
+    assert rows == {(line_of(decide, "# converts"), "conversion to an integer"): 3}
+    assert "3 come out otherwise" in report_on_source()
+
+
+def test_overflow_where_more_digits_are_finite():
+    init()
+    y = ti.field(ti.f32, 2)
+
+    @ti.kernel
+    def run(a: ti.f32):
+        y[0] = ti.sqrt(a * a)  # overflows
+        y[1] = 1 / (a * a)
+
+    run(1e30)
+    (row,) = [row for row in ti.tools.shadow_report() if row.non_finite]
+    assert row.lineno == line_of(run, "# overflows")
+
+
+def test_shadows_in_fields_follow_kernels_and_host_writes():
+    init()
+    x = ti.field(ti.f32, 4)
+    y = ti.field(ti.f32, 4)
+
+    @ti.kernel
+    def add(a: ti.f32):
+        for i in x:
+            x[i] += a
+
+    @ti.kernel
+    def take(a: ti.f32):
+        for i in x:
+            y[i] = x[i] - a  # takes
+
+    x.fill(1e4)
+    add(1e-3)
+    take(1e4)
+    # The sum of an earlier launch was rounded.
+    (row,) = ti.tools.shadow_report()
+    assert row.lineno == line_of(take, "# takes")
+    assert row.lost == 4
+    ti.tools.clear_shadow_report()
+    # What the host writes is exact.
+    x.from_numpy(np.full(4, 1e4 + 0.0625, np.float32))
+    take(1e4)
+    x[0] = 5e3
+    take(1e4)
+    assert ti.tools.shadow_report() == []
+
+
+def test_sparse_fields_and_atomic_updates_on_several_threads():
+    init(cpu_max_num_threads=4)
+    n = 4096
+    cells = ti.root.pointer(ti.i, n // 16).dense(ti.i, 16)
+    x = ti.field(ti.f32)
+    cells.place(x)
+    y = ti.field(ti.f32, n)
+    index = ti.field(ti.i32, n)
+    index.from_numpy((np.arange(n) % 8 * 64).astype(np.int32))
+
+    @ti.kernel
+    def scatter(a: ti.f32):
+        for i in range(n):
+            x[index[i]] += a
+
+    @ti.kernel
+    def take(a: ti.f32):
+        for i in x:
+            y[i] = x[i] - a  # takes
+
+    scatter(1e4)
+    for _ in range(2):
+        scatter(1e-4)
+    # 512 * 1e4 each: 1e-4 is lost in it.
+    take(512e4)
+    found = {row.lineno: row for row in ti.tools.shadow_report()}
+    row = found[line_of(take, "# takes")]
+    assert row.lost == 8
+    # All of the 1024 small terms are in the shadow.
+    assert row.error == 1
+    assert set(found) == {row.lineno}
+
+
+def make_program(type_):
+    """A program with loops, branches, matrices, sums and a gradient; its results."""
+    n = 100
+    x = ti.field(type_, n, needs_grad=True)
+    m = ti.Matrix.field(2, 2, type_, shape=n, needs_grad=True)
+    loss = ti.field(type_, (), needs_grad=True)
+
+    @ti.kernel
+    def step():
+        for i in x:
+            s = ti.cast(0.0, type_)
+            j = 0
+            while s < 3 and j < 20:
+                s += ti.abs(ti.sin(x[i] * j)) + x[(i + 1) % n] / (1 + j)
+                j += 1
+            m[i] = ti.Matrix([[s, x[i]], [ti.exp(-s), ti.max(s, x[i])]]) @ ti.Matrix(
+                [[1.0, 0.25], [x[i], 2.0]]
+            )
+
+    @ti.kernel
+    def measure():
+        for i in m:
+            u, sig, v = ti.svd(m[i])
+            loss[None] += sig[0, 0] * 0.01 + m[i].norm() + ti.atan2(m[i][0, 1], s_of(i))
+
+    @ti.func
+    def s_of(i):
+        return m[i].determinant() + ti.pow(ti.abs(x[i]), 1.5) + ti.tan(x[i] * 0.1) + ti.floor(x[i])
+
+    x.from_numpy((np.arange(n) * 0.037 - 1).astype(np.float32))
+    with ti.ad.Tape(loss):
+        step()
+        measure()
+    return loss.to_numpy(), x.grad.to_numpy(), m.to_numpy()
+
+
+@pytest.mark.parametrize("type_", [ti.f32, ti.f64])
+@pytest.mark.parametrize("threads", [1, 3])
+def test_values_are_those_without_shadows(type_, threads):
+    results = []
+    for options in ({"strict": True}, {"shadow": True}):
+        ti.init(
+            arch=ti.cpu,
+            default_fp=type_,
+            deterministic=True,
+            cpu_max_num_threads=threads,
+            **options,
+        )
+        results.append(make_program(type_))
+    for plain, shadowed in zip(*results, strict=True):
+        assert plain.tobytes() == shadowed.tobytes()
+
+
+def test_adjoints_have_rows_of_their_own():
+    init()
+    x = ti.field(ti.f32, 16, needs_grad=True)
+    y = ti.field(ti.f32, (), needs_grad=True)
+
+    @ti.kernel
+    def f():
+        for i in x:
+            y[None] += x[i] * 1e4 - ti.sin(x[i]) * 1e4
+
+    x.from_numpy((0.013 + 0.0007 * np.arange(16)).astype(np.float32))
+    with ti.ad.Tape(y):
+        f()
+    # 1e4 (1 - cos x) is small: the two parts of the gradient cancel.
+    rows = [row for row in ti.tools.shadow_report() if row.lost]
+    assert {row.kernel for row in rows} > {"f"}
+    assert all(row.kernel.startswith("f") for row in rows)
+    exact = 1e4 * (1 - np.cos(x.to_numpy().astype(np.float64)))
+    worst = np.max(np.abs(x.grad.to_numpy() - exact) / exact)
+    assert max(row.error for row in rows if row.kernel != "f") == pytest.approx(worst, rel=1e-2)
+
+
+def test_two_contexts_of_reports_follow_one_another():
+    for _ in range(2):
+        init()
+
+        @ti.kernel
+        def f(a: ti.f32) -> ti.f32:
+            return (a + 1e-5) - a
+
+        f(1e3)
+        assert [row.lost for row in ti.tools.shadow_report()] == [1]
+        f(1e3)
+        assert [row.lost for row in ti.tools.shadow_report()] == [2]
+
+
+def test_options_that_do_not_go_together():
+    with pytest.raises(TaiError, match="'shadow' and 'fast_math' contradict"):
+        ti.init(arch=ti.cpu, shadow=True, fast_math=True)
+    ti.init(arch=ti.python)
+    ti.reset()
+    with pytest.raises(TaiError, match="choose arch cpu"):
+        ti.init(arch=ti.python, shadow=True)
+        ti.field(ti.f32, ())
+    ti.init(arch=ti.cpu)
+    with pytest.raises(TaiRuntimeError, match=r"ti\.init\(shadow=True\)"):
+        ti.tools.shadow_report()
