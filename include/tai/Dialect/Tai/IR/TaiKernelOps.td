@@ -378,8 +378,11 @@ def Tai_PrintOp : Tai_Op<"print", [MemoryEffects<[MemWrite]>]> {
   let summary = "print values from a kernel";
   let description = [{
     Prints the format, in which `{}` stands for the arguments in turn, and a
-    newline. Lines of parallel iterations come in any order, whole. `shapes` is
-    that of `tai.assert`.
+    newline. `{:…}` gives Python's format specification of a number, as in
+    `{:8.3f}`: fill, alignment, sign, `#`, `0`, width, precision and one of
+    `bdoxXeEfFgG%`; of vectors, that of each component. A `u` behind it reads
+    the bits of a whole number as an unsigned one. Lines of parallel iterations
+    come in any order, whole. `shapes` is that of `tai.assert`.
 
     Example:
 
