@@ -11,6 +11,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "ArrayArguments.h"
+#include "Safepoint.h"
 #include "TensorView.h"
 
 #include <algorithm>
@@ -176,7 +177,7 @@ Match HeldArrays::packBuffer(const ArrayArg &arg, PyObject *object,
   if (PyObject_GetBuffer(object, &view,
                          PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | PyBUF_WRITABLE) !=
       0) {
-    PyErr_Clear();
+    forgetError();
     return Match::No;
   }
   buffers.push_back(view);
@@ -220,7 +221,7 @@ Match HeldArrays::packGradient(PyObject *owner, PyObject *name, Slots &slots,
     gradient = makeGradient(owner, name);
   }
   if (!gradient) {
-    PyErr_Clear();
+    forgetError();
     return Match::No;
   }
   objects.push_back(gradient);

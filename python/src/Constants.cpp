@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Constants.h"
+#include "Safepoint.h"
 
 #include <algorithm>
 #include <cstring>
@@ -19,7 +20,7 @@ namespace {
 bool isEqual(PyTypeObject &base, PyObject *a, PyObject *b) {
   PyObject *answer = base.tp_richcompare(a, b, Py_EQ);
   if (!answer) {
-    PyErr_Clear();
+    forgetError();
     return false;
   }
   bool equal = answer == Py_True;
@@ -57,7 +58,7 @@ public:
   explicit View(PyObject *value) {
     isValid = PyObject_GetBuffer(value, &buffer, PyBUF_FULL_RO) == 0;
     if (!isValid)
-      PyErr_Clear();
+      forgetError();
   }
   ~View() {
     if (isValid)
@@ -224,7 +225,7 @@ bool Constant::matchesContents(PyObject *given) const {
   case Kind::Iterated: {
     PyObject *list = PySequence_List(given);
     if (!list) {
-      PyErr_Clear();
+      forgetError();
       return false;
     }
     bool same =
@@ -239,7 +240,7 @@ bool Constant::matchesContents(PyObject *given) const {
       bool same = part && items[i].matches(part);
       Py_XDECREF(part);
       if (!same) {
-        PyErr_Clear();
+        forgetError();
         return false;
       }
     }
@@ -250,7 +251,7 @@ bool Constant::matchesContents(PyObject *given) const {
   case Kind::Wrapped: {
     PyObject *contents = PyObject_GetAttr(given, object.ptr());
     if (!contents) {
-      PyErr_Clear();
+      forgetError();
       return false;
     }
     bool same = items.front().matches(contents);
@@ -300,7 +301,7 @@ void Constant::clear() {
 bool Read::holds() const {
   PyObject *found = PyObject_GetAttr(owner.ptr(), name.ptr());
   if (!found) {
-    PyErr_Clear();
+    forgetError();
     return false;
   }
   bool same = value->matches(found);
@@ -354,7 +355,7 @@ void Reads::add(const py::tuple &described) {
   if (!dict || read.value->canChange() ||
       PyDict_Contains(reinterpret_cast<PyObject *>(dict), read.name.ptr()) !=
           1) {
-    PyErr_Clear();
+    forgetError();
     others.push_back(std::move(read));
     return;
   }

@@ -15,6 +15,7 @@
 
 #include "ArrayArguments.h"
 #include "Constants.h"
+#include "Safepoint.h"
 
 #include <algorithm>
 #include <cstring>
@@ -199,7 +200,7 @@ Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
         return Match::No;
       number = PyFloat_AsDouble(object);
       if (number == -1.0 && PyErr_Occurred()) {
-        PyErr_Clear();
+        forgetError();
         return Match::No;
       }
     }

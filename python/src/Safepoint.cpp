@@ -61,6 +61,13 @@ void taipy::retakeLock() {
   }
 }
 
+void taipy::forgetError() {
+  bool isInterrupt = PyErr_ExceptionMatches(PyExc_KeyboardInterrupt);
+  PyErr_Clear();
+  if (isInterrupt)
+    PyErr_SetInterrupt();
+}
+
 void taipy::bindSafepoints() {
   // Modules may be imported by any thread, but this one is Python's own.
   PyObject *threading = PyImport_ImportModule("threading");

@@ -48,6 +48,10 @@ inline bool afterCall() {
   return !isInterrupted;
 }
 
+/// For what Python was asked and need not answer: PyErr_Clear(), but a Ctrl-C
+/// that came meanwhile is not lost, it comes again.
+void forgetError();
+
 void bindSafepoints();
 
 } // namespace taipy

@@ -11,6 +11,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "TensorView.h"
+#include "Safepoint.h"
 
 #include <vector>
 
@@ -89,7 +90,7 @@ static bool readByTable(const dlpack::ExchangeTable &table, PyObject *object,
                         TensorView &view) {
   dlpack::Tensor tensor;
   if (table.view(object, &tensor) != 0) {
-    PyErr_Clear();
+    forgetError();
     return false;
   }
   if (tensor.rank > TensorView::kMostDimensions)
@@ -116,7 +117,7 @@ static const char *readFormat(PyObject *dtype, int &itemBytes) {
   static PyObject *formats = PyDict_New();
   PyObject *found = PyDict_GetItemWithError(formats, dtype);
   if (!found) {
-    PyErr_Clear();
+    forgetError();
     try {
       py::object type = py::module_::import("tai._impl.interop.device_arrays")
                             .attr("numpy_type")(py::handle(dtype));
@@ -159,7 +160,7 @@ static bool readByAttributes(PyObject *object, TensorView &view) {
   py::object dense = take(PyObject_CallMethodNoArgs(object, isContiguous));
   py::object address = take(PyObject_CallMethodNoArgs(object, dataPtr));
   if (!dense || !address || PyErr_Occurred()) {
-    PyErr_Clear();
+    forgetError();
     return false;
   }
   view.address = PyLong_AsUnsignedLongLong(address.ptr());

@@ -88,14 +88,44 @@ ENDLESS = [
 def test_a_kernel_is_interrupted(make, opt_level, threads, ctrl_c):
     ti.init(arch=ti.cpu, default_fp=ti.f64, opt_level=opt_level, cpu_max_num_threads=threads)
     run = make(ti.field(ti.f64, shape=()))
+    # Python itself loses a signal that comes in a callback of its garbage collector, say.
+    run.compile()
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            ctrl_c()
+            run()
+        check_usable()
+
+
+def test_a_signal_while_the_launcher_asks_an_argument_is_not_lost():
+    """It looks at a property to see whether the code still holds, and forgets what that raises."""
+    x = ti.field(ti.f64, shape=4)
+    asked = []
+
+    @ti.data_oriented
+    class Scene:
+        stops = False
+
+        @property
+        def size(self):
+            asked.append(self.stops)
+            if self.stops:
+                signal.raise_signal(signal.SIGINT)
+            return 3
+
+        @ti.kernel
+        def run(self):
+            for i in range(self.size):
+                x[i] += 1.0
+
+    scene = Scene()
+    for _ in range(3):
+        scene.run()
+    scene.stops = True
     with pytest.raises(KeyboardInterrupt):
-        ctrl_c()
-        run()
-    check_usable()
-    # Once more, when nothing is to be compiled.
-    with pytest.raises(KeyboardInterrupt):
-        ctrl_c()
-        run()
+        scene.run()
+    assert asked[-1]
+    scene.stops = False
     check_usable()
 
 
@@ -155,6 +185,7 @@ def test_an_adjoint_is_interrupted(ctrl_c):
             y[None] = v
 
     power()
+    power.compile(grad=True)
     y.grad[None] = 1.0
     n[None] = 1 << 60
     with pytest.raises(KeyboardInterrupt):
