@@ -30,7 +30,7 @@ FOLDER = TESTS / "stress"
 PAGE = ROOT / "docs/stress.md"
 sys.path[:0] = [str(ROOT / "python"), str(FOLDER)]
 
-from cases import CASES, cases_of  # noqa: E402
+from stress_cases import CASES, cases_of  # noqa: E402
 
 TREES = "test_expression_trees"
 

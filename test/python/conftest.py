@@ -2,6 +2,7 @@
 
 import os
 import random
+import signal
 import time
 
 import pytest
@@ -11,6 +12,11 @@ import device_lists
 import device_tensors
 import layout_lists
 import layouts
+
+# Programs in the background may have been started with Ctrl-C ignored, which those that tests start
+# would inherit.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Tests of kernels that run on every layout in the normal run, too.
 ON_EVERY_LAYOUT = {

@@ -163,6 +163,8 @@ def interrupt(make, delay):
 
 
 def main():
+    # Programs in the background may have been started with the signal ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     if args.compile_in:
         ti.init(arch=ti.cpu, offline_cache_file_path=args.compile_in, offline_cache=True)
         make_large()()

@@ -99,7 +99,7 @@ class Owner(ti.Kernel):
 
 def specializations(function):
     owner = Owner(function, False)
-    return owner, Specializations(owner, function), Signature(function, False)
+    return owner, Specializations(owner, function, {}), Signature(function, False)
 
 
 def test_one_specialisation_for_each_kind():

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from cases import CASES, cases_of
+from stress_cases import CASES, cases_of
 
 ROOT = Path(__file__).resolve().parents[3]
 
