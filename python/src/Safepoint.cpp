@@ -62,7 +62,9 @@ void taipy::retakeLock() {
 }
 
 void taipy::forgetError() {
-  bool isInterrupt = PyErr_ExceptionMatches(PyExc_KeyboardInterrupt);
+  // Some callers have no error to forget, which the question may not meet.
+  bool isInterrupt =
+      PyErr_Occurred() && PyErr_ExceptionMatches(PyExc_KeyboardInterrupt);
   PyErr_Clear();
   if (isInterrupt)
     PyErr_SetInterrupt();
