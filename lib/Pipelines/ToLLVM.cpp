@@ -71,6 +71,9 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
     pm.addPass(createHoistAllocations());
   if (fast)
     pm.addPass(createSplitIndexSets());
+  // The shadows of the copies' values would be as many.
+  if (fast && !options.shadow)
+    pm.addPass(createUnrollAndJam());
 
   ConvertToLLVMOptions llvm;
   llvm.fastMath = options.fastMath;

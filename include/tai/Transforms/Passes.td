@@ -417,6 +417,31 @@ def SplitIndexSets : Pass<"tai-split-index-sets"> {
                            "::mlir::scf::SCFDialect"];
 }
 
+def UnrollAndJam : Pass<"tai-unroll-and-jam"> {
+  let summary = "run several iterations around serial loops that carry sums";
+  let description = [{
+    Unrolls a loop whose annotation says that its accesses are parallel, and jams
+    the serial loops in it: each carries the sums of all iterations unrolled, 256
+    or 512 bits of them. A sum keeps its order, but additions do not wait for one
+    another, and LLVM makes vectors. The serial loops have the same bounds in all
+    iterations, and nothing else branches or calls.
+
+    ```mlir
+    #group = #llvm.access_group<id = distinct[0]<>>
+    #parallel = #llvm.loop_annotation<parallelAccesses = #group>
+    scf.for %i = %lo to %hi step %c1 { // sixteen of these, with sixteen sums
+      %sum = scf.for %j = %c0 to %n step %c1 iter_args(%s = %zero) -> (f32) {
+        %t = llvm.load %p {access_groups = [#group]} : !llvm.ptr -> f32
+        %u = arith.addf %s, %t : f32
+        scf.yield %u : f32
+      }
+    } {llvm.loop_annotation = #parallel}
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect"];
+}
+
 def FuseLaunches : Pass<"tai-fuse-launches", "::mlir::ModuleOp"> {
   let summary = "make one kernel of those that are launched one after another";
   let description = [{

@@ -1,0 +1,300 @@
+//===- UnrollAndJam.cpp - Several iterations around one serial loop -------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// An iteration of a parallel loop that adds up terms one by one waits for each
+// addition before it begins the next: the order of a sum is the program's.
+// Several iterations do not wait for one another. So they are unrolled, and
+// their serial loops jammed into one that carries all of their sums; where
+// their terms lie side by side, LLVM makes vectors of them. Each sum is added
+// up in the order it had.
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/IR/IRMapping.h"
+#include "mlir/IR/Matchers.h"
+#include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Transforms/Passes.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_UNROLLANDJAM
+#include "tai/Transforms/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Bits of the sums that are carried at once: a vector of AVX, or two where
+/// there are registers for them.
+static constexpr unsigned kBits = 256;
+/// Ops of an iteration up to which there are.
+static constexpr unsigned kFewOps = 16;
+/// Ops of an iteration beyond which registers, or the cache of code, run out.
+static constexpr unsigned kMaxOps = 64;
+/// LLVM unrolls loops of up to so many instructions completely, and then makes
+/// vectors of whole iterations of the loop around them.
+static constexpr int64_t kUnrolledOps = 300;
+
+namespace {
+/// What is found in a loop.
+struct Candidate {
+  scf::ForOp loop;
+  /// Width of the widest sum that a serial loop carries; 0 if there is none.
+  unsigned sumBits = 0;
+  unsigned ops = 0;
+};
+
+/// Copies of iterations, side by side.
+class Jammer {
+public:
+  Jammer(OpBuilder &builder, unsigned factor)
+      : builder(builder), copies(factor) {}
+
+  /// Maps a value to one that all copies share.
+  void mapShared(Value from, Value to) {
+    for (IRMapping &copy : copies)
+      copy.map(from, to);
+  }
+  void map(unsigned copy, Value from, Value to) { copies[copy].map(from, to); }
+  Value lookup(unsigned copy, Value value) const {
+    return copies[copy].lookupOrDefault(value);
+  }
+
+  void emit(Block &body) {
+    for (Operation &op : body.without_terminator())
+      emit(op);
+  }
+
+private:
+  void emit(Operation &op) {
+    if (auto loop = dyn_cast<scf::ForOp>(op))
+      return jam(loop);
+    if (isShared(op)) {
+      Operation *clone = builder.clone(op, copies.front());
+      for (auto [from, to] : llvm::zip(op.getResults(), clone->getResults()))
+        mapShared(from, to);
+      return;
+    }
+    for (IRMapping &copy : copies)
+      builder.clone(op, copy);
+  }
+
+  /// Whether all copies would compute the same.
+  bool isShared(Operation &op) const {
+    return isMemoryEffectFree(&op) &&
+           llvm::all_of(op.getOperands(),
+                        [&](Value operand) { return isShared(operand); });
+  }
+  bool isShared(Value value) const {
+    Value first = lookup(0, value);
+    return llvm::all_of(ArrayRef(copies), [&](const IRMapping &copy) {
+      return copy.lookupOrDefault(value) == first;
+    });
+  }
+
+  void jam(scf::ForOp loop) {
+    SmallVector<Value> inits;
+    for (unsigned copy = 0; copy < copies.size(); ++copy)
+      for (Value init : loop.getInitArgs())
+        inits.push_back(lookup(copy, init));
+    auto jammed = scf::ForOp::create(
+        builder, loop.getLoc(), lookup(0, loop.getLowerBound()),
+        lookup(0, loop.getUpperBound()), lookup(0, loop.getStep()), inits,
+        [](OpBuilder &, Location, Value, ValueRange) {});
+    unsigned carried = loop.getNumResults();
+    mapShared(loop.getInductionVar(), jammed.getInductionVar());
+    for (unsigned copy = 0; copy < copies.size(); ++copy)
+      for (auto [i, argument] : llvm::enumerate(loop.getRegionIterArgs())) {
+        map(copy, argument, jammed.getRegionIterArg(copy * carried + i));
+        map(copy, loop.getResult(i), jammed.getResult(copy * carried + i));
+      }
+    OpBuilder::InsertionGuard guard(builder);
+    builder.setInsertionPointToStart(jammed.getBody());
+    emit(*loop.getBody());
+    SmallVector<Value> yields;
+    for (unsigned copy = 0; copy < copies.size(); ++copy)
+      for (Value value : loop.getBody()->getTerminator()->getOperands())
+        yields.push_back(lookup(copy, value));
+    scf::YieldOp::create(builder, loop.getLoc(), yields);
+    jammed->setDiscardableAttrs(loop->getDiscardableAttrDictionary());
+  }
+
+  OpBuilder &builder;
+  SmallVector<IRMapping> copies;
+};
+} // namespace
+
+/// The groups of accesses that do not depend on those of other iterations.
+static ArrayRef<LLVM::AccessGroupAttr> getParallelAccesses(scf::ForOp loop) {
+  auto annotation =
+      loop->getAttrOfType<LLVM::LoopAnnotationAttr>("llvm.loop_annotation");
+  return annotation ? annotation.getParallelAccesses()
+                    : ArrayRef<LLVM::AccessGroupAttr>();
+}
+
+/// Whether an op of one iteration may change places with those of another.
+static bool isIndependent(Operation *op,
+                          ArrayRef<LLVM::AccessGroupAttr> groups) {
+  if (isMemoryEffectFree(op))
+    return true;
+  if (!isa<LLVM::LoadOp, LLVM::StoreOp>(op))
+    return false;
+  auto load = dyn_cast<LLVM::LoadOp>(op);
+  if (load && load.getInvariant())
+    return true;
+  auto access = cast<LLVM::AccessGroupOpInterface>(op);
+  ArrayAttr own = access.getAccessGroupsOrNull();
+  return own && llvm::any_of(own, [&](Attribute group) {
+           return llvm::is_contained(groups, group);
+         });
+}
+
+static bool mayReassociate(Operation *op) {
+  auto math = dyn_cast<arith::ArithFastMathInterface>(op);
+  arith::FastMathFlagsAttr flags =
+      math ? math.getFastMathFlagsAttr() : arith::FastMathFlagsAttr();
+  return flags &&
+         bitEnumContainsAll(flags.getValue(), arith::FastMathFlags::reassoc);
+}
+
+/// The width of a sum that the loop carries: an operation on floats of the last
+/// iteration's value, which may not be taken out of order.
+static unsigned getSumBits(scf::ForOp loop) {
+  unsigned bits = 0;
+  for (auto [argument, yielded] :
+       llvm::zip(loop.getRegionIterArgs(),
+                 loop.getBody()->getTerminator()->getOperands())) {
+    auto type = dyn_cast<FloatType>(argument.getType());
+    Operation *update = yielded.getDefiningOp();
+    if (!type || !update || update->getParentOp() != loop.getOperation())
+      continue;
+    if (mayReassociate(update))
+      continue;
+    bits = std::max(bits, type.getWidth());
+  }
+  return bits;
+}
+
+/// Whether LLVM will leave nothing of the loop. Addresses are free.
+static bool isUnrolledByLLVM(scf::ForOp loop) {
+  std::optional<llvm::APInt> trips = loop.getStaticTripCount();
+  if (!trips)
+    return false;
+  // What depends on neither the index nor what is carried leaves the loop.
+  llvm::SmallDenseSet<Value> varying;
+  varying.insert(loop.getInductionVar());
+  varying.insert_range(loop.getRegionIterArgs());
+  int64_t ops = 1; // that of the index
+  for (Operation &op : loop.getBody()->without_terminator()) {
+    if (llvm::none_of(op.getOperands(),
+                      [&](Value operand) { return varying.contains(operand); }))
+      continue;
+    varying.insert_range(op.getResults());
+    ops += !isa<LLVM::GEPOp, arith::IndexCastOp, arith::AddIOp>(op);
+  }
+  return trips->ule(kUnrolledOps / ops);
+}
+
+/// Looks at the ops of an iteration of `candidate.loop`, or of a serial loop
+/// in it.
+static bool visit(Block &body, Candidate &candidate,
+                  ArrayRef<LLVM::AccessGroupAttr> groups) {
+  auto isUniform = [&](Value bound) {
+    return candidate.loop.isDefinedOutsideOfLoop(bound) ||
+           matchPattern(bound, m_Constant());
+  };
+  for (Operation &op : body.without_terminator()) {
+    auto loop = dyn_cast<scf::ForOp>(op);
+    if (!loop) {
+      if (op.getNumRegions() || !isIndependent(&op, groups))
+        return false;
+      candidate.ops +=
+          !isa<LLVM::GEPOp>(op) && !op.hasTrait<OpTrait::ConstantLike>();
+      continue;
+    }
+    // The copies leave the loop together.
+    if (!llvm::all_of(ValueRange{loop.getLowerBound(), loop.getUpperBound(),
+                                 loop.getStep()},
+                      isUniform))
+      return false;
+    unsigned bits = getSumBits(loop);
+    bool holdsLoops = !loop.getBody()->getOps<scf::ForOp>().empty();
+    // A loop that carries nothing is better off with vectors of its own.
+    if ((!bits && !holdsLoops) || isUnrolledByLLVM(loop))
+      return false;
+    candidate.sumBits = std::max(candidate.sumBits, bits);
+    if (!visit(*loop.getBody(), candidate, groups))
+      return false;
+  }
+  return true;
+}
+
+static std::optional<Candidate> match(scf::ForOp loop) {
+  ArrayRef<LLVM::AccessGroupAttr> groups = getParallelAccesses(loop);
+  if (groups.empty() || loop.getNumResults() ||
+      !matchPattern(loop.getStep(), m_One()))
+    return std::nullopt;
+  Candidate candidate{loop};
+  if (!visit(*loop.getBody(), candidate, groups) || !candidate.sumBits ||
+      candidate.ops > kMaxOps)
+    return std::nullopt;
+  return candidate;
+}
+
+static void apply(const Candidate &candidate) {
+  scf::ForOp loop = candidate.loop;
+  int64_t factor = kBits / std::max(candidate.sumBits, 32u);
+  if (candidate.ops <= kFewOps)
+    factor *= 2;
+  OpBuilder builder(loop);
+  Location loc = loop.getLoc();
+  Type type = loop.getInductionVar().getType();
+  auto constant = [&](OpBuilder &at, int64_t value) -> Value {
+    return arith::ConstantOp::create(at, loc, at.getIntegerAttr(type, value));
+  };
+  // [lower, middle) by steps of the factor, which is a power of two, then what
+  // is left.
+  Value lower = loop.getLowerBound(), upper = loop.getUpperBound();
+  Value count = arith::SubIOp::create(builder, loc, upper, lower);
+  count = arith::MaxSIOp::create(builder, loc, count, constant(builder, 0));
+  Value whole =
+      arith::AndIOp::create(builder, loc, count, constant(builder, -factor));
+  Value middle = arith::AddIOp::create(builder, loc, lower, whole);
+  scf::ForOp::create(builder, loc, lower, middle, constant(builder, factor),
+                     ValueRange(),
+                     [&](OpBuilder &nested, Location, Value iv, ValueRange) {
+                       Jammer jammer(nested, factor);
+                       for (int64_t copy = 0; copy < factor; ++copy) {
+                         Value own = iv;
+                         if (copy)
+                           own = arith::AddIOp::create(nested, loc, iv,
+                                                       constant(nested, copy));
+                         jammer.map(copy, loop.getInductionVar(), own);
+                       }
+                       jammer.emit(*loop.getBody());
+                       scf::YieldOp::create(nested, loc);
+                     });
+  loop.getLowerBoundMutable().assign(middle);
+}
+
+namespace {
+struct UnrollAndJam : tai::impl::UnrollAndJamBase<UnrollAndJam> {
+  using Base::Base;
+
+  void runOnOperation() override {
+    SmallVector<Candidate> candidates;
+    getOperation()->walk([&](scf::ForOp loop) {
+      if (std::optional<Candidate> candidate = match(loop))
+        candidates.push_back(*candidate);
+    });
+    for (const Candidate &candidate : candidates)
+      apply(candidate);
+  }
+};
+} // namespace
