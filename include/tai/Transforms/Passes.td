@@ -427,19 +427,17 @@ def UnrollAndJam : Pass<"tai-unroll-and-jam"> {
     iterations, and nothing else branches or calls.
 
     ```mlir
-    #group = #llvm.access_group<id = distinct[0]<>>
-    #parallel = #llvm.loop_annotation<parallelAccesses = #group>
+    #parallel = #llvm.loop_annotation<parallelAccesses = #llvm.access_group<id = distinct[0]<>>>
+    %zero = arith.constant 0.0 : f32
     scf.for %i = %lo to %hi step %c1 { // sixteen of these, with sixteen sums
       %sum = scf.for %j = %c0 to %n step %c1 iter_args(%s = %zero) -> (f32) {
-        %t = llvm.load %p {access_groups = [#group]} : !llvm.ptr -> f32
-        %u = arith.addf %s, %t : f32
+        %u = arith.addf %s, %s : f32
         scf.yield %u : f32
       }
     } {llvm.loop_annotation = #parallel}
     ```
   }];
-  let dependentDialects = ["::mlir::arith::ArithDialect",
-                           "::mlir::scf::SCFDialect"];
+  let dependentDialects = ["arith::ArithDialect", "scf::SCFDialect"];
 }
 
 def FuseLaunches : Pass<"tai-fuse-launches", "::mlir::ModuleOp"> {
