@@ -427,14 +427,14 @@ def UnrollAndJam : Pass<"tai-unroll-and-jam"> {
     iterations, and nothing else branches or calls.
 
     ```mlir
-    #parallel = #llvm.loop_annotation<parallelAccesses = #llvm.access_group<id = distinct[0]<>>>
     %zero = arith.constant 0.0 : f32
     scf.for %i = %lo to %hi step %c1 { // sixteen of these, with sixteen sums
       %sum = scf.for %j = %c0 to %n step %c1 iter_args(%s = %zero) -> (f32) {
         %u = arith.addf %s, %s : f32
         scf.yield %u : f32
       }
-    } {llvm.loop_annotation = #parallel}
+    } {llvm.loop_annotation = #llvm.loop_annotation<
+        parallelAccesses = #llvm.access_group<id = distinct[0]<>>>}
     ```
   }];
   let dependentDialects = ["arith::ArithDialect", "scf::SCFDialect"];
