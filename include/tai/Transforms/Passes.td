@@ -423,8 +423,8 @@ def UnrollAndJam : Pass<"tai-unroll-and-jam"> {
     Unrolls a loop whose annotation says that its accesses are parallel, and jams
     the serial loops in it: each carries the sums of all iterations unrolled, 256
     or 512 bits of them. A sum keeps its order, but additions do not wait for one
-    another, and LLVM makes vectors. The serial loops have the same bounds in all
-    iterations, and nothing else branches or calls.
+    another, and LLVM makes vectors. Branches without effects become choices. The
+    serial loops have the same bounds in all iterations, and nothing is called.
 
     ```mlir
     %zero = arith.constant 0.0 : f32

@@ -75,6 +75,8 @@ private:
   void emit(Operation &op) {
     if (auto loop = dyn_cast<scf::ForOp>(op))
       return jam(loop);
+    if (auto branch = dyn_cast<scf::IfOp>(op))
+      return flatten(branch);
     if (isShared(op)) {
       Operation *clone = builder.clone(op, copies.front());
       for (auto [from, to] : llvm::zip(op.getResults(), clone->getResults()))
@@ -96,6 +98,21 @@ private:
     return llvm::all_of(ArrayRef(copies), [&](const IRMapping &copy) {
       return copy.lookupOrDefault(value) == first;
     });
+  }
+
+  /// Both sides, then a choice.
+  void flatten(scf::IfOp branch) {
+    emit(*branch.thenBlock());
+    emit(*branch.elseBlock());
+    for (IRMapping &copy : copies)
+      for (auto [result, yes, no] :
+           llvm::zip(branch.getResults(), branch.thenYield().getOperands(),
+                     branch.elseYield().getOperands()))
+        copy.map(result,
+                 arith::SelectOp::create(
+                     builder, branch.getLoc(),
+                     copy.lookupOrDefault(branch.getCondition()),
+                     copy.lookupOrDefault(yes), copy.lookupOrDefault(no)));
   }
 
   void jam(scf::ForOp loop) {
@@ -181,6 +198,21 @@ static unsigned getSumBits(scf::ForOp loop) {
   return bits;
 }
 
+/// Counts the ops of a branch whose both sides may run in the place of one.
+static bool visit(scf::IfOp branch, Candidate &candidate) {
+  if (!branch.getNumResults())
+    return false;
+  WalkResult result = branch.walk([&](Operation *op) {
+    bool isFrame = isa<scf::IfOp, scf::YieldOp>(op);
+    if (!isFrame && (op->getNumRegions() || !isPure(op)))
+      return WalkResult::interrupt();
+    candidate.ops += !isFrame;
+    return WalkResult::advance();
+  });
+  candidate.ops += branch.getNumResults();
+  return !result.wasInterrupted();
+}
+
 /// Whether LLVM will leave nothing of the loop. Addresses are free.
 static bool isUnrolledByLLVM(scf::ForOp loop) {
   std::optional<llvm::APInt> trips = loop.getStaticTripCount();
@@ -191,13 +223,16 @@ static bool isUnrolledByLLVM(scf::ForOp loop) {
   varying.insert(loop.getInductionVar());
   varying.insert_range(loop.getRegionIterArgs());
   int64_t ops = 1; // that of the index
-  for (Operation &op : loop.getBody()->without_terminator()) {
-    if (llvm::none_of(op.getOperands(),
-                      [&](Value operand) { return varying.contains(operand); }))
-      continue;
-    varying.insert_range(op.getResults());
-    ops += !isa<LLVM::GEPOp, arith::IndexCastOp, arith::AddIOp>(op);
-  }
+  loop.getBody()->walk<WalkOrder::PreOrder>([&](Operation *op) {
+    bool isVarying = llvm::any_of(op->getOperands(), [&](Value value) {
+      return varying.contains(value);
+    });
+    if (!isVarying && op->getNumRegions() == 0)
+      return;
+    varying.insert_range(op->getResults());
+    ops +=
+        !isa<LLVM::GEPOp, arith::IndexCastOp, arith::AddIOp, scf::YieldOp>(op);
+  });
   return trips->ule(kUnrolledOps / ops);
 }
 
@@ -210,6 +245,11 @@ static bool visit(Block &body, Candidate &candidate,
            matchPattern(bound, m_Constant());
   };
   for (Operation &op : body.without_terminator()) {
+    if (auto branch = dyn_cast<scf::IfOp>(op)) {
+      if (!visit(branch, candidate))
+        return false;
+      continue;
+    }
     auto loop = dyn_cast<scf::ForOp>(op);
     if (!loop) {
       if (op.getNumRegions() || !isIndependent(&op, groups))

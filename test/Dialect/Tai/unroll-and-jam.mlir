@@ -151,3 +151,66 @@ func.func @nested(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) {
   } {llvm.loop_annotation = #parallel}
   return
 }
+
+// -----
+
+#group = #llvm.access_group<id = distinct[0]<>>
+#parallel = #llvm.loop_annotation<parallelAccesses = #group>
+
+// Both sides of a branch without effects are computed. A division of integers
+// could end the program, and a load could be out of bounds: their loops are left.
+// CHECK-LABEL: func.func @branches(
+//       CHECK:   scf.for %{{.+}} = %{{.+}} to %{{.+}} step %c16
+//       CHECK:     scf.for
+//   CHECK-NOT:       scf.if
+// CHECK-COUNT-16:    arith.select
+//   CHECK-NOT:       arith.select
+//       CHECK:       scf.yield
+//       CHECK:   scf.for
+//       CHECK:     scf.if
+//   CHECK-NOT:   step %c16
+//       CHECK:   return
+func.func @branches(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %zero = arith.constant 0.0 : f32
+  scf.for %i = %lo to %hi step %c1 {
+    %sum = scf.for %j = %c0 to %n step %c1 iter_args(%s = %zero) -> (f32) {
+      %other = arith.cmpi ne, %i, %j : index
+      %next = scf.if %other -> (f32) {
+        %t = arith.addf %s, %s : f32
+        scf.yield %t : f32
+      } else {
+        scf.yield %s : f32
+      }
+      scf.yield %next : f32
+    }
+  } {llvm.loop_annotation = #parallel}
+  scf.for %i = %lo to %hi step %c1 {
+    %sum = scf.for %j = %c0 to %n step %c1 iter_args(%s = %zero) -> (f32) {
+      %other = arith.cmpi ne, %i, %j : index
+      %next = scf.if %other -> (f32) {
+        %t = llvm.load %a {access_groups = [#group]} : !llvm.ptr -> f32
+        scf.yield %t : f32
+      } else {
+        scf.yield %s : f32
+      }
+      scf.yield %next : f32
+    }
+  } {llvm.loop_annotation = #parallel}
+  scf.for %i = %lo to %hi step %c1 {
+    %sum = scf.for %j = %c0 to %n step %c1 iter_args(%s = %zero) -> (f32) {
+      %other = arith.cmpi ne, %i, %j : index
+      %next = scf.if %other -> (f32) {
+        %q = arith.divsi %i, %j : index
+        %r = arith.index_cast %q : index to i32
+        %t = arith.sitofp %r : i32 to f32
+        scf.yield %t : f32
+      } else {
+        scf.yield %s : f32
+      }
+      scf.yield %next : f32
+    }
+  } {llvm.loop_annotation = #parallel}
+  return
+}

@@ -192,6 +192,50 @@ def test_terms_that_read_what_other_iterations_wrote_before():
     np.testing.assert_array_equal(y.to_numpy(), in_order(after * away))
 
 
+@pytest.mark.parametrize("n", [1, 16, 45])
+def test_branches_around_terms(n):
+    """The term of a particle and itself divides by zero, and is left out."""
+    ti.init(strict=True)
+    x, y = ti.field(ti.f32, n), ti.field(ti.f32, n)
+    turns, count = ti.field(ti.f32, n), ti.field(ti.i32, n)
+    x.from_numpy(numbers(n))
+
+    @ti.kernel
+    def pull():
+        for i in range(n):
+            total = 0.0
+            for j in range(n):
+                if i == j:
+                    continue
+                way = x[j] - x[i]
+                total += 1.0 / way if way < 1.0 else way
+            y[i] = total
+
+    @ti.kernel
+    def iterate():
+        for i in range(n):
+            z, steps = x[i], 0
+            for _ in range(100):
+                if z * z < 1e30:
+                    z = z * z + x[i]
+                    steps += 1
+            turns[i], count[i] = z, steps
+
+    pull()
+    iterate()
+    values = x.to_numpy()
+    for i in range(n):
+        total, z, steps = np.float32(0.0), values[i], 0
+        for j in range(n):
+            if i != j:
+                way = values[j] - values[i]
+                total += np.float32(1.0) / way if way < 1 else way
+        for _ in range(100):
+            if abs(z) < 1e15 and z * z < np.float32(1e30):
+                z, steps = z * z + values[i], steps + 1
+        assert (y[i], turns[i], count[i]) == (total, z, steps)
+
+
 @pytest.mark.parametrize("n", [1, 19])
 def test_gradients(n):
     ti.init(default_fp=ti.f64)
