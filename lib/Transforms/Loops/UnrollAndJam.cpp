@@ -17,6 +17,7 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/SCF/Utils/Utils.h"
 #include "mlir/IR/IRMapping.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
@@ -35,6 +36,9 @@ using namespace mlir::tai;
 static constexpr unsigned kBits = 256;
 /// Ops of an iteration up to which there are.
 static constexpr unsigned kFewOps = 16;
+/// Terms of a sum that are added without a branch between them, where each copy
+/// loads its own: rows of a matrix become vectors of columns by shuffles.
+static constexpr unsigned kTerms = 8;
 /// Ops of an iteration beyond which registers, or the cache of code, run out.
 static constexpr unsigned kMaxOps = 64;
 /// LLVM unrolls loops of up to so many instructions completely, and then makes
@@ -65,6 +69,9 @@ public:
   Value lookup(unsigned copy, Value value) const {
     return copies[copy].lookupOrDefault(value);
   }
+
+  /// Jammed loops in which each copy loads its own.
+  ArrayRef<scf::ForOp> getLoopsOfRows() const { return loopsOfRows; }
 
   void emit(Block &body) {
     for (Operation &op : body.without_terminator())
@@ -98,6 +105,14 @@ private:
     return llvm::all_of(ArrayRef(copies), [&](const IRMapping &copy) {
       return copy.lookupOrDefault(value) == first;
     });
+  }
+
+  /// Whether an innermost loop loads what depends on the copy.
+  bool readsApart(scf::ForOp loop) const {
+    return loop.getBody()->getOps<scf::ForOp>().empty() &&
+           llvm::any_of(
+               loop.getBody()->getOps<LLVM::LoadOp>(),
+               [&](LLVM::LoadOp load) { return !isShared(load.getAddr()); });
   }
 
   /// Both sides, then a choice.
@@ -140,10 +155,13 @@ private:
         yields.push_back(lookup(copy, value));
     scf::YieldOp::create(builder, loop.getLoc(), yields);
     jammed->setDiscardableAttrs(loop->getDiscardableAttrDictionary());
+    if (readsApart(loop))
+      loopsOfRows.push_back(jammed);
   }
 
   OpBuilder &builder;
   SmallVector<IRMapping> copies;
+  SmallVector<scf::ForOp> loopsOfRows;
 };
 } // namespace
 
@@ -290,7 +308,8 @@ static std::optional<Candidate> match(scf::ForOp loop) {
 static void apply(const Candidate &candidate) {
   scf::ForOp loop = candidate.loop;
   int64_t factor = kBits / std::max(candidate.sumBits, 32u);
-  if (candidate.ops <= kFewOps)
+  bool isSmall = candidate.ops <= kFewOps;
+  if (isSmall)
     factor *= 2;
   OpBuilder builder(loop);
   Location loc = loop.getLoc();
@@ -306,20 +325,20 @@ static void apply(const Candidate &candidate) {
   Value whole =
       arith::AndIOp::create(builder, loc, count, constant(builder, -factor));
   Value middle = arith::AddIOp::create(builder, loc, lower, whole);
-  scf::ForOp::create(builder, loc, lower, middle, constant(builder, factor),
-                     ValueRange(),
-                     [&](OpBuilder &nested, Location, Value iv, ValueRange) {
-                       Jammer jammer(nested, factor);
-                       for (int64_t copy = 0; copy < factor; ++copy) {
-                         Value own = iv;
-                         if (copy)
-                           own = arith::AddIOp::create(nested, loc, iv,
-                                                       constant(nested, copy));
-                         jammer.map(copy, loop.getInductionVar(), own);
-                       }
-                       jammer.emit(*loop.getBody());
-                       scf::YieldOp::create(nested, loc);
-                     });
+  auto main = scf::ForOp::create(builder, loc, lower, middle,
+                                 constant(builder, factor));
+  OpBuilder nested = OpBuilder::atBlockTerminator(main.getBody());
+  Jammer jammer(nested, factor);
+  for (int64_t copy = 0; copy < factor; ++copy) {
+    Value own = main.getInductionVar();
+    if (copy)
+      own = arith::AddIOp::create(nested, loc, own, constant(nested, copy));
+    jammer.map(copy, loop.getInductionVar(), own);
+  }
+  jammer.emit(*loop.getBody());
+  if (isSmall)
+    for (scf::ForOp rows : jammer.getLoopsOfRows())
+      (void)loopUnrollByFactor(rows, kTerms); // or it stays as it is
   loop.getLowerBoundMutable().assign(middle);
 }
 

@@ -214,3 +214,39 @@ func.func @branches(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) {
   } {llvm.loop_annotation = #parallel}
   return
 }
+
+// -----
+
+#group = #llvm.access_group<id = distinct[0]<>>
+#parallel = #llvm.loop_annotation<parallelAccesses = #group>
+
+// Each copy reads a row of its own: eight columns at a time, then those left over.
+// CHECK-LABEL: func.func @rows(
+//       CHECK:   scf.for %{{.+}} = %{{.+}} to %{{.+}} step %c16
+//       CHECK:     %[[WHOLE:.+]]:16 = scf.for %{{.+}} iter_args
+// CHECK-COUNT-128:   arith.addf
+//   CHECK-NOT:       arith.addf
+//       CHECK:     scf.for %{{.+}} iter_args(%{{.+}} = %[[WHOLE]]#0
+// CHECK-COUNT-16:    arith.addf
+//   CHECK-NOT:       arith.addf
+//       CHECK:     scf.yield
+func.func @rows(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index, %n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %zero = arith.constant 0.0 : f32
+  scf.for %i = %lo to %hi step %c1 {
+    %i64 = arith.index_cast %i : index to i64
+    %sum = scf.for %j = %c0 to %n step %c1 iter_args(%s = %zero) -> (f32) {
+      %row = arith.muli %i, %n : index
+      %at = arith.addi %row, %j : index
+      %at64 = arith.index_cast %at : index to i64
+      %p = llvm.getelementptr %a[%at64] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+      %t = llvm.load %p {access_groups = [#group]} : !llvm.ptr -> f32
+      %u = arith.addf %s, %t : f32
+      scf.yield %u : f32
+    }
+    %q = llvm.getelementptr %b[%i64] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+    llvm.store %sum, %q {access_groups = [#group]} : f32, !llvm.ptr
+  } {llvm.loop_annotation = #parallel}
+  return
+}
