@@ -4,9 +4,9 @@
     python benchmarks/micro/serial_sums.py --peers-venv FOLDER  # taichi and quadrants in turns
 
 The same file runs under each module's name, on one thread, with and without `fast_math` (which
-is the default of both peers), and says the least processor time of a launch in microseconds; beside a
-peer's, in brackets, times tai's of the same kind. Without `fast_math` sums are added up in the order of
-the program.
+is the default of both peers), and says the least processor time of a launch in microseconds; beside
+a peer's, in brackets, times tai's of the same kind. Without `fast_math` sums are added up in the
+order of the program.
 """
 
 from __future__ import annotations
@@ -90,9 +90,7 @@ def programs(ti, real):
 def measure(module: str, dtype: str, fast: bool) -> None:
     ti = importlib.import_module(module)
     real = getattr(ti, dtype)
-    ti.init(
-        arch=ti.cpu, cpu_max_num_threads=1, default_fp=real, fast_math=fast, log_level=ti.ERROR
-    )
+    ti.init(arch=ti.cpu, cpu_max_num_threads=1, default_fp=real, fast_math=fast, log_level=ti.ERROR)
     for kernel in programs(ti, real):
         kernel()
         best = float("inf")

@@ -72,8 +72,11 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   if (fast)
     pm.addPass(createSplitIndexSets());
   // The shadows of the copies' values would be as many.
-  if (fast && !options.shadow)
-    pm.addPass(createUnrollAndJam());
+  if (fast && !options.shadow) {
+    UnrollAndJamOptions jam;
+    jam.reassociate = options.fastMath;
+    pm.addPass(createUnrollAndJam(jam));
+  }
 
   ConvertToLLVMOptions llvm;
   llvm.fastMath = options.fastMath;

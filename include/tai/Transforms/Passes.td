@@ -421,15 +421,13 @@ def UnrollAndJam : Pass<"tai-unroll-and-jam"> {
   let summary = "run several iterations around serial loops that carry sums";
   let description = [{
     Unrolls a loop whose annotation says that its accesses are parallel, and jams
-    the serial loops in it: each carries the sums of all iterations unrolled, 256
-    or 512 bits of them. A sum keeps its order, but additions do not wait for one
-    another, and LLVM makes vectors. Branches without effects become choices. The
-    serial loops have the same bounds in all iterations, and nothing is called.
+    the serial loops in it: each carries the sums of all iterations unrolled, up to
+    512 bits. A sum keeps its order, but additions do not wait for one another.
+    The bounds are the same in all iterations; branches without effects go.
 
     ```mlir
-    %zero = arith.constant 0.0 : f32
     scf.for %i = %lo to %hi step %c1 { // sixteen of these, with sixteen sums
-      %sum = scf.for %j = %c0 to %n step %c1 iter_args(%s = %zero) -> (f32) {
+      %sum = scf.for %j = %c0 to %n step %c1 iter_args(%s = %x) -> (f32) {
         %u = arith.addf %s, %s : f32
         scf.yield %u : f32
       }
@@ -437,6 +435,8 @@ def UnrollAndJam : Pass<"tai-unroll-and-jam"> {
         parallelAccesses = #llvm.access_group<id = distinct[0]<>>>}
     ```
   }];
+  let options = [Option<"reassociate", "reassociate", "bool", "false", "sums "
+                        "may be added up in any order: jam where LLVM gathers">];
   let dependentDialects = ["arith::ArithDialect", "scf::SCFDialect"];
 }
 

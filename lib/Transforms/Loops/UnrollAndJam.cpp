@@ -36,6 +36,8 @@ using namespace mlir::tai;
 static constexpr unsigned kBits = 256;
 /// Ops of an iteration up to which there are.
 static constexpr unsigned kFewOps = 16;
+/// Strides of which LLVM makes vectors by loading all that lies between.
+static constexpr int64_t kMaxStride = 8;
 /// Terms of a sum that are added without a branch between them, where each copy
 /// loads its own: rows of a matrix become vectors of columns by shuffles.
 static constexpr unsigned kTerms = 8;
@@ -44,6 +46,17 @@ static constexpr unsigned kMaxOps = 64;
 /// LLVM unrolls loops of up to so many instructions completely, and then makes
 /// vectors of whole iterations of the loop around them.
 static constexpr int64_t kUnrolledOps = 300;
+
+static constexpr StringLiteral kLoopAnnotation = "llvm.loop_annotation";
+
+/// Says to LLVM that a loop has its vectors: across iterations of another.
+static LLVM::LoopAnnotationAttr getNotVectorized(MLIRContext *context) {
+  auto vectorize = LLVM::LoopVectorizeAttr::get(
+      context, /*disable=*/BoolAttr::get(context, true), {}, {}, {}, {}, {},
+      {});
+  return LLVM::LoopAnnotationAttr::get(context, {}, vectorize, {}, {}, {}, {},
+                                       {}, {}, {}, {}, {}, {}, {}, {}, {});
+}
 
 namespace {
 /// What is found in a loop.
@@ -155,6 +168,7 @@ private:
         yields.push_back(lookup(copy, value));
     scf::YieldOp::create(builder, loop.getLoc(), yields);
     jammed->setDiscardableAttrs(loop->getDiscardableAttrDictionary());
+    jammed->setAttr(kLoopAnnotation, getNotVectorized(loop.getContext()));
     if (readsApart(loop))
       loopsOfRows.push_back(jammed);
   }
@@ -168,7 +182,7 @@ private:
 /// The groups of accesses that do not depend on those of other iterations.
 static ArrayRef<LLVM::AccessGroupAttr> getParallelAccesses(scf::ForOp loop) {
   auto annotation =
-      loop->getAttrOfType<LLVM::LoopAnnotationAttr>("llvm.loop_annotation");
+      loop->getAttrOfType<LLVM::LoopAnnotationAttr>(kLoopAnnotation);
   return annotation ? annotation.getParallelAccesses()
                     : ArrayRef<LLVM::AccessGroupAttr>();
 }
@@ -190,12 +204,45 @@ static bool isIndependent(Operation *op,
          });
 }
 
-static bool mayReassociate(Operation *op) {
-  auto math = dyn_cast<arith::ArithFastMathInterface>(op);
-  arith::FastMathFlagsAttr flags =
-      math ? math.getFastMathFlagsAttr() : arith::FastMathFlagsAttr();
-  return flags &&
-         bitEnumContainsAll(flags.getValue(), arith::FastMathFlags::reassoc);
+/// By how much a value grows from one iteration of a loop to the next, if that
+/// is always the same.
+static std::optional<int64_t> getStride(Value value, scf::ForOp loop) {
+  if (value == loop.getInductionVar())
+    return 1;
+  Operation *op = value.getDefiningOp();
+  if (!op || loop.isDefinedOutsideOfLoop(value))
+    return 0;
+  SmallVector<int64_t> strides;
+  for (Value operand : op->getOperands()) {
+    std::optional<int64_t> stride = getStride(operand, loop);
+    if (!stride)
+      return std::nullopt;
+    strides.push_back(*stride);
+  }
+  if (llvm::all_of(strides, [](int64_t stride) { return stride == 0; }))
+    return 0;
+  llvm::APInt factor;
+  if (isa<arith::IndexCastOp>(op))
+    return strides[0];
+  if (isa<arith::AddIOp>(op))
+    return strides[0] + strides[1];
+  if (isa<arith::MulIOp>(op) &&
+      matchPattern(op->getOperand(1), m_ConstantInt(&factor)))
+    return strides[0] * factor.getSExtValue();
+  return std::nullopt;
+}
+
+/// Whether vectors of terms of this loop would be gathered from far apart.
+static bool readsColumns(scf::ForOp loop) {
+  return llvm::any_of(loop.getBody()->getOps<LLVM::LoadOp>(), [&](auto load) {
+    auto address = load.getAddr().template getDefiningOp<LLVM::GEPOp>();
+    if (!address)
+      return false;
+    return llvm::any_of(address.getDynamicIndices(), [&](Value index) {
+      std::optional<int64_t> stride = getStride(index, loop);
+      return !stride || std::abs(*stride) > kMaxStride;
+    });
+  });
 }
 
 /// The width of a sum that the loop carries: an operation on floats of the last
@@ -208,8 +255,6 @@ static unsigned getSumBits(scf::ForOp loop) {
     auto type = dyn_cast<FloatType>(argument.getType());
     Operation *update = yielded.getDefiningOp();
     if (!type || !update || update->getParentOp() != loop.getOperation())
-      continue;
-    if (mayReassociate(update))
       continue;
     bits = std::max(bits, type.getWidth());
   }
@@ -257,7 +302,7 @@ static bool isUnrolledByLLVM(scf::ForOp loop) {
 /// Looks at the ops of an iteration of `candidate.loop`, or of a serial loop
 /// in it.
 static bool visit(Block &body, Candidate &candidate,
-                  ArrayRef<LLVM::AccessGroupAttr> groups) {
+                  ArrayRef<LLVM::AccessGroupAttr> groups, bool reassociate) {
   auto isUniform = [&](Value bound) {
     return candidate.loop.isDefinedOutsideOfLoop(bound) ||
            matchPattern(bound, m_Constant());
@@ -286,21 +331,24 @@ static bool visit(Block &body, Candidate &candidate,
     // A loop that carries nothing is better off with vectors of its own.
     if ((!bits && !holdsLoops) || isUnrolledByLLVM(loop))
       return false;
+    // So is one whose sums may be added up in any order.
+    if (reassociate && !holdsLoops && !readsColumns(loop))
+      return false;
     candidate.sumBits = std::max(candidate.sumBits, bits);
-    if (!visit(*loop.getBody(), candidate, groups))
+    if (!visit(*loop.getBody(), candidate, groups, reassociate))
       return false;
   }
   return true;
 }
 
-static std::optional<Candidate> match(scf::ForOp loop) {
+static std::optional<Candidate> match(scf::ForOp loop, bool reassociate) {
   ArrayRef<LLVM::AccessGroupAttr> groups = getParallelAccesses(loop);
   if (groups.empty() || loop.getNumResults() ||
       !matchPattern(loop.getStep(), m_One()))
     return std::nullopt;
   Candidate candidate{loop};
-  if (!visit(*loop.getBody(), candidate, groups) || !candidate.sumBits ||
-      candidate.ops > kMaxOps)
+  if (!visit(*loop.getBody(), candidate, groups, reassociate) ||
+      !candidate.sumBits || candidate.ops > kMaxOps)
     return std::nullopt;
   return candidate;
 }
@@ -349,7 +397,7 @@ struct UnrollAndJam : tai::impl::UnrollAndJamBase<UnrollAndJam> {
   void runOnOperation() override {
     SmallVector<Candidate> candidates;
     getOperation()->walk([&](scf::ForOp loop) {
-      if (std::optional<Candidate> candidate = match(loop))
+      if (std::optional<Candidate> candidate = match(loop, reassociate))
         candidates.push_back(*candidate);
     });
     for (const Candidate &candidate : candidates)

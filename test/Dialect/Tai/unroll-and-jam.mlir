@@ -1,10 +1,14 @@
 // RUN: tai-opt %s --tai-unroll-and-jam --split-input-file | FileCheck %s
+// RUN: tai-opt %s --tai-unroll-and-jam=reassociate --split-input-file | FileCheck %s --check-prefix=ANY
 
 #group = #llvm.access_group<id = distinct[0]<>>
 #parallel = #llvm.loop_annotation<parallelAccesses = #group>
 
 // A sum of 1000 terms in f64: few ops, so two vectors of four. What does not
 // depend on the iteration is computed once.
+// Where any order will do, LLVM makes vectors of terms of one sum.
+// ANY-LABEL: func.func @sums(
+//   ANY-NOT:   arith.andi
 // CHECK-LABEL: func.func @sums(
 //  CHECK-SAME:     %{{.+}}: !llvm.ptr, %{{.+}}: !llvm.ptr, %[[LO:.+]]: index, %[[HI:.+]]: index
 //       CHECK:   %[[N:.+]] = arith.subi %[[HI]], %[[LO]]
@@ -51,7 +55,7 @@ func.func @sums(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index) {
 
 // None of these is unrolled: a short sum, which LLVM unrolls; an access of another
 // group; one of none; a bound that is the iteration's own; a call; no
-// annotation; sums that may be reassociated; a loop that carries no sum.
+// annotation; a loop that carries no sum.
 // CHECK-LABEL: func.func @left(
 //   CHECK-NOT:   arith.andi
 //       CHECK:   return
@@ -104,13 +108,6 @@ func.func @left(%a: !llvm.ptr, %lo: index, %hi: index) {
       scf.yield %u : f32
     }
   }
-  scf.for %i = %lo to %hi step %c1 {
-    %sum = scf.for %j = %c0 to %c1000 step %c1 iter_args(%s = %zero) -> (f32) {
-      %t = llvm.load %a {access_groups = [#group]} : !llvm.ptr -> f32
-      %u = arith.addf %s, %t fastmath<reassoc> : f32
-      scf.yield %u : f32
-    }
-  } {llvm.loop_annotation = #parallel}
   scf.for %i = %lo to %hi step %c1 {
     scf.for %j = %c0 to %c1000 step %c1 {
       llvm.store %zero, %a {access_groups = [#group]} : f32, !llvm.ptr
@@ -239,6 +236,42 @@ func.func @rows(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index, %n: index)
     %sum = scf.for %j = %c0 to %n step %c1 iter_args(%s = %zero) -> (f32) {
       %row = arith.muli %i, %n : index
       %at = arith.addi %row, %j : index
+      %at64 = arith.index_cast %at : index to i64
+      %p = llvm.getelementptr %a[%at64] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+      %t = llvm.load %p {access_groups = [#group]} : !llvm.ptr -> f32
+      %u = arith.addf %s, %t : f32
+      scf.yield %u : f32
+    }
+    %q = llvm.getelementptr %b[%i64] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+    llvm.store %sum, %q {access_groups = [#group]} : f32, !llvm.ptr
+  } {llvm.loop_annotation = #parallel}
+  return
+}
+
+// -----
+
+#group = #llvm.access_group<id = distinct[0]<>>
+#parallel = #llvm.loop_annotation<parallelAccesses = #group>
+
+// The terms of one sum are a row apart, those of the iterations side by side, and
+// LLVM makes no vectors of its own.
+// CHECK-LABEL: func.func @columns(
+//       CHECK:   step %c16
+// ANY-DAG: #[[NONE:.+]] = #llvm.loop_vectorize<disable = true>
+// ANY-DAG: #[[ONCE:.+]] = #llvm.loop_annotation<vectorize = #[[NONE]]>
+// ANY-LABEL: func.func @columns(
+//       ANY:   step %c16
+//       ANY:     scf.for
+//       ANY:     } {llvm.loop_annotation = #[[ONCE]]}
+func.func @columns(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index, %n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %zero = arith.constant 0.0 : f32
+  scf.for %i = %lo to %hi step %c1 {
+    %i64 = arith.index_cast %i : index to i64
+    %sum = scf.for %j = %c0 to %n step %c1 iter_args(%s = %zero) -> (f32) {
+      %row = arith.muli %j, %n : index
+      %at = arith.addi %row, %i : index
       %at64 = arith.index_cast %at : index to i64
       %p = llvm.getelementptr %a[%at64] : (!llvm.ptr, i64) -> !llvm.ptr, f32
       %t = llvm.load %p {access_groups = [#group]} : !llvm.ptr -> f32
