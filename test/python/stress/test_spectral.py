@@ -315,3 +315,58 @@ def products_by_columns(mode):
         return found
 
     return {"by_columns": by_columns, "as_a_product": as_a_product}, run
+
+
+def cubes_for_curvature(n, kind, w):
+    """y = <w, A A' A> by singular values of A, or <w, A^3> by eigenvalues of a symmetric A."""
+    x = ti.Matrix.field(n, n, ti.f64, shape=(), needs_grad=True, needs_dual=True)
+    y = ti.field(ti.f64, shape=(), needs_grad=True, needs_dual=True)
+
+    @ti.kernel
+    def cube():
+        if ti.static(kind == "svd"):
+            u, s, v = ti.svd(x[None])
+            for k in ti.static(range(n)):
+                s[k, k] = s[k, k] ** 3
+            y[None] += (ti.Matrix(w) * (u @ s @ v.transpose())).sum()
+        else:
+            values, q = ti.sym_eig(x[None])
+            m = ti.Matrix.zero(ti.f64, n, n)
+            for k in ti.static(range(n)):
+                m[k, k] = values[k] ** 3
+            y[None] += (ti.Matrix(w) * (q @ m @ q.transpose())).sum()
+
+    return cube, x, y
+
+
+def turn_of(n, rng):
+    return np.linalg.qr(rng.standard_normal((n, n)))[0]
+
+
+@pytest.mark.parametrize("kind", ["svd", "eig"])
+@pytest.mark.parametrize("n", [2, 3])
+def test_s36_second_derivatives(n, kind, measure):
+    """Forward over reverse: off by eps / gap^2 between values that are near, and at equal ones,
+    where how the factors turn is missing, the compiler warns."""
+    ti.init(offline_cache=False, default_fp=ti.f64)
+    rng = np.random.default_rng(7)
+    w, d = rng.standard_normal((2, n, n))
+    if kind == "eig":
+        w, d = w + w.T, d + d.T
+    cube, x, y = cubes_for_curvature(n, kind, w.tolist())
+    u, v = turn_of(n, rng), turn_of(n, rng)
+    with pytest.warns(ti.ad.TaiGradientWarning, match="values are equal"):
+        for gap in (1.0, 0.5, 1e-2, 1e-3):
+            s = np.diag(1 + gap * np.arange(n))
+            a = u @ s @ (v if kind == "svd" else u).T
+            x[None], y[None] = a.tolist(), 0
+            found = ti.ad.hvp(cube, y, x, d)
+            if kind == "svd":  # of A A' A
+                right = w @ d.T @ a + w @ a.T @ d + d @ w.T @ a + a @ w.T @ d
+                right += d @ a.T @ w + a @ d.T @ w
+            else:
+                right = d @ w @ a + a @ w @ d + w @ d @ a + w @ a @ d + d @ a @ w + a @ d @ w
+                # The gradient by a symmetric matrix: a triangle has it twice.
+                found, right = found + found.T, right + right.T
+            error = np.abs(found - right).max() / np.abs(right).max()
+            measure(f"gap {gap:g}", error, 1e-13 + 16 * EPSILON["f64"] / gap**2)
