@@ -15,9 +15,9 @@
 // difference of large numbers, and at equal values nothing.
 //
 // So R is differentiated by that form: linear in A and M, with U, V, D and T
-// constant. Its value means nothing. They are constant to this derivative alone:
-// what is made of the form is differentiated again with U, V, D and T as the
-// functions of A that they are.
+// constant. Its value means nothing. They are constant to this derivative
+// alone: what is made of the form is differentiated again with U, V, D and T as
+// the functions of A that they are.
 //
 //===----------------------------------------------------------------------===//
 

@@ -268,7 +268,8 @@ def _find_bad_value(core: Any, loss: Any, place: Any) -> Finding:
 def warn_of_losses(core: Any, losses: list[Any], stacklevel: int) -> None:
     """Says, once in a program for each loss, where one that is NaN or infinite comes from.
 
-    It reads the losses, and where one is not finite all fields of floats that are read. On a GPU it is not looked at: to read it is to wait for all that was launched.
+    It reads the losses, and where one is not finite all fields of floats that are read. On a GPU
+    it does nothing: to read a loss is to wait for all that was launched.
     """
     if state.options is None or state.options.arch == cuda:
         return
@@ -305,7 +306,8 @@ def _find_bad_start(core: Any) -> str | None:
                 at = ", ".join(map(str, bad[0][: len(f.shape)])) or "None"
                 return (
                     f"field '{f.name}' held {array[tuple(bad[0])]} when the tape began, at [{at}] "
-                    f"({len(bad)} of its numbers are not finite), and {Place(core, record)} reads it"
+                    f"({len(bad)} of its numbers are not finite), and {Place(core, record)} reads "
+                    "it"
                 )
     return None
 
