@@ -126,6 +126,23 @@ typedef void (*TaiPrintHandler)(const char *line, size_t length, void *user);
 TAI_EXPORT void taiContextSetPrintHandler(TaiContext context,
                                           TaiPrintHandler handler, void *user);
 
+/// What the compiler says of a program that compiles, and is hardly meant. Told
+/// once in a context, also where the code comes from the cache. `diagnostics`
+/// is as in TaiError. `of_gradient`: of an adjoint, or of tangents.
+typedef struct TaiWarning {
+  const char *message;
+  const char *file; // "" where unknown
+  int line, column; // 1-based, 0 where unknown
+  const char *diagnostics;
+  bool of_gradient;
+} TaiWarning;
+/// Where they go, from any thread, as kernels are compiled; null for the
+/// standard error. The handler may not call the context.
+typedef void (*TaiWarningHandler)(const TaiWarning *warning, void *user);
+TAI_EXPORT void taiContextSetWarningHandler(TaiContext context,
+                                            TaiWarningHandler handler,
+                                            void *user);
+
 //===----------------------------------------------------------------------===//
 // Trees and fields
 //===----------------------------------------------------------------------===//

@@ -87,6 +87,20 @@ void taiContextSetPrintHandler(TaiContext context, TaiPrintHandler handler,
   context->session.getRuntime().setPrintSink(std::move(sink));
 }
 
+void taiContextSetWarningHandler(TaiContext context, TaiWarningHandler handler,
+                                 void *user) {
+  ContextLock lock(*context);
+  WarningLog::Handler sink;
+  if (handler)
+    sink = [handler, user](const Warning &warning, bool isOfGradient) {
+      TaiWarning told = {
+          warning.message.c_str(), warning.file.c_str(), warning.line,
+          warning.column,          warning.text.c_str(), isOfGradient};
+      handler(&told, user);
+    };
+  context->session.getWarnings().setHandler(std::move(sink));
+}
+
 //===----------------------------------------------------------------------===//
 // Trees and fields
 //===----------------------------------------------------------------------===//

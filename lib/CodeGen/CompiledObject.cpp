@@ -14,12 +14,13 @@
 using namespace llvm;
 using namespace mlir::tai;
 
-// The magic, the symbol, the code, what the adjoint needs, the counts, the loop
-// levels, the image of the device (its kind and the number of its functions, or
-// nothing; its bytes, the functions' names and accesses, their block sizes and
-// their places), and the trees up to the end; each string as its length in
-// eight bytes and its bytes.
-static constexpr StringLiteral magic = "TAIOBJ9\n";
+// The magic, the symbol, the code, what the adjoint needs, the places, the
+// counts, the loop levels, the warnings (the lines and columns of all, then the
+// texts of each), the image of the device (its kind and the number of its
+// functions, or nothing; its bytes, the functions' names and accesses, their
+// block sizes and their places), and the trees up to the end; each string as
+// its length in eight bytes and its bytes.
+static constexpr StringLiteral magic = "TAIOBJ10\n";
 
 static void append(std::string &bytes, StringRef string) {
   char length[8];
@@ -127,6 +128,36 @@ static bool consumeImage(StringRef &bytes,
   return true;
 }
 
+static void append(std::string &bytes, ArrayRef<Warning> warnings) {
+  SmallVector<int64_t> places;
+  for (const Warning &warning : warnings)
+    places.append({warning.line, warning.column});
+  append(bytes, ArrayRef<int64_t>(places));
+  for (const Warning &warning : warnings)
+    for (StringRef text : {warning.message, warning.file, warning.text})
+      append(bytes, text);
+}
+
+/// False where there is something else.
+static bool consumeWarnings(StringRef &bytes, std::vector<Warning> &warnings) {
+  auto places = consumeNumbers(bytes);
+  if (!places || places->size() % 2)
+    return false;
+  for (size_t i = 0; i < places->size(); i += 2) {
+    Warning warning;
+    warning.line = static_cast<int>((*places)[i]);
+    warning.column = static_cast<int>((*places)[i + 1]);
+    for (std::string *text : {&warning.message, &warning.file, &warning.text}) {
+      std::optional<StringRef> found = consume(bytes);
+      if (!found)
+        return false;
+      *text = found->str();
+    }
+    warnings.push_back(std::move(warning));
+  }
+  return true;
+}
+
 std::string CompiledObject::serialize() const {
   std::string bytes = magic.str();
   append(bytes, symbol);
@@ -135,6 +166,7 @@ std::string CompiledObject::serialize() const {
   append(bytes, places);
   append(bytes, ArrayRef<int64_t>(skipped.data(), skipped.size()));
   append(bytes, ArrayRef<int64_t>(loopLevels));
+  append(bytes, ArrayRef<Warning>(warnings));
   append(bytes, image);
   for (const std::string &tree : trees)
     append(bytes, tree);
@@ -158,7 +190,8 @@ std::optional<CompiledObject> CompiledObject::deserialize(StringRef bytes) {
   CompiledObject object;
   copy(*counts, object.skipped.begin());
   object.loopLevels = std::move(*levels);
-  if (!consumeImage(bytes, object.image))
+  if (!consumeWarnings(bytes, object.warnings) ||
+      !consumeImage(bytes, object.image))
     return std::nullopt;
   while (!bytes.empty()) {
     std::optional<StringRef> tree = consume(bytes);

@@ -91,26 +91,53 @@ DiagnosticCollector::~DiagnosticCollector() {
   context->getDiagEngine().eraseHandler(handler);
 }
 
-/// Prints a warning with its place. Code is compiled again, for a tape or with
-/// more effort; it is said once.
-static void printWarning(Diagnostic &diagnostic) {
-  std::string text;
-  appendDiagnostic(text, diagnostic.getLocation(), "warning", diagnostic.str());
+//===----------------------------------------------------------------------===//
+// Warnings
+//===----------------------------------------------------------------------===//
+
+static thread_local WarningScope *warningScope = nullptr;
+
+WarningScope::WarningScope() : outer(warningScope) { warningScope = this; }
+
+WarningScope::~WarningScope() { warningScope = outer; }
+
+static Warning makeWarning(Diagnostic &diagnostic) {
+  Warning warning;
+  warning.message = diagnostic.str();
+  if (FileLineColLoc place = findFileLocation(diagnostic.getLocation())) {
+    warning.file = place.getFilename().str();
+    warning.line = place.getLine();
+    warning.column = place.getColumn();
+  }
+  appendDiagnostic(warning.text, diagnostic.getLocation(), "warning",
+                   warning.message);
   for (Diagnostic &note : diagnostic.getNotes())
-    appendDiagnostic(text, note.getLocation(), "note", note.str());
+    appendDiagnostic(warning.text, note.getLocation(), "note", note.str());
+  return warning;
+}
+
+void mlir::tai::printWarning(const Warning &warning) {
   static llvm::ManagedStatic<std::mutex> mutex;
   static llvm::ManagedStatic<llvm::StringSet<>> printed;
   std::lock_guard<std::mutex> lock(*mutex);
-  if (printed->insert(text).second)
-    std::fprintf(stderr, "%s\n", text.c_str());
+  if (printed->insert(warning.text).second)
+    std::fprintf(stderr, "%s\n", warning.text.c_str());
 }
+
+//===----------------------------------------------------------------------===//
+// Errors
+//===----------------------------------------------------------------------===//
 
 LogicalResult DiagnosticCollector::handle(Diagnostic &diagnostic) {
   // Other threads compile in the same context.
   if (llvm::get_threadid() != thread)
     return failure();
   if (diagnostic.getSeverity() == DiagnosticSeverity::Warning) {
-    printWarning(diagnostic);
+    Warning warning = makeWarning(diagnostic);
+    if (warningScope)
+      warningScope->warnings.push_back(std::move(warning));
+    else
+      printWarning(warning);
     return success();
   }
   if (diagnostic.getSeverity() != DiagnosticSeverity::Error)

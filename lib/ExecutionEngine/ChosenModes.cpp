@@ -33,8 +33,11 @@ mlir::tai::getKernelOptions(KernelOp kernel, const CompileOptions &options) {
   std::string problem = findContradiction(modes, options.codegen.fastMath);
   if (!problem.empty())
     return fail(problem);
-  if (options.interpret && (modes.flushes() || modes.isCompensated()))
-    return fail(Twine(modes.flushes() ? "ftz=True" : "sums=\"compensated\"") +
+  if (options.interpret &&
+      (modes.flushes() || modes.isCompensated() || modes.isAccurate()))
+    return fail(Twine(modes.flushes()         ? "ftz=True"
+                      : modes.isCompensated() ? "sums=\"compensated\""
+                                              : "math=\"accurate\"") +
                 " cannot be had where no code is made; choose arch=ti.cpu");
   CompileOptions result = options;
   result.deterministic = modes.isDeterministic(options.deterministic);

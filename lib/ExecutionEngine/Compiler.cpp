@@ -419,11 +419,13 @@ LogicalResult Compiler::start(CompileRequest request,
                               Failure &failure) {
   WorkerLease lease(*this, options);
   SkipScope scope;
+  WarningScope warnings;
   if (failed(differentiate(*lease, request, prepared, failure))) {
     addReproducer(request, options, prepared.step, failure);
     return mlir::failure();
   }
   prepared.skipped = scope.getAmounts();
+  prepared.warnings = warnings.take();
   return success();
 }
 
@@ -510,6 +512,7 @@ Compiler::finish(Prepared prepared, CompileRequest request,
   function.trees = std::move(object->trees);
   function.skipped = object->skipped;
   function.loopLevels = std::move(object->loopLevels);
+  function.warnings = std::move(object->warnings);
   if (object->image) {
     object->image->key = prepared.key;
     if (function.fromCache)
@@ -568,6 +571,8 @@ std::optional<std::string> Compiler::print(CompileRequest request,
                                            const CompileOptions &options,
                                            Failure &failure) {
   Prepared prepared;
+  // They are told where the code is made.
+  WarningScope warnings;
   std::optional<std::string> text =
       printStage(request, stage, options, prepared, failure);
   if (!text)

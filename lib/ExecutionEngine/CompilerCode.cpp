@@ -261,6 +261,10 @@ Compiler::makeObject(CompileRequest request, const CompileOptions &options,
   CompiledObject object;
   object.symbol = prepared.symbol;
   object.toBeRecorded = prepared.toBeRecorded;
+  object.warnings = prepared.warnings;
+  // They name places, which the key of the cache does not hold.
+  if (!object.warnings.empty())
+    object.places = getPlaces(request);
   // Parts of a kernel count for themselves.
   if (object.symbol.empty())
     return object;
@@ -346,6 +350,7 @@ Compiler::interpret(Prepared prepared, CompileRequest request,
   function.skipped = prepared.skipped;
   if (!prepared.module && failed(start(request, options, prepared, failure)))
     return std::nullopt;
+  function.warnings = prepared.warnings;
   if (prepared.symbol.empty())
     return function;
   for (TreeOp tree : prepared.module->getOps<TreeOp>())

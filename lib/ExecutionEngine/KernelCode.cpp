@@ -113,6 +113,7 @@ KernelCode::compileAs(Goal goal, Failure &failure, bool forward) {
   if (!function)
     return std::nullopt;
   services.reports.printProfile(getName(), goal, *function);
+  services.warnings.tell(function->warnings, forward || goal != Goal::Primal);
   if (!forward)
     count(*function, goal != Goal::Primal);
   return function;
@@ -189,6 +190,7 @@ KernelCode::compilePlannedAdjoint(Failure &failure) {
   if (!function)
     return std::nullopt;
   services.reports.printProfile(getName(), goal, *function);
+  services.warnings.tell(function->warnings, /*isOfGradient=*/true);
   count(*function, /*isAdjoint=*/true);
   return function;
 }

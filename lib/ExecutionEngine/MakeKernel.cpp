@@ -121,10 +121,19 @@ static LogicalResult verifyModule(ModuleOp module, FailureLog &failures) {
       collector.take(FailureKind::Type, "the module does not verify"));
 }
 
+static LogicalResult checkAdjoints(ModuleOp module, const ContextModes &modes,
+                                   FailureLog &failures) {
+  DiagnosticCollector collector(module.getContext());
+  if (succeeded(modes.checkFields(module)))
+    return success();
+  return failures.fail(collector.take(FailureKind::Usage));
+}
+
 FailureOr<MadeKernel> mlir::tai::makeKernel(const KernelServices &services,
                                             OwningOpRef<ModuleOp> module,
                                             StringRef name,
-                                            const CompileOptions &given) {
+                                            const CompileOptions &given,
+                                            const ContextModes &modes) {
   FailureLog &failures = services.failures;
   auto op = module->lookupSymbol<KernelOp>(name);
   if (!op)
@@ -132,7 +141,8 @@ FailureOr<MadeKernel> mlir::tai::makeKernel(const KernelServices &services,
                          "the module holds no kernel of the name '" + name +
                              "'");
   if (failed(services.declarations.declareUsed(*module)) ||
-      failed(verifyModule(*module, failures)))
+      failed(verifyModule(*module, failures)) ||
+      failed(checkAdjoints(*module, modes, failures)))
     return failure();
   FailureOr<CompileOptions> options = getOwnOptions(op, given, failures);
   if (failed(options) || failed(clampIndices(*module, *options, failures)) ||

@@ -139,7 +139,7 @@ SessionObjects Session::countObjects() {
 
 KernelServices Session::getServices() {
   return {*compiler,     background, codeNames, *rt,
-          *declarations, failures,   reports};
+          *declarations, failures,   reports,   warnings};
 }
 
 //===----------------------------------------------------------------------===//
@@ -159,8 +159,9 @@ LogicalResult Session::compileEagerly(runtime::Kernel &kernel) {
 
 FailureOr<SessionKernel *> Session::createKernel(OwningOpRef<ModuleOp> module,
                                                  StringRef name) {
+  modes.addTo(*module);
   auto made =
-      makeKernel(getServices(), std::move(module), name, compileOptions);
+      makeKernel(getServices(), std::move(module), name, compileOptions, modes);
   if (failed(made))
     return failure();
   kernels.push_back({std::move(made->code), std::move(made->kernel)});

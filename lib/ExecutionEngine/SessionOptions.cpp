@@ -81,35 +81,61 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
                                       "'; the options are " + listOptions());
 }
 
-void Session::setContract() {
-  // Shadows are of single operations.
+LogicalResult Session::setModes(const ContextModes &wanted) {
+  if (std::string problem = wanted.findContradiction(); !problem.empty())
+    return fail(FailureKind::Usage, problem);
+  modes = wanted;
+  compileOptions.codegen.fastMath = modes.isFast();
+  compileOptions.shadow = modes.shadow;
+  bool isDeterministic = modes.isDeterministic();
+  if (isDeterministic != compileOptions.deterministic) {
+    compileOptions.deterministic = isDeterministic;
+    rt->setDeterministic(isDeterministic);
+  }
+  // Loops are cut differently for other numbers of threads, and what is fused
+  // may depend on where a vectorised loop ends. Shadows are of single
+  // operations.
   compileOptions.codegen.contract =
-      !compileOptions.deterministic && !isStrict && !compileOptions.shadow;
+      !isDeterministic && !modes.isStrict() && !modes.shadow;
+  return success();
 }
 
 LogicalResult Session::setDeterministic(bool on) {
-  compileOptions.deterministic = on;
-  // Loops are cut differently for other numbers of threads, and what is fused
-  // may depend on where a vectorised loop ends.
-  setContract();
-  rt->setDeterministic(on);
-  return success();
+  ContextModes wanted = modes;
+  wanted.deterministic = on;
+  return setModes(wanted);
 }
 
 LogicalResult Session::setStrict(bool on) {
-  if (on && compileOptions.codegen.fastMath)
-    return failContradiction("strict");
-  isStrict = on;
-  setContract();
-  return success();
+  ContextModes wanted = modes;
+  wanted.strict = on;
+  return setModes(wanted);
 }
 
-LogicalResult Session::failContradiction(StringRef name) {
-  return fail(FailureKind::Usage,
-              "options '" + name +
-                  "' and 'fast_math' contradict one another: the "
-                  "first rounds every operation by itself, the second reorders "
-                  "them; choose one");
+LogicalResult Session::setWord(StringRef name, StringRef word) {
+  ContextModes wanted = modes;
+  if (std::string expected = wanted.setWord(name, word); !expected.empty())
+    return fail(FailureKind::Usage, "option '" + name + "' expects " +
+                                        expected + ", but got '" + word + "'");
+  return setModes(wanted);
+}
+
+LogicalResult Session::setPrecision(StringRef word) {
+  return setWord("precision", word);
+}
+
+LogicalResult Session::setSums(StringRef word) { return setWord("sums", word); }
+
+LogicalResult Session::setMath(StringRef word) { return setWord("math", word); }
+
+LogicalResult Session::setAdjoints(StringRef word) {
+  return setWord("adjoints", word);
+}
+
+LogicalResult Session::setFtz(bool on) {
+  ContextModes wanted = modes;
+  wanted.ftz = on;
+  return setModes(wanted);
 }
 
 LogicalResult Session::setDebug(bool on) {
@@ -119,24 +145,23 @@ LogicalResult Session::setDebug(bool on) {
 }
 
 LogicalResult Session::setFastMath(bool on) {
-  if (on && (isStrict || compileOptions.shadow))
-    return failContradiction(isStrict ? "strict" : "shadow");
-  compileOptions.codegen.fastMath = on;
-  return success();
+  ContextModes wanted = modes;
+  wanted.fastMath = on;
+  return setModes(wanted);
 }
 
 LogicalResult Session::setShadow(bool on) {
-  if (on && compileOptions.codegen.fastMath)
-    return failContradiction("shadow");
+  ContextModes wanted = modes;
+  wanted.shadow = on;
+  if (std::string problem = wanted.findContradiction(); !problem.empty())
+    return fail(FailureKind::Usage, problem);
   if (on && (rt->getDevice() || compileOptions.interpret))
     return fail(FailureKind::Usage,
                 "option 'shadow' is for compiled kernels on the CPU, and this "
                 "context runs them elsewhere; choose arch cpu");
   if (failed(check(rt->setShadow(on))))
     return failure();
-  compileOptions.shadow = on;
-  setContract();
-  return success();
+  return setModes(wanted);
 }
 
 LogicalResult Session::setSanitize(bool address) {

@@ -15,6 +15,7 @@
 #define TAI_PYTHON_CORE_H
 
 #include "Safepoint.h"
+#include "Warnings.h"
 #include "tai-c/Tai.h"
 
 #include <pybind11/pybind11.h>
@@ -41,7 +42,9 @@ template <typename Result> Result settled(Result result) {
 
 /// A TaiContext with shared ownership: fields, kernels and tapes keep it alive.
 struct Context {
-  Context() : handle(taiContextCreate()) {}
+  Context() : handle(taiContextCreate()) {
+    taiContextSetWarningHandler(handle, &keepWarning, nullptr);
+  }
   ~Context() {
     taiContextDestroy(handle);
     retakeLock();

@@ -17,6 +17,7 @@
 #define TAI_PYTHON_SAFEPOINT_H
 
 #include <Python.h>
+#include <atomic>
 
 namespace taipy {
 
@@ -33,6 +34,11 @@ struct CallState {
 extern thread_local CallState callState
     __attribute__((tls_model("initial-exec")));
 
+/// Set where something waits that `afterCall` is to tell Python.
+extern std::atomic<bool> warningsWait;
+/// Gives to Python what waits; false where that has raised.
+bool tellWarnings();
+
 /// Takes the lock back where a safepoint has given it up.
 void retakeLock();
 
@@ -40,12 +46,14 @@ void retakeLock();
 /// False where a Python exception has come in the meantime: the call failed, or
 /// what it did is kept, and the exception is to be passed on.
 inline bool afterCall() {
-  if (__builtin_expect(!callState.isChanged, true))
+  if (__builtin_expect(!callState.isChanged &&
+                           !warningsWait.load(std::memory_order_relaxed),
+                       true))
     return true;
   retakeLock();
   bool isInterrupted = callState.isInterrupted;
   callState.isInterrupted = callState.isChanged = false;
-  return !isInterrupted;
+  return !isInterrupted && tellWarnings();
 }
 
 /// For what Python was asked and need not answer: PyErr_Clear(), but a Ctrl-C

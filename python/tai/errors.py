@@ -6,6 +6,7 @@ import difflib
 import linecache
 import os
 import re
+import warnings
 from collections.abc import Iterable
 
 # Whether errors of kernels show the way through the compiler, for those who work on it.
@@ -192,6 +193,21 @@ def from_core(
     if status == 6:
         error.hint = "this is a bug of tai, not of the program: please report it"
     return error
+
+
+def warn_from_core(
+    message: str, file: str, line: int, column: int, diagnostics: str, of_gradient: bool
+) -> None:
+    """Issues a warning of the compiler, at its line; called from the extension module."""
+    lines = [message]
+    if file and line > 0:
+        lines.append(f"  --> {shorten(file)}:{line}:{column}")
+        lines += show_line(file, line, max(column, 1))
+    if notes := _notes(diagnostics):
+        lines += [f"  {part}" for part in notes.splitlines()]
+    category = TaiGradientWarning if of_gradient else TaiCompilationWarning
+    # A context tells each of them once.
+    warnings.warn_explicit("\n".join(lines), category, file or "<kernel>", max(line, 1))
 
 
 def _notes(diagnostics: str) -> str | None:

@@ -36,6 +36,7 @@ ONE_RUN_DOES = {
     "test_cuda_floors": {ALL: "programs in CUDA C++"},
     "test_device_lists": {ALL: CHOOSES},
     "test_sanitizer": {ALL: CHOOSES},
+    "test_same_bits": {ALL: CHOOSES},
     "test_serial_work": {"test_a_cpu_has_no_such_threads": CHOOSES},
     "test_emulated_blocks": {ALL: CHOOSES},
     "test_forward_mode": {"test_every_scalar_rule_is_tested": NAMES},
@@ -60,6 +61,10 @@ ONE_RUN_DOES = {
 
 # On the emulated device and on GPUs.
 FAILS_ON_A_DEVICE = {
+    "test_ad_health": {
+        "test_a_field_that_is_not_finite_at_the_start_is_named": "no loss is waited for",
+        "test_a_kernel_that_leaves_what_is_not_finite_is_named": "no loss is waited for",
+    },
     "test_zero_adjoints": {
         "test_one_body_of_ten": "a device visits cells whose adjoints are zero, too",
         "test_what_visits_everything": "a device visits cells whose adjoints are zero, too",

@@ -64,6 +64,21 @@ struct Options {
       cl::value_desc("mode")};
   cl::opt<bool> fastMath{"fast-math",
                          cl::desc("Reorder and approximate float math")};
+  cl::opt<bool> strict{"strict", cl::desc("Round every operation by itself")};
+  // The words of a context, as in Python.
+  cl::opt<std::string> precision{
+      "precision", cl::init("default"),
+      cl::desc("What kernels compute in: default, f64 or f32")};
+  cl::opt<std::string> sums{
+      "sums", cl::init("default"),
+      cl::desc("How sums are kept: default, compensated or deterministic")};
+  cl::opt<std::string> math{
+      "math", cl::init("default"),
+      cl::desc("default, fast, strict, or accurate functions")};
+  cl::opt<bool> ftz{"ftz", cl::desc("Denormal numbers are zero")};
+  cl::opt<std::string> adjoints{
+      "adjoints", cl::init("default"),
+      cl::desc("What gradients of fields are kept in: default or f64")};
   cl::opt<unsigned> optLevel{"opt-level", cl::init(3),
                              cl::desc("Effort of the optimiser, 0 to 3")};
   cl::opt<std::string> seed{"seed", cl::init("0"),
@@ -107,6 +122,12 @@ static LogicalResult setOptions(Session &session, const Options &given) {
       {"debug", text(given.debug)},
       {"bounds", given.bounds},
       {"fast_math", text(given.fastMath)},
+      {"strict", text(given.strict)},
+      {"precision", given.precision},
+      {"sums", given.sums},
+      {"math", given.math},
+      {"ftz", text(given.ftz)},
+      {"adjoints", given.adjoints},
       {"opt_level", std::to_string(given.optLevel)},
       {"seed", given.seed},
       {"print_ir", given.printIR},
@@ -215,7 +236,7 @@ static LogicalResult fuseLaunches(Session &session, ModuleOp file,
     return success();
   DiagnosticCollector collector(session.getContext());
   FuseLaunchesOptions options;
-  options.deterministic = given.deterministic;
+  options.deterministic = given.deterministic || given.sums == "deterministic";
   PassManager manager(session.getContext());
   manager.addPass(createFuseLaunches(options));
   if (succeeded(manager.run(file)))

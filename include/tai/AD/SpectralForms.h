@@ -14,6 +14,7 @@
 #ifndef TAI_AD_SPECTRALFORMS_H
 #define TAI_AD_SPECTRALFORMS_H
 
+#include "mlir/IR/ImplicitLocOpBuilder.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
 
 namespace mlir::tai {
@@ -30,6 +31,9 @@ public:
 private:
   FunctionOpInterface function;
 };
+
+/// The value, as a constant to derivatives of a form that it is part of.
+Value createConstantForm(ImplicitLocOpBuilder &builder, Value value);
 
 /// Puts the value of each `tai.derive_as` in its place, and removes what only
 /// the forms needed.

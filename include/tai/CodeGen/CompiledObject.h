@@ -13,6 +13,7 @@
 #ifndef TAI_CODEGEN_COMPILEDOBJECT_H
 #define TAI_CODEGEN_COMPILEDOBJECT_H
 
+#include "tai/CodeGen/Diagnostics.h"
 #include "tai/Runtime/Device/Device.h"
 #include "tai/Support/Skips.h"
 #include "llvm/ADT/SmallVector.h"
@@ -32,6 +33,8 @@ struct CompiledObject {
   std::string toBeRecorded;
   /// A digest of where the kernel stands in the source, if that is in the code.
   std::string places;
+  /// What the compiler had to say; then the places stand in `places`.
+  std::vector<Warning> warnings;
   /// What the passes have left out, and what they have not.
   SkipAmounts skipped{};
   /// Of a kernel that does nothing but loop over active cells: pairs of a tree,

@@ -15,6 +15,7 @@
 
 #include "mlir/IR/Diagnostics.h"
 #include <string>
+#include <vector>
 
 namespace mlir::tai {
 
@@ -44,13 +45,45 @@ struct Failure {
   static Failure get(FailureKind kind, const llvm::Twine &message);
 };
 
+/// What a program does that compiles, and is hardly meant.
+struct Warning {
+  /// Without its location and its notes.
+  std::string message;
+  /// Where it is, 1-based; empty and 0 where unknown.
+  std::string file;
+  int line = 0, column = 0;
+  /// With its notes, as `Failure::text`.
+  std::string text;
+};
+
+/// Keeps, as long as it lives, the warnings that collectors of its thread meet.
+/// Without one they are printed.
+class WarningScope {
+public:
+  WarningScope();
+  ~WarningScope();
+  WarningScope(const WarningScope &) = delete;
+  WarningScope &operator=(const WarningScope &) = delete;
+
+  std::vector<Warning> take() { return std::move(warnings); }
+
+private:
+  friend class DiagnosticCollector;
+  WarningScope *outer;
+  std::vector<Warning> warnings;
+};
+
+/// Prints a warning, once in a process.
+void printWarning(const Warning &warning);
+
 /// "file:line:col: kind: message", and the line of the source with a caret
 /// where the file can be read.
 std::string formatDiagnostic(StringRef file, unsigned line, unsigned column,
                              StringRef kind, StringRef message);
 
 /// Collects, as long as it lives, the errors and notes that its own thread
-/// emits in the context. Warnings are printed, and remarks handed on.
+/// emits in the context. Warnings go to the WarningScope of the thread, or are
+/// printed, and remarks are handed on.
 class DiagnosticCollector {
 public:
   explicit DiagnosticCollector(MLIRContext *context);

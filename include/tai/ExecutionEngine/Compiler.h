@@ -147,6 +147,7 @@ public:
     /// As in CompiledObject.
     SkipAmounts skipped{};
     std::vector<int64_t> loopLevels;
+    std::vector<Warning> warnings;
     /// The code of the device functions that the function launches, if any.
     std::shared_ptr<const runtime::DeviceImage> image;
     bool fromCache = false;
@@ -174,6 +175,7 @@ public:
     std::string symbol;
     std::string toBeRecorded;
     SkipAmounts skipped{};
+    std::vector<Warning> warnings;
     PhaseTimes times = {};
     /// Makes other processes wait for the object.
     std::shared_ptr<void> claim;

@@ -19,7 +19,9 @@
 #include "tai/ExecutionEngine/Background.h"
 #include "tai/ExecutionEngine/CompileReports.h"
 #include "tai/ExecutionEngine/Compiler.h"
+#include "tai/ExecutionEngine/ContextModes.h"
 #include "tai/ExecutionEngine/Declarations.h"
+#include "tai/ExecutionEngine/WarningLog.h"
 #include "tai/Runtime/Launch/Runtime.h"
 #include "llvm/ADT/StringMap.h"
 
@@ -63,6 +65,7 @@ struct KernelServices {
   Declarations &declarations;
   FailureLog &failures;
   CompileReports &reports;
+  WarningLog &warnings;
 };
 
 /// It lives as long as the runtime may launch the kernel, which a tape can make
@@ -181,10 +184,12 @@ struct MadeKernel {
 
 /// Takes a module with a kernel of the given name, adds the declarations that
 /// it uses, verifies it, and makes a kernel of the runtime. What is wrong is
-/// noted in the log.
+/// noted in the log. `modes` are those of the context, which the kernel has
+/// already.
 FailureOr<MadeKernel> makeKernel(const KernelServices &services,
                                  OwningOpRef<ModuleOp> module, StringRef name,
-                                 const CompileOptions &options);
+                                 const CompileOptions &options,
+                                 const ContextModes &modes = {});
 
 /// True if a reverse sweep may launch the adjoint: the kernel reads a field
 /// that has one, and changes such a field.

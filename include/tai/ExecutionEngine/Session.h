@@ -15,6 +15,7 @@
 #ifndef TAI_EXECUTIONENGINE_SESSION_H
 #define TAI_EXECUTIONENGINE_SESSION_H
 
+#include "tai/ExecutionEngine/ContextModes.h"
 #include "tai/ExecutionEngine/KernelCode.h"
 #include "tai/Runtime/Cache/CacheStore.h"
 #include "llvm/Support/ThreadPool.h"
@@ -61,6 +62,8 @@ public:
   LogicalResult fail(const runtime::Status &status) {
     return failures.fail(status);
   }
+  /// Where warnings of the compiler go.
+  WarningLog &getWarnings() { return warnings; }
   LogicalResult check(const runtime::Status &status) {
     return failures.check(status);
   }
@@ -160,8 +163,14 @@ private:
   LogicalResult setDebug(bool on);
   LogicalResult setFastMath(bool on);
   LogicalResult setStrict(bool on);
-  LogicalResult failContradiction(StringRef name);
-  void setContract();
+  LogicalResult setPrecision(StringRef word);
+  LogicalResult setSums(StringRef word);
+  LogicalResult setMath(StringRef word);
+  LogicalResult setFtz(bool on);
+  LogicalResult setAdjoints(StringRef word);
+  LogicalResult setWord(StringRef name, StringRef word);
+  /// Takes the modes for those of the context, unless two of them contradict.
+  LogicalResult setModes(const ContextModes &wanted);
   LogicalResult setShadow(bool on);
   LogicalResult setSanitize(bool address);
   LogicalResult setCacheDir(StringRef folder);
@@ -179,6 +188,7 @@ private:
   std::unique_ptr<MLIRContext> context;
   FailureLog failures;
   CompileReports reports;
+  WarningLog warnings;
   /// Outlives the runtime, whose kernels hold code.
   CodeNames codeNames;
   std::unique_ptr<runtime::Runtime> rt;
@@ -186,7 +196,7 @@ private:
   Background background;
   std::shared_ptr<runtime::CacheStore> cache;
   CompileOptions compileOptions;
-  bool isStrict = false;
+  ContextModes modes;
   /// Of the device that is opened next.
   int64_t deviceMemoryLimit = 0;
   bool fuseLaunches = true;

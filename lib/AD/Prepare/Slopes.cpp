@@ -17,6 +17,7 @@
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "mlir/Transforms/RegionUtils.h"
+#include "tai/AD/SpectralForms.h"
 #include "tai/AD/TangentBuilder.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
@@ -149,7 +150,7 @@ mlir::tai::createSlopes(ImplicitLocOpBuilder &builder,
   auto stop = [&](Value value) -> Value {
     if (!isa<FloatType>(getElementTypeOrSelf(value.getType())))
       return value;
-    return StopGradientOp::create(builder, value.getType(), value);
+    return createConstantForm(builder, value);
   };
   for (auto [value, argument] :
        llvm::zip(path->captured, body->getArguments().drop_front(2)))

@@ -15,7 +15,9 @@
 // difference of large numbers, and at equal values nothing.
 //
 // So R is differentiated by that form: linear in A and M, with U, V, D and T
-// constant. Its value means nothing.
+// constant. Its value means nothing. They are constant to this derivative
+// alone: what is made of the form is differentiated again with U, V, D and T as
+// the functions of A that they are.
 //
 //===----------------------------------------------------------------------===//
 
@@ -188,6 +190,14 @@ static std::optional<Span> findFrame(ArrayRef<Factor> factors, size_t begin) {
   return std::nullopt;
 }
 
+Value mlir::tai::createConstantForm(ImplicitLocOpBuilder &builder,
+                                    Value value) {
+  Type type = value.getType();
+  Value zero = arith::ConstantOp::create(
+      builder, cast<TypedAttr>(builder.getZeroAttr(type)));
+  return DeriveAsOp::create(builder, type, value, zero);
+}
+
 /// numerator / divisor, or `slope`, the derivative of the one by the other,
 /// where no more than rounding tells them apart. At a difference δ of two
 /// values the one is off by ε/δ, the other by δ².
@@ -203,9 +213,7 @@ S FormMaker::createQuotient(S numerator, S divisor, S slope, S noise, S floor) {
 Value FormMaker::createMiddle(Operation *decomposition,
                               ArrayRef<Factor> factors,
                               ArrayRef<Value> diagonal) {
-  auto stop = [&](Value value) -> Value {
-    return StopGradientOp::create(b, value.getType(), value);
-  };
+  auto stop = [&](Value value) { return createConstantForm(b, value); };
   auto svd = dyn_cast<SvdOp>(decomposition);
   Value a = decomposition->getOperand(0);
   auto type = cast<VectorType>(a.getType());
@@ -314,9 +322,7 @@ Value FormMaker::createCore(ArrayRef<Factor> factors, Value known) {
     return createMatmul(b, createMatmul(b, first, second),
                         createTranspose(b, last));
   };
-  auto stop = [&](Value value) -> Value {
-    return StopGradientOp::create(b, value.getType(), value);
-  };
+  auto stop = [&](Value value) { return createConstantForm(b, value); };
   Value form = enclose(stop(left), middle, stop(right));
   if (!known)
     known = enclose(left,

@@ -12,6 +12,7 @@
 
 #include "Models.h"
 #include "ScalarRules.h"
+#include "SharedFactors.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/Matchers.h"
 #include "tai/AD/AdjointBuilder.h"
@@ -31,18 +32,34 @@ static const ScalarRule &getRule(Operation *op) {
   return *rules.at(op->getName().getStringRef());
 }
 
+/// Builds a contribution, of the operands without what they share. Where that
+/// is zero, an arc tangent is zero whatever the rest is.
+static Value build(const Partial &partial, RuleArgs &args,
+                   const std::optional<SharedFactor> &shared) {
+  if (!shared)
+    return partial.build(args).value;
+  args.setOperands(shared->rest);
+  Num product = partial.build(args);
+  if (!isa<math::Atan2Op>(args.getOperation()))
+    return product.value;
+  Num factor{product.builder, product.builder->getPrimal(shared->factor)};
+  return unless(factor == 0, product).value;
+}
+
 static void applyRule(Operation *op, AdjointBuilder &adjoint) {
   Value seed = adjoint.getAdjoint(op->getResult(0));
+  std::optional<SharedFactor> shared = findFactorOfRatio(op);
   for (const Partial &partial : getRule(op).partials) {
-    Value operand = op->getOperand(partial.operand);
-    if (!adjoint.isActive(operand))
+    Value operand = shared ? shared->rest[partial.operand]
+                           : op->getOperand(partial.operand);
+    if (!operand || !adjoint.isActive(operand))
       continue;
     RuleArgs args(adjoint, op, seed);
-    Value contribution = partial.build(args).value;
+    Value contribution = build(partial, args, shared);
     // A partial that is zero takes nothing of an adjoint that does not exist.
     if (adjoint.isSeedUndefined()) {
       RuleArgs unit(adjoint, op, adjoint.createConstant(seed.getType(), 1));
-      Value slope = partial.build(unit).value;
+      Value slope = build(partial, unit, shared);
       if (!matchPattern(slope, m_Constant()))
         contribution = adjoint.createGuard(slope, contribution);
     }
@@ -70,18 +87,22 @@ static bool saturates(Operation *op, unsigned operand) {
 }
 
 static void applyTangentRule(Operation *op, TangentBuilder &b) {
+  if (extendSharedSum(op, b))
+    return;
+  std::optional<SharedFactor> shared = findFactorOfRatio(op);
   Value sum;
   for (const Partial &partial : getRule(op).partials) {
-    Value operand = op->getOperand(partial.operand);
-    Value tangent = b.getTangent(operand);
+    Value operand = shared ? shared->rest[partial.operand]
+                           : op->getOperand(partial.operand);
+    Value tangent = operand ? b.getTangent(operand) : Value();
     if (!tangent)
       continue;
     RuleArgs args(b, op, tangent, RuleArgs::Mode::Forward);
-    Value product = partial.build(args).value;
+    Value product = build(partial, args, shared);
     auto createSlope = [&] {
       Value one = b.createConstant(tangent.getType(), 1);
       RuleArgs unit(b, op, one, RuleArgs::Mode::Forward);
-      return partial.build(unit).value;
+      return build(partial, unit, shared);
     };
     Value term = b.createProduct(
         operand, product, args.usesNonFinite() || partial.mayBeNonFinite(args),

@@ -53,7 +53,8 @@ static bool unlessXNonPositive(RuleArgs &a) {
   return !a.facts().isNonPositive(operand(a, 0), a.getOperation());
 }
 static bool unlessYNonZero(RuleArgs &a) {
-  return !a.facts().isNonZero(operand(a, 1), a.getOperation());
+  Value y = a.getOperand(1);
+  return y && !a.facts().isNonZero(y, a.getOperation());
 }
 /// Of powers: x^(y - 1) is finite then.
 static bool unlessYAtLeastOne(RuleArgs &a) {

@@ -105,14 +105,23 @@ public:
   /// The adjoint of the result, or the tangent of the operand.
   Num g() { return {&builder, seed}; }
   /// The operands.
-  Num x() { return use(op->getOperand(0)); }
-  Num y() { return use(op->getOperand(1)); }
-  Num z() { return use(op->getOperand(2)); }
+  Num x() { return use(getOperand(0)); }
+  Num y() { return use(getOperand(1)); }
+  Num z() { return use(getOperand(2)); }
   /// The result.
   Num r() { return use(op->getResult(0)); }
   /// A condition or an integer operand.
   Truth truth(unsigned i) {
     return {&builder, builder.getPrimal(op->getOperand(i))};
+  }
+  /// Lets the first two operands be these, null for one: those of an op with
+  /// the same derivative.
+  void setOperands(ArrayRef<Value> values) {
+    replaced.assign(values.begin(), values.end());
+  }
+  /// An operand, null for one.
+  Value getOperand(unsigned i) {
+    return i < replaced.size() ? replaced[i] : op->getOperand(i);
   }
   /// `a` in the float type of operand i; forward, in that of the result.
   Num cast(Num a, unsigned i);
@@ -126,6 +135,8 @@ public:
 
 private:
   Num use(Value value) {
+    if (!value)
+      return {&builder, builder.createConstant(op->getResult(0).getType(), 1)};
     usedNonFinite |= facts().mayBeNonFinite(value);
     return {&builder, builder.getPrimal(value)};
   }
@@ -134,6 +145,7 @@ private:
   Operation *op;
   Value seed;
   Mode mode;
+  SmallVector<Value, 2> replaced;
   bool usedNonFinite = false;
 };
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from typing import Any
 
@@ -11,10 +10,6 @@ import tai as ti
 
 MODES = ["reverse", "forward"]
 TYPES = {"f64": ti.f64, "f32": ti.f32}
-
-
-# Elsewhere, what is known to fail on the CPU may pass.
-ON_CPU = os.environ.get("TI_ARCH", "cpu") == "cpu"
 
 
 def number(dtype: str) -> Any:

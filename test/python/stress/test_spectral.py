@@ -1,5 +1,7 @@
 """S36: functions of singular values and eigenvalues, from values apart to values that are equal."""
 
+import warnings
+
 import numpy as np
 import pytest
 import tai as ti
@@ -249,11 +251,39 @@ def test_s36_odd_functions_where_values_cancel(n, dtype, mode, measure):
     measure("of a cube", np.abs(found - right).max(), 100 * EPSILON[dtype])
 
 
-def test_s36_what_is_not_recognised_is_said(capfd):
-    """The sum of outer products of the columns of U and V: the warning names the line."""
-    ti.init(offline_cache=False, default_fp=ti.f64)
-    x = ti.Matrix.field(2, 2, ti.f64, shape=(), needs_grad=True)
-    y = ti.field(ti.f64, shape=(), needs_grad=True)
+@pytest.mark.parametrize("mode", MODES)
+def test_s36_what_is_not_recognised_is_said(mode, tmp_path):
+    """The sum of outer products of the columns of U and V: a warning names the line, once in a
+    program, also where the code comes from the cache."""
+    for from_cache in (False, True):
+        ti.init(offline_cache_file_path=str(tmp_path), default_fp=ti.f64)
+        kernels, run = products_by_columns(mode)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            found = run(kernels["as_a_product"])
+        np.testing.assert_allclose(found, [[0, 1.5], [0.5, 0]], atol=1e-15)
+        with pytest.warns(ti.ad.TaiGradientWarning, match="singular values are equal") as said:
+            run(kernels["by_columns"])
+        assert len(said) == 1, from_cache
+        assert said[0].filename == __file__
+        text = str(said[0].message)
+        assert "ti.svd(x[None])  # LINE" in text and "^" in text and "differentiated as" in text
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            run(kernels["by_columns"])
+        ti.init(offline_cache_file_path=str(tmp_path), default_fp=ti.f64)
+        kernels, run = products_by_columns(mode)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            with pytest.raises(ti.ad.TaiGradientWarning, match="singular values"):
+                run(kernels["by_columns"])
+
+
+def products_by_columns(mode):
+    """Two kernels of one function of a matrix, and what runs one of them for its gradient."""
+    needs = {"needs_grad": True} if mode == "reverse" else {"needs_dual": True}
+    x = ti.Matrix.field(2, 2, ti.f64, shape=(), **needs)
+    y = ti.field(ti.f64, shape=(), **needs)
 
     @ti.kernel
     def by_columns():
@@ -268,16 +298,75 @@ def test_s36_what_is_not_recognised_is_said(capfd):
             s[k, k] = s[k, k] ** 2
         y[None] += (u @ s @ v.transpose())[0, 1]
 
-    def gradient(kernel):
+    def run(kernel):
         x[None] = [[1.0, 0.0], [0.0, 1.0]]
-        with ti.ad.Tape(y):
-            kernel()
-        return x.grad.to_numpy(), capfd.readouterr().err
+        if mode == "reverse":
+            with ti.ad.Tape(y):
+                kernel()
+            return x.grad.to_numpy()
+        found = np.zeros((2, 2))
+        for k in np.ndindex(2, 2):
+            seed = np.zeros((2, 2))
+            seed[k] = 1
+            y[None] = 0
+            with ti.ad.FwdMode(loss=y, param=x, seed=seed.ravel().tolist()):
+                kernel()
+            found[k] = y.dual[None]
+        return found
 
-    found, said = gradient(as_a_product)
-    np.testing.assert_allclose(found, [[0, 1.5], [0.5, 0]], atol=1e-15)
-    assert said == ""
-    _, said = gradient(by_columns)
-    assert "warning: where singular values are equal" in said
-    assert "ti.svd(x[None])  # LINE" in said and "^" in said
-    assert gradient(by_columns)[1] == ""
+    return {"by_columns": by_columns, "as_a_product": as_a_product}, run
+
+
+def cubes_for_curvature(n, kind, w):
+    """y = <w, A A' A> by singular values of A, or <w, A^3> by eigenvalues of a symmetric A."""
+    x = ti.Matrix.field(n, n, ti.f64, shape=(), needs_grad=True, needs_dual=True)
+    y = ti.field(ti.f64, shape=(), needs_grad=True, needs_dual=True)
+
+    @ti.kernel
+    def cube():
+        if ti.static(kind == "svd"):
+            u, s, v = ti.svd(x[None])
+            for k in ti.static(range(n)):
+                s[k, k] = s[k, k] ** 3
+            y[None] += (ti.Matrix(w) * (u @ s @ v.transpose())).sum()
+        else:
+            values, q = ti.sym_eig(x[None])
+            m = ti.Matrix.zero(ti.f64, n, n)
+            for k in ti.static(range(n)):
+                m[k, k] = values[k] ** 3
+            y[None] += (ti.Matrix(w) * (q @ m @ q.transpose())).sum()
+
+    return cube, x, y
+
+
+def turn_of(n, rng):
+    return np.linalg.qr(rng.standard_normal((n, n)))[0]
+
+
+@pytest.mark.parametrize("kind", ["svd", "eig"])
+@pytest.mark.parametrize("n", [2, 3])
+def test_s36_second_derivatives(n, kind, measure):
+    """Forward over reverse: off by eps / gap^2 between values that are near, and at equal ones,
+    where how the factors turn is missing, the compiler warns."""
+    ti.init(offline_cache=False, default_fp=ti.f64)
+    rng = np.random.default_rng(7)
+    w, d = rng.standard_normal((2, n, n))
+    if kind == "eig":
+        w, d = w + w.T, d + d.T
+    cube, x, y = cubes_for_curvature(n, kind, w.tolist())
+    u, v = turn_of(n, rng), turn_of(n, rng)
+    with pytest.warns(ti.ad.TaiGradientWarning, match="values are equal"):
+        for gap in (1.0, 0.5, 1e-2, 1e-3):
+            s = np.diag(1 + gap * np.arange(n))
+            a = u @ s @ (v if kind == "svd" else u).T
+            x[None], y[None] = a.tolist(), 0
+            found = ti.ad.hvp(cube, y, x, d)
+            if kind == "svd":  # of A A' A
+                right = w @ d.T @ a + w @ a.T @ d + d @ w.T @ a + a @ w.T @ d
+                right += d @ a.T @ w + a @ d.T @ w
+            else:
+                right = d @ w @ a + a @ w @ d + w @ d @ a + w @ a @ d + d @ a @ w + a @ d @ w
+                # The gradient by a symmetric matrix: a triangle has it twice.
+                found, right = found + found.T, right + right.T
+            error = np.abs(found - right).max() / np.abs(right).max()
+            measure(f"gap {gap:g}", error, 1e-13 + 16 * EPSILON["f64"] / gap**2)

@@ -2,6 +2,7 @@
 
 import inspect
 import math
+import warnings
 from fractions import Fraction
 
 import numpy as np
@@ -187,6 +188,70 @@ def test_nan_is_traced_to_its_kernel_and_line():
     assert rows[0].field == "x"
     assert rows[0].nans == 1
     assert "NaN" in str(report)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_a_field_that_is_not_finite_at_the_start_is_named(bad):
+    """Once, with its element, the kernel that reads it and its line; a gradient or none."""
+    x, y, loss = make_fields()
+    w = ti.field(ti.f64, shape=(3, 2))
+
+    @ti.kernel
+    def weigh():
+        for i in x:
+            y[i] = x[i] * w[i, 1]
+
+    @ti.kernel
+    def add():
+        for i in y:
+            loss[None] += y[i]
+
+    def sweep():
+        with ti.ad.Tape(loss):
+            weigh()
+            add()
+
+    x.fill(1)
+    w.fill(2)
+    w[0, 0] = bad  # nobody reads it
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sweep()
+    w[2, 1] = bad
+    line = weigh.__wrapped__.__code__.co_firstlineno
+    with pytest.warns(ti.ad.TaiGradientWarning, match="the loss") as said:
+        sweep()
+    assert len(said) == 1
+    assert said[0].filename == __file__
+    text = str(said[0].message)
+    assert f"held {bad} when the tape began, at [2, 1]" in text
+    assert "kernel 'weigh' (" in text and f":{line}) reads it" in text
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for _ in range(10):
+            sweep()
+
+
+def test_a_kernel_that_leaves_what_is_not_finite_is_named():
+    x, y, loss = make_fields()
+
+    @ti.kernel
+    def root():
+        for i in x:
+            y[i] = ti.log(x[i])
+
+    @ti.kernel
+    def add():
+        for i in y:
+            loss[None] += y[i]
+
+    x.from_numpy(np.array([1.0, -2.0, 3.0]))
+    with pytest.warns(ti.ad.TaiGradientWarning) as said, ti.ad.Tape(loss):
+        root()
+        add()
+    text = str(said[0].message)
+    assert "the loss" in text and "itself is nan" in text and "kernel 'root'" in text
+    assert "ti.log(x[i])" in text
 
 
 def test_host_functions_are_examined():

@@ -492,6 +492,136 @@ TEST(CAPIErrors, CodeGeneratorFailsWithoutAborting) {
   EXPECT_EQ(context.read(context.y), 4);
 }
 
+TEST(CAPIErrors, WordsThatContradict) {
+  Context context;
+  auto refuses = [&](const char *name, const char *value,
+                     const std::string &why) {
+    EXPECT_EQ(taiContextSetOption(context, name, value), TAI_ERROR_USAGE);
+    EXPECT_TRUE(contains(context.message(), why)) << context.message();
+  };
+  context.set("math", "strict");
+  refuses("fast_math", "true",
+          "options 'math=\"strict\"' and 'fast_math' contradict one another: "
+          "the first rounds every operation by itself, the second reorders "
+          "them; choose one");
+  // What is refused leaves all as it was.
+  context.set("math", "fast");
+  refuses("strict", "true",
+          "options 'strict' and 'math=\"fast\"' contradict one another");
+  refuses("sums", "compensated",
+          "options 'sums=\"compensated\"' and 'math=\"fast\"' contradict");
+  refuses("shadow", "true", "options 'shadow' and 'math=\"fast\"' contradict");
+  context.set("math", "default");
+  context.set("sums", "compensated");
+  refuses("math", "fast", "contradict");
+  refuses("precision", "f8", "option 'precision' expects default, f64 or f32");
+  refuses("adjoints", "f32", "option 'adjoints' expects default or f64");
+  refuses("ftz", "perhaps", "option 'ftz' expects true or false");
+  // A kernel's own word meets those of its context.
+  context.addFields();
+  std::string fast = squares("1.0");
+  fast.insert(fast.find('{'), "attributes {tai.modes = {math = \"fast\"}} ");
+  TaiKernel kernel = nullptr;
+  EXPECT_EQ(context.create("squares", fast, kernel), TAI_ERROR_USAGE);
+  EXPECT_TRUE(contains(context.diagnostics(), "kernel.mlir:1:1: error: kernel "
+                                              "'squares': "
+                                              "sums=\"compensated\" and "
+                                              "math=\"fast\" contradict"))
+      << context.diagnostics();
+}
+
+TEST(CAPI, WordsOfAContextStandOnItsKernels) {
+  Context context;
+  context.addFields();
+  context.set("sums", "compensated");
+  context.set("ftz", "true");
+  TaiKernel kernel = context.kernel("squares", squares("1.0"));
+  const char *text = nullptr;
+  context.ok(taiKernelGetIR(kernel, "autodiff", &text));
+  EXPECT_TRUE(contains(text, "{ftz = true, sums = \"compensated\"}")) << text;
+  // One after another, each 1 is lost.
+  int64_t first = 0;
+  context.ok(taiFieldFillF64(context.x, 1));
+  context.ok(taiFieldWriteF64(context.x, &first, 0, 1e8));
+  context.ok(taiKernelLaunch(kernel, nullptr, 0, nullptr));
+  EXPECT_EQ(context.read(context.y), 1e16 + 4); // 3, rounded
+  // Only what is created afterwards has other words.
+  context.set("sums", "default");
+  context.set("ftz", "false");
+  TaiKernel plain = context.kernel("squares", squares("1.0"));
+  context.ok(taiKernelGetIR(plain, "tai", &text));
+  EXPECT_FALSE(contains(text, "sums"));
+}
+
+TEST(CAPI, AdjointsOfTheTypeThatAContextAsksFor) {
+  Context context;
+  context.ok(taiContextAddTree(
+      context, "t", "!tai.root<dense<[i: 4], {x: f32, gx: f32}>, {y: f64}>"));
+  context.field("tai.field @x = @t[\"x\"] : f32, rank 1, adjoint @gx");
+  context.field("tai.field @gx = @t[\"gx\"] : f32, rank 1");
+  context.field("tai.field @y = @t[\"y\"] : f64, rank 0");
+  const char *load = "tai.kernel @k() {\n"
+                     "  %0 = arith.constant 0 : index\n"
+                     "  %1 = tai.load @x[%0] : f32\n"
+                     "  tai.store %1, @x[%0] : f32\n"
+                     "  tai.return\n"
+                     "}\n";
+  TaiKernel kernel = context.kernel("k", load);
+  taiKernelDestroy(kernel);
+  context.set("adjoints", "f64");
+  EXPECT_EQ(context.create("k", load, kernel), TAI_ERROR_USAGE);
+  EXPECT_TRUE(contains(context.message(), "'@gx', that of '@x', holds 'f32'"))
+      << context.message();
+}
+
+TEST(CAPI, WarningsOfTheCompiler) {
+  TemporaryFolder folder;
+  const char *turns = "tai.kernel @k() {\n"
+                      "  %a = tai.load @a[] : vector<2x2xf64>\n"
+                      "  %u, %s, %v = tai.svd %a : vector<2x2xf64>\n"
+                      "  %c = vector.extract %u[0, 0] : f64 from "
+                      "vector<2x2xf64>\n"
+                      "  tai.store %c, @y[] : f64\n"
+                      "  tai.return\n"
+                      "}\n";
+  // The second time the code is in the cache, the third time the kernel has
+  // moved.
+  for (const char *before : {"", "", "\n\n"}) {
+    Context context;
+    context.set("cache_dir", folder.path.c_str());
+    std::vector<std::string> told;
+    taiContextSetWarningHandler(
+        context,
+        [](const TaiWarning *warning, void *user) {
+          static_cast<std::vector<std::string> *>(user)->push_back(
+              std::string(warning->file) + ":" + std::to_string(warning->line) +
+              (warning->of_gradient ? " gradient: " : ": ") + warning->message +
+              "\n" + warning->diagnostics);
+        },
+        &told);
+    context.ok(taiContextAddTree(context, "t",
+                                 "!tai.root<{a: vector<2x2xf64>, ga: "
+                                 "vector<2x2xf64>, y: f64, gy: f64}>"));
+    context.field(
+        "tai.field @a = @t[\"a\"] : vector<2x2xf64>, rank 0, adjoint @ga");
+    context.field("tai.field @ga = @t[\"ga\"] : vector<2x2xf64>, rank 0");
+    context.field("tai.field @y = @t[\"y\"] : f64, rank 0, adjoint @gy");
+    context.field("tai.field @gy = @t[\"gy\"] : f64, rank 0");
+    TaiKernel kernel = context.kernel("k", std::string(before) + turns);
+    context.ok(taiKernelLaunch(kernel, nullptr, 0, nullptr));
+    EXPECT_TRUE(told.empty());
+    for (int i = 0; i < 2; ++i)
+      context.ok(taiKernelLaunchGrad(kernel, nullptr, 0));
+    ASSERT_EQ(told.size(), 1u);
+    std::string line = *before ? "5" : "3";
+    EXPECT_TRUE(contains(told[0], "kernel.mlir:" + line +
+                                      " gradient: where singular values are"))
+        << told[0];
+    EXPECT_TRUE(contains(told[0], "kernel.mlir:" + line + ":"));
+    EXPECT_TRUE(contains(told[0], "note: products such as"));
+  }
+}
+
 TEST(CAPIErrors, Options) {
   Context context;
   EXPECT_EQ(taiContextSetOption(context, "threads", "many"), TAI_ERROR_USAGE);

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from ...errors import shorten
+from ...errors import TaiGradientWarning, shorten
+from ..base import state
 from ..base.program import get_program
+from ..base.targets import cuda
 from .compare import READ, Accesses, differentiable_fields, elements
 from .snapshot import Snapshot
 from .source import Place
@@ -259,6 +263,53 @@ def _find_bad_value(core: Any, loss: Any, place: Any) -> Finding:
             line = suspects[0][0] if suspects else where.lineno
             return Finding("nan", message, record, where.kernel, where.filename, line)
     return Finding("nan", message)
+
+
+def warn_of_losses(core: Any, losses: list[Any], stacklevel: int) -> None:
+    """Says, once in a program for each loss, where one that is NaN or infinite comes from.
+
+    It reads the losses, and where one is not finite all fields of floats that are read. On a GPU
+    it does nothing: to read a loss is to wait for all that was launched.
+    """
+    if state.options is None or state.options.arch == cuda:
+        return
+    told = get_program().told_losses
+    for loss in losses:
+        if np.isfinite(loss[None]) or loss.symbol in told:
+            continue
+        told.add(loss.symbol)
+        message = _find_bad_start(core) or _find_bad_value(core, loss, partial(Place, core)).message
+        if "itself" not in message:
+            message = f"the loss '{loss.name}' is {loss[None]}: {message}"
+        warnings.warn(message, TaiGradientWarning, stacklevel=stacklevel + 1)
+
+
+def _find_bad_start(core: Any) -> str | None:
+    """A field that no kernel of the tape changes, and that holds what is not finite where one
+    reads it."""
+    known = {
+        symbol: f for symbol, f in get_program().fields.items()
+        if f.role == "primal" and f.dtype.is_float and f._core is not None
+    }  # fmt: skip
+    accesses = [core.accesses(record) for record in range(core.records)]
+    changed = {symbol for listed in accesses for symbol, kind, *_ in listed if kind != READ}
+    for record, listed in enumerate(accesses):
+        for symbol, kind, dimension, index in listed:
+            if kind != READ or symbol in changed or symbol not in known:
+                continue
+            f = known[symbol]
+            array = Snapshot._take(f)
+            where = np.zeros(array.shape, bool)
+            where[elements(f, dimension, index)] = True
+            bad = np.argwhere(where & ~np.isfinite(array))
+            if len(bad):
+                at = ", ".join(map(str, bad[0][: len(f.shape)])) or "None"
+                return (
+                    f"field '{f.name}' held {array[tuple(bad[0])]} when the tape began, at [{at}] "
+                    f"({len(bad)} of its numbers are not finite), and {Place(core, record)} reads "
+                    "it"
+                )
+    return None
 
 
 def _bad_values(core: Any, record: int) -> list[str]:

@@ -40,6 +40,9 @@ _NAMES = {
 # Set by the package while a program runs, or by tools; `cache_dir` follows from two keywords.
 _NOT_OF_INIT = {"cache_dir", "compile_profile", "forward_mode", "order_seed"}
 
+# Said on each kernel instead, with what the kernel says itself; see `base.modes`.
+_ON_KERNELS = {"precision", "sums", "math", "ftz", "adjoints"}
+
 # What the kinds of the table are in Python: types and how the initial text is read.
 _KINDS: dict[str, tuple[Any, Callable[[str], Any]]] = {
     "Switch": (bool, lambda text: text == "true"),
@@ -161,7 +164,7 @@ def texts_of(options: Options, rows: Iterable[Row] = ROWS) -> dict[str, str]:
     texts = {}
     for name, *_ in rows:
         make = _TEXTS.get(name)
-        if make is None and name in _NOT_OF_INIT:
+        if make is None and name in _NOT_OF_INIT | _ON_KERNELS:
             continue
         value = getattr(options, _NAMES.get(name, name)) if make is None else make(options)
         if value is None:

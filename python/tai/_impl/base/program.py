@@ -37,6 +37,9 @@ class Program:
         self.num_trees = 0
         # The roots of the trees that are allocated, by symbol.
         self.trees: dict[str, Any] = {}
+        # How many tapes have been swept; losses of which it was said that they are NaN or infinite.
+        self.sweeps = 0
+        self.told_losses: set[str] = set()
         # Fields by symbol, for diagnostics and for clearing gradients.
         self.fields: dict[str, Any] = {}
         self.kernels: weakref.WeakSet = weakref.WeakSet()
