@@ -1,8 +1,8 @@
 """Keeps the rooms of the C++ sources apart: which may include which.
 
 A room is a folder of lib/ with that of the same name in include/tai; the rooms of the
-runtime are its subfolders. `ARROWS` and `RUNTIME_ARROWS` are the rule; docs/architecture.md
-shows them, and this script writes what it shows (`--write`).
+runtime and the dialects are subfolders. `ARROWS`, `RUNTIME_ARROWS` and `DIALECT_ARROWS` are
+the rule; docs/architecture.md shows them, and this script writes what it shows (`--write`).
 """
 
 from __future__ import annotations
@@ -60,6 +60,13 @@ RUNTIME_ARROWS: dict[str, str] = {
 }
 KNOWN_CIRCLES: set[tuple[str, str]] = set()
 
+# Of dialects: those below know those above by traits and interfaces alone.
+DIALECT_ARROWS: dict[str, str] = {
+    "Tai": "",
+    "TaiRT": "Tai",
+    "Check": "Tai",
+}
+
 # Classes whose methods stand in more sources than MOST_SOURCES, and in how many: to be cut
 # into parts. The numbers may fall, not rise.
 KNOWN_SLICES: dict[str, int] = {
@@ -87,12 +94,12 @@ def sources() -> list[str]:
     return sorted(n for n in set(output.splitlines()) if (ROOT / n).is_file())
 
 
-def room_of(name: str, *, runtime: bool = False) -> str | None:
-    """The room of a file; of the runtime's own rooms if so asked."""
+def room_of(name: str, *, within: str = "") -> str | None:
+    """The room of a file; the room within a larger one if so asked."""
     parts = name.split("/")
     parts = parts[1:] if parts[0] == "lib" else parts[2:]
-    if runtime:
-        return parts[1] if len(parts) > 2 and parts[0] == "Runtime" else None
+    if within:
+        return parts[1] if len(parts) > 2 and parts[0] == within else None
     return parts[0] if len(parts) > 1 else None
 
 
@@ -108,14 +115,14 @@ def included(name: str, text: str) -> list[str]:
     return found
 
 
-def read_graph(*, runtime: bool = False) -> Graph:
+def read_graph(*, within: str = "") -> Graph:
     graph = Graph()
     for name in sources():
-        room = room_of(name, runtime=runtime)
+        room = room_of(name, within=within)
         if room is None or not name.endswith((".cpp", ".h", ".td", ".def", ".cu")):
             continue
         for target in included(name, (ROOT / name).read_text()):
-            other = room_of(target, runtime=runtime)
+            other = room_of(target, within=within)
             if other is not None and other != room:
                 graph.arrows[room, other].append(f"{name} includes {target}")
     return graph
@@ -212,7 +219,11 @@ def check_crowds() -> list[str]:
 def drawing() -> str:
     """The tables of the page, from the lowest rooms up."""
     text = []
-    for title, table in (("rooms", ARROWS), ("rooms of the runtime", RUNTIME_ARROWS)):
+    for title, table in (
+        ("rooms", ARROWS),
+        ("rooms of the runtime", RUNTIME_ARROWS),
+        ("dialects", DIALECT_ARROWS),
+    ):
         text.append(f"| {title} | may include |\n|---|---|")
         for room in order(table) or table:
             text.append(f"| `{room}` | {', '.join(f'`{r}`' for r in table[room].split())} |")
@@ -230,7 +241,8 @@ def page(text: str) -> str:
 
 def check() -> list[str]:
     problems = check_arrows(ARROWS, read_graph(), set())
-    problems += check_arrows(RUNTIME_ARROWS, read_graph(runtime=True), KNOWN_CIRCLES)
+    problems += check_arrows(RUNTIME_ARROWS, read_graph(within="Runtime"), KNOWN_CIRCLES)
+    problems += check_arrows(DIALECT_ARROWS, read_graph(within="Dialect"), set())
     problems += check_slices() + check_crowds() + check_parts()
     text = PAGE.read_text()
     if page(text) != text:
@@ -244,8 +256,8 @@ def main() -> int:
     parser.add_argument("--show", action="store_true", help="print what the includes do")
     args = parser.parse_args()
     if args.show:
-        for runtime in (False, True):
-            for (room, other), examples in sorted(read_graph(runtime=runtime).arrows.items()):
+        for within in ("", "Runtime", "Dialect"):
+            for (room, other), examples in sorted(read_graph(within=within).arrows.items()):
                 print(f"{room} -> {other}: {len(examples)}, {examples[0]}")
         for name, files in sorted(slices().items()):
             if len(files) > MOST_SOURCES:

@@ -16,6 +16,7 @@
 #include "mlir/Pass/PassInstrumentation.h"
 #include "tai/Analysis/SkipScope.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Dialect/Check/IR/Check.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/ExecutionEngine/Background.h"
 #include "tai/ExecutionEngine/ToBeRecorded.h"

@@ -94,15 +94,11 @@ void ContextModes::addTo(ModuleOp module) const {
   if (words.empty())
     return;
   for (KernelOp kernel : module.getOps<KernelOp>()) {
-    Attribute given = kernel->getAttr(kModesAttrName);
-    auto own = dyn_cast_if_present<DictionaryAttr>(given);
-    if (given && !own)
-      continue; // the verifier says so
-    NamedAttrList all(own);
+    NamedAttrList all(kernel.getModesAttr());
     for (NamedAttribute entry : words)
       if (!all.get(entry.getName()))
         all.push_back(entry);
-    kernel->setAttr(kModesAttrName, all.getDictionary(module.getContext()));
+    kernel.setModesAttr(all.getDictionary(module.getContext()));
   }
 }
 

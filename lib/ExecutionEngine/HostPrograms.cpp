@@ -8,7 +8,7 @@
 #include "HostPrograms.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
-#include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Dialect/Check/IR/Check.h"
 #include "tai/Pipelines/Pipelines.h"
 
 using namespace mlir;
@@ -50,6 +50,7 @@ static void keepReachable(ModuleOp module, StringRef entry) {
 OwningOpRef<ModuleOp> mlir::tai::makeHostModule(ModuleOp module,
                                                 StringRef entry) {
   OwningOpRef<ModuleOp> host = module.clone();
+  upgradeFormerChecks(*host);
   keepReachable(*host, entry);
   stubKernels(*host);
   return host;
@@ -60,7 +61,7 @@ bool mlir::tai::usesFields(ModuleOp module) {
   bool found = false;
   for (func::FuncOp function : module.getOps<func::FuncOp>())
     function.walk([&](Operation *op) {
-      if (isa<LaunchOp, TapeOp, CheckGradientOp>(op))
+      if (isa<LaunchOp>(op) || op->hasTrait<RecordsLaunches>())
         return;
       op->getAttrDictionary().walk([&](SymbolRefAttr name) {
         found |= isa_and_nonnull<FieldOp, TreeOp>(

@@ -87,7 +87,7 @@ static LogicalResult clampIndices(ModuleOp module,
 static FailureOr<CompileOptions> getOwnOptions(KernelOp kernel,
                                                const CompileOptions &options,
                                                FailureLog &failures) {
-  if (!kernel->hasAttr(kModesAttrName))
+  if (!kernel.getModesAttr())
     return options;
   DiagnosticCollector collector(kernel.getContext());
   FailureOr<CompileOptions> own = getKernelOptions(kernel, options);

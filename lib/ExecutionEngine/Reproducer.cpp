@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Reproducer.h"
+#include "StripAttributes.h"
 #include "mlir/IR/Verifier.h"
 #include "mlir/Pass/Pass.h"
 #include "llvm/ADT/StringMap.h"
@@ -159,6 +160,7 @@ mlir::tai::runPasses(ModuleOp module,
   PassManager manager(module.getContext());
   InvalidAfterPass::Finding finding;
   manager.addInstrumentation(std::make_unique<InvalidAfterPass>(finding));
+  StripAttributes::addIfWanted(manager);
   populate(manager);
   OwningOpRef<ModuleOp> given = module.clone();
   if (succeeded(runPipeline(manager, finding, module, title, kind, failure)))

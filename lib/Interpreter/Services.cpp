@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Handlers.h"
+#include "tai/Dialect/Check/IR/Check.h"
 #include "llvm/ADT/bit.h"
 #include <cmath>
 
@@ -188,10 +189,10 @@ static LogicalResult runCheckGradient(Run &run, Operation *op) {
 
 void interpreter::addServiceHandlers(Handlers &handlers) {
   handlers["tai.assert"] = runAssert;
-  handlers["tai.check_close"] = runCheckClose;
-  handlers["tai.check_gradient"] = runCheckGradient;
   handlers["tai.launch"] = runLaunch;
   handlers["tai.print"] = runPrint;
   handlers["tai.random"] = runRandom;
   handlers["tai.tape"] = runTape;
+  handlers["tai_check.close"] = runCheckClose;
+  handlers["tai_check.gradient"] = runCheckGradient;
 }

@@ -21,6 +21,7 @@
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/AD/Passes.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Dialect/Check/IR/Check.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Interfaces/Differentiable.h"
@@ -35,6 +36,7 @@ void tai::registerAll(DialectRegistry &registry) {
                   LLVM::LLVMDialect, math::MathDialect, memref::MemRefDialect,
                   NVVM::NVVMDialect, scf::SCFDialect, ub::UBDialect,
                   vector::VectorDialect>();
+  registerCheckDialect(registry);
   func::registerInlinerExtension(registry);
   registerDifferentiableModels(registry);
 }

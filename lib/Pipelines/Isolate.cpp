@@ -19,6 +19,7 @@
 #include "mlir/Pass/Pass.h"
 #include "mlir/Pass/PassManager.h"
 #include "mlir/Pass/PassRegistry.h"
+#include "tai/Dialect/Check/IR/Check.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Pipelines/Pipelines.h"
@@ -32,7 +33,8 @@ static Operation *findTaiOp(Operation *op) {
   op->walk<WalkOrder::PreOrder>([&](Operation *nested) {
     if (nested != op && nested->hasTrait<OpTrait::SymbolTable>())
       return WalkResult::skip();
-    if (!isa_and_present<TaiDialect, TaiRTDialect>(nested->getDialect()))
+    if (!isa_and_present<TaiDialect, TaiRTDialect, CheckDialect>(
+            nested->getDialect()))
       return WalkResult::advance();
     found = nested;
     return WalkResult::interrupt();
@@ -59,7 +61,8 @@ llvm::SetVector<Operation *> tai::collectOwn(ModuleOp module, StringRef entry) {
   SymbolTable symbols(module);
   llvm::SetVector<Operation *> own;
   for (Operation &op : *module.getBody())
-    if (isa_and_present<TaiDialect, TaiRTDialect>(op.getDialect()) ||
+    if (isa_and_present<TaiDialect, TaiRTDialect, CheckDialect>(
+            op.getDialect()) ||
         (isa<func::FuncOp>(op) && findTaiOp(&op)))
       own.insert(&op);
   if (!entry.empty())
@@ -172,7 +175,8 @@ LogicalResult Isolate::checkForeign(const llvm::SetVector<Operation *> &own) {
     if (op.hasTrait<OpTrait::SymbolTable>()) {
       Operation *found = nullptr;
       op.walk([&](Operation *nested) {
-        if (isa_and_present<TaiDialect, TaiRTDialect>(nested->getDialect()))
+        if (isa_and_present<TaiDialect, TaiRTDialect, CheckDialect>(
+                nested->getDialect()))
           found = nested;
       });
       if (found)

@@ -9,13 +9,13 @@ tai.field @gx = @s["gx"] : f64, rank 1
 tai.field @gy = @s["gy"] : f64, rank 1
 
 // CHECK-LABEL: tai.kernel @square_grad
-//  CHECK-SAME:     tai.modes = {math = "strict"}
+//  CHECK-SAME:     modes = {math = "strict"}
 //       CHECK:   %[[G:.+]] = tai.load @gy[%{{.+}}] : f64
 //       CHECK:   %[[N:.+]] = arith.truncf %[[G]] : f64 to f32
 //       CHECK:   arith.mulf {{.*}} : f32
 //       CHECK:   %[[W:.+]] = arith.extf %{{.+}} : f32 to f64
 //       CHECK:   tai.atomic add %[[W]], @gx{{.*}} : f64
-tai.kernel @square() attributes {tai.modes = {math = "strict"}} {
+tai.kernel @square() attributes {modes = {math = "strict"}} {
   tai.parallel_for (%i) in @x {
     %0 = tai.load @x[%i] : f32
     %1 = arith.mulf %0, %0 : f32

@@ -43,7 +43,7 @@ func.func @main() {
     scf.for %i = %c0 to %c9 step %c1 {
       %n = arith.index_cast %i : index to i32
       %0 = tai.launch @step(%n, %one) : (i32, f64) -> f64
-      tai.check_close %0, %one tolerance 1.0e-6 : f64
+      tai_check.close %0, %one tolerance 1.0e-6 : f64
     }
   }
   return
@@ -60,7 +60,7 @@ func.func @main() {
 //       CHECK:   llvm.call @tai_rt_failed(%[[FRAME]])
 func.func @check(%x: f64) {
   %n = arith.constant 3 : i32
-  tai.check_gradient loss(@loss) wrt [@x, @loss] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x, @loss] tolerance 1.0e-7 {
     %0 = tai.launch @step(%n, %x) : (i32, f64) -> f64
   }
   return

@@ -25,7 +25,7 @@ tai.kernel @plain() {
 //       CHECK:   llvm.fpext {{.*}} : f32 to f64
 //       CHECK:   llvm.fadd {{.*}} : f64
 //   CHECK-NOT:   llvm.fadd {{.*}} : f32
-tai.kernel @compensated() attributes {tai.modes = {sums = "compensated"}} {
+tai.kernel @compensated() attributes {modes = {sums = "compensated"}} {
   tai.parallel_for (%i) in @x {
     %0 = tai.load @x[%i] : f32
     tai.atomic add %0, @t[] : f32
@@ -40,7 +40,7 @@ tai.kernel @compensated() attributes {tai.modes = {sums = "compensated"}} {
 //       CHECK:   %[[S:.+]] = llvm.fadd %{{.+}}, %[[X]] : f64
 //       CHECK:   %[[T:.+]] = llvm.fsub %[[S]], %{{.+}} : f64
 //       CHECK:   llvm.fsub %[[X]], %[[T]] : f64
-tai.kernel @pairs() attributes {tai.modes = {sums = "compensated"}} {
+tai.kernel @pairs() attributes {modes = {sums = "compensated"}} {
   tai.parallel_for (%i) in @y {
     %0 = tai.load @y[%i] : f64
     tai.atomic add %0, @u[] : f64
@@ -55,7 +55,7 @@ tai.kernel @pairs() attributes {tai.modes = {sums = "compensated"}} {
 //       CHECK:   "llvm.{{x86.sse.ldmxcsr|aarch64.set.fpcr}}"
 //       CHECK:   llvm.return
 //       CHECK: llvm.func internal @flushing.flushing({{.*}}no_inline
-tai.kernel @flushing() attributes {tai.modes = {ftz = true}} {
+tai.kernel @flushing() attributes {modes = {ftz = true}} {
   tai.parallel_for (%i) in @x {
     %0 = tai.load @x[%i] : f32
     %1 = arith.mulf %0, %0 : f32
@@ -68,7 +68,7 @@ tai.kernel @flushing() attributes {tai.modes = {ftz = true}} {
 // CHECK-LABEL: llvm.func @strict(
 //       CHECK:   llvm.fmul %{{.+}}, %{{.+}} : f32
 //       CHECK:   llvm.fadd %{{.+}}, %{{.+}} : f32
-tai.kernel @strict() attributes {tai.modes = {math = "strict"}} {
+tai.kernel @strict() attributes {modes = {math = "strict"}} {
   tai.parallel_for (%i) in @x {
     %0 = tai.load @x[%i] : f32
     %1 = arith.mulf %0, %0 : f32
@@ -81,7 +81,7 @@ tai.kernel @strict() attributes {tai.modes = {math = "strict"}} {
 // The function of f32 is that of f64, rounded.
 // CHECK-LABEL: llvm.func internal @accurate.loop0
 //       CHECK:   llvm.intr.sin(%{{.+}}) {{.*}}: (f64) -> f64
-tai.kernel @accurate() attributes {tai.modes = {math = "accurate"}} {
+tai.kernel @accurate() attributes {modes = {math = "accurate"}} {
   tai.parallel_for (%i) in @x {
     %0 = tai.load @x[%i] : f32
     %1 = math.sin %0 : f32
@@ -105,7 +105,7 @@ tai.kernel @accurate() attributes {tai.modes = {math = "accurate"}} {
 //       WIDE:   tai.local_store %{{.+}}, %{{.+}} : f64
 //       WIDE:   %[[R:.+]] = arith.truncf %{{.+}} : f64 to f32
 //       WIDE:   tai.store %[[R]], @x
-tai.kernel @wide(%a: f32) attributes {tai.modes = {precision = "f64"}} {
+tai.kernel @wide(%a: f32) attributes {modes = {precision = "f64"}} {
   %half = arith.constant 0.5 : f32
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index

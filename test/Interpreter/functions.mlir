@@ -25,16 +25,16 @@ func.func @main() {
   %0 = tai.launch @wide(%x) : (f64) -> f64
   %a = arith.divf %0, %x : f64
   %one = arith.constant 1.0 : f64
-  tai.check_close %a, %one tolerance 1.0e-15 : f64
+  tai_check.close %a, %one tolerance 1.0e-15 : f64
   %y = arith.constant 1.0e-5 : f32
   %1 = tai.launch @single(%y) : (f32) -> f32
   %b = arith.divf %1, %y : f32
   %oneF = arith.constant 1.000005 : f32
-  tai.check_close %b, %oneF tolerance 2.0e-7 : f32
+  tai_check.close %b, %oneF tolerance 2.0e-7 : f32
   %z = arith.constant 1.0e-4 : f16
   %2 = tai.launch @half(%z) : (f16) -> f16
   %c = arith.divf %2, %z : f16
   %oneH = arith.constant 1.0 : f16
-  tai.check_close %c, %oneH tolerance 1.0e-2 : f16
+  tai_check.close %c, %oneH tolerance 1.0e-2 : f16
   return
 }

@@ -71,7 +71,7 @@ MAIN = """\
 func.func @main() {
   %zero = arith.constant 0.0 : f64
   tai.launch @fill() : () -> ()
-  tai.check_gradient loss(@loss) wrt [@x, @y, @v, @a] tolerance 1.0e-6 {
+  tai_check.gradient loss(@loss) wrt [@x, @y, @v, @a] tolerance 1.0e-6 {
     tai.launch @clear() : () -> ()
     tai.store %zero, @loss[] : f64
     tai.launch @first() : () -> ()

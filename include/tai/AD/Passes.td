@@ -51,7 +51,7 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
     `unneeded-records`, all values that loops carry are recorded.
 
     Without options, takes the kernels launched in a `tai.tape` or
-    `tai.check_gradient`, or all kernels of a module that has none of these, and
+    `tai_check.gradient`, or all kernels of a module that has none of these, and
     the functions with the unit attribute `tai.differentiate`. A function takes
     its float memref arguments as both inputs and outputs; `@f_grad` has one
     more memref for each of them, at the end, in the same order. So has the

@@ -41,7 +41,7 @@ collectTaped(ModuleOp module) {
   DenseSet<StringAttr> kernels;
   SmallVector<Operation *> pending;
   module.walk([&](Operation *op) {
-    if (isa<TapeOp, CheckGradientOp>(op))
+    if (op->hasTrait<RecordsLaunches>())
       pending.push_back(op);
   });
   if (pending.empty())

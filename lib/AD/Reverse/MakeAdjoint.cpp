@@ -28,7 +28,6 @@
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Cost.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
-#include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 namespace mlir::tai {
@@ -57,8 +56,7 @@ static FunctionOpInterface createShell(FunctionOpInterface function,
   FunctionType type = getAdjointType(function, signature);
   if (auto kernel = dyn_cast<KernelOp>(function.getOperation())) {
     auto adjoint = KernelOp::create(builder, function.getLoc(), name, type);
-    if (Attribute modes = kernel->getAttr(kModesAttrName))
-      adjoint->setAttr(kModesAttrName, modes);
+    adjoint.setModesAttr(kernel.getModesAttr());
     return adjoint;
   }
   auto shell = func::FuncOp::create(builder, function.getLoc(), name, type);

@@ -266,22 +266,23 @@ struct ConvertTaiToGPU : tai::impl::ConvertTaiToGPUBase<ConvertTaiToGPU> {
       llvm::SaveAndRestore fixed(
           lowering.deterministic,
           Modes::of(kernel).isDeterministic(deterministic));
-      Attribute modes = kernel->getAttr(kModesAttrName);
-      DenseSet<Operation *> known;
-      if (modes)
+      const Modes modes = Modes::of(kernel);
+      auto functions = [&] {
+        SmallVector<LLVM::LLVMFuncOp> all;
         for (Region *region :
              {&module.getBodyRegion(), &kernels.getBodyRegion()})
-          for (Operation &op : region->front())
-            known.insert(&op);
+          llvm::append_range(all, region->getOps<LLVM::LLVMFuncOp>());
+        return all;
+      };
+      DenseSet<Operation *> known;
+      for (LLVM::LLVMFuncOp function : functions())
+        known.insert(function);
       if (failed(KernelOffload(kernel, lowering).run()))
         return signalPassFailure();
       // What was made for it.
-      if (modes)
-        for (Region *region :
-             {&module.getBodyRegion(), &kernels.getBodyRegion()})
-          for (Operation &op : region->front())
-            if (isa<FunctionOpInterface>(op) && !known.contains(&op))
-              op.setAttr(kModesAttrName, modes);
+      for (LLVM::LLVMFuncOp function : functions())
+        if (!function.isExternal() && !known.contains(function))
+          modes.setOn(function);
     }
     declareCallees(module, kernels);
     if (failed(finishModule(host)))

@@ -69,9 +69,8 @@ LogicalResult tai::lowerKernel(KernelOp kernel, ModuleLowering &lowering) {
                                  IntegerType::get(kernel.getContext(), 32),
                                  {runtime.getPointerType()},
                                  /*isInternal=*/false);
-  Attribute modes = kernel->getAttr(kModesAttrName);
-  if (modes)
-    function->setAttr(kModesAttrName, modes);
+  const Modes modes = Modes::of(kernel);
+  modes.setOn(function);
   Block *entry = &function.getBody().front();
   Value frame = entry->getArgument(0);
 
@@ -109,9 +108,8 @@ LogicalResult tai::lowerKernel(KernelOp kernel, ModuleLowering &lowering) {
                                     : runtime.i32(builder, loc, 0);
   LLVM::ReturnOp::create(builder, loc, status);
   lowerPreconditions(function, lowering);
-  if (modes)
-    for (LLVM::LLVMFuncOp f : functions)
-      f->setAttr(kModesAttrName, modes);
+  for (LLVM::LLVMFuncOp f : functions)
+    modes.setOn(f);
   kernel.erase();
   return success();
 }

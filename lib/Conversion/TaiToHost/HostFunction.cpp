@@ -17,6 +17,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Dialect/Check/IR/Check.h"
 #include "llvm/ADT/TypeSwitch.h"
 
 using namespace mlir;
@@ -229,6 +230,7 @@ LogicalResult tai::lowerHostFunction(func::FuncOp function,
       if (parts->use_empty())
         parts.erase();
 
+  upgradeFormerChecks(host);
   SmallVector<Operation *> ops;
   host.walk([&](Operation *op) {
     if (isa<LaunchOp, TapeOp, CheckGradientOp, CheckCloseOp, RandomOp,

@@ -231,7 +231,13 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   std::optional<int64_t> rows = box.constantCount(box.rank() - 1);
   std::optional<int64_t> rowLength = getConstantIntValue(box.extent.back());
   bool byRows = box.rank() > 1 && rows && *rows >= kManyRows && rowLength;
-  double cost = estimateIteration(loop, loop->hasAttr(kIndependentAttrName));
+  // Where the partition decides the order of sums, which must not change, it
+  // does not ask for what a pass may drop.
+  bool isFixed = Modes::of(loop).isDeterministic(false);
+  bool keepsSums =
+      !accumulators->empty() && (isFixed || lowering.deterministic);
+  double cost =
+      estimateIteration(loop, keepsSums || loop->hasAttr(kIndependentAttrName));
   if (FloatAttr fixed = loop.getFixedCostAttr())
     cost = fixed.getValueAsDouble();
   // Iterations in one step of what the partition counts.
@@ -264,7 +270,6 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   }
 
   bool reduces = !accumulators->empty();
-  bool isFixed = Modes::of(loop).isDeterministic(false);
   Value fixed = runtime.i32(builder, loc,
                             isFixed ? int(kPartsFixed)
                                     : int(reduces || lowering.deterministic));

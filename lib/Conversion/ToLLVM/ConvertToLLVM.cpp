@@ -171,6 +171,8 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
     ModuleOp module = getOperation();
     MLIRContext *context = &getContext();
     for (Operation &op : *module.getBody()) {
+      if (failed(verifyPassedModes(&op)))
+        return signalPassFailure();
       std::optional<MathMode> own = Modes::of(&op).math;
       setFloatOptions(&op, own ? own == MathMode::Fast : fastMath,
                       contract && own != MathMode::Strict);
@@ -224,8 +226,8 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
 /// what those of a device leave.
 bool isLowered(StringRef dialect) {
   return llvm::is_contained({"arith", "builtin", "cf", "func", "gpu", "llvm",
-                             "math", "memref", "nvvm", "scf", "tai", "ub",
-                             "vector"},
+                             "math", "memref", "nvvm", "scf", "tai",
+                             "tai_check", "ub", "vector"},
                             dialect);
 }
 

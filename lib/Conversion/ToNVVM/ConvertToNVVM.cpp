@@ -106,6 +106,8 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
     MLIRContext *context = &getContext();
     bool accurate = false;
     for (Operation &op : *kernels.getBody()) {
+      if (failed(verifyPassedModes(&op)))
+        return failure();
       Modes modes = Modes::of(&op);
       setFloatOptions(&op, modes.math ? modes.math == MathMode::Fast : fastMath,
                       contract && modes.math != MathMode::Strict);

@@ -205,7 +205,7 @@ public:
             launch,
             "a gradient is checked on copies of all trees, and tree '" +
                 entry.second->name() +
-                "' has sparse levels; compare with 'tai.check_close' instead",
+                "' has sparse levels; compare with 'tai_check.close' instead",
             where);
     Status status = runtime.beginTape(loss, true, launch.host->tape);
     if (!status)

@@ -15,6 +15,7 @@
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/Analysis/IntegerRanges.h"
+#include "tai/Dialect/Check/IR/Check.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Transforms/Passes.h"
@@ -157,7 +158,8 @@ static bool isOurs(Operation *function) {
   return isa<func::FuncOp>(function) &&
          function
              ->walk([](Operation *op) {
-               return isa<TaiDialect, TaiRTDialect>(op->getDialect())
+               return isa<TaiDialect, TaiRTDialect, CheckDialect>(
+                          op->getDialect())
                           ? WalkResult::interrupt()
                           : WalkResult::advance();
              })

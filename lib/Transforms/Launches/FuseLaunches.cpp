@@ -84,8 +84,7 @@ static std::optional<Candidate> getCandidate(LaunchOp launch,
   auto kernel = symbols.lookup<KernelOp>(launch.getKernel());
   // A sequence under a tape is differentiated launch by launch.
   if (!kernel || kernel.isExternal() || launch.getNumResults() != 0 ||
-      launch->getParentOfType<TapeOp>() ||
-      launch->getParentOfType<CheckGradientOp>() ||
+      launch->getParentWithTrait<RecordsLaunches>() ||
       llvm::any_of(kernel.getArgumentTypes(),
                    [](Type type) { return isa<MemRefType>(type); }))
     return std::nullopt;
@@ -201,8 +200,7 @@ static bool canFuse(Candidate &first, Candidate &second, bool deterministic) {
   if (first.box.lower != second.box.lower ||
       first.box.upper != second.box.upper ||
       first.box.loop.getBlockDim() != second.box.loop.getBlockDim() ||
-      first.kernel->getAttr(kModesAttrName) !=
-          second.kernel->getAttr(kModesAttrName))
+      !(Modes::of(first.kernel) == Modes::of(second.kernel)))
     return false;
   for (Operation *a : first.accesses)
     for (Operation *b : second.accesses)
@@ -297,8 +295,7 @@ static LaunchOp fuse(Candidate &first, Candidate &second,
   auto type = FunctionType::get(
       context, llvm::to_vector(TypeRange(ValueRange(operands))), {});
   auto kernel = KernelOp::create(builder, loc, name, type);
-  if (Attribute modes = first.kernel->getAttr(kModesAttrName))
-    kernel->setAttr(kModesAttrName, modes);
+  Modes::of(first.kernel).setOn(kernel);
   symbols.insert(kernel);
   Block &body = kernel.getBody().front();
   builder.setInsertionPointToEnd(&body);

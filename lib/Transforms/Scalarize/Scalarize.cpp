@@ -328,7 +328,7 @@ static Components expandConstant(arith::ConstantOp op, DenseElementsAttr dense,
 LogicalResult Scalarizer::process(Operation *op) {
   if (op->getDialect() && isa<scf::SCFDialect>(op->getDialect()))
     return processStructure(op);
-  if (isa<ParallelForOp, TapeOp, CheckGradientOp>(op))
+  if (isa<ParallelForOp>(op) || op->hasTrait<RecordsLaunches>())
     return processBlock(op->getRegion(0).front());
 
   if (auto stop = dyn_cast<StopGradientOp>(op)) {

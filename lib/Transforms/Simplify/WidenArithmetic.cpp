@@ -203,8 +203,6 @@ struct WidenArithmetic : PassWrapper<WidenArithmetic, OperationPass<KernelOp>> {
     case Precision::F64:
       return Widening(kernel, Float64Type::get(context)).run();
     case Precision::F32:
-    case Precision::F16:
-    case Precision::BF16:
       return Widening(kernel, Float32Type::get(context)).run();
     }
   }

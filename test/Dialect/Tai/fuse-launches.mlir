@@ -335,3 +335,52 @@ func.func @main(%a: f32) {
   tai.launch @any(%a) : (f32) -> ()
   return
 }
+
+// -----
+
+// What is computed in another way is another kernel; one of the same modes is
+// fused, and keeps them.
+
+tai.tree @tree : !tai.root<dense<[i: 16], {x: f32}>, dense<[i: 16], {y: f32}>, dense<[i: 16], {z: f32}>>
+tai.field @x = @tree["x"] : f32, rank 1
+tai.field @y = @tree["y"] : f32, rank 1
+tai.field @z = @tree["z"] : f32, rank 1
+
+tai.kernel @strict_f() attributes {modes = {math = "strict"}} {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    tai.store %0, @y[%i] : f32
+  }
+  tai.return
+}
+tai.kernel @strict_g() attributes {modes = {math = "strict"}} {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @y[%i] : f32
+    tai.store %0, @z[%i] : f32
+  }
+  tai.return
+}
+tai.kernel @fast_g() attributes {modes = {math = "fast"}} {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @y[%i] : f32
+    tai.store %0, @z[%i] : f32
+  }
+  tai.return
+}
+
+// CHECK-LABEL: tai.kernel @strict_f_strict_g() attributes {modes = {math = "strict"}}
+// CHECK-LABEL: func.func @same
+//       CHECK:   tai.launch @strict_f_strict_g()
+func.func @same() {
+  tai.launch @strict_f() : () -> ()
+  tai.launch @strict_g() : () -> ()
+  return
+}
+// CHECK-LABEL: func.func @other
+//       CHECK:   tai.launch @strict_f()
+//       CHECK:   tai.launch @fast_g()
+func.func @other() {
+  tai.launch @strict_f() : () -> ()
+  tai.launch @fast_g() : () -> ()
+  return
+}

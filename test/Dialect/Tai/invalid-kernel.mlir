@@ -195,8 +195,8 @@ tai.field @x = @t["x"] : f32, rank 0
 tai.field @loss = @t["loss"] : f32, rank 0, adjoint @g
 func.func @main() {
   // (check_gradient_c2)
-  // expected-error @+1 {{'tai.check_gradient' op expects field '@x' to have an adjoint}}
-  tai.check_gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
+  // expected-error @+1 {{'tai_check.gradient' op expects field '@x' to have an adjoint}}
+  tai_check.gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
   }
   return
 }

@@ -3,10 +3,10 @@
 // What kernels say of themselves is theirs: no pass may drop it unread. Former
 // names, which were discardable, are taken for the present ones.
 // CHECK-LABEL: tai.kernel @former_grad() attributes
-//  CHECK-SAME:     {conventions = {ties = "split"}, gradients = array<i64>, keeps_activity, part_of = @whole, reads_before = [@x], reexecutes, stored_form = @form, tangent = @tangent, zeroes_adjoint}
+//  CHECK-SAME:     {conventions = {ties = "split"}, gradients = array<i64>, keeps_activity, modes = {ftz = true, math = "strict"}, part_of = @whole, reads_before = [@x], reexecutes, stored_form = @form, tangent = @tangent, zeroes_adjoint}
 tai.kernel @former_grad() attributes {
     tai.before = [@x], tai.conventions = {ties = "split"}, tai.gradients = array<i64>,
-    tai.keeps_activity, tai.part_of = @whole, tai.reruns, tai.stored_form = @form,
+    tai.keeps_activity, tai.modes = {math = "strict", ftz = true}, tai.part_of = @whole, tai.reruns, tai.stored_form = @form,
     tai.takes, tai.tangent = @tangent} {
   tai.return
 }

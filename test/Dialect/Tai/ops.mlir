@@ -178,11 +178,11 @@ func.func @main(%f: f32) {
     // CHECK: tai.launch @square(%{{.+}}) : (f32) -> ()
     tai.launch @square(%f) : (f32) -> ()
   }
-  // CHECK: tai.check_gradient loss(@loss) wrt [@x] tolerance {{.+}} {
-  tai.check_gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
+  // CHECK: tai_check.gradient loss(@loss) wrt [@x] tolerance {{.+}} {
+  tai_check.gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
     %0 = tai.launch @seven() : () -> i32
   }
-  // CHECK: tai.check_close %{{.+}}, %{{.+}} tolerance {{.+}} : f32
-  tai.check_close %f, %f tolerance 1.0e-6 : f32
+  // CHECK: tai_check.close %{{.+}}, %{{.+}} tolerance {{.+}} : f32
+  tai_check.close %f, %f tolerance 1.0e-6 : f32
   return
 }

@@ -48,7 +48,7 @@ func.func @main() {
   %c1 = arith.constant 1 : index
   %c4 = arith.constant 4 : index
   %zero = arith.constant 0.0 : f64
-  tai.check_gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
     %s = tai.load @x[] : f64
     // expected-note @+1 {{made here}}
     %r = scf.for %i = %c0 to %c4 step %c1 iter_args(%a = %zero) -> f64 {

@@ -448,52 +448,52 @@ tai.kernel @indirect() {
 func.func @main() {
   %zero = arith.constant 0.0 : f64
   tai.launch @fill() : () -> ()
-  tai.check_gradient loss(@loss) wrt [@x, @a] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x, @a] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @squares() : () -> ()
     tai.launch @branches() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@x, @a, @p] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x, @a, @p] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @carried() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @nested() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @counters() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@x, @a] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x, @a] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @recurrence() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @serialized() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@x, @a] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x, @a] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @lists() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@x, @a, @p] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x, @a, @p] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @whiles() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @while_recurrence() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@x, @a, @p] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x, @a, @p] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @captured() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@x, @a, @p] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x, @a, @p] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @captured_from_loop() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@x, @p] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x, @p] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @clear() : () -> ()
     tai.launch @indirect() : () -> ()

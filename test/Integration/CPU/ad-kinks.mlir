@@ -2,7 +2,8 @@
 
 // At kinks and singular points each derivative has one written value (see
 // docs/derivatives.md), and nothing that is not finite leaves a point where the
-// loss does not depend on it.
+// loss does not depend on it. Written with the former names of checks, as
+// programs outside of this tree are.
 
 tai.tree @data : !tai.root<
     dense<[i: 8], {x: f64, x_grad: f64, y: f64, y_grad: f64,

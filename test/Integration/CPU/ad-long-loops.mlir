@@ -56,8 +56,8 @@ func.func private @check(%i: index) {
   %dc = arith.mulf %nf, %px : f64
   %gx = tai.load @x_grad[%i] : f64
   %gc = tai.load @c_grad[%i] : f64
-  tai.check_close %gx, %dx tolerance 1.0e-9 : f64
-  tai.check_close %gc, %dc tolerance 1.0e-9 : f64
+  tai_check.close %gx, %dx tolerance 1.0e-9 : f64
+  tai_check.close %gc, %dc tolerance 1.0e-9 : f64
   return
 }
 

@@ -217,27 +217,27 @@ tai.kernel @eigenvalues() {
 func.func @main() {
   %zero = arith.constant 0.0 : f64
   tai.launch @fill() : () -> ()
-  tai.check_gradient loss(@loss) wrt [@a3, @r, @u, @v] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@a3, @r, @u, @v] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @products() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@a2, @a3, @a4] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@a2, @a3, @a4] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @determinants() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@a2, @a3, @u, @v] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@a2, @a3, @u, @v] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @inverses() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@a2, @a3] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@a2, @a3] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @polars() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@a2, @a3] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@a2, @a3] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @singular_values() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@a2, @a3] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@a2, @a3] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @eigenvalues() : () -> ()
   }

@@ -379,37 +379,37 @@ tai.kernel @rounding() {
 func.func @main() {
   %zero = arith.constant 0.0 : f64
   tai.launch @around_zero() : () -> ()
-  tai.check_gradient loss(@loss) wrt [@x, @y] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x, @y] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @trigonometry() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@x, @y] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x, @y] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @hyperbolic() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@x, @y] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x, @y] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @exponentials() : () -> ()
   }
   tai.launch @above_one() : () -> ()
-  tai.check_gradient loss(@loss) wrt [@x, @y] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x, @y] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @roots_and_logarithms() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@x, @y] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x, @y] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @powers() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@x, @y] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x, @y] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @arithmetic() : () -> ()
   }
   tai.launch @apart() : () -> ()
-  tai.check_gradient loss(@loss) wrt [@x, @y] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x, @y] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @choices() : () -> ()
   }
-  tai.check_gradient loss(@loss) wrt [@x, @y] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x, @y] tolerance 1.0e-7 {
     tai.store %zero, @loss[] : f64
     tai.launch @rounding() : () -> ()
   }

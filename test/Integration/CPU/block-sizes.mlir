@@ -53,7 +53,7 @@ tai.kernel @step() {
 
 func.func @main() {
   tai.launch @fill() : () -> ()
-  tai.check_gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
     tai.launch @step() : () -> ()
   }
   return

@@ -14,8 +14,8 @@ tai.kernel @sum() {
   tai.return
 }
 func.func @main() {
-  // CHECK: [[@LINE+1]]:3: error: a gradient is checked on copies of all trees, and tree 't' has sparse levels; compare with 'tai.check_close' instead
-  tai.check_gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
+  // CHECK: [[@LINE+1]]:3: error: a gradient is checked on copies of all trees, and tree 't' has sparse levels; compare with 'tai_check.close' instead
+  tai_check.gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
     tai.launch @sum() : () -> ()
   }
   return

@@ -5,7 +5,8 @@
 // Of a field with a time axis all steps but the first are overwritten before
 // they are read. Their adjoints are right, and differences of what they held
 // before show nothing: the check leaves them out. Elements that are updated in
-// place are read first, and are checked.
+// place are read first, and are checked. Written with the former names of checks, as
+// programs outside of this tree are.
 // CHECK: nothing is checked: all elements of 'y' are overwritten before they are read
 tai.tree @t : !tai.root<dense<[i: 6, j: 3], {x: f64, gx: f64}>,
                         dense<[i: 4], {y: f64, gy: f64}>, {loss: f64, gl: f64}>

@@ -42,7 +42,7 @@ tai.kernel @squares_by_hand() {
 func.func @main() {
   tai.launch @fill() : () -> ()
   // CHECK: [[@LINE+1]]:3: error: the gradient of 'y' by 'x' disagrees with central differences
-  tai.check_gradient loss(@y) wrt [@x] tolerance 1.0e-7 {
+  tai_check.gradient loss(@y) wrt [@x] tolerance 1.0e-7 {
     tai.launch @squares() : () -> ()
   }
   return

@@ -55,7 +55,7 @@ tai.kernel @norms() {
 func.func @main() {
   tai.launch @fill() : () -> ()
   %k = arith.constant 1.5 : f64
-  tai.check_gradient loss(@loss) wrt [@x, @a] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x, @a] tolerance 1.0e-7 {
     %zero = arith.constant 0.0 : f64
     tai.store %zero, @loss[] : f64
     tai.launch @scale(%k) : (f64) -> ()

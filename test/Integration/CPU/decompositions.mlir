@@ -202,15 +202,15 @@ func.func @main() {
   %ef = tai.load @ef[] : f32
   %es = tai.load @es[] : f64
   %order = tai.load @diag[] : f64
-  tai.check_close %e3, %zero tolerance 3.0e-14 : f64
-  tai.check_close %e2, %zero tolerance 1.0e-14 : f64
-  tai.check_close %ef, %zerof tolerance 3.0e-5 : f32
-  tai.check_close %es, %zero tolerance 1.0e-11 : f64
-  tai.check_close %order, %zero tolerance 1.0e-15 : f64
+  tai_check.close %e3, %zero tolerance 3.0e-14 : f64
+  tai_check.close %e2, %zero tolerance 1.0e-14 : f64
+  tai_check.close %ef, %zerof tolerance 3.0e-5 : f32
+  tai_check.close %es, %zero tolerance 1.0e-11 : f64
+  tai_check.close %order, %zero tolerance 1.0e-15 : f64
   // The checks look at numbers that were computed, not at zeros.
   %some = arith.cmpf ogt, %e3, %zero : f64
   %one = arith.constant 1.0 : f64
   %yes = arith.select %some, %one, %zero : f64
-  tai.check_close %yes, %one tolerance 0.0 : f64
+  tai_check.close %yes, %one tolerance 0.0 : f64
   return
 }

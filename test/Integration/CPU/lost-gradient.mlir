@@ -43,6 +43,6 @@ func.func @main() {
   // CHECK-NOT: warning
   %g = tai.load @gx[] : f64
   %one = arith.constant 1.0 : f64
-  tai.check_close %g, %one tolerance 1.0e-15 : f64
+  tai_check.close %g, %one tolerance 1.0e-15 : f64
   return
 }

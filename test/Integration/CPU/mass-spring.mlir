@@ -3,7 +3,8 @@
 // Three springs and three mass points. The rest lengths are optimised by
 // gradient descent so that the triangle has the wanted area at the end: the
 // program of section 3 of the DiffTaichi paper, whose printed result belongs to
-// a target area of 0.1.
+// a target area of 0.1. Written with the former names of checks, as
+// programs outside of this tree are.
 
 tai.tree @state : !tai.root<
     dense<[i: 1024, j: 3], {x: vector<2xf64>, v: vector<2xf64>, f: vector<2xf64>}>,

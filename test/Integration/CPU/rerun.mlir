@@ -140,11 +140,11 @@ func.func @main() {
   tai.launch @many_forward() : () -> ()
   tai.launch @adjoint_of_many() : () -> ()
   %0 = tai.launch @wrong() : () -> f64
-  tai.check_close %0, %zero tolerance 0.1 : f64
+  tai_check.close %0, %zero tolerance 0.1 : f64
   tai.launch @start() : () -> ()
   tai.launch @until_forward() : () -> ()
   tai.launch @adjoint_of_until() : () -> ()
   %1 = tai.launch @wrong() : () -> f64
-  tai.check_close %1, %zero tolerance 0.1 : f64
+  tai_check.close %1, %zero tolerance 0.1 : f64
   return
 }

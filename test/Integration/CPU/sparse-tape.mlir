@@ -66,8 +66,8 @@ func.func @main() {
   %twice = arith.constant 2.25 : f64
   %once = arith.constant 1.5 : f64
   %one = arith.constant 1.0 : f64
-  tai.check_close %0, %twice tolerance 1.0e-15 : f64
-  tai.check_close %1, %once tolerance 1.0e-15 : f64
-  tai.check_close %2, %one tolerance 1.0e-15 : f64
+  tai_check.close %0, %twice tolerance 1.0e-15 : f64
+  tai_check.close %1, %once tolerance 1.0e-15 : f64
+  tai_check.close %2, %one tolerance 1.0e-15 : f64
   return
 }

@@ -107,7 +107,7 @@ func.func @main() {
   %c2 = arith.constant 2 : i32
   %zero = arith.constant 0.0 : f64
   tai.launch @fill() : () -> ()
-  tai.check_gradient loss(@loss) wrt [@x] tolerance 1.0e-8 {
+  tai_check.gradient loss(@loss) wrt [@x] tolerance 1.0e-8 {
     tai.store %zero, @loss[] : f64
     tai.launch @start() : () -> ()
     tai.launch @step(%c1) : (i32) -> ()

@@ -43,9 +43,9 @@ func.func @main() {
   // 7 x + 3 x + 3 x, the last two factors constant.
   %g = tai.load @gx[] : f64
   %thirteen = arith.constant 13.0 : f64
-  tai.check_close %g, %thirteen tolerance 1.0e-15 : f64
+  tai_check.close %g, %thirteen tolerance 1.0e-15 : f64
   %l = tai.load @loss[] : f64
   %value = arith.constant 39.0 : f64
-  tai.check_close %l, %value tolerance 1.0e-15 : f64
+  tai_check.close %l, %value tolerance 1.0e-15 : f64
   return
 }

@@ -30,7 +30,7 @@ tai.kernel @sum() {
 }
 func.func @main() {
   tai.launch @start() : () -> ()
-  tai.check_gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
+  tai_check.gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
     tai.launch @square() : () -> ()
     tai.launch @square() : () -> ()
     tai.launch @sum() : () -> ()

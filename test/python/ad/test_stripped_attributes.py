@@ -211,6 +211,70 @@ def test_results_stay_on_a_device(case, options, monkeypatch):
     compare_stripped(case, options, monkeypatch)
 
 
+def what_modes_change(**modes):
+    """A product and a sum, functions, a sum that cancels, denormal products, and gradients."""
+    n = 100_352
+    rng = np.random.default_rng(3)
+    x, y, tiny = (ti.field(ti.f32, shape=n, needs_grad=True) for _ in range(3))
+    total, loss = (ti.field(ti.f32, shape=(), needs_grad=True) for _ in range(2))
+    values = rng.uniform(0.5, 1.5, n).astype(np.float32)
+    x.from_numpy(values * np.where(np.arange(n) % 2, 1, -1).astype(np.float32))
+
+    @ti.kernel(**modes)
+    def run():
+        for i in x:
+            y[i] = x[i] * x[i] + ti.sin(10 * x[i]) + ti.tanh(x[i])
+            tiny[i] = x[i] * 1e-20 * 1e-20
+        for i in x:
+            total[None] += x[i]
+            loss[None] += y[i] ** 2
+
+    with ti.ad.Tape(loss):
+        run()
+    return [f.to_numpy() for f in (y, tiny, x.grad)], [f.to_numpy() for f in (total, loss)]
+
+
+MODES = [
+    {"precision": "f64"},
+    {"sums": "compensated"},
+    {"sums": "deterministic"},
+    {"math": "fast"},
+    {"math": "strict"},
+    {"math": "accurate"},
+    {"ftz": True},
+]
+
+
+def compare_modes(modes, monkeypatch, **options):
+    def results(**modes):
+        ti.init(offline_cache=False, **options)
+        return what_modes_change(**modes)
+
+    monkeypatch.delenv("TAI_STRIP_ATTRIBUTES", raising=False)
+
+    # Where a loop is cut, few elements are rounded otherwise; unless their order is kept, sums are.
+    def are_same(these, those):
+        fields = all(np.mean(a == b) > 0.999 for a, b in zip(these[0], those[0], strict=True))
+        return fields and ("sums" not in modes or these[1] == those[1])
+
+    plain, expected = results(), results(**modes)
+    assert not are_same(plain, expected), "losing a mode that changes nothing here would go unseen"
+    monkeypatch.setenv("TAI_STRIP_ATTRIBUTES", "1")
+    assert are_same(results(**modes), expected)
+
+
+@pytest.mark.parametrize("modes", MODES, ids=str)
+def test_modes_stay(modes, monkeypatch):
+    compare_modes(modes, monkeypatch, arch=ti.cpu, cpu_max_num_threads=3)
+
+
+@pytest.mark.parametrize("modes", [m for m in MODES if "sums" not in m], ids=str)
+def test_modes_stay_on_a_device(modes, monkeypatch):
+    monkeypatch.setenv("TAI_CUDA_EMULATION", "1")
+    monkeypatch.setenv("TI_ARCH", "cuda")
+    compare_modes(modes, monkeypatch)
+
+
 def test_checks_and_messages_stay(monkeypatch, capfd):
     """An index is checked, and a message has the vector that it was given."""
     monkeypatch.setenv("TAI_STRIP_ATTRIBUTES", "1")

@@ -625,4 +625,4 @@ def test_modes_are_seen_in_the_ir():
             x[i] = 1.0
 
     text = run.mlir()
-    assert 'tai.modes = {ftz = true, math = "strict", sums = "compensated"}' in text
+    assert 'modes = {ftz = true, math = "strict", sums = "compensated"}' in text

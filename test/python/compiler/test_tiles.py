@@ -135,6 +135,19 @@ def test_sweeps_are_those_of_numpy():
     np.testing.assert_allclose(loss, (v**2).sum(), rtol=1e-5)
 
 
+@pytest.mark.parametrize("name", ["tai.accesses", "tai.tiles", "tai.digits"])
+def test_without_notes_of_passes_nothing_runs_in_tiles(name, monkeypatch):
+    """A foreign pass may drop them. That costs time, not a bit."""
+    expected, tape = run_both_ways(relaxation(13, 11, 5))
+    assert chains_of(tape)
+    monkeypatch.setenv("TAI_STRIP_ATTRIBUTES", name)
+    results, tape = run_both_ways(relaxation(13, 11, 5))
+    assert not chains_of(tape)
+    for one, other in zip(results, expected, strict=True):
+        for kept, whole in zip(one, other, strict=True):
+            np.testing.assert_array_equal(kept, whole)
+
+
 def test_sweeps_inside_of_the_borders():
     _, tape = run_both_ways(relaxation(14, 17, 5, inner=True))
     assert any("inside_0 x 5" in names for _, names in chains_of(tape))

@@ -13,7 +13,6 @@
 
 #include "DiscardableAttrs.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
-#include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
@@ -39,7 +38,6 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.conventions", Kind::Any, true},
     {"tai.differentiate", Kind::Unit, true},
     {"tai.gradients", Kind::Any, true},
-    {"tai.modes", Kind::Any, true},
     {"tai.reads_before", Kind::List, true},
     {"tai.reexecutes", Kind::Unit, true},
     {"tai.tangent", Kind::Symbol, true},
@@ -69,15 +67,11 @@ static constexpr KnownAttr kKnown[] = {
 };
 
 static constexpr RenamedAttr kRenamed[] = {
-    {"tai.before", "reads_before"},
-    {"tai.conventions", "conventions"},
-    {"tai.gradients", "gradients"},
-    {"tai.keeps_activity", "keeps_activity"},
-    {"tai.part_of", "part_of"},
-    {"tai.reruns", "reexecutes"},
-    {"tai.stored_form", "stored_form"},
-    {"tai.takes", "zeroes_adjoint"},
-    {"tai.tangent", "tangent"},
+    {"tai.before", "reads_before"},  {"tai.conventions", "conventions"},
+    {"tai.gradients", "gradients"},  {"tai.keeps_activity", "keeps_activity"},
+    {"tai.modes", "modes"},          {"tai.part_of", "part_of"},
+    {"tai.reruns", "reexecutes"},    {"tai.stored_form", "stored_form"},
+    {"tai.takes", "zeroes_adjoint"}, {"tai.tangent", "tangent"},
 };
 
 ArrayRef<RenamedAttr> tai::getRenamedKernelAttrs() { return kRenamed; }
@@ -136,6 +130,10 @@ static StringRef describe(Kind kind) {
 
 /// Refuses a name that tai does not know, and says which it may be.
 static LogicalResult refuseUnknown(Operation *op, StringRef name) {
+  if (name == "tai.modes")
+    return op->emitError("'")
+           << name << "' stands on kernels, not on '" << op->getName()
+           << "', where it would say nothing";
   constexpr unsigned farthest = 4;
   InFlightDiagnostic diag = op->emitError()
                             << "there is no attribute '" << name << "'";
@@ -186,8 +184,6 @@ LogicalResult tai::verifyDiscardableAttr(Operation *op,
     return op->emitError("expects '")
            << name << "' " << (known->kind == Kind::Unit ? "" : "to be ")
            << describe(known->kind) << ", but got " << attribute.getValue();
-  if (name == kModesAttrName && failed(verifyModes(op, attribute.getValue())))
-    return failure();
   if (known->ofFunctions && !isa<FunctionOpInterface>(op))
     return op->emitError("'")
            << name << "' stands on functions and kernels, not on '"

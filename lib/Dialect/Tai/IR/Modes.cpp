@@ -6,98 +6,228 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Dialect/Tai/IR/Modes.h"
+#include "mlir/IR/Builders.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
-#include "llvm/ADT/StringSwitch.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
 using namespace mlir::tai;
 
-static std::optional<Precision> parsePrecision(StringRef text) {
-  return llvm::StringSwitch<std::optional<Precision>>(text)
-      .Case("default", Precision::Default)
-      .Case("f64", Precision::F64)
-      .Case("f32", Precision::F32)
-      .Case("f16", Precision::F16)
-      .Case("bf16", Precision::BF16)
-      .Default(std::nullopt);
+/// Of functions of the LLVM dialect: pairs of a name and a value, and names.
+static constexpr StringLiteral kPassthrough = "passthrough";
+static constexpr StringLiteral kPassedName = "tai.modes";
+
+//===----------------------------------------------------------------------===//
+// Words
+//===----------------------------------------------------------------------===//
+
+namespace {
+template <typename T> struct Word {
+  StringLiteral text;
+  T value;
+};
+} // namespace
+
+// A kernel stores nothing by itself: it cannot have the types of storage.
+static constexpr Word<Precision> kPrecisions[] = {
+    {"default", Precision::Default},
+    {"f64", Precision::F64},
+    {"f32", Precision::F32},
+};
+static constexpr Word<SumsMode> kSums[] = {
+    {"default", SumsMode::Default},
+    {"compensated", SumsMode::Compensated},
+    {"deterministic", SumsMode::Deterministic},
+};
+static constexpr Word<MathMode> kMath[] = {
+    {"default", MathMode::Default},
+    {"fast", MathMode::Fast},
+    {"strict", MathMode::Strict},
+    {"accurate", MathMode::Accurate},
+};
+static constexpr Word<bool> kSwitch[] = {{"false", false}, {"true", true}};
+
+/// Calls `visit` with the name, the value and the words of each mode.
+template <typename ModesT, typename Visitor>
+static void forEachMode(ModesT &modes, Visitor visit) {
+  visit(StringRef("precision"), modes.precision, ArrayRef(kPrecisions));
+  visit(StringRef("sums"), modes.sums, ArrayRef(kSums));
+  visit(StringRef("math"), modes.math, ArrayRef(kMath));
+  visit(StringRef("ftz"), modes.ftz, ArrayRef(kSwitch));
 }
 
-static std::optional<SumsMode> parseSumsMode(StringRef text) {
-  return llvm::StringSwitch<std::optional<SumsMode>>(text)
-      .Case("default", SumsMode::Default)
-      .Case("compensated", SumsMode::Compensated)
-      .Case("deterministic", SumsMode::Deterministic)
-      .Default(std::nullopt);
+/// False if there is no such mode or it has no such word.
+static bool readWord(Modes &modes, StringRef name, StringRef text) {
+  bool isRead = false;
+  forEachMode(modes, [&](StringRef mode, auto &value, auto words) {
+    const auto *word =
+        llvm::find_if(words, [&](const auto &w) { return w.text == text; });
+    if (mode != name || word == words.end())
+      return;
+    value = word->value;
+    isRead = true;
+  });
+  return isRead;
 }
 
-static std::optional<MathMode> parseMathMode(StringRef text) {
-  return llvm::StringSwitch<std::optional<MathMode>>(text)
-      .Case("default", MathMode::Default)
-      .Case("fast", MathMode::Fast)
-      .Case("strict", MathMode::Strict)
-      .Case("accurate", MathMode::Accurate)
-      .Default(std::nullopt);
+/// What is said, by name and word.
+static SmallVector<std::pair<StringRef, StringRef>>
+getWords(const Modes &modes) {
+  SmallVector<std::pair<StringRef, StringRef>> result;
+  forEachMode(modes, [&](StringRef mode, const auto &value, auto words) {
+    for (const auto &word : words)
+      if (value == word.value)
+        result.emplace_back(mode, word.text);
+  });
+  return result;
 }
 
-static std::optional<StringRef> getWord(Attribute attr) {
-  auto word = dyn_cast_if_present<StringAttr>(attr);
-  return word ? std::optional(word.getValue()) : std::nullopt;
+//===----------------------------------------------------------------------===//
+// On kernels
+//===----------------------------------------------------------------------===//
+
+/// The word, if it is written as that mode is: a truth value or a text.
+static std::optional<StringRef> getText(NamedAttribute entry) {
+  bool isSwitch = entry.getName() == "ftz";
+  if (auto on = dyn_cast<BoolAttr>(entry.getValue()); on && isSwitch)
+    return on.getValue() ? "true" : "false";
+  if (auto text = dyn_cast<StringAttr>(entry.getValue()); text && !isSwitch)
+    return text.getValue();
+  return std::nullopt;
 }
 
-/// A kernel stores nothing by itself: it cannot have the types of storage.
-static std::optional<Precision> parseOwnPrecision(StringRef word) {
-  std::optional<Precision> found = parsePrecision(word);
-  bool isStorage = found == Precision::F16 || found == Precision::BF16;
-  return isStorage ? std::nullopt : found;
-}
-
-Modes Modes::of(Operation *op) {
+static Modes readModes(DictionaryAttr chosen) {
   Modes result;
-  auto function = dyn_cast<FunctionOpInterface>(op);
-  if (!function)
-    function = op->getParentOfType<FunctionOpInterface>();
-  if (!function)
-    return result;
-  auto chosen = function->getAttrOfType<DictionaryAttr>(kModesAttrName);
   if (!chosen)
     return result;
-  if (auto word = getWord(chosen.get("precision")))
-    result.precision = parseOwnPrecision(*word);
-  if (auto word = getWord(chosen.get("sums")))
-    result.sums = parseSumsMode(*word);
-  if (auto word = getWord(chosen.get("math")))
-    result.math = parseMathMode(*word);
-  if (auto on = chosen.getAs<BoolAttr>("ftz"))
-    result.ftz = on.getValue();
+  for (NamedAttribute entry : chosen)
+    if (std::optional<StringRef> text = getText(entry))
+      readWord(result, entry.getName(), *text);
   return result;
+}
+
+static InFlightDiagnostic emitUnknownMode(Operation *op) {
+  return op->emitError("there is no mode '");
+}
+
+static LogicalResult finish(InFlightDiagnostic &&diag) {
+  return diag << "'; there are 'precision = \"f64\"' and '\"f32\"', 'sums = "
+                 "\"compensated\"' and '\"deterministic\"', 'math = "
+                 "\"fast\"', '\"strict\"' and '\"accurate\"', "
+                 "'\"default\"' of each, and 'ftz = true' and 'false'";
+}
+
+LogicalResult tai::verifyModes(Operation *kernel, DictionaryAttr modes) {
+  Modes ignored;
+  for (NamedAttribute entry : modes) {
+    std::optional<StringRef> text = getText(entry);
+    if (!text || !readWord(ignored, entry.getName(), *text))
+      return finish(emitUnknownMode(kernel)
+                    << entry.getName().strref() << " = " << entry.getValue());
+  }
+  return success();
+}
+
+//===----------------------------------------------------------------------===//
+// On functions of the LLVM dialect
+//===----------------------------------------------------------------------===//
+
+/// The value of our entry, if there is one.
+static std::optional<StringRef> getPassed(Operation *function) {
+  auto entries = function->getAttrOfType<ArrayAttr>(kPassthrough);
+  if (!entries)
+    return std::nullopt;
+  for (Attribute entry : entries) {
+    auto pair = dyn_cast<ArrayAttr>(entry);
+    if (!pair || pair.size() != 2)
+      continue;
+    auto name = dyn_cast<StringAttr>(pair[0]);
+    auto value = dyn_cast<StringAttr>(pair[1]);
+    if (name && value && name.getValue() == kPassedName)
+      return value.getValue();
+  }
+  return std::nullopt;
+}
+
+static Modes readPassed(StringRef text) {
+  Modes result;
+  for (StringRef entry : llvm::split(text, ',')) {
+    auto [name, word] = entry.split('=');
+    readWord(result, name, word);
+  }
+  return result;
+}
+
+LogicalResult tai::verifyPassedModes(Operation *function) {
+  std::optional<StringRef> text = getPassed(function);
+  if (!text)
+    return success();
+  Modes ignored;
+  for (StringRef entry : llvm::split(*text, ',')) {
+    auto [name, word] = entry.split('=');
+    if (!readWord(ignored, name, word))
+      return finish(emitUnknownMode(function) << entry);
+  }
+  return success();
+}
+
+static void setPassed(Operation *function, const Modes &modes) {
+  Builder builder(function->getContext());
+  SmallVector<Attribute> entries;
+  if (auto others = function->getAttrOfType<ArrayAttr>(kPassthrough))
+    for (Attribute entry : others) {
+      auto pair = dyn_cast<ArrayAttr>(entry);
+      if (!pair || pair.empty() ||
+          pair[0] != builder.getStringAttr(kPassedName))
+        entries.push_back(entry);
+    }
+  std::string text;
+  for (auto [name, word] : getWords(modes))
+    text += ((text.empty() ? "" : ",") + name + "=" + word).str();
+  if (!text.empty())
+    entries.push_back(builder.getStrArrayAttr({kPassedName, text}));
+  if (entries.empty())
+    function->removeAttr(kPassthrough);
+  else
+    function->setAttr(kPassthrough, builder.getArrayAttr(entries));
+}
+
+//===----------------------------------------------------------------------===//
+// Modes
+//===----------------------------------------------------------------------===//
+
+Modes Modes::of(Operation *op) {
+  Operation *function = op;
+  if (!isa<FunctionOpInterface>(op))
+    function = op->getParentOfType<FunctionOpInterface>();
+  if (!function)
+    return Modes();
+  if (auto kernel = dyn_cast<KernelOp>(function))
+    return readModes(kernel.getModesAttr());
+  std::optional<StringRef> text = getPassed(function);
+  return text ? readPassed(*text) : Modes();
+}
+
+void Modes::setOn(Operation *function) const {
+  auto kernel = dyn_cast<KernelOp>(function);
+  if (!kernel)
+    return setPassed(function, *this);
+  Builder builder(function->getContext());
+  SmallVector<NamedAttribute> entries;
+  for (auto [name, word] : getWords(*this)) {
+    Attribute value = builder.getStringAttr(word);
+    if (name == "ftz")
+      value = builder.getBoolAttr(*ftz);
+    entries.push_back(builder.getNamedAttr(name, value));
+  }
+  if (entries.empty())
+    kernel.removeModesAttr();
+  else
+    kernel.setModesAttr(builder.getDictionaryAttr(entries));
 }
 
 bool Modes::isDeterministic(bool otherwise) const {
   if (!sums || sums == SumsMode::Compensated)
     return otherwise;
   return sums == SumsMode::Deterministic;
-}
-
-LogicalResult tai::verifyModes(Operation *op, Attribute modes) {
-  auto chosen = dyn_cast<DictionaryAttr>(modes);
-  if (!chosen)
-    return op->emitError("'")
-           << kModesAttrName << "' is a dictionary, but got " << modes;
-  for (NamedAttribute entry : chosen) {
-    StringRef name = entry.getName();
-    std::optional<StringRef> word = getWord(entry.getValue());
-    bool isGood = name == "ftz" && isa<BoolAttr>(entry.getValue());
-    if (word)
-      isGood = (name == "precision" && parseOwnPrecision(*word)) ||
-               (name == "sums" && parseSumsMode(*word)) ||
-               (name == "math" && parseMathMode(*word));
-    if (!isGood)
-      return op->emitError()
-             << "there is no mode '" << name << " = " << entry.getValue()
-             << "'; there are 'precision = \"f64\"' and '\"f32\"', 'sums = "
-                "\"compensated\"' and '\"deterministic\"', 'math = \"fast\"', "
-                "'\"strict\"' and '\"accurate\"', '\"default\"' of each, and "
-                "'ftz = true' and 'false'";
-  }
-  return success();
 }

@@ -11,6 +11,7 @@
 #include "mlir/IR/PatternMatch.h"
 #include "mlir/Interfaces/FunctionImplementation.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
@@ -104,6 +105,10 @@ LogicalResult KernelOp::verify() {
     if (isa<MemRefType>(result) || !isKernelArgumentType(result))
       return emitOpError("returns ")
              << result << "; expects a scalar or a vector";
+  // (kernel_c4)
+  if (DictionaryAttr modes = getModesAttr();
+      modes && failed(verifyModes(*this, modes)))
+    return failure();
   // (kernel_c1) What is parsed in the generic form may end in anything, or hold
   // nothing.
   Block &block = getBody().front();
@@ -123,6 +128,16 @@ LogicalResult ReturnOp::verify() {
                             << ")";
   diag.attachNote(kernel.getLoc()) << "kernel defined here";
   return diag;
+}
+
+LogicalResult YieldOp::verify() {
+  // (yield_c1)
+  Operation *parent = (*this)->getParentOp();
+  if (isa<ParallelForOp>(parent) || parent->hasTrait<RecordsLaunches>())
+    return success();
+  return emitOpError("ends a 'tai.parallel_for', a 'tai.tape' or what records "
+                     "launches as that does, not a '")
+         << parent->getName() << "'";
 }
 
 //===----------------------------------------------------------------------===//

@@ -489,25 +489,14 @@ static LogicalResult verifyLoss(Operation *op, FlatSymbolRefAttr name,
   return success();
 }
 
-LogicalResult TapeOp::verifySymbolUses(SymbolTableCollection &symbols) {
-  if (failed(verifyLoss(*this, getLossAttr(), symbols)))
+LogicalResult tai::verifyTape(Operation *tape, FlatSymbolRefAttr loss,
+                              SymbolTableCollection &symbols) {
+  if (failed(verifyLoss(tape, loss, symbols)))
     return failure();
   // (tape_c3)
-  return verifyTapeValues(*this, symbols);
+  return verifyTapeValues(tape, symbols);
 }
 
-LogicalResult
-CheckGradientOp::verifySymbolUses(SymbolTableCollection &symbols) {
-  if (failed(verifyLoss(*this, getLossAttr(), symbols)))
-    return failure();
-  for (auto name : getWrt().getAsRange<FlatSymbolRefAttr>()) {
-    FieldOp field = lookupOrError(*this, name, symbols);
-    if (!field)
-      return failure();
-    // (check_gradient_c2)
-    if (!field.getAdjointAttr())
-      return emitOpError() << "expects field '" << name
-                           << "' to have an adjoint";
-  }
-  return verifyTapeValues(*this, symbols);
+LogicalResult TapeOp::verifySymbolUses(SymbolTableCollection &symbols) {
+  return verifyTape(*this, getLossAttr(), symbols);
 }

@@ -192,7 +192,7 @@ LogicalResult TapeValues::verifyUses() {
         auto effects = dyn_cast<MemoryEffectOpInterface>(op);
         bool isOther = op->getNumRegions() == 0 && effects &&
                        effects.hasEffect<MemoryEffects::Write>() &&
-                       !isa<PrintOp, AssertOp, CheckCloseOp>(op);
+                       !op->hasTrait<OnlyReports>();
         if (!isLaunch && !isStore && !isOther)
           return WalkResult::advance();
         for (Value operand : op->getOperands()) {

@@ -362,5 +362,5 @@ class Builder:
             chosen = ", ".join(f"{name} = {value}" for name, value in conventions.items())
             attributes["conventions"] = self._attribute("{" + chosen + "}")
         if modes:
-            attributes["tai.modes"] = self._attribute(modes)
+            attributes["modes"] = self._attribute(modes)
         self._op("tai.kernel", [], [], attributes, [body])

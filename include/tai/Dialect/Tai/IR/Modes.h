@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The attribute `tai.modes` of kernels, and of the functions that they become:
+// The attribute `modes` of kernels:
 //
 //   precision = "f64" or "f32"       what it computes in, whatever fields hold
 //   sums = "compensated"             sums are kept with twice the digits
@@ -15,26 +15,30 @@
 //
 // `"default"` is a word of each. See docs/precision.md.
 //
+// The functions that a kernel becomes have the same words as a function
+// attribute of LLVM, `["tai.modes", "sums=compensated,ftz=true"]` in
+// `passthrough`. Both are attributes of the op itself: a pass that drops what
+// it does not know must not change a result.
+//
 //===----------------------------------------------------------------------===//
 
 #ifndef TAI_DIALECT_TAI_IR_MODES_H
 #define TAI_DIALECT_TAI_IR_MODES_H
 
+#include "mlir/IR/BuiltinAttributes.h"
 #include "mlir/IR/Operation.h"
 #include <optional>
 
 namespace mlir::tai {
 
 /// What kernels compute in: at least this. The types of fields are their own.
-enum class Precision { Default, F64, F32, F16, BF16 };
+enum class Precision { Default, F64, F32 };
 
 /// How sums over iterations, and scatters, are kept.
 enum class SumsMode { Default, Compensated, Deterministic };
 
 /// What may become of arithmetic and of elementary functions.
 enum class MathMode { Default, Fast, Strict, Accurate };
-
-constexpr llvm::StringLiteral kModesAttrName = "tai.modes";
 
 struct Modes {
   std::optional<Precision> precision;
@@ -50,10 +54,22 @@ struct Modes {
   bool isCompensated() const { return sums == SumsMode::Compensated; }
   bool isAccurate() const { return math == MathMode::Accurate; }
   bool flushes() const { return ftz.value_or(false); }
+
+  /// Says so on a kernel or on a function of the LLVM dialect.
+  void setOn(Operation *function) const;
+
+  friend bool operator==(const Modes &lhs, const Modes &rhs) {
+    return lhs.precision == rhs.precision && lhs.sums == rhs.sums &&
+           lhs.math == rhs.math && lhs.ftz == rhs.ftz;
+  }
 };
 
-/// Fails after an error if the dictionary holds anything else.
-LogicalResult verifyModes(Operation *op, Attribute modes);
+/// Fails after an error if the dictionary of a kernel holds anything else.
+LogicalResult verifyModes(Operation *kernel, DictionaryAttr modes);
+
+/// The same for what a function of the LLVM dialect, if `function` is one, says
+/// in `passthrough`. Passes that read it ask: no verifier does.
+LogicalResult verifyPassedModes(Operation *function);
 
 } // namespace mlir::tai
 

@@ -26,6 +26,7 @@
 #include "mlir/Interfaces/InferTypeOpInterface.h"
 #include "mlir/Interfaces/LoopLikeInterface.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Dialect/Tai/IR/Traits.h"
 #include "tai/Interfaces/FieldAccess.h"
 
 namespace mlir::tai {

@@ -1,4 +1,4 @@
-//===- TaiHostOps.td - Launches, tapes and checks ----------*- tablegen -*-===//
+//===- TaiHostOps.td - Launches and tapes ------------------*- tablegen -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -40,6 +40,7 @@ def Tai_LaunchOp : Tai_Op<"launch", [
 
 def Tai_TapeOp : Tai_Op<"tape", [
     SingleBlockImplicitTerminator<"YieldOp">, RecursiveMemoryEffects,
+    Tai_RecordsLaunches,
     DeclareOpInterfaceMethods<SymbolUserOpInterface>]> {
   let summary = "record launches and propagate gradients back through them";
   let description = [{
@@ -72,60 +73,6 @@ def Tai_TapeOp : Tai_Op<"tape", [
   let arguments = (ins FlatSymbolRefAttr:$loss);
   let regions = (region SizedRegion<1>:$body);
   let assemblyFormat = "`loss` `(` $loss `)` $body attr-dict";
-}
-
-def Tai_CheckGradientOp : Tai_Op<"check_gradient", [
-    SingleBlockImplicitTerminator<"YieldOp">, RecursiveMemoryEffects,
-    DeclareOpInterfaceMethods<SymbolUserOpInterface>]> {
-  let summary = "compare a gradient with central differences";
-  let description = [{
-    Runs the region as `tai.tape` does, then compares the adjoint of each field
-    of `wrt` with central differences of the loss along random directions with
-    components of both signs, for a ladder of step sizes with Richardson
-    extrapolation. The program fails if the best relative error exceeds
-    `tolerance` for some direction. Fields should be f64. The fields of `wrt`
-    and the loss are left as the tape left them.
-
-    Elements that the region overwrites before it reads them, such as all steps
-    but the first of a field with a time axis, are left out: what they held does
-    not matter. The program fails if nothing is left to be checked.
-
-    1. (check_gradient_c1) The loss is one of `tai.tape`, and (tape_c3) holds.
-    2. (check_gradient_c2) Each field of `wrt` has an adjoint.
-
-    Example:
-
-    ```mlir
-    tai.check_gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
-      tai.launch @compute_loss() : () -> ()
-    }
-    ```
-  }];
-  let arguments = (ins FlatSymbolRefAttr:$loss,
-                       TypedArrayAttrBase<FlatSymbolRefAttr, "fields">:$wrt,
-                       F64Attr:$tolerance);
-  let regions = (region SizedRegion<1>:$body);
-  let assemblyFormat = [{
-    `loss` `(` $loss `)` `wrt` $wrt `tolerance` $tolerance $body attr-dict
-  }];
-}
-
-def Tai_CheckCloseOp : Tai_Op<"check_close", [
-    AllTypesMatch<["actual", "expected"]>, MemoryEffects<[MemWrite]>]> {
-  let summary = "fail unless two numbers agree";
-  let description = [{
-    The program fails, and says both numbers and where, unless
-    |actual − expected| ≤ tolerance · max(1, |expected|).
-
-    ```mlir
-    tai.check_close %a, %b tolerance 1.0e-6 : f32
-    ```
-  }];
-  let arguments = (ins AnyFloat:$actual, AnyFloat:$expected,
-                       F64Attr:$tolerance);
-  let assemblyFormat = [{
-    $actual `,` $expected `tolerance` $tolerance attr-dict `:` type($actual)
-  }];
 }
 
 } // opDocGroup = HostOpGroup

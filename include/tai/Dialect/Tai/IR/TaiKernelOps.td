@@ -26,10 +26,16 @@ def Tai_KernelOp : Tai_Op<"kernel", [
     2. (kernel_c2) An argument is a scalar, a vector, or a `memref` of them with the
        identity layout.
     3. (kernel_c3) There is at most one result, a scalar or a vector.
+    4. (kernel_c4) `modes` holds nothing but `precision`, `"f64"` or `"f32"`; `sums`,
+       `"compensated"` or `"deterministic"`; `math`, `"fast"`, `"strict"` or
+       `"accurate"`; `"default"` of each; and `ftz`, true or false.
 
     `adjoint` names the kernel that accumulates its gradient; it takes the same
     arguments. `summary` lists what the kernel reads, writes and accumulates
     (see `#tai.access`). `tangent` names what forward mode made of it.
+
+    `modes` says how it computes, sums and approximates (docs/precision.md); its
+    adjoint and its tangent form have the same.
 
     What is to be differentiated, written by people: `gradients`, the positions
     of arguments, and counted on of results, by which the kernel is
@@ -51,7 +57,7 @@ def Tai_KernelOp : Tai_Op<"kernel", [
     (field, use, location) of each access that is logged.
 
     In the syntax of this op, an attribute may also be given by its older name:
-    `tai.gradients`, `tai.conventions`, `tai.tangent`, `tai.takes` (now
+    `tai.gradients`, `tai.conventions`, `tai.modes`, `tai.tangent`, `tai.takes` (now
     `zeroes_adjoint`), `tai.before` (`reads_before`), `tai.reruns`
     (`reexecutes`), `tai.stored_form`, `tai.part_of`, `tai.keeps_activity`.
     The parser reads it as the name without prefix; printed is the new one.
@@ -84,6 +90,7 @@ def Tai_KernelOp : Tai_Op<"kernel", [
     OptionalAttr<FlatSymbolRefAttr>:$tangent,
     OptionalAttr<DenseI64ArrayAttr>:$gradients,
     OptionalAttr<DictionaryAttr>:$conventions,
+    OptionalAttr<DictionaryAttr>:$modes,
     UnitAttr:$zeroes_adjoint,
     OptionalAttr<TypedArrayAttrBase<FlatSymbolRefAttr, "fields">>:$reads_before,
     UnitAttr:$reexecutes,
@@ -134,14 +141,16 @@ def Tai_ReturnOp : Tai_Op<"return", [
 }
 
 def Tai_YieldOp : Tai_Op<"yield", [
-    Pure, ReturnLike, Terminator,
-    ParentOneOf<["ParallelForOp", "TapeOp", "CheckGradientOp"]>]> {
+    Pure, ReturnLike, Terminator]> {
   let summary = "end a region of the dialect";
   let description = [{
-    Ends the body of a parallel loop, a tape or a check, and yields nothing. It
-    is not written.
+    Ends the body of a parallel loop, of a tape, or of what records launches as a
+    tape does, and yields nothing. It is not written.
+
+    1. (yield_c1) It stands in one of these.
   }];
   let assemblyFormat = "attr-dict";
+  let hasVerifier = 1;
 }
 
 def Tai_ParallelForOp : Tai_Op<"parallel_for", [
@@ -312,7 +321,8 @@ def Tai_RandomOp : Tai_Op<"random", [MemoryEffects<[MemRead, MemWrite]>]> {
   let assemblyFormat = "`stream` $stream attr-dict `:` type($value)";
 }
 
-def Tai_AssertOp : Tai_Op<"assert", [MemoryEffects<[MemWrite]>]> {
+def Tai_AssertOp : Tai_Op<"assert", [
+    MemoryEffects<[MemWrite]>, Tai_OnlyReports]> {
   let summary = "report an error if a condition is false";
   let description = [{
     If the condition is false the launch fails with the message, in which
@@ -374,7 +384,8 @@ def Tai_PreconditionOp : Tai_Op<"precondition", [
   let hasCanonicalizeMethod = 1;
 }
 
-def Tai_PrintOp : Tai_Op<"print", [MemoryEffects<[MemWrite]>]> {
+def Tai_PrintOp : Tai_Op<"print", [
+    MemoryEffects<[MemWrite]>, Tai_OnlyReports]> {
   let summary = "print values from a kernel";
   let description = [{
     Prints the format, in which `{}` stands for the arguments in turn, and a

@@ -21,6 +21,7 @@ include "mlir/Interfaces/InferTypeOpInterface.td"
 include "mlir/Interfaces/LoopLikeInterface.td"
 include "mlir/Interfaces/SideEffectInterfaces.td"
 include "tai/Dialect/Tai/IR/TaiAttrs.td"
+include "tai/Dialect/Tai/IR/TaiTraits.td"
 include "tai/Dialect/Tai/IR/TaiTypes.td"
 include "tai/Interfaces/FieldAccessInterface.td"
 
@@ -58,7 +59,7 @@ def MatrixOpGroup : OpDocGroup {
 }
 def HostOpGroup : OpDocGroup {
   let summary = "Host programs";
-  let description = "Launches, tapes, and checks of what came out.";
+  let description = "Launches and tapes. Checks of what came out are in `tai_check`.";
 }
 
 class Tai_Op<string mnemonic, list<Trait> traits = []>

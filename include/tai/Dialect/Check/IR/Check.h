@@ -1,0 +1,42 @@
+//===- Check.h - Programs that check themselves -----------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// `tai_check.close` and `tai_check.gradient`, and what reads programs that have
+// them under their former names.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_DIALECT_CHECK_IR_CHECK_H
+#define TAI_DIALECT_CHECK_IR_CHECK_H
+
+#include "mlir/Bytecode/BytecodeOpInterface.h"
+#include "mlir/IR/BuiltinAttributes.h"
+#include "mlir/IR/BuiltinTypes.h"
+#include "mlir/IR/Dialect.h"
+#include "mlir/IR/OpDefinition.h"
+#include "mlir/IR/OpImplementation.h"
+#include "mlir/IR/SymbolTable.h"
+#include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+namespace mlir::tai {
+
+/// Registers the dialect, and lets that of tai load it: programs with the
+/// former names ask for nothing else.
+void registerCheckDialect(DialectRegistry &registry);
+
+/// Gives checks under former names in `root` the present ones.
+void upgradeFormerChecks(Operation *root);
+
+} // namespace mlir::tai
+
+#include "tai/Dialect/Check/IR/CheckDialect.h.inc"
+
+#define GET_OP_CLASSES
+#include "tai/Dialect/Check/IR/CheckOps.h.inc"
+
+#endif // TAI_DIALECT_CHECK_IR_CHECK_H

@@ -1,0 +1,45 @@
+//===- Traits.h - What ops of other dialects say to tai ---------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Passes ask for these instead of for ops by name, so that checks of gradients
+// are a dialect of their own, and others can have theirs.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_DIALECT_TAI_IR_TRAITS_H
+#define TAI_DIALECT_TAI_IR_TRAITS_H
+
+#include "mlir/IR/BuiltinAttributes.h"
+#include "mlir/IR/OpDefinition.h"
+#include "mlir/IR/SymbolTable.h"
+
+namespace mlir::tai {
+
+/// Of an op whose region ends with `tai.yield`: the launches in it are recorded
+/// and differentiated.
+template <typename ConcreteType>
+class RecordsLaunches
+    : public OpTrait::TraitBase<ConcreteType, RecordsLaunches> {
+public:
+  static LogicalResult verifyTrait(Operation *op) {
+    return OpTrait::impl::verifyOneRegion(op);
+  }
+};
+
+/// Of an op whose operands end up in messages: no derivative is lost in it.
+template <typename ConcreteType>
+class OnlyReports : public OpTrait::TraitBase<ConcreteType, OnlyReports> {};
+
+/// For verifiers of ops that record launches: `loss` is a float field of rank 0
+/// with an adjoint (tape_c1, tape_c2), and no derivative goes from one launch
+/// to the next through the host (tape_c3).
+LogicalResult verifyTape(Operation *tape, FlatSymbolRefAttr loss,
+                         SymbolTableCollection &symbols);
+
+} // namespace mlir::tai
+
+#endif // TAI_DIALECT_TAI_IR_TRAITS_H
