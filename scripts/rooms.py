@@ -26,7 +26,7 @@ ARROWS: dict[str, str] = {
     "Support": "",
     "Interfaces": "",
     "Dialect": "Interfaces",
-    "Analysis": "Dialect Interfaces Support",
+    "Analysis": "ABI Dialect Interfaces Support",
     "AD": "Analysis Dialect Interfaces Support",
     "Transforms": "ABI Analysis Dialect Interfaces Support",
     "Conversion": "ABI Analysis Dialect Support Transforms",
