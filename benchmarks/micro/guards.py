@@ -28,11 +28,38 @@ BAR = 1.02
 STEPS = 20
 
 
+def scalar(real):
+    return ti.field(real, shape=(), needs_grad=True)
+
+
+def trajectory(real, width, *shape):
+    """The vectors of all time steps."""
+    return ti.Vector.field(width, real, shape=(STEPS + 1, *shape), needs_grad=True)
+
+
+def start_with(field, state):
+    """Sets the first time step, and zero in the others."""
+    start = np.zeros((*field.shape, field.n))
+    start[0] = state
+    field.from_numpy(start)
+
+
+def steps_of(step, measure):
+    """All time steps, and the loss at the end."""
+
+    def run():
+        for t in range(STEPS):
+            step(t)
+        measure()
+
+    return run
+
+
 def shallow_water(real):
     """Height and momentum on a grid; walls reflect by branches in the flux."""
     n, dt, g = 192, 1e-3, 9.8
-    state = ti.Vector.field(3, real, shape=(STEPS + 1, n, n), needs_grad=True)
-    loss = ti.field(real, shape=(), needs_grad=True)
+    state = trajectory(real, 3, n, n)
+    loss = scalar(real)
 
     @ti.func
     def cell(t, i, j):
@@ -89,17 +116,10 @@ def shallow_water(real):
             loss[None] += (state[STEPS, i, j][0] - 1.0) ** 2 / (n * n)
 
     x = (np.arange(n) + 0.5) / n
-    start = np.zeros((STEPS + 1, n, n, 3))
     bump = np.exp(-80 * ((x[:, None] - 0.4) ** 2 + (x[None, :] - 0.6) ** 2))
-    start[0, ..., 0] = 1 + 0.3 * bump
-    state.from_numpy(start)
+    start_with(state, (1 + 0.3 * bump)[..., None] * np.array([1, 0, 0]))
 
-    def run():
-        for t in range(STEPS):
-            step(t)
-        measure()
-
-    return run, loss, state
+    return steps_of(step, measure), loss, state
 
 
 def lbm(real):
@@ -107,8 +127,8 @@ def lbm(real):
     n, tau = 160, 0.6
     ex, ey = [0, 1, 0, -1, 0, 1, -1, -1, 1], [0, 0, 1, 0, -1, 1, 1, -1, -1]
     weight = [4 / 9] + [1 / 9] * 4 + [1 / 36] * 4
-    f = ti.Vector.field(9, real, shape=(STEPS + 1, n, n), needs_grad=True)
-    loss = ti.field(real, shape=(), needs_grad=True)
+    f = trajectory(real, 9, n, n)
+    loss = scalar(real)
 
     @ti.kernel
     def step(t: ti.i32):
@@ -139,17 +159,10 @@ def lbm(real):
 
     x = 2 * np.pi * np.arange(n) / n
     rng = np.random.default_rng(0)
-    start = np.zeros((STEPS + 1, n, n, 9))
     shear = 0.05 * np.sin(x)[None, :, None] * np.array(ex) * 3
-    start[0] = np.array(weight) * (1 + shear) * (1 + 0.01 * rng.random((n, n, 1)))
-    f.from_numpy(start)
+    start_with(f, np.array(weight) * (1 + shear) * (1 + 0.01 * rng.random((n, n, 1))))
 
-    def run():
-        for t in range(STEPS):
-            step(t)
-        measure()
-
-    return run, loss, f
+    return steps_of(step, measure), loss, f
 
 
 def fem(real):
@@ -170,12 +183,12 @@ def fem(real):
     for a, b, c in corners:
         rest.append(np.linalg.inv(np.stack([points[b] - points[a], points[c] - points[a]], 1)))
     triangles, vertices = len(corners), len(points)
-    x = ti.Vector.field(2, real, shape=(STEPS + 1, vertices), needs_grad=True)
-    v = ti.Vector.field(2, real, shape=(STEPS + 1, vertices), needs_grad=True)
+    x = trajectory(real, 2, vertices)
+    v = trajectory(real, 2, vertices)
     force = ti.Vector.field(2, real, shape=(STEPS, vertices), needs_grad=True)
     inverse = ti.Matrix.field(2, 2, real, shape=triangles)
     corner = ti.Vector.field(3, ti.i32, shape=triangles)
-    loss = ti.field(real, shape=(), needs_grad=True)
+    loss = scalar(real)
 
     @ti.kernel
     def forces(t: ti.i32):
@@ -210,9 +223,7 @@ def fem(real):
 
     corner.from_numpy(corners)
     inverse.from_numpy(np.array(rest))
-    start = np.zeros((STEPS + 1, vertices, 2))
-    start[0] = points * [1.2, 0.9]
-    x.from_numpy(start)
+    start_with(x, points * [1.2, 0.9])
 
     def run():
         clear()
@@ -230,7 +241,7 @@ def rays(real):
     center = ti.Vector.field(3, real, shape=spheres, needs_grad=True)
     radius = ti.field(real, shape=spheres, needs_grad=True)
     image = ti.field(real, shape=(size, size), needs_grad=True)
-    loss = ti.field(real, shape=(), needs_grad=True)
+    loss = scalar(real)
 
     @ti.kernel
     def render():
@@ -266,12 +277,12 @@ def rays(real):
 def sph(real):
     """Weakly compressible SPH: a cubic kernel over lists of neighbours, Tait pressure."""
     n, most, h = 1600, 24, 0.06
-    x = ti.Vector.field(2, real, shape=(STEPS + 1, n), needs_grad=True)
-    v = ti.Vector.field(2, real, shape=(STEPS + 1, n), needs_grad=True)
+    x = trajectory(real, 2, n)
+    v = trajectory(real, 2, n)
     density = ti.field(real, shape=(STEPS, n), needs_grad=True)
     neighbor = ti.field(ti.i32, shape=(n, most))
     count = ti.field(ti.i32, shape=n)
-    loss = ti.field(real, shape=(), needs_grad=True)
+    loss = scalar(real)
 
     @ti.func
     def cubic(r):
@@ -329,9 +340,7 @@ def sph(real):
         table[i, : len(found)] = found
     neighbor.from_numpy(table)
     count.from_numpy(np.array([len(found) for found in lists], np.int32))
-    start = np.zeros((STEPS + 1, n, 2))
-    start[0] = points
-    x.from_numpy(start)
+    start_with(x, points)
 
     def run():
         for t in range(STEPS):
@@ -345,10 +354,10 @@ def sph(real):
 def cloth(real):
     """Cloth: springs with rest lengths, and bending by the angle between two triangles."""
     n = 48
-    x = ti.Vector.field(3, real, shape=(STEPS + 1, n, n), needs_grad=True)
-    v = ti.Vector.field(3, real, shape=(STEPS + 1, n, n), needs_grad=True)
-    energy = ti.field(real, shape=(), needs_grad=True)
-    loss = ti.field(real, shape=(), needs_grad=True)
+    x = trajectory(real, 3, n, n)
+    v = trajectory(real, 3, n, n)
+    energy = scalar(real)
+    loss = scalar(real)
 
     @ti.kernel
     def step(t: ti.i32):
@@ -381,10 +390,9 @@ def cloth(real):
         loss[None] += 1e-3 * energy[None]
 
     grid = np.arange(n) / n
-    start = np.zeros((STEPS + 1, n, n, 3))
-    start[0, ..., 0], start[0, ..., 2] = grid[:, None], grid[None, :]
-    start[0, ..., 1] = 0.05 * np.sin(7 * grid)[:, None] * np.cos(5 * grid)[None, :]
-    x.from_numpy(start)
+    height = 0.05 * np.sin(7 * grid)[:, None] * np.cos(5 * grid)[None, :]
+    across, along = np.meshgrid(grid, grid, indexing="ij")
+    start_with(x, np.stack([across, height, along], -1))
 
     def run():
         energy[None] = 0
@@ -399,10 +407,10 @@ def cloth(real):
 def nbody(real):
     """Bodies that attract all others, with softening, and a collision term without one."""
     n = 160
-    x = ti.Vector.field(3, real, shape=(STEPS + 1, n), needs_grad=True)
-    v = ti.Vector.field(3, real, shape=(STEPS + 1, n), needs_grad=True)
+    x = trajectory(real, 3, n)
+    v = trajectory(real, 3, n)
     mass = ti.field(real, shape=n, needs_grad=True)
-    loss = ti.field(real, shape=(), needs_grad=True)
+    loss = scalar(real)
 
     @ti.kernel
     def step(t: ti.i32):
@@ -422,17 +430,10 @@ def nbody(real):
             loss[None] += x[STEPS, i].norm() / n
 
     rng = np.random.default_rng(3)
-    start = np.zeros((STEPS + 1, n, 3))
-    start[0] = rng.normal(size=(n, 3))
-    x.from_numpy(start)
+    start_with(x, rng.normal(size=(n, 3)))
     mass.from_numpy(rng.uniform(0.5, 1.5, n) / n)
 
-    def run():
-        for t in range(STEPS):
-            step(t)
-        measure()
-
-    return run, loss, x
+    return steps_of(step, measure), loss, x
 
 
 def brdf(real):
@@ -442,7 +443,7 @@ def brdf(real):
     rough = ti.field(real, shape=(size, size), needs_grad=True)
     base = ti.Vector.field(3, real, shape=(size, size), needs_grad=True)
     lamp = ti.Vector.field(3, real, shape=lamps, needs_grad=True)
-    loss = ti.field(real, shape=(), needs_grad=True)
+    loss = scalar(real)
 
     @ti.kernel
     def shade():

@@ -13,6 +13,7 @@
 #include "Reproducer.h"
 #include "mlir/Pass/PassManager.h"
 #include "mlir/Transforms/Passes.h"
+#include "tai/Analysis/LaunchAccesses.h"
 #include "tai/CodeGen/Diagnostics.h"
 #include "tai/ExecutionEngine/KernelCode.h"
 #include "tai/ExecutionEngine/Summaries.h"

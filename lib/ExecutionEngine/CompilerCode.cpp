@@ -15,10 +15,10 @@
 #include "CompilerWorker.h"
 #include "InterpretedCode.h"
 #include "mlir/Target/LLVMIR/Export.h"
+#include "tai/Analysis/LoopLevels.h"
 #include "tai/Analysis/SkipScope.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
-#include "tai/ExecutionEngine/LoopLevels.h"
 #include "llvm/ADT/ScopeExit.h"
 #include "llvm/IR/LLVMContext.h"
 #include "llvm/IR/Module.h"
@@ -270,7 +270,9 @@ Compiler::makeObject(CompileRequest request, const CompileOptions &options,
     return object;
   object.skipped = prepared.skipped;
   SkipScope scope;
-  object.loopLevels = findLoopLevels(*prepared.module, object.symbol);
+  for (KernelOp kernel : prepared.module->getOps<KernelOp>())
+    if (getEntryPointName(kernel.getSymName()) == object.symbol)
+      object.loopLevels = findLoopLevels(kernel);
   WorkerLease lease(*this, options);
   Worker &worker = *lease;
   PhaseTimes &times = prepared.times;

@@ -14,7 +14,8 @@
 
 #include "tai/AD/Signature.h"
 #include "tai/Analysis/AccessOrder.h"
-#include "tai/Analysis/Activity.h"
+#include "tai/Analysis/LaunchAccesses.h"
+#include "tai/Analysis/ValueFlows.h"
 #include "tai/CodeGen/Diagnostics.h"
 #include "tai/ExecutionEngine/Summaries.h"
 #include "tai/Support/Places.h"
@@ -22,96 +23,6 @@
 
 using namespace mlir;
 using namespace mlir::tai;
-
-namespace {
-/// For each value, the storages that it depends on.
-class FlowFinder {
-public:
-  /// `arguments`: numbers that the kernel is differentiated by.
-  FlowFinder(KernelOp kernel, ArrayRef<Value> arguments) {
-    kernel.walk([&](Operation *op) {
-      auto access = dyn_cast<DifferentiableAccessInterface>(op);
-      if (access && isFloatOrVector(access.getAccessedValue().getType()))
-        (access.getAccessKind() == AccessKind::Read ? reads : writes)
-            .push_back(access);
-    });
-    for (DifferentiableAccessInterface read : reads)
-      (void)number(read.getAccessedStorage());
-    for (DifferentiableAccessInterface write : writes)
-      if (!write->getResults().empty())
-        (void)number(write.getAccessedStorage());
-    for (Value argument : arguments)
-      (void)number(argument);
-    for (Value argument : arguments)
-      addOwn(argument, argument);
-    do {
-      grown = false;
-      kernel.walk([&](Operation *op) { visit(op); });
-    } while (grown);
-  }
-
-  SmallVector<Storage> storages;
-  SmallVector<DifferentiableAccessInterface> reads, writes;
-
-  const llvm::SmallBitVector &sourcesOf(Value value) { return sources[value]; }
-
-private:
-  unsigned number(Storage storage) {
-    auto *it = llvm::find(storages, storage);
-    if (it == storages.end())
-      it = storages.insert(it, storage);
-    return static_cast<unsigned>(it - storages.begin());
-  }
-  void add(Value to, const llvm::SmallBitVector &more) {
-    llvm::SmallBitVector &known = sources[to];
-    known.resize(storages.size());
-    grown |= more.test(known);
-    known |= more;
-  }
-  void addOwn(Value to, Storage storage) {
-    llvm::SmallBitVector own(storages.size());
-    own.set(number(storage));
-    add(to, own);
-  }
-  void pass(Value from, Value to) {
-    auto it = sources.find(from);
-    if (it == sources.end() || it->second.none())
-      return;
-    add(to, llvm::SmallBitVector(it->second));
-  }
-  void visit(Operation *op);
-
-  DenseMap<Value, llvm::SmallBitVector> sources;
-  bool grown = false;
-};
-} // namespace
-
-void FlowFinder::visit(Operation *op) {
-  if (auto access = dyn_cast<DifferentiableAccessInterface>(op)) {
-    for (Value result : op->getResults())
-      if (isFloatOrVector(result.getType()))
-        addOwn(result, access.getAccessedStorage());
-    return;
-  }
-  if (auto load = dyn_cast<LocalLoadOp>(op))
-    return pass(load.getLocal(), load.getValue());
-  if (auto store = dyn_cast<LocalStoreOp>(op))
-    return pass(store.getValue(), store.getLocal());
-  if (auto branch = dyn_cast<RegionBranchOpInterface>(op))
-    return forEachHandover(branch, [&](OperandRange from, ValueRange to) {
-      for (auto [operand, input] : llvm::zip(from, to))
-        pass(operand, input);
-    });
-  if (op->hasTrait<OpTrait::IsTerminator>())
-    return;
-  auto rule = dyn_cast<DifferentiableOpInterface>(op);
-  for (OpOperand &operand : op->getOpOperands())
-    if (isFloatOrVector(operand.get().getType()) &&
-        (!rule || rule.carriesDerivative(operand)))
-      for (Value result : op->getResults())
-        if (isFloatOrVector(result.getType()))
-          pass(operand.get(), result);
-}
 
 /// What the program calls an argument.
 static std::string getName(BlockArgument argument) {
@@ -205,21 +116,21 @@ runtime::KernelFlows mlir::tai::findFlows(KernelOp kernel,
     if (Value argument = kernel.getArgument(position);
         !isa<MemRefType>(argument.getType()))
       numbers.push_back(argument);
-  FlowFinder finder(kernel, numbers);
+  ValueFlows flows(kernel, numbers);
   PlaceList list(kernel, summary, *signature);
   runtime::KernelFlows found;
   auto add = [&](Value value, std::optional<size_t> to, Location loc,
                  bool isReadAgain) {
-    const llvm::SmallBitVector sources = finder.sourcesOf(value);
+    const llvm::SmallBitVector sources = flows.sourcesOf(value);
     for (unsigned source : sources.set_bits()) {
-      std::optional<size_t> from = list.find(finder.storages[source]);
+      std::optional<size_t> from = list.find(flows.storages[source]);
       if (from && to)
         found.flows.push_back({*from, *to, describePlace(loc), isReadAgain});
     }
   };
-  for (DifferentiableAccessInterface write : finder.writes) {
+  for (DifferentiableAccessInterface write : flows.writes) {
     bool isReadAgain =
-        llvm::any_of(finder.reads, [&](DifferentiableAccessInterface read) {
+        llvm::any_of(flows.reads, [&](DifferentiableAccessInterface read) {
           return read.getAccessedStorage() == write.getAccessedStorage() &&
                  mayReachLater(write, read);
         });

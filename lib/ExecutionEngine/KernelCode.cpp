@@ -1,5 +1,4 @@
-//===- KernelCode.cpp - The compiler side of a kernel
-//----------------------===//
+//===- KernelCode.cpp - The compiler side of a kernel ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -7,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/KernelCode.h"
+#include "tai/Analysis/ToBeRecorded.h"
 #include "tai/ExecutionEngine/ModuleFile.h"
 #include "tai/ExecutionEngine/Summaries.h"
-#include "tai/ExecutionEngine/ToBeRecorded.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 
 using namespace mlir;
@@ -370,6 +369,37 @@ runtime::Status KernelCode::makeTangentOf(Goal goal,
 
 runtime::KernelFlows KernelCode::findFlows(const runtime::Kernel &kernel) {
   return tai::findFlows(getKernel(), kernel.summary());
+}
+
+/// The modules of the parts, each with its kernel, in the order in which they
+/// run.
+static SmallVector<std::pair<std::string, OwningOpRef<ModuleOp>>>
+splitParts(ModuleOp parts) {
+  SmallVector<std::pair<std::string, OwningOpRef<ModuleOp>>> result;
+  for (KernelOp part : parts.getOps<KernelOp>()) {
+    if (!part.getPartOf())
+      continue;
+    OwningOpRef<ModuleOp> module = parts.clone();
+    for (KernelOp other :
+         llvm::make_early_inc_range(module->getOps<KernelOp>()))
+      if (other.getSymName() != part.getSymName())
+        other.erase();
+    // Which form of its adjoint is wanted shows later.
+    auto copy = module->lookupSymbol<KernelOp>(part.getSymName());
+    copy.removeAdjointAttr();
+    copy.removePartOfAttr();
+    result.emplace_back(part.getSymName().str(), std::move(module));
+  }
+  // "k.10" comes after "k.9".
+  auto numberOf = [](StringRef name) {
+    unsigned number = 0;
+    (void)name.rsplit('.').second.getAsInteger(10, number);
+    return number;
+  };
+  llvm::sort(result, [&](const auto &a, const auto &b) {
+    return numberOf(a.first) < numberOf(b.first);
+  });
+  return result;
 }
 
 runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,

@@ -1,5 +1,4 @@
-//===- MakeKernel.cpp - From a module to a kernel of the runtime
-//-----------===//
+//===- MakeKernel.cpp - From a module to a kernel of the runtime ----------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -12,6 +11,7 @@
 #include "mlir/Pass/PassManager.h"
 #include "mlir/Transforms/Passes.h"
 #include "tai/AD/Signature.h"
+#include "tai/Analysis/LaunchAccesses.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/ExecutionEngine/ChosenModes.h"
 #include "tai/ExecutionEngine/KernelCode.h"

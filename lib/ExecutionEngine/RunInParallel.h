@@ -1,5 +1,4 @@
-//===- RunInParallel.h - Compilations side by side ---------------*- C++
-//-*-===//
+//===- RunInParallel.h - Compilations side by side --------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

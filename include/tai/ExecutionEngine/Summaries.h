@@ -18,9 +18,6 @@
 
 namespace mlir::tai {
 
-/// Slots of values of these types; see Abi.h.
-int64_t countSlots(TypeRange types);
-
 /// What the kernel does to the fields that the runtime has, the functions that
 /// it calls included.
 std::vector<runtime::Access> summarize(const runtime::Runtime &rt,
@@ -30,11 +27,6 @@ std::vector<runtime::Access> summarize(const runtime::Runtime &rt,
 /// without gradients; of the fields of its summary, and of its arguments.
 runtime::KernelFlows findFlows(KernelOp kernel,
                                ArrayRef<runtime::Access> summary);
-
-/// The elements of an array that the kernel stores in each launch, as those of
-/// fields in its summary.
-std::vector<runtime::StoredBox> findStoredBoxes(KernelOp kernel,
-                                                BlockArgument array);
 
 } // namespace mlir::tai
 

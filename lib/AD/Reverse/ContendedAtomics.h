@@ -1,5 +1,4 @@
-//===- ContendedAtomics.h - Products and extrema over iterations -*- C++
-//-*-===//
+//===- ContendedAtomics.h - Products and extrema over loops -----*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

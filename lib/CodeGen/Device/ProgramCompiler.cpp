@@ -341,11 +341,7 @@ void ProgramBuilder::addLoop(const runtime::ProgramSegment &segment) {
       builder.CreateICmpULT(next, builder.getInt64(segment.count)), body,
       after);
   // It is long already.
-  auto *off = llvm::MDNode::get(
-      context, llvm::MDString::get(context, "llvm.loop.unroll.disable"));
-  auto *loop = llvm::MDNode::getDistinct(context, {nullptr, off});
-  loop->replaceOperandWith(0, loop);
-  back->setMetadata(llvm::LLVMContext::MD_loop, loop);
+  disableUnrolling(back);
   builder.SetInsertPoint(after);
 }
 

@@ -55,6 +55,15 @@ void TileBuilder::emitIf(llvm::Value *condition,
   builder.SetInsertPoint(after);
 }
 
+void tai::disableUnrolling(llvm::Instruction *back) {
+  llvm::LLVMContext &context = back->getContext();
+  auto *off = llvm::MDNode::get(
+      context, llvm::MDString::get(context, "llvm.loop.unroll.disable"));
+  auto *loop = llvm::MDNode::getDistinct(context, {nullptr, off});
+  loop->replaceOperandWith(0, loop);
+  back->setMetadata(llvm::LLVMContext::MD_loop, loop);
+}
+
 TileBuilder::TileBuilder(llvm::IRBuilder<> &builder, const TileChain &chain,
                          ArrayRef<llvm::Function *> bodies,
                          llvm::Value *overlay, unsigned threads, bool isCuda)
@@ -143,11 +152,7 @@ void TileBuilder::forEachCell(const TileHalo &halo, CellEmitter emit) {
   at->addIncoming(builder.CreateNSWAdd(at, threads), builder.GetInsertBlock());
   llvm::Instruction *back = builder.CreateBr(head);
   // Most threads have few cells.
-  auto *off = llvm::MDNode::get(
-      context, llvm::MDString::get(context, "llvm.loop.unroll.disable"));
-  auto *loop = llvm::MDNode::getDistinct(context, {nullptr, off});
-  loop->replaceOperandWith(0, loop);
-  back->setMetadata(llvm::LLVMContext::MD_loop, loop);
+  disableUnrolling(back);
   builder.SetInsertPoint(after);
 }
 

@@ -14,6 +14,9 @@
 
 namespace mlir::tai {
 
+/// Keeps the loop of this branch back from being unrolled.
+void disableUnrolling(llvm::Instruction *back);
+
 /// Emits what a block does for a chain of launches, which is one tile; nothing
 /// for a block that has none. Its threads go through the cells together.
 class TileBuilder {

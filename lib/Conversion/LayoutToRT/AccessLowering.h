@@ -13,11 +13,11 @@
 #ifndef TAI_LIB_CONVERSION_LAYOUTTORT_ACCESSLOWERING_H
 #define TAI_LIB_CONVERSION_LAYOUTTORT_ACCESSLOWERING_H
 
-#include "../../Transforms/Utils/Accumulate.h"
-#include "../../Transforms/Utils/FieldAddress.h"
 #include "StridedOrder.h"
 #include "mlir/IR/PatternMatch.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/FieldAddress.h"
 
 namespace mlir::tai {
 

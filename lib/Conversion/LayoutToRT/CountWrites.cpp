@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "CountWrites.h"
-#include "../../Transforms/Utils/Accumulate.h"
 #include "tai/Analysis/SkipScope.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Transforms/Utils/Accumulate.h"
 
 using namespace mlir;
 using namespace mlir::tai;

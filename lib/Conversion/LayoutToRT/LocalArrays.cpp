@@ -6,14 +6,14 @@
 //===----------------------------------------------------------------------===//
 
 #include "LocalArrays.h"
-#include "../../Transforms/Utils/Accumulate.h"
-#include "../../Transforms/Utils/FieldAddress.h"
-#include "../../Transforms/Utils/IndexMath.h"
 #include "mlir/Dialect/LLVMIR/FunctionCallUtils.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/FieldAddress.h"
+#include "tai/Transforms/Utils/IndexMath.h"
 
 using namespace mlir;
 using namespace mlir::tai;

@@ -14,8 +14,6 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../../Transforms/Utils/IndexMath.h"
-#include "../../Transforms/Utils/LowerEach.h"
 #include "AccessLowering.h"
 #include "LocalArrays.h"
 #include "StridedOrder.h"
@@ -27,6 +25,8 @@
 #include "tai/Analysis/IndexedAccess.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
+#include "tai/Transforms/Utils/IndexMath.h"
+#include "tai/Transforms/Utils/LowerEach.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_LOWERLAYOUT
@@ -43,6 +43,20 @@ template <typename Op> struct AccessPattern : OpRewritePattern<Op> {
       : OpRewritePattern<Op>(context), lowering(lowering) {}
 
   AccessLowering &lowering;
+};
+
+/// Lowers one op that names a field, which is looked up.
+template <typename Op> struct FieldPattern : AccessPattern<Op> {
+  using AccessPattern<Op>::AccessPattern;
+
+  LogicalResult matchAndRewrite(Op op, PatternRewriter &rewriter) const final {
+    FailureOr<const FieldInfo *> field = this->lowering.getField(op);
+    return succeeded(field) ? lower(op, **field, rewriter) : failure();
+  }
+
+private:
+  virtual LogicalResult lower(Op op, const FieldInfo &field,
+                              PatternRewriter &rewriter) const = 0;
 };
 } // namespace
 
@@ -94,17 +108,13 @@ static Value emitAccess(OpBuilder &builder, AtomicOp op, Value pointer,
 
 namespace {
 /// An access to an element of a field.
-template <typename Op> struct LowerElement final : AccessPattern<Op> {
-  using AccessPattern<Op>::AccessPattern;
+template <typename Op> struct LowerElement final : FieldPattern<Op> {
+  using FieldPattern<Op>::FieldPattern;
 
-  LogicalResult matchAndRewrite(Op op,
-                                PatternRewriter &rewriter) const override {
+  LogicalResult lower(Op op, const FieldInfo &field,
+                      PatternRewriter &rewriter) const override {
     AccessLowering &lowering = this->lowering;
     Location loc = op.getLoc();
-    FailureOr<const FieldInfo *> found = lowering.getField(op);
-    if (failed(found))
-      return failure();
-    const FieldInfo &field = **found;
     ValueRange indices = op.getIndices(), components = op.getComponents();
     Type type = op.getAccessedValue().getType();
     if (isa<VectorType>(type))
@@ -170,6 +180,16 @@ static const SparseInfo *findSparse(const FieldInfo &field, int64_t up) {
   return nullptr;
 }
 
+/// Emits that each index is in the range of the field; null if unchecked.
+static Value checkIndices(OpBuilder &builder, AccessLowering &lowering,
+                          Operation *op, const FieldInfo &field,
+                          ValueRange zeroBased, ValueRange shown) {
+  SmallVector<OpFoldResult> extents =
+      getAsIndexOpFoldResult(builder.getContext(), field.layout.shape);
+  return lowering.checkRange(op, zeroBased, extents,
+                             describeField(field.layout), shown);
+}
+
 static Value emitOnCell(OpBuilder &builder, IsActiveOp op,
                         const SparseInfo &sparse, CellRef cell) {
   return sparse.type.emitIsActive(builder, op.getLoc(), cell);
@@ -189,24 +209,18 @@ static Value emitOnCell(OpBuilder &builder, DeactivateOp op,
 
 namespace {
 /// An op that asks whether the cell of an element is active, or changes that.
-template <typename Op> struct LowerCell final : AccessPattern<Op> {
-  using AccessPattern<Op>::AccessPattern;
+template <typename Op> struct LowerCell final : FieldPattern<Op> {
+  using FieldPattern<Op>::FieldPattern;
 
-  LogicalResult matchAndRewrite(Op op,
-                                PatternRewriter &rewriter) const override {
+  LogicalResult lower(Op op, const FieldInfo &field,
+                      PatternRewriter &rewriter) const override {
     AccessLowering &lowering = this->lowering;
     Location loc = op.getLoc();
-    FailureOr<const FieldInfo *> found = lowering.getField(op);
-    if (failed(found))
-      return failure();
-    const FieldInfo &field = **found;
     const SparseInfo *sparse = findSparse(field, op.getLevel());
     ValueRange indices = op->getOperands();
     SmallVector<Value> zeroBased = emitZeroBased(rewriter, loc, field, indices);
-    SmallVector<OpFoldResult> extents =
-        getAsIndexOpFoldResult(rewriter.getContext(), field.layout.shape);
-    Value inRange = lowering.checkRange(op, zeroBased, extents,
-                                        describeField(field.layout), indices);
+    Value inRange =
+        checkIndices(rewriter, lowering, op, field, zeroBased, indices);
     lowering.replaceGuarded(rewriter, op, inRange, [&](OpBuilder &b) -> Value {
       if (!sparse)
         return isa<IsActiveOp>(op)
@@ -221,16 +235,12 @@ template <typename Op> struct LowerCell final : AccessPattern<Op> {
   }
 };
 
-struct LowerLength final : AccessPattern<LengthOp> {
-  using AccessPattern::AccessPattern;
+struct LowerLength final : FieldPattern<LengthOp> {
+  using FieldPattern::FieldPattern;
 
-  LogicalResult matchAndRewrite(LengthOp op,
-                                PatternRewriter &rewriter) const override {
+  LogicalResult lower(LengthOp op, const FieldInfo &field,
+                      PatternRewriter &rewriter) const override {
     Location loc = op.getLoc();
-    FailureOr<const FieldInfo *> found = lowering.getField(op);
-    if (failed(found))
-      return failure();
-    const FieldInfo &field = **found;
     ValueRange indices = op.getIndices();
     unsigned dimension = getListDimension(field);
     SmallVector<Value> zeroBased(indices);
@@ -238,10 +248,8 @@ struct LowerLength final : AccessPattern<LengthOp> {
                      arith::ConstantIndexOp::create(
                          rewriter, loc, field.layout.offset[dimension]));
     zeroBased = emitZeroBased(rewriter, loc, field, zeroBased);
-    SmallVector<OpFoldResult> extents =
-        getAsIndexOpFoldResult(rewriter.getContext(), field.layout.shape);
-    Value inRange = lowering.checkRange(op, zeroBased, extents,
-                                        describeField(field.layout), indices);
+    Value inRange =
+        checkIndices(rewriter, lowering, op, field, zeroBased, indices);
     lowering.replaceGuarded(rewriter, op, inRange, [&](OpBuilder &b) {
       Value list = emitListNumber(b, loc, field, indices);
       return emitLength(b, loc, getInnermostList(field),
@@ -251,15 +259,11 @@ struct LowerLength final : AccessPattern<LengthOp> {
   }
 };
 
-struct LowerVisitsAll final : AccessPattern<VisitsAllOp> {
-  using AccessPattern::AccessPattern;
+struct LowerVisitsAll final : FieldPattern<VisitsAllOp> {
+  using FieldPattern::FieldPattern;
 
-  LogicalResult matchAndRewrite(VisitsAllOp op,
-                                PatternRewriter &rewriter) const override {
-    FailureOr<const FieldInfo *> found = lowering.getField(op);
-    if (failed(found))
-      return failure();
-    const FieldInfo &field = **found;
+  LogicalResult lower(VisitsAllOp op, const FieldInfo &field,
+                      PatternRewriter &rewriter) const override {
     if (field.sparse.empty())
       rewriter.replaceOpWithNewOp<arith::ConstantIntOp>(op, 1, 1);
     else

@@ -17,16 +17,16 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../../Transforms/Utils/Accumulate.h"
-#include "../../Transforms/Utils/ActiveCells.h"
-#include "../../Transforms/Utils/FieldAddress.h"
-#include "../../Transforms/Utils/IndexMath.h"
 #include "CountWrites.h"
 #include "tai/Analysis/Cost.h"
 #include "tai/Analysis/SkipScope.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
+#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/ActiveCells.h"
+#include "tai/Transforms/Utils/FieldAddress.h"
+#include "tai/Transforms/Utils/IndexMath.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_LOWERSTRUCTFOR

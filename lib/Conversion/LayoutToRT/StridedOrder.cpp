@@ -6,12 +6,12 @@
 //===----------------------------------------------------------------------===//
 
 #include "StridedOrder.h"
-#include "../../Transforms/Utils/Accumulate.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/Interfaces/LoopLikeInterface.h"
 #include "tai/Analysis/Accesses.h"
+#include "tai/Transforms/Utils/Accumulate.h"
 #include <cstdlib>
 
 using namespace mlir;

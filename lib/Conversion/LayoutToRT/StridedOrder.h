@@ -1,5 +1,4 @@
-//===- StridedOrder.h - Iterations whose accesses keep their order -*- C++
-//-*-===//
+//===- StridedOrder.h - Loops whose accesses keep order ---------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -9,7 +8,7 @@
 #ifndef TAI_LIB_CONVERSION_LAYOUTTORT_STRIDEDORDER_H
 #define TAI_LIB_CONVERSION_LAYOUTTORT_STRIDEDORDER_H
 
-#include "../../Transforms/Utils/FieldAddress.h"
+#include "tai/Transforms/Utils/FieldAddress.h"
 
 namespace mlir::tai {
 

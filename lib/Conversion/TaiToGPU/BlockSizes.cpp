@@ -12,11 +12,11 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../../Transforms/Utils/Accumulate.h"
 #include "WarpLoop.h"
 #include "mlir/Dialect/LLVMIR/NVVMDialect.h"
 #include "tai/ABI/DeviceAccesses.h"
 #include "tai/Support/BlockSize.h"
+#include "tai/Transforms/Utils/Accumulate.h"
 #include "llvm/Support/MathExtras.h"
 
 using namespace mlir;

@@ -10,7 +10,6 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../../Transforms/Utils/IndexMath.h"
 #include "Offload.h"
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
@@ -18,6 +17,7 @@
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
+#include "tai/Transforms/Utils/IndexMath.h"
 #include "llvm/Support/SaveAndRestore.h"
 
 namespace mlir::tai {
@@ -211,15 +211,8 @@ LogicalResult KernelOffload::run() {
   if (failed(outlineLoops()))
     return failure();
 
-  auto ret = cast<ReturnOp>(entry->getTerminator());
-  builder.setInsertionPoint(ret);
-  emitResults(ret.getOperands(), ret.getLoc(), frame, builder, runtime);
-  SmallVector<Value> returned(ret.getOperands());
-  ret.erase();
-  for (Value value : returned)
-    if (auto parts = value.getDefiningOp<vector::FromElementsOp>())
-      if (parts->use_empty())
-        parts.erase();
+  Operation *ret = entry->getTerminator();
+  replaceReturn(ret, ret->getLoc(), frame, builder, runtime);
   fetchHostValues(host, frame, lowering);
   if (failed(lowerLeafOps(host, lowering.host)))
     return failure();

@@ -13,12 +13,12 @@
 //===----------------------------------------------------------------------===//
 
 #include "LoopAccesses.h"
-#include "../../Transforms/Utils/Accumulate.h"
-#include "../../Transforms/Utils/FieldAddress.h"
 #include "Offload.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/FieldAddress.h"
 #include <numeric>
 
 using namespace mlir;

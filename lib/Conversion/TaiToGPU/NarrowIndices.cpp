@@ -14,7 +14,6 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../../Transforms/Utils/Accumulate.h"
 #include "Offload.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Dialect/Math/IR/Math.h"
@@ -24,6 +23,7 @@
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
+#include "tai/Transforms/Utils/Accumulate.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_NARROWINDICES

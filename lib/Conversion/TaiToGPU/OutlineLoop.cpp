@@ -11,7 +11,6 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../../Transforms/Utils/IndexMath.h"
 #include "../TaiToHost/Accumulators.h"
 #include "LoopAccesses.h"
 #include "Offload.h"
@@ -20,6 +19,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
+#include "tai/Transforms/Utils/IndexMath.h"
 #include "llvm/ADT/SetVector.h"
 
 using namespace mlir;
@@ -318,18 +318,10 @@ LogicalResult Parameters::capture() {
       if (!region.isAncestor(operand.getParentRegion()))
         collectAddress(operand);
   });
-  WalkResult result = region.walk([&](Operation *op) {
-    for (OpOperand &operand : op->getOpOperands()) {
-      if (region.isAncestor(operand.get().getParentRegion()))
-        continue;
-      FailureOr<Value> value = get(operand.get());
-      if (failed(value))
-        return WalkResult::interrupt();
-      operand.set(*value);
-    }
-    return WalkResult::advance();
-  });
-  return failure(result.wasInterrupted());
+  return replaceOutside(
+      region,
+      [&](Value value) { return !region.isAncestor(value.getParentRegion()); },
+      [&](Value outer) { return get(outer); });
 }
 
 /// Loads of places that the function does not write go past the caches of

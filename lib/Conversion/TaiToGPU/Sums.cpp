@@ -12,8 +12,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "Sums.h"
-#include "../../Transforms/Utils/IndexMath.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/Transforms/Utils/IndexMath.h"
 
 using namespace mlir;
 using namespace mlir::tai;

@@ -8,8 +8,8 @@
 #ifndef TAI_LIB_CONVERSION_TAITOGPU_SUMS_H
 #define TAI_LIB_CONVERSION_TAITOGPU_SUMS_H
 
-#include "../../Transforms/Utils/Accumulation.h"
 #include "Offload.h"
+#include "tai/Transforms/Utils/Accumulation.h"
 
 namespace mlir::tai {
 

@@ -12,13 +12,13 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../../Transforms/Utils/FieldAddress.h"
 #include "../TaiToHost/RuntimeCalls.h"
 #include "LoopAccesses.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/IRMapping.h"
 #include "tai/Analysis/IndexShift.h"
+#include "tai/Transforms/Utils/FieldAddress.h"
 
 using namespace mlir;
 using namespace mlir::tai;

@@ -15,13 +15,13 @@
 //===----------------------------------------------------------------------===//
 
 #include "WarpLoop.h"
-#include "../../Transforms/Utils/IndexMath.h"
-#include "../../Transforms/Utils/OrderedAdditions.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Dominance.h"
 #include "mlir/IR/PatternMatch.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "mlir/Transforms/CSE.h"
+#include "tai/Transforms/Utils/IndexMath.h"
+#include "tai/Transforms/Utils/OrderedAdditions.h"
 
 using namespace mlir;
 using namespace mlir::tai;

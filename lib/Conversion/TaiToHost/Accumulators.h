@@ -14,8 +14,8 @@
 #ifndef TAI_LIB_CONVERSION_TAITOHOST_ACCUMULATORS_H
 #define TAI_LIB_CONVERSION_TAITOHOST_ACCUMULATORS_H
 
-#include "../../Transforms/Utils/Accumulation.h"
 #include "Lowering.h"
+#include "tai/Transforms/Utils/Accumulation.h"
 #include <vector>
 
 namespace mlir::tai {

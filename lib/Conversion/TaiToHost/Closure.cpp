@@ -31,6 +31,23 @@ LLVM::LLVMFuncOp tai::createFunction(ModuleOp module, Location loc,
   return function;
 }
 
+LogicalResult tai::replaceOutside(Region &region,
+                                  function_ref<bool(Value)> isOutside,
+                                  function_ref<FailureOr<Value>(Value)> get) {
+  WalkResult result = region.walk([&](Operation *op) {
+    for (OpOperand &operand : op->getOpOperands()) {
+      if (!isOutside(operand.get()))
+        continue;
+      FailureOr<Value> value = get(operand.get());
+      if (failed(value))
+        return WalkResult::interrupt();
+      operand.set(*value);
+    }
+    return WalkResult::advance();
+  });
+  return failure(result.wasInterrupted());
+}
+
 //===----------------------------------------------------------------------===//
 // Closure
 //===----------------------------------------------------------------------===//
@@ -96,18 +113,8 @@ LogicalResult Closure::capture(Region &region) {
     Region *at = value.getParentRegion();
     return !inner.getBody().isAncestor(at);
   };
-  WalkResult result = region.walk([&](Operation *op) {
-    for (OpOperand &operand : op->getOpOperands()) {
-      if (!isOutside(operand.get()))
-        continue;
-      FailureOr<Value> value = get(operand.get());
-      if (failed(value))
-        return WalkResult::interrupt();
-      operand.set(*value);
-    }
-    return WalkResult::advance();
-  });
-  return failure(result.wasInterrupted());
+  return replaceOutside(region, isOutside,
+                        [&](Value outer) { return get(outer); });
 }
 
 Value Closure::emit(RuntimeCalls &runtime) {
@@ -210,8 +217,9 @@ LogicalResult tai::replaceArguments(FunctionOpInterface function, Value frame,
   return success();
 }
 
-void tai::emitResults(ValueRange values, Location loc, Value frame,
-                      OpBuilder &builder, RuntimeCalls &runtime) {
+/// Stores returned values to the slots of the frame.
+static void emitResults(ValueRange values, Location loc, Value frame,
+                        OpBuilder &builder, RuntimeCalls &runtime) {
   if (values.empty())
     return;
   Value slots =
@@ -227,4 +235,16 @@ void tai::emitResults(ValueRange values, Location loc, Value frame,
       emitSlotStore(builder, loc, component,
                     emitSlot(builder, loc, slots, next++));
   }
+}
+
+void tai::replaceReturn(Operation *ret, Location loc, Value frame,
+                        OpBuilder &builder, RuntimeCalls &runtime) {
+  builder.setInsertionPoint(ret);
+  emitResults(ret->getOperands(), loc, frame, builder, runtime);
+  SmallVector<Value> returned(ret->getOperands());
+  ret->erase();
+  for (Value value : returned)
+    if (auto parts = value.getDefiningOp<vector::FromElementsOp>())
+      if (parts->use_empty())
+        parts.erase();
 }

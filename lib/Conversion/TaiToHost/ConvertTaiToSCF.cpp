@@ -80,15 +80,8 @@ LogicalResult tai::lowerKernel(KernelOp kernel, ModuleLowering &lowering) {
     return failure();
   entry->getOperations().splice(entry->end(), body.getOperations());
 
-  auto ret = cast<ReturnOp>(entry->getTerminator());
-  builder.setInsertionPoint(ret);
-  emitResults(ret.getOperands(), ret.getLoc(), frame, builder, runtime);
-  SmallVector<Value> returned(ret.getOperands());
-  ret.erase();
-  for (Value value : returned)
-    if (auto parts = value.getDefiningOp<vector::FromElementsOp>())
-      if (parts->use_empty())
-        parts.erase();
+  Operation *ret = entry->getTerminator();
+  replaceReturn(ret, ret->getLoc(), frame, builder, runtime);
 
   SmallVector<LLVM::LLVMFuncOp> functions{function};
   SmallVector<ParallelForOp> loops;

@@ -220,15 +220,8 @@ LogicalResult tai::lowerHostFunction(func::FuncOp function,
   if (failed(replaceArguments(function, frame, builder, runtime)))
     return failure();
   entry->getOperations().splice(entry->end(), body.getOperations());
-  auto ret = cast<func::ReturnOp>(entry->getTerminator());
-  builder.setInsertionPoint(ret);
-  emitResults(ret.getOperands(), loc, frame, builder, runtime);
-  SmallVector<Value> returned(ret.getOperands());
-  ret.erase();
-  for (Value value : returned)
-    if (auto parts = value.getDefiningOp<vector::FromElementsOp>())
-      if (parts->use_empty())
-        parts.erase();
+  Operation *ret = entry->getTerminator();
+  replaceReturn(ret, loc, frame, builder, runtime);
 
   upgradeFormerChecks(host);
   SmallVector<Operation *> ops;

@@ -5,13 +5,13 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../../Transforms/Utils/Accumulate.h"
-#include "../../Transforms/Utils/IndexMath.h"
-#include "../../Transforms/Utils/LowerEach.h"
 #include "Lowering.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/PatternMatch.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
+#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/IndexMath.h"
+#include "tai/Transforms/Utils/LowerEach.h"
 
 using namespace mlir;
 using namespace mlir::tai;

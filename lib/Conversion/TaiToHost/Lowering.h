@@ -8,10 +8,10 @@
 #ifndef TAI_LIB_CONVERSION_TAITOHOST_LOWERING_H
 #define TAI_LIB_CONVERSION_TAITOHOST_LOWERING_H
 
-#include "../../Transforms/Utils/FieldAddress.h"
 #include "RuntimeCalls.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Transforms/Utils/FieldAddress.h"
 #include "llvm/ADT/MapVector.h"
 
 namespace mlir::tai {
@@ -70,15 +70,22 @@ using ArrayAddress =
     llvm::function_ref<Value(OpBuilder &builder, BlockArgument array,
                              Value address, ValueRange extents)>;
 
+/// Replaces the operands of ops in the region that are outside by what `get`
+/// makes of them.
+LogicalResult replaceOutside(Region &region,
+                             function_ref<bool(Value)> isOutside,
+                             function_ref<FailureOr<Value>(Value)> get);
+
 /// Loads arguments from the slots of the frame in place of the arguments of
 /// `function`, which are replaced; arrays are replaced use by use.
 LogicalResult replaceArguments(FunctionOpInterface function, Value frame,
                                OpBuilder &builder, RuntimeCalls &runtime,
                                ArrayAddress arrayAddress = nullptr);
 
-/// Stores returned values to the slots of the frame.
-void emitResults(ValueRange values, Location loc, Value frame,
-                 OpBuilder &builder, RuntimeCalls &runtime);
+/// Stores returned values to the slots of the frame, in the place of what ends
+/// the function, at which `builder` stands afterwards.
+void replaceReturn(Operation *ret, Location loc, Value frame,
+                   OpBuilder &builder, RuntimeCalls &runtime);
 
 /// Each lowers one op, or all ops of a kind in a function.
 LogicalResult lowerKernel(KernelOp kernel, ModuleLowering &lowering);

@@ -13,13 +13,13 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../../Transforms/Utils/IndexMath.h"
 #include "Accumulators.h"
 #include "Lowering.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "tai/ABI/SumModes.h"
 #include "tai/Analysis/Cost.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
+#include "tai/Transforms/Utils/IndexMath.h"
 
 using namespace mlir;
 using namespace mlir::tai;

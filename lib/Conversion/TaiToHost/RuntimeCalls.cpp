@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "RuntimeCalls.h"
-#include "../../Transforms/Utils/FieldAddress.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
+#include "tai/Transforms/Utils/FieldAddress.h"
 
 using namespace mlir;
 using namespace mlir::tai;

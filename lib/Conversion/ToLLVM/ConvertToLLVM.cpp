@@ -5,7 +5,6 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../../Transforms/Utils/Accumulate.h"
 #include "FloatOptions.h"
 #include "mlir/Conversion/ArithToLLVM/ArithToLLVM.h"
 #include "mlir/Conversion/ControlFlowToLLVM/ControlFlowToLLVM.h"
@@ -26,6 +25,7 @@
 #include "mlir/Dialect/Math/Transforms/Passes.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
+#include "tai/Transforms/Utils/Accumulate.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_CONVERTTOLLVM
@@ -60,6 +60,19 @@ void tai::setFloatOptions(Operation *root, bool fastMath, bool contract) {
   });
 }
 
+/// A float of the type, or a vector of it.
+static Value emitFloat(OpBuilder &builder, Location loc, Type type,
+                       const APFloat &value) {
+  TypedAttr attr = builder.getFloatAttr(getElementTypeOrSelf(type), value);
+  if (auto shaped = dyn_cast<ShapedType>(type))
+    attr = DenseElementsAttr::get(shaped, Attribute(attr));
+  return arith::ConstantOp::create(builder, loc, attr);
+}
+
+static const llvm::fltSemantics &getSemantics(Type type) {
+  return cast<FloatType>(getElementTypeOrSelf(type)).getFloatSemantics();
+}
+
 namespace {
 /// clampf %x to [%lo, %hi]  ->  minimumf (maximumf %x, %lo), %hi
 /// Upstream's expansion takes the bounds the wrong way round.
@@ -81,17 +94,12 @@ struct ExpandIsInf : OpRewritePattern<math::IsInfOp> {
   using OpRewritePattern::OpRewritePattern;
   LogicalResult matchAndRewrite(math::IsInfOp op,
                                 PatternRewriter &rewriter) const override {
-    Value operand = op.getOperand();
-    Type type = operand.getType();
-    auto element = cast<FloatType>(getElementTypeOrSelf(type));
-    TypedAttr infinity = rewriter.getFloatAttr(
-        element, APFloat::getInf(element.getFloatSemantics()));
-    if (auto shaped = dyn_cast<ShapedType>(type))
-      infinity = DenseElementsAttr::get(shaped, Attribute(infinity));
-    Value size = math::AbsFOp::create(rewriter, op.getLoc(), operand);
+    Location loc = op.getLoc();
+    Type type = op.getOperand().getType();
+    Value size = math::AbsFOp::create(rewriter, loc, op.getOperand());
     rewriter.replaceOpWithNewOp<arith::CmpFOp>(
         op, arith::CmpFPredicate::OEQ, size,
-        arith::ConstantOp::create(rewriter, op.getLoc(), infinity));
+        emitFloat(rewriter, loc, type, APFloat::getInf(getSemantics(type))));
     return success();
   }
 };
@@ -103,14 +111,10 @@ struct ExpandIsNormal : OpRewritePattern<math::IsNormalOp> {
                                 PatternRewriter &rewriter) const override {
     Location loc = op.getLoc();
     Type type = op.getOperand().getType();
-    auto element = cast<FloatType>(getElementTypeOrSelf(type));
-    auto constant = [&](const APFloat &value) -> Value {
-      TypedAttr attr = rewriter.getFloatAttr(element, value);
-      if (auto shaped = dyn_cast<ShapedType>(type))
-        attr = DenseElementsAttr::get(shaped, Attribute(attr));
-      return arith::ConstantOp::create(rewriter, loc, attr);
+    auto constant = [&](const APFloat &value) {
+      return emitFloat(rewriter, loc, type, value);
     };
-    const llvm::fltSemantics &semantics = element.getFloatSemantics();
+    const llvm::fltSemantics &semantics = getSemantics(type);
     Value size = math::AbsFOp::create(rewriter, loc, op.getOperand());
     Value isLarge = arith::CmpFOp::create(
         rewriter, loc, arith::CmpFPredicate::OGE, size,
@@ -142,15 +146,8 @@ struct CastFloat : OpConversionPattern<FromT> {
 };
 } // namespace
 
-void tai::populateFloatCasts(const LLVMTypeConverter &converter,
-                             RewritePatternSet &patterns) {
-  // Before those of upstream.
-  patterns.add<CastFloat<arith::FPToSIOp, LLVM::FPToSIOp>,
-               CastFloat<arith::FPToUIOp, LLVM::FPToUIOp>>(
-      converter, patterns.getContext(), /*benefit=*/2);
-}
-
-void tai::populateExpansionFixes(RewritePatternSet &patterns) {
+/// Expansions for which upstream has none, or a wrong one.
+static void populateExpansionFixes(RewritePatternSet &patterns) {
   // LLVM 22 crashes when it vectorises a loop with the intrinsic for sine and
   // cosine together; it finds the pair by itself.
   math::populateExpansionPatterns(patterns, {"sincos"});
@@ -161,6 +158,22 @@ void tai::populateExpansionFixes(RewritePatternSet &patterns) {
            pattern->getBenefit() == 1;
   });
   patterns.add<ExpandClamp, ExpandIsInf, ExpandIsNormal>(patterns.getContext());
+}
+
+void tai::populateSharedToLLVM(const LLVMTypeConverter &converter,
+                               RewritePatternSet &patterns) {
+  populateSCFToControlFlowConversionPatterns(patterns);
+  arith::populateCeilFloorDivExpandOpsPatterns(patterns);
+  arith::populateArithToLLVMConversionPatterns(converter, patterns);
+  cf::populateControlFlowToLLVMConversionPatterns(converter, patterns);
+  ub::populateUBToLLVMConversionPatterns(converter, patterns);
+  populateMathToLLVMConversionPatterns(converter, patterns,
+                                       /*approximateLog1p=*/false);
+  populateExpansionFixes(patterns);
+  // Before those of upstream.
+  patterns.add<CastFloat<arith::FPToSIOp, LLVM::FPToSIOp>,
+               CastFloat<arith::FPToUIOp, LLVM::FPToUIOp>>(
+      converter, patterns.getContext(), /*benefit=*/2);
 }
 
 namespace {
@@ -180,15 +193,7 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
 
     LLVMTypeConverter converter(context);
     RewritePatternSet patterns(context);
-    populateSCFToControlFlowConversionPatterns(patterns);
-    arith::populateCeilFloorDivExpandOpsPatterns(patterns);
-    arith::populateArithToLLVMConversionPatterns(converter, patterns);
-    cf::populateControlFlowToLLVMConversionPatterns(converter, patterns);
-    ub::populateUBToLLVMConversionPatterns(converter, patterns);
-    populateMathToLLVMConversionPatterns(converter, patterns,
-                                         /*approximateLog1p=*/false);
-    populateExpansionFixes(patterns);
-    populateFloatCasts(converter, patterns);
+    populateSharedToLLVM(converter, patterns);
     // In f32, polynomials that are right to some units in the last place: they
     // vectorise, which calls of libm do not.
     if (fastMath)

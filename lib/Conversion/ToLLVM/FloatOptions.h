@@ -21,13 +21,12 @@ namespace mlir::tai {
 /// yet.
 void setFloatOptions(Operation *root, bool fastMath, bool contract);
 
-/// Adds the expansions of operations for which upstream has none, or a wrong
-/// one.
-void populateExpansionFixes(RewritePatternSet &patterns);
-
-/// Adds casts of floats to integers that yield one number, whatever the float.
-void populateFloatCasts(const LLVMTypeConverter &converter,
-                        RewritePatternSet &patterns);
+/// Adds what hosts and devices share: upstream's conversions of control flow
+/// and arithmetic, the expansions of operations for which upstream has none, or
+/// a wrong one, and casts of floats to integers that yield one number, whatever
+/// the float.
+void populateSharedToLLVM(const LLVMTypeConverter &converter,
+                          RewritePatternSet &patterns);
 
 /// Adds expansions of the exponential, the logarithm and the hyperbolic tangent
 /// of f32 to arithmetic in f64, which vectorises.

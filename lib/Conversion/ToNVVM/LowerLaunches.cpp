@@ -5,12 +5,12 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../../Transforms/Utils/IndexMath.h"
-#include "../../Transforms/Utils/LowerEach.h"
 #include "../TaiToHost/RuntimeCalls.h"
 #include "mlir/Dialect/GPU/IR/GPUDialect.h"
 #include "mlir/IR/PatternMatch.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Transforms/Utils/IndexMath.h"
+#include "tai/Transforms/Utils/LowerEach.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_LOWERLAUNCHES

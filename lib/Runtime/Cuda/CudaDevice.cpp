@@ -394,10 +394,6 @@ static int64_t bytesOf(const DeviceRows &rows) {
   return rows.rowBytes * rows.rows * rows.outer;
 }
 
-static bool isDense(const DeviceRows &rows) {
-  return rows.rows == 1 && rows.outer == 1;
-}
-
 /// By the driver, unless its pattern is too long. That takes a microsecond,
 /// however small the fill is.
 Status CudaDevice::fill(DevicePtr to, const void *pattern, int patternBytes,

@@ -251,9 +251,9 @@ Status DeviceQueue::flush(bool isWhole) {
   RecordedLaunches::Outcome outcome;
   if (!isWhole || sequence.steps.size() < fewest ||
       mode == ProgramMode::Launches || oneByOne) {
-    status = before.run(*device);
+    status = StepRunner::runAlone(*device, before);
     if (status)
-      status = sequence.run(*device);
+      status = StepRunner::runAlone(*device, sequence);
   } else {
     bool same = false;
     Program *program = findProgram(std::move(sequence), same);

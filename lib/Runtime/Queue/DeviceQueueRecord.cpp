@@ -194,7 +194,7 @@ bool DeviceQueue::keep(Function &function, const LaunchShape &shape,
 Status DeviceQueue::runLead() {
   Sequence before = std::move(*lead);
   *lead = Sequence();
-  return before.run(*device);
+  return StepRunner::runAlone(*device, before);
 }
 
 //===----------------------------------------------------------------------===//

@@ -14,7 +14,7 @@
 #ifndef TAI_LIB_RUNTIME_QUEUE_FILLRUN_H
 #define TAI_LIB_RUNTIME_QUEUE_FILLRUN_H
 
-#include "DeviceProgram.h"
+#include "tai/Runtime/Device/Device.h"
 
 namespace mlir::tai::runtime {
 
@@ -24,6 +24,12 @@ uint64_t repeatPattern(const void *pattern, int patternBytes);
 /// A fill of so many bytes or more is by itself: the driver and a kernel write
 /// them as fast as memory takes them, in more than ten microseconds on an H200.
 int64_t largeFillBytes();
+
+/// Whether the rows have nothing in between.
+bool isDense(const DeviceRows &rows);
+
+/// Whether the pattern consists of one byte again and again.
+bool isUniform(uint64_t pattern);
 
 /// Whether the two may change places.
 bool canChangePlaces(const DeviceFill &a, const DeviceFill &b);
@@ -40,23 +46,6 @@ public:
 
 private:
   std::vector<DeviceFill> fills;
-};
-
-/// Queues steps one after another, and fills that follow one another together.
-class DeviceQueue::StepRunner {
-public:
-  explicit StepRunner(Device &device) : device(device) {}
-  Status run(const Sequence &sequence, const Step &step);
-  Status runAll(const Sequence &sequence);
-  /// Runs what has been held back: before anything else is queued.
-  Status finish();
-  /// How many pieces of work that has been.
-  size_t numPieces() const { return pieces; }
-
-private:
-  Device &device;
-  FillRun fills;
-  size_t pieces = 0;
 };
 
 } // namespace mlir::tai::runtime

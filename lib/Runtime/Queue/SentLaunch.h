@@ -1,4 +1,4 @@
-//===- SentLaunch.h - What launches that come again share ----- -*- C++ -*-===//
+//===- SentLaunch.h - What launches that come again share -------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

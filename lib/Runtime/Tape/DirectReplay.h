@@ -1,5 +1,4 @@
-//===- DirectReplay.h - Sequences that need nothing between launches *- C++
-//-*-===//
+//===- DirectReplay.h - Launches with nothing between -----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -12,8 +12,6 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Utils/Accumulation.h"
-#include "../Utils/OrderedAdditions.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
@@ -22,6 +20,8 @@
 #include "tai/Analysis/Cost.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Transforms/Passes.h"
+#include "tai/Transforms/Utils/Accumulation.h"
+#include "tai/Transforms/Utils/OrderedAdditions.h"
 #include "llvm/ADT/TypeSwitch.h"
 
 namespace mlir::tai {

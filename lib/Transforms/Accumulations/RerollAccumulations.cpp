@@ -30,9 +30,6 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Utils/Accumulation.h"
-#include "../Utils/FieldAddress.h"
-#include "../Utils/IndexMath.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
@@ -42,6 +39,9 @@
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Transforms/Passes.h"
+#include "tai/Transforms/Utils/Accumulation.h"
+#include "tai/Transforms/Utils/FieldAddress.h"
+#include "tai/Transforms/Utils/IndexMath.h"
 #include "llvm/ADT/EquivalenceClasses.h"
 #include <map>
 

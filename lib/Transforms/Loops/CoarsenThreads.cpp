@@ -29,9 +29,6 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Utils/Accumulation.h"
-#include "../Utils/FieldAddress.h"
-#include "../Utils/IndexMath.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/IRMapping.h"
@@ -40,6 +37,9 @@
 #include "tai/Analysis/IndexShift.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Transforms/Passes.h"
+#include "tai/Transforms/Utils/Accumulation.h"
+#include "tai/Transforms/Utils/FieldAddress.h"
+#include "tai/Transforms/Utils/IndexMath.h"
 #include "llvm/ADT/TypeSwitch.h"
 
 namespace mlir::tai {

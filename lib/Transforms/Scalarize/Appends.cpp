@@ -10,11 +10,11 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Utils/Accumulate.h"
-#include "../Utils/IndexMath.h"
 #include "Scalarizer.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
+#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/IndexMath.h"
 
 using namespace mlir;
 using namespace mlir::tai;

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Accumulation.h"
+#include "tai/Transforms/Utils/Accumulation.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Cost.h"

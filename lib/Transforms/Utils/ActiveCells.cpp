@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "ActiveCells.h"
-#include "Accumulate.h"
+#include "tai/Transforms/Utils/ActiveCells.h"
+#include "tai/Transforms/Utils/Accumulate.h"
 
 using namespace mlir;
 using namespace mlir::tai;

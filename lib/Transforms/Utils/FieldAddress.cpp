@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "FieldAddress.h"
-#include "IndexMath.h"
+#include "tai/Transforms/Utils/FieldAddress.h"
 #include "mlir/IR/Matchers.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
+#include "tai/Transforms/Utils/IndexMath.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -428,17 +428,22 @@ Value tai::emitNearPointer(OpBuilder &builder, Location loc,
   return address;
 }
 
+/// Marks a load or a store.
+template <typename Op> static void addScopes(Op access, AliasScopes scopes) {
+  access.setAliasScopesAttr(scopes.own);
+  access.setNoaliasScopesAttr(scopes.others);
+  access.setAccessGroupsAttr(scopes.groups);
+  if (scopes.alignment)
+    access.setAlignment(scopes.alignment);
+  if (scopes.digits)
+    access->setAttr(kDigitsAttrName, scopes.digits);
+}
+
 Value tai::emitLoad(OpBuilder &builder, Location loc, Type scalar,
                     Value pointer, AliasScopes scopes) {
   Type storage = getStorageType(scalar);
   auto load = LLVM::LoadOp::create(builder, loc, storage, pointer);
-  load.setAliasScopesAttr(scopes.own);
-  load.setNoaliasScopesAttr(scopes.others);
-  load.setAccessGroupsAttr(scopes.groups);
-  if (scopes.alignment)
-    load.setAlignment(scopes.alignment);
-  if (scopes.digits)
-    load->setAttr(kDigitsAttrName, scopes.digits);
+  addScopes(load, scopes);
   if (scalar.isInteger(1))
     return arith::TruncIOp::create(builder, loc, scalar, load);
   if (scalar.isIndex())
@@ -454,11 +459,5 @@ void tai::emitStore(OpBuilder &builder, Location loc, Value value,
   else if (value.getType().isIndex())
     value = arith::IndexCastOp::create(builder, loc, storage, value);
   auto store = LLVM::StoreOp::create(builder, loc, value, pointer);
-  store.setAliasScopesAttr(scopes.own);
-  store.setNoaliasScopesAttr(scopes.others);
-  store.setAccessGroupsAttr(scopes.groups);
-  if (scopes.alignment)
-    store.setAlignment(scopes.alignment);
-  if (scopes.digits)
-    store->setAttr(kDigitsAttrName, scopes.digits);
+  addScopes(store, scopes);
 }

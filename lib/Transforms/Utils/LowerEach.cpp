@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "LowerEach.h"
+#include "tai/Transforms/Utils/LowerEach.h"
 #include "mlir/Rewrite/PatternApplicator.h"
 
 using namespace mlir;

@@ -5,12 +5,12 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "OrderedAdditions.h"
-#include "Accumulation.h"
+#include "tai/Transforms/Utils/OrderedAdditions.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Analysis/Accesses.h"
+#include "tai/Transforms/Utils/Accumulation.h"
 
 using namespace mlir;
 using namespace mlir::tai;

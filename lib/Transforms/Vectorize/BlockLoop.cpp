@@ -6,11 +6,11 @@
 //===----------------------------------------------------------------------===//
 
 #include "BlockLoop.h"
-#include "../Utils/Accumulate.h"
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Matchers.h"
 #include "tai/Analysis/IndexShift.h"
+#include "tai/Transforms/Utils/Accumulate.h"
 
 using namespace mlir;
 using namespace mlir::tai;

@@ -1,5 +1,4 @@
-//===- BlockLoop.h - What a loop over blocks does -----------------*- C++
-//-*-===//
+//===- BlockLoop.h - What a loop over blocks does ---------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -16,8 +15,8 @@
 #ifndef TAI_LIB_TRANSFORMS_VECTORIZE_BLOCKLOOP_H
 #define TAI_LIB_TRANSFORMS_VECTORIZE_BLOCKLOOP_H
 
-#include "../Utils/FieldAddress.h"
 #include "mlir/IR/IRMapping.h"
+#include "tai/Transforms/Utils/FieldAddress.h"
 #include "llvm/ADT/MapVector.h"
 
 namespace mlir::tai {

@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "RowBuilder.h"
-#include "../Utils/Accumulate.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/Transforms/Utils/Accumulate.h"
 
 using namespace mlir;
 using namespace mlir::tai;

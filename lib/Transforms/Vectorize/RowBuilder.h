@@ -1,5 +1,4 @@
-//===- RowBuilder.h - Vector code for the rows of a block ---------*- C++
-//-*-===//
+//===- RowBuilder.h - Vector code for the rows of a block -------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -15,8 +14,8 @@
 #ifndef TAI_LIB_TRANSFORMS_VECTORIZE_ROWBUILDER_H
 #define TAI_LIB_TRANSFORMS_VECTORIZE_ROWBUILDER_H
 
-#include "../Utils/IndexMath.h"
 #include "BlockLoop.h"
+#include "tai/Transforms/Utils/IndexMath.h"
 #include <map>
 
 namespace mlir::tai {

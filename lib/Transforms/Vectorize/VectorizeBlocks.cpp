@@ -14,7 +14,6 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../Utils/ActiveCells.h"
 #include "RowBuilder.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
@@ -22,6 +21,7 @@
 #include "tai/Analysis/SkipScope.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Transforms/Passes.h"
+#include "tai/Transforms/Utils/ActiveCells.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_VECTORIZEBLOCKS

@@ -5,8 +5,9 @@ from __future__ import annotations
 import base64
 import html
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from .lab import Result
 
@@ -40,20 +41,29 @@ def _markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str
     return "\n".join(lines)
 
 
+def _pieces(rows: Sequence[Row]) -> Iterator[Sequence[Any]]:
+    """What follows the head of a page, in order: the kind of a piece, and what is in it."""
+    yield ("table", *_summary(rows))
+    for _, where, title, result in rows:
+        yield ("experiment", title, where)
+        if result.status != "ok":
+            yield ("failure", verdict(result))
+        yield from result.blocks
+
+
+def _markdown(kind: str, *content: Any) -> str:
+    if kind == "table":
+        return _markdown_table(*content)
+    if kind == "experiment":
+        return f"## {content[0]}\n\n*In the paper: {content[1]}.*"
+    if kind == "failure":
+        return f"**{content[0]}**"
+    return f"![{content[1]}]({content[0]})" if kind == "picture" else content[0]
+
+
 def markdown(head: Sequence[str], rows: Sequence[Row]) -> str:
     """The page for a reader of the repository."""
-    parts = ["# The paper's experiments", *head, _markdown_table(*_summary(rows))]
-    for _, where, title, result in rows:
-        parts.append(f"## {title}\n\n*In the paper: {where}.*")
-        if result.status != "ok":
-            parts.append(f"**{verdict(result)}**")
-        for kind, *content in result.blocks:
-            if kind == "table":
-                parts.append(_markdown_table(*content))
-            elif kind == "picture":
-                parts.append(f"![{content[1]}]({content[0]})")
-            else:
-                parts.append(content[0])
+    parts = ["# The paper's experiments", *head, *(_markdown(*piece) for piece in _pieces(rows))]
     return "\n\n".join(parts) + "\n"
 
 
@@ -68,22 +78,24 @@ def _html_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return f"<table>{line(header, 'th')}{''.join(line(row, 'td') for row in rows)}</table>"
 
 
+def _html(folder: Path, kind: str, *content: Any) -> str:
+    if kind == "table":
+        return _html_table(*content)
+    if kind == "experiment":
+        title, where = map(_inline, content)
+        return f"<h2>{title}</h2><p><i>In the paper: {where}.</i></p>"
+    if kind == "failure":
+        return f"<p><b>{_inline(content[0])}</b></p>"
+    if kind == "picture":
+        data = base64.b64encode((folder / content[0]).read_bytes()).decode()
+        caption = f"<figcaption>{_inline(content[1])}</figcaption>"
+        return f'<figure><img src="data:image/png;base64,{data}">{caption}</figure>'
+    return f"<p>{_inline(content[0])}</p>"
+
+
 def hypertext(head: Sequence[str], rows: Sequence[Row], folder: Path) -> str:
     """The page as one file, with its pictures in it."""
     parts = ["<h1>The paper's experiments</h1>", *(f"<p>{_inline(text)}</p>" for text in head)]
-    parts.append(_html_table(*_summary(rows)))
-    for _, where, title, result in rows:
-        parts.append(f"<h2>{_inline(title)}</h2><p><i>In the paper: {_inline(where)}.</i></p>")
-        if result.status != "ok":
-            parts.append(f"<p><b>{_inline(verdict(result))}</b></p>")
-        for kind, *content in result.blocks:
-            if kind == "table":
-                parts.append(_html_table(*content))
-            elif kind == "picture":
-                data = base64.b64encode((folder / content[0]).read_bytes()).decode()
-                caption = f"<figcaption>{_inline(content[1])}</figcaption>"
-                parts.append(f'<figure><img src="data:image/png;base64,{data}">{caption}</figure>')
-            else:
-                parts.append(f"<p>{_inline(content[0])}</p>")
+    parts += [_html(folder, *piece) for piece in _pieces(rows)]
     title = "<title>The paper's experiments</title>"
     return f'<!doctype html><meta charset="utf-8">{title}<style>{STYLE}</style>' + "\n".join(parts)

@@ -53,3 +53,9 @@ def test_a_room_without_an_entry_is_named():
 def test_a_circle_in_the_table_has_no_order():
     assert rooms.order(TABLE) == ["Low", "Middle", "High"]
     assert rooms.order({"A": "B", "B": "A"}) is None
+
+
+def test_a_file_that_the_page_names_must_be_there():
+    assert rooms.check_paths("`lib/AD/Rules/ScalarRules.cpp`, `Sparse.cpp`, `loops.py`") == []
+    (problem,) = rooms.check_paths("how: `lib/AD/Rules/NoRules.cpp`")
+    assert "no file 'lib/AD/Rules/NoRules.cpp'" in problem

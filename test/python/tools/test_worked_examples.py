@@ -1,8 +1,10 @@
 """What docs/developing.md says one more of each takes, as changes that apply to the tree."""
 
 import json
+import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -47,6 +49,79 @@ def test_no_list_of_sources_and_tests_names_a_pass():
     """As the example of a pass says: they are found by their folders."""
     for name in ("lib/Transforms/CMakeLists.txt", "test/CMakeLists.txt", "test/lit.cfg.py"):
         assert "latten" not in (ROOT / name).read_text()
+
+
+def changed_files(title: str, folder: Path) -> list[Path]:
+    """Makes the files that the change of an example leaves, in a folder; their places."""
+    change = EXAMPLES[title][1]
+    names = [Path(name) for name in re.findall(r"^\+\+\+ b/(.*)$", change, re.M)]
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        if (ROOT / name).exists():
+            shutil.copy(ROOT / name, folder / name)
+    subprocess.run(
+        ["git", "apply", "-C1", "-"], cwd=folder, input=change, text=True, check=True,
+        env={**os.environ, "GIT_CEILING_DIRECTORIES": str(folder.parent)},
+    )  # fmt: skip
+    return names
+
+
+def compile_changed(folder: Path, like: str, *how: str) -> None:
+    """Compiles as the build does with a source, but with what is changed in the folder first."""
+    words, place = compiler_of(ROOT / like)
+    at = next(at for at, word in enumerate(words) if word.startswith("-I"))
+    words[at:at] = [f"-I{folder / 'include'}", "-iquote", str((ROOT / like).parent)]
+    done = subprocess.run([*words, *how], cwd=place, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("title", "like"),
+    [
+        ("The derivative of a scalar op", "lib/AD/Rules/ScalarRules.cpp"),
+        ("A kind of layout level", "lib/AD/Rules/ScalarRules.cpp"),
+        ("An entry point of the runtime", "lib/Runtime/Launch/Abi.cpp"),
+    ],
+)
+def test_the_changed_sources_compile(title, like, tmp_path):
+    names = changed_files(title, tmp_path)
+    [source] = [name for name in names if name.suffix == ".cpp"]
+    compile_changed(tmp_path, like, "-fsyntax-only", str(tmp_path / source))
+
+
+PLUGIN = """
+#include "tai/Transforms/Passes.h"
+#include "mlir/Tools/Plugins/PassPlugin.h"
+extern "C" mlir::PassPluginLibraryInfo mlirGetPassPluginInfo() {
+  return {MLIR_PLUGIN_API_VERSION, "Example", "1", mlir::tai::registerDropPrints};
+}
+"""
+
+
+def test_the_pass_runs_and_its_test_passes(tmp_path):
+    """Its definition makes the declarations of the room, and its source a plugin."""
+    table, source, test = changed_files("A pass", tmp_path)
+    words, _ = compiler_of(ROOT / "lib/Transforms/Launches/SummarizeKernels.cpp")
+    upstream = Path(words[words.index("-isystem") + 1])
+    declarations = (tmp_path / table).with_name("Passes.h.inc")
+    subprocess.run(
+        [upstream.parent / "bin/mlir-tblgen", "-gen-pass-decls", "-name", "TaiTransforms",
+         f"-I{ROOT / 'include'}", f"-I{upstream}", tmp_path / table, "-o", declarations],
+        check=True,
+    )  # fmt: skip
+    plugin = tmp_path / "Plugin.cpp"
+    plugin.write_text(PLUGIN)
+    library = tmp_path / "Example.so"
+    compile_changed(tmp_path, "lib/Transforms/Launches/SummarizeKernels.cpp", "-shared",
+                    "-o", str(library), str(tmp_path / source), str(plugin))  # fmt: skip
+    [line] = re.findall(r"^// RUN: (.*)$", (tmp_path / test).read_text(), re.M)
+    load = f"{ROOT / 'build/bin/tai-opt'} --load-pass-plugin={library}"
+    # Passes of a plugin are known to pipelines, and come too late for options of their own.
+    line = re.sub(r"--(tai-[a-z-]+)", r"--pass-pipeline='builtin.module(\1)'", line)
+    command = line.replace("tai-opt", load).replace("%s", str(tmp_path / test))
+    command = command.replace("FileCheck", f"{upstream.parent / 'bin/FileCheck'}")
+    done = subprocess.run(["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 def changed_options() -> str:

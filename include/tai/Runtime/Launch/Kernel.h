@@ -14,6 +14,7 @@
 #define TAI_RUNTIME_LAUNCH_KERNEL_H
 
 #include "tai/ABI/Abi.h"
+#include "tai/ABI/LaunchAccesses.h"
 #include "tai/Runtime/Launch/KernelProvider.h"
 #include "tai/Runtime/Launch/LoopTimes.h"
 #include "tai/Runtime/Sparse/LoopLists.h"
@@ -31,49 +32,6 @@ struct CheckedKernel;
 struct DeviceCode;
 struct DeviceImage;
 using KernelPtr = std::shared_ptr<Kernel>;
-
-enum class AccessKind : uint8_t { Read, Write, Accumulate };
-
-/// An index that is the same in all iterations of a launch: a constant plus
-/// multiples of integer arguments.
-struct FixedIndex {
-  struct Term {
-    int64_t slot; // of the argument
-    unsigned bits;
-    int64_t factor;
-
-    bool operator==(const Term &other) const {
-      return slot == other.slot && bits == other.bits && factor == other.factor;
-    }
-  };
-  int64_t dimension;
-  int64_t constant;
-  std::vector<Term> terms;
-
-  int64_t evaluate(const uint64_t *args) const {
-    // Wraps where the arguments do.
-    uint64_t sum = static_cast<uint64_t>(constant);
-    for (const Term &term : terms) {
-      unsigned unused = 64 - term.bits;
-      auto value = static_cast<int64_t>(args[term.slot] << unused) >> unused;
-      sum += static_cast<uint64_t>(value) * static_cast<uint64_t>(term.factor);
-    }
-    return static_cast<int64_t>(sum);
-  }
-  bool operator==(const FixedIndex &other) const {
-    return dimension == other.dimension && constant == other.constant &&
-           terms == other.terms;
-  }
-};
-
-/// Elements that a launch stores, every one of them: those from one index up to
-/// another along each dimension, if none of `loops` is empty.
-struct StoredBox {
-  struct Range {
-    FixedIndex lower, upper;
-  };
-  std::vector<Range> ranges, loops;
-};
 
 /// One line of a summary.
 struct Access {

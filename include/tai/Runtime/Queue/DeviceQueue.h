@@ -243,7 +243,15 @@ private:
   struct Module;
   struct Step;
   struct Sequence;
+  // The parts of programs, each with a header beside its source.
   class StepRunner;
+  class StepSchedules;
+  class GraphOrder;
+  class OverlappingKernels;
+  class Way;
+  class GraphWay;
+  class KernelWay;
+  class PrefixedGraphs;
   class Program;
 
   /// Queues what has been collected; what is whole may become a program.

@@ -8,7 +8,14 @@ from typing import Any
 
 from ..ad.mode import forward_mode
 from . import recorded
-from .krylov import Progress, System, bi_conjugate_gradients, conjugate_gradients, norm_of
+from .krylov import (
+    Progress,
+    System,
+    bi_conjugate_gradients,
+    conjugate_gradients,
+    norm_of,
+    stationary,
+)
 from .operators import Operator, check_unknown, scratch
 from .report import Caller, SolveInfo
 from .vectors import get_kernels
@@ -72,10 +79,9 @@ def implicit(
         return Progress(caller.limit, change, "iterations")
 
     def solve_adjoint(g: Any, adjoint: Any) -> Progress:
-        method = functools.partial(_repeat, operator)
         system = System(functools.partial(_one_minus, operator), g, adjoint, caller.tolerance,
                         caller.limit)  # fmt: skip
-        return system.solve(method)
+        return system.solve(stationary(_add_residual))
 
     return recorded.run(caller, operator, solve, solve_adjoint, 1.0)
 
@@ -86,17 +92,9 @@ def _one_minus(operator: Operator, v: Any, result: Any) -> None:
     get_kernels().subtract(result, v, result, 1.0)
 
 
-def _repeat(operator: Operator, system: System, residual: float, limit: int) -> Progress:
-    """λ = (∂f/∂x)ᵀ λ + g, which adds the residual to λ."""
-    first = residual
-    for step in range(1, limit + 1):
-        system.kernels.add(system.x, system.r, 1.0)
-        residual = system.compute_residual()
-        if residual <= system.tolerance:
-            return Progress(step, residual, "")
-        if not residual < 1e6 * max(first, 1.0):
-            return Progress(step, residual, "diverges")
-    return Progress(limit, residual, "")
+def _add_residual(system: System) -> None:
+    """λ = (∂f/∂x)ᵀ λ + g"""
+    system.kernels.add(system.x, system.r, 1.0)
 
 
 def newton(

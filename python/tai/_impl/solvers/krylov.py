@@ -163,11 +163,16 @@ def bi_conjugate_gradients(system: System, residual: float, limit: int) -> Progr
 
 def jacobi_sweeps(diagonal: Any, damping: float) -> Callable[[System, float, int], Progress]:
     """x += damping (b - A x) / diagonal, for A whose diagonal outweighs the rest."""
+    return stationary(lambda system: system.kernels.sweep(system.x, system.r, diagonal, damping))
+
+
+def stationary(sweep: Callable[[System], None]) -> Callable[[System, float, int], Progress]:
+    """A stationary iteration: the sweep again and again, until it converges or diverges."""
 
     def method(system: System, residual: float, limit: int) -> Progress:
         first = residual
         for step in range(1, limit + 1):
-            system.kernels.sweep(system.x, system.r, diagonal, damping)
+            sweep(system)
             residual = system.compute_residual()
             if residual <= system.tolerance:
                 return Progress(step, residual, "")

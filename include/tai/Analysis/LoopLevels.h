@@ -10,20 +10,19 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_EXECUTIONENGINE_LOOPLEVELS_H
-#define TAI_EXECUTIONENGINE_LOOPLEVELS_H
+#ifndef TAI_ANALYSIS_LOOPLEVELS_H
+#define TAI_ANALYSIS_LOOPLEVELS_H
 
-#include "mlir/IR/BuiltinOps.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
 #include <cstdint>
 #include <vector>
 
 namespace mlir::tai {
 
-/// Of the kernel whose entry point is `symbol`: pairs of a tree, by its
-/// position in the module, and the number of a level in it. Empty where the
-/// kernel does anything else too.
-std::vector<int64_t> findLoopLevels(ModuleOp module, StringRef symbol);
+/// Pairs of a tree, by its position in the module of the kernel, and the number
+/// of a level in it. Empty where the kernel does anything else too.
+std::vector<int64_t> findLoopLevels(KernelOp kernel);
 
 } // namespace mlir::tai
 
-#endif // TAI_EXECUTIONENGINE_LOOPLEVELS_H
+#endif // TAI_ANALYSIS_LOOPLEVELS_H

@@ -5,12 +5,21 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_EXECUTIONENGINE_ZEROADJOINTS_H
-#define TAI_LIB_EXECUTIONENGINE_ZEROADJOINTS_H
+#ifndef TAI_ANALYSIS_ZEROADJOINTS_H
+#define TAI_ANALYSIS_ZEROADJOINTS_H
 
-#include "tai/ExecutionEngine/ToBeRecorded.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
 
 namespace mlir::tai {
+
+/// A loop of an adjoint over a sparse field: what it does in a cell in which
+/// these fields are zero changes nothing. Without any, it may.
+struct LoopFlags {
+  std::string field;
+  std::vector<std::string> sources;
+  /// It adds to elements that lie below no sparse level.
+  bool sumsUp = false;
+};
 
 /// What the loops of an adjoint over sparse fields do where adjoints are zero;
 /// see docs/decisions/0007-adjoint-flags.md.
@@ -18,4 +27,4 @@ std::vector<LoopFlags> findLoopFlags(KernelOp primal, KernelOp adjoint);
 
 } // namespace mlir::tai
 
-#endif // TAI_LIB_EXECUTIONENGINE_ZEROADJOINTS_H
+#endif // TAI_ANALYSIS_ZEROADJOINTS_H

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_EXECUTIONENGINE_SPARSELOOPS_H
-#define TAI_LIB_EXECUTIONENGINE_SPARSELOOPS_H
+#ifndef TAI_LIB_ANALYSIS_SPARSELOOPS_H
+#define TAI_LIB_ANALYSIS_SPARSELOOPS_H
 
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
@@ -28,4 +28,4 @@ inline std::optional<FieldLayout> getSparseLayout(ParallelForOp loop) {
 
 } // namespace mlir::tai
 
-#endif // TAI_LIB_EXECUTIONENGINE_SPARSELOOPS_H
+#endif // TAI_LIB_ANALYSIS_SPARSELOOPS_H

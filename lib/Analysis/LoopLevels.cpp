@@ -5,10 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/ExecutionEngine/LoopLevels.h"
+#include "tai/Analysis/LoopLevels.h"
 #include "SparseLoops.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
-#include "tai/Conversion/Passes.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -31,15 +30,11 @@ getListLevel(ParallelForOp loop, const DataLayout &dataLayout, TreeOp &tree) {
   return node;
 }
 
-std::vector<int64_t> mlir::tai::findLoopLevels(ModuleOp module,
-                                               StringRef symbol) {
-  KernelOp kernel;
-  for (KernelOp candidate : module.getOps<KernelOp>())
-    if (getEntryPointName(candidate.getSymName()) == symbol)
-      kernel = candidate;
-  if (!kernel || kernel->getNumRegions() != 1 ||
-      !kernel.getResultTypes().empty() || !kernel.getBody().hasOneBlock())
+std::vector<int64_t> mlir::tai::findLoopLevels(KernelOp kernel) {
+  if (kernel->getNumRegions() != 1 || !kernel.getResultTypes().empty() ||
+      !kernel.getBody().hasOneBlock())
     return {};
+  auto module = kernel->getParentOfType<ModuleOp>();
   auto trees = llvm::to_vector(module.getOps<TreeOp>());
   DataLayout dataLayout(module);
   std::vector<int64_t> levels;

@@ -10,8 +10,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_TRANSFORMS_UTILS_FIELDADDRESS_H
-#define TAI_LIB_TRANSFORMS_UTILS_FIELDADDRESS_H
+#ifndef TAI_TRANSFORMS_UTILS_FIELDADDRESS_H
+#define TAI_TRANSFORMS_UTILS_FIELDADDRESS_H
 
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/IR/Builders.h"
@@ -199,4 +199,4 @@ void emitStore(OpBuilder &builder, Location loc, Value value, Value pointer,
 
 } // namespace mlir::tai
 
-#endif // TAI_LIB_TRANSFORMS_UTILS_FIELDADDRESS_H
+#endif // TAI_TRANSFORMS_UTILS_FIELDADDRESS_H

@@ -11,8 +11,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_TRANSFORMS_UTILS_LOWEREACH_H
-#define TAI_LIB_TRANSFORMS_UTILS_LOWEREACH_H
+#ifndef TAI_TRANSFORMS_UTILS_LOWEREACH_H
+#define TAI_TRANSFORMS_UTILS_LOWEREACH_H
 
 #include "mlir/Rewrite/FrozenRewritePatternSet.h"
 
@@ -30,4 +30,4 @@ LogicalResult lowerAll(Operation *root, const FrozenRewritePatternSet &patterns,
 
 } // namespace mlir::tai
 
-#endif // TAI_LIB_TRANSFORMS_UTILS_LOWEREACH_H
+#endif // TAI_TRANSFORMS_UTILS_LOWEREACH_H

@@ -11,10 +11,10 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_TRANSFORMS_UTILS_ACCUMULATION_H
-#define TAI_LIB_TRANSFORMS_UTILS_ACCUMULATION_H
+#ifndef TAI_TRANSFORMS_UTILS_ACCUMULATION_H
+#define TAI_TRANSFORMS_UTILS_ACCUMULATION_H
 
-#include "Accumulate.h"
+#include "tai/Transforms/Utils/Accumulate.h"
 
 namespace mlir::tai {
 
@@ -70,4 +70,4 @@ AtomicKind getCombiningKind(AtomicKind kind);
 
 } // namespace mlir::tai
 
-#endif // TAI_LIB_TRANSFORMS_UTILS_ACCUMULATION_H
+#endif // TAI_TRANSFORMS_UTILS_ACCUMULATION_H

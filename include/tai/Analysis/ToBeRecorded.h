@@ -12,37 +12,13 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_EXECUTIONENGINE_TOBERECORDED_H
-#define TAI_EXECUTIONENGINE_TOBERECORDED_H
+#ifndef TAI_ANALYSIS_TOBERECORDED_H
+#define TAI_ANALYSIS_TOBERECORDED_H
 
-#include "tai/Dialect/Tai/IR/Tai.h"
-#include "tai/Runtime/Launch/Kernel.h"
+#include "tai/Analysis/LaunchAccesses.h"
+#include "tai/Analysis/ZeroAdjoints.h"
 
 namespace mlir::tai {
-
-/// A line of a summary, by the name of the field.
-struct NamedAccess {
-  std::string field;
-  runtime::AccessKind kind;
-  std::optional<runtime::FixedIndex> fixed;
-
-  bool operator==(const NamedAccess &other) const {
-    return field == other.field && kind == other.kind && fixed == other.fixed;
-  }
-};
-
-/// A loop of an adjoint over a sparse field: what it does in a cell in which
-/// these fields are zero changes nothing. Without any, it may.
-struct LoopFlags {
-  std::string field;
-  std::vector<std::string> sources;
-  /// It adds to elements that lie below no sparse level.
-  bool sumsUp = false;
-};
-
-/// What the ops under `root` do to fields; indices are told from the arguments
-/// of kernels.
-std::vector<NamedAccess> listAccesses(Operation *root);
 
 /// What must be in memory when an adjoint runs, and what it changes there.
 struct ToBeRecorded {
@@ -72,11 +48,6 @@ struct ToBeRecorded {
 /// Of the kernel of this name, in a module that has been differentiated.
 ToBeRecorded findToBeRecorded(ModuleOp module, StringRef name);
 
-/// The modules of the parts, each with its kernel, in the order in which they
-/// run.
-SmallVector<std::pair<std::string, OwningOpRef<ModuleOp>>>
-splitParts(ModuleOp parts);
-
 } // namespace mlir::tai
 
-#endif // TAI_EXECUTIONENGINE_TOBERECORDED_H
+#endif // TAI_ANALYSIS_TOBERECORDED_H

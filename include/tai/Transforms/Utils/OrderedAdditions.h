@@ -11,11 +11,11 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_TRANSFORMS_UTILS_ORDEREDADDITIONS_H
-#define TAI_LIB_TRANSFORMS_UTILS_ORDEREDADDITIONS_H
+#ifndef TAI_TRANSFORMS_UTILS_ORDEREDADDITIONS_H
+#define TAI_TRANSFORMS_UTILS_ORDEREDADDITIONS_H
 
-#include "FieldAddress.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Transforms/Utils/FieldAddress.h"
 
 namespace mlir::tai {
 
@@ -34,4 +34,4 @@ bool canOrderAdditions(ParallelForOp loop, FieldTable &fields);
 
 } // namespace mlir::tai
 
-#endif // TAI_LIB_TRANSFORMS_UTILS_ORDEREDADDITIONS_H
+#endif // TAI_TRANSFORMS_UTILS_ORDEREDADDITIONS_H

@@ -1,15 +1,14 @@
-//===- ActiveCells.h - Cells that are known to be active ----------*- C++
-//-*-===//
+//===- ActiveCells.h - Cells that are known to be active --------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_TRANSFORMS_UTILS_ACTIVECELLS_H
-#define TAI_LIB_TRANSFORMS_UTILS_ACTIVECELLS_H
+#ifndef TAI_TRANSFORMS_UTILS_ACTIVECELLS_H
+#define TAI_TRANSFORMS_UTILS_ACTIVECELLS_H
 
-#include "FieldAddress.h"
+#include "tai/Transforms/Utils/FieldAddress.h"
 
 namespace mlir::tai {
 
@@ -19,4 +18,4 @@ void markActive(ParallelForOp loop, FieldTable &fields);
 
 } // namespace mlir::tai
 
-#endif // TAI_LIB_TRANSFORMS_UTILS_ACTIVECELLS_H
+#endif // TAI_TRANSFORMS_UTILS_ACTIVECELLS_H

@@ -11,8 +11,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_TRANSFORMS_UTILS_INDEXMATH_H
-#define TAI_LIB_TRANSFORMS_UTILS_INDEXMATH_H
+#ifndef TAI_TRANSFORMS_UTILS_INDEXMATH_H
+#define TAI_TRANSFORMS_UTILS_INDEXMATH_H
 
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
@@ -130,4 +130,4 @@ private:
 
 } // namespace mlir::tai
 
-#endif // TAI_LIB_TRANSFORMS_UTILS_INDEXMATH_H
+#endif // TAI_TRANSFORMS_UTILS_INDEXMATH_H

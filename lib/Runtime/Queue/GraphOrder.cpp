@@ -1,37 +1,32 @@
-//===- DeviceProgramFills.cpp - Fills in graphs of launches ---------------===//
+//===- GraphOrder.cpp - In which order a graph does its steps -------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
-//
-// Which fills of a sequence a graph does before all launches, and which beside
-// the first of them: clears of gradients, say, beside all of the forward pass.
-//
-//===----------------------------------------------------------------------===//
 
+#include "GraphOrder.h"
 #include "FillRun.h"
 #include <algorithm>
 
 using namespace mlir::tai::runtime;
 
-/// The steps in their order, but fills as early as they can join others, or
-/// stand in front of all: between launches each would be waited for by itself.
-std::vector<uint32_t> DeviceQueue::Program::orderForGraph() const {
+DeviceQueue::GraphOrder::GraphOrder(const Sequence &sequence)
+    : sequence(sequence) {
   // So many steps are looked at.
   size_t left = 4096;
-  std::vector<uint32_t> order;
   order.reserve(sequence.steps.size());
   for (uint32_t i = 0; i < sequence.steps.size(); ++i) {
     const Step &step = sequence.steps[i];
     size_t place = order.size();
     if (step.isFill() && place > 0 && left > 0) {
-      StepMemory memory = memoryOf(step);
+      StepMemory memory = sequence.memoryOf(step);
       for (; place > 0 && left > 0; --place, --left) {
-        const Step &before = sequence.steps[order[place - 1]];
+        const Step &before = (*this)[place - 1];
         if (before.isFill())
           break;
-        if (getRelation(memoryOf(before), memory) != StepRelation::None) {
+        if (getRelation(sequence.memoryOf(before), memory) !=
+            StepRelation::None) {
           place = order.size();
           break;
         }
@@ -41,7 +36,6 @@ std::vector<uint32_t> DeviceQueue::Program::orderForGraph() const {
     }
     order.insert(order.begin() + static_cast<ptrdiff_t>(place), i);
   }
-  return order;
 }
 
 static int64_t bytesOf(const DeviceRows &rows) {
@@ -58,9 +52,8 @@ static StepMemory memoryOf(const DeviceRows &rows) {
   return memory;
 }
 
-/// Nothing where there is little to gain.
-bool DeviceQueue::Program::splitFront(const std::vector<uint32_t> &order,
-                                      FrontFills &front) const {
+std::optional<DeviceQueue::GraphOrder::FrontFills>
+DeviceQueue::GraphOrder::splitFront() const {
   // What waits for both breaks the chain of launches that overlap: as much as
   // some microseconds of filling. Large fills take all of the memory's time
   // wherever they are.
@@ -69,9 +62,9 @@ bool DeviceQueue::Program::splitFront(const std::vector<uint32_t> &order,
   constexpr int64_t mostGroups = 64;
   FillRun run;
   size_t count = 0;
-  for (; count < order.size() && sequence.steps[order[count]].isFill(); ++count)
-    if (!run.add(sequence.fillOf(sequence.steps[order[count]])))
-      return false;
+  for (; count < size() && (*this)[count].isFill(); ++count)
+    if (!run.add(sequence.fillOf((*this)[count])))
+      return std::nullopt;
   // Of the fills: what they touch, and which step does first.
   struct Fill {
     const DeviceFill *fill;
@@ -79,19 +72,18 @@ bool DeviceQueue::Program::splitFront(const std::vector<uint32_t> &order,
     size_t touched;
   };
   std::vector<Fill> fills;
-  front = FrontFills();
+  FrontFills front;
   for (const DeviceFill &fill : run.get())
     if (bytesOf(fill.rows) < largeFillBytes() && fill.rows.outer <= mostGroups)
-      fills.push_back({&fill, ::memoryOf(fill.rows), order.size()});
+      fills.push_back({&fill, memoryOf(fill.rows), size()});
     else
       front.first.push_back(fill);
   size_t left = fills.size();
-  for (size_t at = count; at < order.size() && left > 0; ++at) {
+  for (size_t at = count; at < size() && left > 0; ++at) {
     bool isFar = at - count >= mostSteps;
-    StepMemory memory =
-        isFar ? StepMemory() : memoryOf(sequence.steps[order[at]]);
+    StepMemory memory = isFar ? StepMemory() : sequence.memoryOf((*this)[at]);
     for (Fill &fill : fills)
-      if (fill.touched == order.size() &&
+      if (fill.touched == size() &&
           getRelation(memory, fill.memory) != StepRelation::None) {
         fill.touched = at;
         --left;
@@ -99,7 +91,7 @@ bool DeviceQueue::Program::splitFront(const std::vector<uint32_t> &order,
   }
   int64_t bytes = 0;
   front.count = count;
-  front.join = order.size();
+  front.join = size();
   for (const Fill &fill : fills)
     if (fill.touched - count < fewestLaunches) {
       front.first.push_back(*fill.fill);
@@ -108,5 +100,7 @@ bool DeviceQueue::Program::splitFront(const std::vector<uint32_t> &order,
       front.join = std::min(front.join, fill.touched);
       bytes += bytesOf(fill.fill->rows);
     }
-  return bytes >= fewestBytes;
+  if (bytes < fewestBytes)
+    return std::nullopt;
+  return front;
 }

@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_TRANSFORMS_UTILS_ACCUMULATE_H
-#define TAI_LIB_TRANSFORMS_UTILS_ACCUMULATE_H
+#ifndef TAI_TRANSFORMS_UTILS_ACCUMULATE_H
+#define TAI_TRANSFORMS_UTILS_ACCUMULATE_H
 
-#include "FieldAddress.h"
+#include "tai/Transforms/Utils/FieldAddress.h"
 
 namespace mlir::tai {
 
@@ -51,4 +51,4 @@ Value emitAtomicUpdate(OpBuilder &builder, Location loc, AtomicKind kind,
 
 } // namespace mlir::tai
 
-#endif // TAI_LIB_TRANSFORMS_UTILS_ACCUMULATE_H
+#endif // TAI_TRANSFORMS_UTILS_ACCUMULATE_H

@@ -5,11 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/ExecutionEngine/ToBeRecorded.h"
-#include "ZeroAdjoints.h"
+#include "tai/Analysis/ToBeRecorded.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/IR/SymbolTable.h"
-#include "tai/ExecutionEngine/Summaries.h"
+#include "tai/Analysis/ZeroAdjoints.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/Support/Endian.h"
@@ -149,35 +148,6 @@ ToBeRecorded mlir::tai::findToBeRecorded(ModuleOp module, StringRef name) {
         found.before.push_back(field.getValue().str());
   found.reexecutes = adjoint.getReexecutes();
   return found;
-}
-
-SmallVector<std::pair<std::string, OwningOpRef<ModuleOp>>>
-mlir::tai::splitParts(ModuleOp parts) {
-  SmallVector<std::pair<std::string, OwningOpRef<ModuleOp>>> result;
-  for (KernelOp part : parts.getOps<KernelOp>()) {
-    if (!part.getPartOf())
-      continue;
-    OwningOpRef<ModuleOp> module = parts.clone();
-    for (KernelOp other :
-         llvm::make_early_inc_range(module->getOps<KernelOp>()))
-      if (other.getSymName() != part.getSymName())
-        other.erase();
-    // Which form of its adjoint is wanted shows later.
-    auto copy = module->lookupSymbol<KernelOp>(part.getSymName());
-    copy.removeAdjointAttr();
-    copy.removePartOfAttr();
-    result.emplace_back(part.getSymName().str(), std::move(module));
-  }
-  // "k.10" comes after "k.9".
-  auto numberOf = [](StringRef name) {
-    unsigned number = 0;
-    (void)name.rsplit('.').second.getAsInteger(10, number);
-    return number;
-  };
-  llvm::sort(result, [&](const auto &a, const auto &b) {
-    return numberOf(a.first) < numberOf(b.first);
-  });
-  return result;
 }
 
 //===----------------------------------------------------------------------===//

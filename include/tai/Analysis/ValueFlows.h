@@ -1,0 +1,49 @@
+//===- ValueFlows.h - Which values depend on which loads --------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Follows floats from each read to each write, through ops that carry
+// derivatives, whether the storages have gradients or not.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_ANALYSIS_VALUEFLOWS_H
+#define TAI_ANALYSIS_VALUEFLOWS_H
+
+#include "mlir/Interfaces/FunctionInterfaces.h"
+#include "tai/Interfaces/Differentiable.h"
+#include "llvm/ADT/DenseMap.h"
+#include "llvm/ADT/SmallBitVector.h"
+
+namespace mlir::tai {
+
+class ValueFlows {
+public:
+  /// `arguments`: numbers whose dependences are followed besides.
+  ValueFlows(FunctionOpInterface function, ArrayRef<Value> arguments);
+
+  /// What values depend on, by number.
+  SmallVector<Storage> storages;
+  /// The accesses to floats.
+  SmallVector<DifferentiableAccessInterface> reads, writes;
+
+  /// The numbers of the storages that a value depends on.
+  const llvm::SmallBitVector &sourcesOf(Value value) { return sources[value]; }
+
+private:
+  unsigned number(Storage storage);
+  void add(Value to, const llvm::SmallBitVector &more);
+  void addOwn(Value to, Storage storage);
+  void pass(Value from, Value to);
+  void visit(Operation *op);
+
+  DenseMap<Value, llvm::SmallBitVector> sources;
+  bool grown = false;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_ANALYSIS_VALUEFLOWS_H

@@ -1,0 +1,304 @@
+//===- LaunchAccesses.cpp - What kernels do to memory ---------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Analysis/LaunchAccesses.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/IR/Matchers.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/LoopBox.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Slots of a value of the type; see Abi.h.
+static int64_t countSlots(Type type) {
+  if (auto vector = dyn_cast<VectorType>(type))
+    return vector.getNumElements();
+  if (auto memref = dyn_cast<MemRefType>(type))
+    return 1 + memref.getRank();
+  return 1;
+}
+
+int64_t mlir::tai::countSlots(TypeRange types) {
+  int64_t slots = 0;
+  for (Type type : types)
+    slots += ::countSlots(type);
+  return slots;
+}
+
+/// The arguments of kernels that are whole numbers, and their slots.
+static DenseMap<Value, int64_t> findIntegerArguments(ModuleOp module) {
+  DenseMap<Value, int64_t> slots;
+  for (KernelOp kernel : module.getOps<KernelOp>()) {
+    int64_t next = 0;
+    for (BlockArgument argument : kernel.getArguments()) {
+      if (argument.getType().isSignlessInteger() &&
+          argument.getType().getIntOrFloatBitWidth() <= 64)
+        slots[argument] = next;
+      next += ::countSlots(argument.getType());
+    }
+  }
+  return slots;
+}
+
+using ArgumentSlots = DenseMap<Value, int64_t>;
+
+/// A sum of constants and integer arguments, as an index along a dimension.
+static std::optional<runtime::FixedIndex>
+evaluateOnLaunch(const LinearIndex &form, size_t dimension,
+                 const ArgumentSlots &slots) {
+  runtime::FixedIndex fixed{static_cast<int64_t>(dimension), form.constant, {}};
+  if (form.mayWrap)
+    return std::nullopt;
+  for (auto [term, factor] : form.terms) {
+    auto slot = slots.find(term);
+    if (slot == slots.end())
+      return std::nullopt;
+    unsigned bits =
+        term.getType().isIndex() ? 64 : term.getType().getIntOrFloatBitWidth();
+    fixed.terms.push_back({slot->second, bits, factor});
+  }
+  return fixed;
+}
+
+/// The first index that is a sum of constants and integer arguments.
+static std::optional<runtime::FixedIndex>
+getFixedIndex(ValueRange indices, const ArgumentSlots &slots) {
+  for (auto [dimension, index] : llvm::enumerate(indices))
+    if (auto fixed = evaluateOnLaunch(getLinearIndex(index), dimension, slots))
+      return fixed;
+  return std::nullopt;
+}
+
+//===----------------------------------------------------------------------===//
+// Elements that are stored in any case
+//===----------------------------------------------------------------------===//
+
+namespace {
+/// An induction variable and its bounds in a launch.
+struct LoopRange {
+  Value iv;
+  runtime::StoredBox::Range range;
+  bool isUsed = false;
+};
+} // namespace
+
+/// The loops around a store, if there is nothing else between it and its kernel
+/// and all of them run from bound to bound; nothing otherwise.
+static std::optional<SmallVector<LoopRange>>
+findLoopRanges(Operation *store, const ArgumentSlots &slots) {
+  SmallVector<LoopRange> ranges;
+  auto add = [&](Value iv, Value lower, Value upper) {
+    auto from = evaluateOnLaunch(getLinearIndex(lower), 0, slots);
+    auto to = evaluateOnLaunch(getLinearIndex(upper), 0, slots);
+    if (from && to)
+      ranges.push_back({iv, {*from, *to}});
+    return from && to;
+  };
+  Operation *parent = store->getParentOp();
+  for (; !isa<KernelOp>(parent); parent = parent->getParentOp()) {
+    if (auto loop = dyn_cast<scf::ForOp>(parent)) {
+      if (!matchPattern(loop.getStep(), m_One()) ||
+          !add(loop.getInductionVar(), loop.getLowerBound(),
+               loop.getUpperBound()))
+        return std::nullopt;
+      continue;
+    }
+    auto loop = dyn_cast<ParallelForOp>(parent);
+    if (!loop)
+      return std::nullopt;
+    if (std::optional<LoopBox> box = getConstantBox(loop)) {
+      for (auto [iv, lower, upper] :
+           llvm::zip(box->ivs(), box->lower, box->upper))
+        ranges.push_back({iv, {{0, lower, {}}, {0, upper, {}}}});
+      continue;
+    }
+    if (loop.isStructFor() || loop.getLevel())
+      return std::nullopt;
+    for (auto [iv, lower, upper] :
+         llvm::zip(loop.getInductionVars(), loop.getLowerBounds(),
+                   loop.getUpperBounds()))
+      if (!add(iv, lower, upper))
+        return std::nullopt;
+  }
+  return ranges;
+}
+
+static runtime::FixedIndex addTo(runtime::FixedIndex bound,
+                                 const runtime::FixedIndex &offset) {
+  bound.dimension = offset.dimension;
+  bound.constant += offset.constant;
+  bound.terms.insert(bound.terms.end(), offset.terms.begin(),
+                     offset.terms.end());
+  return bound;
+}
+
+/// The elements that a store reaches, if it does so whatever fields hold: each
+/// index is that of a loop of its own, moved by sums of arguments, or such a
+/// sum alone.
+static std::optional<runtime::StoredBox>
+findStoredBox(Operation *store, ValueRange indices,
+              const ArgumentSlots &slots) {
+  auto loops = findLoopRanges(store, slots);
+  if (!loops)
+    return std::nullopt;
+  runtime::StoredBox box;
+  for (auto [dimension, index] : llvm::enumerate(indices)) {
+    LinearIndex form = getLinearIndex(index);
+    LoopRange *loop = nullptr;
+    for (LoopRange &candidate : *loops) {
+      int64_t factor = form.getCoefficient(candidate.iv);
+      if (factor == 0)
+        continue;
+      if (loop || factor != 1 || candidate.isUsed)
+        return std::nullopt;
+      loop = &candidate;
+      llvm::erase_if(form.terms,
+                     [&](auto &term) { return term.first == candidate.iv; });
+    }
+    auto offset = evaluateOnLaunch(form, dimension, slots);
+    if (!offset)
+      return std::nullopt;
+    if (!loop) {
+      runtime::FixedIndex behind = *offset;
+      ++behind.constant;
+      box.ranges.push_back({*offset, behind});
+      continue;
+    }
+    loop->isUsed = true;
+    box.ranges.push_back(
+        {addTo(loop->range.lower, *offset), addTo(loop->range.upper, *offset)});
+  }
+  for (const LoopRange &loop : *loops)
+    if (!loop.isUsed)
+      box.loops.push_back(loop.range);
+  // Loops that run anyway need no look.
+  llvm::erase_if(box.loops, [](const runtime::StoredBox::Range &loop) {
+    return loop.lower.terms.empty() && loop.upper.terms.empty() &&
+           loop.lower.constant < loop.upper.constant;
+  });
+  return box;
+}
+
+std::vector<std::vector<runtime::StoredBox>>
+mlir::tai::findStoredBoxes(ModuleOp module, KernelOp kernel,
+                           ArrayRef<NamedAccess> accesses) {
+  ArgumentSlots slots = findIntegerArguments(module);
+  using Boxes = std::vector<runtime::StoredBox>;
+  // Of each access, unless something else stores there too.
+  std::vector<std::optional<Boxes>> found(accesses.size(), Boxes());
+  auto add = [&](StringRef field, std::optional<runtime::FixedIndex> fixed,
+                 std::optional<runtime::StoredBox> box) {
+    for (auto [access, boxes] : llvm::zip(accesses, found)) {
+      if (access.kind != runtime::AccessKind::Write || field != access.field ||
+          !(access.fixed == fixed) || !boxes)
+        continue;
+      if (box)
+        boxes->push_back(*box);
+      else
+        boxes.reset();
+    }
+  };
+  for (Operation &root : *module.getBody()) {
+    if (isa<KernelOp>(root) && &root != kernel)
+      continue;
+    root.walk([&](StoreOp store) {
+      bool mayBeBox = isa<KernelOp>(root) && store.getComponents().empty();
+      add(store.getField(), getFixedIndex(store.getIndices(), slots),
+          mayBeBox ? findStoredBox(store, store.getIndices(), slots)
+                   : std::nullopt);
+    });
+  }
+  std::vector<Boxes> result;
+  result.reserve(found.size());
+  for (std::optional<Boxes> &boxes : found)
+    result.push_back(boxes ? std::move(*boxes) : Boxes());
+  return result;
+}
+
+std::vector<runtime::StoredBox>
+mlir::tai::findStoredBoxes(KernelOp kernel, BlockArgument array) {
+  ArgumentSlots slots;
+  int64_t next = 0;
+  for (BlockArgument argument : kernel.getArguments()) {
+    if (argument.getType().isSignlessInteger() &&
+        argument.getType().getIntOrFloatBitWidth() <= 64)
+      slots[argument] = next;
+    // Extents follow the pointer of an array.
+    for (Operation *user : argument.getUsers())
+      if (auto dim = dyn_cast<memref::DimOp>(user))
+        if (std::optional<int64_t> index = dim.getConstantIndex())
+          slots[dim.getResult()] = next + 1 + *index;
+    next += ::countSlots(argument.getType());
+  }
+  std::vector<runtime::StoredBox> boxes;
+  for (Operation *user : array.getUsers())
+    if (auto store = dyn_cast<memref::StoreOp>(user))
+      if (auto box = findStoredBox(store, store.getIndices(), slots))
+        boxes.push_back(std::move(*box));
+  return boxes;
+}
+
+//===----------------------------------------------------------------------===//
+// Accesses
+//===----------------------------------------------------------------------===//
+
+std::vector<NamedAccess> mlir::tai::listAccesses(Operation *root) {
+  using Kind = runtime::AccessKind;
+  auto module = root->getParentOfType<ModuleOp>();
+  DenseMap<Value, int64_t> slots =
+      findIntegerArguments(module ? module : cast<ModuleOp>(root));
+  std::vector<NamedAccess> list;
+  auto add = [&](FlatSymbolRefAttr field, Kind kind, ValueRange indices = {}) {
+    NamedAccess access{field.getValue().str(), kind,
+                       getFixedIndex(indices, slots)};
+    if (!llvm::is_contained(list, access))
+      list.push_back(std::move(access));
+  };
+  // What has effects and names a field without saying how it accesses it may do
+  // anything to it.
+  auto addNamed = [&](Operation *op) {
+    if (op->getNumRegions() != 0 || isa<SymbolOpInterface>(op) ||
+        isMemoryEffectFree(op))
+      return;
+    for (NamedAttribute attribute : op->getAttrs())
+      if (auto name = dyn_cast<FlatSymbolRefAttr>(attribute.getValue());
+          name && lookupField(op, name)) {
+        add(name, Kind::Read);
+        add(name, Kind::Write);
+      }
+  };
+  root->walk([&](Operation *op) {
+    if (isa<ParallelForOp>(op))
+      return;
+    auto access = dyn_cast<FieldAccessOpInterface>(op);
+    FlatSymbolRefAttr field = getNamedField(op);
+    if (!field)
+      return addNamed(op);
+    bool isElement = access && access.isElementAccess();
+    if (access && !access.writesField())
+      return add(field, Kind::Read,
+                 isElement ? access.getIndices() : ValueRange());
+    if (access && !access.readsField())
+      return add(field, Kind::Write,
+                 isElement ? access.getIndices() : ValueRange());
+    if (auto atomic = dyn_cast<AtomicOp>(op)) {
+      bool isSum = atomic.getKind() == AtomicKind::Add ||
+                   atomic.getKind() == AtomicKind::Sub;
+      if (!isSum || !atomic.getOld().use_empty())
+        add(field, Kind::Read, atomic.getIndices());
+      return add(field, isSum ? Kind::Accumulate : Kind::Write,
+                 atomic.getIndices());
+    }
+    // Whatever else touches a field may do anything to it.
+    add(field, Kind::Read);
+    add(field, Kind::Write);
+  });
+  return list;
+}

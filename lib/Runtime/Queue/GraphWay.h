@@ -1,0 +1,61 @@
+//===- GraphWay.h - Sequences of launches as graphs -------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_QUEUE_GRAPHWAY_H
+#define TAI_LIB_RUNTIME_QUEUE_GRAPHWAY_H
+
+#include "ProgramWay.h"
+
+namespace mlir::tai::runtime {
+
+/// Kernels that wait by themselves for what comes before them, one for each
+/// function of a sequence. With fills beside launches, they are the same.
+class DeviceQueue::OverlappingKernels {
+public:
+  bool areMade() const { return !functions.empty(); }
+  Status make(Device &device, const Sequence &sequence,
+              const ProgramMaker &maker);
+  DeviceFunction &find(const Function *function) const {
+    return *functions.at(function);
+  }
+
+private:
+  std::unique_ptr<DeviceModule> module;
+  std::unordered_map<const Function *, DeviceFunction *> functions;
+};
+
+class DeviceQueue::GraphWay final : public Way {
+public:
+  /// `overlapping`: null for a graph whose launches do not overlap.
+  GraphWay(Device &device, const Sequence &sequence, ProgramMode mode,
+           double predicted, const ProgramMaker &maker,
+           OverlappingKernels *overlapping)
+      : Way(device, mode, predicted), sequence(sequence), maker(maker),
+        overlapping(overlapping) {}
+
+  bool isGraph() const override { return true; }
+  bool overlaps() const override { return overlapping != nullptr; }
+  Status prepare() override;
+  Status launch() override;
+  Status prepareSteps() override { return Status::success(); }
+  Status runSteps(StepRunner &runner) override;
+  std::string describe() const override;
+
+private:
+  Status update() override;
+
+  const Sequence &sequence;
+  const ProgramMaker &maker;
+  OverlappingKernels *overlapping;
+  std::unique_ptr<DeviceGraph> graph;
+  /// The pieces of work that come one after another.
+  size_t numNodes = 0;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_QUEUE_GRAPHWAY_H

@@ -1,0 +1,65 @@
+//===- KernelWay.h - Sequences of work as one kernel ------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A table of steps, and a kernel that goes through it: all its threads run a
+// step together, and meet at a barrier before the next one. A barrier costs a
+// fraction of a launch, and the fewer threads take part the less. The table is
+// made again when parameters change, the kernel never.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_QUEUE_KERNELWAY_H
+#define TAI_LIB_RUNTIME_QUEUE_KERNELWAY_H
+
+#include "ProgramWay.h"
+#include "StepSchedules.h"
+
+namespace mlir::tai::runtime {
+
+class DeviceQueue::KernelWay final : public Way {
+public:
+  KernelWay(Device &device, const Sequence &sequence, ProgramMode mode,
+            double predicted, const ProgramMaker &maker,
+            StepSchedules &schedules, const LaunchShape &shape)
+      : Way(device, mode, predicted), sequence(sequence), maker(maker),
+        schedules(schedules), shape(shape),
+        usesTiles(mode == ProgramMode::Tiles) {}
+  ~KernelWay() override;
+
+  bool isGraph() const override { return false; }
+  bool hasTiles() const override { return usesTiles; }
+  Status prepare() override;
+  Status launch() override;
+  Status prepareSteps() override { return makeCurrent(); }
+  Status runSteps(StepRunner &runner) override;
+  std::string describe() const override;
+  std::string explainClocks() const override;
+
+private:
+  Status update() override;
+  Status makeKernel(ProgramLoops wanted);
+  Status updateTable(const std::vector<uint64_t> &rows);
+
+  const Sequence &sequence;
+  const ProgramMaker &maker;
+  StepSchedules &schedules;
+  LaunchShape shape;
+  bool usesTiles;
+  std::unique_ptr<DeviceModule> module;
+  DeviceFunction *function = nullptr;
+  DevicePtr table = 0;
+  int64_t tableBytes = 0;
+  /// One number for each step and one more, or none.
+  DevicePtr clocks = 0;
+  /// What repeats, and the parameters of that.
+  ProgramLoops loops;
+  std::vector<uint64_t> words;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_QUEUE_KERNELWAY_H

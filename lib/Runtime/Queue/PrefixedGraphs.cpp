@@ -1,0 +1,117 @@
+//===- PrefixedGraphs.cpp - Sequences behind other launches ---------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "PrefixedGraphs.h"
+#include <algorithm>
+
+using namespace mlir::tai::runtime;
+
+Status DeviceQueue::PrefixedGraphs::run(const Sequence &prefix, Way &way) {
+  Prefixed &entry = find(prefix);
+  // As with sequences, what comes once is not made ready for a second time.
+  bool isFirst = entry.runs++ == 0, same = entry.prefix.slots == prefix.slots;
+  entry.changes += !same;
+  if (!isFirst && device.limits().hasGraphs && entry.refused.empty()) {
+    bool isReady = entry.graph && entry.isCurrent;
+    if (!isReady || (!same && !change(entry, prefix))) {
+      entry.prefix = prefix;
+      Status made = capture(entry, way);
+      entry.isCurrent = made.ok();
+      if (!made)
+        entry.refused = made.message();
+    }
+    if (entry.isCurrent)
+      return device.run(*entry.graph);
+  }
+  entry.prefix = prefix;
+  Status status = StepRunner::runAlone(device, prefix);
+  return status ? way.launch() : std::move(status);
+}
+
+void DeviceQueue::PrefixedGraphs::noteChange() {
+  for (const std::unique_ptr<Prefixed> &entry : entries)
+    entry->isCurrent = false;
+}
+
+bool DeviceQueue::PrefixedGraphs::uses(const Module &module) const {
+  return std::any_of(entries.begin(), entries.end(), [&](const auto &entry) {
+    return entry->prefix.uses(module);
+  });
+}
+
+DeviceQueue::PrefixedGraphs::Prefixed &
+DeviceQueue::PrefixedGraphs::find(const Sequence &prefix) {
+  constexpr size_t most = 4;
+  auto found =
+      std::find_if(entries.begin(), entries.end(), [&](const auto &entry) {
+        return entry->prefix.hasStructureOf(prefix);
+      });
+  if (found == entries.end()) {
+    if (entries.size() == most)
+      entries.erase(entries.begin());
+    entries.push_back(std::make_unique<Prefixed>());
+    entries.back()->prefix = prefix;
+  } else {
+    std::rotate(found, found + 1, entries.end());
+  }
+  return *entries.back();
+}
+
+/// Records it with what stands for the sequence on the device now.
+Status DeviceQueue::PrefixedGraphs::capture(Prefixed &entry, Way &way) {
+  Status status = way.prepareSteps();
+  if (status)
+    status =
+        device.beginCapture(entry.prefix.countFirstLaunches(), way.overlaps());
+  if (!status)
+    return status;
+  StepRunner runner(device);
+  status = runner.runAll(entry.prefix);
+  if (status)
+    status = way.runSteps(runner);
+  Status ended = device.endCapture(entry.graph);
+  if (status && ended && !entry.graph)
+    return Status::failure(StatusCode::Internal, "nothing was recorded");
+  return status ? std::move(ended) : std::move(status);
+}
+
+/// Changes the launches whose parameters are others now. False where the graph
+/// must be made again.
+bool DeviceQueue::PrefixedGraphs::change(Prefixed &entry,
+                                         const Sequence &prefix) {
+  size_t changeable = prefix.countFirstLaunches();
+  for (size_t i = 0; i < prefix.steps.size(); ++i) {
+    const Step &step = prefix.steps[i];
+    const uint64_t *now = prefix.slots.data() + step.firstSlot;
+    const uint64_t *before = entry.prefix.slots.data() + step.firstSlot;
+    if (std::equal(now, now + step.numSlots, before))
+      continue;
+    if (i >= changeable ||
+        !device.change(*entry.graph, i, *step.function->function, step.shape,
+                       now, static_cast<int>(step.numSlots)))
+      return false;
+  }
+  entry.prefix = prefix;
+  return true;
+}
+
+std::string DeviceQueue::PrefixedGraphs::explain() const {
+  std::string text;
+  for (const std::unique_ptr<Prefixed> &entry : entries) {
+    text += "\n  with";
+    for (const Step &step : entry->prefix.steps) {
+      std::string name = step.function ? step.function->name : "a fill";
+      text += (&step == entry->prefix.steps.data() ? " " : ", ") + name;
+    }
+    text += " before it: " + std::to_string(entry->runs) + " times, " +
+            std::to_string(entry->changes) + " of them with new parameters";
+    text += entry->graph             ? ", as one graph"
+            : entry->refused.empty() ? ", launched one by one"
+                                     : ", no graph: " + entry->refused;
+  }
+  return text;
+}

@@ -1,0 +1,53 @@
+//===- PrefixedGraphs.h - Sequences behind other launches -------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// What was launched between two replays runs with the second one, as one graph
+// where the device has graphs. The program of the replay stays as it is, so one
+// that comes without them needs nothing new. See
+// docs/decisions/0014-launches-between-replays.md.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_QUEUE_PREFIXEDGRAPHS_H
+#define TAI_LIB_RUNTIME_QUEUE_PREFIXEDGRAPHS_H
+
+#include "ProgramWay.h"
+
+namespace mlir::tai::runtime {
+
+class DeviceQueue::PrefixedGraphs {
+public:
+  explicit PrefixedGraphs(Device &device) : device(device) {}
+
+  /// Runs the launches of `prefix`, then the way.
+  Status run(const Sequence &prefix, Way &way);
+  /// The ways hold other slots now.
+  void noteChange();
+  bool uses(const Module &module) const;
+  std::string explain() const;
+
+private:
+  struct Prefixed {
+    Sequence prefix;
+    std::unique_ptr<DeviceGraph> graph;
+    /// Whether the graph has what the ways have now.
+    bool isCurrent = false;
+    std::string refused;
+    int runs = 0, changes = 0;
+  };
+  Prefixed &find(const Sequence &prefix);
+  Status capture(Prefixed &entry, Way &way);
+  bool change(Prefixed &entry, const Sequence &prefix);
+
+  Device &device;
+  /// The latest last.
+  std::vector<std::unique_ptr<Prefixed>> entries;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_QUEUE_PREFIXEDGRAPHS_H

@@ -1,0 +1,49 @@
+//===- StepRunner.cpp - Queues the steps of a sequence --------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "StepRunner.h"
+
+using namespace mlir::tai::runtime;
+
+Status DeviceQueue::StepRunner::run(const Sequence &sequence,
+                                    const Step &step) {
+  if (!step.isFill()) {
+    Status status = finish();
+    ++pieces;
+    return status ? sequence.run(device, step) : std::move(status);
+  }
+  DeviceFill fill = sequence.fillOf(step);
+  if (fills.add(fill))
+    return Status::success();
+  Status status = finish();
+  (void)fills.add(fill);
+  return status;
+}
+
+Status DeviceQueue::StepRunner::runAll(const Sequence &sequence) {
+  Status status;
+  for (const Step &step : sequence.steps)
+    if (status)
+      status = run(sequence, step);
+  return status;
+}
+
+Status DeviceQueue::StepRunner::finish() {
+  if (fills.get().empty())
+    return Status::success();
+  Status status = device.fillAll(fills.get());
+  ++pieces;
+  fills.clear();
+  return status;
+}
+
+Status DeviceQueue::StepRunner::runAlone(Device &device,
+                                         const Sequence &sequence) {
+  StepRunner runner(device);
+  Status status = runner.runAll(sequence);
+  return status ? runner.finish() : std::move(status);
+}

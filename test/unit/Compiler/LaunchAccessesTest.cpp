@@ -1,0 +1,175 @@
+//===- LaunchAccessesTest.cpp - What launches touch and adjoints need -----===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Analysis/LaunchAccesses.h"
+#include "mlir/Parser/Parser.h"
+#include "tai/Analysis/LoopLevels.h"
+#include "tai/Analysis/ToBeRecorded.h"
+#include "tai/Analysis/ValueFlows.h"
+#include "tai/InitAll.h"
+#include "gtest/gtest.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+using Kind = runtime::AccessKind;
+
+namespace {
+class LaunchAccessesTest : public ::testing::Test {
+protected:
+  LaunchAccessesTest() : context(getRegistry()) {
+    context.loadAllAvailableDialects();
+  }
+
+  static DialectRegistry getRegistry() {
+    DialectRegistry registry;
+    registerAll(registry);
+    return registry;
+  }
+
+  /// The kernel @k of the module, which has fields @x and @y of 8 by 16 and
+  /// @s of sparse cells.
+  void parse(StringRef kernels) {
+    std::string text = R"(
+      !t = !tai.root<dense<[i: 8, j: 16], {x: f32, y: f32}>>
+      tai.tree @t : !t
+      tai.field @x = @t["x"] : f32, rank 2
+      tai.field @y = @t["y"] : f32, rank 2
+      !u = !tai.root<pointer<[i: 8], {s: f32}>>
+      tai.tree @u : !u
+      tai.field @s = @u["s"] : f32, rank 1
+    )" + kernels.str();
+    module = parseSourceString<ModuleOp>(text, &context);
+    ASSERT_TRUE(module);
+    kernel = module->lookupSymbol<KernelOp>("k");
+  }
+
+  MLIRContext context;
+  OwningOpRef<ModuleOp> module;
+  KernelOp kernel;
+};
+} // namespace
+
+TEST_F(LaunchAccessesTest, IndicesFromArgumentsAreToldFromTheLaunch) {
+  parse(R"(
+    tai.kernel @k(%v: f32, %t: i32) {
+      %c1 = arith.constant 1 : index
+      %row = arith.index_cast %t : i32 to index
+      %next = arith.addi %row, %c1 : index
+      %c0 = arith.constant 0 : index
+      %c16 = arith.constant 16 : index
+      tai.parallel_for (%j) = (%c0) to (%c16) {
+        %0 = tai.load @x[%row, %j] : f32
+        tai.store %0, @x[%next, %j] : f32
+      }
+      tai.return
+    })");
+  std::vector<NamedAccess> accesses = listAccesses(kernel);
+  ASSERT_EQ(accesses.size(), 2u);
+  EXPECT_EQ(accesses[0].kind, Kind::Read);
+  EXPECT_EQ(accesses[1].kind, Kind::Write);
+  uint64_t arguments[] = {0, static_cast<uint64_t>(-3)};
+  for (const NamedAccess &access : accesses) {
+    EXPECT_EQ(access.field, "x");
+    ASSERT_TRUE(access.fixed);
+    EXPECT_EQ(access.fixed->dimension, 0);
+  }
+  EXPECT_EQ(accesses[0].fixed->evaluate(arguments), -3);
+  EXPECT_EQ(accesses[1].fixed->evaluate(arguments), -2);
+
+  // All of the row is stored, whatever fields hold.
+  auto boxes = findStoredBoxes(*module, kernel, accesses);
+  EXPECT_TRUE(boxes[0].empty());
+  ASSERT_EQ(boxes[1].size(), 1u);
+  const runtime::StoredBox &box = boxes[1].front();
+  ASSERT_EQ(box.ranges.size(), 2u);
+  EXPECT_EQ(box.ranges[0].lower.evaluate(arguments), -2);
+  EXPECT_EQ(box.ranges[0].upper.evaluate(arguments), -1);
+  EXPECT_EQ(box.ranges[1].lower.evaluate(arguments), 0);
+  EXPECT_EQ(box.ranges[1].upper.evaluate(arguments), 16);
+}
+
+TEST_F(LaunchAccessesTest, StoresUnderABranchAreNoBox) {
+  parse(R"(
+    tai.kernel @k(%c: i1, %v: f32) {
+      tai.parallel_for (%i, %j) in @x {
+        scf.if %c {
+          tai.store %v, @x[%i, %j] : f32
+        }
+      }
+      tai.return
+    })");
+  std::vector<NamedAccess> accesses = listAccesses(kernel);
+  ASSERT_EQ(accesses.size(), 1u);
+  EXPECT_FALSE(accesses[0].fixed);
+  EXPECT_TRUE(findStoredBoxes(*module, kernel, accesses)[0].empty());
+}
+
+TEST_F(LaunchAccessesTest, KernelsThatOnlyLoopOverCellsNameTheirLevels) {
+  parse(R"(
+    tai.kernel @k(%v: f32) {
+      tai.parallel_for (%i) in @s {
+        tai.store %v, @s[%i] : f32
+      }
+      tai.return
+    }
+    tai.kernel @other(%v: f32) {
+      %c0 = arith.constant 0 : index
+      tai.store %v, @x[%c0, %c0] : f32
+      tai.parallel_for (%i) in @s {
+        tai.store %v, @s[%i] : f32
+      }
+      tai.return
+    })");
+  // The second tree, and its only level with lists.
+  EXPECT_EQ(findLoopLevels(kernel), (std::vector<int64_t>{1, 0}));
+  EXPECT_TRUE(findLoopLevels(module->lookupSymbol<KernelOp>("other")).empty());
+}
+
+TEST_F(LaunchAccessesTest, ValuesKnowTheStoragesThatTheyComeFrom) {
+  parse(R"(
+    tai.kernel @k(%n: f32) {
+      tai.parallel_for (%i, %j) in @x {
+        %0 = tai.load @x[%i, %j] : f32
+        %1 = arith.mulf %0, %n : f32
+        tai.store %1, @y[%i, %j] : f32
+      }
+      tai.return
+    })");
+  ValueFlows flows(kernel, {kernel.getArgument(0)});
+  ASSERT_EQ(flows.writes.size(), 1u);
+  ASSERT_EQ(flows.storages.size(), 2u);
+  EXPECT_EQ(flows.storages[0].field.getValue(), "x");
+  EXPECT_TRUE(flows.sourcesOf(flows.writes[0].getAccessedValue()).all());
+}
+
+TEST(ToBeRecordedTest, SurvivesBeingWrittenAndRead) {
+  ToBeRecorded told;
+  told.reads = {{"x", Kind::Read, runtime::FixedIndex{1, -2, {{3, 32, 4}}}},
+                {"y", Kind::Read, std::nullopt}};
+  told.loadsStored = true;
+  told.stored = {{"z", Kind::Read, std::nullopt}};
+  told.before = {"b"};
+  told.activity = {"a", "c"};
+  told.flags = {{"loop", {"one", "two"}, true}};
+  told.arrays = {0, 7};
+  told.reexecutes = true;
+  told.parts = "module {}";
+  std::string bytes = told.serialize();
+  std::optional<ToBeRecorded> read = ToBeRecorded::deserialize(bytes);
+  ASSERT_TRUE(read);
+  EXPECT_EQ(read->reads, told.reads);
+  EXPECT_EQ(read->stored, told.stored);
+  EXPECT_EQ(read->flags[0].sources, told.flags[0].sources);
+  EXPECT_TRUE(read->flags[0].sumsUp && read->reexecutes && read->loadsStored);
+  EXPECT_EQ(read->arrays, told.arrays);
+  EXPECT_EQ(read->parts, told.parts);
+  EXPECT_EQ(read->serialize(), bytes);
+
+  for (size_t length = 0; length < bytes.size(); ++length)
+    EXPECT_FALSE(ToBeRecorded::deserialize(bytes.substr(0, length))) << length;
+  EXPECT_FALSE(ToBeRecorded::deserialize(bytes + "x"));
+}
