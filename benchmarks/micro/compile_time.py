@@ -117,6 +117,15 @@ def loops(n):
 
 
 @shape(50, 200, 800)
+def loops_that_add(n):
+    """Serial loops one after the other, each of which adds to a field."""
+    lines = []
+    for k in range(n):
+        lines += [f"for j in range({k + 3}):", f"    y[i] += x[i] * {k}.5 + j"]
+    return kernel(loop(lines))
+
+
+@shape(50, 200, 800)
 def parallel_loops(n):
     """Parallel loops one after the other, in the kernel."""
     return kernel("\n".join(f"for i in x:\n    z[i, {k}] = ti.sin(x[i]) * {k}.5" for k in range(n)))

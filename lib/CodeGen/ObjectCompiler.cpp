@@ -12,6 +12,7 @@
 #include "Passes/HalfAtomics.h"
 #include "Passes/HugeBodies.h"
 #include "Passes/InsertSafepoints.h"
+#include "Passes/ManyLoops.h"
 #include "Passes/TransposeColumns.h"
 #include "VerifyEach.h"
 #include "llvm/Analysis/TargetLibraryInfo.h"
@@ -181,9 +182,12 @@ void ObjectCompiler::runPasses(Module &module) {
   // The pipeline's own value numbering makes way for ours, which is all that an
   // option of the pipeline could do, if it had one.
   PassInstrumentationCallbacks callbacks;
-  callbacks.registerShouldRunOptionalPassCallback([](StringRef name, Any ir) {
-    return name != "GVNPass" && KeepHugeLoopsScalar::canRun(name, ir);
-  });
+  bool isDivided = divideManyLoops(module);
+  callbacks.registerShouldRunOptionalPassCallback(
+      [isDivided](StringRef name, Any ir) {
+        return name != "GVNPass" && KeepHugeLoopsScalar::canRun(name, ir) &&
+               !(isDivided && looksThroughCalls(name));
+      });
   verifyOwnPasses(callbacks);
   PassBuilder builder(machine.get(), tuning, std::nullopt, &callbacks);
   builder.registerScalarOptimizerLateEPCallback(

@@ -36,3 +36,47 @@ tai.kernel @polynomial() {
   }
   tai.return
 }
+
+// What a loop carries is infinite in all iterations, where its result is. A
+// factor that is zero takes nothing of it.
+// CHECK-LABEL: tai.kernel @root_of_product_grad
+//       CHECK:   scf.for
+//       CHECK:     arith.select %{{.+}}, %{{.+}}, %{{.+}} {tai.guard_infinite}
+//       CHECK:     arith.select %{{.+}}, %{{.+}}, %{{.+}} {tai.guard_infinite}
+tai.kernel @root_of_product(%n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %one = arith.constant 1.0 : f64
+  tai.parallel_for (%i) in @y {
+    %all = scf.for %j = %c0 to %n step %c1 iter_args(%before = %one) -> f64 {
+      %0 = tai.load @x[%j] : f64
+      %1 = arith.mulf %before, %0 : f64
+      scf.yield %1 : f64
+    }
+    %2 = math.sqrt %all : f64
+    tai.store %2, @y[%i] : f64
+  }
+  tai.return
+}
+
+// A sum of quotients is not: what is infinite is made inside of the iteration,
+// and goes to none before it.
+// CHECK-LABEL: tai.kernel @sum_of_quotients_grad
+//   CHECK-NOT:   tai.guard_infinite
+//       CHECK:   tai.return
+tai.kernel @sum_of_quotients(%n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %zero = arith.constant 0.0 : f64
+  tai.parallel_for (%i) in @y {
+    %all = scf.for %j = %c0 to %n step %c1 iter_args(%before = %zero) -> f64 {
+      %0 = tai.load @x[%j] : f64
+      %1 = tai.load @x[%i] : f64
+      %2 = arith.divf %0, %1 : f64
+      %3 = arith.addf %before, %2 : f64
+      scf.yield %3 : f64
+    }
+    tai.store %all, @y[%i] : f64
+  }
+  tai.return
+}

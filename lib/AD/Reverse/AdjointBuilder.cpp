@@ -44,6 +44,7 @@ AdjointBuilder::AdjointBuilder(FunctionOpInterface adjoint,
 AdjointBuilder::~AdjointBuilder() = default;
 
 LogicalResult AdjointBuilder::build() {
+  nonFinite->findHandedOn(primal);
   Block *body = &primal.getFunctionBody().front();
   Block *mirror = &adjoint.getFunctionBody().front();
   LogicalResult result = reverseBlock(

@@ -8,13 +8,139 @@
 #include "NonFiniteAdjoints.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Math/IR/Math.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "mlir/IR/Iterators.h"
 #include "mlir/IR/Matchers.h"
+#include "mlir/Interfaces/ControlFlowInterfaces.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Analysis/Activity.h"
+#include "tai/Analysis/DerivativePaths.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
 using namespace mlir::tai;
+
+/// Ops whose partial derivatives are 1, -1, or an absent entry: none of them
+/// multiplies an infinite adjoint by zero.
+static bool movesOrSums(Operation *op) {
+  return isa<arith::AddFOp, arith::SubFOp, arith::NegFOp, arith::ExtFOp,
+             arith::TruncFOp, vector::BroadcastOp, vector::ExtractOp,
+             vector::FromElementsOp, vector::InsertOp, vector::ShapeCastOp,
+             vector::ToElementsOp, SumOp, TransposeOp>(op);
+}
+
+//===----------------------------------------------------------------------===//
+// Loops and branches
+//===----------------------------------------------------------------------===//
+
+/// Whether the rule of an op may make an infinite adjoint of a finite one.
+static bool mayMakeInfinite(OpOperand &operand, FloatFacts &facts) {
+  Operation *op = operand.getOwner();
+  auto isNonFinite = [&](Value value) { return facts.mayBeNonFinite(value); };
+  if (movesOrSums(op) ||
+      isa<arith::SelectOp, arith::MaximumFOp, arith::MinimumFOp, math::AbsFOp>(
+          op))
+    return false;
+  // Each factor is multiplied with what stands for the others.
+  if (isa<arith::MulFOp, math::FmaOp, vector::FMAOp>(op)) {
+    unsigned number = operand.getOperandNumber();
+    return number < 2 && isNonFinite(op->getOperand(1 - number));
+  }
+  return mayHaveNonFinitePartial(op, facts) ||
+         llvm::any_of(op->getOperands(), isNonFinite) ||
+         llvm::any_of(op->getResults(), isNonFinite);
+}
+
+namespace {
+/// Which values may have an adjoint that is infinite, or that is NaN, as rules
+/// will say of them, and those among them that end a region or go into one.
+class AdjointFlow {
+public:
+  AdjointFlow(AdjointBuilder &b, DenseSet<Value> &infinite,
+              DenseSet<Value> &undefined)
+      : b(b), all{{}, {}}, handedOn{&infinite, &undefined} {}
+
+  /// One walk, from the end to the beginning. True if it has found more.
+  bool run(FunctionOpInterface function) {
+    grown = false;
+    function.walk<WalkOrder::PreOrder, ReverseIterator>(
+        [&](Operation *op) { visit(op); });
+    return grown;
+  }
+
+private:
+  enum Kind { Infinite, Undefined };
+  void visit(Operation *op);
+  void mark(Kind kind, Value value) {
+    if (b.isActive(value))
+      grown |= all[kind].insert(value).second;
+  }
+  /// What has the value `to` behind a region or at its beginning is `from`.
+  void pass(ValueRange from, ValueRange to) {
+    for (auto [source, target] : llvm::zip(from, to))
+      for (Kind kind : {Infinite, Undefined})
+        if (all[kind].contains(target) && b.isActive(source)) {
+          mark(kind, source);
+          handedOn[kind]->insert(source);
+        }
+  }
+
+  AdjointBuilder &b;
+  DenseSet<Value> all[2];
+  DenseSet<Value> *handedOn[2];
+  bool grown = false;
+};
+} // namespace
+
+void AdjointFlow::visit(Operation *op) {
+  if (auto parallel = dyn_cast<scf::ParallelOp>(op)) {
+    pass(parallel.getInitVals(), parallel.getResults());
+    pass(parallel.getBody()->getTerminator()->getOperands(),
+         parallel.getResults());
+    return;
+  }
+  if (auto branch = dyn_cast<RegionBranchOpInterface>(op))
+    return forEachHandover(
+        branch, [&](OperandRange from, ValueRange to) { pass(from, to); });
+  if (op->hasTrait<OpTrait::IsTerminator>() ||
+      llvm::none_of(op->getResults(),
+                    [&](Value result) { return b.isActive(result); }))
+    return;
+  FloatFacts &facts = b.getFacts();
+  auto isMarked = [&](Kind kind) {
+    return llvm::any_of(op->getResults(), [&](Value result) {
+      return all[kind].contains(result);
+    });
+  };
+  bool isInfinite = isMarked(Infinite), isUndefined = isMarked(Undefined);
+  for (OpOperand &operand : op->getOpOperands()) {
+    if (!b.isActive(operand.get()) || !carriesDerivative(operand))
+      continue;
+    if (isInfinite || mayMakeInfinite(operand, facts))
+      mark(Infinite, operand.get());
+    bool isExponent = isa<math::PowFOp>(op) && operand.getOperandNumber() == 1;
+    if (isUndefined ||
+        (isExponent && !facts.isNonNegative(op->getOperand(0), op)))
+      mark(Undefined, operand.get());
+  }
+}
+
+void NonFiniteAdjoints::findHandedOn(FunctionOpInterface function) {
+  WalkResult found = function.walk([](Operation *op) {
+    bool handsOn = op->getNumRegions() != 0 && op->getNumResults() != 0;
+    return handsOn ? WalkResult::interrupt() : WalkResult::advance();
+  });
+  if (!b.wantsGuards() || !found.wasInterrupted())
+    return;
+  AdjointFlow flow(b, mayBeInfinite, mayBeUndefined);
+  while (flow.run(function))
+    ;
+}
+
+//===----------------------------------------------------------------------===//
+// Rules
+//===----------------------------------------------------------------------===//
 
 void NonFiniteAdjoints::beginRule(Operation *op) {
   current = op;
@@ -110,15 +236,6 @@ static bool isNonZeroConstant(Value value) {
     return isNonZero(number.getValue());
   auto numbers = dyn_cast<DenseFPElementsAttr>(constant);
   return numbers && llvm::all_of(numbers.getValues<APFloat>(), isNonZero);
-}
-
-/// Ops whose partial derivatives are 1, -1, or an absent entry: none of them
-/// multiplies an infinite adjoint by zero.
-static bool movesOrSums(Operation *op) {
-  return isa<arith::AddFOp, arith::SubFOp, arith::NegFOp, arith::ExtFOp,
-             arith::TruncFOp, vector::BroadcastOp, vector::ExtractOp,
-             vector::FromElementsOp, vector::InsertOp, vector::ShapeCastOp,
-             vector::ToElementsOp, SumOp, TransposeOp>(op);
 }
 
 Value NonFiniteAdjoints::createTagged(Value drops, Value contribution) {

@@ -23,6 +23,10 @@ class NonFiniteAdjoints {
 public:
   explicit NonFiniteAdjoints(AdjointBuilder &builder) : b(builder) {}
 
+  /// Finds what loops and branches hand on. An iteration may begin with what a
+  /// later one has made infinite, so that this is known before the first rule.
+  void findHandedOn(FunctionOpInterface function);
+
   void markInfinite(Value value) { mayBeInfinite.insert(value); }
   void markUndefined(Value value) { mayBeUndefined.insert(value); }
 

@@ -13,6 +13,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "HugeBodies.h"
+#include "ManyLoops.h"
 #include "llvm/Analysis/LoopInfo.h"
 #include "llvm/Analysis/TargetLibraryInfo.h"
 #include "llvm/Analysis/TargetTransformInfo.h"
@@ -67,7 +68,8 @@ static uint64_t getVectorizedSize(const CallBase &call,
 PreservedAnalyses KeepHugeLoopsScalar::run(Function &function,
                                            FunctionAnalysisManager &analyses) {
   uint64_t count = function.getInstructionCount();
-  if (count * kLanes * 4 < limits.vectorized &&
+  bool isPart = function.hasFnAttribute(kLoopPart);
+  if (!isPart && count * kLanes * 4 < limits.vectorized &&
       count * count < limits.loopPairs)
     return PreservedAnalyses::all();
   auto &loops = analyses.getResult<LoopAnalysis>(function);
@@ -75,7 +77,7 @@ PreservedAnalyses KeepHugeLoopsScalar::run(Function &function,
   auto &library = analyses.getResult<TargetLibraryAnalysis>(function);
   SmallVector<Loop *, 4> all = loops.getLoopsInPreorder();
   for (Loop *loop : all) {
-    if (all.size() > limits.loops)
+    if (isPart || all.size() > limits.loops)
       addStringMetadataToLoop(loop, "llvm.loop.unroll.disable");
     if (!loop->isInnermost())
       continue;

@@ -13,6 +13,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "InsertSafepoints.h"
+#include "ManyLoops.h"
 #include "tai/ABI/Abi.h"
 #include "llvm/Analysis/LoopInfo.h"
 #include "llvm/Analysis/ScalarEvolution.h"
@@ -27,16 +28,13 @@
 using namespace llvm;
 using namespace mlir::tai;
 
-namespace {
-/// Loops that take fewer instructions than this end within a millisecond.
-constexpr uint64_t kShortLoop = 200000;
-
-/// Whether it has the type of a kernel, or of the body of a parallel loop (see
-/// Abi.h): those may return at any time.
-bool mayReturnEarly(const Function &function) {
-  FunctionType *type = function.getFunctionType();
+/// By its type, which is the same at all levels.
+bool mlir::tai::mayReturnEarly(const Function &function) {
+  llvm::FunctionType *type = function.getFunctionType();
   if (type->isVarArg())
     return false;
+  if (function.hasFnAttribute(kLoopPart))
+    return type->getReturnType()->isIntegerTy(32);
   auto isPointer = [&](unsigned i) {
     return type->getParamType(i)->isPointerTy();
   };
@@ -49,6 +47,10 @@ bool mayReturnEarly(const Function &function) {
   return type->getReturnType()->isVoidTy() && type->getNumParams() == 5 &&
          isPointer(0) && isPointer(1) && isLong(2) && isLong(3) && isLong(4);
 }
+
+namespace {
+/// Loops that take fewer instructions than this end within a millisecond.
+constexpr uint64_t kShortLoop = 200000;
 
 /// An upper bound of the iterations of the parallel loop that the function is
 /// the body of, or 0.
@@ -179,5 +181,8 @@ PreservedAnalyses InsertSafepoints::run(Function &function,
   PollInserter inserter(function);
   for (Instruction *branch : backEdges)
     inserter.insertBefore(branch);
+  // What was found out about it held without the polls.
+  if (function.hasFnAttribute(kLoopPart))
+    function.removeFnAttr(llvm::Attribute::Memory);
   return PreservedAnalyses::none();
 }

@@ -12,6 +12,10 @@
 
 namespace mlir::tai {
 
+/// Whether a function may return at any time: a kernel, the body of a parallel
+/// loop (see Abi.h), or a part of one.
+bool mayReturnEarly(const llvm::Function &function);
+
 /// Lets kernels and bodies of parallel loops look, at the back edges of loops
 /// that may run long, whether there has been a tick since they last looked, and
 /// return at once where the runtime says so. To be run after the vectoriser,

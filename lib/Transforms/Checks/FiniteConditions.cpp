@@ -196,7 +196,7 @@ bool FiniteConditions::requirePartial(arith::SelectOp guard) {
 
 /// Of what comes into a block from iterations that may have met something that
 /// is not finite.
-bool FiniteConditions::requireSeeds(Value value) {
+bool FiniteConditions::requireSeeds(Value value, Block &block) {
   if (!isFloatOrVector(value.getType()) || !followed.insert(value).second)
     return true;
   if (isa<BlockArgument>(value)) {
@@ -204,27 +204,35 @@ bool FiniteConditions::requireSeeds(Value value) {
     return true;
   }
   Operation *op = value.getDefiningOp();
-  if (isa<LoopLikeOpInterface>(op)) {
+  // Guards around the block keep their conditions to themselves: what comes
+  // from there may be infinite.
+  bool comesFromAround = !block.findAncestorOpInBlock(*op);
+  if (isa<LoopLikeOpInterface>(op) ||
+      (comesFromAround && facts.mayBeNonFinite(value))) {
     finite.insert(value);
     return true;
   }
+  if (comesFromAround)
+    return true;
   bool all = true;
   if (auto branch = dyn_cast<scf::IfOp>(op)) {
     unsigned number = cast<OpResult>(value).getResultNumber();
     for (Region &region : branch->getRegions())
-      all &= requireSeeds(region.front().getTerminator()->getOperand(number));
+      all &= requireSeeds(region.front().getTerminator()->getOperand(number),
+                          block);
     return all;
   }
   if (op->getNumRegions() != 0)
     return false;
   for (Value operand : op->getOperands())
-    all &= requireSeeds(operand);
+    all &= requireSeeds(operand, block);
   return all;
 }
 
-bool FiniteConditions::require(arith::SelectOp guard) {
-  return guard->hasAttr(kInfiniteGuard) ? requireSeeds(guard.getFalseValue())
-                                        : requirePartial(guard);
+bool FiniteConditions::require(arith::SelectOp guard, Block &block) {
+  return guard->hasAttr(kInfiniteGuard)
+             ? requireSeeds(guard.getFalseValue(), block)
+             : requirePartial(guard);
 }
 
 /// Whether a value is taken as it is: it comes from memory, from around a loop

@@ -45,8 +45,9 @@ Value createTestOfFinite(OpBuilder &builder, Location loc,
 /// What must hold of values for guards to have no effect.
 class FiniteConditions {
 public:
-  /// Adds the conditions of a guard. False if there are none that are known.
-  bool require(arith::SelectOp guard);
+  /// Adds the conditions of a guard in the block, or in a region of its ops.
+  /// False if there are none that are known.
+  bool require(arith::SelectOp guard, Block &block);
 
   /// Drops what other conditions imply, and tests results in the place of
   /// several operands, where they are available.
@@ -68,7 +69,7 @@ public:
 
 private:
   bool requirePartial(arith::SelectOp guard);
-  bool requireSeeds(Value value);
+  bool requireSeeds(Value value, Block &block);
   bool requireFinite(Value value, Operation *at);
   bool requireClear(Value value, Operation *at, bool isPositive = false);
   bool requireQuotient(Value lhs, Value rhs, Operation *at);

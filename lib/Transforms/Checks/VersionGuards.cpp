@@ -504,7 +504,7 @@ bool EarlyTest::run() {
   if (!findGuards())
     return false;
   for (arith::SelectOp guard : guards)
-    if (!conditions.require(guard))
+    if (!conditions.require(guard, block))
       return false;
   auto isThere = [&](Value value) { return canComeEarly(value); };
   conditions.simplify(isThere);

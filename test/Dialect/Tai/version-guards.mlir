@@ -232,3 +232,36 @@ tai.kernel @carried_infinite() {
   }
   tai.return
 }
+
+// An adjoint that is infinite in front of a loop: the guard there has no part in
+// the test of the loop, which is of the adjoint itself and not of what the root
+// was taken of.
+// CHECK-LABEL: tai.kernel @infinite_around
+//       CHECK:   %[[SUM:.+]] = tai.load @x
+//       CHECK:   %[[SEED:.+]] = arith.select %{{.+}}, %{{.+}}, %{{.+}} {tai.guard}
+//       CHECK:   %[[TEST:.+]] = arith.mulf %[[SEED]]
+//       CHECK:   %[[FINITE:.+]] = arith.cmpf ord, %[[TEST]], %[[TEST]]
+//       CHECK:   scf.for
+//       CHECK:     llvm.intr.expect %[[FINITE]]
+tai.kernel @infinite_around() {
+  %zero = arith.constant 0.0 : f64
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c9 = arith.constant 9 : index
+  tai.parallel_for (%i) in @x {
+    %s = tai.load @x[%i] : f64
+    %root = math.sqrt %s : f64
+    %g = tai.load @gy[%i] : f64
+    %q = arith.divf %g, %root : f64
+    %none = arith.cmpf oeq, %g, %zero : f64
+    %a = arith.select %none, %zero, %q {tai.guard} : f64
+    scf.for %n = %c0 to %c9 step %c1 {
+      %x = tai.load @x[%n] : f64
+      %r = arith.mulf %a, %x : f64
+      %drops = arith.cmpf oeq, %x, %zero : f64
+      %b = arith.select %drops, %zero, %r {tai.guard_infinite} : f64
+      tai.atomic add %b, @gx[%n] : f64
+    }
+  }
+  tai.return
+}

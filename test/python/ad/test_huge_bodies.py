@@ -1,6 +1,7 @@
 """Kernels whose bodies are huge are compiled, and compute what small ones do."""
 
 import linecache
+import re
 
 import numpy as np
 import pytest
@@ -116,3 +117,37 @@ def test_code_of_huge_blocks_is_in_parts():
 
     assert parts(500) == 0
     assert parts(16000) > 0
+
+
+def test_a_chain_of_hundreds_of_loops(fields):
+    """Each goes on with what the one before has made."""
+    n, x, y = 210, fields["x"], fields["y"]
+    lines = ["b = x[i]"]
+    for k in range(n):
+        lines += [f"for _ in range({k % 4 + 1}):", "    b = ti.sin(b) + x[i]"]
+    run = make([*lines, "y[i] = b"], fields)
+    run()
+    run.grad()
+    value = start = x.to_numpy()
+    slope = np.ones(37)
+    for k in range(n):
+        for _ in range(k % 4 + 1):
+            slope = np.cos(value) * slope + 1
+            value = np.sin(value) + start
+    assert np.allclose(y.to_numpy(), value, rtol=1e-12, atol=1e-12)
+    assert np.allclose(x.grad.to_numpy(), slope, rtol=1e-11, atol=1e-11)
+
+
+def test_code_of_hundreds_of_loops_is_in_parts():
+    ti.init(arch=ti.cpu, default_fp=ti.f32)
+    x, y = (ti.field(ti.f32, 64) for _ in range(2))
+
+    def parts(n):
+        lines = ["b = x[i]"]
+        for k in range(n):
+            lines += [f"for _ in range(ti.i32(y[{k % 60}])):", "    b = ti.sin(b) + x[i]"]
+        code = make([*lines, "y[i] = b"], {"x": x, "y": y}).mlir(stage="asm")
+        return len(set(re.findall(r"\S+\.loops[.\d]*(?=:)", code)))
+
+    assert parts(100) == 0
+    assert parts(300) >= 300 // 32

@@ -77,8 +77,25 @@ def endless_in_one_iteration(s):
     return run
 
 
+def endless_in_many_loops(s):
+    """As many as are compiled as several functions."""
+
+    @ti.kernel
+    def run():
+        for i in range(64):
+            x = 0.5
+            n = ti.cast(s[None], ti.i64) + (ti.i64(1) << 60)
+            for _ in ti.static(range(210)):
+                for _ in range(n):
+                    x = 0.5 * x + 0.1
+            s[None] += x * i
+
+    return run
+
+
 ENDLESS = [
     endless_while, endless_for, endless_sum, endless_iterations, endless_in_one_iteration,
+    endless_in_many_loops,
 ]  # fmt: skip
 
 

@@ -15,15 +15,22 @@ def program():
     ti.reset()
 
 
-def in_threads(*tasks):
-    """Runs functions, each in a thread of its own, and raises what one of them has raised."""
+def in_threads(*tasks, barrier=None):
+    """Runs functions, each in a thread of its own, and raises what one of them has raised.
+
+    One that fails does not come to the barrier any more: the others wait no longer.
+    """
     failures = []
 
     def run(task):
         try:
             task()
+        except threading.BrokenBarrierError:
+            pass
         except BaseException as error:  # noqa: BLE001
             failures.append(error)
+            if barrier:
+                barrier.abort()
 
     threads = [threading.Thread(target=run, args=(task,)) for task in tasks]
     for thread in threads:
@@ -100,7 +107,22 @@ def test_gradients_of_many_threads(options):
             assert result == expected[number]
             assert problems[number].result() == expected[number]
 
-    in_threads(*(lambda n=n: work(n) for n in range(count)))
+    in_threads(*(lambda n=n: work(n) for n in range(count)), barrier=barrier)
+
+
+def test_a_thread_that_fails_holds_up_no_other():
+    barrier = threading.Barrier(3)
+
+    def fail():
+        barrier.wait()
+        raise ValueError("the second round is without this one")
+
+    def wait():
+        barrier.wait()
+        barrier.wait()
+
+    with pytest.raises(ValueError, match="second round"):
+        in_threads(fail, wait, wait, barrier=barrier)
 
 
 def test_replays_of_many_threads():
@@ -118,7 +140,7 @@ def test_replays_of_many_threads():
             barrier.wait()
             assert problems[number].result() == expected
 
-    in_threads(*(lambda n=n: work(n) for n in range(count)))
+    in_threads(*(lambda n=n: work(n) for n in range(count)), barrier=barrier)
 
 
 def test_one_thread_compiles_while_others_sweep():
@@ -438,7 +460,7 @@ def test_variables_and_arrays_of_threads():
             assert variables[number].grad == 16.0
             assert array.grad[1] == 4.0 * (1 + number)
 
-    in_threads(*(lambda n=n: work(n) for n in range(4)))
+    in_threads(*(lambda n=n: work(n) for n in range(4)), barrier=barrier)
     # Their own by now: the next thread's tape takes them over.
     with ti.ad.Tape(loss[0]):
         use(variables[1], arrays[1], loss[0])
