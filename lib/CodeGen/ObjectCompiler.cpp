@@ -13,6 +13,7 @@
 #include "Passes/HugeBodies.h"
 #include "Passes/InsertSafepoints.h"
 #include "Passes/TransposeColumns.h"
+#include "Passes/WidenSums.h"
 #include "VerifyEach.h"
 #include "llvm/Analysis/TargetLibraryInfo.h"
 #include "llvm/IR/InstIterator.h"
@@ -197,6 +198,7 @@ void ObjectCompiler::runPasses(Module &module) {
   builder.registerVectorizerEndEPCallback(
       [](FunctionPassManager &late, OptimizationLevel) {
         late.addPass(TransposeColumns());
+        late.addPass(WidenSums());
       });
   builder.registerOptimizerLastEPCallback(
       [](ModulePassManager &last, OptimizationLevel, ThinOrFullLTOPhase) {
