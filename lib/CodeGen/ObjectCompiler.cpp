@@ -14,6 +14,7 @@
 #include "Passes/InsertSafepoints.h"
 #include "Passes/ManyLoops.h"
 #include "Passes/TransposeColumns.h"
+#include "Passes/WidenSums.h"
 #include "VerifyEach.h"
 #include "llvm/Analysis/TargetLibraryInfo.h"
 #include "llvm/IR/InstIterator.h"
@@ -201,6 +202,7 @@ void ObjectCompiler::runPasses(Module &module) {
   builder.registerVectorizerEndEPCallback(
       [](FunctionPassManager &late, OptimizationLevel) {
         late.addPass(TransposeColumns());
+        late.addPass(WidenSums());
       });
   builder.registerOptimizerLastEPCallback(
       [](ModulePassManager &last, OptimizationLevel, ThinOrFullLTOPhase) {

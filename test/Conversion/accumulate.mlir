@@ -29,7 +29,7 @@ tai.field @loss = @t["loss"] : f32, rank 0
 //       CHECK:   %[[SLOT:.+]] = llvm.alloca
 //       CHECK:   llvm.store %{{.+}}, %[[SLOT]] : f32
 //       CHECK:   llvm.store %{{.+}}, %[[TOTAL]] : f64
-//       CHECK:   scf.for {{.+}} step %c2048
+//       CHECK:   scf.for {{.+}} step %c8192
 //       CHECK:     scf.for
 //       CHECK:       %[[A:.+]] = llvm.load %[[SLOT]]
 //       CHECK:       %[[B:.+]] = arith.subf %[[A]], %{{.+}} fastmath<reassoc,contract>

@@ -34,16 +34,42 @@ tai.kernel @compensated() attributes {modes = {sums = "compensated"}} {
 }
 
 // Nothing is wider than f64: what the sum rounds away is summed beside it. No
-// flag lets LLVM cancel that, and nothing is fused into it.
+// flag lets LLVM cancel that, and nothing is fused into it. The loop that LLVM
+// vectorises stores its terms, and another one adds them up in lanes.
 // CHECK-LABEL: llvm.func internal @pairs.loop0
-//       CHECK:   %[[X:.+]] = llvm.call_intrinsic "llvm.arithmetic.fence"
-//       CHECK:   %[[S:.+]] = llvm.fadd %{{.+}}, %[[X]] : f64
-//       CHECK:   %[[T:.+]] = llvm.fsub %[[S]], %{{.+}} : f64
-//       CHECK:   llvm.fsub %[[X]], %[[T]] : f64
+//       CHECK:   %[[TERMS:.+]] = llvm.alloca %{{.+}} x vector<8xf64>
+//       CHECK:   %[[TERM:.+]] = llvm.load %{{.+}} : !llvm.ptr -> f64
+//       CHECK:   llvm.store %[[TERM]], %{{.+}} : f64
+//       CHECK:   llvm.load {{.*}} : !llvm.ptr -> vector<8xf64>
+//       CHECK:   %[[X:.+]] = llvm.call_intrinsic "llvm.arithmetic.fence"(%{{.+}}) : (vector<8xf64>)
+//       CHECK:   %[[S:.+]] = llvm.fadd %{{.+}}, %[[X]] : vector<8xf64>
+//       CHECK:   %[[T:.+]] = llvm.intr.fmuladd(%{{.+}}, %{{.+}}, %[[S]]) : (vector<8xf64>
+//       CHECK:   llvm.fsub %[[X]], %[[T]] : vector<8xf64>
+//       CHECK:   llvm.extractelement
 tai.kernel @pairs() attributes {modes = {sums = "compensated"}} {
   tai.parallel_for (%i) in @y {
     %0 = tai.load @y[%i] : f64
     tai.atomic add %0, @u[] : f64
+  }
+  tai.return
+}
+
+// Terms of an inner loop are as many as it has iterations: they are added one
+// after another.
+// CHECK-LABEL: llvm.func internal @inner_pairs.loop0
+//   CHECK-NOT:   vector<8xf64>
+//       CHECK:   %[[X:.+]] = llvm.call_intrinsic "llvm.arithmetic.fence"
+//       CHECK:   %[[S:.+]] = llvm.fadd %{{.+}}, %[[X]] : f64
+//       CHECK:   %[[T:.+]] = llvm.fsub %[[S]], %{{.+}} : f64
+//       CHECK:   llvm.fsub %[[X]], %[[T]] : f64
+tai.kernel @inner_pairs(%n: index) attributes {tai.modes = {sums = "compensated"}} {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  tai.parallel_for (%i) in @y {
+    %0 = tai.load @y[%i] : f64
+    scf.for %k = %c0 to %n step %c1 {
+      tai.atomic add %0, @u[] : f64
+    }
   }
   tai.return
 }

@@ -44,33 +44,6 @@ static Type getSumType(Type type, AtomicKind kind, bool compensated) {
   return isNarrow ? Float32Type::get(type.getContext()) : type;
 }
 
-namespace {
-/// A sum of f64, and the sum of what that has rounded away.
-struct Pair {
-  Value sum, rest;
-};
-} // namespace
-
-/// The pair with a number more. Its operations have no flags of floats, and the
-/// number is not fused into one of them.
-static Pair emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x) {
-  auto add = [&](Value a, Value b) -> Value {
-    return LLVM::FAddOp::create(builder, loc, a, b);
-  };
-  auto subtract = [&](Value a, Value b) -> Value {
-    return LLVM::FSubOp::create(builder, loc, a, b);
-  };
-  x = LLVM::CallIntrinsicOp::create(
-          builder, loc, x.getType(),
-          builder.getStringAttr("llvm.arithmetic.fence"), ValueRange{x})
-          .getResult(0);
-  Value sum = add(pair.sum, x);
-  Value taken = subtract(sum, pair.sum);
-  Value lost =
-      add(subtract(pair.sum, subtract(sum, taken)), subtract(x, taken));
-  return {sum, add(pair.rest, lost)};
-}
-
 /// A number in a wider type of floats, or as it is.
 static Value emitWidened(OpBuilder &builder, Location loc, Value value,
                          Type type) {
@@ -91,7 +64,8 @@ static Value emitNarrowed(OpBuilder &builder, Location loc, Value sum,
 /// of m it is off by the square root of m n of them, and adding the blocks up
 /// in f64 costs nothing.
 void Accumulators::Register::sumInBlocks() {
-  if (!isa<FloatType>(type) || kind != AtomicKind::Add || isPair)
+  // Compensated ones have the digits.
+  if (!isa<FloatType>(type) || kind != AtomicKind::Add || isCompensated)
     return;
   isBlocked = true;
   totalType = Float64Type::get(type.getContext());
@@ -127,6 +101,12 @@ Accumulators::Register::Register(const FieldInfo *field,
     : field(field), atomics(std::move(atomics)), kind(kind), type(type),
       totalType(type), indices(std::move(indices)),
       components(std::move(components)) {}
+
+SmallVector<Operation *> Accumulators::Register::getUpdates() const {
+  SmallVector<Operation *> all(atomics.begin(), atomics.end());
+  llvm::append_range(all, updates);
+  return all;
+}
 
 FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
                                               ModuleLowering &lowering) {
@@ -180,10 +160,17 @@ FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
       Type own = sum.field ? sum.field->scalarType : sum.localType;
       sum.isCompensated = isa<FloatType>(own) && sum.kind == AtomicKind::Add;
       sum.isPair = sum.isCompensated && own.isF64();
+      sum.keepsTerms = sum.isPair && PairLanes::canHold(sum.getUpdates(), loop);
     }
   if (!isShort(loop))
     for (Register &sum : result.registers)
       sum.sumInBlocks();
+  if (!result.keepsOrder &&
+      llvm::all_of(result.registers, [&](const Register &sum) {
+        return !sum.isBlocked ||
+               (sum.type.isF32() && areMadeOnce(sum.getUpdates(), loop));
+      }))
+    result.blockLength = kWidenedBlock;
   if (lowering.deterministic && failed(checkOrderIsFixed(loop)))
     return failure();
 
@@ -511,6 +498,9 @@ void Accumulators::emitEntry(OpBuilder &builder, Location loc, Value part) {
     if (sum.isPair) {
       sum.rest = emitStackSlots(builder, loc, 1);
       emitSlotStore(builder, loc, identity, sum.rest);
+      if (sum.keepsTerms)
+        sum.lanes.emplace(builder, loc,
+                          sum.atomics.size() + sum.updates.size());
     }
     if (!sum.isBlocked)
       continue;
@@ -582,8 +572,8 @@ void Accumulators::rewriteUpdates() {
   auto reassociable = arith::FastMathFlagsAttr::get(
       lowering->module.getContext(),
       arith::FastMathFlags::reassoc | arith::FastMathFlags::contract);
-  auto rewrite = [&](Register &sum, Operation *update, OpOperand &value,
-                     AtomicKind kind) {
+  auto rewrite = [&](Register &sum, size_t i, Operation *update,
+                     OpOperand &value, AtomicKind kind) {
     moveBehindBranches(update, value, kind);
     OpBuilder builder(update);
     Location loc = update->getLoc();
@@ -594,6 +584,11 @@ void Accumulators::rewriteUpdates() {
     if (sum.isPair) {
       if (kind == AtomicKind::Sub)
         term = LLVM::FNegOp::create(builder, loc, term);
+      if (sum.lanes) {
+        sum.lanes->emitTerm(builder, loc, i, innermost, term);
+        update->erase();
+        return;
+      }
       Value rest = emitSlotLoad(builder, loc, sum.type, sum.rest);
       Pair pair = emitPairSum(builder, loc, {old, rest}, term);
       emitSlotStore(builder, loc, pair.sum, sum.slot);
@@ -610,10 +605,11 @@ void Accumulators::rewriteUpdates() {
     update->erase();
   };
   for (Register &sum : registers) {
+    size_t i = 0;
     for (AtomicOp atomic : sum.atomics)
-      rewrite(sum, atomic, atomic.getValueMutable(), atomic.getKind());
+      rewrite(sum, i++, atomic, atomic.getValueMutable(), atomic.getKind());
     for (LLVM::AtomicRMWOp update : sum.updates)
-      rewrite(sum, update, update.getValMutable(), AtomicKind::Add);
+      rewrite(sum, i++, update, update.getValMutable(), AtomicKind::Add);
   }
   for (Buffer &buffer : buffers) {
     const FieldInfo &field = *buffer.group.field;
@@ -671,12 +667,29 @@ void Accumulators::rewriteUpdates() {
   }
 }
 
-bool Accumulators::sumsInBlocks() const {
+bool Accumulators::keepsTerms() const {
   return llvm::any_of(registers,
-                      [](const Register &sum) { return sum.isBlocked; });
+                      [](const Register &sum) { return sum.keepsTerms; });
 }
 
-void Accumulators::emitBlockEnd(OpBuilder &builder, Location loc) {
+int64_t Accumulators::getBlockLength() const {
+  if (keepsTerms())
+    return PairLanes::kBlock;
+  bool inBlocks = llvm::any_of(
+      registers, [](const Register &sum) { return sum.isBlocked; });
+  return inBlocks ? blockLength : 0;
+}
+
+void Accumulators::emitBlockEnd(OpBuilder &builder, Location loc,
+                                scf::ForOp loop) {
+  innermost = loop;
+  emitBlockSums(builder, loc);
+  for (Register &sum : registers)
+    if (sum.lanes)
+      sum.lanes->emitBlockEnd(builder, loc, loop);
+}
+
+void Accumulators::emitBlockSums(OpBuilder &builder, Location loc) {
   for (Register &sum : registers) {
     if (!sum.isBlocked)
       continue;
@@ -693,8 +706,13 @@ void Accumulators::emitBlockEnd(OpBuilder &builder, Location loc) {
 }
 
 void Accumulators::emitExit(OpBuilder &builder, Location loc) {
-  emitBlockEnd(builder, loc);
+  emitBlockSums(builder, loc);
   for (auto [i, sum] : llvm::enumerate(registers)) {
+    if (sum.lanes) {
+      Pair total = sum.lanes->emitTotal(builder, loc);
+      emitSlotStore(builder, loc, total.sum, sum.slot);
+      emitSlotStore(builder, loc, total.rest, sum.rest);
+    }
     auto keep = [&, &sum = sum](Value slot, int64_t at) {
       emitSlotStore(builder, loc,
                     emitSlotLoad(builder, loc, sum.totalType, slot),

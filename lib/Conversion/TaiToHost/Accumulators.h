@@ -15,17 +15,22 @@
 #define TAI_LIB_CONVERSION_TAITOHOST_ACCUMULATORS_H
 
 #include "Lowering.h"
+#include "PairSums.h"
 #include "tai/Transforms/Utils/Accumulation.h"
+#include <optional>
 #include <vector>
 
 namespace mlir::tai {
 
 class Accumulators {
 public:
-  /// Iterations whose sums are added up apart: few enough that their sum in f32
-  /// is good, and so many that adding the sums of a vector's lanes up is not
-  /// seen.
+  /// Iterations whose sums are added up apart: few enough that their sum in the
+  /// type itself is good, and so many that adding the sums of a vector's lanes
+  /// up is not seen.
   static constexpr int64_t kBlock = 2048;
+  /// The same where WidenSums keeps them in f64: where all updates are made by
+  /// the innermost loop itself.
+  static constexpr int64_t kWidenedBlock = 8192;
 
   /// Collects the accumulations of `loop`.
   static FailureOr<Accumulators> collect(ParallelForOp loop,
@@ -45,10 +50,14 @@ public:
   void emitEntry(OpBuilder &builder, Location loc, Value part);
   /// Replaces the updates, once they have been moved into the function.
   void rewriteUpdates();
-  /// Whether there are sums of floats, for which blocks of iterations pay.
-  bool sumsInBlocks() const;
-  /// After each block of iterations: adds its sums to those of the blocks.
-  void emitBlockEnd(OpBuilder &builder, Location loc);
+  /// The iterations of a block of the innermost loop, at most, where there are
+  /// sums that want such blocks: 0 where there are none.
+  int64_t getBlockLength() const;
+  /// Whether blocks must not be longer than that, in loops over rows, too.
+  bool keepsTerms() const;
+  /// After each block of iterations, which `loop` runs: adds its sums to those
+  /// of the blocks.
+  void emitBlockEnd(OpBuilder &builder, Location loc, scf::ForOp loop);
   /// After the loops.
   void emitExit(OpBuilder &builder, Location loc);
 
@@ -63,6 +72,7 @@ private:
              SmallVector<Value> components);
     /// Sums blocks of iterations apart, where these are floats.
     void sumInBlocks();
+    SmallVector<Operation *> getUpdates() const;
 
     const FieldInfo *field;
     SmallVector<AtomicOp> atomics;
@@ -83,6 +93,9 @@ private:
     // In the function of the loop: of the block, and of those before it; what a
     // pair has rounded away.
     Value slot, total, rest;
+    /// Of a pair whose terms are kept for a block of iterations.
+    bool keepsTerms = false;
+    std::optional<PairLanes> lanes;
   };
   /// Sums of a part of a field in a buffer.
   struct Buffer {
@@ -119,16 +132,21 @@ private:
   /// Sums in arrays that the kernel makes for them.
   void collectLocalSums(ParallelForOp loop);
   Value emitTarget(OpBuilder &builder, Location loc, const Buffer &buffer);
+  void emitBlockSums(OpBuilder &builder, Location loc);
   int64_t getPartialSlot(size_t i) const;
   int64_t getPartialBytes() const;
 
   ModuleLowering *lowering;
+  /// Of sums that are not compensated.
+  int64_t blockLength = kBlock;
   /// Whether sums are kept with twice the digits of their type.
   bool compensated = false;
   /// Whether LLVM may not reorder the sums.
   bool keepsOrder = false;
   std::vector<Register> registers;
   std::vector<Buffer> buffers;
+  /// The innermost loop, in the function.
+  scf::ForOp innermost;
   /// Room for the registers of all partitions, in the kernel.
   Value partials;
   Value insidePartials;

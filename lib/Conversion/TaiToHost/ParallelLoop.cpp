@@ -145,36 +145,43 @@ static void emitPartition(OpBuilder &builder, ParallelForOp loop,
       return;
     OpBuilder after(innermost->getContext());
     after.setInsertionPointAfter(innermost);
-    accumulators.emitBlockEnd(after, loc);
+    accumulators.emitBlockEnd(after, loc, innermost);
+  };
+  int64_t most = accumulators.getBlockLength();
+  std::optional<int64_t> known = getConstantIntValue(box.extent.back());
+  bool inBlocks = most != 0 && !(known && *known <= most);
+  auto enterBlocks = [&](Value &from, Value &to) {
+    auto blocks =
+        scf::ForOp::create(builder, loc, from, to, math.constant(most));
+    builder.setInsertionPointToStart(blocks.getBody());
+    from = blocks.getInductionVar();
+    // So LLVM sees how long a block is at the most: it needs no safepoint.
+    to = math.add(from, math.min(math.constant(most), math.sub(to, from)));
   };
   if (box.rank() == 1) {
     Value from = begin, to = end;
-    std::optional<int64_t> count = getConstantIntValue(box.extent.back());
-    bool inBlocks = accumulators.sumsInBlocks() &&
-                    !(count && *count <= Accumulators::kBlock);
-    if (inBlocks) {
-      auto blocks = scf::ForOp::create(builder, loc, begin, end,
-                                       math.constant(Accumulators::kBlock));
-      builder.setInsertionPointToStart(blocks.getBody());
-      from = blocks.getInductionVar();
-      to = math.min(math.add(from, math.constant(Accumulators::kBlock)), end);
-    }
+    if (inBlocks)
+      enterBlocks(from, to);
     auto inner =
         createFor(builder, loc, math.add(lower, from), math.add(lower, to));
     moveBody(loop, inner, inner.getInductionVar());
-    if (inBlocks)
+    if (most != 0)
       endBlock(inner);
     return;
   }
+  // Rows are blocks of their own, however long, unless terms are kept.
+  bool cutsRows = inBlocks && accumulators.keepsTerms();
 
   // One loop for each dimension: the partition counts the first.
   if (loop.getOuterDims()) {
     SmallVector<Value> ivs;
     scf::ForOp inner;
-    for (auto [d, from] : llvm::enumerate(box.lower)) {
-      inner = d == 0 ? createFor(builder, loc, math.add(from, begin),
-                                 math.add(from, end))
-                     : createFor(builder, loc, from, box.upper[d]);
+    for (auto [d, first] : llvm::enumerate(box.lower)) {
+      Value from = d == 0 ? math.add(first, begin) : first;
+      Value to = d == 0 ? math.add(first, end) : box.upper[d];
+      if (cutsRows && d + 1 == box.rank())
+        enterBlocks(from, to);
+      inner = createFor(builder, loc, from, to);
       ivs.push_back(inner.getInductionVar());
       builder.setInsertionPointToStart(inner.getBody());
     }
@@ -198,6 +205,8 @@ static void emitPartition(OpBuilder &builder, ParallelForOp loop,
     from = math.add(lower, math.max(math.sub(begin, start), math.constant(0)));
     to = math.add(lower, math.min(math.sub(end, start), extent));
   }
+  if (cutsRows)
+    enterBlocks(from, to);
   auto inner = createFor(builder, loc, from, to);
   ivs.push_back(inner.getInductionVar());
   moveBody(loop, inner, ivs);

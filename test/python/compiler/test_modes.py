@@ -75,6 +75,67 @@ def test_compensated_sums_of_f64(n):
 
 
 @pytest.mark.usefixtures("on_cpu")
+@pytest.mark.parametrize("shape", [(3, 1100), (700, 90), (40, 33), (5, 2, 64), (9000, 2)])
+@pytest.mark.parametrize("length", ["known", "run-time"])
+def test_compensated_sums_of_f64_over_rows(shape, length):
+    """Rows that end within a block of terms, with terms that not all cells have, and several."""
+    ti.init(arch=ti.cpu, sums="compensated")
+    count = math.prod(shape)
+    values, exact = conditioned(count - 1 + count % 2, np.float64, 1e12)
+    values = np.resize(np.append(values, 0.0), count).reshape(shape)
+    x, s, t = ti.field(ti.f64, shape=shape), ti.field(ti.f64, shape=()), ti.field(ti.f64, shape=())
+    x.from_numpy(values)
+    kept = values > 0
+    kept_sum = float(sum(map(Fraction, values[kept].tolist())))
+
+    @ti.kernel
+    def over_field():
+        for I in ti.grouped(x):
+            s[None] += x[I]
+            s[None] += 1.0
+            if x[I] > 0:
+                t[None] -= x[I]
+
+    @ti.kernel
+    def over_range(n: ti.i32, m: ti.i32):
+        for i, j in ti.ndrange(n, m):
+            s[None] += x[i, j]
+            s[None] += 1.0
+            if x[i, j] > 0:
+                t[None] -= x[i, j]
+
+    s[None] = -count
+    if length == "run-time" and len(shape) == 2:
+        over_range(*shape)
+    else:
+        over_field()
+    assert abs(s[None] - exact) <= 1e-13 * abs(exact)
+    assert abs(t[None] + kept_sum) <= 1e-15 * kept_sum
+
+
+@pytest.mark.parametrize("shape", [(999_999,), (1999, 501), (501, 1999)])
+def test_default_sums_of_f32(shape):
+    """At condition 1e6, of 10⁶ numbers, the median of sets: terms are added in f32 four at a
+    time, and all else in f64."""
+    skip_on_gpu("sums of blocks are added in f32")
+    errors = []
+    for seed in range(8):
+        ti.init(arch=ti.cpu)
+        values, exact = conditioned(math.prod(shape) - 1, np.float32, 1e6, seed)
+        x, s = ti.field(ti.f32, shape=shape), ti.field(ti.f32, shape=())
+        x.from_numpy(np.resize(np.append(values, 0).astype(np.float32), shape))
+
+        @ti.kernel
+        def add(x: ti.template(), s: ti.template()):
+            for I in ti.grouped(x):
+                s[None] += x[I]
+
+        add(x, s)
+        errors.append(abs(s[None] - exact) / abs(exact))
+    assert np.median(errors) <= 7e-5
+
+
+@pytest.mark.usefixtures("on_cpu")
 def test_compensated_sums_keep_infinities():
     for dt in (ti.f32, ti.f64):
         ti.init(arch=ti.cpu, sums="compensated")

@@ -1,0 +1,444 @@
+//===- WidenSums.cpp - Sums of f32 in f64 ---------------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A sum of n numbers one after another is off by about n roundings. A loop that
+// LLVM has vectorised keeps several vectors of sums. Here the terms of one
+// iteration are added up pairwise, in f32, and their sum is added to one vector
+// of f64: of four terms, four additions become three, two conversions and two
+// additions, which loads hide wherever the numbers are not in the first cache.
+// A loop that is not vectorised adds in f64 alone: what it waits for is as
+// long.
+//
+// Written as sums of f64 in the first place, LLVM would choose the width of its
+// vectors by f64, for all that the loop does.
+//
+//===----------------------------------------------------------------------===//
+
+#include "WidenSums.h"
+#include "llvm/Analysis/LoopInfo.h"
+#include "llvm/IR/IRBuilder.h"
+#include "llvm/IR/IntrinsicInst.h"
+#include "llvm/Transforms/Utils/Local.h"
+
+using namespace llvm;
+using namespace mlir::tai;
+
+/// So many terms are added up in f32 before they are widened.
+static constexpr size_t kTermsInF32 = 4;
+
+namespace {
+/// A number to add, or to subtract.
+struct Term {
+  Value *value;
+  bool isNegative;
+};
+
+/// A sum that a loop carries from iteration to iteration.
+struct Chain {
+  PHINode *phi = nullptr;
+  BinaryOperator *last = nullptr;
+  SmallVector<Term> terms;
+};
+
+class SumWidener {
+public:
+  explicit SumWidener(LoopInfo &loops) : loops(loops) {}
+  bool run(Function &function);
+
+private:
+  bool widenLanes(IntrinsicInst &reduction);
+  Loop *findLanes(IntrinsicInst &reduction, SmallVectorImpl<Chain> &chains);
+  bool widenScalar(Loop &loop, PHINode &phi);
+  bool findLeaves(Value *value, const Loop *outside, Loop *&loop,
+                  SmallVectorImpl<Value *> &leaves);
+  Value *widenTree(Value *root, Instruction *user, size_t most);
+  bool isRounded(Value *value, SmallPtrSetImpl<PHINode *> &phis);
+  bool skipRounding(Function &function);
+
+  LoopInfo &loops;
+  /// What has been made of sums of f64 here.
+  SmallPtrSet<Value *, 8> rounded;
+  /// What nobody needs any more: deleted in the end, so that no other value
+  /// takes its address before.
+  SmallVector<WeakTrackingVH> dead;
+  SmallVector<WeakVH> deadPhis;
+};
+} // namespace
+
+/// An addition of f32 whose order is free.
+static BinaryOperator *getFreeSum(Value *value) {
+  auto *sum = dyn_cast<BinaryOperator>(value);
+  if (!sum || !sum->getType()->getScalarType()->isFloatTy() ||
+      (sum->getOpcode() != Instruction::FAdd &&
+       sum->getOpcode() != Instruction::FSub) ||
+      !sum->hasAllowReassoc())
+    return nullptr;
+  return sum;
+}
+
+/// The additions from what a loop carries to its value for the next iteration.
+static std::optional<Chain> findChain(Loop &loop, PHINode &phi,
+                                      const LoopInfo &loops) {
+  BasicBlock *latch = loop.getLoopLatch();
+  Chain chain;
+  chain.phi = &phi;
+  chain.last = getFreeSum(phi.getIncomingValueForBlock(latch));
+  if (!chain.last)
+    return std::nullopt;
+  Value *sum = &phi;
+  while (sum != chain.last) {
+    if (!sum->hasOneUse())
+      return std::nullopt;
+    BinaryOperator *next = getFreeSum(*sum->user_begin());
+    if (!next || loops.getLoopFor(next->getParent()) != &loop)
+      return std::nullopt;
+    bool isSecond = next->getOperand(1) == sum;
+    bool isNegative = next->getOpcode() == Instruction::FSub;
+    if (isNegative && isSecond)
+      return std::nullopt;
+    chain.terms.push_back({next->getOperand(isSecond ? 0 : 1), isNegative});
+    sum = next;
+  }
+  return chain;
+}
+
+/// The vectors of sums that a tree of additions behind a loop is of.
+bool SumWidener::findLeaves(Value *value, const Loop *outside, Loop *&loop,
+                            SmallVectorImpl<Value *> &leaves) {
+  auto *instruction = dyn_cast<Instruction>(value);
+  if (!instruction)
+    return false;
+  Loop *own = loops.getLoopFor(instruction->getParent());
+  if (own != outside) {
+    if (!own || own->getParentLoop() != outside || (loop && own != loop))
+      return false;
+    loop = own;
+    leaves.push_back(value);
+    return true;
+  }
+  if (!value->hasOneUse())
+    return false;
+  if (auto *phi = dyn_cast<PHINode>(instruction))
+    return phi->getNumIncomingValues() == 1 &&
+           findLeaves(phi->getIncomingValue(0), outside, loop, leaves);
+  BinaryOperator *sum = getFreeSum(value);
+  return sum && sum->getOpcode() == Instruction::FAdd &&
+         findLeaves(sum->getOperand(0), outside, loop, leaves) &&
+         findLeaves(sum->getOperand(1), outside, loop, leaves);
+}
+
+static Type *getWide(Type *type) {
+  return type->getWithNewType(Type::getDoubleTy(type->getContext()));
+}
+
+/// The terms of an iteration added up, in f64.
+static Value *emitSum(IRBuilder<> &builder, ArrayRef<Term> terms, size_t most) {
+  Value *total = nullptr;
+  for (; !terms.empty();
+       terms = terms.drop_front(std::min(most, terms.size()))) {
+    SmallVector<Value *> level;
+    for (Term term : terms.take_front(most))
+      level.push_back(term.isNegative ? builder.CreateFNeg(term.value)
+                                      : term.value);
+    while (level.size() > 1) {
+      SmallVector<Value *> next;
+      for (size_t i = 0; i + 1 < level.size(); i += 2)
+        next.push_back(builder.CreateFAdd(level[i], level[i + 1]));
+      if (level.size() % 2)
+        next.push_back(level.back());
+      level = std::move(next);
+    }
+    Value *wide =
+        builder.CreateFPExt(level.front(), getWide(level.front()->getType()));
+    total = total ? builder.CreateFAdd(total, wide) : wide;
+  }
+  return total;
+}
+
+/// Adds what the chains add in one sum of f64, beside them. Returns its value
+/// behind an iteration.
+static Value *emitWideChain(Loop &loop, ArrayRef<Chain> chains, size_t most) {
+  BasicBlock *latch = loop.getLoopLatch(), *before = loop.getLoopPreheader();
+  Type *wide = getWide(chains.front().phi->getType());
+  FastMathFlags flags = chains.front().last->getFastMathFlags();
+
+  IRBuilder<> builder(before->getTerminator());
+  builder.setFastMathFlags(flags);
+  Value *start = nullptr;
+  SmallVector<Term> terms;
+  for (const Chain &chain : chains) {
+    Value *initial = chain.phi->getIncomingValueForBlock(before);
+    llvm::append_range(terms, chain.terms);
+    Value *own = builder.CreateFPExt(initial, wide);
+    start = start ? builder.CreateFAdd(start, own) : own;
+  }
+  builder.SetInsertPoint(loop.getHeader(), loop.getHeader()->begin());
+  PHINode *carried = builder.CreatePHI(wide, 2);
+  builder.SetInsertPoint(latch->getTerminator());
+  Value *next = builder.CreateFAdd(carried, emitSum(builder, terms, most));
+  carried->addIncoming(start, before);
+  carried->addIncoming(next, latch);
+  return next;
+}
+
+/// Adds up again, in f64, what a tree of additions adds up that only `user`
+/// needs: what is left of a loop that LLVM has unrolled. Each part is added
+/// where the last of its terms was. Returns nothing if there is no such tree.
+Value *SumWidener::widenTree(Value *root, Instruction *user, size_t most) {
+  SmallVector<BinaryOperator *> sums;
+  SmallVector<Value *> open = {root};
+  while (!open.empty()) {
+    Value *value = open.pop_back_val();
+    BinaryOperator *sum = getFreeSum(value);
+    if (!sum || !sum->hasOneUse() || sum->hasApproxFunc() ||
+        sum->getParent() != user->getParent())
+      continue;
+    sums.push_back(sum);
+    append_range(open, sum->operands());
+  }
+  if (sums.size() < 2)
+    return nullptr;
+  llvm::sort(sums, [](BinaryOperator *a, BinaryOperator *b) {
+    return a->comesBefore(b);
+  });
+  // Signs from the root down.
+  SmallDenseMap<Value *, bool> isNegative;
+  for (BinaryOperator *sum : llvm::reverse(sums)) {
+    bool sign = isNegative.lookup(sum);
+    isNegative[sum->getOperand(0)] = sign;
+    isNegative[sum->getOperand(1)] =
+        sign != (sum->getOpcode() == Instruction::FSub);
+    // One number twice has no one sign.
+    if (sum->getOperand(0) == sum->getOperand(1))
+      return nullptr;
+  }
+  SmallPtrSet<Value *, 8> inner(sums.begin(), sums.end());
+  SmallPtrSet<Value *, 8> seen;
+  for (BinaryOperator *sum : sums)
+    for (Value *operand : sum->operands())
+      if (!inner.contains(operand) && !seen.insert(operand).second)
+        return nullptr;
+  Value *total = nullptr;
+  SmallVector<Term> terms;
+  IRBuilder<> builder(user);
+  builder.setFastMathFlags(sums.back()->getFastMathFlags());
+  auto add = [&](Value *wide) {
+    total = total ? builder.CreateFAdd(total, wide) : wide;
+  };
+  for (BinaryOperator *sum : sums) {
+    builder.SetInsertPoint(sum);
+    for (Value *operand : sum->operands()) {
+      if (inner.contains(operand))
+        continue;
+      if (!rounded.contains(operand)) {
+        terms.push_back({operand, isNegative.lookup(operand)});
+        continue;
+      }
+      Value *wide = cast<FPTruncInst>(operand)->getOperand(0);
+      add(isNegative.lookup(operand) ? builder.CreateFNeg(wide) : wide);
+    }
+    if (terms.size() >= most || sum == sums.back()) {
+      if (!terms.empty())
+        add(emitSum(builder, terms, most));
+      terms.clear();
+    }
+  }
+  return total;
+}
+
+/// Of a loop whose iterations end in one block, which is left from there alone.
+static bool isSimple(Loop &loop) {
+  return loop.getLoopLatch() && loop.getLoopPreheader() &&
+         loop.getExitingBlock() == loop.getLoopLatch();
+}
+
+/// The loop whose lanes of sums `reduction` adds up, and what it carries for
+/// them; or null.
+Loop *SumWidener::findLanes(IntrinsicInst &reduction,
+                            SmallVectorImpl<Chain> &chains) {
+  const Loop *outside = loops.getLoopFor(reduction.getParent());
+  Loop *loop = nullptr;
+  SmallVector<Value *> leaves;
+  if (!findLeaves(reduction.getArgOperand(1), outside, loop, leaves) || !loop ||
+      !isSimple(*loop))
+    return nullptr;
+  for (PHINode &phi : loop->getHeader()->phis()) {
+    Value *last = phi.getIncomingValueForBlock(loop->getLoopLatch());
+    if (!is_contained(leaves, last))
+      continue;
+    std::optional<Chain> chain = findChain(*loop, phi, loops);
+    // The next iteration and the tree use it.
+    if (!chain || !chain->last->hasNUses(2))
+      return nullptr;
+    chains.push_back(std::move(*chain));
+  }
+  return chains.size() == leaves.size() ? loop : nullptr;
+}
+
+/// Lanes of sums that `reduction` adds up behind a loop.
+bool SumWidener::widenLanes(IntrinsicInst &reduction) {
+  if (!reduction.getType()->isFloatTy() || !reduction.hasAllowReassoc())
+    return false;
+  SmallVector<Chain> chains;
+  Value *lanes = nullptr;
+  if (Loop *loop = findLanes(reduction, chains))
+    lanes = emitWideChain(*loop, chains, kTermsInF32);
+  else
+    lanes = widenTree(reduction.getArgOperand(1), &reduction, kTermsInF32);
+  if (!lanes)
+    return false;
+  IRBuilder<> builder(&reduction);
+  builder.setFastMathFlags(reduction.getFastMathFlags());
+  Value *start =
+      builder.CreateFPExt(reduction.getArgOperand(0), builder.getDoubleTy());
+  Value *total = builder.CreateFAddReduce(start, lanes);
+  Value *narrow = builder.CreateFPTrunc(total, reduction.getType());
+  rounded.insert(narrow);
+  reduction.replaceAllUsesWith(narrow);
+  dead.push_back(&reduction);
+  for (const Chain &chain : chains)
+    deadPhis.push_back(chain.phi);
+  return true;
+}
+
+/// A sum of a loop that is not vectorised.
+bool SumWidener::widenScalar(Loop &loop, PHINode &phi) {
+  if (!phi.getType()->isFloatTy() || !isSimple(loop))
+    return false;
+  BasicBlock *exit = loop.getExitBlock();
+  if (!exit || !exit->getSinglePredecessor())
+    return false;
+  std::optional<Chain> chain = findChain(loop, phi, loops);
+  // Of a program that chose speed, sums of its own loops have such flags, too.
+  if (!chain || chain->last->hasApproxFunc())
+    return false;
+  SmallVector<Use *> outside;
+  for (Use &use : chain->last->uses()) {
+    auto *user = cast<Instruction>(use.getUser());
+    if (!loop.contains(user))
+      outside.push_back(&use);
+    else if (user != &phi)
+      return false;
+  }
+  if (outside.empty())
+    return false;
+  Value *wide = emitWideChain(loop, *chain, 1);
+  IRBuilder<> builder(exit, exit->getFirstInsertionPt());
+  Value *narrow = builder.CreateFPTrunc(wide, phi.getType());
+  rounded.insert(narrow);
+  for (Use *use : outside) {
+    auto *user = cast<Instruction>(use->getUser());
+    if (auto *closed = dyn_cast<PHINode>(user);
+        closed && closed->getParent() == exit) {
+      closed->replaceAllUsesWith(narrow);
+      closed->eraseFromParent();
+    } else {
+      use->set(narrow);
+    }
+  }
+  deadPhis.push_back(&phi);
+  return true;
+}
+
+/// Whether a value is one of our sums, or a constant, whichever way the program
+/// took. Collects the phis.
+bool SumWidener::isRounded(Value *value, SmallPtrSetImpl<PHINode *> &phis) {
+  if (isa<ConstantFP>(value) || rounded.contains(value))
+    return true;
+  auto *phi = dyn_cast<PHINode>(value);
+  if (!phi)
+    return false;
+  return !phis.insert(phi).second ||
+         llvm::all_of(phi->incoming_values(),
+                      [&](Use &use) { return isRounded(use.get(), phis); });
+}
+
+/// Widens what such sums are merged by, so that what is widened from there on
+/// was never rounded; so with what is left of loops over single numbers.
+bool SumWidener::skipRounding(Function &function) {
+  bool changed = false;
+  SmallVector<FPExtInst *> extensions;
+  for (BasicBlock &block : function)
+    for (Instruction &instruction : block)
+      if (auto *extension = dyn_cast<FPExtInst>(&instruction);
+          extension && extension->getSrcTy()->isFloatTy() &&
+          extension->getDestTy()->isDoubleTy())
+        extensions.push_back(extension);
+  DenseMap<PHINode *, PHINode *> wide;
+  for (FPExtInst *extension : extensions) {
+    SmallPtrSet<PHINode *, 8> phis;
+    if (Value *sum = widenTree(extension->getOperand(0), extension, 1)) {
+      extension->replaceAllUsesWith(sum);
+      dead.push_back(extension);
+      changed = true;
+      continue;
+    }
+    if (!isRounded(extension->getOperand(0), phis))
+      continue;
+    for (PHINode *phi : phis)
+      if (!wide.contains(phi))
+        wide[phi] =
+            PHINode::Create(extension->getDestTy(), phi->getNumIncomingValues(),
+                            "", phi->getIterator());
+    auto widen = [&](Value *value) -> Value * {
+      if (auto *phi = dyn_cast<PHINode>(value))
+        return wide.lookup(phi);
+      if (rounded.contains(value))
+        return cast<FPTruncInst>(value)->getOperand(0);
+      return ConstantFP::get(
+          extension->getDestTy(),
+          cast<ConstantFP>(value)->getValueAPF().convertToFloat());
+    };
+    for (PHINode *phi : phis)
+      if (PHINode *made = wide[phi]; made->getNumIncomingValues() == 0)
+        for (unsigned i = 0, e = phi->getNumIncomingValues(); i < e; ++i)
+          made->addIncoming(widen(phi->getIncomingValue(i)),
+                            phi->getIncomingBlock(i));
+    extension->replaceAllUsesWith(widen(extension->getOperand(0)));
+    dead.push_back(extension);
+    changed = true;
+  }
+  for (auto [narrow, made] : wide)
+    deadPhis.push_back(narrow);
+  return changed;
+}
+
+bool SumWidener::run(Function &function) {
+  SmallVector<IntrinsicInst *> reductions;
+  for (BasicBlock &block : function)
+    for (Instruction &instruction : block)
+      if (auto *call = dyn_cast<IntrinsicInst>(&instruction);
+          call && call->getIntrinsicID() == Intrinsic::vector_reduce_fadd)
+        reductions.push_back(call);
+  bool changed = false;
+  for (IntrinsicInst *reduction : reductions)
+    changed |= widenLanes(*reduction);
+  for (Loop *loop : loops.getLoopsInPreorder()) {
+    SmallVector<PHINode *> phis;
+    for (PHINode &phi : loop->getHeader()->phis())
+      phis.push_back(&phi);
+    for (PHINode *phi : phis)
+      changed |= widenScalar(*loop, *phi);
+  }
+  changed |= skipRounding(function);
+  append_range(dead, rounded);
+  RecursivelyDeleteTriviallyDeadInstructionsPermissive(dead);
+  for (WeakVH &phi : deadPhis)
+    if (phi)
+      RecursivelyDeleteDeadPHINode(cast<PHINode>(phi));
+  return changed;
+}
+
+PreservedAnalyses WidenSums::run(Function &function,
+                                 FunctionAnalysisManager &analyses) {
+  LoopInfo &loops = analyses.getResult<LoopAnalysis>(function);
+  if (!SumWidener(loops).run(function))
+    return PreservedAnalyses::all();
+  PreservedAnalyses preserved;
+  preserved.preserveSet<CFGAnalyses>();
+  return preserved;
+}

@@ -1,0 +1,24 @@
+//===- WidenSums.h - Sums of f32 in f64 -------------------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CODEGEN_PASSES_WIDENSUMS_H
+#define TAI_LIB_CODEGEN_PASSES_WIDENSUMS_H
+
+#include "llvm/IR/PassManager.h"
+
+namespace mlir::tai {
+
+/// To run after loops are vectorised: what a loop adds up in f32, in an order
+/// that is free, is kept in f64 and rounded behind the loop.
+struct WidenSums : llvm::PassInfoMixin<WidenSums> {
+  llvm::PreservedAnalyses run(llvm::Function &function,
+                              llvm::FunctionAnalysisManager &analyses);
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CODEGEN_PASSES_WIDENSUMS_H

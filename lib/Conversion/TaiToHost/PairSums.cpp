@@ -1,0 +1,176 @@
+//===- PairSums.cpp - Sums of f64 with twice the digits -------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "PairSums.h"
+#include "../../Transforms/Utils/FieldAddress.h"
+#include "../../Transforms/Utils/IndexMath.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Loops that are known to be shorter add one term after another.
+constexpr int64_t kFewIterations = 64;
+/// So many terms of an iteration are kept at the most.
+constexpr size_t kMostUpdates = 4;
+
+/// A number of which LLVM does not see where it comes from.
+static Value emitFenced(OpBuilder &builder, Location loc, Value x) {
+  auto name = builder.getStringAttr("llvm.arithmetic.fence");
+  return LLVM::CallIntrinsicOp::create(builder, loc, x.getType(), name,
+                                       ValueRange{x})
+      .getResult(0);
+}
+
+Pair tai::emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x) {
+  auto add = [&](Value a, Value b) -> Value {
+    return LLVM::FAddOp::create(builder, loc, a, b);
+  };
+  auto subtract = [&](Value a, Value b) -> Value {
+    return LLVM::FSubOp::create(builder, loc, a, b);
+  };
+  x = emitFenced(builder, loc, x);
+  Value sum = add(pair.sum, x);
+  Value taken = subtract(sum, pair.sum);
+  Value lost =
+      add(subtract(pair.sum, subtract(sum, taken)), subtract(x, taken));
+  return {sum, add(pair.rest, lost)};
+}
+
+/// The same, of lanes. Where additions and fused operations are done by two
+/// kinds of units, each has half of the work; a product with a one or its
+/// opposite, which LLVM does not see, rounds nothing.
+static Pair emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x,
+                        Value one, Value minusOne) {
+  auto fused = [&](Value a, Value b, Value c) -> Value {
+    return LLVM::FMulAddOp::create(builder, loc, a, b, c);
+  };
+  x = emitFenced(builder, loc, x);
+  Value sum = LLVM::FAddOp::create(builder, loc, pair.sum, x);
+  Value taken = fused(pair.sum, minusOne, sum);
+  Value before = LLVM::FSubOp::create(builder, loc, sum, taken);
+  Value lost = fused(fused(before, minusOne, pair.sum), one,
+                     LLVM::FSubOp::create(builder, loc, x, taken));
+  return {sum, LLVM::FAddOp::create(builder, loc, pair.rest, lost)};
+}
+
+bool tai::areMadeOnce(ArrayRef<Operation *> updates, ParallelForOp loop) {
+  for (Operation *update : updates)
+    for (Operation *parent = update->getParentOp(); parent != loop;
+         parent = parent->getParentOp())
+      // tai-split-index-sets takes an interior out of the loop.
+      if (!isa<scf::IfOp>(parent) || parent->hasAttr("tai.interior"))
+        return false;
+  return true;
+}
+
+bool PairLanes::canHold(ArrayRef<Operation *> updates, ParallelForOp loop) {
+  if (updates.size() > kMostUpdates || !areMadeOnce(updates, loop))
+    return false;
+  std::optional<int64_t> lower =
+      getConstantIntValue(loop.getLowerBounds().back());
+  std::optional<int64_t> upper =
+      getConstantIntValue(loop.getUpperBounds().back());
+  return !lower || !upper || *upper - *lower >= kFewIterations;
+}
+
+/// Memory for so many vectors, at the entry of the function.
+static Value emitRoom(OpBuilder &builder, Location loc, VectorType type,
+                      int64_t count) {
+  Value size = LLVM::ConstantOp::create(builder, loc, builder.getI64Type(),
+                                        builder.getI64IntegerAttr(count));
+  return LLVM::AllocaOp::create(
+      builder, loc, LLVM::LLVMPointerType::get(builder.getContext()), type,
+      size, /*alignment=*/64);
+}
+
+PairLanes::PairLanes(OpBuilder &builder, Location loc, size_t updates)
+    : type(VectorType::get({kLanes}, builder.getF64Type())) {
+  auto function =
+      cast<LLVM::LLVMFuncOp>(builder.getInsertionBlock()->getParentOp());
+  OpBuilder entry = OpBuilder::atBlockBegin(&function.getBody().front());
+  // The last terms are followed by zeros, up to whole vectors.
+  for (size_t i = 0; i < updates; ++i)
+    terms.push_back(emitRoom(entry, loc, type, kBlock / kLanes + kVectors));
+  Value zero =
+      arith::ConstantOp::create(builder, loc, builder.getZeroAttr(type));
+  for (int64_t v = 0; v < kVectors; ++v) {
+    for (SmallVector<Value> *slots : {&sums, &rests}) {
+      slots->push_back(emitRoom(entry, loc, type, 1));
+      LLVM::StoreOp::create(builder, loc, zero, slots->back(), 64);
+    }
+  }
+}
+
+void PairLanes::emitTerm(OpBuilder &builder, Location loc, size_t update,
+                         scf::ForOp loop, Value term) {
+  Value position =
+      IndexMath(builder, loc).sub(loop.getInductionVar(), loop.getLowerBound());
+  Value address =
+      emitPointer(builder, loc, builder.getF64Type(), terms[update], position);
+  LLVM::StoreOp::create(builder, loc, term, address, 8);
+}
+
+void PairLanes::emitBlockEnd(OpBuilder &builder, Location loc,
+                             scf::ForOp loop) {
+  IndexMath math(builder, loc);
+  Value zero = math.constant(0);
+  Value count =
+      math.max(math.sub(loop.getUpperBound(), loop.getLowerBound()), zero);
+  Value zeros =
+      arith::ConstantOp::create(builder, loc, builder.getZeroAttr(type));
+  Type element = builder.getF64Type();
+  for (Value kept : terms)
+    for (int64_t v = 0; v < kVectors; ++v) {
+      Value at = math.add(count, math.constant(v * kLanes));
+      LLVM::StoreOp::create(builder, loc, zeros,
+                            emitPointer(builder, loc, element, kept, at), 8);
+    }
+  auto number = [&](double value) {
+    return emitFenced(builder, loc,
+                      arith::ConstantOp::create(
+                          builder, loc, DenseElementsAttr::get(type, value)));
+  };
+  Value one = number(1), minusOne = number(-1);
+  auto add = scf::ForOp::create(builder, loc, zero, count,
+                                math.constant(kLanes * kVectors));
+  OpBuilder inside = OpBuilder::atBlockBegin(add.getBody());
+  IndexMath at(inside, loc);
+  for (int64_t v = 0; v < kVectors; ++v) {
+    Pair pair = {LLVM::LoadOp::create(inside, loc, type, sums[v], 64),
+                 LLVM::LoadOp::create(inside, loc, type, rests[v], 64)};
+    for (Value kept : terms) {
+      Value address =
+          emitPointer(inside, loc, element, kept,
+                      at.add(add.getInductionVar(), at.constant(v * kLanes)));
+      Value x = LLVM::LoadOp::create(inside, loc, type, address, 8);
+      pair = ::emitPairSum(inside, loc, pair, x, one, minusOne);
+    }
+    LLVM::StoreOp::create(inside, loc, pair.sum, sums[v], 64);
+    LLVM::StoreOp::create(inside, loc, pair.rest, rests[v], 64);
+  }
+}
+
+Pair PairLanes::emitTotal(OpBuilder &builder, Location loc) {
+  Value zero =
+      arith::ConstantOp::create(builder, loc, builder.getF64FloatAttr(0));
+  Pair total = {zero, zero};
+  for (int64_t v = 0; v < kVectors; ++v) {
+    Value sum = LLVM::LoadOp::create(builder, loc, type, sums[v], 64);
+    Value rest = LLVM::LoadOp::create(builder, loc, type, rests[v], 64);
+    for (int32_t lane = 0; lane < kLanes; ++lane) {
+      Value at = LLVM::ConstantOp::create(builder, loc, builder.getI32Type(),
+                                          builder.getI32IntegerAttr(lane));
+      auto pick = [&](Value vector) -> Value {
+        return LLVM::ExtractElementOp::create(builder, loc, vector, at);
+      };
+      total = emitPairSum(builder, loc, total, pick(sum));
+      total.rest = LLVM::FAddOp::create(builder, loc, total.rest, pick(rest));
+    }
+  }
+  return total;
+}
