@@ -119,7 +119,8 @@ def optimise(args: argparse.Namespace, iteration: Callable, **kept) -> list[floa
         with _interruptible(), contextlib.closing(iter(bar)) as numbers:
             for number in numbers:
                 begin = time.perf_counter()
-                result = iteration(number)
+                with np.errstate(all="ignore"):  # a loss that is not finite is told below
+                    result = iteration(number)
                 seconds = time.perf_counter() - begin
                 run.note(result, seconds)
                 loss = run.losses()[-1]

@@ -34,8 +34,8 @@ def need(library: str, purpose: str, package: str | None = None):
         fail(f"{purpose} needs {library}, which is not installed: pip install {package or library}")
 
 
-def at_least(minimum: float, kind: type = int) -> Callable:
-    """The type of an option that is a number, and not too small."""
+def at_least(minimum: float, kind: type = int, most: float = float("inf")) -> Callable:
+    """The type of an option that is a number, and not too small or too large."""
 
     def number(text: str):
         try:
@@ -45,9 +45,15 @@ def at_least(minimum: float, kind: type = int) -> Callable:
             raise argparse.ArgumentTypeError(f"{text!r} is not {word}") from None
         if not minimum <= value < float("inf"):
             raise argparse.ArgumentTypeError(f"{text} is impossible; at least {minimum}")
+        if value > most:
+            raise argparse.ArgumentTypeError(f"{text} is impossible; at most {most}")
         return value
 
     return number
+
+
+# Of NumPy's older generators.
+LARGEST_SEED = 2**32 - 1
 
 
 class Options(argparse.ArgumentParser):
@@ -107,7 +113,7 @@ def options(
         text = f"steps of descent ({iterations})"
         add("--iterations", type=at_least(1), default=iterations, help=text)
         add("--resume", action="store_true", help="go on where the run in --out stopped")
-        add("--seed", type=at_least(0), default=0, help="of what is random (0)")
+        add("--seed", type=at_least(0, most=LARGEST_SEED), default=0, help="of what is random (0)")
     if rate:
         text = f"learning rate ({rate:g})"
         add("--rate", type=at_least(0, float), default=rate, help=text)
@@ -119,6 +125,15 @@ def options(
     add("--no-picture", dest="picture", action="store_false", help="numbers only")
     text = "what an animation becomes (gif); png: a folder of frames"
     add("--movie", choices=["gif", "mp4", "png"], default="gif", help=text)
+    return parser
+
+
+def plain(doc: str) -> Options:
+    """The parser of a program that has its own options only; of bad ones it says one line, too."""
+    parser = Options(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.name, parser.quick = Path(sys.argv[0]).stem, {}
+    parser.set_defaults(quick=False, picture=False, resume=False, out=None)
+    sys.excepthook = _explain
     return parser
 
 

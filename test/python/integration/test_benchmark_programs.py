@@ -84,7 +84,7 @@ LINE = """echo '{"ms": [%s], "losses": [0.5]}'"""
         ),
         (["exec sleep 60"], {"reason": "longer than 1 s"}),
         ([LINE % 9, LINE % 7, "kill -11 $$"], {"reason": "ended by signal 11"}),
-        (["echo 'AnError: no loops' >&2", "echo bye >&2", "exit 1"], {"reason": "AnError: no loops"}),
+        (["echo 'AnError: no' >&2", "echo bye >&2", "exit 1"], {"reason": "AnError: no"}),
         (["exit 3"], {"reason": "no word, exit status 3"}),
         (["echo hello"], {"reason": "no times"}),
     ],

@@ -288,3 +288,37 @@ def test_settings_are_those_of_the_scene(tmp_path):
     words = ("--resume", "--iterations", 3, "--rate", 0.2, "--no-picture", "--movie", "png")
     assert len(Toy(parse(tmp_path, *words)).optimise()) == 3
     assert isinstance(parse(tmp_path), argparse.Namespace)
+
+
+def test_programs_with_options_of_their_own(capsys, tmp_path, monkeypatch):
+    parser = studio.plain("What it is.")
+    parser.add_argument("--n", type=studio.at_least(2, most=9), default=3)
+    parser.add_argument("--out", type=Path, default=tmp_path)
+    assert parser.parse_args([]).n == 3
+    for words, line in (
+        (["--n", "1"], "argument --n: 1 is impossible; at least 2"),
+        (["--n", "10"], "argument --n: 10 is impossible; at most 9"),
+        (["--out", str(tmp_path / "file")], f"--out {tmp_path / 'file'}: cannot write there ("),
+    ):
+        (tmp_path / "file").write_text("")
+        with ends(capsys) as end:
+            parser.parse_args(words)
+        assert end.text.startswith(f"toy: {line}") and end.text.count("\n") == 1
+
+
+def test_seeds_that_no_generator_takes(tmp_path, capsys):
+    assert parse(tmp_path, "--seed", 2**32 - 1).seed == 2**32 - 1
+    with ends(capsys) as end:
+        parse(tmp_path, "--seed", 2**32)
+    assert "argument --seed: 4294967296 is impossible; at most 4294967295" in end.text
+
+
+def test_a_descent_that_overflows_says_one_line(tmp_path, capsys, recwarn):
+    with ends(capsys) as end:
+        Toy(parse(tmp_path, "--rate", 1e200)).optimise()
+    assert "is not finite" in end.text and not recwarn.list
+
+
+def test_zeros_have_no_logarithm(tmp_path, recwarn):
+    studio.plot_losses(parse(tmp_path), [0.0, 0.0], log=True)
+    assert (tmp_path / "toy.losses.png").is_file() and not recwarn.list
