@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import os
 import sys
 import tempfile
 from collections.abc import Callable
@@ -18,10 +19,10 @@ def checkpoint(args: argparse.Namespace) -> Path:
     return args.out / f"{args.name}.npz"
 
 
-def fail(message: str) -> NoReturn:
+def fail(message: str, code: int = 2) -> NoReturn:
     """Ends the program with one line."""
     print(f"{Path(sys.argv[0]).stem}: {' '.join(str(message).split())}", file=sys.stderr)
-    sys.exit(2)
+    sys.exit(code)
 
 
 def need(library: str, purpose: str, package: str | None = None):
@@ -52,6 +53,7 @@ def at_least(minimum: float, kind: type = int, most: float = float("inf")) -> Ca
     return number
 
 
+PACKAGES = {"PIL": "pillow"}
 # Of NumPy's older generators.
 LARGEST_SEED = 2**32 - 1
 
@@ -167,8 +169,12 @@ def start(args: argparse.Namespace, **more) -> None:
 def _explain(kind, error, trace) -> None:
     """What does not fit, a full disk or Ctrl-C are no errors of the program: no traceback."""
     if issubclass(kind, KeyboardInterrupt):
-        print(f"{Path(sys.argv[0]).stem}: interrupted", file=sys.stderr)
-        sys.exit(130)
+        fail("interrupted", code=130)
+    if issubclass(kind, ModuleNotFoundError) and error.name:
+        fail(f"{error.name} is not installed: pip install {PACKAGES.get(error.name, error.name)}")
+    if issubclass(kind, BrokenPipeError):  # `| head` has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
     if issubclass(kind, MemoryError):
         fail(f"this size does not fit into memory: {error}")
     if issubclass(kind, OSError) and error.filename:

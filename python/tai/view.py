@@ -218,6 +218,11 @@ def fail(message: str) -> NoReturn:
     sys.exit(2)
 
 
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        fail(f"{message} (--help tells more)")
+
+
 def _open(title: str) -> tuple[Window | None, str]:
     """A window, or why there is none."""
     has_display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
@@ -242,7 +247,7 @@ def _frames(folder: Path, reason: str) -> Frames:
 
 def main() -> None:
     """Runs the program that the command line names."""
-    parser = argparse.ArgumentParser(prog="python -m tai.view", description=__doc__)
+    parser = _Parser(prog="python -m tai.view", description=__doc__)
     parser.add_argument("--frames", type=Path, metavar="FOLDER", help="files, and no window")
     parser.add_argument("program", type=Path)
     parser.add_argument("options", nargs=argparse.REMAINDER, help="of the program")

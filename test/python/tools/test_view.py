@@ -71,6 +71,9 @@ def test_an_example(tmp_path):
 
 
 def test_bad_input(tmp_path, program):
+    done = view("--frames")
+    assert done.returncode == 2 and done.stderr.startswith("view: argument --frames: expected")
+    assert done.stderr.count("\n") == 1
     done = view(tmp_path / "none.py")
     assert (done.returncode, done.stderr) == (2, f"view: there is no program {tmp_path}/none.py\n")
     done = view("--frames", program / "below", program)
