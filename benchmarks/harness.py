@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import platform
 import statistics
 import sys
 import time
@@ -29,6 +30,18 @@ MINIMUM_RUNS = 5
 WARM_UPS = 3
 # How many replays go to the device before the host waits for it, where that is timed.
 BATCH = 10
+
+
+def machine() -> str:
+    """Model and core count of the processor."""
+    model = platform.processor() or platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        for line in cpuinfo.read_text().splitlines():
+            if line.startswith("model name"):
+                model = line.split(":", 1)[1].strip()
+                break
+    return f"{model}, {len(os.sched_getaffinity(0))} cores"
 
 
 class Program(ABC):

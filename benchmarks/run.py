@@ -16,14 +16,13 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-import os
-import platform
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import report
+from harness import machine
 from problems import PROBLEMS
 from setup_peers import create, peers_python
 
@@ -49,18 +48,6 @@ GRADIENT_TOLERANCE = {
     "mass_spring": 5e-2,
     "first_kernel": 1e-6,
 }
-
-
-def machine() -> str:
-    """Model and core count of the processor."""
-    model = platform.processor() or platform.machine()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        for line in cpuinfo.read_text().splitlines():
-            if line.startswith("model name"):
-                model = line.split(":", 1)[1].strip()
-                break
-    return f"{model}, {len(os.sched_getaffinity(0))} cores"
 
 
 def problem_record(peer: str, scene: str, phase: str, reason: str) -> dict:

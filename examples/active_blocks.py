@@ -12,24 +12,25 @@ The picture shows the wave with the blocks of both levels drawn around it.
     python examples/active_blocks.py --dense      # all cells, always: the same wave
 """
 
-import argparse
 import time
 from pathlib import Path
 
 import numpy as np
 import tai as ti
 
-parser = argparse.ArgumentParser(
-    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-)
-parser.add_argument("--n", type=int, default=512, help="cells along a side, times 64 (512)")
-parser.add_argument("--steps", type=int, default=1800, help="steps in time (1800)")
-parser.add_argument("--dense", action="store_true", help="store and compute all cells")
-parser.add_argument("--out", type=Path, default=Path("out"), help="folder of the picture")
+import studio
+
+parser = studio.plain(__doc__)
+add, least = parser.add_argument, studio.at_least
+add("--n", type=least(2), default=512, help="cells along a side, a multiple of 64 (512)")
+add("--steps", type=least(2), default=1800, help="steps in time (1800)")
+add("--dense", action="store_true", help="store and compute all cells")
+add("--out", type=Path, default=Path("out"), help="folder of the picture")
 args = parser.parse_args()
 
 N, FINE, COARSE = args.n, 8, 64
-assert N % COARSE == 0
+if N % COARSE:
+    parser.error(f"--n: {N} is no multiple of {COARSE}")
 DX, DT = 0.5, 0.01
 A, B, EPSILON = 0.75, 0.02, 0.02
 REST = 1e-3  # what is nearer to zero than this is at rest

@@ -11,20 +11,20 @@ At the end, one gradient is computed in three ways: through Newton's roots, thro
 that is iterated until nothing changes (ti.ad.implicit), and through each of its sweeps.
 """
 
-import argparse
 import time
 
 import numpy as np
 import tai as ti
 
-parser = argparse.ArgumentParser(
-    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-)
-parser.add_argument("--n", type=int, default=24, help="springs of the rope (24)")
-parser.add_argument("--steps", type=int, default=12, help="time steps (12)")
-parser.add_argument("--iterations", type=int, default=150, help="steps of descent (150)")
-parser.add_argument("--sweeps", type=int, default=1500, help="sweeps that are unrolled (1500)")
-parser.add_argument("--rate", type=float, default=0.05, help="learning rate (0.05)")
+import studio
+
+parser = studio.plain(__doc__)
+add, least = parser.add_argument, studio.at_least
+add("--n", type=least(2), default=24, help="springs of the rope (24)")
+add("--steps", type=least(1), default=12, help="time steps (12)")
+add("--iterations", type=least(1), default=150, help="steps of descent (150)")
+add("--sweeps", type=least(1), default=1500, help="sweeps that are unrolled (1500)")
+add("--rate", type=least(0, float), default=0.05, help="learning rate (0.05)")
 args = parser.parse_args()
 
 N, STEPS = args.n, args.steps

@@ -11,21 +11,22 @@ Lists hold at most 32 points; one more would be an error, with the line that app
     python examples/neighbours.py --points 20000 --iterations 100
 """
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 import tai as ti
 
-parser = argparse.ArgumentParser(
-    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-)
-parser.add_argument("--points", type=int, default=2000, help="how many (2000)")
-parser.add_argument("--iterations", type=int, default=80, help="steps of descent (80)")
-parser.add_argument("--rate", type=float, default=0.08, help="learning rate, in radii (0.08)")
-parser.add_argument("--seed", type=int, default=0, help="of the points at the start (0)")
-parser.add_argument("--check", action="store_true", help="compare with all pairs in NumPy")
-parser.add_argument("--out", type=Path, default=Path("out"), help="folder of the picture")
+import studio
+
+parser = studio.plain(__doc__)
+add, least = parser.add_argument, studio.at_least
+add("--points", type=least(24), default=2000, help="how many (2000)")
+add("--iterations", type=least(1), default=80, help="steps of descent (80)")
+add("--rate", type=least(0, float), default=0.08, help="learning rate, in radii (0.08)")
+text = "of the points at the start (0)"
+add("--seed", type=least(0, most=studio.LARGEST_SEED), default=0, help=text)
+add("--check", action="store_true", help="compare with all pairs in NumPy")
+add("--out", type=Path, default=Path("out"), help="folder of the picture")
 args = parser.parse_args()
 
 N = args.points
@@ -140,11 +141,11 @@ def main():
     x.from_numpy(np.random.default_rng(args.seed).random((N, 2)))
     if args.check:
         check()
-    gui = ti.GUI("neighbours", res=(480, 480), background_color=0xF4F1EA)
+    gui = ti.GUI("neighbours", res=(480, 480), background_color=studio.PAPER)
     energies, frames, before = [], [], gap()
     for number in ti.tools.Progress(range(args.iterations), "neighbours"):
         if number % max(1, args.iterations // 30) == 0:
-            gui.circles(x.to_numpy(), radius=2.2, color=0x2F5D7C)
+            gui.circles(x.to_numpy(), radius=2.2, color=studio.BLUE)
             frames.append(gui.picture())
             gui.show()
         energies.append(gradient())

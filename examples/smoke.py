@@ -192,14 +192,14 @@ def iteration(_):
 
 
 def film():
-    """Pictures of the smoke from first to last slot."""
+    """Pictures of the smoke from first to last slot, light where it is dense."""
     slots = [smoke_at_start.to_numpy()]
     for t in simulate():
         if t % 2 == 0 or t == STEPS - 1:
             slots.append(turn(smoke, t).to_numpy()[0 if args.in_place else t])
     for slot in slots:
-        grey = (255 * np.clip(slot, 0, 1)).astype(np.uint8)
-        yield np.stack([np.kron(grey, np.ones((3, 3), np.uint8))] * 3, axis=-1)
+        colours = studio.shades(slot, 0, 1, (studio.INK, studio.SOFT, studio.PAPER))
+        yield (255 * colours.repeat(3, 0).repeat(3, 1)).astype(np.uint8)
 
 
 def main():

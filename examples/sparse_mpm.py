@@ -13,24 +13,24 @@ back through the same blocks.
     python examples/sparse_mpm.py --room 1024 --large 65536
 """
 
-import argparse
 import time
 from pathlib import Path
 
 import numpy as np
 import tai as ti
 
-parser = argparse.ArgumentParser(
-    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-)
-parser.add_argument("--room", type=int, default=128, help="nodes along a side (128)")
-parser.add_argument("--large", type=int, default=16384, help="those of the large room (16384)")
-parser.add_argument("--steps", type=int, default=400, help="time slots (400)")
-parser.add_argument("--iterations", type=int, default=12, help="steps of descent (12)")
-parser.add_argument("--rate", type=float, default=2.0, help="learning rate (2)")
-parser.add_argument("--double", action="store_true", help="64-bit numbers")
-parser.add_argument("--check", action="store_true", help="compare with finite differences")
-parser.add_argument("--out", type=Path, default=Path("out"), help="folder of the picture")
+import studio
+
+parser = studio.plain(__doc__)
+add, least = parser.add_argument, studio.at_least
+add("--room", type=least(8), default=128, help="nodes along a side (128)")
+add("--large", type=least(8), default=16384, help="those of the large room (16384)")
+add("--steps", type=least(2), default=400, help="time slots (400)")
+add("--iterations", type=least(1), default=12, help="steps of descent (12)")
+add("--rate", type=least(0, float), default=2.0, help="learning rate (2)")
+add("--double", action="store_true", help="64-bit numbers")
+add("--check", action="store_true", help="compare with finite differences")
+add("--out", type=Path, default=Path("out"), help="folder of the picture")
 args = parser.parse_args()
 
 STEPS, BLOCK = args.steps, 8
@@ -193,7 +193,7 @@ def check(ball, push, slope):
 def animate(ball, path):
     """The flight as a GIF, over the blocks that are in use."""
     width = 2.0
-    gui = ti.GUI("sparse_mpm", res=(640, 320), background_color=0xF4F1EA)
+    gui = ti.GUI("sparse_mpm", res=(640, 320), background_color=studio.PAPER)
     frames = []
     for t in range(0, STEPS, max(1, STEPS // 40)):
         points = ball.x.to_numpy()[t]
@@ -202,10 +202,10 @@ def animate(ball, path):
         touched = {tuple(b) for shift in (0, 2) for b in ((base + shift) // BLOCK).tolist()}
         span = BLOCK * DX / width * np.array([1, 2])
         for block in touched:
-            gui.rect(np.array(block) * span, (np.array(block) + 1) * span, color=0xB9B29C)
-        gui.line((0, 2 * FLOOR * DX / width), (1, 2 * FLOOR * DX / width), color=0x9A9484)
-        gui.circle(np.array(TARGET) / width * [1, 2], radius=4, color=0xC03A2B)
-        gui.circles(points / width * [1, 2], radius=1.4, color=0x2F5D7C)
+            gui.rect(np.array(block) * span, (np.array(block) + 1) * span, color=studio.SOFT)
+        gui.line((0, 2 * FLOOR * DX / width), (1, 2 * FLOOR * DX / width), color=studio.SOFT)
+        gui.circle(np.array(TARGET) / width * [1, 2], radius=4, color=studio.RED)
+        gui.circles(points / width * [1, 2], radius=1.4, color=studio.BLUE)
         frames.append(gui.picture())
         gui.show()
     ti.tools.write_gif(frames + frames[-1:] * 10, str(path), framerate=20)

@@ -125,15 +125,15 @@ def iteration(_):
 
 
 def film():
-    """Pictures of the wave from first to last slot, grey for still water."""
+    """Pictures of the wave from first to last slot: dark troughs, light crests."""
     heights = [start.to_numpy()]
     for t in simulate():
         if t % 4 == 0 or t == STEPS - 1:
             heights.append(u.to_numpy()[min(t, LAST)])
-    scale = 2 * np.abs(heights[-1]).max() or 1
+    scale = np.abs(heights[-1]).max() or 1
     for still in heights:
-        grey = (255 * np.clip(still / scale + 0.5, 0, 1)).astype(np.uint8)
-        yield np.stack([np.kron(grey, np.ones((2, 2), np.uint8))] * 3, axis=-1)
+        colours = studio.shades(still, -scale, scale, (studio.INK, studio.BLUE, studio.PAPER))
+        yield (255 * colours.repeat(2, 0).repeat(2, 1)).astype(np.uint8)
 
 
 def main():

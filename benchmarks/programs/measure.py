@@ -3,7 +3,8 @@
     python benchmarks/programs/measure.py taichi CACHE OUT examples/wave.py [--iterations 6 …]
 
 The examples are programs by Taichi's names; what their frame asks of tai beside these is added to
-the other module here. Prints a line of JSON: the milliseconds of each iteration, and the losses.
+the other module here. Prints lines of JSON, milliseconds and losses: one for each iteration of a
+peer, in case that the process does not live to the end, and one of all.
 """
 
 from __future__ import annotations
@@ -23,16 +24,28 @@ from typing import Any
 
 
 class Progress:
-    """In the place of `tai.tools.Progress`: no bar."""
+    """In the place of `tai.tools.Progress`: no bar, but a line of JSON for each iteration."""
+
+    stream: Any = sys.stdout
+    seconds = float("inf")  # no iteration begins later, but the second one
 
     def __init__(self, items, title):
         self.items = items
 
     def note(self, text):
-        pass
+        loss, time_each = text.removeprefix("loss ").removesuffix(" ms").split(", ")
+        tell(self.stream, {"ms": [float(time_each)], "losses": [float(loss)]})
 
     def __iter__(self):
-        yield from self.items
+        begin = time.monotonic()
+        for number, item in enumerate(self.items):
+            if number > 1 and time.monotonic() - begin > self.seconds:
+                return
+            yield item
+
+
+def tell(stream: Any, found: dict) -> None:
+    print(json.dumps(found), file=stream, flush=True)
 
 
 def adapt(module: Any, cache: Path, threads: int) -> None:
@@ -89,18 +102,22 @@ def run(
     if call:
         exec(before, module.__dict__)
         seconds, losses = [], []
-        for _ in range(count):
+        begin = time.monotonic()
+        for number in range(count):
+            if number > 1 and time.monotonic() - begin > Progress.seconds:
+                break
             start = time.perf_counter()
             value = eval(call, module.__dict__)
             seconds.append(time.perf_counter() - start)
             first = value[0] if isinstance(value, tuple) else value
             losses.append(float(first.mean() if hasattr(first, "mean") else first))
+            tell(Progress.stream, {"ms": [1e3 * seconds[-1]], "losses": losses[-1:]})
     else:
         with (folder / f"{program.stem}.losses.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
         losses = [float(row["loss"]) for row in rows]
         seconds = [float(row["seconds"]) for row in rows]
-    return {"ms": [1e3 * value for value in seconds], "losses": losses}
+    return {"ms": [1e3 * value for value in seconds], "losses": losses, "whole": True}
 
 
 def main() -> None:
@@ -114,18 +131,19 @@ def main() -> None:
     parser.add_argument("--before", default="", help="statements of the program, not timed")
     parser.add_argument("--call", default="", help="an expression of the program, in place of all")
     parser.add_argument("--count", type=int, default=5, help="how often")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="of all iterations")
     args, options = parser.parse_known_args()
     for folder in (args.cache, args.out):
         folder.mkdir(parents=True, exist_ok=True)
     # Only the result may reach standard output.
-    stream = os.fdopen(os.dup(1), "w")
+    Progress.stream, Progress.seconds = os.fdopen(os.dup(1), "w"), args.seconds
     os.dup2(2, 1)
     load(args.peer, args.cache.resolve(), args.threads)
     if args.processor:
         time.perf_counter = time.process_time
     program = args.program.resolve()
     found = run(program, options, args.out.resolve(), args.before, args.call, args.count)
-    print(json.dumps(found), file=stream, flush=True)
+    tell(Progress.stream, found)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ installed) ends the program with one line and exit code 2.
 
 from .descent import optimise, table, take_best
 from .memory import add_states, report_memory, tape
-from .options import Options, at_least, fail, need, options, start
+from .options import LARGEST_SEED, Options, at_least, fail, need, options, plain, start
 from .pictures import (
     BLUE,
     GOLD,

@@ -71,13 +71,16 @@ class _Run:
     def save(self) -> Path:
         """Writes the copy; a file that was there stays whole until the new one is."""
         path = checkpoint(self.args)
-        part = path.with_suffix(".part.npz")
+        part = path.with_suffix(f".{os.getpid()}.npz")  # another run may have the same folder
         columns = {name: values[: self.rows] for name, values in self.columns.items()}
         arrays = {f"kept.{name}": value for name, value in self.state.items()}
         arrays |= {f"best.{name}": value for name, value in self.best.items()}
         arrays |= {f"column.{name}": np.array(values) for name, values in columns.items()}
-        np.savez(part, settings=json.dumps(_settings(self.args)), **arrays)
-        os.replace(part, path)
+        try:
+            np.savez(part, settings=json.dumps(_settings(self.args)), **arrays)
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
         table(self.args, "losses", iteration=range(self.rows), **columns)
         return path
 
@@ -119,7 +122,8 @@ def optimise(args: argparse.Namespace, iteration: Callable, **kept) -> list[floa
         with _interruptible(), contextlib.closing(iter(bar)) as numbers:
             for number in numbers:
                 begin = time.perf_counter()
-                result = iteration(number)
+                with np.errstate(all="ignore"):  # a loss that is not finite is told below
+                    result = iteration(number)
                 seconds = time.perf_counter() - begin
                 run.note(result, seconds)
                 loss = run.losses()[-1]
@@ -136,6 +140,8 @@ def optimise(args: argparse.Namespace, iteration: Callable, **kept) -> list[floa
             text = f"{run.rows} of {args.iterations} iterations are kept in {path}"
             print(f"stopped  {text}; --resume goes on from there", file=sys.stderr)
         if isinstance(error, KeyboardInterrupt):
+            if run.rows == first:
+                fail("interrupted in its first iteration: nothing to keep", code=130)
             sys.exit(130)
         raise
     if run.rows > first:

@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import os
 import sys
 import tempfile
 from collections.abc import Callable
@@ -18,10 +19,10 @@ def checkpoint(args: argparse.Namespace) -> Path:
     return args.out / f"{args.name}.npz"
 
 
-def fail(message: str) -> NoReturn:
+def fail(message: str, code: int = 2) -> NoReturn:
     """Ends the program with one line."""
     print(f"{Path(sys.argv[0]).stem}: {' '.join(str(message).split())}", file=sys.stderr)
-    sys.exit(2)
+    sys.exit(code)
 
 
 def need(library: str, purpose: str, package: str | None = None):
@@ -34,8 +35,8 @@ def need(library: str, purpose: str, package: str | None = None):
         fail(f"{purpose} needs {library}, which is not installed: pip install {package or library}")
 
 
-def at_least(minimum: float, kind: type = int) -> Callable:
-    """The type of an option that is a number, and not too small."""
+def at_least(minimum: float, kind: type = int, most: float = float("inf")) -> Callable:
+    """The type of an option that is a number, and not too small or too large."""
 
     def number(text: str):
         try:
@@ -45,9 +46,16 @@ def at_least(minimum: float, kind: type = int) -> Callable:
             raise argparse.ArgumentTypeError(f"{text!r} is not {word}") from None
         if not minimum <= value < float("inf"):
             raise argparse.ArgumentTypeError(f"{text} is impossible; at least {minimum}")
+        if value > most:
+            raise argparse.ArgumentTypeError(f"{text} is impossible; at most {most}")
         return value
 
     return number
+
+
+PACKAGES = {"PIL": "pillow"}
+# Of NumPy's older generators.
+LARGEST_SEED = 2**32 - 1
 
 
 class Options(argparse.ArgumentParser):
@@ -107,7 +115,7 @@ def options(
         text = f"steps of descent ({iterations})"
         add("--iterations", type=at_least(1), default=iterations, help=text)
         add("--resume", action="store_true", help="go on where the run in --out stopped")
-        add("--seed", type=at_least(0), default=0, help="of what is random (0)")
+        add("--seed", type=at_least(0, most=LARGEST_SEED), default=0, help="of what is random (0)")
     if rate:
         text = f"learning rate ({rate:g})"
         add("--rate", type=at_least(0, float), default=rate, help=text)
@@ -119,6 +127,15 @@ def options(
     add("--no-picture", dest="picture", action="store_false", help="numbers only")
     text = "what an animation becomes (gif); png: a folder of frames"
     add("--movie", choices=["gif", "mp4", "png"], default="gif", help=text)
+    return parser
+
+
+def plain(doc: str) -> Options:
+    """The parser of a program that has its own options only; of bad ones it says one line, too."""
+    parser = Options(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.name, parser.quick = Path(sys.argv[0]).stem, {}
+    parser.set_defaults(quick=False, picture=False, resume=False, out=None)
+    sys.excepthook = _explain
     return parser
 
 
@@ -152,8 +169,12 @@ def start(args: argparse.Namespace, **more) -> None:
 def _explain(kind, error, trace) -> None:
     """What does not fit, a full disk or Ctrl-C are no errors of the program: no traceback."""
     if issubclass(kind, KeyboardInterrupt):
-        print(f"{Path(sys.argv[0]).stem}: interrupted", file=sys.stderr)
-        sys.exit(130)
+        fail("interrupted", code=130)
+    if issubclass(kind, ModuleNotFoundError) and error.name:
+        fail(f"{error.name} is not installed: pip install {PACKAGES.get(error.name, error.name)}")
+    if issubclass(kind, BrokenPipeError):  # `| head` has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
     if issubclass(kind, MemoryError):
         fail(f"this size does not fit into memory: {error}")
     if issubclass(kind, OSError) and error.filename:

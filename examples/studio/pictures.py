@@ -58,7 +58,9 @@ def plot(
             axes.plot(*pair, "." if dots else "-", markersize=3.5, label=name)
         if x == "iteration":
             axes.xaxis.get_major_locator().set_params(integer=True)
-        axes.set(xlabel=x, ylabel=y, title=title, yscale="log" if log else "linear")
+        # Of numbers that are all zero there is no logarithm.
+        has_log = log and any(line.get_ydata().max() > 0 for line in axes.lines)
+        axes.set(xlabel=x, ylabel=y, title=title, yscale="log" if has_log else "linear")
         if len(curves) > 1:
             axes.legend()
         path = args.out / f"{args.name}.{what}.png"

@@ -9,6 +9,7 @@
 #include "tai/Analysis/ToBeRecorded.h"
 #include "tai/ExecutionEngine/ModuleFile.h"
 #include "tai/ExecutionEngine/Summaries.h"
+#include "tai/Runtime/Host/Recorder.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 
 using namespace mlir;
@@ -194,13 +195,28 @@ KernelCode::compilePlannedAdjoint(Failure &failure) {
   return function;
 }
 
+/// True if the kernel stores elements that have an adjoint.
+static bool overwritesGradients(const std::vector<runtime::Access> &summary) {
+  return llvm::any_of(summary, [](const runtime::Access &access) {
+    return access.kind == runtime::AccessKind::Write && access.field->adjoint();
+  });
+}
+
 /// Decides, once, which form of the adjoint a tape launches for all we know.
 void KernelCode::choosePlannedForm(const runtime::Kernel &kernel) {
   std::lock_guard<std::mutex> lock(prepareMutex);
   if (toBeRecorded || ahead)
     return;
+  // What runs while the tape is suspended has a gradient of the program's own,
+  // which launches the adjoint by hand: the form that zeroes, and that loads
+  // nothing of what was stored (see Launcher::launchAdjoint).
+  const runtime::Recorder *tape = services.rt.recordingTape();
+  bool isByHand = tape && tape->isSuspended();
+  planLoadsStored = !isByHand;
   // One that came with the kernel is what it is.
-  planZeroes = !getKernel().getAdjoint() && alwaysZeroes(kernel.summary());
+  planZeroes = !getKernel().getAdjoint() &&
+               (alwaysZeroes(kernel.summary()) ||
+                (isByHand && overwritesGradients(kernel.summary())));
 }
 
 runtime::Status KernelCode::compile(runtime::Kernel &kernel,
@@ -316,11 +332,12 @@ runtime::Status KernelCode::makeAdjoint(runtime::Kernel &kernel,
     if (toBeRecorded)
       told = ToBeRecorded::deserialize(*toBeRecorded);
   }
-  // What was begun before anybody asked loads what is stored, if it can. That a
-  // gradient is launched by hand is seen too late for that.
+  // What was begun before anybody asked loads what is stored, if it can, unless
+  // the gradient is expected to be launched by hand.
   bool isPlanned =
       variant.zeroes == planZeroes &&
-      (told ? variant.readsStored == told->loadsStored : ahead != nullptr);
+      (told ? variant.readsStored == (planLoadsStored && told->loadsStored)
+            : ahead != nullptr);
   Goal goal =
       CompileRequest::getAdjointGoal(variant.zeroes, variant.readsStored);
   if (!isPlanned) {

@@ -204,6 +204,8 @@ _LAZY = {
         "_impl.fields.root": "deactivate_all_snodes",
         "_impl.fields.structs": "Struct StructField dataclass",
         "types": "BitpackedFields",
+        "_impl.fields.array_kinds": "ScalarNdarray VectorNdarray MatrixNdarray",
+        "_impl.base.log_level": "set_logging_level is_logging_effective",
         "_impl.values.ops": "loop_unique",
         "_impl.interop.device_arrays": "from_dlpack",
         "_impl.interop.streams": "wait_for_stream let_stream_wait",
@@ -211,13 +213,25 @@ _LAZY = {
     }.items()
     for name in names.split()
 }
-# Names of Taichi that are known and missing: the answer should say so.
+# Names of Taichi that are known and missing: the answer says so, and what to take instead.
 _NOT_YET = {
-    "Texture", "mesh_local", "Mesh", "ui", "simt", "aot", "graph",
-    "volatile_load", "frexp", "ref", "argpack", "ArgPack", "algorithms", "sparse_matrix_builder",
-}  # fmt: skip
-_MODULES = {"ad", "errors", "gui", "lang", "linalg", "math", "profiler", "sparse", "testing",
-            "tools", "volumes", "_lib"}  # fmt: skip
+    name: instead
+    for names, instead in {
+        "Texture": "read and write a field or array",
+        "Mesh MeshInstance mesh_local mesh_patch_idx": "keep a field of indices for each relation",
+        "ui": "ti.GUI draws, and `python -m tai.view` shows it in a window",
+        "simt": "loops of kernels are made parallel by the compiler",
+        "aot graph": "compiled kernels are cached, and tapes replay launches as one",
+        "volatile_load global_thread_idx experimental DeviceCapability Format": "",
+        "frexp": "the bits of the exponent are in ti.bit_cast(x, ti.i32) >> 23",
+        "ref": "return what a function changes, or pass the field as ti.template()",
+        "argpack ArgPack": "pass a struct: ti.types.struct(…)",
+        "sparse_matrix_builder": "ti.linalg solves with a kernel in the place of a matrix",
+    }.items()
+    for name in names.split()
+}
+_MODULES = {"ad", "algorithms", "errors", "gui", "lang", "linalg", "math", "profiler", "sparse",
+            "testing", "tools", "volumes", "_lib"}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
@@ -227,7 +241,10 @@ def __getattr__(name: str) -> Any:
         value = _importlib.import_module(f".{name}", __name__)
     else:
         if name in _NOT_YET:
-            raise AttributeError(f"ti.{name} is not built in yet")
+            error = AttributeError(f"ti.{name} is not built in yet")
+            if _NOT_YET[name]:
+                error.add_note(f"hint: {_NOT_YET[name]}")
+            raise error
         error = AttributeError(f"module 'tai' has no attribute '{name}'")
         hint = _did_you_mean(name, __dir__())
         if hint:

@@ -3,13 +3,15 @@
 Coordinates run from 0 to 1, the second one upward. `show("frame.png")` writes a picture.
 `show()` writes one for each frame into the folder that the option `frames_dir`, or the
 environment variable TAI_GUI_DIR, names; without one it only counts. As there is nobody to
-close the window, `running` turns false after `max_frames` frames (TAI_GUI_FRAMES, 1000).
+close the window, `running` turns false after `max_frames` frames (TAI_GUI_FRAMES, 1000). Keys and
+mice are those of the window of `tai.view`.
 """
 
 from __future__ import annotations
 
 import os
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,6 +45,32 @@ def _array(values: Any) -> np.ndarray:
     return np.asarray(values.to_numpy() if hasattr(values, "to_numpy") else values, float)
 
 
+def _fits(event: Event, wanted: Any) -> bool:
+    if isinstance(wanted, (list, set)):
+        return any(_fits(event, one) for one in wanted)
+    if isinstance(wanted, tuple):
+        return (event.type, event.key) == wanted
+    return wanted in (event.type, event.key)
+
+
+class Event(NamedTuple):
+    """What somebody did at a window: a key, a button of the mouse, its wheel, or its way.
+
+    Attributes:
+        type: `GUI.PRESS`, `GUI.RELEASE` or `GUI.MOTION`.
+        key: a letter, or a name as `GUI.ESCAPE`, `GUI.LMB`, `GUI.WHEEL` or `GUI.MOVE`.
+        pos: where the mouse was, from 0 to 1, the second coordinate upward.
+        modifier: those of `GUI.SHIFT`, `GUI.CTRL` and `GUI.ALT` that were held.
+        delta: of the wheel, in steps.
+    """
+
+    type: str
+    key: str
+    pos: tuple[float, float] = (0.5, 0.5)
+    modifier: tuple[str, ...] = ()
+    delta: tuple[float, float] = (0.0, 0.0)
+
+
 class GUI:
     """A canvas of `res` pixels.
 
@@ -57,6 +85,7 @@ class GUI:
     # Keys and events, for programs that ask.
     ESCAPE, SPACE, RETURN, SHIFT, CTRL, ALT = "Escape", " ", "Return", "Shift", "Control", "Alt"
     LEFT, RIGHT, UP, DOWN, TAB, EXIT = "Left", "Right", "Up", "Down", "Tab", "WMClose"
+    BACKSPACE = "BackSpace"
     LMB, MMB, RMB, WHEEL, MOVE = "LMB", "MMB", "RMB", "Wheel", "Motion"
     PRESS, RELEASE, MOTION = "Press", "Release", "Motion"
 
@@ -242,25 +271,41 @@ class GUI:
         """Ends the program's loop over frames."""
         self.running = False
 
-    # Nobody is at the keyboard
+    # Keys and mice: of the window of `tai.view`. Elsewhere nobody is at the keyboard.
+
+    def get_events(self, *filters: Any) -> Iterator[Event]:
+        """What happened since the last question and fits a filter; all else is forgotten.
+
+        Args:
+            filters: a type or key of events, a pair of both, or a list of these; all events, if
+                there are none.
+        """
+        for event in self.screen.events() if self.screen else ():
+            if not filters or any(_fits(event, one) for one in filters):
+                yield event
 
     def get_event(self, *filters: Any) -> bool:
-        return False
+        """Whether such an event happened; `event` is the first one, the others can wait."""
+        found = next(self.get_events(*filters), None)
+        self.event = self.event if found is None else found
+        return found is not None
 
-    def get_events(self, *filters: Any) -> list:
-        return []
-
-    def get_key_event(self) -> None:
-        return None
-
-    def is_pressed(self, *keys: Any) -> bool:
-        return False
-
-    def get_cursor_pos(self) -> tuple[float, float]:
-        return (0.5, 0.5)
+    def get_key_event(self) -> Event | None:
+        """The next press or release; None where there is none."""
+        return next(self.get_events(self.PRESS, self.RELEASE), None)
 
     def has_key_event(self) -> bool:
-        return False
+        """Whether something happened that nobody has asked for yet."""
+        return bool(self.screen and self.screen.has_events())
+
+    def is_pressed(self, *keys: Any) -> bool:
+        """Whether one of the keys and buttons is held."""
+        held = self.screen.held if self.screen else ()
+        return any(key in held for key in keys)
+
+    def get_cursor_pos(self) -> tuple[float, float]:
+        """Where the mouse is; the middle where there is none."""
+        return self.screen.cursor if self.screen else (0.5, 0.5)
 
     def __enter__(self) -> GUI:
         return self

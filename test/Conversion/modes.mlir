@@ -62,7 +62,7 @@ tai.kernel @pairs() attributes {modes = {sums = "compensated"}} {
 //       CHECK:   %[[S:.+]] = llvm.fadd %{{.+}}, %[[X]] : f64
 //       CHECK:   %[[T:.+]] = llvm.fsub %[[S]], %{{.+}} : f64
 //       CHECK:   llvm.fsub %[[X]], %[[T]] : f64
-tai.kernel @inner_pairs(%n: index) attributes {tai.modes = {sums = "compensated"}} {
+tai.kernel @inner_pairs(%n: index) attributes {modes = {sums = "compensated"}} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   tai.parallel_for (%i) in @y {

@@ -144,7 +144,7 @@ private:
   void choosePlannedForm(const runtime::Kernel &kernel);
   /// Most launches store what no other one stores.
   CompileRequest::Goal getPlannedGoal() const {
-    return CompileRequest::getAdjointGoal(planZeroes, /*stored=*/true);
+    return CompileRequest::getAdjointGoal(planZeroes, planLoadsStored);
   }
   /// Differentiates the kernel unless that has been done. The caller holds
   /// `prepareMutex`.
@@ -167,7 +167,7 @@ private:
   /// two steps of its compilation, taken by whoever makes the second; and what
   /// it asks of memory.
   std::mutex prepareMutex;
-  bool planZeroes = false;
+  bool planZeroes = false, planLoadsStored = true;
   std::optional<Compiler::Prepared> prepared;
   std::optional<std::string> toBeRecorded;
   /// The adjoint, compiled ahead of need, and what became of it.

@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "PairSums.h"
-#include "../../Transforms/Utils/FieldAddress.h"
-#include "../../Transforms/Utils/IndexMath.h"
+#include "tai/Transforms/Utils/FieldAddress.h"
+#include "tai/Transforms/Utils/IndexMath.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 
 using namespace mlir;

@@ -111,13 +111,3 @@ def test_an_argument_is_not_assigned_to():
     with pytest.raises(ti.TaiTypeError, match="'a.mass' is part of a value") as info:
         run(Body())
     assert "hint: give it a name" in str(info.value)
-
-
-def test_a_struct_is_not_returned():
-    @ti.kernel
-    def run() -> Body:
-        return Body(mass=1.0)
-
-    with pytest.raises(ti.TaiSyntaxError, match="cannot return") as info:
-        run()
-    assert "field" in str(info.value)

@@ -2,6 +2,8 @@
 
 import argparse
 import importlib.util
+import io
+import json
 import sys
 import types
 from pathlib import Path
@@ -26,14 +28,24 @@ SPRINGS = programs.PROGRAMS[0]
 
 
 def arguments(out, **more):
-    given = {"out": out, "iterations": 3, "processor": True, "timeout": 200}
-    return argparse.Namespace(**given | more, peers_venv=out / "none")
+    given = {"cache": out, "iterations": 3, "processor": True, "limit": 200}
+    given |= {"seconds": 60, "fill": False, "peers_venv": out / "none"}
+    return argparse.Namespace(**given | more)
+
+
+def peer_that(folder, *does):
+    """An interpreter in the place of a peer's that does something else."""
+    path = folder / "venv/bin/python"
+    path.parent.mkdir(parents=True)
+    path.write_text("\n".join(["#!/bin/sh", *does, ""]))
+    path.chmod(0o755)
+    return folder / "venv"
 
 
 @pytest.mark.parametrize("program", [SPRINGS, TOI], ids=lambda p: p.name)
 def test_an_example_on_tai(tmp_path, program):
     row = programs.measured(program, "tai", arguments(tmp_path), tmp_path / "run")
-    assert row["ms"] > 0 and row["compile_s"] >= 0
+    assert row["ms"] > 0 and row["first_s"] > 0 and row["iterations"] == 3
     first = 0.0090264 if program is SPRINGS else 0.237109
     assert row["first_loss"] == pytest.approx(first, rel=1e-4)
 
@@ -53,6 +65,87 @@ def test_an_example_that_fails(tmp_path):
     wrong = TOI._replace(call="bounce(1 / 0)")
     reason = programs.measured(wrong, "tai", arguments(tmp_path), tmp_path)["reason"]
     assert reason == "ZeroDivisionError: division by zero"
+
+
+LINE = """echo '{"ms": [%s], "losses": [0.5]}'"""
+
+
+@pytest.mark.parametrize(
+    "does, expected",
+    [
+        # Whoever does not get to the end has the iterations until then.
+        (
+            [LINE % 9000, LINE % 7, LINE % 8, "exec sleep 60"],
+            {"ms": 7.5, "iterations": 3, "first_s": 9.0, "note": "3 iterations in 1 s"},
+        ),
+        (
+            [LINE % 9000, "exec sleep 60"],
+            {"reason": "longer than 1 s, of which the first iteration took 9 s"},
+        ),
+        (["exec sleep 60"], {"reason": "longer than 1 s"}),
+        ([LINE % 9, LINE % 7, "kill -11 $$"], {"reason": "ended by signal 11"}),
+        (["echo 'AnError: no' >&2", "echo bye >&2", "exit 1"], {"reason": "AnError: no"}),
+        (["exit 3"], {"reason": "no word, exit status 3"}),
+        (["echo hello"], {"reason": "no times"}),
+    ],
+    ids=["three", "one", "none", "signal", "error", "silent", "empty"],
+)  # fmt: skip
+def test_a_peer_that_does_not_get_to_the_end(tmp_path, does, expected):
+    venv = peer_that(tmp_path, *does)
+    args = arguments(tmp_path, limit=1 if "sleep" in does[-1] else 60, peers_venv=venv)
+    row = programs.measured(SPRINGS, "taichi", args, tmp_path)
+    assert expected.items() <= row.items()
+    assert ("ms" in row) == ("reason" not in row)
+
+
+def test_scenes_of_other_peers(tmp_path):
+    program = next(p for p in programs.PROGRAMS if p.units > 1)
+    times = [
+        f'echo \'{{"phase": "{phase}", "ms": {ms}, "n": 5}}\''
+        for phase, ms in (("forward", 1), ("backward", 3))
+    ]
+    args = arguments(tmp_path, processor=False, peers_venv=peer_that(tmp_path, *times))
+    row = programs.scene(program, "jax", args)
+    assert row == {"ms": 4.0 * program.units, "iterations": 5, "note": program.note}
+    fails = ["""echo '{"phase": "failed", "reason": "no such op"}'""", "exit 1"]
+    args.peers_venv = peer_that(tmp_path / "other", *fails)
+    assert programs.scene(program, "warp", args) == {"reason": "no such op"}
+    args.processor = True
+    assert programs.scene(program, "jax", args) == {"reason": "wall time only"}
+
+
+def test_each_process_has_its_share(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(programs.time, "monotonic", lambda: now[0])
+    clock = programs.Clock(argparse.Namespace(timeout=90, minutes=10), 40)
+    assert clock.limit() == pytest.approx(60)  # four times a fortieth
+    now[0] = 590.0
+    assert clock.limit() == pytest.approx(10)  # all that is left
+    now[0] = 598.0
+    assert clock.limit() == 0
+    assert programs.Clock(argparse.Namespace(timeout=90, minutes=0), 40).limit() == 90
+
+
+def test_the_whole_table(tmp_path, monkeypatch, capsys):
+    """With a peer that computes the same, and one for which there is no time."""
+    now = [0.0]
+    monkeypatch.setattr(programs.time, "monotonic", lambda: now[0])
+
+    def measured(program, peer, args, folder):
+        now[0] += 59.0 if peer == "taichi" else 0.0
+        return {"ms": 1.0 if peer == "tai" else 3.0, "first_loss": 0.5, "second_loss": 0.4}
+
+    monkeypatch.setattr(programs, "measured", measured)
+    words = ["run.py", "--only", "wave", "--rounds", 1, "--minutes", 1, "--out", tmp_path]
+    words += ["--peers", "taichi", "quadrants", "--peers-venv", tmp_path / "none"]
+    monkeypatch.setattr(sys, "argv", list(map(str, words)))
+    assert programs.main() == 0
+    text = (tmp_path / "programs.md").read_text()
+    assert "| wave | 1 | 3 (3.00) | not run | 3.00 |" in text
+    assert "- wave, quadrants: not run: the 1 minutes were over" in text
+    assert "Peers: taichi, quadrants." in text and text in capsys.readouterr().out
+    lines = (tmp_path / "programs.csv").read_text().splitlines()
+    assert lines[1].startswith("wave,tai,0,1.0,") and len(lines) == 4
 
 
 def test_what_is_wrong_does_not_count(tmp_path):
@@ -92,7 +185,14 @@ def test_a_module_in_the_place_of_tai(tmp_path, monkeypatch):
     assert "fast_math" not in given and "deterministic" not in given
     assert module.ad.Tape("loss", checkpoint="periodic").stats().peak_bytes == 0
     assert recorded == ["loss"] and module.ad.complex_kernel is len
-    assert list(module.tools.Progress(range(3), "bar")) == [0, 1, 2]
+    bar = module.tools.Progress(range(5), "bar")
+    assert list(bar) == [0, 1, 2, 3, 4]
+    bar.seconds = -1.0
+    # No time is left, but what compiles must not be all.
+    assert list(bar) == [0, 1]
+    bar.stream = io.StringIO()
+    bar.note("loss 0.25, 12.5 ms")
+    assert json.loads(bar.stream.getvalue()) == {"ms": [12.5], "losses": [0.25]}
 
 
 def test_scenes_and_examples_are_there():

@@ -105,3 +105,22 @@ def test_active_blocks(tmp_path):
         assert one == pytest.approx(other, rel=1e-3) and other > 100
     picture = Image.open(tmp_path / "active_blocks.png")
     assert picture.size == (256, 256)
+
+
+@pytest.mark.parametrize(
+    "words, line",
+    [
+        (["active_blocks", "--n", 65], "--n: 65 is no multiple of 64"),
+        (["checkpointing", "--budget", 0], "argument --budget: 0 is impossible"),
+        (["implicit_elastic", "--steps", 0], "argument --steps: 0 is impossible"),
+        (["neighbours", "--points", 23], "argument --points: 23 is impossible; at least 24"),
+        (["sparse_mpm", "--steps", 0], "argument --steps: 0 is impossible"),
+    ],
+    ids=lambda v: v[0] if isinstance(v, list) else "",
+)
+def test_impossible_sizes(words, line):
+    name, *options = map(str, words)
+    command = [sys.executable, str(EXAMPLES / f"{name}.py"), *options]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.startswith(f"{name}: {line}")
+    assert done.stderr.count("\n") == 1

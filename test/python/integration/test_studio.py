@@ -108,6 +108,45 @@ def test_the_best_is_kept(tmp_path):
     assert toy.x.to_numpy().tolist() == best.tolist()
 
 
+def test_an_interrupt_before_anything_is_learned(tmp_path, capsys):
+    with ends(capsys, code=130) as end:
+        Toy(parse(tmp_path), 0, signalled(signal.SIGINT)).optimise()
+    assert end.text == "toy: interrupted in its first iteration: nothing to keep\n"
+    assert not list(tmp_path.iterdir())
+
+
+def test_nobody_reads_the_output(tmp_path):
+    program = tmp_path / "toy.py"
+    program.write_text(
+        f"import sys; sys.path.insert(0, {str(Path(studio.__file__).parents[1])!r})\n"
+        "import studio\n"
+        "studio.start(studio.options('', 'toy').parse_args())\n"
+        "for k in range(100_000): print('line', k)\n"
+    )
+    command = f"'{sys.executable}' '{program}' --out '{tmp_path}' | head -1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("line 0\n", "")
+
+
+def test_two_runs_in_one_folder(tmp_path, monkeypatch):
+    # While one writes its checkpoint, the other one does, too.
+    one, other = Toy(parse(tmp_path, "--iterations", 4)), Toy(parse(tmp_path, "--iterations", 4))
+    write, parts = np.savez, []
+
+    def savez(path, **arrays):
+        write(path, **arrays)
+        parts.append(path)
+        if len(parts) == 1:
+            with monkeypatch.context() as patch:
+                patch.setattr(os, "getpid", lambda: 4711)
+                other.optimise()
+
+    monkeypatch.setattr(np, "savez", savez)
+    one.optimise()
+    assert len(set(parts)) == 2 and not any(map(os.path.exists, parts))
+    assert len(Toy(parse(tmp_path, "--resume")).optimise()) == 20
+
+
 def test_an_error_loses_nothing(tmp_path, capsys):
     def wrong():
         raise ValueError("wrong")
@@ -223,6 +262,11 @@ def test_a_device_that_is_missing(tmp_path, capsys, monkeypatch):
     "error, line, code",
     [
         ("KeyboardInterrupt", "interrupted", 130),
+        (
+            "ModuleNotFoundError('No module', name='PIL')",
+            "PIL is not installed: pip install pillow",
+            2,
+        ),
         ("MemoryError('7 TiB')", "this size does not fit into memory: 7 TiB", 2),
         ("OSError(28, 'No space left', 'out/x.gif')", "cannot write out/x.gif: No space left", 2),
         ("ValueError('own mistake')", None, 1),
@@ -288,3 +332,37 @@ def test_settings_are_those_of_the_scene(tmp_path):
     words = ("--resume", "--iterations", 3, "--rate", 0.2, "--no-picture", "--movie", "png")
     assert len(Toy(parse(tmp_path, *words)).optimise()) == 3
     assert isinstance(parse(tmp_path), argparse.Namespace)
+
+
+def test_programs_with_options_of_their_own(capsys, tmp_path, monkeypatch):
+    parser = studio.plain("What it is.")
+    parser.add_argument("--n", type=studio.at_least(2, most=9), default=3)
+    parser.add_argument("--out", type=Path, default=tmp_path)
+    assert parser.parse_args([]).n == 3
+    for words, line in (
+        (["--n", "1"], "argument --n: 1 is impossible; at least 2"),
+        (["--n", "10"], "argument --n: 10 is impossible; at most 9"),
+        (["--out", str(tmp_path / "file")], f"--out {tmp_path / 'file'}: cannot write there ("),
+    ):
+        (tmp_path / "file").write_text("")
+        with ends(capsys) as end:
+            parser.parse_args(words)
+        assert end.text.startswith(f"toy: {line}") and end.text.count("\n") == 1
+
+
+def test_seeds_that_no_generator_takes(tmp_path, capsys):
+    assert parse(tmp_path, "--seed", 2**32 - 1).seed == 2**32 - 1
+    with ends(capsys) as end:
+        parse(tmp_path, "--seed", 2**32)
+    assert "argument --seed: 4294967296 is impossible; at most 4294967295" in end.text
+
+
+def test_a_descent_that_overflows_says_one_line(tmp_path, capsys, recwarn):
+    with ends(capsys) as end:
+        Toy(parse(tmp_path, "--rate", 1e200)).optimise()
+    assert "is not finite" in end.text and not recwarn.list
+
+
+def test_zeros_have_no_logarithm(tmp_path, recwarn):
+    studio.plot_losses(parse(tmp_path), [0.0, 0.0], log=True)
+    assert (tmp_path / "toy.losses.png").is_file() and not recwarn.list

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tai as ti
+from matplotlib.backend_bases import CloseEvent, KeyEvent, MouseEvent
 from PIL import Image
 from tai.view import Frames, Window
 
@@ -70,6 +71,9 @@ def test_an_example(tmp_path):
 
 
 def test_bad_input(tmp_path, program):
+    done = view("--frames")
+    assert done.returncode == 2 and done.stderr.startswith("view: argument --frames: expected")
+    assert done.stderr.count("\n") == 1
     done = view(tmp_path / "none.py")
     assert (done.returncode, done.stderr) == (2, f"view: there is no program {tmp_path}/none.py\n")
     done = view("--frames", program / "below", program)
@@ -103,6 +107,50 @@ def test_a_window(window, tmp_path):
     assert not gui.running
     window.wait()
     window.play(film, 1)  # shows nothing more, and takes no time
+
+
+def did(window, name, **what):
+    """Something that a person does at the window, as matplotlib tells it."""
+    canvas = window._figure.canvas
+    kind = {"key": KeyEvent, "close": CloseEvent}.get(name.split("_")[0], MouseEvent)
+    canvas.callbacks.process(name, kind(name, canvas, **what))
+
+
+def test_keys_and_mice(window):
+    gui = ti.GUI("toy", res=(40, 20))
+    assert not gui.get_event() and not gui.has_key_event()
+    gui.show()
+    did(window, "key_press_event", key="control")
+    did(window, "key_press_event", key="ctrl+A", x=10, y=5)
+    did(window, "key_release_event", key="ctrl+a")
+    did(window, "motion_notify_event", x=30, y=15)
+    did(window, "button_press_event", x=30, y=10, button=3)
+    did(window, "scroll_event", x=20, y=10, step=-2)
+    did(window, "key_press_event", key="escape", x=20, y=10)
+    assert gui.has_key_event() and gui.is_pressed("q", gui.RMB) and not gui.is_pressed("a")
+    assert gui.get_cursor_pos() == (0.5, 0.5)  # of the wheel
+    # What does not fit is skipped; what comes behind can wait.
+    assert gui.get_event("a") and gui.event == (gui.PRESS, "a", (0.25, 0.25), (gui.CTRL,), (0, 0))
+    assert gui.get_event((gui.PRESS, gui.RMB)) and gui.event.pos == (0.75, 0.5)
+    (wheel,) = gui.get_events([gui.WHEEL])
+    assert (wheel.type, wheel.delta) == (gui.MOTION, (0.0, -2.0))
+    # Asking for all of them has taken the escape, too.
+    assert not gui.get_event(gui.ESCAPE) and gui.event.key == gui.RMB
+    did(window, "button_release_event", x=0, y=0, button=3)
+    did(window, "key_press_event", key="ctrl++")
+    did(window, "key_press_event", key=None)
+    assert [(e.type, e.key) for e in gui.get_events()] == [("Release", "RMB"), ("Press", "+")]
+    assert not gui.is_pressed(gui.RMB) and gui.get_key_event() is None
+    did(window, "close_event")
+    assert gui.get_key_event().key == gui.EXIT
+
+
+def test_nobody_is_at_the_keyboard(tmp_path, monkeypatch):
+    monkeypatch.setattr(ti.GUI, "screen", Frames(tmp_path))
+    gui = ti.GUI("toy", res=8)
+    assert not gui.get_event(gui.PRESS) and list(gui.get_events()) == []
+    assert not gui.is_pressed("a") and not gui.has_key_event()
+    assert gui.get_cursor_pos() == (0.5, 0.5)
 
 
 def test_backends_that_are_missing():

@@ -14,12 +14,12 @@ from ..base.program import get_program
 from ..fields.arrays import Ndarray
 from ..history import origins
 from ..tracking import tracked
-from ..values.types import MatrixType, ScalarType
 from .bound_kernel import BoundKernel
 from .functions import func, pyfunc, real_func
 from .launch import launch
 from .signature import Signature, check_annotations, located, names_of
 from .specialization import Specialization, Specializations
+from .struct_results import ResultType
 
 native.set_tracked_type(tracked.Number)
 native.set_ndarray_type(Ndarray)
@@ -110,7 +110,7 @@ class Kernel(native.Launcher):
         return self._signature
 
     @property
-    def _result(self) -> ScalarType | MatrixType | None:
+    def _result(self) -> ResultType | None:
         """The type of the result; None also before the first call."""
         return None if self._signature is None else self._signature.result
 

@@ -16,6 +16,7 @@ from ..tracking.tape_arrays import HeldArray, check_overlaps, is_same_array
 from .signature import Signature
 from .slots import number_slot
 from .specialization import Specialization
+from .struct_results import StructResult
 
 
 def pack(
@@ -100,6 +101,7 @@ def launch(
         and not (found.followed or found.result_pool)
         and not wants_gradients
         and not signature.structs  # one argument, several slots
+        and not isinstance(signature.result, StructResult)
         and not (grad and result is not None and result.has_gradient)
     ):
         found.registered.add(grad)
@@ -137,7 +139,10 @@ def launch(
     finally:
         if tape is not None and kept:
             tape.arrays.forget_launch()
-    if grad or (gradient is None and cell is None):
-        return answer
-    origins.begin()
-    return tracked.wrap_result(answer, gradient, cell)
+    is_followed = gradient is not None or cell is not None
+    if not grad and is_followed:
+        origins.begin()
+        answer = tracked.wrap_result(answer, gradient, cell)
+    if not grad and isinstance(signature.result, StructResult):
+        return signature.result.unpack(answer, is_followed)
+    return answer

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import TaiCompilationError, TaiRuntimeTypeError, TaiSyntaxError
+from ...errors import TaiCompilationError, TaiRuntimeTypeError, TaiSyntaxError, TaiTypeError
 from ..base import dtypes, state
 from ..fields.structs import Struct, StructType
 from ..frontend.source import closure_of, function_ast
 from ..values.types import MatrixType, NdarrayType, ScalarType, template
+from .struct_results import ResultType, StructResult
 
 
 class Parameter:
@@ -106,7 +107,7 @@ def parse_type(annotation: Any, function: Callable[..., Any], what: str) -> Any:
 
 def _parse(
     function: Callable[..., Any], is_method: bool
-) -> tuple[list[Parameter], ScalarType | MatrixType | None]:
+) -> tuple[list[Parameter], ResultType | None]:
     """The parameters of a kernel and the type of its result."""
     defaults = dict(zip(reversed(names_of(function)), reversed(function.__defaults__ or ()),
                         strict=False))  # fmt: skip
@@ -120,12 +121,17 @@ def _parse(
     annotation = function.__annotations__.get("return")
     if annotation is None or resolve(annotation, function) is None:
         return parameters, None
-    result = parse_type(annotation, function, "the result")
-    if not isinstance(result, (ScalarType, MatrixType)) or result.dtype.name in ("f16", "bf16"):
+    result: Any = parse_type(annotation, function, "the result")
+    if isinstance(result, StructType):
+        try:
+            result = StructResult(result)
+        except TaiTypeError as error:
+            raise located(error, function) from None
+    elif not isinstance(result, (ScalarType, MatrixType)) or result.dtype.name in ("f16", "bf16"):
         raise located(
             TaiSyntaxError(
                 f"kernel '{function.__name__}' cannot return {annotation!r}",
-                "return a number, a vector or a matrix, or store it in a field",
+                "return a number, a vector, a matrix or a struct, or store it in a field",
             ),
             function,
         )
@@ -164,7 +170,7 @@ class Signature:
         given: the parameters in order, as they are written.
         parameters: the same, with the members of a struct, `a.x`, in its place.
         structs: the names and types of those that are structs.
-        result: a number or matrix type, or None.
+        result: a number, matrix or struct type, or None.
     """
 
     def __init__(self, function: Callable[..., Any], is_method: bool):

@@ -14,6 +14,7 @@ from ..tracking.arguments import as_array
 from ..values.matrix import Matrix
 from ..values.types import MatrixType, NdarrayType, ScalarType
 from .signature import Parameter
+from .struct_results import ResultType
 
 _SLOT_KINDS = {"f32": ("f",), "f64": ("d",), "u1": ("b",)}
 
@@ -93,7 +94,7 @@ class ArgumentSpec:
 class ResultSpec:
     """The type of what a kernel returns."""
 
-    def __init__(self, type_: ScalarType | MatrixType):
+    def __init__(self, type_: ResultType):
         self.type = type_
         self.dt, self.shape = type_.dtype, type_.shape
 

@@ -1,0 +1,28 @@
+"""Taichi's level of a log that tai does not have: it is kept for programs that ask for it."""
+
+from __future__ import annotations
+
+from ...errors import TaiRuntimeTypeError
+
+_LEVELS = ["trace", "debug", "info", "warn", "error", "critical"]
+_level = "info"
+
+
+def _number(level: str) -> int:
+    if level not in _LEVELS:
+        raise TaiRuntimeTypeError(
+            f"there is no level {level!r} of a log", f"the levels are {', '.join(_LEVELS)}"
+        )
+    return _LEVELS.index(level)
+
+
+def set_logging_level(level: str) -> None:
+    """Names the least level of what is told. Warnings are Python's, and are not changed by it."""
+    global _level
+    _number(level)
+    _level = level
+
+
+def is_logging_effective(level: str) -> bool:
+    """Whether what has this level would be told."""
+    return _number(level) >= _number(_level)

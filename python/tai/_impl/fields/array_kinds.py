@@ -1,0 +1,43 @@
+"""Taichi's names for arrays by their elements: `isinstance` tells them apart, calls make them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .arrays import Ndarray
+
+
+class _Kind(type):
+    """The type of a class whose instances are all arrays with elements of so many indices."""
+
+    rank: int
+
+    def __instancecheck__(cls, thing: Any) -> bool:
+        return isinstance(thing, Ndarray) and len(thing.element_shape) == cls.rank
+
+
+class ScalarNdarray(metaclass=_Kind):
+    """An array of numbers, `ti.ndarray(dtype, shape)`."""
+
+    rank = 0
+
+    def __new__(cls, dtype: Any, arr_shape: Any) -> Any:
+        return Ndarray(dtype, arr_shape)
+
+
+class VectorNdarray(metaclass=_Kind):
+    """An array of vectors, `ti.Vector.ndarray(n, dtype, shape)`."""
+
+    rank = 1
+
+    def __new__(cls, n: int, dtype: Any, shape: Any) -> Any:
+        return Ndarray(dtype, shape, (n,))
+
+
+class MatrixNdarray(metaclass=_Kind):
+    """An array of matrices, `ti.Matrix.ndarray(n, m, dtype, shape)`."""
+
+    rank = 2
+
+    def __new__(cls, n: int, m: int, dtype: Any, shape: Any) -> Any:
+        return Ndarray(dtype, shape, (n, m))

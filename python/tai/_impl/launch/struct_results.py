@@ -1,0 +1,115 @@
+"""What a kernel returns as a struct: its numbers in a row, in one type that holds them all."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiAutodiffError, TaiTypeError
+from ..base import dtypes
+from ..base.dtypes import DataType
+from ..fields.structs import Struct, StructType
+from ..values.matrix import Matrix
+from ..values.types import MatrixType, ScalarType
+
+
+def _leaves(type_: StructType) -> list[Any]:
+    """The types of the numbers, vectors and matrices in a struct, in order."""
+    found = []
+    for kind in type_.members.values():
+        found += _leaves(kind) if isinstance(kind, StructType) else [kind]
+    return found
+
+
+def _common(kinds: list[DataType]) -> DataType:
+    """The type that holds the numbers of all these without a loss."""
+    whole = [dt for dt in kinds if not dt.is_float]
+    bits = max((dt.bits for dt in whole), default=0)
+    if len(whole) < len(kinds):
+        if bits > 32:
+            raise TaiTypeError(
+                "a kernel returns a struct in one type, and none holds both floats and integers "
+                "of 64 bits",
+                "make them narrower, or return two structs by two kernels",
+            )
+        is_wide = whole or any(dt.bits > 32 for dt in kinds)
+        return dtypes.f64 if is_wide else dtypes.f32
+    if not any(dt.is_signed for dt in whole):
+        return dtypes.u64 if bits > 32 else dtypes.u32
+    if dtypes.u64 in whole:
+        raise TaiTypeError(
+            "a kernel returns a struct in one type, and none holds both u64 and signed integers"
+        )
+    return dtypes.i64 if bits > 32 or dtypes.u32 in whole else dtypes.i32
+
+
+class StructResult:
+    """The type of the result, as those of vectors: `dtype` and `shape`.
+
+    Raises:
+        TaiTypeError: no type holds all of its numbers.
+    """
+
+    def __init__(self, type_: StructType):
+        self.type, self.leaves = type_, _leaves(type_)
+        self.dtype = _common([leaf.dtype for leaf in self.leaves])
+        self.shape = (sum(int(np.prod(leaf.shape, dtype=int)) for leaf in self.leaves),)
+
+    def convert(self, emitter: Any, value: Any) -> Any:
+        """A struct of a kernel as a vector."""
+        found = self._parts(emitter, self.type, value)
+        parts = [emitter.cast(part, self.dtype) for part in found]
+        return emitter.matrix(parts, self.dtype, self.shape)
+
+    def _parts(self, emitter: Any, type_: StructType, value: Any) -> list[Any]:
+        if hasattr(type(value), "load"):
+            value = value.load()
+        members = vars(value).get("members") if hasattr(value, "__dict__") else None
+        if not isinstance(members, dict) or list(members) != list(type_.members):
+            got = repr(value.type) if isinstance(members, dict) else "something else"
+            raise TaiTypeError(f"the kernel returns a {type_!r}, but got {got}")
+        found = []
+        for name, kind in type_.members.items():
+            if isinstance(kind, StructType):
+                found += self._parts(emitter, kind, members[name])
+                continue
+            part = kind.convert(emitter, members[name])
+            found += part.scalars() if part.shape else [part]
+        return found
+
+    def unpack(self, vector: Any, is_followed: bool) -> Struct:
+        """The struct in Python.
+
+        Args:
+            vector: of its numbers, with a gradient or tangent under a tape or in forward mode.
+            is_followed: whether it has one.
+        """
+        return self._struct(self.type, (vector[i] for i in itertools.count()), is_followed)
+
+    def _struct(self, type_: StructType, numbers: Any, is_followed: bool) -> Struct:
+        entries: dict[str, Any] = {}
+        for name, kind in type_.members.items():
+            if isinstance(kind, StructType):
+                entries[name] = self._struct(kind, numbers, is_followed)
+            elif kind.shape:
+                if is_followed and kind.dtype.is_float:
+                    raise TaiAutodiffError(
+                        f"member '{name}' of a struct that a kernel returns is a vector or "
+                        "matrix, whose gradient would be lost",
+                        "return numbers, or store it in a field",
+                    )
+                count = int(np.prod(kind.shape, dtype=int))
+                flat = [next(numbers) for _ in range(count)]
+                array = np.array(flat).astype(kind.dtype.numpy).reshape(kind.shape)
+                entries[name] = Matrix._wrap(array)
+            elif kind.dtype.is_float:
+                entries[name] = next(numbers)
+            else:
+                entries[name] = kind.dtype.numpy.type(next(numbers)).item()
+        return Struct(entries, type_.methods)
+
+
+# What a kernel may return.
+ResultType = ScalarType | MatrixType | StructResult

@@ -1,0 +1,82 @@
+"""`ti.algorithms`: sorting, and sums of all elements before each one.
+
+They are kernels: they run where the program does, and a tape can record them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ._impl.fields.make import field
+from ._impl.fields.scalar import ScalarField
+from ._impl.solvers.rows import BLOCK, kernels
+from .errors import TaiRuntimeTypeError
+
+__all__ = ["PrefixSumExecutor", "parallel_sort"]
+
+
+def _length(x: Any, what: str) -> int:
+    if not isinstance(x, ScalarField) or len(x.shape) != 1:
+        raise TaiRuntimeTypeError(
+            f"{what} takes a field of numbers with one index, but got {x!r}",
+            "for arrays there are NumPy's functions",
+        )
+    return x.shape[0]
+
+
+def parallel_sort(keys: Any, values: Any = None) -> None:
+    """Sorts a field of numbers in place, the least one first.
+
+    Args:
+        keys: a field with one index.
+        values: a field of as many numbers that is put in the same order, if any. Those of equal
+            keys have no order.
+
+    Raises:
+        TaiRuntimeTypeError: something else than such fields, or fields of two lengths.
+    """
+    count = _length(keys, "parallel_sort")
+    if values is not None and _length(values, "parallel_sort") != count:
+        raise TaiRuntimeTypeError(
+            f"parallel_sort takes as many values as keys: {count}, but got {values.shape[0]}"
+        )
+    merge, width = kernels().merge, 1
+    while width < count:
+        gap = width
+        while gap > 0:
+            merge(keys, keys if values is None else values, values is not None, width, gap, count)
+            gap //= 2
+        width *= 2
+
+
+class PrefixSumExecutor:
+    """Replaces each number of a field by the sum of all up to it.
+
+    Args:
+        length: how many numbers there are.
+    """
+
+    def __init__(self, length: int):
+        self.length = int(length)
+        self._sums: dict[Any, Any] = {}
+
+    def run(self, input_arr: Any) -> None:
+        """Adds up the numbers of a field with one index, in place.
+
+        Raises:
+            TaiRuntimeTypeError: something else, or a field of another length.
+        """
+        count = _length(input_arr, "a prefix sum")
+        if count != self.length:
+            raise TaiRuntimeTypeError(
+                f"this prefix sum is one of {self.length} numbers, but the field has {count}"
+            )
+        parts, blocks = kernels(), -(-count // BLOCK)
+        key = (input_arr.dtype, input_arr.grad is not None)
+        if key not in self._sums:
+            self._sums[key] = field(input_arr.dtype, shape=blocks, needs_grad=key[1])
+        sums = self._sums[key]
+        parts.sum_blocks(input_arr, sums, count)
+        if blocks > 1:
+            parts.sum_sums(sums, blocks)
+            parts.add_sums(input_arr, sums, count)
