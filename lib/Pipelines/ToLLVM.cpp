@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "LoweringPasses.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Pass/PassRegistry.h"
 #include "mlir/Transforms/Passes.h"
 #include "tai/Conversion/Passes.h"
@@ -67,10 +68,11 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   scf.deterministic = options.deterministic;
   scf.debug = options.debug;
   pm.addPass(createConvertTaiToSCF(scf));
-  if (fast)
-    pm.addPass(createHoistAllocations());
-  if (fast)
-    pm.addPass(createSplitIndexSets());
+  if (fast) {
+    OpPassManager &function = pm.nest<LLVM::LLVMFuncOp>();
+    function.addPass(createHoistAllocations());
+    function.addPass(createSplitIndexSets());
+  }
 
   ConvertToLLVMOptions llvm;
   llvm.fastMath = options.fastMath;
