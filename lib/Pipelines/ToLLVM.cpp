@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "LoweringPasses.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Pass/PassRegistry.h"
 #include "mlir/Transforms/Passes.h"
 #include "tai/Conversion/Passes.h"
@@ -67,15 +68,16 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   scf.deterministic = options.deterministic;
   scf.debug = options.debug;
   pm.addPass(createConvertTaiToSCF(scf));
-  if (fast)
-    pm.addPass(createHoistAllocations());
-  if (fast)
-    pm.addPass(createSplitIndexSets());
-  // The shadows of the copies' values would be as many.
-  if (fast && !options.shadow) {
-    UnrollAndJamOptions jam;
-    jam.reassociate = options.fastMath;
-    pm.addPass(createUnrollAndJam(jam));
+  if (fast) {
+    OpPassManager &function = pm.nest<LLVM::LLVMFuncOp>();
+    function.addPass(createHoistAllocations());
+    function.addPass(createSplitIndexSets());
+    // The shadows of the copies' values would be as many.
+    if (!options.shadow) {
+      UnrollAndJamOptions jam;
+      jam.reassociate = options.fastMath;
+      function.addPass(createUnrollAndJam(jam));
+    }
   }
 
   ConvertToLLVMOptions llvm;

@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "PairSums.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "tai/Transforms/Utils/FieldAddress.h"
 #include "tai/Transforms/Utils/IndexMath.h"
-#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 
 using namespace mlir;
 using namespace mlir::tai;
