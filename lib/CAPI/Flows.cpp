@@ -41,6 +41,7 @@ void taiTapeNoteArrayWrite(TaiTape tape, TaiArrayRange array) {
 static std::vector<runtime::FieldPtr> getFields(const TaiField *fields,
                                                 int64_t count) {
   std::vector<runtime::FieldPtr> list;
+  list.reserve(static_cast<size_t>(count));
   for (int64_t i = 0; i < count; ++i)
     list.push_back(fields[i]->field);
   return list;

@@ -53,15 +53,15 @@ using llvm::Expected;
 
 // The generated sources of lib/DeviceLibrary.
 namespace mlir::tai {
-extern const unsigned char deviceLibrary_nvptx[], deviceLibrary_host[];
-extern const unsigned long deviceLibrary_nvptx_size, deviceLibrary_host_size;
+extern const unsigned char deviceLibraryNvptx[], deviceLibraryHost[];
+extern const unsigned long deviceLibraryNvptxSize, deviceLibraryHostSize;
 } // namespace mlir::tai
 
 llvm::ArrayRef<char> mlir::tai::getDeviceLibrary(runtime::DeviceKind kind) {
   bool cuda = kind == runtime::DeviceKind::Cuda;
-  const unsigned char *bytes = cuda ? deviceLibrary_nvptx : deviceLibrary_host;
+  const unsigned char *bytes = cuda ? deviceLibraryNvptx : deviceLibraryHost;
   return {reinterpret_cast<const char *>(bytes),
-          cuda ? deviceLibrary_nvptx_size : deviceLibrary_host_size};
+          cuda ? deviceLibraryNvptxSize : deviceLibraryHostSize};
 }
 
 std::string DeviceTarget::str() const {

@@ -26,7 +26,6 @@
 using namespace mlir;
 using namespace mlir::tai;
 using llvm::createStringError;
-using llvm::Error;
 using llvm::Expected;
 
 static constexpr llvm::StringLiteral programName = TAI_PROGRAM_FUNCTION;

@@ -15,9 +15,9 @@ using namespace mlir::tai::runtime::cuda;
 namespace mlir::tai {
 // Made of Rows.cu when the project is built.
 extern const unsigned char cudaRowKernels[];
-extern const unsigned long cudaRowKernels_size;
+extern const unsigned long cudaRowKernelsSize;
 extern const unsigned char cudaOverlappedRowKernels[];
-extern const unsigned long cudaOverlappedRowKernels_size;
+extern const unsigned long cudaOverlappedRowKernelsSize;
 } // namespace mlir::tai
 
 Status CudaKernels::load() {
@@ -25,11 +25,11 @@ Status CudaKernels::load() {
   if (device.limits().hasOverlaps)
     image.bytes.assign(
         reinterpret_cast<const char *>(mlir::tai::cudaOverlappedRowKernels),
-        mlir::tai::cudaOverlappedRowKernels_size);
+        mlir::tai::cudaOverlappedRowKernelsSize);
   else
     image.bytes.assign(
         reinterpret_cast<const char *>(mlir::tai::cudaRowKernels),
-        mlir::tai::cudaRowKernels_size);
+        mlir::tai::cudaRowKernelsSize);
   Status status = device.load(image, module);
   const char *kernels[] = {"tai_copy_", "tai_swap_"};
   const char *units[] = {"bytes", "words", "pairs", "quads"};

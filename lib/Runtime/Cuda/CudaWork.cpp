@@ -31,7 +31,7 @@ Status CudaDevice::load(const DeviceImage &image,
   int options[] = {kJitInfoBuffer, kJitInfoBytes, kJitErrorBuffer,
                    kJitErrorBytes};
   // Sizes are passed in the place of pointers.
-  auto size = reinterpret_cast<void *>(uintptr_t(logBytes));
+  auto *size = reinterpret_cast<void *>(uintptr_t(logBytes));
   void *values[] = {info.data(), size, errors.data(), size};
   auto loaded = std::make_unique<CudaModule>(*this);
   Result result = cu.moduleLoadDataEx(&loaded->handle, image.bytes.c_str(), 4,

@@ -255,6 +255,7 @@ public:
               std::unique_ptr<DeviceModule> &module) override {
     auto loaded = std::make_unique<EmulatedModule>();
     std::vector<std::string> names;
+    names.reserve(image.functions.size());
     for (const std::string &function : image.functions)
       names.push_back(function + ".slots");
     if (!linker || image.kind != DeviceKind::Emulated)

@@ -268,12 +268,14 @@ Status Kernel::bind(uint64_t epoch) {
   // A launch of another thread may be using the tables: what is the same stays.
   std::vector<void *> newBases;
   std::vector<SparseNode *> nodes;
+  newBases.reserve(info.trees.size());
   for (const TreePtr &tree : info.trees) {
     newBases.push_back(tree->base());
     for (const std::unique_ptr<SparseNode> &node : tree->sparseNodes())
       nodes.push_back(node.get());
   }
   std::vector<const SparseNode *> levels;
+  levels.reserve(info.loopLevels.size());
   for (const LoopLevel &level : info.loopLevels)
     levels.push_back(info.trees[level.tree]->sparseNodes()[level.node].get());
   std::vector<Field *> changed, targets, sources, stored;

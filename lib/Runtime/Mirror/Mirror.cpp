@@ -247,6 +247,7 @@ static std::vector<DeviceRows> findPieces(const Mirror &mirror,
     rows = 1;
   }
   std::vector<DeviceRows> pieces;
+  pieces.reserve(offsets.size());
   for (int64_t offset : offsets)
     pieces.push_back(
         {mirror.at(offset), step, rowBytes, rows, group.step, group.extent});

@@ -186,9 +186,7 @@ std::string number(double value) {
   std::snprintf(text, sizeof(text), "%.12g", value);
   return text;
 }
-} // namespace
 
-namespace mlir::tai::runtime {
 /// Compares one gradient after another.
 class GradientCheck {
 public:
@@ -227,6 +225,7 @@ public:
     std::vector<char *> values = componentsOf(field);
     std::vector<char *> adjoints = componentsOf(*field.adjoint());
     std::vector<double> gradient;
+    gradient.reserve(adjoints.size());
     (void)field.adjoint()->readable();
     for (char *adjoint : adjoints)
       gradient.push_back(loadF64(field.adjoint()->scalar(), adjoint));
@@ -430,7 +429,7 @@ private:
   void *closure;
   Snapshot before, after;
 };
-} // namespace mlir::tai::runtime
+} // namespace
 
 extern "C" int32_t
 tai_rt_host_check_gradient(TaiFrame *frame, const char *lossName,

@@ -76,7 +76,7 @@ std::optional<FormatSpec> FormatSpec::parse(std::string_view text) {
 }
 
 std::string FormatSpec::pad(bool negative, std::string prefix,
-                            std::string digits) const {
+                            const std::string &digits) const {
   if (negative)
     prefix.insert(prefix.begin(), '-');
   else if (sign != '-')

@@ -43,7 +43,8 @@ struct FormatSpec {
   std::string apply(double value, const std::string &shortest) const;
 
 private:
-  std::string pad(bool negative, std::string prefix, std::string digits) const;
+  std::string pad(bool negative, std::string prefix,
+                  const std::string &digits) const;
 };
 
 } // namespace mlir::tai::runtime

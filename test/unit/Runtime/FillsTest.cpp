@@ -143,7 +143,7 @@ TEST(FillTable, CountsMoreThanFourGigabytes) {
 
 namespace mlir::tai {
 extern const unsigned char cudaRowKernels[], cudaOverlappedRowKernels[];
-extern const unsigned long cudaRowKernels_size, cudaOverlappedRowKernels_size;
+extern const unsigned long cudaRowKernelsSize, cudaOverlappedRowKernelsSize;
 } // namespace mlir::tai
 
 TEST(RowKernels, WaitByThemselvesWhereLaunchesOverlap) {
@@ -158,13 +158,13 @@ TEST(RowKernels, WaitByThemselvesWhereLaunchesOverlap) {
   using namespace mlir::tai;
   // Copies and swaps of four units, and fills.
   constexpr size_t kernels = 9;
-  EXPECT_EQ(count(cudaRowKernels, cudaRowKernels_size, ".visible .entry"),
+  EXPECT_EQ(count(cudaRowKernels, cudaRowKernelsSize, ".visible .entry"),
             kernels);
-  EXPECT_EQ(count(cudaRowKernels, cudaRowKernels_size, "griddepcontrol"), 0u);
+  EXPECT_EQ(count(cudaRowKernels, cudaRowKernelsSize, "griddepcontrol"), 0u);
   for (const char *what : {".visible .entry", "griddepcontrol.wait;",
                            "griddepcontrol.launch_dependents;"})
     EXPECT_EQ(
-        count(cudaOverlappedRowKernels, cudaOverlappedRowKernels_size, what),
+        count(cudaOverlappedRowKernels, cudaOverlappedRowKernelsSize, what),
         kernels)
         << what;
 }
