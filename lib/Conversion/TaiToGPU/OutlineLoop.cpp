@@ -89,15 +89,15 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
       if (sum.isPartial)
         emitSlotStore(builder, loc,
                       arith::ConstantOp::create(
-                          builder, loc, getIdentity(sum.kind, sum.type)),
+                          builder, loc, getIdentity(sum.kind, sum.kept)),
                       sum.slot);
     auto number =
         arith::ConstantIndexOp::create(builder, loc, getSumThreads(loop));
     builder.setInsertionPoint(standIns.getBody()->getTerminator());
     for (Sum &sum : sums)
       if (sum.isPartial)
-        emitStore(builder, loc, emitSlotLoad(builder, loc, sum.type, sum.slot),
-                  emitPointer(builder, loc, getStorageType(sum.type),
+        emitStore(builder, loc, emitSlotLoad(builder, loc, sum.kept, sum.slot),
+                  emitPointer(builder, loc, getStorageType(sum.kept),
                               sum.target, standIns.getInductionVar()),
                   AliasScopes());
     thread = standIns.getInductionVar();
@@ -448,7 +448,8 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   llvm::MapVector<Value, bool> activated = findActivated(loop);
   LoopAccesses accesses(loop, lowering.deterministic);
   for (const Sum &sum : sums)
-    accesses.addSum(sum.target, sum.type, sum.kind == AtomicKind::Add,
+    accesses.addSum(sum.target, sum.isPartial ? sum.kept : sum.type,
+                    sum.kind == AtomicKind::Add,
                     sum.isPartial ? getSumThreads(loop) : 0);
 
   // Loops inside are serial.

@@ -8,6 +8,7 @@
 // Sums of all iterations are kept in a register of each thread, and added up
 // over a block before they go to memory. In deterministic mode those of floats
 // belong to a fixed number of threads, and loops behind this one add them up.
+// A thread adds up f32 in f64: one number after another, each addition rounds.
 //
 //===----------------------------------------------------------------------===//
 
@@ -35,13 +36,18 @@ int64_t tai::getSumThreads(ParallelForOp loop) {
                : kSumThreads;
 }
 
+static Type getKeptType(AtomicKind kind, Type type) {
+  bool isWidened = type.isF32() && kind == AtomicKind::Add;
+  return isWidened ? Float64Type::get(type.getContext()) : type;
+}
+
 /// Loops behind `loop` that add up the partial sums of its threads. Yields the
 /// address of the first.
 static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
                              Type type, Value target, RuntimeCalls &runtime) {
   OpBuilder builder(loop);
   Location loc = loop.getLoc();
-  Type storage = getStorageType(type);
+  Type kept = getKeptType(kind, type), storage = getStorageType(kept);
   auto scratch = [&](int64_t count) {
     return runtime.tai_rt_device_scratch(builder, loc, frame,
                                          runtime.i64(builder, loc, 8 * count));
@@ -53,12 +59,12 @@ static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
   Value zero = outside.constant(0), one = outside.constant(1);
   /// The sum of `count` numbers from `first` on.
   auto addUp = [&](OpBuilder &b, Value numbers, Value first, int64_t count) {
-    Value start = arith::ConstantOp::create(b, loc, getIdentity(kind, type));
+    Value start = arith::ConstantOp::create(b, loc, getIdentity(kind, kept));
     IndexMath math(b, loc);
     auto add = scf::ForOp::create(
         b, loc, math.constant(0), math.constant(count), math.constant(1), start,
         [&](OpBuilder &in, Location, Value i, ValueRange sums) {
-          Value number = emitLoad(in, loc, type,
+          Value number = emitLoad(in, loc, kept,
                                   emitPointer(in, loc, storage, numbers,
                                               IndexMath(in, loc).add(first, i)),
                                   AliasScopes());
@@ -78,6 +84,8 @@ static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
   auto all = ParallelForOp::create(builder, loc, zero, one);
   b.setInsertionPointToStart(&all.getBody().front());
   sum = addUp(b, groups, IndexMath(b, loc).constant(0), kSumGroups);
+  if (kept != type)
+    sum = arith::TruncFOp::create(b, loc, type, sum);
   emitPlainUpdate(b, loc, kind, sum, target, AliasScopes());
   return partials;
 }
@@ -209,6 +217,8 @@ SmallVector<Sum> tai::collectSums(ParallelForOp loop, FieldTable &fields) {
   });
   for (Operation *marker : markers)
     marker->erase();
+  for (Sum &sum : sums)
+    sum.kept = getKeptType(sum.kind, sum.type);
   return sums;
 }
 
@@ -251,7 +261,7 @@ static std::string getReduction(AtomicKind kind, Type type) {
 void tai::emitSumStart(OpBuilder &builder, Location loc, Sum &sum) {
   sum.slot = emitStackSlots(builder, loc, 1);
   Value identity =
-      arith::ConstantOp::create(builder, loc, getIdentity(sum.kind, sum.type));
+      arith::ConstantOp::create(builder, loc, getIdentity(sum.kind, sum.kept));
   emitSlotStore(builder, loc, identity, sum.slot);
 }
 
@@ -263,7 +273,9 @@ void tai::rewriteUpdates(Sum &sum) {
     AtomicKind kind = atomic ? atomic.getKind() : AtomicKind::Add;
     Value value =
         atomic ? atomic.getValue() : cast<LLVM::AtomicRMWOp>(update).getVal();
-    Value old = emitSlotLoad(builder, loc, sum.type, sum.slot);
+    if (value.getType() != sum.kept)
+      value = arith::ExtFOp::create(builder, loc, sum.kept, value);
+    Value old = emitSlotLoad(builder, loc, sum.kept, sum.slot);
     emitSlotStore(builder, loc, emitCombination(builder, loc, kind, old, value),
                   sum.slot);
     update->erase();
@@ -272,7 +284,9 @@ void tai::rewriteUpdates(Sum &sum) {
 
 void tai::emitSumEnd(OpBuilder &builder, Location loc, Sum &sum,
                      RuntimeCalls &runtime) {
-  Value value = emitSlotLoad(builder, loc, sum.type, sum.slot);
+  Value value = emitSlotLoad(builder, loc, sum.kept, sum.slot);
+  if (sum.kept != sum.type)
+    value = arith::TruncFOp::create(builder, loc, sum.type, value);
   std::string name = getReduction(sum.kind, sum.type);
   if (name.empty())
     emitAtomicUpdate(builder, loc, sum.kind, value, sum.target, AliasScopes());

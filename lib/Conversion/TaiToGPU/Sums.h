@@ -18,6 +18,8 @@ struct Sum {
   SmallVector<Operation *> updates;
   AtomicKind kind;
   Type type;
+  /// Of what a thread keeps: f64 for sums of f32.
+  Type kept;
   /// Where it goes, or the first of the partial sums.
   Value target;
   bool isPartial = false;

@@ -452,9 +452,9 @@ void tai::orderAdditions(Block *body, Value isActive, RuntimeCalls &runtime) {
 void tai::storeParts(OpBuilder &builder, Location loc, Sum &sum, Value thread,
                      Value threads, int64_t count) {
   IndexMath math(builder, loc);
-  Value mine = emitSlotLoad(builder, loc, sum.type, sum.slot);
+  Value mine = emitSlotLoad(builder, loc, sum.kept, sum.slot);
   Value none =
-      arith::ConstantOp::create(builder, loc, getIdentity(sum.kind, sum.type));
+      arith::ConstantOp::create(builder, loc, getIdentity(sum.kind, sum.kept));
   scf::ForOp::create(
       builder, loc, thread, math.constant(count), threads, ValueRange(),
       [&](OpBuilder &in, Location, Value part, ValueRange) {
@@ -463,7 +463,7 @@ void tai::storeParts(OpBuilder &builder, Location loc, Sum &sum, Value thread,
         Value value = arith::SelectOp::create(in, loc, isMine, mine, none);
         emitStore(
             in, loc, value,
-            emitPointer(in, loc, getStorageType(sum.type), sum.target, part),
+            emitPointer(in, loc, getStorageType(sum.kept), sum.target, part),
             AliasScopes());
         scf::YieldOp::create(in, loc);
       });
