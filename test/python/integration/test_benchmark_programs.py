@@ -118,12 +118,13 @@ def test_each_process_has_its_share(monkeypatch):
     now = [0.0]
     monkeypatch.setattr(programs.time, "monotonic", lambda: now[0])
     clock = programs.Clock(argparse.Namespace(timeout=90, minutes=10), 40)
-    assert clock.limit() == pytest.approx(60)  # four times a fortieth
+    assert clock.limit("jax") == pytest.approx(60)  # four times a fortieth
     now[0] = 590.0
-    assert clock.limit() == pytest.approx(10)  # all that is left
+    assert clock.limit("jax") == pytest.approx(10)  # all that is left
     now[0] = 598.0
-    assert clock.limit() == 0
-    assert programs.Clock(argparse.Namespace(timeout=90, minutes=0), 40).limit() == 90
+    # The rows without a peer are short, and say something by themselves.
+    assert clock.limit("jax") == 0 and clock.limit("tai") == 90
+    assert programs.Clock(argparse.Namespace(timeout=90, minutes=0), 40).limit("jax") == 90
 
 
 def test_the_whole_table(tmp_path, monkeypatch, capsys):
