@@ -257,12 +257,12 @@ func.func @rows(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index, %n: index)
 // LLVM makes no vectors of its own.
 // CHECK-LABEL: func.func @columns(
 //       CHECK:   step %c16
-// ANY-DAG: #[[NONE:.+]] = #llvm.loop_vectorize<disable = true>
-// ANY-DAG: #[[ONCE:.+]] = #llvm.loop_annotation<vectorize = #[[NONE]]>
+// ANY-DAG: #[[$NONE:.+]] = #llvm.loop_vectorize<disable = true>
+// ANY-DAG: #[[$ONCE:.+]] = #llvm.loop_annotation<vectorize = #[[$NONE]]>
 // ANY-LABEL: func.func @columns(
 //       ANY:   step %c16
 //       ANY:     scf.for
-//       ANY:     } {llvm.loop_annotation = #[[ONCE]]}
+//       ANY:     } {llvm.loop_annotation = #[[$ONCE]]}
 func.func @columns(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index, %n: index) {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
