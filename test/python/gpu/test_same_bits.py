@@ -242,14 +242,19 @@ ORDERS = {
 }
 
 
-@pytest.mark.parametrize("dtype", TYPES)
-@pytest.mark.parametrize(
-    "program",
-    [
-        pytest.param(p, marks=pytest.mark.xfail(reason=why, strict=True), id=name)
-        for name, (p, why) in ORDERS.items()
-    ],
-)
+def different_orders():
+    for name, (program, why) in ORDERS.items():
+        for dtype in TYPES:
+            # Totals of f32 are added up in f64 on both, and rounded once.
+            marks = (
+                ()
+                if (name, dtype) == ("total", "f32")
+                else pytest.mark.xfail(reason=why, strict=True)
+            )
+            yield pytest.param(program, dtype, marks=marks, id=f"{name}-{dtype}")
+
+
+@pytest.mark.parametrize("program, dtype", different_orders())
 def test_one_order(program, dtype, monkeypatch):
     """To be had by one tree of sums for all targets."""
     assert_same(program, dtype, monkeypatch)

@@ -17,8 +17,12 @@ ROOT = Path(__file__).resolve().parents[3]
 FOLDER = ROOT / "test" / "Integration" / "CPU"
 BIN = Path(os.environ.get("TAI_BUILD_DIR", ROOT / "build")) / "bin"
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-# What the CPU does alone: it counts visited cells, has assembly, merges loops as host functions.
-ABOUT_THE_CPU = ("--skips", "--compile-profile", "--print-ir=asm", "--threads=2", "--threads=7")
+# What the CPU does alone: it counts visited cells, has assembly, merges loops as host functions,
+# keeps sums of which no digit is lost.
+ABOUT_THE_CPU = (
+    "--skips", "--compile-profile", "--print-ir=asm", "--threads=2", "--threads=7",
+    "--sums=compensated",
+)  # fmt: skip
 
 
 def commands():
