@@ -29,6 +29,9 @@ using namespace mlir::tai;
 
 /// So many terms are added up in f32 before they are widened.
 static constexpr size_t kTermsInF32 = 4;
+/// Of more sums than these at once, those of f64 have no registers: the adjoint
+/// of a layer of a network adds to as many as it has inputs.
+static constexpr size_t kMostSums = 8;
 
 namespace {
 /// A number to add, or to subtract.
@@ -414,13 +417,18 @@ bool SumWidener::run(Function &function) {
       if (auto *call = dyn_cast<IntrinsicInst>(&instruction);
           call && call->getIntrinsicID() == Intrinsic::vector_reduce_fadd)
         reductions.push_back(call);
+  if (reductions.size() > kMostSums)
+    return false;
   bool changed = false;
   for (IntrinsicInst *reduction : reductions)
     changed |= widenLanes(*reduction);
   for (Loop *loop : loops.getLoopsInPreorder()) {
     SmallVector<PHINode *> phis;
     for (PHINode &phi : loop->getHeader()->phis())
-      phis.push_back(&phi);
+      if (phi.getType()->isFloatTy())
+        phis.push_back(&phi);
+    if (phis.size() > kMostSums)
+      continue;
     for (PHINode *phi : phis)
       changed |= widenScalar(*loop, *phi);
   }

@@ -137,6 +137,35 @@ TEST(WidenSumsTest, SingleNumbersAreAddedInF64) {
   EXPECT_EQ(counts.roundings, 1) << counts.text;
 }
 
+/// So many sums of single numbers in one loop.
+std::string sums(int count) {
+  std::string phis, adds;
+  for (int k = 0; k < count; ++k) {
+    std::string n = std::to_string(k);
+    phis +=
+        "  %a" + n + " = phi float [ 0.0, %entry ], [ %b" + n + ", %loop ]\n";
+    adds += "  %b" + n + " = fadd reassoc float %a" + n + ", %u\n";
+  }
+  return "define float @f(ptr %x, i64 %n) {\n"
+         "entry:\n  br label %loop\n"
+         "loop:\n"
+         "  %i = phi i64 [ 0, %entry ], [ %j, %loop ]\n" +
+         phis +
+         "  %p = getelementptr float, ptr %x, i64 %i\n"
+         "  %u = load float, ptr %p\n" +
+         adds +
+         "  %j = add i64 %i, 1\n"
+         "  %more = icmp slt i64 %j, %n\n"
+         "  br i1 %more, label %loop, label %exit\n"
+         "exit:\n  ret float %b0\n}\n";
+}
+
+/// Those of f64 would have no registers.
+TEST(WidenSumsTest, ManySumsAtOnceStay) {
+  EXPECT_EQ(widen(sums(8)).phis64, 1);
+  EXPECT_EQ(widen(sums(9)).phis64, 0);
+}
+
 TEST(WidenSumsTest, DifferencesToo) {
   Counts counts = widen(scalar("fsub reassoc float %a, %u"));
   EXPECT_EQ(counts.phis64, 1) << counts.text;
