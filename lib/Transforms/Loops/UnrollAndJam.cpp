@@ -204,43 +204,67 @@ static bool isIndependent(Operation *op,
          });
 }
 
-/// By how much a value grows from one iteration of a loop to the next, if that
-/// is always the same.
-static std::optional<int64_t> getStride(Value value, scf::ForOp loop) {
-  if (value == loop.getInductionVar())
-    return 1;
-  Operation *op = value.getDefiningOp();
-  if (!op || loop.isDefinedOutsideOfLoop(value))
-    return 0;
-  SmallVector<int64_t> strides;
-  for (Value operand : op->getOperands()) {
-    std::optional<int64_t> stride = getStride(operand, loop);
-    if (!stride)
-      return std::nullopt;
-    strides.push_back(*stride);
+namespace {
+/// By how much values grow from one iteration of a loop to the next.
+class Strides {
+public:
+  explicit Strides(scf::ForOp loop) : loop(loop) {}
+
+  /// Nothing if it is not always the same. Each value is looked at once: an
+  /// index may use one value many times over.
+  std::optional<int64_t> get(Value value) {
+    if (value == loop.getInductionVar())
+      return 1;
+    if (!value.getDefiningOp() || loop.isDefinedOutsideOfLoop(value))
+      return 0;
+    auto found = known.find(value);
+    if (found != known.end())
+      return found->second;
+    std::optional<int64_t> stride = compute(value.getDefiningOp());
+    known[value] = stride;
+    return stride;
   }
-  if (llvm::all_of(strides, [](int64_t stride) { return stride == 0; }))
-    return 0;
-  llvm::APInt factor;
-  if (isa<arith::IndexCastOp>(op))
-    return strides[0];
-  if (isa<arith::AddIOp>(op))
-    return strides[0] + strides[1];
-  if (isa<arith::MulIOp>(op) &&
-      matchPattern(op->getOperand(1), m_ConstantInt(&factor)))
-    return strides[0] * factor.getSExtValue();
-  return std::nullopt;
-}
+
+private:
+  std::optional<int64_t> compute(Operation *op) {
+    SmallVector<int64_t> strides;
+    for (Value operand : op->getOperands()) {
+      std::optional<int64_t> stride = get(operand);
+      if (!stride)
+        return std::nullopt;
+      strides.push_back(*stride);
+    }
+    if (llvm::all_of(strides, [](int64_t stride) { return stride == 0; }))
+      return 0;
+    llvm::APInt factor;
+    int64_t result;
+    if (isa<arith::IndexCastOp>(op))
+      return strides[0];
+    if (isa<arith::AddIOp>(op) &&
+        !llvm::AddOverflow(strides[0], strides[1], result))
+      return result;
+    if (isa<arith::MulIOp>(op) &&
+        matchPattern(op->getOperand(1), m_ConstantInt(&factor)) &&
+        !llvm::MulOverflow(strides[0], factor.getSExtValue(), result))
+      return result;
+    return std::nullopt;
+  }
+
+  scf::ForOp loop;
+  DenseMap<Value, std::optional<int64_t>> known;
+};
+} // namespace
 
 /// Whether vectors of terms of this loop would be gathered from far apart.
 static bool readsColumns(scf::ForOp loop) {
+  Strides strides(loop);
   return llvm::any_of(loop.getBody()->getOps<LLVM::LoadOp>(), [&](auto load) {
     auto address = load.getAddr().template getDefiningOp<LLVM::GEPOp>();
     if (!address)
       return false;
     return llvm::any_of(address.getDynamicIndices(), [&](Value index) {
-      std::optional<int64_t> stride = getStride(index, loop);
-      return !stride || std::abs(*stride) > kMaxStride;
+      std::optional<int64_t> stride = strides.get(index);
+      return !stride || *stride > kMaxStride || *stride < -kMaxStride;
     });
   });
 }

@@ -283,3 +283,76 @@ func.func @columns(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index, %n: ind
   } {llvm.loop_annotation = #parallel}
   return
 }
+
+// -----
+
+#group = #llvm.access_group<id = distinct[0]<>>
+#parallel = #llvm.loop_annotation<parallelAccesses = #group>
+
+// An index of which each step uses the one before twice: 2^48 paths, which are
+// not walked one by one.
+// ANY-LABEL: func.func @doubled(
+//       ANY:   step %c8
+func.func @doubled(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %zero = arith.constant 0.0 : f32
+  scf.for %i = %lo to %hi step %c1 {
+    %sum = scf.for %j = %c0 to %n step %c1 iter_args(%s = %zero) -> (f32) {
+      %d1 = arith.addi %j, %j : index
+      %d2 = arith.addi %d1, %d1 : index
+      %d3 = arith.addi %d2, %d2 : index
+      %d4 = arith.addi %d3, %d3 : index
+      %d5 = arith.addi %d4, %d4 : index
+      %d6 = arith.addi %d5, %d5 : index
+      %d7 = arith.addi %d6, %d6 : index
+      %d8 = arith.addi %d7, %d7 : index
+      %d9 = arith.addi %d8, %d8 : index
+      %d10 = arith.addi %d9, %d9 : index
+      %d11 = arith.addi %d10, %d10 : index
+      %d12 = arith.addi %d11, %d11 : index
+      %d13 = arith.addi %d12, %d12 : index
+      %d14 = arith.addi %d13, %d13 : index
+      %d15 = arith.addi %d14, %d14 : index
+      %d16 = arith.addi %d15, %d15 : index
+      %d17 = arith.addi %d16, %d16 : index
+      %d18 = arith.addi %d17, %d17 : index
+      %d19 = arith.addi %d18, %d18 : index
+      %d20 = arith.addi %d19, %d19 : index
+      %d21 = arith.addi %d20, %d20 : index
+      %d22 = arith.addi %d21, %d21 : index
+      %d23 = arith.addi %d22, %d22 : index
+      %d24 = arith.addi %d23, %d23 : index
+      %d25 = arith.addi %d24, %d24 : index
+      %d26 = arith.addi %d25, %d25 : index
+      %d27 = arith.addi %d26, %d26 : index
+      %d28 = arith.addi %d27, %d27 : index
+      %d29 = arith.addi %d28, %d28 : index
+      %d30 = arith.addi %d29, %d29 : index
+      %d31 = arith.addi %d30, %d30 : index
+      %d32 = arith.addi %d31, %d31 : index
+      %d33 = arith.addi %d32, %d32 : index
+      %d34 = arith.addi %d33, %d33 : index
+      %d35 = arith.addi %d34, %d34 : index
+      %d36 = arith.addi %d35, %d35 : index
+      %d37 = arith.addi %d36, %d36 : index
+      %d38 = arith.addi %d37, %d37 : index
+      %d39 = arith.addi %d38, %d38 : index
+      %d40 = arith.addi %d39, %d39 : index
+      %d41 = arith.addi %d40, %d40 : index
+      %d42 = arith.addi %d41, %d41 : index
+      %d43 = arith.addi %d42, %d42 : index
+      %d44 = arith.addi %d43, %d43 : index
+      %d45 = arith.addi %d44, %d44 : index
+      %d46 = arith.addi %d45, %d45 : index
+      %d47 = arith.addi %d46, %d46 : index
+      %d48 = arith.addi %d47, %d47 : index
+      %at = arith.index_cast %d48 : index to i64
+      %p = llvm.getelementptr %a[%at] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+      %t = llvm.load %p {access_groups = [#group]} : !llvm.ptr -> f32
+      %u = arith.addf %s, %t : f32
+      scf.yield %u : f32
+    }
+  } {llvm.loop_annotation = #parallel}
+  return
+}
