@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import lock_discipline
 import rooms
 import rooms_python
 
@@ -102,6 +103,11 @@ def rooms_of_sources(_fix: bool) -> str:
     return "\n".join(rooms.check())
 
 
+def python_lock(_fix: bool) -> str:
+    """The extension module takes Python's lock back after each call of libtai."""
+    return "\n".join(lock_discipline.check())
+
+
 CHECKS: dict[str, Callable[[bool], str]] = {
     "clang-format": clang_format,
     "ruff format": ruff_format,
@@ -112,6 +118,7 @@ CHECKS: dict[str, Callable[[bool], str]] = {
     "Python rooms": python_rooms,
     "Python types": python_types,
     "rooms": rooms_of_sources,
+    "Python's lock": python_lock,
 }
 
 

@@ -125,50 +125,51 @@ Match HeldArrays::pack(const ArrayArg &arg, PyObject *object, Slots &slots) {
   if (match != Match::Yes || (use == ArrayUse::Forward && !mayAlias))
     return match;
   const Range &range = addRange(arg, slots, first);
-  bool isKnown =
-      use != ArrayUse::Recorded || isKnownToTape(range, object, slots, first);
-  return isKnown ? Match::Yes : Match::No;
+  return use == ArrayUse::Recorded ? matchTaped(range, object, slots, first)
+                                   : Match::Yes;
 }
 
 /// A launch that only reads what earlier ones of the tape have used needs
 /// nothing to be kept. Where its adjoint reads the array, that must hold what
 /// it held then; the launch reads the copy of it, if there is one.
-bool HeldArrays::isKnownToTape(const Range &range, PyObject *object,
-                               Slots &slots, size_t first) const {
+Match HeldArrays::matchTaped(const Range &range, PyObject *object, Slots &slots,
+                             size_t first) const {
   const ArrayArg &arg = *range.arg;
   const TapedArray *found = findTaped(object);
   if (arg.isWritten || !found)
-    return false;
-  const TapedArray &known = *found;
+    return Match::No;
+  // A copy: others may run while the adjoint is planned.
+  const TapedArray known = *found;
   if (known.begin != range.begin || known.end != range.end)
-    return false;
+    return Match::No;
   if (arg.hasGradient &&
       known.gradient != slots[first + 1 + static_cast<size_t>(arg.rank)])
-    return false;
+    return Match::No;
   if (known.version < 0) {
     uint64_t begin = known.begin, bytes = known.end - known.begin;
     if (known.hasSample && sample(begin, bytes) != known.sample)
-      return false;
+      return Match::No;
     bool isRead =
         taiKernelReadsInReverse(kernel.handle, static_cast<int64_t>(first));
-    // It may have planned the adjoint, and others may have run meanwhile. An
-    // exception that has come is passed on after the next call.
-    retakeLock();
+    if (!afterCall())
+      return Match::Error;
     if (!isRead)
-      return true;
+      return Match::Yes;
     if (known.hasDigest)
-      return digest(begin, bytes) == known.digest;
+      return digest(begin, bytes) == known.digest ? Match::Yes : Match::No;
     if (!known.frozen ||
         std::memcmp(reinterpret_cast<const void *>(begin),
                     reinterpret_cast<const void *>(known.frozen), bytes) != 0)
-      return false;
+      return Match::No;
     slots[first] = known.frozen;
-    return true;
+    return Match::Yes;
   }
   static const Name version("_version");
   py::object now = take(get(object, version));
   return now && PyLong_Check(now.ptr()) &&
-         PyLong_AsLongLong(now.ptr()) == known.version;
+                 PyLong_AsLongLong(now.ptr()) == known.version
+             ? Match::Yes
+             : Match::No;
 }
 
 Match HeldArrays::packBuffer(const ArrayArg &arg, PyObject *object,

@@ -91,8 +91,8 @@ private:
                      size_t first, Packer pack);
   const Range &addRange(const ArrayArg &arg, const Slots &slots, size_t first);
   bool isUsable(uint64_t address) const;
-  bool isKnownToTape(const Range &range, PyObject *object, Slots &slots,
-                     size_t first) const;
+  Match matchTaped(const Range &range, PyObject *object, Slots &slots,
+                   size_t first) const;
   bool mustNotMeet(const Range &one, const Range &other) const;
 
   const Kernel &kernel;

@@ -46,8 +46,8 @@ struct Context {
     taiContextSetWarningHandler(handle, &keepWarning, nullptr);
   }
   ~Context() {
+    Teardown teardown;
     taiContextDestroy(handle);
-    retakeLock();
   }
   Context(const Context &) = delete;
   Context &operator=(const Context &) = delete;
@@ -75,8 +75,8 @@ struct Kernel {
   Kernel(ContextRef context, TaiKernel handle)
       : context(std::move(context)), handle(handle) {}
   ~Kernel() {
+    Teardown teardown;
     taiKernelDestroy(handle);
-    retakeLock();
   }
   Kernel(const Kernel &) = delete;
   Kernel &operator=(const Kernel &) = delete;

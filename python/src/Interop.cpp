@@ -141,8 +141,8 @@ struct DeviceMemory {
         taiContextAllocateOnDevice(context->handle, bytes, &address));
   }
   ~DeviceMemory() {
+    Teardown teardown;
     taiContextFreeOnDevice(context->handle, address);
-    retakeLock();
   }
   DeviceMemory(const DeviceMemory &) = delete;
   DeviceMemory &operator=(const DeviceMemory &) = delete;

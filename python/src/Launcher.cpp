@@ -116,9 +116,9 @@ struct Result {
 struct Specialization {
   // What each launch looks at.
   uint64_t generation = 0;
-  /// Launches that run: other threads may go on meanwhile, and must not drop
-  /// it.
-  int running = 0;
+  /// Calls that look at it or run its kernel: other threads and Python code of
+  /// the arguments may go on meanwhile, and must not drop it.
+  int users = 0;
   TaiKernel handle = nullptr;
   std::vector<Arg> args;
   /// What the code depends on besides the arguments.
@@ -141,11 +141,33 @@ struct Specialization {
   }
 };
 
+/// A specialisation stays while there is one of these.
+struct InUse {
+  explicit InUse(Specialization &spec) : spec(spec) { ++spec.users; }
+  ~InUse() { --spec.users; }
+  InUse(const InUse &) = delete;
+  InUse &operator=(const InUse &) = delete;
+  Specialization &spec;
+};
+
+using Specializations = std::vector<std::unique_ptr<Specialization>>;
+
+/// Drops those that nobody uses. What goes with them may call Python, which
+/// finds the list whole.
+template <typename Predicate>
+void drop(Specializations &all, Predicate isDropped) {
+  Specializations gone;
+  for (auto &one : all)
+    if (!one->users && isDropped(*one))
+      gone.push_back(std::move(one));
+  all.erase(std::remove(all.begin(), all.end(), nullptr), all.end());
+}
+
 struct Launcher {
   PyObject_HEAD vectorcallfunc vectorcall;
   PyObject *dict;
   PyObject *weakrefs;
-  std::vector<std::unique_ptr<Specialization>> *specializations;
+  Specializations *specializations;
 };
 
 Match packInteger(const Arg &arg, PyObject *object, uint64_t &slot) {
@@ -295,6 +317,7 @@ Match tryLaunch(Specialization &spec, PyObject *const *args, size_t count,
         (spec.tracking == Specialization::Tracking::Arrays && spec.grad))) ||
       (isForward() && spec.tracking == Specialization::Tracking::Python))
     return Match::No;
+  InUse inUse(spec);
   Slots slots;
   std::optional<HeldArrays> held;
   for (size_t i = 0; i < count; ++i) {
@@ -309,9 +332,7 @@ Match tryLaunch(Specialization &spec, PyObject *const *args, size_t count,
       return match;
   if (held && !held->orderBefore())
     return Match::Error;
-  ++spec.running;
   answer = launch(spec, slots.data(), slots.size());
-  --spec.running;
   if (held && !held->orderAfter())
     Py_CLEAR(answer);
   return Match::Yes;
@@ -352,8 +373,11 @@ PyObject *call(PyObject *object, PyObject *const *args, size_t flags,
       Match match = tryLaunch(*spec, args, count, answer);
       if (match == Match::Error)
         return nullptr;
-      if (match == Match::No)
+      if (match == Match::No) {
+        // Python code of the arguments may have dropped some.
+        i = std::min(i, all.size());
         continue;
+      }
       // Most recently used last, if other threads have left it where it was.
       if (i + 1 < all.size() && all[i].get() == spec)
         std::swap(all[i], all.back());
@@ -379,7 +403,7 @@ PyObject *launcherNew(PyTypeObject *type, PyObject *, PyObject *) {
     PyType_Modified(type);
   }
   self->vectorcall = call;
-  self->specializations = new std::vector<std::unique_ptr<Specialization>>;
+  self->specializations = new Specializations;
   return reinterpret_cast<PyObject *>(self);
 }
 
@@ -399,7 +423,7 @@ int launcherTraverse(PyObject *object, visitproc visit, void *arg) {
 int launcherClear(PyObject *object) {
   auto *self = reinterpret_cast<Launcher *>(object);
   Py_CLEAR(self->dict);
-  std::vector<std::unique_ptr<Specialization>> all;
+  Specializations all;
   all.swap(*self->specializations);
   return 0;
 }
@@ -497,42 +521,40 @@ void taipy::bindLauncher(py::module_ &module) {
   });
   module.def("forward_launches", [] { return forwardLaunches; });
   module.def("next_generation", [] { return ++generation; });
-  module.def("add_specialization", [](const py::object &launcher,
-                                      std::shared_ptr<Kernel> kernel, bool grad,
-                                      const std::vector<py::tuple> &args,
-                                      const py::tuple &result, int tracking,
-                                      const std::vector<py::tuple> &reads) {
-    auto made = std::make_unique<Specialization>();
-    made->setKernel(std::move(kernel));
-    made->generation = generation;
-    made->grad = grad;
-    made->tracking = static_cast<Specialization::Tracking>(tracking);
-    int arrays = 0, written = 0;
-    for (const py::tuple &arg : args) {
-      made->args.push_back(parseArg(arg));
-      const Arg &last = made->args.back();
-      arrays += last.kind == ArgKind::Array;
-      written += last.kind == ArgKind::Array && last.array.isWritten;
-    }
-    for (const py::tuple &read : reads)
-      made->reads.add(read);
-    made->arraysMayAlias = arrays > 1 && written > 0;
-    if (!result.empty()) {
-      made->result.kind = result[0].cast<std::string>().at(0);
-      made->result.bits = result[1].cast<int>();
-      made->result.count = result[2].cast<int>();
-      made->result.wrap = result[3];
-    }
-    auto &all = *toLauncher(launcher)->specializations;
-    // Those of a replaced context never match again.
-    all.erase(std::remove_if(all.begin(), all.end(),
-                             [](const auto &one) {
-                               return one->generation != generation &&
-                                      !one->running;
-                             }),
-              all.end());
-    all.push_back(std::move(made));
-  });
+  module.def("add_specialization",
+             [](const py::object &launcher, std::shared_ptr<Kernel> kernel,
+                bool grad, const std::vector<py::tuple> &args,
+                const py::tuple &result, int tracking,
+                const std::vector<py::tuple> &reads) {
+               auto made = std::make_unique<Specialization>();
+               made->setKernel(std::move(kernel));
+               made->generation = generation;
+               made->grad = grad;
+               made->tracking = static_cast<Specialization::Tracking>(tracking);
+               int arrays = 0, written = 0;
+               for (const py::tuple &arg : args) {
+                 made->args.push_back(parseArg(arg));
+                 const Arg &last = made->args.back();
+                 arrays += last.kind == ArgKind::Array;
+                 written += last.kind == ArgKind::Array && last.array.isWritten;
+               }
+               for (const py::tuple &read : reads)
+                 made->reads.add(read);
+               made->arraysMayAlias = arrays > 1 && written > 0;
+               if (!result.empty()) {
+                 made->result.kind = result[0].cast<std::string>().at(0);
+                 made->result.bits = result[1].cast<int>();
+                 made->result.count = result[2].cast<int>();
+                 made->result.wrap = result[3];
+               }
+               auto &all = *toLauncher(launcher)->specializations;
+               // Those of a replaced context never match again.
+               auto isOld = [](const Specialization &one) {
+                 return one.generation != generation;
+               };
+               drop(all, isOld);
+               all.push_back(std::move(made));
+             });
   // Launches with slots that the caller packed: vectors, matrices, copies.
   module.def("launch_slots",
              [](const std::shared_ptr<Kernel> &kernel, bool grad,
@@ -556,23 +578,16 @@ void taipy::bindLauncher(py::module_ &module) {
   module.def("drop_specialization", [](const py::object &launcher,
                                        const std::shared_ptr<Kernel> &kernel) {
     auto &all = *toLauncher(launcher)->specializations;
-    std::vector<std::unique_ptr<Specialization>> gone;
     for (auto &one : all)
       if (one->kernel == kernel)
         one->generation = 0; // matches never again
-    for (auto &one : all)
-      if (one->kernel == kernel && !one->running)
-        gone.push_back(std::move(one));
-    all.erase(std::remove(all.begin(), all.end(), nullptr), all.end());
-    // What goes with them may call Python: `all` is whole by now.
+    drop(all, [&](const Specialization &one) { return one.kernel == kernel; });
   });
   // Drops the specialisations of a launcher.
   module.def("clear_specializations", [](const py::object &launcher) {
     auto &all = *toLauncher(launcher)->specializations;
     for (auto &one : all)
       one->generation = 0; // matches never again
-    all.erase(std::remove_if(all.begin(), all.end(),
-                             [](const auto &one) { return !one->running; }),
-              all.end());
+    drop(all, [](const Specialization &) { return true; });
   });
 }

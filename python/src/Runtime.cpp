@@ -50,9 +50,9 @@ struct Field {
   Field(const Field &) = delete;
   Field &operator=(const Field &) = delete;
   ~Field() {
+    Teardown teardown;
     if (handle)
       taiFieldRelease(handle);
-    retakeLock();
   }
 
   bool isFloat() const {
@@ -235,9 +235,9 @@ struct Tape {
   std::map<int64_t, py::object> hostFunctions;
 
   ~Tape() {
+    Teardown teardown;
     if (handle)
       taiTapeDestroy(handle);
-    retakeLock();
   }
 };
 
@@ -456,9 +456,9 @@ void bindField(py::module_ &module) {
              TaiExportedBuffer buffer = nullptr;
              f.context->check(taiFieldExport(f.handle, &memory, &buffer));
              py::capsule owner(buffer, [](void *pointer) {
+               Teardown teardown;
                taiExportedBufferRelease(
                    static_cast<TaiExportedBuffer>(pointer));
-               retakeLock();
              });
              py::tuple strides(f.info.rank + f.info.element_rank);
              for (size_t d = 0; d < strides.size(); ++d)
@@ -530,18 +530,18 @@ void bindKernel(py::module_ &module) {
            })
       .def("reads_in_reverse",
            [](Kernel &k, int64_t slot) {
-             return taiKernelReadsInReverse(k.handle, slot);
+             return settled(taiKernelReadsInReverse(k.handle, slot));
            })
       .def("ends_gradients",
            [](Kernel &k, int64_t slot) {
-             return taiKernelEndsGradients(k.handle, slot);
+             return settled(taiKernelEndsGradients(k.handle, slot));
            })
       .def_property_readonly(
           "trees",
           [](Kernel &k) {
             std::vector<std::string> trees;
-            while (const char *name = taiKernelGetTree(
-                       k.handle, static_cast<int64_t>(trees.size())))
+            while (const char *name = settled(taiKernelGetTree(
+                       k.handle, static_cast<int64_t>(trees.size()))))
               trees.push_back(name);
             return trees;
           })
@@ -556,7 +556,7 @@ void bindKernel(py::module_ &module) {
 void taipy::bindRuntime(py::module_ &module) {
   module.def("stop_background_work", [] {
     taiStopBackgroundWork();
-    (void)afterCall();
+    settle();
   });
   module.def("options", [] {
     const TaiOptionRow *rows = nullptr;
@@ -679,8 +679,8 @@ void taipy::bindRuntime(py::module_ &module) {
            })
       .def("is_on_device",
            [](Context &c, uint64_t address) {
-             return bool(taiContextIsOnDevice(
-                 c.handle, reinterpret_cast<const void *>(address)));
+             return bool(settled(taiContextIsOnDevice(
+                 c.handle, reinterpret_cast<const void *>(address))));
            })
       .def("follow_tangents",
            [](Context &c, const std::vector<Field *> &inputs) {
@@ -696,8 +696,9 @@ void taipy::bindRuntime(py::module_ &module) {
                  taiContextLostTangents(c.handle, handles.data(),
                                         static_cast<int64_t>(handles.size()))));
            })
-      .def("is_on_gpu",
-           [](Context &c) { return bool(taiContextIsOnGpu(c.handle)); })
+      .def(
+          "is_on_gpu",
+          [](Context &c) { return bool(settled(taiContextIsOnGpu(c.handle))); })
       .def("profile",
            [](Context &c) {
              const TaiProfileRow *rows = nullptr;

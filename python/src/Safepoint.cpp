@@ -37,11 +37,11 @@ int atSafepoint() {
     // Threads that are not Python's, and callbacks that have failed.
     if (!PyGILState_Check() || PyErr_Occurred())
       return 1;
-    if (!handleSignals())
+    if (!state.isTeardown && !handleSignals())
       return 0;
   } else {
     static thread_local unsigned passed = 0;
-    if (PyThread_get_thread_ident() != mainThread ||
+    if (state.isTeardown || PyThread_get_thread_ident() != mainThread ||
         ++passed % kSafepointsBetweenSignals)
       return 1;
     retakeLock();
@@ -59,6 +59,23 @@ void taipy::retakeLock() {
     callState.released = nullptr;
     PyEval_RestoreThread(released);
   }
+}
+
+Teardown::Teardown()
+    : outer(callState), hasLock(Py_IsInitialized() && PyGILState_Check()) {
+  if (!hasLock)
+    return;
+  PyErr_Fetch(&type, &value, &trace);
+  callState = {};
+  callState.isTeardown = true;
+}
+
+Teardown::~Teardown() {
+  if (!hasLock)
+    return;
+  retakeLock();
+  callState = outer;
+  PyErr_Restore(type, value, trace);
 }
 
 void taipy::forgetError() {

@@ -29,6 +29,8 @@ struct CallState {
   bool isInterrupted = false;
   /// Either of them.
   bool isChanged = false;
+  /// The call ends an object: it raises nothing.
+  bool isTeardown = false;
 };
 
 extern thread_local CallState callState
@@ -42,7 +44,8 @@ bool tellWarnings();
 /// Takes the lock back where a safepoint has given it up.
 void retakeLock();
 
-/// To be called after each call of libtai, before anything of Python is used.
+/// To be called after each call of libtai, before anything of Python is used:
+/// `scripts/lock_discipline.py` looks for calls that are not followed by it.
 /// False where a Python exception has come in the meantime: the call failed, or
 /// what it did is kept, and the exception is to be passed on.
 inline bool afterCall() {
@@ -55,6 +58,25 @@ inline bool afterCall() {
   callState.isInterrupted = callState.isChanged = false;
   return !isInterrupted && tellWarnings();
 }
+
+/// Around a call of libtai that ends what a Python object stood for. It may
+/// wait for another thread's call and gives the lock up meanwhile, but a
+/// destructor has no way to raise: signals stay for the interpreter, and an
+/// exception that is on its way, or a call that this one runs within, is left
+/// as it was.
+class Teardown {
+public:
+  Teardown();
+  ~Teardown();
+  Teardown(const Teardown &) = delete;
+  Teardown &operator=(const Teardown &) = delete;
+
+private:
+  CallState outer;
+  /// False where the interpreter has gone or the thread does not hold its lock.
+  bool hasLock;
+  PyObject *type = nullptr, *value = nullptr, *trace = nullptr;
+};
 
 /// For what Python was asked and need not answer: PyErr_Clear(), but a Ctrl-C
 /// that came meanwhile is not lost, it comes again.

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 
+import numpy as np
 import pytest
 import tai as ti
 
@@ -81,6 +82,129 @@ def test_tapes_are_asked_while_another_thread_compiles(what, tmp_path):
     run = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert run.returncode == 0, run.stderr[:2000]
     assert run.stdout.startswith("asked ")
+
+
+PLANNED = """
+    import sys
+    import threading
+
+    import numpy as np
+    import tai as ti
+
+    ti.init(arch=ti.cpu, offline_cache=False)
+    x = ti.field(ti.f64, shape=16, needs_grad=True, name="x")
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+    given = np.ones(16)
+
+    @ti.kernel
+    def first(a: ti.types.ndarray(ti.f64, ndim=1)):
+        for i in x:
+            loss[None] += a[i] * x[i]
+
+    @ti.kernel
+    def large(a: ti.types.ndarray(ti.f64, ndim=1)):
+        for i in x:
+            s = a[i] * x[i]
+            for k in ti.static(range(150)):
+                s += ti.sin(x[i] * k) * ti.exp(x[i] - k)
+            loss[None] += s
+
+    over = threading.Event()
+
+    def count():
+        # Another thread wants the lock all the time.
+        while not over.is_set():
+            sum(range(1000))
+
+    if sys.argv[1] == "compiled":
+        large.compile(given)
+    thread = threading.Thread(target=count)
+    thread.start()
+    with ti.ad.Tape(loss):
+        first(given)
+        large(given)
+        large(given)
+    over.set()
+    thread.join()
+    print("loss", loss[None], x.grad[3])
+"""
+
+
+@pytest.mark.parametrize("when", ["compiled", "recorded"])
+def test_a_tape_asks_what_a_large_adjoint_reads(when, tmp_path):
+    """To record arrays, a tape waits for the plan of the adjoint."""
+    program = tmp_path / "program.py"
+    program.write_text(textwrap.dedent(PLANNED))
+    command = [sys.executable, program, when]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert run.returncode == 0, run.stderr[:2000]
+    # Sums of exp(-k), which sin(0 * k) multiplies: x is zero.
+    assert run.stdout.split()[0] == "loss" and float(run.stdout.split()[1]) == 0
+    expected = 3 + 2 * sum(k * np.exp(-float(k)) for k in range(150))
+    assert float(run.stdout.split()[2]) == pytest.approx(expected, rel=1e-12)
+
+
+INTERRUPTED = """
+    import os
+    import signal
+    import threading
+
+    import tai as ti
+
+    ti.init(arch=ti.cpu, offline_cache=False)
+    x = ti.field(ti.f64, shape=16)
+    fields = [ti.field(ti.f64, shape=4) for _ in range(3)]
+    for field in fields:
+        field.fill(1.0)
+
+    @ti.kernel
+    def large(a: ti.f64):
+        for i in x:
+            s = a
+            for k in ti.static(range(150)):
+                s += ti.sin(x[i] * k) * ti.exp(x[i] - k)
+            x[i] = s
+
+    compiling, ending = threading.Event(), threading.Event()
+
+    def compile_large():
+        compiling.set()
+        large.compile(1.0)
+
+    def interrupt():
+        ending.wait()
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threads = [threading.Thread(target=compile_large), threading.Thread(target=interrupt)]
+    for thread in threads:
+        thread.start()
+    compiling.wait()
+    said = "nothing"
+    try:
+        ending.set()
+        while fields:
+            fields.pop()
+        sum(range(1000))
+        while True:
+            pass
+    except KeyboardInterrupt:
+        said = "interrupted"
+    for thread in threads:
+        thread.join()
+    fields.clear()
+    x[3] = 2.0
+    print(said, x[3])
+"""
+
+
+def test_ctrl_c_while_a_field_goes(tmp_path):
+    """What ends an object cannot raise: the interpreter does it afterwards."""
+    program = tmp_path / "program.py"
+    program.write_text(textwrap.dedent(INTERRUPTED))
+    command = [sys.executable, program]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert run.returncode == 0, run.stderr[:2000]
+    assert run.stdout == "interrupted 2.0\n" and run.stderr == ""
 
 
 def test_gradients_that_are_given_up_hide_no_error():
