@@ -10,8 +10,10 @@
 // MlirContext of a TaiContext.
 //
 // Every function that can fail returns a TaiStatus; on failure
-// `taiContextLastError` holds the diagnostic. Nothing aborts the process.
-// A context may be used by one thread at a time; contexts are independent.
+// `taiContextLastError` holds the diagnostic of the calling thread. Nothing
+// aborts the process. Calls of several threads on one context follow one
+// another, but for launches and reads of single elements on the CPU, which run
+// side by side; contexts are independent.
 //
 //===----------------------------------------------------------------------===//
 

@@ -239,6 +239,7 @@ TaiStatus taiFieldGetInfo(TaiField handle, TaiFieldInfo *info) {
 
 TaiStatus taiFieldReadF64(TaiField handle, const int64_t *indices,
                           int64_t component, double *value) {
+  DeviceLock lock(handle->context, handle->context.session.getRuntime());
   return handle->context.status(
       handle->field->readF64(indices, component, *value));
 }
@@ -253,6 +254,7 @@ TaiStatus taiFieldWriteF64(TaiField handle, const int64_t *indices,
 
 TaiStatus taiFieldReadI64(TaiField handle, const int64_t *indices,
                           int64_t component, int64_t *value) {
+  DeviceLock lock(handle->context, handle->context.session.getRuntime());
   return handle->context.status(
       handle->field->readI64(indices, component, *value));
 }

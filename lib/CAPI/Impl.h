@@ -36,7 +36,8 @@ private:
 
 /// Owns every handle made in it that is not given back earlier.
 struct TaiContextImpl {
-  /// Held by every call but launches: a context has one user at a time.
+  /// Held by every call but launches and reads of single elements on the CPU:
+  /// a context has one user at a time.
   std::recursive_timed_mutex mutex;
   mlir::tai::Session session;
   Handles<TaiFieldImpl> fields;
@@ -74,6 +75,22 @@ public:
   explicit ContextLock(TaiContextImpl &context)
       : lock(context.mutex, std::defer_lock) {
     mlir::tai::runtime::safepoint::lock(lock);
+  }
+
+private:
+  std::unique_lock<std::recursive_timed_mutex> lock;
+};
+
+/// For calls that threads make side by side on the CPU. The queue of a device
+/// is one: what it has been given by one thread may be what another one waits
+/// for.
+class DeviceLock {
+public:
+  DeviceLock(TaiContextImpl &context,
+             const mlir::tai::runtime::Runtime &runtime)
+      : lock(context.mutex, std::defer_lock) {
+    if (LLVM_UNLIKELY(runtime.getDevice() != nullptr))
+      mlir::tai::runtime::safepoint::lock(lock);
   }
 
 private:

@@ -79,7 +79,14 @@ const char *taiKernelGetTree(TaiKernel kernel, int64_t number) {
 
 TaiStatus taiKernelLaunch(TaiKernel kernel, const uint64_t *args, int64_t slots,
                           uint64_t *results) {
-  return kernel->context.status(
+  TaiContextImpl &context = kernel->context;
+  // Compilation takes long, and others may go on meanwhile.
+  if (LLVM_UNLIKELY(kernel->runtime.getDevice() != nullptr) &&
+      !kernel->launched.resolved())
+    if (runtime::Status status = kernel->launched.resolve(); !status)
+      return context.status(status);
+  DeviceLock lock(context, kernel->runtime);
+  return context.status(
       kernel->runtime.launch(kernel->launched, args, slots, results));
 }
 

@@ -96,6 +96,61 @@ def test_a_second_tape_is_refused_and_harms_none():
     assert in_a_thread(lambda: second.gradient(0.7)[1]) == alone
 
 
+@pytest.mark.parametrize("read", ["element", "array"])
+def test_what_another_thread_has_the_queue_run_is_waited_for(read):
+    """Whichever thread comes next runs what a recording has collected; its own one reads it."""
+    n = 8
+    x = ti.field(ti.f64, shape=n, needs_grad=True)
+    y = ti.field(ti.f64, shape=n)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+    x.fill(0.5)
+
+    @ti.kernel
+    def slow():
+        for i in x:
+            s = x[i]
+            for _ in range(400_000):
+                s = ti.sin(s) + 0.1
+            loss[None] += s
+
+    @ti.kernel
+    def other():
+        for i in y:
+            y[i] += 1.0
+
+    def result():
+        return loss[None] if read == "element" else loss.to_numpy()[()]
+
+    def once():
+        with ti.ad.Tape(loss):
+            slow()
+        return result()
+
+    other()
+    expected = once()
+    # It is collected once it has come a few times.
+    assert [once() for _ in range(4)] == [expected] * 4
+    rounds = 4
+    for _ in range(rounds):
+        recorded, about = threading.Event(), threading.Event()
+
+        def work(recorded=recorded, about=about):
+            recorded.wait()
+            about.set()
+            other()
+
+        thread = threading.Thread(target=work)
+        thread.start()
+        with ti.ad.Tape(loss):
+            slow()
+            recorded.set()
+            about.wait()
+            got = result()
+        thread.join()
+        assert got == expected
+    assert y[3] == rounds + 1
+
+
 def test_launches_and_replays_of_other_threads_are_not_recorded():
     """A device knows a recording again by what is queued, among which is what others launch."""
     first, second = Problem(0.1), Problem(0.2)
