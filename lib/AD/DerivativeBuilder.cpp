@@ -1,4 +1,4 @@
-//===- DerivativeBuilder.cpp - What rules of both modes call --------------===//
+//===- DerivativeBuilder.cpp - Shared by rules of both modes --------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

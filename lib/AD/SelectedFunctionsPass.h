@@ -1,12 +1,12 @@
-//===- SelectedFunctionsPass.h - Passes on what has a gradient --*- C++ -*-===//
+//===- SelectedFunctionsPass.h - Run on selected functions -----*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// What the passes of `tai-autodiff` share: they run on the functions that are
-// to be differentiated, and ask their ops by interfaces that models implement.
+// The base of the passes of `tai-autodiff`: they run on the functions selected
+// for differentiation, and use op interfaces implemented by external models.
 //
 //===----------------------------------------------------------------------===//
 
@@ -19,10 +19,10 @@
 
 namespace mlir::tai {
 
-/// A pass with the option `kernel`, which defines
-/// `LogicalResult runOnFunction(FunctionOpInterface)`, and `begin` where
-/// something is to be done before the first. The passes are on modules: others
-/// of their functions say what is selected.
+/// A pass with the option `kernel`, which defines `LogicalResult
+/// runOnFunction(FunctionOpInterface)` and optionally `begin`, called before
+/// the first function. These are module passes, because the selection depends
+/// on other functions of the module.
 template <typename Pass, template <typename> class GeneratedBase>
 struct SelectedFunctionsPass : GeneratedBase<Pass> {
   using Generated = GeneratedBase<Pass>;
@@ -40,7 +40,7 @@ struct SelectedFunctionsPass : GeneratedBase<Pass> {
     if (failed(functions) || failed(self->begin()))
       return this->signalPassFailure();
     bool isGood = true;
-    // One error does not hide the next: every function is tried.
+    // Report the errors of all functions: continue after a failure.
     for (FunctionOpInterface function : *functions)
       isGood &= succeeded(self->runOnFunction(function));
     if (!isGood)

@@ -7,8 +7,8 @@
 //
 // Two worklists over the uses and definitions of values: forward from reads,
 // backward from writes. Values cross regions along the edges that
-// RegionBranchOpInterface reports; where it reports none, every float that goes
-// in is taken to reach every result.
+// RegionBranchOpInterface reports; where it reports none, every float operand
+// is assumed to reach every result.
 //
 //===----------------------------------------------------------------------===//
 
@@ -40,7 +40,7 @@ struct RegionEdges {
 };
 } // namespace
 
-void mlir::tai::forEachHandover(
+void mlir::tai::forEachForwarding(
     RegionBranchOpInterface op,
     llvm::function_ref<void(OperandRange, ValueRange)> pass) {
   SmallVector<RegionSuccessor> successors;
@@ -81,7 +81,7 @@ Activity::Activity(FunctionOpInterface function,
         (access.getAccessKind() == AccessKind::Read ? reads : writes)
             .push_back(access);
     } else if (auto branch = dyn_cast<RegionBranchOpInterface>(op)) {
-      forEachHandover(branch, [&](OperandRange operands, ValueRange inputs) {
+      forEachForwarding(branch, [&](OperandRange operands, ValueRange inputs) {
         edges.add(operands, inputs);
       });
     }

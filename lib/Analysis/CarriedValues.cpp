@@ -1,4 +1,4 @@
-//===- CarriedValues.cpp - What serial loops carry ------------------------===//
+//===- CarriedValues.cpp - Classifies loop-carried values -----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // The values of one iteration and those of the next are a system of equations,
-// `next[i] = f(values)`. Those equations that a chain of exact steps leads to
-// from one unknown value are solved for it, until none is left.
+// `next[i] = f(values)`. Equations that are a chain of exact steps from one
+// unknown value are solved for that value, until none is left.
 //
 // Integers wrap, so that addition, exclusive or and multiplication by an odd
 // number are exact both ways. Of the steps of floats only the change of sign

@@ -1,4 +1,4 @@
-//===- Cost.cpp - What code costs to run ----------------------------------===//
+//===- Cost.cpp - Cost estimates ------------------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

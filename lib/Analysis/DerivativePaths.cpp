@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Two worklists over values of all types: forward from what has a derivative,
-// backward from where one is wanted. What lies on both sets is on a path. Local
-// variables and local arrays are values here: what is stored to one reaches
-// whatever is loaded from it.
+// Two worklists over values of all types: forward from inputs with a
+// derivative, backward from outputs. Values in both sets are on a path. Local
+// variables and local arrays are treated as values: every value stored to one
+// reaches every value loaded from it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -282,10 +282,10 @@ void Paths::collect() {
     if (isa<LocalLoadOp, StackPopOp>(op))
       return addEdge(op->getOpOperand(0), op->getResult(0));
     if (auto branch = dyn_cast<RegionBranchOpInterface>(op))
-      return forEachHandover(branch,
-                             [&](OperandRange operands, ValueRange inputs) {
-                               addEdges(operands, inputs);
-                             });
+      return forEachForwarding(branch,
+                               [&](OperandRange operands, ValueRange inputs) {
+                                 addEdges(operands, inputs);
+                               });
     collectRead(op);
   });
   // Bits that are only moved and then taken for a float are that float.

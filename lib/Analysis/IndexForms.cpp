@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Launches are refused for what happens in the iterations for which assumptions
+// Launches are refused only because of iterations in which the assumptions
 // hold.
 //
 //===----------------------------------------------------------------------===//

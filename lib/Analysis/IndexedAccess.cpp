@@ -1,4 +1,4 @@
-//===- IndexedAccess.cpp - Accesses taken apart ---------------------------===//
+//===- IndexedAccess.cpp - Indices of an access ---------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- IntegerRanges.cpp - Which values an integer may have ---------------===//
+//===- IntegerRanges.cpp - Ranges of integers -----------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

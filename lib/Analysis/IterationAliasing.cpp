@@ -1,4 +1,4 @@
-//===- IterationAliasing.cpp - Accesses that cannot be told apart ---------===//
+//===- IterationAliasing.cpp - Aliasing between iterations ----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -6,9 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // Whether a later access may reach the element of an earlier one. Indices are
-// compared as linear forms. What both accesses see the same cancels; what may
-// differ between them is an unknown of its own, of which no more than a range
-// is known. They are apart if the difference of some index cannot be zero.
+// compared as linear forms. Terms with the same value in both accesses cancel;
+// values that may differ between them are separate unknowns, of which only a
+// range is known. The accesses are disjoint if the difference of some index
+// cannot be zero.
 //
 //===----------------------------------------------------------------------===//
 

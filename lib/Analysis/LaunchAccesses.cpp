@@ -1,4 +1,4 @@
-//===- LaunchAccesses.cpp - What kernels do to memory ---------------------===//
+//===- LaunchAccesses.cpp - Access summaries of kernels -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

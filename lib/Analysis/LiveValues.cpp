@@ -1,13 +1,13 @@
-//===- LiveValues.cpp - Which values anything needs -----------------------===//
+//===- LiveValues.cpp - Liveness of values --------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A carried value that feeds only itself is dead, but no local rewrite sees it,
-// least of all through nested loops. Here a value is live if something needs
-// that very value: one result of a branch, one value of a loop.
+// A carried value that feeds only itself is dead, but no local rewrite detects
+// that, least of all through nested loops. Here liveness is tracked for each
+// single result of a branch and each single value of a loop.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,4 +1,4 @@
-//===- SkipScope.cpp - What passes count of what they leave out -----------===//
+//===- SkipScope.cpp - Counters of skips in passes ------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

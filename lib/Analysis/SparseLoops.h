@@ -13,8 +13,7 @@
 
 namespace mlir::tai {
 
-/// How the sparse field is laid out whose elements the loop visits; nothing for
-/// other loops.
+/// The layout of the sparse field that the loop visits; none for other loops.
 inline std::optional<FieldLayout> getSparseLayout(ParallelForOp loop) {
   if (!loop.isStructFor())
     return std::nullopt;

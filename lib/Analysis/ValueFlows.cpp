@@ -74,7 +74,7 @@ void ValueFlows::visit(Operation *op) {
   if (auto store = dyn_cast<LocalStoreOp>(op))
     return pass(store.getValue(), store.getLocal());
   if (auto branch = dyn_cast<RegionBranchOpInterface>(op))
-    return forEachHandover(branch, [&](OperandRange from, ValueRange to) {
+    return forEachForwarding(branch, [&](OperandRange from, ValueRange to) {
       for (auto [operand, input] : llvm::zip(from, to))
         pass(operand, input);
     });

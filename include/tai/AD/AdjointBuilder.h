@@ -5,11 +5,12 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The reverse sweep, and what rules call to take part in it.
+// Emits the reverse sweep, and offers derivative rules the operations they
+// need.
 //
 // The adjoint kernel mirrors the blocks of the primal one. Each mirrored block
-// is a `Frame` of two parts: first the primal values that the second part asks
-// for, recomputed in program order, then the reverse sweep. A primal value is
+// is a `Frame` of two parts: first the primal values that the second part
+// needs, recomputed in program order, then the reverse sweep. A primal value is
 // recomputed when a rule first asks for it, so that nothing is computed that no
 // partial derivative needs. Adjoints are SSA values: no memory is touched but
 // the adjoint fields.
@@ -37,9 +38,9 @@ class ParallelForOp;
 class Rematerializer;
 class StoredOutputs;
 
-/// The adjoint of one value while it is being summed: a part for the whole
-/// value and, for vectors, parts for single components (row-major; null is
-/// zero).
+/// The adjoint of one value while contributions are summed: a part for the
+/// whole value and, for vectors, parts for single components (row-major; null
+/// is zero).
 struct PartialAdjoint {
   Value whole;
   SmallVector<Value> components;
@@ -59,23 +60,23 @@ struct Frame {
   Frame *parent;
   Block *primal;
   Block *mirror;
-  /// Recomputed ops stand between these two. Both are null in a frame that only
-  /// recomputes: it ends where its mirror does.
+  /// Recomputed ops are inserted between these two. Both are null in a frame
+  /// that only recomputes: its ops go to the end of the mirror.
   Operation *recomputeBegin = nullptr;
   Operation *sweepBegin = nullptr;
-  /// What primal values of this block are in the mirror.
+  /// Maps primal values of this block to those of the mirror.
   IRMapping values;
-  /// For each recomputed op, the first op that stands for it.
+  /// For each recomputed op, the first op of its copy.
   std::map<Operation *, Operation *, ProgramOrder> recomputed;
   /// Adjoints known in this frame, of values of this block and of captured
   /// ones.
   llvm::MapVector<Value, PartialAdjoint> adjoints;
-  /// In the reverse of a serial loop: which iteration of the primal loop this
-  /// is, counted from 0, and what knows the values that it began with.
+  /// In the reverse of a serial loop: the number of the primal iteration, from
+  /// 0, and the values that it began with.
   Value iteration;
   LoopHistory *history = nullptr;
-  /// Values of the primal block of `parent` that are passed on as the arguments
-  /// of this one, if that is where they come from.
+  /// The values of the primal block of `parent` that are forwarded to the
+  /// arguments of this one; empty if the arguments come from elsewhere.
   SmallVector<Value> argumentValues;
   /// The recorded values that have been popped here.
   DenseSet<Value> popped;
@@ -91,15 +92,15 @@ public:
   /// Builds the whole adjoint; the terminator is left to the caller. Fails
   /// after an error at the op that cannot be differentiated.
   LogicalResult build();
-  /// What was asked of the primal, which the plan may not provide: to be
-  /// settled by the planner.
+  /// The primal values and versions that were needed. The plan may lack some:
+  /// the planner compares them (`AdjointPlanner::settle`).
   const PrimalDemands &getDemands() const { return demands; }
 
   //===--------------------------------------------------------------------===//
   // For rules
   //===--------------------------------------------------------------------===//
 
-  /// True if the value carries a derivative that is wanted.
+  /// True if the value is active.
   bool isActive(Value value) const { return plan.activity.isActive(value); }
   /// The primal value, recomputed in the adjoint kernel.
   Value getPrimal(Value value) override;
@@ -115,16 +116,16 @@ public:
   void addAdjoint(Value value, Value contribution);
   /// Adds to one component (row-major) of the adjoint of a vector.
   void addAdjointComponent(Value value, int64_t component, Value contribution);
-  /// True if the reverse of the access does something.
+  /// True if the reverse of the access is not empty.
   bool isReversed(Operation *access) const {
-    return plan.activity.isActiveAccess(access) || takesAdjoint(access);
+    return plan.activity.isActiveAccess(access) || zeroesAdjoint(access);
   }
   /// True if the reverse of the store zeroes the adjoint of the element, for
   /// the value before the store.
-  bool takesAdjoint(Operation *store) const {
+  bool zeroesAdjoint(Operation *store) const {
     return plan.zeroing.isZeroedBy(store);
   }
-  /// True if a write may follow on `read` and reach the same element.
+  /// True if a write may run after `read` and reach the same element.
   bool mayBeOverwritten(DifferentiableAccessInterface read) const {
     return static_cast<bool>(plan.accesses.findLaterWrite(read));
   }
@@ -136,65 +137,71 @@ public:
   const AdjointPlan &getPlan() const { return plan; }
   const Activity &getActivity() const { return plan.activity; }
   Frame &getFrame() { return *current; }
-  /// Works in another frame until the result goes.
+  /// Makes `frame` the current one for the lifetime of the result.
   [[nodiscard]] llvm::SaveAndRestore<Frame *> enter(Frame &frame) {
     return llvm::SaveAndRestore<Frame *>(current, &frame);
   }
   Storage getAdjointStorage(Storage storage) { return plan.adjointOf(storage); }
 
   /// Reverses `primal` into `mirror`, whose terminator is left to the caller.
-  /// `begin` maps the arguments of the block and seeds the adjoints of what the
-  /// terminator passes on; it cannot ask for primal values. `beforeSweep`,
-  /// where given, and `end` run at the two ends of the sweep.
+  /// `begin` maps the arguments of the block and seeds the adjoints of the
+  /// terminator's operands; primal values are not available to it.
+  /// `beforeSweep`, if given, runs before the sweep and `end` after it.
   LogicalResult reverseBlock(Block *primal, Block *mirror,
                              llvm::function_ref<void(Frame &)> begin,
                              llvm::function_ref<void(Frame &)> end,
                              llvm::function_ref<void()> beforeSweep = {});
-  /// Mirrors a block for its primal values alone: those that its terminator
-  /// passes on, and the terminator itself.
+  /// Mirrors a block for its primal values alone: the operands of its
+  /// terminator, and the terminator itself.
   void recomputeBlock(Block *primal, Block *mirror);
   /// The adjoints in `frame` of values defined outside of its block.
   llvm::MapVector<Value, Value> takeCaptured(Frame &frame);
-  /// Carries the sweep on, from the current frame, into the ops of the block
-  /// around it that made captured values, down to the reads they come from;
-  /// leaves the captured values for which these ops are many or hold regions.
+  /// Continues the sweep, in the current frame, through the ops of the
+  /// enclosing block that define captured values, up to the reads they come
+  /// from. Captured values with long definitions, or ones that hold regions,
+  /// are left to the caller.
   void sweepCaptured();
   /// The number of iterations of a serial loop, as an index.
   Value createTripCount(scf::ForOp loop);
-  /// True if values of the loop are recorded while the primal runs again: they
-  /// cannot be computed again from one iteration or from several.
+  /// True if values of the loop are recorded by forward re-execution, because
+  /// they cannot be recomputed from single iterations.
   bool isRecordedLoop(Operation *loop) const {
     return plan.reexecution.holdsRecorded(loop);
   }
-  /// How often the second region of such a loop has run.
+  /// The number of times that the second region of such a loop ran.
   Value fetchCount(scf::WhileOp loop);
 
-  /// Before and after the reverse of a parallel loop: what it needs for
-  /// elements that its iterations multiply, or compare with their values, at
-  /// the same time.
+  /// Before and after the reverse of a parallel loop: emit the derivatives of
+  /// atomic products and extrema whose element several iterations update; see
+  /// ContendedAtomics.h.
   LogicalResult beginContended(ParallelForOp loop);
   void endContended();
-  /// The adjoint reads the field of the access as it was before the launch.
+  /// Notes that the adjoint reads the field of the access as it was before the
+  /// launch.
   void requireBefore(Operation *access) { demands.before.insert(access); }
-  /// A kernel of its own for each loop would do.
-  void requestParts() { demands.parts = true; }
-  /// True if the adjoint runs stores to the storage of the access again.
-  bool runsAgain(Operation *access) const;
-  /// Checks that a read gives in the adjoint what it gave in the primal.
+  /// Notes that splitting the kernel, one kernel for each loop, would avoid the
+  /// failure.
+  void requestSplit() { demands.parts = true; }
+  /// True if the adjoint re-executes stores to the storage of the access.
+  bool isReexecuted(Operation *access) const;
+  /// Checks that a read returns in the adjoint the value that it returned in
+  /// the primal.
   bool checkReadable(DifferentiableAccessInterface read);
 
-  /// Counts what a reversed loop carries, and how much of it is recorded.
+  /// Counts the values that a reversed loop carries, and those that are
+  /// recorded.
   void countCarried(int64_t values, int64_t recorded) {
     demands.carriedValues += values;
     demands.recordedValues += recorded;
   }
 
-  /// Says that what was added to the adjoint of `value` may be infinite.
+  /// Notes that the adjoint of `value` may be infinite though primal values are
+  /// finite.
   void markInfinite(Value value);
-  /// Says that what was added to the adjoint of `value` may be NaN though all
-  /// values are finite: a derivative that does not exist.
+  /// Notes that the adjoint of `value` may be NaN though all values are finite:
+  /// a derivative that does not exist.
   void markUndefined(Value value);
-  /// True if an adjoint that the rule at hand starts from may be so.
+  /// True if an incoming adjoint of the current rule may be NaN.
   bool isSeedUndefined() const;
 
   /// Reports that `op` cannot be differentiated; building then fails.
@@ -219,22 +226,22 @@ private:
   std::unique_ptr<ContendedAtomics> contended;
 };
 
-/// Fills the empty adjoint `shell` of `function`, which has the arguments that
-/// `signature` asks for. `needsParts` is told whether a failure can be helped
-/// by splitting the kernel. Values that only lack of `inactive-values` among
-/// the skips gives an adjoint need not have one that can be made. With
-/// `loadsStored`, fails if there is nothing to gain.
+/// Fills the empty adjoint `shell` of `function`, which has the arguments of
+/// `signature`. Sets `*needsParts` if splitting the kernel would avoid the
+/// failure. Without the skip `inactive-values`, adjoints of inactive values are
+/// emitted where rules exist. With `loadsStored`, fails if loading stored
+/// values saves nothing.
 LogicalResult fillAdjoint(FunctionOpInterface function,
                           FunctionOpInterface shell,
                           const AdjointSignature &signature,
                           AdjointOptions options, bool *needsParts = nullptr);
 
-/// Zeroes adjoints in loops of their own, where that lets the additions of the
-/// others be gathered.
+/// Moves adjoint zeroing into separate loops, where the remaining additions can
+/// then be turned from scatters into gathers.
 void splitAdjointZeroing(FunctionOpInterface adjoint);
 
 /// Removes from the serial loops in `region` the carried values that neither
-/// the results in use nor an effect in the body need.
+/// used results nor effects of the body depend on.
 void dropDeadCarried(Region &region);
 
 } // namespace mlir::tai

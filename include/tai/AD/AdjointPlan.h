@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What reverse-mode differentiation knows and has decided before anything is
-// emitted, as data: which values are active, which stores zero adjoints, which
-// part of the primal is executed forward again. AdjointPlanner makes it,
-// AdjointBuilder emits what it says.
+// The decisions of reverse-mode differentiation before anything is emitted, as
+// data: which values are active, which stores zero adjoints, which part of the
+// primal is re-executed. AdjointPlanner makes the plan, AdjointBuilder emits
+// it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,33 +22,34 @@
 
 namespace mlir::tai {
 
-/// The storage of the adjoint of a storage, or none.
+/// Maps a storage to that of its adjoint, or to none.
 using AdjointOf = std::function<Storage(Storage)>;
 
 /// Values of a function that have an adjoint, each with the memref that holds
-/// it: arguments that are no arrays, and what the function returns.
+/// it: arguments that are not arrays, and results of the function.
 struct ValueShadows {
   SmallVector<Value> inputs, inputShadows;
   SmallVector<Value> outputs, outputShadows;
 };
 
 struct AdjointOptions {
-  /// All stores zero the adjoints of their elements: the option `takes` of
-  /// `tai-make-adjoint`.
+  /// All stores zero the adjoints of their elements: the option
+  /// `zero-overwritten` of `tai-make-adjoint`.
   bool zeroesAll = false;
-  /// Rules load what the kernel has stored, where that saves work.
+  /// Rules load values that the kernel has stored instead of recomputing them,
+  /// where that saves work.
   bool loadsStored = false;
-  /// The bytes that a loop may record at once; it is recorded in chunks where
-  /// it takes more.
+  /// The bytes of history that a loop may record at once; a longer history is
+  /// recorded in chunks.
   int64_t historyBytes = kDefaultHistoryBytes;
   SkipSet skips = SkipSet::all();
 };
 
 /// The stores whose reverse zeroes the adjoint of the element, which becomes
-/// that of the value before the store: those of elements that an earlier access
-/// of the function may have used, for its reverse must not see the adjoint of
-/// the stored value. Those of arrays all do, because a tape does not know which
-/// elements another launch has used.
+/// that of the value before the store: stores to elements that an earlier
+/// access of the function may have used, whose reverse must not see the adjoint
+/// of the stored value. All stores to arrays do, because a tape does not know
+/// which elements another launch has used.
 class AdjointZeroing {
 public:
   AdjointZeroing(FunctionOpInterface primal, const AccessTable &accesses,
@@ -63,15 +64,15 @@ private:
   DenseSet<Operation *> stores, holders;
 };
 
-/// Which part of the primal an adjoint executes forward again, because it can
-/// compute it neither from what a launch left in memory nor from what was there
-/// before: see ForwardReexecution.h.
+/// The part of the primal that an adjoint re-executes, because its values
+/// follow neither from the memory that the launch left nor from the memory
+/// before it: see ForwardReexecution.h.
 class ReexecutionPlan {
 public:
   /// Records the results of `op`: a read of an element that is overwritten, or
   /// a random draw in a serial loop. False if it was planned before.
   bool addRecorded(Operation *op);
-  /// Repeats the writes to a storage. False if it was planned before.
+  /// Re-executes the writes to a storage. False if it was planned before.
   bool addStorage(const void *storage) {
     return storages.insert(storage).second;
   }
@@ -97,9 +98,9 @@ private:
   DenseSet<Block *> blocks;
 };
 
-/// The block that is executed again for the sake of `op`: the body of the
-/// parallel loop around it, or the body of the function. Serialized loops are
-/// serial.
+/// The block that is re-executed to recover `op`: the body of the parallel loop
+/// around it, or the body of the function. Parallel loops marked as serialized
+/// count as serial.
 Block *getReexecutedBlock(Operation *op);
 
 struct AdjointPlan {
@@ -119,21 +120,21 @@ struct AdjointPlan {
 
   /// True if all values that loops carry are recorded.
   bool recordsAll() const { return !options.skips.has(Skip::UnneededRecords); }
-  /// True if adjoint code is kept that reaches no memory.
+  /// True if adjoint code is kept whose result reaches no memory.
   bool keepsDead() const { return !options.skips.has(Skip::InactiveValues); }
 };
 
-/// What an adjoint turned out to need of the primal, while it was emitted.
+/// The demands of an adjoint on the primal, as found while it was emitted.
 struct PrimalDemands {
   /// The reads that it repeats.
   llvm::SetVector<Operation *> reads;
   /// Random draws that cannot be repeated where they are asked for.
   llvm::SetVector<Operation *> draws;
-  /// Accesses whose fields it reads as they were before the launch.
+  /// Accesses whose fields it reads in the version before the launch.
   llvm::SetVector<Operation *> before;
   /// Stores whose elements it loads instead of computing what they hold.
   llvm::SetVector<Operation *> stored;
-  /// A failure would be helped by a kernel of its own for each loop.
+  /// Splitting the kernel, one for each loop, would avoid the failure.
   bool parts = false;
   /// Values that reversed loops carry, and how many of them are recorded.
   int64_t carriedValues = 0, recordedValues = 0;

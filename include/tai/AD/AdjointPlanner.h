@@ -5,16 +5,15 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Makes the plan of an adjoint. An adjoint runs on the memory that the kernel
-// left behind, or, field by field, on what was there before: which version
-// holds the value of a read depends on the writes that may come before and
-// after it. Where neither version does, the plan grows: part of the primal is
-// executed forward again.
+// Selects primal versions for an adjoint. An adjoint runs on the memory that
+// the kernel left behind, or, field by field, on the memory before the launch:
+// which version holds the value of a read depends on the writes that may run
+// before and after it. Where neither does, part of the primal is re-executed.
 //
-// Which primal values an adjoint reads is for the rules to say, while it is
-// emitted. So the first plan assumes that none needs the primal executed again,
-// which most do not; what it turns out to need, `settle` compares with the
-// plan. A plan only grows, by ops and storages of the primal.
+// Which primal values an adjoint reads is known only after its rules have run.
+// So the first plan assumes no re-execution, which is enough for most kernels;
+// `settle` compares the demands of the emitted adjoint with the plan. A plan
+// only grows, by ops and storages of the primal, so that this ends.
 //
 // See docs/decisions/0026-adjoint-planner.md.
 //
@@ -36,9 +35,9 @@ public:
   const AdjointPlan &getPlan() const { return plan; }
 
   /// Chooses the version of each storage that the adjoint reads. Fails after an
-  /// error at a read that no version holds the value of. True if the adjoint
-  /// that was emitted does what the plan says; false if the plan has grown, and
-  /// another one must be emitted.
+  /// error at a read whose value no version holds. True if the emitted adjoint
+  /// is valid under the plan; false if the plan has grown, and the adjoint must
+  /// be emitted again.
   FailureOr<bool> settle(const PrimalDemands &demands);
   /// True if `settle` failed because several versions of a field are needed,
   /// and not all by one loop.
@@ -46,9 +45,10 @@ public:
 
   /// The fields that the adjoint reads as they were before the launch.
   ArrayRef<Attribute> getFieldsBefore() const { return before; }
-  /// True if what these stores have stored is there when the adjoint runs.
+  /// True if the values of these stores are still in memory when the adjoint
+  /// runs.
   bool findsStored(ArrayRef<Operation *> stores) const;
-  /// Says on an adjoint what it runs on.
+  /// Sets the attributes of an adjoint that name the versions it reads.
   void annotate(FunctionOpInterface adjoint) const;
 
 private:
@@ -63,11 +63,11 @@ private:
   bool hasGrown = false, wantsParts = false;
 };
 
-/// Reports what the adjoint that is planned would leave out of the derivative
-/// in silence, or could not reverse.
+/// Reports accesses that the planned adjoint would silently leave out of the
+/// derivative, or could not reverse.
 LogicalResult verifyReversible(const AdjointPlan &plan);
 
-/// Counts what analyses kept out of an adjoint.
+/// Updates the skip counters of an adjoint.
 void countSkips(const AdjointPlan &plan, const PrimalDemands &demands);
 
 } // namespace mlir::tai

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A kernel or function may choose another derivative at some kinks, by the
+// A kernel or function may choose other subgradients at some kinks, by the
 // attribute `tai.conventions`, a dictionary:
 //
 //   ties = "split"   both operands of a max or min that tie get half
@@ -28,7 +28,7 @@ struct Conventions {
   bool clampArcs = false;
   bool guards = true;
 
-  /// Those of the kernel or function that `op` is, or stands in.
+  /// The conventions of the kernel or function that `op` is or is in.
   static Conventions of(Operation *op);
   /// Fails after an error if the attribute has another form.
   static LogicalResult verify(Operation *function);

@@ -1,14 +1,13 @@
-//===- DerivativeBuilder.h - What rules of both modes call ------*- C++ -*-===//
+//===- DerivativeBuilder.h - Shared by rules of both modes -----*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The part of a rule that does not depend on the direction in which derivatives
-// are carried: the primal values that a partial derivative needs, and small
-// helpers to build formulas. AdjointBuilder carries derivatives backwards,
-// TangentBuilder forwards.
+// The part of a derivative rule that is the same in both modes: access to
+// primal values, and small helpers to build formulas. AdjointBuilder is reverse
+// mode, TangentBuilder forward mode.
 //
 //===----------------------------------------------------------------------===//
 
@@ -23,25 +22,25 @@
 
 namespace mlir::tai {
 
-/// Notes on a kernel that it has guards.
+/// Marks a kernel as having guards.
 void noteGuards(FunctionOpInterface function);
-/// Reports an error if a kernel that has guards lost their marks: taken for
-/// branches, their derivatives would be zero where they are not.
+/// Reports an error if a kernel with guards has lost the marks on them:
+/// differentiated as branches, they would get a wrong zero derivative.
 LogicalResult checkGuards(FunctionOpInterface function);
 
 class DerivativeBuilder : public ImplicitLocOpBuilder {
 public:
-  /// For derivatives of `function`, which says what its conventions are.
-  /// With `usesConditions`, what branches say of values counts among the facts.
+  /// For derivatives of `function`, with its conventions. With
+  /// `usesConditions`, facts may use the conditions of enclosing branches.
   explicit DerivativeBuilder(FunctionOpInterface function,
                              bool usesConditions = false);
   virtual ~DerivativeBuilder();
 
-  /// What stands for a value of the primal program in the one that is built.
+  /// The value of the built function that corresponds to a primal value.
   virtual Value getPrimal(Value value) = 0;
-  /// What is known of primal values.
+  /// Facts about primal values.
   FloatFacts &getFacts() { return facts; }
-  /// What the program chose at kinks.
+  /// The subgradients that the program chose at kinks.
   const Conventions &getConventions() const { return conventions; }
 
   /// A float or splat constant of the given type.
@@ -49,15 +48,15 @@ public:
   Value createZero(Type type) { return createConstant(type, 0.0); }
   /// A component (row-major) of a vector of any rank.
   Value createExtract(Value vector, int64_t component);
-  /// A vector from components, null for zero.
+  /// A vector from components (row-major); null is zero.
   Value createVector(VectorType type, ArrayRef<Value> components);
   /// select(condition, value, 0)
   Value createMask(Value condition, Value value);
   /// select(derivative == 0, 0, value): a zero adjoint or tangent contributes
-  /// zero. Just the value, if the program wants no guards.
+  /// zero, not NaN. The value itself, if the conventions turn guards off.
   Value createGuard(Value derivative, Value value);
 
-  /// False if the program wants no tests for zero derivatives.
+  /// False if the conventions turn guards off.
   bool wantsGuards() const { return conventions.guards; }
 
 private:

@@ -6,12 +6,12 @@
 //===----------------------------------------------------------------------===//
 //
 // The reverse of a serial loop, while it is being built: the loop over the
-// iterations from the last to the first, and how each of them gets the values
-// that the iteration began with.
+// iterations from last to first, and how each of them recovers the carried
+// values with which the primal iteration began.
 //
-// A value that is a formula of the iteration's number is computed; one that the
-// next value gives back is carried backwards. The others are recorded by a
-// second run of the loop, if a rule asks for them: see LoopTrajectory.h.
+// A value with a closed form in the iteration number is computed; one with an
+// exact inverse is carried backwards. The others are recorded by a second run
+// of the loop, if a rule needs them: see LoopTrajectory.h.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,27 +26,29 @@ struct ReversedLoop;
 
 class LoopHistory {
 public:
-  /// `count` is the number of iterations, an index of the frame around.
+  /// `count` is the number of iterations, an index value of the enclosing
+  /// frame.
   LoopHistory(AdjointBuilder &builder, scf::ForOp loop, Value count);
   /// Counts the iterations of a loop of unknown length, by running it.
   LoopHistory(AdjointBuilder &builder, scf::WhileOp loop);
 
   /// Creates the loop over the iterations, without a terminator.
   scf::ForOp createReverse(ValueRange inits);
-  /// Tells the frame of an iteration which one it is.
+  /// Sets the iteration number of the frame of an iteration.
   void beginIteration(Frame &frame);
-  /// Tells the frame of the condition that ends an `scf.while` that it does.
+  /// Marks the frame of the last evaluation of an `scf.while`'s condition, the
+  /// one that exits.
   void beginLast(Frame &frame);
-  /// To be called in the frame of the iteration, when its sweep is done.
+  /// Call in the frame of the iteration, after its sweep.
   void endIteration();
   /// Completes the reverse with the adjoints of captured values as additional
-  /// carried values, and hands their sums on. Returns the results for the given
-  /// initial values.
+  /// carried values, and adds their sums in the enclosing frame. Returns the
+  /// results for the given initial values.
   ResultRange close(ArrayRef<Value> yields,
                     const llvm::MapVector<Value, Value> &captured);
 
-  /// The value that carried value `index` has when the iteration of `frame`
-  /// begins. Null after an error.
+  /// The value of carried value number `index` at the start of the iteration of
+  /// `frame`. Null after an error.
   Value getCarried(Frame &frame, unsigned index);
 
 private:
@@ -68,13 +70,13 @@ private:
   Value count;
   /// The copy of an `scf.while` that counts its iterations.
   scf::WhileOp counted;
-  /// The loop that runs the iterations forward again, once someone asked for
-  /// what only it knows.
+  /// The loop that re-runs the iterations forward; created when a recorded
+  /// value is first needed.
   scf::ForOp forward;
   LoopTrajectory trajectory;
   ReverseDraft draft;
-  /// The carried values that are carried backwards too: what they were in the
-  /// next iteration, and are in this one.
+  /// The carried values that the reverse carries too: their values at the start
+  /// of the next iteration, and of this one.
   llvm::SmallMapVector<unsigned, BlockArgument, 2> nexts;
   SmallVector<Value> nextYields;
   llvm::SmallDenseSet<unsigned> closed, inverted;

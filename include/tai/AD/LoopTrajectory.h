@@ -5,16 +5,16 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The carried values that the reverse of a serial loop needs and that only a
-// run of the loop knows: their buffers, who writes them, and how much of the
-// loop they hold at once.
+// The recording of carried values that the reverse of a serial loop needs and
+// that only a run of the loop can produce: buffers, the loops that write them,
+// and the checkpointing schedule.
 //
-// A loop of few iterations records them all. One of many, or of a number that
-// only the run knows, is recorded in chunks of about the square root of that
-// number: the first pass keeps what each chunk began with, and ends with a
-// record of the last one; each of the others is run and recorded again before
-// its reverse. While the whole record is small, the chunk is the whole loop, so
-// that nothing is run again.
+// A loop of few iterations records them all. One of many, or of a number known
+// only at run time, is recorded in chunks of about the square root of that
+// number of iterations: the first pass keeps a checkpoint at the start of each
+// chunk, and records the last chunk; each other chunk is re-run and recorded
+// before its reverse. While the whole record is small, there is one chunk, and
+// nothing is re-run.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,12 +26,12 @@
 
 namespace mlir::tai {
 
-/// The loop over iterations from the last to the first, while its body is made.
+/// The loop over iterations from last to first, while its body is built.
 struct ReverseDraft {
   scf::ForOp loop;
   SmallVector<Value> inits;
-  /// In the body: the number of the last iteration in the chunk, that of this
-  /// one, and that of this one in the loop.
+  /// In the body: the number of the last iteration in the chunk, and the number
+  /// of this iteration in the chunk and in the loop.
   Operation *last = nullptr, *local = nullptr, *iteration = nullptr;
 };
 
@@ -40,39 +40,39 @@ public:
   LoopTrajectory(AdjointBuilder &builder, Operation *loop)
       : b(builder), loop(loop), around(builder.getFrame()) {}
 
-  /// Says which loop runs the iterations forward again, and how many there are:
-  /// before anything is loaded.
+  /// Sets the loop that re-runs the iterations, and their number. Call before
+  /// `load`.
   void setForward(scf::ForOp loop, Value trips) {
     forward = loop;
     count = trips;
   }
-  /// What carried value `index` was when the iteration of `frame` began.
+  /// Carried value number `index` at the start of the iteration of `frame`.
   Value load(Frame &frame, unsigned index, const ReverseDraft &draft);
 
-  /// When the body of the reverse is complete: lets the forward loop write the
-  /// record, whole or of its last chunk.
+  /// Makes the forward loop write the record of all iterations or of the last
+  /// chunk. Call when the body of the reverse is complete.
   void record();
-  /// The reverse, with the body of the draft, which is left empty.
+  /// The reverse loop, with the body of `draft`, which is left empty.
   scf::ForOp createReverse(ReverseDraft &draft, ArrayRef<Value> inits,
                            ArrayRef<Value> yields);
-  /// After it.
+  /// Frees the buffers, after the reverse loop.
   void release();
 
   /// How many values are recorded.
   size_t size() const { return histories.size(); }
   bool isRecorded(unsigned index) const { return histories.contains(index); }
   bool isChunked() const { return static_cast<bool>(chunks.size); }
-  /// True if every chunk keeps the value that it begins with.
+  /// True if the value is part of the checkpoint of each chunk.
   bool isKeptByChunks(unsigned index) const { return starts.contains(index); }
   int64_t getBytesPerIteration();
   static int64_t getBytes(Type type);
 
 private:
   struct Chunks {
-    /// Iterations in each but the last; null if there is one chunk for sure.
+    /// Iterations in each but the last; null if there certainly is one chunk.
     Value size;
     Value number;
-    /// Iterations in the longest.
+    /// Iterations in the longest chunk: the size of the buffers.
     Value room;
   };
 
@@ -94,7 +94,7 @@ private:
   /// chunks: the loop over these, and the one inside.
   scf::ForOp forward, inner;
   Chunks chunks;
-  /// What is recorded, by carried value, and what every chunk begins with.
+  /// Buffers by carried value: of the record, and of the checkpoints.
   llvm::SmallMapVector<unsigned, memref::AllocOp, 4> histories;
   llvm::SmallMapVector<unsigned, memref::AllocOp, 4> starts;
 };

@@ -1,12 +1,12 @@
-//===- NarrowAdjoints.h - Adjoints of numbers of 16 bits --------*- C++ -*-===//
+//===- NarrowAdjoints.h - Adjoints of 16-bit floats ------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The adjoint of a value of 16 bits has its type, but is not rounded to it on
-// its way: what stood before the cast is used where that is wanted.
+// The adjoint of a 16-bit float has the same type, but is not rounded at each
+// step: rules that can use it look through the cast to the wider value.
 //
 //===----------------------------------------------------------------------===//
 
@@ -17,7 +17,8 @@
 
 namespace mlir::tai {
 
-/// What an adjoint of 16 bits was rounded from, or the adjoint itself.
+/// The wider value that a 16-bit adjoint was truncated from, or the adjoint
+/// itself.
 inline Value getWidened(Value adjoint) {
   auto narrowed = adjoint.getDefiningOp<arith::TruncFOp>();
   Type type = getElementTypeOrSelf(adjoint.getType());

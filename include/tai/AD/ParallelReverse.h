@@ -13,9 +13,9 @@
 namespace mlir::tai {
 
 /// Reverses the body of a parallel loop into `mirror`, the body of `loop` in
-/// the adjoint kernel. What iterations contribute to values that the body
-/// captures goes on to the reads that these come from, or, where they come from
-/// elsewhere, is summed in memory by atomic adds. `begin` maps the arguments,
+/// the adjoint kernel. Contributions of iterations to captured values are
+/// propagated to the reads that define these; where they are not defined by
+/// reads, they are summed in memory by atomic adds. `begin` maps the arguments,
 /// `terminate` adds the terminator.
 LogicalResult reverseParallelBody(AdjointBuilder &builder, Operation *loop,
                                   Block &primal, Block &mirror,

@@ -19,57 +19,57 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
 
     Parallel loops stay parallel, serial loops run backwards, branches are
     mirrored. The adjoint recomputes the primal values that its partial
-    derivatives need and no others; it stores nothing but adjoints. Fields
-    without an adjoint, and what cannot reach both a read and a written field
-    that have one, get no code. Values that a serial loop carries and the
-    gradient needs are had in the cheapest way that is exact: computed, where they
-    are a formula of the number of the iteration (`i += 2`); carried backwards,
-    where the next value gives the value (integers, swaps, a change of sign); or
-    recorded by running the loop forward. What no rule asks for is not recorded:
-    a sum is linear. A loop whose record takes more than `history-bytes` keeps
-    what every chunk of about sqrt(n) iterations began with, and runs each chunk
-    once more before it reverses it.
+    derivatives need and no others; it stores nothing but adjoints. Inactive
+    values get no code: those that do not depend on a field with an adjoint, or
+    on which no stored value with an adjoint depends. Values that a serial loop
+    carries and the gradient needs are recovered in the cheapest way that is
+    exact: computed, if they have a closed form in the iteration number (`i +=
+    2`); carried backwards, if the step has an exact inverse (integers, swaps, a
+    change of sign); or recorded by running the loop forward. Values that no
+    rule needs are not recorded: a sum is linear. If the record of a loop
+    exceeds `history-bytes`, the loop keeps a checkpoint for each chunk of about
+    sqrt(n) iterations, and re-runs each chunk before it is reversed.
 
     A zero adjoint contributes zero, whatever the partial derivative is, so that
     no infinity or NaN enters a gradient from where the loss does not depend on
     it. See `docs/derivatives.md` for the rules.
 
-    A store ends the life of the value before it: its adjoint takes the adjoint
-    of the element and leaves zero, where an access before the store may have
-    used the element in the same kernel; with the option `zero-overwritten`, always. A tape
-    asks for this form, which has the attribute `zeroes_adjoint`, where an earlier
-    launch has used the elements.
+    A store kills the old value of the element: its adjoint reads the adjoint of
+    the element and zeroes it, if an earlier access of the kernel may have used
+    the element; with the option `zero-overwritten`, always. A tape uses this
+    variant, which has the attribute `zeroes_adjoint`, if an earlier launch has
+    used the elements.
 
-    With `stored-outputs`, an adjoint that computes at length what its kernel
-    has stored, as the `tanh` of a layer, gets a second form, `@k_grad_stored`,
-    which loads that; the attribute `stored_form` of `@k_grad` names it. It
-    is right only while the elements that the launch has stored hold what it
-    stored, as a tape can tell.
+    With `stored-outputs`, an adjoint that would recompute costly values which
+    its kernel has stored, such as the `tanh` of a layer, gets a second variant,
+    `@k_grad_stored`, which loads them; the attribute `stored_form` of `@k_grad`
+    names it. It is valid only while the stored elements are not overwritten,
+    which a tape tracks.
 
-    Without the skip `inactive-values`, values that do not depend on what is
-    differentiated by get adjoints too, as far as that can be. Without
-    `unneeded-records`, all values that loops carry are recorded.
+    Without the skip `inactive-values`, inactive values get adjoints too, where
+    rules exist. Without `unneeded-records`, all values that loops carry are
+    recorded.
 
-    Without options, takes the kernels launched in a `tai.tape` or
-    `tai_check.gradient`, or all kernels of a module that has none of these, and
-    the functions with the unit attribute `tai.differentiate`. A function takes
-    its float memref arguments as both inputs and outputs; `@f_grad` has one
-    more memref for each of them, at the end, in the same order. So has the
-    adjoint of a kernel with float memref arguments, unless `array-adjoints` is
-    off: then what a kernel reads from its arrays is constant. The adjoint of an
-    array of vectors is an array of their components:
+    Without the option `kernel`, applies to the kernels launched in a `tai.tape`
+    or `tai_check.gradient`, or to all kernels of a module that has none of
+    these, and to the functions with the unit attribute `tai.differentiate`.
+    Float memref arguments of a function are both inputs and outputs; `@f_grad`
+    has one more memref for each of them, at the end, in the same order. So has
+    the adjoint of a kernel with float memref arguments, unless `array-adjoints`
+    is off: then values that a kernel reads from its arrays are constant. The
+    adjoint of an array of vectors is an array of their components:
     `memref<?x3xf32>` for `memref<?xvector<3xf32>>`. The adjoint of a store to
-    an array takes the adjoint of the element and leaves zero: that of the value
-    before starts from there.
+    an array reads the adjoint of the element and zeroes it, for the value
+    before the store.
 
     The attribute `gradients` of a kernel, or `tai.gradients` of a function,
-    says instead by what it is differentiated besides fields: it lists positions
-    of arguments and, counted on from these, of results. The adjoint has one more memref for each. It adds
-    to the adjoints of numbers and vectors among the arguments, and reads those
-    of results: `memref<f32>` for `f32`, `memref<3xf32>` for `vector<3xf32>`.
-    What is not listed is constant. What iterations of a parallel loop
-    contribute to a number is summed in registers. Two arguments must not be
-    memrefs that overlap.
+    selects instead what it is differentiated with respect to, besides fields:
+    positions of arguments and results, numbered consecutively. The adjoint has
+    one more memref for each. It adds to the adjoints of numbers and vectors
+    among the arguments, and reads those of results: `memref<f32>` for `f32`,
+    `memref<3xf32>` for `vector<3xf32>`. Other arguments and results are
+    constant. Contributions of the iterations of a parallel loop to a number are
+    summed in registers. Two arguments must not be memrefs that overlap.
 
     ```mlir
     tai.kernel @scaled(%a: f32, %x: memref<?xf32>) -> f32
@@ -81,7 +81,7 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
     }
     ```
 
-    has the adjoint, by `%a` and the result,
+    has the adjoint, with respect to `%a` and the result,
 
     ```mlir
     tai.kernel @scaled_grad(%a: f32, %x: memref<?xf32>,
@@ -142,7 +142,7 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
            "Let how loops are cut not depend on what they record">,
     Option<"skip", "skip", "::mlir::tai::SkipSet",
            /*default=*/"::mlir::tai::SkipSet::all()",
-           "What to leave out where it is not needed: all, none, or names">,
+           "The skips that are on: all, none, or names">,
   ];
 }
 
@@ -150,8 +150,8 @@ def PromoteElements : Pass<"tai-promote-elements", "::mlir::ModuleOp"> {
   let summary = "keep elements that are stored and read again in variables";
   let description = [{
     Where an iteration, or serial code, reads an element that it has stored and
-    stores it again, the adjoint would need several states of the field. If all
-    its accesses to the element are at the same indices, this pass loads the
+    stores it again, the adjoint would need several versions of the field. If
+    all its accesses to the element are at the same indices, this pass loads the
     element once into a variable, works on that, and stores it once. Run
     `tai-eliminate-locals` afterwards to have values in place of variables.
 
@@ -169,9 +169,9 @@ def PromoteElements : Pass<"tai-promote-elements", "::mlir::ModuleOp"> {
     tai.store %1, @x[%i] : f32
     ```
 
-    What the adjoint can read as it was before the launch, or as it is after it,
-    stays as it is. So does an element that the iteration might not own: one that
-    it does not store for certain.
+    Elements whose values the adjoint can read in the version before or after
+    the launch are not changed. Neither are elements that the iteration does not
+    certainly store, because it may not own them.
   }];
   let dependentDialects = ["::mlir::arith::ArithDialect",
                            "::mlir::tai::TaiDialect"];
@@ -182,22 +182,21 @@ def PromoteElements : Pass<"tai-promote-elements", "::mlir::ModuleOp"> {
 }
 
 def SplitKernel : Pass<"tai-split-kernel", "::mlir::ModuleOp"> {
-  let summary = "make kernels of the loops of kernels, where gradients need it";
+  let summary = "split kernels into one for each loop, where gradients need it";
   let description = [{
-    An adjoint reads each field as it was before the launch, or as it is
-    afterwards. Where the loops of a kernel need several states of one field
-    between them, as two loops that each scale a field by itself do, this pass
-    makes a kernel of each: `@k.0`, `@k.1` and so on, with the arguments of `@k`
-    and the attribute `part_of = @k`. What happens between loops is then what
-    happens between launches, and a tape records the parts in place of `@k`,
-    which stays as it is. The last part has the result.
+    An adjoint reads each field in the version before or after the launch. If
+    the loops of a kernel together need more versions of one field, such as two
+    loops that each scale a field in place, this pass makes a kernel of each
+    loop: `@k.0`, `@k.1` and so on, with the arguments of `@k` and the attribute
+    `part_of = @k`. A tape records the parts as separate launches in place of
+    `@k`, which is not changed. The last part has the result.
 
     Serial code between two loops is a part. Values that several parts use are
-    computed in each of them; a value that is read from a field is refused if
-    what happens in between may overwrite it.
+    recomputed in each of them; a value that is read from a field is an error if
+    the code in between may overwrite it.
 
     Kernels whose adjoint can be made, and those for which a split would not
-    help, are left alone.
+    help, are not changed.
   }];
   let dependentDialects = [
     "::mlir::arith::ArithDialect", "::mlir::math::MathDialect",
@@ -211,30 +210,30 @@ def SplitKernel : Pass<"tai-split-kernel", "::mlir::ModuleOp"> {
 }
 
 def ForwardDiff : Pass<"tai-forward-diff", "::mlir::ModuleOp"> {
-  let summary = "make kernels that carry tangents along";
+  let summary = "make forward-mode variants of kernels";
   let description = [{
-    For a kernel `@k`, makes the kernel `@k_fwd` that does what `@k` does and
-    carries tangents (directional derivatives) along: what it reads from a field
-    with a dual, it reads together with the dual; what it stores there, it
-    stores together with the tangent (forward mode). The attribute `tangent`
-    of `@k` names it.
+    Forward mode: for a kernel `@k`, makes the kernel `@k_fwd` that computes the
+    same with tangents (directional derivatives): values read from a field with
+    a dual are read together with the dual, and values stored there are stored
+    together with their tangents. The attribute `tangent` of `@k` names it.
 
-    Every value is at hand when its tangent is computed: overwritten elements,
-    all kinds of atomics and what they yield, loops and branches of any depth
-    are differentiated as they run. Where iterations of a `tai.parallel_for` may
-    meet in an element, and its tangent depends on their order (products,
-    extremes, values before the update), the loop of `@k_fwd` runs in order. The
+    Every value is available when its tangent is computed, so overwritten
+    elements, all kinds of atomics and their results, loops and branches of any
+    depth can be differentiated. If several iterations of a `tai.parallel_for`
+    may update one element, and its tangent depends on their order (products,
+    extrema, values before the update), the loop of `@k_fwd` runs serially. The
     rules are those of `tai-make-adjoint`: one table, read in two directions.
 
     An adjoint is a kernel like any other. Applied to `@k_grad`, where the
     adjoint fields have duals, the pass makes `@k_grad_fwd`, which accumulates
     products of the Hessian and a vector in the duals of the adjoints.
 
-    Without options, takes all kernels, and the functions with the unit
-    attribute `tai.differentiate`. `@f_fwd` has one more memref for each float
-    memref of a function `@f`, at the end, in the same order. So has that of a
-    kernel, unless `array-tangents` is off: then what a kernel reads from its
-    arrays is constant, and a tangent that is stored there is an error.
+    Without the option `kernel`, applies to all kernels, and to the functions
+    with the unit attribute `tai.differentiate`. `@f_fwd` has one more memref
+    for each float memref of a function `@f`, at the end, in the same order. So
+    has that of a kernel, unless `array-tangents` is off: then values that a
+    kernel reads from its arrays are constant, and storing a tangent there is an
+    error.
 
     ```mlir
     tai.kernel @square() {
@@ -279,20 +278,19 @@ def ForwardDiff : Pass<"tai-forward-diff", "::mlir::ModuleOp"> {
 }
 
 def ExpandAtomics : Pass<"tai-expand-atomics", "::mlir::ModuleOp"> {
-  let summary = "write atomics that one iteration alone reaches as load and store";
+  let summary = "expand exclusive atomics to load and store";
   let description = [{
-    Replaces a `tai.atomic` by a load, the operation and a store where no other
-    iteration of a parallel loop writes the element (serial code, or indices that
-    tell the iterations apart), so that it is differentiated as these are: `mul`,
-    `min` and `max` on fields with an adjoint, and every atomic whose old value
-    is used, which is what was loaded. In a tie of `min` and `max`, the new
-    contribution wins.
+    Replaces a `tai.atomic` by a load, the operation and a store if no other
+    iteration of a parallel loop writes the element (serial code, or indices
+    that differ between iterations), so that it is differentiated like these:
+    `mul`, `min` and `max` on fields with an adjoint, and every atomic whose old
+    value is used. In a tie of `min` and `max`, the new contribution wins.
 
-    `mul`, `min` and `max` that iterations do contend for are split into one for
-    each component, and what does not change in their loop is moved before it, as
-    `tai-make-adjoint` wants them. Sums stay as they are.
+    Contended `mul`, `min` and `max` are split into one for each component, and
+    loop-invariant code is moved before their loop, as `tai-make-adjoint`
+    requires. Sums are not changed.
 
-    Looks at the kernels that `tai-make-adjoint` would differentiate.
+    Applies to the kernels that `tai-make-adjoint` would differentiate.
 
     ```mlir
     tai.parallel_for (%i) in @x {
@@ -319,7 +317,7 @@ def ExpandAtomics : Pass<"tai-expand-atomics", "::mlir::ModuleOp"> {
 }
 
 def CheckAccessRules : Pass<"tai-check-access-rules", "::mlir::ModuleOp"> {
-  let summary = "refuse kernels whose parallel iterations meet in an element";
+  let summary = "reject kernels with races between parallel iterations";
   let description = [{
     The paper (section 3) asks of a kernel that an element which is written more
     than once is accumulated from the second write on, and that no element is
@@ -331,11 +329,11 @@ def CheckAccessRules : Pass<"tai-check-access-rules", "::mlir::ModuleOp"> {
     1. two iterations must not store to the same element;
     2. none may read an element that others still accumulate.
 
-    Reports an error where a kernel breaks a rule for certain. What cannot be
-    proven is left alone. Changes nothing.
+    Reports an error if a kernel certainly breaks a rule; accesses for which
+    this cannot be proven are accepted. Changes nothing.
 
-    Looks at the kernels that `tai-make-adjoint` would differentiate: a kernel
-    that only runs forward may do as it likes.
+    Looks at the kernels that `tai-make-adjoint` would differentiate: kernels
+    that only run forward are not checked.
   }];
   let options = [
     ListOption<"kernels", "kernel", "std::string",

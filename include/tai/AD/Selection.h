@@ -1,4 +1,4 @@
-//===- Selection.h - What is to be differentiated ---------------*- C++ -*-===//
+//===- Selection.h - Functions to differentiate ----------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -17,12 +17,12 @@ namespace mlir::tai {
 /// no adjoint yet, in the order of the module: those of the given names, which
 /// must exist; or without names, the kernels launched under a tape (all, if
 /// there is no tape) and the functions with the attribute `tai.differentiate`.
-/// The parts of a kernel that was split stand for it.
+/// A kernel that was split is replaced by its parts.
 FailureOr<SmallVector<FunctionOpInterface>>
 selectFunctions(ModuleOp module, ArrayRef<std::string> names);
 
-/// Reports an error at a function in a nested module that asks for a gradient
-/// which nothing makes.
+/// Reports an error at a function in a nested module that requests a gradient:
+/// no pass makes it.
 LogicalResult checkNested(ModuleOp module);
 
 /// Reports an error if `function` is of a kind that is not differentiated, or

@@ -6,8 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // Fields name their adjoints; arrays, numbers and results do not. The adjoint
-// of a kernel that is differentiated by them takes one more memref for each, at
-// the end: it adds to those of arguments and reads those of results.
+// of a kernel that is differentiated with respect to them has one more memref
+// operand for each, at the end: it adds to those of arguments and reads those
+// of results.
 //
 //===----------------------------------------------------------------------===//
 
@@ -19,16 +20,18 @@
 
 namespace mlir::tai {
 
-/// The positions of what a kernel or function is differentiated by: those of
-/// arguments, then, counted on, those of results. See getFunctionAttrName.
+/// The attribute with the positions that a kernel or function is differentiated
+/// with respect to: arguments first, then results, numbered consecutively. See
+/// getFunctionAttrName.
 constexpr llvm::StringLiteral kGradients = "gradients";
 
 struct AdjointSignature {
   SmallVector<unsigned> arguments;
   SmallVector<unsigned> results;
 
-  /// What the attribute says; without it, all arrays of floats, if wanted.
-  /// Fails after an error at the function if a position means no float.
+  /// The signature that the attribute requests; without the attribute, all
+  /// arrays of floats if `arrays`. Fails after an error at the function if a
+  /// position is not one of a float.
   static FailureOr<AdjointSignature> get(FunctionOpInterface function,
                                          bool arrays);
 
@@ -36,15 +39,14 @@ struct AdjointSignature {
   SmallVector<MemRefType> getShadowTypes(FunctionOpInterface function) const;
 };
 
-/// Reports an error if `function` has no derivative by anything: what it takes
-/// or what it gives is neither an array of floats that it accesses nor at one
-/// of the positions that are differentiated by, if some are given.
+/// Reports an error if `function` has nothing to differentiate: no argument or
+/// result is an array of floats that it accesses, or is at one of `positions`.
 LogicalResult checkHasDerivative(FunctionOpInterface function,
                                  ArrayRef<int64_t> positions);
 
-/// The memref that holds the adjoint of a value of this type: of a number no
-/// dimension, of a vector those of the vector, of an array its own and after
-/// them those of its elements. Null for what has no adjoint.
+/// The memref that holds the adjoint of a value of this type: of rank 0 for a
+/// number, with the dimensions of a vector, with those of an array followed by
+/// those of its elements. Null for a type without an adjoint.
 MemRefType getShadowType(Type type);
 
 } // namespace mlir::tai

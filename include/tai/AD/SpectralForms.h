@@ -1,4 +1,4 @@
-//===- SpectralForms.h - Functions of singular values -----------*- C++ -*-===//
+//===- SpectralForms.h - Matrix functions of an SVD ------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -19,8 +19,8 @@
 
 namespace mlir::tai {
 
-/// Gives such products in a function a form to be differentiated by
-/// (`tai.derive_as`), and takes these away again when it goes.
+/// Attaches to such products in a function the form that is differentiated
+/// instead (`tai.derive_as`), and removes these forms when it is destroyed.
 class SpectralForms {
 public:
   explicit SpectralForms(FunctionOpInterface function);
@@ -32,18 +32,19 @@ private:
   FunctionOpInterface function;
 };
 
-/// The value, as a constant to derivatives of a form that it is part of.
+/// The value as a constant: derivatives of a form that uses it do not pass
+/// through it.
 Value createConstantForm(ImplicitLocOpBuilder &builder, Value value);
 
-/// Puts the value of each `tai.derive_as` in its place, and removes what only
-/// the forms needed.
+/// Replaces each `tai.derive_as` by its value, and erases ops that only the
+/// forms used.
 void dropForms(FunctionOpInterface function);
 
-/// Warns at each decomposition of which `isActive` tells that derivatives pass
-/// through a factor itself: where values are equal, how the factors turn
-/// together gets zero there.
-void warnOfTurningFactors(FunctionOpInterface function,
-                          llvm::function_ref<bool(Value)> isActive);
+/// Warns at each decomposition with an active factor (`isActive`): where
+/// singular values are equal, the common rotation of the factors is
+/// undetermined and contributes zero.
+void warnOfActiveFactors(FunctionOpInterface function,
+                         llvm::function_ref<bool(Value)> isActive);
 
 } // namespace mlir::tai
 

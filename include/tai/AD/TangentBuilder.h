@@ -5,12 +5,13 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The state of forward-mode differentiation, and what rules call to use it.
+// The state of forward-mode differentiation, and the operations that rules
+// call.
 //
-// A copy of the kernel is extended in place and in program order: behind each
-// op stands what computes the tangents of its results. So every primal value is
-// at hand, whatever is overwritten later, and nothing is recorded. A storage
-// with tangents (a field with a dual, an array of the kernel's own) is accessed
+// A copy of the kernel is extended in place and in program order: each op is
+// followed by the ops that compute the tangents of its results. So every primal
+// value is available, whatever is overwritten later, and nothing is recorded. A
+// storage with tangents (a field with a dual, a local array) is accessed
 // together with the storage that holds them.
 //
 //===----------------------------------------------------------------------===//
@@ -26,9 +27,9 @@
 
 namespace mlir::tai {
 
-/// Which values and local storages of a function may have a tangent other than
-/// zero, and which of these tangents may be infinite or NaN though everything
-/// that is read is finite.
+/// The values and local storages of a function that may have a non-zero
+/// tangent, and those whose tangent may be infinite or NaN though all inputs
+/// are finite.
 struct TangentFlow {
   llvm::DenseSet<Value> varied, nonFinite;
 
@@ -38,8 +39,8 @@ struct TangentFlow {
 
 class TangentBuilder : public DerivativeBuilder {
 public:
-  /// Extends `function`. `tangentOf` gives the storage of tangents of a field
-  /// or of an argument, or none.
+  /// For `function`. `tangentOf` maps a field or an argument to the storage of
+  /// its tangents, or to none.
   TangentBuilder(FunctionOpInterface function,
                  std::function<Storage(Storage)> tangentOf);
 
@@ -53,7 +54,7 @@ public:
 
   /// True if the value may have a tangent other than zero.
   bool isVaried(Value value) const { return flow.varied.contains(value); }
-  /// True if the tangent may be infinite or NaN though what is read is finite.
+  /// True if the tangent may be infinite or NaN though all inputs are finite.
   bool mayBeNonFinite(Value value) const {
     return flow.nonFinite.contains(value);
   }
@@ -65,13 +66,13 @@ public:
   Value getTangentOrZero(Value value);
   /// Sets the tangent; null is zero.
   void setTangent(Value value, Value tangent);
-  /// `product`, of the tangent of `operand` and a partial derivative, without
-  /// the infinity or NaN of the one where the other is zero. The partial is
-  /// built if it is needed.
+  /// `product`, the tangent of `operand` times a partial derivative, but zero
+  /// where one factor is zero and the other infinite or NaN. `createPartial` is
+  /// called only if the test is needed.
   Value createProduct(Value operand, Value product, bool partialMayBeNonFinite,
                       llvm::function_ref<Value()> createPartial);
   /// For an op that is linear in its float operands: the same op on their
-  /// tangents. Others, such as indices, stay.
+  /// tangents. Other operands, such as indices, are kept.
   void applyToTangents(Operation *op);
 
   //===--------------------------------------------------------------------===//
@@ -81,15 +82,15 @@ public:
   /// The storage of tangents of a field, an argument or a local array; null if
   /// it has none.
   Storage getTangentStorage(Storage storage);
-  /// Extends the ops of a block, the terminator left out.
+  /// Extends the ops of a block, without the terminator.
   LogicalResult extendBlock(Block *block);
-  /// Puts `made`, whose first results are those of `op`, in its place. What is
-  /// known of the values of `op` holds for those of `made`.
+  /// Replaces `op` by `made`, whose first results correspond to those of `op`.
+  /// Facts about the values of `op` carry over.
   void replace(Operation *op, Operation *made);
-  /// Says that the element that the access reaches may be reached by other
-  /// iterations at the same time, and that a tangent cannot be kept in step
-  /// with it then. Runs the tai loops around it in order; reports an error if
-  /// the loops cannot be.
+  /// Serialises the tai loops around an access whose element other iterations
+  /// may update at the same time, since element and tangent cannot be updated
+  /// together atomically. Reports an error if a loop around it cannot be
+  /// serialised.
   LogicalResult runInOrder(Operation *access);
   /// True if no other iteration of the loop around the access reaches its
   /// element.
@@ -101,8 +102,8 @@ public:
 private:
   LogicalResult extendOp(Operation *op);
   LogicalResult extendAccess(Operation *op);
-  /// Extends the making, reading, writing and freeing of local storages;
-  /// nothing if `op` does none of these.
+  /// Extends allocation, reads, writes and deallocation of local storages; none
+  /// if `op` is another op.
   std::optional<LogicalResult> extendLocal(Operation *op);
   LogicalResult checkUsers(Value array);
 
@@ -110,10 +111,10 @@ private:
   std::function<Storage(Storage)> tangentOf;
   TangentFlow flow;
   llvm::DenseMap<Value, Value> tangents;
-  /// Local arrays and variables by those of their tangents.
+  /// Local arrays and variables, mapped to those of their tangents.
   llvm::DenseMap<Value, Value> shadows;
-  /// Loops that are made again leave an empty op behind; facts about its values
-  /// are known by their addresses, so it is erased last.
+  /// Loops that were rebuilt, left as empty ops; facts are keyed by the
+  /// addresses of their values, so they are erased last.
   SmallVector<Operation *> replaced;
   bool hasErrors = false;
 };

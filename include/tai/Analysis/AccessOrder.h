@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// All accesses of a function by storage, in program order, and the relations
-// between two of them that the global data access rules speak of.
+// All accesses of a function by storage, in program order, and relations
+// between two of them: may one run after the other and reach the same element.
 //
 //===----------------------------------------------------------------------===//
 
@@ -52,9 +52,10 @@ bool reachSameElement(DifferentiableAccessInterface lhs,
 
 /// False if `second` cannot run after `first` and reach the same element: in
 /// the same iteration of the loops around both, or in a later iteration of a
-/// serial one. Iterations of one parallel loop do not meet: a program in which
-/// they do has no defined result. True wherever that is not proven. With
-/// `scope`, a block around both, only within one run of it.
+/// serial one. Iterations of one parallel loop are assumed not to conflict: a
+/// program in which they do has no defined result. Conservative: true unless
+/// proven otherwise. With `scope`, a block around both, only within one
+/// execution of it.
 bool mayReachLater(DifferentiableAccessInterface first,
                    DifferentiableAccessInterface second,
                    Block *scope = nullptr);
@@ -67,8 +68,8 @@ bool isSerialLoop(Operation *op);
 Block *findCommonBlock(Operation *&lhs, Operation *&rhs);
 
 /// True if `second` runs after `first`, in the same iteration of the loops
-/// around both, whenever both run; and one of them always runs if the other
-/// does, so that no pair of conditions can keep them apart.
+/// around both, whenever both run; and at least one of them is not under a
+/// condition, so that they are not on exclusive branches.
 bool runsAfter(Operation *first, Operation *second);
 
 } // namespace mlir::tai

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Index arithmetic as linear forms, and what follows from them: whether two
+// Index arithmetic as linear forms, and the queries based on them: whether two
 // accesses touch the same element, and whether distinct iterations of a
 // parallel loop touch distinct elements.
 //
@@ -24,7 +24,7 @@ class FieldOp;
 
 /// A sum of values times constants, plus a constant. Terms are sorted by value
 /// and have non-zero coefficients. A value that is not itself a sum is a term,
-/// as is what was computed in 8 or 16 bits, where sums wrap around.
+/// as is the result of 8-bit or 16-bit arithmetic, which may wrap around.
 struct LinearIndex {
   SmallVector<std::pair<Value, int64_t>, 2> terms;
   int64_t constant = 0;
@@ -46,8 +46,8 @@ SmallVector<LinearIndex> getLinearIndices(ValueRange values);
 /// the same iteration of the loops around them.
 bool areProvablyEqual(ValueRange lhs, ValueRange rhs);
 
-/// True if the values are different in the same iteration, for certain, in at
-/// least one position.
+/// True if the values certainly differ, in the same iteration, in at least one
+/// position.
 bool areProvablyDistinct(ValueRange lhs, ValueRange rhs);
 
 /// True if different values of `ivs` give different values of at least one of
@@ -73,15 +73,15 @@ Operation *getLoopOf(Value iv);
 /// or null where they are not affine in these.
 AffineMap getAffineMap(Operation *access, ValueRange indices);
 
-/// A name for the storage that an access reaches, the same for all fields that
-/// name one place.
+/// A key for the storage that an access reaches; equal for all `tai.field` ops
+/// of one place.
 const void *getStorageKey(Operation *op);
-/// The same, of a field.
+/// The key of a field.
 const void *getFieldStorageKey(FieldOp field);
 
 /// Marks each `tai.atomic` add or sub as exclusive where no other iteration of
-/// the parallel loop around it can reach its element, and lifts the mark where
-/// that does not hold.
+/// the parallel loop around it can reach its element, and removes the mark
+/// where that does not hold.
 void markExclusiveAtomics(FunctionOpInterface function);
 
 } // namespace mlir::tai

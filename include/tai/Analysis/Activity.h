@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A value is active if it depends on what is read from a storage with an
-// adjoint, and is used by what is written to a storage with an adjoint, through
-// ops that carry derivatives. No other value gets adjoint code. Arguments may
-// be read, and results written, in the same sense.
+// A value is active if it depends, through ops that carry derivatives, on a
+// value read from a storage with an adjoint (varied), and a value written to
+// such a storage depends on it (useful). No other value gets adjoint code.
+// Arguments may count as reads, and results as writes.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,31 +22,32 @@
 
 namespace mlir::tai {
 
-/// Calls `pass` with the operands that a branch or loop hands on, and the
-/// values that they become: on entry, and at the end of each of its blocks.
-void forEachHandover(RegionBranchOpInterface op,
-                     llvm::function_ref<void(OperandRange, ValueRange)> pass);
+/// Calls `pass` with the operands that a branch or loop forwards, and the
+/// values that they are forwarded to: on entry, and at the end of each of its
+/// blocks.
+void forEachForwarding(RegionBranchOpInterface op,
+                       llvm::function_ref<void(OperandRange, ValueRange)> pass);
 
 class Activity {
 public:
-  /// Analyses a function, given which storages have an adjoint, and which of
-  /// its values have: arguments, and operands of its terminator. With
-  /// `assumeVaried`, whatever can carry a derivative is taken to depend on a
-  /// wanted input.
+  /// Analyses a function. `hasAdjoint` tells which storages have an adjoint;
+  /// `inputs` are the arguments, and `outputs` the operands of its terminator,
+  /// that have one. With `assumeVaried`, every value that can carry a
+  /// derivative is assumed to be varied.
   Activity(FunctionOpInterface function,
            llvm::function_ref<bool(Storage)> hasAdjoint,
            ArrayRef<Value> inputs = {}, ArrayRef<Value> outputs = {},
            bool assumeVaried = false);
 
-  /// True if the value depends on a wanted input and reaches a wanted output.
+  /// True if the value is varied (or assumed to be) and useful.
   bool isActive(Value value) const {
     return (varied.contains(value) || assumed.contains(value)) &&
            useful.contains(value);
   }
-  /// True if the value depends on a wanted input.
+  /// True if the value depends on an input with a derivative.
   bool isVaried(Value value) const { return varied.contains(value); }
-  /// True if the access moves derivatives: a read of, or a write of an active
-  /// value to, a storage with an adjoint.
+  /// True if derivatives pass through the access: a read of, or a write of an
+  /// active value to, a storage with an adjoint.
   bool isActiveAccess(Operation *op) const {
     return activeAccesses.contains(op);
   }

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Two questions about the values that `scf.for` and `scf.while` carry: how the
-// value that an iteration begins with can be had again when the iterations run
-// backwards, and which of them anything needs.
+// Two analyses of the values that `scf.for` and `scf.while` carry: how the
+// value at the start of an iteration can be recovered when the iterations run
+// backwards, and which of them are live.
 //
 //===----------------------------------------------------------------------===//
 
@@ -19,18 +19,17 @@
 
 namespace mlir::tai {
 
-/// How the value that an iteration begins with can be had, when iterations run
-/// backwards.
+/// How the value at the start of an iteration is recovered in reverse.
 enum class CarriedKind {
-  /// It is a formula of the number of the iteration.
+  /// A formula of the iteration number.
   ClosedForm,
-  /// The value that the next iteration began with gives it back, exactly.
+  /// An exact inverse of the step, from the value of the next iteration.
   Invertible,
-  /// It must be remembered, or computed forward once more.
+  /// It must be recorded, or recomputed forward.
   Trajectory,
 };
 
-/// One step from a carried value to the next: `op` is applied to the value as
+/// One step of the update of a carried value: `op` is applied to the value as
 /// its operand number `operand`.
 struct CarriedStep {
   Operation *op;
@@ -39,14 +38,14 @@ struct CarriedStep {
 
 struct CarriedValue {
   CarriedKind kind = CarriedKind::Trajectory;
-  /// The steps from this value to the next value of the carried value number
-  /// `source`, in the order in which they run. Empty for trajectories.
+  /// The steps from this value to the next value of carried value number
+  /// `source`, in program order. Empty for trajectories.
   llvm::SmallVector<CarriedStep> steps;
   unsigned source = 0;
 };
 
-/// The values that a serial loop carries: `scf.for`, or `scf.while`, where the
-/// arguments of the first region count.
+/// The values that an `scf.for` or `scf.while` carries; for the latter, the
+/// arguments of its first region.
 class CarriedValues {
 public:
   explicit CarriedValues(Operation *loop);
@@ -54,8 +53,8 @@ public:
   const CarriedValue &operator[](unsigned index) const { return values[index]; }
   size_t size() const { return values.size(); }
 
-  /// The number of the carried value that `value` is, with a name for it in any
-  /// region of the loop; none if it is no carried value.
+  /// The number of the carried value that `value`, an argument of any region of
+  /// the loop, stands for; none if it is not a carried value.
   std::optional<unsigned> getIndex(Value value) const;
 
 private:
@@ -71,8 +70,8 @@ private:
 
 llvm::StringRef stringifyCarriedKind(CarriedKind kind);
 
-/// The values in a region that effects, terminators of the region's own blocks,
-/// or given values need. Knows one result of a branch or loop from the next.
+/// Liveness of the values in a region: needed by effects or by terminators of
+/// the region's own blocks. Distinguishes the results of a branch or loop.
 class LiveValues {
 public:
   explicit LiveValues(Region &region);

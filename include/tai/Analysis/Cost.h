@@ -1,13 +1,13 @@
-//===- Cost.h - What code costs to run --------------------------*- C++ -*-===//
+//===- Cost.h - Cost estimates ---------------------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// One estimate for all decisions about how a loop runs. It need be right within
-// a small factor only: it tells loops that pay for a fork from those that do
-// not.
+// One estimate for all decisions about how a loop runs. It needs to be right
+// within a small factor only: it tells loops that are worth a fork from those
+// that are not.
 //
 //===----------------------------------------------------------------------===//
 
@@ -19,16 +19,16 @@
 
 namespace mlir::tai {
 
-/// Nanoseconds that handing a loop to other cores and waiting for them takes.
+/// Nanoseconds to distribute a loop to other cores and to wait for them.
 constexpr double kForkNanoseconds = 4000;
 
-/// Trips assumed of a loop whose bounds are not known.
+/// The trip count assumed of a loop whose bounds are not known.
 constexpr int64_t kAssumedTrips = 8;
 
 /// The number of trips of a loop op, assumed where unknown.
 int64_t estimateTrips(Operation *loop);
 
-/// Nanoseconds that one run of the op, or of the block, takes on one core.
+/// Nanoseconds of one execution of the op, or of the block, on one core.
 double estimateNanoseconds(Operation *op);
 double estimateNanoseconds(Block &block);
 

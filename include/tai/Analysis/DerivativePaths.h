@@ -5,11 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// One answer to "does a derivative pass here", for both modes: it does wherever
-// a value is made from one that has a derivative, of whatever type and by
-// whatever op, unless the op is known to be discrete. Where there is no rule,
-// differentiation fails; nothing is taken to be constant because it is not
-// understood.
+// Whether a derivative passes through an operand, for both modes: it does for
+// values of every type and every op, unless the op is known to be discrete.
+// Where an op on such a path has no rule, differentiation fails; nothing is
+// assumed to be constant because it is not understood.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,28 +20,27 @@
 
 namespace mlir::tai {
 
-/// True if the results of the op change by jumps only, or do not depend on what
-/// its operands hold: comparisons, conversions to integers, sizes.
+/// True if the results of the op are piecewise constant in its operands, or do
+/// not depend on their contents: comparisons, conversions to integers, sizes.
 bool isDiscrete(Operation *op);
 
-/// True if a derivative may pass from the operand to the results of its op:
-/// what the rule of the op says; without one, unless the op is discrete.
+/// True if a derivative may pass from the operand to the results of its op: by
+/// the rule of the op; without a rule, unless the op is discrete.
 bool carriesDerivative(OpOperand &operand);
 
-/// What is differentiated, as far as paths depend on it.
+/// The ends of derivative paths: inputs and outputs of differentiation.
 struct DerivativeEnds {
   /// Whether a storage has an adjoint, or holds tangents.
   llvm::function_ref<bool(Storage)> hasDerivative;
-  /// Values that have a derivative of their own.
+  /// Arguments and results that have a derivative.
   ArrayRef<Value> inputs = {}, outputs = {};
-  /// Whether derivatives are carried forward.
+  /// Forward mode.
   bool isForward = false;
 };
 
-/// Reports each op without a rule on a path from what has a derivative to where
-/// a derivative is wanted, each access that such a path would take through
-/// memory that is not followed, and each place where what has a derivative is
-/// stored as something else.
+/// Reports each op without a rule on a path from an input to an output, each
+/// access through which such a path would pass memory that is not tracked, and
+/// each store of a value with a derivative as another type.
 LogicalResult verifyDerivativePaths(
     FunctionOpInterface function, const DerivativeEnds &ends,
     llvm::function_ref<InFlightDiagnostic(Operation *, const Twine &)>

@@ -6,12 +6,13 @@
 //===----------------------------------------------------------------------===//
 //
 // Small structural facts: is a value positive, can it be infinite or NaN. They
-// say where a derivative needs no guard and where an operation may run though
-// the program would not have run it.
+// decide where a derivative needs no guard and where an operation may be
+// speculated.
 //
-// What is loaded or passed in is taken as finite, and so are sums and products
-// of finite values: the facts ask which operations make a value non-finite on
-// ordinary input, such as a division by zero.
+// Loaded values and arguments are assumed to be finite, and so are sums and
+// products of finite values: overflow is ignored, and the facts are about
+// operations that make a value non-finite on ordinary input, such as a division
+// by zero.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,22 +27,22 @@ namespace mlir::tai {
 
 class FloatFacts {
 public:
-  /// Between these two lies every component, if it is a number.
+  /// Bounds of every component that is not NaN.
   struct Interval {
     double low, high;
   };
 
-  /// With `usesConditions`, what the branches around a place say counts; not so
-  /// for one who asks whether the branch can go.
+  /// With `usesConditions`, the conditions of the branches around a place are
+  /// used; wrong for a client that may remove the branch.
   explicit FloatFacts(bool usesConditions = false)
       : usesConditions(usesConditions) {}
 
-  /// False if the value is finite wherever what it is computed from is.
+  /// False if the value is finite for all finite inputs.
   bool mayBeNonFinite(Value value);
 
-  // Of each component, as seen from the place `at`. What is positive or not
-  // zero is so clearly: an inverse does not overflow. (A constant is what it
-  // is.)
+  // Facts about each component, at the place `at` (conditions around it may be
+  // used). Positive and non-zero values are far enough from zero that the
+  // inverse does not overflow, except for constants.
   bool isPositive(Value value, Operation *at = nullptr);
   bool isNonNegative(Value value, Operation *at = nullptr);
   bool isNonZero(Value value, Operation *at = nullptr);
@@ -50,8 +51,8 @@ public:
   bool isInUnitInterval(Value value, Operation *at = nullptr);
   Interval getRange(Value value, Operation *at = nullptr);
 
-  /// What is at least this far from zero can be divided by, and cubed, without
-  /// leaving the range of the type.
+  /// The least magnitude whose inverse, and the cube of that, are in the range
+  /// of the type.
   static double getClearance(Type type);
 
 private:
@@ -62,12 +63,12 @@ private:
 
   bool usesConditions;
   llvm::DenseMap<Value, bool> nonFinite;
-  /// The values that it has as finite, in the order of the answers.
+  /// The values in `nonFinite` that were found finite, in that order.
   llvm::SmallVector<Value> concludedFinite;
 };
 
 /// True if the derivative of `op` may be infinite or NaN though its operands
-/// are finite. Unknown ops of floats may.
+/// are finite. Conservative for unknown ops.
 bool mayHaveNonFinitePartial(Operation *op, FloatFacts &facts);
 
 } // namespace mlir::tai

@@ -5,15 +5,15 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Whether the indices of an access lie in its field or array: always, or if the
-// numbers that the launch is given fulfil some inequalities, or nobody knows.
+// Whether the indices of an access are in bounds: always, or under inequalities
+// on the arguments of the launch, or unknown.
 //
-// An index is a linear sum of loop indices and of launch values: what follows
-// from the arguments of the kernel and the extents of its arrays alone. Loops
-// and conditions around an access bound them. All of that and "the index is
-// beyond the end" is a linear system; without the loop indices, it says when a
-// launch goes out of range. Products of loop indices and launch values are
-// looked at in the first and the last iterations of their loops.
+// An index is a linear sum of loop indices and of launch values: those that
+// depend on the arguments of the kernel and the extents of its arrays alone.
+// Loops and conditions around an access bound them. These bounds together with
+// "the index is out of range" are a linear system; eliminating the loop indices
+// leaves the launches that go out of range. Products of loop indices and launch
+// values are checked at the first and the last iterations of their loops.
 //
 //===----------------------------------------------------------------------===//
 
@@ -25,12 +25,12 @@
 
 namespace mlir::tai {
 
-/// A way in which an access leaves its field.
+/// One way in which an access goes out of range.
 struct Violation {
-  /// It happens if all of these hold, which are sums of launch values.
+  /// It happens if this system over launch values holds.
   LinearSystem launch;
-  /// The first iteration in which it happens, outermost loop first: each is the
-  /// least number for which its system holds, with the values before it given.
+  /// The first iteration in which it happens, outermost loop first: each index
+  /// is the least number for which its system holds, given those before it.
   struct Step {
     unsigned variable;
     LinearSystem system;
@@ -39,11 +39,11 @@ struct Violation {
 };
 
 struct BoundsAnswer {
-  /// The index lies in its range whenever the access runs.
+  /// The index is always in range.
   bool isInRange = false;
-  /// It does in all launches that none of `violations` happens in.
+  /// The index is in range in all launches without one of `violations`.
   bool isDecided = false;
-  /// Each is certain to be an error of the program.
+  /// Exact: if it happens, the program has an out-of-range access.
   SmallVector<Violation, 1> violations;
 };
 
@@ -53,13 +53,14 @@ public:
       : forms(kernel), domains(kernel, forms) {}
   IndexBounds(const IndexBounds &) = delete;
 
-  /// Looks at index `number` of an access. `proves`: also at numbers that
-  /// depend on data, which conditions may keep in range.
+  /// Checks index number `number` of an access. With `proves`, also indices
+  /// that depend on data, which conditions may keep in range.
   BoundsAnswer check(const IndexedAccess &access, size_t number, bool proves);
 
-  /// What the variables of a system stand for.
+  /// The meaning of the variables of a system.
   const IndexForms &getForms() const { return forms; }
-  /// The index as a sum, if it is one of loop indices and launch values.
+  /// The index as a linear sum of loop indices and launch values; none if it is
+  /// not one.
   std::optional<LinearSum> getSum(Value index);
 
 private:
@@ -77,8 +78,8 @@ private:
   IterationDomains domains;
 };
 
-/// Whether accesses of the kernel around `op` are checked as they run, so that
-/// it is to stay as it was written.
+/// Whether accesses of the kernel around `op` are checked at run time, so that
+/// the kernel must not be restructured.
 bool checksIndices(Operation *op);
 
 } // namespace mlir::tai

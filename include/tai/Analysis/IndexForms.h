@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// How a value of a kernel is made up, and the numbers that it can be: a linear
-// sum of loop indices and of launch values, which follow from the arguments of
-// the kernel and the extents of its arrays alone. Integers wrap around, sums do
-// not: where it is not known that a value does not, that is an assumption.
+// Integer values of a kernel as linear sums, and their ranges: sums of loop
+// indices and of launch values, which depend on the arguments of the kernel and
+// the extents of its arrays alone. Integers wrap around, sums do not: where it
+// is not known that a value does not wrap, that is recorded as an assumption.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,8 +22,7 @@
 
 namespace mlir::tai {
 
-/// Values that a number can have, both ends included. The ends of int64_t stand
-/// for no bound.
+/// A closed interval. The extremes of int64_t mean unbounded.
 struct NumberRange {
   int64_t low = INT64_MIN, high = INT64_MAX;
 
@@ -33,29 +32,29 @@ struct NumberRange {
   }
 };
 
-/// A number of which the host knows the value before the kernel runs: a value
-/// that can be computed then, the extent of an array, or the product of two
-/// sums of launch values.
+/// A number that the host can compute before the kernel runs: a value, the
+/// extent of dimension `dimension` of `array`, or the product of two sums of
+/// launch values.
 struct LaunchValue {
   Value value, array;
   int64_t dimension = 0;
   SmallVector<LinearSum, 0> factors = {};
 };
 
-/// A value as a sum, and what holds for the variables in it.
+/// A value as a sum, with constraints on its variables.
 struct LinearForm {
   LinearSum sum;
   SmallVector<LinearSum, 2> facts;
-  /// The sum is the value for certain, and follows from the iteration.
+  /// The sum equals the value, and is a function of the iteration.
   bool isCertain = true;
-  /// `facts` hold always. If not, they are assumptions.
+  /// `facts` (each a sum >= 0) always hold. If not, they are assumptions.
   bool isComplete = true;
 
-  /// This and `scale` times another one.
+  /// The sum of this and `scale` times `other`.
   LinearForm plus(const LinearForm &other, int64_t scale) const;
 };
 
-/// The forms of the values of a kernel, and the variables that they speak of.
+/// The forms of the values of a kernel, and their variables.
 class IndexForms {
 public:
   enum class Kind { Launch, Loop, Quotient, Product, Data };
@@ -73,17 +72,17 @@ public:
   NumberRange getRange(unsigned variable) const {
     return variables[variable].range;
   }
-  /// What a variable stands for, if the launch knows it.
+  /// The launch value that a variable stands for, or null.
   const LaunchValue *getLaunchValue(unsigned variable) const;
-  /// The two factors, where a variable stands for a product that changes in a
-  /// loop; the first is of launch values. Empty for others.
+  /// The two factors of a variable that stands for a product of a sum of launch
+  /// values (the first) and one that varies in a loop. Empty for others.
   ArrayRef<LinearSum> getFactors(unsigned variable) const {
     return variables[variable].factors;
   }
   bool isOfLaunch(const LinearSum &sum) const;
   bool hasProduct(const LinearSum &sum) const;
   /// The product of two sums of launch values as a launch value. Adds to
-  /// `facts` what must hold for it not to overflow.
+  /// `facts` the conditions for it not to overflow.
   LinearSum multiply(const LinearSum &a, const LinearSum &b,
                      SmallVectorImpl<LinearSum> &facts);
 
@@ -103,7 +102,7 @@ private:
   std::optional<LinearForm> makeExtreme(Operation *op);
   std::optional<LinearForm> makeProduct(Operation *op);
   LinearForm makeVariable(Kind kind, NumberRange range);
-  /// Adds what must hold for a value of the type not to have wrapped.
+  /// Adds the conditions for a value of the type not to have wrapped.
   void assumeFits(LinearForm &form, Type type) const;
   NumberRange computeRange(Value value);
 

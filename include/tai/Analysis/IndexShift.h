@@ -28,34 +28,32 @@ struct IndexShift {
   bool isIdentity() const { return offset == 0; }
 };
 
-/// The leaves of an index expression below `scope`: values defined outside of
-/// it are constants to the loop; `variables` receives the arguments of its
-/// block that the expression depends on. Fails if the expression holds an
-/// operation that integer arithmetic cannot follow.
+/// Collects in `variables` the block arguments of `scope` that an index
+/// expression depends on; values defined outside of `scope` are constants.
+/// False if the expression holds an operation that is not integer arithmetic.
 bool collectIndexVariables(Value index, Region &scope,
                            SmallVectorImpl<Value> &variables);
 
-/// The value of an integer expression whose only variable is `variable`, for
-/// variable = `at`; nothing if the expression is not constant otherwise, or
-/// divides by zero.
+/// The value of an integer expression in the single variable `variable`, for
+/// variable = `at`; none if it has other variables, or divides by zero.
 std::optional<int64_t> evaluateIndex(Value index, Value variable, int64_t at);
 
-/// A truth value that is `answer` for all values of its variable in
-/// [lower, upper).
+/// A condition that is `answer` for all values of its variable in [lower,
+/// upper).
 struct ConstantStretch {
   int64_t lower, upper;
   bool answer;
 };
 
-/// Where `condition`, whose only variable is `variable`, answers as it does in
-/// the middle of [lower, upper); nothing if it cannot be evaluated there, or
-/// the range is too long to be worth it.
+/// The stretch around the middle of [lower, upper) in which `condition`, an
+/// expression in the single variable `variable`, does not change; none if it
+/// cannot be evaluated there, or the range is too long.
 std::optional<ConstantStretch> getConstantStretch(Value condition,
                                                   Value variable, int64_t lower,
                                                   int64_t upper);
 
-/// How `index` shifts `variable` over [lower, upper); nothing if it is no
-/// shift, or if the range is empty or too long to be worth the evaluation.
+/// How `index` shifts `variable` over [lower, upper); none if it is not a
+/// shift, or if the range is empty or too long to evaluate.
 std::optional<IndexShift> getIndexShift(Value index, Value variable,
                                         int64_t lower, int64_t upper);
 

@@ -1,4 +1,4 @@
-//===- IndexedAccess.h - Accesses taken apart -------------------*- C++ -*-===//
+//===- IndexedAccess.h - Indices of an access ------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -14,14 +14,14 @@
 
 namespace mlir::tai {
 
-/// The number of an extent, which for an array may be known to the launch only.
+/// An extent; that of an array may be known at launch time only.
 struct Extent {
   int64_t number = 0;
-  /// If not null: dimension `number` of this argument.
+  /// If not null: the extent is that of dimension `number` of this argument.
   Value array = {};
 };
 
-/// An access that has indices, taken apart.
+/// An access with its indices, their first values and extents.
 struct IndexedAccess {
   Operation *op;
   /// "field '@x' of shape [4, 8]".
@@ -31,10 +31,11 @@ struct IndexedAccess {
   SmallVector<OpOperand *> indices;
   SmallVector<int64_t> first;
   SmallVector<Extent> extents;
-  /// How many of them are those of the element.
+  /// The number of indices of the element; the others are of components.
   size_t rank = 0;
 
-  /// Nothing for an operation that is no access, or of a kind that has no box.
+  /// None for an operation that is not an access, or whose index space is not a
+  /// box.
   static std::optional<IndexedAccess> get(Operation *op);
 };
 

@@ -1,13 +1,12 @@
-//===- IntegerRanges.h - Which values an integer may have -------*- C++ -*-===//
+//===- IntegerRanges.h - Ranges of integers --------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Ranges of integers, computed for the values that are asked for. Operations
-// say what they do to ranges through upstream's InferIntRangeInterface; loops
-// bound their indices.
+// Integer ranges on demand. Operations define their ranges by upstream's
+// InferIntRangeInterface; loops bound their indices.
 //
 // Upstream's data flow analysis visits a whole function, and cannot look at
 // loops that do not name their bounds, such as those over fields.
@@ -25,7 +24,7 @@ namespace mlir::tai {
 
 class IntegerRanges {
 public:
-  /// What is known of a value by other means, if anything.
+  /// A range known from another source, or none.
   using Oracle = std::function<std::optional<ConstantIntRanges>(Value)>;
   explicit IntegerRanges(Oracle oracle = nullptr) : oracle(std::move(oracle)) {}
 

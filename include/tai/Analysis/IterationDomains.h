@@ -22,9 +22,9 @@ struct IterationDomain {
   SmallVector<SmallVector<LinearSum>, 1> pieces;
   /// Loop indices, from the outermost to the innermost.
   SmallVector<unsigned> loops;
-  /// Each point is an iteration that runs.
+  /// Each point is an iteration that runs (no over-approximation).
   bool isCertain = true;
-  /// Each iteration that runs is a point.
+  /// Each iteration that runs is a point (no under-approximation).
   bool isComplete = true;
 
   void addRow(const LinearSum &row);

@@ -1,13 +1,12 @@
-//===- LaunchAccesses.h - What kernels do to memory -------------*- C++ -*-===//
+//===- LaunchAccesses.h - Access summaries of kernels ----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// What a kernel reads, writes and accumulates, by the names of fields; which
-// elements that are is told from the arguments of a launch where they alone
-// decide.
+// What a kernel reads, writes and accumulates, by the names of fields; and
+// which elements, where the arguments of a launch alone decide that.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,10 +20,10 @@
 
 namespace mlir::tai {
 
-/// Slots of values of these types; see Abi.h.
+/// The argument slots that values of these types occupy; see Abi.h.
 int64_t countSlots(TypeRange types);
 
-/// A line of a summary, by the name of the field.
+/// One entry of a summary.
 struct NamedAccess {
   std::string field;
   runtime::AccessKind kind;
@@ -35,18 +34,18 @@ struct NamedAccess {
   }
 };
 
-/// What the ops under `root` do to fields; indices are told from the arguments
-/// of kernels.
+/// The accesses of the ops under `root` to fields, with fixed indices in terms
+/// of the kernel's arguments.
 std::vector<NamedAccess> listAccesses(Operation *root);
 
-/// For each of the accesses, which are those of the kernel and of the functions
-/// that it calls: the elements that a launch stores, whatever fields hold. None
-/// where that depends on them, is no box, or is no write.
+/// For each of `accesses`, those of the kernel and of the functions that it
+/// calls: the elements that a launch stores, whatever fields hold. Empty where
+/// that depends on fields, is not a box, or for accesses that are not writes.
 std::vector<std::vector<runtime::StoredBox>>
 findStoredBoxes(ModuleOp module, KernelOp kernel,
                 ArrayRef<NamedAccess> accesses);
 
-/// The same, of an array among the arguments of the kernel.
+/// The same, for an array argument of the kernel.
 std::vector<runtime::StoredBox> findStoredBoxes(KernelOp kernel,
                                                 BlockArgument array);
 

@@ -8,8 +8,8 @@
 // Conjunctions of linear inequalities over integers, and Fourier-Motzkin
 // elimination. Its real shadow holds all solutions, its dark shadow (Pugh, The
 // Omega Test, 1991) solutions only; where all coefficients of a variable on one
-// side are one, both are the same set. Nothing is allocated that a library
-// would, since most systems of a kernel have two variables.
+// side are one, both are the same set. Small vectors instead of a Presburger
+// library: most systems of a kernel have two variables.
 //
 //===----------------------------------------------------------------------===//
 
@@ -28,7 +28,7 @@ namespace mlir::tai {
 struct LinearSum {
   SmallVector<std::pair<unsigned, int64_t>, 4> terms;
   int64_t constant = 0;
-  /// A number did not fit: the sum means nothing.
+  /// A coefficient overflowed: the sum is invalid.
   bool hasOverflow = false;
 
   static LinearSum of(int64_t constant) { return {{}, constant}; }
@@ -49,12 +49,12 @@ struct LinearSum {
 class LinearSystem {
 public:
   ArrayRef<LinearSum> getRows() const { return rows; }
-  /// Some row can never hold. The converse does not follow.
+  /// Some row can never hold. Sufficient for an empty system, not necessary.
   bool isContradictory() const { return contradictory; }
-  /// The system has become too large, or its numbers have: it means nothing.
+  /// The system, or a coefficient, became too large: it is invalid.
   bool isUnknown() const { return unknown; }
 
-  /// Adds `sum >= 0`, divided by what its factors have in common.
+  /// Adds `sum >= 0`, divided by the common divisor of its factors.
   void require(LinearSum sum);
   void require(ArrayRef<LinearSum> sums) {
     for (const LinearSum &sum : sums)

@@ -13,7 +13,7 @@
 
 namespace mlir::tai {
 
-/// A parallel loop whose induction variables run over constants.
+/// A parallel loop with constant bounds.
 struct LoopBox {
   ParallelForOp loop;
   SmallVector<int64_t> lower, upper;
@@ -24,16 +24,17 @@ struct LoopBox {
   std::optional<unsigned> find(Value value);
 };
 
-/// The box of `loop`: its bounds, or those of the field that it visits. Nothing
+/// The box of `loop`: its bounds, or those of the field that it visits. None
 /// where they are not constants, or the field has a sparse level.
 std::optional<LoopBox> getConstantBox(ParallelForOp loop);
 
-/// The boxes of the loops below `root` that run their iterations in parallel
-/// over bounds that are written out, and stand in no other such loop. None in a
-/// kernel that checks its indices: what asks makes other loops of them.
+/// The boxes of the outermost parallel loops below `root` with explicit
+/// constant bounds. Empty in a kernel that checks indices at run time, because
+/// callers restructure these loops.
 SmallVector<LoopBox> findConstantBoxes(Operation *root);
 
-/// The same for any field: indices that a loop over active cells may have.
+/// Like getConstantBox, but for any field: a superset of the indices that a
+/// loop over active cells visits.
 std::optional<LoopBox> getIndexBox(ParallelForOp loop);
 
 } // namespace mlir::tai

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A kernel that does nothing but loop over the active cells of sparse levels
-// does nothing where there are none: its launch can be left out.
+// The launch of a kernel that only loops over the active cells of sparse levels
+// can be skipped where no cell is active.
 //
 //===----------------------------------------------------------------------===//
 
@@ -20,7 +20,7 @@
 namespace mlir::tai {
 
 /// Pairs of a tree, by its position in the module of the kernel, and the number
-/// of a level in it. Empty where the kernel does anything else too.
+/// of a level in it. Empty where the kernel does anything else.
 std::vector<int64_t> findLoopLevels(KernelOp kernel);
 
 } // namespace mlir::tai

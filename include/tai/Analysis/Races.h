@@ -13,8 +13,8 @@
 namespace mlir::tai {
 
 /// The parallel loop around both accesses, if two different iterations of it
-/// reach the same element for certain, one by each access; or null. The two may
-/// be one access.
+/// certainly reach the same element, one by each access; or null. Both may be
+/// the same access.
 Operation *findRace(DifferentiableAccessInterface lhs,
                     DifferentiableAccessInterface rhs);
 

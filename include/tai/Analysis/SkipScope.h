@@ -1,12 +1,12 @@
-//===- SkipScope.h - Counters of what passes leave out ----------*- C++ -*-===//
+//===- SkipScope.h - Counters of skips in passes ---------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Passes count on the thread that runs them; whoever runs them takes the sums.
-// Nothing of it is in the IR.
+// Passes count on the thread that runs them; the caller of the pass pipeline
+// collects the sums. The IR is not involved.
 //
 //===----------------------------------------------------------------------===//
 
@@ -17,8 +17,8 @@
 
 namespace mlir::tai {
 
-/// While it lives, takes what is counted on this thread. Those around it do not
-/// hear of it, so that attempts that come to nothing can be left out.
+/// Collects counts of this thread during its lifetime. They are not added to
+/// those of enclosing scopes, so that failed attempts can be discarded.
 class SkipScope {
 public:
   SkipScope();

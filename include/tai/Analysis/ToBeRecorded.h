@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Which primal values an adjoint reads: a tape records those before anything
-// overwrites them, long before the adjoint has been compiled. So the analysis
-// runs as soon as a kernel has been differentiated, and its result is kept
-// beside the code.
+// Which primal values an adjoint reads: a tape records those before they are
+// overwritten, long before the adjoint has been compiled. So the analysis runs
+// as soon as a kernel has been differentiated, and its result is cached with
+// the code.
 //
 //===----------------------------------------------------------------------===//
 
@@ -20,32 +20,34 @@
 
 namespace mlir::tai {
 
-/// What must be in memory when an adjoint runs, and what it changes there.
+/// The memory that an adjoint reads and changes.
 struct ToBeRecorded {
-  /// Fields that the adjoint reads, those of other adjoints among them.
+  /// Fields that the adjoint reads, adjoint fields included.
   std::vector<NamedAccess> reads;
-  /// There is a form of it that loads what the kernel has stored; and what else
-  /// that one reads.
+  /// Whether there is a variant of the adjoint that loads stored outputs, and
+  /// the additional reads of that variant.
   bool loadsStored = false;
   std::vector<NamedAccess> stored;
-  /// Those that it reads as they were before the launch.
+  /// Fields that it reads in the version before the launch.
   std::vector<std::string> before;
-  /// Fields above which it asks for activity.
+  /// Fields whose levels' activity it reads.
   std::vector<std::string> activity;
   std::vector<LoopFlags> flags;
   /// Array arguments whose elements it reads, by the slots of their pointers.
   std::vector<int64_t> arrays;
-  /// It executes the kernel forward again, which changes these.
+  /// It re-executes stores of the kernel, which changes the fields that it
+  /// reads.
   bool reexecutes = false;
-  /// If not empty, the module with the parts of the kernel, as text.
+  /// If not empty, the text of the module with the parts that the kernel was
+  /// split into.
   std::string parts;
 
   std::string serialize() const;
-  /// Nothing where the bytes are not those of a result.
+  /// None where the bytes are not those of a result.
   static std::optional<ToBeRecorded> deserialize(StringRef bytes);
 };
 
-/// Of the kernel of this name, in a module that has been differentiated.
+/// For the kernel of this name, in a module that has been differentiated.
 ToBeRecorded findToBeRecorded(ModuleOp module, StringRef name);
 
 } // namespace mlir::tai

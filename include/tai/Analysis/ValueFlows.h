@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Follows floats from each read to each write, through ops that carry
-// derivatives, whether the storages have gradients or not.
+// Data flow of floats from each read to each write, through ops that carry
+// derivatives, whether or not the storages have gradients.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,10 +22,10 @@ namespace mlir::tai {
 
 class ValueFlows {
 public:
-  /// `arguments`: numbers whose dependences are followed besides.
+  /// `arguments`: further sources, float arguments of the function.
   ValueFlows(FunctionOpInterface function, ArrayRef<Value> arguments);
 
-  /// What values depend on, by number.
+  /// The sources, by number.
   SmallVector<Storage> storages;
   /// The accesses to floats.
   SmallVector<DifferentiableAccessInterface> reads, writes;

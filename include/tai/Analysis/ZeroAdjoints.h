@@ -12,17 +12,17 @@
 
 namespace mlir::tai {
 
-/// A loop of an adjoint over a sparse field: what it does in a cell in which
-/// these fields are zero changes nothing. Without any, it may.
+/// A loop of an adjoint over a sparse field: it can be skipped in a cell in
+/// which all of `sources` are zero. With no sources, it cannot be skipped.
 struct LoopFlags {
   std::string field;
   std::vector<std::string> sources;
-  /// It adds to elements that lie below no sparse level.
+  /// It adds to elements that are not below a sparse level.
   bool sumsUp = false;
 };
 
-/// What the loops of an adjoint over sparse fields do where adjoints are zero;
-/// see docs/decisions/0007-adjoint-flags.md.
+/// The loops of an adjoint over sparse fields; see
+/// docs/decisions/0007-adjoint-flags.md.
 std::vector<LoopFlags> findLoopFlags(KernelOp primal, KernelOp adjoint);
 
 } // namespace mlir::tai

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The interfaces of DifferentiableInterfaces.td, the types they speak of, and
-// the registration of their models for upstream dialects and for tai.
+// The interfaces of DifferentiableInterfaces.td, the types in their methods,
+// and the registration of external models for upstream dialects and for tai.
 //
 //===----------------------------------------------------------------------===//
 
@@ -32,7 +32,7 @@ class TangentBuilder;
 /// value that is not a sum.
 enum class AccessKind { Read, Write, Accumulate, Update };
 
-/// Where an access goes: a field, by symbol, or a memref, by value.
+/// The target of an access: a field, by symbol, or a memref, by value.
 struct Storage {
   FlatSymbolRefAttr field;
   Value memref;
@@ -57,14 +57,15 @@ inline bool isFloatOrVector(Type type) {
   return isa<FloatType>(type);
 }
 
-/// Bytes that a loop of one thread may record at once, unless told otherwise:
-/// part of what its core keeps close.
+/// The default limit of the history that a loop records at once, in bytes for
+/// each thread: part of a core's L2 cache.
 constexpr int64_t kDefaultHistoryBytes = 256 * 1024;
 
-/// Reports that `op` has no tangent rule; for the defaults of the interfaces.
+/// Reports that `op` has no tangent rule; for default implementations of the
+/// interfaces.
 LogicalResult refuseTangent(Operation *op, TangentBuilder &builder);
-/// Extends the regions of an op that passes no tangents on, or reports that it
-/// would have to.
+/// Extends the regions of an op whose results have no tangents; reports an
+/// error if one would need a tangent.
 LogicalResult extendRegions(Operation *op, TangentBuilder &builder);
 
 /// Attaches the interfaces to the ops of arith, math, scf, vector, memref and

@@ -3,9 +3,9 @@
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
-// The interfaces through which an op takes part in differentiation. A dialect
-// makes its ops differentiable by implementing one of them, or by attaching an
-// external model; no pass holds a list of ops.
+// The interfaces of differentiable ops. A dialect makes its ops differentiable
+// by implementing one of them, or by attaching an external model; no pass has a
+// list of ops.
 //
 //===----------------------------------------------------------------------===//
 
@@ -17,29 +17,30 @@ include "mlir/IR/OpBase.td"
 def Tai_DifferentiableOpInterface : OpInterface<"DifferentiableOpInterface"> {
   let cppNamespace = "::mlir::tai";
   let description = [{
-    An op that computes values from values and has a derivative. Its effects,
-    if any, do not concern the derivative.
+    An op that computes values from values and has a derivative. Its side
+    effects, if any, are irrelevant to the derivative.
   }];
   let methods = [
     InterfaceMethod<[{
-        Adds to the adjoint of each active operand what the adjoints of the
-        results contribute. Called once, when the adjoints of all results are
+        Adds to the adjoint of each active operand the contributions of the
+        results' adjoints. Called once, when the adjoints of all results are
         complete and at least one of them is not zero.
       }],
       "::llvm::LogicalResult", "buildAdjoint",
       (ins "::mlir::tai::AdjointBuilder &":$adjoint)>,
     InterfaceMethod<[{
-        Sets the tangents of the results to what the tangents of the operands
-        make them; see `TangentBuilder`. Called where at least one operand may
-        have a tangent. The default says that there is no rule.
+        Sets the tangents of the results, from the tangents of the operands; see
+        `TangentBuilder`. Called if at least one operand may have a tangent. The
+        default reports that there is no rule.
       }],
       "::llvm::LogicalResult", "buildTangent",
       (ins "::mlir::tai::TangentBuilder &":$tangent), "", [{
         return ::mlir::tai::refuseTangent($_op, tangent);
       }]>,
     InterfaceMethod<[{
-        True if a small change of the operand changes a result. The default
-        says so of floats: conversions to integers and comparisons say no.
+        True if the derivative of a result with respect to the operand may be
+        non-zero. The default is true for floats: conversions to integers and
+        comparisons override it.
       }],
       "bool", "carriesDerivative", (ins "::mlir::OpOperand &":$operand), "", [{
         return ::mlir::tai::isFloatOrVector(operand.get().getType());
@@ -50,21 +51,21 @@ def Tai_DifferentiableOpInterface : OpInterface<"DifferentiableOpInterface"> {
 def Tai_AdjointLoopInterface : OpInterface<"AdjointLoopInterface"> {
   let cppNamespace = "::mlir::tai";
   let description = [{
-    A loop or a branch: an op that runs its regions and may pass values through
-    them.
+    A loop or a branch: an op that runs its regions and may forward values to
+    and from them.
   }];
   let methods = [
     InterfaceMethod<[{
-        Builds the op that runs the reverse of the regions, in reverse order
-        where one iteration can depend on another. Called where the regions
-        hold an active access, or a result has an adjoint.
+        Builds the op that runs the reverse of the regions, in reverse order if
+        iterations can depend on each other. Called if the regions hold an
+        active access, or a result has an adjoint.
       }],
       "::llvm::LogicalResult", "buildReverse",
       (ins "::mlir::tai::AdjointBuilder &":$adjoint)>,
     InterfaceMethod<[{
-        Gives the op, which stands in the kernel that is being extended by
-        tangents, the tangents of what it passes on, and extends its regions.
-        The default does so where nothing that is passed on has a tangent.
+        Extends the op, in the kernel that is being extended by tangents, to
+        forward tangents with the values that it forwards, and extends its
+        regions. The default is for ops whose forwarded values have no tangents.
       }],
       "::llvm::LogicalResult", "buildTangent",
       (ins "::mlir::tai::TangentBuilder &":$tangent), "", [{
@@ -82,9 +83,9 @@ def Tai_DifferentiableAccessInterface
     An op that reads or writes one element of a field or of a memref.
   }];
   let methods = [
-    InterfaceMethod<"What the op does to the element.",
+    InterfaceMethod<"The kind of the access.",
       "::mlir::tai::AccessKind", "getAccessKind">,
-    InterfaceMethod<"Where the element is.",
+    InterfaceMethod<"The field or memref of the element.",
       "::mlir::tai::Storage", "getAccessedStorage">,
     InterfaceMethod<"The indices of the element.",
       "::mlir::OperandRange", "getAccessIndices">,
@@ -121,9 +122,9 @@ def Tai_DifferentiableAccessInterface
            "::mlir::tai::Storage":$storage, "::mlir::ValueRange":$indices,
            "::mlir::ValueRange":$components)>,
     InterfaceMethod<[{
-        Does to `storage`, which holds tangents, what makes it hold the tangent
-        of the element after the access, and sets the tangent of what the
-        access yields. The default says that there is no rule.
+        Updates `storage`, which holds tangents, to the tangent of the element
+        after the access, and sets the tangents of the op's results. The default
+        reports that there is no rule.
       }],
       "::llvm::LogicalResult", "buildTangent",
       (ins "::mlir::tai::TangentBuilder &":$tangent,

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// FieldAccessOpInterface and the kinds of accesses that it tells apart.
+// FieldAccessOpInterface and its kinds of accesses.
 //
 //===----------------------------------------------------------------------===//
 
@@ -18,14 +18,14 @@
 
 namespace mlir::tai {
 
-/// What an op does to a field.
+/// The kind of an access to a field.
 enum class FieldAccess {
   Read,       ///< reads an element
   Write,      ///< replaces an element
   Combine,    ///< replaces an element by its combination with a value
-  ReadCells,  ///< asks which cells are active
-  WriteCells, ///< makes cells active or inactive
-  Append,     ///< adds an element to a list, and yields where
+  ReadCells,  ///< reads which cells are active
+  WriteCells, ///< activates or deactivates cells
+  Append,     ///< appends an element to a list, and returns its position
 };
 
 inline bool isElementAccess(FieldAccess access) {
@@ -44,7 +44,7 @@ struct FieldResource : SideEffects::Resource::Base<FieldResource> {
   StringRef getName() final { return "tai.field"; }
 };
 
-/// The effects of such an access.
+/// Adds the effects of such an access.
 inline void
 addFieldEffects(SmallVectorImpl<MemoryEffects::EffectInstance> &effects,
                 FieldAccess access, FlatSymbolRefAttr field) {

@@ -3,8 +3,8 @@
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
-// What passes ask of an op that accesses a field. A dialect that has such ops
-// implements it, and they are counted among the accesses of a kernel.
+// The interface of ops that access a field. Passes treat all ops that implement
+// it, of any dialect, as accesses of a kernel.
 //
 //===----------------------------------------------------------------------===//
 
@@ -35,11 +35,11 @@ def Tai_FieldAccessOpInterface : OpInterface<"FieldAccessOpInterface"> {
       }],
       "::mlir::OperandRange", "getComponents", (ins), "",
       "return $_op->getOperands().take_front(0);">,
-    InterfaceMethod<"What the op does.",
+    InterfaceMethod<"The kind of the access.",
       "::mlir::tai::FieldAccess", "getFieldAccess">,
     InterfaceMethod<[{
-        The value that is read, written, or combined into the element; null
-        for what concerns cells.
+        The value that is read, written, or combined into the element; null for
+        accesses to cells.
       }],
       "::mlir::Value", "getAccessedValue", (ins), "",
       "return ::mlir::Value();">,

@@ -1,12 +1,12 @@
-//===- ForwardDiff.cpp - Kernels that carry tangents ----------------------===//
+//===- ForwardDiff.cpp - Forward-mode variants of kernels -----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Copies what is to be differentiated and has TangentBuilder extend the copy.
-// The primal is read, not changed.
+// Copies the functions to differentiate and lets TangentBuilder extend the
+// copies. The primal is not changed.
 //
 //===----------------------------------------------------------------------===//
 
@@ -166,8 +166,8 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
       return static_cast<bool>(tangentOf(storage));
     };
     Activity activity(function, hasTangent);
-    warnOfTurningFactors(function,
-                         [&](Value v) { return activity.isActive(v); });
+    warnOfActiveFactors(function,
+                        [&](Value v) { return activity.isActive(v); });
     TangentBuilder builder(function, tangentOf);
     if (failed(builder.build()))
       return failure();

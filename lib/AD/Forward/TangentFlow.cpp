@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What loops and branches must carry has to be known before their bodies are
-// extended. The function is walked until nothing more is found: once, and once
-// more for each depth of nested loops.
+// Which tangents loops and branches carry must be known before their bodies are
+// extended. The function is walked to a fixed point: once, and once more for
+// each level of nested loops.
 //
 //===----------------------------------------------------------------------===//
 
@@ -78,7 +78,7 @@ void FlowWalk::visitAccess(DifferentiableAccessInterface access) {
 }
 
 void FlowWalk::visitBranch(RegionBranchOpInterface op) {
-  forEachHandover(op, [&](OperandRange operands, ValueRange inputs) {
+  forEachForwarding(op, [&](OperandRange operands, ValueRange inputs) {
     pass(operands, inputs);
   });
 }

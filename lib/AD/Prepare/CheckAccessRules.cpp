@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Looks for iterations of one parallel loop that meet in an element of a field
-// with an adjoint, so that neither its value nor its gradient is defined. What
-// is reported is so for certain; a legal program is never refused.
+// Looks for races of iterations of one parallel loop on an element of a field
+// with an adjoint, which make its value and its gradient undefined. Only
+// certain races are reported; a legal program is never rejected.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,13 +1,13 @@
-//===- ExpandAtomics.cpp - Atomics that nobody else can reach -------------===//
+//===- ExpandAtomics.cpp - Expands exclusive atomics ----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The derivative of an atomic that one iteration alone can reach is that of a
-// load, an operation and a store. Written as these, it needs no rule of its
-// own, and the value that it returns is the one that was loaded.
+// An atomic on an element that only one iteration reaches is differentiated as
+// a load, an operation and a store. Expanded to these, it needs no rule of its
+// own, and its result is the loaded value.
 //
 //===----------------------------------------------------------------------===//
 

@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // Scopes are the blocks of a function, from the outermost to the innermost. In
-// each, the accesses at the same indices are a group, which lives in a variable
-// if nothing else in the scope can touch the element.
+// each scope, the accesses at the same indices are a group, which is kept in a
+// variable if nothing else in the scope can access the element.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,4 +1,4 @@
-//===- Selection.cpp - What is to be differentiated -----------------------===//
+//===- Selection.cpp - Functions to differentiate -------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

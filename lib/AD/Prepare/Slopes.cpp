@@ -1,13 +1,13 @@
-//===- Slopes.cpp - Derivatives of some values by others ------------------===//
+//===- Slopes.cpp - Derivatives inside a kernel ---------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The ops between the source and the values are copied to a function of their
-// own, which forward mode extends; what it is then is copied back, once for
-// each direction. So rules and conventions are those of forward mode.
+// The ops between the source and the values are copied to a separate function,
+// which forward mode extends; the result is copied back, once for each
+// direction. So rules and conventions are those of forward mode.
 //
 //===----------------------------------------------------------------------===//
 

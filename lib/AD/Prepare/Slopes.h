@@ -1,4 +1,4 @@
-//===- Slopes.h - Derivatives of some values by others ----------*- C++ -*-===//
+//===- Slopes.h - Derivatives inside a kernel ------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -13,11 +13,12 @@
 
 namespace mlir::tai {
 
-/// Computes at the insertion point the derivatives of `values`, numbers that
-/// are made before it, by the components of the vector `source` at each of
-/// `positions` (row-major): result[k][i] is that of `values[i]` by the k-th
-/// one, null for zero. Nothing of it is differentiated in turn. Fails if values
-/// depend on the source through memory, or through what has no tangent.
+/// Emits at the insertion point the partial derivatives of `values`, numbers
+/// defined before it, with respect to the components `positions` (row-major) of
+/// the vector `source`: result[k][i] is that of `values[i]` by component
+/// `positions[k]`, null for zero. The emitted code is constant to
+/// differentiation. Fails if values depend on the source through memory, or
+/// through an op without a tangent.
 FailureOr<SmallVector<SmallVector<Value>>>
 createSlopes(ImplicitLocOpBuilder &builder, FunctionOpInterface function,
              Value source, ArrayRef<int64_t> positions, ValueRange values);

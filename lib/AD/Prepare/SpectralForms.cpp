@@ -1,4 +1,4 @@
-//===- SpectralForms.cpp - Functions of singular values -------------------===//
+//===- SpectralForms.cpp - Matrix functions of an SVD ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -11,13 +11,14 @@
 //   Dᵢⱼ = (mⱼ - mᵢ) / (σⱼ - σᵢ),  Tᵢⱼ = (mⱼ + mᵢ) / (σⱼ + σᵢ),
 // and dmᵢ on the diagonal. For a function M = f(Σ) both quotients have limits
 // where the divisors vanish: the derivatives of the numerators by the divisors.
-// By U and V, which turn at a rate of one by the gap, what is left of D is a
-// difference of large numbers, and at equal values nothing.
+// If R were differentiated through U and V, whose rotation is proportional to 1
+// / (σⱼ - σᵢ), D would be a difference of large numbers, and undefined at equal
+// values.
 //
 // So R is differentiated by that form: linear in A and M, with U, V, D and T
-// constant. Its value means nothing. They are constant to this derivative
-// alone: what is made of the form is differentiated again with U, V, D and T as
-// the functions of A that they are.
+// constant. The value of the form is meaningless. U, V, D and T are constant
+// for this derivative only: in second derivatives they are differentiated as
+// functions of A.
 //
 //===----------------------------------------------------------------------===//
 
@@ -413,8 +414,8 @@ void mlir::tai::dropForms(FunctionOpInterface function) {
   });
 }
 
-void mlir::tai::warnOfTurningFactors(FunctionOpInterface function,
-                                     function_ref<bool(Value)> isActive) {
+void mlir::tai::warnOfActiveFactors(FunctionOpInterface function,
+                                    function_ref<bool(Value)> isActive) {
   function.walk([&](Operation *op) {
     if (!isa<SvdOp, SymEigOp>(op))
       return;

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Cuts a kernel where its loops need several states of one field between them.
-// Whether they do shows when the adjoint is built, so it is built on trial for
-// kernels of several loops of which one writes what another one accesses.
+// Splits a kernel whose loops need several versions of one field. This is known
+// only when the adjoint is built, so it is built on trial, for kernels of
+// several loops of which one writes a field that another one accesses.
 //
 //===----------------------------------------------------------------------===//
 

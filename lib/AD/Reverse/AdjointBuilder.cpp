@@ -44,7 +44,7 @@ AdjointBuilder::AdjointBuilder(FunctionOpInterface adjoint,
 AdjointBuilder::~AdjointBuilder() = default;
 
 LogicalResult AdjointBuilder::build() {
-  nonFinite->findHandedOn(primal);
+  nonFinite->propagateMarks(primal);
   Block *body = &primal.getFunctionBody().front();
   Block *mirror = &adjoint.getFunctionBody().front();
   LogicalResult result = reverseBlock(
@@ -91,7 +91,7 @@ Value AdjointBuilder::fetchCount(scf::WhileOp loop) {
   return reexecution->fetchCount(loop);
 }
 
-bool AdjointBuilder::runsAgain(Operation *access) const {
+bool AdjointBuilder::isReexecuted(Operation *access) const {
   return plan.reexecution.isRecorded(access) ||
          plan.reexecution.isRewritten(getStorageKey(access));
 }
@@ -252,7 +252,7 @@ LogicalResult AdjointBuilder::reverseAccess(Operation *op) {
   Value read;
   if (plan.activity.isActiveAccess(op))
     read = access.createAdjointRead(*this, storage, indices, components);
-  if (takesAdjoint(op))
+  if (zeroesAdjoint(op))
     access.createAdjointStore(*this, createZero(value.getType()), storage,
                               indices, components);
   if (read && access.isNegated())

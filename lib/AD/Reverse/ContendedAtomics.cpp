@@ -5,24 +5,24 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Many iterations of a parallel loop multiply one element, or compare it with
-// their values, in no order. What each of them contributes to the result is
-// known only when all are known: who is the greatest, and how many are equal;
-// how many factors are zero, and what the others multiply to.
+// Several iterations of a parallel loop update one element by atomic products,
+// minima or maxima, in any order. The derivative of each contribution is known
+// only when all are known: which is the greatest, and how many are equal to it;
+// how many factors are zero, and the product of the others.
 //
-// So the adjoint first runs the loop forward for these values alone. Each is
-// computed once and kept, because a value that is computed twice may differ in
-// its last bit, and then nobody would be equal to the greatest. Small loops
-// then turn the values into the adjoints of the contributions, and the reverse
-// of the loop finds them where it meets the atomic:
+// So the adjoint first re-executes the loop for these values alone. Each is
+// computed once and kept, because a recomputed value may differ in its last
+// bit, and then none would be equal to the greatest. Small loops then turn the
+// values into the adjoints of the contributions, which the reverse of the loop
+// uses at the atomic:
 //
 //   1. values[p] = v; elements[p] = e; total[e] (kind)= v    the loop, forward
 //   2. count[e] += 1 where values[p] decides                 over all p
 //   3. weight[e], and the adjoint of what stood there        over all e
 //   4. values[p] = the adjoint of v                          over all p
 //
-// where p counts the runs of the atomic, and e elements of the field. The
-// element itself is read as it was before the kernel.
+// where p numbers the executions of the atomic, and e elements of the field.
+// The element itself is read in the version before the kernel.
 //
 //===----------------------------------------------------------------------===//
 
@@ -96,7 +96,7 @@ LogicalResult ContendedAtomics::check(FunctionOpInterface kernel,
         body.findAncestorOpInBlock(*other)->isBeforeInBlock(loop))
       return WalkResult::advance();
     if (!isInside)
-      b.requestParts();
+      b.requestSplit();
     InFlightDiagnostic diag = b.emitError(
         atomic, isInside ? "an element that iterations combine at the same "
                            "time is also accessed in another way"
@@ -264,7 +264,7 @@ LogicalResult ContendedAtomics::keepValues(FunctionOpInterface kernel,
   });
   for (Operation *read : reads) {
     // Values of this iteration that overwrite others are not at hand here.
-    if (b.runsAgain(read))
+    if (b.isReexecuted(read))
       b.emitError(read,
                   "the value read here decides on a value that iterations "
                   "combine, and is overwritten by the loop")

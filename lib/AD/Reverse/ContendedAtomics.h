@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The derivatives of elements that the iterations of a parallel loop multiply,
-// or compare with their values, at the same time. See ContendedAtomics.cpp for
+// The derivatives of atomic products, minima and maxima of elements that
+// several iterations of a parallel loop update. See ContendedAtomics.cpp for
 // what the adjoint does, and Contention.cpp for the formulas.
 //
 //===----------------------------------------------------------------------===//
@@ -20,14 +20,15 @@
 namespace mlir::tai {
 
 /// A loop around an atomic, along one dimension: its index in the primal, and
-/// its range in the adjoint. No step is a step of one.
+/// its range in the adjoint. A null step is one.
 struct CountedLoop {
   Value iv;
   Value lower, step, extent;
 };
 
-/// What is kept of each run of an atomic: its value, which becomes the adjoint
-/// of the value, and the number of the element, or -1 where it did not run.
+/// Buffers over the executions of an atomic: its value, replaced later by the
+/// adjoint of the value, and the number of the element, or -1 where it was not
+/// executed.
 struct KeptValues {
   SmallVector<CountedLoop> loops;
   Value size, values, elements;
@@ -42,14 +43,14 @@ public:
   void add(AtomicOp atomic) { atomics.push_back(atomic); }
   MutableArrayRef<AtomicOp> getAtomics() { return atomics; }
 
-  /// Makes room for what is known of each element.
+  /// Allocates the buffers over elements.
   LogicalResult prepare();
   KeptValues createKept(ArrayRef<CountedLoop> loops);
-  /// At `copy`, in a copy of the loop: keeps its value. `run` is how often it
-  /// could have run before.
+  /// Stores the value of `copy`, the atomic in a copy of the loop. `run` is its
+  /// position in the buffers.
   void keepValue(const KeptValues &kept, AtomicOp copy, Value run);
-  /// Turns values into their adjoints, and the adjoint of each element into
-  /// that of what stood there before.
+  /// Replaces the kept values by their adjoints, and the adjoint of each
+  /// element by that of its value before the loop.
   void createAdjoints(ArrayRef<KeptValues> kept);
 
 private:
@@ -58,7 +59,7 @@ private:
     Value fixed; // the index, where it is the same for all
     int64_t first, extent;
   };
-  /// Where a loop over elements is.
+  /// The current position of a loop over elements.
   struct Element {
     Value number;
     SmallVector<Value> indices, components;
@@ -95,12 +96,12 @@ private:
   ParallelForOp loop;
   AtomicKind kind;
   SmallVector<AtomicOp> atomics;
-  /// What is computed in: no less than f32.
+  /// The type of the arithmetic: at least f32.
   Type real;
   SmallVector<Dimension> dimensions;
   unsigned rank = 0; // of the field, without its components
-  /// By element: the extreme value, or the product without zeros; how many
-  /// values are equal to it, or are zero; what such a value gets.
+  /// Buffers by element: the extreme value, or the product without zeros; how
+  /// many values equal it, or are zero; the adjoint of each such value.
   Value numElements, total, count, weight;
 };
 
@@ -108,10 +109,10 @@ class ContendedAtomics {
 public:
   explicit ContendedAtomics(AdjointBuilder &builder) : b(builder) {}
 
-  /// Before the reverse of `loop`: finds the adjoints of all contributions.
+  /// Before the reverse of `loop`: emits the adjoints of all contributions.
   LogicalResult begin(FunctionOpInterface kernel, ParallelForOp loop);
-  /// In the reverse of the loop: the adjoint of the contribution, or null for
-  /// an atomic that is not one.
+  /// In the reverse of the loop: the adjoint of the contribution of `atomic`,
+  /// or null if it is not contended.
   Value getAdjoint(AtomicOp atomic);
   /// After the reverse of the loop.
   void end();

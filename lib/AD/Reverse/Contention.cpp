@@ -1,17 +1,18 @@
-//===- Contention.cpp - Who gets the adjoint of a product or maximum ------===//
+//===- Contention.cpp - Derivatives of contended atomics ------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Minimum and maximum: the contributions that are equal to the greatest of them
-// share the adjoint equally, if that is not less than what stood there before;
-// then what stood there gets nothing, and else all.
+// Minimum and maximum: the contributions equal to the extreme one share the
+// adjoint equally, and the old value of the element gets nothing, unless the
+// old value is more extreme; then it gets the whole adjoint.
 //
-// Product: what stood there is one factor among the others. Each factor gets
-// the product of the others: of no zero among them, all divided by itself; of
-// one, only that zero gets anything; of more, none.
+// Product: the old value of the element is one of the factors. Each factor gets
+// the product of the others: without zeros, the total divided by the factor;
+// with one zero, only that factor gets a non-zero adjoint; with more, none
+// does.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,4 +1,4 @@
-//===- ForwardReexecution.cpp - Executing the primal again ----------------===//
+//===- ForwardReexecution.cpp - Re-executing the primal -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

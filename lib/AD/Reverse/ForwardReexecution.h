@@ -1,20 +1,20 @@
-//===- ForwardReexecution.h - Executing the primal again --------*- C++ -*-===//
+//===- ForwardReexecution.h - Re-executing the primal ----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Where neither what a field held before a launch nor what it holds afterwards
-// is all that the reverse needs, the block is executed forward again on what
-// was there before, with its stores to such fields. So are random draws in
-// serial loops, which must come in the same order. What the reverse asks for is
-// pushed on a stack, one for each value, when the second execution computes it;
-// the reverse pops it where the mirror of the same block begins. Each execution
-// of a block pushes once and each reversed execution pops once, so that the
-// orders agree however loops and branches are nested.
+// Where neither the version of a field before a launch nor the one after it
+// holds all values that the reverse needs, the block is re-executed on the
+// version before, with its stores to such fields. So are random draws in serial
+// loops, which must come in the same order. Values that the reverse needs are
+// pushed on a stack, one for each value, when re-execution computes them; the
+// reverse pops them at the start of the mirror of the same block. Each
+// execution of a block pushes once and each reversed execution pops once, so
+// that the orders agree however loops and branches are nested.
 //
-// All else is rematerialised from what is popped, as it is elsewhere.
+// All other values are rematerialised from the popped ones.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,8 +26,8 @@
 
 namespace mlir::tai {
 
-/// One block of the primal that is executed again, at the start of its mirror,
-/// and what it records.
+/// A primal block that is re-executed at the start of its mirror, and the
+/// values that it records.
 struct ReexecutedBlock {
   ReexecutedBlock(Frame &frame, std::unique_ptr<ReexecutedBlock> parent)
       : frame(frame), parent(std::move(parent)) {}
@@ -38,8 +38,7 @@ struct ReexecutedBlock {
     Block *block;
     SmallVector<Value> stacks;
   };
-  /// A mirror that has been left, with the op that marks where values are
-  /// popped.
+  /// A completed mirror, with the op that marks where it pops values.
   struct Mirror {
     Block *block;
     Operation *marker;
@@ -47,14 +46,14 @@ struct ReexecutedBlock {
   };
 
   Frame &frame;
-  /// That of a block around this one.
+  /// The re-executed block around this one, if any.
   std::unique_ptr<ReexecutedBlock> parent;
-  /// Stacks are made before this op, which only marks the place.
+  /// A placeholder op; stacks are created before it.
   Operation *begin = nullptr;
-  /// What primal values of the block, and of the blocks in it, are in the
-  /// second execution.
+  /// Maps primal values of the block, and of blocks in it, to those of the
+  /// re-execution.
   IRMapping values;
-  /// How often the second region of a loop has run.
+  /// By loop: the number of times that its second region ran.
   DenseMap<Operation *, Value> counts;
   llvm::MapVector<Value, Record> records;
   SmallVector<Mirror> mirrors;
@@ -66,29 +65,30 @@ public:
   ForwardReexecution(AdjointBuilder &builder, const ReexecutionPlan &plan)
       : b(builder), plan(plan) {}
 
-  /// At the start and at the end of the mirror of a block that is executed
-  /// again.
+  /// Call at the start and at the end of the mirror of a re-executed block.
   void begin(Frame &frame);
   void end(Frame &frame);
-  /// Where any mirror ends: other mirrors of the block may still ask for values
-  /// that this one must then pop as well.
+  /// Call at the end of any mirror: other mirrors of the block may still record
+  /// values, which this one must then pop as well.
   void leave(Frame &frame);
 
-  /// The value that stands for a recorded one, in the mirror of its block.
+  /// The popped value of a recorded one, in the mirror of its block.
   Value fetch(Frame &frame, Value value);
-  /// How often the second region of a loop around recorded ops has run.
+  /// The number of times that the second region of a loop around recorded ops
+  /// ran.
   Value fetchCount(scf::WhileOp loop);
 
-  /// Adds the reads that something in the adjoint needs to those that it makes,
-  /// and erases the others.
+  /// Adds the re-executed reads that the adjoint uses to `demands`, and erases
+  /// the unused ones.
   void collectReads(FunctionOpInterface adjoint, PrimalDemands &demands);
 
 private:
   AdjointBuilder &b;
   const ReexecutionPlan &plan;
-  /// The innermost block that is being executed again.
+  /// The innermost block that is being re-executed.
   std::unique_ptr<ReexecutedBlock> innermost;
-  /// The reads that those marked with an attribute repeat.
+  /// The primal reads that re-executed ones, marked by an attribute with an
+  /// index into this list, repeat.
   SmallVector<Operation *> reads;
 };
 

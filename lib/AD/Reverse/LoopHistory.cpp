@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// How an iteration of a reversed loop gets what the iteration of the loop began
-// with. That cannot be computed again from the iteration alone. Nothing is done
-// for carried values that no rule asks for.
+// Recovers the carried values at the start of each iteration in reverse. They
+// cannot be recomputed from the iteration alone. Nothing is done for carried
+// values that no rule needs.
 //
 //===----------------------------------------------------------------------===//
 

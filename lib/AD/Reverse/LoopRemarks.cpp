@@ -1,4 +1,4 @@
-//===- LoopRemarks.cpp - What is said about reversed loops ----------------===//
+//===- LoopRemarks.cpp - Remarks about reversed loops ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

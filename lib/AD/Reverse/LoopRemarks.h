@@ -1,4 +1,4 @@
-//===- LoopRemarks.h - What is said about reversed loops --------*- C++ -*-===//
+//===- LoopRemarks.h - Remarks about reversed loops ------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -12,14 +12,14 @@
 
 namespace mlir::tai {
 
-/// A serial loop that has been reversed, and how its reverse gets what each
-/// iteration began with.
+/// A serial loop that has been reversed, and how its reverse recovers the
+/// values that it carries.
 struct ReversedLoop {
   struct Carried {
     Value value;
-    /// How the reverse gets it.
+    /// How the reverse recovers it (see CarriedKind).
     StringRef kind;
-    /// Whether every chunk keeps what it begins with.
+    /// Whether it is part of the checkpoint of each chunk.
     bool isKeptByChunks;
   };
 
@@ -27,9 +27,9 @@ struct ReversedLoop {
   StringRef function;
   /// How many iterations there are, in words.
   std::string trips = "counted by a run of the loop";
-  /// What is recorded; none if 0.
+  /// Bytes of history for each iteration; 0 if nothing is recorded.
   int64_t bytesPerIteration = 0;
-  /// Where all iterations take more, they are recorded in chunks; never if 0.
+  /// The bytes of history above which it is recorded in chunks; 0 for never.
   int64_t chunkedFrom = 0;
   SmallVector<Carried> carried;
 };

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Finds what to differentiate, makes the shell of each adjoint and has
-// AdjointBuilder fill it. The primal is read, not changed.
+// Selects the functions to differentiate, makes the shell of each adjoint and
+// lets AdjointBuilder fill it. The primal is not changed.
 //
 //===----------------------------------------------------------------------===//
 
@@ -173,8 +173,8 @@ static LogicalResult fillWith(FunctionOpInterface function,
     if (*fits) {
       if (!options.loadsStored) {
         countSkips(plan, demands);
-        warnOfTurningFactors(
-            function, [&](Value v) { return plan.activity.isActive(v); });
+        warnOfActiveFactors(function,
+                            [&](Value v) { return plan.activity.isActive(v); });
       }
       break;
     }

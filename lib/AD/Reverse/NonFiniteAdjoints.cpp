@@ -101,7 +101,7 @@ void AdjointFlow::visit(Operation *op) {
     return;
   }
   if (auto branch = dyn_cast<RegionBranchOpInterface>(op))
-    return forEachHandover(
+    return forEachForwarding(
         branch, [&](OperandRange from, ValueRange to) { pass(from, to); });
   if (op->hasTrait<OpTrait::IsTerminator>() ||
       llvm::none_of(op->getResults(),
@@ -126,7 +126,7 @@ void AdjointFlow::visit(Operation *op) {
   }
 }
 
-void NonFiniteAdjoints::findHandedOn(FunctionOpInterface function) {
+void NonFiniteAdjoints::propagateMarks(FunctionOpInterface function) {
   WalkResult found = function.walk([](Operation *op) {
     bool handsOn = op->getNumRegions() != 0 && op->getNumResults() != 0;
     return handsOn ? WalkResult::interrupt() : WalkResult::advance();

@@ -7,8 +7,8 @@
 //
 // Some derivatives are infinite where the program is finite, as that of sqrt at
 // zero, and some do not exist. A rule marks the values whose adjoints may be
-// so. Rules that start from such an adjoint get no NaN from the product of an
-// infinite adjoint and a partial derivative of zero.
+// infinite or NaN. In rules with such an incoming adjoint, the product of an
+// infinite adjoint and a zero partial derivative is zero, not NaN.
 //
 //===----------------------------------------------------------------------===//
 
@@ -23,9 +23,10 @@ class NonFiniteAdjoints {
 public:
   explicit NonFiniteAdjoints(AdjointBuilder &builder) : b(builder) {}
 
-  /// Finds what loops and branches hand on. An iteration may begin with what a
-  /// later one has made infinite, so that this is known before the first rule.
-  void findHandedOn(FunctionOpInterface function);
+  /// Propagates the marks through values that loops and branches forward. In
+  /// reverse, an iteration's adjoint may be infinite because of a later one, so
+  /// this must run before the first rule.
+  void propagateMarks(FunctionOpInterface function);
 
   void markInfinite(Value value) { mayBeInfinite.insert(value); }
   void markUndefined(Value value) { mayBeUndefined.insert(value); }
@@ -33,10 +34,11 @@ public:
   /// Before and after the rule of `op`.
   void beginRule(Operation *op);
   void endRule();
-  /// True if an adjoint that the rule starts from may be NaN.
+  /// True if an incoming adjoint of the current rule may be NaN.
   bool isSeedUndefined() const { return seedIsUndefined; }
 
-  /// What the rule contributes to the adjoint of `value`.
+  /// The contribution of the current rule to the adjoint of `value`, with a
+  /// guard if one is needed.
   Value guard(Value value, Value contribution);
 
 private:
@@ -47,12 +49,12 @@ private:
 
   AdjointBuilder &b;
   DenseSet<Value> mayBeInfinite, mayBeUndefined;
-  /// The op whose rule is applied, the adjoints that it starts from, and those
-  /// among them that may be infinite.
+  /// The op whose rule is being applied, its incoming adjoints, and those of
+  /// them that may be infinite.
   Operation *current = nullptr;
   llvm::SmallSetVector<Value, 2> seeds;
   SmallVector<Value, 2> infiniteSeeds;
-  /// Whether one of them is, once that has been asked.
+  /// An i1: whether one of them is infinite; null until first needed.
   Value seedIsInfinite;
   /// Whether one of them may be NaN.
   bool seedIsUndefined = false;

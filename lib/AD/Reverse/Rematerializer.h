@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // The to-be-recorded analysis in its on-demand form: a primal value that a rule
-// asks for is computed again in the frame of its block, with what it needs and
-// nothing else. Values that a serial loop carries cannot be computed again from
-// one iteration, so the loop is run once more and records them: LoopHistory.h.
+// needs is recomputed in the frame of its block, with its operands and nothing
+// else. Values that a serial loop carries cannot be recomputed from one
+// iteration, so the loop is run once more and records them: LoopHistory.h.
 //
 //===----------------------------------------------------------------------===//
 
@@ -23,8 +23,8 @@ class StoredOutputs;
 
 class Rematerializer {
 public:
-  /// What is asked of the primal is noted in `demands`. Without `stored`,
-  /// nothing is loaded that the primal has stored.
+  /// Notes the demands on the primal in `demands`. If `stored` is null, stored
+  /// outputs are not used.
   Rematerializer(AdjointBuilder &builder, const AdjointPlan &plan,
                  PrimalDemands &demands, ForwardReexecution &reexecution,
                  StoredOutputs *stored)
@@ -33,15 +33,16 @@ public:
 
   /// The primal value, in the frame of its block.
   Value get(Value value);
-  /// Mirrors a block for its primal values alone: those that its terminator
-  /// passes on, and the terminator itself.
+  /// Mirrors a block for its primal values alone: the operands of its
+  /// terminator, and the terminator itself.
   void cloneBlock(Block *primal, Block *mirror);
-  /// Checks that a read gives in the adjoint what it gave in the primal.
+  /// Checks that a read returns in the adjoint the value that it returned in
+  /// the primal.
   bool checkReadable(DifferentiableAccessInterface read);
 
-  /// True while a rule asks, and not what decides where an adjoint goes: that
-  /// must be the same in both forms of an adjoint, for one is asked what the
-  /// other reads.
+  /// True while values are requested by a rule, false while they decide the
+  /// control flow of the adjoint: that must be the same with and without stored
+  /// outputs, because the reads of one form are taken from the other.
   bool isForRule = false;
 
 private:
@@ -59,7 +60,8 @@ private:
   PrimalDemands &demands;
   ForwardReexecution &reexecution;
   StoredOutputs *stored;
-  /// The draws that were made once again, and the ops that cannot be.
+  /// The random draws that were repeated, and the ops that cannot be
+  /// recomputed.
   DenseSet<Operation *> recomputedDraws, refused;
 };
 

@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Where the reverse of a stencil zeroed, its additions to neighbours depend on
-// what it zeroes, and could not be gathered: another iteration would find zero
-// there, or not. If nothing else in the loop changes the elements, they can as
-// well be zeroed by a loop that runs afterwards.
+// If the reverse of a stencil zeroes adjoints in the same loop, its scattered
+// additions depend on elements that other iterations zero, and cannot be turned
+// into gathers. If nothing else in the loop changes these elements, they can be
+// zeroed in a separate loop that runs afterwards.
 //
 //===----------------------------------------------------------------------===//
 

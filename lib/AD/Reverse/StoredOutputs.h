@@ -6,10 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // The derivatives of tanh, exp or sqrt need the result, which the kernel has
-// often stored: `y[t, i] = tanh(total)`. An adjoint that may rely on finding it
-// there loads it, and computes nothing of what led to it.
+// often stored: `y[t, i] = tanh(total)`. An adjoint that may rely on the field
+// being unchanged loads it instead of recomputing it.
 //
-// See docs/decisions/0013-stored-outputs.md for who may rely on that.
+// See docs/decisions/0013-stored-outputs.md for when it may.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,11 +21,11 @@
 
 namespace mlir::tai {
 
-/// The values of a kernel that stand in a field when it is done.
+/// The values of a kernel that a field holds when it has finished.
 class StoredOutputs {
 public:
-  /// Where a value stands: in what `store` stores, or in one component
-  /// (row-major) of that, unless `component` is -1.
+  /// The location of a value: the element that `store` writes, or its component
+  /// number `component` (row-major) unless that is -1.
   struct Place {
     StoreOp store;
     int64_t component = -1;

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The sweep begins with the adjoints of what the function returned and ends
-// with those of its arguments. Both are in memory of the caller, component by
+// The sweep begins with the adjoints of the function's results and ends with
+// those of its arguments. Both are in memory of the caller, component by
 // component.
 //
 //===----------------------------------------------------------------------===//

@@ -12,9 +12,10 @@
 
 namespace mlir::tai {
 
-/// At the start of the sweep: the adjoints of what the function returned.
+/// Loads the adjoints of the function's results; at the start of the sweep.
 void seedOutputs(AdjointBuilder &builder);
-/// At its end: adds the adjoints of arguments to the memory of the caller.
+/// Adds the adjoints of arguments to the memrefs of the caller; at the end of
+/// the sweep.
 void accumulateInputs(AdjointBuilder &builder);
 
 } // namespace mlir::tai

@@ -1,13 +1,13 @@
-//===- VerifyReversible.cpp - Reports what has no reverse -----------------===//
+//===- VerifyReversible.cpp - Rejects irreversible functions --------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// What is not understood would be left out of the gradient in silence: other
-// uses of arrays, derivatives that end in ops without a rule, or in memory that
-// has no adjoint.
+// Constructs that are not supported would silently be left out of the gradient:
+// other uses of arrays, derivatives that end in ops without a rule, or in
+// memory without an adjoint.
 //
 //===----------------------------------------------------------------------===//
 

@@ -6,11 +6,11 @@
 //===----------------------------------------------------------------------===//
 //
 // Polar, singular value and symmetric eigenvalue decompositions. Where values
-// coincide, the factors turn freely and have no derivative; a loss that does
-// not depend on that freedom has one, and gets it: the terms are arranged so
-// that what must cancel is divided alone, and the quotient is zero where the
-// divisor is. Where singular values cancel, the rotation jumps, and its
-// derivative does not exist: the turn that jumps gets zero.
+// coincide, the factors are not unique and have no derivative; a loss that does
+// not depend on their choice has one, and gets it: terms that cancel are
+// divided separately, with a quotient of zero where the divisor is zero. Where
+// the sum of two singular values is zero, the polar rotation jumps and is not
+// differentiable: that component of the derivative is set to zero.
 //
 //===----------------------------------------------------------------------===//
 
@@ -255,13 +255,15 @@ struct SvdModel : DifferentiableOpInterface::ExternalModel<SvdModel, SvdOp> {
 
   LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
     auto svd = cast<SvdOp>(op);
-    Turns turns = createTurns(b, svd);
+    FactorRotations rotations = createFactorRotations(b, svd);
     Value u = svd.getU(), v = svd.getV();
-    b.setTangent(svd.getSigma(), turns.rest);
+    b.setTangent(svd.getSigma(), rotations.rest);
     b.setTangent(
-        u, createMatmul(b, u, arith::AddFOp::create(b, turns.even, turns.odd)));
+        u, createMatmul(
+               b, u, arith::AddFOp::create(b, rotations.even, rotations.odd)));
     b.setTangent(
-        v, createMatmul(b, v, arith::SubFOp::create(b, turns.even, turns.odd)));
+        v, createMatmul(
+               b, v, arith::SubFOp::create(b, rotations.even, rotations.odd)));
     return success();
   }
 };
@@ -332,7 +334,7 @@ struct SymEigModel
 };
 } // namespace
 
-Turns mlir::tai::createTurns(TangentBuilder &b, SvdOp svd) {
+FactorRotations mlir::tai::createFactorRotations(TangentBuilder &b, SvdOp svd) {
   int64_t n = getRows(svd.getMatrix());
   auto type = cast<VectorType>(svd.getMatrix().getType());
   M sigma{&b, svd.getSigma()};

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A notation for formulas on the entries of small matrices, and what two files
-// need of the derivative of a singular value decomposition.
+// An operator notation for formulas on the entries of small matrices, and
+// declarations for the derivative of a singular value decomposition.
 //
 //===----------------------------------------------------------------------===//
 
@@ -17,7 +17,7 @@
 
 namespace mlir::tai {
 
-/// A number in a formula.
+/// A scalar in a formula.
 struct S {
   DerivativeBuilder *b;
   Value v;
@@ -39,7 +39,8 @@ inline S operator*(double a, S c) {
   return S{c.b, c.b->createConstant(c.v.getType(), a)} * c;
 }
 inline S abs(S a) { return {a.b, math::AbsFOp::create(*a.b, a.v)}; }
-/// The larger one, and `c` where one is NaN: one instruction.
+/// The larger one, and `c` if either is NaN; a single instruction on most
+/// targets.
 inline S max(S a, S c) {
   Value isLarger =
       arith::CmpFOp::create(*a.b, arith::CmpFPredicate::OGT, a.v, c.v);
@@ -61,7 +62,7 @@ inline S divideAbove(S a, S c, S floor) { return keepAbove(c, floor, a / c); }
 /// a, and 0 where |a| is not above `floor`.
 inline S dropBelow(S a, S floor) { return keepAbove(a, floor, a); }
 
-/// A small matrix taken apart.
+/// A small matrix with access to its entries.
 struct M {
   DerivativeBuilder *b;
   Value v;
@@ -83,21 +84,21 @@ inline double getEpsilon(Type type) {
   return getElementTypeOrSelf(type).isF64() ? 2.220446e-16 : 1.192093e-7;
 }
 
-/// What the relative distance of two values must exceed to be told apart.
+/// The relative distance above which two singular values count as distinct.
 inline double getTolerance(Type type) { return 8 * getEpsilon(type); }
 
-/// What the sum of two singular values must exceed, relative to the greatest,
-/// for the rotation of a matrix to have a derivative: where it is zero, the
-/// rotation jumps, and what rounding leaves of zero must not be divided by.
+/// The sum of two singular values, relative to the greatest, above which the
+/// polar rotation counts as differentiable: where the sum is zero, the rotation
+/// jumps, and the rounding error in place of that zero must not be divided by.
 inline double getJumpTolerance(Type type) { return 1024 * getEpsilon(type); }
 
-/// Below this, nothing is divided by.
+/// The least divisor.
 inline double getLeast(Type type) {
   return getElementTypeOrSelf(type).isF64() ? 1e-300 : 1e-37;
 }
 
-/// The floors of the two divisors in the derivative of a decomposition with
-/// these singular values.
+/// The thresholds of the two divisors (difference and sum of singular values)
+/// in the derivative of a decomposition.
 struct Floors {
   S difference, sum;
 };
@@ -110,16 +111,18 @@ inline Floors getFloors(M sigma) {
           getJumpTolerance(type) * greatest + least};
 }
 
-/// How the factors of A = U Σ Vᵀ turn: dU = U (E + O), dV = V (E - O), with
-/// skew E and O. What is left of Uᵀ dA V is dΣ.
-struct Turns {
+/// The differentials of the factors of A = U Σ Vᵀ: dU = U (E + O), dV = V (E -
+/// O), with skew-symmetric E (`even`) and O (`odd`); `rest` is the remainder of
+/// Uᵀ dA V, whose diagonal is dΣ.
+struct FactorRotations {
   Value even, odd, rest;
 };
-Turns createTurns(TangentBuilder &b, SvdOp svd);
+FactorRotations createFactorRotations(TangentBuilder &b, SvdOp svd);
 
 /// The tangent of a product of matrices in which the two factors of one
-/// decomposition stand as U M Uᵀ, U M Vᵀ and the like, null if it is none: how
-/// U and V turn together cancels there before it is multiplied, and not after.
+/// decomposition stand as U M Uᵀ, U M Vᵀ and the like, null if it is none: the
+/// common rotation E of U and V is cancelled analytically, not by subtracting
+/// rounded products.
 Value createFactorProductTangent(TangentBuilder &b, MatmulOp product);
 
 } // namespace mlir::tai

@@ -5,15 +5,15 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Near equal singular values, U and V turn together at a rate of 1 / gap, and
-// products such as U Vᵀ and U Σ Vᵀ do not depend on it. By the product rule the
-// two large tangents cancel after they were rounded. Here products of both
-// factors are recognized, and their tangent is computed in the frame of the
-// factors:
+// Near equal singular values, U and V have a common rotation proportional to 1
+// / gap, on which products such as U Vᵀ and U Σ Vᵀ do not depend. By the
+// product rule two large tangents would cancel after rounding. Here products of
+// both factors are recognised, and their tangent is computed in the frame of
+// the factors:
 //   d(U M Vᵀ) = U ((E + O) M - M (E - O) + dM) Vᵀ,
 // where [E, M] = E M - M E has the entries Eᵢⱼ (Mⱼⱼ - Mᵢᵢ) for a diagonal M,
-// which are as accurate as the difference is. Of squares that were rounded it
-// is not, so that [E, A B] = [E, A] B + A [E, B] for products.
+// which are as accurate as the difference. For rounded squares the difference
+// is not accurate, so products use [E, A B] = [E, A] B + A [E, B].
 //
 //===----------------------------------------------------------------------===//
 
@@ -129,9 +129,9 @@ static Pair createCore(TangentBuilder &b, FactorFrame frame,
   bool leftIsU = left == frame.svd.getU();
   bool rightIsU =
       right.getDefiningOp<TransposeOp>().getMatrix() == frame.svd.getU();
-  Turns turns = createTurns(b, frame.svd);
+  FactorRotations rotations = createFactorRotations(b, frame.svd);
   auto turnOf = [&](bool isU) -> Value {
-    return isU ? turns.odd : Value(arith::NegFOp::create(b, turns.odd));
+    return isU ? rotations.odd : Value(arith::NegFOp::create(b, rotations.odd));
   };
   ArrayRef<Value> between = factors.drop_front().drop_back();
   Pair middle = multiply(b, between);
@@ -141,7 +141,7 @@ static Pair createCore(TangentBuilder &b, FactorFrame frame,
     if (leftIsU != rightIsU)
       inner = arith::SubFOp::create(b, turnOf(leftIsU), turnOf(rightIsU));
   } else {
-    Value even = createCommutator(b, turns.even, between);
+    Value even = createCommutator(b, rotations.even, between);
     Value odd =
         arith::SubFOp::create(b, createMatmul(b, turnOf(leftIsU), middle.value),
                               createMatmul(b, middle.value, turnOf(rightIsU)));

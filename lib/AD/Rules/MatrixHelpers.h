@@ -65,8 +65,8 @@ inline Value createMatrixGuard(DerivativeBuilder &b, Value adjoint,
   return b.createGuard(any, value);
 }
 
-/// Guards a product with the primal value `factor` where that may not be
-/// finite.
+/// Guards `value`, a product of `adjoint` and the primal value `factor`, if
+/// `factor` may be infinite or NaN.
 inline Value guardFor(DerivativeBuilder &b, Value factor, Value adjoint,
                       Value value) {
   return b.getFacts().mayBeNonFinite(factor)
@@ -74,17 +74,17 @@ inline Value guardFor(DerivativeBuilder &b, Value factor, Value adjoint,
              : value;
 }
 
-/// The component by component sum of two terms of a tangent, null for zero.
+/// The component-wise sum of two terms of a tangent; null is zero.
 inline Value addTerms(DerivativeBuilder &b, Value lhs, Value rhs) {
   if (!lhs || !rhs)
     return lhs ? lhs : rhs;
   return arith::AddFOp::create(b, lhs, rhs);
 }
 
-/// The tangent of a product of two operands: of one tangent and one primal
-/// value in turn. `multiply` builds the op. Where a tangent may be infinite or
-/// NaN, a zero of the other operand takes nothing of it; then `multiply` is
-/// built component by component, from the products of single numbers.
+/// The tangent of a bilinear op: lhs' * rhs + lhs * rhs'. `multiply` builds the
+/// op. Where a tangent may be infinite or NaN, its product with a zero of the
+/// other operand must be zero; the op is then built by `expand`, component by
+/// component from products of scalars.
 Value createBilinearTangent(
     TangentBuilder &b, Value lhs, Value rhs,
     llvm::function_ref<Value(Value lhs, Value rhs)> multiply,

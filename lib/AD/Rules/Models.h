@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// One function for each dialect: it attaches the interfaces of Differentiable.h
-// to the ops of that dialect.
+// One registration function for each dialect: it attaches the interfaces of
+// tai/Interfaces/Differentiable.h to the ops of that dialect.
 //
 //===----------------------------------------------------------------------===//
 
@@ -39,11 +39,12 @@ LogicalResult extendFor(scf::ForOp op, TangentBuilder &b);
 LogicalResult extendWhile(scf::WhileOp op, TangentBuilder &b);
 LogicalResult extendParallel(scf::ParallelOp op, TangentBuilder &b);
 
-/// How an update combines the element with a value.
+/// How an atomic update combines the element with a value.
 enum class UpdateKind { Product, Greatest, Least };
 /// The tangent of an element after an update, given the element and its tangent
-/// before, and the value and its tangent. A tie goes to the value, as for the
-/// second operand of `arith.maximumf`, or half to each.
+/// before, and the value and its tangent. On a tie the derivative goes to the
+/// value, as to the second operand of `arith.maximumf`, or half to each under
+/// the convention ties = "split".
 Value createUpdatedTangent(TangentBuilder &b, UpdateKind kind, Value old,
                            Value oldTangent, Value value);
 } // namespace mlir::tai

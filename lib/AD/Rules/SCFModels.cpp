@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // A branch is mirrored, a serial loop runs backwards. Adjoints of captured
-// values leave a region as results of its op: each region first sums what it
-// contributes, and the op is made again once it is known what leaves.
+// values leave a region as results of its op: each region first sums its
+// contributions, and then the op is rebuilt with the additional results.
 //
 //===----------------------------------------------------------------------===//
 
@@ -170,7 +170,7 @@ struct WhileModel
     op->walk([&](DifferentiableAccessInterface access) {
       if (!b.isReversed(access))
         return;
-      isIndependent &= !b.takesAdjoint(access);
+      isIndependent &= !b.zeroesAdjoint(access);
       const void *key = access.getAccessedStorage().getOpaque();
       bool isRead = access.getAccessKind() == AccessKind::Read;
       (isRead ? reads : writes).insert(key);

@@ -5,8 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// An op that passes values through its regions is made again, with the tangents
-// of these values behind them; its regions move there and are extended.
+// An op that forwards values to and from its regions is rebuilt, with the
+// tangents of these values after them; its regions are moved there and
+// extended.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,12 +1,12 @@
-//===- ScalarModels.cpp - The table behind the interface ------------------===//
+//===- ScalarModels.cpp - Interface models from the table -----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Lets the ops of arith and math find their row in the table of
-// ScalarRules.cpp.
+// External models that implement the interface for ops of arith and math by
+// their row in the table of ScalarRules.cpp.
 //
 //===----------------------------------------------------------------------===//
 

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Every scalar op that has a derivative, one row for each: the op, the partials
-// by operand, and what holds at kinks. docs/derivatives.md shows the same
-// table; a test compares the two.
+// One row for each differentiable scalar op: the op, the partials by operand,
+// and the values at kinks. docs/derivatives.md shows the same table; a test
+// compares the two.
 //
 // A partial has a guard (a zero adjoint contributes zero, whatever the partial
 // is) unless it is finite: see `Partial::mayBeNonFinite`.

@@ -20,7 +20,7 @@
 
 namespace mlir::tai {
 
-/// A float value, or a vector taken component by component.
+/// A float value, or a vector of floats used component by component.
 struct Num {
   DerivativeBuilder *builder;
   Value value;
@@ -87,15 +87,15 @@ inline Num unless(Truth condition, Num a) {
   return select(condition, constant(a, 0), a);
 }
 
-/// What a formula may speak of. Primal values are recomputed only if they are
-/// asked for.
+/// The values that a formula may use. Primal values are recomputed only if they
+/// are used.
 class RuleArgs {
 public:
-  /// Backward, `seed` is the adjoint of the result, and a formula gives the
+  /// Backward, `seed` is the adjoint of the result, and a formula yields the
   /// contribution to the adjoint of its operand. It is linear in the seed, and
-  /// works on each component by itself: so it is its own transpose, and with
-  /// the tangent of the operand as the seed it gives the contribution to the
-  /// tangent of the result.
+  /// component-wise: so it is its own transpose, and with the tangent of the
+  /// operand as the seed it yields the contribution to the tangent of the
+  /// result.
   enum class Mode { Backward, Forward };
 
   RuleArgs(DerivativeBuilder &builder, Operation *op, Value seed,
@@ -114,23 +114,24 @@ public:
   Truth truth(unsigned i) {
     return {&builder, builder.getPrimal(op->getOperand(i))};
   }
-  /// Lets the first two operands be these, null for one: those of an op with
-  /// the same derivative.
+  /// Replaces the first operands; null stands for the constant 1. For an
+  /// equivalent op with the same derivative (see SharedFactors.h).
   void setOperands(ArrayRef<Value> values) {
     replaced.assign(values.begin(), values.end());
   }
-  /// An operand, null for one.
+  /// An operand; null stands for the constant 1.
   Value getOperand(unsigned i) {
     return i < replaced.size() ? replaced[i] : op->getOperand(i);
   }
-  /// `a` in the float type of operand i; forward, in that of the result.
+  /// Converts `a` to the float type of operand i (Backward) or of the result
+  /// (Forward).
   Num cast(Num a, unsigned i);
 
   Operation *getOperation() { return op; }
-  /// What the program chose at kinks.
+  /// The subgradients that the program chose at kinks.
   Conventions getConventions() { return Conventions::of(op); }
   FloatFacts &facts() { return builder.getFacts(); }
-  /// True if some primal value that was asked for may be infinite or NaN.
+  /// True if some primal value used so far may be infinite or NaN.
   bool usesNonFinite() const { return usedNonFinite; }
 
 private:
@@ -149,29 +150,29 @@ private:
   bool usedNonFinite = false;
 };
 
-/// The derivative by one operand.
+/// The partial derivative with respect to one operand.
 struct Partial {
   /// Position of the operand.
   unsigned operand;
-  /// The contribution to its adjoint, for the reader: g is the adjoint of the
-  /// result r, and x, y, z are the operands.
+  /// The contribution to its adjoint as text, for documentation: g is the
+  /// adjoint of the result r, and x, y, z are the operands.
   const char *formula;
-  /// False if the partial is finite wherever the operands are; then there is no
-  /// guard for a zero adjoint.
+  /// False if the partial is finite wherever the operands are; then no guard
+  /// for a zero adjoint is needed.
   bool (*mayBeNonFinite)(RuleArgs &);
   /// Builds the contribution.
   Num (*build)(RuleArgs &);
 };
 
-/// One op. Operands without a partial have the derivative zero.
+/// The rule of one op. Operands without a partial have the derivative zero.
 struct ScalarRule {
   const char *op;
   SmallVector<Partial, 3> partials;
-  /// What holds at kinks and singular points, for the reader.
+  /// The values at kinks and singular points as text, for documentation.
   const char *kinks = "";
 };
 
-/// The table.
+/// All rules.
 ArrayRef<ScalarRule> getScalarRules();
 
 } // namespace mlir::tai

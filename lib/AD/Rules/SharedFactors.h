@@ -5,14 +5,14 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A quotient of s u and s v does not depend on s. By the rule of the quotient,
-// s gets g / (s v) from above and as much less from below: two numbers that
-// cancel, and that are beyond the range of floats where s v is denormal. So
-// what the operands share is taken from both, and u / v is differentiated. The
-// arc tangent of a quotient is of that kind, too.
+// The quotient (s u) / (s v) does not depend on s. By the quotient rule, the
+// adjoint of s gets g / (s v) from the numerator and its negative from the
+// denominator: they cancel, but overflow where s v is denormal. So the common
+// factor is removed from both operands, and u / v is differentiated. The same
+// holds for atan2.
 //
-// In forward mode the same holds of sums: the tangent of s u - s v is that of s
-// times u - v, also where it is infinite.
+// In forward mode it holds for sums, too: the tangent of s u - s v is that of s
+// times (u - v), also where it is infinite.
 //
 //===----------------------------------------------------------------------===//
 
@@ -23,18 +23,20 @@
 
 namespace mlir::tai {
 
-/// A factor of both operands of an op, and what is left of each without it:
-/// null for one.
+/// A common factor of both operands of an op, and the cofactor of each; null
+/// stands for the constant 1.
 struct SharedFactor {
   Value factor;
   Value rest[2];
 };
 
-/// That of an op that depends on the quotient of its two operands alone.
+/// The common factor of an op that depends on the quotient of its two operands
+/// alone.
 std::optional<SharedFactor> findFactorOfRatio(Operation *op);
 
-/// The tangent of a sum or difference that shares a factor whose tangent may be
-/// infinite. False if it is not one, or if more than the factor has a tangent.
+/// Sets the tangent of a sum or difference with a common factor whose tangent
+/// may be infinite. False if `op` is not of this form, or if a cofactor has a
+/// tangent.
 bool extendSharedSum(Operation *op, TangentBuilder &b);
 
 } // namespace mlir::tai
