@@ -1,4 +1,4 @@
-//===- CodegenErrors.cpp - What goes wrong inside LLVM --------------------===//
+//===- CodegenErrors.cpp - Errors inside LLVM -----------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

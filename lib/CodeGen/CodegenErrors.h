@@ -1,4 +1,4 @@
-//===- CodegenErrors.h - What goes wrong inside LLVM ------------*- C++ -*-===//
+//===- CodegenErrors.h - Errors inside LLVM --------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // LLVM reports some errors to a handler of the context, and ends the process
-// where its code generator cannot go on. A compiler that lives in somebody's
-// program turns both into errors.
+// where its code generator cannot go on. A compiler inside a user's process
+// must turn both into llvm::Error.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,9 +21,9 @@
 
 namespace mlir::tai {
 
-/// Runs a task. After a fatal error in it, `broken` is true, and what the task
-/// worked on is in no state to be used or even destroyed. Tests inject an error
-/// at `place`.
+/// Runs a task. After a fatal error in it, `broken` is true, and the objects
+/// that the task worked on must be neither used nor destroyed. `place` names
+/// the point for injected failures (InjectedFailures.h).
 llvm::Error guardFatalErrors(bool &broken, llvm::StringRef place,
                              llvm::function_ref<void()> task);
 

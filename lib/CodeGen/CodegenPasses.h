@@ -19,9 +19,9 @@ namespace mlir::tai {
 
 /// The code generator's passes without strength reduction. On a CPU that pass
 /// takes half of the time of code generation, because loops over many arrays
-/// give it many formulas to weigh, and what it gains the addressing modes of
-/// the machine give for nothing. On a GPU it gives a loop over iterations
-/// several counters, each with its own division into indices.
+/// have many formulas to compare, and the addressing modes of the machine
+/// already cover what it gains. On a GPU it splits the counter of a grid-stride
+/// loop into several, each with its own division into indices.
 class CodegenPasses : public llvm::legacy::PassManager {
 public:
   void add(llvm::Pass *pass) override {
@@ -38,8 +38,8 @@ public:
     llvm::legacy::PassManager::add(pass);
   }
 
-  /// Makes a pass to run before loads and stores are vectorised, when addresses
-  /// are what the machine will see.
+  /// Creates a pass to run before loads and stores are vectorised, when
+  /// addresses have their final form.
   std::function<llvm::Pass *()> beforeVectorizer;
 };
 

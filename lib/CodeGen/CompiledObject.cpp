@@ -1,4 +1,4 @@
-//===- CompiledObject.cpp - What a compilation leaves ---------------------===//
+//===- CompiledObject.cpp - The result of a compilation -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- InjectedFailures.cpp - Failures that tests ask for -----------------===//
+//===- InjectedFailures.cpp - Failures injected by tests ------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,11 +1,11 @@
-//===- InjectedFailures.h - Failures that tests ask for ---------*- C++ -*-===//
+//===- InjectedFailures.h - Failures injected by tests ---------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// What follows on a bug of ours is tested where there is none.
+// For tests of how internal errors of the compiler are reported.
 //
 //===----------------------------------------------------------------------===//
 
@@ -27,8 +27,8 @@ inline bool injectsFailure(llvm::StringRef place) {
   return given && place == given;
 }
 
-/// Adds a pass that fails, at "place" without a word, at "place-invalid" by
-/// what it leaves.
+/// Adds a pass that fails: for "place" without a diagnostic, for
+/// "place-invalid" by leaving invalid IR.
 void injectFailingPass(OpPassManager &manager, llvm::StringRef place);
 
 } // namespace mlir::tai

@@ -1,4 +1,4 @@
-//===- VerifyEach.cpp - Verifiers after each step of a test ---------------===//
+//===- VerifyEach.cpp - Verifiers after each step -------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- VerifyEach.h - Verifiers after each step of a test -------*- C++ -*-===//
+//===- VerifyEach.h - Verifiers after each step ----------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -6,9 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // With TAI_VERIFY_EACH=1, as tests set it, MLIR's verifier runs after each pass
-// of the compiler, and LLVM's after translation, after each LLVM pass of ours
-// and in front of code generation. It costs time that programs of users do not
-// spend.
+// of the compiler, and LLVM's after translation, after each of tai's LLVM
+// passes and before code generation. Off by default, because it takes time.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,11 +20,11 @@ class PassInstrumentationCallbacks;
 
 namespace mlir::tai {
 
-/// Whether the environment asks for it.
+/// Whether TAI_VERIFY_EACH=1 is set.
 bool verifiesEach();
 
-/// Runs LLVM's verifier after each pass of ours, if it is asked for. What is
-/// not valid then is a fatal error of LLVM's; see guardFatalErrors.
+/// Runs LLVM's verifier after each of tai's LLVM passes, if TAI_VERIFY_EACH=1.
+/// Invalid IR is a fatal error of LLVM; see guardFatalErrors.
 void verifyOwnPasses(llvm::PassInstrumentationCallbacks &callbacks);
 
 } // namespace mlir::tai

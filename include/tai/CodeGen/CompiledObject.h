@@ -1,12 +1,12 @@
-//===- CompiledObject.h - What a compilation leaves -------------*- C++ -*-===//
+//===- CompiledObject.h - The result of a compilation ----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Object code and what must be known to run it, as one block of bytes: the
-// payload of an entry of the compile cache.
+// Object code and the data needed to run it; serialized, it is the payload of
+// an entry of the compile cache.
 //
 //===----------------------------------------------------------------------===//
 
@@ -25,27 +25,27 @@
 namespace mlir::tai {
 
 struct CompiledObject {
-  /// The function to call. Empty for an adjoint that has nothing to do.
+  /// The function to call. Empty for an adjoint without effects.
   std::string symbol;
-  /// The trees whose bases the function is given, in order.
+  /// The trees whose base addresses the function needs, in order.
   std::vector<std::string> trees;
   /// Of adjoints, which values must be recorded: a serialized ToBeRecorded.
   std::string toBeRecorded;
-  /// A digest of where the kernel stands in the source, if that is in the code.
+  /// A digest of the source locations, if they are part of the code.
   std::string places;
-  /// What the compiler had to say; then the places stand in `places`.
+  /// Warnings of the compiler; if there are any, `places` is set.
   std::vector<Warning> warnings;
-  /// What the passes have left out, and what they have not.
+  /// The skip counters of the passes.
   SkipAmounts skipped{};
-  /// Of a kernel that does nothing but loop over active cells: pairs of a tree,
-  /// by its position among `trees`, and the number of a level in it.
+  /// For a kernel that only loops over active cells: pairs of a tree, by its
+  /// position in `trees`, and the number of a level in it.
   std::vector<int64_t> loopLevels;
-  /// Of a kernel with device functions, their code.
+  /// The code of the kernel's device functions, if it has any.
   std::optional<runtime::DeviceImage> image;
   llvm::SmallVector<char, 0> code;
 
   std::string serialize() const;
-  /// Nothing where the bytes are not those of a serialized object.
+  /// None where the bytes are not those of a serialized object.
   static std::optional<CompiledObject> deserialize(llvm::StringRef bytes);
 };
 

@@ -8,7 +8,7 @@
 // The device half of the compiler: makes an image that a runtime::Device loads
 // from the `gpu.module` that the lowering leaves. For CUDA that is PTX text,
 // for the emulated device object code of the host. The device library, and
-// where it is called libdevice, CUDA's math library, are linked in before the
+// libdevice (CUDA's math library) where it is called, are linked in before the
 // code is optimised.
 //
 // Kernels are the functions with the attribute `gpu.kernel` or `nvvm.kernel`,
@@ -39,10 +39,10 @@ class ModuleOp;
 
 namespace mlir::tai {
 
-/// The device that code is compiled for, by the words of runtime::Device.
+/// The device that code is compiled for, in terms of runtime::Device.
 struct DeviceTarget {
   runtime::DeviceKind kind = runtime::DeviceKind::Cuda;
-  /// "sm_90"; not looked at for the emulated device.
+  /// Such as "sm_90"; ignored for the emulated device.
   std::string name;
 
   bool operator==(const DeviceTarget &other) const {
@@ -54,18 +54,18 @@ struct DeviceTarget {
 /// The suffix of the functions that the emulated device calls.
 constexpr llvm::StringLiteral kSlotsSuffix = ".slots";
 
-/// Device code on its way to an image.
+/// Device code between translation and emission.
 struct DeviceCode {
   std::unique_ptr<llvm::LLVMContext> context;
   std::unique_ptr<llvm::Module> module;
-  /// Names of the kernels, in the order of their numbers, and where they stand
-  /// in the source.
+  /// Names of the kernels, in the order of their numbers, and their source
+  /// locations.
   std::vector<std::string> functions, places;
   /// See DeviceImage.
   std::vector<std::vector<int64_t>> accesses;
   /// As in the image.
   std::vector<int64_t> blockSizes;
-  /// What each function says of the most threads of a block.
+  /// For each function, its maximum of threads in a block, as text.
   std::vector<std::string> mostThreads;
 };
 
@@ -73,7 +73,7 @@ struct DeviceCode {
 /// where there are several.
 llvm::Expected<Operation *> findDeviceModule(ModuleOp module);
 
-/// Registers what the translation of device code needs.
+/// Registers the translations to LLVM IR that device code needs.
 void registerDeviceTranslations(DialectRegistry &registry);
 
 /// Adds the function by which the emulated device calls a kernel.
@@ -82,10 +82,10 @@ llvm::Function *addSlotsFunction(llvm::Function &kernel);
 /// The bitcode of the device library.
 llvm::ArrayRef<char> getDeviceLibrary(runtime::DeviceKind kind);
 
-/// Used by one thread at a time. The floats follow the options: with fastMath,
-/// division and square root are approximate and denormal numbers of 32 bits are
-/// zero; with contract, a product and a sum may be rounded once; without both,
-/// every operation is rounded as IEEE 754 says.
+/// Used by one thread at a time. Float semantics follow the options: with
+/// fastMath, division and square root are approximate and denormal numbers of
+/// 32 bits are zero; with contract, a product and a sum may be rounded once;
+/// without both, every operation is rounded as IEEE 754 says.
 class DeviceCompiler {
 public:
   static llvm::Expected<std::unique_ptr<DeviceCompiler>>
@@ -99,19 +99,20 @@ public:
   /// PTX text, or object code of the host.
   llvm::Expected<runtime::DeviceImage> emit(DeviceCode &code);
 
-  /// For code that is put together without a translation: an empty module, and
-  /// what makes an image of it. `prepare`, where given, runs when the libraries
-  /// are linked; what is not visible is hidden.
+  /// For code that is assembled as LLVM IR instead of translated: an empty
+  /// module, and the steps from there to an image. `prepare`, if given, runs
+  /// after the libraries are linked; symbols for which `isVisible` is false are
+  /// internalised.
   DeviceCode createCode(StringRef name);
   llvm::Expected<runtime::DeviceImage>
   finish(DeviceCode &code,
          llvm::function_ref<bool(const llvm::GlobalValue &)> isVisible,
          llvm::function_ref<void()> prepare = {});
-  /// Makes `finish` print what it would give to LLVM's passes, and fail.
+  /// Makes `finish` print the module before LLVM's passes, and fail.
   void printInsteadOfFinishing(std::string *text) { printed = text; }
 
   bool isCuda() const { return target.kind == runtime::DeviceKind::Cuda; }
-  /// True once LLVM has met a fatal error: this is then no longer of use.
+  /// True after a fatal error in LLVM: this must not be used any more.
   bool isBroken() const;
 
 private:
@@ -135,10 +136,10 @@ private:
   std::string *printed = nullptr;
 };
 
-/// Makes one kernel, `tai_program`, of the bodies of kernels, given by the
-/// bitcode of their images and by their names; see tai/ABI/DeviceAbi.h.
-/// For TAI_SCOPE_NONE, makes a kernel of each of these functions of the
-/// device library, with `_kernel` behind its name.
+/// Fuses the bodies of kernels, given by the bitcode of their images and by
+/// their names, into one kernel, `tai_program`; see tai/ABI/DeviceAbi.h. For
+/// TAI_SCOPE_NONE, makes a kernel `f_kernel` of each of the given functions `f`
+/// of the device library.
 llvm::Expected<runtime::DeviceImage>
 makeProgram(DeviceCompiler &compiler, const runtime::ProgramPlan &plan);
 

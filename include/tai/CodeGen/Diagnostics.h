@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What went wrong, in a form that can be handed to a caller in any language,
-// and the collector that makes it from MLIR's diagnostics.
+// Errors and warnings in a form that can cross the C API, and the collector
+// that makes them from MLIR's diagnostics.
 //
 //===----------------------------------------------------------------------===//
 
@@ -45,7 +45,7 @@ struct Failure {
   static Failure get(FailureKind kind, const llvm::Twine &message);
 };
 
-/// What a program does that compiles, and is hardly meant.
+/// A warning of the compiler.
 struct Warning {
   /// Without its location and its notes.
   std::string message;
@@ -56,8 +56,8 @@ struct Warning {
   std::string text;
 };
 
-/// Keeps, as long as it lives, the warnings that collectors of its thread meet.
-/// Without one they are printed.
+/// Keeps the warnings that collectors of its thread receive during its
+/// lifetime. Without a scope, warnings are printed.
 class WarningScope {
 public:
   WarningScope();
@@ -73,7 +73,7 @@ private:
   std::vector<Warning> warnings;
 };
 
-/// Prints a warning, once in a process.
+/// Prints a warning, at most once in a process.
 void printWarning(const Warning &warning);
 
 /// "file:line:col: kind: message", and the line of the source with a caret
@@ -81,9 +81,9 @@ void printWarning(const Warning &warning);
 std::string formatDiagnostic(StringRef file, unsigned line, unsigned column,
                              StringRef kind, StringRef message);
 
-/// Collects, as long as it lives, the errors and notes that its own thread
+/// Collects, during its lifetime, the errors and notes that its own thread
 /// emits in the context. Warnings go to the WarningScope of the thread, or are
-/// printed, and remarks are handed on.
+/// printed; remarks go to the next handler.
 class DiagnosticCollector {
 public:
   explicit DiagnosticCollector(MLIRContext *context);
@@ -91,7 +91,7 @@ public:
 
   bool hasErrors() const { return !collected.message.empty(); }
 
-  /// What was collected, as a failure of the given kind. Where no error was
+  /// The collected diagnostics as a failure of the given kind. If no error was
   /// emitted the message is `otherwise`.
   Failure take(FailureKind kind, const llvm::Twine &otherwise = "");
 

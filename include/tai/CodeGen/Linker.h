@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Places object code in memory with ORC and JITLink. Every object has a symbol
-// space of its own, so that kernels of equal names do not meet; all of them see
-// the runtime's functions and the math library.
+// Places object code in memory with ORC and JITLink. Every object has a
+// JITDylib of its own, so that kernels of equal names do not clash; all of them
+// can call the runtime's functions and the math library.
 //
 //===----------------------------------------------------------------------===//
 
@@ -51,8 +51,7 @@ public:
   llvm::Expected<Linked> link(llvm::ArrayRef<char> object,
                               llvm::ArrayRef<std::string> names);
 
-  /// Frees what one call of link() placed in memory. Its functions must not be
-  /// running.
+  /// Frees the memory of one call of link(). Its functions must not be running.
   void unload(Library *library);
   int64_t numLinked() const { return linked.load(std::memory_order_relaxed); }
 
@@ -63,7 +62,7 @@ private:
   std::unique_ptr<llvm::orc::ObjectLinkingLayer> layer;
   Library *runtimeLibrary = nullptr;
   std::mutex mutex;
-  /// What the session has said since the last failure.
+  /// Errors reported by the session since the last failure.
   std::string reasons;
   uint64_t counter = 0;
   std::atomic<int64_t> linked{0};

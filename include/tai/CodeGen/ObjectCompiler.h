@@ -27,7 +27,7 @@ class raw_pwrite_stream;
 
 namespace mlir::tai {
 
-/// What decides the machine code made from a module; see Options.def.
+/// The options that affect machine code; see Options.def.
 struct CodegenOptions {
 #define TAI_CODEGEN_OPTION(type, member, initial, key) type member = initial;
 #include "tai/Support/Options.def"
@@ -41,7 +41,7 @@ struct CodegenOptions {
   }
 };
 
-/// Allows, for all operations of the module, what fastMath allows.
+/// Sets the fast-math flags of all operations of the module.
 void allowFastMath(llvm::Module &module);
 
 /// The CPU that this process runs on.
@@ -61,7 +61,7 @@ public:
 
   const CodegenOptions &getOptions() const { return options; }
 
-  /// Sets the target of the module, for what is done before optimize().
+  /// Sets the target of the module, for steps before optimize().
   void setTarget(llvm::Module &module);
 
   /// Sets the target of the module and runs the optimisation pipeline on it.
@@ -73,9 +73,8 @@ public:
   /// The assembly text of an optimised module.
   llvm::Expected<std::string> emitAssembly(llvm::Module &module);
 
-  /// True once LLVM has met a fatal error in here. The module that it was
-  /// given, and this, are then in no state to be used or even destroyed: leak
-  /// them.
+  /// True after a fatal error in LLVM. This and the module must then be neither
+  /// used nor destroyed: leak them.
   bool isBroken() const { return broken; }
 
 private:

@@ -467,7 +467,7 @@ Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
       visible.push_back(tile);
     }
   }
-  endWhereMemoryLacks(module);
+  exitOnFailedAllocations(module);
   if (Error error = link(module))
     return error;
   for (llvm::GlobalValue &value : module.global_values())

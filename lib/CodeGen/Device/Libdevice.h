@@ -14,8 +14,8 @@
 
 namespace mlir::tai {
 
-/// The bitcode of libdevice, kept once it has been read; else, in `searched`,
-/// where it was looked for.
+/// The bitcode of libdevice, cached for the process. None if it is not found;
+/// `searched` then lists the paths that were tried.
 std::optional<llvm::MemoryBufferRef> getLibdevice(std::string &searched);
 
 } // namespace mlir::tai

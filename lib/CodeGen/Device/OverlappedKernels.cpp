@@ -1,14 +1,14 @@
-//===- OverlappedKernels.cpp - Kernels that wait by themselves ------------===//
+//===- OverlappedKernels.cpp - Programmatic dependent launch --------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A kernel that begins with `griddepcontrol.wait` can be made ready, and its
-// blocks can be brought to where they run, while the kernel before it in the
-// queue is still at work. It must not read past the caches of writes: it has
-// begun when that one writes.
+// A kernel that begins with `griddepcontrol.wait` can be prepared, and its
+// blocks can become resident, while the previous kernel in the queue is still
+// running. It must not use loads through the read-only cache, because memory is
+// written after it has started.
 //
 //===----------------------------------------------------------------------===//
 
@@ -73,6 +73,6 @@ mlir::tai::makeOverlapped(DeviceCompiler &compiler,
   };
   return compiler.finish(code, isVisible, [&] {
     for (llvm::Function &function : module)
-      forgetInvariance(function);
+      dropInvariantLoads(function);
   });
 }

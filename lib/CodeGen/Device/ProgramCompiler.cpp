@@ -1,14 +1,14 @@
-//===- ProgramCompiler.cpp - Many kernels made one ------------------------===//
+//===- ProgramCompiler.cpp - Fuses kernels into a program -----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Puts the bodies of kernels into one module. What repeats in a program becomes
-// loops that call them; for the rest there is the device library's function
-// that goes through a table of steps, and a function that calls the body of a
-// step.
+// Links the bodies of kernels into one module. Repeated steps of a program
+// become loops that call them; the others are run by the device library's
+// function that executes a table of steps, with a generated function that calls
+// the body of a step.
 //
 //===----------------------------------------------------------------------===//
 
@@ -72,7 +72,7 @@ Expected<llvm::Function *> tai::addPart(llvm::Module &module, StringRef bytes,
   return body;
 }
 
-void tai::forgetInvariance(llvm::Function &function) {
+void tai::dropInvariantLoads(llvm::Function &function) {
   for (llvm::Instruction &instruction : llvm::instructions(function))
     instruction.setMetadata(llvm::LLVMContext::MD_invariant_load, nullptr);
 }
@@ -599,7 +599,7 @@ mlir::tai::makeProgram(DeviceCompiler &compiler,
   return compiler.finish(code, isVisible, [&] {
     for (llvm::Function &function : module)
       if (&function != kernel)
-        forgetInvariance(function);
+        dropInvariantLoads(function);
     // Called once, the runner of tables is best in place; so is what moves
     // rows, which then knows its parameters.
     if (llvm::Function *runner = module.getFunction(getRunnerName(plan.scope)))

@@ -1,4 +1,4 @@
-//===- ProgramParts.h - Code put together again -----------------*- C++ -*-===//
+//===- ProgramParts.h - Bodies of kernels in a program ---------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -14,18 +14,19 @@
 
 namespace mlir::tai {
 
-/// Adds the bitcode of a part to a module, and yields its function there: one
-/// that is called and has a name of its own.
+/// Links the bitcode of a part into a module, and returns its function there,
+/// under a unique name.
 llvm::Expected<llvm::Function *> addPart(llvm::Module &module, StringRef bytes,
                                          StringRef name, size_t number);
 
-/// A kernel of each part that waits by itself for what was queued before it.
+/// Makes a kernel of each part that waits by itself for earlier kernels in the
+/// queue (programmatic dependent launch).
 llvm::Expected<runtime::DeviceImage>
 makeOverlapped(DeviceCompiler &compiler, ArrayRef<runtime::ProgramPart> parts);
 
-/// What one step reads may have been written by another: no load goes past the
-/// caches of writes.
-void forgetInvariance(llvm::Function &function);
+/// Removes invariant-load marks: an earlier step of the program may have
+/// written the memory, so loads must not use the read-only cache.
+void dropInvariantLoads(llvm::Function &function);
 
 } // namespace mlir::tai
 

@@ -1,4 +1,4 @@
-//===- TileBuilder.cpp - Launches that share tiles, as code ---------------===//
+//===- TileBuilder.cpp - Emits chains of launches in tiles ----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // A cell is given by its distance from the first one of the tile, so that a
-// neighbour in the overlay is a constant away, wrapped indices or not. Where
-// borders are neighbours, cells beyond them are those from the other side, and
-// are computed as often as they are there.
+// neighbour in the overlay is at a constant offset, also for wrapped indices.
+// With periodic boundaries, cells beyond a border are copies of those of the
+// other side, and are computed redundantly.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,4 +1,4 @@
-//===- TileBuilder.h - Launches that share tiles, as code -------*- C++ -*-===//
+//===- TileBuilder.h - Emits chains of launches in tiles -------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -14,32 +14,33 @@
 
 namespace mlir::tai {
 
-/// Keeps the loop of this branch back from being unrolled.
+/// Disables unrolling of the loop with this back edge.
 void disableUnrolling(llvm::Instruction *back);
 
-/// Emits what a block does for a chain of launches, which is one tile; nothing
-/// for a block that has none. Its threads go through the cells together.
+/// Emits the code of one block for a chain of launches: it computes one tile in
+/// shared memory (the overlay). Blocks without a tile do nothing. The threads
+/// of the block share the cells of the tile.
 class TileBuilder {
 public:
-  /// `bodies` do one iteration each, by the numbers of their parts. `overlay`
-  /// is the memory of the block, which has so many threads.
+  /// `bodies` run one iteration each, by the numbers of their parts. `overlay`
+  /// is the shared memory of the block, which has `threads` threads.
   TileBuilder(llvm::IRBuilder<> &builder, const runtime::TileChain &chain,
               ArrayRef<llvm::Function *> bodies, llvm::Value *overlay,
               unsigned threads, bool isCuda);
 
-  /// Each of them takes the parameters of all launches.
-  /// Fills the overlay, as far as it starts with what is in memory. All threads
-  /// must meet afterwards.
+  /// Loads the part of the overlay that starts with values from memory. A
+  /// barrier must follow. `slots`, here and below: the parameters of all
+  /// launches.
   void emitLoads(ArrayRef<llvm::Value *> slots);
-  /// Runs all launches in the overlay. No other thread has written what one of
-  /// them then stores.
+  /// Runs all launches in the overlay. Each thread stores only what it has
+  /// computed itself.
   void emitStages(ArrayRef<llvm::Value *> slots);
-  /// Writes the tile's own part of the overlay.
+  /// Stores the tile, without its halo, from the overlay to memory.
   void emitStores(ArrayRef<llvm::Value *> slots);
 
 private:
-  /// A cell of the window that overlays have: how far it is from the first cell
-  /// of the tile, the indices of its iteration, and its place in the window.
+  /// A cell of the window (tile and halo): its distance from the first cell of
+  /// the tile, the indices of its iteration, and its position in the window.
   struct Cell {
     SmallVector<llvm::Value *> distance, index;
     llvm::Value *place = nullptr;
@@ -73,20 +74,21 @@ private:
   llvm::Value *overlay;
   bool isCuda;
   size_t rank;
-  /// That of all overlays, and its cells.
+  /// The window of all overlays, and its number of cells.
   const runtime::TileHalo &window;
   int64_t numCells = 1;
   SmallVector<int64_t> extents;
-  /// Whether the block has a tile; the first index of that along each
-  /// dimension.
+  /// An i1: whether the block has a tile; the first index of the tile along
+  /// each dimension.
   llvm::Value *hasTile;
   SmallVector<llvm::Value *> first;
-  /// Of the thread, where there is a thread for each.
+  /// The cell of the thread, if there is a thread for each cell.
   std::optional<Cell> own;
   llvm::Value *hasOwn = nullptr;
 };
 
-/// Eight bytes as a parameter of this type, which is at the start of them.
+/// Converts a parameter slot of eight bytes to a value of this type, which is
+/// stored at the start of the slot.
 llvm::Value *convertSlot(llvm::IRBuilder<> &builder, llvm::Value *word,
                          llvm::Type *type, bool isCuda);
 

@@ -15,7 +15,7 @@
 
 namespace mlir::tai {
 
-/// What an address is but for constants, and the bytes that these add.
+/// An address without its constant offsets, and the sum of these in bytes.
 inline std::pair<llvm::Value *, int64_t>
 splitAddress(llvm::Value *pointer, const llvm::DataLayout &layout) {
   llvm::APInt offset(layout.getIndexTypeSizeInBits(pointer->getType()), 0);

@@ -5,16 +5,16 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The adjoint of a value that all iterations read is added to by all of them;
-// in the adjoint of a dense layer these are all its inputs. The memory takes
-// such additions one after another.
+// All iterations add to the adjoint of a value that all of them read, such as
+// the inputs of a dense layer. The memory system serialises such additions.
 //
-// A full warp adds up several sums at once: of each pair, half of the threads
-// go on with one and half with the other, so that 32 sums take 31 exchanges
-// rather than 160, and end in a thread each. Where the threads of a warp have
-// iterations side by side, what depends on their number without its last digits
-// is the same for all of them. Threads compare addresses that change in loops,
-// since they need not be in the same round of a loop.
+// A full warp reduces several sums at once: of each pair of sums, half of the
+// threads continue with one and half with the other, so that 32 sums take 31
+// shuffles instead of 160, and each ends in one thread. If the threads of a
+// warp have consecutive iterations, values that depend only on the leading
+// digits of the iteration number are uniform. Addresses that change in loops
+// are compared at run time, because threads may be in different iterations of a
+// loop.
 //
 //===----------------------------------------------------------------------===//
 

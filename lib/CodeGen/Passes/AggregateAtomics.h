@@ -12,8 +12,8 @@
 
 namespace mlir::tai {
 
-/// Where all threads of a warp add to the same elements of f32, adds up their
-/// values first, so that one of them adds to each element. For NVPTX.
+/// Where all threads of a warp add to the same f32 elements, reduces their
+/// values first, so that one thread adds to each element. For NVPTX.
 struct AggregateAtomics : llvm::PassInfoMixin<AggregateAtomics> {
   llvm::PreservedAnalyses run(llvm::Function &function,
                               llvm::FunctionAnalysisManager &analyses);

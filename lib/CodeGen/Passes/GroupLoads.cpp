@@ -1,4 +1,4 @@
-//===- GroupLoads.cpp - Loads before the stores they can pass -------------===//
+//===- GroupLoads.cpp - Loads before stores -------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -6,10 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // Adjoints add to many elements one after another: load, add, store, and again.
-// As long as the next load stays behind the store, each waits for memory by
-// itself, some hundred clocks every time. The same holds behind a division or a
-// root that rounds as IEEE 754 says: ptxas makes branches of it, and moves
-// nothing over them.
+// As long as the next load is after the store, each one waits for memory
+// separately, several hundred clocks each time. The same holds after an IEEE
+// 754 division or square root: ptxas expands it to branches, and moves nothing
+// across them.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,4 +1,4 @@
-//===- GroupLoads.h - Loads before the stores they can pass -----*- C++ -*-===//
+//===- GroupLoads.h - Loads before stores ----------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -13,8 +13,8 @@
 namespace mlir::tai {
 
 /// Moves loads of a block up to earlier ones, past stores to other memory, so
-/// that a GPU waits once for several of them. ptxas does not do that: it knows
-/// nothing of what may alias.
+/// that a GPU waits once for several of them. ptxas does not: it has no alias
+/// information.
 struct GroupLoads : llvm::PassInfoMixin<GroupLoads> {
   llvm::PreservedAnalyses run(llvm::Function &function,
                               llvm::FunctionAnalysisManager &analyses);

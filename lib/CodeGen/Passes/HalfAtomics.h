@@ -14,11 +14,10 @@ class Module;
 
 namespace mlir::tai {
 
-/// Makes loops of compare-and-exchange of atomic operations on f16 and bf16,
-/// which compare the bits that lie in memory. Those that LLVM makes for a CPU
-/// hold what they expect there as a float, and a float of 16 bits goes through
-/// one of 32: denormals may become zero on the way, and NaNs others, so that
-/// the exchange never succeeds.
+/// Expands atomic operations on f16 and bf16 to compare-exchange loops on the
+/// bits in memory. LLVM's own expansion for a CPU keeps the expected value as a
+/// float, and converts it to f32 and back: denormals may become zero and NaNs
+/// may change, so that the exchange never succeeds.
 void expandHalfAtomics(llvm::Module &module);
 
 } // namespace mlir::tai

@@ -1,14 +1,14 @@
-//===- HugeBodies.cpp - Compile time that grows with the program ----------===//
+//===- HugeBodies.cpp - Limits of superlinear passes ----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Scheduling and register allocation take time with the square of a block, and
-// the vectoriser makes three bodies of one, in which each call of a function
-// like sin becomes as many as a vector has elements. Unrolled programs have
-// blocks of thousands of instructions, for which that is minutes.
+// The time of scheduling and register allocation is quadratic in the size of a
+// block, and the vectoriser makes three copies of a body, in which each call of
+// a function like sin becomes one for each vector element. Unrolled programs
+// have blocks of thousands of instructions, for which this takes minutes.
 //
 //===----------------------------------------------------------------------===//
 

@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A poll is two loads, a comparison and a branch that is never taken: nothing
-// beside a body with calls or inner loops, and a few percent of the shortest
-// vectorised loops. A loop without calls, of which it is known that it ends
-// soon, goes without.
+// A poll is two loads, a comparison and a branch that is rarely taken:
+// negligible for a body with calls or inner loops, and a few percent for the
+// shortest vectorised loops. A loop without calls that is known to be short has
+// no poll.
 //
 //===----------------------------------------------------------------------===//
 

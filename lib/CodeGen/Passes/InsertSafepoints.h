@@ -12,14 +12,14 @@
 
 namespace mlir::tai {
 
-/// Whether a function may return at any time: a kernel, the body of a parallel
-/// loop (see Abi.h), or a part of one.
+/// Whether a function may return early: a kernel, the body of a parallel loop
+/// (see Abi.h), or an outlined part of one.
 bool mayReturnEarly(const llvm::Function &function);
 
-/// Lets kernels and bodies of parallel loops look, at the back edges of loops
-/// that may run long, whether there has been a tick since they last looked, and
-/// return at once where the runtime says so. To be run after the vectoriser,
-/// which leaves loops with calls alone.
+/// Inserts safepoint polls into kernels and bodies of parallel loops, at the
+/// back edges of loops that may run long: after a tick of the clock they call
+/// the runtime, and return if it says so. Runs after the vectoriser, which does
+/// not vectorise loops with calls.
 struct InsertSafepoints : llvm::PassInfoMixin<InsertSafepoints> {
   llvm::PreservedAnalyses run(llvm::Function &function,
                               llvm::FunctionAnalysisManager &analyses);

@@ -1,13 +1,13 @@
-//===- LocalMemory.cpp - Where a thread of a device has no memory ---------===//
+//===- LocalMemory.cpp - Failed allocations on a device -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A thread that is given no memory, or whose loop is told to end, gives back
-// what it has, and goes to the end of its function. All threads of a block meet
-// where they add up their sums: it does not leave that out.
+// A thread whose allocation failed, or that is asked to stop, frees its memory
+// and branches to the end of its function. It still takes part in barriers
+// there, where all threads of a block reduce their sums.
 //
 //===----------------------------------------------------------------------===//
 
@@ -154,7 +154,7 @@ static void space(CallInst &call) {
   call.moveBefore(then->getIterator());
 }
 
-void mlir::tai::endWhereMemoryLacks(Module &module) {
+void mlir::tai::exitOnFailedAllocations(Module &module) {
   DenseMap<Function *, OwnMemory> memories;
   for (StringRef name :
        {StringRef(kLocalAllocate), StringRef(kLocalGiven), StringRef(kGoOn)}) {

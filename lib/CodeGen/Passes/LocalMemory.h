@@ -1,4 +1,4 @@
-//===- LocalMemory.h - Where a thread of a device has no memory -*- C++ -*-===//
+//===- LocalMemory.h - Failed allocations on a device ----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -14,7 +14,7 @@ namespace mlir::tai {
 
 /// Exits a thread whose allocation failed, at the call or where it first uses
 /// the memory; see lib/Conversion/ToNVVM/LocalMemory.cpp.
-void endWhereMemoryLacks(llvm::Module &module);
+void exitOnFailedAllocations(llvm::Module &module);
 
 } // namespace mlir::tai
 

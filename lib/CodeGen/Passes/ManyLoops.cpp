@@ -5,11 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What LLVM asks of a loop often takes time with the number of loops around it
-// in the function: scalar evolution forgets what it knows of all of them
-// whenever one has changed. Loops that stand one behind the other, each at the
-// end of what dominates it, are divided at blocks between them into functions
-// of a few.
+// Many LLVM analyses of a loop take time proportional to the number of loops in
+// the function: scalar evolution invalidates all of them whenever one has
+// changed. So consecutive loops, each of which is dominated by the one before,
+// are outlined in groups, divided at blocks between them.
 //
 //===----------------------------------------------------------------------===//
 

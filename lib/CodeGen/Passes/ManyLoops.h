@@ -17,8 +17,8 @@ class Module;
 namespace mlir::tai {
 
 /// An attribute of functions that `divideManyLoops` has made. One that returns
-/// an i32 has the frame for its first parameter, and may return 1 at any time,
-/// upon which its caller returns as well.
+/// an i32 has the frame as its first parameter, and may return 1 early; its
+/// caller then returns as well.
 constexpr llvm::StringLiteral kLoopPart = "tai-loop-part";
 
 struct ManyLoopsLimits {
@@ -28,13 +28,14 @@ struct ManyLoopsLimits {
   unsigned part = 16;
 };
 
-/// Makes functions of loops that stand one behind the other, where a function
-/// has hundreds: to run in front of all that optimises. What parts need of each
-/// other is in memory that they share. True if something was divided: then no
-/// pass may look through the calls, because polls come later that end a part.
+/// Outlines groups of consecutive loops of a function that has hundreds; runs
+/// before all optimisations. Values used across parts go through shared memory
+/// on the stack. True if something was divided: then no interprocedural pass
+/// may run, because safepoints that are inserted later let a part return early.
 bool divideManyLoops(llvm::Module &module, ManyLoopsLimits limits = {});
 
-/// Whether a pass of LLVM changes what a part is given or returns.
+/// Whether a pass of LLVM is interprocedural: it may change the arguments or
+/// the result of a part.
 bool looksThroughCalls(llvm::StringRef pass);
 
 } // namespace mlir::tai

@@ -12,9 +12,8 @@
 
 namespace mlir::tai {
 
-/// To run after loops are vectorised: where a loop gathers neighbouring columns
-/// of a matrix, or scatters to them, loads or stores pieces of rows and
-/// transposes them.
+/// Runs after the loop vectoriser: replaces gathers (scatters) of neighbouring
+/// columns of a matrix by loads (stores) of pieces of rows and a transposition.
 struct TransposeColumns : llvm::PassInfoMixin<TransposeColumns> {
   llvm::PreservedAnalyses run(llvm::Function &function,
                               llvm::FunctionAnalysisManager &analyses);

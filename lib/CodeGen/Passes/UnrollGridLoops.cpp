@@ -1,16 +1,16 @@
-//===- UnrollGridLoops.cpp - More loads on their way ----------------------===//
+//===- UnrollGridLoops.cpp - Unroll grid-stride loops ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A GPU moves as many bytes in a second as are on their way at a time. With one
-// number for each thread that is less than half of what the memory could do.
+// The bandwidth of a GPU is proportional to the number of bytes in flight. With
+// one number for each thread, less than half of it is used.
 //
-// LLVM's own unrolling computes how often a loop runs, which takes a division
-// by the stride; for a loop that runs once in each thread, as in many small
-// kernels, that is more than the loop itself. Here
+// LLVM's own unrolling computes the trip count by a division by the stride; for
+// a loop that runs once in each thread, as in many small kernels, that costs
+// more than the loop itself. Here
 //
 //   for (i = first; i < n; i += stride)  body(i)
 //

@@ -1,4 +1,4 @@
-//===- UnrollGridLoops.h - More loads on their way --------------*- C++ -*-===//
+//===- UnrollGridLoops.h - Unroll grid-stride loops ------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -12,10 +12,10 @@
 
 namespace mlir::tai {
 
-/// Lets a thread run several iterations of a loop with the stride of the grid
-/// at a time, all their loads before all their stores. For kernels of parallel
-/// loops, whose iterations do not depend on each other, and of these for the
-/// ones that are short and have no branches. After loops are simplified.
+/// Unrolls grid-stride loops, all loads of the unrolled iterations before all
+/// stores, so that more loads are in flight. For kernels of parallel loops with
+/// independent, short iterations without branches. Runs after loop
+/// simplification.
 struct UnrollGridLoops : llvm::PassInfoMixin<UnrollGridLoops> {
   llvm::PreservedAnalyses run(llvm::Function &function,
                               llvm::FunctionAnalysisManager &analyses);

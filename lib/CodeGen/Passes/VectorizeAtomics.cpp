@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A scatter of vectors adds to each component by itself, and the memory does as
-// many operations. From Hopper on it can do those on two or four neighbours in
-// one, each still atomic by itself.
+// A scatter of vectors adds to each component separately, with one memory
+// operation for each. From Hopper on, one operation can add to two or four
+// neighbours, each addition still being atomic.
 //
 //===----------------------------------------------------------------------===//
 

@@ -15,14 +15,15 @@ class Pass;
 
 namespace mlir::tai {
 
-/// Makes atomic additions of f32 to neighbours in global memory, whose results
-/// nobody uses, one `red.global.add.v2.f32` or `.v4.f32`. For sm_90 and later,
-/// with PTX 8.1; after addresses of the kernel's parameters are known to be
-/// global.
+/// Combines atomic additions of f32 to neighbouring addresses in global memory,
+/// with unused results, into one `red.global.add.v2.f32` or `.v4.f32`. For
+/// sm_90 and later, with PTX 8.1; runs after address spaces of the kernel's
+/// parameters are inferred.
 llvm::Pass *createVectorizeAtomicsPass();
 
-/// Writes what is known of the addresses of atomics down where they stand, so
-/// that it is still known in a copy whose parameters come from elsewhere.
+/// Stores the known alignment of the addresses of atomics on the instructions,
+/// so that it survives in a copy of the function whose parameters have no
+/// alignment attributes.
 void noteAtomicAlignment(llvm::Function &function);
 
 } // namespace mlir::tai

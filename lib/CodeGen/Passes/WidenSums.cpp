@@ -5,16 +5,15 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A sum of n numbers one after another is off by about n roundings. A loop that
+// The error of a sequential sum of n numbers is about n roundings. A loop that
 // LLVM has vectorised keeps several vectors of sums. Here the terms of one
 // iteration are added up pairwise, in f32, and their sum is added to one vector
 // of f64: of four terms, four additions become three, two conversions and two
-// additions, which loads hide wherever the numbers are not in the first cache.
-// A loop that is not vectorised adds in f64 alone: what it waits for is as
-// long.
+// additions, which is hidden by loads unless the numbers are in the L1 cache. A
+// loop that is not vectorised adds in f64 alone, with the same latency.
 //
-// Written as sums of f64 in the first place, LLVM would choose the width of its
-// vectors by f64, for all that the loop does.
+// If sums were f64 from the start, LLVM would choose its vector width by f64
+// for the whole loop.
 //
 //===----------------------------------------------------------------------===//
 

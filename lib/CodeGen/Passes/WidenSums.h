@@ -12,8 +12,8 @@
 
 namespace mlir::tai {
 
-/// To run after loops are vectorised: what a loop adds up in f32, in an order
-/// that is free, is kept in f64 and rounded behind the loop.
+/// Runs after the loop vectoriser: keeps the accumulators of reassociable f32
+/// sums of a loop in f64, and rounds them after the loop.
 struct WidenSums : llvm::PassInfoMixin<WidenSums> {
   llvm::PreservedAnalyses run(llvm::Function &function,
                               llvm::FunctionAnalysisManager &analyses);
